@@ -1,0 +1,60 @@
+"""torchpi makes piezo stages go where they are told.
+
+    recordings of voltage and displacement → a trained direct inverse → a control loop
+
+Names are loaded when they are first used, so that `import torchpi` and `torchpi --help` stay quick.
+"""
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from torchpi.compensator import DirectInverse as DirectInverse
+    from torchpi.errors import TorchpiError as TorchpiError
+    from torchpi.loop import run_loop as run_loop
+    from torchpi.motion import Motion as Motion
+    from torchpi.operators import (
+        PlayBank as PlayBank,
+    )
+    from torchpi.operators import (
+        Polynomial as Polynomial,
+    )
+    from torchpi.operators import (
+        PrandtlIshlinskii as PrandtlIshlinskii,
+    )
+    from torchpi.operators import (
+        ReferenceFilter as ReferenceFilter,
+    )
+    from torchpi.recording import Recording as Recording
+    from torchpi.recording import read_recording as read_recording
+    from torchpi.recording import write_recording as write_recording
+    from torchpi.stage import Stage as Stage
+
+__version__ = "0.1.0"
+
+_HOME = {
+    "DirectInverse": "torchpi.compensator",
+    "Motion": "torchpi.motion",
+    "PlayBank": "torchpi.operators",
+    "Polynomial": "torchpi.operators",
+    "PrandtlIshlinskii": "torchpi.operators",
+    "Recording": "torchpi.recording",
+    "ReferenceFilter": "torchpi.operators",
+    "Stage": "torchpi.stage",
+    "TorchpiError": "torchpi.errors",
+    "read_recording": "torchpi.recording",
+    "run_loop": "torchpi.loop",
+    "write_recording": "torchpi.recording",
+}
+
+__all__ = [*_HOME, "__version__"]  # noqa: PLE0604
+
+
+def __getattr__(name: str) -> Any:
+    if name in _HOME:
+        return getattr(importlib.import_module(_HOME[name]), name)
+    raise AttributeError(f"module 'torchpi' has no attribute '{name}'")
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

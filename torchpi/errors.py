@@ -1,0 +1,29 @@
+"""What torchpi says when it is given something that it cannot use.
+
+Every error is one line: what was wrong, where, the value found, the value wanted, and what to do.
+The commands print that line without a traceback and exit with code 2.
+"""
+
+
+class TorchpiError(ValueError):
+    """Base of every error that a user's input can cause."""
+
+
+class RecordingError(TorchpiError):
+    """A recording that cannot be read, or cannot be used: names the file and the row or column."""
+
+
+class ConfigError(TorchpiError):
+    """A configuration with an unknown key or an impossible value: names the key."""
+
+
+class StageError(TorchpiError):
+    """A stage with an unphysical parameter: names the parameter and its unit."""
+
+
+class ArtifactError(TorchpiError):
+    """A run folder, checkpoint or exported file that is missing, or is something else."""
+
+
+class RecordingWarning(UserWarning):
+    """A recording that can be used, but holds something that its owner should know."""

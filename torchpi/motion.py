@@ -1,0 +1,73 @@
+"""A trajectory with its rate and acceleration, and their causal forms from samples alone."""
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor, nn
+
+
+class Motion(NamedTuple):
+    """A trajectory. Shapes: (batch, time). Units: µm, µm/s, µm/s²."""
+
+    yd: Tensor
+    yd_dot: Tensor
+    yd_ddot: Tensor
+
+
+def backward_motion(
+    yd: Tensor,  # (batch, time), µm
+    sample_period_s: float,
+) -> Motion:
+    """Rate and acceleration from past samples only, as a compensator that is fed samples forms them.
+
+    Second order, so the rate does not lag by half a sample as a plain backward difference does.
+    Before the first sample the trajectory is taken to have rested there.
+    """
+    # The three samples before each one: the first sample repeated stands for the rest before it.
+    held = torch.cat([yd[:, :1].expand(-1, 3), yd], 1)
+    y1, y2, y3 = held[:, 2:-1], held[:, 1:-2], held[:, :-3]
+    return Motion(
+        yd,
+        backward_rate(yd, y1, y2, sample_period_s),  # type: ignore[arg-type]
+        backward_acceleration(yd, y1, y2, y3, sample_period_s),  # type: ignore[arg-type]
+    )
+
+
+def backward_rate(y0: float, y1: float, y2: float, sample_period_s: float) -> float:
+    """Three-point backward difference; `y1` is one sample before `y0`. Tensors pass as well."""
+    return (3.0 * y0 - 4.0 * y1 + y2) / (2.0 * sample_period_s)
+
+
+def backward_acceleration(y0: float, y1: float, y2: float, y3: float, sample_period_s: float) -> float:
+    """Four-point backward second difference. Tensors pass as well."""
+    return (2.0 * y0 - 5.0 * y1 + 4.0 * y2 - y3) / (sample_period_s * sample_period_s)
+
+
+class BackwardMotionStream(nn.Module):
+    """The causal motion, one sample at a time: `step(yd)` returns (yd, rate, acceleration)."""
+
+    def __init__(self, sample_period_s: float) -> None:
+        super().__init__()
+        self.sample_period_s = sample_period_s
+        self.started = False
+        self.y1 = 0.0
+        self.y2 = 0.0
+        self.y3 = 0.0
+
+    @torch.jit.export
+    def reset(self) -> None:
+        self.started = False
+
+    @torch.jit.export
+    def step(self, yd: float) -> tuple[float, float, float]:
+        if not self.started:
+            self.started = True
+            self.y1 = yd
+            self.y2 = yd
+            self.y3 = yd
+        rate = backward_rate(yd, self.y1, self.y2, self.sample_period_s)
+        acceleration = backward_acceleration(yd, self.y1, self.y2, self.y3, self.sample_period_s)
+        self.y3 = self.y2
+        self.y2 = self.y1
+        self.y1 = yd
+        return yd, rate, acceleration

@@ -1,0 +1,23 @@
+"""Operators: one a file; each a pure function with explicit state, a module that owns its parameters, a stream."""
+
+from torchpi.operators.base import Operator
+from torchpi.operators.play import PlayBank, play, play_bank
+from torchpi.operators.polynomial import Polynomial, polynomial
+from torchpi.operators.prandtl_ishlinskii import PrandtlIshlinskii
+from torchpi.operators.rate_weights import RateHead, RateWeights
+from torchpi.operators.reference_filter import ReferenceFilter
+from torchpi.operators.weighted_sum import weighted_sum
+
+__all__ = [
+    "Operator",
+    "PlayBank",
+    "Polynomial",
+    "PrandtlIshlinskii",
+    "RateHead",
+    "RateWeights",
+    "ReferenceFilter",
+    "play",
+    "play_bank",
+    "polynomial",
+    "weighted_sum",
+]

@@ -1,0 +1,30 @@
+"""The contract that every operator keeps."""
+
+import torch
+from torch import Tensor, nn
+
+
+class Operator(nn.Module):
+    """A causal map of one sampled signal to another, its state explicit.
+
+    Three uses, one equation: `forward` maps whole records and carries gradients, `stream` makes a
+    module that takes one sample at a time, and exports are made from that. In float64 all agree to
+    the last bit, and a record cut into windows, with the state carried over, gives the same bits as
+    the record in one piece. `torchpi.operators.conformance` is the test of it.
+    """
+
+    def initial_state(self, batch: int) -> Tensor:
+        """State of the de-energised operator. Shape: (batch, states)."""
+        return torch.zeros(batch, 0, dtype=torch.float64)
+
+    def forward(
+        self,
+        x: Tensor,  # (batch, time)
+        state: Tensor | None = None,  # (batch, states); None is the de-energised state
+    ) -> tuple[Tensor, Tensor]:
+        """Return the output, (batch, time), and the state after the last sample."""
+        raise TypeError(f"{type(self).__name__} must define forward(x, state)")
+
+    def stream(self) -> nn.Module:
+        """A scriptable module of plain floats with `reset()` and `step(x: float) -> float`."""
+        raise TypeError(f"{type(self).__name__} must define stream()")

@@ -1,0 +1,51 @@
+"""The play bank as an associative scan, in plain torch: the form for an accelerator.
+
+A play clamps its previous state to [x - r, x + r]. Clamps compose to clamps, so the map from the
+initial state to any later state is one clamp again, (low, high), and a doubling scan gives all of
+them in log2(time) passes. Only selections happen, so the bits are those of the sequential form.
+"""
+
+import torch
+from torch import Tensor
+from torch.autograd.function import FunctionCtx, once_differentiable
+
+
+def play_scan(
+    x: Tensor,  # (batch, time)
+    r: Tensor,  # (plays,)
+    h0: Tensor,  # (batch, plays)
+) -> Tensor:  # (batch, time, plays)
+    """States of all plays (eq. 1, 2), differentiable in all three arguments, on any device."""
+    return _PlayScan.apply(x, r, h0)
+
+
+class _PlayScan(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: FunctionCtx, x: Tensor, r: Tensor, h0: Tensor) -> Tensor:
+        low, high = x[..., None] - r, x[..., None] + r
+        span = 1
+        while span < x.shape[1]:
+            # Later clamp after earlier clamp: both ends of the earlier one pass through the later.
+            after_low, after_high = low[:, span:], high[:, span:]
+            low, high = (
+                torch.cat([ends[:, :span], torch.maximum(after_low, torch.minimum(after_high, ends[:, :-span]))], 1)
+                for ends in (low, high)
+            )
+            span *= 2
+        h = torch.maximum(low, torch.minimum(high, h0[:, None]))
+        ctx.save_for_backward(x, r, h0, h)
+        return h
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: FunctionCtx, *gradients: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        x, r, h0, h = ctx.saved_tensors  # type: ignore[attr-defined]
+        (gh,) = gradients
+        previous = torch.cat([h0[:, None], h[:, :-1]], 1)
+        low, high = previous <= x[..., None] - r, previous >= x[..., None] + r
+        side = torch.where(low, -1.0, torch.where(high, 1.0, 0.0)).to(x.dtype)
+        # Slot 0 stands for the initial state, slot t + 1 for a push by sample t.
+        slots = torch.arange(1, x.shape[1] + 1, device=x.device)[None, :, None]
+        last_push = torch.where(low | high, slots, 0).cummax(1).values
+        landed = torch.zeros_like(h0)[:, None].repeat(1, x.shape[1] + 1, 1).scatter_add_(1, last_push, gh)
+        return landed[:, 1:].sum(2), (landed[:, 1:] * side).sum((0, 1)), landed[:, 0]

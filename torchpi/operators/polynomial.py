@@ -1,0 +1,80 @@
+"""The polynomial saturation operator, Qin et al. (2013), eq. 4."""
+
+import torch
+from torch import Tensor, nn
+
+from torchpi.errors import ConfigError
+from torchpi.operators.base import Operator
+
+
+def polynomial(x: float, c: list[float]) -> float:
+    """S(x) = c_m x^m + … + c_1 x (eq. 4), by Horner's rule; `c` is c_1 first. No constant term.
+
+    Tensors pass as well: batch and stream run this one function.
+    """
+    s = 0.0
+    for i in range(len(c) - 1, -1, -1):
+        s = (s + c[i]) * x
+    return s
+
+
+class Polynomial(Operator):
+    """Saturation operator: a polynomial without constant term, memoryless.
+
+    Args:
+        coefficients: c_1 first, c_m last.
+        scale: A typical size of the input. The trained numbers are c_i scale^(i-1), which are then of
+            like size for all i; `c` gives the coefficients themselves.
+
+    Raises:
+        ConfigError: No coefficient, one that is not finite, or a scale that is not positive.
+    """
+
+    def __init__(self, coefficients: list[float], scale: float = 1.0) -> None:
+        super().__init__()
+        c = torch.as_tensor(coefficients, dtype=torch.float64)
+        if c.ndim != 1 or len(c) == 0 or not bool(torch.isfinite(c).all()):
+            raise ConfigError(f"coefficients: found {list(coefficients)}, want at least one, all finite")
+        if not 0 < scale < float("inf"):
+            raise ConfigError(f"scale: found {scale}, want a positive number")
+        self.powers: Tensor
+        self.register_buffer("powers", scale ** torch.arange(len(c), dtype=torch.float64))
+        self.scaled = nn.Parameter(c * self.powers)
+
+    @property
+    def c(self) -> Tensor:
+        """Coefficients c_1 … c_m, (degree,)."""
+        return self.scaled / self.powers
+
+    def set_coefficients(self, c: Tensor) -> None:
+        """Replace c_1 … c_m, (degree,)."""
+        with torch.no_grad():
+            self.scaled.copy_(c * self.powers)
+
+    def forward(self, x: Tensor, state: Tensor | None = None) -> tuple[Tensor, Tensor]:
+        s: Tensor = polynomial(x, list(self.c.to(x.dtype)))  # type: ignore
+        return s, self.initial_state(len(x)) if state is None else state
+
+    def stream(self) -> "PolynomialStream":
+        return PolynomialStream(self.c.tolist())
+
+    def extra_repr(self) -> str:
+        return f"degree={len(self.scaled)}"
+
+
+class PolynomialStream(nn.Module):
+    """The saturation operator, one sample at a time."""
+
+    c: list[float]
+
+    def __init__(self, c: list[float]) -> None:
+        super().__init__()
+        self.c = c
+
+    @torch.jit.export
+    def reset(self) -> None:
+        return
+
+    @torch.jit.export
+    def step(self, x: float) -> float:
+        return polynomial(x, self.c)

@@ -1,0 +1,66 @@
+"""The Prandtl–Ishlinskii operator, Qin et al. (2013), eq. 3: a weighted sum of plays."""
+
+import torch
+from torch import Tensor, nn
+
+from torchpi.errors import ConfigError
+from torchpi.operators.base import Operator
+from torchpi.operators.play import PlayBank, PlayStream
+from torchpi.operators.weighted_sum import weight, weighted_sum
+
+
+class PrandtlIshlinskii(Operator):
+    """y(t) = Σ_i w_i H_ri[x](t). With negative weights it is as well the inverse of such an operator.
+
+    Args:
+        thresholds: r, unit of the input.
+        weights: w, one a threshold, output per input; may be negative.
+        trainable_thresholds: Whether gradients reach the thresholds.
+
+    Raises:
+        ConfigError: Bad thresholds, or another number of weights than of thresholds.
+    """
+
+    def __init__(
+        self, thresholds: list[float], weights: list[float], trainable_thresholds: bool = False
+    ) -> None:
+        super().__init__()
+        self.plays = PlayBank(thresholds, trainable_thresholds)
+        if len(weights) != len(thresholds):
+            raise ConfigError(f"weights: found {len(weights)}, want {len(thresholds)}, one a threshold")
+        self.w = nn.Parameter(torch.as_tensor(weights, dtype=torch.float64).clone())
+
+    def initial_state(self, batch: int) -> Tensor:
+        return self.plays.initial_state(batch)
+
+    def forward(self, x: Tensor, state: Tensor | None = None) -> tuple[Tensor, Tensor]:
+        h, state = self.plays(x, state)
+        return weighted_sum(h, torch.ones_like(x)[..., None], self.w.to(x.dtype)[:, None]), state
+
+    def stream(self) -> "PrandtlIshlinskiiStream":
+        return PrandtlIshlinskiiStream(self.plays.stream(), self.w.tolist())
+
+
+class PrandtlIshlinskiiStream(nn.Module):
+    """The operator, one sample at a time."""
+
+    w: list[float]
+    one: list[float]
+
+    def __init__(self, plays: PlayStream, w: list[float]) -> None:
+        super().__init__()
+        self.plays = plays
+        self.w = w
+        self.one = [1.0]
+
+    @torch.jit.export
+    def reset(self) -> None:
+        self.plays.reset()
+
+    @torch.jit.export
+    def step(self, x: float) -> float:
+        h = self.plays.step(x)
+        total = 0.0
+        for i in range(len(h)):
+            total += weight(self.w, self.one, i) * h[i]
+        return total
