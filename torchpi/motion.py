@@ -34,13 +34,16 @@ def backward_motion(
 
 
 def backward_rate(y0: float, y1: float, y2: float, sample_period_s: float) -> float:
-    """Three-point backward difference; `y1` is one sample before `y0`. Tensors pass as well."""
-    return (3.0 * y0 - 4.0 * y1 + y2) / (2.0 * sample_period_s)
+    """Three-point backward difference, (3 y0 - 4 y1 + y2) / 2T; `y1` is one sample before `y0`.
+
+    Written in differences, which are exactly zero at rest. Tensors pass as well.
+    """
+    return (3.0 * (y0 - y1) - (y1 - y2)) / (2.0 * sample_period_s)
 
 
 def backward_acceleration(y0: float, y1: float, y2: float, y3: float, sample_period_s: float) -> float:
-    """Four-point backward second difference. Tensors pass as well."""
-    return (2.0 * y0 - 5.0 * y1 + 4.0 * y2 - y3) / (sample_period_s * sample_period_s)
+    """Four-point backward second difference, (2 y0 - 5 y1 + 4 y2 - y3) / T². Tensors pass as well."""
+    return (2.0 * (y0 - y1) - 3.0 * (y1 - y2) + (y2 - y3)) / (sample_period_s * sample_period_s)
 
 
 class BackwardMotionStream(nn.Module):

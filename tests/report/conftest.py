@@ -1,0 +1,110 @@
+"""Small results to draw: a play with a lag for a stage, and compensators that half undo it."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from torchpi.loop import LoopResult, run_loop
+from torchpi.report.provenance import Provenance
+from torchpi.report.training import RecordFit, Saturation, TrainingReport, WeightsAgainstRate
+
+FS_HZ = 10_000.0
+
+
+class PlayStream:
+    """y follows 0.8 u through a play of 0.4 V, a sample late."""
+
+    def reset(self, seed: int) -> None:
+        self.h, self.y, self.noise = 0.0, 0.0, np.random.default_rng(seed)
+
+    def step(self, u: float) -> tuple[float, float]:
+        y = self.y
+        self.h = max(u - 0.4, min(u + 0.4, self.h))
+        self.y = 0.3 * u + 0.5 * self.h
+        return y, y + 0.002 * self.noise.standard_normal()
+
+
+class PlayStage:
+    sample_period_s = 1 / FS_HZ
+    min_voltage_v = 0.0
+    max_voltage_v = 10.0
+
+    def stream(self) -> PlayStream:
+        return PlayStream()
+
+
+@dataclass
+class Turning:
+    """Adds `jump_v` when the trajectory rises, and takes it off when it falls."""
+
+    jump_v: float
+    preview: int = 1
+    sample_period_s: float = 1 / FS_HZ
+
+    def reset(self) -> None:
+        self.previous = 0.0
+
+    def step(self, yd: float) -> float:
+        jump_v = math.copysign(self.jump_v, yd - self.previous)
+        self.previous = yd
+        return min(max(yd / 0.8 + jump_v, 0.0), 10.0)
+
+
+@pytest.fixture(scope="session")
+def results() -> list[LoopResult]:
+    def run(name: str, title: str, frequency_hz: float) -> LoopResult:
+        t = np.arange(8_000) / FS_HZ
+        yd = 3.5 - 3.5 * np.cos(2 * np.pi * frequency_hz * t) * (1 - 0.2 * np.sin(2 * np.pi * 2.5 * t) ** 2)
+        return run_loop(
+            Turning(0.25),
+            PlayStage(),
+            yd,
+            fs_hz=FS_HZ,
+            name=name,
+            title=title,
+            compare={"two_stage_least_squares": Turning(0.15)},
+            seed=3,
+        )
+
+    return [run("slow", "eq. 15 (slow)", 5.0), run("fast", "eq. 16 (fast)", 40.0)]
+
+
+@pytest.fixture(scope="session")
+def provenance() -> Provenance:
+    return Provenance(
+        command="torchpi run exports/a.pt --stage '<b>.yaml'",
+        seed=3,
+        files={"compensator: exports/a.pt": "0" * 64, "stage: <b>.yaml": "1" * 64},
+        versions={"python": "3.11", "torch": "2.13"},
+        machine="Linux x86_64",
+    )
+
+
+@pytest.fixture(scope="session")
+def training() -> TrainingReport:
+    t = np.arange(20_000) / FS_HZ
+    y = 4 - 4 * np.cos(2 * np.pi * 10 * t)
+    u = y + 0.3 * np.sin(2 * np.pi * 10 * t)
+    noise = np.random.default_rng(0).standard_normal(len(t))
+    record = RecordFit("multisine_2", "held out", t, y, u, u + 0.01 * np.sin(2 * np.pi * 30 * t) + 0.002 * noise)
+    r = np.array([0, 0.05, 0.1, 0.2, 0.3, 0.5, 1, 1.5, 2, 3])
+    rate = np.linspace(-900.0, 900.0, 61)
+    w = 1e-4 * np.cos(np.arange(10)) * rate[:, None] + 0.5 / (1 + np.arange(10))
+    x = np.linspace(0.0, 8.1, 200)
+    c = np.array([1.40, -7.62e-2, 1.45e-2, -7.53e-4])  # eq. 12
+    errors = {"rms_v": 0.0103, "max_v": 0.021, "rms_um": 0.0086, "max_um": 0.0175, "rms_percent": 0.1, "max_percent": 0.2}
+    return TrainingReport(
+        name="recorded",
+        metrics={
+            "train": errors,
+            "heldout": {key: 1.2 * value for key, value in errors.items()},
+            "baseline_lstsq": {key: 3.0 * value for key, value in errors.items()},
+            "loading_excluded": errors,
+        },
+        records=(record,),
+        weights=WeightsAgainstRate(rate, w, r),
+        saturation=Saturation(x, (c * x[:, None] ** np.arange(1, 5)).sum(1), c),
+        notes=("The stage leads by a lag.",),
+    )

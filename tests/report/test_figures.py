@@ -1,0 +1,79 @@
+"""Figures: the size of a page, legible, and no peak lost on the way."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from matplotlib.figure import Figure
+from matplotlib.text import Text
+
+from torchpi.report import loop_figures, training_figures
+from torchpi.report.svg import inline_svg
+from torchpi.report.traces import envelope, thinned
+
+
+@pytest.fixture(scope="module")
+def figures(results, training) -> list[Figure]:
+    loop = (
+        loop_figures.trajectory_figure,
+        loop_figures.linearity_figure,
+        loop_figures.error_figure,
+        loop_figures.voltage_figure,
+        loop_figures.latency_figure,
+    )
+    record = (training_figures.loop_figure, training_figures.traces_figure, training_figures.spectrum_figure)
+    return [
+        *(draw(results[0]) for draw in loop),
+        *(draw(training.records[0]) for draw in record),
+        training_figures.weights_figure(training.weights),
+        training_figures.saturation_figure(training.saturation),
+    ]
+
+
+def test_axes_are_named_with_their_units(figures: list[Figure]):
+    for figure in figures:
+        labels = [axes.get_ylabel() for axes in figure.axes] + [figure.axes[-1].get_xlabel()]
+        assert any("(" in label or "per" in label for label in labels)
+        assert figure.axes[-1].get_xlabel()
+        assert figure.axes[0].get_ylabel()
+
+
+def test_text_is_eight_points_or_more(figures: list[Figure]):
+    for figure in figures:
+        sizes = [text.get_fontsize() for text in figure.findobj(Text) if text.get_text()]
+        assert min(sizes) >= 8
+
+
+def test_a_figure_as_svg_is_the_same_every_time(figures: list[Figure]):
+    for figure in figures:
+        first = inline_svg(figure, "a", 'says "hello" & <more>')
+        assert first == inline_svg(figure, "a", 'says "hello" & <more>')
+        assert first.startswith('<svg class="figure"')
+        assert 'aria-label="says &quot;hello&quot; &amp; &lt;more>"' in first
+        assert len(first) < 300_000
+
+
+@given(st.integers(1, 4000), st.integers(1, 300), st.integers(0, 2**31))
+def test_an_envelope_keeps_every_peak_and_the_order(samples: int, columns: int, seed: int):
+    t, y = np.arange(samples, dtype=float), np.random.default_rng(seed).standard_normal(samples)
+    short_t, short_y = envelope(t, y, columns)
+    assert len(short_y) <= max(2 * columns + 2, 1)
+    assert (short_y.max(), short_y.min()) == (y.max(), y.min())
+    assert (np.diff(short_t) > 0).all()
+    assert (y[short_t.astype(int)] == short_y).all()
+
+
+def test_a_thinned_curve_stays_within_a_dot_of_the_whole():
+    angle = np.linspace(0, 20 * np.pi, 100_000)
+    x, y = np.cos(angle), np.sin(3 * angle)
+    short_x, short_y = thinned(x, y, 1 / 500)
+    assert len(short_x) < len(x) / 2
+    distance = np.hypot(x[::97, None] - short_x, y[::97, None] - short_y).min(axis=1)
+    assert distance.max() < 2 * np.sqrt(2) / 500
+
+
+def test_a_trajectory_that_starts_at_its_top_is_drawn_without_loading(results):
+    import dataclasses
+
+    figure = loop_figures.trajectory_figure(dataclasses.replace(results[0], loading_samples=0))
+    assert not [text for text in figure.findobj(Text) if text.get_text() == "loading"]

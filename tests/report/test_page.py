@@ -1,0 +1,156 @@
+"""The pages: whole in one file, and saying what the numbers say."""
+
+import json
+import re
+from html.parser import HTMLParser
+
+import pytest
+
+from torchpi.loop import COMPENSATED, LoopResult
+from torchpi.report import words
+from torchpi.report.page import loop_json, loop_page, training_page, write_loop_report, write_training_report
+from torchpi.report.provenance import Provenance, provenance
+from torchpi.report.training import TrainingReport
+
+
+class Collector(HTMLParser):
+    """Tags with their attributes, and the text of <data> elements by table, row and order."""
+
+    def __init__(self, html: str) -> None:
+        super().__init__()
+        self.tags: list[tuple[str, dict[str, str | None]]] = []
+        self.numbers: dict[tuple[int, str | None, str | None], list[tuple[float, str]]] = {}
+        self._section, self._table, self._row, self._value = 0, None, None, None
+        self.feed(html)
+
+    def handle_starttag(self, tag, attrs):
+        attributes = dict(attrs)
+        self.tags.append((tag, attributes))
+        if tag == "section":
+            self._section += 1
+        elif tag == "table":
+            self._table = attributes.get("data-signal")
+        elif tag == "tr":
+            self._row = attributes.get("data-drive") or attributes.get("data-part")
+        elif tag == "data":
+            self._value = float(attributes["value"])
+
+    def handle_data(self, data):
+        if self._value is not None:
+            place = (self._section, self._table, self._row)
+            self.numbers.setdefault(place, []).append((self._value, data))
+            self._value = None
+
+
+@pytest.fixture(scope="module", params=["loop", "training"])
+def html(request, results, provenance, training) -> str:
+    return loop_page(results, provenance) if request.param == "loop" else training_page(training, provenance)
+
+
+def test_a_page_fetches_nothing(html: str):
+    assert not re.search(r"https?://|src=|@import|<link|<script|<iframe|<object|<img", html)
+    for _, attributes in Collector(html).tags:
+        assert (attributes.get("href") or "#").startswith("#")
+    assert all(target.startswith("#") for target in re.findall(r"url\(([^)]*)\)", html))
+
+
+def test_identifiers_are_unique_and_references_resolve(html: str):
+    tags = Collector(html).tags
+    ids = [attributes["id"] for _, attributes in tags if "id" in attributes]
+    assert len(ids) == len(set(ids))
+    referenced = set(re.findall(r'href="#([^"]+)"|url\(#([^)]+)\)', html))
+    assert {a or b for a, b in referenced} <= set(ids)
+
+
+def test_a_page_is_small(html: str):
+    assert len(html.encode()) < 3_000_000
+
+
+def test_text_from_outside_is_escaped(results: list[LoopResult], provenance: Provenance):
+    html = loop_page(results, provenance)
+    assert "&lt;b&gt;.yaml" in html
+    assert "<b>" not in html
+
+
+def test_the_same_result_gives_the_same_bytes(results: list[LoopResult], provenance: Provenance):
+    assert loop_page(results, provenance) == loop_page(results, provenance)
+
+
+def test_numbers_on_the_loop_page_are_those_of_the_json(results: list[LoopResult], provenance: Provenance):
+    numbers = Collector(loop_page(results, provenance)).numbers
+    content = json.loads(loop_json(results, provenance))
+    assert [run["name"] for run in content["trajectories"]] == ["slow", "fast"]
+    for section, run in enumerate(content["trajectories"], start=1):
+        assert list(run["drives"])[-1] == COMPENSATED
+        for key, drive in run["drives"].items():
+            for signal, json_key in (("on_true", "true_displacement"), ("on_sensor", "sensor_reading")):
+                expected = [
+                    drive[json_key][part][f"{size}_{unit}"]
+                    for part in ("loading", "steady", "whole")
+                    for size in ("max", "rms")
+                    for unit in ("um", "percent", "percent_of_range")
+                ]
+                if signal == "on_true" and key != "without":
+                    better = drive["times_better_than_without"]
+                    expected += [better["whole_rms"], better["steady_rms"]]
+                shown = numbers[(section, signal, key)]
+                assert [value for value, _ in shown] == expected
+                assert [text for _, text in shown] == [words.figure(value) for value in expected]
+            latency = drive["latency"]
+            expected = [latency[f"{name}_us"] for name in ("median", "p99", "p999", "max", "period")]
+            expected += [drive["loop_width_um"], drive["loop_width_percent"]]
+            assert [value for value, _ in numbers[(section, "latency", key)]] == expected
+
+
+def test_numbers_on_the_training_page_are_the_metrics(training: TrainingReport, provenance: Provenance):
+    numbers = Collector(training_page(training, provenance)).numbers
+    for part, row in training.metrics.items():
+        expected = [row[f"{size}_{unit}"] for unit in ("v", "um", "percent") for size in ("rms", "max")]
+        assert [value for value, _ in numbers[(1, None, part)]] == expected
+
+
+def test_the_headline_says_how_well_it_tracks(results: list[LoopResult]):
+    result = results[1]
+    whole = result.compensated.on_true.whole
+    sentence = words.headline(result)
+    assert sentence.startswith(f"Tracks eq. 16 (fast) to {words.figure(whole.rms_um)} µm rms")
+    assert f"of {result.compensated.latency.steps:,} deadlines missed" in sentence
+
+
+def test_both_files_are_written(tmp_path, results, provenance, training):
+    page, numbers = write_loop_report(results, provenance, tmp_path / "new")
+    assert page.read_text(encoding="utf-8").startswith("<!DOCTYPE html>")
+    assert json.loads(numbers.read_text(encoding="utf-8"))["version"] == 1
+    report = write_training_report(training, provenance, tmp_path / "report.html")
+    assert "held out" in report.read_text(encoding="utf-8")
+    assert sorted(path.name for path in tmp_path.rglob("*")) == ["loop.html", "loop.json", "new", "report.html"]
+
+
+def test_provenance_hashes_the_files(tmp_path):
+    path = tmp_path / "a.pt"
+    path.write_bytes(b"abc")
+    gathered = provenance("torchpi run a.pt", {"compensator": path}, seed=1)
+    assert list(gathered.files.values()) == ["ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"]
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(0.02134, "0.0213"), (4.1, "4.10"), (127.4, "127"), (12_345.6, "12,346"), (0.0, "0"), (-0.5, "−0.500")],
+)
+def test_figures_have_three_significant_digits(value: float, text: str):
+    assert words.figure(value) == text
+
+
+@pytest.mark.parametrize(
+    ("ratio", "text"),
+    [
+        (14.9, "14 times better"),
+        (9.98, "9.9 times better"),
+        (1.3, "1.3 times better"),
+        (0.5, "2.0 times worse"),
+        (0.0, "∞ times worse"),
+        (float("inf"), "∞ times better"),
+    ],
+)
+def test_a_ratio_never_sounds_better_than_it_is(ratio: float, text: str):
+    assert words.times(ratio) == text

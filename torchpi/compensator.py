@@ -1,0 +1,152 @@
+"""The direct inverse compensator, Qin et al. (2013), Fig. 6 and eq. 6–8: desired trajectory in, voltage out.
+
+    x_0 = y_d + τ_1 ẏ_d + τ_2 ÿ_d            undoes delay, lag and mode (extension; τ = 0 is the paper)
+    x = x_0 + Σ_j g_j ξ_j,  T_j ξ̇_j = x_0 - ξ_j    undoes creep (extension; g = 0 is the paper)
+    u = Σ_i w_i(ẏ_d) H_ri[S(x)] + u_0         eq. 8, with an offset on request (extension)
+
+It is identified from recordings of displacement and voltage, and never inverted.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from torchpi.errors import ConfigError
+from torchpi.compensator_stream import CompensatorStream, compensator_stream
+from torchpi.motion import Motion
+from torchpi.operators.play import PlayBank
+from torchpi.operators.polynomial import Polynomial
+from torchpi.operators.rate_weights import RateHead, RateWeights
+from torchpi.operators.reference_filter import ReferenceFilter
+from torchpi.operators.relaxations import relaxations
+from torchpi.operators.weighted_sum import weighted_sum
+
+
+class DirectInverse(nn.Module):
+    """Maps a desired motion to the voltage that produces it.
+
+    Args:
+        sample_period_s: T of the control loop and of the recordings.
+        thresholds: r of the plays, in the unit of S(y), about µm; the first one 0 as in the paper.
+        degree: m, degree of the saturation polynomial (eq. 4).
+        rate: How the weights follow the rate: `none` (eq. 6), `linear` (eq. 7) or `neural`.
+        preview: How many samples the desired trajectory is seen ahead; 0 is the paper's case.
+        lead: Order of the lead that undoes the stage's linear dynamics, 0 (the paper), 1 or 2.
+        creep_time_constants_s: T_j of the relaxations that undo creep; none is the paper.
+        offset: Whether a constant voltage u_0 is learned, for recordings with an arbitrary zero.
+        min_voltage_v: Lower output limit.
+        max_voltage_v: Upper output limit.
+        range_um: A typical displacement, which scales the trained numbers to like size.
+        rate_scale_um_s: A typical rate, likewise.
+        hidden: Size of the neural rate head.
+        train_thresholds: Whether gradients reach the thresholds.
+
+    Raises:
+        ConfigError: A value out of its range; the text names it.
+    """
+
+    def __init__(
+        self,
+        sample_period_s: float,
+        thresholds: Sequence[float],
+        degree: int = 4,
+        rate: RateHead = "linear",
+        preview: int = 0,
+        lead: int = 0,
+        creep_time_constants_s: Sequence[float] = (),
+        offset: bool = False,
+        min_voltage_v: float = 0.0,
+        max_voltage_v: float = 10.0,
+        range_um: float = 1.0,
+        rate_scale_um_s: float = 1.0,
+        hidden: int = 4,
+        train_thresholds: bool = False,
+    ) -> None:
+        super().__init__()
+        self.hyper_parameters: dict[str, Any] = {
+            name: list(value) if isinstance(value, Sequence) and not isinstance(value, str) else value
+            for name, value in locals().items()
+            if name not in ("self", "__class__")
+        }
+        if not 0 < sample_period_s < math.inf:
+            raise ConfigError(f"sample_period_s: found {sample_period_s}, want a positive number of s")
+        if degree < 1:
+            raise ConfigError(f"degree: found {degree}, want at least 1")
+        if preview < 0:
+            raise ConfigError(f"preview: found {preview}, want a number of samples that is not negative")
+        if lead not in (0, 1, 2):
+            raise ConfigError(f"lead: found {lead}, want 0, 1 or 2")
+        for value in creep_time_constants_s:
+            if not 0 < value < math.inf:
+                raise ConfigError(f"creep_time_constants_s: found {value}, want positive numbers of s")
+        if not min_voltage_v < max_voltage_v:
+            raise ConfigError(
+                f"min_voltage_v: found {min_voltage_v} V, want less than max_voltage_v, {max_voltage_v} V"
+            )
+        self.sample_period_s = sample_period_s
+        self.preview = preview
+        self.min_voltage_v = min_voltage_v
+        self.max_voltage_v = max_voltage_v
+        self.scaled_lead = nn.Parameter(torch.zeros(lead, dtype=torch.float64))
+        self.creep_gains = nn.Parameter(torch.zeros(len(creep_time_constants_s), dtype=torch.float64))
+        self.creep_decay: Tensor
+        periods = sample_period_s / torch.tensor(list(creep_time_constants_s), dtype=torch.float64)
+        self.register_buffer("creep_decay", torch.exp(-periods), persistent=False)
+        self.saturation = Polynomial([1.0] + [0.0] * (degree - 1), scale=range_um)
+        self.plays = PlayBank(thresholds, train_thresholds)
+        self.weights = RateWeights([0.0] * len(thresholds), rate, rate_scale_um_s, hidden)
+        self.offset = nn.Parameter(torch.zeros((), dtype=torch.float64), requires_grad=offset)
+
+    def forward(self, motion: Motion) -> Tensor:
+        """The voltage for a desired motion from the de-energised state, within the output limits.
+
+        Shapes: (batch, time) in µm, µm/s, µm/s² to (batch, time) in V. Sample t of the motion is the
+        one `preview` periods ahead of sample t of the voltage.
+        """
+        return self.voltage(motion)[0].clamp(self.min_voltage_v, self.max_voltage_v)
+
+    def voltage(
+        self,
+        motion: Motion,
+        state: Tensor | None = None,  # (batch, relaxations + plays)
+    ) -> tuple[Tensor, Tensor]:
+        """Eq. 8 before the output limits, and the state after it: what identification and training fit."""
+        h, state = self.play_states(motion, state)
+        basis = self.weights.basis(motion.yd_dot)
+        return weighted_sum(h, basis, self.weights.theta.to(h.dtype)) + self.offset.to(h.dtype), state
+
+    def play_states(self, motion: Motion, state: Tensor | None = None) -> tuple[Tensor, Tensor]:
+        """H_r[S(x)], (batch, time, plays), and the state after it: all that enters eq. 8 nonlinearly."""
+        if state is None:
+            state = self.initial_state(len(motion.yd))
+        creep, plays = state.split([len(self.creep_gains), len(self.plays.r)], 1)
+        x = motion.yd
+        for tau, derivative in zip(self.lead.to(x.dtype), motion[1:], strict=False):
+            x = x + tau * derivative
+        if len(self.creep_gains) > 0:
+            one = torch.ones((), dtype=torch.float64)
+            x, creep = relaxations(x, self.creep_decay, 1.0 - self.creep_decay, self.creep_gains, one, creep)
+        s, _ = self.saturation(x)
+        h, plays = self.plays(s, plays)
+        return h, torch.cat([creep, plays], 1)
+
+    def initial_state(self, batch: int) -> Tensor:
+        """The de-energised state. Shape: (batch, relaxations + plays)."""
+        return torch.zeros(batch, len(self.creep_gains) + len(self.plays.r), dtype=torch.float64)
+
+    @property
+    def lead(self) -> Tensor:
+        """τ_1 in s, τ_2 in s², as many as the order of the lead."""
+        # Trained in units of the sample period, which are of size one.
+        powers = torch.arange(1, len(self.scaled_lead) + 1, dtype=torch.float64)
+        return self.scaled_lead * self.sample_period_s**powers
+
+    def stream(self, reference_filter: ReferenceFilter | None = None) -> CompensatorStream:
+        """The compensator one sample at a time, scriptable: `u = step(y_d at t + preview)`.
+
+        With a reference filter inside, `step` takes the reference y_r and has the exact rate.
+        """
+        return compensator_stream(self, reference_filter)

@@ -1,0 +1,90 @@
+"""The bare numbers of a compensator as JSON, with units, equation by equation: enough to write the step by hand."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import torchpi
+from torchpi.compensator import DirectInverse
+from torchpi.files import write_atomically
+from torchpi.operators.reference_filter import ReferenceFilter
+
+SCHEMA = "torchpi.compensator/1"
+
+
+def save_json(
+    compensator: DirectInverse,
+    path: str | Path,
+    reference_filter: ReferenceFilter | None = None,
+) -> None:
+    """Write the numbers of `compensator` to `path`."""
+    with write_atomically(path) as temporary:
+        temporary.write_text(json.dumps(numbers(compensator, reference_filter), indent=2) + "\n")
+
+
+def numbers(compensator: DirectInverse, reference_filter: ReferenceFilter | None = None) -> dict[str, Any]:
+    """The compensator as plain numbers, in the order in which a step uses them."""
+    weights = compensator.weights
+    rate_um_s = f"rate in units of {weights.rate_scale_um_s:g} µm/s"
+    return {
+        "schema": SCHEMA,
+        "torchpi_version": torchpi.__version__,
+        "source": "Qin et al., IEEE/ASME Trans. Mechatronics 18(3), 2013, eq. 1, 4, 7, 8",
+        "input": {
+            "signal": "reference y_r" if reference_filter else "desired displacement y_d",
+            "unit": "um",
+            "preview_samples": compensator.preview,
+        },
+        "sample_period_s": compensator.sample_period_s,
+        "reference_filter": None
+        if reference_filter is None
+        else {
+            "equation": "14: e = y_d - y_r decays freely from e(0) = -y_r(0), e'(0) = -y_r'(0)",
+            "natural_frequency_rad_s": reference_filter.natural_frequency_rad_s,
+            "damping_ratio": reference_filter.damping_ratio,
+        },
+        "motion": {
+            "equation": "rate = (3 (y0 - y1) - (y1 - y2)) / (2 T), "
+            "acceleration = (2 (y0 - y1) - 3 (y1 - y2) + (y2 - y3)) / T^2, y1 one sample before y0; before the first sample y rests at it"
+        },
+        "lead": {
+            "equation": "x = y_d + tau_1 rate + tau_2 acceleration",
+            "tau": compensator.lead.tolist(),
+            "units": ["s", "s^2"][: len(compensator.lead)],
+        },
+        "creep": {
+            "equation": "x <- x + sum g_j xi_j, then xi_j <- decay_j xi_j + (1 - decay_j) x (x before the sum)",
+            "g": compensator.creep_gains.tolist(),
+            "decay": compensator.creep_decay.tolist(),
+        },
+        "saturation": {
+            "equation": "4: S(x) = c_1 x + ... + c_m x^m",
+            "c": compensator.saturation.c.tolist(),
+            "unit": "c_i in um^(1-i)",
+        },
+        "plays": {
+            "equation": "1: h_i = max(S - r_i, min(S + r_i, h_i)), from h_i = 0",
+            "r": compensator.plays.r.tolist(),
+            "unit": "um",
+        },
+        "weights": {
+            "equation": "7: w_i = theta_i0 + theta_i1 z + sum_j theta_i(2+j) q_j, "
+            "z = rate / rate_scale, q_j = p / (1 + |p|), p = slope_j z + shift_j",
+            "kind": weights.kind,
+            "rate_scale_um_s": weights.rate_scale_um_s,
+            "theta": weights.theta.tolist(),
+            "unit": f"V/um, {rate_um_s}",
+            "k": weights.k.tolist(),
+            "k_unit": "V/um per um/s",
+            "b": weights.b.tolist(),
+            "b_unit": "V/um",
+            "slope": weights.slope.tolist(),
+            "shift": weights.shift.tolist(),
+        },
+        "output": {
+            "equation": "8: u = sum_i w_i h_i + u_0, then limited",
+            "u_0_v": compensator.offset.item(),
+            "min_v": compensator.min_voltage_v,
+            "max_v": compensator.max_voltage_v,
+        },
+    }

@@ -1,0 +1,64 @@
+"""A recording as the direct inverse sees it: displacement in, voltage wanted."""
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchpi.differentiation import default_bandwidth_hz, zero_phase_motion
+from torchpi.errors import RecordingError
+from torchpi.motion import Motion
+from torchpi.recording import Recording
+
+
+class InversePair(NamedTuple):
+    """One record to fit or to judge an inverse on.
+
+    Attributes:
+        name: Of the recording.
+        motion: Smoothed displacement, its rate and acceleration, (1, time); sample t of it is the one
+            `preview` periods ahead of sample t of the voltage.
+        u: Voltage, (1, time), V.
+        counted: Slice of the samples that count in a loss or an error; the others only set the state.
+        sample_period_s: T.
+    """
+
+    name: str
+    motion: Motion
+    u: Tensor
+    counted: slice
+    sample_period_s: float
+
+
+def inverse_pair(
+    recording: Recording,
+    preview: int = 0,
+    bandwidth_hz: float | None = None,
+    skip_s: float = 0.0,
+) -> InversePair:
+    """Turn a recording round: its displacement, `preview` samples ahead, is the input.
+
+    Args:
+        recording: Voltage and displacement.
+        preview: Samples of look-ahead.
+        bandwidth_hz: Of the zero-phase differentiator that gives the rates; chosen from the record if None.
+        skip_s: Start-up transient, which sets the state but is not counted.
+
+    Raises:
+        RecordingError: Nothing is left to count.
+    """
+    bandwidth = bandwidth_hz or default_bandwidth_hz(recording.y, recording.fs_hz)
+    ahead = Motion(
+        *(
+            torch.tensor(part, dtype=torch.float64)[None, preview:]
+            for part in zero_phase_motion(recording.y, recording.fs_hz, bandwidth)
+        )
+    )
+    u = torch.tensor(recording.u, dtype=torch.float64)[None, : len(recording.u) - preview]
+    start = round(skip_s * recording.fs_hz)
+    if u.shape[1] - start < 100:
+        raise RecordingError(
+            f"{recording.source}: found {len(recording.u)} samples, want at least 100 "
+            f"beyond the {preview} of preview and the {start} of skip_s"
+        )
+    return InversePair(recording.name, ahead, u, slice(start, u.shape[1]), 1.0 / recording.fs_hz)
