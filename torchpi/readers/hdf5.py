@@ -1,0 +1,40 @@
+"""HDF5: datasets by path (`group/u`). Also MATLAB's version 7.3, whose axes are stored in reverse order."""
+
+from typing import Any
+
+import numpy as np
+
+from torchpi.errors import RecordingError
+from torchpi.readers.source import ArraySource, import_extra
+
+
+def open_file(path: str) -> "Hdf5Source":
+    return Hdf5Source(path, matlab=False)
+
+
+class Hdf5Source(ArraySource):
+    def __init__(self, path: str, matlab: bool) -> None:
+        h5py = self.h5py = import_extra(path, "h5py")
+        self.matlab = matlab
+        self.paths: dict[str, str] = {}
+
+        def note(name: str, item: Any) -> None:
+            # MATLAB keeps its bookkeeping under #refs# and #subsystem#.
+            if isinstance(item, h5py.Dataset) and item.dtype.kind in "fiub" and not name.startswith("#"):
+                self.paths[name.replace("/", ".") if matlab else name] = name
+
+        try:
+            with h5py.File(path, "r") as file:
+                file.visititems(note)
+        except OSError as error:
+            raise RecordingError(f"{path}: is not an HDF5 file ({error}); export it again") from None
+        super().__init__(path, list(self.paths))
+
+    def array(self, name: str) -> np.ndarray:
+        with self.h5py.File(self.path, "r") as file:
+            stored = np.asarray(file[self.paths[name]])
+        return stored.T if self.matlab else stored
+
+    def find(self, column: str | int, option: str) -> str:
+        name = str(column).strip("/") or str(column)
+        return super().find(name.replace("/", ".") if self.matlab else name, option)

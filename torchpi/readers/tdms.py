@@ -1,0 +1,44 @@
+"""TDMS of LabVIEW: channels as `group/channel`, or by the channel's name where only one group has it."""
+
+import numpy as np
+
+from torchpi.errors import RecordingError
+from torchpi.readers.source import Column, Source, import_extra
+
+
+def open_file(path: str) -> "TdmsSource":
+    return TdmsSource(path)
+
+
+class TdmsSource(Source):
+    has_times = True
+
+    def __init__(self, path: str) -> None:
+        nptdms = import_extra(path, "nptdms")
+        try:
+            file = nptdms.TdmsFile.read(path)
+        except Exception as error:  # npTDMS raises whatever its parser met
+            raise RecordingError(f"{path}: is not a TDMS file ({error}); export it again") from None
+        self.channels = {
+            f"{group.name}/{channel.name}": channel for group in file.groups() for channel in group.channels()
+        }
+        super().__init__(path, list(self.channels))
+
+    def find(self, column: Column, option: str) -> str:
+        alone = [name for name in self.names if name.partition("/")[2] == str(column)]
+        return alone[0] if len(alone) == 1 else super().find(column, option)
+
+    def read(self, names: list[str]) -> list[np.ndarray]:
+        try:
+            return [np.asarray(self.channels[name][:], dtype=np.float64) for name in names]
+        except (ValueError, TypeError):
+            raise RecordingError(
+                f"{self.path}: {' or '.join(names)} holds no numbers; choose another"
+            ) from None
+
+    def times(self, name: str) -> np.ndarray | None:
+        step = self.channels[name].properties.get("wf_increment")
+        if not step:
+            return None
+        # From the increment itself: time_track() would need a start offset beside it.
+        return np.arange(len(self.channels[name])) * float(step)

@@ -1,0 +1,243 @@
+"""Is this recording fit for a model? What cannot be used raises; what its owner should know warns.
+
+Every line names the file, the value found, the value wanted and the remedy.
+"""
+
+import warnings
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from torchpi.errors import RecordingError, RecordingWarning
+
+if TYPE_CHECKING:
+    from torchpi.recording import Recording
+
+MIN_SAMPLES = 10
+RELATED = 0.1  # correlation at the best lag; 1 % of the output explained
+LONG_RUN = 4  # equal samples in a row that noise or a sharp peak does not make
+LEAST_STROKE_UM, LARGEST_STROKE_UM = 0.02, 1000.0
+LEAST_VOLTAGE_V, LARGEST_VOLTAGE_V = 0.005, 1500.0
+
+
+def check_recording(
+    recording: "Recording", *, min_samples: int = MIN_SAMPLES, allow_constant_input: bool = False
+) -> None:
+    """Refuse a recording that no model can be made from, and warn of what would spoil one.
+
+    Args:
+        recording: what was read, V and µm.
+        min_samples: the fewest that the model needs.
+        allow_constant_input: accept a hold, which shows creep, drift and noise but no hysteresis.
+
+    Raises:
+        RecordingError: too short; NaN or infinity; constant input; a flat or unplugged sensor.
+
+    Warns:
+        RecordingWarning: clipping, dropouts, or a range that suggests other units.
+    """
+    name = recording.source or recording.name
+    check_length(name, len(recording.u), min_samples)
+    for column, signal in (("input_v", recording.u), ("output_um", recording.y), *recording.aux.items()):
+        bad = np.flatnonzero(~np.isfinite(signal))
+        if len(bad):
+            raise RecordingError(
+                f"{name}: sample {bad[0] + 1}: {column} is {signal[bad[0]]}, wanted a finite number; "
+                f"correct or leave out that part"
+            )
+    if np.ptp(recording.u) == 0:
+        if allow_constant_input:
+            return
+        raise RecordingError(
+            f"{name}: the input is constant at {recording.u[0]:g} V, wanted one that moves; "
+            f"choose another column (input_column) or record with a moving voltage"
+        )
+    _check_sensor(name, recording)
+    for warning in (
+        _clipped_input(recording),
+        _clipped_output(recording),
+        _dropouts(recording),
+        *_suspicious_units(recording),
+    ):
+        if warning:
+            warnings.warn(f"{name}: {warning}", RecordingWarning, stacklevel=3)
+
+
+def check_length(name: str, samples: int, min_samples: int) -> None:
+    """Raises RecordingError if there are fewer samples than the model needs."""
+    if samples < min_samples:
+        raise RecordingError(
+            f"{name}: {samples} samples, wanted at least {min_samples} (min_samples); record for longer"
+        )
+
+
+def _check_sensor(name: str, recording: "Recording") -> None:
+    u, y = recording.u, recording.y
+    remedy = "check the sensor's plug, its range and the column (output_column)"
+    if np.ptp(y) == 0:
+        raise RecordingError(
+            f"{name}: the output is flat at {y[0]:g} µm while the input moves by {np.ptp(u):g} V; {remedy}"
+        )
+    levels = len(np.unique(y))
+    if levels <= 4 and len(np.unique(u)) > 10 * levels:
+        raise RecordingError(
+            f"{name}: the output takes only {levels} values, {np.ptp(y):g} µm apart, while the input moves "
+            f"by {np.ptp(u):g} V, wanted a range of many sensor steps; {remedy}"
+        )
+    # By chance alone the best lag of n samples of noise reaches a few 1/√n.
+    wanted = min(0.35, max(RELATED, 3.5 / np.sqrt(len(u))))
+    found = _correlation(u, y)
+    if found < wanted:
+        raise RecordingError(
+            f"{name}: the output does not follow the input: correlation {found:.2f} at the best lag, "
+            f"wanted {wanted:.2f} or more; {remedy}"
+        )
+
+
+def _correlation(u: np.ndarray, y: np.ndarray) -> float:
+    """The largest at any lag up to an eighth of the record; a linear drift does not count."""
+    line_free = _without_line(u)
+    if line_free @ line_free > 0.01 * np.var(u) * len(u):
+        u, y = line_free, _without_line(y)
+    else:  # the input is itself a ramp
+        u, y = u - u.mean(), y - y.mean()
+    scale = np.sqrt(float(u @ u) * float(y @ y))
+    if scale == 0:
+        return 0.0
+    length = len(u)
+    products = np.fft.irfft(np.fft.rfft(u).conj() * np.fft.rfft(y), n=length)
+    lags = max(1, length // 8)
+    return float(max(np.abs(products[:lags]).max(), np.abs(products[-lags:]).max()) / scale)
+
+
+def _without_line(x: np.ndarray) -> np.ndarray:
+    index = np.arange(len(x)) - (len(x) - 1) / 2
+    centred = x - x.mean()
+    return np.asarray(centred - index * (index @ centred / (index @ index)))
+
+
+def _clipped_input(recording: "Recording") -> str | None:
+    """Flat tops that cut off a curve: longer than any rest elsewhere, met with a corner.
+
+    Stairs rest at other levels too, a trapezoid comes along a straight line, a hold is met smoothly or by a
+    jump.
+    """
+    u = recording.u
+    start, length = _runs(u)
+    inner = (start > 0) & (start + length < len(u))
+    extreme = (u[start] == u.max()) | (u[start] == u.min())
+    rest_elsewhere = int(length[inner & ~extreme].max(initial=1))
+    clipped = inner & extreme & (length >= max(LONG_RUN, 8 * (rest_elsewhere - 1)))
+    if not clipped.any():
+        return None
+    corners = [_is_cut_curve(u, int(i), int(n)) for i, n in zip(start[clipped], length[clipped], strict=True)]
+    if np.mean(corners) < 0.3:  # of a designed signal none
+        return None
+    first = int(start[clipped][0])
+    return (
+        f"clipping: {_share(u, u[start[clipped]])} of the input samples stand at its limit, {u[first]:g} V "
+        f"(first at t = {recording.t[first]:g} s); use a smaller amplitude or leave that part out"
+    )
+
+
+def _is_cut_curve(u: np.ndarray, start: int, length: int) -> bool:
+    """Does a curve run into the flat top with a corner?"""
+    piece = max(2, length // 4)
+    if start < 2 * piece:
+        return False
+    near = abs(u[start] - u[start - piece])
+    far = abs(u[start - piece] - u[start - 2 * piece])
+    if near <= 0.5 * far or near == 0:
+        return False  # a smooth arrival: a parabola makes 1/3, a cut sine 0.7
+    window = u[max(0, start - 100 * length) : start + 1]
+    return any(_bends(window, part * np.ptp(u), 0.005 * np.ptp(u)) for part in (0.5, 0.9))
+
+
+def _bends(window: np.ndarray, height: float, tolerance: float) -> bool:
+    """Does the last climb of this height, to the end of the window, leave its chord?"""
+    below = np.flatnonzero(np.abs(window - window[-1]) > height)
+    climb = window[below[-1] :] if len(below) else window[:0]
+    if len(climb) < 4:
+        return False  # a jump, or no such climb
+    return bool(np.abs(climb - np.linspace(climb[0], climb[-1], len(climb))).max() > tolerance)
+
+
+def _clipped_output(recording: "Recording") -> str | None:
+    """Rests at the output's largest or smallest value that begin before the input has turned.
+
+    A play rests after the turn; a rounded peak rests for no more than the input needs to cross one sensor
+    step.
+    """
+    u, y = recording.u, recording.y
+    start, length = _runs(y)
+    direction = np.sign(_without_line(u) @ _without_line(y)) or 1.0
+    one_step_u = _least_step(y) / np.ptp(y) * np.ptp(u)
+    outward = max(1e-3 * np.ptp(u), 3 * one_step_u)
+    inner = (start > 0) & (start + length < len(y)) & (length >= LONG_RUN)
+    clipped = np.zeros(len(start), dtype=bool)
+    for side, limit in ((direction, y.max()), (-direction, y.min())):
+        drive = side * u
+        clipped |= inner & (y[start] == limit) & (np.maximum.reduceat(drive, start) - drive[start] > outward)
+    if not clipped.any():
+        return None
+    first = int(start[clipped][0])
+    return (
+        f"clipping: {_share(y, y[start[clipped]])} of the output samples stand at the sensor's limit, "
+        f"{y[first]:g} µm (first at t = {recording.t[first]:g} s), while the input goes on; "
+        f"use a smaller amplitude or another sensor range, or leave that part out"
+    )
+
+
+def _dropouts(recording: "Recording") -> str | None:
+    """Rests of the output, with a jump after them, while the input moves by many sensor steps a sample."""
+    u, y = recording.u, recording.y
+    start, length = _runs(y)
+    start, length = start[:-1], length[:-1]  # nothing is known of what follows the last
+    after = start + length
+    step_um = np.abs(u[after] - u[start]) / length * (np.ptp(y) / np.ptp(u))  # expected of one sample
+    jump_um = np.abs(y[after] - y[after - 1])
+    inside = (y[start] != y.max()) & (y[start] != y.min())  # those are clipping's
+    frozen = (length >= 3) & inside & (step_um > 5 * _least_step(y)) & (jump_um > 1.5 * step_um)
+    repeated = int((length[frozen] - 1).sum())
+    if not frozen.any() or (length[frozen].max() < 10 and repeated < 0.02 * len(y)):
+        return None
+    longest = int(np.flatnonzero(frozen)[np.argmax(length[frozen])])
+    return (
+        f"dropouts: {100 * repeated / len(y):.2g} % of the output samples repeat the one before "
+        f"while the input moves (the longest, {length[longest]} samples, "
+        f"at t = {recording.t[start[longest]]:g} s); leave that part out, or record at the sensor's own rate"
+    )
+
+
+def _suspicious_units(recording: "Recording") -> list[str]:
+    stroke, voltage = float(np.ptp(recording.y)), float(np.ptp(recording.u))
+    found = []
+    if stroke < LEAST_STROKE_UM:
+        meant = "m" if stroke < 0.0005 else "mm"
+        found.append(
+            f"the output moves by only {stroke:.3g} µm; if the file is in {meant}, say output_unit {meant}"
+        )
+    if stroke > LARGEST_STROKE_UM:
+        found.append(f"the output moves by {stroke:.3g} µm; if the file is in nm, say output_unit nm")
+    if voltage < LEAST_VOLTAGE_V:
+        found.append(f"the input moves by only {voltage:.3g} V; if the file is in kV, say input_unit kV")
+    if voltage > LARGEST_VOLTAGE_V:
+        found.append(f"the input moves by {voltage:.4g} V; if the file is in mV, say input_unit mV")
+    return found
+
+
+def _runs(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Start and length of every run of equal samples."""
+    start = np.concatenate(([0], np.flatnonzero(x[1:] != x[:-1]) + 1))
+    return start, np.diff(np.append(start, len(x)))
+
+
+def _least_step(x: np.ndarray) -> float:
+    """The smallest difference between values of x that is more than rounding: the sensor's step."""
+    gaps = np.diff(np.unique(x))
+    gaps = gaps[gaps > 1e-9 * np.abs(x).max()]
+    return float(gaps.min()) if len(gaps) else 0.0
+
+
+def _share(x: np.ndarray, limits: np.ndarray) -> str:
+    return f"{100 * np.isin(x, limits).mean():.2g} %"
