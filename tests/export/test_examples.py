@@ -1,0 +1,48 @@
+"""The loops in exports/ build, run, and give the voltages of the compensator."""
+
+import math
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import torch
+
+from tests.export.test_torchscript import compensator
+from torchpi.export import save_torchscript
+
+EXPORTS = Path(__file__).parents[2] / "exports"
+
+
+def expected_lines(samples: int) -> list[float]:
+    made = compensator()
+    stream = made.stream()
+    ticks = [made.preview + k for k in range(samples)]
+    return [stream.step(2 - 2 * math.cos(2 * math.pi * 5 * k * made.sample_period_s)) for k in ticks]
+
+
+def voltages(command: list[str]) -> list[float]:
+    printed = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    return [float(line.split()[-2]) for line in printed.splitlines()]
+
+
+def test_python_loop_runs_without_torchpi_and_gives_the_same_voltages(tmp_path: Path) -> None:
+    save_torchscript(compensator(), tmp_path / "c.pt")
+    command = [sys.executable, "-I", str(EXPORTS / "python_loop" / "loop.py"), str(tmp_path / "c.pt"), "50"]
+    assert voltages(command) == expected_lines(50)
+
+
+@pytest.mark.skipif(
+    not (shutil.which("cmake") and shutil.which("c++")), reason="needs cmake and a C++ compiler"
+)
+def test_cpp_loop_builds_and_gives_the_same_voltages(tmp_path: Path) -> None:
+    save_torchscript(compensator(), tmp_path / "c.pt")
+    build = tmp_path / "build"
+    prefix = torch.utils.cmake_prefix_path
+    configure = ["cmake", "-S", str(EXPORTS / "cpp_loop"), "-B", str(build), f"-DCMAKE_PREFIX_PATH={prefix}"]
+    subprocess.run(configure, capture_output=True, check=True)
+    subprocess.run(["cmake", "--build", str(build)], capture_output=True, check=True)
+    assert voltages([str(build / "loop"), str(tmp_path / "c.pt"), "50"]) == expected_lines(50)
+    refused = subprocess.run([str(build / "loop"), str(EXPORTS / "README.md")], capture_output=True, text=True)
+    assert refused.returncode == 2 and refused.stderr.count("\n") == 1
