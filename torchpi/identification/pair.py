@@ -5,7 +5,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchpi.differentiation import default_bandwidth_hz, zero_phase_motion
+from torchpi.differentiation import motion_bandwidth, zero_phase_motion
 from torchpi.errors import RecordingError
 from torchpi.motion import Motion
 from torchpi.recording import Recording
@@ -47,7 +47,7 @@ def inverse_pair(
     Raises:
         RecordingError: Nothing is left to count.
     """
-    bandwidth = bandwidth_hz or default_bandwidth_hz(recording.y, recording.fs_hz)
+    bandwidth = bandwidth_hz or motion_bandwidth(recording.y, recording.fs_hz)
     ahead = Motion(
         *(
             torch.tensor(part, dtype=torch.float64)[None, preview:]
