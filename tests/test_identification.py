@@ -42,7 +42,7 @@ def pair(name: str, hz: list[float], made: DirectInverse, rate_weights: bool) ->
 def test_two_stages_find_the_polynomial_and_the_voltages() -> None:
     made = truth()
     slow, fast = pair("slow", [5], made, False), pair("fast", [20, 50, 80], made, True)
-    fitted = DirectInverse(PERIOD, THRESHOLDS, range_um=8.0, rate_scale_um_s=800.0)
+    fitted = DirectInverse(PERIOD, THRESHOLDS, range_um=8.0, rate_scale_um_s=800.0, max_voltage_v=20.0)
     result = fit_two_stage(fitted, [fast, slow])  # whatever the order
     assert (result.slow, result.fast) == ("slow", ("fast",))
     # Only the thresholds fix the scale of S against w: compare voltages (of 10 V), and the shape of S.

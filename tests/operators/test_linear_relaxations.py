@@ -1,0 +1,26 @@
+"""The diagonal kernel against the dense one, and its derivative."""
+
+import torch
+
+from torchpi.operators.conformance import wandering
+from torchpi.operators.linear import state_space
+from torchpi.operators.relaxations import relaxations
+
+
+def bank(learning: bool) -> list[torch.Tensor]:
+    rows = torch.tensor([[0.9, 0.5, -0.2], [0.1, 0.4, 0.3], [1.0, -0.6, 0.2]], dtype=torch.float64)
+    return [part.clone().requires_grad_(learning) for part in (*rows, torch.tensor(0.7, dtype=torch.float64))]
+
+
+def test_it_is_the_dense_block_with_a_diagonal_matrix():
+    a, b, c, d = bank(False)
+    u, x0 = wandering(3, 200), torch.rand(3, 3, dtype=torch.float64)
+    found, wanted = relaxations(u, a, b, c, d, x0), state_space(u, torch.diag(a), b, c, d, x0)
+    for ours, dense in zip(found, wanted, strict=True):
+        torch.testing.assert_close(ours, dense, rtol=1e-13, atol=1e-13)
+
+
+def test_gradients_to_every_argument_are_exact():
+    u, x0 = wandering(2, 9).requires_grad_(), torch.rand(2, 3, dtype=torch.float64, requires_grad=True)
+    assert torch.autograd.gradcheck(relaxations, (u, *bank(True), x0))
+    assert torch.autograd.gradcheck(lambda u: relaxations(u, *bank(False), x0.detach()), (u,))

@@ -1,0 +1,115 @@
+"""A stage's file: what is wrong in it is said with file, key, value, unit and remedy."""
+
+import copy
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from torchpi.errors import ConfigError, StageError
+from torchpi.stage import Stage
+
+DEFAULT = Path(__file__).parents[2] / "configs/stage/default.yaml"
+
+
+def written(tmp_path: Path, settings: dict[str, Any]) -> Path:
+    path = tmp_path / "rig.yaml"
+    path.write_text(yaml.safe_dump(settings))
+    return path
+
+
+def changed(key: str, value: Any) -> dict[str, Any]:
+    """The default settings with one value, its key dotted, put in."""
+    settings = copy.deepcopy(yaml.safe_load(DEFAULT.read_text()))
+    *sections, last = key.split(".")
+    place = settings
+    for section in sections:
+        place = place[section]
+    place[last] = value
+    return settings
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "message"),
+    [
+        ("mechanics.freq", 600, "unknown key mechanics.freq; the nearest one is mechanics.frequency_hz"),
+        ("amplifier.cutof_hz", 600, "unknown key amplifier.cutof_hz; the nearest one is amplifier.cutoff_hz"),
+        ("sample_rate", 600, "unknown key sample_rate; the nearest one is sample_rate_hz"),
+        ("mecanics", {}, "unknown key mecanics; the nearest one is mechanics"),
+        ("mechanics.frequency_hz", "fast", "mechanics.frequency_hz: found 'fast', want a number"),
+        ("mechanics.frequency_hz", True, "mechanics.frequency_hz: found True, want a number"),
+        ("mechanics", [1], "mechanics: found [1], want a section of keys with values"),
+        ("sensor.converter_bits", 12.5, "sensor.converter_bits: found 12.5, want a whole number"),
+        ("actuator.thresholds_v", 3, "actuator.thresholds_v: found 3, want a list of numbers"),
+        ("sample_rate_hz", None, "sample_rate_hz: found None, want a number"),
+    ],
+)
+def test_a_wrong_key_or_kind_of_value_is_a_config_error_on_one_line(tmp_path, key, value, message):
+    path = written(tmp_path, changed(key, value))
+    with pytest.raises(ConfigError) as caught:
+        Stage.from_yaml(path)
+    assert str(caught.value) == f"{path}: {message}"
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "message"),
+    [
+        ("sample_rate_hz", 0, "found 0 Hz, want a positive number of Hz"),
+        ("seed", -1, "found -1, want at least 0"),
+        ("mechanics.damping_ratio", -0.01, "found -0.01, want at least 0"),
+        ("mechanics.damping_ratio", None, "found none, want a number"),
+        ("mechanics.frequency_hz", 0, "found 0 Hz, want a positive number of Hz"),
+        ("amplifier.cutoff_hz", -5, "found -5 Hz, want a positive number of Hz"),
+        ("amplifier.delay_s", -1e-4, "found -0.0001 s, want at least 0 s"),
+        ("amplifier.max_voltage_v", 0, "found 0 V, want more than min_voltage_v = 0 V"),
+        ("amplifier.converter_bits", 0, "found 0 bits, want 1 to 32 bits"),
+        ("sensor.converter_max_um", -60, "found -60 µm, want more than converter_min_um"),
+        ("sensor.noise_um", -0.003, "found -0.003 µm, want at least 0 µm"),
+        ("sensor.noise_um", float("nan"), "found nan µm, want at least 0 µm"),
+        ("actuator.weights_um_per_v", [0.0] * 20, "their sum is 0 µm/V, want a positive"),
+        ("actuator.weights_um_per_v", [1.0], "found 1 numbers, want 20, one a threshold"),
+        ("actuator.thresholds_v", [-1.0] * 20, "found [-1.0, "),
+        ("actuator.input_polynomial_v", [], "found [], want a positive first number"),
+        ("actuator.creep_per_decade", 3, "found 3, want -0.5 to 0.5"),
+        ("actuator.creep_to_s", 0.001, "found 0.001 s, want more than from_s = 0.01 s"),
+    ],
+)
+def test_an_unphysical_value_is_a_stage_error_on_one_line(tmp_path, key, value, message):
+    path = written(tmp_path, changed(key, value))
+    with pytest.raises(StageError) as caught:
+        Stage.from_yaml(path)
+    assert str(caught.value).startswith(f"{path}: {key}: {message}")
+    assert "\n" not in str(caught.value)
+
+
+def test_a_missing_rate_is_named(tmp_path):
+    path = written(tmp_path, {"mechanics": {"frequency_hz": 620, "damping_ratio": 0.02}})
+    with pytest.raises(ConfigError, match="sample_rate_hz is missing"):
+        Stage.from_yaml(path)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("a: [1", "line 1: not valid YAML"),
+        ("- 1\n", "found list, want keys with values"),
+        ("", "found NoneType"),
+    ],
+)
+def test_a_file_of_something_else_is_refused(tmp_path, text, message):
+    path = tmp_path / "rig.yaml"
+    path.write_text(text)
+    with pytest.raises(ConfigError, match=message):
+        Stage.from_yaml(path)
+
+
+def test_a_file_that_is_not_there_is_named(tmp_path):
+    with pytest.raises(ConfigError, match=r"none\.yaml: cannot be read: No such file"):
+        Stage.from_yaml(tmp_path / "none.yaml")
+
+
+def test_numbers_that_yaml_takes_for_text_are_numbers(tmp_path):
+    path = tmp_path / "rig.yaml"
+    path.write_text("sample_rate_hz: 1e4\namplifier: {delay_s: 5e-5}\n")
+    assert Stage.from_yaml(path).to_dict()["amplifier"]["delay_s"] == 5e-5

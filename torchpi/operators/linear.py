@@ -1,0 +1,243 @@
+"""Linear blocks: physics in continuous time, exact at the sample instants for any sample rate.
+
+    ẋ = A x + B u,  y = C x + D u        →        x⁺ = A x + B u,  y = C x + D u
+
+A block says its continuous equations in physical parameters (`continuous`); the matrix exponential
+makes them discrete, one compiled kernel runs them over whole records with an exact adjoint, and a
+stream runs the same two lines one sample at a time.
+"""
+
+from typing import Any, ClassVar, Literal
+
+import numba
+import numpy as np
+import torch
+from torch import Tensor, nn
+from torch.autograd.function import FunctionCtx, once_differentiable
+
+from torchpi.operators.base import Operator
+
+Hold = Literal["zero", "first"]
+Matrices = tuple[Tensor, Tensor, Tensor, Tensor]
+
+
+def advance(a: list[float], b: list[float], x: list[float], u: float, x_next: list[float]) -> None:
+    """x⁺ = A x + B u, written into `x_next`; `a` is flat, row by row.
+
+    Sums run left to right. This source and `observe` are what the batch kernel, the stream and the
+    exports compile.
+    """
+    n = len(x)
+    for i in range(n):
+        total = a[i * n] * x[0]
+        for j in range(1, n):
+            total = total + a[i * n + j] * x[j]
+        x_next[i] = total + b[i] * u
+
+
+def observe(c: list[float], d: float, x: list[float], u: float) -> float:
+    """y = C x + D u."""
+    total = c[0] * x[0]
+    for j in range(1, len(x)):
+        total = total + c[j] * x[j]
+    return total + d * u
+
+
+def discretise(
+    a: Tensor,  # (…, n, n), 1/s
+    b: Tensor,  # (…, n)
+    c: Tensor,  # (…, n)
+    d: Tensor,  # (…)
+    sample_period_s: float,
+    hold: Hold,
+) -> Matrices:
+    """The discrete block that agrees with the continuous one at every sample, for its kind of input.
+
+    Args:
+        a, b, c, d: The continuous block, one input and one output; leading dimensions are several.
+        sample_period_s: T.
+        hold: "zero" for an input held between samples, as a converter does; "first" for an input that
+            runs straight from sample to sample, as a signal inside the chain nearly does.
+
+    With "first", x(k+1) = e^{AT} x(k) + (Γ₀ - Γ₁) u(k) + Γ₁ u(k+1) (Franklin, Powell and Workman,
+    *Digital Control of Dynamic Systems*, triangle hold); the state z = x - Γ₁ u brings it back to the
+    standard form. A zero state then says: the input rose from 0 during the sample before the first.
+    """
+    n = a.shape[-1]
+    # exp of [[A, B, 0], [0, 0, 1], [0, 0, 0]], time scaled to one sample: e^{AT}, Γ₀ and Γ₁ in one go.
+    top = torch.cat([a * sample_period_s, b[..., None] * sample_period_s, torch.zeros_like(b)[..., None]], -1)
+    ramp = torch.zeros(*a.shape[:-2], 2, n + 2, dtype=a.dtype, device=a.device)
+    ramp[..., 0, n + 1] = 1.0
+    exponential = torch.linalg.matrix_exp(torch.cat([top, ramp], -2))
+    a_d, gamma0, gamma1 = exponential[..., :n, :n], exponential[..., :n, n], exponential[..., :n, n + 1]
+    if hold == "zero":
+        return a_d, gamma0, c, d
+    b_d = gamma0 - gamma1 + (a_d * gamma1[..., None, :]).sum(-1)
+    return a_d, b_d, c, d + (c * gamma1).sum(-1)
+
+
+class LinearBlock(Operator):
+    """A continuous block with one input and one output; subclasses say `continuous` and `order`."""
+
+    order: ClassVar[int]
+    hold: ClassVar[Hold] = "first"
+
+    def __init__(self, sample_period_s: float) -> None:
+        super().__init__()
+        self.sample_period_s = sample_period_s
+
+    def continuous(self) -> Matrices:
+        """A (n, n), B (n,), C (n,), D () from the physical parameters, gradients attached."""
+        raise TypeError(f"{type(self).__name__} must define continuous()")
+
+    def discrete(self) -> Matrices:
+        """The same at `sample_period_s`."""
+        return discretise(*self.continuous(), self.sample_period_s, self.hold)
+
+    def initial_state(self, batch: int) -> Tensor:
+        return torch.zeros(batch, self.order, dtype=torch.float64)
+
+    def forward(
+        self,
+        x: Tensor,  # (batch, time)
+        state: Tensor | None = None,  # (batch, order)
+    ) -> tuple[Tensor, Tensor]:
+        return state_space(x, *self.discrete(), self.initial_state(len(x)) if state is None else state)
+
+    def stream(self) -> "LinearStream":
+        a, b, c, d = self.discrete()
+        return LinearStream(a.flatten().tolist(), b.tolist(), c.tolist(), d.item())
+
+
+class LinearStream(nn.Module):
+    """A linear block, one sample at a time."""
+
+    a: list[float]
+    b: list[float]
+    c: list[float]
+    x: list[float]
+    x_next: list[float]
+
+    def __init__(self, a: list[float], b: list[float], c: list[float], d: float) -> None:
+        super().__init__()
+        self.a = a
+        self.b = b
+        self.c = c
+        self.d = d
+        self.x = [0.0] * len(b)
+        self.x_next = [0.0] * len(b)
+
+    @torch.jit.export
+    def reset(self) -> None:
+        for i in range(len(self.x)):
+            self.x[i] = 0.0
+
+    @torch.jit.export
+    def step(self, u: float) -> float:
+        y = observe(self.c, self.d, self.x, u)
+        advance(self.a, self.b, self.x, u, self.x_next)
+        for i in range(len(self.x)):
+            self.x[i] = self.x_next[i]
+        return y
+
+
+def state_space(
+    u: Tensor,  # (batch, time)
+    a: Tensor,  # (n, n)
+    b: Tensor,  # (n,)
+    c: Tensor,  # (n,)
+    d: Tensor,  # ()
+    x0: Tensor,  # (batch, n)
+) -> tuple[Tensor, Tensor]:  # (batch, time), (batch, n)
+    """Output, and the state after the last sample; differentiable in all six arguments.
+
+    Computed in float64 on the CPU whatever comes in; what goes out has the device and type of `u`,
+    the state those of `x0`.
+    """
+    wide = [part.to("cpu", torch.float64) for part in (u, a, b, c, d, x0)]
+    y, x = _StateSpace.apply(*wide)
+    return y.to(u.device, u.dtype), x.to(x0.device, x0.dtype)
+
+
+class _StateSpace(torch.autograd.Function):
+    @staticmethod
+    def forward(
+        ctx: FunctionCtx, u: Tensor, a: Tensor, b: Tensor, c: Tensor, d: Tensor, x0: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        u, a, b, c, x0 = (part.contiguous() for part in (u, a, b, c, x0))
+        learns = ctx.needs_input_grad  # type: ignore[attr-defined]
+        # The trajectory of the state is kept only for the gradients that need it: those of A and C.
+        kept = u.shape[1] if learns[1] or learns[3] else 0
+        y, x, states = torch.empty_like(u), x0.clone(), u.new_empty(len(u), kept, len(b))
+        _forward(
+            u.detach().numpy(), a.detach().flatten().numpy(), b.detach().numpy(), c.detach().numpy(),
+            d.item(), x.detach().numpy(), y.numpy(), states.numpy(),
+        )  # fmt: skip
+        ctx.save_for_backward(u, a, b, c, d, states)
+        return y, x
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: FunctionCtx, *gradients: Tensor) -> tuple[Tensor, ...]:
+        u, a, b, c, d, states = (saved.detach() for saved in ctx.saved_tensors)  # type: ignore[attr-defined]
+        gy, gx = gradients[0].contiguous(), gradients[1].clone(memory_format=torch.contiguous_format)
+        gu, ga, gb, gc, gd = (torch.zeros_like(part) for part in (u, a, b, c, d.reshape(1)))
+        _backward(
+            u.numpy(), a.flatten().numpy(), b.numpy(), c.numpy(), d.item(), states.numpy(), gy.numpy(),
+            gx.numpy(), gu.numpy(), ga.view(-1).numpy(), gb.numpy(), gc.numpy(), gd.numpy(),
+        )  # fmt: skip
+        return gu, ga, gb, gc, gd.reshape(()), gx
+
+
+_advance: Any = numba.njit(advance)
+_observe: Any = numba.njit(observe)
+
+
+@numba.njit(cache=True)
+def _forward(
+    u: np.ndarray, a: np.ndarray, b: np.ndarray, c: np.ndarray, d: float,
+    x: np.ndarray, y: np.ndarray, states: np.ndarray,
+) -> None:  # fmt: skip
+    n = len(b)
+    now, after = np.empty(n), np.empty(n)
+    for batch in range(u.shape[0]):
+        now[:] = x[batch]
+        for t in range(u.shape[1]):
+            if states.shape[1] > 0:
+                for i in range(n):
+                    states[batch, t, i] = now[i]
+            y[batch, t] = _observe(c, d, now, u[batch, t])
+            _advance(a, b, now, u[batch, t], after)
+            now, after = after, now
+        x[batch] = now
+
+
+@numba.njit(cache=True)
+def _backward(
+    u: np.ndarray, a: np.ndarray, b: np.ndarray, c: np.ndarray, d: float, states: np.ndarray, gy: np.ndarray,
+    gx: np.ndarray, gu: np.ndarray, ga: np.ndarray, gb: np.ndarray, gc: np.ndarray, gd: np.ndarray,
+) -> None:  # fmt: skip
+    # The adjoint λ = dL/dx runs backwards: λ(t) = Aᵀ λ(t+1) + C gy(t). It starts, and ends, in gx.
+    n = len(b)
+    after, now = np.empty(n), np.empty(n)
+    for batch in range(u.shape[0]):
+        after[:] = gx[batch]
+        for t in range(u.shape[1] - 1, -1, -1):
+            g, sample = gy[batch, t], u[batch, t]
+            through = d * g
+            gd[0] += g * sample
+            for j in range(n):
+                now[j] = c[j] * g
+            for i in range(n):
+                through += b[i] * after[i]
+                gb[i] += after[i] * sample
+                for j in range(n):
+                    now[j] += a[i * n + j] * after[i]
+            if states.shape[1] > 0:
+                for i in range(n):
+                    gc[i] += g * states[batch, t, i]
+                    for j in range(n):
+                        ga[i * n + j] += after[i] * states[batch, t, j]
+            gu[batch, t] = through
+            now, after = after, now
+        gx[batch] = after

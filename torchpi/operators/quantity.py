@@ -1,0 +1,60 @@
+"""What a physical number may be: its unit and its limits, checked where the number enters."""
+
+import math
+from dataclasses import dataclass
+
+import torch
+from torch import nn
+
+from torchpi.errors import StageError
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A physical parameter.
+
+    Args:
+        unit: As it is written, "" for a ratio.
+        at_least: Smallest value allowed.
+        at_most: Largest value allowed.
+        positive: Whether 0 itself is not allowed, `at_least` being 0.
+    """
+
+    unit: str
+    at_least: float = -math.inf
+    at_most: float = math.inf
+    positive: bool = False
+
+    def check(self, name: str, value: float) -> float:
+        """Return `value` as a float.
+
+        Raises:
+            StageError: It is no finite number, or outside the limits; names parameter, unit, found, wanted.
+        """
+        inside = self.at_least <= value <= self.at_most and not (self.positive and value <= 0)
+        if not (math.isfinite(value) and inside):
+            unit = f" {self.unit}" if self.unit else ""
+            raise StageError(f"{name}: found {value:g}{unit}, want {self.wanted()}{unit}")
+        return float(value)
+
+    def parameter(self, name: str, value: float) -> nn.Parameter:
+        """A checked, trainable number in float64."""
+        return nn.Parameter(torch.tensor(self.check(name, value), dtype=torch.float64))
+
+    def wanted(self) -> str:
+        """The limits in words."""
+        if self.positive:
+            return "a positive number of" if self.unit else "a positive number"
+        if math.isfinite(self.at_least) and math.isfinite(self.at_most):
+            return f"{self.at_least:g} to {self.at_most:g}"
+        if math.isfinite(self.at_least):
+            return f"at least {self.at_least:g}"
+        if math.isfinite(self.at_most):
+            return f"at most {self.at_most:g}"
+        return "a finite number of" if self.unit else "a finite number"
+
+
+def check_order(low_name: str, low: float, high_name: str, high: float, unit: str) -> None:
+    """Raise `StageError` unless `low` is below `high`."""
+    if not low < high:
+        raise StageError(f"{high_name}: found {high:g} {unit}, want more than {low_name} = {low:g} {unit}")

@@ -1,0 +1,137 @@
+"""First-order blocks beside each other: a linear block with a diagonal A, at a cost of n, not n².
+
+x_i⁺ = a_i x_i + b_i u,    y = Σ_i c_i x_i + d u
+"""
+
+from typing import Any
+
+import numba
+import numpy as np
+import torch
+from torch import Tensor, nn
+from torch.autograd.function import FunctionCtx, once_differentiable
+
+from torchpi.operators.linear import observe
+
+
+def relax(a: list[float], b: list[float], x: list[float], u: float) -> None:
+    """x_i⁺ = a_i x_i + b_i u, in place. What the kernel, the stream and the exports compile."""
+    for i in range(len(x)):
+        x[i] = a[i] * x[i] + b[i] * u
+
+
+class RelaxationsStream(nn.Module):
+    """The bank, one sample at a time."""
+
+    a: list[float]
+    b: list[float]
+    c: list[float]
+    x: list[float]
+
+    def __init__(self, a: list[float], b: list[float], c: list[float], d: float) -> None:
+        super().__init__()
+        self.a = a
+        self.b = b
+        self.c = c
+        self.d = d
+        self.x = [0.0] * len(a)
+
+    @torch.jit.export
+    def reset(self) -> None:
+        for i in range(len(self.x)):
+            self.x[i] = 0.0
+
+    @torch.jit.export
+    def step(self, u: float) -> float:
+        y = observe(self.c, self.d, self.x, u)
+        relax(self.a, self.b, self.x, u)
+        return y
+
+
+def relaxations(
+    u: Tensor,  # (batch, time)
+    a: Tensor,  # (n,)
+    b: Tensor,  # (n,)
+    c: Tensor,  # (n,)
+    d: Tensor,  # ()
+    x0: Tensor,  # (batch, n)
+) -> tuple[Tensor, Tensor]:  # (batch, time), (batch, n)
+    """Output, and the state after the last sample; differentiable in all six arguments.
+
+    Computed in float64 on the CPU whatever comes in; what goes out has the device and type of `u`,
+    the state those of `x0`.
+    """
+    wide = [part.to("cpu", torch.float64) for part in (u, a, b, c, d, x0)]
+    y, x = _Relaxations.apply(*wide)
+    return y.to(u.device, u.dtype), x.to(x0.device, x0.dtype)
+
+
+class _Relaxations(torch.autograd.Function):
+    @staticmethod
+    def forward(
+        ctx: FunctionCtx, u: Tensor, a: Tensor, b: Tensor, c: Tensor, d: Tensor, x0: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        u, a, b, c, x0 = (part.contiguous() for part in (u, a, b, c, x0))
+        learns = ctx.needs_input_grad  # type: ignore[attr-defined]
+        # The trajectory of the state is kept only for the gradients that need it: those of a and c.
+        kept = u.shape[1] if learns[1] or learns[3] else 0
+        y, x, states = torch.empty_like(u), x0.clone(), u.new_empty(len(u), kept, len(a))
+        _forward(
+            u.detach().numpy(), a.detach().numpy(), b.detach().numpy(), c.detach().numpy(), d.item(),
+            x.detach().numpy(), y.numpy(), states.numpy(),
+        )  # fmt: skip
+        ctx.save_for_backward(u, a, b, c, d, states)
+        return y, x
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: FunctionCtx, *gradients: Tensor) -> tuple[Tensor, ...]:
+        u, a, b, c, d, states = (saved.detach() for saved in ctx.saved_tensors)  # type: ignore[attr-defined]
+        gy, gx = gradients[0].contiguous(), gradients[1].clone(memory_format=torch.contiguous_format)
+        gu, ga, gb, gc, gd = (torch.zeros_like(part) for part in (u, a, b, c, d.reshape(1)))
+        _backward(
+            u.numpy(), a.numpy(), b.numpy(), c.numpy(), d.item(), states.numpy(), gy.numpy(),
+            gx.numpy(), gu.numpy(), ga.numpy(), gb.numpy(), gc.numpy(), gd.numpy(),
+        )  # fmt: skip
+        return gu, ga, gb, gc, gd.reshape(()), gx
+
+
+_relax: Any = numba.njit(relax)
+_observe: Any = numba.njit(observe)
+
+
+@numba.njit(cache=True)
+def _forward(
+    u: np.ndarray, a: np.ndarray, b: np.ndarray, c: np.ndarray, d: float,
+    x: np.ndarray, y: np.ndarray, states: np.ndarray,
+) -> None:  # fmt: skip
+    for batch in range(u.shape[0]):
+        now = x[batch]
+        for t in range(u.shape[1]):
+            if states.shape[1] > 0:
+                for i in range(len(a)):
+                    states[batch, t, i] = now[i]
+            y[batch, t] = _observe(c, d, now, u[batch, t])
+            _relax(a, b, now, u[batch, t])
+
+
+@numba.njit(cache=True)
+def _backward(
+    u: np.ndarray, a: np.ndarray, b: np.ndarray, c: np.ndarray, d: float, states: np.ndarray, gy: np.ndarray,
+    gx: np.ndarray, gu: np.ndarray, ga: np.ndarray, gb: np.ndarray, gc: np.ndarray, gd: np.ndarray,
+) -> None:  # fmt: skip
+    # The adjoint λ = dL/dx runs backwards, in gx: λ_i(t) = a_i λ_i(t+1) + c_i gy(t).
+    for batch in range(u.shape[0]):
+        adjoint = gx[batch]
+        for t in range(u.shape[1] - 1, -1, -1):
+            g, sample = gy[batch, t], u[batch, t]
+            through = d * g
+            gd[0] += g * sample
+            for i in range(len(a)):
+                through += b[i] * adjoint[i]
+                gb[i] += adjoint[i] * sample
+                if states.shape[1] > 0:
+                    ga[i] += adjoint[i] * states[batch, t, i]
+                    gc[i] += g * states[batch, t, i]
+                adjoint[i] = a[i] * adjoint[i] + c[i] * g
+            gu[batch, t] = through

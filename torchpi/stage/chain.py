@@ -1,0 +1,61 @@
+"""Operators one after another; none at all is the identity."""
+
+import torch
+from torch import Tensor, nn
+
+from torchpi.operators.base import Operator
+
+
+class Chain(Operator):
+    """A series of operators with one state, theirs side by side.
+
+    Args:
+        operators: First to last, each from (batch, time) to (batch, time), under the name that it will
+            have here; None leaves its place empty.
+    """
+
+    def __init__(self, **operators: Operator | None) -> None:
+        super().__init__()
+        for name, operator in operators.items():
+            self.add_module(name, operator)
+        self.order = [name for name, operator in operators.items() if operator is not None]
+
+    def series(self) -> list[Operator]:
+        """The operators that are there, first to last."""
+        return [self.get_submodule(name) for name in self.order]  # type: ignore[misc]
+
+    def initial_state(self, batch: int) -> Tensor:
+        parts = [operator.initial_state(batch).cpu() for operator in self.series()]
+        return torch.cat([super().initial_state(batch), *parts], 1)
+
+    def forward(self, x: Tensor, state: Tensor | None = None) -> tuple[Tensor, Tensor]:
+        state = self.initial_state(len(x)).to(x.device) if state is None else state
+        series = self.series()
+        sizes = [operator.initial_state(1).shape[1] for operator in series]
+        after = [state[:, :0]]
+        for operator, part in zip(series, state.split(sizes, 1), strict=False):
+            x, part = operator(x, part)
+            after.append(part)
+        return x, torch.cat(after, 1)
+
+    def stream(self) -> "ChainStream":
+        return ChainStream([operator.stream() for operator in self.series()])
+
+
+class ChainStream(nn.Module):
+    """The series, one sample at a time."""
+
+    def __init__(self, streams: list[nn.Module]) -> None:
+        super().__init__()
+        self.streams = nn.ModuleList(streams)
+
+    @torch.jit.export
+    def reset(self) -> None:
+        for stream in self.streams:
+            stream.reset()  # type: ignore[operator]
+
+    @torch.jit.export
+    def step(self, x: float) -> float:
+        for stream in self.streams:
+            x = stream.step(x)  # type: ignore[operator]
+        return x

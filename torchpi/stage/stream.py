@@ -1,0 +1,82 @@
+"""The stage as a rig that is stepped: command in, displacement and reading out."""
+
+import warnings
+from math import isfinite
+from typing import Any
+
+import torch
+from torch import nn
+
+from torchpi.errors import StageError
+from torchpi.operators.noise import NoiseStream
+from torchpi.stage.chain import ChainStream
+
+
+class StageStream:
+    """A stage, one sample at a time.
+
+    Args:
+        rig: Its parts.
+        seed: Of the noise until `reset` says another.
+        compiled: Whether TorchScript compiles the step.
+    """
+
+    def __init__(self, rig: "RigStream", seed: int, compiled: bool) -> None:
+        if compiled:
+            with warnings.catch_warnings():
+                # TorchScript is what the compensator is deployed in, deprecated in torch 2.13 or not.
+                warnings.filterwarnings("ignore", message=".*torch.jit.*deprecated.*")
+                self.rig: Any = torch.jit.script(rig)
+        else:
+            self.rig = rig
+        self.seed = seed
+        self.noise = NoiseStream(seed)
+        self.sample = 0
+
+    def reset(self, seed: int | None = None) -> None:
+        """Back to the de-energised state; noise begins anew, with this seed if one is given."""
+        self.rig.reset()
+        self.noise.reset(self.seed if seed is None else seed)
+        self.sample = 0
+
+    def step(self, u: float) -> tuple[float, float]:
+        """Read y(k), then write u(k), V: returns the displacement and the reading at tick k, µm.
+
+        Raises:
+            StageError: A command that is not finite. The state stays as it was.
+        """
+        if not isfinite(u):
+            raise StageError(f"u: found {u} V at sample {self.sample}, want a finite number")
+        self.sample += 1
+        y, reading = self.rig.step(u, self.noise.step())
+        return y, reading
+
+
+class RigStream(nn.Module):
+    """What TorchScript compiles of it: everything but the drawing of the noise."""
+
+    def __init__(
+        self,
+        to_volts: ChainStream,
+        to_displacement: ChainStream,
+        sensor: ChainStream,
+        noise_um: float,
+        to_number: ChainStream,
+    ) -> None:
+        super().__init__()
+        self.to_volts = to_volts
+        self.to_displacement = to_displacement
+        self.sensor = sensor
+        self.noise_um = noise_um
+        self.to_number = to_number
+
+    @torch.jit.export
+    def reset(self) -> None:
+        self.to_displacement.reset()
+        self.sensor.reset()
+
+    @torch.jit.export
+    def step(self, u: float, noise: float) -> tuple[float, float]:
+        y = self.to_displacement.step(self.to_volts.step(u))
+        reading = self.sensor.step(y)
+        return y, self.to_number.step(reading + self.noise_um * noise)
