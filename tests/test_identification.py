@@ -22,7 +22,9 @@ def truth() -> DirectInverse:
     made = DirectInverse(PERIOD, THRESHOLDS, range_um=8.0, rate_scale_um_s=800.0)
     made.saturation.set_coefficients(torch.tensor([1.40, -7.62e-2, 1.45e-2, -7.53e-4], dtype=torch.float64))
     with torch.no_grad():
-        made.weights.theta[:, 0] = torch.tensor([0.9, -0.02, -0.03, -0.03, -0.05, -0.06, -0.05, -0.03, -0.02, 0.01])
+        made.weights.theta[:, 0] = torch.tensor(
+            [0.9, -0.02, -0.03, -0.03, -0.05, -0.06, -0.05, -0.03, -0.02, 0.01]
+        )
     return made
 
 
@@ -42,7 +44,9 @@ def pair(name: str, hz: list[float], made: DirectInverse, rate_weights: bool) ->
 def test_two_stages_find_the_polynomial_and_the_voltages() -> None:
     made = truth()
     slow, fast = pair("slow", [5], made, False), pair("fast", [20, 50, 80], made, True)
-    fitted = DirectInverse(PERIOD, THRESHOLDS, range_um=8.0, rate_scale_um_s=800.0, max_voltage_v=20.0)
+    fitted = DirectInverse(
+        PERIOD, THRESHOLDS, range_um=8.0, rate_scale_um_s=800.0, min_voltage_v=-20.0, max_voltage_v=20.0
+    )
     result = fit_two_stage(fitted, [fast, slow])  # whatever the order
     assert (result.slow, result.fast) == ("slow", ("fast",))
     # Only the thresholds fix the scale of S against w: compare voltages (of 10 V), and the shape of S.

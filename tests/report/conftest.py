@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from torchpi.loop import LoopResult, run_loop
-from torchpi.report.provenance import Provenance
 from torchpi.report.training import RecordFit, Saturation, TrainingReport, WeightsAgainstRate
+from torchpi.report.what_was_run import Provenance
 
 FS_HZ = 10_000.0
 
@@ -30,6 +30,7 @@ class PlayStage:
     sample_period_s = 1 / FS_HZ
     min_voltage_v = 0.0
     max_voltage_v = 10.0
+    seed = 0
 
     def stream(self) -> PlayStream:
         return PlayStream()
@@ -88,13 +89,15 @@ def training() -> TrainingReport:
     y = 4 - 4 * np.cos(2 * np.pi * 10 * t)
     u = y + 0.3 * np.sin(2 * np.pi * 10 * t)
     noise = np.random.default_rng(0).standard_normal(len(t))
-    record = RecordFit("multisine_2", "held out", t, y, u, u + 0.01 * np.sin(2 * np.pi * 30 * t) + 0.002 * noise)
+    u_hat = u + 0.01 * np.sin(2 * np.pi * 30 * t) + 0.002 * noise
+    record = RecordFit("multisine_2", "held out", t, y, u, u_hat)
     r = np.array([0, 0.05, 0.1, 0.2, 0.3, 0.5, 1, 1.5, 2, 3])
     rate = np.linspace(-900.0, 900.0, 61)
     w = 1e-4 * np.cos(np.arange(10)) * rate[:, None] + 0.5 / (1 + np.arange(10))
     x = np.linspace(0.0, 8.1, 200)
     c = np.array([1.40, -7.62e-2, 1.45e-2, -7.53e-4])  # eq. 12
-    errors = {"rms_v": 0.0103, "max_v": 0.021, "rms_um": 0.0086, "max_um": 0.0175, "rms_percent": 0.1, "max_percent": 0.2}
+    errors = {"rms_v": 0.0103, "max_v": 0.021, "rms_um": 0.0086, "max_um": 0.0175}
+    errors |= {"rms_percent": 0.1, "max_percent": 0.2}
     return TrainingReport(
         name="recorded",
         metrics={
