@@ -1,0 +1,60 @@
+# `make demo` runs the main job, `make test` the tests; both set up first, once, in .venv.
+# With another interpreter: make demo PYTHON=python3.12. With the CUDA build of torch: make demo TORCH=gpu.
+
+PYTHON ?= python3
+TORCH ?= cpu
+TORCH_VERSION := 2.13.0
+BIN := .venv/bin
+STAGE := configs/stage/default.yaml
+
+PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
+
+# The CPU build: from where pip looks if it is there, else from where uv knows it to be, else the default build.
+INSTALL_TORCH_cpu = $(PIP) install torch==$(TORCH_VERSION)+cpu 2>/dev/null \
+	|| { $(PIP) install uv && $(BIN)/uv pip install --quiet --python $(BIN)/python --torch-backend cpu \
+		torch==$(TORCH_VERSION); } 2>/dev/null \
+	|| $(PIP) install torch==$(TORCH_VERSION)
+INSTALL_TORCH_gpu = $(PIP) install torch==$(TORCH_VERSION)
+
+.PHONY: demo test lint clean help
+
+help:
+	@echo "make demo   train a compensator on the simulated stage, export it, run it in a control loop"
+	@echo "make test   the tests"
+	@echo "make lint   style and types"
+	@echo "make clean  remove .venv and what the demo left"
+
+demo: .venv/ready
+	@rm -rf runs/demo exports/demo exports/demo.pt exports/demo.json
+	@echo "==> 1 of 3: training on recordings of the simulated stage ($(STAGE)), into runs/demo"
+	@$(BIN)/python -m train fit --config configs/demo.yaml --output runs/demo
+	@echo "==> 2 of 3: exporting, to exports/demo.pt and exports/demo.json"
+	@$(BIN)/torchpi export runs/demo --output exports/demo
+	@echo "==> 3 of 3: control loop against the simulated stage, on the paper's slow and fast trajectories"
+	@$(BIN)/torchpi run exports/demo.pt --stage $(STAGE) --trajectory '[slow, fast]' \
+		--compare '{two-stage: runs/demo/baseline.pt}'
+	@echo "==> Open exports/demo/loop.html (tracking) and runs/demo/report.html (training)."
+	@echo "    To watch a training: $(BIN)/tensorboard --logdir runs"
+
+test: .venv/ready-dev
+	$(BIN)/python -m pytest
+
+lint: .venv/ready-dev
+	$(BIN)/ruff check . && $(BIN)/ruff format --check . && $(BIN)/mypy
+
+clean:
+	rm -rf .venv runs/demo exports/demo exports/demo.pt exports/demo.json
+
+.venv/ready: pyproject.toml
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+		{ echo "make: $(PYTHON) is too old, want Python 3.11 or newer: make PYTHON=python3.12"; exit 1; }
+	@echo "==> Setting up .venv (once; torch alone is some 200 MB)"
+	@test -x $(BIN)/python || $(PYTHON) -m venv .venv
+	@$(INSTALL_TORCH_$(TORCH))
+	@$(PIP) install --editable .
+	@touch $@
+
+.venv/ready-dev: .venv/ready
+	@echo "==> Adding what the tests need"
+	@$(PIP) install --editable '.[dev]'
+	@touch $@

@@ -1,0 +1,149 @@
+"""The `torchpi` command. Each function is a command: its signature the options, its docstring the help.
+
+Nothing heavy is imported here at module level, so that `torchpi --help` answers at once.
+"""
+
+import shlex
+import sys
+from pathlib import Path
+from typing import Any
+
+from torchpi.command_line import run_chosen, run_command
+
+DESCRIPTION = """Makes piezo stages go where they are told.
+
+  1. torchpi simulate          records the simulated stage; or take recordings of your own
+  2. python -m train fit       trains a compensator on recordings
+  3. torchpi export            makes a file of it for a controller
+  4. torchpi run               tries that file in a control loop against the simulated stage
+"""
+DEFAULT_STAGE = Path("configs/stage/default.yaml")
+
+
+def main() -> None:
+    """Entry point."""
+    sys.exit(run_command(lambda: run_chosen([simulate, export, run], "torchpi", DESCRIPTION), "torchpi"))
+
+
+def simulate(
+    excitation: str = "paper_multisine",
+    stage: Path = DEFAULT_STAGE,
+    output: Path = Path("recordings/simulated.csv"),
+    duration_s: float | None = None,
+    seed: int = 0,
+    options: dict[str, Any] | None = None,
+) -> None:
+    """Record the simulated stage: play an excitation, write time_s,input_v,output_um.
+
+    Example: torchpi simulate --excitation multisine --output recordings/m.csv --options '{high_hz: 100}'
+
+    Args:
+        excitation: sine_5hz (paper, stage 1), paper_multisine (eq. 13), multisine, triangles (with minor
+            loops), stairs (up and down with holds), or hold.
+        stage: Stage file (YAML, physical parameters with units).
+        output: CSV to write.
+        duration_s: Length of the recording, s; each excitation has its own default.
+        seed: Of the sensor's noise, and of random phases.
+        options: Further options of the excitation, such as {low_v: 1, high_v: 9}.
+    """
+    import torch
+
+    from torchpi.excitation import make_excitation
+    from torchpi.recording import Recording, write_recording
+    from torchpi.stage import Stage
+
+    simulated = Stage.from_yaml(stage)
+    t, u = make_excitation(excitation, simulated.sample_rate_hz, duration_s, seed, options or {})
+    _, y = simulated.simulate(torch.from_numpy(u)[None], seed)
+    recording = Recording(output.stem, t, u, y[0].detach().numpy(), simulated.sample_rate_hz)
+    write_recording(output, recording)
+    print(
+        f"{output}: {excitation} on {stage}, {len(u):,} samples at {recording.fs_hz:g} Hz, "
+        f"u {u.min():.2f} … {u.max():.2f} V, y {recording.y.min():.3f} … {recording.y.max():.3f} µm"
+    )
+
+
+def export(run: Path, output: Path | None = None, reference_filter: bool = False) -> None:
+    """Export the compensator of a training run: TorchScript, and its numbers as JSON beside it.
+
+    Example: torchpi export runs/demo --output exports/demo
+
+    Args:
+        run: Run folder of `python -m train fit`, or one of its checkpoints.
+        output: Path without suffix, to which .pt and .json are added; by default exports/ and the name of the run.
+        reference_filter: Put the paper's reference filter (eq. 14) inside: `step` then takes y_r.
+    """
+    from torchpi.export import save_json, save_torchscript
+    from torchpi.operators import ReferenceFilter
+    from torchpi.trained import load_compensator
+
+    compensator = load_compensator(run)
+    inside = ReferenceFilter(compensator.sample_period_s) if reference_filter else None
+    output = output or Path("exports") / run.resolve().name
+    output = output.with_suffix("") if output.suffix in (".pt", ".json") else output
+    # The numbers first: whoever finds the .pt finds its JSON too.
+    save_json(compensator, output.with_suffix(".json"), inside)
+    save_torchscript(compensator, output.with_suffix(".pt"), inside)
+    print(f"{output}.pt: step(y_d at t + {compensator.preview} samples, µm) -> V every {compensator.sample_period_s:g} s")
+    print(f"{output}.json: the same numbers with units")
+
+
+def run(
+    compensator: Path,
+    stage: Path = DEFAULT_STAGE,
+    trajectory: str | list[str] = "slow",
+    output: Path | None = None,
+    compare: dict[str, Path] | None = None,
+    resample: bool = False,
+    seed: int = 0,
+) -> None:
+    """Run an exported compensator in a control loop against the simulated stage, sample by sample.
+
+    Reports the tracking error with and without compensation, and the time of a step against the sample
+    period; leaves loop.html (one page, to send to a colleague) and loop.json.
+
+    Example: torchpi run exports/demo.pt --trajectory '[slow, fast]'
+
+    Args:
+        compensator: Exported TorchScript file.
+        stage: Stage file (YAML).
+        trajectory: slow (eq. 15), fast (eq. 16), a CSV with columns time_s,yd_um, or a list of these.
+        output: Folder for the page; by default beside the compensator.
+        compare: Other exported compensators by name, such as {two-stage: runs/demo/baseline.pt}.
+        resample: Interpolate a trajectory file to the compensator's sample rate.
+        seed: Of the sensor's noise.
+    """
+    from torchpi.export import load_torchscript
+    from torchpi.loop import load_trajectory, run_loop
+    from torchpi.report import provenance, words, write_loop_report
+    from torchpi.stage import Stage
+
+    plant = Stage.from_yaml(stage)
+    loaded = load_torchscript(compensator)
+    others = {name: load_torchscript(path) for name, path in (compare or {}).items()}
+    trajectories = [
+        load_trajectory(
+            which,
+            fs_hz=plant.sample_rate_hz,
+            resample=resample,
+            through_reference_filter=loaded.has_reference_filter,
+        )
+        for which in ([trajectory] if isinstance(trajectory, str) else trajectory)
+    ]
+    results = []
+    for one in trajectories:
+        print(f"{compensator} on {stage}: {one.title}, {len(one.yd):,} samples")
+        results.append(
+            run_loop(
+                loaded, plant, one.yd, fs_hz=plant.sample_rate_hz, name=one.name, title=one.title, yr=one.yr,
+                compare=others, seed=seed,
+            )  # fmt: skip
+        )
+        print(words.table(results[-1]))
+        print(words.headline(results[-1]) + "\n")
+    files = {"compensator": compensator, "stage": stage, **(compare or {})}
+    command = shlex.join(["torchpi", *sys.argv[1:]])
+    page, numbers = write_loop_report(
+        results, provenance(command, files, seed), output or compensator.with_suffix("")
+    )
+    print(f"{page}: the page with all figures\n{numbers}: the same numbers")

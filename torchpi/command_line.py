@@ -1,0 +1,88 @@
+"""How torchpi's commands meet their user: typed functions for options, one line for an error, exit code 2."""
+
+import argparse
+import difflib
+import inspect
+import re
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, NoReturn
+
+import jsonargparse
+
+from torchpi.errors import ConfigError, TorchpiError
+
+
+def run_chosen(commands: Sequence[Callable[..., None]], program: str, description: str) -> None:
+    """Parse the command line and call the function that it names.
+
+    A command's options are its signature, its help is its docstring.
+    """
+    # Progress appears as it happens, into a pipe as well.
+    sys.stdout.reconfigure(line_buffering=True)  # type: ignore[union-attr]
+    parser = Parser(prog=program, description=description, formatter_class=_Formatter)
+    subcommands = parser.add_subcommands(title="commands", description=None)
+    for command in commands:
+        text, _, _ = inspect.getdoc(command).partition("\n\nArgs:")  # type: ignore[union-attr]
+        subparser = Parser(description=text, formatter_class=_Formatter)
+        subparser.add_function_arguments(command, as_group=False, as_positional=True)
+        subcommands.add_subcommand(command.__name__, subparser, help=text.splitlines()[0])
+    chosen = parser.instantiate_classes(parser.parse_args())
+    functions = {command.__name__: command for command in commands}
+    functions[chosen.subcommand](**chosen[chosen.subcommand])
+
+
+class _Formatter(argparse.RawDescriptionHelpFormatter, jsonargparse.DefaultHelpFormatter):
+    """Keeps the line breaks of descriptions."""
+
+
+class Parser(jsonargparse.ArgumentParser):
+    """A parser whose errors are one line that names the nearest right option."""
+
+    def error(self, message: str, ex: Exception | None = None) -> NoReturn:
+        cause: BaseException | None = ex
+        while cause is not None:
+            # An error of ours, raised while a value was being made, already says all that is needed.
+            if isinstance(cause, TorchpiError):
+                raise cause
+            cause = cause.__cause__ or cause.__context__
+        raise ConfigError(one_line(message, list(option_names(self)))) from ex
+
+
+def run_command(command: Callable[[], Any], program: str) -> int:
+    """Run `command`; an error of the user's input becomes one line on stderr. Returns the exit code."""
+    try:
+        command()
+    except TorchpiError as error:
+        print(f"{program}: error: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print(f"{program}: interrupted; files already written are whole", file=sys.stderr)
+        return 130
+    except BrokenPipeError:
+        return 1
+    return 0
+
+
+def option_names(parser: jsonargparse.ArgumentParser) -> Iterator[str]:
+    """Dotted names of all options of a parser and its subcommands."""
+    for action in parser._actions:
+        choices = getattr(action, "_name_parser_map", None) or {}
+        for name, subparser in choices.items():
+            yield name
+            yield from option_names(subparser)
+        yield action.dest
+
+
+def one_line(message: str, known: list[str]) -> str:
+    """The message without its line breaks and lists, with the nearest right name where a name was wrong."""
+    text = re.sub(r"\s+", " ", message).strip()
+    wrong = re.search(r"(?:[Uu]nrecognized arguments: --|Key '|[Nn]ested key '|Option '|No action for key \"?)([\w.\-]+)", text)
+    if wrong:
+        name = wrong.group(1)
+        # What is compared is the last part of a dotted name too: a nested key is reported without its parents.
+        candidates = {option: option for option in known} | {option.split(".")[-1]: option for option in known}
+        nearest = difflib.get_close_matches(name, candidates, n=1, cutoff=0.5)
+        hint = f"; nearest is '{candidates[nearest[0]]}'" if nearest else ""
+        return f"unknown option or key '{name}'{hint}; --help lists all"
+    return text
