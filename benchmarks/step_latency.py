@@ -25,7 +25,9 @@ COEFFICIENTS = [1.40, -7.62e-2, 1.45e-2, -7.53e-4]  # eq. 12, c_1 first
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("compensator", type=Path, nargs="?", help="an exported file to time as well")
     parser.add_argument("--steps", type=int, default=20_000)
     options = parser.parse_args()
@@ -43,7 +45,7 @@ def main() -> None:
 
     trajectory = [4 - 3.5 * math.cos(0.02 * i) + 0.3 * math.sin(0.31 * i) for i in range(options.steps)]
     times = {name: np.empty(options.steps) for name in steps}
-    for name, module in steps.items():
+    for module in steps.values():
         for y in trajectory[:1000]:
             module.step(y)
     for start in range(0, options.steps, 500):

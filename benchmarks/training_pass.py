@@ -19,7 +19,9 @@ from torchpi.operators.play_scan import play_scan
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--samples", type=int, default=100_000)
     parser.add_argument("--plays", type=int, default=10)
     parser.add_argument("--repeats", type=int, default=7)

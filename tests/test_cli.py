@@ -10,11 +10,11 @@ from pathlib import Path
 import pytest
 import torch
 
+from tests.test_compensator import compensator
 from torchpi import cli
 from torchpi.export import load_torchscript
 from torchpi.recording import read_recording
 from torchpi.trained import to_checkpoint
-from tests.test_compensator import compensator
 
 ROOT = Path(__file__).parents[1]
 STAGE = str(ROOT / "configs" / "stage" / "default.yaml")
@@ -39,7 +39,9 @@ def run_folder(tmp_path: Path) -> Path:
 def test_help_lists_the_way_from_recordings_to_the_loop_without_torch() -> None:
     program = "import sys; from torchpi.cli import main\ntry: main()\nexcept SystemExit: pass\n"
     program += "print([m for m in ('torch', 'lightning', 'matplotlib', 'numba') if m in sys.modules])"
-    done = subprocess.run([sys.executable, "-c", program, "--help"], capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", program, "--help"], capture_output=True, text=True, check=True
+    )
     assert all(command in done.stdout for command in ("simulate", "python -m train fit", "export", "run"))
     assert done.stdout.strip().endswith("[]")
 
@@ -65,7 +67,9 @@ def test_simulate_writes_a_recording_that_reads_back(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "r.csv"
-    assert torchpi(monkeypatch, "simulate", "--stage", STAGE, "--output", str(path), "--duration_s", "0.3") == 0
+    assert (
+        torchpi(monkeypatch, "simulate", "--stage", STAGE, "--output", str(path), "--duration_s", "0.3") == 0
+    )
     recording = read_recording(path)
     assert recording.fs_hz == 10_000 and len(recording) == 3000
     assert "3,000 samples" in capsys.readouterr().out

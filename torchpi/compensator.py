@@ -14,8 +14,8 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from torchpi.errors import ConfigError
 from torchpi.compensator_stream import CompensatorStream, compensator_stream
+from torchpi.errors import ConfigError
 from torchpi.motion import Motion
 from torchpi.operators.play import PlayBank
 from torchpi.operators.polynomial import Polynomial
@@ -96,7 +96,7 @@ class DirectInverse(nn.Module):
         periods = sample_period_s / torch.tensor(list(creep_time_constants_s), dtype=torch.float64)
         self.register_buffer("creep_decay", torch.exp(-periods), persistent=False)
         self.saturation = Polynomial([1.0] + [0.0] * (degree - 1), scale=range_um)
-        self.plays = PlayBank(thresholds, train_thresholds)
+        self.plays = PlayBank(list(thresholds), train_thresholds)
         self.weights = RateWeights([0.0] * len(thresholds), rate, rate_scale_um_s, hidden)
         self.offset = nn.Parameter(torch.zeros((), dtype=torch.float64), requires_grad=offset)
 

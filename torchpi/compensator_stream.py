@@ -65,7 +65,7 @@ def step_source(compensator: "DirectInverse") -> str:
     states = [f"xi{j}" for j in range(len(compensator.creep_gains))]
     states += [f"h{i}" for i in range(len(compensator.plays.r))]
     cleared = "\n".join(f"        self.{state} = 0.0" for state in states)
-    return f'''
+    return f"""
 class WrittenOut(nn.Module):
     def __init__(self, motion: nn.Module, has_reference_filter: bool) -> None:
         super().__init__()
@@ -95,7 +95,7 @@ class WrittenOut(nn.Module):
             # fill_, because TorchScript rounds a float to float32 on its way through u[i] = … or torch.tensor.
             u[i].fill_(self.step(float(yd[i])))
         return u
-'''
+"""
 
 
 def _step_lines(compensator: "DirectInverse") -> Iterator[str]:

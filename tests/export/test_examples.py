@@ -44,5 +44,7 @@ def test_cpp_loop_builds_and_gives_the_same_voltages(tmp_path: Path) -> None:
     subprocess.run(configure, capture_output=True, check=True)
     subprocess.run(["cmake", "--build", str(build)], capture_output=True, check=True)
     assert voltages([str(build / "loop"), str(tmp_path / "c.pt"), "50"]) == expected_lines(50)
-    refused = subprocess.run([str(build / "loop"), str(EXPORTS / "README.md")], capture_output=True, text=True)
+    refused = subprocess.run(
+        [str(build / "loop"), str(EXPORTS / "README.md")], capture_output=True, text=True
+    )
     assert refused.returncode == 2 and refused.stderr.count("\n") == 1

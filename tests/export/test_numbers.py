@@ -45,7 +45,9 @@ def test_a_step_written_by_hand_from_the_json_gives_the_same_voltages(tmp_path: 
     numbers = json.loads((tmp_path / "c.json").read_text())
     yd = trajectory(400)
     expected = made.stream().block(yd)
-    assert torch.allclose(torch.tensor(by_hand(numbers, yd.tolist()), dtype=torch.float64), expected, atol=1e-9)
+    assert torch.allclose(
+        torch.tensor(by_hand(numbers, yd.tolist()), dtype=torch.float64), expected, atol=1e-9
+    )
 
 
 def test_json_is_versioned_and_has_units(tmp_path: Path) -> None:

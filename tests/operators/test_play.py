@@ -41,7 +41,9 @@ def test_play_is_the_backlash_of_python_control(x: list[float], r: float, h0: fl
 
 def test_first_sample_uses_the_initial_state_as_eq_2_says() -> None:
     x = torch.tensor([[0.3, 0.4]], dtype=torch.float64)
-    h = play_bank(x, torch.tensor([0.1, 1.0], dtype=torch.float64), torch.tensor([[0.0, 0.5]], dtype=torch.float64))
+    h = play_bank(
+        x, torch.tensor([0.1, 1.0], dtype=torch.float64), torch.tensor([[0.0, 0.5]], dtype=torch.float64)
+    )
     assert h[0, 0].tolist() == [max(0.3 - 0.1, min(0.3 + 0.1, 0.0)), 0.5]
 
 

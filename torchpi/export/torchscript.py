@@ -47,7 +47,8 @@ def script(
     stream = cast(nn.Module, compensator.stream(reference_filter)).eval()
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message=".*torch.jit.*deprecated.*")
-        return torch.jit.freeze(torch.jit.script(stream), preserved_attrs=list(_KEPT))
+        frozen = torch.jit.freeze(torch.jit.script(stream), preserved_attrs=list(_KEPT))
+    return cast(torch.jit.ScriptModule, frozen)
 
 
 def load_torchscript(path: str | Path) -> CompensatorStream:

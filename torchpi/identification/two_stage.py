@@ -63,7 +63,7 @@ def fit_saturation(compensator: DirectInverse, pairs: Sequence[InversePair]) -> 
         return left
 
     start = compensator.saturation.scaled.detach().numpy().copy()
-    found = scipy.optimize.least_squares(residual, start, x_scale=1.0, diff_step=1e-5, max_nfev=100)
+    found = scipy.optimize.least_squares(residual, start, x_scale=1.0, diff_step=[1e-5] * len(start), max_nfev=100)
     left = residual(found.x)
     return float(np.sqrt(np.mean(left**2)))
 

@@ -1,5 +1,7 @@
 """The play (backlash) operator, Qin et al. (2013), eq. 1 and 2: the elementary hysteresis."""
 
+from typing import Any, cast
+
 import numba
 import numpy as np
 import torch
@@ -101,7 +103,7 @@ def play_bank(
     play or beyond, the sample pushes it and takes the gradient; r = 0 thus passes gradient 1.
     """
     if x.device.type == "cpu":
-        return _PlayBank.apply(x, r, h0)
+        return cast(Tensor, _PlayBank.apply(x, r, h0))
     return play_scan(x, r, h0)
 
 
@@ -126,7 +128,7 @@ class _PlayBank(torch.autograd.Function):
         return gx, gr, gh0
 
 
-_play = numba.njit(play)
+_play: Any = numba.njit(play)
 
 
 @numba.njit(cache=True)

@@ -5,6 +5,8 @@ initial state to any later state is one clamp again, (low, high), and a doubling
 them in log2(time) passes. Only selections happen, so the bits are those of the sequential form.
 """
 
+from typing import cast
+
 import torch
 from torch import Tensor
 from torch.autograd.function import FunctionCtx, once_differentiable
@@ -16,7 +18,7 @@ def play_scan(
     h0: Tensor,  # (batch, plays)
 ) -> Tensor:  # (batch, time, plays)
     """States of all plays (eq. 1, 2), differentiable in all three arguments, on any device."""
-    return _PlayScan.apply(x, r, h0)
+    return cast(Tensor, _PlayScan.apply(x, r, h0))
 
 
 class _PlayScan(torch.autograd.Function):
@@ -28,7 +30,9 @@ class _PlayScan(torch.autograd.Function):
             # Later clamp after earlier clamp: both ends of the earlier one pass through the later.
             after_low, after_high = low[:, span:], high[:, span:]
             low, high = (
-                torch.cat([ends[:, :span], torch.maximum(after_low, torch.minimum(after_high, ends[:, :-span]))], 1)
+                torch.cat(
+                    [ends[:, :span], torch.maximum(after_low, torch.minimum(after_high, ends[:, :-span]))], 1
+                )
                 for ends in (low, high)
             )
             span *= 2

@@ -4,6 +4,8 @@ Every weight is a linear form of a basis of the input rate, w_i = Σ_m θ_im φ_
 eq. 3, (1, ẏ) gives eq. 7 and 8, and more functions of the rate give the neural head.
 """
 
+from typing import Any, cast
+
 import numba
 import numpy as np
 import torch
@@ -18,7 +20,7 @@ def weighted_sum(
 ) -> Tensor:  # (batch, time)
     """Σ_i (Σ_m θ_im φ_m) h_i, summed left to right, differentiable in all three arguments."""
     device = h.device
-    return _WeightedSum.apply(h.cpu(), basis.cpu(), theta.cpu()).to(device)
+    return cast(Tensor, _WeightedSum.apply(h.cpu(), basis.cpu(), theta.cpu())).to(device)
 
 
 def weight(theta: list[float], basis: list[float], i: int) -> float:
@@ -50,7 +52,7 @@ class _WeightedSum(torch.autograd.Function):
         return gh, gbasis, gtheta
 
 
-_weight = numba.njit(weight)
+_weight: Any = numba.njit(weight)
 
 
 @numba.njit(cache=True)
