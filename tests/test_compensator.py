@@ -12,7 +12,7 @@ from torch import Tensor
 
 from torchpi.compensator import DirectInverse
 from torchpi.compensator_stream import CompensatorStream
-from torchpi.errors import ConfigError
+from torchpi.errors import ArtifactError, ConfigError
 from torchpi.motion import Motion, backward_motion
 from torchpi.operators import ReferenceFilter
 
@@ -146,6 +146,14 @@ def test_the_deployed_step_can_be_read() -> None:
     assert "h9 = play(s, " in source and "# eq. 4" in source
 
 
+def test_a_compensator_that_diverged_is_not_deployed() -> None:
+    made = compensator()
+    with torch.no_grad():
+        made.weights.theta[0, 0] = math.nan
+    with pytest.raises(ArtifactError, match=r"weights\.theta: found .*nan"):
+        made.stream()
+
+
 @pytest.mark.parametrize(
     ("changes", "named"),
     [
@@ -155,6 +163,7 @@ def test_the_deployed_step_can_be_read() -> None:
         ({"lead": 3}, "lead"),
         ({"creep_time_constants_s": [-1.0]}, "creep_time_constants_s"),
         ({"min_voltage_v": 10.0}, "min_voltage_v"),
+        ({"min_voltage_v": -math.inf}, "min_voltage_v"),
     ],
 )
 def test_impossible_arguments_are_refused_by_name(changes: dict, named: str) -> None:

@@ -47,7 +47,7 @@ _HOME = {
     "write_recording": "torchpi.recording",
 }
 
-__all__ = [*_HOME, "__version__"]  # noqa: PLE0604
+__all__ = [*_HOME, "__version__"]
 
 
 def __getattr__(name: str) -> Any:

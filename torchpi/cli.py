@@ -70,7 +70,7 @@ def export(run: Path, output: Path | None = None, reference_filter: bool = False
 
     Args:
         run: Run folder of `python -m train fit`, or one of its checkpoints.
-        output: Path without suffix, to which .pt and .json are added; by default exports/ and the name of the run.
+        output: Path without suffix; .pt and .json are added. By default exports/ and the name of the run.
         reference_filter: Put the paper's reference filter (eq. 14) inside: `step` then takes y_r.
     """
     from torchpi.export import save_json, save_torchscript
@@ -84,7 +84,9 @@ def export(run: Path, output: Path | None = None, reference_filter: bool = False
     # The numbers first: whoever finds the .pt finds its JSON too.
     save_json(compensator, output.with_suffix(".json"), inside)
     save_torchscript(compensator, output.with_suffix(".pt"), inside)
-    print(f"{output}.pt: step(y_d at t + {compensator.preview} samples, µm) -> V every {compensator.sample_period_s:g} s")
+    print(
+        f"{output}.pt: step(y_d at t + {compensator.preview} samples, µm) -> V every {compensator.sample_period_s:g} s"
+    )
     print(f"{output}.json: the same numbers with units")
 
 
@@ -95,7 +97,7 @@ def run(
     output: Path | None = None,
     compare: dict[str, Path] | None = None,
     resample: bool = False,
-    seed: int = 0,
+    seed: int | None = None,
 ) -> None:
     """Run an exported compensator in a control loop against the simulated stage, sample by sample.
 
@@ -111,16 +113,20 @@ def run(
         output: Folder for the page; by default beside the compensator.
         compare: Other exported compensators by name, such as {two-stage: runs/demo/baseline.pt}.
         resample: Interpolate a trajectory file to the compensator's sample rate.
-        seed: Of the sensor's noise.
+        seed: Of the sensor's noise; the stage's own by default.
     """
+    from rich.console import Console
+
     from torchpi.export import load_torchscript
-    from torchpi.loop import load_trajectory, run_loop
+    from torchpi.loop import run_loop
     from torchpi.report import provenance, words, write_loop_report
     from torchpi.stage import Stage
+    from torchpi.trajectory import load_trajectory
 
     plant = Stage.from_yaml(stage)
     loaded = load_torchscript(compensator)
     others = {name: load_torchscript(path) for name, path in (compare or {}).items()}
+    names = [trajectory] if isinstance(trajectory, str) else trajectory
     trajectories = [
         load_trajectory(
             which,
@@ -128,20 +134,31 @@ def run(
             resample=resample,
             through_reference_filter=loaded.has_reference_filter,
         )
-        for which in ([trajectory] if isinstance(trajectory, str) else trajectory)
+        for which in names
     ]
     results = []
     for one in trajectories:
         print(f"{compensator} on {stage}: {one.title}, {len(one.yd):,} samples")
-        results.append(
-            run_loop(
-                loaded, plant, one.yd, fs_hz=plant.sample_rate_hz, name=one.name, title=one.title, yr=one.yr,
-                compare=others, seed=seed,
-            )  # fmt: skip
-        )
+        with Console(stderr=True).status("") as status:
+            result = run_loop(
+                loaded,
+                plant,
+                one.yd,
+                fs_hz=plant.sample_rate_hz,
+                name=one.name,
+                title=one.title,
+                yr=one.yr,
+                compare=others,
+                seed=seed,
+                on_drive=status.update,
+            )
+        results.append(result)
         print(words.table(results[-1]))
         print(words.headline(results[-1]) + "\n")
     files = {"compensator": compensator, "stage": stage, **(compare or {})}
+    files |= {
+        f"trajectory {one.name}": path for one, path in zip(trajectories, names, strict=True) if one.sha256
+    }
     command = shlex.join(["torchpi", *sys.argv[1:]])
     page, numbers = write_loop_report(
         results, provenance(command, files, seed), output or compensator.with_suffix("")

@@ -77,11 +77,16 @@ def option_names(parser: jsonargparse.ArgumentParser) -> Iterator[str]:
 def one_line(message: str, known: list[str]) -> str:
     """The message without its line breaks and lists, with the nearest right name where a name was wrong."""
     text = re.sub(r"\s+", " ", message).strip()
-    wrong = re.search(r"(?:[Uu]nrecognized arguments: --|Key '|[Nn]ested key '|Option '|No action for key \"?)([\w.\-]+)", text)
+    wrong = re.search(
+        r"(?:[Uu]nrecognized arguments: --|Key '|[Nn]ested key '|Option '|No action for key \"?)([\w.\-]+)",
+        text,
+    )
     if wrong:
         name = wrong.group(1)
         # What is compared is the last part of a dotted name too: a nested key is reported without its parents.
-        candidates = {option: option for option in known} | {option.split(".")[-1]: option for option in known}
+        candidates = {option: option for option in known} | {
+            option.split(".")[-1]: option for option in known
+        }
         nearest = difflib.get_close_matches(name, candidates, n=1, cutoff=0.5)
         hint = f"; nearest is '{candidates[nearest[0]]}'" if nearest else ""
         return f"unknown option or key '{name}'{hint}; --help lists all"

@@ -82,9 +82,9 @@ class DirectInverse(nn.Module):
         for value in creep_time_constants_s:
             if not 0 < value < math.inf:
                 raise ConfigError(f"creep_time_constants_s: found {value}, want positive numbers of s")
-        if not min_voltage_v < max_voltage_v:
+        if not -math.inf < min_voltage_v < max_voltage_v < math.inf:
             raise ConfigError(
-                f"min_voltage_v: found {min_voltage_v} V, want less than max_voltage_v, {max_voltage_v} V"
+                f"min_voltage_v: found {min_voltage_v} V, want a number below max_voltage_v, {max_voltage_v} V"
             )
         self.sample_period_s = sample_period_s
         self.preview = preview

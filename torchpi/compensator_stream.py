@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Protocol, cast
 import torch
 from torch import Tensor, nn
 
+from torchpi.errors import ArtifactError
 from torchpi.motion import BackwardMotionStream
 from torchpi.operators.play import play
 from torchpi.operators.rate_weights import squash
@@ -32,6 +33,8 @@ class CompensatorStream(Protocol):
 
     sample_period_s: float
     preview: int
+    min_voltage_v: float
+    max_voltage_v: float
     has_reference_filter: bool
     held_inputs: int
 
@@ -43,7 +46,14 @@ class CompensatorStream(Protocol):
 def compensator_stream(
     compensator: "DirectInverse", reference_filter: ReferenceFilter | None
 ) -> CompensatorStream:
-    """Write the step for this compensator and load it; its text stays readable by `inspect`."""
+    """Write the step for this compensator and load it; its text stays readable by `inspect`.
+
+    Raises:
+        ArtifactError: A parameter is not finite.
+    """
+    for name, values in compensator.state_dict().items():
+        if not bool(torch.isfinite(values).all()):
+            raise ArtifactError(f"{name}: found {values.tolist()}, want finite numbers: the training diverged")
     source = step_source(compensator)
     filename = f"<compensator step {next(_serial)}>"
     # TorchScript reads a function's text through linecache, as tracebacks and debuggers do.
@@ -73,6 +83,8 @@ class WrittenOut(nn.Module):
         self.has_reference_filter = has_reference_filter
         self.sample_period_s = {compensator.sample_period_s!r}
         self.preview = {compensator.preview!r}
+        self.min_voltage_v = {compensator.min_voltage_v!r}
+        self.max_voltage_v = {compensator.max_voltage_v!r}
         self.last_input = 0.0
         self.held_inputs = 0
 {cleared}
@@ -140,7 +152,7 @@ def _step_lines(compensator: "DirectInverse") -> Iterator[str]:
         yield f"u = {'u + ' if i > 0 else ''}({' + '.join(terms)}) * h{i}  # eq. 7, 8"
     if compensator.offset.item() != 0.0:
         yield f"u = u + {compensator.offset.item()!r}"
-    yield f"return min(max(u, {compensator.min_voltage_v!r}), {compensator.max_voltage_v!r})"
+    yield "return min(max(u, self.min_voltage_v), self.max_voltage_v)"
 
 
 _serial = itertools.count()

@@ -24,6 +24,8 @@ _KEPT = (
     "block",
     "sample_period_s",
     "preview",
+    "min_voltage_v",
+    "max_voltage_v",
     "held_inputs",
     "has_reference_filter",
 )

@@ -1,0 +1,564 @@
+"""Step a compensator against a stage, sample by sample, and say how well the stage follows.
+
+At tick k the compensator is given y_d[k + preview] and returns u_k; the stage gives the reading y_k, then
+holds u_k until tick k + 1. The error is y_true[k] − y_d[k]: the motion at the tick against the motion that
+was wanted at that tick, so that every delay of the stage counts.
+"""
+
+import dataclasses
+import gc
+import math
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+import numpy.typing as npt
+import torch
+
+from torchpi.errors import ArtifactError, RecordingError, StageError
+
+Signal = npt.NDArray[np.float64]  # shape: (time,)
+
+
+class Compensator(Protocol):
+    """What the loop needs of a compensator; an exported TorchScript file has it.
+
+    Optional attributes: `has_reference_filter: bool` (`step` then takes the raw reference y_r),
+    `min_voltage_v` and `max_voltage_v` (its own output limits).
+    """
+
+    sample_period_s: float
+    preview: int  # samples that y_d is given ahead of its time
+
+    def reset(self) -> None: ...
+    def step(self, yd: float, /) -> float: ...  # µm -> V
+
+
+class StageStream(Protocol):
+    """A stage that takes one sample at a time."""
+
+    def reset(self, seed: int, /) -> None: ...
+    def step(self, u: float, /) -> tuple[float, float]: ...  # V -> true displacement, sensor reading, µm
+
+
+class Stage(Protocol):
+    """What the loop needs of a stage."""
+
+    @property
+    def sample_period_s(self) -> float: ...
+    @property
+    def min_voltage_v(self) -> float: ...
+    @property
+    def max_voltage_v(self) -> float: ...
+    @property
+    def seed(self) -> int: ...
+    def stream(self) -> StageStream: ...
+
+
+@dataclass(frozen=True)
+class Error:
+    """Size of a tracking error, with both denominators that are in use."""
+
+    max_um: float
+    rms_um: float
+    max_percent: float  # of the trajectory's peak to peak
+    rms_percent: float
+    max_percent_of_range: float  # of the stage's range
+    rms_percent_of_range: float
+
+
+@dataclass(frozen=True)
+class Tracking:
+    """Tracking error before and after the stage has forgotten its start, and in all.
+
+    Loading ends where y_d first comes within 0.1 % (of peak to peak) of its global maximum: from there on,
+    by the wiping-out property, the hysteresis no longer depends on how the record began.
+    """
+
+    loading: Error
+    steady: Error
+    whole: Error
+
+
+@dataclass(frozen=True)
+class Latency:
+    """Wall-clock time of the compensator's `step`, called from Python, clock reading included."""
+
+    steps: int
+    median_us: float
+    p99_us: float
+    p999_us: float
+    max_us: float
+    period_us: float
+    missed: int  # steps longer than the sample period
+    missed_share: float
+    histogram_edges_us: Signal  # (bins + 1,), logarithmic
+    histogram_counts: npt.NDArray[np.int64]  # (bins,)
+
+
+@dataclass(frozen=True)
+class Drive:
+    """One way of driving the stage along the trajectory, and what came of it."""
+
+    label: str
+    preview: int
+    u: Signal  # (time,), V
+    y_true: Signal  # (time,), µm
+    y_sensor: Signal  # (time,), µm
+    on_true: Tracking
+    on_sensor: Tracking
+    loop_width_um: float  # of y against y_d, steady part
+    loop_width_percent: float  # of peak to peak
+    saturated_share: float  # of the samples, u at a voltage limit
+    latency: Latency
+
+
+@dataclass(frozen=True)
+class Ratios:
+    """How many times smaller the error on the true displacement is than without compensation."""
+
+    loading_max: float
+    loading_rms: float
+    steady_max: float
+    steady_rms: float
+    whole_max: float
+    whole_rms: float
+
+
+@dataclass(frozen=True)
+class LoopResult:
+    """A trajectory, run without compensation, with every compensator to compare, and with the compensator."""
+
+    name: str
+    title: str
+    fs_hz: float
+    t: Signal  # (time,), s
+    yd: Signal  # (time,), µm
+    loading_samples: int
+    peak_to_peak_um: float
+    range_low_um: float  # reached by the stage in its slow full-range loop
+    range_high_um: float
+    min_voltage_v: float
+    max_voltage_v: float
+    gain_um_per_v: float
+    seed: int
+    drives: dict[str, Drive]  # 'without', the compared ones, COMPENSATED last
+    improvement: dict[str, Ratios]  # of each drive over 'without'
+    notes: tuple[str, ...]
+
+    @property
+    def compensated(self) -> Drive:
+        return self.drives[COMPENSATED]
+
+    @property
+    def without(self) -> Drive:
+        return self.drives[WITHOUT]
+
+
+WITHOUT = "without"
+WITHOUT_LOOK_AHEAD = "without_same_look_ahead"
+COMPENSATED = "torchpi"
+
+
+def run_loop(
+    compensator: Compensator,
+    stage: Stage,
+    yd: Signal,  # (time,), µm
+    *,
+    fs_hz: float,
+    name: str,
+    title: str | None = None,
+    yr: Signal | None = None,  # (time,), µm
+    compare: Mapping[str, Compensator] | None = None,
+    seed: int | None = None,
+    clock: Callable[[], int] = time.perf_counter_ns,
+    on_drive: Callable[[str], None] = lambda label: None,
+) -> LoopResult:
+    """Run a trajectory through the stage with a compensator, without one, and with others beside it.
+
+    "Without" is u = y_d / gain, the gain being the straight line through the origin fitted by least squares
+    to the stage's own slow loop (5 Hz sine over the full voltage range, sensor reading). Where the
+    compensator looks ahead, the same straight line with the same look-ahead is run too, to show how much of
+    the improvement is only that. Every run starts de-energised and meets the same noise.
+
+    Args:
+        compensator: the one to judge; `export.torchscript.load_torchscript` reads it from an exported file.
+        stage: the stage to move.
+        yd: the motion wanted at each tick.
+        fs_hz: sample rate of `yd`.
+        name: short name of the trajectory, for files and keys.
+        title: its name in a sentence; `name` if left out.
+        yr: the reference before the filter of eq. 14, for compensators that hold the filter.
+        compare: other compensators, by name.
+        seed: of the stage's noise; None is the stage's own.
+        on_drive: told the label of each run as it starts.
+        clock: nanoseconds; reads the time before and after each `step`.
+
+    Raises:
+        StageError: if the stage has no voltage limits.
+        ArtifactError: if sample periods differ, or a compensator returns a voltage that is not finite.
+        RecordingError: if the trajectory is not finite, constant, or outside the stage's range.
+    """
+    compare = dict(compare or {})
+    reserved = {WITHOUT, WITHOUT_LOOK_AHEAD, COMPENSATED} & compare.keys()
+    if reserved:
+        raise ArtifactError(f"compare: '{reserved.pop()}' is a name of the loop's own: choose another")
+    title = title or name
+    _check_same_period(title, 1.0 / fs_hz, stage)
+    for key, one in {COMPENSATED: compensator, **compare}.items():
+        _check_same_period(key, one.sample_period_s, stage)
+    yd = _checked_trajectory(title, yd)
+    yr = yd if yr is None else _checked_trajectory(title, yr)
+
+    seed = stage.seed if seed is None else seed
+    plant = stage.stream()
+    slow_loop = _slow_full_range_loop(stage, plant, seed)
+    _check_within_range(title, yd, slow_loop)
+
+    straight: dict[str, Compensator] = {WITHOUT: _StraightLine(stage, slow_loop, preview=0)}
+    if compensator.preview > 0:
+        straight[WITHOUT_LOOK_AHEAD] = _StraightLine(stage, slow_loop, compensator.preview)
+
+    rig = _Rig(stage, plant, yd, slow_loop, seed, clock)
+    with _garbage_collection_held():
+        drives = {}
+        for key, one in {**straight, **compare, COMPENSATED: compensator}.items():
+            on_drive(_label(key))
+            drives[key] = rig.drive(key, one, yr if getattr(one, "has_reference_filter", False) else yd)
+    return LoopResult(
+        name=name,
+        title=title,
+        fs_hz=fs_hz,
+        t=np.arange(len(yd)) / fs_hz,
+        yd=yd,
+        loading_samples=rig.loading_samples,
+        peak_to_peak_um=rig.peak_to_peak_um,
+        range_low_um=slow_loop.low_um,
+        range_high_um=slow_loop.high_um,
+        min_voltage_v=stage.min_voltage_v,
+        max_voltage_v=stage.max_voltage_v,
+        gain_um_per_v=slow_loop.gain_um_per_v,
+        seed=seed,
+        drives=drives,
+        improvement={key: _ratios(drives[WITHOUT].on_true, drive.on_true) for key, drive in drives.items()},
+        notes=tuple(_notes(yd, rig.loading_samples)),
+    )
+
+
+def as_json(result: LoopResult) -> dict[str, Any]:
+    """The result's numbers as plain keys with units; the traces stay out. Ratios over zero become null."""
+    drives = {}
+    for key, drive in result.drives.items():
+        latency = drive.latency
+        drives[key] = {
+            "label": drive.label,
+            "preview_samples": drive.preview,
+            "true_displacement": dataclasses.asdict(drive.on_true),
+            "sensor_reading": dataclasses.asdict(drive.on_sensor),
+            "loop_width_um": drive.loop_width_um,
+            "loop_width_percent": drive.loop_width_percent,
+            "saturated_share": drive.saturated_share,
+            "times_better_than_without": {
+                key: ratio if math.isfinite(ratio) else None
+                for key, ratio in dataclasses.asdict(result.improvement[key]).items()
+            },
+            "latency": {
+                **dataclasses.asdict(latency),
+                "histogram_edges_us": latency.histogram_edges_us.tolist(),
+                "histogram_counts": latency.histogram_counts.tolist(),
+            },
+        }
+    return {
+        "name": result.name,
+        "title": result.title,
+        "sample_rate_hz": result.fs_hz,
+        "samples": len(result.yd),
+        "duration_s": len(result.yd) / result.fs_hz,
+        "loading_s": result.loading_samples / result.fs_hz,
+        "peak_to_peak_um": result.peak_to_peak_um,
+        "range_um": [result.range_low_um, result.range_high_um],
+        "voltage_limits_v": [result.min_voltage_v, result.max_voltage_v],
+        "gain_um_per_v": result.gain_um_per_v,
+        "seed": result.seed,
+        "drives": drives,
+        "notes": list(result.notes),
+    }
+
+
+# --- one drive ----------------------------------------------------------------------------------------------
+
+
+class _Rig:
+    """A stage and a trajectory: drives the one along the other, and measures every drive by the same rule."""
+
+    def __init__(
+        self,
+        stage: Stage,
+        plant: StageStream,
+        yd: Signal,  # (time,), µm
+        slow_loop: "_SlowLoop",
+        seed: int,
+        clock: Callable[[], int],
+    ) -> None:
+        self.stage, self.plant, self.yd, self.seed, self.clock = stage, plant, yd, seed, clock
+        self.peak_to_peak_um = float(np.ptp(yd))
+        self.range_um = slow_loop.high_um - slow_loop.low_um
+        self.loading_samples = int(np.argmax(yd >= yd.max() - 1e-3 * self.peak_to_peak_um))
+
+    def drive(
+        self,
+        key: str,
+        compensator: Compensator,
+        reference: Signal,  # (time,), µm
+    ) -> Drive:
+        preview = int(compensator.preview)
+        u, y_true, y_sensor, step_ns = _step_through(
+            key, compensator, self.plant, _ahead(reference, preview), self.seed, self.clock
+        )
+        width = _loop_width(self.yd[self.loading_samples :], y_true[self.loading_samples :])
+        low = max(self.stage.min_voltage_v, getattr(compensator, "min_voltage_v", -math.inf))
+        high = min(self.stage.max_voltage_v, getattr(compensator, "max_voltage_v", math.inf))
+        return Drive(
+            label=_label(key),
+            preview=preview,
+            u=u,
+            y_true=y_true,
+            y_sensor=y_sensor,
+            on_true=self._tracking(y_true),
+            on_sensor=self._tracking(y_sensor),
+            loop_width_um=width,
+            loop_width_percent=100.0 * width / self.peak_to_peak_um,
+            saturated_share=float(np.mean((u <= low) | (u >= high))),
+            latency=_latency(step_ns, self.stage.sample_period_s),
+        )
+
+    def _tracking(self, y: Signal) -> Tracking:
+        e = y - self.yd
+        # A trajectory that starts at its maximum has no loading: its error is that of nothing, zero.
+        return Tracking(
+            loading=self._error(e[: self.loading_samples]),
+            steady=self._error(e[self.loading_samples :]),
+            whole=self._error(e),
+        )
+
+    def _error(self, e: Signal) -> Error:
+        max_um = float(np.max(np.abs(e), initial=0.0))
+        rms_um = float(np.sqrt(np.mean(e**2))) if e.size else 0.0
+        return Error(
+            max_um=max_um,
+            rms_um=rms_um,
+            max_percent=100.0 * max_um / self.peak_to_peak_um,
+            rms_percent=100.0 * rms_um / self.peak_to_peak_um,
+            max_percent_of_range=100.0 * max_um / self.range_um,
+            rms_percent_of_range=100.0 * rms_um / self.range_um,
+        )
+
+
+def _step_through(
+    key: str,
+    compensator: Compensator,
+    plant: StageStream,
+    feed: list[float],
+    seed: int,
+    clock: Callable[[], int],
+) -> tuple[Signal, Signal, Signal, npt.NDArray[np.int64]]:
+    """The loop itself. Returns u, y_true, y_sensor and the nanoseconds of each step."""
+    u, y_true, y_sensor = (np.empty(len(feed)) for _ in range(3))
+    step_ns = np.empty(len(feed), dtype=np.int64)
+    step, move = compensator.step, plant.step
+    compensator.reset()
+    plant.reset(seed)
+    with torch.no_grad():
+        for k, yd_ahead in enumerate(feed):
+            start = clock()
+            u_k = step(yd_ahead)
+            step_ns[k] = clock() - start
+            if not math.isfinite(u_k):
+                raise ArtifactError(
+                    f"{_label(key)}: the compensator returned {u_k} V at sample {k}; "
+                    "wanted a finite voltage: train it again, or export another checkpoint"
+                )
+            u[k] = u_k
+            y_true[k], y_sensor[k] = move(u_k)
+    return u, y_true, y_sensor, step_ns
+
+
+@contextmanager
+def _garbage_collection_held() -> Iterator[None]:
+    """A collection inside a step would be counted as the compensator's own time."""
+    was_enabled = gc.isenabled()
+    gc.collect()
+    gc.freeze()
+    gc.disable()
+    try:
+        yield
+    finally:
+        gc.unfreeze()
+        if was_enabled:
+            gc.enable()
+
+
+def _ahead(reference: Signal, preview: int) -> list[float]:
+    """`reference[k + preview]` for every k, the last value held past the end."""
+    k = np.minimum(np.arange(len(reference)) + preview, len(reference) - 1)
+    return [float(value) for value in reference[k]]
+
+
+def _latency(step_ns: npt.NDArray[np.int64], period_s: float) -> Latency:
+    step_us = step_ns / 1e3
+    period_us = period_s * 1e6
+    median, p99, p999 = np.percentile(step_us, [50.0, 99.0, 99.9])
+    shortest = max(float(step_us.min()), 1e-3)
+    longest = max(float(step_us.max()), 2 * shortest)
+    first, last = math.floor(20 * math.log10(shortest)), math.ceil(20 * math.log10(longest))
+    edges = 10.0 ** (np.arange(first, last + 1) / 20)  # 20 bins a decade
+    counts, _ = np.histogram(np.maximum(step_us, edges[0]), edges)
+    missed = int(np.count_nonzero(step_us > period_us))
+    return Latency(
+        steps=len(step_us),
+        median_us=float(median),
+        p99_us=float(p99),
+        p999_us=float(p999),
+        max_us=float(step_us.max()),
+        period_us=period_us,
+        missed=missed,
+        missed_share=missed / len(step_us),
+        histogram_edges_us=edges,
+        histogram_counts=counts,
+    )
+
+
+def _loop_width(yd: Signal, y: Signal) -> float:
+    """Widest spread of y at one y_d: y_d in 100 bins, the spread of y − y_d in each, the largest."""
+    e = y - yd
+    bins = np.minimum((100 * (yd - yd.min()) / max(np.ptp(yd), 1e-12)).astype(int), 99)
+    high, low = np.full(100, -np.inf), np.full(100, np.inf)
+    np.maximum.at(high, bins, e)
+    np.minimum.at(low, bins, e)
+    return float(np.max(high - low))
+
+
+def _ratios(worse: Tracking, better: Tracking) -> Ratios:
+    def ratio(a: float, b: float) -> float:
+        return a / b if b > 0.0 else (math.inf if a > 0.0 else 1.0)
+
+    return Ratios(
+        **{
+            f"{part}_{size}": ratio(
+                getattr(getattr(worse, part), f"{size}_um"), getattr(getattr(better, part), f"{size}_um")
+            )
+            for part in ("loading", "steady", "whole")
+            for size in ("max", "rms")
+        }
+    )
+
+
+def _notes(yd: Signal, loading_samples: int) -> Iterator[str]:
+    if abs(yd[0]) > 0.01 * np.ptp(yd):
+        yield (
+            f"The trajectory starts at {yd[0]:.3g} µm and the de-energised stage at 0: "
+            "the loading error holds that jump."
+        )
+    if len(yd) - loading_samples < 0.1 * len(yd):
+        yield (
+            "The trajectory comes to its maximum in its last tenth: the steady part is short; "
+            "let it go up and down more than once."
+        )
+
+
+_LABELS = {
+    WITHOUT: "without compensation",
+    WITHOUT_LOOK_AHEAD: "without, same look-ahead",
+    COMPENSATED: "torchpi",
+}
+
+
+def _label(key: str) -> str:
+    return _LABELS.get(key, key.replace("_", " "))
+
+
+# --- the stage by itself ------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _SlowLoop:
+    gain_um_per_v: float
+    low_um: float
+    high_um: float
+
+
+def _slow_full_range_loop(stage: Stage, plant: StageStream, seed: int) -> _SlowLoop:
+    """Two periods of a 5 Hz sine over the full voltage range; the second gives gain and range."""
+    limits_v = (stage.min_voltage_v, stage.max_voltage_v)
+    if not all(map(math.isfinite, limits_v)):
+        raise StageError(
+            f"stage: voltage limits of {limits_v[0]} and {limits_v[1]} V; wanted finite ones, for its full "
+            "range: set min_voltage_v and max_voltage_v of its amplifier"
+        )
+    period = round(0.2 / stage.sample_period_s)
+    phase = 2.0 * np.pi * np.arange(2 * period) / period
+    middle = 0.5 * (stage.max_voltage_v + stage.min_voltage_v)
+    amplitude = 0.5 * (stage.max_voltage_v - stage.min_voltage_v)
+    u = middle - amplitude * np.cos(phase)  # V
+    plant.reset(seed)
+    y = np.array([plant.step(u_k) for u_k in u.tolist()])[:, 1]  # µm, as the sensor reads it
+    u, y_last = u[period:], y[period:]
+    return _SlowLoop(
+        gain_um_per_v=float(u @ y_last / (u @ u)),
+        low_um=min(0.0, float(y_last.min())),  # the de-energised stage stands at 0
+        high_um=float(y_last.max()),
+    )
+
+
+class _StraightLine:
+    """u = y_d / gain within the voltage limits: what one does without a compensator."""
+
+    def __init__(self, stage: Stage, slow_loop: _SlowLoop, preview: int) -> None:
+        self.sample_period_s = stage.sample_period_s
+        self.preview = preview
+        self._gain_um_per_v = slow_loop.gain_um_per_v
+        self._low_v, self._high_v = stage.min_voltage_v, stage.max_voltage_v
+
+    def reset(self) -> None:
+        """It has no memory."""
+
+    def step(self, yd: float) -> float:
+        return min(max(yd / self._gain_um_per_v, self._low_v), self._high_v)
+
+
+# --- checks -------------------------------------------------------------------------------------------------
+
+
+def _check_same_period(name: str, period_s: float, stage: Stage) -> None:
+    if not math.isclose(period_s, stage.sample_period_s, rel_tol=1e-9):
+        raise ArtifactError(
+            f"{name}: sample period {period_s:.9g} s, but the stage's is {stage.sample_period_s:.9g} s; "
+            "they must agree: take a stage file with this sample rate, or train at the stage's"
+        )
+
+
+def _checked_trajectory(name: str, y: Signal) -> Signal:
+    y = np.asarray(y, dtype=np.float64)
+    if y.ndim != 1 or len(y) < 10:
+        raise RecordingError(f"{name}: a trajectory of shape {y.shape}; wanted one row of 10 samples or more")
+    bad = np.flatnonzero(~np.isfinite(y))
+    if bad.size:
+        raise RecordingError(f"{name}: sample {bad[0]} is {y[bad[0]]}; wanted finite µm: mend or cut it")
+    if np.ptp(y) == 0.0:
+        raise RecordingError(f"{name}: the trajectory stays at {y[0]:.6g} µm; wanted one that moves")
+    return y
+
+
+def _check_within_range(name: str, yd: Signal, slow_loop: _SlowLoop) -> None:
+    low, high = slow_loop.low_um, slow_loop.high_um
+    # Creep and noise carry a long record a few percent further: it may be asked for again.
+    tolerance = 0.05 * (high - low)
+    k = int(np.argmax(np.maximum(low - yd, yd - high)))
+    if not low - tolerance <= yd[k] <= high + tolerance:
+        raise RecordingError(
+            f"{name}: sample {k} is {yd[k]:.4g} µm, outside the range of this stage, "
+            f"{low:.3g} to {high:.3g} µm: scale the trajectory, or take another stage"
+        )

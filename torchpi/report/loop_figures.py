@@ -1,0 +1,190 @@
+"""Figures of a loop result: each function takes the result and returns a matplotlib Figure."""
+
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter
+
+from torchpi.loop import COMPENSATED, WITHOUT, WITHOUT_LOOK_AHEAD, LoopResult
+from torchpi.report import style
+from torchpi.report.style import drawing, settle
+from torchpi.report.traces import envelope, thinned
+
+
+def trajectory_figure(result: LoopResult) -> Figure:
+    """The motion against the one wanted, and the error of every drive below."""
+    with drawing():
+        figure = Figure(figsize=(style.WIDTH_IN, 4.6))
+        motion, error = figure.subplots(2, 1, sharex=True, height_ratios=(1.15, 1))
+        for key in (WITHOUT, COMPENSATED):
+            drive = result.drives[key]
+            motion.plot(*envelope(result.t, drive.y_true), label=drive.label, **_line(result, key))
+        motion.plot(*envelope(result.t, result.yd), label="wanted, $y_d$", **style.WANTED)
+        motion.set_ylabel("displacement (µm)")
+        motion.set_title(f"{result.title}: motion")
+        for key, drive in result.drives.items():
+            error.plot(*envelope(result.t, drive.y_true - result.yd), label=drive.label, **_line(result, key))
+        error.set_ylabel("error $y - y_d$ (µm)")
+        error.set_xlabel("time (s)")
+        error.set_xlim(0.0, result.t[-1])
+        for axes in (motion, error):
+            _shade_loading(axes, result)
+            _legend_above(axes)
+        settle(figure)
+    return figure
+
+
+def linearity_figure(result: LoopResult) -> Figure:
+    """y against y_d before and after: a straight line through the origin is what is wanted."""
+    with drawing():
+        figure = Figure(figsize=(style.WIDTH_IN, 3.7))
+        panels = figure.subplots(1, 2, sharex=True, sharey=True)
+        for axes, key in zip(panels, (WITHOUT, COMPENSATED), strict=True):
+            drive = result.drives[key]
+            n = result.loading_samples
+            axes.plot([0, result.yd.max()], [0, result.yd.max()], **{**style.WANTED, "linewidth": 0.8})
+            axes.plot(
+                *thinned(result.yd[: n + 1], drive.y_true[: n + 1]), color="#999999", lw=0.8, label="loading"
+            )
+            axes.plot(
+                *thinned(result.yd[n:], drive.y_true[n:]),
+                **{**_line(result, key), "linewidth": 0.9},
+                label="steady",
+            )
+            axes.set_title(f"{drive.label}\nloop width {drive.loop_width_percent:.2g} % of peak to peak")
+            axes.set_xlabel("wanted displacement $y_d$ (µm)")
+            axes.set_aspect("equal")
+            axes.legend(loc="upper left")
+        panels[0].set_ylabel("displacement $y$ (µm)")
+        settle(figure)
+    return figure
+
+
+def error_figure(result: LoopResult) -> Figure:
+    """The errors that the first figure's scale hides, and a zoom on the worst of them."""
+    with drawing():
+        figure = Figure(figsize=(style.WIDTH_IN, 4.4))
+        whole, zoom = figure.subplots(2, 1)
+        start, stop = _worst_window(result)
+        for key, drive in result.drives.items():
+            if key in (WITHOUT, WITHOUT_LOOK_AHEAD):
+                continue
+            error_nm = 1e3 * (drive.y_true - result.yd)
+            line = {**_line(result, key), "linewidth": 0.9}
+            whole.plot(*envelope(result.t, error_nm), label=drive.label, **line)
+            zoom.plot(1e3 * result.t[start:stop], error_nm[start:stop], label=drive.label, **line)
+        _shade_loading(whole, result)
+        whole.axvspan(
+            result.t[start], result.t[stop - 1], **{**style.SHADE, "color": "#0072B2", "alpha": 0.18}
+        )
+        whole.set_xlim(0.0, result.t[-1])
+        whole.set_title("error with compensation")
+        whole.set_xlabel("time (s)")
+        zoom.set_xlim(1e3 * result.t[start], 1e3 * result.t[stop - 1])
+        zoom.set_title("the marked stretch, around the largest steady error")
+        zoom.set_xlabel("time (ms)")
+        for axes in (whole, zoom):
+            axes.set_ylabel("error (nm)")
+        _legend_above(whole)
+        settle(figure)
+    return figure
+
+
+def voltage_figure(result: LoopResult) -> Figure:
+    """The voltage written to the stage, and its limits."""
+    with drawing():
+        figure = Figure(figsize=(style.WIDTH_IN, 2.7))
+        axes = figure.subplots()
+        for key in (WITHOUT, COMPENSATED):
+            drive = result.drives[key]
+            axes.plot(*envelope(result.t, drive.u), label=drive.label, **_line(result, key))
+        for limit_v, label in ((result.min_voltage_v, "limits"), (result.max_voltage_v, None)):
+            axes.axhline(limit_v, label=label, **style.LIMIT)
+        axes.set_xlim(0.0, result.t[-1])
+        axes.set_xlabel("time (s)")
+        axes.set_ylabel("voltage $u$ (V)")
+        axes.set_title("voltage applied")
+        _shade_loading(axes, result)
+        _legend_above(axes)
+        settle(figure)
+    return figure
+
+
+def latency_figure(result: LoopResult) -> Figure:
+    """How long the compensator's steps took, the sample period marked."""
+    latency = result.compensated.latency
+    with drawing():
+        figure = Figure(figsize=(style.WIDTH_IN, 2.9))
+        axes = figure.subplots()
+        axes.stairs(
+            latency.histogram_counts,
+            latency.histogram_edges_us,
+            baseline=0.5,
+            fill=True,
+            color=style.TORCHPI["color"],
+            alpha=0.85,
+        )
+        marks = (
+            (latency.median_us, f"median {latency.median_us:.3g} µs", ":"),
+            (latency.p99_us, f"99 % {latency.p99_us:.3g} µs", "-."),
+            (latency.p999_us, f"99.9 % {latency.p999_us:.3g} µs", "--"),
+        )
+        for at_us, label, dashes in marks:
+            axes.axvline(at_us, color="#000000", linestyle=dashes, linewidth=1.0, label=label)
+        axes.axvline(
+            latency.period_us,
+            color="#D55E00",
+            linewidth=2.2,
+            label=f"sample period {latency.period_us:.4g} µs",
+        )
+        axes.set_xscale("log")
+        axes.set_yscale("log")
+        axes.set_ylim(bottom=0.5)
+        edges = latency.histogram_edges_us
+        axes.set_xlim(0.8 * min(edges[0], latency.period_us), 1.4 * max(edges[-1], latency.period_us))
+        for axis in (axes.xaxis, axes.yaxis):
+            axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.6g}"))
+        axes.set_xlabel("time of one step (µs)")
+        axes.set_ylabel("steps")
+        _legend_above(axes)
+        settle(figure)
+    return figure
+
+
+def _line(result: LoopResult, key: str) -> dict[str, Any]:
+    if key == COMPENSATED:
+        return {**style.TORCHPI, "zorder": 3}
+    if key == WITHOUT:
+        return style.WITHOUT
+    others = [other for other in result.drives if other not in (WITHOUT, COMPENSATED)]
+    return style.OTHERS[others.index(key) % len(style.OTHERS)]
+
+
+def _shade_loading(axes: Axes, result: LoopResult) -> None:
+    if result.loading_samples:
+        end = result.t[result.loading_samples]
+        axes.axvspan(0.0, end, **style.SHADE)
+        axes.annotate(
+            "loading",
+            (end / 2, 0.0),
+            (0, 2),
+            xycoords=("data", "axes fraction"),
+            textcoords="offset points",
+            ha="center",
+            fontsize=8,
+            color="#555555",
+        )
+
+
+def _legend_above(axes: Axes) -> None:
+    axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=4, borderaxespad=0.2, handlelength=2.2)
+
+
+def _worst_window(result: LoopResult) -> tuple[int, int]:
+    """A twentieth of the record around the largest steady error of the compensator."""
+    n, e = result.loading_samples, np.abs(result.compensated.y_true - result.yd)
+    middle, half = n + int(np.argmax(e[n:])), max(len(e) // 40, 5)
+    start = min(max(middle - half, 0), max(len(e) - 2 * half, 0))
+    return start, min(start + 2 * half, len(e))

@@ -1,0 +1,211 @@
+"""Pages: one HTML file each, with its figures inside and nothing fetched from anywhere."""
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import jinja2
+from markupsafe import Markup
+from matplotlib.figure import Figure
+
+from torchpi.files import write_atomically
+from torchpi.loop import COMPENSATED, LoopResult, as_json
+from torchpi.report import loop_figures, training_figures, words
+from torchpi.report.png import write_png
+from torchpi.report.svg import inline_svg
+from torchpi.report.training import TrainingReport
+from torchpi.report.what_was_run import Provenance
+
+
+def write_loop_report(
+    results: Sequence[LoopResult], provenance: Provenance, directory: str | Path
+) -> tuple[Path, Path]:
+    """Write `loop.html` and `loop.json`, its numbers, into `directory`; return both paths.
+
+    The page holds its figures; for slides they lie in `figures/` as well, as PNG.
+    """
+    directory = Path(directory)
+    page, numbers = directory / "loop.html", directory / "loop.json"
+    drawn = [_loop_figures(result) for result in results]
+    html, text = _loop_page(results, drawn, provenance), loop_json(results, provenance)
+    for result, pictures in zip(results, drawn, strict=True):
+        for picture in pictures:
+            write_png(picture.figure, directory / "figures" / f"{result.name}_{picture.name}.png")
+    with write_atomically(numbers) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+    with write_atomically(page) as temporary:
+        temporary.write_text(html, encoding="utf-8")
+    return page, numbers
+
+
+def write_training_report(report: TrainingReport, provenance: Provenance, path: str | Path) -> Path:
+    """Write the training page, usually as `report.html` of the run folder."""
+    html = training_page(report, provenance)
+    with write_atomically(path) as temporary:
+        temporary.write_text(html, encoding="utf-8")
+    return Path(path)
+
+
+def loop_json(results: Sequence[LoopResult], provenance: Provenance) -> str:
+    """The numbers of the loop page, units in the keys."""
+    content = {
+        "version": 1,
+        "trajectories": [as_json(result) for result in results],
+        "run": {
+            "command": provenance.command,
+            "seed": provenance.seed,
+            "files_sha256": dict(provenance.files),
+            "versions": dict(provenance.versions),
+            "machine": provenance.machine,
+        },
+    }
+    return json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def loop_page(results: Sequence[LoopResult], provenance: Provenance) -> str:
+    """The loop page as text."""
+    return _loop_page(results, [_loop_figures(result) for result in results], provenance)
+
+
+def _loop_page(
+    results: Sequence[LoopResult], drawn: Sequence[Sequence["_Picture"]], provenance: Provenance
+) -> str:
+    return _render(
+        "loop.html.j2",
+        title="Tracking: " + ", ".join(result.title for result in results),
+        provenance=provenance,
+        compensated=COMPENSATED,
+        runs=[
+            {
+                "id": f"trajectory-{number}",
+                "result": result,
+                "headline": words.headline(result),
+                "figures": _inline(f"t{number}", pictures),
+            }
+            for number, (result, pictures) in enumerate(zip(results, drawn, strict=True), start=1)
+        ],
+    )
+
+
+def training_page(report: TrainingReport, provenance: Provenance) -> str:
+    """The training page as text."""
+    return _render(
+        "training.html.j2",
+        title=f"Training: {report.name}",
+        report=report,
+        metrics=[
+            (_METRIC_NAMES.get(key, key.replace("_", " ")), key, row) for key, row in report.metrics.items()
+        ],
+        headline=words.training_headline(report.metrics),
+        provenance=provenance,
+        figures=_inline("f", _training_figures(report)),
+    )
+
+
+_METRIC_NAMES = {
+    "train": "trained on",
+    "heldout": "held out",
+    "baseline_lstsq": "held out, two-stage least squares",
+    "loading_excluded": "held out, without initial loading",
+}
+
+
+@dataclass(frozen=True)
+class _Picture:
+    name: str
+    figure: Figure
+    caption: str
+
+
+def _loop_figures(result: LoopResult) -> list[_Picture]:
+    return [
+        _Picture(
+            "trajectory",
+            loop_figures.trajectory_figure(result),
+            "True displacement against the one wanted; below, the error of every drive.",
+        ),
+        _Picture(
+            "linearity",
+            loop_figures.linearity_figure(result),
+            "Displacement against the one wanted, before and after: hysteresis opens the loop, "
+            "the dotted line is the aim.",
+        ),
+        _Picture(
+            "error",
+            loop_figures.error_figure(result),
+            "Errors with compensation, on their own scale, and a zoom on the largest after loading.",
+        ),
+        _Picture("voltage", loop_figures.voltage_figure(result), "Voltage written to the stage."),
+        _Picture(
+            "latency",
+            loop_figures.latency_figure(result),
+            "Time of each step of the compensator, called from Python, the reading of the clock included.",
+        ),
+    ]
+
+
+def _training_figures(report: TrainingReport) -> list[_Picture]:
+    pictures = []
+    for record in report.records:
+        of = f"{record.name} ({record.role})"
+        pictures += [
+            _Picture(
+                "loop",
+                training_figures.loop_figure(record),
+                f"Hysteresis of {of}: voltage against displacement.",
+            ),
+            _Picture(
+                "traces",
+                training_figures.traces_figure(record),
+                f"Voltage of {of}, recorded and predicted, and the residual.",
+            ),
+            _Picture(
+                "spectrum",
+                training_figures.spectrum_figure(record),
+                f"Spectrum of the residual of {of}, against the voltage's.",
+            ),
+        ]
+    if report.weights is not None:
+        pictures.append(
+            _Picture(
+                "weights",
+                training_figures.weights_figure(report.weights),
+                "Weights of the plays against the signed rate, and their running sum over the thresholds: "
+                "above 0, the voltage never runs backwards. Neighbouring plays are nearly collinear: "
+                "read the sum rather than the single weight.",
+            )
+        )
+    if report.saturation is not None:
+        pictures.append(
+            _Picture(
+                "saturation",
+                training_figures.saturation_figure(report.saturation),
+                "The polynomial S and its slope: above 0, S is monotone.",
+            )
+        )
+    return pictures
+
+
+def _inline(prefix: str, pictures: Sequence[_Picture]) -> list[dict[str, Any]]:
+    return [
+        {
+            "svg": Markup(inline_svg(picture.figure, f"{prefix}-{picture.name}-{number}", picture.caption)),
+            "caption": picture.caption,
+        }
+        for number, picture in enumerate(pictures, start=1)
+    ]
+
+
+def _render(template: str, **values: Any) -> str:
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("torchpi.report"),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters["figure"] = words.figure
+    environment.filters["times"] = words.times
+    return environment.get_template(template).render(**values)

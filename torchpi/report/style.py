@@ -1,0 +1,64 @@
+"""One look for every figure: legible in print at column width, for colour-blind eyes, and in grey."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import matplotlib
+from matplotlib.figure import Figure
+
+# Okabe and Ito (2008). Lightness, dashes and width differ as well, so that grey print keeps them apart.
+WANTED: dict[str, Any] = {"color": "#000000", "linestyle": (0, (1, 1.2)), "linewidth": 1.6}
+TORCHPI: dict[str, Any] = {"color": "#0072B2", "linestyle": "-", "linewidth": 1.3}
+WITHOUT: dict[str, Any] = {"color": "#E69F00", "linestyle": "-", "linewidth": 0.9}
+OTHERS: tuple[dict[str, Any], ...] = (
+    {"color": "#D55E00", "linestyle": (0, (4, 1.5)), "linewidth": 1.1},
+    {"color": "#009E73", "linestyle": (0, (6, 1.5, 1, 1.5)), "linewidth": 1.1},
+    {"color": "#CC79A7", "linestyle": (0, (2, 1.2)), "linewidth": 1.1},
+    {"color": "#56B4E9", "linestyle": (0, (8, 2)), "linewidth": 1.1},
+)
+LIMIT: dict[str, Any] = {"color": "#555555", "linestyle": (0, (3, 2)), "linewidth": 0.9}
+SHADE: dict[str, Any] = {"color": "#000000", "alpha": 0.06, "linewidth": 0}
+
+WIDTH_IN = 7.2  # a page of A4 within its margins
+
+_RC: dict[Any, Any] = {
+    "font.family": "sans-serif",
+    "font.size": 9,
+    "axes.titlesize": 9.5,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
+    "axes.labelsize": 9,
+    "xtick.labelsize": 8,
+    "ytick.labelsize": 8,
+    "legend.fontsize": 8,
+    "legend.frameon": False,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": "#dddddd",
+    "grid.linewidth": 0.5,
+    "axes.linewidth": 0.7,
+    "axes.formatter.useoffset": False,
+    "figure.dpi": 100,
+    "figure.constrained_layout.use": True,
+    "path.simplify": True,
+    "path.simplify_threshold": 0.2,
+    "svg.fonttype": "none",  # text stays text: small, searchable, read aloud
+    "svg.hashsalt": "torchpi",  # the same figure gives the same bytes
+}
+
+
+@contextmanager
+def drawing() -> Iterator[None]:
+    """The style, for drawing and for saving alike; nothing outside is changed."""
+    with matplotlib.rc_context(_RC):
+        yield
+
+
+def settle(figure: Figure) -> None:
+    """Lay the figure out until it rests, and leave it so: drawn twice, it is the same twice."""
+    for _ in range(2):
+        figure.draw_without_rendering()
+    figure.set_layout_engine("none")

@@ -1,0 +1,159 @@
+"""Figures of a training run: each function takes the result and returns a matplotlib Figure."""
+
+from typing import Any
+
+import matplotlib
+import numpy as np
+from matplotlib.figure import Figure
+
+from torchpi.report import style
+from torchpi.report.style import drawing, settle
+from torchpi.report.traces import Signal, envelope, thinned
+from torchpi.report.training import RecordFit, Saturation, WeightsAgainstRate
+
+_RECORDED: dict[str, Any] = {"color": "#000000", "linestyle": "-", "linewidth": 1.6, "alpha": 0.75}
+_PREDICTED: dict[str, Any] = {"color": "#E69F00", "linestyle": (0, (3, 1.2)), "linewidth": 1.2}
+
+
+def loop_figure(record: RecordFit) -> Figure:
+    """Hysteresis: recorded voltage and predicted voltage against the recorded displacement."""
+    with drawing():
+        figure = Figure(figsize=(0.62 * style.WIDTH_IN, 3.6))
+        axes = figure.subplots()
+        axes.plot(*thinned(record.y, record.u), label="recorded", **_RECORDED)
+        axes.plot(*thinned(record.y, record.u_hat), label="predicted", **_PREDICTED)
+        axes.set_xlabel("displacement $y$ (µm)")
+        axes.set_ylabel("voltage $u$ (V)")
+        axes.set_title(f"{record.name}, {record.role}")
+        axes.legend(loc="upper left")
+        settle(figure)
+    return figure
+
+
+def traces_figure(record: RecordFit) -> Figure:
+    """Voltage against time, and what the prediction leaves over."""
+    with drawing():
+        figure = Figure(figsize=(style.WIDTH_IN, 3.8))
+        voltage, residual = figure.subplots(2, 1, sharex=True)
+        voltage.plot(*envelope(record.t, record.u), label="recorded", **_RECORDED)
+        voltage.plot(*envelope(record.t, record.u_hat), label="predicted", **_PREDICTED)
+        voltage.set_ylabel("voltage $u$ (V)")
+        voltage.set_title(f"{record.name}, {record.role}")
+        voltage.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, borderaxespad=0.2)
+        residual.plot(*envelope(record.t, 1e3 * (record.u_hat - record.u)), color="#0072B2", linewidth=0.8)
+        residual.axhline(0.0, color="#000000", linewidth=0.6)
+        residual.set_ylabel("residual (mV)")
+        residual.set_title("residual, predicted − recorded")
+        residual.set_xlabel("time (s)")
+        residual.set_xlim(record.t[0], record.t[-1])
+        settle(figure)
+    return figure
+
+
+def spectrum_figure(record: RecordFit) -> Figure:
+    """Where in frequency the residual lies: lines that stand out from it are structure left over."""
+    with drawing():
+        figure = Figure(figsize=(style.WIDTH_IN, 2.9))
+        axes = figure.subplots()
+        dt_s = float(np.median(np.diff(record.t)))
+        for signal, label, color, width in (
+            (record.u, "voltage", "#999999", 1.8),
+            (record.u_hat - record.u, "residual", "#0072B2", 1.0),
+        ):
+            f, density = _amplitude_density(signal, dt_s)
+            axes.plot(f, density, label=label, color=color, linewidth=width)
+        axes.set_xscale("log")
+        axes.set_yscale("log")
+        axes.set_xlabel("frequency (Hz)")
+        axes.set_ylabel("V per √Hz")
+        axes.set_title(f"spectrum, {record.name}, {record.role}")
+        axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, borderaxespad=0.2)
+        settle(figure)
+    return figure
+
+
+def weights_figure(weights: WeightsAgainstRate) -> Figure:
+    """Eq. 7: each play's weight against the rate, and their running sum, the slope of the loop."""
+    with drawing():
+        figure = Figure(figsize=(style.WIDTH_IN, 3.5))
+        single, running = figure.subplots(1, 2)
+        plays = len(weights.r)
+        colours = matplotlib.colormaps["cividis"](np.linspace(0.0, 0.92, plays))
+        dashes = ("-", (0, (4, 1.5)), (0, (1, 1.2)))
+        for i, r in enumerate(weights.r):
+            single.plot(
+                weights.rate,
+                weights.w[:, i],
+                color=colours[i],
+                linestyle=dashes[i % 3],
+                label=f"{r:.3g}",
+                lw=1.1,
+            )
+        single.set_xlabel("rate $\\dot{y}$ (µm/s)")
+        single.set_ylabel("weight $w_i(\\dot{y})$ (V per unit of $S$)")
+        single.set_title("weights against rate")
+        single.legend(
+            title="threshold $r_i$",
+            title_fontsize=8,
+            loc="upper center",
+            bbox_to_anchor=(0.5, -0.2),
+            ncols=5,
+            columnspacing=0.9,
+            handlelength=1.6,
+        )
+        at_zero = int(np.argmin(np.abs(weights.rate)))
+        for k, line in ((0, style.OTHERS[0]), (at_zero, style.TORCHPI), (-1, style.OTHERS[1])):
+            running.plot(
+                weights.r,
+                np.cumsum(weights.w[k]),
+                marker="o",
+                markersize=3,
+                label=f"{weights.rate[k]:.3g} µm/s",
+                **line,
+            )
+        running.axhline(0.0, **style.LIMIT)
+        running.set_xlabel("threshold $r_j$ (unit of $S$)")
+        running.set_ylabel("$\\sum_{i \\leq j} w_i$ (V per unit of $S$)")
+        running.set_title("their running sum: slope of the loop")
+        running.legend(loc="best")
+        settle(figure)
+    return figure
+
+
+def saturation_figure(saturation: Saturation) -> Figure:
+    """Eq. 4: how S bends away from its own slope at zero, and the slope itself."""
+    with drawing():
+        figure = Figure(figsize=(style.WIDTH_IN, 2.7))
+        value, slope = figure.subplots(1, 2)
+        value.plot(saturation.y, saturation.s, label="$S(y)$", **style.TORCHPI)
+        value.plot(saturation.y, saturation.c[0] * saturation.y, label="$c_1 y$", **style.LIMIT)
+        value.set_ylabel("$S$")
+        value.set_title("saturation polynomial")
+        value.legend(loc="upper left")
+        slope.plot(saturation.y, _slope(saturation), **style.TORCHPI)
+        slope.set_ylabel("slope S′ (per µm)")
+        slope.set_title("its slope")
+        slope.set_ylim(bottom=min(0.0, slope.get_ylim()[0]))
+        for axes in (value, slope):
+            axes.set_xlabel("displacement $y$ (µm)")
+        settle(figure)
+    return figure
+
+
+def _slope(saturation: Saturation) -> Signal:
+    powers = np.arange(1, len(saturation.c) + 1)
+    slope: Signal = (powers * saturation.c * saturation.y[:, None] ** (powers - 1)).sum(axis=1)
+    return slope
+
+
+def _amplitude_density(x: Signal, dt_s: float) -> tuple[Signal, Signal]:
+    """Welch's estimate, half-overlapping Hann windows; of 150 columns a decade, the highest value each."""
+    window = min(len(x), 8192)
+    hann = np.hanning(window)
+    starts = range(0, len(x) - window + 1, max(window // 2, 1))
+    segments = np.array([hann * (x[k : k + window] - x[k : k + window].mean()) for k in starts])
+    power = (np.abs(np.fft.rfft(segments)) ** 2).mean(axis=0) * 2.0 * dt_s / (hann @ hann)
+    f, density = np.arange(1, len(power)) / (window * dt_s), np.sqrt(power[1:])
+    columns = np.unique(np.round(150 * np.log10(f)).astype(int), return_index=True)[1]
+    highest: Signal = np.maximum.reduceat(density, columns)
+    return f[columns], highest

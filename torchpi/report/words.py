@@ -1,0 +1,80 @@
+"""Numbers and sentences for readers."""
+
+import math
+from collections.abc import Callable, Mapping
+
+from torchpi.loop import COMPENSATED, LoopResult
+
+
+def headline(result: LoopResult) -> str:
+    """The result in one sentence."""
+    whole = result.compensated.on_true.whole
+    latency = result.compensated.latency
+    return (
+        f"Tracks {result.title} to {figure(whole.rms_um)} µm rms and {figure(whole.max_um)} µm at most "
+        f"({figure(whole.rms_percent)} % and {figure(whole.max_percent)} % "
+        f"of {figure(result.peak_to_peak_um, 2)} µm), "
+        f"{times(result.improvement[COMPENSATED].whole_rms)} than without compensation (rms); "
+        f"a step takes {figure(latency.median_us, 2)} µs of the {figure(latency.period_us)} µs period; "
+        f"{latency.missed:,} of {latency.steps:,} deadlines missed."
+    )
+
+
+def table(result: LoopResult) -> str:
+    """The true-displacement errors of every drive as plain text, for the terminal."""
+    lines = [
+        f"{result.title:28}{'loading, µm':^20}{'steady, µm':^20}{'whole, µm':^20}{'whole, %':^16}",
+        f"{'':28}" + f"{'max':>9}{'rms':>9}  " * 3 + f"{'max':>7}{'rms':>7}",
+    ]
+    for drive in result.drives.values():
+        t = drive.on_true
+        parts = "".join(
+            f"{figure(e.max_um):>9}{figure(e.rms_um):>9}  " for e in (t.loading, t.steady, t.whole)
+        )
+        lines.append(
+            f"{drive.label:28}{parts}{figure(t.whole.max_percent):>7}{figure(t.whole.rms_percent):>7}"
+        )
+    return "\n".join(lines)
+
+
+def training_headline(metrics: Mapping[str, Mapping[str, float]]) -> str:
+    """The outcome of a training in one sentence, on held-out recordings where there are any."""
+    part, where = ("heldout", "on held-out recordings") if "heldout" in metrics else ("train", "in training")
+    error = metrics[part]
+    sentence = (
+        f"Predicts the voltage {where} to {figure(error['rms_v'])} V rms "
+        f"and {figure(error['max_v'])} V at most: "
+        f"{figure(error['rms_um'])} µm rms ({figure(error['rms_percent'])} % of peak to peak)"
+    )
+    if "baseline_lstsq" in metrics and error["rms_um"] > 0.0:
+        sentence += (
+            f", {times(metrics['baseline_lstsq']['rms_um'] / error['rms_um'])} than two-stage least squares"
+        )
+    return sentence + "."
+
+
+def figure(value: float, digits: int = 3) -> str:
+    """A number to so many significant digits, without an exponent: 0.0213, 4.10, 127."""
+    if not math.isfinite(value):
+        return "∞" if value > 0 else "−∞" if value < 0 else "not a number"
+    if value == 0.0:
+        return "0"
+    decimals = max(digits - 1 - math.floor(math.log10(abs(value))), 0)
+    return f"{value:,.{decimals}f}".replace("-", "−")
+
+
+def times(ratio: float) -> str:
+    """'14 times better'; rounded so that it never sounds better than it is."""
+    if ratio >= 1.0:
+        return f"{_one_decimal_below_ten(ratio, math.floor)} times better"
+    return f"{_one_decimal_below_ten(1.0 / ratio if ratio > 0.0 else math.inf, math.ceil)} times worse"
+
+
+def _one_decimal_below_ten(ratio: float, to_integer: Callable[[float], int]) -> str:
+    if not math.isfinite(ratio):
+        return "∞"
+    # A ten-thousandth of slack, so that a ratio of exactly 1.3 is not read as 1.2 or 1.4.
+    slack = 1e-4 if to_integer is math.floor else -1e-4
+    if ratio >= 10.0:
+        return f"{to_integer(ratio + slack):,}"
+    return f"{to_integer(10.0 * ratio + slack) / 10.0:.1f}"
