@@ -85,7 +85,8 @@ def export(run: Path, output: Path | None = None, reference_filter: bool = False
     save_json(compensator, output.with_suffix(".json"), inside)
     save_torchscript(compensator, output.with_suffix(".pt"), inside)
     print(
-        f"{output}.pt: step(y_d at t + {compensator.preview} samples, µm) -> V every {compensator.sample_period_s:g} s"
+        f"{output}.pt: step(y_d at t + {compensator.preview} samples, µm) -> V, "
+        f"every {compensator.sample_period_s:g} s"
     )
     print(f"{output}.json: the same numbers with units")
 
@@ -155,7 +156,7 @@ def run(
         results.append(result)
         print(words.table(results[-1]))
         print(words.headline(results[-1]) + "\n")
-    files = {"compensator": compensator, "stage": stage, **(compare or {})}
+    files: dict[str, str | Path] = {"compensator": compensator, "stage": stage, **(compare or {})}
     files |= {
         f"trajectory {one.name}": path for one, path in zip(trajectories, names, strict=True) if one.sha256
     }

@@ -83,7 +83,7 @@ def one_line(message: str, known: list[str]) -> str:
     )
     if wrong:
         name = wrong.group(1)
-        # What is compared is the last part of a dotted name too: a nested key is reported without its parents.
+        # A nested key is reported without its parents: its last part is compared as well.
         candidates = {option: option for option in known} | {
             option.split(".")[-1]: option for option in known
         }

@@ -104,7 +104,7 @@ class WrittenOut(nn.Module):
     def block(self, yd: Tensor) -> Tensor:
         u = torch.empty_like(yd)
         for i in range(len(yd)):
-            # fill_, because TorchScript rounds a float to float32 on its way through u[i] = … or torch.tensor.
+            # fill_, because TorchScript rounds to float32 on the way through u[i] = … or torch.tensor.
             u[i].fill_(self.step(float(yd[i])))
         return u
 """

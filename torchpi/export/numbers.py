@@ -1,4 +1,4 @@
-"""The bare numbers of a compensator as JSON, with units, equation by equation: enough to write the step by hand."""
+"""The bare numbers of a compensator as JSON, with units: enough to write the step by hand."""
 
 import json
 from pathlib import Path
@@ -44,8 +44,9 @@ def numbers(compensator: DirectInverse, reference_filter: ReferenceFilter | None
             "damping_ratio": reference_filter.damping_ratio,
         },
         "motion": {
-            "equation": "rate = (3 (y0 - y1) - (y1 - y2)) / (2 T), "
-            "acceleration = (2 (y0 - y1) - 3 (y1 - y2) + (y2 - y3)) / T^2, y1 one sample before y0; before the first sample y rests at it"
+            "rate": "(3 (y0 - y1) - (y1 - y2)) / (2 T)",
+            "acceleration": "(2 (y0 - y1) - 3 (y1 - y2) + (y2 - y3)) / T^2",
+            "start": "y1 is one sample before y0; before the first sample y rests at it",
         },
         "lead": {
             "equation": "x = y_d + tau_1 rate + tau_2 acceleration",
@@ -53,7 +54,7 @@ def numbers(compensator: DirectInverse, reference_filter: ReferenceFilter | None
             "units": ["s", "s^2"][: len(compensator.lead)],
         },
         "creep": {
-            "equation": "x <- x + sum g_j xi_j, then xi_j <- decay_j xi_j + (1 - decay_j) x (x before the sum)",
+            "equation": "x <- x + sum g_j xi_j; then xi_j <- decay_j xi_j + (1 - decay_j) x, x before the sum",
             "g": compensator.creep_gains.tolist(),
             "decay": compensator.creep_decay.tolist(),
         },

@@ -1,4 +1,4 @@
-"""The paper's identification, Qin et al. (2013), Section III, eq. 10 and 11, by closed forms where there are any.
+"""The paper's identification in two stages, Qin et al. (2013), Section III, eq. 10 and 11.
 
 Stage 1 fits the saturation polynomial c with constant weights to a slow record. The weights enter
 linearly, so they are solved for within each trial of c (variable projection, Golub and Pereyra 1973)
@@ -63,7 +63,8 @@ def fit_saturation(compensator: DirectInverse, pairs: Sequence[InversePair]) -> 
         return left
 
     start = compensator.saturation.scaled.detach().numpy().copy()
-    found = scipy.optimize.least_squares(residual, start, x_scale=1.0, diff_step=[1e-5] * len(start), max_nfev=100)
+    steps = [1e-5] * len(start)
+    found = scipy.optimize.least_squares(residual, start, diff_step=steps, max_nfev=100)
     left = residual(found.x)
     return float(np.sqrt(np.mean(left**2)))
 

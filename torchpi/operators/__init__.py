@@ -1,4 +1,4 @@
-"""Operators: one a file; each a pure function with explicit state, a module that owns its parameters, a stream."""
+"""Operators, one a file: a pure function with explicit state, a module on top, a stream."""
 
 from torchpi.operators.base import Operator
 from torchpi.operators.creep import Creep

@@ -11,6 +11,7 @@ Nothing but torch is needed; pytest finds the methods by their names.
 
 import copy
 import io
+import itertools
 import warnings
 
 import torch
@@ -149,7 +150,7 @@ def _path(*corners: float) -> Tensor:
     """Straight runs of 100 steps from corner to corner; shape (1, time)."""
     runs = [
         torch.linspace(start, stop, 101, dtype=torch.float64)[(0 if i == 0 else 1) :]
-        for i, (start, stop) in enumerate(zip(corners[:-1], corners[1:], strict=True))
+        for i, (start, stop) in enumerate(itertools.pairwise(corners))
     ]
     return torch.cat(runs)[None]
 

@@ -13,7 +13,7 @@ import numba
 import numpy as np
 import torch
 from torch import Tensor, nn
-from torch.autograd.function import FunctionCtx, once_differentiable
+from torch.autograd.function import once_differentiable
 
 from torchpi.operators.base import Operator
 
@@ -154,39 +154,51 @@ def state_space(
     Computed in float64 on the CPU whatever comes in; what goes out has the device and type of `u`,
     the state those of `x0`.
     """
+    return recursion(_forward, _backward, u, a, b, c, d, x0)
+
+
+def recursion(
+    forward: Any, backward: Any, u: Tensor, a: Tensor, b: Tensor, c: Tensor, d: Tensor, x0: Tensor
+) -> tuple[Tensor, Tensor]:
+    """A pair of compiled kernels as one differentiable function; `a` may be a matrix or a diagonal."""
     wide = [part.to("cpu", torch.float64) for part in (u, a, b, c, d, x0)]
-    y, x = _StateSpace.apply(*wide)
+    y, x = _Recursion.apply(forward, backward, *wide)
     return y.to(u.device, u.dtype), x.to(x0.device, x0.dtype)
 
 
-class _StateSpace(torch.autograd.Function):
+class _Recursion(torch.autograd.Function):
     @staticmethod
-    def forward(
-        ctx: FunctionCtx, u: Tensor, a: Tensor, b: Tensor, c: Tensor, d: Tensor, x0: Tensor
-    ) -> tuple[Tensor, Tensor]:
-        u, a, b, c, x0 = (part.contiguous() for part in (u, a, b, c, x0))
-        learns = ctx.needs_input_grad  # type: ignore[attr-defined]
+    def forward(ctx: Any, forward: Any, backward: Any, *wide: Tensor) -> tuple[Tensor, Tensor]:
+        u, a, b, c, d, x0 = (part.detach().contiguous() for part in wide)
+        learns_a, learns_c = ctx.needs_input_grad[3], ctx.needs_input_grad[5]
         # The trajectory of the state is kept only for the gradients that need it: those of A and C.
-        kept = u.shape[1] if learns[1] or learns[3] else 0
+        kept = u.shape[1] if learns_a or learns_c else 0
         y, x, states = torch.empty_like(u), x0.clone(), u.new_empty(len(u), kept, len(b))
-        _forward(
-            u.detach().numpy(), a.detach().flatten().numpy(), b.detach().numpy(), c.detach().numpy(),
-            d.item(), x.detach().numpy(), y.numpy(), states.numpy(),
-        )  # fmt: skip
+        forward(
+            u.numpy(),
+            a.flatten().numpy(),
+            b.numpy(),
+            c.numpy(),
+            d.item(),
+            x.numpy(),
+            y.numpy(),
+            states.numpy(),
+        )
+        ctx.kernel = backward
         ctx.save_for_backward(u, a, b, c, d, states)
         return y, x
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: FunctionCtx, *gradients: Tensor) -> tuple[Tensor, ...]:
-        u, a, b, c, d, states = (saved.detach() for saved in ctx.saved_tensors)  # type: ignore[attr-defined]
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
+        u, a, b, c, d, states = ctx.saved_tensors
         gy, gx = gradients[0].contiguous(), gradients[1].clone(memory_format=torch.contiguous_format)
         gu, ga, gb, gc, gd = (torch.zeros_like(part) for part in (u, a, b, c, d.reshape(1)))
-        _backward(
+        ctx.kernel(
             u.numpy(), a.flatten().numpy(), b.numpy(), c.numpy(), d.item(), states.numpy(), gy.numpy(),
             gx.numpy(), gu.numpy(), ga.view(-1).numpy(), gb.numpy(), gc.numpy(), gd.numpy(),
         )  # fmt: skip
-        return gu, ga, gb, gc, gd.reshape(()), gx
+        return None, None, gu, ga, gb, gc, gd.reshape(()), gx
 
 
 _advance: Any = numba.njit(advance)

@@ -9,9 +9,8 @@ import numba
 import numpy as np
 import torch
 from torch import Tensor, nn
-from torch.autograd.function import FunctionCtx, once_differentiable
 
-from torchpi.operators.linear import observe
+from torchpi.operators.linear import observe, recursion
 
 
 def relax(a: list[float], b: list[float], x: list[float], u: float) -> None:
@@ -61,39 +60,7 @@ def relaxations(
     Computed in float64 on the CPU whatever comes in; what goes out has the device and type of `u`,
     the state those of `x0`.
     """
-    wide = [part.to("cpu", torch.float64) for part in (u, a, b, c, d, x0)]
-    y, x = _Relaxations.apply(*wide)
-    return y.to(u.device, u.dtype), x.to(x0.device, x0.dtype)
-
-
-class _Relaxations(torch.autograd.Function):
-    @staticmethod
-    def forward(
-        ctx: FunctionCtx, u: Tensor, a: Tensor, b: Tensor, c: Tensor, d: Tensor, x0: Tensor
-    ) -> tuple[Tensor, Tensor]:
-        u, a, b, c, x0 = (part.contiguous() for part in (u, a, b, c, x0))
-        learns = ctx.needs_input_grad  # type: ignore[attr-defined]
-        # The trajectory of the state is kept only for the gradients that need it: those of a and c.
-        kept = u.shape[1] if learns[1] or learns[3] else 0
-        y, x, states = torch.empty_like(u), x0.clone(), u.new_empty(len(u), kept, len(a))
-        _forward(
-            u.detach().numpy(), a.detach().numpy(), b.detach().numpy(), c.detach().numpy(), d.item(),
-            x.detach().numpy(), y.numpy(), states.numpy(),
-        )  # fmt: skip
-        ctx.save_for_backward(u, a, b, c, d, states)
-        return y, x
-
-    @staticmethod
-    @once_differentiable
-    def backward(ctx: FunctionCtx, *gradients: Tensor) -> tuple[Tensor, ...]:
-        u, a, b, c, d, states = (saved.detach() for saved in ctx.saved_tensors)  # type: ignore[attr-defined]
-        gy, gx = gradients[0].contiguous(), gradients[1].clone(memory_format=torch.contiguous_format)
-        gu, ga, gb, gc, gd = (torch.zeros_like(part) for part in (u, a, b, c, d.reshape(1)))
-        _backward(
-            u.numpy(), a.numpy(), b.numpy(), c.numpy(), d.item(), states.numpy(), gy.numpy(),
-            gx.numpy(), gu.numpy(), ga.numpy(), gb.numpy(), gc.numpy(), gd.numpy(),
-        )  # fmt: skip
-        return gu, ga, gb, gc, gd.reshape(()), gx
+    return recursion(_forward, _backward, u, a, b, c, d, x0)
 
 
 _relax: Any = numba.njit(relax)
