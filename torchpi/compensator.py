@@ -84,7 +84,7 @@ class DirectInverse(nn.Module):
                 raise ConfigError(f"creep_time_constants_s: found {value}, want positive numbers of s")
         if not -math.inf < min_voltage_v < max_voltage_v < math.inf:
             raise ConfigError(
-                f"min_voltage_v: found {min_voltage_v} V, want a number below max_voltage_v, {max_voltage_v} V"
+                f"min_voltage_v: found {min_voltage_v} V, want a number below max_voltage_v, {max_voltage_v}"
             )
         self.sample_period_s = sample_period_s
         self.preview = preview

@@ -53,7 +53,9 @@ def compensator_stream(
     """
     for name, values in compensator.state_dict().items():
         if not bool(torch.isfinite(values).all()):
-            raise ArtifactError(f"{name}: found {values.tolist()}, want finite numbers: the training diverged")
+            raise ArtifactError(
+                f"{name}: found {values.tolist()}, want finite numbers: the training diverged"
+            )
     source = step_source(compensator)
     filename = f"<compensator step {next(_serial)}>"
     # TorchScript reads a function's text through linecache, as tracebacks and debuggers do.

@@ -54,7 +54,7 @@ def numbers(compensator: DirectInverse, reference_filter: ReferenceFilter | None
             "units": ["s", "s^2"][: len(compensator.lead)],
         },
         "creep": {
-            "equation": "x <- x + sum g_j xi_j; then xi_j <- decay_j xi_j + (1 - decay_j) x, x before the sum",
+            "equation": "x <- x + sum g_j xi_j; xi_j <- decay_j xi_j + (1 - decay_j) x, x before the sum",
             "g": compensator.creep_gains.tolist(),
             "decay": compensator.creep_decay.tolist(),
         },

@@ -1,0 +1,68 @@
+"""Whether an inverse may run backwards: a compensator must raise the voltage to raise the stage."""
+
+from dataclasses import dataclass
+
+import torch
+
+from torchpi.compensator import DirectInverse
+
+
+@dataclass(frozen=True)
+class Monotone:
+    """The least slopes of an inverse over the motions it is meant for; negative ones run backwards.
+
+    A run in one direction moves the plays one after another, the smallest threshold first, so the slope
+    of the voltage against S(y) passes through the sums Σ_{i≤j} w_i(ẏ) over the plays sorted by threshold.
+
+    Attributes:
+        least_weight_sum: The least of them over all j and all rates, V/µm.
+        at_rate_um_s: The rate at which it occurs.
+        least_saturation_slope: The least S'(y) over the range.
+        at_um: Where.
+    """
+
+    least_weight_sum: float
+    at_rate_um_s: float
+    least_saturation_slope: float
+    at_um: float
+
+    def __bool__(self) -> bool:
+        return self.least_weight_sum > 0 and self.least_saturation_slope > 0
+
+    def __str__(self) -> str:
+        if self:
+            return (
+                f"the inverse rises everywhere in use: by {self.least_weight_sum:.3g} V/µm at least, "
+                f"S' by {self.least_saturation_slope:.3g}"
+            )
+        where = (
+            f"the weights of the moving plays sum to {self.least_weight_sum:.3g} V/µm at {self.at_rate_um_s:.4g} µm/s"
+            if self.least_weight_sum <= 0
+            else f"S' is {self.least_saturation_slope:.3g} at {self.at_um:.3g} µm"
+        )
+        return (
+            f"the inverse runs backwards within the recorded range: {where}; "
+            "take fewer plays, a lower degree, or rate: none, or record what is missing there"
+        )
+
+
+def monotone(
+    compensator: DirectInverse,
+    range_um: tuple[float, float],
+    rates_um_s: tuple[float, float],
+) -> Monotone:
+    """Check the inverse over a range of displacement and of (signed) rate."""
+    with torch.no_grad():
+        rate = torch.linspace(*rates_um_s, 201, dtype=torch.float64)[None]
+        order = compensator.plays.r.argsort()
+        sums = compensator.weights(rate)[0][:, order].cumsum(1)
+        least = int(sums.amin(1).argmin())
+    y = torch.linspace(*range_um, 201, dtype=torch.float64)[None].requires_grad_()
+    (slope,) = torch.autograd.grad(compensator.saturation(y)[0].sum(), y)
+    flattest = int(slope[0].argmin())
+    return Monotone(
+        float(sums[least].min()),
+        float(rate[0, least]),
+        float(slope[0, flattest]),
+        float(y[0, flattest].detach()),
+    )
