@@ -36,7 +36,8 @@ class Monotone:
                 f"S' by {self.least_saturation_slope:.3g}"
             )
         where = (
-            f"the weights of the moving plays sum to {self.least_weight_sum:.3g} V/µm at {self.at_rate_um_s:.4g} µm/s"
+            f"the weights of the moving plays sum to {self.least_weight_sum:.3g} V/µm "
+            f"at {self.at_rate_um_s:.4g} µm/s"
             if self.least_weight_sum <= 0
             else f"S' is {self.least_saturation_slope:.3g} at {self.at_um:.3g} µm"
         )
