@@ -135,7 +135,7 @@ class DirectInverse(nn.Module):
 
     def initial_state(self, batch: int) -> Tensor:
         """The de-energised state. Shape: (batch, relaxations + plays)."""
-        return torch.zeros(batch, len(self.creep_gains) + len(self.plays.r), dtype=torch.float64)
+        return self.offset.detach().new_zeros(batch, len(self.creep_gains) + len(self.plays.r))
 
     @property
     def lead(self) -> Tensor:

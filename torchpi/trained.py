@@ -1,6 +1,7 @@
 """A trained compensator, from its run folder or checkpoint."""
 
 import pickle
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +30,10 @@ def load_compensator(path: str | Path) -> DirectInverse:
     if not file.is_file():
         raise ArtifactError(f"{file}: no such file, want a run folder of 'python -m train fit'")
     try:
-        checkpoint = torch.load(file, map_location="cpu", weights_only=True)
+        with warnings.catch_warnings():
+            # torch warns before it refuses a TorchScript file; ours is the error that follows.
+            warnings.filterwarnings("ignore", message=".*TorchScript archive.*")
+            checkpoint = torch.load(file, map_location="cpu", weights_only=True)
     except (RuntimeError, pickle.UnpicklingError, EOFError, OSError, ValueError) as error:
         raise ArtifactError(
             f"{file}: not a checkpoint, want a run folder of 'python -m train fit'"

@@ -1,0 +1,47 @@
+"""What is held out, and what is counted."""
+
+import numpy as np
+import pytest
+
+from torchpi.errors import RecordingWarning
+from train.data import RecordingsData
+
+
+def test_the_last_of_several_recordings_is_held_out(recordings: list[str]) -> None:
+    split = RecordingsData(recordings=recordings).split(0)
+    assert [pair.name for pair in split.train] == ["r0", "r1"]
+    assert [pair.name for pair in split.heldout] == ["r2"]
+    assert split.zero == []
+
+
+def test_named_records_are_held_out_and_all_others_train(recordings: list[str]) -> None:
+    split = RecordingsData(recordings=recordings[:2], heldout=recordings[2:]).split(0)
+    assert [pair.name for pair in split.train] == ["r0", "r1"]
+    assert [pair.name for pair in split.heldout] == ["r2"]
+
+
+def test_of_a_single_recording_the_last_part_is_held_out_and_that_is_said(recordings: list[str]) -> None:
+    data = RecordingsData(recordings=recordings[0], skip_s=0.1)
+    with pytest.warns(RecordingWarning, match="last 30 %"):
+        split = data.split(2)
+    train, heldout = split.train[0], split.heldout[0]
+    assert train.counted == slice(100, 729)
+    assert heldout.counted == slice(729, 998)
+    assert train.u.shape == (1, 729)  # nothing of what is held out
+    assert heldout.u.shape == (1, 998)  # from the start, for the state
+
+
+def test_a_stretch_is_judged_and_another_gives_the_zero(recordings: list[str]) -> None:
+    data = RecordingsData(recordings=recordings, evaluate_s=(0.5, 0.8), zero_s=(0.1, 0.3))
+    split = data.split(0)
+    assert split.heldout[0].counted == slice(500, 800)
+    assert split.zero[0].counted == slice(100, 300)
+    assert split.zero[0].u.shape == (1, 300)
+
+
+def test_the_first_sample_can_be_the_zero(recordings: list[str]) -> None:
+    recorded, zeroed = (
+        RecordingsData(recordings=recordings, zero=zero).load() for zero in ("recorded", "first")
+    )
+    for before, after in zip(recorded.train, zeroed.train, strict=True):
+        np.testing.assert_array_equal(after.y, before.y - before.y[0])

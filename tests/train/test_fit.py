@@ -1,0 +1,144 @@
+"""One small training from files to a run folder, an interruption, and going on."""
+
+import hashlib
+import json
+import signal
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+from torchpi.export import load_torchscript
+from torchpi.motion import backward_motion
+from torchpi.trained import load_compensator
+from train import cli
+from train.callbacks import EpochProgress
+from train.cli import main
+
+NUMBERS = {"rms_v", "max_v", "rms_um", "max_um", "rms_percent", "max_percent"}
+SMALL = [
+    "--model.plays=6", "--model.degree=2", "--model.preview=1", "--model.iterations=2",
+    "--trainer.max_epochs=4", "--trainer.figures_every=0",
+]  # fmt: skip
+
+
+def arguments(recordings: list[str], output: Path, *more: str) -> list[str]:
+    return ["fit", "--data.recordings", json.dumps(recordings), "--output", str(output), *SMALL, *more]
+
+
+@pytest.fixture(scope="module")
+def run(recordings: list[str], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("runs") / "small"
+    assert main(arguments(recordings, folder)) == 0
+    return folder
+
+
+def test_metrics_keep_their_contract(run: Path) -> None:
+    metrics = json.loads((run / "metrics.json").read_text())
+    for part in ("train", "heldout", "baseline_lstsq", "loading_excluded"):
+        assert set(metrics[part]) == NUMBERS
+        assert all(value > 0 for value in metrics[part].values())
+        assert metrics[part]["rms_v"] <= metrics[part]["max_v"]
+
+
+def test_training_beats_the_two_stage_baseline(run: Path) -> None:
+    metrics = json.loads((run / "metrics.json").read_text())
+    assert metrics["heldout"]["rms_um"] < metrics["baseline_lstsq"]["rms_um"]
+
+
+def test_what_was_run_is_written_down(run: Path, recordings: list[str]) -> None:
+    facts = json.loads((run / "run.json").read_text())
+    assert facts["seed"] == 0
+    assert facts["data_sha256"] == {
+        path: hashlib.sha256(Path(path).read_bytes()).hexdigest() for path in recordings
+    }
+    assert {"python", "torch", "lightning", "torchpi"} <= set(facts["versions"])
+    assert json.loads((run / "metrics.json").read_text())["how"]["heldout"] == [recordings[-1]]
+
+
+def test_the_deployed_file_is_the_best_checkpoint(run: Path) -> None:
+    compensator = load_compensator(run)
+    yd = 3 + 2 * torch.sin(torch.linspace(0, 20, 400, dtype=torch.float64))
+    deployed = load_torchscript(run / "compensator.pt")
+    assert deployed.preview == 1
+    with torch.no_grad():
+        expected = compensator(backward_motion(yd[None], compensator.sample_period_s))[0]
+    assert torch.equal(deployed.block(yd), expected)
+    assert load_torchscript(run / "baseline.pt").preview == 0
+    assert json.loads((run / "compensator.json").read_text())["plays"]["r"][0] == 0
+
+
+def test_checkpoints_load_with_weights_only(run: Path) -> None:
+    for name in ("best", "last"):
+        assert torch.load(run / "checkpoints" / f"{name}.ckpt", weights_only=True)["epoch"] >= 0
+
+
+def test_tensorboard_has_scalars_figures_and_the_result(run: Path) -> None:
+    events = EventAccumulator(str(run / "tensorboard"))
+    events.Reload()
+    tags = events.Tags()
+    wanted = {
+        f"{key}/{part}" for key in ("rms_v", "max_v", "rms_um", "max_um") for part in ("train", "heldout")
+    }
+    assert wanted | {"loss/train", "loss/heldout", "result/heldout_rms_um"} <= set(tags["scalars"])
+    assert {"loop", "trace", "residual spectrum", "weights against rate"} <= set(tags["images"])
+
+
+def test_there_is_a_page(run: Path) -> None:
+    assert "<svg" in (run / "report.html").read_text()
+
+
+def test_the_resolved_config_trains_the_same(run: Path, tmp_path: Path) -> None:
+    again = tmp_path / "again"
+    assert main(["fit", "--config", str(run / "config.yaml"), "--output", str(again)]) == 0
+    assert (again / "metrics.json").read_text() == (run / "metrics.json").read_text()
+
+
+def test_an_interrupted_training_goes_on_to_the_same_result(
+    run: Path, recordings: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    folder = tmp_path / "interrupted"
+    ended = EpochProgress.on_train_epoch_end
+
+    def interrupts(self: EpochProgress, trainer: Any, module: Any) -> None:
+        if trainer.current_epoch == 2:
+            raise KeyboardInterrupt
+        ended(self, trainer, module)
+
+    before = signal.getsignal(signal.SIGINT)
+    with monkeypatch.context() as patched:
+        patched.setattr(EpochProgress, "on_train_epoch_end", interrupts)
+        assert main(arguments(recordings, folder)) == 130
+    signal.signal(signal.SIGINT, before)
+    assert "--ckpt_path last" in capsys.readouterr().out
+    assert torch.load(folder / "checkpoints" / "last.ckpt", weights_only=True)["epoch"] == 1
+    assert not (folder / "metrics.json").exists()
+
+    assert main(arguments(recordings, folder, "--ckpt_path", "last")) == 0
+    assert (folder / "metrics.json").read_text() == (run / "metrics.json").read_text()
+
+
+def test_a_run_does_not_go_on_with_other_settings(
+    run: Path, recordings: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    written = (run / "run.json").read_text()
+    assert main(arguments(recordings, run, "--ckpt_path", "last", "--model.degree=3")) == 2
+    assert "degree" in capsys.readouterr().err
+    assert (run / "run.json").read_text() == written
+
+
+def test_adam_trains_on_windows(recordings: list[str], tmp_path: Path) -> None:
+    folder = tmp_path / "adam"
+    more = ("--model.optimizer=adam", "--data.window_samples=300", "--trainer.max_epochs=2")
+    assert main(arguments(recordings, folder, *more)) == 0
+    assert (folder / "metrics.json").exists()
+
+
+def test_the_next_run_takes_the_next_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert cli.new_run(None, "demo", None).path == Path("runs/demo")
+    (tmp_path / "runs" / "demo").mkdir(parents=True)
+    assert cli.new_run(None, "demo", None).path == Path("runs/demo-2")

@@ -1,0 +1,137 @@
+"""The parts of training against independent ways to the same numbers."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+
+from torchpi.identification import InversePair, inverse_pair
+from torchpi.motion import Motion
+from train.data import RecordingsData
+from train.module import InverseTraining
+from train.sensor_zero import fit_zero
+from train.thresholds import spread_thresholds
+from train.trainer import WholeCheckpoints
+from train.windows import windows
+
+
+def built(recordings: list[str], **settings: Any) -> InverseTraining:
+    module = InverseTraining(plays=5, degree=2, **settings)
+    module.build(RecordingsData(recordings=recordings, skip_s=0.05, preview=settings.get("preview", 0)))
+    return module
+
+
+@pytest.mark.parametrize("samples", [1, 7, 333, 5000])
+def test_windows_with_carried_state_add_up_to_whole_records(recordings: list[str], samples: int) -> None:
+    module = built(recordings, optimizer="adam", creep_time_constants_s=[0.1], preview=1)
+    losses = []
+    with torch.no_grad():
+        module.compensator.creep_gains.fill_(-0.02)
+        for cut in (samples, None):
+            batches = [module.training_step([window], 0) for window in windows(module.split.train, cut)]
+            losses.append(sum(float(loss) for loss in batches if loss is not None))
+    assert losses[0] == pytest.approx(losses[1], rel=1e-12)
+    if samples == 7:  # the start is the start: its loss is 1 before creep is touched
+        with torch.no_grad():
+            module.compensator.creep_gains.zero_()
+            whole = [module.training_step([window], 0) for window in windows(module.split.train, None)]
+        assert float(sum(whole)) == pytest.approx(1.0, rel=1e-12)  # type: ignore[arg-type]
+
+
+@given(samples=st.integers(1, 40), first=st.integers(0, 29), length=st.integers(1, 30))
+def test_windows_count_every_counted_sample_once(samples: int, first: int, length: int) -> None:
+    time = torch.arange(30.0)[None]
+    pair = InversePair("r", Motion(time, time, time), time, slice(first, min(first + length, 30)), 1e-3)
+    cut = list(windows([pair], samples))
+    assert [window.begins for window in cut] == [True] + [False] * (len(cut) - 1)
+    assert torch.equal(torch.cat([window.u for window in cut], 1), time)
+    counted = torch.cat([window.u[:, window.counted] for window in cut], 1)
+    assert torch.equal(counted, time[:, pair.counted])
+
+
+@pytest.mark.parametrize("rate", ["none", "linear", "neural"])
+def test_projected_weights_are_the_least_squares_solution(recordings: list[str], rate: str) -> None:
+    module = built(recordings, rate=rate, offset=True)
+    batch = list(windows(module.split.train, None))
+    loss = module._projected_loss(batch).item()
+    columns, wanted = [], []
+    with torch.no_grad():
+        for window in batch:
+            h, _ = module.compensator.play_states(window.motion)
+            basis = module.compensator.weights.basis(window.motion.yd_dot)
+            each = (h[..., :, None] * basis[..., None, :]).flatten(2)
+            columns.append(torch.cat([each, torch.ones_like(each[..., :1])], 2)[0, window.counted])
+            wanted.append(window.u[0, window.counted])
+        features, u = torch.cat(columns), torch.cat(wanted)
+        best = torch.linalg.lstsq(features, u[:, None], driver="gelsd").solution
+        least = float((features @ best - u[:, None]).square().mean()) / module.scale
+    assert loss == pytest.approx(least, rel=1e-3)
+
+
+def test_the_gradient_of_the_projected_loss_is_its_slope(recordings: list[str]) -> None:
+    module = built(recordings, lead=1, creep_time_constants_s=[0.05], rate="linear", offset=True)
+    batch = list(windows(module.split.train, None))
+    compensator = module.compensator
+    with torch.no_grad():  # away from the start, where some slopes vanish
+        compensator.scaled_lead.fill_(0.3)
+        compensator.creep_gains.fill_(-0.03)
+    module._projected_loss(batch).backward()
+    for parameter in (compensator.scaled_lead, compensator.creep_gains, compensator.saturation.scaled):
+        for index in range(parameter.numel()):
+            step, losses = 1e-4, []
+            for sign in (1, -1):
+                with torch.no_grad():
+                    parameter[index] += sign * step
+                    losses.append(module._projected_loss(batch).item())
+                    parameter[index] -= sign * step
+            slope = (losses[0] - losses[1]) / (2 * step)
+            assert parameter.grad is not None
+            assert float(parameter.grad[index]) == pytest.approx(slope, rel=1e-2, abs=1e-6)
+
+
+def test_solved_weights_are_not_searched(recordings: list[str]) -> None:
+    module = built(recordings, offset=True)
+    searched = {
+        id(parameter) for group in module.configure_optimizers().param_groups for parameter in group["params"]
+    }
+    assert searched == {id(module.compensator.saturation.scaled)}
+    adam = built(recordings, offset=True, optimizer="adam").configure_optimizers()
+    assert sum(len(group["params"]) for group in adam.param_groups) == 3
+
+
+def test_the_zero_of_a_sensor_is_found(recordings: list[str]) -> None:
+    data = RecordingsData(recordings=recordings)
+    module = InverseTraining(plays=5, degree=2)
+    module.build(data)
+    pair = inverse_pair(data.load().heldout[0])
+    at_rest = fit_zero(module.compensator, pair)
+    shifted = pair._replace(motion=pair.motion._replace(yd=pair.motion.yd + 0.25))
+    assert abs(at_rest) < 0.05
+    assert fit_zero(module.compensator, shifted) == pytest.approx(at_rest + 0.25, abs=2e-3)
+
+
+@given(plays=st.integers(1, 60), span=st.floats(0.01, 1000))
+def test_thresholds_rise_from_zero_denser_near_it(plays: int, span: float) -> None:
+    r = torch.tensor(spread_thresholds(plays, span), dtype=torch.float64)
+    assert r[0] == 0 and len(r) == plays and bool((r <= 0.5 * span).all())
+    assert bool((r.diff() > 0).all()) and bool((r.diff().diff() > 0).all())
+
+
+def test_a_kill_while_a_checkpoint_is_written_leaves_the_previous_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "last.ckpt"
+    WholeCheckpoints().save_checkpoint({"epoch": 1}, path)
+
+    def killed(checkpoint: Any, temporary: Path) -> None:
+        temporary.write_bytes(b"half")
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("train.trainer.torch.save", killed)
+    with pytest.raises(KeyboardInterrupt):
+        WholeCheckpoints().save_checkpoint({"epoch": 2}, path)
+    assert torch.load(path, weights_only=True) == {"epoch": 1}
+    assert [entry.name for entry in tmp_path.iterdir()] == ["last.ckpt"]

@@ -1,0 +1,90 @@
+"""What one sees while training: a line of progress, and figures in TensorBoard."""
+
+from collections.abc import Callable
+from typing import Any, cast
+
+from lightning import Callback, LightningModule, Trainer
+from lightning.pytorch.loggers import TensorBoardLogger
+from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
+
+from train import console
+from train.module import InverseTraining
+from train.pictures import record_fits, weights_against_rate
+
+
+class EpochProgress(Callback):
+    """One bar over all epochs, with the errors as they stand."""
+
+    def __init__(self, epochs: int) -> None:
+        self.epochs = epochs
+        self.progress: Progress | None = None
+        self.task = TaskID(0)
+
+    def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        self.progress = Progress(
+            TextColumn("training"),
+            BarColumn(20),
+            TextColumn("epoch {task.completed:.0f}/{task.total:.0f}"),
+            TimeElapsedColumn(),
+            TextColumn("{task.fields[errors]}"),
+            console=console.CONSOLE,
+        )
+        self.task = self.progress.add_task("", total=self.epochs, completed=trainer.current_epoch, errors="")
+        self.progress.start()
+
+    def on_train_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        logged = trainer.callback_metrics
+        train, heldout = (1e3 * float(logged[f"rms_v/{part}"]) for part in ("train", "heldout"))
+        assert self.progress is not None
+        self.progress.update(
+            self.task,
+            completed=trainer.current_epoch + 1,
+            errors=f"rms {train:.3g} mV, held out {heldout:.3g} mV",
+        )
+
+    def on_fit_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        self._stop()
+
+    def on_exception(self, trainer: Trainer, pl_module: LightningModule, exception: BaseException) -> None:
+        self._stop()
+
+    def _stop(self) -> None:
+        if self.progress is not None:
+            self.progress.stop()
+            self.progress = None
+
+
+class TensorBoardFigures(Callback):
+    """Loops, traces with residual, spectrum of the residual, and weights against rate."""
+
+    def __init__(self, every: int) -> None:
+        self.every = every
+        self.drawn_at = -1
+
+    def on_train_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        if self.every > 0 and trainer.current_epoch % self.every == 0:
+            self.draw(trainer, pl_module)
+
+    def on_train_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        if self.drawn_at < trainer.current_epoch:
+            self.draw(trainer, pl_module)
+
+    def draw(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        # Matplotlib costs half a second to import, and only this needs it.
+        from torchpi.report import training_figures
+
+        model = cast(InverseTraining, pl_module)
+        board: Any = cast(TensorBoardLogger, trainer.logger).experiment
+        heldout = record_fits(model)[0]
+        figures: dict[str, Callable[..., Any]] = {
+            "loop": training_figures.loop_figure,
+            "trace": training_figures.traces_figure,
+            "residual spectrum": training_figures.spectrum_figure,
+        }
+        for name, draw in figures.items():
+            board.add_figure(name, draw(heldout), trainer.current_epoch)
+        weights = weights_against_rate(model)
+        if weights is not None:
+            figure = training_figures.weights_figure(weights)
+            board.add_figure("weights against rate", figure, trainer.current_epoch)
+        self.drawn_at = trainer.current_epoch

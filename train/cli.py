@@ -1,0 +1,169 @@
+"""`python -m train fit`: a LightningCLI that creates nothing before the recordings have been checked."""
+
+import argparse
+import logging
+import sys
+import warnings
+from pathlib import Path
+from typing import Any
+
+import jsonargparse
+from lightning import Trainer
+from lightning.pytorch.cli import LightningArgumentParser, LightningCLI
+
+from torchpi.command_line import run_command
+from torchpi.errors import RecordingWarning
+from train import console, results
+from train.data import RecordingsData
+from train.module import InverseTraining
+from train.parser import TrainParser
+from train.run_folder import RunFolder, check_continues, new_run, run_to_continue
+from train.trainer import TrainerOptions, make_trainer
+
+DESCRIPTION = """\
+Train a direct inverse compensator on recordings of a piezo stage: voltage in, displacement out.
+
+  python -m train fit --config configs/demo.yaml
+  python -m train fit --config configs/recorded.yaml --data.recordings '[slow.csv, fast.csv, other.csv]'
+  python -m train fit --config configs/recorded.yaml --output runs/recorded --ckpt_path last
+
+The last of several recordings is held out: it judges and is not fitted. The run folder holds
+compensator.pt and compensator.json to deploy, report.html to look at, metrics.json, the resolved
+config.yaml, checkpoints, and events for `tensorboard --logdir runs`.
+"""
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command; returns the exit code, 2 for an error of the input."""
+    quieten()
+    # LightningCLI reads sys.argv, and warns where it is given anything else.
+    before = sys.argv
+    if arguments is not None:
+        sys.argv = ["train", *arguments]
+    try:
+        return run_command(FitCLI, "torchpi")
+    finally:
+        sys.argv = before
+
+
+def quieten() -> None:
+    """Keep back what Lightning and torch say of themselves, each for a reason; everything else is heard."""
+    # Devices that are not used, the seed (it is in run.json), and advertisements: all at level INFO.
+    for name in ("lightning.pytorch.utilities.rank_zero", "lightning.fabric.utilities.seed"):
+        logging.getLogger(name).setLevel(logging.WARNING)
+    for message in (
+        # The data are a list in memory: workers would copy it to no gain.
+        ".*does not have many workers.*",
+        # One batch an epoch is what full-batch training is; we log by epoch.
+        ".*The number of training batches.*is smaller than the logging interval.*",
+        # Going on from last.ckpt is what was asked for.
+        ".*Checkpoint directory .* exists and is not empty.*",
+        # Where a machine has an accelerator, the CPU is still the quickest for these kernels.
+        ".*GPU available but not used.*",
+        # Lightning's own use of a torch function that torch renames.
+        ".*isinstance.treespec, LeafSpec.. is deprecated.*",
+        # What is wrong with such a checkpoint is said in the error that follows.
+        ".*received a zip file that looks like a TorchScript archive.*",
+        # TorchScript is the deployment contract, deprecated or not.
+        ".*torch.jit.*is deprecated.*",
+    ):
+        warnings.filterwarnings("ignore", message=message)
+
+
+class Formatter(argparse.RawDescriptionHelpFormatter, jsonargparse.DefaultHelpFormatter):
+    """Keeps the line breaks of the description."""
+
+
+class FitCLI(LightningCLI):
+    """The command: `fit` only, with the trainer's options that matter here."""
+
+    def __init__(self) -> None:
+        super().__init__(
+            InverseTraining,
+            RecordingsData,
+            save_config_callback=None,
+            seed_everything_default=0,
+            parser_class=TrainParser,
+            parser_kwargs={
+                "prog": "python -m train",
+                "usage": "python -m train fit --config configs/NAME.yaml [options]",
+                "description": DESCRIPTION,
+                "formatter_class": Formatter,
+                "fit": {
+                    "usage": "python -m train fit --config configs/NAME.yaml [options]",
+                    "description": DESCRIPTION,
+                    "formatter_class": Formatter,
+                },
+            },
+            auto_configure_optimizers=False,
+            load_from_checkpoint_support=False,
+        )
+
+    @staticmethod
+    def subcommands() -> dict[str, set[str]]:
+        own = {"model", "train_dataloaders", "val_dataloaders", "datamodule", "ckpt_path", "weights_only"}
+        return {"fit": own}
+
+    def add_default_arguments_to_parser(self, parser: LightningArgumentParser) -> None:
+        parser.add_argument("--seed_everything", type=int, default=0, help="Seed of everything random.")
+
+    def add_core_arguments_to_parser(self, parser: LightningArgumentParser) -> None:
+        parser.add_lightning_class_args(RecordingsData, "data")
+        parser.add_lightning_class_args(InverseTraining, "model")
+        parser.add_class_arguments(TrainerOptions, "trainer")
+
+    def add_arguments_to_parser(self, parser: LightningArgumentParser) -> None:
+        parser.add_argument(
+            "--output",
+            type=str | None,
+            help="New folder for the run; runs/NAME by default, or the next free runs/NAME-2 …",
+        )
+        parser.add_argument(
+            "--ckpt_path",
+            type=str | None,
+            help="Go on from a checkpoint: 'last' of the output folder, or a file.",
+        )
+        parser.link_arguments("model.preview", "data.preview")
+
+    def parse_arguments(self, parser: LightningArgumentParser, args: Any) -> None:
+        super().parse_arguments(parser, args)
+        # Taken out, because Lightning would let the checkpoint's settings overrule those given.
+        self.checkpoint: str | None = self.config.fit.pop("ckpt_path", None)
+
+    def before_instantiate_classes(self) -> None:
+        config = self.config.fit
+        name = Path(str(config.config[0])).stem if config.config else "run"
+        if self.checkpoint == "last":
+            self.folder: RunFolder = run_to_continue(config.output, name)
+        else:
+            self.folder = new_run(config.output, name, self.checkpoint)
+
+    def instantiate_trainer(self, **kwargs: Any) -> Trainer:
+        options: TrainerOptions = self._get(self.config_init, "trainer")
+        return make_trainer(options, self.folder)
+
+    def fit(self, model: InverseTraining, datamodule: RecordingsData) -> None:
+        """Read, fit, judge, write. Nothing is created before the recordings have been read and checked."""
+        config = self.config.fit
+        with warnings.catch_warnings(record=True) as heard:
+            warnings.simplefilter("always", RecordingWarning)
+            datamodule.load()
+            model.build(datamodule)
+        console.show_data(datamodule, self.folder, [str(warning.message) for warning in heard])
+        console.show_start(model)
+        resumed = self.folder.last if self.checkpoint == "last" else self.checkpoint
+        if resumed:
+            check_continues(Path(resumed), model.compensator)
+        results.write_settings(
+            self.folder,
+            self._parser("fit").dump(config, skip_none=False),
+            datamodule,
+            int(config.seed_everything),
+        )
+        try:
+            self.trainer.fit(model, datamodule=datamodule, ckpt_path=resumed, weights_only=True)
+        except SystemExit:
+            # Lightning turns Ctrl-C into exit code 1.
+            console.show_interrupted(self.folder)
+            raise KeyboardInterrupt from None
+        console.show_results(results.write_results(self.folder, self.trainer, model, datamodule), self.folder)

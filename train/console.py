@@ -1,0 +1,84 @@
+"""What the user reads in the terminal."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+from torchpi.recording import Recording
+from train.data import RecordingsData
+from train.module import InverseTraining
+from train.run_folder import RunFolder
+
+CONSOLE = Console(highlight=False, soft_wrap=True)
+
+
+def show_data(data: RecordingsData, folder: RunFolder, warnings: Sequence[str]) -> None:
+    """What is trained on, what is held out, what is odd about it."""
+    records = data.load()
+    for warning in warnings:
+        CONSOLE.print(f"torchpi: warning: {warning}", markup=False, style="yellow")
+    CONSOLE.print(f"Training a direct inverse compensator into {folder.path}/", markup=False, style="bold")
+    for recording in records.train:
+        CONSOLE.print(f"  trained on  {_line(recording)}", markup=False)
+    for recording in records.heldout:
+        CONSOLE.print(f"  held out    {_line(recording)}", markup=False)
+    if not records.heldout:
+        CONSOLE.print("  held out    its last part", markup=False)
+
+
+def show_start(model: InverseTraining) -> None:
+    """The paper's two stages: where training starts, and what it must beat."""
+    start = model.start
+    errors = model.baseline_errors()
+    CONSOLE.print(
+        f"Two-stage least squares (eq. 10 on {start.slow}, eq. 11 on {', '.join(start.fast)}; "
+        f"condition number {start.condition_number:.2g}): held out {errors.rms_v:.4g} V rms, "
+        f"{errors.rms_um:.4g} µm rms",
+        markup=False,
+    )
+
+
+def show_interrupted(folder: RunFolder) -> None:
+    """How to go on."""
+    if folder.last.is_file():
+        CONSOLE.print(f"Go on with --output {folder.path} --ckpt_path last", markup=False)
+
+
+def show_results(metrics: Mapping[str, Any], folder: RunFolder) -> None:
+    """The table, and where things are."""
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    table.add_column("error of the voltage")
+    for heading in ("rms V", "max V", "rms µm", "max µm", "rms %", "max %"):
+        table.add_column(heading, justify="right")
+    for key, label in LABELS.items():
+        row = metrics[key]
+        table.add_row(label, *(f"{row[name]:.3g}" for name in NAMES))
+    CONSOLE.print(table)
+    if not metrics["how"]["monotone"]:
+        CONSOLE.print(f"Careful: {metrics['how']['monotone_says']}.", markup=False, style="yellow")
+    for path, what in (
+        (folder.compensator, "to deploy: TorchScript; the bare numbers in compensator.json"),
+        (folder.report, "the page with all figures"),
+        (folder.metrics, "these numbers; % is of the recording's peak to peak"),
+        (folder.events, f"tensorboard --logdir {folder.path}"),
+    ):
+        CONSOLE.print(f"{path}  {what}", markup=False)
+
+
+NAMES = ("rms_v", "max_v", "rms_um", "max_um", "rms_percent", "max_percent")
+LABELS = {
+    "train": "trained on",
+    "heldout": "held out",
+    "loading_excluded": "held out, loading excluded",
+    "baseline_lstsq": "held out, two-stage baseline",
+}
+
+
+def _line(recording: Recording) -> str:
+    u, y = recording.u, recording.y
+    return (
+        f"{recording.source or recording.name}: {len(u):,} samples at {recording.fs_hz:g} Hz, "
+        f"{u.min():.3g} … {u.max():.3g} V, {y.min():.4g} … {y.max():.4g} µm"
+    )

@@ -1,0 +1,230 @@
+"""What is trained on, and what is held out: recordings from files, or of the simulated stage."""
+
+import warnings
+from dataclasses import dataclass, field
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from lightning import LightningDataModule
+from torch.utils.data import DataLoader
+
+from torchpi.errors import ConfigError, RecordingError, RecordingWarning
+from torchpi.identification import InversePair, inverse_pair
+from torchpi.motion import Motion
+from torchpi.recording import Recording, read_recording
+from train.simulation import Simulation, simulate
+from train.windows import Window, windows
+
+HELDOUT_SHARE = 0.3
+
+
+class Split(NamedTuple):
+    """Records turned round for an inverse.
+
+    Attributes:
+        train: Fitted.
+        heldout: Only judged; `counted` is what is judged.
+        zero: The held-out records again; `counted` is where the zero of the sensor is fitted. Or empty.
+    """
+
+    train: list[InversePair]
+    heldout: list[InversePair]
+    zero: list[InversePair]
+
+
+class RecordingsData(LightningDataModule):
+    """Recordings of voltage and displacement, all at one sample rate: some to train on, some held out.
+
+    Args:
+        recordings: Files to train on: CSV with columns time_s,input_v,output_um, or any kind and columns
+            with the options below.
+        heldout: Files that only judge. By default the last of several recordings is held out; of a
+            single one the last 30 %.
+        simulate: Excitations of the simulated stage to use instead of files.
+        time_column: Column of time, name or number from 1. Not needed with fs_hz.
+        input_column: Column of the controller's voltage.
+        output_column: Column of the displacement.
+        fs_hz: Sample rate, Hz, for files without time.
+        resample: Accept time that is not uniform, and interpolate.
+        input_unit: V, mV or kV.
+        output_unit: um, nm, mm or m.
+        zero: Where the displacement counts from: the sensor's own zero (recorded), or each record's first
+            sample, where the stage is de-energised (first).
+        bandwidth_hz: Of the motion, for its rates; found from each recording by default.
+        skip_s: Start-up transient: the first seconds of each record set the state and are not counted.
+        evaluate_s: [start, stop]: judge only this stretch of the held-out records, s.
+        zero_s: [start, stop]: fit the zero of the held-out records' sensor on this stretch, s.
+        window_samples: Train on windows of so many samples, state carried over, instead of whole
+            records at once (with model.optimizer adam).
+        preview: Set by model.preview.
+    """
+
+    def __init__(
+        self,
+        recordings: list[str] | str | None = None,
+        heldout: list[str] | str | None = None,
+        simulate: Simulation | None = None,
+        time_column: str | int | None = "time_s",
+        input_column: str | int = "input_v",
+        output_column: str | int = "output_um",
+        fs_hz: float | None = None,
+        resample: bool = False,
+        input_unit: str = "V",
+        output_unit: str = "um",
+        zero: Literal["recorded", "first"] = "recorded",
+        bandwidth_hz: float | None = None,
+        skip_s: float = 0.0,
+        evaluate_s: tuple[float, float] | None = None,
+        zero_s: tuple[float, float] | None = None,
+        window_samples: int | None = None,
+        preview: int = 0,
+    ) -> None:
+        super().__init__()
+        if recordings and simulate:
+            raise ConfigError(
+                "data.recordings: found files beside data.simulate, want one of the two; "
+                "configs/recorded.yaml is the recipe for files"
+            )
+        if not recordings and not simulate:
+            raise ConfigError(
+                "data.recordings: found none, want at least one file, such as "
+                "--data.recordings '[slow.csv, fast.csv]'"
+            )
+        if window_samples is not None and window_samples < 1:
+            raise ConfigError(f"data.window_samples: found {window_samples}, want at least 1, or null")
+        if not skip_s >= 0:
+            raise ConfigError(f"data.skip_s: found {skip_s:g}, want a time in s that is not negative")
+        self.paths, self.heldout_paths, self.simulation = _paths(recordings), _paths(heldout), simulate
+        self.reading: dict[str, Any] = dict(
+            time_column=time_column,
+            input_column=input_column,
+            output_column=output_column,
+            fs_hz=fs_hz,
+            resample=resample,
+            input_unit=input_unit,
+            output_unit=output_unit,
+            zero="none" if zero == "recorded" else zero,
+        )
+        self.bandwidth_hz = bandwidth_hz
+        self.skip_s = skip_s
+        self.evaluate_s = evaluate_s
+        self.zero_s = zero_s
+        self.window_samples = window_samples
+        self.preview = preview
+        self.records: Records | None = None
+
+    def setup(self, stage: str) -> None:
+        self.load()
+
+    def load(self) -> "Records":
+        """Read and check all recordings, once."""
+        if self.records is None:
+            train, heldout = self._read()
+            _one_rate([*train, *heldout])
+            self.records = Records(train, heldout)
+            self.split(self.preview)
+        return self.records
+
+    def split(self, preview: int) -> Split:
+        """The records for an inverse with this preview."""
+        records = self.load()
+        if records.heldout:
+            train = [self._pair(recording, preview) for recording in records.train]
+            whole = [self._pair(recording, preview) for recording in records.heldout]
+        else:
+            pair = self._pair(records.train[0], preview)
+            first, last = pair.counted.start, pair.counted.stop
+            border = first + round((1 - HELDOUT_SHARE) * (last - first))
+            train = [_until(pair._replace(counted=slice(first, border)))]
+            whole = [pair._replace(counted=slice(border, last))]
+        return Split(
+            train,
+            [self._stretch(pair, self.evaluate_s, "evaluate_s") for pair in whole],
+            [self._stretch(pair, self.zero_s, "zero_s") for pair in whole] if self.zero_s else [],
+        )
+
+    def train_dataloader(self) -> DataLoader[list[Window]]:
+        """All records in one batch; or each window a batch, in order."""
+        each = list(windows(self.split(self.preview).train, self.window_samples))
+        return _batches([each] if self.window_samples is None else [[window] for window in each])
+
+    def val_dataloader(self) -> DataLoader[Split]:
+        """Everything in one batch."""
+        return _batches([self.split(self.preview)])
+
+    def _read(self) -> tuple[list[Recording], list[Recording]]:
+        if self.simulation:
+            train, heldout = simulate(self.simulation)
+        else:
+            train = [read_recording(path, **self.reading) for path in self.paths]
+            heldout = [read_recording(path, **self.reading) for path in self.heldout_paths]
+        for recording in heldout:
+            same = [other.source for other in train if other.sha256 == recording.sha256]
+            if same:
+                raise RecordingError(
+                    f"{recording.source}: held out, but the same file as {same[0]}, trained on; leave one out"
+                )
+        if not heldout and len(train) > 1:
+            heldout = [train.pop()]
+        if not heldout:
+            warnings.warn(
+                f"{train[0].source}: a single recording, its last {100 * HELDOUT_SHARE:.0f} % are held out; "
+                "another recording would say more about motions that differ (data.heldout)",
+                RecordingWarning,
+                stacklevel=2,
+            )
+        return train, heldout
+
+    def _pair(self, recording: Recording, preview: int) -> InversePair:
+        return inverse_pair(recording, preview, self.bandwidth_hz, self.skip_s)
+
+    def _stretch(self, pair: InversePair, seconds: tuple[float, float] | None, option: str) -> InversePair:
+        """The record up to the end of a stretch, the stretch counted."""
+        if seconds is None:
+            return _until(pair)
+        first, last = (round(second / pair.sample_period_s) for second in seconds)
+        if not 0 <= first < last or first >= pair.counted.stop:
+            end_s = pair.counted.stop * pair.sample_period_s
+            raise ConfigError(
+                f"data.{option}: found {list(seconds)} s, want a start and a later stop inside the held-out "
+                f"'{pair.name}', 0 to {end_s:.4g} s"
+            )
+        return _until(pair._replace(counted=slice(first, min(last, pair.counted.stop))))
+
+
+@dataclass(frozen=True)
+class Records:
+    """What was read: recordings trained on, and held out (empty: a tail of the only one)."""
+
+    train: list[Recording]
+    heldout: list[Recording] = field(default_factory=list)
+
+
+def _paths(given: list[str] | str | None) -> list[str]:
+    return [given] if isinstance(given, str) else given or []
+
+
+def _batches(ready: list[Any]) -> DataLoader[Any]:
+    """Each item as it is a batch, in order."""
+    return DataLoader(ready, batch_size=None, collate_fn=_as_it_is)  # type: ignore[arg-type]
+
+
+def _as_it_is(batch: Any) -> Any:
+    return batch
+
+
+def _until(pair: InversePair) -> InversePair:
+    """The record without what comes after its last counted sample."""
+    stop = pair.counted.stop
+    motion = Motion(*(signal[:, :stop] for signal in pair.motion))
+    return pair._replace(motion=motion, u=pair.u[:, :stop])
+
+
+def _one_rate(recordings: list[Recording]) -> None:
+    first = recordings[0]
+    for other in recordings[1:]:
+        if not np.isclose(other.fs_hz, first.fs_hz, rtol=1e-6):
+            raise RecordingError(
+                f"{other.source}: sampled at {other.fs_hz:g} Hz, but {first.source} at {first.fs_hz:g} Hz; "
+                f"want one rate: train on each rate apart, or resample"
+            )

@@ -1,0 +1,228 @@
+"""What is trained: a direct inverse compensator, by backpropagation through time over recordings."""
+
+from collections.abc import Sequence
+from typing import Any, Literal, cast
+
+import torch
+from lightning import LightningModule
+from torch import Tensor, nn
+
+from torchpi.compensator import DirectInverse
+from torchpi.errors import ConfigError
+from torchpi.identification import InverseErrors, TwoStageResult, fit_two_stage, inverse_errors
+from torchpi.operators.rate_weights import RateHead
+from torchpi.operators.weighted_sum import weighted_sum
+from torchpi.trained import to_checkpoint
+from train.data import RecordingsData, Split
+from train.projection import solve_weights
+from train.sensor_zero import fit_zeros
+from train.thresholds import spread_thresholds
+from train.windows import Window, windows
+
+CHOSEN_BY = "rms_v/chosen_by"
+
+
+class InverseTraining(LightningModule):
+    """A direct inverse: displacement in, voltage out (Qin et al. 2013, eq. 6 to 8, and extensions).
+
+    It starts from the paper's two-stage least squares. What is minimised is the mean squared error of
+    the voltage over the counted samples, over that of the start.
+
+    Args:
+        thresholds: r of the plays, in the unit of S(y), about µm, the first one 0. By default `plays` of
+            them, spread over the range of the recordings, denser near 0.
+        plays: How many thresholds to spread, if none are given.
+        degree: Degree of the saturation polynomial S (eq. 4).
+        rate: How the weights follow the rate: none (eq. 6), linear (eq. 7) or neural.
+        preview: Samples of the desired trajectory seen ahead; 0 is the paper's case. The delay of
+            converter, amplifier and sensor, in samples, is what it can undo.
+        lead: 0, 1 or 2. Undoes the stage's own lag (1) and also its first mode (2).
+        creep_time_constants_s: Relaxations that undo creep, s, such as [0.1, 1, 10]. None by default.
+        offset: Learn a constant voltage as well, for a sensor whose zero is arbitrary.
+        min_voltage_v: Lower limit of the controller's output.
+        max_voltage_v: Upper limit of the controller's output.
+        hidden: Size of the neural rate head.
+        train_thresholds: Train the thresholds too.
+        optimizer: lbfgs takes all records at once and is deterministic: best for few parameters.
+            adam takes a step a window (data.window_samples), for records too long for memory.
+        learning_rate: Of adam.
+        solve_weights: With lbfgs, solve for the weights by least squares at each trial of the others.
+        iterations: Of lbfgs in one epoch.
+    """
+
+    def __init__(
+        self,
+        thresholds: list[float] | None = None,
+        plays: int = 20,
+        degree: int = 4,
+        rate: RateHead = "linear",
+        preview: int = 0,
+        lead: Literal[0, 1, 2] = 0,
+        creep_time_constants_s: list[float] | None = None,
+        offset: bool = False,
+        min_voltage_v: float = 0.0,
+        max_voltage_v: float = 10.0,
+        hidden: int = 4,
+        train_thresholds: bool = False,
+        optimizer: Literal["lbfgs", "adam"] = "lbfgs",
+        learning_rate: float = 1e-3,
+        solve_weights: bool = True,
+        iterations: int = 5,
+    ) -> None:
+        super().__init__()
+        if plays < 1:
+            raise ConfigError(f"model.plays: found {plays}, want at least 1")
+        if not learning_rate > 0:
+            raise ConfigError(f"model.learning_rate: found {learning_rate:g}, want a positive number")
+        if iterations < 1:
+            raise ConfigError(f"model.iterations: found {iterations}, want at least 1")
+        self.thresholds = thresholds
+        self.plays = plays
+        self.form: dict[str, Any] = dict(
+            degree=degree, offset=offset, min_voltage_v=min_voltage_v, max_voltage_v=max_voltage_v
+        )
+        self.extensions: dict[str, Any] = dict(
+            rate=rate,
+            preview=preview,
+            lead=lead,
+            creep_time_constants_s=creep_time_constants_s or [],
+            hidden=hidden,
+            train_thresholds=train_thresholds,
+        )
+        self.optimizer_name = optimizer
+        self.learning_rate = learning_rate
+        self.solves = solve_weights and optimizer == "lbfgs"
+        self.iterations = iterations
+        self.compensator: DirectInverse
+        self.baseline: DirectInverse
+        self.start: TwoStageResult
+        self.split: Split
+        self.paper_split: Split
+        self.scale = 1.0
+        self.carried: Tensor | None = None
+
+    def setup(self, stage: str) -> None:
+        """Build the compensator and the baseline for the recordings at hand, once."""
+        if not hasattr(self, "compensator"):
+            self.build(self.recordings_data())
+
+    def recordings_data(self) -> RecordingsData:
+        return cast(RecordingsData, self.trainer.datamodule)  # type: ignore[attr-defined]
+
+    def build(self, data: RecordingsData) -> None:
+        """The compensator at the paper's optimum, and the paper's own form of it to compare with."""
+        if self.optimizer_name == "lbfgs" and data.window_samples is not None:
+            raise ConfigError(
+                f"data.window_samples: found {data.window_samples} with model.optimizer lbfgs, "
+                "which takes whole records; want null, or model.optimizer adam"
+            )
+        self.split = data.split(self.extensions["preview"])
+        self.paper_split = data.split(0)
+        trained_on = torch.cat([pair.motion.yd[0, pair.counted] for pair in self.split.train])
+        rates = torch.cat([pair.motion.yd_dot[0, pair.counted] for pair in self.split.train])
+        peak_to_peak_um = float(trained_on.max() - trained_on.min())
+        common = dict(
+            sample_period_s=self.split.train[0].sample_period_s,
+            thresholds=self.thresholds or spread_thresholds(self.plays, peak_to_peak_um),
+            range_um=float(trained_on.abs().max()),
+            rate_scale_um_s=float(rates.abs().max()),
+            **self.form,
+        )
+        self.baseline = DirectInverse(**common, rate="linear")
+        self.start = fit_two_stage(self.baseline, self.paper_split.train)
+        self.baseline.requires_grad_(False)
+        self.compensator = DirectInverse(**common, **self.extensions)
+        fit_two_stage(self.compensator, self.split.train)
+        self.scale = self._mean_square()
+
+    def training_step(self, batch: Sequence[Window], batch_idx: int) -> Tensor | None:
+        if self.solves:
+            return self._projected_loss(batch)
+        counted = sum(pair.counted.stop - pair.counted.start for pair in self.split.train)
+        losses = []
+        for window in batch:
+            u, state = self.compensator.voltage(window.motion, None if window.begins else self.carried)
+            self.carried = state.detach()
+            if window.counted.stop > window.counted.start:
+                losses.append((u - window.u)[:, window.counted].square().sum())
+        # A window of start-up transient only sets the state.
+        return torch.stack(losses).sum() / (counted * self.scale) if losses else None
+
+    def on_train_batch_end(self, outputs: Any, batch: Sequence[Window], batch_idx: int) -> None:
+        if self.solves:
+            # The last trial of the line search need not be the point that the optimiser chose.
+            with torch.no_grad():
+                self._projected_loss(batch)
+
+    def validation_step(self, batch: Split, batch_idx: int) -> None:
+        train, heldout = self.errors(batch)
+        # Where the zero of the sensor is fitted on a stretch apart, that stretch also chooses the epoch,
+        # so that nothing at all is chosen by what is judged.
+        chosen_by = heldout
+        if batch.zero:
+            zeros = fit_zeros(self.compensator, batch.zero)
+            chosen_by = inverse_errors(self.compensator, batch.zero, zeros_um=zeros)
+        self.log(CHOSEN_BY, chosen_by.rms_v, batch_size=1)
+        for name, errors in (("train", train), ("heldout", heldout)):
+            for key in ("rms_v", "max_v", "rms_um", "max_um"):
+                self.log(f"{key}/{name}", getattr(errors, key), batch_size=1)
+        self.log("loss/train", train.rms_v**2 / self.scale, batch_size=1)
+        self.log("loss/heldout", heldout.rms_v**2 / self.scale, batch_size=1)
+
+    def errors(self, split: Split) -> tuple[InverseErrors, InverseErrors]:
+        """Of the compensator as it stands, on what it trains on and on what is held out."""
+        return (
+            inverse_errors(self.compensator, split.train),
+            inverse_errors(self.compensator, split.heldout, zeros_um=fit_zeros(self.compensator, split.zero)),
+        )
+
+    def baseline_errors(self) -> InverseErrors:
+        """Of the two-stage least-squares baseline on what is held out."""
+        zeros = fit_zeros(self.baseline, self.paper_split.zero)
+        return inverse_errors(self.baseline, self.paper_split.heldout, zeros_um=zeros)
+
+    def configure_optimizers(self) -> torch.optim.Optimizer:
+        parameters = [parameter for parameter in self._searched() if parameter.requires_grad]
+        if self.optimizer_name == "adam":
+            return torch.optim.Adam(parameters, self.learning_rate)
+        return torch.optim.LBFGS(
+            parameters,
+            max_iter=self.iterations,
+            history_size=20,
+            tolerance_grad=1e-10,
+            tolerance_change=1e-13,
+            line_search_fn="strong_wolfe",
+        )
+
+    def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
+        checkpoint.update(to_checkpoint(self.compensator))
+
+    def _searched(self) -> list[nn.Parameter]:
+        solved = {id(self.compensator.weights.theta), id(self.compensator.offset)} if self.solves else set()
+        return [
+            parameter
+            for parameter in self.compensator.parameters()
+            if id(parameter) not in solved and parameter.numel() > 0
+        ]
+
+    def _projected_loss(self, batch: Sequence[Window]) -> Tensor:
+        """The loss at the weights that are best for the other parameters."""
+        compensator, h, basis, wanted = self.compensator, [], [], []
+        for window in batch:
+            states, _ = compensator.play_states(window.motion)
+            h.append(states[:, window.counted])
+            basis.append(compensator.weights.basis(window.motion.yd_dot[:, window.counted]))
+            wanted.append(window.u[:, window.counted])
+        solve_weights(compensator, [a[0] for a in h], [b[0] for b in basis], [u[0] for u in wanted])
+        theta, offset = compensator.weights.theta.detach(), compensator.offset.detach()
+        errors = [weighted_sum(a, b, theta) + offset - u for a, b, u in zip(h, basis, wanted, strict=True)]
+        return torch.cat(errors, 1).square().mean() / self.scale
+
+    def _mean_square(self) -> float:
+        """Mean squared error of the start, V², before the output limits, as in the loss."""
+        with torch.no_grad():
+            errors = [
+                (self.compensator.voltage(window.motion)[0] - window.u)[:, window.counted]
+                for window in windows(self.split.train, None)
+            ]
+        return max(float(torch.cat(errors, 1).square().mean()), 1e-30)

@@ -1,0 +1,43 @@
+"""Lightning's parser with torchpi's errors: one line, what was found, what is wanted."""
+
+import re
+from typing import Any, NoReturn
+
+from lightning.pytorch.cli import LightningArgumentParser
+
+from torchpi.command_line import Parser
+from torchpi.errors import ConfigError
+
+
+class TrainParser(Parser, LightningArgumentParser):
+    """The parser of `python -m train`."""
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        # An option that is merely the beginning of a right one is a mistake, and is named.
+        super().__init__(*args, allow_abbrev=False, **kwargs)
+
+    def error(self, message: str, ex: Exception | None = None) -> NoReturn:
+        text = re.sub(r"\s+", " ", message).strip()
+        text = text.replace("Subcommand 'fit' does not accept option", "Option")
+        nested = re.search(r"unknown option or key '[^']*'(; nearest is '[^']*')?", text)
+        if nested:
+            raise ConfigError(f"{nested[0]}; --help lists all") from ex
+        value = re.search(r'Parser key "(?P<key>[\w.]+)": .*(?:Given|Got) value: (?P<found>.*)$', text)
+        if value:
+            wanted = self._wanted(value["key"])
+            raise ConfigError(f"{value['key']}: found {value['found']}, want {wanted}") from ex
+        super().error(re.sub(r'Parser key "([\w.]+)"', r"\1", text), ex)
+
+    def _wanted(self, key: str) -> str:
+        """The type of an option, as a reader of its help would say it."""
+        for action in self._actions:
+            choices = getattr(action, "_name_parser_map", None) or {}
+            for parser in choices.values():
+                if any(other.dest == key for other in parser._actions):
+                    return str(parser._wanted(key))
+            hint = getattr(action, "_typehint", None)
+            if action.dest == key and hint is not None:
+                text = re.sub(r"<class '(?:[\w]+\.)*(\w+)'>|\b(?:\w+\.)+(\w+)", r"\1\2", str(hint))
+                text = re.sub(r"Literal\[(.*?)\]", r"\1", text)
+                return re.sub(r"Optional\[(.*)\]", r"\1 or null", text).replace(" | None", " or null")
+        return "a value of the kind that --help names"

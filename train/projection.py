@@ -1,0 +1,46 @@
+"""The weights that are best for given nonlinear parameters: variable projection (Golub and Pereyra, 1973).
+
+The voltage is linear in θ and the offset, so for every trial of the other parameters they are solved for
+instead of searched. At that solution the loss is flat in θ, so the gradient of the loss with θ held is
+the gradient of the projected loss.
+"""
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from torchpi.compensator import DirectInverse
+
+# Neighbouring plays are nearly collinear. This share of the columns' mean square keeps single weights
+# from growing without bound in directions that change the voltage by less than the noise.
+RIDGE = 1e-10
+
+
+def solve_weights(
+    compensator: DirectInverse,
+    h: Sequence[Tensor],  # of each record, (samples, plays)
+    basis: Sequence[Tensor],  # of each record, (samples, functions)
+    u: Sequence[Tensor],  # of each record, (samples,), V
+) -> None:
+    """Set θ, and the offset where there is one, to their least-squares values."""
+    theta = compensator.weights.theta
+    with torch.no_grad():
+        with_offset = compensator.offset.requires_grad
+        columns = torch.cat([_columns(a, b, with_offset) for a, b in zip(h, basis, strict=True)])
+        size = columns.square().mean(0).sqrt()
+        size[size == 0] = 1.0  # a play that nothing moved
+        columns /= size
+        gram = columns.T @ columns / len(columns)
+        gram.diagonal().add_(RIDGE)
+        wanted = columns.T @ torch.cat(list(u)) / len(columns)
+        solution = torch.linalg.solve(gram, wanted) / size
+        theta.copy_(solution[: theta.numel()].reshape(theta.shape))
+        if with_offset:
+            compensator.offset.copy_(solution[-1])
+
+
+def _columns(h: Tensor, basis: Tensor, offset: bool) -> Tensor:
+    """Everything that θ and the offset multiply. Shape: (samples, columns)."""
+    columns = (h[:, :, None] * basis[:, None, :]).flatten(1)
+    return torch.cat([columns, torch.ones_like(columns[:, :1])], 1) if offset else columns

@@ -1,0 +1,165 @@
+"""What a run leaves: settings before training, figures and exports after it. Every file appears whole."""
+
+import importlib.metadata
+import json
+import platform
+import shlex
+import sys
+from pathlib import Path
+from typing import Any, cast
+
+import torch
+from lightning import Trainer
+from lightning.pytorch.loggers import TensorBoardLogger
+
+from torchpi.export import save_json, save_torchscript
+from torchpi.files import write_atomically
+from torchpi.identification import inverse_errors
+from torchpi.identification.monotone import Monotone, monotone
+from torchpi.report.training import TrainingReport
+from torchpi.report.what_was_run import Provenance
+from torchpi.trained import STATE
+from train.data import HELDOUT_SHARE, RecordingsData
+from train.module import InverseTraining
+from train.pictures import record_fits, saturation, weights_against_rate
+from train.run_folder import RunFolder
+from train.sensor_zero import fit_zeros
+
+PACKAGES = ("torchpi", "torch", "lightning", "numpy", "scipy", "numba")
+
+
+def write_settings(folder: RunFolder, config: str, data: RecordingsData, seed: int) -> None:
+    """config.yaml and run.json: enough to run it again and to see whether it is the same."""
+    records = data.load()
+    facts = {
+        "command": shlex.join(["python", "-m", "train", *sys.argv[1:]]),
+        "seed": seed,
+        "data_sha256": {
+            recording.source: recording.sha256 for recording in [*records.train, *records.heldout]
+        },
+        "versions": {"python": platform.python_version(), **{name: _version(name) for name in PACKAGES}},
+        "machine": f"{platform.system()} {platform.machine()}",
+    }
+    _write(folder.config, config)
+    _write(folder.facts, json.dumps(facts, indent=2, ensure_ascii=False) + "\n")
+
+
+def write_results(
+    folder: RunFolder, trainer: Trainer, model: InverseTraining, data: RecordingsData
+) -> dict[str, Any]:
+    """Judge the best checkpoint and write everything; returns the metrics."""
+    best = torch.load(folder.best, map_location="cpu", weights_only=True)
+    model.cpu().compensator.load_state_dict(best[STATE])
+    metrics = judge(model, data) | {"how": how(model, data, int(best["epoch"]) + 1, trainer.current_epoch)}
+    save_json(model.compensator, folder.compensator.with_suffix(".json"))
+    save_torchscript(model.compensator, folder.compensator)
+    save_torchscript(model.baseline, folder.baseline)
+    _write_report(folder, model, metrics)
+    _log_hyper_parameters(trainer, model, metrics)
+    # Last, so that a run folder with metrics is a complete one.
+    _write(folder.metrics, json.dumps(metrics, indent=2, ensure_ascii=False) + "\n")
+    return metrics
+
+
+def judge(model: InverseTraining, data: RecordingsData) -> dict[str, dict[str, float]]:
+    """The errors by the contract of metrics.json."""
+    train, heldout = model.errors(model.split)
+    zeros = fit_zeros(model.compensator, model.split.zero)
+    loaded = inverse_errors(model.compensator, model.split.heldout, loading_excluded=True, zeros_um=zeros)
+    return {
+        "train": train.as_dict(),
+        "heldout": heldout.as_dict(),
+        "baseline_lstsq": model.baseline_errors().as_dict(),
+        "loading_excluded": loaded.as_dict(),
+    }
+
+
+def how(model: InverseTraining, data: RecordingsData, best_epoch: int, epochs: int) -> dict[str, Any]:
+    """What the numbers were taken on."""
+    records = data.load()
+    return {
+        "heldout": [recording.source for recording in records.heldout]
+        or [f"last {100 * HELDOUT_SHARE:.0f} % of {records.train[0].source}"],
+        "baseline_lstsq": "on held-out recordings: two-stage least squares (eq. 10, 11), same thresholds "
+        "and degree, linear rate, no preview, lead or creep",
+        "loading_excluded": "on held-out recordings, from where each first reaches its largest displacement",
+        "skip_s": data.skip_s,
+        "evaluate_s": data.evaluate_s,
+        "zero_s": data.zero_s,
+        "zeros_um": fit_zeros(model.compensator, model.split.zero),
+        "baseline_zeros_um": fit_zeros(model.baseline, model.paper_split.zero),
+        "epoch_chosen_by": "held-out rms_v" + (" on zero_s, outside what is judged" if data.zero_s else ""),
+        "monotone": bool(rises := check_monotone(model)),
+        "monotone_says": str(rises),
+        "best_epoch": best_epoch,
+        "epochs": epochs,
+    }
+
+
+def check_monotone(model: InverseTraining) -> Monotone:
+    """Whether the compensator may run backwards over what it was trained on."""
+    yd = torch.cat([pair.motion.yd[0, pair.counted] for pair in model.split.train])
+    rate = torch.cat([pair.motion.yd_dot[0, pair.counted] for pair in model.split.train])
+    return monotone(
+        model.compensator, (float(yd.min()), float(yd.max())), (float(rate.min()), float(rate.max()))
+    )
+
+
+def _write_report(folder: RunFolder, model: InverseTraining, metrics: dict[str, Any]) -> None:
+    from torchpi.report.page import write_training_report
+
+    facts = json.loads(folder.facts.read_text(encoding="utf-8"))
+    report = TrainingReport(
+        name=folder.path.name,
+        metrics={key: row for key, row in metrics.items() if key != "how"},
+        records=record_fits(model),
+        weights=weights_against_rate(model),
+        saturation=saturation(model),
+        notes=notes(metrics["how"]),
+    )
+    provenance = Provenance(
+        facts["command"], facts["seed"], facts["data_sha256"], facts["versions"], facts["machine"]
+    )
+    write_training_report(report, provenance, folder.report)
+
+
+def notes(how: dict[str, Any]) -> tuple[str, ...]:
+    """What a reader of the page must know of the numbers."""
+    said = [f"Held out: {', '.join(how['heldout'])}."]
+    if not how["monotone"]:
+        said.append(f"Careful: {how['monotone_says']}.")
+    if how["evaluate_s"]:
+        said.append("Judged from {:g} s to {:g} s of it.".format(*how["evaluate_s"]))
+    if how["zero_s"]:
+        said.append(
+            "The zero of its sensor is arbitrary: one number, fitted from {:g} s to {:g} s.".format(
+                *how["zero_s"]
+            )
+        )
+    return tuple(said)
+
+
+def _log_hyper_parameters(trainer: Trainer, model: InverseTraining, metrics: dict[str, Any]) -> None:
+    logger = cast(TensorBoardLogger, trainer.logger)
+    parts = ("train", "heldout", "baseline_lstsq")
+    shown = {f"result/{part}_rms_um": metrics[part]["rms_um"] for part in parts}
+    logger.log_hyperparams(
+        {
+            key: value if isinstance(value, int | float | str) else str(value)
+            for key, value in model.compensator.hyper_parameters.items()
+        },
+        shown,
+    )
+    logger.finalize("success")
+
+
+def _write(path: Path, text: str) -> None:
+    with write_atomically(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
+def _version(package: str) -> str:
+    try:
+        return importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:
+        return "not installed as a package"

@@ -1,0 +1,143 @@
+"""Where a run leaves its files, and whether it may."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from torchpi.compensator import DirectInverse
+from torchpi.errors import ArtifactError, ConfigError
+from torchpi.trained import load_compensator
+
+RUNS = Path("runs")
+
+
+@dataclass(frozen=True)
+class RunFolder:
+    """The files of a run, by what they are. Making one creates nothing."""
+
+    path: Path
+
+    @property
+    def config(self) -> Path:
+        return self.path / "config.yaml"
+
+    @property
+    def facts(self) -> Path:
+        """Seed, hashes of the data, versions."""
+        return self.path / "run.json"
+
+    @property
+    def checkpoints(self) -> Path:
+        return self.path / "checkpoints"
+
+    @property
+    def best(self) -> Path:
+        return self.checkpoints / "best.ckpt"
+
+    @property
+    def last(self) -> Path:
+        return self.checkpoints / "last.ckpt"
+
+    @property
+    def events(self) -> Path:
+        return self.path / "tensorboard"
+
+    @property
+    def metrics(self) -> Path:
+        return self.path / "metrics.json"
+
+    @property
+    def compensator(self) -> Path:
+        """TorchScript; the JSON of its numbers stands beside it."""
+        return self.path / "compensator.pt"
+
+    @property
+    def baseline(self) -> Path:
+        """The two-stage least-squares baseline, TorchScript."""
+        return self.path / "baseline.pt"
+
+    @property
+    def report(self) -> Path:
+        return self.path / "report.html"
+
+
+def new_run(output: str | None, name: str, checkpoint: str | None) -> RunFolder:
+    """The folder of a new run: `output`, or the next free one of that name.
+
+    Raises:
+        ArtifactError: `output` is a file or is in use; the checkpoint to start from is missing.
+    """
+    if checkpoint is not None and not Path(checkpoint).is_file():
+        raise ArtifactError(f"--ckpt_path {checkpoint}: no such file, want 'last' or a checkpoint")
+    if output is None:
+        return RunFolder(_free(name))
+    path = Path(output)
+    if path.exists() and not path.is_dir():
+        raise ArtifactError(f"--output {output}: found a file, want a new or empty folder")
+    blocked = next((parent for parent in path.parents if parent.exists() and not parent.is_dir()), None)
+    if blocked:
+        raise ArtifactError(f"--output {output}: {blocked} is a file, want a new or empty folder")
+    folder = RunFolder(path)
+    if path.is_dir() and any(path.iterdir()):
+        raise ArtifactError(f"--output {output}: {_contents(folder)}")
+    return folder
+
+
+def run_to_continue(output: str | None, name: str) -> RunFolder:
+    """The folder of the run to go on with: `output`, or the latest of that name.
+
+    Raises:
+        ArtifactError: There is none, or it has no checkpoint yet.
+    """
+    if output is not None:
+        folder = RunFolder(Path(output))
+    else:
+        started = [path for path in _numbered(name) if RunFolder(path).last.is_file()]
+        if not started:
+            raise ArtifactError(
+                f"--ckpt_path last: no run with a checkpoint at {RUNS / name}; "
+                "name its folder with --output, or leave out --ckpt_path"
+            )
+        folder = RunFolder(started[-1])
+    if not folder.last.is_file():
+        raise ArtifactError(
+            f"--ckpt_path last: no {folder.last}; name a run's folder with --output, or leave out --ckpt_path"
+        )
+    return folder
+
+
+def check_continues(checkpoint: Path, compensator: DirectInverse) -> None:
+    """Whether a checkpoint is one of the same training.
+
+    Raises:
+        ArtifactError: Not a checkpoint, or one of something else.
+        ConfigError: Of a compensator with other hyper-parameters.
+    """
+    found, wanted = load_compensator(checkpoint).hyper_parameters, compensator.hyper_parameters
+    for name in wanted:
+        if found[name] != wanted[name]:
+            raise ConfigError(
+                f"{checkpoint}: trained with {name} {found[name]}, but these settings and recordings make it "
+                f"{wanted[name]}; go on with those it was started with, or start a new run"
+            )
+
+
+def _free(name: str) -> Path:
+    taken = _numbered(name)
+    number = len(taken) + 1
+    return RUNS / (name if number == 1 else f"{name}-{number}")
+
+
+def _numbered(name: str) -> list[Path]:
+    """runs/NAME, runs/NAME-2, … as far as they exist."""
+    paths: list[Path] = []
+    while (path := RUNS / (f"{name}-{len(paths) + 1}" if paths else name)).exists():
+        paths.append(path)
+    return paths
+
+
+def _contents(folder: RunFolder) -> str:
+    if folder.last.is_file():
+        state = "a finished run" if folder.metrics.is_file() else "a run that was interrupted"
+        return f"holds {state}; go on with it by --ckpt_path last, or name another folder"
+    first = min(entry.name for entry in folder.path.iterdir())
+    return f"is in use (it holds '{first}'), want a new or empty folder"

@@ -1,0 +1,76 @@
+"""Recordings of the simulated stage, made on the spot."""
+
+import hashlib
+from dataclasses import dataclass, field
+from typing import Any
+
+import torch
+
+from torchpi.excitation import make_excitation
+from torchpi.recording import Recording, check_recording
+from torchpi.stage import Stage
+
+
+@dataclass
+class Simulated:
+    """One recording of the simulated stage.
+
+    Args:
+        excitation: sine_5hz, paper_multisine (eq. 13), multisine, triangles, stairs or hold.
+        duration_s: Its length; each excitation has a default.
+        seed: Of the sensor's noise, and of random phases.
+        options: Further options of the excitation.
+    """
+
+    excitation: str
+    duration_s: float | None = None
+    seed: int = 0
+    options: dict[str, Any] = field(default_factory=dict)
+
+
+@dataclass
+class Simulation:
+    """Recordings of a simulated stage.
+
+    Args:
+        train: What to train on.
+        heldout: What to judge on; as with files, the last one of `train` if there is none.
+        stage: Stage file, YAML.
+    """
+
+    train: list[Simulated]
+    heldout: list[Simulated] = field(default_factory=list)
+    stage: str = "configs/stage/default.yaml"
+
+
+def simulate(simulation: Simulation) -> tuple[list[Recording], list[Recording]]:
+    """The recordings to train on, and those held out; the same ones for the same settings.
+
+    Raises:
+        TorchpiError: A stage or an excitation that is not one.
+    """
+    stage = Stage.from_yaml(simulation.stage)
+    return (
+        [_record(stage, simulated) for simulated in simulation.train],
+        [_record(stage, simulated) for simulated in simulation.heldout],
+    )
+
+
+def _record(stage: Stage, simulated: Simulated) -> Recording:
+    t, u = make_excitation(
+        simulated.excitation, stage.sample_rate_hz, simulated.duration_s, simulated.seed, simulated.options
+    )
+    with torch.no_grad():
+        _, y = stage.simulate(torch.from_numpy(u)[None], seed=simulated.seed)
+    name = f"{simulated.excitation}-{simulated.seed}"
+    recording = Recording(
+        name=name,
+        t=t,
+        u=u,
+        y=y[0].numpy(),
+        fs_hz=stage.sample_rate_hz,
+        source=f"simulated {name}",
+        sha256=hashlib.sha256(u.tobytes() + y.numpy().tobytes()).hexdigest(),
+    )
+    check_recording(recording)
+    return recording

@@ -1,0 +1,87 @@
+"""The Lightning trainer of a run: few options, early stop, best and last checkpoint, both always whole."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from lightning import Trainer
+from lightning.fabric.utilities.exceptions import MisconfigurationException
+from lightning.pytorch.callbacks import EarlyStopping, ModelCheckpoint
+from lightning.pytorch.loggers import TensorBoardLogger
+from lightning.pytorch.plugins.io import TorchCheckpointIO
+
+from torchpi.errors import ConfigError
+from torchpi.files import write_atomically
+from train.callbacks import EpochProgress, TensorBoardFigures
+from train.module import CHOSEN_BY
+from train.run_folder import RunFolder
+
+
+@dataclass
+class TrainerOptions:
+    """How long to train, and what to show of it.
+
+    Args:
+        max_epochs: Most epochs; with lbfgs one is `model.iterations` steps of it.
+        patience: Stop after so many epochs without a smaller held-out error.
+        figures_every: Epochs between figures in TensorBoard; the last epoch has them anyway.
+        progress: Show a progress bar.
+        lightning: Further options of lightning.Trainer, by name.
+    """
+
+    max_epochs: int = 60
+    patience: int = 10
+    figures_every: int = 20
+    progress: bool = True
+    lightning: dict[str, Any] | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("max_epochs", "patience"):
+            if getattr(self, name) < 1:
+                raise ConfigError(f"trainer.{name}: found {getattr(self, name)}, want at least 1")
+
+
+def make_trainer(options: TrainerOptions, folder: RunFolder) -> Trainer:
+    """A trainer that writes into `folder`, which need not exist yet."""
+    progress = [EpochProgress(options.max_epochs)] if options.progress else []
+    settings: dict[str, Any] = dict(
+        max_epochs=options.max_epochs,
+        # Sequential kernels in float64: nothing else is as quick.
+        accelerator="cpu",
+        devices=1,
+        logger=TensorBoardLogger(
+            folder.path, name="", version=folder.events.name, default_hp_metric=False
+        ),
+        callbacks=[
+            *progress,
+            TensorBoardFigures(options.figures_every),
+            EarlyStopping(CHOSEN_BY, patience=options.patience, check_finite=True),
+            ModelCheckpoint(
+                folder.checkpoints, folder.best.stem, CHOSEN_BY,
+                enable_version_counter=False, save_on_train_epoch_end=True,
+            ),
+            ModelCheckpoint(
+                folder.checkpoints, folder.last.stem,
+                enable_version_counter=False, save_on_train_epoch_end=True,
+            ),
+        ],
+        plugins=[WholeCheckpoints()],
+        # The records are few and in memory; ours is the one line of progress.
+        enable_progress_bar=False,
+        enable_model_summary=False,
+        num_sanity_val_steps=0,
+        log_every_n_steps=1,
+    )  # fmt: skip
+    try:
+        return Trainer(**settings | (options.lightning or {}))
+    except (MisconfigurationException, TypeError, ValueError) as error:
+        raise ConfigError(f"trainer: {' '.join(str(error).split())}") from error
+
+
+class WholeCheckpoints(TorchCheckpointIO):
+    """Checkpoints that replace the previous one in one step: a kill leaves one of the two, whole."""
+
+    def save_checkpoint(self, checkpoint: dict[str, Any], path: Any, storage_options: Any = None) -> None:
+        with write_atomically(Path(path)) as temporary:
+            torch.save(checkpoint, temporary)
