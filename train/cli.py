@@ -123,7 +123,6 @@ class FitCLI(LightningCLI):
             type=str | None,
             help="Go on from a checkpoint: 'last' of the output folder, or a file.",
         )
-        parser.link_arguments("model.preview", "data.preview")
 
     def parse_arguments(self, parser: LightningArgumentParser, args: Any) -> None:
         super().parse_arguments(parser, args)

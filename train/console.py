@@ -38,6 +38,8 @@ def show_start(model: InverseTraining) -> None:
         f"{errors.rms_um:.4g} µm rms",
         markup=False,
     )
+    ahead = model.compensator.preview
+    CONSOLE.print(f"Look-ahead: {ahead} samples, {1e3 * ahead * model.compensator.sample_period_s:.4g} ms")
 
 
 def show_interrupted(folder: RunFolder) -> None:

@@ -56,7 +56,6 @@ class RecordingsData(LightningDataModule):
         zero_s: [start, stop]: fit the zero of the held-out records' sensor on this stretch, s.
         window_samples: Train on windows of so many samples, state carried over, instead of whole
             records at once (with model.optimizer adam).
-        preview: Set by model.preview.
     """
 
     def __init__(
@@ -77,7 +76,6 @@ class RecordingsData(LightningDataModule):
         evaluate_s: tuple[float, float] | None = None,
         zero_s: tuple[float, float] | None = None,
         window_samples: int | None = None,
-        preview: int = 0,
     ) -> None:
         super().__init__()
         if recordings and simulate:
@@ -110,7 +108,7 @@ class RecordingsData(LightningDataModule):
         self.evaluate_s = evaluate_s
         self.zero_s = zero_s
         self.window_samples = window_samples
-        self.preview = preview
+        self.preview = 0  # the model's, once it is built
         self.records: Records | None = None
 
     def setup(self, stage: str) -> None:

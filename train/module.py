@@ -14,6 +14,7 @@ from torchpi.operators.rate_weights import RateHead
 from torchpi.operators.weighted_sum import weighted_sum
 from torchpi.trained import to_checkpoint
 from train.data import RecordingsData, Split
+from train.preview import find_preview
 from train.projection import solve_weights
 from train.sensor_zero import fit_zeros
 from train.thresholds import spread_thresholds
@@ -34,8 +35,8 @@ class InverseTraining(LightningModule):
         plays: How many thresholds to spread, if none are given.
         degree: Degree of the saturation polynomial S (eq. 4).
         rate: How the weights follow the rate: none (eq. 6), linear (eq. 7) or neural.
-        preview: Samples of the desired trajectory seen ahead; 0 is the paper's case. The delay of
-            converter, amplifier and sensor, in samples, is what it can undo.
+        preview: Samples of the desired trajectory seen ahead; 0 is the paper's case. It undoes the delay of
+            converter, amplifier and sensor. `auto` finds as many as the recordings show the stage to be late.
         lead: 0, 1 or 2. Undoes the stage's own lag (1) and also its first mode (2).
         creep_time_constants_s: Relaxations that undo creep, s, such as [0.1, 1, 10]. None by default.
         offset: Learn a constant voltage as well, for a sensor whose zero is arbitrary.
@@ -56,7 +57,7 @@ class InverseTraining(LightningModule):
         plays: int = 20,
         degree: int = 4,
         rate: RateHead = "linear",
-        preview: int = 0,
+        preview: int | Literal["auto"] = 0,
         lead: Literal[0, 1, 2] = 0,
         creep_time_constants_s: list[float] | None = None,
         offset: bool = False,
@@ -116,13 +117,12 @@ class InverseTraining(LightningModule):
                 f"data.window_samples: found {data.window_samples} with model.optimizer lbfgs, "
                 "which takes whole records; want null, or model.optimizer adam"
             )
-        self.split = data.split(self.extensions["preview"])
         self.paper_split = data.split(0)
-        trained_on = torch.cat([pair.motion.yd[0, pair.counted] for pair in self.split.train])
-        rates = torch.cat([pair.motion.yd_dot[0, pair.counted] for pair in self.split.train])
+        trained_on = torch.cat([pair.motion.yd[0, pair.counted] for pair in self.paper_split.train])
+        rates = torch.cat([pair.motion.yd_dot[0, pair.counted] for pair in self.paper_split.train])
         peak_to_peak_um = float(trained_on.max() - trained_on.min())
         common = dict(
-            sample_period_s=self.split.train[0].sample_period_s,
+            sample_period_s=self.paper_split.train[0].sample_period_s,
             thresholds=self.thresholds or spread_thresholds(self.plays, peak_to_peak_um),
             range_um=float(trained_on.abs().max()),
             rate_scale_um_s=float(rates.abs().max()),
@@ -131,6 +131,10 @@ class InverseTraining(LightningModule):
         self.baseline = DirectInverse(**common, rate="linear")
         self.start = fit_two_stage(self.baseline, self.paper_split.train)
         self.baseline.requires_grad_(False)
+        if self.extensions["preview"] == "auto":
+            self.extensions["preview"] = find_preview(self.baseline, lambda ahead: data.split(ahead).train)
+        data.preview = self.extensions["preview"]
+        self.split = data.split(data.preview)
         self.compensator = DirectInverse(**common, **self.extensions)
         fit_two_stage(self.compensator, self.split.train)
         self.scale = self._mean_square()

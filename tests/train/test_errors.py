@@ -31,6 +31,7 @@ def refused(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> str:
         (["--config=missing.yaml"], "missing.yaml"),
         (["--data.recordings=a.csv", "--ckpt_path=missing.ckpt"], "missing.ckpt"),
         (["--data.recordings=a.csv", "--ckpt_path=last"], "--output"),
+        (["--data.recordings=a.csv", "--model.preview=soon"], "model.preview: found soon"),
     ],
 )
 def test_mistakes_on_the_command_line(

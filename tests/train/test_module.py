@@ -1,17 +1,21 @@
 """The parts of training against independent ways to the same numbers."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.train.conftest import recording, write
 from torchpi.identification import InversePair, inverse_pair
 from torchpi.motion import Motion
 from train.data import RecordingsData
 from train.module import InverseTraining
+from train.projection import RIDGE
 from train.sensor_zero import fit_zero
 from train.thresholds import spread_thresholds
 from train.trainer import WholeCheckpoints
@@ -20,7 +24,7 @@ from train.windows import windows
 
 def built(recordings: list[str], **settings: Any) -> InverseTraining:
     module = InverseTraining(plays=5, degree=2, **settings)
-    module.build(RecordingsData(recordings=recordings, skip_s=0.05, preview=settings.get("preview", 0)))
+    module.build(RecordingsData(recordings=recordings, skip_s=0.05))
     return module
 
 
@@ -66,9 +70,14 @@ def test_projected_weights_are_the_least_squares_solution(recordings: list[str],
             columns.append(torch.cat([each, torch.ones_like(each[..., :1])], 2)[0, window.counted])
             wanted.append(window.u[0, window.counted])
         features, u = torch.cat(columns), torch.cat(wanted)
-        best = torch.linalg.lstsq(features, u[:, None], driver="gelsd").solution
+        # The ridge as rows of their own: another way to the same minimum than the normal equations.
+        size = features.square().mean(0).sqrt()
+        penalty = (RIDGE * len(features)) ** 0.5 * torch.eye(len(size), dtype=torch.float64)
+        rows = torch.cat([features / size, penalty])
+        wanted_rows = torch.cat([u, torch.zeros(len(size), dtype=torch.float64)])[:, None]
+        best = torch.linalg.lstsq(rows, wanted_rows, driver="gelsd").solution / size[:, None]
         least = float((features @ best - u[:, None]).square().mean()) / module.scale
-    assert loss == pytest.approx(least, rel=1e-3)
+    assert loss == pytest.approx(least, rel=1e-6)
 
 
 def test_the_gradient_of_the_projected_loss_is_its_slope(recordings: list[str]) -> None:
@@ -135,3 +144,14 @@ def test_a_kill_while_a_checkpoint_is_written_leaves_the_previous_one(
         WholeCheckpoints().save_checkpoint({"epoch": 2}, path)
     assert torch.load(path, weights_only=True) == {"epoch": 1}
     assert [entry.name for entry in tmp_path.iterdir()] == ["last.ckpt"]
+
+
+@pytest.mark.parametrize("more", [0, 3])
+def test_preview_auto_is_as_many_samples_as_the_displacement_is_late(more: int, tmp_path: Path) -> None:
+    files = []
+    for seed in range(3):
+        made = recording(f"r{seed}", seed)
+        later = np.concatenate([np.zeros(more), made.y])[: len(made)]
+        files.append(write(tmp_path, replace(made, y=later)))
+    # The stage of these tests is late by a sample of its own.
+    assert built(files, preview="auto").compensator.preview == 1 + more

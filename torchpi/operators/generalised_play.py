@@ -1,0 +1,269 @@
+"""The generalised play: other envelopes and thresholds up than down, for loops that are not symmetric.
+
+    h(t) = max{γ_up(x(t)) - r_up, min{γ_down(x(t)) + r_down, h(t - T)}}
+
+Krasnosel'skii and Pokrovskii, *Systems with Hysteresis*, 1989; Brokate and Sprekels, *Hysteresis and Phase
+Transitions*, 1996; Al Janaideh, Rakheja and Su, *A generalized Prandtl–Ishlinskii model for characterizing
+the hysteresis and saturation nonlinearities of smart actuators*, Smart Mater. Struct. 18, 2009. With both
+envelopes the identity and equal thresholds it is the play of eq. 1; with both of them S, the play behind
+the polynomial of eq. 6. The paper names it (Section II-A) as what its direct approach may take in.
+"""
+
+from typing import Any, cast
+
+import numba
+import numpy as np
+import torch
+from torch import Tensor, nn
+from torch.autograd.function import FunctionCtx, once_differentiable
+
+from torchpi.errors import ConfigError
+from torchpi.operators.base import Operator
+from torchpi.operators.polynomial import Polynomial, PolynomialStream
+from torchpi.operators.weighted_sum import weight, weighted_sum
+
+
+def clamp_play(low: float, high: float, h: float) -> float:
+    """max{low, min{high, h}}: what every play does with its last state, whatever moves its two ends."""
+    return max(low, min(high, h))
+
+
+class GeneralisedPlayBank(Operator):
+    """A bank of generalised plays over one input: (batch, time) to (batch, time, plays).
+
+    Args:
+        thresholds_up: r_up, unit of the envelopes, each finite and not negative.
+        thresholds_down: r_down, likewise, as many.
+        envelope_up: c_1 … c_m of γ_up, a polynomial without constant term, rising over the range in use.
+        envelope_down: c_1 … c_m of γ_down.
+        scale: A typical size of the input, which scales the trained numbers to like size.
+        trainable_thresholds: Whether gradients reach the thresholds.
+
+    Raises:
+        ConfigError: Thresholds that are missing, negative, not finite, or not as many up as down; an
+            envelope without coefficient.
+    """
+
+    def __init__(
+        self,
+        thresholds_up: list[float],
+        thresholds_down: list[float],
+        envelope_up: list[float],
+        envelope_down: list[float],
+        scale: float = 1.0,
+        trainable_thresholds: bool = False,
+    ) -> None:
+        super().__init__()
+        if len(thresholds_up) != len(thresholds_down):
+            raise ConfigError(
+                f"thresholds_down: found {len(thresholds_down)}, want {len(thresholds_up)}, as many as up"
+            )
+        self.raw_up = _thresholds("thresholds_up", thresholds_up, trainable_thresholds)
+        self.raw_down = _thresholds("thresholds_down", thresholds_down, trainable_thresholds)
+        self.up = Polynomial(envelope_up, scale)
+        self.down = Polynomial(envelope_down, scale)
+
+    @property
+    def r_up(self) -> Tensor:
+        """Thresholds on the way up, (plays,)."""
+        return torch.relu(self.raw_up)
+
+    @property
+    def r_down(self) -> Tensor:
+        """Thresholds on the way down, (plays,)."""
+        return torch.relu(self.raw_down)
+
+    def widths(
+        self,
+        x: Tensor,  # (samples,)
+    ) -> Tensor:
+        """How far apart the two ends of the narrowest play are at each `x`, (samples,).
+
+        A play is one only where this is not negative: elsewhere the rising end wins, and the play has no
+        memory. The envelopes must rise as well.
+        """
+        narrowest = (self.r_up + self.r_down).min()
+        up, down = self.up(x[None])[0][0], self.down(x[None])[0][0]
+        return cast(Tensor, down - up + narrowest)
+
+    def initial_state(self, batch: int) -> Tensor:
+        return self.raw_up.detach().new_zeros(batch, len(self.raw_up))
+
+    def forward(
+        self,
+        x: Tensor,  # (batch, time)
+        state: Tensor | None = None,  # (batch, plays)
+    ) -> tuple[Tensor, Tensor]:  # (batch, time, plays), (batch, plays)
+        h0 = self.initial_state(len(x)) if state is None else state
+        low = self.up(x)[0][..., None] - self.r_up.to(x.dtype)
+        high = self.down(x)[0][..., None] + self.r_down.to(x.dtype)
+        h = clamp_bank(low, high, h0.to(x.dtype))
+        return h, h[:, -1]
+
+    def stream(self) -> "GeneralisedPlayStream":
+        return GeneralisedPlayStream(
+            self.r_up.tolist(), self.r_down.tolist(), self.up.stream(), self.down.stream()
+        )
+
+    def extra_repr(self) -> str:
+        return f"plays={len(self.raw_up)}"
+
+
+class GeneralisedPlayStream(nn.Module):
+    """The bank, one sample at a time: `step(x)` returns the list of its states."""
+
+    r_up: list[float]
+    r_down: list[float]
+    h: list[float]
+
+    def __init__(
+        self, r_up: list[float], r_down: list[float], up: PolynomialStream, down: PolynomialStream
+    ) -> None:
+        super().__init__()
+        self.r_up = r_up
+        self.r_down = r_down
+        self.up = up
+        self.down = down
+        self.h = [0.0] * len(r_up)
+
+    @torch.jit.export
+    def reset(self) -> None:
+        for i in range(len(self.h)):
+            self.h[i] = 0.0
+
+    @torch.jit.export
+    def step(self, x: float) -> list[float]:
+        rising, falling = self.up.step(x), self.down.step(x)
+        for i in range(len(self.h)):
+            self.h[i] = clamp_play(rising - self.r_up[i], falling + self.r_down[i], self.h[i])
+        return self.h
+
+
+class GeneralisedPrandtlIshlinskii(Operator):
+    """y(t) = Σ_i w_i h_i(t) over generalised plays; with negative weights as well a direct inverse.
+
+    Args:
+        plays: The bank.
+        weights: w, one a play; may be negative.
+
+    Raises:
+        ConfigError: Another number of weights than of plays.
+    """
+
+    def __init__(self, plays: GeneralisedPlayBank, weights: list[float]) -> None:
+        super().__init__()
+        self.plays = plays
+        if len(weights) != len(plays.raw_up):
+            raise ConfigError(f"weights: found {len(weights)}, want {len(plays.raw_up)}, one a play")
+        self.w = nn.Parameter(torch.as_tensor(weights, dtype=torch.float64).clone())
+
+    def initial_state(self, batch: int) -> Tensor:
+        return self.plays.initial_state(batch)
+
+    def forward(self, x: Tensor, state: Tensor | None = None) -> tuple[Tensor, Tensor]:
+        h, state = self.plays(x, state)
+        return weighted_sum(h, torch.ones_like(x)[..., None], self.w.to(x.dtype)[:, None]), state
+
+    def stream(self) -> "GeneralisedPrandtlIshlinskiiStream":
+        return GeneralisedPrandtlIshlinskiiStream(self.plays.stream(), self.w.tolist())
+
+
+class GeneralisedPrandtlIshlinskiiStream(nn.Module):
+    """The operator, one sample at a time."""
+
+    w: list[float]
+    one: list[float]
+
+    def __init__(self, plays: GeneralisedPlayStream, w: list[float]) -> None:
+        super().__init__()
+        self.plays = plays
+        self.w = w
+        self.one = [1.0]
+
+    @torch.jit.export
+    def reset(self) -> None:
+        self.plays.reset()
+
+    @torch.jit.export
+    def step(self, x: float) -> float:
+        h = self.plays.step(x)
+        total = 0.0
+        for i in range(len(h)):
+            total += weight(self.w, self.one, i) * h[i]
+        return total
+
+
+def clamp_bank(
+    low: Tensor,  # (batch, time, plays)
+    high: Tensor,  # (batch, time, plays)
+    h0: Tensor,  # (batch, plays)
+) -> Tensor:  # (batch, time, plays)
+    """States of plays whose two ends move as given, differentiable in all three arguments.
+
+    The play of eq. 1 has low = x - r and high = x + r; here thresholds may differ up and down, or move in
+    time. A state on an end takes its gradient from that end, as in `play_bank`.
+    """
+    device = low.device
+    return cast(Tensor, _ClampBank.apply(low.cpu(), high.cpu(), h0.cpu())).to(device)
+
+
+class _ClampBank(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: FunctionCtx, low: Tensor, high: Tensor, h0: Tensor) -> Tensor:
+        low, high, h0 = low.contiguous(), high.contiguous(), h0.contiguous()
+        h = torch.empty_like(low)
+        _forward(low.detach().numpy(), high.detach().numpy(), h0.detach().numpy(), h.numpy())
+        ctx.save_for_backward(low, high, h0, h)
+        return h
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: FunctionCtx, *gradients: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        low, high, h0, h = (saved.detach() for saved in ctx.saved_tensors)  # type: ignore[attr-defined]
+        glow, ghigh, gh0 = torch.zeros_like(low), torch.zeros_like(high), torch.zeros_like(h0)
+        _backward(
+            low.numpy(), high.numpy(), h0.numpy(), h.numpy(), gradients[0].contiguous().numpy(),
+            glow.numpy(), ghigh.numpy(), gh0.numpy(),
+        )  # fmt: skip
+        return glow, ghigh, gh0
+
+
+_clamp_play: Any = numba.njit(clamp_play)
+
+
+@numba.njit(cache=True)
+def _forward(low: np.ndarray, high: np.ndarray, h0: np.ndarray, h: np.ndarray) -> None:
+    for batch in range(low.shape[0]):
+        state = h0[batch].copy()
+        for t in range(low.shape[1]):
+            for i in range(low.shape[2]):
+                state[i] = _clamp_play(low[batch, t, i], high[batch, t, i], state[i])
+                h[batch, t, i] = state[i]
+
+
+@numba.njit(cache=True)
+def _backward(
+    low: np.ndarray, high: np.ndarray, h0: np.ndarray, h: np.ndarray, gh: np.ndarray,
+    glow: np.ndarray, ghigh: np.ndarray, gh0: np.ndarray,
+) -> None:  # fmt: skip
+    # As in play.py: the gradient waits while the play rests, and lands on the end that last pushed it.
+    for batch in range(low.shape[0]):
+        for i in range(low.shape[2]):
+            carried = low.dtype.type(0)
+            for t in range(low.shape[1] - 1, -1, -1):
+                carried += gh[batch, t, i]
+                previous = h[batch, t - 1, i] if t > 0 else h0[batch, i]
+                if previous <= low[batch, t, i] or low[batch, t, i] >= high[batch, t, i]:
+                    glow[batch, t, i] = carried
+                    carried = low.dtype.type(0)
+                elif previous >= high[batch, t, i]:
+                    ghigh[batch, t, i] = carried
+                    carried = low.dtype.type(0)
+            gh0[batch, i] = carried
+
+
+def _thresholds(name: str, values: list[float], trainable: bool) -> nn.Parameter:
+    r = torch.as_tensor(values, dtype=torch.float64)
+    if r.ndim != 1 or len(r) == 0 or not bool(torch.isfinite(r).all()) or bool((r < 0).any()):
+        raise ConfigError(f"{name}: found {list(values)}, want at least one finite number, none negative")
+    return nn.Parameter(r.clone(), requires_grad=trainable)

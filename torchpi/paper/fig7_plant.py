@@ -1,0 +1,127 @@
+"""The plant of Fig. 7 and 8, Qin et al. (2013), Section II-C: a rate-dependent Prandtl–Ishlinskii operator.
+
+    y(t) = Σ_i (k_i u̇ + b_i) H_ri[u](t),   r_i = 0.5 (i - 1),  i = 1 … 10
+
+Settled: the rate is signed (only that makes the loops of Fig. 7), and "an amplitude of ten" means 0 … 10. The
+plant answers at once: y(t) depends on u(t), without converter, delay, noise or limits.
+"""
+
+from math import isfinite
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from torchpi.errors import StageError
+from torchpi.operators.rate_dependent_pi import RateDependentPI, RateDependentPIStream
+
+SAMPLE_PERIOD_S = 1e-4  # of the paper's rig
+THRESHOLDS = [0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 4.5]  # r, V
+SLOPES = [-2e-4, 3e-4, -1e-4, 0.2e-4, -0.4e-4, 0.8e-4, -1e-4, 1e-4, -0.7e-4, -0.6e-4]  # k, µm/V per V/s
+OFFSETS = [0.77, 0.097, 0.0066, 0.06, 0.1, 0.062, 0.042, 0.082, 0.022, 0.099]  # b, µm/V
+FREQUENCIES_HZ = (1, 5, 10, 50, 100)
+
+
+class Fig7Plant:
+    """The plant as a stage: `simulate` for records, `stream` for a control loop; the same bits.
+
+    The rate is the three-point backward difference of the voltages, as of a plant that rested at the first.
+
+    Args:
+        sample_period_s: T.
+        min_voltage_v: Lower end of the voltages to use. The plant itself has no limits, and answers any; the
+            loop takes its range from here, and an inverse needs less than 0 V to come down to 1 µm (eq. 9).
+        max_voltage_v: Upper end.
+        seed: For the contract of a stage; there is no noise.
+
+    Raises:
+        ConfigError: A period that is not positive.
+        StageError: Limits out of order.
+    """
+
+    def __init__(
+        self,
+        sample_period_s: float = SAMPLE_PERIOD_S,
+        min_voltage_v: float = -2.0,
+        max_voltage_v: float = 12.0,
+        seed: int = 0,
+    ) -> None:
+        self.operator = RateDependentPI(sample_period_s, THRESHOLDS, SLOPES, OFFSETS)
+        self.operator.requires_grad_(False)
+        if not min_voltage_v < max_voltage_v:
+            raise StageError(
+                f"max_voltage_v: found {max_voltage_v:g} V, "
+                f"want more than min_voltage_v = {min_voltage_v:g} V"
+            )
+        self.sample_period_s = sample_period_s
+        self.sample_rate_hz = 1.0 / sample_period_s
+        self.min_voltage_v = min_voltage_v
+        self.max_voltage_v = max_voltage_v
+        self.seed = seed
+
+    def simulate(
+        self,
+        u: Tensor,  # (batch, time), V
+        seed: int | None = None,  # without effect
+    ) -> tuple[Tensor, Tensor]:  # (batch, time), µm, twice
+        """Displacement, and the sensor's reading, which is the same; differentiable in `u`.
+
+        Raises:
+            StageError: Another shape than (batch, time), or a command that is not finite.
+        """
+        if u.ndim != 2 or not bool(torch.isfinite(u).all()):
+            raise StageError(f"u: found shape {tuple(u.shape)}, want (batch, time), all numbers finite")
+        y, _ = self.operator(u.to(torch.float64))
+        return y, y
+
+    def at_rate(
+        self,
+        u: Tensor,  # (batch, time), V
+        u_dot: Tensor,  # (batch, time), V/s
+    ) -> Tensor:  # (batch, time), µm
+        """The displacement where u̇ is known exactly, as for a sine."""
+        y, _ = self.operator.at_rate(u, u_dot)
+        return y
+
+    def stream(self) -> "Fig7Stream":
+        """The plant sample by sample: `reset(seed)`, `step(u)` → (y, reading)."""
+        return Fig7Stream(self.operator.stream())
+
+
+class Fig7Stream:
+    """The plant, one sample at a time."""
+
+    def __init__(self, operator: RateDependentPIStream) -> None:
+        self.operator = operator
+
+    def reset(self, seed: int = 0) -> None:
+        """Back to the de-energised state."""
+        self.operator.reset()
+
+    def step(self, u: float) -> tuple[float, float]:
+        """Displacement and reading, µm, with `u` applied, V.
+
+        Raises:
+            StageError: A command that is not finite. The state stays as it was.
+        """
+        if not isfinite(u):
+            raise StageError(f"u: found {u} V, want a finite number")
+        y = self.operator.step(u)
+        return y, y
+
+
+def loop(
+    frequency_hz: float,
+    samples: int = 20_000,  # of one period
+) -> tuple[np.ndarray, np.ndarray]:  # u (samples + 1,), V; y, µm
+    """The closed loop of Fig. 7: a sine over 0 … 10 V, its rate exact, the second period."""
+    phase = 2 * torch.pi * torch.arange(2 * samples + 1, dtype=torch.float64)[None] / samples
+    u = 5 - 5 * torch.cos(phase)
+    y = Fig7Plant().at_rate(u, 10 * torch.pi * frequency_hz * torch.sin(phase))
+    return u[0, samples:].numpy(), y[0, samples:].numpy()
+
+
+def loop_area(frequency_hz: float) -> float:
+    """What the loop of Fig. 7 encloses, V µm."""
+    u, y = loop(frequency_hz)
+    return float(abs(np.trapezoid(y, u)))
