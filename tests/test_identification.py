@@ -8,7 +8,14 @@ import torch
 
 from torchpi.compensator import DirectInverse
 from torchpi.errors import RecordingError
-from torchpi.identification import InversePair, fit_two_stage, inverse_errors, inverse_pair, local_slope
+from torchpi.identification import (
+    InversePair,
+    fit_joint,
+    fit_two_stage,
+    inverse_errors,
+    inverse_pair,
+    local_slope,
+)
 from torchpi.identification.inverse_errors import loading_end
 from torchpi.motion import Motion
 from torchpi.recording import Recording
@@ -122,3 +129,22 @@ def test_a_record_with_nothing_left_to_count_is_refused() -> None:
     recording = Recording("r", t, t, np.sin(t), 1000.0, source="r.csv")
     with pytest.raises(RecordingError, match=r"r\.csv: found 300 samples, want at least 100"):
         inverse_pair(recording, skip_s=0.25)
+
+
+def test_joint_fit_finds_creep_and_lag_that_two_stages_cannot() -> None:
+    made = DirectInverse(
+        PERIOD, THRESHOLDS, range_um=8.0, rate_scale_um_s=800.0, lead=1, creep_time_constants_s=[0.02],
+        min_voltage_v=-20.0, max_voltage_v=20.0,
+    )  # fmt: skip
+    made.saturation.load_state_dict(truth().saturation.state_dict())
+    made.weights.load_state_dict(truth().weights.state_dict())
+    with torch.no_grad():
+        made.scaled_lead.fill_(1.5)
+        made.creep_gains.fill_(-0.03)
+    pairs = [pair("slow", [5], made, False), pair("fast", [20, 50, 80], made, False)]
+    fitted = DirectInverse(**made.hyper_parameters)
+    fit_two_stage(fitted, pairs)
+    before = inverse_errors(fitted, pairs).rms_v
+    assert fit_joint(fitted, pairs) < 0.1 * before
+    assert fitted.lead.item() == pytest.approx(1.5 * PERIOD, rel=0.05)
+    assert fitted.creep_gains.item() == pytest.approx(-0.03, rel=0.1)

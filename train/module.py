@@ -5,17 +5,22 @@ from typing import Any, Literal, cast
 
 import torch
 from lightning import LightningModule
-from torch import Tensor, nn
+from torch import Tensor
 
 from torchpi.compensator import DirectInverse
 from torchpi.errors import ConfigError
-from torchpi.identification import InverseErrors, TwoStageResult, fit_two_stage, inverse_errors
+from torchpi.identification import (
+    InverseErrors,
+    TwoStageResult,
+    fit_two_stage,
+    inverse_errors,
+    searched_parameters,
+)
+from torchpi.identification.projection import projected_loss
 from torchpi.operators.rate_weights import RateHead
-from torchpi.operators.weighted_sum import weighted_sum
 from torchpi.trained import to_checkpoint
 from train.data import RecordingsData, Split
 from train.preview import find_preview
-from train.projection import solve_weights
 from train.sensor_zero import fit_zeros
 from train.thresholds import spread_thresholds
 from train.windows import Window, windows
@@ -186,7 +191,7 @@ class InverseTraining(LightningModule):
         return inverse_errors(self.baseline, self.paper_split.heldout, zeros_um=zeros)
 
     def configure_optimizers(self) -> torch.optim.Optimizer:
-        parameters = [parameter for parameter in self._searched() if parameter.requires_grad]
+        parameters = searched_parameters(self.compensator, weights_are_solved=self.solves)
         if self.optimizer_name == "adam":
             return torch.optim.Adam(parameters, self.learning_rate)
         return torch.optim.LBFGS(
@@ -201,26 +206,11 @@ class InverseTraining(LightningModule):
     def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
         checkpoint.update(to_checkpoint(self.compensator))
 
-    def _searched(self) -> list[nn.Parameter]:
-        solved = {id(self.compensator.weights.theta), id(self.compensator.offset)} if self.solves else set()
-        return [
-            parameter
-            for parameter in self.compensator.parameters()
-            if id(parameter) not in solved and parameter.numel() > 0
-        ]
-
     def _projected_loss(self, batch: Sequence[Window]) -> Tensor:
         """The loss at the weights that are best for the other parameters."""
-        compensator, h, basis, wanted = self.compensator, [], [], []
-        for window in batch:
-            states, _ = compensator.play_states(window.motion)
-            h.append(states[:, window.counted])
-            basis.append(compensator.weights.basis(window.motion.yd_dot[:, window.counted]))
-            wanted.append(window.u[:, window.counted])
-        solve_weights(compensator, [a[0] for a in h], [b[0] for b in basis], [u[0] for u in wanted])
-        theta, offset = compensator.weights.theta.detach(), compensator.offset.detach()
-        errors = [weighted_sum(a, b, theta) + offset - u for a, b, u in zip(h, basis, wanted, strict=True)]
-        return torch.cat(errors, 1).square().mean() / self.scale
+        motions, voltages = [window.motion for window in batch], [window.u for window in batch]
+        counted = [window.counted for window in batch]
+        return projected_loss(self.compensator, motions, voltages, counted) / self.scale
 
     def _mean_square(self) -> float:
         """Mean squared error of the start, V², before the output limits, as in the loss."""

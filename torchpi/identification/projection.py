@@ -11,11 +11,32 @@ import torch
 from torch import Tensor
 
 from torchpi.compensator import DirectInverse
+from torchpi.motion import Motion
+from torchpi.operators.weighted_sum import weighted_sum
 
 # Neighbouring plays are nearly collinear. This share of the columns' mean square keeps single weights
 # from growing without bound in directions that change the voltage by less than the noise: a hundredth
 # of it leaves inverses that run backwards just after a reversal, a hundred times it costs accuracy.
 RIDGE = 1e-8
+
+
+def projected_loss(
+    compensator: DirectInverse,
+    motions: Sequence[Motion],  # of each record, (1, time)
+    voltages: Sequence[Tensor],  # of each record, (1, time), V
+    counted: Sequence[slice],  # samples of each that count
+) -> Tensor:
+    """Mean squared error, V², at the weights that are best for the other parameters, which are set."""
+    h, basis, wanted = [], [], []
+    for motion, u, part in zip(motions, voltages, counted, strict=True):
+        states, _ = compensator.play_states(motion)
+        h.append(states[:, part])
+        basis.append(compensator.weights.basis(motion.yd_dot[:, part]))
+        wanted.append(u[:, part])
+    solve_weights(compensator, [a[0] for a in h], [b[0] for b in basis], [u[0] for u in wanted])
+    theta, offset = compensator.weights.theta.detach(), compensator.offset.detach()
+    errors = [weighted_sum(a, b, theta) + offset - u for a, b, u in zip(h, basis, wanted, strict=True)]
+    return torch.cat(errors, 1).square().mean()
 
 
 def solve_weights(
