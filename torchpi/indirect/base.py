@@ -104,7 +104,7 @@ class IndirectInverse(nn.Module):
         yd, rate, acceleration = (part.detach().to(torch.float64).contiguous().numpy() for part in motion)
         u = np.empty_like(yd)
         numbers = [np.array(part) for part in (self.r, self.rho, self.b, self.k, self.lead, self.d, self.v)]
-        _run(yd, rate, acceleration, *numbers, *self.rates_um_s, h.numpy(), u)  # type: ignore[call-arg]
+        _run(yd, rate, acceleration, *numbers, *self.rates_um_s, h.numpy(), u)  # type: ignore
         return torch.from_numpy(u), h
 
     def initial_state(self, batch: int) -> Tensor:
@@ -206,7 +206,7 @@ for _part in (play, dead_zone, dead_zones, invert):
 _indirect_step: Any = numba.njit(indirect_step)
 
 
-@numba.njit(cache=True)
+@numba.njit  # not cached: numba would not see a change of the parts, which stand in other files
 def _run(
     yd: np.ndarray, rate: np.ndarray, acceleration: np.ndarray,
     r: np.ndarray, rho: np.ndarray, b: np.ndarray, k: np.ndarray,

@@ -6,9 +6,9 @@ u = Σ_i w'_i H_r'i[y] with
     r'_i = Σ_{j≤i} w_j (r_i - r_j),   w'_0 = 1 / w_0,   w'_i = -w_i / (A_i A_(i-1))
 
 Krejčí and Kuhnen, *Inverse control of systems with hysteresis and creep*, IEE Proc. Control Theory Appl.
-148(3), 2001. For thresholds that move in time it still holds where their distances do not shrink (Krejčí, Al
-Janaideh and Deasy, *Inversion of hysteresis and creep operators*, Physica B 407, 2012). For weights that
-move it is what Ang and Tan put in, and no longer an inverse: Qin et al. (2013), Section II-C.
+148(3), 2001. For thresholds that move in time it still holds where their distances do not shrink (Al Janaideh
+and Krejčí, Physica B 406(8), 2011; see `time_varying_thresholds`). For weights that move it is what Ang and
+Tan put in, and no longer an inverse: Qin et al. (2013), Section II-C.
 """
 
 import math

@@ -9,9 +9,13 @@ compensation of hysteresis in a piezomicropositioning actuator*, IEEE/ASME Trans
 
 The formula is exact, sample by sample, under the dilation condition: no distance r_(i+1)(t) - r_i(t) between
 plays, i ≥ 1, shrinks in time (the first threshold itself may). A play with the larger threshold is then a
-play of the next smaller one's output, which is all that the closed form needs. The condition is sufficient:
-a play that moves anyway while its distance shrinks does no harm. The formula is exact for thresholds that are
-known functions of time; a compensator has to form them from ẏ_d where the model has u̇.
+play of the next smaller one's output, which is all that the closed form needs.
+
+The condition is sufficient, not necessary. It fails whenever the rate falls, if ρ grows with i. But these
+thresholds are least at each reversal of their own input: between two of them a play that is pushed stays
+pushed while its threshold falls, and no two plays come further apart than their thresholds. So the formula
+holds all the same, but for what the sampling of a reversal leaves. What it does need is thresholds that are
+known functions of time. A compensator has to form them from ẏ_d where the model has u̇: that is its error.
 """
 
 from collections.abc import Sequence

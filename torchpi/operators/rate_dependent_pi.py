@@ -3,8 +3,7 @@
     y(t) = Σ_i w_i(u̇) H_ri[u](t),   w(u̇) = k u̇ + b
 
 Ang, Garmón, Khosla and Riviere, IROS 2003; Ang, Khosla and Riviere, IEEE/ASME Trans. Mechatronics 12(2),
-2007; Tan, Latt, Shee, Riviere and Ang, 2009. Qin et al. (2013) take it as the plant of Fig. 7, with the signed
-rate.
+2007; Tan, Latt, Shee, Riviere and Ang, 2009. The plant of Fig. 7 in Qin et al. (2013), with the signed rate.
 """
 
 import math

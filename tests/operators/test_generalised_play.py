@@ -1,0 +1,79 @@
+"""Generalised plays: other envelopes and thresholds up than down."""
+
+import pytest
+import torch
+
+from torchpi.errors import ConfigError
+from torchpi.operators import PlayBank, Polynomial
+from torchpi.operators.conformance import HysteresisLaws, OperatorLaws, wandering
+from torchpi.operators.generalised_play import (
+    GeneralisedPlayBank,
+    GeneralisedPrandtlIshlinskii,
+    clamp_bank,
+)
+
+
+def bank() -> GeneralisedPlayBank:
+    return GeneralisedPlayBank(
+        [0.05, 0.4, 0.9], [0.1, 0.5, 0.7], [1.0, 0.02, 0.01], [1.05, 0.03, 0.012], 2.0, True
+    )
+
+
+class TestBank(OperatorLaws):
+    def operator(self) -> GeneralisedPlayBank:
+        return bank()
+
+
+class TestGeneralisedPrandtlIshlinskii(HysteresisLaws):
+    def operator(self) -> GeneralisedPrandtlIshlinskii:
+        return GeneralisedPrandtlIshlinskii(bank(), [1.0, -0.4, 0.3])
+
+
+def test_equal_envelopes_and_thresholds_are_the_play_of_eq_1_behind_the_polynomial() -> None:
+    c, r, x = [1.0, -0.1, 0.02], [0.0, 0.3, 1.0], wandering(2, 400)
+    expected, _ = PlayBank(r)(Polynomial(c)(x)[0])
+    assert torch.equal(GeneralisedPlayBank(r, r, c, c)(x)[0], expected)
+
+
+def test_the_loop_follows_its_two_envelopes() -> None:
+    operator = bank()
+    down = torch.linspace(3, -3, 601, dtype=torch.float64)
+    x = torch.cat([-down, down, -down])[None]
+    h = operator(x)[0][0]
+    up, falling = h[1202 + 300 :], h[601 + 300 : 1202]
+    assert torch.allclose(up, operator.up(x)[0][0, 1502:, None] - operator.r_up, rtol=0, atol=1e-14)
+    assert torch.allclose(
+        falling, operator.down(x)[0][0, 901:1202, None] + operator.r_down, rtol=0, atol=1e-14
+    )
+
+
+def test_gradients_reach_ends_that_move_on_their_own() -> None:
+    low = torch.randn(2, 20, 3, dtype=torch.float64, requires_grad=True)
+    wide = torch.rand(2, 20, 3, dtype=torch.float64, requires_grad=True)
+    h0 = torch.randn(2, 3, dtype=torch.float64, requires_grad=True)
+    assert torch.autograd.gradcheck(lambda low, wide, h0: clamp_bank(low, low + wide, h0), (low, wide, h0))
+
+
+def test_it_says_where_its_envelopes_cross() -> None:
+    x = torch.tensor([0.0, 1.0, 3.0], dtype=torch.float64)
+    widths = GeneralisedPlayBank([0.5], [0.5], [1.0, 0.5], [1.0]).widths(x)
+    assert torch.allclose(widths, 1.0 - 0.5 * x**2)
+
+
+@pytest.mark.parametrize(
+    ("up", "down", "named"),
+    [
+        ([0.0, 1.0], [0.0], "thresholds_down: found 1, want 2"),
+        ([-1.0], [0.0], "thresholds_up"),
+        ([0.0], [float("nan")], "thresholds_down"),
+        ([], [], "thresholds_up"),
+    ],
+)
+def test_impossible_thresholds_are_refused_by_name(up: list, down: list, named: str) -> None:
+    with pytest.raises(ConfigError, match=named):
+        GeneralisedPlayBank(up, down, [1.0], [1.0])
+
+
+def test_another_number_of_weights_is_refused() -> None:
+    with pytest.raises(ConfigError, match="weights: found 1, want 3"):
+        GeneralisedPrandtlIshlinskii(bank(), [1.0])
