@@ -23,7 +23,7 @@ def compensator(seed: int = 0, **changes: object) -> DirectInverse:
     arguments = {
         "sample_period_s": 1e-4, "thresholds": THRESHOLDS, "range_um": 8.0, "rate_scale_um_s": 800.0,
         "rate": "neural", "lead": 2, "creep_time_constants_s": [0.01, 0.3, 5.0], "offset": True,
-        "preview": 3, **changes,
+        "output_degree": 3, "preview": 3, **changes,
     }  # fmt: skip
     made = DirectInverse(**arguments)  # type: ignore[arg-type]
     generator = torch.Generator().manual_seed(seed)
@@ -48,8 +48,13 @@ def scripted(stream: CompensatorStream) -> CompensatorStream:
 @pytest.mark.parametrize("rate", ["none", "linear", "neural"])
 @pytest.mark.parametrize("creep", [[], [0.01, 0.3, 5.0]])
 @pytest.mark.parametrize("lead", [0, 1, 2])
-def test_step_block_and_batch_agree_to_the_last_bit(rate: str, creep: list[float], lead: int) -> None:
-    made = compensator(rate=rate, lead=lead, creep_time_constants_s=creep, max_voltage_v=9.0)
+@pytest.mark.parametrize("output_degree", [1, 3])
+def test_step_block_and_batch_agree_to_the_last_bit(
+    rate: str, creep: list[float], lead: int, output_degree: int
+) -> None:
+    made = compensator(
+        rate=rate, lead=lead, creep_time_constants_s=creep, output_degree=output_degree, max_voltage_v=9.0
+    )
     yd = trajectory(600)
     batch = made(backward_motion(yd[None], 1e-4))[0]
     assert float(((batch > 0) & (batch < 9)).double().mean()) > 0.2  # not all at a limit
@@ -73,7 +78,9 @@ def test_bits_agree_for_any_parameters(seed: int) -> None:
 
 
 def test_without_extensions_it_is_eq_8_of_the_paper() -> None:
-    made = compensator(rate="linear", lead=0, creep_time_constants_s=[], offset=False, preview=0)
+    made = compensator(
+        rate="linear", lead=0, creep_time_constants_s=[], offset=False, preview=0, output_degree=1
+    )
     with torch.no_grad():
         made.offset.zero_()
     motion = backward_motion(trajectory()[None], 1e-4)

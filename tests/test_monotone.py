@@ -29,6 +29,15 @@ def test_a_negative_sum_is_found_at_its_rate() -> None:
     assert "runs backwards" in str(found) and "10 µm/s" in str(found)
 
 
+def test_an_output_function_that_falls_is_found() -> None:
+    made = DirectInverse(1e-3, [0.0, 0.5], degree=1, output_degree=2, range_um=4.0)
+    with torch.no_grad():
+        made.weights.theta[:, 0] = torch.tensor([1.0, 0.0])
+        made.psi[:, 0] = torch.tensor([-0.4, 0.0])  # g = h - 0.1 h², which falls from h = 5 on
+    assert monotone(made, (0.0, 4.9), (-1.0, 1.0))
+    assert not monotone(made, (0.0, 5.1), (-1.0, 1.0))
+
+
 def test_a_falling_polynomial_is_found_where_it_falls() -> None:
     made = compensator([[1.0, 0.0], [0.0, 0.0], [0.0, 0.0]])
     made.saturation.set_coefficients(torch.tensor([1.0, -0.2], dtype=torch.float64))

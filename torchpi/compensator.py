@@ -2,7 +2,8 @@
 
     x_0 = y_d + τ_1 ẏ_d + τ_2 ÿ_d            undoes delay, lag and mode (extension; τ = 0 is the paper)
     x = x_0 + Σ_j g_j ξ_j,  T_j ξ̇_j = x_0 - ξ_j    undoes creep (extension; g = 0 is the paper)
-    u = Σ_i w_i(ẏ_d) H_ri[S(x)] + u_0         eq. 8, with an offset on request (extension)
+    u = Σ_i w_i(ẏ_d, h_i) h_i + u_0,  h_i = H_ri[S(x)]    eq. 8; own output functions of the plays, and
+                                                  an offset, on request (extensions)
 
 It is identified from recordings of displacement and voltage, and never inverted.
 """
@@ -33,6 +34,8 @@ class DirectInverse(nn.Module):
         thresholds: r of the plays, in the unit of S(y), about µm; the first one 0 as in the paper.
         degree: m, degree of the saturation polynomial (eq. 4).
         rate: How the weights follow the rate: `none` (eq. 6), `linear` (eq. 7) or `neural`.
+        output_degree: Degree of the plays' own output functions; 1 is the paper's weighted sum, 2 or 3 fit
+            loops that are asymmetric or differ with the bias.
         preview: How many samples the desired trajectory is seen ahead; 0 is the paper's case.
         lead: Order of the lead that undoes the stage's linear dynamics, 0 (the paper), 1 or 2.
         creep_time_constants_s: T_j of the relaxations that undo creep; none is the paper.
@@ -54,6 +57,7 @@ class DirectInverse(nn.Module):
         thresholds: Sequence[float],
         degree: int = 4,
         rate: RateHead = "linear",
+        output_degree: int = 1,
         preview: int = 0,
         lead: int = 0,
         creep_time_constants_s: Sequence[float] = (),
@@ -75,6 +79,8 @@ class DirectInverse(nn.Module):
             raise ConfigError(f"sample_period_s: found {sample_period_s}, want a positive number of s")
         if degree < 1:
             raise ConfigError(f"degree: found {degree}, want at least 1")
+        if output_degree < 1:
+            raise ConfigError(f"output_degree: found {output_degree}, want at least 1")
         if preview < 0:
             raise ConfigError(f"preview: found {preview}, want a number of samples that is not negative")
         if lead not in (0, 1, 2):
@@ -98,6 +104,8 @@ class DirectInverse(nn.Module):
         self.saturation = Polynomial([1.0] + [0.0] * (degree - 1), scale=range_um)
         self.plays = PlayBank(list(thresholds), train_thresholds)
         self.weights = RateWeights([0.0] * len(thresholds), rate, rate_scale_um_s, hidden)
+        self.psi = nn.Parameter(torch.zeros(len(thresholds), output_degree - 1, dtype=torch.float64))
+        self.range_um = range_um
         self.offset = nn.Parameter(torch.zeros((), dtype=torch.float64), requires_grad=offset)
 
     def forward(self, motion: Motion) -> Tensor:
@@ -115,8 +123,16 @@ class DirectInverse(nn.Module):
     ) -> tuple[Tensor, Tensor]:
         """Eq. 8 before the output limits, and the state after it: what identification and training fit."""
         h, state = self.play_states(motion, state)
-        basis = self.weights.basis(motion.yd_dot)
-        return weighted_sum(h, basis, self.weights.theta.to(h.dtype)) + self.offset.to(h.dtype), state
+        return self.weighted(h, self.weights.basis(motion.yd_dot)), state
+
+    def weighted(
+        self,
+        h: Tensor,  # (batch, time, plays)
+        basis: Tensor,  # (batch, time, functions of the rate)
+    ) -> Tensor:  # (batch, time), V
+        """What is linear in the weights: Σ_i w_i h_i + u_0."""
+        theta, psi, offset = (part.to(h.dtype) for part in (self.weights.theta, self.psi, self.offset))
+        return weighted_sum(h, basis, theta, psi, self.range_um) + offset
 
     def play_states(self, motion: Motion, state: Tensor | None = None) -> tuple[Tensor, Tensor]:
         """H_r[S(x)], (batch, time, plays), and the state after it: all that enters eq. 8 nonlinearly."""

@@ -144,13 +144,20 @@ def _step_lines(compensator: "DirectInverse") -> Iterator[str]:
         yield f"phi{j} = squash({a!r} * z + {c!r})"
         basis.append(f"phi{j}")
 
-    for i, (r, theta) in enumerate(zip(compensator.plays.r.tolist(), weights.theta.tolist(), strict=True)):
+    numbers = zip(compensator.plays.r.tolist(), weights.theta.tolist(), compensator.psi.tolist(), strict=True)
+    for i, (r, theta, psi) in enumerate(numbers):
         if r == 0.0:  # this play is its input, whatever its state
             yield f"h{i} = s"
         else:
             yield f"h{i} = play(s, {r!r}, self.h{i})  # eq. 1"
             yield f"self.h{i} = h{i}"
         terms = [f"{theta[0]!r}"] + [f"{t!r} * {phi}" for t, phi in zip(theta[1:], basis[1:], strict=True)]
+        if psi:
+            yield f"z{i} = h{i} / {compensator.range_um!r}"
+            own = f"(0.0 + {psi[-1]!r}) * z{i}"
+            for coefficient in reversed(psi[:-1]):
+                own = f"({own} + {coefficient!r}) * z{i}"
+            terms.append(own)
         yield f"u = {'u + ' if i > 0 else ''}({' + '.join(terms)}) * h{i}  # eq. 7, 8"
     if compensator.offset.item() != 0.0:
         yield f"u = u + {compensator.offset.item()!r}"

@@ -39,6 +39,7 @@ class InverseTraining(LightningModule):
             them, spread over the range of the recordings, denser near 0.
         plays: How many thresholds to spread, if none are given.
         degree: Degree of the saturation polynomial S (eq. 4).
+        output_degree: Degree of the plays' own output functions, for asymmetric loops; 1 is the paper.
         rate: How the weights follow the rate: none (eq. 6), linear (eq. 7) or neural.
         preview: Samples of the desired trajectory seen ahead; 0 is the paper's case. It undoes the delay of
             converter, amplifier and sensor. `auto` finds as many as the recordings show the stage to be late.
@@ -61,6 +62,7 @@ class InverseTraining(LightningModule):
         thresholds: list[float] | None = None,
         plays: int = 20,
         degree: int = 4,
+        output_degree: int = 1,
         rate: RateHead = "linear",
         preview: int | Literal["auto"] = 0,
         lead: Literal[0, 1, 2] = 0,
@@ -88,6 +90,7 @@ class InverseTraining(LightningModule):
             degree=degree, offset=offset, min_voltage_v=min_voltage_v, max_voltage_v=max_voltage_v
         )
         self.extensions: dict[str, Any] = dict(
+            output_degree=output_degree,
             rate=rate,
             preview=preview,
             lead=lead,

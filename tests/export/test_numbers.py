@@ -34,7 +34,11 @@ def by_hand(numbers: dict[str, Any], yd: list[float]) -> list[float]:
         u = numbers["output"]["u_0_v"]
         for i, theta in enumerate(weights["theta"]):
             h[i] = max(s - r[i], min(s + r[i], h[i]))
-            u += sum(t * phi for t, phi in zip(theta, basis, strict=True)) * h[i]
+            own = numbers["output_functions"]
+            z_own = h[i] / own["scale_um"]
+            w = sum(t * phi for t, phi in zip(theta, basis, strict=True))
+            w += sum(psi * z_own ** (q + 1) for q, psi in enumerate(own["psi"][i]))
+            u += w * h[i]
         voltages.append(min(max(u, numbers["output"]["min_v"]), numbers["output"]["max_v"]))
     return voltages
 

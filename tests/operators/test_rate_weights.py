@@ -35,6 +35,17 @@ def test_gradients_reach_every_parameter_of_the_neural_head() -> None:
     assert torch.autograd.gradcheck(output, (h, rate, *head.parameters()))
 
 
+def test_own_output_functions_add_powers_of_the_state_and_pass_exact_gradients() -> None:
+    h = torch.randn(2, 7, 3, dtype=torch.float64, requires_grad=True)
+    basis = torch.randn(2, 7, 2, dtype=torch.float64, requires_grad=True)
+    theta = torch.randn(3, 2, dtype=torch.float64, requires_grad=True)
+    psi = torch.randn(3, 2, dtype=torch.float64, requires_grad=True)
+    z = h / 2.5
+    w = torch.einsum("im,btm->bti", theta, basis) + psi[:, 0] * z + psi[:, 1] * z**2
+    assert torch.allclose(weighted_sum(h, basis, theta, psi, 2.5), (w * h).sum(-1), rtol=0, atol=1e-12)
+    assert torch.autograd.gradcheck(lambda *x: weighted_sum(*x, 2.5), (h, basis, theta, psi))
+
+
 def test_weighted_sum_is_eq_8() -> None:
     h = torch.randn(2, 50, 4, dtype=torch.float64)
     basis = torch.randn(2, 50, 3, dtype=torch.float64)

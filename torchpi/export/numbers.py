@@ -82,6 +82,11 @@ def numbers(compensator: DirectInverse, reference_filter: ReferenceFilter | None
             "slope": weights.slope.tolist(),
             "shift": weights.shift.tolist(),
         },
+        "output_functions": {
+            "equation": "w_i <- w_i + sum_q psi_iq (h_i / scale)^q, q = 1, 2, ...; none is the paper",
+            "psi": compensator.psi.tolist(),
+            "scale_um": compensator.range_um,
+        },
         "output": {
             "equation": "8: u = sum_i w_i h_i + u_0, then limited",
             "u_0_v": compensator.offset.item(),

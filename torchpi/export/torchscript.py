@@ -7,12 +7,11 @@ Python and in C++ without torchpi.
 import warnings
 import zipfile
 from pathlib import Path
-from typing import cast
+from typing import Protocol, cast
 
 import torch
 from torch import nn
 
-from torchpi.compensator import DirectInverse
 from torchpi.compensator_stream import CompensatorStream
 from torchpi.errors import ArtifactError
 from torchpi.files import write_atomically
@@ -31,8 +30,14 @@ _KEPT = (
 )
 
 
+class Deployable(Protocol):
+    """A direct inverse, a corrected one, or any method that the paper compares with."""
+
+    def stream(self, reference_filter: ReferenceFilter | None = None) -> CompensatorStream: ...
+
+
 def save_torchscript(
-    compensator: DirectInverse,
+    compensator: Deployable,
     path: str | Path,
     reference_filter: ReferenceFilter | None = None,
 ) -> None:
@@ -43,7 +48,7 @@ def save_torchscript(
 
 
 def script(
-    compensator: DirectInverse, reference_filter: ReferenceFilter | None = None
+    compensator: Deployable, reference_filter: ReferenceFilter | None = None
 ) -> torch.jit.ScriptModule:
     """The compensator's stream, compiled and frozen: constants inside, state kept."""
     stream = cast(nn.Module, compensator.stream(reference_filter)).eval()

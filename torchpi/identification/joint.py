@@ -7,7 +7,7 @@ from torch import Tensor, nn
 
 from torchpi.compensator import DirectInverse
 from torchpi.identification.pair import InversePair
-from torchpi.identification.projection import projected_loss
+from torchpi.identification.projection import linear_parameters, projected_loss
 
 
 def fit_joint(compensator: DirectInverse, pairs: Sequence[InversePair], evaluations: int = 150) -> float:
@@ -44,8 +44,7 @@ def fit_joint(compensator: DirectInverse, pairs: Sequence[InversePair], evaluati
 
 def searched_parameters(compensator: DirectInverse, weights_are_solved: bool) -> list[nn.Parameter]:
     """What an optimiser moves: all that is trainable, without what least squares gives at each trial."""
-    weights, offset = compensator.weights.theta, compensator.offset
-    solved = {id(weights), id(offset)} if weights_are_solved else set()
+    solved = {id(part) for part in linear_parameters(compensator)} if weights_are_solved else set()
     return [
         parameter
         for parameter in compensator.parameters()

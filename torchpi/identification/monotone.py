@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import torch
+from torch import Tensor
 
 from torchpi.compensator import DirectInverse
 
@@ -12,7 +13,8 @@ class Monotone:
     """The least slopes of an inverse over the motions it is meant for; negative ones run backwards.
 
     A run in one direction moves the plays one after another, the smallest threshold first, so the slope
-    of the voltage against S(y) passes through the sums Σ_{i≤j} w_i(ẏ) over the plays sorted by threshold.
+    of the voltage against S(y) passes through the sums Σ_{i≤j} dg_i/dh_i over the plays sorted by
+    threshold; without own output functions these are the sums of the weights w_i(ẏ).
 
     Attributes:
         least_weight_sum: The least of them over all j and all rates, V/µm.
@@ -56,14 +58,26 @@ def monotone(
     with torch.no_grad():
         rate = torch.linspace(*rates_um_s, 201, dtype=torch.float64)[None]
         order = compensator.plays.r.argsort()
-        sums = compensator.weights(rate)[0][:, order].cumsum(1)
-        least = int(sums.amin(1).argmin())
+        own = _own_slopes(compensator, range_um)  # (positions, plays)
+        slopes = compensator.weights(rate)[0][:, None, :] + own  # (rates, positions, plays)
+        sums = slopes[..., order].cumsum(-1).amin((1, 2))  # (rates,)
+        least = int(sums.argmin())
     y = torch.linspace(*range_um, 201, dtype=torch.float64)[None].requires_grad_()
     (slope,) = torch.autograd.grad(compensator.saturation(y)[0].sum(), y)
     flattest = int(slope[0].argmin())
     return Monotone(
-        float(sums[least].min()),
+        float(sums[least]),
         float(rate[0, least]),
         float(slope[0, flattest]),
         float(y[0, flattest].detach()),
     )
+
+
+def _own_slopes(compensator: DirectInverse, range_um: tuple[float, float]) -> Tensor:
+    """d(Σ_q ψ_iq z^q h)/dh over the range that the plays can be in. Shape: (positions, plays)."""
+    ends, _ = compensator.saturation(torch.tensor([range_um], dtype=torch.float64))
+    z = torch.linspace(float(ends.min()), float(ends.max()), 21, dtype=torch.float64) / compensator.range_um
+    slopes = torch.zeros(len(z), len(compensator.plays.r), dtype=torch.float64)
+    for q in range(1, compensator.psi.shape[1] + 1):
+        slopes += (q + 1) * z[:, None] ** q * compensator.psi[:, q - 1]
+    return slopes

@@ -1,14 +1,14 @@
 """The weights that are best for given nonlinear parameters: variable projection (Golub and Pereyra, 1973).
 
-The voltage is linear in θ and the offset, so for every trial of the other parameters they are solved for
-instead of searched. At that solution the loss is flat in θ, so the gradient of the loss with θ held is
+The voltage is linear in θ, ψ and the offset, so for every trial of the other parameters they are solved for
+instead of searched. At that solution the loss is flat in them, so the gradient of the loss with them held is
 the gradient of the projected loss.
 """
 
 from collections.abc import Sequence
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from torchpi.compensator import DirectInverse
 from torchpi.motion import Motion
@@ -34,8 +34,12 @@ def projected_loss(
         basis.append(compensator.weights.basis(motion.yd_dot[:, part]))
         wanted.append(u[:, part])
     solve_weights(compensator, [a[0] for a in h], [b[0] for b in basis], [u[0] for u in wanted])
-    theta, offset = compensator.weights.theta.detach(), compensator.offset.detach()
-    errors = [weighted_sum(a, b, theta) + offset - u for a, b, u in zip(h, basis, wanted, strict=True)]
+    solved = [part.detach() for part in (compensator.weights.theta, compensator.psi, compensator.offset)]
+    theta, psi, offset = solved
+    errors = [
+        weighted_sum(a, b, theta, psi, compensator.range_um) + offset - u
+        for a, b, u in zip(h, basis, wanted, strict=True)
+    ]
     return torch.cat(errors, 1).square().mean()
 
 
@@ -45,11 +49,9 @@ def solve_weights(
     basis: Sequence[Tensor],  # of each record, (samples, functions)
     u: Sequence[Tensor],  # of each record, (samples,), V
 ) -> None:
-    """Set θ, and the offset where there is one, to their least-squares values."""
-    theta = compensator.weights.theta
+    """Set θ, ψ, and the offset where there is one, to their least-squares values."""
     with torch.no_grad():
-        with_offset = compensator.offset.requires_grad
-        columns = torch.cat([_columns(a, b, with_offset) for a, b in zip(h, basis, strict=True)])
+        columns = torch.cat([linear_columns(compensator, a, b) for a, b in zip(h, basis, strict=True)])
         size = columns.square().mean(0).sqrt()
         size[size == 0] = 1.0  # a play that nothing moved
         columns /= size
@@ -57,12 +59,27 @@ def solve_weights(
         gram.diagonal().add_(RIDGE)
         wanted = columns.T @ torch.cat(list(u)) / len(columns)
         solution = torch.linalg.solve(gram, wanted) / size
-        theta.copy_(solution[: theta.numel()].reshape(theta.shape))
-        if with_offset:
-            compensator.offset.copy_(solution[-1])
+        start = 0
+        for part in linear_parameters(compensator):
+            part.copy_(solution[start : start + part.numel()].reshape(part.shape))
+            start += part.numel()
 
 
-def _columns(h: Tensor, basis: Tensor, offset: bool) -> Tensor:
-    """Everything that θ and the offset multiply. Shape: (samples, columns)."""
-    columns = (h[:, :, None] * basis[:, None, :]).flatten(1)
-    return torch.cat([columns, torch.ones_like(columns[:, :1])], 1) if offset else columns
+def linear_parameters(compensator: DirectInverse) -> list[nn.Parameter]:
+    """What the voltage is linear in, in the order of the columns."""
+    offset = [compensator.offset] if compensator.offset.requires_grad else []
+    return [compensator.weights.theta, compensator.psi, *offset]
+
+
+def linear_columns(
+    compensator: DirectInverse,
+    h: Tensor,  # (samples, plays)
+    basis: Tensor,  # (samples, functions)
+) -> Tensor:  # (samples, columns)
+    """What those parameters multiply: φ_m h_i, z_i^q h_i, and 1 for the offset."""
+    z = h / compensator.range_um
+    own = [z**q * h for q in range(1, compensator.psi.shape[1] + 1)]
+    columns = [(h[:, :, None] * basis[:, None, :]).flatten(1)]
+    columns += [torch.stack(own, -1).flatten(1)] if own else []
+    columns += [torch.ones_like(h[:, :1])] if compensator.offset.requires_grad else []
+    return torch.cat(columns, 1)

@@ -77,6 +77,7 @@ def fit_weights(compensator: DirectInverse, pairs: Sequence[InversePair]) -> tup
     plays = len(compensator.weights.theta)
     with torch.no_grad():
         compensator.weights.theta.zero_()
+        compensator.psi.zero_()
         theta = torch.from_numpy(solution[: plays * functions]).reshape(plays, functions)
         compensator.weights.theta[:, :functions] = theta
         if compensator.offset.requires_grad:

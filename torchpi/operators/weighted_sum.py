@@ -1,7 +1,10 @@
-"""The weighted sum of play states, Qin et al. (2013), eq. 3 and 8: Σ_i w_i h_i, weights moving with the rate.
+"""The weighted sum of play states, Qin et al. (2013), eq. 3 and 8, and of their output functions.
 
-Every weight is a linear form of a basis of the input rate, w_i = Σ_m θ_im φ_m: the basis (1) gives
-eq. 3, (1, ẏ) gives eq. 7 and 8, and more functions of the rate give the neural head.
+    y = Σ_i w_i h_i,   w_i = Σ_m θ_im φ_m(ẏ) + Σ_q ψ_iq z_i^q,   z_i = h_i / scale,  q = 1, 2, …
+
+The basis (1) gives eq. 3, (1, ẏ) gives eq. 7 and 8, and more functions of the rate give the neural head.
+With ψ every play has an output function of its own, g_i(h_i) = w_i h_i, which makes the sum a Preisach
+operator in play form (extension; no ψ is the paper): loops may then be asymmetric, and differ with the bias.
 """
 
 from typing import Any, cast
@@ -17,58 +20,84 @@ def weighted_sum(
     h: Tensor,  # (batch, time, plays)
     basis: Tensor,  # φ: (batch, time, functions)
     theta: Tensor,  # θ: (plays, functions)
+    psi: Tensor | None = None,  # ψ: (plays, degree of the output functions - 1)
+    scale: float = 1.0,
 ) -> Tensor:  # (batch, time)
-    """Σ_i (Σ_m θ_im φ_m) h_i, summed left to right, differentiable in all three arguments."""
+    """Σ_i w_i h_i, summed left to right, differentiable in all tensors."""
     device = h.device
-    return cast(Tensor, _WeightedSum.apply(h.cpu(), basis.cpu(), theta.cpu())).to(device)
+    psi = theta.new_zeros(len(theta), 0) if psi is None else psi
+    return cast(Tensor, _WeightedSum.apply(h.cpu(), basis.cpu(), theta.cpu(), psi.cpu(), scale)).to(device)
 
 
 def weight(theta: list[float], basis: list[float], i: int) -> float:
-    """w_i = Σ_m θ_im φ_m; `theta` is flat, play by play. The kernel and the streams compile this."""
+    """Σ_m θ_im φ_m; `theta` is flat, play by play. The kernel and the streams compile this."""
     w = 0.0
     for m in range(len(basis)):
         w += theta[i * len(basis) + m] * basis[m]
     return w
 
 
+def own_weight(psi: list[float], degree: int, z: float, i: int) -> float:
+    """Σ_q ψ_iq z^q by Horner's rule, q = 1 … `degree`; `psi` is flat, play by play."""
+    w = 0.0
+    for q in range(degree - 1, -1, -1):
+        w = (w + psi[i * degree + q]) * z
+    return w
+
+
 class _WeightedSum(torch.autograd.Function):
     @staticmethod
-    def forward(ctx: FunctionCtx, h: Tensor, basis: Tensor, theta: Tensor) -> Tensor:
-        h, basis, theta = h.contiguous(), basis.contiguous(), theta.contiguous()
+    def forward(
+        ctx: FunctionCtx, h: Tensor, basis: Tensor, theta: Tensor, psi: Tensor, scale: float
+    ) -> Tensor:
+        h, basis, theta, psi = (part.detach().contiguous() for part in (h, basis, theta, psi))
         y = torch.empty(h.shape[:2], dtype=h.dtype)
-        _forward(h.detach().numpy(), basis.detach().numpy(), theta.detach().flatten().numpy(), y.numpy())
-        ctx.save_for_backward(h, basis, theta)
+        _forward(
+            h.numpy(), basis.numpy(), theta.flatten().numpy(), psi.flatten().numpy(), psi.shape[1], scale,
+            y.numpy(),
+        )  # fmt: skip
+        ctx.scale = scale  # type: ignore[attr-defined]
+        ctx.save_for_backward(h, basis, theta, psi)
         return y
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: FunctionCtx, *gradients: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        h, basis, theta = (saved.detach() for saved in ctx.saved_tensors)  # type: ignore[attr-defined]
+    def backward(ctx: FunctionCtx, *gradients: Tensor) -> tuple[Tensor | None, ...]:
+        h, basis, theta, psi = ctx.saved_tensors  # type: ignore[attr-defined]
         gy = gradients[0].contiguous()
-        gh, gbasis, gtheta = torch.empty_like(h), torch.empty_like(basis), torch.zeros_like(theta)
+        gh, gbasis = torch.empty_like(h), torch.empty_like(basis)
+        gtheta, gpsi = torch.zeros_like(theta), torch.zeros_like(psi)
         _backward(
-            h.numpy(), basis.numpy(), theta.numpy(), gy.numpy(), gh.numpy(), gbasis.numpy(), gtheta.numpy()
-        )
-        return gh, gbasis, gtheta
+            h.numpy(), basis.numpy(), theta.numpy(), psi.numpy(), ctx.scale, gy.numpy(),  # type: ignore
+            gh.numpy(), gbasis.numpy(), gtheta.numpy(), gpsi.numpy(),
+        )  # fmt: skip
+        return gh, gbasis, gtheta, gpsi, None
 
 
 _weight: Any = numba.njit(weight)
+_own_weight: Any = numba.njit(own_weight)
 
 
 @numba.njit(cache=True)
-def _forward(h: np.ndarray, basis: np.ndarray, theta: np.ndarray, y: np.ndarray) -> None:
+def _forward(
+    h: np.ndarray, basis: np.ndarray, theta: np.ndarray, psi: np.ndarray, degree: int, scale: float,
+    y: np.ndarray,
+) -> None:  # fmt: skip
     for batch in range(h.shape[0]):
         for t in range(h.shape[1]):
             total = 0.0
             for i in range(h.shape[2]):
-                total += _weight(theta, basis[batch, t], i) * h[batch, t, i]
+                w = _weight(theta, basis[batch, t], i)
+                if degree > 0:
+                    w += _own_weight(psi, degree, h[batch, t, i] / scale, i)
+                total += w * h[batch, t, i]
             y[batch, t] = total
 
 
 @numba.njit(cache=True)
 def _backward(
-    h: np.ndarray, basis: np.ndarray, theta: np.ndarray, gy: np.ndarray,
-    gh: np.ndarray, gbasis: np.ndarray, gtheta: np.ndarray,
+    h: np.ndarray, basis: np.ndarray, theta: np.ndarray, psi: np.ndarray, scale: float, gy: np.ndarray,
+    gh: np.ndarray, gbasis: np.ndarray, gtheta: np.ndarray, gpsi: np.ndarray,
 ) -> None:  # fmt: skip
     for batch in range(h.shape[0]):
         for t in range(h.shape[1]):
@@ -76,10 +105,17 @@ def _backward(
             for m in range(basis.shape[2]):
                 gbasis[batch, t, m] = 0
             for i in range(h.shape[2]):
-                w = 0.0
+                slope = 0.0
                 gw = g * h[batch, t, i]
                 for m in range(basis.shape[2]):
-                    w += theta[i, m] * basis[batch, t, m]
+                    slope += theta[i, m] * basis[batch, t, m]
                     gbasis[batch, t, m] += theta[i, m] * gw
                     gtheta[i, m] += basis[batch, t, m] * gw
-                gh[batch, t, i] = w * g
+                z = h[batch, t, i] / scale
+                power = z
+                for q in range(psi.shape[1]):
+                    # d(ψ z^(q+1) h)/dh = (q + 2) ψ z^(q+1)
+                    slope += (q + 2) * psi[i, q] * power
+                    gpsi[i, q] += power * gw
+                    power *= z
+                gh[batch, t, i] = slope * g

@@ -1,0 +1,76 @@
+"""Filters of a corrected inverse, by least squares on the model's own answers to recorded voltages."""
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from torchpi.compensator import DirectInverse
+from torchpi.corrected import CorrectedInverse, delayed
+from torchpi.motion import Motion, backward_motion
+
+# Share of the columns' mean square: errors seen ahead are smooth, so their taps are nearly collinear.
+RIDGE = 1e-9
+
+
+def fit_corrections(
+    start: DirectInverse,
+    model: DirectInverse,
+    voltages: Sequence[Tensor],  # recorded, each (1, time), V
+    passes: int = 2,
+    before: int = 4,
+    ahead: int = 8,
+    min_voltage_v: float = 0.0,
+    max_voltage_v: float = 10.0,
+    skip: int = 300,
+) -> CorrectedInverse:
+    """A corrected inverse whose filters turn the model's answers back into the voltages that made them.
+
+    The answers are the model's, free of the sensor's noise. Each pass has a filter of its own, fitted to
+    what the passes before it left: one filter for all diverges on motions that it was not fitted to.
+
+    Args:
+        start: The direct inverse, fitted.
+        model: The forward model, fitted.
+        voltages: Recorded excitations.
+        passes: How many corrections.
+        before: Past errors that a filter sees.
+        ahead: Errors ahead that it sees; each pass adds as many samples of look-ahead.
+        min_voltage_v: Lower output limit.
+        max_voltage_v: Upper output limit.
+        skip: Samples at the start of each record that are not fitted.
+    """
+    compensator = CorrectedInverse(
+        start, model, torch.zeros(passes, before + 1 + ahead), ahead, min_voltage_v, max_voltage_v
+    )
+    period = start.sample_period_s
+    with torch.no_grad():
+        motions = [backward_motion(model.voltage(backward_motion(u, period))[0], period) for u in voltages]
+        for p in range(passes):
+            late = start.preview + (p + 1) * ahead
+            problems = [
+                _problem(compensator, motion, delayed(u, late), p, skip)
+                for motion, u in zip(motions, voltages, strict=True)
+            ]
+            errors, left = (torch.cat(parts) for parts in zip(*problems, strict=True))
+            compensator.filters[p] = _ridge(errors, left)
+    return compensator
+
+
+def _problem(
+    compensator: CorrectedInverse, motion: Motion, wanted: Tensor, p: int, skip: int
+) -> tuple[Tensor, Tensor]:
+    """Errors that the filter of pass p sees, (samples, taps), and the voltage that it should add."""
+    v, e = compensator.passes(motion, p)
+    taps = compensator.filters.shape[1]
+    errors = torch.stack([delayed(e, i)[0, skip:] for i in range(taps)], 1)
+    return errors, (wanted - delayed(v, compensator.ahead))[0, skip:]
+
+
+def _ridge(columns: Tensor, wanted: Tensor) -> Tensor:
+    size = columns.square().mean(0).sqrt()
+    scaled = columns / size
+    gram = scaled.T @ scaled / len(scaled)
+    gram.diagonal().add_(RIDGE)
+    solution: Tensor = torch.linalg.solve(gram, scaled.T @ wanted / len(scaled)) / size
+    return solution

@@ -1,0 +1,135 @@
+"""The compensators that the reproduction compares with the paper's: learned from recordings alone."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+
+from torchpi import excitation
+from torchpi.compensator import DirectInverse
+from torchpi.corrected import CorrectedInverse
+from torchpi.identification import InversePair, fit_joint, fit_two_stage, inverse_pair
+from torchpi.identification.corrections import fit_corrections
+from torchpi.identification.two_stage import fit_weights
+from torchpi.motion import backward_motion
+from torchpi.paper.fig7_plant import Fig7Plant
+from torchpi.recording import Recording
+from torchpi.stage import Stage
+
+# Models and starts are not deployed by themselves: the limits that count are those of what holds them.
+UNLIMITED = {"min_voltage_v": -1e3, "max_voltage_v": 1e3}
+SENSOR_NOISE_UM = 0.005
+PASSES = 4
+
+
+def fig7_compensator(passes: int = PASSES) -> CorrectedInverse:
+    """For the plant of Fig. 7, from noisy recordings of it, none at a frequency that it is judged at.
+
+    The forward model has the plant's form, plays with weights linear in the rate, and none of its
+    numbers: thresholds start on a wrong grid and are fitted. The output may go below 0 V, because the
+    exact inverse does: the plant cannot come down to 1 µm without.
+    """
+    plant = Fig7Plant()
+    period, fs_hz = plant.sample_period_s, plant.sample_rate_hz
+    voltages = [
+        torch.from_numpy(u)[None]
+        for _, u in (
+            excitation.multisine(2.0, fs_hz, 0, 10, 1, 20, 1, seed=1),
+            excitation.multisine(2.0, fs_hz, 0, 10, 1, 60, 1, seed=2),
+            excitation.multisine(1.0, fs_hz, 0, 10, 1, 120, 1, seed=3),
+            excitation.multisine(1.0, fs_hz, 0, 10, 1, 200, 1, seed=4),
+            excitation.multisine(2.0, fs_hz, 0, 6, 1, 60, 1, seed=5),
+            excitation.multisine(1.0, fs_hz, 3, 10, 1, 120, 1, seed=6),
+        )
+    ]
+    generator = torch.Generator().manual_seed(0)
+    readings = [plant.simulate(u)[0] for u in voltages]
+    readings = [
+        y + SENSOR_NOISE_UM * torch.randn(y.shape, generator=generator, dtype=torch.float64) for y in readings
+    ]
+
+    forwards = _pairs(voltages, readings, period)
+    model = DirectInverse(
+        period,
+        [0.43 * i for i in range(14)],
+        degree=1,
+        range_um=10.0,
+        rate_scale_um_s=_fastest(forwards),
+        train_thresholds=True,
+        **UNLIMITED,
+    )
+    model.saturation.requires_grad_(False)  # 1: thresholds and weights already have its freedom
+    fit_weights(model, forwards)
+    fit_joint(model, forwards, evaluations=80)
+
+    # The model's own answers to the same voltages are free of noise.
+    with torch.no_grad():
+        answers = [model.voltage(pair.motion)[0] for pair in forwards]
+    backwards = _pairs(answers, voltages, period)
+    start = DirectInverse(
+        period,
+        [0.25 * i for i in range(20)],
+        degree=1,
+        range_um=10.0,
+        rate_scale_um_s=_fastest(backwards),
+        **UNLIMITED,
+    )
+    fit_weights(start, backwards)
+    limits = {"min_voltage_v": plant.min_voltage_v, "max_voltage_v": plant.max_voltage_v}
+    return fit_corrections(start, model, voltages, passes, **limits)
+
+
+def stage_compensator(stage: Stage, evaluations: int = 200) -> DirectInverse:
+    """For a simulated stage, from recordings of its sensor: what `configs/demo.yaml` does, and more records."""
+    recordings = stage_recordings(stage)
+    largest = max(float(np.ptp(recording.y)) for recording in recordings)
+    pairs = [inverse_pair(recording, preview=2) for recording in recordings]
+    compensator = DirectInverse(
+        stage.sample_period_s,
+        # Denser near 0, where reversals are; nearly the whole range, which the first loading explores.
+        [0.92 * largest * (i / 13) ** 2 for i in range(14)],
+        output_degree=2,
+        preview=2,
+        lead=2,
+        creep_time_constants_s=[0.001, 0.01, 0.1, 1.0, 10.0],
+        range_um=largest,
+        rate_scale_um_s=_fastest(pairs),
+        min_voltage_v=stage.min_voltage_v,
+        max_voltage_v=stage.max_voltage_v,
+    )
+    fit_two_stage(compensator, pairs)
+    fit_joint(compensator, pairs, evaluations)
+    return compensator
+
+
+def stage_recordings(stage: Stage) -> list[Recording]:
+    """What a user would record: the paper's two, multisines of several ranges, triangles with minor loops."""
+    fs_hz = stage.sample_rate_hz
+    played = {
+        "sine_5hz": excitation.sine_5hz(1.0, fs_hz),
+        "paper_multisine": excitation.paper_multisine(1.0, fs_hz),
+        "multisine": excitation.multisine(4.0, fs_hz, high_hz=100, seed=3),
+        "triangles": excitation.triangles(6.0, fs_hz),
+        "multisine_low": excitation.multisine(3.0, fs_hz, high_hz=60, high_v=7.0, seed=5),
+        "triangles_low": excitation.triangles(4.0, fs_hz, high_v=5.0),
+    }
+    recordings = []
+    for seed, (name, (t, u)) in enumerate(played.items(), start=1):
+        with torch.no_grad():
+            _, y = stage.simulate(torch.from_numpy(u)[None], seed)
+        recordings.append(Recording(name, t, u, y[0].numpy(), fs_hz))
+    return recordings
+
+
+def _pairs(
+    inputs: Sequence[torch.Tensor], outputs: Sequence[torch.Tensor], period_s: float
+) -> list[InversePair]:
+    """Records of an operator read in either direction, its rates formed as the deployed step forms them."""
+    return [
+        InversePair(str(i), backward_motion(x, period_s), y, slice(200, x.shape[1]), period_s)
+        for i, (x, y) in enumerate(zip(inputs, outputs, strict=True))
+    ]
+
+
+def _fastest(pairs: Sequence[InversePair]) -> float:
+    return max(float(pair.motion.yd_dot.abs().max()) for pair in pairs)
