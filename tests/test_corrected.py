@@ -1,5 +1,6 @@
 """A corrected inverse: its step is its batch, and its passes take away what the inverse misses."""
 
+import itertools
 import math
 import warnings
 
@@ -91,7 +92,7 @@ def test_every_pass_leaves_less_on_a_motion_that_was_not_fitted() -> None:
             answer = made.model.voltage(backward_motion(u, PERIOD))[0]
             found = made(backward_motion(answer, PERIOD))
         left.append(float((found - delayed(u, made.preview))[:, 300:].square().mean().sqrt()))
-    assert all(later < 0.7 * earlier for earlier, later in zip(left[:-1], left[1:], strict=True))
+    assert all(later < 0.7 * earlier for earlier, later in itertools.pairwise(left))
 
 
 def test_impossible_parts_are_refused_by_name() -> None:

@@ -1,0 +1,120 @@
+"""The calibrated stage is as hard for the paper's method as the paper's rig, for reasons that a rig has."""
+
+import math
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from torchpi.errors import ConfigError
+from torchpi.excitation import sine_5hz
+from torchpi.paper.calibration import (
+    PAPER_MAX_UM,
+    PARTS,
+    Calibration,
+    calibrate_paper_method,
+    shares,
+    without,
+)
+from torchpi.stage import Stage
+
+FILE = Path(__file__).parents[2] / "configs/stage/qin2013.yaml"
+SEEDS = (1, 2, 3)
+
+
+def stage() -> Stage:
+    return Stage.from_yaml(FILE).requires_grad_(False)
+
+
+@cache
+def calibration(seed: int) -> Calibration:
+    return calibrate_paper_method(stage(), seed)
+
+
+@pytest.mark.parametrize("figure", PAPER_MAX_UM)
+@pytest.mark.parametrize("seed", SEEDS)
+def test_the_papers_method_leaves_the_papers_error_whatever_the_noise(seed: int, figure: str) -> None:
+    assert calibration(seed).max_um[figure] == pytest.approx(PAPER_MAX_UM[figure], rel=0.2)
+
+
+def test_the_stages_own_seed_is_the_default_and_repeats() -> None:
+    assert calibrate_paper_method(stage()).max_um == calibration(stage().seed).max_um
+
+
+def test_the_initial_loading_is_the_worst_of_the_model_and_of_the_fast_trajectory() -> None:
+    found = calibration(1)
+    assert found.model.loading_max_um > found.model.max_um
+    assert found.fast.loading_max_um == found.fast.max_um > found.fast.steady_max_um
+
+
+def test_the_figures_are_those_of_the_curves_beside_them() -> None:
+    for tracking in (calibration(1).slow, calibration(1).fast):
+        error = tracking.y - tracking.yd
+        assert tracking.max_um == max(tracking.loading_max_um, tracking.steady_max_um)
+        assert tracking.max_um == pytest.approx(np.abs(error).max())
+        assert tracking.max_percent == pytest.approx(100 * tracking.max_um / np.ptp(tracking.yd))
+        assert tracking.rms_um < tracking.max_um
+        again, _ = stage().simulate(torch.from_numpy(tracking.u)[None])
+        np.testing.assert_array_equal(again[0].numpy(), tracking.y)
+
+
+def test_every_value_is_one_that_such_a_rig_has() -> None:
+    settings = stage().to_dict()
+    assert 400 <= settings["mechanics"]["frequency_hz"] <= 800
+    assert 0.01 <= settings["mechanics"]["damping_ratio"] <= 0.03
+    assert 0.01 <= settings["actuator"]["creep_per_decade"] <= 0.02
+    assert settings["amplifier"]["converter_bits"] == settings["sensor"]["converter_bits"] == 16
+    bend = settings["actuator"]["input_polynomial_v"]
+    slope = [sum(c * (power + 1) * v**power for power, c in enumerate(bend)) for v in (0.0, 5.0, 10.0)]
+    assert slope == pytest.approx([1.0, 0.9, 0.8])
+
+
+def test_its_range_and_its_loop_are_those_of_such_a_rig() -> None:
+    _, u = sine_5hz(0.6)
+    y = stage()(torch.from_numpy(u)[None])[0][0].numpy()
+    # The last loop, the command being paired with the displacement that it causes two samples later.
+    u, y = u[3998:5998], y[4000:]
+    assert y.max() == pytest.approx(8.1, abs=0.05)
+    # Eq. 15 and 16 come down to 1 µm, and the voltage stops at 0: a stage that stayed above could not follow.
+    assert y.min() == pytest.approx(0.9, abs=0.05)
+    at = np.linspace(0.1, 9.9, 200)
+    up, down = np.interp(at, u[:1000], y[:1000]), np.interp(at, u[1000:][::-1], y[1000:][::-1])
+    width = (down - up) / np.ptp(y)
+    assert 0.12 < width.max() < 0.16
+    assert abs(width[30:70].mean() - width[130:170].mean()) > 0.003  # not symmetric
+
+
+@pytest.mark.parametrize("part", PARTS)
+def test_a_stage_without_a_part_lacks_that_part_alone_and_goes_as_far(part: str) -> None:
+    before, after = stage(), without(stage(), part).requires_grad_(False)
+    changed = [key for key, value in before.to_dict().items() if after.to_dict()[key] != value]
+    amplifier, actuator, mechanics, sensor = ["amplifier"], ["actuator"], ["mechanics"], ["sensor"]
+    assert (
+        changed
+        == {
+            "noise": sensor,
+            "quantisation": amplifier + sensor,
+            "delay": amplifier,
+            "lag": amplifier + sensor,
+            "mode": mechanics,
+            "creep": actuator,
+            "curvature": actuator,
+            "hysteresis": actuator,
+        }[part]
+    )
+    rise = torch.linspace(0, math.pi, 1000, dtype=torch.float64).cos().mul(-5).add(5)[None]
+    assert float(after(rise)[0].max()) == pytest.approx(float(before(rise)[0].max()), rel=0.01)
+
+
+def test_the_mode_makes_most_of_the_model_error_and_creep_a_third_of_the_slow_one() -> None:
+    found = shares(stage(), 1, ("mode", "creep"))
+    assert list(found) == ["all", "mode", "creep"]
+    assert found["mode"].max_um["model"] < 0.5 * found["all"].max_um["model"]
+    assert found["creep"].max_um["slow"] < 0.67 * found["all"].max_um["slow"]
+
+
+def test_an_unknown_part_is_refused_with_the_known_ones() -> None:
+    with pytest.raises(ConfigError, match=r"'wear', want one of noise, .* hysteresis"):
+        without(stage(), "wear")
