@@ -52,7 +52,7 @@ def test_import_brings_neither_lightning_nor_matplotlib() -> None:
     subprocess.run([sys.executable, "-c", program], check=True)
 
 
-@pytest.mark.parametrize("command", ["simulate", "export", "run"])
+@pytest.mark.parametrize("command", ["simulate", "export", "run", "reproduce"])
 def test_every_command_has_an_example_and_every_option_an_explanation(
     command: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -109,6 +109,7 @@ def test_export_then_run_leaves_files_page_and_numbers(
         (["run", "nowhere.pt"], "nowhere.pt: no such file"),
         (["run", "README.md"], "README.md: not a TorchScript file"),
         (["exprt"], "choose from"),
+        (["reproduce", "--only", "fig99"], "fig8"),
     ],
 )
 def test_bad_input_is_one_line_and_exit_code_2(

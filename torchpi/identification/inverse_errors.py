@@ -62,8 +62,11 @@ def inverse_errors(
 
 
 def loading_end(y: Tensor) -> int:
-    """First sample within 0.1 % of the record's largest displacement; shape (time,)."""
-    threshold = y.max() - 1e-3 * (y.max() - y.min())
+    """First sample within 2 % of the record's largest displacement; shape (time,).
+
+    Wide enough for creep, which carries later peaks of the same voltage a little further.
+    """
+    threshold = y.max() - 0.02 * (y.max() - y.min())
     return int(torch.nonzero(y >= threshold)[0])
 
 

@@ -1,6 +1,7 @@
 """The compensators that the reproduction compares with the paper's: learned from recordings alone."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import torch
@@ -19,6 +20,15 @@ from torchpi.stage import Stage
 # Models and starts are not deployed by themselves: the limits that count are those of what holds them.
 LOW_V, HIGH_V = -1e3, 1e3
 SENSOR_NOISE_UM = 0.005
+# The stage answers some two samples late; rates count up to above its first mode, below what the
+# converter's steps make of them.
+FORM: dict[str, Any] = {
+    "output_degree": 2,
+    "preview": 2,
+    "lead": 2,
+    "creep_time_constants_s": [0.01, 0.1, 1.0, 10.0],
+}
+BANDWIDTH_HZ = 1000.0
 PASSES = 4
 
 
@@ -87,47 +97,58 @@ def fig7_compensator(passes: int = PASSES) -> CorrectedInverse:
     )
 
 
-def stage_compensator(stage: Stage, evaluations: int = 200) -> DirectInverse:
+def stage_compensator(stage: Stage) -> DirectInverse:
     """For a simulated stage, from recordings of its sensor: `configs/demo.yaml` with more records."""
-    recordings = stage_recordings(stage)
+    return learn(stage_recordings(stage), stage.min_voltage_v, stage.max_voltage_v)
+
+
+def learn(
+    recordings: Sequence[Recording],
+    min_voltage_v: float,
+    max_voltage_v: float,
+    form: Mapping[str, Any] = FORM,
+    evaluations: int = 200,
+    bandwidth_hz: float = BANDWIDTH_HZ,
+) -> DirectInverse:
+    """A direct inverse of this form, from the two stages on; with no evaluations they are all."""
     largest = max(float(np.ptp(recording.y)) for recording in recordings)
-    # Above the first mode, below what the converter's steps make of the rates.
-    pairs = [inverse_pair(recording, preview=2, bandwidth_hz=1000.0) for recording in recordings]
+    pairs = [inverse_pair(recording, form["preview"], bandwidth_hz) for recording in recordings]
     compensator = DirectInverse(
-        stage.sample_period_s,
+        pairs[0].sample_period_s,
         # Denser near 0, where reversals are; nearly the whole range, which the first loading explores.
         [0.92 * largest * (i / 13) ** 2 for i in range(14)],
-        output_degree=2,
-        preview=2,
-        lead=2,
-        creep_time_constants_s=[0.01, 0.1, 1.0, 10.0],
         range_um=largest,
         rate_scale_um_s=_fastest(pairs),
-        min_voltage_v=stage.min_voltage_v,
-        max_voltage_v=stage.max_voltage_v,
+        min_voltage_v=min_voltage_v,
+        max_voltage_v=max_voltage_v,
+        **form,
     )
     fit_two_stage(compensator, pairs)
     # States pass through every sample; of a band of 100 Hz at 10 kHz, every fifth error says it all.
     thinned = [pair._replace(counted=slice(pair.counted.start, pair.counted.stop, 5)) for pair in pairs]
-    fit_joint(compensator, thinned, evaluations)
+    if evaluations > 0:
+        fit_joint(compensator, thinned, evaluations)
     return compensator
 
 
-def stage_recordings(stage: Stage) -> list[Recording]:
-    """What a user would record: the paper's two, multisines of several ranges, triangles with minor loops."""
+def stage_recordings(stage: Stage, seed: int = 0) -> list[Recording]:
+    """What a user would record: the paper's two, multisines of several ranges, triangles with minor loops.
+
+    Another `seed` has other phases and other noise.
+    """
     fs_hz = stage.sample_rate_hz
     played = {
         "sine_5hz": excitation.sine_5hz(1.0, fs_hz),
         "paper_multisine": excitation.paper_multisine(1.0, fs_hz),
-        "multisine": excitation.multisine(4.0, fs_hz, high_hz=100, seed=3),
+        "multisine": excitation.multisine(4.0, fs_hz, high_hz=100, seed=3 + 100 * seed),
         "triangles": excitation.triangles(6.0, fs_hz),
-        "multisine_low": excitation.multisine(3.0, fs_hz, high_hz=60, high_v=7.0, seed=5),
+        "multisine_low": excitation.multisine(3.0, fs_hz, high_hz=60, high_v=7.0, seed=5 + 100 * seed),
         "triangles_low": excitation.triangles(4.0, fs_hz, high_v=5.0),
     }
     recordings = []
-    for seed, (name, (t, u)) in enumerate(played.items(), start=1):
+    for noise, (name, (t, u)) in enumerate(played.items(), start=1 + 100 * seed):
         with torch.no_grad():
-            _, y = stage.simulate(torch.from_numpy(u)[None], seed)
+            _, y = stage.simulate(torch.from_numpy(u)[None], noise)
         recordings.append(Recording(name, t, u, y[0].numpy(), fs_hz))
     return recordings
 
