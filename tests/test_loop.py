@@ -19,14 +19,8 @@ from torch import nn
 from torchpi.compensator import DirectInverse
 from torchpi.errors import ArtifactError, RecordingError, StageError
 from torchpi.export import load_torchscript, save_torchscript
-from torchpi.loop import (
-    COMPENSATED,
-    WITHOUT,
-    WITHOUT_LOOK_AHEAD,
-    LoopResult,
-    as_json,
-    run_loop,
-)
+from torchpi.loop import run_loop
+from torchpi.loop_result import COMPENSATED, WITHOUT, WITHOUT_LOOK_AHEAD, LoopResult, as_json
 from torchpi.operators.reference_filter import ReferenceFilter
 from torchpi.stage import Stage
 from torchpi.trajectory import load_trajectory

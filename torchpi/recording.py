@@ -6,7 +6,6 @@ Inside, the voltage is in V, the displacement in µm, the time in s, and the sam
 import hashlib
 import warnings
 from dataclasses import dataclass, field, replace
-from fractions import Fraction
 from itertools import islice
 from pathlib import Path
 from typing import Literal
@@ -19,6 +18,7 @@ from torchpi.readers import Source, open_source
 from torchpi.readers.source import Column
 from torchpi.readers.time_stamps import Grid, round_rate, uniform_grid
 from torchpi.recording_checks import MIN_SAMPLES, check_length, check_recording
+from torchpi.resampling import to_rate
 
 __all__ = ["Recording", "Signal", "check_recording", "read_recording", "read_signal", "write_recording"]
 
@@ -113,7 +113,7 @@ class Recording:
             return self
         samples = int(np.floor((len(self) - 1) * fs_hz / self.fs_hz + 1e-6)) + 1
         convert = {
-            name: _resample(signal, self.fs_hz, fs_hz, samples) for name, signal in self._signals().items()
+            name: to_rate(signal, self.fs_hz, fs_hz, samples) for name, signal in self._signals().items()
         }
         u, y = convert.pop("u"), convert.pop("y")
         return replace(
@@ -430,38 +430,3 @@ def _interpolated(
     samples = int(np.floor((t[-1] - t[0]) * rate + 1e-6)) + 1
     uniform = t[0] + np.arange(samples) / rate
     return uniform, rate, [np.interp(uniform, t, signal) for signal in signals]
-
-
-def _resample(x: np.ndarray, from_hz: float, to_hz: float, samples: int) -> np.ndarray:
-    """Polyphase where the ratio is one of moderate integers, else low-pass and a cubic spline.
-
-    Both ends are continued by point reflection, so that an offset or a slope leaves no transient there.
-    """
-    from scipy.signal import resample_poly
-
-    ratio = Fraction(to_hz / from_hz).limit_denominator(2000)
-    margin = min(len(x) - 1, int(np.ceil(40 * max(1.0, from_hz / to_hz))))
-    if abs(ratio * from_hz / to_hz - 1) > 1e-9 or ratio.numerator > 2000:
-        return _resample_any(x, from_hz, to_hz, samples, margin)
-    up, down = ratio.numerator, ratio.denominator
-    margin = min(len(x) - 1, -(-margin // down) * down)
-    margin -= margin % down  # the first sample stays on the new grid
-    extended = _reflected(x, margin)
-    first = margin * up // down
-    return resample_poly(extended, up, down, padtype="line", window=("kaiser", 10.0))[first : first + samples]
-
-
-def _resample_any(x: np.ndarray, from_hz: float, to_hz: float, samples: int, margin: int) -> np.ndarray:
-    from scipy.interpolate import CubicSpline
-    from scipy.signal import butter, sosfiltfilt
-
-    extended = _reflected(x, margin)
-    if to_hz < from_hz:
-        extended = sosfiltfilt(butter(8, 0.8 * to_hz / from_hz, output="sos"), extended)
-    return CubicSpline(np.arange(len(extended)) - margin, extended)(np.arange(samples) * (from_hz / to_hz))
-
-
-def _reflected(x: np.ndarray, margin: int) -> np.ndarray:
-    if margin <= 0:
-        return x
-    return np.concatenate((2 * x[0] - x[margin:0:-1], x, 2 * x[-1] - x[-2 : -margin - 2 : -1]))

@@ -1,0 +1,156 @@
+"""What a run of the control loop gives: motions, errors, times, as named fields."""
+
+import dataclasses
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+Signal = npt.NDArray[np.float64]  # shape: (time,)
+
+
+@dataclass(frozen=True)
+class Error:
+    """Size of a tracking error, with both denominators that are in use."""
+
+    max_um: float
+    rms_um: float
+    max_percent: float  # of the trajectory's peak to peak
+    rms_percent: float
+    max_percent_of_range: float  # of the stage's range
+    rms_percent_of_range: float
+
+
+@dataclass(frozen=True)
+class Tracking:
+    """Tracking error before and after the stage has forgotten its start, and in all.
+
+    Loading ends where y_d first comes within 0.1 % (of peak to peak) of its global maximum: from there on,
+    by the wiping-out property, the hysteresis no longer depends on how the record began.
+    """
+
+    loading: Error
+    steady: Error
+    whole: Error
+
+
+@dataclass(frozen=True)
+class Latency:
+    """Wall-clock time of the compensator's `step`, called from Python, clock reading included."""
+
+    steps: int
+    median_us: float
+    p99_us: float
+    p999_us: float
+    max_us: float
+    period_us: float
+    missed: int  # steps longer than the sample period
+    missed_share: float
+    histogram_edges_us: Signal  # (bins + 1,), logarithmic
+    histogram_counts: npt.NDArray[np.int64]  # (bins,)
+
+
+@dataclass(frozen=True)
+class Drive:
+    """One way of driving the stage along the trajectory, and what came of it."""
+
+    label: str
+    preview: int
+    u: Signal  # (time,), V
+    y_true: Signal  # (time,), µm
+    y_sensor: Signal  # (time,), µm
+    on_true: Tracking
+    on_sensor: Tracking
+    loop_width_um: float  # of y against y_d, steady part
+    loop_width_percent: float  # of peak to peak
+    saturated_share: float  # of the samples, u at a voltage limit
+    latency: Latency
+
+
+@dataclass(frozen=True)
+class Ratios:
+    """How many times smaller the error on the true displacement is than without compensation."""
+
+    loading_max: float
+    loading_rms: float
+    steady_max: float
+    steady_rms: float
+    whole_max: float
+    whole_rms: float
+
+
+@dataclass(frozen=True)
+class LoopResult:
+    """A trajectory, run without compensation, with every compensator to compare, and with the compensator."""
+
+    name: str
+    title: str
+    fs_hz: float
+    t: Signal  # (time,), s
+    yd: Signal  # (time,), µm
+    loading_samples: int
+    peak_to_peak_um: float
+    range_low_um: float  # reached by the stage in its slow full-range loop
+    range_high_um: float
+    min_voltage_v: float
+    max_voltage_v: float
+    gain_um_per_v: float
+    seed: int
+    drives: dict[str, Drive]  # 'without', the compared ones, COMPENSATED last
+    improvement: dict[str, Ratios]  # of each drive over 'without'
+    notes: tuple[str, ...]
+
+    @property
+    def compensated(self) -> Drive:
+        return self.drives[COMPENSATED]
+
+    @property
+    def without(self) -> Drive:
+        return self.drives[WITHOUT]
+
+
+WITHOUT = "without"
+WITHOUT_LOOK_AHEAD = "without_same_look_ahead"
+COMPENSATED = "torchpi"
+
+
+def as_json(result: LoopResult) -> dict[str, Any]:
+    """The result's numbers as plain keys with units; the traces stay out. Ratios over zero become null."""
+    drives = {}
+    for key, drive in result.drives.items():
+        latency = drive.latency
+        drives[key] = {
+            "label": drive.label,
+            "preview_samples": drive.preview,
+            "true_displacement": dataclasses.asdict(drive.on_true),
+            "sensor_reading": dataclasses.asdict(drive.on_sensor),
+            "loop_width_um": drive.loop_width_um,
+            "loop_width_percent": drive.loop_width_percent,
+            "saturated_share": drive.saturated_share,
+            "times_better_than_without": {
+                key: ratio if math.isfinite(ratio) else None
+                for key, ratio in dataclasses.asdict(result.improvement[key]).items()
+            },
+            "latency": {
+                **dataclasses.asdict(latency),
+                "histogram_edges_us": latency.histogram_edges_us.tolist(),
+                "histogram_counts": latency.histogram_counts.tolist(),
+            },
+        }
+    return {
+        "name": result.name,
+        "title": result.title,
+        "sample_rate_hz": result.fs_hz,
+        "samples": len(result.yd),
+        "duration_s": len(result.yd) / result.fs_hz,
+        "loading_s": result.loading_samples / result.fs_hz,
+        "peak_to_peak_um": result.peak_to_peak_um,
+        "range_um": [result.range_low_um, result.range_high_um],
+        "voltage_limits_v": [result.min_voltage_v, result.max_voltage_v],
+        "gain_um_per_v": result.gain_um_per_v,
+        "seed": result.seed,
+        "drives": drives,
+        "notes": list(result.notes),
+    }
