@@ -1,0 +1,126 @@
+"""The page of the paper: whole in one file, in the paper's order, and saying what results.json says."""
+
+import json
+import re
+from typing import Any
+
+import pytest
+from matplotlib.text import Text
+
+from tests.paper.short_run import short_run
+from torchpi.paper.items import ITEMS
+from torchpi.paper.result import Row
+from torchpi.report import paper_page
+from torchpi.report.paper_figures import FIGURES
+from torchpi.report.paper_texts import TEXTS
+
+
+@pytest.fixture(scope="module")
+def html() -> str:
+    return (short_run() / "paper.html").read_text(encoding="utf-8")
+
+
+@pytest.fixture(scope="module")
+def results() -> dict[str, Any]:
+    return json.loads((short_run() / "results.json").read_text(encoding="utf-8"))
+
+
+def test_it_fetches_nothing_and_is_small(html: str) -> None:
+    assert not re.search(r"https?://|src=|@import|<link|<script|<iframe|<object|<img", html)
+    assert len(html.encode()) < 3_000_000
+
+
+def test_identifiers_are_unique_and_references_resolve(html: str) -> None:
+    ids = re.findall(r'\bid="([^"]+)"', html)
+    assert len(ids) == len(set(ids))
+    referenced = {a or b for a, b in re.findall(r'href="#([^"]+)"|url\(#([^)]+)\)', html)}
+    assert referenced <= set(ids)
+
+
+def test_sections_come_in_the_paper_s_order_each_with_title_and_figures(html: str) -> None:
+    assert re.findall(r'<section id="([^"]+)"', html) == list(ITEMS)
+    for name in ITEMS:
+        assert TEXTS[name].title.replace("'", "&#39;") in html
+    assert html.count('<svg class="figure"') == sum(len(drawn) for drawn in FIGURES.values())
+
+
+def test_figures_of_the_paper_come_in_its_order() -> None:
+    numbers = [int(name[3:]) for name in ITEMS if name.startswith("fig")]
+    assert numbers == [3, 4, 5, 7, 8, 10, 12, 13]
+
+
+def test_numbers_on_the_page_are_those_of_the_results(html: str, results: dict[str, Any]) -> None:
+    values = {float(value) for value in re.findall(r'<data value="([^"]+)"', html)}
+    promised = [
+        results["fig3"]["round_trip"],
+        *results["fig7"]["area"].values(),
+        *results["fig8"]["indirect_max_percent"].values(),
+        *results["fig8"]["direct_max_percent"].values(),
+        *(one["max_um"] for one in results["calibration"].values()),
+        *(one["width_percent"] for one in results["fig13"]["after"].values()),
+        *(results["fig12"]["torchpi"][name]["max_percent"] for name in ("slow", "fast")),
+        *(one["max_percent"] for one in results["unseen"].values()),
+    ]
+    assert set(promised) <= values
+
+
+def test_what_is_not_reached_is_said(html: str) -> None:
+    """The short run's compensator is the paper's, which does not reach what is asked of torchpi's."""
+    assert "not reached: " in html and "✗" in html and "✓" in html
+
+
+def test_figures_lie_beside_the_page_for_slides() -> None:
+    names = {path.stem for path in (short_run() / "figures").iterdir()}
+    assert names == {draw.__name__ for drawn in FIGURES.values() for draw, _ in drawn}
+
+
+def test_text_in_figures_is_eight_points_or_more_and_axes_have_units(monkeypatch) -> None:
+    seen = []
+    monkeypatch.setattr(paper_page, "inline_svg", lambda figure, *_: seen.append(figure) or "<svg></svg>")
+    for section in _sections():
+        paper_page.paper_page([section], [], _PROVENANCE)
+    assert len(seen) == sum(len(drawn) for drawn in FIGURES.values())
+    for figure in seen:
+        assert min(text.get_fontsize() for text in figure.findobj(Text) if text.get_text()) >= 8
+        for axes in figure.axes:
+            label = axes.get_ylabel()
+            assert not label or "(" in label or "%" in label
+
+
+def test_what_is_missing_is_named_and_text_is_escaped() -> None:
+    html = paper_page.paper_page([], ["fig3", "<b>"], _PROVENANCE)
+    assert "not computed yet: fig3, &lt;b&gt;" in html
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(0.0999996, "0.100"), (4.88e-15, "4.88e−15"), (11.0, "11.0"), (24, "24"), (-0.22, "−0.220"), (0.0, "0")],
+)
+def test_numbers_have_three_digits_and_counts_none(value: float, text: str) -> None:
+    assert paper_page._shown(value) == text
+
+
+def test_a_row_that_is_met_or_missed_says_so() -> None:
+    rows = [Row("a", 0.4, at_most=0.5), Row("b", 0.6, at_most=0.5)]
+    section = paper_page.Section("learning", None, rows, 1.0)
+    html = paper_page.paper_page([section], [], _PROVENANCE)
+    assert '<tr class="met">' in html and '<tr class="missed">' in html
+    assert "Of 2 numbers that are asked for, 1 are" in html
+
+
+def _sections() -> list[paper_page.Section]:
+    import numpy as np
+
+    from torchpi.paper.stored import restore
+
+    sections = []
+    for name, item in ITEMS.items():
+        path = short_run() / "items" / f"{name}.npz"
+        with np.load(path) as file:
+            key = str(file["key"])
+        result, seconds = restore(item.result, key, path)
+        sections.append(paper_page.Section(name, result, result.rows(), seconds))
+    return sections
+
+
+_PROVENANCE = paper_page.Provenance(command="torchpi reproduce", seed=None, files={}, versions={}, machine="")

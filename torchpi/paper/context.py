@@ -1,0 +1,92 @@
+"""What an item of the reproduction is, and what it may use."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+from torchpi.compensator import DirectInverse
+from torchpi.corrected import CorrectedInverse
+from torchpi.paper import claims, fig13, recipe, unseen
+from torchpi.paper.ablation import PASSES, VARIANTS
+from torchpi.paper.calibration import PARTS
+from torchpi.paper.fig10 import Identified, identify
+from torchpi.paper.tracking import Deployed, InOnePass
+from torchpi.stage import Stage
+
+
+@dataclass(frozen=True)
+class Size:
+    """How much is run: the whole, or a short form for tests."""
+
+    fig13_hz: tuple[int, ...] = fig13.FREQUENCIES_HZ
+    above_hz: tuple[int, ...] = claims.ABOVE_HZ
+    unseen: int = unseen.COUNT
+    unseen_s: float = 2.0
+    evaluations: int = 40
+    parts: tuple[str, ...] = PARTS
+    ablation: tuple[str, ...] = tuple(VARIANTS)
+    ablation_seeds: int = 2
+    ablation_passes: tuple[int, ...] = PASSES
+
+
+FULL = Size()
+SHORT = Size((5, 80), (80, 160), 2, 0.3, 15, ("delay",), tuple(VARIANTS)[:1], 1, ())
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """How torchpi learns, from recordings alone."""
+
+    fig7: Callable[[], CorrectedInverse | DirectInverse]  # of the plant of Fig. 7
+    stage: Callable[[Stage], DirectInverse]  # of the stage
+
+
+RECIPE = Recipe(recipe.fig7_compensator, recipe.stage_compensator)
+
+
+@dataclass(frozen=True)
+class Context:
+    """What an item may use."""
+
+    stage: Stage
+    recipe: Recipe
+    size: Size
+    done: dict[str, Any]  # results of the items it needs, by name
+
+    @cached_property
+    def identified(self) -> Identified:
+        """The paper's compensator of the stage."""
+        return identify(self.stage)
+
+    @cached_property
+    def compensators(self) -> dict[str, DirectInverse]:
+        """The paper's and torchpi's, of the stage."""
+        return {"paper": self.identified.compensator, "torchpi": self.done["learning"].compensator()}
+
+    def streams(self) -> dict[str, Deployed]:
+        """The same as they are exported, sample by sample."""
+        return {name: one.stream() for name, one in self.compensators.items()}
+
+    def in_one_pass(self) -> dict[str, Deployed]:
+        """The same over a whole motion at once: for many motions."""
+        return {name: InOnePass(one) for name, one in self.compensators.items()}
+
+
+@dataclass(frozen=True)
+class Item:
+    """One part of the paper.
+
+    Attributes:
+        name: As `--only` takes it, and the key of its section.
+        result: What it computes, a frozen dataclass with `numbers` and `rows`.
+        compute: Computes it.
+        needs: Items whose results it uses.
+        of_the_stage: Whether it depends on the stage file.
+    """
+
+    name: str
+    result: type
+    compute: Callable[[Context], Any]
+    needs: tuple[str, ...] = ()
+    of_the_stage: bool = True

@@ -1,0 +1,66 @@
+"""Fig. 12, Qin et al. (2013): the slow (eq. 15) and the fast (eq. 16) trajectory, tracked.
+
+Both pass the reference filter (eq. 14) and start from rest on a de-energised stage. The error is that of the
+true displacement; what the sensor reads stands beside it.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+
+from torchpi.paper.tracking import Deployed, Plant, TrackingError, follow, loading_samples, tracking_error
+from torchpi.trajectory import Trajectory, load_trajectory
+
+TRAJECTORIES = ("slow", "fast")
+
+
+@dataclass(frozen=True)
+class Tracked:
+    """One compensator on one trajectory."""
+
+    u: np.ndarray  # (time,), V
+    y: np.ndarray  # (time,), µm
+    error: TrackingError
+    on_sensor: TrackingError
+    samples_at_limit: int  # of the voltage
+
+
+@dataclass(frozen=True)
+class Panel:
+    """One trajectory."""
+
+    t: np.ndarray  # (time,), s
+    yd: np.ndarray  # (time,), µm
+    peak_to_peak_um: float  # of y_r: 6 and 6.83 µm
+    loading_s: float
+    tracked: dict[str, Tracked]  # by the method's name
+
+
+def panel(plant: Plant, trajectory: str, compensators: Mapping[str, Deployed]) -> Panel:
+    """Run each compensator along `trajectory`, slow or fast, every run from the de-energised state."""
+    wanted = _reference(trajectory, plant.sample_rate_hz)
+    peak_to_peak_um = float(np.ptp(wanted.yr))
+    tracked = {}
+    for name, compensator in compensators.items():
+        run = follow(compensator, plant, wanted.yd)
+        tracked[name] = Tracked(
+            run.u,
+            run.y,
+            tracking_error(run.y, wanted.yd, peak_to_peak_um),
+            tracking_error(run.reading, wanted.yd, peak_to_peak_um),
+            int(np.count_nonzero((run.u <= plant.min_voltage_v) | (run.u >= plant.max_voltage_v))),
+        )
+    return Panel(
+        np.arange(len(wanted.yd)) / plant.sample_rate_hz,
+        wanted.yd,
+        peak_to_peak_um,
+        loading_samples(wanted.yd) / plant.sample_rate_hz,
+        tracked,
+    )
+
+
+@cache
+def _reference(trajectory: str, fs_hz: float) -> Trajectory:
+    return load_trajectory(trajectory, fs_hz=fs_hz)

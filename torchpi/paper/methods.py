@@ -1,0 +1,105 @@
+"""Every method that the paper names, fitted to the same recordings, on the same motions: one table.
+
+The recordings are the paper's two, 5 Hz sine and eq. 13. A method sees them and nothing else of the plant, so
+that its row shows what its form is worth, not what it was told.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import torch
+
+from torchpi.identification import fit_two_stage, inverse_pair
+from torchpi.indirect.fitted import (
+    Records,
+    fit_cascade,
+    fit_conventional,
+    fit_generalised_direct,
+    fit_rate_dependent,
+    fit_time_varying_thresholds,
+)
+from torchpi.motion import backward_motion
+from torchpi.paper import fig7_plant, fig8, fig12
+from torchpi.paper.calibration import THRESHOLDS
+from torchpi.paper.fig7_plant import Fig7Plant
+from torchpi.paper.fig10 import identify, paper_form
+from torchpi.paper.tracking import Deployed, InOnePass, Plant, StraightLine, TrackingError
+from torchpi.trajectory import load_trajectory
+
+# On the stage: r of the forward models, V, denser where reversals are; dead zones of their saturation, µm.
+STAGE_THRESHOLDS_V = [0.0, 0.05, 0.1, 0.2, 0.35, 0.6, 1.0, 1.5, 2.0, 3.0, 4.0]
+STAGE_DEAD_ZONES_UM = [0.0, 2.0, 4.0, 6.0]
+
+METHODS: dict[str, Callable[[Records], Any]] = {
+    "conventional": fit_conventional,
+    "rate_dependent": fit_rate_dependent,
+    "time_varying_thresholds": fit_time_varying_thresholds,
+    "cascade": fit_cascade,
+    "generalised_direct": lambda records: fit_generalised_direct(records, THRESHOLDS),
+}
+LABELS = {
+    "without": "straight line, no compensation",
+    "conventional": "conventional inverse (Krejčí–Kuhnen)",
+    "rate_dependent": "rate-dependent terms put in (Ang, Tan)",
+    "told": "the same, told the plant's numbers (Fig. 8)",
+    "time_varying_thresholds": "time-varying thresholds (Al Janaideh–Krejčí)",
+    "cascade": "hysteresis in cascade with linear dynamics (Croft–Devasia)",
+    "generalised_direct": "direct, generalised plays",
+    "paper": "direct, two stages (the paper)",
+    "torchpi": "torchpi",
+}
+
+
+def fitted_to_fig7() -> dict[str, Deployed]:
+    """From the two recordings of the Fig. 7 plant: every method, the straight line and the paper's."""
+    plant = Fig7Plant()
+    identified = identify(plant)
+    limits: dict[str, Any] = {"min_voltage_v": plant.min_voltage_v, "max_voltage_v": plant.max_voltage_v}
+    # The plant needs less than 0 V to come down to 1 µm.
+    paper = identified.compensator
+    paper.min_voltage_v, paper.max_voltage_v = plant.min_voltage_v, plant.max_voltage_v
+    slow, fast = identified.pairs
+    records = Records(slow, [fast], fig7_plant.THRESHOLDS, **limits)
+    return {
+        "without": StraightLine(identified.slow, 0, plant.min_voltage_v, plant.max_voltage_v),
+        **{name: InOnePass(fit(records)) for name, fit in METHODS.items()},
+        "paper": InOnePass(paper),
+    }
+
+
+def on_fig7(compensator: Deployed) -> dict[str, float]:
+    """Steady errors on the sines of eq. 9, % of 9 µm, by frequency."""
+    return {str(hz): fig8.deployed(compensator, hz).max_percent for hz in fig8.FREQUENCIES_HZ}
+
+
+def fitted_to_stage(plant: Plant, preview: int) -> dict[str, Deployed]:
+    """The same of the stage, its recordings seen `preview` samples ahead."""
+    identified = identify(plant)
+    slow, fast = (inverse_pair(recording, preview) for recording in (identified.slow, identified.fast))
+    records = Records(slow, [fast], STAGE_THRESHOLDS_V, STAGE_DEAD_ZONES_UM, preview)
+    paper = paper_form((slow, fast), plant.sample_period_s, preview)
+    fit_two_stage(paper, [slow, fast])
+    return {
+        "without": StraightLine(identified.slow, preview),
+        **{name: InOnePass(fit(records)) for name, fit in METHODS.items()},
+        "paper": InOnePass(paper),
+    }
+
+
+def tracked(plant: Plant, compensators: dict[str, Deployed]) -> dict[str, dict[str, TrackingError]]:
+    """Eq. 15 and 16: by method, then by trajectory."""
+    panels = {name: fig12.panel(plant, name, compensators) for name in fig12.TRAJECTORIES}
+    return {
+        method: {name: panel.tracked[method].error for name, panel in panels.items()}
+        for method in compensators
+    }
+
+
+def dilation_on_fast(plant: Plant) -> str:
+    """Whether the thresholds that eq. 16 makes keep the condition under which the formula is exact."""
+    identified = identify(plant)
+    slow, fast = identified.pairs
+    inverse = fit_time_varying_thresholds(Records(slow, [fast], STAGE_THRESHOLDS_V, STAGE_DEAD_ZONES_UM))
+    yd = load_trajectory("fast", fs_hz=plant.sample_rate_hz).yd
+    motion = backward_motion(torch.from_numpy(yd)[None], plant.sample_period_s)
+    return str(inverse.dilation(motion))
