@@ -211,3 +211,12 @@ def test_a_command_that_is_not_finite_or_not_a_batch_is_refused():
     stream.step(1.0)
     with pytest.raises(StageError, match="u: found inf V at sample 1, want a finite number"):
         stream.step(math.inf)
+
+
+def test_a_delay_longer_than_the_record_is_refused_by_name_and_unit() -> None:
+    stage = Stage(sample_rate_hz=1000.0, amplifier={"delay_s": 0.5})
+    with pytest.raises(
+        StageError, match=r"amplifier\.delay_s: found 0\.5 s, want less than the record, 0\.1 s"
+    ):
+        stage.simulate(torch.zeros(1, 100))
+    stage.simulate(torch.zeros(1, 600))

@@ -270,7 +270,7 @@ def _ablation(result: Any) -> _Extra:
         _Line(
             variant,
             [
-                f"{_shown(spreads[key].mean)} ({_shown(spreads[key].least)} … {_shown(spreads[key].most)})"
+                f"{_shown(spreads[key].mean)} ± {_shown((spreads[key].most - spreads[key].least) / 2)}"
                 for key in heads
             ],
             ours=variant.endswith(": torchpi"),
@@ -279,8 +279,8 @@ def _ablation(result: Any) -> _Extra:
     ]
     tables = [
         _Table(
-            "Tracking error on the stage, % of peak to peak, initial loading included: mean and range over "
-            f"{table.seeds} sets of recordings, with other phases and other noise.",
+            "Tracking error on the stage, % of peak to peak, initial loading included: mean and half the "
+            f"range over {table.seeds} sets of recordings, with other phases and other noise.",
             ["", *heads.values()],
             stage_lines,
         )

@@ -171,10 +171,10 @@ TEXTS: dict[str, Text] = {
         "What each part buys",
         explains=(
             (
-                "Every line is learned from the same recordings as the others. Creep is worth most, and joint "
-                "training is what makes the parts work. With the lead, weights that follow the rate add "
-                "nothing on this stage; they stay for stages without one. A neural rate head is better in rms "
-                "for some recordings and worse at most for others: it is not the default."
+                "Every line is learned from the same recordings as the others. Creep is worth most, and "
+                "joint training is what makes the parts work. With the lead, weights that follow the rate "
+                "add nothing on this stage; they stay for stages without one. A neural rate head is better "
+                "in rms for some recordings and worse at most for others: it is not the default."
             ),
         ),
     ),

@@ -127,7 +127,8 @@ class Stage(Chain):
         Converters and noise are in. Each row has its own noise, the same in every call.
 
         Raises:
-            StageError: Another shape than (batch, time), or a command that is not finite.
+            StageError: Another shape than (batch, time), a command that is not finite, or a delay that is
+                longer than the record.
         """
         if u.ndim != 2:
             raise StageError(f"u: found shape {tuple(u.shape)}, want (batch, time)")
@@ -136,6 +137,11 @@ class Stage(Chain):
             row, sample = torch.nonzero(~finite)[0].tolist()
             found = f"{u[row, sample].item()} V in row {row}, sample {sample}"
             raise StageError(f"u: found {found}, want finite numbers")
+        delay_s, duration_s = self.amplifier.lag.delay_s.item(), u.shape[1] * self.sample_period_s
+        if delay_s >= duration_s:
+            raise StageError(
+                f"amplifier.delay_s: found {delay_s:g} s, want less than the record, {duration_s:g} s"
+            )
         commands, _ = self.amplifier.converter(u.to(torch.float64))
         y, _ = self(commands)
         return y, self.sensor.measure(y, white_noise(self.seed if seed is None else seed, *u.shape))
