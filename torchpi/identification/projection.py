@@ -51,7 +51,9 @@ def solve_weights(
 ) -> None:
     """Set θ, ψ, and the offset where there is one, to their least-squares values."""
     with torch.no_grad():
-        columns = torch.cat([linear_columns(compensator, a, b) for a, b in zip(h, basis, strict=True)])
+        own_degree = compensator.psi.shape[1]
+        each = [linear_columns(compensator, a, b, own_degree) for a, b in zip(h, basis, strict=True)]
+        columns = torch.cat(each)
         size = columns.square().mean(0).sqrt()
         size[size == 0] = 1.0  # a play that nothing moved
         columns /= size
@@ -75,10 +77,11 @@ def linear_columns(
     compensator: DirectInverse,
     h: Tensor,  # (samples, plays)
     basis: Tensor,  # (samples, functions)
+    own_degree: int,  # of the output functions beyond the weighted sum
 ) -> Tensor:  # (samples, columns)
     """What those parameters multiply: φ_m h_i, z_i^q h_i, and 1 for the offset."""
     z = h / compensator.range_um
-    own = [z**q * h for q in range(1, compensator.psi.shape[1] + 1)]
+    own = [z**q * h for q in range(1, own_degree + 1)]
     columns = [(h[:, :, None] * basis[:, None, :]).flatten(1)]
     columns += [torch.stack(own, -1).flatten(1)] if own else []
     columns += [torch.ones_like(h[:, :1])] if compensator.offset.requires_grad else []

@@ -15,6 +15,7 @@ import torch
 
 from torchpi.compensator import DirectInverse
 from torchpi.identification.pair import InversePair
+from torchpi.identification.projection import linear_columns
 
 
 @dataclass(frozen=True)
@@ -86,16 +87,13 @@ def fit_weights(compensator: DirectInverse, pairs: Sequence[InversePair]) -> tup
 
 
 def _columns(compensator: DirectInverse, pairs: Sequence[InversePair], functions: int) -> np.ndarray:
-    """Everything that the weights multiply: φ_m(ẏ) h_i, and 1 for the offset. Shape: (samples, columns)."""
+    """Everything that the paper's weights multiply. Shape: (samples, columns)."""
     blocks = []
     with torch.no_grad():
         for pair in pairs:
             h, _ = compensator.play_states(pair.motion)
             basis = compensator.weights.basis(pair.motion.yd_dot)[..., :functions]
-            columns = (h[..., :, None] * basis[..., None, :]).flatten(2)[0]
-            if compensator.offset.requires_grad:
-                columns = torch.cat([columns, torch.ones_like(columns[:, :1])], 1)
-            blocks.append(columns[pair.counted])
+            blocks.append(linear_columns(compensator, h[0], basis[0], own_degree=0)[pair.counted])
     return torch.cat(blocks).numpy()
 
 

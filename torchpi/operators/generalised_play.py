@@ -20,7 +20,7 @@ from torch.autograd.function import FunctionCtx, once_differentiable
 from torchpi.errors import ConfigError
 from torchpi.operators.base import Operator
 from torchpi.operators.polynomial import Polynomial, PolynomialStream
-from torchpi.operators.weighted_sum import weight, weighted_sum
+from torchpi.operators.prandtl_ishlinskii import SumOfPlays
 
 
 def clamp_play(low: float, high: float, h: float) -> float:
@@ -139,7 +139,7 @@ class GeneralisedPlayStream(nn.Module):
         return self.h
 
 
-class GeneralisedPrandtlIshlinskii(Operator):
+class GeneralisedPrandtlIshlinskii(SumOfPlays):
     """y(t) = Σ_i w_i h_i(t) over generalised plays; with negative weights as well a direct inverse.
 
     Args:
@@ -150,47 +150,10 @@ class GeneralisedPrandtlIshlinskii(Operator):
         ConfigError: Another number of weights than of plays.
     """
 
+    plays: GeneralisedPlayBank
+
     def __init__(self, plays: GeneralisedPlayBank, weights: list[float]) -> None:
-        super().__init__()
-        self.plays = plays
-        if len(weights) != len(plays.raw_up):
-            raise ConfigError(f"weights: found {len(weights)}, want {len(plays.raw_up)}, one a play")
-        self.w = nn.Parameter(torch.as_tensor(weights, dtype=torch.float64).clone())
-
-    def initial_state(self, batch: int) -> Tensor:
-        return self.plays.initial_state(batch)
-
-    def forward(self, x: Tensor, state: Tensor | None = None) -> tuple[Tensor, Tensor]:
-        h, state = self.plays(x, state)
-        return weighted_sum(h, torch.ones_like(x)[..., None], self.w.to(x.dtype)[:, None]), state
-
-    def stream(self) -> "GeneralisedPrandtlIshlinskiiStream":
-        return GeneralisedPrandtlIshlinskiiStream(self.plays.stream(), self.w.tolist())
-
-
-class GeneralisedPrandtlIshlinskiiStream(nn.Module):
-    """The operator, one sample at a time."""
-
-    w: list[float]
-    one: list[float]
-
-    def __init__(self, plays: GeneralisedPlayStream, w: list[float]) -> None:
-        super().__init__()
-        self.plays = plays
-        self.w = w
-        self.one = [1.0]
-
-    @torch.jit.export
-    def reset(self) -> None:
-        self.plays.reset()
-
-    @torch.jit.export
-    def step(self, x: float) -> float:
-        h = self.plays.step(x)
-        total = 0.0
-        for i in range(len(h)):
-            total += weight(self.w, self.one, i) * h[i]
-        return total
+        super().__init__(plays, weights)
 
 
 def clamp_bank(
