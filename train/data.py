@@ -119,6 +119,8 @@ class RecordingsData(LightningDataModule):
         if self.records is None:
             train, heldout = self._read()
             _one_rate([*train, *heldout])
+            if self.reading["zero"] == "none":
+                _warn_of_zeros([*train, *heldout])
             self.records = Records(train, heldout)
             self.split(self.preview)
         return self.records
@@ -216,6 +218,19 @@ def _until(pair: InversePair) -> InversePair:
     stop = pair.counted.stop
     motion = Motion(*(signal[:, :stop] for signal in pair.motion))
     return pair._replace(motion=motion, u=pair.u[:, :stop])
+
+
+def _warn_of_zeros(recordings: list[Recording]) -> None:
+    for recording in recordings:
+        start_um, range_um = float(recording.y[0]), float(np.ptp(recording.y))
+        # A de-energised stage stands at 0 up to the little that the last run left of it.
+        if abs(start_um) > 0.2 * range_um:
+            warnings.warn(
+                f"{recording.source}: starts at {start_um:.4g} µm with a range of {range_um:.4g} µm; "
+                "if that is the sensor's own zero, data.zero: first counts from there, model.offset: true learns it",
+                RecordingWarning,
+                stacklevel=2,
+            )
 
 
 def _one_rate(recordings: list[Recording]) -> None:

@@ -1,8 +1,12 @@
 """What is held out, and what is counted."""
 
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import pytest
 
+from tests.train.conftest import recording, write
 from torchpi.errors import RecordingWarning
 from train.data import RecordingsData
 
@@ -45,3 +49,14 @@ def test_the_first_sample_can_be_the_zero(recordings: list[str]) -> None:
     )
     for before, after in zip(recorded.train, zeroed.train, strict=True):
         np.testing.assert_array_equal(after.y, before.y - before.y[0])
+
+
+def test_a_record_that_starts_far_from_zero_is_said_with_what_to_do(
+    recordings: list[str], tmp_path: Path
+) -> None:
+    made = recording("shifted", 1)
+    shifted = write(tmp_path, replace(made, y=made.y - 96.0))
+    with pytest.warns(RecordingWarning, match=r"shifted\.csv: starts at -96 µm .* data\.zero: first"):
+        RecordingsData(recordings=[*recordings, shifted]).load()
+    RecordingsData(recordings=[*recordings, shifted], zero="first").load()
+    RecordingsData(recordings=recordings).load()
