@@ -227,7 +227,8 @@ def _warn_of_zeros(recordings: list[Recording]) -> None:
         if abs(start_um) > 0.2 * range_um:
             warnings.warn(
                 f"{recording.source}: starts at {start_um:.4g} µm with a range of {range_um:.4g} µm; "
-                "if that is the sensor's own zero, data.zero: first counts from there, model.offset: true learns it",
+                "if that is the sensor's own zero, data.zero: first counts from there, "
+                "model.offset: true learns it",
                 RecordingWarning,
                 stacklevel=2,
             )
