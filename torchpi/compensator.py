@@ -18,11 +18,13 @@ from torch import Tensor, nn
 from torchpi.compensator_stream import CompensatorStream, compensator_stream
 from torchpi.errors import ConfigError
 from torchpi.motion import Motion
+from torchpi.operators.compiled import HAS_COMPILER
 from torchpi.operators.play import PlayBank
 from torchpi.operators.polynomial import Polynomial
 from torchpi.operators.rate_weights import RateHead, RateWeights
 from torchpi.operators.reference_filter import ReferenceFilter
 from torchpi.operators.relaxations import relaxations
+from torchpi.operators.weighted_plays import weighted_plays
 from torchpi.operators.weighted_sum import weighted_sum
 
 
@@ -122,8 +124,27 @@ class DirectInverse(nn.Module):
         state: Tensor | None = None,  # (batch, relaxations + plays)
     ) -> tuple[Tensor, Tensor]:
         """Eq. 8 before the output limits, and the state after it: what identification and training fit."""
-        h, state = self.play_states(motion, state)
-        return self.weighted(h, self.weights.basis(motion.yd_dot)), state
+        if motion.yd.device.type != "cpu" or not HAS_COMPILER:
+            h, state = self.play_states(motion, state)
+            return self.weighted(h, self.weights.basis(motion.yd_dot)), state
+        x, creep, plays = self._compensated(motion, state)
+        weights, dtype = self.weights, x.dtype
+        knots = torch.stack([weights.slope, weights.shift], 1)
+        # The same bits as above, and no tensor of (batch, time, plays).
+        u, plays = weighted_plays(
+            x,
+            motion.yd_dot,
+            plays.to(dtype),
+            self.saturation.c.to(dtype),
+            self.plays.r.to(dtype),
+            weights.theta.to(dtype),
+            knots.to(dtype),
+            self.psi.to(dtype),
+            self.offset.to(dtype),
+            weights.rate_scale_um_s,
+            self.range_um,
+        )
+        return u, torch.cat([creep, plays], 1)
 
     def weighted(
         self,
@@ -136,6 +157,13 @@ class DirectInverse(nn.Module):
 
     def play_states(self, motion: Motion, state: Tensor | None = None) -> tuple[Tensor, Tensor]:
         """H_r[S(x)], (batch, time, plays), and the state after it: all that enters eq. 8 nonlinearly."""
+        x, creep, plays = self._compensated(motion, state)
+        s, _ = self.saturation(x)
+        h, plays = self.plays(s, plays)
+        return h, torch.cat([creep, plays], 1)
+
+    def _compensated(self, motion: Motion, state: Tensor | None) -> tuple[Tensor, Tensor, Tensor]:
+        """x, which undoes delay and creep; the state of the relaxations after it, of the plays before."""
         if state is None:
             state = self.initial_state(len(motion.yd))
         creep, plays = state.split([len(self.creep_gains), len(self.plays.r)], 1)
@@ -145,9 +173,7 @@ class DirectInverse(nn.Module):
         if len(self.creep_gains) > 0:
             one = torch.ones((), dtype=torch.float64)
             x, creep = relaxations(x, self.creep_decay, 1.0 - self.creep_decay, self.creep_gains, one, creep)
-        s, _ = self.saturation(x)
-        h, plays = self.plays(s, plays)
-        return h, torch.cat([creep, plays], 1)
+        return x, creep, plays
 
     def initial_state(self, batch: int) -> Tensor:
         """The de-energised state. Shape: (batch, relaxations + plays)."""

@@ -2,24 +2,15 @@
 
 from typing import Any, cast
 
-import numba
-import numpy as np
 import torch
 from torch import Tensor, nn
-from torch.autograd.function import FunctionCtx, once_differentiable
 
 from torchpi.errors import ConfigError
 from torchpi.operators.base import Operator
+from torchpi.operators.compiled import HAS_COMPILER, as_array
+from torchpi.operators.play_equation import play as play
+from torchpi.operators.play_kernel import play_bank_backward, play_bank_forward
 from torchpi.operators.play_scan import play_scan
-
-
-def play(x: float, r: float, h: float) -> float:
-    """One step of eq. 1: h(t) = max{x(t) - r, min{x(t) + r, h(t - T)}}.
-
-    At the first sample `h` is the initial state h0, which makes it eq. 2. This one function is what
-    the batch kernel, the stream and the exports compile.
-    """
-    return max(x - r, min(x + r, h))
 
 
 class PlayBank(Operator):
@@ -98,71 +89,53 @@ def play_bank(
 ) -> Tensor:  # (batch, time, plays)
     """States of all plays over a whole record, differentiable in `x`, `r` and `h0`.
 
-    On the CPU a compiled sequential kernel, elsewhere an associative scan: the same bits, because
-    both only select among x - r, x + r and h0. Where the previous state lies on the edge of the
-    play or beyond, the sample pushes it and takes the gradient; r = 0 thus passes gradient 1.
+    On the CPU a compiled sequential kernel, elsewhere or without Numba an associative scan: the same
+    bits, because both only select among x - r, x + r and h0. Where the previous state lies on the edge
+    of the play or beyond, the sample pushes it and takes the gradient; r = 0 thus passes gradient 1.
+
+    Memory: the result, which backward keeps, and nothing else of its size. Where the states themselves
+    are not wanted, `weighted_plays` makes none of them last.
     """
-    if x.device.type == "cpu":
-        return cast(Tensor, _PlayBank.apply(x, r, h0))
+    if x.device.type == "cpu" and HAS_COMPILER:
+        return cast(Tensor, _play_bank(x, r, h0))
     return play_scan(x, r, h0)
 
 
-class _PlayBank(torch.autograd.Function):
-    @staticmethod
-    def forward(ctx: FunctionCtx, x: Tensor, r: Tensor, h0: Tensor) -> Tensor:
-        x, r, h0 = x.contiguous(), r.contiguous(), h0.contiguous()
-        h = torch.empty(*x.shape, len(r), dtype=x.dtype)
-        _forward(x.detach().numpy(), r.detach().numpy(), h0.detach().numpy(), h.numpy())
-        ctx.save_for_backward(x, r, h0, h)
-        return h
-
-    @staticmethod
-    @once_differentiable
-    def backward(ctx: FunctionCtx, *gradients: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        x, r, h0, h = (saved.detach() for saved in ctx.saved_tensors)  # type: ignore[attr-defined]
-        gx, gr, gh0 = torch.empty_like(x), torch.zeros_like(r), torch.zeros_like(h0)
-        _backward(
-            x.numpy(), r.numpy(), h0.numpy(), h.numpy(), gradients[0].contiguous().numpy(),
-            gx.numpy(), gr.numpy(), gh0.numpy(),
-        )  # fmt: skip
-        return gx, gr, gh0
+@torch.library.custom_op("torchpi::play_bank", mutates_args=(), device_types="cpu")
+def _play_bank(x: Tensor, r: Tensor, h0: Tensor) -> Tensor:
+    h = x.new_empty(*x.shape, len(r))
+    play_bank_forward(as_array(x), as_array(r), as_array(h0), h.numpy())
+    return h
 
 
-_play: Any = numba.njit(play)
+@torch.library.custom_op("torchpi::play_bank_backward", mutates_args=(), device_types="cpu")
+def _play_bank_backward(
+    x: Tensor, r: Tensor, h0: Tensor, h: Tensor, gh: Tensor
+) -> tuple[Tensor, Tensor, Tensor]:
+    gx = x.new_empty(x.shape)
+    gr, gh0 = play_bank_backward(
+        as_array(x), as_array(r), as_array(h0), as_array(h), as_array(gh), gx.numpy()
+    )  # fmt: skip
+    return gx, torch.from_numpy(gr), torch.from_numpy(gh0)
 
 
-@numba.njit(cache=True)
-def _forward(x: np.ndarray, r: np.ndarray, h0: np.ndarray, h: np.ndarray) -> None:
-    for batch in range(x.shape[0]):
-        state = h0[batch].copy()
-        for t in range(x.shape[1]):
-            for i in range(len(r)):
-                state[i] = _play(x[batch, t], r[i], state[i])
-                h[batch, t, i] = state[i]
+@_play_bank.register_fake
+def _(x: Tensor, r: Tensor, h0: Tensor) -> Tensor:
+    return x.new_empty(*x.shape, len(r))
 
 
-@numba.njit(cache=True)
-def _backward(
-    x: np.ndarray, r: np.ndarray, h0: np.ndarray, h: np.ndarray, gh: np.ndarray,
-    gx: np.ndarray, gr: np.ndarray, gh0: np.ndarray,
-) -> None:  # fmt: skip
-    # Every state is x_s - r or x_s + r of the last sample s that pushed it, or h0: the gradient waits
-    # in `carried` while the play rests, and lands on the sample that pushed.
-    for batch in range(x.shape[0]):
-        carried = np.zeros_like(r)
-        for t in range(x.shape[1] - 1, -1, -1):
-            pushed = carried.dtype.type(0)
-            for i in range(len(r)):
-                carried[i] += gh[batch, t, i]
-                previous = h[batch, t - 1, i] if t > 0 else h0[batch, i]
-                if previous <= x[batch, t] - r[i]:
-                    pushed += carried[i]
-                    gr[i] -= carried[i]
-                    carried[i] = 0
-                elif previous >= x[batch, t] + r[i]:
-                    pushed += carried[i]
-                    gr[i] += carried[i]
-                    carried[i] = 0
-            gx[batch, t] = pushed
-        for i in range(len(r)):
-            gh0[batch, i] = carried[i]
+@_play_bank_backward.register_fake
+def _(x: Tensor, r: Tensor, h0: Tensor, h: Tensor, gh: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    return x.new_empty(x.shape), r.new_empty(r.shape), h0.new_empty(h0.shape)
+
+
+def _keep(ctx: Any, inputs: tuple[Tensor, ...], output: Tensor) -> None:
+    ctx.save_for_backward(*inputs, output)
+
+
+def _differentiate(ctx: Any, gh: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    gradients: tuple[Tensor, Tensor, Tensor] = _play_bank_backward(*ctx.saved_tensors, gh)
+    return gradients
+
+
+_play_bank.register_autograd(_differentiate, setup_context=_keep)

@@ -14,8 +14,13 @@ def polynomial(x: float, c: list[float]) -> float:
     """
     s = 0.0
     for i in range(len(c) - 1, -1, -1):
-        s = (s + c[i]) * x
+        s = horner(s, c[i], x)
     return s
+
+
+def horner(s: float, c: float, x: float) -> float:
+    """One step of Horner's rule; what the kernels compile."""
+    return (s + c) * x
 
 
 class Polynomial(Operator):

@@ -97,10 +97,10 @@ class ReferenceFilterStream(nn.Module):
     def __init__(self, sample_period_s: float, decay: list[float], omega: float, zeta: float) -> None:
         super().__init__()
         self.reference = BackwardMotionStream(sample_period_s)
-        self.sample_period_s = sample_period_s
-        self.decay = decay
-        self.omega = omega
-        self.zeta = zeta
+        self.sample_period_s = sample_period_s  # s
+        self.decay = decay  # exp(A T), row by row
+        self.omega = omega  # rad/s, eq. 14
+        self.zeta = zeta  # 1, eq. 14
         self.samples_seen = 0
         self.e = 0.0
         self.e_dot = 0.0

@@ -9,11 +9,12 @@ operator in play form (extension; no ψ is the paper): loops may then be asymmet
 
 from typing import Any, cast
 
-import numba
 import numpy as np
 import torch
 from torch import Tensor
 from torch.autograd.function import FunctionCtx, once_differentiable
+
+from torchpi.operators.compiled import HAS_COMPILER, njit
 
 
 def weighted_sum(
@@ -23,10 +24,22 @@ def weighted_sum(
     psi: Tensor | None = None,  # ψ: (plays, degree of the output functions - 1)
     scale: float = 1.0,
 ) -> Tensor:  # (batch, time)
-    """Σ_i w_i h_i, summed left to right, differentiable in all tensors."""
-    device = h.device
+    """Σ_i w_i h_i, summed left to right, differentiable in all tensors.
+
+    On the CPU a compiled kernel, elsewhere or without Numba plain torch, with the same bits.
+    """
     psi = theta.new_zeros(len(theta), 0) if psi is None else psi
-    return cast(Tensor, _WeightedSum.apply(h.cpu(), basis.cpu(), theta.cpu(), psi.cpu(), scale)).to(device)
+    if h.device.type == "cpu" and HAS_COMPILER:
+        return cast(Tensor, _WeightedSum.apply(h, basis, theta, psi, scale))
+    total = torch.zeros_like(h[..., 0])
+    for i in range(len(theta)):
+        w = torch.zeros_like(total)
+        for m in range(theta.shape[1]):
+            w = w + theta[i, m] * basis[..., m]
+        if psi.shape[1] > 0:
+            w = w + own_weight(list(psi[i]), psi.shape[1], h[..., i] / scale, 0)  # type: ignore[arg-type]
+        total = total + w * h[..., i]
+    return total
 
 
 def weight(theta: list[float], basis: list[float], i: int) -> float:
@@ -74,11 +87,11 @@ class _WeightedSum(torch.autograd.Function):
         return gh, gbasis, gtheta, gpsi, None
 
 
-_weight: Any = numba.njit(weight)
-_own_weight: Any = numba.njit(own_weight)
+_weight: Any = njit(weight)
+_own_weight: Any = njit(own_weight)
 
 
-@numba.njit(cache=True)
+@njit
 def _forward(
     h: np.ndarray, basis: np.ndarray, theta: np.ndarray, psi: np.ndarray, degree: int, scale: float,
     y: np.ndarray,
@@ -94,7 +107,7 @@ def _forward(
             y[batch, t] = total
 
 
-@numba.njit(cache=True)
+@njit
 def _backward(
     h: np.ndarray, basis: np.ndarray, theta: np.ndarray, psi: np.ndarray, scale: float, gy: np.ndarray,
     gh: np.ndarray, gbasis: np.ndarray, gtheta: np.ndarray, gpsi: np.ndarray,

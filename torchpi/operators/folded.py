@@ -1,0 +1,245 @@
+"""A record folded into lanes, so that one record fills the vector unit and all threads.
+
+A play needs its last state, so a record looks sequential. But a play is a clamp of its state, and clamps
+compose to clamps: looking back from any sample, the composed clamp [low, high] soon closes, and then the
+state there is known without what came before. So every record is cut into stretches of equal length, the
+state at the start of each is found first, and then all stretches advance beside each other.
+
+`LANES` stretches make a group, which is what a thread works on. In a group the stretches lie interleaved:
+sample s of lane l is number s LANES + l, and the last state of a play is LANES places back. All loops are
+thus flat loops over such numbers, which the compiler vectorises. `STEPS` samples of all lanes make a tile,
+which stays in the first-level cache.
+
+Stretches that reach beyond the record repeat its last sample, which leaves every state as it is. How a record
+is cut depends on its length alone: results are the same bits for any number of threads.
+"""
+
+import numpy as np
+
+from torchpi.operators.compiled import njit, njit_sum
+from torchpi.operators.play_equation import play
+
+LANES = 32
+STEPS = 32
+TILE = LANES * STEPS
+
+_play = njit(play)
+
+
+def fold_shape(samples: int) -> tuple[int, int]:
+    """Groups of lanes that a record of so many samples makes, and the samples of one lane."""
+    groups = min(max(samples // (48 * TILE), 1), 64)
+    return groups, -(-samples // (groups * LANES))
+
+
+@njit
+def fold(x: np.ndarray, group: int, first: int, last: int, length: int, folded: np.ndarray) -> None:
+    """Steps `first` to `last` of every lane, out of a record (time,)."""
+    for step in range(first, last):
+        for lane in range(LANES):
+            t = (group * LANES + lane) * length + step
+            folded[(step - first) * LANES + lane] = x[min(t, len(x) - 1)]
+
+
+@njit
+def unfold(folded: np.ndarray, group: int, first: int, last: int, length: int, x: np.ndarray) -> None:
+    """The inverse of `fold`."""
+    for step in range(first, last):
+        for lane in range(LANES):
+            t = (group * LANES + lane) * length + step
+            if t < len(x):
+                x[t] = folded[(step - first) * LANES + lane]
+
+
+@njit
+def unfold_gradient(
+    folded: np.ndarray, group: int, first: int, last: int, length: int, x: np.ndarray
+) -> None:  # fmt: skip
+    """The adjoint of `fold`, added to `x`."""
+    for step in range(first, last):
+        for lane in range(LANES):
+            t = (group * LANES + lane) * length + step
+            x[min(t, len(x) - 1)] += folded[(step - first) * LANES + lane]
+
+
+@njit
+def extent(x: np.ndarray, least: np.ndarray, most: np.ndarray) -> None:
+    """Least and greatest value in the stretch of each lane."""
+    least[:] = np.inf
+    most[:] = -np.inf
+    for start in range(0, len(x), LANES):
+        row = x[start : start + LANES]
+        for lane in range(LANES):
+            least[lane] = min(least[lane], row[lane])
+            most[lane] = max(most[lane], row[lane])
+
+
+@njit
+def compose(
+    x: np.ndarray, r: float, least: np.ndarray, most: np.ndarray, low: np.ndarray, high: np.ndarray,
+    lows: np.ndarray, highs: np.ndarray,
+) -> None:  # fmt: skip
+    """The clamp that a play makes of its state over a whole stretch, for each lane: [low, high].
+
+    Where the stretch is narrower than the play, all its clamps overlap, and compose to what they share.
+    Elsewhere walk back from the end until the clamp closes: low = high is the state at the end.
+    `least` and `most` are the `extent`; `lows` and `highs` are for scratch.
+    """
+    lows[:LANES] = -np.inf
+    highs[:LANES] = np.inf
+    end = len(x)
+    while True:
+        closed = 0
+        for lane in range(LANES):
+            closed += (most[lane] - r <= least[lane] + r) | (lows[lane] == highs[lane])
+        if closed == LANES or end == 0:
+            break
+        tile = x[max(end - TILE, 0) : end]
+        lows[len(tile) : len(tile) + LANES] = lows[:LANES].copy()
+        highs[len(tile) : len(tile) + LANES] = highs[:LANES].copy()
+        for q in range(len(tile) - 1, -1, -1):
+            # The earlier clamp passes through the later one.
+            lows[q] = max(lows[q + LANES], min(highs[q + LANES], tile[q] - r))
+            highs[q] = max(lows[q + LANES], min(highs[q + LANES], tile[q] + r))
+        end -= len(tile)
+    for lane in range(LANES):
+        narrow = most[lane] - r <= least[lane] + r
+        low[lane] = most[lane] - r if narrow else lows[lane]
+        high[lane] = least[lane] + r if narrow else highs[lane]
+
+
+@njit
+def chain(low: np.ndarray, high: np.ndarray, h0: np.ndarray, starts: np.ndarray, final: np.ndarray) -> None:
+    """States at the start of every stretch, and after the last one, from the composed clamps.
+
+    `low`, `high` and `starts` are (batch, groups, plays, lanes), `h0` and `final` (batch, plays).
+    """
+    batch, groups, plays, lanes = starts.shape
+    for row in range(batch):
+        for i in range(plays):
+            h = h0[row, i]
+            for group in range(groups):
+                for lane in range(lanes):
+                    starts[row, group, i, lane] = h
+                    h = max(low[row, group, i, lane], min(high[row, group, i, lane], h))
+            final[row, i] = h
+
+
+@njit
+def advance(x: np.ndarray, r: float, h: np.ndarray, count: int) -> None:
+    """States of one play over a tile of `count` numbers; `h` begins with those before the tile."""
+    for q in range(count):
+        h[q + LANES] = _play(x[q], r, h[q])
+
+
+@njit
+def advance_sum(
+    x: np.ndarray, r: float, h: np.ndarray, w: np.ndarray, count: int, total: np.ndarray
+) -> None:  # fmt: skip
+    """`advance`, and add the states with weights `w` to `total`: one pass over the tile in place of two."""
+    for q in range(count):
+        h[q + LANES] = _play(x[q], r, h[q])
+        total[q] += w[q] * h[q + LANES]
+
+
+@njit
+def land(
+    gh: np.ndarray, x: np.ndarray, r: float, h: np.ndarray, waiting: np.ndarray, count: int, gx: np.ndarray
+) -> None:  # fmt: skip
+    """Carry a gradient of the states back over a tile, to the samples that pushed: added to `gx`.
+
+    Every state is x_s - r or x_s + r of the last sample s that pushed it, or the initial state: the gradient
+    waits while the play rests, and lands on the sample that pushed. `waiting` ends with what comes from
+    later tiles, and in its first LANES is what is left for earlier ones.
+    """
+    landed_nothing = x.dtype.type(0)
+    for q in range(count - 1, -1, -1):
+        carried = gh[q] + waiting[q + LANES]
+        above = carried if h[q] > x[q] - r else landed_nothing
+        waiting[q] = above if h[q] < x[q] + r else landed_nothing
+    for q in range(count):
+        gx[q] += gh[q] + waiting[q + LANES] - waiting[q]
+
+
+@njit_sum
+def threshold_gradient(
+    gh: np.ndarray, x: np.ndarray, h: np.ndarray, waiting: np.ndarray, count: int
+) -> float:  # fmt: skip
+    """What `land` has landed: + where the upper edge pushed, - where the lower one did."""
+    total = x.dtype.type(0)
+    for q in range(count):
+        landed = gh[q] + waiting[q + LANES] - waiting[q]
+        total += landed if h[q] > x[q] else -landed
+    return total  # type: ignore[no-any-return]
+
+
+@njit
+def expect_pushes(r: float, h: np.ndarray, least: np.ndarray, most: np.ndarray, latest: np.ndarray) -> None:
+    """Mark in `latest` the lanes where some sample pushes the play, which comes in with the states `h`."""
+    for lane in range(LANES):
+        rests = most[lane] - r < h[lane] and h[lane] < least[lane] + r
+        latest[lane] = 0 if rests else np.inf
+
+
+@njit
+def note_latest(
+    x: np.ndarray, r: float, h: np.ndarray, count: int, begin: int, pushes: np.ndarray, latest: np.ndarray
+) -> None:  # fmt: skip
+    """Note the last push in each lane that is marked: its step + 1, negative where the lower edge pushed.
+
+    For tiles from the last to the first; `begin` is the step a tile begins with. `pushes` is for scratch.
+    """
+    unknown = 0
+    for lane in range(LANES):
+        unknown += latest[lane] == np.inf
+    if unknown == 0:
+        return
+    pushes[:LANES] = np.inf
+    for q in range(count):
+        number = begin + q // LANES + 1
+        upper = pushes[q] if h[q] < x[q] + r else number
+        pushes[q + LANES] = upper if h[q] > x[q] - r else -number
+    for lane in range(LANES):
+        if latest[lane] == np.inf:
+            latest[lane] = pushes[count + lane]
+
+
+@njit
+def hand_over(
+    left: np.ndarray, latest: np.ndarray, length: int, gx: np.ndarray, gr: np.ndarray, gh: np.ndarray
+) -> None:  # fmt: skip
+    """What a stretch leaves at its start lands on the last push of the stretches before it.
+
+    `left` and `latest` are (batch, groups, plays, lanes), the latter as `note_latest` counts; `gx` is
+    (batch, time), `gr` (batch, plays), both added to. `gh` (batch, plays) comes as the gradient of the
+    states after the record and goes as that of the states before it.
+    """
+    batch, groups, plays, lanes = left.shape
+    samples = gx.shape[1]
+    for row in range(batch):
+        for i in range(plays):
+            carried = gh[row, i]
+            for group in range(groups - 1, -1, -1):
+                for lane in range(lanes - 1, -1, -1):
+                    push = latest[row, group, i, lane]
+                    if push != 0 and push != np.inf:
+                        t = (group * lanes + lane) * length + int(abs(push)) - 1
+                        gx[row, min(t, samples - 1)] += carried
+                        gr[row, i] += carried if push > 0 else -carried
+                        carried = gx.dtype.type(0)
+                    carried += left[row, group, i, lane]
+            gh[row, i] = carried
+
+
+@njit
+def accumulate(factor: float, a: np.ndarray, count: int, out: np.ndarray) -> None:
+    for q in range(count):
+        out[q] += factor * a[q]
+
+
+@njit_sum
+def dot(a: np.ndarray, b: np.ndarray, count: int) -> float:
+    total = a.dtype.type(0)
+    for q in range(count):
+        total += a[q] * b[q]
+    return total  # type: ignore[no-any-return]

@@ -1,0 +1,130 @@
+"""Eq. 8 in one pass: the weighted sum of plays behind a polynomial, Qin et al. (2013), eq. 4, 6–8.
+
+    u(t) = Σ_i w_i(ẏ(t), h_i(t)) h_i(t) + u_0,   h_i = H_ri[S(x)]
+
+with the weights of `weighted_sum` over the basis of `RateWeights`. The same bits as the operators one after
+the other, in float64; in float32 the kernel counts in float32 throughout.
+"""
+
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from torchpi.operators.compiled import as_array
+from torchpi.operators.weighted_plays_kernel import Parameters, backward, forward, saved_shapes
+
+
+def weighted_plays(
+    x: Tensor,  # (batch, time): what the polynomial takes
+    rate: Tensor,  # (batch, time): ẏ
+    h0: Tensor,  # (batch, plays)
+    c: Tensor,  # (degree,): c_1 first
+    r: Tensor,  # (plays,)
+    theta: Tensor,  # θ: (plays, functions); 1 function is no rate, 2 a linear one, more are squashed
+    knots: Tensor,  # (functions - 2, 2): slope and shift of the squashed functions, (0, 2) without any
+    psi: Tensor,  # ψ: (plays, degree of the output functions - 1)
+    offset: Tensor,  # (): u_0
+    rate_scale: float = 1.0,
+    state_scale: float = 1.0,
+) -> tuple[Tensor, Tensor]:  # (batch, time), (batch, plays)
+    """u, and the states after the last sample; differentiable in all tensors. On the CPU, with Numba.
+
+    Memory: no tensor of (batch, time, plays). Kept for backward are the inputs, S(x), and the states
+    before every 32nd sample of each of some dozens of stretches, which is a 32nd of such a tensor;
+    backward finds the states in between again, a tile at a time. The working memory of a thread is
+    some hundred kilobytes. A record of 10⁷ samples and 10 plays, itself 0.16 GB, thus keeps 0.1 GB, where
+    its states would be 0.8 GB.
+
+    The bits, gradients too, are the same for any number of threads. At a kink the gradient is that of
+    `play_bank`.
+    """
+    u, final, _, _ = _weighted_plays(
+        x, rate, h0, c, r, theta, knots, psi, offset, rate_scale, state_scale
+    )  # fmt: skip
+    return u, final
+
+
+@torch.library.custom_op("torchpi::weighted_plays", mutates_args=(), device_types="cpu")
+def _weighted_plays(
+    x: Tensor, rate: Tensor, h0: Tensor, c: Tensor, r: Tensor, theta: Tensor, knots: Tensor, psi: Tensor,
+    offset: Tensor, rate_scale: float, state_scale: float,
+) -> tuple[Tensor, Tensor, Tensor, Tensor]:  # fmt: skip
+    u, final, folded, checkpoints = _empty(x, h0, r)
+    forward(
+        as_array(x), as_array(rate), as_array(h0),
+        _parameters(c, r, theta, knots, psi, offset, rate_scale, state_scale),
+        u.numpy(), final.numpy(), folded.numpy(), checkpoints.numpy(),
+    )  # fmt: skip
+    return u, final, folded, checkpoints
+
+
+@torch.library.custom_op("torchpi::weighted_plays_backward", mutates_args=(), device_types="cpu")
+def _weighted_plays_backward(
+    x: Tensor, rate: Tensor, c: Tensor, r: Tensor, theta: Tensor, knots: Tensor, psi: Tensor, offset: Tensor,
+    rate_scale: float, state_scale: float, folded: Tensor, checkpoints: Tensor, gu: Tensor, gfinal: Tensor,
+    with_rate: bool, with_r: bool,
+) -> list[Tensor]:  # fmt: skip
+    gx, gh0 = x.new_empty(x.shape), gfinal.clone()
+    grate = rate.new_empty(rate.shape if with_rate else (len(rate), 0))
+    parts = backward(
+        as_array(x), as_array(rate), _parameters(c, r, theta, knots, psi, offset, rate_scale, state_scale),
+        as_array(folded), as_array(checkpoints), as_array(gu), gh0.numpy(), with_rate, with_r,
+        gx.numpy(), grate.numpy(),
+    )  # fmt: skip
+    return [gx, grate, gh0, *(torch.from_numpy(part) for part in parts[:-1]), torch.tensor(parts.offset[0])]
+
+
+def _parameters(
+    c: Tensor, r: Tensor, theta: Tensor, knots: Tensor, psi: Tensor, offset: Tensor,
+    rate_scale: float, state_scale: float,
+) -> Parameters:  # fmt: skip
+    scales = np.array([rate_scale, state_scale], as_array(c).dtype)
+    return Parameters(
+        as_array(c), as_array(r), as_array(theta), as_array(knots), as_array(psi),
+        as_array(offset.reshape(1)), scales,
+    )  # fmt: skip
+
+
+def _empty(x: Tensor, h0: Tensor, r: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    folded, checkpoints = saved_shapes(x.shape[0], x.shape[1], len(r))
+    return x.new_empty(x.shape), h0.new_empty(h0.shape), x.new_empty(folded), x.new_empty(checkpoints)
+
+
+@_weighted_plays.register_fake
+def _(
+    x: Tensor, rate: Tensor, h0: Tensor, c: Tensor, r: Tensor, theta: Tensor, knots: Tensor, psi: Tensor,
+    offset: Tensor, rate_scale: float, state_scale: float,
+) -> tuple[Tensor, Tensor, Tensor, Tensor]:  # fmt: skip
+    return _empty(x, h0, r)
+
+
+@_weighted_plays_backward.register_fake
+def _(
+    x: Tensor, rate: Tensor, c: Tensor, r: Tensor, theta: Tensor, knots: Tensor, psi: Tensor, offset: Tensor,
+    rate_scale: float, state_scale: float, folded: Tensor, checkpoints: Tensor, gu: Tensor, gfinal: Tensor,
+    with_rate: bool, with_r: bool,
+) -> list[Tensor]:  # fmt: skip
+    grate = rate if with_rate else rate[:, :0]
+    parts = (x, grate, gfinal, c, r, theta, knots, psi, offset)
+    return [part.new_empty(part.shape) for part in parts]
+
+
+def _keep(ctx: Any, inputs: tuple[Any, ...], output: tuple[Tensor, ...]) -> None:
+    x, rate, _, *parameters, rate_scale, state_scale = inputs
+    ctx.scales = rate_scale, state_scale
+    ctx.save_for_backward(x, rate, *parameters, *output[2:])
+
+
+def _differentiate(ctx: Any, gu: Tensor, gfinal: Tensor, *_: Tensor) -> tuple[Tensor | None, ...]:
+    *inputs, folded, checkpoints = ctx.saved_tensors
+    # By position among the arguments of the operation: ẏ and the knots, and r.
+    with_rate, with_r = ctx.needs_input_grad[1] or ctx.needs_input_grad[6], ctx.needs_input_grad[4]
+    gx, grate, *rest = _weighted_plays_backward(
+        *inputs, *ctx.scales, folded, checkpoints, gu, gfinal, with_rate, with_r
+    )  # fmt: skip
+    return gx, grate if with_rate else None, *rest, None, None
+
+
+_weighted_plays.register_autograd(_differentiate, setup_context=_keep)

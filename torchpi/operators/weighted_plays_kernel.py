@@ -1,0 +1,343 @@
+"""The compiled form of `weighted_plays`: polynomial, plays and weights over whole records, and the adjoint.
+
+One tile at a time, one play at a time: no array is as large as (time, plays) but the states before each
+tile, a part of 1/STEPS of it, from which backward finds the states in between again.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from torchpi.operators.compiled import in_threads, njit
+from torchpi.operators.folded import (
+    LANES,
+    STEPS,
+    TILE,
+    accumulate,
+    advance,
+    advance_sum,
+    chain,
+    compose,
+    dot,
+    expect_pushes,
+    extent,
+    fold,
+    fold_shape,
+    hand_over,
+    land,
+    note_latest,
+    threshold_gradient,
+    unfold,
+    unfold_gradient,
+)
+from torchpi.operators.polynomial import horner
+from torchpi.operators.rate_weights import squash
+
+_horner = njit(horner)
+_squash = njit(squash)
+
+
+class Parameters(NamedTuple):
+    """What eq. 8 is made of, all of one floating type."""
+
+    c: np.ndarray  # (degree,)
+    r: np.ndarray  # (plays,)
+    theta: np.ndarray  # (plays, functions of the rate)
+    knots: np.ndarray  # (functions - 2, 2): slope and shift of each squashed function
+    psi: np.ndarray  # (plays, degree of the output functions - 1)
+    offset: np.ndarray  # (1,)
+    scales: np.ndarray  # (2,): of the rate, of the states
+
+
+def forward(
+    x: np.ndarray, rate: np.ndarray, h0: np.ndarray, p: Parameters,
+    u: np.ndarray, final: np.ndarray, folded: np.ndarray, checkpoints: np.ndarray,
+) -> None:  # fmt: skip
+    """Fill the last four; backward needs `folded` and `checkpoints`, shaped as `saved_shapes` says."""
+    groups, length = fold_shape(x.shape[1])
+    low, high, starts = np.empty((3, len(x), groups, len(p.r), LANES), x.dtype)
+    in_threads(_prepare, len(x) * groups, x, length, p, folded, low, high)
+    chain(low, high, h0, starts, final)
+    in_threads(_forward, len(x) * groups, rate, length, p, starts, folded, u, checkpoints)
+
+
+def saved_shapes(batch: int, samples: int, plays: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
+    groups, length = fold_shape(samples)
+    return (batch, groups, length * LANES), (batch, groups, -(-length // STEPS), plays, LANES)
+
+
+@njit
+def _prepare(
+    first: int, last: int, x: np.ndarray, length: int, p: Parameters,
+    folded: np.ndarray, low: np.ndarray, high: np.ndarray,
+) -> None:  # fmt: skip
+    """S(x), folded, and what every stretch does to the states."""
+    tile = np.empty(TILE, x.dtype)
+    lows, highs = np.empty(TILE + LANES, x.dtype), np.empty(TILE + LANES, x.dtype)
+    least, most = np.empty(LANES, x.dtype), np.empty(LANES, x.dtype)
+    for task in range(first, last):
+        row, group = divmod(task, low.shape[1])
+        for begin in range(0, length, STEPS):
+            end = min(begin + STEPS, length)
+            s = folded[row, group, begin * LANES : end * LANES]
+            fold(x[row], group, begin, end, length, tile)
+            s[:] = 0
+            for j in range(len(p.c) - 1, -1, -1):
+                c = p.c[j]
+                for q in range(len(s)):
+                    s[q] = _horner(s[q], c, tile[q])
+        extent(folded[row, group], least, most)
+        for i in range(len(p.r)):
+            compose(
+                folded[row, group], p.r[i], least, most, low[row, group, i], high[row, group, i], lows, highs
+            )
+
+
+@njit
+def _forward(
+    first: int, last: int, rate: np.ndarray, length: int, p: Parameters, starts: np.ndarray,
+    folded: np.ndarray, u: np.ndarray, checkpoints: np.ndarray,
+) -> None:  # fmt: skip
+    phi = np.empty((p.theta.shape[1], TILE), u.dtype)
+    h = np.empty(TILE + LANES, u.dtype)
+    w, own, total = np.empty(TILE, u.dtype), np.empty(TILE, u.dtype), np.empty(TILE, u.dtype)
+    for task in range(first, last):
+        row, group = divmod(task, starts.shape[1])
+        checkpoints[row, group, 0] = starts[row, group]
+        for tile in range(checkpoints.shape[2]):
+            begin, end = tile * STEPS, min(tile * STEPS + STEPS, length)
+            s = folded[row, group, begin * LANES : end * LANES]
+            count = len(s)
+            _basis(rate[row], group, begin, end, length, p, phi)
+            total[:] = 0
+            for i in range(len(p.r)):
+                h[:LANES] = checkpoints[row, group, tile, i]
+                _combine(p.theta[i], phi, count, w)
+                if p.psi.shape[1] > 0:
+                    advance(s, p.r[i], h, count)
+                    _add_own_weight(p, i, h, count, own, w)
+                    for q in range(count):
+                        total[q] += w[q] * h[q + LANES]
+                else:
+                    advance_sum(s, p.r[i], h, w, count, total)
+                if end < length:
+                    checkpoints[row, group, tile + 1, i] = h[count : count + LANES]
+            offset = p.offset[0]
+            for q in range(count):
+                total[q] += offset
+            unfold(total, group, begin, end, length, u[row])
+
+
+@njit
+def _basis(
+    rate: np.ndarray, group: int, begin: int, end: int, length: int, p: Parameters, phi: np.ndarray
+) -> None:  # fmt: skip
+    """φ_0 = 1, φ_1, … of eq. 7 and beyond, over a tile."""
+    count = (end - begin) * LANES
+    phi[0] = 1
+    if len(phi) == 1:
+        return
+    z = phi[1]
+    fold(rate, group, begin, end, length, z)
+    scale = p.scales[0]
+    for q in range(count):
+        z[q] = z[q] / scale
+    for m in range(2, len(phi)):
+        out, slope, shift = phi[m], p.knots[m - 2, 0], p.knots[m - 2, 1]
+        for q in range(count):
+            out[q] = _squash(slope * z[q] + shift)
+
+
+@njit
+def _add_own_weight(
+    p: Parameters, i: int, h: np.ndarray, count: int, own: np.ndarray, w: np.ndarray
+) -> None:  # fmt: skip
+    scale = p.scales[1]
+    own[:count] = 0
+    for j in range(p.psi.shape[1] - 1, -1, -1):
+        psi = p.psi[i, j]
+        for q in range(count):
+            own[q] = _horner(own[q], psi, h[q + LANES] / scale)
+    for q in range(count):
+        w[q] += own[q]
+
+
+@njit
+def _combine(theta: np.ndarray, phi: np.ndarray, count: int, out: np.ndarray) -> None:
+    """θ_0 φ_0 + θ_1 φ_1 + …, left to right."""
+    first, theta_0 = phi[0], theta[0]
+    if len(phi) == 1:
+        for q in range(count):
+            out[q] = theta_0 * first[q]
+        return
+    second, theta_1 = phi[1], theta[1]
+    for q in range(count):
+        out[q] = theta_0 * first[q] + theta_1 * second[q]
+    for m in range(2, len(phi)):
+        function, theta_m = phi[m], theta[m]
+        for q in range(count):
+            out[q] += theta_m * function[q]
+
+
+class Gradients(NamedTuple):
+    """Of each of the parameters, for every group by itself, that their sum has one order."""
+
+    c: np.ndarray  # (batch, groups, degree)
+    r: np.ndarray  # (batch, groups, plays)
+    theta: np.ndarray  # (batch, groups, plays, functions)
+    knots: np.ndarray  # (batch, groups, functions - 2, 2)
+    psi: np.ndarray  # (batch, groups, plays, degree - 1)
+    offset: np.ndarray  # (batch, groups, 1)
+
+
+def backward(
+    x: np.ndarray, rate: np.ndarray, p: Parameters, folded: np.ndarray, checkpoints: np.ndarray,
+    gu: np.ndarray, gh: np.ndarray, with_rate: bool, with_r: bool, gx: np.ndarray, grate: np.ndarray,
+) -> Gradients:  # fmt: skip
+    """Fill `gx` and, if `with_rate`, `grate`; return the rest, summed over all.
+
+    `gh` (batch, plays) comes as the gradient of the last states and goes as that of the first.
+    """
+    batch, groups, _, plays, _ = checkpoints.shape
+    length = folded.shape[2] // LANES
+    left, latest = np.zeros((2, batch, groups, plays, LANES), x.dtype)
+    parts = Gradients(*(np.zeros((batch, groups, *part.shape), x.dtype) for part in p[:6]))
+    in_threads(
+        _backward, batch * groups, rate, length, p, folded, checkpoints, gu, with_rate, with_r,
+        gx, grate, left, latest, parts,
+    )  # fmt: skip
+    hand_over(left, latest, length, gx, parts.r[:, 0], gh)
+    in_threads(_through_polynomial, batch * groups, x, length, p.c, gx, parts.c)
+    return Gradients(*(part.sum((0, 1)) for part in parts))
+
+
+@njit
+def _backward(
+    first: int, last: int, rate: np.ndarray, length: int, p: Parameters, folded: np.ndarray,
+    checkpoints: np.ndarray, gu: np.ndarray, with_rate: bool, with_r: bool,
+    gx: np.ndarray, grate: np.ndarray, left: np.ndarray, latest: np.ndarray, parts: Gradients,
+) -> None:  # fmt: skip
+    plays, functions, degree = len(p.r), p.theta.shape[1], p.psi.shape[1]
+    # γ = φ g and v = Σ_i θ_i h_i: with them the gradients of w_i h_i = Σ_m θ_im φ_m h_i are plain sums.
+    phi, gamma = np.empty((functions, TILE), gu.dtype), np.empty((functions, TILE), gu.dtype)
+    v = np.empty((functions, TILE), gu.dtype)
+    h, waiting = np.empty(TILE + LANES, gu.dtype), np.empty(TILE + LANES, gu.dtype)
+    gh, gs = np.empty(TILE, gu.dtype), np.empty(TILE, gu.dtype)
+    power, scratch = np.empty(TILE, gu.dtype), np.empty(TILE + LANES, gu.dtype)
+    least, most = np.empty(LANES, gu.dtype), np.empty(LANES, gu.dtype)
+    for task in range(first, last):
+        row, group = divmod(task, left.shape[1])
+        begin, end = group * LANES * length, (group + 1) * LANES * length
+        gx[row, begin:end] = 0
+        grate[row, begin:end] = 0
+        extent(folded[row, group], least, most)
+        for i in range(plays):
+            expect_pushes(p.r[i], checkpoints[row, group, 0, i], least, most, latest[row, group, i])
+        for tile in range(checkpoints.shape[2] - 1, -1, -1):
+            begin, end = tile * STEPS, min(tile * STEPS + STEPS, length)
+            s = folded[row, group, begin * LANES : end * LANES]
+            count = len(s)
+            _basis(rate[row], group, begin, end, length, p, phi)
+            g = gamma[0]
+            fold(gu[row], group, begin, end, length, g)
+            _clear_padding(g, group, begin, end, length, gu.shape[1])
+            for m in range(1, functions):
+                function, product = phi[m], gamma[m]
+                for q in range(count):
+                    product[q] = function[q] * g[q]
+            parts.offset[row, group, 0] += dot(g, phi[0], count)
+            gs[:] = 0
+            v[:] = 0
+            for i in range(plays):
+                h[:LANES] = checkpoints[row, group, tile, i]
+                advance(s, p.r[i], h, count)
+                after = h[LANES:]
+                _combine(p.theta[i], gamma, count, gh)
+                for m in range(functions):
+                    parts.theta[row, group, i, m] += dot(gamma[m], after, count)
+                    if with_rate:
+                        accumulate(p.theta[i, m], after, count, v[m])
+                if degree > 0:
+                    _own_gradients(p, i, g, after, count, power, gh, parts.psi[row, group, i])
+                waiting[count : count + LANES] = left[row, group, i]
+                land(gh, s, p.r[i], h, waiting, count, gs)
+                left[row, group, i] = waiting[:LANES]
+                if with_r:
+                    parts.r[row, group, i] += threshold_gradient(gh, s, h, waiting, count)
+                note_latest(s, p.r[i], h, count, begin, scratch, latest[row, group, i])
+            unfold_gradient(gs, group, begin, end, length, gx[row])
+            if with_rate and functions > 1:
+                _rate_gradient(p, phi, v, g, count, parts.knots[row, group])
+                unfold_gradient(v[1], group, begin, end, length, grate[row])
+
+
+@njit
+def _clear_padding(g: np.ndarray, group: int, begin: int, end: int, length: int, samples: int) -> None:
+    """Steps beyond the record carry no gradient."""
+    if (group + 1) * LANES * length <= samples:
+        return
+    for step in range(begin, end):
+        for lane in range(LANES):
+            if (group * LANES + lane) * length + step >= samples:
+                g[(step - begin) * LANES + lane] = 0
+
+
+@njit
+def _own_gradients(
+    p: Parameters, i: int, g: np.ndarray, h: np.ndarray, count: int, power: np.ndarray,
+    gh: np.ndarray, gpsi: np.ndarray,
+) -> None:  # fmt: skip
+    """Of ψ_q z^q h, z = h / scale: z^q h, and by h (q + 1) ψ_q z^q."""
+    scale = p.scales[1]
+    power[:count] = g[:count]
+    for j in range(len(gpsi)):
+        slope = p.psi[i, j] * (j + 2)
+        for q in range(count):
+            power[q] *= h[q] / scale
+            gh[q] += slope * power[q]
+        gpsi[j] += dot(power, h, count)
+
+
+@njit
+def _rate_gradient(
+    p: Parameters, phi: np.ndarray, v: np.ndarray, g: np.ndarray, count: int, gknots: np.ndarray
+) -> None:  # fmt: skip
+    """By the slopes and shifts of the squashed functions, and by ẏ, left in `v[1]`."""
+    z, gz = phi[1], v[1]
+    for q in range(count):
+        gz[q] *= g[q]
+    for m in range(2, len(phi)):
+        inner, outer = v[m], phi[m]
+        slope = p.knots[m - 2, 0]
+        for q in range(count):
+            # squash' = 1 / (1 + |.|)² = (1 - |squash|)²
+            rest = 1 - abs(outer[q])
+            inner[q] *= g[q] * rest * rest
+            gz[q] += slope * inner[q]
+        gknots[m - 2, 0] += dot(inner, z, count)
+        gknots[m - 2, 1] += dot(inner, phi[0], count)
+    scale = p.scales[0]
+    for q in range(count):
+        gz[q] = gz[q] / scale
+
+
+@njit
+def _through_polynomial(
+    first: int, last: int, x: np.ndarray, length: int, c: np.ndarray, gx: np.ndarray, gc: np.ndarray
+) -> None:  # fmt: skip
+    """From the gradient of S(x) to that of x, in place, and that of c: the adjoint of eq. 4."""
+    power, slope = np.empty(TILE, x.dtype), np.empty(TILE, x.dtype)
+    for task in range(first, last):
+        row, group = divmod(task, gc.shape[1])
+        stop = min((group + 1) * LANES * length, x.shape[1])
+        for begin in range(group * LANES * length, stop, TILE):
+            count = min(TILE, stop - begin)
+            a, g = x[row, begin : begin + count], gx[row, begin : begin + count]
+            power[:count] = g
+            slope[:] = 0
+            for j in range(len(c)):
+                accumulate(c[j] * (j + 1), power, count, slope)
+                gc[row, group, j] += dot(power, a, count)
+                for q in range(count):
+                    power[q] *= a[q]
+            g[:] = slope[:count]
