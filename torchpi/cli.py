@@ -66,32 +66,75 @@ def simulate(
     )
 
 
-def export(run: Path, output: Path | None = None, reference_filter: bool = False) -> None:
-    """Export the compensator of a training run: TorchScript, and its numbers as JSON beside it.
+def excite(
+    output: Path = Path("excitations"),
+    for_: str = "diagnosis",
+    min_voltage_v: float = 0.0,
+    max_voltage_v: float = 10.0,
+    max_rate_v_s: float = 2000.0,
+    sample_rate_hz: float = 10_000.0,
+    high_hz: float = 200.0,
+    seed: int = 0,
+) -> None:
+    """Write the voltages to record a stage with, about a minute in all, and what to do with them.
 
-    Example: torchpi export runs/demo --output exports/demo
+    CSVs with columns time_s,input_v: a hold, a multisine at two amplitudes, stairs, triangles with minor
+    loops, and the multisine again for ten minutes later. They begin and end at 0 V.
+
+    Example: torchpi excite --for diagnosis --max_voltage_v 7.5 --high_hz 500 --output excitations
+
+    Args:
+        output: Folder for the files.
+        for_: What the recordings are for; diagnosis is the only purpose there is.
+        min_voltage_v: Lowest voltage that the stage bears, V of the controller; 0 or less.
+        max_voltage_v: Highest voltage, V.
+        max_rate_v_s: Largest rate of the voltage, V/s.
+        sample_rate_hz: Rate at which the voltage is played and the displacement recorded.
+        high_hz: Highest frequency to drive. Above the first resonance it shows the mechanics, if the stage
+            bears it.
+        seed: Of random phases.
+    """
+    from torchpi.drive_limits import DriveLimits
+    from torchpi.errors import ConfigError
+    from torchpi.excitation_files import INSTRUCTIONS, write_diagnostic_set
+
+    if for_ != "diagnosis":
+        raise ConfigError(f"--for is '{for_}', wanted diagnosis, the only purpose there is so far")
+    limits = DriveLimits(min_voltage_v, max_voltage_v, max_rate_v_s, sample_rate_hz, high_hz)
+    print(write_diagnostic_set(output, limits, seed))
+    print(f"\n{output / INSTRUCTIONS}: the same words")
+
+
+def export(
+    run: Path, output: Path | None = None, to: str = "torchscript,json", reference_filter: bool = False
+) -> None:
+    """Export the compensator of a training run, for a controller: all files, or none.
+
+    Example: torchpi export runs/demo --to torchscript,c,json --output exports/demo
 
     Args:
         run: Run folder of `python -m train fit`, or one of its checkpoints.
-        output: Path without suffix; .pt and .json are added. By default exports/ and the name of the run.
+        output: Path without suffix; the formats add theirs. By default exports/ and the name of the run.
+        to: Formats, comma between: torchscript (.pt), c (.h, .c and _selftest.c, C99), pt2 (torch.export),
+            json (the bare numbers with units).
         reference_filter: Put the paper's reference filter (eq. 14) inside: `step` then takes y_r.
     """
-    from torchpi.export import save_json, save_torchscript
+    from torchpi.export import export_files
     from torchpi.operators import ReferenceFilter
     from torchpi.trained import load_compensator
 
     compensator = load_compensator(run)
     inside = ReferenceFilter(compensator.sample_period_s) if reference_filter else None
     output = output or Path("exports") / run.resolve().name
-    output = output.with_suffix("") if output.suffix in (".pt", ".json") else output
-    # The numbers first: whoever finds the .pt finds its JSON too.
-    save_json(compensator, output.with_suffix(".json"), inside)
-    save_torchscript(compensator, output.with_suffix(".pt"), inside)
+    output = output.with_suffix("") if output.suffix in (".pt", ".c", ".h", ".pt2", ".json") else output
+    files = export_files(compensator, output, [name.strip() for name in to.split(",")], inside)
+    signal = "y_r" if reference_filter else "y_d"
     print(
-        f"{output}.pt: step(y_d at t + {compensator.preview} samples, µm) -> V, "
-        f"every {compensator.sample_period_s:g} s"
+        f"step({signal} at t + {compensator.preview} samples, µm) -> V, "
+        f"every {compensator.sample_period_s:g} s:"
     )
-    print(f"{output}.json: the same numbers with units")
+    for file in files:
+        print(file)
 
 
 def run(
@@ -112,7 +155,7 @@ def run(
 
     Args:
         compensator: Exported TorchScript file.
-        stage: Stage file (YAML).
+        stage: Stage file (YAML), or the stage.pt of `torchpi diagnose`.
         trajectory: slow (eq. 15), fast (eq. 16), a CSV with columns time_s,yd_um, or a list of these.
         output: Folder for the page; by default beside the compensator.
         compare: Other exported compensators by name, such as {two-stage: runs/demo/baseline.pt}.
@@ -124,10 +167,10 @@ def run(
     from torchpi.export import load_torchscript
     from torchpi.loop import run_loop
     from torchpi.report import provenance, words, write_loop_report
-    from torchpi.stage import Stage
+    from torchpi.stage import AugmentedStage, Stage
     from torchpi.trajectory import load_trajectory
 
-    plant = Stage.from_yaml(stage)
+    plant = AugmentedStage.load(stage) if stage.suffix == ".pt" else Stage.from_yaml(stage)
     loaded = load_torchscript(compensator)
     others = {name: load_torchscript(path) for name, path in (compare or {}).items()}
     names = [trajectory] if isinstance(trajectory, str) else trajectory
@@ -170,6 +213,27 @@ def run(
     print(f"{page}: the page with all figures\n{numbers}: the same numbers")
 
 
+def predict(stage: Path, recording: Path, output: Path = Path("prediction.csv")) -> None:
+    """Predict what a stage does with a voltage: time_s,input_v[,aux_…] in, the same with output_um out.
+
+    From the de-energised state, at the file's own sample rate, without noise.
+
+    Example: torchpi predict runs/diagnosis/stage.pt voltage.csv --output predicted.csv
+
+    Args:
+        stage: The stage.pt of `torchpi diagnose`.
+        recording: CSV, or any other kind that a recording may have; an output_um in it is left out.
+        output: CSV to write.
+    """
+    from torchpi.prediction import predict_file
+
+    predicted = predict_file(stage, recording, output)
+    print(
+        f"{output}: {len(predicted):,} samples at {predicted.fs_hz:g} Hz, "
+        f"y {predicted.y.min():.3f} … {predicted.y.max():.3f} µm"
+    )
+
+
 def reproduce(
     output: Path = Path("exports/paper"),
     only: str | None = None,
@@ -193,4 +257,4 @@ def reproduce(
     print(f"{page}: the page\n{output / 'results.json'}: the same numbers")
 
 
-COMMANDS: list[Callable[..., None]] = [simulate, export, run, reproduce]
+COMMANDS: list[Callable[..., None]] = [simulate, excite, export, run, predict, reproduce]

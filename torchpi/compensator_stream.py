@@ -72,21 +72,25 @@ def compensator_stream(
 
 
 def step_source(compensator: "DirectInverse") -> str:
-    """The deployed step of this compensator, as text: eq. 8 with its numbers in place."""
-    equations = "\n".join(f"        {line}" for line in _step_lines(compensator))
+    """The deployed step of this compensator, as text: eq. 8, and its numbers by name and unit."""
+    constants = _Constants()
+    equations = "\n".join(f"        {line}" for line in _step_lines(compensator, constants))
     states = [f"xi{j}" for j in range(len(compensator.creep_gains))]
     states += [f"h{i}" for i in range(len(compensator.plays.r))]
     cleared = "\n".join(f"        self.{state} = 0.0" for state in states)
     return f"""
 class WrittenOut(nn.Module):
+    '''The direct inverse of eq. 8, one sample at a time.'''
+
     def __init__(self, motion: nn.Module, has_reference_filter: bool) -> None:
         super().__init__()
         self.motion = motion
         self.has_reference_filter = has_reference_filter
         self.sample_period_s = {compensator.sample_period_s!r}
         self.preview = {compensator.preview!r}
-        self.min_voltage_v = {compensator.min_voltage_v!r}
-        self.max_voltage_v = {compensator.max_voltage_v!r}
+        self.min_voltage_v = {compensator.min_voltage_v!r}  # V
+        self.max_voltage_v = {compensator.max_voltage_v!r}  # V
+{constants}
         self.last_input = 0.0
         self.held_inputs = 0
 {cleared}
@@ -112,56 +116,92 @@ class WrittenOut(nn.Module):
 """
 
 
-def _step_lines(compensator: "DirectInverse") -> Iterator[str]:
-    # x - x is zero for every finite x, and not for inf and nan.
+class _Constants:
+    """The numbers of a step: called with one, it gives the name by which the equations take it."""
+
+    def __init__(self) -> None:
+        self.lines: list[str] = []
+
+    def __call__(self, name: str, value: float, comment: str) -> str:
+        # Plain ASCII, because the comments go into C as well.
+        self.lines.append(f"        self.{name} = {value!r}  # {comment}")
+        return f"self.{name}"
+
+    def __str__(self) -> str:
+        return "\n".join(self.lines)
+
+
+def _step_lines(compensator: "DirectInverse", constant: _Constants) -> Iterator[str]:
+    yield "# x - x is zero for every finite x, and not for inf and nan."
     yield "if yd - yd == 0.0:"
     yield "    self.last_input = yd"
     yield "else:"
     yield "    self.held_inputs += 1"
     yield "x, rate, acceleration = self.motion.step(self.last_input)"
-    for tau, derivative in zip(compensator.lead.tolist(), ("rate", "acceleration"), strict=False):
-        yield f"x = x + {tau!r} * {derivative}"
+    leads = (("rate", "s"), ("acceleration", "s^2"))
+    for i, (tau, (derivative, unit)) in enumerate(zip(compensator.lead.tolist(), leads, strict=False), 1):
+        yield f"x = x + {constant(f'tau_{i}', tau, f'{unit}, lead on the {derivative}')} * {derivative}"
 
     gains, decays = compensator.creep_gains.tolist(), compensator.creep_decay.tolist()
     if gains:
-        yield f"crept = {' + '.join(f'{g!r} * self.xi{j}' for j, g in enumerate(gains))}"
+        shares = [
+            f"{constant(f'g_{j}', g, f'1, share of relaxation {j} in creep')} * self.xi{j}"
+            for j, g in enumerate(gains)
+        ]
+        yield f"crept = {' + '.join(shares)}"
         for j, a in enumerate(decays):
-            yield f"self.xi{j} = {a!r} * self.xi{j} + {1.0 - a!r} * x"
+            kept = constant(f"kept_{j}", a, f"1, what relaxation {j} keeps in one period")
+            taken = constant(f"taken_{j}", 1.0 - a, f"1, what relaxation {j} takes up in one period")
+            yield f"self.xi{j} = {kept} * self.xi{j} + {taken} * x"
         yield "x = crept + x"
 
-    coefficients = compensator.saturation.c.tolist()
-    horner = f"(0.0 + {coefficients[-1]!r}) * x"
-    for c in reversed(coefficients[:-1]):
-        horner = f"({horner} + {c!r}) * x"
-    yield f"s = {horner}  # eq. 4"
+    coefficients = [
+        constant(f"c_{i}", c, f"{f'um^{1 - i}' if i > 1 else '1'}, polynomial, eq. 4")
+        for i, c in enumerate(compensator.saturation.c.tolist(), 1)
+    ]
+    yield f"s = {_horner(coefficients, 'x')}  # eq. 4"
 
     weights = compensator.weights
-    basis = ["1.0"]
+    basis = []
     if weights.kind != "none":
-        yield f"z = rate / {weights.rate_scale_um_s!r}"
+        yield f"z = rate / {constant('rate_scale_um_s', weights.rate_scale_um_s, 'um/s, unit of the rates')}"
         basis.append("z")
     for j, (a, c) in enumerate(zip(weights.slope.tolist(), weights.shift.tolist(), strict=True)):
-        yield f"phi{j} = squash({a!r} * z + {c!r})"
+        slope = constant(f"slope_{j}", a, f"1, function {j} of the rate")
+        shift = constant(f"shift_{j}", c, f"1, function {j} of the rate")
+        yield f"phi{j} = squash({slope} * z + {shift})"
         basis.append(f"phi{j}")
 
+    if compensator.psi.numel() > 0:
+        range_um = constant("range_um", compensator.range_um, "um, unit of the plays' own output functions")
     numbers = zip(compensator.plays.r.tolist(), weights.theta.tolist(), compensator.psi.tolist(), strict=True)
+    yield "u = 0.0"
     for i, (r, theta, psi) in enumerate(numbers):
-        if r == 0.0:  # this play is its input, whatever its state
-            yield f"h{i} = s"
-        else:
-            yield f"h{i} = play(s, {r!r}, self.h{i})  # eq. 1"
-            yield f"self.h{i} = h{i}"
-        terms = [f"{theta[0]!r}"] + [f"{t!r} * {phi}" for t, phi in zip(theta[1:], basis[1:], strict=True)]
+        threshold = constant(f"r_{i}", r, f"um, threshold of play {i}, eq. 1")
+        yield f"h{i} = play(s, {threshold}, self.h{i})  # eq. 1"
+        yield f"self.h{i} = h{i}"
+        terms = [constant(f"theta_{i}_0", theta[0], f"V/um, weight of play {i} at rest, eq. 7")]
+        for q, (value, function) in enumerate(zip(theta[1:], basis, strict=True), 1):
+            name = constant(f"theta_{i}_{q}", value, f"V/um, weight of play {i} times {function}, eq. 7")
+            terms.append(f"{name} * {function}")
         if psi:
-            yield f"z{i} = h{i} / {compensator.range_um!r}"
-            own = f"(0.0 + {psi[-1]!r}) * z{i}"
-            for coefficient in reversed(psi[:-1]):
-                own = f"({own} + {coefficient!r}) * z{i}"
-            terms.append(own)
-        yield f"u = {'u + ' if i > 0 else ''}({' + '.join(terms)}) * h{i}  # eq. 7, 8"
+            yield f"v{i} = h{i} / {range_um}"
+            own = [
+                constant(f"psi_{i}_{q}", value, f"V/um, own output function of play {i}, power {q}")
+                for q, value in enumerate(psi, 1)
+            ]
+            terms.append(_horner(own, f"v{i}"))
+        yield f"u = u + ({' + '.join(terms)}) * h{i}  # eq. 7, 8"
     if compensator.offset.item() != 0.0:
-        yield f"u = u + {compensator.offset.item()!r}"
+        yield f"u = u + {constant('u_0', compensator.offset.item(), 'V, offset')}"
     yield "return min(max(u, self.min_voltage_v), self.max_voltage_v)"
+
+
+def _horner(coefficients: list[str], x: str) -> str:
+    text = f"{coefficients[-1]} * {x}"
+    for coefficient in reversed(coefficients[:-1]):
+        text = f"({text} + {coefficient}) * {x}"
+    return text
 
 
 _serial = itertools.count()

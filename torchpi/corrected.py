@@ -163,7 +163,7 @@ class PassStream(nn.Module):
     def __init__(self, model: CompensatorStream, taps: list[float], ahead: int, late: int) -> None:
         super().__init__()
         self.model: nn.Module = model  # type: ignore[assignment]
-        self.taps = taps
+        self.taps = taps  # V/um
         self.wanted = Line(late)
         self.voltage = Line(ahead)
         self.errors = Line(len(taps) - 1)

@@ -51,7 +51,7 @@ class BackwardMotionStream(nn.Module):
 
     def __init__(self, sample_period_s: float) -> None:
         super().__init__()
-        self.sample_period_s = sample_period_s
+        self.sample_period_s = sample_period_s  # s
         self.started = False
         self.y1 = 0.0
         self.y2 = 0.0

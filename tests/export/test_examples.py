@@ -9,10 +9,15 @@ from pathlib import Path
 import pytest
 import torch
 
+from tests.export.c_compiler import needs_cc
 from tests.export.test_torchscript import compensator
-from torchpi.export import save_torchscript
+from torchpi.export import export_files, save_torchscript
 
 EXPORTS = Path(__file__).parents[2] / "exports"
+
+
+def desired_um(tick: int) -> float:
+    return 2 - 2 * math.cos(2 * math.pi * 5 * tick * compensator().sample_period_s)
 
 
 def expected_lines(samples: int) -> list[float]:
@@ -48,3 +53,22 @@ def test_cpp_loop_builds_and_gives_the_same_voltages(tmp_path: Path) -> None:
         [str(build / "loop"), str(EXPORTS / "README.md")], capture_output=True, text=True
     )
     assert refused.returncode == 2 and refused.stderr.count("\n") == 1
+
+
+@needs_cc
+@pytest.mark.skipif(shutil.which("make") is None, reason="needs make")
+def test_c_loop_builds_and_gives_the_same_voltages(tmp_path: Path) -> None:
+    export_files(compensator(), tmp_path / "demo", ("c",))
+    loop = tmp_path / "c_loop"
+    shutil.copytree(EXPORTS / "c_loop", loop, ignore=shutil.ignore_patterns("loop", "selftest"))
+    strict = "CFLAGS=-std=c99 -ffp-contract=off -O2 -Wall -Wextra -Wpedantic -Werror"
+    subprocess.run(["make", "-C", str(loop), strict, "selftest", "loop"], capture_output=True, check=True)
+    assert voltages([str(loop / "loop")])[:50] == expected_lines(50)
+
+    # The same motion from a file: after its end it rests.
+    rows = [f"{k * 1e-4:.17g},{desired_um(k):.17g}" for k in range(50 + compensator().preview)]
+    (tmp_path / "t.csv").write_text("time_s,yd_um\n" + "\n".join(rows) + "\n")
+    assert voltages([str(loop / "loop"), str(tmp_path / "t.csv")])[:50] == expected_lines(50)
+    for path in (tmp_path / "nowhere.csv", EXPORTS / "README.md"):
+        refused = subprocess.run([str(loop / "loop"), str(path)], capture_output=True, text=True)
+        assert refused.returncode == 2 and refused.stderr.count("\n") == 1

@@ -1,6 +1,7 @@
-"""Exports: the compensator as a TorchScript file, and its bare numbers as JSON."""
+"""Exports: the compensator as TorchScript, C99, `.pt2`, and its bare numbers as JSON."""
 
+from torchpi.export.formats import FORMATS, export_files
 from torchpi.export.numbers import save_json
 from torchpi.export.torchscript import load_torchscript, save_torchscript
 
-__all__ = ["load_torchscript", "save_json", "save_torchscript"]
+__all__ = ["FORMATS", "export_files", "load_torchscript", "save_json", "save_torchscript"]

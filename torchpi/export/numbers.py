@@ -6,10 +6,33 @@ from typing import Any
 
 import torchpi
 from torchpi.compensator import DirectInverse
+from torchpi.errors import ArtifactError
+from torchpi.export.deployable import Deployable
+from torchpi.export.formats import Files
 from torchpi.files import write_atomically
 from torchpi.operators.reference_filter import ReferenceFilter
 
 SCHEMA = "torchpi.compensator/1"
+
+
+def json_files(
+    compensator: Deployable, output: Path, reference_filter: ReferenceFilter | None = None
+) -> Files:
+    """NAME.json.
+
+    Raises:
+        ArtifactError: The compensator is no direct inverse, or has a number that is not finite.
+    """
+    if not isinstance(compensator, DirectInverse):
+        raise ArtifactError(
+            f"{type(compensator).__name__} has no JSON form: only a direct inverse has; "
+            "want --to torchscript for this model"
+        )
+    try:
+        text = json.dumps(numbers(compensator, reference_filter), indent=2, allow_nan=False)
+    except ValueError as error:
+        raise ArtifactError("a number of the model: found inf or nan, want finite numbers") from error
+    return {output.with_name(output.name + ".json"): lambda path: path.write_text(text + "\n")}
 
 
 def save_json(
@@ -18,8 +41,9 @@ def save_json(
     reference_filter: ReferenceFilter | None = None,
 ) -> None:
     """Write the numbers of `compensator` to `path`."""
+    (write,) = json_files(compensator, Path(path), reference_filter).values()
     with write_atomically(path) as temporary:
-        temporary.write_text(json.dumps(numbers(compensator, reference_filter), indent=2) + "\n")
+        write(temporary)
 
 
 def numbers(compensator: DirectInverse, reference_filter: ReferenceFilter | None = None) -> dict[str, Any]:

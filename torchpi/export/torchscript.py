@@ -7,13 +7,15 @@ Python and in C++ without torchpi.
 import warnings
 import zipfile
 from pathlib import Path
-from typing import Protocol, cast
+from typing import cast
 
 import torch
 from torch import nn
 
 from torchpi.compensator_stream import CompensatorStream
 from torchpi.errors import ArtifactError
+from torchpi.export.deployable import Deployable
+from torchpi.export.formats import Files
 from torchpi.files import write_atomically
 from torchpi.operators.reference_filter import ReferenceFilter
 
@@ -30,10 +32,12 @@ _KEPT = (
 )
 
 
-class Deployable(Protocol):
-    """A direct inverse, a corrected one, or any method that the paper compares with."""
-
-    def stream(self, reference_filter: ReferenceFilter | None = None) -> CompensatorStream: ...
+def torchscript_files(
+    compensator: Deployable, output: Path, reference_filter: ReferenceFilter | None = None
+) -> Files:
+    """NAME.pt, the frozen step of `compensator`; a reference filter goes inside on request."""
+    scripted = script(compensator, reference_filter)
+    return {output.with_name(output.name + ".pt"): lambda path: scripted.save(str(path))}
 
 
 def save_torchscript(
@@ -41,10 +45,10 @@ def save_torchscript(
     path: str | Path,
     reference_filter: ReferenceFilter | None = None,
 ) -> None:
-    """Write the frozen step of `compensator`; a reference filter goes inside on request."""
-    scripted = script(compensator, reference_filter)
+    """Write the file to `path`."""
+    (write,) = torchscript_files(compensator, Path(path), reference_filter).values()
     with write_atomically(path) as temporary:
-        scripted.save(str(temporary))
+        write(temporary)
 
 
 def script(

@@ -1,0 +1,12 @@
+"""What can be exported."""
+
+from typing import Protocol
+
+from torchpi.compensator_stream import CompensatorStream
+from torchpi.operators.reference_filter import ReferenceFilter
+
+
+class Deployable(Protocol):
+    """A direct inverse, a corrected one, or any method that the paper compares with."""
+
+    def stream(self, reference_filter: ReferenceFilter | None = None) -> CompensatorStream: ...

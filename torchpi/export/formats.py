@@ -1,0 +1,60 @@
+"""Everything that a compensator is exported to, together or not at all."""
+
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+
+from torchpi.errors import ConfigError
+from torchpi.export.deployable import Deployable
+from torchpi.files import write_atomically
+from torchpi.operators.reference_filter import ReferenceFilter
+
+Files = dict[Path, Callable[[Path], object]]  # what writes each file's content to a path
+FORMATS = ("torchscript", "c", "pt2", "json")
+
+
+def export_files(
+    compensator: Deployable,
+    output: str | Path,
+    formats: Sequence[str] = ("torchscript", "json"),
+    reference_filter: ReferenceFilter | None = None,
+) -> list[Path]:
+    """Write `output` with the suffixes of the formats; returns the files.
+
+    All are made before the first is put in place.
+
+    Raises:
+        ConfigError: An unknown format.
+        ArtifactError: The compensator has a part that one of the formats has no form for, or a number that
+            is not finite, or its name cannot be one in C. Nothing is written then.
+    """
+    unknown = [name for name in formats if name not in FORMATS]
+    if unknown or not formats:
+        raise ConfigError(f"to: found '{','.join(unknown)}', want one or more of {','.join(FORMATS)}")
+    files: Files = {}
+    for name in formats:
+        files |= _made(name, compensator, Path(output), reference_filter)
+    write_together(files)
+    return list(files)
+
+
+def write_together(files: Files) -> None:
+    """Write every file beside its place; when all are there, put them in place."""
+    with ExitStack() as placed:
+        for path, write in files.items():
+            write(placed.enter_context(write_atomically(path)))
+
+
+def _made(
+    name: str, compensator: Deployable, output: Path, reference_filter: ReferenceFilter | None
+) -> Files:
+    # Imported when asked for, because torch.export is slow to import.
+    if name == "torchscript":
+        from torchpi.export.torchscript import torchscript_files as files
+    elif name == "json":
+        from torchpi.export.numbers import json_files as files
+    elif name == "c":
+        from torchpi.export.c_source import c_files as files
+    else:
+        from torchpi.export.pt2 import pt2_files as files
+    return files(compensator, output, reference_filter)

@@ -1,0 +1,214 @@
+"""A deployed step taken apart: its parts, their constants and states, and the text of their methods.
+
+The C and the `.pt2` exporters read the Python of the step that runs, as TorchScript does; so each
+equation is written once. A part is a stream (a module with `reset` and `step`) or one within it.
+"""
+
+import ast
+import inspect
+import io
+import math
+import re
+import textwrap
+import tokenize
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property, lru_cache
+from typing import Any, NoReturn
+
+from torch import nn
+
+from torchpi.errors import ArtifactError
+
+Number = float | int | bool
+Value = Number | list[float]
+
+
+@dataclass(frozen=True)
+class Function:
+    """A method, or a plain function that one calls: its syntax tree, its comments by line, its names."""
+
+    tree: ast.FunctionDef
+    comments: dict[int, str]
+    names: dict[str, Any]
+
+    @property
+    def arguments(self) -> list[str]:
+        return [argument.arg for argument in self.tree.args.args if argument.arg != "self"]
+
+    @property
+    def body(self) -> list[ast.stmt]:
+        has_docstring = ast.get_docstring(self.tree) is not None
+        return self.tree.body[1:] if has_docstring else self.tree.body
+
+
+@dataclass(frozen=True)
+class Part:
+    """One stream of a step.
+
+    Attributes:
+        path: Names of the attributes that lead to it; () is the step itself.
+        module: The stream, de-energised.
+        form: What it is to become, for errors: 'C' or '.pt2'.
+        lists: Names of attributes that are taken as one list, by its name.
+    """
+
+    path: tuple[str, ...]
+    module: nn.Module
+    form: str
+    lists: dict[str, tuple[str, ...]] = field(default_factory=dict, repr=False)
+    _children: dict[str, "Part"] = field(default_factory=dict, repr=False)
+
+    def __str__(self) -> str:
+        name = type(self.module).__name__
+        return f"part '{'.'.join(self.path)}' ({name})" if self.path else f"the step ({name})"
+
+    def refuse(self, found: str) -> NoReturn:
+        """Say what of this part has no form.
+
+        Raises:
+            ArtifactError: Always.
+        """
+        raise ArtifactError(f"{self} has no {self.form} form: {found}; want --to torchscript for this model")
+
+    def child(self, name: str) -> "Part | None":
+        """The part that this attribute holds, if it holds one."""
+        if not isinstance(getattr(self.module, name, None), nn.Module):
+            return None
+        module = getattr(self.module, name)
+        return self._children.setdefault(name, Part((*self.path, name), module, self.form))
+
+    def children(self, name: str) -> "list[Part] | None":
+        """The parts that this attribute holds, if it holds a list of them."""
+        listed = self.child(name)
+        if listed is None or not isinstance(listed.module, nn.ModuleList):
+            return None
+        return [listed.child(str(i)) or self.refuse(name) for i in range(len(listed.module))]
+
+    def value(self, name: str) -> Value:
+        """A constant, or a state's value after `reset()`.
+
+        Raises:
+            ArtifactError: It is neither a number nor a list of floats, or not finite.
+        """
+        if name in self.lists:
+            return [self.value(element) for element in self.lists[name]]  # type: ignore[misc]
+        value: Any = getattr(self.module, name, None)
+        numbers = value if isinstance(value, list) else [value]
+        kinds = [float] if isinstance(value, list) else [float, int, bool]
+        if not numbers or not all(type(number) in kinds for number in numbers):
+            self.refuse(f"self.{name} is neither a number nor a list of floats")
+        if not all(math.isfinite(number) for number in numbers):
+            raise ArtifactError(f"{self}: {name}: found {value}, want finite numbers")
+        return value  # type: ignore[no-any-return]
+
+    @property
+    def states(self) -> tuple[str, ...]:
+        """Names of the attributes that its methods assign, in the order of `__init__`."""
+        listed = {element: name for name, elements in self.lists.items() for element in elements}
+        return tuple(dict.fromkeys(listed.get(name, name) for name in self._states))
+
+    @cached_property
+    def _states(self) -> tuple[str, ...]:
+        assigned = {name for method in self._methods.values() for name in _assigned(read(method).tree)}
+        return tuple(name for name in vars(self.module) if name in assigned)
+
+    def remark(self, name: str) -> str:
+        """What `__init__` says of an attribute, in a comment behind the assignment."""
+        if name not in self.lists:
+            return self._remarks.get(name, "")
+        first, second, *_ = (self._remarks.get(element, "") for element in self.lists[name])
+        a, b = re.split(r"(\d+)", first), re.split(r"(\d+)", second)
+        return "".join(x if x == y else "i" for x, y in zip(a, b, strict=False))
+
+    def place(self, name: str) -> int:
+        """Where an attribute stands in `__init__`."""
+        return list(vars(self.module)).index(self.lists[name][0] if name in self.lists else name)
+
+    @cached_property
+    def _remarks(self) -> dict[str, str]:
+        if "__init__" not in vars(type(self.module)):
+            return {}
+        made = read(type(self.module).__init__)
+        statements = [node for node in ast.walk(made.tree) if isinstance(node, (ast.Assign, ast.AnnAssign))]
+        return {
+            name: made.comments[statement.lineno]
+            for statement in statements
+            for name in _assigned(statement)
+            if statement.lineno in made.comments
+        }
+
+    @property
+    def summary(self) -> str:
+        """The first line of its docstring."""
+        return (type(self.module).__doc__ or "").partition("\n")[0]
+
+    def method(self, name: str) -> Function:
+        if name not in self._methods:
+            self.refuse(f"no method '{name}' written in Python")
+        return read(self._methods[name])
+
+    def called(self, function: Function, name: str) -> Function:
+        """The plain function that goes by this name in `function`."""
+        found = function.names.get(name)
+        if not inspect.isfunction(found):
+            self.refuse(f"{name}(…) is no plain Python function")
+        return read(found)
+
+    @cached_property
+    def _methods(self) -> dict[str, Callable[..., Any]]:
+        classes = reversed(type(self.module).__mro__)
+        own = [cls for cls in classes if cls is not object and not cls.__module__.startswith("torch.")]
+        return {
+            name: function
+            for cls in own
+            for name, function in vars(cls).items()
+            if inspect.isfunction(function) and name != "__init__"
+        }
+
+
+def take_apart(stream: Any, form: str) -> Part:
+    """The whole step as a part, de-energised.
+
+    Raises:
+        ArtifactError: It is no stream, or its sample period is not a positive number.
+    """
+    if not isinstance(stream, nn.Module):
+        raise ArtifactError(f"{type(stream).__name__}: found no stream, want a module with reset and step")
+    part = Part((), stream, form)
+    stream.reset()  # type: ignore[operator]
+    period = part.value("sample_period_s")
+    if not isinstance(period, float) or period <= 0:
+        raise ArtifactError(f"sample_period_s: found {period} s, want a positive number of s")
+    return part
+
+
+@lru_cache(maxsize=256)
+def read(function: Callable[..., Any]) -> Function:
+    """The text of a Python function, parsed."""
+    text = textwrap.dedent(inspect.getsource(function))
+    tree = ast.parse(text).body[0]
+    assert isinstance(tree, ast.FunctionDef)
+    comments = {
+        token.start[0]: token.string.removeprefix("#").strip()
+        for token in tokenize.generate_tokens(io.StringIO(text).readline)
+        if token.type == tokenize.COMMENT and "type: ignore" not in token.string
+    }
+    return Function(tree, comments, function.__globals__)
+
+
+def own_attribute(node: ast.AST) -> str | None:
+    """The name of `self.name`, else None."""
+    if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id == "self":
+        return node.attr
+    return None
+
+
+def _assigned(tree: ast.AST) -> list[str]:
+    names = []
+    for node in ast.walk(tree):
+        stored = isinstance(node, (ast.Attribute, ast.Subscript)) and isinstance(node.ctx, ast.Store)
+        name = own_attribute(node.value if isinstance(node, ast.Subscript) else node) if stored else None
+        if name is not None:
+            names.append(name)
+    return names
