@@ -1,45 +1,50 @@
-"""Everything at once: the weights solved for, the rest searched by backpropagation through time."""
+"""Everything at once: the weights solved for, the rest searched by damped Gauss–Newton."""
 
 from collections.abc import Sequence
 
-import torch
-from torch import Tensor, nn
+from torch import nn
 
 from torchpi.compensator import DirectInverse
 from torchpi.identification.pair import InversePair
-from torchpi.identification.projection import linear_parameters, projected_loss
+from torchpi.identification.projected_problem import ProjectedProblem
+from torchpi.identification.projection import RIDGE, linear_parameters
+from torchpi.identification.search import search
 
 
 def fit_joint(compensator: DirectInverse, pairs: Sequence[InversePair], evaluations: int = 150) -> float:
     """Improve `compensator` in place over whole records, from where it stands; returns the rms error, V.
 
-    Variable projection with L-BFGS: a few dozen records' passes where a search over all numbers takes
-    thousands. `python -m train fit` does the same with validation, checkpoints and pictures.
+    Descends from there and from several scales of the polynomial, each descent in at most `evaluations`
+    trials, which cost two or three passes over the records. `python -m train fit` does the same with
+    validation, checkpoints and pictures.
     """
-    motions, voltages = [pair.motion for pair in pairs], [pair.u for pair in pairs]
-    counted = [pair.counted for pair in pairs]
-    optimizer = torch.optim.LBFGS(
-        searched_parameters(compensator, weights_are_solved=True),
-        max_iter=evaluations,
-        max_eval=evaluations,
-        history_size=20,
-        tolerance_grad=1e-10,
-        tolerance_change=1e-13,
-        line_search_fn="strong_wolfe",
+    problem = joint_problem(compensator, pairs)
+    alpha, solved = search(problem, evaluations, thorough=True)
+    problem.put(alpha, solved.beta)
+    return float(solved.mean_square**0.5)
+
+
+def joint_problem(compensator: DirectInverse, pairs: Sequence[InversePair]) -> ProjectedProblem:
+    """The search for lead, creep gains, polynomial, thresholds and neural rate head, as far as trainable.
+
+    The weights are solved for at each trial.
+    """
+    trainable = {
+        "lead": compensator.scaled_lead,
+        "gains": compensator.creep_gains,
+        "c": compensator.saturation.scaled,
+        "r": compensator.plays.raw_thresholds,
+        "slope": compensator.weights.slope,
+        "shift": compensator.weights.shift,
+    }
+    return ProjectedProblem(
+        compensator,
+        pairs,
+        [name for name, parameter in trainable.items() if parameter.requires_grad],
+        functions=compensator.weights.theta.shape[1],
+        own_degree=compensator.psi.shape[1],
+        ridge=RIDGE,
     )
-    with torch.no_grad():
-        start = projected_loss(compensator, motions, voltages, counted)
-
-    def closure() -> Tensor:
-        optimizer.zero_grad()
-        loss = projected_loss(compensator, motions, voltages, counted) / start
-        loss.backward()
-        return loss
-
-    optimizer.step(closure)  # type: ignore[arg-type]
-    with torch.no_grad():
-        # The last trial of the line search need not be the point that the optimiser chose.
-        return float(projected_loss(compensator, motions, voltages, counted).sqrt())
 
 
 def searched_parameters(compensator: DirectInverse, weights_are_solved: bool) -> list[nn.Parameter]:

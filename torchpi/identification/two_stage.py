@@ -2,20 +2,28 @@
 
 Stage 1 fits the saturation polynomial c with constant weights to a slow record. The weights enter
 linearly, so they are solved for within each trial of c (variable projection, Golub and Pereyra 1973)
-and only the m coefficients are searched. Stage 2 keeps c and fits slopes k and offsets b of the
-weights to faster records: linear least squares.
+and only the m coefficients are searched, by damped Gauss–Newton on the exact derivative, from several
+scales. Stage 2 keeps c and fits slopes k and offsets b of the weights to faster records: linear least
+squares.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.optimize
 import torch
 
 from torchpi.compensator import DirectInverse
+from torchpi.identification.inverse_columns import InverseColumns
 from torchpi.identification.pair import InversePair
-from torchpi.identification.projection import linear_columns
+from torchpi.identification.projected_problem import ProjectedProblem
+from torchpi.identification.search import search
+from torchpi.identification.thin_qr import ThinQR
+from torchpi.motion import Motion
+
+EVALUATIONS = 100  # of stage 1, at most
+BLOCK = 4000  # samples of stage 2 at a time
+DEPENDENT = 1e-10  # share of the largest singular value below which a direction counts as none
 
 
 @dataclass(frozen=True)
@@ -39,79 +47,78 @@ class TwoStageResult:
     condition_number: float
 
 
-def fit_two_stage(compensator: DirectInverse, pairs: Sequence[InversePair]) -> TwoStageResult:
+def fit_two_stage(
+    compensator: DirectInverse, pairs: Sequence[InversePair], free_thresholds: bool = False
+) -> TwoStageResult:
     """Fit `compensator` in place: stage 1 on the slowest record, stage 2 on the others.
 
     A single record serves both. Lead and creep stay as they are. Of a neural rate head, the linear
-    part is fitted.
+    part is fitted. With `free_thresholds` stage 1 moves the thresholds as well (extension).
     """
     slow, *fast = sorted(pairs, key=_typical_rate)
-    slow_rms_v = fit_saturation(compensator, [slow])
+    slow_rms_v = fit_saturation(compensator, [slow], free_thresholds)
     fast_rms_v, condition_number = fit_weights(compensator, fast or [slow])
     return TwoStageResult(
         slow.name, tuple(pair.name for pair in fast) or (slow.name,), slow_rms_v, fast_rms_v, condition_number
     )
 
 
-def fit_saturation(compensator: DirectInverse, pairs: Sequence[InversePair]) -> float:
+def fit_saturation(
+    compensator: DirectInverse, pairs: Sequence[InversePair], free_thresholds: bool = False
+) -> float:
     """Stage 1 (eq. 10) in place: c, with weights that do not follow the rate; returns the rms error, V."""
-    wanted = _wanted(pairs)
-
-    def residual(scaled: np.ndarray) -> np.ndarray:
-        with torch.no_grad():
-            compensator.saturation.scaled.copy_(torch.from_numpy(scaled))
-        _, left, _ = _solve(_columns(compensator, pairs, functions=1), wanted)
-        return left
-
-    start = compensator.saturation.scaled.detach().numpy().copy()
-    steps = [1e-5] * len(start)
-    found = scipy.optimize.least_squares(residual, start, diff_step=steps, max_nfev=100)
-    left = residual(found.x)
-    return float(np.sqrt(np.mean(left**2)))
+    searched = ["c", "r"] if free_thresholds else ["c"]
+    problem = ProjectedProblem(compensator, pairs, searched, functions=1, own_degree=0)
+    alpha, solved = search(problem, EVALUATIONS)
+    problem.put(alpha, solved.beta)
+    return float(solved.mean_square**0.5)
 
 
 def fit_weights(compensator: DirectInverse, pairs: Sequence[InversePair]) -> tuple[float, float]:
-    """Stage 2 (eq. 11) in place: k and b, c kept; returns the rms error, V, and the condition number."""
-    functions = min(compensator.weights.theta.shape[1], 2)
-    columns = _columns(compensator, pairs, functions)
-    solution, left, condition_number = _solve(columns, _wanted(pairs))
-    plays = len(compensator.weights.theta)
+    """Stage 2 (eq. 11) in place: k and b, c kept; returns the rms error, V, and the condition number.
+
+    A play that no record moves gets the weight 0.
+    """
+    columns = InverseColumns(compensator, min(compensator.weights.theta.shape[1], 2), own_degree=0)
+    factor, samples = ThinQR(columns.count + 1, BLOCK), 0
+    for h, phi, u in _blocks(compensator, pairs):
+        rows = factor.rows[: len(u)]
+        columns.fill(rows, h, phi)
+        rows[:, -1] = u
+        factor.absorb(len(u))
+        samples += len(u)
+    triangle, wanted = factor.triangle[:, :-1], factor.triangle[:, -1]
+    size = np.linalg.norm(triangle, axis=0)
+    size[size == 0] = 1.0
+    solution, _, _, singular = np.linalg.lstsq(triangle / size, wanted, rcond=DEPENDENT)
+    solution = solution / size
+    rms_v = float(np.linalg.norm(triangle @ solution - wanted) / np.sqrt(samples))
+    theta, _ = columns.weights(solution)
     with torch.no_grad():
         compensator.weights.theta.zero_()
         compensator.psi.zero_()
-        theta = torch.from_numpy(solution[: plays * functions]).reshape(plays, functions)
-        compensator.weights.theta[:, :functions] = theta
-        if compensator.offset.requires_grad:
+        compensator.weights.theta[:, : columns.functions] = torch.from_numpy(theta)
+        if columns.has_offset:
             compensator.offset.fill_(solution[-1])
-    return float(np.sqrt(np.mean(left**2))), condition_number
+    nonzero = singular[singular > DEPENDENT * singular[0]]
+    return rms_v, float(nonzero[0] / nonzero[-1])
 
 
-def _columns(compensator: DirectInverse, pairs: Sequence[InversePair], functions: int) -> np.ndarray:
-    """Everything that the paper's weights multiply. Shape: (samples, columns)."""
-    blocks = []
-    with torch.no_grad():
-        for pair in pairs:
-            h, _ = compensator.play_states(pair.motion)
-            basis = compensator.weights.basis(pair.motion.yd_dot)[..., :functions]
-            blocks.append(linear_columns(compensator, h[0], basis[0], own_degree=0)[pair.counted])
-    return torch.cat(blocks).numpy()
-
-
-def _wanted(pairs: Sequence[InversePair]) -> np.ndarray:
-    return torch.cat([pair.u[0, pair.counted] for pair in pairs]).numpy()
-
-
-def _solve(columns: np.ndarray, wanted: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
-    """Least squares with columns scaled to like size: solution, residual, condition number.
-
-    A play that a record never moves gives a column of zeros, whose weight is then 0.
-    """
-    size = np.linalg.norm(columns, axis=0)
-    size[size == 0] = 1.0
-    solution, _, _, singular = np.linalg.lstsq(columns / size, wanted, rcond=1e-10)
-    solution = solution / size
-    nonzero = singular[singular > 1e-10 * singular[0]]
-    return solution, columns @ solution - wanted, float(nonzero[0] / nonzero[-1])
+def _blocks(
+    compensator: DirectInverse, pairs: Sequence[InversePair]
+) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """Play states, (rows, plays), functions of the rate, (functions, rows), and voltage, block by block."""
+    for pair in pairs:
+        state = None
+        begin, stop, step = pair.counted.indices(pair.u.shape[1])
+        for first in range(0, stop, BLOCK):
+            stretch = slice(first, min(first + BLOCK, stop))
+            with torch.no_grad():
+                motion = Motion(*(part[:, stretch] for part in pair.motion))
+                h, state = compensator.play_states(motion, state)
+                basis = compensator.weights.basis(motion.yd_dot)
+            counted = slice(max(begin - first, (begin - first) % step), None, step)
+            yield h[0, counted].numpy(), basis[0, counted].numpy().T, pair.u[0, stretch][counted].numpy()
 
 
 def _typical_rate(pair: InversePair) -> float:
