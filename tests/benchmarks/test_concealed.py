@@ -1,0 +1,258 @@
+"""The concealed proof shares nothing with torchpi; its severities, recordings and grades are right."""
+
+import ast
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+CONCEALED = Path(__file__).parents[2] / "benchmarks" / "concealed"
+sys.path.insert(0, str(CONCEALED))  # its scripts are run from their own folder
+
+import judge  # noqa: E402
+from generate import write_case  # noqa: E402
+from judging.grade import grade  # noqa: E402
+from judging.summary import summarise  # noqa: E402
+from judging.tables import table  # noqa: E402
+from plant import blocks, excitation  # noqa: E402
+from plant.case import Case, Settings, draw_case  # noqa: E402
+from plant.effects import EFFECTS  # noqa: E402
+from plant.hysteresis import draw_hysteresis  # noqa: E402
+from plant.physics import Physics  # noqa: E402
+from plant.rig import Rig, Run, simulate  # noqa: E402
+from plant.severity import readings, severity  # noqa: E402
+from plant.unknowns import UNKNOWNS  # noqa: E402
+
+SAMPLES = 3000
+FAMILIES = ("pi", "generalised_play", "preisach", "bouc_wen")
+# What no small strength can undo: a mode of finite frequency, a delay of whole ticks.
+NEVER_FAINT = {"resonance", "delay"}
+FAINT_AT_THE_TOP = {"amplifier_lag", "slew_limit", "sensor_lag"}
+
+
+def test_imports_nothing_of_torchpi_and_little_else():
+    allowed = {"numpy", "scipy", "numba", "matplotlib", "plant", "judging"} | set(sys.stdlib_module_names)
+    for file in CONCEALED.rglob("*.py"):
+        for node in ast.walk(ast.parse(file.read_text())):
+            names = []
+            if isinstance(node, ast.Import):
+                names = [alias.name for alias in node.names]
+            elif isinstance(node, ast.ImportFrom):
+                assert node.level == 0
+                names = [node.module]
+            assert {name.split(".")[0] for name in names} <= allowed, file
+
+
+@pytest.mark.parametrize(
+    "name", ["creep", "amplifier_lag", "stiction", "hum", "incongruent_loops", "slew_limit"]
+)
+@pytest.mark.parametrize("wanted", [3.0, 12.0])
+def test_severity_is_what_was_asked(name, wanted):
+    case = _case(only=(name,), severity=wanted)
+    (effect,) = case.labels["effects"]
+    assert effect["severity"] == pytest.approx(wanted, rel=0.15)
+
+
+def test_severity_is_the_rms_after_gain_and_offset_in_units_of_the_noise():
+    rig, runs = _rig(), _runs()
+    physics = Physics(a2_per_um=1e-3)
+    without, with_effect = readings(rig, Physics(), runs), readings(rig, physics, runs)
+    columns = np.column_stack([without, np.ones(without.size)])
+    left = with_effect - columns @ np.linalg.lstsq(columns, with_effect, rcond=None)[0]
+    assert severity(rig, physics, runs) == pytest.approx(np.sqrt(np.mean(left**2)) / rig.noise_um, rel=1e-6)
+
+
+@pytest.mark.parametrize("name", sorted(EFFECTS.keys() - NEVER_FAINT))
+def test_effects_vanish_at_their_weakest(name):
+    rig, runs = _rig(), _runs()
+    proposal = EFFECTS[name].propose(np.random.default_rng(2), rig, runs)
+    weakest, strongest = proposal.low, proposal.high
+    if name in FAINT_AT_THE_TOP:
+        weakest, strongest = strongest, weakest
+    faint = severity(rig, Physics(**proposal.change(weakest)), runs)
+    strong = severity(rig, Physics(**proposal.change(strongest)), runs)
+    assert faint < 0.2 < strong
+
+
+@pytest.mark.parametrize("name", UNKNOWNS)
+def test_what_is_outside_the_list_vanishes_too(name):
+    rig, runs = _rig(), _runs()
+    proposal = UNKNOWNS[name].proposal(np.random.default_rng(2), rig)
+    assert severity(rig, Physics(**proposal.change(proposal.low)), runs) < 0.2
+
+
+@pytest.mark.parametrize("kind", ["rich", "paper", "poor"])
+def test_recordings_keep_the_contract(tmp_path, kind):
+    settings = Settings("single_pi", 3, 4, kind, SAMPLES, only=("cross_coupling",))
+    write_case(settings, tmp_path, 1)
+    folder = tmp_path / "case_0001"
+    assert sorted(p.name for p in folder.iterdir()) == ["a.csv", "b.csv", "c.csv", "heldout_input.csv"]
+    labels = json.loads((tmp_path / "sealed" / "case_0001.json").read_text())
+    for name in "abc":
+        header = (folder / f"{name}.csv").read_text().splitlines()[0]
+        table = np.loadtxt(folder / f"{name}.csv", delimiter=",", skiprows=1)
+        assert header == "time_s,input_v,output_um,aux_v"
+        assert np.all(np.isfinite(table)) and len(table) == SAMPLES
+        np.testing.assert_allclose(np.diff(table[:, 0]), 1 / labels["fs_hz"], rtol=1e-3)
+        assert table[0, 1] == pytest.approx(0, abs=0.02 * labels["upper_v"])
+        assert labels["lower_v"] - 1e-6 <= table[:, 1].min() and table[:, 1].max() <= labels["upper_v"] + 1e-6
+    assert (folder / "heldout_input.csv").read_text().startswith("time_s,input_v,aux_v\n")
+
+
+def test_the_same_seed_gives_the_same_case_and_another_another():
+    first, again, other = _case(index=1), _case(index=1), _case(index=2)
+    np.testing.assert_array_equal(first.recordings[0]["output_um"], again.recordings[0]["output_um"])
+    assert not np.array_equal(first.recordings[0]["output_um"], other.recordings[0]["output_um"])
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_truths_have_the_loop_they_were_drawn_with(family):
+    hysteresis = draw_hysteresis(family, np.random.default_rng(5), 10.0, 20.0)
+    leg = np.linspace(0, 10, 400)
+    y = hysteresis.respond(np.concatenate([leg, leg[::-1], leg, leg[::-1]]))
+    loop = np.max(y[1200:][::-1] - y[800:1200]) / np.ptp(y[800:])
+    assert np.ptp(y[800:]) == pytest.approx(20.0, rel=0.02)
+    assert 0.05 < loop < 0.16
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_truths_do_not_know_the_rate(family):
+    hysteresis = draw_hysteresis(family, np.random.default_rng(6), 10.0, 20.0)
+    corners = np.array([0.0, 7.0, 3.0, 9.0, 1.0, 5.0])
+    fast = hysteresis.respond(corners)
+    slow = hysteresis.respond(np.interp(np.linspace(0, 5, 5001), range(6), corners))
+    np.testing.assert_allclose(slow[::1000], fast, atol=1e-3)
+
+
+def test_preisach_wipes_out_and_its_minor_loops_differ_with_bias():
+    hysteresis = draw_hysteresis("preisach", np.random.default_rng(7), 10.0, 20.0)
+    direct = hysteresis.respond(np.array([0.0, 8.0]))[-1]
+    by_way = hysteresis.respond(np.array([0.0, 5.0, 2.0, 4.0, 3.0, 8.0]))[-1]
+    assert by_way == pytest.approx(direct, abs=1e-9)
+    low, high = (
+        y[3] - y[5]
+        for y in (hysteresis.respond(np.array([0.0, v, v - 2, v - 1, v, v - 1, v - 2])) for v in (3.0, 9.0))
+    )
+    assert low < 0 and high < 0 and abs(high - low) > 0.03 * abs(low)
+
+
+def test_mode_rings_at_its_frequency_with_its_damping():
+    dt, f0, zeta = 1e-5, 400.0, 0.02
+    x = blocks.mode(np.ones(20_000), f0, zeta, dt)
+    t = dt * np.arange(1, x.size + 1)
+    w, ring = 2 * np.pi * f0, np.sqrt(1 - zeta**2)
+    exact = 1 - np.exp(-zeta * w * t) * (np.cos(w * ring * t) + zeta / ring * np.sin(w * ring * t))
+    np.testing.assert_allclose(x, exact, atol=1e-6)
+
+
+def test_a_reading_before_the_write_answers_the_command_of_the_tick_before():
+    run = _runs()[0]
+    late = simulate(_rig(timing="before_write"), Physics(), run)
+    np.testing.assert_array_equal(late[1:], simulate(_rig(), Physics(), run)[:-1])
+
+
+def test_a_perfect_answer_and_an_empty_one_are_graded_rightly():
+    cases = [_case(index=i, track="pairs").labels | {"case": str(i)} for i in range(2)]
+    null = _case(track="nulls_pi").labels | {"case": "null"}
+    perfect = [grade(labels, _perfect(labels)) for labels in (*cases, null)]
+    empty = [grade(labels, {"verdict": "nothing_missing", "effects": []}) for labels in (*cases, null)]
+    best, least = summarise(perfect)["tracks"], summarise(empty)["tracks"]
+    assert (
+        best["pairs"]["precision"]["share"]
+        == best["pairs"]["exact_sets"]["share"]
+        == best["pairs"]["f1"]
+        == 1
+    )
+    assert best["pairs"]["parameter_error_median"] == 0 and best["pairs"]["interval_coverage"]["share"] == 1
+    assert least["pairs"]["precision"]["of"] == 0 and least["pairs"]["f1"] == 0
+    assert least["nulls_pi"]["cases_with_a_wrong_name"]["count"] == 0
+    assert "100 %" in table(summarise(perfect))
+
+
+def test_wrong_names_groups_and_another_loop_shape_are_told_apart():
+    lag = _case(only=("amplifier_lag",), timing="end_of_hold").labels | {"case": "lag"}
+    sensor = grade(lag, {"verdict": "explained", "effects": [{"name": "sensor_lag"}]})
+    assert sensor.found == ["amplifier_lag"] and not sensor.exact and not sensor.wrong
+    assert grade(lag, {"verdict": "explained", "effects": [{"name": "creep"}]}).wrong == ["creep"]
+    preisach = _case(track="nulls_other").labels | {"case": "null"}
+    shape = [{"name": "hysteresis_operator"}, {"name": "backlash"}]
+    assert grade(preisach, {"verdict": "explained", "effects": shape}).wrong == ["backlash"]
+    assert grade(_case(track="nulls_pi").labels | {"case": "0"}, {"effects": shape}).wrong == [
+        "hysteresis_operator",
+        "backlash",
+    ]
+
+
+def test_parameters_are_compared_across_names_and_units():
+    labels = _case(only=("amplifier_lag",)).labels | {"case": "lag"}
+    true = labels["effects"][0]["parameters"]["cutoff_hz"]["value"]
+    said = {"bandwidth": {"value": true * 1.1e-3, "unit": "kHz", "interval_90": [true * 0.9e-3, true * 2e-3]}}
+    answer = {"effects": [{"name": "amplifier_lag", "parameters": said}]}
+    (row,) = grade(labels, answer).parameters
+    assert row["relative_error"] == pytest.approx(0.1) and row["covered"]
+
+
+def test_the_baseline_answers_and_the_judge_reads_it(tmp_path, monkeypatch):
+    write_case(
+        Settings("single_pi", 1, 0, "rich", SAMPLES, only=("cross_coupling",), severity=30), tmp_path / "x", 1
+    )
+    script = f"{sys.executable} {CONCEALED / 'baseline.py'}"
+    answers = tmp_path / "answers"
+    diagnose = f"{script} diagnose {{recordings}} --output {{out}}"
+    predict = f"{script} predict {{out}}/stage.json {{input}} --output {{prediction}}"
+    arguments = [str(tmp_path / "x"), "--answers", str(answers), "--diagnose", diagnose, "--predict", predict]
+    monkeypatch.setattr(sys, "argv", ["judge.py", *arguments, "--no-figure"])
+    judge.main()
+    (graded,) = json.loads((answers / "results.json").read_text())["cases"]
+    assert graded["exact"] == ["cross_coupling"] and graded["heldout_over_noise"] < 20
+
+
+def test_a_tool_that_fails_is_graded_as_silent(tmp_path, monkeypatch):
+    write_case(Settings("nulls_pi", 1, 0, "rich", SAMPLES), tmp_path / "x", 1)
+    arguments = [str(tmp_path / "x"), "--answers", str(tmp_path / "o"), "--diagnose", "false", "--no-figure"]
+    monkeypatch.setattr(sys, "argv", ["judge.py", *arguments])
+    judge.main()
+    assert json.loads((tmp_path / "o" / "results.json").read_text())["tracks"]["nulls_pi"]["failed"] == 1
+
+
+def test_help_is_printed():
+    for script in ("generate.py", "judge.py", "baseline.py"):
+        done = subprocess.run(
+            [sys.executable, str(CONCEALED / script), "--help"], capture_output=True, text=True
+        )
+        assert done.returncode == 0 and "usage" in done.stdout
+
+
+def _case(track: str = "single_pi", index: int = 0, **settings: object) -> Case:
+    return draw_case(Settings(track, 7, index, samples=SAMPLES, **settings))
+
+
+def _rig(timing: str = "end_of_hold") -> Rig:
+    rng = np.random.default_rng(1)
+    hysteresis = draw_hysteresis("pi", rng, 10.0, 10.0)
+    other = draw_hysteresis("bouc_wen", rng, 10.0, 10.0)
+    return Rig(hysteresis, other, 5000.0, 6, 0.0, 10.0, 10.0, 5e-3, "white", timing, 3)
+
+
+def _runs() -> list[Run]:
+    rng = np.random.default_rng(4)
+    reach = excitation.Reach(0.0, 10.0, 5000.0, SAMPLES)
+    commands = excitation.draw_recordings("rich", rng, reach)
+    return [Run(u, excitation.draw_aux(rng, reach), i, i == 2) for i, u in enumerate(commands)]
+
+
+def _perfect(labels: dict) -> dict:
+    effects = [
+        {
+            "name": e["name"],
+            "parameters": {
+                key: {"value": p["value"], "unit": p["unit"], "interval_90": [p["value"], p["value"]]}
+                for key, p in e["parameters"].items()
+            },
+        }
+        for e in labels["effects"]
+    ]
+    return {"verdict": "explained" if effects else "nothing_missing", "effects": effects}
