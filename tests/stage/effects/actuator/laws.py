@@ -1,0 +1,96 @@
+"""What every effect between voltage and reading promises, as tests to inherit."""
+
+import math
+
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+from torch import Tensor
+
+from torchpi.errors import StageError
+from torchpi.operators.conformance import OperatorLaws, wandering
+from torchpi.stage.effects.effect import Effect, Seen
+
+PERIOD_S = 0.1
+
+spans = st.floats(1e-3, 1e3)
+recordings = st.builds(
+    Seen,
+    fs_hz=st.floats(10.0, 1e6),
+    duration_s=st.floats(1e-3, 1e5),
+    low_v=st.just(0.0),
+    high_v=st.just(0.0) | spans,
+    max_rate_v_s=st.floats(0.0, 1e7),
+    low_um=st.just(0.0),
+    high_um=st.just(0.0) | spans,
+    aux=st.just({}),
+)
+
+
+class EffectLaws(OperatorLaws):
+    """A test class says how to build its effect, at `PERIOD_S`; the laws come with it."""
+
+    def operator(self) -> Effect:
+        """Build the effect under test, no parameter as in the identity."""
+        raise TypeError(f"{type(self).__name__} must define operator()")
+
+    def test_it_says_all_of_its_parameters(self):
+        effect = self.operator()
+        assert set(effect.quantities) == set(effect.identity) == set(dict(effect.named_parameters()))
+        assert set(effect.per_recording) <= set(effect.quantities)
+        assert not any(value == effect.identity[name] for name, value in effect.values().items())
+
+    @pytest.mark.parametrize("fs_hz", [10.0, 8000.0, 50_000.0])
+    def test_without_values_it_is_the_identity_to_the_last_bit(self, fs_hz):
+        x, dx = wandering(2, 300), wandering(3, 300, seed=1)
+        effect = type(self.operator())(1 / fs_hz)
+        assert effect.values() == effect.identity
+        assert torch.equal(effect(x)[0], x)
+        assert torch.equal(effect.tangent(x[:1], dx), dx)
+
+    def test_a_value_out_of_bounds_is_refused_by_name(self):
+        effect = type(self.operator())
+        for name, quantity in effect.quantities.items():
+            for value in (quantity.at_least - 1, quantity.at_most * 1.01, math.nan):
+                with pytest.raises(StageError, match=rf"^{name}: found .*{quantity.unit}, want .* to "):
+                    effect(PERIOD_S, **{name: value})
+
+    def test_tangent_is_what_finite_differences_of_the_output_say(self):
+        effect, x, dx = self.operator(), wandering(1, 200), wandering(3, 200, seed=1)
+        small = 1e-6
+        with torch.no_grad():
+            wanted = (effect(x + small * dx)[0] - effect(x - small * dx)[0]) / (2 * small)
+        torch.testing.assert_close(effect.tangent(x, dx), wanted, rtol=0, atol=1e-8)
+
+    def test_saved_parameters_serve_any_sample_rate(self):
+        slow, coarse = self.operator(), wandering(1, 200)
+        fast = type(slow)(PERIOD_S / 10)
+        fast.load_state_dict(slow.state_dict())
+        torch.testing.assert_close(fast(finer(coarse))[0][:, ::10], slow(coarse)[0], rtol=0, atol=1e-10)
+
+    def test_a_search_starts_inside_the_bounds_and_off_the_identity(self):
+        effect = type(self.operator())
+
+        @given(seen=recordings)
+        def check(seen: Seen) -> None:
+            starts = effect.starts(seen)
+            assert len(starts) <= 8
+            for start in starts:
+                values = effect(1 / seen.fs_hz, **start).values()
+                assert {name: values[name] for name in start} == start
+                assert values != effect.identity
+
+        check()
+
+
+def finer(coarse: Tensor) -> Tensor:
+    """The same straight runs, ten samples for one."""
+    steps = torch.arange((coarse.shape[1] - 1) * 10 + 1)
+    before, after = coarse[:, steps // 10], coarse[:, (steps // 10 + 1).clamp(max=coarse.shape[1] - 1)]
+    return torch.lerp(before, after, (steps % 10).to(coarse) / 10)
+
+
+def step(time: int) -> Tensor:
+    """1 from the first sample on, (1, time)."""
+    return torch.ones(1, time, dtype=torch.float64)

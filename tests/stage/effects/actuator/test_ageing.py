@@ -1,0 +1,35 @@
+"""Ageing: the gain falls with time or with travel."""
+
+import math
+
+import pytest
+import torch
+
+from tests.stage.effects.actuator.laws import PERIOD_S, EffectLaws, step
+from torchpi.stage.effects.actuator.ageing import Ageing
+from torchpi.stage.effects.effect import Seen
+
+
+class TestLaws(EffectLaws):
+    def operator(self) -> Ageing:
+        return Ageing(PERIOD_S, loss_per_s=0.02, loss_per_mm=30.0)
+
+
+def test_the_gain_falls_with_time_whatever_the_stage_does():
+    y = Ageing(0.1, loss_per_s=0.01)(3 * step(1001))[0][0]
+    assert y[0].item() == 3
+    assert y[1000].item() == pytest.approx(3 * math.exp(-0.01 * 100), rel=1e-12)
+
+
+def test_the_gain_falls_with_travel_and_a_hold_costs_nothing():
+    cycle = torch.tensor([2.0, 0.0, -2.0, 0.0], dtype=torch.float64)  # 8 µm of travel, without the start
+    x = torch.cat([cycle.repeat(100), torch.full((500,), 2.0, dtype=torch.float64)])[None]
+    y = Ageing(0.1, loss_per_mm=0.5)(x)[0][0]
+    assert y[400].item() == pytest.approx(2 * math.exp(-0.5 * (100 * 8 + 2) * 1e-3), rel=1e-12)
+    assert y[-1].item() == y[400].item()
+
+
+def test_ageing_starts_from_one_per_cent_over_the_record():
+    by_time, by_travel = Ageing.starts(Seen(1e4, 20.0, 0.0, 10.0, 100.0, 0.0, 50.0, {}))
+    assert by_time == {"loss_per_s": 0.01 / 20}
+    assert by_travel == {"loss_per_mm": pytest.approx(0.01 / 2.5)}  # 500 µm/s at most, 125 in the mean

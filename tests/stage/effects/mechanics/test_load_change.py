@@ -1,0 +1,29 @@
+"""Load change: a spring takes its part of the displacement and raises the frequency."""
+
+import math
+
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.stage.effects.actuator.laws import PERIOD_S, EffectLaws
+from torchpi.operators.conformance import wandering
+from torchpi.stage.effects.mechanics.load_change import LoadChange
+
+
+class TestLaws(EffectLaws):
+    def operator(self) -> LoadChange:
+        return LoadChange(PERIOD_S, stiffness_ratio=0.2)
+
+
+@given(actuator=st.floats(1.0, 100.0), share=st.floats(0.0, 9.0))
+def test_gain_and_frequency_are_those_of_two_springs(actuator, share):
+    load = share * actuator
+    effect, x = LoadChange(0.1, stiffness_ratio=share), wandering(1, 50)
+    torch.testing.assert_close(effect(x)[0].detach(), actuator / (actuator + load) * x, rtol=1e-12, atol=0)
+    assert effect.frequency_factor().item() == pytest.approx(math.sqrt((actuator + load) / actuator))
+
+
+def test_it_is_another_number_in_each_recording():
+    assert LoadChange.per_recording == ("stiffness_ratio",)

@@ -1,0 +1,65 @@
+"""Resonance: a mode in series, against its closed form; peaks of a residual."""
+
+import math
+
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.stage.effects.actuator.laws import PERIOD_S, EffectLaws
+from torchpi.operators.conformance import wandering
+from torchpi.operators.mode import Mode
+from torchpi.stage.effects.effect import Seen
+from torchpi.stage.effects.mechanics.resonance import Resonance, peaks_hz
+
+SEEN = Seen(2e4, 1.0, 0, 1, 1, 0, 1, {})
+
+
+class TestLaws(EffectLaws):
+    def operator(self) -> Resonance:
+        return Resonance(PERIOD_S, frequency_hz=1.3, damping_ratio=0.05)
+
+
+@given(frequency_hz=st.floats(5.0, 2e3), damping_ratio=st.floats(0.005, 0.9))
+def test_a_ramp_rings_as_the_closed_form_says(frequency_hz, damping_ratio):
+    t = torch.arange(500, dtype=torch.float64) / 1e4
+    y = Resonance(1e-4, frequency_hz=frequency_hz, damping_ratio=damping_ratio)(t[None])[0][0]
+    omega = 2 * math.pi * frequency_hz
+    damped = omega * math.sqrt(1 - damping_ratio**2)
+    # y = t - 2ζ/ω₀ + e^{-ζω₀t} (2ζ/ω₀ cos ω_d t + (2ζ² - 1)/ω_d sin ω_d t)
+    ringing = 2 * damping_ratio / omega * torch.cos(damped * t)
+    ringing = ringing + (2 * damping_ratio**2 - 1) / damped * torch.sin(damped * t)
+    wanted = t - 2 * damping_ratio / omega + torch.exp(-damping_ratio * omega * t) * ringing
+    torch.testing.assert_close(y.detach(), wanted, rtol=0, atol=1e-12)
+
+
+def test_it_is_the_mode_of_the_stage():
+    x = wandering(2, 300)
+    effect = Resonance(1e-3, frequency_hz=130.0, damping_ratio=0.03)
+    assert torch.equal(effect(x)[0], Mode(1e-3, 130.0, 0.03)(x)[0])
+
+
+@pytest.mark.parametrize("frequency_hz", [480.0, 500.0, 1e3, 1e5])
+def test_a_mode_at_or_above_half_of_the_sample_rate_does_no_harm(frequency_hz):
+    x = wandering(1, 2000)
+    effect = Resonance(1e-3, frequency_hz=frequency_hz, damping_ratio=0.01)
+    y = effect(x)[0]
+    assert bool((y.abs() <= 3 * x.abs().max()).all())
+    y.square().sum().backward()
+    assert bool(effect.frequency_hz.grad.isfinite()) and bool(effect.damping_ratio.grad.isfinite())
+
+
+@given(seed=st.integers(0, 10**6), frequency_hz=st.floats(120.0, 3e3))
+def test_the_mode_in_noise_is_the_first_peak_of_its_residual(seed, frequency_hz):
+    generator = torch.Generator().manual_seed(seed)
+    x = 0.01 * torch.randn(1, 40_000, dtype=torch.float64, generator=generator).cumsum(1)
+    residual = Resonance(1e-4, frequency_hz=frequency_hz, damping_ratio=0.01)(x)[0][0] - x[0]
+    noise = 0.003 * torch.randn(40_000, dtype=torch.float64, generator=generator)
+    assert peaks_hz(residual + noise, 1e4)[0] == pytest.approx(frequency_hz, rel=0.02)
+
+
+def test_a_search_starts_at_the_peaks_that_it_is_given_or_on_a_grid():
+    grid = [start["frequency_hz"] for start in Resonance.starts(SEEN)]
+    assert grid[0] == pytest.approx(100.0) and grid[-1] == pytest.approx(5e3)
+    assert [start["frequency_hz"] for start in Resonance.starts_at(SEEN, [321.0, 1e5])] == [321.0]

@@ -1,0 +1,42 @@
+"""Stiction: stuck after a reversal, back at the input after the breakaway."""
+
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.stage.effects.actuator.laws import PERIOD_S, EffectLaws
+from torchpi.operators.conformance import wandering
+from torchpi.stage.effects.effect import Seen
+from torchpi.stage.effects.mechanics.stiction import Stiction
+
+
+class TestLaws(EffectLaws):
+    def operator(self) -> Stiction:
+        return Stiction(PERIOD_S, breakaway_um=0.23)
+
+
+def test_it_sticks_at_a_reversal_jumps_back_and_follows():
+    x = torch.tensor([[0.5, 1.0, 3.0, 2.5, 2.25, 1.5, 1.0, 1.0, 0.5, 0.75, 1.75]], dtype=torch.float64)
+    y = Stiction(0.1, breakaway_um=1.0)(x)[0]
+    assert y[0].tolist() == [0.0, 1.0, 3.0, 3.0, 3.0, 1.5, 1.0, 1.0, 0.5, 0.5, 1.75]
+
+
+@given(breakaway_um=st.floats(0.0, 3.0), seed=st.integers(0, 10**6))
+def test_the_output_is_the_input_or_less_than_the_breakaway_from_it(breakaway_um, seed):
+    x = wandering(1, 200, seed)
+    y = Stiction(0.1, breakaway_um=breakaway_um)(x)[0]
+    assert bool(((y == x) | ((y - x).abs() < breakaway_um)).all())
+    moved = torch.diff(y, dim=1) != 0
+    assert torch.equal(y[:, 1:][moved], x[:, 1:][moved])
+
+
+def test_a_rest_is_no_reversal():
+    x = wandering(1, 200)
+    effect = Stiction(0.1, breakaway_um=0.2)
+    assert torch.equal(effect(x.repeat_interleave(3, 1))[0][:, 2::3], effect(x)[0])
+
+
+def test_a_search_starts_at_small_shares_of_the_travel():
+    sizes = [start["breakaway_um"] for start in Stiction.starts(Seen(1e4, 1.0, 0, 1, 1, 0, 20.0, {}))]
+    assert sizes[0] == pytest.approx(0.02) and sizes[-1] == pytest.approx(0.4)

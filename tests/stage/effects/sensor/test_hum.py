@@ -1,0 +1,49 @@
+"""Hum: one line of the mains, on the clock of the recording."""
+
+import math
+
+import pytest
+import torch
+
+from tests.stage.effects.actuator.laws import PERIOD_S, EffectLaws
+from torchpi.operators.conformance import wandering
+from torchpi.stage.effects.effect import Seen
+from torchpi.stage.effects.sensor.hum import Hum
+
+
+class TestLaws(EffectLaws):
+    def operator(self) -> Hum:
+        return Hum(PERIOD_S, frequency_hz=50.7, cos_um=0.3, sin_um=-0.2)
+
+
+def test_the_spectrum_shows_one_line_of_its_size_and_phase():
+    time, period_s = 1000, 1e-3
+    y = Hum(period_s, frequency_hz=60.0, cos_um=0.02, sin_um=0.05)(torch.zeros(1, time, dtype=torch.float64))[
+        0
+    ]
+    lines = torch.fft.rfft(y[0].detach()) / (time / 2)
+    assert lines[60].real.item() == pytest.approx(0.02) and lines[60].imag.item() == pytest.approx(-0.05)
+    lines[60] = 0
+    assert lines.abs().max().item() < 1e-12
+
+
+def test_the_line_is_still_in_phase_after_an_hour():
+    elapsed = torch.full((1, 1), 3600 * 10_000.0, dtype=torch.float64)
+    effect = Hum(1e-4, frequency_hz=50.0, cos_um=1.0)
+    y, after = effect(torch.zeros(1, 200, dtype=torch.float64), elapsed)
+    wanted = torch.cos(2 * math.pi * 50 * 1e-4 * torch.arange(200, dtype=torch.float64))
+    torch.testing.assert_close(y[0], wanted, rtol=0, atol=1e-8)
+    assert after.item() == 3600 * 10_000 + 200
+
+
+def test_recordings_that_began_at_other_times_are_told_apart():
+    x, elapsed = wandering(2, 50), torch.tensor([[0.0], [7.0]], dtype=torch.float64)
+    effect = Hum(1e-3, frequency_hz=50.0, cos_um=0.1, sin_um=0.2)
+    whole = effect(torch.zeros(1, 57, dtype=torch.float64))[0][0]
+    line = effect(x, elapsed)[0] - x
+    torch.testing.assert_close(line, torch.stack([whole[:50], whole[7:]]), rtol=0, atol=1e-15)
+
+
+def test_a_search_starts_at_lines_that_the_sample_rate_shows():
+    lines = [start["frequency_hz"] for start in Hum.starts(Seen(250.0, 1.0, 0, 1, 1, 0, 10, {}))]
+    assert lines == [50.0, 60.0, 100.0, 120.0]

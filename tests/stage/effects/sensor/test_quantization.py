@@ -1,0 +1,108 @@
+"""Quantization: readings on a lattice, and the step of the lattice that recorded readings lie on."""
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.stage.effects.actuator.laws import PERIOD_S, EffectLaws
+from torchpi.operators.conformance import wandering
+from torchpi.stage.effects.effect import Seen
+from torchpi.stage.effects.sensor.quantization import Quantization
+
+
+class TestLaws(EffectLaws):
+    differentiable = False
+
+    def operator(self) -> Quantization:
+        return Quantization(PERIOD_S, lsb_um=0.03, offset_um=0.011)
+
+    def test_tangent_is_what_finite_differences_of_the_output_say(self):
+        x, dx = wandering(1, 200), wandering(3, 200, seed=1)
+        assert torch.equal(self.operator().tangent(x, dx), dx)  # straight-through
+
+    def test_gradient_passes_straight_through(self):
+        effect, x = self.operator(), wandering(1, 50).requires_grad_()
+        weights = torch.randn(1, 50, dtype=torch.float64)
+        (weights * effect(x)[0]).sum().backward()
+        assert torch.equal(x.grad, weights)
+        assert effect.lsb_um.grad.item() == effect.offset_um.grad.item() == 0
+
+
+@given(lsb_um=st.floats(1e-4, 1.0), offset_um=st.floats(-1.0, 1.0))
+def test_every_reading_is_the_nearest_place_of_the_lattice(lsb_um, offset_um):
+    x = 3 * wandering(1, 500)
+    y = Quantization(1e-4, lsb_um=lsb_um, offset_um=offset_um)(x)[0]
+    codes = (y - offset_um) / lsb_um
+    torch.testing.assert_close(codes, codes.round(), rtol=0, atol=1e-9)
+    assert (y - x).abs().max().item() <= lsb_um / 2 * (1 + 1e-9)
+
+
+def test_a_search_has_no_start_for_the_lattice_is_read_off():
+    assert Quantization.starts(Seen(1e4, 1.0, 0, 1, 1, 0, 1, {})) == []
+
+
+def readings(seed: int, noise_um: float, time: int = 4000) -> np.ndarray:
+    """A sine of 20 µm with noise, (time,)."""
+    sine = 20 * np.sin(np.linspace(0, 17, time))
+    return 12 + sine + noise_um * np.random.default_rng(seed).standard_normal(time)
+
+
+def on_lattice(y: np.ndarray, lsb_um: float, offset_um: float) -> np.ndarray:
+    effect = Quantization(1e-4, lsb_um=lsb_um, offset_um=offset_um)
+    return effect(torch.from_numpy(y)[None])[0][0].detach().numpy()
+
+
+lattices = given(
+    seed=st.integers(0, 1000),
+    lsb_um=st.floats(5e-4, 0.5).filter(lambda step: abs(np.log10(step) % 1) > 1e-3),
+    offset_um=st.floats(-1.0, 1.0),
+    noise_um=st.sampled_from([0.0, 1e-3, 0.03]),
+)
+
+
+@lattices
+def test_the_step_of_recorded_readings_is_found_finer_or_coarser_than_the_noise(
+    seed, lsb_um, offset_um, noise_um
+):
+    y = on_lattice(readings(seed, noise_um), lsb_um, offset_um)
+    assert Quantization.lattice(y) == pytest.approx(lsb_um, rel=1e-9)
+    away = (Quantization.lattice_offset(y, lsb_um) - offset_um) / lsb_um
+    assert away - round(away) == pytest.approx(0, abs=1e-6)
+
+
+@lattices
+def test_the_step_is_found_through_the_rounding_of_a_file(seed, lsb_um, offset_um, noise_um):
+    y = on_lattice(readings(seed, noise_um), lsb_um, offset_um)
+    for rounded in (y.astype(np.float32), np.round(y, 5)):
+        assert Quantization.lattice(rounded) == pytest.approx(lsb_um, rel=1e-5)
+
+
+def test_readings_of_16_bits_over_the_whole_range_are_found():
+    lsb_um = 40.5 / 2**16
+    for time in (1000, 100_000):
+        for y in (
+            on_lattice(readings(0, 0.004, time), lsb_um, 0.1),
+            on_lattice(readings(0, 0.0, time), lsb_um, 0),
+        ):
+            assert Quantization.lattice(y) == pytest.approx(lsb_um, rel=1e-6)
+            assert Quantization.lattice(y.astype(np.float32)) == pytest.approx(lsb_um, rel=1e-6)
+
+
+@given(seed=st.integers(0, 1000), noise_um=st.sampled_from([0.0, 1e-4, 0.03]))
+def test_readings_without_steps_lie_on_no_lattice(seed, noise_um):
+    y = readings(seed, noise_um)
+    for kept in (y, y.astype(np.float32), np.round(y, 6), np.round(y, 5)):
+        assert Quantization.lattice(kept) is None
+
+
+@given(st.lists(st.floats(-1e6, 1e6), max_size=40))
+def test_any_readings_have_an_answer(values):
+    step = Quantization.lattice(np.array(values))
+    assert step is None or step > 0
+
+
+def test_few_different_readings_say_nothing():
+    assert Quantization.lattice(np.array([0.0, 0.1, 0.3, 0.1, 0.0])) is None
+    assert Quantization.lattice(np.zeros(100)) is None

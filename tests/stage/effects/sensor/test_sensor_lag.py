@@ -1,0 +1,53 @@
+"""Sensor lag: a first-order lag of a signal that runs straight from sample to sample."""
+
+import math
+
+import numpy as np
+import pytest
+import scipy.signal
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.stage.effects.actuator.laws import PERIOD_S, EffectLaws
+from torchpi.operators.conformance import wandering
+from torchpi.operators.lag import Lag
+from torchpi.stage.effects.effect import Seen
+from torchpi.stage.effects.sensor.sensor_lag import SensorLag
+
+
+class TestLaws(EffectLaws):
+    def operator(self) -> SensorLag:
+        return SensorLag(PERIOD_S, cutoff_hz=1.3)
+
+
+@given(cutoff_hz=st.floats(1.0, 1e4), fs_hz=st.sampled_from([100.0, 1e4, 1e6]))
+def test_it_is_the_lag_of_the_stage(cutoff_hz, fs_hz):
+    x = wandering(2, 300)
+    wanted = Lag(1 / fs_hz, cutoff_hz)(x)[0]
+    torch.testing.assert_close(SensorLag(1 / fs_hz, cutoff_hz=cutoff_hz)(x)[0], wanted, rtol=0, atol=1e-11)
+
+
+@given(cutoff_hz=st.floats(1.0, 100.0))
+def test_it_is_the_low_pass_that_scipy_simulates(cutoff_hz):
+    period_s, x, omega = 0.01, wandering(1, 200), 2 * math.pi * cutoff_hz
+    _, wanted, _ = scipy.signal.lsim(([omega], [1.0, omega]), x[0].numpy(), period_s * np.arange(200))
+    y = SensorLag(period_s, cutoff_hz=cutoff_hz)(x)[0][0].detach().numpy()
+    np.testing.assert_allclose(y, wanted, rtol=0, atol=1e-11)
+
+
+@pytest.mark.parametrize("cutoff_hz", [60.0, 1e3, 1e6])
+def test_a_cutoff_above_half_of_the_sample_rate_does_no_harm(cutoff_hz):
+    x = wandering(1, 300)
+    effect = SensorLag(0.01, cutoff_hz=cutoff_hz)
+    y = effect(x)[0]
+    lag_s = 1 / (2 * math.pi * cutoff_hz)
+    slope = torch.diff(x, dim=1).abs().max() / 0.01
+    assert bool(((y - x).abs() <= 1.01 * lag_s * slope).all())
+    y.square().sum().backward()
+    assert bool(effect.cutoff_hz.grad.isfinite())
+
+
+def test_a_search_starts_below_half_of_the_sample_rate():
+    cutoffs = [start["cutoff_hz"] for start in SensorLag.starts(Seen(10e3, 1.0, 0, 1, 1, 0, 1, {}))]
+    assert cutoffs == [30.0, 110.0, 400.0, 1500.0]

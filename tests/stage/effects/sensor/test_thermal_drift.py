@@ -1,0 +1,32 @@
+"""Thermal drift: on the clock of the recording, whatever the stage does."""
+
+import math
+
+import pytest
+import torch
+
+from tests.stage.effects.actuator.laws import PERIOD_S, EffectLaws
+from torchpi.operators.conformance import wandering
+from torchpi.stage.effects.effect import Seen
+from torchpi.stage.effects.sensor.thermal_drift import ThermalDrift
+
+
+class TestLaws(EffectLaws):
+    def operator(self) -> ThermalDrift:
+        return ThermalDrift(PERIOD_S, amplitude_um=0.4, time_constant_s=7.0, rate_um_per_s=-0.01)
+
+
+def test_it_rises_to_its_amplitude_and_goes_on_at_its_rate():
+    x = wandering(1, 1001)
+    moved = (ThermalDrift(0.1, amplitude_um=2.0, time_constant_s=5.0)(x)[0] - x)[0]
+    assert moved[0].item() == 0
+    assert moved[50].item() == pytest.approx(2 * (1 - math.exp(-1)), rel=1e-9)
+    assert moved[-1].item() == pytest.approx(2.0, rel=1e-6)
+    moved = (ThermalDrift(0.1, rate_um_per_s=0.03)(x)[0] - x)[0]
+    torch.testing.assert_close(moved, 0.003 * torch.arange(1001, dtype=torch.float64), rtol=0, atol=1e-12)
+
+
+def test_a_search_tries_a_ramp_and_two_time_constants():
+    starts = ThermalDrift.starts(Seen(1e3, 50.0, 0, 1, 1, 0, 20, {}))
+    assert starts[0] == {"rate_um_per_s": pytest.approx(0.2 / 50)}
+    assert [start["time_constant_s"] for start in starts[1:]] == [10.0, 50.0]

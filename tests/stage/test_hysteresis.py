@@ -1,0 +1,145 @@
+"""The hysteresis as an operator: what the search computed, the stream's bits, exact gradients."""
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from torchpi.diagnosis.nominal import INSIDE, Nominal
+from torchpi.errors import StageError
+from torchpi.operators.conformance import HysteresisLaws, OperatorLaws, wandering
+from torchpi.operators.hysteresis_rows import bouc_wen
+from torchpi.stage.hysteresis import IDENTITY, Hysteresis
+
+PERIOD_S = 0.1
+THRESHOLDS_V = [0.0, 0.11, 0.43, 0.9]
+INSIDE_IT = {
+    "asymmetry_per_v": 0.03,
+    "incongruence_per_v": 0.05,
+    "weight_s_per_v": 0.02,
+    "threshold_s_per_v": 0.04,
+    "loop_per_e": 0.05,
+    "reference_rate_v_s": 0.7,
+    "rate_filter_s": 0.15,
+}
+FAMILIES = {"sigma_v": 0.31, "beta": 0.6, "exponent": 1.7, "alpha_per_v": 0.5}
+
+
+def hysteresis(degree: int = 1, bouc_wen: bool = False, duhem: bool = False, **shape: float) -> Hysteresis:
+    count = len(THRESHOLDS_V) * degree + bouc_wen + 3 * duhem + 1
+    weights = torch.linspace(0.9, 0.1, count, dtype=torch.float64)
+    needed = {"sigma_v": bouc_wen, "beta": bouc_wen, "exponent": bouc_wen, "alpha_per_v": duhem}
+    own = {name: FAMILIES[name] for name, there in needed.items() if there}
+    made = Hysteresis(PERIOD_S, THRESHOLDS_V, weights, degree, 2.0, bouc_wen, duhem, {**own, **shape})
+    # At 0 the asymmetry has a kink: to one side of it the play with r = 0 has memory.
+    made.asymmetry_per_v.requires_grad_("asymmetry_per_v" in shape)
+    return made
+
+
+class TestPlays(HysteresisLaws):
+    def operator(self) -> Hysteresis:
+        return hysteresis()
+
+
+class TestPlaysThroughOutputFunctions(OperatorLaws):
+    def operator(self) -> Hysteresis:
+        return hysteresis(degree=3)
+
+
+class TestEffectsInside(OperatorLaws):
+    def operator(self) -> Hysteresis:
+        return hysteresis(degree=2, **INSIDE_IT)
+
+
+class TestBoucWen(OperatorLaws):
+    def operator(self) -> Hysteresis:
+        return hysteresis(bouc_wen=True)
+
+
+class TestDuhem(OperatorLaws):
+    def operator(self) -> Hysteresis:
+        return hysteresis(duhem=True)
+
+
+@given(
+    degree=st.integers(1, 4), bouc_wen=st.booleans(), duhem=st.booleans(), inside=st.booleans(),
+    seed=st.integers(0, 99),
+)  # fmt: skip
+@settings(max_examples=20, deadline=None)
+def test_it_is_the_nominal_that_the_search_fitted(
+    degree: int, bouc_wen: bool, duhem: bool, inside: bool, seed: int
+) -> None:
+    operator = hysteresis(degree, bouc_wen, duhem, **(INSIDE_IT if inside else {}))
+    nominal = Nominal(np.array(THRESHOLDS_V), degree, 2.0, bouc_wen, duhem, {**INSIDE, **operator.shape()})
+    v = wandering(1, 300, seed)
+    wanted = nominal.output(v[0].numpy(), PERIOD_S, operator.weights.detach().numpy())
+    with torch.no_grad():
+        np.testing.assert_allclose(operator(v)[0][0].numpy(), wanted, rtol=0, atol=1e-12)
+
+
+def test_without_effects_inside_it_has_their_identities() -> None:
+    assert INSIDE == IDENTITY == Hysteresis(PERIOD_S, [0.0], [1.0, 0.0]).shape()
+
+
+def test_gradients_hold_over_a_record_of_many_tiles() -> None:
+    operator, v = hysteresis(degree=2, **INSIDE_IT), wandering(2, 1000).requires_grad_()
+    direction = wandering(2, 1000, seed=5)
+    (gradient,) = torch.autograd.grad(operator(v)[0].square().sum(), v)
+    with torch.no_grad():
+        ends = [operator(v + step * direction)[0].square().sum() for step in (1e-7, -1e-7)]
+    wanted = (ends[0] - ends[1]) / 2e-7
+    torch.testing.assert_close((gradient * direction).sum(), wanted, rtol=1e-5, atol=0)
+
+
+def test_one_thread_or_several_give_the_same_bits() -> None:
+    operator, v = hysteresis(degree=2, **INSIDE_IT), wandering(4, 700)
+    before, found = torch.get_num_threads(), []
+    for threads in (1, 3):
+        torch.set_num_threads(threads)
+        operator.zero_grad()
+        y, _ = operator(v)
+        y.square().sum().backward()
+        assert operator.weights.grad is not None
+        found.append((y.detach(), operator.weights.grad.clone()))
+    torch.set_num_threads(before)
+    assert torch.equal(found[0][0], found[1][0]) and torch.equal(found[0][1], found[1][1])
+
+
+def test_rate_dependence_is_one_physics_at_two_sample_rates() -> None:
+    shape = {**INSIDE_IT, "rate_filter_s": 0.5}
+    weights = torch.linspace(0.9, 0.1, 5, dtype=torch.float64)
+    outputs = []
+    for per_second in (200, 2000):
+        t = torch.arange(20 * per_second, dtype=torch.float64)[None] / per_second
+        operator = Hysteresis(1 / per_second, THRESHOLDS_V, weights, shape=shape)
+        with torch.no_grad():
+            outputs.append(operator(torch.sin(t) ** 2)[0][:, :: per_second // 200])
+    torch.testing.assert_close(*outputs, rtol=0, atol=1e-3)
+
+
+def test_a_bouc_wen_state_follows_its_differential_equation() -> None:
+    from scipy.integrate import solve_ivp
+
+    sigma, beta, n = 0.31, 0.6, 1.7
+
+    def slope(_: float, z: np.ndarray) -> np.ndarray:
+        return (1 - np.abs(z) ** n * (1 - beta + beta * np.sign(z))) / sigma
+
+    wanted = solve_ivp(slope, (0, 1), [0.0], rtol=1e-10, atol=1e-12).y[0, -1]
+    assert bouc_wen(0.0, 1.0, sigma, beta, n) == pytest.approx(wanted, abs=1e-4)
+
+
+def test_settings_build_it_again() -> None:
+    operator, v = hysteresis(2, True, True, **INSIDE_IT), wandering(1, 100)
+    again = Hysteresis(PERIOD_S, **operator.settings())
+    assert torch.equal(again(v)[0], operator(v)[0])
+
+
+def test_what_does_not_fit_is_refused() -> None:
+    with pytest.raises(StageError, match="weights: found 2, want 3"):
+        Hysteresis(PERIOD_S, [0.0, 1.0], [1.0, 0.0])
+    with pytest.raises(StageError, match="sigma_v: found none"):
+        Hysteresis(PERIOD_S, [0.0], [1.0, 0.5, 0.0], bouc_wen=True)
+    with pytest.raises(StageError, match="alpha_per_v: found 1"):
+        Hysteresis(PERIOD_S, [0.0], [1.0, 0.0], shape={"alpha_per_v": 1.0})

@@ -1,0 +1,183 @@
+"""A gain that falls with time, or with travel: y = x e^{-(λt + μs)}, s = ∫|dx|, both from the first sample.
+
+Depoling under drive goes with the cycles that the ceramic has made (Lupascu and Rödel, *Fatigue in bulk lead
+zirconate titanate actuator materials*, 2005); ageing after poling goes with time.
+"""
+
+import math
+from typing import Any, ClassVar
+
+import numba
+import numpy as np
+import torch
+from torch import Tensor, nn
+from torch.autograd.function import once_differentiable
+
+from torchpi.operators.quantity import Quantity
+from torchpi.stage.effects.effect import Effect, Parameters, Seen
+
+
+def travelled(travel_mm: float, x: float, before: float) -> float:
+    """s after the move from `before` to `x`, µm. This and `aged` are what kernels and stream compile."""
+    return travel_mm + 1e-3 * abs(x - before)
+
+
+def aged(x: float, t_s: float, travel_mm: float, loss_per_s: float, loss_per_mm: float) -> float:
+    """x e^{-(λt + μs)}."""
+    return x * math.exp(-(loss_per_s * t_s + loss_per_mm * travel_mm))
+
+
+class Ageing(Effect):
+    """A slow loss of gain. The state: samples since the first, travel in mm, the last input in µm.
+
+    The de-energised actuator stands at 0: a first sample elsewhere has travelled that far.
+    """
+
+    name = "ageing"
+    block = "actuator"
+    equation = "y = x e^{-(λt + μs)}, s = ∫|dx|"
+    signature = "the same move becomes smaller, in proportion to its size, as time or travel adds up"
+    quantities: ClassVar[dict[str, Quantity]] = {
+        "loss_per_s": Quantity("1/s", at_least=0, at_most=10),
+        "loss_per_mm": Quantity("1/mm", at_least=0, at_most=100),
+    }
+    identity: ClassVar[Parameters] = {"loss_per_s": 0.0, "loss_per_mm": 0.0}
+    loss_per_s: nn.Parameter
+    loss_per_mm: nn.Parameter
+
+    def initial_state(self, batch: int) -> Tensor:
+        return torch.zeros(batch, 3, dtype=torch.float64)
+
+    def forward(
+        self,
+        x: Tensor,  # (batch, time), µm
+        state: Tensor | None = None,  # (batch, 3): samples, mm, µm
+    ) -> tuple[Tensor, Tensor]:
+        before = self.initial_state(len(x)) if state is None else state
+        y, after = _Ageing.apply(
+            x.to("cpu", torch.float64), before, self.sample_period_s, self.loss_per_s, self.loss_per_mm
+        )
+        return y.to(x), after
+
+    def stream(self) -> nn.Module:
+        return AgeingStream(self.sample_period_s, self.loss_per_s.item(), self.loss_per_mm.item())
+
+    def tangent(self, x: Tensor, dx: Tensor) -> Tensor:
+        """Exact: δy = (δx - μ x δs) e^{-(λt + μs)}; δs sums ±Δδx by the direction of each move."""
+        x, dx = x.detach().contiguous(), dx.detach().contiguous()
+        dy, loss = torch.empty_like(dx), (self.loss_per_s.item(), self.loss_per_mm.item())
+        _tangent(x[0].numpy(), dx.numpy(), self.sample_period_s, *loss, dy.numpy())
+        return dy
+
+    @classmethod
+    def starts(cls, seen: Seen) -> list[Parameters]:
+        # What ages within a tenth of a second is not the gain.
+        if seen.span_um == 0 or seen.span_v == 0 or seen.duration_s < 0.1:
+            return []
+        # In the mean a stage goes perhaps a quarter as fast as at most; it travels one span at least.
+        fastest_um_s = seen.max_rate_v_s * seen.span_um / seen.span_v
+        travel_mm = 1e-3 * max(fastest_um_s / 4 * seen.duration_s, seen.span_um)
+        return [{"loss_per_s": 0.01 / seen.duration_s}, {"loss_per_mm": 0.01 / travel_mm}]
+
+
+class AgeingStream(nn.Module):
+    """The loss of gain, one sample at a time."""
+
+    def __init__(self, period_s: float, loss_per_s: float, loss_per_mm: float) -> None:
+        super().__init__()
+        self.period_s = period_s
+        self.loss_per_s = loss_per_s
+        self.loss_per_mm = loss_per_mm
+        self.reset()
+
+    @torch.jit.export
+    def reset(self) -> None:
+        self.elapsed = 0.0
+        self.travel_mm = 0.0
+        self.before = 0.0
+
+    @torch.jit.export
+    def step(self, x: float) -> float:
+        self.travel_mm = travelled(self.travel_mm, x, self.before)
+        y = aged(x, self.elapsed * self.period_s, self.travel_mm, self.loss_per_s, self.loss_per_mm)
+        self.elapsed += 1.0
+        self.before = x
+        return y
+
+
+class _Ageing(torch.autograd.Function):
+    @staticmethod
+    def forward(
+        ctx: Any, x: Tensor, before: Tensor, period_s: float, loss_per_s: Tensor, loss_per_mm: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        x = x.detach().contiguous()
+        y, travel, after = torch.empty_like(x), torch.empty_like(x), before.clone()
+        _forward(
+            x.numpy(),
+            period_s,
+            loss_per_s.item(),
+            loss_per_mm.item(),
+            after.numpy(),
+            travel.numpy(),
+            y.numpy(),
+        )
+        ctx.period_s = period_s
+        ctx.save_for_backward(x, before, travel, y, loss_per_s, loss_per_mm)
+        return y, after
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
+        x, before, travel, y, loss_per_s, loss_per_mm = ctx.saved_tensors
+        by_y, by_after = gradients
+        t = (before[:, :1] + torch.arange(x.shape[1], dtype=torch.float64)) * ctx.period_s
+        by_loss = -by_y * y
+        # Travel at one sample is part of the travel at all later ones.
+        ahead = (loss_per_mm * by_loss).flip(1).cumsum(1).flip(1) + by_after[:, 1:2]
+        by_move = ahead * 1e-3 * torch.sign(torch.diff(x, dim=1, prepend=before[:, 2:]))
+        by_x = by_y * torch.exp(-(loss_per_s * t + loss_per_mm * travel)) + by_move
+        by_x[:, :-1] -= by_move[:, 1:]
+        by_x[:, -1] += by_after[:, 2]
+        by_elapsed = loss_per_s * ctx.period_s * by_loss.sum(1) + by_after[:, 0]
+        by_before = torch.stack([by_elapsed, ahead[:, 0], -by_move[:, 0]], 1)
+        return by_x, by_before, None, (by_loss * t).sum(), (by_loss * travel).sum()
+
+
+_travelled: Any = numba.njit(travelled)
+_aged: Any = numba.njit(aged)
+
+
+@numba.njit(cache=True)
+def _forward(
+    x: np.ndarray, period_s: float, loss_per_s: float, loss_per_mm: float,
+    state: np.ndarray, travel: np.ndarray, y: np.ndarray,
+) -> None:  # fmt: skip
+    for batch in range(x.shape[0]):
+        elapsed, travel_mm, before = state[batch, 0], state[batch, 1], state[batch, 2]
+        for k in range(x.shape[1]):
+            travel_mm = _travelled(travel_mm, x[batch, k], before)
+            travel[batch, k] = travel_mm
+            y[batch, k] = _aged(x[batch, k], elapsed * period_s, travel_mm, loss_per_s, loss_per_mm)
+            elapsed += 1.0
+            before = x[batch, k]
+        state[batch, 0], state[batch, 1], state[batch, 2] = elapsed, travel_mm, before
+
+
+@numba.njit(cache=True)
+def _tangent(
+    x: np.ndarray, dx: np.ndarray, period_s: float, loss_per_s: float, loss_per_mm: float, dy: np.ndarray
+) -> None:
+    # What is the same along every direction, first.
+    left, side = np.empty(len(x)), np.empty(len(x))
+    travel_mm, before = 0.0, 0.0
+    for k in range(len(x)):
+        travel_mm = _travelled(travel_mm, x[k], before)
+        left[k] = _aged(1.0, k * period_s, travel_mm, loss_per_s, loss_per_mm)
+        side[k] = 1e-3 * loss_per_mm * np.sign(x[k] - before)
+        before = x[k]
+    for row in range(len(dx)):
+        loss, last = 0.0, 0.0
+        for k in range(len(x)):
+            loss += side[k] * (dx[row, k] - last)
+            dy[row, k] = left[k] * (dx[row, k] - x[k] * loss)
+            last = dx[row, k]

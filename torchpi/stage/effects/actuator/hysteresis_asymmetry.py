@@ -1,0 +1,23 @@
+"""Envelopes that differ up and down: a generalised play (Brokate and Sprekels, 1996) in one parameter."""
+
+from typing import ClassVar
+
+from torchpi.operators.quantity import Quantity
+from torchpi.stage.effects.effect import Parameters, Seen
+from torchpi.stage.effects.inside import InsideEffect
+
+
+class HysteresisAsymmetry(InsideEffect):
+    """h_i = max{v + a v² - r_i, min{v - a v² + r_i, h_i}}: a loop that is narrower, or wider, at the top."""
+
+    name = "hysteresis_asymmetry"
+    equation = "h = max{v + a v² - r, min{v - a v² + r, h}}"
+    signature = "even lines of a multisine, another error going up than coming down"
+    quantities: ClassVar[dict[str, Quantity]] = {
+        "asymmetry_per_v": Quantity("1/V", at_least=-0.2, at_most=0.2)
+    }
+    identity: ClassVar[Parameters] = {"asymmetry_per_v": 0.0}
+
+    @classmethod
+    def starts(cls, seen: Seen) -> list[Parameters]:
+        return [{"asymmetry_per_v": 0.01 / seen.span_v}]

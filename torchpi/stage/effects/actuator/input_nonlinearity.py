@@ -1,0 +1,48 @@
+"""Curvature ahead of the hysteresis: w = v + c₂v² + c₃v³ (Qin et al., 2013, eq. 4, with c₁ = 1)."""
+
+from typing import ClassVar
+
+from torch import Tensor, nn
+
+from torchpi.operators.polynomial import PolynomialStream, polynomial
+from torchpi.operators.quantity import Quantity
+from torchpi.stage.effects.effect import Effect, Parameters, Seen
+
+
+class InputNonlinearity(Effect):
+    """A memoryless curvature of the voltage that the plays then see; c₁ = 1, for the plays have the gain."""
+
+    name = "input_nonlinearity"
+    block = "actuator"
+    equation = "w = v + c₂v² + c₃v³, then the plays"
+    signature = "even (c₂) and odd (c₃) harmonics that survive f → 0, and loops of unlike halves"
+    quantities: ClassVar[dict[str, Quantity]] = {
+        "c2_per_v": Quantity("1/V", at_least=-1e3, at_most=1e3),
+        "c3_per_v2": Quantity("1/V²", at_least=-1e6, at_most=1e6),
+    }
+    identity: ClassVar[Parameters] = {"c2_per_v": 0.0, "c3_per_v2": 0.0}
+    c2_per_v: nn.Parameter
+    c3_per_v2: nn.Parameter
+
+    def forward(
+        self,
+        x: Tensor,  # (batch, time), V
+        state: Tensor | None = None,
+    ) -> tuple[Tensor, Tensor]:
+        c = [1.0, self.c2_per_v, self.c3_per_v2]
+        y: Tensor = polynomial(x, c)  # type: ignore
+        return y, self.initial_state(len(x)) if state is None else state
+
+    def stream(self) -> nn.Module:
+        return PolynomialStream([1.0, self.c2_per_v.item(), self.c3_per_v2.item()])
+
+    def tangent(self, x: Tensor, dx: Tensor) -> Tensor:
+        return (1 + (2 * self.c2_per_v.detach() + 3 * self.c3_per_v2.detach() * x) * x) * dx
+
+    @classmethod
+    def starts(cls, seen: Seen) -> list[Parameters]:
+        if seen.span_v == 0:
+            return []
+        # One per cent at full voltage.
+        square, cube = {"c2_per_v": 0.01 / seen.span_v}, {"c3_per_v2": 0.01 / seen.span_v**2}
+        return [square, cube, square | cube]

@@ -1,0 +1,119 @@
+"""What every piece of physics that a stage may lack has in common."""
+
+from dataclasses import dataclass
+from typing import ClassVar, Literal
+
+import torch
+from torch import Tensor
+
+from torchpi.operators.base import Operator
+from torchpi.operators.linear import Hold
+from torchpi.operators.quantity import Quantity
+
+Block = Literal["amplifier", "actuator", "mechanics", "sensor"]
+Parameters = dict[str, float]
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What the recordings span: it sets where a search for an effect may begin."""
+
+    fs_hz: float
+    """The highest sample rate."""
+    duration_s: float
+    """Of the longest recording."""
+    low_v: float
+    high_v: float
+    max_rate_v_s: float
+    """The 99.9th percentile of |u̇|."""
+    low_um: float
+    high_um: float
+    aux: dict[str, float]
+    """Standard deviation of each auxiliary signal."""
+
+    @property
+    def span_v(self) -> float:
+        return self.high_v - self.low_v
+
+    @property
+    def span_um(self) -> float:
+        return self.high_um - self.low_um
+
+
+class Effect(Operator):
+    """One operator with a name, a place in the chain, and physical parameters.
+
+    Built without values it is the identity, to the last bit: a stage with the effect contains the stage
+    without it. Parameters are scalar, float64, trainable, each in the unit of its name.
+
+    Args:
+        sample_period_s: T.
+        values: Physical parameters, the rest as in the identity.
+
+    Raises:
+        StageError: A value out of its bounds; names the parameter, its unit and what is wanted.
+    """
+
+    name: ClassVar[str]
+    """As in `diagnosis.json`."""
+    block: ClassVar[Block]
+    equation: ClassVar[str]
+    """One line, with the letters of the literature."""
+    signature: ClassVar[str]
+    """How the residual shows it, in one line."""
+    quantities: ClassVar[dict[str, Quantity]]
+    """Unit and physical bounds of each parameter."""
+    identity: ClassVar[Parameters]
+    """The value of each parameter at which the effect is not there."""
+    per_recording: ClassVar[tuple[str, ...]] = ()
+    """Parameters that are another number in each recording, such as a phase."""
+    before_hysteresis: ClassVar[bool] = False
+    """Whether it acts on the voltage, not on a displacement."""
+    takes_aux: ClassVar[bool] = False
+    """Whether it takes an auxiliary signal as a second input."""
+    jumps: ClassVar[tuple[str, ...]] = ()
+    """Parameters in which the output jumps: only a finite step shows which way to go."""
+    hold: Hold | None = None
+    """For a dynamic block what its input does between samples; None for an effect that need not know."""
+
+    def __init__(self, sample_period_s: float, **values: float) -> None:
+        super().__init__()
+        self.sample_period_s = sample_period_s
+        for name, quantity in self.quantities.items():
+            value = values.pop(name, self.identity[name])
+            # The identity itself may be a limit, such as an infinite cutoff, that no measured value takes.
+            if value == self.identity[name]:
+                parameter = torch.nn.Parameter(torch.tensor(value, dtype=torch.float64))
+            else:
+                parameter = quantity.parameter(name, value)
+            self.register_parameter(name, parameter)
+        if values:
+            raise TypeError(f"{type(self).__name__}: unknown parameter {next(iter(values))}")
+
+    def tangent(
+        self,
+        x: Tensor,  # (1, time): the input at which it is taken
+        dx: Tensor,  # (directions, time)
+    ) -> Tensor:  # (directions, time)
+        """How the output moves when the input moves along each direction, from the de-energised state."""
+        raise TypeError(f"{type(self).__name__} must define tangent(x, dx)")
+
+    @classmethod
+    def starts(cls, seen: Seen) -> list[Parameters]:
+        """Where a fit may begin: a coarse grid over the typical range, all that these data could show.
+
+        Only the parameters named in an entry are fitted from there; none is at its identity.
+        """
+        raise TypeError(f"{cls.__name__} must define starts(seen)")
+
+    def values(self) -> Parameters:
+        """The present parameters."""
+        return {name: self.get_parameter(name).item() for name in self.quantities}
+
+
+class LinearEffect(Effect):
+    """An effect that is linear in its input: its tangent is itself."""
+
+    @torch.no_grad()
+    def tangent(self, x: Tensor, dx: Tensor) -> Tensor:
+        return self(dx)[0]  # type: ignore[no-any-return]

@@ -1,0 +1,86 @@
+"""Lost motion in the mount: a play of half the width in series with the displacement.
+
+y(k) = max{x(k) - w/2, min{x(k) + w/2, y(k-1)}}: Qin et al. (2013), eq. 1, with r = w/2; Nordin and
+Gutman, *Controlling mechanical systems with backlash, a survey*, Automatica 38(10), 2002.
+"""
+
+from typing import Any, ClassVar
+
+import numba
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from torchpi.operators.play import play, play_bank
+from torchpi.operators.quantity import Quantity
+from torchpi.operators.selection import NO_SOURCE, gather
+from torchpi.stage.effects.effect import Effect, Parameters, Seen
+
+
+class Backlash(Effect):
+    """A play of full width w. The state is the displacement behind it."""
+
+    name = "backlash"
+    block = "mechanics"
+    equation = "y(k) = max{x(k) - w/2, min{x(k) + w/2, y(k-1)}}"
+    signature = "flat at every reversal, by the same amount at any amplitude"
+    quantities: ClassVar[dict[str, Quantity]] = {"width_um": Quantity("µm", at_least=0.0, at_most=1e4)}
+    identity: ClassVar[Parameters] = {"width_um": 0.0}
+    width_um: nn.Parameter
+
+    def initial_state(self, batch: int) -> Tensor:
+        return torch.zeros(batch, 1, dtype=torch.float64)
+
+    def forward(
+        self,
+        x: Tensor,  # (batch, time), µm
+        state: Tensor | None = None,  # (batch, 1), µm
+    ) -> tuple[Tensor, Tensor]:
+        h0 = self.initial_state(len(x)) if state is None else state
+        y = play_bank(x, (self.width_um / 2).reshape(1).to(x.dtype), h0.to(x.dtype))
+        return y[..., 0], y[:, -1]
+
+    def stream(self) -> nn.Module:
+        return BacklashStream(self.width_um.item() / 2)
+
+    def tangent(self, x: Tensor, dx: Tensor) -> Tensor:
+        return gather(dx, _source(x[0].detach().numpy(), self.width_um.item() / 2))
+
+    @classmethod
+    def starts(cls, seen: Seen) -> list[Parameters]:
+        shares = (0.001, 0.002, 0.004, 0.008, 0.02)
+        return [{"width_um": share * seen.span_um} for share in shares if seen.span_um > 0]
+
+
+class BacklashStream(nn.Module):
+    """The play, one sample at a time."""
+
+    def __init__(self, r: float) -> None:
+        super().__init__()
+        self.r = r
+        self.y = 0.0
+
+    @torch.jit.export
+    def reset(self) -> None:
+        self.y = 0.0
+
+    @torch.jit.export
+    def step(self, x: float) -> float:
+        self.y = play(x, self.r, self.y)
+        return self.y
+
+
+_play: Any = numba.njit(play)
+
+
+@numba.njit(cache=True)
+def _source(x: np.ndarray, r: float) -> np.ndarray:
+    # As in the adjoint of the bank: a sample at the edge of the play or beyond pushes it.
+    source = np.empty(len(x), np.int64)
+    y, last = 0.0, NO_SOURCE
+    for t in range(len(x)):
+        if y <= x[t] - r or y >= x[t] + r:
+            last = t
+        source[t] = last
+        y = _play(x[t], r, y)
+    return source

@@ -1,0 +1,78 @@
+"""What another axis moves in this one: y = x + c a, a an auxiliary signal of the recording.
+
+Devasia, Eleftheriou and Moheimani, *A survey of control issues in nanopositioning*, IEEE Trans. Control
+Systems Technology 15(5), 2007.
+"""
+
+from typing import ClassVar
+
+import torch
+from torch import Tensor, nn
+
+from torchpi.operators.quantity import Quantity
+from torchpi.stage.effects.effect import Effect, Parameters, Seen
+
+
+def couple(x: float, c: float, aux: float) -> float:
+    """x + c a. Tensors pass as well."""
+    return x + c * aux
+
+
+class CrossCoupling(Effect):
+    """The one effect with a second input; without it, nothing is added."""
+
+    name = "cross_coupling"
+    block = "mechanics"
+    equation = "y = x + c a"
+    signature = "coherent with the other axis, whatever this one does"
+    quantities: ClassVar[dict[str, Quantity]] = {
+        "coupling_um_per_v": Quantity("µm/V", at_least=-1e3, at_most=1e3),
+    }
+    identity: ClassVar[Parameters] = {"coupling_um_per_v": 0.0}
+    takes_aux = True
+    coupling_um_per_v: nn.Parameter
+
+    def forward(
+        self,
+        x: Tensor,  # (batch, time), µm
+        state: Tensor | None = None,  # (batch, 0)
+        aux: Tensor | None = None,  # (batch, time), V
+    ) -> tuple[Tensor, Tensor]:
+        y = x if aux is None else couple(x, self.coupling_um_per_v, aux)  # type: ignore[arg-type]
+        return y, self.initial_state(len(x)) if state is None else state  # type: ignore[return-value]
+
+    def stream(self) -> nn.Module:
+        return CrossCouplingStream(self.coupling_um_per_v.item())
+
+    def tangent(self, x: Tensor, dx: Tensor) -> Tensor:
+        return dx.detach()
+
+    @classmethod
+    def starts(cls, seen: Seen) -> list[Parameters]:
+        # The output is linear in c: from anywhere, one step of a fit ends where it should.
+        strongest = max(seen.aux.values(), default=0.0)
+        if strongest == 0 or seen.span_um == 0:
+            return []
+        return [{"coupling_um_per_v": 0.01 * seen.span_um / strongest}]
+
+
+class CrossCouplingStream(nn.Module):
+    """The coupling, one sample at a time: `set_aux` first, then `step`."""
+
+    def __init__(self, c: float) -> None:
+        super().__init__()
+        self.c = c
+        self.aux = 0.0
+
+    @torch.jit.export
+    def reset(self) -> None:
+        self.aux = 0.0
+
+    @torch.jit.export
+    def set_aux(self, value: float) -> None:
+        """The other signal at the coming sample, V."""
+        self.aux = value
+
+    @torch.jit.export
+    def step(self, x: float) -> float:
+        return couple(x, self.c, self.aux)

@@ -1,0 +1,65 @@
+"""A spring that the actuator works against: gain k_A / (k_A + k_S), frequency √((k_A + k_S) / k_A) f₀.
+
+Physik Instrumente, *Fundamentals of Piezo Technology*: displacement with a spring load.
+"""
+
+from typing import ClassVar
+
+import torch
+from torch import Tensor, nn
+
+from torchpi.operators.quantity import Quantity
+from torchpi.stage.effects.effect import LinearEffect, Parameters, Seen
+
+
+class LoadChange(LinearEffect):
+    """The static gain under a load spring of k_S = `stiffness_ratio` · k_A, another in each recording."""
+
+    name = "load_change"
+    block = "mechanics"
+    equation = "y = k_A / (k_A + k_S) x"
+    signature = "another gain in another recording, and a resonance higher by its root"
+    quantities: ClassVar[dict[str, Quantity]] = {
+        "stiffness_ratio": Quantity("", at_least=0.0, at_most=10.0),
+    }
+    identity: ClassVar[Parameters] = {"stiffness_ratio": 0.0}
+    per_recording = ("stiffness_ratio",)
+    stiffness_ratio: nn.Parameter
+
+    def frequency_factor(self) -> Tensor:
+        """√((k_A + k_S) / k_A): what the load makes of the frequency of a mode. Shape ()."""
+        return torch.sqrt(1 + self.stiffness_ratio)
+
+    def gain(self) -> Tensor:
+        """k_A / (k_A + k_S). Shape ()."""
+        return 1 / (1 + self.stiffness_ratio)
+
+    def forward(
+        self,
+        x: Tensor,  # (batch, time), µm
+        state: Tensor | None = None,  # (batch, 0)
+    ) -> tuple[Tensor, Tensor]:
+        return self.gain() * x, self.initial_state(len(x)) if state is None else state
+
+    def stream(self) -> nn.Module:
+        return GainStream(self.gain().item())
+
+    @classmethod
+    def starts(cls, seen: Seen) -> list[Parameters]:
+        return [{"stiffness_ratio": 0.1}]
+
+
+class GainStream(nn.Module):
+    """The gain, one sample at a time."""
+
+    def __init__(self, gain: float) -> None:
+        super().__init__()
+        self.gain = gain
+
+    @torch.jit.export
+    def reset(self) -> None:
+        return
+
+    @torch.jit.export
+    def step(self, x: float) -> float:
+        return self.gain * x

@@ -1,0 +1,100 @@
+"""The first mode of the mechanics: ẍ + 2ζω₀ẋ + ω₀²x = ω₀²x_in, ω₀ = 2πf₀."""
+
+import math
+from typing import ClassVar
+
+import numpy as np
+import scipy.ndimage
+import scipy.signal
+import torch
+from torch import Tensor, nn
+
+from torchpi.operators.linear import Hold, LinearStream, Matrices, discretise, state_space
+from torchpi.operators.mode import Mode
+from torchpi.operators.quantity import Quantity
+from torchpi.stage.effects.effect import LinearEffect, Parameters, Seen
+
+TYPICAL_DAMPING = 0.02
+BINS_PER_OCTAVE = 120
+
+
+class Resonance(LinearEffect):
+    """A mode of unit static gain, exact for an input that runs straight from sample to sample, or is held."""
+
+    name = "resonance"
+    block = "mechanics"
+    equation = "ẍ + 2ζω₀ẋ + ω₀²x = ω₀²x_in"
+    signature = "rings at one frequency, phase climbs towards it"
+    quantities: ClassVar[dict[str, Quantity]] = {
+        "frequency_hz": Quantity("Hz", at_least=1.0, at_most=1e5),
+        "damping_ratio": Quantity("", at_least=1e-4, at_most=2.0),
+    }
+    identity: ClassVar[Parameters] = {"frequency_hz": math.inf, "damping_ratio": TYPICAL_DAMPING}
+    frequency_hz: nn.Parameter
+    damping_ratio: nn.Parameter
+    hold: Hold = "first"
+
+    def matrices(self) -> Matrices:
+        """The discrete block."""
+        if math.isinf(self.frequency_hz.item()):
+            rest = self.frequency_hz.new_zeros(2)
+            return rest.new_zeros(2, 2), rest, rest, rest.new_ones(())
+        # The operator's equation reads the two parameters by their names, which are the same here.
+        continuous = Mode.continuous(self)  # type: ignore[arg-type]
+        return discretise(*continuous, self.sample_period_s, self.hold)
+
+    def initial_state(self, batch: int) -> Tensor:
+        return torch.zeros(batch, 2, dtype=torch.float64)
+
+    def forward(
+        self,
+        x: Tensor,  # (batch, time), µm
+        state: Tensor | None = None,  # (batch, 2), µm
+    ) -> tuple[Tensor, Tensor]:
+        return state_space(x, *self.matrices(), self.initial_state(len(x)) if state is None else state)
+
+    def stream(self) -> nn.Module:
+        a, b, c, d = self.matrices()
+        return LinearStream(a.flatten().tolist(), b.tolist(), c.tolist(), d.item())
+
+    @classmethod
+    def starts(cls, seen: Seen) -> list[Parameters]:
+        highest = min(5e3, 0.45 * seen.fs_hz)
+        lowest = min(100.0, highest / 5)
+        if lowest < cls.quantities["frequency_hz"].at_least:
+            return []
+        return cls.starts_at(seen, np.geomspace(lowest, highest, 8).tolist())
+
+    @classmethod
+    def starts_at(cls, seen: Seen, frequencies_hz: list[float]) -> list[Parameters]:
+        """As `starts`, at frequencies of one's own, such as `peaks_hz` of a residual; a grid is too coarse
+        for a mode of little damping."""
+        return [
+            {"frequency_hz": f, "damping_ratio": TYPICAL_DAMPING}
+            for f in frequencies_hz
+            if f < 0.5 * seen.fs_hz
+        ]
+
+
+def peaks_hz(
+    residual: Tensor,  # (time,), µm
+    fs_hz: float,
+    count: int = 4,
+) -> list[float]:
+    """Where the spectrum of a residual stands out most from its surroundings, the most first.
+
+    The surroundings are the median over an octave; peaks are a third of an octave apart at least, above
+    100 Hz or a fiftieth of `fs_hz`, whichever is lower. Fewer than `count` where there are no more.
+    """
+    # Segments short enough to average over several, long enough for a damping ratio below 1 %.
+    segment = min(len(residual), max(len(residual) // 8, 1024), 16384)
+    f, power = scipy.signal.welch(residual.detach().numpy(), fs_hz, nperseg=segment)
+    lowest = min(100.0, fs_hz / 50)
+    centres = np.geomspace(
+        lowest, 0.45 * fs_hz, math.ceil(BINS_PER_OCTAVE * math.log2(0.45 * fs_hz / lowest))
+    )
+    level = np.interp(centres, f, np.log(power + np.finfo(float).tiny))
+    excess = level - scipy.ndimage.median_filter(level, BINS_PER_OCTAVE + 1, mode="nearest")
+    found, _ = scipy.signal.find_peaks(excess, distance=BINS_PER_OCTAVE // 3)
+    best = found[np.argsort(-excess[found])][:count]
+    return centres[best].tolist()  # type: ignore[no-any-return]

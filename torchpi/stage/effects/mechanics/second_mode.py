@@ -1,0 +1,36 @@
+"""A further mode beside the stiff path: y = (1 - s) x + s M(x), M a mode of unit static gain."""
+
+from typing import ClassVar
+
+from torch import nn
+
+from torchpi.operators.linear import Matrices
+from torchpi.operators.quantity import Quantity
+from torchpi.stage.effects.effect import Parameters, Seen
+from torchpi.stage.effects.mechanics.resonance import TYPICAL_DAMPING, Resonance
+
+
+class SecondMode(Resonance):
+    """A mode with a share s of the static gain; the rest goes straight through.
+
+    Modal superposition: Preumont, *Vibration Control of Active Structures*, ch. 2. A negative share is a
+    mode whose shape has another sign at the sensor than at the actuator.
+    """
+
+    name = "second_mode"
+    equation = "y = (1 - s) x + s M(x)"
+    signature = "rings at one frequency, weakly: a resonance next to an antiresonance"
+    quantities: ClassVar[dict[str, Quantity]] = {
+        "share": Quantity("", at_least=-0.9, at_most=0.9),
+        **Resonance.quantities,
+    }
+    identity: ClassVar[Parameters] = {"share": 0.0, "frequency_hz": 1000.0, "damping_ratio": TYPICAL_DAMPING}
+    share: nn.Parameter
+
+    def matrices(self) -> Matrices:
+        a, b, c, d = super().matrices()
+        return a, b, self.share * c, (1 - self.share) + self.share * d
+
+    @classmethod
+    def starts_at(cls, seen: Seen, frequencies_hz: list[float]) -> list[Parameters]:
+        return [{"share": 0.05, **start} for start in super().starts_at(seen, frequencies_hz)]

@@ -1,0 +1,180 @@
+"""Breakaway in the mount: after each reversal the output sticks, until the input is too far from it.
+
+The one-parameter model of Stenman, Gustafsson and Forsman, *A segmentation-based method for detection of
+stiction in control valves*, Int. J. Adaptive Control and Signal Processing 17(7–9), 2003, with the rest that
+only a reversal begins, as in Choudhury, Thornhill and Shah, *Modelling valve stiction*, Control
+Engineering Practice 13(5), 2005: y stays while |x - y| < J, then jumps to x - d sgn(ẋ), and follows at that
+distance to the next reversal. With d = 0 it comes back to x; with d = J it is a play.
+"""
+
+from typing import Any, ClassVar
+
+import numba
+import numpy as np
+import torch
+from torch import Tensor, nn
+from torch.autograd.function import once_differentiable
+
+from torchpi.operators.quantity import Quantity
+from torchpi.operators.selection import NO_SOURCE, gather
+from torchpi.stage.effects.effect import Effect, Parameters, Seen
+
+
+def stick(x: float, breakaway: float, sliding: float, s: list[float]) -> float:
+    """Return y(k), and update `s`: y(k-1), x(k-1), and the direction of motion, -1 or 1, or 0 if stuck."""
+    if s[2] * (x - s[1]) < 0.0:
+        s[2] = 0.0
+    s[1] = x
+    if s[2] == 0.0:
+        if abs(x - s[0]) < breakaway:
+            return s[0]
+        s[2] = 1.0 if x > s[0] else -1.0
+    s[0] = x - sliding * s[2]
+    return s[0]
+
+
+class Stiction(Effect):
+    """A breakaway of J, and friction d while it slides, no larger than J. The state is the displacement behind
+    it, that before it, and the direction.
+
+    The output jumps, and it jumps at a sample: its derivative in `breakaway_um` is zero almost everywhere.
+    Fit it by steps of a size that moves the jumps.
+    """
+
+    name = "stiction"
+    block = "mechanics"
+    equation = "y(k) = y(k-1) after a reversal while |x - y| < J, else x(k) - d sgn(ẋ)"
+    signature = "flat at every reversal, then a jump back"
+    quantities: ClassVar[dict[str, Quantity]] = {
+        "breakaway_um": Quantity("µm", at_least=0.0, at_most=1e4),
+        "sliding_um": Quantity("µm", at_least=0.0, at_most=1e4),
+    }
+    identity: ClassVar[Parameters] = {"breakaway_um": 0.0, "sliding_um": 0.0}
+    jumps = ("breakaway_um",)
+    breakaway_um: nn.Parameter
+    sliding_um: nn.Parameter
+
+    def friction(self) -> Tensor:
+        """d, no larger than J."""
+        return torch.minimum(self.sliding_um, self.breakaway_um)
+
+    def initial_state(self, batch: int) -> Tensor:
+        return torch.zeros(batch, 3, dtype=torch.float64)
+
+    def forward(
+        self,
+        x: Tensor,  # (batch, time), µm
+        state: Tensor | None = None,  # (batch, 3), µm, µm and -1, 0 or 1
+    ) -> tuple[Tensor, Tensor]:
+        before = self.initial_state(len(x)) if state is None else state
+        return _Stick.apply(x, self.breakaway_um, self.friction(), before)  # type: ignore[no-any-return]
+
+    def stream(self) -> nn.Module:
+        return StictionStream(self.breakaway_um.item(), self.friction().item())
+
+    def tangent(self, x: Tensor, dx: Tensor) -> Tensor:
+        x = x.detach().contiguous()
+        _, _, source = _run(x, self.breakaway_um.item(), self.friction().item(), self.initial_state(1))
+        return gather(dx, source[0])
+
+    @classmethod
+    def starts(cls, seen: Seen) -> list[Parameters]:
+        shares = (0.001, 0.002, 0.004, 0.008, 0.02)
+        if seen.span_um == 0:
+            return []
+        return [
+            {"breakaway_um": share * seen.span_um, "sliding_um": part * share * seen.span_um}
+            for share in shares
+            for part in (0.1, 0.5)
+        ]
+
+
+class StictionStream(nn.Module):
+    """The breakaway, one sample at a time."""
+
+    s: list[float]
+
+    def __init__(self, breakaway: float, sliding: float) -> None:
+        super().__init__()
+        self.breakaway = breakaway
+        self.sliding = sliding
+        self.s = [0.0, 0.0, 0.0]
+
+    @torch.jit.export
+    def reset(self) -> None:
+        for i in range(3):
+            self.s[i] = 0.0
+
+    @torch.jit.export
+    def step(self, x: float) -> float:
+        return stick(x, self.breakaway, self.sliding, self.s)
+
+
+def _run(x: Tensor, breakaway: float, sliding: float, state: Tensor) -> tuple[Tensor, Tensor, np.ndarray]:
+    y, after, source = torch.empty_like(x), state.clone(), np.empty(x.shape, np.int64)
+    _forward(x.numpy(), breakaway, sliding, after.numpy(), y.numpy(), source)
+    return y, after, source
+
+
+class _Stick(torch.autograd.Function):
+    @staticmethod
+    def forward(
+        ctx: Any, x: Tensor, breakaway: Tensor, sliding: Tensor, state: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        x, state = x.detach().contiguous(), state.detach().contiguous()
+        y, after, ctx.source = _run(x, breakaway.item(), sliding.item(), state)
+        # Where it slid the output is x - d sgn(ẋ) of the last sliding sample; elsewhere what it began with.
+        ctx.side = _side(x, y, ctx.source, sliding.item())
+        return y, after
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        gy, gstate = gradients[0].contiguous(), gradients[1].contiguous()
+        gx, gbefore = torch.zeros_like(gy), torch.zeros_like(gstate)
+        _backward(gy.numpy(), gstate.numpy(), ctx.source, gx.numpy(), gbefore.numpy())
+        ended = gstate[:, 0] * torch.from_numpy(ctx.side[:, -1])
+        gsliding = -(gy * torch.from_numpy(ctx.side)).sum() - ended.sum()
+        return gx, gy.new_zeros(()), gsliding, gbefore
+
+
+def _side(x: Tensor, y: Tensor, source: np.ndarray, sliding: float) -> np.ndarray:
+    """-1 or 1 for the direction in which the last sliding sample went, 0 before there was one."""
+    if sliding == 0.0:
+        return np.zeros(source.shape)
+    at = np.take_along_axis(x.numpy(), np.maximum(source, 0), 1)
+    return np.where(source >= 0, np.sign(at - y.numpy()), 0.0)
+
+
+_stick: Any = numba.njit(stick)
+
+
+@numba.njit(cache=True)
+def _forward(
+    x: np.ndarray, breakaway: float, sliding: float, state: np.ndarray, y: np.ndarray, source: np.ndarray
+) -> None:
+    for batch in range(x.shape[0]):
+        last = NO_SOURCE
+        for t in range(x.shape[1]):
+            y[batch, t] = _stick(x[batch, t], breakaway, sliding, state[batch])
+            if state[batch, 2] != 0.0:
+                last = t
+            source[batch, t] = last
+
+
+@numba.njit(cache=True)
+def _backward(
+    gy: np.ndarray, gstate: np.ndarray, source: np.ndarray, gx: np.ndarray, gbefore: np.ndarray
+) -> None:
+    for batch in range(gy.shape[0]):
+        end = gy.shape[1] - 1
+        for t in range(end + 1):
+            if source[batch, t] >= 0:
+                gx[batch, source[batch, t]] += gy[batch, t]
+            else:
+                gbefore[batch, 0] += gy[batch, t]
+        if source[batch, end] >= 0:
+            gx[batch, source[batch, end]] += gstate[batch, 0]
+        else:
+            gbefore[batch, 0] += gstate[batch, 0]
+        gx[batch, end] += gstate[batch, 1]

@@ -1,0 +1,166 @@
+"""Readings on a lattice: y = o + q round((x - o) / q) (Widrow and Kollár, *Quantization Noise*, 2008)."""
+
+import math
+from typing import Any, ClassVar
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+from torch.autograd.function import once_differentiable
+
+from torchpi.operators.quantity import Quantity
+from torchpi.stage.effects.effect import Effect, Parameters, Seen
+
+FEWEST_READINGS = 8  # that differ; fewer lie on some lattice by chance
+FARTHEST = 0.2  # of a step, from a reading to its place; by chance, 2 in 5 do not lie farther
+FLOAT32_STEP = 2.0**-23
+
+
+def nearest(x: float, lsb_um: float, offset_um: float) -> float:
+    """o + q · code, the code being the nearest whole number, of either sign; halves round up."""
+    return offset_um + lsb_um * math.floor((x - offset_um) / lsb_um + 0.5)
+
+
+class Quantization(Effect):
+    """A converter of finite resolution and no end of range; `lsb_um` 0 has no steps.
+
+    Straight-through: the gradient in x is 1, as if there were no steps, and that in the two parameters is 0.
+    The step is read off the recorded readings by `lattice`; no descent finds it.
+    """
+
+    name = "quantization"
+    block = "sensor"
+    equation = "y = o + q round((x - o) / q)"
+    signature = "readings on a lattice; an error spread evenly over one step"
+    quantities: ClassVar[dict[str, Quantity]] = {
+        "lsb_um": Quantity("µm", at_least=0, at_most=100),
+        "offset_um": Quantity("µm", at_least=-1e6, at_most=1e6),
+    }
+    identity: ClassVar[Parameters] = {"lsb_um": 0.0, "offset_um": 0.0}
+    lsb_um: nn.Parameter
+    offset_um: nn.Parameter
+
+    def forward(
+        self,
+        x: Tensor,  # (batch, time), µm
+        state: Tensor | None = None,
+    ) -> tuple[Tensor, Tensor]:
+        y = _Nearest.apply(x, self.lsb_um, self.offset_um)
+        return y, self.initial_state(len(x)) if state is None else state
+
+    def stream(self) -> nn.Module:
+        return QuantizationStream(self.lsb_um.item(), self.offset_um.item())
+
+    def tangent(self, x: Tensor, dx: Tensor) -> Tensor:
+        return dx
+
+    @classmethod
+    def starts(cls, seen: Seen) -> list[Parameters]:
+        return []
+
+    @classmethod
+    def lattice(
+        cls,
+        readings: np.ndarray,  # (time,), µm
+    ) -> float | None:
+        """The step, µm, of the lattice that all recorded readings lie on; None where they lie on none.
+
+        The step may be smaller than the noise, and the readings rounded since: to float32, or to decimals of
+        a tenth of a step. None also where fewer than 8 readings differ, and where the lattice is only that of
+        the file: steps of 10^-k with k ≥ 5, or so fine that float32 hardly resolves them.
+        """
+        y = np.unique(np.asarray(readings, dtype=np.float64))
+        finest = 4 * FLOAT32_STEP * np.abs(y).max(initial=0.0)
+        gaps = np.diff(y)
+        gaps = gaps[gaps > 1e-9 * (y[-1] - y[0])] if len(y) else gaps
+        if len(gaps) + 1 < FEWEST_READINGS:
+            return None
+        # Two readings one step apart are likely, but not sure, to be there: the smallest gap may be several.
+        for steps_in_smallest in range(1, 9):
+            step = _refined(gaps, gaps.min() / steps_in_smallest)
+            if step < finest:
+                return None
+            if _misfit(y, step) < FARTHEST:
+                return None if _is_decimal(step) else step
+        return None
+
+    @classmethod
+    def lattice_offset(
+        cls,
+        readings: np.ndarray,  # (time,), µm
+        lsb_um: float,
+    ) -> float:
+        """`offset_um` of readings on a lattice of this step: from 0 to one step."""
+        return _offset(np.asarray(readings, dtype=np.float64), lsb_um)
+
+
+class QuantizationStream(nn.Module):
+    """A converter, one sample at a time."""
+
+    def __init__(self, lsb_um: float, offset_um: float) -> None:
+        super().__init__()
+        self.lsb_um = lsb_um
+        self.offset_um = offset_um
+
+    @torch.jit.export
+    def reset(self) -> None:
+        return
+
+    @torch.jit.export
+    def step(self, x: float) -> float:
+        if self.lsb_um == 0.0:
+            return x
+        return nearest(x, self.lsb_um, self.offset_um)
+
+
+class _Nearest(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, x: Tensor, lsb_um: Tensor, offset_um: Tensor) -> Tensor:
+        ctx.save_for_backward(lsb_um, offset_um)
+        if lsb_um.item() == 0.0:
+            return x.clone()
+        return offset_um + lsb_um * torch.floor((x - offset_um) / lsb_um + 0.5)
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        lsb_um, offset_um = ctx.saved_tensors
+        return gradients[0], torch.zeros_like(lsb_um), torch.zeros_like(offset_um)
+
+
+def _refined(gaps: np.ndarray, step: float) -> float:
+    """The step for which the gaps are whole multiples, from a first guess.
+
+    A wide gap says the step more sharply, but only a guess that is sharp already says how many steps that
+    gap holds: from the narrow gaps to the wide ones.
+    """
+    reach = 1.5 * step
+    while True:
+        near = gaps[gaps <= max(reach, gaps.min())]
+        counts = np.maximum(np.round(near / step), 1)
+        step = float((near * counts).sum() / (counts * counts).sum())
+        if reach >= gaps.max():
+            break
+        reach *= 2
+    # Last, the places themselves: over their whole span the step is sharper than over any gap.
+    codes, places = np.cumsum(np.round(gaps / step)), np.cumsum(gaps)
+    codes, places = codes - codes.mean(), places - places.mean()
+    return float((codes * places).sum() / (codes * codes).sum())
+
+
+def _misfit(y: np.ndarray, step: float) -> float:
+    """The largest distance of a reading from its place, in steps."""
+    from_place = (y - _offset(y, step)) / step
+    return float(np.abs(from_place - np.round(from_place)).max())
+
+
+def _offset(y: np.ndarray, step: float) -> float:
+    """The mean of y modulo the step, on the circle."""
+    turn = np.exp(2j * math.pi * (y / step)).mean()
+    return float(step * (np.angle(turn) / (2 * math.pi) % 1.0))
+
+
+def _is_decimal(step: float) -> bool:
+    """Whether the step is 10^-k with k ≥ 5, which a text format has."""
+    decimals = -math.log10(step)
+    return decimals > 4.5 and abs(decimals - round(decimals)) < 1e-4

@@ -1,0 +1,52 @@
+"""Curvature of the sensor: y = x + a₂x² + a₃x³.
+
+Fleming, *A review of nanometer-resolution position sensors: operation and performance*, Sensors and
+Actuators A 190, 2013: the mapping error of a sensor as a polynomial of its input.
+"""
+
+from typing import ClassVar
+
+from torch import Tensor, nn
+
+from torchpi.operators.polynomial import PolynomialStream, polynomial
+from torchpi.operators.quantity import Quantity
+from torchpi.stage.effects.effect import Effect, Parameters, Seen
+
+
+class SensorNonlinearity(Effect):
+    """A memoryless curvature of the reading; its slope at 0 is 1, for the stage has the gain."""
+
+    name = "sensor_nonlinearity"
+    block = "sensor"
+    equation = "y = x + a₂x² + a₃x³"
+    signature = "second (a₂) and third (a₃) harmonics of the displacement, in phase with it at any rate"
+    quantities: ClassVar[dict[str, Quantity]] = {
+        "a2_per_um": Quantity("1/µm", at_least=-1e3, at_most=1e3),
+        "a3_per_um2": Quantity("1/µm²", at_least=-1e6, at_most=1e6),
+    }
+    identity: ClassVar[Parameters] = {"a2_per_um": 0.0, "a3_per_um2": 0.0}
+    a2_per_um: nn.Parameter
+    a3_per_um2: nn.Parameter
+
+    def forward(
+        self,
+        x: Tensor,  # (batch, time), µm
+        state: Tensor | None = None,
+    ) -> tuple[Tensor, Tensor]:
+        a = [1.0, self.a2_per_um, self.a3_per_um2]
+        y: Tensor = polynomial(x, a)  # type: ignore
+        return y, self.initial_state(len(x)) if state is None else state
+
+    def stream(self) -> nn.Module:
+        return PolynomialStream([1.0, self.a2_per_um.item(), self.a3_per_um2.item()])
+
+    def tangent(self, x: Tensor, dx: Tensor) -> Tensor:
+        return (1 + (2 * self.a2_per_um.detach() + 3 * self.a3_per_um2.detach() * x) * x) * dx
+
+    @classmethod
+    def starts(cls, seen: Seen) -> list[Parameters]:
+        if seen.span_um == 0:
+            return []
+        # One per cent at full range.
+        square, cube = {"a2_per_um": 0.01 / seen.span_um}, {"a3_per_um2": 0.01 / seen.span_um**2}
+        return [square, cube, square | cube]

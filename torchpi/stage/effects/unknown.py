@@ -1,0 +1,141 @@
+"""What no named effect explains: the smallest remainder that the data ask for, without a name.
+
+    y = x + Σ_j a_j ξ_j + Σ_j b_j (ξ_j x) / L,    τ_j ξ̇_j = x - ξ_j
+
+Memory on every time scale from a sample to the length of a record, linear and bilinear: a truncated
+Volterra series on relaxations (Boyd and Chua, *Fading memory and the problem of approximating nonlinear
+operators with Volterra series*, IEEE Trans. Circuits and Systems 32(11), 1985). Linear in a and b, which a
+ridge keeps small.
+"""
+
+from typing import ClassVar
+
+import torch
+from torch import Tensor, nn
+
+from torchpi.operators.quantity import Quantity
+from torchpi.operators.relaxations import relaxations
+from torchpi.stage.effects.effect import Effect, Parameters, Seen
+
+TIMES = 8
+_WEIGHT = Quantity("", at_least=-1e3, at_most=1e3)
+_TIME = Quantity("s", at_least=1e-7, at_most=1e7)
+
+
+class Unknown(Effect):
+    """The unknown remainder: of the stage, and of no block."""
+
+    name = "unknown"
+    block = "sensor"
+    equation = "y = x + Σ a_j ξ_j + Σ b_j ξ_j x / L"
+    signature = "none that is known"
+    quantities: ClassVar[dict[str, Quantity]] = {
+        "length_um": Quantity("µm", at_least=1e-9, at_most=1e9),
+        "shortest_s": _TIME,
+        "longest_s": _TIME,
+        **{f"a{j}": _WEIGHT for j in range(TIMES)},
+        **{f"b{j}": _WEIGHT for j in range(TIMES)},
+    }
+    identity: ClassVar[Parameters] = {
+        "length_um": 1.0,
+        "shortest_s": 1e-3,
+        "longest_s": 10.0,
+        **{f"a{j}": 0.0 for j in range(TIMES)},
+        **{f"b{j}": 0.0 for j in range(TIMES)},
+    }
+    length_um: nn.Parameter
+    shortest_s: nn.Parameter
+    longest_s: nn.Parameter
+
+    def initial_state(self, batch: int) -> Tensor:
+        return torch.zeros(batch, TIMES, dtype=torch.float64)
+
+    def decay(self) -> Tensor:
+        """e^{-T/τ_j}, (times,)."""
+        share = torch.linspace(0, 1, TIMES, dtype=torch.float64)
+        tau = self.shortest_s * (self.longest_s / self.shortest_s) ** share
+        return torch.exp(-self.sample_period_s / tau)
+
+    def weights(self, letter: str) -> Tensor:
+        """a or b, (times,)."""
+        return torch.stack([self.get_parameter(f"{letter}{j}") for j in range(TIMES)])
+
+    def forward(
+        self,
+        x: Tensor,  # (batch, time), µm
+        state: Tensor | None = None,  # (batch, times), µm
+    ) -> tuple[Tensor, Tensor]:
+        before = self.initial_state(len(x)) if state is None else state
+        decay, zero = self.decay(), torch.zeros((), dtype=torch.float64)
+        linear, after = relaxations(x, decay, 1 - decay, self.weights("a"), zero, before)
+        bilinear, _ = relaxations(x, decay, 1 - decay, self.weights("b"), zero, before)
+        return x + linear + bilinear * x / self.length_um, after
+
+    def columns(
+        self,
+        x: Tensor,  # (1, time), µm
+    ) -> Tensor:  # (2 times, time), µm
+        """What a_0 … a_7, b_0 … b_7 add to the output."""
+        decay, zero, columns = self.decay(), torch.zeros((), dtype=torch.float64), []
+        for one in torch.eye(TIMES, dtype=torch.float64):
+            columns.append(relaxations(x, decay, 1 - decay, one, zero, self.initial_state(1))[0][0])
+        states = torch.stack(columns)
+        return torch.cat([states, states * x / self.length_um])
+
+    def tangent(self, x: Tensor, dx: Tensor) -> Tensor:
+        with torch.no_grad():
+            decay, zero = self.decay(), torch.zeros((), dtype=torch.float64)
+            rest = self.initial_state(len(dx))
+            b = self.weights("b")
+            moved = dx + relaxations(dx, decay, 1 - decay, self.weights("a"), zero, rest)[0]
+            state = relaxations(x, decay, 1 - decay, b, zero, self.initial_state(1))[0]
+            along = relaxations(dx, decay, 1 - decay, b, zero, rest)[0]
+            return moved + (along * x + state * dx) / self.length_um
+
+    def stream(self) -> nn.Module:
+        return UnknownStream(
+            self.decay().tolist(), self.weights("a").tolist(), self.weights("b").tolist(),
+            self.length_um.item(),
+        )  # fmt: skip
+
+    @classmethod
+    def starts(cls, seen: Seen) -> list[Parameters]:
+        return []
+
+
+class UnknownStream(nn.Module):
+    """The remainder, one sample at a time."""
+
+    decay: list[float]
+    fresh: list[float]
+    a: list[float]
+    b: list[float]
+    xi: list[float]
+
+    def __init__(self, decay: list[float], a: list[float], b: list[float], length_um: float) -> None:
+        super().__init__()
+        self.decay = decay
+        self.fresh = [1.0 - d for d in decay]
+        self.a = a
+        self.b = b
+        self.length_um = length_um
+        self.xi = [0.0] * len(decay)
+
+    @torch.jit.export
+    def reset(self) -> None:
+        for j in range(len(self.xi)):
+            self.xi[j] = 0.0
+
+    @torch.jit.export
+    def step(self, x: float) -> float:
+        linear = self.a[0] * self.xi[0]
+        bilinear = self.b[0] * self.xi[0]
+        for j in range(1, len(self.xi)):
+            linear = linear + self.a[j] * self.xi[j]
+            bilinear = bilinear + self.b[j] * self.xi[j]
+        # The batch form adds 0 · x last, which is what `observe` does with D = 0.
+        linear = linear + 0.0 * x
+        bilinear = bilinear + 0.0 * x
+        for j in range(len(self.xi)):
+            self.xi[j] = self.decay[j] * self.xi[j] + self.fresh[j] * x
+        return x + linear + bilinear * x / self.length_um
