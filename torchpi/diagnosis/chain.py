@@ -1,0 +1,117 @@
+"""A hypothesis on recordings: its displacement, and how that moves with every number in it."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from torchpi.diagnosis.hypothesis import Hypothesis
+from torchpi.diagnosis.nominal import Nominal
+from torchpi.diagnosis.records import Record
+from torchpi.stage.effects.effect import Effect
+from torchpi.stage.effects.held import hold_first_block
+from torchpi.stage.effects.inside import InsideEffect
+
+REMEMBERED = 12
+"""Sets of rows that are kept: one candidate after another acts behind the same hysteresis."""
+
+
+class Placed(NamedTuple):
+    """An effect of one recording, and the auxiliary signal that it takes."""
+
+    effect: Effect
+    aux: Tensor | None
+
+    def __call__(self, x: Tensor) -> Tensor:
+        # Only an effect that takes a second signal accepts one.
+        y: Tensor = self.effect(x)[0] if self.aux is None else self.effect(x, None, self.aux)[0]
+        return y
+
+
+class Chain:
+    """Evaluates hypotheses on these recordings."""
+
+    def __init__(self, records: Sequence[Record]) -> None:
+        self.records = records
+        self.remembered: dict[tuple[object, ...], np.ndarray] = {}
+
+    def output(self, hypothesis: Hypothesis, weights: np.ndarray, index: int) -> np.ndarray:
+        """(time,), µm, for one recording."""
+        key = self.key(hypothesis, index)
+        if key in self.remembered:
+            x = weights @ self.remembered[key]
+        else:
+            nominal = self.nominal(hypothesis, index)
+            x = nominal.output(self.voltage(hypothesis, index), self.records[index].period_s, weights)
+        y = torch.from_numpy(x)[None]
+        with torch.no_grad():
+            for placed in self.after(hypothesis, index):
+                y = placed(y)
+        return y[0].numpy()  # type: ignore[no-any-return]
+
+    def output_and_directions(
+        self, hypothesis: Hypothesis, weights: np.ndarray, index: int
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """The output, and how it moves with each weight, (weights, time)."""
+        rows = self.rows(hypothesis, index)
+        x, directions = torch.from_numpy(weights @ rows)[None], torch.from_numpy(rows)
+        with torch.no_grad():
+            for placed in self.after(hypothesis, index):
+                directions = placed.effect.tangent(x, directions)
+                x = placed(x)
+        return x[0].numpy(), directions.numpy()
+
+    def rows(self, hypothesis: Hypothesis, index: int) -> np.ndarray:
+        """The states of the hysteresis, (weights, time)."""
+        key = self.key(hypothesis, index)
+        if key not in self.remembered:
+            if len(self.remembered) >= REMEMBERED:
+                self.remembered.pop(next(iter(self.remembered)))
+            nominal = self.nominal(hypothesis, index)
+            v = self.voltage(hypothesis, index)
+            self.remembered[key] = nominal.rows(v, self.records[index].period_s)
+        return self.remembered[key]
+
+    def voltage(self, hypothesis: Hypothesis, index: int) -> np.ndarray:
+        """What drives the hysteresis, (time,), V."""
+        v = torch.from_numpy(self.records[index].commanded(hypothesis.alignment))[None]
+        with torch.no_grad():
+            for placed in self.before(hypothesis, index):
+                v = placed(v)
+        return v[0].numpy()  # type: ignore[no-any-return]
+
+    def key(self, hypothesis: Hypothesis, index: int) -> tuple[object, ...]:
+        """What the states depend on."""
+        nominal = self.nominal(hypothesis, index)
+        before = tuple((p.effect.name, *p.effect.values().items()) for p in self.before(hypothesis, index))
+        shape = tuple(sorted(nominal.shape.items()))
+        return (index, hypothesis.alignment, nominal.structure, shape, before)
+
+    def before(self, hypothesis: Hypothesis, index: int) -> list[Placed]:
+        """What precedes the hysteresis."""
+        return [p for p in self.placed(hypothesis, index) if p.effect.before_hysteresis]
+
+    def after(self, hypothesis: Hypothesis, index: int) -> list[Placed]:
+        """What follows the hysteresis."""
+        return [p for p in self.placed(hypothesis, index) if not p.effect.before_hysteresis]
+
+    def placed(self, hypothesis: Hypothesis, index: int) -> list[Placed]:
+        """Every effect outside the hysteresis, in the order of the chain."""
+        record = self.records[index]
+        found = []
+        for member in hypothesis.members:
+            if issubclass(member.effect, Effect):
+                aux = torch.from_numpy(record.aux[member.aux])[None] if member.aux else None
+                found.append(Placed(member.effect(record.period_s, **member.values(index)), aux))
+        hold_first_block([placed.effect for placed in found], hypothesis.held)
+        return found
+
+    def nominal(self, hypothesis: Hypothesis, index: int) -> Nominal:
+        """The hysteresis with the effects inside it."""
+        nominal = hypothesis.nominal
+        for member in hypothesis.members:
+            if issubclass(member.effect, InsideEffect):
+                nominal = nominal.with_shape(member.values(index))
+        return nominal

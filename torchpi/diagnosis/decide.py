@@ -1,0 +1,185 @@
+"""Decide: which names stand, what else they could be called, and how sure that is."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from torchpi.diagnosis.diagnosis import NamedEffect, Parameter, Rival, Verdict
+from torchpi.diagnosis.evidence import evidence
+from torchpi.diagnosis.fit import fit, value_at
+from torchpi.diagnosis.hypothesis import Fit, Member
+from torchpi.diagnosis.intervals import intervals_90
+from torchpi.diagnosis.search import Round, Search, compressed
+
+STATIC = (
+    "input_nonlinearity", "hysteresis_asymmetry", "incongruent_loops", "sensor_nonlinearity",
+    "hysteresis_operator",
+)  # fmt: skip
+"""Static effects that need each other's forms to be told apart."""
+SAME_ERROR = 1.03
+"""A rival whose held-out error is within this ratio explains as well."""
+SAME_EVIDENCE = 10.0
+"""A rival that loses less log-likelihood than this is not refuted."""
+ALIKE: dict[str, str] = {
+    "amplifier_lag": "sensor_lag",
+    "sensor_lag": "amplifier_lag",
+    "input_nonlinearity": "sensor_nonlinearity",
+    "sensor_nonlinearity": "input_nonlinearity",
+}
+"""Pairs that no voltage and displacement split for certain: they differ by what stands between them."""
+ALIKE_ERROR = 1.5
+DONE = 1.15
+"""Times the floor: a held-out error within this leaves nothing to explain."""
+
+
+@dataclass(frozen=True, eq=False)
+class Decision:
+    """The names, and what they leave."""
+
+    verdict: Verdict
+    effects: tuple[NamedEffect, ...]
+    unexplained_share: float
+
+
+def decide(search: Search, final: Fit, history: Sequence[Round], floor_um: float) -> Decision:
+    """Name what the search found.
+
+    An effect's share is what the held-out squared error rises by when it alone is taken away, over the
+    mismatch of the retuned stage.
+    """
+    before = history[0].before
+    mismatch = max(before.heldout_rms**2 - floor_um**2, 1e-300)
+    left = max(final.heldout_rms**2 - floor_um**2, 0.0)
+    named = []
+    for i in search.added(final):
+        member = final.hypothesis.members[i]
+        less = fit(search.chain, final.hypothesis.minus(i), final.weights)
+        rise = less.heldout_rms**2 - final.heldout_rms**2
+        rivals = rivals_of(search, final, less, member)
+        named.append(
+            NamedEffect(
+                member.effect.name, member.effect.block, alternatives(rivals, member.effect.name),
+                probability(rise, left, rivals), parameters_of(search, final, i),
+                min(1.0, max(0.0, rise / mismatch)), member.effect.equation, member.effect.signature, rivals,
+            )
+        )  # fmt: skip
+    family = final.hypothesis.nominal.family
+    if family != before.hypothesis.nominal.family:
+        named.append(operator(search, final, history, mismatch, left))
+    named.sort(key=lambda effect: -effect.share)
+    unexplained = min(1.0, left / mismatch)
+    return Decision(verdict(named, final, floor_um, unexplained), tuple(named), unexplained)
+
+
+def verdict(
+    named: Sequence[NamedEffect], final: Fit, floor_um: float, unexplained: float
+) -> Verdict:
+    """In one word what the names achieve."""
+    done = final.heldout_rms < DONE * floor_um
+    if not named:
+        return "nothing_missing" if done else "unexplained"
+    return "explained" if done or unexplained < 0.1 else "partly_explained"
+
+
+def rivals_of(search: Search, final: Fit, less: Fit, member: Member) -> tuple[Rival, ...]:
+    """What does the same work in its place, the best first; the effect itself among them."""
+    small = compressed(search.chain, less)
+    records = search.chain.records
+    mine = Rival(
+        member.effect.name, final.train_rms, final.heldout_rms,
+        evidence(records, less.residuals, final.residuals),
+    )  # fmt: skip
+    found = [mine]
+    for name, one in search.effects(small):
+        if name != member.effect.name and not one.bounded:
+            gained = evidence(records, less.residuals, one.residuals)
+            found.append(Rival(name, one.train_rms, one.heldout_rms, gained))
+    return tuple(sorted(found, key=lambda rival: rival.heldout_rms_um))
+
+
+def alternatives(rivals: Sequence[Rival], name: str) -> tuple[str, ...]:
+    """The names that these data cannot tell from this one."""
+    mine = next(rival for rival in rivals if rival.name == name)
+    return tuple(
+        rival.name
+        for rival in rivals
+        if rival.name != name
+        and (
+            (
+                rival.heldout_rms_um < SAME_ERROR * mine.heldout_rms_um
+                and rival.evidence > mine.evidence - SAME_EVIDENCE
+            )
+            or (ALIKE.get(name) == rival.name and rival.heldout_rms_um < ALIKE_ERROR * mine.heldout_rms_um)
+        )
+    )
+
+
+def probability(rise: float, left: float, rivals: Sequence[Rival]) -> float:
+    """That the name is right: what it explains against what nothing explains, against noise, and its rivals.
+
+    Rivals share by e^{ΔL}, so that equal ones halve it.
+    """
+    best = max(rival.evidence for rival in rivals)
+    weights = [math.exp(max(rival.evidence - best, -700.0)) for rival in rivals]
+    mine = weights[0] / sum(weights) if rivals else 1.0
+    known = rise / (rise + left) if rise > 0 else 0.0
+    noise = 1.0 / (1.0 + math.exp(-min(rivals[0].evidence, 50.0)))
+    return round(max(mine, 0.5 if mine > 0.1 else mine) * known * noise, 4)
+
+
+def parameters_of(search: Search, final: Fit, member: int) -> tuple[Parameter, ...]:
+    """Fitted parameters of one effect, with intervals; of a recording's own the name says which."""
+    found = []
+    quantities = final.hypothesis.members[member].effect.quantities
+    names = [record.name for record in search.chain.records]
+    spans = intervals_90(search.chain, final)
+    for slot, span in zip(final.slots, spans, strict=True):
+        if slot.member == member:
+            value = value_at(final.hypothesis, slot)
+            suffix = "" if slot.record is None else f"[{names[slot.record]}]"
+            found.append(Parameter(slot.name + suffix, value, quantities[slot.name].unit, span))
+    return tuple(found)
+
+
+def operator(
+    search: Search, final: Fit, history: Sequence[Round], mismatch: float, left: float
+) -> NamedEffect:
+    """The hysteresis itself, where it is not Prandtl–Ishlinskii."""
+    nominal = final.hypothesis.nominal
+    plain = fit(search.chain, final.hypothesis.on(history[0].before.hypothesis.nominal), None)
+    rise = plain.heldout_rms**2 - final.heldout_rms**2
+    grown = next(r for r in history if any(t.name.endswith(nominal.family) for t in r.tried))
+    rivals = tuple(
+        Rival(t.name.removeprefix("operator: "), t.fit.train_rms, t.fit.heldout_rms, t.evidence)
+        for t in grown.tried
+        if t.name.startswith("operator: ") or t.name in STATIC
+    )
+    # Output functions of plays hold every static form of hysteresis: only a form that failed is excluded.
+    flexible = nominal.family == "preisach"
+    failed = {rival.name for rival in rivals if rival.heldout_rms_um > 1.2 * final.heldout_rms}
+    others = [n for n in ("incongruent_loops", "hysteresis_asymmetry") if flexible and n not in failed]
+    return NamedEffect(
+        "hysteresis_operator", "actuator", tuple(others),
+        round(rise / (rise + left), 4) if rise > 0 else 0.0,
+        (Parameter("family", nominal.family, "", None), *shape_parameters(search, final)), min(1.0, max(0.0, rise / mismatch)),
+        FAMILIES[nominal.family],
+        "static: survives at any rate, and no other static form removes it", rivals,
+    )  # fmt: skip
+
+
+FAMILIES = {
+    "preisach": "y = Σ g_i(h_i): a Preisach operator in play form",
+    "bouc_wen": "dz/dv = 1/σ [1 - |z|ⁿ (1 - β + β sgn(z dv))]: Bouc–Wen",
+    "duhem": "dz = α|dv| (f(v) - z): Duhem",
+}
+
+
+def shape_parameters(search: Search, final: Fit) -> list[Parameter]:
+    """Numbers of the operator's own shape."""
+    units = {"sigma_v": "V", "alpha_per_v": "1/V"}
+    spans = intervals_90(search.chain, final)
+    return [
+        Parameter(slot.name, value_at(final.hypothesis, slot), units.get(slot.name, ""), span)
+        for slot, span in zip(final.slots, spans, strict=True)
+        if slot.member < 0
+    ]

@@ -1,0 +1,132 @@
+"""What a diagnosis says: named fields, no drawing."""
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from torchpi.stage.augmented import AugmentedStage
+
+Verdict = Literal["nothing_missing", "explained", "partly_explained", "unexplained"]
+Domain = Literal[
+    "time", "frequency", "displacement", "rate", "direction", "since_reversal", "amplitude", "recording"
+]
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A physical parameter of a named effect, with its 90 % interval."""
+
+    name: str
+    value: float | str
+    """A number; of a family of hysteresis its name."""
+    unit: str
+    interval_90: tuple[float, float] | None
+
+
+@dataclass(frozen=True)
+class Rival:
+    """What was tried in the place of a named effect."""
+
+    name: str
+    train_rms_um: float
+    heldout_rms_um: float
+    evidence: float
+    """Log-likelihood gained over the hypothesis without it."""
+
+
+@dataclass(frozen=True)
+class NamedEffect:
+    """A piece of physics that the simulation lacks."""
+
+    name: str
+    block: str
+    alternatives: tuple[str, ...]
+    """Names that these data cannot tell from it."""
+    probability: float
+    parameters: tuple[Parameter, ...]
+    share: float
+    """Of the mismatch over the floor, 0–1."""
+    equation: str
+    signature: str
+    rivals: tuple[Rival, ...]
+    """The effect itself among them, the best first."""
+
+
+@dataclass(frozen=True)
+class Where:
+    """Where the mismatch lives: one cell of one domain."""
+
+    domain: Domain
+    range: tuple[float, float]
+    unit: str
+    share: float
+    """Of the squared residual of the nominal stage over the floor."""
+    significance: float
+    """Of this cell's excess, in standard deviations of the residual's own colour."""
+    label: str = ""
+    """In words, where a range says little: a recording's name, a direction."""
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Of one fit, µm."""
+
+    train_rms_um: float
+    heldout_rms_um: float
+    heldout_max_um: float
+
+
+@dataclass(frozen=True)
+class NextRecording:
+    """The recording that would decide what is open."""
+
+    why: str
+    excitation: str
+
+
+@dataclass(frozen=True, eq=False)
+class Trace:
+    """One recording, before and after."""
+
+    name: str
+    fs_hz: float
+    t: np.ndarray
+    u: np.ndarray
+    y: np.ndarray
+    heldout: np.ndarray
+    """(time,), bool."""
+    residual_retuned: np.ndarray
+    """(time,), µm: recorded less the plain stage, refitted."""
+    residual_augmented: np.ndarray
+    """(time,), µm: recorded less the augmented stage."""
+    signatures: dict[str, np.ndarray] = field(default_factory=dict)
+    """For each named effect what it adds to the displacement, (time,), µm."""
+
+
+@dataclass(frozen=True, eq=False)
+class Diagnosis:
+    """Where simulation and recordings differ, why, and by how much."""
+
+    verdict: Verdict
+    effects: tuple[NamedEffect, ...]
+    """Strongest first."""
+    where: tuple[Where, ...]
+    nominal: Errors
+    """The simulation as it was given; without one, a plain stage of ten plays."""
+    retuned: Errors
+    """The same class of stage, refitted and grown inside itself."""
+    augmented: Errors
+    """With the named effects, and the unknown remainder if there is one."""
+    noise_floor_um: float
+    heldout: str
+    """How it was held out."""
+    unexplained_share: float
+    next_recording: NextRecording
+    next_excitation: tuple[np.ndarray, np.ndarray]
+    """Its voltage, ready to play: t (time,), s, and u (time,), V."""
+    says: str
+    notes: tuple[str, ...]
+    """What was set aside: conflicts, conventions, candidates that these recordings are too short for."""
+    traces: tuple[Trace, ...]
+    stage: AugmentedStage

@@ -1,0 +1,219 @@
+"""Gauss–Newton over everything at once: the weights, and the parameters of every effect in the chain."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from torchpi.diagnosis.chain import Chain
+from torchpi.diagnosis.hypothesis import Fit, Hypothesis, Member, Slot
+from torchpi.diagnosis.records import Record
+from torchpi.errors import StageError
+from torchpi.operators.quantity import Quantity
+
+RIDGE = 1e-9
+ITERATIONS = 12
+
+
+def fit(
+    chain: Chain,
+    hypothesis: Hypothesis,
+    weights: np.ndarray | None = None,
+    iterations: int = ITERATIONS,
+) -> Fit:
+    """The hypothesis fitted to the training samples."""
+    slots = slots_of(hypothesis)
+    theta = np.array([to_inner(slot, value_at(hypothesis, slot)) for slot in slots])
+    records = chain.records
+    if weights is None:
+        weights = start_weights(chain, hypothesis)
+    damping = 1e-3
+    for _ in range(iterations):
+        current = with_theta(hypothesis, slots, theta)
+        gram, right, ss = normal_equations(chain, current, weights, slots, theta)
+        n = len(weights)
+        before = ss
+        accepted = False
+        for _ in range(6):
+            step = solve(gram, right, n, damping)
+            trial_theta = np.clip(
+                theta + np.clip(step[n:], -1.5, 1.5),
+                [to_inner(s, s.low) for s in slots],
+                [to_inner(s, s.high) for s in slots],
+            )
+            trial_weights = weights + step[:n]
+            trial_ss = sum_of_squares(chain, with_theta(hypothesis, slots, trial_theta), trial_weights)
+            if trial_ss < ss:
+                accepted = True
+                break
+            damping = max(damping * 10, 1e-3)
+        if not accepted:
+            break
+        theta, weights, damping = trial_theta, trial_weights, damping / 10
+        if trial_ss > before * (1 - 1e-4):
+            break
+    final = with_theta(hypothesis, slots, theta)
+    residuals = tuple(
+        record.y - chain.output(final, weights, i) for i, record in enumerate(records)
+    )
+    return Fit(
+        final, weights, slots, theta, residuals,
+        rms(records, residuals, True), rms(records, residuals, False),
+        tuple(s.name for s, t in zip(slots, theta, strict=True) if at_bound(s, t)),
+    )  # fmt: skip
+
+
+def slots_of(hypothesis: Hypothesis) -> tuple[Slot, ...]:
+    slots = []
+    for name in hypothesis.shape:
+        slots.append(shape_slot(hypothesis, name))
+    for k, member in enumerate(hypothesis.members):
+        quantities = member.effect.quantities
+        for name, value in member.shared.items():
+            slots.append(slot(k, name, None, value, quantities[name], jumps(member, name)))
+        for record, own in enumerate(member.own):
+            for name, value in own.items():
+                slots.append(slot(k, name, record, value, quantities[name], jumps(member, name)))
+    return tuple(slots)
+
+
+SHAPE_BOUNDS = {"sigma_v": (1e-3, 1e3), "beta": (0.0, 3.0), "exponent": (0.5, 6.0), "alpha_per_v": (1e-3, 1e3)}
+
+
+def shape_slot(hypothesis: Hypothesis, name: str) -> Slot:
+    low, high = SHAPE_BOUNDS[name]
+    log = low > 0
+    return Slot(-1, name, None, log, 0.2 if not log else 1.0, low, high)
+
+
+def jumps(member: Member, name: str) -> float:
+    return 0.04 if name in member.effect.jumps else 1e-4
+
+
+def slot(
+    member: int, name: str, record: int | None, value: float, quantity: Quantity, step: float
+) -> Slot:
+    log = quantity.at_least >= 0
+    low, high = quantity.at_least, quantity.at_most
+    if log:
+        low, high = max(low, abs(value) * 1e-4, 1e-300), min(high, abs(value) * 1e4)
+        return Slot(member, name, record, True, 1.0, low, high, step)
+    return Slot(member, name, record, False, abs(value), low, high, step)
+
+
+def to_inner(slot: Slot, value: float) -> float:
+    return math.log(value) if slot.log else value / slot.scale
+
+
+def to_outer(slot: Slot, inner: float) -> float:
+    value = math.exp(inner) if slot.log else inner * slot.scale
+    return min(max(value, slot.low), slot.high)
+
+
+def at_bound(slot: Slot, inner: float) -> bool:
+    value = to_outer(slot, inner)
+    span = 1e-6 * max(abs(slot.low), abs(slot.high)) if math.isfinite(slot.low + slot.high) else 0.0
+    if slot.log:
+        return value <= slot.low * 1.001 or value >= slot.high * 0.999
+    return value <= slot.low + span or value >= slot.high - span
+
+
+def value_at(hypothesis: Hypothesis, slot: Slot) -> float:
+    """The present number of a slot."""
+    if slot.member < 0:
+        return hypothesis.nominal.shape[slot.name]
+    member = hypothesis.members[slot.member]
+    return (member.shared if slot.record is None else member.own[slot.record])[slot.name]
+
+
+def with_theta(hypothesis: Hypothesis, slots: Sequence[Slot], theta: np.ndarray) -> Hypothesis:
+    members = list(hypothesis.members)
+    shape = {}
+    for s, inner in zip(slots, theta, strict=True):
+        value = to_outer(s, float(inner))
+        if s.member < 0:
+            shape[s.name] = value
+            continue
+        m = members[s.member]
+        if s.record is None:
+            members[s.member] = replace(m, shared={**m.shared, s.name: value})
+        else:
+            own = list(m.own)
+            own[s.record] = {**own[s.record], s.name: value}
+            members[s.member] = replace(m, own=tuple(own))
+    nominal = hypothesis.nominal.with_shape(shape) if shape else hypothesis.nominal
+    return replace(hypothesis, nominal=nominal, members=tuple(members))
+
+
+def jacobian(
+    chain: Chain,
+    hypothesis: Hypothesis,
+    weights: np.ndarray,
+    slots: Sequence[Slot],
+    theta: np.ndarray,
+    index: int,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Output of one recording, (time,), and how it moves with each weight and slot, (numbers, time)."""
+    y, directions = chain.output_and_directions(hypothesis, weights, index)
+    extra = np.zeros((len(slots), len(y)))
+    for j, s in enumerate(slots):
+        if s.record is not None and s.record != index:
+            continue
+        h = s.step
+        moved = np.array(theta)
+        moved[j] += h
+        extra[j] = (chain.output(with_theta(hypothesis, slots, moved), weights, index) - y) / h
+    return y, np.concatenate([directions, extra])
+
+
+def normal_equations(
+    chain: Chain, hypothesis: Hypothesis, weights: np.ndarray, slots: Sequence[Slot], theta: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """J Jᵀ, J e and eᵀ e over the fitted samples."""
+    size = len(weights) + len(slots)
+    gram, right, ss = np.zeros((size, size)), np.zeros(size), 0.0
+    for i, record in enumerate(chain.records):
+        y, full = jacobian(chain, hypothesis, weights, slots, theta, i)
+        part = full[:, record.fitted]
+        error = (record.y - y)[record.fitted]
+        gram += part @ part.T
+        right += part @ error
+        ss += float(error @ error)
+    return gram, right, ss
+
+
+def solve(gram: np.ndarray, right: np.ndarray, n: int, damping: float) -> np.ndarray:
+    scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    scaled = gram / scale / scale[:, None]
+    scaled[np.diag_indices_from(scaled)] += RIDGE
+    k = np.arange(n, len(scaled))
+    scaled[k, k] += damping
+    return np.linalg.solve(scaled, right / scale) / scale
+
+
+def sum_of_squares(chain: Chain, hypothesis: Hypothesis, weights: np.ndarray) -> float:
+    """Over the fitted samples; infinite where the chain cannot be."""
+    ss = 0.0
+    try:
+        for i, record in enumerate(chain.records):
+            e = (record.y - chain.output(hypothesis, weights, i))[record.fitted]
+            ss += float(e @ e)
+    except StageError:  # a step into what no stage can be, such as limits out of order
+        return math.inf
+    return ss if math.isfinite(ss) else math.inf
+
+
+def start_weights(chain: Chain, hypothesis: Hypothesis) -> np.ndarray:
+    parts = []
+    for i, record in enumerate(chain.records):
+        rows = chain.rows(hypothesis, i)[:, record.fitted]
+        parts.append((rows @ rows.T, rows @ record.y[record.fitted]))
+    gram, right = (np.sum(part, 0) for part in zip(*parts, strict=True))
+    return solve(gram, right, len(right), 0.0)
+
+
+def rms(records: Sequence[Record], residuals: Sequence[np.ndarray], train: bool) -> float:
+    """Of the training samples, or of those held out; 0 where there are none."""
+    joined = np.concatenate([e[r.train == train] for r, e in zip(records, residuals, strict=True)])
+    return float(np.sqrt(np.mean(joined**2))) if len(joined) else 0.0

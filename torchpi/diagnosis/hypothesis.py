@@ -1,0 +1,89 @@
+"""A hypothesis: a nominal hysteresis in a chain of effects, and what a fit makes of it."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from torchpi.diagnosis.nominal import Nominal
+from torchpi.stage.effects import EFFECTS
+from torchpi.stage.effects.effect import Effect, Parameters
+from torchpi.stage.effects.inside import InsideEffect
+
+
+
+@dataclass(frozen=True)
+class Member:
+    """An effect in a hypothesis, with the parameters that are fitted."""
+
+    effect: type[Effect] | type[InsideEffect]
+    shared: Parameters
+    own: tuple[Parameters, ...] = ()
+    """For each recording the parameters that are its own."""
+    aux: str = ""
+    """The auxiliary signal that it takes."""
+
+    def values(self, record: int) -> Parameters:
+        return {**self.shared, **(self.own[record] if self.own else {})}
+
+
+@dataclass(frozen=True)
+class Slot:
+    """Where one fitted number lives."""
+
+    member: int  # -1: the nominal's own shape
+    name: str
+    record: int | None
+    log: bool
+    scale: float
+    low: float
+    high: float
+    step: float = 1e-4
+    """Of a finite difference."""
+
+
+@dataclass(frozen=True, eq=False)
+class Hypothesis:
+    """Nominal and effects, in the order of the chain."""
+
+    nominal: Nominal
+    members: tuple[Member, ...] = ()
+    alignment: int = 0
+    """Whether y(k) sees the command of tick k (0) or of the tick before (1): a convention, not a delay."""
+    held: bool = False
+    """Whether the displacement of the ceramic is stepped, as the command is: a convention as well."""
+    shape: tuple[str, ...] = ()
+    """Parameters of the nominal's shape that are fitted."""
+
+    def plus(self, member: Member) -> "Hypothesis":
+        """With one more effect, in the order of the chain."""
+        order = {effect: i for i, effect in enumerate(EFFECTS)}
+        members = sorted([*self.members, member], key=lambda m: order[m.effect])
+        return replace(self, members=tuple(members))
+
+    def on(self, nominal: Nominal, shape: tuple[str, ...] = ()) -> "Hypothesis":
+        """The same effects on another hysteresis."""
+        return replace(self, nominal=nominal, shape=shape)
+
+    def minus(self, index: int) -> "Hypothesis":
+        """Without one of its effects."""
+        return replace(self, members=self.members[:index] + self.members[index + 1 :])
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(member.effect.name for member in self.members)
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A fitted hypothesis."""
+
+    hypothesis: Hypothesis
+    weights: np.ndarray
+    slots: tuple[Slot, ...]
+    theta: np.ndarray
+    residuals: tuple[np.ndarray, ...]
+    """(time,) for each record, train and held out, µm."""
+    train_rms: float
+    heldout_rms: float
+    bounded: tuple[str, ...]
+    """Parameters that ended on a bound."""

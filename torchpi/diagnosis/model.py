@@ -1,0 +1,56 @@
+"""From a fit to the augmented stage that simulates it."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+
+from torchpi.diagnosis.hypothesis import Fit, Member
+from torchpi.stage.augmented import AugmentedStage
+from torchpi.stage.effects.effect import Seen
+
+
+def augmented_stage(now: Fit, seen: Seen, noise_um: float) -> AugmentedStage:
+    """The fitted chain at the highest sample rate of the recordings.
+
+    A parameter that each recording has for itself becomes their mean where all agree in sign, and its
+    identity where they do not: nobody can foretell the phase of the mains.
+    """
+    nominal = now.hypothesis.nominal
+    weights = now.weights if nominal.mixing is None else nominal.mixing.T @ now.weights
+    return AugmentedStage(
+        1.0 / seen.fs_hz,
+        {
+            "thresholds_v": nominal.thresholds_v.tolist(),
+            "weights": torch.from_numpy(np.ascontiguousarray(weights)),
+            "degree": nominal.degree,
+            "scale_v": nominal.scale_v,
+            "bouc_wen": nominal.bouc_wen,
+            "duhem": nominal.duhem,
+            "shape": dict(nominal.shape),
+        },
+        [
+            {"name": member.effect.name, "values": foretold(member), "aux": member.aux or None}
+            for member in now.hypothesis.members
+        ],
+        now.hypothesis.alignment,
+        noise_um,
+        seen.low_v,
+        seen.high_v,
+        stepped=now.hypothesis.held,
+    )
+
+
+def foretold(member: Member) -> dict[str, float]:
+    """The parameters for a recording that was not made yet."""
+    values = dict(member.shared)
+    for name in {name for own in member.own for name in own}:
+        each = [own.get(name, member.effect.identity[name]) for own in member.own]
+        values[name] = agreed(each, member.effect.identity[name])
+    return values
+
+
+def agreed(each: Sequence[float], identity: float) -> float:
+    """Their mean if all lie on one side of the identity."""
+    signs = {np.sign(value - identity) for value in each}
+    return float(np.mean(each)) if len(signs) == 1 else identity

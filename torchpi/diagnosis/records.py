@@ -1,0 +1,81 @@
+"""What the search works on: the recordings, cut into what is fitted and what is held out."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from torchpi.recording import Recording
+from torchpi.stage.effects.effect import Seen
+
+HELD_OUT = (0.25, 0.55, 0.85)
+"""Where the held-out tenths of a recording begin."""
+
+
+@dataclass(frozen=True, eq=False)
+class Record:
+    """One recording, and which of its samples are fitted."""
+
+    name: str
+    u: np.ndarray
+    y: np.ndarray
+    fs_hz: float
+    aux: dict[str, np.ndarray]
+    train: np.ndarray
+    """(time,), bool; the rest is held out."""
+    fitted: np.ndarray
+    """Indices of the training samples that a fit sums over: few enough for a search to be quick."""
+
+    def commanded(self, alignment: int) -> np.ndarray:
+        """The command that y(k) answers: that of tick k, or of `alignment` ticks before."""
+        if alignment == 0:
+            return self.u
+        return np.concatenate([np.zeros(alignment), self.u[:-alignment]])
+
+    @property
+    def period_s(self) -> float:
+        return 1.0 / self.fs_hz
+
+
+def prepare(recordings: Sequence[Recording], at_most: int = 40_000) -> list[Record]:
+    """Three contiguous tenths of each recording are held out: the state carries over to them.
+
+    Fits sum over every so many training samples, about `at_most` in all.
+    """
+    stride = max(1, round(0.7 * sum(len(recording.u) for recording in recordings) / at_most))
+    records = []
+    for recording in recordings:
+        train = np.ones(len(recording.u), dtype=bool)
+        for start in HELD_OUT:
+            train[int(start * len(train)) : int((start + 0.1) * len(train))] = False
+        records.append(_record(recording, train, stride))
+    return records
+
+
+def whole(recordings: Sequence[Recording], at_most: int = 40_000) -> list[Record]:
+    """The same with nothing held out: what the model that is left behind is fitted to."""
+    stride = max(1, round(sum(len(recording.u) for recording in recordings) / at_most))
+    return [_record(r, np.ones(len(r.u), dtype=bool), stride) for r in recordings]
+
+
+def _record(recording: Recording, train: np.ndarray, stride: int) -> Record:
+    return Record(
+        recording.name, recording.u.astype(np.float64), recording.y.astype(np.float64), recording.fs_hz,
+        recording.aux, train, np.flatnonzero(train)[::stride],
+    )  # fmt: skip
+
+
+def seen(records: Sequence[Record]) -> Seen:
+    """What these recordings span."""
+    rates = np.concatenate([np.abs(np.diff(record.u)) * record.fs_hz for record in records])
+    names = {name for record in records for name in record.aux}
+    return Seen(
+        fs_hz=max(record.fs_hz for record in records),
+        duration_s=max(len(record.u) / record.fs_hz for record in records),
+        low_v=min(float(record.u.min()) for record in records),
+        high_v=max(float(record.u.max()) for record in records),
+        max_rate_v_s=float(np.quantile(rates, 0.999)),
+        low_um=min(float(record.y.min()) for record in records),
+        high_um=max(float(record.y.max()) for record in records),
+        aux={n: max(float(r.aux[n].std()) for r in records if n in r.aux) for n in sorted(names)},
+    )

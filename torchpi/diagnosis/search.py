@@ -1,0 +1,313 @@
+"""Search: the nominal hysteresis first, then one effect after another, everything refitted each time.
+
+Growth of the hysteresis is a candidate among the others: what a larger hysteresis explains as well as an
+effect does is not evidence of that effect, and the other way round.
+"""
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+
+from torchpi.diagnosis.chain import Chain
+from torchpi.diagnosis.evidence import evidence
+from torchpi.diagnosis.fit import fit
+from torchpi.diagnosis.hypothesis import Fit, Hypothesis, Member
+from torchpi.diagnosis.nominal import Nominal, bouc_wen, duhem, many_plays, preisach
+from torchpi.diagnosis.records import seen
+from torchpi.diagnosis.screen import Candidate, Screen, candidates_of
+from torchpi.stage.effects import EFFECTS
+from torchpi.stage.effects.mechanics.resonance import Resonance, peaks_hz
+from torchpi.stage.effects.mechanics.second_mode import SecondMode
+from torchpi.stage.effects.sensor.hum import Hum
+
+LEAST_GAIN = 0.03
+"""By how much an effect must lower the error, on the samples it was fitted to and on those held out."""
+LEAST_SHARE = 0.2
+"""Of the mismatch over the floor that an effect must explain."""
+LEAST_EVIDENCE = 8.0
+"""Log-likelihood that an effect must gain, beside that of its parameters."""
+PER_PARAMETER = 3.0
+TRIED = 6
+"""How many effects are fitted in a round, the best of the screen."""
+PAIRS = 3
+"""How many of a round's best are fitted with all rows before one is chosen."""
+OUTWEIGHS = 2.0
+"""How many times what nothing explains an effect must explain to be named."""
+HOPELESS = 3.0
+"""A family of hysteresis that fits this many times worse than another is not tried again."""
+KEPT = 40
+"""Rows of a large hysteresis that a search keeps, beside the fitted one."""
+
+
+@dataclass(frozen=True, eq=False)
+class Tried:
+    """A hypothesis that was fitted in a round."""
+
+    name: str
+    fit: Fit
+    evidence: float
+    """Log-likelihood gained over the hypothesis before."""
+
+
+@dataclass(frozen=True, eq=False)
+class Round:
+    """What was tried on top of one hypothesis, the best first; `accepted` says whether that was taken."""
+
+    before: Fit
+    tried: tuple[Tried, ...]
+    accepted: bool
+
+
+class Search:
+    """A search on given records."""
+
+    def __init__(
+        self,
+        chain: Chain,
+        say: Callable[[str], None],
+        given: Sequence[Member] = (),
+        floor_um: float | None = None,
+        executor: Executor | None = None,
+    ) -> None:
+        self.chain, self.say, self.start, self.floor = chain, say, tuple(given), floor_um
+        self.executor = executor
+        self.left_out: list[tuple[str, str]] = []
+        self.given = {member.effect.name for member in given}
+        self.seen = seen(chain.records)
+        self.hopeless: set[str] = set()
+        self.starts = [
+            member
+            for effect in EFFECTS
+            for member in candidates_of(effect, chain.records, effect.starts(self.seen), list(self.seen.aux))
+        ]
+
+    def run(self, rounds: int = 5) -> tuple[Fit, list[Round]]:
+        """Forward, with a backward check after each step."""
+        now = min(
+            (fit(self.chain, Hypothesis(many_plays(self.seen), self.start, a)) for a in (0, 1)),
+            key=lambda f: f.train_rms,
+        )
+        self.say(f"PI, {describe(now)}, floor {1e3 * (self.floor or 0):.3f}")
+        history = []
+        for _ in range(rounds):
+            small = compressed(self.chain, now)
+            tried = self.round(small)
+            for one in tried[:5]:
+                self.say(f"    {one.name:26s} {describe(one.fit)} ΔL {one.evidence:.0f} {one.fit.bounded}")
+            tried = [one for one in tried if self.takes(one, small)] or tried[:1]
+            accepted = bool(tried) and self.takes(tried[0], small)
+            history.append(Round(now, tuple(tried), accepted))
+            if not accepted:
+                break
+            chosen = self.chosen(tried)
+            now = self.backward(self.realigned(self.sized(chosen.fit)))
+            self.say(f"  + {chosen.name}: {now.hypothesis.names} {describe(now)}")
+        return self.sifted(now), history
+
+    def sifted(self, now: Fit) -> Fit:
+        """Without the effects that explain little beside what nothing explains."""
+        while self.added(now):
+            unexplained = max(now.heldout_rms**2 - self.floor_um(now) ** 2, 0.0)
+            worth = []
+            for i in self.added(now):
+                less = fit(self.chain, now.hypothesis.minus(i), now.weights)
+                worth.append((less.heldout_rms**2 - now.heldout_rms**2, i, less))
+            least, i, less = min(worth, key=lambda w: w[0])
+            if least > OUTWEIGHS * unexplained:
+                break
+            self.say(f"  - {now.hypothesis.names[i]}: explains too little beside what nothing explains")
+            now = less
+        return now
+
+    def added(self, now: Fit) -> list[int]:
+        """The effects that the simulation did not have."""
+        return [i for i, name in enumerate(now.hypothesis.names) if name not in self.given]
+
+    def floor_um(self, now: Fit) -> float:
+        """The noise floor, at most what the fit has reached."""
+        return min(now.heldout_rms, now.train_rms, self.floor if self.floor else np.inf)
+
+    def round(self, now: Fit) -> list[Tried]:
+        """Every promising effect, and growth of the hysteresis, fitted on top of this."""
+        fits = self.effects(now) + self.growth(now)
+        tried = [
+            Tried(name, one, evidence(self.chain.records, now.residuals, one.residuals))
+            for name, one in fits
+            if not one.bounded
+        ]
+        return sorted(tried, key=lambda t: t.fit.heldout_rms * t.fit.train_rms)
+
+    def effects(self, now: Fit) -> list[tuple[str, Fit]]:
+        """The most promising effects, each fitted from its best starts."""
+        present = set(now.hypothesis.names)
+        starts = [m for m in [*self.starts, *self.from_residual(now)] if m.effect.name not in present]
+        screens = {False: Screen(self.chain, now)}
+        if not any(member.effect.hold for member in now.hypothesis.members):
+            stepped = replace(now, hypothesis=replace(now.hypothesis, held=True))
+            screens = {False: screens[False], True: Screen(self.chain, stepped)}
+        found = [
+            screen.candidate(member)
+            for held, screen in screens.items()
+            for member in starts
+            if not held or member.effect.hold
+        ]
+        best: dict[str, list[Candidate]] = {}
+        for candidate in sorted(found, key=lambda c: -c.gain):
+            if candidate.gain > LEAST_GAIN / 2:
+                best.setdefault(candidate.member.effect.name, []).append(candidate)
+        fits = []
+        for name in list(best)[:TRIED]:
+            options = [
+                fit(self.chain, replace(now.hypothesis.plus(c.member), held=c.held), now.weights)
+                for c in best[name][:2]
+            ]
+            fits.append((name, min(options, key=lambda f: f.train_rms)))
+        return fits
+
+    def from_residual(self, now: Fit) -> list[Member]:
+        """Starts at the frequencies where the residual stands out."""
+        records, found = self.chain.records, []
+        loudest = max(range(len(records)), key=lambda i: float(np.mean(now.residuals[i] ** 2)))
+        peaks: list[float] = []
+        for i in {loudest, 0}:
+            peaks += peaks_hz(torch.from_numpy(now.residuals[i]), records[i].fs_hz)
+        for effect in (Resonance, SecondMode):
+            found += candidates_of(effect, records, effect.starts_at(self.seen, peaks), [])
+        lines = {round(line_hz(now, records, f), 3) for f in (50.0, 60.0, 100.0, 120.0, 150.0, 180.0)}
+        size = 1e-3 * self.seen.span_um
+        found += candidates_of(
+            Hum, records, [{"frequency_hz": f, "cos_um": size, "sin_um": size} for f in sorted(lines)], []
+        )
+        return found
+
+    def growth(self, now: Fit) -> list[tuple[str, Fit]]:
+        """A larger hysteresis in the place of the present one."""
+        if now.hypothesis.nominal.family != "prandtl_ishlinskii":
+            return []
+        h, found = now.hypothesis, []
+        larger: list[tuple[str, Nominal, tuple[str, ...], int]] = [
+            ("preisach", preisach(self.seen, 5), (), 4)
+        ]
+        larger.append(("bouc_wen", bouc_wen(self.seen, 0.1), ("sigma_v", "beta", "exponent"), 15))
+        larger.append(("duhem", duhem(self.seen, 5.0), ("alpha_per_v",), 10))
+        for family, nominal, shape, iterations in larger:
+            if family not in self.hopeless:
+                one = fit(self.chain, h.on(nominal, shape), None, iterations)
+                found.append((f"operator: {family}", one))
+        for family in {family for family, *_ in larger} - self.hopeless:
+            if min(f.train_rms for n, f in found if n.endswith(family)) > HOPELESS * now.train_rms:
+                self.hopeless.add(family)
+        return found
+
+    def chosen(self, tried: list[Tried]) -> Tried:
+        """The best with all rows of its hysteresis; an effect of few numbers before a larger hysteresis."""
+        polished = [replace(one, fit=self.polished(one.fit)) for one in tried[:PAIRS]]
+        best = min(polished, key=lambda t: t.fit.heldout_rms)
+        if not best.name.startswith("operator"):
+            return best
+        effects = [t for t in tried if not t.name.startswith("operator")][:PAIRS]
+        named = [replace(one, fit=self.polished(one.fit)) for one in effects]
+        named.sort(key=lambda t: t.fit.heldout_rms)
+        return named[0] if named and named[0].fit.heldout_rms < 1.05 * best.fit.heldout_rms else best
+
+    def sized(self, now: Fit) -> Fit:
+        """A Preisach operator with as many numbers as the held-out samples carry."""
+        if now.hypothesis.nominal.family != "preisach":
+            return now
+        degrees = [d for d in (3, 5, 7) if d != now.hypothesis.nominal.degree]
+        others = [fit(self.chain, now.hypothesis.on(preisach(self.seen, d)), None, 3) for d in degrees]
+        return min([now, *others], key=lambda f: f.heldout_rms)
+
+    def takes(self, one: Tried, now: Fit) -> bool:
+        """Whether an effect earns its place."""
+        slots = len(one.fit.slots) - len(now.slots)
+        floor = self.floor or 0.0
+        mismatch = now.heldout_rms**2 - floor**2
+        return (
+            improves(one.fit, now)
+            and one.evidence > LEAST_EVIDENCE + PER_PARAMETER * slots
+            and now.heldout_rms**2 - one.fit.heldout_rms**2 > LEAST_SHARE * mismatch
+        )
+
+    def polished(self, now: Fit) -> Fit:
+        """With all rows of the hysteresis again."""
+        nominal = now.hypothesis.nominal
+        if nominal.mixing is None:
+            return now
+        full = now.hypothesis.on(replace(nominal, mixing=None), now.hypothesis.shape)
+        return fit(self.chain, full, nominal.mixing.T @ now.weights, 5)
+
+    def realigned(self, now: Fit) -> Fit:
+        """Under the conventions of timing that fit best: they are no physics."""
+        best = now
+        for alignment in (0, 1):
+            for held in (False, True):
+                h = replace(now.hypothesis, alignment=alignment, held=held)
+                if h != now.hypothesis:
+                    one = fit(self.chain, h, now.weights, 6)
+                    best = one if one.train_rms < best.train_rms and not one.bounded else best
+        return best
+
+    def backward(self, now: Fit) -> Fit:
+        """Without the effects that the others have made needless."""
+        while len(self.added(now)) > 1:
+            for i in self.added(now):
+                name = now.hypothesis.names[i]
+                less = fit(self.chain, now.hypothesis.minus(i), now.weights)
+                gained = evidence(self.chain.records, less.residuals, now.residuals)
+                if not self.takes(Tried(name, now, gained), less):
+                    self.say(f"  - {name}")
+                    now = less
+                    break
+            else:
+                return now
+        return now
+
+
+def improves(better: Fit, worse: Fit) -> bool:
+    """By more than the least gain, where it was fitted and where not."""
+    return (
+        better.heldout_rms < (1 - LEAST_GAIN) * worse.heldout_rms
+        and better.train_rms < (1 - LEAST_GAIN) * worse.train_rms
+    )
+
+
+def compressed(chain: Chain, grown: Fit) -> Fit:
+    """The same fit with its rows mixed down: the fitted combination first, then the principal ones."""
+    if len(grown.weights) <= KEPT + 1:
+        return grown
+    gram = sum(
+        rows @ rows.T
+        for rows in (
+            chain.rows(grown.hypothesis, i)[:, record.fitted] for i, record in enumerate(chain.records)
+        )
+    )
+    size = np.diag(gram)
+    scale = np.where(size > 0, 1 / np.sqrt(np.maximum(size, 1e-300)), 0.0)
+    values, vectors = np.linalg.eigh(gram * scale * scale[:, None])
+    kept = np.argsort(values)[::-1][:KEPT]
+    mixing = np.concatenate([grown.weights[None], (vectors[:, kept] * scale[:, None]).T])
+    weights = np.zeros(len(mixing))
+    weights[0] = 1.0
+    nominal = replace(grown.hypothesis.nominal, mixing=mixing)
+    return replace(grown, hypothesis=replace(grown.hypothesis, nominal=nominal), weights=weights)
+
+
+def line_hz(now: Fit, records: Sequence, near_hz: float) -> float:
+    """The strongest line of the residual within 1 % of a mains frequency."""
+    best, where = -1.0, near_hz
+    for record, e in zip(records, now.residuals, strict=True):
+        size = 1 << (4 * len(e)).bit_length()
+        f = np.fft.rfftfreq(size, record.period_s)
+        power = np.abs(np.fft.rfft(e * np.hanning(len(e)), size)) ** 2 / len(e)
+        inside = (f > 0.99 * near_hz) & (f < 1.01 * near_hz)
+        if inside.any() and power[inside].max() > best:
+            best, where = float(power[inside].max()), float(f[inside][power[inside].argmax()])
+    return where
+
+
+def describe(one: Fit) -> str:
+    return f"{one.train_rms * 1e3:.3f} nm, held out {one.heldout_rms * 1e3:.3f} nm"
