@@ -174,6 +174,14 @@ class TestMultisine:
         np.testing.assert_array_equal(u[2_000:], multisine(2.0, ramp_in_s=0, periods=2)[1])
         assert np.abs(np.diff(u, 2)).max() < 1.1 * np.abs(np.diff(u[2_000:], 2)).max()
 
+    def test_above_its_corner_all_lines_move_the_stage_at_one_rate(self):
+        _, u = multisine(2.0, 2_000.0, periods=1, corner_hz=20, ramp_in_s=0)
+        frequency, lines = self.spectrum(u, 2_000.0, 1)
+        present = lines[1:] > 1e-9
+        frequency, lines = frequency[1:][present], lines[1:][present]
+        np.testing.assert_allclose(lines[frequency <= 20], lines[0])
+        np.testing.assert_allclose((lines * frequency)[frequency >= 20], 20 * lines[0])
+
     def test_an_empty_band_is_a_clear_error(self):
         with pytest.raises(ConfigError, match="no line"):
             multisine(0.1, low_hz=3, high_hz=5)

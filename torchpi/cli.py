@@ -18,6 +18,10 @@ DESCRIPTION = """Makes piezo stages go where they are told.
   3. torchpi export            makes a file of it for a controller
   4. torchpi run               tries that file in a control loop against the simulated stage
 
+  torchpi diagnose             says what physics the simulation lacks, and models it
+  torchpi predict              simulates what a diagnosis left behind
+  torchpi excite               writes the recordings' voltages that a diagnosis wants
+
   torchpi reproduce            runs the whole paper (Qin et al. 2013), and shows what torchpi does better
 """
 DEFAULT_STAGE = Path("configs/stage/default.yaml")
@@ -213,6 +217,39 @@ def run(
     print(f"{page}: the page with all figures\n{numbers}: the same numbers")
 
 
+def diagnose(
+    recordings: list[Path],
+    output: Path = Path("diagnosis"),
+    simulation: Path | None = None,
+    columns: dict[str, str] | None = None,
+    fs_hz: float | None = None,
+    resample: bool = False,
+    executor: str = "processes",
+) -> None:
+    """Say where recordings and a simulation differ, what physics was left out, and show the fit improve.
+
+    Leaves report.html (one page, to send to a colleague), diagnosis.json, stage.pt (the augmented stage, for
+    `torchpi predict` and for training through it), next_excitation.csv (the recording that would decide what
+    is open) and the figures.
+
+    Example: torchpi diagnose recordings/a.csv recordings/b.csv --output diagnosis
+
+    Args:
+        recordings: Recordings of one stage: time_s,input_v,output_um[,aux_…], first sample de-energised.
+        output: Folder for the results.
+        simulation: Stage file (YAML) to compare with. Without it a plain stage: symmetric, rate-independent
+            Prandtl–Ishlinskii hysteresis, everything else ideal.
+        columns: Names, or numbers from 1, of other columns: {time: t, input: u, output: y}.
+        fs_hz: Sample rate, where the files have no time.
+        resample: Interpolate recordings that are not sampled uniformly.
+        executor: Where independent fits run: processes, or here.
+    """
+    from torchpi.diagnosis.files import diagnose_files
+
+    command = shlex.join(["torchpi", *sys.argv[1:]])
+    diagnose_files(recordings, output, simulation, columns or {}, fs_hz, resample, executor, command)
+
+
 def predict(stage: Path, recording: Path, output: Path = Path("prediction.csv")) -> None:
     """Predict what a stage does with a voltage: time_s,input_v[,aux_…] in, the same with output_um out.
 
@@ -257,4 +294,4 @@ def reproduce(
     print(f"{page}: the page\n{output / 'results.json'}: the same numbers")
 
 
-COMMANDS: list[Callable[..., None]] = [simulate, excite, export, run, predict, reproduce]
+COMMANDS: list[Callable[..., None]] = [simulate, excite, export, run, diagnose, predict, reproduce]

@@ -6,7 +6,7 @@ import inspect
 import re
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any, NoReturn
+from typing import Any, NoReturn, get_args, get_origin
 
 import jsonargparse
 
@@ -38,6 +38,23 @@ class _Formatter(argparse.RawDescriptionHelpFormatter, jsonargparse.DefaultHelpF
 
 class Parser(jsonargparse.ArgumentParser):
     """A parser whose errors are one line that names the nearest right option."""
+
+    def add_argument(self, *args: Any, **kwargs: Any) -> Any:
+        """As argparse has it, but for two things.
+
+        `for_`, the parameter named by a word of Python's own, becomes `--for`; and a positional list takes
+        one word after another, as a shell's wildcard gives them.
+        """
+        action = super().add_argument(*args, **kwargs)
+        kind = getattr(action, "_typehint", None)
+        if not action.option_strings and get_origin(kind) is list:
+            action.nargs, action._typehint = "+", get_args(kind)[0]
+        for option in [option for option in action.option_strings if option.endswith("_")]:
+            action.option_strings.remove(option)
+            action.option_strings.append(option.removesuffix("_"))
+            self._option_string_actions[option.removesuffix("_")] = self._option_string_actions.pop(option)
+            action.metavar = action.dest.removesuffix("_").upper()
+        return action
 
     def error(self, message: str, ex: Exception | None = None) -> NoReturn:
         cause: BaseException | None = ex
@@ -71,7 +88,7 @@ def option_names(parser: jsonargparse.ArgumentParser) -> Iterator[str]:
         for name, subparser in choices.items():
             yield name
             yield from option_names(subparser)
-        yield action.dest
+        yield action.dest.removesuffix("_")
 
 
 def one_line(message: str, known: list[str]) -> str:

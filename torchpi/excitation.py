@@ -52,6 +52,7 @@ def multisine(
     rms_v: float | None = None,
     seed: int = 0,
     ramp_in_s: float = 0.1,
+    corner_hz: float | None = None,
 ) -> Samples:
     """Random-phase multisine with a flat spectrum: all of a band and many reversals in one record.
 
@@ -72,6 +73,7 @@ def multisine(
         rms_v: rms about the middle of the range, instead of filling the range.
         seed: of the phases and of the lines left out.
         ramp_in_s: eased approach before the first period, which it leaves complete.
+        corner_hz: lines above it fall as 1/f, so that all of them move the stage at one rate.
 
     Raises:
         ConfigError: no line in the band, or an rms that leaves the range.
@@ -86,7 +88,7 @@ def multisine(
     if detection_lines:
         left_out = [group[random.integers(len(group))] for group in _groups(lines, 4) if len(group) == 4]
         lines = np.setdiff1d(lines, left_out)
-    period = _random_phases(lines, samples, random)
+    period = _random_phases(lines, samples, random, _falling(lines, fs_hz / samples, corner_hz))
     if rms_v is None:
         period = _between(period, low_v, high_v)
     else:
@@ -126,6 +128,23 @@ def triangles(
         minor_loops: how many at each bias.
     """
     _check_range(low_v, high_v)
+    levels, seconds = triangle_corners(amplitudes, rates, minor_biases, minor_amplitude, minor_loops)
+    t = _times(duration_s, fs_hz)
+    return t, low_v + (high_v - low_v) * np.interp(t / duration_s * seconds[-1], seconds, levels)
+
+
+def triangle_corners(
+    amplitudes: Sequence[float],
+    rates: Sequence[float],
+    minor_biases: Sequence[float],
+    minor_amplitude: float,
+    minor_loops: int,
+) -> tuple[list[float], list[float]]:
+    """Where `triangles` turn, as fractions of the range, and when, in s if the rates are ranges per second.
+
+    Raises:
+        ConfigError: levels outside the range, or none.
+    """
     levels, seconds = [0.0], [0.0]
 
     def go(level: float, rate: float) -> None:
@@ -147,8 +166,7 @@ def triangles(
             "wanted 0 to 1 and a "
             f"movement; change amplitudes, minor_biases or minor_amplitude"
         )
-    t = _times(duration_s, fs_hz)
-    return t, low_v + (high_v - low_v) * np.interp(t / duration_s * seconds[-1], seconds, levels)
+    return levels, seconds
 
 
 def stairs(
@@ -182,7 +200,7 @@ def stairs(
     levels = np.concatenate(([0.0], up, up[-2::-1], [0.0]))
     at = np.minimum((t / rest + 1e-9).astype(int), 2 * steps)
     before = levels[np.maximum(at - 1, 0)]
-    risen = _ease((t - at * rest) / rise_s) if rise_s > 0 else np.ones_like(t)
+    risen = ease((t - at * rest) / rise_s) if rise_s > 0 else np.ones_like(t)
     return t, low_v + (high_v - low_v) * (before + (levels[at] - before) * risen)
 
 
@@ -230,7 +248,13 @@ def random_trajectory(
     t = _times(duration_s, fs_hz)
     lines = _lines(len(t), fs_hz, low_hz, high_hz, odd=False, mains_hz=())
     y = _between(_random_phases(lines, len(t), np.random.default_rng(seed)), low_um, high_um)
-    return t, low_um + (y - low_um) * _ease(t / ease_s if ease_s > 0 else np.ones_like(t))
+    return t, low_um + (y - low_um) * ease(t / ease_s if ease_s > 0 else np.ones_like(t))
+
+
+def ease(s: np.ndarray) -> np.ndarray:
+    """0 to 1 over s = 0…1, with no jump in position, rate (at most 15/8) or acceleration."""
+    s = np.clip(s, 0, 1)
+    return np.asarray(s**3 * (10 - 15 * s + 6 * s**2))
 
 
 EXCITATIONS: dict[str, Callable[..., Samples]] = {
@@ -344,9 +368,18 @@ def _groups(lines: np.ndarray, size: int) -> list[np.ndarray]:
     return [lines[k : k + size] for k in range(0, len(lines), size)]
 
 
-def _random_phases(lines: np.ndarray, samples: int, random: np.random.Generator) -> np.ndarray:
+def _falling(lines: np.ndarray, spacing_hz: float, corner_hz: float | None) -> np.ndarray:
+    """Relative amplitudes: 1 up to the corner, 1/f beyond."""
+    if corner_hz is None:
+        return np.ones(len(lines))
+    return np.asarray(np.minimum(1, corner_hz / (lines * spacing_hz)))
+
+
+def _random_phases(
+    lines: np.ndarray, samples: int, random: np.random.Generator, amplitudes: np.ndarray | float = 1.0
+) -> np.ndarray:
     spectrum = np.zeros(samples // 2 + 1, dtype=complex)
-    spectrum[lines] = np.exp(2j * np.pi * random.random(len(lines)))
+    spectrum[lines] = amplitudes * np.exp(2j * np.pi * random.random(len(lines)))
     return np.asarray(np.fft.irfft(spectrum, n=samples))
 
 
@@ -355,15 +388,9 @@ def _ramped_in(x: np.ndarray, period: np.ndarray, fs_hz: float, ramp_in_s: float
     if not (np.isfinite(ramp_in_s) and ramp_in_s >= 0):
         raise ConfigError(f"ramp_in_s is {ramp_in_s:g}, wanted 0 or more")
     ramp = round(ramp_in_s * fs_hz)
-    before = period[np.arange(-ramp, 0) % len(period)] * _ease(np.arange(ramp) / max(1, ramp))
+    before = period[np.arange(-ramp, 0) % len(period)] * ease(np.arange(ramp) / max(1, ramp))
     x = np.concatenate((before, x))
     return np.arange(len(x)) / fs_hz, x
-
-
-def _ease(s: np.ndarray) -> np.ndarray:
-    """0 to 1 over s = 0…1, with no jump in position, rate or acceleration."""
-    s = np.clip(s, 0, 1)
-    return np.asarray(s**3 * (10 - 15 * s + 6 * s**2))
 
 
 def _check_range(low: float, high: float) -> None:

@@ -2,13 +2,14 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from torchpi.diagnosis.diagnosis import NamedEffect, Parameter, Rival, Verdict
 from torchpi.diagnosis.evidence import evidence
 from torchpi.diagnosis.fit import fit, value_at
 from torchpi.diagnosis.hypothesis import Fit, Member
 from torchpi.diagnosis.intervals import intervals_90
+from torchpi.diagnosis.model import foretold
 from torchpi.diagnosis.search import Round, Search, compressed
 
 STATIC = (
@@ -71,9 +72,7 @@ def decide(search: Search, final: Fit, history: Sequence[Round], floor_um: float
     return Decision(verdict(named, final, floor_um, unexplained), tuple(named), unexplained)
 
 
-def verdict(
-    named: Sequence[NamedEffect], final: Fit, floor_um: float, unexplained: float
-) -> Verdict:
+def verdict(named: Sequence[NamedEffect], final: Fit, floor_um: float, unexplained: float) -> Verdict:
     """In one word what the names achieve."""
     done = final.heldout_rms < DONE * floor_um
     if not named:
@@ -127,18 +126,37 @@ def probability(rise: float, left: float, rivals: Sequence[Rival]) -> float:
     return round(max(mine, 0.5 if mine > 0.1 else mine) * known * noise, 4)
 
 
-def parameters_of(search: Search, final: Fit, member: int) -> tuple[Parameter, ...]:
-    """Fitted parameters of one effect, with intervals; of a recording's own the name says which."""
-    found = []
-    quantities = final.hypothesis.members[member].effect.quantities
+def parameters_of(search: Search, final: Fit, index: int) -> tuple[Parameter, ...]:
+    """Fitted parameters of one effect, with intervals.
+
+    A parameter that each recording has for itself is given for each, `name[recording]`; under its bare name
+    stands what the augmented stage takes.
+    """
+    found, own = [], []
+    member = final.hypothesis.members[index]
     names = [record.name for record in search.chain.records]
-    spans = intervals_90(search.chain, final)
-    for slot, span in zip(final.slots, spans, strict=True):
-        if slot.member == member:
-            value = value_at(final.hypothesis, slot)
-            suffix = "" if slot.record is None else f"[{names[slot.record]}]"
-            found.append(Parameter(slot.name + suffix, value, quantities[slot.name].unit, span))
-    return tuple(found)
+    for slot, span in zip(final.slots, intervals_90(search.chain, final), strict=True):
+        if slot.member == index:
+            one = Parameter(
+                slot.name, value_at(final.hypothesis, slot), member.effect.quantities[slot.name].unit, span
+            )
+            (found if slot.record is None else own).append((slot.record, one))
+    shared = [one for _, one in found]
+    for name in dict.fromkeys(one.name for _, one in own):
+        each = [one for _, one in own if one.name == name]
+        alone = len(each) == 1
+        shared.append(each[0] if alone else together(each, foretold(member)[name]))
+    if len(own) > 1:
+        shared += [replace(one, name=f"{one.name}[{names[r or 0]}]") for r, one in own]
+    return tuple(shared)
+
+
+def together(each: Sequence[Parameter], value: float) -> Parameter:
+    """The number for a recording that was not made yet; as wide as its kind scatters."""
+    spans = [one.interval_90 for one in each if one.interval_90]
+    return Parameter(
+        each[0].name, value, each[0].unit, (min(low for low, _ in spans), max(high for _, high in spans))
+    )
 
 
 def operator(

@@ -11,7 +11,7 @@ from torchpi.diagnosis.conflict import conflict
 from torchpi.diagnosis.decide import Decision, decide
 from torchpi.diagnosis.diagnosis import Diagnosis, Errors, NamedEffect, Parameter, Trace
 from torchpi.diagnosis.fit import fit, rms
-from torchpi.diagnosis.hypothesis import Fit, Hypothesis, Member
+from torchpi.diagnosis.hypothesis import Fit, Hypothesis
 from torchpi.diagnosis.locate import locate
 from torchpi.diagnosis.model import augmented_stage
 from torchpi.diagnosis.next_recording import next_recording
@@ -32,7 +32,9 @@ COARSE = 0.5
 UNCERTAIN = 0.9
 """An effect less probable than this is worth another recording."""
 LEAST_SAMPLES = 100
-HELD_OUT = "three contiguous tenths of each recording, from 25, 55 and 85 % of its length; the state carries over"
+HELD_OUT = (
+    "three contiguous tenths of each recording, from 25, 55 and 85 % of its length; the state carries over"
+)
 
 
 def diagnose(
@@ -123,7 +125,9 @@ def check(recordings: Sequence[Recording], simulation: Stage | None) -> None:
         for signal, values in {"input": recording.u, "output": recording.y, **recording.aux}.items():
             if not np.isfinite(values).all():
                 row = int(np.flatnonzero(~np.isfinite(values))[0])
-                raise RecordingError(f"{name}: {signal} is {values[row]} at sample {row}, want finite numbers")
+                raise RecordingError(
+                    f"{name}: {signal} is {values[row]} at sample {row}, want finite numbers"
+                )
     if all(np.ptp(recording.u) == 0 for recording in recordings):
         raise RecordingError("recordings: the input never moves, want at least one in which it does")
     if simulation is not None:

@@ -16,9 +16,7 @@ INDEPENDENT = 2 / 3
 """Share of the frequencies of a Hann-windowed spectrum that are independent (its noise bandwidth is 1.5)."""
 
 
-def evidence(
-    records: Sequence[Record], before: Sequence[np.ndarray], after: Sequence[np.ndarray]
-) -> float:
+def evidence(records: Sequence[Record], before: Sequence[np.ndarray], after: Sequence[np.ndarray]) -> float:
     """Gain of the log-likelihood from the residuals `before` to those `after`, µm, no penalty taken off."""
     total = 0.0
     for record, one, other in zip(records, before, after, strict=True):

@@ -54,9 +54,7 @@ def fit(
         if trial_ss > before * (1 - 1e-4):
             break
     final = with_theta(hypothesis, slots, theta)
-    residuals = tuple(
-        record.y - chain.output(final, weights, i) for i, record in enumerate(records)
-    )
+    residuals = tuple(record.y - chain.output(final, weights, i) for i, record in enumerate(records))
     return Fit(
         final, weights, slots, theta, residuals,
         rms(records, residuals, True), rms(records, residuals, False),
@@ -78,7 +76,12 @@ def slots_of(hypothesis: Hypothesis) -> tuple[Slot, ...]:
     return tuple(slots)
 
 
-SHAPE_BOUNDS = {"sigma_v": (1e-3, 1e3), "beta": (0.0, 3.0), "exponent": (0.5, 6.0), "alpha_per_v": (1e-3, 1e3)}
+SHAPE_BOUNDS = {
+    "sigma_v": (1e-3, 1e3),
+    "beta": (0.0, 3.0),
+    "exponent": (0.5, 6.0),
+    "alpha_per_v": (1e-3, 1e3),
+}
 
 
 def shape_slot(hypothesis: Hypothesis, name: str) -> Slot:
@@ -91,9 +94,7 @@ def jumps(member: Member, name: str) -> float:
     return 0.04 if name in member.effect.jumps else 1e-4
 
 
-def slot(
-    member: int, name: str, record: int | None, value: float, quantity: Quantity, step: float
-) -> Slot:
+def slot(member: int, name: str, record: int | None, value: float, quantity: Quantity, step: float) -> Slot:
     log = quantity.at_least >= 0
     low, high = quantity.at_least, quantity.at_most
     if log:

@@ -10,7 +10,6 @@ from torchpi.stage.effects.effect import Effect, Parameters
 from torchpi.stage.effects.inside import InsideEffect
 
 
-
 @dataclass(frozen=True)
 class Member:
     """An effect in a hypothesis, with the parameters that are fitted."""

@@ -51,11 +51,11 @@ def with_remainder(chain: Chain, now: Fit, judged: bool = True) -> Fit | None:
         unit = gram / size / size[:, None] + ridge * np.eye(len(size))
         a = np.linalg.solve(unit, right / size) / size
         weights = now.weights - removed @ a
-        member = Member(Unknown, frame | {f"{'ab'[k // TIMES]}{k % TIMES}": float(v) for k, v in enumerate(a)})
-        hypothesis = replace(now.hypothesis, members=(*now.hypothesis.members, member))
-        residuals = tuple(
-            record.y - chain.output(hypothesis, weights, i) for i, record in enumerate(records)
+        member = Member(
+            Unknown, frame | {f"{'ab'[k // TIMES]}{k % TIMES}": float(v) for k, v in enumerate(a)}
         )
+        hypothesis = replace(now.hypothesis, members=(*now.hypothesis.members, member))
+        residuals = tuple(record.y - chain.output(hypothesis, weights, i) for i, record in enumerate(records))
         one = replace(
             now, hypothesis=hypothesis, weights=weights, residuals=residuals,
             train_rms=rms(records, residuals, True),

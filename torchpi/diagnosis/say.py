@@ -6,9 +6,7 @@ from torchpi.diagnosis.decide import Decision
 from torchpi.diagnosis.diagnosis import Errors, NamedEffect, NextRecording
 
 
-def paragraph(
-    decision: Decision, errors: Sequence[Errors], floor_um: float, next_one: NextRecording
-) -> str:
+def paragraph(decision: Decision, errors: Sequence[Errors], floor_um: float, next_one: NextRecording) -> str:
     """What was found, how sure it is, what it buys, what remains, and what to record next."""
     nominal, retuned, augmented = errors
     parts = [

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from torchpi.diagnosis.fit import jacobian
 from torchpi.diagnosis.chain import Chain
+from torchpi.diagnosis.fit import jacobian
 from torchpi.diagnosis.hypothesis import Fit, Member
 from torchpi.diagnosis.records import Record
 from torchpi.stage.effects.effect import Effect
@@ -132,7 +132,10 @@ def separate(member: Member) -> list[Member]:
 
 
 def candidates_of(
-    effect: type[Effect] | type[InsideEffect], records: Sequence[Record], starts: Sequence[dict[str, float]], aux: Sequence[str]
+    effect: type[Effect] | type[InsideEffect],
+    records: Sequence[Record],
+    starts: Sequence[dict[str, float]],
+    aux: Sequence[str],
 ) -> list[Member]:
     """The starts of an effect as members, its own parameters given to each recording."""
     members = []
@@ -144,8 +147,14 @@ def candidates_of(
             # One recording with another load than the rest: the others keep the identity.
             for loaded in range(len(records)):
                 members.append(
-                    Member(effect, shared, tuple(dict(each) if i == loaded else {} for i in range(len(records))))
+                    Member(
+                        effect, shared, tuple(dict(each) if i == loaded else {} for i in range(len(records)))
+                    )
                 )
             continue
-        members += [Member(effect, shared, own, a) for a in aux] if effect.takes_aux else [Member(effect, shared, own)]
+        members += (
+            [Member(effect, shared, own, a) for a in aux]
+            if effect.takes_aux
+            else [Member(effect, shared, own)]
+        )
     return members

@@ -13,9 +13,10 @@ import torch
 
 from torchpi.diagnosis.chain import Chain
 from torchpi.diagnosis.evidence import evidence
-from torchpi.diagnosis.fit import fit
+from torchpi.diagnosis.fit import ITERATIONS, fit
 from torchpi.diagnosis.hypothesis import Fit, Hypothesis, Member
 from torchpi.diagnosis.nominal import Nominal, bouc_wen, duhem, many_plays, preisach
+from torchpi.diagnosis.parallel import Job, fit_all
 from torchpi.diagnosis.records import seen
 from torchpi.diagnosis.screen import Candidate, Screen, candidates_of
 from torchpi.stage.effects import EFFECTS
@@ -30,6 +31,8 @@ LEAST_SHARE = 0.2
 LEAST_EVIDENCE = 8.0
 """Log-likelihood that an effect must gain, beside that of its parameters."""
 PER_PARAMETER = 3.0
+STARTS = 2
+"""From how many starts an effect is fitted."""
 TRIED = 6
 """How many effects are fitted in a round, the best of the screen."""
 PAIRS = 3
@@ -148,24 +151,30 @@ class Search:
         if not any(member.effect.hold for member in now.hypothesis.members):
             stepped = replace(now, hypothesis=replace(now.hypothesis, held=True))
             screens = {False: screens[False], True: Screen(self.chain, stepped)}
-        found = [
+        screened = [
             screen.candidate(member)
             for held, screen in screens.items()
             for member in starts
             if not held or member.effect.hold
         ]
         best: dict[str, list[Candidate]] = {}
-        for candidate in sorted(found, key=lambda c: -c.gain):
+        for candidate in sorted(screened, key=lambda c: -c.gain):
             if candidate.gain > LEAST_GAIN / 2:
                 best.setdefault(candidate.member.effect.name, []).append(candidate)
-        fits = []
-        for name in list(best)[:TRIED]:
-            options = [
-                fit(self.chain, replace(now.hypothesis.plus(c.member), held=c.held), now.weights)
-                for c in best[name][:2]
-            ]
-            fits.append((name, min(options, key=lambda f: f.train_rms)))
-        return fits
+        names = [name for name in list(best)[:TRIED] for _ in best[name][:STARTS]]
+        jobs = [
+            (replace(now.hypothesis.plus(c.member), held=c.held), now.weights, ITERATIONS)
+            for name in list(best)[:TRIED]
+            for c in best[name][:STARTS]
+        ]
+        found: dict[str, Fit] = {}
+        for name, one in zip(names, self.fits(jobs), strict=True):
+            found[name] = min(one, found.get(name, one), key=lambda f: f.train_rms)
+        return list(found.items())
+
+    def fits(self, jobs: Sequence[Job]) -> list[Fit]:
+        """Each hypothesis fitted from its weights, in the executor if there is one."""
+        return fit_all(self.chain, jobs, self.executor)
 
     def from_residual(self, now: Fit) -> list[Member]:
         """Starts at the frequencies where the residual stands out."""
@@ -193,10 +202,10 @@ class Search:
         ]
         larger.append(("bouc_wen", bouc_wen(self.seen, 0.1), ("sigma_v", "beta", "exponent"), 15))
         larger.append(("duhem", duhem(self.seen, 5.0), ("alpha_per_v",), 10))
-        for family, nominal, shape, iterations in larger:
-            if family not in self.hopeless:
-                one = fit(self.chain, h.on(nominal, shape), None, iterations)
-                found.append((f"operator: {family}", one))
+        larger = [one for one in larger if one[0] not in self.hopeless]
+        jobs = [(h.on(nominal, shape), None, iterations) for _, nominal, shape, iterations in larger]
+        for (family, *_), one in zip(larger, self.fits(jobs), strict=True):
+            found.append((f"operator: {family}", one))
         for family in {family for family, *_ in larger} - self.hopeless:
             if min(f.train_rms for n, f in found if n.endswith(family)) > HOPELESS * now.train_rms:
                 self.hopeless.add(family)

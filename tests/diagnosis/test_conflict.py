@@ -1,0 +1,78 @@
+"""Conflict: recordings that ask for different stages are named, noise and shared misfit are not."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from torchpi.diagnosis.conflict import conflict, wanted
+from torchpi.diagnosis.diagnosis import Trace
+
+FS_HZ, NOISE_UM, N = 10_000.0, 0.004, 20_000
+U = 5 - 5 * np.cos(2 * np.pi * 7 * np.arange(N) / FS_HZ)
+
+
+def recording(name: str, gain: float, offset_um: float = 0.0, seed: int = 0) -> Trace:
+    """A stage of 0.8 µm/V, the recording's own gain and offset in the residual."""
+    noise = NOISE_UM * np.random.default_rng(seed).standard_normal(N)
+    e = gain * 0.8 * (U - U.mean()) + offset_um + noise
+    return Trace(name, FS_HZ, np.arange(N) / FS_HZ, U, 0.8 * U + e, np.zeros(N, bool), e, e)
+
+
+def test_recordings_of_one_stage_agree() -> None:
+    for seed in range(30):
+        traces = [recording(name, 0.0, seed=3 * seed + i) for i, name in enumerate("abc")]
+        assert conflict(traces, NOISE_UM) == ()
+
+
+def test_one_recording_conflicts_with_none() -> None:
+    assert conflict([recording("a", 0.05)], NOISE_UM) == ()
+
+
+def test_another_gain_is_said_with_its_size() -> None:
+    traces = [recording("a", -0.005, seed=1), recording("b", -0.005, seed=2), recording("c", 0.01, seed=3)]
+    (line,) = conflict(traces, NOISE_UM)
+    assert line.startswith("Recording c asks for a larger gain than the others do (+1.5 ± ")
+    assert "another stage, load or sensor setting" in line
+
+
+def test_of_two_recordings_one_sentence_is_enough() -> None:
+    (line,) = conflict([recording("a", -0.005, seed=1), recording("b", 0.005, seed=2)], NOISE_UM)
+    assert "1" in line and "gain" in line
+
+
+def test_another_offset_is_said_in_nanometres() -> None:
+    traces = [recording(name, 0.0, -0.01, i) for i, name in enumerate("ab")] + [recording("c", 0.0, 0.02, 9)]
+    (line,) = conflict(traces, NOISE_UM)
+    assert line.startswith("Recording c asks for another offset than the others do (+30")
+
+
+def test_what_the_named_effects_settle_is_said_to_be_settled() -> None:
+    quiet = recording("c", 0.0, seed=5).residual_retuned
+    traces = [
+        recording("a", 0.0, seed=1),
+        recording("b", 0.0, seed=2),
+        dataclasses.replace(recording("c", 0.02, seed=3), residual_augmented=quiet),
+    ]
+    (line,) = conflict(traces, NOISE_UM)
+    assert line.endswith("with the named effects this is settled.")
+
+
+def test_a_slow_residual_counts_as_few_numbers() -> None:
+    """A drift that goes through half a period in the recording is no offset of many independent samples."""
+    slow = 0.02 * np.cos(np.pi * np.arange(N) / N + np.random.default_rng(0).uniform(0, 6, (200, 1)))
+    noise = NOISE_UM * np.random.default_rng(1).standard_normal(N)
+    base = recording("a", 0.0)
+    scores = []
+    for one in slow[:50]:
+        found = wanted(base, one + noise, NOISE_UM)
+        scores.append(found.gain / found.gain_sd)
+    assert np.abs(scores).max() < 4
+
+
+def test_the_uncertainty_of_a_gain_covers_it() -> None:
+    gains = [wanted(recording("a", 0.003, seed=seed), recording("a", 0.003, seed=seed).residual_retuned, 0.0)
+             for seed in range(60)]  # fmt: skip
+    z = np.array([(one.gain - 0.003 / 1.0) / one.gain_sd for one in gains])
+    assert np.std([one.gain for one in gains]) == pytest.approx(np.mean([one.gain_sd for one in gains]), rel=0.3)
+    assert np.abs(z).max() < 6

@@ -1,0 +1,131 @@
+"""The next recording splits what is open, within what the recordings have shown, and says so plainly."""
+
+from itertools import combinations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from torchpi.diagnosis.deciding_excitation import stretch
+from torchpi.diagnosis.next_recording import LEAST_RATE, MOST_SAMPLES, _decision, next_recording
+from torchpi.diagnosis.splits import SHOWS, SPLITS
+from torchpi.stage.effects.effect import Seen
+
+NAMES = (
+    "amplifier_lag slew_limit voltage_saturation delay input_nonlinearity hysteresis_asymmetry "
+    "incongruent_loops hysteresis_operator rate_dependent_hysteresis creep leakage resonance second_mode "
+    "load_change backlash stiction cross_coupling sensor_lag sensor_nonlinearity quantization hum "
+    "thermal_drift ageing"
+).split()
+USUAL = Seen(10_000.0, 10.0, 0.0, 10.0, 1700.0, -0.1, 8.0, {})
+
+
+def swings(u: np.ndarray) -> np.ndarray:
+    """Its spectrum's amplitudes."""
+    return np.abs(np.fft.rfft(u - u.mean())) / len(u)
+
+
+@st.composite
+def recordings(draw: st.DrawFn) -> Seen:
+    low_v = draw(st.floats(-100, 100))
+    span_v = draw(st.sampled_from([0.0, 0.01, 1.0, 10.0, 170.0]))
+    fs_hz = 10 ** draw(st.floats(-1, 6))
+    rate_v_s = draw(st.sampled_from([0.0, 1e-3, 1.0, 1e3, 1e7]))
+    return Seen(fs_hz, 1.0, low_v, low_v + span_v, rate_v_s, 0.0, 1.0, {})
+
+
+@settings(max_examples=80, deadline=None)
+@given(
+    recordings(), st.lists(st.sampled_from([*NAMES, "unheard_of"]), max_size=4, unique=True), st.booleans()
+)
+def test_it_stays_within_what_the_recordings_have_shown(seen, names, unexplained):
+    said, (t, u) = next_recording(names, seen, unexplained=unexplained)
+    assert said.why and said.excitation and "\n" not in said.why + said.excitation
+    assert u[0] == u[-1] == 0 and len(t) == len(u) <= 2 * MOST_SAMPLES and np.all(np.isfinite(u))
+    low_v, high_v = min(0.0, seen.low_v), max(0.0, seen.high_v)
+    span_v = high_v - low_v
+    assert u.min() >= low_v - 1e-9 * span_v and u.max() <= high_v + 1e-9 * span_v
+    fs_hz = 1 / t[1]
+    halvings = np.log2(seen.fs_hz / fs_hz)
+    assert halvings == pytest.approx(round(halvings), abs=1e-9)
+    bears_v_s = max(seen.max_rate_v_s, LEAST_RATE * span_v / stretch(seen.fs_hz))
+    assert np.abs(np.diff(u)).max() * fs_hz <= bears_v_s * (1 + 1e-6)
+
+
+@pytest.mark.parametrize("pair", list(combinations(NAMES, 2)))
+def test_every_pair_has_its_reason_whichever_is_the_likelier(pair):
+    one, other = _decision(pair, False), _decision(pair[::-1], False)
+    if frozenset(pair) in SPLITS:
+        assert one == other
+    else:
+        assert "look alike" in one.why and "look alike" in other.why
+
+
+def test_the_tables_know_the_names_of_the_contract_and_no_others():
+    assert set(SHOWS) == set(NAMES)
+    assert set().union(*SPLITS) <= set(NAMES)
+    assert all(len(pair) == 2 for pair in SPLITS)
+
+
+def test_the_pair_that_leads_decides():
+    said, _ = next_recording(["creep", "thermal_drift", "amplifier_lag", "delay"], USUAL)
+    assert "drift follows the clock" in said.why
+
+
+@pytest.mark.parametrize(
+    ("names", "measure"),
+    [
+        (["amplifier_lag", "sensor_lag"], "aux_amplifier_v"),
+        (["sensor_nonlinearity", "input_nonlinearity"], "aux_reference_um"),
+        (["load_change"], "without it"),
+        (["delay"], "aux_amplifier_v"),
+        (["cross_coupling"], "aux_other_v"),
+    ],
+)
+def test_where_voltage_and_displacement_cannot_decide_another_measurement_is_named(names, measure):
+    assert measure in next_recording(names, USUAL)[0].why
+
+
+def test_a_lag_against_a_delay_gets_high_frequencies():
+    _, (_, u) = next_recording(["amplifier_lag", "delay"], USUAL)
+    f_hz, lines = np.fft.rfftfreq(len(u), 1e-4), swings(u)
+    assert np.sqrt(np.sum(lines[(f_hz > 1000) & (f_hz < 2000)] ** 2)) > 0.03 * np.sqrt(np.sum(lines**2))
+
+
+def test_a_lag_against_a_slew_limit_gets_one_frequency_at_three_amplitudes_and_the_full_rate():
+    _, (_, u) = next_recording(["slew_limit", "amplifier_lag"], USUAL)
+    peaks = np.round(u[1:-1][(np.diff(u[:-1]) > 0) & (np.diff(u[1:]) <= 0)] - 5, 1)
+    sizes, counts = np.unique(peaks, return_counts=True)
+    assert set(sizes[counts >= 20]) == {1.2, 2.5, 5.0} or set(sizes[counts >= 20]) == {1.3, 2.5, 5.0}
+    assert np.abs(np.diff(u)).max() * 1e4 > 0.85 * USUAL.max_rate_v_s
+
+
+def test_creep_against_drift_rests_on_the_same_levels_up_and_down():
+    _, (t, u) = next_recording(["thermal_drift", "creep"], USUAL)
+    runs = np.split(u, np.flatnonzero(np.diff(u)) + 1)
+    rests = [round(run[0], 6) for run in runs if len(run) * t[1] > 10]
+    assert rests == [*rests[-2::-1], 0.0] and len(rests) == 6
+
+
+def test_the_kinds_of_creep_get_a_hold_of_three_decades():
+    _, (t, u) = next_recording(["creep"], USUAL)
+    runs = np.split(u, np.flatnonzero(np.diff(u)) + 1)
+    assert max(len(run) for run in runs) * t[1] >= 100  # from 0.1 s on
+
+
+def test_backlash_against_stiction_gets_reversals_from_tiny_to_large():
+    _, (_, u) = next_recording(["backlash", "stiction"], USUAL)
+    turns = u[1:-1][np.diff(u[:-1]) * np.diff(u[1:]) < 0]
+    strokes = np.abs(np.diff(turns))
+    assert strokes.min() < 0.2 and strokes.max() > 3
+
+
+def test_recordings_at_rest_at_0_v_get_a_rest_and_are_sent_for_the_limits():
+    said, (_, u) = next_recording(["hum"], Seen(1000.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, {}))
+    assert np.all(u == 0) and "torchpi excite" in said.excitation
+
+
+def test_nothing_open_asks_for_a_confirmation_and_the_nameless_for_a_multisine():
+    assert "Nothing is open" in next_recording([], USUAL)[0].why
+    assert "no name" in next_recording([], USUAL, unexplained=True)[0].why

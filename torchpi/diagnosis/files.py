@@ -1,0 +1,104 @@
+"""A diagnosis from files to files."""
+
+import os
+import shutil
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import Executor, ProcessPoolExecutor
+from contextlib import contextmanager
+from multiprocessing import get_context
+from pathlib import Path
+
+from torchpi.diagnosis.diagnose import diagnose
+from torchpi.diagnosis.diagnosis import Diagnosis
+from torchpi.errors import ConfigError
+from torchpi.excitation_files import write_excitation
+from torchpi.recording import Recording, read_recording
+from torchpi.stage import Stage
+
+COLUMNS = ("time", "input", "output")
+
+
+def diagnose_files(
+    paths: Sequence[Path],
+    output: Path,
+    simulation: Path | None,
+    columns: Mapping[str, str],
+    fs_hz: float | None,
+    resample: bool,
+    executor: str,
+    command: str,
+) -> Diagnosis:
+    """Read, diagnose, and write the report, the JSON, the stage, the next excitation and the figures.
+
+    Arguments are those of `torchpi diagnose`; `command` is what was typed. Nothing is written before all is
+    known.
+
+    Raises:
+        ConfigError: An unknown executor or column, or an output that is a file.
+        RecordingError: What is wrong with a recording.
+    """
+    # Drawing comes with matplotlib, which a diagnosis from Python does without.
+    from torchpi.report.diagnosis_events import write_tensorboard
+    from torchpi.report.diagnosis_figures import diagnosis_figures
+    from torchpi.report.diagnosis_page import write_diagnosis
+    from torchpi.report.what_was_run import provenance
+
+    check_options(output, columns, executor)
+    recordings = [read(path, columns, fs_hz, resample) for path in paths]
+    stage = None if simulation is None else Stage.from_yaml(simulation)
+    started = time.monotonic()
+
+    def say(sentence: str) -> None:
+        print(f"{time.monotonic() - started:6.1f} s  {sentence}")
+
+    for recording in recordings:
+        say(f"{recording.source}: {len(recording):,} samples at {recording.fs_hz:g} Hz")
+    with executor_of(executor) as pool:
+        found = diagnose(recordings, stage, say=say, executor=pool)
+    say("report: figures and page")
+    files = {f"recording {recording.name}": recording.source for recording in recordings}
+    if simulation is not None:
+        files["simulation"] = str(simulation)
+    figures = diagnosis_figures(found)
+    page, numbers = write_diagnosis(found, provenance(command, files), output, figures)
+    found.stage.save(output / "stage.pt")
+    write_excitation(output / "next_excitation.csv", *found.next_excitation)
+    shutil.rmtree(output / "tensorboard", ignore_errors=True)
+    write_tensorboard(found, output, figures)
+    say("done")
+    print(f"\n{found.says}\n")
+    for what, path in (
+        ("the page", page), ("the same in numbers", numbers), ("the augmented stage", output / "stage.pt"),
+        ("what to record next", output / "next_excitation.csv"),
+    ):  # fmt: skip
+        print(f"{path}: {what}")
+    return found
+
+
+def check_options(output: Path, columns: Mapping[str, str], executor: str) -> None:
+    """Raise `ConfigError` for an option that cannot be."""
+    if executor not in ("processes", "here"):
+        raise ConfigError(f"--executor is '{executor}', wanted processes or here")
+    if unknown := set(columns) - set(COLUMNS):
+        raise ConfigError(f"--columns has '{min(unknown)}', wanted only {', '.join(COLUMNS)}")
+    if output.exists() and not output.is_dir():
+        raise ConfigError(f"{output} is a file, wanted a folder for the results; choose another")
+
+
+def read(path: Path, columns: Mapping[str, str], fs_hz: float | None, resample: bool) -> Recording:
+    """One recording, columns by name or number."""
+    chosen = {f"{name}_column": column for name, column in columns.items()}
+    return read_recording(path, fs_hz=fs_hz, resample=resample, **chosen)  # type: ignore[arg-type]
+
+
+@contextmanager
+def executor_of(name: str) -> Iterator[Executor | None]:
+    """As many processes as cores, or none: this one."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    if name == "here" or cores == 1:
+        yield None
+        return
+    # Spawned, because a forked process would inherit the threads of torch in an unknown state.
+    with ProcessPoolExecutor(min(cores, 4), mp_context=get_context("spawn")) as pool:
+        yield pool
