@@ -221,7 +221,7 @@ def diagnose(
     recordings: list[Path],
     output: Path = Path("diagnosis"),
     simulation: Path | None = None,
-    columns: dict[str, str] | None = None,
+    columns: dict[str, str | int] | None = None,
     fs_hz: float | None = None,
     resample: bool = False,
     executor: str = "processes",

@@ -34,12 +34,13 @@ class EpochProgress(Callback):
 
     def on_train_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         logged = trainer.callback_metrics
-        train, heldout = (1e3 * float(logged[f"rms_v/{part}"]) for part in ("train", "heldout"))
+        key, unit = ("tracking_um", "nm") if "tracking_um/train" in logged else ("rms_v", "mV")
+        train, heldout = (1e3 * float(logged[f"{key}/{part}"]) for part in ("train", "heldout"))
         assert self.progress is not None
         self.progress.update(
             self.task,
             completed=trainer.current_epoch + 1,
-            errors=f"rms {train:.3g} mV, held out {heldout:.3g} mV",
+            errors=f"rms {train:.3g} {unit}, held out {heldout:.3g} {unit}",
         )
 
     def on_fit_end(self, trainer: Trainer, pl_module: LightningModule) -> None:

@@ -146,6 +146,7 @@ class FitCLI(LightningCLI):
         config = self.config.fit
         with warnings.catch_warnings(record=True) as heard:
             warnings.simplefilter("always", RecordingWarning)
+            datamodule.stage = model.load_stage()
             datamodule.load()
             model.build(datamodule)
         console.show_data(datamodule, self.folder, [str(warning.message) for warning in heard])
@@ -158,6 +159,7 @@ class FitCLI(LightningCLI):
             self._parser("fit").dump(config, skip_none=False),
             datamodule,
             int(config.seed_everything),
+            model.stage_file,
         )
         try:
             self.trainer.fit(model, datamodule=datamodule, ckpt_path=resumed, weights_only=True)

@@ -10,6 +10,7 @@ from torchpi.recording import Recording
 from train.data import RecordingsData
 from train.module import InverseTraining
 from train.run_folder import RunFolder
+from train.tracking import tracking_notes
 
 CONSOLE = Console(highlight=False, soft_wrap=True)
 
@@ -58,6 +59,8 @@ def show_results(metrics: Mapping[str, Any], folder: RunFolder) -> None:
         row = metrics[key]
         table.add_row(label, *(f"{row[name]:.3g}" for name in NAMES))
     CONSOLE.print(table)
+    for note in tracking_notes(metrics):
+        CONSOLE.print(note, markup=False)
     if not metrics["how"]["monotone"]:
         CONSOLE.print(f"Careful: {metrics['how']['monotone_says']}.", markup=False, style="yellow")
     for path, what in (

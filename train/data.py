@@ -1,5 +1,6 @@
 """What is trained on, and what is held out: recordings from files, or of the simulated stage."""
 
+import copy
 import warnings
 from dataclasses import dataclass, field
 from typing import Any, Literal, NamedTuple
@@ -12,7 +13,9 @@ from torchpi.errors import ConfigError, RecordingError, RecordingWarning
 from torchpi.identification import InversePair, inverse_pair
 from torchpi.motion import Motion
 from torchpi.recording import Recording, read_recording
+from torchpi.stage import AugmentedStage
 from train.simulation import Simulation, simulate
+from train.tracking import Follow
 from train.windows import Window, windows
 
 HELDOUT_SHARE = 0.3
@@ -41,6 +44,7 @@ class RecordingsData(LightningDataModule):
         heldout: Files that only judge. By default the last of several recordings is held out; of a
             single one the last 30 %.
         simulate: Excitations of the simulated stage to use instead of files.
+        follow: Motions to follow, with model.stage.
         time_column: Column of time, name or number from 1. Not needed with fs_hz.
         input_column: Column of the controller's voltage.
         output_column: Column of the displacement.
@@ -63,6 +67,7 @@ class RecordingsData(LightningDataModule):
         recordings: list[str] | str | None = None,
         heldout: list[str] | str | None = None,
         simulate: Simulation | None = None,
+        follow: Follow | None = None,
         time_column: str | int | None = "time_s",
         input_column: str | int = "input_v",
         output_column: str | int = "output_um",
@@ -108,6 +113,9 @@ class RecordingsData(LightningDataModule):
         self.evaluate_s = evaluate_s
         self.zero_s = zero_s
         self.window_samples = window_samples
+        self.follow = follow or Follow()
+        self.follow.check()
+        self.stage: AugmentedStage | None = None  # the model's, which is then the one that is simulated
         self.preview = 0  # the model's, once it is built
         self.records: Records | None = None
 
@@ -124,6 +132,12 @@ class RecordingsData(LightningDataModule):
             self.records = Records(train, heldout)
             self.split(self.preview)
         return self.records
+
+    def of_stage(self, stage: AugmentedStage) -> "RecordingsData":
+        """The same excitations, simulated with another stage."""
+        other = copy.copy(self)
+        other.stage, other.records = stage, None
+        return other
 
     def split(self, preview: int) -> Split:
         """The records for an inverse with this preview."""
@@ -154,7 +168,7 @@ class RecordingsData(LightningDataModule):
 
     def _read(self) -> tuple[list[Recording], list[Recording]]:
         if self.simulation:
-            train, heldout = simulate(self.simulation)
+            train, heldout = simulate(self.simulation, self.stage)
         else:
             train = [read_recording(path, **self.reading) for path in self.paths]
             heldout = [read_recording(path, **self.reading) for path in self.heldout_paths]

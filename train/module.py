@@ -1,7 +1,8 @@
 """What is trained: a direct inverse compensator, by backpropagation through time over recordings."""
 
+import math
 from collections.abc import Sequence
-from typing import Any, Literal, cast
+from typing import Any, Literal, NamedTuple, cast
 
 import torch
 from lightning import LightningModule
@@ -12,29 +13,53 @@ from torchpi.errors import ConfigError
 from torchpi.identification import (
     InverseErrors,
     TwoStageResult,
+    fit_joint,
     fit_two_stage,
     inverse_errors,
     searched_parameters,
 )
 from torchpi.identification.projection import projected_loss
 from torchpi.operators.rate_weights import RateHead
+from torchpi.stage import AugmentedStage
 from torchpi.trained import to_checkpoint
+from train.coordinates import Coordinates
 from train.data import RecordingsData, Split
 from train.preview import find_preview
 from train.sensor_zero import fit_zeros
 from train.thresholds import spread_thresholds
+from train.tracking import Tracking, TrackingErrors
 from train.windows import Window, windows
 
-CHOSEN_BY = "rms_v/chosen_by"
+CHOSEN_BY = "chosen_by"
+
+
+class Start(NamedTuple):
+    """What training starts from, and what it must beat.
+
+    Attributes:
+        compensator: At the optimum of two-stage least squares.
+        baseline: The paper's own form of it.
+        two_stage: How the baseline's fit went.
+        split: The records, for the compensator's look-ahead.
+        paper_split: The records without look-ahead.
+    """
+
+    compensator: DirectInverse
+    baseline: DirectInverse
+    two_stage: TwoStageResult
+    split: Split
+    paper_split: Split
 
 
 class InverseTraining(LightningModule):
     """A direct inverse: displacement in, voltage out (Qin et al. 2013, eq. 6 to 8, and extensions).
 
     It starts from the paper's two-stage least squares. What is minimised is the mean squared error of
-    the voltage over the counted samples, over that of the start.
+    the voltage over the counted samples, over that of the start. With a stage to train through, that
+    identification is the start, and what is minimised is the error of the motion.
 
     Args:
+        stage: Train through this stage, a stage.pt of `torchpi diagnose`: the motions of data.follow.
         thresholds: r of the plays, in the unit of S(y), about µm, the first one 0. By default `plays` of
             them, spread over the range of the recordings, denser near 0.
         plays: How many thresholds to spread, if none are given.
@@ -46,8 +71,8 @@ class InverseTraining(LightningModule):
         lead: 0, 1 or 2. Undoes the stage's own lag (1) and also its first mode (2).
         creep_time_constants_s: Relaxations that undo creep, s, such as [0.1, 1, 10]. None by default.
         offset: Learn a constant voltage as well, for a sensor whose zero is arbitrary.
-        min_voltage_v: Lower limit of the controller's output.
-        max_voltage_v: Upper limit of the controller's output.
+        min_voltage_v: Lower limit of the controller's output; by default that of `stage`, or 0.
+        max_voltage_v: Upper limit of the controller's output; by default that of `stage`, or 10.
         hidden: Size of the neural rate head.
         train_thresholds: Train the thresholds too.
         optimizer: lbfgs takes all records at once and is deterministic: best for few parameters.
@@ -59,6 +84,7 @@ class InverseTraining(LightningModule):
 
     def __init__(
         self,
+        stage: str | None = None,
         thresholds: list[float] | None = None,
         plays: int = 20,
         degree: int = 4,
@@ -68,8 +94,8 @@ class InverseTraining(LightningModule):
         lead: Literal[0, 1, 2] = 0,
         creep_time_constants_s: list[float] | None = None,
         offset: bool = False,
-        min_voltage_v: float = 0.0,
-        max_voltage_v: float = 10.0,
+        min_voltage_v: float | None = None,
+        max_voltage_v: float | None = None,
         hidden: int = 4,
         train_thresholds: bool = False,
         optimizer: Literal["lbfgs", "adam"] = "lbfgs",
@@ -84,11 +110,11 @@ class InverseTraining(LightningModule):
             raise ConfigError(f"model.learning_rate: found {learning_rate:g}, want a positive number")
         if iterations < 1:
             raise ConfigError(f"model.iterations: found {iterations}, want at least 1")
+        self.stage_file = stage
         self.thresholds = thresholds
         self.plays = plays
-        self.form: dict[str, Any] = dict(
-            degree=degree, offset=offset, min_voltage_v=min_voltage_v, max_voltage_v=max_voltage_v
-        )
+        self.form: dict[str, Any] = dict(degree=degree, offset=offset)
+        self.given_limits = dict(min_voltage_v=min_voltage_v, max_voltage_v=max_voltage_v)
         self.extensions: dict[str, Any] = dict(
             output_degree=output_degree,
             rate=rate,
@@ -100,13 +126,17 @@ class InverseTraining(LightningModule):
         )
         self.optimizer_name = optimizer
         self.learning_rate = learning_rate
-        self.solves = solve_weights and optimizer == "lbfgs"
+        self.solves = solve_weights and optimizer == "lbfgs" and stage is None
         self.iterations = iterations
         self.compensator: DirectInverse
         self.baseline: DirectInverse
         self.start: TwoStageResult
         self.split: Split
         self.paper_split: Split
+        self.tracking: Tracking | None = None
+        self.untrained: dict[str, TrackingErrors] = {}  # tracking on what is held out, before training
+        self.coordinates: Coordinates  # of training through a stage
+        self.step_taken: torch.nn.Parameter
         self.scale = 1.0
         self.carried: Tensor | None = None
 
@@ -118,6 +148,10 @@ class InverseTraining(LightningModule):
     def recordings_data(self) -> RecordingsData:
         return cast(RecordingsData, self.trainer.datamodule)  # type: ignore[attr-defined]
 
+    def load_stage(self) -> AugmentedStage | None:
+        """The stage to train through, if there is one."""
+        return AugmentedStage.load(self.stage_file) if self.stage_file else None
+
     def build(self, data: RecordingsData) -> None:
         """The compensator at the paper's optimum, and the paper's own form of it to compare with."""
         if self.optimizer_name == "lbfgs" and data.window_samples is not None:
@@ -125,29 +159,70 @@ class InverseTraining(LightningModule):
                 f"data.window_samples: found {data.window_samples} with model.optimizer lbfgs, "
                 "which takes whole records; want null, or model.optimizer adam"
             )
-        self.paper_split = data.split(0)
-        trained_on = torch.cat([pair.motion.yd[0, pair.counted] for pair in self.paper_split.train])
-        rates = torch.cat([pair.motion.yd_dot[0, pair.counted] for pair in self.paper_split.train])
+        start = self.start_on(data)
+        data.preview = start.compensator.preview
+        self.compensator, self.baseline, self.start = start.compensator, start.baseline, start.two_stage
+        self.split, self.paper_split = start.split, start.paper_split
+        if data.stage is None:
+            self.scale = self._mean_square()
+        else:
+            self.build_tracking(data, data.stage)
+
+    def build_tracking(self, data: RecordingsData, stage: AugmentedStage) -> None:
+        """The motions to follow; the start identified in full, and beside it one on the plain stage."""
+        recorded = torch.cat([pair.motion.yd[0, pair.counted] for pair in self.paper_split.train])
+        rated = stage.at_sample_rate(1 / self.compensator.sample_period_s)
+        self.tracking = Tracking(rated, data.follow, (float(recorded.min()), float(recorded.max())))
+        fit_joint(self.compensator, self.split.train)
+        self.untrained = {"before": self.tracking.errors(self.compensator)["heldout"]}
+        if data.simulation:
+            plain = self.start_on(data.of_stage(stage.plain()))
+            fit_joint(plain.compensator, plain.split.train)
+            self.untrained |= {"plain": self.tracking.errors(plain.compensator)["heldout"]}
+        with torch.no_grad():
+            self.scale = max(float(self.tracking.loss(self.compensator, {})), 1e-30)
+        self.coordinates = self.tracking.coordinates(self.compensator)
+        self.step_taken = torch.nn.Parameter(torch.zeros(len(self.coordinates), dtype=torch.float64))
+
+    def start_on(self, data: RecordingsData) -> Start:
+        """Two-stage least squares on these records."""
+        paper_split = data.split(0)
+        trained_on = torch.cat([pair.motion.yd[0, pair.counted] for pair in paper_split.train])
+        rates = torch.cat([pair.motion.yd_dot[0, pair.counted] for pair in paper_split.train])
         peak_to_peak_um = float(trained_on.max() - trained_on.min())
         common = dict(
-            sample_period_s=self.paper_split.train[0].sample_period_s,
+            sample_period_s=paper_split.train[0].sample_period_s,
             thresholds=self.thresholds or spread_thresholds(self.plays, peak_to_peak_um),
             range_um=float(trained_on.abs().max()),
             rate_scale_um_s=float(rates.abs().max()),
             **self.form,
+            **self.limits(data.stage),
         )
-        self.baseline = DirectInverse(**common, rate="linear")
-        self.start = fit_two_stage(self.baseline, self.paper_split.train)
-        self.baseline.requires_grad_(False)
-        if self.extensions["preview"] == "auto":
-            self.extensions["preview"] = find_preview(self.baseline, lambda ahead: data.split(ahead).train)
-        data.preview = self.extensions["preview"]
-        self.split = data.split(data.preview)
-        self.compensator = DirectInverse(**common, **self.extensions)
-        fit_two_stage(self.compensator, self.split.train)
-        self.scale = self._mean_square()
+        baseline = DirectInverse(**common, rate="linear")
+        two_stage = fit_two_stage(baseline, paper_split.train)
+        baseline.requires_grad_(False)
+        preview = self.extensions["preview"]
+        if preview == "auto":
+            preview = find_preview(baseline, lambda ahead: data.split(ahead).train)
+        split = data.split(preview)
+        compensator = DirectInverse(**common, **{**self.extensions, "preview": preview})
+        fit_two_stage(compensator, split.train)
+        return Start(compensator, baseline, two_stage, split, paper_split)
+
+    def limits(self, stage: AugmentedStage | None) -> dict[str, float]:
+        """Of the controller's output, V."""
+        known = (stage.min_voltage_v, stage.max_voltage_v) if stage else (-math.inf, math.inf)
+        return {
+            name: given if given is not None else own if math.isfinite(own) else otherwise
+            for (name, given), own, otherwise in zip(
+                self.given_limits.items(), known, (0.0, 10.0), strict=True
+            )
+        }
 
     def training_step(self, batch: Sequence[Window], batch_idx: int) -> Tensor | None:
+        if self.tracking:
+            parameters = self.coordinates.parameters(self.step_taken)
+            return self.tracking.loss(self.compensator, parameters) / self.scale
         if self.solves:
             return self._projected_loss(batch)
         counted = sum(pair.counted.stop - pair.counted.start for pair in self.split.train)
@@ -161,6 +236,8 @@ class InverseTraining(LightningModule):
         return torch.stack(losses).sum() / (counted * self.scale) if losses else None
 
     def on_train_batch_end(self, outputs: Any, batch: Sequence[Window], batch_idx: int) -> None:
+        if self.tracking:
+            self.coordinates.put(self.step_taken)
         if self.solves:
             # The last trial of the line search need not be the point that the optimiser chose.
             with torch.no_grad():
@@ -174,12 +251,18 @@ class InverseTraining(LightningModule):
         if batch.zero:
             zeros = fit_zeros(self.compensator, batch.zero)
             chosen_by = inverse_errors(self.compensator, batch.zero, zeros_um=zeros)
-        self.log(CHOSEN_BY, chosen_by.rms_v, batch_size=1)
+        loss = {"train": train.rms_v**2, "heldout": heldout.rms_v**2}
         for name, errors in (("train", train), ("heldout", heldout)):
             for key in ("rms_v", "max_v", "rms_um", "max_um"):
                 self.log(f"{key}/{name}", getattr(errors, key), batch_size=1)
-        self.log("loss/train", train.rms_v**2 / self.scale, batch_size=1)
-        self.log("loss/heldout", heldout.rms_v**2 / self.scale, batch_size=1)
+        if self.tracking:
+            followed = self.tracking.errors(self.compensator)
+            loss = {name: errors.rms_um**2 for name, errors in followed.items()}
+            for name, missed in followed.items():
+                self.log(f"tracking_um/{name}", missed.rms_um, batch_size=1)
+        self.log(CHOSEN_BY, loss["heldout"] if self.tracking else chosen_by.rms_v, batch_size=1)
+        for name, square in loss.items():
+            self.log(f"loss/{name}", square / self.scale, batch_size=1)
 
     def errors(self, split: Split) -> tuple[InverseErrors, InverseErrors]:
         """Of the compensator as it stands, on what it trains on and on what is held out."""
@@ -194,7 +277,11 @@ class InverseTraining(LightningModule):
         return inverse_errors(self.baseline, self.paper_split.heldout, zeros_um=zeros)
 
     def configure_optimizers(self) -> torch.optim.Optimizer:
-        parameters = searched_parameters(self.compensator, weights_are_solved=self.solves)
+        parameters = (
+            [self.step_taken]
+            if self.tracking
+            else searched_parameters(self.compensator, weights_are_solved=self.solves)
+        )
         if self.optimizer_name == "adam":
             return torch.optim.Adam(parameters, self.learning_rate)
         return torch.optim.LBFGS(

@@ -5,6 +5,8 @@ import json
 import platform
 import shlex
 import sys
+from dataclasses import asdict
+from hashlib import sha256
 from pathlib import Path
 from typing import Any, cast
 
@@ -24,19 +26,24 @@ from train.module import InverseTraining
 from train.pictures import record_fits, saturation, weights_against_rate
 from train.run_folder import RunFolder
 from train.sensor_zero import fit_zeros
+from train.tracking import tracking_notes
 
 PACKAGES = ("torchpi", "torch", "lightning", "numpy", "scipy", "numba")
 
 
-def write_settings(folder: RunFolder, config: str, data: RecordingsData, seed: int) -> None:
+def write_settings(
+    folder: RunFolder, config: str, data: RecordingsData, seed: int, stage_file: str | None
+) -> None:
     """config.yaml and run.json: enough to run it again and to see whether it is the same."""
     records = data.load()
+    stage = {stage_file: sha256(Path(stage_file).read_bytes()).hexdigest()} if stage_file else {}
     facts = {
         "command": shlex.join(["python", "-m", "train", *sys.argv[1:]]),
         "seed": seed,
         "data_sha256": {
             recording.source: recording.sha256 for recording in [*records.train, *records.heldout]
-        },
+        }
+        | stage,
         "versions": {"python": platform.python_version(), **{name: _version(name) for name in PACKAGES}},
         "machine": f"{platform.system()} {platform.machine()}",
     }
@@ -50,7 +57,8 @@ def write_results(
     """Judge the best checkpoint and write everything; returns the metrics."""
     best = torch.load(folder.best, map_location="cpu", weights_only=True)
     model.cpu().compensator.load_state_dict(best[STATE])
-    metrics = judge(model, data) | {"how": how(model, data, int(best["epoch"]) + 1, trainer.current_epoch)}
+    metrics: dict[str, Any] = judge(model, data) | judge_tracking(model)
+    metrics["how"] = how(model, data, int(best["epoch"]) + 1, trainer.current_epoch)
     save_json(model.compensator, folder.compensator.with_suffix(".json"))
     save_torchscript(model.compensator, folder.compensator)
     save_torchscript(model.baseline, folder.baseline)
@@ -74,6 +82,15 @@ def judge(model: InverseTraining, data: RecordingsData) -> dict[str, dict[str, f
     }
 
 
+def judge_tracking(model: InverseTraining) -> dict[str, Any]:
+    """Errors of the held-out motions through the stage: of a compensator identified on its plain hysteresis
+    (`plain`), of one identified on the stage itself (`before`), of that trained through it (`after`)."""
+    if model.tracking is None:
+        return {}
+    after = model.tracking.errors(model.compensator)["heldout"]
+    return {"tracking": {name: asdict(e) for name, e in (model.untrained | {"after": after}).items()}}
+
+
 def how(model: InverseTraining, data: RecordingsData, best_epoch: int, epochs: int) -> dict[str, Any]:
     """What the numbers were taken on."""
     records = data.load()
@@ -88,12 +105,19 @@ def how(model: InverseTraining, data: RecordingsData, best_epoch: int, epochs: i
         "zero_s": data.zero_s,
         "zeros_um": fit_zeros(model.compensator, model.split.zero),
         "baseline_zeros_um": fit_zeros(model.baseline, model.paper_split.zero),
-        "epoch_chosen_by": "held-out rms_v" + (" on zero_s, outside what is judged" if data.zero_s else ""),
+        "epoch_chosen_by": chosen_by(model, data),
         "monotone": bool(rises := check_monotone(model)),
         "monotone_says": str(rises),
         "best_epoch": best_epoch,
         "epochs": epochs,
     }
+
+
+def chosen_by(model: InverseTraining, data: RecordingsData) -> str:
+    """What chose the epoch, in words."""
+    if model.tracking:
+        return "tracking of the held-out motions of data.follow"
+    return "held-out rms_v" + (" on zero_s, outside what is judged" if data.zero_s else "")
 
 
 def check_monotone(model: InverseTraining) -> Monotone:
@@ -111,11 +135,11 @@ def _write_report(folder: RunFolder, model: InverseTraining, metrics: dict[str, 
     facts = json.loads(folder.facts.read_text(encoding="utf-8"))
     report = TrainingReport(
         name=folder.path.name,
-        metrics={key: row for key, row in metrics.items() if key != "how"},
+        metrics={key: row for key, row in metrics.items() if key not in ("how", "tracking")},
         records=record_fits(model),
         weights=weights_against_rate(model),
         saturation=saturation(model),
-        notes=notes(metrics["how"]),
+        notes=(*notes(metrics["how"]), *tracking_notes(metrics)),
     )
     provenance = Provenance(
         facts["command"], facts["seed"], facts["data_sha256"], facts["versions"], facts["machine"]

@@ -1,14 +1,16 @@
 """Recordings of the simulated stage, made on the spot."""
 
 import hashlib
+import inspect
+import math
 from dataclasses import dataclass, field
 from typing import Any
 
 import torch
 
-from torchpi.excitation import make_excitation
+from torchpi.excitation import EXCITATIONS, make_excitation
 from torchpi.recording import Recording, check_recording
-from torchpi.stage import Stage
+from torchpi.stage import AugmentedStage, Stage
 
 
 @dataclass
@@ -43,25 +45,31 @@ class Simulation:
     stage: str = "configs/stage/default.yaml"
 
 
-def simulate(simulation: Simulation) -> tuple[list[Recording], list[Recording]]:
+def simulate(
+    simulation: Simulation,
+    stage: AugmentedStage | None = None,  # instead of the file of the simulation
+) -> tuple[list[Recording], list[Recording]]:
     """The recordings to train on, and those held out; the same ones for the same settings.
 
     Raises:
         TorchpiError: A stage or an excitation that is not one.
     """
-    stage = Stage.from_yaml(simulation.stage)
+    played: Stage | AugmentedStage = stage or Stage.from_yaml(simulation.stage)
     return (
-        [_record(stage, simulated) for simulated in simulation.train],
-        [_record(stage, simulated) for simulated in simulation.heldout],
+        [_record(played, simulated) for simulated in simulation.train],
+        [_record(played, simulated) for simulated in simulation.heldout],
     )
 
 
-def _record(stage: Stage, simulated: Simulated) -> Recording:
+def _record(stage: Stage | AugmentedStage, simulated: Simulated) -> Recording:
+    options = _range(stage, simulated.excitation) | simulated.options
     t, u = make_excitation(
-        simulated.excitation, stage.sample_rate_hz, simulated.duration_s, simulated.seed, simulated.options
+        simulated.excitation, stage.sample_rate_hz, simulated.duration_s, simulated.seed, options
     )
     with torch.no_grad():
-        _, y = stage.simulate(torch.from_numpy(u)[None], seed=simulated.seed)
+        y_true, reading = stage.simulate(torch.from_numpy(u)[None], seed=simulated.seed)
+    # Of a stage that was identified nothing is gained by blurring what it says with noise.
+    y = y_true if isinstance(stage, AugmentedStage) else reading
     name = f"{simulated.excitation}-{simulated.seed}"
     recording = Recording(
         name=name,
@@ -74,3 +82,12 @@ def _record(stage: Stage, simulated: Simulated) -> Recording:
     )
     check_recording(recording)
     return recording
+
+
+def _range(stage: Stage | AugmentedStage, excitation: str) -> dict[str, float]:
+    """The voltages that an identified stage stands for, as options of an excitation that takes them."""
+    limits = {"low_v": stage.min_voltage_v, "high_v": stage.max_voltage_v}
+    if not isinstance(stage, AugmentedStage) or not all(map(math.isfinite, limits.values())):
+        return {}
+    known = inspect.signature(EXCITATIONS[excitation]).parameters if excitation in EXCITATIONS else {}
+    return limits if limits.keys() <= known.keys() else {}

@@ -74,5 +74,7 @@ def test_the_uncertainty_of_a_gain_covers_it() -> None:
     gains = [wanted(recording("a", 0.003, seed=seed), recording("a", 0.003, seed=seed).residual_retuned, 0.0)
              for seed in range(60)]  # fmt: skip
     z = np.array([(one.gain - 0.003 / 1.0) / one.gain_sd for one in gains])
-    assert np.std([one.gain for one in gains]) == pytest.approx(np.mean([one.gain_sd for one in gains]), rel=0.3)
+    assert np.std([one.gain for one in gains]) == pytest.approx(
+        np.mean([one.gain_sd for one in gains]), rel=0.3
+    )
     assert np.abs(z).max() < 6

@@ -25,7 +25,11 @@ def traces(seed: int, n: int = 12_000) -> list[Trace]:
     """White noise over a slow and a fast sine and one at another rate that grows."""
     rng = np.random.default_rng(seed)
     growing = sine(n, 4.0, 5_000.0) * np.linspace(0.2, 1, n)
-    inputs = (("slow", sine(n, 5.0), 10_000.0), ("fast", sine(n, 50.0), 10_000.0), ("grows", growing, 5_000.0))
+    inputs = (
+        ("slow", sine(n, 5.0), 10_000.0),
+        ("fast", sine(n, 50.0), 10_000.0),
+        ("grows", growing, 5_000.0),
+    )
     return [record(name, u, NOISE_UM * rng.standard_normal(n), fs_hz) for name, u, fs_hz in inputs]
 
 
@@ -143,6 +147,8 @@ def test_the_normal_score_of_an_f_ratio_against_its_distribution() -> None:
 
 
 def test_turning_points_are_where_the_input_turns_round() -> None:
-    u = np.concatenate([np.linspace(0, 5, 51), np.full(20, 5.0), np.linspace(5, 1, 41), np.linspace(1, 3, 21)])
+    u = np.concatenate(
+        [np.linspace(0, 5, 51), np.full(20, 5.0), np.linspace(5, 1, 41), np.linspace(1, 3, 21)]
+    )
     u[30] -= 0.01  # no reversal
     assert turning_points(u, 0.05).tolist() == [0, 71, 112]

@@ -75,7 +75,7 @@ def test_drift_and_hum_do_not_repeat(e: np.ndarray) -> None:
 
 
 def test_without_detection_lines_distortion_is_said_to_be_invisible() -> None:
-    _, u = random_phase(4.0, FS_HZ, 0, 10, 1, 2_499.5, 4, seed=1)
+    _, u = random_phase(4.0, FS_HZ, 0, 10, 1, 2_499.5, 4, mains_hz=(), seed=1)
     e = NOISE_UM * np.random.default_rng(0).standard_normal(len(u))
     (found,) = multisine(trace(e, u), e)
     assert found.periods == 4 and found.odd_um is None and found.even_um is None
@@ -84,7 +84,9 @@ def test_without_detection_lines_distortion_is_said_to_be_invisible() -> None:
 
 def test_two_multisines_in_one_recording_are_two_stretches() -> None:
     period = U[-20_000:]
-    u = np.concatenate([np.zeros(3_000), period, period, np.linspace(period[-1], 0, 4_000), 0.3 * U[-40_000:]])
+    u = np.concatenate(
+        [np.zeros(3_000), period, period, np.linspace(period[-1], 0, 4_000), 0.3 * U[-40_000:]]
+    )
     found = periodic_stretches(u)
     assert sorted(found, key=lambda one: one.start) == [Stretch(3_000, 20_000, 2), Stretch(47_000, 20_000, 2)]
     assert len(all_parts([trace(0 * u + 1e-3 * np.random.default_rng(0).standard_normal(len(u)), u)])) == 2

@@ -7,6 +7,8 @@ import torch
 
 from torchpi.compensator import DirectInverse
 from torchpi.identification import InversePair, fit_joint, fit_two_stage
+from torchpi.identification.joint import joint_problem
+from torchpi.identification.levenberg_marquardt import levenberg_marquardt
 from torchpi.identification.two_stage import fit_saturation
 from torchpi.motion import Motion
 
@@ -107,6 +109,33 @@ def test_stage_1_is_no_worse_than_scipy_on_random_problems(seed: int) -> None:
     starts = [np.array([1.0, 0.0, 0.0]), np.append(made.saturation.scaled.detach().numpy(), 0.0)]
     best = min(scipy.optimize.least_squares(residual, start).cost for start in starts)
     assert fit_saturation(fitted, [record]) <= 1.001 * np.sqrt(2 * best / len(u))
+
+
+def test_several_starts_leave_no_more_than_one() -> None:
+    better = 0
+    for seed in range(4):
+        random = np.random.default_rng(seed)
+        made = truth()
+        with torch.no_grad():
+            made.saturation.scaled *= torch.from_numpy(random.uniform(1.5, 3.0, 2))
+        [record] = pairs(made, (800,), noise_v=0.02)
+        several, once = (DirectInverse(PERIOD, THRESHOLDS, degree=3, range_um=4.0) for _ in range(2))
+        left_v = fit_saturation(several, [record])
+        once_v = fit_saturation(once, [record], several_starts=False)
+        assert left_v <= 1.001 * once_v
+        better += left_v < 0.99 * once_v
+    assert better >= 1
+
+
+def test_a_descent_goes_on_towards_what_another_reached_and_gives_up_what_it_cannot_reach() -> None:
+    [record] = pairs(truth(lead=1), (1200,), noise_v=0.02)
+    start = DirectInverse(PERIOD, THRESHOLDS, degree=2, range_um=4.0, rate_scale_um_s=100.0, lead=1)
+    problem = joint_problem(start, [record])
+    alpha, found = levenberg_marquardt(problem, problem.alpha, 100, 1e-4)
+    beaten, _ = levenberg_marquardt(problem, problem.alpha, 100, 1e-4, 1.01 * found.objective)
+    assert (beaten == alpha).all()
+    given_up, _ = levenberg_marquardt(problem, alpha, 100, 1e-6, 0.5 * found.objective)
+    assert (given_up == alpha).all()
 
 
 def test_the_joint_fit_never_leaves_more_than_it_found() -> None:

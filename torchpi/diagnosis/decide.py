@@ -5,12 +5,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from torchpi.diagnosis.diagnosis import NamedEffect, Parameter, Rival, Verdict
-from torchpi.diagnosis.evidence import evidence
 from torchpi.diagnosis.fit import fit, value_at
-from torchpi.diagnosis.hypothesis import Fit, Member
+from torchpi.diagnosis.hypothesis import Fit
 from torchpi.diagnosis.intervals import intervals_90
 from torchpi.diagnosis.model import foretold
-from torchpi.diagnosis.search import Round, Search, compressed
+from torchpi.diagnosis.search import Round, Search
 
 STATIC = (
     "input_nonlinearity", "hysteresis_asymmetry", "incongruent_loops", "sensor_nonlinearity",
@@ -42,31 +41,32 @@ class Decision:
     unexplained_share: float
 
 
-def decide(search: Search, final: Fit, history: Sequence[Round], floor_um: float) -> Decision:
+def decide(
+    search: Search, retuned: Fit, final: Fit, history: Sequence[Round], floor_um: float
+) -> Decision:
     """Name what the search found.
 
     An effect's share is what the held-out squared error rises by when it alone is taken away, over the
     mismatch of the retuned stage.
     """
-    before = history[0].before
-    mismatch = max(before.heldout_rms**2 - floor_um**2, 1e-300)
+    mismatch = max(retuned.heldout_rms**2 - floor_um**2, 1e-300)
     left = max(final.heldout_rms**2 - floor_um**2, 0.0)
     named = []
     for i in search.added(final):
         member = final.hypothesis.members[i]
         less = fit(search.chain, final.hypothesis.minus(i), final.weights)
         rise = less.heldout_rms**2 - final.heldout_rms**2
-        rivals = rivals_of(search, final, less, member)
+        rivals = rivals_of(history, member.effect.name)
         named.append(
             NamedEffect(
                 member.effect.name, member.effect.block, alternatives(rivals, member.effect.name),
-                probability(rise, left, rivals), parameters_of(search, final, i),
+                probability(member.effect.name, rise, left, rivals), parameters_of(search, final, i),
                 min(1.0, max(0.0, rise / mismatch)), member.effect.equation, member.effect.signature, rivals,
             )
         )  # fmt: skip
     family = final.hypothesis.nominal.family
-    if family != before.hypothesis.nominal.family:
-        named.append(operator(search, final, history, mismatch, left))
+    if family != retuned.hypothesis.nominal.family:
+        named.append(operator(search, retuned, final, history, mismatch, left))
     named.sort(key=lambda effect: -effect.share)
     unexplained = min(1.0, left / mismatch)
     return Decision(verdict(named, final, floor_um, unexplained), tuple(named), unexplained)
@@ -80,20 +80,12 @@ def verdict(named: Sequence[NamedEffect], final: Fit, floor_um: float, unexplain
     return "explained" if done or unexplained < 0.1 else "partly_explained"
 
 
-def rivals_of(search: Search, final: Fit, less: Fit, member: Member) -> tuple[Rival, ...]:
-    """What does the same work in its place, the best first; the effect itself among them."""
-    small = compressed(search.chain, less)
-    records = search.chain.records
-    mine = Rival(
-        member.effect.name, final.train_rms, final.heldout_rms,
-        evidence(records, less.residuals, final.residuals),
-    )  # fmt: skip
-    found = [mine]
-    for name, one in search.effects(small):
-        if name != member.effect.name and not one.bounded:
-            gained = evidence(records, less.residuals, one.residuals)
-            found.append(Rival(name, one.train_rms, one.heldout_rms, gained))
-    return tuple(sorted(found, key=lambda rival: rival.heldout_rms_um))
+def rivals_of(history: Sequence[Round], name: str) -> tuple[Rival, ...]:
+    """What was tried in its place in the round that took it, the best first; the effect itself among them."""
+    taken = next(round for round in reversed(history) if round.accepted == name)
+    return tuple(
+        Rival(one.name, one.fit.train_rms, one.fit.heldout_rms, one.evidence) for one in taken.tried
+    )
 
 
 def alternatives(rivals: Sequence[Rival], name: str) -> tuple[str, ...]:
@@ -113,17 +105,18 @@ def alternatives(rivals: Sequence[Rival], name: str) -> tuple[str, ...]:
     )
 
 
-def probability(rise: float, left: float, rivals: Sequence[Rival]) -> float:
+def probability(name: str, rise: float, left: float, rivals: Sequence[Rival]) -> float:
     """That the name is right: what it explains against what nothing explains, against noise, and its rivals.
 
-    Rivals share by e^{ΔL}, so that equal ones halve it.
+    Rivals share by e^{ΔL}, so that an equal one halves it; the group of alternatives keeps the whole.
     """
-    best = max(rival.evidence for rival in rivals)
-    weights = [math.exp(max(rival.evidence - best, -700.0)) for rival in rivals]
-    mine = weights[0] / sum(weights) if rivals else 1.0
+    mine = next(rival for rival in rivals if rival.name == name)
+    group = {name, *alternatives(rivals, name)}
+    weights = {rival.name: math.exp(min(rival.evidence - mine.evidence, 50.0)) for rival in rivals}
+    outside = max((weight for other, weight in weights.items() if other not in group), default=0.0)
     known = rise / (rise + left) if rise > 0 else 0.0
-    noise = 1.0 / (1.0 + math.exp(-min(rivals[0].evidence, 50.0)))
-    return round(max(mine, 0.5 if mine > 0.1 else mine) * known * noise, 4)
+    noise = 1.0 / (1.0 + math.exp(-min(mine.evidence, 50.0)))
+    return round(known * noise / (1.0 + outside), 4)
 
 
 def parameters_of(search: Search, final: Fit, index: int) -> tuple[Parameter, ...]:
@@ -160,11 +153,11 @@ def together(each: Sequence[Parameter], value: float) -> Parameter:
 
 
 def operator(
-    search: Search, final: Fit, history: Sequence[Round], mismatch: float, left: float
+    search: Search, retuned: Fit, final: Fit, history: Sequence[Round], mismatch: float, left: float
 ) -> NamedEffect:
     """The hysteresis itself, where it is not Prandtl–Ishlinskii."""
     nominal = final.hypothesis.nominal
-    plain = fit(search.chain, final.hypothesis.on(history[0].before.hypothesis.nominal), None)
+    plain = fit(search.chain, final.hypothesis.on(retuned.hypothesis.nominal), None)
     rise = plain.heldout_rms**2 - final.heldout_rms**2
     grown = next(r for r in history if any(t.name.endswith(nominal.family) for t in r.tried))
     rivals = tuple(

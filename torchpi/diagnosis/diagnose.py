@@ -8,6 +8,7 @@ import numpy as np
 
 from torchpi.diagnosis.chain import Chain
 from torchpi.diagnosis.conflict import conflict
+from torchpi.diagnosis.coverage import cannot_be_decided
 from torchpi.diagnosis.decide import Decision, decide
 from torchpi.diagnosis.diagnosis import Diagnosis, Errors, NamedEffect, Parameter, Trace
 from torchpi.diagnosis.fit import fit, rms
@@ -70,11 +71,10 @@ def diagnose(
     else:
         first = simulated(simulation, records)
     search = Search(chain, say, start, floor, executor)
-    final, history = search.run()
-    retuned = history[0].before
+    retuned, final, history = search.run()
     floor_um = search.floor_um(final)
     say("decide: every named effect against its rivals")
-    decision = decide(search, final, history, floor_um)
+    decision = decide(search, retuned, final, history, floor_um)
     if lsb_um > 0 and lsb_um / np.sqrt(12) > COARSE * final.heldout_rms:
         decision = with_converter(decision, lsb_um, final, retuned)
     augmented = final
@@ -94,7 +94,10 @@ def diagnose(
     next_one, excitation = next_recording(
         open_names, what, unexplained=decision.verdict in ("unexplained", "partly_explained")
     )
-    notes = (*lattice_note, *conventions(final), *history_notes(search, final), *conflict(traces, floor_um))
+    notes = (
+        *cannot_be_decided(records), *lattice_note, *conventions(final), *history_notes(search, final),
+        *conflict(traces, floor_um),
+    )  # fmt: skip
     errors = (
         errors_of(records, first), errors_of(records, retuned.residuals), errors_of(records, augmented.residuals)
     )  # fmt: skip

@@ -23,7 +23,7 @@ def diagnose_files(
     paths: Sequence[Path],
     output: Path,
     simulation: Path | None,
-    columns: Mapping[str, str],
+    columns: Mapping[str, str | int],
     fs_hz: float | None,
     resample: bool,
     executor: str,
@@ -76,7 +76,7 @@ def diagnose_files(
     return found
 
 
-def check_options(output: Path, columns: Mapping[str, str], executor: str) -> None:
+def check_options(output: Path, columns: Mapping[str, str | int], executor: str) -> None:
     """Raise `ConfigError` for an option that cannot be."""
     if executor not in ("processes", "here"):
         raise ConfigError(f"--executor is '{executor}', wanted processes or here")
@@ -86,7 +86,7 @@ def check_options(output: Path, columns: Mapping[str, str], executor: str) -> No
         raise ConfigError(f"{output} is a file, wanted a folder for the results; choose another")
 
 
-def read(path: Path, columns: Mapping[str, str], fs_hz: float | None, resample: bool) -> Recording:
+def read(path: Path, columns: Mapping[str, str | int], fs_hz: float | None, resample: bool) -> Recording:
     """One recording, columns by name or number."""
     chosen = {f"{name}_column": column for name, column in columns.items()}
     return read_recording(path, fs_hz=fs_hz, resample=resample, **chosen)  # type: ignore[arg-type]

@@ -14,6 +14,8 @@ from torchpi.operators.quantity import Quantity
 
 RIDGE = 1e-9
 ITERATIONS = 12
+KEPT_PROMISE = 0.5
+"""Share of the decrease foretold that a step must keep."""
 
 
 def fit(
@@ -22,12 +24,22 @@ def fit(
     weights: np.ndarray | None = None,
     iterations: int = ITERATIONS,
 ) -> Fit:
-    """The hypothesis fitted to the training samples."""
+    """The hypothesis fitted to the training samples.
+
+    Where the straight line of a step promises more than the step keeps, the weights are solved anew at the
+    parameters that it leads to (variable projection: Golub and Pereyra 1973): a limit of the voltage and a
+    hundred plays that have bent round a wrong one move together or not at all.
+    """
     slots = slots_of(hypothesis)
     theta = np.array([to_inner(slot, value_at(hypothesis, slot)) for slot in slots])
     records = chain.records
     if weights is None:
         weights = start_weights(chain, hypothesis)
+    elif slots and any(member.effect.hold for member in hypothesis.members):
+        # Weights found without a mode, or a lag, may be far from those that go with it.
+        fresh = start_weights(chain, hypothesis)
+        if sum_of_squares(chain, hypothesis, fresh) < sum_of_squares(chain, hypothesis, weights):
+            weights = fresh
     damping = 1e-3
     for _ in range(iterations):
         current = with_theta(hypothesis, slots, theta)
@@ -42,8 +54,13 @@ def fit(
                 [to_inner(s, s.low) for s in slots],
                 [to_inner(s, s.high) for s in slots],
             )
-            trial_weights = weights + step[:n]
-            trial_ss = sum_of_squares(chain, with_theta(hypothesis, slots, trial_theta), trial_weights)
+            trial, trial_weights = with_theta(hypothesis, slots, trial_theta), weights + step[:n]
+            trial_ss = sum_of_squares(chain, trial, trial_weights)
+            promised = float(2 * step @ right - step @ gram @ step)
+            if slots and promised > 1e-4 * ss and ss - trial_ss < KEPT_PROMISE * promised:
+                solved, solved_ss = with_weights_solved(chain, trial, weights)
+                if solved_ss < trial_ss:
+                    trial_weights, trial_ss = solved, solved_ss
             if trial_ss < ss:
                 accepted = True
                 break
@@ -60,6 +77,18 @@ def fit(
         rms(records, residuals, True), rms(records, residuals, False),
         tuple(s.name for s, t in zip(slots, theta, strict=True) if at_bound(s, t)),
     )  # fmt: skip
+
+
+def with_weights_solved(
+    chain: Chain, hypothesis: Hypothesis, weights: np.ndarray
+) -> tuple[np.ndarray, float]:
+    """The best weights of a hypothesis, and their sum of squares; infinite where the chain cannot be."""
+    try:
+        gram, right, _ = normal_equations(chain, hypothesis, weights, (), np.zeros(0))
+    except StageError:
+        return weights, math.inf
+    solved = weights + solve(gram, right, len(weights), 0.0)
+    return solved, sum_of_squares(chain, hypothesis, solved)
 
 
 def slots_of(hypothesis: Hypothesis) -> tuple[Slot, ...]:
@@ -206,10 +235,13 @@ def sum_of_squares(chain: Chain, hypothesis: Hypothesis, weights: np.ndarray) ->
 
 
 def start_weights(chain: Chain, hypothesis: Hypothesis) -> np.ndarray:
+    """Least squares on the rows as they come out of the chain, to first order in the weights."""
     parts = []
+    nothing = np.zeros(len(chain.rows(hypothesis, 0)))
     for i, record in enumerate(chain.records):
-        rows = chain.rows(hypothesis, i)[:, record.fitted]
-        parts.append((rows @ rows.T, rows @ record.y[record.fitted]))
+        y, directions = chain.output_and_directions(hypothesis, nothing, i)
+        rows = directions[:, record.fitted]
+        parts.append((rows @ rows.T, rows @ (record.y - y)[record.fitted]))
     gram, right = (np.sum(part, 0) for part in zip(*parts, strict=True))
     return solve(gram, right, len(right), 0.0)
 

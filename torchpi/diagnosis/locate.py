@@ -115,7 +115,7 @@ class _Samples:
         share = excess / excess.sum() if excess.sum() > 0 else np.zeros(count)
         each = 2 / _design_effect(n_of, sum_of)  # degrees of freedom of a sample
         found = []
-        for c in np.flatnonzero(n):
+        for c in np.flatnonzero(n).tolist():
             others, rest = n.sum() - n[c], total.sum() - total[c]
             significance = 0.0
             if others and rest > 0:
@@ -165,7 +165,9 @@ def _design_effect(n_of: np.ndarray, sum_of: np.ndarray) -> float:
 
 
 def _time(traces: Sequence[Trace]) -> _Cells:
-    ranges, labels, index = [], [], []
+    ranges: list[tuple[float, float]] = []
+    labels: list[str] = []
+    index = []
     for trace in traces:
         cell = np.arange(len(trace.t)) * TIME_CELLS // len(trace.t)
         index.append(len(ranges) + cell)

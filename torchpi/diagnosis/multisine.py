@@ -30,7 +30,9 @@ EXCITED = 1e-3
 BAND = 3
 """Distortion is looked for up to three times the highest excited frequency."""
 MAINS_HZ, HARMONICS = (50.0, 60.0), 10
-"""Lines about these, where the input has none, are hum's and count as non-periodic."""
+"""Lines about these, where the input has none, are not taken for distortion."""
+FINE_HZ = 1.0
+"""Of lines closer than this, those on the mains are hum's, and count as non-periodic."""
 LEAKS = 2.5
 """Times the noise, from which six lines about a line are more than noise."""
 AT_MOST = 4
@@ -84,15 +86,14 @@ def multisine(trace: Trace, residual: np.ndarray) -> tuple[Parts, ...]:
 
 def sentence(parts: Parts) -> str:
     """What the lines say, for a reader."""
-    named = {"linear": "linear", "even": "even", "odd": "odd", "non_periodic": "non-periodic"}
-    sizes = {
+    sizes: dict[Part, float | None] = {
         "linear": parts.linear_um,
         "even": parts.even_um,
         "odd": parts.odd_um,
         "non_periodic": parts.non_periodic_um,
     }
     found = [
-        f"{named[part]} {1e3 * size:.3g} nm"
+        f"{part.replace('_', '-')} {1e3 * size:.3g} nm"
         for part, size in sizes.items()
         if size and parts.significance[part] > SIGNIFICANT
     ]
@@ -181,7 +182,7 @@ def _parts(trace: Trace, residual: np.ndarray, stretch: Stretch) -> Parts:
     for part in parts:
         mask = band & (kind == part)
         sizes[part], significance[part] = _over(power[mask], leaked[mask], m) if mask.any() else (None, 0.0)
-    hum = kind == "mains"
+    hum = (kind == "mains") & (trace.fs_hz / n < FINE_HZ)
     unrepeated = np.concatenate([between[: len(noise) * (m - 1)], power[hum]])
     of_noise = np.concatenate([np.repeat(noise, m - 1)[: len(between)], noise[hum]])
     size, significance["non_periodic"] = _over(unrepeated, of_noise, m)
@@ -221,7 +222,9 @@ def _on_mains(hz: np.ndarray, spacing_hz: float) -> np.ndarray:
     mask = np.zeros(len(hz), dtype=bool)
     for mains_hz in MAINS_HZ:
         multiple = np.maximum(np.round(hz / mains_hz), 1) * mains_hz
-        mask |= (np.abs(hz - multiple) < 1e-3 * multiple + spacing_hz) & (multiple <= HARMONICS * mains_hz)
+        mask |= (np.abs(hz - multiple) < 1e-3 * multiple + 0.5 * spacing_hz) & (
+            multiple <= HARMONICS * mains_hz
+        )
     return mask
 
 

@@ -74,7 +74,8 @@ def seen(records: Sequence[Record]) -> Seen:
         duration_s=max(len(record.u) / record.fs_hz for record in records),
         low_v=min(float(record.u.min()) for record in records),
         high_v=max(float(record.u.max()) for record in records),
-        max_rate_v_s=float(np.quantile(rates, 0.999)),
+        # Steps between long holds are too few for a percentile to see.
+        max_rate_v_s=float(np.quantile(rates, 0.999) or rates.max()),
         low_um=min(float(record.y.min()) for record in records),
         high_um=max(float(record.y.max()) for record in records),
         aux={n: max(float(r.aux[n].std()) for r in records if n in r.aux) for n in sorted(names)},

@@ -14,7 +14,7 @@ from torchpi.diagnosis.chain import Chain
 from torchpi.diagnosis.fit import jacobian
 from torchpi.diagnosis.hypothesis import Fit, Member
 from torchpi.diagnosis.records import Record
-from torchpi.stage.effects.effect import Effect
+from torchpi.stage.effects.effect import Effect, Parameters
 from torchpi.stage.effects.inside import InsideEffect
 
 
@@ -64,13 +64,13 @@ class Screen:
         right = stacked @ self.residual - projected.T @ self.explained
         size = np.diag(stacked @ stacked.T)
         alive = (size > 0) & (np.diag(gram) > 1e-7 * size)
-        if not alive.any():
+        if not alive.any() or self.total == 0.0:
             return Candidate(member, 0.0, held)
         gram, right = gram[np.ix_(alive, alive)], right[alive]
         spread = np.sqrt(np.diag(gram))
         unit = gram / spread / spread[:, None] + 1e-9 * np.eye(len(spread))
         coefficients = np.linalg.solve(unit, right / spread)
-        if len(coefficients) == 1 and not signed(member) and coefficients[0] < 0:
+        if alive[0] and not (signed(member) or member.effect.hold) and coefficients[0] < 0:
             return Candidate(member, 0.0, held)
         return Candidate(member, float(coefficients @ (right / spread)) / self.total, held)
 
@@ -87,7 +87,17 @@ class Screen:
                 moved = self.chain.output(hypothesis, self.now.weights, i) - self.bases[i]
                 parts.append(np.nan_to_num(moved[record.fitted]))
             found.append(parts)
+        if member.effect.hold:
+            found.append(self.of_the_voltage(member))
         return found
+
+    def of_the_voltage(self, member: Member) -> list[np.ndarray]:
+        """What a dynamic block makes of the voltage itself: where nothing static fits, the output is no guide."""
+        hypothesis = self.now.hypothesis.plus(member)
+        return [
+            self.chain.output_and_directions(hypothesis, np.zeros(len(self.now.weights)), i)[1][0][record.fitted]
+            for i, record in enumerate(self.records)
+        ]
 
 
 def signed(member: Member) -> bool:
@@ -134,12 +144,17 @@ def separate(member: Member) -> list[Member]:
 def candidates_of(
     effect: type[Effect] | type[InsideEffect],
     records: Sequence[Record],
-    starts: Sequence[dict[str, float]],
+    starts: Sequence[Parameters],
     aux: Sequence[str],
 ) -> list[Member]:
-    """The starts of an effect as members, its own parameters given to each recording."""
+    """The starts of an effect as members, its own parameters given to each recording.
+
+    Starts out of its bounds are left out: recordings in extreme units, or at extreme rates, ask for them.
+    """
     members = []
     for start in starts:
+        if not possible(effect, start):
+            continue
         shared = {n: v for n, v in start.items() if n not in effect.per_recording}
         each = {n: v for n, v in start.items() if n in effect.per_recording}
         own = tuple(dict(each) for _ in records) if each else ()
@@ -158,3 +173,11 @@ def candidates_of(
             else [Member(effect, shared, own)]
         )
     return members
+
+
+def possible(effect: type[Effect] | type[InsideEffect], start: Parameters) -> bool:
+    """Whether every number of a start lies within its bounds."""
+    return all(
+        effect.quantities[name].at_least <= value <= effect.quantities[name].at_most
+        for name, value in start.items()
+    )

@@ -12,6 +12,7 @@ import numpy as np
 import torch
 
 from torchpi.diagnosis.chain import Chain
+from torchpi.diagnosis.coverage import reason_to_leave_out
 from torchpi.diagnosis.evidence import evidence
 from torchpi.diagnosis.fit import ITERATIONS, fit
 from torchpi.diagnosis.hypothesis import Fit, Hypothesis, Member
@@ -37,6 +38,8 @@ TRIED = 6
 """How many effects are fitted in a round, the best of the screen."""
 PAIRS = 3
 """How many of a round's best are fitted with all rows before one is chosen."""
+FINISHED = 1.02
+"""Times the floor: an error within this leaves nothing to look for."""
 OUTWEIGHS = 2.0
 """How many times what nothing explains an effect must explain to be named."""
 HOPELESS = 3.0
@@ -57,11 +60,12 @@ class Tried:
 
 @dataclass(frozen=True, eq=False)
 class Round:
-    """What was tried on top of one hypothesis, the best first; `accepted` says whether that was taken."""
+    """What was tried on top of one hypothesis, the best first."""
 
     before: Fit
     tried: tuple[Tried, ...]
-    accepted: bool
+    accepted: str | None
+    """The name of what was taken."""
 
 
 class Search:
@@ -81,34 +85,37 @@ class Search:
         self.given = {member.effect.name for member in given}
         self.seen = seen(chain.records)
         self.hopeless: set[str] = set()
-        self.starts = [
-            member
-            for effect in EFFECTS
-            for member in candidates_of(effect, chain.records, effect.starts(self.seen), list(self.seen.aux))
-        ]
+        self.starts: list[Member] = []
+        for effect in EFFECTS:
+            starts = candidates_of(effect, chain.records, effect.starts(self.seen), list(self.seen.aux))
+            if why := reason_to_leave_out(effect, chain.records, self.seen, len(starts)):
+                self.left_out.append((effect.name, why))
+            else:
+                self.starts += starts
 
-    def run(self, rounds: int = 5) -> tuple[Fit, list[Round]]:
-        """Forward, with a backward check after each step."""
-        now = min(
+    def run(self, rounds: int = 5) -> tuple[Fit, Fit, list[Round]]:
+        """The retuned nominal, the best hypothesis, and the rounds: forward, with a backward check."""
+        retuned = now = min(
             (fit(self.chain, Hypothesis(many_plays(self.seen), self.start, a)) for a in (0, 1)),
             key=lambda f: f.train_rms,
         )
-        self.say(f"PI, {describe(now)}, floor {1e3 * (self.floor or 0):.3f}")
-        history = []
-        for _ in range(rounds):
+        self.say(f"retuned, 100 plays: {describe(now)}")
+        history: list[Round] = []
+        for number in range(1, rounds + 1):
+            if self.floor and now.heldout_rms < FINISHED * self.floor:
+                break
             small = compressed(self.chain, now)
             tried = self.round(small)
-            for one in tried[:5]:
-                self.say(f"    {one.name:26s} {describe(one.fit)} ΔL {one.evidence:.0f} {one.fit.bounded}")
-            tried = [one for one in tried if self.takes(one, small)] or tried[:1]
-            accepted = bool(tried) and self.takes(tried[0], small)
-            history.append(Round(now, tuple(tried), accepted))
-            if not accepted:
+            taken = [one for one in tried if self.takes(one, small)]
+            best = f"; best {tried[0].name}, {describe(tried[0].fit)}" if tried else ""
+            self.say(f"round {number}: {len(tried)} explanations fitted{best}")
+            chosen = self.chosen(taken) if taken else None
+            history.append(Round(now, tuple(tried), chosen.name if chosen else None))
+            if chosen is None:
                 break
-            chosen = self.chosen(tried)
             now = self.backward(self.realigned(self.sized(chosen.fit)))
-            self.say(f"  + {chosen.name}: {now.hypothesis.names} {describe(now)}")
-        return self.sifted(now), history
+            self.say(f"  with {', '.join(now.hypothesis.names) or chosen.name}: {describe(now)}")
+        return retuned, self.sifted(now), history
 
     def sifted(self, now: Fit) -> Fit:
         """Without the effects that explain little beside what nothing explains."""
@@ -145,8 +152,8 @@ class Search:
 
     def effects(self, now: Fit) -> list[tuple[str, Fit]]:
         """The most promising effects, each fitted from its best starts."""
-        present = set(now.hypothesis.names)
-        starts = [m for m in [*self.starts, *self.from_residual(now)] if m.effect.name not in present]
+        barred = {*now.hypothesis.names, *(name for name, _ in self.left_out)}
+        starts = [m for m in [*self.starts, *self.from_residual(now)] if m.effect.name not in barred]
         screens = {False: Screen(self.chain, now)}
         if not any(member.effect.hold for member in now.hypothesis.members):
             stepped = replace(now, hypothesis=replace(now.hypothesis, held=True))

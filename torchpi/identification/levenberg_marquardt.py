@@ -9,10 +9,11 @@ from torchpi.identification.thin_qr import solve_triangle, triangle_of
 
 FIRST_DAMPING = 1e-3
 PATIENCE = 6  # trials
+ROOM = 10.0  # how much further than the linearisation knows a descent may lead
 
 
 def levenberg_marquardt(
-    problem: ProjectedProblem, alpha: np.ndarray, evaluations: int, tolerance: float
+    problem: ProjectedProblem, alpha: np.ndarray, evaluations: int, tolerance: float, best: float = np.inf
 ) -> tuple[np.ndarray, Solved]:
     """α from `alpha` on, and the weights there; the objective never rises.
 
@@ -22,6 +23,8 @@ def levenberg_marquardt(
         evaluations: The most trials.
         tolerance: Where the objective falls by less than this share of it in some trials, it has arrived.
             Where a play just begins to move the objective has kinks, along which it creeps without end.
+        best: Objective that another descent has reached. This one gives up where it will hardly come below:
+            where `ROOM` times all that the linearisation can take away is too little.
     """
     solved = problem.solve(alpha)
     scale = np.zeros(len(alpha))
@@ -33,6 +36,9 @@ def levenberg_marquardt(
             linearised = problem.linearise(alpha, solved.beta)
             scale = np.maximum(scale, np.linalg.norm(linearised.slopes, axis=0))
             scale[scale == 0] = 1.0  # a number that moves nothing
+            reachable = float(linearised.error @ linearised.error)
+            if solved.objective - ROOM * reachable > (1 - tolerance) * best:
+                break
         slopes, error = linearised.slopes / scale, linearised.error
         step = _damped_step(slopes, error, damping)
         expected = float(error @ error - np.sum((error - slopes @ step) ** 2))

@@ -17,28 +17,44 @@ FINALISTS = 3  # of a thorough search
 ROUGH, FINE = 1e-2, 1e-4  # tolerances
 
 
-def search(problem: ProjectedProblem, evaluations: int, thorough: bool = False) -> tuple[np.ndarray, Solved]:
+Found = tuple[np.ndarray, Solved]  # α, and the weights there
+
+
+def search(problem: ProjectedProblem, evaluations: int, thorough: bool = False) -> Found:
     """The best α that was found, and the weights there.
 
     Args:
         problem: What is minimised, from where its compensator stands.
         evaluations: The most trials of one descent.
-        thorough: Descend on every row from several of the rough minima, and from the start itself, instead
-            of from the best one: where much is searched, what is best on some rows need not be on all.
+        thorough: Descend on every row from several of the rough minima, and from the start itself where its
+            own rough minimum is not the deepest: where much is searched, what is best on some rows need not
+            be on all.
     """
     rough = problem.thinned(ROWS_PER_NUMBER * (problem.columns.count + len(problem.searched)))
-    found = [levenberg_marquardt(rough, problem.alpha, evaluations, ROUGH)]
+    own = levenberg_marquardt(rough, problem.alpha, evaluations, ROUGH)
+    found = [own]
     if problem.is_polynomial.any():
-        starts = _starts(rough, found[0][0])
-        found += [levenberg_marquardt(rough, start, min(FEW, evaluations), ROUGH) for start in starts]
+        for start in _starts(rough, own[0]):
+            least = min(found, key=_objective)[1].objective
+            found.append(levenberg_marquardt(rough, start, min(FEW, evaluations), ROUGH, least))
     found.sort(key=_objective)
-    finalists = [alpha for alpha, _ in found[: FINALISTS if thorough else 1]]
-    if thorough:
-        finalists.append(problem.alpha)
-    return min((levenberg_marquardt(problem, each, evaluations, FINE) for each in finalists), key=_objective)
+    best = levenberg_marquardt(problem, found[0][0], evaluations, FINE)
+    if not thorough:
+        return best
+    for alpha, _ in found[1:FINALISTS]:
+        rival = levenberg_marquardt(problem, alpha, evaluations, FINE, best[1].objective)
+        best = min(best, rival, key=_objective)
+    if found[0] is not own or problem.solve(problem.alpha).objective < best[1].objective:
+        best = min(best, descend(problem, evaluations), key=_objective)
+    return best
 
 
-def _objective(found: tuple[np.ndarray, Solved]) -> float:
+def descend(problem: ProjectedProblem, evaluations: int) -> Found:
+    """The minimum below the start."""
+    return levenberg_marquardt(problem, problem.alpha, evaluations, FINE)
+
+
+def _objective(found: Found) -> float:
     return found[1].objective
 
 

@@ -3,7 +3,7 @@
 Stage 1 fits the saturation polynomial c with constant weights to a slow record. The weights enter
 linearly, so they are solved for within each trial of c (variable projection, Golub and Pereyra 1973)
 and only the m coefficients are searched, by damped Gauss–Newton on the exact derivative, from several
-scales. Stage 2 keeps c and fits slopes k and offsets b of the weights to faster records: linear least
+scales or, as in the paper, once. Stage 2 keeps c and fits slopes k and offsets b of the weights to faster records: linear least
 squares.
 """
 
@@ -17,12 +17,12 @@ from torchpi.compensator import DirectInverse
 from torchpi.identification.inverse_columns import InverseColumns
 from torchpi.identification.pair import InversePair
 from torchpi.identification.projected_problem import ProjectedProblem
-from torchpi.identification.search import search
+from torchpi.identification.search import descend, search
 from torchpi.identification.thin_qr import ThinQR
 from torchpi.motion import Motion
 
 EVALUATIONS = 100  # of stage 1, at most
-BLOCK = 4000  # samples of stage 2 at a time
+BLOCK = 10_000  # samples of stage 2 at a time
 DEPENDENT = 1e-10  # share of the largest singular value below which a direction counts as none
 
 
@@ -48,15 +48,20 @@ class TwoStageResult:
 
 
 def fit_two_stage(
-    compensator: DirectInverse, pairs: Sequence[InversePair], free_thresholds: bool = False
+    compensator: DirectInverse,
+    pairs: Sequence[InversePair],
+    free_thresholds: bool = False,
+    several_starts: bool = True,
 ) -> TwoStageResult:
     """Fit `compensator` in place: stage 1 on the slowest record, stage 2 on the others.
 
     A single record serves both. Lead and creep stay as they are. Of a neural rate head, the linear
-    part is fitted. With `free_thresholds` stage 1 moves the thresholds as well (extension).
+    part is fitted. With `free_thresholds` stage 1 moves the thresholds as well (extension). Without
+    `several_starts` it descends from where c stands alone, as the paper does: to the next minimum, which need
+    not be the deepest.
     """
     slow, *fast = sorted(pairs, key=_typical_rate)
-    slow_rms_v = fit_saturation(compensator, [slow], free_thresholds)
+    slow_rms_v = fit_saturation(compensator, [slow], free_thresholds, several_starts)
     fast_rms_v, condition_number = fit_weights(compensator, fast or [slow])
     return TwoStageResult(
         slow.name, tuple(pair.name for pair in fast) or (slow.name,), slow_rms_v, fast_rms_v, condition_number
@@ -64,12 +69,15 @@ def fit_two_stage(
 
 
 def fit_saturation(
-    compensator: DirectInverse, pairs: Sequence[InversePair], free_thresholds: bool = False
+    compensator: DirectInverse,
+    pairs: Sequence[InversePair],
+    free_thresholds: bool = False,
+    several_starts: bool = True,
 ) -> float:
     """Stage 1 (eq. 10) in place: c, with weights that do not follow the rate; returns the rms error, V."""
     searched = ["c", "r"] if free_thresholds else ["c"]
     problem = ProjectedProblem(compensator, pairs, searched, functions=1, own_degree=0)
-    alpha, solved = search(problem, EVALUATIONS)
+    alpha, solved = (search if several_starts else descend)(problem, EVALUATIONS)
     problem.put(alpha, solved.beta)
     return float(solved.mean_square**0.5)
 

@@ -138,7 +138,7 @@ def calibrate_paper_method(
         rate_scale_um_s=1000.0,
     )
     pairs = [inverse_pair(sine), inverse_pair(multisine)]
-    fit = fit_two_stage(compensator, pairs)
+    fit = fit_two_stage(compensator, pairs, several_starts=False)
     return Calibration(
         _model_error(compensator, pairs[1]),
         _tracking_error(stage, compensator, "slow", 4 * seed + 2),

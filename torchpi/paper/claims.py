@@ -1,7 +1,8 @@
 """What Qin et al. (2013) say in words, run as experiments on the simulated stage.
 
 Each gives variants with the same columns, and whether the paper's statement holds here. All compensators have
-the paper's form (n = 10, m = 4, no look-ahead) and see recordings of the stage only.
+the paper's form (n = 10, m = 4, no look-ahead) and see recordings of the stage only. Stage 1 starts once, as
+the paper's does.
 """
 
 import copy
@@ -12,11 +13,13 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.optimize
 import torch
+from torch import Tensor
 
 from torchpi.compensator import DirectInverse
 from torchpi.excitation import multisine
 from torchpi.identification import InversePair, fit_joint, inverse_errors, inverse_pair
 from torchpi.identification.two_stage import fit_saturation, fit_weights
+from torchpi.motion import Motion
 from torchpi.operators.dead_zone import DeadZones
 from torchpi.operators.reference_filter import ReferenceFilter
 from torchpi.paper import fig12
@@ -72,7 +75,7 @@ def two_sets_against_one(plant: Plant, identified: Identified) -> Claim:
         ("5 Hz sine for both", slow, slow),
     ):
         compensator = paper_form(identified.pairs, plant.sample_period_s)
-        fit_saturation(compensator, [first])
+        fit_saturation(compensator, [first], several_starts=False)
         fit_weights(compensator, [second])
         variants[name] = _worth(compensator, plant)
     two, *one = (variant[HELD_OUT] for variant in variants.values())
@@ -94,7 +97,7 @@ def jointly_against_two_stages(plant: Plant, identified: Identified, evaluations
     pairs = identified.pairs
 
     def two_stages(compensator: DirectInverse) -> None:
-        fit_saturation(compensator, pairs[:1])
+        fit_saturation(compensator, pairs[:1], several_starts=False)
         fit_weights(compensator, pairs[1:])
 
     def weights_solved(compensator: DirectInverse) -> None:
@@ -128,8 +131,8 @@ def polynomial_against_dead_zones(plant: Plant, identified: Identified) -> Claim
     """Stage 1 with the polynomial of degree 4, or with six one-sided dead zones in its place."""
     slow, fast = identified.pairs
     polynomial = paper_form(identified.pairs, plant.sample_period_s)
-    polynomial_slow_v = fit_saturation(polynomial, [slow])
-    zones = paper_form(identified.pairs, plant.sample_period_s)
+    polynomial_slow_v = fit_saturation(polynomial, [slow], several_starts=False)
+    zones = _DeadZoneInverse(**polynomial.hyper_parameters)
     zones_slow_v = _fit_dead_zones(zones, slow)
     variants = {}
     for name, compensator, numbers, slow_v in (
@@ -225,7 +228,7 @@ def _blind(compensator: DirectInverse, pairs: Sequence[InversePair], evaluations
     residual(found.x)
 
 
-def _fit_dead_zones(compensator: DirectInverse, slow: InversePair) -> float:
+def _fit_dead_zones(compensator: _DeadZoneInverse, slow: InversePair) -> float:
     """Stage 1 with dead zones for S, in place: five thresholds and six weights; the rms error, V."""
     top = float(slow.motion.yd.max())
     start = np.concatenate([top * np.arange(1, ZONES) / ZONES, np.eye(ZONES)[0]])
@@ -246,6 +249,14 @@ def _fit_dead_zones(compensator: DirectInverse, slow: InversePair) -> float:
 
     found = scipy.optimize.least_squares(residual, start, diff_step=[1e-4] * len(start), max_nfev=60)
     return float(np.sqrt(np.mean(residual(found.x) ** 2)))
+
+
+class _DeadZoneInverse(DirectInverse):
+    """With dead zones for S: one operator after the other. The kernel in one pass knows the polynomial alone."""
+
+    def voltage(self, motion: Motion, state: Tensor | None = None) -> tuple[Tensor, Tensor]:
+        h, state = self.play_states(motion, state)
+        return self.weighted(h, self.weights.basis(motion.yd_dot)), state
 
 
 CLAIMS: dict[str, Callable[[Plant, Identified], Claim]] = {

@@ -69,7 +69,7 @@ def identify(plant: Plant, sine_s: float = SINE_S, multisine_s: float = MULTISIN
     pairs = inverse_pair(slow), inverse_pair(fast)
     compensator = paper_form(pairs, period_s)
     start = time.perf_counter()
-    stages = fit_two_stage(compensator, pairs)
+    stages = fit_two_stage(compensator, pairs, several_starts=False)
     return Identified(compensator, slow, fast, pairs, stages, time.perf_counter() - start)
 
 

@@ -78,7 +78,7 @@ def fitted_to_stage(plant: Plant, preview: int) -> dict[str, Deployed]:
     slow, fast = (inverse_pair(recording, preview) for recording in (identified.slow, identified.fast))
     records = Records(slow, [fast], STAGE_THRESHOLDS_V, STAGE_DEAD_ZONES_UM, preview)
     paper = paper_form((slow, fast), plant.sample_period_s, preview)
-    fit_two_stage(paper, [slow, fast])
+    fit_two_stage(paper, [slow, fast], several_starts=False)
     return {
         "without": StraightLine(identified.slow, preview),
         **{name: InOnePass(fit(records)) for name, fit in METHODS.items()},

@@ -16,6 +16,8 @@ from torchpi.stage.effects.effect import LinearEffect, Parameters, Seen
 
 TYPICAL_DAMPING = 0.02
 BINS_PER_OCTAVE = 120
+GRID = 20
+"""Frequencies of a blind search: neighbours are within a width of a mode of damping 0.1, and a fit closes in."""
 
 
 class Resonance(LinearEffect):
@@ -63,7 +65,11 @@ class Resonance(LinearEffect):
         lowest = min(100.0, highest / 5)
         if lowest < cls.quantities["frequency_hz"].at_least:
             return []
-        return cls.starts_at(seen, np.geomspace(lowest, highest, 8).tolist())
+        return [
+            {**start, "damping_ratio": damping}
+            for start in cls.starts_at(seen, np.geomspace(lowest, highest, GRID).tolist())
+            for damping in (0.01, 0.05)
+        ]
 
     @classmethod
     def starts_at(cls, seen: Seen, frequencies_hz: list[float]) -> list[Parameters]:

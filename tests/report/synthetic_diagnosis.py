@@ -1,0 +1,108 @@
+"""A diagnosis made by hand: a lag, a resonance, and noise that is known."""
+
+from typing import cast
+
+import numpy as np
+from scipy.signal import lfilter
+
+from torchpi.diagnosis.diagnosis import (
+    Diagnosis,
+    Errors,
+    NamedEffect,
+    NextRecording,
+    Parameter,
+    Rival,
+    Trace,
+)
+from torchpi.diagnosis.locate import locate
+from torchpi.excitation import multisine
+from torchpi.stage.augmented import AugmentedStage
+
+FS_HZ, NOISE_UM = 5_000.0, 0.004
+
+
+def trace(name: str, u: np.ndarray, lag_um_s: float, rng: np.random.Generator) -> Trace:
+    """The lag takes some of the rate off; at each fast turn a mode at 400 Hz rings."""
+    n = len(u)
+    lag = -lag_um_s * np.diff(u, prepend=u[0]) * FS_HZ
+    ringing = lfilter(
+        [1.0], [1.0, -2 * 0.985 * np.cos(2 * np.pi * 400 / FS_HZ), 0.985**2], np.diff(lag, prepend=0)
+    )
+    ringing *= 0.6 * lag.std() / max(float(ringing.std()), 1e-12)
+    noise = NOISE_UM * rng.standard_normal(n)
+    heldout = np.zeros(n, dtype=bool)
+    for start in (0.25, 0.55, 0.85):
+        heldout[int(start * n) : int((start + 0.1) * n)] = True
+    before, after = lag + ringing + noise, noise + 0.03 * lag
+    y = 0.8 * u - 0.25 * np.sqrt(np.abs(u)) + before
+    signatures = {"amplifier_lag": lag, "resonance": ringing}
+    return Trace(name, FS_HZ, np.arange(n) / FS_HZ, u, y, heldout, before, after, signatures)
+
+
+def diagnosis() -> Diagnosis:
+    """Three recordings of a stage that lacks a lag and a resonance."""
+    rng = np.random.default_rng(3)
+    t = np.arange(20_000) / FS_HZ
+    triangle = 10 * np.abs((t * 4.0 + 1) % 2 - 1)
+    steps = np.repeat([0, 2, 4, 6, 8, 6, 4, 2, 0], 2_000).astype(float)
+    steps = np.convolve(steps, np.ones(20) / 20, "same")
+    _, excited = multisine(4.0, FS_HZ, 0, 10, 2, 150, 2, odd_lines=True, detection_lines=True, seed=1)
+    traces = (
+        trace("multisine_low", excited, 4e-5, rng),
+        trace("triangle_2hz", triangle, 4e-5, rng),
+        trace("staircase", steps, 4e-5, rng),
+    )
+    rms = {
+        part: float(
+            np.sqrt(np.mean(np.concatenate([getattr(one, part)[one.heldout] for one in traces]) ** 2))
+        )
+        for part in ("residual_retuned", "residual_augmented")
+    }
+    most = max(float(np.abs(one.residual_retuned).max()) for one in traces)
+    lag = NamedEffect(
+        "amplifier_lag", "amplifier", ("sensor_lag",), 0.93,
+        (Parameter("cutoff_hz", 412.0, "Hz", (398.0, 427.0)),), 0.71,
+        "v̇ = 2πf_c (u − v)", "phase that grows with frequency, and a gain that rolls off",
+        (
+            Rival("amplifier_lag", 0.0096, 0.0099, 4180.0), Rival("sensor_lag", 0.0097, 0.0100, 4171.0),
+            Rival("delay", 0.0131, 0.0139, 2990.0),
+            Rival("rate_dependent_hysteresis", 0.0188, 0.0201, 1630.0),
+            Rival("creep", 0.0229, 0.0240, 310.0), Rival("operator: preisach", 0.0231, 0.0249, 120.0),
+        ),
+    )  # fmt: skip
+    mode = NamedEffect(
+        "resonance", "mechanics", (), 0.99,
+        (Parameter("frequency_hz", 400.6, "Hz", (399.9, 401.4)),
+         Parameter("damping", 0.0121, "1", (0.0109, 0.0134))),
+        0.27, "ẍ + 2ζω₀ẋ + ω₀²x = ω₀²x_in", "ringing at one frequency after every fast turn",
+        (Rival("resonance", 0.0042, 0.0043, 9120.0), Rival("second_mode", 0.0064, 0.0066, 5800.0),
+         Rival("delay", 0.0095, 0.0099, 40.0)),
+    )  # fmt: skip
+    operator = NamedEffect(
+        "hysteresis_operator", "actuator", ("incongruent_loops",), 0.8,
+        (Parameter("family", "preisach", "", None),), 0.01, "y = Σ g_i(h_i)", "static at any rate",
+        (Rival("preisach", 0.0041, 0.0042, 60.0), Rival("incongruent_loops", 0.0042, 0.0043, 40.0)),
+    )  # fmt: skip
+    return Diagnosis(
+        verdict="explained",
+        effects=(lag, mode, operator),
+        where=locate(traces, NOISE_UM),
+        nominal=Errors(2.1 * rms["residual_retuned"], 2.2 * rms["residual_retuned"], 2.2 * most),
+        retuned=Errors(0.97 * rms["residual_retuned"], rms["residual_retuned"], most),
+        augmented=Errors(rms["residual_augmented"], rms["residual_augmented"], 5 * rms["residual_augmented"]),
+        noise_floor_um=NOISE_UM,
+        heldout="three contiguous tenths of each recording, from 25 %, 55 % and 85 % of it",
+        unexplained_share=0.01,
+        next_recording=NextRecording(
+            "A lag before the hysteresis and one after it differ only in how the loop's corners are rounded.",
+            "a sine of 0 … 10 V at 300 Hz and at 600 Hz, 2 s each (next_excitation.csv)",
+        ),
+        next_excitation=(t[:10_000], 5 - 5 * np.cos(2 * np.pi * 20 * t[:10_000])),
+        says="The simulation lacks a low-pass of the amplifier at 412 Hz (398 to 427 Hz; a sensor lag would "
+        "look the same in these recordings) and a resonance at 400.6 Hz with 1.2 % damping. With both, the "
+        "held-out error falls to the noise floor of 4.0 nm. One percent of the mismatch stay unexplained.",
+        notes=("y(k) answers the command of tick k − 1 in all recordings: a convention, not a delay.",
+               "<b>load_change</b> was left out: it needs recordings under a second load."),
+        traces=traces,
+        stage=cast(AugmentedStage, object()),
+    )  # fmt: skip

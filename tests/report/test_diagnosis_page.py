@@ -1,0 +1,236 @@
+"""The page of a diagnosis: whole in one file, by the file contract, and looked at in a browser."""
+
+import dataclasses
+import json
+import math
+import re
+import shutil
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+from matplotlib.image import imread
+from matplotlib.text import Text
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+from tests.report.synthetic_diagnosis import diagnosis
+from torchpi.diagnosis.diagnosis import Diagnosis, Errors, NextRecording, Trace
+from torchpi.diagnosis.locate import locate
+from torchpi.report import diagnosis_page
+from torchpi.report.diagnosis_events import write_tensorboard
+from torchpi.report.diagnosis_figures import diagnosis_figures
+from torchpi.report.diagnosis_json import diagnosis_json
+from torchpi.report.diagnosis_page import write_diagnosis
+from torchpi.report.what_was_run import Provenance
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
+
+
+@pytest.fixture(scope="module")
+def found() -> Diagnosis:
+    return diagnosis()
+
+
+@pytest.fixture(scope="module")
+def figures(found: Diagnosis) -> dict[str, Figure]:
+    return diagnosis_figures(found)
+
+
+@pytest.fixture(scope="module")
+def folder(found, figures, provenance, tmp_path_factory) -> Path:
+    directory = tmp_path_factory.mktemp("diagnosis")
+    write_diagnosis(found, provenance, directory, figures)
+    return directory
+
+
+@pytest.fixture(scope="module")
+def html(folder: Path) -> str:
+    return (folder / "report.html").read_text(encoding="utf-8")
+
+
+def test_it_fetches_nothing_needs_no_script_and_is_small(html: str) -> None:
+    assert not re.search(r"https?://|src=|@import|<link|<script|<iframe|<object|<img|\bon\w+=", html)
+    assert all(
+        target.startswith("#") for target in re.findall(r'url\(([^)]*)\)|href="([^"]*)"', html)[0] if target
+    )
+    assert len(html.encode()) < 3_000_000
+
+
+def test_identifiers_are_unique_and_references_resolve(html: str) -> None:
+    ids = re.findall(r'\bid="([^"]+)"', html)
+    assert len(ids) == len(set(ids))
+    referenced = {a or b for a, b in re.findall(r'href="#([^"]+)"|url\(#([^)]+)\)', html)}
+    assert referenced <= set(ids)
+
+
+def test_the_paragraph_comes_first_and_everything_else_follows(html: str, found: Diagnosis) -> None:
+    order = [
+        'data-verdict="explained"', found.says, 'id="where"', 'id="what"', 'id="effect-amplifier_lag"',
+        'id="effect-resonance"', 'id="before-after"', 'id="remains"', 'id="next"', 'id="notes"',
+        "What was run",
+    ]  # fmt: skip
+    places = [html.index(text) for text in order]
+    assert places == sorted(places)
+    assert "holds" in html and "recording multisine_low" in html
+
+
+def test_text_from_outside_is_escaped(html: str) -> None:
+    assert "&lt;b&gt;.yaml" in html and "&lt;b&gt;load_change&lt;/b&gt;" in html
+    assert "<b>.yaml" not in html and "<b>load_change" not in html
+
+
+def test_numbers_on_the_page_are_those_of_the_diagnosis(html: str, found: Diagnosis) -> None:
+    shown = {float(value) for value in re.findall(r'<data value="([^"]+)"', html)}
+    promised = [1e3 * errors.heldout_rms_um for errors in (found.nominal, found.retuned, found.augmented)]
+    for effect in found.effects:
+        promised += [effect.probability, 100 * effect.share, *(rival.evidence for rival in effect.rivals)]
+        promised += [1e3 * rival.heldout_rms_um for rival in effect.rivals]
+        promised += [
+            number for one in effect.parameters if one.interval_90 for number in (one.value, *one.interval_90)
+        ]
+    assert set(promised) <= shown
+
+
+def test_the_json_keeps_its_contract(folder: Path, found: Diagnosis) -> None:
+    content = json.loads((folder / "diagnosis.json").read_text(encoding="utf-8"), parse_constant=pytest.fail)
+    assert content["verdict"] == "explained"
+    assert [effect["name"] for effect in content["effects"]] == [
+        "amplifier_lag", "resonance", "hysteresis_operator"
+    ]  # fmt: skip
+    for effect in content["effects"]:
+        assert set(effect) == {"name", "block", "alternatives", "probability", "parameters", "share"}
+        for parameter in effect["parameters"].values():
+            assert set(parameter) == {"value", "unit", "interval_90"}
+    assert content["effects"][0]["parameters"]["cutoff_hz"] == {
+        "value": 412.0, "unit": "Hz", "interval_90": [398.0, 427.0]
+    }  # fmt: skip
+    family = content["effects"][2]["parameters"]["family"]
+    assert family == {"value": "preisach", "unit": "", "interval_90": None}
+    assert len(content["where"]) == len(found.where)
+    assert {cell["domain"] for cell in content["where"]} == {
+        "time", "frequency", "displacement", "rate", "direction", "since_reversal", "amplitude", "recording"
+    }  # fmt: skip
+    assert all({"domain", "range", "unit", "share"} <= set(cell) for cell in content["where"])
+    assert set(content["fit"]) == {"nominal", "retuned", "augmented", "noise_floor_um", "heldout"}
+    for stage in ("nominal", "retuned", "augmented"):
+        assert set(content["fit"][stage]) == {"train_rms_um", "heldout_rms_um", "heldout_max_um"}
+    assert set(content["next_recording"]) == {"why", "excitation"}
+    assert content["unexplained_share"] == 0.01 and content["says"] == found.says
+
+
+def test_numbers_that_are_not_finite_are_null(found: Diagnosis, provenance: Provenance) -> None:
+    broken = dataclasses.replace(
+        found, noise_floor_um=math.nan, nominal=Errors(math.inf, np.float64(1.0), np.float32(2.0))
+    )
+    fit = json.loads(diagnosis_json(broken, provenance))["fit"]
+    assert fit["noise_floor_um"] is None
+    assert fit["nominal"] == {"train_rms_um": None, "heldout_rms_um": 1.0, "heldout_max_um": 2.0}
+
+
+def test_figures_lie_beside_the_page_and_those_of_before_are_gone(
+    folder: Path, found: Diagnosis, figures: dict[str, Figure], provenance: Provenance, tmp_path: Path
+) -> None:
+    names = {path.name for path in (folder / "figures").iterdir()}
+    assert names == {f"{name}.{kind}" for name in figures for kind in ("png", "svg")}
+    assert {"where", "errors", "signature_resonance", "rivals_amplifier_lag", "multisine_1"} <= set(figures)
+    (tmp_path / "figures").mkdir()
+    (tmp_path / "figures" / "signature_creep.png").write_bytes(b"old")
+    write_diagnosis(found, provenance, tmp_path, {"errors": figures["errors"]})
+    assert {path.name for path in (tmp_path / "figures").iterdir()} == {"errors.png", "errors.svg"}
+    kept = {"figures", "report.html", "diagnosis.json", "next_excitation.csv"}
+    assert {path.name for path in tmp_path.iterdir()} == kept
+
+
+def test_what_fails_leaves_the_folder_as_it_was(
+    found: Diagnosis, figures: dict[str, Figure], provenance: Provenance, tmp_path: Path, monkeypatch: Any
+) -> None:
+    write_diagnosis(found, provenance, tmp_path, {"errors": figures["errors"]})
+    before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+
+    def fails(*_: object) -> None:
+        raise OSError("disk full")
+
+    monkeypatch.setattr(diagnosis_page, "write_png", fails)
+    with pytest.raises(OSError, match="disk full"):
+        write_diagnosis(found, provenance, tmp_path, {"remains": figures["remains"]})
+    assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
+
+
+def test_axes_have_units_and_text_is_eight_points_or_more(figures: dict[str, Figure]) -> None:
+    for name, figure in figures.items():
+        assert min(text.get_fontsize() for text in figure.findobj(Text) if text.get_text()) >= 8, name
+        for axes in figure.axes:
+            if axes.get_visible():
+                labels = axes.get_xlabel() + axes.get_ylabel()
+                assert "(" in labels or "more is better" in labels, (name, labels)
+
+
+def test_tensorboard_gets_the_same_figures_and_the_numbers(
+    found: Diagnosis, figures: dict[str, Figure], tmp_path: Path
+) -> None:
+    few = {name: figures[name] for name in ("errors", "remains")}
+    events = EventAccumulator(str(write_tensorboard(found, tmp_path, few)))
+    events.Reload()
+    assert set(events.Tags()["images"]) == set(few)
+    assert {"heldout_rms_um/augmented", "share/resonance", "parameter/amplifier_lag.cutoff_hz"} <= set(
+        events.Tags()["scalars"]
+    )
+
+
+def _nothing(u: np.ndarray, e: np.ndarray) -> Diagnosis:
+    n = len(u)
+    trace = Trace("rest", 1_000.0, np.arange(n) / 1_000, u, 0.8 * u + e, np.zeros(n, bool), e, e)
+    same = Errors(float(e.std()), float(e.std()), float(np.abs(e).max()))
+    return dataclasses.replace(
+        diagnosis(), verdict="nothing_missing", effects=(), where=locate((trace,), 0.0), nominal=same,
+        retuned=same, augmented=same, noise_floor_um=0.0, unexplained_share=0.0, notes=(), traces=(trace,),
+        next_recording=NextRecording("Nothing is open.", "none"), says="Nothing is missing.",
+        next_excitation=(np.zeros(0), np.zeros(0)),
+    )  # fmt: skip
+
+
+def test_a_hold_without_any_residual_still_makes_a_page(provenance: Provenance, tmp_path: Path) -> None:
+    page, numbers = write_diagnosis(_nothing(np.full(300, 3.0), np.zeros(300)), provenance, tmp_path)
+    assert "Nothing is missing" in page.read_text(encoding="utf-8")
+    json.loads(numbers.read_text(encoding="utf-8"), parse_constant=pytest.fail)
+
+
+def look(html: str, folder: Path) -> tuple[str, str, Path]:
+    """The page's DOM, what the browser's console says, and a picture.
+
+    A policy that forbids every load is put into the page: the console reports each that is tried.
+    """
+    policy = "default-src 'none'; style-src 'unsafe-inline'"
+    page, shot = folder / "page.html", folder / "page.png"
+    head = f'<head><meta http-equiv="Content-Security-Policy" content="{policy}">'
+    page.write_text(html.replace("<head>", head, 1), encoding="utf-8")
+    command = [
+        str(CHROMIUM), "--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars",
+        "--enable-logging=stderr", "--window-size=1050,3000", "--disable-background-networking",
+        "--disable-component-update", "--no-first-run", f"--user-data-dir={folder / 'profile'}",
+        f"--screenshot={shot}", "--dump-dom", page.as_uri(),
+    ]  # fmt: skip
+    done = subprocess.run(command, capture_output=True, timeout=120, check=True)
+    console = [line for line in done.stderr.decode(errors="replace").splitlines() if "CONSOLE" in line]
+    return done.stdout.decode(), "\n".join(console), shot
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="chromium is not installed")
+def test_a_browser_shows_it_without_a_complaint(html: str, folder: Path, tmp_path: Path) -> None:
+    dom, complaints, shot = look(html, tmp_path)
+    assert complaints == ""
+    assert dom.count('class="figure"') == len(list((folder / "figures").glob("*.svg")))
+    picture = imread(shot)
+    assert picture.shape[:2] == (3_000, 1_050)
+    # Ink down the whole of the shot, and no blank stretch as long as a hand.
+    inked = np.flatnonzero((picture[..., :3].mean(-1) < 0.9).any(1))
+    assert inked[0] < 100 and np.diff(inked).max() < 300
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="chromium is not installed")
+def test_a_browser_would_complain_of_anything_loaded(tmp_path: Path) -> None:
+    html = '<!DOCTYPE html><html><head></head><body><img src="http://example.invalid/a.png"></body></html>'
+    assert "example.invalid" in look(html, tmp_path)[1]

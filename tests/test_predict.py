@@ -1,0 +1,91 @@
+"""`torchpi predict`: a voltage in, what the stage does with it out."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from torchpi import cli, prediction
+from torchpi.operators.conformance import wandering
+from torchpi.recording import read_recording
+from torchpi.stage import AugmentedStage
+
+RATE_HZ = 5000.0
+COUPLING = {"name": "cross_coupling", "values": {"coupling_um_per_v": 0.1}, "aux": "aux_x"}
+RESONANCE = {"name": "resonance", "values": {"frequency_hz": 300.0, "damping_ratio": 0.05}}
+
+
+def stage(path: Path, *effects: dict) -> AugmentedStage:
+    one = AugmentedStage(
+        1e-4, {"thresholds_v": [0.0, 0.3], "weights": [0.7, 0.2, 0.1]}, effects, 1, noise_um=0.01
+    )
+    one.save(path)
+    return one
+
+
+def write(path: Path, **columns: np.ndarray) -> Path:
+    np.savetxt(
+        path, np.column_stack(list(columns.values())), "%.17g", ",", header=",".join(columns), comments=""
+    )
+    return path
+
+
+def torchpi(*arguments: str | Path, monkeypatch: pytest.MonkeyPatch) -> int:
+    monkeypatch.setattr(sys, "argv", ["torchpi", *map(str, arguments)])
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    return int(ended.value.code or 0)
+
+
+def test_the_file_comes_back_with_the_displacement(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    one = stage(tmp_path / "stage.pt", COUPLING, RESONANCE)
+    u, x = wandering(2, 700).numpy()
+    t = np.arange(len(u)) / RATE_HZ
+    given = write(tmp_path / "in.csv", time_s=t, input_v=u, aux_x=x, aux_other=2 * x)
+    out = tmp_path / "out.csv"
+    monkeypatch.setattr(prediction, "AT_A_TIME", 256)
+    assert torchpi("predict", tmp_path / "stage.pt", given, "--output", out, monkeypatch=monkeypatch) == 0
+    assert out.read_text().splitlines()[0] == "time_s,input_v,output_um,aux_x,aux_other"
+    back = read_recording(out)
+    with torch.no_grad():
+        rows = torch.from_numpy(np.stack([u, x]))[:, None]
+        y, _ = one.at_sample_rate(RATE_HZ)(rows[0], None, {"aux_x": rows[1]})
+    np.testing.assert_array_equal(back.y, y[0].numpy())
+    np.testing.assert_array_equal(
+        [back.t, back.u, back.aux["aux_x"], back.aux["aux_other"]], [t, u, x, 2 * x]
+    )
+
+
+@pytest.mark.parametrize(
+    ("columns", "said"),
+    [
+        (("time_s", "voltage"), "no column 'input_v'"),
+        (("time_s", "input_v"), "no column 'aux_x'"),
+        (("input_v", "aux_x"), "time_s"),
+    ],
+)
+def test_a_missing_column_is_named_in_one_line(
+    columns: tuple[str, ...], said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    stage(tmp_path / "stage.pt", COUPLING)
+    given = write(tmp_path / "in.csv", **{name: np.arange(20) / 100 for name in columns})
+    out = tmp_path / "out.csv"
+    assert torchpi("predict", tmp_path / "stage.pt", given, "--output", out, monkeypatch=monkeypatch) == 2
+    error = capsys.readouterr().err.strip()
+    assert said in error and "\n" not in error and not out.exists()
+
+
+def test_a_file_that_is_no_stage_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    given = write(tmp_path / "in.csv", time_s=np.arange(20) / 100, input_v=np.zeros(20))
+    assert torchpi("predict", given, given, monkeypatch=monkeypatch) == 2
+    assert "not a stage file" in capsys.readouterr().err
+
+
+def test_the_de_energised_stage_stands_where_its_offset_is(tmp_path: Path) -> None:
+    one = stage(tmp_path / "stage.pt")
+    np.testing.assert_array_equal(prediction.predict(one, np.zeros(5), {}), 0.1)

@@ -1,0 +1,57 @@
+"""What a stage does with a voltage in a file: `torchpi predict`."""
+
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from torchpi.errors import RecordingError
+from torchpi.readers import open_source
+from torchpi.recording import INPUT_COLUMN, Recording, read_signal, write_recording
+from torchpi.stage.augmented import AugmentedStage
+
+AT_A_TIME = 1 << 16
+"""Samples that are predicted at a time: memory beside the signals themselves does not grow with the file."""
+
+
+def predict_file(stage: str | Path, recording: str | Path, output: str | Path) -> Recording:
+    """Read time_s,input_v[,aux_…], write the same with output_um: `predict` over a file.
+
+    Raises:
+        ArtifactError: `stage` is no stage file.
+        RecordingError: A column is missing, or is not as wanted.
+        StageError: The stage has no meaning at the file's sample rate.
+    """
+    loaded = AugmentedStage.load(stage)
+    u = read_signal(recording, INPUT_COLUMN, option="input_v", unit="V")
+    names = [name for name in open_source(recording).names if name.startswith("aux_")]
+    for name in loaded.aux_names:
+        if name not in names:
+            raise RecordingError(
+                f"{recording}: no column '{name}', which {stage} takes; want it beside {INPUT_COLUMN}"
+            )
+    aux = {name: read_signal(recording, name, unit="V").x for name in names}
+    y = predict(loaded.at_sample_rate(u.fs_hz), u.x, aux)
+    predicted = Recording(u.name, u.t, u.x, y, u.fs_hz, aux)
+    write_recording(output, predicted)
+    return predicted
+
+
+def predict(
+    stage: AugmentedStage,
+    u: np.ndarray,  # (time,), V
+    aux: dict[str, np.ndarray],  # (time,) each
+) -> np.ndarray:  # (time,), µm
+    """The displacement from the de-energised state, at the stage's own sample rate, without noise."""
+    y, state = np.empty(len(u)), None
+    with torch.no_grad():
+        for first in range(0, len(u), AT_A_TIME):
+            part = slice(first, first + AT_A_TIME)
+            signals = {name: _row(aux[name][part]) for name in stage.aux_names}
+            out, state = stage(_row(u[part]), state, signals)
+            y[part] = out[0].numpy()
+    return y
+
+
+def _row(x: np.ndarray) -> torch.Tensor:
+    return torch.tensor(x, dtype=torch.float64)[None]

@@ -1,0 +1,247 @@
+"""The page of a diagnosis: what is missing, where, what for evidence, and what is left."""
+
+import math
+import os
+import re
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import jinja2
+from markupsafe import Markup
+from matplotlib.figure import Figure
+
+from torchpi.diagnosis.diagnosis import Diagnosis, Where
+from torchpi.diagnosis.locate import SIGNIFICANT
+from torchpi.diagnosis.multisine import Part, Parts, all_parts
+from torchpi.excitation_files import write_excitation
+from torchpi.files import write_atomically
+from torchpi.report import words
+from torchpi.report.diagnosis_figures import Unit, diagnosis_figures, own_names, unit_of
+from torchpi.report.diagnosis_json import diagnosis_json
+from torchpi.report.png import write_png
+from torchpi.report.svg import inline_svg
+from torchpi.report.what_was_run import Provenance
+
+VERDICTS = {
+    "nothing_missing": "Nothing is missing",
+    "explained": "Explained",
+    "partly_explained": "Partly explained",
+    "unexplained": "Something is missing, and nothing known explains it",
+}
+POINTED_AT = 6
+"""Cells that the text names."""
+MOST = 0.6
+"""Share from which one direction is worth a sentence: with rests, both of them stand out."""
+
+
+def write_diagnosis(
+    diagnosis: Diagnosis,
+    provenance: Provenance,
+    output_dir: str | Path,
+    figures: dict[str, Figure] | None = None,
+) -> tuple[Path, Path]:
+    """Write `report.html`, `diagnosis.json`, `figures/` and `next_excitation.csv`; return the first two.
+
+    The figures lie there as SVG and as PNG; those of an earlier diagnosis go. Everything is made before
+    anything is replaced: an error in the making leaves the folder as it was.
+
+    Args:
+        diagnosis: What was found.
+        provenance: What was run.
+        output_dir: Where to.
+        figures: `diagnosis_figures(diagnosis)`, where they are drawn already.
+    """
+    directory = Path(output_dir)
+    page, numbers, pictures = directory / "report.html", directory / "diagnosis.json", directory / "figures"
+    figures = figures or diagnosis_figures(diagnosis)
+    drawn = {name: _drawn(name, figure) for name, figure in figures.items()}
+    html = _page(diagnosis, provenance, drawn)
+    text = diagnosis_json(diagnosis, provenance)
+    directory.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(prefix=".diagnosis-", dir=directory) as temporary:
+        fresh, stale = Path(temporary) / "figures", Path(temporary) / "stale"
+        for name, figure in figures.items():
+            write_png(figure, fresh / f"{name}.png")
+            (fresh / f"{name}.svg").write_text(_alone(drawn[name]["svg"]), encoding="utf-8")
+        if pictures.exists():
+            os.replace(pictures, stale)
+        os.replace(fresh, pictures)
+    if len(diagnosis.next_excitation[0]):
+        write_excitation(directory / "next_excitation.csv", *diagnosis.next_excitation)
+    for path, content in ((page, html), (numbers, text)):
+        with write_atomically(path) as file:
+            file.write_text(content, encoding="utf-8")
+    return page, numbers
+
+
+def diagnosis_page(diagnosis: Diagnosis, provenance: Provenance) -> str:
+    """The page as text."""
+    figures = diagnosis_figures(diagnosis)
+    return _page(diagnosis, provenance, {name: _drawn(name, figure) for name, figure in figures.items()})
+
+
+def _page(diagnosis: Diagnosis, provenance: Provenance, drawn: Mapping[str, Mapping[str, str]]) -> str:
+    parts = all_parts(diagnosis.traces)
+    unit = unit_of(max(diagnosis.nominal.heldout_rms_um, diagnosis.retuned.heldout_rms_um))
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("torchpi.report"),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters["figure"] = _shown
+    environment.filters["spaced"] = lambda name: name.replace("_", " ")
+    environment.filters["without_unit"] = lambda name: re.sub(r"_(hz|v|um|s|v_s)$", "", name)
+    return environment.get_template("diagnosis.html.j2").render(
+        title="Diagnosis: " + ", ".join(trace.name for trace in diagnosis.traces),
+        diagnosis=diagnosis,
+        provenance=provenance,
+        verdict=VERDICTS[diagnosis.verdict],
+        unit=unit,
+        fits=_fits(diagnosis, unit),
+        loudest=_loudest(diagnosis.where),
+        significant=SIGNIFICANT,
+        multisines=[_multisine_row(one, unit) for one in parts],
+        own={effect.name: own_names(effect) for effect in diagnosis.effects},
+        drawn=drawn,
+    )
+
+
+def _fits(diagnosis: Diagnosis, unit: Unit) -> list[dict[str, Any]]:
+    rows = (
+        ("nominal", "nominal, as given", diagnosis.nominal),
+        ("retuned", "retuned and grown inside its class", diagnosis.retuned),
+        ("augmented", "augmented with what was missing", diagnosis.augmented),
+    )
+    floor = diagnosis.noise_floor_um
+    return [
+        {
+            "key": key,
+            "label": label,
+            "values": [
+                unit.per_um * value
+                for value in (errors.train_rms_um, errors.heldout_rms_um, errors.heldout_max_um)
+            ],
+            "over_floor": errors.heldout_rms_um / floor if floor > 0 else math.nan,
+        }
+        for key, label, errors in rows
+    ]
+
+
+def _loudest(where: tuple[Where, ...]) -> list[str]:
+    """The strongest significant cell of each domain in words, the largest share first."""
+    best: dict[str, Where] = {}
+    for cell in where:
+        if cell.domain == "direction" and cell.share < MOST:
+            continue
+        if cell.significance > SIGNIFICANT and cell.share > best.get(cell.domain, _NOWHERE).share:
+            best[cell.domain] = cell
+    ordered = sorted(best.values(), key=lambda cell: -cell.share)[:POINTED_AT]
+    return [f"{_cell(cell)} holds {100 * cell.share:.0f} % of it" for cell in ordered]
+
+
+_NOWHERE = Where("time", (0.0, 0.0), "s", 0.0, 0.0)
+
+_DOMAINS = {
+    "time": "time",
+    "frequency": "frequency",
+    "displacement": "displacement",
+    "rate": "rate of the input",
+    "direction": "direction",
+    "since_reversal": "time since the last reversal",
+    "amplitude": "swing of the input",
+    "recording": "recording",
+}
+
+
+def _cell(cell: Where) -> str:
+    domain = _DOMAINS[cell.domain]
+    if cell.domain == "recording":
+        return f"{domain} {cell.label}"
+    if cell.domain == "direction":
+        return f"{domain} “{cell.label}”"
+    low, high = (words.figure(value, 2) for value in cell.range)
+    of = f" ({cell.label})" if cell.label and cell.domain in ("time", "rate") else ""
+    return f"{domain} {low} … {high} {cell.unit}{of}"
+
+
+def _multisine_row(parts: Parts, unit: Unit) -> dict[str, Any]:
+    sizes: dict[Part, float | None] = {
+        "linear": parts.linear_um,
+        "even": parts.even_um,
+        "odd": parts.odd_um,
+        "non_periodic": parts.non_periodic_um,
+    }
+    return {
+        "name": parts.recording,
+        "start_s": parts.start_s,
+        "periods": parts.periods,
+        "period_s": parts.period_s,
+        "noise": unit.per_um * parts.noise_um,
+        "parts": [
+            {
+                "value": None if size is None else unit.per_um * size,
+                "significant": parts.significance[part] > SIGNIFICANT,
+            }
+            for part, size in sizes.items()
+        ],
+    }
+
+
+_CAPTIONS = {
+    "errors": "Held-out error of three stages: as given, retuned and grown inside its own class, and with "
+    "what was missing. What retuning takes away was a wrong parameter, not missing physics.",
+    "where": "Where the retuned stage's residual lives: share of its square over the noise floor. Dark "
+    f"cells (bold numbers in time) are louder than the rest by more than {SIGNIFICANT:g} standard deviations "
+    "of the residual's own colour; pale ones may be chance. A bar's height is the share of its cell, "
+    "whatever the cell's width.",
+    "heldout": "Recorded motion, and what each stage leaves of it. Shaded stretches were held out: no stage "
+    "was fitted to them.",
+    "loop": "The recording with the largest residual: its loop, opened by taking off a straight line, and "
+    "the residual over the voltage. A residual that still forms a figure here is not yet modelled.",
+    "spectrum": "Spectrum of the held-out residual. Where “after” reaches the floor, nothing is left to "
+    "explain; the floor is drawn as white noise of its size.",
+    "remains": "How the mismatch over the noise floor is shared out.",
+    "next_excitation": "The voltage of the next recording.",
+}
+
+
+def _drawn(name: str, figure: Figure) -> dict[str, str]:
+    if name.startswith("multisine_"):
+        caption = (
+            "Lines of the residual under the periodic input: lines that were not excited hold nonlinear "
+            "distortion alone, even lines what is asymmetric, odd lines what is symmetric. Of many lines the "
+            "largest of each group is drawn."
+        )
+    elif name.startswith("rivals_"):
+        caption = (
+            "The named effect (dark), those that these data cannot tell from it (dotted), and what else was "
+            "tried in its place (hatched), each fitted with everything else."
+        )
+    elif name.startswith("signature_"):
+        caption = (
+            "What the effect adds to the displacement, on the stretch where it adds most, against what the "
+            "retuned stage leaves there."
+        )
+    else:
+        caption = _CAPTIONS[name]
+    return {"svg": Markup(inline_svg(figure, name.replace("_", "-"), caption)), "caption": caption}
+
+
+def _alone(svg: str) -> str:
+    """An inline figure as a file: it needs its namespace there."""
+    return svg.replace("<svg ", '<svg xmlns="http://www.w3.org/2000/svg" ', 1) + "\n"
+
+
+def _shown(value: float | str | None, digits: int = 3) -> str:
+    """Three digits; very small and very large ones with an exponent, no number as a dash."""
+    if isinstance(value, str):
+        return value
+    if value is None or math.isnan(value):
+        return "–"
+    if value and math.isfinite(value) and not 1e-3 <= abs(value) < 1e6:
+        return f"{value:.{digits - 1}e}".replace("-", "−")
+    return words.figure(value, digits)

@@ -1,0 +1,78 @@
+"""Coordinates in which every direction moves the voltage by as much.
+
+Neighbouring plays are nearly collinear: in its own parameters a compensator has directions that differ by a
+factor of 10⁵ in what they do, and a descent creeps. The stage is nearly a gain, so what whitens the voltage
+whitens the motion, and a quasi-Newton step from there is nearly one of Gauss–Newton.
+"""
+
+import torch
+from torch import Tensor
+from torch.func import functional_call
+
+from torchpi.compensator import DirectInverse
+from torchpi.motion import Motion
+
+RIDGE = 1e-6
+"""Share of a parameter's own effect below which a direction counts as none: it keeps steps along it small."""
+STEP = 1e-6
+"""Relative, of a forward difference; parameters are of size one."""
+
+
+class Coordinates:
+    """θ = θ_0 + M z over all trained parameters of a compensator, θ_0 being where it stands now.
+
+    Args:
+        compensator: The compensator; it stays as it is.
+        motion: What the voltage is taken on, (batch, time).
+        unit_v: Rms change of that voltage for a step of length one.
+    """
+
+    def __init__(self, compensator: DirectInverse, motion: Motion, unit_v: float) -> None:
+        self.compensator = compensator
+        trained = {
+            name: parameter.detach().clone()
+            for name, parameter in compensator.named_parameters()
+            if parameter.requires_grad and parameter.numel() > 0
+        }
+        self.shapes = {name: value.shape for name, value in trained.items()}
+        self.origin = torch.cat([value.flatten() for value in trained.values()])
+        moved = self._voltage_changes(motion)
+        size = moved.square().mean(1).sqrt()
+        size[size == 0] = 1.0  # a play that nothing moves
+        moved = moved / size[:, None]
+        gram = moved @ moved.T / moved.shape[1]
+        gram.diagonal().add_(RIDGE)
+        self.mixing = unit_v * torch.linalg.inv(torch.linalg.cholesky(gram)).T / size[:, None]
+
+    def __len__(self) -> int:
+        return len(self.origin)
+
+    def parameters(
+        self,
+        z: Tensor,  # (parameters,)
+    ) -> dict[str, Tensor]:
+        """The compensator's parameters there, differentiable in `z`."""
+        return self._named(self.origin + self.mixing @ z)
+
+    def put(self, z: Tensor) -> None:
+        """Set the compensator's parameters to those there."""
+        with torch.no_grad():
+            for name, value in self.parameters(z).items():
+                self.compensator.get_parameter(name).copy_(value)
+
+    def _named(self, theta: Tensor) -> dict[str, Tensor]:
+        parts = theta.split([shape.numel() for shape in self.shapes.values()])
+        return {name: part.reshape(self.shapes[name]) for name, part in zip(self.shapes, parts, strict=True)}
+
+    @torch.no_grad()
+    def _voltage_changes(self, motion: Motion) -> Tensor:
+        """How the voltage moves with each parameter, (parameters, samples)."""
+        at_origin = functional_call(self.compensator, self._named(self.origin), (motion,))
+        rows = []
+        for i, value in enumerate(self.origin.tolist()):
+            step = STEP * max(abs(value), 1e-2)
+            theta = self.origin.clone()
+            theta[i] += step
+            there = functional_call(self.compensator, self._named(theta), (motion,))
+            rows.append((there - at_origin).flatten() / step)
+        return torch.stack(rows)

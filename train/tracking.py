@@ -1,0 +1,176 @@
+"""Training through the stage: reference motion → compensator → stage, the error being that of the motion.
+
+Direct learning: nothing is fitted to a recorded voltage, so neither the noise of a recorded displacement nor
+the difference between recorded and desired motions biases what comes out.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.func import functional_call
+
+from torchpi.compensator import DirectInverse
+from torchpi.errors import ConfigError
+from torchpi.excitation import TRAJECTORIES
+from torchpi.motion import Motion, backward_motion
+from torchpi.operators.reference_filter import ReferenceFilter
+from torchpi.stage import AugmentedStage
+from train.coordinates import Coordinates
+
+
+@dataclass
+class Reference:
+    """One motion to follow.
+
+    Args:
+        trajectory: slow (eq. 15), fast (eq. 16), sine (eq. 9) or random (phases over a band).
+        seed: Of random phases.
+        options: Further options of the trajectory, such as {high_hz: 100}.
+    """
+
+    trajectory: Literal["slow", "fast", "sine", "random"]
+    seed: int = 0
+    options: dict[str, Any] = field(default_factory=dict)
+
+
+@dataclass
+class Follow:
+    """Motions to follow in training through a stage, all through the reference filter (eq. 14).
+
+    Args:
+        train: What to train on.
+        heldout: What judges: it stops the training and chooses its best epoch.
+        duration_s: Of each.
+        low: Lower end of every motion, as a share of the stroke that the recordings span.
+        high: Upper end, likewise.
+    """
+
+    train: list[Reference] = field(
+        default_factory=lambda: [
+            Reference("slow"),
+            Reference("fast"),
+            *(Reference("random", seed) for seed in range(1, 5)),
+        ]
+    )
+    heldout: list[Reference] = field(
+        default_factory=lambda: [Reference("random", seed) for seed in range(11, 14)]
+    )
+    duration_s: float = 1.0
+    low: float = 0.12
+    high: float = 0.86
+
+    def check(self) -> None:
+        """Raise `ConfigError` where there is nothing to follow, or no room for it."""
+        if not 0 <= self.low < self.high <= 1:
+            raise ConfigError(
+                f"data.follow.low: found {self.low:g} with high {self.high:g}, want 0 ≤ low < high ≤ 1"
+            )
+        for name in ("train", "heldout"):
+            if not getattr(self, name):
+                raise ConfigError(f"data.follow.{name}: found none, want at least one trajectory")
+
+
+@dataclass(frozen=True)
+class TrackingErrors:
+    """How far motions were missed; per cent is of the largest peak to peak."""
+
+    rms_um: float
+    max_um: float
+    rms_percent: float
+    max_percent: float
+
+
+class Tracking:
+    """A stage, and motions that a compensator makes it follow.
+
+    Args:
+        stage: What is trained through; its parameters get no gradient.
+        follow: The motions.
+        stroke_um: Lowest and highest displacement of the recordings.
+    """
+
+    def __init__(self, stage: AugmentedStage, follow: Follow, stroke_um: tuple[float, float]) -> None:
+        self.stage = stage.requires_grad_(False)
+        reach = stroke_um[1] - stroke_um[0]
+        low, high = (stroke_um[0] + share * reach for share in (follow.low, follow.high))
+        self.train, self.heldout = (
+            torch.cat([self._motion(reference, follow.duration_s, low, high) for reference in references])
+            for references in (follow.train, follow.heldout)
+        )
+
+    def coordinates(self, compensator: DirectInverse) -> Coordinates:
+        """What to train in; a step of length one moves the motions by their present rms error."""
+        with torch.no_grad():
+            motion = self._asked(compensator, self.train)
+            steps_v, steps_um = (torch.diff(x).std() for x in (compensator(motion), self.train))
+            rms_um = self.loss(compensator, {}).sqrt()
+        return Coordinates(compensator, motion, float(rms_um * steps_v / steps_um))
+
+    def loss(self, compensator: DirectInverse, parameters: dict[str, Tensor]) -> Tensor:
+        """Mean squared error of the motions trained on, µm²; `parameters` stand in for the compensator's."""
+        return self._missed(compensator, self.train, parameters).square().mean()
+
+    def errors(self, compensator: DirectInverse) -> dict[str, TrackingErrors]:
+        """Of the motions trained on, and of those held out."""
+        found = {}
+        for name, yd in (("train", self.train), ("heldout", self.heldout)):
+            with torch.no_grad():
+                missed = self._missed(compensator, yd, {})
+            span = float((yd.amax(1) - yd.amin(1)).max())
+            rms_um, max_um = float(missed.square().mean().sqrt()), float(missed.abs().max())
+            found[name] = TrackingErrors(rms_um, max_um, 100 * rms_um / span, 100 * max_um / span)
+        return found
+
+    def _missed(
+        self,
+        compensator: DirectInverse,
+        yd: Tensor,  # (motions, time), µm
+        parameters: dict[str, Tensor],
+    ) -> Tensor:  # (motions, time), µm
+        """y - y_d, each motion from the de-energised state."""
+        u = functional_call(compensator, parameters, (self._asked(compensator, yd),))
+        at_rest = {name: torch.zeros_like(u) for name in self.stage.aux_names}
+        y, _ = self.stage(u, None, at_rest)
+        return y - yd  # type: ignore[no-any-return]
+
+    def _asked(self, compensator: DirectInverse, yd: Tensor) -> Motion:
+        """The motions as the deployed compensator forms them; the last value is held past the end."""
+        last = yd[:, -1:].expand(-1, compensator.preview)
+        ahead = torch.cat([yd, last], 1)[:, compensator.preview :]
+        return backward_motion(ahead, compensator.sample_period_s)
+
+    def _motion(self, reference: Reference, duration_s: float, low: float, high: float) -> Tensor:
+        """(1, time), µm."""
+        make = TRAJECTORIES[reference.trajectory]
+        random: dict[str, Any] = {"seed": reference.seed} if reference.trajectory == "random" else {}
+        try:
+            _, x = make(duration_s, self.stage.sample_rate_hz, **random, **reference.options)
+        except TypeError as error:
+            raise ConfigError(
+                f"data.follow: {reference.trajectory} cannot use its options: {error}"
+            ) from None
+        yr = torch.from_numpy(low + (high - low) * (x - x.min()) / np.ptp(x))[None]
+        return ReferenceFilter(self.stage.sample_period_s)(yr).yd
+
+
+def tracking_notes(metrics: Mapping[str, Any]) -> tuple[str, ...]:
+    """The tracking errors of `metrics.json` in a sentence, if it has any."""
+    if "tracking" not in metrics:
+        return ()
+    rows = [
+        f"{1e3 * metrics['tracking'][key]['rms_um']:.3g} nm rms {label}"
+        for key, label in TRACKING.items()
+        if key in metrics["tracking"]
+    ]
+    return (f"Held-out motions through the stage are missed by {', '.join(rows)}.",)
+
+
+TRACKING = {
+    "plain": "as identified on the hysteresis without the effects",
+    "before": "as identified on the stage",
+    "after": "as trained through it",
+}
