@@ -1,5 +1,4 @@
-"""Tiny rigs of the tests' own, in NumPy and SciPy: nothing of the stage is in them, so that no equation judges
-itself."""
+"""Tiny rigs of the tests' own: nothing of the stage is in them, so that no equation judges itself."""
 
 from collections.abc import Callable, Mapping
 
@@ -33,7 +32,8 @@ def multisine(samples: int, fs_hz: float = FS_HZ, high_hz: float = 200.0, seed: 
     """Random phases, sizes that fall with the frequency, 0 to 10 V, from 0 V."""
     rng = np.random.default_rng(seed)
     t = np.arange(samples) / fs_hz
-    f = np.unique(np.round(np.geomspace(1.0, high_hz, 60) * samples / fs_hz)) * fs_hz / samples
+    lines = np.unique(np.maximum(np.round(np.geomspace(1.0, high_hz, 60) * samples / fs_hz), 1))
+    f = lines * fs_hz / samples
     x = sum(np.cos(2 * np.pi * (one * t + rng.uniform())) / np.sqrt(one) for one in f)
     return 10 * (x - np.min(x)) / np.ptp(x) * np.minimum(1, t / 0.05)
 
@@ -63,7 +63,9 @@ def resonance(x: Signal, fs_hz: float, f0_hz: float, damping: float) -> Signal:
     fine = np.interp(np.arange(1, samples * FINER + 1) / FINER, np.arange(samples + 1), np.append(0.0, x))
     w, c = 2 * np.pi * f0_hz, 2 * fs_hz * FINER
     b = np.array([w * w, 2 * w * w, w * w])
-    a = np.array([c * c + 2 * damping * w * c + w * w, 2 * (w * w - c * c), c * c - 2 * damping * w * c + w * w])
+    a = np.array(
+        [c * c + 2 * damping * w * c + w * w, 2 * (w * w - c * c), c * c - 2 * damping * w * c + w * w]
+    )
     return lfilter(b, a, fine)[FINER - 1 :: FINER]
 
 

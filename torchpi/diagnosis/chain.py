@@ -14,8 +14,8 @@ from torchpi.stage.effects.effect import Effect
 from torchpi.stage.effects.held import hold_first_block
 from torchpi.stage.effects.inside import InsideEffect
 
-REMEMBERED = 12
-"""Sets of rows that are kept: one candidate after another acts behind the same hysteresis."""
+REMEMBERED = 600_000_000
+"""Bytes of rows that are kept: one candidate after another acts behind the same hysteresis."""
 
 
 class Placed(NamedTuple):
@@ -38,40 +38,52 @@ class Chain:
         self.remembered: dict[tuple[object, ...], np.ndarray] = {}
 
     def output(self, hypothesis: Hypothesis, weights: np.ndarray, index: int) -> np.ndarray:
-        """(time,), µm, for one recording."""
+        """(time,), µm, for one recording. The last weight is the sensor's zero, behind everything."""
         key = self.key(hypothesis, index)
         if key in self.remembered:
-            x = weights @ self.remembered[key]
+            x = weights[:-1] @ self.remembered[key]
         else:
             nominal = self.nominal(hypothesis, index)
-            x = nominal.output(self.voltage(hypothesis, index), self.records[index].period_s, weights)
+            x = nominal.output(self.voltage(hypothesis, index), self.records[index].period_s, weights[:-1])
         y = torch.from_numpy(x)[None]
         with torch.no_grad():
             for placed in self.after(hypothesis, index):
                 y = placed(y)
-        return y[0].numpy()  # type: ignore[no-any-return]
+        return y[0].numpy() + weights[-1]  # type: ignore[no-any-return]
 
     def output_and_directions(
         self, hypothesis: Hypothesis, weights: np.ndarray, index: int
     ) -> tuple[np.ndarray, np.ndarray]:
         """The output, and how it moves with each weight, (weights, time)."""
         rows = self.rows(hypothesis, index)
-        x, directions = torch.from_numpy(weights @ rows)[None], torch.from_numpy(rows)
+        x, directions = torch.from_numpy(weights[:-1] @ rows)[None], torch.from_numpy(rows)
         with torch.no_grad():
             for placed in self.after(hypothesis, index):
                 directions = placed.effect.tangent(x, directions)
                 x = placed(x)
-        return x[0].numpy(), directions.numpy()
+        zero = np.ones((1, rows.shape[1]))
+        return x[0].numpy() + weights[-1], np.concatenate([directions.numpy(), zero])
+
+    def moved(self, hypothesis: Hypothesis, rows: np.ndarray, index: int) -> np.ndarray:
+        """What the chain after the hysteresis makes of rows, (rows, time), about rest."""
+        directions, x = torch.from_numpy(rows), torch.zeros(1, rows.shape[1], dtype=torch.float64)
+        with torch.no_grad():
+            for placed in self.after(hypothesis, index):
+                directions = placed.effect.tangent(x, directions)
+        return directions.numpy()
 
     def rows(self, hypothesis: Hypothesis, index: int) -> np.ndarray:
         """The states of the hysteresis, (weights, time)."""
         key = self.key(hypothesis, index)
         if key not in self.remembered:
-            if len(self.remembered) >= REMEMBERED:
-                self.remembered.pop(next(iter(self.remembered)))
             nominal = self.nominal(hypothesis, index)
             v = self.voltage(hypothesis, index)
-            self.remembered[key] = nominal.rows(v, self.records[index].period_s)
+            rows = nominal.rows(v, self.records[index].period_s)
+            while (
+                self.remembered and sum(r.nbytes for r in self.remembered.values()) + rows.nbytes > REMEMBERED
+            ):
+                self.remembered.pop(next(iter(self.remembered)))
+            self.remembered[key] = rows
         return self.remembered[key]
 
     def voltage(self, hypothesis: Hypothesis, index: int) -> np.ndarray:

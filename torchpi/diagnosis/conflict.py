@@ -61,7 +61,7 @@ def wanted(trace: Trace, residual: np.ndarray, noise_floor_um: float) -> Wanted:
     """Gain and offset that a recording asks for, with their standard deviations."""
     modelled = trace.y - residual
     rows = np.stack([modelled - modelled.mean(), np.ones_like(modelled)])
-    size = np.maximum((rows**2).sum(1), np.finfo(float).tiny)
+    size = np.maximum((rows**2).sum(1), 1e-150)  # its square is not to vanish
     value = rows @ residual / size
     left = residual - value @ rows
     starts = np.linspace(0, len(left), BLOCKS + 1).astype(int)[:-1]

@@ -46,8 +46,8 @@ def cannot_be_decided(records: Sequence[Record]) -> tuple[str, ...]:
     notes = []
     if len(records) == 1:
         notes.append(
-            "One recording only: what another load, another range or another day would change cannot be said, "
-            "and what was held out is of the same run."
+            "One recording only: what another load, range or day would change cannot be said, and what was "
+            "held out is of the same run."
         )
     if not any(turns(record) for record in records):
         notes.append(
@@ -55,7 +55,9 @@ def cannot_be_decided(records: Sequence[Record]) -> tuple[str, ...]:
         )
     still = [record.name for record in records if np.ptp(record.u) == 0]
     if still:
-        notes.append(f"The voltage rests in {', '.join(still)}: noise, hum and drift show there, and no more.")
+        notes.append(
+            f"The voltage rests in {', '.join(still)}: noise, hum and drift show there, and no more."
+        )
     constant = [name for name in records[0].aux if all(np.ptp(record.aux[name]) == 0 for record in records)]
     if constant:
         notes.append(f"Nothing moves in {', '.join(constant)}: whether it couples cannot be seen.")

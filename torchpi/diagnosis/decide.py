@@ -9,7 +9,7 @@ from torchpi.diagnosis.fit import fit, value_at
 from torchpi.diagnosis.hypothesis import Fit
 from torchpi.diagnosis.intervals import intervals_90
 from torchpi.diagnosis.model import foretold
-from torchpi.diagnosis.search import Round, Search
+from torchpi.diagnosis.search import OPERATOR, Round, Search, compressed
 
 STATIC = (
     "input_nonlinearity", "hysteresis_asymmetry", "incongruent_loops", "sensor_nonlinearity",
@@ -42,7 +42,11 @@ class Decision:
 
 
 def decide(
-    search: Search, retuned: Fit, final: Fit, history: Sequence[Round], floor_um: float
+    search: Search,
+    retuned: Fit,
+    final: Fit,
+    history: Sequence[Round],
+    floor_um: float,
 ) -> Decision:
     """Name what the search found.
 
@@ -52,21 +56,22 @@ def decide(
     mismatch = max(retuned.heldout_rms**2 - floor_um**2, 1e-300)
     left = max(final.heldout_rms**2 - floor_um**2, 0.0)
     named = []
-    for i in search.added(final):
+    small = compressed(search.chain, final)
+    spans = intervals_90(search.chain, small)
+    for i, less in zip(search.added(final), search.without_each(small), strict=True):
         member = final.hypothesis.members[i]
-        less = fit(search.chain, final.hypothesis.minus(i), final.weights)
         rise = less.heldout_rms**2 - final.heldout_rms**2
         rivals = rivals_of(history, member.effect.name)
         named.append(
             NamedEffect(
                 member.effect.name, member.effect.block, alternatives(rivals, member.effect.name),
-                probability(member.effect.name, rise, left, rivals), parameters_of(search, final, i),
+                probability(member.effect.name, rise, left, rivals), parameters_of(search, small, spans, i),
                 min(1.0, max(0.0, rise / mismatch)), member.effect.equation, member.effect.signature, rivals,
             )
         )  # fmt: skip
     family = final.hypothesis.nominal.family
     if family != retuned.hypothesis.nominal.family:
-        named.append(operator(search, retuned, final, history, mismatch, left))
+        named.append(operator(search, retuned, final, spans, history, mismatch, left))
     named.sort(key=lambda effect: -effect.share)
     unexplained = min(1.0, left / mismatch)
     return Decision(verdict(named, final, floor_um, unexplained), tuple(named), unexplained)
@@ -83,9 +88,7 @@ def verdict(named: Sequence[NamedEffect], final: Fit, floor_um: float, unexplain
 def rivals_of(history: Sequence[Round], name: str) -> tuple[Rival, ...]:
     """What was tried in its place in the round that took it, the best first; the effect itself among them."""
     taken = next(round for round in reversed(history) if round.accepted == name)
-    return tuple(
-        Rival(one.name, one.fit.train_rms, one.fit.heldout_rms, one.evidence) for one in taken.tried
-    )
+    return tuple(Rival(one.name, one.fit.train_rms, one.fit.heldout_rms, one.evidence) for one in taken.tried)
 
 
 def alternatives(rivals: Sequence[Rival], name: str) -> tuple[str, ...]:
@@ -95,6 +98,7 @@ def alternatives(rivals: Sequence[Rival], name: str) -> tuple[str, ...]:
         rival.name
         for rival in rivals
         if rival.name != name
+        and not rival.name.startswith(OPERATOR)
         and (
             (
                 rival.heldout_rms_um < SAME_ERROR * mine.heldout_rms_um
@@ -119,16 +123,19 @@ def probability(name: str, rise: float, left: float, rivals: Sequence[Rival]) ->
     return round(known * noise / (1.0 + outside), 4)
 
 
-def parameters_of(search: Search, final: Fit, index: int) -> tuple[Parameter, ...]:
+def parameters_of(
+    search: Search, final: Fit, spans: Sequence[tuple[float, float]], index: int
+) -> tuple[Parameter, ...]:
     """Fitted parameters of one effect, with intervals.
 
     A parameter that each recording has for itself is given for each, `name[recording]`; under its bare name
     stands what the augmented stage takes.
     """
-    found, own = [], []
+    found: list[tuple[int | None, Parameter]] = []
+    own: list[tuple[int | None, Parameter]] = []
     member = final.hypothesis.members[index]
     names = [record.name for record in search.chain.records]
-    for slot, span in zip(final.slots, intervals_90(search.chain, final), strict=True):
+    for slot, span in zip(final.slots, spans, strict=True):
         if slot.member == index:
             one = Parameter(
                 slot.name, value_at(final.hypothesis, slot), member.effect.quantities[slot.name].unit, span
@@ -153,7 +160,13 @@ def together(each: Sequence[Parameter], value: float) -> Parameter:
 
 
 def operator(
-    search: Search, retuned: Fit, final: Fit, history: Sequence[Round], mismatch: float, left: float
+    search: Search,
+    retuned: Fit,
+    final: Fit,
+    spans: Sequence[tuple[float, float]],
+    history: Sequence[Round],
+    mismatch: float,
+    left: float,
 ) -> NamedEffect:
     """The hysteresis itself, where it is not Prandtl–Ishlinskii."""
     nominal = final.hypothesis.nominal
@@ -161,9 +174,9 @@ def operator(
     rise = plain.heldout_rms**2 - final.heldout_rms**2
     grown = next(r for r in history if any(t.name.endswith(nominal.family) for t in r.tried))
     rivals = tuple(
-        Rival(t.name.removeprefix("operator: "), t.fit.train_rms, t.fit.heldout_rms, t.evidence)
+        Rival(t.name.removeprefix(OPERATOR), t.fit.train_rms, t.fit.heldout_rms, t.evidence)
         for t in grown.tried
-        if t.name.startswith("operator: ") or t.name in STATIC
+        if t.name.startswith(OPERATOR) or t.name in STATIC
     )
     # Output functions of plays hold every static form of hysteresis: only a form that failed is excluded.
     flexible = nominal.family == "preisach"
@@ -172,7 +185,7 @@ def operator(
     return NamedEffect(
         "hysteresis_operator", "actuator", tuple(others),
         round(rise / (rise + left), 4) if rise > 0 else 0.0,
-        (Parameter("family", nominal.family, "", None), *shape_parameters(search, final)), min(1.0, max(0.0, rise / mismatch)),
+        (Parameter("family", nominal.family, "", None), *shape_parameters(final, spans)), min(1.0, max(0.0, rise / mismatch)),
         FAMILIES[nominal.family],
         "static: survives at any rate, and no other static form removes it", rivals,
     )  # fmt: skip
@@ -185,10 +198,9 @@ FAMILIES = {
 }
 
 
-def shape_parameters(search: Search, final: Fit) -> list[Parameter]:
+def shape_parameters(final: Fit, spans: Sequence[tuple[float, float]]) -> list[Parameter]:
     """Numbers of the operator's own shape."""
     units = {"sigma_v": "V", "alpha_per_v": "1/V"}
-    spans = intervals_90(search.chain, final)
     return [
         Parameter(slot.name, value_at(final.hypothesis, slot), units.get(slot.name, ""), span)
         for slot, span in zip(final.slots, spans, strict=True)

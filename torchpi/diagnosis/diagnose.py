@@ -21,7 +21,7 @@ from torchpi.diagnosis.nominal import plain
 from torchpi.diagnosis.records import Record, prepare, seen, whole
 from torchpi.diagnosis.remainder import with_remainder
 from torchpi.diagnosis.say import paragraph
-from torchpi.diagnosis.search import Search
+from torchpi.diagnosis.search import Search, compressed
 from torchpi.diagnosis.simulation import given_members, simulated, simulated_output
 from torchpi.errors import RecordingError
 from torchpi.recording import Recording
@@ -80,12 +80,12 @@ def diagnose(
     augmented = final
     if decision.verdict in ("unexplained", "partly_explained"):
         say("unknown path: what no effect explains")
-        augmented = with_remainder(chain, final) or final
+        augmented = with_remainder(chain, compressed(chain, final)) or final
     say("model: everything refitted to all samples")
     everything = Chain(whole(recordings))
     last = fit(everything, final.hypothesis, final.weights, 4)
     if augmented is not final:
-        last = with_remainder(everything, last, judged=False) or last
+        last = with_remainder(everything, compressed(everything, last), judged=False) or last
     stage = augmented_stage(last, what, floor_um)
     traces = traces_of(recordings, records, retuned, augmented, final, chain, decision)
     say("locate: where the residual lives")

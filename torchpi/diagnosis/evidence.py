@@ -6,6 +6,7 @@ many independent numbers as there are frequencies in its bands, not as there are
 """
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 
@@ -19,10 +20,10 @@ INDEPENDENT = 2 / 3
 def evidence(records: Sequence[Record], before: Sequence[np.ndarray], after: Sequence[np.ndarray]) -> float:
     """Gain of the log-likelihood from the residuals `before` to those `after`, µm, no penalty taken off."""
     total = 0.0
-    for record, one, other in zip(records, before, after, strict=True):
+    for _, one, other in zip(records, before, after, strict=True):
         edges = bands(len(one))
         power, less = spectrum(one), spectrum(other)
-        for low, high in zip(edges[:-1], edges[1:], strict=True):
+        for low, high in pairwise(edges):
             ratio = (power[low:high].sum() + 1e-300) / (less[low:high].sum() + 1e-300)
             total += INDEPENDENT * (high - low) * float(np.log(ratio))
     return total

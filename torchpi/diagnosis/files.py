@@ -89,7 +89,7 @@ def check_options(output: Path, columns: Mapping[str, str | int], executor: str)
 def read(path: Path, columns: Mapping[str, str | int], fs_hz: float | None, resample: bool) -> Recording:
     """One recording, columns by name or number."""
     chosen = {f"{name}_column": column for name, column in columns.items()}
-    return read_recording(path, fs_hz=fs_hz, resample=resample, **chosen)  # type: ignore[arg-type]
+    return read_recording(path, fs_hz=fs_hz, resample=resample, allow_constant_input=True, **chosen)  # type: ignore[arg-type]
 
 
 @contextmanager

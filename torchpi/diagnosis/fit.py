@@ -33,6 +33,7 @@ def fit(
     slots = slots_of(hypothesis)
     theta = np.array([to_inner(slot, value_at(hypothesis, slot)) for slot in slots])
     records = chain.records
+    fresh_weights = weights is None
     if weights is None:
         weights = start_weights(chain, hypothesis)
     elif slots and any(member.effect.hold for member in hypothesis.members):
@@ -40,6 +41,8 @@ def fit(
         fresh = start_weights(chain, hypothesis)
         if sum_of_squares(chain, hypothesis, fresh) < sum_of_squares(chain, hypothesis, weights):
             weights = fresh
+    if not slots:  # linear in the weights: done
+        iterations = 0 if fresh_weights else 1
     damping = 1e-3
     for _ in range(iterations):
         current = with_theta(hypothesis, slots, theta)
@@ -237,7 +240,7 @@ def sum_of_squares(chain: Chain, hypothesis: Hypothesis, weights: np.ndarray) ->
 def start_weights(chain: Chain, hypothesis: Hypothesis) -> np.ndarray:
     """Least squares on the rows as they come out of the chain, to first order in the weights."""
     parts = []
-    nothing = np.zeros(len(chain.rows(hypothesis, 0)))
+    nothing = np.zeros(len(chain.rows(hypothesis, 0)) + 1)
     for i, record in enumerate(chain.records):
         y, directions = chain.output_and_directions(hypothesis, nothing, i)
         rows = directions[:, record.fitted]

@@ -17,12 +17,13 @@ def augmented_stage(now: Fit, seen: Seen, noise_um: float) -> AugmentedStage:
     identity where they do not: nobody can foretell the phase of the mains.
     """
     nominal = now.hypothesis.nominal
-    weights = now.weights if nominal.mixing is None else nominal.mixing.T @ now.weights
+    rows = now.weights[:-1]
+    weights = rows if nominal.mixing is None else nominal.mixing.T @ rows
     return AugmentedStage(
         1.0 / seen.fs_hz,
         {
             "thresholds_v": nominal.thresholds_v.tolist(),
-            "weights": torch.from_numpy(np.ascontiguousarray(weights)),
+            "weights": torch.from_numpy(np.append(weights, 0.0)),
             "degree": nominal.degree,
             "scale_v": nominal.scale_v,
             "bouc_wen": nominal.bouc_wen,
@@ -38,6 +39,7 @@ def augmented_stage(now: Fit, seen: Seen, noise_um: float) -> AugmentedStage:
         seen.low_v,
         seen.high_v,
         stepped=now.hypothesis.held,
+        zero_um=float(now.weights[-1]),
     )
 
 

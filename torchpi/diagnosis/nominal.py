@@ -1,10 +1,20 @@
 """The nominal hysteresis: rows of elementary states, linear in their weights."""
 
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
-from torchpi.operators.hysteresis_rows import bouc_wen_row, duhem_row, play_rows, play_sum, smooth
+from torchpi.operators.hysteresis_rows import (
+    bend,
+    bouc_wen_row,
+    duhem_row,
+    gain_inside,
+    play_rows,
+    play_sum,
+    smooth,
+    threshold_widening,
+)
 from torchpi.stage.effects.effect import Seen
 
 INSIDE = {
@@ -23,7 +33,7 @@ class Nominal:
     """A hysteresis without its weights.
 
     The rows are h_i of the plays, their powers up to `degree` (output functions), then the states of the
-    other families; a constant is the last row.
+    other families.
     """
 
     thresholds_v: np.ndarray
@@ -60,16 +70,17 @@ class Nominal:
         return rows if self.mixing is None else self.mixing @ rows
 
     def all_rows(self, v: np.ndarray, period_s: float) -> np.ndarray:
-        """Every row: the plays, their powers, the other families, the constant."""
-        others = self.other_rows(v)
+        """Every row: the plays, their powers, the other families."""
+        up, down, widening, gain, loop = self.inside(v, period_s)
+        others = self.other_rows(v, gain, loop)
         plays = len(self.thresholds_v) * self.degree
         rows = np.empty((plays + len(others), len(v)))
-        up, down, widening, gain, loop = self.inside(v, period_s)
         play_rows(
             v, up, down, self.thresholds_v, widening, gain, loop, self.scale_v,
             rows[:plays].reshape(self.degree, -1, len(v)),
         )  # fmt: skip
-        rows[plays:] = others
+        for row, other in zip(rows[plays:], others, strict=True):
+            row[:] = other
         return rows
 
     def output(self, v: np.ndarray, period_s: float, weights: np.ndarray) -> np.ndarray:
@@ -81,29 +92,31 @@ class Nominal:
             v, up, down, self.thresholds_v, widening, gain, loop, self.scale_v,
             full[:plays].reshape(self.degree, -1).copy(),
         )  # fmt: skip
-        for weight, row in zip(full[plays:], self.other_rows(v), strict=True):
+        for weight, row in zip(full[plays:], self.other_rows(v, gain, loop), strict=True):
             y += weight * row
         return y
 
     def inside(self, v: np.ndarray, period_s: float) -> tuple[np.ndarray, ...]:
         """Envelopes up and down, widening of the thresholds, gain of the states, widening of the loop."""
-        s, one = self.shape, np.ones_like(v)
+        s = self.shape
         rate = np.diff(v, prepend=0.0) / period_s
         if s["rate_filter_s"] > 0.0:
             rate = smooth(rate, np.exp(-period_s / s["rate_filter_s"]))
-        bend = s["asymmetry_per_v"] * v * v
-        gain = (1.0 + s["incongruence_per_v"] * v) * (1.0 + s["weight_s_per_v"] * rate)
+        bent: Any = bend(v, s["asymmetry_per_v"])  # type: ignore[arg-type]
+        widening: Any = threshold_widening(rate, s["threshold_s_per_v"])  # type: ignore[arg-type]
+        gain: Any = gain_inside(v, rate, s["incongruence_per_v"], s["weight_s_per_v"])  # type: ignore[arg-type]
         loop = s["loop_per_e"] * np.log1p(np.abs(rate) / s["reference_rate_v_s"])
-        return v + bend, v - bend, one + s["threshold_s_per_v"] * np.abs(rate), gain, loop
+        return v + bent, v - bent, widening, gain, loop
 
-    def other_rows(self, v: np.ndarray) -> list[np.ndarray]:
-        """States of the other families, and the constant."""
+    def other_rows(self, v: np.ndarray, gain: np.ndarray, loop: np.ndarray) -> list[np.ndarray]:
+        """States of the other families."""
         rows = []
         if self.bouc_wen:
-            rows.append(bouc_wen_row(v, self.shape["sigma_v"], self.shape["beta"], self.shape["exponent"]))
+            z = bouc_wen_row(v, self.shape["sigma_v"], self.shape["beta"], self.shape["exponent"]) * gain
+            rows.append(z + z * loop)
         if self.duhem:
             rows += [duhem_row(v, self.shape["alpha_per_v"], k) / self.scale_v ** (k - 1) for k in (1, 2, 3)]
-        return [*rows, np.ones(len(v))]
+        return rows
 
 
 def thresholds(seen: Seen, fine: int, even: int) -> np.ndarray:
@@ -128,9 +141,9 @@ def many_plays(seen: Seen) -> Nominal:
     return Nominal(thresholds(seen, 20, 80), 1, reach_v(seen))
 
 
-def preisach(seen: Seen, degree: int) -> Nominal:
-    """Thirty plays through output functions: a Preisach operator in play form."""
-    return Nominal(thresholds(seen, 10, 20), degree, reach_v(seen))
+def preisach(seen: Seen, fine: int = 10, even: int = 20, degree: int = 5) -> Nominal:
+    """Plays through output functions: a Preisach operator in play form."""
+    return Nominal(thresholds(seen, fine, even), degree, reach_v(seen))
 
 
 def bouc_wen(seen: Seen, sigma: float) -> Nominal:

@@ -1,4 +1,4 @@
-"""The unknown path: what is left after every named effect, by ridge regression, judged on held-out samples."""
+"""The unknown path: what every named effect leaves, by ridge regression, judged on held-out samples."""
 
 from dataclasses import replace
 
@@ -30,7 +30,10 @@ def with_remainder(chain: Chain, now: Fit, judged: bool = True) -> Fit | None:
         "shortest_s": 2 / what.fs_hz,
         "longest_s": max(what.duration_s, 4 / what.fs_hz),
     }
-    frame = {n: min(max(v, Unknown.quantities[n].at_least), Unknown.quantities[n].at_most) for n, v in frame.items()}
+    frame = {
+        n: min(max(v, Unknown.quantities[n].at_least), Unknown.quantities[n].at_most)
+        for n, v in frame.items()
+    }
     columns, tangents = [], []
     for i, (record, residual) in enumerate(zip(records, now.residuals, strict=True)):
         y, directions = chain.output_and_directions(now.hypothesis, now.weights, i)

@@ -75,7 +75,8 @@ class Screen:
         return Candidate(member, float(coefficients @ (right / spread)) / self.total, held)
 
     def _against(self, directions: list[list[np.ndarray]], i: int) -> np.ndarray:
-        return self.tangents[i] @ np.array([d[i] for d in directions]).T
+        against: np.ndarray = self.tangents[i] @ np.array([d[i] for d in directions]).T
+        return against
 
     def directions(self, member: Member) -> list[list[np.ndarray]]:
         """For each direction, its training part in each recording."""
@@ -92,12 +93,14 @@ class Screen:
         return found
 
     def of_the_voltage(self, member: Member) -> list[np.ndarray]:
-        """What a dynamic block makes of the voltage itself: where nothing static fits, the output is no guide."""
+        """What a dynamic block makes of the voltage itself: where no static form fits, the output misleads."""
         hypothesis = self.now.hypothesis.plus(member)
-        return [
-            self.chain.output_and_directions(hypothesis, np.zeros(len(self.now.weights)), i)[1][0][record.fitted]
-            for i, record in enumerate(self.records)
-        ]
+        parts = []
+        for i, record in enumerate(self.records):
+            # The fitted combination of a mixed hysteresis is its first row, the principal one its second.
+            principal = self.chain.rows(hypothesis, i)[:2][-1:]
+            parts.append(self.chain.moved(hypothesis, principal, i)[0][record.fitted])
+        return parts
 
 
 def signed(member: Member) -> bool:

@@ -34,14 +34,22 @@ LEAST_EVIDENCE = 8.0
 PER_PARAMETER = 3.0
 STARTS = 2
 """From how many starts an effect is fitted."""
+OPERATOR = "hysteresis_operator: "
+"""How a larger hysteresis is called among the explanations, before its family."""
+PREISACH = ((20, 60, 5), (15, 35, 7))
+"""Plays spread in the logarithm, plays spread evenly, degree: what a Preisach operator may grow to."""
 TRIED = 6
 """How many effects are fitted in a round, the best of the screen."""
 PAIRS = 3
 """How many of a round's best are fitted with all rows before one is chosen."""
+SIMPLER = 1.05
+"""How much worse an effect of few numbers may fit than a larger hysteresis, and be taken for it."""
 FINISHED = 1.02
 """Times the floor: an error within this leaves nothing to look for."""
 OUTWEIGHS = 2.0
 """How many times what nothing explains an effect must explain to be named."""
+LARGE = 200
+"""Rows from which a fit with all of them is worth sparing."""
 HOPELESS = 3.0
 """A family of hysteresis that fits this many times worse than another is not tried again."""
 KEPT = 40
@@ -113,23 +121,24 @@ class Search:
             history.append(Round(now, tuple(tried), chosen.name if chosen else None))
             if chosen is None:
                 break
-            now = self.backward(self.realigned(self.sized(chosen.fit)))
+            grown = self.sized(chosen.fit) if chosen.name.startswith(OPERATOR) else chosen.fit
+            now = self.backward(self.realigned(grown))
             self.say(f"  with {', '.join(now.hypothesis.names) or chosen.name}: {describe(now)}")
         return retuned, self.sifted(now), history
 
     def sifted(self, now: Fit) -> Fit:
         """Without the effects that explain little beside what nothing explains."""
         while self.added(now):
-            unexplained = max(now.heldout_rms**2 - self.floor_um(now) ** 2, 0.0)
-            worth = []
-            for i in self.added(now):
-                less = fit(self.chain, now.hypothesis.minus(i), now.weights)
-                worth.append((less.heldout_rms**2 - now.heldout_rms**2, i, less))
-            least, i, less = min(worth, key=lambda w: w[0])
-            if least > OUTWEIGHS * unexplained:
+            small = compressed(self.chain, now)
+            unexplained = max(small.heldout_rms**2 - self.floor_um(small) ** 2, 0.0)
+            less = self.without_each(small)
+            worth = [f.heldout_rms**2 - small.heldout_rms**2 for f in less]
+            least = int(np.argmin(worth))
+            if worth[least] > OUTWEIGHS * unexplained:
                 break
-            self.say(f"  - {now.hypothesis.names[i]}: explains too little beside what nothing explains")
-            now = less
+            name = now.hypothesis.names[self.added(now)[least]]
+            self.say(f"  without {name}: it explains too little beside what nothing explains")
+            now = self.polished(less[least])
         return now
 
     def added(self, now: Fit) -> list[int]:
@@ -204,38 +213,37 @@ class Search:
         if now.hypothesis.nominal.family != "prandtl_ishlinskii":
             return []
         h, found = now.hypothesis, []
-        larger: list[tuple[str, Nominal, tuple[str, ...], int]] = [
-            ("preisach", preisach(self.seen, 5), (), 4)
-        ]
+        larger: list[tuple[str, Nominal, tuple[str, ...], int]] = [("preisach", preisach(self.seen), (), 4)]
         larger.append(("bouc_wen", bouc_wen(self.seen, 0.1), ("sigma_v", "beta", "exponent"), 15))
         larger.append(("duhem", duhem(self.seen, 5.0), ("alpha_per_v",), 10))
         larger = [one for one in larger if one[0] not in self.hopeless]
         jobs = [(h.on(nominal, shape), None, iterations) for _, nominal, shape, iterations in larger]
         for (family, *_), one in zip(larger, self.fits(jobs), strict=True):
-            found.append((f"operator: {family}", one))
+            found.append((OPERATOR + family, one))
         for family in {family for family, *_ in larger} - self.hopeless:
             if min(f.train_rms for n, f in found if n.endswith(family)) > HOPELESS * now.train_rms:
                 self.hopeless.add(family)
         return found
 
-    def chosen(self, tried: list[Tried]) -> Tried:
+    def chosen(self, taken: list[Tried]) -> Tried:
         """The best with all rows of its hysteresis; an effect of few numbers before a larger hysteresis."""
-        polished = [replace(one, fit=self.polished(one.fit)) for one in tried[:PAIRS]]
-        best = min(polished, key=lambda t: t.fit.heldout_rms)
-        if not best.name.startswith("operator"):
-            return best
-        effects = [t for t in tried if not t.name.startswith("operator")][:PAIRS]
-        named = [replace(one, fit=self.polished(one.fit)) for one in effects]
-        named.sort(key=lambda t: t.fit.heldout_rms)
-        return named[0] if named and named[0].fit.heldout_rms < 1.05 * best.fit.heldout_rms else best
+        rows = [one.fit.hypothesis.nominal.mixing for one in taken]
+        if max(0 if mixing is None else mixing.shape[1] for mixing in rows) > LARGE:
+            return replace(taken[0], fit=self.polished(taken[0].fit))
+        effects = [t for t in taken if not t.name.startswith(OPERATOR)][:PAIRS]
+        full = [replace(one, fit=self.polished(one.fit)) for one in dict.fromkeys([*taken[:1], *effects])]
+        best = min(full, key=lambda t: t.fit.heldout_rms)
+        named = [t for t in full if not t.name.startswith(OPERATOR)]
+        first = min(named, key=lambda t: t.fit.heldout_rms, default=best)
+        return first if first.fit.heldout_rms < SIMPLER * best.fit.heldout_rms else best
 
     def sized(self, now: Fit) -> Fit:
         """A Preisach operator with as many numbers as the held-out samples carry."""
-        if now.hypothesis.nominal.family != "preisach":
+        h = now.hypothesis
+        if h.nominal.family != "preisach":
             return now
-        degrees = [d for d in (3, 5, 7) if d != now.hypothesis.nominal.degree]
-        others = [fit(self.chain, now.hypothesis.on(preisach(self.seen, d)), None, 3) for d in degrees]
-        return min([now, *others], key=lambda f: f.heldout_rms)
+        jobs: list[Job] = [(h.on(preisach(self.seen, *size)), None, 2) for size in PREISACH]
+        return min([now, *self.fits(jobs)], key=lambda f: f.heldout_rms)
 
     def takes(self, one: Tried, now: Fit) -> bool:
         """Whether an effect earns its place."""
@@ -254,33 +262,39 @@ class Search:
         if nominal.mixing is None:
             return now
         full = now.hypothesis.on(replace(nominal, mixing=None), now.hypothesis.shape)
-        return fit(self.chain, full, nominal.mixing.T @ now.weights, 5)
+        weights = np.append(nominal.mixing.T @ now.weights[:-1], now.weights[-1])
+        return fit(self.chain, full, weights, 5 if len(weights) < LARGE else 2)
 
     def realigned(self, now: Fit) -> Fit:
         """Under the conventions of timing that fit best: they are no physics."""
-        best = now
-        for alignment in (0, 1):
-            for held in (False, True):
-                h = replace(now.hypothesis, alignment=alignment, held=held)
-                if h != now.hypothesis:
-                    one = fit(self.chain, h, now.weights, 6)
-                    best = one if one.train_rms < best.train_rms and not one.bounded else best
-        return best
+        small = compressed(self.chain, now)
+        others = [
+            replace(small.hypothesis, alignment=alignment, held=held)
+            for alignment in (0, 1)
+            for held in (False, True)
+            if (alignment, held) != (now.hypothesis.alignment, now.hypothesis.held)
+        ]
+        fits = [f for f in self.fits([(h, small.weights, 6) for h in others]) if not f.bounded]
+        best = min([small, *fits], key=lambda f: f.train_rms)
+        return now if best is small else self.polished(best)
 
     def backward(self, now: Fit) -> Fit:
         """Without the effects that the others have made needless."""
         while len(self.added(now)) > 1:
-            for i in self.added(now):
-                name = now.hypothesis.names[i]
-                less = fit(self.chain, now.hypothesis.minus(i), now.weights)
-                gained = evidence(self.chain.records, less.residuals, now.residuals)
-                if not self.takes(Tried(name, now, gained), less):
-                    self.say(f"  - {name}")
-                    now = less
+            small = compressed(self.chain, now)
+            for i, less in zip(self.added(now), self.without_each(small), strict=True):
+                gained = evidence(self.chain.records, less.residuals, small.residuals)
+                if not self.takes(Tried(now.hypothesis.names[i], small, gained), less):
+                    self.say(f"  without {now.hypothesis.names[i]}: the others do its work")
+                    now = self.polished(less)
                     break
             else:
                 return now
         return now
+
+    def without_each(self, now: Fit) -> list[Fit]:
+        """The fit without one of the added effects, for each."""
+        return self.fits([(now.hypothesis.minus(i), now.weights, ITERATIONS) for i in self.added(now)])
 
 
 def improves(better: Fit, worse: Fit) -> bool:
@@ -293,7 +307,7 @@ def improves(better: Fit, worse: Fit) -> bool:
 
 def compressed(chain: Chain, grown: Fit) -> Fit:
     """The same fit with its rows mixed down: the fitted combination first, then the principal ones."""
-    if len(grown.weights) <= KEPT + 1:
+    if len(grown.weights) <= KEPT + 2:
         return grown
     gram = sum(
         rows @ rows.T
@@ -305,9 +319,9 @@ def compressed(chain: Chain, grown: Fit) -> Fit:
     scale = np.where(size > 0, 1 / np.sqrt(np.maximum(size, 1e-300)), 0.0)
     values, vectors = np.linalg.eigh(gram * scale * scale[:, None])
     kept = np.argsort(values)[::-1][:KEPT]
-    mixing = np.concatenate([grown.weights[None], (vectors[:, kept] * scale[:, None]).T])
-    weights = np.zeros(len(mixing))
-    weights[0] = 1.0
+    mixing = np.concatenate([grown.weights[None, :-1], (vectors[:, kept] * scale[:, None]).T])
+    weights = np.zeros(len(mixing) + 1)
+    weights[0], weights[-1] = 1.0, grown.weights[-1]
     nominal = replace(grown.hypothesis.nominal, mixing=mixing)
     return replace(grown, hypothesis=replace(grown.hypothesis, nominal=nominal), weights=weights)
 

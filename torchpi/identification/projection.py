@@ -51,9 +51,7 @@ def solve_weights(
 ) -> None:
     """Set θ, ψ, and the offset where there is one, to their least-squares values."""
     with torch.no_grad():
-        own_degree = compensator.psi.shape[1]
-        each = [linear_columns(compensator, a, b, own_degree) for a, b in zip(h, basis, strict=True)]
-        columns = torch.cat(each)
+        columns = linear_columns(compensator, h, basis, compensator.psi.shape[1])
         size = columns.square().mean(0).sqrt()
         size[size == 0] = 1.0  # a play that nothing moved
         columns /= size
@@ -75,14 +73,19 @@ def linear_parameters(compensator: DirectInverse) -> list[nn.Parameter]:
 
 def linear_columns(
     compensator: DirectInverse,
-    h: Tensor,  # (samples, plays)
-    basis: Tensor,  # (samples, functions)
+    h: Sequence[Tensor],  # of each record, (samples, plays)
+    basis: Sequence[Tensor],  # of each record, (samples, functions)
     own_degree: int,  # of the output functions beyond the weighted sum
-) -> Tensor:  # (samples, columns)
+) -> Tensor:  # (samples of all, columns)
     """What those parameters multiply: φ_m h_i, z_i^q h_i, and 1 for the offset."""
-    z = h / compensator.range_um
-    own = [z**q * h for q in range(1, own_degree + 1)]
-    columns = [(h[:, :, None] * basis[:, None, :]).flatten(1)]
-    columns += [torch.stack(own, -1).flatten(1)] if own else []
-    columns += [torch.ones_like(h[:, :1])] if compensator.offset.requires_grad else []
-    return torch.cat(columns, 1)
+    plays, functions = h[0].shape[1], basis[0].shape[1]
+    parts = [plays * functions, plays * own_degree, int(compensator.offset.requires_grad)]
+    columns = h[0].new_empty(sum(len(a) for a in h), sum(parts))
+    for rows, a, b in zip(columns.split([len(a) for a in h]), h, basis, strict=True):
+        of_rate, own, offset = rows.split(parts, 1)
+        # Written where they stay: they are tens of megabytes, and each copy costs as much as making them.
+        of_rate.unflatten(1, (plays, functions)).copy_(a[:, :, None] * b[:, None, :])
+        for q in range(own_degree):
+            own[:, q::own_degree] = (a / compensator.range_um) ** (q + 1) * a
+        offset.fill_(1.0)
+    return columns

@@ -3,8 +3,8 @@
 Stage 1 fits the saturation polynomial c with constant weights to a slow record. The weights enter
 linearly, so they are solved for within each trial of c (variable projection, Golub and Pereyra 1973)
 and only the m coefficients are searched, by damped Gauss–Newton on the exact derivative, from several
-scales or, as in the paper, once. Stage 2 keeps c and fits slopes k and offsets b of the weights to faster records: linear least
-squares.
+scales or, as in the paper, once. Stage 2 keeps c and fits slopes k and offsets b of the weights to faster
+records: linear least squares.
 """
 
 from collections.abc import Iterator, Sequence

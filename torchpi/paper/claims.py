@@ -228,7 +228,7 @@ def _blind(compensator: DirectInverse, pairs: Sequence[InversePair], evaluations
     residual(found.x)
 
 
-def _fit_dead_zones(compensator: _DeadZoneInverse, slow: InversePair) -> float:
+def _fit_dead_zones(compensator: DirectInverse, slow: InversePair) -> float:
     """Stage 1 with dead zones for S, in place: five thresholds and six weights; the rms error, V."""
     top = float(slow.motion.yd.max())
     start = np.concatenate([top * np.arange(1, ZONES) / ZONES, np.eye(ZONES)[0]])
@@ -252,7 +252,7 @@ def _fit_dead_zones(compensator: _DeadZoneInverse, slow: InversePair) -> float:
 
 
 class _DeadZoneInverse(DirectInverse):
-    """With dead zones for S: one operator after the other. The kernel in one pass knows the polynomial alone."""
+    """With dead zones for S: one operator after the other, since the fused kernel has the polynomial."""
 
     def voltage(self, motion: Motion, state: Tensor | None = None) -> tuple[Tensor, Tensor]:
         h, state = self.play_states(motion, state)

@@ -51,6 +51,7 @@ class AugmentedStage(Operator):
         seed: Of the noise.
         stepped: Whether the displacement of the ceramic is held through each sample, as the command is: what
             the first dynamic block is to know.
+        zero_um: What the sensor reads of the de-energised stage.
 
     Raises:
         StageError: An unknown effect, a value out of its bounds, or another alignment.
@@ -67,6 +68,7 @@ class AugmentedStage(Operator):
         max_voltage_v: float | None = None,
         seed: int = 0,
         stepped: bool = False,
+        zero_um: float = 0.0,
     ) -> None:
         super().__init__()
         if alignment not in (0, 1):
@@ -87,7 +89,7 @@ class AugmentedStage(Operator):
                 }
             else:
                 self.effects.append(named.kind(self.sample_period_s, **named.values))
-        self.stepped = bool(stepped)
+        self.stepped, self.zero = bool(stepped), Zero(zero_um)
         hold_first_block(list(self.effects), self.stepped)  # type: ignore[arg-type]
         self.hysteresis = Hysteresis(self.sample_period_s, **{**hysteresis, "shape": shape})
 
@@ -141,6 +143,7 @@ class AugmentedStage(Operator):
             "max_voltage_v": self.max_voltage_v,
             "seed": self.seed,
             "stepped": self.stepped,
+            "zero_um": self.zero.zero_um,
         }
 
     def at_sample_rate(self, sample_rate_hz: float) -> "AugmentedStage":
@@ -226,7 +229,7 @@ class AugmentedStage(Operator):
         placed = [(cast(Effect, e), named.aux) for e, named in zip(self.effects, outside, strict=True)]
         before = [(effect, aux) for effect, aux in placed if effect.before_hysteresis]
         after = [(effect, aux) for effect, aux in placed if not effect.before_hysteresis]
-        return [*before, (self.hysteresis, ""), *after]
+        return [*before, (self.hysteresis, ""), *after, (self.zero, "")]
 
     def _entries(self) -> list[dict[str, Any]]:
         """The effects as the constructor takes them, with their present parameters."""
@@ -238,6 +241,36 @@ class AugmentedStage(Operator):
                 values = cast(Effect, next(outside)).values()
             entries.append({"name": named.name, "values": values, "aux": named.aux})
         return entries
+
+
+class Zero(Operator):
+    """The zero of the sensor, behind everything that has memory: a constant has no transient."""
+
+    def __init__(self, zero_um: float) -> None:
+        super().__init__()
+        self.zero_um = float(zero_um)
+
+    def forward(self, x: Tensor, state: Tensor | None = None) -> tuple[Tensor, Tensor]:
+        return x + self.zero_um, self.initial_state(len(x)) if state is None else state
+
+    def stream(self) -> nn.Module:
+        return ZeroStream(self.zero_um)
+
+
+class ZeroStream(nn.Module):
+    """The zero, one sample at a time."""
+
+    def __init__(self, zero_um: float) -> None:
+        super().__init__()
+        self.zero_um = zero_um
+
+    @torch.jit.export
+    def reset(self) -> None:
+        return
+
+    @torch.jit.export
+    def step(self, x: float) -> float:
+        return x + self.zero_um
 
 
 class OneSampleLate(nn.Module):

@@ -144,14 +144,16 @@ class Hysteresis(Operator):
         h, before, rate_before, others = state.split([plays, 1, 1, self.others], 1)
         rate, filtered = self._rate(v, before, rate_before)
         shape = {name: getattr(self, name) for name in self.trained}
+        gain = gain_inside(v, rate, shape["incongruence_per_v"], shape["weight_s_per_v"])  # type: ignore[arg-type]
+        loop = _LoopWidening.apply(rate, shape["loop_per_e"], shape["reference_rate_v_s"])
         bent = bend(v, shape["asymmetry_per_v"])  # type: ignore[arg-type]
         y, h = _Plays.apply(
             v,
             v + bent,
             v - bent,
             threshold_widening(rate, shape["threshold_s_per_v"]),  # type: ignore[arg-type]
-            gain_inside(v, rate, shape["incongruence_per_v"], shape["weight_s_per_v"]),  # type: ignore[arg-type]
-            _LoopWidening.apply(rate, shape["loop_per_e"], shape["reference_rate_v_s"]),
+            gain,
+            loop,
             weights[: plays * self.degree].reshape(self.degree, plays),
             h,
             self.thresholds_v,
@@ -162,8 +164,11 @@ class Hysteresis(Operator):
             weights[plays * self.degree : -1], others.unbind(1), self._families(), strict=True
         ):
             z = _State.apply(v, before[:, 0], z0, kernels, numbers)
-            y = y + weight * (z / scale)
             ends.append(z[:, -1:])
+            if kernels[0] is _bouc_wen_forward:
+                z = z * gain
+                z = z + z * loop
+            y = y + weight * (z / scale)
         return (y + weights[-1]).to(x), torch.cat([h, v[:, -1:], filtered, *ends], 1)
 
     def stream(self) -> "HysteresisStream":
@@ -253,7 +258,8 @@ class HysteresisStream(nn.Module):
         place = plays * self.degree
         if self.has_bouc_wen:
             self.z = bouc_wen(self.z, x - self.before, self.sigma, self.beta, self.exponent)
-            y = y + self.w[place] * self.z
+            z = self.z * gain
+            y = y + self.w[place] * (z + z * loop)
             place += 1
         if self.has_duhem:
             scale = 1.0

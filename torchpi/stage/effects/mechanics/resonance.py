@@ -29,7 +29,8 @@ class Resonance(LinearEffect):
     signature = "rings at one frequency, phase climbs towards it"
     quantities: ClassVar[dict[str, Quantity]] = {
         "frequency_hz": Quantity("Hz", at_least=1.0, at_most=1e5),
-        "damping_ratio": Quantity("", at_least=1e-4, at_most=2.0),
+        # What is damped more is not seen to ring: a lag.
+        "damping_ratio": Quantity("", at_least=1e-4, at_most=0.3),
     }
     identity: ClassVar[Parameters] = {"frequency_hz": math.inf, "damping_ratio": TYPICAL_DAMPING}
     frequency_hz: nn.Parameter

@@ -32,5 +32,10 @@ class SecondMode(Resonance):
         return a, b, self.share * c, (1 - self.share) + self.share * d
 
     @classmethod
+    def starts(cls, seen: Seen) -> list[Parameters]:
+        # Half as many as for a resonance: where it is faint, the residual shows its frequency.
+        return super().starts(seen)[::2]
+
+    @classmethod
     def starts_at(cls, seen: Seen, frequencies_hz: list[float]) -> list[Parameters]:
         return [{"share": 0.05, **start} for start in super().starts_at(seen, frequencies_hz)]

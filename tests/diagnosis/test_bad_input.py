@@ -1,0 +1,142 @@
+"""What is wrong with recordings is said in one line; what they cannot show is said beside what they show."""
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from tests.diagnosis.plants import FS_HZ, NOISE_UM, Signal, hysteresis, multisine, pair, record, stairs
+from torchpi import cli
+from torchpi.diagnosis.diagnose import diagnose
+from torchpi.errors import RecordingError
+from torchpi.recording import Recording, write_recording
+
+
+def refused(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
+    """The one line with which the command refuses."""
+    monkeypatch.setattr(sys, "argv", ["torchpi", "diagnose", *map(str, arguments)])
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    assert ended.value.code == 2
+    message = capsys.readouterr().err.strip()
+    assert "\n" not in message and "Traceback" not in message
+    return message
+
+
+def written(folder: Path, *recordings: Recording) -> list[Path]:
+    for one in recordings:
+        write_recording(folder / f"{one.name}.csv", one)
+    return [folder / f"{one.name}.csv" for one in recordings]
+
+
+def test_columns_that_differ_between_files_are_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    first, second = pair(400)
+    files = written(tmp_path, replace(first, aux={"aux_2": first.u}), second)
+    line = refused(monkeypatch, capsys, *files, "--output", tmp_path / "out")
+    assert "aux_2" in line and "leave out" in line
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_simulation_in_other_units_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    files = written(tmp_path, *pair(400))
+    in_nanometres = {
+        "sample_rate_hz": 2000, "actuator": {"thresholds_v": [0, 1, 2], "weights_um_per_v": [500, 200, 200]}
+    }  # fmt: skip
+    (tmp_path / "nm.yaml").write_text(yaml.safe_dump(in_nanometres), encoding="utf-8")
+    line = refused(
+        monkeypatch, capsys, *files, "--simulation", tmp_path / "nm.yaml", "--output", tmp_path / "o"
+    )
+    assert "simulation" in line and "V and µm" in line
+
+
+def test_a_hold_alone_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    files = written(tmp_path, record(np.full(400, 3.0), name="hold"))
+    assert "input never moves" in refused(monkeypatch, capsys, *files, "--output", tmp_path / "out")
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "word"),
+    [
+        ("--executor", "cluster", "cluster"),
+        ("--columns", "{volts: u}", "volts"),
+        ("--simulation", "no.yaml", "no.yaml"),
+    ],
+)
+def test_options_that_cannot_be_are_refused(
+    option: str, value: str, word: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    files = written(tmp_path, *pair(400))
+    assert word in refused(monkeypatch, capsys, *files, option, value, "--output", tmp_path / "out")
+
+
+def test_no_recordings_too_few_samples_and_holes_are_refused() -> None:
+    with pytest.raises(RecordingError, match="found none"):
+        diagnose([])
+    with pytest.raises(RecordingError, match="found 50 samples, want at least 100"):
+        diagnose([record(multisine(50))])
+    one = record(multisine(400))
+    one.y[7] = np.nan
+    with pytest.raises(RecordingError, match="output is nan at sample 7"):
+        diagnose([one])
+
+
+def test_recordings_of_different_stages_are_said_to_conflict() -> None:
+    """The same voltages, and another loop: no load explains it."""
+
+    def other(v: Signal) -> Signal:
+        return 0.6 * hysteresis(v) + 0.004 * v * v
+
+    first, second = pair(3000)
+    third = record(multisine(3000, seed=5), name="third", seed=5)
+    noise = NOISE_UM * np.random.default_rng(8).standard_normal(3000)
+    found = diagnose([first, second, replace(third, y=other(third.u) + noise)])
+    assert any(note.startswith("Recording third asks for") and "stage" in note for note in found.notes)
+
+
+def test_one_recording_is_allowed_and_its_limits_are_said() -> None:
+    found = diagnose([record(multisine(1500))])
+    assert any(note.startswith("One recording only") for note in found.notes)
+    assert any(note.startswith("load_change: left out") for note in found.notes)
+
+
+def test_a_record_that_never_turns_round_is_allowed_and_its_limits_are_said() -> None:
+    found = diagnose([record(np.linspace(0, 10, 1500))])
+    assert any("never turns round: hysteresis cannot be seen" in note for note in found.notes)
+    assert any(note.startswith("backlash: left out, the voltage never turns round") for note in found.notes)
+
+
+def test_a_hold_among_others_serves_for_what_it_shows() -> None:
+    resting = record(np.full(800, 3.0), name="resting", noise_um=0.01)
+    found = diagnose([record(multisine(1500), noise_um=0.01), resting])
+    assert any(note.startswith("The voltage rests in resting") for note in found.notes)
+    assert found.noise_floor_um == pytest.approx(0.01, rel=0.25)
+
+
+def test_what_a_short_record_cannot_show_is_left_out_and_said() -> None:
+    found = diagnose([record(multisine(400))])
+    left_out = {note.split(":")[0] for note in found.notes if ": left out, " in note}
+    assert {"creep", "leakage", "thermal_drift", "ageing", "load_change", "cross_coupling"} <= left_out
+    assert {effect.name for effect in found.effects}.isdisjoint(left_out)
+
+
+def test_long_stairs_leave_nothing_slow_out() -> None:
+    """Steps so rare that no percentile of the rate sees them, and holds of seconds."""
+    found = diagnose([record(stairs(5000, 4))])
+    left_out = {note.split(":")[0] for note in found.notes if ": left out, " in note}
+    assert left_out.isdisjoint({"creep", "leakage", "thermal_drift", "slew_limit", "backlash"})
+
+
+def test_a_column_in_which_nothing_moves_is_said() -> None:
+    found = diagnose([record(multisine(1000), aux={"aux_still": np.zeros(1000)})])
+    assert any("Nothing moves in aux_still" in note for note in found.notes)
+    assert FS_HZ == found.traces[0].fs_hz

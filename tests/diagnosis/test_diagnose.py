@@ -1,0 +1,124 @@
+"""From recordings to a diagnosis: what is there is named, what is not is not."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from scipy.signal import lfilter
+
+from tests.diagnosis.plants import (
+    FS_HZ,
+    NOISE_UM,
+    multisine,
+    pair,
+    record,
+    resonance,
+    stairs,
+    swinging,
+    triangles,
+)
+from torchpi.diagnosis.diagnose import diagnose
+from torchpi.diagnosis.diagnosis import Diagnosis
+from torchpi.recording import Recording
+from torchpi.stage import AugmentedStage
+
+MODE = (310.0, 0.03)
+
+
+def ringing(x: np.ndarray, fs_hz: float) -> np.ndarray:
+    return resonance(x, fs_hz, *MODE)
+
+
+@pytest.fixture(scope="module")
+def of_a_mode() -> tuple[list[Recording], Diagnosis]:
+    torch.set_num_threads(1)
+    recordings = pair(3000, after=ringing)
+    return recordings, diagnose(recordings)
+
+
+def names(found: Diagnosis) -> list[str]:
+    return [effect.name for effect in found.effects]
+
+
+def test_nothing_is_named_where_nothing_is_missing() -> None:
+    found = diagnose(pair(3000))
+    assert found.verdict == "nothing_missing" and found.effects == ()
+    assert found.augmented.heldout_rms_um < 1.1 * NOISE_UM
+    assert "Nothing is missing" in found.says
+
+
+def test_a_mode_is_named_with_its_numbers(of_a_mode: tuple[list[Recording], Diagnosis]) -> None:
+    _, found = of_a_mode
+    assert found.verdict == "explained" and names(found) == ["resonance"]
+    (effect,) = found.effects
+    assert {p.name: p.value for p in effect.parameters} == pytest.approx(
+        {"frequency_hz": MODE[0], "damping_ratio": MODE[1]}, rel=0.05
+    )
+    assert effect.probability > 0.9 and effect.share > 0.9
+    for parameter in effect.parameters:
+        low, high = parameter.interval_90 or (0.0, 0.0)
+        assert low < parameter.value < high
+    assert found.augmented.heldout_rms_um < 1.1 * NOISE_UM < 0.5 * found.retuned.heldout_rms_um
+    assert "resonance" in found.says
+
+
+def test_the_residual_is_located_at_the_mode(of_a_mode: tuple[list[Recording], Diagnosis]) -> None:
+    _, found = of_a_mode
+    cells = [cell for cell in found.where if cell.domain == "frequency"]
+    loudest = max(cells, key=lambda cell: cell.share)
+    assert loudest.range[0] < 400 and loudest.range[1] > 150
+
+
+def test_the_stage_that_is_left_predicts_what_no_fit_has_seen(
+    of_a_mode: tuple[list[Recording], Diagnosis], tmp_path: Path
+) -> None:
+    _, found = of_a_mode
+    found.stage.save(tmp_path / "stage.pt")
+    stage = AugmentedStage.load(tmp_path / "stage.pt")
+    other = record(multisine(4000, seed=9), after=ringing)
+    with torch.no_grad():
+        y = stage.at_sample_rate(FS_HZ)(torch.from_numpy(other.u)[None])[0][0].numpy()
+    assert np.sqrt(np.mean((other.y - y) ** 2)) < 1.15 * NOISE_UM
+
+
+def test_recordings_of_two_sample_rates_are_one_stage() -> None:
+    found = diagnose(
+        [
+            record(multisine(2500), after=ringing, name="slow"),
+            record(triangles(5000, fs_hz=5000.0), after=ringing, fs_hz=5000.0, seed=3, name="fast"),
+        ]
+    )
+    assert names(found) == ["resonance"]
+    assert found.effects[0].parameters[0].value == pytest.approx(MODE[0], rel=0.01)
+    assert found.stage.sample_rate_hz == pytest.approx(5000.0)
+
+
+def test_an_input_that_was_left_out_is_found_in_its_column() -> None:
+    other = 3 * lfilter([0.1], [1, -0.9], np.random.default_rng(5).standard_normal((2, 2500)))
+    idle = np.random.default_rng(6).standard_normal((2, 2500))
+    us = (multisine(2500), triangles(2500))
+    recordings = [
+        record(u, after=lambda x, fs_hz, a=a: x + 0.05 * a, aux={"aux_2": a, "aux_3": b}, name=name, seed=i)
+        for i, (u, a, b, name) in enumerate(zip(us, other, idle, "ab", strict=True))
+    ]  # fmt: skip
+    found = diagnose(recordings)
+    assert names(found) == ["cross_coupling"]
+    assert found.effects[0].parameters[0].value == pytest.approx(0.05, rel=0.01)
+    assert found.stage.aux_names == ("aux_2",)
+
+
+def test_every_step_is_said() -> None:
+    said: list[str] = []
+    diagnose([record(multisine(1000))], say=said.append)
+    assert [
+        word for word in ("nominal", "round", "decide", "model", "locate") if not any(word in s for s in said)
+    ] == []
+
+
+def test_a_diagnosis_has_no_state_of_its_own() -> None:
+    recordings = [record(multisine(1500))]
+    first, second = diagnose(recordings), diagnose([replace(one, y=one.y.copy()) for one in recordings])
+    assert first.says == second.says and json.dumps(first.notes) == json.dumps(second.notes)

@@ -1,0 +1,63 @@
+"""Ninety per cent intervals cover ninety per cent, in white noise and in coloured."""
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from tests.diagnosis.plants import FS_HZ, hysteresis, lag, multisine, resonance, triangles
+from torchpi.diagnosis.chain import Chain
+from torchpi.diagnosis.fit import fit
+from torchpi.diagnosis.hypothesis import Hypothesis, Member
+from torchpi.diagnosis.intervals import intervals_90
+from torchpi.diagnosis.nominal import many_plays
+from torchpi.diagnosis.records import prepare, seen
+from torchpi.recording import Recording
+from torchpi.stage.effects.amplifier.amplifier_lag import AmplifierLag
+from torchpi.stage.effects.mechanics.resonance import Resonance
+
+TRUTH = (130.0, 310.0, 0.03)
+RUNS = 36
+
+
+@pytest.mark.parametrize("pole", [0.0, 0.9])
+def test_intervals_cover(pole: float) -> None:
+    us = [multisine(3000), triangles(3000)]
+    clean = [resonance(hysteresis(lag(u, FS_HZ, TRUTH[0])), FS_HZ, *TRUTH[1:]) for u in us]
+    members = (
+        Member(AmplifierLag, {"cutoff_hz": TRUTH[0]}),
+        Member(Resonance, {"frequency_hz": TRUTH[1], "damping_ratio": TRUTH[2]}),
+    )
+    truth, covered = np.array(TRUTH), np.zeros(3)
+    for run in range(-1, RUNS):
+        rng = np.random.default_rng(100 + run)
+        noise = [0.01 * lfilter([np.sqrt(1 - pole**2)], [1, -pole], rng.standard_normal(len(u))) for u in us]
+        recordings = [
+            Recording(str(i), np.arange(len(u)) / FS_HZ, u, y + (e if run >= 0 else 0), FS_HZ)
+            for i, (u, y, e) in enumerate(zip(us, clean, noise, strict=True))
+        ]
+        chain = Chain(prepare(recordings))
+        one = fit(chain, Hypothesis(many_plays(seen(chain.records)), members), None, 4)
+        values = np.array([v for member in one.hypothesis.members for v in member.shared.values()])
+        if run < 0:
+            # The rig's equations are not quite the model's: what the model makes of no noise is its truth.
+            assert values == pytest.approx(truth, rel=0.02)
+            truth = values
+            continue
+        spans = np.array(intervals_90(chain, one))
+        assert (spans[:, 0] < values).all() and (values < spans[:, 1]).all()
+        covered += (spans[:, 0] <= truth) & (truth <= spans[:, 1])
+    # Two and a half standard deviations of 36 draws are 12 %.
+    assert (covered / RUNS > 0.78).all(), covered / RUNS
+    assert covered.mean() / RUNS < 0.98
+
+
+def test_twice_the_noise_makes_them_twice_as_wide() -> None:
+    u, widths = multisine(3000), []
+    for noise_um in (0.005, 0.01):
+        e = noise_um * np.random.default_rng(7).standard_normal(len(u))
+        y = hysteresis(lag(u, FS_HZ, 130.0)) + e
+        chain = Chain(prepare([Recording("a", np.arange(len(u)) / FS_HZ, u, y, FS_HZ)]))
+        members = (Member(AmplifierLag, {"cutoff_hz": 130.0}),)
+        ((low, high),) = intervals_90(chain, fit(chain, Hypothesis(many_plays(seen(chain.records)), members)))
+        widths.append(high - low)
+    assert widths[1] / widths[0] == pytest.approx(2.0, rel=0.3)

@@ -1,0 +1,52 @@
+"""A simulation that is given: true, it lacks nothing; with a part left out, that part is what it lacks."""
+
+import numpy as np
+import pytest
+import torch
+
+from tests.diagnosis.plants import FS_HZ, NOISE_UM, multisine, triangles
+from torchpi.diagnosis.diagnose import diagnose
+from torchpi.recording import Recording
+from torchpi.stage import Stage
+
+PHYSICS = {
+    "sample_rate_hz": FS_HZ,
+    "actuator": {
+        "thresholds_v": [0, 0.3, 0.8, 1.7, 3, 5],
+        "weights_um_per_v": [0.5, 0.05, 0.06, 0.07, 0.08, 0.04],
+        "creep_per_decade": 0.02,
+        # The range of the effect that stands for it.
+        "creep_from_s": 1e-3 * 10**0.5,
+        "creep_to_s": 100,
+    },
+    "mechanics": {"frequency_hz": 300, "damping_ratio": 0.03},
+}
+
+
+def crime() -> list[Recording]:
+    """Simulated by the very stage: flattering, and the least that must work."""
+    stage = Stage.from_dict({**PHYSICS, "sensor": {"noise_um": NOISE_UM}})
+    recordings = []
+    for i, u in enumerate((multisine(2000), triangles(2000))):
+        y = stage.simulate(torch.from_numpy(u)[None], i)[1][0].detach().numpy()
+        recordings.append(Recording("ab"[i], np.arange(len(u)) / FS_HZ, u, y, FS_HZ))
+    return recordings
+
+
+def test_a_true_simulation_lacks_nothing() -> None:
+    found = diagnose(crime(), Stage.from_dict(PHYSICS))
+    assert found.verdict == "nothing_missing" and found.effects == ()
+    assert found.nominal.heldout_rms_um < 1.1 * NOISE_UM
+
+
+@pytest.mark.parametrize(("part", "name"), [("mechanics", "resonance"), ("creep", "creep")])
+def test_what_was_taken_out_of_a_simulation_is_what_it_lacks(part: str, name: str) -> None:
+    actuator = {key: value for key, value in PHYSICS["actuator"].items() if not key.startswith("creep")}  # type: ignore[attr-defined]
+    less = (
+        {key: value for key, value in PHYSICS.items() if key != part}
+        if part == "mechanics"
+        else {**PHYSICS, "actuator": actuator}
+    )
+    found = diagnose(crime(), Stage.from_dict(less))
+    assert [effect.name for effect in found.effects] == [name] and found.verdict == "explained"
+    assert found.augmented.heldout_rms_um < 1.1 * NOISE_UM < 0.7 * found.nominal.heldout_rms_um
