@@ -79,12 +79,6 @@ def creep(x: Signal, fs_hz: float, per_decade: float) -> Signal:
     return y
 
 
-def swinging(x: Signal, fs_hz: float) -> Signal:
-    """What no effect on the list is: a memory that the square of the displacement feeds, of two seconds."""
-    a = np.exp(-1 / (fs_hz * 0.05))
-    return x + 0.01 * x * lfilter([1 - a], [1, -a], x)
-
-
 def record(
     u: Signal,
     *,

@@ -16,8 +16,6 @@ from tests.diagnosis.plants import (
     pair,
     record,
     resonance,
-    stairs,
-    swinging,
     triangles,
 )
 from torchpi.diagnosis.diagnose import diagnose

@@ -1,4 +1,4 @@
-"""The fits of a diagnosis run here, in threads, or in a cluster, and the answer is the same to the last bit."""
+"""The fits of a diagnosis run here, in threads or in a cluster: the answer is the same to the last bit."""
 
 from concurrent.futures import Executor, ThreadPoolExecutor
 

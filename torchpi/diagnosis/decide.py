@@ -10,7 +10,9 @@ from torchpi.diagnosis.hypothesis import Fit
 from torchpi.diagnosis.intervals import intervals_90
 from torchpi.diagnosis.model import foretold
 from torchpi.diagnosis.search import OPERATOR, Round, Search, compressed
+from torchpi.stage.effects import EFFECTS
 
+NAMES = {effect.name for effect in EFFECTS}
 STATIC = (
     "input_nonlinearity", "hysteresis_asymmetry", "incongruent_loops", "sensor_nonlinearity",
     "hysteresis_operator",
@@ -87,18 +89,18 @@ def verdict(named: Sequence[NamedEffect], final: Fit, floor_um: float, unexplain
 
 def rivals_of(history: Sequence[Round], name: str) -> tuple[Rival, ...]:
     """What was tried in its place in the round that took it, the best first; the effect itself among them."""
-    taken = next(round for round in reversed(history) if round.accepted == name)
+    taken = next(round for round in reversed(history) if name in (round.accepted or "").split(" + "))
     return tuple(Rival(one.name, one.fit.train_rms, one.fit.heldout_rms, one.evidence) for one in taken.tried)
 
 
 def alternatives(rivals: Sequence[Rival], name: str) -> tuple[str, ...]:
     """The names that these data cannot tell from this one."""
-    mine = next(rival for rival in rivals if rival.name == name)
+    mine = next(rival for rival in rivals if name in rival.name.split(" + "))
     return tuple(
         rival.name
         for rival in rivals
-        if rival.name != name
-        and not rival.name.startswith(OPERATOR)
+        if rival is not mine
+        and rival.name in NAMES
         and (
             (
                 rival.heldout_rms_um < SAME_ERROR * mine.heldout_rms_um
@@ -114,8 +116,8 @@ def probability(name: str, rise: float, left: float, rivals: Sequence[Rival]) ->
 
     Rivals share by e^{ΔL}, so that an equal one halves it; the group of alternatives keeps the whole.
     """
-    mine = next(rival for rival in rivals if rival.name == name)
-    group = {name, *alternatives(rivals, name)}
+    mine = next(rival for rival in rivals if name in rival.name.split(" + "))
+    group = {mine.name, *alternatives(rivals, name)}
     weights = {rival.name: math.exp(min(rival.evidence - mine.evidence, 50.0)) for rival in rivals}
     outside = max((weight for other, weight in weights.items() if other not in group), default=0.0)
     known = rise / (rise + left) if rise > 0 else 0.0
@@ -185,7 +187,8 @@ def operator(
     return NamedEffect(
         "hysteresis_operator", "actuator", tuple(others),
         round(rise / (rise + left), 4) if rise > 0 else 0.0,
-        (Parameter("family", nominal.family, "", None), *shape_parameters(final, spans)), min(1.0, max(0.0, rise / mismatch)),
+        (Parameter("family", nominal.family, "", None), *shape_parameters(final, spans)),
+        min(1.0, max(0.0, rise / mismatch)),
         FAMILIES[nominal.family],
         "static: survives at any rate, and no other static form removes it", rivals,
     )  # fmt: skip

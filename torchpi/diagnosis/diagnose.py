@@ -30,6 +30,10 @@ from torchpi.stage.effects.sensor.quantization import Quantization
 
 COARSE = 0.5
 """A converter is named where its step, as noise, is this share of all that is left."""
+NO_FLOOR = (
+    "The input neither rests nor repeats itself: the noise is not known, and is taken to be no more than what "
+    "is left. A hold of some seconds would show it."
+)
 UNCERTAIN = 0.9
 """An effect less probable than this is worth another recording."""
 LEAST_SAMPLES = 100
@@ -99,7 +103,8 @@ def diagnose(
         *conflict(traces, floor_um),
     )  # fmt: skip
     errors = (
-        errors_of(records, first), errors_of(records, retuned.residuals), errors_of(records, augmented.residuals)
+        errors_of(records, first), errors_of(records, retuned.residuals),
+        errors_of(records, augmented.residuals),
     )  # fmt: skip
     return Diagnosis(
         verdict=decision.verdict, effects=decision.effects, where=where,
@@ -165,7 +170,8 @@ def with_converter(decision: Decision, lsb_um: float, final: Fit, retuned: Fit) 
     effect = NamedEffect(
         Quantization.name, Quantization.block, (), 0.99,
         (Parameter("lsb_um", lsb_um, "µm", (lsb_um * (1 - 1e-6), lsb_um * (1 + 1e-6))),),
-        min(1.0, own / max(retuned.heldout_rms**2, 1e-300)), Quantization.equation, Quantization.signature, (),
+        min(1.0, own / max(retuned.heldout_rms**2, 1e-300)), Quantization.equation, Quantization.signature,
+        (),
     )  # fmt: skip
     verdict = "explained" if decision.verdict == "nothing_missing" else decision.verdict
     return replace(decision, verdict=verdict, effects=(*decision.effects, effect))

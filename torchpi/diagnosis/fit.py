@@ -101,6 +101,8 @@ def slots_of(hypothesis: Hypothesis) -> tuple[Slot, ...]:
     for k, member in enumerate(hypothesis.members):
         quantities = member.effect.quantities
         for name, value in member.shared.items():
+            if name in member.effect.kinds:
+                continue
             slots.append(slot(k, name, None, value, quantities[name], jumps(member, name)))
         for record, own in enumerate(member.own):
             for name, value in own.items():
@@ -132,7 +134,7 @@ def slot(member: int, name: str, record: int | None, value: float, quantity: Qua
     if log:
         low, high = max(low, abs(value) * 1e-4, 1e-300), min(high, abs(value) * 1e4)
         return Slot(member, name, record, True, 1.0, low, high, step)
-    return Slot(member, name, record, False, abs(value), low, high, step)
+    return Slot(member, name, record, False, abs(value) or 1.0, low, high, step)
 
 
 def to_inner(slot: Slot, value: float) -> float:

@@ -14,6 +14,7 @@ from torchpi.stage.effects.unknown import TIMES, Unknown
 RIDGES = (1e-2, 1e-3, 1e-4, 1e-5)
 MIDDLE_RIDGE = 1e-3
 LEAST_GAIN = 0.03
+LARGEST = Unknown.quantities["a0"].at_most
 
 
 def with_remainder(chain: Chain, now: Fit, judged: bool = True) -> Fit | None:
@@ -54,6 +55,8 @@ def with_remainder(chain: Chain, now: Fit, judged: bool = True) -> Fit | None:
     for ridge in RIDGES if judged else (MIDDLE_RIDGE,):
         unit = gram / size / size[:, None] + ridge * np.eye(len(size))
         a = np.linalg.solve(unit, right / size) / size
+        if np.abs(a).max() > LARGEST:
+            continue
         weights = now.weights - removed @ a
         member = Member(
             Unknown, frame | {f"{'ab'[k // TIMES]}{k % TIMES}": float(v) for k, v in enumerate(a)}
@@ -67,5 +70,6 @@ def with_remainder(chain: Chain, now: Fit, judged: bool = True) -> Fit | None:
         )  # fmt: skip
         if best is None or one.heldout_rms < best.heldout_rms:
             best = one
-    helps = best is not None and best.heldout_rms < (1 - LEAST_GAIN) * now.heldout_rms
-    return best if helps else None
+    if best is None or (judged and best.heldout_rms >= (1 - LEAST_GAIN) * now.heldout_rms):
+        return None
+    return best

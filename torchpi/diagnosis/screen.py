@@ -54,25 +54,31 @@ class Screen:
 
     def candidate(self, member: Member) -> Candidate:
         """Its gain, 0 if it moves nothing."""
-        held = self.now.hypothesis.held
-        directions = self.directions(member)
-        projected = self.factor @ np.concatenate(
-            [self._against(directions, i) for i in range(len(self.records))], 0
-        ).reshape(len(self.records), -1, len(directions)).sum(0)
+        one_sided = not (signed(member) or member.effect.hold)
+        gain = self.gain(self.directions(member), one_sided)
+        return Candidate(member, gain, self.now.hypothesis.held)
+
+    def gain(self, directions: list[list[np.ndarray]], one_sided: bool = False) -> float:
+        """Share of the squared residual that these directions take away, off the tangent.
+
+        Each direction has one part, its training samples, for each recording; a single one-sided direction
+        counts only with a positive factor.
+        """
+        projected = self.factor @ sum(self._against(directions, i) for i in range(len(self.records)))
         stacked = np.array([np.concatenate(d) for d in directions])
         gram = stacked @ stacked.T - projected.T @ projected
         right = stacked @ self.residual - projected.T @ self.explained
         size = np.diag(stacked @ stacked.T)
         alive = (size > 0) & (np.diag(gram) > 1e-7 * size)
         if not alive.any() or self.total == 0.0:
-            return Candidate(member, 0.0, held)
+            return 0.0
         gram, right = gram[np.ix_(alive, alive)], right[alive]
         spread = np.sqrt(np.diag(gram))
         unit = gram / spread / spread[:, None] + 1e-9 * np.eye(len(spread))
         coefficients = np.linalg.solve(unit, right / spread)
-        if alive[0] and not (signed(member) or member.effect.hold) and coefficients[0] < 0:
-            return Candidate(member, 0.0, held)
-        return Candidate(member, float(coefficients @ (right / spread)) / self.total, held)
+        if one_sided and coefficients[0] < 0:
+            return 0.0
+        return float(coefficients @ (right / spread)) / self.total
 
     def _against(self, directions: list[list[np.ndarray]], i: int) -> np.ndarray:
         against: np.ndarray = self.tangents[i] @ np.array([d[i] for d in directions]).T
@@ -93,14 +99,20 @@ class Screen:
         return found
 
     def of_the_voltage(self, member: Member) -> list[np.ndarray]:
-        """What a dynamic block makes of the voltage itself: where no static form fits, the output misleads."""
+        """What a dynamic block makes of the voltage: where nothing static fits, the output is no guide."""
+        return self.of_inputs(member, ())[0]
+
+    def of_inputs(self, member: Member, aux: Sequence[str]) -> list[list[np.ndarray]]:
+        """What a dynamic block makes of the voltage, and of auxiliary signals beside it."""
         hypothesis = self.now.hypothesis.plus(member)
-        parts = []
+        found: list[list[np.ndarray]] = [[] for _ in range(1 + len(aux))]
         for i, record in enumerate(self.records):
             # The fitted combination of a mixed hysteresis is its first row, the principal one its second.
-            principal = self.chain.rows(hypothesis, i)[:2][-1:]
-            parts.append(self.chain.moved(hypothesis, principal, i)[0][record.fitted])
-        return parts
+            principal = self.chain.rows(hypothesis, i)[:2][-1]
+            rows = np.stack([principal, *(record.aux[name] for name in aux)])
+            for parts, moved in zip(found, self.chain.moved(hypothesis, rows, i), strict=True):
+                parts.append(moved[record.fitted])
+        return found
 
 
 def signed(member: Member) -> bool:

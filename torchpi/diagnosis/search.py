@@ -4,7 +4,7 @@ Growth of the hysteresis is a candidate among the others: what a larger hysteres
 effect does is not evidence of that effect, and the other way round.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 
@@ -21,6 +21,7 @@ from torchpi.diagnosis.parallel import Job, fit_all
 from torchpi.diagnosis.records import seen
 from torchpi.diagnosis.screen import Candidate, Screen, candidates_of
 from torchpi.stage.effects import EFFECTS
+from torchpi.stage.effects.mechanics.cross_coupling import CrossCoupling
 from torchpi.stage.effects.mechanics.resonance import Resonance, peaks_hz
 from torchpi.stage.effects.mechanics.second_mode import SecondMode
 from torchpi.stage.effects.sensor.hum import Hum
@@ -34,6 +35,7 @@ LEAST_EVIDENCE = 8.0
 PER_PARAMETER = 3.0
 STARTS = 2
 """From how many starts an effect is fitted."""
+AXES = "resonance + cross_coupling"
 OPERATOR = "hysteresis_operator: "
 """How a larger hysteresis is called among the explanations, before its family."""
 PREISACH = ((20, 60, 5), (15, 35, 7))
@@ -178,15 +180,39 @@ class Search:
             if candidate.gain > LEAST_GAIN / 2:
                 best.setdefault(candidate.member.effect.name, []).append(candidate)
         names = [name for name in list(best)[:TRIED] for _ in best[name][:STARTS]]
-        jobs = [
+        jobs: list[Job] = [
             (replace(now.hypothesis.plus(c.member), held=c.held), now.weights, ITERATIONS)
             for name in list(best)[:TRIED]
             for c in best[name][:STARTS]
         ]
+        joint = self.axes_through_a_mode(now, screens)
+        names += [AXES] * len(joint)
+        jobs += joint
         found: dict[str, Fit] = {}
         for name, one in zip(names, self.fits(jobs), strict=True):
             found[name] = min(one, found.get(name, one), key=lambda f: f.train_rms)
         return list(found.items())
+
+    def axes_through_a_mode(self, now: Fit, screens: Mapping[bool, Screen]) -> list[Job]:
+        """Every other axis and a resonance at once: each alone may explain little of a stage that rings."""
+        aux = list(self.seen.aux)
+        if not aux or {"cross_coupling", "resonance"} & set(now.hypothesis.names):
+            return []
+        modes = [member for member in self.starts if member.effect is Resonance]
+        found = [
+            (screen.gain(screen.of_inputs(mode, aux)), held, place)
+            for held, screen in screens.items()
+            for place, mode in enumerate(modes)
+        ]
+        couplings = [member for member in self.starts if member.effect is CrossCoupling]
+        jobs: list[Job] = []
+        for gain, held, place in sorted(found, reverse=True)[:STARTS]:
+            if gain > LEAST_GAIN / 2:
+                hypothesis = now.hypothesis.plus(modes[place])
+                for coupling in couplings:
+                    hypothesis = hypothesis.plus(coupling)
+                jobs.append((replace(hypothesis, held=held), now.weights, 2 * ITERATIONS))
+        return jobs
 
     def fits(self, jobs: Sequence[Job]) -> list[Fit]:
         """Each hypothesis fitted from its weights, in the executor if there is one."""

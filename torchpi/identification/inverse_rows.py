@@ -118,11 +118,12 @@ def blocks(
     edge = np.empty((samples if derivative else 0, plays))
     relaxed, states = np.zeros((1 + order, relaxations)), np.zeros(plays)
     signs, resting = np.zeros(plays), np.zeros((plays, width))
+    rests_on = np.empty(plays, dtype=np.int64)
     for part in record:
         _run(
             part.yd, part.yd_dot, part.yd_ddot, part.rows,
-            alpha.lead, alpha.gains, decay, alpha.c, alpha.r,
-            relaxed, states, signs, resting, h, pushed, edge, ds,
+            alpha.lead, alpha.gains, decay, 1.0 - decay, alpha.c, alpha.r,
+            relaxed, states, signs, resting, rests_on, h, pushed, edge, ds,
         )  # fmt: skip
         count = len(part.rows)
         yield Block(h[:count], pushed[:count], edge[:count], ds)
@@ -134,18 +135,21 @@ _play, _horner, _relax, _observe = (njit(equation) for equation in (play, horner
 @njit
 def _run(
     yd: np.ndarray, yd_dot: np.ndarray, yd_ddot: np.ndarray, rows: np.ndarray,
-    lead: np.ndarray, gains: np.ndarray, decay: np.ndarray, c: np.ndarray, r: np.ndarray,
+    lead: np.ndarray, gains: np.ndarray, decay: np.ndarray, take_in: np.ndarray, c: np.ndarray, r: np.ndarray,
     relaxed: np.ndarray,  # ξ driven by x_0, and by each derivative in the lead: (1 + order, relaxations)
     # Of the plays after the last sample: (plays,), (plays,), (plays, numbers that act through S).
     states: np.ndarray, signs: np.ndarray, resting: np.ndarray,
+    rests_on: np.ndarray,  # row of `ds`: (plays,)
     h: np.ndarray, pushed: np.ndarray, edge: np.ndarray, ds: np.ndarray,
 ) -> None:  # fmt: skip
     order, relaxations, degree, plays = len(lead), len(gains), len(c), len(r)
     derivative = len(ds) > 0
+    # Loops in place of operations on whole arrays: those take Numba seconds to compile.
     if derivative:
-        ds[:plays] = resting
-    take_in = 1.0 - decay
-    rests_on = np.arange(plays)
+        for i in range(plays):
+            rests_on[i] = i
+            for k in range(ds.shape[1]):
+                ds[i, k] = resting[i, k]
     row = 0
     for t in range(len(yd)):
         x0 = yd[t]
@@ -200,7 +204,8 @@ def _run(
             row += 1
     if derivative:
         for i in range(plays):
-            resting[i] = ds[rests_on[i]]
+            for k in range(ds.shape[1]):
+                resting[i, k] = ds[rests_on[i], k]
 
 
 @njit

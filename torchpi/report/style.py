@@ -62,6 +62,6 @@ def settle(figure: Figure) -> None:
     engine = figure.get_layout_engine()
     assert engine is not None  # the style asks for one
     for _ in range(2):
-        # Less than a third of what drawing without a renderer costs, and the same places.
+        # Drawing without a renderer lays out too, and costs the drawing as well.
         engine.execute(figure)
     figure.set_layout_engine("none")

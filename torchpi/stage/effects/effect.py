@@ -73,6 +73,8 @@ class Effect(Operator):
     """Whether it takes an auxiliary signal as a second input."""
     jumps: ClassVar[tuple[str, ...]] = ()
     """Parameters in which the output jumps: only a finite step shows which way to go."""
+    kinds: ClassVar[tuple[str, ...]] = ()
+    """Parameters that choose between kinds of the effect: a start sets them, and they are not fitted."""
     hold: Hold | None = None
     """For a dynamic block what its input does between samples; None for an effect that need not know."""
 

@@ -7,13 +7,14 @@ from hypothesis import strategies as st
 
 from tests.stage.effects.actuator.laws import PERIOD_S, EffectLaws
 from torchpi.operators.conformance import wandering
+from torchpi.operators.play import PlayBank
 from torchpi.stage.effects.effect import Seen
 from torchpi.stage.effects.mechanics.stiction import Stiction
 
 
 class TestLaws(EffectLaws):
     def operator(self) -> Stiction:
-        return Stiction(PERIOD_S, breakaway_um=0.23)
+        return Stiction(PERIOD_S, breakaway_um=0.23, sliding_um=0.09)
 
 
 def test_it_sticks_at_a_reversal_jumps_back_and_follows():
@@ -29,6 +30,19 @@ def test_the_output_is_the_input_or_less_than_the_breakaway_from_it(breakaway_um
     assert bool(((y == x) | ((y - x).abs() < breakaway_um)).all())
     moved = torch.diff(y, dim=1) != 0
     assert torch.equal(y[:, 1:][moved], x[:, 1:][moved])
+
+
+@given(seed=st.integers(0, 10**6))
+def test_with_friction_of_its_own_size_it_is_a_play(seed):
+    x = wandering(1, 200, seed)
+    y = Stiction(0.1, breakaway_um=0.3, sliding_um=0.3)(x)[0]
+    torch.testing.assert_close(y, PlayBank([0.3])(x)[0][..., 0], rtol=0, atol=1e-12)
+
+
+def test_resting_in_every_sample_it_moves_in_jumps():
+    x = torch.arange(0.0, 3.0, 0.25, dtype=torch.float64)[None]
+    y = Stiction(0.1, breakaway_um=1.0, rests=1.0)(x)[0]
+    assert y[0].tolist() == [0.0] * 4 + [1.0] * 4 + [2.0] * 4
 
 
 def test_a_rest_is_no_reversal():

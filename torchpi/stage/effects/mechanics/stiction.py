@@ -4,7 +4,8 @@ The one-parameter model of Stenman, Gustafsson and Forsman, *A segmentation-base
 stiction in control valves*, Int. J. Adaptive Control and Signal Processing 17(7–9), 2003, with the rest that
 only a reversal begins, as in Choudhury, Thornhill and Shah, *Modelling valve stiction*, Control
 Engineering Practice 13(5), 2005: y stays while |x - y| < J, then jumps to x - d sgn(ẋ), and follows at that
-distance to the next reversal. With d = 0 it comes back to x; with d = J it is a play.
+distance to the next reversal. With d = 0 it comes back to x; with d = J it is a play. Driven by a voltage that
+a converter holds, a mount may come to rest in every sample, and move in jumps: `rests`.
 """
 
 from typing import Any, ClassVar
@@ -20,9 +21,9 @@ from torchpi.operators.selection import NO_SOURCE, gather
 from torchpi.stage.effects.effect import Effect, Parameters, Seen
 
 
-def stick(x: float, breakaway: float, sliding: float, s: list[float]) -> float:
+def stick(x: float, breakaway: float, sliding: float, rests: bool, s: list[float]) -> float:
     """Return y(k), and update `s`: y(k-1), x(k-1), and the direction of motion, -1 or 1, or 0 if stuck."""
-    if s[2] * (x - s[1]) < 0.0:
+    if rests or s[2] * (x - s[1]) < 0.0:
         s[2] = 0.0
     s[1] = x
     if s[2] == 0.0:
@@ -34,8 +35,9 @@ def stick(x: float, breakaway: float, sliding: float, s: list[float]) -> float:
 
 
 class Stiction(Effect):
-    """A breakaway of J, and friction d while it slides, no larger than J. The state is the displacement behind
-    it, that before it, and the direction.
+    """A breakaway of J, and friction d while it slides, no larger than J.
+
+    The state is the displacement behind it, that before it, and the direction.
 
     The output jumps, and it jumps at a sample: its derivative in `breakaway_um` is zero almost everywhere.
     Fit it by steps of a size that moves the jumps.
@@ -48,11 +50,18 @@ class Stiction(Effect):
     quantities: ClassVar[dict[str, Quantity]] = {
         "breakaway_um": Quantity("µm", at_least=0.0, at_most=1e4),
         "sliding_um": Quantity("µm", at_least=0.0, at_most=1e4),
+        "rests": Quantity("", at_least=0.0, at_most=1.0),
     }
-    identity: ClassVar[Parameters] = {"breakaway_um": 0.0, "sliding_um": 0.0}
+    identity: ClassVar[Parameters] = {"breakaway_um": 0.0, "sliding_um": 0.0, "rests": 0.0}
     jumps = ("breakaway_um",)
+    kinds = ("rests",)
     breakaway_um: nn.Parameter
     sliding_um: nn.Parameter
+    rests: nn.Parameter
+
+    def at_rest(self) -> bool:
+        """Whether it comes to rest in every sample."""
+        return self.rests.item() > 0.5
 
     def friction(self) -> Tensor:
         """d, no larger than J."""
@@ -67,14 +76,16 @@ class Stiction(Effect):
         state: Tensor | None = None,  # (batch, 3), µm, µm and -1, 0 or 1
     ) -> tuple[Tensor, Tensor]:
         before = self.initial_state(len(x)) if state is None else state
-        return _Stick.apply(x, self.breakaway_um, self.friction(), before)  # type: ignore[no-any-return]
+        return _Stick.apply(x, self.breakaway_um, self.friction(), before, self.at_rest())  # type: ignore[no-any-return]
 
     def stream(self) -> nn.Module:
-        return StictionStream(self.breakaway_um.item(), self.friction().item())
+        return StictionStream(self.breakaway_um.item(), self.friction().item(), self.at_rest())
 
     def tangent(self, x: Tensor, dx: Tensor) -> Tensor:
         x = x.detach().contiguous()
-        _, _, source = _run(x, self.breakaway_um.item(), self.friction().item(), self.initial_state(1))
+        _, _, source = _run(
+            x, self.breakaway_um.item(), self.friction().item(), self.at_rest(), self.initial_state(1)
+        )
         return gather(dx, source[0])
 
     @classmethod
@@ -83,9 +94,14 @@ class Stiction(Effect):
         if seen.span_um == 0:
             return []
         return [
-            {"breakaway_um": share * seen.span_um, "sliding_um": part * share * seen.span_um}
+            {
+                "breakaway_um": share * seen.span_um,
+                "sliding_um": part * share * seen.span_um,
+                "rests": rests,
+            }
             for share in shares
             for part in (0.1, 0.5)
+            for rests in (0.0, 1.0)
         ]
 
 
@@ -94,10 +110,11 @@ class StictionStream(nn.Module):
 
     s: list[float]
 
-    def __init__(self, breakaway: float, sliding: float) -> None:
+    def __init__(self, breakaway: float, sliding: float, rests: bool) -> None:
         super().__init__()
         self.breakaway = breakaway
         self.sliding = sliding
+        self.rests = rests
         self.s = [0.0, 0.0, 0.0]
 
     @torch.jit.export
@@ -107,35 +124,37 @@ class StictionStream(nn.Module):
 
     @torch.jit.export
     def step(self, x: float) -> float:
-        return stick(x, self.breakaway, self.sliding, self.s)
+        return stick(x, self.breakaway, self.sliding, self.rests, self.s)
 
 
-def _run(x: Tensor, breakaway: float, sliding: float, state: Tensor) -> tuple[Tensor, Tensor, np.ndarray]:
+def _run(
+    x: Tensor, breakaway: float, sliding: float, rests: bool, state: Tensor
+) -> tuple[Tensor, Tensor, np.ndarray]:
     y, after, source = torch.empty_like(x), state.clone(), np.empty(x.shape, np.int64)
-    _forward(x.numpy(), breakaway, sliding, after.numpy(), y.numpy(), source)
+    _forward(x.numpy(), breakaway, sliding, rests, after.numpy(), y.numpy(), source)
     return y, after, source
 
 
 class _Stick(torch.autograd.Function):
     @staticmethod
     def forward(
-        ctx: Any, x: Tensor, breakaway: Tensor, sliding: Tensor, state: Tensor
+        ctx: Any, x: Tensor, breakaway: Tensor, sliding: Tensor, state: Tensor, rests: bool
     ) -> tuple[Tensor, Tensor]:
         x, state = x.detach().contiguous(), state.detach().contiguous()
-        y, after, ctx.source = _run(x, breakaway.item(), sliding.item(), state)
+        y, after, ctx.source = _run(x, breakaway.item(), sliding.item(), rests, state)
         # Where it slid the output is x - d sgn(ẋ) of the last sliding sample; elsewhere what it began with.
         ctx.side = _side(x, y, ctx.source, sliding.item())
         return y, after
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
         gy, gstate = gradients[0].contiguous(), gradients[1].contiguous()
         gx, gbefore = torch.zeros_like(gy), torch.zeros_like(gstate)
         _backward(gy.numpy(), gstate.numpy(), ctx.source, gx.numpy(), gbefore.numpy())
         ended = gstate[:, 0] * torch.from_numpy(ctx.side[:, -1])
         gsliding = -(gy * torch.from_numpy(ctx.side)).sum() - ended.sum()
-        return gx, gy.new_zeros(()), gsliding, gbefore
+        return gx, gy.new_zeros(()), gsliding, gbefore, None
 
 
 def _side(x: Tensor, y: Tensor, source: np.ndarray, sliding: float) -> np.ndarray:
@@ -151,12 +170,13 @@ _stick: Any = numba.njit(stick)
 
 @numba.njit(cache=True)
 def _forward(
-    x: np.ndarray, breakaway: float, sliding: float, state: np.ndarray, y: np.ndarray, source: np.ndarray
-) -> None:
+    x: np.ndarray, breakaway: float, sliding: float, rests: bool, state: np.ndarray, y: np.ndarray,
+    source: np.ndarray,
+) -> None:  # fmt: skip
     for batch in range(x.shape[0]):
         last = NO_SOURCE
         for t in range(x.shape[1]):
-            y[batch, t] = _stick(x[batch, t], breakaway, sliding, state[batch])
+            y[batch, t] = _stick(x[batch, t], breakaway, sliding, rests, state[batch])
             if state[batch, 2] != 0.0:
                 last = t
             source[batch, t] = last
