@@ -30,6 +30,8 @@ ALIKE: dict[str, str] = {
 }
 """Pairs that no voltage and displacement split for certain: they differ by what stands between them."""
 ALIKE_ERROR = 1.5
+FAR = 1.1
+"""A rival whose held-out error is more than this ratio is refuted by that alone."""
 DONE = 1.15
 """Times the floor: a held-out error within this leaves nothing to explain."""
 
@@ -76,7 +78,8 @@ def decide(
         named.append(operator(search, retuned, final, spans, history, mismatch, left))
     named.sort(key=lambda effect: -effect.share)
     unexplained = min(1.0, left / mismatch)
-    return Decision(verdict(named, final, floor_um, unexplained), tuple(named), unexplained)
+    found = verdict(named, final, floor_um, unexplained)
+    return Decision(found, tuple(named), 0.0 if found == "nothing_missing" else unexplained)
 
 
 def verdict(named: Sequence[NamedEffect], final: Fit, floor_um: float, unexplained: float) -> Verdict:
@@ -119,7 +122,14 @@ def probability(name: str, rise: float, left: float, rivals: Sequence[Rival]) ->
     mine = next(rival for rival in rivals if name in rival.name.split(" + "))
     group = {mine.name, *alternatives(rivals, name)}
     weights = {rival.name: math.exp(min(rival.evidence - mine.evidence, 50.0)) for rival in rivals}
-    outside = max((weight for other, weight in weights.items() if other not in group), default=0.0)
+    outside = max(
+        (
+            weights[rival.name]
+            for rival in rivals
+            if rival.name not in group and rival.heldout_rms_um < FAR * mine.heldout_rms_um
+        ),
+        default=0.0,
+    )
     known = rise / (rise + left) if rise > 0 else 0.0
     noise = 1.0 / (1.0 + math.exp(-min(mine.evidence, 50.0)))
     return round(known * noise / (1.0 + outside), 4)

@@ -10,7 +10,7 @@ from torchpi.diagnosis.chain import Chain
 from torchpi.diagnosis.conflict import conflict
 from torchpi.diagnosis.coverage import cannot_be_decided
 from torchpi.diagnosis.decide import Decision, decide
-from torchpi.diagnosis.diagnosis import Diagnosis, Errors, NamedEffect, Parameter, Trace
+from torchpi.diagnosis.diagnosis import Diagnosis, Errors, NamedEffect, Parameter, Trace, Verdict
 from torchpi.diagnosis.fit import fit, rms
 from torchpi.diagnosis.hypothesis import Fit, Hypothesis
 from torchpi.diagnosis.locate import locate
@@ -31,8 +31,8 @@ from torchpi.stage.effects.sensor.quantization import Quantization
 COARSE = 0.5
 """A converter is named where its step, as noise, is this share of all that is left."""
 NO_FLOOR = (
-    "The input neither rests nor repeats itself: the noise is not known, and is taken to be no more than what "
-    "is left. A hold of some seconds would show it."
+    "The input neither rests nor repeats itself: the noise is not known, and is taken to be no more than "
+    "what is left. A hold of some seconds would show it."
 )
 UNCERTAIN = 0.9
 """An effect less probable than this is worth another recording."""
@@ -82,9 +82,11 @@ def diagnose(
     if lsb_um > 0 and lsb_um / np.sqrt(12) > COARSE * final.heldout_rms:
         decision = with_converter(decision, lsb_um, final, retuned)
     augmented = final
-    if decision.verdict in ("unexplained", "partly_explained"):
+    if decision.verdict in ("unexplained", "partly_explained") or floor is None:
         say("unknown path: what no effect explains")
         augmented = with_remainder(chain, compressed(chain, final)) or final
+        if floor is None and augmented is not final:
+            decision = with_unexplained(decision, final, augmented, retuned)
     say("model: everything refitted to all samples")
     everything = Chain(whole(recordings))
     last = fit(everything, final.hypothesis, final.weights, 4)
@@ -175,6 +177,13 @@ def with_converter(decision: Decision, lsb_um: float, final: Fit, retuned: Fit) 
     )  # fmt: skip
     verdict = "explained" if decision.verdict == "nothing_missing" else decision.verdict
     return replace(decision, verdict=verdict, effects=(*decision.effects, effect))
+
+
+def with_unexplained(decision: Decision, final: Fit, augmented: Fit, retuned: Fit) -> Decision:
+    """The same where the noise is not known, but a remainder without a name removes some of what is left."""
+    share = (final.heldout_rms**2 - augmented.heldout_rms**2) / max(retuned.heldout_rms**2, 1e-300)
+    verdict: Verdict = "partly_explained" if decision.effects else "unexplained"
+    return replace(decision, verdict=verdict, unexplained_share=min(1.0, share))
 
 
 def errors_of(records: Sequence[Record], residuals: Sequence[np.ndarray]) -> Errors:

@@ -16,7 +16,7 @@ from torchpi.diagnosis.coverage import reason_to_leave_out
 from torchpi.diagnosis.evidence import evidence
 from torchpi.diagnosis.fit import ITERATIONS, fit
 from torchpi.diagnosis.hypothesis import Fit, Hypothesis, Member
-from torchpi.diagnosis.nominal import Nominal, bouc_wen, duhem, many_plays, preisach
+from torchpi.diagnosis.nominal import Nominal, bouc_wen, duhem, many_plays, plain, preisach
 from torchpi.diagnosis.parallel import Job, fit_all
 from torchpi.diagnosis.records import seen
 from torchpi.diagnosis.screen import Candidate, Screen, candidates_of
@@ -36,6 +36,7 @@ PER_PARAMETER = 3.0
 STARTS = 2
 """From how many starts an effect is fitted."""
 AXES = "resonance + cross_coupling"
+DELAYING = ("amplifier_lag", "slew_limit", "delay", "sensor_lag", "resonance", "second_mode")
 OPERATOR = "hysteresis_operator: "
 """How a larger hysteresis is called among the explanations, before its family."""
 PREISACH = ((20, 60, 5), (15, 35, 7))
@@ -48,6 +49,8 @@ SIMPLER = 1.05
 """How much worse an effect of few numbers may fit than a larger hysteresis, and be taken for it."""
 FINISHED = 1.02
 """Times the floor: an error within this leaves nothing to look for."""
+NEGLIGIBLE = 1e-6
+"""Of the travel: less than this no sensor resolves."""
 OUTWEIGHS = 2.0
 """How many times what nothing explains an effect must explain to be named."""
 LARGE = 200
@@ -105,14 +108,18 @@ class Search:
 
     def run(self, rounds: int = 5) -> tuple[Fit, Fit, list[Round]]:
         """The retuned nominal, the best hypothesis, and the rounds: forward, with a backward check."""
-        retuned = now = min(
-            (fit(self.chain, Hypothesis(many_plays(self.seen), self.start, a)) for a in (0, 1)),
-            key=lambda f: f.train_rms,
+        few, many = (
+            min(
+                (fit(self.chain, Hypothesis(nominal, self.start, a)) for a in (0, 1)),
+                key=lambda f: f.train_rms,
+            )
+            for nominal in (plain(self.seen), many_plays(self.seen))
         )
-        self.say(f"retuned, 100 plays: {describe(now)}")
+        retuned = now = min(many, few, key=lambda f: f.heldout_rms)
+        self.say(f"retuned, {len(now.weights) - 1} plays: {describe(now)}")
         history: list[Round] = []
         for number in range(1, rounds + 1):
-            if self.floor and now.heldout_rms < FINISHED * self.floor:
+            if now.heldout_rms < max(FINISHED * (self.floor or 0.0), NEGLIGIBLE * self.seen.span_um):
                 break
             small = compressed(self.chain, now)
             tried = self.round(small)
@@ -185,6 +192,10 @@ class Search:
             for name in list(best)[:TRIED]
             for c in best[name][:STARTS]
         ]
+        # What delays is taken for the convention of timing until it is fitted: each is tried under both.
+        late = [(name, h) for name, (h, _, _) in zip(names, jobs, strict=True) if name in DELAYING]
+        names += [name for name, _ in late]
+        jobs += [(replace(h, alignment=1 - h.alignment), now.weights, ITERATIONS) for _, h in late]
         joint = self.axes_through_a_mode(now, screens)
         names += [AXES] * len(joint)
         jobs += joint
@@ -258,6 +269,7 @@ class Search:
             return replace(taken[0], fit=self.polished(taken[0].fit))
         effects = [t for t in taken if not t.name.startswith(OPERATOR)][:PAIRS]
         full = [replace(one, fit=self.polished(one.fit)) for one in dict.fromkeys([*taken[:1], *effects])]
+        full = [one for one in full if not one.fit.bounded] or full[:1]
         best = min(full, key=lambda t: t.fit.heldout_rms)
         named = [t for t in full if not t.name.startswith(OPERATOR)]
         first = min(named, key=lambda t: t.fit.heldout_rms, default=best)

@@ -52,7 +52,10 @@ def given_members(simulation: Stage | None) -> tuple[Member, ...]:
         members.append(Member(Creep, {"per_decade": actuator.creep.per_decade.item()}))
     mode = simulation.mechanics.mode
     if mode is not None:
-        values = {"frequency_hz": mode.frequency_hz.item(), "damping_ratio": mode.damping_ratio.item()}
+        # A mode that hardly rings is fitted as one that just does.
+        most = Resonance.quantities["damping_ratio"].at_most
+        damping = min(mode.damping_ratio.item(), most)
+        values = {"frequency_hz": mode.frequency_hz.item(), "damping_ratio": damping}
         members.append(Member(Resonance, values))
     if simulation.sensor.lag is not None:
         members.append(Member(SensorLag, {"cutoff_hz": simulation.sensor.lag.cutoff_hz.item()}))

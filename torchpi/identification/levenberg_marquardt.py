@@ -34,14 +34,15 @@ def levenberg_marquardt(
     for _ in range(evaluations if len(alpha) > 0 else 0):
         if linearised is None:
             linearised = problem.linearise(alpha, solved.beta)
-            scale = np.maximum(scale, np.linalg.norm(linearised.slopes, axis=0))
+            scale = np.maximum(scale, np.sqrt(np.square(linearised.slopes).sum(0)))
             scale[scale == 0] = 1.0  # a number that moves nothing
             reachable = float(linearised.error @ linearised.error)
             if solved.objective - ROOM * reachable > (1 - tolerance) * best:
                 break
         slopes, error = linearised.slopes / scale, linearised.error
         step = _damped_step(slopes, error, damping)
-        expected = float(error @ error - np.sum((error - slopes @ step) ** 2))
+        left = error - slopes @ step
+        expected = float(error @ error - left @ left)
         if expected <= 0.1 * tolerance * solved.objective:
             break
         trial = problem.moved(alpha, step / scale)

@@ -79,7 +79,7 @@ class ProjectedProblem:
         self.searched = np.flatnonzero(np.isin(names, list(searched)) & free)
         self.is_threshold = names[self.searched] == "r"
         self.is_polynomial = names[self.searched] == "c"
-        self.is_of_rate = np.isin(names[self.searched], ["slope", "shift"])
+        self.moves_rate = bool(np.isin(names[self.searched], ["slope", "shift"]).any())
         self.creeps = bool(start.gains.any()) or bool((names[self.searched] == "gains").any())
         self._take([Record.of(pair) for pair in pairs])
 
@@ -113,9 +113,7 @@ class ProjectedProblem:
 
     def moved(self, alpha: np.ndarray, step: np.ndarray) -> np.ndarray:
         """`alpha + step`, but thresholds stay positive: no step takes one below a tenth of itself."""
-        trial: np.ndarray = alpha + step
-        trial[self.is_threshold] = np.maximum(trial[self.is_threshold], 0.1 * alpha[self.is_threshold])
-        return trial
+        return np.where(self.is_threshold, np.maximum(alpha + step, 0.1 * alpha), alpha + step)
 
     def solve(self, alpha: np.ndarray) -> Solved:
         """The best weights at α."""
@@ -172,7 +170,7 @@ class ProjectedProblem:
         for record, rates in zip(self.stretches, self.rates, strict=True):
             ran = blocks(record, part, self.decay, derivative=beta is not None)
             for stretch, block, kept in zip(record, ran, rates, strict=True):
-                rate = self._rate(stretch, part) if self.is_of_rate.any() else kept
+                rate = self._rate(stretch, part) if self.moves_rate else kept
                 rows = factor.rows[: len(block.h)]
                 columns.fill(rows, block.h, rate.phi)
                 rows[:, -1] = stretch.u

@@ -5,7 +5,7 @@ collinear. (Demmel, Grigori, Hoemmen and Langou, SIAM J. Sci. Comput. 34, 2012, 
 """
 
 import numpy as np
-from scipy.linalg.lapack import dgeqrf, dtpqrt, dtrtrs
+from scipy.linalg.lapack import dtpqrt, dtrtrs
 
 PANEL = 4  # columns at a time: the quickest for 10 to 40 columns
 
@@ -30,11 +30,11 @@ class ThinQR:
 
 
 def triangle_of(matrix: np.ndarray) -> np.ndarray:
-    """R of a matrix with at least as many rows as columns. Shape: (columns, columns)."""
-    columns = matrix.shape[1]
-    factored, *_ = dgeqrf(matrix, lwork=64 * columns)
-    triangle: np.ndarray = np.triu(factored[:columns])
-    return triangle
+    """R of a matrix. Shape: (columns, columns)."""
+    factor = ThinQR(matrix.shape[1], len(matrix))
+    factor.rows[:] = matrix
+    factor.absorb(len(matrix))
+    return factor.triangle
 
 
 def solve_triangle(triangle: np.ndarray, wanted: np.ndarray) -> np.ndarray:

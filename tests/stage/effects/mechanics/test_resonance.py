@@ -21,7 +21,7 @@ class TestLaws(EffectLaws):
         return Resonance(PERIOD_S, frequency_hz=1.3, damping_ratio=0.05)
 
 
-@given(frequency_hz=st.floats(5.0, 2e3), damping_ratio=st.floats(0.005, 0.9))
+@given(frequency_hz=st.floats(5.0, 2e3), damping_ratio=st.floats(0.001, 0.29))
 def test_a_ramp_rings_as_the_closed_form_says(frequency_hz, damping_ratio):
     t = torch.arange(500, dtype=torch.float64) / 1e4
     y = Resonance(1e-4, frequency_hz=frequency_hz, damping_ratio=damping_ratio)(t[None])[0][0]

@@ -39,7 +39,7 @@ class Ageing(Effect):
     signature = "the same move becomes smaller, in proportion to its size, as time or travel adds up"
     quantities: ClassVar[dict[str, Quantity]] = {
         "loss_per_s": Quantity("1/s", at_least=0, at_most=10),
-        "loss_per_mm": Quantity("1/mm", at_least=0, at_most=100),
+        "loss_per_mm": Quantity("1/mm", at_least=0, at_most=1e6),
     }
     identity: ClassVar[Parameters] = {"loss_per_s": 0.0, "loss_per_mm": 0.0}
     loss_per_s: nn.Parameter

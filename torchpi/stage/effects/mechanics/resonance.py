@@ -17,7 +17,7 @@ from torchpi.stage.effects.effect import LinearEffect, Parameters, Seen
 TYPICAL_DAMPING = 0.02
 BINS_PER_OCTAVE = 120
 GRID = 20
-"""Frequencies of a blind search: neighbours are within a width of a mode of damping 0.1, and a fit closes in."""
+"""Frequencies of a blind search: near enough for a fit to close in."""
 
 
 class Resonance(LinearEffect):

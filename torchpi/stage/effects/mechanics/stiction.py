@@ -4,8 +4,8 @@ The one-parameter model of Stenman, Gustafsson and Forsman, *A segmentation-base
 stiction in control valves*, Int. J. Adaptive Control and Signal Processing 17(7–9), 2003, with the rest that
 only a reversal begins, as in Choudhury, Thornhill and Shah, *Modelling valve stiction*, Control
 Engineering Practice 13(5), 2005: y stays while |x - y| < J, then jumps to x - d sgn(ẋ), and follows at that
-distance to the next reversal. With d = 0 it comes back to x; with d = J it is a play. Driven by a voltage that
-a converter holds, a mount may come to rest in every sample, and move in jumps: `rests`.
+distance to the next reversal. With d = 0 it comes back to x; with d = J it is a play. Driven by a voltage
+that a converter holds, a mount may come to rest in every sample, and move in jumps: `rests`.
 """
 
 from typing import Any, ClassVar

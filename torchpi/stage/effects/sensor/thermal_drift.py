@@ -16,6 +16,9 @@ from torch.autograd.function import once_differentiable
 from torchpi.operators.quantity import Quantity
 from torchpi.stage.effects.effect import Effect, Parameters, Seen
 
+SLOWEST_DYNAMICS_S = 0.5
+"""What settles faster is no drift of temperature."""
+
 
 def drift(
     elapsed: float, period_s: float, amplitude_um: float, time_constant_s: float, rate_um_per_s: float
@@ -37,7 +40,7 @@ class ThermalDrift(Effect):
     signature = "slow, in absolute time: does not follow the last move"
     quantities: ClassVar[dict[str, Quantity]] = {
         "amplitude_um": Quantity("µm", at_least=-1e4, at_most=1e4),
-        "time_constant_s": Quantity("s", at_least=1e-2, at_most=1e6),
+        "time_constant_s": Quantity("s", at_least=SLOWEST_DYNAMICS_S, at_most=1e6),
         "rate_um_per_s": Quantity("µm/s", at_least=-1e3, at_most=1e3),
     }
     identity: ClassVar[Parameters] = {"amplitude_um": 0.0, "time_constant_s": 60.0, "rate_um_per_s": 0.0}
@@ -84,8 +87,8 @@ class ThermalDrift(Effect):
             return []
         return [
             {"rate_um_per_s": size / duration_s},
-            {"amplitude_um": size, "time_constant_s": duration_s / 5},
-            {"amplitude_um": size, "time_constant_s": duration_s},
+            {"amplitude_um": size, "time_constant_s": max(duration_s / 5, SLOWEST_DYNAMICS_S)},
+            {"amplitude_um": size, "time_constant_s": max(duration_s, SLOWEST_DYNAMICS_S)},
         ]
 
 
