@@ -3,6 +3,7 @@
 Nothing heavy is imported here at module level, so that `torchpi --help` answers at once.
 """
 
+import os
 import shlex
 import sys
 from collections.abc import Callable
@@ -244,6 +245,9 @@ def diagnose(
         resample: Interpolate recordings that are not sampled uniformly.
         executor: Where independent fits run: processes, or here.
     """
+    # Fits run side by side in processes: threads inside them would only wait for each other.
+    for threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ.setdefault(threads, "1")
     from torchpi.diagnosis.files import diagnose_files
 
     command = shlex.join(["torchpi", *sys.argv[1:]])

@@ -14,6 +14,8 @@ from torchpi.operators.quantity import Quantity
 
 RIDGE = 1e-9
 ITERATIONS = 12
+FINE, ROUGH = 1e-4, 3e-3
+"""Relative gain of a step below which a fit ends: to report, and to compare."""
 KEPT_PROMISE = 0.5
 """Share of the decrease foretold that a step must keep."""
 
@@ -23,8 +25,9 @@ def fit(
     hypothesis: Hypothesis,
     weights: np.ndarray | None = None,
     iterations: int = ITERATIONS,
+    tolerance: float = FINE,
 ) -> Fit:
-    """The hypothesis fitted to the training samples.
+    """The hypothesis fitted to the training samples, until a step gains less than the tolerance.
 
     Where the straight line of a step promises more than the step keeps, the weights are solved anew at the
     parameters that it leads to (variable projection: Golub and Pereyra 1973): a limit of the voltage and a
@@ -71,7 +74,7 @@ def fit(
         if not accepted:
             break
         theta, weights, damping = trial_theta, trial_weights, damping / 10
-        if trial_ss > before * (1 - 1e-4):
+        if trial_ss > before * (1 - tolerance):
             break
     final = with_theta(hypothesis, slots, theta)
     residuals = tuple(record.y - chain.output(final, weights, i) for i, record in enumerate(records))

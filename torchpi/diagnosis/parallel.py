@@ -12,8 +12,8 @@ from torchpi.diagnosis.chain import Chain
 from torchpi.diagnosis.fit import fit
 from torchpi.diagnosis.hypothesis import Fit, Hypothesis
 
-Job = tuple[Hypothesis, np.ndarray | None, int]
-"""What is fitted, from which weights, in how many steps at most."""
+Job = tuple[Hypothesis, np.ndarray | None, int, float]
+"""What is fitted, from which weights, in how many steps at most, and to which tolerance."""
 
 
 def fit_all(chain: Chain, jobs: Sequence[Job], executor: Executor | None) -> list[Fit]:

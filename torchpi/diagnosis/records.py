@@ -37,7 +37,7 @@ class Record:
         return 1.0 / self.fs_hz
 
 
-def prepare(recordings: Sequence[Recording], at_most: int = 40_000) -> list[Record]:
+def prepare(recordings: Sequence[Recording], at_most: int = 25_000) -> list[Record]:
     """Three contiguous tenths of each recording are held out: the state carries over to them.
 
     Fits sum over every so many training samples, about `at_most` in all.

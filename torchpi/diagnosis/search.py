@@ -14,7 +14,7 @@ import torch
 from torchpi.diagnosis.chain import Chain
 from torchpi.diagnosis.coverage import reason_to_leave_out
 from torchpi.diagnosis.evidence import evidence
-from torchpi.diagnosis.fit import ITERATIONS, fit
+from torchpi.diagnosis.fit import FINE, ITERATIONS, ROUGH, fit
 from torchpi.diagnosis.hypothesis import Fit, Hypothesis, Member
 from torchpi.diagnosis.nominal import Nominal, bouc_wen, duhem, many_plays, plain, preisach
 from torchpi.diagnosis.parallel import Job, fit_all
@@ -188,14 +188,14 @@ class Search:
                 best.setdefault(candidate.member.effect.name, []).append(candidate)
         names = [name for name in list(best)[:TRIED] for _ in best[name][:STARTS]]
         jobs: list[Job] = [
-            (replace(now.hypothesis.plus(c.member), held=c.held), now.weights, ITERATIONS)
+            (replace(now.hypothesis.plus(c.member), held=c.held), now.weights, ITERATIONS, ROUGH)
             for name in list(best)[:TRIED]
             for c in best[name][:STARTS]
         ]
         # What delays is taken for the convention of timing until it is fitted: each is tried under both.
-        late = [(name, h) for name, (h, _, _) in zip(names, jobs, strict=True) if name in DELAYING]
+        late = [(name, job[0]) for name, job in zip(names, jobs, strict=True) if name in DELAYING]
         names += [name for name, _ in late]
-        jobs += [(replace(h, alignment=1 - h.alignment), now.weights, ITERATIONS) for _, h in late]
+        jobs += [(replace(h, alignment=1 - h.alignment), now.weights, ITERATIONS, ROUGH) for _, h in late]
         joint = self.axes_through_a_mode(now, screens)
         names += [AXES] * len(joint)
         jobs += joint
@@ -222,7 +222,7 @@ class Search:
                 hypothesis = now.hypothesis.plus(modes[place])
                 for coupling in couplings:
                     hypothesis = hypothesis.plus(coupling)
-                jobs.append((replace(hypothesis, held=held), now.weights, 2 * ITERATIONS))
+                jobs.append((replace(hypothesis, held=held), now.weights, 2 * ITERATIONS, ROUGH))
         return jobs
 
     def fits(self, jobs: Sequence[Job]) -> list[Fit]:
@@ -254,7 +254,7 @@ class Search:
         larger.append(("bouc_wen", bouc_wen(self.seen, 0.1), ("sigma_v", "beta", "exponent"), 15))
         larger.append(("duhem", duhem(self.seen, 5.0), ("alpha_per_v",), 10))
         larger = [one for one in larger if one[0] not in self.hopeless]
-        jobs = [(h.on(nominal, shape), None, iterations) for _, nominal, shape, iterations in larger]
+        jobs = [(h.on(nominal, shape), None, steps, ROUGH) for _, nominal, shape, steps in larger]
         for (family, *_), one in zip(larger, self.fits(jobs), strict=True):
             found.append((OPERATOR + family, one))
         for family in {family for family, *_ in larger} - self.hopeless:
@@ -280,7 +280,7 @@ class Search:
         h = now.hypothesis
         if h.nominal.family != "preisach":
             return now
-        jobs: list[Job] = [(h.on(preisach(self.seen, *size)), None, 2) for size in PREISACH]
+        jobs: list[Job] = [(h.on(preisach(self.seen, *size)), None, 2, FINE) for size in PREISACH]
         return min([now, *self.fits(jobs)], key=lambda f: f.heldout_rms)
 
     def takes(self, one: Tried, now: Fit) -> bool:
@@ -312,7 +312,7 @@ class Search:
             for held in (False, True)
             if (alignment, held) != (now.hypothesis.alignment, now.hypothesis.held)
         ]
-        fits = [f for f in self.fits([(h, small.weights, 6) for h in others]) if not f.bounded]
+        fits = [f for f in self.fits([(h, small.weights, 6, ROUGH) for h in others]) if not f.bounded]
         best = min([small, *fits], key=lambda f: f.train_rms)
         return now if best is small else self.polished(best)
 
@@ -332,7 +332,7 @@ class Search:
 
     def without_each(self, now: Fit) -> list[Fit]:
         """The fit without one of the added effects, for each."""
-        return self.fits([(now.hypothesis.minus(i), now.weights, ITERATIONS) for i in self.added(now)])
+        return self.fits([(now.hypothesis.minus(i), now.weights, ITERATIONS, ROUGH) for i in self.added(now)])
 
 
 def improves(better: Fit, worse: Fit) -> bool:

@@ -75,12 +75,15 @@ class ProjectedProblem:
         self.lead = start.lead
         names = np.repeat(start._fields, lengths)
         # A threshold of 0 copies the input, and stays that.
-        free = (names != "r") | (self.numbers > 0)
-        self.searched = np.flatnonzero(np.isin(names, list(searched)) & free)
-        self.is_threshold = names[self.searched] == "r"
-        self.is_polynomial = names[self.searched] == "c"
-        self.moves_rate = bool(np.isin(names[self.searched], ["slope", "shift"]).any())
-        self.creeps = bool(start.gains.any()) or bool((names[self.searched] == "gains").any())
+        free = [
+            name in searched and (name != "r" or r > 0) for name, r in zip(names, self.numbers, strict=True)
+        ]
+        self.searched = np.flatnonzero(free)
+        names = names[self.searched]
+        self.is_threshold = names == "r"
+        self.is_polynomial = names == "c"
+        self.moves_rate = "slope" in names or "shift" in names
+        self.creeps = bool(start.gains.any()) or "gains" in names
         self._take([Record.of(pair) for pair in pairs])
 
     def _take(self, records: list[Record]) -> None:
@@ -113,7 +116,8 @@ class ProjectedProblem:
 
     def moved(self, alpha: np.ndarray, step: np.ndarray) -> np.ndarray:
         """`alpha + step`, but thresholds stay positive: no step takes one below a tenth of itself."""
-        return np.where(self.is_threshold, np.maximum(alpha + step, 0.1 * alpha), alpha + step)
+        trial: np.ndarray = np.where(self.is_threshold, np.maximum(alpha + step, 0.1 * alpha), alpha + step)
+        return trial
 
     def solve(self, alpha: np.ndarray) -> Solved:
         """The best weights at α."""
@@ -171,14 +175,14 @@ class ProjectedProblem:
             ran = blocks(record, part, self.decay, derivative=beta is not None)
             for stretch, block, kept in zip(record, ran, rates, strict=True):
                 rate = self._rate(stretch, part) if self.moves_rate else kept
-                rows = factor.rows[: len(block.h)]
+                rows = factor.rows(len(block.h))
                 columns.fill(rows, block.h, rate.phi)
                 rows[:, -1] = stretch.u
                 if beta is not None:
                     rows[:, p:-1] = columns.derivative(block, rate, beta, self.searched)
                 if slopes is not None:
                     slopes += columns.size_slopes(block, rate, len(self.numbers))
-                factor.absorb(len(rows))
+                factor.absorb(rows)
         if slopes is None or beta is None:
             return factor.triangle, None
         return factor.triangle, slopes[:, self.searched] * beta[:, None]

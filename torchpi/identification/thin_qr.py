@@ -11,7 +11,7 @@ PANEL = 4  # columns at a time: the quickest for 10 to 40 columns
 
 
 class ThinQR:
-    """Write rows into `rows` and call `absorb` with their number; `triangle` is R of all so far.
+    """Write into what `rows` gives and call `absorb` with it; `triangle` is R of all so far.
 
     Args:
         columns: Of the matrix.
@@ -21,19 +21,24 @@ class ThinQR:
     def __init__(self, columns: int, block: int) -> None:
         # In LAPACK's order.
         self.triangle = np.zeros((columns, columns), order="F")  # upper; the signs of its rows are arbitrary
-        self.rows = np.empty((block, columns), order="F")
+        self.memory = np.empty(columns * block)
         self.panel = min(PANEL, columns)
 
-    def absorb(self, count: int) -> None:
-        # Rows in place where the block is full, or else in a copy.
-        dtpqrt(0, self.panel, self.triangle, self.rows[:count], overwrite_a=True, overwrite_b=True)
+    def rows(self, count: int) -> np.ndarray:
+        """Room for so many rows, contiguous: LAPACK works in place. Shape: (count, columns)."""
+        columns = len(self.triangle)
+        return self.memory[: count * columns].reshape((count, columns), order="F")
+
+    def absorb(self, rows: np.ndarray) -> None:
+        dtpqrt(0, self.panel, self.triangle, rows, overwrite_a=True, overwrite_b=True)
 
 
 def triangle_of(matrix: np.ndarray) -> np.ndarray:
     """R of a matrix. Shape: (columns, columns)."""
     factor = ThinQR(matrix.shape[1], len(matrix))
-    factor.rows[:] = matrix
-    factor.absorb(len(matrix))
+    rows = factor.rows(len(matrix))
+    rows[:] = matrix
+    factor.absorb(rows)
     return factor.triangle
 
 

@@ -90,10 +90,10 @@ def fit_weights(compensator: DirectInverse, pairs: Sequence[InversePair]) -> tup
     columns = InverseColumns(compensator, min(compensator.weights.theta.shape[1], 2), own_degree=0)
     factor, samples = ThinQR(columns.count + 1, BLOCK), 0
     for h, phi, u in _blocks(compensator, pairs):
-        rows = factor.rows[: len(u)]
+        rows = factor.rows(len(u))
         columns.fill(rows, h, phi)
         rows[:, -1] = u
-        factor.absorb(len(u))
+        factor.absorb(rows)
         samples += len(u)
     triangle, wanted = factor.triangle[:, :-1], factor.triangle[:, -1]
     size = np.linalg.norm(triangle, axis=0)
