@@ -6,9 +6,9 @@ from torchpi.diagnosis.chain import Chain
 from torchpi.diagnosis.fit import jacobian, to_outer
 from torchpi.diagnosis.hypothesis import Fit
 
-BLOCKS = 60
+BLOCKS = 30
 """Contiguous pieces of all recordings together; their scores are taken as independent."""
-NINETY = 1.671
+NINETY = 1.697
 """Two-sided 90 % quantile of Student's t with as many degrees of freedom as blocks."""
 
 
@@ -32,7 +32,8 @@ def intervals_90(chain: Chain, now: Fit) -> list[tuple[float, float]]:
     unit[np.diag_indices_from(unit)] += 1e-9
     inverse = np.linalg.inv(unit)[len(now.weights) :]
     moved = np.array([inverse @ (scale * s) for s in scores]).T * scale[len(now.weights) :][:, None]
-    spread = np.sqrt((moved**2).sum(1))
+    # What the model misses where it was not fitted widens them: it is no noise, and is not in the scores.
+    spread = np.sqrt((moved**2).sum(1)) * max(1.0, now.heldout_rms / now.train_rms)
     return [
         (to_outer(slot, float(t - NINETY * s)), to_outer(slot, float(t + NINETY * s)))
         for slot, t, s in zip(now.slots, now.theta, spread, strict=True)

@@ -56,6 +56,11 @@ class Nominal:
         return "preisach" if self.degree > 1 else "prandtl_ishlinskii"
 
     @property
+    def size(self) -> int:
+        """Numbers in it, before any mixing."""
+        return len(self.thresholds_v) * self.degree + self.bouc_wen + 3 * self.duhem
+
+    @property
     def structure(self) -> tuple[object, ...]:
         """What tells two sets of rows apart, beside the shape."""
         mixed = None if self.mixing is None else self.mixing.tobytes()

@@ -49,6 +49,8 @@ SIMPLER = 1.05
 """How much worse an effect of few numbers may fit than a larger hysteresis, and be taken for it."""
 FINISHED = 1.02
 """Times the floor: an error within this leaves nothing to look for."""
+SAMPLES_A_PLAY = 10
+"""Shorter recordings than so many samples for each of a hundred plays get ten plays."""
 NEGLIGIBLE = 1e-6
 """Of the travel: less than this no sensor resolves."""
 OUTWEIGHS = 2.0
@@ -108,14 +110,12 @@ class Search:
 
     def run(self, rounds: int = 5) -> tuple[Fit, Fit, list[Round]]:
         """The retuned nominal, the best hypothesis, and the rounds: forward, with a backward check."""
-        few, many = (
-            min(
-                (fit(self.chain, Hypothesis(nominal, self.start, a)) for a in (0, 1)),
-                key=lambda f: f.train_rms,
-            )
-            for nominal in (plain(self.seen), many_plays(self.seen))
+        nominal = many_plays(self.seen)
+        if sum(len(record.fitted) for record in self.chain.records) < SAMPLES_A_PLAY * nominal.size:
+            nominal = plain(self.seen)
+        retuned = now = min(
+            (fit(self.chain, Hypothesis(nominal, self.start, a)) for a in (0, 1)), key=lambda f: f.train_rms
         )
-        retuned = now = min(many, few, key=lambda f: f.heldout_rms)
         self.say(f"retuned, {len(now.weights) - 1} plays: {describe(now)}")
         history: list[Round] = []
         for number in range(1, rounds + 1):
@@ -133,7 +133,7 @@ class Search:
             grown = self.sized(chosen.fit) if chosen.name.startswith(OPERATOR) else chosen.fit
             now = self.backward(self.realigned(grown))
             self.say(f"  with {', '.join(now.hypothesis.names) or chosen.name}: {describe(now)}")
-        return retuned, self.sifted(now), history
+        return retuned, self.sifted(self.as_plays(now, retuned)), history
 
     def sifted(self, now: Fit) -> Fit:
         """Without the effects that explain little beside what nothing explains."""
@@ -149,6 +149,17 @@ class Search:
             self.say(f"  without {name}: it explains too little beside what nothing explains")
             now = self.polished(less[least])
         return now
+
+    def as_plays(self, now: Fit, retuned: Fit) -> Fit:
+        """On the plain hysteresis again, unless another explains as much more as an effect must."""
+        if now.hypothesis.nominal.family == retuned.hypothesis.nominal.family:
+            return now
+        less = fit(self.chain, now.hypothesis.on(retuned.hypothesis.nominal))
+        unexplained = max(now.heldout_rms**2 - self.floor_um(now) ** 2, 0.0)
+        if less.heldout_rms**2 - now.heldout_rms**2 > OUTWEIGHS * unexplained:
+            return now
+        self.say(f"  on plays, not {now.hypothesis.nominal.family}: that explains too little more")
+        return less
 
     def added(self, now: Fit) -> list[int]:
         """The effects that the simulation did not have."""
@@ -285,7 +296,8 @@ class Search:
 
     def takes(self, one: Tried, now: Fit) -> bool:
         """Whether an effect earns its place."""
-        slots = len(one.fit.slots) - len(now.slots)
+        grown = one.fit.hypothesis.nominal.size - now.hypothesis.nominal.size
+        slots = len(one.fit.slots) - len(now.slots) + max(0, grown)
         floor = self.floor or 0.0
         mismatch = now.heldout_rms**2 - floor**2
         return (

@@ -4,8 +4,6 @@ import math
 from typing import ClassVar
 
 import numpy as np
-import scipy.ndimage
-import scipy.signal
 import torch
 from torch import Tensor, nn
 
@@ -93,6 +91,10 @@ def peaks_hz(
     The surroundings are the median over an octave; peaks are a third of an octave apart at least, above
     100 Hz or a fiftieth of `fs_hz`, whichever is lower. Fewer than `count` where there are no more.
     """
+    # Not at the top: half a second of import that a stage does not need.
+    import scipy.ndimage
+    import scipy.signal
+
     # Segments short enough to average over several, long enough for a damping ratio below 1 %.
     segment = min(len(residual), max(len(residual) // 8, 1024), 16384)
     f, power = scipy.signal.welch(residual.detach().numpy(), fs_hz, nperseg=segment)
