@@ -42,6 +42,7 @@ def sentence(effect: NamedEffect) -> str:
     numbers = ", ".join(
         f"{p.name} {p.value:.4g} {p.unit}".strip() if isinstance(p.value, float) else f"{p.name} {p.value}"
         for p in effect.parameters[:3]
+        if p.value != 0.0  # what differs between recordings has no common value
     )
     text = (
         f"Missing is {spoken(effect.name)} in the {effect.block} ({numbers}), "

@@ -18,7 +18,7 @@ from torchpi.diagnosis.fit import FINE, ITERATIONS, ROUGH, fit
 from torchpi.diagnosis.hypothesis import Fit, Hypothesis, Member
 from torchpi.diagnosis.nominal import Nominal, bouc_wen, duhem, many_plays, plain, preisach
 from torchpi.diagnosis.parallel import Job, fit_all
-from torchpi.diagnosis.records import seen
+from torchpi.diagnosis.records import Record, seen
 from torchpi.diagnosis.screen import Candidate, Screen, candidates_of
 from torchpi.stage.effects import EFFECTS
 from torchpi.stage.effects.mechanics.cross_coupling import CrossCoupling
@@ -35,6 +35,9 @@ LEAST_EVIDENCE = 8.0
 PER_PARAMETER = 3.0
 STARTS = 2
 """From how many starts an effect is fitted."""
+MAINS_HZ = (50.0, 60.0, 100.0, 120.0, 150.0, 180.0)
+STANDS_OUT = 35.0
+"""Times the median of its surroundings: exponential noise gets there once in 10¹⁰ frequencies."""
 AXES = "resonance + cross_coupling"
 DELAYING = ("amplifier_lag", "slew_limit", "delay", "sensor_lag", "resonance", "second_mode")
 OPERATOR = "hysteresis_operator: "
@@ -119,7 +122,9 @@ class Search:
         self.say(f"retuned, {len(now.weights) - 1} plays: {describe(now)}")
         history: list[Round] = []
         for number in range(1, rounds + 1):
-            if now.heldout_rms < max(FINISHED * (self.floor or 0.0), NEGLIGIBLE * self.seen.span_um):
+            done = max(FINISHED * (self.floor or 0.0), NEGLIGIBLE * self.seen.span_um)
+            # The mains hum while the stage rests as well: a floor from rests has them in it.
+            if now.heldout_rms < done and not hums(now, self.chain.records):
                 break
             small = compressed(self.chain, now)
             tried = self.round(small)
@@ -249,7 +254,7 @@ class Search:
             peaks += peaks_hz(torch.from_numpy(now.residuals[i]), records[i].fs_hz)
         for effect in (Resonance, SecondMode):
             found += candidates_of(effect, records, effect.starts_at(self.seen, peaks), [])
-        lines = {round(line_hz(now, records, f), 3) for f in (50.0, 60.0, 100.0, 120.0, 150.0, 180.0)}
+        lines = {round(line_hz(now, records, f), 3) for f in MAINS_HZ}
         size = 1e-3 * self.seen.span_um
         found += candidates_of(
             Hum, records, [{"frequency_hz": f, "cos_um": size, "sin_um": size} for f in sorted(lines)], []
@@ -376,7 +381,7 @@ def compressed(chain: Chain, grown: Fit) -> Fit:
     return replace(grown, hypothesis=replace(grown.hypothesis, nominal=nominal), weights=weights)
 
 
-def line_hz(now: Fit, records: Sequence, near_hz: float) -> float:
+def line_hz(now: Fit, records: Sequence[Record], near_hz: float) -> float:
     """The strongest line of the residual within 1 % of a mains frequency."""
     best, where = -1.0, near_hz
     for record, e in zip(records, now.residuals, strict=True):
@@ -387,6 +392,18 @@ def line_hz(now: Fit, records: Sequence, near_hz: float) -> float:
         if inside.any() and power[inside].max() > best:
             best, where = float(power[inside].max()), float(f[inside][power[inside].argmax()])
     return where
+
+
+def hums(now: Fit, records: Sequence[Record]) -> bool:
+    """Whether a line of the mains stands out of the residual's spectrum beyond chance."""
+    for record, e in zip(records, now.residuals, strict=True):
+        f = np.fft.rfftfreq(len(e), record.period_s)
+        power = np.abs(np.fft.rfft(e * np.hanning(len(e)))) ** 2
+        for mains in MAINS_HZ:
+            around, near = np.abs(f - mains) < 0.2 * mains, np.abs(f - mains) < 0.02 * mains
+            if near.any() and power[near].max() > STANDS_OUT * np.median(power[around]):
+                return True
+    return False
 
 
 def describe(one: Fit) -> str:
