@@ -1,6 +1,9 @@
 """A hypothesis on recordings: its displacement, and how that moves with every number in it."""
 
+import pickle
 from collections.abc import Sequence
+from functools import cached_property
+from hashlib import sha256
 from typing import NamedTuple
 
 import numpy as np
@@ -36,6 +39,12 @@ class Chain:
     def __init__(self, records: Sequence[Record]) -> None:
         self.records = records
         self.remembered: dict[tuple[object, ...], np.ndarray] = {}
+
+    @cached_property
+    def packed(self) -> tuple[str, bytes]:
+        """The recordings as they go to another process, and a key that tells them from others."""
+        content = pickle.dumps(self.records)
+        return sha256(content).hexdigest(), content
 
     def output(self, hypothesis: Hypothesis, weights: np.ndarray, index: int) -> np.ndarray:
         """(time,), µm, for one recording. The last weight is the sensor's zero, behind everything."""

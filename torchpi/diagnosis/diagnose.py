@@ -30,10 +30,6 @@ from torchpi.stage.effects.sensor.quantization import Quantization
 
 COARSE = 0.5
 """A converter is named where its step, as noise, is this share of all that is left."""
-NO_FLOOR = (
-    "The input neither rests nor repeats itself: the noise is not known, and is taken to be no more than "
-    "what is left. A hold of some seconds would show it."
-)
 UNCERTAIN = 0.9
 """An effect less probable than this is worth another recording."""
 LEAST_SAMPLES = 100

@@ -29,10 +29,10 @@ def evidence(records: Sequence[Record], before: Sequence[np.ndarray], after: Seq
     return total
 
 
-def spectrum(x: np.ndarray) -> np.ndarray:
-    """Periodogram with a Hann window."""
+def spectrum(x: np.ndarray, padded: int | None = None) -> np.ndarray:
+    """Periodogram with a Hann window, of as many samples as there are or padded with zeros to more."""
     window = np.hanning(len(x))
-    return np.abs(np.fft.rfft(x * window)) ** 2  # type: ignore[no-any-return]
+    return np.abs(np.fft.rfft(x * window, padded)) ** 2  # type: ignore[no-any-return]
 
 
 def bands(samples: int) -> np.ndarray:

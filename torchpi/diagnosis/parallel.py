@@ -3,7 +3,6 @@
 import pickle
 from collections.abc import Sequence
 from concurrent.futures import Executor
-from hashlib import sha256
 
 import numpy as np
 import torch
@@ -20,8 +19,7 @@ def fit_all(chain: Chain, jobs: Sequence[Job], executor: Executor | None) -> lis
     """The fits of these jobs, in their order; the same numbers wherever they ran."""
     if executor is None:
         return [fit(chain, *job) for job in jobs]
-    packed = pickle.dumps(chain.records)
-    key = sha256(packed).hexdigest()
+    key, packed = chain.packed
     return list(executor.map(_elsewhere, [key] * len(jobs), [packed] * len(jobs), jobs))
 
 

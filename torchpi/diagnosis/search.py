@@ -13,7 +13,7 @@ import torch
 
 from torchpi.diagnosis.chain import Chain
 from torchpi.diagnosis.coverage import reason_to_leave_out
-from torchpi.diagnosis.evidence import evidence
+from torchpi.diagnosis.evidence import evidence, spectrum
 from torchpi.diagnosis.fit import FINE, ITERATIONS, ROUGH, fit
 from torchpi.diagnosis.hypothesis import Fit, Hypothesis, Member
 from torchpi.diagnosis.nominal import Nominal, bouc_wen, duhem, many_plays, plain, preisach
@@ -254,7 +254,7 @@ class Search:
             peaks += peaks_hz(torch.from_numpy(now.residuals[i]), records[i].fs_hz)
         for effect in (Resonance, SecondMode):
             found += candidates_of(effect, records, effect.starts_at(self.seen, peaks), [])
-        lines = {round(line_hz(now, records, f), 3) for f in MAINS_HZ}
+        lines = {round(line, 3) for line in lines_hz(now, records)}
         size = 1e-3 * self.seen.span_um
         found += candidates_of(
             Hum, records, [{"frequency_hz": f, "cos_um": size, "sin_um": size} for f in sorted(lines)], []
@@ -381,24 +381,24 @@ def compressed(chain: Chain, grown: Fit) -> Fit:
     return replace(grown, hypothesis=replace(grown.hypothesis, nominal=nominal), weights=weights)
 
 
-def line_hz(now: Fit, records: Sequence[Record], near_hz: float) -> float:
-    """The strongest line of the residual within 1 % of a mains frequency."""
-    best, where = -1.0, near_hz
+def lines_hz(now: Fit, records: Sequence[Record]) -> list[float]:
+    """For each line of the mains the strongest one of the residual within 1 % of it."""
+    best = [(-1.0, mains) for mains in MAINS_HZ]
     for record, e in zip(records, now.residuals, strict=True):
         size = 1 << (4 * len(e)).bit_length()
-        f = np.fft.rfftfreq(size, record.period_s)
-        power = np.abs(np.fft.rfft(e * np.hanning(len(e)), size)) ** 2 / len(e)
-        inside = (f > 0.99 * near_hz) & (f < 1.01 * near_hz)
-        if inside.any() and power[inside].max() > best:
-            best, where = float(power[inside].max()), float(f[inside][power[inside].argmax()])
-    return where
+        f, power = np.fft.rfftfreq(size, record.period_s), spectrum(e, size) / len(e)
+        for i, mains in enumerate(MAINS_HZ):
+            inside = (f > 0.99 * mains) & (f < 1.01 * mains)
+            if inside.any() and power[inside].max() > best[i][0]:
+                best[i] = (float(power[inside].max()), float(f[inside][power[inside].argmax()]))
+    return [line for _, line in best]
 
 
 def hums(now: Fit, records: Sequence[Record]) -> bool:
     """Whether a line of the mains stands out of the residual's spectrum beyond chance."""
     for record, e in zip(records, now.residuals, strict=True):
         f = np.fft.rfftfreq(len(e), record.period_s)
-        power = np.abs(np.fft.rfft(e * np.hanning(len(e)))) ** 2
+        power = spectrum(e)
         for mains in MAINS_HZ:
             around, near = np.abs(f - mains) < 0.2 * mains, np.abs(f - mains) < 0.02 * mains
             if near.any() and power[near].max() > STANDS_OUT * np.median(power[around]):
