@@ -168,8 +168,9 @@ class DirectInverse(nn.Module):
             state = self.initial_state(len(motion.yd))
         creep, plays = state.split([len(self.creep_gains), len(self.plays.r)], 1)
         x = motion.yd
-        for tau, derivative in zip(self.lead.to(x.dtype), motion[1:], strict=False):
-            x = x + tau * derivative
+        if len(self.scaled_lead) > 0:
+            for tau, derivative in zip(self.lead.to(x.dtype), motion[1:], strict=False):
+                x = x + tau * derivative
         if len(self.creep_gains) > 0:
             one = torch.ones((), dtype=torch.float64)
             x, creep = relaxations(x, self.creep_decay, 1.0 - self.creep_decay, self.creep_gains, one, creep)

@@ -143,6 +143,30 @@ def advance_sum(
 
 
 @njit
+def advance_linear_sum(
+    x: np.ndarray, r: float, h: np.ndarray, a: float, b: float, rate: np.ndarray, count: int,
+    total: np.ndarray,
+) -> None:  # fmt: skip
+    """`advance_sum` with the weights a + b ẏ of eq. 7, which then need no pass of their own."""
+    for q in range(count):
+        h[q + LANES] = _play(x[q], r, h[q])
+        total[q] += (a + b * rate[q]) * h[q + LANES]
+
+
+@njit_sum
+def advance_dots(
+    x: np.ndarray, r: float, h: np.ndarray, a: np.ndarray, b: np.ndarray, count: int
+) -> tuple[float, float]:
+    """`advance`, and the products of `a` and of `b` with the states."""
+    first, second = x.dtype.type(0), x.dtype.type(0)
+    for q in range(count):
+        h[q + LANES] = _play(x[q], r, h[q])
+        first += a[q] * h[q + LANES]
+        second += b[q] * h[q + LANES]
+    return first, second
+
+
+@njit
 def land(
     gh: np.ndarray, x: np.ndarray, r: float, h: np.ndarray, waiting: np.ndarray, count: int, gx: np.ndarray
 ) -> None:  # fmt: skip
@@ -156,9 +180,9 @@ def land(
     for q in range(count - 1, -1, -1):
         carried = gh[q] + waiting[q + LANES]
         above = carried if h[q] > x[q] - r else landed_nothing
-        waiting[q] = above if h[q] < x[q] + r else landed_nothing
-    for q in range(count):
-        gx[q] += gh[q] + waiting[q + LANES] - waiting[q]
+        rests = above if h[q] < x[q] + r else landed_nothing
+        waiting[q] = rests
+        gx[q] += carried - rests
 
 
 @njit_sum
@@ -243,3 +267,14 @@ def dot(a: np.ndarray, b: np.ndarray, count: int) -> float:
     for q in range(count):
         total += a[q] * b[q]
     return total  # type: ignore[no-any-return]
+
+
+@njit_sum
+def raise_power(power: np.ndarray, a: np.ndarray, factor: float, total: np.ndarray) -> float:
+    """Add `factor` times the power to `total`, then make it the next one of `a`, and sum that."""
+    summed = a.dtype.type(0)
+    for q in range(len(a)):
+        total[q] += factor * power[q]
+        power[q] *= a[q]
+        summed += power[q]
+    return summed  # type: ignore[no-any-return]

@@ -4,6 +4,7 @@ Threads share out records and plays on the way forward, records and stretches of
 """
 
 import numpy as np
+import torch
 
 from torchpi.operators.compiled import in_threads, njit
 from torchpi.operators.folded import hand_over
@@ -14,8 +15,9 @@ _play = njit(play)
 
 def play_bank_forward(x: np.ndarray, r: np.ndarray, h0: np.ndarray, h: np.ndarray) -> None:
     """Fill `h`, (batch, time, plays)."""
-    # Few plays share the lines of memory that they write: better one thread for all of them.
-    blocks = max(len(r) // 32, 1)
+    # Few plays share the lines of memory that they write, and many blocks walk over all its pages each:
+    # as many as the records leave threads without work.
+    blocks = max(min(torch.get_num_threads() // len(x), len(r) // 32), 1)
     in_threads(_forward, len(x) * blocks, x, r, h0, blocks, h)
 
 

@@ -15,6 +15,8 @@ from torchpi.operators.folded import (
     TILE,
     accumulate,
     advance,
+    advance_dots,
+    advance_linear_sum,
     advance_sum,
     chain,
     compose,
@@ -26,6 +28,7 @@ from torchpi.operators.folded import (
     hand_over,
     land,
     note_latest,
+    raise_power,
     threshold_gradient,
     unfold,
     unfold_gradient,
@@ -112,13 +115,16 @@ def _forward(
             total[:] = 0
             for i in range(len(p.r)):
                 h[:LANES] = checkpoints[row, group, tile, i]
-                _combine(p.theta[i], phi, count, w)
                 if p.psi.shape[1] > 0:
                     advance(s, p.r[i], h, count)
+                    _combine(p.theta[i], phi, count, w)
                     _add_own_weight(p, i, h, count, own, w)
                     for q in range(count):
                         total[q] += w[q] * h[q + LANES]
+                elif len(phi) == 2:
+                    advance_linear_sum(s, p.r[i], h, p.theta[i, 0], p.theta[i, 1], phi[1], count, total)
                 else:
+                    _combine(p.theta[i], phi, count, w)
                     advance_sum(s, p.r[i], h, w, count, total)
                 if end < length:
                     checkpoints[row, group, tile + 1, i] = h[count : count + LANES]
@@ -250,12 +256,18 @@ def _backward(
             v[:] = 0
             for i in range(plays):
                 h[:LANES] = checkpoints[row, group, tile, i]
-                advance(s, p.r[i], h, count)
                 after = h[LANES:]
+                if functions == 2:
+                    constant, linear = advance_dots(s, p.r[i], h, gamma[0], gamma[1], count)
+                    parts.theta[row, group, i, 0] += constant
+                    parts.theta[row, group, i, 1] += linear
+                else:
+                    advance(s, p.r[i], h, count)
+                    for m in range(functions):
+                        parts.theta[row, group, i, m] += dot(gamma[m], after, count)
                 _combine(p.theta[i], gamma, count, gh)
-                for m in range(functions):
-                    parts.theta[row, group, i, m] += dot(gamma[m], after, count)
-                    if with_rate:
+                if with_rate:
+                    for m in range(1, functions):
                         accumulate(p.theta[i, m], after, count, v[m])
                 if degree > 0:
                     _own_gradients(p, i, g, after, count, power, gh, parts.psi[row, group, i])
@@ -336,8 +348,5 @@ def _through_polynomial(
             power[:count] = g
             slope[:] = 0
             for j in range(len(c)):
-                accumulate(c[j] * (j + 1), power, count, slope)
-                gc[row, group, j] += dot(power, a, count)
-                for q in range(count):
-                    power[q] *= a[q]
+                gc[row, group, j] += raise_power(power, a, c[j] * (j + 1), slope)
             g[:] = slope[:count]
