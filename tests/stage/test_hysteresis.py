@@ -17,9 +17,11 @@ THRESHOLDS_V = [0.0, 0.11, 0.43, 0.9]
 INSIDE_IT = {
     "asymmetry_per_v": 0.03,
     "incongruence_per_v": 0.05,
+    "straight_share": 0.4,
     "weight_s_per_v": 0.02,
     "threshold_s_per_v": 0.04,
     "loop_per_e": 0.05,
+    "chord_share": 0.8,
     "reference_rate_v_s": 0.7,
     "rate_filter_s": 0.15,
 }

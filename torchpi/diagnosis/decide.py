@@ -1,11 +1,12 @@
 """Decide: which names stand, what else they could be called, and how sure that is."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 from torchpi.diagnosis.diagnosis import NamedEffect, Parameter, Rival, Verdict
 from torchpi.diagnosis.fit import fit, value_at
+from torchpi.diagnosis.held_out import explained, unexplained
 from torchpi.diagnosis.hypothesis import Fit
 from torchpi.diagnosis.intervals import intervals_90
 from torchpi.diagnosis.model import foretold
@@ -32,8 +33,8 @@ ALIKE: dict[str, str] = {
 ALIKE_ERROR = 1.5
 FAR = 1.1
 """A rival whose held-out error is more than this ratio is refuted by that alone."""
-DONE = 1.15
-"""Times the floor: a held-out error within this leaves nothing to explain."""
+DONE, EXPLAINED = 1.15, 1.5
+"""Times the floor: a held-out error within this leaves nothing to explain, or little beside the names."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,39 +62,52 @@ def decide(
     left = max(final.heldout_rms**2 - floor_um**2, 0.0)
     named = []
     small = compressed(search.chain, final)
-    spans = intervals_90(search.chain, small)
+    spans = intervals_90(search.chain, final)
     for i, less in zip(search.added(final), search.without_each(small), strict=True):
         member = final.hypothesis.members[i]
-        rise = less.heldout_rms**2 - final.heldout_rms**2
-        rivals = rivals_of(history, member.effect.name)
+        rise = less.heldout_rms**2 - small.heldout_rms**2
+        rivals = rivals_of(history, member.effect.name, final.hypothesis.names)
+        known = known_share(search, small, less, floor_um)
         named.append(
             NamedEffect(
                 member.effect.name, member.effect.block, alternatives(rivals, member.effect.name),
-                probability(member.effect.name, rise, left, rivals), parameters_of(search, small, spans, i),
+                probability(member.effect.name, known, rivals), parameters_of(search, final, spans, i),
                 min(1.0, max(0.0, rise / mismatch)), member.effect.equation, member.effect.signature, rivals,
             )
         )  # fmt: skip
     family = final.hypothesis.nominal.family
     if family != retuned.hypothesis.nominal.family:
-        named.append(operator(search, retuned, final, spans, history, mismatch, left))
+        named.append(operator(search, retuned, final, spans, history, mismatch, floor_um))
     named.sort(key=lambda effect: -effect.share)
-    unexplained = min(1.0, left / mismatch)
-    found = verdict(named, final, floor_um, unexplained)
-    return Decision(found, tuple(named), 0.0 if found == "nothing_missing" else unexplained)
+    found = verdict(named, final, floor_um)
+    return Decision(found, tuple(named), 0.0 if found == "nothing_missing" else min(1.0, left / mismatch))
 
 
-def verdict(named: Sequence[NamedEffect], final: Fit, floor_um: float, unexplained: float) -> Verdict:
+def verdict(named: Sequence[NamedEffect], final: Fit, floor_um: float) -> Verdict:
     """In one word what the names achieve."""
     done = final.heldout_rms < DONE * floor_um
     if not named:
         return "nothing_missing" if done else "unexplained"
-    return "explained" if done or unexplained < 0.1 else "partly_explained"
+    return "explained" if final.heldout_rms < EXPLAINED * floor_um else "partly_explained"
 
 
-def rivals_of(history: Sequence[Round], name: str) -> tuple[Rival, ...]:
-    """What was tried in its place in the round that took it, the best first; the effect itself among them."""
+def known_share(search: Search, now: Fit, less: Fit, floor_um: float) -> float:
+    """What an effect explains, over that and what nothing explains."""
+    rise = explained(search.chain.records, now, less)
+    return rise / (rise + unexplained(search.chain.records, now, less, floor_um)) if rise > 0 else 0.0
+
+
+def rivals_of(history: Sequence[Round], name: str, named: Collection[str]) -> tuple[Rival, ...]:
+    """What was tried in its place in the round that took it, the best first; the effect itself among them.
+
+    What is named beside it is no rival.
+    """
     taken = next(round for round in reversed(history) if name in (round.accepted or "").split(" + "))
-    return tuple(Rival(one.name, one.fit.train_rms, one.fit.heldout_rms, one.evidence) for one in taken.tried)
+    return tuple(
+        Rival(one.name, one.fit.train_rms, one.fit.heldout_rms, one.evidence)
+        for one in taken.tried
+        if one.name == taken.accepted or one.name not in named
+    )
 
 
 def alternatives(rivals: Sequence[Rival], name: str) -> tuple[str, ...]:
@@ -114,14 +128,15 @@ def alternatives(rivals: Sequence[Rival], name: str) -> tuple[str, ...]:
     )
 
 
-def probability(name: str, rise: float, left: float, rivals: Sequence[Rival]) -> float:
-    """That the name is right: what it explains against what nothing explains, against noise, and its rivals.
+def probability(name: str, known: float, rivals: Sequence[Rival]) -> float:
+    """That the name is right: its known share, against noise, and against its rivals.
 
-    Rivals share by e^{ΔL}, so that an equal one halves it; the group of alternatives keeps the whole.
+    A rival shares by e^{ΔL}, at most as an equal, which halves it: what is held out has decided between them.
+    The group of alternatives keeps the whole.
     """
     mine = next(rival for rival in rivals if name in rival.name.split(" + "))
     group = {mine.name, *alternatives(rivals, name)}
-    weights = {rival.name: math.exp(min(rival.evidence - mine.evidence, 50.0)) for rival in rivals}
+    weights = {rival.name: math.exp(min(rival.evidence - mine.evidence, 0.0)) for rival in rivals}
     outside = max(
         (
             weights[rival.name]
@@ -130,7 +145,6 @@ def probability(name: str, rise: float, left: float, rivals: Sequence[Rival]) ->
         ),
         default=0.0,
     )
-    known = rise / (rise + left) if rise > 0 else 0.0
     noise = 1.0 / (1.0 + math.exp(-min(mine.evidence, 50.0)))
     return round(known * noise / (1.0 + outside), 4)
 
@@ -178,7 +192,7 @@ def operator(
     spans: Sequence[tuple[float, float]],
     history: Sequence[Round],
     mismatch: float,
-    left: float,
+    floor_um: float,
 ) -> NamedEffect:
     """The hysteresis itself, where it is not Prandtl–Ishlinskii."""
     nominal = final.hypothesis.nominal
@@ -196,7 +210,7 @@ def operator(
     others = [n for n in ("incongruent_loops", "hysteresis_asymmetry") if flexible and n not in failed]
     return NamedEffect(
         "hysteresis_operator", "actuator", tuple(others),
-        round(rise / (rise + left), 4) if rise > 0 else 0.0,
+        round(known_share(search, final, plain, floor_um), 4),
         (Parameter("family", nominal.family, "", None), *shape_parameters(final, spans)),
         min(1.0, max(0.0, rise / mismatch)),
         FAMILIES[nominal.family],

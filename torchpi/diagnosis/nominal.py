@@ -13,6 +13,7 @@ from torchpi.operators.hysteresis_rows import (
     play_rows,
     play_sum,
     smooth,
+    straight_gain,
     threshold_widening,
 )
 from torchpi.stage.effects.effect import Seen
@@ -20,9 +21,11 @@ from torchpi.stage.effects.effect import Seen
 INSIDE = {
     "asymmetry_per_v": 0.0,
     "incongruence_per_v": 0.0,
+    "straight_share": 0.0,
     "weight_s_per_v": 0.0,
     "threshold_s_per_v": 0.0,
     "loop_per_e": 0.0,
+    "chord_share": 1.0,
     "reference_rate_v_s": 1.0,
     "rate_filter_s": 0.0,
 }
@@ -76,12 +79,12 @@ class Nominal:
 
     def all_rows(self, v: np.ndarray, period_s: float) -> np.ndarray:
         """Every row: the plays, their powers, the other families."""
-        up, down, widening, gain, loop = self.inside(v, period_s)
+        chord, up, down, widening, gain, straight, loop = self.inside(v, period_s)
         others = self.other_rows(v, gain, loop)
         plays = len(self.thresholds_v) * self.degree
         rows = np.empty((plays + len(others), len(v)))
         play_rows(
-            v, up, down, self.thresholds_v, widening, gain, loop, self.scale_v,
+            chord, up, down, self.thresholds_v, widening, gain, straight, loop, self.scale_v,
             rows[:plays].reshape(self.degree, -1, len(v)),
         )  # fmt: skip
         for row, other in zip(rows[plays:], others, strict=True):
@@ -92,9 +95,9 @@ class Nominal:
         """(time,): weights @ rows, without the rows of the plays."""
         full = weights if self.mixing is None else self.mixing.T @ weights
         plays = len(self.thresholds_v) * self.degree
-        up, down, widening, gain, loop = self.inside(v, period_s)
+        chord, up, down, widening, gain, straight, loop = self.inside(v, period_s)
         y: np.ndarray = play_sum(
-            v, up, down, self.thresholds_v, widening, gain, loop, self.scale_v,
+            chord, up, down, self.thresholds_v, widening, gain, straight, loop, self.scale_v,
             full[:plays].reshape(self.degree, -1).copy(),
         )  # fmt: skip
         for weight, row in zip(full[plays:], self.other_rows(v, gain, loop), strict=True):
@@ -102,7 +105,7 @@ class Nominal:
         return y
 
     def inside(self, v: np.ndarray, period_s: float) -> tuple[np.ndarray, ...]:
-        """Envelopes up and down, widening of the thresholds, gain of the states, widening of the loop."""
+        """The chord, envelopes up and down, widening of the thresholds, gains, widening of the loop."""
         s = self.shape
         rate = np.diff(v, prepend=0.0) / period_s
         if s["rate_filter_s"] > 0.0:
@@ -110,8 +113,9 @@ class Nominal:
         bent: Any = bend(v, s["asymmetry_per_v"])  # type: ignore[arg-type]
         widening: Any = threshold_widening(rate, s["threshold_s_per_v"])  # type: ignore[arg-type]
         gain: Any = gain_inside(v, rate, s["incongruence_per_v"], s["weight_s_per_v"])  # type: ignore[arg-type]
+        straight: Any = straight_gain(gain, s["straight_share"])
         loop = s["loop_per_e"] * np.log1p(np.abs(rate) / s["reference_rate_v_s"])
-        return v + bent, v - bent, widening, gain, loop
+        return s["chord_share"] * v, v + bent, v - bent, widening, gain, straight, loop
 
     def other_rows(self, v: np.ndarray, gain: np.ndarray, loop: np.ndarray) -> list[np.ndarray]:
         """States of the other families."""

@@ -15,6 +15,7 @@ from torchpi.diagnosis.chain import Chain
 from torchpi.diagnosis.coverage import reason_to_leave_out
 from torchpi.diagnosis.evidence import evidence, spectrum
 from torchpi.diagnosis.fit import FINE, ITERATIONS, ROUGH, fit
+from torchpi.diagnosis.held_out import explained, gain, typical_um, unexplained
 from torchpi.diagnosis.hypothesis import Fit, Hypothesis, Member
 from torchpi.diagnosis.nominal import Nominal, bouc_wen, duhem, many_plays, plain, preisach
 from torchpi.diagnosis.parallel import Job, fit_all
@@ -50,6 +51,8 @@ PAIRS = 3
 """How many of a round's best are fitted with all rows before one is chosen."""
 SIMPLER = 1.05
 """How much worse an effect of few numbers may fit than a larger hysteresis, and be taken for it."""
+NEAR = 1.5
+"""Times the floor: another family of hysteresis is not looked for below."""
 FINISHED = 1.02
 """Times the floor: an error within this leaves nothing to look for."""
 SAMPLES_A_PLAY = 10
@@ -103,6 +106,7 @@ class Search:
         self.given = {member.effect.name for member in given}
         self.seen = seen(chain.records)
         self.hopeless: set[str] = set()
+        self.needless: set[str] = set()
         self.starts: list[Member] = []
         for effect in EFFECTS:
             starts = candidates_of(effect, chain.records, effect.starts(self.seen), list(self.seen.aux))
@@ -137,6 +141,7 @@ class Search:
                 break
             grown = self.sized(chosen.fit) if chosen.name.startswith(OPERATOR) else chosen.fit
             now = self.backward(self.realigned(grown))
+            self.needless |= set(chosen.fit.hypothesis.names) - set(now.hypothesis.names)
             self.say(f"  with {', '.join(now.hypothesis.names) or chosen.name}: {describe(now)}")
         return retuned, self.sifted(self.as_plays(now, retuned)), history
 
@@ -144,11 +149,10 @@ class Search:
         """Without the effects that explain little beside what nothing explains."""
         while self.added(now):
             small = compressed(self.chain, now)
-            unexplained = max(small.heldout_rms**2 - self.floor_um(small) ** 2, 0.0)
             less = self.without_each(small)
-            worth = [f.heldout_rms**2 - small.heldout_rms**2 for f in less]
+            worth = [self.outweighs(small, one) for one in less]
             least = int(np.argmin(worth))
-            if worth[least] > OUTWEIGHS * unexplained:
+            if worth[least] > 0:
                 break
             name = now.hypothesis.names[self.added(now)[least]]
             self.say(f"  without {name}: it explains too little beside what nothing explains")
@@ -160,11 +164,16 @@ class Search:
         if now.hypothesis.nominal.family == retuned.hypothesis.nominal.family:
             return now
         less = fit(self.chain, now.hypothesis.on(retuned.hypothesis.nominal))
-        unexplained = max(now.heldout_rms**2 - self.floor_um(now) ** 2, 0.0)
-        if less.heldout_rms**2 - now.heldout_rms**2 > OUTWEIGHS * unexplained:
+        if self.outweighs(now, less) > 0:
             return now
         self.say(f"  on plays, not {now.hypothesis.nominal.family}: that explains too little more")
         return less
+
+    def outweighs(self, now: Fit, less: Fit) -> float:
+        """Positive where now explains as much more than less as it must, beside what nothing explains."""
+        records = self.chain.records
+        left = unexplained(records, now, less, self.floor_um(now))
+        return explained(records, now, less) - OUTWEIGHS * left
 
     def added(self, now: Fit) -> list[int]:
         """The effects that the simulation did not have."""
@@ -182,11 +191,15 @@ class Search:
             for name, one in fits
             if not one.bounded
         ]
-        return sorted(tried, key=lambda t: t.fit.heldout_rms * t.fit.train_rms)
+        return sorted(tried, key=lambda t: self.typical_um(t.fit) * t.fit.train_rms)
+
+    def typical_um(self, one: Fit) -> float:
+        """Its error in a held-out block."""
+        return typical_um(self.chain.records, one)
 
     def effects(self, now: Fit) -> list[tuple[str, Fit]]:
         """The most promising effects, each fitted from its best starts."""
-        barred = {*now.hypothesis.names, *(name for name, _ in self.left_out)}
+        barred = {*now.hypothesis.names, *self.needless, *(name for name, _ in self.left_out)}
         starts = [m for m in [*self.starts, *self.from_residual(now)] if m.effect.name not in barred]
         screens = {False: Screen(self.chain, now)}
         if not any(member.effect.hold for member in now.hypothesis.members):
@@ -233,8 +246,8 @@ class Search:
         ]
         couplings = [member for member in self.starts if member.effect is CrossCoupling]
         jobs: list[Job] = []
-        for gain, held, place in sorted(found, reverse=True)[:STARTS]:
-            if gain > LEAST_GAIN / 2:
+        for worth, held, place in sorted(found, reverse=True)[:STARTS]:
+            if worth > LEAST_GAIN / 2:
                 hypothesis = now.hypothesis.plus(modes[place])
                 for coupling in couplings:
                     hypothesis = hypothesis.plus(coupling)
@@ -263,13 +276,13 @@ class Search:
 
     def growth(self, now: Fit) -> list[tuple[str, Fit]]:
         """A larger hysteresis in the place of the present one."""
-        if now.hypothesis.nominal.family != "prandtl_ishlinskii":
-            return []
         h, found = now.hypothesis, []
+        if h.nominal.family != "prandtl_ishlinskii" and self.typical_um(now) < NEAR * self.floor_um(now):
+            return []
         larger: list[tuple[str, Nominal, tuple[str, ...], int]] = [("preisach", preisach(self.seen), (), 4)]
         larger.append(("bouc_wen", bouc_wen(self.seen, 0.1), ("sigma_v", "beta", "exponent"), 15))
         larger.append(("duhem", duhem(self.seen, 5.0), ("alpha_per_v",), 10))
-        larger = [one for one in larger if one[0] not in self.hopeless]
+        larger = [one for one in larger if one[0] not in {*self.hopeless, h.nominal.family}]
         jobs = [(h.on(nominal, shape), None, steps, ROUGH) for _, nominal, shape, steps in larger]
         for (family, *_), one in zip(larger, self.fits(jobs), strict=True):
             found.append((OPERATOR + family, one))
@@ -286,10 +299,10 @@ class Search:
         effects = [t for t in taken if not t.name.startswith(OPERATOR)][:PAIRS]
         full = [replace(one, fit=self.polished(one.fit)) for one in dict.fromkeys([*taken[:1], *effects])]
         full = [one for one in full if not one.fit.bounded] or full[:1]
-        best = min(full, key=lambda t: t.fit.heldout_rms)
+        best = min(full, key=lambda t: self.typical_um(t.fit))
         named = [t for t in full if not t.name.startswith(OPERATOR)]
-        first = min(named, key=lambda t: t.fit.heldout_rms, default=best)
-        return first if first.fit.heldout_rms < SIMPLER * best.fit.heldout_rms else best
+        first = min(named, key=lambda t: self.typical_um(t.fit), default=best)
+        return first if self.typical_um(first.fit) < SIMPLER * self.typical_um(best.fit) else best
 
     def sized(self, now: Fit) -> Fit:
         """A Preisach operator with as many numbers as the held-out samples carry."""
@@ -297,18 +310,20 @@ class Search:
         if h.nominal.family != "preisach":
             return now
         jobs: list[Job] = [(h.on(preisach(self.seen, *size)), None, 2, FINE) for size in PREISACH]
-        return min([now, *self.fits(jobs)], key=lambda f: f.heldout_rms)
+        return min([now, *self.fits(jobs)], key=self.typical_um)
 
     def takes(self, one: Tried, now: Fit) -> bool:
         """Whether an effect earns its place."""
         grown = one.fit.hypothesis.nominal.size - now.hypothesis.nominal.size
         slots = len(one.fit.slots) - len(now.slots) + max(0, grown)
-        floor = self.floor or 0.0
-        mismatch = now.heldout_rms**2 - floor**2
+        records = self.chain.records
         return (
-            improves(one.fit, now)
+            one.fit.train_rms < (1 - LEAST_GAIN) * now.train_rms
+            and gain(records, one.fit, now) > LEAST_GAIN
+            and one.fit.heldout_rms < (1 + LEAST_GAIN) * now.heldout_rms
             and one.evidence > LEAST_EVIDENCE + PER_PARAMETER * slots
-            and now.heldout_rms**2 - one.fit.heldout_rms**2 > LEAST_SHARE * mismatch
+            and explained(records, one.fit, now)
+            > LEAST_SHARE * unexplained(records, now, now, self.floor or 0.0)
         )
 
     def polished(self, now: Fit) -> Fit:
@@ -350,14 +365,6 @@ class Search:
     def without_each(self, now: Fit) -> list[Fit]:
         """The fit without one of the added effects, for each."""
         return self.fits([(now.hypothesis.minus(i), now.weights, ITERATIONS, ROUGH) for i in self.added(now)])
-
-
-def improves(better: Fit, worse: Fit) -> bool:
-    """By more than the least gain, where it was fitted and where not."""
-    return (
-        better.heldout_rms < (1 - LEAST_GAIN) * worse.heldout_rms
-        and better.train_rms < (1 - LEAST_GAIN) * worse.train_rms
-    )
 
 
 def compressed(chain: Chain, grown: Fit) -> Fit:

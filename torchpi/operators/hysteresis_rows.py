@@ -29,13 +29,18 @@ def gain_inside(v: float, rate: float, incongruence_per_v: float, weight_s_per_v
     return (1.0 + incongruence_per_v * v) * (1.0 + weight_s_per_v * rate)
 
 
+def straight_gain(gain: float, straight_share: float) -> float:
+    """1 - b (g - 1): what multiplies v itself, which so keeps the chord of the loop. Tensors pass as well."""
+    return 1.0 - straight_share * (gain - 1.0)
+
+
 def threshold_widening(rate: float, threshold_s_per_v: float) -> float:
     """1 + β |v̇|: what multiplies the thresholds. Tensors pass as well."""
     return 1.0 + threshold_s_per_v * abs(rate)
 
 
 def loop_widening(rate: float, loop_per_e: float, reference_rate_v_s: float) -> float:
-    """γ ln(1 + |v̇| / v̇₀): the share by which a state moves away from v."""
+    """γ ln(1 + |v̇| / v̇₀): the share by which a state moves away from c v, the chord of the loop."""
     return loop_per_e * math.log1p(abs(rate) / reference_rate_v_s)
 
 
@@ -67,43 +72,42 @@ _duhem: Any = numba.njit(duhem)
 
 @numba.njit(cache=True)
 def play_rows(
-    v: np.ndarray, up: np.ndarray, down: np.ndarray, r: np.ndarray, widening: np.ndarray, gain: np.ndarray,
-    loop: np.ndarray, scale: float, rows: np.ndarray,
+    chord: np.ndarray, up: np.ndarray, down: np.ndarray, r: np.ndarray, widening: np.ndarray,
+    gain: np.ndarray, straight: np.ndarray, loop: np.ndarray, scale: float, rows: np.ndarray,
 ) -> None:  # fmt: skip
     """Into `rows`, (degree, plays, time): the states h of max{up - r w, min{down + r w, h}} from h = 0, and
-    h (h / scale)^p. Thresholds above 0 take the gain, all the widening of the loop; both are (time,)."""
+    h (h / scale)^p. States with memory take the gain, v itself `straight`, all the widening of the loop about
+    its chord; all are (time,)."""
     for i in range(len(r)):
-        h = 0.0
-        for t in range(len(v)):
+        h, grown = 0.0, gain if r[i] > 0.0 else straight
+        for t in range(len(up)):
             h = _clamp_play(up[t] - r[i] * widening[t], down[t] + r[i] * widening[t], h)
-            x = h
-            if r[i] > 0.0:
-                x = x * gain[t]
-            rows[0, i, t] = x + (x - v[t]) * loop[t]
+            x = h * grown[t]
+            rows[0, i, t] = x + (x - chord[t]) * loop[t]
         for p in range(1, rows.shape[0]):
-            for t in range(len(v)):
+            for t in range(len(up)):
                 rows[p, i, t] = rows[p - 1, i, t] * (rows[0, i, t] / scale)
 
 
 @numba.njit(cache=True, fastmath={"reassoc"}, error_model="numpy")
 def play_sum(
-    v: np.ndarray, up: np.ndarray, down: np.ndarray, r: np.ndarray, widening: np.ndarray, gain: np.ndarray,
-    loop: np.ndarray, scale: float, weights: np.ndarray,
+    chord: np.ndarray, up: np.ndarray, down: np.ndarray, r: np.ndarray, widening: np.ndarray,
+    gain: np.ndarray, straight: np.ndarray, loop: np.ndarray, scale: float, weights: np.ndarray,
 ) -> np.ndarray:  # fmt: skip
     """(time,): Σ_p Σ_i w_pi h_i (h_i / scale)^p without the rows; weights are (degree, plays).
 
     Seven times as fast as one play after another: the loop over plays runs in vector registers, and sums in
     any order.
     """
-    y, h, degree = np.empty(len(v)), np.zeros(len(r)), weights.shape[0]
-    for t in range(len(v)):
+    y, h, degree = np.empty(len(up)), np.zeros(len(r)), weights.shape[0]
+    for t in range(len(up)):
         rising, falling, width = up[t], down[t], widening[t]
         for i in range(len(r)):
             h[i] = _clamp_play(rising - r[i] * width, falling + r[i] * width, h[i])
-        grown, looped, now, total = gain[t], loop[t], v[t], 0.0
+        grown, kept, looped, middle, total = gain[t], straight[t], loop[t], chord[t], 0.0
         for i in range(len(r)):
-            x = h[i] * grown if r[i] > 0.0 else h[i]
-            x = x + (x - now) * looped
+            x = h[i] * (grown if r[i] > 0.0 else kept)
+            x = x + (x - middle) * looped
             term = weights[degree - 1, i]
             for p in range(degree - 2, -1, -1):
                 term = term * (x / scale) + weights[p, i]

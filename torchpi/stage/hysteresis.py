@@ -3,7 +3,8 @@
     y = Σ_p Σ_i w_pi x_i (x_i / s)^p + w z + Σ_k w_k d_k / s^(k-1) + w_0
 
     h_i = max{v + a v² - r_i β(v̇), min{v - a v² + r_i β(v̇), h_i}},    β = 1 + b |v̇|
-    x_i = v + (h_i g - v) (1 + l),    g = (1 + κ v)(1 + k v̇) where r_i > 0,    l = γ ln(1 + |v̇| / v̇₀)
+    x_i = c v + (h_i g_i - c v) (1 + l),    l = γ ln(1 + |v̇| / v̇₀)
+    g_i = g = (1 + κ v)(1 + k v̇) where r_i > 0, and 1 - b (g - 1) where r_i = 0
 
 z is a Bouc–Wen state, d_1 to d_3 are Duhem states; `torchpi.operators.hysteresis_rows` has their equations,
 and the sources. v̇ is the difference to the sample before over T, through a low-pass of `rate_filter_s`: the
@@ -29,6 +30,7 @@ from torchpi.operators.hysteresis_rows import (
     duhem,
     gain_inside,
     loop_widening,
+    straight_gain,
     threshold_widening,
 )
 from torchpi.operators.relaxations import relaxations
@@ -36,9 +38,11 @@ from torchpi.operators.relaxations import relaxations
 IDENTITY = {
     "asymmetry_per_v": 0.0,
     "incongruence_per_v": 0.0,
+    "straight_share": 0.0,
     "weight_s_per_v": 0.0,
     "threshold_s_per_v": 0.0,
     "loop_per_e": 0.0,
+    "chord_share": 1.0,
     "reference_rate_v_s": 1.0,
     "rate_filter_s": 0.0,
 }
@@ -148,11 +152,12 @@ class Hysteresis(Operator):
         loop = _LoopWidening.apply(rate, shape["loop_per_e"], shape["reference_rate_v_s"])
         bent = bend(v, shape["asymmetry_per_v"])  # type: ignore[arg-type]
         y, h = _Plays.apply(
-            v,
+            shape["chord_share"] * v,
             v + bent,
             v - bent,
             threshold_widening(rate, shape["threshold_s_per_v"]),  # type: ignore[arg-type]
             gain,
+            straight_gain(gain, shape["straight_share"]),  # type: ignore[arg-type]
             loop,
             weights[: plays * self.degree].reshape(self.degree, plays),
             h,
@@ -218,6 +223,7 @@ class HysteresisStream(nn.Module):
         self.asymmetry, self.incongruence = shape["asymmetry_per_v"], shape["incongruence_per_v"]
         self.by_rate, self.threshold_by_rate = shape["weight_s_per_v"], shape["threshold_s_per_v"]
         self.loop, self.reference = shape["loop_per_e"], shape["reference_rate_v_s"]
+        self.chord, self.straight = shape["chord_share"], shape["straight_share"]
         self.sigma, self.beta, self.exponent = (shape[name] for name in OF_BOUC_WEN)
         self.alpha = shape["alpha_per_v"]
         self.h, self.d = [0.0] * len(self.r), [0.0] * DUHEM_STATES
@@ -242,15 +248,14 @@ class HysteresisStream(nn.Module):
         rising, falling = x + bent, x - bent
         width = threshold_widening(self.rate, self.threshold_by_rate)
         gain = gain_inside(x, self.rate, self.incongruence, self.by_rate)
-        loop = loop_widening(self.rate, self.loop, self.reference)
+        straight = straight_gain(gain, self.straight)
+        chord, loop = self.chord * x, loop_widening(self.rate, self.loop, self.reference)
         plays, y = len(self.r), 0.0
         for i in range(plays):
             r = self.r[i] * width
             self.h[i] = clamp_play(rising - r, falling + r, self.h[i])
-            inner = self.h[i]
-            if self.r[i] > 0.0:
-                inner = inner * gain
-            inner = inner + (inner - x) * loop
+            inner = self.h[i] * (gain if self.r[i] > 0.0 else straight)
+            inner = inner + (inner - chord) * loop
             term = self.w[(self.degree - 1) * plays + i]
             for p in range(self.degree - 2, -1, -1):
                 term = term * (inner / self.scale) + self.w[p * plays + i]
@@ -278,13 +283,13 @@ class _Plays(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, *inputs: Any) -> tuple[Tensor, Tensor]:
         *tensors, scale = inputs
-        signals, (weights, h0, r) = tensors[:6], tensors[6:]
-        v = signals[0]
-        y, h = torch.empty_like(v), h0.detach().clone()
-        stored = v.new_empty(len(v), -(-v.shape[1] // TILE), len(r))
+        signals, (weights, h0, r) = tensors[:7], tensors[7:]
+        up = signals[1]
+        y, h = torch.empty_like(up), h0.detach().clone()
+        stored = up.new_empty(len(up), -(-up.shape[1] // TILE), len(r))
         arrays = [as_array(signal) for signal in signals]
         in_threads(
-            _plays_forward, len(v), *arrays, as_array(weights), as_array(r), scale,
+            _plays_forward, len(up), *arrays, as_array(weights), as_array(r), scale,
             h.numpy(), stored.numpy(), y.numpy(),
         )  # fmt: skip
         ctx.scale = scale
@@ -311,21 +316,21 @@ _clamp_play = njit(clamp_play)
 
 @njit
 def _plays_forward(
-    first: int, last: int, v: np.ndarray, up: np.ndarray, down: np.ndarray, width: np.ndarray,
-    gain: np.ndarray, loop: np.ndarray, w: np.ndarray, r: np.ndarray, scale: float,
+    first: int, last: int, chord: np.ndarray, up: np.ndarray, down: np.ndarray, width: np.ndarray,
+    gain: np.ndarray, straight: np.ndarray, loop: np.ndarray, w: np.ndarray, r: np.ndarray, scale: float,
     h: np.ndarray, stored: np.ndarray, y: np.ndarray,
 ) -> None:  # fmt: skip
     part = np.empty(len(r))
     for row in range(first, last):
         now = h[row]
-        for t in range(v.shape[1]):
+        for t in range(up.shape[1]):
             if t % TILE == 0:
                 stored[row, t // TILE] = now
             _advance(up[row, t], down[row, t], width[row, t], r, now)
-            grown, looped, sample = gain[row, t], loop[row, t], v[row, t]
+            grown, kept, looped, middle = gain[row, t], straight[row, t], loop[row, t], chord[row, t]
             for i in range(len(r)):
-                x = now[i] * grown if r[i] > 0.0 else now[i]
-                x = x + (x - sample) * looped
+                x = now[i] * (grown if r[i] > 0.0 else kept)
+                x = x + (x - middle) * looped
                 term = w[len(w) - 1, i]
                 for p in range(len(w) - 2, -1, -1):
                     term = term * (x / scale) + w[p, i]
@@ -344,28 +349,31 @@ def _advance(rising: float, falling: float, width: float, r: np.ndarray, h: np.n
 
 @njit
 def _plays_backward(
-    first: int, last: int, v: np.ndarray, up: np.ndarray, down: np.ndarray, width: np.ndarray,
-    gain: np.ndarray, loop: np.ndarray, w: np.ndarray, r: np.ndarray, scale: float,
-    stored: np.ndarray, gy: np.ndarray, gv: np.ndarray, gup: np.ndarray, gdown: np.ndarray,
-    gwidth: np.ndarray, ggain: np.ndarray, gloop: np.ndarray, gw: np.ndarray, gh: np.ndarray,
+    first: int, last: int, chord: np.ndarray, up: np.ndarray, down: np.ndarray, width: np.ndarray,
+    gain: np.ndarray, straight: np.ndarray, loop: np.ndarray, w: np.ndarray, r: np.ndarray, scale: float,
+    stored: np.ndarray, gy: np.ndarray, gchord: np.ndarray, gup: np.ndarray, gdown: np.ndarray,
+    gwidth: np.ndarray, ggain: np.ndarray, gstraight: np.ndarray, gloop: np.ndarray, gw: np.ndarray,
+    gh: np.ndarray,
 ) -> None:  # fmt: skip
     # A state is one end of its play at the last sample that pushed it: the gradient waits in gh until then.
     tile = np.empty((TILE + 1, len(r)))
     for row in range(first, last):
         carried = gh[row]
         for index in range(stored.shape[1] - 1, -1, -1):
-            begin, end = index * TILE, min(index * TILE + TILE, v.shape[1])
+            begin, end = index * TILE, min(index * TILE + TILE, up.shape[1])
             tile[0] = stored[row, index]
             for t in range(begin, end):
                 tile[t - begin + 1] = tile[t - begin]
                 _advance(up[row, t], down[row, t], width[row, t], r, tile[t - begin + 1])
             for t in range(end - 1, begin - 1, -1):
                 before, now = tile[t - begin], tile[t - begin + 1]
-                grown, looped, sample, g = gain[row, t], loop[row, t], v[row, t], gy[row, t]
-                by_v, by_gain, by_loop, by_up, by_down, by_width = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+                looped, middle, g = loop[row, t], chord[row, t], gy[row, t]
+                by_chord, by_gain, by_straight, by_loop = 0.0, 0.0, 0.0, 0.0
+                by_up, by_down, by_width = 0.0, 0.0, 0.0
                 for i in range(len(r)):
-                    inner = now[i] * grown if r[i] > 0.0 else now[i]
-                    x = inner + (inner - sample) * looped
+                    grown = gain[row, t] if r[i] > 0.0 else straight[row, t]
+                    inner = now[i] * grown
+                    x = inner + (inner - middle) * looped
                     slope, power = 0.0, x
                     for p in range(len(w)):
                         gw[row, p, i] += g * power
@@ -374,12 +382,13 @@ def _plays_backward(
                         slope = slope * (x / scale) + (p + 1) * w[p, i]
                     by_x = g * slope
                     by_inner = by_x * (1.0 + looped)
-                    by_v -= by_x * looped
-                    by_loop += by_x * (inner - sample)
+                    by_chord -= by_x * looped
+                    by_loop += by_x * (inner - middle)
                     if r[i] > 0.0:
                         by_gain += by_inner * now[i]
-                        by_inner = by_inner * grown
-                    waiting = carried[i] + by_inner
+                    else:
+                        by_straight += by_inner * now[i]
+                    waiting = carried[i] + by_inner * grown
                     low, high = up[row, t] - r[i] * width[row, t], down[row, t] + r[i] * width[row, t]
                     if before[i] <= low or low >= high:
                         by_up += waiting
@@ -391,8 +400,9 @@ def _plays_backward(
                         carried[i] = 0.0
                     else:
                         carried[i] = waiting
-                gv[row, t], gup[row, t], gdown[row, t] = by_v, by_up, by_down
-                gwidth[row, t], ggain[row, t], gloop[row, t] = by_width, by_gain, by_loop
+                gchord[row, t], gup[row, t], gdown[row, t] = by_chord, by_up, by_down
+                gwidth[row, t], ggain[row, t], gstraight[row, t] = by_width, by_gain, by_straight
+                gloop[row, t] = by_loop
 
 
 class _LoopWidening(torch.autograd.Function):

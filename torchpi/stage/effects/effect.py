@@ -30,6 +30,8 @@ class Seen:
     high_um: float
     aux: dict[str, float]
     """Standard deviation of each auxiliary signal."""
+    peak_rate_v_s: float = 0.0
+    """The largest |u̇|, which only edges may reach."""
 
     @property
     def span_v(self) -> float:

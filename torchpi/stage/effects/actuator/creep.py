@@ -36,7 +36,7 @@ class Creep(LinearEffect):
     signature = "slow, follows the sign of the last move, grows with the time of a hold"
     quantities: ClassVar[dict[str, Quantity]] = {
         "per_decade": Quantity("", at_least=0, at_most=MOST_PER_DECADE),
-        "gain": Quantity("", at_least=0, at_most=1),
+        "gain": Quantity("", at_least=0, at_most=0.5),
         "time_constant_s": Quantity("s", at_least=1e-3, at_most=1e4),
     }
     identity: ClassVar[Parameters] = {"per_decade": 0.0, "gain": 0.0, "time_constant_s": 1.0}

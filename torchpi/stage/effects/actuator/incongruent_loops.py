@@ -8,16 +8,21 @@ from torchpi.stage.effects.inside import InsideEffect
 
 
 class IncongruentLoops(InsideEffect):
-    """w_i(v) = w_i (1 + κ v) for every play that has memory, r_i > 0."""
+    """w_i(v) = w_i (1 + κ v) for every play that has memory, r_i > 0.
+
+    With b, the straight part turns the other way, w_0(v) = w_0 (1 - b κ v): the loop grows about its chord.
+    """
 
     name = "incongruent_loops"
-    equation = "y = Σ w_i (1 + κ v) h_i"
+    equation = "y = w_0 (1 - b κ v) v + Σ w_i (1 + κ v) h_i"
     signature = "minor loops of one amplitude differ with the bias; even lines"
     quantities: ClassVar[dict[str, Quantity]] = {
-        "incongruence_per_v": Quantity("1/V", at_least=-0.5, at_most=0.5)
+        "incongruence_per_v": Quantity("1/V", at_least=-0.5, at_most=0.5),
+        "straight_share": Quantity("", at_least=0.0, at_most=10.0),
     }
-    identity: ClassVar[Parameters] = {"incongruence_per_v": 0.0}
+    identity: ClassVar[Parameters] = {"incongruence_per_v": 0.0, "straight_share": 0.0}
 
     @classmethod
     def starts(cls, seen: Seen) -> list[Parameters]:
-        return [{"incongruence_per_v": 0.02 / seen.span_v}]
+        by_volt = 0.02 / seen.span_v
+        return [{"incongruence_per_v": by_volt}, {"incongruence_per_v": by_volt, "straight_share": 0.3}]

@@ -17,6 +17,9 @@ from torchpi.operators.quantity import Quantity
 from torchpi.operators.selection import NO_SOURCE, gather
 from torchpi.stage.effects.effect import Effect, Parameters, Seen
 
+EDGES = 1.5
+"""Times the usual rates: what moves so much faster is an edge, and a limit between shows in it alone."""
+
 
 def slew(u: float, v: float, step: float) -> float:
     """The next voltage: `u` if it is within `step` of the voltage `v` before, else as near as that."""
@@ -60,6 +63,8 @@ class SlewLimit(Effect):
     def starts(cls, seen: Seen) -> list[Parameters]:
         slowest = cls.quantities["rate_v_per_s"].at_least
         rates = [share * seen.max_rate_v_s for share in (0.2, 0.35, 0.5, 0.65, 0.8, 0.9)]
+        if seen.peak_rate_v_s > EDGES * seen.max_rate_v_s:
+            rates += [float(rate) for rate in np.geomspace(seen.max_rate_v_s, 0.9 * seen.peak_rate_v_s, 5)]
         return [{"rate_v_per_s": rate} for rate in rates if rate > slowest]
 
 
