@@ -75,12 +75,33 @@ def decide(
                 min(1.0, max(0.0, rise / mismatch)), member.effect.equation, member.effect.signature, rivals,
             )
         )  # fmt: skip
+    named = merged(named, [final.hypothesis.members[i].aux for i in search.added(final)])
     family = final.hypothesis.nominal.family
     if family != retuned.hypothesis.nominal.family:
         named.append(operator(search, retuned, final, spans, history, mismatch, floor_um))
     named.sort(key=lambda effect: -effect.share)
     found = verdict(named, final, floor_um)
     return Decision(found, tuple(named), 0.0 if found == "nothing_missing" else min(1.0, left / mismatch))
+
+
+def merged(named: Sequence[NamedEffect], signals: Sequence[str]) -> list[NamedEffect]:
+    """One effect of each name: what several signals do is one effect, with parameters `name[signal]`."""
+    found: dict[str, list[tuple[NamedEffect, str]]] = {}
+    for effect, signal in zip(named, signals, strict=True):
+        found.setdefault(effect.name, []).append((effect, signal))
+    whole = []
+    for alike in found.values():
+        first = max((effect for effect, _ in alike), key=lambda effect: effect.share)
+        if len(alike) > 1:
+            parameters = tuple(
+                replace(one, name=f"{one.name}[{signal}]")
+                for effect, signal in alike
+                for one in effect.parameters
+            )
+            share = min(1.0, sum(effect.share for effect, _ in alike))
+            first = replace(first, parameters=parameters, share=share)
+        whole.append(first)
+    return whole
 
 
 def verdict(named: Sequence[NamedEffect], final: Fit, floor_um: float) -> Verdict:

@@ -109,7 +109,7 @@ def diagnose(
         nominal=errors[0], retuned=errors[1], augmented=errors[2], noise_floor_um=floor_um,
         heldout=HELD_OUT, unexplained_share=decision.unexplained_share, next_recording=next_one,
         next_excitation=excitation, notes=notes, traces=traces, stage=stage,
-        says=paragraph(decision, errors, floor_um, next_one),
+        says=paragraph(decision, errors, floor_um, floor is not None, next_one),
     )  # fmt: skip
 
 

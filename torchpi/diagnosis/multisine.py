@@ -21,8 +21,8 @@ Part = Literal["linear", "even", "odd", "non_periodic"]
 PROBES, PROBE_SAMPLES = 32, 48
 LEAST_PERIOD = 32
 """Samples."""
-SAME = 1e-6
-"""Of the span: two inputs that differ by less are the same; the last digits of a file may differ."""
+SAME = 3e-4
+"""Of the span: two inputs that differ by less are the same; one that was measured has noise of its own."""
 LEAST_SWING = 0.01
 """Of the recording's span, that a period must cover: a rest repeats as well."""
 EXCITED = 1e-3

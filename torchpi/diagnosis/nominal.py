@@ -31,6 +31,10 @@ INSIDE = {
 }
 
 
+BESIDE = (6, 14)
+"""Plays beside a state of another family, spread in the logarithm and evenly."""
+
+
 @dataclass(frozen=True, eq=False)
 class Nominal:
     """A hysteresis without its weights.
@@ -156,12 +160,12 @@ def preisach(seen: Seen, fine: int = 10, even: int = 20, degree: int = 5) -> Nom
 
 
 def bouc_wen(seen: Seen, sigma: float) -> Nominal:
-    """A Bouc–Wen state beside the straight line."""
+    """A Bouc–Wen state beside some plays: alone, or as a part of what is there."""
     shape = {**INSIDE, "sigma_v": sigma * reach_v(seen), "beta": 0.6, "exponent": 1.2}
-    return Nominal(np.zeros(1), 1, reach_v(seen), bouc_wen=True, shape=shape)
+    return Nominal(thresholds(seen, *BESIDE), 1, reach_v(seen), bouc_wen=True, shape=shape)
 
 
 def duhem(seen: Seen, alpha: float) -> Nominal:
-    """Duhem states beside the straight line."""
+    """Duhem states beside some plays."""
     shape = {**INSIDE, "alpha_per_v": alpha / reach_v(seen)}
-    return Nominal(np.zeros(1), 1, reach_v(seen), duhem=True, shape=shape)
+    return Nominal(thresholds(seen, *BESIDE), 1, reach_v(seen), duhem=True, shape=shape)

@@ -6,12 +6,18 @@ from torchpi.diagnosis.decide import Decision
 from torchpi.diagnosis.diagnosis import Errors, NamedEffect, NextRecording
 
 
-def paragraph(decision: Decision, errors: Sequence[Errors], floor_um: float, next_one: NextRecording) -> str:
-    """What was found, how sure it is, what it buys, what remains, and what to record next."""
+def paragraph(
+    decision: Decision, errors: Sequence[Errors], floor_um: float, measured: bool, next_one: NextRecording
+) -> str:
+    """What was found, how sure it is, what it buys, what remains, and what to record next.
+
+    `measured` is whether the floor is that of rests or repeats, and not the smallest error reached.
+    """
     nominal, retuned, augmented = errors
+    noise = f"about {nm(floor_um)}" if measured else f"{nm(floor_um)} at most (no rest or repeat measures it)"
     parts = [
         f"The simulation misses the held-out samples by {nm(nominal.heldout_rms_um)} rms, "
-        f"{nm(retuned.heldout_rms_um)} when it is retuned; the noise is about {nm(floor_um)}."
+        f"{nm(retuned.heldout_rms_um)} when it is retuned; the noise is {noise}."
     ]
     if decision.verdict == "nothing_missing":
         parts.append("Nothing is missing: what is left is noise, as far as these recordings show.")

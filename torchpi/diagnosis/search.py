@@ -34,8 +34,8 @@ LEAST_SHARE = 0.2
 LEAST_EVIDENCE = 8.0
 """Log-likelihood that an effect must gain, beside that of its parameters."""
 PER_PARAMETER = 3.0
-STARTS = 2
-"""From how many starts an effect is fitted."""
+STARTS, HEAT = 2, 4
+"""From how many starts an effect is fitted; the steps after which only the best of them goes on."""
 MAINS_HZ = (50.0, 60.0, 100.0, 120.0, 150.0, 180.0)
 STANDS_OUT = 35.0
 """Times the median of its surroundings: exponential noise gets there once in 10¹⁰ frequencies."""
@@ -199,8 +199,14 @@ class Search:
 
     def effects(self, now: Fit) -> list[tuple[str, Fit]]:
         """The most promising effects, each fitted from its best starts."""
-        barred = {*now.hypothesis.names, *self.needless, *(name for name, _ in self.left_out)}
-        starts = [m for m in [*self.starts, *self.from_residual(now)] if m.effect.name not in barred]
+        barred = {*self.needless, *(name for name, _ in self.left_out)}
+        # Of an effect with a signal of its own there may be one for each signal.
+        there = {(member.effect, member.aux) for member in now.hypothesis.members}
+        starts = [
+            member
+            for member in [*self.starts, *self.from_residual(now)]
+            if member.effect.name not in barred and (member.effect, member.aux) not in there
+        ]
         screens = {False: Screen(self.chain, now)}
         if not any(member.effect.hold for member in now.hypothesis.members):
             stepped = replace(now, hypothesis=replace(now.hypothesis, held=True))
@@ -217,21 +223,22 @@ class Search:
                 best.setdefault(candidate.member.effect.name, []).append(candidate)
         names = [name for name in list(best)[:TRIED] for _ in best[name][:STARTS]]
         jobs: list[Job] = [
-            (replace(now.hypothesis.plus(c.member), held=c.held), now.weights, ITERATIONS, ROUGH)
+            (replace(now.hypothesis.plus(c.member), held=c.held), now.weights, HEAT, ROUGH)
             for name in list(best)[:TRIED]
             for c in best[name][:STARTS]
         ]
         # What delays is taken for the convention of timing until it is fitted: each is tried under both.
-        late = [(name, job[0]) for name, job in zip(names, jobs, strict=True) if name in DELAYING]
-        names += [name for name, _ in late]
-        jobs += [(replace(h, alignment=1 - h.alignment), now.weights, ITERATIONS, ROUGH) for _, h in late]
+        late = {name: job[0] for name, job in reversed([*zip(names, jobs, strict=True)]) if name in DELAYING}
+        names += late
+        jobs += [(replace(h, alignment=1 - h.alignment), now.weights, HEAT, ROUGH) for h in late.values()]
         joint = self.axes_through_a_mode(now, screens)
         names += [AXES] * len(joint)
         jobs += joint
         found: dict[str, Fit] = {}
         for name, one in zip(names, self.fits(jobs), strict=True):
             found[name] = min(one, found.get(name, one), key=lambda f: f.train_rms)
-        return list(found.items())
+        rest: list[Job] = [(f.hypothesis, f.weights, ITERATIONS, ROUGH) for f in found.values()]
+        return list(zip(found, self.fits(rest), strict=True))
 
     def axes_through_a_mode(self, now: Fit, screens: Mapping[bool, Screen]) -> list[Job]:
         """Every other axis and a resonance at once: each alone may explain little of a stage that rings."""
@@ -251,7 +258,7 @@ class Search:
                 hypothesis = now.hypothesis.plus(modes[place])
                 for coupling in couplings:
                     hypothesis = hypothesis.plus(coupling)
-                jobs.append((replace(hypothesis, held=held), now.weights, 2 * ITERATIONS, ROUGH))
+                jobs.append((replace(hypothesis, held=held), now.weights, 2 * HEAT, ROUGH))
         return jobs
 
     def fits(self, jobs: Sequence[Job]) -> list[Fit]:
