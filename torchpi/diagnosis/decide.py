@@ -63,45 +63,24 @@ def decide(
     named = []
     small = compressed(search.chain, final)
     spans = intervals_90(search.chain, final)
-    for i, less in zip(search.added(final), search.without_each(small), strict=True):
-        member = final.hypothesis.members[i]
+    for name, less in zip(search.added(final), search.without_each(small), strict=True):
+        effect = next(m.effect for m in final.hypothesis.members if m.effect.name == name)
         rise = less.heldout_rms**2 - small.heldout_rms**2
-        rivals = rivals_of(history, member.effect.name, final.hypothesis.names)
+        rivals = rivals_of(history, name, final.hypothesis.names)
         known = known_share(search, small, less, floor_um)
         named.append(
             NamedEffect(
-                member.effect.name, member.effect.block, alternatives(rivals, member.effect.name),
-                probability(member.effect.name, known, rivals), parameters_of(search, final, spans, i),
-                min(1.0, max(0.0, rise / mismatch)), member.effect.equation, member.effect.signature, rivals,
+                name, effect.block, alternatives(rivals, name), probability(name, known, rivals),
+                parameters_of(search, final, spans, name), min(1.0, max(0.0, rise / mismatch)),
+                effect.equation, effect.signature, rivals,
             )
         )  # fmt: skip
-    named = merged(named, [final.hypothesis.members[i].aux for i in search.added(final)])
     family = final.hypothesis.nominal.family
     if family != retuned.hypothesis.nominal.family:
         named.append(operator(search, retuned, final, spans, history, mismatch, floor_um))
     named.sort(key=lambda effect: -effect.share)
     found = verdict(named, final, floor_um)
     return Decision(found, tuple(named), 0.0 if found == "nothing_missing" else min(1.0, left / mismatch))
-
-
-def merged(named: Sequence[NamedEffect], signals: Sequence[str]) -> list[NamedEffect]:
-    """One effect of each name: what several signals do is one effect, with parameters `name[signal]`."""
-    found: dict[str, list[tuple[NamedEffect, str]]] = {}
-    for effect, signal in zip(named, signals, strict=True):
-        found.setdefault(effect.name, []).append((effect, signal))
-    whole = []
-    for alike in found.values():
-        first = max((effect for effect, _ in alike), key=lambda effect: effect.share)
-        if len(alike) > 1:
-            parameters = tuple(
-                replace(one, name=f"{one.name}[{signal}]")
-                for effect, signal in alike
-                for one in effect.parameters
-            )
-            share = min(1.0, sum(effect.share for effect, _ in alike))
-            first = replace(first, parameters=parameters, share=share)
-        whole.append(first)
-    return whole
 
 
 def verdict(named: Sequence[NamedEffect], final: Fit, floor_um: float) -> Verdict:
@@ -171,13 +150,28 @@ def probability(name: str, known: float, rivals: Sequence[Rival]) -> float:
 
 
 def parameters_of(
-    search: Search, final: Fit, spans: Sequence[tuple[float, float]], index: int
+    search: Search, final: Fit, spans: Sequence[tuple[float, float]], name: str
 ) -> tuple[Parameter, ...]:
     """Fitted parameters of one effect, with intervals.
 
-    A parameter that each recording has for itself is given for each, `name[recording]`; under its bare name
-    stands what the augmented stage takes.
+    Where there are several of its kind, modes or other axes, each has its own, `name[axis 1]`.
     """
+    places = [i for i, one in enumerate(final.hypothesis.names) if one == name]
+    if len(places) == 1:
+        return parameters_of_member(search, final, spans, places[0])
+    found: list[Parameter] = []
+    for number, place in enumerate(places, 1):
+        label = f"{final.hypothesis.members[place].aux} {number}".strip()
+        for one in parameters_of_member(search, final, spans, place):
+            found.append(replace(one, name=f"{one.name}[{label}]"))
+    return tuple(found)
+
+
+def parameters_of_member(
+    search: Search, final: Fit, spans: Sequence[tuple[float, float]], index: int
+) -> tuple[Parameter, ...]:
+    """What each recording has for itself is given for each, `name[recording]`; under its bare name is what
+    the augmented stage takes."""
     found: list[tuple[int | None, Parameter]] = []
     own: list[tuple[int | None, Parameter]] = []
     member = final.hypothesis.members[index]

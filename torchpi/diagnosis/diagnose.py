@@ -194,13 +194,12 @@ def traces_of(
 ) -> tuple[Trace, ...]:  # fmt: skip
     """Each recording before and after, and what each named effect adds."""
     names = {effect.name for effect in decision.effects}
-    added = [i for i, name in enumerate(final.hypothesis.names) if name in names]
+    added = [name for name in dict.fromkeys(final.hypothesis.names) if name in names]
     traces = []
     for r, (recording, record) in enumerate(zip(recordings, records, strict=True)):
         full = chain.output(final.hypothesis, final.weights, r)
         signatures = {
-            final.hypothesis.names[i]: full - chain.output(final.hypothesis.minus(i), final.weights, r)
-            for i in added
+            name: full - chain.output(final.hypothesis.without(name), final.weights, r) for name in added
         }
         traces.append(
             Trace(

@@ -13,7 +13,7 @@ from torchpi.errors import StageError
 from torchpi.operators.quantity import Quantity
 
 RIDGE = 1e-9
-PRIOR = 1e-7
+PRIOR = 3e-7
 """Of the hysteresis's weights about 0, over what the samples know of each: without it hundreds of rows that
 are nearly one another, half of whose samples lie in a few holds, bend away from what was not fitted."""
 ITERATIONS = 12

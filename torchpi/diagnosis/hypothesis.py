@@ -63,9 +63,10 @@ class Hypothesis:
         """The same effects on another hysteresis."""
         return replace(self, nominal=nominal, shape=shape)
 
-    def minus(self, index: int) -> "Hypothesis":
-        """Without one of its effects."""
-        return replace(self, members=self.members[:index] + self.members[index + 1 :])
+    def without(self, name: str, aux: str | None = None) -> "Hypothesis":
+        """Without what has this name; of what takes a signal, only that of one, if it is given."""
+        kept = [m for m in self.members if m.effect.name != name or aux not in (None, m.aux)]
+        return replace(self, members=tuple(kept))
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -13,7 +13,7 @@ from torchpi.stage.effects.unknown import TIMES, Unknown
 
 RIDGES = (1e-2, 1e-3, 1e-4, 1e-5)
 MIDDLE_RIDGE = 1e-3
-LEAST_GAIN = 0.03
+LEAST_GAIN = 0.01
 LARGEST = Unknown.quantities["a0"].at_most
 
 

@@ -29,6 +29,8 @@ from torchpi.stage.effects.sensor.hum import Hum
 
 LEAST_GAIN = 0.03
 """By how much an effect must lower the error, on the samples it was fitted to and on those held out."""
+RECORDED_GAIN = 0.01
+"""The same for what follows a signal that was recorded."""
 LEAST_SHARE = 0.2
 """Of the mismatch over the floor that an effect must explain."""
 LEAST_EVIDENCE = 8.0
@@ -107,6 +109,8 @@ class Search:
         self.seen = seen(chain.records)
         self.hopeless: set[str] = set()
         self.needless: set[str] = set()
+        self.witnessed: set[str] = set()
+        """Names for which a recorded signal stands, however much else is left: they are not sifted."""
         self.starts: list[Member] = []
         for effect in EFFECTS:
             starts = candidates_of(effect, chain.records, effect.starts(self.seen), list(self.seen.aux))
@@ -141,22 +145,27 @@ class Search:
                 break
             grown = self.sized(chosen.fit) if chosen.name.startswith(OPERATOR) else chosen.fit
             now = self.backward(self.realigned(grown))
+            if recorded(chosen.name):
+                self.witnessed |= set(chosen.name.split(" + "))
             self.needless |= set(chosen.fit.hypothesis.names) - set(now.hypothesis.names)
             self.say(f"  with {', '.join(now.hypothesis.names) or chosen.name}: {describe(now)}")
         return retuned, self.sifted(self.as_plays(now, retuned)), history
 
     def sifted(self, now: Fit) -> Fit:
         """Without the effects that explain little beside what nothing explains."""
-        while self.added(now):
+        while added := self.added(now):
             small = compressed(self.chain, now)
-            less = self.without_each(small)
-            worth = [self.outweighs(small, one) for one in less]
-            least = int(np.argmin(worth))
-            if worth[least] > 0:
+            fits = self.without_each(small)
+            worth = {
+                name: (self.outweighs(small, less), less)
+                for name, less in zip(added, fits, strict=True)
+                if name not in self.witnessed
+            }
+            name = min(worth, key=lambda name: worth[name][0], default=None)
+            if name is None or worth[name][0] > 0:
                 break
-            name = now.hypothesis.names[self.added(now)[least]]
             self.say(f"  without {name}: it explains too little beside what nothing explains")
-            now = self.polished(less[least])
+            now = self.polished(worth[name][1])
         return now
 
     def as_plays(self, now: Fit, retuned: Fit) -> Fit:
@@ -175,9 +184,9 @@ class Search:
         left = unexplained(records, now, less, self.floor_um(now))
         return explained(records, now, less) - OUTWEIGHS * left
 
-    def added(self, now: Fit) -> list[int]:
+    def added(self, now: Fit) -> list[str]:
         """The effects that the simulation did not have."""
-        return [i for i, name in enumerate(now.hypothesis.names) if name not in self.given]
+        return [name for name in dict.fromkeys(now.hypothesis.names) if name not in self.given]
 
     def floor_um(self, now: Fit) -> float:
         """The noise floor, at most what the fit has reached."""
@@ -324,13 +333,13 @@ class Search:
         grown = one.fit.hypothesis.nominal.size - now.hypothesis.nominal.size
         slots = len(one.fit.slots) - len(now.slots) + max(0, grown)
         records = self.chain.records
+        least, share = (RECORDED_GAIN, 0.0) if recorded(one.name) else (LEAST_GAIN, LEAST_SHARE)
         return (
-            one.fit.train_rms < (1 - LEAST_GAIN) * now.train_rms
-            and gain(records, one.fit, now) > LEAST_GAIN
+            one.fit.train_rms < (1 - least) * now.train_rms
+            and gain(records, one.fit, now) > least
             and one.fit.heldout_rms < (1 + LEAST_GAIN) * now.heldout_rms
             and one.evidence > LEAST_EVIDENCE + PER_PARAMETER * slots
-            and explained(records, one.fit, now)
-            > LEAST_SHARE * unexplained(records, now, now, self.floor or 0.0)
+            and explained(records, one.fit, now) > share * unexplained(records, now, now, self.floor or 0.0)
         )
 
     def polished(self, now: Fit) -> Fit:
@@ -357,12 +366,15 @@ class Search:
 
     def backward(self, now: Fit) -> Fit:
         """Without the effects that the others have made needless."""
-        while len(self.added(now)) > 1:
+        while len(parts := self.parts(now)) > 1:
             small = compressed(self.chain, now)
-            for i, less in zip(self.added(now), self.without_each(small), strict=True):
+            jobs: list[Job] = [
+                (small.hypothesis.without(*part), small.weights, ITERATIONS, ROUGH) for part in parts
+            ]
+            for (name, aux), less in zip(parts, self.fits(jobs), strict=True):
                 gained = evidence(self.chain.records, less.residuals, small.residuals)
-                if not self.takes(Tried(now.hypothesis.names[i], small, gained), less):
-                    self.say(f"  without {now.hypothesis.names[i]}: the others do its work")
+                if not self.takes(Tried(name, small, gained), less):
+                    self.say(f"  without {' of '.join(filter(None, (name, aux)))}: the others do its work")
                     now = self.polished(less)
                     break
             else:
@@ -371,7 +383,18 @@ class Search:
 
     def without_each(self, now: Fit) -> list[Fit]:
         """The fit without one of the added effects, for each."""
-        return self.fits([(now.hypothesis.minus(i), now.weights, ITERATIONS, ROUGH) for i in self.added(now)])
+        hypotheses = [now.hypothesis.without(name) for name in self.added(now)]
+        return self.fits([(h, now.weights, ITERATIONS, ROUGH) for h in hypotheses])
+
+    def parts(self, now: Fit) -> list[tuple[str, str]]:
+        """The added effects, and what each auxiliary signal does apart: names and signals."""
+        members = now.hypothesis.members
+        return list(dict.fromkeys((m.effect.name, m.aux) for m in members if m.effect.name not in self.given))
+
+
+def recorded(name: str) -> bool:
+    """Whether it takes a signal that was recorded beside the voltage: nothing else follows that by chance."""
+    return any(effect.takes_aux and effect.name in name.split(" + ") for effect in EFFECTS)
 
 
 def compressed(chain: Chain, grown: Fit) -> Fit:
