@@ -8,7 +8,7 @@ from tests.diagnosis.plants import FS_HZ, hysteresis, lag, multisine, resonance,
 from torchpi.diagnosis.chain import Chain
 from torchpi.diagnosis.fit import fit
 from torchpi.diagnosis.hypothesis import Hypothesis, Member
-from torchpi.diagnosis.intervals import intervals_90
+from torchpi.diagnosis.intervals import intervals_90, scatter
 from torchpi.diagnosis.nominal import many_plays
 from torchpi.diagnosis.records import prepare, seen
 from torchpi.recording import Recording
@@ -16,6 +16,36 @@ from torchpi.stage.effects.amplifier.amplifier_lag import AmplifierLag
 from torchpi.stage.effects.mechanics.resonance import Resonance
 
 TRUTH = (130.0, 310.0, 0.03)
+
+
+def test_the_scatter_is_that_of_fits_without_one_part_each() -> None:
+    rng = np.random.default_rng(3)
+    parts = [rng.standard_normal((4, 30)) for _ in range(7)]
+    weights = np.array([1.0, -2.0, 0.5, 3.0])
+    readings = [weights @ part + 0.3 * rng.standard_normal(30) for part in parts]
+    everything = np.linalg.lstsq(np.hstack(parts).T, np.hstack(readings), rcond=None)[0]
+    without = []
+    for k in range(7):
+        kept = [i for i in range(7) if i != k]
+        part, reading = np.hstack([parts[i] for i in kept]), np.hstack([readings[i] for i in kept])
+        without.append(np.linalg.lstsq(part.T, reading, rcond=None)[0])
+    jackknife = 6 / 7 * ((np.array(without) - everything) ** 2).sum(0)
+    grams = [
+        (part @ part.T, part @ (reading - everything @ part))
+        for part, reading in zip(parts, readings, strict=True)
+    ]
+    whole = np.sum([gram for gram, _ in grams], 0)
+    assert scatter(whole, grams, 2) == pytest.approx(jackknife[2:], rel=1e-5)
+
+
+def test_a_part_that_alone_tells_a_parameter_says_nothing_of_its_scatter() -> None:
+    alone = np.diag([1.0, 100.0]), np.array([0.1, 5.0])
+    other = np.diag([1.0, 0.1]), np.array([-0.1, 0.01])
+    found = scatter(alone[0] + other[0], [alone, other], 2)
+    assert found[0] > 0
+    assert found[1] == 0  # what is left without the first part cannot be compared with it
+
+
 RUNS = 36
 
 

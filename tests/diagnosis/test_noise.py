@@ -30,6 +30,14 @@ def read_by(lsb_um: float, one: Recording) -> Recording:
     return Recording(one.name, one.t, one.u, y, one.fs_hz)
 
 
+def test_an_input_that_was_measured_repeats_though_its_last_digits_do_not() -> None:
+    rng = np.random.default_rng(5)
+    once = multisine(2000)
+    one = record(np.tile(once, 3), noise_um=0.02)
+    noisy = Recording(one.name, one.t, one.u + 1e-4 * rng.standard_normal(len(one.u)), one.y, one.fs_hz)
+    assert noise_floor_um(prepare([noisy])) == pytest.approx(0.02, rel=0.1)
+
+
 @pytest.mark.parametrize("noise_um", [0.0, 2e-3, 0.03])
 def test_the_step_of_a_converter_is_read_off_the_readings(noise_um: float) -> None:
     recordings = [

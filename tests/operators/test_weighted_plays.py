@@ -163,6 +163,20 @@ def test_both_operations_keep_the_rules_of_torch_library() -> None:
     )
 
 
+def test_without_the_dispatcher_the_bits_are_the_same() -> None:
+    parts = [part.requires_grad_() for part in inputs(0, 2, 60, 3, 4, 1)]
+    eager = weighted_plays(*parts, *SCALES)
+    dispatched = torch.ops.torchpi.weighted_plays(*parts, *SCALES)[:2]
+    for one, other in zip(eager, dispatched, strict=True):
+        assert torch.equal(one, other)
+    for one, other in zip(
+        torch.autograd.grad(sum(part.square().sum() for part in eager), parts),
+        torch.autograd.grad(sum(part.square().sum() for part in dispatched), parts),
+        strict=True,
+    ):
+        assert torch.equal(one, other)
+
+
 def test_torch_compile_takes_them_whole_forward_and_backward() -> None:
     parts = [part.requires_grad_() for part in inputs(0, 2, 60, 3, 4, 1)]
 

@@ -49,3 +49,12 @@ def test_gradient_reaches_the_rate_from_every_sample_that_lags():
 def test_a_search_starts_at_shares_of_the_fastest_rate_seen():
     rates = [start["rate_v_per_s"] for start in SlewLimit.starts(Seen(1e3, 1.0, 0, 1, 50.0, 0, 1, {}))]
     assert rates[0] == pytest.approx(10.0) and rates[-1] == pytest.approx(45.0)
+
+
+def test_a_search_also_starts_between_the_usual_rates_and_those_of_edges() -> None:
+    usual = Seen(1e3, 1.0, 0, 1, 50.0, 0, 1, {})
+    edges = Seen(1e3, 1.0, 0, 1, 50.0, 0, 1, {}, peak_rate_v_s=5000.0)
+    added = [start["rate_v_per_s"] for start in SlewLimit.starts(edges)[len(SlewLimit.starts(usual)) :]]
+    assert added == sorted(added)
+    assert 50.0 <= added[0] < added[-1] < 5000.0
+    assert len(added) >= 4
