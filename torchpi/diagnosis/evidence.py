@@ -10,17 +10,18 @@ from itertools import pairwise
 
 import numpy as np
 
-from torchpi.diagnosis.records import Record
-
 BANDS_PER_DECADE = 8
 INDEPENDENT = 2 / 3
 """Share of the frequencies of a Hann-windowed spectrum that are independent (its noise bandwidth is 1.5)."""
 
 
-def evidence(records: Sequence[Record], before: Sequence[np.ndarray], after: Sequence[np.ndarray]) -> float:
-    """Gain of the log-likelihood from the residuals `before` to those `after`, µm, no penalty taken off."""
+def evidence(before: Sequence[np.ndarray], after: Sequence[np.ndarray]) -> float:
+    """Gain of the log-likelihood from the residuals `before` to those `after`, µm, no penalty taken off.
+
+    Each has one residual, (time,), for each recording.
+    """
     total = 0.0
-    for _, one, other in zip(records, before, after, strict=True):
+    for one, other in zip(before, after, strict=True):
         edges = bands(len(one))
         power, less = spectrum(one), spectrum(other)
         for low, high in pairwise(edges):

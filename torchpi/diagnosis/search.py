@@ -196,9 +196,7 @@ class Search:
         """Every promising effect, and growth of the hysteresis, fitted on top of this."""
         fits = self.effects(now) + self.growth(now)
         tried = [
-            Tried(name, one, evidence(self.chain.records, now.residuals, one.residuals))
-            for name, one in fits
-            if not one.bounded
+            Tried(name, one, evidence(now.residuals, one.residuals)) for name, one in fits if not one.bounded
         ]
         return sorted(tried, key=lambda t: self.typical_um(t.fit) * t.fit.train_rms)
 
@@ -372,7 +370,7 @@ class Search:
                 (small.hypothesis.without(*part), small.weights, ITERATIONS, ROUGH) for part in parts
             ]
             for (name, aux), less in zip(parts, self.fits(jobs), strict=True):
-                gained = evidence(self.chain.records, less.residuals, small.residuals)
+                gained = evidence(less.residuals, small.residuals)
                 if not self.takes(Tried(name, small, gained), less):
                     self.say(f"  without {' of '.join(filter(None, (name, aux)))}: the others do its work")
                     now = self.polished(less)

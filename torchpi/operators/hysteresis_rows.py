@@ -30,7 +30,7 @@ def gain_inside(v: float, rate: float, incongruence_per_v: float, weight_s_per_v
 
 
 def straight_gain(gain: float, straight_share: float) -> float:
-    """1 - b (g - 1): what multiplies v itself, which so keeps the chord of the loop. Tensors pass as well."""
+    """1 - q (g - 1): what multiplies v itself, which so keeps the chord of the loop. Tensors pass as well."""
     return 1.0 - straight_share * (gain - 1.0)
 
 

@@ -4,7 +4,7 @@
 
     h_i = max{v + a v² - r_i β(v̇), min{v - a v² + r_i β(v̇), h_i}},    β = 1 + b |v̇|
     x_i = c v + (h_i g_i - c v) (1 + l),    l = γ ln(1 + |v̇| / v̇₀)
-    g_i = g = (1 + κ v)(1 + k v̇) where r_i > 0, and 1 - b (g - 1) where r_i = 0
+    g_i = g = (1 + κ v)(1 + k v̇) where r_i > 0, and 1 - q (g - 1) where r_i = 0
 
 z is a Bouc–Wen state, d_1 to d_3 are Duhem states; `torchpi.operators.hysteresis_rows` has their equations,
 and the sources. v̇ is the difference to the sample before over T, through a low-pass of `rate_filter_s`: the
@@ -18,11 +18,9 @@ from typing import Any
 import numpy as np
 import torch
 from torch import Tensor, nn
-from torch.autograd.function import once_differentiable
 
 from torchpi.errors import StageError
 from torchpi.operators.base import Operator
-from torchpi.operators.compiled import as_array, in_threads, njit
 from torchpi.operators.generalised_play import clamp_play
 from torchpi.operators.hysteresis_rows import (
     bend,
@@ -34,6 +32,9 @@ from torchpi.operators.hysteresis_rows import (
     threshold_widening,
 )
 from torchpi.operators.relaxations import relaxations
+from torchpi.stage.carried_state import BOUC_WEN, DUHEM, CarriedState
+from torchpi.stage.loop_widening import LoopWidening
+from torchpi.stage.play_sum import PlaySum
 
 IDENTITY = {
     "asymmetry_per_v": 0.0,
@@ -51,8 +52,6 @@ OF_BOUC_WEN = ("sigma_v", "beta", "exponent")
 OF_DUHEM = ("alpha_per_v",)
 NOT_TRAINED = ("rate_filter_s", *OF_BOUC_WEN, *OF_DUHEM)
 DUHEM_STATES = 3
-TILE = 256
-"""Samples from one set of stored states to the next."""
 
 
 class Hysteresis(Operator):
@@ -149,9 +148,9 @@ class Hysteresis(Operator):
         rate, filtered = self._rate(v, before, rate_before)
         shape = {name: getattr(self, name) for name in self.trained}
         gain = gain_inside(v, rate, shape["incongruence_per_v"], shape["weight_s_per_v"])  # type: ignore[arg-type]
-        loop = _LoopWidening.apply(rate, shape["loop_per_e"], shape["reference_rate_v_s"])
+        loop = LoopWidening.apply(rate, shape["loop_per_e"], shape["reference_rate_v_s"])
         bent = bend(v, shape["asymmetry_per_v"])  # type: ignore[arg-type]
-        y, h = _Plays.apply(
+        y, h = PlaySum.apply(
             shape["chord_share"] * v,
             v + bent,
             v - bent,
@@ -168,9 +167,9 @@ class Hysteresis(Operator):
         for weight, z0, (kernels, numbers, scale) in zip(
             weights[plays * self.degree : -1], others.unbind(1), self._families(), strict=True
         ):
-            z = _State.apply(v, before[:, 0], z0, kernels, numbers)
+            z = CarriedState.apply(v, before[:, 0], z0, kernels, numbers)
             ends.append(z[:, -1:])
-            if kernels[0] is _bouc_wen_forward:
+            if kernels is BOUC_WEN:
                 z = z * gain
                 z = z + z * loop
             y = y + weight * (z / scale)
@@ -196,11 +195,11 @@ class Hysteresis(Operator):
         fixed, found = self.fixed, []
         if self.bouc_wen:
             numbers = tuple(fixed[name] for name in OF_BOUC_WEN)
-            found.append(((_bouc_wen_forward, _bouc_wen_backward), numbers, 1.0))
+            found.append((BOUC_WEN, numbers, 1.0))
         if self.duhem:
             for k in range(DUHEM_STATES):
                 numbers = (fixed["alpha_per_v"], k + 1.0, 0.0)
-                found.append(((_duhem_forward, _duhem_backward), numbers, self.scale_v**k))
+                found.append((DUHEM, numbers, self.scale_v**k))
         return found
 
 
@@ -275,282 +274,3 @@ class HysteresisStream(nn.Module):
                 place += 1
         self.before = x
         return y + self.w[place]
-
-
-class _Plays(torch.autograd.Function):
-    """The weighted sum of the plays, and their last states."""
-
-    @staticmethod
-    def forward(ctx: Any, *inputs: Any) -> tuple[Tensor, Tensor]:
-        *tensors, scale = inputs
-        signals, (weights, h0, r) = tensors[:7], tensors[7:]
-        up = signals[1]
-        y, h = torch.empty_like(up), h0.detach().clone()
-        stored = up.new_empty(len(up), -(-up.shape[1] // TILE), len(r))
-        arrays = [as_array(signal) for signal in signals]
-        in_threads(
-            _plays_forward, len(up), *arrays, as_array(weights), as_array(r), scale,
-            h.numpy(), stored.numpy(), y.numpy(),
-        )  # fmt: skip
-        ctx.scale = scale
-        ctx.save_for_backward(*signals, weights, r, stored)
-        return y, h
-
-    @staticmethod
-    @once_differentiable
-    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
-        *signals, weights, r, stored = ctx.saved_tensors
-        by = [torch.zeros_like(signal) for signal in signals]
-        by_h = gradients[1].clone(memory_format=torch.contiguous_format)
-        by_weights = weights.new_zeros(len(by_h), *weights.shape)
-        in_threads(
-            _plays_backward, len(by_h), *(as_array(signal) for signal in signals), as_array(weights),
-            as_array(r), ctx.scale, as_array(stored), as_array(gradients[0]),
-            *(part.numpy() for part in by), by_weights.numpy(), by_h.numpy(),
-        )  # fmt: skip
-        return *by, by_weights.sum(0), by_h, None, None
-
-
-_clamp_play = njit(clamp_play)
-
-
-@njit
-def _plays_forward(
-    first: int, last: int, chord: np.ndarray, up: np.ndarray, down: np.ndarray, width: np.ndarray,
-    gain: np.ndarray, straight: np.ndarray, loop: np.ndarray, w: np.ndarray, r: np.ndarray, scale: float,
-    h: np.ndarray, stored: np.ndarray, y: np.ndarray,
-) -> None:  # fmt: skip
-    part = np.empty(len(r))
-    for row in range(first, last):
-        now = h[row]
-        for t in range(up.shape[1]):
-            if t % TILE == 0:
-                stored[row, t // TILE] = now
-            _advance(up[row, t], down[row, t], width[row, t], r, now)
-            grown, kept, looped, middle = gain[row, t], straight[row, t], loop[row, t], chord[row, t]
-            for i in range(len(r)):
-                x = now[i] * (grown if r[i] > 0.0 else kept)
-                x = x + (x - middle) * looped
-                term = w[len(w) - 1, i]
-                for p in range(len(w) - 2, -1, -1):
-                    term = term * (x / scale) + w[p, i]
-                part[i] = term * x
-            total = 0.0
-            for i in range(len(r)):
-                total = total + part[i]
-            y[row, t] = total
-
-
-@njit
-def _advance(rising: float, falling: float, width: float, r: np.ndarray, h: np.ndarray) -> None:
-    for i in range(len(r)):
-        h[i] = _clamp_play(rising - r[i] * width, falling + r[i] * width, h[i])
-
-
-@njit
-def _plays_backward(
-    first: int, last: int, chord: np.ndarray, up: np.ndarray, down: np.ndarray, width: np.ndarray,
-    gain: np.ndarray, straight: np.ndarray, loop: np.ndarray, w: np.ndarray, r: np.ndarray, scale: float,
-    stored: np.ndarray, gy: np.ndarray, gchord: np.ndarray, gup: np.ndarray, gdown: np.ndarray,
-    gwidth: np.ndarray, ggain: np.ndarray, gstraight: np.ndarray, gloop: np.ndarray, gw: np.ndarray,
-    gh: np.ndarray,
-) -> None:  # fmt: skip
-    # A state is one end of its play at the last sample that pushed it: the gradient waits in gh until then.
-    tile = np.empty((TILE + 1, len(r)))
-    for row in range(first, last):
-        carried = gh[row]
-        for index in range(stored.shape[1] - 1, -1, -1):
-            begin, end = index * TILE, min(index * TILE + TILE, up.shape[1])
-            tile[0] = stored[row, index]
-            for t in range(begin, end):
-                tile[t - begin + 1] = tile[t - begin]
-                _advance(up[row, t], down[row, t], width[row, t], r, tile[t - begin + 1])
-            for t in range(end - 1, begin - 1, -1):
-                before, now = tile[t - begin], tile[t - begin + 1]
-                looped, middle, g = loop[row, t], chord[row, t], gy[row, t]
-                by_chord, by_gain, by_straight, by_loop = 0.0, 0.0, 0.0, 0.0
-                by_up, by_down, by_width = 0.0, 0.0, 0.0
-                for i in range(len(r)):
-                    grown = gain[row, t] if r[i] > 0.0 else straight[row, t]
-                    inner = now[i] * grown
-                    x = inner + (inner - middle) * looped
-                    slope, power = 0.0, x
-                    for p in range(len(w)):
-                        gw[row, p, i] += g * power
-                        power = power * (x / scale)
-                    for p in range(len(w) - 1, -1, -1):
-                        slope = slope * (x / scale) + (p + 1) * w[p, i]
-                    by_x = g * slope
-                    by_inner = by_x * (1.0 + looped)
-                    by_chord -= by_x * looped
-                    by_loop += by_x * (inner - middle)
-                    if r[i] > 0.0:
-                        by_gain += by_inner * now[i]
-                    else:
-                        by_straight += by_inner * now[i]
-                    waiting = carried[i] + by_inner * grown
-                    low, high = up[row, t] - r[i] * width[row, t], down[row, t] + r[i] * width[row, t]
-                    if before[i] <= low or low >= high:
-                        by_up += waiting
-                        by_width -= r[i] * waiting
-                        carried[i] = 0.0
-                    elif before[i] >= high:
-                        by_down += waiting
-                        by_width += r[i] * waiting
-                        carried[i] = 0.0
-                    else:
-                        carried[i] = waiting
-                gchord[row, t], gup[row, t], gdown[row, t] = by_chord, by_up, by_down
-                gwidth[row, t], ggain[row, t], gstraight[row, t] = by_width, by_gain, by_straight
-                gloop[row, t] = by_loop
-
-
-class _LoopWidening(torch.autograd.Function):
-    """`loop_widening` sample by sample: torch's own logarithm has other bits than the stream's."""
-
-    @staticmethod
-    def forward(ctx: Any, rate: Tensor, per_e: Tensor, reference: Tensor) -> Tensor:
-        ctx.save_for_backward(rate, per_e, reference)
-        loop = torch.empty_like(rate)
-        _loop_forward(as_array(rate), per_e.item(), reference.item(), loop.numpy())
-        return loop
-
-    @staticmethod
-    @once_differentiable
-    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        rate, per_e, reference = ctx.saved_tensors
-        by_size = gradients[0] * per_e / (reference + rate.abs())
-        by_reference = -(by_size * rate.abs()).sum() / reference
-        return by_size * rate.sign(), (gradients[0] * torch.log1p(rate.abs() / reference)).sum(), by_reference
-
-
-_loop_widening = njit(loop_widening)
-
-
-@njit
-def _loop_forward(rate: np.ndarray, per_e: float, reference: float, loop: np.ndarray) -> None:
-    for row in range(rate.shape[0]):
-        for t in range(rate.shape[1]):
-            loop[row, t] = _loop_widening(rate[row, t], per_e, reference)
-
-
-class _State(torch.autograd.Function):
-    """A state that each move of v carries on: Bouc–Wen, Duhem."""
-
-    @staticmethod
-    def forward(
-        ctx: Any, v: Tensor, before: Tensor, z0: Tensor, kernels: Any, numbers: tuple[float, ...]
-    ) -> Tensor:
-        z = torch.empty_like(v)
-        forward, ctx.kernel = kernels
-        ctx.numbers = numbers
-        forward(as_array(v), as_array(before), as_array(z0), *numbers, z.numpy())
-        ctx.save_for_backward(v, before, z0, z)
-        return z
-
-    @staticmethod
-    @once_differentiable
-    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
-        v, before, z0, z = ctx.saved_tensors
-        by_v, by_before, by_z0 = torch.zeros_like(v), torch.zeros_like(before), torch.zeros_like(z0)
-        ctx.kernel(
-            *(as_array(part) for part in (v, before, z0)), *ctx.numbers, as_array(z), as_array(gradients[0]),
-            by_v.numpy(), by_before.numpy(), by_z0.numpy(),
-        )  # fmt: skip
-        return by_v, by_before, by_z0, None, None
-
-
-_bouc_wen = njit(bouc_wen)
-_duhem = njit(duhem)
-
-
-@njit
-def _bouc_wen_forward(
-    v: np.ndarray, before: np.ndarray, z0: np.ndarray, sigma: float, beta: float, n: float, z: np.ndarray
-) -> None:
-    for row in range(v.shape[0]):
-        state, last = z0[row], before[row]
-        for t in range(v.shape[1]):
-            state = _bouc_wen(state, v[row, t] - last, sigma, beta, n)
-            z[row, t] = state
-            last = v[row, t]
-
-
-@njit
-def _duhem_forward(
-    v: np.ndarray, before: np.ndarray, z0: np.ndarray, alpha: float, power: float, _: float, z: np.ndarray
-) -> None:
-    for row in range(v.shape[0]):
-        state, last = z0[row], before[row]
-        for t in range(v.shape[1]):
-            state = _duhem(state, v[row, t], last, alpha, int(power))
-            z[row, t] = state
-            last = v[row, t]
-
-
-@njit
-def _bouc_wen_backward(
-    v: np.ndarray, before: np.ndarray, z0: np.ndarray, sigma: float, beta: float, n: float, z: np.ndarray,
-    gz: np.ndarray, gv: np.ndarray, gbefore: np.ndarray, gz0: np.ndarray,
-) -> None:  # fmt: skip
-    for row in range(v.shape[0]):
-        carried = 0.0
-        for t in range(v.shape[1] - 1, -1, -1):
-            carried += gz[row, t]
-            last = v[row, t - 1] if t > 0 else before[row]
-            by_z, by_move = _bouc_wen_slopes(
-                z[row, t - 1] if t > 0 else z0[row], v[row, t] - last, sigma, beta, n
-            )
-            gv[row, t] += carried * by_move
-            if t > 0:
-                gv[row, t - 1] -= carried * by_move
-            else:
-                gbefore[row] -= carried * by_move
-            carried = carried * by_z
-        gz0[row] = carried
-
-
-@njit
-def _bouc_wen_slopes(z: float, dv: float, sigma: float, beta: float, n: float) -> tuple[float, float]:
-    """How the state after a move changes with that before it, and with the move: the derivative of
-    `bouc_wen`, line by line."""
-    pieces = int(abs(dv) / sigma * 20.0) + 1
-    move = dv / pieces
-    by_z, by_move = 1.0, 0.0
-    for _ in range(pieces):
-        at, at_by_z, at_by_move = z, by_z, by_move
-        for part in (0.5, 1.0):
-            sign = 1.0 if at * move >= 0.0 else -1.0
-            outward = 1.0 - beta + beta * sign
-            slope = 1.0 - abs(at) ** n * outward
-            steepness = -n * abs(at) ** (n - 1.0) * np.sign(at) * outward if at != 0.0 else 0.0
-            step = part * move / sigma
-            at_by_move = by_move + part / (pieces * sigma) * slope + step * steepness * at_by_move
-            at_by_z = by_z + step * steepness * at_by_z
-            at = z + step * slope
-        z, by_z, by_move = at, at_by_z, at_by_move
-    return by_z, by_move
-
-
-@njit
-def _duhem_backward(
-    v: np.ndarray, before: np.ndarray, z0: np.ndarray, alpha: float, power: float, _: float, z: np.ndarray,
-    gz: np.ndarray, gv: np.ndarray, gbefore: np.ndarray, gz0: np.ndarray,
-) -> None:  # fmt: skip
-    for row in range(v.shape[0]):
-        carried = 0.0
-        for t in range(v.shape[1] - 1, -1, -1):
-            carried += gz[row, t]
-            last = v[row, t - 1] if t > 0 else before[row]
-            state = z[row, t - 1] if t > 0 else z0[row]
-            move, middle = v[row, t] - last, 0.5 * (v[row, t] + last)
-            rest = np.exp(-alpha * abs(move))
-            by_target = (1.0 - rest) * power * middle ** (power - 1.0) * 0.5
-            by_move = (middle**power - state) * alpha * np.sign(move) * rest
-            gv[row, t] += carried * (by_target + by_move)
-            if t > 0:
-                gv[row, t - 1] += carried * (by_target - by_move)
-            else:
-                gbefore[row] += carried * (by_target - by_move)
-            carried = carried * rest
-        gz0[row] = carried

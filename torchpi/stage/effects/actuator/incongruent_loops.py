@@ -10,11 +10,11 @@ from torchpi.stage.effects.inside import InsideEffect
 class IncongruentLoops(InsideEffect):
     """w_i(v) = w_i (1 + κ v) for every play that has memory, r_i > 0.
 
-    With b, the straight part turns the other way, w_0(v) = w_0 (1 - b κ v): the loop grows about its chord.
+    With q, the straight part turns the other way, w_0(v) = w_0 (1 - q κ v): the loop grows about its chord.
     """
 
     name = "incongruent_loops"
-    equation = "y = w_0 (1 - b κ v) v + Σ w_i (1 + κ v) h_i"
+    equation = "y = w_0 (1 - q κ v) v + Σ w_i (1 + κ v) h_i"
     signature = "minor loops of one amplitude differ with the bias; even lines"
     quantities: ClassVar[dict[str, Quantity]] = {
         "incongruence_per_v": Quantity("1/V", at_least=-0.5, at_most=0.5),

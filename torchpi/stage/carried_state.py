@@ -1,0 +1,137 @@
+"""Hysteresis states that every move of the voltage carries on, over whole records: Bouc–Wen, Duhem."""
+
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.autograd.function import once_differentiable
+
+from torchpi.operators.compiled import as_array, njit
+from torchpi.operators.hysteresis_rows import bouc_wen, duhem
+
+
+class CarriedState(torch.autograd.Function):
+    """A state that each move of v carries on: Bouc–Wen, Duhem."""
+
+    @staticmethod
+    def forward(
+        ctx: Any, v: Tensor, before: Tensor, z0: Tensor, kernels: Any, numbers: tuple[float, ...]
+    ) -> Tensor:
+        z = torch.empty_like(v)
+        forward, ctx.kernel = kernels
+        ctx.numbers = numbers
+        forward(as_array(v), as_array(before), as_array(z0), *numbers, z.numpy())
+        ctx.save_for_backward(v, before, z0, z)
+        return z
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
+        v, before, z0, z = ctx.saved_tensors
+        by_v, by_before, by_z0 = torch.zeros_like(v), torch.zeros_like(before), torch.zeros_like(z0)
+        ctx.kernel(
+            *(as_array(part) for part in (v, before, z0)), *ctx.numbers, as_array(z), as_array(gradients[0]),
+            by_v.numpy(), by_before.numpy(), by_z0.numpy(),
+        )  # fmt: skip
+        return by_v, by_before, by_z0, None, None
+
+
+_bouc_wen = njit(bouc_wen)
+_duhem = njit(duhem)
+
+
+@njit
+def _bouc_wen_forward(
+    v: np.ndarray, before: np.ndarray, z0: np.ndarray, sigma: float, beta: float, n: float, z: np.ndarray
+) -> None:
+    for row in range(v.shape[0]):
+        state, last = z0[row], before[row]
+        for t in range(v.shape[1]):
+            state = _bouc_wen(state, v[row, t] - last, sigma, beta, n)
+            z[row, t] = state
+            last = v[row, t]
+
+
+@njit
+def _duhem_forward(
+    v: np.ndarray, before: np.ndarray, z0: np.ndarray, alpha: float, power: float, _: float, z: np.ndarray
+) -> None:
+    for row in range(v.shape[0]):
+        state, last = z0[row], before[row]
+        for t in range(v.shape[1]):
+            state = _duhem(state, v[row, t], last, alpha, int(power))
+            z[row, t] = state
+            last = v[row, t]
+
+
+@njit
+def _bouc_wen_backward(
+    v: np.ndarray, before: np.ndarray, z0: np.ndarray, sigma: float, beta: float, n: float, z: np.ndarray,
+    gz: np.ndarray, gv: np.ndarray, gbefore: np.ndarray, gz0: np.ndarray,
+) -> None:  # fmt: skip
+    for row in range(v.shape[0]):
+        carried = 0.0
+        for t in range(v.shape[1] - 1, -1, -1):
+            carried += gz[row, t]
+            last = v[row, t - 1] if t > 0 else before[row]
+            by_z, by_move = _bouc_wen_slopes(
+                z[row, t - 1] if t > 0 else z0[row], v[row, t] - last, sigma, beta, n
+            )
+            gv[row, t] += carried * by_move
+            if t > 0:
+                gv[row, t - 1] -= carried * by_move
+            else:
+                gbefore[row] -= carried * by_move
+            carried = carried * by_z
+        gz0[row] = carried
+
+
+@njit
+def _bouc_wen_slopes(z: float, dv: float, sigma: float, beta: float, n: float) -> tuple[float, float]:
+    """How the state after a move changes with that before it, and with the move: the derivative of
+    `bouc_wen`, line by line."""
+    pieces = int(abs(dv) / sigma * 20.0) + 1
+    move = dv / pieces
+    by_z, by_move = 1.0, 0.0
+    for _ in range(pieces):
+        at, at_by_z, at_by_move = z, by_z, by_move
+        for part in (0.5, 1.0):
+            sign = 1.0 if at * move >= 0.0 else -1.0
+            outward = 1.0 - beta + beta * sign
+            slope = 1.0 - abs(at) ** n * outward
+            steepness = -n * abs(at) ** (n - 1.0) * np.sign(at) * outward if at != 0.0 else 0.0
+            step = part * move / sigma
+            at_by_move = by_move + part / (pieces * sigma) * slope + step * steepness * at_by_move
+            at_by_z = by_z + step * steepness * at_by_z
+            at = z + step * slope
+        z, by_z, by_move = at, at_by_z, at_by_move
+    return by_z, by_move
+
+
+@njit
+def _duhem_backward(
+    v: np.ndarray, before: np.ndarray, z0: np.ndarray, alpha: float, power: float, _: float, z: np.ndarray,
+    gz: np.ndarray, gv: np.ndarray, gbefore: np.ndarray, gz0: np.ndarray,
+) -> None:  # fmt: skip
+    for row in range(v.shape[0]):
+        carried = 0.0
+        for t in range(v.shape[1] - 1, -1, -1):
+            carried += gz[row, t]
+            last = v[row, t - 1] if t > 0 else before[row]
+            state = z[row, t - 1] if t > 0 else z0[row]
+            move, middle = v[row, t] - last, 0.5 * (v[row, t] + last)
+            rest = np.exp(-alpha * abs(move))
+            by_target = (1.0 - rest) * power * middle ** (power - 1.0) * 0.5
+            by_move = (middle**power - state) * alpha * np.sign(move) * rest
+            gv[row, t] += carried * (by_target + by_move)
+            if t > 0:
+                gv[row, t - 1] += carried * (by_target - by_move)
+            else:
+                gbefore[row] += carried * (by_target - by_move)
+            carried = carried * rest
+        gz0[row] = carried
+
+
+BOUC_WEN = (_bouc_wen_forward, _bouc_wen_backward)
+DUHEM = (_duhem_forward, _duhem_backward)
