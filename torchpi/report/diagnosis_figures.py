@@ -259,7 +259,7 @@ def signature_figure(effect: NamedEffect, diagnosis: Diagnosis) -> Figure:
 def heldout_figure(diagnosis: Diagnosis) -> Figure:
     """Every recording's motion, and its residual before and after; what was held out is shaded."""
     traces = diagnosis.traces[:4]
-    unit = unit_of(max(float(np.abs(trace.residual_retuned).max()) for trace in traces))
+    unit = unit_of(max(largest_um(trace) for trace in traces))
     with drawing():
         figure = Figure(figsize=(style.WIDTH_IN, 0.5 + 1.95 * len(traces)))
         rows = figure.subplots(2 * len(traces), 1, height_ratios=(0.55, 1.0) * len(traces))
@@ -282,6 +282,7 @@ def heldout_figure(diagnosis: Diagnosis) -> Figure:
                     label="noise floor, ± rms" if sign > 0 else None,
                     **{**style.LIMIT, "color": "#000000"},
                 )
+            residual.set_ylim(*(sign * unit.per_um * largest_um(trace) for sign in (-1, 1)))
             residual.set_ylabel(f"residual ({unit.name})")
             residual.set_xlabel("time (s)")
             for axes in (motion, residual):
@@ -298,10 +299,20 @@ def heldout_figure(diagnosis: Diagnosis) -> Figure:
     return figure
 
 
+def largest_um(trace: Trace) -> float:
+    """What a drawing of the residual must hold: all that was held out, and all but a thousandth of the rest.
+
+    A start-up that no model has would else flatten everything.
+    """
+    both = np.abs([trace.residual_retuned, trace.residual_augmented])
+    held = float(both[:, trace.heldout].max()) if trace.heldout.any() else 0.0
+    return 1.1 * max(held, float(np.quantile(both, 0.999)), 1e-9)
+
+
 def loop_figure(diagnosis: Diagnosis) -> Figure:
     """The loop of the recording with the largest residual, opened, and the residual over the voltage."""
     trace = max(diagnosis.traces, key=lambda one: float((one.residual_retuned**2).mean()))
-    unit = unit_of(float(np.abs(trace.residual_retuned).max()))
+    unit = unit_of(largest_um(trace))
     with drawing():
         figure = Figure(figsize=(style.WIDTH_IN, 3.1))
         loop, residual = figure.subplots(1, 2)
@@ -319,6 +330,7 @@ def loop_figure(diagnosis: Diagnosis) -> Figure:
             residual.plot(
                 trace.u[k], unit.per_um * e[k], ls="", marker=".", ms=1.6, color=look["color"], label=label
             )
+        residual.set_ylim(*(sign * unit.per_um * largest_um(trace) for sign in (-1, 1)))
         residual.set_ylabel(f"residual ({unit.name})")
         residual.set_title("residual over voltage")
         residual.legend(loc="best", markerscale=5, handletextpad=0.2)

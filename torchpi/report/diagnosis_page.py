@@ -199,7 +199,7 @@ _CAPTIONS = {
     "of the residual's own colour; pale ones may be chance. A bar's height is the share of its cell, "
     "whatever the cell's width.",
     "heldout": "Recorded motion, and what each stage leaves of it. Shaded stretches were held out: no stage "
-    "was fitted to them.",
+    "was fitted to them. Single readings farther off, such as a start-up, are cut off.",
     "loop": "The recording with the largest residual: its loop, opened by taking off a straight line, and "
     "the residual over the voltage. A residual that still forms a figure here is not yet modelled.",
     "spectrum": "Spectrum of the held-out residual. Where “after” reaches the floor, nothing is left to "
