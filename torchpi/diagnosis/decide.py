@@ -4,13 +4,14 @@ import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
+from torchpi.diagnosis.compressed import compressed
 from torchpi.diagnosis.diagnosis import NamedEffect, Parameter, Rival, Verdict
 from torchpi.diagnosis.fit import fit, value_at
 from torchpi.diagnosis.held_out import explained, unexplained
 from torchpi.diagnosis.hypothesis import Fit
 from torchpi.diagnosis.intervals import intervals_90
 from torchpi.diagnosis.model import foretold
-from torchpi.diagnosis.search import OPERATOR, Round, Search, compressed
+from torchpi.diagnosis.search import OPERATOR, Round, Search
 from torchpi.stage.effects import EFFECTS
 
 NAMES = {effect.name for effect in EFFECTS}

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from torchpi.diagnosis.chain import Chain
+from torchpi.diagnosis.compressed import compressed
 from torchpi.diagnosis.conflict import conflict
 from torchpi.diagnosis.coverage import cannot_be_decided
 from torchpi.diagnosis.decide import Decision, decide
@@ -21,7 +22,7 @@ from torchpi.diagnosis.nominal import plain
 from torchpi.diagnosis.records import Record, prepare, seen, whole
 from torchpi.diagnosis.remainder import with_remainder
 from torchpi.diagnosis.say import paragraph
-from torchpi.diagnosis.search import Search, compressed
+from torchpi.diagnosis.search import Search
 from torchpi.diagnosis.simulation import given_members, simulated, simulated_output
 from torchpi.errors import RecordingError
 from torchpi.recording import Recording

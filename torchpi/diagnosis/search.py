@@ -12,14 +12,16 @@ import numpy as np
 import torch
 
 from torchpi.diagnosis.chain import Chain
+from torchpi.diagnosis.compressed import compressed
 from torchpi.diagnosis.coverage import reason_to_leave_out
-from torchpi.diagnosis.evidence import evidence, spectrum
+from torchpi.diagnosis.evidence import evidence
 from torchpi.diagnosis.fit import FINE, ITERATIONS, ROUGH, fit
 from torchpi.diagnosis.held_out import explained, gain, typical_um, unexplained
 from torchpi.diagnosis.hypothesis import Fit, Hypothesis, Member
+from torchpi.diagnosis.mains import hums, lines_hz
 from torchpi.diagnosis.nominal import Nominal, bouc_wen, duhem, many_plays, plain, preisach
 from torchpi.diagnosis.parallel import Job, fit_all
-from torchpi.diagnosis.records import Record, seen
+from torchpi.diagnosis.records import seen
 from torchpi.diagnosis.screen import Candidate, Screen, candidates_of
 from torchpi.stage.effects import EFFECTS
 from torchpi.stage.effects.mechanics.cross_coupling import CrossCoupling
@@ -38,9 +40,6 @@ LEAST_EVIDENCE = 8.0
 PER_PARAMETER = 3.0
 STARTS, HEAT = 2, 4
 """From how many starts an effect is fitted; the steps after which only the best of them goes on."""
-MAINS_HZ = (50.0, 60.0, 100.0, 120.0, 150.0, 180.0)
-STANDS_OUT = 35.0
-"""Times the median of its surroundings: exponential noise gets there once in 10¹⁰ frequencies."""
 AXES = "resonance + cross_coupling"
 DELAYING = ("amplifier_lag", "slew_limit", "delay", "sensor_lag", "resonance", "second_mode")
 OPERATOR = "hysteresis_operator: "
@@ -67,8 +66,6 @@ LARGE = 200
 """Rows from which a fit with all of them is worth sparing."""
 HOPELESS = 3.0
 """A family of hysteresis that fits this many times worse than another is not tried again."""
-KEPT = 40
-"""Rows of a large hysteresis that a search keeps, beside the fitted one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -393,52 +390,6 @@ class Search:
 def recorded(name: str) -> bool:
     """Whether it takes a signal that was recorded beside the voltage: nothing else follows that by chance."""
     return any(effect.takes_aux and effect.name in name.split(" + ") for effect in EFFECTS)
-
-
-def compressed(chain: Chain, grown: Fit) -> Fit:
-    """The same fit with its rows mixed down: the fitted combination first, then the principal ones."""
-    if len(grown.weights) <= KEPT + 2:
-        return grown
-    gram = sum(
-        rows @ rows.T
-        for rows in (
-            chain.rows(grown.hypothesis, i)[:, record.fitted] for i, record in enumerate(chain.records)
-        )
-    )
-    size = np.diag(gram)
-    scale = np.where(size > 0, 1 / np.sqrt(np.maximum(size, 1e-300)), 0.0)
-    values, vectors = np.linalg.eigh(gram * scale * scale[:, None])
-    kept = np.argsort(values)[::-1][:KEPT]
-    mixing = np.concatenate([grown.weights[None, :-1], (vectors[:, kept] * scale[:, None]).T])
-    weights = np.zeros(len(mixing) + 1)
-    weights[0], weights[-1] = 1.0, grown.weights[-1]
-    nominal = replace(grown.hypothesis.nominal, mixing=mixing)
-    return replace(grown, hypothesis=replace(grown.hypothesis, nominal=nominal), weights=weights)
-
-
-def lines_hz(now: Fit, records: Sequence[Record]) -> list[float]:
-    """For each line of the mains the strongest one of the residual within 1 % of it."""
-    best = [(-1.0, mains) for mains in MAINS_HZ]
-    for record, e in zip(records, now.residuals, strict=True):
-        size = 1 << (4 * len(e)).bit_length()
-        f, power = np.fft.rfftfreq(size, record.period_s), spectrum(e, size) / len(e)
-        for i, mains in enumerate(MAINS_HZ):
-            inside = (f > 0.99 * mains) & (f < 1.01 * mains)
-            if inside.any() and power[inside].max() > best[i][0]:
-                best[i] = (float(power[inside].max()), float(f[inside][power[inside].argmax()]))
-    return [line for _, line in best]
-
-
-def hums(now: Fit, records: Sequence[Record]) -> bool:
-    """Whether a line of the mains stands out of the residual's spectrum beyond chance."""
-    for record, e in zip(records, now.residuals, strict=True):
-        f = np.fft.rfftfreq(len(e), record.period_s)
-        power = spectrum(e)
-        for mains in MAINS_HZ:
-            around, near = np.abs(f - mains) < 0.2 * mains, np.abs(f - mains) < 0.02 * mains
-            if near.any() and power[near].max() > STANDS_OUT * np.median(power[around]):
-                return True
-    return False
 
 
 def describe(one: Fit) -> str:
