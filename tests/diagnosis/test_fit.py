@@ -3,7 +3,18 @@
 import numpy as np
 import pytest
 
-from tests.diagnosis.plants import FS_HZ, NOISE_UM, Step, creep, lag, multisine, pair, record, resonance
+from tests.diagnosis.plants import (
+    FS_HZ,
+    NOISE_UM,
+    Step,
+    creep,
+    lag,
+    multisine,
+    pair,
+    record,
+    resonance,
+    triangles,
+)
 from torchpi.diagnosis.chain import Chain
 from torchpi.diagnosis.fit import fit, jacobian, with_theta
 from torchpi.diagnosis.hypothesis import Fit, Hypothesis, Member
@@ -140,3 +151,13 @@ def test_a_pole_that_the_sampling_hides_costs_no_crash() -> None:
         [record(multisine(1000))], Member(Resonance, {"frequency_hz": 0.49 * FS_HZ, "damping_ratio": 0.01})
     )
     assert np.isfinite(found.heldout_rms)
+
+
+def test_a_little_beyond_the_recorded_range_a_large_hysteresis_still_moves_as_it_did() -> None:
+    u = 0.7 * multisine(6000)
+    records = prepare([record(u), record(0.7 * triangles(6000), name="b")])
+    chain = Chain(records)
+    larger = fit(chain, Hypothesis(preisach(seen(records), 15, 35, 7)))
+    nominal = larger.hypothesis.nominal
+    beyond = nominal.output(1.3 * u, records[0].period_s, larger.weights[:-1]) + larger.weights[-1]
+    assert np.abs(beyond).max() < 1.6 * np.abs(records[0].y).max()

@@ -46,6 +46,11 @@ class Chain:
         content = pickle.dumps(self.records)
         return sha256(content).hexdigest(), content
 
+    @cached_property
+    def span_v(self) -> float:
+        """The largest travel of the command."""
+        return max(float(np.ptp(record.u)) for record in self.records)
+
     def output(self, hypothesis: Hypothesis, weights: np.ndarray, index: int) -> np.ndarray:
         """(time,), µm, for one recording. The last weight is the sensor's zero, behind everything."""
         key = self.key(hypothesis, index)
