@@ -71,7 +71,7 @@ def diagnose(
         first = nominal.residuals
     else:
         first = simulated(simulation, records)
-    search = Search(chain, say, start, floor, executor)
+    search = Search(chain, say, start, floor, executor, lsb_um)
     retuned, final, history = search.run()
     floor_um = search.floor_um(final)
     say("decide: every named effect against its rivals")

@@ -19,6 +19,7 @@ from torchpi.diagnosis.fit import FINE, ITERATIONS, ROUGH, fit
 from torchpi.diagnosis.held_out import explained, gain, typical_um, unexplained
 from torchpi.diagnosis.hypothesis import Fit, Hypothesis, Member
 from torchpi.diagnosis.mains import hums, lines_hz
+from torchpi.diagnosis.noise import noise_floor_um
 from torchpi.diagnosis.nominal import Nominal, bouc_wen, duhem, many_plays, plain, preisach
 from torchpi.diagnosis.parallel import Job, fit_all
 from torchpi.diagnosis.records import seen
@@ -98,8 +99,10 @@ class Search:
         given: Sequence[Member] = (),
         floor_um: float | None = None,
         executor: Executor | None = None,
+        lsb_um: float = 0.0,
     ) -> None:
         self.chain, self.say, self.start, self.floor = chain, say, tuple(given), floor_um
+        self.lsb_um = lsb_um
         self.executor = executor
         self.left_out: list[tuple[str, str]] = []
         self.given = {member.effect.name for member in given}
@@ -142,6 +145,7 @@ class Search:
                 break
             grown = self.sized(chosen.fit) if chosen.name.startswith(OPERATOR) else chosen.fit
             now = self.backward(self.realigned(grown))
+            self.see_the_floor_in(now)
             if recorded(chosen.name):
                 self.witnessed |= set(chosen.name.split(" + "))
             self.needless |= set(chosen.fit.hypothesis.names) - set(now.hypothesis.names)
@@ -175,11 +179,25 @@ class Search:
         self.say(f"  on plays, not {now.hypothesis.nominal.family}: that explains too little more")
         return less
 
+    def see_the_floor_in(self, now: Fit) -> None:
+        """What follows another axis, or the mains, is in the rests too: the floor is what it leaves there."""
+        if self.floor is not None:
+            left = [replace(r, y=e) for r, e in zip(self.chain.records, now.residuals, strict=True)]
+            self.floor = min(self.floor, noise_floor_um(left, self.lsb_um) or self.floor)
+
     def outweighs(self, now: Fit, less: Fit) -> float:
-        """Positive where now explains as much more than less as it must, beside what nothing explains."""
-        records = self.chain.records
-        left = unexplained(records, now, less, self.floor_um(now))
-        return explained(records, now, less) - OUTWEIGHS * left
+        """Positive where now explains as much more than less as it must, beside what nothing explains.
+
+        In all squares, where it shows in few places, or block by block, where the model misses some by far.
+        """
+        records, floor = self.chain.records, self.floor_um(now)
+        left = unexplained(records, now, less, floor)
+        over = max(now.heldout_rms**2 - floor**2, 0.0)
+        gained = less.heldout_rms**2 - now.heldout_rms**2
+        return max(
+            explained(records, now, less) - OUTWEIGHS * left,
+            (gained - OUTWEIGHS * over) / max(less.heldout_rms, now.heldout_rms) ** 2,
+        )
 
     def added(self, now: Fit) -> list[str]:
         """The effects that the simulation did not have."""
