@@ -1,12 +1,19 @@
 """The noise floor is read off rests, the converter off the readings."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from tests.diagnosis.plants import FS_HZ, creep, multisine, record, stairs
+from torchpi.diagnosis.chain import Chain
 from torchpi.diagnosis.diagnose import converter
+from torchpi.diagnosis.fit import fit
+from torchpi.diagnosis.hypothesis import Hypothesis
+from torchpi.diagnosis.nominal import plain
 from torchpi.diagnosis.noise import noise_floor_um
 from torchpi.diagnosis.records import prepare
+from torchpi.diagnosis.search import Search
 from torchpi.recording import Recording
 
 
@@ -36,6 +43,16 @@ def test_an_input_that_was_measured_repeats_though_its_last_digits_do_not() -> N
     one = record(np.tile(once, 3), noise_um=0.02)
     noisy = Recording(one.name, one.t, one.u + 1e-4 * rng.standard_normal(len(one.u)), one.y, one.fs_hz)
     assert noise_floor_um(prepare([noisy])) == pytest.approx(0.02, rel=0.1)
+
+
+def test_the_floor_falls_to_what_a_fit_leaves_in_the_rests_and_never_rises() -> None:
+    records = prepare([record(stairs(8000), noise_um=0.02)])
+    search = Search(Chain(records), print, floor_um=noise_floor_um(records))
+    one = fit(search.chain, Hypothesis(plain(search.seen)))
+    noise = 0.005 * np.random.default_rng(1).standard_normal(8000)
+    for scale in (1.0, 5.0):
+        search.see_the_floor_in(replace(one, residuals=(scale * noise,)))
+        assert search.floor == pytest.approx(0.005, rel=0.05)
 
 
 @pytest.mark.parametrize("noise_um", [0.0, 2e-3, 0.03])
