@@ -10,8 +10,8 @@ from torchpi.diagnosis.chain import Chain
 from torchpi.diagnosis.diagnose import converter
 from torchpi.diagnosis.fit import fit
 from torchpi.diagnosis.hypothesis import Hypothesis
-from torchpi.diagnosis.nominal import plain
 from torchpi.diagnosis.noise import noise_floor_um
+from torchpi.diagnosis.nominal import plain
 from torchpi.diagnosis.records import prepare
 from torchpi.diagnosis.search import Search
 from torchpi.recording import Recording
