@@ -198,6 +198,17 @@ def test_a_hold_without_any_residual_still_makes_a_page(provenance: Provenance, 
     json.loads(numbers.read_text(encoding="utf-8"), parse_constant=pytest.fail)
 
 
+def test_an_effect_without_rivals_still_makes_a_page(
+    found: Diagnosis, provenance: Provenance, tmp_path: Path
+) -> None:
+    lonely = tuple(dataclasses.replace(effect, rivals=()) for effect in found.effects)
+    alone = dataclasses.replace(found, effects=lonely)
+    drawn = diagnosis_figures(alone)
+    assert not any(name.startswith("rivals_") for name in drawn)
+    page, _ = write_diagnosis(alone, provenance, tmp_path, drawn)
+    assert all(effect.name.replace("_", " ") in page.read_text() for effect in alone.effects)
+
+
 def look(html: str, folder: Path) -> tuple[str, str, Path]:
     """The page's DOM, what the browser's console says, and a picture.
 

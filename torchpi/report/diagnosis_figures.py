@@ -48,7 +48,8 @@ def diagnosis_figures(diagnosis: Diagnosis) -> dict[str, Figure]:
     for number, parts in enumerate(longest[:PERIODIC], start=1):
         figures[f"multisine_{number}"] = multisine_figure(parts)
     for effect in diagnosis.effects:
-        figures[f"rivals_{effect.name}"] = rivals_figure(effect, diagnosis)
+        if effect.rivals:  # a converter's lattice is seen, and has none
+            figures[f"rivals_{effect.name}"] = rivals_figure(effect, diagnosis)
         if any(effect.name in trace.signatures for trace in diagnosis.traces):
             figures[f"signature_{effect.name}"] = signature_figure(effect, diagnosis)
     if diagnosis.traces:
