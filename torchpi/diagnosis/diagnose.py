@@ -172,7 +172,8 @@ def with_converter(decision: Decision, lsb_um: float, final: Fit, retuned: Fit) 
         min(1.0, own / max(retuned.heldout_rms**2, 1e-300)), Quantization.equation, Quantization.signature,
         (),
     )  # fmt: skip
-    verdict = "explained" if decision.verdict == "nothing_missing" else decision.verdict
+    now_named: dict[Verdict, Verdict] = {"nothing_missing": "explained", "unexplained": "partly_explained"}
+    verdict = now_named.get(decision.verdict, decision.verdict)
     return replace(decision, verdict=verdict, effects=(*decision.effects, effect))
 
 
