@@ -7,8 +7,8 @@ import numpy as np
 from torchpi.diagnosis.evidence import spectrum
 from torchpi.diagnosis.hypothesis import Fit
 from torchpi.diagnosis.records import Record
+from torchpi.stage.effects.sensor.hum import MAINS_HZ
 
-MAINS_HZ = (50.0, 60.0, 100.0, 120.0, 150.0, 180.0)
 STANDS_OUT = 35.0
 """Times the median of its surroundings: exponential noise gets there once in 10¹⁰ frequencies."""
 

@@ -17,19 +17,7 @@ from torchpi.operators.hysteresis_rows import (
     threshold_widening,
 )
 from torchpi.stage.effects.effect import Seen
-
-INSIDE = {
-    "asymmetry_per_v": 0.0,
-    "incongruence_per_v": 0.0,
-    "straight_share": 0.0,
-    "weight_s_per_v": 0.0,
-    "threshold_s_per_v": 0.0,
-    "loop_per_e": 0.0,
-    "chord_share": 1.0,
-    "reference_rate_v_s": 1.0,
-    "rate_filter_s": 0.0,
-}
-
+from torchpi.stage.hysteresis import IDENTITY
 
 BESIDE = (6, 14)
 """Plays beside a state of another family, spread in the logarithm and evenly."""
@@ -48,7 +36,7 @@ class Nominal:
     scale_v: float = 1.0
     bouc_wen: bool = False
     duhem: bool = False
-    shape: dict[str, float] = field(default_factory=lambda: dict(INSIDE))
+    shape: dict[str, float] = field(default_factory=lambda: dict(IDENTITY))
     """Parameters inside the hysteresis, the rest being 0; of Bouc–Wen and Duhem too."""
     mixing: np.ndarray | None = None
     """(kept rows, rows): combinations that the data can tell apart; None keeps all."""
@@ -161,11 +149,11 @@ def preisach(seen: Seen, fine: int = 10, even: int = 20, degree: int = 5) -> Nom
 
 def bouc_wen(seen: Seen, sigma: float) -> Nominal:
     """A Bouc–Wen state beside some plays: alone, or as a part of what is there."""
-    shape = {**INSIDE, "sigma_v": sigma * reach_v(seen), "beta": 0.6, "exponent": 1.2}
+    shape = {**IDENTITY, "sigma_v": sigma * reach_v(seen), "beta": 0.6, "exponent": 1.2}
     return Nominal(thresholds(seen, *BESIDE), 1, reach_v(seen), bouc_wen=True, shape=shape)
 
 
 def duhem(seen: Seen, alpha: float) -> Nominal:
     """Duhem states beside some plays."""
-    shape = {**INSIDE, "alpha_per_v": alpha / reach_v(seen)}
+    shape = {**IDENTITY, "alpha_per_v": alpha / reach_v(seen)}
     return Nominal(thresholds(seen, *BESIDE), 1, reach_v(seen), duhem=True, shape=shape)

@@ -12,6 +12,8 @@ from torch.autograd.function import once_differentiable
 from torchpi.operators.quantity import Quantity
 from torchpi.stage.effects.effect import Effect, Parameters, Seen
 
+MAINS_HZ = (50.0, 60.0, 100.0, 120.0, 150.0, 180.0)
+
 
 def hum(elapsed: float, period_s: float, frequency_hz: float, cos_um: float, sin_um: float) -> float:
     """a cos φ + b sin φ, φ = 2πft, at `elapsed` samples from the first. Kernel and stream compile this."""
@@ -66,8 +68,7 @@ class Hum(Effect):
     def starts(cls, seen: Seen) -> list[Parameters]:
         # Below a few periods a line is a drift; above half of the sample rate it shows as another one.
         size = 1e-3 * seen.span_um
-        lines = (50.0, 60.0, 100.0, 120.0, 150.0, 180.0)
-        seen_lines = [f for f in lines if 3 / seen.duration_s < f < seen.fs_hz / 2 and size > 0]
+        seen_lines = [f for f in MAINS_HZ if 3 / seen.duration_s < f < seen.fs_hz / 2 and size > 0]
         return [{"frequency_hz": f, "cos_um": size, "sin_um": size} for f in seen_lines]
 
 
