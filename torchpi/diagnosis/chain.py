@@ -16,6 +16,7 @@ from torchpi.diagnosis.records import Record
 from torchpi.stage.effects.effect import Effect
 from torchpi.stage.effects.held import hold_first_block
 from torchpi.stage.effects.inside import InsideEffect
+from torchpi.stage.effects.mechanics.stiction import Stiction
 
 REMEMBERED = 600_000_000
 """Bytes of rows that are kept: one candidate after another acts behind the same hysteresis."""
@@ -63,7 +64,14 @@ class Chain:
         with torch.no_grad():
             for placed in self.after(hypothesis, index):
                 y = placed(y)
-        return y[0].numpy() + weights[-1]  # type: ignore[no-any-return]
+        return self.told(hypothesis, index, y[0].numpy() + weights[-1])
+
+    def told(self, hypothesis: Hypothesis, index: int, y: np.ndarray) -> np.ndarray:
+        """An output, and where the mount is seen to stick the place at which it rests."""
+        rests = self.records[index].rests
+        if rests is None or Stiction.name not in hypothesis.names:
+            return y
+        return np.where(rests.stuck, rests.at_um, y)
 
     def output_and_directions(
         self, hypothesis: Hypothesis, weights: np.ndarray, index: int
@@ -75,8 +83,11 @@ class Chain:
             for placed in self.after(hypothesis, index):
                 directions = placed.effect.tangent(x, directions)
                 x = placed(x)
-        zero = np.ones((1, rows.shape[1]))
-        return x[0].numpy() + weights[-1], np.concatenate([directions.numpy(), zero])
+        moves = np.concatenate([directions.numpy(), np.ones((1, rows.shape[1]))])
+        rests = self.records[index].rests
+        if rests is not None and Stiction.name in hypothesis.names:
+            moves[:, rests.stuck] = 0.0
+        return self.told(hypothesis, index, x[0].numpy() + weights[-1]), moves
 
     def moved(self, hypothesis: Hypothesis, rows: np.ndarray, index: int) -> np.ndarray:
         """What the chain after the hysteresis makes of rows, (rows, time), about rest."""

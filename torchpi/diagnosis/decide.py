@@ -6,13 +6,16 @@ from dataclasses import dataclass, replace
 
 from torchpi.diagnosis.compressed import compressed
 from torchpi.diagnosis.diagnosis import NamedEffect, Parameter, Rival, Verdict
-from torchpi.diagnosis.fit import fit, value_at
+from torchpi.diagnosis.fit import fit, to_outer, value_at
 from torchpi.diagnosis.held_out import explained, unexplained
 from torchpi.diagnosis.hypothesis import Fit
 from torchpi.diagnosis.intervals import intervals_90
 from torchpi.diagnosis.model import foretold
 from torchpi.diagnosis.search import OPERATOR, Round, Search
+from torchpi.diagnosis.slips import Slips, jump
 from torchpi.stage.effects import EFFECTS
+from torchpi.stage.effects.mechanics.backlash import Backlash
+from torchpi.stage.effects.mechanics.stiction import Stiction
 
 NAMES = {effect.name for effect in EFFECTS}
 STATIC = (
@@ -65,6 +68,8 @@ def decide(
     small = compressed(search.chain, final)
     spans = intervals_90(search.chain, final)
     for name, less in zip(search.added(final), search.without_each(small), strict=True):
+        if search.slips and name == Backlash.name:  # friction while it slides: a part of the stiction
+            continue
         effect = next(m.effect for m in final.hypothesis.members if m.effect.name == name)
         rise = less.heldout_rms**2 - small.heldout_rms**2
         rivals = rivals_of(history, name, final.hypothesis.names)
@@ -157,6 +162,8 @@ def parameters_of(
 
     Where there are several of its kind, modes or other axes, each has its own, `name[axis 1]`.
     """
+    if search.slips and name == Stiction.name:
+        return stiction_parameters(search.slips, final, spans)
     places = [i for i, one in enumerate(final.hypothesis.names) if one == name]
     if len(places) == 1:
         return parameters_of_member(search, final, spans, places[0])
@@ -166,6 +173,22 @@ def parameters_of(
         for one in parameters_of_member(search, final, spans, place):
             found.append(replace(one, name=f"{one.name}[{label}]"))
     return tuple(found)
+
+
+def stiction_parameters(
+    found: Slips, final: Fit, spans: Sequence[tuple[float, float]]
+) -> tuple[Parameter, ...]:
+    """J - d, and d where the data tell it from plays: half of the motion that the slips alone do not lose."""
+    value_um, span = jump(found, final)
+    parameters = [Parameter("jump_um", value_um, "µm", span)]
+    for slot, (low, high), inner in zip(final.slots, spans, final.theta, strict=True):
+        if slot.member >= 0 and final.hypothesis.members[slot.member].effect is Backlash:
+            d = to_outer(slot, float(inner)) / 2
+            parameters += [
+                Parameter("sliding_um", d, "µm", (low / 2, high / 2)),
+                Parameter("breakaway_um", value_um + d, "µm", (span[0] + low / 2, span[1] + high / 2)),
+            ]
+    return tuple(parameters)
 
 
 def parameters_of_member(

@@ -21,9 +21,10 @@ from torchpi.diagnosis.noise import noise_floor_um
 from torchpi.diagnosis.nominal import plain
 from torchpi.diagnosis.records import Record, prepare, seen, whole
 from torchpi.diagnosis.remainder import with_remainder
-from torchpi.diagnosis.say import paragraph
+from torchpi.diagnosis.say import nm, paragraph
 from torchpi.diagnosis.search import Search
 from torchpi.diagnosis.simulation import given_members, simulated, simulated_output
+from torchpi.diagnosis.slips import simulated as simulated_slips
 from torchpi.errors import RecordingError
 from torchpi.recording import Recording
 from torchpi.stage import Stage
@@ -78,19 +79,19 @@ def diagnose(
     decision = decide(search, retuned, final, history, floor_um)
     if lsb_um > 0 and lsb_um / np.sqrt(12) > COARSE * final.heldout_rms:
         decision = with_converter(decision, lsb_um, final, retuned)
-    augmented = final
+    modelled = augmented = simulated_slips(chain, search.slips, final) if search.slips else final
     if decision.verdict in ("unexplained", "partly_explained") or floor is None:
         say("unknown path: what no effect explains")
-        augmented = with_remainder(chain, compressed(chain, final)) or final
-        if floor is None and augmented is not final:
+        augmented = with_remainder(chain, compressed(chain, modelled)) or modelled
+        if floor is None and augmented is not modelled:
             decision = with_unexplained(decision, final, augmented, retuned)
     say("model: everything refitted to all samples")
     everything = Chain(whole(recordings))
-    last = fit(everything, final.hypothesis, final.weights, 4)
-    if augmented is not final:
+    last = fit(everything, modelled.hypothesis, modelled.weights, 4)
+    if augmented is not modelled:
         last = with_remainder(everything, compressed(everything, last), judged=False) or last
     stage = augmented_stage(last, what, floor_um)
-    traces = traces_of(recordings, records, retuned, augmented, final, chain, decision)
+    traces = traces_of(recordings, records, retuned, augmented, final, search.chain, decision)
     say("locate: where the residual lives")
     where = locate(traces, floor_um)
     open_names = open_between(decision)
@@ -99,7 +100,7 @@ def diagnose(
     )
     notes = (
         *cannot_be_decided(records), *lattice_note, *conventions(final), *history_notes(search, final),
-        *conflict(traces, floor_um),
+        *slip_notes(search, final, augmented), *conflict(traces, floor_um),
     )  # fmt: skip
     errors = (
         errors_of(records, first), errors_of(records, retuned.residuals),
@@ -227,6 +228,18 @@ def conventions(final: Fit) -> tuple[str, ...]:
     return (
         "y(k) answers the command of the tick before: taken as the rig's convention; a delay of just one "
         "sample cannot be told from it.",
+    )
+
+
+def slip_notes(search: Search, told: Fit, modelled: Fit) -> tuple[str, ...]:
+    """What can be foretold of a mount that sticks, and what not."""
+    if search.slips is None:
+        return ()
+    left = "" if "stiction" in modelled.hypothesis.names else ", no better than without a mount that sticks"
+    return (
+        f"The mount sticks and slips. From one reading to the next it is foretold to {nm(told.heldout_rms)}; "
+        f"simulated without readings to {nm(modelled.heldout_rms)}{left}, because each slip decides where "
+        "the next one begins. The second is what the fit and its figures show.",
     )
 
 

@@ -15,6 +15,16 @@ RARE, EDGE, SHOWS = 0.999, 1.5, 8
 
 
 @dataclass(frozen=True, eq=False)
+class Rests:
+    """Where a mount sticks, as the readings show it."""
+
+    stuck: np.ndarray
+    """(time,), bool: the reading did not jump."""
+    at_um: np.ndarray
+    """(time,): the mean of the readings since the last jump, this one apart."""
+
+
+@dataclass(frozen=True, eq=False)
 class Record:
     """One recording, and which of its samples are fitted."""
 
@@ -29,6 +39,8 @@ class Record:
     """Indices of the training samples that a fit sums over: few enough for a search to be quick."""
     held_out: tuple[slice, ...] = ()
     """The blocks that are held out."""
+    rests: Rests | None = None
+    """None where no mount that sticks was seen."""
 
     def commanded(self, alignment: int) -> np.ndarray:
         """The command that y(k) answers: that of tick k, or of `alignment` ticks before."""

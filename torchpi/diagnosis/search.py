@@ -24,10 +24,12 @@ from torchpi.diagnosis.nominal import Nominal, bouc_wen, duhem, many_plays, plai
 from torchpi.diagnosis.parallel import Job, fit_all
 from torchpi.diagnosis.records import seen
 from torchpi.diagnosis.screen import Candidate, Screen, candidates_of
+from torchpi.diagnosis.slips import Slips, slips
 from torchpi.stage.effects import EFFECTS
 from torchpi.stage.effects.mechanics.cross_coupling import CrossCoupling
 from torchpi.stage.effects.mechanics.resonance import Resonance, peaks_hz
 from torchpi.stage.effects.mechanics.second_mode import SecondMode
+from torchpi.stage.effects.mechanics.stiction import Stiction
 from torchpi.stage.effects.sensor.hum import Hum
 
 LEAST_GAIN = 0.03
@@ -111,6 +113,7 @@ class Search:
         self.needless: set[str] = set()
         self.witnessed: set[str] = set()
         """Names for which a recorded signal stands, however much else is left: they are not sifted."""
+        self.slips: Slips | None = None
         self.starts: list[Member] = []
         for effect in EFFECTS:
             starts = candidates_of(effect, chain.records, effect.starts(self.seen), list(self.seen.aux))
@@ -134,6 +137,9 @@ class Search:
             # The mains hum while the stage rests as well: a floor from rests has them in it.
             if now.heldout_rms < done and not hums(now, self.chain.records):
                 break
+            if found := self.sticking(now):
+                history.append(Round(now, (found,), found.name))
+                now = found.fit
             small = compressed(self.chain, now)
             tried = self.round(small)
             taken = [one for one in tried if self.takes(one, small)]
@@ -151,6 +157,21 @@ class Search:
             self.needless |= set(chosen.fit.hypothesis.names) - set(now.hypothesis.names)
             self.say(f"  with {', '.join(now.hypothesis.names) or chosen.name}: {describe(now)}")
         return retuned, self.sifted(self.as_plays(now, retuned)), history
+
+    def sticking(self, now: Fit) -> Tried | None:
+        """Stiction, if the readings show it: from then on everything is fitted where the mount slips."""
+        if Stiction.name in now.hypothesis.names or not self.floor:
+            return None
+        found = slips(self.chain, now, self.floor)
+        if found is None:
+            return None
+        self.chain, self.slips = found.chain, found
+        self.witnessed.add(Stiction.name)
+        self.say(
+            f"slips of {1e3 * found.jump_um:.3g} nm in the readings: an error of {describe(found.fit)} "
+            "is left from one reading to the next"
+        )
+        return Tried(Stiction.name, found.fit, evidence(now.residuals, found.fit.residuals))
 
     def sifted(self, now: Fit) -> Fit:
         """Without the effects that explain little beside what nothing explains."""

@@ -1,0 +1,112 @@
+"""A mount that sticks is found in the readings, and nothing else is taken for one."""
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.diagnosis.plants import NOISE_UM, Signal, Step, creep, lag, multisine, record, stairs, triangles
+from torchpi.diagnosis.chain import Chain
+from torchpi.diagnosis.diagnose import diagnose
+from torchpi.diagnosis.diagnosis import Diagnosis
+from torchpi.diagnosis.fit import fit
+from torchpi.diagnosis.hypothesis import Fit, Hypothesis
+from torchpi.diagnosis.nominal import many_plays
+from torchpi.diagnosis.records import prepare, seen
+from torchpi.diagnosis.slips import jump, resting, slips
+from torchpi.prediction import predict
+from torchpi.recording import Recording
+
+BREAKAWAY_UM, SLIDING_UM = 0.12, 0.02
+
+
+def sticking(x: Signal, fs_hz: float = 0.0) -> Signal:
+    """At rest in every sample: it stays while |x - y| < J, else it is at x - d."""
+    y, at = np.zeros(len(x)), 0.0
+    for k, one in enumerate(x):
+        if abs(one - at) >= BREAKAWAY_UM:
+            at = one - SLIDING_UM * np.sign(one - at)
+        y[k] = at
+    return y
+
+
+def recorded(after: Step, before: Step = lambda v, fs_hz: v) -> list[Recording]:
+    """Slow and quick motion, and rests."""
+    inputs = {
+        "multisine": multisine(10_000, high_hz=20.0),
+        "triangles": triangles(10_000, rate_hz=0.7),
+        "stairs": stairs(6_000),
+    }
+    return [
+        record(u, before=before, after=after, name=name, seed=seed)
+        for seed, (name, u) in enumerate(inputs.items())
+    ]
+
+
+def retuned(recordings: list[Recording]) -> tuple[Chain, Fit]:
+    records = prepare(recordings)
+    chain = Chain(records)
+    return chain, fit(chain, Hypothesis(many_plays(seen(records))))
+
+
+@pytest.fixture(scope="module")
+def stuck() -> tuple[list[Recording], Diagnosis]:
+    torch.set_num_threads(1)
+    recordings = recorded(sticking)
+    return recordings, diagnose(recordings)
+
+
+def test_a_mount_that_sticks_is_named_with_its_jump(stuck: tuple[list[Recording], Diagnosis]) -> None:
+    _, found = stuck
+    assert [effect.name for effect in found.effects] == ["stiction"]
+    numbers = {p.name: p for p in found.effects[0].parameters}
+    assert numbers["jump_um"].value == pytest.approx(BREAKAWAY_UM - SLIDING_UM, rel=0.02)
+    low, high = numbers["jump_um"].interval_90 or (0.0, 0.0)
+    assert low < BREAKAWAY_UM - SLIDING_UM < high
+    assert any("sticks and slips" in note for note in found.notes)
+
+
+def test_the_errors_of_such_a_diagnosis_are_those_of_the_stage_that_it_leaves(
+    stuck: tuple[list[Recording], Diagnosis],
+) -> None:
+    recordings, found = stuck
+    errors = np.concatenate([r.y - predict(found.stage, r.u, {}) for r in recordings])
+    told = np.sqrt(np.mean(np.concatenate([trace.residual_augmented for trace in found.traces]) ** 2))
+    assert np.sqrt(np.mean(errors**2)) == pytest.approx(told, rel=0.15)
+    assert found.augmented.heldout_rms_um < 1.05 * found.retuned.heldout_rms_um
+
+
+@pytest.mark.parametrize(
+    "what, before, after",
+    [
+        ("nothing", lambda v, fs_hz: v, lambda x, fs_hz: x),
+        ("creep", lambda v, fs_hz: v, lambda x, fs_hz: creep(x, fs_hz, 0.02)),
+        ("lag", lambda v, fs_hz: lag(v, fs_hz, 60.0), lambda x, fs_hz: x),
+        ("curved sensor", lambda v, fs_hz: v, lambda x, fs_hz: x + 2e-3 * x**2),
+        ("converter", lambda v, fs_hz: v, lambda x, fs_hz: 0.02 * np.round(x / 0.02)),
+    ],
+)
+def test_nothing_else_shows_slips(what: str, before: Step, after: Step) -> None:
+    chain, now = retuned(recorded(after, before))
+    for share in (0.5, 1.0, 2.0):  # of the floor: whoever states it may be wrong by as much
+        assert slips(chain, now, share * NOISE_UM) is None, what
+
+
+def test_the_jump_is_found_where_the_floor_is_not_well_known() -> None:
+    chain, now = retuned(recorded(sticking))
+    for share in (0.5, 1.0, 2.0):
+        found = slips(chain, now, share * NOISE_UM)
+        assert found is not None
+        assert jump(found, found.fit).value_um == pytest.approx(BREAKAWAY_UM - SLIDING_UM, rel=0.02)
+
+
+@given(st.lists(st.floats(-1e3, 1e3), min_size=1, max_size=60), st.floats(1e-3, 1e3))
+def test_every_reading_lies_where_it_rests_or_jumps_from_there(readings: list[float], least: float) -> None:
+    y = np.array(readings)
+    at_rest, at_um = resting(y, least)
+    assert np.array_equal(at_rest, np.abs(y - at_um) <= least)
+    begins = [0, *np.flatnonzero(~at_rest).tolist()]
+    for k in np.flatnonzero(at_rest)[1:]:
+        begin = max(b for b in begins if b < k)
+        assert at_um[k] == pytest.approx(np.mean(y[begin:k]), rel=1e-9, abs=1e-9)

@@ -1,0 +1,192 @@
+"""Slips: a mount that sticks shows in the readings, flat while the chain before it moves, then a jump.
+
+With a command that a converter holds, the mount may come to rest in every sample, and each slip decides where
+the next one begins. Simulated freely, a chain that is right to a hundredth of a slip mistakes them all before
+long: no error of a free simulation says that it is right. The readings do. They are cut where they jump; in
+between the stage is stuck, and says nothing of what stands before the mount. What is left, the samples at
+which it has just slipped, is fitted as any other data.
+
+It is judged by one step: from where it rests (the mean of the readings since the last jump) it stays while
+|x - y| < J, and is at x otherwise. Its rival is the chain without it, whose error is foretold from the last
+readings as well, by an autoregression: neither a slow misfit nor a coloured noise is evidence of slips.
+
+Friction d while it slides cannot be told from plays of the smallest thresholds, which lose the same at a
+reversal: what is found is J - d, the jump.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numba
+import numpy as np
+
+from torchpi.diagnosis.chain import Chain
+from torchpi.diagnosis.fit import ROUGH, fit, rms
+from torchpi.diagnosis.hypothesis import Fit, Member
+from torchpi.diagnosis.intervals import BLOCKS, NINETY
+from torchpi.diagnosis.records import Record, Rests
+from torchpi.stage.effects.mechanics.stiction import Stiction
+
+JUMPS = (3.0, 4.0, 6.0, 9.0)
+"""Times the noise floor: what a reading must move by to count as a slip."""
+LEAST_GAIN = 0.1
+"""By how much the error of one step must fall."""
+LEAST_STUCK, SLIPS_A_WEIGHT = 0.05, 5.0
+"""Share of the samples that are stuck, and slips for each number of the hysteresis: fewer do not tell."""
+MEMORY = 4
+"""Order of the rival's autoregression."""
+NEAR = np.linspace(-0.04, 0.04, 81)
+"""Of the jump: how far from what parts the samples it is looked for in a free simulation."""
+AT_MOST = 25_000
+"""Slips that a fit sums over."""
+
+
+@dataclass(frozen=True, eq=False)
+class Slips:
+    """A mount that sticks, found in the readings."""
+
+    chain: Chain
+    """On the same records, with where they are stuck."""
+    fit: Fit
+    """The hypothesis before with stiction; its errors are those of one step."""
+    jump_um: float
+    """J - d."""
+    least_um: float
+    """What a reading moves by in a slip, at least."""
+    gain: float
+    """By how much the held-out error of one step falls."""
+
+
+class Jump(NamedTuple):
+    """J - d of a mount that sticks, µm."""
+
+    value_um: float
+    interval_90: tuple[float, float]
+
+
+def slips(chain: Chain, now: Fit, floor_um: float) -> Slips | None:
+    """A mount that sticks behind this fit, if the readings show one."""
+    rival = held_rms(chain.records, foretold(chain.records, now.residuals))
+    best = None
+    for times in JUMPS:
+        told = Chain(with_rests(chain.records, times * floor_um))
+        rests = [record.rests.stuck for record in told.records if record.rests]
+        slipped = sum(len(record.fitted) for record in told.records)
+        if np.mean(np.concatenate(rests)) < LEAST_STUCK or slipped < SLIPS_A_WEIGHT * len(now.weights):
+            continue
+        one = fit(told, now.hypothesis.plus(Member(Stiction, {})), now.weights, 3, ROUGH)
+        far = [distance(told, one, i) for i in range(len(told.records))]
+        jump_um = parting(told.records, far)
+        gain = 1.0 - held_rms(told.records, one_step(told, one, far, jump_um)) / rival
+        if gain > (LEAST_GAIN if best is None else best.gain):
+            best = Slips(told, one, jump_um, times * floor_um, gain)
+    return best
+
+
+def jump(found: Slips, last: Fit) -> Jump:
+    """The jump, of the last fit: nearest to what parts stuck from slipped, what slips by itself as recorded.
+
+    Its interval, 90 %, is a jackknife over blocks, and holds both.
+    """
+    records = found.chain.records
+    free = Chain([replace(record, rests=None) for record in records])
+    far = [distance(found.chain, last, i) for i in range(len(records))]
+    parted = parting(records, far)
+    tried = [parted * (1 + float(share)) for share in NEAR]
+    value = min(tried, key=lambda jump_um: slipping_freely(free, last, jump_um).train_rms)
+    without = np.array([parting(records, far, but) for but in range(BLOCKS)])
+    spread = NINETY * float(np.sqrt((BLOCKS - 1) / BLOCKS * np.sum((without - without.mean()) ** 2)))
+    return Jump(value, (min(value, parted) - spread, max(value, parted) + spread))
+
+
+def with_rests(records: Sequence[Record], least_um: float) -> list[Record]:
+    """The records with where they are stuck; fits see the other samples only."""
+    found = [replace(record, rests=Rests(*resting(record.y, least_um))) for record in records]
+    told = [np.flatnonzero(r.train & ~r.rests.stuck) for r in found if r.rests]
+    stride = max(1, round(sum(len(places) for places in told) / AT_MOST))
+    return [replace(r, fitted=places[::stride]) for r, places in zip(found, told, strict=True)]
+
+
+def simulated(chain: Chain, found: Slips, last: Fit) -> Fit:
+    """The last fit on the records without their rests: the mount slips by itself.
+
+    Where that foretells less of what is held out than no such mount, everything is fitted without one.
+    """
+    without = fit(chain, last.hypothesis.without(Stiction.name), last.weights)
+    slipping = slipping_freely(chain, last, jump(found, last).value_um)
+    return min(slipping, without, key=lambda one: one.heldout_rms)
+
+
+def slipping_freely(chain: Chain, one: Fit, jump_um: float) -> Fit:
+    """The fit on records without rests, its mount slipping by itself."""
+    mount = Member(Stiction, {"breakaway_um": jump_um, "rests": 1.0})
+    hypothesis = one.hypothesis.without(Stiction.name).plus(mount)
+    residuals = tuple(r.y - chain.output(hypothesis, one.weights, i) for i, r in enumerate(chain.records))
+    return replace(
+        one, hypothesis=hypothesis, residuals=residuals,
+        train_rms=rms(chain.records, residuals, True), heldout_rms=rms(chain.records, residuals, False),
+    )  # fmt: skip
+
+
+@numba.njit(cache=True)
+def resting(y: np.ndarray, least_um: float) -> tuple[np.ndarray, np.ndarray]:
+    """Whether each reading stays where it was, and the mean of those since the last jump, this one apart."""
+    stuck, at_um = np.zeros(len(y), np.bool_), np.empty(len(y))
+    mean, count = y[0], 0
+    for t in range(len(y)):
+        at_um[t] = mean
+        stuck[t] = abs(y[t] - mean) <= least_um
+        if not stuck[t]:
+            mean, count = y[t], 0
+        count += 1
+        mean += (y[t] - mean) / count
+    return stuck, at_um
+
+
+def distance(chain: Chain, one: Fit, index: int) -> np.ndarray:
+    """(time,), µm: from where the mount rests to where the chain before it has moved."""
+    record = chain.records[index]
+    assert record.rests is not None
+    x = chain.output(one.hypothesis.without(Stiction.name), one.weights, index)
+    far: np.ndarray = x - record.rests.at_um
+    return far
+
+
+def parting(records: Sequence[Record], far: Sequence[np.ndarray], but: int = -1) -> float:
+    """The jump that parts the samples that are stuck from those that slipped with the fewest on the wrong
+    side, µm; the block `but` of `BLOCKS` is left out."""
+    size = np.concatenate([np.abs(d) for d in far])
+    stuck = np.concatenate([record.rests.stuck for record in records if record.rests])
+    if but >= 0:
+        kept = np.arange(len(size)) * BLOCKS // len(size) != but
+        size, stuck = size[kept], stuck[kept]
+    order = np.argsort(size)
+    wrong = np.cumsum(np.where(stuck[order], -1, 1))
+    return float(size[order[np.argmin(wrong)]])
+
+
+def one_step(chain: Chain, one: Fit, far: Sequence[np.ndarray], jump_um: float) -> list[np.ndarray]:
+    """(time,) for each record: reading less what the last rest and the chain foretell, µm."""
+    errors = []
+    for record, d in zip(chain.records, far, strict=True):
+        assert record.rests is not None
+        from_rest = record.y - record.rests.at_um
+        errors.append(np.where(np.abs(d) < jump_um, from_rest, from_rest - d))
+    return errors
+
+
+def foretold(records: Sequence[Record], residuals: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """What is left of residuals when each is foretold from the last ones of its recording, µm."""
+    lagged = [np.stack([np.r_[np.zeros(j), e[:-j]] for j in range(1, MEMORY + 1)]) for e in residuals]
+    parts = [(past[:, r.train], e[r.train]) for past, r, e in zip(lagged, records, residuals, strict=True)]
+    gram = sum(past @ past.T for past, _ in parts)
+    right = sum(past @ e for past, e in parts)
+    a = np.linalg.solve(gram + 1e-9 * np.trace(gram) * np.eye(MEMORY), right)
+    return [e - a @ past for past, e in zip(lagged, residuals, strict=True)]
+
+
+def held_rms(records: Sequence[Record], errors: Sequence[np.ndarray]) -> float:
+    """Over the samples held out, µm."""
+    held = np.concatenate([e[~r.train] for r, e in zip(records, errors, strict=True)])
+    return float(np.sqrt(np.mean(held**2)))
