@@ -42,7 +42,7 @@ PARAMETERS = {
     "resonance": ("frequency_hz", "Hz"),
     "hum": ("frequency_hz", "Hz"),
     "thermal_drift": ("tau_s", "s"),
-    "backlash": ("half_gap_um", "um"),
+    "backlash": ("width_um", "um"),
 }
 
 
@@ -176,7 +176,7 @@ def candidates(dt: float, span: float, steepest: float, reach_um: float, runs: i
     grid += [("creep", tau) for tau in (0.01, 0.1, 1.0, 10.0)]
     grid += [("resonance", f / dt) for f in np.geomspace(0.03, 0.4, 24)]
     grid += [("load_change", i) for i in range(runs)]
-    grid += [("backlash", reach_um * s) for s in (0.001, 0.003, 0.01)]
+    grid += [("backlash", reach_um * s) for s in (0.002, 0.006, 0.02)]
     grid += [("hum", f) for f in (50.0, 60.0)] + [("ageing", 0), ("ageing", 1)]
     grid += [("thermal_drift", tau) for tau in (0.3, 3.0, 30.0)]
     return grid + ([("cross_coupling", 0)] if aux else [])
@@ -201,7 +201,7 @@ def column(name: str, p: float, run: dict, y: np.ndarray, index: int) -> np.ndar
     if name == "backlash":
         out, x = np.empty(n), 0.0
         for k, goal in enumerate(y.tolist()):
-            x = min(max(x, goal - p), goal + p)
+            x = min(max(x, goal - p / 2), goal + p / 2)
             out[k] = x
         return (out - y)[:, None]
     if name == "resonance":

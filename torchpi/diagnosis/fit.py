@@ -174,7 +174,7 @@ def to_inner(slot: Slot, value: float) -> float:
 
 
 def to_outer(slot: Slot, inner: float) -> float:
-    value = math.exp(inner) if slot.log else inner * slot.scale
+    value = math.exp(min(inner, 700.0)) if slot.log else inner * slot.scale
     return min(max(value, slot.low), slot.high)
 
 

@@ -1,6 +1,7 @@
 """Intervals of the fitted parameters that hold for a coloured residual, and for a model that is not exact."""
 
 import numpy as np
+from scipy.special import stdtrit
 
 from torchpi.diagnosis.chain import Chain
 from torchpi.diagnosis.fit import PRIOR, jacobian, to_outer
@@ -8,8 +9,8 @@ from torchpi.diagnosis.hypothesis import Fit
 
 BLOCKS = 30
 """Contiguous pieces of all recordings together; their scores are taken as independent."""
-NINETY = 1.697
-"""Two-sided 90 % quantile of Student's t with as many degrees of freedom as blocks."""
+ONE_SIDED = 0.95
+"""Of Student's t, with a degree of freedom less than there are blocks, or recordings: 90 % two-sided."""
 TELLS = 0.1
 """Of what all samples know of a parameter; what is left after less cannot say how it scatters."""
 
@@ -18,9 +19,9 @@ def intervals_90(chain: Chain, now: Fit) -> list[tuple[float, float]]:
     """For each slot of the fit its 90 % interval, by two jackknives.
 
     One leaves out a block at a time, and sees the noise with its colour; the other a recording at a time, and
-    sees what the model has wrong, which shows differently in each excitation. Their variances add. Both move
-    the fit by one Gauss–Newton step, which is exact where the model is linear: CR3 of Bell and McCaffrey
-    (2002).
+    sees what the model has wrong, which shows differently in each excitation; of a few recordings Student's t
+    says how little their scatter is known. The squares of both half-widths add. Both move the fit by one
+    Gauss–Newton step, which is exact where the model is linear: CR3 of Bell and McCaffrey (2002).
     """
     if not now.slots:
         return []
@@ -34,11 +35,16 @@ def intervals_90(chain: Chain, now: Fit) -> list[tuple[float, float]]:
         for block in np.array_split(np.arange(len(error)), max(2, round(BLOCKS * len(error) / total))):
             blocks.append((part[:, block] @ part[:, block].T, part[:, block] @ error[block]))
     whole = np.sum([gram for gram, _ in recordings], 0)
-    variance = scatter(whole, blocks, len(now.slots)) + scatter(whole, recordings, len(now.slots))
+    squares = sum(quantile(len(p)) ** 2 * scatter(whole, p, len(now.slots)) for p in (blocks, recordings))
     return [
-        (to_outer(slot, float(t - NINETY * s)), to_outer(slot, float(t + NINETY * s)))
-        for slot, t, s in zip(now.slots, now.theta, np.sqrt(variance), strict=True)
+        (to_outer(slot, float(t - half)), to_outer(slot, float(t + half)))
+        for slot, t, half in zip(now.slots, now.theta, np.sqrt(squares), strict=True)
     ]
+
+
+def quantile(parts: int) -> float:
+    """Of Student's t for the scatter of so many parts."""
+    return float(stdtrit(max(parts - 1, 1), ONE_SIDED))
 
 
 def scatter(whole: np.ndarray, parts: list[tuple[np.ndarray, np.ndarray]], slots: int) -> np.ndarray:

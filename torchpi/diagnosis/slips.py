@@ -24,7 +24,7 @@ import numpy as np
 from torchpi.diagnosis.chain import Chain
 from torchpi.diagnosis.fit import ROUGH, fit, rms
 from torchpi.diagnosis.hypothesis import Fit, Member
-from torchpi.diagnosis.intervals import BLOCKS, NINETY
+from torchpi.diagnosis.intervals import BLOCKS, quantile
 from torchpi.diagnosis.records import Record, Rests
 from torchpi.stage.effects.mechanics.stiction import Stiction
 
@@ -96,7 +96,9 @@ def jump(found: Slips, last: Fit) -> Jump:
     tried = [parted * (1 + float(share)) for share in NEAR]
     value = min(tried, key=lambda jump_um: slipping_freely(free, last, jump_um).train_rms)
     without = np.array([parting(records, far, but) for but in range(BLOCKS)])
-    spread = NINETY * float(np.sqrt((BLOCKS - 1) / BLOCKS * np.sum((without - without.mean()) ** 2)))
+    spread = quantile(BLOCKS) * float(
+        np.sqrt((BLOCKS - 1) / BLOCKS * np.sum((without - without.mean()) ** 2))
+    )
     return Jump(value, (min(value, parted) - spread, max(value, parted) + spread))
 
 

@@ -180,7 +180,13 @@ def _load_change(rng, rig, runs):
 
 
 def _backlash(rng, rig, runs):
-    return _one("half_gap_um", "um", 1e-5 * rig.range_um, 0.02 * rig.range_um, 0.003 * rig.range_um)
+    return Proposal(
+        lambda s: {"half_gap_um": s},
+        1e-5 * rig.range_um,
+        0.02 * rig.range_um,
+        0.003 * rig.range_um,
+        lambda s: {"width_um": (2 * s, "um")},
+    )
 
 
 def _stiction(rng, rig, runs):
@@ -295,7 +301,7 @@ EFFECTS = {
             "third recording: gain 1/(1 + ratio), f0 sqrt(1 + ratio)",
             _load_change,
         ),
-        Effect("backlash", "mount", "play of half width half_gap on the displacement", _backlash),
+        Effect("backlash", "mount", "play of a full width on the displacement", _backlash),
         Effect("stiction", "mount", "stuck until breakaway, then dragged sliding behind", _stiction),
         Effect("cross_coupling", "mechanics", "y + c aux", _cross_coupling),
         Effect("sensor_lag", "sensor", "y' = 2 pi f_c (x - y)", _sensor_lag),
