@@ -168,8 +168,8 @@ class Search:
         self.chain, self.slips = found.chain, found
         self.witnessed.add(Stiction.name)
         self.say(
-            f"slips of {1e3 * found.jump_um:.3g} nm in the readings: an error of {describe(found.fit)} "
-            "is left from one reading to the next"
+            f"readings that rest and jump, a mount that sticks: {describe(found.fit)} is left from one "
+            "reading to the next"
         )
         return Tried(Stiction.name, found.fit, evidence(now.residuals, found.fit.residuals))
 

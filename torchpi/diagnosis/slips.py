@@ -22,6 +22,7 @@ import numba
 import numpy as np
 
 from torchpi.diagnosis.chain import Chain
+from torchpi.diagnosis.compressed import compressed
 from torchpi.diagnosis.fit import ROUGH, fit, rms
 from torchpi.diagnosis.hypothesis import Fit, Member
 from torchpi.diagnosis.intervals import BLOCKS, quantile
@@ -32,6 +33,8 @@ JUMPS = (3.0, 4.0, 6.0, 9.0)
 """Times the noise floor: what a reading must move by to count as a slip."""
 LEAST_GAIN = 0.1
 """By how much the error of one step must fall."""
+WORTH_A_FIT = -0.1
+"""The same with few rows of the hysteresis, from which it is worth a fit with all."""
 LEAST_STUCK, SLIPS_A_WEIGHT = 0.05, 5.0
 """Share of the samples that are stuck, and slips for each number of the hysteresis: fewer do not tell."""
 MEMORY = 4
@@ -50,8 +53,6 @@ class Slips:
     """On the same records, with where they are stuck."""
     fit: Fit
     """The hypothesis before with stiction; its errors are those of one step."""
-    jump_um: float
-    """J - d."""
     least_um: float
     """What a reading moves by in a slip, at least."""
     gain: float
@@ -68,20 +69,27 @@ class Jump(NamedTuple):
 def slips(chain: Chain, now: Fit, floor_um: float) -> Slips | None:
     """A mount that sticks behind this fit, if the readings show one."""
     rival = held_rms(chain.records, foretold(chain.records, now.residuals))
-    best = None
-    for times in JUMPS:
-        told = Chain(with_rests(chain.records, times * floor_um))
-        rests = [record.rests.stuck for record in told.records if record.rests]
-        slipped = sum(len(record.fitted) for record in told.records)
-        if np.mean(np.concatenate(rests)) < LEAST_STUCK or slipped < SLIPS_A_WEIGHT * len(now.weights):
-            continue
-        one = fit(told, now.hypothesis.plus(Member(Stiction, {})), now.weights, 3, ROUGH)
-        far = [distance(told, one, i) for i in range(len(told.records))]
-        jump_um = parting(told.records, far)
-        gain = 1.0 - held_rms(told.records, one_step(told, one, far, jump_um)) / rival
-        if gain > (LEAST_GAIN if best is None else best.gain):
-            best = Slips(told, one, jump_um, times * floor_um, gain)
-    return best
+    small = compressed(chain, now)
+    quick = [found for times in JUMPS if (found := cut(chain, small, times * floor_um, rival))]
+    best = max(quick, key=lambda found: found.gain, default=None)
+    if best is None or best.gain < WORTH_A_FIT:
+        return None
+    full = cut(chain, now, best.least_um, rival)
+    return full if full and full.gain > LEAST_GAIN else None
+
+
+def cut(chain: Chain, now: Fit, least_um: float, rival_um: float) -> Slips | None:
+    """The fit where readings jump by so much, and what it gains on the rival; None where too few do."""
+    told = Chain(with_rests(chain.records, least_um))
+    rests = [record.rests.stuck for record in told.records if record.rests]
+    slipped = sum(len(record.fitted) for record in told.records)
+    if np.mean(np.concatenate(rests)) < LEAST_STUCK or slipped < SLIPS_A_WEIGHT * len(now.weights):
+        return None
+    one = fit(told, now.hypothesis.plus(Member(Stiction, {})), now.weights, 3, ROUGH)
+    far = [distance(told, one, i) for i in range(len(told.records))]
+    jump_um = parting(told.records, far)
+    gain = 1.0 - held_rms(told.records, one_step(told, one, far, jump_um)) / rival_um
+    return Slips(told, one, least_um, gain)
 
 
 def jump(found: Slips, last: Fit) -> Jump:
