@@ -40,6 +40,8 @@ class Chain:
     def __init__(self, records: Sequence[Record]) -> None:
         self.records = records
         self.remembered: dict[tuple[object, ...], np.ndarray] = {}
+        self.last: dict[int, tuple[tuple[object, ...], np.ndarray | None, np.ndarray]] = {}
+        """By recording: the sum over the hysteresis that was made last, of which rows and weights."""
 
     @cached_property
     def packed(self) -> tuple[str, bytes]:
@@ -55,8 +57,12 @@ class Chain:
     def output(self, hypothesis: Hypothesis, weights: np.ndarray, index: int) -> np.ndarray:
         """(time,), µm, for one recording. The last weight is the sensor's zero, behind everything."""
         key = self.key(hypothesis, index)
-        if key in self.remembered:
-            x = weights[:-1] @ self.remembered[key]
+        last_key, last_weights, last_x = self.last.get(index, ((), None, np.zeros(0)))
+        if key == last_key and weights is last_weights:  # one candidate after another behind the same sum
+            x = last_x
+        elif key in self.remembered:
+            x = weights[:-1] @ self.remembered[key][:-1]
+            self.last[index] = key, weights, x
         else:
             nominal = self.nominal(hypothesis, index)
             x = nominal.output(self.voltage(hypothesis, index), self.records[index].period_s, weights[:-1])
@@ -77,16 +83,17 @@ class Chain:
         self, hypothesis: Hypothesis, weights: np.ndarray, index: int
     ) -> tuple[np.ndarray, np.ndarray]:
         """The output, and how it moves with each weight, (weights, time)."""
-        rows = self.rows(hypothesis, index)
-        x, directions = torch.from_numpy(weights[:-1] @ rows)[None], torch.from_numpy(rows)
+        rows = self.rows_and_zero(hypothesis, index)
+        x, directions = torch.from_numpy(weights[:-1] @ rows[:-1])[None], torch.from_numpy(rows)
         with torch.no_grad():
             for placed in self.after(hypothesis, index):
                 directions = placed.effect.tangent(x, directions)
                 x = placed(x)
-        moves = np.concatenate([directions.numpy(), np.ones((1, rows.shape[1]))])
+        moves = directions.numpy()
+        moves[-1] = 1.0  # the zero lies behind all effects
         rests = self.records[index].rests
         if rests is not None and Stiction.name in hypothesis.names:
-            moves[:, rests.stuck] = 0.0
+            moves = np.where(rests.stuck, 0.0, moves)
         return self.told(hypothesis, index, x[0].numpy() + weights[-1]), moves
 
     def moved(self, hypothesis: Hypothesis, rows: np.ndarray, index: int) -> np.ndarray:
@@ -98,12 +105,17 @@ class Chain:
         return directions.numpy()
 
     def rows(self, hypothesis: Hypothesis, index: int) -> np.ndarray:
-        """The states of the hysteresis, (weights, time)."""
+        """The states of the hysteresis, (states, time)."""
+        return self.rows_and_zero(hypothesis, index)[:-1]
+
+    def rows_and_zero(self, hypothesis: Hypothesis, index: int) -> np.ndarray:
+        """The same and a row of ones, (weights, time)."""
         key = self.key(hypothesis, index)
         if key not in self.remembered:
             nominal = self.nominal(hypothesis, index)
             v = self.voltage(hypothesis, index)
-            rows = nominal.rows(v, self.records[index].period_s)
+            rows = np.ones((nominal.kept + 1, len(v)))
+            nominal.fill(v, self.records[index].period_s, rows[:-1])
             while (
                 self.remembered and sum(r.nbytes for r in self.remembered.values()) + rows.nbytes > REMEMBERED
             ):

@@ -221,17 +221,19 @@ def jacobian(
     theta: np.ndarray,
     index: int,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Output of one recording, (time,), and how it moves with each weight and slot, (numbers, time)."""
+    """Output of one recording, (time,), and how its fitted samples move with each weight and slot,
+    (numbers, fitted)."""
     y, directions = chain.output_and_directions(hypothesis, weights, index)
-    extra = np.zeros((len(slots), len(y)))
-    for j, s in enumerate(slots):
+    fitted = chain.records[index].fitted
+    part = np.zeros((len(directions) + len(slots), len(fitted)))
+    np.take(directions, fitted, axis=1, out=part[: len(directions)])
+    for j, (s, row) in enumerate(zip(slots, part[len(directions) :], strict=True)):
         if s.record is not None and s.record != index:
             continue
-        h = s.step
         moved = np.array(theta)
-        moved[j] += h
-        extra[j] = (chain.output(with_theta(hypothesis, slots, moved), weights, index) - y) / h
-    return y, np.concatenate([directions, extra])
+        moved[j] += s.step
+        row[:] = (chain.output(with_theta(hypothesis, slots, moved), weights, index) - y)[fitted] / s.step
+    return y, part
 
 
 def normal_equations(
@@ -241,8 +243,7 @@ def normal_equations(
     size = len(weights) + len(slots)
     gram, right, ss = np.zeros((size, size)), np.zeros(size), 0.0
     for i, record in enumerate(chain.records):
-        y, full = jacobian(chain, hypothesis, weights, slots, theta, i)
-        part = full[:, record.fitted]
+        y, part = jacobian(chain, hypothesis, weights, slots, theta, i)
         error = (record.y - y)[record.fitted]
         gram += part @ part.T
         right += part @ error

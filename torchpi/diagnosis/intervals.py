@@ -29,8 +29,8 @@ def intervals_90(chain: Chain, now: Fit) -> list[tuple[float, float]]:
     blocks: list[tuple[np.ndarray, np.ndarray]] = []
     recordings: list[tuple[np.ndarray, np.ndarray]] = []
     for i, record in enumerate(chain.records):
-        _, full = jacobian(chain, now.hypothesis, now.weights, now.slots, now.theta, i)
-        part, error = full[:, record.fitted], now.residuals[i][record.fitted]
+        _, part = jacobian(chain, now.hypothesis, now.weights, now.slots, now.theta, i)
+        error = now.residuals[i][record.fitted]
         recordings.append((part @ part.T, part @ error))
         for block in np.array_split(np.arange(len(error)), max(2, round(BLOCKS * len(error) / total))):
             blocks.append((part[:, block] @ part[:, block].T, part[:, block] @ error[block]))

@@ -10,7 +10,7 @@ from torchpi.operators.hysteresis_rows import (
     bouc_wen_row,
     duhem_row,
     gain_inside,
-    play_rows,
+    play_states,
     play_sum,
     smooth,
     straight_gain,
@@ -19,6 +19,8 @@ from torchpi.operators.hysteresis_rows import (
 from torchpi.stage.effects.effect import Seen
 from torchpi.stage.hysteresis import IDENTITY
 
+BLOCK = 256
+"""Samples whose states are mixed at a time: they stay in the cache, however many plays there are."""
 BESIDE = (6, 14)
 """Plays beside a state of another family, spread in the logarithm and evenly."""
 
@@ -64,24 +66,30 @@ class Nominal:
     def with_shape(self, values: dict[str, float]) -> "Nominal":
         return replace(self, shape={**self.shape, **values})
 
-    def rows(self, v: np.ndarray, period_s: float) -> np.ndarray:
-        """(rows, time) for a voltage (time,) from the de-energised state."""
-        rows = self.all_rows(v, period_s)
-        return rows if self.mixing is None else self.mixing @ rows
+    @property
+    def kept(self) -> int:
+        """Rows that are left after mixing."""
+        return self.size if self.mixing is None else len(self.mixing)
 
-    def all_rows(self, v: np.ndarray, period_s: float) -> np.ndarray:
-        """Every row: the plays, their powers, the other families."""
-        chord, up, down, widening, gain, straight, loop = self.inside(v, period_s)
-        others = self.other_rows(v, gain, loop)
+    def fill(self, v: np.ndarray, period_s: float, rows: np.ndarray) -> None:
+        """Into `rows`, (kept, time), for a voltage (time,) from the de-energised state."""
+        inside = self.inside(v, period_s)
+        others = np.array(self.other_rows(v, inside[-3], inside[-1])).reshape(-1, len(v))
         plays = len(self.thresholds_v) * self.degree
-        rows = np.empty((plays + len(others), len(v)))
-        play_rows(
-            chord, up, down, self.thresholds_v, widening, gain, straight, loop, self.scale_v,
-            rows[:plays].reshape(self.degree, -1, len(v)),
-        )  # fmt: skip
-        for row, other in zip(rows[plays:], others, strict=True):
-            row[:] = other
-        return rows
+        h = np.zeros(len(self.thresholds_v))
+        states = np.empty((BLOCK, self.degree, len(h)))
+        for first in range(0, len(v), BLOCK):
+            part = slice(first, min(first + BLOCK, len(v)))
+            x = states[: part.stop - first]
+            chord, up, down, widening, gain, straight, loop = (one[part] for one in inside)
+            play_states(
+                chord, up, down, self.thresholds_v, widening, gain, straight, loop, self.scale_v, h, x
+            )
+            of_plays = x.reshape(len(x), plays).T
+            if self.mixing is None:
+                rows[:plays, part], rows[plays:, part] = of_plays, others[:, part]
+            else:
+                rows[:, part] = self.mixing[:, :plays] @ of_plays + self.mixing[:, plays:] @ others[:, part]
 
     def output(self, v: np.ndarray, period_s: float, weights: np.ndarray) -> np.ndarray:
         """(time,): weights @ rows, without the rows of the plays."""

@@ -36,10 +36,10 @@ class Screen:
         self.chain, self.now, records = chain, now, chain.records
         self.records = records
         tangents, self.bases = [], []
-        for i, record in enumerate(records):
-            y, full = jacobian(self.chain, now.hypothesis, now.weights, now.slots, now.theta, i)
+        for i in range(len(records)):
+            y, part = jacobian(self.chain, now.hypothesis, now.weights, now.slots, now.theta, i)
             self.bases.append(y)
-            tangents.append(full[:, record.fitted])
+            tangents.append(part)
         gram = sum(part @ part.T for part in tangents)
         scale = 1.0 / np.sqrt(np.maximum(np.diag(gram), 1e-300))
         scaled = gram * scale * scale[:, None]

@@ -70,23 +70,29 @@ _bouc_wen: Any = numba.njit(bouc_wen)
 _duhem: Any = numba.njit(duhem)
 
 
-@numba.njit(cache=True)
-def play_rows(
+@numba.njit(cache=True, error_model="numpy")
+def play_states(
     chord: np.ndarray, up: np.ndarray, down: np.ndarray, r: np.ndarray, widening: np.ndarray,
-    gain: np.ndarray, straight: np.ndarray, loop: np.ndarray, scale: float, rows: np.ndarray,
+    gain: np.ndarray, straight: np.ndarray, loop: np.ndarray, scale: float, h: np.ndarray, x: np.ndarray,
 ) -> None:  # fmt: skip
-    """Into `rows`, (degree, plays, time): the states h of max{up - r w, min{down + r w, h}} from h = 0, and
-    h (h / scale)^p. States with memory take the gain, v itself `straight`, all the widening of the loop about
-    its chord; all are (time,)."""
-    for i in range(len(r)):
-        h, grown = 0.0, gain if r[i] > 0.0 else straight
-        for t in range(len(up)):
-            h = _clamp_play(up[t] - r[i] * widening[t], down[t] + r[i] * widening[t], h)
-            x = h * grown[t]
-            rows[0, i, t] = x + (x - chord[t]) * loop[t]
-        for p in range(1, rows.shape[0]):
-            for t in range(len(up)):
-                rows[p, i, t] = rows[p - 1, i, t] * (rows[0, i, t] / scale)
+    """Into `x`, (time, degree, plays): the states h of max{up - r w, min{down + r w, h}}, h (h / scale)^p.
+
+    States with memory take the gain, v itself `straight`, all the widening of the loop about its chord; all
+    are (time,). `h`, (plays,), is where they start and where they end.
+    """
+    for t in range(len(up)):
+        rising, falling, width = up[t], down[t], widening[t]
+        grown, kept, looped, middle = gain[t], straight[t], loop[t], chord[t]
+        for i in range(len(r)):
+            h[i] = _clamp_play(rising - r[i] * width, falling + r[i] * width, h[i])
+        first = x[t, 0]
+        for i in range(len(r)):
+            state = h[i] * (grown if r[i] > 0.0 else kept)
+            first[i] = state + (state - middle) * looped
+        for p in range(1, x.shape[1]):
+            power, below = x[t, p], x[t, p - 1]
+            for i in range(len(r)):
+                power[i] = below[i] * (first[i] / scale)
 
 
 @numba.njit(cache=True, fastmath={"reassoc"}, error_model="numpy")
