@@ -16,6 +16,7 @@ from tests.diagnosis.plants import (
     triangles,
 )
 from torchpi.diagnosis.chain import Chain
+from torchpi.diagnosis.compressed import compressed
 from torchpi.diagnosis.fit import fit, jacobian, with_theta
 from torchpi.diagnosis.hypothesis import Fit, Hypothesis, Member
 from torchpi.diagnosis.nominal import bouc_wen, many_plays, preisach
@@ -161,3 +162,13 @@ def test_a_little_beyond_the_recorded_range_a_large_hysteresis_still_moves_as_it
     nominal = larger.hypothesis.nominal
     beyond = nominal.output(1.3 * u, records[0].period_s, larger.weights[:-1]) + larger.weights[-1]
     assert np.abs(beyond).max() < 1.6 * np.abs(records[0].y).max()
+
+
+def test_a_limit_that_clips_the_highest_tops_is_found_from_beside_it() -> None:
+    """Although the weights of the plays have bent to what is clipped."""
+    limit_v = 9.7
+    chain = Chain(prepare(pair(4000, before=lambda v, fs_hz: np.minimum(v, limit_v), noise_um=0.001)))
+    bent = compressed(chain, fit(chain, Hypothesis(many_plays(seen(chain.records)))))
+    for start_v in (9.5, 9.65, 9.8):
+        one = fit(chain, bent.hypothesis.plus(Member(VoltageSaturation, {"high_v": start_v})), bent.weights)
+        assert one.hypothesis.members[0].shared["high_v"] == pytest.approx(limit_v, abs=5e-3)

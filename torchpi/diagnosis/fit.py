@@ -135,10 +135,10 @@ def slots_of(hypothesis: Hypothesis) -> tuple[Slot, ...]:
         for name, value in member.shared.items():
             if name in member.effect.kinds:
                 continue
-            slots.append(slot(k, name, None, value, quantities[name], jumps(member, name)))
+            slots.append(slot(k, name, None, value, quantities[name], difference(member, name)))
         for record, own in enumerate(member.own):
             for name, value in own.items():
-                slots.append(slot(k, name, record, value, quantities[name], jumps(member, name)))
+                slots.append(slot(k, name, record, value, quantities[name], difference(member, name)))
     return tuple(slots)
 
 
@@ -156,8 +156,15 @@ def shape_slot(hypothesis: Hypothesis, name: str) -> Slot:
     return Slot(-1, name, None, log, 0.2 if not log else 1.0, low, high)
 
 
-def jumps(member: Member, name: str) -> float:
-    return 0.04 if name in member.effect.jumps else 1e-4
+def difference(member: Member, name: str) -> float:
+    """The step of a finite difference.
+
+    The weights learn to move what a limit has clipped already: only a step that reaches further samples tells
+    whether the limit lies there.
+    """
+    if name in member.effect.jumps:
+        return 0.04
+    return 3e-3 if name in member.effect.kinks else 1e-4
 
 
 def slot(member: int, name: str, record: int | None, value: float, quantity: Quantity, step: float) -> Slot:

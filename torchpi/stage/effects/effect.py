@@ -75,6 +75,8 @@ class Effect(Operator):
     """Whether it takes an auxiliary signal as a second input."""
     jumps: ClassVar[tuple[str, ...]] = ()
     """Parameters in which the output jumps: only a finite step shows which way to go."""
+    kinks: ClassVar[tuple[str, ...]] = ()
+    """Parameters that decide which samples an effect touches: an infinitesimal step touches no others."""
     kinds: ClassVar[tuple[str, ...]] = ()
     """Parameters that choose between kinds of the effect: a start sets them, and they are not fitted."""
     hold: Hold | None = None

@@ -22,6 +22,7 @@ class InsideEffect:
     before_hysteresis = True
     takes_aux = False
     jumps: ClassVar[tuple[str, ...]] = ()
+    kinks: ClassVar[tuple[str, ...]] = ()
     kinds: ClassVar[tuple[str, ...]] = ()
     hold = None
 

@@ -28,6 +28,7 @@ class VoltageSaturation(Effect):
         "high_v": Quantity("V", at_least=-1500.0, at_most=1500.0),
     }
     identity: ClassVar[Parameters] = {"low_v": -math.inf, "high_v": math.inf}
+    kinks = ("low_v", "high_v")
     low_v: nn.Parameter
     high_v: nn.Parameter
 
