@@ -93,6 +93,17 @@ def test_nothing_else_shows_slips(what: str, before: Step, after: Step) -> None:
         assert slips(chain, now, share * NOISE_UM) is None, what
 
 
+def test_the_lines_of_a_coarse_converter_are_no_slips() -> None:
+    """Noise dithers nothing there: a reading rests and jumps, while a lag keeps the chain off it."""
+    lsb_um = 0.1
+    recordings = [
+        Recording(r.name, r.t, r.u, lsb_um * np.round(r.y / lsb_um), r.fs_hz)
+        for r in recorded(lambda x, fs_hz: x, lambda v, fs_hz: lag(v, fs_hz, 60.0))
+    ]
+    chain, now = retuned(recordings)
+    assert slips(chain, now, lsb_um / np.sqrt(12), lsb_um) is None
+
+
 def test_the_jump_is_found_where_the_floor_is_not_well_known() -> None:
     chain, now = retuned(recorded(sticking))
     for share in (0.5, 1.0, 2.0):

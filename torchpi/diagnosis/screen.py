@@ -17,8 +17,11 @@ from torchpi.diagnosis.records import Record
 from torchpi.stage.effects.effect import Effect, Parameters
 from torchpi.stage.effects.inside import InsideEffect
 
+SWALLOWED = 1e-7
+"""Of a squared direction: less than this off the tangent is rounding."""
 
-@dataclass(frozen=True)
+
+@dataclass(frozen=True, eq=False)
 class Candidate:
     """A start of an effect."""
 
@@ -27,6 +30,8 @@ class Candidate:
     """Share of the squared training residual that it could take away."""
     held: bool
     """Of the hypothesis that it was screened on."""
+    off_tangent: np.ndarray
+    """(directions, samples), what refitting cannot swallow."""
 
 
 class Screen:
@@ -40,52 +45,40 @@ class Screen:
             y, part = jacobian(self.chain, now.hypothesis, now.weights, now.slots, now.theta, i)
             self.bases.append(y)
             tangents.append(part)
-        gram = sum(part @ part.T for part in tangents)
+        tangent = np.concatenate(tangents, axis=1)
+        gram = tangent @ tangent.T
         scale = 1.0 / np.sqrt(np.maximum(np.diag(gram), 1e-300))
         scaled = gram * scale * scale[:, None]
         scaled[np.diag_indices_from(scaled)] += 1e-9
-        self.factor = np.linalg.inv(np.linalg.cholesky(scaled)) * scale
-        self.tangents = tangents
+        self.tangent = np.linalg.inv(np.linalg.cholesky(scaled)) * scale @ tangent
+        """(numbers, samples), orthonormal."""
         self.residual = np.concatenate([e[r.fitted] for r, e in zip(records, now.residuals, strict=True)])
         self.total = float(self.residual @ self.residual)
-        self.explained = self.factor @ sum(
-            part @ e[r.fitted] for part, r, e in zip(tangents, records, now.residuals, strict=True)
-        )
+        self.left = self.off_tangent(self.residual[None])[0]
 
     def candidate(self, member: Member) -> Candidate:
         """Its gain, 0 if it moves nothing."""
         one_sided = not (signed(member) or member.effect.hold)
-        gain = self.gain(self.directions(member), one_sided)
-        return Candidate(member, gain, self.now.hypothesis.held)
+        off_tangent = self.off_tangent(self.directions(member))
+        gain = self.gain(off_tangent, one_sided)
+        return Candidate(member, gain, self.now.hypothesis.held, off_tangent.astype(np.float32))
 
-    def gain(self, directions: list[list[np.ndarray]], one_sided: bool = False) -> float:
-        """Share of the squared residual that these directions take away, off the tangent.
+    def off_tangent(self, directions: np.ndarray) -> np.ndarray:
+        """What refitting cannot swallow of directions, (directions, samples); 0 where that is rounding."""
+        left: np.ndarray = directions - (directions @ self.tangent.T) @ self.tangent
+        size, kept = (directions**2).sum(1), (left**2).sum(1)
+        left[kept <= SWALLOWED * size] = 0.0
+        return left
 
-        Each direction has one part, its training samples, for each recording; a single one-sided direction
-        counts only with a positive factor.
+    def gain(self, off_tangent: np.ndarray, one_sided: bool = False) -> float:
+        """Share of the squared residual that these directions, (directions, samples), take away.
+
+        A single one-sided direction counts only with a positive factor.
         """
-        projected = self.factor @ sum(self._against(directions, i) for i in range(len(self.records)))
-        stacked = np.array([np.concatenate(d) for d in directions])
-        gram = stacked @ stacked.T - projected.T @ projected
-        right = stacked @ self.residual - projected.T @ self.explained
-        size = np.diag(stacked @ stacked.T)
-        alive = (size > 0) & (np.diag(gram) > 1e-7 * size)
-        if not alive.any() or self.total == 0.0:
-            return 0.0
-        gram, right = gram[np.ix_(alive, alive)], right[alive]
-        spread = np.sqrt(np.diag(gram))
-        unit = gram / spread / spread[:, None] + 1e-9 * np.eye(len(spread))
-        coefficients = np.linalg.solve(unit, right / spread)
-        if one_sided and coefficients[0] < 0:
-            return 0.0
-        return float(coefficients @ (right / spread)) / self.total
+        return gain(off_tangent @ off_tangent.T, off_tangent @ self.left, self.total, one_sided)
 
-    def _against(self, directions: list[list[np.ndarray]], i: int) -> np.ndarray:
-        against: np.ndarray = self.tangents[i] @ np.array([d[i] for d in directions]).T
-        return against
-
-    def directions(self, member: Member) -> list[list[np.ndarray]]:
-        """For each direction, its training part in each recording."""
+    def directions(self, member: Member) -> np.ndarray:
+        """What it adds from its start, (directions, samples)."""
         found = []
         for one in separate(member):
             hypothesis = self.now.hypothesis.plus(one)
@@ -93,26 +86,35 @@ class Screen:
             for i, record in enumerate(self.records):
                 moved = self.chain.output(hypothesis, self.now.weights, i) - self.bases[i]
                 parts.append(np.nan_to_num(moved[record.fitted]))
-            found.append(parts)
+            found.append(np.concatenate(parts))
         if member.effect.hold:
-            found.append(self.of_the_voltage(member))
-        return found
+            # Where nothing static fits, the output is no guide.
+            found.append(self.of_inputs(member, ())[0])
+        return np.array(found)
 
-    def of_the_voltage(self, member: Member) -> list[np.ndarray]:
-        """What a dynamic block makes of the voltage: where nothing static fits, the output is no guide."""
-        return self.of_inputs(member, ())[0]
-
-    def of_inputs(self, member: Member, aux: Sequence[str]) -> list[list[np.ndarray]]:
-        """What a dynamic block makes of the voltage, and of auxiliary signals beside it."""
-        hypothesis = self.now.hypothesis.plus(member)
-        found: list[list[np.ndarray]] = [[] for _ in range(1 + len(aux))]
+    def of_inputs(self, member: Member, aux: Sequence[str]) -> np.ndarray:
+        """What a dynamic block makes of the voltage and of auxiliary signals, (signals, samples)."""
+        hypothesis, found = self.now.hypothesis.plus(member), []
         for i, record in enumerate(self.records):
             # The fitted combination of a mixed hysteresis is its first row, the principal one its second.
             principal = self.chain.rows(hypothesis, i)[:2][-1]
             rows = np.stack([principal, *(record.aux[name] for name in aux)])
-            for parts, moved in zip(found, self.chain.moved(hypothesis, rows, i), strict=True):
-                parts.append(moved[record.fitted])
-        return found
+            found.append(self.chain.moved(hypothesis, rows, i)[:, record.fitted])
+        return np.concatenate(found, axis=1)
+
+
+def gain(gram: np.ndarray, right: np.ndarray, total: float, one_sided: bool = False) -> float:
+    """Share of a squared residual that directions take away, from their inner products."""
+    alive = np.diag(gram) > 0
+    if not alive.any() or total == 0.0:
+        return 0.0
+    gram, right = gram[np.ix_(alive, alive)], right[alive]
+    spread = np.sqrt(np.diag(gram))
+    unit = gram / spread / spread[:, None] + 1e-9 * np.eye(len(spread))
+    coefficients = np.linalg.solve(unit, right / spread)
+    if one_sided and coefficients[0] < 0:
+        return 0.0
+    return float(coefficients @ (right / spread)) / total
 
 
 def signed(member: Member) -> bool:

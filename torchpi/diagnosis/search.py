@@ -15,7 +15,7 @@ from torchpi.diagnosis.chain import Chain
 from torchpi.diagnosis.compressed import compressed
 from torchpi.diagnosis.coverage import reason_to_leave_out
 from torchpi.diagnosis.evidence import evidence
-from torchpi.diagnosis.fit import FINE, ITERATIONS, ROUGH, fit
+from torchpi.diagnosis.fit import FINE, ITERATIONS, ROUGH, fit, sum_of_squares
 from torchpi.diagnosis.held_out import explained, gain, typical_um, unexplained
 from torchpi.diagnosis.hypothesis import Fit, Hypothesis, Member
 from torchpi.diagnosis.mains import hums, lines_hz
@@ -44,7 +44,8 @@ PER_PARAMETER = 3.0
 STARTS, HEAT = 2, 4
 """From how many starts an effect is fitted; the steps after which only the best of them goes on."""
 AXES = "resonance + cross_coupling"
-DELAYING = ("amplifier_lag", "slew_limit", "delay", "sensor_lag", "resonance", "second_mode")
+SLOW = ("amplifier_lag", "slew_limit", "delay", "sensor_lag")
+DELAYING = (*SLOW, "resonance", "second_mode")
 OPERATOR = "hysteresis_operator: "
 """How a larger hysteresis is called among the explanations, before its family."""
 PREISACH = ((20, 60, 5), (15, 35, 7))
@@ -162,7 +163,7 @@ class Search:
         """Stiction, if the readings show it: from then on everything is fitted where the mount slips."""
         if Stiction.name in now.hypothesis.names or not self.floor:
             return None
-        found = slips(self.chain, now, self.floor)
+        found = slips(self.chain, now, self.floor, self.lsb_um)
         if found is None:
             return None
         self.chain, self.slips = found.chain, found
@@ -272,6 +273,7 @@ class Search:
         ]
         # What delays is taken for the convention of timing until it is fitted: each is tried under both.
         late = {name: job[0] for name, job in reversed([*zip(names, jobs, strict=True)]) if name in DELAYING}
+        late |= self.at_the_other_timing(now, starts)
         names += late
         jobs += [(replace(h, alignment=1 - h.alignment), now.weights, HEAT, ROUGH) for h in late.values()]
         joint = self.axes_through_a_mode(now, screens)
@@ -283,6 +285,18 @@ class Search:
         rest: list[Job] = [(f.hypothesis, f.weights, ITERATIONS, ROUGH) for f in found.values()]
         return list(zip(found, self.fits(rest), strict=True))
 
+    def at_the_other_timing(self, now: Fit, starts: Sequence[Member]) -> dict[str, Hypothesis]:
+        """For what is slow the best start of all under the other convention, where it is worth a fit."""
+        other = replace(now.hypothesis, alignment=1 - now.hypothesis.alignment)
+        (moved,) = self.fits([(other, now.weights, 2, ROUGH)])
+        screen = Screen(self.chain, moved)
+        most = (1 - LEAST_GAIN / 2) * sum_of_squares(self.chain, now.hypothesis, now.weights) / screen.total
+        slow = [screen.candidate(member) for member in starts if member.effect.name in SLOW]
+        worth = [candidate for candidate in slow if 1 - candidate.gain < most]
+        return {
+            c.member.effect.name: now.hypothesis.plus(c.member) for c in sorted(worth, key=lambda c: c.gain)
+        }
+
     def axes_through_a_mode(self, now: Fit, screens: Mapping[bool, Screen]) -> list[Job]:
         """Every other axis and a resonance at once: each alone may explain little of a stage that rings."""
         aux = list(self.seen.aux)
@@ -290,7 +304,7 @@ class Search:
             return []
         modes = [member for member in self.starts if member.effect is Resonance]
         found = [
-            (screen.gain(screen.of_inputs(mode, aux)), held, place)
+            (screen.gain(screen.off_tangent(screen.of_inputs(mode, aux))), held, place)
             for held, screen in screens.items()
             for place, mode in enumerate(modes)
         ]

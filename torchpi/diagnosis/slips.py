@@ -31,6 +31,8 @@ from torchpi.stage.effects.mechanics.stiction import Stiction
 
 JUMPS = (3.0, 4.0, 6.0, 9.0)
 """Times the noise floor: what a reading must move by to count as a slip."""
+LINES = 1.5
+"""Steps of a converter that a slip must cross."""
 LEAST_GAIN = 0.1
 """By how much the error of one step must fall."""
 WORTH_A_FIT = -0.1
@@ -66,11 +68,20 @@ class Jump(NamedTuple):
     interval_90: tuple[float, float]
 
 
-def slips(chain: Chain, now: Fit, floor_um: float) -> Slips | None:
-    """A mount that sticks behind this fit, if the readings show one."""
+def slips(chain: Chain, now: Fit, floor_um: float, lsb_um: float = 0.0) -> Slips | None:
+    """A mount that sticks behind this fit, if the readings show one.
+
+    Args:
+        chain: On records without rests.
+        now: What is fitted so far.
+        floor_um: The noise of one reading.
+        lsb_um: The step of the converter: readings go from one line to the next without any slip.
+    """
     rival = held_rms(chain.records, foretold(chain.records, now.residuals))
     small = compressed(chain, now)
-    quick = [found for times in JUMPS if (found := cut(chain, small, times * floor_um, rival))]
+    quick = [
+        found for times in JUMPS if (found := cut(chain, small, max(times * floor_um, LINES * lsb_um), rival))
+    ]
     best = max(quick, key=lambda found: found.gain, default=None)
     if best is None or best.gain < WORTH_A_FIT:
         return None
