@@ -52,17 +52,6 @@ def unfold(folded: np.ndarray, group: int, first: int, last: int, length: int, x
 
 
 @njit
-def unfold_gradient(
-    folded: np.ndarray, group: int, first: int, last: int, length: int, x: np.ndarray
-) -> None:  # fmt: skip
-    """The adjoint of `fold`, added to `x`."""
-    for step in range(first, last):
-        for lane in range(LANES):
-            t = (group * LANES + lane) * length + step
-            x[min(t, len(x) - 1)] += folded[(step - first) * LANES + lane]
-
-
-@njit
 def extent(x: np.ndarray, least: np.ndarray, most: np.ndarray) -> None:
     """Least and greatest value in the stretch of each lane."""
     least[:] = np.inf
@@ -154,38 +143,6 @@ def advance_linear_sum(
 
 
 @njit_sum
-def advance_dots(
-    x: np.ndarray, r: float, h: np.ndarray, a: np.ndarray, b: np.ndarray, count: int
-) -> tuple[float, float]:
-    """`advance`, and the products of `a` and of `b` with the states."""
-    first, second = x.dtype.type(0), x.dtype.type(0)
-    for q in range(count):
-        h[q + LANES] = _play(x[q], r, h[q])
-        first += a[q] * h[q + LANES]
-        second += b[q] * h[q + LANES]
-    return first, second
-
-
-@njit
-def land(
-    gh: np.ndarray, x: np.ndarray, r: float, h: np.ndarray, waiting: np.ndarray, count: int, gx: np.ndarray
-) -> None:  # fmt: skip
-    """Carry a gradient of the states back over a tile, to the samples that pushed: added to `gx`.
-
-    Every state is x_s - r or x_s + r of the last sample s that pushed it, or the initial state: the gradient
-    waits while the play rests, and lands on the sample that pushed. `waiting` ends with what comes from
-    later tiles, and in its first LANES is what is left for earlier ones.
-    """
-    landed_nothing = x.dtype.type(0)
-    for q in range(count - 1, -1, -1):
-        carried = gh[q] + waiting[q + LANES]
-        above = carried if h[q] > x[q] - r else landed_nothing
-        rests = above if h[q] < x[q] + r else landed_nothing
-        waiting[q] = rests
-        gx[q] += carried - rests
-
-
-@njit_sum
 def threshold_gradient(
     gh: np.ndarray, x: np.ndarray, h: np.ndarray, waiting: np.ndarray, count: int
 ) -> float:  # fmt: skip
@@ -207,25 +164,21 @@ def expect_pushes(r: float, h: np.ndarray, least: np.ndarray, most: np.ndarray, 
 
 @njit
 def note_latest(
-    x: np.ndarray, r: float, h: np.ndarray, count: int, begin: int, pushes: np.ndarray, latest: np.ndarray
+    x: np.ndarray, r: float, h: np.ndarray, count: int, begin: int, latest: np.ndarray
 ) -> None:  # fmt: skip
     """Note the last push in each lane that is marked: its step + 1, negative where the lower edge pushed.
 
-    For tiles from the last to the first; `begin` is the step a tile begins with. `pushes` is for scratch.
+    For tiles from the last to the first; `begin` is the step a tile begins with.
     """
-    unknown = 0
     for lane in range(LANES):
-        unknown += latest[lane] == np.inf
-    if unknown == 0:
-        return
-    pushes[:LANES] = np.inf
-    for q in range(count):
-        number = begin + q // LANES + 1
-        upper = pushes[q] if h[q] < x[q] + r else number
-        pushes[q + LANES] = upper if h[q] > x[q] - r else -number
-    for lane in range(LANES):
-        if latest[lane] == np.inf:
-            latest[lane] = pushes[count + lane]
+        if latest[lane] != np.inf:
+            continue
+        # Lane by lane: most find theirs after a few steps, where all lanes together take as many as the last.
+        for q in range(count - LANES + lane, -1, -LANES):
+            if not (x[q] - r < h[q] < x[q] + r):
+                step = begin + q // LANES + 1
+                latest[lane] = step if h[q] > x[q] - r else -step
+                break
 
 
 @njit

@@ -65,7 +65,8 @@ def _backward(
     with_rate: bool, with_r: bool,
 ) -> list[Tensor]:  # fmt: skip
     gx, gh0 = x.new_empty(x.shape), gfinal.clone()
-    grate = rate.new_empty(rate.shape if with_rate else (len(rate), 0))
+    # Zeros, because without a function of the rate the kernel leaves it.
+    grate = rate.new_zeros(rate.shape if with_rate else (len(rate), 0))
     parts = backward(
         as_array(x), as_array(rate), _parameters(c, r, theta, knots, psi, offset, rate_scale, state_scale),
         as_array(folded), as_array(checkpoints), as_array(gu), gh0.numpy(), with_rate, with_r,

@@ -8,6 +8,18 @@ from typing import NamedTuple
 
 import numpy as np
 
+from torchpi.operators.adjoint_tile import (
+    GAMMA,
+    GH,
+    GS,
+    WAITING,
+    H,
+    S,
+    advance_dots,
+    land,
+    land_linear,
+    work_size,
+)
 from torchpi.operators.compiled import in_threads, njit
 from torchpi.operators.folded import (
     LANES,
@@ -15,7 +27,6 @@ from torchpi.operators.folded import (
     TILE,
     accumulate,
     advance,
-    advance_dots,
     advance_linear_sum,
     advance_sum,
     chain,
@@ -26,12 +37,10 @@ from torchpi.operators.folded import (
     fold,
     fold_shape,
     hand_over,
-    land,
     note_latest,
     raise_power,
     threshold_gradient,
     unfold,
-    unfold_gradient,
 )
 from torchpi.operators.polynomial import horner
 from torchpi.operators.rate_weights import squash
@@ -225,24 +234,20 @@ def _backward(
 ) -> None:  # fmt: skip
     plays, functions, degree = len(p.r), p.theta.shape[1], p.psi.shape[1]
     # γ = φ g and v = Σ_i θ_i h_i: with them the gradients of w_i h_i = Σ_m θ_im φ_m h_i are plain sums.
-    phi, gamma = np.empty((functions, TILE), gu.dtype), np.empty((functions, TILE), gu.dtype)
-    v = np.empty((functions, TILE), gu.dtype)
-    h, waiting = np.empty(TILE + LANES, gu.dtype), np.empty(TILE + LANES, gu.dtype)
-    gh, gs = np.empty(TILE, gu.dtype), np.empty(TILE, gu.dtype)
-    power, scratch = np.empty(TILE, gu.dtype), np.empty(TILE + LANES, gu.dtype)
+    phi, v = np.empty((functions, TILE), gu.dtype), np.empty((functions, TILE), gu.dtype)
+    work, power = np.empty(work_size(functions), gu.dtype), np.empty(TILE, gu.dtype)
+    s, gs, h, gh, waiting = work[S:], work[GS:], work[H:], work[GH:], work[WAITING:]
+    gamma, after = work[GAMMA:].reshape(functions, TILE), h[LANES:]
     least, most = np.empty(LANES, gu.dtype), np.empty(LANES, gu.dtype)
     for task in range(first, last):
         row, group = divmod(task, left.shape[1])
-        begin, end = group * LANES * length, (group + 1) * LANES * length
-        gx[row, begin:end] = 0
-        grate[row, begin:end] = 0
         extent(folded[row, group], least, most)
         for i in range(plays):
             expect_pushes(p.r[i], checkpoints[row, group, 0, i], least, most, latest[row, group, i])
         for tile in range(checkpoints.shape[2] - 1, -1, -1):
             begin, end = tile * STEPS, min(tile * STEPS + STEPS, length)
-            s = folded[row, group, begin * LANES : end * LANES]
-            count = len(s)
+            count = (end - begin) * LANES
+            s[:count] = folded[row, group, begin * LANES : end * LANES]
             _basis(rate[row], group, begin, end, length, p, phi)
             g = gamma[0]
             fold(gu[row], group, begin, end, length, g)
@@ -252,35 +257,37 @@ def _backward(
                 for q in range(count):
                     product[q] = function[q] * g[q]
             parts.offset[row, group, 0] += dot(g, phi[0], count)
-            gs[:] = 0
+            gs[:count] = 0
             v[:] = 0
             for i in range(plays):
                 h[:LANES] = checkpoints[row, group, tile, i]
-                after = h[LANES:]
                 if functions == 2:
-                    constant, linear = advance_dots(s, p.r[i], h, gamma[0], gamma[1], count)
+                    constant, linear = advance_dots(work, p.r[i], count)
                     parts.theta[row, group, i, 0] += constant
                     parts.theta[row, group, i, 1] += linear
                 else:
                     advance(s, p.r[i], h, count)
                     for m in range(functions):
                         parts.theta[row, group, i, m] += dot(gamma[m], after, count)
-                _combine(p.theta[i], gamma, count, gh)
                 if with_rate:
                     for m in range(1, functions):
                         accumulate(p.theta[i, m], after, count, v[m])
-                if degree > 0:
-                    _own_gradients(p, i, g, after, count, power, gh, parts.psi[row, group, i])
                 waiting[count : count + LANES] = left[row, group, i]
-                land(gh, s, p.r[i], h, waiting, count, gs)
+                if functions == 2 and degree == 0 and not with_r:
+                    land_linear(work, p.r[i], p.theta[i, 0], p.theta[i, 1], count)
+                else:
+                    _combine(p.theta[i], gamma, count, gh)
+                    if degree > 0:
+                        _own_gradients(p, i, g, after, count, power, gh, parts.psi[row, group, i])
+                    land(work, p.r[i], count)
                 left[row, group, i] = waiting[:LANES]
                 if with_r:
                     parts.r[row, group, i] += threshold_gradient(gh, s, h, waiting, count)
-                note_latest(s, p.r[i], h, count, begin, scratch, latest[row, group, i])
-            unfold_gradient(gs, group, begin, end, length, gx[row])
+                note_latest(s, p.r[i], h, count, begin, latest[row, group, i])
+            unfold(gs, group, begin, end, length, gx[row])
             if with_rate and functions > 1:
                 _rate_gradient(p, phi, v, g, count, parts.knots[row, group])
-                unfold_gradient(v[1], group, begin, end, length, grate[row])
+                unfold(v[1], group, begin, end, length, grate[row])
 
 
 @njit
