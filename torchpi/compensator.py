@@ -166,7 +166,7 @@ class DirectInverse(nn.Module):
         """x, which undoes delay and creep; the state of the relaxations after it, of the plays before."""
         if state is None:
             state = self.initial_state(len(motion.yd))
-        creep, plays = state.split([len(self.creep_gains), len(self.plays.r)], 1)
+        creep, plays = state.split([len(self.creep_gains), len(self.psi)], 1)
         x = motion.yd
         if len(self.scaled_lead) > 0:
             for tau, derivative in zip(self.lead.to(x.dtype), motion[1:], strict=False):
@@ -178,7 +178,7 @@ class DirectInverse(nn.Module):
 
     def initial_state(self, batch: int) -> Tensor:
         """The de-energised state. Shape: (batch, relaxations + plays)."""
-        return self.offset.detach().new_zeros(batch, len(self.creep_gains) + len(self.plays.r))
+        return self.offset.detach().new_zeros(batch, len(self.creep_gains) + len(self.psi))
 
     @property
     def lead(self) -> Tensor:

@@ -63,16 +63,16 @@ def _backward(
     x: Tensor, rate: Tensor, c: Tensor, r: Tensor, theta: Tensor, knots: Tensor, psi: Tensor, offset: Tensor,
     rate_scale: float, state_scale: float, folded: Tensor, checkpoints: Tensor, gu: Tensor, gfinal: Tensor,
     with_rate: bool, with_r: bool,
-) -> list[Tensor]:  # fmt: skip
+) -> tuple[Tensor, Tensor, Tensor, Tensor]:  # fmt: skip
     gx, gh0 = x.new_empty(x.shape), gfinal.clone()
     # Zeros, because without a function of the rate the kernel leaves it.
     grate = rate.new_zeros(rate.shape if with_rate else (len(rate), 0))
-    parts = backward(
+    sums = backward(
         as_array(x), as_array(rate), _parameters(c, r, theta, knots, psi, offset, rate_scale, state_scale),
         as_array(folded), as_array(checkpoints), as_array(gu), gh0.numpy(), with_rate, with_r,
         gx.numpy(), grate.numpy(),
     )  # fmt: skip
-    return [gx, grate, gh0, *(torch.from_numpy(part) for part in parts[:-1]), torch.tensor(parts.offset[0])]
+    return gx, grate, gh0, torch.from_numpy(sums)
 
 
 def _parameters(
@@ -112,10 +112,10 @@ def _(
     x: Tensor, rate: Tensor, c: Tensor, r: Tensor, theta: Tensor, knots: Tensor, psi: Tensor, offset: Tensor,
     rate_scale: float, state_scale: float, folded: Tensor, checkpoints: Tensor, gu: Tensor, gfinal: Tensor,
     with_rate: bool, with_r: bool,
-) -> list[Tensor]:  # fmt: skip
+) -> tuple[Tensor, Tensor, Tensor, Tensor]:  # fmt: skip
     grate = rate if with_rate else rate[:, :0]
-    parts = (x, grate, gfinal, c, r, theta, knots, psi, offset)
-    return [part.new_empty(part.shape) for part in parts]
+    sums = c.new_empty(sum(part.numel() for part in (c, r, theta, knots, psi, offset)))
+    return x.new_empty(x.shape), grate.new_empty(grate.shape), gfinal.new_empty(gfinal.shape), sums
 
 
 def _keep(ctx: Any, inputs: tuple[Any, ...], output: tuple[Tensor, ...]) -> None:
@@ -129,14 +129,20 @@ def _differentiate(ctx: Any, gu: Tensor, gfinal: Tensor, *_: Tensor) -> tuple[Te
 
 
 def _gradients(
-    ctx: Any, backward_of: Callable[..., list[Tensor]], gu: Tensor, gfinal: Tensor
+    ctx: Any, backward_of: Callable[..., tuple[Tensor, Tensor, Tensor, Tensor]], gu: Tensor, gfinal: Tensor
 ) -> tuple[Tensor | None, ...]:
-    *inputs, folded, checkpoints = ctx.saved_tensors
+    x, rate, *parameters, folded, checkpoints = ctx.saved_tensors
     # By position among the arguments of the operation: ẏ and the knots, if there are any, and r.
-    with_knots = ctx.needs_input_grad[6] and inputs[5].numel() > 0
+    with_knots = ctx.needs_input_grad[6] and parameters[3].numel() > 0
     with_rate, with_r = ctx.needs_input_grad[1] or with_knots, ctx.needs_input_grad[4]
-    gx, grate, *rest = backward_of(*inputs, *ctx.scales, folded, checkpoints, gu, gfinal, with_rate, with_r)
-    return gx, grate if with_rate else None, *rest, None, None
+    gx, grate, gh0, sums = backward_of(
+        x, rate, *parameters, *ctx.scales, folded, checkpoints, gu, gfinal, with_rate, with_r
+    )
+    parts = zip(
+        sums.split([part.numel() for part in parameters]), parameters, ctx.needs_input_grad[3:9], strict=True
+    )
+    gradients = (part.view(like.shape) if wanted else None for part, like, wanted in parts)
+    return gx, grate if with_rate else None, gh0, *gradients, None, None
 
 
 _weighted_plays.register_autograd(_differentiate, setup_context=_keep)

@@ -115,15 +115,16 @@ def _forward(
     w, own, total = np.empty(TILE, u.dtype), np.empty(TILE, u.dtype), np.empty(TILE, u.dtype)
     for task in range(first, last):
         row, group = divmod(task, starts.shape[1])
-        checkpoints[row, group, 0] = starts[row, group]
-        for tile in range(checkpoints.shape[2]):
+        states = checkpoints[row, group]
+        states[0] = starts[row, group]
+        for tile in range(len(states)):
             begin, end = tile * STEPS, min(tile * STEPS + STEPS, length)
             s = folded[row, group, begin * LANES : end * LANES]
             count = len(s)
             _basis(rate[row], group, begin, end, length, p, phi)
             total[:] = 0
             for i in range(len(p.r)):
-                h[:LANES] = checkpoints[row, group, tile, i]
+                h[:LANES] = states[tile, i]
                 if p.psi.shape[1] > 0:
                     advance(s, p.r[i], h, count)
                     _combine(p.theta[i], phi, count, w)
@@ -136,7 +137,7 @@ def _forward(
                     _combine(p.theta[i], phi, count, w)
                     advance_sum(s, p.r[i], h, w, count, total)
                 if end < length:
-                    checkpoints[row, group, tile + 1, i] = h[count : count + LANES]
+                    states[tile + 1, i] = h[count : count + LANES]
             offset = p.offset[0]
             for q in range(count):
                 total[q] += offset
@@ -195,42 +196,58 @@ def _combine(theta: np.ndarray, phi: np.ndarray, count: int, out: np.ndarray) ->
 
 
 class Gradients(NamedTuple):
-    """Of each of the parameters, for every group by itself, that their sum has one order."""
+    """Of each of the parameters."""
 
-    c: np.ndarray  # (batch, groups, degree)
-    r: np.ndarray  # (batch, groups, plays)
-    theta: np.ndarray  # (batch, groups, plays, functions)
-    knots: np.ndarray  # (batch, groups, functions - 2, 2)
-    psi: np.ndarray  # (batch, groups, plays, degree - 1)
-    offset: np.ndarray  # (batch, groups, 1)
+    c: np.ndarray  # (degree,)
+    r: np.ndarray  # (plays,)
+    theta: np.ndarray  # (plays, functions)
+    knots: np.ndarray  # (functions - 2, 2)
+    psi: np.ndarray  # (plays, degree - 1)
+    offset: np.ndarray  # (1,)
 
 
 def backward(
     x: np.ndarray, rate: np.ndarray, p: Parameters, folded: np.ndarray, checkpoints: np.ndarray,
     gu: np.ndarray, gh: np.ndarray, with_rate: bool, with_r: bool, gx: np.ndarray, grate: np.ndarray,
-) -> Gradients:  # fmt: skip
-    """Fill `gx` and, if `with_rate`, `grate`; return the rest, summed over all.
+) -> np.ndarray:  # fmt: skip
+    """Fill `gx` and, if `with_rate`, `grate`; return the gradients of c, r, θ, the knots, ψ and the offset,
+    one after the other.
 
     `gh` (batch, plays) comes as the gradient of the last states and goes as that of the first.
     """
     batch, groups, _, plays, _ = checkpoints.shape
-    length = folded.shape[2] // LANES
+    length, degree = folded.shape[2] // LANES, len(p.c)
     left, latest = np.zeros((2, batch, groups, plays, LANES), x.dtype)
-    parts = Gradients(*(np.zeros((batch, groups, *part.shape), x.dtype) for part in p[:6]))
+    # For every group by itself, that their sum has one order.
+    sums = np.zeros((batch, groups, sum(part.size for part in p[:6])), x.dtype)
     in_threads(
         _backward, batch * groups, rate, length, p, folded, checkpoints, gu, with_rate, with_r,
-        gx, grate, left, latest, parts,
+        gx, grate, left, latest, sums,
     )  # fmt: skip
-    hand_over(left, latest, length, gx, parts.r[:, 0], gh)
-    in_threads(_through_polynomial, batch * groups, x, length, p.c, gx, parts.c)
-    return Gradients(*(part.sum((0, 1)) for part in parts))
+    hand_over(left, latest, length, gx, sums[:, 0, degree : degree + plays], gh)
+    in_threads(_through_polynomial, batch * groups, x, length, p.c, gx, sums)
+    return sums.sum((0, 1))  # type: ignore[no-any-return]
+
+
+@njit
+def _gradients(sums: np.ndarray, p: Parameters) -> Gradients:
+    """Their places in the sums of one group."""
+    r = len(p.c)
+    theta = r + p.r.size
+    knots = theta + p.theta.size
+    psi = knots + p.knots.size
+    offset = psi + p.psi.size
+    return Gradients(
+        sums[:r], sums[r:theta], sums[theta:knots].reshape(p.theta.shape),
+        sums[knots:psi].reshape(p.knots.shape), sums[psi:offset].reshape(p.psi.shape), sums[offset:],
+    )  # fmt: skip
 
 
 @njit
 def _backward(
     first: int, last: int, rate: np.ndarray, length: int, p: Parameters, folded: np.ndarray,
     checkpoints: np.ndarray, gu: np.ndarray, with_rate: bool, with_r: bool,
-    gx: np.ndarray, grate: np.ndarray, left: np.ndarray, latest: np.ndarray, parts: Gradients,
+    gx: np.ndarray, grate: np.ndarray, left: np.ndarray, latest: np.ndarray, sums: np.ndarray,
 ) -> None:  # fmt: skip
     plays, functions, degree = len(p.r), p.theta.shape[1], p.psi.shape[1]
     # γ = φ g and v = Σ_i θ_i h_i: with them the gradients of w_i h_i = Σ_m θ_im φ_m h_i are plain sums.
@@ -241,10 +258,12 @@ def _backward(
     least, most = np.empty(LANES, gu.dtype), np.empty(LANES, gu.dtype)
     for task in range(first, last):
         row, group = divmod(task, left.shape[1])
+        states, waits, pushes = checkpoints[row, group], left[row, group], latest[row, group]
+        parts = _gradients(sums[row, group], p)
         extent(folded[row, group], least, most)
         for i in range(plays):
-            expect_pushes(p.r[i], checkpoints[row, group, 0, i], least, most, latest[row, group, i])
-        for tile in range(checkpoints.shape[2] - 1, -1, -1):
+            expect_pushes(p.r[i], states[0, i], least, most, pushes[i])
+        for tile in range(len(states) - 1, -1, -1):
             begin, end = tile * STEPS, min(tile * STEPS + STEPS, length)
             count = (end - begin) * LANES
             s[:count] = folded[row, group, begin * LANES : end * LANES]
@@ -256,37 +275,38 @@ def _backward(
                 function, product = phi[m], gamma[m]
                 for q in range(count):
                     product[q] = function[q] * g[q]
-            parts.offset[row, group, 0] += dot(g, phi[0], count)
+            parts.offset[0] += dot(g, phi[0], count)
             gs[:count] = 0
-            v[:] = 0
+            if with_rate:
+                v[:] = 0
             for i in range(plays):
-                h[:LANES] = checkpoints[row, group, tile, i]
+                h[:LANES] = states[tile, i]
                 if functions == 2:
                     constant, linear = advance_dots(work, p.r[i], count)
-                    parts.theta[row, group, i, 0] += constant
-                    parts.theta[row, group, i, 1] += linear
+                    parts.theta[i, 0] += constant
+                    parts.theta[i, 1] += linear
                 else:
                     advance(s, p.r[i], h, count)
                     for m in range(functions):
-                        parts.theta[row, group, i, m] += dot(gamma[m], after, count)
+                        parts.theta[i, m] += dot(gamma[m], after, count)
                 if with_rate:
                     for m in range(1, functions):
                         accumulate(p.theta[i, m], after, count, v[m])
-                waiting[count : count + LANES] = left[row, group, i]
+                waiting[count : count + LANES] = waits[i]
                 if functions == 2 and degree == 0 and not with_r:
                     land_linear(work, p.r[i], p.theta[i, 0], p.theta[i, 1], count)
                 else:
                     _combine(p.theta[i], gamma, count, gh)
                     if degree > 0:
-                        _own_gradients(p, i, g, after, count, power, gh, parts.psi[row, group, i])
+                        _own_gradients(p, i, g, after, count, power, gh, parts.psi[i])
                     land(work, p.r[i], count)
-                left[row, group, i] = waiting[:LANES]
+                waits[i] = waiting[:LANES]
                 if with_r:
-                    parts.r[row, group, i] += threshold_gradient(gh, s, h, waiting, count)
-                note_latest(s, p.r[i], h, count, begin, latest[row, group, i])
+                    parts.r[i] += threshold_gradient(gh, s, h, waiting, count)
+                note_latest(s, p.r[i], h, count, begin, pushes[i])
             unfold(gs, group, begin, end, length, gx[row])
             if with_rate and functions > 1:
-                _rate_gradient(p, phi, v, g, count, parts.knots[row, group])
+                _rate_gradient(p, phi, v, g, count, parts.knots)
                 unfold(v[1], group, begin, end, length, grate[row])
 
 
@@ -342,12 +362,12 @@ def _rate_gradient(
 
 @njit
 def _through_polynomial(
-    first: int, last: int, x: np.ndarray, length: int, c: np.ndarray, gx: np.ndarray, gc: np.ndarray
+    first: int, last: int, x: np.ndarray, length: int, c: np.ndarray, gx: np.ndarray, sums: np.ndarray
 ) -> None:  # fmt: skip
     """From the gradient of S(x) to that of x, in place, and that of c: the adjoint of eq. 4."""
     power, slope = np.empty(TILE, x.dtype), np.empty(TILE, x.dtype)
     for task in range(first, last):
-        row, group = divmod(task, gc.shape[1])
+        row, group = divmod(task, sums.shape[1])
         stop = min((group + 1) * LANES * length, x.shape[1])
         for begin in range(group * LANES * length, stop, TILE):
             count = min(TILE, stop - begin)
@@ -355,5 +375,5 @@ def _through_polynomial(
             power[:count] = g
             slope[:] = 0
             for j in range(len(c)):
-                gc[row, group, j] += raise_power(power, a, c[j] * (j + 1), slope)
+                sums[row, group, j] += raise_power(power, a, c[j] * (j + 1), slope)
             g[:] = slope[:count]
