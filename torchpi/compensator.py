@@ -144,7 +144,8 @@ class DirectInverse(nn.Module):
             weights.rate_scale_um_s,
             self.range_um,
         )
-        return u, torch.cat([creep, plays], 1)
+        # Joining has its cost, in a pass of some milliseconds, even where one part is empty.
+        return u, torch.cat([creep, plays], 1) if len(self.creep_gains) > 0 else plays.to(creep.dtype)
 
     def weighted(
         self,

@@ -64,7 +64,7 @@ def land_linear(work: np.ndarray, r: float, a: float, b: float, count: int) -> N
 def _land(work: np.ndarray, r: float, q: int, gradient: float) -> None:
     carried = gradient + work[WAITING + LANES + q]
     s, h = work[S + q], work[H + q]
-    above = carried if h > s - r else work.dtype.type(0)
-    rests = above if h < s + r else work.dtype.type(0)
-    work[WAITING + q] = rests
-    work[GS + q] += carried - rests
+    rests = (h > s - r) & (h < s + r)
+    work[WAITING + q] = carried if rests else work.dtype.type(0)
+    gs = work[GS + q]
+    work[GS + q] = gs if rests else gs + carried
