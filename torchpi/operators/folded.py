@@ -223,11 +223,18 @@ def dot(a: np.ndarray, b: np.ndarray, count: int) -> float:
 
 
 @njit_sum
-def raise_power(power: np.ndarray, a: np.ndarray, factor: float, total: np.ndarray) -> float:
-    """Add `factor` times the power to `total`, then make it the next one of `a`, and sum that."""
-    summed = a.dtype.type(0)
+def raise_powers(
+    power: np.ndarray, a: np.ndarray, factor: float, next_factor: float, total: np.ndarray
+) -> tuple[float, float]:
+    """Add `factor` times the power to `total`, make it the next one of `a` and sum that; then once more.
+
+    Two at a time, because one passes over memory longer than it counts.
+    """
+    summed, next_summed = a.dtype.type(0), a.dtype.type(0)
     for q in range(len(a)):
-        total[q] += factor * power[q]
-        power[q] *= a[q]
-        summed += power[q]
-    return summed  # type: ignore[no-any-return]
+        following = power[q] * a[q]
+        total[q] = total[q] + factor * power[q] + next_factor * following
+        power[q] = following * a[q]
+        summed += following
+        next_summed += power[q]
+    return summed, next_summed

@@ -38,7 +38,7 @@ from torchpi.operators.folded import (
     fold_shape,
     hand_over,
     note_latest,
-    raise_power,
+    raise_powers,
     threshold_gradient,
     unfold,
 )
@@ -110,7 +110,7 @@ def _forward(
     first: int, last: int, rate: np.ndarray, length: int, p: Parameters, starts: np.ndarray,
     folded: np.ndarray, u: np.ndarray, checkpoints: np.ndarray,
 ) -> None:  # fmt: skip
-    phi = np.empty((p.theta.shape[1], TILE), u.dtype)
+    phi = np.ones((p.theta.shape[1], TILE), u.dtype)
     h = np.empty(TILE + LANES, u.dtype)
     w, own, total = np.empty(TILE, u.dtype), np.empty(TILE, u.dtype), np.empty(TILE, u.dtype)
     for task in range(first, last):
@@ -148,9 +148,8 @@ def _forward(
 def _basis(
     rate: np.ndarray, group: int, begin: int, end: int, length: int, p: Parameters, phi: np.ndarray
 ) -> None:  # fmt: skip
-    """φ_0 = 1, φ_1, … of eq. 7 and beyond, over a tile."""
+    """φ_1, φ_2, … of eq. 7 and beyond, over a tile; φ_0 is 1."""
     count = (end - begin) * LANES
-    phi[0] = 1
     if len(phi) == 1:
         return
     z = phi[1]
@@ -251,7 +250,7 @@ def _backward(
 ) -> None:  # fmt: skip
     plays, functions, degree = len(p.r), p.theta.shape[1], p.psi.shape[1]
     # γ = φ g and v = Σ_i θ_i h_i: with them the gradients of w_i h_i = Σ_m θ_im φ_m h_i are plain sums.
-    phi, v = np.empty((functions, TILE), gu.dtype), np.empty((functions, TILE), gu.dtype)
+    phi, v = np.ones((functions, TILE), gu.dtype), np.empty((functions, TILE), gu.dtype)
     work, power = np.empty(work_size(functions), gu.dtype), np.empty(TILE, gu.dtype)
     s, gs, h, gh, waiting = work[S:], work[GS:], work[H:], work[GH:], work[WAITING:]
     gamma, after = work[GAMMA:].reshape(functions, TILE), h[LANES:]
@@ -313,12 +312,10 @@ def _backward(
 @njit
 def _clear_padding(g: np.ndarray, group: int, begin: int, end: int, length: int, samples: int) -> None:
     """Steps beyond the record carry no gradient."""
-    if (group + 1) * LANES * length <= samples:
-        return
-    for step in range(begin, end):
-        for lane in range(LANES):
-            if (group * LANES + lane) * length + step >= samples:
-                g[(step - begin) * LANES + lane] = 0
+    for lane in range(LANES):
+        inside = max(samples - (group * LANES + lane) * length, begin)
+        for step in range(inside, end):
+            g[(step - begin) * LANES + lane] = 0
 
 
 @njit
@@ -365,7 +362,8 @@ def _through_polynomial(
     first: int, last: int, x: np.ndarray, length: int, c: np.ndarray, gx: np.ndarray, sums: np.ndarray
 ) -> None:  # fmt: skip
     """From the gradient of S(x) to that of x, in place, and that of c: the adjoint of eq. 4."""
-    power, slope = np.empty(TILE, x.dtype), np.empty(TILE, x.dtype)
+    power = np.empty(TILE, x.dtype)
+    nothing = x.dtype.type(0)
     for task in range(first, last):
         row, group = divmod(task, sums.shape[1])
         stop = min((group + 1) * LANES * length, x.shape[1])
@@ -373,7 +371,11 @@ def _through_polynomial(
             count = min(TILE, stop - begin)
             a, g = x[row, begin : begin + count], gx[row, begin : begin + count]
             power[:count] = g
-            slope[:] = 0
-            for j in range(len(c)):
-                sums[row, group, j] += raise_power(power, a, c[j] * (j + 1), slope)
-            g[:] = slope[:count]
+            g[:] = 0
+            for j in range(0, len(c), 2):
+                another = j + 1 < len(c)
+                next_factor = c[j + 1] * (j + 2) if another else nothing
+                one, two = raise_powers(power, a, c[j] * (j + 1), next_factor, g)
+                sums[row, group, j] += one
+                if another:
+                    sums[row, group, j + 1] += two
