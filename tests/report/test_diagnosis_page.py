@@ -169,10 +169,11 @@ def test_axes_have_units_and_text_is_eight_points_or_more(figures: dict[str, Fig
 
 
 def test_tensorboard_gets_the_same_figures_and_the_numbers(
-    found: Diagnosis, figures: dict[str, Figure], tmp_path: Path
+    found: Diagnosis, figures: dict[str, Figure], provenance: Provenance, tmp_path: Path
 ) -> None:
     few = {name: figures[name] for name in ("errors", "remains")}
-    events = EventAccumulator(str(write_tensorboard(found, tmp_path, few)))
+    write_diagnosis(found, provenance, tmp_path, few)
+    events = EventAccumulator(str(write_tensorboard(found, tmp_path)))
     events.Reload()
     assert set(events.Tags()["images"]) == set(few)
     assert {"heldout_rms_um/augmented", "share/resonance", "parameter/amplifier_lag.cutoff_hz"} <= set(

@@ -40,7 +40,6 @@ def diagnose_files(
     """
     # Drawing comes with matplotlib, which a diagnosis from Python does without.
     from torchpi.report.diagnosis_events import write_tensorboard
-    from torchpi.report.diagnosis_figures import diagnosis_figures
     from torchpi.report.diagnosis_page import write_diagnosis
     from torchpi.report.what_was_run import provenance
 
@@ -60,12 +59,11 @@ def diagnose_files(
     files = {f"recording {recording.name}": recording.source for recording in recordings}
     if simulation is not None:
         files["simulation"] = str(simulation)
-    figures = diagnosis_figures(found)
-    page, numbers = write_diagnosis(found, provenance(command, files), output, figures)
+    page, numbers = write_diagnosis(found, provenance(command, files), output)
     found.stage.save(output / "stage.pt")
     write_excitation(output / "next_excitation.csv", *found.next_excitation)
     shutil.rmtree(output / "tensorboard", ignore_errors=True)
-    write_tensorboard(found, output, figures)
+    write_tensorboard(found, output)
     say("done")
     print(f"\n{found.says}\n")
     for what, path in (

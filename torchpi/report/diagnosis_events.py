@@ -2,21 +2,17 @@
 
 from pathlib import Path
 
-from matplotlib.figure import Figure
+from matplotlib.image import imread
 
 from torchpi.diagnosis.diagnosis import Diagnosis
-from torchpi.report.diagnosis_figures import diagnosis_figures
 
 
-def write_tensorboard(
-    diagnosis: Diagnosis, output_dir: str | Path, figures: dict[str, Figure] | None = None
-) -> Path:
+def write_tensorboard(diagnosis: Diagnosis, output_dir: str | Path) -> Path:
     """Write events into `output_dir/tensorboard`; return that folder.
 
     Args:
         diagnosis: What was found.
-        output_dir: The diagnosis's own folder.
-        figures: Those of the page, where they are drawn already.
+        output_dir: The diagnosis's own folder, with the PNG figures that `write_diagnosis` left there.
     """
     # It takes a second to import, and every page imports this package.
     from torch.utils.tensorboard import SummaryWriter
@@ -25,8 +21,8 @@ def write_tensorboard(
     with SummaryWriter(str(folder)) as board:
         for name, value in _scalars(diagnosis).items():
             board.add_scalar(name, value, 0)
-        for name, figure in (figures or diagnosis_figures(diagnosis)).items():
-            board.add_figure(name, figure, 0, close=False)
+        for picture in sorted((Path(output_dir) / "figures").glob("*.png")):
+            board.add_image(picture.stem, imread(picture)[..., :3], 0, dataformats="HWC")
         board.add_text("says", diagnosis.says, 0)
     return folder
 
