@@ -18,8 +18,10 @@ from torchpi.diagnosis.multisine import Part, Parts, all_parts
 from torchpi.excitation_files import write_excitation
 from torchpi.files import write_atomically
 from torchpi.report import words
-from torchpi.report.diagnosis_figures import Unit, diagnosis_figures, own_names, unit_of
+from torchpi.report.diagnosis_figures import diagnosis_figures
 from torchpi.report.diagnosis_json import diagnosis_json
+from torchpi.report.diagnosis_style import Unit, unit_of
+from torchpi.report.diagnosis_what import own_names
 from torchpi.report.png import write_png
 from torchpi.report.svg import inline_svg
 from torchpi.report.what_was_run import Provenance

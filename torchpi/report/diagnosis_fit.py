@@ -1,0 +1,225 @@
+"""What a diagnosis buys: errors before and after in time, over the voltage, in frequency; what remains."""
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from torchpi.diagnosis.diagnosis import Diagnosis, Trace
+from torchpi.report import style
+from torchpi.report.diagnosis_style import (
+    AFTER,
+    BEFORE,
+    HELD_OUT,
+    RECORDED,
+    SILENT_NM,
+    STRONG,
+    draw_floor,
+    log_if_wide,
+    plain_numbers,
+    shortened,
+    unit_of,
+)
+from torchpi.report.style import drawing, settle
+from torchpi.report.traces import Signal, envelope, thinned
+
+
+def errors_figure(diagnosis: Diagnosis) -> Figure:
+    """Errors of the three stages on held-out samples, and the floor below which nothing can be told."""
+    fits = {
+        "nominal, as given": diagnosis.nominal,
+        "retuned and grown": diagnosis.retuned,
+        "with what was missing": diagnosis.augmented,
+    }
+    unit = unit_of(max(fit.heldout_rms_um for fit in fits.values()))
+    with drawing():
+        figure = Figure(figsize=(style.WIDTH_IN, 1.75))
+        axes = figure.subplots()
+        fills = (("#cccccc", "//"), (BEFORE["color"], ""), (AFTER["color"], ""))
+        values = [unit.per_um * fit.heldout_rms_um for fit in fits.values()]
+        for at, (value, (color, hatch)) in enumerate(zip(values, fills, strict=True)):
+            axes.barh(at, value, color=color, hatch=hatch, edgecolor="#333333", linewidth=0.6, height=0.62)
+            axes.annotate(
+                f"{value:.3g}", (value, at), (4, 0), textcoords="offset points", va="center", fontsize=8
+            )
+        draw_floor(axes.axvline, diagnosis.noise_floor_um, unit)
+        axes.set_yticks(range(3), list(fits))
+        axes.invert_yaxis()
+        axes.grid(False, axis="y")
+        log_if_wide(axes, [*values, unit.per_um * diagnosis.noise_floor_um])
+        axes.set_xlabel(f"held-out error, rms ({unit.name})")
+        axes.set_title("three stages on the same held-out data")
+        axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.2)
+        settle(figure)
+    return figure
+
+
+def heldout_figure(diagnosis: Diagnosis) -> Figure:
+    """Every recording's motion, and its residual before and after; what was held out is shaded."""
+    traces = diagnosis.traces[:4]
+    unit = unit_of(max(largest_um(trace) for trace in traces))
+    with drawing():
+        figure = Figure(figsize=(style.WIDTH_IN, 0.5 + 1.95 * len(traces)))
+        rows = figure.subplots(2 * len(traces), 1, height_ratios=(0.55, 1.0) * len(traces))
+        for trace, motion, residual in zip(traces, rows[::2], rows[1::2], strict=True):
+            motion.plot(*envelope(trace.t, trace.y), **{**RECORDED, "linewidth": 0.8})
+            motion.set_ylabel("$y$ (µm)")
+            motion.set_title(shortened(trace.name))
+            motion.tick_params(labelbottom=False)
+            residual.plot(
+                *envelope(trace.t, unit.per_um * trace.residual_retuned),
+                label="before: retuned", **{**BEFORE, "linewidth": 0.7},
+            )  # fmt: skip
+            residual.plot(
+                *envelope(trace.t, unit.per_um * trace.residual_augmented),
+                label="after: augmented", **{**AFTER, "linewidth": 0.7},
+            )  # fmt: skip
+            for sign in (-1, 1):
+                residual.axhline(
+                    sign * unit.per_um * diagnosis.noise_floor_um,
+                    label="noise floor, ± rms" if sign > 0 else None,
+                    **{**style.LIMIT, "color": "#000000"},
+                )
+            residual.set_ylim(*(sign * unit.per_um * largest_um(trace) for sign in (-1, 1)))
+            residual.set_ylabel(f"residual ({unit.name})")
+            residual.set_xlabel("time (s)")
+            for axes in (motion, residual):
+                axes.set_xlim(trace.t[0], trace.t[-1])
+                for number, (start, stop) in enumerate(_runs(trace.heldout)):
+                    axes.axvspan(
+                        trace.t[start],
+                        trace.t[stop - 1],
+                        label="held out" if not number else None,
+                        **HELD_OUT,
+                    )
+        rows[1].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=4, borderaxespad=0.2)
+        settle(figure)
+    return figure
+
+
+def loop_figure(diagnosis: Diagnosis) -> Figure:
+    """The loop of the recording with the largest residual, opened, and the residual over the voltage."""
+    trace = max(diagnosis.traces, key=lambda one: float((one.residual_retuned**2).mean()))
+    unit = unit_of(largest_um(trace))
+    with drawing():
+        figure = Figure(figsize=(style.WIDTH_IN, 3.1))
+        loop, residual = figure.subplots(1, 2)
+        slope, offset = np.polyfit(trace.u, trace.y, 1) if np.ptp(trace.u) else (0.0, trace.y.mean())
+        bent = trace.y - slope * trace.u - offset
+        bent_unit = unit_of(float(np.abs(bent).max()))
+        loop.plot(*thinned(trace.u, bent_unit.per_um * bent), **{**RECORDED, "linewidth": 0.5})
+        loop.set_ylabel(f"$y$ less a straight line ({bent_unit.name})")
+        loop.set_title(f"{shortened(trace.name)}: loop, recorded")
+        for e, label, look in (
+            (trace.residual_retuned, "before: retuned", BEFORE),
+            (trace.residual_augmented, "after: augmented", AFTER),
+        ):
+            k = np.linspace(0, len(e) - 1, min(len(e), 2500)).astype(int)
+            residual.plot(
+                trace.u[k], unit.per_um * e[k], ls="", marker=".", ms=1.6, color=look["color"], label=label
+            )
+        residual.set_ylim(*(sign * unit.per_um * largest_um(trace) for sign in (-1, 1)))
+        residual.set_ylabel(f"residual ({unit.name})")
+        residual.set_title("residual over voltage")
+        residual.legend(loc="best", markerscale=5, handletextpad=0.2)
+        for axes in (loop, residual):
+            axes.set_xlabel("voltage $u$ (V)")
+        settle(figure)
+    return figure
+
+
+def spectrum_figure(diagnosis: Diagnosis) -> Figure:
+    """Held-out residual over frequency, before and after, against a white floor of the noise's size."""
+    with drawing():
+        traces = diagnosis.traces[:4]
+        columns = min(len(traces), 2)
+        lines = -(-len(traces) // 2)
+        figure = Figure(figsize=(style.WIDTH_IN, 0.4 + 2.5 * lines))
+        panels = figure.subplots(lines, columns, squeeze=False, sharey=True).ravel()
+        for axes, trace in zip(panels, traces, strict=False):
+            for e, label, look in (
+                (trace.residual_retuned, "before: retuned", BEFORE),
+                (trace.residual_augmented, "after: augmented", AFTER),
+            ):
+                axes.plot(*_heldout_density(trace, e), label=label, **look)
+            floor = 1e3 * diagnosis.noise_floor_um * np.sqrt(2 / trace.fs_hz)
+            axes.axhline(floor, label="noise floor", **{**style.LIMIT, "color": "#000000"})
+            axes.set_xscale("log")
+            axes.set_yscale("log")
+            plain_numbers(axes)
+            axes.set_xlabel("frequency (Hz)")
+            axes.set_ylabel("residual (nm per √Hz)")
+            axes.set_title(shortened(trace.name))
+        for axes in panels[len(traces) :]:
+            axes.set_visible(False)
+        panels[0].legend(loc="best")
+        settle(figure)
+    return figure
+
+
+def remains_figure(diagnosis: Diagnosis) -> Figure:
+    """The mismatch over the floor, shared out: each effect's, and what nothing explains."""
+    shares = {effect.name.replace("_", " "): effect.share for effect in diagnosis.effects}
+    shares["unexplained"] = diagnosis.unexplained_share
+    with drawing():
+        figure = Figure(figsize=(style.WIDTH_IN, 0.75 + 0.27 * len(shares)))
+        axes = figure.subplots()
+        for at, (name, share) in enumerate(shares.items()):
+            rest = name == "unexplained"
+            axes.barh(
+                at, 100 * share, height=0.66, edgecolor="#333333", linewidth=0.6,
+                color="#eeeeee" if rest else STRONG, hatch="xx" if rest else "",
+            )  # fmt: skip
+            axes.annotate(
+                f"{100 * share:.3g} %", (100 * share, at), (4, 0),
+                textcoords="offset points", va="center", fontsize=8,
+            )  # fmt: skip
+        axes.set_yticks(range(len(shares)), list(shares))
+        axes.invert_yaxis()
+        axes.set_xlim(0, 108)
+        axes.grid(False, axis="y")
+        axes.set_xlabel("share of the squared mismatch over the noise floor (%)")
+        settle(figure)
+    return figure
+
+
+def next_figure(diagnosis: Diagnosis) -> Figure:
+    """The voltage to play next."""
+    t, u = diagnosis.next_excitation
+    with drawing():
+        figure = Figure(figsize=(style.WIDTH_IN, 1.8))
+        axes = figure.subplots()
+        axes.plot(*envelope(t, u), **{**style.TORCHPI, "linewidth": 0.8})
+        axes.set_xlim(t[0], t[-1])
+        axes.set_xlabel("time (s)")
+        axes.set_ylabel("voltage $u$ (V)")
+        axes.set_title("to be played next")
+        settle(figure)
+    return figure
+
+
+def largest_um(trace: Trace) -> float:
+    """What a drawing of the residual must hold: all that was held out, and all but a thousandth of the rest.
+
+    A start-up that no model has would else flatten everything.
+    """
+    both = np.abs([trace.residual_retuned, trace.residual_augmented])
+    held = float(both[:, trace.heldout].max()) if trace.heldout.any() else 0.0
+    return 1.1 * max(held, float(np.quantile(both, 0.999)), 1e-9)
+
+
+def _heldout_density(trace: Trace, e: Signal) -> tuple[Signal, Signal]:
+    """Amplitude density of the held-out stretches, nm per √Hz, in fine logarithmic bands."""
+    runs = _runs(trace.heldout) or [(0, len(e))]
+    length = min(stop - start for start, stop in runs)
+    window = np.hanning(length + 2)[1:-1]
+    scale = 2 / ((window**2).sum() * trace.fs_hz)
+    pieces = [e[start : start + length] - e[start : start + length].mean() for start, _ in runs]
+    power = np.mean([np.abs(np.fft.rfft(piece * window)) ** 2 * scale for piece in pieces], axis=0)[1:]
+    f = np.fft.rfftfreq(length, 1 / trace.fs_hz)[1:]
+    edges = np.unique(np.round(np.geomspace(1, len(f) + 1, 160)).astype(int)) - 1
+    band = np.add.reduceat(power, edges[:-1]) / np.diff(edges)
+    return np.sqrt(f[edges[:-1]] * f[edges[1:] - 1]), np.maximum(1e3 * np.sqrt(band), SILENT_NM)
+
+
+def _runs(mask: Signal) -> list[tuple[int, int]]:
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]])))
+    return [(int(start), int(stop)) for start, stop in zip(edges[::2], edges[1::2], strict=True)]
