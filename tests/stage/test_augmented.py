@@ -177,3 +177,46 @@ def test_a_control_loop_runs_against_it() -> None:
         Straight(), stage(), 4 - 3 * np.cos(2 * np.pi * 10 * t), fs_hz=1 / PERIOD_S, name="sine"
     )
     assert 0 < result.drives[COMPENSATED].on_true.steady.rms_um < 1
+
+
+MODAL = [
+    {
+        "name": "resonance",
+        "values": {"frequency_hz": 400.0, "damping_ratio": 0.02, "share": 0.6},
+        "modal": True,
+    },
+    {"name": "second_mode", "values": {"frequency_hz": 900.0, "share": -0.1}, "modal": True},
+    {"name": "second_mode", "values": {"frequency_hz": 1400.0, "share": 0.2}, "modal": True},
+    {
+        "name": "cross_coupling",
+        "values": {"coupling_um_per_v": 0.3, "mode2_um_per_v": 0.1, "mode3_rate_um_per_v": 0.2},
+        "aux": "aux_b",
+        "modal": True,
+    },
+]
+"""Mode 2 is the one of 900 Hz, whatever other effects stand in the list."""
+
+
+def test_modes_that_several_inputs_drive_are_simulated_stepped_saved_and_trained(tmp_path: Path) -> None:
+    one, u, b = stage(effects=[HUM, *MODAL, LAG], alignment=1), wandering(1, 300), wandering(1, 300, 1)
+    assert one.aux_names == ("aux_b",) and one.names.count("second_mode") == 2
+    with torch.no_grad():
+        y, state = one(u, None, {"aux_b": b})
+        first, between = one(u[:, :101], None, {"aux_b": b[:, :101]})
+        second, after = one(u[:, 101:], between, {"aux_b": b[:, 101:]})
+        alone, _ = one.simulate(u)
+    assert torch.equal(torch.cat([first, second], 1), y) and torch.equal(after, state)
+    rig = one.stream()
+    np.testing.assert_array_equal([rig.step(sample)[0] for sample in u[0].tolist()], alone[0].numpy())
+    assert float((y - alone).abs().max()) > 0.01
+
+    one.save(tmp_path / "stage.pt")
+    plain = torch.load(tmp_path / "stage.pt", weights_only=True)
+    assert json.loads(json.dumps(plain["effects"])) == plain["effects"]
+    again = AugmentedStage.load(tmp_path / "stage.pt")
+    assert torch.equal(again(u, None, {"aux_b": b})[0], y) and again.to_dict() == one.to_dict()
+
+    one(u, None, {"aux_b": b})[0].square().sum().backward()
+    assert all(bool((p.grad != 0).any()) for name, p in one.named_parameters() if "effects.1" in name)
+    with pytest.raises(StageError, match="aux_b"):
+        one(u)

@@ -26,6 +26,8 @@ from torchpi.stage.effects import EFFECTS
 from torchpi.stage.effects.effect import Effect
 from torchpi.stage.effects.held import hold_first_block
 from torchpi.stage.effects.inside import InsideEffect
+from torchpi.stage.effects.mechanics.modal import MODAL, ModalEffect
+from torchpi.stage.effects.mechanics.modes import Modes, Part
 from torchpi.stage.effects.unknown import Unknown
 from torchpi.stage.hysteresis import Hysteresis
 from torchpi.stage.stream import RigStream, StageStream
@@ -42,7 +44,8 @@ class AugmentedStage(Operator):
     Args:
         sample_period_s: T.
         hysteresis: Arguments of `Hysteresis`, which see, beside the period.
-        effects: Each {`name`, `values`: its parameters, `aux`: name of the signal that it takes, if any}.
+        effects: Each {`name`, `values`: its parameters, `aux`: name of the signal that it takes, if any};
+            `modal`: true for those that act together, as `Modes`.
         alignment: Whether y(k) answers the command of tick k (0) or that of the tick before (1). It is a
             convention of who recorded: one sample stays one sample at any rate.
         noise_um: Rms of the noise of one reading.
@@ -87,8 +90,10 @@ class AugmentedStage(Operator):
                 shape |= {
                     name: named.kind.quantities[name].check(name, v) for name, v in named.values.items()
                 }
-            else:
+            elif issubclass(named.kind, Effect):
                 self.effects.append(named.kind(self.sample_period_s, **named.values))
+            elif named is self._modal()[-1]:
+                self.effects.append(Modes(self.sample_period_s, [one.part() for one in self._modal()]))
         self.stepped, self.zero = bool(stepped), Zero(zero_um)
         hold_first_block(list(self.effects), self.stepped)  # type: ignore[arg-type]
         self.hysteresis = Hysteresis(self.sample_period_s, **{**hysteresis, "shape": shape})
@@ -195,7 +200,10 @@ class AugmentedStage(Operator):
         samples = x.shape[1] - self.alignment
         x, after = x[:, :samples], [x[:, samples:].to(state.dtype)]
         for (operator, name), part in zip(series, parts, strict=True):
-            x, part = operator(x, part, aux[name]) if name else operator(x, part)  # type: ignore[index]
+            if isinstance(operator, Modes):
+                x, part = operator(x, part, [aux[name] for name in operator.aux_names])  # type: ignore[index]
+            else:
+                x, part = operator(x, part, aux[name]) if name else operator(x, part)  # type: ignore[index]
             after.append(part)
         return x, torch.cat(after, 1)
 
@@ -224,22 +232,33 @@ class AugmentedStage(Operator):
         return StageStream(rig, self.seed, compiled)
 
     def _series(self) -> list[tuple[Operator, str]]:
-        """Every operator, first to last, with the signal that it takes, if any."""
-        outside = [named for named in self.named if not issubclass(named.kind, InsideEffect)]
+        """Every operator, first to last, with the signal that it alone takes, if any."""
+        parts = self._modal()
+        outside = [n for n in self.named if issubclass(n.kind, Effect) or (parts and n is parts[-1])]
         placed = [(cast(Effect, e), named.aux) for e, named in zip(self.effects, outside, strict=True)]
         before = [(effect, aux) for effect, aux in placed if effect.before_hysteresis]
         after = [(effect, aux) for effect, aux in placed if not effect.before_hysteresis]
         return [*before, (self.hysteresis, ""), *after, (self.zero, "")]
 
+    def _modal(self) -> list["Named"]:
+        """What acts together."""
+        return [named for named in self.named if issubclass(named.kind, ModalEffect)]
+
     def _entries(self) -> list[dict[str, Any]]:
         """The effects as the constructor takes them, with their present parameters."""
-        outside, shape, entries = iter(self.effects), self.hysteresis.shape(), []
+        outside = iter(effect for effect in self.effects if not isinstance(effect, Modes))
+        modes = next((effect for effect in self.effects if isinstance(effect, Modes)), None)
+        shape, entries, part = self.hysteresis.shape(), [], 0
         for named in self.named:
+            entry: dict[str, Any] = {"name": named.name, "values": {}, "aux": named.aux}
             if issubclass(named.kind, InsideEffect):
-                values = {name: shape[name] for name in named.values}
-            else:
-                values = cast(Effect, next(outside)).values()
-            entries.append({"name": named.name, "values": values, "aux": named.aux})
+                entry["values"] = {name: shape[name] for name in named.values}
+            elif issubclass(named.kind, Effect):
+                entry["values"] = cast(Effect, next(outside)).values()
+            elif modes is not None:
+                entry |= {"values": modes.part_values(part), "modal": True}
+                part += 1
+            entries.append(entry)
         return entries
 
 
@@ -295,13 +314,17 @@ class OneSampleLate(nn.Module):
 class Named:
     """An effect of the stage, as it was given."""
 
-    kind: type[Effect] | type[InsideEffect]
+    kind: type[Effect] | type[InsideEffect] | type[ModalEffect]
     values: dict[str, float]
     aux: str
 
     @property
     def name(self) -> str:
         return self.kind.name
+
+    def part(self) -> Part:
+        """It as one of those that act together."""
+        return Part(cast(type[ModalEffect], self.kind), self.values, self.aux)
 
 
 WANTED = "want a stage.pt of 'torchpi diagnose'"
@@ -315,7 +338,7 @@ def _named(entry: Mapping[str, Any]) -> Named:
     name, aux = entry["name"], entry.get("aux") or ""
     if name not in ORDER:
         raise StageError(f"effects: found '{name}', want one of {', '.join(ORDER)}")
-    kind = KNOWN[ORDER[name]]
+    kind = MODAL[name] if entry.get("modal") else KNOWN[ORDER[name]]
     if kind.takes_aux != bool(aux):
         wanted = "the name of the signal that it takes" if kind.takes_aux else "none"
         raise StageError(f"{name}: found the auxiliary signal '{aux}', want {wanted}")

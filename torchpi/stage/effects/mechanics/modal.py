@@ -1,0 +1,100 @@
+"""Names for what is found in a stage whose every input drives every mode: the parts of `Modes`."""
+
+from collections.abc import Iterable
+from typing import ClassVar
+
+from torchpi.operators.linear import Hold
+from torchpi.operators.quantity import Quantity
+from torchpi.stage.effects.effect import Block, Parameters
+from torchpi.stage.effects.mechanics.resonance import TYPICAL_DAMPING, Resonance
+
+MOST_MODES = 16
+"""How many modes a stage may have."""
+_SHARE = Quantity("", at_least=-1e3, at_most=1e3)
+_RESIDUE = Quantity("µm/V", at_least=-1e4, at_most=1e4)
+
+
+class ModalEffect:
+    """What acts together with others of its kind, as one `Modes`; no operator of its own.
+
+    The attributes are those of `Effect`.
+    """
+
+    name: ClassVar[str]
+    block: ClassVar[Block] = "mechanics"
+    equation: ClassVar[str]
+    signature: ClassVar[str]
+    quantities: ClassVar[dict[str, Quantity]]
+    identity: ClassVar[Parameters]
+    per_recording: ClassVar[tuple[str, ...]] = ()
+    before_hysteresis = False
+    takes_aux: ClassVar[bool] = False
+    jumps: ClassVar[tuple[str, ...]] = ()
+    kinds: ClassVar[tuple[str, ...]] = ()
+    hold: Hold = "first"
+
+
+class ModalResonance(ModalEffect):
+    """The strongest mode."""
+
+    name = "resonance"
+    equation = "y = x + Σ s (M(x) - x) + Σ v Ṁ(x)/ω₀, over the modes M"
+    signature = "rings at one frequency, phase climbs towards it"
+    quantities: ClassVar[dict[str, Quantity]] = {
+        **Resonance.quantities,
+        "share": _SHARE,
+        "rate_share": _SHARE,
+    }
+    identity: ClassVar[Parameters] = {
+        "frequency_hz": 1000.0,
+        "damping_ratio": TYPICAL_DAMPING,
+        "share": 0.0,
+        "rate_share": 0.0,
+    }
+
+
+class ModalSecondMode(ModalResonance):
+    """Any other mode."""
+
+    name = "second_mode"
+    signature = "rings at one frequency beside the other modes"
+
+
+class ModalCoupling(ModalEffect):
+    """What another axis moves in this one, through the modes: mode 1 is the resonance, the second modes
+    follow in their order."""
+
+    name = "cross_coupling"
+    equation = "y = x + c a + Σ r (M(a) - a) + Σ q Ṁ(a)/ω₀, over the modes M"
+    signature = "coherent with the other axis, whatever this one does"
+    quantities: ClassVar[dict[str, Quantity]] = {
+        "coupling_um_per_v": _RESIDUE,
+        **{f"mode{k}_um_per_v": _RESIDUE for k in range(1, MOST_MODES + 1)},
+        **{f"mode{k}_rate_um_per_v": _RESIDUE for k in range(1, MOST_MODES + 1)},
+    }
+    identity: ClassVar[Parameters] = dict.fromkeys(quantities, 0.0)
+    takes_aux = True
+
+    @classmethod
+    def of_modes(cls, numbers: Iterable[int]) -> set[str]:
+        """The parameters where there are these modes."""
+        return {
+            "coupling_um_per_v",
+            *(n for k in numbers for n in (f"mode{k}_um_per_v", f"mode{k}_rate_um_per_v")),
+        }
+
+
+def mode_numbers(effects: Iterable[type]) -> list[int]:
+    """Of each mode among the effects, its number in the couplings."""
+    numbers: list[int] = []
+    for effect in effects:
+        if effect is ModalResonance:
+            numbers.append(1)
+        elif effect is ModalSecondMode:
+            numbers.append(max([1, *numbers]) + 1)
+    return numbers
+
+
+MODAL: dict[str, type[ModalEffect]] = {
+    effect.name: effect for effect in (ModalResonance, ModalSecondMode, ModalCoupling)
+}
