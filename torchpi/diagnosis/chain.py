@@ -16,6 +16,8 @@ from torchpi.diagnosis.records import Record
 from torchpi.stage.effects.effect import Effect
 from torchpi.stage.effects.held import hold_first_block
 from torchpi.stage.effects.inside import InsideEffect
+from torchpi.stage.effects.mechanics.modal import ModalEffect
+from torchpi.stage.effects.mechanics.modes import Modes, Part
 from torchpi.stage.effects.mechanics.stiction import Stiction
 
 REMEMBERED = 600_000_000
@@ -26,7 +28,7 @@ class Placed(NamedTuple):
     """An effect of one recording, and the auxiliary signal that it takes."""
 
     effect: Effect
-    aux: Tensor | None
+    aux: Tensor | tuple[Tensor, ...] | None
 
     def __call__(self, x: Tensor) -> Tensor:
         # Only an effect that takes a second signal accepts one.
@@ -96,6 +98,26 @@ class Chain:
             moves = np.where(rests.stuck, 0.0, moves)
         return self.told(hypothesis, index, x[0].numpy() + weights[-1]), moves
 
+    def slopes(
+        self, hypothesis: Hypothesis, weights: np.ndarray, index: int
+    ) -> dict[tuple[int, str], np.ndarray]:
+        """How the output moves with each number of its modes, (time,), in closed form; under the member's
+        place and the number's name."""
+        places = [k for k, m in enumerate(hypothesis.members) if issubclass(m.effect, ModalEffect)]
+        if not places:
+            return {}
+        found: dict[tuple[int, str], Tensor] = {}
+        x = torch.from_numpy(weights[:-1] @ self.rows(hypothesis, index))[None]
+        with torch.no_grad():
+            for placed in self.after(hypothesis, index):
+                if found:
+                    rows = placed.effect.tangent(x, torch.cat(list(found.values())))
+                    found = dict(zip(found, rows.split(1), strict=True))
+                if isinstance(placed.effect, Modes):
+                    found = placed.effect.slopes(x, placed.aux or ())  # type: ignore[arg-type]
+                x = placed(x)
+        return {(places[part], name): row[0].numpy() for (part, name), row in found.items()}
+
     def moved(self, hypothesis: Hypothesis, rows: np.ndarray, index: int) -> np.ndarray:
         """What the chain after the hysteresis makes of rows, (rows, time), about rest."""
         directions, x = torch.from_numpy(rows), torch.zeros(1, rows.shape[1], dtype=torch.float64)
@@ -149,11 +171,17 @@ class Chain:
     def placed(self, hypothesis: Hypothesis, index: int) -> list[Placed]:
         """Every effect outside the hysteresis, in the order of the chain."""
         record = self.records[index]
-        found = []
+        found: list[Placed] = []
+        modal = [m for m in hypothesis.members if issubclass(m.effect, ModalEffect)]
         for member in hypothesis.members:
             if issubclass(member.effect, Effect):
                 aux = torch.from_numpy(record.aux[member.aux])[None] if member.aux else None
                 found.append(Placed(member.effect(record.period_s, **member.values(index)), aux))
+            elif modal and member is modal[-1]:
+                parts = [Part(m.effect, m.values(index), m.aux) for m in modal]  # type: ignore[arg-type]
+                modes = Modes(record.period_s, parts)
+                signals = tuple(torch.from_numpy(record.aux[name])[None] for name in modes.aux_names)
+                found.append(Placed(modes, signals))
         hold_first_block([placed.effect for placed in found], hypothesis.held)
         return found
 

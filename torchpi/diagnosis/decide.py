@@ -160,19 +160,20 @@ def parameters_of(
 ) -> tuple[Parameter, ...]:
     """Fitted parameters of one effect, with intervals.
 
-    Where there are several of its kind, modes or other axes, each has its own, `name[axis 1]`.
+    Where there are several of its kind, modes or other axes, each has its own, `name[axis 1]`: the
+    frequencies of all modes first, then what else they have.
     """
     if search.slips and name == Stiction.name:
         return stiction_parameters(search.slips, final, spans)
     places = [i for i, one in enumerate(final.hypothesis.names) if one == name]
     if len(places) == 1:
         return parameters_of_member(search, final, spans, places[0])
-    found: list[Parameter] = []
+    found: dict[str, list[Parameter]] = {}
     for number, place in enumerate(places, 1):
         label = f"{final.hypothesis.members[place].aux} {number}".strip()
         for one in parameters_of_member(search, final, spans, place):
-            found.append(replace(one, name=f"{one.name}[{label}]"))
-    return tuple(found)
+            found.setdefault(one.name, []).append(replace(one, name=f"{one.name}[{label}]"))
+    return tuple(one for each in found.values() for one in each)
 
 
 def stiction_parameters(

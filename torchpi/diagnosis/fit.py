@@ -11,6 +11,7 @@ from torchpi.diagnosis.hypothesis import Fit, Hypothesis, Member, Slot
 from torchpi.diagnosis.records import Record
 from torchpi.errors import StageError
 from torchpi.operators.quantity import Quantity
+from torchpi.stage.effects.mechanics.modal import ModalEffect
 
 RIDGE = 1e-9
 PRIOR, PRIOR_SHARE = 3e-7, 1e-2
@@ -231,11 +232,17 @@ def jacobian(
     """Output of one recording, (time,), and how its fitted samples move with each weight and slot,
     (numbers, fitted)."""
     y, directions = chain.output_and_directions(hypothesis, weights, index)
-    fitted = chain.records[index].fitted
+    fitted, members = chain.records[index].fitted, hypothesis.members
+    slopes = chain.slopes(hypothesis, weights, index) if slots else {}
     part = np.zeros((len(directions) + len(slots), len(fitted)))
     np.take(directions, fitted, axis=1, out=part[: len(directions)])
     for j, (s, row) in enumerate(zip(slots, part[len(directions) :], strict=True)):
         if s.record is not None and s.record != index:
+            continue
+        if s.member >= 0 and issubclass(members[s.member].effect, ModalEffect):
+            if (s.member, s.name) in slopes:  # else a coupling's number for a mode that was taken away
+                per_inner = to_outer(s, float(theta[j])) if s.log else s.scale
+                row[:] = slopes[s.member, s.name][fitted] * per_inner
             continue
         moved = np.array(theta)
         moved[j] += s.step

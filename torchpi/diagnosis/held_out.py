@@ -21,7 +21,12 @@ def gain(records: Sequence[Record], better: Fit, worse: Fit) -> float:
 
 def typical_um(records: Sequence[Record], one: Fit) -> float:
     """The geometric mean of the blocks' rms errors; 0 where nothing is held out."""
-    squares = mean_squares(records, one)
+    return typical_of(records, one.residuals)
+
+
+def typical_of(records: Sequence[Record], residuals: Sequence[np.ndarray]) -> float:
+    """The same of residuals, (time,) for each recording."""
+    squares = squares_of(records, residuals)
     return float(np.exp(0.5 * np.log(squares).mean())) if len(squares) else 0.0
 
 
@@ -39,10 +44,15 @@ def unexplained(records: Sequence[Record], now: Fit, before: Fit, floor_um: floa
 
 def mean_squares(records: Sequence[Record], one: Fit) -> np.ndarray:
     """(blocks,): of the held-out residual, µm²."""
+    return squares_of(records, one.residuals)
+
+
+def squares_of(records: Sequence[Record], residuals: Sequence[np.ndarray]) -> np.ndarray:
+    """The same of residuals, (time,) for each recording."""
     return np.array(
         [
             np.mean(e[block] ** 2) + TINY_UM2
-            for record, e in zip(records, one.residuals, strict=True)
+            for record, e in zip(records, residuals, strict=True)
             for block in record.held_out
         ]
     )

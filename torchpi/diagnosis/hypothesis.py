@@ -8,13 +8,14 @@ from torchpi.diagnosis.nominal import Nominal
 from torchpi.stage.effects import EFFECTS
 from torchpi.stage.effects.effect import Effect, Parameters
 from torchpi.stage.effects.inside import InsideEffect
+from torchpi.stage.effects.mechanics.modal import ModalCoupling, ModalEffect, mode_numbers
 
 
 @dataclass(frozen=True)
 class Member:
     """An effect in a hypothesis, with the parameters that are fitted."""
 
-    effect: type[Effect] | type[InsideEffect]
+    effect: type[Effect] | type[InsideEffect] | type[ModalEffect]
     shared: Parameters
     own: tuple[Parameters, ...] = ()
     """For each recording the parameters that are its own."""
@@ -55,8 +56,8 @@ class Hypothesis:
 
     def plus(self, member: Member) -> "Hypothesis":
         """With one more effect, in the order of the chain."""
-        order = {effect: i for i, effect in enumerate(EFFECTS)}
-        members = sorted([*self.members, member], key=lambda m: order[m.effect])
+        order = {effect.name: i for i, effect in enumerate(EFFECTS)}
+        members = sorted([*self.members, member], key=lambda m: order[m.effect.name])
         return replace(self, members=tuple(members))
 
     def on(self, nominal: Nominal, shape: tuple[str, ...] = ()) -> "Hypothesis":
@@ -64,9 +65,19 @@ class Hypothesis:
         return replace(self, nominal=nominal, shape=shape)
 
     def without(self, name: str, aux: str | None = None) -> "Hypothesis":
-        """Without what has this name; of what takes a signal, only that of one, if it is given."""
+        """Without what has this name; of what takes a signal, only that of one, if it is given.
+
+        What couplings say of a mode goes with the mode.
+        """
         kept = [m for m in self.members if m.effect.name != name or aux not in (None, m.aux)]
-        return replace(self, members=tuple(kept))
+        there = ModalCoupling.of_modes(mode_numbers(m.effect for m in kept))
+        members = tuple(
+            replace(m, shared={n: v for n, v in m.shared.items() if n in there})
+            if m.effect is ModalCoupling
+            else m
+            for m in kept
+        )
+        return replace(self, members=members)
 
     @property
     def names(self) -> tuple[str, ...]:

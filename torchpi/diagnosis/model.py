@@ -8,6 +8,7 @@ import torch
 from torchpi.diagnosis.hypothesis import Fit, Member
 from torchpi.stage.augmented import AugmentedStage
 from torchpi.stage.effects.effect import Seen
+from torchpi.stage.effects.mechanics.modal import ModalEffect
 
 
 def augmented_stage(now: Fit, seen: Seen, noise_um: float) -> AugmentedStage:
@@ -31,7 +32,12 @@ def augmented_stage(now: Fit, seen: Seen, noise_um: float) -> AugmentedStage:
             "shape": dict(nominal.shape),
         },
         [
-            {"name": member.effect.name, "values": foretold(member), "aux": member.aux or None}
+            {
+                "name": member.effect.name,
+                "values": foretold(member),
+                "aux": member.aux or None,
+                "modal": issubclass(member.effect, ModalEffect),
+            }
             for member in now.hypothesis.members
         ],
         now.hypothesis.alignment,

@@ -16,6 +16,7 @@ from torchpi.diagnosis.hypothesis import Fit, Member
 from torchpi.diagnosis.records import Record
 from torchpi.stage.effects.effect import Effect, Parameters
 from torchpi.stage.effects.inside import InsideEffect
+from torchpi.stage.effects.mechanics.modal import ModalEffect
 
 SWALLOWED = 1e-7
 """Of a squared direction: less than this off the tangent is rounding."""
@@ -192,7 +193,7 @@ def candidates_of(
     return members
 
 
-def possible(effect: type[Effect] | type[InsideEffect], start: Parameters) -> bool:
+def possible(effect: type[Effect] | type[InsideEffect] | type[ModalEffect], start: Parameters) -> bool:
     """Whether every number of a start lies within its bounds."""
     return all(
         effect.quantities[name].at_least <= value <= effect.quantities[name].at_most

@@ -19,6 +19,7 @@ from torchpi.diagnosis.fit import FINE, ITERATIONS, ROUGH, fit, sum_of_squares
 from torchpi.diagnosis.held_out import explained, gain, typical_um, unexplained
 from torchpi.diagnosis.hypothesis import Fit, Hypothesis, Member
 from torchpi.diagnosis.mains import hums, lines_hz
+from torchpi.diagnosis.modal import driven_modes
 from torchpi.diagnosis.noise import noise_floor_um
 from torchpi.diagnosis.nominal import Nominal, bouc_wen, duhem, many_plays, plain, preisach
 from torchpi.diagnosis.parallel import Job, fit_all
@@ -115,6 +116,7 @@ class Search:
         self.witnessed: set[str] = set()
         """Names for which a recorded signal stands, however much else is left: they are not sifted."""
         self.slips: Slips | None = None
+        self.lessened: tuple[tuple[object, ...], list[Fit]] | None = None
         self.starts: list[Member] = []
         for effect in EFFECTS:
             starts = candidates_of(effect, chain.records, effect.starts(self.seen), list(self.seen.aux))
@@ -245,11 +247,11 @@ class Search:
         """The most promising effects, each fitted from its best starts."""
         barred = {*self.needless, *(name for name, _ in self.left_out)}
         # Of an effect with a signal of its own there may be one for each signal.
-        there = {(member.effect, member.aux) for member in now.hypothesis.members}
+        there = {(member.effect.name, member.aux) for member in now.hypothesis.members}
         starts = [
             member
             for member in [*self.starts, *self.from_residual(now)]
-            if member.effect.name not in barred and (member.effect, member.aux) not in there
+            if member.effect.name not in barred and (member.effect.name, member.aux) not in there
         ]
         screens = {False: Screen(self.chain, now)}
         if not any(member.effect.hold for member in now.hypothesis.members):
@@ -283,7 +285,10 @@ class Search:
         for name, one in zip(names, self.fits(jobs), strict=True):
             found[name] = min(one, found.get(name, one), key=lambda f: f.train_rms)
         rest: list[Job] = [(f.hypothesis, f.weights, ITERATIONS, ROUGH) for f in found.values()]
-        return list(zip(found, self.fits(rest), strict=True))
+        fits = list(zip(found, self.fits(rest), strict=True))
+        if {effect.name for effect in (CrossCoupling, Resonance, SecondMode)} & (barred | self.given):
+            return fits
+        return [*fits, *driven_modes(self.chain, now, [one for _, one in fits], ROUGH)]
 
     def at_the_other_timing(self, now: Fit, starts: Sequence[Member]) -> dict[str, Hypothesis]:
         """For what is slow the best start of all under the other convention, where it is worth a fit."""
@@ -431,8 +436,21 @@ class Search:
 
     def without_each(self, now: Fit) -> list[Fit]:
         """The fit without one of the added effects, for each."""
-        hypotheses = [now.hypothesis.without(name) for name in self.added(now)]
-        return self.fits([(h, now.weights, ITERATIONS, ROUGH) for h in hypotheses])
+        # What the last sifting left is what is decided on: the same fits again.
+        h = now.hypothesis
+        what = (
+            h.members,
+            h.alignment,
+            h.held,
+            h.nominal.structure,
+            *h.nominal.shape.values(),
+            now.weights.tobytes(),
+        )
+        if self.lessened is None or self.lessened[0] != what:
+            hypotheses = [h.without(name) for name in self.added(now)]
+            fits = self.fits([(less, now.weights, ITERATIONS, ROUGH) for less in hypotheses])
+            self.lessened = (what, fits)
+        return self.lessened[1]
 
     def parts(self, now: Fit) -> list[tuple[str, str]]:
         """The added effects, and what each auxiliary signal does apart: names and signals."""

@@ -1,0 +1,368 @@
+"""Modes that every recorded input drives: a stage that rings as one, whichever axis is moved.
+
+No single resonance or coupling explains such a stage, and each alone explains little. So the poles, which all
+inputs share, are found together: one mode after another where the residual stands out, all poles refined
+after each, the residues of every input solved for at every step (variable projection: Golub and Pereyra 1973;
+common poles: Gustavsen and Semlyen, IEEE Trans. Power Delivery 14(3), 1999).
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+import torch
+
+from torchpi.diagnosis.chain import Chain
+from torchpi.diagnosis.evidence import evidence
+from torchpi.diagnosis.fit import fit
+from torchpi.diagnosis.held_out import typical_of, typical_um
+from torchpi.diagnosis.hypothesis import Fit, Hypothesis, Member
+from torchpi.diagnosis.screen import possible
+from torchpi.stage.effects.mechanics.modal import (
+    MODAL,
+    MOST_MODES,
+    ModalCoupling,
+    ModalEffect,
+    ModalResonance,
+    ModalSecondMode,
+)
+from torchpi.stage.effects.mechanics.modes import RELATIVE_STEP, Modes
+from torchpi.stage.effects.mechanics.resonance import peaks_hz
+
+LEAST_GAIN = 0.03
+"""By how much a mode must lower the error, on the samples it was fitted to and on those held out; and all
+together that of the best simpler explanation."""
+INPUT_GAIN = 0.01
+"""The same for an input: nothing else follows a recorded signal by chance."""
+LEAST_EVIDENCE, PER_NUMBER = 8.0, 3.0
+"""Log-likelihood that a mode, or an input, must gain, and that for each of its numbers."""
+DAMPINGS = (0.01, 0.05)
+"""Damping ratios at which a mode is looked for."""
+APART = 0.01
+"""Of its frequency: where the twin of a mode is looked for."""
+TRIED = 3
+"""How many frequencies are tried before the rest is taken for no mode."""
+STEPS, CLOSING = 3, 12
+"""Of the poles after each mode, and at the end."""
+FASTEST, MOST_DAMPED = 0.75, 0.29
+"""Of the sample rate, and of the critical damping: a pole that goes there is no mode. One beyond the band may
+stand for all that lies there."""
+AT_MOST = 12_000
+"""Samples that the poles are fitted to."""
+PASSES = 2
+"""The first with modes that the voltage drives, then with those that the fitted hysteresis drives."""
+RIDGE = 1e-10
+"""Of each column's square."""
+CLOSED = 1e-3
+"""Relative gain of a step below which the poles stay."""
+LARGEST = 900.0
+"""Of a share of the static gain."""
+
+
+def driven_modes(chain: Chain, now: Fit, simpler: Sequence[Fit], tolerance: float) -> list[tuple[str, Fit]]:
+    """The modes and the inputs that drive them, fitted on top of this, with what they are called together.
+
+    None where no other signal was recorded, where no mode is driven by one, or where an explanation with
+    fewer numbers, of `simpler`, does as well.
+    """
+    base = now.hypothesis
+    aux = sorted({name for record in chain.records for name in record.aux if np.ptp(record.aux[name]) > 0})
+    if not aux or any(issubclass(member.effect, ModalEffect) for member in base.members):
+        return []
+    for name in MODAL:
+        base = base.without(name)
+    # Until the hysteresis is fitted with the modes behind it, the voltage is the better guide.
+    drive = [chain.voltage(base, i) for i in range(len(chain.records))]
+    modes = Superposition(chain, base, drive, aux)
+    found: list[tuple[Solved, Fit]] = []
+    for _ in range(PASSES):
+        start = found[-1][0].poles if found else np.zeros((0, 2))
+        solved = modes.found(start)
+        if solved is None or not (members := modes.members(solved)):
+            break
+        hypothesis = modes.base
+        for member in members:
+            hypothesis = hypothesis.plus(member)
+        found.append((solved, fit(chain, hypothesis, now.weights, CLOSING, tolerance)))
+        modes = timed(chain, base, found[-1][1].weights, aux, solved.poles)
+    found = [(solved, one) for solved, one in found if not one.bounded]
+    if not found:
+        return []
+    one = min(found, key=lambda f: typical_um(chain.records, f[1]) / (1 - LEAST_GAIN) ** len(f[0].poles))[1]
+    best = min((typical_um(chain.records, f) for f in (now, *simpler) if not f.bounded), default=np.inf)
+    if typical_um(chain.records, one) > (1 - LEAST_GAIN) * best:
+        return []
+    named = [member.effect.name for member in one.hypothesis.members if member.effect in MODAL.values()]
+    return [(" + ".join(dict.fromkeys(named)), one)]
+
+
+def timed(
+    chain: Chain, base: Hypothesis, weights: np.ndarray, aux: Sequence[str], poles: np.ndarray
+) -> "Superposition":
+    """Modes behind the fitted hysteresis, under the convention of timing that suits these poles better: a
+    sample too early or too late costs modes beyond the band."""
+    found = []
+    for alignment in (0, 1):
+        other = replace(base, alignment=alignment)
+        drive = [weights[:-1] @ chain.rows(other, i) for i in range(len(chain.records))]
+        modes = Superposition(chain, other, drive, aux)
+        found.append((modes.typical_um(modes.refined(modes.solved(poles, modes.aux), STEPS)), modes))
+    return min(found, key=lambda f: f[0])[1]
+
+
+@dataclass(frozen=True, eq=False)
+class Solved:
+    """Poles with the residues that go with them."""
+
+    poles: np.ndarray
+    """(modes, 2): frequency, Hz, and damping ratio."""
+    aux: tuple[str, ...]
+    coefficients: np.ndarray
+    """Of the static columns, then of both states of each mode for each input, mode by mode."""
+    columns: np.ndarray
+    """(columns, fitted samples)."""
+    inverse: np.ndarray
+    """Of the columns' Gram matrix."""
+    residual: np.ndarray
+    """(fitted samples,), µm."""
+
+    @property
+    def squares(self) -> float:
+        return float(self.residual @ self.residual)
+
+
+class Superposition:
+    """Modes driven by the voltage and by auxiliary signals, beside all that is static.
+
+    Args:
+        chain: The recordings.
+        base: What stands before the modes.
+        drive: (time,) for each recording: what moves the modes from the stage's own axis.
+        aux: The signals that may drive a mode.
+    """
+
+    def __init__(
+        self, chain: Chain, base: Hypothesis, drive: Sequence[np.ndarray], aux: Sequence[str]
+    ) -> None:
+        self.records, self.base, self.aux = chain.records, base, tuple(aux)
+        self.ends = np.cumsum([len(record.y) for record in self.records])
+        self.inputs = [
+            torch.from_numpy(np.stack([own, *(record.aux[name] for name in self.aux)]))
+            for own, record in zip(drive, self.records, strict=True)
+        ]
+        rows = np.concatenate([chain.rows(base, i) for i in range(len(self.records))], 1)
+        self.static = np.vstack([np.ones(rows.shape[1]), rows])
+        self.driving = np.concatenate([inputs.numpy() for inputs in self.inputs], 1)
+        fitted = [r.fitted + end - len(r.y) for r, end in zip(self.records, self.ends, strict=True)]
+        joined = np.concatenate(fitted)
+        self.fitted = joined[:: -(-len(joined) // AT_MOST)]
+        first = np.append(0, self.ends)
+        self.fitted_in = [
+            self.fitted[(self.fitted >= low) & (self.fitted < high)] - low for low, high in pairwise(first)
+        ]
+        self.fitted_static = self.static[:, self.fitted]
+        self.y = np.concatenate([record.y for record in self.records])
+
+    def found(self, poles: np.ndarray) -> Solved | None:
+        """As many modes as earn their place, from these on, and the signals that drive them; None without
+        either."""
+        now = self.refined(self.solved(poles, self.aux), STEPS)
+        while len(now.poles) < MOST_MODES:
+            more = self.with_one_more(now)
+            if more is None:
+                break
+            now = more
+        now = self.without_the_unseen(self.without_the_needless(self.refined(now, CLOSING)))
+        for name in now.aux:
+            less = self.solved(now.poles, tuple(one for one in now.aux if one != name))
+            if not self.earns(now, less, INPUT_GAIN):
+                now = less
+        return now if now.aux and len(now.poles) else None
+
+    def with_one_more(self, now: Solved) -> Solved | None:
+        """The mode that the residual shows best; None where none earns its place."""
+        # Where two modes stand close together, one stands for both at first, and no peak is left.
+        twins = [float(f) for f in np.outer(now.poles[:, 0], [1 - APART, 1 + APART]).ravel()]
+        starts = [(f, damping) for f in [*self.peaks_hz(now), *twins] for damping in DAMPINGS]
+        # At each frequency from the best of its damping ratios; the best frequency first.
+        starts.sort(key=lambda pole: -self.reduction(now, *pole))
+        best = dict(reversed(starts))
+        for frequency in list(dict.fromkeys(frequency for frequency, _ in starts))[:TRIED]:
+            poles = np.vstack([now.poles, [[frequency, best[frequency]]]])
+            more = self.refined(self.solved(poles, now.aux), STEPS)
+            # Evidence would ask that no quiet band be disturbed: too much while loud modes are missing.
+            if self.seen(more).all() and self.lowers(more, now, LEAST_GAIN):
+                return more
+        return None
+
+    def reduction(self, now: Solved, frequency_hz: float, damping_ratio: float) -> float:
+        """By how much one more mode lowers the squared error, the poles that are there as they are."""
+        columns = self.driven(np.array([[frequency_hz, damping_ratio]]), now.aux)
+        across = now.columns @ columns.T
+        gram = columns @ columns.T - across.T @ now.inverse @ across
+        right = columns @ now.residual
+        gram[np.diag_indices_from(gram)] += 1e-9 * np.square(columns).sum(1)
+        return float(right @ np.linalg.solve(gram, right))
+
+    def without_the_unseen(self, now: Solved) -> Solved:
+        """Without what went, beside the others, where no mode is."""
+        while not (seen := self.seen(now)).all():
+            now = self.refined(self.solved(now.poles[seen], now.aux), CLOSING)
+        return now
+
+    def without_the_needless(self, now: Solved) -> Solved:
+        """Without the modes whose work the others do."""
+        while len(now.poles):
+            least = int(np.argmin(self.losses(now)))
+            less = self.refined(self.solved(np.delete(now.poles, least, 0), now.aux), STEPS)
+            if self.earns(now, less, LEAST_GAIN):
+                break
+            now = less
+        return now
+
+    def losses(self, now: Solved) -> list[float]:
+        """The squared error without each of the modes, the other poles as they are."""
+        every = range(len(now.poles))
+        return [self.solved(np.delete(now.poles, m, 0), now.aux).squares for m in every]
+
+    def seen(self, now: Solved) -> np.ndarray:
+        """(modes,), bool: whether each is one that these samples can show."""
+        inside: np.ndarray = np.all(now.poles < 0.999 * self.limits(), axis=1)
+        return inside
+
+    def limits(self) -> np.ndarray:
+        """The highest frequency, and damping ratio."""
+        return np.array([FASTEST * max(record.fs_hz for record in self.records), MOST_DAMPED])
+
+    def peaks_hz(self, now: Solved) -> list[float]:
+        """Where the residual of the loudest recording stands out."""
+        parts = self.residuals(now)
+        loudest = max(range(len(parts)), key=lambda i: float(np.mean(parts[i] ** 2)))
+        return peaks_hz(torch.from_numpy(parts[loudest]), self.records[loudest].fs_hz)
+
+    def earns(self, more: Solved, less: Solved, least: float) -> bool:
+        """Whether what is more earns its place."""
+        numbers = len(more.coefficients) - len(less.coefficients) + 2 * (len(more.poles) - len(less.poles))
+        gained = evidence(self.residuals(less), self.residuals(more))
+        return self.lowers(more, less, least) and gained > LEAST_EVIDENCE + PER_NUMBER * numbers
+
+    def lowers(self, more: Solved, less: Solved, least: float) -> bool:
+        """Whether the error falls, of the fitted and of the held-out samples."""
+        fitted = more.squares < (1 - least) ** 2 * less.squares
+        return fitted and self.typical_um(more) < (1 - least) * self.typical_um(less)
+
+    def typical_um(self, now: Solved) -> float:
+        """Its error in a held-out block."""
+        return typical_of(self.records, self.residuals(now))
+
+    def residuals(self, now: Solved) -> list[np.ndarray]:
+        """(time,) for each recording, µm."""
+        kept, residues = self.kept(now.aux), self.residues(now)
+        static, direct = np.split(now.coefficients[: -residues.size or None], [len(self.static)])
+        left = self.y - static @ self.static - direct @ self.driving[kept[1:]]
+        return [
+            part - np.einsum("mks,kmst->t", residues, states)
+            for part, states in zip(
+                np.split(left, self.ends[:-1]), self.responses(now.poles, kept), strict=True
+            )
+        ]
+
+    def solved(self, poles: np.ndarray, aux: tuple[str, ...]) -> Solved:
+        """The residues of every input by least squares."""
+        unmoved = [self.fitted_static, self.driving[self.kept(aux)[1:]][:, self.fitted]]
+        columns = np.concatenate([*unmoved, self.driven(poles, aux)])
+        gram = columns @ columns.T
+        scale = 1 / np.sqrt(np.maximum(np.diag(gram), 1e-300))
+        unit = gram * scale * scale[:, None] + RIDGE * np.eye(len(gram))
+        inverse = scale[:, None] * np.linalg.inv(unit) * scale
+        y = self.y[self.fitted]
+        coefficients = inverse @ (columns @ y)
+        return Solved(poles, aux, coefficients, columns, inverse, y - coefficients @ columns)
+
+    def driven(self, poles: np.ndarray, aux: tuple[str, ...]) -> np.ndarray:
+        """(columns, fitted samples): both states of each mode for each input."""
+        kept = self.kept(aux)
+        parts = [
+            states[..., at] for states, at in zip(self.responses(poles, kept), self.fitted_in, strict=True)
+        ]
+        joined: np.ndarray = np.concatenate(parts, 3).swapaxes(0, 1).reshape(-1, len(self.fitted))
+        return joined
+
+    def responses(self, poles: np.ndarray, kept: Sequence[int]) -> Iterator[np.ndarray]:
+        """(inputs, modes, 2, time) for each recording: each mode's displacement and rate for each input."""
+        frequency_hz, damping_ratio = torch.from_numpy(poles).T
+        for record, inputs in zip(self.records, self.inputs, strict=True):
+            yield Modes(record.period_s, []).responses(inputs[kept], frequency_hz, damping_ratio).numpy()
+
+    def kept(self, aux: tuple[str, ...]) -> list[int]:
+        """Of the inputs, the stage's own first."""
+        return [0, *(1 + self.aux.index(name) for name in aux)]
+
+    def refined(self, now: Solved, steps: int) -> Solved:
+        """Gauss–Newton over the logarithms of the poles, the residues solved for at each step."""
+        damping, moving = 1e-3, 2 * len(now.poles)
+        for _ in range(steps if moving else 0):
+            full = np.concatenate([self.slopes(now), now.columns])
+            gram, right = full @ full.T, full @ now.residual
+            scale = 1 / np.sqrt(np.maximum(np.diag(gram), 1e-300))
+            unit, k = gram * scale * scale[:, None], np.arange(moving)
+            unit[np.diag_indices_from(unit)] += RIDGE
+            before = now.squares
+            for _ in range(4):
+                damped = unit.copy()
+                damped[k, k] += damping
+                step = (scale * np.linalg.solve(damped, scale * right))[:moving].reshape(-1, 2)
+                moved = now.poles * np.exp(np.clip(step, [-0.1, -1.0], [0.1, 1.0]))
+                trial = self.solved(np.minimum(moved, self.limits()), now.aux)
+                if trial.squares < before:
+                    now, damping = trial, damping / 10
+                    break
+                damping = max(10 * damping, 1e-3)
+            if now.squares > (1 - CLOSED) * before:
+                break
+        return now
+
+    def slopes(self, now: Solved) -> np.ndarray:
+        """(2 modes, fitted samples): how the output moves with the logarithm of each frequency, damping."""
+        residues = self.residues(now).reshape(len(now.poles), -1)
+        here = now.columns[-residues.size :]
+        changes = [
+            (self.driven(now.poles * (1 + step), now.aux) - here).reshape(*residues.shape, -1)
+            for step in RELATIVE_STEP * np.eye(2)
+        ]
+        slopes = np.stack([np.einsum("mr,mrt->mt", residues, change) for change in changes], 1)
+        return slopes.reshape(2 * len(residues), -1) / RELATIVE_STEP
+
+    def residues(self, now: Solved) -> np.ndarray:
+        """(modes, inputs, 2)."""
+        first = len(self.static) + len(now.aux)
+        return now.coefficients[first:].reshape(len(now.poles), 1 + len(now.aux), 2)
+
+    def members(self, now: Solved) -> list[Member]:
+        """What was found, by name: the mode that it could do without least is the resonance.
+
+        Empty where the numbers are not those of a stage: recordings in extreme units ask for such.
+        """
+        residues = self.residues(now)
+        own, direct, _ = np.split(now.coefficients, [len(self.static), len(self.static) + len(now.aux)])
+        centred = self.driving[0] - self.driving[0].mean()
+        static = own @ self.static @ centred / max(centred @ centred, 1e-300) + residues[:, 0, 0].sum()
+        if not np.abs(residues[:, 0]).max() < LARGEST * abs(static):
+            return []
+        shares = residues[:, 0] / static
+        strongest = int(np.argmax(self.losses(now)))
+        order = [strongest, *(int(m) for m in np.argsort(now.poles[:, 0]) if m != strongest)]
+        found: list[Member] = []
+        for m in order:
+            effect = ModalResonance if m == strongest else ModalSecondMode
+            names = ("frequency_hz", "damping_ratio", "share", "rate_share")
+            numbers = map(float, (*now.poles[m], *shares[m]))
+            found.append(Member(effect, dict(zip(names, numbers, strict=True))))
+        for k, name in enumerate(now.aux):
+            values = {"coupling_um_per_v": float(direct[k] + residues[:, k + 1, 0].sum())}
+            for number, m in enumerate(order, 1):
+                values[f"mode{number}_um_per_v"] = float(residues[m, k + 1, 0])
+                values[f"mode{number}_rate_um_per_v"] = float(residues[m, k + 1, 1])
+            found.append(Member(ModalCoupling, values, aux=name))
+        return found if all(possible(member.effect, member.shared) for member in found) else []
