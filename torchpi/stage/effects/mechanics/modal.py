@@ -30,6 +30,7 @@ class ModalEffect:
     before_hysteresis = False
     takes_aux: ClassVar[bool] = False
     jumps: ClassVar[tuple[str, ...]] = ()
+    kinks: ClassVar[tuple[str, ...]] = ()
     kinds: ClassVar[tuple[str, ...]] = ()
     hold: Hold = "first"
 
