@@ -8,12 +8,13 @@ from tests.diagnosis.plants import FS_HZ, hysteresis, lag, multisine, resonance,
 from torchpi.diagnosis.chain import Chain
 from torchpi.diagnosis.fit import fit
 from torchpi.diagnosis.hypothesis import Hypothesis, Member
-from torchpi.diagnosis.intervals import intervals_90, scatter
+from torchpi.diagnosis.intervals import intervals_90, scatter, undetermined
 from torchpi.diagnosis.nominal import many_plays
 from torchpi.diagnosis.records import prepare, seen
 from torchpi.recording import Recording
 from torchpi.stage.effects.amplifier.amplifier_lag import AmplifierLag
 from torchpi.stage.effects.mechanics.resonance import Resonance
+from torchpi.stage.effects.mechanics.second_mode import SecondMode
 
 TRUTH = (130.0, 310.0, 0.03)
 
@@ -91,3 +92,21 @@ def test_twice_the_noise_makes_them_twice_as_wide() -> None:
         ((low, high),) = intervals_90(chain, fit(chain, Hypothesis(many_plays(seen(chain.records)), members)))
         widths.append(high - low)
     assert widths[1] / widths[0] == pytest.approx(2.0, rel=0.3)
+
+
+def test_an_effect_is_not_told_where_its_interval_holds_its_absence_or_a_decade() -> None:
+    chain = Chain(prepare([Recording("a", np.arange(400) / FS_HZ, triangles(400), triangles(400), FS_HZ)]))
+    members = (
+        Member(AmplifierLag, {"cutoff_hz": 100.0}),
+        Member(SecondMode, {"share": 0.1, "frequency_hz": 300.0, "damping_ratio": 0.02}),
+    )
+    one = fit(chain, Hypothesis(many_plays(seen(chain.records)), members), None, 0)
+    assert [slot.name for slot in one.slots] == ["cutoff_hz", "share", "frequency_hz", "damping_ratio"]
+    told = [(90.0, 110.0), (0.05, 0.15), (290.0, 310.0), (0.01, 0.04)]
+    assert undetermined(one, told) == set()
+    for place, span, name in (
+        (0, (20.0, 300.0), "amplifier_lag"),
+        (1, (-0.05, 0.25), "second_mode"),
+        (3, (0.004, 0.1), "second_mode"),
+    ):
+        assert undetermined(one, [span if i == place else s for i, s in enumerate(told)]) == {name}

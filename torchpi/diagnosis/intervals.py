@@ -1,5 +1,7 @@
 """Intervals of the fitted parameters that hold for a coloured residual, and for a model that is not exact."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from scipy.special import stdtrit
 
@@ -11,6 +13,8 @@ BLOCKS = 30
 """Contiguous pieces of all recordings together; their scores are taken as independent."""
 ONE_SIDED = 0.95
 """Of Student's t, with a degree of freedom less than there are blocks, or recordings: 90 % two-sided."""
+WIDE = 10.0
+"""An interval from one end to the other: a decade says no more than the order of magnitude."""
 TELLS = 0.1
 """Of what all samples know of a parameter; what is left after less cannot say how it scatters."""
 
@@ -40,6 +44,29 @@ def intervals_90(chain: Chain, now: Fit) -> list[tuple[float, float]]:
         (to_outer(slot, float(t - half)), to_outer(slot, float(t + half)))
         for slot, t, half in zip(now.slots, now.theta, np.sqrt(squares), strict=True)
     ]
+
+
+def undetermined(now: Fit, spans: Sequence[tuple[float, float]]) -> set[str]:
+    """The effects whose numbers the recordings do not tell.
+
+    A positive one has an interval wider than a factor of `WIDE`, or all that may have either sign have one
+    with the value in it at which they do nothing. What each recording has for itself does not count.
+    """
+    wide: set[str] = set()
+    idle: set[str] = set()
+    busy: set[str] = set()
+    for slot, (low, high) in zip(now.slots, spans, strict=True):
+        if slot.member < 0 or slot.record is not None:
+            continue
+        effect = now.hypothesis.members[slot.member].effect
+        if slot.log:
+            if high > WIDE * low:
+                wide.add(effect.name)
+        elif low <= effect.identity[slot.name] <= high:
+            idle.add(effect.name)
+        else:
+            busy.add(effect.name)
+    return wide | (idle - busy)
 
 
 def quantile(parts: int) -> float:

@@ -18,6 +18,7 @@ from torchpi.diagnosis.evidence import evidence
 from torchpi.diagnosis.fit import FINE, ITERATIONS, ROUGH, fit, sum_of_squares
 from torchpi.diagnosis.held_out import explained, gain, typical_um, unexplained
 from torchpi.diagnosis.hypothesis import Fit, Hypothesis, Member
+from torchpi.diagnosis.intervals import intervals_90, undetermined
 from torchpi.diagnosis.mains import hums, lines_hz
 from torchpi.diagnosis.modal import driven_modes
 from torchpi.diagnosis.noise import noise_floor_um
@@ -65,6 +66,8 @@ SAMPLES_A_PLAY = 10
 """Shorter recordings than so many samples for each of a hundred plays get ten plays."""
 NEGLIGIBLE = 1e-6
 """Of the travel: less than this no sensor resolves."""
+MINOR = 0.01
+"""Of the mismatch: an effect that explains less must have numbers that the recordings tell."""
 OUTWEIGHS = 2.0
 """How many times what nothing explains an effect must explain to be named."""
 LARGE = 200
@@ -159,7 +162,7 @@ class Search:
                 self.witnessed |= set(chosen.name.split(" + "))
             self.needless |= set(chosen.fit.hypothesis.names) - set(now.hypothesis.names)
             self.say(f"  with {', '.join(now.hypothesis.names) or chosen.name}: {describe(now)}")
-        return retuned, self.sifted(self.as_plays(now, retuned)), history
+        return retuned, self.determined(self.sifted(self.as_plays(now, retuned)), retuned), history
 
     def sticking(self, now: Fit) -> Tried | None:
         """Stiction, if the readings show it: from then on everything is fitted where the mount slips."""
@@ -191,6 +194,27 @@ class Search:
                 break
             self.say(f"  without {name}: it explains too little beside what nothing explains")
             now = self.polished(worth[name][1])
+        return now
+
+    def determined(self, now: Fit, retuned: Fit) -> Fit:
+        """Without the effects that explain next to nothing, and have a number that nothing tells.
+
+        Two such, as a lag and a damped mode, often stand for what the solver of another's equation leaves.
+        """
+        while added := self.added(now):
+            loose = undetermined(now, intervals_90(self.chain, now)) - self.witnessed
+            small = compressed(self.chain, now)
+            mismatch = retuned.heldout_rms**2 - self.floor_um(now) ** 2
+            rises = {
+                name: (less.heldout_rms**2 - small.heldout_rms**2, less)
+                for name, less in zip(added, self.without_each(small), strict=True)
+                if name in loose
+            }
+            name = min(rises, key=lambda name: rises[name][0], default=None)
+            if name is None or rises[name][0] > MINOR * mismatch:
+                break
+            self.say(f"  without {name}: it explains next to nothing, and its numbers are not told")
+            now = self.polished(rises[name][1])
         return now
 
     def as_plays(self, now: Fit, retuned: Fit) -> Fit:
