@@ -17,7 +17,8 @@ from torchpi.stage.effects import EFFECTS
 from torchpi.stage.effects.mechanics.backlash import Backlash
 from torchpi.stage.effects.mechanics.stiction import Stiction
 
-NAMES = {effect.name for effect in EFFECTS}
+OPERATOR_NAME = "hysteresis_operator"
+NAMES = {OPERATOR_NAME, *(effect.name for effect in EFFECTS)}
 STATIC = (
     "input_nonlinearity", "hysteresis_asymmetry", "incongruent_loops", "sensor_nonlinearity",
     "hysteresis_operator",
@@ -117,13 +118,13 @@ def rivals_of(history: Sequence[Round], name: str, named: Collection[str]) -> tu
 
 
 def alternatives(rivals: Sequence[Rival], name: str) -> tuple[str, ...]:
-    """The names that these data cannot tell from this one."""
+    """The names that these data cannot tell from this one, another operator's hysteresis among them."""
     mine = next(rival for rival in rivals if name in rival.name.split(" + "))
-    return tuple(
-        rival.name
+    found = (
+        name_of(rival)
         for rival in rivals
         if rival is not mine
-        and rival.name in NAMES
+        and name_of(rival) in NAMES
         and (
             (
                 rival.heldout_rms_um < SAME_ERROR * mine.heldout_rms_um
@@ -132,6 +133,12 @@ def alternatives(rivals: Sequence[Rival], name: str) -> tuple[str, ...]:
             or (ALIKE.get(name) == rival.name and rival.heldout_rms_um < ALIKE_ERROR * mine.heldout_rms_um)
         )
     )
+    return tuple(dict.fromkeys(found))
+
+
+def name_of(rival: Rival) -> str:
+    """As in `diagnosis.json`: without the family of an operator."""
+    return OPERATOR_NAME if rival.name.startswith(OPERATOR) else rival.name
 
 
 def probability(name: str, known: float, rivals: Sequence[Rival]) -> float:
@@ -147,7 +154,9 @@ def probability(name: str, known: float, rivals: Sequence[Rival]) -> float:
         (
             weights[rival.name]
             for rival in rivals
-            if rival.name not in group and rival.heldout_rms_um < FAR * mine.heldout_rms_um
+            if rival.name not in group
+            and name_of(rival) not in group
+            and rival.heldout_rms_um < FAR * mine.heldout_rms_um
         ),
         default=0.0,
     )
@@ -249,7 +258,7 @@ def operator(
     failed = {rival.name for rival in rivals if rival.heldout_rms_um > 1.2 * final.heldout_rms}
     others = [n for n in ("incongruent_loops", "hysteresis_asymmetry") if flexible and n not in failed]
     return NamedEffect(
-        "hysteresis_operator", "actuator", tuple(others),
+        OPERATOR_NAME, "actuator", tuple(others),
         round(known_share(search, final, plain, floor_um), 4),
         (Parameter("family", nominal.family, "", None), *shape_parameters(final, spans)),
         min(1.0, max(0.0, rise / mismatch)),
