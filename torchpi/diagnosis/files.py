@@ -11,6 +11,7 @@ from pathlib import Path
 
 from torchpi.diagnosis.diagnose import diagnose
 from torchpi.diagnosis.diagnosis import Diagnosis
+from torchpi.diagnosis.parallel import get_ready
 from torchpi.errors import ConfigError
 from torchpi.excitation_files import write_excitation
 from torchpi.recording import Recording, read_recording
@@ -98,5 +99,24 @@ def executor_of(name: str) -> Iterator[Executor | None]:
         yield None
         return
     # Spawned, because a forked process would inherit the threads of torch in an unknown state.
-    with ProcessPoolExecutor(min(cores, 4), mp_context=get_context("spawn")) as pool:
+    workers = min(cores, 4)
+    with one_thread_each(), ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+        for _ in range(workers):
+            pool.submit(get_ready)  # they import while the first fits run here
         yield pool
+
+
+@contextmanager
+def one_thread_each() -> Iterator[None]:
+    """Processes that start meanwhile multiply matrices in one thread: as many as cores for each of as many
+    processes take three times as long."""
+    names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+    before = {name: os.environ.get(name) for name in names}
+    os.environ.update(dict.fromkeys(names, "1"))
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            os.environ.pop(name)
+            if value is not None:
+                os.environ[name] = value

@@ -1,4 +1,4 @@
-"""Independent fits, here or in any executor of `concurrent.futures`."""
+"""Independent fits and screens, here or in any executor of `concurrent.futures`."""
 
 import pickle
 from collections.abc import Sequence
@@ -9,7 +9,11 @@ import torch
 
 from torchpi.diagnosis.chain import Chain
 from torchpi.diagnosis.fit import fit
-from torchpi.diagnosis.hypothesis import Fit, Hypothesis
+from torchpi.diagnosis.hypothesis import Fit, Hypothesis, Member
+from torchpi.diagnosis.screen import Candidate, Screen
+
+PIECES = 2
+"""In how many pieces a screen is shared out: each has to prepare the whole tangent."""
 
 Job = tuple[Hypothesis, np.ndarray | None, int, float]
 """What is fitted, from which weights, in how many steps at most, and to which tolerance."""
@@ -20,16 +24,49 @@ def fit_all(chain: Chain, jobs: Sequence[Job], executor: Executor | None) -> lis
     if executor is None:
         return [fit(chain, *job) for job in jobs]
     key, packed = chain.packed
-    return list(executor.map(_elsewhere, [key] * len(jobs), [packed] * len(jobs), jobs))
+    return list(executor.map(_fit_elsewhere, [key] * len(jobs), [packed] * len(jobs), jobs))
+
+
+def screen_all(
+    chain: Chain, screens: Sequence[tuple[Fit, Sequence[Member]]], executor: Executor | None
+) -> list[list[Candidate]]:
+    """For each fit the candidates of these members on top of it, in their order."""
+    if executor is None:
+        return [_candidates(chain, now, members) for now, members in screens]
+    key, packed = chain.packed
+    pieces = [(now, members[k::PIECES]) for now, members in screens for k in range(PIECES)]
+    found = list(executor.map(_screen_elsewhere, [key] * len(pieces), [packed] * len(pieces), pieces))
+    together: list[list[Candidate]] = []
+    for first, (_, members) in zip(range(0, len(found), PIECES), screens, strict=True):
+        each = [iter(piece) for piece in found[first : first + PIECES]]
+        together.append([next(each[k % PIECES]) for k in range(len(members))])
+    return together
+
+
+def get_ready() -> None:
+    """Nothing, in a worker: it has then imported what it needs."""
 
 
 _chains: dict[str, Chain] = {}
 
 
-def _elsewhere(key: str, packed: bytes, job: Job) -> Fit:
-    """A job in a worker, which keeps the recordings that it saw last."""
+def _fit_elsewhere(key: str, packed: bytes, job: Job) -> Fit:
+    return fit(_chain(key, packed), *job)
+
+
+def _screen_elsewhere(key: str, packed: bytes, piece: tuple[Fit, Sequence[Member]]) -> list[Candidate]:
+    return _candidates(_chain(key, packed), *piece)
+
+
+def _candidates(chain: Chain, now: Fit, members: Sequence[Member]) -> list[Candidate]:
+    screen = Screen(chain, now)
+    return [screen.candidate(member) for member in members]
+
+
+def _chain(key: str, packed: bytes) -> Chain:
+    """The recordings in a worker, which keeps those that it saw last."""
     if key not in _chains:
         torch.set_num_threads(1)
         _chains.clear()
         _chains[key] = Chain(pickle.loads(packed))
-    return fit(_chains[key], *job)
+    return _chains[key]

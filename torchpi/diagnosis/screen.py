@@ -22,7 +22,7 @@ SWALLOWED = 1e-7
 """Of a squared direction: less than this off the tangent is rounding."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Candidate:
     """A start of an effect."""
 
@@ -31,8 +31,6 @@ class Candidate:
     """Share of the squared training residual that it could take away."""
     held: bool
     """Of the hypothesis that it was screened on."""
-    off_tangent: np.ndarray
-    """(directions, samples), what refitting cannot swallow."""
 
 
 class Screen:
@@ -60,9 +58,8 @@ class Screen:
     def candidate(self, member: Member) -> Candidate:
         """Its gain, 0 if it moves nothing."""
         one_sided = not (signed(member) or member.effect.hold)
-        off_tangent = self.off_tangent(self.directions(member))
-        gain = self.gain(off_tangent, one_sided)
-        return Candidate(member, gain, self.now.hypothesis.held, off_tangent.astype(np.float32))
+        gain = self.gain(self.off_tangent(self.directions(member)), one_sided)
+        return Candidate(member, gain, self.now.hypothesis.held)
 
     def off_tangent(self, directions: np.ndarray) -> np.ndarray:
         """What refitting cannot swallow of directions, (directions, samples); 0 where that is rounding."""
@@ -76,7 +73,17 @@ class Screen:
 
         A single one-sided direction counts only with a positive factor.
         """
-        return gain(off_tangent @ off_tangent.T, off_tangent @ self.left, self.total, one_sided)
+        gram, right = off_tangent @ off_tangent.T, off_tangent @ self.left
+        alive = np.diag(gram) > 0
+        if not alive.any() or self.total == 0.0:
+            return 0.0
+        gram, right = gram[np.ix_(alive, alive)], right[alive]
+        spread = np.sqrt(np.diag(gram))
+        unit = gram / spread / spread[:, None] + 1e-9 * np.eye(len(spread))
+        coefficients = np.linalg.solve(unit, right / spread)
+        if one_sided and coefficients[0] < 0:
+            return 0.0
+        return float(coefficients @ (right / spread)) / self.total
 
     def directions(self, member: Member) -> np.ndarray:
         """What it adds from its start, (directions, samples)."""
@@ -102,20 +109,6 @@ class Screen:
             rows = np.stack([principal, *(record.aux[name] for name in aux)])
             found.append(self.chain.moved(hypothesis, rows, i)[:, record.fitted])
         return np.concatenate(found, axis=1)
-
-
-def gain(gram: np.ndarray, right: np.ndarray, total: float, one_sided: bool = False) -> float:
-    """Share of a squared residual that directions take away, from their inner products."""
-    alive = np.diag(gram) > 0
-    if not alive.any() or total == 0.0:
-        return 0.0
-    gram, right = gram[np.ix_(alive, alive)], right[alive]
-    spread = np.sqrt(np.diag(gram))
-    unit = gram / spread / spread[:, None] + 1e-9 * np.eye(len(spread))
-    coefficients = np.linalg.solve(unit, right / spread)
-    if one_sided and coefficients[0] < 0:
-        return 0.0
-    return float(coefficients @ (right / spread)) / total
 
 
 def signed(member: Member) -> bool:

@@ -4,7 +4,7 @@ Growth of the hysteresis is a candidate among the others: what a larger hysteres
 effect does is not evidence of that effect, and the other way round.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 
@@ -23,7 +23,7 @@ from torchpi.diagnosis.mains import hums, lines_hz
 from torchpi.diagnosis.modal import driven_modes
 from torchpi.diagnosis.noise import noise_floor_um
 from torchpi.diagnosis.nominal import Nominal, bouc_wen, duhem, many_plays, plain, preisach
-from torchpi.diagnosis.parallel import Job, fit_all
+from torchpi.diagnosis.parallel import Job, fit_all, screen_all
 from torchpi.diagnosis.records import seen
 from torchpi.diagnosis.screen import Candidate, Screen, candidates_of
 from torchpi.diagnosis.slips import Slips, slips
@@ -277,16 +277,9 @@ class Search:
             for member in [*self.starts, *self.from_residual(now)]
             if member.effect.name not in barred and (member.effect.name, member.aux) not in there
         ]
-        screens = {False: Screen(self.chain, now)}
-        if not any(member.effect.hold for member in now.hypothesis.members):
-            stepped = replace(now, hypothesis=replace(now.hypothesis, held=True))
-            screens = {False: screens[False], True: Screen(self.chain, stepped)}
-        screened = [
-            screen.candidate(member)
-            for held, screen in screens.items()
-            for member in starts
-            if not held or member.effect.hold
-        ]
+        bases = self.bases(now)
+        screens = [(base, [m for m in starts if m.effect.hold or not base.hypothesis.held]) for base in bases]
+        screened = [c for each in screen_all(self.chain, screens, self.executor) for c in each]
         best: dict[str, list[Candidate]] = {}
         for candidate in sorted(screened, key=lambda c: -c.gain):
             if candidate.gain > LEAST_GAIN / 2:
@@ -302,7 +295,7 @@ class Search:
         late |= self.at_the_other_timing(now, starts)
         names += late
         jobs += [(replace(h, alignment=1 - h.alignment), now.weights, HEAT, ROUGH) for h in late.values()]
-        joint = self.axes_through_a_mode(now, screens)
+        joint = self.axes_through_a_mode(now, bases)
         names += [AXES] * len(joint)
         jobs += joint
         found: dict[str, Fit] = {}
@@ -314,27 +307,34 @@ class Search:
             return fits
         return [*fits, *driven_modes(self.chain, now, [one for _, one in fits], ROUGH)]
 
+    def bases(self, now: Fit) -> list[Fit]:
+        """What candidates are added to: with the displacement stepped as well, as long as none holds it."""
+        if any(member.effect.hold for member in now.hypothesis.members):
+            return [now]
+        return [now, replace(now, hypothesis=replace(now.hypothesis, held=True))]
+
     def at_the_other_timing(self, now: Fit, starts: Sequence[Member]) -> dict[str, Hypothesis]:
         """For what is slow the best start of all under the other convention, where it is worth a fit."""
         other = replace(now.hypothesis, alignment=1 - now.hypothesis.alignment)
         (moved,) = self.fits([(other, now.weights, 2, ROUGH)])
-        screen = Screen(self.chain, moved)
-        most = (1 - LEAST_GAIN / 2) * sum_of_squares(self.chain, now.hypothesis, now.weights) / screen.total
-        slow = [screen.candidate(member) for member in starts if member.effect.name in SLOW]
-        worth = [candidate for candidate in slow if 1 - candidate.gain < most]
+        here, there = (sum_of_squares(self.chain, f.hypothesis, f.weights) for f in (now, moved))
+        slow = [member for member in starts if member.effect.name in SLOW]
+        (screened,) = screen_all(self.chain, [(moved, slow)], self.executor)
+        worth = [c for c in screened if (1 - c.gain) * there < (1 - LEAST_GAIN / 2) * here]
         return {
             c.member.effect.name: now.hypothesis.plus(c.member) for c in sorted(worth, key=lambda c: c.gain)
         }
 
-    def axes_through_a_mode(self, now: Fit, screens: Mapping[bool, Screen]) -> list[Job]:
+    def axes_through_a_mode(self, now: Fit, bases: Sequence[Fit]) -> list[Job]:
         """Every other axis and a resonance at once: each alone may explain little of a stage that rings."""
         aux = list(self.seen.aux)
         if not aux or {"cross_coupling", "resonance"} & set(now.hypothesis.names):
             return []
         modes = [member for member in self.starts if member.effect is Resonance]
         found = [
-            (screen.gain(screen.off_tangent(screen.of_inputs(mode, aux))), held, place)
-            for held, screen in screens.items()
+            (screen.gain(screen.off_tangent(screen.of_inputs(mode, aux))), base.hypothesis.held, place)
+            for base in bases
+            for screen in (Screen(self.chain, base),)
             for place, mode in enumerate(modes)
         ]
         couplings = [member for member in self.starts if member.effect is CrossCoupling]

@@ -29,7 +29,7 @@ from torchpi.diagnosis.intervals import BLOCKS, quantile
 from torchpi.diagnosis.records import Record, Rests
 from torchpi.stage.effects.mechanics.stiction import Stiction
 
-JUMPS = (3.0, 4.0, 6.0, 9.0)
+JUMPS = (4.0, 8.0)
 """Times the noise floor: what a reading must move by to count as a slip."""
 LINES = 1.5
 """Steps of a converter that a slip must cross."""
