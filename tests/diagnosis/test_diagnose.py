@@ -12,14 +12,22 @@ from scipy.signal import lfilter
 from tests.diagnosis.plants import (
     FS_HZ,
     NOISE_UM,
+    creep,
     multisine,
     pair,
     record,
     resonance,
     triangles,
 )
+from torchpi.diagnosis.chain import Chain
+from torchpi.diagnosis.compressed import compressed
 from torchpi.diagnosis.diagnose import diagnose
 from torchpi.diagnosis.diagnosis import Diagnosis
+from torchpi.diagnosis.fit import fit
+from torchpi.diagnosis.hypothesis import Hypothesis
+from torchpi.diagnosis.nominal import many_plays
+from torchpi.diagnosis.records import prepare
+from torchpi.diagnosis.search import Search
 from torchpi.recording import Recording
 from torchpi.stage import AugmentedStage
 
@@ -120,3 +128,10 @@ def test_a_diagnosis_has_no_state_of_its_own() -> None:
     recordings = [record(multisine(1500))]
     first, second = diagnose(recordings), diagnose([replace(one, y=one.y.copy()) for one in recordings])
     assert first.says == second.says and json.dumps(first.notes) == json.dumps(second.notes)
+
+
+def test_what_is_static_is_tried_while_the_displacement_is_taken_as_stepped() -> None:
+    chain = Chain(prepare(pair(2000, after=lambda x, fs_hz: creep(x, fs_hz, 0.05))))
+    search = Search(chain, lambda sentence: None, floor_um=NOISE_UM)
+    stepped = compressed(chain, fit(chain, Hypothesis(many_plays(search.seen), held=True)))
+    assert "creep" in dict(search.effects(stepped))

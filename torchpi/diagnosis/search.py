@@ -278,7 +278,8 @@ class Search:
             if member.effect.name not in barred and (member.effect.name, member.aux) not in there
         ]
         bases = self.bases(now)
-        screens = [(base, [m for m in starts if m.effect.hold or not base.hypothesis.held]) for base in bases]
+        dynamic = [member for member in starts if member.effect.hold]
+        screens = list(zip(bases, (starts, dynamic), strict=False))
         screened = [c for each in screen_all(self.chain, screens, self.executor) for c in each]
         best: dict[str, list[Candidate]] = {}
         for candidate in sorted(screened, key=lambda c: -c.gain):
@@ -309,7 +310,7 @@ class Search:
 
     def bases(self, now: Fit) -> list[Fit]:
         """What candidates are added to: with the displacement stepped as well, as long as none holds it."""
-        if any(member.effect.hold for member in now.hypothesis.members):
+        if now.hypothesis.held or any(member.effect.hold for member in now.hypothesis.members):
             return [now]
         return [now, replace(now, hypothesis=replace(now.hypothesis, held=True))]
 
