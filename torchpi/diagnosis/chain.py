@@ -12,7 +12,7 @@ from torch import Tensor
 
 from torchpi.diagnosis.hypothesis import Hypothesis
 from torchpi.diagnosis.nominal import Nominal
-from torchpi.diagnosis.records import Record
+from torchpi.diagnosis.records import Record, Rests
 from torchpi.stage.effects.effect import Effect
 from torchpi.stage.effects.held import hold_first_block
 from torchpi.stage.effects.inside import InsideEffect
@@ -76,10 +76,12 @@ class Chain:
 
     def told(self, hypothesis: Hypothesis, index: int, y: np.ndarray) -> np.ndarray:
         """An output, and where the mount is seen to stick the place at which it rests."""
-        rests = self.records[index].rests
-        if rests is None or Stiction.name not in hypothesis.names:
-            return y
-        return np.where(rests.stuck, rests.at_um, y)
+        rests = self.rests(hypothesis, index)
+        return y if rests is None else np.where(rests.stuck, rests.at_um, y)
+
+    def rests(self, hypothesis: Hypothesis, index: int) -> Rests | None:
+        """Where the mount is seen to stick, if the hypothesis has it stick."""
+        return self.records[index].rests if Stiction.name in hypothesis.names else None
 
     def output_and_directions(
         self, hypothesis: Hypothesis, weights: np.ndarray, index: int
@@ -93,8 +95,8 @@ class Chain:
                 x = placed(x)
         moves = directions.numpy()
         moves[-1] = 1.0  # the zero lies behind all effects
-        rests = self.records[index].rests
-        if rests is not None and Stiction.name in hypothesis.names:
+        rests = self.rests(hypothesis, index)
+        if rests is not None:
             moves = np.where(rests.stuck, 0.0, moves)
         return self.told(hypothesis, index, x[0].numpy() + weights[-1]), moves
 

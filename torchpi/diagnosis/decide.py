@@ -12,7 +12,7 @@ from torchpi.diagnosis.hypothesis import Fit
 from torchpi.diagnosis.intervals import intervals_90
 from torchpi.diagnosis.model import foretold
 from torchpi.diagnosis.search import OPERATOR, Round, Search
-from torchpi.diagnosis.slips import Slips, jump
+from torchpi.diagnosis.slips import Jump
 from torchpi.stage.effects import EFFECTS
 from torchpi.stage.effects.mechanics.backlash import Backlash
 from torchpi.stage.effects.mechanics.stiction import Stiction
@@ -69,7 +69,7 @@ def decide(
     small = compressed(search.chain, final)
     spans = intervals_90(search.chain, final)
     for name, less in zip(search.added(final), search.without_each(small), strict=True):
-        if search.slips and name == Backlash.name:  # friction while it slides: a part of the stiction
+        if search.jump and name == Backlash.name:  # friction while it slides: a part of the stiction
             continue
         effect = next(m.effect for m in final.hypothesis.members if m.effect.name == name)
         rise = less.heldout_rms**2 - small.heldout_rms**2
@@ -172,8 +172,8 @@ def parameters_of(
     Where there are several of its kind, modes or other axes, each has its own, `name[axis 1]`: the
     frequencies of all modes first, then what else they have.
     """
-    if search.slips and name == Stiction.name:
-        return stiction_parameters(search.slips, final, spans)
+    if search.jump and name == Stiction.name:
+        return stiction_parameters(search.jump, final, spans)
     places = [i for i, one in enumerate(final.hypothesis.names) if one == name]
     if len(places) == 1:
         return parameters_of_member(search, final, spans, places[0])
@@ -186,10 +186,10 @@ def parameters_of(
 
 
 def stiction_parameters(
-    found: Slips, final: Fit, spans: Sequence[tuple[float, float]]
+    jump: Jump, final: Fit, spans: Sequence[tuple[float, float]]
 ) -> tuple[Parameter, ...]:
     """J - d, and d where the data tell it from plays: half of the motion that the slips alone do not lose."""
-    value_um, span = jump(found, final)
+    value_um, span = jump
     parameters = [Parameter("jump_um", value_um, "µm", span)]
     for slot, (low, high), inner in zip(final.slots, spans, final.theta, strict=True):
         if slot.member >= 0 and final.hypothesis.members[slot.member].effect is Backlash:

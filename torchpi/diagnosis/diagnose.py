@@ -24,7 +24,7 @@ from torchpi.diagnosis.remainder import with_remainder
 from torchpi.diagnosis.say import nm, paragraph
 from torchpi.diagnosis.search import Search
 from torchpi.diagnosis.simulation import given_members, simulated, simulated_output
-from torchpi.diagnosis.slips import simulated as simulated_slips
+from torchpi.diagnosis.slips import unaided
 from torchpi.errors import RecordingError
 from torchpi.recording import Recording
 from torchpi.stage import Stage
@@ -79,7 +79,7 @@ def diagnose(
     decision = decide(search, retuned, final, history, floor_um)
     if lsb_um > 0 and lsb_um / np.sqrt(12) > COARSE * final.heldout_rms:
         decision = with_converter(decision, lsb_um, final, retuned)
-    modelled = augmented = simulated_slips(chain, search.slips, final) if search.slips else final
+    modelled = augmented = unaided(chain, final, search.jump.value_um) if search.jump else final
     if decision.verdict in ("unexplained", "partly_explained") or floor is None:
         say("unknown path: what no effect explains")
         augmented = with_remainder(chain, compressed(chain, modelled)) or modelled
@@ -233,7 +233,7 @@ def conventions(final: Fit) -> tuple[str, ...]:
 
 def slip_notes(search: Search, told: Fit, modelled: Fit) -> tuple[str, ...]:
     """What can be foretold of a mount that sticks, and what not."""
-    if search.slips is None:
+    if search.jump is None:
         return ()
     left = "" if "stiction" in modelled.hypothesis.names else ", no better than without a mount that sticks"
     return (

@@ -26,7 +26,7 @@ from torchpi.diagnosis.nominal import Nominal, bouc_wen, duhem, many_plays, plai
 from torchpi.diagnosis.parallel import Job, fit_all, screen_all
 from torchpi.diagnosis.records import seen
 from torchpi.diagnosis.screen import Candidate, Screen, candidates_of
-from torchpi.diagnosis.slips import Slips, slips
+from torchpi.diagnosis.slips import Jump, Slips, jump, slips
 from torchpi.stage.effects import EFFECTS
 from torchpi.stage.effects.mechanics.cross_coupling import CrossCoupling
 from torchpi.stage.effects.mechanics.resonance import Resonance, peaks_hz
@@ -119,6 +119,8 @@ class Search:
         self.witnessed: set[str] = set()
         """Names for which a recorded signal stands, however much else is left: they are not sifted."""
         self.slips: Slips | None = None
+        self.jump: Jump | None = None
+        """Of the final fit, where a mount sticks."""
         self.lessened: tuple[tuple[object, ...], list[Fit]] | None = None
         self.starts: list[Member] = []
         for effect in EFFECTS:
@@ -162,7 +164,10 @@ class Search:
                 self.witnessed |= set(chosen.name.split(" + "))
             self.needless |= set(chosen.fit.hypothesis.names) - set(now.hypothesis.names)
             self.say(f"  with {', '.join(now.hypothesis.names) or chosen.name}: {describe(now)}")
-        return retuned, self.determined(self.sifted(self.as_plays(now, retuned)), retuned), history
+        final = self.determined(self.sifted(self.as_plays(now, retuned)), retuned)
+        if self.slips:
+            self.jump = jump(self.slips, final)
+        return retuned, final, history
 
     def sticking(self, now: Fit) -> Tried | None:
         """Stiction, if the readings show it: from then on everything is fitted where the mount slips."""

@@ -78,7 +78,7 @@ def slips(chain: Chain, now: Fit, floor_um: float, lsb_um: float = 0.0) -> Slips
         floor_um: The noise of one reading.
         lsb_um: The step of the converter: readings go from one line to the next without any slip.
     """
-    rival = held_rms(chain.records, foretold(chain.records, now.residuals))
+    rival = rms(chain.records, foretold(chain.records, now.residuals), False)
     small = compressed(chain, now)
     quick = [
         found for times in JUMPS if (found := cut(chain, small, max(times * floor_um, LINES * lsb_um), rival))
@@ -100,7 +100,7 @@ def cut(chain: Chain, now: Fit, least_um: float, rival_um: float) -> Slips | Non
     one = fit(told, now.hypothesis.plus(Member(Stiction, {})), now.weights, 3, ROUGH)
     far = [distance(told, one, i) for i in range(len(told.records))]
     jump_um = parting(told.records, far)
-    gain = 1.0 - held_rms(told.records, one_step(told, one, far, jump_um)) / rival_um
+    gain = 1.0 - rms(told.records, one_step(told, one, far, jump_um), False) / rival_um
     return Slips(told, one, least_um, gain)
 
 
@@ -130,13 +130,13 @@ def with_rests(records: Sequence[Record], least_um: float) -> list[Record]:
     return [replace(r, fitted=places[::stride]) for r, places in zip(found, told, strict=True)]
 
 
-def simulated(chain: Chain, found: Slips, last: Fit) -> Fit:
+def unaided(chain: Chain, last: Fit, jump_um: float) -> Fit:
     """The last fit on the records without their rests: the mount slips by itself.
 
     Where that foretells less of what is held out than no such mount, everything is fitted without one.
     """
     without = fit(chain, last.hypothesis.without(Stiction.name), last.weights)
-    slipping = slipping_freely(chain, last, jump(found, last).value_um)
+    slipping = slipping_freely(chain, last, jump_um)
     return min(slipping, without, key=lambda one: one.heldout_rms)
 
 
@@ -206,9 +206,3 @@ def foretold(records: Sequence[Record], residuals: Sequence[np.ndarray]) -> list
     right = sum(past @ e for past, e in parts)
     a = np.linalg.solve(gram + 1e-9 * np.trace(gram) * np.eye(MEMORY), right)
     return [e - a @ past for past, e in zip(lagged, residuals, strict=True)]
-
-
-def held_rms(records: Sequence[Record], errors: Sequence[np.ndarray]) -> float:
-    """Over the samples held out, µm."""
-    held = np.concatenate([e[~r.train] for r, e in zip(records, errors, strict=True)])
-    return float(np.sqrt(np.mean(held**2)))
