@@ -42,19 +42,8 @@ class Seen:
         return self.high_um - self.low_um
 
 
-class Effect(Operator):
-    """One operator with a name, a place in the chain, and physical parameters.
-
-    Built without values it is the identity, to the last bit: a stage with the effect contains the stage
-    without it. Parameters are scalar, float64, trainable, each in the unit of its name.
-
-    Args:
-        sample_period_s: T.
-        values: Physical parameters, the rest as in the identity.
-
-    Raises:
-        StageError: A value out of its bounds; names the parameter, its unit and what is wanted.
-    """
+class Described:
+    """What the search, the report and the files ask of a kind of effect, whatever it acts on."""
 
     name: ClassVar[str]
     """As in `diagnosis.json`."""
@@ -81,6 +70,21 @@ class Effect(Operator):
     """Parameters that choose between kinds of the effect: a start sets them, and they are not fitted."""
     hold: Hold | None = None
     """For a dynamic block what its input does between samples; None for an effect that need not know."""
+
+
+class Effect(Described, Operator):
+    """One operator with a name, a place in the chain, and physical parameters.
+
+    Built without values it is the identity, to the last bit: a stage with the effect contains the stage
+    without it. Parameters are scalar, float64, trainable, each in the unit of its name.
+
+    Args:
+        sample_period_s: T.
+        values: Physical parameters, the rest as in the identity.
+
+    Raises:
+        StageError: A value out of its bounds; names the parameter, its unit and what is wanted.
+    """
 
     def __init__(self, sample_period_s: float, **values: float) -> None:
         super().__init__()

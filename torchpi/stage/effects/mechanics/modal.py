@@ -5,7 +5,7 @@ from typing import ClassVar
 
 from torchpi.operators.linear import Hold
 from torchpi.operators.quantity import Quantity
-from torchpi.stage.effects.effect import Block, Parameters
+from torchpi.stage.effects.effect import Block, Described, Parameters
 from torchpi.stage.effects.mechanics.resonance import TYPICAL_DAMPING, Resonance
 
 MOST_MODES = 16
@@ -14,25 +14,11 @@ _SHARE = Quantity("", at_least=-1e3, at_most=1e3)
 _RESIDUE = Quantity("µm/V", at_least=-1e4, at_most=1e4)
 
 
-class ModalEffect:
-    """What acts together with others of its kind, as one `Modes`; no operator of its own.
+class ModalEffect(Described):
+    """What acts together with others of its kind, as one `Modes`; no operator of its own."""
 
-    The attributes are those of `Effect`.
-    """
-
-    name: ClassVar[str]
     block: ClassVar[Block] = "mechanics"
-    equation: ClassVar[str]
-    signature: ClassVar[str]
-    quantities: ClassVar[dict[str, Quantity]]
-    identity: ClassVar[Parameters]
-    per_recording: ClassVar[tuple[str, ...]] = ()
-    before_hysteresis = False
-    takes_aux: ClassVar[bool] = False
-    jumps: ClassVar[tuple[str, ...]] = ()
-    kinks: ClassVar[tuple[str, ...]] = ()
-    kinds: ClassVar[tuple[str, ...]] = ()
-    hold: Hold = "first"
+    hold: Hold | None = "first"
 
 
 class ModalResonance(ModalEffect):
