@@ -1,5 +1,6 @@
 """What every piece of physics that a stage may lack has in common."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
@@ -11,6 +12,9 @@ from torchpi.operators.linear import Hold
 from torchpi.operators.quantity import Quantity
 
 Block = Literal["amplifier", "actuator", "mechanics", "sensor"]
+SHORTEST_SLOW_S = 0.3
+"""A recording shorter than this shows nothing of what takes seconds."""
+TimeScale = Literal["fast", "slow", "static", "any"]
 Parameters = dict[str, float]
 
 
@@ -42,6 +46,18 @@ class Seen:
         return self.high_um - self.low_um
 
 
+@dataclass(frozen=True)
+class Needs:
+    """What recordings must have before they can show an effect at all."""
+
+    duration_s: float = 0.0
+    """A recording of at least this length."""
+    reversals: bool = False
+    """A voltage that goes up and comes down."""
+    recordings: int = 1
+    """So many recordings."""
+
+
 class Described:
     """What the search, the report and the files ask of a kind of effect, whatever it acts on."""
 
@@ -70,6 +86,33 @@ class Described:
     """Parameters that choose between kinds of the effect: a start sets them, and they are not fitted."""
     hold: Hold | None = None
     """For a dynamic block what its input does between samples; None for an effect that need not know."""
+    time_scale: ClassVar[TimeScale] = "any"
+    """When it acts: "fast" with the rate of the input, "slow" over seconds and more, "static" at any rate."""
+    needs: ClassVar[Needs] = Needs()
+    unseen: ClassVar[str] = "these recordings show nothing within its bounds"
+    """Why it is left out where `starts` returns nothing."""
+    degenerate_with: ClassVar[tuple[str, ...]] = ()
+    """Effects that voltage and displacement alone cannot split from it in general."""
+    delays: ClassVar[bool] = False
+    """Whether it makes the output late by about one time: a convention of timing looks the same."""
+    smooths: ClassVar[bool] = False
+    """Whether it leaves no steps in a held voltage."""
+    read_off: ClassVar[bool] = False
+    """Whether it is read off the recorded readings, not fitted."""
+    forms: ClassVar[tuple[str, ...]] = ()
+    """Its equations, where the cause is known and the equation is not; empty for one equation only."""
+    form_of: ClassVar[Mapping[str, str]] = {}
+    """The form that each parameter brings in when it leaves its identity."""
+
+    @classmethod
+    def form(cls, values: Mapping[str, float]) -> str:
+        """The form in use, of `forms`, joined by " + " where there are several; "" where there is none.
+
+        Args:
+            values: Parameters, the rest as in the identity.
+        """
+        there = {cls.form_of[n] for n, v in values.items() if n in cls.form_of and v != cls.identity[n]}
+        return " + ".join(form for form in cls.forms if form in there)
 
 
 class Effect(Described, Operator):

@@ -4,9 +4,6 @@ from collections.abc import Sequence
 
 from torchpi.stage.effects.effect import Effect
 
-SMOOTHING = ("amplifier_lag", "slew_limit")
-"""What leaves no steps in the voltage."""
-
 
 def hold_first_block(effects: Sequence[Effect], held: bool) -> None:
     """Tell the first dynamic block of a chain that its input is held through each sample, if it is.
@@ -14,7 +11,7 @@ def hold_first_block(effects: Sequence[Effect], held: bool) -> None:
     Behind it, and behind an amplifier that is slow itself, a signal runs straight from sample to sample.
     """
     for effect in effects:
-        if effect.name in SMOOTHING:
+        if effect.smooths:
             return
         if effect.hold is not None:
             effect.hold = "end" if held else "first"

@@ -39,11 +39,16 @@ class EffectLaws(OperatorLaws):
         effect = self.operator()
         assert set(effect.quantities) == set(effect.identity) == set(dict(effect.named_parameters()))
         assert set(effect.per_recording) <= set(effect.quantities)
-        assert not any(
-            value == effect.identity[name]
-            for name, value in effect.values().items()
-            if name not in effect.kinds
-        )
+        # Of several forms one may be tested at a time, the parameters of the others at their identity.
+        away = {n: v != effect.identity[n] for n, v in effect.values().items() if n not in effect.kinds}
+        assert any(away.values()) if effect.forms else all(away.values())
+
+    def test_its_form_is_one_of_its_forms_and_none_at_the_identity(self):
+        effect = self.operator()
+        assert effect.form(effect.identity) == effect.form({}) == ""
+        found = effect.form(effect.values())
+        assert set(found.split(" + ")) <= {*effect.forms, ""}
+        assert bool(found) == bool(effect.forms)
 
     @pytest.mark.parametrize("fs_hz", [10.0, 8000.0, 50_000.0])
     def test_without_values_it_is_the_identity_to_the_last_bit(self, fs_hz):
@@ -86,6 +91,13 @@ class EffectLaws(OperatorLaws):
                 assert values != effect.identity
 
         check()
+
+
+def fixed(effect: Effect, *names: str) -> Effect:
+    """The effect with these parameters, which another form has, out of its gradients."""
+    for name in names:
+        effect.get_parameter(name).requires_grad_(False)
+    return effect
 
 
 def finer(coarse: Tensor) -> Tensor:

@@ -14,7 +14,7 @@ from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 
 from torchpi.operators.quantity import Quantity
-from torchpi.stage.effects.effect import Effect, Parameters, Seen
+from torchpi.stage.effects.effect import SHORTEST_SLOW_S, Effect, Needs, Parameters, Seen
 
 
 def travelled(travel_mm: float, x: float, before: float) -> float:
@@ -37,6 +37,9 @@ class Ageing(Effect):
     block = "actuator"
     equation = "y = x e^{-(λt + μs)}, s = ∫|dx|"
     signature = "the same move becomes smaller, in proportion to its size, as time or travel adds up"
+    time_scale = "slow"
+    needs = Needs(duration_s=SHORTEST_SLOW_S)
+    degenerate_with = ("gain_modulation",)
     quantities: ClassVar[dict[str, Quantity]] = {
         "loss_per_s": Quantity("1/s", at_least=0, at_most=10),
         "loss_per_mm": Quantity("1/mm", at_least=0, at_most=1e6),

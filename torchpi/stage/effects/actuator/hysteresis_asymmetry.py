@@ -3,7 +3,7 @@
 from typing import ClassVar
 
 from torchpi.operators.quantity import Quantity
-from torchpi.stage.effects.effect import Parameters, Seen
+from torchpi.stage.effects.effect import Needs, Parameters, Seen
 from torchpi.stage.effects.inside import InsideEffect
 
 
@@ -13,6 +13,8 @@ class HysteresisAsymmetry(InsideEffect):
     name = "hysteresis_asymmetry"
     equation = "h = max{v + a v² - r, min{v - a v² + r, h}}"
     signature = "even lines of a multisine, another error going up than coming down"
+    time_scale = "static"
+    needs = Needs(reversals=True)
     quantities: ClassVar[dict[str, Quantity]] = {
         "asymmetry_per_v": Quantity("1/V", at_least=-0.2, at_most=0.2)
     }

@@ -3,7 +3,7 @@
 from typing import ClassVar
 
 from torchpi.operators.quantity import Quantity
-from torchpi.stage.effects.effect import Parameters, Seen
+from torchpi.stage.effects.effect import Needs, Parameters, Seen
 from torchpi.stage.effects.inside import InsideEffect
 
 
@@ -16,6 +16,8 @@ class IncongruentLoops(InsideEffect):
     name = "incongruent_loops"
     equation = "y = w_0 (1 - q κ v) v + Σ w_i (1 + κ v) h_i"
     signature = "minor loops of one amplitude differ with the bias; even lines"
+    time_scale = "static"
+    needs = Needs(reversals=True)
     quantities: ClassVar[dict[str, Quantity]] = {
         "incongruence_per_v": Quantity("1/V", at_least=-0.5, at_most=0.5),
         "straight_share": Quantity("", at_least=0.0, at_most=10.0),

@@ -16,6 +16,8 @@ class InputNonlinearity(Effect):
     block = "actuator"
     equation = "w = v + c₂v² + c₃v³, then the plays"
     signature = "even (c₂) and odd (c₃) harmonics that survive f → 0, and loops of unlike halves"
+    time_scale = "static"
+    degenerate_with = ("sensor_nonlinearity",)
     quantities: ClassVar[dict[str, Quantity]] = {
         "c2_per_v": Quantity("1/V", at_least=-1e3, at_most=1e3),
         "c3_per_v2": Quantity("1/V²", at_least=-1e6, at_most=1e6),

@@ -13,7 +13,7 @@ from torch import Tensor, nn
 from torchpi.operators.linear import discretise
 from torchpi.operators.quantity import Quantity
 from torchpi.operators.relaxations import RelaxationsStream, relaxations
-from torchpi.stage.effects.effect import LinearEffect, Parameters, Seen
+from torchpi.stage.effects.effect import SHORTEST_SLOW_S, LinearEffect, Needs, Parameters, Seen
 
 
 class Leakage(LinearEffect):
@@ -26,6 +26,9 @@ class Leakage(LinearEffect):
     block = "actuator"
     equation = "ẏ = ẋ - 2πf_c y"
     signature = "a hold decays towards zero: slow, of the opposite sign to creep"
+    time_scale = "slow"
+    needs = Needs(duration_s=SHORTEST_SLOW_S)
+    degenerate_with = ("thermal_drift",)
     quantities: ClassVar[dict[str, Quantity]] = {"corner_hz": Quantity("Hz", at_least=0, at_most=10)}
     identity: ClassVar[Parameters] = {"corner_hz": 0.0}
     corner_hz: nn.Parameter

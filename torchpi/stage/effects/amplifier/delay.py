@@ -24,6 +24,8 @@ class Delay(LinearEffect):
     before_hysteresis = True
     equation = "v(t) = u(t - τ)"
     signature = "phase grows in proportion to frequency, the gain stays flat"
+    time_scale = "fast"
+    delays = True
     quantities: ClassVar[dict[str, Quantity]] = {"delay_s": Quantity("s", at_least=0.0, at_most=LONGEST_S)}
     identity: ClassVar[Parameters] = {"delay_s": 0.0}
     delay_s: nn.Parameter

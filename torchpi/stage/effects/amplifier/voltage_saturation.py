@@ -23,6 +23,7 @@ class VoltageSaturation(Effect):
     before_hysteresis = True
     equation = "v = max{low, min{high, u}}"
     signature = "nothing but beyond a level, where the tops are flat"
+    time_scale = "static"
     quantities: ClassVar[dict[str, Quantity]] = {
         "low_v": Quantity("V", at_least=-1500.0, at_most=1500.0),
         "high_v": Quantity("V", at_least=-1500.0, at_most=1500.0),

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from torchpi.operators.quantity import Quantity
-from torchpi.stage.effects.effect import LinearEffect, Parameters, Seen
+from torchpi.stage.effects.effect import LinearEffect, Needs, Parameters, Seen
 
 
 class LoadChange(LinearEffect):
@@ -19,6 +19,8 @@ class LoadChange(LinearEffect):
     block = "mechanics"
     equation = "y = k_A / (k_A + k_S) x"
     signature = "another gain in another recording, and a resonance higher by its root"
+    time_scale = "static"
+    needs = Needs(recordings=2)
     quantities: ClassVar[dict[str, Quantity]] = {
         "stiffness_ratio": Quantity("", at_least=0.0, at_most=10.0),
     }

@@ -27,6 +27,7 @@ class ModalResonance(ModalEffect):
     name = "resonance"
     equation = "y = x + Σ s (M(x) - x) + Σ v Ṁ(x)/ω₀, over the modes M"
     signature = "rings at one frequency, phase climbs towards it"
+    time_scale = "fast"
     quantities: ClassVar[dict[str, Quantity]] = {
         **Resonance.quantities,
         "share": _SHARE,

@@ -25,6 +25,7 @@ class Resonance(LinearEffect):
     block = "mechanics"
     equation = "ẍ + 2ζω₀ẋ + ω₀²x = ω₀²x_in"
     signature = "rings at one frequency, phase climbs towards it"
+    time_scale = "fast"
     quantities: ClassVar[dict[str, Quantity]] = {
         "frequency_hz": Quantity("Hz", at_least=1.0, at_most=1e5),
         # What is damped more is not seen to ring: a lag.

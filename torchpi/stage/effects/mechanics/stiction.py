@@ -18,7 +18,7 @@ from torch.autograd.function import once_differentiable
 
 from torchpi.operators.quantity import Quantity
 from torchpi.operators.selection import NO_SOURCE, gather
-from torchpi.stage.effects.effect import Effect, Parameters, Seen
+from torchpi.stage.effects.effect import Effect, Needs, Parameters, Seen
 
 
 def stick(x: float, breakaway: float, sliding: float, rests: bool, s: list[float]) -> float:
@@ -47,6 +47,8 @@ class Stiction(Effect):
     block = "mechanics"
     equation = "y(k) = y(k-1) after a reversal while |x - y| < J, else x(k) - d sgn(ẋ)"
     signature = "flat at every reversal, then a jump back"
+    time_scale = "static"
+    needs = Needs(reversals=True)
     quantities: ClassVar[dict[str, Quantity]] = {
         "breakaway_um": Quantity("µm", at_least=0.0, at_most=1e4),
         "sliding_um": Quantity("µm", at_least=0.0, at_most=1e4),

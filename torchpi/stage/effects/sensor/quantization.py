@@ -32,6 +32,8 @@ class Quantization(Effect):
     block = "sensor"
     equation = "y = o + q round((x - o) / q)"
     signature = "readings on a lattice; an error spread evenly over one step"
+    time_scale = "static"
+    read_off = True
     quantities: ClassVar[dict[str, Quantity]] = {
         "lsb_um": Quantity("µm", at_least=0, at_most=100),
         "offset_um": Quantity("µm", at_least=-1e6, at_most=1e6),

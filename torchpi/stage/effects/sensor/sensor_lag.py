@@ -25,6 +25,9 @@ class SensorLag(LinearEffect):
     block = "sensor"
     equation = "ẏ = 2πf_c (x - y)"
     signature = "phase grows in proportion to frequency, the gain rolls off"
+    time_scale = "fast"
+    delays = True
+    degenerate_with = ("amplifier_lag",)
     quantities: ClassVar[dict[str, Quantity]] = {"cutoff_hz": Quantity("Hz", at_least=1.0, at_most=1e6)}
     identity: ClassVar[Parameters] = {"cutoff_hz": math.inf}
     cutoff_hz: nn.Parameter

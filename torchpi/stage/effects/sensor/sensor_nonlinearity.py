@@ -20,6 +20,8 @@ class SensorNonlinearity(Effect):
     block = "sensor"
     equation = "y = x + a₂x² + a₃x³"
     signature = "second (a₂) and third (a₃) harmonics of the displacement, in phase with it at any rate"
+    time_scale = "static"
+    degenerate_with = ("input_nonlinearity",)
     quantities: ClassVar[dict[str, Quantity]] = {
         "a2_per_um": Quantity("1/µm", at_least=-1e3, at_most=1e3),
         "a3_per_um2": Quantity("1/µm²", at_least=-1e6, at_most=1e6),
