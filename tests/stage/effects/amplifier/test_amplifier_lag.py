@@ -3,25 +3,36 @@
 import math
 
 import numpy as np
+import pytest
 import scipy.signal
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.stage.effects.actuator.laws import PERIOD_S, EffectLaws
+from tests.stage.effects.actuator.laws import PERIOD_S, EffectLaws, fixed
 from torchpi.operators.conformance import wandering
 from torchpi.stage.effects.amplifier.amplifier_lag import AmplifierLag
 from torchpi.stage.effects.effect import Seen
 
 
-class TestLaws(EffectLaws):
+class TestOnePoleLaws(EffectLaws):
     def operator(self) -> AmplifierLag:
-        return AmplifierLag(PERIOD_S, cutoff_hz=1.3)
+        return fixed(AmplifierLag(PERIOD_S, cutoff_hz=1.3), "damping_ratio")
 
     def test_saved_parameters_serve_any_sample_rate(self):
         held = wandering(1, 200)
         fine = AmplifierLag(PERIOD_S / 10, cutoff_hz=1.3)(held.repeat_interleave(10, 1))[0][:, 9::10]
         torch.testing.assert_close(fine, self.operator()(held)[0], rtol=0, atol=1e-12)
+
+
+class TestTwoPolesLaws(EffectLaws):
+    def operator(self) -> AmplifierLag:
+        return AmplifierLag(PERIOD_S, cutoff_hz=1.3, damping_ratio=0.6)
+
+    def test_saved_parameters_serve_any_sample_rate(self):
+        held = wandering(1, 200)
+        fine = AmplifierLag(PERIOD_S / 10, cutoff_hz=1.3, damping_ratio=0.6)(held.repeat_interleave(10, 1))[0]
+        torch.testing.assert_close(fine[:, 9::10], self.operator()(held)[0], rtol=0, atol=1e-11)
 
 
 @given(cutoff_hz=st.floats(1.0, 1e4), fs_hz=st.sampled_from([100.0, 1e4, 1e6]))
@@ -40,6 +51,44 @@ def test_it_is_the_low_pass_that_scipy_simulates_for_a_held_command():
     np.testing.assert_allclose(y, wanted[1:], rtol=0, atol=1e-11)
 
 
-def test_a_search_starts_below_a_third_of_the_sample_rate():
-    cutoffs = [start["cutoff_hz"] for start in AmplifierLag.starts(Seen(2e3, 1.0, 0, 1, 1, 0, 1, {}))]
-    assert cutoffs == [16.0, 60.0, 200.0]
+@pytest.mark.parametrize("damping_ratio", [0.4, 0.7, 1.0, 3.0])
+def test_two_poles_are_the_low_pass_that_scipy_simulates_for_a_held_command(damping_ratio):
+    x, omega = wandering(1, 200), 2 * math.pi * 20.0
+    transfer = ([1.0], [1 / (2 * damping_ratio * omega) ** 2, 1 / omega, 1.0])
+    _, expected, _ = scipy.signal.lsim(
+        transfer, np.r_[x[0].numpy(), 0.0], 0.01 * np.arange(201), interp=False
+    )
+    y = AmplifierLag(0.01, cutoff_hz=20.0, damping_ratio=damping_ratio)(x)[0][0].detach().numpy()
+    np.testing.assert_allclose(y, expected[1:], rtol=0, atol=1e-9)
+
+
+@given(
+    cutoff_hz=st.floats(1.0, 1e6),
+    damping_ratio=st.floats(0.35, 10.0),
+    fs_hz=st.sampled_from([10.0, 1e4, 1e6]),
+)
+def test_two_poles_settle_at_the_command_however_fast_they_are(cutoff_hz, damping_ratio, fs_hz):
+    samples = int(min(20 * fs_hz / cutoff_hz, 2e4)) + 5
+    y = AmplifierLag(1 / fs_hz, cutoff_hz=cutoff_hz, damping_ratio=damping_ratio)(
+        torch.ones(1, samples, dtype=torch.float64)
+    )[0]
+    if samples > 20 * fs_hz / cutoff_hz:
+        assert y[0, -1].item() == pytest.approx(1.0, abs=1e-6)
+
+
+def test_much_damping_is_one_pole():
+    x = wandering(1, 300)
+    one, two = (AmplifierLag(0.01, cutoff_hz=2.0, **more)(x)[0] for more in ({}, {"damping_ratio": 10.0}))
+    assert (two - one).abs().max().item() < 0.01 * one.abs().max().item()
+
+
+def test_the_form_is_the_number_of_poles():
+    assert AmplifierLag.form({}) == ""
+    assert AmplifierLag.form({"cutoff_hz": 20.0}) == "one pole"
+    assert AmplifierLag.form({"cutoff_hz": 20.0, "damping_ratio": 1.0}) == "two poles"
+
+
+def test_a_search_starts_below_a_third_of_the_sample_rate_with_one_pole_and_with_two():
+    starts = AmplifierLag.starts(Seen(2e3, 1.0, 0, 1, 1, 0, 1, {}))
+    assert [start["cutoff_hz"] for start in starts] == [16.0, 60.0, 200.0] * 2
+    assert ["damping_ratio" in start for start in starts] == [False] * 3 + [True] * 3

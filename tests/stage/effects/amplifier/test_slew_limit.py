@@ -1,19 +1,21 @@
 """Slew limit: a voltage that follows no faster than a rate."""
 
+import numpy as np
 import pytest
+import scipy.integrate
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.stage.effects.actuator.laws import PERIOD_S, EffectLaws
+from tests.stage.effects.actuator.laws import PERIOD_S, EffectLaws, fixed
 from torchpi.operators.conformance import wandering
 from torchpi.stage.effects.amplifier.slew_limit import SlewLimit
 from torchpi.stage.effects.effect import Seen
 
 
-class TestLaws(EffectLaws):
+class TestHardLaws(EffectLaws):
     def operator(self) -> SlewLimit:
-        return SlewLimit(PERIOD_S, rate_v_per_s=0.9)
+        return fixed(SlewLimit(PERIOD_S, rate_v_per_s=0.9), "knee_v")
 
     def test_saved_parameters_serve_any_sample_rate(self):
         held = wandering(1, 200)
@@ -47,14 +49,59 @@ def test_gradient_reaches_the_rate_from_every_sample_that_lags():
 
 
 def test_a_search_starts_at_shares_of_the_fastest_rate_seen():
-    rates = [start["rate_v_per_s"] for start in SlewLimit.starts(Seen(1e3, 1.0, 0, 1, 50.0, 0, 1, {}))]
+    starts = SlewLimit.starts(Seen(1e3, 1.0, 0, 1, 50.0, 0, 1, {}))
+    rates = [start["rate_v_per_s"] for start in starts if "knee_v" not in start]
     assert rates[0] == pytest.approx(10.0) and rates[-1] == pytest.approx(45.0)
 
 
 def test_a_search_also_starts_between_the_usual_rates_and_those_of_edges() -> None:
     usual = Seen(1e3, 1.0, 0, 1, 50.0, 0, 1, {})
     edges = Seen(1e3, 1.0, 0, 1, 50.0, 0, 1, {}, peak_rate_v_s=5000.0)
-    added = [start["rate_v_per_s"] for start in SlewLimit.starts(edges)[len(SlewLimit.starts(usual)) :]]
+    known = [start["rate_v_per_s"] for start in SlewLimit.starts(usual)]
+    hard = [start["rate_v_per_s"] for start in SlewLimit.starts(edges) if "knee_v" not in start]
+    added = [rate for rate in hard if rate not in known]
     assert added == sorted(added)
     assert 50.0 <= added[0] < added[-1] < 5000.0
     assert len(added) >= 4
+
+
+class TestSoftLaws(EffectLaws):
+    def operator(self) -> SlewLimit:
+        return SlewLimit(PERIOD_S, rate_v_per_s=0.9, knee_v=0.13)
+
+    def test_saved_parameters_serve_any_sample_rate(self):
+        held = wandering(1, 200)
+        fine = SlewLimit(PERIOD_S / 10, rate_v_per_s=0.9, knee_v=0.13)(held.repeat_interleave(10, 1))[0]
+        torch.testing.assert_close(fine[:, 9::10], self.operator()(held)[0], rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("knee_v", [0.02, 0.3, 4.0, 200.0])
+def test_a_soft_limit_solves_its_differential_equation_for_a_held_command(knee_v):
+    u, rate = 3.0, 2.0
+    v = SlewLimit(0.1, rate_v_per_s=rate, knee_v=knee_v)(torch.full((1, 40), u, dtype=torch.float64))[0][0]
+    solved = scipy.integrate.solve_ivp(
+        lambda _, v: rate * np.tanh((u - v) / knee_v),
+        (0, 4), [0.0], method="Radau", t_eval=0.1 * np.arange(1, 41), rtol=1e-11, atol=1e-12,
+    )  # fmt: skip
+    np.testing.assert_allclose(v.detach().numpy(), solved.y[0], rtol=0, atol=1e-8)
+
+
+@given(knee_v=st.floats(1e-9, 1e4), rate=st.floats(1e-3, 1e9), level=st.floats(-100.0, 100.0))
+def test_a_soft_limit_is_never_faster_than_the_hard_one_and_never_passes_the_command(knee_v, rate, level):
+    u = torch.tensor([[0.0, level, level, level]], dtype=torch.float64)
+    hard = SlewLimit(0.01, rate_v_per_s=rate)(u)[0].abs()
+    soft = SlewLimit(0.01, rate_v_per_s=rate, knee_v=knee_v)(u)[0].abs()
+    assert bool((soft <= hard + 1e-12 * abs(level)).all())
+    assert bool(torch.isfinite(soft).all())
+
+
+def test_with_a_small_knee_the_soft_limit_is_the_hard_one():
+    x = wandering(2, 300)
+    hard, soft = (SlewLimit(0.1, rate_v_per_s=0.9, knee_v=knee)(x)[0] for knee in (0.0, 1e-9))
+    torch.testing.assert_close(soft, hard, rtol=0, atol=1e-8)
+
+
+def test_the_form_is_that_of_the_knee():
+    assert SlewLimit.form({}) == "" == SlewLimit.form({"knee_v": 0.1})
+    assert SlewLimit.form({"rate_v_per_s": 3.0}) == "hard"
+    assert SlewLimit.form({"rate_v_per_s": 3.0, "knee_v": 0.1}) == "soft"

@@ -1,44 +1,87 @@
-"""An output resistance that charges the stack: v̇ = 2πf_c (u - v), f_c = 1/(2πR_oC_L)."""
+"""An output resistance that charges the stack: v̇ = 2πf_c (u - v), f_c = 1/(2πR_oC_L).
+
+In its second form a feedback amplifier with two poles in its loop, an integrator of unity gain at f_c and the
+load behind it at f_2:
+
+    ẇ = 2πf_c (u - v),    v̇ = 2πf_2 (w - v),    f_2 = 4ζ² f_c
+
+so that V/U = 1 / (1 + s/ω_c + s²/ω_cω_2), of damping ratio ζ = ½ √(f_2/f_c) (Gray and Meyer, *Analysis and
+Design of Analog Integrated Circuits*, the two-pole feedback amplifier). ζ → ∞ is the one pole again.
+"""
 
 import math
+from collections.abc import Mapping
 from typing import ClassVar
 
 import torch
 from torch import Tensor, nn
 
-from torchpi.operators.linear import LinearStream, state_space
+from torchpi.operators.linear import LinearStream, Matrices, discretise, state_space
 from torchpi.operators.quantity import Quantity
 from torchpi.stage.effects.effect import LinearEffect, Parameters, Seen
 
+FLATTEST = 0.5**0.5
+"""The damping ratio of the flattest gain, where a fit of two poles begins."""
+
 
 class AmplifierLag(LinearEffect):
-    """A first-order lag of a voltage that a converter holds: v(k) = e^{-ωT} v(k-1) + (1 - e^{-ωT}) u(k).
+    """A lag of a voltage that a converter holds; of one pole, v(k) = e^{-ωT} v(k-1) + (1 - e^{-ωT}) u(k).
 
-    u(k) is the command held during the sample that ends at tick k.
+    u(k) is the command held during the sample that ends at tick k. With a finite `damping_ratio` there are
+    two poles, and two states; below its bound the amplifier rings, which is a mode.
     """
 
     name = "amplifier_lag"
     block = "amplifier"
     before_hysteresis = True
-    equation = "v̇ = 2πf_c (u - v)"
+    equation = "v̇ = 2πf_c (u - v), or v + v̇/ω_c + v̈/(4ζ²ω_c²) = u"
     signature = "phase grows in proportion to frequency, the gain rolls off"
-    quantities: ClassVar[dict[str, Quantity]] = {"cutoff_hz": Quantity("Hz", at_least=1.0, at_most=1e6)}
-    identity: ClassVar[Parameters] = {"cutoff_hz": math.inf}
+    time_scale = "fast"
+    delays = True
+    smooths = True
+    degenerate_with = ("sensor_lag",)
+    forms = ("one pole", "two poles")
+    quantities: ClassVar[dict[str, Quantity]] = {
+        "cutoff_hz": Quantity("Hz", at_least=1.0, at_most=1e6),
+        "damping_ratio": Quantity("", at_least=0.35, at_most=10.0),
+    }
+    identity: ClassVar[Parameters] = {"cutoff_hz": math.inf, "damping_ratio": math.inf}
     cutoff_hz: nn.Parameter
+    damping_ratio: nn.Parameter
 
-    def matrices(self) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """The discrete block; its state is what is left of the voltage a sample later."""
+    @classmethod
+    def form(cls, values: Mapping[str, float]) -> str:
+        of = {**cls.identity, **values}
+        if math.isinf(of["cutoff_hz"]):
+            return ""
+        return "one pole" if math.isinf(of["damping_ratio"]) else "two poles"
+
+    def matrices(self) -> Matrices:
+        """The discrete block; its state is what is left of the voltage (and of w) a sample later."""
+        if self.poles() == 2:
+            return discretise(*self.continuous(), self.sample_period_s, "end")
         decay = torch.exp(-2 * math.pi * self.sample_period_s * self.cutoff_hz)
         fresh = 1 - decay
         return decay.reshape(1, 1), (decay * fresh).reshape(1), torch.ones_like(decay).reshape(1), fresh
 
+    def continuous(self) -> Matrices:
+        """A, B, C, D of the two poles; the states are v and w."""
+        omega = 2 * math.pi * self.cutoff_hz
+        second, zero = 4 * self.damping_ratio**2 * omega, torch.zeros_like(omega)
+        a = torch.stack([-second, second, -omega, zero]).reshape(2, 2)
+        return a, torch.stack([zero, omega]), torch.stack([torch.ones_like(omega), zero]), zero
+
+    def poles(self) -> int:
+        """How many poles, and states, there are."""
+        return 1 if math.isinf(self.damping_ratio.item()) or math.isinf(self.cutoff_hz.item()) else 2
+
     def initial_state(self, batch: int) -> Tensor:
-        return torch.zeros(batch, 1, dtype=torch.float64)
+        return torch.zeros(batch, self.poles(), dtype=torch.float64)
 
     def forward(
         self,
         x: Tensor,  # (batch, time), V
-        state: Tensor | None = None,  # (batch, 1), V
+        state: Tensor | None = None,  # (batch, poles), V
     ) -> tuple[Tensor, Tensor]:
         return state_space(x, *self.matrices(), self.initial_state(len(x)) if state is None else state)
 
@@ -49,4 +92,5 @@ class AmplifierLag(LinearEffect):
     @classmethod
     def starts(cls, seen: Seen) -> list[Parameters]:
         # Above a third of the sample rate a held input shows no lag.
-        return [{"cutoff_hz": f} for f in (16.0, 60.0, 200.0, 700.0, 2500.0, 9000.0) if f < seen.fs_hz / 3]
+        one = [{"cutoff_hz": f} for f in (16.0, 60.0, 200.0, 700.0, 2500.0, 9000.0) if f < seen.fs_hz / 3]
+        return one + [{**start, "damping_ratio": FLATTEST} for start in one]
