@@ -15,7 +15,9 @@ from torchpi.stage.effects.actuator.creep import FROM_S, TO_S, Creep
 
 class TestLaws(EffectLaws):
     def operator(self) -> Creep:
-        return Creep(PERIOD_S, per_decade=0.03, gain=0.04, time_constant_s=0.7)
+        return Creep(
+            PERIOD_S, per_decade=0.03, gain=0.04, time_constant_s=0.7, power_per_decade=0.02, exponent=0.3
+        )
 
 
 @given(per_decade=st.floats(0, 0.05), fs_hz=st.sampled_from([100.0, 1e4, 1e5]))
@@ -46,6 +48,29 @@ def test_one_pole_settles_as_an_exponential(gain, time_constant_s):
     at_once = 1 + math.expm1(-z) / z if z > 1e-4 else z / 2 - z**2 / 6  # the step takes one sample to rise
     wanted = 1 + gain * (1 - (1 - at_once) * torch.exp(-z * torch.arange(400, dtype=torch.float64)))
     torch.testing.assert_close(y, wanted, rtol=0, atol=1e-11)
+
+
+@pytest.mark.parametrize("exponent", [0.05, 0.15, 0.3])
+def test_a_hold_creeps_by_the_power_law_over_three_decades(exponent):
+    y = Creep(1e-2, power_per_decade=0.02, exponent=exponent)(step(10_001))[0][0].detach()
+    t = 1e-2 * torch.arange(10_001, dtype=torch.float64)
+    expected = 0.02 * ((t / 0.1) ** exponent - 1) / (exponent * math.log(10))
+    grown = y - y[10]
+    # Poles end at 1000 s: what lies beyond them is missing at the end of a long hold.
+    for k in (3, 30, 100, 1000, 10_000):
+        assert grown[k].item() == pytest.approx((expected[k] - expected[10]).item(), rel=0.1)
+
+
+def test_a_small_exponent_is_the_logarithm():
+    x = wandering(1, 400)
+    log, power = Creep(0.01, per_decade=0.03), Creep(0.01, power_per_decade=0.03, exponent=0.02)
+    assert (log(x)[0] - power(x)[0]).abs().max() < 0.1 * (log(x)[0] - x).abs().max()
+
+
+def test_the_forms_in_use_are_named():
+    assert Creep.form({"time_constant_s": 3.0, "exponent": 0.1}) == ""
+    assert Creep.form({"per_decade": 0.01, "gain": 0.2}) == "logarithm + pole"
+    assert Creep.form({"power_per_decade": 0.01}) == "power law"
 
 
 @pytest.mark.parametrize("values", [{"per_decade": 0.02}, {"gain": 0.05, "time_constant_s": 0.3}])
