@@ -1,20 +1,27 @@
 """Backlash: a play in series, against that of python-control."""
 
 import control
+import numpy as np
 import pytest
+import scipy.integrate
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.stage.effects.actuator.laws import PERIOD_S, EffectLaws
+from tests.stage.effects.actuator.laws import PERIOD_S, EffectLaws, fixed
 from torchpi.operators.conformance import wandering
 from torchpi.stage.effects.effect import Seen
 from torchpi.stage.effects.mechanics.backlash import Backlash
 
 
-class TestLaws(EffectLaws):
+class TestPlayLaws(EffectLaws):
     def operator(self) -> Backlash:
-        return Backlash(PERIOD_S, width_um=0.3)
+        return fixed(Backlash(PERIOD_S, width_um=0.3), "presliding_um")
+
+
+class TestDahlLaws(EffectLaws):
+    def operator(self) -> Backlash:
+        return Backlash(PERIOD_S, width_um=0.3, presliding_um=0.08)
 
 
 @given(width_um=st.floats(0.0, 3.0), seed=st.integers(0, 10**6))
@@ -34,5 +41,48 @@ def test_without_values_the_gradient_to_the_width_is_half_against_the_motion():
 
 
 def test_a_search_starts_at_small_shares_of_the_travel():
-    widths = [start["width_um"] for start in Backlash.starts(Seen(1e4, 1.0, 0, 1, 1, 0, 20.0, {}))]
+    starts = Backlash.starts(Seen(1e4, 1.0, 0, 1, 1, 0, 20.0, {}))
+    widths = [start["width_um"] for start in starts if "presliding_um" not in start]
     assert widths[0] == pytest.approx(0.02) and widths[-1] == pytest.approx(0.4)
+
+
+@pytest.mark.parametrize("presliding_um", [0.05, 0.4, 3.0])
+def test_the_round_play_solves_dahls_differential_equation(presliding_um):
+    x, r = wandering(1, 60, seed=4), 0.5
+
+    def rate(_: float, state: np.ndarray, velocity: float) -> list[float]:
+        stiffness = r / presliding_um * (1 - state[0] / r * np.sign(velocity))
+        return [velocity * stiffness / (1 + stiffness)]  # dd = stiffness dy, dx = dy + dd
+
+    lost, expected, before = 0.0, [], 0.0
+    for sample in x[0].tolist():
+        solved = scipy.integrate.solve_ivp(
+            rate, (0, 1), [lost], args=(sample - before,), rtol=1e-10, atol=1e-12
+        )
+        lost, before = solved.y[0, -1], sample
+        expected.append(sample - lost)
+    y = Backlash(0.1, width_um=2 * r, presliding_um=presliding_um)(x)[0][0].detach().numpy()
+    np.testing.assert_allclose(y, expected, rtol=0, atol=1e-7)
+
+
+def test_with_a_short_presliding_length_the_round_play_is_the_sharp_one():
+    x = wandering(2, 300)
+    for presliding_um, away in ((1e-3, 0.02), (1e-5, 3e-4), (1e-9, 0.0)):
+        sharp, soft = (Backlash(0.1, width_um=0.3, presliding_um=p)(x)[0] for p in (0.0, presliding_um))
+        assert (soft - sharp).abs().max().item() <= away
+
+
+@given(
+    width_um=st.floats(1e-6, 1e4), presliding_um=st.floats(1e-12, 1e4), seed=st.integers(0, 10**6),
+    size=st.floats(1e-6, 1e6),
+)  # fmt: skip
+def test_a_round_play_loses_no_more_than_half_its_width(width_um, presliding_um, seed, size):
+    x = size * wandering(1, 60, seed)
+    lost = x - Backlash(0.1, width_um=width_um, presliding_um=presliding_um)(x)[0]
+    assert lost.abs().max().item() <= width_um / 2 + 1e-12 * size
+
+
+def test_the_form_is_that_of_the_corner():
+    assert Backlash.form({}) == "" == Backlash.form({"presliding_um": 1.0})
+    assert Backlash.form({"width_um": 1.0}) == "play"
+    assert Backlash.form({"width_um": 1.0, "presliding_um": 1.0}) == "Dahl"

@@ -1,9 +1,11 @@
-"""Lost motion in the mount: a play of half the width in series with the displacement.
+"""Lost motion in the mount: a play of half the width in series with the displacement, sharp or round.
 
 y(k) = max{x(k) - w/2, min{x(k) + w/2, y(k-1)}}: Qin et al. (2013), eq. 1, with r = w/2; Nordin and
-Gutman, *Controlling mechanical systems with backlash, a survey*, Automatica 38(10), 2002.
+Gutman, *Controlling mechanical systems with backlash, a survey*, Automatica 38(10), 2002. The round one is
+friction of Dahl's kind behind a spring, `torchpi.stage.effects.mechanics.presliding`.
 """
 
+from collections.abc import Mapping
 from typing import Any, ClassVar
 
 import numba
@@ -14,42 +16,71 @@ from torch import Tensor, nn
 from torchpi.operators.play import play, play_bank
 from torchpi.operators.quantity import Quantity
 from torchpi.operators.selection import NO_SOURCE, gather
-from torchpi.stage.effects.effect import Effect, Parameters, Seen
+from torchpi.stage.effects.effect import Effect, Needs, Parameters, Seen
+from torchpi.stage.effects.mechanics.presliding import Slide, slide, slide_tangent
 
 
 class Backlash(Effect):
-    """A play of full width w. The state is the displacement behind it."""
+    """A play of full width w, its corners rounded over a presliding length ρ.
+
+    The state is the displacement behind it, and with ρ > 0 that before it as well.
+    """
 
     name = "backlash"
     block = "mechanics"
-    equation = "y(k) = max{x(k) - w/2, min{x(k) + w/2, y(k-1)}}"
+    equation = "y(k) = max{x(k) - w/2, min{x(k) + w/2, y(k-1)}}, or y = x - d, dd/dy = (w/2 - d sgn ẏ)/ρ"
     signature = "flat at every reversal, by the same amount at any amplitude"
-    quantities: ClassVar[dict[str, Quantity]] = {"width_um": Quantity("µm", at_least=0.0, at_most=1e4)}
-    identity: ClassVar[Parameters] = {"width_um": 0.0}
+    time_scale = "static"
+    needs = Needs(reversals=True)
+    forms = ("play", "Dahl")
+    quantities: ClassVar[dict[str, Quantity]] = {
+        "width_um": Quantity("µm", at_least=0.0, at_most=1e4),
+        "presliding_um": Quantity("µm", at_least=0.0, at_most=1e4),
+    }
+    identity: ClassVar[Parameters] = {"width_um": 0.0, "presliding_um": 0.0}
     width_um: nn.Parameter
+    presliding_um: nn.Parameter
+
+    @classmethod
+    def form(cls, values: Mapping[str, float]) -> str:
+        of = {**cls.identity, **values}
+        if of["width_um"] == 0:
+            return ""
+        return "Dahl" if of["presliding_um"] > 0 else "play"
+
+    def is_round(self) -> bool:
+        """Whether it slides before it slips."""
+        return self.presliding_um.item() > 0
 
     def initial_state(self, batch: int) -> Tensor:
-        return torch.zeros(batch, 1, dtype=torch.float64)
+        return torch.zeros(batch, 2 if self.is_round() else 1, dtype=torch.float64)
 
     def forward(
         self,
         x: Tensor,  # (batch, time), µm
-        state: Tensor | None = None,  # (batch, 1), µm
+        state: Tensor | None = None,  # (batch, 1 or 2), µm
     ) -> tuple[Tensor, Tensor]:
-        h0 = self.initial_state(len(x)) if state is None else state
-        y = play_bank(x, (self.width_um / 2).reshape(1).to(x.dtype), h0.to(x.dtype))
+        h0 = (self.initial_state(len(x)) if state is None else state).to(x.dtype)
+        if self.is_round():
+            return Slide.apply(x, self.width_um / 2, self.presliding_um, h0)  # type: ignore[no-any-return]
+        y = play_bank(x, (self.width_um / 2).reshape(1).to(x.dtype), h0)
         return y[..., 0], y[:, -1]
 
     def stream(self) -> nn.Module:
+        if self.is_round():
+            return SlideStream(self.width_um.item() / 2, self.presliding_um.item())
         return BacklashStream(self.width_um.item() / 2)
 
     def tangent(self, x: Tensor, dx: Tensor) -> Tensor:
+        if self.is_round():
+            return slide_tangent(x, dx, self.width_um.item() / 2, self.presliding_um.item())
         return gather(dx, _source(x[0].detach().numpy(), self.width_um.item() / 2))
 
     @classmethod
     def starts(cls, seen: Seen) -> list[Parameters]:
         shares = (0.001, 0.002, 0.004, 0.008, 0.02)
-        return [{"width_um": share * seen.span_um} for share in shares if seen.span_um > 0]
+        sharp = [{"width_um": share * seen.span_um} for share in shares if seen.span_um > 0]
+        return sharp + [{**start, "presliding_um": start["width_um"]} for start in sharp]
 
 
 class BacklashStream(nn.Module):
@@ -67,6 +98,28 @@ class BacklashStream(nn.Module):
     @torch.jit.export
     def step(self, x: float) -> float:
         self.y = play(x, self.r, self.y)
+        return self.y
+
+
+class SlideStream(nn.Module):
+    """The round play, one sample at a time."""
+
+    def __init__(self, r: float, rho: float) -> None:
+        super().__init__()
+        self.r = r
+        self.rho = rho
+        self.y = 0.0
+        self.before = 0.0
+
+    @torch.jit.export
+    def reset(self) -> None:
+        self.y = 0.0
+        self.before = 0.0
+
+    @torch.jit.export
+    def step(self, x: float) -> float:
+        self.y = slide(x, self.before, self.y, self.r, self.rho)
+        self.before = x
         return self.y
 
 
