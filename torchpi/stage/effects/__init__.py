@@ -19,6 +19,7 @@ from torchpi.stage.effects.mechanics.load_change import LoadChange
 from torchpi.stage.effects.mechanics.resonance import Resonance
 from torchpi.stage.effects.mechanics.second_mode import SecondMode
 from torchpi.stage.effects.mechanics.stiction import Stiction
+from torchpi.stage.effects.sensor.gain_modulation import GainModulation
 from torchpi.stage.effects.sensor.hum import Hum
 from torchpi.stage.effects.sensor.quantization import Quantization
 from torchpi.stage.effects.sensor.sensor_lag import SensorLag
@@ -46,6 +47,7 @@ EFFECTS: tuple[type[Effect] | type[InsideEffect], ...] = (
     ThermalDrift,
     SensorNonlinearity,
     SensorLag,
+    GainModulation,
     Hum,
     Quantization,
 )

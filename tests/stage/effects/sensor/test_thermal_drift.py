@@ -2,18 +2,27 @@
 
 import math
 
+import numpy as np
 import pytest
 import torch
 
 from tests.stage.effects.actuator.laws import PERIOD_S, EffectLaws
 from torchpi.operators.conformance import wandering
 from torchpi.stage.effects.effect import Seen
-from torchpi.stage.effects.sensor.thermal_drift import ThermalDrift
+from torchpi.stage.effects.sensor.thermal_drift import KNOT_NAMES, ThermalDrift
 
 
 class TestLaws(EffectLaws):
     def operator(self) -> ThermalDrift:
-        return ThermalDrift(PERIOD_S, amplitude_um=0.4, time_constant_s=7.0, rate_um_per_s=-0.01)
+        knots = {name: 0.1 * (-1) ** k * (k + 1) for k, name in enumerate(KNOT_NAMES)}
+        return ThermalDrift(
+            PERIOD_S,
+            amplitude_um=0.4,
+            time_constant_s=7.0,
+            rate_um_per_s=-0.01,
+            knot_spacing_s=0.37,
+            **knots,
+        )
 
 
 def test_it_rises_to_its_amplitude_and_goes_on_at_its_rate():
@@ -26,7 +35,31 @@ def test_it_rises_to_its_amplitude_and_goes_on_at_its_rate():
     torch.testing.assert_close(moved, 0.003 * torch.arange(1001, dtype=torch.float64), rtol=0, atol=1e-12)
 
 
-def test_a_search_tries_a_ramp_and_two_time_constants():
+def test_a_walk_runs_straight_from_knot_to_knot_and_stays_behind_the_last():
+    knots = dict(zip(KNOT_NAMES, (1.0, -1.0, 0.5, 0.0, 0.0, 2.0, 2.0, 3.0), strict=True))
+    x = wandering(1, 120)
+    moved = (ThermalDrift(0.1, knot_spacing_s=1.0, **knots)(x)[0] - x)[0].detach().numpy()
+    expected = np.interp(0.1 * np.arange(120), np.arange(9), [0.0, *knots.values()])
+    np.testing.assert_allclose(moved, expected, rtol=0, atol=1e-12)
+
+
+def test_a_walk_of_another_recording_is_not_there():
+    assert {*KNOT_NAMES} <= {*ThermalDrift.per_recording}
+    x = wandering(1, 50)
+    assert torch.equal(ThermalDrift(0.1, knot_spacing_s=0.3)(x)[0], x)
+
+
+def test_the_forms_in_use_are_named():
+    assert ThermalDrift.form({"time_constant_s": 3.0, "knot_spacing_s": 2.0}) == ""
+    assert ThermalDrift.form({"rate_um_per_s": 1.0}) == "linear"
+    assert ThermalDrift.form({"amplitude_um": 1.0, "knot3_um": 0.2}) == "exponential + random walk"
+
+
+def test_a_search_tries_a_ramp_two_time_constants_and_a_walk_over_the_record():
     starts = ThermalDrift.starts(Seen(1e3, 50.0, 0, 1, 1, 0, 20, {}))
     assert starts[0] == {"rate_um_per_s": pytest.approx(0.2 / 50)}
-    assert [start["time_constant_s"] for start in starts[1:]] == [10.0, 50.0]
+    assert [start["time_constant_s"] for start in starts[1:3]] == [10.0, 50.0]
+    assert 8 * starts[3]["knot_spacing_s"] == pytest.approx(50.0)
+    assert [ThermalDrift.form(start) for start in starts] == [
+        "linear", "exponential", "exponential", "random walk",
+    ]  # fmt: skip

@@ -1,24 +1,15 @@
 """A mains line in the reading: y = x + a cos 2πft + b sin 2πft, t from the first sample."""
 
-import math
-from typing import Any, ClassVar
+from typing import ClassVar
 
-import numba
-import numpy as np
 import torch
 from torch import Tensor, nn
-from torch.autograd.function import once_differentiable
 
 from torchpi.operators.quantity import Quantity
 from torchpi.stage.effects.effect import Effect, Parameters, Seen
+from torchpi.stage.effects.oscillation import oscillation, oscillations
 
 MAINS_HZ = (50.0, 60.0, 100.0, 120.0, 150.0, 180.0)
-
-
-def hum(elapsed: float, period_s: float, frequency_hz: float, cos_um: float, sin_um: float) -> float:
-    """a cos φ + b sin φ, φ = 2πft, at `elapsed` samples from the first. Kernel and stream compile this."""
-    phase = 2.0 * math.pi * frequency_hz * (elapsed * period_s)
-    return cos_um * math.cos(phase) + sin_um * math.sin(phase)
 
 
 class Hum(Effect):
@@ -31,6 +22,7 @@ class Hum(Effect):
     block = "sensor"
     equation = "y = x + a cos 2πft + b sin 2πft"
     signature = "one exact line, not periodic with the input, of one size in motion and at rest"
+    unseen = "these recordings show no three periods of the mains"
     quantities: ClassVar[dict[str, Quantity]] = {
         "frequency_hz": Quantity("Hz", at_least=45, at_most=400),
         "cos_um": Quantity("µm", at_least=-1e3, at_most=1e3),
@@ -51,7 +43,7 @@ class Hum(Effect):
         state: Tensor | None = None,  # (batch, 1), samples
     ) -> tuple[Tensor, Tensor]:
         elapsed = self.initial_state(len(x)) if state is None else state
-        line = _Hum.apply(
+        line = oscillations(
             elapsed, x.shape[1], self.sample_period_s, self.frequency_hz, self.cos_um, self.sin_um
         )
         return x + line.to(x), elapsed + x.shape[1]
@@ -89,61 +81,6 @@ class HumStream(nn.Module):
 
     @torch.jit.export
     def step(self, x: float) -> float:
-        y = x + hum(self.elapsed, self.period_s, self.frequency_hz, self.cos_um, self.sin_um)
+        line = oscillation(self.elapsed, self.period_s, self.frequency_hz, self.cos_um, self.sin_um)
         self.elapsed += 1.0
-        return y
-
-
-class _Hum(torch.autograd.Function):
-    @staticmethod
-    def forward(
-        ctx: Any,
-        elapsed: Tensor,
-        time: int,
-        period_s: float,
-        frequency_hz: Tensor,
-        cos_um: Tensor,
-        sin_um: Tensor,
-    ) -> Tensor:  # (batch, time)
-        line = elapsed.new_empty(len(elapsed), time)
-        _line(
-            elapsed.detach()[:, 0].numpy(),
-            period_s,
-            frequency_hz.item(),
-            cos_um.item(),
-            sin_um.item(),
-            line.numpy(),
-        )
-        ctx.period_s, ctx.time = period_s, time
-        ctx.save_for_backward(elapsed, frequency_hz, cos_um, sin_um)
-        return line
-
-    @staticmethod
-    @once_differentiable
-    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
-        elapsed, frequency_hz, cos_um, sin_um = ctx.saved_tensors
-        t = (elapsed + torch.arange(ctx.time, dtype=torch.float64)) * ctx.period_s
-        phase = 2 * math.pi * frequency_hz * t
-        cosine, sine = torch.cos(phase), torch.sin(phase)
-        by_phase = gradients[0] * (sin_um * cosine - cos_um * sine)
-        by_t = 2 * math.pi * frequency_hz * by_phase
-        return (
-            (by_t * ctx.period_s).sum(1, keepdim=True),
-            None,
-            None,
-            (by_phase * 2 * math.pi * t).sum(),
-            (gradients[0] * cosine).sum(),
-            (gradients[0] * sine).sum(),
-        )
-
-
-_hum: Any = numba.njit(hum)
-
-
-@numba.njit(cache=True)
-def _line(
-    elapsed: np.ndarray, period_s: float, frequency_hz: float, cos_um: float, sin_um: float, line: np.ndarray
-) -> None:
-    for batch in range(line.shape[0]):
-        for k in range(line.shape[1]):
-            line[batch, k] = _hum(elapsed[batch] + k, period_s, frequency_hz, cos_um, sin_um)
+        return x + line

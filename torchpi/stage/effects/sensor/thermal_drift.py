@@ -1,7 +1,8 @@
 """Drift in absolute time, of a stage that warms up: y = x + A (1 - e^{-t/τ}) + ρ t, t from the first sample.
 
 ΔL = L₀ α ΔT, the temperature being that of one heat capacity behind one resistance (A, τ), or still far
-from where it settles (ρ).
+from where it settles (ρ), or that of a room, which wanders: a random walk, through knots in each recording
+(`torchpi.stage.effects.knots`).
 """
 
 import math
@@ -14,8 +15,10 @@ from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 
 from torchpi.operators.quantity import Quantity
-from torchpi.stage.effects.effect import Effect, Parameters, Seen
+from torchpi.stage.effects.effect import SHORTEST_SLOW_S, Effect, Needs, Parameters, Seen
+from torchpi.stage.effects.knots import KNOTS, SPACING, KnotsStream, knot_names, through_knots
 
+KNOT_NAMES = knot_names("_um")
 SLOWEST_DYNAMICS_S = 0.5
 """What settles faster is no drift of temperature."""
 
@@ -29,25 +32,49 @@ def drift(
 
 
 class ThermalDrift(Effect):
-    """A drift that settles, one that goes on, or both; how far it goes is another number in each recording.
+    """A drift that settles, goes on, wanders, or all of it; how far is another number in each recording.
 
+    What wandered in one recording predicts nothing in the next: without its numbers the drift is not there.
     The state is the number of samples since the first.
     """
 
     name = "thermal_drift"
     block = "sensor"
-    equation = "y = x + A (1 - e^{-t/τ}) + ρ t"
+    equation = "y = x + A (1 - e^{-t/τ}), or + ρ t, or + a random walk"
     signature = "slow, in absolute time: does not follow the last move"
+    time_scale = "slow"
+    needs = Needs(duration_s=SHORTEST_SLOW_S)
+    degenerate_with = ("leakage",)
     quantities: ClassVar[dict[str, Quantity]] = {
         "amplitude_um": Quantity("µm", at_least=-1e4, at_most=1e4),
         "time_constant_s": Quantity("s", at_least=SLOWEST_DYNAMICS_S, at_most=1e6),
         "rate_um_per_s": Quantity("µm/s", at_least=-1e3, at_most=1e3),
+        "knot_spacing_s": SPACING,
+        **dict.fromkeys(KNOT_NAMES, Quantity("µm", at_least=-1e4, at_most=1e4)),
     }
-    identity: ClassVar[Parameters] = {"amplitude_um": 0.0, "time_constant_s": 60.0, "rate_um_per_s": 0.0}
-    per_recording = ("amplitude_um", "rate_um_per_s")
+    identity: ClassVar[Parameters] = {
+        "amplitude_um": 0.0,
+        "time_constant_s": 60.0,
+        "rate_um_per_s": 0.0,
+        "knot_spacing_s": 1.0,
+        **dict.fromkeys(KNOT_NAMES, 0.0),
+    }
+    forms = ("exponential", "linear", "random walk")
+    form_of: ClassVar[dict[str, str]] = {
+        "amplitude_um": "exponential",
+        "rate_um_per_s": "linear",
+        **dict.fromkeys(KNOT_NAMES, "random walk"),
+    }
+    per_recording = ("amplitude_um", "rate_um_per_s", *KNOT_NAMES)
+    kinds = ("knot_spacing_s",)
     amplitude_um: nn.Parameter
     time_constant_s: nn.Parameter
     rate_um_per_s: nn.Parameter
+    knot_spacing_s: nn.Parameter
+
+    def knots(self) -> Tensor:
+        """Where the walk is at each knot, (KNOTS,), µm."""
+        return torch.stack([getattr(self, name) for name in KNOT_NAMES])
 
     def initial_state(self, batch: int) -> Tensor:
         return torch.zeros(batch, 1, dtype=torch.float64)
@@ -66,7 +93,8 @@ class ThermalDrift(Effect):
             self.time_constant_s,
             self.rate_um_per_s,
         )
-        return x + moved.to(x), elapsed + x.shape[1]
+        walked = through_knots(elapsed, x.shape[1], self.sample_period_s, self.knot_spacing_s, self.knots())
+        return x + moved.to(x) + walked.to(x), elapsed + x.shape[1]
 
     def stream(self) -> nn.Module:
         return ThermalDriftStream(
@@ -74,6 +102,7 @@ class ThermalDrift(Effect):
             self.amplitude_um.item(),
             self.time_constant_s.item(),
             self.rate_um_per_s.item(),
+            KnotsStream(self.sample_period_s, self.knot_spacing_s.item(), self.knots().tolist()),
         )
 
     def tangent(self, x: Tensor, dx: Tensor) -> Tensor:
@@ -89,6 +118,7 @@ class ThermalDrift(Effect):
             {"rate_um_per_s": size / duration_s},
             {"amplitude_um": size, "time_constant_s": max(duration_s / 5, SLOWEST_DYNAMICS_S)},
             {"amplitude_um": size, "time_constant_s": max(duration_s, SLOWEST_DYNAMICS_S)},
+            {"knot_spacing_s": duration_s / KNOTS, **dict.fromkeys(KNOT_NAMES, size)},
         ]
 
 
@@ -96,13 +126,19 @@ class ThermalDriftStream(nn.Module):
     """The drift, one sample at a time."""
 
     def __init__(
-        self, period_s: float, amplitude_um: float, time_constant_s: float, rate_um_per_s: float
+        self,
+        period_s: float,
+        amplitude_um: float,
+        time_constant_s: float,
+        rate_um_per_s: float,
+        walk: KnotsStream,
     ) -> None:
         super().__init__()
         self.period_s = period_s
         self.amplitude_um = amplitude_um
         self.time_constant_s = time_constant_s
         self.rate_um_per_s = rate_um_per_s
+        self.walk = walk
         self.elapsed = 0.0
 
     @torch.jit.export
@@ -114,6 +150,7 @@ class ThermalDriftStream(nn.Module):
         y = x + drift(
             self.elapsed, self.period_s, self.amplitude_um, self.time_constant_s, self.rate_um_per_s
         )
+        y = y + self.walk.at(self.elapsed)
         self.elapsed += 1.0
         return y
 

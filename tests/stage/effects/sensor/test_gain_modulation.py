@@ -1,0 +1,66 @@
+"""Gain modulation: a slow signal that the voltage does not drive, on the gain or beside it."""
+
+import math
+
+import pytest
+import torch
+
+from tests.stage.effects.actuator.laws import PERIOD_S, EffectLaws
+from torchpi.operators.conformance import wandering
+from torchpi.stage.effects.effect import Seen
+from torchpi.stage.effects.sensor.gain_modulation import KNOT_NAMES, GainModulation
+
+SEEN = Seen(1e3, 20.0, 0, 1, 1, 0, 20, {})
+
+
+class TestLaws(EffectLaws):
+    def operator(self) -> GainModulation:
+        knots = {name: 0.02 * (-1) ** k * (k + 1) for k, name in enumerate(KNOT_NAMES)}
+        return GainModulation(
+            PERIOD_S,
+            frequency_hz=0.7,
+            cos=0.1,
+            sin=-0.2,
+            cos_um=0.3,
+            sin_um=0.05,
+            knot_spacing_s=0.37,
+            **knots,
+        )
+
+
+def test_it_is_amplitude_modulation_by_one_line():
+    x = wandering(1, 400)
+    y = GainModulation(0.01, frequency_hz=3.0, cos=0.02, sin=-0.01)(x)[0]
+    phase = 2 * math.pi * 3.0 * 0.01 * torch.arange(400, dtype=torch.float64)
+    expected = x * (1 + 0.02 * phase.cos() - 0.01 * phase.sin())
+    torch.testing.assert_close(y, expected, rtol=0, atol=1e-12)
+
+
+def test_the_multiplicative_forms_leave_a_stage_at_zero_alone_and_the_additive_one_does_not():
+    x = torch.zeros(1, 100, dtype=torch.float64)
+    knots = dict.fromkeys(KNOT_NAMES, 0.1)
+    assert torch.equal(GainModulation(0.01, cos=0.1, **knots)(x)[0], x)
+    assert GainModulation(0.01, cos_um=0.1)(x)[0][0, 0].item() == pytest.approx(0.1)
+
+
+def test_what_a_recording_has_for_itself_is_its_size_and_phase_not_its_frequency():
+    assert "frequency_hz" not in GainModulation.per_recording
+    assert {"cos", "sin", "cos_um", "sin_um", *KNOT_NAMES} == {*GainModulation.per_recording}
+
+
+def test_every_start_has_one_form_and_all_forms_are_tried():
+    forms = [GainModulation.form(start) for start in GainModulation.starts(SEEN)]
+    assert set(forms) == set(GainModulation.forms)
+
+
+def test_a_search_starts_at_lines_of_half_a_period_and_more_below_half_of_the_sample_rate():
+    lines = {s["frequency_hz"] for s in GainModulation.starts(SEEN) if "frequency_hz" in s}
+    assert lines == {0.06, 0.2, 0.6, 2.0, 6.0, 20.0}
+    slow = Seen(10.0, 20.0, 0, 1, 1, 0, 20, {})
+    assert max(s.get("frequency_hz", 0.0) for s in GainModulation.starts(slow)) == 2.0
+    assert GainModulation.starts(Seen(1e3, 0.1, 0, 1, 1, 0, 20, {})) == []
+
+
+def test_starts_at_given_lines_leave_out_what_is_no_slow_line():
+    found = {s["frequency_hz"] for s in GainModulation.starts_at(SEEN, [1e-3, 3.1, 50.0])}
+    assert found == {3.1}

@@ -1,0 +1,46 @@
+"""What the classes of effects say of themselves, for a search that knows none of them by name."""
+
+import pytest
+
+from torchpi.stage.effects import EFFECTS
+from torchpi.stage.effects.effect import Seen
+
+SEEN = Seen(1e4, 20.0, 0, 100, 1e4, 0, 20, {"aux_v": 1.0}, peak_rate_v_s=1e5)
+each = pytest.mark.parametrize("effect", EFFECTS, ids=lambda effect: effect.name)
+
+
+@each
+def test_every_start_has_a_form_where_an_effect_has_several(effect):
+    forms = [effect.form(start) for start in effect.starts(SEEN)]
+    assert set(forms) <= {*effect.forms, *([] if effect.forms else [""])}
+    assert effect.form({}) == ""
+
+
+@each
+def test_every_form_is_tried(effect):
+    if not effect.read_off:
+        assert set(effect.forms) <= {effect.form(start) for start in effect.starts(SEEN)}
+
+
+@each
+def test_what_cannot_be_split_is_an_effect_and_says_the_same(effect):
+    by_name = {other.name: other for other in EFFECTS}
+    for name in effect.degenerate_with:
+        assert name != effect.name
+        assert effect.name in by_name[name].degenerate_with
+
+
+@each
+def test_what_is_read_off_has_no_start_and_the_rest_has_one(effect):
+    assert bool(effect.starts(SEEN)) != effect.read_off
+
+
+@each
+def test_what_takes_seconds_needs_a_recording_of_that_length(effect):
+    assert (effect.time_scale == "slow") <= (effect.needs.duration_s > 0)
+    short = Seen(1e4, 0.5 * effect.needs.duration_s, 0, 100, 1e4, 0, 20, {"aux_v": 1.0})
+    assert effect.needs.duration_s == 0 or len(effect.starts(short)) <= len(effect.starts(SEEN))
+
+
+def test_only_fast_effects_can_pass_for_a_convention_of_timing():
+    assert {effect.time_scale for effect in EFFECTS if effect.delays} == {"fast"}

@@ -1,0 +1,60 @@
+"""A slow signal that nothing recorded drives, as straight lines between knots, 0 at the first sample.
+
+What the piecewise linear interpolation of a random walk keeps of it: the first terms of its expansion in
+triangles (Lévy, 1948; Ciesielski, *Hölder conditions for realizations of Gaussian processes*, Trans. American
+Mathematical Society 99, 1961). Behind the last knot it stays where that is.
+"""
+
+import math
+
+import torch
+from torch import Tensor, nn
+
+from torchpi.operators.quantity import Quantity
+
+KNOTS = 8
+SPACING = Quantity("s", at_least=1e-6, at_most=1e6)
+"""Bounds of the time from one knot to the next."""
+
+
+def knot_names(unit: str) -> tuple[str, ...]:
+    """knot1 … knot8, with the unit where there is one."""
+    return tuple(f"knot{k}{unit}" for k in range(1, KNOTS + 1))
+
+
+def between(left: float, right: float, share: float) -> float:
+    """The straight line from `left` (share 0) to `right` (share 1). Tensors pass as well."""
+    return left + share * (right - left)
+
+
+def through_knots(
+    elapsed: Tensor,  # (batch, 1), samples before the first of these
+    time: int,
+    period_s: float,
+    spacing_s: Tensor,  # ()
+    knots: Tensor,  # (KNOTS,), at spacing, 2 spacing, …
+) -> Tensor:  # (batch, time)
+    """The line at `time` samples."""
+    place = (elapsed + torch.arange(time, dtype=torch.float64)) * period_s / spacing_s
+    before = torch.clamp(torch.floor(place.detach()), 0, len(knots) - 1)
+    values = torch.cat([knots.new_zeros(1), knots])
+    left, right = values[before.long()], values[before.long() + 1]
+    return between(left, right, torch.clamp(place - before, max=1.0))  # type: ignore[arg-type, return-value]
+
+
+class KnotsStream(nn.Module):
+    """The line, one sample at a time."""
+
+    values: list[float]
+
+    def __init__(self, period_s: float, spacing_s: float, knots: list[float]) -> None:
+        super().__init__()
+        self.period_s = period_s
+        self.spacing_s = spacing_s
+        self.values = [0.0, *knots]
+
+    def at(self, elapsed: float) -> float:
+        """The line at so many samples after the first."""
+        place = elapsed * self.period_s / self.spacing_s
+        before = min(math.floor(place), len(self.values) - 2)
+        return between(self.values[before], self.values[before + 1], min(place - before, 1.0))

@@ -1,0 +1,165 @@
+"""A slow signal that the voltage does not drive: y = x [1 + m(t)] + a(t), t from the first sample.
+
+The light source of an interferometer or a reference voltage breathes (m), or a mount sways (a): one line of
+0.02 to 20 Hz. Where it keeps no frequency, m is a random walk through knots (`torchpi.stage.effects.knots`).
+Fleming, *A review of nanometer-resolution position sensors: operation and performance*, Sensors and Actuators
+A 190, 2013: drift of gain and of offset.
+"""
+
+from typing import ClassVar
+
+import torch
+from torch import Tensor, nn
+
+from torchpi.operators.quantity import Quantity
+from torchpi.stage.effects.effect import SHORTEST_SLOW_S, Effect, Needs, Parameters, Seen
+from torchpi.stage.effects.knots import KNOTS, SPACING, KnotsStream, knot_names, through_knots
+from torchpi.stage.effects.oscillation import oscillation, oscillations
+
+KNOT_NAMES = knot_names("")
+STARTS_HZ = (0.02, 0.06, 0.2, 0.6, 2.0, 6.0, 20.0)
+FEWEST_PERIODS = 0.5
+"""Of a line in the longest recording; less is a drift."""
+
+
+class GainModulation(Effect):
+    """A gain, or a zero, that moves by itself; how far is another number in each recording.
+
+    The state is the number of samples since the first.
+    """
+
+    name = "gain_modulation"
+    block = "sensor"
+    equation = "y = x [1 + a cos 2πft + b sin 2πft], or x + a line, or x [1 + a random walk]"
+    signature = (
+        "an error in proportion to the displacement, by a slow signal that does not follow the voltage"
+    )
+    time_scale = "slow"
+    needs = Needs(duration_s=SHORTEST_SLOW_S)
+    degenerate_with = ("ageing",)
+    quantities: ClassVar[dict[str, Quantity]] = {
+        "frequency_hz": Quantity("Hz", at_least=1e-3, at_most=45.0),
+        "cos": Quantity("", at_least=-0.9, at_most=0.9),
+        "sin": Quantity("", at_least=-0.9, at_most=0.9),
+        "cos_um": Quantity("µm", at_least=-1e3, at_most=1e3),
+        "sin_um": Quantity("µm", at_least=-1e3, at_most=1e3),
+        "knot_spacing_s": SPACING,
+        **dict.fromkeys(KNOT_NAMES, Quantity("", at_least=-0.9, at_most=0.9)),
+    }
+    identity: ClassVar[Parameters] = {
+        "frequency_hz": 1.0,
+        "cos": 0.0,
+        "sin": 0.0,
+        "cos_um": 0.0,
+        "sin_um": 0.0,
+        "knot_spacing_s": 1.0,
+        **dict.fromkeys(KNOT_NAMES, 0.0),
+    }
+    forms = ("multiplicative", "additive", "random walk")
+    form_of: ClassVar[dict[str, str]] = {
+        **dict.fromkeys(("cos", "sin"), "multiplicative"),
+        **dict.fromkeys(("cos_um", "sin_um"), "additive"),
+        **dict.fromkeys(KNOT_NAMES, "random walk"),
+    }
+    per_recording = ("cos", "sin", "cos_um", "sin_um", *KNOT_NAMES)
+    kinds = ("knot_spacing_s",)
+    frequency_hz: nn.Parameter
+    cos: nn.Parameter
+    sin: nn.Parameter
+    cos_um: nn.Parameter
+    sin_um: nn.Parameter
+    knot_spacing_s: nn.Parameter
+
+    def knots(self) -> Tensor:
+        """The walk of the gain at each knot, (KNOTS,)."""
+        return torch.stack([getattr(self, name) for name in KNOT_NAMES])
+
+    def initial_state(self, batch: int) -> Tensor:
+        return torch.zeros(batch, 1, dtype=torch.float64)
+
+    def gain(self, elapsed: Tensor, time: int) -> Tensor:
+        """1 + m, (batch, time)."""
+        line = oscillations(elapsed, time, self.sample_period_s, self.frequency_hz, self.cos, self.sin)
+        walk = through_knots(elapsed, time, self.sample_period_s, self.knot_spacing_s, self.knots())
+        return 1 + line + walk
+
+    def forward(
+        self,
+        x: Tensor,  # (batch, time), µm
+        state: Tensor | None = None,  # (batch, 1), samples
+    ) -> tuple[Tensor, Tensor]:
+        elapsed = self.initial_state(len(x)) if state is None else state
+        time = x.shape[1]
+        added = oscillations(elapsed, time, self.sample_period_s, self.frequency_hz, self.cos_um, self.sin_um)
+        return x * self.gain(elapsed, time).to(x) + added.to(x), elapsed + time
+
+    def stream(self) -> nn.Module:
+        return GainModulationStream(
+            self.sample_period_s,
+            self.frequency_hz.item(),
+            (self.cos.item(), self.sin.item()),
+            (self.cos_um.item(), self.sin_um.item()),
+            KnotsStream(self.sample_period_s, self.knot_spacing_s.item(), self.knots().tolist()),
+        )
+
+    @torch.no_grad()
+    def tangent(self, x: Tensor, dx: Tensor) -> Tensor:
+        return dx * self.gain(self.initial_state(1), dx.shape[1])
+
+    @classmethod
+    def starts(cls, seen: Seen) -> list[Parameters]:
+        if seen.span_um == 0 or seen.duration_s < SHORTEST_SLOW_S:
+            return []
+        walk = {"knot_spacing_s": seen.duration_s / KNOTS, **dict.fromkeys(KNOT_NAMES, 0.01)}
+        return [*cls.starts_at(seen, list(STARTS_HZ)), walk]
+
+    @classmethod
+    def starts_at(cls, seen: Seen, frequencies_hz: list[float]) -> list[Parameters]:
+        """As `starts`, at frequencies of one's own, such as peaks of a residual's spectrum.
+
+        In a record of D seconds a fit finds a frequency from about 1/D away: a grid is too coarse for a line
+        of many periods.
+        """
+        size = 0.01 * seen.span_um
+        bounds = cls.quantities["frequency_hz"]
+        there = [
+            f
+            for f in frequencies_hz
+            if bounds.at_least <= f <= bounds.at_most
+            and FEWEST_PERIODS / seen.duration_s < f < seen.fs_hz / 2
+        ]
+        return [{"frequency_hz": f, "cos": 0.01, "sin": 0.01} for f in there] + [
+            {"frequency_hz": f, "cos_um": size, "sin_um": size} for f in there if size > 0
+        ]
+
+
+class GainModulationStream(nn.Module):
+    """The modulation, one sample at a time."""
+
+    def __init__(
+        self,
+        period_s: float,
+        frequency_hz: float,
+        gain: tuple[float, float],
+        added_um: tuple[float, float],
+        walk: KnotsStream,
+    ) -> None:
+        super().__init__()
+        self.period_s = period_s
+        self.frequency_hz = frequency_hz
+        self.cos, self.sin = gain
+        self.cos_um, self.sin_um = added_um
+        self.walk = walk
+        self.elapsed = 0.0
+
+    @torch.jit.export
+    def reset(self) -> None:
+        self.elapsed = 0.0
+
+    @torch.jit.export
+    def step(self, x: float) -> float:
+        gain = 1.0 + oscillation(self.elapsed, self.period_s, self.frequency_hz, self.cos, self.sin)
+        gain = gain + self.walk.at(self.elapsed)
+        added = oscillation(self.elapsed, self.period_s, self.frequency_hz, self.cos_um, self.sin_um)
+        self.elapsed += 1.0
+        return x * gain + added
