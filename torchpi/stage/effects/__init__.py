@@ -19,6 +19,7 @@ from torchpi.stage.effects.mechanics.load_change import LoadChange
 from torchpi.stage.effects.mechanics.resonance import Resonance
 from torchpi.stage.effects.mechanics.second_mode import SecondMode
 from torchpi.stage.effects.mechanics.stiction import Stiction
+from torchpi.stage.effects.sensor.dropouts import Dropouts
 from torchpi.stage.effects.sensor.gain_modulation import GainModulation
 from torchpi.stage.effects.sensor.hum import Hum
 from torchpi.stage.effects.sensor.quantization import Quantization
@@ -50,4 +51,5 @@ EFFECTS: tuple[type[Effect] | type[InsideEffect], ...] = (
     GainModulation,
     Hum,
     Quantization,
+    Dropouts,
 )
