@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import scipy.integrate
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -52,6 +53,11 @@ class TestPlaysThroughOutputFunctions(OperatorLaws):
 class TestEffectsInside(OperatorLaws):
     def operator(self) -> Hysteresis:
         return hysteresis(degree=2, **INSIDE_IT)
+
+
+class TestRelaxingPlays(OperatorLaws):
+    def operator(self) -> Hysteresis:
+        return hysteresis(degree=2, **INSIDE_IT, relaxation_s=0.07)
 
 
 class TestBoucWen(OperatorLaws):
@@ -146,3 +152,32 @@ def test_what_does_not_fit_is_refused() -> None:
         Hysteresis(PERIOD_S, [0.0], [1.0, 0.5, 0.0], bouc_wen=True)
     with pytest.raises(StageError, match="alpha_per_v: found 1"):
         Hysteresis(PERIOD_S, [0.0], [1.0, 0.0], shape={"alpha_per_v": 1.0})
+
+
+def test_a_relaxing_play_solves_its_differential_equation_for_a_held_voltage() -> None:
+    v, tau, r = wandering(1, 80)[0].numpy(), 0.3, 0.4
+    operator = Hysteresis(PERIOD_S, [r], [1.0, 0.0], shape={"relaxation_s": tau})
+    h, expected = 0.0, []
+    for sample in v:
+        solved = scipy.integrate.solve_ivp(
+            lambda _, h, sample=sample: np.maximum(sample - h - r, np.minimum(sample - h + r, 0.0)) / tau,
+            (0.0, PERIOD_S), [h], rtol=1e-11, atol=1e-13,
+        )  # fmt: skip
+        h = solved.y[0, -1]
+        expected.append(h)
+    y = operator(torch.from_numpy(v)[None])[0][0].detach().numpy()
+    np.testing.assert_allclose(y, expected, rtol=0, atol=1e-9)
+
+
+def test_plays_that_relax_at_once_are_plays() -> None:
+    x = wandering(2, 300)
+    plain, late = (hysteresis(degree=3, **INSIDE_IT, **more)(x)[0] for more in ({}, {"relaxation_s": 1e-4}))
+    torch.testing.assert_close(late, plain, rtol=0, atol=1e-13)
+
+
+def test_relaxing_plays_are_one_physics_at_two_sample_rates() -> None:
+    held = wandering(1, 200)
+    slow = hysteresis(relaxation_s=0.25)
+    fast = Hysteresis(PERIOD_S / 10, THRESHOLDS_V, slow.weights.detach(), 1, 2.0, shape=slow.shape())
+    fine = fast(held.repeat_interleave(10, 1))[0][:, 9::10]
+    torch.testing.assert_close(fine, slow(held)[0], rtol=0, atol=1e-12)

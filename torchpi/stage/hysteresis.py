@@ -6,6 +6,9 @@
     x_i = c v + (h_i g_i - c v) (1 + l),    l = γ ln(1 + |v̇| / v̇₀)
     g_i = g = (1 + κ v)(1 + k v̇) where r_i > 0, and 1 - q (g - 1) where r_i = 0
 
+With `relaxation_s` each play of r_i > 0 relaxes to where h_i would stand:
+`torchpi.stage.effects.actuator.relaxing_plays`.
+
 z is a Bouc–Wen state, d_1 to d_3 are Duhem states; `torchpi.operators.hysteresis_rows` has their equations,
 and the sources. v̇ is the difference to the sample before over T, through a low-pass of `rate_filter_s`: the
 sample rate enters nowhere else.
@@ -33,6 +36,7 @@ from torchpi.operators.hysteresis_rows import (
 )
 from torchpi.operators.relaxations import relaxations
 from torchpi.stage.carried_state import BOUC_WEN, DUHEM, CarriedState
+from torchpi.stage.effects.actuator.relaxing_plays import RelaxingPlays, towards
 from torchpi.stage.loop_widening import LoopWidening
 from torchpi.stage.play_sum import PlaySum
 
@@ -46,6 +50,7 @@ IDENTITY = {
     "chord_share": 1.0,
     "reference_rate_v_s": 1.0,
     "rate_filter_s": 0.0,
+    "relaxation_s": 0.0,
 }
 """The shape of a hysteresis without effects inside it."""
 OF_BOUC_WEN = ("sigma_v", "beta", "exponent")
@@ -79,6 +84,7 @@ class Hysteresis(Operator):
 
     weights: nn.Parameter
     asymmetry_per_v: nn.Parameter
+    relaxation_s: nn.Parameter
     thresholds_v: Tensor
 
     def __init__(
@@ -150,7 +156,7 @@ class Hysteresis(Operator):
         gain = gain_inside(v, rate, shape["incongruence_per_v"], shape["weight_s_per_v"])  # type: ignore[arg-type]
         loop = LoopWidening.apply(rate, shape["loop_per_e"], shape["reference_rate_v_s"])
         bent = bend(v, shape["asymmetry_per_v"])  # type: ignore[arg-type]
-        y, h = PlaySum.apply(
+        signals: tuple[Any, ...] = (
             shape["chord_share"] * v,
             v + bent,
             v - bent,
@@ -158,11 +164,12 @@ class Hysteresis(Operator):
             gain,
             straight_gain(gain, shape["straight_share"]),  # type: ignore[arg-type]
             loop,
-            weights[: plays * self.degree].reshape(self.degree, plays),
-            h,
-            self.thresholds_v,
-            self.scale_v,
         )
+        of_plays = weights[: plays * self.degree].reshape(self.degree, plays)
+        if self.relaxation_s.item() > 0.0:
+            y, h = self._relaxing(signals, of_plays, h)
+        else:
+            y, h = PlaySum.apply(*signals, of_plays, h, self.thresholds_v, self.scale_v)
         ends = []
         for weight, z0, (kernels, numbers, scale) in zip(
             weights[plays * self.degree : -1], others.unbind(1), self._families(), strict=True
@@ -177,6 +184,25 @@ class Hysteresis(Operator):
 
     def stream(self) -> "HysteresisStream":
         return HysteresisStream(self)
+
+    def late(self) -> Tensor:
+        """What a relaxing play keeps in one period of its distance to where it would stand, e^{-T/τ}."""
+        if self.relaxation_s.item() > 0.0:
+            return torch.exp(-self.sample_period_s / self.relaxation_s)
+        return torch.zeros_like(self.relaxation_s)
+
+    def _relaxing(self, signals: tuple[Tensor, ...], weights: Tensor, h0: Tensor) -> tuple[Tensor, Tensor]:
+        """The sum of plays that relax, and their last states: `PlaySum` of each state, which so follows."""
+        chord, up, down, width, gain, straight, loop = signals
+        states = RelaxingPlays.apply(up, down, width, self.late(), h0, self.thresholds_v)
+        y, none, start = torch.zeros_like(up), self.thresholds_v.new_zeros(1), torch.zeros_like(h0[:, :1])
+        for i, r in enumerate(self.thresholds_v.tolist()):
+            h, grown = states[..., i], gain if r > 0.0 else straight
+            part, _ = PlaySum.apply(
+                chord, h, h, width, grown, grown, loop, weights[:, i : i + 1], start, none, self.scale_v
+            )
+            y = y + part
+        return y, states[:, -1]
 
     def _rate(self, v: Tensor, before: Tensor, rate_before: Tensor) -> tuple[Tensor, Tensor]:
         """v̇, (batch, time), V/s, and its last value, (batch, 1)."""
@@ -216,6 +242,7 @@ class HysteresisStream(nn.Module):
         shape = {name: 1.0 for name in (*OF_BOUC_WEN, *OF_DUHEM)} | hysteresis.shape()
         self.period_s = hysteresis.sample_period_s
         self.kept = hysteresis._kept()
+        self.late = hysteresis.late().item()
         self.degree, self.scale = hysteresis.degree, hysteresis.scale_v
         self.has_bouc_wen, self.has_duhem = hysteresis.bouc_wen, hysteresis.duhem
         self.r, self.w = hysteresis.thresholds_v.tolist(), hysteresis.weights.tolist()
@@ -252,7 +279,8 @@ class HysteresisStream(nn.Module):
         plays, y = len(self.r), 0.0
         for i in range(plays):
             r = self.r[i] * width
-            self.h[i] = clamp_play(rising - r, falling + r, self.h[i])
+            bound = clamp_play(rising - r, falling + r, self.h[i])
+            self.h[i] = towards(bound, self.h[i], self.late if self.r[i] > 0.0 else 0.0)
             inner = self.h[i] * (gain if self.r[i] > 0.0 else straight)
             inner = inner + (inner - chord) * loop
             term = self.w[(self.degree - 1) * plays + i]

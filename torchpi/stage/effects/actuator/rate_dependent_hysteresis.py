@@ -2,8 +2,9 @@
 
     w_i(v̇) = w_i (1 + k v̇),    r_i(v̇) = r_i (1 + β |v̇|),    h_i = c v + (h_i - c v) [1 + γ ln(1 + |v̇|/v̇₀)]
 
-The last widens the loop about its chord, of slope c, by γ for each factor e of rate, as loops of piezo
-ceramics do.
+The third widens the loop about its chord, of slope c, by γ for each factor e of rate, as loops of piezo
+ceramics do. In the fourth every play relaxes to where it would stand, with a time constant τ
+(`torchpi.stage.effects.actuator.relaxing_plays`).
 """
 
 from typing import ClassVar
@@ -14,13 +15,13 @@ from torchpi.stage.effects.inside import InsideEffect
 
 
 class RateDependentHysteresis(InsideEffect):
-    """Weights, thresholds or the width of the loop, of every play that has memory, r_i > 0.
+    """Weights, thresholds, the width of the loop or a delay, of every play that has memory, r_i > 0.
 
     v̇ is the difference to the sample before, divided by T, through a low-pass of `rate_filter_s`.
     """
 
     name = "rate_dependent_hysteresis"
-    equation = "w_i (1 + k v̇), or r_i (1 + β |v̇|), or loop · [1 + γ ln(1 + |v̇|/v̇₀)]"
+    equation = "w_i (1 + k v̇), or r_i (1 + β |v̇|), or loop · [1 + γ ln(1 + |v̇|/v̇₀)], or τ ḣ_i = p_i - h_i"
     signature = "like a delay in amplitude and frequency, and unlike one at reversals"
     quantities: ClassVar[dict[str, Quantity]] = {
         "weight_s_per_v": Quantity("s/V", at_least=-1.0, at_most=1.0),
@@ -29,6 +30,7 @@ class RateDependentHysteresis(InsideEffect):
         "chord_share": Quantity("", at_least=0.2, at_most=2.0),
         "reference_rate_v_s": Quantity("V/s", at_least=1e-3, at_most=1e6),
         "rate_filter_s": Quantity("s", at_least=0.0, at_most=0.1),
+        "relaxation_s": Quantity("s", at_least=0.0, at_most=1.0),
     }
     identity: ClassVar[Parameters] = {
         "weight_s_per_v": 0.0,
@@ -37,6 +39,14 @@ class RateDependentHysteresis(InsideEffect):
         "chord_share": 1.0,
         "reference_rate_v_s": 1.0,
         "rate_filter_s": 0.0,
+        "relaxation_s": 0.0,
+    }
+    forms = ("weights", "thresholds", "loop width", "relaxing plays")
+    form_of: ClassVar[dict[str, str]] = {
+        "weight_s_per_v": "weights",
+        "threshold_s_per_v": "thresholds",
+        "loop_per_e": "loop width",
+        "relaxation_s": "relaxing plays",
     }
 
     @classmethod
@@ -44,6 +54,8 @@ class RateDependentHysteresis(InsideEffect):
         return [
             {"weight_s_per_v": 0.01 / seen.max_rate_v_s},
             {"threshold_s_per_v": 0.02 / seen.max_rate_v_s},
+            # As late as a hundredth, and a tenth, of the span at the usual rates.
+            *({"relaxation_s": share * seen.span_v / seen.max_rate_v_s} for share in (0.01, 0.1)),
             *(
                 {
                     "loop_per_e": 0.02,

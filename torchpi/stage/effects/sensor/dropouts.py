@@ -108,7 +108,8 @@ class DropoutsStream(nn.Module):
 def _resolution(y: np.ndarray) -> float:
     """What two readings differ by at least, or their file."""
     moved = np.abs(np.diff(y))
-    return max(moved[moved > 0].min(initial=math.inf), 4 * FLOAT32_STEP * np.abs(y).max())
+    smallest = float(moved[moved > 0].min(initial=math.inf))
+    return max(smallest, 4 * FLOAT32_STEP * float(np.abs(y).max()))
 
 
 def _ratios(y: np.ndarray, run: int, resolution: float) -> tuple[np.ndarray, np.ndarray]:
