@@ -2,13 +2,14 @@
 
 import math
 
+import numpy as np
 import pytest
 import torch
 
 from tests.stage.effects.actuator.laws import PERIOD_S, EffectLaws
 from torchpi.operators.conformance import wandering
 from torchpi.stage.effects.effect import Seen
-from torchpi.stage.effects.sensor.gain_modulation import KNOT_NAMES, GainModulation
+from torchpi.stage.effects.sensor.gain_modulation import KNOT_NAMES, GainModulation, lines_hz
 
 SEEN = Seen(1e3, 20.0, 0, 1, 1, 0, 20, {})
 
@@ -64,3 +65,14 @@ def test_a_search_starts_at_lines_of_half_a_period_and_more_below_half_of_the_sa
 def test_starts_at_given_lines_leave_out_what_is_no_slow_line():
     found = {s["frequency_hz"] for s in GainModulation.starts_at(SEEN, [1e-3, 3.1, 50.0])}
     assert found == {3.1}
+
+
+@pytest.mark.parametrize("frequency_hz", [0.31, 3.07, 17.3])
+def test_the_line_of_a_modulation_is_read_off_the_residual(frequency_hz):
+    t = np.arange(10_000) / 1e3
+    x = 10 + 8 * np.sin(2 * np.pi * 1.7 * t) * np.cos(2 * np.pi * 0.23 * t)
+    e = 0.01 * x * np.cos(2 * np.pi * frequency_hz * t + 0.4) + 0.03 * x
+    e += 0.02 * np.random.default_rng(0).standard_normal(len(t))
+    lines = lines_hz(e, x, 1e3)
+    assert lines[0] == pytest.approx(frequency_hz, abs=0.25 / 10)
+    assert len(lines) <= 4 and len(lines_hz(e, x, 1e3, count=2)) <= 2

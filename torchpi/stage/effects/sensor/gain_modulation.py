@@ -8,6 +8,7 @@ A 190, 2013: drift of gain and of offset.
 
 from typing import ClassVar
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 
@@ -115,7 +116,7 @@ class GainModulation(Effect):
 
     @classmethod
     def starts_at(cls, seen: Seen, frequencies_hz: list[float]) -> list[Parameters]:
-        """As `starts`, at frequencies of one's own, such as peaks of a residual's spectrum.
+        """As `starts`, at frequencies of one's own, such as `lines_hz` of a residual.
 
         In a record of D seconds a fit finds a frequency from about 1/D away: a grid is too coarse for a line
         of many periods.
@@ -131,6 +132,34 @@ class GainModulation(Effect):
         return [{"frequency_hz": f, "cos": 0.01, "sin": 0.01} for f in there] + [
             {"frequency_hz": f, "cos_um": size, "sin_um": size} for f in there if size > 0
         ]
+
+
+def lines_hz(
+    residual: np.ndarray,  # (time,), µm
+    displacement: np.ndarray,  # (time,), µm, the reading or the model's
+    fs_hz: float,
+    count: int = 4,
+) -> list[float]:
+    """The lines that explain most of a residual when they modulate the displacement, the most first.
+
+    The share is that of least squares by x cos and x sin, to the first order in 1/time (Lomb, *Least-squares
+    frequency analysis of unequally spaced data*, Astrophysics and Space Science 39, 1976, with x as weight).
+    Fewer than `count` where there are no more, of half a period in the record to 20 Hz.
+    """
+    # Not at the top: half a second of import that a stage does not need.
+    import scipy.fft
+    import scipy.signal
+
+    product = residual * displacement
+    # What is in proportion to the displacement itself is a gain, not a modulation.
+    power = displacement**2
+    product = product - power * (product.sum() / max(power.sum(), np.finfo(float).tiny))
+    # Four times as dense as the record resolves: the best line lies within an eighth of 1/D.
+    size = scipy.fft.next_fast_len(4 * len(product), real=True)
+    explained, f = np.abs(np.fft.rfft(product, size)), np.fft.rfftfreq(size, 1 / fs_hz)
+    inside = (f >= FEWEST_PERIODS * fs_hz / len(product)) & (f <= STARTS_HZ[-1])
+    found, _ = scipy.signal.find_peaks(np.where(inside, explained, 0.0), distance=4)
+    return f[found[np.argsort(-explained[found])][:count]].tolist()  # type: ignore[no-any-return]
 
 
 class GainModulationStream(nn.Module):
