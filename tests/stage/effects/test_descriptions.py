@@ -1,5 +1,6 @@
 """What the classes of effects say of themselves, for a search that knows none of them by name."""
 
+import numpy as np
 import pytest
 
 from torchpi.stage.effects import EFFECTS
@@ -44,3 +45,19 @@ def test_what_takes_seconds_needs_a_recording_of_that_length(effect):
 
 def test_only_fast_effects_can_pass_for_a_convention_of_timing():
     assert {effect.time_scale for effect in EFFECTS if effect.delays} == {"fast"}
+
+
+@each
+def test_starts_from_a_residual_are_starts(effect):
+    t = np.arange(20_000) / 1e4
+    output = 10 + 8 * np.sin(2 * np.pi * 5 * t)
+    residual = 0.1 * output * np.cos(2 * np.pi * 2.3 * t) + 0.1 * np.sin(2 * np.pi * 700 * t)
+    found = effect.starts_from(SEEN, residual, output, 1e4)
+    for start in found:
+        assert all(
+            effect.quantities[n].at_least <= v <= effect.quantities[n].at_most for n, v in start.items()
+        )
+    lines = {"gain_modulation": 2.3, "resonance": 700.0, "second_mode": 700.0}
+    assert bool(found) == (effect.name in lines)
+    if found:
+        assert found[0]["frequency_hz"] == pytest.approx(lines[effect.name], rel=0.02, abs=0.25 / 2)  # 1/4D

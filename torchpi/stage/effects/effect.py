@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -113,6 +114,17 @@ class Described:
         """
         there = {cls.form_of[n] for n, v in values.items() if n in cls.form_of and v != cls.identity[n]}
         return " + ".join(form for form in cls.forms if form in there)
+
+    @classmethod
+    def starts_from(
+        cls,
+        seen: Seen,
+        residual: np.ndarray,  # (time,), µm, of one recording
+        output: np.ndarray,  # (time,), µm, its readings
+        fs_hz: float,
+    ) -> list[Parameters]:
+        """Further starts, from what a fit has left: for effects that no coarse grid finds."""
+        return []
 
 
 class Effect(Described, Operator):

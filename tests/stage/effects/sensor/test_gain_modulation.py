@@ -9,7 +9,7 @@ import torch
 from tests.stage.effects.actuator.laws import PERIOD_S, EffectLaws
 from torchpi.operators.conformance import wandering
 from torchpi.stage.effects.effect import Seen
-from torchpi.stage.effects.sensor.gain_modulation import KNOT_NAMES, GainModulation, lines_hz
+from torchpi.stage.effects.sensor.gain_modulation import KNOT_NAMES, GainModulation, modulation_hz
 
 SEEN = Seen(1e3, 20.0, 0, 1, 1, 0, 20, {})
 
@@ -73,6 +73,6 @@ def test_the_line_of_a_modulation_is_read_off_the_residual(frequency_hz):
     x = 10 + 8 * np.sin(2 * np.pi * 1.7 * t) * np.cos(2 * np.pi * 0.23 * t)
     e = 0.01 * x * np.cos(2 * np.pi * frequency_hz * t + 0.4) + 0.03 * x
     e += 0.02 * np.random.default_rng(0).standard_normal(len(t))
-    lines = lines_hz(e, x, 1e3)
+    lines = modulation_hz(e, x, 1e3)
     assert lines[0] == pytest.approx(frequency_hz, abs=0.25 / 10)
-    assert len(lines) <= 4 and len(lines_hz(e, x, 1e3, count=2)) <= 2
+    assert len(lines) <= 4 and len(modulation_hz(e, x, 1e3, count=2)) <= 2

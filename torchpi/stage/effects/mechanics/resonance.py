@@ -81,6 +81,12 @@ class Resonance(LinearEffect):
             if f < 0.5 * seen.fs_hz
         ]
 
+    @classmethod
+    def starts_from(
+        cls, seen: Seen, residual: np.ndarray, output: np.ndarray, fs_hz: float
+    ) -> list[Parameters]:
+        return cls.starts_at(seen, peaks_hz(torch.from_numpy(residual), fs_hz))
+
 
 def peaks_hz(
     residual: Tensor,  # (time,), µm

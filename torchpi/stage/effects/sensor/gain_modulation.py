@@ -116,7 +116,7 @@ class GainModulation(Effect):
 
     @classmethod
     def starts_at(cls, seen: Seen, frequencies_hz: list[float]) -> list[Parameters]:
-        """As `starts`, at frequencies of one's own, such as `lines_hz` of a residual.
+        """As `starts`, at frequencies of one's own, such as `modulation_hz` of a residual.
 
         In a record of D seconds a fit finds a frequency from about 1/D away: a grid is too coarse for a line
         of many periods.
@@ -133,8 +133,14 @@ class GainModulation(Effect):
             {"frequency_hz": f, "cos_um": size, "sin_um": size} for f in there if size > 0
         ]
 
+    @classmethod
+    def starts_from(
+        cls, seen: Seen, residual: np.ndarray, output: np.ndarray, fs_hz: float
+    ) -> list[Parameters]:
+        return cls.starts_at(seen, modulation_hz(residual, output, fs_hz, 2))
 
-def lines_hz(
+
+def modulation_hz(
     residual: np.ndarray,  # (time,), µm
     displacement: np.ndarray,  # (time,), µm, the reading or the model's
     fs_hz: float,
