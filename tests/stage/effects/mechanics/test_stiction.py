@@ -45,6 +45,12 @@ def test_resting_in_every_sample_it_moves_in_jumps():
     assert y[0].tolist() == [0.0] * 4 + [1.0] * 4 + [2.0] * 4
 
 
+def test_the_form_is_breakaway_or_stick_slip():
+    assert Stiction.form({"sliding_um": 0.1, "rests": 1.0}) == ""
+    assert Stiction.form({"breakaway_um": 0.1}) == "breakaway"
+    assert Stiction.form({"breakaway_um": 0.1, "rests": 1.0}) == "stick-slip"
+
+
 def test_a_rest_is_no_reversal():
     x = wandering(1, 200)
     effect = Stiction(0.1, breakaway_um=0.2)

@@ -8,6 +8,7 @@ distance to the next reversal. With d = 0 it comes back to x; with d = J it is a
 that a converter holds, a mount may come to rest in every sample, and move in jumps: `rests`.
 """
 
+from collections.abc import Mapping
 from typing import Any, ClassVar
 
 import numba
@@ -55,11 +56,19 @@ class Stiction(Effect):
         "rests": Quantity("", at_least=0.0, at_most=1.0),
     }
     identity: ClassVar[Parameters] = {"breakaway_um": 0.0, "sliding_um": 0.0, "rests": 0.0}
+    forms = ("breakaway", "stick-slip")
     jumps = ("breakaway_um",)
     kinds = ("rests",)
     breakaway_um: nn.Parameter
     sliding_um: nn.Parameter
     rests: nn.Parameter
+
+    @classmethod
+    def form(cls, values: Mapping[str, float]) -> str:
+        of = {**cls.identity, **values}
+        if of["breakaway_um"] == 0:
+            return ""
+        return "stick-slip" if of["rests"] > 0.5 else "breakaway"
 
     def at_rest(self) -> bool:
         """Whether it comes to rest in every sample."""
