@@ -30,6 +30,16 @@ def table(summary: dict) -> str:
         cells = [_cell(figures.get(key)) for figures in tracks.values()]
         if any(cell != "–" for cell in cells):
             lines.append(f"| {words} | " + " | ".join(cells) + " |")
+    precision, alarms = (summary["together"][key] for key in ("precision", "false_alarms"))
+    if precision["of"]:
+        bound = f"at least {100 * precision['at_least']:.1f} %"
+        lines += ["", f"Precision over all tracks: {_cell(precision)}, {bound} with 95 % confidence."]
+    if alarms["of"]:
+        bound = f"at most {100 * alarms['at_most']:.1f} %"
+        lines += [
+            "",
+            f"False alarms where nothing is missing: {_cell(alarms)}, {bound} with 95 % confidence.",
+        ]
     lines += ["", "| severity | cases | right group | wrong |", "|---|---|---|---|"]
     for row in summary["detection"]:
         if row["cases"]:
