@@ -24,8 +24,9 @@ def main() -> None:
     parser.add_argument("--diagnose", default=DIAGNOSE, help="command template")
     parser.add_argument("--processes", type=int, default=1)
     parser.add_argument("--timeout-s", type=float, default=600.0)
-    parser.add_argument("--limit", type=int, help="only the first so many cases of each folder")
+    parser.add_argument("--limit", type=int, help="only the first so many cases")
     parser.add_argument("--kinds", nargs="*", help="only cases with these kinds of effect")
+    parser.add_argument("--sources", nargs="*", help="only cases on these recordings")
     parser.add_argument(
         "--read-only", action="store_true", help="run nothing, grade the answers that are there"
     )
@@ -33,9 +34,10 @@ def main() -> None:
     cases = [
         case
         for folder in options.cases
-        for case in sorted(folder.glob("case_*"))[: options.limit]
+        for case in sorted(folder.glob("case_*"))
         if not options.kinds or sealed(case)["kind"] in options.kinds
-    ]
+        if not options.sources or sealed(case)["source"] in options.sources
+    ][: options.limit]
     untouched = sorted({untouched_of(case) for case in cases})
     if not options.read_only:
         commands = Commands(options.diagnose, "", options.timeout_s)
