@@ -166,6 +166,12 @@ class TestGrade:
         before = _answer("creep", alternatives=["thermal_drift"])
         assert not grade(_labels("hum"), _answer("thermal_drift"), before).wrong
 
+    def test_another_name_of_a_group_is_new_only_where_the_first_is_still_there(self):
+        before = _answer("hysteresis_operator")
+        assert not grade(_labels("hum"), _answer("incongruent_loops"), before).wrong
+        both = _answer("hysteresis_operator", "incongruent_loops")
+        assert grade(_labels("hum"), both, before).wrong == ["incongruent_loops"]
+
     def test_a_name_that_was_there_and_grows_by_what_was_injected_is_right(self):
         labels = _labels("hum", severity=10.0)  # 0.1 µm
         grown = _answer("hum", retuned_um=0.3)

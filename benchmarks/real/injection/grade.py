@@ -3,6 +3,7 @@
 from dataclasses import asdict, dataclass, field
 
 from judging.grade import LARGEST_GROUP, compared_parameters
+from plant.effects import group_of
 
 STRENGTHENED = 0.5  # of the injected variance must be in the growth of a name that was there before
 
@@ -45,17 +46,20 @@ def grade(
 
     A name is right where it is accepted, or has an accepted one among its alternatives (these being no more
     than a group that u and y cannot split), and the untouched answer does not have it or has less of it. A
-    name is wrong where it is not right, and in the untouched answer neither a name nor an alternative.
+    name is wrong where it is not right, and in the untouched answer neither a name nor an alternative. A name
+    in the place of another of its group, which u and y cannot split, is not new.
     """
     effects, before = _effects(answer), _effects(untouched)
     accepted = set(labels["accepted"])
     names_before = {e["name"] for e in before}
-    said_before = names_before.union(*(e.get("alternatives", []) for e in before))
+    known = names_before.union(*(e.get("alternatives", []) for e in before))
+    for gone in names_before - {e["name"] for e in effects}:
+        known |= group_of(gone)
     candidates = [e for e in effects if _is_right(e, accepted)]
     new = [e for e in candidates if e["name"] not in names_before]
     grown = [e for e in candidates if e["name"] in names_before and _has_grown(e, labels, answer, untouched)]
     taken = next(iter(sorted(new + grown, key=lambda e: e["name"] not in accepted)), None)
-    charged = [e for e in effects if not _is_right(e, accepted) and e["name"] not in said_before]
+    charged = [e for e in effects if not _is_right(e, accepted) and e["name"] not in known]
     return Grade(
         case=labels["case"],
         source=labels["source"],
