@@ -137,7 +137,7 @@ def draw(results: dict, path: Path) -> None:
             label=f"{label}: {_scores(results[key])}",
         )
     top.set(ylabel="share that is right", ylim=(-0.03, 1.03), title=f"{results['names']} names")
-    top.legend(loc="upper left", fontsize=8)
+    top.legend(loc="lower right", fontsize=8)
     bins = results["by_itself"]["bins"]
     bottom.bar([b["from"] + 0.5 / BINS for b in bins], [b["of"] for b in bins], 0.9 / BINS, color="0.6")
     bottom.set(xlabel="stated probability", ylabel="names", xlim=(-0.03, 1.03))

@@ -325,6 +325,21 @@ def test_precision_and_false_alarms_are_added_up_over_all_tracks():
     assert "Precision over all tracks: 100 % (2/2)" in table(summarise(grades))
 
 
+def test_a_verdict_that_closes_over_a_bad_prediction_is_counted():
+    labels = _case(track="nulls_pi").labels | {"case": "null"}
+    measured = np.zeros(100)
+    grades = [
+        grade(labels, {"verdict": verdict}, predicted_um=measured + error, measured_um=measured)
+        for verdict, error in (
+            ("nothing_missing", 3 * labels["noise_rms_um"]),
+            ("explained", labels["noise_rms_um"]),
+            ("unexplained", 3 * labels["noise_rms_um"]),
+        )
+    ]
+    figure = summarise(grades)["tracks"]["nulls_pi"]["closed_beyond_twice_the_noise"]
+    assert (figure["count"], figure["of"]) == (1, 2)
+
+
 def test_help_is_printed():
     for script in ("generate.py", "judge.py", "baseline.py"):
         done = subprocess.run(

@@ -55,6 +55,9 @@ def _track(grades: list[Grade]) -> dict[str, object]:
         "heldout_over_noise_median_explained": _median(g.heldout_over_noise for g in grades if _explained(g)),
         "heldout_over_noise_median": _median(g.heldout_over_noise for g in grades),
     }
+    closed = [g.heldout_over_noise for g in grades if g.verdict in ("explained", "nothing_missing")]
+    predicted = [ratio for ratio in closed if ratio is not None]
+    out["closed_beyond_twice_the_noise"] = share(sum(ratio > 2 for ratio in predicted), len(predicted))
     unknown = [g for g in grades if g.unknown]
     if unknown:
         out["unknown_without_a_wrong_name"] = share(sum(not g.wrong for g in unknown), len(unknown))

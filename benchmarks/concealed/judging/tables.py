@@ -18,6 +18,7 @@ ROWS = (
     ("interval_coverage", "90 % intervals cover"),
     ("heldout_over_noise_median_explained", "held-out residual over noise, explained"),
     ("heldout_over_noise_median", "held-out residual over noise, all"),
+    ("closed_beyond_twice_the_noise", "explained or nothing missing, yet held-out over 2 × noise"),
     ("diagnose_s_median", "seconds, median"),
 )
 
