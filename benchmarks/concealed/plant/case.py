@@ -100,9 +100,8 @@ def draw_case(settings: Settings) -> Case:
         physics = _with(physics, change)
     labels = _labels(settings, rig, found, physics, runs, plain, conditions)
     entropy = [settings.seed, TRACKS.index(settings.track), settings.index, 5]
-    seeds = np.random.SeedSequence(entropy).spawn(
-        5
-    )  # those of the first three recordings, the judge's, a fourth
+    # Those of the first three recordings, of the judge's, and of a fourth.
+    seeds = np.random.SeedSequence(entropy).spawn(5)
     seeds_of_runs = [seeds[run.number if run.number < 3 else 4] for run in runs]
     recordings = [
         _written(_record(rig, physics, run, s), conditions, monitor, around)
