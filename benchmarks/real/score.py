@@ -42,13 +42,19 @@ def main() -> None:
     if not options.read_only:
         commands = Commands(options.diagnose, "", options.timeout_s)
         collect(untouched + cases, options.answers, commands, options.processes)
-    answers = {str(folder): read_answer(options.answers, folder) for folder in untouched}
+    answers = {
+        str(folder): read_answer(options.answers, folder)
+        for folder in untouched
+        if answered(options.answers, folder)
+    }
     grades = [
         score_case(case, options.answers, answers[str(untouched_of(case))])
         for case in cases
-        if answered(options.answers, case) and answered(options.answers, untouched_of(case))
+        if answered(options.answers, case) and str(untouched_of(case)) in answers
     ]
-    summary = summarise(grades, {f"{u.parent.name}/{u.name}": answers[str(u)] for u in untouched})
+    summary = summarise(
+        grades, {f"{u.parent.name}/{u.name}": answers[str(u)] for u in untouched if str(u) in answers}
+    )
     results = {**summary, "cases": [g.as_dict() for g in grades]}
     options.answers.mkdir(parents=True, exist_ok=True)
     (options.answers / "results.json").write_text(json.dumps(results, indent=1) + "\n")
@@ -80,9 +86,9 @@ def answered(answers: Path, case: Path) -> bool:
 
 
 def read_answer(answers: Path, case: Path) -> dict | None:
-    """The diagnosis of these recordings; None while there is none, or where the tool failed."""
+    """The diagnosis of these recordings; None where the tool failed."""
     folder = answer_folder(answers, case)
-    if (folder / "failed.txt").exists() or not (folder / "diagnosis.json").exists():
+    if (folder / "failed.txt").exists():
         return None
     return json.loads((folder / "diagnosis.json").read_text())
 
