@@ -12,6 +12,7 @@ import argparse
 import json
 import re
 import shlex
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -42,20 +43,17 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as temporary:
         folder = options.keep or Path(temporary)
         folder.mkdir(parents=True, exist_ok=True)
+        # The commands are run in a checkout, whose stage files they read.
+        shutil.copytree(README.parent / "configs", folder / "configs", dirs_exist_ok=True)
         for words in simulate:
-            subprocess.run([*program, *words], cwd=folder, check=True, stdout=subprocess.DEVNULL)
+            run([*program, *words], folder)
         recordings = [words[words.index("--output") + 1] for words in simulate]
         complaints = []
         for size in options.sizes:
             for subset in combinations(recordings, size):
                 answer = "diagnosis_" + "_".join(Path(name).stem for name in subset)
                 started = time.perf_counter()
-                subprocess.run(
-                    [*program, *with_recordings(diagnose, subset, answer)],
-                    cwd=folder,
-                    check=True,
-                    stdout=subprocess.DEVNULL,
-                )
+                run([*program, *with_recordings(diagnose, subset, answer)], folder)
                 seconds = time.perf_counter() - started
                 diagnosis = json.loads((folder / answer / "diagnosis.json").read_text())
                 print(
@@ -69,6 +67,13 @@ def main() -> int:
     for complaint in complaints:
         print(complaint, file=sys.stderr)
     return 1 if complaints else 0
+
+
+def run(command: Sequence[str], folder: Path) -> None:
+    """Run a command in the folder; one that fails ends the check with what it printed."""
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True)
+    if done.returncode:
+        raise SystemExit(f"{shlex.join(command)}: exit {done.returncode}: {done.stderr.strip()[-500:]}")
 
 
 def readme_lines(readme: str) -> tuple[list[list[str]], list[str]]:
