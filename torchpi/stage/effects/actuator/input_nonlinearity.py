@@ -14,6 +14,7 @@ class InputNonlinearity(Effect):
 
     name = "input_nonlinearity"
     block = "actuator"
+    before_hysteresis = True
     equation = "w = v + c₂v² + c₃v³, then the plays"
     signature = "even (c₂) and odd (c₃) harmonics that survive f → 0, and loops of unlike halves"
     quantities: ClassVar[dict[str, Quantity]] = {
