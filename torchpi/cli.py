@@ -172,10 +172,10 @@ def run(
     from torchpi.export import load_torchscript
     from torchpi.loop import run_loop
     from torchpi.report import provenance, words, write_loop_report
-    from torchpi.stage import AugmentedStage, Stage
+    from torchpi.stage import Stage
     from torchpi.trajectory import load_trajectory
 
-    plant = AugmentedStage.load(stage) if stage.suffix == ".pt" else Stage.from_yaml(stage)
+    plant = Stage.load(stage)
     loaded = load_torchscript(compensator)
     others = {name: load_torchscript(path) for name, path in (compare or {}).items()}
     names = [trajectory] if isinstance(trajectory, str) else trajectory
@@ -262,7 +262,7 @@ def predict(stage: Path, recording: Path, output: Path = Path("prediction.csv"))
     Example: torchpi predict runs/diagnosis/stage.pt voltage.csv --output predicted.csv
 
     Args:
-        stage: The stage.pt of `torchpi diagnose`.
+        stage: The stage.pt of `torchpi diagnose`, or a stage file (YAML).
         recording: CSV, or any other kind that a recording may have; an output_um in it is left out.
         output: CSV to write.
     """

@@ -8,8 +8,8 @@ import torch
 from torch import nn
 
 from torchpi.errors import StageError
+from torchpi.operators.chain import ChainStream
 from torchpi.operators.noise import NoiseStream
-from torchpi.stage.chain import ChainStream
 
 
 class StageStream:
@@ -46,7 +46,7 @@ class StageStream:
             StageError: A command that is not finite. The state stays as it was.
         """
         if not isfinite(u):
-            raise StageError(f"u: found {u} V at sample {self.sample}, want a finite number")
+            raise StageError(f"u: found {u} V at sample {self.sample}, expected a finite number")
         self.sample += 1
         y, reading = self.rig.step(u, self.noise.step())
         return y, reading

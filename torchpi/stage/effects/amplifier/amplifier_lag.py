@@ -6,12 +6,12 @@ from typing import ClassVar
 import torch
 from torch import Tensor, nn
 
-from torchpi.operators.linear import LinearStream, state_space
-from torchpi.operators.quantity import Quantity
-from torchpi.stage.effects.effect import LinearEffect, Parameters, Seen
+from torchpi.operators.linear import Matrices
+from torchpi.operators.quantity import CUTOFF, Quantity
+from torchpi.stage.effects.effect import Parameters, Seen, StateSpaceEffect
 
 
-class AmplifierLag(LinearEffect):
+class AmplifierLag(StateSpaceEffect):
     """A first-order lag of a voltage that a converter holds: v(k) = e^{-ωT} v(k-1) + (1 - e^{-ωT}) u(k).
 
     u(k) is the command held during the sample that ends at tick k.
@@ -24,27 +24,23 @@ class AmplifierLag(LinearEffect):
     signature = "phase grows in proportion to frequency, the gain rolls off"
     quantities: ClassVar[dict[str, Quantity]] = {"cutoff_hz": Quantity("Hz", at_least=1.0, at_most=1e6)}
     identity: ClassVar[Parameters] = {"cutoff_hz": math.inf}
+    accepted: ClassVar[dict[str, Quantity]] = {"cutoff_hz": CUTOFF}
+    order = 1
     cutoff_hz: nn.Parameter
 
-    def matrices(self) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """The discrete block; its state is what is left of the voltage a sample later."""
-        decay = torch.exp(-2 * math.pi * self.sample_period_s * self.cutoff_hz)
+    def is_ideal(self) -> bool:
+        """Whether there is no lag at all."""
+        return math.isinf(self.cutoff_hz.item())
+
+    def decay(self, samples: Tensor) -> Tensor:
+        """e^{-ω · samples · T}: what is left of a voltage after that many samples."""
+        return torch.exp(-2 * math.pi * self.sample_period_s * self.cutoff_hz * samples)
+
+    def matrices(self) -> Matrices:
+        # The state is what is left of the voltage a sample later.
+        decay = self.decay(torch.ones_like(self.cutoff_hz))
         fresh = 1 - decay
-        return decay.reshape(1, 1), (decay * fresh).reshape(1), torch.ones_like(decay).reshape(1), fresh
-
-    def initial_state(self, batch: int) -> Tensor:
-        return torch.zeros(batch, 1, dtype=torch.float64)
-
-    def forward(
-        self,
-        x: Tensor,  # (batch, time), V
-        state: Tensor | None = None,  # (batch, 1), V
-    ) -> tuple[Tensor, Tensor]:
-        return state_space(x, *self.matrices(), self.initial_state(len(x)) if state is None else state)
-
-    def stream(self) -> nn.Module:
-        a, b, c, d = self.matrices()
-        return LinearStream(a.flatten().tolist(), b.tolist(), c.tolist(), d.item())
+        return decay.reshape(1), (decay * fresh).reshape(1), torch.ones_like(decay).reshape(1), fresh
 
     @classmethod
     def starts(cls, seen: Seen) -> list[Parameters]:

@@ -62,8 +62,7 @@ class Modes(LinearEffect):
     def __init__(self, sample_period_s: float, parts: Sequence[Part]) -> None:
         super().__init__(sample_period_s)
         for effect, values, _ in parts:
-            if unknown := set(values) - set(effect.quantities):
-                raise TypeError(f"{effect.__name__}: unknown parameter {min(unknown)}")
+            effect.checked(values)
         self.places = places(parts)
         self.aux_names = tuple(part.aux for part in parts if part.effect is ModalCoupling)
         modes, inputs = sum(issubclass(part.effect, ModalResonance) for part in parts), len(self.aux_names)
@@ -76,9 +75,7 @@ class Modes(LinearEffect):
         }
         numbers = {name: np.zeros(size) for name, size in sizes.items()}
         for k, name, tensor, at in self.places:
-            effect = parts[k].effect
-            value = parts[k].values.get(name, effect.identity[name])
-            numbers[tensor][at] = effect.quantities[name].check(name, value)
+            numbers[tensor][at] = parts[k].values.get(name, parts[k].effect.identity[name])
         for name, each in numbers.items():
             self.register_parameter(name, nn.Parameter(torch.from_numpy(each)))
 
