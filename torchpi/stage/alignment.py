@@ -4,6 +4,7 @@ import torch
 from torch import Tensor, nn
 
 from torchpi.operators.base import Operator
+from torchpi.operators.delay import DelayLineStream
 
 
 class OneSampleLate(Operator):
@@ -22,25 +23,7 @@ class OneSampleLate(Operator):
         return both[:, :-1], both[:, -1:].to(held.dtype)
 
     def stream(self) -> nn.Module:
-        return OneSampleLateStream()
-
-
-class OneSampleLateStream(nn.Module):
-    """Alignment 1, one sample at a time."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.held = 0.0
-
-    @torch.jit.export
-    def reset(self) -> None:
-        self.held = 0.0
-
-    @torch.jit.export
-    def step(self, x: float) -> float:
-        before = self.held
-        self.held = x
-        return before
+        return DelayLineStream(1, 1.0, 0.0)
 
 
 class Zero(Operator):

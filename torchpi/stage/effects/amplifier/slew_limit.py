@@ -11,10 +11,9 @@ import numba
 import numpy as np
 import torch
 from torch import Tensor, nn
-from torch.autograd.function import once_differentiable
 
 from torchpi.operators.quantity import Quantity
-from torchpi.operators.selection import NO_SOURCE, gather
+from torchpi.operators.selection import NO_SOURCE, Selection, gather, select
 from torchpi.stage.effects.effect import Effect, Parameters, Seen
 
 EDGES = 1.5
@@ -49,15 +48,15 @@ class SlewLimit(Effect):
         state: Tensor | None = None,  # (batch, 1), V
     ) -> tuple[Tensor, Tensor]:
         v0 = self.initial_state(len(x)) if state is None else state
-        v = _Slew.apply(x, self.sample_period_s * self.rate_v_per_s, v0.to(x.dtype))
-        return v, v[:, -1:]
+        step = self.sample_period_s * self.rate_v_per_s
+        return Selection.apply(_run, x, step, (), v0.to(x.dtype))  # type: ignore
 
     def stream(self) -> nn.Module:
         return SlewStream(self.sample_period_s * self.rate_v_per_s.item())
 
     def tangent(self, x: Tensor, dx: Tensor) -> Tensor:
         step = self.sample_period_s * self.rate_v_per_s.item()
-        return gather(dx, _source(x[0].detach().numpy(), step))
+        return gather(dx, select(_run, x, step, (), self.initial_state(1)).source[0].numpy())
 
     @classmethod
     def starts(cls, seen: Seen) -> list[Parameters]:
@@ -86,68 +85,23 @@ class SlewStream(nn.Module):
         return self.v
 
 
-class _Slew(torch.autograd.Function):
-    @staticmethod
-    def forward(ctx: Any, u: Tensor, step: Tensor, v0: Tensor) -> Tensor:
-        u, v0 = u.detach().contiguous(), v0.detach().contiguous()
-        v = torch.empty_like(u)
-        _forward(u.numpy(), step.item(), v0.numpy(), v.numpy())
-        ctx.save_for_backward(u, step, v0, v)
-        return v
-
-    @staticmethod
-    @once_differentiable
-    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        u, step, v0, v = ctx.saved_tensors
-        gu, gv0 = torch.empty_like(u), torch.empty_like(v0)
-        arrays = (part.numpy() for part in (v0, v, gradients[0].contiguous(), gu, gv0))
-        gstep = _backward(u.numpy(), step.item(), *arrays)
-        return gu, torch.tensor(gstep, dtype=step.dtype), gv0
-
-
 _slew: Any = numba.njit(slew)
 
 
 @numba.njit(cache=True)
-def _forward(u: np.ndarray, step: float, v0: np.ndarray, v: np.ndarray) -> None:
-    for batch in range(u.shape[0]):
-        before = v0[batch, 0]
-        for t in range(u.shape[1]):
-            before = _slew(u[batch, t], before, step)
-            v[batch, t] = before
-
-
-@numba.njit(cache=True)
-def _backward(
-    u: np.ndarray, step: float, v0: np.ndarray, v: np.ndarray, gv: np.ndarray, gu: np.ndarray, gv0: np.ndarray
-) -> float:
+def _run(
+    u: np.ndarray, step: float, state: np.ndarray, v: np.ndarray, source: np.ndarray, steps: np.ndarray
+) -> None:
     # Every voltage is the last command that was reached, plus or minus whole steps since then.
-    gstep = 0.0
     for batch in range(u.shape[0]):
-        carried = 0.0
-        for t in range(u.shape[1] - 1, -1, -1):
-            carried += gv[batch, t]
-            before = v[batch, t - 1] if t > 0 else v0[batch, 0]
+        last, n = NO_SOURCE, 0
+        for t in range(u.shape[1]):
+            before = state[batch, 0]
             if u[batch, t] > before + step:
-                gstep += carried
-                gu[batch, t] = 0.0
+                n += 1
             elif u[batch, t] < before - step:
-                gstep -= carried
-                gu[batch, t] = 0.0
+                n -= 1
             else:
-                gu[batch, t] = carried
-                carried = 0.0
-        gv0[batch, 0] = carried
-    return gstep
-
-
-@numba.njit(cache=True)
-def _source(u: np.ndarray, step: float) -> np.ndarray:
-    source = np.empty(len(u), np.int64)
-    v, last = 0.0, NO_SOURCE
-    for t in range(len(u)):
-        if v - step <= u[t] <= v + step:
-            last = t
-        source[t] = last
-        v = _slew(u[t], v, step)
-    return source
+                last, n = t, 0
+            state[batch, 0] = _slew(u[batch, t], before, step)
+            v[batch, t], source[batch, t], steps[batch, t] = state[batch, 0], last, n

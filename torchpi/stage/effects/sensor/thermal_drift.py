@@ -11,148 +11,18 @@ import numba
 import numpy as np
 import torch
 from torch import Tensor, nn
-from torch.autograd.function import once_differentiable
 
 from torchpi.operators.quantity import Quantity
-from torchpi.stage.effects.effect import Effect, Parameters, Seen
+from torchpi.stage.effects.added_signal import AddedSignal
+from torchpi.stage.effects.effect import Parameters, Seen
 
 SLOWEST_DYNAMICS_S = 0.5
 """What settles faster is no drift of temperature."""
 
 
-def drift(
-    elapsed: float, period_s: float, amplitude_um: float, time_constant_s: float, rate_um_per_s: float
-) -> float:
-    """A (1 - e^{-t/τ}) + ρ t, at `elapsed` samples from the first. Kernel and stream compile this."""
-    t = elapsed * period_s
-    return amplitude_um * (1.0 - math.exp(-t / time_constant_s)) + rate_um_per_s * t
-
-
-class ThermalDrift(Effect):
-    """A drift that settles, one that goes on, or both; how far it goes is another number in each recording.
-
-    The state is the number of samples since the first.
-    """
-
-    name = "thermal_drift"
-    block = "sensor"
-    equation = "y = x + A (1 - e^{-t/τ}) + ρ t"
-    signature = "slow, in absolute time: does not follow the last move"
-    quantities: ClassVar[dict[str, Quantity]] = {
-        "amplitude_um": Quantity("µm", at_least=-1e4, at_most=1e4),
-        "time_constant_s": Quantity("s", at_least=SLOWEST_DYNAMICS_S, at_most=1e6),
-        "rate_um_per_s": Quantity("µm/s", at_least=-1e3, at_most=1e3),
-    }
-    identity: ClassVar[Parameters] = {"amplitude_um": 0.0, "time_constant_s": 60.0, "rate_um_per_s": 0.0}
-    per_recording = ("amplitude_um", "rate_um_per_s")
-    amplitude_um: nn.Parameter
-    time_constant_s: nn.Parameter
-    rate_um_per_s: nn.Parameter
-
-    def initial_state(self, batch: int) -> Tensor:
-        return torch.zeros(batch, 1, dtype=torch.float64)
-
-    def forward(
-        self,
-        x: Tensor,  # (batch, time), µm
-        state: Tensor | None = None,  # (batch, 1), samples
-    ) -> tuple[Tensor, Tensor]:
-        elapsed = self.initial_state(len(x)) if state is None else state
-        moved = _Drift.apply(
-            elapsed,
-            x.shape[1],
-            self.sample_period_s,
-            self.amplitude_um,
-            self.time_constant_s,
-            self.rate_um_per_s,
-        )
-        return x + moved.to(x), elapsed + x.shape[1]
-
-    def stream(self) -> nn.Module:
-        return ThermalDriftStream(
-            self.sample_period_s,
-            self.amplitude_um.item(),
-            self.time_constant_s.item(),
-            self.rate_um_per_s.item(),
-        )
-
-    def tangent(self, x: Tensor, dx: Tensor) -> Tensor:
-        return dx
-
-    @classmethod
-    def starts(cls, seen: Seen) -> list[Parameters]:
-        size, duration_s = 0.01 * seen.span_um, seen.duration_s
-        # Nothing warms up by itself within a tenth of a second.
-        if size == 0 or duration_s < 0.1:
-            return []
-        return [
-            {"rate_um_per_s": size / duration_s},
-            {"amplitude_um": size, "time_constant_s": max(duration_s / 5, SLOWEST_DYNAMICS_S)},
-            {"amplitude_um": size, "time_constant_s": max(duration_s, SLOWEST_DYNAMICS_S)},
-        ]
-
-
-class ThermalDriftStream(nn.Module):
-    """The drift, one sample at a time."""
-
-    def __init__(
-        self, period_s: float, amplitude_um: float, time_constant_s: float, rate_um_per_s: float
-    ) -> None:
-        super().__init__()
-        self.period_s = period_s
-        self.amplitude_um = amplitude_um
-        self.time_constant_s = time_constant_s
-        self.rate_um_per_s = rate_um_per_s
-        self.elapsed = 0.0
-
-    @torch.jit.export
-    def reset(self) -> None:
-        self.elapsed = 0.0
-
-    @torch.jit.export
-    def step(self, x: float) -> float:
-        y = x + drift(
-            self.elapsed, self.period_s, self.amplitude_um, self.time_constant_s, self.rate_um_per_s
-        )
-        self.elapsed += 1.0
-        return y
-
-
-class _Drift(torch.autograd.Function):
-    @staticmethod
-    def forward(
-        ctx: Any,
-        elapsed: Tensor,
-        time: int,
-        period_s: float,
-        amplitude_um: Tensor,
-        time_constant_s: Tensor,
-        rate_um_per_s: Tensor,
-    ) -> Tensor:  # (batch, time)
-        moved = elapsed.new_empty(len(elapsed), time)
-        _moved(
-            elapsed.detach()[:, 0].numpy(), period_s,
-            amplitude_um.item(), time_constant_s.item(), rate_um_per_s.item(), moved.numpy(),
-        )  # fmt: skip
-        ctx.period_s, ctx.time = period_s, time
-        ctx.save_for_backward(elapsed, amplitude_um, time_constant_s, rate_um_per_s)
-        return moved
-
-    @staticmethod
-    @once_differentiable
-    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
-        elapsed, amplitude_um, tau, rate = ctx.saved_tensors
-        t = (elapsed + torch.arange(ctx.time, dtype=torch.float64)) * ctx.period_s
-        left = torch.exp(-t / tau)
-        by_t = gradients[0] * (amplitude_um * left / tau + rate)
-        return (
-            (by_t * ctx.period_s).sum(1, keepdim=True),
-            None,
-            None,
-            (gradients[0] * (1 - left)).sum(),
-            -(gradients[0] * amplitude_um * left * t / tau**2).sum(),
-            (gradients[0] * t).sum(),
-        )
+def drift(t_s: float, amplitude_um: float, time_constant_s: float, rate_um_per_s: float) -> float:
+    """A (1 - e^{-t/τ}) + ρ t."""
+    return amplitude_um * (1.0 - math.exp(-t_s / time_constant_s)) + rate_um_per_s * t_s
 
 
 _drift: Any = numba.njit(drift)
@@ -165,6 +35,41 @@ def _moved(
 ) -> None:  # fmt: skip
     for batch in range(moved.shape[0]):
         for k in range(moved.shape[1]):
-            moved[batch, k] = _drift(
-                elapsed[batch] + k, period_s, amplitude_um, time_constant_s, rate_um_per_s
-            )
+            t_s = (elapsed[batch] + k) * period_s
+            moved[batch, k] = _drift(t_s, amplitude_um, time_constant_s, rate_um_per_s)
+
+
+class ThermalDrift(AddedSignal):
+    """A drift that settles, one that goes on, or both; how far it goes is another one in each recording."""
+
+    name = "thermal_drift"
+    block = "sensor"
+    equation = "y = x + A (1 - e^{-t/τ}) + ρ t"
+    signature = "slow, in absolute time: does not follow the last move"
+    quantities: ClassVar[dict[str, Quantity]] = {
+        "amplitude_um": Quantity("µm", at_least=-1e4, at_most=1e4),
+        "time_constant_s": Quantity("s", at_least=SLOWEST_DYNAMICS_S, at_most=1e6),
+        "rate_um_per_s": Quantity("µm/s", at_least=-1e3, at_most=1e3),
+    }
+    identity: ClassVar[Parameters] = {"amplitude_um": 0.0, "time_constant_s": 60.0, "rate_um_per_s": 0.0}
+    per_recording = ("amplitude_um", "rate_um_per_s")
+    signal, kernel = staticmethod(drift), staticmethod(_moved)
+    amplitude_um: nn.Parameter
+    time_constant_s: nn.Parameter
+    rate_um_per_s: nn.Parameter
+
+    @staticmethod
+    def of_tensors(t_s: Tensor, a: Tensor, b: Tensor, c: Tensor) -> Tensor:
+        return a * (1 - torch.exp(-t_s / b)) + c * t_s
+
+    @classmethod
+    def starts(cls, seen: Seen) -> list[Parameters]:
+        size, duration_s = 0.01 * seen.span_um, seen.duration_s
+        # Nothing warms up by itself within a tenth of a second.
+        if size == 0 or duration_s < 0.1:
+            return []
+        return [
+            {"rate_um_per_s": size / duration_s},
+            {"amplitude_um": size, "time_constant_s": max(duration_s / 5, SLOWEST_DYNAMICS_S)},
+            {"amplitude_um": size, "time_constant_s": max(duration_s, SLOWEST_DYNAMICS_S)},
+        ]
