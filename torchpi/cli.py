@@ -229,7 +229,7 @@ def diagnose(
 ) -> None:
     """Say where recordings and a simulation differ, what physics was left out, and show the fit improve.
 
-    Leaves report.html (one page, to send to a colleague), diagnosis.json, stage.pt (the augmented stage, for
+    Leaves report.html (one page, to send to a colleague), diagnosis.json, stage.pt (the fitted stage, for
     `torchpi predict` and for training through it), next_excitation.csv (the recording that would decide what
     is open) and the figures.
 

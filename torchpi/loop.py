@@ -46,15 +46,15 @@ class Compensator(Protocol):
     def step(self, yd: float, /) -> float: ...  # µm -> V
 
 
-class StageStream(Protocol):
+class PlantStream(Protocol):
     """A stage that takes one sample at a time."""
 
     def reset(self, seed: int, /) -> None: ...
     def step(self, u: float, /) -> tuple[float, float]: ...  # V -> true displacement, sensor reading, µm
 
 
-class Stage(Protocol):
-    """What the loop needs of a stage."""
+class Plant(Protocol):
+    """What the loop needs of a stage; `torchpi.stage.Stage` has it."""
 
     @property
     def sample_period_s(self) -> float: ...
@@ -64,12 +64,12 @@ class Stage(Protocol):
     def max_voltage_v(self) -> float: ...
     @property
     def seed(self) -> int: ...
-    def stream(self) -> StageStream: ...
+    def stream(self) -> PlantStream: ...
 
 
 def run_loop(
     compensator: Compensator,
-    stage: Stage,
+    stage: Plant,
     yd: Signal,  # (time,), µm
     *,
     fs_hz: float,
@@ -160,8 +160,8 @@ class _Rig:
 
     def __init__(
         self,
-        stage: Stage,
-        plant: StageStream,
+        stage: Plant,
+        plant: PlantStream,
         yd: Signal,  # (time,), µm
         slow_loop: "_SlowLoop",
         seed: int,
@@ -224,7 +224,7 @@ class _Rig:
 def _step_through(
     key: str,
     compensator: Compensator,
-    plant: StageStream,
+    plant: PlantStream,
     feed: list[float],
     seed: int,
     clock: Callable[[], int],
@@ -354,7 +354,7 @@ class _SlowLoop:
     high_um: float
 
 
-def _slow_full_range_loop(stage: Stage, plant: StageStream, seed: int) -> _SlowLoop:
+def _slow_full_range_loop(stage: Plant, plant: PlantStream, seed: int) -> _SlowLoop:
     """Two periods of a 5 Hz sine over the full voltage range; the second gives gain and range."""
     limits_v = (stage.min_voltage_v, stage.max_voltage_v)
     if not all(map(math.isfinite, limits_v)):
@@ -380,7 +380,7 @@ def _slow_full_range_loop(stage: Stage, plant: StageStream, seed: int) -> _SlowL
 class _StraightLine:
     """u = y_d / gain within the voltage limits: what one does without a compensator."""
 
-    def __init__(self, stage: Stage, slow_loop: _SlowLoop, preview: int) -> None:
+    def __init__(self, stage: Plant, slow_loop: _SlowLoop, preview: int) -> None:
         self.sample_period_s = stage.sample_period_s
         self.preview = preview
         self._gain_um_per_v = slow_loop.gain_um_per_v
@@ -396,7 +396,7 @@ class _StraightLine:
 # --- checks -------------------------------------------------------------------------------------------------
 
 
-def _check_same_period(name: str, period_s: float, stage: Stage) -> None:
+def _check_same_period(name: str, period_s: float, stage: Plant) -> None:
     if not math.isclose(period_s, stage.sample_period_s, rel_tol=1e-9):
         raise ArtifactError(
             f"{name}: sample period {period_s:.9g} s, but the stage's is {stage.sample_period_s:.9g} s; "

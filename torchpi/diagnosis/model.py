@@ -1,4 +1,4 @@
-"""From a fit to the augmented stage that simulates it."""
+"""From a fit to the stage that simulates it."""
 
 from collections.abc import Sequence
 

@@ -39,7 +39,7 @@ from torchpi.stage.stream import RigStream, StageStream
 
 SCHEMA, VERSION = "torchpi stage", 2
 OLDER_SCHEMA = "torchpi augmented stage"
-EXPECTED = "expected a stage.pt of 'torchpi diagnose'"
+EXPECTED = "expected a stage.pt of 'torchpi diagnose', or a stage file (.yaml)"
 RATE = Quantity("Hz", at_least=0, positive=True)
 SEED = Quantity("", at_least=0)
 
