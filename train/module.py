@@ -59,8 +59,8 @@ class InverseTraining(LightningModule):
     identification is the start, and what is minimised is the error of the motion.
 
     Args:
-        stage: Train through this stage, a stage.pt of `torchpi diagnose` or a stage file (YAML): the motions of
-            data.follow.
+        stage: Train through this stage, a stage.pt of `torchpi diagnose` or a stage file (YAML): the motions
+            of data.follow.
         thresholds: r of the plays, in the unit of S(y), about µm, the first one 0. By default `plays` of
             them, spread over the range of the recordings, denser near 0.
         plays: How many thresholds to spread, if none are given.

@@ -330,11 +330,10 @@ class Stage(Operator):
         """
         limits = [ClipStream(self.min_voltage_v, self.max_voltage_v)] if self.saturates else []
         command, reading = (
-            ChainStream([] if one is None else [one.stream()])
-            for one in (self.command_converter, self.reading_converter)
+            [] if one is None else [one.stream()] for one in (self.command_converter, self.reading_converter)
         )
-        chain = ChainStream([*limits, *(operator.stream() for operator in self.series())])
-        rig = RigStream(command, chain, self.sensor.stream(), self.noise_um, reading)
+        chain = ChainStream([*command, *limits, *(operator.stream() for operator in self.series())])
+        rig = RigStream(chain, self.sensor.stream(), self.noise_um, ChainStream(reading))
         return StageStream(rig, self.seed, compiled)
 
     def _check_command(self, u: Tensor) -> None:

@@ -57,14 +57,12 @@ class RigStream(nn.Module):
 
     def __init__(
         self,
-        to_volts: ChainStream,
         to_displacement: ChainStream,
         sensor: ChainStream,
         noise_um: float,
         to_number: ChainStream,
     ) -> None:
         super().__init__()
-        self.to_volts = to_volts
         self.to_displacement = to_displacement
         self.sensor = sensor
         self.noise_um = noise_um
@@ -77,6 +75,6 @@ class RigStream(nn.Module):
 
     @torch.jit.export
     def step(self, u: float, noise: float) -> tuple[float, float]:
-        y = self.to_displacement.step(self.to_volts.step(u))
+        y = self.to_displacement.step(u)
         reading = self.sensor.step(y)
         return y, self.to_number.step(reading + self.noise_um * noise)
