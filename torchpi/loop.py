@@ -1,8 +1,8 @@
-"""Step a compensator against a stage, sample by sample, and say how well the stage follows.
+"""Step a compensator against a stage, sample by sample, and measure how well the stage follows.
 
 At tick k the compensator is given y_d[k + preview] and returns u_k; the stage gives the reading y_k, then
 holds u_k until tick k + 1. The error is y_true[k] − y_d[k]: the motion at the tick against the motion that
-was wanted at that tick, so that every delay of the stage counts.
+was desired at that tick, so that every delay of the stage counts.
 """
 
 import gc
@@ -91,14 +91,14 @@ def run_loop(
     Args:
         compensator: the one to judge; `export.torchscript.load_torchscript` reads it from an exported file.
         stage: the stage to move.
-        yd: the motion wanted at each tick.
+        yd: the desired motion at each tick.
         fs_hz: sample rate of `yd`.
         name: short name of the trajectory, for files and keys.
         title: its name in a sentence; `name` if left out.
         yr: the reference before the filter of eq. 14, for compensators that hold the filter.
         compare: other compensators, by name.
         seed: of the stage's noise; None is the stage's own.
-        on_drive: told the label of each run as it starts.
+        on_drive: called with the label of each run as it starts.
         clock: nanoseconds; reads the time before and after each `step`.
 
     Raises:
@@ -243,7 +243,7 @@ def _step_through(
             if not math.isfinite(u_k):
                 raise ArtifactError(
                     f"{_label(key)}: the compensator returned {u_k} V at sample {k}; "
-                    "wanted a finite voltage: train it again, or export another checkpoint"
+                    "expected a finite voltage: train it again, or export another checkpoint"
                 )
             u[k] = u_k
             y_true[k], y_sensor[k] = move(u_k)
@@ -359,7 +359,7 @@ def _slow_full_range_loop(stage: Plant, plant: PlantStream, seed: int) -> _SlowL
     limits_v = (stage.min_voltage_v, stage.max_voltage_v)
     if not all(map(math.isfinite, limits_v)):
         raise StageError(
-            f"stage: voltage limits of {limits_v[0]} and {limits_v[1]} V; wanted finite ones, for its full "
+            f"stage: voltage limits of {limits_v[0]} and {limits_v[1]} V; expected finite ones, for its full "
             "range: set min_voltage_v and max_voltage_v of its amplifier"
         )
     period = round(0.2 / stage.sample_period_s)
@@ -407,12 +407,14 @@ def _check_same_period(name: str, period_s: float, stage: Plant) -> None:
 def _checked_trajectory(name: str, y: Signal) -> Signal:
     y = np.asarray(y, dtype=np.float64)
     if y.ndim != 1 or len(y) < 10:
-        raise RecordingError(f"{name}: a trajectory of shape {y.shape}; wanted one row of 10 samples or more")
+        raise RecordingError(
+            f"{name}: a trajectory of shape {y.shape}; expected one row of 10 samples or more"
+        )
     bad = np.flatnonzero(~np.isfinite(y))
     if bad.size:
-        raise RecordingError(f"{name}: sample {bad[0]} is {y[bad[0]]}; wanted finite µm: mend or cut it")
+        raise RecordingError(f"{name}: sample {bad[0]} is {y[bad[0]]}; expected finite µm: mend or cut it")
     if np.ptp(y) == 0.0:
-        raise RecordingError(f"{name}: the trajectory stays at {y[0]:.6g} µm; wanted one that moves")
+        raise RecordingError(f"{name}: the trajectory stays at {y[0]:.6g} µm; expected one that moves")
     return y
 
 

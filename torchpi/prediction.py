@@ -19,7 +19,7 @@ def predict_file(stage: str | Path, recording: str | Path, output: str | Path) -
 
     Raises:
         ArtifactError: `stage` is no stage file.
-        RecordingError: A column is missing, or is not as wanted.
+        RecordingError: A column is missing, or is not as expected.
         StageError: The stage has no meaning at the file's sample rate.
     """
     loaded = Stage.load(stage)
@@ -28,7 +28,7 @@ def predict_file(stage: str | Path, recording: str | Path, output: str | Path) -
     for name in loaded.aux_names:
         if name not in names:
             raise RecordingError(
-                f"{recording}: no column '{name}', which {stage} takes; want it beside {INPUT_COLUMN}"
+                f"{recording}: no column '{name}', which {stage} takes; expected it beside {INPUT_COLUMN}"
             )
     aux = {name: read_signal(recording, name, unit="V").x for name in names}
     y = predict(loaded.at_sample_rate(u.fs_hz), u.x, aux)

@@ -54,10 +54,6 @@ class Quantity:
         return "a finite number of" if self.unit else "a finite number"
 
 
-CUTOFF = Quantity("Hz", at_least=0, positive=True)
-"""Of a first-order lag: where its gain is 1/√2."""
-
-
 def check_order(low_name: str, low: float, high_name: str, high: float, unit: str) -> None:
     """Raise `StageError` unless `low` is below `high`."""
     if not low < high:

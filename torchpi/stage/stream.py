@@ -17,7 +17,7 @@ class StageStream:
 
     Args:
         rig: Its parts.
-        seed: Of the noise until `reset` says another.
+        seed: Of the noise until `reset` gives another.
         compiled: Whether TorchScript compiles the step.
     """
 

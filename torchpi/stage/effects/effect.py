@@ -46,7 +46,7 @@ class Seen:
 
 
 class Described:
-    """What the search, the report and the files ask of a kind of effect, whatever it acts on."""
+    """What the search, the report and the files need of a kind of effect, whatever it acts on."""
 
     name: ClassVar[str]
     """As in `diagnosis.json`."""

@@ -115,15 +115,8 @@ class _Ageing(torch.autograd.Function):
     ) -> tuple[Tensor, Tensor]:
         x = x.detach().contiguous()
         y, travel, after = torch.empty_like(x), torch.empty_like(x), before.clone()
-        _forward(
-            x.numpy(),
-            period_s,
-            loss_per_s.item(),
-            loss_per_mm.item(),
-            after.numpy(),
-            travel.numpy(),
-            y.numpy(),
-        )
+        arrays = (part.numpy() for part in (after, travel, y))
+        _forward(x.numpy(), period_s, loss_per_s.item(), loss_per_mm.item(), *arrays)
         ctx.period_s = period_s
         ctx.save_for_backward(x, before, travel, y, loss_per_s, loss_per_mm)
         return y, after

@@ -1,32 +1,22 @@
 """An output resistance that charges the stack: v̇ = 2πf_c (u - v), f_c = 1/(2πR_oC_L)."""
 
 import math
-from typing import ClassVar
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from torchpi.operators.linear import Matrices
-from torchpi.operators.quantity import CUTOFF, Quantity
-from torchpi.stage.effects.effect import Parameters, Seen, StateSpaceEffect
+from torchpi.stage.effects.effect import Parameters, Seen
+from torchpi.stage.effects.lag import FirstOrderLag
 
 
-class AmplifierLag(StateSpaceEffect):
-    """A first-order lag of a voltage that a converter holds: v(k) = e^{-ωT} v(k-1) + (1 - e^{-ωT}) u(k).
-
-    u(k) is the command held during the sample that ends at tick k.
-    """
+class AmplifierLag(FirstOrderLag):
+    """A lag of a voltage that a converter holds; u(k) is held during the sample that ends at tick k."""
 
     name = "amplifier_lag"
     block = "amplifier"
     before_hysteresis = True
     equation = "v̇ = 2πf_c (u - v)"
-    signature = "phase grows in proportion to frequency, the gain rolls off"
-    quantities: ClassVar[dict[str, Quantity]] = {"cutoff_hz": Quantity("Hz", at_least=1.0, at_most=1e6)}
-    identity: ClassVar[Parameters] = {"cutoff_hz": math.inf}
-    accepted: ClassVar[dict[str, Quantity]] = {"cutoff_hz": CUTOFF}
-    order = 1
-    cutoff_hz: nn.Parameter
 
     def is_ideal(self) -> bool:
         """Whether there is no lag at all."""
@@ -37,10 +27,7 @@ class AmplifierLag(StateSpaceEffect):
         return torch.exp(-2 * math.pi * self.sample_period_s * self.cutoff_hz * samples)
 
     def matrices(self) -> Matrices:
-        # The state is what is left of the voltage a sample later.
-        decay = self.decay(torch.ones_like(self.cutoff_hz))
-        fresh = 1 - decay
-        return decay.reshape(1), (decay * fresh).reshape(1), torch.ones_like(decay).reshape(1), fresh
+        return self.discrete("end")
 
     @classmethod
     def starts(cls, seen: Seen) -> list[Parameters]:

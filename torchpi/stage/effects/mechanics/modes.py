@@ -6,7 +6,7 @@
 M_m is a mode of unit static gain, a_i an auxiliary signal: the poles are the structure's, the same from every
 input, and only the residues are an input's own (Ewins, *Modal Testing*, 2nd ed., 2000, ch. 2; Preumont,
 *Vibration Control of Active Structures*, ch. 2). The part in the rate makes a residue complex: damping that
-is not proportional, and what delays an input, ask for it. c_i is the static gain from an input, and that from
+is not proportional, and what delays an input, need it. c_i is the static gain from an input, and that from
 x is 1.
 """
 
@@ -222,7 +222,7 @@ class ModesStream(nn.Module):
 
 
 def places(parts: Sequence[Part]) -> list[Place]:
-    """Where each number of each part stands. What a coupling says of a mode that is not there is left out."""
+    """Where each number of each part stands. What a coupling has of a mode that is not there is left out."""
     found: list[Place] = []
     numbers = mode_numbers([part.effect for part in parts])
     modes = [k for k, part in enumerate(parts) if issubclass(part.effect, ModalResonance)]

@@ -96,7 +96,7 @@ class Quantization(Effect):
 def _refined(gaps: np.ndarray, step: float) -> float:
     """The step for which the gaps are whole multiples, from a first guess.
 
-    A wide gap says the step more sharply, but only a guess that is sharp already says how many steps that
+    A wide gap gives the step more sharply, but only a guess that is sharp already gives how many steps that
     gap holds: from the narrow gaps to the wide ones.
     """
     reach = 1.5 * step
