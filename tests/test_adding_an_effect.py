@@ -13,7 +13,7 @@ import torch
 from tests.diagnosis.plants import FS_HZ, pair
 from torchpi.diagnosis import hypothesis, search
 from torchpi.diagnosis.diagnose import diagnose
-from torchpi.stage import augmented
+from torchpi.stage import stage
 from torchpi.stage.effects.effect import Effect
 from torchpi.stage.effects.sensor.sensor_lag import SensorLag
 
@@ -51,11 +51,8 @@ def test_a_class_and_a_row_are_enough_to_be_named(page: ModuleType, monkeypatch:
     effects: tuple[type[Effect], ...] = (
         *search.EFFECTS[:place], page.RatePickup, *search.EFFECTS[place:],
     )  # type: ignore[assignment]  # fmt: skip
-    for module in (search, hypothesis):
+    for module in (search, hypothesis, stage):
         monkeypatch.setattr(module, "EFFECTS", effects)
-    known = (*effects, *augmented.KNOWN[len(search.EFFECTS) - 1 :])
-    monkeypatch.setattr(augmented, "KNOWN", known)
-    monkeypatch.setattr(augmented, "ORDER", {effect.name: i for i, effect in enumerate(known)})
 
     def pick_up(x: np.ndarray, fs_hz: float) -> np.ndarray:
         return x + LEAD_S * np.diff(x, prepend=0.0) * FS_HZ

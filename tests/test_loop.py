@@ -350,7 +350,8 @@ def test_a_compared_compensator_cannot_take_the_name_of_another_drive():
 
 
 def test_an_exported_compensator_runs_against_the_simulated_stage(tmp_path: Path):
-    stage = Stage(sample_rate_hz=FS_HZ, amplifier={"min_voltage_v": 0.0, "max_voltage_v": 10.0}, seed=1)
+    limits = {"min_voltage_v": 0.0, "max_voltage_v": 10.0}
+    stage = Stage.from_dict({"sample_rate_hz": FS_HZ, "amplifier": limits, "seed": 1})
     compensator = DirectInverse(1 / FS_HZ, [0.0, 0.5], preview=1)  # the stage is 1 µm/V, a sample late
     with torch.no_grad():
         compensator.weights.theta[0, 0] = 1.0

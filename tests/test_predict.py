@@ -10,17 +10,16 @@ import torch
 from torchpi import cli, prediction
 from torchpi.operators.conformance import wandering
 from torchpi.recording import read_recording
-from torchpi.stage import AugmentedStage
+from torchpi.stage import Stage
 
 RATE_HZ = 5000.0
 COUPLING = {"name": "cross_coupling", "values": {"coupling_um_per_v": 0.1}, "aux": "aux_x"}
 RESONANCE = {"name": "resonance", "values": {"frequency_hz": 300.0, "damping_ratio": 0.05}}
 
 
-def stage(path: Path, *effects: dict) -> AugmentedStage:
-    one = AugmentedStage(
-        1e-4, {"thresholds_v": [0.0, 0.3], "weights": [0.7, 0.2, 0.1]}, effects, 1, noise_um=0.01
-    )
+def stage(path: Path, *effects: dict) -> Stage:
+    hysteresis = {"thresholds_v": [0.0, 0.3], "weights": [0.7, 0.2, 0.1]}
+    one = Stage(1e4, hysteresis, effects, alignment=1, noise_um=0.01)
     one.save(path)
     return one
 

@@ -172,10 +172,10 @@ def run(
     from torchpi.export import load_torchscript
     from torchpi.loop import run_loop
     from torchpi.report import provenance, words, write_loop_report
-    from torchpi.stage import AugmentedStage, Stage
+    from torchpi.stage import Stage
     from torchpi.trajectory import load_trajectory
 
-    plant = AugmentedStage.load(stage) if stage.suffix == ".pt" else Stage.from_yaml(stage)
+    plant = Stage.load(stage)
     loaded = load_torchscript(compensator)
     others = {name: load_torchscript(path) for name, path in (compare or {}).items()}
     names = [trajectory] if isinstance(trajectory, str) else trajectory
@@ -229,7 +229,7 @@ def diagnose(
 ) -> None:
     """Say where recordings and a simulation differ, what physics was left out, and show the fit improve.
 
-    Leaves report.html (one page, to send to a colleague), diagnosis.json, stage.pt (the augmented stage, for
+    Leaves report.html (one page, to send to a colleague), diagnosis.json, stage.pt (the fitted stage, for
     `torchpi predict` and for training through it), next_excitation.csv (the recording that would decide what
     is open) and the figures.
 
@@ -262,7 +262,7 @@ def predict(stage: Path, recording: Path, output: Path = Path("prediction.csv"))
     Example: torchpi predict runs/diagnosis/stage.pt voltage.csv --output predicted.csv
 
     Args:
-        stage: The stage.pt of `torchpi diagnose`.
+        stage: The stage.pt of `torchpi diagnose`, or a stage file (YAML).
         recording: CSV, or any other kind that a recording may have; an output_um in it is left out.
         output: CSV to write.
     """

@@ -1,8 +1,8 @@
-"""Step a compensator against a stage, sample by sample, and say how well the stage follows.
+"""Step a compensator against a stage, sample by sample, and measure how well the stage follows.
 
 At tick k the compensator is given y_d[k + preview] and returns u_k; the stage gives the reading y_k, then
 holds u_k until tick k + 1. The error is y_true[k] − y_d[k]: the motion at the tick against the motion that
-was wanted at that tick, so that every delay of the stage counts.
+was desired at that tick, so that every delay of the stage counts.
 """
 
 import gc
@@ -46,15 +46,15 @@ class Compensator(Protocol):
     def step(self, yd: float, /) -> float: ...  # µm -> V
 
 
-class StageStream(Protocol):
+class PlantStream(Protocol):
     """A stage that takes one sample at a time."""
 
     def reset(self, seed: int, /) -> None: ...
     def step(self, u: float, /) -> tuple[float, float]: ...  # V -> true displacement, sensor reading, µm
 
 
-class Stage(Protocol):
-    """What the loop needs of a stage."""
+class Plant(Protocol):
+    """What the loop needs of a stage; `torchpi.stage.Stage` has it."""
 
     @property
     def sample_period_s(self) -> float: ...
@@ -64,12 +64,12 @@ class Stage(Protocol):
     def max_voltage_v(self) -> float: ...
     @property
     def seed(self) -> int: ...
-    def stream(self) -> StageStream: ...
+    def stream(self) -> PlantStream: ...
 
 
 def run_loop(
     compensator: Compensator,
-    stage: Stage,
+    stage: Plant,
     yd: Signal,  # (time,), µm
     *,
     fs_hz: float,
@@ -91,14 +91,14 @@ def run_loop(
     Args:
         compensator: the one to judge; `export.torchscript.load_torchscript` reads it from an exported file.
         stage: the stage to move.
-        yd: the motion wanted at each tick.
+        yd: the desired motion at each tick.
         fs_hz: sample rate of `yd`.
         name: short name of the trajectory, for files and keys.
         title: its name in a sentence; `name` if left out.
         yr: the reference before the filter of eq. 14, for compensators that hold the filter.
         compare: other compensators, by name.
         seed: of the stage's noise; None is the stage's own.
-        on_drive: told the label of each run as it starts.
+        on_drive: called with the label of each run as it starts.
         clock: nanoseconds; reads the time before and after each `step`.
 
     Raises:
@@ -160,8 +160,8 @@ class _Rig:
 
     def __init__(
         self,
-        stage: Stage,
-        plant: StageStream,
+        stage: Plant,
+        plant: PlantStream,
         yd: Signal,  # (time,), µm
         slow_loop: "_SlowLoop",
         seed: int,
@@ -224,7 +224,7 @@ class _Rig:
 def _step_through(
     key: str,
     compensator: Compensator,
-    plant: StageStream,
+    plant: PlantStream,
     feed: list[float],
     seed: int,
     clock: Callable[[], int],
@@ -243,7 +243,7 @@ def _step_through(
             if not math.isfinite(u_k):
                 raise ArtifactError(
                     f"{_label(key)}: the compensator returned {u_k} V at sample {k}; "
-                    "wanted a finite voltage: train it again, or export another checkpoint"
+                    "expected a finite voltage: train it again, or export another checkpoint"
                 )
             u[k] = u_k
             y_true[k], y_sensor[k] = move(u_k)
@@ -354,12 +354,12 @@ class _SlowLoop:
     high_um: float
 
 
-def _slow_full_range_loop(stage: Stage, plant: StageStream, seed: int) -> _SlowLoop:
+def _slow_full_range_loop(stage: Plant, plant: PlantStream, seed: int) -> _SlowLoop:
     """Two periods of a 5 Hz sine over the full voltage range; the second gives gain and range."""
     limits_v = (stage.min_voltage_v, stage.max_voltage_v)
     if not all(map(math.isfinite, limits_v)):
         raise StageError(
-            f"stage: voltage limits of {limits_v[0]} and {limits_v[1]} V; wanted finite ones, for its full "
+            f"stage: voltage limits of {limits_v[0]} and {limits_v[1]} V; expected finite ones, for its full "
             "range: set min_voltage_v and max_voltage_v of its amplifier"
         )
     period = round(0.2 / stage.sample_period_s)
@@ -380,7 +380,7 @@ def _slow_full_range_loop(stage: Stage, plant: StageStream, seed: int) -> _SlowL
 class _StraightLine:
     """u = y_d / gain within the voltage limits: what one does without a compensator."""
 
-    def __init__(self, stage: Stage, slow_loop: _SlowLoop, preview: int) -> None:
+    def __init__(self, stage: Plant, slow_loop: _SlowLoop, preview: int) -> None:
         self.sample_period_s = stage.sample_period_s
         self.preview = preview
         self._gain_um_per_v = slow_loop.gain_um_per_v
@@ -396,7 +396,7 @@ class _StraightLine:
 # --- checks -------------------------------------------------------------------------------------------------
 
 
-def _check_same_period(name: str, period_s: float, stage: Stage) -> None:
+def _check_same_period(name: str, period_s: float, stage: Plant) -> None:
     if not math.isclose(period_s, stage.sample_period_s, rel_tol=1e-9):
         raise ArtifactError(
             f"{name}: sample period {period_s:.9g} s, but the stage's is {stage.sample_period_s:.9g} s; "
@@ -407,12 +407,14 @@ def _check_same_period(name: str, period_s: float, stage: Stage) -> None:
 def _checked_trajectory(name: str, y: Signal) -> Signal:
     y = np.asarray(y, dtype=np.float64)
     if y.ndim != 1 or len(y) < 10:
-        raise RecordingError(f"{name}: a trajectory of shape {y.shape}; wanted one row of 10 samples or more")
+        raise RecordingError(
+            f"{name}: a trajectory of shape {y.shape}; expected one row of 10 samples or more"
+        )
     bad = np.flatnonzero(~np.isfinite(y))
     if bad.size:
-        raise RecordingError(f"{name}: sample {bad[0]} is {y[bad[0]]}; wanted finite µm: mend or cut it")
+        raise RecordingError(f"{name}: sample {bad[0]} is {y[bad[0]]}; expected finite µm: mend or cut it")
     if np.ptp(y) == 0.0:
-        raise RecordingError(f"{name}: the trajectory stays at {y[0]:.6g} µm; wanted one that moves")
+        raise RecordingError(f"{name}: the trajectory stays at {y[0]:.6g} µm; expected one that moves")
     return y
 
 

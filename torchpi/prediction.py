@@ -8,7 +8,7 @@ import torch
 from torchpi.errors import RecordingError
 from torchpi.readers import open_source
 from torchpi.recording import INPUT_COLUMN, Recording, read_signal, write_recording
-from torchpi.stage.augmented import AugmentedStage
+from torchpi.stage import Stage
 
 AT_A_TIME = 1 << 16
 """Samples that are predicted at a time: memory beside the signals themselves does not grow with the file."""
@@ -19,16 +19,16 @@ def predict_file(stage: str | Path, recording: str | Path, output: str | Path) -
 
     Raises:
         ArtifactError: `stage` is no stage file.
-        RecordingError: A column is missing, or is not as wanted.
+        RecordingError: A column is missing, or is not as expected.
         StageError: The stage has no meaning at the file's sample rate.
     """
-    loaded = AugmentedStage.load(stage)
+    loaded = Stage.load(stage)
     u = read_signal(recording, INPUT_COLUMN, option="input_v", unit="V")
     names = [name for name in open_source(recording).names if name.startswith("aux_")]
     for name in loaded.aux_names:
         if name not in names:
             raise RecordingError(
-                f"{recording}: no column '{name}', which {stage} takes; want it beside {INPUT_COLUMN}"
+                f"{recording}: no column '{name}', which {stage} takes; expected it beside {INPUT_COLUMN}"
             )
     aux = {name: read_signal(recording, name, unit="V").x for name in names}
     y = predict(loaded.at_sample_rate(u.fs_hz), u.x, aux)
@@ -38,18 +38,19 @@ def predict_file(stage: str | Path, recording: str | Path, output: str | Path) -
 
 
 def predict(
-    stage: AugmentedStage,
+    stage: Stage,
     u: np.ndarray,  # (time,), V
     aux: dict[str, np.ndarray],  # (time,) each
 ) -> np.ndarray:  # (time,), µm
-    """The displacement from the de-energised state, at the stage's own sample rate, without noise."""
-    y, state = np.empty(len(u)), None
+    """The reading from the de-energised state, at the stage's own rate, without noise or converters."""
+    y, state, of_sensor = np.empty(len(u)), None, None
     with torch.no_grad():
         for first in range(0, len(u), AT_A_TIME):
             part = slice(first, first + AT_A_TIME)
             signals = {name: _row(aux[name][part]) for name in stage.aux_names}
-            out, state = stage(_row(u[part]), state, signals)
-            y[part] = out[0].numpy()
+            displacement, state = stage(_row(u[part]), state, signals)
+            reading, of_sensor = stage.sensor(displacement, of_sensor)
+            y[part] = reading[0].numpy()
     return y
 
 

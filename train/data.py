@@ -13,7 +13,7 @@ from torchpi.errors import ConfigError, RecordingError, RecordingWarning
 from torchpi.identification import InversePair, inverse_pair
 from torchpi.motion import Motion
 from torchpi.recording import Recording, read_recording
-from torchpi.stage import AugmentedStage
+from torchpi.stage import Stage
 from train.simulation import Simulation, simulate
 from train.tracking import Follow
 from train.windows import Window, windows
@@ -115,7 +115,7 @@ class RecordingsData(LightningDataModule):
         self.window_samples = window_samples
         self.follow = follow or Follow()
         self.follow.check()
-        self.stage: AugmentedStage | None = None  # the model's, which is then the one that is simulated
+        self.stage: Stage | None = None  # the model's, which is then the one that is simulated
         self.preview = 0  # the model's, once it is built
         self.records: Records | None = None
 
@@ -133,7 +133,7 @@ class RecordingsData(LightningDataModule):
             self.split(self.preview)
         return self.records
 
-    def of_stage(self, stage: AugmentedStage) -> "RecordingsData":
+    def of_stage(self, stage: Stage) -> "RecordingsData":
         """The same excitations, simulated with another stage."""
         other = copy.copy(self)
         other.stage, other.records = stage, None

@@ -20,7 +20,7 @@ from torchpi.identification import (
 )
 from torchpi.identification.projection import projected_loss
 from torchpi.operators.rate_weights import RateHead
-from torchpi.stage import AugmentedStage
+from torchpi.stage import Stage
 from torchpi.trained import to_checkpoint
 from train.coordinates import Coordinates
 from train.data import RecordingsData, Split
@@ -59,7 +59,8 @@ class InverseTraining(LightningModule):
     identification is the start, and what is minimised is the error of the motion.
 
     Args:
-        stage: Train through this stage, a stage.pt of `torchpi diagnose`: the motions of data.follow.
+        stage: Train through this stage, a stage.pt of `torchpi diagnose` or a stage file (YAML): the motions
+            of data.follow.
         thresholds: r of the plays, in the unit of S(y), about µm, the first one 0. By default `plays` of
             them, spread over the range of the recordings, denser near 0.
         plays: How many thresholds to spread, if none are given.
@@ -148,9 +149,9 @@ class InverseTraining(LightningModule):
     def recordings_data(self) -> RecordingsData:
         return cast(RecordingsData, self.trainer.datamodule)  # type: ignore[attr-defined]
 
-    def load_stage(self) -> AugmentedStage | None:
+    def load_stage(self) -> Stage | None:
         """The stage to train through, if there is one."""
-        return AugmentedStage.load(self.stage_file) if self.stage_file else None
+        return Stage.load(self.stage_file) if self.stage_file else None
 
     def build(self, data: RecordingsData) -> None:
         """The compensator at the paper's optimum, and the paper's own form of it to compare with."""
@@ -168,7 +169,7 @@ class InverseTraining(LightningModule):
         else:
             self.build_tracking(data, data.stage)
 
-    def build_tracking(self, data: RecordingsData, stage: AugmentedStage) -> None:
+    def build_tracking(self, data: RecordingsData, stage: Stage) -> None:
         """The motions to follow; the start identified in full, and beside it one on the plain stage."""
         recorded = torch.cat([pair.motion.yd[0, pair.counted] for pair in self.paper_split.train])
         rated = stage.at_sample_rate(1 / self.compensator.sample_period_s)
@@ -209,7 +210,7 @@ class InverseTraining(LightningModule):
         fit_two_stage(compensator, split.train)
         return Start(compensator, baseline, two_stage, split, paper_split)
 
-    def limits(self, stage: AugmentedStage | None) -> dict[str, float]:
+    def limits(self, stage: Stage | None) -> dict[str, float]:
         """Of the controller's output, V."""
         known = (stage.min_voltage_v, stage.max_voltage_v) if stage else (-math.inf, math.inf)
         return {

@@ -10,7 +10,7 @@ import torch
 
 from torchpi.excitation import EXCITATIONS, make_excitation
 from torchpi.recording import Recording, check_recording
-from torchpi.stage import AugmentedStage, Stage
+from torchpi.stage import Stage
 
 
 @dataclass
@@ -47,29 +47,29 @@ class Simulation:
 
 def simulate(
     simulation: Simulation,
-    stage: AugmentedStage | None = None,  # instead of the file of the simulation
+    stage: Stage | None = None,  # an identified one, instead of the file of the simulation
 ) -> tuple[list[Recording], list[Recording]]:
     """The recordings to train on, and those held out; the same ones for the same settings.
 
     Raises:
         TorchpiError: A stage or an excitation that is not one.
     """
-    played: Stage | AugmentedStage = stage or Stage.from_yaml(simulation.stage)
+    played = stage or Stage.from_yaml(simulation.stage)
     return (
-        [_record(played, simulated) for simulated in simulation.train],
-        [_record(played, simulated) for simulated in simulation.heldout],
+        [_record(played, simulated, stage is not None) for simulated in simulation.train],
+        [_record(played, simulated, stage is not None) for simulated in simulation.heldout],
     )
 
 
-def _record(stage: Stage | AugmentedStage, simulated: Simulated) -> Recording:
-    options = _range(stage, simulated.excitation) | simulated.options
+def _record(stage: Stage, simulated: Simulated, identified: bool) -> Recording:
+    options = (_range(stage, simulated.excitation) if identified else {}) | simulated.options
     t, u = make_excitation(
         simulated.excitation, stage.sample_rate_hz, simulated.duration_s, simulated.seed, options
     )
     with torch.no_grad():
         y_true, reading = stage.simulate(torch.from_numpy(u)[None], seed=simulated.seed)
     # Of a stage that was identified nothing is gained by blurring what it says with noise.
-    y = y_true if isinstance(stage, AugmentedStage) else reading
+    y = y_true if identified else reading
     name = f"{simulated.excitation}-{simulated.seed}"
     recording = Recording(
         name=name,
@@ -84,10 +84,10 @@ def _record(stage: Stage | AugmentedStage, simulated: Simulated) -> Recording:
     return recording
 
 
-def _range(stage: Stage | AugmentedStage, excitation: str) -> dict[str, float]:
+def _range(stage: Stage, excitation: str) -> dict[str, float]:
     """The voltages that an identified stage stands for, as options of an excitation that takes them."""
     limits = {"low_v": stage.min_voltage_v, "high_v": stage.max_voltage_v}
-    if not isinstance(stage, AugmentedStage) or not all(map(math.isfinite, limits.values())):
+    if not all(map(math.isfinite, limits.values())):
         return {}
     known = inspect.signature(EXCITATIONS[excitation]).parameters if excitation in EXCITATIONS else {}
     return limits if limits.keys() <= known.keys() else {}

@@ -18,7 +18,7 @@ from torchpi.errors import ConfigError
 from torchpi.excitation import TRAJECTORIES
 from torchpi.motion import Motion, backward_motion
 from torchpi.operators.reference_filter import ReferenceFilter
-from torchpi.stage import AugmentedStage
+from torchpi.stage import Stage
 from train.coordinates import Coordinates
 
 
@@ -93,7 +93,7 @@ class Tracking:
         stroke_um: Lowest and highest displacement of the recordings.
     """
 
-    def __init__(self, stage: AugmentedStage, follow: Follow, stroke_um: tuple[float, float]) -> None:
+    def __init__(self, stage: Stage, follow: Follow, stroke_um: tuple[float, float]) -> None:
         self.stage = stage.requires_grad_(False)
         reach = stroke_um[1] - stroke_um[0]
         low, high = (stroke_um[0] + share * reach for share in (follow.low, follow.high))

@@ -2,7 +2,8 @@
 
     python benchmarks/concealed/generate.py --track single_pi --count 24 --seed 1 --output recordings/a
 
-DIR/case_0001/{a,b,c}.csv and heldout_input.csv are for the tool under test; DIR/sealed/ is for the judge.
+DIR/case_0001/{a,b,c}.csv (a to d with --recordings 4) and heldout_input.csv are for the tool under test;
+DIR/sealed/ is for the judge.
 Seeds 0–9999 are for development; the figures that are published come from seeds of 10000 and above.
 """
 
@@ -14,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 from plant.case import TRACKS, Settings, draw_case
+from plant.conditions import Conditions
 from plant.physics import Array
 
 
@@ -31,8 +33,25 @@ def main() -> None:
     parser.add_argument("--timing", choices=("mixed", "end_of_hold", "before_write"), default="mixed")
     parser.add_argument("--effects", nargs="*", default=[], help="these names instead of drawn ones")
     parser.add_argument("--severity", type=float, help="this severity instead of a drawn one")
+    around = parser.add_argument_group("conditions around the plant (nulls_conditions draws its own)")
+    around.add_argument("--start", choices=("de_energised", "remanent"), default="de_energised")
+    around.add_argument("--holds", choices=("kept", "replaced"), default="kept")
+    around.add_argument("--input", choices=("command", "monitored"), default="command")
+    around.add_argument("--recordings", type=int, choices=(1, 2, 3, 4), default=3)
+    around.add_argument("--scale-v", type=float, default=1.0, help="factor on the voltages in the files")
+    around.add_argument(
+        "--scale-um", type=float, default=1.0, help="factor on the displacements in the files"
+    )
     parser.add_argument("--processes", type=int, default=1)
     options = parser.parse_args()
+    conditions = Conditions(
+        remanent=options.start == "remanent",
+        holds=options.holds == "kept",
+        monitored=options.input == "monitored",
+        recordings=options.recordings,
+        scale_v=options.scale_v,
+        scale_um=options.scale_um,
+    )
     jobs = [
         (
             Settings(
@@ -44,6 +63,7 @@ def main() -> None:
                 options.timing,
                 tuple(options.effects),
                 options.severity,
+                conditions,
             ),
             options.output,
             number,
@@ -60,7 +80,7 @@ def main() -> None:
 def write_case(settings: Settings, output: Path, number: int) -> str:
     """Write one case and its seal; returns a line that gives nothing away."""
     case, name = draw_case(settings), f"case_{number:04d}"
-    for letter, recording in zip("abc", case.recordings, strict=True):
+    for letter, recording in zip("abcd", case.recordings, strict=False):
         write_csv(output / name / f"{letter}.csv", recording)
     write_csv(
         output / name / "heldout_input.csv", {k: v for k, v in case.heldout.items() if k != "output_um"}
@@ -76,7 +96,9 @@ def write_csv(path: Path, columns: dict[str, Array]) -> None:
     """A recording by the contract: header, then one line a sample."""
     path.parent.mkdir(parents=True, exist_ok=True)
     table = np.column_stack(list(columns.values()))
-    line = ",".join("%.9f" if name == "time_s" else "%.6f" for name in columns) + "\n"
+    small = {name for name, column in columns.items() if np.max(np.abs(column)) < 1}
+    formats = ("%.9f" if name == "time_s" else "%.10g" if name in small else "%.6f" for name in columns)
+    line = ",".join(formats) + "\n"
     path.write_text(",".join(columns) + "\n" + line * len(table) % tuple(table.ravel().tolist()))
 
 

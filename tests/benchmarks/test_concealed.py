@@ -4,6 +4,7 @@ import ast
 import json
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,10 +16,12 @@ sys.path.insert(0, str(CONCEALED))  # its scripts are run from their own folder
 import judge  # noqa: E402
 from generate import write_case  # noqa: E402
 from judging.grade import grade  # noqa: E402
+from judging.proportions import share  # noqa: E402
 from judging.summary import summarise  # noqa: E402
 from judging.tables import table  # noqa: E402
 from plant import blocks, excitation  # noqa: E402
 from plant.case import Case, Settings, draw_case  # noqa: E402
+from plant.conditions import Conditions  # noqa: E402
 from plant.effects import EFFECTS  # noqa: E402
 from plant.hysteresis import draw_hysteresis  # noqa: E402
 from plant.physics import Physics  # noqa: E402
@@ -218,6 +221,125 @@ def test_a_tool_that_fails_is_graded_as_silent(tmp_path, monkeypatch):
     assert json.loads((tmp_path / "o" / "results.json").read_text())["tracks"]["nulls_pi"]["failed"] == 1
 
 
+class TestConditions:
+    def test_plain_conditions_leave_a_case_as_it_is(self):
+        plain, same = _case(), _case(conditions=Conditions())
+        for one, other in zip(plain.recordings, same.recordings, strict=True):
+            np.testing.assert_array_equal(one["output_um"], other["output_um"])
+
+    def test_a_remanent_start_moves_the_readings_and_not_the_command_or_the_heldout_record(self):
+        plain, remanent = _null(), _null(remanent=True)
+        for one, other in zip(plain.recordings, remanent.recordings, strict=True):
+            np.testing.assert_array_equal(one["input_v"], other["input_v"])
+            assert one["output_um"].shape == other["output_um"].shape
+        first = [r["output_um"][0] for r in remanent.recordings]
+        assert np.max(np.abs(first)) > 0.005 * plain.labels["range_um"]
+        np.testing.assert_array_equal(plain.heldout["output_um"], remanent.heldout["output_um"])
+
+    @pytest.mark.parametrize("family", FAMILIES)
+    def test_a_history_is_played_before_the_first_reading(self, family):
+        rig = replace(_rig(), hysteresis=draw_hysteresis(family, np.random.default_rng(5), 10.0, 10.0))
+        history = np.interp(np.linspace(0, 1, 400), [0, 0.4, 0.7, 1], [0, 9, 2, 4.0])
+        u = np.linspace(4.0, 8.0, 200)
+        whole = simulate(rig, Physics(), Run(np.concatenate([history, u]), None, 0))
+        run = Run(np.concatenate([history, u]), None, 0, history=history.size)
+        np.testing.assert_array_equal(simulate(rig, Physics(), run), whole[history.size :])
+
+    def test_without_holds_the_command_never_rests(self):
+        for recording in _null(holds=False).recordings:
+            rests = np.diff(recording["input_v"]) == 0
+            assert np.convolve(rests, np.ones(8), "valid").max() < 8
+            assert recording["input_v"][0] == 0
+        held = [np.diff(r["input_v"]) == 0 for r in _null().recordings]
+        assert max(np.convolve(rests, np.ones(8), "valid").max() for rests in held) == 8
+
+    def test_a_monitored_voltage_is_near_the_command_and_the_readings_are_those_of_the_command(self):
+        plain, monitored = _null(), _null(monitored=True)
+        span = plain.labels["upper_v"] - plain.labels["lower_v"]
+        for one, other in zip(plain.recordings, monitored.recordings, strict=True):
+            np.testing.assert_array_equal(one["output_um"], other["output_um"])
+            error = other["input_v"] - one["input_v"]
+            assert 1e-5 * span < np.std(np.diff(error)) and np.max(np.abs(error)) < 0.02 * span
+        assert np.any(monitored.heldout["input_v"] != plain.heldout["input_v"])
+
+    @pytest.mark.parametrize("count", [1, 2, 4])
+    def test_one_to_four_recordings_are_written_and_the_loaded_one_is_kept(self, tmp_path, count):
+        around = Conditions(recordings=count)
+        settings = Settings(
+            "single_pi", 7, 0, samples=SAMPLES, only=("load_change", "resonance"), conditions=around
+        )
+        write_case(settings, tmp_path, 1)
+        files = sorted(p.name for p in (tmp_path / "case_0001").glob("?.csv"))
+        assert files == [f"{letter}.csv" for letter in "abcd"[:count]]
+        labels = json.loads((tmp_path / "sealed" / "case_0001.json").read_text())
+        seen = labels["effects"][0]["severity"] > 0.1
+        assert seen == (count > 1)  # a load that never changes is a gain
+
+    def test_other_units_scale_files_and_labels_alike(self):
+        plain = _case(only=("sensor_nonlinearity",))
+        scaled = _case(only=("sensor_nonlinearity",), conditions=Conditions(scale_v=10.0, scale_um=1e-3))
+        for column, factor in (("input_v", 10.0), ("output_um", 1e-3)):
+            np.testing.assert_allclose(scaled.heldout[column], factor * plain.heldout[column])
+        (one,), (other,) = plain.labels["effects"], scaled.labels["effects"]
+        assert one["severity"] == other["severity"]
+        for name, parameter in one["parameters"].items():
+            factor = {"1/um": 1e3, "1/um^2": 1e6}[parameter["unit"]]
+            assert other["parameters"][name]["value"] == pytest.approx(factor * parameter["value"])
+        assert scaled.labels["noise_rms_um"] == pytest.approx(1e-3 * plain.labels["noise_rms_um"])
+
+    def test_nulls_under_conditions_are_a_third_of_each(self):
+        conditions = [_case(track="nulls_conditions", index=i).labels["conditions"] for i in range(6)]
+        assert [c["remanent"] for c in conditions] == [True, False, False] * 2
+        assert [c["holds"] for c in conditions] == [True, False, True] * 2
+        assert [c["monitored"] for c in conditions] == [False, False, True] * 2
+
+
+def test_bounds_are_those_of_clopper_and_pearson():
+    none_of_300, all_of_59 = share(0, 300), share(59, 59)
+    assert none_of_300["at_most"] == pytest.approx(1 - 0.05 ** (1 / 300))
+    assert all_of_59["at_least"] == pytest.approx(0.05 ** (1 / 59)) and all_of_59["at_most"] == 1
+    assert share(0, 0)["share"] is None
+
+
+def test_probabilities_are_graded_name_by_name():
+    lag = _case(only=("amplifier_lag",), timing="end_of_hold").labels | {"case": "lag"}
+    effects = [{"name": n, "probability": p} for n, p in (("sensor_lag", 0.8), ("creep", 0.6))]
+    effects.append({"name": "delay", "alternatives": ["amplifier_lag"], "probability": 0.5})
+    assert [(s["right"], s["right_group"]) for s in grade(lag, {"effects": effects}).stated] == [
+        (True, True),
+        (False, False),
+        (False, False),  # the truth has its one name already
+    ]
+    (alone,) = grade(lag, {"effects": effects[2:]}).stated
+    assert alone["right"] is False and alone["right_group"] is True and alone["probability"] == 0.5
+
+
+def test_precision_and_false_alarms_are_added_up_over_all_tracks():
+    labels = [
+        _case(index=i, track=t).labels | {"case": t} for i, t in enumerate(("pairs", "nulls_pi", "crime"))
+    ]
+    grades = [grade(label, _perfect(label)) for label in labels]
+    together = summarise(grades)["together"]
+    assert together["precision"]["count"] == together["precision"]["of"] == 2
+    assert together["false_alarms"]["of"] == 1 and together["false_alarms"]["at_most"] == pytest.approx(0.95)
+    assert "Precision over all tracks: 100 % (2/2)" in table(summarise(grades))
+
+
+def test_a_verdict_that_closes_over_a_bad_prediction_is_counted():
+    labels = _case(track="nulls_pi").labels | {"case": "null"}
+    measured = np.zeros(100)
+    grades = [
+        grade(labels, {"verdict": verdict}, predicted_um=measured + error, measured_um=measured)
+        for verdict, error in (
+            ("nothing_missing", 3 * labels["noise_rms_um"]),
+            ("explained", labels["noise_rms_um"]),
+            ("unexplained", 3 * labels["noise_rms_um"]),
+        )
+    ]
+    figure = summarise(grades)["tracks"]["nulls_pi"]["closed_beyond_twice_the_noise"]
+    assert (figure["count"], figure["of"]) == (1, 2)
+
+
 def test_help_is_printed():
     for script in ("generate.py", "judge.py", "baseline.py"):
         done = subprocess.run(
@@ -228,6 +350,10 @@ def test_help_is_printed():
 
 def _case(track: str = "single_pi", index: int = 0, **settings: object) -> Case:
     return draw_case(Settings(track, 7, index, samples=SAMPLES, **settings))
+
+
+def _null(**conditions: bool) -> Case:
+    return _case(track="nulls_pi", index=1, conditions=Conditions(**conditions))
 
 
 def _rig(timing: str = "end_of_hold") -> Rig:

@@ -15,7 +15,7 @@ from torchpi.errors import TorchpiError
 from torchpi.recording import Recording
 from torchpi.report.diagnosis_json import diagnosis_json
 from torchpi.report.what_was_run import provenance
-from torchpi.stage import AugmentedStage
+from torchpi.stage import Stage
 
 KINDS = ("constant", "zero", "ramp", "sine", "steps", "one step", "walk", "noise", "two values", "impulse")
 
@@ -89,4 +89,4 @@ def test_the_stage_of_an_odd_recording_is_saved_and_read(tmp_path: Path) -> None
     u = signal("steps", 300, 1)
     found = diagnose([Recording("a", np.arange(300) / 1e3, u, signal("walk", 300, 2), 1e3)])
     found.stage.save(tmp_path / "stage.pt")
-    assert AugmentedStage.load(tmp_path / "stage.pt").names == found.stage.names
+    assert Stage.load(tmp_path / "stage.pt").names == found.stage.names

@@ -29,7 +29,7 @@ from torchpi.diagnosis.nominal import many_plays
 from torchpi.diagnosis.records import prepare
 from torchpi.diagnosis.search import Search
 from torchpi.recording import Recording
-from torchpi.stage import AugmentedStage
+from torchpi.stage import Stage
 
 MODE = (310.0, 0.03)
 
@@ -83,7 +83,7 @@ def test_the_stage_that_is_left_predicts_what_no_fit_has_seen(
 ) -> None:
     _, found = of_a_mode
     found.stage.save(tmp_path / "stage.pt")
-    stage = AugmentedStage.load(tmp_path / "stage.pt")
+    stage = Stage.load(tmp_path / "stage.pt")
     other = record(multisine(4000, seed=9), after=ringing)
     with torch.no_grad():
         y = stage.at_sample_rate(FS_HZ)(torch.from_numpy(other.u)[None])[0][0].numpy()

@@ -7,8 +7,10 @@ from tests.indirect.laws import DeployedLaws
 from torchpi.errors import ConfigError
 from torchpi.indirect import CascadedInverse, ConventionalInverse, lead_of
 from torchpi.motion import Motion
-from torchpi.operators import Delay, Lag, Mode, PrandtlIshlinskii
-from torchpi.stage.chain import Chain
+from torchpi.operators import Chain, PrandtlIshlinskii
+from torchpi.stage.effects.amplifier.delay import Delay
+from torchpi.stage.effects.mechanics.resonance import Resonance
+from torchpi.stage.effects.sensor.sensor_lag import SensorLag
 
 R, W = [0.0, 0.4, 1.0, 2.5], [0.8, 0.1, 0.15, 0.05]
 
@@ -34,7 +36,8 @@ def test_it_undoes_its_own_cascade_to_second_order_in_the_sample_period(kind: st
     """Dynamics are run with straight lines between samples: that leaves an error in T²."""
     errors = []
     for period_s in (2e-4, 1e-4, 5e-5):
-        dynamics = Lag(period_s, 300.0) if kind == "lag" else Mode(period_s, 600.0, 0.1)
+        lag = SensorLag(period_s, cutoff_hz=300.0)
+        dynamics = lag if kind == "lag" else Resonance(period_s, frequency_hz=600.0, damping_ratio=0.1)
         forward = Chain(hysteresis=PrandtlIshlinskii(R, W), dynamics=dynamics)
         motion = sine(period_s)
         inverse = CascadedInverse(period_s, R, W, lead_of(dynamics), min_voltage_v=-99.0, max_voltage_v=99.0)
@@ -46,7 +49,7 @@ def test_it_undoes_its_own_cascade_to_second_order_in_the_sample_period(kind: st
 
 
 def test_a_delay_is_undone_by_preview() -> None:
-    forward = Chain(hysteresis=PrandtlIshlinskii(R, W), delay=Delay(1e-4, 5e-4))
+    forward = Chain(hysteresis=PrandtlIshlinskii(R, W), delay=Delay(1e-4, delay_s=5e-4))
     motion = sine(1e-4)
     inverse = CascadedInverse(1e-4, R, W, [], preview=5)
     assert inverse.stream().preview == 5

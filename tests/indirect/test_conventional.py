@@ -10,9 +10,9 @@ from torchpi.errors import ConfigError
 from torchpi.indirect import ConventionalInverse, conventional_inverse
 from torchpi.motion import Motion
 from torchpi.operators import PrandtlIshlinskii
+from torchpi.operators.chain import Chain
 from torchpi.operators.conformance import wandering
 from torchpi.operators.dead_zone import DeadZones
-from torchpi.stage.chain import Chain
 
 R, W = [0.0, 0.4, 1.0, 2.5], [0.8, 0.1, 0.15, 0.05]
 

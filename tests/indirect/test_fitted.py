@@ -16,12 +16,13 @@ from torchpi.indirect.fitted import (
     fit_rate_dependent,
     fit_time_varying_thresholds,
 )
-from torchpi.operators import Lag, PrandtlIshlinskii
+from torchpi.operators import PrandtlIshlinskii
 from torchpi.operators.base import Operator
+from torchpi.operators.chain import Chain
 from torchpi.operators.dead_zone import DeadZones
 from torchpi.operators.rate_dependent_pi import RateDependentPI
 from torchpi.recording import Recording
-from torchpi.stage.chain import Chain
+from torchpi.stage.effects.sensor.sensor_lag import SensorLag
 
 PERIOD_S = 1e-4
 R, W = [0.0, 0.5, 1.5, 3.0], [0.7, 0.05, 0.1, 0.08]
@@ -68,7 +69,7 @@ def test_time_varying_thresholds_finds_their_growth() -> None:
 
 
 def test_cascade_finds_the_lead_of_a_lag() -> None:
-    plant = Chain(hysteresis=PrandtlIshlinskii(R, W), dynamics=Lag(PERIOD_S, 500.0))
+    plant = Chain(hysteresis=PrandtlIshlinskii(R, W), dynamics=SensorLag(PERIOD_S, cutoff_hz=500.0))
     assert fit_cascade(records(plant), order=1).lead[0] == pytest.approx(1 / (2 * np.pi * 500), rel=0.1)
 
 

@@ -10,13 +10,15 @@ from hypothesis import strategies as st
 from torch import Tensor
 
 from torchpi.operators.conformance import OperatorLaws, wandering
-from torchpi.operators.linear import LinearBlock, Matrices, discretise, state_space
+from torchpi.operators.linear import Matrices, discretise, state_space
+from torchpi.stage.effects.effect import StateSpaceEffect
 
 
-class Third(LinearBlock):
+class Third(StateSpaceEffect):
     """A lag and a mode in one, dense, with a way straight through."""
 
     order = 3
+    quantities, identity = {}, {}
 
     def __init__(self) -> None:
         super().__init__(sample_period_s=0.2)
@@ -27,9 +29,12 @@ class Third(LinearBlock):
         b, c = torch.tensor([[1.0, 0.0, 0.5], [0.2, 1.0, -0.7]], dtype=torch.float64)
         return self.a, b, c, torch.tensor(0.3, dtype=torch.float64)
 
+    def matrices(self) -> Matrices:
+        return discretise(*self.continuous(), self.sample_period_s, "first")
+
 
 class TestLaws(OperatorLaws):
-    def operator(self) -> LinearBlock:
+    def operator(self) -> Third:
         return Third()
 
 
@@ -117,13 +122,13 @@ def test_kernel_is_the_textbook_recursion():
 
 
 def test_gradients_to_every_argument_are_exact():
-    arguments = [part.detach().clone().requires_grad_() for part in Third().discrete()]
+    arguments = [part.detach().clone().requires_grad_() for part in Third().matrices()]
     u, x0 = wandering(2, 9).requires_grad_(), torch.rand(2, 3, dtype=torch.float64, requires_grad=True)
     assert torch.autograd.gradcheck(state_space, (u, *arguments, x0))
 
 
 def test_gradient_to_the_input_needs_no_gradient_to_the_matrices():
-    matrices = [part.detach() for part in Third().discrete()]
+    matrices = [part.detach() for part in Third().matrices()]
     u = wandering(2, 9).requires_grad_()
     assert torch.autograd.gradcheck(lambda u: state_space(u, *matrices, zeros(2, 3)), (u,))
 

@@ -11,6 +11,7 @@ import torch
 from torchpi.errors import ConfigError
 from torchpi.excitation import sine_5hz
 from torchpi.paper.calibration import (
+    EFFECTS_OF,
     PAPER_MAX_UM,
     PARTS,
     Calibration,
@@ -61,13 +62,16 @@ def test_the_figures_are_those_of_the_curves_beside_them() -> None:
 
 
 def test_every_value_is_one_that_such_a_rig_has() -> None:
-    settings = stage().to_dict()
-    assert 400 <= settings["mechanics"]["frequency_hz"] <= 800
-    assert 0.01 <= settings["mechanics"]["damping_ratio"] <= 0.03
-    assert 0.01 <= settings["actuator"]["creep_per_decade"] <= 0.02
-    assert settings["amplifier"]["converter_bits"] == settings["sensor"]["converter_bits"] == 16
-    bend = settings["actuator"]["input_polynomial_v"]
-    slope = [sum(c * (power + 1) * v**power for power, c in enumerate(bend)) for v in (0.0, 5.0, 10.0)]
+    rig = stage()
+    values = {name: value for one in rig.effects for name, value in one.values.items()}
+    assert 400 <= values["frequency_hz"] <= 800
+    assert 0.01 <= values["damping_ratio"] <= 0.03
+    assert 0.01 <= values["per_decade"] <= 0.02
+    assert rig.command_converter is not None and rig.reading_converter is not None
+    assert rig.command_converter.bits == rig.reading_converter.bits == 16
+    slope = [
+        1 + 2 * values["c2_per_v"] * v + 3 * values.get("c3_per_v2", 0.0) * v**2 for v in (0.0, 5.0, 10.0)
+    ]
     assert slope == pytest.approx([1.0, 0.9, 0.8])
 
 
@@ -89,21 +93,17 @@ def test_its_range_and_its_loop_are_those_of_such_a_rig() -> None:
 @pytest.mark.parametrize("part", PARTS)
 def test_a_stage_without_a_part_lacks_that_part_alone_and_goes_as_far(part: str) -> None:
     before, after = stage(), without(stage(), part).requires_grad_(False)
-    changed = [key for key, value in before.to_dict().items() if after.to_dict()[key] != value]
-    amplifier, actuator, mechanics, sensor = ["amplifier"], ["actuator"], ["mechanics"], ["sensor"]
-    assert (
-        changed
-        == {
-            "noise": sensor,
-            "quantisation": amplifier + sensor,
-            "delay": amplifier,
-            "lag": amplifier + sensor,
-            "mode": mechanics,
-            "creep": actuator,
-            "curvature": actuator,
-            "hysteresis": actuator,
-        }[part]
-    )
+    changed = {key for key, value in before.to_dict().items() if after.to_dict()[key] != value}
+    assert changed == {
+        "noise": {"noise_um"},
+        "quantisation": {"command_converter", "reading_converter"},
+        "lag": {"effects", "sensor"},
+        "curvature": {"effects", "hysteresis"},
+        "hysteresis": {"hysteresis"},
+    }.get(part, {"effects"})
+    gone = {one.kind.name for one in (*before.effects, *before.sensor_effects)}
+    gone -= {one.kind.name for one in (*after.effects, *after.sensor_effects)}
+    assert gone == set(EFFECTS_OF.get(part, ()))
     rise = torch.linspace(0, math.pi, 1000, dtype=torch.float64).cos().mul(-5).add(5)[None]
     assert float(after(rise)[0].max()) == pytest.approx(float(before(rise)[0].max()), rel=0.01)
 
@@ -116,5 +116,5 @@ def test_the_mode_makes_most_of_the_model_error_and_creep_a_third_of_the_slow_on
 
 
 def test_an_unknown_part_is_refused_with_the_known_ones() -> None:
-    with pytest.raises(ConfigError, match=r"'wear', want one of noise, .* hysteresis"):
+    with pytest.raises(ConfigError, match=r"'wear', expected one of noise, .* hysteresis"):
         without(stage(), "wear")

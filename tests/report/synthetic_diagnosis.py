@@ -16,7 +16,7 @@ from torchpi.diagnosis.diagnosis import (
 )
 from torchpi.diagnosis.locate import locate
 from torchpi.excitation import multisine
-from torchpi.stage.augmented import AugmentedStage
+from torchpi.stage import Stage
 
 FS_HZ, NOISE_UM = 5_000.0, 0.004
 
@@ -104,5 +104,5 @@ def diagnosis() -> Diagnosis:
         notes=("y(k) answers the command of tick k − 1 in all recordings: a convention, not a delay.",
                "<b>load_change</b> was left out: it needs recordings under a second load."),
         traces=traces,
-        stage=cast(AugmentedStage, object()),
+        stage=cast(Stage, object()),
     )  # fmt: skip

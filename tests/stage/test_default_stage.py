@@ -41,7 +41,10 @@ def test_its_range_and_its_loop_are_those_of_such_a_rig(stage):
 
 
 def test_its_apparent_delay_is_between_one_and_two_samples(stage):
-    linear = Stage.from_dict({**stage.to_dict(), "actuator": None})
+    ceramic = ("input_nonlinearity", "creep")
+    settings = stage.to_dict()
+    settings["effects"] = [one for one in settings["effects"] if one["name"] not in ceramic]
+    linear = Stage.from_dict({**settings, "hysteresis": {"thresholds_v": [0.0], "weights": [1.0, 0.0]}})
     t = torch.arange(5000, dtype=torch.float64) / 1e4
     for frequency_hz in (5.0, 40.0, 80.0):
         u = torch.sin(2 * torch.pi * frequency_hz * t) + 5

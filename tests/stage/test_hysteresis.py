@@ -146,7 +146,7 @@ def test_settings_build_it_again() -> None:
 
 
 def test_what_does_not_fit_is_refused() -> None:
-    with pytest.raises(StageError, match="weights: found 2, want 3"):
+    with pytest.raises(StageError, match="weights: found 2, expected 3"):
         Hysteresis(PERIOD_S, [0.0, 1.0], [1.0, 0.0])
     with pytest.raises(StageError, match="sigma_v: found none"):
         Hysteresis(PERIOD_S, [0.0], [1.0, 0.5, 0.0], bouc_wen=True)

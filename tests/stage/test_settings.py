@@ -37,12 +37,12 @@ def changed(key: str, value: Any) -> dict[str, Any]:
         ("amplifier.cutof_hz", 600, "unknown key amplifier.cutof_hz; the nearest one is amplifier.cutoff_hz"),
         ("sample_rate", 600, "unknown key sample_rate; the nearest one is sample_rate_hz"),
         ("mecanics", {}, "unknown key mecanics; the nearest one is mechanics"),
-        ("mechanics.frequency_hz", "fast", "mechanics.frequency_hz: found 'fast', want a number"),
-        ("mechanics.frequency_hz", True, "mechanics.frequency_hz: found True, want a number"),
-        ("mechanics", [1], "mechanics: found [1], want a section of keys with values"),
-        ("sensor.converter_bits", 12.5, "sensor.converter_bits: found 12.5, want a whole number"),
-        ("actuator.thresholds_v", 3, "actuator.thresholds_v: found 3, want a list of numbers"),
-        ("sample_rate_hz", None, "sample_rate_hz: found None, want a number"),
+        ("mechanics.frequency_hz", "fast", "mechanics.frequency_hz: found 'fast', expected a number"),
+        ("mechanics.frequency_hz", True, "mechanics.frequency_hz: found True, expected a number"),
+        ("mechanics", [1], "mechanics: found [1], expected a section of keys with values"),
+        ("sensor.converter_bits", 12.5, "sensor.converter_bits: found 12.5, expected a whole number"),
+        ("actuator.thresholds_v", 3, "actuator.thresholds_v: found 3, expected a list of numbers"),
+        ("sample_rate_hz", None, "sample_rate_hz: found None, expected a number"),
     ],
 )
 def test_a_wrong_key_or_kind_of_value_is_a_config_error_on_one_line(tmp_path, key, value, message):
@@ -58,7 +58,7 @@ def test_a_wrong_key_or_kind_of_value_is_a_config_error_on_one_line(tmp_path, ke
         ("sample_rate_hz", 0, "found 0 Hz, want a positive number of Hz"),
         ("seed", -1, "found -1, want at least 0"),
         ("mechanics.damping_ratio", -0.01, "found -0.01, want at least 0"),
-        ("mechanics.damping_ratio", None, "found none, want a number"),
+        ("mechanics.damping_ratio", None, "found none, expected a number"),
         ("mechanics.frequency_hz", 0, "found 0 Hz, want a positive number of Hz"),
         ("amplifier.cutoff_hz", -5, "found -5 Hz, want a positive number of Hz"),
         ("amplifier.delay_s", -1e-4, "found -0.0001 s, want at least 0 s"),
@@ -67,10 +67,10 @@ def test_a_wrong_key_or_kind_of_value_is_a_config_error_on_one_line(tmp_path, ke
         ("sensor.converter_max_um", -60, "found -60 µm, want more than converter_min_um"),
         ("sensor.noise_um", -0.003, "found -0.003 µm, want at least 0 µm"),
         ("sensor.noise_um", float("nan"), "found nan µm, want at least 0 µm"),
-        ("actuator.weights_um_per_v", [0.0] * 20, "their sum is 0 µm/V, want a positive"),
-        ("actuator.weights_um_per_v", [1.0], "found 1 numbers, want 20, one a threshold"),
+        ("actuator.weights_um_per_v", [0.0] * 20, "their sum is 0 µm/V, expected a positive"),
+        ("actuator.weights_um_per_v", [1.0], "found 1 numbers, expected 20, one a threshold"),
         ("actuator.thresholds_v", [-1.0] * 20, "found [-1.0, "),
-        ("actuator.input_polynomial_v", [], "found [], want a positive first number"),
+        ("actuator.input_polynomial_v", [], "found [], expected one to three numbers, the first positive"),
         ("actuator.creep_per_decade", 3, "found 3, want -0.5 to 0.5"),
         ("actuator.creep_to_s", 0.001, "found 0.001 s, want more than from_s = 0.01 s"),
     ],
@@ -93,7 +93,7 @@ def test_a_missing_rate_is_named(tmp_path):
     ("text", "message"),
     [
         ("a: [1", "line 1: not valid YAML"),
-        ("- 1\n", "found list, want keys with values"),
+        ("- 1\n", "found list, expected keys with values"),
         ("", "found NoneType"),
     ],
 )
@@ -112,4 +112,5 @@ def test_a_file_that_is_not_there_is_named(tmp_path):
 def test_numbers_that_yaml_takes_for_text_are_numbers(tmp_path):
     path = tmp_path / "rig.yaml"
     path.write_text("sample_rate_hz: 1e4\namplifier: {delay_s: 5e-5}\n")
-    assert Stage.from_yaml(path).to_dict()["amplifier"]["delay_s"] == 5e-5
+    (delay,) = Stage.from_yaml(path).effects
+    assert delay.values["delay_s"] == 5e-5

@@ -9,7 +9,7 @@ import pytest
 
 from torchpi.excitation import random_trajectory
 from torchpi.export import load_torchscript
-from torchpi.stage import AugmentedStage
+from torchpi.stage import Stage
 from train import results
 from train.callbacks import TensorBoardFigures
 from train.cli import main
@@ -71,7 +71,8 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
         {"name": "resonance", "values": {"frequency_hz": MODE_HZ, "damping_ratio": DAMPING}},
     ]
     hysteresis = {"thresholds_v": R_V, "weights": [*W, 0.0]}
-    stage = AugmentedStage(1 / FS_HZ, hysteresis, effects, 1, 0.001, 0.0, 10.0)
+    limits = {"min_voltage_v": 0.0, "max_voltage_v": 10.0}
+    stage = Stage(FS_HZ, hysteresis, effects, alignment=1, noise_um=0.001, **limits)
     for name, one in (("augmented", stage), ("plain", stage.plain())):
         one.save(folder / f"{name}-stage.pt")
         given = ["--model.stage", str(folder / f"{name}-stage.pt"), "--output", str(folder / name)]
@@ -98,7 +99,7 @@ def test_metrics_show_tracking_before_and_after(runs: dict[str, Path]) -> None:
 
 
 def test_what_it_predicts_is_what_the_plant_does(runs: dict[str, Path]) -> None:
-    stage = AugmentedStage.load(runs["augmented"].parent / "augmented-stage.pt")
+    stage = Stage.load(runs["augmented"].parent / "augmented-stage.pt")
     stream, u = stage.stream(compiled=False), 5 - 5 * np.cos(2 * np.pi * 8 * np.arange(600) / FS_HZ)
     y = np.array([stream.step(sample)[0] for sample in u.tolist()])
     assert np.abs(y - plant(u)).max() < 0.02 * np.ptp(y)

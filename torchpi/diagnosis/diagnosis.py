@@ -5,7 +5,7 @@ from typing import Literal
 
 import numpy as np
 
-from torchpi.stage.augmented import AugmentedStage
+from torchpi.stage import Stage
 
 Verdict = Literal["nothing_missing", "explained", "partly_explained", "unexplained"]
 Domain = Literal[
@@ -129,4 +129,4 @@ class Diagnosis:
     notes: tuple[str, ...]
     """What was set aside: conflicts, conventions, candidates that these recordings are too short for."""
     traces: tuple[Trace, ...]
-    stage: AugmentedStage
+    stage: Stage

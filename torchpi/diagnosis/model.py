@@ -1,51 +1,52 @@
-"""From a fit to the augmented stage that simulates it."""
+"""From a fit to the stage that simulates it."""
 
 from collections.abc import Sequence
 
 import numpy as np
-import torch
 
 from torchpi.diagnosis.hypothesis import Fit, Member
-from torchpi.stage.augmented import AugmentedStage
+from torchpi.stage import Stage
 from torchpi.stage.effects.effect import Seen
 from torchpi.stage.effects.mechanics.modal import ModalEffect
 
 
-def augmented_stage(now: Fit, seen: Seen, noise_um: float) -> AugmentedStage:
+def augmented_stage(now: Fit, seen: Seen, noise_um: float) -> Stage:
     """The fitted chain at the highest sample rate of the recordings.
 
     A parameter that each recording has for itself becomes their mean where all agree in sign, and its
-    identity where they do not: nobody can foretell the phase of the mains.
+    identity where they do not: the phase of the mains, for one, is another in the next recording.
     """
-    nominal = now.hypothesis.nominal
+    nominal, zero_um = now.hypothesis.nominal, float(now.weights[-1])
     rows = now.weights[:-1]
     weights = rows if nominal.mixing is None else nominal.mixing.T @ rows
-    return AugmentedStage(
-        1.0 / seen.fs_hz,
+    hysteresis = {
+        "thresholds_v": nominal.thresholds_v.tolist(),
+        "weights": np.append(weights, 0.0),
+        "degree": nominal.degree,
+        "scale_v": nominal.scale_v,
+        "bouc_wen": nominal.bouc_wen,
+        "duhem": nominal.duhem,
+        "shape": dict(nominal.shape),
+    }
+    effects = [
         {
-            "thresholds_v": nominal.thresholds_v.tolist(),
-            "weights": torch.from_numpy(np.append(weights, 0.0)),
-            "degree": nominal.degree,
-            "scale_v": nominal.scale_v,
-            "bouc_wen": nominal.bouc_wen,
-            "duhem": nominal.duhem,
-            "shape": dict(nominal.shape),
-        },
-        [
-            {
-                "name": member.effect.name,
-                "values": foretold(member),
-                "aux": member.aux or None,
-                "modal": issubclass(member.effect, ModalEffect),
-            }
-            for member in now.hypothesis.members
-        ],
-        now.hypothesis.alignment,
-        noise_um,
-        seen.low_v,
-        seen.high_v,
+            "name": member.effect.name,
+            "values": foretold(member),
+            "aux": member.aux,
+            "modal": issubclass(member.effect, ModalEffect),
+        }
+        for member in now.hypothesis.members
+    ]
+    return Stage(
+        seen.fs_hz,
+        hysteresis,
+        effects,
+        alignment=now.hypothesis.alignment,
+        min_voltage_v=seen.low_v,
+        max_voltage_v=seen.high_v,
+        noise_um=noise_um,
         stepped=now.hypothesis.held,
-        zero_um=float(now.weights[-1]),
+        zero_um=zero_um,
     )
 
 

@@ -5,7 +5,7 @@
 Croft, Shed and Devasia, *Creep, hysteresis, and vibration compensation for piezoactuators: atomic force
 microscopy application*, ASME J. Dyn. Syst. Meas. Control 123(1), 2001. The rate dependence is put into G, and
 the hysteresis stays rate-independent. The desired trajectory has to be smooth; the delay is undone by as many
-samples of preview. The forward model is `torchpi.stage.chain.Chain(hysteresis=…, dynamics=…)`.
+samples of preview. The forward model is `torchpi.operators.chain.Chain(hysteresis=…, dynamics=…)`.
 """
 
 import math
@@ -15,8 +15,8 @@ import torch
 
 from torchpi.indirect.base import IndirectInverse
 from torchpi.operators.dead_zone import DeadZones
-from torchpi.operators.lag import Lag
-from torchpi.operators.mode import Mode
+from torchpi.stage.effects.mechanics.resonance import Resonance
+from torchpi.stage.effects.sensor.sensor_lag import SensorLag
 
 
 class CascadedInverse(IndirectInverse):
@@ -59,10 +59,10 @@ class CascadedInverse(IndirectInverse):
         )
 
 
-def lead_of(dynamics: Lag | Mode) -> list[float]:
+def lead_of(dynamics: SensorLag | Resonance) -> list[float]:
     """τ_1 and, for a mode, τ_2: what undoes these dynamics exactly, on a trajectory that is smooth."""
     with torch.no_grad():
-        if isinstance(dynamics, Lag):
+        if isinstance(dynamics, SensorLag):
             return [1 / (2 * math.pi * dynamics.cutoff_hz.item())]
         omega = 2 * math.pi * dynamics.frequency_hz.item()
         return [2 * dynamics.damping_ratio.item() / omega, 1 / omega**2]

@@ -2,20 +2,17 @@
 
     ẋ = A x + B u,  y = C x + D u        →        x⁺ = A x + B u,  y = C x + D u
 
-A block says its continuous equations in physical parameters (`continuous`); the matrix exponential
-makes them discrete, one compiled kernel runs them over whole records with an exact adjoint, and a
-stream runs the same two lines one sample at a time.
+The matrix exponential makes a continuous block discrete, one compiled kernel runs it over whole records with
+an exact adjoint, and a stream runs the same two lines one sample at a time.
 """
 
-from typing import Any, ClassVar, Literal
+from typing import Any, Literal
 
 import numba
 import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
-
-from torchpi.operators.base import Operator
 
 Hold = Literal["zero", "first", "end"]
 Matrices = tuple[Tensor, Tensor, Tensor, Tensor]
@@ -77,39 +74,6 @@ def discretise(
         return a_d, (a_d * gamma0[..., None, :]).sum(-1), c, d + (c * gamma0).sum(-1)
     b_d = gamma0 - gamma1 + (a_d * gamma1[..., None, :]).sum(-1)
     return a_d, b_d, c, d + (c * gamma1).sum(-1)
-
-
-class LinearBlock(Operator):
-    """A continuous block with one input and one output; subclasses say `continuous` and `order`."""
-
-    order: ClassVar[int]
-    hold: ClassVar[Hold] = "first"
-
-    def __init__(self, sample_period_s: float) -> None:
-        super().__init__()
-        self.sample_period_s = sample_period_s
-
-    def continuous(self) -> Matrices:
-        """A (n, n), B (n,), C (n,), D () from the physical parameters, gradients attached."""
-        raise TypeError(f"{type(self).__name__} must define continuous()")
-
-    def discrete(self) -> Matrices:
-        """The same at `sample_period_s`."""
-        return discretise(*self.continuous(), self.sample_period_s, self.hold)
-
-    def initial_state(self, batch: int) -> Tensor:
-        return torch.zeros(batch, self.order, dtype=torch.float64)
-
-    def forward(
-        self,
-        x: Tensor,  # (batch, time)
-        state: Tensor | None = None,  # (batch, order)
-    ) -> tuple[Tensor, Tensor]:
-        return state_space(x, *self.discrete(), self.initial_state(len(x)) if state is None else state)
-
-    def stream(self) -> "LinearStream":
-        a, b, c, d = self.discrete()
-        return LinearStream(a.flatten().tolist(), b.tolist(), c.tolist(), d.item())
 
 
 class LinearStream(nn.Module):

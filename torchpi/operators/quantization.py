@@ -1,11 +1,14 @@
-"""A converter of finite resolution: the nearest of 2^bits levels that divide its range."""
+"""Rounding to equidistant levels: q(x) = o + s · clip(round((x - o) / s)), and the converter that does it.
+
+Widrow and Kollár, *Quantization Noise*, 2008.
+"""
 
 import math
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import torch
 from torch import Tensor, nn
-from torch.autograd.function import FunctionCtx, once_differentiable
+from torch.autograd.function import once_differentiable
 
 from torchpi.errors import StageError
 from torchpi.operators.base import Operator
@@ -13,13 +16,52 @@ from torchpi.operators.limits import clip
 from torchpi.operators.quantity import Quantity
 
 
-def quantize(x: float, low: float, step: float, last_code: float) -> float:
-    """low + step · code, the code being the nearest of 0 … last_code; halves round up."""
-    return low + step * clip(float(math.floor((x - low) / step + 0.5)), 0.0, last_code)
+def quantize(x: float, offset: float, step: float, first: float, last: float) -> float:
+    """offset + step · code, the code being the nearest of first … last; halves round up."""
+    return offset + step * clip(float(math.floor((x - offset) / step + 0.5)), first, last)
 
 
-class Quantization(Operator):
-    """A converter. Its gradient is straight-through: 1 inside the range, 0 beyond, as if it had no steps.
+class Quantize(torch.autograd.Function):
+    """`quantize` over whole records.
+
+    Straight-through: the gradient in x is 1 inside the range and 0 beyond, as if there were no steps; those
+    in offset and step are 0.
+    """
+
+    @staticmethod
+    def forward(ctx: Any, x: Tensor, offset: Tensor, step: Tensor, first: float, last: float) -> Tensor:
+        code = torch.floor((x - offset) / step + 0.5)
+        ctx.save_for_backward((code >= first) & (code <= last), offset, step)
+        return offset + step * code.clamp(first, last)
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
+        inside, offset, step = ctx.saved_tensors
+        return gradients[0] * inside, torch.zeros_like(offset), torch.zeros_like(step), None, None
+
+
+class QuantizationStream(nn.Module):
+    """The rounding, one sample at a time."""
+
+    def __init__(self, offset: float, step: float, first: float = -math.inf, last: float = math.inf) -> None:
+        super().__init__()
+        self.offset = offset
+        self.step_size = step
+        self.first = first
+        self.last = last
+
+    @torch.jit.export
+    def reset(self) -> None:
+        return
+
+    @torch.jit.export
+    def step(self, x: float) -> float:
+        return quantize(x, self.offset, self.step_size, self.first, self.last)
+
+
+class Converter(Operator):
+    """A D/A or A/D converter: 2^bits levels that divide its range.
 
     Args:
         bits: Resolution.
@@ -43,43 +85,16 @@ class Quantization(Operator):
         self.step_size = (self.high - self.low) / 2.0**self.bits
 
     def forward(self, x: Tensor, state: Tensor | None = None) -> tuple[Tensor, Tensor]:
-        y = _Quantize.apply(x, self.low, self.step_size, self.last_code)
+        offset, step = (torch.tensor(value, dtype=x.dtype) for value in (self.low, self.step_size))
+        y = Quantize.apply(x, offset, step, 0.0, self.last_code)
         return y, self.initial_state(len(x)) if state is None else state
 
     def stream(self) -> nn.Module:
-        return QuantizationStream(self.low, self.step_size, self.last_code)
+        return QuantizationStream(self.low, self.step_size, 0.0, self.last_code)
+
+    def settings(self) -> dict[str, float]:
+        """The constructor's arguments."""
+        return {"bits": self.bits, "low": self.low, "high": self.high}
 
     def extra_repr(self) -> str:
         return f"{self.bits} bits over {self.low:g} … {self.high:g}"
-
-
-class QuantizationStream(nn.Module):
-    """A converter, one sample at a time."""
-
-    def __init__(self, low: float, step_size: float, last_code: float) -> None:
-        super().__init__()
-        self.low = low
-        self.step_size = step_size
-        self.last_code = last_code
-
-    @torch.jit.export
-    def reset(self) -> None:
-        return
-
-    @torch.jit.export
-    def step(self, x: float) -> float:
-        return quantize(x, self.low, self.step_size, self.last_code)
-
-
-class _Quantize(torch.autograd.Function):
-    @staticmethod
-    def forward(ctx: FunctionCtx, x: Tensor, low: float, step: float, last_code: float) -> Tensor:
-        code = torch.floor((x - low) / step + 0.5)
-        ctx.save_for_backward((code >= 0) & (code <= last_code))
-        return low + step * code.clamp(0.0, last_code)
-
-    @staticmethod
-    @once_differentiable
-    def backward(ctx: FunctionCtx, *gradients: Tensor) -> tuple[Tensor, None, None, None]:
-        (inside,) = ctx.saved_tensors  # type: ignore[attr-defined]
-        return gradients[0] * inside, None, None, None

@@ -23,6 +23,7 @@ from torchpi.excitation import Samples, paper_multisine, sine_5hz
 from torchpi.identification import InversePair, TwoStageResult, fit_two_stage, inverse_pair, local_slope
 from torchpi.recording import Recording
 from torchpi.stage import Stage
+from torchpi.stage.effects.actuator.input_nonlinearity import InputNonlinearity
 from torchpi.trajectory import load_trajectory
 
 THRESHOLDS = (0.0, 0.05, 0.1, 0.2, 0.3, 0.5, 1.0, 1.5, 2.0, 3.0)
@@ -165,6 +166,16 @@ def shares(stage: Stage, seed: int | None = None, parts: Sequence[str] = PARTS) 
     return {name: calibrate_paper_method(one, seed) for name, one in {"all": stage, **stages}.items()}
 
 
+EFFECTS_OF = {
+    "delay": ("delay",),
+    "lag": ("amplifier_lag", "sensor_lag"),
+    "mode": ("resonance",),
+    "creep": ("creep",),
+    "curvature": ("input_nonlinearity",),
+}
+"""The effects that a part of the physics is."""
+
+
 def without(stage: Stage, part: str) -> Stage:
     """The stage with an ideal part in the place of one of `PARTS`. Its travel stays as it is.
 
@@ -174,33 +185,38 @@ def without(stage: Stage, part: str) -> Stage:
     Raises:
         ConfigError: An unknown part.
     """
+    if part not in PARTS:
+        raise ConfigError(f"part: found {part!r}, expected one of {', '.join(PARTS)}")
     settings = stage.to_dict()
-    amplifier, actuator, sensor = settings["amplifier"], settings["actuator"], settings["sensor"]
+    for chain in ("effects", "sensor"):
+        settings[chain] = [one for one in settings[chain] if one["name"] not in EFFECTS_OF.get(part, ())]
+    hysteresis = settings["hysteresis"]
     top_v = stage.max_voltage_v if math.isfinite(stage.max_voltage_v) else 10.0
-    bent_v = _polynomial(actuator.get("input_polynomial_v", [1.0]), top_v)
-    match part:
-        case "noise":
-            sensor["noise_um"] = 0.0
-        case "quantisation":
-            amplifier.pop("converter_bits", None)
-            sensor.pop("converter_bits", None)
-        case "delay":
-            amplifier["delay_s"] = 0.0
-        case "lag":
-            amplifier["cutoff_hz"] = sensor["cutoff_hz"] = None
-        case "mode":
-            settings["mechanics"] = None
-        case "creep":
-            actuator.pop("creep_per_decade", None)
-        case "curvature":
-            actuator["input_polynomial_v"] = [bent_v / top_v]
-        case "hysteresis":
-            plays = zip(actuator["thresholds_v"], actuator["weights_um_per_v"], strict=True)
-            risen_um = sum(w * max(bent_v - r, 0.0) for r, w in plays)
-            actuator["thresholds_v"], actuator["weights_um_per_v"] = [0.0], [risen_um / bent_v]
-        case _:
-            raise ConfigError(f"part: found {part!r}, want one of {', '.join(PARTS)}")
+    bent_v = _bent(stage, top_v)
+    if part == "noise":
+        settings["noise_um"] = 0.0
+    elif part == "quantisation":
+        settings["command_converter"] = settings["reading_converter"] = None
+    elif part == "curvature":
+        # Plays of a voltage that is stretched by a gain: thresholds and weights take it.
+        gain = bent_v / top_v
+        hysteresis["thresholds_v"] = [r / gain for r in hysteresis["thresholds_v"]]
+        hysteresis["weights"] = [*(w * gain for w in hysteresis["weights"][:-1]), hysteresis["weights"][-1]]
+    elif part == "hysteresis":
+        *weights, constant_um = hysteresis["weights"]
+        plays = zip(hysteresis["thresholds_v"], weights, strict=True)
+        risen_um = sum(w * max(bent_v - r, 0.0) for r, w in plays)
+        hysteresis |= {"thresholds_v": [0.0], "weights": [risen_um / bent_v, constant_um]}
     return Stage.from_dict(settings)
+
+
+def _bent(stage: Stage, v: float) -> float:
+    """The voltage that the plays see of `v`, at rest."""
+    bent = torch.tensor([[v]], dtype=torch.float64)
+    for effect in stage.before:
+        if isinstance(effect, InputNonlinearity):
+            bent, _ = effect(bent)
+    return float(bent)
 
 
 def _record(stage: Stage, name: str, excitation: Samples, seed: int) -> Recording:
@@ -253,10 +269,6 @@ def _tracking_error(stage: Stage, compensator: DirectInverse, name: str, seed: i
 def _first_at_top(x: Signal, within: float) -> int:
     """First sample within this share of the range of the largest."""
     return int(np.argmax(x >= x.max() - within * np.ptp(x)))
-
-
-def _polynomial(coefficients: list[float], v: float) -> float:
-    return float(sum(c * v ** (power + 1) for power, c in enumerate(coefficients)))
 
 
 def _max(error: Signal) -> float:

@@ -65,7 +65,7 @@ class Hysteresis(Operator):
     The state: one h for each play, the last voltage, the filtered rate, then z and d_1 to d_3 as far as they
     are there. Weights and shape are trained, but for `rate_filter_s` and the shapes of z and d, which are
     plain numbers. The derivative by the asymmetry at exactly 0 is that from above: below it, the play with
-    r = 0 has memory.
+    r = 0 has memory. At exactly 0 `relaxation_s` has no gradient.
 
     Args:
         sample_period_s: T.
@@ -104,15 +104,16 @@ class Hysteresis(Operator):
         self.bouc_wen, self.duhem = bool(bouc_wen), bool(duhem)
         self.register_buffer("thresholds_v", torch.as_tensor(thresholds_v, dtype=torch.float64).clone())
         self.weights = nn.Parameter(torch.as_tensor(weights, dtype=torch.float64).clone())
-        wanted = len(self.thresholds_v) * degree + self.others + 1
-        if self.weights.shape != (wanted,):
-            raise StageError(f"weights: found {self.weights.numel()}, want {wanted}: plays × degree and more")
+        expected = len(self.thresholds_v) * degree + self.others + 1
+        if self.weights.shape != (expected,):
+            count = self.weights.numel()
+            raise StageError(f"weights: found {count}, expected {expected}: plays × degree and more")
         needed = (*IDENTITY, *(OF_BOUC_WEN if bouc_wen else ()), *(OF_DUHEM if duhem else ()))
         values = {**IDENTITY, **(shape or {})}
         for name in (*needed, *values):
             if name not in values or name not in needed:
                 found = "none" if name in needed else f"{values[name]:g}"
-                raise StageError(f"{name}: found {found} in this hysteresis, want {', '.join(needed)}")
+                raise StageError(f"{name}: found {found} in this hysteresis, expected {', '.join(needed)}")
         self.trained = [name for name in needed if name not in NOT_TRAINED]
         for name in self.trained:
             self.register_parameter(name, nn.Parameter(torch.tensor(values[name], dtype=torch.float64)))

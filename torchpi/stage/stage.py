@@ -1,79 +1,135 @@
-"""The simulated stage: amplifier → actuator → mechanics → sensor.
+"""The stage: a hysteresis inside a chain of effects, from a file, from settings, or from a diagnosis.
 
-At tick k the controller reads y(k), then writes u(k), which is held until tick k+1. So y(k) depends on
-u up to k-1, and y(0) = 0 from the de-energised state.
+    command → D/A → limits → alignment → effects before → hysteresis → effects after → displacement
+            → sensor → noise → A/D → reading
+
+Effects stand in the order of `EFFECTS`. The stage simulates, it is differentiable in its physical parameters,
+and its file is plain data.
 """
 
-from collections.abc import Mapping
+import math
+import warnings
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, NamedTuple, cast
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
-from torchpi.errors import ConfigError, StageError
+from torchpi.errors import ArtifactError, ConfigError, StageError
+from torchpi.files import write_atomically
+from torchpi.operators.base import Operator
+from torchpi.operators.chain import Chain, ChainStream
+from torchpi.operators.limits import ClipStream
 from torchpi.operators.noise import white_noise
-from torchpi.operators.quantity import Quantity
-from torchpi.stage.actuator import Actuator
-from torchpi.stage.amplifier import Amplifier
-from torchpi.stage.chain import Chain
-from torchpi.stage.mechanics import Mechanics
-from torchpi.stage.sensor import Sensor
-from torchpi.stage.settings import build, read_yaml
+from torchpi.operators.quantity import Quantity, check_order
+from torchpi.operators.quantization import Converter
+from torchpi.stage.alignment import OneSampleLate, Zero
+from torchpi.stage.effects import EFFECTS
+from torchpi.stage.effects.amplifier.delay import Delay
+from torchpi.stage.effects.effect import Effect, Parameters
+from torchpi.stage.effects.held import hold_first_block
+from torchpi.stage.effects.inside import InsideEffect
+from torchpi.stage.effects.mechanics.modal import MODAL, ModalEffect
+from torchpi.stage.effects.mechanics.modes import Modes, Part
+from torchpi.stage.effects.unknown import Unknown
+from torchpi.stage.hysteresis import Hysteresis
+from torchpi.stage.settings import NOISE, build, of_sections, read_yaml
 from torchpi.stage.stream import RigStream, StageStream
 
+SCHEMA, VERSION = "torchpi stage", 2
+OLDER_SCHEMA = "torchpi augmented stage"
+EXPECTED = "expected a stage.pt of 'torchpi diagnose', or a stage file (.yaml)"
+RATE = Quantity("Hz", at_least=0, positive=True)
+SEED = Quantity("", at_least=0)
 
-class Stage(Chain):
-    """A simulated stage, differentiable in its physical parameters.
 
-    `forward` maps volts to the displacement itself, µm, without noise or converters: what training goes
-    through. `stage.sensor(y)` adds the lag of the sensor. `simulate` and `stream` are the whole rig.
-    Physical parameters are `parameters()`, float64, each in the unit of its name;
-    `requires_grad_(False)` freezes them.
+class EffectSettings(NamedTuple):
+    """An effect of a stage: its kind, its parameters, and the auxiliary signal that it takes, if any."""
+
+    kind: type[Effect] | type[InsideEffect] | type[ModalEffect]
+    values: Parameters
+    aux: str = ""
+
+
+class Stage(Operator):
+    """A stage, differentiable in its physical parameters.
+
+    `forward` maps volts to the displacement, µm, without noise or converters: what training goes through.
+    `stage.sensor(y)` is what the sensor makes of that. `simulate` and `stream` are the whole rig. Physical
+    parameters are `parameters()`, float64, each in the unit of its name.
 
     Args:
         sample_rate_hz: Of commands and readings.
-        amplifier: Arguments of `Amplifier`, which see; None is ideal.
-        actuator: Arguments of `Actuator`; None is 1 µm/V.
-        mechanics: Arguments of `Mechanics`; None is rigid.
-        sensor: Arguments of `Sensor`; None is ideal.
+        hysteresis: Arguments of `Hysteresis`, which see, beside the period.
+        effects: Each {`name`, `values`: its parameters, `aux`: name of the signal that it takes, if any};
+            `modal`: true for those that act together, as `Modes`.
+        sensor: Effects of the sensor that are not part of the displacement. A recording shows the reading
+            alone: a stage that was identified has them all in `effects`.
+        alignment: Whether y(k) answers the command of tick k (0) or that of the tick before (1). It is a
+            convention of who recorded: one sample stays one sample at any rate. A controller that reads, then
+            writes, has 1.
+        min_voltage_v: Lower end of the voltages that it stands for; None where none is known.
+        max_voltage_v: Upper end.
+        saturates: Whether the amplifier clips the voltage at these ends.
+        command_converter: Arguments of `Converter`, the D/A; None is ideal.
+        reading_converter: The A/D; None is ideal.
+        noise_um: Rms of the noise of one reading.
         seed: Of the noise.
+        stepped: Whether the displacement of the ceramic is held through each sample, as the command is.
+        zero_um: What the sensor reads of the de-energised stage.
 
     Raises:
-        ConfigError: An unknown setting (with the nearest right one), or a value of the wrong kind.
-        StageError: An unphysical value; names parameter, value, unit and what is wanted.
+        StageError: An unknown effect, a value out of its bounds, or another alignment.
     """
-
-    quantities: ClassVar[dict[str, Quantity]] = {
-        "sample_rate_hz": Quantity("Hz", at_least=0, positive=True),
-        "seed": Quantity("", at_least=0),
-    }
-    amplifier: Amplifier
-    actuator: Actuator
-    mechanics: Mechanics
-    sensor: Sensor
 
     def __init__(
         self,
-        *,
         sample_rate_hz: float,
-        amplifier: Mapping[str, Any] | None = None,
-        actuator: Mapping[str, Any] | None = None,
-        mechanics: Mapping[str, Any] | None = None,
-        sensor: Mapping[str, Any] | None = None,
+        hysteresis: Mapping[str, Any],
+        effects: Sequence[Mapping[str, Any]] = (),
+        sensor: Sequence[Mapping[str, Any]] = (),
+        alignment: int = 0,
+        min_voltage_v: float | None = None,
+        max_voltage_v: float | None = None,
+        saturates: bool = False,
+        command_converter: Mapping[str, Any] | None = None,
+        reading_converter: Mapping[str, Any] | None = None,
+        noise_um: float = 0.0,
         seed: int = 0,
+        stepped: bool = False,
+        zero_um: float = 0.0,
     ) -> None:
-        rate_hz = self.quantities["sample_rate_hz"].check("sample_rate_hz", sample_rate_hz)
-        period_s = 1.0 / rate_hz
-        super().__init__(
-            amplifier=build(Amplifier, amplifier, "amplifier", period_s),
-            actuator=build(Actuator, actuator, "actuator", period_s),
-            mechanics=build(Mechanics, mechanics, "mechanics", period_s),
+        super().__init__()
+        if alignment not in (0, 1):
+            raise StageError(f"alignment: found {alignment}, expected 0 or 1 samples")
+        self.sample_rate_hz = RATE.check("sample_rate_hz", sample_rate_hz)
+        self.sample_period_s = 1.0 / self.sample_rate_hz
+        self.alignment = int(alignment)
+        self.min_voltage_v = -math.inf if min_voltage_v is None else float(min_voltage_v)
+        self.max_voltage_v = math.inf if max_voltage_v is None else float(max_voltage_v)
+        check_order("min_voltage_v", self.min_voltage_v, "max_voltage_v", self.max_voltage_v, "V")
+        self.saturates = bool(saturates)
+        self.noise_um = NOISE.check("noise_um", noise_um)
+        self.seed = int(SEED.check("seed", seed))
+        self.stepped, self.zero_um = bool(stepped), float(zero_um)
+        self._named = in_order(effects)
+        self._of_sensor = in_order(sensor)
+        for one in self._of_sensor:
+            if one.kind.block != "sensor" or not issubclass(one.kind, Effect) or one.aux:
+                raise StageError(f"sensor: found '{one.kind.name}', expected effects of the sensor")
+        outside, self._signals = self._operators()
+        hold_first_block(outside, self.stepped)
+        late = [OneSampleLate()] if self.alignment else []
+        self.before = nn.ModuleList([*late, *(e for e in outside if e.before_hysteresis)])
+        shape = dict(hysteresis.get("shape") or {}) | self._shape_inside()
+        self.hysteresis = Hysteresis(self.sample_period_s, **{**hysteresis, "shape": shape})
+        self.after = nn.ModuleList([*(e for e in outside if not e.before_hysteresis), Zero(self.zero_um)])
+        self.sensor = Chain(
+            **{f"{one.kind.name}_{k}": self._operator(one) for k, one in enumerate(self._of_sensor)}
         )
-        self.sensor = build(Sensor, sensor, "sensor", period_s)
-        self.sample_rate_hz = rate_hz
-        self.sample_period_s = period_s
-        self.seed = int(self.quantities["seed"].check("seed", seed))
+        self.command_converter = None if command_converter is None else Converter(**command_converter)
+        self.reading_converter = None if reading_converter is None else Converter(**reading_converter)
 
     @classmethod
     def from_yaml(cls, path: str | Path) -> "Stage":
@@ -86,43 +142,166 @@ class Stage(Chain):
         settings: Mapping[str, Any],
         source: str = "stage",  # what errors name
     ) -> "Stage":
-        """The stage of these settings, which are the constructor's arguments and stand in the file."""
+        """The stage of these settings: sections, as in its file, or the arguments of `Stage`.
+
+        Raises:
+            ConfigError: An unknown setting, with the nearest right one, or a value of the wrong kind.
+            StageError: An unphysical value.
+        """
         try:
-            return build(cls, settings)
+            return build(cls, settings if "hysteresis" in settings else build(of_sections, settings))
         except (ConfigError, StageError) as error:
             raise type(error)(f"{source}: {error}") from error
+        except (AttributeError, TypeError, ValueError) as error:  # inside effects, hysteresis, converters
+            raise ConfigError(f"{source}: {error}") from error
+
+    @classmethod
+    def load(cls, path: str | Path) -> "Stage":
+        """The stage in a file that `save` wrote, or in a YAML file.
+
+        Raises:
+            ArtifactError: No such file, or something else.
+        """
+        path = Path(path)
+        if path.suffix in (".yaml", ".yml"):
+            return cls.from_yaml(path)
+        if not path.is_file():
+            raise ArtifactError(f"{path}: no such file, {EXPECTED}")
+        try:
+            with warnings.catch_warnings():
+                # torch warns before it refuses a TorchScript file; ours is the error that follows.
+                warnings.filterwarnings("ignore", message=".*TorchScript archive.*")
+                content = torch.load(path, map_location="cpu", weights_only=True)
+        except Exception as error:  # bytes of anything make the unpickler raise anything
+            raise ArtifactError(f"{path}: not a stage file, {EXPECTED}") from error
+        if not isinstance(content, dict) or content.get("schema") not in (SCHEMA, OLDER_SCHEMA):
+            raise ArtifactError(f"{path}: a file of something else, {EXPECTED}")
+        settings = {name: value for name, value in content.items() if name not in ("schema", "version")}
+        if content.get("version") != VERSION:
+            raise ArtifactError(
+                f"{path}: found version {content.get('version')}, expected {VERSION}: "
+                "diagnose the recordings again"
+            )
+        try:
+            return cls.from_dict(settings)
+        except (ConfigError, StageError) as error:
+            raise ArtifactError(f"{path}: damaged, {EXPECTED}: {error}") from error
+
+    def save(self, path: str | Path) -> None:
+        """Write the file: plain numbers, which `torch.load` reads with weights only."""
+        with write_atomically(path) as temporary:
+            torch.save({"schema": SCHEMA, "version": VERSION, **self.to_dict()}, temporary)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain settings with the present values of the parameters: `from_dict` gives this stage again."""
+        converters = [
+            None if one is None else one.settings()
+            for one in (self.command_converter, self.reading_converter)
+        ]
         return {
             "sample_rate_hz": self.sample_rate_hz,
+            "hysteresis": self.hysteresis.settings(),
+            "effects": [_entry(one) for one in self.effects],
+            "sensor": [_entry(one) for one in self.sensor_effects],
+            "alignment": self.alignment,
+            "min_voltage_v": self.min_voltage_v if math.isfinite(self.min_voltage_v) else None,
+            "max_voltage_v": self.max_voltage_v if math.isfinite(self.max_voltage_v) else None,
+            "saturates": self.saturates,
+            "command_converter": converters[0],
+            "reading_converter": converters[1],
+            "noise_um": self.noise_um,
             "seed": self.seed,
-            "amplifier": self.amplifier.settings(),
-            "actuator": self.actuator.settings(),
-            "mechanics": self.mechanics.settings(),
-            "sensor": self.sensor.settings(),
+            "stepped": self.stepped,
+            "zero_um": self.zero_um,
         }
 
     def at_sample_rate(self, sample_rate_hz: float) -> "Stage":
-        """The same physics, commanded and read at another rate. Parameters are copied."""
-        return type(self).from_dict({**self.to_dict(), "sample_rate_hz": sample_rate_hz})
+        """The same physics at another rate. Parameters are copied."""
+        return self.from_dict({**self.to_dict(), "sample_rate_hz": sample_rate_hz})
+
+    def plain(self) -> "Stage":
+        """Its hysteresis without any of the effects. Parameters are copied."""
+        settings = self.to_dict()
+        hysteresis, inside = settings["hysteresis"], self._shape_inside()
+        shape = {name: value for name, value in hysteresis["shape"].items() if name not in inside}
+        bare = {"effects": [], "sensor": [], "hysteresis": {**hysteresis, "shape": shape}}
+        return self.from_dict({**settings, **bare})
 
     @property
-    def min_voltage_v(self) -> float:
-        """Lower limit of the voltage; -inf for none."""
-        return self.amplifier.clip.low
+    def effects(self) -> tuple[EffectSettings, ...]:
+        """The effects in the displacement, in the order of the chain, with their present parameters."""
+        shape, operators = self.hysteresis.shape(), [*self.before, *self.after]
+        modes = next((one for one in operators if isinstance(one, Modes)), None)
+        alone = iter(one for one in operators if isinstance(one, Effect) and one is not modes)
+        found, part = [], 0
+        for one in self._named:
+            if issubclass(one.kind, InsideEffect):
+                values = {name: shape[name] for name in one.values}
+            elif modes is not None and issubclass(one.kind, ModalEffect):
+                values, part = modes.part_values(part), part + 1
+            else:
+                values = _present(one, next(alone))
+            found.append(one._replace(values=values))
+        return tuple(found)
 
     @property
-    def max_voltage_v(self) -> float:
-        """Upper limit of the voltage; inf for none."""
-        return self.amplifier.clip.high
+    def sensor_effects(self) -> tuple[EffectSettings, ...]:
+        """Those between the displacement and the reading."""
+        operators = cast(list[Effect], self.sensor.series())
+        return tuple(
+            one._replace(values=_present(one, operator))
+            for one, operator in zip(self._of_sensor, operators, strict=True)
+        )
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The effects in the displacement, in the order of the chain."""
+        return tuple(one.kind.name for one in self._named)
+
+    @property
+    def aux_names(self) -> tuple[str, ...]:
+        """The auxiliary signals that it takes."""
+        return tuple(dict.fromkeys(one.aux for one in self._named if one.aux))
+
+    def series(self) -> list[Operator]:
+        """Every operator from the limited command to the displacement, first to last."""
+        return [*self.before, self.hysteresis, *self.after]  # type: ignore[list-item]
+
+    def initial_state(self, batch: int) -> Tensor:
+        return torch.cat([operator.initial_state(batch).cpu() for operator in self.series()], 1)
+
+    def forward(
+        self,
+        x: Tensor,  # (batch, time), V
+        state: Tensor | None = None,  # (batch, states)
+        aux: Mapping[str, Tensor] | None = None,  # (batch, time) under each of `aux_names`
+    ) -> tuple[Tensor, Tensor]:  # (batch, time), µm; (batch, states)
+        for one in self._named:
+            if one.aux and one.aux not in (aux or {}):
+                raise StageError(
+                    f"{one.kind.name}: found no signal '{one.aux}', expected it beside the voltage"
+                )
+        state = self.initial_state(len(x)).to(x.device) if state is None else state
+        series = self.series()
+        sizes = [operator.initial_state(1).shape[1] for operator in series]
+        if self.saturates:
+            x = x.clamp(self.min_voltage_v, self.max_voltage_v)
+        after = []
+        for operator, part in zip(series, state.split(sizes, 1), strict=True):
+            names = self._signals.get(operator, "")
+            if isinstance(names, tuple):
+                x, part = operator(x, part, [aux[name] for name in names])  # type: ignore[index]
+            else:
+                x, part = operator(x, part, aux[names]) if names else operator(x, part)  # type: ignore[index]
+            after.append(part)
+        return x, torch.cat(after, 1)
 
     def simulate(
         self,
         u: Tensor,  # (batch, time), V
         seed: int | None = None,  # of the noise; the stage's own by default
     ) -> tuple[Tensor, Tensor]:  # (batch, time), µm, twice
-        """Displacement, and what the sensor reads of it, from the de-energised state.
+        """Displacement, and what the sensor reads of it, from the de-energised state; other axes are at rest.
 
         Converters and noise are in. Each row has its own noise, the same in every call.
 
@@ -130,21 +309,16 @@ class Stage(Chain):
             StageError: Another shape than (batch, time), a command that is not finite, or a delay that is
                 longer than the record.
         """
-        if u.ndim != 2:
-            raise StageError(f"u: found shape {tuple(u.shape)}, want (batch, time)")
-        finite = torch.isfinite(u)
-        if not bool(finite.all()):
-            row, sample = torch.nonzero(~finite)[0].tolist()
-            found = f"{u[row, sample].item()} V in row {row}, sample {sample}"
-            raise StageError(f"u: found {found}, want finite numbers")
-        delay_s, duration_s = self.amplifier.lag.delay_s.item(), u.shape[1] * self.sample_period_s
-        if delay_s >= duration_s:
-            raise StageError(
-                f"amplifier.delay_s: found {delay_s:g} s, want less than the record, {duration_s:g} s"
-            )
-        commands, _ = self.amplifier.converter(u.to(torch.float64))
-        y, _ = self(commands)
-        return y, self.sensor.measure(y, white_noise(self.seed if seed is None else seed, *u.shape))
+        self._check_command(u)
+        u = u.to(torch.float64)
+        if self.command_converter is not None:
+            u, _ = self.command_converter(u)
+        y, _ = self(u, None, {name: torch.zeros_like(u) for name in self.aux_names})
+        reading, _ = self.sensor(y)
+        reading = reading + self.noise_um * white_noise(self.seed if seed is None else seed, *u.shape)
+        if self.reading_converter is not None:
+            reading, _ = self.reading_converter(reading)
+        return y, reading
 
     def stream(self, compiled: bool = True) -> StageStream:  # type: ignore[override]
         """The rig sample by sample, with the parameters of now: `reset(seed)`, `step(u)` → (y, reading).
@@ -154,9 +328,85 @@ class Stage(Chain):
         Args:
             compiled: Whether TorchScript compiles the step: about a second once, then the faster way.
         """
-        sensor = self.sensor
-        rig = RigStream(
-            self.amplifier.converter.stream(), super().stream(), sensor.stream(), sensor.noise_um,
-            sensor.converter.stream(),
-        )  # fmt: skip
+        limits = [ClipStream(self.min_voltage_v, self.max_voltage_v)] if self.saturates else []
+        command, reading = (
+            [] if one is None else [one.stream()] for one in (self.command_converter, self.reading_converter)
+        )
+        chain = ChainStream([*command, *limits, *(operator.stream() for operator in self.series())])
+        rig = RigStream(chain, self.sensor.stream(), self.noise_um, ChainStream(reading))
         return StageStream(rig, self.seed, compiled)
+
+    def _check_command(self, u: Tensor) -> None:
+        if u.ndim != 2:
+            raise StageError(f"u: found shape {tuple(u.shape)}, expected (batch, time)")
+        finite = torch.isfinite(u)
+        if not bool(finite.all()):
+            row, sample = torch.nonzero(~finite)[0].tolist()
+            found = f"{u[row, sample].item()} V in row {row}, sample {sample}"
+            raise StageError(f"u: found {found}, expected finite numbers")
+        delay_s = sum(one.delay_s.item() for one in self.before if isinstance(one, Delay))
+        duration_s = u.shape[1] * self.sample_period_s
+        if delay_s >= duration_s:
+            raise StageError(f"delay_s: found {delay_s:g} s, expected less than the record, {duration_s:g} s")
+
+    def _shape_inside(self) -> Parameters:
+        """What the effects inside the hysteresis give as its shape."""
+        inside = [one for one in self._named if issubclass(one.kind, InsideEffect)]
+        return {name: value for one in inside for name, value in one.kind.checked(one.values).items()}
+
+    def _operator(self, one: EffectSettings) -> Effect:
+        return cast(type[Effect], one.kind)(self.sample_period_s, **one.values)
+
+    def _operators(self) -> tuple[list[Effect], dict[nn.Module, str | tuple[str, ...]]]:
+        """The effects outside the hysteresis, and the signals that each of them takes, if any."""
+        operators: list[Effect] = []
+        signals: dict[nn.Module, str | tuple[str, ...]] = {}
+        modal = [one for one in self._named if issubclass(one.kind, ModalEffect)]
+        for one in self._named:
+            if issubclass(one.kind, Effect):
+                operators.append(self._operator(one))
+                signals[operators[-1]] = one.aux
+            elif modal and one is modal[-1]:
+                parts = [Part(cast(type[ModalEffect], m.kind), m.values, m.aux) for m in modal]
+                operators.append(modes := Modes(self.sample_period_s, parts))
+                signals[modes] = modes.aux_names
+        return operators, signals
+
+
+def in_order(entries: Sequence[Mapping[str, Any]]) -> list[EffectSettings]:
+    """Effects as `Stage` takes them, in the order of the chain.
+
+    Raises:
+        StageError: An unknown effect, or an auxiliary signal that is missing or not taken.
+    """
+    kinds = {kind.name: kind for kind in (*EFFECTS, Unknown)}
+    found = []
+    for entry in entries:
+        name, aux = entry.get("name"), entry.get("aux") or ""
+        if name is None:
+            raise StageError(f"effects: found an entry without a name, expected one of {', '.join(kinds)}")
+        if name not in kinds:
+            raise StageError(f"effects: found '{name}', expected one of {', '.join(kinds)}")
+        kind = MODAL[name] if entry.get("modal") else kinds[name]
+        if kind.takes_aux != bool(aux):
+            expected = "the name of the signal that it takes" if kind.takes_aux else "none"
+            raise StageError(f"{name}: found the auxiliary signal '{aux}', expected {expected}")
+        values = {parameter: float(value) for parameter, value in (entry.get("values") or {}).items()}
+        found.append(EffectSettings(kind, values, aux))
+    order = list(kinds)
+    return sorted(found, key=lambda one: order.index(one.kind.name))
+
+
+def _present(one: EffectSettings, operator: Effect) -> Parameters:
+    """The present parameters: those that were given, and those that training has moved."""
+    return {
+        name: value
+        for name, value in operator.values().items()
+        if name in one.values or value != operator.identity[name]
+    }
+
+
+def _entry(one: EffectSettings) -> dict[str, Any]:
+    """The effect as the constructor takes it."""
+    entry = {"name": one.kind.name, "values": one.values, "aux": one.aux}
+    return entry | {"modal": True} if issubclass(one.kind, ModalEffect) else entry

@@ -8,8 +8,8 @@ import torch
 from torch import nn
 
 from torchpi.errors import StageError
+from torchpi.operators.chain import ChainStream
 from torchpi.operators.noise import NoiseStream
-from torchpi.stage.chain import ChainStream
 
 
 class StageStream:
@@ -17,7 +17,7 @@ class StageStream:
 
     Args:
         rig: Its parts.
-        seed: Of the noise until `reset` says another.
+        seed: Of the noise until `reset` gives another.
         compiled: Whether TorchScript compiles the step.
     """
 
@@ -46,7 +46,7 @@ class StageStream:
             StageError: A command that is not finite. The state stays as it was.
         """
         if not isfinite(u):
-            raise StageError(f"u: found {u} V at sample {self.sample}, want a finite number")
+            raise StageError(f"u: found {u} V at sample {self.sample}, expected a finite number")
         self.sample += 1
         y, reading = self.rig.step(u, self.noise.step())
         return y, reading
@@ -57,14 +57,12 @@ class RigStream(nn.Module):
 
     def __init__(
         self,
-        to_volts: ChainStream,
         to_displacement: ChainStream,
         sensor: ChainStream,
         noise_um: float,
         to_number: ChainStream,
     ) -> None:
         super().__init__()
-        self.to_volts = to_volts
         self.to_displacement = to_displacement
         self.sensor = sensor
         self.noise_um = noise_um
@@ -77,6 +75,6 @@ class RigStream(nn.Module):
 
     @torch.jit.export
     def step(self, u: float, noise: float) -> tuple[float, float]:
-        y = self.to_displacement.step(self.to_volts.step(u))
+        y = self.to_displacement.step(u)
         reading = self.sensor.step(y)
         return y, self.to_number.step(reading + self.noise_um * noise)

@@ -65,6 +65,9 @@ class Grade:
     heldout_over_noise: float | None
     diagnose_s: float | None
     parameters: list[dict[str, object]] = field(default_factory=list)
+    stated: list[dict[str, object]] = field(default_factory=list)
+    """Each name with its probability, whether it is right by itself and right by its alternatives (None where
+    it is tolerated)."""
 
     def as_dict(self) -> dict[str, object]:
         """For results.json."""
@@ -115,8 +118,21 @@ def grade(
         heldout_gain=_gain(diagnosis),
         heldout_over_noise=_over_noise(labels, predicted_um, measured_um),
         diagnose_s=diagnose_s,
-        parameters=[p for name in exact for p in _parameters(truths[name], taken[name])],
+        parameters=[p for name in exact for p in compared_parameters(truths[name], taken[name])],
+        stated=[_stated(e, taken, tolerated) for e in effects],
     )
+
+
+def _stated(effect: dict, taken: dict[str, dict], tolerated: list[str]) -> dict[str, object]:
+    truth = next((t for t, e in taken.items() if e is effect), None)
+    excused = truth is None and effect["name"] in tolerated
+    by_itself = truth is not None and (effect["name"] == truth or _same_group(truth, effect))
+    return {
+        "name": effect["name"],
+        "probability": effect.get("probability"),
+        "right": None if excused else by_itself,
+        "right_group": None if excused else truth is not None,
+    }
 
 
 def _same_group(truth: str, effect: dict) -> bool:
@@ -153,7 +169,7 @@ def _values(parameters: dict) -> dict[str, tuple[float, str, tuple[float, float]
     return out
 
 
-def _parameters(truth: dict, answer: dict) -> list[dict[str, object]]:
+def compared_parameters(truth: dict, answer: dict) -> list[dict[str, object]]:
     """Each true parameter beside the answer's of the same name, else the only one of its unit."""
     true, said = _values(truth["parameters"]), _values(answer.get("parameters", {}))
     rows = []

@@ -7,16 +7,27 @@ import numpy as np
 from plant.effects import EFFECTS, GROUPS
 
 from judging.grade import Grade
+from judging.proportions import share
 
 BINS = (0.0, 1.0, 2.0, 5.0, 10.0, 20.0, 40.0, float("inf"))
 SINGLE = ("single_pi", "single_other", "crime")
 
 
 def summarise(grades: Sequence[Grade]) -> dict[str, object]:
-    """Every figure by track; `confusion` and `detection` over all tracks with at most one effect."""
+    """Every figure by track; `confusion` and `detection` over all tracks with at most one effect.
+
+    `together` is precision and false alarms over all tracks but `crime`.
+    """
     tracks = sorted({g.track for g in grades})
+    proof = [g for g in grades if g.track != "crime"]
+    nulls = [g for g in proof if not g.truth and not g.unknown]
+    right, wrong = sum(len(g.found) for g in proof), sum(len(g.wrong) for g in proof)
     return {
         "tracks": {track: _track([g for g in grades if g.track == track]) for track in tracks},
+        "together": {
+            "precision": share(right, right + wrong),
+            "false_alarms": share(sum(bool(g.wrong) for g in nulls), len(nulls)),
+        },
         "confusion": _confusion(grades),
         "detection": _detection([g for g in grades if g.track in ("single_pi", "single_other")]),
     }
@@ -31,12 +42,12 @@ def _track(grades: list[Grade]) -> dict[str, object]:
     out: dict[str, object] = {
         "cases": len(grades),
         "failed": sum(g.failed for g in grades),
-        "precision": _share(right, right + wrong),
-        "cases_with_a_wrong_name": _share(sum(bool(g.wrong) for g in grades), len(grades)),
-        "group_at_2": _share(sum(name in g.found for g, name in clear), len(clear)),
-        "group_at_1": _share(sum(name in g.found for g, name in faint), len(faint)),
-        "exact_where_separable": _share(sum(name in g.exact for g, name in separable), len(separable)),
-        "exact_sets": _share(
+        "precision": share(right, right + wrong),
+        "cases_with_a_wrong_name": share(sum(bool(g.wrong) for g in grades), len(grades)),
+        "group_at_2": share(sum(name in g.found for g, name in clear), len(clear)),
+        "group_at_1": share(sum(name in g.found for g, name in faint), len(faint)),
+        "exact_where_separable": share(sum(name in g.exact for g, name in separable), len(separable)),
+        "exact_sets": share(
             sum(_exact_set(g) for g in grades if g.truth), sum(bool(g.truth) for g in grades)
         ),
         "f1": _mean(_f1(g) for g in grades if g.truth),
@@ -44,26 +55,25 @@ def _track(grades: list[Grade]) -> dict[str, object]:
         "heldout_over_noise_median_explained": _median(g.heldout_over_noise for g in grades if _explained(g)),
         "heldout_over_noise_median": _median(g.heldout_over_noise for g in grades),
     }
+    closed = [g.heldout_over_noise for g in grades if g.verdict in ("explained", "nothing_missing")]
+    predicted = [ratio for ratio in closed if ratio is not None]
+    out["closed_beyond_twice_the_noise"] = share(sum(ratio > 2 for ratio in predicted), len(predicted))
     unknown = [g for g in grades if g.unknown]
     if unknown:
-        out["unknown_without_a_wrong_name"] = _share(sum(not g.wrong for g in unknown), len(unknown))
-        out["unknown_recognised"] = _share(
+        out["unknown_without_a_wrong_name"] = share(sum(not g.wrong for g in unknown), len(unknown))
+        out["unknown_recognised"] = share(
             sum(_answer_without_name(g) == "unknown" for g in unknown), len(unknown)
         )
-        out["unknown_heldout_improves"] = _share(
+        out["unknown_heldout_improves"] = share(
             sum(g.heldout_gain is not None and g.heldout_gain > 0.005 for g in unknown), len(unknown)
         )
     compared = [p for g in grades for p in g.parameters if p["severity"] >= 2]
     errors = [p["relative_error"] for p in compared if "relative_error" in p]
     covered = [p["covered"] for p in compared if p.get("covered") is not None]
-    out["parameters_compared"] = _share(len(errors), len(compared))
+    out["parameters_compared"] = share(len(errors), len(compared))
     out["parameter_error_median"] = _median(errors)
-    out["interval_coverage"] = _share(sum(covered), len(covered))
+    out["interval_coverage"] = share(sum(covered), len(covered))
     return out
-
-
-def _share(count: int, of: int) -> dict[str, float | int | None]:
-    return {"count": int(count), "of": int(of), "share": count / of if of else None}
 
 
 def _mean(values: Iterable[float]) -> float | None:

@@ -18,6 +18,7 @@ ROWS = (
     ("interval_coverage", "90 % intervals cover"),
     ("heldout_over_noise_median_explained", "held-out residual over noise, explained"),
     ("heldout_over_noise_median", "held-out residual over noise, all"),
+    ("closed_beyond_twice_the_noise", "explained or nothing missing, yet held-out over 2 × noise"),
     ("diagnose_s_median", "seconds, median"),
 )
 
@@ -30,6 +31,16 @@ def table(summary: dict) -> str:
         cells = [_cell(figures.get(key)) for figures in tracks.values()]
         if any(cell != "–" for cell in cells):
             lines.append(f"| {words} | " + " | ".join(cells) + " |")
+    precision, alarms = (summary["together"][key] for key in ("precision", "false_alarms"))
+    if precision["of"]:
+        bound = f"at least {100 * precision['at_least']:.1f} %"
+        lines += ["", f"Precision over all tracks: {_cell(precision)}, {bound} with 95 % confidence."]
+    if alarms["of"]:
+        bound = f"at most {100 * alarms['at_most']:.1f} %"
+        lines += [
+            "",
+            f"False alarms where nothing is missing: {_cell(alarms)}, {bound} with 95 % confidence.",
+        ]
     lines += ["", "| severity | cases | right group | wrong |", "|---|---|---|---|"]
     for row in summary["detection"]:
         if row["cases"]:

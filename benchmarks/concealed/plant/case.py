@@ -2,11 +2,20 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
 from plant import excitation
+from plant.conditions import (
+    PLAIN,
+    Conditions,
+    Monitor,
+    draw_conditions,
+    draw_history,
+    draw_monitor,
+    without_holds,
+)
 from plant.effects import EFFECTS, STATIC, Proposal, group_of
 from plant.growth import beyond_plays_um
 from plant.hysteresis import Plays, draw_hysteresis
@@ -16,7 +25,17 @@ from plant.rig import Rig, Run, simulate
 from plant.severity import misfit_um, readings, severity, strength_for
 from plant.unknowns import UNKNOWNS
 
-TRACKS = ("single_pi", "single_other", "pairs", "triples", "unknown", "nulls_pi", "nulls_other", "crime")
+TRACKS = (
+    "single_pi",
+    "single_other",
+    "pairs",
+    "triples",
+    "unknown",
+    "nulls_pi",
+    "nulls_other",
+    "crime",
+    "nulls_conditions",
+)
 SEVERITIES = (0.5, 70.0)
 # Pairs that no recording of u and y could tell apart from one effect alone, or that hide one another.
 CLASHING = (
@@ -49,11 +68,18 @@ class Settings:
     timing: str = "mixed"
     only: tuple[str, ...] = ()
     severity: float | None = None
+    conditions: Conditions = PLAIN
+    """Those of the track `nulls_conditions` are drawn instead."""
 
 
 def draw_case(settings: Settings) -> Case:
     """The case of this track, seed and index; the same arguments give the same case."""
     rng = np.random.default_rng([settings.seed, TRACKS.index(settings.track), settings.index])
+    # The conditions have a generator of their own: with the plain ones a case is what it always was.
+    around = np.random.default_rng([settings.seed, TRACKS.index(settings.track), settings.index, 6])
+    conditions = settings.conditions
+    if settings.track == "nulls_conditions":
+        conditions = draw_conditions(settings.index, around)
     rig = _draw_rig(settings, rng)
     reach = excitation.Reach(rig.lower_v, rig.span_v, rig.fs_hz, settings.samples)
     commands = [np.round(u, 6) for u in excitation.draw_recordings(settings.excitation, rng, reach)]
@@ -62,6 +88,8 @@ def draw_case(settings: Settings) -> Case:
     auxes = [np.round(excitation.draw_aux(rng, reach), 6) if second_axis else None for _ in range(4)]
     runs = [Run(u, aux, i, i == 2) for i, (u, aux) in enumerate(zip(commands, auxes[:3], strict=True))]
     last = Run(np.round(excitation.draw_heldout(rng, reach), 6), auxes[3], 3)
+    runs = _under_conditions(runs, names, conditions, settings.excitation, reach, around)
+    monitor = draw_monitor(around, reach) if conditions.monitored else None
 
     plain = readings(rig, Physics(), runs)
     physics, found = Physics(), []
@@ -70,10 +98,58 @@ def draw_case(settings: Settings) -> Case:
         change, label = _one_effect(name, wanted, rng, rig, runs, plain)
         found.append(label)
         physics = _with(physics, change)
-    labels = _labels(settings, rig, found, physics, runs, plain)
-    seeds = np.random.SeedSequence([settings.seed, TRACKS.index(settings.track), settings.index, 5]).spawn(4)
-    recordings = [_record(rig, physics, run, s) for run, s in zip(runs, seeds[:3], strict=True)]
-    return Case(recordings, _record(rig, _knowable(physics), last, seeds[3]), labels)
+    labels = _labels(settings, rig, found, physics, runs, plain, conditions)
+    entropy = [settings.seed, TRACKS.index(settings.track), settings.index, 5]
+    # Those of the first three recordings, of the judge's, and of a fourth.
+    seeds = np.random.SeedSequence(entropy).spawn(5)
+    seeds_of_runs = [seeds[run.number if run.number < 3 else 4] for run in runs]
+    recordings = [
+        _written(_record(rig, physics, run, s), conditions, monitor, around)
+        for run, s in zip(runs, seeds_of_runs, strict=True)
+    ]
+    heldout = _record(rig, _knowable(physics), last, seeds[3])
+    # The judge's command is given as the monitor reads it on average, so that its noise is not predicted.
+    still = None if monitor is None else replace(monitor, noise_v=0.0)
+    return Case(recordings, _written(heldout, conditions, still, around), labels)
+
+
+def _under_conditions(
+    runs: list[Run],
+    names: Sequence[str],
+    conditions: Conditions,
+    kind: str,
+    reach: excitation.Reach,
+    rng: np.random.Generator,
+) -> list[Run]:
+    """As many runs as are recorded, each after its history, and with or without holds."""
+    if conditions.recordings > len(runs):
+        aux = None if runs[0].aux is None else np.round(excitation.draw_aux(rng, reach), 6)
+        fourth = np.round(excitation.draw_fourth(kind, rng, reach), 6)
+        runs = [*runs, Run(fourth, aux, 4)]
+    elif conditions.recordings < len(runs):
+        chosen = set(rng.choice(len(runs), conditions.recordings, replace=False).tolist())
+        if "load_change" in names:  # it is only there in the third
+            chosen = {*sorted(chosen)[: conditions.recordings - 1], 2}
+        runs = [run for run in runs if run.number in chosen]
+    out = []
+    for run in runs:
+        u = run.u if conditions.holds else np.round(without_holds(run.u, reach, rng), 6)
+        history = np.round(draw_history(rng, reach, float(u[0])), 6) if conditions.remanent else np.zeros(0)
+        aux = None if run.aux is None else np.concatenate([np.zeros(history.size), run.aux])
+        out.append(replace(run, u=np.concatenate([history, u]), aux=aux, history=history.size))
+    return out
+
+
+def _written(
+    columns: dict[str, Array], conditions: Conditions, monitor: Monitor | None, rng: np.random.Generator
+) -> dict[str, Array]:
+    """The columns as the files have them: the voltage as it is monitored, all in the files' units."""
+    u = columns["input_v"]
+    if monitor is not None:
+        u = (1 + monitor.gain) * u + monitor.offset_v + monitor.noise_v * rng.standard_normal(u.size)
+    factors = {"output_um": conditions.scale_um, "aux_v": conditions.scale_v}
+    scaled = {name: column * factors.get(name, 1.0) for name, column in columns.items()}
+    return scaled | {"input_v": u * conditions.scale_v}
 
 
 def _range_of(track: str) -> tuple[float, float]:
@@ -87,6 +163,8 @@ def _draw_rig(settings: Settings, rng: np.random.Generator) -> Rig:
     fs = float(rng.choice([2000.0, 2500.0, 4000.0, 5000.0, 8000.0, 10_000.0, 20_000.0]))
     if settings.track in ("single_other", "nulls_other"):
         family = ("preisach", "bouc_wen", "preisach", "bouc_wen", "generalised_play")[settings.index % 5]
+    elif settings.track == "nulls_conditions":
+        family = ("pi", "preisach", "pi", "bouc_wen", "pi", "generalised_play")[settings.index // 3 % 6]
     elif settings.track == "unknown" and settings.index % 3 == 2:
         family = str(rng.choice(["preisach", "bouc_wen"]))
     else:
@@ -199,16 +277,17 @@ def _knowable(physics: Physics) -> Physics:
 
 
 def _record(rig: Rig, physics: Physics, run: Run, seed: np.random.SeedSequence) -> dict[str, Array]:
-    noise = draw_noise(np.random.default_rng(seed), rig.noise_colour, run.u.size, rig.noise_um)
+    u = run.u[run.history :]
+    noise = draw_noise(np.random.default_rng(seed), rig.noise_colour, u.size, rig.noise_um)
     columns = {
-        "time_s": np.arange(run.u.size) / rig.fs_hz,
-        "input_v": run.u,
+        "time_s": np.arange(u.size) / rig.fs_hz,
+        "input_v": u,
         "output_um": simulate(rig, physics, run, noise),
     }
-    return columns if run.aux is None else columns | {"aux_v": run.aux}
+    return columns if run.aux is None else columns | {"aux_v": run.aux[run.history :]}
 
 
-def _labels(settings, rig, effects, physics, runs, plain):
+def _labels(settings, rig, effects, physics, runs, plain, conditions):
     listed = [e["name"] for e in effects if e["listed"]]
     tolerated = set()
     if rig.hysteresis.family != "pi":
@@ -218,6 +297,10 @@ def _labels(settings, rig, effects, physics, runs, plain):
     for effect in effects:
         tolerated |= set(effect["near"])
     together = readings(rig, physics, runs) - plain
+    for effect in effects:
+        for parameter in effect["parameters"].values():
+            for key in parameter.keys() - {"unit"}:
+                parameter[key] = conditions.scaled(parameter[key], parameter["unit"])
     return {
         "track": settings.track,
         "seed": settings.seed,
@@ -227,10 +310,11 @@ def _labels(settings, rig, effects, physics, runs, plain):
         "oversampling": rig.oversampling,
         "timing": rig.timing,
         "family": rig.hysteresis.family,
-        "lower_v": rig.lower_v,
-        "upper_v": rig.span_v,
-        "range_um": rig.range_um,
-        "noise_rms_um": rig.noise_um,
+        "conditions": asdict(conditions),
+        "lower_v": conditions.scaled(rig.lower_v, "V"),
+        "upper_v": conditions.scaled(rig.span_v, "V"),
+        "range_um": conditions.scaled(rig.range_um, "um"),
+        "noise_rms_um": conditions.scaled(rig.noise_um, "um"),
         "noise_colour": rig.noise_colour,
         "names": listed,
         "unknown": [e["name"] for e in effects if not e["listed"]],

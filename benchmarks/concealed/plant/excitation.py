@@ -35,6 +35,16 @@ def draw_recordings(kind: str, rng: np.random.Generator, reach: Reach) -> list[A
     return [_fit(part, reach.samples) for part in parts]
 
 
+def draw_fourth(kind: str, rng: np.random.Generator, reach: Reach) -> Array:
+    """One more command for those who record four times: of another kind than the first three."""
+    parts = {
+        "rich": lambda: _sum_of_sines(rng, reach),
+        "paper": lambda: _stairs(rng, reach),
+        "poor": lambda: _sine(reach, max(1.0, 12 * reach.fs_hz / reach.samples), 0.95),
+    }
+    return _fit(parts[kind](), reach.samples)
+
+
 def draw_heldout(rng: np.random.Generator, reach: Reach) -> Array:
     """The judge's recording: a third of another multisine, decaying triangles, stairs and random ramps."""
     n = reach.samples

@@ -13,7 +13,7 @@ THRESHOLDS = np.concatenate([[0.0], np.geomspace(1e-3, 0.7, 39)])  # of the span
 
 def beyond_plays_um(difference: Array, runs: Sequence[Run], span_v: float) -> float:
     """Rms of what forty linear plays and an offset cannot follow of `difference` (all runs end to end)."""
-    columns = np.concatenate([_play_states(run.u, THRESHOLDS * span_v) for run in runs])
+    columns = np.concatenate([_play_states(run.u, THRESHOLDS * span_v)[run.history :] for run in runs])
     columns = np.column_stack([columns, np.ones(len(columns))])
     gram = columns.T @ columns
     gram[np.diag_indices_from(gram)] *= 1 + 1e-10

@@ -42,15 +42,19 @@ class Run:
     aux: Array | None  # shape: (samples,), V
     number: int
     loaded: bool = False
+    history: int = 0  # leading samples of `u` that are played and not recorded
 
 
 def simulate(rig: Rig, physics: Physics, run: Run, noise_um: Array | None = None) -> Array:
-    """The readings, µm, of one run from the de-energised state; without noise unless some is given."""
+    """The readings, µm, of one run from the de-energised state; without noise unless some is given.
+
+    A history is played first, and not read.
+    """
     fine = rig.oversampling
     dt = 1 / (rig.fs_hz * fine)
     x = _actuator(rig, physics, run, dt)
     x = _mechanics(rig, physics, run, x, dt)
-    readings = _read(rig, x)
+    readings = _read(rig, x)[run.history :]
     time = np.arange(readings.size) / rig.fs_hz
     readings = readings + _autonomous(rig, physics, run, time)
     for outside in physics.outside:

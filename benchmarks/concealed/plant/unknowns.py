@@ -159,7 +159,7 @@ UNKNOWNS = {
             "y (1 + s W(t)), W a random walk of unit end",
             "sensor",
             _gain_walk,
-            frozenset({"ageing"}),
+            frozenset({"ageing", "gain_modulation"}),
         ),
         Unknown("timebase_jitter", "read at k + s N(0, 1) ticks", "sensor", _jitter),
         Unknown(
@@ -195,7 +195,11 @@ UNKNOWNS = {
             frozenset({"stiction", "backlash", "quantization"}),
         ),
         Unknown(
-            "repeated_samples", "a share s of samples repeats the one before", "sensor", _repeated_samples
+            "repeated_samples",
+            "a share s of samples repeats the one before",
+            "sensor",
+            _repeated_samples,
+            frozenset({"dropouts"}),
         ),
         Unknown(
             "sensor_memory",
@@ -204,6 +208,12 @@ UNKNOWNS = {
             _sensor_memory,
             frozenset({"incongruent_loops", "hysteresis_asymmetry", "hysteresis_operator"}),
         ),
-        Unknown("regime_switch", "gain flips between 1 and 1 + s about six times", "sensor", _regime_switch),
+        Unknown(
+            "regime_switch",
+            "gain flips between 1 and 1 + s about six times",
+            "sensor",
+            _regime_switch,
+            frozenset({"gain_modulation"}),
+        ),
     )
 }

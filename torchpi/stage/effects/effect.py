@@ -6,11 +6,13 @@ from typing import ClassVar, Literal
 
 import numpy as np
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
+from torchpi.errors import StageError
 from torchpi.operators.base import Operator
-from torchpi.operators.linear import Hold
+from torchpi.operators.linear import Hold, LinearStream, Matrices, state_space
 from torchpi.operators.quantity import Quantity
+from torchpi.operators.relaxations import RelaxationsStream, relaxations
 
 Block = Literal["amplifier", "actuator", "mechanics", "sensor"]
 SHORTEST_SLOW_S = 0.3
@@ -60,7 +62,7 @@ class Needs:
 
 
 class Described:
-    """What the search, the report and the files ask of a kind of effect, whatever it acts on."""
+    """What the search, the report and the files need of a kind of effect, whatever it acts on."""
 
     name: ClassVar[str]
     """As in `diagnosis.json`."""
@@ -71,6 +73,8 @@ class Described:
     """How the residual shows it, in one line."""
     quantities: ClassVar[dict[str, Quantity]]
     """Unit and physical bounds of each parameter."""
+    accepted: ClassVar[dict[str, Quantity]] = {}
+    """Bounds of a given value, where they are wider than those that a fit stays in."""
     identity: ClassVar[Parameters]
     """The value of each parameter at which the effect is not there."""
     per_recording: ClassVar[tuple[str, ...]] = ()
@@ -126,34 +130,47 @@ class Described:
         """Further starts, from what a fit has left: for effects that no coarse grid finds."""
         return []
 
+    @classmethod
+    def checked(cls, values: Mapping[str, float]) -> Parameters:
+        """The values, each within its bounds.
+
+        Raises:
+            StageError: An unknown parameter, or a value out of bounds; names the parameter and its unit.
+        """
+        bounds = {**cls.quantities, **cls.accepted}
+        for name, value in values.items():
+            if name not in bounds:
+                raise StageError(
+                    f"{cls.name}: found the unknown parameter '{name}', expected {', '.join(cls.quantities)}"
+                )
+            # The identity itself may be a limit, such as an infinite cutoff, that no measured value takes.
+            if value != cls.identity[name]:
+                bounds[name].check(name, value)
+        return {name: float(value) for name, value in values.items()}
+
 
 class Effect(Described, Operator):
     """One operator with a name, a place in the chain, and physical parameters.
 
     Built without values it is the identity, to the last bit: a stage with the effect contains the stage
-    without it. Parameters are scalar, float64, trainable, each in the unit of its name.
+    without it. Parameters are scalar, float64, trainable, each in the unit of its name; one at infinity has
+    no gradient.
 
     Args:
         sample_period_s: T.
         values: Physical parameters, the rest as in the identity.
 
     Raises:
-        StageError: A value out of its bounds; names the parameter, its unit and what is wanted.
+        StageError: An unknown parameter, or a value out of its bounds; names the parameter and its unit.
     """
 
     def __init__(self, sample_period_s: float, **values: float) -> None:
         super().__init__()
         self.sample_period_s = sample_period_s
-        for name, quantity in self.quantities.items():
-            value = values.pop(name, self.identity[name])
-            # The identity itself may be a limit, such as an infinite cutoff, that no measured value takes.
-            if value == self.identity[name]:
-                parameter = torch.nn.Parameter(torch.tensor(value, dtype=torch.float64))
-            else:
-                parameter = quantity.parameter(name, value)
-            self.register_parameter(name, parameter)
-        if values:
-            raise TypeError(f"{type(self).__name__}: unknown parameter {next(iter(values))}")
+        given = self.checked(values)
+        for name in self.quantities:
+            value = torch.tensor(given.get(name, self.identity[name]), dtype=torch.float64)
+            self.register_parameter(name, nn.Parameter(value, requires_grad=name not in self.kinds))
 
     def tangent(
         self,
@@ -182,3 +199,30 @@ class LinearEffect(Effect):
     @torch.no_grad()
     def tangent(self, x: Tensor, dx: Tensor) -> Tensor:
         return self(dx)[0]  # type: ignore[no-any-return]
+
+
+class StateSpaceEffect(LinearEffect):
+    """x⁺ = A x + B u, y = C x + D u: a linear effect of a few states."""
+
+    order: ClassVar[int]
+
+    def matrices(self) -> Matrices:
+        """A (n, n), or (n,) where it is diagonal, B (n,), C (n,), D () at the present parameters."""
+        raise TypeError(f"{type(self).__name__} must define matrices()")
+
+    def initial_state(self, batch: int) -> Tensor:
+        return torch.zeros(batch, self.order, dtype=torch.float64)
+
+    def forward(
+        self,
+        x: Tensor,  # (batch, time)
+        state: Tensor | None = None,  # (batch, n)
+    ) -> tuple[Tensor, Tensor]:
+        a, b, c, d = self.matrices()
+        run = relaxations if a.ndim == 1 else state_space
+        return run(x, a, b, c, d, self.initial_state(len(x)) if state is None else state)
+
+    def stream(self) -> nn.Module:
+        a, b, c, d = self.matrices()
+        step = RelaxationsStream if a.ndim == 1 else LinearStream
+        return step(a.flatten().tolist(), b.tolist(), c.tolist(), d.item())

@@ -1,4 +1,4 @@
-"""What no named effect explains: the smallest remainder that the data ask for, without a name.
+"""What no named effect explains: the smallest remainder that fits the data, without a name.
 
     y = x + Σ_j a_j ξ_j + Σ_j b_j (ξ_j x) / L,    τ_j ξ̇_j = x - ξ_j
 

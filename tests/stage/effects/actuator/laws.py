@@ -60,9 +60,10 @@ class EffectLaws(OperatorLaws):
 
     def test_a_value_out_of_bounds_is_refused_by_name(self):
         effect = type(self.operator())
-        for name, quantity in effect.quantities.items():
-            for value in (quantity.at_least - 1, quantity.at_most * 1.01, math.nan):
-                with pytest.raises(StageError, match=rf"^{name}: found .*{quantity.unit}, want .* to "):
+        for name, quantity in (effect.quantities | effect.accepted).items():
+            bad = {quantity.at_least - 1, quantity.at_most * 1.01, math.nan} - {effect.identity[name]}
+            for value in bad:
+                with pytest.raises(StageError, match=rf"^{name}: found .*{quantity.unit}, want "):
                     effect(PERIOD_S, **{name: value})
 
     def test_tangent_is_what_finite_differences_of_the_output_say(self):

@@ -1,4 +1,4 @@
-"""Creep as an effect: the logarithm of `torchpi.operators.creep`, one pole beside it, or both."""
+"""Creep: y₀ [1 + γ log₁₀(t / 0.1 s)] between its two times, one pole beside it, or both."""
 
 import math
 
@@ -8,9 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.stage.effects.actuator.laws import PERIOD_S, EffectLaws, step
-from torchpi.operators import creep
+from torchpi.errors import StageError
 from torchpi.operators.conformance import wandering
-from torchpi.stage.effects.actuator.creep import FROM_S, TO_S, Creep
+from torchpi.stage.effects.actuator.creep import FROM_S, TO_S, Creep, bank
 
 
 class TestLaws(EffectLaws):
@@ -20,24 +20,64 @@ class TestLaws(EffectLaws):
         )
 
 
-@given(per_decade=st.floats(0, 0.05), fs_hz=st.sampled_from([100.0, 1e4, 1e5]))
-def test_the_logarithm_is_that_of_the_operator(per_decade, fs_hz):
-    x = wandering(2, 500)
-    wanted = creep.Creep(1 / fs_hz, per_decade, FROM_S, TO_S)(x)[0]
-    torch.testing.assert_close(Creep(1 / fs_hz, per_decade=per_decade)(x)[0], wanted, rtol=0, atol=1e-13)
+class TestLawsOfAnotherRange(EffectLaws):
+    def operator(self) -> Creep:
+        return Creep(PERIOD_S, per_decade=0.03, gain=0.04, time_constant_s=0.7, from_s=0.2, to_s=5.0)
 
 
-def test_its_poles_run_from_a_millisecond_to_a_thousand_seconds():
-    decays = Creep(1e-3).decays
-    taus = -1e-3 / decays.log()
+def logarithm(per_decade: float, period_s: float, until_s: float, **times: float) -> torch.Tensor:
+    """y(t) after a unit step, y[k] at t = k T."""
+    return Creep(period_s, per_decade=per_decade, **times)(step(round(until_s / period_s) + 1))[0][0].detach()
+
+
+@given(per_decade=st.floats(-0.05, 0.05))
+def test_every_decade_adds_its_share(per_decade):
+    for times in ({}, {"from_s": 0.1, "to_s": 100.0}):
+        y = logarithm(per_decade, 1e-2, 100.0, **times)
+        after = {seconds: y[round(seconds / 1e-2)].item() for seconds in (0.1, 1.0, 10.0, 100.0)}
+        # The step takes one sample to rise.
+        assert after[0.1] == pytest.approx(1.0, abs=0.1 * abs(per_decade))
+        for start in (0.1, 1.0, 10.0):
+            assert after[10 * start] - after[start] == pytest.approx(per_decade, rel=0.06, abs=1e-12)
+
+
+def test_the_logarithm_is_followed_between_decades_too():
+    y = logarithm(0.02, 1e-3, 10.0, from_s=0.01, to_s=100.0)
+    t = torch.logspace(-1.5, 1, 40, dtype=torch.float64)
+    found = y[(t / 1e-3).round().long()]
+    wanted = 1 + 0.02 * torch.log10((t / 1e-3).round() * 1e-3 / 0.1)
+    torch.testing.assert_close(found, wanted, rtol=0, atol=0.03 * 0.02)
+
+
+def test_its_poles_run_from_a_millisecond_to_a_thousand_seconds_by_default():
+    taus = -1e-3 / bank(1e-3, FROM_S, TO_S).a.log()
     assert taus[0].item() == pytest.approx(1e-3) and taus[-1].item() == pytest.approx(1e3, rel=1e-6)
+    taus = -1e-3 / bank(1e-3, 0.1, 10.0).a.log()
+    assert taus[0].item() == pytest.approx(0.1 / 10**0.5) and taus[-1].item() == pytest.approx(
+        100.0, rel=1e-6
+    )
 
 
-def test_every_decade_of_a_hold_adds_its_share():
-    y = Creep(1e-2, per_decade=0.02)(step(10_001))[0][0].detach()
-    assert y[10].item() == pytest.approx(1.0, abs=0.1 * 0.02)
-    for first in (10, 100, 1000):
-        assert (y[10 * first] - y[first]).item() == pytest.approx(0.02, rel=0.05)
+def test_a_bank_made_in_inference_mode_serves_training():
+    bank.cache_clear()
+    with torch.inference_mode():
+        Creep(1e-3, per_decade=0.02)(wandering(1, 50))
+    effect = Creep(1e-3, per_decade=0.02)
+    effect(wandering(1, 50))[0].sum().backward()
+    assert effect.per_decade.grad.item() != 0
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"per_decade": math.inf}, "per_decade: found inf, want -0.5 to 0.5"),
+        ({"per_decade": 0.01, "from_s": 0.0}, "from_s: found 0 s, want a positive number of s"),
+        ({"per_decade": 0.01, "from_s": 2.0, "to_s": 1.0}, "to_s: found 1 s, want more than from_s = 2 s"),
+    ],
+)
+def test_unphysical_creep_is_refused(values, message):
+    with pytest.raises(StageError, match=message):
+        Creep(1e-4, **values)
 
 
 @given(gain=st.floats(0.001, 0.2), time_constant_s=st.floats(1e-3, 1e3))

@@ -27,3 +27,7 @@ def test_a_search_starts_at_one_per_cent_of_full_voltage():
     for start in InputNonlinearity.starts(Seen(1e4, 1.0, 0.0, 8.0, 1.0, 0.0, 1.0, {})):
         y = InputNonlinearity(1e-4, **start)(torch.full((1, 1), 8.0, dtype=torch.float64))[0]
         assert y.item() == pytest.approx(8 * (1 + 0.01 * len(start)), rel=1e-12)
+
+
+def test_it_bends_the_voltage_that_the_plays_see():
+    assert InputNonlinearity.before_hysteresis

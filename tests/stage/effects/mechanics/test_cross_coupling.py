@@ -1,7 +1,5 @@
 """Cross coupling: another signal is added."""
 
-import warnings
-
 import pytest
 import torch
 
@@ -34,19 +32,6 @@ def test_without_values_nothing_is_added_and_the_gradient_is_the_other_signal():
     assert torch.equal(y, x)
     y[0, 7].backward()
     assert effect.coupling_um_per_v.grad.item() == aux[0, 7].item()
-
-
-def test_a_scripted_stream_takes_the_other_signal_and_gives_the_same_bits():
-    effect, x, aux = CrossCoupling(0.1, coupling_um_per_v=0.2), wandering(1, 50), wandering(1, 50, seed=1)
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message=".*torch.jit.*deprecated.*")
-        stream = torch.jit.script(effect.stream())
-    wanted = effect(x, aux=aux)[0][0].tolist()
-    for sample, other, expected in zip(x[0].tolist(), aux[0].tolist(), wanted, strict=True):
-        stream.set_aux(other)
-        assert stream.step(sample) == expected
-    stream.reset()
-    assert stream.step(0.3) == 0.3
 
 
 def test_a_search_starts_where_one_percent_of_the_travel_is_coupled():

@@ -2,14 +2,16 @@
 
 import math
 
+import control
+import numpy as np
 import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.stage.effects.actuator.laws import PERIOD_S, EffectLaws
+from tests.stage.effects.actuator.laws import PERIOD_S, EffectLaws, step
+from torchpi.errors import StageError
 from torchpi.operators.conformance import wandering
-from torchpi.operators.mode import Mode
 from torchpi.stage.effects.effect import Seen
 from torchpi.stage.effects.mechanics.resonance import Resonance, peaks_hz
 
@@ -34,10 +36,50 @@ def test_a_ramp_rings_as_the_closed_form_says(frequency_hz, damping_ratio):
     torch.testing.assert_close(y.detach(), wanted, rtol=0, atol=1e-12)
 
 
-def test_it_is_the_mode_of_the_stage():
-    x = wandering(2, 300)
-    effect = Resonance(1e-3, frequency_hz=130.0, damping_ratio=0.03)
-    assert torch.equal(effect(x)[0], Mode(1e-3, 130.0, 0.03)(x)[0])
+@given(frequency_hz=st.floats(400, 800), damping_ratio=st.floats(0.005, 0.05))
+def test_a_step_rings_at_the_damped_frequency_and_decays_by_the_damping(frequency_hz, damping_ratio):
+    fs_hz = 100_000.0
+    y = Resonance(1 / fs_hz, frequency_hz=frequency_hz, damping_ratio=damping_ratio)(step(20_000))[0][0]
+    e = y.detach().numpy() - 1.0
+    upward = np.flatnonzero((e[:-1] < 0) & (e[1:] >= 0))[:20]
+    crossings = upward + e[upward] / (e[upward] - e[upward + 1])
+    damped_hz = frequency_hz * math.sqrt(1 - damping_ratio**2)
+    assert fs_hz / np.diff(crossings).mean() == pytest.approx(damped_hz, rel=1e-4)
+    turns = 10
+    period = fs_hz / damped_hz
+    peaks = [e[round(k * period) : round((k + 1) * period)].max() for k in (1, 1 + turns)]
+    decrement = math.log(peaks[0] / peaks[1]) / turns
+    assert decrement / math.sqrt(4 * math.pi**2 + decrement**2) == pytest.approx(damping_ratio, rel=0.02)
+
+
+def test_response_is_that_of_control():
+    frequency_hz, damping_ratio, period_s = 620.0, 0.02, 1e-4
+    u = wandering(1, 500)
+    omega = 2 * math.pi * frequency_hz
+    system = control.tf([omega**2], [1, 2 * damping_ratio * omega, omega**2])
+    wanted = control.forced_response(system, period_s * np.arange(500), u[0].numpy()).outputs
+    y, _ = Resonance(period_s, frequency_hz=frequency_hz, damping_ratio=damping_ratio)(u)
+    np.testing.assert_allclose(y[0].detach().numpy(), wanted, rtol=0, atol=1e-9)
+
+
+def test_a_stage_may_have_a_mode_without_damping_or_one_that_hardly_rings():
+    undamped = Resonance(1e-4, frequency_hz=620.0, damping_ratio=0.0)(step(20_000))[0]
+    assert undamped[0, -1000:].max().item() == pytest.approx(2.0, abs=0.02)
+    stiff = Resonance(1e-4, frequency_hz=620.0, damping_ratio=0.7)(step(20_000))[0]
+    assert stiff.max().item() == pytest.approx(1.046, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("frequency_hz", "damping_ratio", "message"),
+    [
+        (0.0, 0.02, "frequency_hz: found 0 Hz, want a positive number of Hz"),
+        (620.0, -0.1, "damping_ratio: found -0.1, want at least 0"),
+        (620.0, math.nan, "damping_ratio: found nan, want at least 0"),
+    ],
+)
+def test_an_unphysical_mode_is_refused(frequency_hz, damping_ratio, message):
+    with pytest.raises(StageError, match=message):
+        Resonance(1e-4, frequency_hz=frequency_hz, damping_ratio=damping_ratio)
 
 
 @pytest.mark.parametrize("frequency_hz", [480.0, 500.0, 1e3, 1e5])

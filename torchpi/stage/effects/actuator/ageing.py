@@ -67,10 +67,13 @@ class Ageing(Effect):
 
     def tangent(self, x: Tensor, dx: Tensor) -> Tensor:
         """Exact: δy = (δx - μ x δs) e^{-(λt + μs)}; δs sums ±Δδx by the direction of each move."""
-        x, dx = x.detach().contiguous(), dx.detach().contiguous()
-        dy, loss = torch.empty_like(dx), (self.loss_per_s.item(), self.loss_per_mm.item())
-        _tangent(x[0].numpy(), dx.numpy(), self.sample_period_s, *loss, dy.numpy())
-        return dy
+        x, dx = x.detach(), dx.detach()
+        rest, move = torch.zeros_like(dx[:, :1]), torch.diff(x, dim=1, prepend=torch.zeros_like(x[:, :1]))
+        loss_per_s, loss_per_um = self.loss_per_s.item(), 1e-3 * self.loss_per_mm.item()
+        t_s = self.sample_period_s * torch.arange(x.shape[1], dtype=x.dtype)
+        left = torch.exp(-(loss_per_s * t_s + loss_per_um * move.abs().cumsum(1)))
+        lost = (loss_per_um * move.sign() * torch.diff(dx, dim=1, prepend=rest)).cumsum(1)
+        return left * (dx - x * lost)
 
     @classmethod
     def starts(cls, seen: Seen) -> list[Parameters]:
@@ -115,15 +118,8 @@ class _Ageing(torch.autograd.Function):
     ) -> tuple[Tensor, Tensor]:
         x = x.detach().contiguous()
         y, travel, after = torch.empty_like(x), torch.empty_like(x), before.clone()
-        _forward(
-            x.numpy(),
-            period_s,
-            loss_per_s.item(),
-            loss_per_mm.item(),
-            after.numpy(),
-            travel.numpy(),
-            y.numpy(),
-        )
+        arrays = (part.numpy() for part in (after, travel, y))
+        _forward(x.numpy(), period_s, loss_per_s.item(), loss_per_mm.item(), *arrays)
         ctx.period_s = period_s
         ctx.save_for_backward(x, before, travel, y, loss_per_s, loss_per_mm)
         return y, after
@@ -164,23 +160,3 @@ def _forward(
             elapsed += 1.0
             before = x[batch, k]
         state[batch, 0], state[batch, 1], state[batch, 2] = elapsed, travel_mm, before
-
-
-@numba.njit(cache=True)
-def _tangent(
-    x: np.ndarray, dx: np.ndarray, period_s: float, loss_per_s: float, loss_per_mm: float, dy: np.ndarray
-) -> None:
-    # What is the same along every direction, first.
-    left, side = np.empty(len(x)), np.empty(len(x))
-    travel_mm, before = 0.0, 0.0
-    for k in range(len(x)):
-        travel_mm = _travelled(travel_mm, x[k], before)
-        left[k] = _aged(1.0, k * period_s, travel_mm, loss_per_s, loss_per_mm)
-        side[k] = 1e-3 * loss_per_mm * np.sign(x[k] - before)
-        before = x[k]
-    for row in range(len(dx)):
-        loss, last = 0.0, 0.0
-        for k in range(len(x)):
-            loss += side[k] * (dx[row, k] - last)
-            dy[row, k] = left[k] * (dx[row, k] - x[k] * loss)
-            last = dx[row, k]

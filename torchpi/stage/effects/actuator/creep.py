@@ -1,8 +1,9 @@
 """Creep of the ceramic: after a step, y(t) = y₀ [1 + γ log₁₀(t / 0.1 s)] (Jung and Gweon, 2000).
 
-The logarithm is the operator `torchpi.operators.creep`: relaxations spread evenly over log time (Janocha
-and Kuhnen, 2000), here from 1 ms to 1000 s, so that any record lies within them. Beside it stands one
-relaxation more, one spring and damper of the model of Croft, Shed and Devasia (2001):
+The logarithm is a sum of relaxations spread evenly over log time (Janocha and Kuhnen, 2000): with n poles a
+decade, each of gain γ/n and time constant τ_i, the step response rises by γ in every decade that the poles
+span. Beside it stands one relaxation more, one spring and damper of the model of Croft, Shed and Devasia
+(2001):
 
     y = [x + γ log…(x)] + g (x relaxed with τ)
 
@@ -18,26 +19,56 @@ growing as τ^α.
 """
 
 import math
-from typing import ClassVar
+from functools import lru_cache
+from typing import ClassVar, NamedTuple
 
 import torch
 from torch import Tensor, nn
 
-from torchpi.operators import creep
-from torchpi.operators.linear import discretise
-from torchpi.operators.quantity import Quantity
-from torchpi.operators.relaxations import RelaxationsStream, relaxations
-from torchpi.stage.effects.effect import SHORTEST_SLOW_S, LinearEffect, Needs, Parameters, Seen
+from torchpi.operators.linear import Matrices, discretise
+from torchpi.operators.quantity import Quantity, check_order
+from torchpi.operators.relaxations import relaxations
+from torchpi.stage.effects.effect import SHORTEST_SLOW_S, Needs, Parameters, Seen, StateSpaceEffect
 
-# The operator sets poles from half a decade below the first time to one decade beyond the second.
+REFERENCE_S = 0.1
+"""After a step the displacement at this time is y₀, whatever γ and p."""
+POLES_PER_DECADE = 2  # they follow the logarithm to 0.3 %, one would to 11 %
+# Poles from 1 ms to 1000 s, so that any record lies within them.
 FROM_S, TO_S = 1e-3 * math.sqrt(10), 100.0
-MOST_PER_DECADE = 0.5
 
 
-class Creep(LinearEffect):
+class Bank(NamedTuple):
+    """Relaxations of gain g_i: x_i⁺ = a_i x_i + b_i u, y = u + Σ g_i (x_i + d_i u); (poles,) each."""
+
+    tau: Tensor
+    """τ_i, s."""
+    a: Tensor
+    b: Tensor
+    at_once: Tensor
+    """d_i: what is relaxed within the sample, less what will be after 0.1 s."""
+
+
+@lru_cache(maxsize=256)
+def bank(sample_period_s: float, from_s: float, to_s: float) -> Bank:
+    """The poles of a logarithm, or a power law, that holds from one time to another.
+
+    Poles reach half a decade below the first time and one decade beyond the second, which keeps the rise
+    within 5 % of γ there as well.
+    """
+    with torch.inference_mode(False):  # what is kept is for training as well
+        decades = math.log10(to_s / from_s) + 1.5
+        steps = torch.arange(math.ceil(decades * POLES_PER_DECADE) + 1, dtype=torch.float64)
+        tau = from_s * 10 ** (steps / POLES_PER_DECADE - 0.5)
+        rate, one = (1 / tau)[:, None], torch.ones_like(tau)
+        a, b, _, d = discretise(-rate[..., None], rate, one[:, None], 0 * one, sample_period_s, "first")
+        return Bank(tau, a[:, 0, 0], b[:, 0], d + torch.expm1(-REFERENCE_S / tau))
+
+
+class Creep(StateSpaceEffect):
     """Logarithmic creep, creep of one pole, of a power law, or all; the input runs straight between samples.
 
     The gain at once is such that γ and p leave the displacement 0.1 s after a step as it is; g adds to it.
+    The logarithm and the power law hold from `from_s` to `to_s`.
     """
 
     name = "creep"
@@ -47,18 +78,23 @@ class Creep(LinearEffect):
     time_scale = "slow"
     needs = Needs(duration_s=SHORTEST_SLOW_S)
     quantities: ClassVar[dict[str, Quantity]] = {
-        "per_decade": Quantity("", at_least=0, at_most=MOST_PER_DECADE),
+        "per_decade": Quantity("", at_least=0, at_most=0.5),
         "gain": Quantity("", at_least=0, at_most=0.5),
         "time_constant_s": Quantity("s", at_least=1e-3, at_most=1e4),
-        "power_per_decade": Quantity("", at_least=0, at_most=MOST_PER_DECADE),
+        "power_per_decade": Quantity("", at_least=0, at_most=0.5),
         "exponent": Quantity("", at_least=0.02, at_most=0.5),
+        "from_s": Quantity("s", at_least=0, positive=True),
+        "to_s": Quantity("s", at_least=0, positive=True),
     }
+    accepted: ClassVar[dict[str, Quantity]] = {"per_decade": Quantity("", at_least=-0.5, at_most=0.5)}
     identity: ClassVar[Parameters] = {
         "per_decade": 0.0,
         "gain": 0.0,
         "time_constant_s": 1.0,
         "power_per_decade": 0.0,
         "exponent": 0.2,
+        "from_s": FROM_S,
+        "to_s": TO_S,
     }
     forms = ("logarithm", "pole", "power law")
     form_of: ClassVar[dict[str, str]] = {
@@ -66,71 +102,50 @@ class Creep(LinearEffect):
         "gain": "pole",
         "power_per_decade": "power law",
     }
+    kinds = ("from_s", "to_s")
     per_decade: nn.Parameter
     gain: nn.Parameter
     time_constant_s: nn.Parameter
     power_per_decade: nn.Parameter
     exponent: nn.Parameter
-    time_constants_s: Tensor
-    decays: Tensor
-    drives: Tensor
-    at_once: Tensor
+    from_s: nn.Parameter
+    to_s: nn.Parameter
 
     def __init__(self, sample_period_s: float, **values: float) -> None:
         super().__init__(sample_period_s, **values)
-        bank = creep.Creep(sample_period_s, MOST_PER_DECADE, FROM_S, TO_S)
-        tau = bank.time_constants_s
-        rate, one = (1 / tau)[:, None], torch.ones_like(tau)
-        a, b, _, d = discretise(-rate[..., None], rate, one[:, None], 0 * one, sample_period_s, "first")
-        self.poles_per_decade = bank.poles_per_decade
-        # Not saved: they belong to the sample rate, not to the physics.
-        self.register_buffer("time_constants_s", tau, persistent=False)
-        self.register_buffer("decays", a[:, 0, 0], persistent=False)
-        self.register_buffer("drives", b[:, 0], persistent=False)
-        # What a pole of gain 1 adds to the gain at once, less what it has reached after 0.1 s.
-        self.register_buffer("at_once", d + torch.expm1(-creep.REFERENCE_S / tau), persistent=False)
+        check_order("from_s", self.from_s.item(), "to_s", self.to_s.item(), "s")
 
-    def spectrum(self) -> Tensor:
-        """The gain of each pole of the bank, (poles,)."""
-        grown = (self.time_constants_s / creep.REFERENCE_S) ** self.exponent
+    def bank(self) -> Bank:
+        """The poles of the logarithm and the power law."""
+        return bank(self.sample_period_s, self.from_s.item(), self.to_s.item())
+
+    def spectrum(self, tau: Tensor) -> Tensor:
+        """The gain of the pole at each time constant of the bank, (poles,)."""
+        grown = (tau / REFERENCE_S) ** self.exponent
         power = self.power_per_decade * torch.exp(-torch.lgamma(1 - self.exponent)) * grown
-        return (self.per_decade + power) / self.poles_per_decade
+        return (self.per_decade + power) / POLES_PER_DECADE
 
-    def discrete(self) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """a, b, c, d of the relaxations, the one pole last."""
-        rate, gains = (1 / self.time_constant_s).reshape(1), self.spectrum()
+    def matrices(self) -> Matrices:
+        # The one pole is the last.
+        poles = self.bank()
+        gains = self.spectrum(poles.tau)
+        rate, direct = (1 / self.time_constant_s).reshape(1), torch.zeros_like(self.gain)
         a, b, c, d = discretise(
-            -rate[:, None],
-            rate,
-            self.gain.reshape(1),
-            torch.zeros_like(self.gain),
-            self.sample_period_s,
-            "first",
+            -rate[:, None], rate, self.gain.reshape(1), direct, self.sample_period_s, "first"
         )
         return (
-            torch.cat([self.decays, a[0]]),
-            torch.cat([self.drives, b]),
+            torch.cat([poles.a, a[0]]),
+            torch.cat([poles.b, b]),
             torch.cat([gains, c]),
-            1 + (gains * self.at_once).sum() + d,
+            1 + (gains * poles.at_once).sum() + d,
         )
 
     def initial_state(self, batch: int) -> Tensor:
-        return torch.zeros(batch, len(self.decays) + 1, dtype=torch.float64)
-
-    def forward(
-        self,
-        x: Tensor,  # (batch, time), µm
-        state: Tensor | None = None,  # (batch, poles + 1), µm
-    ) -> tuple[Tensor, Tensor]:
-        return relaxations(x, *self.discrete(), self.initial_state(len(x)) if state is None else state)
-
-    def stream(self) -> nn.Module:
-        a, b, c, d = self.discrete()
-        return RelaxationsStream(a.tolist(), b.tolist(), c.tolist(), d.item())
+        return torch.zeros(batch, len(self.bank().a) + 1, dtype=torch.float64)
 
     @torch.no_grad()
     def tangent(self, x: Tensor, dx: Tensor) -> Tensor:
-        a, b, c, d = self.discrete()
+        a, b, c, d = self.matrices()
         # A pole of no gain costs as much as any other; the bank needs one.
         used = c != 0
         used[-1] = True

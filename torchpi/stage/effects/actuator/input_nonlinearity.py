@@ -2,18 +2,19 @@
 
 from typing import ClassVar
 
-from torch import Tensor, nn
+from torch import nn
 
-from torchpi.operators.polynomial import PolynomialStream, polynomial
 from torchpi.operators.quantity import Quantity
-from torchpi.stage.effects.effect import Effect, Parameters, Seen
+from torchpi.stage.effects.curvature import Curvature
+from torchpi.stage.effects.effect import Parameters, Seen
 
 
-class InputNonlinearity(Effect):
+class InputNonlinearity(Curvature):
     """A memoryless curvature of the voltage that the plays then see; c₁ = 1, for the plays have the gain."""
 
     name = "input_nonlinearity"
     block = "actuator"
+    before_hysteresis = True
     equation = "w = v + c₂v² + c₃v³, then the plays"
     signature = "even (c₂) and odd (c₃) harmonics that survive f → 0, and loops of unlike halves"
     time_scale = "static"
@@ -25,21 +26,6 @@ class InputNonlinearity(Effect):
     identity: ClassVar[Parameters] = {"c2_per_v": 0.0, "c3_per_v2": 0.0}
     c2_per_v: nn.Parameter
     c3_per_v2: nn.Parameter
-
-    def forward(
-        self,
-        x: Tensor,  # (batch, time), V
-        state: Tensor | None = None,
-    ) -> tuple[Tensor, Tensor]:
-        c = [1.0, self.c2_per_v, self.c3_per_v2]
-        y: Tensor = polynomial(x, c)  # type: ignore
-        return y, self.initial_state(len(x)) if state is None else state
-
-    def stream(self) -> nn.Module:
-        return PolynomialStream([1.0, self.c2_per_v.item(), self.c3_per_v2.item()])
-
-    def tangent(self, x: Tensor, dx: Tensor) -> Tensor:
-        return (1 + (2 * self.c2_per_v.detach() + 3 * self.c3_per_v2.detach() * x) * x) * dx
 
     @classmethod
     def starts(cls, seen: Seen) -> list[Parameters]:

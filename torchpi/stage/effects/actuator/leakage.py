@@ -8,15 +8,14 @@ import math
 from typing import ClassVar
 
 import torch
-from torch import Tensor, nn
+from torch import nn
 
-from torchpi.operators.linear import discretise
+from torchpi.operators.linear import Matrices, discretise
 from torchpi.operators.quantity import Quantity
-from torchpi.operators.relaxations import RelaxationsStream, relaxations
-from torchpi.stage.effects.effect import SHORTEST_SLOW_S, LinearEffect, Needs, Parameters, Seen
+from torchpi.stage.effects.effect import SHORTEST_SLOW_S, Needs, Parameters, Seen, StateSpaceEffect
 
 
-class Leakage(LinearEffect):
+class Leakage(StateSpaceEffect):
     """What is left of a displacement after its slow part, r with ṙ = 2πf_c (x - r), has leaked: y = x - r.
 
     The input runs straight from sample to sample.
@@ -31,28 +30,14 @@ class Leakage(LinearEffect):
     degenerate_with = ("thermal_drift",)
     quantities: ClassVar[dict[str, Quantity]] = {"corner_hz": Quantity("Hz", at_least=0, at_most=10)}
     identity: ClassVar[Parameters] = {"corner_hz": 0.0}
+    order = 1
     corner_hz: nn.Parameter
 
-    def discrete(self) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """a, b, c, d of the one relaxation."""
+    def matrices(self) -> Matrices:
         omega = (2 * math.pi * self.corner_hz).reshape(1)
         one = torch.ones_like(omega)
         a, b, c, d = discretise(-omega[:, None], omega, -one, one[0], self.sample_period_s, "first")
         return a[0], b, c, d
-
-    def initial_state(self, batch: int) -> Tensor:
-        return torch.zeros(batch, 1, dtype=torch.float64)
-
-    def forward(
-        self,
-        x: Tensor,  # (batch, time), µm
-        state: Tensor | None = None,  # (batch, 1), µm
-    ) -> tuple[Tensor, Tensor]:
-        return relaxations(x, *self.discrete(), self.initial_state(len(x)) if state is None else state)
-
-    def stream(self) -> nn.Module:
-        a, b, c, d = self.discrete()
-        return RelaxationsStream(a.tolist(), b.tolist(), c.tolist(), d.item())
 
     @classmethod
     def starts(cls, seen: Seen) -> list[Parameters]:

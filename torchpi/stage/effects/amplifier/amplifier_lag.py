@@ -16,37 +16,34 @@ from typing import ClassVar
 import torch
 from torch import Tensor, nn
 
-from torchpi.operators.linear import LinearStream, Matrices, discretise, state_space
+from torchpi.operators.linear import Matrices, discretise
 from torchpi.operators.quantity import Quantity
-from torchpi.stage.effects.effect import LinearEffect, Parameters, Seen
+from torchpi.stage.effects.effect import Parameters, Seen
+from torchpi.stage.effects.lag import FirstOrderLag
 
 FLATTEST = 0.5**0.5
 """The damping ratio of the flattest gain, where a fit of two poles begins."""
 
 
-class AmplifierLag(LinearEffect):
-    """A lag of a voltage that a converter holds; of one pole, v(k) = e^{-ωT} v(k-1) + (1 - e^{-ωT}) u(k).
+class AmplifierLag(FirstOrderLag):
+    """A lag of a voltage that a converter holds; u(k) is held during the sample that ends at tick k.
 
-    u(k) is the command held during the sample that ends at tick k. With a finite `damping_ratio` there are
-    two poles, and two states; below its bound the amplifier rings, which is a mode.
+    With a finite `damping_ratio` there are two poles, and two states; below its bound the amplifier rings,
+    which is a mode.
     """
 
     name = "amplifier_lag"
     block = "amplifier"
     before_hysteresis = True
     equation = "v̇ = 2πf_c (u - v), or v + v̇/ω_c + v̈/(4ζ²ω_c²) = u"
-    signature = "phase grows in proportion to frequency, the gain rolls off"
-    time_scale = "fast"
-    delays = True
     smooths = True
     degenerate_with = ("sensor_lag",)
     forms = ("one pole", "two poles")
     quantities: ClassVar[dict[str, Quantity]] = {
-        "cutoff_hz": Quantity("Hz", at_least=1.0, at_most=1e6),
+        **FirstOrderLag.quantities,
         "damping_ratio": Quantity("", at_least=0.35, at_most=10.0),
     }
-    identity: ClassVar[Parameters] = {"cutoff_hz": math.inf, "damping_ratio": math.inf}
-    cutoff_hz: nn.Parameter
+    identity: ClassVar[Parameters] = {**FirstOrderLag.identity, "damping_ratio": math.inf}
     damping_ratio: nn.Parameter
 
     @classmethod
@@ -56,13 +53,22 @@ class AmplifierLag(LinearEffect):
             return ""
         return "one pole" if math.isinf(of["damping_ratio"]) else "two poles"
 
+    def is_ideal(self) -> bool:
+        """Whether there is no lag at all."""
+        return math.isinf(self.cutoff_hz.item())
+
+    def poles(self) -> int:
+        """How many poles, and states, there are."""
+        return 1 if self.is_ideal() or math.isinf(self.damping_ratio.item()) else 2
+
+    def decay(self, samples: Tensor) -> Tensor:
+        """e^{-ω · samples · T}: what is left of a voltage behind the one pole after that many samples."""
+        return torch.exp(-2 * math.pi * self.sample_period_s * self.cutoff_hz * samples)
+
     def matrices(self) -> Matrices:
-        """The discrete block; its state is what is left of the voltage (and of w) a sample later."""
-        if self.poles() == 2:
-            return discretise(*self.continuous(), self.sample_period_s, "end")
-        decay = torch.exp(-2 * math.pi * self.sample_period_s * self.cutoff_hz)
-        fresh = 1 - decay
-        return decay.reshape(1, 1), (decay * fresh).reshape(1), torch.ones_like(decay).reshape(1), fresh
+        if self.poles() == 1:
+            return self.discrete("end")
+        return discretise(*self.continuous(), self.sample_period_s, "end")
 
     def continuous(self) -> Matrices:
         """A, B, C, D of the two poles; the states are v and w."""
@@ -71,23 +77,8 @@ class AmplifierLag(LinearEffect):
         a = torch.stack([-second, second, -omega, zero]).reshape(2, 2)
         return a, torch.stack([zero, omega]), torch.stack([torch.ones_like(omega), zero]), zero
 
-    def poles(self) -> int:
-        """How many poles, and states, there are."""
-        return 1 if math.isinf(self.damping_ratio.item()) or math.isinf(self.cutoff_hz.item()) else 2
-
     def initial_state(self, batch: int) -> Tensor:
         return torch.zeros(batch, self.poles(), dtype=torch.float64)
-
-    def forward(
-        self,
-        x: Tensor,  # (batch, time), V
-        state: Tensor | None = None,  # (batch, poles), V
-    ) -> tuple[Tensor, Tensor]:
-        return state_space(x, *self.matrices(), self.initial_state(len(x)) if state is None else state)
-
-    def stream(self) -> nn.Module:
-        a, b, c, d = self.matrices()
-        return LinearStream(a.flatten().tolist(), b.tolist(), c.tolist(), d.item())
 
     @classmethod
     def starts(cls, seen: Seen) -> list[Parameters]:

@@ -1,15 +1,23 @@
 """A transport delay v(t) = u(t - τ): computation, converters, a slow bus.
 
-The signal runs straight from sample to sample, which makes the fraction of a sample exact, and gives τ a
-gradient.
+With τ = (m + f) T the output is p u(k-m) + q u(k-m-1). The signal runs straight from sample to sample, so
+that p = 1 - f, q = f: exact for a ramp, and τ has a gradient. Where the amplifier's lag, of angular cutoff ω,
+has made it from a held command, it is an exponential between samples:
+
+    p = (1 - e^{-ω(1-f)T}) / (1 - e^{-ωT}),    q = 1 - p
+
+Behind a lag of two poles, which leaves no corners, it is taken to run straight.
 """
 
+import math
+from collections.abc import Callable
 from typing import ClassVar
 
+import torch
 from torch import Tensor, nn
-from torch.func import functional_call
 
-from torchpi.operators.delay import Delay as DelayOperator
+from torchpi.errors import StageError
+from torchpi.operators.delay import DelayLineStream, delay_line
 from torchpi.operators.quantity import Quantity
 from torchpi.stage.effects.effect import LinearEffect, Parameters, Seen
 
@@ -17,7 +25,11 @@ LONGEST_S = 0.01
 
 
 class Delay(LinearEffect):
-    """A delay of up to 10 ms. The state holds the last inputs, as many at any delay."""
+    """A delay, of up to 10 ms in a fit. The state holds the last inputs, as many at any such delay.
+
+    With `after_lag` 1, and an amplifier's lag of one pole before it in the chain, the fraction of a sample is
+    exact for a held command.
+    """
 
     name = "delay"
     block = "amplifier"
@@ -26,26 +38,50 @@ class Delay(LinearEffect):
     signature = "phase grows in proportion to frequency, the gain stays flat"
     time_scale = "fast"
     delays = True
-    quantities: ClassVar[dict[str, Quantity]] = {"delay_s": Quantity("s", at_least=0.0, at_most=LONGEST_S)}
-    identity: ClassVar[Parameters] = {"delay_s": 0.0}
+    quantities: ClassVar[dict[str, Quantity]] = {
+        "delay_s": Quantity("s", at_least=0.0, at_most=LONGEST_S),
+        "after_lag": Quantity("", at_least=0.0, at_most=1.0),
+    }
+    accepted: ClassVar[dict[str, Quantity]] = {"delay_s": Quantity("s", at_least=0.0)}
+    identity: ClassVar[Parameters] = {"delay_s": 0.0, "after_lag": 0.0}
+    kinds = ("after_lag",)
     delay_s: nn.Parameter
+    after_lag: nn.Parameter
+    decay: Callable[[Tensor], Tensor] | None = None
+    """What is left of the lagged voltage after so many samples, if a lag of one pole stands before it."""
 
-    def operator(self) -> DelayOperator:
-        """The delay line at the present value."""
-        return DelayOperator(self.sample_period_s, self.delay_s.item(), LONGEST_S)
+    def split(self) -> tuple[int, Tensor]:
+        """Whole samples m, and the fraction f with its gradient to the delay."""
+        if not self.delay_s.item() >= 0:
+            raise StageError(f"delay_s: found {self.delay_s.item():g} s, expected at least 0 s")
+        samples = self.delay_s / self.sample_period_s
+        whole = math.floor(samples.item())
+        return whole, samples - whole
+
+    def taps(self, fraction: Tensor) -> tuple[Tensor, Tensor]:
+        """p and q."""
+        if self.decay is None or self.after_lag.item() < 0.5:
+            return 1 - fraction, fraction
+        p = (1 - self.decay(1 - fraction)) / (1 - self.decay(torch.ones_like(fraction)))
+        return p, 1 - p
 
     def initial_state(self, batch: int) -> Tensor:
-        return self.operator().initial_state(batch)
+        longest_s = max(LONGEST_S, self.delay_s.item())
+        return torch.zeros(batch, math.floor(longest_s / self.sample_period_s) + 2, dtype=torch.float64)
 
     def forward(
         self,
         x: Tensor,  # (batch, time), V
         state: Tensor | None = None,  # (batch, samples of the longest delay + 2), V
     ) -> tuple[Tensor, Tensor]:
-        return functional_call(self.operator(), {"delay_s": self.delay_s}, (x, state))  # type: ignore[no-any-return]
+        whole, fraction = self.split()
+        line = self.initial_state(len(x)).to(x.device) if state is None else state
+        return delay_line(x, line, whole, *self.taps(fraction))
 
     def stream(self) -> nn.Module:
-        return self.operator().stream()
+        whole, fraction = self.split()
+        p, q = self.taps(fraction)
+        return DelayLineStream(whole, p.item(), q.item())
 
     @classmethod
     def starts(cls, seen: Seen) -> list[Parameters]:

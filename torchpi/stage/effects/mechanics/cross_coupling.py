@@ -6,16 +6,11 @@ Systems Technology 15(5), 2007.
 
 from typing import ClassVar
 
-import torch
 from torch import Tensor, nn
 
+from torchpi.operators.chain import ChainStream
 from torchpi.operators.quantity import Quantity
 from torchpi.stage.effects.effect import Effect, Parameters, Seen
-
-
-def couple(x: float, c: float, aux: float) -> float:
-    """x + c a. Tensors pass as well."""
-    return x + c * aux
 
 
 class CrossCoupling(Effect):
@@ -38,11 +33,11 @@ class CrossCoupling(Effect):
         state: Tensor | None = None,  # (batch, 0)
         aux: Tensor | None = None,  # (batch, time), V
     ) -> tuple[Tensor, Tensor]:
-        y = x if aux is None else couple(x, self.coupling_um_per_v, aux)  # type: ignore[arg-type]
-        return y, self.initial_state(len(x)) if state is None else state  # type: ignore[return-value]
+        y = x if aux is None else x + self.coupling_um_per_v * aux
+        return y, self.initial_state(len(x)) if state is None else state
 
     def stream(self) -> nn.Module:
-        return CrossCouplingStream(self.coupling_um_per_v.item())
+        return ChainStream([])  # a rig that is stepped has the other axis at rest
 
     def tangent(self, x: Tensor, dx: Tensor) -> Tensor:
         return dx.detach()
@@ -54,25 +49,3 @@ class CrossCoupling(Effect):
         if strongest == 0 or seen.span_um == 0:
             return []
         return [{"coupling_um_per_v": 0.01 * seen.span_um / strongest}]
-
-
-class CrossCouplingStream(nn.Module):
-    """The coupling, one sample at a time: `set_aux` first, then `step`."""
-
-    def __init__(self, c: float) -> None:
-        super().__init__()
-        self.c = c
-        self.aux = 0.0
-
-    @torch.jit.export
-    def reset(self) -> None:
-        self.aux = 0.0
-
-    @torch.jit.export
-    def set_aux(self, value: float) -> None:
-        """The other signal at the coming sample, V."""
-        self.aux = value
-
-    @torch.jit.export
-    def step(self, x: float) -> float:
-        return couple(x, self.c, self.aux)

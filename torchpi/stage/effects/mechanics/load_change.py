@@ -8,6 +8,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor, nn
 
+from torchpi.operators.polynomial import PolynomialStream
 from torchpi.operators.quantity import Quantity
 from torchpi.stage.effects.effect import LinearEffect, Needs, Parameters, Seen
 
@@ -44,24 +45,8 @@ class LoadChange(LinearEffect):
         return self.gain() * x, self.initial_state(len(x)) if state is None else state
 
     def stream(self) -> nn.Module:
-        return GainStream(self.gain().item())
+        return PolynomialStream([self.gain().item()])
 
     @classmethod
     def starts(cls, seen: Seen) -> list[Parameters]:
         return [{"stiffness_ratio": 0.1}]
-
-
-class GainStream(nn.Module):
-    """The gain, one sample at a time."""
-
-    def __init__(self, gain: float) -> None:
-        super().__init__()
-        self.gain = gain
-
-    @torch.jit.export
-    def reset(self) -> None:
-        return
-
-    @torch.jit.export
-    def step(self, x: float) -> float:
-        return self.gain * x

@@ -6,7 +6,7 @@
 M_m is a mode of unit static gain, a_i an auxiliary signal: the poles are the structure's, the same from every
 input, and only the residues are an input's own (Ewins, *Modal Testing*, 2nd ed., 2000, ch. 2; Preumont,
 *Vibration Control of Active Structures*, ch. 2). The part in the rate makes a residue complex: damping that
-is not proportional, and what delays an input, ask for it. c_i is the static gain from an input, and that from
+is not proportional, and what delays an input, need it. c_i is the static gain from an input, and that from
 x is 1.
 """
 
@@ -62,8 +62,7 @@ class Modes(LinearEffect):
     def __init__(self, sample_period_s: float, parts: Sequence[Part]) -> None:
         super().__init__(sample_period_s)
         for effect, values, _ in parts:
-            if unknown := set(values) - set(effect.quantities):
-                raise TypeError(f"{effect.__name__}: unknown parameter {min(unknown)}")
+            effect.checked(values)
         self.places = places(parts)
         self.aux_names = tuple(part.aux for part in parts if part.effect is ModalCoupling)
         modes, inputs = sum(issubclass(part.effect, ModalResonance) for part in parts), len(self.aux_names)
@@ -76,9 +75,7 @@ class Modes(LinearEffect):
         }
         numbers = {name: np.zeros(size) for name, size in sizes.items()}
         for k, name, tensor, at in self.places:
-            effect = parts[k].effect
-            value = parts[k].values.get(name, effect.identity[name])
-            numbers[tensor][at] = effect.quantities[name].check(name, value)
+            numbers[tensor][at] = parts[k].values.get(name, parts[k].effect.identity[name])
         for name, each in numbers.items():
             self.register_parameter(name, nn.Parameter(torch.from_numpy(each)))
 
@@ -225,7 +222,7 @@ class ModesStream(nn.Module):
 
 
 def places(parts: Sequence[Part]) -> list[Place]:
-    """Where each number of each part stands. What a coupling says of a mode that is not there is left out."""
+    """Where each number of each part stands. What a coupling has of a mode that is not there is left out."""
     found: list[Place] = []
     numbers = mode_numbers([part.effect for part in parts])
     modes = [k for k, part in enumerate(parts) if issubclass(part.effect, ModalResonance)]

@@ -7,10 +7,9 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from torchpi.operators.linear import Hold, LinearStream, Matrices, discretise, state_space
-from torchpi.operators.mode import Mode
+from torchpi.operators.linear import Hold, Matrices, discretise
 from torchpi.operators.quantity import Quantity
-from torchpi.stage.effects.effect import LinearEffect, Parameters, Seen
+from torchpi.stage.effects.effect import Parameters, Seen, StateSpaceEffect
 
 TYPICAL_DAMPING = 0.02
 BINS_PER_OCTAVE = 120
@@ -18,7 +17,7 @@ GRID = 20
 """Frequencies of a blind search: near enough for a fit to close in."""
 
 
-class Resonance(LinearEffect):
+class Resonance(StateSpaceEffect):
     """A mode of unit static gain, exact for an input that runs straight from sample to sample, or is held."""
 
     name = "resonance"
@@ -31,33 +30,26 @@ class Resonance(LinearEffect):
         # What is damped more is not seen to ring: a lag.
         "damping_ratio": Quantity("", at_least=1e-4, at_most=0.3),
     }
+    accepted: ClassVar[dict[str, Quantity]] = {
+        "frequency_hz": Quantity("Hz", at_least=0, positive=True),
+        "damping_ratio": Quantity("", at_least=0),
+    }
     identity: ClassVar[Parameters] = {"frequency_hz": math.inf, "damping_ratio": TYPICAL_DAMPING}
     frequency_hz: nn.Parameter
     damping_ratio: nn.Parameter
+    order = 2
     hold: Hold = "first"
 
     def matrices(self) -> Matrices:
-        """The discrete block."""
         if math.isinf(self.frequency_hz.item()):
             rest = self.frequency_hz.new_zeros(2)
             return rest.new_zeros(2, 2), rest, rest, rest.new_ones(())
-        # The operator's equation reads the two parameters by their names, which are the same here.
-        continuous = Mode.continuous(self)  # type: ignore[arg-type]
+        omega = 2 * math.pi * self.frequency_hz
+        zero, one = torch.zeros_like(omega), torch.ones_like(omega)
+        # The second state is ẋ/ω₀: both are then of like size, which keeps the exponential accurate.
+        a = torch.stack([zero, omega, -omega, -2 * self.damping_ratio * omega]).reshape(2, 2)
+        continuous = a, torch.stack([zero, omega]), torch.stack([one, zero]), zero
         return discretise(*continuous, self.sample_period_s, self.hold)
-
-    def initial_state(self, batch: int) -> Tensor:
-        return torch.zeros(batch, 2, dtype=torch.float64)
-
-    def forward(
-        self,
-        x: Tensor,  # (batch, time), µm
-        state: Tensor | None = None,  # (batch, 2), µm
-    ) -> tuple[Tensor, Tensor]:
-        return state_space(x, *self.matrices(), self.initial_state(len(x)) if state is None else state)
-
-    def stream(self) -> nn.Module:
-        a, b, c, d = self.matrices()
-        return LinearStream(a.flatten().tolist(), b.tolist(), c.tolist(), d.item())
 
     @classmethod
     def starts(cls, seen: Seen) -> list[Parameters]:

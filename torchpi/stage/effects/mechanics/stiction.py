@@ -15,10 +15,9 @@ import numba
 import numpy as np
 import torch
 from torch import Tensor, nn
-from torch.autograd.function import once_differentiable
 
 from torchpi.operators.quantity import Quantity
-from torchpi.operators.selection import NO_SOURCE, gather
+from torchpi.operators.selection import NO_SOURCE, Selection, gather, select
 from torchpi.stage.effects.effect import Effect, Needs, Parameters, Seen
 
 
@@ -87,17 +86,17 @@ class Stiction(Effect):
         state: Tensor | None = None,  # (batch, 3), µm, µm and -1, 0 or 1
     ) -> tuple[Tensor, Tensor]:
         before = self.initial_state(len(x)) if state is None else state
-        return _Stick.apply(x, self.breakaway_um, self.friction(), before, self.at_rest())  # type: ignore[no-any-return]
+        return Selection.apply(_run, x, self.friction(), self._numbers(), before)  # type: ignore
 
     def stream(self) -> nn.Module:
         return StictionStream(self.breakaway_um.item(), self.friction().item(), self.at_rest())
 
     def tangent(self, x: Tensor, dx: Tensor) -> Tensor:
-        x = x.detach().contiguous()
-        _, _, source = _run(
-            x, self.breakaway_um.item(), self.friction().item(), self.at_rest(), self.initial_state(1)
-        )
-        return gather(dx, source[0])
+        found = select(_run, x, self.friction().item(), self._numbers(), self.initial_state(1))
+        return gather(dx, found.source[0].numpy())
+
+    def _numbers(self) -> tuple[float, bool]:
+        return self.breakaway_um.item(), self.at_rest()
 
     @classmethod
     def starts(cls, seen: Seen) -> list[Parameters]:
@@ -138,74 +137,19 @@ class StictionStream(nn.Module):
         return stick(x, self.breakaway, self.sliding, self.rests, self.s)
 
 
-def _run(
-    x: Tensor, breakaway: float, sliding: float, rests: bool, state: Tensor
-) -> tuple[Tensor, Tensor, np.ndarray]:
-    y, after, source = torch.empty_like(x), state.clone(), np.empty(x.shape, np.int64)
-    _forward(x.numpy(), breakaway, sliding, rests, after.numpy(), y.numpy(), source)
-    return y, after, source
-
-
-class _Stick(torch.autograd.Function):
-    @staticmethod
-    def forward(
-        ctx: Any, x: Tensor, breakaway: Tensor, sliding: Tensor, state: Tensor, rests: bool
-    ) -> tuple[Tensor, Tensor]:
-        x, state = x.detach().contiguous(), state.detach().contiguous()
-        y, after, ctx.source = _run(x, breakaway.item(), sliding.item(), rests, state)
-        # Where it slid the output is x - d sgn(ẋ) of the last sliding sample; elsewhere what it began with.
-        ctx.side = _side(x, y, ctx.source, sliding.item())
-        return y, after
-
-    @staticmethod
-    @once_differentiable
-    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
-        gy, gstate = gradients[0].contiguous(), gradients[1].contiguous()
-        gx, gbefore = torch.zeros_like(gy), torch.zeros_like(gstate)
-        _backward(gy.numpy(), gstate.numpy(), ctx.source, gx.numpy(), gbefore.numpy())
-        ended = gstate[:, 0] * torch.from_numpy(ctx.side[:, -1])
-        gsliding = -(gy * torch.from_numpy(ctx.side)).sum() - ended.sum()
-        return gx, gy.new_zeros(()), gsliding, gbefore, None
-
-
-def _side(x: Tensor, y: Tensor, source: np.ndarray, sliding: float) -> np.ndarray:
-    """-1 or 1 for the direction in which the last sliding sample went, 0 before there was one."""
-    if sliding == 0.0:
-        return np.zeros(source.shape)
-    at = np.take_along_axis(x.numpy(), np.maximum(source, 0), 1)
-    return np.where(source >= 0, np.sign(at - y.numpy()), 0.0)
-
-
 _stick: Any = numba.njit(stick)
 
 
 @numba.njit(cache=True)
-def _forward(
-    x: np.ndarray, breakaway: float, sliding: float, rests: bool, state: np.ndarray, y: np.ndarray,
-    source: np.ndarray,
+def _run(
+    x: np.ndarray, sliding: float, breakaway: float, rests: bool, state: np.ndarray, y: np.ndarray,
+    source: np.ndarray, steps: np.ndarray,
 ) -> None:  # fmt: skip
+    # Where it slid the output is x - d sgn(ẋ) of the last sliding sample; elsewhere what it began with.
     for batch in range(x.shape[0]):
-        last = NO_SOURCE
+        last, side = NO_SOURCE, 0.0
         for t in range(x.shape[1]):
             y[batch, t] = _stick(x[batch, t], breakaway, sliding, rests, state[batch])
             if state[batch, 2] != 0.0:
-                last = t
-            source[batch, t] = last
-
-
-@numba.njit(cache=True)
-def _backward(
-    gy: np.ndarray, gstate: np.ndarray, source: np.ndarray, gx: np.ndarray, gbefore: np.ndarray
-) -> None:
-    for batch in range(gy.shape[0]):
-        end = gy.shape[1] - 1
-        for t in range(end + 1):
-            if source[batch, t] >= 0:
-                gx[batch, source[batch, t]] += gy[batch, t]
-            else:
-                gbefore[batch, 0] += gy[batch, t]
-        if source[batch, end] >= 0:
-            gx[batch, source[batch, end]] += gstate[batch, 0]
-        else:
-            gbefore[batch, 0] += gstate[batch, 0]
-        gx[batch, end] += gstate[batch, 1]
+                last, side = t, -state[batch, 2]
+            source[batch, t], steps[batch, t] = last, side

@@ -193,8 +193,9 @@ class GainModulationStream(nn.Module):
 
     @torch.jit.export
     def step(self, x: float) -> float:
-        gain = 1.0 + oscillation(self.elapsed, self.period_s, self.frequency_hz, self.cos, self.sin)
+        t_s = self.elapsed * self.period_s
+        gain = 1.0 + oscillation(t_s, self.frequency_hz, self.cos, self.sin)
         gain = gain + self.walk.at(self.elapsed)
-        added = oscillation(self.elapsed, self.period_s, self.frequency_hz, self.cos_um, self.sin_um)
+        added = oscillation(t_s, self.frequency_hz, self.cos_um, self.sin_um)
         self.elapsed += 1.0
         return x * gain + added

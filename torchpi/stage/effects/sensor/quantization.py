@@ -1,24 +1,19 @@
 """Readings on a lattice: y = o + q round((x - o) / q) (Widrow and Kollár, *Quantization Noise*, 2008)."""
 
 import math
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
-import torch
 from torch import Tensor, nn
-from torch.autograd.function import once_differentiable
 
+from torchpi.operators.chain import ChainStream
 from torchpi.operators.quantity import Quantity
+from torchpi.operators.quantization import QuantizationStream, Quantize
 from torchpi.stage.effects.effect import Effect, Parameters, Seen
 
 FEWEST_READINGS = 8  # that differ; fewer lie on some lattice by chance
 FARTHEST = 0.2  # of a step, from a reading to its place; by chance, 2 in 5 do not lie farther
 FLOAT32_STEP = 2.0**-23
-
-
-def nearest(x: float, lsb_um: float, offset_um: float) -> float:
-    """o + q · code, the code being the nearest whole number, of either sign; halves round up."""
-    return offset_um + lsb_um * math.floor((x - offset_um) / lsb_um + 0.5)
 
 
 class Quantization(Effect):
@@ -47,11 +42,15 @@ class Quantization(Effect):
         x: Tensor,  # (batch, time), µm
         state: Tensor | None = None,
     ) -> tuple[Tensor, Tensor]:
-        y = _Nearest.apply(x, self.lsb_um, self.offset_um)
+        y = x
+        if self.lsb_um.item() != 0.0:
+            y = Quantize.apply(x, self.offset_um, self.lsb_um, -math.inf, math.inf)  # type: ignore[no-untyped-call]
         return y, self.initial_state(len(x)) if state is None else state
 
     def stream(self) -> nn.Module:
-        return QuantizationStream(self.lsb_um.item(), self.offset_um.item())
+        if self.lsb_um.item() == 0.0:
+            return ChainStream([])
+        return QuantizationStream(self.offset_um.item(), self.lsb_um.item())
 
     def tangent(self, x: Tensor, dx: Tensor) -> Tensor:
         return dx
@@ -96,44 +95,10 @@ class Quantization(Effect):
         return _offset(np.asarray(readings, dtype=np.float64), lsb_um)
 
 
-class QuantizationStream(nn.Module):
-    """A converter, one sample at a time."""
-
-    def __init__(self, lsb_um: float, offset_um: float) -> None:
-        super().__init__()
-        self.lsb_um = lsb_um
-        self.offset_um = offset_um
-
-    @torch.jit.export
-    def reset(self) -> None:
-        return
-
-    @torch.jit.export
-    def step(self, x: float) -> float:
-        if self.lsb_um == 0.0:
-            return x
-        return nearest(x, self.lsb_um, self.offset_um)
-
-
-class _Nearest(torch.autograd.Function):
-    @staticmethod
-    def forward(ctx: Any, x: Tensor, lsb_um: Tensor, offset_um: Tensor) -> Tensor:
-        ctx.save_for_backward(lsb_um, offset_um)
-        if lsb_um.item() == 0.0:
-            return x.clone()
-        return offset_um + lsb_um * torch.floor((x - offset_um) / lsb_um + 0.5)
-
-    @staticmethod
-    @once_differentiable
-    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        lsb_um, offset_um = ctx.saved_tensors
-        return gradients[0], torch.zeros_like(lsb_um), torch.zeros_like(offset_um)
-
-
 def _refined(gaps: np.ndarray, step: float) -> float:
     """The step for which the gaps are whole multiples, from a first guess.
 
-    A wide gap says the step more sharply, but only a guess that is sharp already says how many steps that
+    A wide gap gives the step more sharply, but only a guess that is sharp already gives how many steps that
     gap holds: from the narrow gaps to the wide ones.
     """
     reach = 1.5 * step

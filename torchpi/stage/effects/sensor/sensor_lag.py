@@ -1,60 +1,20 @@
 """The low-pass of a sensor and its electronics: ẏ = 2πf_c (x - y)."""
 
-import math
-from typing import ClassVar
-
-import torch
-from torch import Tensor, nn
-
-from torchpi.operators.linear import Hold
-from torchpi.operators.quantity import Quantity
-from torchpi.operators.relaxations import RelaxationsStream, relaxations
-from torchpi.stage.effects.effect import LinearEffect, Parameters, Seen
+from torchpi.operators.linear import Hold, Matrices
+from torchpi.stage.effects.effect import Parameters, Seen
+from torchpi.stage.effects.lag import FirstOrderLag
 
 
-class SensorLag(LinearEffect):
-    """A first-order lag of a displacement that runs straight from sample to sample.
-
-    `torchpi.operators.lag` in closed form, which an infinite cutoff leaves exact: with a = e^{-ωT},
-    ω = 2πf_c, Γ₀ = 1 - a and Γ₁ = 1 - Γ₀ / ωT,
-
-        y(k) = z(k) + Γ₁ x(k),   z(k+1) = a z(k) + (Γ₀ - Γ₁ + a Γ₁) x(k)
-    """
+class SensorLag(FirstOrderLag):
+    """A lag of a displacement, which runs straight from sample to sample, or is held as the command is."""
 
     name = "sensor_lag"
     block = "sensor"
-    equation = "ẏ = 2πf_c (x - y)"
-    signature = "phase grows in proportion to frequency, the gain rolls off"
-    time_scale = "fast"
-    delays = True
     degenerate_with = ("amplifier_lag",)
-    quantities: ClassVar[dict[str, Quantity]] = {"cutoff_hz": Quantity("Hz", at_least=1.0, at_most=1e6)}
-    identity: ClassVar[Parameters] = {"cutoff_hz": math.inf}
-    cutoff_hz: nn.Parameter
     hold: Hold = "first"
 
-    def discrete(self) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """a, b, c, d of the one relaxation."""
-        omega_t = (2 * math.pi * self.sample_period_s * self.cutoff_hz).reshape(1)
-        a, gamma0 = torch.exp(-omega_t), -torch.expm1(-omega_t)
-        if self.hold == "end":
-            return a, a * gamma0, torch.ones_like(a), gamma0[0]
-        gamma1 = 1 - gamma0 / omega_t
-        return a, gamma0 - gamma1 + a * gamma1, torch.ones_like(a), gamma1[0]
-
-    def initial_state(self, batch: int) -> Tensor:
-        return torch.zeros(batch, 1, dtype=torch.float64)
-
-    def forward(
-        self,
-        x: Tensor,  # (batch, time), µm
-        state: Tensor | None = None,  # (batch, 1), µm
-    ) -> tuple[Tensor, Tensor]:
-        return relaxations(x, *self.discrete(), self.initial_state(len(x)) if state is None else state)
-
-    def stream(self) -> nn.Module:
-        a, b, c, d = self.discrete()
-        return RelaxationsStream(a.tolist(), b.tolist(), c.tolist(), d.item())
+    def matrices(self) -> Matrices:
+        return self.discrete(self.hold)
 
     @classmethod
     def starts(cls, seen: Seen) -> list[Parameters]:

@@ -6,14 +6,14 @@ Actuators A 190, 2013: the mapping error of a sensor as a polynomial of its inpu
 
 from typing import ClassVar
 
-from torch import Tensor, nn
+from torch import nn
 
-from torchpi.operators.polynomial import PolynomialStream, polynomial
 from torchpi.operators.quantity import Quantity
-from torchpi.stage.effects.effect import Effect, Parameters, Seen
+from torchpi.stage.effects.curvature import Curvature
+from torchpi.stage.effects.effect import Parameters, Seen
 
 
-class SensorNonlinearity(Effect):
+class SensorNonlinearity(Curvature):
     """A memoryless curvature of the reading; its slope at 0 is 1, for the stage has the gain."""
 
     name = "sensor_nonlinearity"
@@ -29,21 +29,6 @@ class SensorNonlinearity(Effect):
     identity: ClassVar[Parameters] = {"a2_per_um": 0.0, "a3_per_um2": 0.0}
     a2_per_um: nn.Parameter
     a3_per_um2: nn.Parameter
-
-    def forward(
-        self,
-        x: Tensor,  # (batch, time), µm
-        state: Tensor | None = None,
-    ) -> tuple[Tensor, Tensor]:
-        a = [1.0, self.a2_per_um, self.a3_per_um2]
-        y: Tensor = polynomial(x, a)  # type: ignore
-        return y, self.initial_state(len(x)) if state is None else state
-
-    def stream(self) -> nn.Module:
-        return PolynomialStream([1.0, self.a2_per_um.item(), self.a3_per_um2.item()])
-
-    def tangent(self, x: Tensor, dx: Tensor) -> Tensor:
-        return (1 + (2 * self.a2_per_um.detach() + 3 * self.a3_per_um2.detach() * x) * x) * dx
 
     @classmethod
     def starts(cls, seen: Seen) -> list[Parameters]:

@@ -6,16 +6,16 @@ from where it settles (ρ), or that of a room, which wanders: a random walk, thr
 """
 
 import math
-from typing import Any, ClassVar
+from typing import Any, ClassVar, cast
 
 import numba
 import numpy as np
 import torch
 from torch import Tensor, nn
-from torch.autograd.function import once_differentiable
 
 from torchpi.operators.quantity import Quantity
-from torchpi.stage.effects.effect import SHORTEST_SLOW_S, Effect, Needs, Parameters, Seen
+from torchpi.stage.effects.added_signal import AddedSignal, AddedSignalStream
+from torchpi.stage.effects.effect import SHORTEST_SLOW_S, Needs, Parameters, Seen
 from torchpi.stage.effects.knots import KNOTS, SPACING, KnotsStream, knot_names, through_knots
 
 KNOT_NAMES = knot_names("_um")
@@ -23,19 +23,29 @@ SLOWEST_DYNAMICS_S = 0.5
 """What settles faster is no drift of temperature."""
 
 
-def drift(
-    elapsed: float, period_s: float, amplitude_um: float, time_constant_s: float, rate_um_per_s: float
-) -> float:
-    """A (1 - e^{-t/τ}) + ρ t, at `elapsed` samples from the first. Kernel and stream compile this."""
-    t = elapsed * period_s
-    return amplitude_um * (1.0 - math.exp(-t / time_constant_s)) + rate_um_per_s * t
+def drift(t_s: float, amplitude_um: float, time_constant_s: float, rate_um_per_s: float) -> float:
+    """A (1 - e^{-t/τ}) + ρ t."""
+    return amplitude_um * (1.0 - math.exp(-t_s / time_constant_s)) + rate_um_per_s * t_s
 
 
-class ThermalDrift(Effect):
+_drift: Any = numba.njit(drift)
+
+
+@numba.njit(cache=True)
+def _moved(
+    elapsed: np.ndarray, period_s: float,
+    amplitude_um: float, time_constant_s: float, rate_um_per_s: float, moved: np.ndarray,
+) -> None:  # fmt: skip
+    for batch in range(moved.shape[0]):
+        for k in range(moved.shape[1]):
+            t_s = (elapsed[batch] + k) * period_s
+            moved[batch, k] = _drift(t_s, amplitude_um, time_constant_s, rate_um_per_s)
+
+
+class ThermalDrift(AddedSignal):
     """A drift that settles, goes on, wanders, or all of it; how far is another number in each recording.
 
     What wandered in one recording predicts nothing in the next: without its numbers the drift is not there.
-    The state is the number of samples since the first.
     """
 
     name = "thermal_drift"
@@ -67,6 +77,7 @@ class ThermalDrift(Effect):
     }
     per_recording = ("amplitude_um", "rate_um_per_s", *KNOT_NAMES)
     kinds = ("knot_spacing_s",)
+    signal, kernel = staticmethod(drift), staticmethod(_moved)
     amplitude_um: nn.Parameter
     time_constant_s: nn.Parameter
     rate_um_per_s: nn.Parameter
@@ -76,37 +87,23 @@ class ThermalDrift(Effect):
         """Where the walk is at each knot, (KNOTS,), µm."""
         return torch.stack([getattr(self, name) for name in KNOT_NAMES])
 
-    def initial_state(self, batch: int) -> Tensor:
-        return torch.zeros(batch, 1, dtype=torch.float64)
-
     def forward(
         self,
         x: Tensor,  # (batch, time), µm
         state: Tensor | None = None,  # (batch, 1), samples
     ) -> tuple[Tensor, Tensor]:
         elapsed = self.initial_state(len(x)) if state is None else state
-        moved = _Drift.apply(
-            elapsed,
-            x.shape[1],
-            self.sample_period_s,
-            self.amplitude_um,
-            self.time_constant_s,
-            self.rate_um_per_s,
-        )
-        walked = through_knots(elapsed, x.shape[1], self.sample_period_s, self.knot_spacing_s, self.knots())
-        return x + moved.to(x) + walked.to(x), elapsed + x.shape[1]
+        y, after = super().forward(x, elapsed)
+        walk = through_knots(elapsed, x.shape[1], self.sample_period_s, self.knot_spacing_s, self.knots())
+        return y + walk.to(x), after
 
     def stream(self) -> nn.Module:
-        return ThermalDriftStream(
-            self.sample_period_s,
-            self.amplitude_um.item(),
-            self.time_constant_s.item(),
-            self.rate_um_per_s.item(),
-            KnotsStream(self.sample_period_s, self.knot_spacing_s.item(), self.knots().tolist()),
-        )
+        walk = KnotsStream(self.sample_period_s, self.knot_spacing_s.item(), self.knots().tolist())
+        return ThermalDriftStream(cast(AddedSignalStream, super().stream()), walk)
 
-    def tangent(self, x: Tensor, dx: Tensor) -> Tensor:
-        return dx
+    @staticmethod
+    def of_tensors(t_s: Tensor, a: Tensor, b: Tensor, c: Tensor) -> Tensor:
+        return a * (1 - torch.exp(-t_s / b)) + c * t_s
 
     @classmethod
     def starts(cls, seen: Seen) -> list[Parameters]:
@@ -125,83 +122,16 @@ class ThermalDrift(Effect):
 class ThermalDriftStream(nn.Module):
     """The drift, one sample at a time."""
 
-    def __init__(
-        self,
-        period_s: float,
-        amplitude_um: float,
-        time_constant_s: float,
-        rate_um_per_s: float,
-        walk: KnotsStream,
-    ) -> None:
+    def __init__(self, drift: AddedSignalStream, walk: KnotsStream) -> None:
         super().__init__()
-        self.period_s = period_s
-        self.amplitude_um = amplitude_um
-        self.time_constant_s = time_constant_s
-        self.rate_um_per_s = rate_um_per_s
+        self.drift = drift
         self.walk = walk
-        self.elapsed = 0.0
 
     @torch.jit.export
     def reset(self) -> None:
-        self.elapsed = 0.0
+        self.drift.reset()
 
     @torch.jit.export
     def step(self, x: float) -> float:
-        y = x + drift(
-            self.elapsed, self.period_s, self.amplitude_um, self.time_constant_s, self.rate_um_per_s
-        )
-        y = y + self.walk.at(self.elapsed)
-        self.elapsed += 1.0
-        return y
-
-
-class _Drift(torch.autograd.Function):
-    @staticmethod
-    def forward(
-        ctx: Any,
-        elapsed: Tensor,
-        time: int,
-        period_s: float,
-        amplitude_um: Tensor,
-        time_constant_s: Tensor,
-        rate_um_per_s: Tensor,
-    ) -> Tensor:  # (batch, time)
-        moved = elapsed.new_empty(len(elapsed), time)
-        _moved(
-            elapsed.detach()[:, 0].numpy(), period_s,
-            amplitude_um.item(), time_constant_s.item(), rate_um_per_s.item(), moved.numpy(),
-        )  # fmt: skip
-        ctx.period_s, ctx.time = period_s, time
-        ctx.save_for_backward(elapsed, amplitude_um, time_constant_s, rate_um_per_s)
-        return moved
-
-    @staticmethod
-    @once_differentiable
-    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
-        elapsed, amplitude_um, tau, rate = ctx.saved_tensors
-        t = (elapsed + torch.arange(ctx.time, dtype=torch.float64)) * ctx.period_s
-        left = torch.exp(-t / tau)
-        by_t = gradients[0] * (amplitude_um * left / tau + rate)
-        return (
-            (by_t * ctx.period_s).sum(1, keepdim=True),
-            None,
-            None,
-            (gradients[0] * (1 - left)).sum(),
-            -(gradients[0] * amplitude_um * left * t / tau**2).sum(),
-            (gradients[0] * t).sum(),
-        )
-
-
-_drift: Any = numba.njit(drift)
-
-
-@numba.njit(cache=True)
-def _moved(
-    elapsed: np.ndarray, period_s: float,
-    amplitude_um: float, time_constant_s: float, rate_um_per_s: float, moved: np.ndarray,
-) -> None:  # fmt: skip
-    for batch in range(moved.shape[0]):
-        for k in range(moved.shape[1]):
-            moved[batch, k] = _drift(
-                elapsed[batch] + k, period_s, amplitude_um, time_constant_s, rate_um_per_s
-            )
+        walked = self.walk.at(self.drift.elapsed)
+        return self.drift.step(x) + walked

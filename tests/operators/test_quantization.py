@@ -1,4 +1,4 @@
-"""Saturation and quantisation: their values, their gradients, their limits."""
+"""Converters: their levels, their gradient, their range."""
 
 import math
 
@@ -9,33 +9,19 @@ from hypothesis import strategies as st
 
 from torchpi.errors import StageError
 from torchpi.operators.conformance import OperatorLaws, wandering
-from torchpi.operators.limits import Clip
-from torchpi.operators.quantization import Quantization
+from torchpi.operators.quantization import Converter
 
 
-class TestClipLaws(OperatorLaws):
-    def operator(self) -> Clip:
-        return Clip(-0.8, 1.1)
-
-
-class TestQuantizationLaws(OperatorLaws):
+class TestLaws(OperatorLaws):
     differentiable = False  # its gradient is that of the line through the steps, not its own
 
-    def operator(self) -> Quantization:
-        return Quantization(5, -1.5, 1.5)
-
-
-def test_clip_keeps_what_is_inside_and_holds_the_rest_at_the_limit():
-    x = torch.tensor([[-3.0, -2.0, 0.5, 12.0, 13.0]], requires_grad=True)
-    y, _ = Clip(-2.0, 12.0)(x)
-    assert y.tolist() == [[-2.0, -2.0, 0.5, 12.0, 12.0]]
-    y.sum().backward()
-    assert x.grad[0, [0, 2, 4]].tolist() == [0.0, 1.0, 0.0]
+    def operator(self) -> Converter:
+        return Converter(5, -1.5, 1.5)
 
 
 @given(x=st.floats(-10, 9.999), bits=st.integers(1, 24))
 def test_a_converter_is_off_by_half_a_step_at_most_and_leaves_its_own_levels_alone(x, bits):
-    converter = Quantization(bits, -10.0, 10.0)
+    converter = Converter(bits, -10.0, 10.0)
     (once,), _ = converter(torch.tensor([[x]], dtype=torch.float64))
     step = 20.0 / 2**bits
     top = 10.0 - step
@@ -46,21 +32,19 @@ def test_a_converter_is_off_by_half_a_step_at_most_and_leaves_its_own_levels_alo
 
 def test_a_converter_passes_the_gradient_straight_through_inside_its_range_only():
     x = torch.tensor([[-11.0, -3.3, 0.1, 9.0, 11.0]], dtype=torch.float64, requires_grad=True)
-    Quantization(8, -10.0, 10.0)(x)[0].sum().backward()
+    Converter(8, -10.0, 10.0)(x)[0].sum().backward()
     assert x.grad.tolist() == [[0.0, 1.0, 1.0, 1.0, 0.0]]
 
 
 def test_error_of_a_fine_converter_is_uniform():
     x = wandering(1, 5000)
-    converter = Quantization(12, -4.0, 4.0)
+    converter = Converter(12, -4.0, 4.0)
     error = converter(x)[0] - x
     assert error.std().item() == pytest.approx(converter.step_size / math.sqrt(12), rel=0.05)
 
 
-def test_limits_out_of_order_are_refused():
-    with pytest.raises(StageError, match="high: found 1, want more than low = 1"):
-        Clip(1.0, 1.0)
+def test_a_range_out_of_order_or_no_bits_are_refused():
     with pytest.raises(StageError, match="high: found 1, want a finite number above low = 2"):
-        Quantization(16, 2.0, 1.0)
+        Converter(16, 2.0, 1.0)
     with pytest.raises(StageError, match="bits: found 0 bits, want 1 to 32 bits"):
-        Quantization(0, 0.0, 1.0)
+        Converter(0, 0.0, 1.0)

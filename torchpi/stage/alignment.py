@@ -1,0 +1,56 @@
+"""The two ends of what a stage's chain maps: a command one sample late, and the zero of the reading."""
+
+import torch
+from torch import Tensor, nn
+
+from torchpi.operators.base import Operator
+from torchpi.operators.delay import DelayLineStream
+
+
+class OneSampleLate(Operator):
+    """Alignment 1: the command of the tick before. Before the first it is 0 V."""
+
+    def initial_state(self, batch: int) -> Tensor:
+        return torch.zeros(batch, 1, dtype=torch.float64)
+
+    def forward(
+        self,
+        x: Tensor,  # (batch, time), V
+        state: Tensor | None = None,  # (batch, 1), V
+    ) -> tuple[Tensor, Tensor]:
+        held = self.initial_state(len(x)).to(x.device) if state is None else state
+        both = torch.cat([held.to(x.dtype), x], 1)
+        return both[:, :-1], both[:, -1:].to(held.dtype)
+
+    def stream(self) -> nn.Module:
+        return DelayLineStream(1, 1.0, 0.0)
+
+
+class Zero(Operator):
+    """The zero of the sensor, behind everything that has memory: a constant has no transient."""
+
+    def __init__(self, zero_um: float) -> None:
+        super().__init__()
+        self.zero_um = float(zero_um)
+
+    def forward(self, x: Tensor, state: Tensor | None = None) -> tuple[Tensor, Tensor]:
+        return x + self.zero_um, self.initial_state(len(x)) if state is None else state
+
+    def stream(self) -> nn.Module:
+        return ZeroStream(self.zero_um)
+
+
+class ZeroStream(nn.Module):
+    """The zero, one sample at a time."""
+
+    def __init__(self, zero_um: float) -> None:
+        super().__init__()
+        self.zero_um = zero_um
+
+    @torch.jit.export
+    def reset(self) -> None:
+        return
+
+    @torch.jit.export
+    def step(self, x: float) -> float:
+        return x + self.zero_um

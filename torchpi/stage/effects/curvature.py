@@ -1,0 +1,22 @@
+"""A memoryless curvature of slope 1 at 0: y = x + c₂x² + c₃x³."""
+
+from torch import Tensor, nn
+
+from torchpi.operators.polynomial import PolynomialStream, polynomial
+from torchpi.stage.effects.effect import Effect
+
+
+class Curvature(Effect):
+    """Its two parameters are c₂ and c₃, in the order of `quantities`."""
+
+    def forward(self, x: Tensor, state: Tensor | None = None) -> tuple[Tensor, Tensor]:
+        c = [1.0, *(getattr(self, name) for name in self.quantities)]
+        y: Tensor = polynomial(x, c)  # type: ignore
+        return y, self.initial_state(len(x)) if state is None else state
+
+    def stream(self) -> nn.Module:
+        return PolynomialStream([1.0, *self.values().values()])
+
+    def tangent(self, x: Tensor, dx: Tensor) -> Tensor:
+        c2, c3 = self.values().values()
+        return (1 + (2 * c2 + 3 * c3 * x.detach()) * x.detach()) * dx
