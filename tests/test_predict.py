@@ -60,7 +60,7 @@ def test_the_file_comes_back_with_the_displacement(tmp_path: Path, monkeypatch: 
 @pytest.mark.parametrize(
     ("columns", "said"),
     [
-        (("time_s", "voltage"), "no column 'input_v'"),
+        (("time_s", "volume"), "no column 'input_v'"),
         (("time_s", "input_v"), "no column 'aux_x'"),
         (("input_v", "aux_x"), "time_s"),
     ],

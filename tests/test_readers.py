@@ -92,9 +92,9 @@ class TestText:
         assert "no header row" in text and "1 to 3" in text and "input_column" in text and "fs_hz" in text
 
     def test_a_misspelled_column_names_the_nearest_and_all(self, tmp_path):
-        path = write_rows(tmp_path / "a.csv", csv_rows(header="time_s,input_V,output_nm"))
+        path = write_rows(tmp_path / "a.csv", csv_rows(header="time_s,input_V,ouput"))
         text = refusal(path, input_column="input_V")
-        assert "'output_um'" in text and "'output_nm'" in text and "time_s, input_V, output_nm" in text
+        assert "'output_um'" in text and "nearest is 'ouput'" in text and "time_s, input_V, ouput" in text
 
     def test_a_missing_time_column_says_that_a_rate_will_do(self, tmp_path):
         path = write_rows(tmp_path / "a.csv", csv_rows(header="zeit,input_v,output_um"))
@@ -216,7 +216,7 @@ class TestNpz:
 
     def test_text_and_objects_are_refused(self, tmp_path):
         np.savez(tmp_path / "a.npz", input_v=np.array(["a", "b"]), output_um=Y)
-        assert "wanted numbers" in refusal(tmp_path / "a.npz", fs_hz=FS_HZ)
+        assert "expected numbers" in refusal(tmp_path / "a.npz", fs_hz=FS_HZ)
         np.savez(tmp_path / "b.npz", input_v=np.array([{}, {}]), output_um=Y)
         assert "'input_v'" in refusal(tmp_path / "b.npz", fs_hz=FS_HZ)
 

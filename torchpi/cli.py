@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from torchpi.command_line import run_chosen, run_command
+from torchpi.recording_options import RecordingOptions
 
 DESCRIPTION = """Makes piezo stages go where they are told.
 
@@ -222,10 +223,8 @@ def diagnose(
     recordings: list[Path],
     output: Path = Path("diagnosis"),
     simulation: Path | None = None,
-    columns: dict[str, str | int] | None = None,
-    fs_hz: float | None = None,
-    resample: bool = False,
     executor: str = "processes",
+    **reading: Any,
 ) -> None:
     """Say where recordings and a simulation differ, what physics was left out, and show the fit improve.
 
@@ -240,21 +239,20 @@ def diagnose(
         output: Folder for the results.
         simulation: Stage file (YAML) to compare with. Without it a plain stage: symmetric, rate-independent
             Prandtl–Ishlinskii hysteresis, everything else ideal.
-        columns: Names, or numbers from 1, of other columns: {time: t, input: u, output: y}.
-        fs_hz: Sample rate, where the files have no time.
-        resample: Interpolate recordings that are not sampled uniformly.
         executor: Where independent fits run: processes, or here.
+        reading: How the files are read.
     """
+    options = RecordingOptions(**reading)
     # Fits run side by side in processes: threads inside them would only wait for each other.
     for threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(threads, "1")
     from torchpi.diagnosis.files import diagnose_files
 
     command = shlex.join(["torchpi", *sys.argv[1:]])
-    diagnose_files(recordings, output, simulation, columns or {}, fs_hz, resample, executor, command)
+    diagnose_files(recordings, output, simulation, executor, command, options)
 
 
-def predict(stage: Path, recording: Path, output: Path = Path("prediction.csv")) -> None:
+def predict(stage: Path, recording: Path, output: Path = Path("prediction.csv"), **reading: Any) -> None:
     """Predict what a stage does with a voltage: time_s,input_v[,aux_…] in, the same with output_um out.
 
     From the de-energised state, at the file's own sample rate, without noise.
@@ -265,10 +263,12 @@ def predict(stage: Path, recording: Path, output: Path = Path("prediction.csv"))
         stage: The stage.pt of `torchpi diagnose`, or a stage file (YAML).
         recording: CSV, or any other kind that a recording may have; an output_um in it is left out.
         output: CSV to write.
+        reading: How the file is read.
     """
+    options = RecordingOptions(**reading)
     from torchpi.prediction import predict_file
 
-    predicted = predict_file(stage, recording, output)
+    predicted = predict_file(stage, recording, output, options)
     print(
         f"{output}: {len(predicted):,} samples at {predicted.fs_hz:g} Hz, "
         f"y {predicted.y.min():.3f} … {predicted.y.max():.3f} µm"

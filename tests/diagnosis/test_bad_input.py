@@ -67,7 +67,7 @@ def test_a_hold_alone_is_refused(
     ("option", "value", "word"),
     [
         ("--executor", "cluster", "cluster"),
-        ("--columns", "{volts: u}", "volts"),
+        ("--inputcolumn", "u", "nearest is 'input_column'"),
         ("--simulation", "no.yaml", "no.yaml"),
     ],
 )

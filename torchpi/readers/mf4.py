@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from torchpi.errors import RecordingError
-from torchpi.readers.source import Source, import_extra
+from torchpi.readers.source import Source, import_extra, stated_units
 
 
 def open_file(path: str) -> "Mf4Source":
@@ -22,6 +22,9 @@ class Mf4Source(Source):
         except Exception as error:  # asammdf raises whatever its parser met
             raise RecordingError(f"{path}: is not an MDF file ({error}); export it again") from None
         super().__init__(path, list(self.file.channels_db))
+
+    def unit(self, name: str) -> str | None:
+        return stated_units([(name, str(self._signal(name).unit))]).get(name) or super().unit(name)
 
     def read(self, names: list[str]) -> list[np.ndarray]:
         try:

@@ -3,7 +3,7 @@
 import numpy as np
 
 from torchpi.errors import RecordingError
-from torchpi.readers.source import Column, Source, import_extra
+from torchpi.readers.source import Column, Source, import_extra, stated_units
 
 
 def open_file(path: str) -> "TdmsSource":
@@ -23,6 +23,9 @@ class TdmsSource(Source):
             f"{group.name}/{channel.name}": channel for group in file.groups() for channel in group.channels()
         }
         super().__init__(path, list(self.channels))
+        self.units = stated_units(
+            (name, str(channel.properties.get("unit_string", ""))) for name, channel in self.channels.items()
+        )
 
     def find(self, column: Column, option: str) -> str:
         alone = [name for name in self.names if name.partition("/")[2] == str(column)]

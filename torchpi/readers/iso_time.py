@@ -1,0 +1,34 @@
+"""Time stamps of ISO 8601, `2024-05-01T12:00:00.0001Z`, or the time of day alone, in s from the first."""
+
+import re
+
+import numpy as np
+
+_STAMP = re.compile(
+    r"(?:(?P<date>\d{4}-\d\d-\d\d)[T ])?(?P<time>\d\d:\d\d:\d\d(?:[.,]\d{1,9})?)"
+    r"\s*(?P<zone>Z|[+-]\d\d:?\d\d)?"
+)
+
+
+def is_stamp(cell: str) -> bool:
+    """Is this cell a time stamp of ISO 8601?"""
+    return _STAMP.fullmatch(cell.strip().strip('"')) is not None
+
+
+def seconds_of(cells: np.ndarray) -> np.ndarray:
+    """Seconds from the first stamp (time,), exact to a nanosecond.
+
+    Raises:
+        ValueError: a cell is no time stamp, or one of a day that no calendar has.
+    """
+    moments = np.empty(len(cells), dtype="datetime64[ns]")
+    for k, cell in enumerate(cells):
+        match = _STAMP.fullmatch(str(cell).strip().strip('"'))
+        if match is None:
+            raise ValueError(f"'{cell}' is no time stamp")
+        moments[k] = np.datetime64(f"{match['date'] or '1970-01-01'}T{match['time'].replace(',', '.')}", "ns")
+        if match["zone"] not in (None, "Z"):
+            sign = 1 if match["zone"][0] == "+" else -1
+            hours, minutes = int(match["zone"][1:3]), int(match["zone"][-2:])
+            moments[k] -= np.timedelta64(sign * (60 * hours + minutes), "m")
+    return np.asarray((moments - moments[0]) / np.timedelta64(1, "s"), dtype=np.float64)
