@@ -20,6 +20,7 @@ DESCRIPTION = """Makes piezo stages go where they are told.
   3. torchpi export            makes a file of it for a controller
   4. torchpi run               tries that file in a control loop against the simulated stage
 
+  torchpi check                shows what recordings hold, and the options to read them by
   torchpi diagnose             says what physics the simulation lacks, and models it
   torchpi predict              simulates what a diagnosis left behind
   torchpi excite               writes the recordings' voltages that a diagnosis wants
@@ -219,6 +220,25 @@ def run(
     print(f"{page}: the page with all figures\n{numbers}: the same numbers")
 
 
+def check(files: list[Path], output: Path = Path("check"), **reading: Any) -> None:
+    """Show what recordings hold, what is wrong with them, and the commands to go on with.
+
+    Columns with their units, range and first values; sample rate and jitter; holds, range, noise, sign of the
+    gain, remanence at the start, wrong readings, clipping. Leaves check.html, the same with a plot of each.
+
+    Example: torchpi check recordings/slow.csv recordings/fast.csv
+
+    Args:
+        files: Recordings, in any format that the other commands read.
+        output: Folder for the page.
+        reading: How the files are read.
+    """
+    options = RecordingOptions(**reading)
+    from torchpi.check import check_files
+
+    check_files(files, output, options, shlex.join(["torchpi", *sys.argv[1:]]))
+
+
 def diagnose(
     recordings: list[Path],
     output: Path = Path("diagnosis"),
@@ -298,4 +318,4 @@ def reproduce(
     print(f"{page}: the page\n{output / 'results.json'}: the same numbers")
 
 
-COMMANDS: list[Callable[..., None]] = [simulate, excite, export, run, diagnose, predict, reproduce]
+COMMANDS: list[Callable[..., None]] = [simulate, excite, export, run, check, diagnose, predict, reproduce]

@@ -27,7 +27,7 @@ LONG_RUN = 4  # equal samples in a row that noise or a sharp peak does not make
 LEAST_STROKE_UM, LARGEST_STROKE_UM = 0.02, 1000.0
 LEAST_VOLTAGE_V, LARGEST_VOLTAGE_V = 0.005, 1500.0
 LARGEST, LEAST_RANGE = 1e12, 1e-12  # of any unit: beyond them products of four lose their digits
-FLIPPED = -0.5  # correlation below which the gain is negative for certain
+CLEAR_GAIN = 0.5  # in-phase correlation that leaves no doubt of the gain and its sign
 AWAY_FROM_ZERO = 0.2  # of the range: more than the last run leaves of a stage that is de-energised
 
 
@@ -274,7 +274,7 @@ def _single_dropouts(recording: "Recording", place: Callable[[int], str]) -> str
 
 def _falling_output(recording: "Recording") -> str | None:
     found = in_phase_correlation(recording.u, recording.y)
-    if found > FLIPPED:
+    if found > -CLEAR_GAIN:
         return None
     return (
         f"the output falls where the input rises (correlation {found:.2f}); if the sensor counts downwards, "
@@ -284,7 +284,8 @@ def _falling_output(recording: "Recording") -> str | None:
 
 def _early_output(recording: "Recording") -> str | None:
     lead = lead_of_output(recording.u, recording.y)
-    if not lead:
+    # Above its resonances, or driven by other inputs as well, a stage may seem to lead.
+    if not lead or abs(in_phase_correlation(recording.u, recording.y)) < CLEAR_GAIN:
         return None
     degrees = np.degrees(np.arcsin(min(1.0, lead / 1.11)))
     return (

@@ -67,10 +67,14 @@ class RecordingOptions:
         for field in fields(self):
             value = getattr(self, field.name)
             if value != field.default:
-                text = (
-                    "null" if value is None else str(value).lower() if isinstance(value, bool) else str(value)
-                )
+                text = _as_text(value)
                 arguments += [f"{prefix}{field.name}={text}"] if text[:1] == "-" else [
                     f"{prefix}{field.name}", text
                 ]  # fmt: skip
         return arguments
+
+
+def _as_text(value: object) -> str:
+    if isinstance(value, float) and value.is_integer():
+        return str(int(value))
+    return "null" if value is None else str(value).lower() if isinstance(value, bool) else str(value)

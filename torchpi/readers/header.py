@@ -26,6 +26,7 @@ STEMS: dict[Role, frozenset[str]] = {
     "input": frozenset({"input", "in", "u", "voltage", "command", "cmd", "drive", "v_in", "vin"}),
     "output": frozenset({"output", "out", "y", "displacement", "position", "disp", "pos", "stroke"}),
 }
+LONGEST_NAME = 200  # of a name that is looked into: the patterns below take the square of it
 _BRACKETED = re.compile(r"(?P<stem>.*?)\s*[\[({]\s*(?P<unit>[^\])}]*?)\s*[\])}]\s*")
 _SUFFIXED = re.compile(r"(?P<stem>.+?)(?:\s*/\s*|_|\s+|\s*,\s*)(?P<unit>[A-Za-zµμ]+)")
 
@@ -44,6 +45,8 @@ def role_of_unit(unit: str) -> Role:
 
 def stem_and_unit(name: str) -> tuple[str, str | None]:
     """(`u`, `mV`) of `u [mV]`, `u (mV)`, `u / mV`, `u_mV`; without a unit the name and None."""
+    if len(name) > LONGEST_NAME:
+        return name, None
     bracketed = _BRACKETED.fullmatch(name)
     if bracketed:
         return _plain(bracketed["stem"]), known_unit(bracketed["unit"])

@@ -4,8 +4,9 @@ import re
 
 import numpy as np
 
+# Years 1700 to 2199, which nanoseconds in 64 bits can hold.
 _STAMP = re.compile(
-    r"(?:(?P<date>\d{4}-\d\d-\d\d)[T ])?(?P<time>\d\d:\d\d:\d\d(?:[.,]\d{1,9})?)"
+    r"(?:(?P<date>(?:1[7-9]|2[01])\d\d-\d\d-\d\d)[T ])?(?P<time>\d\d:\d\d:\d\d(?:[.,]\d{1,9})?)"
     r"\s*(?P<zone>Z|[+-]\d\d:?\d\d)?"
 )
 

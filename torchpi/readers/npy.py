@@ -13,8 +13,13 @@ def open_file(path: str) -> "NpySource":
 class NpySource(ArraySource):
     def __init__(self, path: str) -> None:
         try:
-            stored = np.load(path, allow_pickle=False)
-        except (ValueError, OSError, EOFError, SyntaxError, MemoryError) as error:
+            with open(path, "rb") as file:
+                stored = np.load(file, allow_pickle=False)
+        except PermissionError:
+            raise
+        except (
+            Exception
+        ) as error:  # numpy raises whatever its parser met: ValueError, TokenError, MemoryError …
             raise RecordingError(f"{path}: is not a NumPy array ({error}); save it again") from None
         if not isinstance(stored, np.ndarray):
             raise RecordingError(f"{path}: is a NumPy archive; rename it to .npz")

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from torchpi.errors import RecordingError
-from torchpi.readers.header import known_unit, stem_and_unit
+from torchpi.readers.header import LONGEST_NAME, known_unit, stem_and_unit
 
 Column = str | int  # a name, or a number counted from 1
 
@@ -37,7 +37,12 @@ class Source(ABC):
 
     def unit(self, name: str) -> str | None:
         """The unit that the file states for this column, in its name or beside it; None where it has none."""
-        return self.units.get(name) or stem_and_unit(INDEXED.sub(r"\g<name>", name))[1]
+        indexed = INDEXED.fullmatch(name)
+        return self.units.get(name) or stem_and_unit(indexed["name"] if indexed else name)[1]
+
+    def holds_numbers(self, name: str) -> bool:
+        """Is this column worth reading? A text's column of words is not."""
+        return True
 
     def find(self, column: Column, option: str) -> str:
         """The name in the file that `column` means.
@@ -124,21 +129,23 @@ INDEXED = re.compile(r"(?P<name>.+)\[(?P<index>[-\d:,\s]+)\]")
 
 def _without_unit(name: str) -> str:
     """`Command` of `Command [mV]`, as it is spelled."""
-    match = re.fullmatch(r"(.+?)\s*[\[(][^\])]*[\])]\s*", name)
+    match = re.fullmatch(r"(.{1,200}?)\s*[\[(][^\])]*[\])]\s*", name)
     return match[1] if match and known_unit(name[match.end(1) :].strip(" []()")) else name
 
 
 def nearest(name: str, names: Iterable[str]) -> str | None:
     """The name that a misspelled one probably means, whatever its case."""
-    by_lower = {other.lower(): other for other in names}
-    found = difflib.get_close_matches(name.lower(), by_lower, n=1, cutoff=0.5)
+    by_lower = {other.lower(): other for other in names if len(other) <= LONGEST_NAME}
+    found = difflib.get_close_matches(name[:LONGEST_NAME].lower(), by_lower, n=1, cutoff=0.5)
     return by_lower[found[0]] if found else None
 
 
 def shortened(names: list[str], most: int = 20) -> str:
     """The names on one line; of a long list the first ones, and how many more there are."""
     rest = f", and {len(names) - most} more" if len(names) > most else ""
-    return (", ".join(names[:most]) + rest) or "nothing"
+    return (
+        ", ".join(name if len(name) <= 60 else f"{name[:57]}…" for name in names[:most]) + rest
+    ) or "nothing"
 
 
 def stated_units(pairs: Iterable[tuple[str, str]]) -> dict[str, str]:

@@ -79,7 +79,7 @@ class TextSource(Source):
             names, self.has_header, self.skipped_lines = self.dialect.cells(head[0][1]), True, head[0][0]
         super().__init__(path, names)
         self.units = {name: unit for name, unit in units.items() if unit is not None}
-        repeated = next((name for name in names if name and names.count(name) > 1), None)
+        repeated = next((name for name, count in Counter(names).items() if name and count > 1), None)
         if repeated is not None:
             raise RecordingError(
                 f"{path}: row {self.skipped_lines}: the column name '{repeated}' stands twice, "
@@ -102,6 +102,9 @@ class TextSource(Source):
                 f"{self.path}: cannot be read as a table of numbers ({error})"
             ) from None
         return [np.ascontiguousarray(table[column]) for column in chosen]
+
+    def holds_numbers(self, name: str) -> bool:
+        return self.kinds[self.names.index(name)] != "text"
 
     def place(self, index: int) -> str:
         line = next(islice(self.numbered(), index, None), None)
