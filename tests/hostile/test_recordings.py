@@ -91,6 +91,8 @@ def test_any_cell_is_a_number_or_refused_by_its_row(tmp_path: Path, cell: str, c
     path = tmp_path / "a.csv"
     path.write_text(with_cell(60, column, cell), encoding="utf-8")
     found = outcome(path)
+    if cell == "1,5":
+        assert "row 61: found 4 cells, expected 3" in found
     if cell in ("nan", "1e160", "abc", "", "9.9E37"):
         assert "row 61:" in found and f"'{('time_s', 'input_v', 'output_um')[column]}'" in found
 

@@ -12,8 +12,12 @@ _STAMP = re.compile(
 
 
 def is_stamp(cell: str) -> bool:
-    """Is this cell a time stamp of ISO 8601?"""
-    return _STAMP.fullmatch(cell.strip().strip('"')) is not None
+    """Is this cell a time stamp of ISO 8601, of a day and time that there are?"""
+    try:
+        _moment(cell)
+    except ValueError:
+        return False
+    return True
 
 
 def seconds_of(cells: np.ndarray) -> np.ndarray:
@@ -22,14 +26,16 @@ def seconds_of(cells: np.ndarray) -> np.ndarray:
     Raises:
         ValueError: a cell is no time stamp, or one of a day that no calendar has.
     """
-    moments = np.empty(len(cells), dtype="datetime64[ns]")
-    for k, cell in enumerate(cells):
-        match = _STAMP.fullmatch(str(cell).strip().strip('"'))
-        if match is None:
-            raise ValueError(f"'{cell}' is no time stamp")
-        moments[k] = np.datetime64(f"{match['date'] or '1970-01-01'}T{match['time'].replace(',', '.')}", "ns")
-        if match["zone"] not in (None, "Z"):
-            sign = 1 if match["zone"][0] == "+" else -1
-            hours, minutes = int(match["zone"][1:3]), int(match["zone"][-2:])
-            moments[k] -= np.timedelta64(sign * (60 * hours + minutes), "m")
+    moments = np.array([_moment(str(cell)) for cell in cells], dtype="datetime64[ns]")
     return np.asarray((moments - moments[0]) / np.timedelta64(1, "s"), dtype=np.float64)
+
+
+def _moment(cell: str) -> np.datetime64:
+    match = _STAMP.fullmatch(cell.strip().strip('"'))
+    if match is None:
+        raise ValueError(f"'{cell}' is no time stamp")
+    moment = np.datetime64(f"{match['date'] or '1970-01-01'}T{match['time'].replace(',', '.')}", "ns")
+    if match["zone"] in (None, "Z"):
+        return moment
+    minutes = 60 * int(match["zone"][1:3]) + int(match["zone"][-2:])
+    return moment - np.timedelta64(minutes if match["zone"][0] == "+" else -minutes, "m")

@@ -101,7 +101,9 @@ class TextSource(Source):
             raise self._first_fault(chosen) or RecordingError(
                 f"{self.path}: cannot be read as a table of numbers ({error})"
             ) from None
-        return [np.ascontiguousarray(table[column]) for column in chosen]
+        found = [np.ascontiguousarray(table[column]) for column in chosen]
+        self._check_widths(len(found[0]) if found else 0)
+        return found
 
     def holds_numbers(self, name: str) -> bool:
         return self.kinds[self.names.index(name)] != "text"
@@ -134,6 +136,30 @@ class TextSource(Source):
             quotechar='"',
             encoding=self.encoding,
         )
+
+    def _check_widths(self, rows: int) -> None:
+        """Raises RecordingError for a row with more cells than the others: a decimal comma would shift them.
+
+        Counting the delimiters of the whole file costs little; the rows are looked at only where it differs.
+        """
+        delimiter = self.dialect.delimiter
+        if delimiter is None or not rows:
+            return
+        first = next(self.numbered())[1]
+        with open(self.path, encoding=self.encoding, errors="replace") as file:
+            for _ in range(self.skipped_lines):
+                file.readline()
+            count = sum(part.count(delimiter) for part in iter(lambda: file.read(1 << 22), ""))
+        if count == rows * first.count(delimiter):
+            return
+        width = max(len(self.names), len(self.dialect.cells(first)))
+        for row, line in self.numbered():
+            cells = self.dialect.cells(line)
+            if any(cells[width:]):
+                raise RecordingError(
+                    f"{self.path}: row {row}: found {len(cells)} cells, expected {width}; "
+                    "correct the row (a decimal comma between commas?) or delete it"
+                )
 
     def _offers(self, name: str) -> bool:
         if not self.has_header and not name.isdigit():
