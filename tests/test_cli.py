@@ -52,7 +52,9 @@ def test_import_brings_neither_lightning_nor_matplotlib() -> None:
     subprocess.run([sys.executable, "-c", program], check=True)
 
 
-@pytest.mark.parametrize("command", ["simulate", "excite", "export", "run", "reproduce"])
+@pytest.mark.parametrize(
+    "command", ["simulate", "excite", "export", "run", "check", "diagnose", "predict", "reproduce"]
+)
 def test_every_command_has_an_example_and_every_option_an_explanation(
     command: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

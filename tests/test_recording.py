@@ -26,6 +26,7 @@ from torchpi.recording import (
     read_signal,
     write_recording,
 )
+from torchpi.recording_faults import dropouts
 
 DATA = Path(__file__).parents[1].parent / "shared" / "data"
 FS_HZ = 10_000.0
@@ -309,6 +310,96 @@ class TestDropouts:
         u = sine_5hz()[1]
         (text,) = said(record(u, np.repeat(stage(u)[::10], 10)))
         assert "dropouts" in text and "own rate" in text
+
+
+class TestSingleDropouts:
+    @pytest.mark.parametrize("name", ["sine", "multisine of eq. 13", "random phases", "triangles", "stairs"])
+    @pytest.mark.parametrize("noise_um", [0.0, 0.003, 0.03])
+    @pytest.mark.parametrize("step", [0.0, 10 / 2**12])
+    def test_zeros_among_readings_are_found_and_nothing_else(self, name, noise_um, step):
+        y = stage(SIGNALS[name][1], noise_um)
+        y = np.round(y / step) * step if step else y
+        assert not len(dropouts(y))
+        lost = np.arange(500, len(y) - 500, 97)
+        lost = lost[y[lost] > 1.0]
+        y[lost] = 0.0
+        found = dropouts(y)
+        assert set(found) <= set(lost) and len(found) >= 0.98 * len(lost)
+
+    def test_noise_alone_makes_none(self):
+        false = sum(len(dropouts(np.random.default_rng(k).standard_normal(3000))) > 0 for k in range(100))
+        assert false <= 1  # one in a thousand records is allowed for
+
+    @given(
+        hnp.arrays(np.float64, st.integers(0, 40), elements=st.floats(-1e12, 1e12, allow_subnormal=True)),
+    )
+    def test_any_signal_has_an_answer(self, y):
+        found = dropouts(y)
+        assert np.all((found > 0) & (found < len(y) - 1)) and np.all(np.diff(found) > 0)
+
+    def test_the_warning_counts_them_and_names_their_rows(self, tmp_path, multisine_record):
+        y = multisine_record.y.copy()
+        y[[1000, 2000, 2500]] = 0.0
+        write_recording(tmp_path / "a.csv", record(multisine_record.u, y))
+        with pytest.warns(
+            RecordingWarning, match=r"3 single wrong readings .*row 1002: 0 µm .*rows? 2002, row 2502"
+        ):
+            read_recording(tmp_path / "a.csv")
+
+
+class TestExtremes:
+    @pytest.mark.parametrize("value", [1e160, -1e160, 1e13, 9.9e37])
+    @pytest.mark.parametrize("column", ["time_s", "input_v", "output_um"])
+    def test_an_impossible_value_is_refused_by_file_row_and_column(
+        self, tmp_path, multisine_record, value, column
+    ):
+        table = {"time_s": multisine_record.t, "input_v": multisine_record.u, "output_um": multisine_record.y}
+        table[column] = table[column].copy()
+        table[column][70] = value
+        np.savetxt(
+            tmp_path / "a.csv",
+            np.stack(list(table.values()), 1),
+            "%.17g",
+            ",",
+            header=",".join(table),
+            comments="",
+        )
+        with pytest.raises(
+            RecordingError, match=rf"a\.csv: row 72: column '{column}': found {value:g}".replace("+", r"\+")
+        ):
+            read_recording(tmp_path / "a.csv")
+
+    def test_ranges_and_steps_too_small_are_refused(self, tmp_path, multisine_record):
+        with pytest.raises(RecordingError, match=r"input moves by only 9\.63e-300"):
+            check_recording(record(1e-300 * multisine_record.u))
+        t = 1e-300 * np.arange(len(multisine_record))
+        np.savez(tmp_path / "a.npz", time_s=t, input_v=multisine_record.u, output_um=multisine_record.y)
+        with pytest.raises(RecordingError, match=r"sample 2: time step 1e-300 s, expected at least 1e-12 s"):
+            read_recording(tmp_path / "a.npz")
+
+    def test_a_gap_that_would_fill_the_memory_is_refused(self, tmp_path, multisine_record):
+        t = multisine_record.t.copy()
+        t[-1] = 1e9
+        np.savez(tmp_path / "a.npz", time_s=t, input_v=multisine_record.u, output_um=multisine_record.y)
+        with pytest.raises(RecordingError, match="a gap of 1e\\+09 s"):
+            read_recording(tmp_path / "a.npz", resample=True)
+
+
+class TestWhichIsWhich:
+    @pytest.mark.parametrize("name", ["sine", "multisine of eq. 13", "random phases", "triangles"])
+    def test_swapped_columns_and_a_turned_sensor_are_said_with_the_remedy(self, name):
+        u = SIGNALS[name][1]
+        y = stage(u)
+        assert said(record(u, y)) == []
+        assert any("comes before the input" in line and "input_column" in line for line in said(record(y, u)))
+        assert any(
+            "falls where the input rises" in line and "output_unit" in line for line in said(record(u, -y))
+        )
+        assert not any("comes before" in line for line in said(record(u, -y)))
+
+    def test_a_start_away_from_zero_is_said_with_the_remedy(self, multisine_record):
+        (text,) = said(record(multisine_record.u, multisine_record.y + 30))
+        assert "starts at 30" in text and "zero (first)" in text
 
 
 class TestUnits:

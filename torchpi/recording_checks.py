@@ -118,7 +118,7 @@ def check_values(name: str, columns: list[tuple[str, np.ndarray]], place: Callab
     found = signal[first]
     expected = f"at most {LARGEST:g} in size" if np.isfinite(found) else "a finite number"
     raise RecordingError(
-        f"{name}: {place(first)}: column '{column}': found {found}, expected {expected}{more}; "
+        f"{name}: {place(first)}: column '{column}': found {found:.6g}, expected {expected}{more}; "
         "correct the row, or delete it and interpolate with the option resample (true)"
     )
 

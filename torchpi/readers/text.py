@@ -179,7 +179,9 @@ class TextSource(Source):
         if first is None:
             return None, head[0][0] + 1
         # A row with a fault above it is still one of the table: it is named when the numbers are read.
-        while first > 0 and self._holds_a_number(rows[first - 1]):
+        while (
+            first > 0 and head[first - 1][0] == head[first][0] - 1 and self._holds_a_number(rows[first - 1])
+        ):
             first -= 1
         return first, head[first][0]
 
