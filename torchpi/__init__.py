@@ -26,6 +26,7 @@ if TYPE_CHECKING:
         ReferenceFilter as ReferenceFilter,
     )
     from torchpi.recording import Recording as Recording
+    from torchpi.recording import RecordingOptions as RecordingOptions
     from torchpi.recording import read_recording as read_recording
     from torchpi.recording import write_recording as write_recording
     from torchpi.stage import Stage as Stage
@@ -39,6 +40,7 @@ _HOME = {
     "Polynomial": "torchpi.operators",
     "PrandtlIshlinskii": "torchpi.operators",
     "Recording": "torchpi.recording",
+    "RecordingOptions": "torchpi.recording",
     "ReferenceFilter": "torchpi.operators",
     "Stage": "torchpi.stage",
     "TorchpiError": "torchpi.errors",
