@@ -435,6 +435,45 @@ class TestExtraFormats:
         assert_is_the_record(read_recording(tmp_path / "a.mf4"))
         assert "'slow_um'" in refusal(tmp_path / "a.mf4", output_column="slow_um")
 
+    def test_units_that_a_format_keeps_beside_its_signals_count(self, tmp_path):
+        h5py = pytest.importorskip("h5py")
+        with h5py.File(tmp_path / "a.h5", "w") as file:
+            file["u"], file["y"], file["fs"] = 1e3 * U, 1e3 * Y, FS_HZ
+            file["u"].attrs["units"], file["y"].attrs["unit"] = "mV", "nm"
+        assert_is_the_record(read_recording(tmp_path / "a.h5", fs_hz="fs"))
+        nptdms = pytest.importorskip("nptdms")
+        with nptdms.TdmsWriter(tmp_path / "a.tdms") as writer:
+            channels = [
+                nptdms.ChannelObject(
+                    "run", name, x, properties={"wf_increment": 1 / FS_HZ, "unit_string": unit}
+                )
+                for name, x, unit in (("ai0", 1e3 * U, "mV"), ("ai1", 1e3 * Y, "nm"))
+            ]
+            writer.write_segment(channels)
+        assert_is_the_record(read_recording(tmp_path / "a.tdms"))
+        asammdf = pytest.importorskip("asammdf")
+        with asammdf.MDF() as file:
+            file.append(
+                [
+                    asammdf.Signal(samples=1e3 * U, timestamps=T, name="ch0", unit="mV"),
+                    asammdf.Signal(samples=1e3 * Y, timestamps=T, name="ch1", unit="nm"),
+                ]
+            )
+            file.save(tmp_path / "a.mf4")
+        assert_is_the_record(read_recording(tmp_path / "a.mf4"))
+
+    def test_a_recording_that_was_cut_short_is_said(self, tmp_path):
+        nptdms = pytest.importorskip("nptdms")
+        with nptdms.TdmsWriter(tmp_path / "a.tdms") as writer:
+            for _ in range(2):
+                writer.write_segment(
+                    [nptdms.ChannelObject("run", name, x) for name, x in (("input_v", U), ("output_um", Y))]
+                )
+        whole = (tmp_path / "a.tdms").read_bytes()
+        (tmp_path / "b.tdms").write_bytes(whole[:-3200])
+        with pytest.warns(RecordingWarning, match=r"b\.tdms: Last segment .*whole"):
+            open_source(tmp_path / "b.tdms")
+
     @pytest.mark.parametrize(
         ("suffix", "module"), [(".h5", "h5py"), (".tdms", "nptdms"), (".mf4", "asammdf")]
     )

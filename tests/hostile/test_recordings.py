@@ -219,13 +219,39 @@ def damaged(data: bytes, random: np.random.Generator) -> bytes:
     )
 
 
-def stored(kind: str) -> bytes:
+def stored(kind: str, path: Path) -> bytes:
     """A good recording in a binary format."""
     buffer = io.BytesIO()
     if kind == ".npy":
         np.save(buffer, np.stack((T, U, Y), 1))
     elif kind == ".npz":
         np.savez(buffer, time_s=T, input_v=U, output_um=Y)
+    elif kind == ".h5":
+        h5py = pytest.importorskip("h5py")
+        with h5py.File(path, "w") as file:
+            file["time_s"], file["input_v"], file["output_um"] = T, U, Y
+        return path.read_bytes()
+    elif kind == ".tdms":
+        nptdms = pytest.importorskip("nptdms")
+        with nptdms.TdmsWriter(path) as writer:
+            writer.write_segment(
+                [
+                    nptdms.ChannelObject("run", name, values, properties={"wf_increment": 1e-3})
+                    for name, values in (("input_v", U), ("output_um", Y))
+                ]
+            )
+        return path.read_bytes()
+    elif kind == ".mf4":
+        asammdf = pytest.importorskip("asammdf")
+        with asammdf.MDF() as file:
+            file.append(
+                [
+                    asammdf.Signal(samples=x, timestamps=T, name=n)
+                    for n, x in (("input_v", U), ("output_um", Y))
+                ]
+            )
+            file.save(path)
+        return path.read_bytes()
     else:
         from scipy.io import savemat
 
@@ -233,11 +259,11 @@ def stored(kind: str) -> bytes:
     return buffer.getvalue()
 
 
-@pytest.mark.parametrize("kind", [".npy", ".npz", ".mat"])
-@pytest.mark.parametrize("seed", range(25))
+@pytest.mark.parametrize("kind", [".npy", ".npz", ".mat", ".h5", ".tdms", ".mf4"])
+@pytest.mark.parametrize("seed", range(20))
 def test_a_damaged_array_file_is_read_or_refused(tmp_path: Path, kind: str, seed: int) -> None:
     path = tmp_path / f"a{kind}"
-    data = damaged(stored(kind), np.random.default_rng(seed))
+    data = damaged(stored(kind, tmp_path / f"good{kind}"), np.random.default_rng(seed))
     path.write_bytes(data)
     outcome(path)
 

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from torchpi.errors import RecordingError
-from torchpi.readers.source import ArraySource, import_extra, stated_units
+from torchpi.readers.source import ArraySource, import_extra, one_line, stated_units
 
 
 def open_file(path: str) -> "Hdf5Source":
@@ -30,7 +30,9 @@ class Hdf5Source(ArraySource):
             with h5py.File(path, "r") as file:
                 file.visititems(note)
         except Exception as error:  # h5py raises whatever its parser met: OSError, RuntimeError, KeyError …
-            raise RecordingError(f"{path}: is not an HDF5 file ({error}); export it again") from None
+            raise RecordingError(
+                f"{path}: is not an HDF5 file ({one_line(error)}); export it again"
+            ) from None
         super().__init__(path, list(self.paths))
         self.units = stated_units(attributes.items())
 
@@ -39,7 +41,9 @@ class Hdf5Source(ArraySource):
             with self.h5py.File(self.path, "r") as file:
                 stored = np.asarray(file[self.paths[name]])
         except (OSError, RuntimeError, KeyError, MemoryError) as error:
-            raise RecordingError(f"{self.path}: '{name}' cannot be read ({error}); export it again") from None
+            raise RecordingError(
+                f"{self.path}: '{name}' cannot be read ({one_line(error)}); export it again"
+            ) from None
         return stored.T if self.matlab else stored
 
     def find(self, column: str | int, option: str) -> str:

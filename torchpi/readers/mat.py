@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from torchpi.errors import RecordingError
-from torchpi.readers.source import ArraySource
+from torchpi.readers.source import ArraySource, one_line
 
 
 def open_file(path: str) -> ArraySource:
@@ -27,7 +27,9 @@ class MatSource(ArraySource):
         except (
             Exception
         ) as error:  # scipy raises whatever its parser met: ValueError, TypeError, zlib.error …
-            raise RecordingError(f"{path}: is not a MATLAB file ({error}); save it again with -v7") from None
+            raise RecordingError(
+                f"{path}: is not a MATLAB file ({one_line(error)}); save it again with -v7"
+            ) from None
         self.variables = dict(_flat({name: stored[name] for name in stored if not name.startswith("__")}))
         super().__init__(path, list(self.variables))
 

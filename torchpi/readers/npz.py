@@ -5,7 +5,7 @@ import zipfile
 import numpy as np
 
 from torchpi.errors import RecordingError
-from torchpi.readers.source import ArraySource
+from torchpi.readers.source import ArraySource, one_line
 
 
 def open_file(path: str) -> "NpzSource":
@@ -20,7 +20,9 @@ class NpzSource(ArraySource):
             with open(path, "rb") as file, np.load(file, allow_pickle=False) as archive:
                 names = archive.files
         except Exception as error:  # numpy raises whatever its parser met: BadZipFile, ValueError, KeyError …
-            raise RecordingError(f"{path}: is not a NumPy archive ({error}); save it again") from None
+            raise RecordingError(
+                f"{path}: is not a NumPy archive ({one_line(error)}); save it again"
+            ) from None
         super().__init__(path, names)
 
     def array(self, name: str) -> np.ndarray:
@@ -28,4 +30,6 @@ class NpzSource(ArraySource):
             with open(self.path, "rb") as file, np.load(file, allow_pickle=False) as archive:
                 return np.asarray(archive[name])
         except Exception as error:  # the same, and zlib.error, NotImplementedError, MemoryError …
-            raise RecordingError(f"{self.path}: '{name}' cannot be read ({error}); save it again") from None
+            raise RecordingError(
+                f"{self.path}: '{name}' cannot be read ({one_line(error)}); save it again"
+            ) from None

@@ -154,6 +154,11 @@ def stated_units(pairs: Iterable[tuple[str, str]]) -> dict[str, str]:
     return {name: unit for name, unit in known if unit is not None}
 
 
+def one_line(error: Exception) -> str:
+    """What a library said of a file, short and on one line."""
+    return " ".join(str(error).split())[:200] or type(error).__name__
+
+
 def import_extra(path: str, module: str) -> Any:
     """The module that reads this format; where it is missing, RecordingError with the line to install it."""
     try:

@@ -1,13 +1,49 @@
 """TDMS of LabVIEW: channels as `group/channel`, or by the channel's name where only one group has it."""
 
+import logging
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 import numpy as np
 
-from torchpi.errors import RecordingError
-from torchpi.readers.source import Column, Source, import_extra, stated_units
+from torchpi.errors import RecordingError, RecordingWarning
+from torchpi.readers.source import Column, Source, import_extra, one_line, stated_units
 
 
 def open_file(path: str) -> "TdmsSource":
     return TdmsSource(path)
+
+
+@contextmanager
+def _heard(path: str) -> Iterator[None]:
+    """Give what npTDMS logs, such as a recording that was cut short, as one warning of the recording."""
+    records: list[logging.LogRecord] = []
+    # Each of its modules has a handler of its own, which prints.
+    names = [name for name in logging.root.manager.loggerDict if name.startswith("nptdms.")]
+    handlers = {name: logging.getLogger(name).handlers for name in names}
+    for name in names:
+        logging.getLogger(name).handlers = [_Collector(records)]
+    try:
+        yield
+    finally:
+        for name in names:
+            logging.getLogger(name).handlers = handlers[name]
+    if records:
+        more = f", and {len(records) - 1} more" if len(records) > 1 else ""
+        text = " ".join(records[0].getMessage().split())[:200]
+        warnings.warn(
+            f"{path}: {text}{more}; see that the recording is whole", RecordingWarning, stacklevel=2
+        )
+
+
+class _Collector(logging.Handler):
+    def __init__(self, records: list[logging.LogRecord]) -> None:
+        super().__init__(logging.WARNING)
+        self.records = records
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self.records.append(record)
 
 
 class TdmsSource(Source):
@@ -16,9 +52,10 @@ class TdmsSource(Source):
     def __init__(self, path: str) -> None:
         nptdms = import_extra(path, "nptdms")
         try:
-            file = nptdms.TdmsFile.read(path)
+            with _heard(path):
+                file = nptdms.TdmsFile.read(path)
         except Exception as error:  # npTDMS raises whatever its parser met
-            raise RecordingError(f"{path}: is not a TDMS file ({error}); export it again") from None
+            raise RecordingError(f"{path}: is not a TDMS file ({one_line(error)}); export it again") from None
         self.channels = {
             f"{group.name}/{channel.name}": channel for group in file.groups() for channel in group.channels()
         }
