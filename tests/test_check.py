@@ -125,7 +125,7 @@ def test_uneven_sampling_is_measured_and_the_option_is_given(tmp_path: Path) -> 
     assert not even.options.resample and even.jitter is not None and even.jitter < 1e-6
 
 
-def test_columns_that_cannot_be_told_apart_are_left_to_the_user(tmp_path: Path) -> None:
+def test_columns_that_cannot_be_identified_are_left_to_the_user(tmp_path: Path) -> None:
     path = write(tmp_path / "a.csv", "time_s,x1,x2,x3", T, U, Y, U + Y)
     with pytest.raises(RecordingError, match="no column 'input_v'"):
         summarise(path)
@@ -153,7 +153,7 @@ def test_the_noise_is_estimated_beside_the_motion(make: object, sigma: float) ->
     assert noise_estimate(y) == pytest.approx(sigma, rel=0.05)
 
 
-def test_remanence_at_the_start_is_told_from_a_start_on_the_loop() -> None:
+def test_remanence_at_the_start_differs_from_a_start_on_the_loop() -> None:
     u = 5 - 5 * np.cos(2 * np.pi * 5 * np.arange(4000) / 4000)
     play = np.empty_like(u)
     state = 0.0

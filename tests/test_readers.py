@@ -471,7 +471,7 @@ class TestExtraFormats:
                 )
         whole = (tmp_path / "a.tdms").read_bytes()
         (tmp_path / "b.tdms").write_bytes(whole[:-3200])
-        with pytest.warns(RecordingWarning, match=r"b\.tdms: Last segment .*whole"):
+        with pytest.warns(RecordingWarning, match=r"b\.tdms: Last segment .*complete"):
             open_source(tmp_path / "b.tdms")
 
     @pytest.mark.parametrize(

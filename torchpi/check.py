@@ -98,7 +98,7 @@ def facts_of(summary: Summary) -> list[tuple[str, str]]:
     u, y = recording.u, recording.y
     roles = ", ".join(f"{role} '{name}' ({OUR_UNITS[role]})" for role, name in summary.columns.items())
     if summary.guessed:
-        roles += ": told apart by what they hold; see that input and output are not exchanged"
+        roles += ": identified by their content; verify that input and output are not exchanged"
     sampling = f"{recording.fs_hz:.9g} Hz, {len(recording):,} samples, {recording.duration_s:.6g} s"
     if summary.jitter is None:
         sampling += "; no time stamps"

@@ -163,17 +163,17 @@ def _correlation(u: np.ndarray, y: np.ndarray) -> float:
 
 
 def _clipped_input(recording: "Recording") -> str | None:
-    """Flat tops that cut off a curve: longer than any rest elsewhere, met with a corner.
+    """Flat tops that cut off a curve: longer than any hold elsewhere, met with a corner.
 
-    Stairs rest at other levels too, a trapezoid comes along a straight line, a hold is met smoothly or by a
+    Stairs hold other levels too, a trapezoid comes along a straight line, a hold is met smoothly or by a
     jump.
     """
     u = recording.u
     start, length = _runs(u)
     inner = (start > 0) & (start + length < len(u))
     extreme = (u[start] == u.max()) | (u[start] == u.min())
-    rest_elsewhere = int(length[inner & ~extreme].max(initial=1))
-    clipped = inner & extreme & (length >= max(LONG_RUN, 8 * (rest_elsewhere - 1)))
+    hold_elsewhere = int(length[inner & ~extreme].max(initial=1))
+    clipped = inner & extreme & (length >= max(LONG_RUN, 8 * (hold_elsewhere - 1)))
     if not clipped.any():
         return None
     corners = [_is_cut_curve(u, int(i), int(n)) for i, n in zip(start[clipped], length[clipped], strict=True)]
@@ -209,9 +209,9 @@ def _bends(window: np.ndarray, height: float, tolerance: float) -> bool:
 
 
 def _clipped_output(recording: "Recording") -> str | None:
-    """Rests at the output's largest or smallest value that begin before the input has turned.
+    """Constant stretches at the output's largest or smallest value that begin before the input has turned.
 
-    A play rests after the turn; a rounded peak rests for no more than the input needs to cross one sensor
+    A play stands still after the turn; a rounded peak for no more than the input needs to cross one sensor
     step.
     """
     u, y = recording.u, recording.y
@@ -235,7 +235,7 @@ def _clipped_output(recording: "Recording") -> str | None:
 
 
 def _frozen_output(recording: "Recording") -> str | None:
-    """Rests of the output, with a jump after them, while the input moves by many sensor steps a sample."""
+    """Constant stretches of the output, with a jump after them, while the input moves by many sensor steps a sample."""
     u, y = recording.u, recording.y
     start, length = _runs(y)
     start, length = start[:-1], length[:-1]  # nothing is known of what follows the last

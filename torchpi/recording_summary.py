@@ -55,7 +55,7 @@ class Summary:
     columns: dict[Role, str]
     """Which column of the file was read as what; no time where the stamps are not used."""
     guessed: bool
-    """The columns were told apart by what they hold, not by name."""
+    """The columns were identified by their content, not by name."""
     jitter: float | None
     """Largest distance of a time stamp from its place, in sample periods; None without stamps."""
     holds: Holds
@@ -92,8 +92,8 @@ def summarise(path: str | Path, options: RecordingOptions | None = None) -> Summ
 
     Args:
         path: a file of any kind that `read_recording` reads.
-        options: as for every command. What this file needs beside them is added: columns that can be told
-            apart by what they hold, and `resample` where the sampling is not uniform.
+        options: as for every command. What this file needs beside them is added: columns that can be
+            identified by their content, and `resample` where the sampling is not uniform.
 
     Raises:
         RecordingError: what is wrong with the file.
@@ -111,7 +111,7 @@ def summarise(path: str | Path, options: RecordingOptions | None = None) -> Summ
             if grid.odd_sample is not None:
                 jitter = float(np.abs(steps / grid.median_step_s - 1).max())
                 options = options.with_changes(resample=True)
-    with warnings.catch_warnings(record=True) as heard:
+    with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", RecordingWarning)
         recording = read_recording(path, options, allow_constant_input=True)
     columns: dict[Role, str] = {"time": stamps[0]} if stamps else {}
@@ -134,7 +134,7 @@ def summarise(path: str | Path, options: RecordingOptions | None = None) -> Summ
         correlation=in_phase_correlation(u, y),
         comes_back_um=comes_back(u, y),
         dropouts=dropouts(y),
-        warnings=[str(warning.message).removeprefix(f"{path}: ") for warning in heard],
+        warnings=[str(warning.message).removeprefix(f"{path}: ") for warning in caught],
     )
 
 
@@ -185,7 +185,7 @@ def _column(source: Source, name: str) -> Column:
 
 
 def _with_guesses(source: Source, options: RecordingOptions) -> tuple[RecordingOptions, bool]:
-    """The options, with columns told apart by what they hold where their names do not tell.
+    """The options, with columns identified by their content where their names are unknown.
 
     Time is what rises steadily; of two other columns that move, the input is the first.
     """

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from torchpi.errors import RecordingError
-from torchpi.readers.source import ArraySource, import_extra, one_line, stated_units
+from torchpi.readers.source import ArraySource, import_extra, reason_of, stated_units
 
 
 def open_file(path: str) -> "Hdf5Source":
@@ -31,7 +31,7 @@ class Hdf5Source(ArraySource):
                 file.visititems(note)
         except Exception as error:  # h5py raises whatever its parser met: OSError, RuntimeError, KeyError …
             raise RecordingError(
-                f"{path}: is not an HDF5 file ({one_line(error)}); export it again"
+                f"{path}: is not an HDF5 file ({reason_of(error)}); export it again"
             ) from None
         super().__init__(path, list(self.paths))
         self.units = stated_units(attributes.items())
@@ -42,7 +42,7 @@ class Hdf5Source(ArraySource):
                 stored = np.asarray(file[self.paths[name]])
         except (OSError, RuntimeError, KeyError, MemoryError) as error:
             raise RecordingError(
-                f"{self.path}: '{name}' cannot be read ({one_line(error)}); export it again"
+                f"{self.path}: '{name}' cannot be read ({reason_of(error)}); export it again"
             ) from None
         return stored.T if self.matlab else stored
 

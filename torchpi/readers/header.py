@@ -26,7 +26,7 @@ STEMS: dict[Role, frozenset[str]] = {
     "input": frozenset({"input", "in", "u", "voltage", "command", "cmd", "drive", "v_in", "vin"}),
     "output": frozenset({"output", "out", "y", "displacement", "position", "disp", "pos", "stroke"}),
 }
-LONGEST_NAME = 200  # of a name that is looked into: the patterns below take the square of it
+LONGEST_NAME = 200  # characters of a name that is parsed: the patterns below take the square of it
 _BRACKETED = re.compile(r"(?P<stem>.*?)\s*[\[({]\s*(?P<unit>[^\])}]*?)\s*[\])}]\s*")
 _SUFFIXED = re.compile(r"(?P<stem>.+?)(?:\s*/\s*|_|\s+|\s*,\s*)(?P<unit>[A-Za-zµμ]+)")
 

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from torchpi.errors import RecordingError
-from torchpi.readers.source import ArraySource, one_line
+from torchpi.readers.source import ArraySource, reason_of
 
 
 def open_file(path: str) -> ArraySource:
@@ -28,7 +28,7 @@ class MatSource(ArraySource):
             Exception
         ) as error:  # scipy raises whatever its parser met: ValueError, TypeError, zlib.error …
             raise RecordingError(
-                f"{path}: is not a MATLAB file ({one_line(error)}); save it again with -v7"
+                f"{path}: is not a MATLAB file ({reason_of(error)}); save it again with -v7"
             ) from None
         self.variables = dict(_flat({name: stored[name] for name in stored if not name.startswith("__")}))
         super().__init__(path, list(self.variables))

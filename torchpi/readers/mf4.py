@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from torchpi.errors import RecordingError
-from torchpi.readers.source import Source, import_extra, one_line, stated_units
+from torchpi.readers.source import Source, import_extra, reason_of, stated_units
 
 
 def open_file(path: str) -> "Mf4Source":
@@ -25,7 +25,7 @@ class Mf4Source(Source):
         try:
             self.file = asammdf.MDF(path)
         except Exception as error:  # asammdf raises whatever its parser met
-            problem = one_line(error)
+            problem = reason_of(error)
         finally:
             if problem is not None:
                 gc.collect()  # it stands in a circle of references
@@ -46,7 +46,7 @@ class Mf4Source(Source):
             ) from None
         except Exception as error:  # of a damaged block
             raise RecordingError(
-                f"{self.path}: cannot be read ({one_line(error)}); export it again"
+                f"{self.path}: cannot be read ({reason_of(error)}); export it again"
             ) from None
 
     def times(self, name: str) -> np.ndarray | None:

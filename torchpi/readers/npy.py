@@ -3,7 +3,7 @@
 import numpy as np
 
 from torchpi.errors import RecordingError
-from torchpi.readers.source import ArraySource, one_line
+from torchpi.readers.source import ArraySource, reason_of
 
 
 def open_file(path: str) -> "NpySource":
@@ -20,7 +20,9 @@ class NpySource(ArraySource):
         except (
             Exception
         ) as error:  # numpy raises whatever its parser met: ValueError, TokenError, MemoryError …
-            raise RecordingError(f"{path}: is not a NumPy array ({one_line(error)}); save it again") from None
+            raise RecordingError(
+                f"{path}: is not a NumPy array ({reason_of(error)}); save it again"
+            ) from None
         if not isinstance(stored, np.ndarray):
             raise RecordingError(f"{path}: is a NumPy archive; rename it to .npz")
         if stored.dtype.names:

@@ -5,7 +5,7 @@ import zipfile
 import numpy as np
 
 from torchpi.errors import RecordingError
-from torchpi.readers.source import ArraySource, one_line
+from torchpi.readers.source import ArraySource, reason_of
 
 
 def open_file(path: str) -> "NpzSource":
@@ -21,7 +21,7 @@ class NpzSource(ArraySource):
                 names = archive.files
         except Exception as error:  # numpy raises whatever its parser met: BadZipFile, ValueError, KeyError …
             raise RecordingError(
-                f"{path}: is not a NumPy archive ({one_line(error)}); save it again"
+                f"{path}: is not a NumPy archive ({reason_of(error)}); save it again"
             ) from None
         super().__init__(path, names)
 
@@ -31,5 +31,5 @@ class NpzSource(ArraySource):
                 return np.asarray(archive[name])
         except Exception as error:  # the same, and zlib.error, NotImplementedError, MemoryError …
             raise RecordingError(
-                f"{self.path}: '{name}' cannot be read ({one_line(error)}); save it again"
+                f"{self.path}: '{name}' cannot be read ({reason_of(error)}); save it again"
             ) from None

@@ -154,8 +154,8 @@ def stated_units(pairs: Iterable[tuple[str, str]]) -> dict[str, str]:
     return {name: unit for name, unit in known if unit is not None}
 
 
-def one_line(error: Exception) -> str:
-    """What a library said of a file, short and on one line."""
+def reason_of(error: Exception) -> str:
+    """A library's error message, short and on one line."""
     return " ".join(str(error).split())[:200] or type(error).__name__
 
 

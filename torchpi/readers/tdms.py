@@ -8,7 +8,7 @@ from contextlib import contextmanager
 import numpy as np
 
 from torchpi.errors import RecordingError, RecordingWarning
-from torchpi.readers.source import Column, Source, import_extra, one_line, stated_units
+from torchpi.readers.source import Column, Source, import_extra, reason_of, stated_units
 
 
 def open_file(path: str) -> "TdmsSource":
@@ -16,8 +16,8 @@ def open_file(path: str) -> "TdmsSource":
 
 
 @contextmanager
-def _heard(path: str) -> Iterator[None]:
-    """Give what npTDMS logs, such as a recording that was cut short, as one warning of the recording."""
+def _as_one_warning(path: str) -> Iterator[None]:
+    """Turn what npTDMS logs, such as a truncated recording, into one warning."""
     records: list[logging.LogRecord] = []
     # Each of its modules has a handler of its own, which prints.
     names = [name for name in logging.root.manager.loggerDict if name.startswith("nptdms.")]
@@ -33,7 +33,7 @@ def _heard(path: str) -> Iterator[None]:
         more = f", and {len(records) - 1} more" if len(records) > 1 else ""
         text = " ".join(records[0].getMessage().split())[:200]
         warnings.warn(
-            f"{path}: {text}{more}; see that the recording is whole", RecordingWarning, stacklevel=2
+            f"{path}: {text}{more}; check that the recording is complete", RecordingWarning, stacklevel=2
         )
 
 
@@ -52,10 +52,12 @@ class TdmsSource(Source):
     def __init__(self, path: str) -> None:
         nptdms = import_extra(path, "nptdms")
         try:
-            with _heard(path):
+            with _as_one_warning(path):
                 file = nptdms.TdmsFile.read(path)
         except Exception as error:  # npTDMS raises whatever its parser met
-            raise RecordingError(f"{path}: is not a TDMS file ({one_line(error)}); export it again") from None
+            raise RecordingError(
+                f"{path}: is not a TDMS file ({reason_of(error)}); export it again"
+            ) from None
         self.channels = {
             f"{group.name}/{channel.name}": channel for group in file.groups() for channel in group.channels()
         }

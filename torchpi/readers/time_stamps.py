@@ -15,7 +15,7 @@ DRIFT_TOLERANCE = 0.5  # of the sample period: every sample stands nearest to it
 
 @dataclass(frozen=True)
 class Grid:
-    """What the stamps say: a rate, and the first sample that does not stand on the grid (None: all do)."""
+    """What the stamps give: a rate, and the first sample that does not stand on the grid (None: all do)."""
 
     fs_hz: float
     odd_sample: int | None

@@ -20,7 +20,7 @@ from torchpi.report.what_was_run import Provenance
 
 @dataclass(frozen=True)
 class Checked:
-    """A recording with what is said of it."""
+    """A recording and its description."""
 
     summary: Summary
     columns: Sequence[Column]
