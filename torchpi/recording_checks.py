@@ -235,7 +235,7 @@ def _clipped_output(recording: "Recording") -> str | None:
 
 
 def _frozen_output(recording: "Recording") -> str | None:
-    """Constant stretches of the output, with a jump after them, while the input moves by many sensor steps a sample."""
+    """Constant stretches of the output, then a jump, while the input moves by many sensor steps a sample."""
     u, y = recording.u, recording.y
     start, length = _runs(y)
     start, length = start[:-1], length[:-1]  # nothing is known of what follows the last
