@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from torchpi import cli
-from torchpi.check import commands_for
 from torchpi.errors import RecordingError
 from torchpi.excitation import hold, multisine, sine_5hz, stairs
-from torchpi.recording import RecordingOptions, read_recording
-from torchpi.recording_faults import noise_estimate
-from torchpi.recording_summary import comes_back, holds_of, summarise
+from torchpi.recordings.check import commands_for
+from torchpi.recordings.faults import noise_estimate
+from torchpi.recordings.recording import RecordingOptions, read_recording
+from torchpi.recordings.summary import comes_back, holds_of, summarise
 
 FS_HZ = 1000.0
 T = np.arange(2000) / FS_HZ

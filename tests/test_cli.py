@@ -17,7 +17,7 @@ from torchpi import cli
 from torchpi.command_line import run_command
 from torchpi.errors import RecordingWarning
 from torchpi.export import load_torchscript
-from torchpi.recording import RecordingOptions, read_recording
+from torchpi.recordings.recording import RecordingOptions, read_recording
 from torchpi.trained import to_checkpoint
 
 ROOT = Path(__file__).parents[1]

@@ -9,7 +9,7 @@ import torch
 
 from torchpi import cli, prediction
 from torchpi.operators.conformance import wandering
-from torchpi.recording import read_recording
+from torchpi.recordings.recording import read_recording
 from torchpi.stage import Stage
 
 RATE_HZ = 5000.0

@@ -8,9 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from torchpi.errors import RecordingError, RecordingWarning
-from torchpi.readers import open_source
-from torchpi.readers.time_stamps import round_rate, uniform_grid
-from torchpi.recording import read_recording
+from torchpi.recordings.readers import open_source
+from torchpi.recordings.readers.time_stamps import round_rate, uniform_grid
+from torchpi.recordings.recording import read_recording
 
 FS_HZ = 10_000.0
 T = np.arange(400) / FS_HZ

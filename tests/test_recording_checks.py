@@ -11,8 +11,8 @@ from hypothesis.extra import numpy as hnp
 from tests.test_recording import FS_HZ, record, stage
 from torchpi.errors import RecordingError, RecordingWarning
 from torchpi.excitation import hold, multisine, paper_multisine, sine_5hz, stairs, triangles
-from torchpi.recording import Recording, check_recording, read_recording, write_recording
-from torchpi.recording_faults import dropouts
+from torchpi.recordings.faults import dropouts
+from torchpi.recordings.recording import Recording, check_recording, read_recording, write_recording
 
 
 @pytest.fixture(scope="module")

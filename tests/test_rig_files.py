@@ -5,7 +5,7 @@ import pytest
 
 from tests.test_readers import FS_HZ, T, U, Y, assert_is_the_record, csv_rows, refusal, write_rows
 from torchpi.errors import RecordingWarning
-from torchpi.recording import read_recording
+from torchpi.recordings.recording import read_recording
 
 
 class TestAsRigsWriteIt:

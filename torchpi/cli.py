@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from torchpi.command_line import run_chosen, run_command
-from torchpi.recording_options import RecordingOptions
+from torchpi.recordings.options import RecordingOptions
 
 DESCRIPTION = """Makes piezo stages go where they are told.
 
@@ -59,7 +59,7 @@ def simulate(
     import torch
 
     from torchpi.excitation import make_excitation
-    from torchpi.recording import Recording, write_recording
+    from torchpi.recordings.recording import Recording, write_recording
     from torchpi.stage import Stage
 
     simulated = Stage.from_yaml(stage)
@@ -234,7 +234,7 @@ def check(files: list[Path], output: Path = Path("check"), **reading: Any) -> No
         reading: How the files are read.
     """
     options = RecordingOptions(**reading)
-    from torchpi.check import check_files
+    from torchpi.recordings.check import check_files
 
     check_files(files, output, options, shlex.join(["torchpi", *sys.argv[1:]]))
 

@@ -6,8 +6,8 @@ import numpy as np
 import torch
 
 from torchpi.errors import RecordingError
-from torchpi.readers import open_source
-from torchpi.recording import Recording, RecordingOptions, read_signal, write_recording
+from torchpi.recordings.readers import open_source
+from torchpi.recordings.recording import Recording, RecordingOptions, read_signal, write_recording
 from torchpi.stage import Stage
 
 AT_A_TIME = 1 << 16

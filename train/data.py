@@ -12,7 +12,7 @@ from torch.utils.data import DataLoader
 from torchpi.errors import ConfigError, RecordingError, RecordingWarning
 from torchpi.identification import InversePair, inverse_pair
 from torchpi.motion import Motion
-from torchpi.recording import Recording, RecordingOptions, read_recording
+from torchpi.recordings.recording import Recording, RecordingOptions, read_recording
 from torchpi.stage import Stage
 from train.simulation import Simulation, simulate
 from train.tracking import Follow

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from torchpi.errors import RecordingWarning, TorchpiError
-from torchpi.readers import open_source
-from torchpi.recording_summary import columns_in, summarise
+from torchpi.recordings.readers import open_source
+from torchpi.recordings.summary import columns_in, summarise
 
 MOST_S = 10
 ROWS = 120
@@ -43,7 +43,7 @@ def outcome(path: Path, **options: object) -> str:
     with at_most(MOST_S), warnings.catch_warnings():
         warnings.simplefilter("ignore", RecordingWarning)  # of a library's own, each is an error
         try:
-            from torchpi.recording_options import RecordingOptions
+            from torchpi.recordings.options import RecordingOptions
 
             columns_in(open_source(path))
             summarise(path, RecordingOptions().with_changes(**options))

@@ -14,7 +14,7 @@ from torchpi.diagnosis.diagnosis import Diagnosis
 from torchpi.diagnosis.parallel import get_ready
 from torchpi.errors import ConfigError
 from torchpi.excitation_files import write_excitation
-from torchpi.recording import RecordingOptions, read_recording
+from torchpi.recordings.recording import RecordingOptions, read_recording
 from torchpi.stage import Stage
 
 

@@ -9,7 +9,7 @@ from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from torchpi.files import write_atomically
-from torchpi.recording_summary import Column, Summary
+from torchpi.recordings.summary import Column, Summary
 from torchpi.report import style
 from torchpi.report.page import render
 from torchpi.report.style import drawing, settle

@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 
 from torchpi.errors import RecordingError, RecordingWarning
-from torchpi.readers import Source, open_source
-from torchpi.readers.header import Role
-from torchpi.readers.time_stamps import uniform_grid
-from torchpi.recording import Recording, read_recording
-from torchpi.recording_faults import dropouts, in_phase_correlation, least_step, noise_estimate
-from torchpi.recording_options import RecordingOptions
-from torchpi.recording_time import column_of, time_stamps
+from torchpi.recordings.faults import dropouts, in_phase_correlation, least_step, noise_estimate
+from torchpi.recordings.options import RecordingOptions
+from torchpi.recordings.readers import Source, open_source
+from torchpi.recordings.readers.header import Role
+from torchpi.recordings.readers.time_stamps import uniform_grid
+from torchpi.recordings.recording import Recording, read_recording
+from torchpi.recordings.time_base import column_of, time_stamps
 
 MOST_COLUMNS = 40  # of a file of many arrays the first
 PREVIEWED = 5

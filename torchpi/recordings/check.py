@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 
 from torchpi.errors import ConfigError, RecordingError
-from torchpi.readers import open_source
-from torchpi.recording_checks import AWAY_FROM_ZERO
-from torchpi.recording_options import RecordingOptions
-from torchpi.recording_summary import PREVIEWED, Column, Summary, columns_in, summarise
+from torchpi.recordings.checks import AWAY_FROM_ZERO
+from torchpi.recordings.options import RecordingOptions
+from torchpi.recordings.readers import open_source
+from torchpi.recordings.summary import PREVIEWED, Column, Summary, columns_in, summarise
 
 OUR_UNITS = {"time": "s", "input": "V", "output": "µm"}
 

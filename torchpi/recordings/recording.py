@@ -13,13 +13,13 @@ import numpy as np
 
 from torchpi.errors import RecordingError
 from torchpi.files import write_atomically
-from torchpi.readers import open_source
-from torchpi.readers.header import UNITS, Role
-from torchpi.readers.source import Column
-from torchpi.recording_checks import MIN_SAMPLES, check_length, check_recording
-from torchpi.recording_options import INPUT_COLUMN, OUTPUT_COLUMN, TIME_COLUMN, RecordingOptions
-from torchpi.recording_time import column_of, converted, rate_of, read_uniform, scale_of
-from torchpi.resampling import to_rate
+from torchpi.recordings.checks import MIN_SAMPLES, check_length, check_recording
+from torchpi.recordings.options import INPUT_COLUMN, OUTPUT_COLUMN, TIME_COLUMN, RecordingOptions
+from torchpi.recordings.readers import open_source
+from torchpi.recordings.readers.header import UNITS, Role
+from torchpi.recordings.readers.source import Column
+from torchpi.recordings.resampling import to_rate
+from torchpi.recordings.time_base import column_of, converted, rate_of, read_uniform, scale_of
 
 __all__ = [
     "Recording",

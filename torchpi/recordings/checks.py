@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from torchpi.errors import RecordingError, RecordingWarning
-from torchpi.recording_faults import (
+from torchpi.recordings.faults import (
     dropouts,
     in_phase_correlation,
     lead_of_output,
@@ -19,7 +19,7 @@ from torchpi.recording_faults import (
 )
 
 if TYPE_CHECKING:
-    from torchpi.recording import Recording
+    from torchpi.recordings.recording import Recording
 
 MIN_SAMPLES = 10
 RELATED = 0.1  # correlation at the best lag; 1 % of the output explained

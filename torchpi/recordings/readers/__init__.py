@@ -4,7 +4,7 @@ import importlib
 from pathlib import Path
 
 from torchpi.errors import RecordingError
-from torchpi.readers.source import Source, nearest
+from torchpi.recordings.readers.source import Source, nearest
 
 __all__ = ["Source", "open_source"]
 
@@ -28,7 +28,7 @@ def open_source(path: str | Path) -> Source:
     if file.stat().st_size == 0:
         raise RecordingError(f"{name}: the file is empty; record or export it again")
     try:
-        source: Source = importlib.import_module(f"torchpi.readers.{kind}").open_file(name)
+        source: Source = importlib.import_module(f"torchpi.recordings.readers.{kind}").open_file(name)
         return source
     except PermissionError as error:
         raise RecordingError(f"{name}: may not be read ({error.strerror}); change its permissions") from None

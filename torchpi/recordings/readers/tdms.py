@@ -8,7 +8,7 @@ from contextlib import contextmanager
 import numpy as np
 
 from torchpi.errors import RecordingError, RecordingWarning
-from torchpi.readers.source import Column, Source, import_extra, reason_of, stated_units
+from torchpi.recordings.readers.source import Column, Source, import_extra, reason_of, stated_units
 
 
 def open_file(path: str) -> "TdmsSource":

@@ -4,8 +4,8 @@ from itertools import islice
 
 import numpy as np
 
-from torchpi.readers.header import known_unit
-from torchpi.readers.text import SNIFFED_LINES, TextSource, text_encoding
+from torchpi.recordings.readers.header import known_unit
+from torchpi.recordings.readers.text import SNIFFED_LINES, TextSource, text_encoding
 
 END = "***End_of_Header***"
 

@@ -5,7 +5,7 @@ import zipfile
 import numpy as np
 
 from torchpi.errors import RecordingError
-from torchpi.readers.source import ArraySource, reason_of
+from torchpi.recordings.readers.source import ArraySource, reason_of
 
 
 def open_file(path: str) -> "NpzSource":

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from torchpi.errors import RecordingError
-from torchpi.readers.source import ArraySource, import_extra, reason_of, stated_units
+from torchpi.recordings.readers.source import ArraySource, import_extra, reason_of, stated_units
 
 
 def open_file(path: str) -> "Hdf5Source":

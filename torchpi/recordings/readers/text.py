@@ -15,9 +15,9 @@ from itertools import islice
 import numpy as np
 
 from torchpi.errors import RecordingError
-from torchpi.readers.header import known_unit, stem_and_unit
-from torchpi.readers.iso_time import is_stamp, seconds_of
-from torchpi.readers.source import Source, shortened
+from torchpi.recordings.readers.header import known_unit, stem_and_unit
+from torchpi.recordings.readers.iso_time import is_stamp, seconds_of
+from torchpi.recordings.readers.source import Source, shortened
 
 SNIFFED_LINES = 400
 SEPARATOR = re.compile(r'"?sep=(.)"?')  # the line that spreadsheets write first

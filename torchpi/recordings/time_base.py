@@ -6,12 +6,12 @@ from typing import NamedTuple
 import numpy as np
 
 from torchpi.errors import RecordingError, RecordingWarning
-from torchpi.readers import Source
-from torchpi.readers.header import UNITS, Role, columns_for, role_of_unit
-from torchpi.readers.source import Column
-from torchpi.readers.time_stamps import Grid, round_rate, uniform_grid
-from torchpi.recording_checks import check_length, check_values
-from torchpi.recording_options import INPUT_COLUMN, OUTPUT_COLUMN, TIME_COLUMN, RecordingOptions
+from torchpi.recordings.checks import check_length, check_values
+from torchpi.recordings.options import INPUT_COLUMN, OUTPUT_COLUMN, TIME_COLUMN, RecordingOptions
+from torchpi.recordings.readers import Source
+from torchpi.recordings.readers.header import UNITS, Role, columns_for, role_of_unit
+from torchpi.recordings.readers.source import Column
+from torchpi.recordings.readers.time_stamps import Grid, round_rate, uniform_grid
 
 RATE_TOLERANCE = 5e-3  # what coarse time stamps may leave open of the sample rate
 RATE_AGREEMENT = 1e-4  # between the stamps and a rate that the user gives

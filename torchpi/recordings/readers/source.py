@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from torchpi.errors import RecordingError
-from torchpi.readers.header import LONGEST_NAME, known_unit, stem_and_unit
+from torchpi.recordings.readers.header import LONGEST_NAME, known_unit, stem_and_unit
 
 Column = str | int  # a name, or a number counted from 1
 

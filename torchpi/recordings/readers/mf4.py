@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from torchpi.errors import RecordingError
-from torchpi.readers.source import Source, import_extra, reason_of, stated_units
+from torchpi.recordings.readers.source import Source, import_extra, reason_of, stated_units
 
 
 def open_file(path: str) -> "Mf4Source":
