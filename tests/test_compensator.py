@@ -149,7 +149,7 @@ def test_hyper_parameters_are_plain_and_rebuild_it() -> None:
 
 
 def test_the_deployed_step_can_be_read() -> None:
-    source = inspect.getsource(type(compensator().stream()).step)
+    source = inspect.getsource(type(compensator().stream()).law)
     assert "h9 = play(s, " in source and "# eq. 4" in source
 
 
