@@ -30,6 +30,8 @@ from torchpi.operators.relaxations import relaxations
 from torchpi.operators.weighted_plays import weighted_plays
 from torchpi.operators.weighted_sum import weighted_sum
 
+HIGHEST_DEGREE = 30  # far above what any loop needs; a file may ask for anything
+
 
 class DirectInverse(nn.Module):
     """Maps a desired motion to the voltage that produces it.
@@ -88,10 +90,9 @@ class DirectInverse(nn.Module):
         self.hyper_parameters["trained"] = None if self.trained is None else self.trained.plain()
         if not 0 < sample_period_s < math.inf:
             raise ConfigError(f"sample_period_s: found {sample_period_s}, want a positive number of s")
-        if degree < 1:
-            raise ConfigError(f"degree: found {degree}, want at least 1")
-        if output_degree < 1:
-            raise ConfigError(f"output_degree: found {output_degree}, want at least 1")
+        for name, power in (("degree", degree), ("output_degree", output_degree)):
+            if not 1 <= power <= HIGHEST_DEGREE:
+                raise ConfigError(f"{name}: found {power}, expected 1 to {HIGHEST_DEGREE}")
         if preview < 0:
             raise ConfigError(f"preview: found {preview}, want a number of samples that is not negative")
         if lead not in (0, 1, 2):
@@ -103,6 +104,8 @@ class DirectInverse(nn.Module):
             raise ConfigError(
                 f"min_voltage_v: found {min_voltage_v} V, want a number below max_voltage_v, {max_voltage_v}"
             )
+        if max_slew_v_s is not None and not 0 < max_slew_v_s < math.inf:
+            raise ConfigError(f"max_slew_v_s: found {max_slew_v_s}, expected a positive number of V/s")
         self.sample_period_s = sample_period_s
         self.preview = preview
         self.min_voltage_v = min_voltage_v

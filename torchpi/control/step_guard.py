@@ -14,7 +14,6 @@ counts in `limited_outputs`. States never wind up: beyond the trained range noth
 voltage limits do not reach, so there is no saturated stretch for them to integrate.
 """
 
-import math
 from dataclasses import dataclass
 
 import torch
@@ -22,7 +21,6 @@ from torch import Tensor, nn
 
 from torchpi.control.reach import Reach
 from torchpi.control.trained_motions import TrainedMotions
-from torchpi.errors import ConfigError
 
 BEYOND_RANGE = 0.25  # of the trained range, accepted on either side of it: 1.5 times the trained range
 BEYOND_RATE = 4.0  # times the largest trained rate, accepted
@@ -78,12 +76,7 @@ def step_limits(
         typical_um: A displacement that occurs, where the training is not known.
         trained: What it was trained on.
         max_slew_v_s: Largest rate of the output voltage, V/s; None for any.
-
-    Raises:
-        ConfigError: A slew limit that is not positive.
     """
-    if max_slew_v_s is not None and not 0 < max_slew_v_s < math.inf:
-        raise ConfigError(f"max_slew_v_s: found {max_slew_v_s}, expected a positive number of V/s")
     change = None if max_slew_v_s is None else max_slew_v_s * sample_period_s
     if trained is None:
         largest = BEYOND_REACH * max(abs(reach.low_um), abs(reach.high_um), abs(typical_um))
