@@ -60,3 +60,14 @@ def load_compensator(path: str | Path) -> DirectInverse:
         first = str(error).partition("\n")[0]
         raise ArtifactError(f"{file}: parameters of no compensator ({first})") from error
     return compensator
+
+
+def with_slew_limit(compensator: DirectInverse, max_slew_v_s: float) -> DirectInverse:
+    """The same compensator, its deployed step limited to this rate of the voltage.
+
+    Raises:
+        ConfigError: A rate that is not positive.
+    """
+    limited = DirectInverse(**{**compensator.hyper_parameters, "max_slew_v_s": max_slew_v_s})
+    limited.load_state_dict(compensator.state_dict())
+    return limited

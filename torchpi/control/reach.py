@@ -35,10 +35,9 @@ def reach(law: Law, min_voltage_v: float, max_voltage_v: float) -> Reach:
     steps = torch.cat(
         [torch.zeros(1, dtype=torch.float64), torch.logspace(-3, 4, POINTS, dtype=torch.float64)]
     )
-    high, low = (
-        float(steps[_first_outside(law(sign * steps), min_voltage_v, max_voltage_v, sign)]) * sign
-        for sign in (1.0, -1.0)
-    )
+    high = _end(steps, law(steps), min_voltage_v, max_voltage_v)
+    # Downwards it is the same question with both signs turned.
+    low = 0.0 - _end(steps, -law(-steps), -max_voltage_v, -min_voltage_v)
     up = torch.linspace(0.0, high, POINTS, dtype=torch.float64)
     back = torch.linspace(high, min(low, -high), 2 * POINTS, dtype=torch.float64)
     down = law(torch.cat([up, back]))[POINTS:] <= min_voltage_v
@@ -46,11 +45,13 @@ def reach(law: Law, min_voltage_v: float, max_voltage_v: float) -> Reach:
     return Reach(low, high, remanence)
 
 
-def _first_outside(u: Tensor, min_voltage_v: float, max_voltage_v: float, sign: float) -> int:
+def _end(y: Tensor, u: Tensor, limit_behind_v: float, limit_ahead_v: float) -> float:
     """Where the voltage first meets the limit ahead, or runs away backwards; the last place if nowhere."""
-    span = max_voltage_v - min_voltage_v
-    ahead, back = (u, -u) if sign > 0 else (-u, u)
-    limit = max_voltage_v if sign > 0 else -min_voltage_v
-    behind = -min_voltage_v if sign > 0 else max_voltage_v
-    met = (ahead >= limit) | (back >= behind + span) | ~torch.isfinite(u)
-    return int(met.int().argmax()) if bool(met.any()) else len(u) - 1
+    span = limit_ahead_v - limit_behind_v
+    met = (u >= limit_ahead_v) | (u <= limit_behind_v - span) | ~torch.isfinite(u)
+    k = int(met.int().argmax()) if bool(met.any()) else len(u) - 1
+    if k == 0:
+        return 0.0
+    rise = float(u[k] - u[k - 1])
+    share = float(limit_ahead_v - u[k - 1]) / rise if rise > 0 else 0.0
+    return float(y[k - 1]) + min(max(share, 0.0), 1.0) * float(y[k] - y[k - 1])

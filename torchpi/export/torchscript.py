@@ -98,7 +98,8 @@ def load_torchscript(path: str | Path) -> CompensatorStream:
 def _check_attributes(path: Path, loaded: torch.jit.ScriptModule) -> None:
     for name, kind in _ATTRIBUTES.items():
         value: Any = getattr(loaded, name, None)
-        if type(value) is not kind or not math.isfinite(value):
+        finite = isinstance(value, int | float) and math.isfinite(value)
+        if type(value) is not kind or not finite:
             raise ArtifactError(f"{path}: {name}: found {value}, expected a finite {kind.__name__}")
     if loaded.sample_period_s <= 0:
         raise ArtifactError(

@@ -164,7 +164,7 @@ def _check_pickle(path: Path, content: bytes) -> None:
                 argument in _GLOBALS or str(argument).startswith("__torch__.")
             ):
                 _refuse(path, f"a pickle with '{str(argument)[:40]}'")
-            if opcode.name == "BINFLOAT" and not math.isfinite(argument):
+            if isinstance(argument, float) and not math.isfinite(argument):
                 _refuse(path, f"the number {argument}")
             elements = 0 if opcode.name in ("MARK", "APPENDS") else elements + (opcode.name in _ELEMENTS)
             if elements > LONGEST_LIST:
