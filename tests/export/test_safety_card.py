@@ -31,7 +31,7 @@ def test_reach_is_where_the_loop_meets_the_limits() -> None:
     card = safety_card(linear())
     # Up: 2 y - (y - 1) = 10. Down from there, h_1 first stands still at 8, then follows at y + 1.
     assert card.reachable_um == pytest.approx((0.0, 9.0), abs=0.02)
-    assert card.remanence_um == pytest.approx(4.0, abs=0.02)
+    assert card.remanence_um == pytest.approx(1.0, abs=0.02)
     assert card.monotone is None and card.trained_range_um is None and card.current_ma is None
 
 
