@@ -47,8 +47,9 @@ def reach(law: Law, min_voltage_v: float, max_voltage_v: float) -> Reach:
 
 def _end(y: Tensor, u: Tensor, limit_behind_v: float, limit_ahead_v: float) -> float:
     """Where the voltage first meets the limit ahead, or runs away backwards; the last place if nowhere."""
-    span = limit_ahead_v - limit_behind_v
-    met = (u >= limit_ahead_v) | (u <= limit_behind_v - span) | ~torch.isfinite(u)
+    # The start may lie below the limits, which begin further out.
+    away = min(limit_behind_v, float(u[0])) - (limit_ahead_v - limit_behind_v)
+    met = (u >= limit_ahead_v) | (u <= away) | ~torch.isfinite(u)
     k = int(met.int().argmax()) if bool(met.any()) else len(u) - 1
     if k == 0:
         return 0.0
