@@ -152,8 +152,10 @@ def _step_lines(
     yield "self.accept(yd)"
     yield "x, rate, acceleration = self.motion.step(self.last_input)"
     leads = (("rate", "s"), ("acceleration", "s^2"))
+    if len(compensator.scaled_lead) > 0:
+        yield "if self.smooth >= 3:"
     for i, (tau, (derivative, unit)) in enumerate(zip(compensator.lead.tolist(), leads, strict=False), 1):
-        yield f"x = x + {constant(f'tau_{i}', tau, f'{unit}, lead on the {derivative}')} * {derivative}"
+        yield f"    x = x + {constant(f'tau_{i}', tau, f'{unit}, lead on the {derivative}')} * {derivative}"
     if filters or len(compensator.scaled_lead) > 0:
         low, high = limits.accepted_um
         least = constant("least_x_um", 2 * low - high, "um, what leads and filter make of a jump")

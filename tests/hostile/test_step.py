@@ -128,18 +128,18 @@ def settled(stream: CompensatorStream, at_um: float) -> None:
         stream.step(at_um)
 
 
-def test_a_jump_is_held_until_the_next_sample_confirms_it_and_then_followed() -> None:
+def test_a_jump_is_held_until_four_samples_confirm_it_and_then_followed() -> None:
     stream = compensator().stream()
     settled(stream, 1.0)
     before = stream.step(1.0)
-    assert stream.step(7.0) == before and stream.held_inputs == 1
+    assert [stream.step(7.0) for _ in range(4)] == [before] * 4 and stream.held_inputs == 4
     # 4 times the largest trained rate, 200 µm/s.
     accepted = []
     for _ in range(12):
         stream.step(7.0)
         accepted.append(stream.last_input)  # type: ignore[attr-defined]
     assert accepted == pytest.approx([min(1.0 + 0.8 * (k + 1), 7.0) for k in range(12)])
-    assert stream.held_inputs == 1 and stream.outside_range > 0
+    assert stream.held_inputs == 4 and stream.outside_range > 0
 
 
 def test_counters_tell_apart_what_happened() -> None:

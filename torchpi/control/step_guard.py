@@ -4,14 +4,18 @@ Before it, `accept` decides what is taken for the desired displacement:
 
     inside the trained range, and no faster than trained       taken as it is
     inside the accepted range, in a step that is not too long   taken, counted in `outside_range`
-    a jump                                      held until the next sample confirms it, then followed at the
+    a jump                                      held until four more samples confirm it, then followed at the
                                                 largest accepted rate and counted in `outside_range`
     outside the accepted range, inf, NaN        the last accepted one stands in, counted in `held_inputs`
 
-Thus whatever the equations see is finite, bounded, and of bounded rate, and a glitch leaves nothing in the
-memory of hysteresis and creep. Behind it, `emit` limits the voltage, and its change where that is wanted, and
-counts in `limited_outputs`. States never wind up: beyond the trained range nothing is accepted that the
-voltage limits do not reach, so there is no saturated stretch for them to integrate.
+Thus whatever the equations see is finite, bounded, and of bounded rate, and what is held leaves nothing in
+the memory of hysteresis and creep. The derivatives of a lead are formed of four samples, and would carry a
+jump into the plays at many times its size: `smooth` counts the samples since the last one that was held, or
+moved faster than trained, and leads wait for three of them.
+
+Behind the equations, `emit` limits the voltage, and its change where that is wanted, and counts in
+`limited_outputs`. States do not wind up: beyond the trained range, but for one per cent, nothing is accepted
+that the voltage limits do not reach, so there is no saturated stretch for them to integrate.
 """
 
 from dataclasses import dataclass
@@ -24,7 +28,8 @@ from torchpi.control.trained_motions import TrainedMotions
 
 BEYOND_RANGE = 0.25  # of the trained range, accepted on either side of it: 1.5 times the trained range
 BEYOND_RATE = 4.0  # times the largest trained rate, accepted
-LEAST_STEP = 0.01  # of the trained range, accepted from one sample to the next at any rate: sensor noise
+NOISE = 0.01  # of the trained range, accepted beyond it whatever is reached, and from sample to sample
+CONFIRMATIONS = 4  # samples that lie within an accepted step of the one before
 BEYOND_REACH = 2.0  # times the largest displacement within reach, accepted where the training is not known
 
 # Numbers that stay double in C compiled for float: comparisons must come out alike in both.
@@ -86,11 +91,11 @@ def step_limits(
     low, high = trained.range_um
     span = high - low
     accepted = (
-        max(low - BEYOND_RANGE * span, min(low, reach.low_um)),
-        min(high + BEYOND_RANGE * span, max(high, reach.high_um)),
+        max(low - BEYOND_RANGE * span, min(low - NOISE * span, reach.low_um)),
+        min(high + BEYOND_RANGE * span, max(high + NOISE * span, reach.high_um)),
     )
     trained_step = max(map(abs, trained.rates_um_s)) * sample_period_s
-    longest = min(max(BEYOND_RATE * trained_step, LEAST_STEP * span), accepted[1] - accepted[0])
+    longest = min(max(BEYOND_RATE * trained_step, NOISE * span), accepted[1] - accepted[0])
     return StepLimits(accepted, longest, trained.range_um, min(trained_step, longest), *voltages_v, change)
 
 
@@ -112,9 +117,12 @@ class GuardedStep(nn.Module):
         self.max_voltage_v = limits.max_voltage_v  # V
         self.limits_change = limits.max_change_v is not None
         self.max_change_v = limits.max_change_v if limits.max_change_v is not None else 0.0  # V, in a period
+        self.enough = CONFIRMATIONS
         self.start_um = min(max(0.0, limits.accepted_um[0]), limits.accepted_um[1])
         self.start_v = min(max(0.0, limits.min_voltage_v), limits.max_voltage_v)
         self.started = False
+        self.confirmed = 0
+        self.smooth = 3
         self.last_sample = self.start_um
         self.last_input = self.start_um
         self.last_voltage = self.start_v
@@ -124,6 +132,8 @@ class GuardedStep(nn.Module):
 
     def reset_guard(self) -> None:
         self.started = False
+        self.confirmed = 0
+        self.smooth = 3
         self.last_sample = self.start_um
         self.last_input = self.start_um
         self.last_voltage = self.start_v
@@ -144,6 +154,8 @@ class GuardedStep(nn.Module):
             self.last_input = yd
             self.last_sample = yd
             self.started = True
+            if self.smooth < 3:
+                self.smooth += 1
         else:
             self.accept_beyond(yd)
 
@@ -151,7 +163,7 @@ class GuardedStep(nn.Module):
         """What lies outside the trained range or rates."""
         if yd >= self.least_accepted_um and yd <= self.largest_accepted_um:
             step_um = yd - self.last_input
-            confirmed = abs(yd - self.last_sample) <= self.largest_step_um
+            self.confirmed = self.confirmed + 1 if abs(yd - self.last_sample) <= self.largest_step_um else 0
             if not self.started:
                 # The trajectory rested here before its first sample.
                 self.last_input = yd
@@ -160,15 +172,19 @@ class GuardedStep(nn.Module):
             elif abs(step_um) <= self.largest_step_um:
                 self.last_input = yd
                 self.outside_range += 1
-            elif not confirmed:
+                self.smooth = 0 if abs(step_um) > self.trained_step_um else self.smooth
+            elif self.confirmed < self.enough:
                 self.held_inputs += 1
+                self.smooth = 0
             else:
+                self.smooth = 0
                 self.last_input += self.largest_step_um if step_um > 0.0 else -self.largest_step_um
                 self.outside_range += 1
             self.last_sample = yd
             self.started = True
         else:
             self.held_inputs += 1
+            self.smooth = 0
 
     def emit(self, u: float) -> None:
         """Leave in `last_voltage` the voltage within the limits."""

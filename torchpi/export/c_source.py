@@ -76,7 +76,7 @@ def header(part: Part, step: StepInC) -> str:
  *
  * yd is {takes} in um, {preview} samples ahead of the voltage u in V. Each state is independent of every
  * other. Inputs beyond {low_um:.6g} ... {high_um:.6g} um, jumps of more than {longest_um:.4g} um that the
- * next sample does not confirm, inf and NaN are held, and count in state.held_inputs: the last accepted one
+ * next samples do not confirm, inf and NaN are held, and count in state.held_inputs: the last accepted one
  * stands in. state.outside_range counts inputs beyond the trained range or rate, state.limited_outputs
  * voltages that the limits changed.
  *

@@ -6,6 +6,7 @@ from typing import Any
 
 import torchpi
 from torchpi.compensator import DirectInverse
+from torchpi.control.step_guard import CONFIRMATIONS
 from torchpi.errors import ArtifactError
 from torchpi.export.deployable import Deployable
 from torchpi.export.formats import Files
@@ -71,12 +72,14 @@ def numbers(
         "guard": {
             "rule": "an input inside trained_um, within trained_step_um of the last accepted one, is taken; "
             "inside accepted_um and within largest_step_um it is taken and counted in outside_range; from "
-            "further away the last accepted one stands in (held_inputs), unless the input is within "
-            "largest_step_um of the one before: then the last accepted one moves by largest_step_um towards "
-            "it (outside_range); outside accepted_um, inf and nan the last accepted one stands in "
-            "(held_inputs)",
+            "further away the last accepted one stands in (held_inputs), unless the input and the "
+            "confirmations - 1 before it were each within largest_step_um of the one before: then the last "
+            "accepted one moves by largest_step_um towards it (outside_range); outside accepted_um, inf and "
+            "nan the last accepted one stands in (held_inputs); after a sample that was held, moved, or more "
+            "than trained_step_um away, the lead is left out until three were taken",
             "accepted_um": list(limits.accepted_um),
             "largest_step_um": limits.largest_step_um,
+            "confirmations": CONFIRMATIONS,
             "trained_um": list(limits.trained_um),
             "trained_step_um": limits.trained_step_um,
             "largest_output_change_v": limits.max_change_v,
