@@ -113,7 +113,14 @@ def excite(
 
 
 def export(
-    run: Path, output: Path | None = None, to: str = "torchscript,json", reference_filter: bool = False
+    run: Path,
+    output: Path | None = None,
+    to: str = "torchscript,json,page",
+    reference_filter: bool = False,
+    max_slew_v_s: float | None = None,
+    capacitance_uf: float | None = None,
+    amplifier_gain: float = 1.0,
+    allow_backwards: bool = False,
 ) -> None:
     """Export the compensator of a training run, for a controller: all files, or none.
 
@@ -123,23 +130,39 @@ def export(
         run: Run folder of `python -m train fit`, or one of its checkpoints.
         output: Path without suffix; the formats add theirs. By default exports/ and the name of the run.
         to: Formats, comma between: torchscript (.pt), c (.h, .c and _selftest.c, C99), pt2 (torch.export),
-            json (the bare numbers with units).
+            json (the bare numbers with units), page (.html, the safety card, which json has as well).
         reference_filter: Put the paper's reference filter (eq. 14) inside: `step` then takes y_r.
+        max_slew_v_s: Limit the rate of the output voltage inside the step, V/s.
+        capacitance_uf: Of the piezo, µF: the safety card then has the current.
+        amplifier_gain: Voltage at the piezo per volt of the controller, for the current.
+        allow_backwards: Export a compensator that lowers the voltage to raise the stage somewhere in its
+            trained range.
     """
-    from torchpi.export import export_files
+    from torchpi.errors import ArtifactError
+    from torchpi.export import Load, export_files, safety_card
     from torchpi.operators import ReferenceFilter
-    from torchpi.trained import load_compensator
+    from torchpi.trained import load_compensator, with_slew_limit
 
     compensator = load_compensator(run)
+    if max_slew_v_s is not None:
+        compensator = with_slew_limit(compensator, max_slew_v_s)
+    load = Load(capacitance_uf, amplifier_gain)
+    card = safety_card(compensator, load)
+    if card.monotone is False and not allow_backwards:
+        raise ArtifactError(f"{run}: {card.monotone_summary}; or export it with --allow_backwards true")
     inside = ReferenceFilter(compensator.sample_period_s) if reference_filter else None
     output = output or Path("exports") / run.resolve().name
-    output = output.with_suffix("") if output.suffix in (".pt", ".c", ".h", ".pt2", ".json") else output
-    files = export_files(compensator, output, [name.strip() for name in to.split(",")], inside)
+    output = (
+        output.with_suffix("") if output.suffix in (".pt", ".c", ".h", ".pt2", ".json", ".html") else output
+    )
+    files = export_files(compensator, output, [name.strip() for name in to.split(",")], inside, load)
     signal = "y_r" if reference_filter else "y_d"
     print(
         f"step({signal} at t + {compensator.preview} samples, µm) -> V, "
         f"every {compensator.sample_period_s:g} s:"
     )
+    if card.monotone is None:
+        print(f"Careful: {card.monotone_summary}, so nothing says whether it runs backwards; train it again.")
     for file in files:
         print(file)
 
