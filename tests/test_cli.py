@@ -5,6 +5,8 @@ import re
 import subprocess
 import sys
 import time
+import warnings
+from dataclasses import fields
 from pathlib import Path
 
 import pytest
@@ -12,8 +14,10 @@ import torch
 
 from tests.test_compensator import compensator
 from torchpi import cli
+from torchpi.command_line import run_command
+from torchpi.errors import RecordingWarning
 from torchpi.export import load_torchscript
-from torchpi.recording import read_recording
+from torchpi.recordings.recording import RecordingOptions, read_recording
 from torchpi.trained import to_checkpoint
 
 ROOT = Path(__file__).parents[1]
@@ -52,7 +56,9 @@ def test_import_brings_neither_lightning_nor_matplotlib() -> None:
     subprocess.run([sys.executable, "-c", program], check=True)
 
 
-@pytest.mark.parametrize("command", ["simulate", "excite", "export", "run", "reproduce"])
+@pytest.mark.parametrize(
+    "command", ["simulate", "excite", "export", "run", "check", "diagnose", "predict", "reproduce"]
+)
 def test_every_command_has_an_example_and_every_option_an_explanation(
     command: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -128,6 +134,34 @@ def test_bad_input_is_one_line_and_exit_code_2(
     error = capsys.readouterr().err
     assert error.startswith("torchpi: error: ") and error.count("\n") == 1 and says in error
     assert sorted(tmp_path.rglob("*")) == before
+
+
+@pytest.mark.parametrize("command", ["check", "diagnose", "predict", "fit"])
+def test_every_command_reads_recordings_by_the_same_options(
+    command: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    if command == "fit":
+        from train.cli import main
+
+        with pytest.raises(SystemExit):
+            main(["fit", "--help"])
+        prefix = "--data."
+    else:
+        torchpi(monkeypatch, command, "--help")
+        prefix = "--"
+    offered = set(re.findall(rf"^  {prefix}(\w+) ", capsys.readouterr().out, re.MULTILINE))
+    assert {field.name for field in fields(RecordingOptions)} <= offered
+
+
+def test_a_warning_of_a_recording_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+    def command() -> None:
+        warnings.simplefilter("always", RecordingWarning)
+        warnings.warn("a.csv: starts at 30 µm", RecordingWarning, stacklevel=2)
+
+    before = warnings.showwarning
+    assert run_command(command, "torchpi") == 0
+    assert capsys.readouterr().err == "torchpi: warning: a.csv: starts at 30 µm\n"
+    assert warnings.showwarning is before
 
 
 def test_a_stage_with_an_unphysical_value_is_refused_by_name_and_unit(

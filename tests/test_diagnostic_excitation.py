@@ -19,7 +19,7 @@ from torchpi.diagnostic_excitation import (
 )
 from torchpi.drive_limits import DriveLimits
 from torchpi.errors import ConfigError
-from torchpi.recording import Recording, check_recording
+from torchpi.recordings.recording import Recording, check_recording
 from torchpi.stage import Stage
 
 

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from torchpi.differentiation import motion_bandwidth, zero_phase_motion
 from torchpi.errors import ConfigError, RecordingError
+from torchpi.recordings.differentiation import motion_bandwidth, zero_phase_motion
 
 FS_HZ = 10_000.0
 

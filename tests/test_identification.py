@@ -18,7 +18,7 @@ from torchpi.identification import (
 )
 from torchpi.identification.inverse_errors import loading_end
 from torchpi.motion import Motion
-from torchpi.recording import Recording
+from torchpi.recordings.recording import Recording
 
 THRESHOLDS = [0.0, 0.05, 0.1, 0.2, 0.3, 0.5, 1.0, 1.5, 2.0, 3.0]
 PERIOD = 1e-4

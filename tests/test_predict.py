@@ -9,7 +9,7 @@ import torch
 
 from torchpi import cli, prediction
 from torchpi.operators.conformance import wandering
-from torchpi.recording import read_recording
+from torchpi.recordings.recording import read_recording
 from torchpi.stage import Stage
 
 RATE_HZ = 5000.0
@@ -57,10 +57,27 @@ def test_the_file_comes_back_with_the_displacement(tmp_path: Path, monkeypatch: 
     )
 
 
+def test_a_file_as_a_rig_writes_it_gives_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    stage(tmp_path / "stage.pt", RESONANCE)
+    (u,) = wandering(1, 300).numpy()
+    t = np.arange(len(u)) / RATE_HZ
+    plain = write(tmp_path / "plain.csv", time_s=t, input_v=u)
+    rig = write(tmp_path / "rig.csv", **{"time_ms": 1e3 * t, "u [mV]": 1e3 * u})
+    bare = write(tmp_path / "bare.csv", **{"a": 0 * u, "b": 1e3 * u})
+    options = ["--input_column", "b", "--input_unit", "mV", "--fs_hz", "5000"]
+    for name, arguments in ((plain, []), (rig, []), (bare, options)):
+        out = tmp_path / f"{name.stem}_out.csv"
+        command = ("predict", tmp_path / "stage.pt", name, "--output", out, *arguments)
+        assert torchpi(*command, monkeypatch=monkeypatch) == 0
+    expected = read_recording(tmp_path / "plain_out.csv").y
+    for name in ("rig", "bare"):
+        np.testing.assert_allclose(read_recording(tmp_path / f"{name}_out.csv").y, expected, atol=1e-9)
+
+
 @pytest.mark.parametrize(
     ("columns", "said"),
     [
-        (("time_s", "voltage"), "no column 'input_v'"),
+        (("time_s", "volume"), "no column 'input_v'"),
         (("time_s", "input_v"), "no column 'aux_x'"),
         (("input_v", "aux_x"), "time_s"),
     ],

@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from torchpi.errors import RecordingError
-from torchpi.readers import open_source
-from torchpi.readers.time_stamps import round_rate, uniform_grid
-from torchpi.recording import read_recording
+from torchpi.errors import RecordingError, RecordingWarning
+from torchpi.recordings.readers import open_source
+from torchpi.recordings.readers.time_stamps import round_rate, uniform_grid
+from torchpi.recordings.recording import read_recording
 
 FS_HZ = 10_000.0
 T = np.arange(400) / FS_HZ
@@ -92,9 +92,9 @@ class TestText:
         assert "no header row" in text and "1 to 3" in text and "input_column" in text and "fs_hz" in text
 
     def test_a_misspelled_column_names_the_nearest_and_all(self, tmp_path):
-        path = write_rows(tmp_path / "a.csv", csv_rows(header="time_s,input_V,output_nm"))
+        path = write_rows(tmp_path / "a.csv", csv_rows(header="time_s,input_V,ouput"))
         text = refusal(path, input_column="input_V")
-        assert "'output_um'" in text and "'output_nm'" in text and "time_s, input_V, output_nm" in text
+        assert "'output_um'" in text and "nearest is 'ouput'" in text and "time_s, input_V, ouput" in text
 
     def test_a_missing_time_column_says_that_a_rate_will_do(self, tmp_path):
         path = write_rows(tmp_path / "a.csv", csv_rows(header="zeit,input_v,output_um"))
@@ -216,7 +216,7 @@ class TestNpz:
 
     def test_text_and_objects_are_refused(self, tmp_path):
         np.savez(tmp_path / "a.npz", input_v=np.array(["a", "b"]), output_um=Y)
-        assert "wanted numbers" in refusal(tmp_path / "a.npz", fs_hz=FS_HZ)
+        assert "expected numbers" in refusal(tmp_path / "a.npz", fs_hz=FS_HZ)
         np.savez(tmp_path / "b.npz", input_v=np.array([{}, {}]), output_um=Y)
         assert "'input_v'" in refusal(tmp_path / "b.npz", fs_hz=FS_HZ)
 
@@ -283,6 +283,45 @@ class TestExtraFormats:
             file.save(tmp_path / "a.mf4")
         assert_is_the_record(read_recording(tmp_path / "a.mf4"))
         assert "'slow_um'" in refusal(tmp_path / "a.mf4", output_column="slow_um")
+
+    def test_units_that_a_format_keeps_beside_its_signals_count(self, tmp_path):
+        h5py = pytest.importorskip("h5py")
+        with h5py.File(tmp_path / "a.h5", "w") as file:
+            file["u"], file["y"], file["fs"] = 1e3 * U, 1e3 * Y, FS_HZ
+            file["u"].attrs["units"], file["y"].attrs["unit"] = "mV", "nm"
+        assert_is_the_record(read_recording(tmp_path / "a.h5", fs_hz="fs"))
+        nptdms = pytest.importorskip("nptdms")
+        with nptdms.TdmsWriter(tmp_path / "a.tdms") as writer:
+            channels = [
+                nptdms.ChannelObject(
+                    "run", name, x, properties={"wf_increment": 1 / FS_HZ, "unit_string": unit}
+                )
+                for name, x, unit in (("ai0", 1e3 * U, "mV"), ("ai1", 1e3 * Y, "nm"))
+            ]
+            writer.write_segment(channels)
+        assert_is_the_record(read_recording(tmp_path / "a.tdms"))
+        asammdf = pytest.importorskip("asammdf")
+        with asammdf.MDF() as file:
+            file.append(
+                [
+                    asammdf.Signal(samples=1e3 * U, timestamps=T, name="ch0", unit="mV"),
+                    asammdf.Signal(samples=1e3 * Y, timestamps=T, name="ch1", unit="nm"),
+                ]
+            )
+            file.save(tmp_path / "a.mf4")
+        assert_is_the_record(read_recording(tmp_path / "a.mf4"))
+
+    def test_a_recording_that_was_cut_short_is_said(self, tmp_path):
+        nptdms = pytest.importorskip("nptdms")
+        with nptdms.TdmsWriter(tmp_path / "a.tdms") as writer:
+            for _ in range(2):
+                writer.write_segment(
+                    [nptdms.ChannelObject("run", name, x) for name, x in (("input_v", U), ("output_um", Y))]
+                )
+        whole = (tmp_path / "a.tdms").read_bytes()
+        (tmp_path / "b.tdms").write_bytes(whole[:-3200])
+        with pytest.warns(RecordingWarning, match=r"b\.tdms: Last segment .*complete"):
+            open_source(tmp_path / "b.tdms")
 
     @pytest.mark.parametrize(
         ("suffix", "module"), [(".h5", "h5py"), (".tdms", "nptdms"), (".mf4", "asammdf")]

@@ -84,7 +84,7 @@ def rows(*changed: tuple[int, str]) -> str:
         (rows((9, "0.0007,inf")), r"row 9.*yd_um.*inf"),
         (rows((9, "0.0007")), r"row 9"),
         (rows((9, "x,1")), r"row 9.*time_s.*x"),
-        (rows((9, "")), r"row 10.*--resample"),
+        (rows((9, "")), r"row 10.*option resample"),
         (rows((9, "0.0006,1")), r"row 9"),
         ("time_s,yd_um\n0,0\n0.0001,1\n", r"2 samples"),
         (rows().replace("0.00", "0.000"), r"sampled at 100000 Hz; wanted 10000 Hz.*--resample"),

@@ -25,9 +25,10 @@ if TYPE_CHECKING:
     from torchpi.operators import (
         ReferenceFilter as ReferenceFilter,
     )
-    from torchpi.recording import Recording as Recording
-    from torchpi.recording import read_recording as read_recording
-    from torchpi.recording import write_recording as write_recording
+    from torchpi.recordings.recording import Recording as Recording
+    from torchpi.recordings.recording import RecordingOptions as RecordingOptions
+    from torchpi.recordings.recording import read_recording as read_recording
+    from torchpi.recordings.recording import write_recording as write_recording
     from torchpi.stage import Stage as Stage
 
 __version__ = "0.1.0"
@@ -38,13 +39,14 @@ _HOME = {
     "PlayBank": "torchpi.operators",
     "Polynomial": "torchpi.operators",
     "PrandtlIshlinskii": "torchpi.operators",
-    "Recording": "torchpi.recording",
+    "Recording": "torchpi.recordings.recording",
+    "RecordingOptions": "torchpi.recordings.recording",
     "ReferenceFilter": "torchpi.operators",
     "Stage": "torchpi.stage",
     "TorchpiError": "torchpi.errors",
-    "read_recording": "torchpi.recording",
+    "read_recording": "torchpi.recordings.recording",
     "run_loop": "torchpi.loop",
-    "write_recording": "torchpi.recording",
+    "write_recording": "torchpi.recordings.recording",
 }
 
 __all__ = [*_HOME, "__version__"]

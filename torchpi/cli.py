@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from torchpi.command_line import run_chosen, run_command
+from torchpi.recordings.options import RecordingOptions
 
 DESCRIPTION = """Makes piezo stages go where they are told.
 
@@ -19,6 +20,7 @@ DESCRIPTION = """Makes piezo stages go where they are told.
   3. torchpi export            makes a file of it for a controller
   4. torchpi run               tries that file in a control loop against the simulated stage
 
+  torchpi check                shows what recordings hold, and the options to read them by
   torchpi diagnose             says what physics the simulation lacks, and models it
   torchpi predict              simulates what a diagnosis left behind
   torchpi excite               writes the recordings' voltages that a diagnosis wants
@@ -57,7 +59,7 @@ def simulate(
     import torch
 
     from torchpi.excitation import make_excitation
-    from torchpi.recording import Recording, write_recording
+    from torchpi.recordings.recording import Recording, write_recording
     from torchpi.stage import Stage
 
     simulated = Stage.from_yaml(stage)
@@ -111,7 +113,14 @@ def excite(
 
 
 def export(
-    run: Path, output: Path | None = None, to: str = "torchscript,json", reference_filter: bool = False
+    run: Path,
+    output: Path | None = None,
+    to: str = "torchscript,json,page",
+    reference_filter: bool = False,
+    max_slew_v_s: float | None = None,
+    capacitance_uf: float | None = None,
+    amplifier_gain: float = 1.0,
+    allow_backwards: bool = False,
 ) -> None:
     """Export the compensator of a training run, for a controller: all files, or none.
 
@@ -121,23 +130,39 @@ def export(
         run: Run folder of `python -m train fit`, or one of its checkpoints.
         output: Path without suffix; the formats add theirs. By default exports/ and the name of the run.
         to: Formats, comma between: torchscript (.pt), c (.h, .c and _selftest.c, C99), pt2 (torch.export),
-            json (the bare numbers with units).
+            json (the bare numbers with units), page (.html, the safety card, which json has as well).
         reference_filter: Put the paper's reference filter (eq. 14) inside: `step` then takes y_r.
+        max_slew_v_s: Limit the rate of the output voltage inside the step, V/s.
+        capacitance_uf: Of the piezo, µF: the safety card then has the current.
+        amplifier_gain: Voltage at the piezo per volt of the controller, for the current.
+        allow_backwards: Export a compensator that lowers the voltage to raise the stage somewhere in its
+            trained range.
     """
-    from torchpi.export import export_files
+    from torchpi.errors import ArtifactError
+    from torchpi.export import Load, export_files, safety_card
     from torchpi.operators import ReferenceFilter
-    from torchpi.trained import load_compensator
+    from torchpi.trained import load_compensator, with_slew_limit
 
     compensator = load_compensator(run)
+    if max_slew_v_s is not None:
+        compensator = with_slew_limit(compensator, max_slew_v_s)
+    load = Load(capacitance_uf, amplifier_gain)
+    card = safety_card(compensator, load)
+    if card.monotone is False and not allow_backwards:
+        raise ArtifactError(f"{run}: {card.monotone_summary}; or export it with --allow_backwards true")
     inside = ReferenceFilter(compensator.sample_period_s) if reference_filter else None
     output = output or Path("exports") / run.resolve().name
-    output = output.with_suffix("") if output.suffix in (".pt", ".c", ".h", ".pt2", ".json") else output
-    files = export_files(compensator, output, [name.strip() for name in to.split(",")], inside)
+    output = (
+        output.with_suffix("") if output.suffix in (".pt", ".c", ".h", ".pt2", ".json", ".html") else output
+    )
+    files = export_files(compensator, output, [name.strip() for name in to.split(",")], inside, load)
     signal = "y_r" if reference_filter else "y_d"
     print(
         f"step({signal} at t + {compensator.preview} samples, µm) -> V, "
         f"every {compensator.sample_period_s:g} s:"
     )
+    if card.monotone is None:
+        print(f"Careful: {card.monotone_summary}, so nothing says whether it runs backwards; train it again.")
     for file in files:
         print(file)
 
@@ -218,14 +243,31 @@ def run(
     print(f"{page}: the page with all figures\n{numbers}: the same numbers")
 
 
+def check(files: list[Path], output: Path = Path("check"), **reading: Any) -> None:
+    """Show what recordings hold, what is wrong with them, and the commands to go on with.
+
+    Columns with their units, range and first values; sample rate and jitter; holds, range, noise, sign of the
+    gain, remanence at the start, wrong readings, clipping. Leaves check.html, the same with a plot of each.
+
+    Example: torchpi check recordings/slow.csv recordings/fast.csv
+
+    Args:
+        files: Recordings, in any format that the other commands read.
+        output: Folder for the page.
+        reading: How the files are read.
+    """
+    options = RecordingOptions(**reading)
+    from torchpi.recordings.check import check_files
+
+    check_files(files, output, options, shlex.join(["torchpi", *sys.argv[1:]]))
+
+
 def diagnose(
     recordings: list[Path],
     output: Path = Path("diagnosis"),
     simulation: Path | None = None,
-    columns: dict[str, str | int] | None = None,
-    fs_hz: float | None = None,
-    resample: bool = False,
     executor: str = "processes",
+    **reading: Any,
 ) -> None:
     """Say where recordings and a simulation differ, what physics was left out, and show the fit improve.
 
@@ -240,21 +282,20 @@ def diagnose(
         output: Folder for the results.
         simulation: Stage file (YAML) to compare with. Without it a plain stage: symmetric, rate-independent
             Prandtl–Ishlinskii hysteresis, everything else ideal.
-        columns: Names, or numbers from 1, of other columns: {time: t, input: u, output: y}.
-        fs_hz: Sample rate, where the files have no time.
-        resample: Interpolate recordings that are not sampled uniformly.
         executor: Where independent fits run: processes, or here.
+        reading: How the files are read.
     """
+    options = RecordingOptions(**reading)
     # Fits run side by side in processes: threads inside them would only wait for each other.
     for threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(threads, "1")
     from torchpi.diagnosis.files import diagnose_files
 
     command = shlex.join(["torchpi", *sys.argv[1:]])
-    diagnose_files(recordings, output, simulation, columns or {}, fs_hz, resample, executor, command)
+    diagnose_files(recordings, output, simulation, executor, command, options)
 
 
-def predict(stage: Path, recording: Path, output: Path = Path("prediction.csv")) -> None:
+def predict(stage: Path, recording: Path, output: Path = Path("prediction.csv"), **reading: Any) -> None:
     """Predict what a stage does with a voltage: time_s,input_v[,aux_…] in, the same with output_um out.
 
     From the de-energised state, at the file's own sample rate, without noise.
@@ -265,10 +306,12 @@ def predict(stage: Path, recording: Path, output: Path = Path("prediction.csv"))
         stage: The stage.pt of `torchpi diagnose`, or a stage file (YAML).
         recording: CSV, or any other kind that a recording may have; an output_um in it is left out.
         output: CSV to write.
+        reading: How the file is read.
     """
+    options = RecordingOptions(**reading)
     from torchpi.prediction import predict_file
 
-    predicted = predict_file(stage, recording, output)
+    predicted = predict_file(stage, recording, output, options)
     print(
         f"{output}: {len(predicted):,} samples at {predicted.fs_hz:g} Hz, "
         f"y {predicted.y.min():.3f} … {predicted.y.max():.3f} µm"
@@ -298,4 +341,4 @@ def reproduce(
     print(f"{page}: the page\n{output / 'results.json'}: the same numbers")
 
 
-COMMANDS: list[Callable[..., None]] = [simulate, excite, export, run, diagnose, predict, reproduce]
+COMMANDS: list[Callable[..., None]] = [simulate, excite, export, run, check, diagnose, predict, reproduce]

@@ -5,12 +5,13 @@ import difflib
 import inspect
 import re
 import sys
+import warnings
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any, NoReturn, get_args, get_origin
+from typing import Any, NoReturn, TextIO, get_args, get_origin
 
 import jsonargparse
 
-from torchpi.errors import ConfigError, TorchpiError
+from torchpi.errors import ConfigError, RecordingWarning, TorchpiError
 
 
 def run_chosen(commands: Sequence[Callable[..., None]], program: str, description: str) -> None:
@@ -67,9 +68,12 @@ class Parser(jsonargparse.ArgumentParser):
 
 
 def run_command(command: Callable[[], Any], program: str) -> int:
-    """Run `command`; an error of the user's input becomes one line on stderr. Returns the exit code."""
+    """Run `command`; an error of the user's input becomes one line on stderr, and so does a warning of a
+    recording. Returns the exit code."""
     try:
-        command()
+        with warnings.catch_warnings():
+            _show_in_one_line(program)
+            command()
     except TorchpiError as error:
         print(f"{program}: error: {error}", file=sys.stderr)
         return 2
@@ -79,6 +83,26 @@ def run_command(command: Callable[[], Any], program: str) -> int:
     except BrokenPipeError:
         return 1
     return 0
+
+
+def _show_in_one_line(program: str) -> None:
+    """Print a warning of a recording without the line of code that gave it; others as Python does."""
+    usual = warnings.showwarning
+
+    def show(
+        message: Warning | str,
+        category: type[Warning],
+        filename: str,
+        lineno: int,
+        file: TextIO | None = None,
+        line: str | None = None,
+    ) -> None:
+        if issubclass(category, RecordingWarning):
+            print(f"{program}: warning: {message}", file=file or sys.stderr)
+        else:
+            usual(message, category, filename, lineno, file, line)
+
+    warnings.showwarning = show  # catch_warnings puts the usual one back
 
 
 def option_names(parser: jsonargparse.ArgumentParser) -> Iterator[str]:

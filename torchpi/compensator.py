@@ -9,13 +9,16 @@ It is identified from recordings of displacement and voltage, and never inverted
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import torch
 from torch import Tensor, nn
 
 from torchpi.compensator_stream import CompensatorStream, compensator_stream
+from torchpi.control.reach import Reach, reach
+from torchpi.control.step_guard import StepLimits, step_limits
+from torchpi.control.trained_motions import TrainedMotions
 from torchpi.errors import ConfigError
 from torchpi.motion import Motion
 from torchpi.operators.compiled import HAS_COMPILER
@@ -26,6 +29,8 @@ from torchpi.operators.reference_filter import ReferenceFilter
 from torchpi.operators.relaxations import relaxations
 from torchpi.operators.weighted_plays import weighted_plays
 from torchpi.operators.weighted_sum import weighted_sum
+
+HIGHEST_DEGREE = 30  # far above what any loop needs; a file may ask for anything
 
 
 class DirectInverse(nn.Module):
@@ -48,6 +53,8 @@ class DirectInverse(nn.Module):
         rate_scale_um_s: A typical rate, likewise.
         hidden: Size of the neural rate head.
         train_thresholds: Whether gradients reach the thresholds.
+        trained: Ranges of what it was trained on, `TrainedMotions.plain()`; None where that is not known.
+        max_slew_v_s: Largest rate of the deployed step's voltage, V/s; None for any.
 
     Raises:
         ConfigError: A value out of its range; the text names it.
@@ -70,19 +77,22 @@ class DirectInverse(nn.Module):
         rate_scale_um_s: float = 1.0,
         hidden: int = 4,
         train_thresholds: bool = False,
+        trained: Mapping[str, Sequence[float]] | None = None,
+        max_slew_v_s: float | None = None,
     ) -> None:
         super().__init__()
         self.hyper_parameters: dict[str, Any] = {
             name: list(value) if isinstance(value, Sequence) and not isinstance(value, str) else value
             for name, value in locals().items()
-            if name not in ("self", "__class__")
+            if name not in ("self", "__class__", "trained")
         }
+        self.trained = None if trained is None else TrainedMotions.from_plain(trained)
+        self.hyper_parameters["trained"] = None if self.trained is None else self.trained.plain()
         if not 0 < sample_period_s < math.inf:
             raise ConfigError(f"sample_period_s: found {sample_period_s}, want a positive number of s")
-        if degree < 1:
-            raise ConfigError(f"degree: found {degree}, want at least 1")
-        if output_degree < 1:
-            raise ConfigError(f"output_degree: found {output_degree}, want at least 1")
+        for name, power in (("degree", degree), ("output_degree", output_degree)):
+            if not 1 <= power <= HIGHEST_DEGREE:
+                raise ConfigError(f"{name}: found {power}, expected 1 to {HIGHEST_DEGREE}")
         if preview < 0:
             raise ConfigError(f"preview: found {preview}, want a number of samples that is not negative")
         if lead not in (0, 1, 2):
@@ -94,10 +104,13 @@ class DirectInverse(nn.Module):
             raise ConfigError(
                 f"min_voltage_v: found {min_voltage_v} V, want a number below max_voltage_v, {max_voltage_v}"
             )
+        if max_slew_v_s is not None and not 0 < max_slew_v_s < math.inf:
+            raise ConfigError(f"max_slew_v_s: found {max_slew_v_s}, expected a positive number of V/s")
         self.sample_period_s = sample_period_s
         self.preview = preview
         self.min_voltage_v = min_voltage_v
         self.max_voltage_v = max_voltage_v
+        self.max_slew_v_s = max_slew_v_s
         self.scaled_lead = nn.Parameter(torch.zeros(lead, dtype=torch.float64))
         self.creep_gains = nn.Parameter(torch.zeros(len(creep_time_constants_s), dtype=torch.float64))
         self.creep_decay: Tensor
@@ -187,6 +200,41 @@ class DirectInverse(nn.Module):
         # Trained in units of the sample period, which are of size one.
         powers = torch.arange(1, len(self.scaled_lead) + 1, dtype=torch.float64)
         return self.scaled_lead * self.sample_period_s**powers
+
+    def at_rate(
+        self,
+        x: Tensor,  # (time,), µm
+        rate_um_s: float = 0.0,
+    ) -> Tensor:  # (time,), V
+        """Eq. 8 along x from the de-energised state at a constant rate, before lead, creep and limits."""
+        h, _ = self.plays(self.saturation(x[None])[0])
+        return self.weighted(h, self.weights.basis(torch.full_like(x, rate_um_s)[None]))[0]
+
+    def reach(self, rate_um_s: float = 0.0) -> Reach:
+        """The displacements at which the voltage of a motion at this rate meets the output limits."""
+        with torch.no_grad():
+            return reach(lambda x: self.at_rate(x, rate_um_s), self.min_voltage_v, self.max_voltage_v)
+
+    def step_limits(self) -> StepLimits:
+        """What the deployed step accepts, from the training and the reach of the output limits."""
+        at_rest = self.reach()
+        rates = (0.0, *self.trained.rates_um_s) if self.trained else (0.0,)
+        found = [self.reach(rate) for rate in rates]
+        # Creep carries the stage further than the voltage of a moment does.
+        further = 1 + float(self.creep_gains.detach().abs().sum())
+        reached = Reach(
+            further * min(one.low_um for one in found),
+            further * max(one.high_um for one in found),
+            at_rest.remanence_um,
+        )
+        return step_limits(
+            self.sample_period_s,
+            (self.min_voltage_v, self.max_voltage_v),
+            reached,
+            self.range_um,
+            self.trained,
+            self.max_slew_v_s,
+        )
 
     def stream(self, reference_filter: ReferenceFilter | None = None) -> CompensatorStream:
         """The compensator one sample at a time, scriptable: `u = step(y_d at t + preview)`.

@@ -5,14 +5,15 @@ same scalar equations that the batch kernels compile: what a compensator does no
 and a step takes a quarter of the time of one with its state in tensors (`benchmarks/step_latency.py`).
 """
 
-import itertools
+import hashlib
 import linecache
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING, Protocol, cast
 
 import torch
 from torch import Tensor, nn
 
+from torchpi.control.step_guard import GuardedStep, StepLimits
 from torchpi.errors import ArtifactError
 from torchpi.motion import BackwardMotionStream
 from torchpi.operators.play import play
@@ -27,8 +28,9 @@ class CompensatorStream(Protocol):
     """What an exported compensator offers; `torch.jit.script` compiles it.
 
     `step` takes the desired displacement at t + preview, in µm, and returns the voltage at t. `block`
-    takes as many samples as it is given, (N,) float64, and leaves the same state. An input that is not
-    finite counts in `held_inputs`, and the last finite one stands in for it.
+    takes as many samples as it is given, (N,) float64, and leaves the same state. `reset_at` starts from a
+    measured displacement, `reset_at_voltage` from a measured voltage. The guard of every step, and what the
+    counters count, is in `torchpi.control.step_guard`.
     """
 
     sample_period_s: float
@@ -37,8 +39,12 @@ class CompensatorStream(Protocol):
     max_voltage_v: float
     has_reference_filter: bool
     held_inputs: int
+    outside_range: int
+    limited_outputs: int
 
     def reset(self) -> None: ...
+    def reset_at(self, yd: float) -> float: ...
+    def reset_at_voltage(self, voltage_v: float) -> float: ...
     def step(self, yd: float) -> float: ...
     def block(self, yd: Tensor) -> Tensor: ...
 
@@ -56,11 +62,13 @@ def compensator_stream(
             raise ArtifactError(
                 f"{name}: found {values.tolist()}, want finite numbers: the training diverged"
             )
-    source = step_source(compensator)
-    filename = f"<compensator step {next(_serial)}>"
+    limits = compensator.step_limits()
+    source = step_source(compensator, limits, reference_filter is not None)
+    # By its content, so that equal compensators leave equal files.
+    filename = f"<compensator step {hashlib.sha256(source.encode()).hexdigest()[:16]}>"
     # TorchScript reads a function's text through linecache, as tracebacks and debuggers do.
     linecache.cache[filename] = (len(source), None, source.splitlines(True), filename)
-    namespace = {"torch": torch, "nn": nn, "Tensor": Tensor, "play": play, "squash": squash}
+    namespace = {"torch": torch, "nn": nn, "GuardedStep": GuardedStep, "play": play, "squash": squash}
     exec(compile(source, filename, "exec"), namespace)
     motion = (
         BackwardMotionStream(compensator.sample_period_s)
@@ -68,93 +76,123 @@ def compensator_stream(
         else reference_filter.stream()
     )
     written_out = cast(type[nn.Module], namespace["WrittenOut"])
-    return cast(CompensatorStream, written_out(motion, reference_filter is not None))
+    return cast(CompensatorStream, written_out(limits, motion, reference_filter is not None))
 
 
-def step_source(compensator: "DirectInverse") -> str:
-    """The deployed step of this compensator, as text: eq. 8, and its numbers by name and unit."""
+def step_source(compensator: "DirectInverse", limits: StepLimits, filters: bool) -> str:
+    """The deployed step of this compensator, as text: eq. 8, and its numbers by name and unit.
+
+    Args:
+        compensator: What is written out.
+        limits: Of its guard.
+        filters: Whether a reference filter stands before it.
+    """
     constants = _Constants()
-    equations = "\n".join(f"        {line}" for line in _step_lines(compensator, constants))
+    step = _indented(_step_lines(compensator, limits, filters, constants))
+    law = _indented(_law_lines(compensator, constants))
+    at_rest = _indented(_at_rest_lines(compensator, constants))
     states = [f"xi{j}" for j in range(len(compensator.creep_gains))]
     states += [f"h{i}" for i in range(len(compensator.plays.r))]
-    cleared = "\n".join(f"        self.{state} = 0.0" for state in states)
+    cleared = _indented(f"self.{state} = 0.0" for state in states)
     return f"""
-class WrittenOut(nn.Module):
+class WrittenOut(GuardedStep):
     '''The direct inverse of eq. 8, one sample at a time.'''
 
-    def __init__(self, motion: nn.Module, has_reference_filter: bool) -> None:
-        super().__init__()
+    def __init__(self, limits, motion: nn.Module, has_reference_filter: bool) -> None:
+        super().__init__(limits)
         self.motion = motion
         self.has_reference_filter = has_reference_filter
         self.sample_period_s = {compensator.sample_period_s!r}
         self.preview = {compensator.preview!r}
-        self.min_voltage_v = {compensator.min_voltage_v!r}  # V
-        self.max_voltage_v = {compensator.max_voltage_v!r}  # V
 {constants}
-        self.last_input = 0.0
-        self.held_inputs = 0
 {cleared}
 
     @torch.jit.export
     def reset(self) -> None:
+        self.reset_guard()
         self.motion.reset()
-        self.last_input = 0.0
-        self.held_inputs = 0
 {cleared}
 
     @torch.jit.export
     def step(self, yd: float) -> float:
-{equations}
+{step}
 
-    @torch.jit.export
-    def block(self, yd: Tensor) -> Tensor:
-        u = torch.empty_like(yd)
-        for i in range(len(yd)):
-            # fill_, because TorchScript rounds to float32 on the way through u[i] = … or torch.tensor.
-            u[i].fill_(self.step(float(yd[i])))
-        return u
+    def at_rest(self, yd: float) -> float:
+        # The states of a stage that has come from rest to yd and stood there, and the voltage.
+        self.motion.reset_at(yd)
+{at_rest}
+
+    def law(self, x: float, rate: float) -> float:
+{law}
 """
+
+
+def _indented(lines: Iterable[str]) -> str:
+    return "\n".join(f"        {line}" for line in lines)
 
 
 class _Constants:
     """The numbers of a step: called with one, it gives the name by which the equations take it."""
 
     def __init__(self) -> None:
-        self.lines: list[str] = []
+        self.lines: dict[str, str] = {}
 
     def __call__(self, name: str, value: float, comment: str) -> str:
         # Plain ASCII, because the comments go into C as well.
-        self.lines.append(f"        self.{name} = {value!r}  # {comment}")
+        self.lines[name] = f"        self.{name} = {value!r}  # {comment}"
         return f"self.{name}"
 
     def __str__(self) -> str:
-        return "\n".join(self.lines)
+        return "\n".join(self.lines.values())
 
 
-def _step_lines(compensator: "DirectInverse", constant: _Constants) -> Iterator[str]:
-    yield "# x - x is zero for every finite x, and not for inf and nan."
-    yield "if yd - yd == 0.0:"
-    yield "    self.last_input = yd"
-    yield "else:"
-    yield "    self.held_inputs += 1"
+def _step_lines(
+    compensator: "DirectInverse", limits: StepLimits, filters: bool, constant: _Constants
+) -> Iterator[str]:
+    yield "self.accept(yd)"
     yield "x, rate, acceleration = self.motion.step(self.last_input)"
     leads = (("rate", "s"), ("acceleration", "s^2"))
+    if len(compensator.scaled_lead) > 0:
+        yield "if self.smooth >= 3:"
     for i, (tau, (derivative, unit)) in enumerate(zip(compensator.lead.tolist(), leads, strict=False), 1):
-        yield f"x = x + {constant(f'tau_{i}', tau, f'{unit}, lead on the {derivative}')} * {derivative}"
-
-    gains, decays = compensator.creep_gains.tolist(), compensator.creep_decay.tolist()
-    if gains:
-        shares = [
-            f"{constant(f'g_{j}', g, f'1, share of relaxation {j} in creep')} * self.xi{j}"
-            for j, g in enumerate(gains)
-        ]
-        yield f"crept = {' + '.join(shares)}"
-        for j, a in enumerate(decays):
+        yield f"    x = x + {constant(f'tau_{i}', tau, f'{unit}, lead on the {derivative}')} * {derivative}"
+    if filters or len(compensator.scaled_lead) > 0:
+        low, high = limits.accepted_um
+        least = constant("least_x_um", 2 * low - high, "um, what leads and filter make of a jump")
+        largest = constant("largest_x_um", 2 * high - low, "um")
+        yield f"x = min(max(x, {least}), {largest})"
+    if len(compensator.creep_gains) > 0:
+        yield f"crept = {_crept(compensator, constant)}"
+        for j, a in enumerate(compensator.creep_decay.tolist()):
             kept = constant(f"kept_{j}", a, f"1, what relaxation {j} keeps in one period")
             taken = constant(f"taken_{j}", 1.0 - a, f"1, what relaxation {j} takes up in one period")
             yield f"self.xi{j} = {kept} * self.xi{j} + {taken} * x"
         yield "x = crept + x"
+    yield "self.emit(self.law(x, rate))"
+    yield "return self.last_voltage"
 
+
+def _crept(compensator: "DirectInverse", constant: _Constants) -> str:
+    gains = compensator.creep_gains.tolist()
+    shares = [
+        f"{constant(f'g_{j}', g, f'1, share of relaxation {j} in creep')} * self.xi{j}"
+        for j, g in enumerate(gains)
+    ]
+    return " + ".join(shares)
+
+
+def _at_rest_lines(compensator: "DirectInverse", constant: _Constants) -> Iterator[str]:
+    yield "x = yd"
+    for i in range(len(compensator.plays.r)):
+        yield f"self.h{i} = 0.0"
+    if len(compensator.creep_gains) > 0:
+        for j in range(len(compensator.creep_gains)):
+            yield f"self.xi{j} = x"
+        yield f"x = {_crept(compensator, constant)} + x"
+    yield "return self.law(x, 0.0)"
+
+
+def _law_lines(compensator: "DirectInverse", constant: _Constants) -> Iterator[str]:
     coefficients = [
         constant(f"c_{i}", c, f"{f'um^{1 - i}' if i > 1 else '1'}, polynomial, eq. 4")
         for i, c in enumerate(compensator.saturation.c.tolist(), 1)
@@ -194,7 +232,7 @@ def _step_lines(compensator: "DirectInverse", constant: _Constants) -> Iterator[
         yield f"u = u + ({' + '.join(terms)}) * h{i}  # eq. 7, 8"
     if compensator.offset.item() != 0.0:
         yield f"u = u + {constant('u_0', compensator.offset.item(), 'V, offset')}"
-    yield "return min(max(u, self.min_voltage_v), self.max_voltage_v)"
+    yield "return u"
 
 
 def _horner(coefficients: list[str], x: str) -> str:
@@ -202,6 +240,3 @@ def _horner(coefficients: list[str], x: str) -> str:
     for coefficient in reversed(coefficients[:-1]):
         text = f"({text} + {coefficient}) * {x}"
     return text
-
-
-_serial = itertools.count()

@@ -10,11 +10,14 @@ ahead of time on a model instead of from trial to trial on the stage). Everythin
 recordings; with no pass it is the paper's compensator.
 """
 
+from dataclasses import replace
+
 import torch
 from torch import Tensor, nn
 
 from torchpi.compensator import DirectInverse
 from torchpi.compensator_stream import CompensatorStream
+from torchpi.control.step_guard import GuardedStep
 from torchpi.errors import ConfigError
 from torchpi.motion import Motion, backward_motion
 from torchpi.operators.reference_filter import ReferenceFilter
@@ -102,15 +105,16 @@ class CorrectedInverse(nn.Module):
         return CorrectedStream(self, reference_filter)
 
 
-class CorrectedStream(nn.Module):
+class CorrectedStream(GuardedStep):
     """The corrected inverse, one sample at a time."""
 
     def __init__(self, compensator: CorrectedInverse, reference_filter: ReferenceFilter | None) -> None:
-        super().__init__()
+        inverse = compensator.inverse.step_limits()
+        super().__init__(
+            replace(inverse, min_voltage_v=compensator.min_voltage_v, max_voltage_v=compensator.max_voltage_v)
+        )
         self.sample_period_s = compensator.sample_period_s
         self.preview = compensator.preview
-        self.min_voltage_v = compensator.min_voltage_v
-        self.max_voltage_v = compensator.max_voltage_v
         self.has_reference_filter = reference_filter is not None
         self.reference = Reference(compensator.sample_period_s, reference_filter)
         self.inverse: nn.Module = compensator.inverse.stream()  # type: ignore[assignment]
@@ -121,38 +125,31 @@ class CorrectedStream(nn.Module):
                 for taps, late in zip(compensator.filters, lates, strict=True)
             ]
         )
-        self.last_input = 0.0
-        self.held_inputs = 0
 
     @torch.jit.export
     def reset(self) -> None:
+        self.reset_guard()
         self.reference.reset()
         self.inverse.reset()  # type: ignore[operator]
         for one in self.passes:
             one.reset()  # type: ignore[operator]
-        self.last_input = 0.0
-        self.held_inputs = 0
 
     @torch.jit.export
     def step(self, yd: float) -> float:
-        # x - x is zero for every finite x, and not for inf and nan.
-        if yd - yd == 0.0:
-            self.last_input = yd
-        else:
-            self.held_inputs += 1
+        self.accept(yd)
         x = self.reference.step(self.last_input)
         v: float = self.inverse.step(x)  # type: ignore[operator]
         for one in self.passes:
             v = one.step(x, v)  # type: ignore[operator]
-        return min(max(v, self.min_voltage_v), self.max_voltage_v)
+        self.emit(v)
+        return self.last_voltage
 
-    @torch.jit.export
-    def block(self, yd: Tensor) -> Tensor:
-        u = torch.empty_like(yd)
-        for i in range(len(yd)):
-            # fill_, because TorchScript rounds to float32 on the way through u[i] = … or torch.tensor.
-            u[i].fill_(self.step(float(yd[i])))
-        return u
+    def at_rest(self, yd: float) -> float:
+        self.reference.reset_at(yd)
+        v: float = self.inverse.reset_at(yd)  # type: ignore[operator]
+        for one in self.passes:
+            v = one.reset_at(yd, v)  # type: ignore[operator]
+        return v
 
 
 class PassStream(nn.Module):
@@ -174,6 +171,18 @@ class PassStream(nn.Module):
         self.wanted.reset()
         self.voltage.reset()
         self.errors.reset()
+
+    @torch.jit.export
+    def reset_at(self, yd: float, v: float) -> float:
+        """As after a long rest at yd under v; returns the voltage corrected."""
+        answer: float = self.model.reset_at(v)  # type: ignore[operator]
+        self.wanted.reset_at(yd)
+        self.voltage.reset_at(v)
+        self.errors.reset_at(yd - answer)
+        corrected = v
+        for i in range(len(self.taps)):
+            corrected = corrected + self.taps[i] * (yd - answer)
+        return corrected
 
     @torch.jit.export
     def step(self, yd: float, v: float) -> float:
@@ -201,6 +210,11 @@ class Line(nn.Module):
             self.kept[i] = 0.0
 
     @torch.jit.export
+    def reset_at(self, x: float) -> None:
+        for i in range(len(self.kept)):
+            self.kept[i] = x
+
+    @torch.jit.export
     def step(self, x: float) -> float:
         self.newest = (self.newest + 1) % len(self.kept)
         self.kept[self.newest] = x
@@ -223,6 +237,11 @@ class Reference(nn.Module):
     @torch.jit.export
     def reset(self) -> None:
         self.filter.reset()
+
+    @torch.jit.export
+    def reset_at(self, y: float) -> None:
+        if self.filters:
+            self.filter.reset_at(y)
 
     @torch.jit.export
     def step(self, y: float) -> float:

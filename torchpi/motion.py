@@ -62,12 +62,17 @@ class BackwardMotionStream(nn.Module):
         self.started = False
 
     @torch.jit.export
+    def reset_at(self, yd: float) -> None:
+        """A trajectory that has rested at `yd`."""
+        self.started = True
+        self.y1 = yd
+        self.y2 = yd
+        self.y3 = yd
+
+    @torch.jit.export
     def step(self, yd: float) -> tuple[float, float, float]:
         if not self.started:
-            self.started = True
-            self.y1 = yd
-            self.y2 = yd
-            self.y3 = yd
+            self.reset_at(yd)
         rate = backward_rate(yd, self.y1, self.y2, self.sample_period_s)
         acceleration = backward_acceleration(yd, self.y1, self.y2, self.y3, self.sample_period_s)
         self.y3 = self.y2

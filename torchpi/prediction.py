@@ -6,16 +6,24 @@ import numpy as np
 import torch
 
 from torchpi.errors import RecordingError
-from torchpi.readers import open_source
-from torchpi.recording import INPUT_COLUMN, Recording, read_signal, write_recording
+from torchpi.recordings.readers import open_source
+from torchpi.recordings.recording import Recording, RecordingOptions, read_signal, write_recording
 from torchpi.stage import Stage
 
 AT_A_TIME = 1 << 16
 """Samples that are predicted at a time: memory beside the signals themselves does not grow with the file."""
 
 
-def predict_file(stage: str | Path, recording: str | Path, output: str | Path) -> Recording:
+def predict_file(
+    stage: str | Path, recording: str | Path, output: str | Path, options: RecordingOptions | None = None
+) -> Recording:
     """Read time_s,input_v[,aux_…], write the same with output_um: `predict` over a file.
+
+    Args:
+        stage: the file that a diagnosis left.
+        recording: a file of any kind that `read_recording` reads.
+        output: CSV to write.
+        options: which column is the voltage, in which unit; those of the displacement are of no use here.
 
     Raises:
         ArtifactError: `stage` is no stage file.
@@ -23,14 +31,17 @@ def predict_file(stage: str | Path, recording: str | Path, output: str | Path) -
         StageError: The stage has no meaning at the file's sample rate.
     """
     loaded = Stage.load(stage)
-    u = read_signal(recording, INPUT_COLUMN, option="input_v", unit="V")
+    options = options or RecordingOptions()
+    u = read_signal(
+        recording, options.input_column, option="input_column", options=options, unit=options.input_unit
+    )
     names = [name for name in open_source(recording).names if name.startswith("aux_")]
     for name in loaded.aux_names:
         if name not in names:
             raise RecordingError(
-                f"{recording}: no column '{name}', which {stage} takes; expected it beside {INPUT_COLUMN}"
+                f"{recording}: no column '{name}', which {stage} takes; expected it beside the input"
             )
-    aux = {name: read_signal(recording, name, unit="V").x for name in names}
+    aux = {name: read_signal(recording, name, options=options, unit="V").x for name in names}
     y = predict(loaded.at_sample_rate(u.fs_hz), u.x, aux)
     predicted = Recording(u.name, u.t, u.x, y, u.fs_hz, aux)
     write_recording(output, predicted)

@@ -6,7 +6,7 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from torchpi.recording import Recording
+from torchpi.recordings.recording import Recording
 from train.data import RecordingsData
 from train.module import InverseTraining
 from train.run_folder import RunFolder

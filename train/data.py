@@ -3,7 +3,7 @@
 import copy
 import warnings
 from dataclasses import dataclass, field
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from lightning import LightningDataModule
@@ -12,7 +12,7 @@ from torch.utils.data import DataLoader
 from torchpi.errors import ConfigError, RecordingError, RecordingWarning
 from torchpi.identification import InversePair, inverse_pair
 from torchpi.motion import Motion
-from torchpi.recording import Recording, read_recording
+from torchpi.recordings.recording import Recording, RecordingOptions, read_recording
 from torchpi.stage import Stage
 from train.simulation import Simulation, simulate
 from train.tracking import Follow
@@ -45,21 +45,12 @@ class RecordingsData(LightningDataModule):
             single one the last 30 %.
         simulate: Excitations of the simulated stage to use instead of files.
         follow: Motions to follow, with model.stage.
-        time_column: Column of time, name or number from 1. Not needed with fs_hz.
-        input_column: Column of the controller's voltage.
-        output_column: Column of the displacement.
-        fs_hz: Sample rate, Hz, for files without time.
-        resample: Accept time that is not uniform, and interpolate.
-        input_unit: V, mV or kV.
-        output_unit: um, nm, mm or m.
-        zero: Where the displacement counts from: the sensor's own zero (recorded), or each record's first
-            sample, where the stage is de-energised (first).
         bandwidth_hz: Of the motion, for its rates; found from each recording by default.
-        skip_s: Start-up transient: the first seconds of each record set the state and are not counted.
         evaluate_s: [start, stop]: judge only this stretch of the held-out records, s.
         zero_s: [start, stop]: fit the zero of the held-out records' sensor on this stretch, s.
         window_samples: Train on windows of so many samples, state carried over, instead of whole
             records at once (with model.optimizer adam).
+        reading: How the files are read.
     """
 
     def __init__(
@@ -68,21 +59,14 @@ class RecordingsData(LightningDataModule):
         heldout: list[str] | str | None = None,
         simulate: Simulation | None = None,
         follow: Follow | None = None,
-        time_column: str | int | None = "time_s",
-        input_column: str | int = "input_v",
-        output_column: str | int = "output_um",
-        fs_hz: float | None = None,
-        resample: bool = False,
-        input_unit: str = "V",
-        output_unit: str = "um",
-        zero: Literal["recorded", "first"] = "recorded",
         bandwidth_hz: float | None = None,
-        skip_s: float = 0.0,
         evaluate_s: tuple[float, float] | None = None,
         zero_s: tuple[float, float] | None = None,
         window_samples: int | None = None,
+        **reading: Any,
     ) -> None:
         super().__init__()
+        options = RecordingOptions(**reading)
         if recordings and simulate:
             raise ConfigError(
                 "data.recordings: found files beside data.simulate, want one of the two; "
@@ -95,21 +79,10 @@ class RecordingsData(LightningDataModule):
             )
         if window_samples is not None and window_samples < 1:
             raise ConfigError(f"data.window_samples: found {window_samples}, want at least 1, or null")
-        if not skip_s >= 0:
-            raise ConfigError(f"data.skip_s: found {skip_s:g}, want a time in s that is not negative")
         self.paths, self.heldout_paths, self.simulation = _paths(recordings), _paths(heldout), simulate
-        self.reading: dict[str, Any] = dict(
-            time_column=time_column,
-            input_column=input_column,
-            output_column=output_column,
-            fs_hz=fs_hz,
-            resample=resample,
-            input_unit=input_unit,
-            output_unit=output_unit,
-            zero="none" if zero == "recorded" else zero,
-        )
+        # The skipped start sets the state, so it is read, and left out of what is counted.
+        self.reading, self.skip_s = options.with_changes(skip_s=0.0), options.skip_s
         self.bandwidth_hz = bandwidth_hz
-        self.skip_s = skip_s
         self.evaluate_s = evaluate_s
         self.zero_s = zero_s
         self.window_samples = window_samples
@@ -127,8 +100,6 @@ class RecordingsData(LightningDataModule):
         if self.records is None:
             train, heldout = self._read()
             _one_rate([*train, *heldout])
-            if self.reading["zero"] == "none":
-                _warn_of_zeros([*train, *heldout])
             self.records = Records(train, heldout)
             self.split(self.preview)
         return self.records
@@ -170,8 +141,8 @@ class RecordingsData(LightningDataModule):
         if self.simulation:
             train, heldout = simulate(self.simulation, self.stage)
         else:
-            train = [read_recording(path, **self.reading) for path in self.paths]
-            heldout = [read_recording(path, **self.reading) for path in self.heldout_paths]
+            train = [read_recording(path, self.reading) for path in self.paths]
+            heldout = [read_recording(path, self.reading) for path in self.heldout_paths]
         for recording in heldout:
             same = [other.source for other in train if other.sha256 == recording.sha256]
             if same:
@@ -232,20 +203,6 @@ def _until(pair: InversePair) -> InversePair:
     stop = pair.counted.stop
     motion = Motion(*(signal[:, :stop] for signal in pair.motion))
     return pair._replace(motion=motion, u=pair.u[:, :stop])
-
-
-def _warn_of_zeros(recordings: list[Recording]) -> None:
-    for recording in recordings:
-        start_um, range_um = float(recording.y[0]), float(np.ptp(recording.y))
-        # A de-energised stage stands at 0 up to the little that the last run left of it.
-        if abs(start_um) > 0.2 * range_um:
-            warnings.warn(
-                f"{recording.source}: starts at {start_um:.4g} µm with a range of {range_um:.4g} µm; "
-                "if that is the sensor's own zero, data.zero: first counts from there, "
-                "model.offset: true learns it",
-                RecordingWarning,
-                stacklevel=2,
-            )
 
 
 def _one_rate(recordings: list[Recording]) -> None:

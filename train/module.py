@@ -9,6 +9,7 @@ from lightning import LightningModule
 from torch import Tensor
 
 from torchpi.compensator import DirectInverse
+from torchpi.control.trained_motions import TrainedMotions
 from torchpi.errors import ConfigError
 from torchpi.identification import (
     InverseErrors,
@@ -196,6 +197,7 @@ class InverseTraining(LightningModule):
             thresholds=self.thresholds or spread_thresholds(self.plays, peak_to_peak_um),
             range_um=float(trained_on.abs().max()),
             rate_scale_um_s=float(rates.abs().max()),
+            trained=TrainedMotions.of(paper_split.train).plain(),
             **self.form,
             **self.limits(data.stage),
         )

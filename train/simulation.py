@@ -9,7 +9,7 @@ from typing import Any
 import torch
 
 from torchpi.excitation import EXCITATIONS, make_excitation
-from torchpi.recording import Recording, check_recording
+from torchpi.recordings.recording import Recording, check_recording
 from torchpi.stage import Stage
 
 

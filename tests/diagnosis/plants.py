@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 from scipy.signal import lfilter
 
-from torchpi.recording import Recording
+from torchpi.recordings.recording import Recording
 
 FS_HZ = 2_000.0
 NOISE_UM = 0.004

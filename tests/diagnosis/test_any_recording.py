@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from torchpi.diagnosis.diagnose import diagnose
 from torchpi.diagnosis.diagnosis import Diagnosis
 from torchpi.errors import TorchpiError
-from torchpi.recording import Recording
+from torchpi.recordings.recording import Recording
 from torchpi.report.diagnosis_json import diagnosis_json
 from torchpi.report.what_was_run import provenance
 from torchpi.stage import Stage

@@ -12,7 +12,7 @@ from tests.diagnosis.plants import FS_HZ, multisine, pair, record, stairs
 from torchpi import cli
 from torchpi.diagnosis.diagnose import diagnose
 from torchpi.errors import RecordingError
-from torchpi.recording import Recording, write_recording
+from torchpi.recordings.recording import Recording, write_recording
 
 
 def refused(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
@@ -67,7 +67,7 @@ def test_a_hold_alone_is_refused(
     ("option", "value", "word"),
     [
         ("--executor", "cluster", "cluster"),
-        ("--columns", "{volts: u}", "volts"),
+        ("--inputcolumn", "u", "nearest is 'input_column'"),
         ("--simulation", "no.yaml", "no.yaml"),
     ],
 )

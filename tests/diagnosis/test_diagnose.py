@@ -28,7 +28,7 @@ from torchpi.diagnosis.hypothesis import Hypothesis
 from torchpi.diagnosis.nominal import many_plays
 from torchpi.diagnosis.records import prepare
 from torchpi.diagnosis.search import Search
-from torchpi.recording import Recording
+from torchpi.recordings.recording import Recording
 from torchpi.stage import Stage
 
 MODE = (310.0, 0.03)

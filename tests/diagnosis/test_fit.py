@@ -21,7 +21,7 @@ from torchpi.diagnosis.fit import fit, jacobian, with_theta
 from torchpi.diagnosis.hypothesis import Fit, Hypothesis, Member
 from torchpi.diagnosis.nominal import bouc_wen, many_plays, preisach
 from torchpi.diagnosis.records import prepare, seen
-from torchpi.recording import Recording
+from torchpi.recordings.recording import Recording
 from torchpi.stage.effects.actuator.creep import Creep
 from torchpi.stage.effects.actuator.hysteresis_asymmetry import HysteresisAsymmetry
 from torchpi.stage.effects.actuator.rate_dependent_hysteresis import RateDependentHysteresis

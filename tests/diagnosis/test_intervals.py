@@ -11,7 +11,7 @@ from torchpi.diagnosis.hypothesis import Hypothesis, Member
 from torchpi.diagnosis.intervals import intervals_90, scatter, undetermined
 from torchpi.diagnosis.nominal import many_plays
 from torchpi.diagnosis.records import prepare, seen
-from torchpi.recording import Recording
+from torchpi.recordings.recording import Recording
 from torchpi.stage.effects.amplifier.amplifier_lag import AmplifierLag
 from torchpi.stage.effects.mechanics.resonance import Resonance
 from torchpi.stage.effects.mechanics.second_mode import SecondMode

@@ -11,7 +11,7 @@ from tests.diagnosis.plants import Signal
 from torchpi.diagnosis import diagnose
 from torchpi.diagnosis.diagnosis import Diagnosis, NamedEffect
 from torchpi.prediction import predict
-from torchpi.recording import Recording
+from torchpi.recordings.recording import Recording
 
 FS_HZ, FINER, SAMPLES = 4000.0, 8, 6000
 NOISE_UM = 0.01

@@ -14,7 +14,7 @@ from torchpi.diagnosis.noise import noise_floor_um
 from torchpi.diagnosis.nominal import plain
 from torchpi.diagnosis.records import prepare
 from torchpi.diagnosis.search import Search
-from torchpi.recording import Recording
+from torchpi.recordings.recording import Recording
 
 
 @pytest.mark.parametrize("noise_um", [4e-4, 4e-3, 0.05])

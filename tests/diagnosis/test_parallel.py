@@ -9,7 +9,7 @@ import torch
 from tests.diagnosis.plants import pair, resonance
 from torchpi.diagnosis.diagnose import diagnose
 from torchpi.diagnosis.diagnosis import Diagnosis
-from torchpi.recording import Recording
+from torchpi.recordings.recording import Recording
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,7 @@ import torch
 
 from tests.diagnosis.plants import FS_HZ, NOISE_UM, multisine, triangles
 from torchpi.diagnosis.diagnose import diagnose
-from torchpi.recording import Recording
+from torchpi.recordings.recording import Recording
 from torchpi.stage import Stage
 
 PHYSICS = {

@@ -16,7 +16,7 @@ from torchpi.diagnosis.nominal import many_plays
 from torchpi.diagnosis.records import prepare, seen
 from torchpi.diagnosis.slips import jump, resting, slips
 from torchpi.prediction import predict
-from torchpi.recording import Recording
+from torchpi.recordings.recording import Recording
 
 BREAKAWAY_UM, SLIDING_UM = 0.12, 0.02
 

@@ -45,12 +45,24 @@ class Stepped:
         )
         self._step.restype = ctypes.c_double
         self._step.argtypes = [ctypes.c_void_p, ctypes.c_double]
+        self._reset_at, self._reset_at_voltage = (
+            getattr(loaded, f"{source.stem}_{name}{suffix}") for name in ("reset_at", "reset_at_voltage")
+        )
+        for start in (self._reset_at, self._reset_at_voltage):
+            start.restype = ctypes.c_double
+            start.argtypes = [ctypes.c_void_p, ctypes.c_double]
         # More than any state takes; what lies behind it must stay as it is.
         self._state = (ctypes.c_double * 4096)(*[1e300] * 4096)
         self.reset()
 
     def reset(self) -> None:
         self._reset(ctypes.byref(self._state))
+
+    def reset_at(self, yd: float) -> float:
+        return float(self._reset_at(ctypes.byref(self._state), yd))
+
+    def reset_at_voltage(self, voltage_v: float) -> float:
+        return float(self._reset_at_voltage(ctypes.byref(self._state), voltage_v))
 
     @property
     def step(self) -> Callable[[float], float]:

@@ -14,7 +14,7 @@ from torchpi import cli
 from torchpi.errors import ArtifactError, ConfigError
 from torchpi.export import export_files, load_torchscript
 from torchpi.export.formats import write_together
-from torchpi.trained import HYPER_PARAMETERS, to_checkpoint
+from torchpi.trained import HASH, HYPER_PARAMETERS, to_checkpoint
 
 
 def contents(folder: Path) -> dict[str, bytes]:
@@ -135,6 +135,7 @@ def test_command_refuses_a_sample_period_of_zero(
 ) -> None:
     saved = to_checkpoint(compensator())
     saved[HYPER_PARAMETERS]["sample_period_s"] = 0.0
+    del saved[HASH]
     torch.save(saved, checkpoint)
     assert export(monkeypatch, str(checkpoint), "--to", "c", "--output", str(checkpoint.parent / "x")) == 2
     assert "sample_period_s: found 0.0, want a positive number of s" in capsys.readouterr().err

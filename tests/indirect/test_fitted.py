@@ -21,7 +21,7 @@ from torchpi.operators.base import Operator
 from torchpi.operators.chain import Chain
 from torchpi.operators.dead_zone import DeadZones
 from torchpi.operators.rate_dependent_pi import RateDependentPI
-from torchpi.recording import Recording
+from torchpi.recordings.recording import Recording
 from torchpi.stage.effects.sensor.sensor_lag import SensorLag
 
 PERIOD_S = 1e-4

@@ -6,7 +6,7 @@ import torch
 
 from torchpi.paper import fig12, unseen
 from torchpi.paper.tracking import StraightLine, follow, loading_samples, tracking_error
-from torchpi.recording import Recording
+from torchpi.recordings.recording import Recording
 
 
 class Late:

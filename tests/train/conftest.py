@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from torchpi.recording import Recording, write_recording
+from torchpi.recordings.recording import Recording, write_recording
 
 FS_HZ = 1000.0
 

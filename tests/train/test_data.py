@@ -56,7 +56,7 @@ def test_a_record_that_starts_far_from_zero_is_said_with_what_to_do(
 ) -> None:
     made = recording("shifted", 1)
     shifted = write(tmp_path, replace(made, y=made.y - 96.0))
-    with pytest.warns(RecordingWarning, match=r"shifted\.csv: starts at -96 µm .* data\.zero: first"):
+    with pytest.warns(RecordingWarning, match=r"shifted\.csv: starts at -96 µm .* option zero \(first\)"):
         RecordingsData(recordings=[*recordings, shifted]).load()
     RecordingsData(recordings=[*recordings, shifted], zero="first").load()
     RecordingsData(recordings=recordings).load()

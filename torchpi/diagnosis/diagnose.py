@@ -26,7 +26,7 @@ from torchpi.diagnosis.search import Search
 from torchpi.diagnosis.simulation import given_members, simulated, simulated_output
 from torchpi.diagnosis.slips import unaided
 from torchpi.errors import RecordingError
-from torchpi.recording import Recording
+from torchpi.recordings.recording import Recording
 from torchpi.stage import Stage
 from torchpi.stage.effects.sensor.quantization import Quantization
 

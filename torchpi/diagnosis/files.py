@@ -3,7 +3,7 @@
 import os
 import shutil
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor
 from contextlib import contextmanager
 from multiprocessing import get_context
@@ -14,29 +14,26 @@ from torchpi.diagnosis.diagnosis import Diagnosis
 from torchpi.diagnosis.parallel import get_ready
 from torchpi.errors import ConfigError
 from torchpi.excitation_files import write_excitation
-from torchpi.recording import Recording, read_recording
+from torchpi.recordings.recording import RecordingOptions, read_recording
 from torchpi.stage import Stage
-
-COLUMNS = ("time", "input", "output")
 
 
 def diagnose_files(
     paths: Sequence[Path],
     output: Path,
     simulation: Path | None,
-    columns: Mapping[str, str | int],
-    fs_hz: float | None,
-    resample: bool,
     executor: str,
     command: str,
+    options: RecordingOptions,
 ) -> Diagnosis:
     """Read, diagnose, and write the report, the JSON, the stage, the next excitation and the figures.
 
-    Arguments are those of `torchpi diagnose`; `command` is what was typed. Nothing is written before all is
+    Arguments are those of `torchpi diagnose`; `command` is what was typed, `options` says
+    how the files are read. Nothing is written before all is
     known.
 
     Raises:
-        ConfigError: An unknown executor or column, or an output that is a file.
+        ConfigError: An unknown executor, or an output that is a file.
         RecordingError: What is wrong with a recording.
     """
     # Drawing comes with matplotlib, which a diagnosis from Python does without.
@@ -44,8 +41,8 @@ def diagnose_files(
     from torchpi.report.diagnosis_page import write_diagnosis
     from torchpi.report.what_was_run import provenance
 
-    check_options(output, columns, executor)
-    recordings = [read(path, columns, fs_hz, resample) for path in paths]
+    check_options(output, executor)
+    recordings = [read_recording(path, options, allow_constant_input=True) for path in paths]
     stage = None if simulation is None else Stage.from_yaml(simulation)
     started = time.monotonic()
 
@@ -75,20 +72,12 @@ def diagnose_files(
     return found
 
 
-def check_options(output: Path, columns: Mapping[str, str | int], executor: str) -> None:
+def check_options(output: Path, executor: str) -> None:
     """Raise `ConfigError` for an option that cannot be."""
     if executor not in ("processes", "here"):
         raise ConfigError(f"--executor is '{executor}', wanted processes or here")
-    if unknown := set(columns) - set(COLUMNS):
-        raise ConfigError(f"--columns has '{min(unknown)}', wanted only {', '.join(COLUMNS)}")
     if output.exists() and not output.is_dir():
         raise ConfigError(f"{output} is a file, wanted a folder for the results; choose another")
-
-
-def read(path: Path, columns: Mapping[str, str | int], fs_hz: float | None, resample: bool) -> Recording:
-    """One recording, columns by name or number."""
-    chosen = {f"{name}_column": column for name, column in columns.items()}
-    return read_recording(path, fs_hz=fs_hz, resample=resample, allow_constant_input=True, **chosen)  # type: ignore[arg-type]
 
 
 @contextmanager

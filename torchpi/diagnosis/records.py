@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from torchpi.recording import Recording
+from torchpi.recordings.recording import Recording
 from torchpi.stage.effects.effect import Seen
 
 HELD_OUT = (0.25, 0.55, 0.85)

@@ -2,6 +2,16 @@
 
 from torchpi.export.formats import FORMATS, export_files
 from torchpi.export.numbers import save_json
+from torchpi.export.safety_card import Load, SafetyCard, safety_card
 from torchpi.export.torchscript import load_torchscript, save_torchscript
 
-__all__ = ["FORMATS", "export_files", "load_torchscript", "save_json", "save_torchscript"]
+__all__ = [
+    "FORMATS",
+    "Load",
+    "SafetyCard",
+    "export_files",
+    "load_torchscript",
+    "safety_card",
+    "save_json",
+    "save_torchscript",
+]

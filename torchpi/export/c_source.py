@@ -19,7 +19,7 @@ from torchpi.operators.reference_filter import ReferenceFilter
 
 _FLAGS = "-std=c99 -ffp-contract=off -O2"
 _PUBLIC = (
-    "state", "real", "reset", "step", "block", "H", "FLOAT32",
+    "state", "real", "reset", "reset_at", "reset_at_voltage", "step", "block", "H", "FLOAT32",
     "SAMPLE_PERIOD_S", "PREVIEW", "MIN_VOLTAGE_V", "MAX_VOLTAGE_V", "HAS_REFERENCE_FILTER",
 )  # fmt: skip
 _STANDARD_HEADERS = frozenset(
@@ -65,6 +65,8 @@ def header(part: Part, step: StepInC) -> str:
     takes = "the reference y_r" if part.value("has_reference_filter") else "the desired displacement"
     period, preview = part.value("sample_period_s"), part.value("preview")
     low, high = part.value("min_voltage_v"), part.value("max_voltage_v")
+    low_um, high_um = part.value("least_accepted_um"), part.value("largest_accepted_um")
+    longest_um = part.value("largest_step_um")
     return f"""\
 /* {name}: voltage for a piezo stage, without feedback. Written by torchpi {torchpi.__version__}; do not edit.
  *
@@ -73,7 +75,10 @@ def header(part: Part, step: StepInC) -> str:
  *   every {period:g} s:  u = {name}_step(&state, yd);
  *
  * yd is {takes} in um, {preview} samples ahead of the voltage u in V. Each state is independent of every
- * other. An input that is not finite counts in state.held_inputs, and the last finite one stands in for it.
+ * other. Inputs beyond {low_um:.6g} ... {high_um:.6g} um, jumps of more than {longest_um:.4g} um that the
+ * next samples do not confirm, inf and NaN are held, and count in state.held_inputs: the last accepted one
+ * stands in. state.outside_range counts inputs beyond the trained range or rate, state.limited_outputs
+ * voltages that the limits changed.
  *
  * Compile with {_FLAGS}: without fused multiply-add the numbers are those of Python to
  * the last bit, which {name}_selftest.c tests. With {name}_FLOAT32 defined, for every file that includes this
@@ -96,6 +101,8 @@ def header(part: Part, step: StepInC) -> str:
 typedef float {name}_real;
 /* Names of their own, so that files compiled with and without the macro do not link with each other. */
 #define {name}_reset {name}_reset_float32
+#define {name}_reset_at {name}_reset_at_float32
+#define {name}_reset_at_voltage {name}_reset_at_voltage_float32
 #define {name}_step {name}_step_float32
 #define {name}_block {name}_block_float32
 #else
@@ -112,6 +119,12 @@ extern "C" {{
 
 /* The de-energised state; call it before the first step. */
 void {name}_reset({name}_state *self);
+
+/* Instead of reset, for a stage that stands at yd, in um: returns the voltage that keeps it there, in V. */
+double {name}_reset_at({name}_state *self, double yd);
+
+/* Instead of reset, for a stage that stands under voltage_v: returns the displacement, in um. */
+double {name}_reset_at_voltage({name}_state *self, double voltage_v);
 
 /* One sample: um to V. */
 double {name}_step({name}_state *self, double yd);

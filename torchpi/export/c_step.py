@@ -14,12 +14,15 @@ from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from typing import NoReturn
 
+from torchpi.control.step_guard import IN_DOUBLE
 from torchpi.errors import ArtifactError
 from torchpi.export.parts import Function, Part, Value, own_attribute
 from torchpi.export.roll import roll
 from torchpi.motion import BackwardMotionStream
 from torchpi.operators.reference_filter import ReferenceFilterStream
 
+# Functions of the header that are methods of the step; `reset` is written from the states, `block` by hand.
+PUBLIC_METHODS = ("step", "reset_at", "reset_at_voltage")
 REAL, DOUBLE, INTEGER, BOOLEAN = "real", "double", "unsigned long", "bool"
 
 KEYWORDS = frozenset(
@@ -33,10 +36,11 @@ def _in_double(part: Part, name: str | None = None) -> bool:
     """Whether a number stays double in a float build.
 
     What forms the rate does, and samples of the trajectory on their way there: in float32 the difference
-    of two samples is off by 3e-5 of the peak rate.
+    of two samples is off by 3e-5 of the peak rate. So does what the guard compares, for its decisions to be
+    the same, and the output to stay within limits that float32 would round.
     """
     forms_the_rate = isinstance(part.module, (BackwardMotionStream, ReferenceFilterStream))
-    return forms_the_rate or name in ("yd", "last_input")
+    return forms_the_rate or name in IN_DOUBLE
 
 
 @dataclass(frozen=True)
@@ -65,7 +69,7 @@ class StepInC:
         public: Names of the header, which nothing within may have.
 
     Attributes:
-        functions: C text of each function by its name, callees first; the last one is the step.
+        functions: C text of each function by its name, callees first.
         constants: By their names in C, in the order in which the step meets them.
         states: Members of the struct, as paths, with type and value after a reset.
         helpers: Types for which `larger`, `smaller` and `magnitude` are called, by name.
@@ -84,20 +88,33 @@ class StepInC:
         self.helpers: dict[str, str] = {}
         self.results: dict[str, list[str]] = {}
         self._keys: dict[str, object] = {REAL: REAL}
+        self._loops: dict[tuple[str, ...], dict[str, Function]] = {}
         self._returns: dict[object, tuple[str, list[str]]] = {}
-        self.method(part, "step")
+        for name_ in PUBLIC_METHODS:
+            self.method(part, name_)
 
     def method(self, part: Part, name: str) -> tuple[str, list[str]]:
         """The C name of a part's method, and the types it returns."""
         if (part.path, name) in self._returns:
             return self._returns[part.path, name]
-        function = roll(part, part.method(name))
+        function = self.rolled(part)[name] if name in self.rolled(part) else part.method(name)
         for attribute in part.states:
             self.state(part, attribute)
-        whole_step = part.path == () and name == "step"
-        c_name = "_".join([self.name if whole_step else "", *part.path, name]).lstrip("_")
+        public = part.path == () and name in (*PUBLIC_METHODS, "reset")
+        c_name = "_".join([self.name if public else "", *part.path, name]).lstrip("_")
+        if public and name == "reset":
+            return c_name, []
         number = DOUBLE if _in_double(part) else REAL
         return self._function((part.path, name), part, function, c_name, number, method=True)
+
+    def rolled(self, part: Part) -> dict[str, Function]:
+        """All methods of a part with their loops, since a list in one of them is a list in all."""
+        if part.path not in self._loops:
+            for name in part.methods:
+                roll(part, part.method(name))
+            # Once more, because a list found in a later method changes an earlier one.
+            self._loops[part.path] = {name: roll(part, part.method(name)) for name in part.methods}
+        return self._loops[part.path]
 
     def plain(self, part: Part, caller: Function, name: str, number: str) -> tuple[str, list[str]]:
         """The C name of a plain function for numbers of one type, and the types it returns."""
@@ -143,7 +160,7 @@ class StepInC:
         return name
 
     def _claim(self, name: str, key: object) -> None:
-        if name in self._public and key != ((), "step"):
+        if name in self._public and key not in [((), public) for public in PUBLIC_METHODS]:
             raise ArtifactError(
                 f"name for C: found '{self.name}', but {name} is a name within the code; "
                 "give --output another last part"
@@ -199,7 +216,7 @@ class _Translation:
         self.step, self.part, self.function, self.c_name = step, part, function, c_name
         self.number = number
         self.is_method = method
-        self.whole_step = method and part.path == () and function.tree.name == "step"
+        self.is_public = method and part.path == () and function.tree.name in PUBLIC_METHODS
         self.types = {
             argument.arg: self._argument(argument)
             for argument in function.tree.args.args
@@ -226,12 +243,15 @@ class _Translation:
         body = [f"    {kind} {name};" for name, kind in self.hoisted.items()] + lines
         if self.is_method:
             arguments.insert(0, f"{self.step.name}_state *self")
-            if not any(re.search(r"\bself(->|[,)])", line) for line in body):
-                body.insert(0, "    (void)self;")
+        for argument in arguments:
+            name = argument.rpartition(" ")[2].lstrip("*")
+            if not any(re.search(rf"\b{name}\b", line) for line in body):
+                body.insert(0, f"    (void){name};")
         kind = self.returned[0] if len(self.returned) == 1 else "void"
         if len(self.returned) > 1:
             kind = self.step.result(self.returned)
-        static = "" if self.whole_step else "static "
+        # inline: several are called from `reset_at` as well, and the step is what must be fast.
+        static = "" if self.is_public else "static inline "
         head = f"{static}{kind} {self.c_name}({', '.join(arguments)})"
         return "\n".join([wrapped(head), "{", *map(wrapped, body), "}\n"])
 
@@ -505,6 +525,12 @@ class _Translation:
         match node:
             case ast.Attribute(value=owner, attr=name):
                 part = self._part(owner, node)
+                self.step.rolled(part)
+                for listed, elements in part.lists.items():
+                    if name in elements:
+                        name, index = listed, elements.index(name)
+                        held_by = self.step.state if name in part.states else self.step.constant
+                        return f"{held_by(part, name)}[{index}]", type_of(part, name)
                 held = part.value(name)
                 if isinstance(held, list):
                     self._refuse(node)
@@ -533,7 +559,7 @@ class _Translation:
             case ast.Constant(value=None):
                 return []
             case ast.Name(id="float"):
-                return [DOUBLE if self.whole_step else self.number]
+                return [DOUBLE if self.is_public else self.number]
             case ast.Name(id="int"):
                 return [INTEGER]
             case ast.Name(id="bool"):

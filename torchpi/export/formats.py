@@ -6,11 +6,12 @@ from pathlib import Path
 
 from torchpi.errors import ConfigError
 from torchpi.export.deployable import Deployable
+from torchpi.export.safety_card import Load
 from torchpi.files import write_atomically
 from torchpi.operators.reference_filter import ReferenceFilter
 
 Files = dict[Path, Callable[[Path], object]]  # what writes each file's content to a path
-FORMATS = ("torchscript", "c", "pt2", "json")
+FORMATS = ("torchscript", "c", "pt2", "json", "page")
 
 
 def export_files(
@@ -18,10 +19,12 @@ def export_files(
     output: str | Path,
     formats: Sequence[str] = ("torchscript", "json"),
     reference_filter: ReferenceFilter | None = None,
+    load: Load | None = None,
 ) -> list[Path]:
     """Write `output` with the suffixes of the formats; returns the files.
 
-    All are made before the first is put in place.
+    All are made before the first is put in place. `load` is what the amplifier drives, for the safety card of
+    json and page.
 
     Raises:
         ConfigError: An unknown format.
@@ -33,7 +36,7 @@ def export_files(
         raise ConfigError(f"to: found '{','.join(unknown)}', want one or more of {','.join(FORMATS)}")
     files: Files = {}
     for name in formats:
-        files |= _made(name, compensator, Path(output), reference_filter)
+        files |= _made(name, compensator, Path(output), reference_filter, load)
     write_together(files)
     return list(files)
 
@@ -46,13 +49,23 @@ def write_together(files: Files) -> None:
 
 
 def _made(
-    name: str, compensator: Deployable, output: Path, reference_filter: ReferenceFilter | None
+    name: str,
+    compensator: Deployable,
+    output: Path,
+    reference_filter: ReferenceFilter | None,
+    load: Load | None,
 ) -> Files:
     # Imported when asked for, because torch.export is slow to import.
     if name == "torchscript":
         from torchpi.export.torchscript import torchscript_files as files
     elif name == "json":
-        from torchpi.export.numbers import json_files as files
+        from torchpi.export.numbers import json_files
+
+        return json_files(compensator, output, reference_filter, load)
+    elif name == "page":
+        from torchpi.export.page import page_files
+
+        return page_files(compensator, output, reference_filter, load)
     elif name == "c":
         from torchpi.export.c_source import c_files as files
     else:

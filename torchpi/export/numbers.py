@@ -6,9 +6,11 @@ from typing import Any
 
 import torchpi
 from torchpi.compensator import DirectInverse
+from torchpi.control.step_guard import CONFIRMATIONS
 from torchpi.errors import ArtifactError
 from torchpi.export.deployable import Deployable
 from torchpi.export.formats import Files
+from torchpi.export.safety_card import Load, safety_card
 from torchpi.files import write_atomically
 from torchpi.operators.reference_filter import ReferenceFilter
 
@@ -16,7 +18,10 @@ SCHEMA = "torchpi.compensator/1"
 
 
 def json_files(
-    compensator: Deployable, output: Path, reference_filter: ReferenceFilter | None = None
+    compensator: Deployable,
+    output: Path,
+    reference_filter: ReferenceFilter | None = None,
+    load: Load | None = None,
 ) -> Files:
     """NAME.json.
 
@@ -29,7 +34,7 @@ def json_files(
             "want --to torchscript for this model"
         )
     try:
-        text = json.dumps(numbers(compensator, reference_filter), indent=2, allow_nan=False)
+        text = json.dumps(numbers(compensator, reference_filter, load), indent=2, allow_nan=False)
     except ValueError as error:
         raise ArtifactError("a number of the model: found inf or nan, want finite numbers") from error
     return {output.with_name(output.name + ".json"): lambda path: path.write_text(text + "\n")}
@@ -46,9 +51,13 @@ def save_json(
         write(temporary)
 
 
-def numbers(compensator: DirectInverse, reference_filter: ReferenceFilter | None = None) -> dict[str, Any]:
-    """The compensator as plain numbers, in the order in which a step uses them."""
-    weights = compensator.weights
+def numbers(
+    compensator: DirectInverse,
+    reference_filter: ReferenceFilter | None = None,
+    load: Load | None = None,
+) -> dict[str, Any]:
+    """The compensator as plain numbers, in the order in which a step uses them, and its safety card."""
+    weights, limits = compensator.weights, compensator.step_limits()
     rate_um_s = f"rate in units of {weights.rate_scale_um_s:g} µm/s"
     return {
         "schema": SCHEMA,
@@ -60,6 +69,21 @@ def numbers(compensator: DirectInverse, reference_filter: ReferenceFilter | None
             "preview_samples": compensator.preview,
         },
         "sample_period_s": compensator.sample_period_s,
+        "guard": {
+            "rule": "an input inside trained_um, within trained_step_um of the last accepted one, is taken; "
+            "inside accepted_um and within largest_step_um it is taken and counted in outside_range; from "
+            "further away the last accepted one stands in (held_inputs), unless the input and the "
+            "confirmations - 1 before it were each within largest_step_um of the one before: then the last "
+            "accepted one moves by largest_step_um towards it (outside_range); outside accepted_um, inf and "
+            "nan the last accepted one stands in (held_inputs); after a sample that was held, moved, or more "
+            "than trained_step_um away, the lead is left out until three were taken",
+            "accepted_um": list(limits.accepted_um),
+            "largest_step_um": limits.largest_step_um,
+            "confirmations": CONFIRMATIONS,
+            "trained_um": list(limits.trained_um),
+            "trained_step_um": limits.trained_step_um,
+            "largest_output_change_v": limits.max_change_v,
+        },
         "reference_filter": None
         if reference_filter is None
         else {
@@ -117,4 +141,5 @@ def numbers(compensator: DirectInverse, reference_filter: ReferenceFilter | None
             "min_v": compensator.min_voltage_v,
             "max_v": compensator.max_voltage_v,
         },
+        "safety": safety_card(compensator, load).as_json(),
     }

@@ -127,16 +127,15 @@ class Part:
 
     @cached_property
     def _remarks(self) -> dict[str, str]:
-        if "__init__" not in vars(type(self.module)):
-            return {}
-        made = read(type(self.module).__init__)
-        statements = [node for node in ast.walk(made.tree) if isinstance(node, (ast.Assign, ast.AnnAssign))]
-        return {
-            name: made.comments[statement.lineno]
-            for statement in statements
-            for name in _assigned(statement)
-            if statement.lineno in made.comments
-        }
+        remarks: dict[str, str] = {}
+        for cls in self._classes:
+            if "__init__" not in vars(cls):
+                continue
+            made = read(cls.__init__)  # type: ignore[misc]
+            for statement in ast.walk(made.tree):
+                if isinstance(statement, (ast.Assign, ast.AnnAssign)) and statement.lineno in made.comments:
+                    remarks |= dict.fromkeys(_assigned(statement), made.comments[statement.lineno])
+        return remarks
 
     @property
     def summary(self) -> str:
@@ -155,13 +154,22 @@ class Part:
             self.refuse(f"{name}(…) is no plain Python function")
         return read(found)
 
+    @property
+    def methods(self) -> tuple[str, ...]:
+        """Names of the methods written in Python."""
+        return tuple(self._methods)
+
+    @cached_property
+    def _classes(self) -> list[type]:
+        """Its class after those that it derives from, without torch's own."""
+        classes = reversed(type(self.module).__mro__)
+        return [cls for cls in classes if cls is not object and not cls.__module__.startswith("torch.")]
+
     @cached_property
     def _methods(self) -> dict[str, Callable[..., Any]]:
-        classes = reversed(type(self.module).__mro__)
-        own = [cls for cls in classes if cls is not object and not cls.__module__.startswith("torch.")]
         return {
             name: function
-            for cls in own
+            for cls in self._classes
             for name, function in vars(cls).items()
             if inspect.isfunction(function) and name != "__init__"
         }

@@ -12,6 +12,7 @@ order, are the same.
 """
 
 import ast
+import copy
 import re
 from dataclasses import replace
 
@@ -23,6 +24,8 @@ FEWEST = 3  # turns that are worth a loop
 
 def roll(part: Part, function: Function) -> Function:
     """The method with its loops; `part` then knows the lists that it goes through."""
+    # A copy, since what is read of a function is kept for the other parts and formats that have it.
+    function = replace(function, tree=copy.deepcopy(function.tree))
     statements, rolled = list(function.body), []
     while statements:
         length, turns = max(

@@ -4,10 +4,11 @@ TorchScript is deprecated in torch 2.13, and works; it is the contract here beca
 Python and in C++ without torchpi.
 """
 
+import math
 import warnings
 import zipfile
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 import torch
 from torch import nn
@@ -16,20 +17,21 @@ from torchpi.compensator_stream import CompensatorStream
 from torchpi.errors import ArtifactError
 from torchpi.export.deployable import Deployable
 from torchpi.export.formats import Files
+from torchpi.export.torchscript_check import METHODS, check_file, check_graph
 from torchpi.files import write_atomically
 from torchpi.operators.reference_filter import ReferenceFilter
 
-_KEPT = (
-    "reset",
-    "step",
-    "block",
-    "sample_period_s",
-    "preview",
-    "min_voltage_v",
-    "max_voltage_v",
-    "held_inputs",
-    "has_reference_filter",
-)
+MOST_PREVIEW = 1_000_000  # samples
+_ATTRIBUTES: dict[str, type] = {
+    "sample_period_s": float,
+    "preview": int,
+    "min_voltage_v": float,
+    "max_voltage_v": float,
+    "has_reference_filter": bool,
+    "held_inputs": int,
+    "outside_range": int,
+    "limited_outputs": int,
+}
 
 
 def torchscript_files(
@@ -37,7 +39,8 @@ def torchscript_files(
 ) -> Files:
     """NAME.pt, the frozen step of `compensator`; a reference filter goes inside on request."""
     scripted = script(compensator, reference_filter)
-    return {output.with_name(output.name + ".pt"): lambda path: scripted.save(str(path))}
+    # From a buffer, because a path leaves its name inside, and this one is temporary.
+    return {output.with_name(output.name + ".pt"): lambda path: path.write_bytes(scripted.save_to_buffer())}
 
 
 def save_torchscript(
@@ -58,37 +61,57 @@ def script(
     stream = cast(nn.Module, compensator.stream(reference_filter)).eval()
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message=".*torch.jit.*deprecated.*")
-        frozen = torch.jit.freeze(torch.jit.script(stream), preserved_attrs=list(_KEPT))
+        frozen = torch.jit.freeze(torch.jit.script(stream), preserved_attrs=[*METHODS, *_ATTRIBUTES])
     return cast(torch.jit.ScriptModule, frozen)
 
 
 def load_torchscript(path: str | Path) -> CompensatorStream:
-    """Load an exported compensator, warm and reset.
+    """Load an exported compensator, warm and reset. Nothing of a file runs that torchpi does not write.
 
     Raises:
-        ArtifactError: There is no such file, or it is not a compensator.
+        ArtifactError: There is no such file, or it is not a compensator, or it is damaged, or it holds an
+            operator or a number that no compensator has.
     """
     path = Path(path)
     if not path.is_file():
         raise ArtifactError(f"{path}: no such file, want a compensator written by 'torchpi export'")
     if not zipfile.is_zipfile(path):
         raise ArtifactError(f"{path}: not a TorchScript file, want a compensator written by 'torchpi export'")
+    check_file(path)
     try:
         with warnings.catch_warnings():
             warnings.filterwarnings("ignore", message=".*torch.jit.*deprecated.*")
             loaded = torch.jit.load(str(path), map_location="cpu")
-    except RuntimeError as error:
+    except (RuntimeError, ValueError) as error:
         raise ArtifactError(
             f"{path}: not a TorchScript file, want a compensator written by 'torchpi export'"
         ) from error
-    missing = [name for name in _KEPT if not hasattr(loaded, name)]
-    if missing:
-        raise ArtifactError(
-            f"{path}: a TorchScript file without {', '.join(missing)}, "
-            "want a compensator written by 'torchpi export'"
-        )
-    warm(loaded)
+    check_graph(path, loaded)
+    _check_attributes(path, loaded)
+    try:
+        warm(loaded)
+    except RuntimeError as error:
+        raise ArtifactError(f"{path}: its step fails; expected a compensator of 'torchpi export'") from error
     return cast(CompensatorStream, loaded)
+
+
+def _check_attributes(path: Path, loaded: torch.jit.ScriptModule) -> None:
+    for name, kind in _ATTRIBUTES.items():
+        value: Any = getattr(loaded, name, None)
+        finite = isinstance(value, int | float) and math.isfinite(value)
+        if type(value) is not kind or not finite:
+            raise ArtifactError(f"{path}: {name}: found {value}, expected a finite {kind.__name__}")
+    if loaded.sample_period_s <= 0:
+        raise ArtifactError(
+            f"{path}: sample_period_s: found {loaded.sample_period_s}, expected a positive number of s"
+        )
+    if not 0 <= loaded.preview <= MOST_PREVIEW:
+        raise ArtifactError(f"{path}: preview: found {loaded.preview}, expected 0 to {MOST_PREVIEW} samples")
+    if not loaded.min_voltage_v < loaded.max_voltage_v:
+        raise ArtifactError(
+            f"{path}: min_voltage_v: found {loaded.min_voltage_v} V, expected less than max_voltage_v, "
+            f"{loaded.max_voltage_v} V"
+        )
 
 
 def warm(loaded: CompensatorStream) -> None:

@@ -5,10 +5,10 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchpi.differentiation import motion_bandwidth, zero_phase_motion
 from torchpi.errors import RecordingError
 from torchpi.motion import Motion
-from torchpi.recording import Recording
+from torchpi.recordings.differentiation import motion_bandwidth, zero_phase_motion
+from torchpi.recordings.recording import Recording
 
 
 class InversePair(NamedTuple):

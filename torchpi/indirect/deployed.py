@@ -5,7 +5,9 @@ from typing import Protocol
 import torch
 from torch import Tensor, nn
 
-from torchpi.motion import BackwardMotionStream
+from torchpi.control.reach import reach
+from torchpi.control.step_guard import GuardedStep, StepLimits, step_limits
+from torchpi.motion import BackwardMotionStream, Motion
 from torchpi.operators.reference_filter import ReferenceFilter
 
 
@@ -17,8 +19,10 @@ class Deployment(Protocol):
     min_voltage_v: float
     max_voltage_v: float
 
+    def voltage(self, motion: Motion, /) -> tuple[Tensor, Tensor]: ...
 
-class Deployed(nn.Module):
+
+class Deployed(GuardedStep):
     """What `CompensatorStream` promises, around any law with `step(y_d, rate, acceleration)`.
 
     Args:
@@ -28,7 +32,7 @@ class Deployed(nn.Module):
     """
 
     def __init__(self, law: nn.Module, how: Deployment, reference_filter: ReferenceFilter | None) -> None:
-        super().__init__()
+        super().__init__(_limits(how))
         self.law = law
         self.has_reference_filter = reference_filter is not None
         self.motion: nn.Module = (
@@ -38,33 +42,35 @@ class Deployed(nn.Module):
         )
         self.sample_period_s = how.sample_period_s
         self.preview = how.preview
-        self.min_voltage_v = how.min_voltage_v
-        self.max_voltage_v = how.max_voltage_v
-        self.last_input = 0.0
-        self.held_inputs = 0
 
     @torch.jit.export
     def reset(self) -> None:
+        self.reset_guard()
         self.motion.reset()  # type: ignore[operator]
         self.law.reset()  # type: ignore[operator]
-        self.last_input = 0.0
-        self.held_inputs = 0
 
     @torch.jit.export
     def step(self, yd: float) -> float:
-        # x - x is zero for every finite x, and not for inf and nan.
-        if yd - yd == 0.0:
-            self.last_input = yd
-        else:
-            self.held_inputs += 1
+        self.accept(yd)
         x, rate, acceleration = self.motion.step(self.last_input)  # type: ignore[operator]
         u: float = self.law.step(x, rate, acceleration)  # type: ignore[operator]
-        return min(max(u, self.min_voltage_v), self.max_voltage_v)
+        self.emit(u)
+        return self.last_voltage
 
-    @torch.jit.export
-    def block(self, yd: Tensor) -> Tensor:
-        u = torch.empty_like(yd)
-        for i in range(len(yd)):
-            # fill_, because TorchScript rounds to float32 on the way through u[i] = … or torch.tensor.
-            u[i].fill_(self.step(float(yd[i])))
+    def at_rest(self, yd: float) -> float:
+        self.motion.reset_at(yd)  # type: ignore[operator]
+        self.law.reset()  # type: ignore[operator]
+        u: float = self.law.step(yd, 0.0, 0.0)  # type: ignore[operator]
         return u
+
+
+def _limits(how: Deployment) -> StepLimits:
+    """What it was made from is not known: the reach of the output limits decides what is accepted."""
+
+    def law(y: Tensor) -> Tensor:
+        still = torch.zeros_like(y[None])
+        with torch.no_grad():
+            return how.voltage(Motion(y[None], still, still))[0][0]
+
+    voltages_v = how.min_voltage_v, how.max_voltage_v
+    return step_limits(how.sample_period_s, voltages_v, reach(law, *voltages_v))

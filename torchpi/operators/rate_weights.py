@@ -9,6 +9,7 @@ from torch import Tensor, nn
 from torchpi.errors import ConfigError
 
 RateHead = Literal["none", "linear", "neural"]
+LARGEST_HEAD = 1000
 
 
 def squash(z: float) -> float:
@@ -46,8 +47,8 @@ class RateWeights(nn.Module):
             raise ConfigError(f"rate: found '{kind}', want none, linear or neural")
         if not 0 < rate_scale_um_s < math.inf:
             raise ConfigError(f"rate_scale_um_s: found {rate_scale_um_s}, want a positive number of µm/s")
-        if hidden < 1:
-            raise ConfigError(f"hidden: found {hidden}, want at least 1")
+        if not 1 <= hidden <= LARGEST_HEAD:
+            raise ConfigError(f"hidden: found {hidden}, expected 1 to {LARGEST_HEAD}")
         self.kind = kind
         self.rate_scale_um_s = rate_scale_um_s
         functions = {"none": 1, "linear": 2, "neural": 2 + hidden}[kind]

@@ -111,6 +111,14 @@ class ReferenceFilterStream(nn.Module):
         self.samples_seen = 0
 
     @torch.jit.export
+    def reset_at(self, yr: float) -> None:
+        """A reference that has rested at `yr` until y_d has come to it."""
+        self.reference.reset_at(yr)
+        self.samples_seen = 2
+        self.e = 0.0
+        self.e_dot = 0.0
+
+    @torch.jit.export
     def step(self, yr: float) -> tuple[float, float, float]:
         previous = self.reference.y1
         _, rate, acceleration = self.reference.step(yr)

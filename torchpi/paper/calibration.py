@@ -21,7 +21,7 @@ from torchpi.compensator import DirectInverse
 from torchpi.errors import ConfigError
 from torchpi.excitation import Samples, paper_multisine, sine_5hz
 from torchpi.identification import InversePair, TwoStageResult, fit_two_stage, inverse_pair, local_slope
-from torchpi.recording import Recording
+from torchpi.recordings.recording import Recording
 from torchpi.stage import Stage
 from torchpi.stage.effects.actuator.input_nonlinearity import InputNonlinearity
 from torchpi.trajectory import load_trajectory

@@ -16,7 +16,7 @@ from torchpi.excitation import paper_multisine, sine_5hz
 from torchpi.identification import InversePair, TwoStageResult, fit_two_stage, inverse_pair, local_slope
 from torchpi.paper.calibration import DEGREE, MULTISINE_S, SINE_S, THRESHOLDS
 from torchpi.paper.tracking import Plant, record
-from torchpi.recording import Recording
+from torchpi.recordings.recording import Recording
 
 EQ_12 = [1.40, -7.62e-2, 1.45e-2, -7.53e-4]  # c_1 … c_4, as identified on the paper's rig
 

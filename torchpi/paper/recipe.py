@@ -14,7 +14,7 @@ from torchpi.identification.corrections import fit_corrections
 from torchpi.identification.two_stage import fit_weights
 from torchpi.motion import backward_motion
 from torchpi.paper.fig7_plant import Fig7Plant
-from torchpi.recording import Recording
+from torchpi.recordings.recording import Recording
 from torchpi.stage import Stage
 
 # Models and starts are not deployed by themselves: the limits that count are those of what holds them.

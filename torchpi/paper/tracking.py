@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from torchpi.motion import Motion, backward_motion
-from torchpi.recording import Recording
+from torchpi.recordings.recording import Recording
 
 TRAVEL_UM = 8.1  # of the paper's stage
 

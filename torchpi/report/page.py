@@ -72,7 +72,7 @@ def loop_page(results: Sequence[LoopResult], provenance: Provenance) -> str:
 def _loop_page(
     results: Sequence[LoopResult], drawn: Sequence[Sequence["_Picture"]], provenance: Provenance
 ) -> str:
-    return _render(
+    return render(
         "loop.html.j2",
         title="Tracking: " + ", ".join(result.title for result in results),
         provenance=provenance,
@@ -91,7 +91,7 @@ def _loop_page(
 
 def training_page(report: TrainingReport, provenance: Provenance) -> str:
     """The training page as text."""
-    return _render(
+    return render(
         "training.html.j2",
         title=f"Training: {report.name}",
         report=report,
@@ -198,7 +198,8 @@ def _inline(prefix: str, pictures: Sequence[_Picture]) -> list[dict[str, Any]]:
     ]
 
 
-def _render(template: str, **values: Any) -> str:
+def render(template: str, **values: Any) -> str:
+    """A page from its template and what stands in it."""
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("torchpi.report"),
         autoescape=True,

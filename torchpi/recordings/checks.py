@@ -1,27 +1,43 @@
 """Is this recording fit for a model? What cannot be used raises; what its owner should know warns.
 
-Every line names the file, the value found, the value wanted and the remedy.
+Every line names the file, the value found, the value expected and the remedy.
 """
 
 import warnings
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from torchpi.errors import RecordingError, RecordingWarning
+from torchpi.recordings.faults import (
+    dropouts,
+    in_phase_correlation,
+    lead_of_output,
+    least_step,
+    without_line,
+)
 
 if TYPE_CHECKING:
-    from torchpi.recording import Recording
+    from torchpi.recordings.recording import Recording
 
 MIN_SAMPLES = 10
 RELATED = 0.1  # correlation at the best lag; 1 % of the output explained
 LONG_RUN = 4  # equal samples in a row that noise or a sharp peak does not make
 LEAST_STROKE_UM, LARGEST_STROKE_UM = 0.02, 1000.0
 LEAST_VOLTAGE_V, LARGEST_VOLTAGE_V = 0.005, 1500.0
+LARGEST, LEAST_RANGE = 1e12, 1e-12  # of any unit: beyond them products of four lose their digits
+CLEAR_GAIN = 0.5  # in-phase correlation that leaves no doubt of the gain and its sign
+AWAY_FROM_ZERO = 0.2  # of the range: more than the last run leaves of a stage that is de-energised
 
 
 def check_recording(
-    recording: "Recording", *, min_samples: int = MIN_SAMPLES, allow_constant_input: bool = False
+    recording: "Recording",
+    *,
+    min_samples: int = MIN_SAMPLES,
+    allow_constant_input: bool = False,
+    place: Callable[[int], str] | None = None,
+    check_start: bool = True,
 ) -> None:
     """Refuse a recording that no model can be made from, and warn of what would spoil one.
 
@@ -29,34 +45,47 @@ def check_recording(
         recording: what was read, V and µm.
         min_samples: the fewest that the model needs.
         allow_constant_input: accept a hold, which shows creep, drift and noise but no hysteresis.
+        place: where the sample of an index stands, for the messages; by default `sample N`.
+        check_start: the first sample is where the recording began, not one within it.
 
     Raises:
-        RecordingError: too short; NaN or infinity; constant input; a flat or unplugged sensor.
+        RecordingError: too short; NaN, infinity or an impossible magnitude; constant input; a flat or
+            unplugged sensor.
 
     Warns:
-        RecordingWarning: clipping, dropouts, or a range that suggests other units.
+        RecordingWarning: clipping, dropouts, a falling output, an output that comes before its input, a start
+            away from zero, or a range that suggests other units.
     """
+    place = place or (lambda index: f"sample {index + 1}")
     name = recording.source or recording.name
     check_length(name, len(recording.u), min_samples)
-    for column, signal in (("input_v", recording.u), ("output_um", recording.y), *recording.aux.items()):
-        bad = np.flatnonzero(~np.isfinite(signal))
-        if len(bad):
+    check_values(name, [("input_v", recording.u), ("output_um", recording.y), *recording.aux.items()], place)
+    for column, option, signal in (
+        ("input", "input_unit", recording.u),
+        ("output", "output_unit", recording.y),
+    ):
+        if 0 < np.ptp(signal) < LEAST_RANGE:
             raise RecordingError(
-                f"{name}: sample {bad[0] + 1}: {column} is {signal[bad[0]]}, wanted a finite number; "
-                f"correct or leave out that part"
+                f"{name}: the {column} moves by only {np.ptp(signal):.3g}, "
+                f"expected at least {LEAST_RANGE:g}; "
+                f"correct the column ({column}_column) or its unit ({option})"
             )
     if np.ptp(recording.u) == 0:
         if allow_constant_input:
             return
         raise RecordingError(
-            f"{name}: the input is constant at {recording.u[0]:g} V, wanted one that moves; "
+            f"{name}: the input is constant at {recording.u[0]:g} V, expected one that moves; "
             f"choose another column (input_column) or record with a moving voltage"
         )
     _check_sensor(name, recording)
     for warning in (
         _clipped_input(recording),
         _clipped_output(recording),
-        _dropouts(recording),
+        _frozen_output(recording),
+        _single_dropouts(recording, place),
+        _falling_output(recording),
+        _early_output(recording),
+        _start_away(recording) if check_start else None,
         *_suspicious_units(recording),
     ):
         if warning:
@@ -67,8 +96,31 @@ def check_length(name: str, samples: int, min_samples: int) -> None:
     """Raises RecordingError if there are fewer samples than the model needs."""
     if samples < min_samples:
         raise RecordingError(
-            f"{name}: {samples} samples, wanted at least {min_samples} (min_samples); record for longer"
+            f"{name}: {samples} samples, expected at least {min_samples} (min_samples); record for longer"
         )
+
+
+def check_values(name: str, columns: list[tuple[str, np.ndarray]], place: Callable[[int], str]) -> None:
+    """Raises RecordingError if a number is NaN, infinite, or of a size that no rig records.
+
+    Args:
+        name: of the file.
+        columns: name and (time,) of each, all of one length.
+        place: where the sample of an index stands.
+    """
+    bad = [~(np.abs(signal) <= LARGEST) for _, signal in columns]
+    rows = np.any(bad, axis=0)
+    if not rows.any():
+        return
+    first = int(np.argmax(rows))
+    column, signal = next(columns[k] for k, mask in enumerate(bad) if mask[first])
+    more = f" ({int(rows.sum())} such rows)" if rows.sum() > 1 else ""
+    found = signal[first]
+    expected = f"at most {LARGEST:g} in size" if np.isfinite(found) else "a finite number"
+    raise RecordingError(
+        f"{name}: {place(first)}: column '{column}': found {found:.6g}, expected {expected}{more}; "
+        "correct the row, or delete it and interpolate with the option resample (true)"
+    )
 
 
 def _check_sensor(name: str, recording: "Recording") -> None:
@@ -82,23 +134,23 @@ def _check_sensor(name: str, recording: "Recording") -> None:
     if levels <= 4 and len(np.unique(u)) > 10 * levels:
         raise RecordingError(
             f"{name}: the output takes only {levels} values, {np.ptp(y):g} µm apart, while the input moves "
-            f"by {np.ptp(u):g} V, wanted a range of many sensor steps; {remedy}"
+            f"by {np.ptp(u):g} V, expected a range of many sensor steps; {remedy}"
         )
     # By chance alone the best lag of n samples of noise reaches a few 1/√n.
-    wanted = min(0.35, max(RELATED, 3.5 / np.sqrt(len(u))))
+    least = min(0.35, max(RELATED, 3.5 / np.sqrt(len(u))))
     found = _correlation(u, y)
-    if found < wanted:
+    if found < least:
         raise RecordingError(
             f"{name}: the output does not follow the input: correlation {found:.2f} at the best lag, "
-            f"wanted {wanted:.2f} or more; {remedy}"
+            f"expected {least:.2f} or more; {remedy}"
         )
 
 
 def _correlation(u: np.ndarray, y: np.ndarray) -> float:
     """The largest at any lag up to an eighth of the record; a linear drift does not count."""
-    line_free = _without_line(u)
+    line_free = without_line(u)
     if line_free @ line_free > 0.01 * np.var(u) * len(u):
-        u, y = line_free, _without_line(y)
+        u, y = line_free, without_line(y)
     else:  # the input is itself a ramp
         u, y = u - u.mean(), y - y.mean()
     scale = np.sqrt(float(u @ u) * float(y @ y))
@@ -110,24 +162,18 @@ def _correlation(u: np.ndarray, y: np.ndarray) -> float:
     return float(max(np.abs(products[:lags]).max(), np.abs(products[-lags:]).max()) / scale)
 
 
-def _without_line(x: np.ndarray) -> np.ndarray:
-    index = np.arange(len(x)) - (len(x) - 1) / 2
-    centred = x - x.mean()
-    return np.asarray(centred - index * (index @ centred / (index @ index)))
-
-
 def _clipped_input(recording: "Recording") -> str | None:
-    """Flat tops that cut off a curve: longer than any rest elsewhere, met with a corner.
+    """Flat tops that cut off a curve: longer than any hold elsewhere, met with a corner.
 
-    Stairs rest at other levels too, a trapezoid comes along a straight line, a hold is met smoothly or by a
+    Stairs hold other levels too, a trapezoid comes along a straight line, a hold is met smoothly or by a
     jump.
     """
     u = recording.u
     start, length = _runs(u)
     inner = (start > 0) & (start + length < len(u))
     extreme = (u[start] == u.max()) | (u[start] == u.min())
-    rest_elsewhere = int(length[inner & ~extreme].max(initial=1))
-    clipped = inner & extreme & (length >= max(LONG_RUN, 8 * (rest_elsewhere - 1)))
+    hold_elsewhere = int(length[inner & ~extreme].max(initial=1))
+    clipped = inner & extreme & (length >= max(LONG_RUN, 8 * (hold_elsewhere - 1)))
     if not clipped.any():
         return None
     corners = [_is_cut_curve(u, int(i), int(n)) for i, n in zip(start[clipped], length[clipped], strict=True)]
@@ -163,15 +209,15 @@ def _bends(window: np.ndarray, height: float, tolerance: float) -> bool:
 
 
 def _clipped_output(recording: "Recording") -> str | None:
-    """Rests at the output's largest or smallest value that begin before the input has turned.
+    """Constant stretches at the output's largest or smallest value that begin before the input has turned.
 
-    A play rests after the turn; a rounded peak rests for no more than the input needs to cross one sensor
+    A play stands still after the turn; a rounded peak for no more than the input needs to cross one sensor
     step.
     """
     u, y = recording.u, recording.y
     start, length = _runs(y)
-    direction = np.sign(_without_line(u) @ _without_line(y)) or 1.0
-    one_step_u = _least_step(y) / np.ptp(y) * np.ptp(u)
+    direction = np.sign(without_line(u) @ without_line(y)) or 1.0
+    one_step_u = least_step(y) / np.ptp(y) * np.ptp(u)
     outward = max(1e-3 * np.ptp(u), 3 * one_step_u)
     inner = (start > 0) & (start + length < len(y)) & (length >= LONG_RUN)
     clipped = np.zeros(len(start), dtype=bool)
@@ -188,8 +234,8 @@ def _clipped_output(recording: "Recording") -> str | None:
     )
 
 
-def _dropouts(recording: "Recording") -> str | None:
-    """Rests of the output, with a jump after them, while the input moves by many sensor steps a sample."""
+def _frozen_output(recording: "Recording") -> str | None:
+    """Constant stretches of the output, then a jump, while the input moves by many sensor steps a sample."""
     u, y = recording.u, recording.y
     start, length = _runs(y)
     start, length = start[:-1], length[:-1]  # nothing is known of what follows the last
@@ -197,7 +243,7 @@ def _dropouts(recording: "Recording") -> str | None:
     step_um = np.abs(u[after] - u[start]) / length * (np.ptp(y) / np.ptp(u))  # expected of one sample
     jump_um = np.abs(y[after] - y[after - 1])
     inside = (y[start] != y.max()) & (y[start] != y.min())  # those are clipping's
-    frozen = (length >= 3) & inside & (step_um > 5 * _least_step(y)) & (jump_um > 1.5 * step_um)
+    frozen = (length >= 3) & inside & (step_um > 5 * least_step(y)) & (jump_um > 1.5 * step_um)
     repeated = int((length[frozen] - 1).sum())
     if not frozen.any() or (length[frozen].max() < 10 and repeated < 0.02 * len(y)):
         return None
@@ -209,20 +255,70 @@ def _dropouts(recording: "Recording") -> str | None:
     )
 
 
+def _single_dropouts(recording: "Recording", place: Callable[[int], str]) -> str | None:
+    """Readings that neither noise nor motion explains, one at a time."""
+    found = dropouts(recording.y)
+    if not len(found):
+        return None
+    first = int(found[0])
+    y = recording.y[first - 1 : first + 2]
+    others = ", ".join(place(int(index)) for index in found[1:4])
+    more = f" and {len(found) - 4} more" if len(found) > 4 else ""
+    return (
+        f"dropouts: {len(found)} single wrong {'readings' if len(found) > 1 else 'reading'} of the output "
+        f"({place(first)}: {y[1]:.6g} µm between {y[0]:.6g} and {y[2]:.6g} µm"
+        f"{'; ' + others if others else ''}{more}); delete these rows and interpolate with the option "
+        "resample (true)"
+    )
+
+
+def _falling_output(recording: "Recording") -> str | None:
+    found = in_phase_correlation(recording.u, recording.y)
+    if found > -CLEAR_GAIN:
+        return None
+    return (
+        f"the output falls where the input rises (correlation {found:.2f}); if the sensor counts downwards, "
+        "turn it with the option output_unit (-1 for µm, -0.001 for nm)"
+    )
+
+
+def _early_output(recording: "Recording") -> str | None:
+    lead = lead_of_output(recording.u, recording.y)
+    # Above its resonances, or driven by other inputs as well, a stage may seem to lead.
+    if not lead or abs(in_phase_correlation(recording.u, recording.y)) < CLEAR_GAIN:
+        return None
+    degrees = np.degrees(np.arcsin(min(1.0, lead / 1.11)))
+    return (
+        f"the output comes before the input (by about {degrees:.2g}° of a cycle), as no stage does; exchange "
+        "the columns (input_column, output_column) if they are swapped, or align their clocks"
+    )
+
+
+def _start_away(recording: "Recording") -> str | None:
+    start, stroke = float(recording.y[0]), float(np.ptp(recording.y))
+    if abs(start) <= AWAY_FROM_ZERO * stroke:
+        return None
+    return (
+        f"starts at {start:.4g} µm with a range of {stroke:.4g} µm, away from the de-energised state; "
+        "if that is the sensor's own zero, count from the first sample with the option zero (first); "
+        "model.offset: true learns it as well"
+    )
+
+
 def _suspicious_units(recording: "Recording") -> list[str]:
     stroke, voltage = float(np.ptp(recording.y)), float(np.ptp(recording.u))
     found = []
     if stroke < LEAST_STROKE_UM:
         meant = "m" if stroke < 0.0005 else "mm"
         found.append(
-            f"the output moves by only {stroke:.3g} µm; if the file is in {meant}, say output_unit {meant}"
+            f"the output moves by only {stroke:.3g} µm; if the file is in {meant}, give output_unit {meant}"
         )
     if stroke > LARGEST_STROKE_UM:
-        found.append(f"the output moves by {stroke:.3g} µm; if the file is in nm, say output_unit nm")
+        found.append(f"the output moves by {stroke:.3g} µm; if the file is in nm, give output_unit nm")
     if voltage < LEAST_VOLTAGE_V:
-        found.append(f"the input moves by only {voltage:.3g} V; if the file is in kV, say input_unit kV")
+        found.append(f"the input moves by only {voltage:.3g} V; if the file is in kV, give input_unit kV")
     if voltage > LARGEST_VOLTAGE_V:
-        found.append(f"the input moves by {voltage:.4g} V; if the file is in mV, say input_unit mV")
+        found.append(f"the input moves by {voltage:.4g} V; if the file is in mV, give input_unit mV")
     return found
 
 
@@ -230,13 +326,6 @@ def _runs(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Start and length of every run of equal samples."""
     start = np.concatenate(([0], np.flatnonzero(x[1:] != x[:-1]) + 1))
     return start, np.diff(np.append(start, len(x)))
-
-
-def _least_step(x: np.ndarray) -> float:
-    """The smallest difference between values of x that is more than rounding: the sensor's step."""
-    gaps = np.diff(np.unique(x))
-    gaps = gaps[gaps > 1e-9 * np.abs(x).max()]
-    return float(gaps.min()) if len(gaps) else 0.0
 
 
 def _share(x: np.ndarray, limits: np.ndarray) -> str:

@@ -4,7 +4,7 @@ import importlib
 from pathlib import Path
 
 from torchpi.errors import RecordingError
-from torchpi.readers.source import Source, nearest
+from torchpi.recordings.readers.source import Source, nearest
 
 __all__ = ["Source", "open_source"]
 
@@ -16,19 +16,19 @@ def open_source(path: str | Path) -> Source:
     """
     name, file = str(path), Path(path)
     if file.is_dir():
-        raise RecordingError(f"{name}: is a folder, wanted a file; give the recording inside it")
+        raise RecordingError(f"{name}: is a folder, expected a file; give the recording inside it")
     if not file.exists():
         raise RecordingError(f"{name}: no such file{_similar_file(file)}")
     kind = KINDS.get(file.suffix.lower())
     if kind is None:
         known = " ".join(KINDS)
         raise RecordingError(
-            f"{name}: unknown kind of file '{file.suffix}', wanted one of {known}; rename it"
+            f"{name}: unknown kind of file '{file.suffix}', expected one of {known}; rename it"
         )
     if file.stat().st_size == 0:
         raise RecordingError(f"{name}: the file is empty; record or export it again")
     try:
-        source: Source = importlib.import_module(f"torchpi.readers.{kind}").open_file(name)
+        source: Source = importlib.import_module(f"torchpi.recordings.readers.{kind}").open_file(name)
         return source
     except PermissionError as error:
         raise RecordingError(f"{name}: may not be read ({error.strerror}); change its permissions") from None
@@ -36,7 +36,7 @@ def open_source(path: str | Path) -> Source:
 
 KINDS = {
     ".csv": "text", ".txt": "text", ".dat": "text", ".tsv": "text", ".asc": "text",
-    ".npz": "npz", ".mat": "mat",
+    ".lvm": "lvm", ".npy": "npy", ".npz": "npz", ".mat": "mat",
     ".h5": "hdf5", ".hdf5": "hdf5", ".tdms": "tdms", ".mf4": "mf4", ".mdf": "mf4",
 }  # fmt: skip
 

@@ -5,14 +5,14 @@ from typing import Any
 import numpy as np
 
 from torchpi.errors import RecordingError
-from torchpi.readers.source import ArraySource
+from torchpi.recordings.readers.source import ArraySource, reason_of
 
 
 def open_file(path: str) -> ArraySource:
     with open(path, "rb") as file:
         head = file.read(520)
     if head.startswith(b"MATLAB 7.3") or b"\x89HDF\r\n\x1a\n" in (head[:8], head[512:520]):
-        from torchpi.readers.hdf5 import Hdf5Source
+        from torchpi.recordings.readers.hdf5 import Hdf5Source
 
         return Hdf5Source(path, matlab=True)
     return MatSource(path)
@@ -27,7 +27,9 @@ class MatSource(ArraySource):
         except (
             Exception
         ) as error:  # scipy raises whatever its parser met: ValueError, TypeError, zlib.error …
-            raise RecordingError(f"{path}: is not a MATLAB file ({error}); save it again with -v7") from None
+            raise RecordingError(
+                f"{path}: is not a MATLAB file ({reason_of(error)}); save it again with -v7"
+            ) from None
         self.variables = dict(_flat({name: stored[name] for name in stored if not name.startswith("__")}))
         super().__init__(path, list(self.variables))
 

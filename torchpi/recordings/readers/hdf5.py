@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from torchpi.errors import RecordingError
-from torchpi.readers.source import ArraySource, import_extra
+from torchpi.recordings.readers.source import ArraySource, import_extra, reason_of, stated_units
 
 
 def open_file(path: str) -> "Hdf5Source":
@@ -17,22 +17,33 @@ class Hdf5Source(ArraySource):
         h5py = self.h5py = import_extra(path, "h5py")
         self.matlab = matlab
         self.paths: dict[str, str] = {}
+        attributes: dict[str, str] = {}
 
         def note(name: str, item: Any) -> None:
             # MATLAB keeps its bookkeeping under #refs# and #subsystem#.
             if isinstance(item, h5py.Dataset) and item.dtype.kind in "fiub" and not name.startswith("#"):
-                self.paths[name.replace("/", ".") if matlab else name] = name
+                shown = name.replace("/", ".") if matlab else name
+                self.paths[shown] = name
+                attributes[shown] = str(item.attrs.get("units", item.attrs.get("unit", "")))
 
         try:
             with h5py.File(path, "r") as file:
                 file.visititems(note)
-        except OSError as error:
-            raise RecordingError(f"{path}: is not an HDF5 file ({error}); export it again") from None
+        except Exception as error:  # h5py raises whatever its parser met: OSError, RuntimeError, KeyError …
+            raise RecordingError(
+                f"{path}: is not an HDF5 file ({reason_of(error)}); export it again"
+            ) from None
         super().__init__(path, list(self.paths))
+        self.units = stated_units(attributes.items())
 
     def array(self, name: str) -> np.ndarray:
-        with self.h5py.File(self.path, "r") as file:
-            stored = np.asarray(file[self.paths[name]])
+        try:
+            with self.h5py.File(self.path, "r") as file:
+                stored = np.asarray(file[self.paths[name]])
+        except (OSError, RuntimeError, KeyError, MemoryError) as error:
+            raise RecordingError(
+                f"{self.path}: '{name}' cannot be read ({reason_of(error)}); export it again"
+            ) from None
         return stored.T if self.matlab else stored
 
     def find(self, column: str | int, option: str) -> str:

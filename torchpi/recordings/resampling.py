@@ -21,7 +21,8 @@ def to_rate(x: np.ndarray, from_hz: float, to_hz: float, samples: int) -> np.nda
     margin -= margin % down  # the first sample stays on the new grid
     extended = _reflected(x, margin)
     first = margin * up // down
-    return resample_poly(extended, up, down, padtype="line", window=("kaiser", 10.0))[first : first + samples]
+    converted = resample_poly(extended, up, down, padtype="line", window=("kaiser", 10.0))
+    return np.asarray(converted[first : first + samples])
 
 
 def _resample_any(x: np.ndarray, from_hz: float, to_hz: float, samples: int, margin: int) -> np.ndarray:
@@ -31,7 +32,8 @@ def _resample_any(x: np.ndarray, from_hz: float, to_hz: float, samples: int, mar
     extended = _reflected(x, margin)
     if to_hz < from_hz:
         extended = sosfiltfilt(butter(8, 0.8 * to_hz / from_hz, output="sos"), extended)
-    return CubicSpline(np.arange(len(extended)) - margin, extended)(np.arange(samples) * (from_hz / to_hz))
+    spline = CubicSpline(np.arange(len(extended)) - margin, extended)
+    return np.asarray(spline(np.arange(samples) * (from_hz / to_hz)))
 
 
 def _reflected(x: np.ndarray, margin: int) -> np.ndarray:

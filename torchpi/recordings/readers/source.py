@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from torchpi.errors import RecordingError
+from torchpi.recordings.readers.header import LONGEST_NAME, known_unit, stem_and_unit
 
 Column = str | int  # a name, or a number counted from 1
 
@@ -23,6 +24,8 @@ class Source(ABC):
     def __init__(self, path: str, names: list[str]) -> None:
         self.path = path
         self.names = names
+        self.units: dict[str, str] = {}
+        """Units that the file states beside the names of its columns."""
 
     @abstractmethod
     def read(self, names: list[str]) -> list[np.ndarray]:
@@ -31,6 +34,15 @@ class Source(ABC):
     def place(self, index: int) -> str:
         """Where sample `index` stands, as the user counts it."""
         return f"sample {index + 1}"
+
+    def unit(self, name: str) -> str | None:
+        """The unit that the file states for this column, in its name or beside it; None where it has none."""
+        indexed = INDEXED.fullmatch(name)
+        return self.units.get(name) or stem_and_unit(indexed["name"] if indexed else name)[1]
+
+    def holds_numbers(self, name: str) -> bool:
+        """Is this column worth reading? A text's column of words is not."""
+        return True
 
     def find(self, column: Column, option: str) -> str:
         """The name in the file that `column` means.
@@ -44,6 +56,9 @@ class Source(ABC):
             return self.names[int(name) - 1]
         if self._offers(name):
             return name
+        without_unit = [other for other in self.names if _without_unit(other) == name]
+        if len(without_unit) == 1:
+            return without_unit[0]
         guess = nearest(name, self.names)
         raise RecordingError(
             f"{self.path}: no column '{name}' ({option}); "
@@ -88,7 +103,7 @@ class ArraySource(Source):
         stored = np.asarray(self.array(match["name"] if match else name))
         if stored.dtype.kind not in "fiub":
             raise RecordingError(
-                f"{self.path}: '{name}' holds {stored.dtype}, wanted numbers; choose another name"
+                f"{self.path}: '{name}' holds {stored.dtype}, expected numbers; choose another name"
             )
         if match:
             try:
@@ -97,13 +112,13 @@ class ArraySource(Source):
                 shape = "×".join(map(str, stored.shape))
                 raise RecordingError(
                     f"{self.path}: '{name}': the index does not fit the array of {shape}; "
-                    f"wanted one of the kind {match['name']}[{_example(stored.shape)}]"
+                    f"expected one of the kind {match['name']}[{_example(stored.shape)}]"
                 ) from None
         stored = np.squeeze(stored)
         if stored.ndim > 1:
             shape, plain = "×".join(map(str, stored.shape)), match["name"] if match else name
             raise RecordingError(
-                f"{self.path}: '{name}' is an array of {shape}, wanted one signal; "
+                f"{self.path}: '{name}' is an array of {shape}, expected one signal; "
                 f"choose one with an index, as in {plain}[{_example(stored.shape)}]"
             )
         return np.ascontiguousarray(np.atleast_1d(stored), dtype=np.float64)
@@ -112,17 +127,36 @@ class ArraySource(Source):
 INDEXED = re.compile(r"(?P<name>.+)\[(?P<index>[-\d:,\s]+)\]")
 
 
+def _without_unit(name: str) -> str:
+    """`Command` of `Command [mV]`, as it is spelled."""
+    match = re.fullmatch(r"(.{1,200}?)\s*[\[(][^\])]*[\])]\s*", name)
+    return match[1] if match and known_unit(name[match.end(1) :].strip(" []()")) else name
+
+
 def nearest(name: str, names: Iterable[str]) -> str | None:
     """The name that a misspelled one probably means, whatever its case."""
-    by_lower = {other.lower(): other for other in names}
-    found = difflib.get_close_matches(name.lower(), by_lower, n=1, cutoff=0.5)
+    by_lower = {other.lower(): other for other in names if len(other) <= LONGEST_NAME}
+    found = difflib.get_close_matches(name[:LONGEST_NAME].lower(), by_lower, n=1, cutoff=0.5)
     return by_lower[found[0]] if found else None
 
 
 def shortened(names: list[str], most: int = 20) -> str:
     """The names on one line; of a long list the first ones, and how many more there are."""
     rest = f", and {len(names) - most} more" if len(names) > most else ""
-    return (", ".join(names[:most]) + rest) or "nothing"
+    return (
+        ", ".join(name if len(name) <= 60 else f"{name[:57]}…" for name in names[:most]) + rest
+    ) or "nothing"
+
+
+def stated_units(pairs: Iterable[tuple[str, str]]) -> dict[str, str]:
+    """Units by column, of pairs of a name and what the file writes as its unit; only those that are known."""
+    known = ((name, known_unit(text)) for name, text in pairs)
+    return {name: unit for name, unit in known if unit is not None}
+
+
+def reason_of(error: Exception) -> str:
+    """A library's error message, short and on one line."""
+    return " ".join(str(error).split())[:200] or type(error).__name__
 
 
 def import_extra(path: str, module: str) -> Any:

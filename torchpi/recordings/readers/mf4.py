@@ -1,11 +1,13 @@
 """MF4 (ASAM MDF): channels by name, each with the time stamps of its group."""
 
+import gc
+import sys
 from typing import Any
 
 import numpy as np
 
 from torchpi.errors import RecordingError
-from torchpi.readers.source import Source, import_extra
+from torchpi.recordings.readers.source import Source, import_extra, reason_of, stated_units
 
 
 def open_file(path: str) -> "Mf4Source":
@@ -17,11 +19,23 @@ class Mf4Source(Source):
 
     def __init__(self, path: str) -> None:
         asammdf = import_extra(path, "asammdf")
+        problem = None
+        # The object of a file that cannot be read is half made, and raises once more while it is deleted.
+        before, sys.unraisablehook = sys.unraisablehook, lambda _: None
         try:
             self.file = asammdf.MDF(path)
         except Exception as error:  # asammdf raises whatever its parser met
-            raise RecordingError(f"{path}: is not an MDF file ({error}); export it again") from None
+            problem = reason_of(error)
+        finally:
+            if problem is not None:
+                gc.collect()  # it stands in a circle of references
+            sys.unraisablehook = before
+        if problem is not None:
+            raise RecordingError(f"{path}: is not an MDF file ({problem}); export it again")
         super().__init__(path, list(self.file.channels_db))
+
+    def unit(self, name: str) -> str | None:
+        return stated_units([(name, str(self._signal(name).unit))]).get(name) or super().unit(name)
 
     def read(self, names: list[str]) -> list[np.ndarray]:
         try:
@@ -29,6 +43,10 @@ class Mf4Source(Source):
         except (ValueError, TypeError):
             raise RecordingError(
                 f"{self.path}: {' or '.join(names)} holds no numbers; choose another"
+            ) from None
+        except Exception as error:  # of a damaged block
+            raise RecordingError(
+                f"{self.path}: cannot be read ({reason_of(error)}); export it again"
             ) from None
 
     def times(self, name: str) -> np.ndarray | None:

@@ -15,7 +15,7 @@ DRIFT_TOLERANCE = 0.5  # of the sample period: every sample stands nearest to it
 
 @dataclass(frozen=True)
 class Grid:
-    """What the stamps say: a rate, and the first sample that does not stand on the grid (None: all do)."""
+    """What the stamps give: a rate, and the first sample that does not stand on the grid (None: all do)."""
 
     fs_hz: float
     odd_sample: int | None
@@ -32,27 +32,24 @@ def uniform_grid(t: np.ndarray) -> Grid:
 
     The rate is the roundest number within the resolution of the stamps: 10000.0 for steps of 0.1 ms.
     """
-    resolution = print_resolution(t)
     steps = np.diff(t)
     period = float(t[-1] - t[0]) / (len(t) - 1)
     median = float(np.median(steps))
+    if period <= 0:
+        odd_sample = int(np.argmax(steps <= 0)) + 1
+        return Grid(np.nan, odd_sample, float(steps[odd_sample - 1]), median, 0.0)
+    resolution = print_resolution(t)
     floor = float(4 * np.spacing(np.abs(t).max()))  # of the subtraction, for stamps of full precision
     # Steps that are all the same were not rounded: a grid of 0.1 ms has 4 decimals, however many are printed.
     rounded = float(np.ptp(steps)) > floor
-    uncertainty = (
-        float(resolution[0] + resolution[-1]) / 2 / abs(period * len(steps)) if rounded and period else 0.0
-    )
+    uncertainty = float(resolution[0] + resolution[-1]) / 2 / abs(period * len(steps)) if rounded else 0.0
 
     def verdict(odd_sample: int | None) -> Grid:
         step = float(steps[max(0, odd_sample - 1)]) if odd_sample is not None else median
         if odd_sample is not None and median > 0:
             return Grid(1 / median, odd_sample, step, median, uncertainty)
-        return Grid(
-            round_rate(period, uncertainty) if period > 0 else np.nan, odd_sample, step, median, uncertainty
-        )
+        return Grid(round_rate(period, uncertainty), odd_sample, step, median, uncertainty)
 
-    if period <= 0:
-        return verdict(int(np.argmax(steps <= 0)) + 1)
     odd = np.abs(steps - median) > STEP_TOLERANCE * abs(median) + floor
     off_grid = _off_grid(t, resolution + STEP_TOLERANCE * period)
     if not odd.any():

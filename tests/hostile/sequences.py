@@ -1,0 +1,69 @@
+"""Inputs that no controller should send, and some time all of them do."""
+
+import math
+import random
+import struct
+
+import torch
+from torch import Tensor
+
+from tests.test_compensator import THRESHOLDS
+from torchpi.compensator import DirectInverse
+
+PERIOD_S = 1e-3
+VOLTAGES_V = (-1.0, 9.0)
+RANGE_UM = (0.0, 8.0)
+
+
+def compensator(**changes: object) -> DirectInverse:
+    """One that rises everywhere, of a stage of 8 µm, with everything that remembers."""
+    arguments = {
+        "sample_period_s": PERIOD_S, "thresholds": THRESHOLDS, "range_um": 8.0, "rate_scale_um_s": 200.0,
+        "rate": "linear", "lead": 2, "creep_time_constants_s": [0.01, 0.3, 5.0], "offset": True,
+        "min_voltage_v": VOLTAGES_V[0], "max_voltage_v": VOLTAGES_V[1],
+        "trained": {
+            "range_um": RANGE_UM, "rates_um_s": (-200.0, 200.0), "voltages_v": (0.0, 8.5),
+            "voltage_rates_v_s": (-250.0, 250.0),
+        },
+        **changes,
+    }  # fmt: skip
+    made = DirectInverse(**arguments)  # type: ignore[arg-type]
+    with torch.no_grad():
+        made.weights.theta.fill_(-0.005)
+        made.weights.theta[0] = torch.tensor([1.15, 0.05] if made.weights.kind == "linear" else [1.15])
+        made.creep_gains.fill_(-0.01)
+        made.offset.fill_(0.1)
+        if len(made.scaled_lead):
+            made.scaled_lead.copy_(torch.tensor([0.8, 0.1])[: len(made.scaled_lead)])
+    return made
+
+
+def motion(samples: int) -> Tensor:
+    """5 Hz through the trained range."""
+    t = PERIOD_S * torch.arange(samples, dtype=torch.float64)
+    return 4.0 - 3.8 * torch.cos(2 * math.pi * 5 * t)
+
+
+def hostile(seed: int) -> list[float]:
+    """One to forty samples: signed zeros, denormals, huge numbers, inf, NaN, jumps, random bits."""
+    rng = random.Random(seed)
+    kinds = [
+        lambda: rng.choice([0.0, -0.0]),
+        lambda: rng.choice([5e-324, -5e-324, 2.2e-308, -1e-310]),
+        lambda: rng.choice([1, -1]) * 10.0 ** rng.uniform(3, 308),
+        lambda: rng.choice([1.7976931348623157e308, -1.7976931348623157e308]),
+        lambda: rng.choice([math.inf, -math.inf, math.nan]),
+        lambda: rng.uniform(-2.0, 10.0),
+        lambda: rng.choice([20.0, -20.0, 12.0, 10.1, -2.1]),
+        lambda: struct.unpack("<d", rng.randbytes(8))[0],
+    ]
+    chosen = rng.sample(kinds, rng.randint(1, len(kinds)))
+    return [rng.choice(chosen)() for _ in range(rng.choice([1, 1, 2, 5, 40]))]
+
+
+def disturbed(seed: int, samples: int) -> tuple[Tensor, int]:
+    """The motion with hostile samples in place of its own, and where they end."""
+    yd, inserted = motion(samples), hostile(seed)
+    start = random.Random(seed).randint(0, 250)
+    yd[start : start + len(inserted)] = torch.tensor(inserted, dtype=torch.float64)
+    return yd, start + len(inserted)

@@ -1,0 +1,232 @@
+"""No input harms a step: finite, within its limits, soon itself again, the same bits in every form."""
+
+import math
+import subprocess
+from pathlib import Path
+
+import pytest
+import torch
+from torch import Tensor
+
+from tests.export.c_compiler import Stepped, needs_cc
+from tests.export.test_torchscript import compensator as untrained
+from tests.hostile.sequences import PERIOD_S, RANGE_UM, VOLTAGES_V, compensator, disturbed, hostile, motion
+from tests.test_compensator import scripted
+from tests.test_corrected import corrected
+from torchpi.compensator import DirectInverse
+from torchpi.compensator_stream import CompensatorStream
+from torchpi.export import export_files
+from torchpi.export.deployable import Deployable
+from torchpi.indirect import ConventionalInverse
+from torchpi.operators import ReferenceFilter
+
+RECOVERY = round(1.0 / PERIOD_S)  # a second, less than ten times the longest relaxation
+TOLERANCE_V = 1e-3 * (VOLTAGES_V[1] - VOLTAGES_V[0])
+
+
+def same_bits(one: Tensor, other: Tensor) -> bool:
+    return torch.equal(one.view(torch.int64), other.view(torch.int64))
+
+
+def c_forms(
+    made: Deployable, folder: Path, filter_: ReferenceFilter | None = None
+) -> tuple[Stepped, Stepped]:
+    export_files(made, folder / "demo", ("c",), filter_)
+    return Stepped(folder / "demo.c"), Stepped(folder / "demo.c", single=True)
+
+
+@needs_cc
+@pytest.mark.parametrize("filtered", [False, True])
+def test_after_a_hostile_sequence_the_output_is_soon_the_undisturbed_one(
+    filtered: bool, tmp_path: Path
+) -> None:
+    filter_ = ReferenceFilter(PERIOD_S) if filtered else None
+    samples = RECOVERY + 500
+    for step in c_forms(compensator(), tmp_path, filter_):
+        undisturbed = step.block(motion(samples))
+        for seed in range(500):
+            yd, end = disturbed(seed, samples)
+            step.reset()
+            u = step.block(yd)
+            assert bool(((u >= VOLTAGES_V[0]) & (u <= VOLTAGES_V[1])).all()), seed
+            left = (u - undisturbed)[end + RECOVERY :].abs().max()
+            assert float(left) <= TOLERANCE_V, (seed, float(left))
+
+
+@needs_cc
+@pytest.mark.parametrize("slew", [None, 500.0])
+def test_hostile_sequences_have_the_same_bits_in_every_form(slew: float | None, tmp_path: Path) -> None:
+    made = compensator(max_slew_v_s=slew)
+    double, _ = c_forms(made, tmp_path)
+    python, script = made.stream(), scripted(made.stream())
+    for seed in range(60):
+        yd = torch.tensor([*motion(20).tolist(), *hostile(seed), *motion(30).tolist()], dtype=torch.float64)
+        double.reset()
+        expected = double.block(yd)
+        for stream in (python, script):
+            stream.reset()
+            assert same_bits(stream.block(yd), expected), seed
+        assert (python.held_inputs, python.outside_range, python.limited_outputs) == (
+            script.held_inputs,
+            script.outside_range,
+            script.limited_outputs,
+        )
+
+
+@needs_cc
+@pytest.mark.parametrize(
+    ("made", "filtered"),
+    [
+        (compensator(rate="none", lead=0, creep_time_constants_s=[]), True),
+        (untrained(), False),
+        (corrected(2), False),
+        (corrected(1), True),
+    ],
+)
+def test_every_compensator_stays_finite_and_within_limits(
+    made: Deployable, filtered: bool, tmp_path: Path
+) -> None:
+    filter_ = ReferenceFilter(made.sample_period_s) if filtered else None  # type: ignore[attr-defined]
+    stream = made.stream(filter_)
+    double, single = c_forms(made, tmp_path, filter_)
+    for seed in range(200):
+        yd = torch.tensor([*motion(40).tolist(), *hostile(seed), *motion(40).tolist()], dtype=torch.float64)
+        for step in (double, single):
+            step.reset()
+            u = step.block(yd)
+            assert bool(((u >= stream.min_voltage_v) & (u <= stream.max_voltage_v)).all()), seed
+        if seed < 20:
+            stream.reset()
+            double.reset()
+            assert same_bits(stream.block(yd), double.block(yd)), seed
+
+
+def test_an_indirect_inverse_stays_finite_and_within_limits() -> None:
+    stream = ConventionalInverse(PERIOD_S, [0.0, 0.5, 2.0], [0.6, 0.1, 0.2]).stream()
+    script = scripted(stream)
+    for seed in range(60):
+        yd = torch.tensor([*motion(40).tolist(), *hostile(seed), *motion(40).tolist()], dtype=torch.float64)
+        stream.reset()
+        script.reset()
+        u = stream.block(yd)
+        assert same_bits(script.block(yd), u) and bool(((u >= 0.0) & (u <= 10.0)).all()), seed
+
+
+def test_one_glitch_leaves_nothing_behind() -> None:
+    stream, other = compensator().stream(), compensator().stream()
+    yd = motion(400)
+    yd[300:] = yd[299]
+    expected = other.block(yd)
+    yd[320] = 20.0
+    assert torch.equal(stream.block(yd), expected)
+    assert (stream.held_inputs, stream.limited_outputs) == (1, 0)
+
+
+def settled(stream: CompensatorStream, at_um: float) -> None:
+    stream.reset_at(at_um)
+    for _ in range(10):
+        stream.step(at_um)
+
+
+def test_a_jump_is_held_until_four_samples_confirm_it_and_then_followed() -> None:
+    stream = compensator().stream()
+    settled(stream, 1.0)
+    before = stream.step(1.0)
+    assert [stream.step(7.0) for _ in range(4)] == [before] * 4 and stream.held_inputs == 4
+    # 4 times the largest trained rate, 200 µm/s.
+    accepted = []
+    for _ in range(12):
+        stream.step(7.0)
+        accepted.append(stream.last_input)  # type: ignore[attr-defined]
+    assert accepted == pytest.approx([min(1.0 + 0.8 * (k + 1), 7.0) for k in range(12)])
+    assert stream.held_inputs == 4 and stream.outside_range > 0
+
+
+def test_counters_tell_apart_what_happened() -> None:
+    stream = compensator(max_voltage_v=5.0).stream()
+    settled(stream, 2.0)
+    for sample in (math.nan, 20.0, -1e300):
+        stream.step(sample)
+    assert (stream.held_inputs, stream.outside_range, stream.limited_outputs) == (3, 0, 0)
+    for k in range(4):
+        stream.step(2.0 + 0.15 * k)
+    assert stream.outside_range == 0 and stream.limited_outputs == 0
+    for k in range(20):
+        stream.step(2.45 + 0.15 * k)
+    assert stream.limited_outputs > 0
+    stream.reset()
+    assert (stream.held_inputs, stream.outside_range, stream.limited_outputs) == (0, 0, 0)
+
+
+def test_nothing_is_accepted_beyond_the_training_that_the_voltage_does_not_reach() -> None:
+    limits = compensator().step_limits()
+    reached = compensator().reach()
+    assert limits.accepted_um[0] >= RANGE_UM[0] - 0.25 * 8.0
+    assert limits.accepted_um[1] <= max(RANGE_UM[1], 1.1 * reached.high_um)
+
+
+def test_the_voltage_changes_no_faster_than_its_slew_limit() -> None:
+    stream = compensator(max_slew_v_s=100.0).stream()
+    for seed in range(20):
+        stream.reset()
+        yd = torch.tensor([*motion(50).tolist(), *hostile(seed), *motion(50).tolist()], dtype=torch.float64)
+        u = stream.block(yd)
+        assert float(u.diff().abs().max()) <= 100.0 * PERIOD_S * (1 + 1e-12)
+        assert abs(float(u[0])) <= 100.0 * PERIOD_S
+
+
+@needs_cc
+@pytest.mark.parametrize("at_um", [0.0, 0.7, 5.0, 7.9])
+@pytest.mark.parametrize("filtered", [False, True])
+def test_a_start_at_a_measured_displacement_or_voltage_has_no_bump(
+    at_um: float, filtered: bool, tmp_path: Path
+) -> None:
+    made, filter_ = compensator(), ReferenceFilter(PERIOD_S) if filtered else None
+    stream = made.stream(filter_)
+    double, single = c_forms(made, tmp_path, filter_)
+    for step in (stream, scripted(made.stream(filter_)), double, single):
+        step.step(3.0)
+        u = step.reset_at(at_um)
+        bump = 1e-6 if step is single else 0.0
+        assert [step.step(at_um) for _ in range(5)] == pytest.approx([u] * 5, abs=bump)
+        found = step.reset_at_voltage(u)
+        assert found == pytest.approx(at_um, abs=1e-5)
+        assert step.step(found) == pytest.approx(u, abs=1e-5)
+    assert double.reset_at(at_um) == stream.reset_at(at_um)
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -1e300, 20.0])
+def test_a_start_at_nonsense_is_the_de_energised_state_and_counts(value: float) -> None:
+    stream, fresh = compensator().stream(), compensator().stream()
+    fresh.reset_at(0.0)
+    expected = fresh.step(0.0)
+    stream.reset_at(value)
+    assert stream.held_inputs == 1 and stream.step(0.0) == expected
+    stream.reset_at_voltage(value)
+    assert stream.held_inputs == 1
+
+
+@needs_cc
+def test_c_is_clean_under_the_sanitizers(tmp_path: Path) -> None:
+    export_files(compensator(max_slew_v_s=500.0), tmp_path / "demo", ("c",), ReferenceFilter(PERIOD_S))
+    source = tmp_path / "hammer.c"
+    source.write_text((Path(__file__).parent / "hammer.c").read_text())
+    for flags in ([], ["-Ddemo_FLOAT32"]):
+        program = tmp_path / "hammer"
+        subprocess.run(
+            ["cc", "-std=c99", "-ffp-contract=off", "-O1", "-fsanitize=address,undefined",
+             "-fno-sanitize-recover=all", *flags, str(source), str(tmp_path / "demo.c"), "-o", str(program)],
+            check=True, capture_output=True,
+        )  # fmt: skip
+        done = subprocess.run([str(program), "200000"], capture_output=True, text=True)
+        assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_hand_written_compensators_hold_what_is_far_beyond_their_reach() -> None:
+    made = DirectInverse(PERIOD_S, [0.0, 0.5], degree=1)
+    with torch.no_grad():
+        made.weights.theta[:, 0] = torch.tensor([1.2, -0.1])
+    stream = made.stream()
+    stream.step(1.0)
+    stream.step(100.0)
+    assert stream.held_inputs == 1

@@ -1,0 +1,58 @@
+"""Which displacements a compensator reaches within its output limits."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+LARGEST_UM = 1e4  # ten millimetres, beyond any piezo stage
+POINTS = 4000
+
+Law = Callable[[Tensor], Tensor]  # desired displacement (time,), µm, from the de-energised state, to V
+
+
+class Reach(NamedTuple):
+    """Displacements at which the voltage of a slow motion meets the output limits, µm.
+
+    Attributes:
+        low_um: The lowest, coming from the de-energised state.
+        high_um: The highest, coming from the de-energised state.
+        remanence_um: Where the lower limit is met on the way down from the highest: the stage comes no
+            lower until it is de-energised again.
+    """
+
+    low_um: float
+    high_um: float
+    remanence_um: float
+
+
+def reach(law: Law, min_voltage_v: float, max_voltage_v: float) -> Reach:
+    """Follow the loop of a slow motion to its ends: up and down from the de-energised state, and back.
+
+    An end that is not met within 10 mm, or a limit that is not finite, leaves that end at 10 mm.
+    """
+    steps = torch.cat(
+        [torch.zeros(1, dtype=torch.float64), torch.logspace(-3, 4, POINTS, dtype=torch.float64)]
+    )
+    high = _end(steps, law(steps), min_voltage_v, max_voltage_v)
+    # Downwards it is the same question with both signs turned.
+    low = 0.0 - _end(steps, -law(-steps), -max_voltage_v, -min_voltage_v)
+    up = torch.linspace(0.0, high, POINTS, dtype=torch.float64)
+    back = torch.linspace(high, min(low, -high), 2 * POINTS, dtype=torch.float64)
+    down = law(torch.cat([up, back]))[POINTS:] <= min_voltage_v
+    remanence = float(back[int(down.int().argmax())]) if bool(down.any()) else low
+    return Reach(low, high, remanence)
+
+
+def _end(y: Tensor, u: Tensor, limit_behind_v: float, limit_ahead_v: float) -> float:
+    """Where the voltage first meets the limit ahead, or runs away backwards; the last place if nowhere."""
+    # The start may lie below the limits, which begin further out.
+    away = min(limit_behind_v, float(u[0])) - (limit_ahead_v - limit_behind_v)
+    met = (u >= limit_ahead_v) | (u <= away) | ~torch.isfinite(u)
+    k = int(met.int().argmax()) if bool(met.any()) else len(u) - 1
+    if k == 0:
+        return 0.0
+    rise = float(u[k] - u[k - 1])
+    share = float(limit_ahead_v - u[k - 1]) / rise if rise > 0 else 0.0
+    return float(y[k - 1]) + min(max(share, 0.0), 1.0) * float(y[k] - y[k - 1])

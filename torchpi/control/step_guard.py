@@ -1,0 +1,249 @@
+"""What stands before and behind every deployed step: no input may harm the stage or the state.
+
+Before it, `accept` decides what is taken for the desired displacement:
+
+    inside the trained range, and no faster than trained       taken as it is
+    inside the accepted range, in a step that is not too long   taken, counted in `outside_range`
+    a jump                                      held until four more samples confirm it, then followed at the
+                                                largest accepted rate and counted in `outside_range`
+    outside the accepted range, inf, NaN        the last accepted one stands in, counted in `held_inputs`
+
+Thus whatever the equations see is finite, bounded, and of bounded rate, and what is held leaves nothing in
+the memory of hysteresis and creep. The derivatives of a lead are formed of four samples, and would carry a
+jump into the plays at many times its size: `smooth` counts the samples since the last one that was held, or
+moved faster than trained, and leads wait for three of them.
+
+Behind the equations, `emit` limits the voltage, and its change where that is wanted, and counts in
+`limited_outputs`. States do not wind up: beyond the trained range, but for one per cent, nothing is accepted
+that the voltage limits do not reach, so there is no saturated stretch for them to integrate.
+"""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+
+from torchpi.control.reach import Reach
+from torchpi.control.trained_motions import TrainedMotions
+
+BEYOND_RANGE = 0.25  # of the trained range, accepted on either side of it: 1.5 times the trained range
+BEYOND_RATE = 4.0  # times the largest trained rate, accepted
+NOISE = 0.01  # of the trained range, accepted beyond it whatever is reached, and from sample to sample
+CONFIRMATIONS = 4  # samples that lie within an accepted step of the one before
+BEYOND_REACH = 2.0  # times the largest displacement within reach, accepted where the training is not known
+
+# Numbers that stay double in C compiled for float: comparisons must come out alike in both.
+IN_DOUBLE = frozenset(
+    "yd aim_v last_input last_sample step_um start_um least_accepted_um largest_accepted_um least_trained_um "
+    "largest_trained_um trained_step_um largest_step_um least_um largest_um middle_um voltage_v start_v "
+    "min_voltage_v max_voltage_v max_change_v last_voltage slower_v faster_v bounded_v least_v "
+    "largest_v".split()
+)
+
+
+@dataclass(frozen=True)
+class StepLimits:
+    """The numbers of the guard.
+
+    Attributes:
+        accepted_um: Least and largest desired displacement that is accepted, µm.
+        largest_step_um: Longest step from one accepted sample to the next, µm.
+        trained_um: Trained range, µm; the accepted one where the training is not known.
+        trained_step_um: Longest step from sample to sample at the trained rates, µm.
+        min_voltage_v: Lower output limit.
+        max_voltage_v: Upper output limit.
+        max_change_v: Largest change of the output from sample to sample; None for any.
+    """
+
+    accepted_um: tuple[float, float]
+    largest_step_um: float
+    trained_um: tuple[float, float]
+    trained_step_um: float
+    min_voltage_v: float
+    max_voltage_v: float
+    max_change_v: float | None = None
+
+
+def step_limits(
+    sample_period_s: float,
+    voltages_v: tuple[float, float],
+    reach: Reach,
+    typical_um: float = 0.0,
+    trained: TrainedMotions | None = None,
+    max_slew_v_s: float | None = None,
+) -> StepLimits:
+    """What a step with this training, or none that is known, accepts.
+
+    Args:
+        sample_period_s: T.
+        voltages_v: Output limits.
+        reach: What is reached within them.
+        typical_um: A displacement that occurs, where the training is not known.
+        trained: What it was trained on.
+        max_slew_v_s: Largest rate of the output voltage, V/s; None for any.
+    """
+    change = None if max_slew_v_s is None else max_slew_v_s * sample_period_s
+    if trained is None:
+        largest = BEYOND_REACH * max(abs(reach.low_um), abs(reach.high_um), abs(typical_um))
+        return StepLimits(
+            (-largest, largest), 2 * largest, (-largest, largest), 2 * largest, *voltages_v, change
+        )
+    low, high = trained.range_um
+    span = high - low
+    accepted = (
+        max(low - BEYOND_RANGE * span, min(low - NOISE * span, reach.low_um)),
+        min(high + BEYOND_RANGE * span, max(high + NOISE * span, reach.high_um)),
+    )
+    trained_step = max(map(abs, trained.rates_um_s)) * sample_period_s
+    longest = min(max(BEYOND_RATE * trained_step, NOISE * span), accepted[1] - accepted[0])
+    return StepLimits(accepted, longest, trained.range_um, min(trained_step, longest), *voltages_v, change)
+
+
+class GuardedStep(nn.Module):
+    """The guard of a deployed step, and what every one of them offers.
+
+    A subclass has `motion` or the like, `reset`, `step`, and `at_rest`.
+    """
+
+    def __init__(self, limits: StepLimits) -> None:
+        super().__init__()
+        self.least_accepted_um = limits.accepted_um[0]  # um, inputs below are held
+        self.largest_accepted_um = limits.accepted_um[1]  # um, inputs above are held
+        self.largest_step_um = limits.largest_step_um  # um, from one sample to the next
+        self.least_trained_um = limits.trained_um[0]  # um
+        self.largest_trained_um = limits.trained_um[1]  # um
+        self.trained_step_um = limits.trained_step_um  # um, from one sample to the next
+        self.min_voltage_v = limits.min_voltage_v  # V
+        self.max_voltage_v = limits.max_voltage_v  # V
+        self.limits_change = limits.max_change_v is not None
+        self.max_change_v = limits.max_change_v if limits.max_change_v is not None else 0.0  # V, in a period
+        self.enough = CONFIRMATIONS
+        self.start_um = min(max(0.0, limits.accepted_um[0]), limits.accepted_um[1])
+        self.start_v = min(max(0.0, limits.min_voltage_v), limits.max_voltage_v)
+        self.started = False
+        self.confirmed = 0
+        self.smooth = 3
+        self.last_sample = self.start_um
+        self.last_input = self.start_um
+        self.last_voltage = self.start_v
+        self.held_inputs = 0
+        self.outside_range = 0
+        self.limited_outputs = 0
+
+    def reset_guard(self) -> None:
+        self.started = False
+        self.confirmed = 0
+        self.smooth = 3
+        self.last_sample = self.start_um
+        self.last_input = self.start_um
+        self.last_voltage = self.start_v
+        self.held_inputs = 0
+        self.outside_range = 0
+        self.limited_outputs = 0
+
+    def accept(self, yd: float) -> None:
+        """Leave in `last_input` what is taken for the desired displacement."""
+        step_um = yd - self.last_input
+        # Every comparison with NaN is false: NaN is not taken here, and held below.
+        if (
+            yd >= self.least_trained_um
+            and yd <= self.largest_trained_um
+            and step_um <= self.trained_step_um
+            and step_um >= -self.trained_step_um
+        ):
+            self.last_input = yd
+            self.last_sample = yd
+            self.started = True
+            if self.smooth < 3:
+                self.smooth += 1
+        else:
+            self.accept_beyond(yd)
+
+    def accept_beyond(self, yd: float) -> None:
+        """What lies outside the trained range or rates."""
+        if yd >= self.least_accepted_um and yd <= self.largest_accepted_um:
+            step_um = yd - self.last_input
+            self.confirmed = self.confirmed + 1 if abs(yd - self.last_sample) <= self.largest_step_um else 0
+            if not self.started:
+                # The trajectory rested here before its first sample.
+                self.last_input = yd
+                if yd < self.least_trained_um or yd > self.largest_trained_um:
+                    self.outside_range += 1
+            elif abs(step_um) <= self.largest_step_um:
+                self.last_input = yd
+                self.outside_range += 1
+                self.smooth = 0 if abs(step_um) > self.trained_step_um else self.smooth
+            elif self.confirmed < self.enough:
+                self.held_inputs += 1
+                self.smooth = 0
+            else:
+                self.smooth = 0
+                self.last_input += self.largest_step_um if step_um > 0.0 else -self.largest_step_um
+                self.outside_range += 1
+            self.last_sample = yd
+            self.started = True
+        else:
+            self.held_inputs += 1
+            self.smooth = 0
+
+    def emit(self, u: float) -> None:
+        """Leave in `last_voltage` the voltage within the limits."""
+        least_v = self.min_voltage_v
+        largest_v = self.max_voltage_v
+        if self.limits_change:
+            slower_v = self.last_voltage - self.max_change_v
+            faster_v = self.last_voltage + self.max_change_v
+            least_v = slower_v if slower_v > least_v else least_v
+            largest_v = faster_v if faster_v < largest_v else largest_v
+        # max and min of NaN differ between Python and TorchScript; here NaN becomes the least.
+        bounded_v = u if u > least_v else least_v
+        bounded_v = bounded_v if bounded_v < largest_v else largest_v
+        if bounded_v != u:
+            self.limited_outputs += 1
+        self.last_voltage = bounded_v
+
+    @torch.jit.export
+    def reset_at(self, yd: float) -> float:
+        """Start from a stage that stands at `yd`: returns the voltage that keeps it there.
+
+        It is taken to have come there from the de-energised state, and to have stood there until its creep
+        was over. A `yd` that is not accepted leaves the de-energised state, and counts in `held_inputs`.
+        """
+        self.reset()  # type: ignore[operator]
+        self.accept(yd)
+        u: float = self.at_rest(self.last_input)  # type: ignore[operator]
+        self.last_voltage = u
+        self.emit(u)
+        self.limited_outputs = 0
+        return self.last_voltage
+
+    @torch.jit.export
+    def reset_at_voltage(self, voltage_v: float) -> float:
+        """Start from a stage that stands under `voltage_v`: returns the displacement at which it stands.
+
+        As `reset_at`; a voltage outside the limits leaves the de-energised state, and counts.
+        """
+        within = voltage_v >= self.min_voltage_v and voltage_v <= self.max_voltage_v
+        aim_v = voltage_v if within else self.start_v
+        least_um = self.least_accepted_um
+        largest_um = self.largest_accepted_um
+        for _ in range(60):
+            middle_um = 0.5 * (least_um + largest_um)
+            u: float = self.at_rest(middle_um)  # type: ignore[operator]
+            if u < aim_v:
+                least_um = middle_um
+            else:
+                largest_um = middle_um
+        self.reset_at(largest_um)
+        if not within:
+            self.held_inputs += 1
+        self.last_voltage = aim_v
+        return self.last_input
+
+    @torch.jit.export
+    def block(self, yd: Tensor) -> Tensor:
+        u = torch.empty_like(yd)
+        for i in range(len(yd)):
+            # fill_, because TorchScript rounds to float32 on the way through u[i] = … or torch.tensor.
+            u[i].fill_(self.step(float(yd[i])))  # type: ignore[operator]
+        return u

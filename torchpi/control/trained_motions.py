@@ -1,0 +1,81 @@
+"""The motions and voltages that a compensator was trained on: beyond them it extrapolates."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, Protocol
+
+import torch
+from torch import Tensor
+
+from torchpi.errors import ConfigError
+from torchpi.motion import Motion
+
+Interval = tuple[float, float]
+
+
+class Pair(Protocol):
+    """A record turned round for an inverse, `identification.InversePair` for one."""
+
+    @property
+    def motion(self) -> Motion: ...  # (1, time)
+    @property
+    def u(self) -> Tensor: ...  # (1, time), V
+    @property
+    def counted(self) -> slice: ...
+    @property
+    def sample_period_s(self) -> float: ...
+
+
+@dataclass(frozen=True)
+class TrainedMotions:
+    """Least and largest values over the samples that counted in training.
+
+    Attributes:
+        range_um: Displacement, µm.
+        rates_um_s: Signed rate of the displacement, µm/s.
+        voltages_v: Voltage, V.
+        voltage_rates_v_s: Change of the voltage from sample to sample over the sample period, V/s.
+    """
+
+    range_um: Interval
+    rates_um_s: Interval
+    voltages_v: Interval
+    voltage_rates_v_s: Interval
+
+    @classmethod
+    def of(cls, pairs: Iterable[Pair]) -> "TrainedMotions":
+        """Those of the records that a compensator is trained on."""
+        y, rates, u, changes = [], [], [], []
+        for pair in pairs:
+            y.append(pair.motion.yd[0, pair.counted])
+            rates.append(pair.motion.yd_dot[0, pair.counted])
+            u.append(pair.u[0, pair.counted])
+            changes.append(u[-1].diff() / pair.sample_period_s)
+        return cls(*(_interval(torch.cat(part)) for part in (y, rates, u, changes)))
+
+    @classmethod
+    def from_plain(cls, values: Mapping[str, Sequence[float]]) -> "TrainedMotions":
+        """The inverse of `plain`.
+
+        Raises:
+            ConfigError: Another key, or no interval of finite numbers.
+        """
+        names = set(cls.__dataclass_fields__)
+        if not isinstance(values, Mapping) or set(values) != names:
+            found = sorted(values) if isinstance(values, Mapping) else type(values).__name__
+            raise ConfigError(f"trained: found {found}, expected {', '.join(sorted(names))}")
+        intervals = {}
+        for name, value in values.items():
+            interval = torch.tensor([float(end) for end in value], dtype=torch.float64)
+            if len(interval) != 2 or not bool(torch.isfinite(interval).all()) or interval[0] > interval[1]:
+                raise ConfigError(f"trained.{name}: found {value}, expected two finite numbers in order")
+            intervals[name] = (interval[0].item(), interval[1].item())
+        return cls(**intervals)
+
+    def plain(self) -> dict[str, Any]:
+        """Lists of numbers by name, as hyper-parameters and JSON keep them."""
+        return {name: list(value) for name, value in asdict(self).items()}
+
+
+def _interval(values: Tensor) -> Interval:
+    return values.min().item(), values.max().item()

@@ -1,0 +1,105 @@
+"""What to know before a compensator drives a stage: its reach, rates, current, and which way it runs."""
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from torchpi.compensator import DirectInverse
+from torchpi.control.trained_motions import Interval
+from torchpi.errors import ConfigError
+from torchpi.identification.monotone import monotone
+
+
+@dataclass(frozen=True)
+class Load:
+    """What the amplifier drives.
+
+    Args:
+        capacitance_uf: Of the piezo, µF; None where it is not known.
+        amplifier_gain: Voltage at the piezo per volt of the controller.
+
+    Raises:
+        ConfigError: One that is not positive.
+    """
+
+    capacitance_uf: float | None = None
+    amplifier_gain: float = 1.0
+
+    def __post_init__(self) -> None:
+        for name, value in asdict(self).items():
+            if value is not None and not 0 < value < float("inf"):
+                raise ConfigError(f"{name}: found {value}, expected a positive number")
+
+    def current_ma(self, rate_v_s: float) -> float | None:
+        """i = C du/dt at the piezo, mA, for a rate of the controller's voltage."""
+        if self.capacitance_uf is None:
+            return None
+        return 1e-3 * self.capacitance_uf * self.amplifier_gain * rate_v_s
+
+
+@dataclass(frozen=True)
+class SafetyCard:
+    """The card; None where something is not known.
+
+    Attributes:
+        reachable_um: Displacements of slow motions within the output limits, from the de-energised state.
+        remanence_um: The lowest displacement after a full excursion, without de-energising.
+        output_limits_v: Voltage limits, inside the step.
+        max_slew_v_s: Limit on the rate of the output, inside the step.
+        trained_range_um: Displacements trained on.
+        trained_rates_um_s: Signed rates trained on.
+        trained_voltages_v: Voltages of the trained motions.
+        trained_voltage_rates_v_s: Rates of these voltages, from sample to sample.
+        current_ma: Peak current of the trained motions into the given capacitance.
+        current_at_slew_limit_ma: Current at `max_slew_v_s`.
+        monotone: Whether the inverse rises everywhere over the trained range and rates.
+        monotone_summary: The same in a sentence.
+        accepted_um: Inputs beyond are held.
+        accepted_rate_um_s: Jumps beyond are held, then followed at this rate.
+    """
+
+    reachable_um: Interval
+    remanence_um: float
+    output_limits_v: Interval
+    max_slew_v_s: float | None
+    trained_range_um: Interval | None
+    trained_rates_um_s: Interval | None
+    trained_voltages_v: Interval | None
+    trained_voltage_rates_v_s: Interval | None
+    current_ma: float | None
+    current_at_slew_limit_ma: float | None
+    monotone: bool | None
+    monotone_summary: str
+    accepted_um: Interval
+    accepted_rate_um_s: float
+
+    def as_json(self) -> dict[str, Any]:
+        """Lists and numbers by name, units in the names."""
+        return {
+            name: list(value) if isinstance(value, tuple) else value for name, value in asdict(self).items()
+        }
+
+
+def safety_card(compensator: DirectInverse, load: Load | None = None) -> SafetyCard:
+    """The card of a compensator, for a load if it is known."""
+    load = load or Load()
+    trained, limits, reach = compensator.trained, compensator.step_limits(), compensator.reach()
+    peak_v_s = max(map(abs, trained.voltage_rates_v_s)) if trained else None
+    rises = monotone(compensator, trained.range_um, trained.rates_um_s) if trained else None
+    return SafetyCard(
+        reachable_um=(reach.low_um, reach.high_um),
+        remanence_um=reach.remanence_um,
+        output_limits_v=(compensator.min_voltage_v, compensator.max_voltage_v),
+        max_slew_v_s=compensator.max_slew_v_s,
+        trained_range_um=trained.range_um if trained else None,
+        trained_rates_um_s=trained.rates_um_s if trained else None,
+        trained_voltages_v=trained.voltages_v if trained else None,
+        trained_voltage_rates_v_s=trained.voltage_rates_v_s if trained else None,
+        current_ma=load.current_ma(peak_v_s) if peak_v_s is not None else None,
+        current_at_slew_limit_ma=(
+            load.current_ma(compensator.max_slew_v_s) if compensator.max_slew_v_s is not None else None
+        ),
+        monotone=bool(rises) if rises is not None else None,
+        monotone_summary=str(rises) if rises is not None else "the trained range and rates are not known",
+        accepted_um=limits.accepted_um,
+        accepted_rate_um_s=limits.largest_step_um / compensator.sample_period_s,
+    )

@@ -1,0 +1,1 @@
+"""Recordings of voltage and displacement: read from files, checked, summarised, resampled, differentiated."""

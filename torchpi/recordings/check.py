@@ -1,0 +1,178 @@
+"""A check of recordings, from files to what is printed and to one page: `torchpi check`."""
+
+import json
+import shlex
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from torchpi.errors import ConfigError, RecordingError
+from torchpi.recordings.checks import AWAY_FROM_ZERO
+from torchpi.recordings.options import RecordingOptions
+from torchpi.recordings.readers import open_source
+from torchpi.recordings.summary import PREVIEWED, Column, Summary, columns_in, summarise
+
+OUR_UNITS = {"time": "s", "input": "V", "output": "µm"}
+
+
+def check_files(
+    paths: Sequence[Path], output: Path, options: RecordingOptions, command: str
+) -> list[Summary]:
+    """Print what each file holds and how to go on with it, and write `check.html`.
+
+    A file that cannot be used is named on a line of its own, the others are still described; the page is
+    written for those that can be.
+
+    Args:
+        paths: the recordings.
+        output: folder for the page.
+        options: how they are read.
+        command: what was typed.
+
+    Raises:
+        RecordingError: the last of the files that cannot be used.
+        ConfigError: an output that is a file.
+    """
+    from torchpi.report.check_page import Checked, write_check
+    from torchpi.report.what_was_run import provenance
+
+    if output.exists() and not output.is_dir():
+        raise ConfigError(f"{output}: is a file, expected a folder for the page; choose another")
+    checked: list[Checked] = []
+    failures: list[RecordingError] = []
+    for path in paths:
+        try:
+            columns = columns_in(open_source(path))
+            print(f"{path}\n" + table_of(columns))
+            summary = summarise(path, options)
+        except RecordingError as error:
+            if failures:
+                print(f"torchpi: error: {failures[-1]}", file=sys.stderr)
+            failures.append(error)
+            continue
+        facts = facts_of(summary)
+        print("\n".join(f"  {label:<12}{text}" for label, text in facts))
+        print("".join(f"  warning     {warning}\n" for warning in summary.warnings))
+        checked.append(Checked(summary, columns, facts))
+    commands = commands_for([each.summary for each in checked])
+    for line in commands:
+        print(line)
+    if checked:
+        files: dict[str, str | Path] = {
+            f"recording {each.summary.recording.name}": each.summary.recording.source for each in checked
+        }
+        page = write_check(checked, commands, provenance(command, files), output / "check.html")
+        print(f"{page}: the page")
+    if failures:
+        raise failures[-1]
+    return [each.summary for each in checked]
+
+
+def table_of(columns: Sequence[Column]) -> str:
+    """Name, unit, range and first values of each column, in lines of text."""
+    rows = [("column", "unit", "range", "first values"), *(row_of(column) for column in columns)]
+    widths = [max(len(row[k]) for row in rows) for k in range(3)]
+    return "\n".join(
+        "  " + "  ".join([*(cell.ljust(width) for cell, width in zip(row, widths, strict=False)), row[3]])
+        for row in rows
+    )
+
+
+def row_of(column: Column) -> tuple[str, str, str, str]:
+    """(name, unit, range, first values) of a column, as text."""
+    if column.values is None or not len(column.values):
+        return column.name, column.unit or "", "", column.problem or "empty"
+    x = column.values[np.isfinite(column.values)]
+    spread = f"{x.min():.6g} … {x.max():.6g}" if len(x) else "no finite number"
+    return (
+        column.name, column.unit or "not stated", spread,
+        ", ".join(f"{value:.6g}" for value in column.values[:PREVIEWED]),
+    )  # fmt: skip
+
+
+def facts_of(summary: Summary) -> list[tuple[str, str]]:
+    """What the recording shows of itself: (what, how it is) in plain words."""
+    recording, holds = summary.recording, summary.holds
+    u, y = recording.u, recording.y
+    roles = ", ".join(f"{role} '{name}' ({OUR_UNITS[role]})" for role, name in summary.columns.items())
+    if summary.guessed:
+        roles += ": identified by their content; verify that input and output are not exchanged"
+    sampling = f"{recording.fs_hz:.9g} Hz, {len(recording):,} samples, {recording.duration_s:.6g} s"
+    if summary.jitter is None:
+        sampling += "; no time stamps"
+    elif summary.options.resample:
+        sampling += f"; steps off by up to {100 * summary.jitter:.2g} % of the period: interpolated"
+    else:
+        sampling += f"; stamps within {100 * summary.jitter:.2g} % of the period"
+    monitored = summary.input_noise_v > 1e-6 * max(float(np.ptp(u)), 1e-300)
+    how = f"noise about {summary.input_noise_v:.2g} V: a monitored voltage, or a fast one" if monitored else (
+        "without noise: the command itself"
+    )  # fmt: skip
+    held = (
+        f"{holds.count} holds, {100 * holds.share:.2g} % of the time, the longest {holds.longest_s:.3g} s"
+        if holds.count
+        else "no holds, so the noise can only be estimated from sample to sample"
+    )
+    return [
+        ("columns", roles),
+        ("sampling", sampling),
+        ("input", f"{u.min():.4g} … {u.max():.4g} V; {how}; {held}"),
+        (
+            "output",
+            f"{y.min():.4g} … {y.max():.4g} µm; noise about {summary.output_noise_um:.2g} µm; "
+            f"smallest step {summary.output_step_um:.2g} µm",
+        ),
+        ("gain", _gain(summary)),
+        ("start", _start(summary)),
+        ("dropouts", f"{len(summary.dropouts)} single wrong readings" if len(summary.dropouts) else "none"),
+    ]
+
+
+def commands_for(summaries: Sequence[Summary]) -> list[str]:
+    """The lines to paste: `fit` and `diagnose` with the options that these files need.
+
+    Files that need different options stand on lines of their own: a command reads all its files alike.
+    """
+    groups: dict[RecordingOptions, list[str]] = {}
+    for summary in summaries:
+        groups.setdefault(summary.options, []).append(summary.recording.source)
+    lines = []
+    for options, files in groups.items():
+        fit = ["python", "-m", "train", "fit", "--config", "configs/recorded.yaml"]
+        fit += ["--data.recordings", json.dumps(files), *options.as_arguments("--data.")]
+        lines.append(shlex.join(fit))
+        lines.append(shlex.join(["torchpi", "diagnose", *files, *options.as_arguments()]))
+    return lines
+
+
+def _gain(summary: Summary) -> str:
+    if np.ptp(summary.recording.u) == 0:
+        return "the input is constant: no gain to see"
+    sign = (
+        "positive" if summary.correlation > 0.5 else "negative" if summary.correlation < -0.5 else "not clear"
+    )
+    return (
+        f"{summary.gain_um_per_v:.4g} µm/V on average, sign {sign} "
+        f"(correlation at the same instant {summary.correlation:.2f})"
+    )
+
+
+def _start(summary: Summary) -> str:
+    u, y = summary.recording.u, summary.recording.y
+    text = f"{u[0]:.4g} V, {y[0]:.4g} µm"
+    stroke, back = float(np.ptp(y)), summary.comes_back_um
+    if back is None:
+        return f"{text}; the input never comes back there, so remanence cannot be seen"
+    if abs(u[0]) > AWAY_FROM_ZERO * np.ptp(u):
+        return f"{text}; a voltage was applied already: the state at the start is not known"
+    if back > max(0.005 * stroke, 3 * summary.output_noise_um):
+        return (
+            f"{text}; back at this voltage the output stands {back:.3g} µm higher: the remanence of a stage "
+            "that started de-energised"
+        )
+    return (
+        f"{text}; back at this voltage the output returns to within {abs(back):.2g} µm: the first sample was "
+        "not de-energised, or there is no hysteresis"
+    )

@@ -1,0 +1,104 @@
+"""What a recorded signal shows of itself: its noise, single wrong readings, and which of two comes first."""
+
+import numpy as np
+
+MOTION_FACTOR = 4.0
+"""A reading stands apart by so many times the samples' usual step; a triangle's corner does by one."""
+FALSE_ALARM = 1e-3
+"""The chance that noise alone makes a dropout anywhere in a record."""
+LEAST_LEAD = 0.02  # about one degree of a sine
+
+
+def noise_estimate(y: np.ndarray) -> float:
+    """Standard deviation of what changes from sample to sample without pattern, in the signal's unit.
+
+    The median of |y(k) − cubic through its four neighbours|: white noise σ leaves √(35/18)·σ of it, motion
+    that is slow against the sample rate nothing. Where motion is fast it is an upper bound; where a converter
+    rounds all noise away it is zero.
+
+    Args:
+        y: (time,).
+    """
+    if len(y) < 5:
+        return 0.0
+    residual = y[2:-2] - (4 * (y[1:-3] + y[3:-1]) - y[:-4] - y[4:]) / 6
+    return float(1.4826 * np.median(np.abs(residual)) / np.sqrt(35 / 18))
+
+
+def dropouts(y: np.ndarray) -> np.ndarray:
+    """Indices of isolated wrong readings, such as one zero among readings of 5 µm.
+
+    A reading is wrong where it lies beyond both its neighbours, on the same side, by more than noise and by
+    more than motion: the lesser of |y(k) − y(k−1)| and |y(k) − y(k+1)| exceeds
+
+    - √1.5·σ·Φ⁻¹(1 − α/2n), which white noise of σ (`noise_estimate`) exceeds anywhere in n samples with
+      probability α = 0.001 at most: the mean of the two differences has variance 1.5 σ²;
+    - 4 times the median of the eight nearest other steps, of which a corner of a triangle reaches one;
+    - 3 steps of the sensor, because rounding makes lone steps of one.
+
+    The first and last sample, which have one neighbour, are never among them; nor are two wrong readings in a
+    row.
+
+    Args:
+        y: (time,), any unit, finite.
+
+    Returns:
+        (dropouts,), int, increasing.
+    """
+    from scipy.special import ndtri
+
+    if len(y) < 9:
+        return np.empty(0, dtype=int)
+    steps = np.diff(y)
+    apart = np.where(steps[:-1] * steps[1:] < 0, np.minimum(np.abs(steps[:-1]), np.abs(steps[1:])), 0.0)
+    of_noise = np.sqrt(1.5) * noise_estimate(y) * -ndtri(FALSE_ALARM / (2 * len(y)))
+    found = np.flatnonzero(apart > max(of_noise, 3 * least_step(y))) + 1
+    around = found[:, None] + np.array([-5, -4, -3, -2, 1, 2, 3, 4])
+    inside = (around >= 0) & (around < len(steps))
+    near = np.where(inside, np.abs(steps[np.clip(around, 0, len(steps) - 1)]), np.nan)
+    motion = np.nanmedian(near, axis=1) if len(found) else np.empty(0)
+    return np.asarray(found[apart[found - 1] > MOTION_FACTOR * motion])
+
+
+def least_step(x: np.ndarray) -> float:
+    """The smallest difference between values of x that is more than rounding: the sensor's step."""
+    gaps = np.diff(np.unique(x))
+    gaps = gaps[gaps > 1e-9 * np.abs(x).max()]
+    return float(gaps.min()) if len(gaps) else 0.0
+
+
+def in_phase_correlation(u: np.ndarray, y: np.ndarray) -> float:
+    """Correlation of u and y at the same instant, a linear drift of y left out: its sign is the gain's."""
+    u, y = u - u.mean(), without_line(y) if len(y) > 2 else y - y.mean()
+    scale = np.sqrt(float(u @ u) * float(y @ y))
+    return float(u @ y) / scale if scale > 0 else 0.0
+
+
+def lead_of_output(u: np.ndarray, y: np.ndarray) -> float:
+    """How far y runs ahead of u: the signed area of the loop, Σ y Δu, over Σ|Δu|·std(y).
+
+    Hysteresis, lag, delay and creep make it negative, whatever the gain's sign: for a sine that lags by δ it
+    is −1.11 sin δ. Positive, beyond what chance makes of n samples (5/√n), the output comes first.
+
+    Args:
+        u, y: (time,).
+
+    Returns:
+        The lead where it is beyond chance and beyond a degree, else 0.
+    """
+    centred = y - y.mean()
+    power, path = float((u - u.mean()) @ (u - u.mean())), float(np.abs(np.diff(u)).sum())
+    if power == 0 or path == 0:
+        return 0.0
+    gain = float((u - u.mean()) @ centred) / power
+    beside = centred - gain * (u - u.mean())  # what is in phase encloses no area, but an open path counts it
+    lead = float((beside[1:] + beside[:-1]) @ np.diff(u)) / 2 / (path * float(y.std()) or np.inf)
+    lead *= np.sign(gain) or 1.0
+    return lead if lead > max(LEAST_LEAD, 5 / np.sqrt(len(y))) else 0.0
+
+
+def without_line(x: np.ndarray) -> np.ndarray:
+    """x without its mean and its linear drift."""
+    index = np.arange(len(x)) - (len(x) - 1) / 2
+    centred = x - x.mean()
+    return np.asarray(centred - index * (index @ centred / (index @ index)))

@@ -1,0 +1,80 @@
+"""How a file becomes a recording: the same options in every command, and from Python."""
+
+from dataclasses import dataclass, fields, replace
+from typing import Any, Literal
+
+from torchpi.errors import ConfigError
+
+TIME_COLUMN, INPUT_COLUMN, OUTPUT_COLUMN = "time_s", "input_v", "output_um"
+
+
+@dataclass(frozen=True)
+class RecordingOptions:
+    """Which columns of a file are read, in which units, and from where they count.
+
+    A column of another name is found where only one can be meant (`u [mV]`, `time_ms`, `output (nm)`),
+    and its unit is read from the header.
+
+    Args:
+        time_column: Column of the time stamps, name or number from 1; null: leave them out.
+        input_column: Column of the voltage, name or number from 1; in array files also name[:,0], in structs
+            struct.field.
+        output_column: Column of the displacement.
+        fs_hz: Sample rate, Hz, or the name of the number in the file that holds it; for files without time.
+        resample: Interpolate recordings that are not sampled uniformly, or at another rate than fs_hz.
+        time_unit: s, ms, us, ns or min; by default as the column states, else s.
+        input_unit: V, mV, kV or uV, or how many volts 1 in the file stands for; by default as the column
+            states, else V.
+        output_unit: um, nm, mm, m or pm, or how many µm 1 in the file stands for, negative where the sensor
+            counts downwards; by default as the column states, else um.
+        zero: Where the displacement counts from: the sensor's own zero (recorded), or each record's first
+            sample (first).
+        skip_s: Start-up transient, s, that is not counted: fit lets it set the state, the other commands
+            leave it out.
+    """
+
+    time_column: str | int | None = TIME_COLUMN
+    input_column: str | int = INPUT_COLUMN
+    output_column: str | int = OUTPUT_COLUMN
+    fs_hz: float | str | None = None
+    resample: bool = False
+    time_unit: str | None = None
+    input_unit: float | str | None = None
+    output_unit: float | str | None = None
+    zero: Literal["recorded", "first"] = "recorded"
+    skip_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.zero not in ("recorded", "first"):
+            raise ConfigError(f"zero: found '{self.zero}', expected recorded or first")
+        if not (isinstance(self.skip_s, int | float) and 0 <= self.skip_s < float("inf")):
+            raise ConfigError(f"skip_s: found {self.skip_s}, expected a time in s that is not negative")
+
+    def with_changes(self, **changes: Any) -> "RecordingOptions":
+        """The same options but for these.
+
+        Raises:
+            ConfigError: An option that there is not.
+        """
+        known = [field.name for field in fields(self)]
+        if unknown := [name for name in changes if name not in known]:
+            raise ConfigError(f"found the option '{unknown[0]}', expected one of {', '.join(known)}")
+        return replace(self, **changes)
+
+    def as_arguments(self, prefix: str = "--") -> list[str]:
+        """What to write on a command line: the options that are not at their defaults."""
+        arguments = []
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if value != field.default:
+                text = _as_text(value)
+                arguments += [f"{prefix}{field.name}={text}"] if text[:1] == "-" else [
+                    f"{prefix}{field.name}", text
+                ]  # fmt: skip
+        return arguments
+
+
+def _as_text(value: object) -> str:
+    if isinstance(value, float) and value.is_integer():
+        return str(int(value))
+    return "null" if value is None else str(value).lower() if isinstance(value, bool) else str(value)

@@ -1,0 +1,78 @@
+"""Names and units of columns, as rigs write them: `u [mV]`, `output (nm)`, `time_ms`, or a row of units.
+
+Which column is the time, the input or the output is guessed from its name and unit only where exactly one
+column fits; where several do, the user chooses.
+"""
+
+import re
+from collections.abc import Iterable
+from typing import Literal
+
+Role = Literal["time", "input", "output"]
+
+# How many of the unit make one of ours, or one of the unit makes of ours: dividing by 1000 rounds once,
+# multiplying by 0.001 twice.
+UNITS: dict[Role, dict[str, tuple[float, float]]] = {
+    "time": {"s": (1, 1), "ms": (1, 1000), "us": (1, 1_000_000), "ns": (1, 1_000_000_000), "min": (60, 1)},
+    "input": {"V": (1, 1), "mV": (1, 1000), "kV": (1000, 1), "uV": (1, 1_000_000)},
+    "output": {"um": (1, 1), "nm": (1, 1000), "mm": (1000, 1), "m": (1_000_000, 1), "pm": (1, 1_000_000)},
+}
+ALIASES = {
+    "v": "V", "volt": "V", "volts": "V", "mv": "mV", "kv": "kV", "uv": "uV", "micron": "um", "microns": "um",
+    "sec": "s", "second": "s", "seconds": "s", "minutes": "min",
+}  # fmt: skip
+STEMS: dict[Role, frozenset[str]] = {
+    "time": frozenset({"time", "t", "timestamp", "time_stamp", "timestamps", "datetime", "x_value"}),
+    "input": frozenset({"input", "in", "u", "voltage", "command", "cmd", "drive", "v_in", "vin"}),
+    "output": frozenset({"output", "out", "y", "displacement", "position", "disp", "pos", "stroke"}),
+}
+LONGEST_NAME = 200  # characters of a name that is parsed: the patterns below take the square of it
+_BRACKETED = re.compile(r"(?P<stem>.*?)\s*[\[({]\s*(?P<unit>[^\])}]*?)\s*[\])}]\s*")
+_SUFFIXED = re.compile(r"(?P<stem>.+?)(?:\s*/\s*|_|\s+|\s*,\s*)(?P<unit>[A-Za-zµμ]+)")
+
+
+def known_unit(text: str) -> str | None:
+    """The unit by its plain name (`um` for µm), None where it is not one of a time, voltage or length."""
+    plain = text.strip().replace("µ", "u").replace("μ", "u")
+    plain = ALIASES.get(plain.lower() if plain[1:].islower() else plain, plain)
+    return plain if any(plain in units for units in UNITS.values()) else None
+
+
+def role_of_unit(unit: str) -> Role:
+    """What is measured in this unit, which `known_unit` gave."""
+    return next(role for role, units in UNITS.items() if unit in units)
+
+
+def stem_and_unit(name: str) -> tuple[str, str | None]:
+    """(`u`, `mV`) of `u [mV]`, `u (mV)`, `u / mV`, `u_mV`; without a unit the name and None."""
+    if len(name) > LONGEST_NAME:
+        return name, None
+    bracketed = _BRACKETED.fullmatch(name)
+    if bracketed:
+        return _plain(bracketed["stem"]), known_unit(bracketed["unit"])
+    suffixed = _SUFFIXED.fullmatch(name)
+    unit = known_unit(suffixed["unit"]) if suffixed else None
+    if suffixed is None or unit is None:
+        return _plain(name), None
+    stem = _plain(suffixed["stem"])
+    # `y_m` is rather "y, measured" than metres; `output_m` is in metres.
+    if len(suffixed["unit"]) == 1 and (len(stem) == 1 or not any(stem in stems for stems in STEMS.values())):
+        return _plain(name), None
+    return stem, unit
+
+
+def columns_for(role: Role, units: Iterable[tuple[str, str | None]]) -> list[str]:
+    """The columns, of pairs of name and stated unit, that this role may mean: by name, else by unit alone."""
+    of_unit, of_name = [], []
+    for name, unit in units:
+        if name.startswith("aux_") or (unit is not None and role_of_unit(unit) != role):
+            continue
+        if stem_and_unit(name)[0] in STEMS[role]:
+            of_name.append(name)
+        if unit is not None:
+            of_unit.append(name)
+    return of_name or of_unit
+
+
+def _plain(stem: str) -> str:
+    return re.sub(r"\W+", "_", stem.strip().lower()).strip("_")

@@ -1,0 +1,275 @@
+"""Recorded voltage and displacement: read from a file, checked, cut, resampled, written.
+
+Inside, the voltage is in V, the displacement in µm, the time in s, and the sampling is uniform.
+"""
+
+import hashlib
+from dataclasses import dataclass, field, replace
+from itertools import islice
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from torchpi.errors import RecordingError
+from torchpi.files import write_atomically
+from torchpi.recordings.checks import MIN_SAMPLES, check_length, check_recording
+from torchpi.recordings.options import INPUT_COLUMN, OUTPUT_COLUMN, TIME_COLUMN, RecordingOptions
+from torchpi.recordings.readers import open_source
+from torchpi.recordings.readers.header import UNITS, Role
+from torchpi.recordings.readers.source import Column
+from torchpi.recordings.resampling import to_rate
+from torchpi.recordings.time_base import column_of, converted, rate_of, read_uniform, scale_of
+
+__all__ = [
+    "Recording",
+    "RecordingOptions",
+    "Signal",
+    "check_recording",
+    "read_recording",
+    "read_signal",
+    "write_recording",
+]
+
+MOST_RESAMPLED = 1000  # times the samples that there are, in either direction
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Recording:
+    """Voltage and displacement of one run of a stage, uniformly sampled, as `read_recording` leaves them."""
+
+    name: str
+    """The file's name without its suffix."""
+    t: np.ndarray
+    """(time,), s."""
+    u: np.ndarray
+    """(time,), V, the controller's voltage, held between samples."""
+    y: np.ndarray
+    """(time,), µm."""
+    fs_hz: float
+    aux: dict[str, np.ndarray] = field(default_factory=dict)
+    """Other recorded signals (time,), under their column names, `aux_…`."""
+    source: str = ""
+    """The path as it was given."""
+    sha256: str = ""
+    """Of the file's bytes."""
+
+    def __post_init__(self) -> None:
+        lengths = {"t": len(self.t), "u": len(self.u), "y": len(self.y)}
+        lengths |= {name: len(signal) for name, signal in self.aux.items()}
+        if len(set(lengths.values())) > 1:
+            found = ", ".join(f"{name} {length}" for name, length in lengths.items())
+            raise RecordingError(
+                f"{self.source or self.name}: unequal lengths: {found} samples; cut them to one"
+            )
+
+    def __repr__(self) -> str:
+        if not len(self):
+            return f"Recording({self.name!r}, empty)"
+        return (
+            f"Recording({self.name!r}, {len(self):,} samples at {self.fs_hz:g} Hz, {self.duration_s:g} s, "
+            f"u {self.u.min():.4g}…{self.u.max():.4g} V, y {self.y.min():.4g}…{self.y.max():.4g} µm)"
+        )
+
+    def __len__(self) -> int:
+        return len(self.u)
+
+    @property
+    def duration_s(self) -> float:
+        return len(self.u) / self.fs_hz
+
+    def slice(self, start_s: float, stop_s: float) -> "Recording":
+        """The samples with start_s ≤ t < stop_s, by the file's own time stamps, which they keep."""
+        edge = 1e-3 / self.fs_hz  # a stamp that should equal the edge may lie just beside it
+        first, last = np.searchsorted(self.t, [start_s - edge, stop_s - edge])
+        if first >= last:
+            raise RecordingError(
+                f"{self.source or self.name}: no samples from {start_s:g} s to {stop_s:g} s, "
+                f"the recording runs from {self.t[0]:g} s to {self.t[-1]:g} s; choose times inside it"
+            )
+        return self._cut(int(first), int(last))
+
+    def split_tail(self, fraction: float) -> tuple["Recording", "Recording"]:
+        """(the head, the last `fraction` of the samples). Random samples would leak: neighbours are alike."""
+        tail = round(len(self) * fraction)
+        if not 0 < tail < len(self):
+            raise RecordingError(
+                f"{self.source or self.name}: a tail of {fraction:g} of {len(self)} samples leaves "
+                "nothing to one "
+                f"part, expected a fraction between 0 and 1; choose another"
+            )
+        return self._cut(0, len(self) - tail), self._cut(len(self) - tail, len(self))
+
+    def with_zero(self, zero: Literal["recorded", "first"]) -> "Recording":
+        """The displacement from its first sample on (`first`): a sensor's own zero is often arbitrary."""
+        return replace(self, y=self.y - self.y[0]) if zero == "first" else self
+
+    def resampled(self, fs_hz: float) -> "Recording":
+        """The same signals at another rate, without aliasing, and all with the same (no) delay.
+
+        Signals are taken as band-limited below half of the lower rate. That includes the voltage, which a
+        converter holds: the half sample of delay that holding adds belongs to the rate it was recorded at.
+        """
+        if not (np.isfinite(fs_hz) and fs_hz > 0):
+            raise RecordingError(
+                f"{self.source or self.name}: cannot resample to {fs_hz:g} Hz, expected a rate over 0"
+            )
+        if not 1 / MOST_RESAMPLED <= fs_hz / self.fs_hz <= MOST_RESAMPLED:
+            raise RecordingError(
+                f"{self.source or self.name}: cannot resample from {self.fs_hz:g} Hz to {fs_hz:g} Hz, "
+                f"expected a rate within {MOST_RESAMPLED} times; correct fs_hz or time_unit"
+            )
+        if fs_hz == self.fs_hz:
+            return self
+        samples = int(np.floor((len(self) - 1) * fs_hz / self.fs_hz + 1e-6)) + 1
+        convert = {
+            name: to_rate(signal, self.fs_hz, fs_hz, samples) for name, signal in self._signals().items()
+        }
+        u, y = convert.pop("u"), convert.pop("y")
+        return replace(
+            self, t=self.t[0] + np.arange(samples) / fs_hz, u=u, y=y, fs_hz=float(fs_hz), aux=convert
+        )
+
+    def _signals(self) -> dict[str, np.ndarray]:
+        return {"u": self.u, "y": self.y, **self.aux}
+
+    def _cut(self, first: int, last: int) -> "Recording":
+        aux = {name: signal[first:last] for name, signal in self.aux.items()}
+        return replace(self, t=self.t[first:last], u=self.u[first:last], y=self.y[first:last], aux=aux)
+
+
+@dataclass(frozen=True, eq=False)
+class Signal:
+    """One uniformly sampled signal of a file: a trajectory to follow, a voltage to play."""
+
+    name: str
+    t: np.ndarray
+    """(time,), s."""
+    x: np.ndarray
+    """(time,), µm or V."""
+    fs_hz: float
+    source: str
+    sha256: str
+
+
+def read_recording(
+    path: str | Path,
+    options: RecordingOptions | None = None,
+    *,
+    min_samples: int = MIN_SAMPLES,
+    allow_constant_input: bool = False,
+    **changes: Any,
+) -> Recording:
+    """Read voltage and displacement from a file and check them.
+
+    The suffix says the kind: text (.csv .txt .dat .tsv .asc .lvm), .npy, .npz, .mat, and with the extra
+    `torchpi[io]` .h5 .hdf5 .tdms .mf4 .mdf and the .mat of version 7.3. Columns named `aux_…` come along.
+
+    Args:
+        path: the file.
+        options: which columns, in which units; by default `time_s,input_v,output_um`.
+        min_samples: the fewest that the model needs.
+        allow_constant_input: accept a hold.
+        changes: single options of `RecordingOptions`, such as `input_column="u"`.
+
+    Raises:
+        RecordingError: in one line, what is wrong, in which row and column, and what to do.
+        ConfigError: an option that there is not.
+
+    Warns:
+        RecordingWarning: see `check_recording`.
+    """
+    options = (options or RecordingOptions()).with_changes(**changes)
+    source = open_source(path)
+    names = [
+        column_of(source, options.input_column, "input"), column_of(source, options.output_column, "output")
+    ]  # fmt: skip
+    if names[0] == names[1]:
+        raise RecordingError(
+            f"{path}: input and output are the same column '{names[0]}', expected two; "
+            f"choose with input_column and output_column"
+        )
+    scale_u = scale_of(source, names[0], "input", options.input_unit)
+    scale_y = scale_of(source, names[1], "output", options.output_unit)
+    aux_names = [name for name in source.names if name.startswith("aux_") and name not in names]
+    read = read_uniform(source, names + aux_names, options, min_samples)
+    u, y, *aux = read.signals
+    recording = Recording(
+        name=Path(path).stem,
+        t=read.t,
+        u=converted(u, scale_u),
+        y=converted(y, scale_y),
+        fs_hz=read.fs_hz,
+        aux=dict(zip(aux_names, aux, strict=True)),
+        source=str(path),
+        sha256=_sha256(path),
+    ).with_zero(options.zero)
+    if options.skip_s > 0:
+        recording = recording.slice(recording.t[0] + options.skip_s, np.inf)
+    first = len(read.t) - len(recording)
+    check_recording(
+        recording,
+        min_samples=min_samples,
+        allow_constant_input=allow_constant_input,
+        check_start=options.skip_s == 0,
+        place=None if read.interpolated else lambda index: source.place(index + first),
+    )
+    wanted_hz = rate_of(source, options.fs_hz)
+    return recording.resampled(wanted_hz) if wanted_hz and wanted_hz != read.fs_hz else recording
+
+
+def read_signal(
+    path: str | Path,
+    column: Column,
+    *,
+    option: str = "column",
+    options: RecordingOptions | None = None,
+    unit: float | str | None = None,
+    min_samples: int = 2,
+    **changes: Any,
+) -> Signal:
+    """Read one signal, uniformly sampled, from a file of any kind that `read_recording` reads.
+
+    Args:
+        path: the file.
+        column: name or number (from 1).
+        option: what the user calls `column`, for the error messages.
+        options, changes: as in `read_recording`; of the options those of the time, and `fs_hz` never changes
+            the rate.
+        unit: V, mV, kV, um, nm, mm, m …; by default as the column states, else ours. The signal is returned
+            in V or µm.
+        min_samples: the fewest that are of use.
+
+    Raises:
+        RecordingError: in one line, what is wrong and what to do.
+    """
+    options = (options or RecordingOptions()).with_changes(**changes)
+    source = open_source(path)
+    is_input = option == "input_column"
+    name = column_of(source, column, "input") if is_input else source.find(column, option)
+    read = read_uniform(source, [name], options, min_samples)
+    if options.skip_s > 0:
+        first = int(np.searchsorted(read.t, read.t[0] + options.skip_s))
+        read = read._replace(t=read.t[first:], signals=[read.signals[0][first:]])
+        check_length(str(path), len(read.t), min_samples)
+    known = unit if unit is not None else source.unit(name)
+    role: Role = "input" if is_input or known in UNITS["input"] else "output"
+    x = converted(read.signals[0], scale_of(source, name, role, unit, "unit"))
+    return Signal(Path(path).stem, read.t, x, read.fs_hz, str(path), _sha256(path))
+
+
+def write_recording(path: str | Path, recording: Recording) -> None:
+    """Write `time_s,input_v,output_um[,aux_…]` as CSV: every double survives; whole or not at all."""
+    columns = [recording.t, recording.u, recording.y, *recording.aux.values()]
+    header = ",".join([TIME_COLUMN, INPUT_COLUMN, OUTPUT_COLUMN, *recording.aux])
+    row = ",".join(["%r"] * len(columns))  # repr: the shortest digits that give the same double back
+    rows = map(row.__mod__, zip(*(np.asarray(c, dtype=np.float64).tolist() for c in columns), strict=True))
+    with write_atomically(path) as temporary, open(temporary, "w", encoding="utf-8", newline="\n") as file:
+        file.write(header + "\n")
+        while chunk := list(islice(rows, 100_000)):
+            file.write("\n".join(chunk) + "\n")
+
+
+def _sha256(path: str | Path) -> str:
+    with open(path, "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
