@@ -2,6 +2,8 @@
 
 The thresholds alone fix the scale of S against the weights. As it grows one play after the other begins to
 move, and each leaves a kink in the objective: there are several minima, of which a descent finds the next.
+The deepest may lie where the widest plays hardly move, which fits one loop a little better and every other
+loop worse (`projected_problem.STANDS_AT_MOST`): such scales are no candidates.
 """
 
 import numpy as np
@@ -63,7 +65,7 @@ def _starts(problem: ProjectedProblem, alpha: np.ndarray) -> list[np.ndarray]:
     scaled = [np.where(problem.is_polynomial, factor * alpha, alpha) for factor in FACTORS]
     height = np.array([problem.solve(each).objective for each in scaled])
     around = np.concatenate([[np.inf], height, [np.inf]])
-    lowest = np.flatnonzero((height <= around[:-2]) & (height <= around[2:]))
+    lowest = np.flatnonzero((height <= around[:-2]) & (height <= around[2:]) & np.isfinite(height))
     here = len(FACTORS) // 2
     others = [i for i in lowest[np.argsort(height[lowest])] if abs(i - here) > 1]
     return [scaled[i] for i in others[:STARTS]]
