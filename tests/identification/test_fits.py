@@ -160,7 +160,7 @@ def test_no_scale_is_chosen_at_which_the_widest_play_hardly_moves() -> None:
         u = made.voltage(motion)[0] + 0.03 * torch.sin(3 * motion.yd)
     record = InversePair("one loop", motion, u, slice(1000, None), PERIOD)
     fitted = DirectInverse(PERIOD, [0.0, 0.1, 0.3, 0.6, 1.0], degree=4, range_um=4.0, rate="none")
-    problem = joint_problem(fitted, [record])
+    problem = joint_problem(fitted, [record]).bounded()
     assert np.isfinite(problem.solve(problem.alpha).objective)
     assert np.isinf(problem.solve(0.5 * problem.alpha).objective)
     fit_saturation(fitted, [record])

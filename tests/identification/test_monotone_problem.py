@@ -48,7 +48,7 @@ def test_the_inverse_never_runs_backwards_over_the_recorded_range_and_rates(
     fitted(bound, [record])
     assert monotone(bound, *over)
     if rate == "linear":
-        assert not monotone(free, *over)  # the record asks for it
+        assert not monotone(free, *over)  # the record runs backwards
 
 
 def test_what_is_monotone_anyway_is_found_again() -> None:

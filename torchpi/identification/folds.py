@@ -24,8 +24,8 @@ def make_folds(pairs: Sequence[InversePair]) -> list[Fold]:
     """Every record left out once; with fewer than `MANY` records contiguous blocks as well.
 
     The blocks of a single record are alike where its motion is periodic, so that they cannot tell a loop that
-    is understood from one that is remembered. Its slowest and its fastest samples are left out too: they ask
-    for motions that were not fitted.
+    is understood from one that is remembered. Its slowest and its fastest samples are left out too: they are
+    motions that were not fitted.
     """
     counted = [np.arange(pair.u.shape[1])[pair.counted] for pair in pairs]
     folds = []

@@ -44,7 +44,6 @@ class MonotoneProblem(ProjectedProblem):
     ) -> None:
         functions = compensator.weights.theta.shape[1]
         super().__init__(compensator, pairs, ["lead", "gains", "c"], functions, own_degree=0, rows=rows)
-        self.stands_at_most = np.inf  # the scale of S is not searched
         y, rate, u = (
             torch.cat([part[0, pair.counted] for pair, part in zip(pairs, parts, strict=True)])
             for parts in (

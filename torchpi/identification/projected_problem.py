@@ -94,8 +94,7 @@ class ProjectedProblem:
         self.needs_every_sample = bool(start.gains.any()) or "gains" in names or "lead" in names
         counted = torch.cat([pair.motion.yd[0, pair.counted] for pair in pairs])
         self.y = np.linspace(float(counted.min()), float(counted.max()), POSITIONS)
-        # Thresholds that a user has chosen wider may stay so, and a little wider yet.
-        self.stands_at_most = max(STANDS_AT_MOST, 1.05 * self._stands(start))
+        self.stands_at_most = np.inf
         every = [Record.of(pair) for pair in pairs]
         if rows is not None:
             every = [one.with_rows(kept) for one, kept in zip(every, rows, strict=True) if len(kept) > 0]
@@ -120,6 +119,16 @@ class ProjectedProblem:
         """Where the compensator stands. Shape: (searched,)."""
         return self.numbers[self.searched]
 
+    def bounded(self) -> "ProjectedProblem":
+        """The same without the scales of S at which the widest play hardly moves.
+
+        Thresholds that a user has chosen wider may stay so, and a little wider yet; free ones go anywhere.
+        """
+        own = np.inf if self.is_threshold.any() else 1.05 * self._stands(self._nonlinear_at(self.alpha))
+        bounded = copy.copy(self)
+        bounded.stands_at_most = max(STANDS_AT_MOST, own)
+        return bounded
+
     def thinned(self, rows: int) -> "ProjectedProblem":
         """The same with about as many rows, evenly spread, or with all of them if they are fewer."""
         step = self.samples // rows
@@ -140,7 +149,7 @@ class ProjectedProblem:
         return trial
 
     def solve(self, alpha: np.ndarray) -> Solved:
-        """The best weights at α; an infinite objective where the widest play hardly moves."""
+        """The best weights at α; an infinite objective where a bounded problem has no candidate."""
         if self._stands(self._nonlinear_at(alpha)) > self.stands_at_most:
             return Solved(np.inf, np.inf, np.zeros(self.columns.count))
         triangle, _ = self._factor(alpha, None)

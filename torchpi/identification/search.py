@@ -32,6 +32,7 @@ def search(problem: ProjectedProblem, evaluations: int, thorough: bool = False) 
             own rough minimum is not the deepest: where much is searched, what is best on some rows need not
             be on all.
     """
+    problem = problem.bounded()
     rough = problem.thinned(ROWS_PER_NUMBER * (problem.columns.count + len(problem.searched)))
     own = levenberg_marquardt(rough, problem.alpha, evaluations, ROUGH)
     found = [own]
