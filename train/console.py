@@ -39,6 +39,9 @@ def show_start(model: InverseTraining) -> None:
         f"{errors.rms_um:.4g} µm rms",
         markup=False,
     )
+    if model.selection:
+        for step in model.selection.steps:
+            CONSOLE.print(f"Cross-validation: {1e3 * step.rms_v:.4g} mV rms with {step.form}", markup=False)
     ahead = model.compensator.preview
     CONSOLE.print(f"Look-ahead: {ahead} samples, {1e3 * ahead * model.compensator.sample_period_s:.4g} ms")
 
@@ -61,6 +64,8 @@ def show_results(metrics: Mapping[str, Any], folder: RunFolder) -> None:
     CONSOLE.print(table)
     for note in tracking_notes(metrics):
         CONSOLE.print(note, markup=False)
+    for text in metrics["how"]["on_bound"]:
+        CONSOLE.print(f"Careful: {text}.", markup=False, style="yellow")
     if not metrics["how"]["monotone"]:
         CONSOLE.print(f"Careful: {metrics['how']['monotone_says']}.", markup=False, style="yellow")
     for path, what in (
@@ -78,6 +83,7 @@ LABELS = {
     "heldout": "held out",
     "loading_excluded": "held out, loading excluded",
     "baseline_lstsq": "held out, two-stage baseline",
+    "baseline_plays": "held out, least squares on plays",
 }
 
 

@@ -11,6 +11,7 @@ from torch.utils.data import DataLoader
 
 from torchpi.errors import ConfigError, RecordingError, RecordingWarning
 from torchpi.identification import InversePair, inverse_pair
+from torchpi.identification.pair import seen_ahead
 from torchpi.motion import Motion
 from torchpi.recordings.recording import Recording, RecordingOptions, read_recording
 from torchpi.stage import Stage
@@ -91,6 +92,7 @@ class RecordingsData(LightningDataModule):
         self.stage: Stage | None = None  # the model's, which is then the one that is simulated
         self.preview = 0  # the model's, once it is built
         self.records: Records | None = None
+        self.whole: dict[Recording, InversePair] = {}  # without look-ahead
 
     def setup(self, stage: str) -> None:
         self.load()
@@ -161,7 +163,10 @@ class RecordingsData(LightningDataModule):
         return train, heldout
 
     def _pair(self, recording: Recording, preview: int) -> InversePair:
-        return inverse_pair(recording, preview, self.bandwidth_hz, self.skip_s)
+        # The rates of a long record take longer than many fits to it, and are the same for every look-ahead.
+        if recording not in self.whole:
+            self.whole[recording] = inverse_pair(recording, 0, self.bandwidth_hz, self.skip_s)
+        return seen_ahead(self.whole[recording], preview, recording.source)
 
     def _stretch(self, pair: InversePair, seconds: tuple[float, float] | None, option: str) -> InversePair:
         """The record up to the end of a stretch, the stretch counted."""

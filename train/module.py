@@ -6,6 +6,7 @@ from typing import Any, Literal, NamedTuple, cast
 
 import torch
 from lightning import LightningModule
+from lightning.pytorch.core.optimizer import LightningOptimizer
 from torch import Tensor
 
 from torchpi.compensator import DirectInverse
@@ -20,14 +21,16 @@ from torchpi.identification import (
     searched_parameters,
 )
 from torchpi.identification.projection import projected_loss
+from torchpi.identification.selection import SPREADS, Form, Richest, Selection, select_form
+from torchpi.identification.two_stage import fit_weights
 from torchpi.operators.rate_weights import RateHead
 from torchpi.stage import Stage
 from torchpi.trained import to_checkpoint
 from train.coordinates import Coordinates
 from train.data import RecordingsData, Split
-from train.preview import find_preview
+from train.preview import MOST, find_preview
 from train.sensor_zero import fit_zeros
-from train.thresholds import spread_thresholds
+from train.thresholds import spread_thresholds, usual_range_um
 from train.tracking import Tracking, TrackingErrors
 from train.windows import Window, windows
 
@@ -38,18 +41,22 @@ class Start(NamedTuple):
     """What training starts from, and what it must beat.
 
     Attributes:
-        compensator: At the optimum of two-stage least squares.
+        compensator: At the optimum of two-stage least squares, or as selected.
         baseline: The paper's own form of it.
+        plays: Plain least squares on plays of the displacement, with an offset.
         two_stage: How the baseline's fit went.
         split: The records, for the compensator's look-ahead.
         paper_split: The records without look-ahead.
+        selection: How the form was selected, if it was.
     """
 
     compensator: DirectInverse
     baseline: DirectInverse
+    plays: DirectInverse
     two_stage: TwoStageResult
     split: Split
     paper_split: Split
+    selection: Selection | None
 
 
 class InverseTraining(LightningModule):
@@ -60,6 +67,10 @@ class InverseTraining(LightningModule):
     identification is the start, and what is minimised is the error of the motion.
 
     Args:
+        select: Select the form by cross-validation over what is trained on: the options below are then the
+            richest form that is considered, with or without an offset. It starts from least squares on plays
+            of the displacement, keeps that where nothing generalises better, and cannot run backwards over
+            the recorded range and rates. Nothing is left to train.
         stage: Train through this stage, a stage.pt of `torchpi diagnose` or a stage file (YAML): the motions
             of data.follow.
         thresholds: r of the plays, in the unit of S(y), about µm, the first one 0. By default `plays` of
@@ -73,8 +84,9 @@ class InverseTraining(LightningModule):
         lead: 0, 1 or 2. Undoes the stage's own lag (1) and also its first mode (2).
         creep_time_constants_s: Relaxations that undo creep, s, such as [0.1, 1, 10]. None by default.
         offset: Learn a constant voltage as well, for a sensor whose zero is arbitrary.
-        min_voltage_v: Lower limit of the controller's output; by default that of `stage`, or 0.
-        max_voltage_v: Upper limit of the controller's output; by default that of `stage`, or 10.
+        min_voltage_v: Lower limit of the controller's output; by default that of `stage`, or the lowest
+            voltage of the recordings.
+        max_voltage_v: Upper limit of the controller's output; by default that of `stage`, or the highest.
         hidden: Size of the neural rate head.
         train_thresholds: Train the thresholds too.
         optimizer: lbfgs takes all records at once and is deterministic: best for few parameters.
@@ -86,6 +98,7 @@ class InverseTraining(LightningModule):
 
     def __init__(
         self,
+        select: bool = False,
         stage: str | None = None,
         thresholds: list[float] | None = None,
         plays: int = 20,
@@ -112,6 +125,20 @@ class InverseTraining(LightningModule):
             raise ConfigError(f"model.learning_rate: found {learning_rate:g}, want a positive number")
         if iterations < 1:
             raise ConfigError(f"model.iterations: found {iterations}, want at least 1")
+        if select:
+            for name, found, expected in (
+                ("stage", stage, None),
+                ("output_degree", output_degree, 1),
+                ("train_thresholds", train_thresholds, False),
+                ("optimizer", optimizer, "lbfgs"),
+            ):
+                if found != expected:
+                    raise ConfigError(f"model.{name}: found {found} with model.select, expected {expected}")
+            if rate == "neural":
+                raise ConfigError("model.rate: found neural with model.select, expected none or linear")
+        self.selects = select
+        # What has been selected is fitted.
+        self.automatic_optimization = not select
         self.stage_file = stage
         self.thresholds = thresholds
         self.plays = plays
@@ -132,7 +159,9 @@ class InverseTraining(LightningModule):
         self.iterations = iterations
         self.compensator: DirectInverse
         self.baseline: DirectInverse
+        self.plays_baseline: DirectInverse
         self.start: TwoStageResult
+        self.selection: Selection | None = None
         self.split: Split
         self.paper_split: Split
         self.tracking: Tracking | None = None
@@ -164,6 +193,7 @@ class InverseTraining(LightningModule):
         start = self.start_on(data)
         data.preview = start.compensator.preview
         self.compensator, self.baseline, self.start = start.compensator, start.baseline, start.two_stage
+        self.plays_baseline, self.selection = start.plays, start.selection
         self.split, self.paper_split = start.split, start.paper_split
         if data.stage is None:
             self.scale = self._mean_square()
@@ -199,30 +229,66 @@ class InverseTraining(LightningModule):
             rate_scale_um_s=float(rates.abs().max()),
             trained=TrainedMotions.of(paper_split.train).plain(),
             **self.form,
-            **self.limits(data.stage),
+            **self.limits(data),
         )
         baseline = DirectInverse(**common, rate="linear")
         two_stage = fit_two_stage(baseline, paper_split.train)
         baseline.requires_grad_(False)
-        preview = self.extensions["preview"]
-        if preview == "auto":
-            preview = find_preview(baseline, lambda ahead: data.split(ahead).train)
-        split = data.split(preview)
-        compensator = DirectInverse(**common, **{**self.extensions, "preview": preview})
-        fit_two_stage(compensator, split.train)
-        return Start(compensator, baseline, two_stage, split, paper_split)
+        plays = self.of_form(Form(), trained_on, common)
+        fit_weights(plays, paper_split.train)
+        plays.requires_grad_(False)
+        selection = self.selected(data, trained_on, common) if self.selects else None
+        if selection:
+            compensator = selection.compensator
+            split = data.split(compensator.preview)
+        else:
+            preview = self.extensions["preview"]
+            if preview == "auto":
+                preview = find_preview(baseline, lambda ahead: data.split(ahead).train)
+            split = data.split(preview)
+            compensator = DirectInverse(**common, **{**self.extensions, "preview": preview})
+            fit_two_stage(compensator, split.train)
+        return Start(compensator, baseline, plays, two_stage, split, paper_split, selection)
 
-    def limits(self, stage: Stage | None) -> dict[str, float]:
+    def selected(self, data: RecordingsData, trained_on: Tensor, common: dict[str, Any]) -> Selection:
+        """The form that generalises best over these records, within what the options allow."""
+        preview = self.extensions["preview"]
+        richest = Richest(
+            previews=range(MOST + 1) if preview == "auto" else range(preview, preview + 1),
+            degree=self.form["degree"],
+            lead=self.extensions["lead"],
+            creep_time_constants_s=tuple(self.extensions["creep_time_constants_s"]),
+            rate=self.extensions["rate"] == "linear",
+            spreads=SPREADS[:1] if self.thresholds else SPREADS,
+        )
+        return select_form(
+            lambda form, _: self.of_form(form, trained_on, common),
+            lambda ahead: data.split(ahead).train,
+            richest,
+        )
+
+    def of_form(self, form: Form, trained_on: Tensor, common: dict[str, Any]) -> DirectInverse:
+        """A compensator of this form, not yet fitted."""
+        options = {name: value for name, value in vars(form).items() if name != "spread"}
+        grid = spread_thresholds(self.plays, usual_range_um(trained_on), form.spread)
+        return DirectInverse(**{**common, **options, "thresholds": self.thresholds or grid})
+
+    def limits(self, data: RecordingsData) -> dict[str, float]:
         """Of the controller's output, V."""
+        stage, records = data.stage, data.load()
         known = (stage.min_voltage_v, stage.max_voltage_v) if stage else (-math.inf, math.inf)
+        voltages = [recording.u for recording in (*records.train, *records.heldout)]
+        recorded = min(float(u.min()) for u in voltages), max(float(u.max()) for u in voltages)
         return {
             name: given if given is not None else own if math.isfinite(own) else otherwise
-            for (name, given), own, otherwise in zip(
-                self.given_limits.items(), known, (0.0, 10.0), strict=True
-            )
+            for (name, given), own, otherwise in zip(self.given_limits.items(), known, recorded, strict=True)
         }
 
     def training_step(self, batch: Sequence[Window], batch_idx: int) -> Tensor | None:
+        if self.selects:
+            # Fitted already. Lightning counts the steps of optimisers, and keeps a checkpoint only after one.
+            cast(LightningOptimizer, self.optimizers()).step()
+            return None
         if self.tracking:
             parameters = self.coordinates.parameters(self.step_taken)
             return self.tracking.loss(self.compensator, parameters) / self.scale
@@ -238,10 +304,14 @@ class InverseTraining(LightningModule):
         # A window of start-up transient only sets the state.
         return torch.stack(losses).sum() / (counted * self.scale) if losses else None
 
+    def on_train_epoch_end(self) -> None:
+        if self.selects:
+            self.trainer.should_stop = True
+
     def on_train_batch_end(self, outputs: Any, batch: Sequence[Window], batch_idx: int) -> None:
         if self.tracking:
             self.coordinates.put(self.step_taken)
-        if self.solves:
+        if self.solves and not self.selects:
             # The last trial of the line search need not be the point that the optimiser chose.
             with torch.no_grad():
                 self._projected_loss(batch)
@@ -274,12 +344,15 @@ class InverseTraining(LightningModule):
             inverse_errors(self.compensator, split.heldout, zeros_um=fit_zeros(self.compensator, split.zero)),
         )
 
-    def baseline_errors(self) -> InverseErrors:
-        """Of the two-stage least-squares baseline on what is held out."""
-        zeros = fit_zeros(self.baseline, self.paper_split.zero)
-        return inverse_errors(self.baseline, self.paper_split.heldout, zeros_um=zeros)
+    def baseline_errors(self, baseline: DirectInverse | None = None) -> InverseErrors:
+        """Of the two-stage least-squares baseline, or of another, on what is held out."""
+        baseline = baseline or self.baseline
+        zeros = fit_zeros(baseline, self.paper_split.zero)
+        return inverse_errors(baseline, self.paper_split.heldout, zeros_um=zeros)
 
     def configure_optimizers(self) -> torch.optim.Optimizer:
+        if self.selects:
+            return torch.optim.SGD(self.compensator.parameters(), lr=0.0)
         parameters = (
             [self.step_taken]
             if self.tracking

@@ -24,8 +24,9 @@ from torchpi.trained import STATE
 from train.data import HELDOUT_SHARE, RecordingsData
 from train.module import InverseTraining
 from train.pictures import record_fits, saturation, weights_against_rate
+from train.preview import MOST
 from train.run_folder import RunFolder
-from train.sensor_zero import fit_zeros
+from train.sensor_zero import fit_zeros, on_bound
 from train.tracking import tracking_notes
 
 PACKAGES = ("torchpi", "torch", "lightning", "numpy", "scipy", "numba")
@@ -78,6 +79,7 @@ def judge(model: InverseTraining, data: RecordingsData) -> dict[str, dict[str, f
         "train": train.as_dict(),
         "heldout": heldout.as_dict(),
         "baseline_lstsq": model.baseline_errors().as_dict(),
+        "baseline_plays": model.baseline_errors(model.plays_baseline).as_dict(),
         "loading_excluded": loaded.as_dict(),
     }
 
@@ -99,6 +101,12 @@ def how(model: InverseTraining, data: RecordingsData, best_epoch: int, epochs: i
         or [f"last {100 * HELDOUT_SHARE:.0f} % of {records.train[0].source}"],
         "baseline_lstsq": "on held-out recordings: two-stage least squares (eq. 10, 11), same thresholds "
         "and degree, linear rate, no preview, lead or creep",
+        "baseline_plays": "on held-out recordings: least squares on plays of the displacement with an "
+        "offset, constant weights, no polynomial, preview, lead or creep",
+        "selected": [{"form": str(step.form), "rms_v": step.rms_v} for step in model.selection.steps]
+        if model.selection
+        else None,
+        "on_bound": at_their_bound(model),
         "loading_excluded": "on held-out recordings, from where each first reaches its largest displacement",
         "skip_s": data.skip_s,
         "evaluate_s": data.evaluate_s,
@@ -113,10 +121,32 @@ def how(model: InverseTraining, data: RecordingsData, best_epoch: int, epochs: i
     }
 
 
+def at_their_bound(model: InverseTraining) -> list[str]:
+    """Fitted numbers that stand where the search for them ended, in words."""
+    found = []
+    fitted = (
+        ("compensator", model.compensator, model.split.zero),
+        ("two-stage baseline", model.baseline, model.paper_split.zero),
+        ("baseline of plays", model.plays_baseline, model.paper_split.zero),
+    )
+    for name, compensator, stretches in fitted:
+        zeros = fit_zeros(compensator, stretches) or []
+        found += [
+            f"the zero of {stretch.name}, fitted for the {name}, is {zero_um:.4g} µm, the bound of its search"
+            for zero_um, stretch in zip(zeros, stretches, strict=True)
+            if on_bound(zero_um, stretch)
+        ]
+    if model.extensions["preview"] == "auto" and model.compensator.preview == MOST:
+        found.append(f"the look-ahead is {MOST} samples, the most that is tried")
+    return found
+
+
 def chosen_by(model: InverseTraining, data: RecordingsData) -> str:
     """What chose the epoch, in words."""
     if model.tracking:
         return "tracking of the held-out motions of data.follow"
+    if model.selection:
+        return "none: fitted by least squares, its form selected on the training records alone"
     return "held-out rms_v" + (" on zero_s, outside what is judged" if data.zero_s else "")
 
 
@@ -150,13 +180,17 @@ def _write_report(folder: RunFolder, model: InverseTraining, metrics: dict[str, 
 def notes(how: dict[str, Any]) -> tuple[str, ...]:
     """What a reader of the page must know of the numbers."""
     said = [f"Held out: {', '.join(how['heldout'])}."]
+    said += [f"Careful: {text}." for text in how["on_bound"]]
+    if how["selected"]:
+        said.append(f"Selected by cross-validation over what is trained on: {how['selected'][-1]['form']}.")
     if not how["monotone"]:
         said.append(f"Careful: {how['monotone_says']}.")
     if how["evaluate_s"]:
         said.append("Judged from {:g} s to {:g} s of it.".format(*how["evaluate_s"]))
     if how["zero_s"]:
         said.append(
-            "The zero of its sensor is arbitrary: one number, fitted from {:g} s to {:g} s.".format(
+            "The zero of its sensor is arbitrary: one number, fitted from {:g} s to {:g} s. The error is the "
+            "residual of the inverse on a recording, offline; no stage tracked a motion with it.".format(
                 *how["zero_s"]
             )
         )

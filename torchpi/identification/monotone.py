@@ -60,7 +60,9 @@ def monotone(
         order = compensator.plays.r.argsort()
         own = _own_slopes(compensator, range_um)  # (positions, plays)
         slopes = compensator.weights(rate)[0][:, None, :] + own  # (rates, positions, plays)
-        sums = slopes[..., order].cumsum(-1).amin((1, 2))  # (rates,)
+        sums = slopes[..., order].cumsum(-1)
+        # A sensor may be mounted the other way round: the voltage then falls throughout.
+        sums = (sums * sums.mean().sign()).amin((1, 2))  # (rates,)
         least = int(sums.argmin())
     y = torch.linspace(*range_um, 201, dtype=torch.float64)[None].requires_grad_()
     (slope,) = torch.autograd.grad(compensator.saturation(y)[0].sum(), y)

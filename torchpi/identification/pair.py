@@ -48,17 +48,34 @@ def inverse_pair(
         RecordingError: Nothing is left to count.
     """
     bandwidth = bandwidth_hz or motion_bandwidth(recording.y, recording.fs_hz)
-    ahead = Motion(
+    motion = Motion(
         *(
-            torch.tensor(part, dtype=torch.float64)[None, preview:]
+            torch.tensor(part, dtype=torch.float64)[None]
             for part in zero_phase_motion(recording.y, recording.fs_hz, bandwidth)
         )
     )
-    u = torch.tensor(recording.u, dtype=torch.float64)[None, : len(recording.u) - preview]
+    u = torch.tensor(recording.u, dtype=torch.float64)[None]
     start = round(skip_s * recording.fs_hz)
-    if u.shape[1] - start < 100:
+    whole = InversePair(recording.name, motion, u, slice(start, u.shape[1]), 1.0 / recording.fs_hz)
+    return seen_ahead(whole, preview, recording.source)
+
+
+def seen_ahead(pair: InversePair, preview: int, source: str = "") -> InversePair:
+    """The same record with so many more samples of look-ahead, which are cut off its end.
+
+    Args:
+        pair: A whole record.
+        preview: Samples.
+        source: The file's path, for the error.
+
+    Raises:
+        RecordingError: Nothing is left to count.
+    """
+    samples, start = pair.u.shape[1] - preview, pair.counted.start
+    if samples - start < 100:
         raise RecordingError(
-            f"{recording.source}: found {len(recording.u)} samples, want at least 100 "
+            f"{source or pair.name}: found {pair.u.shape[1]} samples, want at least 100 "
             f"beyond the {preview} of preview and the {start} of skip_s"
         )
-    return InversePair(recording.name, ahead, u, slice(start, u.shape[1]), 1.0 / recording.fs_hz)
+    motion = Motion(*(part[:, preview:] for part in pair.motion))
+    return pair._replace(motion=motion, u=pair.u[:, :samples], counted=slice(start, samples))

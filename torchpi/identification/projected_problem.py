@@ -20,6 +20,10 @@ from torchpi.identification.inverse_rows import Nonlinear, Record, Stretch, bloc
 from torchpi.identification.pair import InversePair
 from torchpi.identification.thin_qr import ThinQR, solve_triangle, triangle_of
 
+# A play of threshold r moves over the range of S less 2 r, and stands still on the rest. One that stands on
+# more than this share of the range is an offset that the first loading sets, and sets anew in another record.
+STANDS_AT_MOST = 0.6
+POSITIONS = 65  # over the recorded range, where S is looked at
 # Without a ridge, keeps the triangle invertible where a play that nothing moved leaves a column of zeros.
 FLOOR = 1e-10
 
@@ -50,6 +54,8 @@ class ProjectedProblem:
         own_degree: Columns of each play's own output function beyond the weighted sum.
         ridge: Share of the columns' mean square that is added to the diagonal, against weights without bound
             in directions that no record shows.
+        rows: Of each record, rising, the samples that are fitted; by default those that count. The others
+            only set the states. A record without any is left out.
     """
 
     def __init__(
@@ -60,6 +66,7 @@ class ProjectedProblem:
         functions: int,
         own_degree: int,
         ridge: float = 0.0,
+        rows: Sequence[np.ndarray] | None = None,
     ) -> None:
         self.compensator = compensator
         self.ridge = ridge
@@ -83,15 +90,27 @@ class ProjectedProblem:
         self.is_threshold = names == "r"
         self.is_polynomial = names == "c"
         self.moves_rate = "slope" in names or "shift" in names
-        self.creeps = bool(start.gains.any()) or "gains" in names
-        self._take([Record.of(pair) for pair in pairs])
+        # Where the lead is searched, so are the turning points.
+        self.needs_every_sample = bool(start.gains.any()) or "gains" in names or "lead" in names
+        counted = torch.cat([pair.motion.yd[0, pair.counted] for pair in pairs])
+        self.y = np.linspace(float(counted.min()), float(counted.max()), POSITIONS)
+        self.stands_at_most = np.inf
+        every = [Record.of(pair) for pair in pairs]
+        if rows is not None:
+            every = [one.with_rows(kept) for one, kept in zip(every, rows, strict=True) if len(kept) > 0]
+        self._take(every)
+
+    def _stands(self, part: Nonlinear) -> float:
+        """Share of the range of S on which the widest play stands still."""
+        s = np.polynomial.polynomial.polyval(self.y, np.append(0.0, part.c))
+        return float(2 * part.r.max() / max(np.ptp(s), np.finfo(float).tiny))
 
     def _take(self, records: list[Record]) -> None:
         self.records = records
         self.samples = sum(len(record.counted) for record in records)
         self.stretches = [record.stretches() for record in records]
         self.most_rows = max(len(part.rows) for record in self.stretches for part in record)
-        start = self._nonlinear_at(self.alpha)
+        start = self._nonlinear_at(self.numbers[self.searched])
         # Unless the neural head is searched, these stay.
         self.rates = [[self._rate(part, start) for part in record] for record in self.stretches]
 
@@ -99,6 +118,16 @@ class ProjectedProblem:
     def alpha(self) -> np.ndarray:
         """Where the compensator stands. Shape: (searched,)."""
         return self.numbers[self.searched]
+
+    def bounded(self) -> "ProjectedProblem":
+        """The same without the scales of S at which the widest play hardly moves.
+
+        Thresholds that a user has chosen wider may stay so, and a little wider yet; free ones go anywhere.
+        """
+        own = np.inf if self.is_threshold.any() else 1.05 * self._stands(self._nonlinear_at(self.alpha))
+        bounded = copy.copy(self)
+        bounded.stands_at_most = max(STANDS_AT_MOST, own)
+        return bounded
 
     def thinned(self, rows: int) -> "ProjectedProblem":
         """The same with about as many rows, evenly spread, or with all of them if they are fewer."""
@@ -108,7 +137,7 @@ class ProjectedProblem:
         thinned = copy.copy(self)
         thinned._take(
             [
-                record.fewer_rows(step) if self.creeps else record.fewer_samples(step, self.lead)
+                record.fewer_rows(step) if self.needs_every_sample else record.fewer_samples(step, self.lead)
                 for record in self.records
             ]
         )
@@ -120,7 +149,9 @@ class ProjectedProblem:
         return trial
 
     def solve(self, alpha: np.ndarray) -> Solved:
-        """The best weights at α."""
+        """The best weights at α; an infinite objective where a bounded problem has no candidate."""
+        if self._stands(self._nonlinear_at(alpha)) > self.stands_at_most:
+            return Solved(np.inf, np.inf, np.zeros(self.columns.count))
         triangle, _ = self._factor(alpha, None)
         p, samples = self.columns.count, self.samples
         if self.ridge == 0:

@@ -2,6 +2,8 @@
 
 The thresholds alone fix the scale of S against the weights. As it grows one play after the other begins to
 move, and each leaves a kink in the objective: there are several minima, of which a descent finds the next.
+The deepest may lie where the widest plays hardly move, which fits one loop a little better and every other
+loop worse (`projected_problem.STANDS_AT_MOST`): such scales are no candidates.
 """
 
 import numpy as np
@@ -30,6 +32,7 @@ def search(problem: ProjectedProblem, evaluations: int, thorough: bool = False) 
             own rough minimum is not the deepest: where much is searched, what is best on some rows need not
             be on all.
     """
+    problem = problem.bounded()
     rough = problem.thinned(ROWS_PER_NUMBER * (problem.columns.count + len(problem.searched)))
     own = levenberg_marquardt(rough, problem.alpha, evaluations, ROUGH)
     found = [own]
@@ -63,7 +66,7 @@ def _starts(problem: ProjectedProblem, alpha: np.ndarray) -> list[np.ndarray]:
     scaled = [np.where(problem.is_polynomial, factor * alpha, alpha) for factor in FACTORS]
     height = np.array([problem.solve(each).objective for each in scaled])
     around = np.concatenate([[np.inf], height, [np.inf]])
-    lowest = np.flatnonzero((height <= around[:-2]) & (height <= around[2:]))
+    lowest = np.flatnonzero((height <= around[:-2]) & (height <= around[2:]) & np.isfinite(height))
     here = len(FACTORS) // 2
     others = [i for i in lowest[np.argsort(height[lowest])] if abs(i - here) > 1]
     return [scaled[i] for i in others[:STARTS]]

@@ -108,6 +108,7 @@ _METRIC_NAMES = {
     "train": "trained on",
     "heldout": "held out",
     "baseline_lstsq": "held out, two-stage least squares",
+    "baseline_plays": "held out, least squares on plays",
     "loading_excluded": "held out, without initial loading",
 }
 

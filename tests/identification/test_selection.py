@@ -1,0 +1,98 @@
+"""What is selected generalises, and is no richer than the records can show."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from tests.identification.test_fits import PERIOD, THRESHOLDS, pairs, truth
+from torchpi.compensator import DirectInverse
+from torchpi.identification import InversePair
+from torchpi.identification.folds import make_folds
+from torchpi.identification.selection import Form, Richest, Selection, select_form
+from torchpi.motion import Motion
+
+RICHEST = Richest(range(4), degree=4, lead=2, creep_time_constants_s=(0.05,), rate=True)
+
+
+def select(records: Sequence[InversePair], richest: Richest = RICHEST) -> Selection:
+    def build(form: Form, _: Sequence[InversePair]) -> DirectInverse:
+        options: dict[str, Any] = {name: value for name, value in vars(form).items() if name != "spread"}
+        return DirectInverse(PERIOD, THRESHOLDS, range_um=4.0, rate_scale_um_s=100.0, **options)
+
+    def ahead(preview: int) -> list[InversePair]:
+        return [
+            record._replace(
+                motion=Motion(*(part[:, preview:] for part in record.motion)),
+                u=record.u[:, : record.u.shape[1] - preview],
+            )
+            for record in records
+        ]
+
+    return select_form(build, ahead, richest)
+
+
+def made(**more: Any) -> DirectInverse:
+    """Plays of the displacement, nothing else but what is added."""
+    inverse = truth(**more)
+    inverse.saturation.set_coefficients(torch.tensor([1.0, 0.0], dtype=torch.float64))
+    return inverse
+
+
+def heldout_rms_v(selection: Selection, record: InversePair) -> float:
+    with torch.no_grad():
+        error = (selection.compensator.voltage(record.motion)[0] - record.u)[:, record.counted]
+    return float(error.square().mean().sqrt())
+
+
+def test_the_start_stays_where_nothing_generalises_better() -> None:
+    records = pairs(made(rate="none"), (1500, 1200, 1800), noise_v=0.02)
+    selection = select(records)
+    assert selection.steps[-1].form == Form(offset=selection.steps[-1].form.offset)
+    assert selection.steps[0].form == Form()
+
+
+def test_a_bent_polynomial_is_found_and_halves_what_is_left() -> None:
+    inverse = truth(rate="none")
+    inverse.saturation.set_coefficients(torch.tensor([1.2, -0.06], dtype=torch.float64))
+    *records, judge = pairs(inverse, (1500, 1200, 1800, 1500), noise_v=0.01)
+    selection = select(records)
+    assert selection.steps[-1].form.degree >= 2
+    assert selection.steps[-1].rms_v < 0.5 * selection.steps[0].rms_v
+    assert heldout_rms_v(selection, judge) < 0.03
+
+
+def test_creep_is_found_in_several_records_and_not_sought_in_one() -> None:
+    inverse = made(rate="none", creep_time_constants_s=[0.05])
+    with torch.no_grad():
+        inverse.creep_gains.fill_(0.15)
+    records = pairs(inverse, (1500, 1200, 1800), noise_v=0.01)
+    found = select(records).steps[-1].form
+    assert found.creep_time_constants_s == (0.05,)
+    alone = select(records[:1]).steps[-1].form
+    assert (alone.creep_time_constants_s, alone.rate) == ((), "none") and alone.degree <= 2
+
+
+def test_the_look_ahead_of_a_late_stage_is_found() -> None:
+    records = [
+        record._replace(
+            motion=Motion(*(torch.nn.functional.pad(part, (2, 0))[:, :-2] for part in record.motion))
+        )
+        for record in pairs(made(rate="none"), (1500, 1200, 1800), noise_v=0.005)
+    ]
+    assert select(records).steps[-1].form.preview == 2
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_no_fold_is_judged_on_what_it_was_fitted_to(count: int) -> None:
+    records = pairs(made(), (1500, 1200, 1800)[:count])
+    folds = make_folds(records)
+    assert len(folds) == {1: 7, 2: 6, 3: 9}[count]
+    for fold in folds:
+        for fitted, judged, record in zip(fold.fitted, fold.judged, records, strict=True):
+            both = np.concatenate([fitted, judged])
+            counted = np.arange(record.u.shape[1])[record.counted]
+            assert len(np.unique(both)) == len(both) and np.isin(both, counted).all()
+        assert sum(map(len, fold.judged)) > 0 < sum(map(len, fold.fitted))

@@ -1,0 +1,300 @@
+"""Which form of the direct inverse the records can carry: chosen by cross-validation, simple unless proved.
+
+The start is least squares on play features: S(y) = y, weights that do not follow the rate, an offset. One
+extension after the other is tried, and the best one is taken as long as it lowers the error of what each fit
+has left out: by more than one standard error over the folds in the mean of log(error), by more than `LEAST`,
+and in the pooled error too. Where nothing does, the start stays.
+
+What a record cannot show is not tried on it. A single one has no other motion to be judged on: creep, weights
+that follow the rate and a polynomial of high degree then fit the shape of its loops, and miss others.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+import torch
+
+from torchpi.compensator import DirectInverse
+from torchpi.identification.folds import BLOCKS, Fold, make_folds
+from torchpi.identification.levenberg_marquardt import levenberg_marquardt
+from torchpi.identification.monotone_problem import MonotoneProblem
+from torchpi.identification.pair import InversePair
+
+LEAST = 0.02  # share of the error
+# The widest threshold as a share of the range: one of half of it would only move in the first loading. The
+# first is that of the start.
+SPREADS = (0.45, 0.3)
+MOST_STEPS = 8
+ROWS, ROWS_AT_LAST = 4_000, 20_000  # of a fit to a fold, and of the last fit
+EVALUATIONS = 30
+TOLERANCE = 1e-3
+DEGREE_OF_ONE_RECORD = 2
+# Of the rms displacement, what the acceleration must add to it: below that a single record does not reach the
+# mode, and τ_2 would fit the curvature of their loops.
+LEAST_INERTIA = 0.2
+PREVIEW_RISING = 3  # samples beyond the best: the error has one valley over the look-ahead
+
+Pairs = Callable[[int], Sequence[InversePair]]
+
+
+@dataclass(frozen=True)
+class Form:
+    """A form of the inverse, as options of `DirectInverse`.
+
+    Attributes:
+        preview: Samples of look-ahead.
+        spread: The largest threshold, as a share of the displacement between its 1 % and 99 % quantiles.
+        degree: Of S.
+        lead: Its order.
+        creep_time_constants_s: Of the relaxations.
+        rate: Whether the weights follow the rate.
+        offset: Whether a constant voltage is learned.
+    """
+
+    preview: int = 0
+    spread: float = SPREADS[0]
+    degree: int = 1
+    lead: Literal[0, 1, 2] = 0
+    creep_time_constants_s: tuple[float, ...] = ()
+    rate: Literal["none", "linear"] = "none"
+    offset: bool = True
+
+    def __str__(self) -> str:
+        creep = ", ".join(f"{tau:g}" for tau in self.creep_time_constants_s)
+        return (
+            f"preview {self.preview}, degree {self.degree}, lead {self.lead}, creep [{creep}] s, "
+            f"rate {self.rate}, {'an' if self.offset else 'no'} offset, "
+            f"thresholds to {100 * self.spread:g} % of the range"
+        )
+
+
+@dataclass(frozen=True)
+class Richest:
+    """What may be selected at most.
+
+    Attributes:
+        previews: Samples of look-ahead, rising.
+        degree: The highest.
+        lead: The highest order.
+        creep_time_constants_s: Those longer than half of the longest record are left out.
+        rate: Whether the weights may follow the rate.
+        spreads: The first is that of the start.
+    """
+
+    previews: range
+    degree: int
+    lead: Literal[0, 1, 2]
+    creep_time_constants_s: tuple[float, ...]
+    rate: bool
+    spreads: tuple[float, ...] = SPREADS
+
+
+@dataclass(frozen=True)
+class Step:
+    """One form on the way, with its cross-validated error, V rms."""
+
+    form: Form
+    rms_v: float
+
+
+@dataclass(frozen=True)
+class Selection:
+    """The selected compensator, fitted to all records, and how it came about: the start first."""
+
+    compensator: DirectInverse
+    steps: tuple[Step, ...]
+
+
+@dataclass(frozen=True)
+class _Trial:
+    """A form fitted to each fold: the mean square of what was left out, V²."""
+
+    form: Form
+    fitted: list[DirectInverse]
+    left: np.ndarray  # (folds,)
+
+    def beats(self, other: "_Trial") -> float | None:
+        """Mean of log(error ratio) where it is lower by more than chance; None where it is not."""
+        if self.left.mean() >= other.left.mean():
+            return None
+        ratios = 0.5 * np.log(self.left / other.left)
+        standard_error = float(ratios.std(ddof=1)) / np.sqrt(len(ratios))
+        mean = float(ratios.mean())
+        return mean if mean + standard_error < np.log1p(-LEAST) else None
+
+
+def select_form(
+    build: Callable[[Form, Sequence[InversePair]], DirectInverse],
+    pairs_seen_ahead: Pairs,
+    richest: Richest,
+) -> Selection:
+    """The form that generalises best over the records, fitted to all of them; it cannot run backwards.
+
+    Args:
+        build: A compensator of a form, not yet fitted.
+        pairs_seen_ahead: The records to fit, for a number of samples of look-ahead.
+        richest: What may be selected at most.
+    """
+    search = _Search(build, pairs_seen_ahead, richest)
+    start = search.tried(Form(richest.previews[0], richest.spreads[0]))
+    # A bent loop moves the apparent lag: it is sought with a polynomial that can bend.
+    bent = replace(start.form, degree=min(richest.degree, DEGREE_OF_ONE_RECORD))
+    current = search.tried(replace(start.form, preview=search.preview(bent)))
+    steps = [start, current] if current.form != start.form else [start]
+    for _ in range(MOST_STEPS):
+        better = search.best_beyond(current)
+        if better is None:
+            break
+        current = better
+        steps.append(current)
+    if current.left.mean() > start.left.mean():
+        steps = [start]
+    compensator = search.fitted(steps[-1].form)
+    return Selection(compensator, tuple(Step(one.form, float(one.left.mean() ** 0.5)) for one in steps))
+
+
+class _Search:
+    def __init__(
+        self,
+        build: Callable[[Form, Sequence[InversePair]], DirectInverse],
+        pairs_seen_ahead: Pairs,
+        richest: Richest,
+    ) -> None:
+        self.build, self.richest = build, richest
+        self.pairs_seen_ahead = pairs_seen_ahead
+        self.records: dict[int, tuple[Sequence[InversePair], list[Fold]]] = {}
+        pairs, _ = self.at(richest.previews[0])
+        self.single = len(pairs) == 1
+        longest_s = max(pair.u.shape[1] * pair.sample_period_s for pair in pairs)
+        period_s = pairs[0].sample_period_s
+        self.creep = tuple(
+            tau for tau in richest.creep_time_constants_s if 5 * period_s < tau < 0.5 * longest_s
+        )
+
+    def at(self, preview: int) -> tuple[Sequence[InversePair], list[Fold]]:
+        """The records seen so far ahead, and their folds."""
+        if preview not in self.records:
+            pairs = self.pairs_seen_ahead(preview)
+            self.records[preview] = pairs, make_folds(pairs)
+        return self.records[preview]
+
+    def tried(self, form: Form, start: "_Trial | None" = None) -> _Trial:
+        """The form on every fold, each from where `start` stands on it."""
+        pairs, folds = self.at(form.preview)
+        fitted, left = [], []
+        for i, fold in enumerate(folds):
+            compensator = self.build(form, pairs)
+            if start:
+                _begin_from(compensator, start.fitted[i])
+            _fit(compensator, pairs, fold.fitted, ROWS)
+            fitted.append(compensator)
+            left.append(_mean_square(compensator, pairs, fold.judged))
+        return _Trial(form, fitted, np.array(left))
+
+    def preview(self, form: Form) -> int:
+        """The look-ahead with which this form generalises best.
+
+        A single record hardly tells a lag from its loops: there it is the shortest one within one standard
+        error of the best. Its slow and its fast samples are no folds here, because a lag shows where they are
+        together.
+        """
+        found: dict[int, np.ndarray] = {}
+        best = form.preview
+        for preview in self.richest.previews:
+            trial = self.tried(replace(form, preview=preview))
+            found[preview] = 0.5 * np.log(trial.left[: BLOCKS if self.single else None])
+            if found[preview].mean() < found[best].mean():
+                best = preview
+            elif preview == best + PREVIEW_RISING:
+                break
+        if not self.single:
+            return best
+        for preview, errors in found.items():
+            excess = errors - found[best]
+            if excess.mean() <= excess.std(ddof=1) / np.sqrt(len(excess)):
+                return preview
+        return best
+
+    def best_beyond(self, current: _Trial) -> _Trial | None:
+        """The neighbour that beats the current form by most."""
+        best, gained = None, 0.0
+        for form in self.neighbours(current.form):
+            trial = self.tried(form, current)
+            gain = trial.beats(current)
+            if gain is not None and gain < gained and self.reaches_the_mode(trial):
+                best, gained = trial, gain
+        return best
+
+    def neighbours(self, form: Form) -> Iterator[Form]:
+        """Forms that differ in one respect, and that these records can judge."""
+        highest = min(self.richest.degree, DEGREE_OF_ONE_RECORD) if self.single else self.richest.degree
+        yield from (replace(form, degree=d) for d in range(1, highest + 1) if d != form.degree)
+        # A lead takes over part of the look-ahead.
+        ahead = {p for p in (0, 1, 2, form.preview) if p in self.richest.previews}
+        if self.richest.lead == 2 and form.lead != 2:
+            yield from (replace(form, lead=2, preview=p) for p in sorted(ahead))
+        if self.single:
+            return
+        if self.richest.lead >= 1 and form.lead != 1:
+            yield replace(form, lead=1)
+        if form.lead != 0:
+            yield replace(form, lead=0)
+        for creep in dict.fromkeys(((), self.creep, self.creep[1:], self.creep[:-1])):
+            if creep != form.creep_time_constants_s:
+                yield replace(form, creep_time_constants_s=creep)
+        if self.richest.rate:
+            yield replace(form, rate="linear" if form.rate == "none" else "none")
+        yield replace(form, offset=not form.offset)
+        yield from (replace(form, spread=s) for s in self.richest.spreads if s != form.spread)
+
+    def reaches_the_mode(self, trial: _Trial) -> bool:
+        """Whether a lead of order 2 is one that the only record shows; several judge it themselves."""
+        if trial.form.lead < 2 or not self.single:
+            return True
+        pairs, _ = self.at(trial.form.preview)
+        added = torch.cat([pair.motion.yd_ddot[0, pair.counted] for pair in pairs]).std()
+        moved = torch.cat([pair.motion.yd[0, pair.counted] for pair in pairs]).std()
+        return all(float((one.lead[1] * added / moved).detach()) > LEAST_INERTIA for one in trial.fitted)
+
+    def fitted(self, form: Form) -> DirectInverse:
+        """A compensator of this form, fitted to all records."""
+        pairs, _ = self.at(form.preview)
+        compensator = self.build(form, pairs)
+        _fit(compensator, pairs, None, ROWS_AT_LAST)
+        return compensator
+
+
+def _fit(
+    compensator: DirectInverse, pairs: Sequence[InversePair], rows: Sequence[np.ndarray] | None, most: int
+) -> None:
+    problem = MonotoneProblem(compensator, pairs, rows).thinned(most)
+    alpha, solved = levenberg_marquardt(problem, problem.alpha, EVALUATIONS, TOLERANCE)
+    problem.put(alpha, solved.beta)
+
+
+def _begin_from(compensator: DirectInverse, other: DirectInverse) -> None:
+    """Take over lead, creep gains and polynomial, as far as both have them."""
+    with torch.no_grad():
+        for name in ("scaled_lead", "saturation.scaled"):
+            mine, theirs = compensator.get_parameter(name), other.get_parameter(name)
+            common = min(len(mine), len(theirs))
+            mine[:common] = theirs[:common]
+        times = [one.hyper_parameters["creep_time_constants_s"] for one in (compensator, other)]
+        for i, tau in enumerate(times[0]):
+            if tau in times[1]:
+                compensator.creep_gains[i] = other.creep_gains[times[1].index(tau)]
+
+
+def _mean_square(
+    compensator: DirectInverse, pairs: Sequence[InversePair], judged: Sequence[np.ndarray]
+) -> float:
+    """Of the error over these samples, V², before the output limits."""
+    errors = []
+    for pair, rows in zip(pairs, judged, strict=True):
+        if len(rows) > 0:
+            with torch.no_grad():
+                u, _ = compensator.voltage(pair.motion)
+            errors.append((u - pair.u)[0, torch.from_numpy(rows)])
+    return max(float(torch.cat(errors).square().mean()), np.finfo(float).tiny)
