@@ -25,9 +25,9 @@ from pathlib import Path
 import numpy as np
 import torch
 import yaml
-from torchpi.recording import Recording, read_recording
 
 from torchpi.errors import RecordingWarning
+from torchpi.recordings.recording import Recording, read_recording
 from train.data import RecordingsData, Records
 from train.module import InverseTraining
 
