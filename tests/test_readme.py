@@ -1,5 +1,6 @@
 """Every command and every line of Python in the README runs, in its order, in a fresh folder."""
 
+import json
 import os
 import re
 import shlex
@@ -27,6 +28,11 @@ def test_readme_commands_and_python_run_in_their_order(tmp_path: Path) -> None:
             shlex.split(command), cwd=tmp_path, env=environment, capture_output=True, text=True
         )
         assert done.returncode == 0, f"{command}\n{done.stdout}\n{done.stderr}"
+    diagnosis = json.loads((tmp_path / "diagnosis" / "diagnosis.json").read_text(encoding="utf-8"))
+    names = {effect["name"] for effect in diagnosis["effects"]}
+    assert diagnosis["verdict"] != "nothing_missing"
+    assert {"resonance", "creep"} <= names
+    assert names & {"amplifier_lag", "sensor_lag", "delay"}
     assert (tmp_path / "runs" / "mine" / "report.html").is_file()
     assert (tmp_path / "exports" / "mine" / "loop.html").is_file()
     for program in blocks("python"):

@@ -4,9 +4,12 @@ import argparse
 import difflib
 import inspect
 import re
+import signal
 import sys
+import threading
 import warnings
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any, NoReturn, TextIO, get_args, get_origin
 
 import jsonargparse
@@ -71,18 +74,42 @@ def run_command(command: Callable[[], Any], program: str) -> int:
     """Run `command`; an error of the user's input becomes one line on stderr, and so does a warning of a
     recording. Returns the exit code."""
     try:
-        with warnings.catch_warnings():
+        with warnings.catch_warnings(), _terminated_as_interrupted():
             _show_in_one_line(program)
             command()
     except TorchpiError as error:
         print(f"{program}: error: {error}", file=sys.stderr)
         return 2
+    except Terminated:
+        print(f"{program}: terminated; files already written are whole", file=sys.stderr)
+        return 143
     except KeyboardInterrupt:
         print(f"{program}: interrupted; files already written are whole", file=sys.stderr)
         return 130
     except BrokenPipeError:
         return 1
     return 0
+
+
+class Terminated(KeyboardInterrupt):
+    """SIGTERM came: what runs ends as after an interrupt."""
+
+
+@contextmanager
+def _terminated_as_interrupted() -> Iterator[None]:
+    """Raise `Terminated` where a process would end without a word, and its workers go on."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def end(number: int, frame: object) -> None:
+        raise Terminated
+
+    before = signal.signal(signal.SIGTERM, end)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 def _show_in_one_line(program: str) -> None:

@@ -19,14 +19,14 @@ from tests.diagnosis.plants import (
     resonance,
     triangles,
 )
+from tests.diagnosis.prepared import prepared
 from torchpi.diagnosis.chain import Chain
-from torchpi.diagnosis.compressed import compressed
 from torchpi.diagnosis.diagnose import diagnose
 from torchpi.diagnosis.diagnosis import Diagnosis
 from torchpi.diagnosis.fit import fit
 from torchpi.diagnosis.hypothesis import Hypothesis
 from torchpi.diagnosis.nominal import many_plays
-from torchpi.diagnosis.records import prepare
+from torchpi.diagnosis.reduced_basis import reduced
 from torchpi.diagnosis.search import Search
 from torchpi.recordings.recording import Recording
 from torchpi.stage import Stage
@@ -131,7 +131,7 @@ def test_a_diagnosis_has_no_state_of_its_own() -> None:
 
 
 def test_what_is_static_is_tried_while_the_displacement_is_taken_as_stepped() -> None:
-    chain = Chain(prepare(pair(2000, after=lambda x, fs_hz: creep(x, fs_hz, 0.05))))
-    search = Search(chain, lambda sentence: None, floor_um=NOISE_UM)
-    stepped = compressed(chain, fit(chain, Hypothesis(many_plays(search.seen), held=True)))
+    chain = Chain(prepared(pair(2000, after=lambda x, fs_hz: creep(x, fs_hz, 0.05))))
+    search = Search(chain, lambda sentence: None)
+    stepped = reduced(chain, fit(chain, Hypothesis(many_plays(search.seen), held=True)))
     assert "creep" in dict(search.effects(stepped))

@@ -1,58 +1,150 @@
-"""The noise floor is read off rests, the converter off the readings."""
+"""The noise is measured in holds, repeats and second recordings, never in a residual that a fit has left."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from tests.diagnosis.plants import FS_HZ, creep, multisine, record, stairs
-from torchpi.diagnosis.chain import Chain
+from tests.diagnosis.plants import FS_HZ, creep, multisine, record, stairs, triangles
+from tests.diagnosis.prepared import prepared
 from torchpi.diagnosis.diagnose import converter
-from torchpi.diagnosis.fit import fit
-from torchpi.diagnosis.hypothesis import Hypothesis
-from torchpi.diagnosis.noise import noise_floor_um
-from torchpi.diagnosis.nominal import plain
-from torchpi.diagnosis.records import prepare
-from torchpi.diagnosis.search import Search
+from torchpi.diagnosis.noise import Noise, holds, measured_noise
 from torchpi.recordings.recording import Recording
+
+Signal = np.ndarray
+
+
+def measured(*recordings: Recording) -> Noise:
+    found = measured_noise(prepared(recordings))
+    assert found is not None
+    return found
+
+
+def white(samples: int, seed: int = 0) -> Signal:
+    return np.random.default_rng(seed).standard_normal(samples)
+
+
+def flicker(samples: int, seed: int = 0) -> Signal:
+    """Noise of power 1/f, of unit variance."""
+    f = np.fft.rfftfreq(samples)
+    f[0] = f[1]
+    e = np.fft.irfft(np.fft.rfft(white(samples, seed)) / np.sqrt(f), samples)
+    return e / e.std()
+
+
+def read(u: Signal, e: Signal, name: str = "a") -> Recording:
+    """A straight line with this noise."""
+    return Recording(name, np.arange(len(u)) / FS_HZ, u, 0.8 * u + e, FS_HZ)
 
 
 @pytest.mark.parametrize("noise_um", [4e-4, 4e-3, 0.05])
-def test_the_floor_of_stairs_is_the_noise_though_the_stage_creeps(noise_um: float) -> None:
-    one = record(stairs(8000), after=lambda x, fs_hz: creep(x, fs_hz, 0.02), noise_um=noise_um)
-    assert noise_floor_um(prepare([one])) == pytest.approx(noise_um, rel=0.05)
+def test_the_noise_of_stairs_is_that_of_their_holds_though_the_stage_creeps(noise_um: float) -> None:
+    found = measured(record(stairs(8000), after=lambda x, fs_hz: creep(x, fs_hz, 0.02), noise_um=noise_um))
+    assert found.rms_um == pytest.approx(noise_um, rel=0.05) and found.source.startswith("holds")
 
 
-def test_where_nothing_rests_there_is_no_floor() -> None:
-    assert noise_floor_um(prepare([record(multisine(4000))])) is None
+def test_a_monitored_voltage_that_is_noisy_holds_as_well() -> None:
+    u = stairs(8000)
+    noisy = u + 2e-3 * white(8000, 5)
+    found = measured(read(noisy, 0.01 * white(8000) - 0.8 * (noisy - u)))
+    assert found.rms_um == pytest.approx(0.01, rel=0.1) and found.source.startswith("holds")
 
 
-def test_a_rest_of_one_recording_serves_all() -> None:
-    moving, resting = record(multisine(4000)), record(np.zeros(2000), noise_um=0.01, name="rest")
-    assert noise_floor_um(prepare([moving, resting])) == pytest.approx(0.01, rel=0.1)
+def test_a_slow_ramp_and_a_slow_sine_with_noise_are_no_holds() -> None:
+    t = np.arange(8000) / 8000
+    for u in (10 * t, 5 - 5 * np.cos(2 * np.pi * t), multisine(8000), triangles(8000)):
+        assert holds(u + 1e-3 * white(8000)) == []
 
 
-def read_by(lsb_um: float, one: Recording) -> Recording:
-    y = lsb_um * np.floor(one.y / lsb_um + 0.5)
-    return Recording(one.name, one.t, one.u, y, one.fs_hz)
+def test_where_nothing_holds_or_repeats_the_noise_is_not_known() -> None:
+    assert measured_noise(prepared([record(multisine(4000))])) is None
+    assert measured_noise(prepared([record(multisine(4000)), record(triangles(4000), name="b")])) is None
+
+
+def test_two_periods_do_not_measure_it_three_do() -> None:
+    once = np.roll(multisine(2000), 0)
+    assert measured_noise(prepared([record(np.tile(once, 2), noise_um=0.02)])) is None
+    found = measured(record(np.tile(once, 4), noise_um=0.02))
+    assert found.rms_um == pytest.approx(0.02, rel=0.1) and found.source.startswith("periods")
+
+
+def test_the_transient_of_the_first_period_is_not_taken_for_noise() -> None:
+    u = np.tile(multisine(2000), 4)
+    start = 1.0 * np.exp(-np.arange(8000) / 200)
+    assert measured(read(u, start + 0.02 * white(8000))).rms_um == pytest.approx(0.02, rel=0.1)
+
+
+def test_a_drift_from_period_to_period_is_not_taken_for_noise() -> None:
+    u = np.tile(multisine(2000), 4)
+    drift = 0.5 * np.arange(8000) / 8000
+    assert measured(read(u, drift + 0.02 * white(8000))).rms_um == pytest.approx(0.02, rel=0.1)
 
 
 def test_an_input_that_was_measured_repeats_though_its_last_digits_do_not() -> None:
-    rng = np.random.default_rng(5)
-    once = multisine(2000)
-    one = record(np.tile(once, 3), noise_um=0.02)
-    noisy = Recording(one.name, one.t, one.u + 1e-4 * rng.standard_normal(len(one.u)), one.y, one.fs_hz)
-    assert noise_floor_um(prepare([noisy])) == pytest.approx(0.02, rel=0.1)
+    one = record(np.tile(multisine(2000), 4), noise_um=0.02)
+    noisy = replace(one, u=one.u + 1e-4 * white(len(one.u), 5))
+    assert measured(noisy).rms_um == pytest.approx(0.02, rel=0.1)
 
 
-def test_the_floor_falls_to_what_a_fit_leaves_in_the_rests_and_never_rises() -> None:
-    records = prepare([record(stairs(8000), noise_um=0.02)])
-    search = Search(Chain(records), print, floor_um=noise_floor_um(records))
-    one = fit(search.chain, Hypothesis(plain(search.seen)))
-    noise = 0.005 * np.random.default_rng(1).standard_normal(8000)
-    for scale in (1.0, 5.0):
-        search.see_the_floor_in(replace(one, residuals=(scale * noise,)))
-        assert search.floor == pytest.approx(0.005, rel=0.05)
+def test_a_second_recording_of_the_same_voltage_measures_it() -> None:
+    u = multisine(4000)
+    found = measured(*(record(u, noise_um=0.02, seed=s, name=str(s)) for s in (1, 2)))
+    assert found.rms_um == pytest.approx(0.02, rel=0.1) and found.source.startswith("recordings")
+
+
+def test_a_hold_in_one_recording_serves_all() -> None:
+    moving, resting = record(multisine(4000)), record(np.zeros(2000), noise_um=0.01, name="rest")
+    assert measured(moving, resting).rms_um == pytest.approx(0.01, rel=0.1)
+
+
+def test_of_a_simulation_the_residual_has_the_noise_of_a_monitored_voltage_too() -> None:
+    records = prepared([record(stairs(8000), noise_um=0.02)])
+    found = measured_noise(records, [0.005 * white(8000, 1)])
+    assert found is not None and found.rms_um == pytest.approx(0.005, rel=0.05)
+
+
+@pytest.mark.parametrize(("noise", "slope"), [(white, 0.0), (flicker, 1.0)], ids=["white", "1/f"])
+def test_the_noise_of_each_scale_is_that_of_its_colour(
+    noise: Callable[[int, int], Signal], slope: float
+) -> None:
+    u = np.tile(multisine(4096), 6)
+    found = [measured(read(u, 0.01 * noise(len(u), seed))) for seed in range(6)]
+    levels = np.array([[one.level_um2(level) for level in range(1, 8)] for one in found]).mean(0)
+    fitted = np.polyfit(np.arange(7), np.log2(levels), 1)[0]
+    assert fitted == pytest.approx(slope, abs=0.15)
+    if slope == 0.0:
+        assert levels == pytest.approx(np.full(7, 1e-4), rel=0.2)
+
+
+def test_scales_slower_than_what_was_measured_go_on_with_its_slope() -> None:
+    found = Noise(1.0, 2.0 ** np.arange(6), 1e3, "periods")
+    assert found.level_um2(6) == 32.0
+    assert found.level_um2(8) == pytest.approx(128.0)
+    falling = Noise(1.0, 2.0 ** -np.arange(6), 1e3, "periods")
+    assert falling.level_um2(9) == falling.level_um2(6)  # a noise that falls for ever is none
+
+
+def test_lines_of_the_mains_in_a_hold_are_no_noise() -> None:
+    t = np.arange(8000) / FS_HZ
+    e = 0.01 * white(8000) + 0.02 * np.sin(2 * np.pi * 50.02 * t)
+    assert measured(read(stairs(8000, 2), e)).rms_um == pytest.approx(0.01, rel=0.1)
+
+
+def test_a_lattice_is_part_of_the_noise() -> None:
+    """A hold may stay on one line of it: the noise is then the uniform error of one step."""
+    found = Noise(0.0, np.zeros(3), FS_HZ, "holds of the voltage").with_converter(0.0123)
+    assert found.rms_um == pytest.approx(0.0123 / np.sqrt(12))
+    assert found.variance_um2 == pytest.approx(np.full(3, 0.0123**2 / 12))
+
+
+def test_readings_that_never_differ_measure_no_noise() -> None:
+    still = read(np.zeros(2000), np.zeros(2000))
+    assert measured_noise(prepared([still])) is None
+
+
+def read_by(lsb_um: float, one: Recording) -> Recording:
+    return replace(one, y=lsb_um * np.floor(one.y / lsb_um + 0.5))
 
 
 @pytest.mark.parametrize("noise_um", [0.0, 2e-3, 0.03])
@@ -60,21 +152,15 @@ def test_the_step_of_a_converter_is_read_off_the_readings(noise_um: float) -> No
     recordings = [
         read_by(0.0123, record(multisine(3000, seed=s), noise_um=noise_um, name=str(s))) for s in (0, 1)
     ]
-    step, notes = converter(prepare(recordings))
+    step, notes = converter(prepared(recordings))
     assert step == pytest.approx(0.0123, rel=1e-6)
     assert notes == ("All readings lie on a lattice of 12.3 nm.",)
 
 
 def test_readings_without_steps_have_no_converter() -> None:
-    assert converter(prepare([record(multisine(3000))])) == (0.0, ())
+    assert converter(prepared([record(multisine(3000))])) == (0.0, ())
 
 
 def test_one_recording_off_the_lattice_is_enough_against_it() -> None:
     recordings = [read_by(0.0123, record(multisine(3000))), record(multisine(3000, seed=1), name="b")]
-    assert converter(prepare(recordings)) == (0.0, ())
-
-
-def test_a_lattice_is_part_of_the_floor() -> None:
-    """At rest every reading is the same: the floor is the uniform error of one step."""
-    still = Recording("still", np.arange(2000) / FS_HZ, np.zeros(2000), np.full(2000, 0.0246), FS_HZ)
-    assert noise_floor_um(prepare([still]), 0.0123) == pytest.approx(0.0123 / np.sqrt(12))
+    assert converter(prepared(recordings)) == (0.0, ())

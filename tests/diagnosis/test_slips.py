@@ -7,13 +7,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.diagnosis.plants import NOISE_UM, Signal, Step, creep, lag, multisine, record, stairs, triangles
+from tests.diagnosis.prepared import prepared
 from torchpi.diagnosis.chain import Chain
 from torchpi.diagnosis.diagnose import diagnose
 from torchpi.diagnosis.diagnosis import Diagnosis
 from torchpi.diagnosis.fit import fit
 from torchpi.diagnosis.hypothesis import Fit, Hypothesis
 from torchpi.diagnosis.nominal import many_plays
-from torchpi.diagnosis.records import prepare, seen
+from torchpi.diagnosis.records import seen
 from torchpi.diagnosis.slips import jump, resting, slips
 from torchpi.prediction import predict
 from torchpi.recordings.recording import Recording
@@ -45,7 +46,7 @@ def recorded(after: Step, before: Step = lambda v, fs_hz: v) -> list[Recording]:
 
 
 def retuned(recordings: list[Recording]) -> tuple[Chain, Fit]:
-    records = prepare(recordings)
+    records = prepared(recordings)
     chain = Chain(records)
     return chain, fit(chain, Hypothesis(many_plays(seen(records))))
 

@@ -13,37 +13,59 @@ from torch import Tensor
 from torchpi.diagnosis.hypothesis import Hypothesis
 from torchpi.diagnosis.nominal import Nominal
 from torchpi.diagnosis.records import Record, Rests
-from torchpi.stage.effects.effect import Effect
+from torchpi.diagnosis.remanence import COLUMNS, remanence
+from torchpi.diagnosis.score import Weighting
+from torchpi.stage.effects.effect import Effect, LinearEffect
 from torchpi.stage.effects.held import hold_first_block
 from torchpi.stage.effects.inside import InsideEffect
 from torchpi.stage.effects.mechanics.modal import ModalEffect
 from torchpi.stage.effects.mechanics.modes import Modes, Part
 from torchpi.stage.effects.mechanics.stiction import Stiction
 
+SIGNALS = 60
+"""Signals inside the chain that are kept."""
+MADE = 2000
+"""Effects with their numbers that are kept."""
 REMEMBERED = 600_000_000
 """Bytes of rows that are kept: one candidate after another acts behind the same hysteresis."""
 
 
 class Placed(NamedTuple):
-    """An effect of one recording, and the auxiliary signal that it takes."""
+    """An effect of one recording, and the auxiliary signal that it takes.
+
+    A linear one is at rest where the recording begins: it was there for long.
+    """
 
     effect: Effect
     aux: Tensor | tuple[Tensor, ...] | None
+    key: tuple[object, ...]
+    """What tells it from another."""
 
     def __call__(self, x: Tensor) -> Tensor:
         # Only an effect that takes a second signal accepts one.
-        y: Tensor = self.effect(x)[0] if self.aux is None else self.effect(x, None, self.aux)[0]
-        return y
+        if self.aux is not None:
+            return self.effect(x, None, self.aux)[0]  # type: ignore[no-any-return]
+        if isinstance(self.effect, LinearEffect):
+            return self.effect(x - x[:, :1])[0] + x[:, :1]  # type: ignore[no-any-return]
+        return self.effect(x)[0]  # type: ignore[no-any-return]
+
+    def tangent(self, x: Tensor, dx: Tensor) -> Tensor:
+        """How the output moves along each direction, (directions, time)."""
+        if self.aux is None and isinstance(self.effect, LinearEffect):
+            return self.effect.tangent(x - x[:, :1], dx - dx[:, :1]) + dx[:, :1]
+        return self.effect.tangent(x, dx)
 
 
 class Chain:
     """Evaluates hypotheses on these recordings."""
 
-    def __init__(self, records: Sequence[Record]) -> None:
+    def __init__(self, records: Sequence[Record], weighting: Weighting | None = None) -> None:
         self.records = records
+        self.weighting = weighting or Weighting.flat(records)
+        """What each coefficient counts."""
         self.remembered: dict[tuple[object, ...], np.ndarray] = {}
-        self.last: dict[int, tuple[tuple[object, ...], np.ndarray | None, np.ndarray]] = {}
-        """By recording: the sum over the hysteresis that was made last, of which rows and weights."""
+        self.signals: dict[tuple[object, ...], Tensor] = {}
+        self.made: dict[tuple[object, ...], Effect] = {}
 
     @cached_property
     def packed(self) -> tuple[str, bytes]:
@@ -56,23 +78,59 @@ class Chain:
         """The largest travel of the command."""
         return max(float(np.ptp(record.u)) for record in self.records)
 
+    @cached_property
+    def span_um(self) -> float:
+        """The largest travel of a reading."""
+        return max(float(np.ptp(record.y)) for record in self.records) or 1e-9
+
+    def numbers(self, hypothesis: Hypothesis) -> int:
+        """How many weights there are: of the rows, of the history of each recording, of its zero."""
+        return hypothesis.nominal.kept + len(self.records) * (1 + COLUMNS * hypothesis.remanent)
+
+    def whitened(self, index: int, rows: np.ndarray) -> np.ndarray:
+        """(rows, kept): Haar coefficients of rows, (rows, time), over what each may be off by."""
+        coefficients = self.records[index].haar(rows)
+        coefficients *= self.weighting.inverse_sd[index]
+        return coefficients
+
     def output(self, hypothesis: Hypothesis, weights: np.ndarray, index: int) -> np.ndarray:
-        """(time,), µm, for one recording. The last weight is the sensor's zero, behind everything."""
-        key = self.key(hypothesis, index)
-        last_key, last_weights, last_x = self.last.get(index, ((), None, np.zeros(0)))
-        if key == last_key and weights is last_weights:  # one candidate after another behind the same sum
-            x = last_x
-        elif key in self.remembered:
-            x = weights[:-1] @ self.remembered[key][:-1]
-            self.last[index] = key, weights, x
-        else:
-            nominal = self.nominal(hypothesis, index)
-            x = nominal.output(self.voltage(hypothesis, index), self.records[index].period_s, weights[:-1])
-        y = torch.from_numpy(x)[None]
+        """(time,), µm, for one recording. Its zero lies behind everything."""
+        key = (self.key(hypothesis, index), weights.tobytes())
+        path: list[tuple[object, ...]] = [key]
+        y = self.signals.get(tuple(path))
+        if y is None:
+            y = self.signals[tuple(path)] = torch.from_numpy(self.displacement(hypothesis, weights, index))[
+                None
+            ]
         with torch.no_grad():
             for placed in self.after(hypothesis, index):
-                y = placed(y)
-        return self.told(hypothesis, index, y[0].numpy() + weights[-1])
+                path.append(placed.key)
+                known = self.signals.get(tuple(path))
+                if known is None:
+                    known = placed(y)
+                    self.remember(tuple(path), known)
+                y = known
+        return self.told(hypothesis, index, y[0].numpy() + self.zero(weights, index))
+
+    def displacement(self, hypothesis: Hypothesis, weights: np.ndarray, index: int) -> np.ndarray:
+        """(time,), µm: the sum over the hysteresis."""
+        used = self.used(hypothesis, index)
+        if (rows := self.remembered.get(self.key(hypothesis, index))) is not None:
+            x: np.ndarray = weights[used] @ rows
+            return x
+        nominal, v = self.nominal(hypothesis, index), self.voltage(hypothesis, index)
+        x = nominal.output(v, self.records[index].period_s, weights[: nominal.kept])
+        return x + weights[used[nominal.kept :]] @ remanence(v) if hypothesis.remanent else x
+
+    def remember(self, path: tuple[object, ...], signal: Tensor) -> None:
+        """Keep a signal inside the chain: one candidate after another acts behind the same ones."""
+        if len(self.signals) >= SIGNALS:
+            self.signals.clear()
+        self.signals[path] = signal
+
+    def zero(self, weights: np.ndarray, index: int) -> float:
+        """The zero of one recording, µm."""
+        return float(weights[len(weights) - len(self.records) + index])
 
     def told(self, hypothesis: Hypothesis, index: int, y: np.ndarray) -> np.ndarray:
         """An output, and where the mount is seen to stick the place at which it rests."""
@@ -85,20 +143,27 @@ class Chain:
 
     def output_and_directions(
         self, hypothesis: Hypothesis, weights: np.ndarray, index: int
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """The output, and how it moves with each weight, (weights, time)."""
-        rows = self.rows_and_zero(hypothesis, index)
-        x, directions = torch.from_numpy(weights[:-1] @ rows[:-1])[None], torch.from_numpy(rows)
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Output, (time,), the weights that move it, and how it moves with each of these, (used, time)."""
+        rows, used = self.rows(hypothesis, index), self.used(hypothesis, index)
+        directions = torch.from_numpy(rows)
+        x = torch.from_numpy(weights[used] @ rows)[None]
         with torch.no_grad():
             for placed in self.after(hypothesis, index):
-                directions = placed.effect.tangent(x, directions)
+                directions = placed.tangent(x, directions)
                 x = placed(x)
         moves = directions.numpy()
-        moves[-1] = 1.0  # the zero lies behind all effects
         rests = self.rests(hypothesis, index)
         if rests is not None:
             moves = np.where(rests.stuck, 0.0, moves)
-        return self.told(hypothesis, index, x[0].numpy() + weights[-1]), moves
+        return self.told(hypothesis, index, x[0].numpy() + self.zero(weights, index)), used, moves
+
+    def used(self, hypothesis: Hypothesis, index: int) -> np.ndarray:
+        """Which weights belong to the rows of a recording."""
+        kept = hypothesis.nominal.kept
+        first = kept + COLUMNS * index
+        own = np.arange(first, first + COLUMNS) if hypothesis.remanent else np.arange(0)
+        return np.concatenate([np.arange(kept), own])
 
     def slopes(
         self, hypothesis: Hypothesis, weights: np.ndarray, index: int
@@ -109,11 +174,11 @@ class Chain:
         if not places:
             return {}
         found: dict[tuple[int, str], Tensor] = {}
-        x = torch.from_numpy(weights[:-1] @ self.rows(hypothesis, index))[None]
+        x = torch.from_numpy(self.displacement(hypothesis, weights, index))[None]
         with torch.no_grad():
             for placed in self.after(hypothesis, index):
                 if found:
-                    rows = placed.effect.tangent(x, torch.cat(list(found.values())))
+                    rows = placed.tangent(x, torch.cat(list(found.values())))
                     found = dict(zip(found, rows.split(1), strict=True))
                 if isinstance(placed.effect, Modes):
                     found = placed.effect.slopes(x, placed.aux or ())  # type: ignore[arg-type]
@@ -125,21 +190,19 @@ class Chain:
         directions, x = torch.from_numpy(rows), torch.zeros(1, rows.shape[1], dtype=torch.float64)
         with torch.no_grad():
             for placed in self.after(hypothesis, index):
-                directions = placed.effect.tangent(x, directions)
+                directions = placed.tangent(x, directions)
         return directions.numpy()
 
     def rows(self, hypothesis: Hypothesis, index: int) -> np.ndarray:
-        """The states of the hysteresis, (states, time)."""
-        return self.rows_and_zero(hypothesis, index)[:-1]
-
-    def rows_and_zero(self, hypothesis: Hypothesis, index: int) -> np.ndarray:
-        """The same and a row of ones, (weights, time)."""
+        """The states of the hysteresis, then what the recording may remember, (rows, time)."""
         key = self.key(hypothesis, index)
         if key not in self.remembered:
             nominal = self.nominal(hypothesis, index)
             v = self.voltage(hypothesis, index)
-            rows = np.ones((nominal.kept + 1, len(v)))
-            nominal.fill(v, self.records[index].period_s, rows[:-1])
+            rows = np.empty((nominal.kept + COLUMNS * hypothesis.remanent, len(v)))
+            nominal.fill(v, self.records[index].period_s, rows[: nominal.kept])
+            if hypothesis.remanent:
+                rows[nominal.kept :] = remanence(v)
             while (
                 self.remembered and sum(r.nbytes for r in self.remembered.values()) + rows.nbytes > REMEMBERED
             ):
@@ -160,7 +223,7 @@ class Chain:
         nominal = self.nominal(hypothesis, index)
         before = tuple((p.effect.name, *p.effect.values().items()) for p in self.before(hypothesis, index))
         shape = tuple(sorted(nominal.shape.items()))
-        return (index, hypothesis.alignment, nominal.structure, shape, before)
+        return (index, hypothesis.alignment, hypothesis.remanent, nominal.structure, shape, before)
 
     def before(self, hypothesis: Hypothesis, index: int) -> list[Placed]:
         """What precedes the hysteresis."""
@@ -173,18 +236,31 @@ class Chain:
     def placed(self, hypothesis: Hypothesis, index: int) -> list[Placed]:
         """Every effect outside the hysteresis, in the order of the chain."""
         record = self.records[index]
-        found: list[Placed] = []
+        parts: list[tuple[Effect, tuple[object, ...], str]] = []
         modal = [m for m in hypothesis.members if issubclass(m.effect, ModalEffect)]
         for member in hypothesis.members:
+            key: tuple[object, ...] = (
+                member.effect, record.period_s, member.aux, *member.values(index).items()
+            )  # fmt: skip
             if issubclass(member.effect, Effect):
-                aux = torch.from_numpy(record.aux[member.aux])[None] if member.aux else None
-                found.append(Placed(member.effect(record.period_s, **member.values(index)), aux))
+                if key not in self.made:
+                    if len(self.made) >= MADE:
+                        self.made.clear()
+                    self.made[key] = member.effect(record.period_s, **member.values(index))
+                parts.append((self.made[key], key, member.aux))
             elif modal and member is modal[-1]:
-                parts = [Part(m.effect, m.values(index), m.aux) for m in modal]  # type: ignore[arg-type]
-                modes = Modes(record.period_s, parts)
-                signals = tuple(torch.from_numpy(record.aux[name])[None] for name in modes.aux_names)
-                found.append(Placed(modes, signals))
-        hold_first_block([placed.effect for placed in found], hypothesis.held)
+                each = [Part(m.effect, m.values(index), m.aux) for m in modal]  # type: ignore[arg-type]
+                names = tuple((m.effect, m.aux, *m.values(index).items()) for m in modal)
+                parts.append((Modes(record.period_s, each), names, ""))
+        hold_first_block([effect for effect, _, _ in parts], hypothesis.held)
+        found = []
+        for effect, key, name in parts:
+            aux: Tensor | tuple[Tensor, ...] | None = (
+                torch.from_numpy(record.aux[name])[None] if name else None
+            )
+            if isinstance(effect, Modes):
+                aux = tuple(torch.from_numpy(record.aux[one])[None] for one in effect.aux_names)
+            found.append(Placed(effect, aux, (*key, effect.hold)))
         return found
 
     def nominal(self, hypothesis: Hypothesis, index: int) -> Nominal:

@@ -8,12 +8,6 @@ from torchpi.diagnosis.records import Record
 from torchpi.stage.effects.effect import Effect, Seen
 from torchpi.stage.effects.inside import InsideEffect
 
-SHORTEST_S = 0.3
-"""A recording shorter than this shows nothing of what takes seconds."""
-SLOW = ("creep", "leakage", "thermal_drift", "ageing")
-TURNING = ("backlash", "stiction", "hysteresis_asymmetry", "incongruent_loops")
-"""What shows only where the voltage turns round."""
-
 
 def reason_to_leave_out(
     effect: type[Effect] | type[InsideEffect], records: Sequence[Record], seen: Seen, starts: int
@@ -26,19 +20,16 @@ def reason_to_leave_out(
         seen: What they span.
         starts: How many starts it has there, within its bounds.
     """
-    if effect.name == "quantization":
-        return None  # read off the readings, not fitted
+    needs = effect.needs
     if effect.takes_aux and not seen.aux:
         return "no other signal was recorded"
-    if effect.name in SLOW and seen.duration_s < SHORTEST_S:
+    if seen.duration_s < needs.duration_s:
         return f"{seen.duration_s:.2g} s is too short for it"
-    if effect.name in TURNING and not any(turns(record) for record in records):
+    if needs.reversals and not any(turns(record) for record in records):
         return "the voltage never turns round"
-    if effect.name == "load_change" and len(records) == 1:
-        return "it takes a second recording, with another load"
-    if effect.name == "hum" and starts == 0:
-        return f"{seen.duration_s:.2g} s at {seen.fs_hz:g} Hz show no three periods of the mains"
-    return "these recordings show nothing within its bounds" if starts == 0 else None
+    if len(records) < needs.recordings:
+        return f"it takes {needs.recordings} recordings"
+    return effect.unseen if starts == 0 else None
 
 
 def cannot_be_decided(records: Sequence[Record]) -> tuple[str, ...]:

@@ -7,43 +7,54 @@ from dataclasses import replace
 import numpy as np
 
 from torchpi.diagnosis.chain import Chain
-from torchpi.diagnosis.compressed import compressed
 from torchpi.diagnosis.conflict import conflict
 from torchpi.diagnosis.coverage import cannot_be_decided
-from torchpi.diagnosis.decide import Decision, decide
+from torchpi.diagnosis.decide import Decision, decide, structure
 from torchpi.diagnosis.diagnosis import Diagnosis, Errors, NamedEffect, Parameter, Trace, Verdict
 from torchpi.diagnosis.fit import fit, rms
 from torchpi.diagnosis.hypothesis import Fit, Hypothesis
+from torchpi.diagnosis.leftovers import leftovers
 from torchpi.diagnosis.locate import locate
 from torchpi.diagnosis.model import augmented_stage
 from torchpi.diagnosis.next_recording import next_recording
-from torchpi.diagnosis.noise import noise_floor_um
+from torchpi.diagnosis.noise import measured_noise
 from torchpi.diagnosis.nominal import plain
+from torchpi.diagnosis.posterior import posterior
 from torchpi.diagnosis.records import Record, prepare, seen, whole
+from torchpi.diagnosis.reduced_basis import reduced
 from torchpi.diagnosis.remainder import with_remainder
 from torchpi.diagnosis.say import nm, paragraph
+from torchpi.diagnosis.score import Weighting
 from torchpi.diagnosis.search import Search
 from torchpi.diagnosis.simulation import given_members, simulated, simulated_output
 from torchpi.diagnosis.slips import unaided
 from torchpi.errors import RecordingError
+from torchpi.recordings.faults import dropouts
 from torchpi.recordings.recording import Recording
 from torchpi.stage import Stage
+from torchpi.stage.effects import EFFECTS
+from torchpi.stage.effects.effect import Effect
+from torchpi.stage.effects.inside import InsideEffect
+from torchpi.stage.effects.sensor.dropouts import Dropouts
 from torchpi.stage.effects.sensor.quantization import Quantization
 
 COARSE = 0.5
 """A converter is named where its step, as noise, is this share of all that is left."""
 UNCERTAIN = 0.9
 """An effect less probable than this is worth another recording."""
+LOST = 10.0
+"""Times the rms of what is left, by which a single reading is off: less may be a heavy tail of the noise."""
+READ_OFF = 0.99
+"""Probability of what the readings themselves show."""
 LEAST_SAMPLES = 100
-HELD_OUT = (
-    "three contiguous tenths of each recording, from 25, 55 and 85 % of its length; the state carries over"
-)
+HELD_OUT = "the last 15 % of each recording, sealed until the end; the state carries over"
 
 
 def diagnose(
     recordings: Sequence[Recording],
     simulation: Stage | None = None,
     *,
+    effects: Sequence[type[Effect] | type[InsideEffect]] = EFFECTS,
     say: Callable[[str], None] = lambda sentence: None,
     executor: Executor | None = None,
 ) -> Diagnosis:
@@ -53,6 +64,7 @@ def diagnose(
         recordings: One or more of the same stage, at any sample rates, first sample de-energised.
         simulation: What they are compared with; None is the plain stage: symmetric, rate-independent
             Prandtl–Ishlinskii hysteresis, everything else ideal.
+        effects: What may be missing: the effects that are tried.
         say: Called with a sentence at every step.
         executor: Where independent fits run; None is this process.
 
@@ -61,36 +73,47 @@ def diagnose(
             units than the recordings.
     """
     check(recordings, simulation)
-    records = prepare(recordings)
+    wrong = [dropouts(recording.y) for recording in recordings]
+    records = prepare(recordings, wrong)
     chain, what = Chain(records), seen(records)
     lsb_um, lattice_note = converter(records)
-    floor = noise_floor_um(records, lsb_um)
+    noise = measured_noise(records)
+    if noise is not None:
+        noise = noise.with_converter(lsb_um)
     say("nominal: the simulation as it is, then refitted with as many plays as the data carry")
     start = given_members(simulation)
     if simulation is None:
-        nominal = fit(chain, Hypothesis(plain(what)))
-        first = nominal.residuals
+        first = fit(chain, Hypothesis(plain(what))).residuals
     else:
         first = simulated(simulation, records)
-    search = Search(chain, say, start, floor, executor, lsb_um)
+    search = Search(chain, say, start, noise, executor, lsb_um, effects)
     retuned, final, history = search.run()
-    floor_um = search.floor_um(final)
-    say("decide: every named effect against its rivals")
-    decision = decide(search, retuned, final, history, floor_um)
-    if lsb_um > 0 and lsb_um / np.sqrt(12) > COARSE * final.heldout_rms:
-        decision = with_converter(decision, lsb_um, final, retuned)
+    noise = search.noise
+    say("decide: every effect against its rivals")
+    believed = posterior(search, retuned, final, history)
     modelled = augmented = unaided(chain, final, search.jump.value_um) if search.jump else final
-    if decision.verdict in ("unexplained", "partly_explained") or floor is None:
-        say("unknown path: what no effect explains")
-        augmented = with_remainder(chain, compressed(chain, modelled)) or modelled
-        if floor is None and augmented is not modelled:
-            decision = with_unexplained(decision, final, augmented, retuned)
+    chain.weighting = search.chain.weighting
+    say("what no effect explains")
+    remainder = with_remainder(chain, reduced(chain, modelled))
+    if remainder is not None:
+        augmented = remainder[0]
+    left = [e[r.train] for e, r in zip(augmented.residuals, records, strict=True)]
+    decision = decide(search, retuned, final, believed, noise, remainder is not None or structure(left))
+    if lsb_um > 0 and lsb_um / np.sqrt(12) > COARSE * final.train_rms:
+        decision = with_read_off(decision, of_converter(lsb_um, retuned))
+    lost = [k[np.abs(e[k]) > LOST * final.train_rms] for e, k in zip(final.residuals, wrong, strict=True)]
+    if any(len(each) for each in lost):
+        decision = with_read_off(decision, of_dropouts(records, lost, final))
     say("model: everything refitted to all samples")
-    everything = Chain(whole(recordings))
-    last = fit(everything, modelled.hypothesis, modelled.weights, 4)
-    if augmented is not modelled:
-        last = with_remainder(everything, compressed(everything, last), judged=False) or last
-    stage = augmented_stage(last, what, floor_um)
+    complete = whole(recordings, wrong)
+    everything = Chain(complete, Weighting.of(complete, modelled.residuals, noise))
+    # A mount that sticks decides at each slip where the next one begins: no gradient leads through that.
+    last = modelled if search.jump else fit(everything, modelled.hypothesis, modelled.weights, 4)
+    if remainder is not None:
+        again = with_remainder(everything, reduced(everything, last), remainder[1])
+        last = again[0] if again else last
+    floor_um = noise.rms_um if noise is not None else 0.0
+    stage = augmented_stage(last, len(recordings), what, floor_um or augmented.heldout_rms)
     traces = traces_of(recordings, records, retuned, augmented, final, search.chain, decision)
     say("locate: where the residual lives")
     where = locate(traces, floor_um)
@@ -108,10 +131,11 @@ def diagnose(
     )  # fmt: skip
     return Diagnosis(
         verdict=decision.verdict, effects=decision.effects, where=where,
-        nominal=errors[0], retuned=errors[1], augmented=errors[2], noise_floor_um=floor_um,
+        nominal=errors[0], retuned=errors[1], augmented=errors[2],
+        noise_floor_um=noise.rms_um if noise is not None else None,
         heldout=HELD_OUT, unexplained_share=decision.unexplained_share, next_recording=next_one,
         next_excitation=excitation, notes=notes, traces=traces, stage=stage,
-        says=paragraph(decision, errors, floor_um, floor is not None, next_one),
+        says=paragraph(decision, errors, noise, next_one, leftovers(traces)),
     )  # fmt: skip
 
 
@@ -145,7 +169,7 @@ def check(recordings: Sequence[Recording], simulation: Stage | None) -> None:
 def check_units(recordings: Sequence[Recording], simulation: Stage) -> None:
     """A simulation that moves a hundred times more, or less, than the stage is in other units."""
     largest = max(recordings, key=lambda recording: float(np.ptp(recording.y)))
-    y = simulated_output(simulation, prepare([largest])[0])
+    y = simulated_output(simulation, prepare([largest], [np.zeros(0, int)])[0])
     ratio = np.ptp(y) / max(float(np.ptp(largest.y)), 1e-300)
     if not 1e-2 < ratio < 1e2:
         raise RecordingError(
@@ -164,25 +188,34 @@ def converter(records: Sequence[Record]) -> tuple[float, tuple[str, ...]]:
     return step, (f"All readings lie on a lattice of {step * 1e3:.4g} nm.",)
 
 
-def with_converter(decision: Decision, lsb_um: float, final: Fit, retuned: Fit) -> Decision:
-    """The same with the sensor's converter among the effects: its lattice is seen, not fitted."""
-    own = lsb_um**2 / 12
-    effect = NamedEffect(
-        Quantization.name, Quantization.block, (), 0.99,
-        (Parameter("lsb_um", lsb_um, "µm", (lsb_um * (1 - 1e-6), lsb_um * (1 + 1e-6))),),
-        min(1.0, own / max(retuned.heldout_rms**2, 1e-300)), Quantization.equation, Quantization.signature,
-        (),
-    )  # fmt: skip
+def with_read_off(decision: Decision, effect: NamedEffect) -> Decision:
+    """The same with an effect that the readings show, and no fit."""
     now_named: dict[Verdict, Verdict] = {"nothing_missing": "explained", "unexplained": "partly_explained"}
     verdict = now_named.get(decision.verdict, decision.verdict)
     return replace(decision, verdict=verdict, effects=(*decision.effects, effect))
 
 
-def with_unexplained(decision: Decision, final: Fit, augmented: Fit, retuned: Fit) -> Decision:
-    """The same where the noise is not known, but a remainder without a name removes some of what is left."""
-    share = (final.heldout_rms**2 - augmented.heldout_rms**2) / max(retuned.heldout_rms**2, 1e-300)
-    verdict: Verdict = "partly_explained" if decision.effects else "unexplained"
-    return replace(decision, verdict=verdict, unexplained_share=min(1.0, share))
+def of_converter(lsb_um: float, retuned: Fit) -> NamedEffect:
+    """The sensor's converter: its lattice is seen."""
+    return NamedEffect(
+        Quantization.name, Quantization.block, (), READ_OFF,
+        (Parameter("lsb_um", lsb_um, "µm", (lsb_um * (1 - 1e-6), lsb_um * (1 + 1e-6))),),
+        min(1.0, lsb_um**2 / 12 / max(retuned.train_rms**2, 1e-300)), Quantization.equation,
+        Quantization.signature, (),
+    )  # fmt: skip
+
+
+def of_dropouts(records: Sequence[Record], wrong: Sequence[np.ndarray], final: Fit) -> NamedEffect:
+    """Single wrong readings: each is seen, and none is fitted."""
+    off = [e[k] for e, k in zip(final.residuals, wrong, strict=True)]
+    samples, count = sum(len(r.y) for r in records), sum(len(k) for k in wrong)
+    squares = float(np.square(np.concatenate(off)).sum())
+    rest = sum(float(e @ e) for e in final.residuals)
+    return NamedEffect(
+        Dropouts.name, Dropouts.block, (), READ_OFF,
+        (Parameter("share", count / samples, "", None),), squares / max(rest, 1e-300), Dropouts.equation,
+        Dropouts.signature, (),
+    )  # fmt: skip
 
 
 def errors_of(records: Sequence[Record], residuals: Sequence[np.ndarray]) -> Errors:
@@ -231,15 +264,15 @@ def conventions(final: Fit) -> tuple[str, ...]:
     )
 
 
-def slip_notes(search: Search, told: Fit, modelled: Fit) -> tuple[str, ...]:
-    """What can be foretold of a mount that sticks, and what not."""
+def slip_notes(search: Search, one_step: Fit, modelled: Fit) -> tuple[str, ...]:
+    """What can be predicted of a mount that sticks, and what not."""
     if search.jump is None:
         return ()
     left = "" if "stiction" in modelled.hypothesis.names else ", no better than without a mount that sticks"
     return (
-        f"The mount sticks and slips. From one reading to the next it is foretold to {nm(told.heldout_rms)}; "
-        f"simulated without readings to {nm(modelled.heldout_rms)}{left}, because each slip decides where "
-        "the next one begins. The second is what the fit and its figures show.",
+        "The mount sticks and slips. From one reading to the next it is predicted to within "
+        f"{nm(one_step.heldout_rms)}; in free-run simulation to within {nm(modelled.heldout_rms)}{left}, "
+        "because each slip decides where the next one begins. The second is what the fit shows.",
     )
 
 

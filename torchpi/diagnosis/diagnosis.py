@@ -30,9 +30,9 @@ class Rival:
 
     name: str
     train_rms_um: float
-    heldout_rms_um: float
-    evidence: float
-    """Log-likelihood gained over the hypothesis without it."""
+    loses_nats: float
+    """Log predictive density that is lost with it in the place of the effect."""
+    probability: float
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,9 @@ class NamedEffect:
     equation: str
     signature: str
     rivals: tuple[Rival, ...]
-    """The effect itself among them, the best first."""
+    """What else was tried in its place, the best first."""
+    form: str = ""
+    """Which equation of its kind, where there are several."""
 
 
 @dataclass(frozen=True)
@@ -118,7 +120,8 @@ class Diagnosis:
     """The same class of stage, refitted and grown inside itself."""
     augmented: Errors
     """With the named effects, and the unknown remainder if there is one."""
-    noise_floor_um: float
+    noise_floor_um: float | None
+    """Of a reading; None where nothing in the recordings measures it."""
     heldout: str
     """How it was held out."""
     unexplained_share: float

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from torchpi.diagnosis.diagnose import diagnose
 from torchpi.diagnosis.diagnosis import Diagnosis
-from torchpi.diagnosis.parallel import get_ready
+from torchpi.diagnosis.parallel import end_with_parent, get_ready
 from torchpi.errors import ConfigError
 from torchpi.excitation_files import write_excitation
 from torchpi.recordings.recording import RecordingOptions, read_recording
@@ -89,10 +89,19 @@ def executor_of(name: str) -> Iterator[Executor | None]:
         return
     # Spawned, because a forked process would inherit the threads of torch in an unknown state.
     workers = min(cores, 4)
-    with one_thread_each(), ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-        for _ in range(workers):
-            pool.submit(get_ready)  # they import while the first fits run here
-        yield pool
+    with one_thread_each():
+        pool = ProcessPoolExecutor(workers, get_context("spawn"), end_with_parent, (os.getpid(),))
+        try:
+            for _ in range(workers):
+                pool.submit(get_ready)  # they import while the first fits run here
+            yield pool
+        except BaseException:
+            # What was interrupted does not wait for fits that nobody will see.
+            for process in list((pool._processes or {}).values()):
+                process.kill()
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+        pool.shutdown()
 
 
 @contextmanager

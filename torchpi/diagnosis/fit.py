@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -24,7 +25,20 @@ ITERATIONS = 12
 FINE, ROUGH = 1e-4, 3e-3
 """Relative gain of a step below which a fit ends: to report, and to compare."""
 KEPT_PROMISE = 0.5
-"""Share of the decrease foretold that a step must keep."""
+"""Share of the predicted decrease that a step must keep."""
+LEVERAGE = 0.9
+"""Of one coefficient on its own prediction, at most: one that alone determines a number predicts nothing."""
+REMANENCE = 0.1
+"""Of the span: the width of the prior of what the stage remembers from before a recording."""
+
+
+class Sensitivity(NamedTuple):
+    """How the whitened coefficients of one recording move with the numbers of a fit."""
+
+    places: np.ndarray
+    """Of the numbers that move them."""
+    rows: np.ndarray
+    """(places, kept)."""
 
 
 def fit(
@@ -34,7 +48,7 @@ def fit(
     iterations: int = ITERATIONS,
     tolerance: float = FINE,
 ) -> Fit:
-    """The hypothesis fitted to the training samples, until a step gains less than the tolerance.
+    """The hypothesis fitted to what is not sealed, weighted, until a step gains less than the tolerance.
 
     Where the straight line of a step promises more than the step keeps, the weights are solved anew at the
     parameters that it leads to (variable projection: Golub and Pereyra 1973): a limit of the voltage and a
@@ -54,12 +68,13 @@ def fit(
     if not slots:  # linear in the weights: done
         iterations = 0 if fresh_weights else 1
     damping = 1e-3
-    n, prior = len(weights), np.zeros(0)
+    n, parts = len(weights), None
+    prior = np.zeros((0, 0))
     for _ in range(iterations):
         current = with_theta(hypothesis, slots, theta)
-        gram, right, ss = normal_equations(chain, current, weights, slots, theta)
+        gram, right, ss, parts = normal_equations(chain, current, weights, slots, theta)
         prior = prior if len(prior) else prior_of(chain, hypothesis, gram[:n, :n])
-        ss += float(prior @ weights**2)
+        ss += float(weights @ prior @ weights)
         gram, right = with_prior(gram, right, prior, weights)
         before = ss
         accepted = False
@@ -71,7 +86,8 @@ def fit(
                 [to_inner(s, s.high) for s in slots],
             )
             trial, trial_weights = with_theta(hypothesis, slots, trial_theta), weights + step[:n]
-            trial_ss = sum_of_squares(chain, trial, trial_weights) + float(prior @ trial_weights**2)
+            trial_ss = sum_of_squares(chain, trial, trial_weights)
+            trial_ss += float(trial_weights @ prior @ trial_weights)
             promised = float(2 * step @ right - step @ gram @ step)
             if slots and promised > 1e-4 * ss and ss - trial_ss < KEPT_PROMISE * promised:
                 solved, solved_ss = with_weights_solved(chain, trial, weights, prior)
@@ -87,12 +103,49 @@ def fit(
         if trial_ss > before * (1 - tolerance):
             break
     final = with_theta(hypothesis, slots, theta)
+    if parts is None:
+        gram, _, _, parts = normal_equations(chain, final, weights, slots, theta)
+        prior = prior_of(chain, hypothesis, gram[:n, :n])
     residuals = tuple(record.y - chain.output(final, weights, i) for i, record in enumerate(records))
     return Fit(
         final, weights, slots, theta, residuals,
         rms(records, residuals, True), rms(records, residuals, False),
         tuple(s.name for s, t in zip(slots, theta, strict=True) if at_bound(s, t)),
+        left_out(chain, residuals, parts, prior),
     )  # fmt: skip
+
+
+def left_out(
+    chain: Chain, residuals: Sequence[np.ndarray], parts: Sequence[Sensitivity], prior: np.ndarray
+) -> np.ndarray:
+    """(cells,), µm²: mean square of each cell's residual, each coefficient predicted by the fit without it.
+
+    Args:
+        chain: With the recordings.
+        residuals: (time,) each, µm.
+        parts: The sensitivity of each recording.
+        prior: (weights, weights), the inverse covariance of their prior.
+    """
+    root, means = whitener(parts, prior), []
+    for record, residual, part in zip(chain.records, residuals, parts, strict=True):
+        leverage = np.minimum((root[:, part.places] @ part.rows) ** 2, 1e6).sum(0)
+        e = record.haar(residual[None])[0] / (1 - np.minimum(leverage, LEVERAGE))
+        cell = record.haar.cell
+        means.append(np.bincount(cell, e**2) / np.bincount(cell))
+    return np.concatenate(means)
+
+
+def whitener(parts: Sequence[Sensitivity], prior: np.ndarray) -> np.ndarray:
+    """The inverse Cholesky factor of J Jᵀ and the prior: it makes the rows of J orthonormal."""
+    size = max(int(part.places.max()) for part in parts) + 1
+    gram = np.zeros((size, size))
+    for part in parts:
+        gram[np.ix_(part.places, part.places)] += part.rows @ part.rows.T
+    gram[: len(prior), : len(prior)] += prior
+    scale = 1 / np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    unit = gram * scale * scale[:, None]
+    unit[np.diag_indices_from(unit)] += RIDGE
+    return np.linalg.inv(np.linalg.cholesky(unit)) * scale  # type: ignore[no-any-return]
 
 
 def with_weights_solved(
@@ -100,30 +153,43 @@ def with_weights_solved(
 ) -> tuple[np.ndarray, float]:
     """The best weights of a hypothesis, and what they leave; infinite where the chain cannot be."""
     try:
-        gram, right, _ = normal_equations(chain, hypothesis, weights, (), np.zeros(0))
+        gram, right, _, _ = normal_equations(chain, hypothesis, weights, (), np.zeros(0))
     except StageError:
         return weights, math.inf
     gram, right = with_prior(gram, right, prior, weights)
     solved = weights + solve(gram, right, len(weights), 0.0)
-    return solved, sum_of_squares(chain, hypothesis, solved) + float(prior @ solved**2)
+    return solved, sum_of_squares(chain, hypothesis, solved) + float(solved @ prior @ solved)
 
 
 def prior_of(chain: Chain, hypothesis: Hypothesis, gram: np.ndarray) -> np.ndarray:
-    """(weights,): what each squared weight costs: the line, or the fitted sum, and the zero nothing."""
-    prior = PRIOR * np.diag(gram)
-    if hypothesis.nominal.mixing is None:  # combinations of rows are in no unit
-        prior += (PRIOR_SHARE * chain.span_v) ** 2
-    prior[[0, -1]] = 0.0
+    """(weights, weights): the inverse covariance of the weights' prior; the line, or the fitted sum, and the
+    zeros have none."""
+    nominal, zeros = hypothesis.nominal, len(chain.records)
+    kept = nominal.kept
+    prior = np.diag(PRIOR * np.diag(gram))
+    each = weight_prior(chain)
+    of_rows = np.eye(kept) if nominal.mixing is None else nominal.mixing @ nominal.mixing.T
+    prior[:kept, :kept] += each * of_rows
+    history = np.arange(kept, len(prior) - zeros)
+    prior[history, history] += 1.0 / (REMANENCE * chain.span_um) ** 2
+    free = [0, *range(len(prior) - zeros, len(prior))]
+    prior[free] = 0.0
+    prior[:, free] = 0.0
     return prior
+
+
+def weight_prior(chain: Chain) -> float:
+    """The inverse variance of one weight of the hysteresis, before any recording."""
+    return (PRIOR_SHARE * chain.span_v / chain.weighting.typical_um) ** 2
 
 
 def with_prior(
     gram: np.ndarray, right: np.ndarray, prior: np.ndarray, weights: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """The normal equations of the fit and of the prior together."""
-    gram, right, k = gram.copy(), right.copy(), np.arange(len(prior))
-    gram[k, k] += prior
-    right[k] -= prior * weights
+    gram, right, n = gram.copy(), right.copy(), len(prior)
+    gram[:n, :n] += prior
+    right[:n] -= prior @ weights
     return gram, right
 
 
@@ -228,41 +294,44 @@ def jacobian(
     slots: Sequence[Slot],
     theta: np.ndarray,
     index: int,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Output of one recording, (time,), and how its fitted samples move with each weight and slot,
-    (numbers, fitted)."""
-    y, directions = chain.output_and_directions(hypothesis, weights, index)
-    fitted, members = chain.records[index].fitted, hypothesis.members
+) -> tuple[np.ndarray, Sensitivity]:
+    """Output of one recording, (time,), and its sensitivity to each weight and slot."""
+    y, used, directions = chain.output_and_directions(hypothesis, weights, index)
+    members, n = hypothesis.members, len(weights)
     slopes = chain.slopes(hypothesis, weights, index) if slots else {}
-    part = np.zeros((len(directions) + len(slots), len(fitted)))
-    np.take(directions, fitted, axis=1, out=part[: len(directions)])
-    for j, (s, row) in enumerate(zip(slots, part[len(directions) :], strict=True)):
-        if s.record is not None and s.record != index:
-            continue
+    stuck = chain.rests(hypothesis, index)
+    one = np.ones((1, len(y))) if stuck is None else np.where(stuck.stuck, 0.0, 1.0)[None]
+    own = [j for j, s in enumerate(slots) if s.record is None or s.record == index]
+    rows = np.zeros((len(own), len(y)))
+    for j, row in zip(own, rows, strict=True):
+        s = slots[j]
         if s.member >= 0 and issubclass(members[s.member].effect, ModalEffect):
             if (s.member, s.name) in slopes:  # else a coupling's number for a mode that was taken away
                 per_inner = to_outer(s, float(theta[j])) if s.log else s.scale
-                row[:] = slopes[s.member, s.name][fitted] * per_inner
+                row[:] = slopes[s.member, s.name] * per_inner
             continue
         moved = np.array(theta)
         moved[j] += s.step
-        row[:] = (chain.output(with_theta(hypothesis, slots, moved), weights, index) - y)[fitted] / s.step
-    return y, part
+        row[:] = (chain.output(with_theta(hypothesis, slots, moved), weights, index) - y) / s.step
+    places = np.concatenate([used, [n - len(chain.records) + index], n + np.array(own, dtype=int)])
+    whitened = [chain.whitened(index, part) for part in (directions, one, rows)]
+    return y, Sensitivity(places, np.concatenate(whitened))
 
 
 def normal_equations(
     chain: Chain, hypothesis: Hypothesis, weights: np.ndarray, slots: Sequence[Slot], theta: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, float]:
-    """J Jᵀ, J e and eᵀ e over the fitted samples."""
+) -> tuple[np.ndarray, np.ndarray, float, list[Sensitivity]]:
+    """J Jᵀ, J e and eᵀ e over the whitened coefficients, and J of each recording."""
     size = len(weights) + len(slots)
-    gram, right, ss = np.zeros((size, size)), np.zeros(size), 0.0
+    gram, right, ss, parts = np.zeros((size, size)), np.zeros(size), 0.0, []
     for i, record in enumerate(chain.records):
         y, part = jacobian(chain, hypothesis, weights, slots, theta, i)
-        error = (record.y - y)[record.fitted]
-        gram += part @ part.T
-        right += part @ error
+        error = chain.whitened(i, (record.y - y)[None])[0]
+        gram[np.ix_(part.places, part.places)] += part.rows @ part.rows.T
+        right[part.places] += part.rows @ error
         ss += float(error @ error)
-    return gram, right, ss
+        parts.append(part)
+    return gram, right, ss, parts
 
 
 def solve(gram: np.ndarray, right: np.ndarray, n: int, damping: float) -> np.ndarray:
@@ -275,27 +344,22 @@ def solve(gram: np.ndarray, right: np.ndarray, n: int, damping: float) -> np.nda
 
 
 def sum_of_squares(chain: Chain, hypothesis: Hypothesis, weights: np.ndarray) -> float:
-    """Over the fitted samples; infinite where the chain cannot be."""
+    """Over the whitened coefficients; infinite where the chain cannot be."""
     ss = 0.0
     try:
         for i, record in enumerate(chain.records):
-            e = (record.y - chain.output(hypothesis, weights, i))[record.fitted]
+            e = chain.whitened(i, (record.y - chain.output(hypothesis, weights, i))[None])[0]
             ss += float(e @ e)
-    except StageError:  # a step into what no stage can be, such as limits out of order
+    except StageError:  # a step to a stage that cannot exist, such as limits out of order
         return math.inf
     return ss if math.isfinite(ss) else math.inf
 
 
 def start_weights(chain: Chain, hypothesis: Hypothesis) -> np.ndarray:
     """Least squares on the rows as they come out of the chain, to first order in the weights."""
-    parts = []
-    nothing = np.zeros(len(chain.rows(hypothesis, 0)) + 1)
-    for i, record in enumerate(chain.records):
-        y, directions = chain.output_and_directions(hypothesis, nothing, i)
-        rows = directions[:, record.fitted]
-        parts.append((rows @ rows.T, rows @ (record.y - y)[record.fitted]))
-    gram, right = (np.sum(part, 0) for part in zip(*parts, strict=True))
-    gram, right = with_prior(gram, right, prior_of(chain, hypothesis, gram), np.zeros(len(right)))
+    nothing = np.zeros(chain.numbers(hypothesis))
+    gram, right, _, _ = normal_equations(chain, hypothesis, nothing, (), np.zeros(0))
+    gram, right = with_prior(gram, right, prior_of(chain, hypothesis, gram), nothing)
     return solve(gram, right, len(right), 0.0)
 
 

@@ -53,6 +53,8 @@ class Hypothesis:
     """Whether the displacement of the ceramic is stepped, as the command is: a convention as well."""
     shape: tuple[str, ...] = ()
     """Parameters of the nominal's shape that are fitted."""
+    remanent: bool = False
+    """Whether each recording may start from a history of its own."""
 
     def plus(self, member: Member) -> "Hypothesis":
         """With one more effect, in the order of the chain."""
@@ -98,3 +100,5 @@ class Fit:
     heldout_rms: float
     bounded: tuple[str, ...]
     """Parameters that ended on a bound."""
+    left_out_um2: np.ndarray
+    """(cells,): mean square of each cell, each coefficient predicted by the fit without it."""

@@ -1,7 +1,5 @@
 """Intervals of the fitted parameters that hold for a coloured residual, and for a model that is not exact."""
 
-from collections.abc import Sequence
-
 import numpy as np
 from scipy.special import stdtrit
 
@@ -13,8 +11,6 @@ BLOCKS = 30
 """Contiguous pieces of all recordings together; their scores are taken as independent."""
 ONE_SIDED = 0.95
 """Of Student's t, with a degree of freedom less than there are blocks, or recordings: 90 % two-sided."""
-WIDE = 10.0
-"""An interval from one end to the other: a decade says no more than the order of magnitude."""
 TELLS = 0.1
 """Of what all samples know of a parameter; what is left after less cannot say how it scatters."""
 
@@ -29,44 +25,25 @@ def intervals_90(chain: Chain, now: Fit) -> list[tuple[float, float]]:
     """
     if not now.slots:
         return []
-    total = sum(len(record.fitted) for record in chain.records)
+    total = sum(record.haar.samples for record in chain.records)
     blocks: list[tuple[np.ndarray, np.ndarray]] = []
     recordings: list[tuple[np.ndarray, np.ndarray]] = []
     for i, record in enumerate(chain.records):
-        _, part = jacobian(chain, now.hypothesis, now.weights, now.slots, now.theta, i)
-        error = now.residuals[i][record.fitted]
+        _, (places, rows) = jacobian(chain, now.hypothesis, now.weights, now.slots, now.theta, i)
+        part = np.zeros((len(now.weights) + len(now.slots), rows.shape[1]))
+        part[places] = rows
+        error = chain.whitened(i, now.residuals[i][None])[0]
         recordings.append((part @ part.T, part @ error))
-        for block in np.array_split(np.arange(len(error)), max(2, round(BLOCKS * len(error) / total))):
-            blocks.append((part[:, block] @ part[:, block].T, part[:, block] @ error[block]))
+        pieces = max(2, round(BLOCKS * record.haar.samples / total))
+        block = record.haar.at * pieces // record.haar.samples
+        for inside in (block == b for b in range(pieces)):
+            blocks.append((part[:, inside] @ part[:, inside].T, part[:, inside] @ error[inside]))
     whole = np.sum([gram for gram, _ in recordings], 0)
     squares = sum(quantile(len(p)) ** 2 * scatter(whole, p, len(now.slots)) for p in (blocks, recordings))
     return [
         (to_outer(slot, float(t - half)), to_outer(slot, float(t + half)))
         for slot, t, half in zip(now.slots, now.theta, np.sqrt(squares), strict=True)
     ]
-
-
-def undetermined(now: Fit, spans: Sequence[tuple[float, float]]) -> set[str]:
-    """The effects whose numbers the recordings do not tell.
-
-    A positive one has an interval wider than a factor of `WIDE`, or all that may have either sign have one
-    with the value in it at which they do nothing. What each recording has for itself does not count.
-    """
-    wide: set[str] = set()
-    idle: set[str] = set()
-    busy: set[str] = set()
-    for slot, (low, high) in zip(now.slots, spans, strict=True):
-        if slot.member < 0 or slot.record is not None:
-            continue
-        effect = now.hypothesis.members[slot.member].effect
-        if slot.log:
-            if high > WIDE * low:
-                wide.add(effect.name)
-        elif low <= effect.identity[slot.name] <= high:
-            idle.add(effect.name)
-        else:
-            busy.add(effect.name)
-    return wide | (idle - busy)
 
 
 def quantile(parts: int) -> float:

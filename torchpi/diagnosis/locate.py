@@ -20,7 +20,9 @@ import numpy as np
 from numba import njit
 
 from torchpi.diagnosis.diagnosis import Domain, Trace, Where
-from torchpi.diagnosis.evidence import INDEPENDENT
+
+INDEPENDENT = 2 / 3
+"""Share of the frequencies of a Hann-windowed spectrum that are independent (its noise bandwidth is 1.5)."""
 
 SIGNIFICANT = 4.0
 """Standard deviations from which a cell is worth pointing at: the maps have a hundred cells."""

@@ -14,10 +14,9 @@ import numpy as np
 import torch
 
 from torchpi.diagnosis.chain import Chain
-from torchpi.diagnosis.evidence import evidence
 from torchpi.diagnosis.fit import fit
-from torchpi.diagnosis.held_out import typical_of, typical_um
 from torchpi.diagnosis.hypothesis import Fit, Hypothesis, Member
+from torchpi.diagnosis.score import gain
 from torchpi.diagnosis.screen import possible
 from torchpi.stage.effects.mechanics.modal import (
     MODAL,
@@ -30,13 +29,13 @@ from torchpi.stage.effects.mechanics.modal import (
 from torchpi.stage.effects.mechanics.modes import RELATIVE_STEP, Modes
 from torchpi.stage.effects.mechanics.resonance import peaks_hz
 
+EARNS = 0.5
+"""Probability that the recordings are predicted better with a mode, or an input, than without: of all modes
+together the search demands more."""
 LEAST_GAIN = 0.03
-"""By how much a mode must lower the error, on the samples it was fitted to and on those held out; and all
-together that of the best simpler explanation."""
-INPUT_GAIN = 0.01
-"""The same for an input: nothing else follows a recorded signal by chance."""
-LEAST_EVIDENCE, PER_NUMBER = 8.0, 3.0
-"""Log-likelihood that a mode, or an input, must gain, and that for each of its numbers."""
+"""By what share one more mode lowers the rms error."""
+PER_NUMBER = 1.0
+"""Nats that a fitted number gains from noise alone (Akaike, 1974): here nothing is left out of a fit."""
 DAMPINGS = (0.01, 0.05)
 """Damping ratios at which a mode is looked for."""
 APART = 0.01
@@ -89,9 +88,9 @@ def driven_modes(chain: Chain, now: Fit, simpler: Sequence[Fit], tolerance: floa
     found = [(solved, one) for solved, one in found if not one.bounded]
     if not found:
         return []
-    one = min(found, key=lambda f: typical_um(chain.records, f[1]) / (1 - LEAST_GAIN) ** len(f[0].poles))[1]
-    best = min((typical_um(chain.records, f) for f in (now, *simpler) if not f.bounded), default=np.inf)
-    if typical_um(chain.records, one) > (1 - LEAST_GAIN) * best:
+    density = chain.weighting.log_density
+    one = max(found, key=lambda f: float(density(f[1]).sum()))[1]
+    if any(density(one).sum() < density(f).sum() for f in (now, *simpler) if not f.bounded):
         return []
     named = [member.effect.name for member in one.hypothesis.members if member.effect in MODAL.values()]
     return [(" + ".join(dict.fromkeys(named)), one)]
@@ -105,10 +104,12 @@ def timed(
     found = []
     for alignment in (0, 1):
         other = replace(base, alignment=alignment)
-        drive = [weights[:-1] @ chain.rows(other, i) for i in range(len(chain.records))]
+        drive = [chain.displacement(other, weights, i) for i in range(len(chain.records))]
         modes = Superposition(chain, other, drive, aux)
-        found.append((modes.typical_um(modes.refined(modes.solved(poles, modes.aux), STEPS)), modes))
-    return min(found, key=lambda f: f[0])[1]
+        found.append(
+            (float(modes.density(modes.refined(modes.solved(poles, modes.aux), STEPS)).sum()), modes)
+        )
+    return max(found, key=lambda f: f[0])[1]
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,10 +152,13 @@ class Superposition:
             torch.from_numpy(np.stack([own, *(record.aux[name] for name in self.aux)]))
             for own, record in zip(drive, self.records, strict=True)
         ]
-        rows = np.concatenate([chain.rows(base, i) for i in range(len(self.records))], 1)
+        rows = np.concatenate([chain.rows(base, i)[: base.nominal.kept] for i in range(len(self.records))], 1)
         self.static = np.vstack([np.ones(rows.shape[1]), rows])
         self.driving = np.concatenate([inputs.numpy() for inputs in self.inputs], 1)
-        fitted = [r.fitted + end - len(r.y) for r, end in zip(self.records, self.ends, strict=True)]
+        self.weighting = chain.weighting
+        fitted = [
+            np.flatnonzero(r.train) + end - len(r.y) for r, end in zip(self.records, self.ends, strict=True)
+        ]
         joined = np.concatenate(fitted)
         self.fitted = joined[:: -(-len(joined) // AT_MOST)]
         first = np.append(0, self.ends)
@@ -176,7 +180,7 @@ class Superposition:
         now = self.without_the_unseen(self.without_the_needless(self.refined(now, CLOSING)))
         for name in now.aux:
             less = self.solved(now.poles, tuple(one for one in now.aux if one != name))
-            if not self.earns(now, less, INPUT_GAIN):
+            if not self.earns(now, less):
                 now = less
         return now if now.aux and len(now.poles) else None
 
@@ -191,8 +195,8 @@ class Superposition:
         for frequency in list(dict.fromkeys(frequency for frequency, _ in starts))[:TRIED]:
             poles = np.vstack([now.poles, [[frequency, best[frequency]]]])
             more = self.refined(self.solved(poles, now.aux), STEPS)
-            # Evidence would ask that no quiet band be disturbed: too much while loud modes are missing.
-            if self.seen(more).all() and self.lowers(more, now, LEAST_GAIN):
+            # To predict no quiet cell worse would be too much while loud modes are missing.
+            if self.seen(more).all() and more.squares < (1 - LEAST_GAIN) ** 2 * now.squares:
                 return more
         return None
 
@@ -216,7 +220,7 @@ class Superposition:
         while len(now.poles):
             least = int(np.argmin(self.losses(now)))
             less = self.refined(self.solved(np.delete(now.poles, least, 0), now.aux), STEPS)
-            if self.earns(now, less, LEAST_GAIN):
+            if self.earns(now, less):
                 break
             now = less
         return now
@@ -241,20 +245,17 @@ class Superposition:
         loudest = max(range(len(parts)), key=lambda i: float(np.mean(parts[i] ** 2)))
         return peaks_hz(torch.from_numpy(parts[loudest]), self.records[loudest].fs_hz)
 
-    def earns(self, more: Solved, less: Solved, least: float) -> bool:
+    def earns(self, more: Solved, less: Solved) -> bool:
         """Whether what is more earns its place."""
         numbers = len(more.coefficients) - len(less.coefficients) + 2 * (len(more.poles) - len(less.poles))
-        gained = evidence(self.residuals(less), self.residuals(more))
-        return self.lowers(more, less, least) and gained > LEAST_EVIDENCE + PER_NUMBER * numbers
+        return gain(self.density(more), self.density(less), -PER_NUMBER * numbers).probability > EARNS
 
-    def lowers(self, more: Solved, less: Solved, least: float) -> bool:
-        """Whether the error falls, of the fitted and of the held-out samples."""
-        fitted = more.squares < (1 - least) ** 2 * less.squares
-        return fitted and self.typical_um(more) < (1 - least) * self.typical_um(less)
-
-    def typical_um(self, now: Solved) -> float:
-        """Its error in a held-out block."""
-        return typical_of(self.records, self.residuals(now))
+    def density(self, now: Solved) -> np.ndarray:
+        """(cells,): its log density."""
+        squares = []
+        for record, e in zip(self.records, self.residuals(now), strict=True):
+            squares.append(np.bincount(record.haar.cell, record.haar(e[None])[0] ** 2))
+        return self.weighting.of_squares(np.concatenate(squares) / self.weighting.counts)
 
     def residuals(self, now: Solved) -> list[np.ndarray]:
         """(time,) for each recording, µm."""

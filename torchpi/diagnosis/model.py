@@ -10,14 +10,14 @@ from torchpi.stage.effects.effect import Seen
 from torchpi.stage.effects.mechanics.modal import ModalEffect
 
 
-def augmented_stage(now: Fit, seen: Seen, noise_um: float) -> Stage:
+def augmented_stage(now: Fit, recordings: int, seen: Seen, noise_um: float) -> Stage:
     """The fitted chain at the highest sample rate of the recordings.
 
     A parameter that each recording has for itself becomes their mean where all agree in sign, and its
     identity where they do not: the phase of the mains, for one, is another in the next recording.
     """
-    nominal, zero_um = now.hypothesis.nominal, float(now.weights[-1])
-    rows = now.weights[:-1]
+    nominal = now.hypothesis.nominal
+    rows = now.weights[: nominal.kept]
     weights = rows if nominal.mixing is None else nominal.mixing.T @ rows
     hysteresis = {
         "thresholds_v": nominal.thresholds_v.tolist(),
@@ -46,7 +46,7 @@ def augmented_stage(now: Fit, seen: Seen, noise_um: float) -> Stage:
         max_voltage_v=seen.high_v,
         noise_um=noise_um,
         stepped=now.hypothesis.held,
-        zero_um=zero_um,
+        zero_um=float(np.mean(now.weights[-recordings:])),
     )
 
 

@@ -1,50 +1,168 @@
-"""The noise floor, from where nothing moves: rests of the input long enough for the stage to settle."""
+"""The noise of a reading, from data in which nothing else happens; never from the residual of a fit."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
-from torchpi.diagnosis.multisine import periodic_stretches
+from torchpi.diagnosis.haar import Haar
+from torchpi.diagnosis.lines import without_lines
+from torchpi.diagnosis.multisine import SAME, periodic_stretches
 from torchpi.diagnosis.records import Record
 
-LEAST_REST = 200
-"""Samples of a rest from which a level is taken."""
+LEAST_HOLD = 200
+"""Samples of a hold from which a level is taken."""
+STILL, SMALL = (0.5, 1.5), 0.005
+"""Von Neumann's ratio of a monitored voltage that holds: half the mean squared successive difference over the
+variance is 1 for white noise, and small where it moves; and its standard deviation, of the span."""
+LEAST_PERIODS = 3
+"""Of an input that repeats: the first still has the transient of the start."""
+LEAST_COEFFICIENTS = 8
+"""Of a scale from which its variance is taken; the next slower ones are extrapolated."""
+STEEPEST = 1.5
+"""Slope of an extrapolated spectrum, as 1/f to this power."""
 
 
-def noise_floor_um(records: Sequence[Record], lsb_um: float = 0.0) -> float | None:
-    """The noise of one reading: from rests where there are any, else from repeats; None without both."""
-    rests = of_rests(records)
-    found = rests if rests is not None else of_repeats(records)
-    # Readings on a lattice rest on one of its lines: its own noise, uniform, comes on top.
-    return None if found is None else float(np.hypot(found, lsb_um / np.sqrt(12)))
+@dataclass(frozen=True, eq=False)
+class Noise:
+    """What was measured of the noise."""
+
+    rms_um: float
+    """Of one reading."""
+    variance_um2: np.ndarray
+    """(levels,): of a Haar coefficient on each scale, the fastest first; the last one's slope goes on."""
+    fs_hz: float
+    """Of the recordings that it was measured in."""
+    source: str
+    """What it was measured from."""
+
+    def level_um2(self, level: int) -> float:
+        """The variance on a scale, 1 for differences of neighbours."""
+        known = self.variance_um2
+        if level <= len(known):
+            return float(known[level - 1])
+        last = np.log2(known[-3:])
+        slope = float(np.clip(np.diff(last).mean(), 0.0, STEEPEST)) if len(last) > 1 else 0.0
+        return float(known[-1] * 2 ** (slope * (level - len(known))))
+
+    def with_converter(self, lsb_um: float) -> "Noise":
+        """The same where readings lie on a lattice: a hold may stay on one line of it."""
+        own = lsb_um**2 / 12
+        return Noise(
+            float(np.hypot(self.rms_um, np.sqrt(own))), self.variance_um2 + own, self.fs_hz, self.source
+        )
 
 
-def of_repeats(records: Sequence[Record]) -> float | None:
-    """From the difference of the last two periods of an input that repeats itself."""
-    squares, count = 0.0, 0
-    for record in records:
-        for stretch in periodic_stretches(record.u):
-            end = stretch.start + stretch.periods * stretch.period
-            last, before = record.y[end - stretch.period : end], record.y[: end - stretch.period]
-            squares += float(((last - before[-stretch.period :]) ** 2).sum()) / 2
-            count += stretch.period
-    return float(np.sqrt(squares / count)) if count else None
+def measured_noise(records: Sequence[Record], residuals: Sequence[np.ndarray] | None = None) -> Noise | None:
+    """From holds of the command where there are any, else from repeats of it, within a recording or from one
+    to another; None without all three.
 
-
-def of_rests(records: Sequence[Record]) -> float | None:
-    """Standard deviation of the readings about a slow curve over each rest; None where there is no rest.
-
-    The first half of a rest belongs to what came before it; a cubic takes creep out of the other.
+    Args:
+        records: The recordings.
+        residuals: (time,) each: of a simulation, in the place of the readings. They have the noise of a
+            monitored voltage as well.
     """
-    squares, degrees = 0.0, 0
-    for record in records:
-        edges = np.flatnonzero(np.diff(record.u) != 0) + 1
-        for part in np.split(record.y, edges):
-            rest = part[len(part) // 2 :]
-            if len(rest) < LEAST_REST // 2:
-                continue
-            x = np.linspace(-1, 1, len(rest))
-            fitted = np.polynomial.polynomial.polyval(x, np.polynomial.polynomial.polyfit(x, rest, 3))
-            squares += float(((rest - fitted) ** 2).sum())
-            degrees += len(rest) - 4
-    return float(np.sqrt(squares / degrees)) if degrees else None
+    if residuals is not None:
+        records = [replace(record, y=e) for record, e in zip(records, residuals, strict=True)]
+    sources = (
+        ("holds of the voltage", of_holds),
+        ("periods that repeat, the first left out", of_repeats),
+        ("recordings of the same voltage", of_second_recordings),
+    )
+    for source, pieces in sources:
+        found = [(record, list(pieces(record, records))) for record in records]
+        longest = max((r.fs_hz for r, parts in found if parts), default=None)
+        used = [part for record, parts in found if record.fs_hz == longest for part in parts]
+        if used:
+            assert longest is not None
+            rms_um, variance = spectrum_of(used)
+            if rms_um > 0:
+                return Noise(rms_um, variance, longest, source)
+    return None
+
+
+def spectrum_of(pieces: Sequence[np.ndarray]) -> tuple[float, np.ndarray]:
+    """Rms, and (levels,) the variance of a Haar coefficient, of pieces of noise, (time,) each."""
+    squares, counts = np.zeros(40), np.zeros(40)
+    for piece in pieces:
+        haar = Haar.of(piece, len(piece), np.ones(len(piece), bool), len(piece))
+        full = haar.full(piece[None])[0]
+        for level in range(1, haar.levels + 1):
+            first, stop = haar.places(level)
+            stop = first + len(piece) // 2**level  # beyond it, padding
+            squares[level - 1] += float((full[first:stop] ** 2).sum())
+            counts[level - 1] += stop - first
+    known = counts >= LEAST_COEFFICIENTS
+    known[int(np.argmin(known)) :] = False
+    rms_um = float(np.sqrt(sum(float(p @ p) for p in pieces) / sum(len(p) for p in pieces)))
+    if not known.any():
+        return rms_um, np.array([rms_um**2])
+    variance = squares[known] / counts[known]
+    # Readings on a lattice differ by nothing at all for long.
+    return rms_um, np.maximum(variance, 1e-4 * rms_um**2)
+
+
+def of_holds(record: Record, records: Sequence[Record]) -> Iterator[np.ndarray]:
+    """The second half of each hold, less a cubic that takes creep out of it and less its lines."""
+    for hold in holds(record.u):
+        half = record.y[(hold.start + hold.stop) // 2 : hold.stop]
+        x = np.linspace(-1, 1, len(half))
+        smooth = np.polynomial.polynomial.polyval(x, np.polynomial.polynomial.polyfit(x, half, 3))
+        yield without_lines((half - smooth) * np.sqrt(len(half) / (len(half) - 4)))
+
+
+def holds(u: np.ndarray) -> list[slice]:
+    """Where a voltage holds, `LEAST_HOLD` samples or more: commanded, or monitored with noise of its own."""
+    span = float(np.ptp(u))
+    edges = np.flatnonzero(np.diff(u) != 0) + 1
+    found = [
+        slice(start, stop)
+        for start, stop in zip([0, *edges.tolist()], [*edges.tolist(), len(u)], strict=True)
+        if stop - start >= LEAST_HOLD
+    ]
+    if found or span == 0.0:
+        return found
+    start = 0
+    while start + LEAST_HOLD <= len(u):
+        stop = start + LEAST_HOLD
+        if not _still(u[start:stop], span):
+            start += LEAST_HOLD // 4
+            continue
+        while stop < len(u) and _still(u[start : min(stop + LEAST_HOLD, len(u))], span):
+            stop = min(stop + LEAST_HOLD, len(u))
+        found.append(slice(start, stop))
+        start = stop
+    return found
+
+
+def _still(u: np.ndarray, span: float) -> bool:
+    variance = float(u.var())
+    ratio = float((np.diff(u) ** 2).mean()) / 2 / max(variance, 1e-300)
+    return variance < (SMALL * span) ** 2 and (variance == 0.0 or STILL[0] < ratio < STILL[1])
+
+
+def of_repeats(record: Record, records: Sequence[Record]) -> Iterator[np.ndarray]:
+    """Differences of neighbouring periods, over root two, each less its own line."""
+    for stretch in periodic_stretches(record.u):
+        if stretch.periods >= LEAST_PERIODS:
+            end = stretch.start + stretch.periods * stretch.period
+            periods = record.y[stretch.start : end].reshape(stretch.periods, stretch.period)
+            for before, after in pairwise(periods[1:]):
+                yield _straightened(after - before) / np.sqrt(2)
+
+
+def of_second_recordings(record: Record, records: Sequence[Record]) -> Iterator[np.ndarray]:
+    """The difference to a later recording of the same voltage, its first half left out."""
+    place = next(i for i, one in enumerate(records) if one is record)
+    for other in records[place + 1 :]:
+        same = other.fs_hz == record.fs_hz and len(other.u) == len(record.u)
+        if same and np.abs(other.u - record.u).max() <= SAME * np.ptp(record.u):
+            yield _straightened((other.y - record.y)[len(record.y) // 2 :]) / np.sqrt(2)
+
+
+def _straightened(x: np.ndarray) -> np.ndarray:
+    """Less its mean and slope."""
+    t = np.linspace(-1, 1, len(x))
+    straight: np.ndarray = x - x.mean() - t * (t @ x) / (t @ t)
+    return straight

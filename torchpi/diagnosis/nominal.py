@@ -1,6 +1,7 @@
 """The nominal hysteresis: rows of elementary states, linear in their weights."""
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -57,7 +58,7 @@ class Nominal:
         """Numbers in it, before any mixing."""
         return len(self.thresholds_v) * self.degree + self.bouc_wen + 3 * self.duhem
 
-    @property
+    @cached_property
     def structure(self) -> tuple[object, ...]:
         """What tells two sets of rows apart, beside the shape."""
         mixed = None if self.mixing is None else self.mixing.tobytes()

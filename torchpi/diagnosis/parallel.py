@@ -1,6 +1,10 @@
 """Independent fits and screens, here or in any executor of `concurrent.futures`."""
 
+import os
 import pickle
+import signal
+import threading
+import time
 from collections.abc import Sequence
 from concurrent.futures import Executor
 
@@ -10,6 +14,7 @@ import torch
 from torchpi.diagnosis.chain import Chain
 from torchpi.diagnosis.fit import fit
 from torchpi.diagnosis.hypothesis import Fit, Hypothesis, Member
+from torchpi.diagnosis.score import Weighting
 from torchpi.diagnosis.screen import Candidate, Screen
 
 PIECES = 2
@@ -24,7 +29,9 @@ def fit_all(chain: Chain, jobs: Sequence[Job], executor: Executor | None) -> lis
     if executor is None:
         return [fit(chain, *job) for job in jobs]
     key, packed = chain.packed
-    return list(executor.map(_fit_elsewhere, [key] * len(jobs), [packed] * len(jobs), jobs))
+    return list(
+        executor.map(_fit_elsewhere, *([one] * len(jobs) for one in (key, packed, chain.weighting)), jobs)
+    )
 
 
 def screen_all(
@@ -35,12 +42,25 @@ def screen_all(
         return [_candidates(chain, now, members) for now, members in screens]
     key, packed = chain.packed
     pieces = [(now, members[k::PIECES]) for now, members in screens for k in range(PIECES)]
-    found = list(executor.map(_screen_elsewhere, [key] * len(pieces), [packed] * len(pieces), pieces))
+    shared = ([one] * len(pieces) for one in (key, packed, chain.weighting))
+    found = list(executor.map(_screen_elsewhere, *shared, pieces))
     together: list[list[Candidate]] = []
     for first, (_, members) in zip(range(0, len(found), PIECES), screens, strict=True):
         each = [iter(piece) for piece in found[first : first + PIECES]]
         together.append([next(each[k % PIECES]) for k in range(len(members))])
     return together
+
+
+def end_with_parent(parent: int) -> None:
+    """In a worker: leave an interrupt to the parent, and end when the parent is gone, however it ended."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(0.5)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
 
 
 def get_ready() -> None:
@@ -50,12 +70,14 @@ def get_ready() -> None:
 _chains: dict[str, Chain] = {}
 
 
-def _fit_elsewhere(key: str, packed: bytes, job: Job) -> Fit:
-    return fit(_chain(key, packed), *job)
+def _fit_elsewhere(key: str, packed: bytes, weighting: Weighting, job: Job) -> Fit:
+    return fit(_chain(key, packed, weighting), *job)
 
 
-def _screen_elsewhere(key: str, packed: bytes, piece: tuple[Fit, Sequence[Member]]) -> list[Candidate]:
-    return _candidates(_chain(key, packed), *piece)
+def _screen_elsewhere(
+    key: str, packed: bytes, weighting: Weighting, piece: tuple[Fit, Sequence[Member]]
+) -> list[Candidate]:
+    return _candidates(_chain(key, packed, weighting), *piece)
 
 
 def _candidates(chain: Chain, now: Fit, members: Sequence[Member]) -> list[Candidate]:
@@ -63,10 +85,11 @@ def _candidates(chain: Chain, now: Fit, members: Sequence[Member]) -> list[Candi
     return [screen.candidate(member) for member in members]
 
 
-def _chain(key: str, packed: bytes) -> Chain:
+def _chain(key: str, packed: bytes, weighting: Weighting) -> Chain:
     """The recordings in a worker, which keeps those that it saw last."""
     if key not in _chains:
         torch.set_num_threads(1)
         _chains.clear()
-        _chains[key] = Chain(pickle.loads(packed))
+        _chains[key] = Chain(pickle.loads(packed), weighting)
+    _chains[key].weighting = weighting
     return _chains[key]

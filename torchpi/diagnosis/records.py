@@ -1,17 +1,20 @@
-"""What the search works on: the recordings, cut into what is fitted and what is held out."""
+"""What the search works on: the recordings, and which of their samples it may see."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from torchpi.diagnosis.haar import Haar
 from torchpi.recordings.recording import Recording
 from torchpi.stage.effects.effect import Seen
 
-HELD_OUT = (0.25, 0.55, 0.85)
-"""Where the held-out tenths of a recording begin."""
-RARE, EDGE, SHOWS = 0.999, 1.5, 8
-"""An edge moves the command so many times farther than this share of samples does; samples it shows."""
+SEALED = 0.15
+"""Share of each recording, its end, that neither a fit nor the choice between hypotheses sees."""
+AT_MOST = 30_000
+"""Coefficients that a search sums over, of all recordings."""
+LEVELS = 8.0
+"""Scales among which they are shared out."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,7 +29,7 @@ class Rests:
 
 @dataclass(frozen=True, eq=False)
 class Record:
-    """One recording, and which of its samples are fitted."""
+    """One recording, and what of it is fitted."""
 
     name: str
     u: np.ndarray
@@ -34,11 +37,9 @@ class Record:
     fs_hz: float
     aux: dict[str, np.ndarray]
     train: np.ndarray
-    """(time,), bool; the rest is held out."""
-    fitted: np.ndarray
-    """Indices of the training samples that a fit sums over: few enough for a search to be quick."""
-    held_out: tuple[slice, ...] = ()
-    """The blocks that are held out."""
+    """(time,), bool; the rest is sealed."""
+    haar: Haar
+    """The coefficients that a fit sums over."""
     rests: Rests | None = None
     """None where no mount that sticks was seen."""
 
@@ -46,53 +47,46 @@ class Record:
         """The command that y(k) answers: that of tick k, or of `alignment` ticks before."""
         if alignment == 0:
             return self.u
-        return np.concatenate([np.zeros(alignment), self.u[:-alignment]])
+        return np.concatenate([np.full(alignment, self.u[0]), self.u[:-alignment]])
 
     @property
     def period_s(self) -> float:
         return 1.0 / self.fs_hz
 
 
-def prepare(recordings: Sequence[Recording], at_most: int = 25_000) -> list[Record]:
-    """Three contiguous tenths of each recording are held out: the state carries over to them.
+def prepare(recordings: Sequence[Recording], dropouts: Sequence[np.ndarray]) -> list[Record]:
+    """The recordings with their ends sealed.
 
-    Fits sum over every so many training samples, about `at_most` in all, and over those after an edge.
+    Args:
+        recordings: One or more.
+        dropouts: For each the indices of readings that do not count.
     """
-    stride = max(1, round(0.7 * sum(len(recording.u) for recording in recordings) / at_most))
-    records = []
-    for recording in recordings:
-        train = np.ones(len(recording.u), dtype=bool)
-        blocks = tuple(slice(int(start * len(train)), int((start + 0.1) * len(train))) for start in HELD_OUT)
-        for block in blocks:
-            train[block] = False
-        records.append(_record(recording, train, stride, blocks))
-    return records
+    return [
+        _record(recording, int((1 - SEALED) * len(recording.u)), wrong, len(recordings))
+        for recording, wrong in zip(recordings, dropouts, strict=True)
+    ]
 
 
-def whole(recordings: Sequence[Recording], at_most: int = 40_000) -> list[Record]:
-    """The same with nothing held out: what the model that is left behind is fitted to."""
-    stride = max(1, round(sum(len(recording.u) for recording in recordings) / at_most))
-    return [_record(r, np.ones(len(r.u), dtype=bool), stride) for r in recordings]
+def whole(recordings: Sequence[Recording], dropouts: Sequence[np.ndarray]) -> list[Record]:
+    """The same with nothing sealed: what the model that is left behind is fitted to."""
+    return [
+        _record(recording, len(recording.u), wrong, len(recordings))
+        for recording, wrong in zip(recordings, dropouts, strict=True)
+    ]
 
 
-def _record(recording: Recording, train: np.ndarray, stride: int, held_out: tuple[slice, ...] = ()) -> Record:
-    u = recording.u.astype(np.float64)
-    fitted = np.zeros(len(u), dtype=bool)
-    fitted[np.flatnonzero(train)[::stride]] = True
-    fitted |= after_edges(u) & train
+def _record(recording: Recording, samples: int, wrong: np.ndarray, recordings: int) -> Record:
+    u, y = recording.u.astype(np.float64), recording.y.astype(np.float64)
+    train, valid = np.arange(len(u)) < samples, np.ones(len(u), dtype=bool)
+    valid[wrong] = False
+    train &= valid
+    # What the command does at once, and what the readings do: edges, and rings after them.
+    activity = np.diff(y, 2, prepend=y[:1], append=y[-1:])
+    at_most = max(200, int(AT_MOST / recordings / LEVELS) * 2)
     return Record(
-        recording.name, u, recording.y.astype(np.float64), recording.fs_hz, recording.aux, train,
-        np.flatnonzero(fitted), held_out,
+        recording.name, u, y, recording.fs_hz, recording.aux, train,
+        Haar.of(activity, samples, valid, at_most),
     )  # fmt: skip
-
-
-def after_edges(u: np.ndarray) -> np.ndarray:
-    """(time,), bool: the few samples in which a limit of the rate, or a quick lag, shows at all."""
-    moves = np.abs(np.diff(u, prepend=u[0]))
-    after = np.zeros(len(u), dtype=bool)
-    for edge in np.flatnonzero(moves > EDGE * np.quantile(moves, RARE)):
-        after[edge : edge + SHOWS] = True
-    return after
 
 
 def seen(records: Sequence[Record]) -> Seen:
@@ -101,7 +95,7 @@ def seen(records: Sequence[Record]) -> Seen:
     names = {name for record in records for name in record.aux}
     return Seen(
         fs_hz=max(record.fs_hz for record in records),
-        duration_s=max(len(record.u) / record.fs_hz for record in records),
+        duration_s=max(record.haar.samples / record.fs_hz for record in records),
         low_v=min(float(record.u.min()) for record in records),
         high_v=max(float(record.u.max()) for record in records),
         # Steps between long holds are too few for a percentile to see.

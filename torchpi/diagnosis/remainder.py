@@ -1,4 +1,4 @@
-"""The unknown path: what every named effect leaves, by ridge regression, judged on held-out samples."""
+"""The unknown path: what every named effect leaves, by ridge regression on what a general memory shows."""
 
 from dataclasses import replace
 
@@ -6,24 +6,26 @@ import numpy as np
 import torch
 
 from torchpi.diagnosis.chain import Chain
-from torchpi.diagnosis.fit import rms
+from torchpi.diagnosis.fit import Sensitivity, jacobian, left_out, rms
 from torchpi.diagnosis.hypothesis import Fit, Member
 from torchpi.diagnosis.records import seen
+from torchpi.diagnosis.score import gain
 from torchpi.stage.effects.unknown import TIMES, Unknown
 
-RIDGES = (1e-2, 1e-3, 1e-4, 1e-5)
-MIDDLE_RIDGE = 1e-3
-LEAST_GAIN = 0.01
+RIDGES = (1e-1, 1e-2, 1e-3, 1e-4)
+EARNS = 0.95
+"""Probability that the recordings are predicted better with the remainder than without."""
+FAINT = 0.3
+"""Of the rms that is left."""
 LARGEST = Unknown.quantities["a0"].at_most
 
 
-def with_remainder(chain: Chain, now: Fit, judged: bool = True) -> Fit | None:
-    """The fit with the unknown remainder at the end of its chain; None if that does not help held-out data.
+def with_remainder(chain: Chain, now: Fit, ridge: float | None = None) -> tuple[Fit, float] | None:
+    """The fit with the unknown remainder at the end of its chain, and its ridge.
 
-    Not `judged`, where nothing is held out, it takes the middle ridge.
-
-    The remainder is fitted to the residual off the tangent of the weights: what retuning could do is not
-    its.
+    None if it predicts no better, or removes less than `FAINT` of the rms that is left. It is fitted to the
+    residual off the tangent of the weights: what retuning could do is not the remainder's. With a `ridge`
+    given, nothing is chosen or judged.
     """
     records, what = chain.records, seen(chain.records)
     frame = {
@@ -35,25 +37,29 @@ def with_remainder(chain: Chain, now: Fit, judged: bool = True) -> Fit | None:
         n: min(max(v, Unknown.quantities[n].at_least), Unknown.quantities[n].at_most)
         for n, v in frame.items()
     }
-    columns, tangents = [], []
+    columns, tangents, errors = [], [], []
     for i, (record, residual) in enumerate(zip(records, now.residuals, strict=True)):
-        y, directions = chain.output_and_directions(now.hypothesis, now.weights, i)
+        y, (places, rows) = jacobian(chain, now.hypothesis, now.weights, (), np.zeros(0), i)
+        tangent = np.zeros((len(now.weights), rows.shape[1]))
+        tangent[places] = rows
         module = Unknown(record.period_s, **frame)
-        columns.append(module.columns(torch.from_numpy(y)[None]).detach().numpy())
-        tangents.append(directions)
-        assert len(residual) == columns[-1].shape[1]
-    fitted = [(c[:, r.fitted], t[:, r.fitted], e[r.fitted]) for c, t, r, e in
-              zip(columns, tangents, records, now.residuals, strict=True)]  # fmt: skip
-    inner = sum(t @ t.T for _, t, _ in fitted)
-    inner = inner + 1e-9 * np.diag(np.diag(inner))
-    across = sum(t @ c.T for c, t, _ in fitted)
+        columns.append(chain.whitened(i, module.columns(torch.from_numpy(y)[None]).detach().numpy()))
+        tangents.append(tangent)
+        errors.append(chain.whitened(i, residual[None])[0])
+    inner = np.sum([t @ t.T for t in tangents], 0)
+    inner = inner + 1e-9 * np.diag(np.diag(inner)) + 1e-300 * np.eye(len(inner))
+    across = np.sum([t @ c.T for t, c in zip(tangents, columns, strict=True)], 0)
     removed = np.linalg.solve(inner, across)
-    gram = sum(c @ c.T for c, _, _ in fitted) - across.T @ removed
-    right = sum(c @ e for c, _, e in fitted) - removed.T @ sum(t @ e for _, t, e in fitted)
+    gram = np.sum([c @ c.T for c in columns], 0) - across.T @ removed
+    right = np.sum([c @ e for c, e in zip(columns, errors, strict=True)], 0)
+    right -= removed.T @ np.sum([t @ e for t, e in zip(tangents, errors, strict=True)], 0)
     size = np.sqrt(np.maximum(np.diag(gram), 1e-300))
-    best: Fit | None = None
-    for ridge in RIDGES if judged else (MIDDLE_RIDGE,):
-        unit = gram / size / size[:, None] + ridge * np.eye(len(size))
+    every = np.arange(len(inner) + len(right))
+    parts = [Sensitivity(every, np.concatenate([t, c])) for t, c in zip(tangents, columns, strict=True)]
+    best: tuple[Fit, float] | None = None
+    density = chain.weighting.log_density
+    for one_ridge in RIDGES if ridge is None else (ridge,):
+        unit = gram / size / size[:, None] + one_ridge * np.eye(len(size))
         a = np.linalg.solve(unit, right / size) / size
         if np.abs(a).max() > LARGEST:
             continue
@@ -63,13 +69,18 @@ def with_remainder(chain: Chain, now: Fit, judged: bool = True) -> Fit | None:
         )
         hypothesis = replace(now.hypothesis, members=(*now.hypothesis.members, member))
         residuals = tuple(record.y - chain.output(hypothesis, weights, i) for i, record in enumerate(records))
+        prior = np.diag(np.concatenate([np.zeros(len(inner)), one_ridge * size**2]))
         one = replace(
             now, hypothesis=hypothesis, weights=weights, residuals=residuals,
-            train_rms=rms(records, residuals, True),
-            heldout_rms=rms(records, residuals, False) if judged else 0.0,
+            train_rms=rms(records, residuals, True), heldout_rms=rms(records, residuals, False),
+            left_out_um2=left_out(chain, residuals, parts, prior),
         )  # fmt: skip
-        if best is None or one.heldout_rms < best.heldout_rms:
-            best = one
-    if best is None or (judged and best.heldout_rms >= (1 - LEAST_GAIN) * now.heldout_rms):
+        if best is None or density(one).sum() > density(best[0]).sum():
+            best = one, one_ridge
+    if best is None:
+        return None
+    removed_um2 = now.train_rms**2 - best[0].train_rms ** 2
+    faint = removed_um2 < (FAINT * now.train_rms) ** 2
+    if ridge is None and (faint or gain(density(best[0]), density(now)).probability < EARNS):
         return None
     return best

@@ -1,67 +1,108 @@
 """The paragraph that a colleague understands."""
 
+import re
 from collections.abc import Sequence
 
 from torchpi.diagnosis.decide import Decision
 from torchpi.diagnosis.diagnosis import Errors, NamedEffect, NextRecording
+from torchpi.diagnosis.noise import Noise
+
+CERTAIN, LIKELY = 0.9, 0.5
+"""Probabilities from which an effect is missing without qualification, and probably."""
+REMAINDER_HELPS = 0.97
+"""Of the error without it: below this the unknown remainder is worth a sentence."""
+UNIT_SUFFIX = re.compile(r"_(hz|v|um|s|v_s|(?:(?:v|um|s)_)?per_(?:v2|v|um2|um|s|mm))$")
 
 
 def paragraph(
-    decision: Decision, errors: Sequence[Errors], floor_um: float, measured: bool, next_one: NextRecording
+    decision: Decision,
+    errors: Sequence[Errors],
+    noise: Noise | None,
+    next_one: NextRecording,
+    leftovers: Sequence[str] = (),
 ) -> str:
-    """What was found, how sure it is, what it buys, what remains, and what to record next.
+    """What was found, how probable it is, what it buys, what remains, and what to record next.
 
-    `measured` is whether the floor is that of rests or repeats, and not the smallest error reached.
+    Args:
+        decision: The named effects, and what they leave.
+        errors: Of the simulation as given, retuned and augmented.
+        noise: What was measured of it; None where nothing measures it.
+        next_one: The next recording.
+        leftovers: Where the residual of the augmented simulation stands out, one phrase each.
     """
     nominal, retuned, augmented = errors
-    noise = f"about {nm(floor_um)}" if measured else f"{nm(floor_um)} at most (no rest or repeat measures it)"
     parts = [
-        f"The simulation misses the held-out samples by {nm(nominal.heldout_rms_um)} rms, "
-        f"{nm(retuned.heldout_rms_um)} when it is retuned; the noise is {noise}."
+        f"On the held-out samples the simulation has an error of {nm(nominal.heldout_rms_um)} rms, "
+        f"{nm(retuned.heldout_rms_um)} once it is retuned; {noise_clause(noise)}."
     ]
     if decision.verdict == "nothing_missing":
         parts.append("Nothing is missing: what is left is noise, as far as these recordings show.")
-    for effect in decision.effects:
-        parts.append(sentence(effect))
+    parts += [sentence(effect) for effect in decision.effects]
     if decision.effects:
         parts.append(f"With that the error falls to {nm(augmented.heldout_rms_um)}.")
+    for one in decision.open:
+        if one.probability < LIKELY:
+            text = f"with a probability of {percent(one.probability)} it is too uncertain to be named"
+            parts.append(f"There may also be {spoken(one.name)}: {text}.")
     if decision.verdict == "partly_explained":
+        # Without the noise it is not known how much of what is left is noise.
+        much = "Part" if noise is None else percent(decision.unexplained_share)
         parts.append(
-            f"{percent(decision.unexplained_share)} of the squared mismatch has no name: "
-            "none of the known effects explains it."
+            f"{much} of the squared residual stays unexplained: none of the known effects accounts for it."
         )
     if decision.verdict == "unexplained":
-        parts.append(
-            "Something is missing that none of the known effects explains well enough to be named"
-            + (
-                f"; a nameless remainder brings the error to {nm(augmented.heldout_rms_um)}."
-                if augmented.heldout_rms_um < 0.97 * retuned.heldout_rms_um
-                else "."
-            )
-        )
+        text = "Something is missing, but none of the known effects explains it well enough to be named"
+        if augmented.heldout_rms_um < REMAINDER_HELPS * retuned.heldout_rms_um:
+            text += f"; an unnamed remainder lowers the error to {nm(augmented.heldout_rms_um)}"
+        parts.append(text + ".")
+    if leftovers:
+        parts.append(f"What is left stands out in {'; '.join(leftovers)}.")
     parts.append(f"Next: {next_one.why}")
     return " ".join(parts)
 
 
+def noise_clause(noise: Noise | None) -> str:
+    """How large the noise is and what measured it."""
+    if noise is None:
+        return "the noise was not measured: these recordings have no hold, no repeated period and no repeat"
+    return f"the noise, measured in {noise.source}, is {nm(noise.rms_um)}"
+
+
 def sentence(effect: NamedEffect) -> str:
-    """One effect, its size and its confidence."""
+    """One effect, its parameters, its share and its probability."""
     numbers = ", ".join(
-        f"{p.name} {p.value:.4g} {p.unit}".strip() if isinstance(p.value, float) else f"{p.name} {p.value}"
+        f"{spoken_parameter(p.name)} {p.value:.4g} {p.unit}".strip()
+        if isinstance(p.value, float)
+        else spoken(p.value)
         for p in effect.parameters[:3]
         if p.value != 0.0  # what differs between recordings has no common value
     )
+    inside = "; ".join(filter(None, (effect.form, numbers)))
     text = (
-        f"Missing is {spoken(effect.name)} in the {effect.block} ({numbers}), "
-        f"{percent(effect.share)} of the mismatch, probability {percent(effect.probability)}"
+        f"The simulation {lacks(effect.probability)} {spoken(effect.name)} in the {effect.block}"
+        f"{f' ({inside})' if inside else ''}: {percent(effect.share)} of the squared residual, "
+        f"probability {percent(effect.probability)}"
     )
     if effect.alternatives:
         others = " or ".join(spoken(name) for name in effect.alternatives)
-        text += f"; these recordings cannot tell it from {others}"
+        text += f"; these recordings cannot distinguish it from {others}"
     return text + "."
 
 
+def lacks(probability: float) -> str:
+    """The verb that goes with a probability."""
+    return "lacks" if probability >= CERTAIN else "probably lacks" if probability >= LIKELY else "may lack"
+
+
 def spoken(name: str) -> str:
+    """The name of an effect in prose."""
     return name.replace("_", " ")
+
+
+def spoken_parameter(name: str) -> str:
+    """The name of a parameter in prose, without its unit; of `frequency_hz[axis 1]`, "frequency [axis 1]"."""
+    bare, bracket, label = name.partition("[")
+    return spoken(UNIT_SUFFIX.sub("", bare)) + (f" {bracket}{label}" if bracket else "")
 
 
 def nm(length_um: float) -> str:
@@ -70,4 +111,7 @@ def nm(length_um: float) -> str:
 
 
 def percent(share: float) -> str:
+    """A share or a probability; never rounded up to certainty."""
+    if 0.995 <= share < 1.0:
+        return "over 99 %"
     return f"{100 * share:.0f} %" if share > 0.01 else f"{100 * share:.2g} %"

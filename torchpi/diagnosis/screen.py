@@ -1,8 +1,8 @@
 """Screen: how much of the residual each candidate could explain, before any refit.
 
 A candidate's direction is what it adds to the output from its start. Projected off the tangent of the
-present hypothesis, so that what refitting would swallow does not count, it says how much of the squared
-residual it takes away at most: one pass of the chain a start.
+present hypothesis, so that what refitting would absorb does not count, it says how much better the residual
+would be predicted at most: one pass of the chain a start.
 """
 
 from collections.abc import Sequence
@@ -11,14 +11,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from torchpi.diagnosis.chain import Chain
-from torchpi.diagnosis.fit import jacobian
+from torchpi.diagnosis.fit import jacobian, whitener
 from torchpi.diagnosis.hypothesis import Fit, Member
 from torchpi.diagnosis.records import Record
 from torchpi.stage.effects.effect import Effect, Parameters
 from torchpi.stage.effects.inside import InsideEffect
 from torchpi.stage.effects.mechanics.modal import ModalEffect
 
-SWALLOWED = 1e-7
+ROUNDING = 1e-7
 """Of a squared direction: less than this off the tangent is rounding."""
 
 
@@ -28,72 +28,76 @@ class Candidate:
 
     member: Member
     gain: float
-    """Share of the squared training residual that it could take away."""
-    held: bool
-    """Of the hypothesis that it was screened on."""
+    """Nats that it could gain, to first order."""
 
 
 class Screen:
     """The present fit, made ready to project candidates off its tangent."""
 
     def __init__(self, chain: Chain, now: Fit) -> None:
-        self.chain, self.now, records = chain, now, chain.records
-        self.records = records
-        tangents, self.bases = [], []
-        for i in range(len(records)):
+        self.chain, self.now, self.records = chain, now, chain.records
+        parts, self.bases = [], []
+        for i in range(len(self.records)):
             y, part = jacobian(self.chain, now.hypothesis, now.weights, now.slots, now.theta, i)
             self.bases.append(y)
-            tangents.append(part)
-        tangent = np.concatenate(tangents, axis=1)
-        gram = tangent @ tangent.T
-        scale = 1.0 / np.sqrt(np.maximum(np.diag(gram), 1e-300))
-        scaled = gram * scale * scale[:, None]
-        scaled[np.diag_indices_from(scaled)] += 1e-9
-        self.tangent = np.linalg.inv(np.linalg.cholesky(scaled)) * scale @ tangent
-        """(numbers, samples), orthonormal."""
-        self.residual = np.concatenate([e[r.fitted] for r, e in zip(records, now.residuals, strict=True)])
-        self.total = float(self.residual @ self.residual)
+            parts.append(part)
+        root = whitener(parts, np.zeros((0, 0)))
+        self.tangent = np.concatenate([root[:, part.places] @ part.rows for part in parts], axis=1)
+        """(numbers, coefficients), orthonormal."""
+        self.residual = np.concatenate([chain.whitened(i, e[None])[0] for i, e in enumerate(now.residuals)])
+        first = np.cumsum([0, *(record.haar.cells for record in self.records)])
+        self.cell = np.concatenate([r.haar.cell + k for r, k in zip(self.records, first, strict=False)])
+        self.inverse_sd = np.concatenate(chain.weighting.inverse_sd)
         self.left = self.off_tangent(self.residual[None])[0]
+        self.before = chain.weighting.of_squares(self.squares(self.left))
+
+    def squares(self, whitened: np.ndarray) -> np.ndarray:
+        """(cells,): mean squares, µm², of a whitened residual, (coefficients,)."""
+        found: np.ndarray = np.bincount(self.cell, (whitened / self.inverse_sd) ** 2)
+        found = found / self.chain.weighting.counts
+        return found
 
     def candidate(self, member: Member) -> Candidate:
         """Its gain, 0 if it moves nothing."""
         one_sided = not (signed(member) or member.effect.hold)
         gain = self.gain(self.off_tangent(self.directions(member)), one_sided)
-        return Candidate(member, gain, self.now.hypothesis.held)
+        return Candidate(member, gain)
 
     def off_tangent(self, directions: np.ndarray) -> np.ndarray:
-        """What refitting cannot swallow of directions, (directions, samples); 0 where that is rounding."""
+        """What refitting cannot absorb of directions, (directions, coefficients); 0 for rounding."""
         left: np.ndarray = directions - (directions @ self.tangent.T) @ self.tangent
         size, kept = (directions**2).sum(1), (left**2).sum(1)
-        left[kept <= SWALLOWED * size] = 0.0
+        left[kept <= ROUNDING * size] = 0.0
         return left
 
     def gain(self, off_tangent: np.ndarray, one_sided: bool = False) -> float:
-        """Share of the squared residual that these directions, (directions, samples), take away.
+        """Nats that these directions, (directions, coefficients), could gain, to first order.
 
         A single one-sided direction counts only with a positive factor.
         """
         gram, right = off_tangent @ off_tangent.T, off_tangent @ self.left
         alive = np.diag(gram) > 0
-        if not alive.any() or self.total == 0.0:
+        if not alive.any():
             return 0.0
         gram, right = gram[np.ix_(alive, alive)], right[alive]
         spread = np.sqrt(np.diag(gram))
         unit = gram / spread / spread[:, None] + 1e-9 * np.eye(len(spread))
-        coefficients = np.linalg.solve(unit, right / spread)
+        coefficients = np.linalg.solve(unit, right / spread) / spread
         if one_sided and coefficients[0] < 0:
             return 0.0
-        return float(coefficients @ (right / spread)) / self.total
+        after = self.left - coefficients @ off_tangent[alive]
+        gained = self.chain.weighting.of_squares(self.squares(after)) - self.before
+        return float(gained.sum())
 
     def directions(self, member: Member) -> np.ndarray:
-        """What it adds from its start, (directions, samples)."""
+        """What it adds from its start, (directions, coefficients)."""
         found = []
         for one in separate(member):
             hypothesis = self.now.hypothesis.plus(one)
             parts = []
-            for i, record in enumerate(self.records):
+            for i in range(len(self.records)):
                 moved = self.chain.output(hypothesis, self.now.weights, i) - self.bases[i]
-                parts.append(np.nan_to_num(moved[record.fitted]))
+                parts.append(self.chain.whitened(i, np.nan_to_num(moved)[None])[0])
             found.append(np.concatenate(parts))
         if member.effect.hold:
             # Where nothing static fits, the output is no guide.
@@ -101,13 +105,13 @@ class Screen:
         return np.array(found)
 
     def of_inputs(self, member: Member, aux: Sequence[str]) -> np.ndarray:
-        """What a dynamic block makes of the voltage and of auxiliary signals, (signals, samples)."""
+        """What a dynamic block makes of the voltage and of auxiliary signals, (signals, coefficients)."""
         hypothesis, found = self.now.hypothesis.plus(member), []
         for i, record in enumerate(self.records):
             # The fitted combination of a mixed hysteresis is its first row, the principal one its second.
             principal = self.chain.rows(hypothesis, i)[:2][-1]
             rows = np.stack([principal, *(record.aux[name] for name in aux)])
-            found.append(self.chain.moved(hypothesis, rows, i)[:, record.fitted])
+            found.append(self.chain.whitened(i, self.chain.moved(hypothesis, rows, i)))
         return np.concatenate(found, axis=1)
 
 

@@ -22,11 +22,11 @@ import numba
 import numpy as np
 
 from torchpi.diagnosis.chain import Chain
-from torchpi.diagnosis.compressed import compressed
 from torchpi.diagnosis.fit import ROUGH, fit, rms
 from torchpi.diagnosis.hypothesis import Fit, Member
 from torchpi.diagnosis.intervals import BLOCKS, quantile
 from torchpi.diagnosis.records import Record, Rests
+from torchpi.diagnosis.reduced_basis import reduced
 from torchpi.stage.effects.mechanics.stiction import Stiction
 
 JUMPS = (4.0, 8.0)
@@ -44,8 +44,6 @@ MEMORY = 4
 """Order of the rival's autoregression."""
 NEAR = np.linspace(-0.04, 0.04, 81)
 """Of the jump: how far from what parts the samples it is looked for in a free simulation."""
-AT_MOST = 25_000
-"""Slips that a fit sums over."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,8 +76,8 @@ def slips(chain: Chain, now: Fit, floor_um: float, lsb_um: float = 0.0) -> Slips
         floor_um: The noise of one reading.
         lsb_um: The step of the converter: readings go from one line to the next without any slip.
     """
-    rival = rms(chain.records, foretold(chain.records, now.residuals), False)
-    small = compressed(chain, now)
+    rival = rms(chain.records, one_step_rival(chain.records, now.residuals), True)
+    small = reduced(chain, now)
     quick = [
         found for times in JUMPS if (found := cut(chain, small, max(times * floor_um, LINES * lsb_um), rival))
     ]
@@ -92,15 +90,15 @@ def slips(chain: Chain, now: Fit, floor_um: float, lsb_um: float = 0.0) -> Slips
 
 def cut(chain: Chain, now: Fit, least_um: float, rival_um: float) -> Slips | None:
     """The fit where readings jump by so much, and what it gains on the rival; None where too few do."""
-    told = Chain(with_rests(chain.records, least_um))
+    told = Chain(with_rests(chain.records, least_um), chain.weighting)
     rests = [record.rests.stuck for record in told.records if record.rests]
-    slipped = sum(len(record.fitted) for record in told.records)
+    slipped = sum(int((r.train & ~r.rests.stuck).sum()) for r in told.records if r.rests)
     if np.mean(np.concatenate(rests)) < LEAST_STUCK or slipped < SLIPS_A_WEIGHT * len(now.weights):
         return None
     one = fit(told, now.hypothesis.plus(Member(Stiction, {})), now.weights, 3, ROUGH)
     far = [distance(told, one, i) for i in range(len(told.records))]
     jump_um = parting(told.records, far)
-    gain = 1.0 - rms(told.records, one_step(told, one, far, jump_um), False) / rival_um
+    gain = 1.0 - rms(told.records, one_step(told, one, far, jump_um), True) / rival_um
     return Slips(told, one, least_um, gain)
 
 
@@ -110,7 +108,7 @@ def jump(found: Slips, last: Fit) -> Jump:
     Its interval, 90 %, is a jackknife over blocks, and holds both.
     """
     records = found.chain.records
-    free = Chain([replace(record, rests=None) for record in records])
+    free = Chain([replace(record, rests=None) for record in records], found.chain.weighting)
     far = [distance(found.chain, last, i) for i in range(len(records))]
     parted = parting(records, far)
     tried = [parted * (1 + float(share)) for share in NEAR]
@@ -123,11 +121,8 @@ def jump(found: Slips, last: Fit) -> Jump:
 
 
 def with_rests(records: Sequence[Record], least_um: float) -> list[Record]:
-    """The records with where they are stuck; fits see the other samples only."""
-    found = [replace(record, rests=Rests(*resting(record.y, least_um))) for record in records]
-    told = [np.flatnonzero(r.train & ~r.rests.stuck) for r in found if r.rests]
-    stride = max(1, round(sum(len(places) for places in told) / AT_MOST))
-    return [replace(r, fitted=places[::stride]) for r, places in zip(found, told, strict=True)]
+    """The records with where they are stuck: there a chain moves nothing."""
+    return [replace(record, rests=Rests(*resting(record.y, least_um))) for record in records]
 
 
 def unaided(chain: Chain, last: Fit, jump_um: float) -> Fit:
@@ -137,7 +132,7 @@ def unaided(chain: Chain, last: Fit, jump_um: float) -> Fit:
     """
     without = fit(chain, last.hypothesis.without(Stiction.name), last.weights)
     slipping = slipping_freely(chain, last, jump_um)
-    return min(slipping, without, key=lambda one: one.heldout_rms)
+    return min(slipping, without, key=lambda one: one.train_rms)
 
 
 def slipping_freely(chain: Chain, one: Fit, jump_um: float) -> Fit:
@@ -198,7 +193,7 @@ def one_step(chain: Chain, one: Fit, far: Sequence[np.ndarray], jump_um: float) 
     return errors
 
 
-def foretold(records: Sequence[Record], residuals: Sequence[np.ndarray]) -> list[np.ndarray]:
+def one_step_rival(records: Sequence[Record], residuals: Sequence[np.ndarray]) -> list[np.ndarray]:
     """What is left of residuals when each is foretold from the last ones of its recording, µm."""
     lagged = [np.stack([np.r_[np.zeros(j), e[:-j]] for j in range(1, MEMORY + 1)]) for e in residuals]
     parts = [(past[:, r.train], e[r.train]) for past, r, e in zip(lagged, records, residuals, strict=True)]

@@ -97,15 +97,20 @@ def play_bank(
     are not wanted, `weighted_plays` makes none of them last.
     """
     if x.device.type == "cpu" and HAS_COMPILER:
-        return cast(Tensor, _play_bank(x, r, h0))
+        differentiable = torch.is_grad_enabled() and any(part.requires_grad for part in (x, r, h0))
+        # Calling a registered operation imports torch's compiler, seconds that a bare pass does without.
+        plain = not differentiable and not torch.compiler.is_compiling()
+        return _states(x, r, h0) if plain else cast(Tensor, _play_bank(x, r, h0))
     return play_scan(x, r, h0)
 
 
-@torch.library.custom_op("torchpi::play_bank", mutates_args=(), device_types="cpu")
-def _play_bank(x: Tensor, r: Tensor, h0: Tensor) -> Tensor:
+def _states(x: Tensor, r: Tensor, h0: Tensor) -> Tensor:
     h = x.new_empty(*x.shape, len(r))
     play_bank_forward(as_array(x), as_array(r), as_array(h0), h.numpy())
     return h
+
+
+_play_bank = torch.library.custom_op("torchpi::play_bank", _states, mutates_args=(), device_types="cpu")
 
 
 @torch.library.custom_op("torchpi::play_bank_backward", mutates_args=(), device_types="cpu")

@@ -29,7 +29,9 @@ def write_tensorboard(diagnosis: Diagnosis, output_dir: str | Path) -> Path:
 
 def _scalars(diagnosis: Diagnosis) -> dict[str, float]:
     fits = {"nominal": diagnosis.nominal, "retuned": diagnosis.retuned, "augmented": diagnosis.augmented}
-    found = {"noise_floor_um": diagnosis.noise_floor_um, "unexplained_share": diagnosis.unexplained_share}
+    found = {"unexplained_share": diagnosis.unexplained_share}
+    if diagnosis.noise_floor_um is not None:
+        found["noise_floor_um"] = diagnosis.noise_floor_um
     for name, errors in fits.items():
         found[f"train_rms_um/{name}"] = errors.train_rms_um
         found[f"heldout_rms_um/{name}"] = errors.heldout_rms_um
@@ -37,6 +39,8 @@ def _scalars(diagnosis: Diagnosis) -> dict[str, float]:
     for effect in diagnosis.effects:
         found[f"probability/{effect.name}"] = effect.probability
         found[f"share/{effect.name}"] = effect.share
+        for rival in effect.rivals:
+            found[f"rival_probability/{effect.name}.{rival.name}"] = rival.probability
         for parameter in effect.parameters:
             if not isinstance(parameter.value, str):
                 found[f"parameter/{effect.name}.{parameter.name}"] = parameter.value

@@ -27,7 +27,7 @@ def diagnosis_figures(diagnosis: Diagnosis) -> dict[str, Figure]:
         figures[f"multisine_{number}"] = multisine_figure(parts)
     for effect in diagnosis.effects:
         if effect.rivals:  # a converter's lattice is seen, and has none
-            figures[f"rivals_{effect.name}"] = rivals_figure(effect, diagnosis)
+            figures[f"rivals_{effect.name}"] = rivals_figure(effect)
         if any(effect.name in trace.signatures for trace in diagnosis.traces):
             figures[f"signature_{effect.name}"] = signature_figure(effect, diagnosis)
     if diagnosis.traces:

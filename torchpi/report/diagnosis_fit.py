@@ -4,6 +4,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from torchpi.diagnosis.diagnosis import Diagnosis, Trace
+from torchpi.diagnosis.say import spoken
 from torchpi.report import style
 from torchpi.report.diagnosis_style import (
     AFTER,
@@ -23,7 +24,7 @@ from torchpi.report.traces import Signal, envelope, thinned
 
 
 def errors_figure(diagnosis: Diagnosis) -> Figure:
-    """Errors of the three stages on held-out samples, and the floor below which nothing can be told."""
+    """Errors of the three stages on held-out samples, and the noise floor, where it was measured."""
     fits = {
         "nominal, as given": diagnosis.nominal,
         "retuned and grown": diagnosis.retuned,
@@ -44,10 +45,11 @@ def errors_figure(diagnosis: Diagnosis) -> Figure:
         axes.set_yticks(range(3), list(fits))
         axes.invert_yaxis()
         axes.grid(False, axis="y")
-        log_if_wide(axes, [*values, unit.per_um * diagnosis.noise_floor_um])
+        log_if_wide(axes, [*values, unit.per_um * (diagnosis.noise_floor_um or 0.0)])
         axes.set_xlabel(f"held-out error, rms ({unit.name})")
         axes.set_title("three stages on the same held-out data")
-        axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.2)
+        if diagnosis.noise_floor_um is not None:
+            axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.2)
         settle(figure)
     return figure
 
@@ -72,9 +74,10 @@ def heldout_figure(diagnosis: Diagnosis) -> Figure:
                 *envelope(trace.t, unit.per_um * trace.residual_augmented),
                 label="after: augmented", **{**AFTER, "linewidth": 0.7},
             )  # fmt: skip
-            for sign in (-1, 1):
+            floors = () if diagnosis.noise_floor_um is None else (-1, 1)
+            for sign in floors:
                 residual.axhline(
-                    sign * unit.per_um * diagnosis.noise_floor_um,
+                    sign * unit.per_um * (diagnosis.noise_floor_um or 0.0),
                     label="noise floor, ± rms" if sign > 0 else None,
                     **{**style.LIMIT, "color": "#000000"},
                 )
@@ -127,7 +130,7 @@ def loop_figure(diagnosis: Diagnosis) -> Figure:
 
 
 def spectrum_figure(diagnosis: Diagnosis) -> Figure:
-    """Held-out residual over frequency, before and after, against a white floor of the noise's size."""
+    """Held-out residual over frequency, before and after, against white noise of the measured size."""
     with drawing():
         traces = diagnosis.traces[:4]
         columns = min(len(traces), 2)
@@ -140,8 +143,9 @@ def spectrum_figure(diagnosis: Diagnosis) -> Figure:
                 (trace.residual_augmented, "after: augmented", AFTER),
             ):
                 axes.plot(*_heldout_density(trace, e), label=label, **look)
-            floor = 1e3 * diagnosis.noise_floor_um * np.sqrt(2 / trace.fs_hz)
-            axes.axhline(floor, label="noise floor", **{**style.LIMIT, "color": "#000000"})
+            if diagnosis.noise_floor_um is not None:
+                floor = 1e3 * diagnosis.noise_floor_um * np.sqrt(2 / trace.fs_hz)
+                axes.axhline(floor, label="noise floor", **{**style.LIMIT, "color": "#000000"})
             axes.set_xscale("log")
             axes.set_yscale("log")
             plain_numbers(axes)
@@ -156,9 +160,10 @@ def spectrum_figure(diagnosis: Diagnosis) -> Figure:
 
 
 def remains_figure(diagnosis: Diagnosis) -> Figure:
-    """The mismatch over the floor, shared out: each effect's, and what nothing explains."""
-    shares = {effect.name.replace("_", " "): effect.share for effect in diagnosis.effects}
-    shares["unexplained"] = diagnosis.unexplained_share
+    """The mismatch over the noise, shared out: each effect's, and what nothing explains."""
+    shares = {spoken(effect.name): effect.share for effect in diagnosis.effects}
+    if diagnosis.noise_floor_um is not None or not shares:
+        shares["unexplained"] = diagnosis.unexplained_share
     with drawing():
         figure = Figure(figsize=(style.WIDTH_IN, 0.75 + 0.27 * len(shares)))
         axes = figure.subplots()
@@ -176,7 +181,8 @@ def remains_figure(diagnosis: Diagnosis) -> Figure:
         axes.invert_yaxis()
         axes.set_xlim(0, 108)
         axes.grid(False, axis="y")
-        axes.set_xlabel("share of the squared mismatch over the noise floor (%)")
+        over = "" if diagnosis.noise_floor_um is None else " over the noise floor"
+        axes.set_xlabel(f"share of the squared mismatch{over} (%)")
         settle(figure)
     return figure
 

@@ -11,7 +11,8 @@ SCHEMA = "torchpi diagnosis 1"
 
 
 def diagnosis_json(diagnosis: Diagnosis, provenance: Provenance) -> str:
-    """The diagnosis as strict JSON; a number that is not finite is null."""
+    """The diagnosis as strict JSON; a number that is not finite, or a noise that was
+    not measured, is null."""
     content = {
         "verdict": diagnosis.verdict,
         "effects": [_effect(effect) for effect in diagnosis.effects],

@@ -1,8 +1,7 @@
-"""The page of a diagnosis: what is missing, where, what for evidence, and what is left."""
+"""The page of a diagnosis: what is missing, how probable that is, where it shows, and what is left."""
 
 import math
 import os
-import re
 import tempfile
 from collections.abc import Mapping
 from pathlib import Path
@@ -15,23 +14,18 @@ from matplotlib.figure import Figure
 from torchpi.diagnosis.diagnosis import Diagnosis, Where
 from torchpi.diagnosis.locate import SIGNIFICANT
 from torchpi.diagnosis.multisine import Part, Parts, all_parts
+from torchpi.diagnosis.say import spoken, spoken_parameter
 from torchpi.excitation_files import write_excitation
 from torchpi.files import write_atomically
 from torchpi.report import words
 from torchpi.report.diagnosis_figures import diagnosis_figures
 from torchpi.report.diagnosis_json import diagnosis_json
 from torchpi.report.diagnosis_style import Unit, unit_of
-from torchpi.report.diagnosis_what import own_names
+from torchpi.report.diagnosis_words import headline, in_prose, likelihood
 from torchpi.report.png import write_png
 from torchpi.report.svg import inline_svg
 from torchpi.report.what_was_run import Provenance
 
-VERDICTS = {
-    "nothing_missing": "Nothing is missing",
-    "explained": "Explained",
-    "partly_explained": "Partly explained",
-    "unexplained": "Something is missing, and nothing known explains it",
-}
 POINTED_AT = 6
 """Cells that the text names."""
 MOST = 0.6
@@ -95,19 +89,20 @@ def _page(diagnosis: Diagnosis, provenance: Provenance, drawn: Mapping[str, Mapp
         lstrip_blocks=True,
     )
     environment.filters["figure"] = _shown
-    environment.filters["spaced"] = lambda name: name.replace("_", " ")
-    environment.filters["without_unit"] = lambda name: re.sub(r"_(hz|v|um|s|v_s)$", "", name)
+    environment.filters["spoken"] = spoken
+    environment.filters["spoken_parameter"] = spoken_parameter
+    environment.filters["in_prose"] = in_prose
+    environment.filters["likelihood"] = likelihood
     return environment.get_template("diagnosis.html.j2").render(
         title="Diagnosis: " + ", ".join(trace.name for trace in diagnosis.traces),
         diagnosis=diagnosis,
         provenance=provenance,
-        verdict=VERDICTS[diagnosis.verdict],
+        verdict=headline(diagnosis),
         unit=unit,
         fits=_fits(diagnosis, unit),
         loudest=_loudest(diagnosis.where),
         significant=SIGNIFICANT,
         multisines=[_multisine_row(one, unit) for one in parts],
-        own={effect.name: own_names(effect) for effect in diagnosis.effects},
         drawn=drawn,
     )
 
@@ -127,7 +122,7 @@ def _fits(diagnosis: Diagnosis, unit: Unit) -> list[dict[str, Any]]:
                 unit.per_um * value
                 for value in (errors.train_rms_um, errors.heldout_rms_um, errors.heldout_max_um)
             ],
-            "over_floor": errors.heldout_rms_um / floor if floor > 0 else math.nan,
+            "over_floor": errors.heldout_rms_um / floor if floor else math.nan,
         }
         for key, label, errors in rows
     ]
@@ -196,17 +191,17 @@ def _multisine_row(parts: Parts, unit: Unit) -> dict[str, Any]:
 _CAPTIONS = {
     "errors": "Held-out error of three stages: as given, retuned and grown inside its own class, and with "
     "what was missing. What retuning takes away was a wrong parameter, not missing physics.",
-    "where": "Where the retuned stage's residual lives: share of its square over the noise floor. Dark "
-    f"cells (bold numbers in time) are louder than the rest by more than {SIGNIFICANT:g} standard deviations "
-    "of the residual's own colour; pale ones may be chance. A bar's height is the share of its cell, "
-    "whatever the cell's width.",
+    "where": "Where the retuned stage's residual lies: share of its square, less the noise where that "
+    "was measured. Dark cells (bold numbers in time) are louder than the rest by more than "
+    f"{SIGNIFICANT:g} standard deviations of the residual's own colour; pale ones may be chance. A bar's "
+    "height is the share of its cell, whatever the cell's width.",
     "heldout": "Recorded motion, and what each stage leaves of it. Shaded stretches were held out: no stage "
     "was fitted to them. Single readings farther off, such as a start-up, are cut off.",
     "loop": "The recording with the largest residual: its loop, opened by taking off a straight line, and "
     "the residual over the voltage. A residual that still forms a figure here is not yet modelled.",
-    "spectrum": "Spectrum of the held-out residual. Where “after” reaches the floor, nothing is left to "
-    "explain; the floor is drawn as white noise of its size.",
-    "remains": "How the mismatch over the noise floor is shared out.",
+    "spectrum": "Spectrum of the held-out residual. Where the noise was measured it is drawn as white noise "
+    "of that size: where “after” reaches it, nothing is left to explain.",
+    "remains": "How the squared mismatch is shared out.",
     "next_excitation": "The voltage of the next recording.",
 }
 
@@ -220,8 +215,9 @@ def _drawn(name: str, figure: Figure) -> dict[str, str]:
         )
     elif name.startswith("rivals_"):
         caption = (
-            "The named effect (dark), those that these data cannot tell from it (dotted), and what else was "
-            "tried in its place (hatched), each fitted with everything else."
+            "The named effect (dark), those that these recordings cannot distinguish from it (dotted), and "
+            "what else was tried in its place (hatched), each fitted with everything else. The effect's "
+            "probability includes that of the dotted ones."
         )
     elif name.startswith("signature_"):
         caption = (

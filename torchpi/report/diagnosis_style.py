@@ -31,7 +31,10 @@ def unit_of(largest_um: float) -> Unit:
     return Unit("nm", 1e3) if largest_um < 1.0 else Unit("µm", 1.0)
 
 
-def draw_floor(draw: Any, noise_floor_um: float, unit: Unit) -> None:
+def draw_floor(draw: Any, noise_floor_um: float | None, unit: Unit) -> None:
+    """A line at the noise, where it was measured."""
+    if noise_floor_um is None:
+        return
     draw(
         unit.per_um * noise_floor_um,
         label="noise floor",

@@ -7,14 +7,14 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from torchpi.diagnosis.diagnosis import Diagnosis, NamedEffect, Trace
-from torchpi.report import style
+from torchpi.diagnosis.say import spoken
+from torchpi.report import style, words
 from torchpi.report.diagnosis_style import (
     ADDED,
     BEFORE,
     FAINT,
     RECORDED,
     STRONG,
-    draw_floor,
     plain_numbers,
     shortened,
     unit_of,
@@ -23,54 +23,44 @@ from torchpi.report.style import drawing, settle
 from torchpi.report.traces import Signal, envelope
 
 
-def rivals_figure(effect: NamedEffect, diagnosis: Diagnosis) -> Figure:
-    """Held-out error and evidence of the effect, beside what was tried in its place."""
+def rivals_figure(effect: NamedEffect) -> Figure:
+    """Log predictive density lost with each rival in the place of the effect, and the probabilities."""
     rivals = effect.rivals[:8]
-    unit = unit_of(max(rival.heldout_rms_um for rival in rivals))
-    names = [rival.name.replace("_", " ") for rival in rivals]
-    same = {effect.name, *effect.alternatives}
+    names = [spoken(effect.name), *(spoken(rival.name) for rival in rivals)]
+    lost = [0.0, *(rival.loses_nats for rival in rivals)]
+    chances = [100 * effect.probability, *(100 * rival.probability for rival in rivals)]
     with drawing():
-        figure = Figure(figsize=(style.WIDTH_IN, 1.15 + 0.24 * len(rivals)))
-        error, evidence = figure.subplots(1, 2, sharey=True)
-        errors = [unit.per_um * rival.heldout_rms_um for rival in rivals]
-        for at, rival in enumerate(rivals):
-            own = rival.name in own_names(effect)
+        figure = Figure(figsize=(style.WIDTH_IN, 1.15 + 0.24 * len(names)))
+        density, probability = figure.subplots(1, 2, sharey=True)
+        for at in range(len(names)):
+            alternative = at > 0 and rivals[at - 1].name in effect.alternatives
             look = {
-                "color": STRONG if own else FAINT if rival.name in same else "#d5d5d5",
-                "hatch": "" if own else "..." if rival.name in same else "//",
-                "edgecolor": "#333333" if own else "#777777",
+                "color": STRONG if at == 0 else FAINT if alternative else "#d5d5d5",
+                "hatch": "" if at == 0 else "..." if alternative else "//",
+                "edgecolor": "#333333" if at == 0 else "#777777",
                 "linewidth": 0.6,
                 "height": 0.66,
             }
-            error.barh(at, errors[at], **look)
-            evidence.barh(at, rival.evidence, **look)
-            for axes, value, text in (
-                (error, errors[at], f"{errors[at]:.3g}"),
-                (evidence, rival.evidence, f"{rival.evidence:,.0f}".replace("-", "−")),
-            ):
+            for axes, value in ((density, lost[at]), (probability, chances[at])):
+                axes.barh(at, value, **look)
                 axes.annotate(
-                    text, (max(value, 0.0), at), (3, 0), textcoords="offset points", va="center", fontsize=8
-                )
-        draw_floor(error.axvline, diagnosis.noise_floor_um, unit)
-        error.set_yticks(range(len(rivals)), names)
-        error.invert_yaxis()
-        error.set_xlabel(f"held-out error, rms ({unit.name}): less is better")
-        evidence.set_xlabel("log-likelihood gained: more is better")
-        error.set_title("held-out error")
-        evidence.set_title("evidence")
-        for axes in (error, evidence):
+                    words.figure(value, 2), (max(value, 0.0), at), (3, 0),
+                    textcoords="offset points", va="center", fontsize=8,
+                )  # fmt: skip
+        density.set_yticks(range(len(names)), names)
+        density.invert_yaxis()
+        density.set_xlabel("log predictive density lost (nats)")
+        density.set_title("loss with it in the effect's place")
+        probability.set_xlabel("probability (%)")
+        probability.set_xlim(0, 118)
+        probability.set_title("probability")
+        density.margins(x=0.16)
+        density.xaxis.set_major_locator(MaxNLocator(4))
+        plain_numbers(density, y=False)
+        for axes in (density, probability):
             axes.grid(False, axis="y")
-            axes.margins(x=0.16)
-            axes.xaxis.set_major_locator(MaxNLocator(4))
-            plain_numbers(axes, y=False)
-        error.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.2)
         settle(figure)
     return figure
-
-
-def own_names(effect: NamedEffect) -> set[str]:
-    """What the effect is called among its rivals: its name, or its family's."""
-    return {effect.name, *(one.value for one in effect.parameters if isinstance(one.value, str))}
 
 
 def signature_figure(effect: NamedEffect, diagnosis: Diagnosis) -> Figure:
@@ -85,15 +75,11 @@ def signature_figure(effect: NamedEffect, diagnosis: Diagnosis) -> Figure:
         motion, residual = figure.subplots(2, 1, sharex=True, height_ratios=(0.65, 1.35))
         motion.plot(*envelope(t, trace.y[inside]), **RECORDED)
         motion.set_ylabel("$y$ (µm)")
-        motion.set_title(
-            f"{shortened(trace.name)}, where {effect.name.replace('_', ' ')} is largest: recorded motion"
-        )
+        motion.set_title(f"{shortened(trace.name)}, where {spoken(effect.name)} is largest: recorded motion")
         residual.plot(
             *envelope(t, unit.per_um * left), label="recorded − retuned stage", **{**BEFORE, "linewidth": 0.8}
         )
-        residual.plot(
-            *envelope(t, unit.per_um * added), label=f"{effect.name.replace('_', ' ')} adds", **ADDED
-        )
+        residual.plot(*envelope(t, unit.per_um * added), label=f"{spoken(effect.name)} adds", **ADDED)
         residual.axhline(0.0, color="#000000", linewidth=0.5)
         residual.set_ylabel(f"displacement ({unit.name})")
         residual.set_xlabel(f"time ({time_unit})")

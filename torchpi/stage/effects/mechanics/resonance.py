@@ -13,7 +13,7 @@ from torchpi.stage.effects.effect import Parameters, Seen, StateSpaceEffect
 
 TYPICAL_DAMPING = 0.02
 BINS_PER_OCTAVE = 120
-GRID = 20
+GRID = 14
 """Frequencies of a blind search: near enough for a fit to close in."""
 
 
@@ -58,9 +58,8 @@ class Resonance(StateSpaceEffect):
         if lowest < cls.quantities["frequency_hz"].at_least:
             return []
         return [
-            {**start, "damping_ratio": damping}
+            {**start, "damping_ratio": 0.05}
             for start in cls.starts_at(seen, np.geomspace(lowest, highest, GRID).tolist())
-            for damping in (0.01, 0.05)
         ]
 
     @classmethod

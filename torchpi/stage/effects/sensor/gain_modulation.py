@@ -14,13 +14,13 @@ from torch import Tensor, nn
 
 from torchpi.operators.quantity import Quantity
 from torchpi.stage.effects.effect import SHORTEST_SLOW_S, Effect, Needs, Parameters, Seen
-from torchpi.stage.effects.knots import KNOTS, SPACING, KnotsStream, knot_names, through_knots
+from torchpi.stage.effects.knots import SPACING, KnotsStream, knot_names, through_knots
 from torchpi.stage.effects.oscillation import oscillation, oscillations
 
 KNOT_NAMES = knot_names("")
 STARTS_HZ = (0.02, 0.06, 0.2, 0.6, 2.0, 6.0, 20.0)
-FEWEST_PERIODS = 0.5
-"""Of a line in the longest recording; less is a drift."""
+FEWEST_PERIODS = 2.0
+"""Of a line in the longest recording; fewer are a drift, or a gain that differs between recordings."""
 
 
 class GainModulation(Effect):
@@ -111,8 +111,8 @@ class GainModulation(Effect):
     def starts(cls, seen: Seen) -> list[Parameters]:
         if seen.span_um == 0 or seen.duration_s < SHORTEST_SLOW_S:
             return []
-        walk = {"knot_spacing_s": seen.duration_s / KNOTS, **dict.fromkeys(KNOT_NAMES, 0.01)}
-        return [*cls.starts_at(seen, list(STARTS_HZ)), walk]
+        # No search starts at a random walk: a gain that may be anything takes the place of whatever is slow.
+        return cls.starts_at(seen, list(STARTS_HZ))
 
     @classmethod
     def starts_at(cls, seen: Seen, frequencies_hz: list[float]) -> list[Parameters]:

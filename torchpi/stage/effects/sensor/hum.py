@@ -2,6 +2,7 @@
 
 from typing import ClassVar
 
+import numpy as np
 from torch import nn
 
 from torchpi.operators.quantity import Quantity
@@ -38,3 +39,19 @@ class Hum(AddedSignal):
         size = 1e-3 * seen.span_um
         seen_lines = [f for f in MAINS_HZ if 3 / seen.duration_s < f < seen.fs_hz / 2 and size > 0]
         return [{"frequency_hz": f, "cos_um": size, "sin_um": size} for f in seen_lines]
+
+    @classmethod
+    def starts_from(
+        cls, seen: Seen, residual: np.ndarray, output: np.ndarray, fs_hz: float
+    ) -> list[Parameters]:
+        """At the strongest frequency of the residual within 1 % of each line: the mains wander."""
+        size, count = 1e-3 * seen.span_um, 1 << (4 * len(residual)).bit_length()
+        f = np.fft.rfftfreq(count, 1 / fs_hz)
+        power = np.abs(np.fft.rfft(residual * np.hanning(len(residual)), count))
+        starts = []
+        for mains in MAINS_HZ:
+            near = (f > 0.99 * mains) & (f < 1.01 * mains)
+            if near.any() and 3 / seen.duration_s < mains and size > 0:
+                line = float(f[near][power[near].argmax()])
+                starts.append({"frequency_hz": line, "cos_um": size, "sin_um": size})
+        return starts

@@ -16,7 +16,7 @@ from torch import Tensor, nn
 from torchpi.operators.quantity import Quantity
 from torchpi.stage.effects.added_signal import AddedSignal, AddedSignalStream
 from torchpi.stage.effects.effect import SHORTEST_SLOW_S, Needs, Parameters, Seen
-from torchpi.stage.effects.knots import KNOTS, SPACING, KnotsStream, knot_names, through_knots
+from torchpi.stage.effects.knots import SPACING, KnotsStream, knot_names, through_knots
 
 KNOT_NAMES = knot_names("_um")
 SLOWEST_DYNAMICS_S = 0.5
@@ -111,11 +111,11 @@ class ThermalDrift(AddedSignal):
         # Nothing warms up by itself within a tenth of a second.
         if size == 0 or duration_s < 0.1:
             return []
+        # No search starts at a random walk: it would take the place of whatever is slow.
         return [
             {"rate_um_per_s": size / duration_s},
             {"amplitude_um": size, "time_constant_s": max(duration_s / 5, SLOWEST_DYNAMICS_S)},
             {"amplitude_um": size, "time_constant_s": max(duration_s, SLOWEST_DYNAMICS_S)},
-            {"knot_spacing_s": duration_s / KNOTS, **dict.fromkeys(KNOT_NAMES, size)},
         ]
 
 

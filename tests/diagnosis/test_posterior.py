@@ -1,0 +1,81 @@
+"""Probabilities: weights of hypotheses that are compared by cells."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from torchpi.diagnosis.posterior import adequacy, averaged, names_of
+from torchpi.diagnosis.score import Weighting
+
+
+def densities(models: int, cells: int, seed: int) -> np.ndarray:
+    return np.random.default_rng(seed).normal(-20, 5, (models, cells))
+
+
+@given(st.integers(1, 6), st.integers(2, 80), st.integers(0, 999))
+def test_weights_sum_to_one(models: int, cells: int, seed: int) -> None:
+    chance = averaged(densities(models, cells, seed), np.zeros(models))
+    assert chance.sum() == pytest.approx(1.0) and (chance >= 0).all()
+
+
+@given(st.integers(2, 5), st.integers(0, 999))
+def test_equal_models_share(models: int, seed: int) -> None:
+    density = np.tile(densities(1, 60, seed), (models, 1))
+    assert averaged(density, np.zeros(models)) == pytest.approx(np.full(models, 1 / models))
+
+
+def test_a_clearly_better_model_takes_all() -> None:
+    density = np.zeros((2, 60))
+    density[1] = -np.random.default_rng(0).uniform(1, 3, 60)
+    assert averaged(density, np.zeros(2))[0] > 0.999
+
+
+def test_a_difference_from_one_cell_is_less_sure_than_the_same_from_all() -> None:
+    one, all_ = np.zeros((2, 60)), np.zeros((2, 60))
+    one[1, 7] = -8.0
+    all_[1] = -8.0 / 60
+    assert averaged(one, np.zeros(2))[0] < averaged(all_, np.zeros(2))[0]
+
+
+def test_a_prior_counts_as_so_many_nats() -> None:
+    chance = averaged(np.zeros((2, 30)), np.array([0.0, np.log(3.0)]))
+    assert chance[1] / chance[0] == pytest.approx(3.0)
+
+
+def test_the_same_densities_have_the_same_weights() -> None:
+    density = densities(4, 50, 1)
+    assert np.array_equal(averaged(density, np.zeros(4)), averaged(density.copy(), np.zeros(4)))
+
+
+class Left:
+    """What a fit leaves, as far as `adequacy` looks."""
+
+    def __init__(self, left_out_um2: np.ndarray) -> None:
+        self.left_out_um2 = left_out_um2
+        self.train_rms = float(np.sqrt(left_out_um2.mean()))
+
+
+def weighting(cells: int) -> Weighting:
+    return Weighting((np.ones(20 * cells),), np.ones(cells), np.full(cells, 20.0))
+
+
+def test_an_effect_that_leaves_noise_explains_all_and_one_that_leaves_much_explains_its_share() -> None:
+    less = Left(np.full(10, 10.0))
+    for left, known in ((1.0, 1.0), (5.5, 0.5), (9.99, 0.0)):
+        share, rise = adequacy(weighting(10), Left(np.full(10, left)), less)  # type: ignore[arg-type]
+        assert share == pytest.approx(known, abs=0.01)
+        assert rise == pytest.approx(10.0 - left)
+
+
+def test_what_is_missed_elsewhere_does_not_count_against_an_effect() -> None:
+    now, less = np.full(10, 1.0), np.full(10, 1.0)
+    less[:5], now[5:], less[5:] = 50.0, 100.0, 100.0
+    share, _ = adequacy(weighting(10), Left(now), Left(less))  # type: ignore[arg-type]
+    assert share > 0.99
+
+
+def test_the_names_in_an_explanation() -> None:
+    assert names_of("resonance + cross_coupling") == ["resonance", "cross_coupling"]
+    assert names_of("hysteresis_operator: preisach") == ["hysteresis_operator"]
+    assert names_of(None) == []

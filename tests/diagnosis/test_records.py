@@ -1,0 +1,50 @@
+"""What a search may see of recordings: all but their sealed ends and their dropouts."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.diagnosis.plants import multisine, record
+from tests.diagnosis.prepared import prepared
+from torchpi.diagnosis.records import AT_MOST, SEALED, prepare, seen, whole
+
+
+@given(st.integers(100, 3000))
+def test_the_last_part_of_each_recording_is_sealed_and_no_coefficient_sees_it(samples: int) -> None:
+    (one,) = prepared([record(multisine(samples))])
+    first = int((1 - SEALED) * samples)
+    assert one.train[:first].all() and not one.train[first:].any()
+    other = np.where(one.train, one.y, 1e6)
+    assert np.array_equal(one.haar(one.y[None, :first]), one.haar(other[None]))
+    (everything,) = whole([record(multisine(samples))], [np.arange(0)])
+    assert everything.train.all()
+
+
+def test_dropouts_count_neither_in_a_fit_nor_in_an_error() -> None:
+    one = record(multisine(2000))
+    wrong = np.array([3, 500, 501])
+    (clean,) = prepare([one], [wrong])
+    one.y[wrong] = 0.0
+    (spoilt,) = prepare([one], [wrong])
+    assert not spoilt.train[wrong].any()
+    first = int((1 - SEALED) * 2000)
+    assert np.array_equal(clean.haar.full(clean.y[None, :first]), spoilt.haar.full(spoilt.y[None, :first]))
+
+
+def test_an_edge_is_kept_though_most_of_a_long_recording_is_passed_over() -> None:
+    u = np.zeros(300_000)
+    u[150_001:] = 5.0
+    (one,) = prepared([record(u)])
+    assert len(one.haar.kept) < 2 * AT_MOST
+    edge = np.zeros(len(u))
+    edge[150_001] = 1.0
+    assert np.abs(one.haar(edge[None])[0]).max() > 0.5
+
+
+def test_what_recordings_span_is_that_of_all_of_them() -> None:
+    slow, fast = record(multisine(1000)), record(0.5 * multisine(4000, 8e3), fs_hz=8e3, name="b")
+    what = seen(prepared([slow, fast]))
+    assert what.fs_hz == 8e3 and what.duration_s == pytest.approx((1 - SEALED) * 0.5)
+    # The voltage is what was commanded: of it nothing is sealed.
+    assert (what.low_v, what.high_v) == (slow.u.min(), slow.u.max())

@@ -1,0 +1,63 @@
+"""Remanence: what a recording remembers from before its first sample, in columns that forget it."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.diagnosis.plants import NOISE_UM, multisine
+from tests.diagnosis.prepared import prepared
+from torchpi.diagnosis.chain import Chain
+from torchpi.diagnosis.fit import fit
+from torchpi.diagnosis.hypothesis import Hypothesis
+from torchpi.diagnosis.nominal import many_plays
+from torchpi.diagnosis.records import seen
+from torchpi.diagnosis.remanence import COLUMNS, EITHER, remanence
+from torchpi.recordings.recording import Recording
+
+
+def remembered(v: np.ndarray, seed: int) -> np.ndarray:
+    """Plays that begin anywhere inside their bands: a history that is not de-energised."""
+    rng = np.random.default_rng(seed)
+    thresholds = rng.uniform(0.1, 5.0, 40)
+    state, y = v[0] + thresholds * rng.uniform(-1, 1, 40), np.empty(len(v))
+    for k, one in enumerate(v):
+        state = np.maximum(one - thresholds, np.minimum(one + thresholds, state))
+        y[k] = 0.5 * one + 1.0 * state.mean()
+    return y
+
+
+def history(v: np.ndarray, seed: int) -> Recording:
+    noise = NOISE_UM * np.random.default_rng(100 + seed).standard_normal(len(v))
+    return Recording(str(seed), np.arange(len(v)) / 2e3, v, remembered(v, seed) + noise, 2e3)
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_plays_and_columns_fit_what_plays_alone_do_not(seed: int) -> None:
+    """A start at 5 V from a history that no de-energised plays have."""
+    v = np.roll(multisine(4000, high_hz=20.0), -1500)
+    chain = Chain(prepared([history(v, seed)]))
+    plays = Hypothesis(many_plays(seen(chain.records)))
+    alone = fit(chain, plays).train_rms
+    both = fit(chain, Hypothesis(plays.nominal, remanent=True)).train_rms
+    assert both**2 - NOISE_UM**2 < 0.1 * (alone**2 - NOISE_UM**2)
+    assert alone > 3 * NOISE_UM
+
+
+@given(st.integers(0, 999), st.integers(2, 400))
+def test_columns_start_at_one_and_only_fall(seed: int, samples: int) -> None:
+    v = np.cumsum(np.random.default_rng(seed).standard_normal(samples))
+    columns = remanence(v)
+    assert columns.shape == (COLUMNS, samples)
+    assert (columns[:, 0] == 1).all() and (columns >= 0).all()
+    assert (np.diff(columns, axis=1) <= 1e-12).all()
+
+
+def test_a_history_is_forgotten_once_the_largest_excursion_is_reached() -> None:
+    v = np.concatenate([np.linspace(0, 5, 100), np.linspace(5, -8, 200), np.linspace(-8, 4, 100)])
+    columns = remanence(v)
+    assert columns[: len(EITHER), 299:].max() < 1e-12 < columns[len(EITHER) - 1, 290]
+
+
+def test_a_hold_remembers_for_ever_and_divides_by_nothing() -> None:
+    assert np.array_equal(remanence(np.full(50, 3.0)), np.ones((COLUMNS, 50)))

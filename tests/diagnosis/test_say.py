@@ -1,0 +1,104 @@
+"""The paragraph: the verdict in plain English, each effect as certain as its probability makes it."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from torchpi.diagnosis.decide import Decision
+from torchpi.diagnosis.diagnosis import Errors, NamedEffect, NextRecording, Parameter, Verdict
+from torchpi.diagnosis.noise import Noise
+from torchpi.diagnosis.posterior import Believed
+from torchpi.diagnosis.say import paragraph, percent, sentence, spoken_parameter
+
+ERRORS = [Errors(one, one, one) for one in (0.05, 0.04, 0.0042)]
+NOISE = Noise(0.004, np.full(5, 1.6e-5), 2e3, "holds of the voltage")
+NEXT = NextRecording("Nothing is open.", "none")
+
+
+def lag(probability: float, alternatives: tuple[str, ...] = ()) -> NamedEffect:
+    numbers = (Parameter("cutoff_hz", 412.0, "Hz", (398.0, 427.0)),)
+    return NamedEffect(
+        "amplifier_lag", "amplifier", alternatives, probability, numbers, 0.71, "v̇ = …", "phase", ()
+    )
+
+
+def decided(
+    verdict: Verdict, *effects: NamedEffect, still_open: tuple[Believed, ...] = (), unexplained: float = 0.2
+) -> Decision:
+    return Decision(verdict, effects, still_open, unexplained, 0.004)
+
+
+@pytest.mark.parametrize(
+    ("probability", "words"),
+    [
+        (0.97, "The simulation lacks"),
+        (0.7, "The simulation probably lacks"),
+        (0.4, "The simulation may lack"),
+    ],
+)
+def test_the_verb_follows_the_probability(probability: float, words: str) -> None:
+    text = sentence(lag(probability, ("sensor_lag", "delay")))
+    assert text.startswith(f"{words} amplifier lag in the amplifier (cutoff 412 Hz): 71 % of the squared")
+    assert f"probability {100 * probability:.0f} %" in text
+    assert text.endswith("these recordings cannot distinguish it from sensor lag or delay.")
+
+
+def test_the_form_of_an_effect_is_said() -> None:
+    assert "in the amplifier (two poles; cutoff 412 Hz)" in sentence(replace(lag(0.9), form="two poles"))
+
+
+def test_noise_that_was_not_measured_is_said_not_to_be() -> None:
+    known = paragraph(decided("explained", lag(0.9)), ERRORS, NOISE, NEXT)
+    unknown = paragraph(decided("explained", lag(0.9)), ERRORS, None, NEXT)
+    assert "the noise, measured in holds of the voltage, is 4 nm" in known
+    assert "the noise was not measured" in unknown and "4 nm" not in unknown
+
+
+def test_what_is_left_is_said_with_its_size_and_its_places() -> None:
+    text = paragraph(decided("partly_explained", lag(0.9)), ERRORS, NOISE, NEXT, ("620 Hz", "the first 2 s"))
+    assert "20 % of the squared residual stays unexplained" in text
+    assert "What is left stands out in 620 Hz; the first 2 s." in text
+    unknown = paragraph(decided("partly_explained", lag(0.9), unexplained=0.0), ERRORS, None, NEXT)
+    assert "Part of the squared residual stays unexplained" in unknown
+
+
+def test_an_unnamed_remainder_is_said_where_it_helps_and_only_there() -> None:
+    helped = paragraph(decided("unexplained"), ERRORS, NOISE, NEXT)
+    useless = paragraph(decided("unexplained"), [ERRORS[0], ERRORS[1], ERRORS[1]], NOISE, NEXT)
+    assert "an unnamed remainder lowers the error to 4.2 nm" in helped
+    assert "remainder" not in useless and "well enough to be named." in useless
+
+
+def test_what_is_too_uncertain_to_be_named_is_said() -> None:
+    doubtful = Believed("sensor_lag", 0.31, (), 1e-4, ())
+    text = paragraph(decided("unexplained", still_open=(doubtful,)), ERRORS, NOISE, NEXT)
+    assert "There may also be sensor lag: with a probability of 31 % it is too uncertain to be named" in text
+
+
+def test_the_paragraph_has_no_identifiers() -> None:
+    text = paragraph(decided("partly_explained", lag(0.6, ("sensor_lag",))), ERRORS, NOISE, NEXT)
+    assert not re.search(r"[a-z]_[a-z]", text)
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("frequency_hz[axis 1]", "frequency [axis 1]"), ("coupling_um_per_v", "coupling"), ("c2_per_v", "c2"),
+        ("c3_per_v2", "c3"), ("rate_v_per_s", "rate"), ("weight_s_per_v", "weight"), ("lsb_um", "lsb"),
+        ("per_decade", "per decade"), ("damping_ratio", "damping ratio"), ("loss_per_mm", "loss"),
+    ],
+)  # fmt: skip
+def test_parameters_go_by_their_names_without_units(name: str, words: str) -> None:
+    assert spoken_parameter(name) == words
+
+
+def test_a_percentage_is_never_rounded_to_certainty() -> None:
+    assert [percent(x) for x in (1.0, 0.999, 0.99, 0.004, 0.0)] == [
+        "100 %",
+        "over 99 %",
+        "99 %",
+        "0.4 %",
+        "0 %",
+    ]

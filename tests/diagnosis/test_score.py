@@ -1,0 +1,144 @@
+"""The score: what predicts better gains, noise does not, and no band outvotes another."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.diagnosis.plants import multisine, record, triangles
+from tests.diagnosis.prepared import prepared
+from torchpi.diagnosis.chain import Chain
+from torchpi.diagnosis.fit import fit, jacobian, left_out, prior_of, solve, with_prior
+from torchpi.diagnosis.hypothesis import Fit, Hypothesis
+from torchpi.diagnosis.nominal import plain
+from torchpi.diagnosis.records import Record, seen
+from torchpi.diagnosis.score import AT_MOST, Weighting, gain
+from torchpi.recordings.recording import Recording
+
+SAMPLES, FS_HZ = 1 << 13, 2e3
+T = np.arange(SAMPLES) / FS_HZ
+
+
+def records_of(*residuals: np.ndarray) -> list[Record]:
+    """Recordings as long as the residuals."""
+    return prepared(
+        [Recording(str(i), np.arange(len(e)) / FS_HZ, e, e, FS_HZ) for i, e in enumerate(residuals)]
+    )
+
+
+def squares(records: Sequence[Record], residuals: Sequence[np.ndarray]) -> np.ndarray:
+    """(cells,): mean squares."""
+    parts = []
+    for record_, e in zip(records, residuals, strict=True):
+        cell = record_.haar.cell
+        parts.append(np.bincount(cell, record_.haar(e[None])[0] ** 2) / np.bincount(cell))
+    return np.concatenate(parts)
+
+
+def gained(before: np.ndarray, after: np.ndarray) -> float:
+    """Nats that a model gains that leaves `after` where another leaves `before`."""
+    records = records_of(before)
+    weighting = Weighting.of(records, [before], None)
+    densities = [weighting.of_squares(squares(records, [e])) for e in (after, before)]
+    return gain(*densities).nats
+
+
+def white(seed: int) -> np.ndarray:
+    return np.random.default_rng(seed).standard_normal(SAMPLES)
+
+
+def test_what_leaves_less_gains_and_the_other_way_round_loses() -> None:
+    noise = white(0)
+    tone = np.sin(2 * np.pi * 20 * T)
+    records = records_of(noise)
+    weighting = Weighting.of(records, [noise + tone], None)
+    less, more = (weighting.of_squares(squares(records, [e])) for e in (noise, noise + tone))
+    won, lost = gain(less, more), gain(more, less)
+    assert won.nats > 30 and won.probability > 0.95
+    assert lost.nats == -won.nats and lost.probability == pytest.approx(1 - won.probability)
+
+
+def test_one_noise_in_the_place_of_another_gains_nothing_on_average() -> None:
+    found = [gained(white(2 * seed), white(2 * seed + 1)) for seed in range(60)]
+    assert abs(np.mean(found)) < 4 * np.std(found) / np.sqrt(len(found)) + 1
+
+
+def test_noise_predicts_no_better_where_it_is_fitted_by_columns_of_noise() -> None:
+    """Twenty columns that explain nothing: the residual shrinks, the prediction does not."""
+    rng, found = np.random.default_rng(7), []
+    for seed in range(30):
+        e = white(seed)[: SAMPLES // 4]
+        records = records_of(e)
+        haar = records[0].haar
+        columns, c = haar(rng.standard_normal((20, len(e)))), haar(e[None])[0]
+        weighting = Weighting.of(records, [e], None)
+        q, _ = np.linalg.qr(columns.T)
+        leverage, left = (q**2).sum(1), c - q @ (q.T @ c)
+        n = np.bincount(haar.cell)
+        cells = [np.bincount(haar.cell, x**2) / n for x in (left / (1 - leverage), c, left)]
+        densities = [weighting.of_squares(x) for x in cells]
+        found.append((gain(densities[0], densities[1]).nats, gain(densities[2], densities[1]).nats))
+    predicted, fitted = np.mean(found, axis=0)
+    assert predicted < 0 < fitted
+
+
+def test_a_wide_quiet_band_does_not_outvote_a_slow_improvement() -> None:
+    """A hundredth more in all fast scales, and creep that is gone: the creep counts for more."""
+    noise = white(3)
+    slow = 3.0 * np.log(T + 0.05)
+    assert gained(noise + slow - slow.mean(), 1.005 * noise) > 10
+
+
+def test_the_gain_of_one_short_ring_counts() -> None:
+    """It lasts 40 ms of 4 s: 1 % of the samples."""
+    noise = white(4)
+    ring = 12.0 * np.exp(-(T - 2) / 0.01) * np.sin(2 * np.pi * 400 * (T - 2)) * (T > 2)
+    assert gained(noise + ring, noise) > 5
+
+
+def test_a_cell_counts_as_so_many_coefficients_at_most() -> None:
+    records = records_of(white(5))
+    weighting = Weighting.of(records, [white(5)], None)
+    more = replace(weighting, counts=np.where(weighting.counts > AT_MOST, 1e6, weighting.counts))
+    q = squares(records, [white(6)])
+    assert np.array_equal(weighting.of_squares(q), more.of_squares(q))
+
+
+def test_the_score_has_no_unit() -> None:
+    before, after = white(8) + np.sin(T), white(8)
+    assert gained(1e-3 * before, 1e-3 * after) == pytest.approx(gained(before, after), rel=1e-9)
+
+
+def linear() -> tuple[Chain, Fit]:
+    chain = Chain(prepared([record(multisine(600), name="a"), record(triangles(600), name="b", seed=1)]))
+    return chain, fit(chain, Hypothesis(plain(seen(chain.records))))
+
+
+def test_leave_one_out_is_what_refits_without_each_coefficient_predict() -> None:
+    chain, now = linear()
+    nothing = np.zeros(len(now.weights))
+    parts = [jacobian(chain, now.hypothesis, nothing, (), np.zeros(0), i)[1] for i in range(2)]
+    readings = [chain.whitened(i, r.y[None])[0] for i, r in enumerate(chain.records)]
+    rows, y = [], np.concatenate(readings)
+    for part in parts:
+        full = np.zeros((len(nothing), part.rows.shape[1]))
+        full[part.places] = part.rows
+        rows.append(full)
+    j = np.concatenate(rows, axis=1)
+    prior = prior_of(chain, now.hypothesis, j @ j.T)
+    weights = solve(*with_prior(j @ j.T, j @ y, prior, nothing), len(nothing), 0.0)
+    residuals = [r.y - chain.output(now.hypothesis, weights, i) for i, r in enumerate(chain.records)]
+    shortcut = left_out(chain, residuals, parts, prior)
+    predicted = np.empty(len(y))
+    for k in range(len(y)):
+        kept = np.arange(len(y)) != k
+        without = solve(
+            *with_prior(j[:, kept] @ j[:, kept].T, j[:, kept] @ y[kept], prior, nothing), len(nothing), 0.0
+        )
+        predicted[k] = y[k] - without @ j[:, k]
+    inverse_sd = np.concatenate(chain.weighting.inverse_sd)
+    first = np.cumsum([0, chain.records[0].haar.cells])
+    cell = np.concatenate([r.haar.cell + f for r, f in zip(chain.records, first, strict=True)])
+    explicit = np.bincount(cell, (predicted / inverse_sd) ** 2) / np.bincount(cell)
+    assert shortcut == pytest.approx(explicit, rel=1e-3)

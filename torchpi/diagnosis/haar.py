@@ -1,0 +1,131 @@
+"""Residuals and sensitivities as Haar coefficients: one level of noise for each time scale and time.
+
+The coefficients of a noise of any colour from white to 1/f² are nearly independent, with a variance of their
+own on each scale (Wornell and Oppenheim, *Wavelet-based representations for a class of self-similar signals*,
+IEEE Trans. Information Theory 38(2), 1992). A ring of 40 ms and a creep over minutes each have coefficients
+of their own, so neither is outvoted by the other.
+"""
+
+from dataclasses import dataclass
+from math import sqrt
+
+import numba
+import numpy as np
+
+COARSEST = 16
+"""Coefficients on the slowest scale, at least."""
+CELLS = 24
+"""Cells in time into which one scale of one recording is cut, at most."""
+LEAST_IN_CELL = 4
+"""Coefficients that a cell holds, at least."""
+
+
+@dataclass(frozen=True, eq=False)
+class Haar:
+    """Which coefficients of one recording a fit sums over, and the cell that each is in."""
+
+    samples: int
+    """That are transformed: those before the sealed block."""
+    levels: int
+    valid: np.ndarray  # shape: (samples,), 1.0, or 0.0 for a reading that does not count
+    kept: np.ndarray  # shape: (kept,), places in the full transform
+    level: np.ndarray  # shape: (kept,), 1 for differences of neighbours; levels + 1 for what no level holds
+    cell: np.ndarray  # shape: (kept,), numbered within the recording
+    at: np.ndarray  # shape: (kept,), the sample in the middle of each
+    represents: np.ndarray  # shape: (kept,), for how many coefficients of the full transform each stands
+
+    @classmethod
+    def of(cls, activity: np.ndarray, samples: int, valid: np.ndarray, at_most: int) -> "Haar":
+        """The transform of a recording.
+
+        Args:
+            activity: (time,), a signal whose larger coefficients are kept first where not all can be.
+            samples: How many samples, from the first, are transformed.
+            valid: (time,), bool: readings that count.
+            at_most: Coefficients of one scale that are kept.
+        """
+        levels = max(0, int(np.log2(max(samples // COARSEST, 1))))
+        mask = valid[:samples].astype(np.float64)
+        nothing = np.zeros(0, int)
+        whole = cls(samples, levels, mask, nothing, nothing, nothing, nothing, np.zeros(0))
+        size = np.abs(whole.full(activity[None, :samples])[0])
+        support = whole.support()
+        kept, level, cell, at, represents, cells = [], [], [], [], [], 0
+        for one in range(1, levels + 2):
+            first, stop = whole.places(one)
+            width = 2 ** min(one, levels)
+            there = first + np.flatnonzero(support[first:stop] > 0.5)
+            if len(there) > at_most:
+                there = np.union1d(
+                    there[:: -(-len(there) // (at_most // 2))],
+                    there[np.sort(np.argsort(-size[there], kind="stable")[: at_most // 2])],
+                )
+            if not len(there):
+                continue
+            count = max(1, min(CELLS, len(there) // LEAST_IN_CELL))
+            kept.append(there)
+            level.append(np.full(len(there), one))
+            cell.append(cells + np.arange(len(there)) * count // len(there))
+            at.append(np.minimum((there - first) * width + width // 2, samples - 1))
+            represents.append(np.full(len(there), (support[first:stop] > 0.5).sum() / len(there)))
+            cells += count
+        joined = (np.concatenate(part) for part in (kept, level, cell, at, represents))
+        return cls(samples, levels, mask, *joined)
+
+    @property
+    def cells(self) -> int:
+        return int(self.cell[-1]) + 1
+
+    def places(self, level: int) -> tuple[int, int]:
+        """Where the coefficients of a level begin and end in the full transform."""
+        coarsest = -(-self.samples // 2**self.levels)
+        return (0, coarsest) if level > self.levels else (
+            coarsest * 2 ** (self.levels - level), coarsest * 2 ** (self.levels - level + 1)
+        )  # fmt: skip
+
+    def __call__(self, rows: np.ndarray) -> np.ndarray:
+        """(rows, kept) of rows, (rows, time)."""
+        out = np.empty((len(rows), len(self.kept)))
+        _kept(rows, self.valid, self.levels, self.kept, out)
+        return out
+
+    def full(self, rows: np.ndarray) -> np.ndarray:
+        """(rows, coefficients): every coefficient, the slowest first, of rows, (rows, time)."""
+        size = -(-self.samples // 2**self.levels) * 2**self.levels
+        out = np.empty((len(rows), size))
+        _kept(rows, self.valid, self.levels, np.arange(size), out)
+        return out
+
+    def support(self) -> np.ndarray:
+        """(coefficients,): the share of valid samples under each."""
+        size = -(-self.samples // 2**self.levels) * 2**self.levels
+        count = np.zeros(size)
+        count[: self.samples] = self.valid
+        share = np.empty(size)
+        for level in range(1, self.levels + 1):
+            count = count.reshape(-1, 2).mean(1)
+            first, stop = self.places(level)
+            share[first:stop] = count
+        share[: len(count)] = count
+        return share
+
+
+@numba.njit(cache=True)
+def _kept(rows: np.ndarray, valid: np.ndarray, levels: int, kept: np.ndarray, out: np.ndarray) -> None:
+    samples = len(valid)
+    size = -(-samples // 2**levels) * 2**levels
+    part, half, root = np.zeros(size), np.empty(size), 1.0 / sqrt(2.0)
+    for i in range(len(rows)):
+        for t in range(samples):
+            part[t] = rows[i, t] * valid[t]
+        part[samples:] = 0.0
+        n = size
+        for _ in range(levels):
+            n //= 2
+            for k in range(n):
+                first, second = part[2 * k], part[2 * k + 1]
+                half[k] = (first + second) * root
+                half[n + k] = (second - first) * root
+            part[: 2 * n] = half[: 2 * n]
+        for k in range(len(kept)):
+            out[i, k] = part[kept[k]]

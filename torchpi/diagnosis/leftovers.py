@@ -1,0 +1,55 @@
+"""What stands out of the residual that is left, named or not: a stretch of time, a tone, a recording."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.ndimage import median_filter
+
+from torchpi.diagnosis.diagnosis import Trace
+from torchpi.diagnosis.lines import AROUND, periodogram
+
+LOUD = 10.0
+"""Times the rms of the rest."""
+STRETCHES = 50
+"""Of a recording, among which one may stand out."""
+TONE = 0.1
+"""Share of a recording's mean square that one frequency must have to be a tone."""
+AT_MOST = 3
+"""Phrases."""
+
+
+def leftovers(traces: Sequence[Trace]) -> tuple[str, ...]:
+    """A phrase for each recording, stretch or frequency that stands out of what the modelled stage leaves.
+
+    The loudest comes first.
+    """
+    found: list[tuple[float, str]] = []
+    squares = [float(np.mean(trace.residual_augmented**2)) for trace in traces]
+    for trace, own in zip(traces, squares, strict=True):
+        e = trace.residual_augmented
+        others = [square for other, square in zip(traces, squares, strict=True) if other is not trace]
+        if others and own > LOUD**2 * max(float(np.median(others)), 1e-300):
+            found.append(
+                (own, f"recording {trace.name}, {np.sqrt(own / np.median(others)):.0f} times the others")
+            )
+        parts = np.array_split(e, min(STRETCHES, len(e)))
+        each = np.array([float(np.mean(part**2)) for part in parts])
+        place, typical = int(each.argmax()), max(float(np.median(each)), 1e-300)
+        if each[place] > LOUD**2 * typical:
+            width = len(e) / len(parts) / trace.fs_hz
+            found.append(
+                (each[place], f"{trace.name} from {place * width:.3g} s to {(place + 1) * width:.3g} s, "
+                 f"{np.sqrt(each[place] / typical):.0f} times the rest")
+            )  # fmt: skip
+        power = periodogram(e - e.mean())
+        if len(power) <= AROUND:
+            continue
+        around = median_filter(power, AROUND, mode="reflect") + 1e-300
+        peak = int(np.argmax(np.where(power > LOUD**2 * around, power, 0.0)[4:])) + 4
+        share = float(power[max(peak - 2, 0) : peak + 3].sum() / max(power.sum(), 1e-300))
+        if power[peak] > LOUD**2 * around[peak] and share > TONE:
+            hz = peak * trace.fs_hz / len(e)
+            found.append(
+                (share * own, f"{trace.name} at {hz:.3g} Hz, {100 * share:.0f} % of what is left there")
+            )
+    return tuple(phrase for _, phrase in sorted(found, reverse=True)[:AT_MOST])

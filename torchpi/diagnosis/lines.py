@@ -1,0 +1,33 @@
+"""Lines in a stretch of noise: hum and other tones, which are no noise."""
+
+import numpy as np
+from scipy.ndimage import median_filter
+
+STANDS_OUT = 35.0
+"""Times the median of its surroundings: exponential noise gets there once in 10¹⁰ frequencies."""
+AROUND = 101
+"""Frequencies that are the surroundings of one."""
+AT_MOST = 10
+"""Lines."""
+
+
+def without_lines(e: np.ndarray) -> np.ndarray:
+    """A stretch of noise, (time,), less each line that stands out of the spectrum around it beyond chance."""
+    for _ in range(AT_MOST):
+        power = periodogram(e)
+        around = median_filter(power, AROUND, mode="reflect") + np.finfo(float).tiny
+        place = int(np.argmax(power[4:] / around[4:])) + 4 if len(power) > AROUND else 0
+        if place == 0 or power[place] < STANDS_OUT * around[place]:
+            break
+        size = 1 << (4 * len(e)).bit_length()
+        fine, f = periodogram(e, size), np.arange(size // 2 + 1) / size
+        near = np.abs(f - place / len(e)) < 1.5 / len(e)
+        wave = np.exp(2j * np.pi * f[near][fine[near].argmax()] * np.arange(len(e)))
+        columns = np.stack([wave.real, wave.imag])
+        e = e - np.linalg.lstsq(columns.T, e, rcond=None)[0] @ columns
+    return e
+
+
+def periodogram(x: np.ndarray, padded: int | None = None) -> np.ndarray:
+    """|X(f)|² with a Hann window, of as many samples as there are or padded with zeros to more."""
+    return np.abs(np.fft.rfft(x * np.hanning(len(x)), padded)) ** 2  # type: ignore[no-any-return]

@@ -1,0 +1,196 @@
+"""How probable each name is: weights of all hypotheses that matter, normalised together.
+
+Around the final hypothesis stand those without one of its effects, and those with a rival in its place. Their
+weights are those of Bayesian bootstrap model averaging, pseudo-BMA+ of Yao, Vehtari, Simpson and Gelman
+(*Bayesian Analysis* 13(3), 2018): a softmax of log predictive densities and prior, averaged over random
+weights of the cells, so that a difference counts in units of its own standard error.
+
+What a recording leaves unexplained in the very cells in which an effect acts may be what that effect only
+resembles: a name is as probable as the share that it explains there of all that is to be explained.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from torchpi.diagnosis.fit import ROUGH
+from torchpi.diagnosis.hypothesis import Fit, Hypothesis
+from torchpi.diagnosis.parallel import Job
+from torchpi.diagnosis.reduced_basis import reduced
+from torchpi.diagnosis.score import ALIKE, Weighting
+from torchpi.diagnosis.search import OPERATOR, PRIOR, Round, Search
+
+DRAWS = 400
+RIVALS = 4
+"""Of an effect, that are fitted in its place."""
+TOGETHER = 2.0
+"""Standard errors within which a rival predicts as well: no recording here splits the two."""
+OPERATOR_NAME = "hysteresis_operator"
+
+
+@dataclass(frozen=True)
+class RivalModel:
+    """What stands in the place of an effect."""
+
+    name: str
+    probability: float
+    nats: float
+    """By how much it predicts worse than the effect."""
+    sd: float
+    train_rms_um: float
+
+
+@dataclass(frozen=True)
+class Believed:
+    """One effect of the final hypothesis, or its hysteresis."""
+
+    name: str
+    probability: float
+    """That it, or one of the alternatives, is missing."""
+    alternatives: tuple[str, ...]
+    explained_um2: float
+    """By how much the mean square of the residual rises without it."""
+    rivals: tuple[RivalModel, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """A hypothesis around the final one."""
+
+    without: str
+    """The effect that it lacks; empty for the final one."""
+    instead: str
+    """What stands in its place."""
+    fit: Fit
+
+
+def posterior(search: Search, retuned: Fit, final: Fit, history: Sequence[Round]) -> list[Believed]:
+    """Each effect of the final hypothesis with its probability, the strongest first."""
+    search.weigh(final)
+    small = reduced(search.chain, final)
+    models = around(search, retuned, small, history)
+    weighting = search.chain.weighting
+    density = np.array([weighting.log_density(model.fit) for model in models])
+    priors = np.array([prior(search, retuned, model.fit) for model in models])
+    chance = averaged(density, priors)
+    found = []
+    for name in dict.fromkeys(model.without for model in models if model.without):
+        less = next(m for m in models if m.without == name and not m.instead)
+        rivals, alternatives = [], []
+        held = float(chance[0]) + sum(
+            float(c) for m, c in zip(models, chance, strict=True) if m.without not in ("", name)
+        )
+        for model, c, own in zip(models, chance, density, strict=True):
+            if model.without != name or not model.instead:
+                continue
+            d = density[0] - own
+            sd = ALIKE * float(np.sqrt(np.sum((d - d.mean()) ** 2)))
+            rivals.append(RivalModel(model.instead, float(c), float(d.sum()), sd, model.fit.train_rms))
+            if d.sum() < TOGETHER * sd or d.sum() < -PRIOR:
+                alternatives.append(model.instead)
+                held += float(c)
+        known, rise = adequacy(weighting, models[0].fit, less.fit)
+        rivals.sort(key=lambda rival: rival.nats)
+        found.append(
+            Believed(name, round(min(held, 1.0) * known, 4), tuple(dict.fromkeys(alternatives)), rise,
+                     tuple(rivals))
+        )  # fmt: skip
+    return sorted(found, key=lambda one: -one.explained_um2)
+
+
+def averaged(density: np.ndarray, priors: np.ndarray) -> np.ndarray:
+    """(models,): pseudo-BMA+ weights from log densities, (models, cells), and log priors."""
+    rng = np.random.default_rng(0)
+    shape, total = 1 / ALIKE**2, np.zeros(len(density))
+    relative = density - density[0]
+    for _ in range(DRAWS):
+        cells = rng.gamma(shape, size=density.shape[1]) / shape
+        score = relative @ cells + priors
+        weight = np.exp(score - score.max())
+        total += weight / weight.sum()
+    return total / DRAWS
+
+
+def prior(search: Search, retuned: Fit, one: Fit) -> float:
+    """Log odds of what a hypothesis adds to the retuned simulation."""
+    grown = one.hypothesis.nominal.family != retuned.hypothesis.nominal.family
+    return PRIOR * (len(search.added(one)) + grown)
+
+
+def adequacy(weighting: Weighting, now: Fit, less: Fit) -> tuple[float, float]:
+    """What an effect explains of all that is to be explained where it acts, 0–1; its mean square, µm²."""
+    n, after = weighting.counts, now.left_out_um2
+    gained = np.maximum(less.left_out_um2 - after, 0.0)
+    left = np.maximum(after - weighting.level_um2, 0.0)
+    share = gained / np.maximum(gained + left, 1e-300)
+    # A stretch that is missed by far is not to decide alone.
+    weight = n * gained / np.maximum(gained + after, 1e-300)
+    known = float((weight * share).sum() / max(float(weight.sum()), 1e-300))
+    rise = less.train_rms**2 - now.train_rms**2
+    return known, rise
+
+
+def around(search: Search, retuned: Fit, small: Fit, history: Sequence[Round]) -> list[Model]:
+    """The final hypothesis, those without one effect, and those with a rival in its place, all fitted."""
+    h = small.hypothesis
+    wanted: list[tuple[str, str, Hypothesis, np.ndarray | None]] = [("", "", h, small.weights)]
+    for name in search.added(small):
+        less = h.without(name)
+        wanted.append((name, "", less, small.weights))
+        wanted += [(name, label, one, w) for label, one, w in rivals(search, history, name, less, small)]
+    if h.nominal.family != retuned.hypothesis.nominal.family:
+        plain = h.on(retuned.hypothesis.nominal)
+        wanted.append((OPERATOR_NAME, "", plain, None))
+        wanted += [
+            (OPERATOR_NAME, label, one, None)
+            for label, one, _ in rivals(search, history, OPERATOR_NAME, plain, small)
+        ]
+    jobs: list[Job] = [(one, w, 8, ROUGH) for _, _, one, w in wanted]
+    fits = search.fits(jobs)
+    return [
+        Model(name, instead, one)
+        for (name, instead, _, _), one in zip(wanted, fits, strict=True)
+        if not (instead and set(one.bounded) - set(small.bounded))
+    ]
+
+
+def rivals(
+    search: Search, history: Sequence[Round], name: str, less: Hypothesis, small: Fit
+) -> list[tuple[str, Hypothesis, np.ndarray | None]]:
+    """What may stand in the place of an effect: what was tried when it was taken, and what is alike."""
+    found: list[tuple[str, Hypothesis, np.ndarray | None]] = []
+    there = set(small.hypothesis.names)
+    seen: set[str] = set()
+    for round in reversed(history):
+        if name not in names_of(round.accepted):
+            continue
+        for one in round.tried:
+            label = OPERATOR_NAME if one.name.startswith(OPERATOR) else one.name
+            parts = names_of(one.name)
+            if label in seen or label == name or name in parts or there & set(parts) or len(seen) >= RIVALS:
+                continue
+            seen.add(label)
+            if label == OPERATOR_NAME:
+                nominal = one.fit.hypothesis.nominal
+                found.append((label, less.on(nominal, one.fit.hypothesis.shape), None))
+                continue
+            more = less
+            for member in one.fit.hypothesis.members:
+                if member.effect.name in parts:
+                    more = more.plus(member)
+            found.append((label, more, small.weights))
+    mine = next((effect for effect in search.effects_tried if effect.name == name), None)
+    for effect in search.effects_tried if mine else ():
+        if mine and effect.name in mine.degenerate_with and effect.name not in seen | there:
+            starts = [member for member in search.starts if member.effect is effect]
+            for member in starts[len(starts) // 2 : len(starts) // 2 + 1]:
+                found.append((effect.name, less.plus(member), small.weights))
+    return found
+
+
+def names_of(label: str | None) -> list[str]:
+    """The effects in the name of an explanation."""
+    if not label:
+        return []
+    return [OPERATOR_NAME] if label.startswith(OPERATOR) else label.split(" + ")

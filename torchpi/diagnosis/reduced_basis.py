@@ -1,0 +1,62 @@
+"""A large hysteresis on the combinations of its rows that the recordings can tell apart."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from torchpi.diagnosis.chain import Chain
+from torchpi.diagnosis.fit import ITERATIONS, fit, weight_prior
+from torchpi.diagnosis.hypothesis import Fit, Hypothesis
+
+FEW, MANY = 24, 80
+"""Principal combinations for a search, and to report."""
+TOLD = 0.1
+"""What the samples know of a combination, over what the prior does, from which it is kept."""
+THINNED = 3
+"""One coefficient in so many tells the principal combinations."""
+
+
+def basis(
+    chain: Chain, hypothesis: Hypothesis, weights: np.ndarray | None, kept: int
+) -> tuple[Hypothesis, np.ndarray | None]:
+    """A hypothesis, and its weights, on the principal combinations of its rows.
+
+    Args:
+        chain: The recordings.
+        hypothesis: On whatever rows.
+        weights: Of those; their combination becomes the first row. None where there are none yet.
+        kept: Principal combinations.
+    """
+    nominal = hypothesis.nominal
+    full = replace(nominal, mixing=None)
+    size = full.kept
+    if size <= kept + 1:
+        return hypothesis, weights
+    bare, gram = replace(hypothesis, nominal=full), np.zeros((size, size))
+    for i, record in enumerate(chain.records):
+        rows = np.empty((size, len(record.u)))
+        chain.nominal(bare, i).fill(chain.voltage(bare, i), record.period_s, rows)
+        part = np.ascontiguousarray(chain.whitened(i, rows)[:, ::THINNED])
+        gram += part @ part.T
+    values, vectors = np.linalg.eigh(gram * THINNED)
+    told = int((values > TOLD * weight_prior(chain)).sum())
+    mixing = vectors[:, ::-1][:, : max(1, min(kept, told))].T
+    if weights is None:
+        return replace(hypothesis, nominal=replace(full, mixing=mixing)), None
+    first = weights[: nominal.kept]
+    first = first if nominal.mixing is None else nominal.mixing.T @ first
+    mixed = replace(full, mixing=np.concatenate([first[None], mixing]))
+    started = np.concatenate([[1.0], np.zeros(len(mixing)), weights[nominal.kept :]])
+    return replace(hypothesis, nominal=mixed), started
+
+
+def reduced(chain: Chain, now: Fit, kept: int = FEW) -> Fit:
+    """The same fit on few rows."""
+    hypothesis, weights = basis(chain, now.hypothesis, now.weights, kept)
+    assert weights is not None
+    return replace(now, hypothesis=hypothesis, weights=weights)
+
+
+def refitted(chain: Chain, now: Fit, iterations: int = ITERATIONS) -> Fit:
+    """The fit on many rows."""
+    return fit(chain, *basis(chain, now.hypothesis, now.weights, MANY), iterations)

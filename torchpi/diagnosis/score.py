@@ -1,0 +1,112 @@
+"""One score: how well a hypothesis predicts Haar coefficients that it was not fitted to.
+
+Each coefficient is predicted by the fit without it (leave-one-out, exact where the model is linear: Allen,
+*Technometrics* 16(1), 1974). The coefficients of one cell, a stretch of time on one scale, share a variance
+that is unknown but for what is known of the noise there, with `KNOWN` degrees of freedom: integrated out, the
+log density of a cell is that of a multivariate Student t,
+
+    ℓ_c = -½ (ν + n_c) ln(1 + n_c q_c / ν),    q_c = mean square over the noise's.
+
+A cell counts as `AT_MOST` coefficients at most: what a model has wrong is correlated, and a wide quiet band
+is not to outvote everything slow. The difference of two hypotheses is a sum over cells, with a standard error
+from their scatter (Vehtari, Gelman and Gabry, *Statistics and Computing* 27, 2017).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import ndtr
+
+from torchpi.diagnosis.hypothesis import Fit
+from torchpi.diagnosis.noise import Noise
+from torchpi.diagnosis.records import Record
+
+KNOWN = 4.0
+"""Degrees of freedom with which the noise of a cell is known beforehand: to a factor of about two."""
+AT_MOST = 30.0
+"""Coefficients that a cell counts for."""
+ALIKE = 2.0
+"""By what the standard error is larger than that of independent cells: what a model has wrong comes again in
+every cycle and on neighbouring scales. Calibrated: `benchmarks/calibration.py`."""
+TINY = 1e-12
+
+
+@dataclass(frozen=True, eq=False)
+class Weighting:
+    """What a coefficient may be off by, given the best fit so far."""
+
+    inverse_sd: tuple[np.ndarray, ...]  # shape: (kept,) for each recording, 1/µm
+    level_um2: np.ndarray  # shape: (cells of all recordings,), the noise's mean square in each cell
+    counts: np.ndarray  # shape: (cells,), coefficients in each
+
+    @classmethod
+    def of(
+        cls, records: Sequence[Record], residuals: Sequence[np.ndarray], noise: Noise | None
+    ) -> "Weighting":
+        """From the residuals of the best fit, (time,) each, µm, and the noise that was measured."""
+        scales, levels, counts = [], [], []
+        smallest = TINY * max(float(np.ptp(record.y)) for record in records) ** 2 + 1e-300
+        for record, residual in zip(records, residuals, strict=True):
+            haar = record.haar
+            e = haar(residual[None, : haar.samples])[0]
+            n = np.bincount(haar.cell)
+            mean = np.bincount(haar.cell, e**2) / n
+            own = np.array([haar.level[np.searchsorted(haar.cell, cell)] for cell in range(len(n))])
+            noise_um2 = np.empty(len(n))
+            for level in np.unique(own):
+                there = own == level
+                if noise is not None and record.fs_hz == noise.fs_hz:
+                    noise_um2[there] = noise.level_um2(int(level))
+                else:
+                    noise_um2[there] = np.median(mean[there])
+            noise_um2 = np.maximum(noise_um2, smallest)
+            variance = (KNOWN * noise_um2 + n * mean) / (KNOWN + n)
+            scales.append(1 / np.sqrt(variance)[haar.cell])
+            levels.append(noise_um2)
+            counts.append(n)
+        return cls(tuple(scales), np.concatenate(levels), np.concatenate(counts).astype(float))
+
+    @classmethod
+    def flat(cls, records: Sequence[Record]) -> "Weighting":
+        """Every coefficient alike, before anything is known."""
+        sd = 1e-3 * max(float(np.ptp(record.y)) for record in records) or 1e-9
+        counts = np.concatenate([np.bincount(record.haar.cell) for record in records]).astype(float)
+        scales = tuple(np.full(len(record.haar.kept), 1 / sd) for record in records)
+        return cls(scales, np.full(len(counts), sd**2), counts)
+
+    @property
+    def typical_um(self) -> float:
+        """The median of what a coefficient may be off by."""
+        return float(1 / np.median(np.concatenate(self.inverse_sd)))
+
+    def log_density(self, fit: Fit) -> np.ndarray:
+        """(cells,): ℓ_c of a fit."""
+        return self.of_squares(fit.left_out_um2)
+
+    def of_squares(self, mean_um2: np.ndarray) -> np.ndarray:
+        """The same of the cells' mean squares, (cells,), µm²."""
+        n = np.minimum(self.counts, AT_MOST)
+        ratio = np.minimum(mean_um2 / self.level_um2, 1e30)
+        density: np.ndarray = -0.5 * (KNOWN + n) * np.log1p(n / KNOWN * ratio)
+        return density
+
+
+@dataclass(frozen=True)
+class Gain:
+    """By how much one hypothesis predicts better than another."""
+
+    nats: float
+    sd: float
+
+    @property
+    def probability(self) -> float:
+        """That it does."""
+        return float(ndtr(self.nats / self.sd)) if self.sd > 0 else float(self.nats > 0)
+
+
+def gain(better: np.ndarray, worse: np.ndarray, prior: float = 0.0) -> Gain:
+    """From the log densities of cells, (cells,) each; `prior` is the log of the prior odds."""
+    d = better - worse
+    sd = ALIKE * float(np.sqrt(np.sum((d - d.mean()) ** 2)))
+    return Gain(float(d.sum()) + prior, max(sd, 1.0))

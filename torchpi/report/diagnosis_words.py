@@ -1,0 +1,50 @@
+"""What the page of a diagnosis says in words: the verdict with its number, and names without underscores."""
+
+import re
+
+from torchpi.diagnosis.diagnosis import Diagnosis
+from torchpi.diagnosis.say import CERTAIN, LIKELY, nm, percent, spoken
+from torchpi.report import words
+from torchpi.stage.effects import EFFECTS
+
+NAMES = re.compile(
+    r"\b(" + "|".join(e.name for e in EFFECTS if "_" in e.name) + r"|hysteresis_operator)\b(?=[\s:;,.)]|$)"
+)
+
+
+def headline(diagnosis: Diagnosis) -> str:
+    """The verdict in one line with the number that it follows from."""
+    error = nm(diagnosis.augmented.heldout_rms_um)
+    if diagnosis.noise_floor_um is None:
+        against = "noise not measured"
+    elif diagnosis.noise_floor_um > 0:
+        times = words.figure(diagnosis.augmented.heldout_rms_um / diagnosis.noise_floor_um)
+        against = f"{times} times the noise"
+    else:
+        against = "no noise"
+    return {
+        "nothing_missing": f"Nothing is missing: held-out error {error}, {against}",
+        "explained": f"Explained: held-out error {error}, {against}",
+        "partly_explained": f"Partly explained: {unexplained(diagnosis)}held-out error {error}, {against}",
+        "unexplained": "Something is missing that no known effect explains: "
+        f"held-out error {error}, {against}",
+    }[diagnosis.verdict]
+
+
+def unexplained(diagnosis: Diagnosis) -> str:
+    """How much is not explained; nothing where it is not known how much of what is left is noise."""
+    if diagnosis.noise_floor_um is None:
+        return ""
+    return f"{percent(diagnosis.unexplained_share)} of the squared mismatch is not; "
+
+
+def likelihood(probability: float) -> str:
+    """What a probability is in words."""
+    if probability >= CERTAIN:
+        return "missing"
+    return "probably missing" if probability >= LIKELY else "may be missing"
+
+
+def in_prose(text: str) -> str:
+    """A sentence in which effects go by their spoken names."""
+    return NAMES.sub(lambda found: spoken(found[0]), text)
