@@ -51,13 +51,13 @@ def test_a_class_and_a_row_are_enough_to_be_named(page: ModuleType, monkeypatch:
     effects: tuple[type[Effect], ...] = (
         *search.EFFECTS[:place], page.RatePickup, *search.EFFECTS[place:],
     )  # type: ignore[assignment]  # fmt: skip
-    for module in (search, hypothesis, stage):
+    for module in (hypothesis, stage):  # the order of the chain
         monkeypatch.setattr(module, "EFFECTS", effects)
 
     def pick_up(x: np.ndarray, fs_hz: float) -> np.ndarray:
         return x + LEAD_S * np.diff(x, prepend=0.0) * FS_HZ
 
-    found = diagnose(pair(after=pick_up))
+    found = diagnose(pair(after=pick_up), effects=effects)
     (effect,) = found.effects
     assert effect.name == "rate_pickup" and found.verdict == "explained"
     assert effect.parameters[0].value == pytest.approx(LEAD_S, rel=0.02)

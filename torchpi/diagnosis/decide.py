@@ -12,7 +12,6 @@ from torchpi.diagnosis.noise import Noise
 from torchpi.diagnosis.parameters import parameters_of, shape_parameters
 from torchpi.diagnosis.posterior import OPERATOR_NAME, Believed
 from torchpi.diagnosis.search import Search
-from torchpi.stage.effects import EFFECTS
 from torchpi.stage.effects.mechanics.backlash import Backlash
 
 NAMED = 0.5
@@ -64,7 +63,7 @@ def decide(
     total = retuned.train_rms**2 - floor_um**2
     total = max(total, sum(one.explained_um2 for one in believed), 1e-300)
     spans = intervals_90(search.chain, final)
-    known = {effect.name: effect for effect in EFFECTS}
+    known = {effect.name: effect for effect in search.effects_tried}
     named = []
     for one in believed:
         if (

@@ -18,9 +18,10 @@ def test_every_start_has_a_form_where_an_effect_has_several(effect):
 
 
 @each
-def test_every_form_is_tried(effect):
+def test_every_form_is_tried_but_a_random_walk(effect):
     if not effect.read_off:
-        assert set(effect.forms) <= {effect.form(start) for start in effect.starts(SEEN)}
+        tried = {effect.form(start) for start in effect.starts(SEEN)}
+        assert set(effect.forms) - {"random walk"} <= tried
 
 
 @each

@@ -11,6 +11,8 @@ from torchpi.stage.effects.effect import Parameters, Seen
 from torchpi.stage.effects.oscillation import fill_line, oscillation, oscillation_of_tensors
 
 MAINS_HZ = (50.0, 60.0, 100.0, 120.0, 150.0, 180.0)
+STANDS_OUT = 3.0
+"""Times the median amplitude around it, from which a line is worth a start."""
 
 
 class Hum(AddedSignal):
@@ -44,14 +46,16 @@ class Hum(AddedSignal):
     def starts_from(
         cls, seen: Seen, residual: np.ndarray, output: np.ndarray, fs_hz: float
     ) -> list[Parameters]:
-        """At the strongest frequency of the residual within 1 % of each line: the mains wander."""
+        """At the strongest frequency of the residual within 1 % of each line that shows: the mains wander."""
         size, count = 1e-3 * seen.span_um, 1 << (4 * len(residual)).bit_length()
         f = np.fft.rfftfreq(count, 1 / fs_hz)
         power = np.abs(np.fft.rfft(residual * np.hanning(len(residual)), count))
         starts = []
         for mains in MAINS_HZ:
-            near = (f > 0.99 * mains) & (f < 1.01 * mains)
-            if near.any() and 3 / seen.duration_s < mains and size > 0:
+            near, around = np.abs(f - mains) < 0.01 * mains, np.abs(f - mains) < 0.2 * mains
+            if not near.any() or size == 0 or 3 / seen.duration_s > mains:
+                continue
+            if power[near].max() > STANDS_OUT * np.median(power[around]):
                 line = float(f[near][power[near].argmax()])
                 starts.append({"frequency_hz": line, "cos_um": size, "sin_um": size})
         return starts
