@@ -115,8 +115,9 @@ class Chain:
     def displacement(self, hypothesis: Hypothesis, weights: np.ndarray, index: int) -> np.ndarray:
         """(time,), µm: the sum over the hysteresis."""
         used = self.used(hypothesis, index)
-        if (rows := self.remembered.get(self.key(hypothesis, index))) is not None:
-            x: np.ndarray = weights[used] @ rows
+        # Which way is summed depends on the hypothesis alone, not on what is remembered: equal bits anywhere.
+        if not any(member.effect.before_hysteresis for member in hypothesis.members):
+            x: np.ndarray = weights[used] @ self.rows(hypothesis, index)
             return x
         nominal, v = self.nominal(hypothesis, index), self.voltage(hypothesis, index)
         x = nominal.output(v, self.records[index].period_s, weights[: nominal.kept])

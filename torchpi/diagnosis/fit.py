@@ -302,7 +302,7 @@ def jacobian(
     stuck = chain.rests(hypothesis, index)
     one = np.ones((1, len(y))) if stuck is None else np.where(stuck.stuck, 0.0, 1.0)[None]
     own = [j for j, s in enumerate(slots) if s.record is None or s.record == index]
-    rows = np.zeros((len(own), len(y)))
+    rows, here = np.zeros((len(own), len(y))), chain.output(hypothesis, weights, index) if own else y
     for j, row in zip(own, rows, strict=True):
         s = slots[j]
         if s.member >= 0 and issubclass(members[s.member].effect, ModalEffect):
@@ -312,7 +312,7 @@ def jacobian(
             continue
         moved = np.array(theta)
         moved[j] += s.step
-        row[:] = (chain.output(with_theta(hypothesis, slots, moved), weights, index) - y) / s.step
+        row[:] = (chain.output(with_theta(hypothesis, slots, moved), weights, index) - here) / s.step
     places = np.concatenate([used, [n - len(chain.records) + index], n + np.array(own, dtype=int)])
     whitened = [chain.whitened(index, part) for part in (directions, one, rows)]
     return y, Sensitivity(places, np.concatenate(whitened))

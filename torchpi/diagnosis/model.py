@@ -31,7 +31,7 @@ def augmented_stage(now: Fit, recordings: int, seen: Seen, noise_um: float) -> S
     effects = [
         {
             "name": member.effect.name,
-            "values": foretold(member),
+            "values": common_values(member),
             "aux": member.aux,
             "modal": issubclass(member.effect, ModalEffect),
         }
@@ -50,7 +50,7 @@ def augmented_stage(now: Fit, recordings: int, seen: Seen, noise_um: float) -> S
     )
 
 
-def foretold(member: Member) -> dict[str, float]:
+def common_values(member: Member) -> dict[str, float]:
     """The parameters for a recording that was not made yet."""
     values = dict(member.shared)
     for name in {name for own in member.own for name in own}:

@@ -67,7 +67,14 @@ def get_ready() -> None:
     """Nothing, in a worker: it has then imported what it needs."""
 
 
-_chains: dict[str, Chain] = {}
+class _Kept(threading.local):
+    """The recordings that a worker saw last; each thread has its own: effects that are kept carry state."""
+
+    key = ""
+    chain: Chain | None = None
+
+
+_kept = _Kept()
 
 
 def _fit_elsewhere(key: str, packed: bytes, weighting: Weighting, job: Job) -> Fit:
@@ -87,9 +94,8 @@ def _candidates(chain: Chain, now: Fit, members: Sequence[Member]) -> list[Candi
 
 def _chain(key: str, packed: bytes, weighting: Weighting) -> Chain:
     """The recordings in a worker, which keeps those that it saw last."""
-    if key not in _chains:
+    if _kept.chain is None or _kept.key != key:
         torch.set_num_threads(1)
-        _chains.clear()
-        _chains[key] = Chain(pickle.loads(packed), weighting)
-    _chains[key].weighting = weighting
-    return _chains[key]
+        _kept.key, _kept.chain = key, Chain(pickle.loads(packed), weighting)
+    _kept.chain.weighting = weighting
+    return _kept.chain

@@ -6,7 +6,7 @@ from dataclasses import replace
 from torchpi.diagnosis.diagnosis import Parameter
 from torchpi.diagnosis.fit import to_outer, value_at
 from torchpi.diagnosis.hypothesis import Fit
-from torchpi.diagnosis.model import foretold
+from torchpi.diagnosis.model import common_values
 from torchpi.diagnosis.search import Search
 from torchpi.diagnosis.slips import Jump
 from torchpi.stage.effects.mechanics.backlash import Backlash
@@ -69,7 +69,7 @@ def parameters_of_member(
     for name in dict.fromkeys(one.name for _, one in own):
         each = [one for _, one in own if one.name == name]
         alone = len(each) == 1
-        shared.append(each[0] if alone else together(each, foretold(member)[name]))
+        shared.append(each[0] if alone else together(each, common_values(member)[name]))
     if len(own) > 1:
         shared += [replace(one, name=f"{one.name}[{names[r or 0]}]") for r, one in own]
     return tuple(shared)

@@ -10,7 +10,7 @@ from torchpi.diagnosis.hypothesis import Fit, Hypothesis
 
 FEW, MANY = 24, 80
 """Principal combinations for a search, and to report."""
-TOLD = 0.1
+INFORMED = 0.1
 """What the samples know of a combination, over what the prior does, from which it is kept."""
 THINNED = 3
 """One coefficient in so many tells the principal combinations."""
@@ -39,8 +39,8 @@ def basis(
         part = np.ascontiguousarray(chain.whitened(i, rows)[:, ::THINNED])
         gram += part @ part.T
     values, vectors = np.linalg.eigh(gram * THINNED)
-    told = int((values > TOLD * weight_prior(chain)).sum())
-    mixing = vectors[:, ::-1][:, : max(1, min(kept, told))].T
+    informed = int((values > INFORMED * weight_prior(chain)).sum())
+    mixing = vectors[:, ::-1][:, : max(1, min(kept, informed))].T
     if weights is None:
         return replace(hypothesis, nominal=replace(full, mixing=mixing)), None
     first = weights[: nominal.kept]

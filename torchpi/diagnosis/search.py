@@ -175,7 +175,7 @@ class Search:
         self.chain.weighting = Weighting.of(self.chain.records, now.residuals, self.noise)
 
     def reweighted(self, now: Fit) -> Fit:
-        """The fit on few rows, under the weights that it asks for itself."""
+        """The fit on few rows, under the weights that it shows itself."""
         self.weigh(now)
         small = reduced(self.chain, now)
         (again,) = self.fits([(small.hypothesis, small.weights, 3, ROUGH)])

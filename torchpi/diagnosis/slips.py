@@ -7,7 +7,7 @@ between the stage is stuck, and says nothing of what stands before the mount. Wh
 which it has just slipped, is fitted as any other data.
 
 It is judged by one step: from where it rests (the mean of the readings since the last jump) it stays while
-|x - y| < J, and is at x otherwise. Its rival is the chain without it, whose error is foretold from the last
+|x - y| < J, and is at x otherwise. Its rival is the chain without it, whose error is predicted from the last
 readings as well, by an autoregression: neither a slow misfit nor a coloured noise is evidence of slips.
 
 Friction d while it slides cannot be told from plays of the smallest thresholds, which lose the same at a
@@ -128,7 +128,7 @@ def with_rests(records: Sequence[Record], least_um: float) -> list[Record]:
 def unaided(chain: Chain, last: Fit, jump_um: float) -> Fit:
     """The last fit on the records without their rests: the mount slips by itself.
 
-    Where that foretells less of what is held out than no such mount, everything is fitted without one.
+    Where that predicts less than no such mount, everything is fitted without one.
     """
     without = fit(chain, last.hypothesis.without(Stiction.name), last.weights)
     slipping = slipping_freely(chain, last, jump_um)
@@ -184,7 +184,7 @@ def parting(records: Sequence[Record], far: Sequence[np.ndarray], but: int = -1)
 
 
 def one_step(chain: Chain, one: Fit, far: Sequence[np.ndarray], jump_um: float) -> list[np.ndarray]:
-    """(time,) for each record: reading less what the last rest and the chain foretell, µm."""
+    """(time,) for each record: reading less what the last hold and the chain predict, µm."""
     errors = []
     for record, d in zip(chain.records, far, strict=True):
         assert record.rests is not None
@@ -194,7 +194,7 @@ def one_step(chain: Chain, one: Fit, far: Sequence[np.ndarray], jump_um: float) 
 
 
 def one_step_rival(records: Sequence[Record], residuals: Sequence[np.ndarray]) -> list[np.ndarray]:
-    """What is left of residuals when each is foretold from the last ones of its recording, µm."""
+    """What is left of residuals when each is predicted from the last ones of its recording, µm."""
     lagged = [np.stack([np.r_[np.zeros(j), e[:-j]] for j in range(1, MEMORY + 1)]) for e in residuals]
     parts = [(past[:, r.train], e[r.train]) for past, r, e in zip(lagged, records, residuals, strict=True)]
     gram = sum(past @ past.T for past, _ in parts)
