@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from torchpi.diagnosis.diagnosis import NamedEffect, Parameter, Rival, Verdict
+from torchpi.diagnosis.diagnosis import NamedEffect, Parameter, Verdict
 from torchpi.diagnosis.hypothesis import Fit
 from torchpi.diagnosis.intervals import intervals_90
 from torchpi.diagnosis.noise import Noise
@@ -72,16 +72,13 @@ def decide(
             or (search.jump and one.name == Backlash.name)
         ):
             continue
-        rivals = tuple(
-            Rival(rival.name, rival.train_rms_um, rival.nats, rival.probability) for rival in one.rivals
-        )
         share = min(1.0, max(0.0, one.explained_um2 / total))
         if one.name == OPERATOR_NAME:
             family = final.hypothesis.nominal.family
             numbers = (Parameter("family", family, "", None), *shape_parameters(final, spans))
             named.append(
                 NamedEffect(one.name, "actuator", one.alternatives, one.probability, numbers, share,
-                            OPERATORS[family], "static: the same at any rate", rivals)
+                            OPERATORS[family], "static: the same at any rate", one.rivals)
             )  # fmt: skip
             continue
         effect = known[one.name]
@@ -89,7 +86,7 @@ def decide(
         named.append(
             NamedEffect(one.name, effect.block, one.alternatives, one.probability,
                         parameters_of(search, final, spans, one.name), share, effect.equation,
-                        effect.signature, rivals, effect.form(values[0]))
+                        effect.signature, one.rivals, effect.form(values[0]))
         )  # fmt: skip
     named.sort(key=lambda effect: -effect.share)
     kept = {effect.name for effect in named}

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from torchpi.diagnosis.diagnosis import Rival
 from torchpi.diagnosis.fit import ROUGH
 from torchpi.diagnosis.hypothesis import Fit, Hypothesis
 from torchpi.diagnosis.parallel import Job
@@ -30,18 +31,6 @@ OPERATOR_NAME = "hysteresis_operator"
 
 
 @dataclass(frozen=True)
-class RivalModel:
-    """What stands in the place of an effect."""
-
-    name: str
-    probability: float
-    nats: float
-    """By how much it predicts worse than the effect."""
-    sd: float
-    train_rms_um: float
-
-
-@dataclass(frozen=True)
 class Believed:
     """One effect of the final hypothesis, or its hysteresis."""
 
@@ -51,7 +40,7 @@ class Believed:
     alternatives: tuple[str, ...]
     explained_um2: float
     """By how much the mean square of the residual rises without it."""
-    rivals: tuple[RivalModel, ...]
+    rivals: tuple[Rival, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,12 +75,12 @@ def posterior(search: Search, retuned: Fit, final: Fit, history: Sequence[Round]
                 continue
             d = density[0] - own
             sd = ALIKE * float(np.sqrt(np.sum((d - d.mean()) ** 2)))
-            rivals.append(RivalModel(model.instead, float(c), float(d.sum()), sd, model.fit.train_rms))
+            rivals.append(Rival(model.instead, model.fit.train_rms, float(d.sum()), float(c)))
             if d.sum() < TOGETHER * sd or d.sum() < -PRIOR:
                 alternatives.append(model.instead)
                 held += float(c)
         known, rise = adequacy(weighting, models[0].fit, less.fit)
-        rivals.sort(key=lambda rival: rival.nats)
+        rivals.sort(key=lambda rival: rival.loses_nats)
         found.append(
             Believed(name, round(min(held, 1.0) * known, 4), tuple(dict.fromkeys(alternatives)), rise,
                      tuple(rivals))
