@@ -15,7 +15,8 @@ from torchpi.diagnosis.nominal import Nominal
 from torchpi.diagnosis.records import Record, Rests
 from torchpi.diagnosis.remanence import COLUMNS, remanence
 from torchpi.diagnosis.score import Weighting
-from torchpi.stage.effects.effect import Effect, LinearEffect
+from torchpi.operators.linear import Matrices
+from torchpi.stage.effects.effect import Effect, LinearEffect, StateSpaceEffect, run, without_idle_poles
 from torchpi.stage.effects.held import hold_first_block
 from torchpi.stage.effects.inside import InsideEffect
 from torchpi.stage.effects.mechanics.modal import ModalEffect
@@ -40,20 +41,28 @@ class Placed(NamedTuple):
     aux: Tensor | tuple[Tensor, ...] | None
     key: tuple[object, ...]
     """What tells it from another."""
+    matrices: Matrices | None
+    """Of an effect of a few states."""
 
     def __call__(self, x: Tensor) -> Tensor:
         # Only an effect that takes a second signal accepts one.
         if self.aux is not None:
             return self.effect(x, None, self.aux)[0]  # type: ignore[no-any-return]
         if isinstance(self.effect, LinearEffect):
-            return self.effect(x - x[:, :1])[0] + x[:, :1]  # type: ignore[no-any-return]
+            return self.of_deviation(x)
         return self.effect(x)[0]  # type: ignore[no-any-return]
 
     def tangent(self, x: Tensor, dx: Tensor) -> Tensor:
         """How the output moves along each direction, (directions, time)."""
         if self.aux is None and isinstance(self.effect, LinearEffect):
-            return self.effect.tangent(x - x[:, :1], dx - dx[:, :1]) + dx[:, :1]
+            return self.of_deviation(dx)
         return self.effect.tangent(x, dx)
+
+    def of_deviation(self, x: Tensor) -> Tensor:
+        """What a linear effect makes of rows, (rows, time), at rest at their first sample."""
+        first = x[:, :1]
+        moved = self.effect(x - first) if self.matrices is None else run(x - first, self.matrices)
+        return moved[0].add_(first)  # type: ignore[no-any-return]
 
 
 class Chain:
@@ -66,6 +75,8 @@ class Chain:
         self.remembered: dict[tuple[object, ...], np.ndarray] = {}
         self.signals: dict[tuple[object, ...], Tensor] = {}
         self.made: dict[tuple[object, ...], Effect] = {}
+        self.matrices: dict[tuple[object, ...], Matrices] = {}
+        self.placements: dict[tuple[Hypothesis, int], list[Placed]] = {}
 
     @cached_property
     def packed(self) -> tuple[str, bytes]:
@@ -236,6 +247,14 @@ class Chain:
 
     def placed(self, hypothesis: Hypothesis, index: int) -> list[Placed]:
         """Every effect outside the hysteresis, in the order of the chain."""
+        if (hypothesis, index) not in self.placements:
+            if len(self.placements) >= MADE:
+                self.placements.clear()
+            self.placements[hypothesis, index] = self.place(hypothesis, index)
+        return self.placements[hypothesis, index]
+
+    def place(self, hypothesis: Hypothesis, index: int) -> list[Placed]:
+        """The same, made."""
         record = self.records[index]
         parts: list[tuple[Effect, tuple[object, ...], str]] = []
         modal = [m for m in hypothesis.members if issubclass(m.effect, ModalEffect)]
@@ -261,8 +280,19 @@ class Chain:
             )
             if isinstance(effect, Modes):
                 aux = tuple(torch.from_numpy(record.aux[one])[None] for one in effect.aux_names)
-            found.append(Placed(effect, aux, (*key, effect.hold)))
+            found.append(Placed(effect, aux, (*key, effect.hold), self.discrete(effect, (*key, effect.hold))))
         return found
+
+    def discrete(self, effect: Effect, key: tuple[object, ...]) -> Matrices | None:
+        """The matrices of an effect of a few states: to make them takes longer than to use them."""
+        if not isinstance(effect, StateSpaceEffect):
+            return None
+        if key not in self.matrices:
+            if len(self.matrices) >= MADE:
+                self.matrices.clear()
+            with torch.no_grad():
+                self.matrices[key] = without_idle_poles(effect.matrices())
+        return self.matrices[key]
 
     def nominal(self, hypothesis: Hypothesis, index: int) -> Nominal:
         """The hysteresis with the effects inside it."""

@@ -90,7 +90,7 @@ def diagnose(
     retuned, final, history = search.run()
     noise = search.noise
     say("decide: every effect against its rivals")
-    believed = posterior(search, retuned, final, history)
+    final, believed = posterior(search, retuned, final, history)
     modelled = augmented = unaided(chain, final, search.jump.value_um) if search.jump else final
     chain.weighting = search.chain.weighting
     say("what no effect explains")

@@ -1,7 +1,7 @@
 """Gauss–Newton over everything at once: the weights, and the parameters of every effect in the chain."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -24,6 +24,8 @@ recorded range."""
 ITERATIONS = 12
 FINE, ROUGH = 1e-4, 3e-3
 """Relative gain of a step below which a fit ends: to report, and to compare."""
+MOVED = 0.03
+"""Of a logarithm, or of the value at the start: what a slot has moved from which its slope is taken anew."""
 KEPT_PROMISE = 0.5
 """Share of the predicted decrease that a step must keep."""
 LEVERAGE = 0.9
@@ -41,6 +43,24 @@ class Sensitivity(NamedTuple):
     """(places, kept)."""
 
 
+class Tangent(NamedTuple):
+    """How the whitened coefficients move with the weights, at given parameters of the effects."""
+
+    parts: list[Sensitivity]
+    """Of each recording."""
+    gram: np.ndarray
+    """(weights, weights), J Jᵀ."""
+
+
+class Slopes(NamedTuple):
+    """How the whitened coefficients move with the slots, each where it was when its slope was last taken."""
+
+    parts: list[Sensitivity]
+    """Of each recording."""
+    theta: np.ndarray
+    """(slots,)."""
+
+
 def fit(
     chain: Chain,
     hypothesis: Hypothesis,
@@ -50,65 +70,70 @@ def fit(
 ) -> Fit:
     """The hypothesis fitted to what is not sealed, weighted, until a step gains less than the tolerance.
 
-    Where the straight line of a step promises more than the step keeps, the weights are solved anew at the
-    parameters that it leads to (variable projection: Golub and Pereyra 1973): a limit of the voltage and a
-    hundred plays that have bent round a wrong one move together or not at all.
+    The tangent of the weights is most of the work, and moves little with the parameters: it is kept while
+    steps keep their promise (a chord method: Ortega and Rheinboldt 1970, 7.1), the slope of a slot while it
+    has moved little; not in a fine fit. Where a step does not keep its promise, the weights are
+    solved anew at the parameters that it leads to (variable projection: Golub and Pereyra 1973): a limit of
+    the voltage and a hundred plays that have bent round a wrong one move together or not at all.
     """
     slots = slots_of(hypothesis)
     theta = np.array([to_inner(slot, value_at(hypothesis, slot)) for slot in slots])
-    records = chain.records
+    low = np.array([to_inner(s, s.low) for s in slots])
+    high = np.array([to_inner(s, s.high) for s in slots])
+    tangent: Tangent | None = None
+    slopes: Slopes | None = None
     fresh_weights = weights is None
     if weights is None:
-        weights = start_weights(chain, hypothesis)
+        weights, tangent = start_weights(chain, hypothesis)
     elif slots and any(member.effect.hold for member in hypothesis.members):
         # Weights found without a mode, or a lag, may be far from those that go with it.
-        fresh = start_weights(chain, hypothesis)
+        fresh, at_fresh = start_weights(chain, hypothesis)
         if sum_of_squares(chain, hypothesis, fresh) < sum_of_squares(chain, hypothesis, weights):
-            weights = fresh
+            weights, tangent = fresh, at_fresh
     if not slots:  # linear in the weights: done
         iterations = 0 if fresh_weights else 1
-    damping = 1e-3
-    n, parts = len(weights), None
-    prior = np.zeros((0, 0))
+    damping, current = 1e-3, with_theta(hypothesis, slots, theta)
+    n, prior, parts = len(weights), np.zeros((0, 0)), None
     for _ in range(iterations):
-        current = with_theta(hypothesis, slots, theta)
-        gram, right, ss, parts = normal_equations(chain, current, weights, slots, theta)
-        prior = prior if len(prior) else prior_of(chain, hypothesis, gram[:n, :n])
+        if tangent is None:
+            tangent = tangent_of(chain, current, weights)
+        slopes = slopes_of(chain, current, weights, slots, theta, slopes if tolerance > FINE else None)
+        prior = prior if len(prior) else prior_of(chain, hypothesis, tangent.gram)
+        gram, right, ss, parts = normal_equations(chain, current, weights, tangent, slopes)
         ss += float(weights @ prior @ weights)
         gram, right = with_prior(gram, right, prior, weights)
-        before = ss
         accepted = False
         for _ in range(6):
             step = solve(gram, right, n, damping)
-            trial_theta = np.clip(
-                theta + np.clip(step[n:], -1.5, 1.5),
-                [to_inner(s, s.low) for s in slots],
-                [to_inner(s, s.high) for s in slots],
-            )
+            trial_theta = np.clip(theta + np.clip(step[n:], -1.5, 1.5), low, high)
             trial, trial_weights = with_theta(hypothesis, slots, trial_theta), weights + step[:n]
             trial_ss = sum_of_squares(chain, trial, trial_weights)
             trial_ss += float(trial_weights @ prior @ trial_weights)
             promised = float(2 * step @ right - step @ gram @ step)
+            at_trial: Tangent | None = tangent
             if slots and promised > 1e-4 * ss and ss - trial_ss < KEPT_PROMISE * promised:
-                solved, solved_ss = with_weights_solved(chain, trial, weights, prior)
+                solved, solved_ss, fresh_tangent = with_weights_solved(chain, trial, weights, prior)
                 if solved_ss < trial_ss:
-                    trial_weights, trial_ss = solved, solved_ss
+                    trial_weights, trial_ss, at_trial = solved, solved_ss, fresh_tangent
             if trial_ss < ss:
                 accepted = True
                 break
             damping = max(damping * 10, 1e-3)
         if not accepted:
             break
-        theta, weights, damping = trial_theta, trial_weights, damping / 10
-        if trial_ss > before * (1 - tolerance):
+        tangent = at_trial if tolerance > FINE or at_trial is not tangent or not slots else None
+        theta, weights, current, damping = trial_theta, trial_weights, trial, damping / 10
+        if trial_ss > ss * (1 - tolerance):
             break
-    final = with_theta(hypothesis, slots, theta)
     if parts is None:
-        gram, _, _, parts = normal_equations(chain, final, weights, slots, theta)
-        prior = prior_of(chain, hypothesis, gram[:n, :n])
-    residuals = tuple(record.y - chain.output(final, weights, i) for i, record in enumerate(records))
+        tangent = tangent or tangent_of(chain, current, weights)
+        slopes = slopes_of(chain, current, weights, slots, theta)
+        parts = normal_equations(chain, current, weights, tangent, slopes)[3]
+        prior = prior_of(chain, hypothesis, tangent.gram)
+    residuals = residuals_of(chain, current, weights)
+    records = chain.records
     return Fit(
-        final, weights, slots, theta, residuals,
+        current, weights, slots, theta, residuals,
         rms(records, residuals, True), rms(records, residuals, False),
         tuple(s.name for s, t in zip(slots, theta, strict=True) if at_bound(s, t)),
         left_out(chain, residuals, parts, prior),
@@ -137,10 +162,7 @@ def left_out(
 
 def whitener(parts: Sequence[Sensitivity], prior: np.ndarray) -> np.ndarray:
     """The inverse Cholesky factor of J Jᵀ and the prior: it makes the rows of J orthonormal."""
-    size = max(int(part.places.max()) for part in parts) + 1
-    gram = np.zeros((size, size))
-    for part in parts:
-        gram[np.ix_(part.places, part.places)] += part.rows @ part.rows.T
+    gram = gram_of(parts, max(int(part.places.max()) for part in parts) + 1)
     gram[: len(prior), : len(prior)] += prior
     scale = 1 / np.sqrt(np.maximum(np.diag(gram), 1e-300))
     unit = gram * scale * scale[:, None]
@@ -150,15 +172,17 @@ def whitener(parts: Sequence[Sensitivity], prior: np.ndarray) -> np.ndarray:
 
 def with_weights_solved(
     chain: Chain, hypothesis: Hypothesis, weights: np.ndarray, prior: np.ndarray
-) -> tuple[np.ndarray, float]:
-    """The best weights of a hypothesis, and what they leave; infinite where the chain cannot be."""
+) -> tuple[np.ndarray, float, Tangent | None]:
+    """The best weights of a hypothesis, what they leave, and the tangent; infinite where the chain cannot
+    be."""
     try:
-        gram, right, _, _ = normal_equations(chain, hypothesis, weights, (), np.zeros(0))
+        tangent = tangent_of(chain, hypothesis, weights)
+        gram, right, _, _ = normal_equations(chain, hypothesis, weights, tangent)
     except StageError:
-        return weights, math.inf
+        return weights, math.inf, None
     gram, right = with_prior(gram, right, prior, weights)
     solved = weights + solve(gram, right, len(weights), 0.0)
-    return solved, sum_of_squares(chain, hypothesis, solved) + float(solved @ prior @ solved)
+    return solved, sum_of_squares(chain, hypothesis, solved) + float(solved @ prior @ solved), tangent
 
 
 def prior_of(chain: Chain, hypothesis: Hypothesis, gram: np.ndarray) -> np.ndarray:
@@ -296,42 +320,128 @@ def jacobian(
     index: int,
 ) -> tuple[np.ndarray, Sensitivity]:
     """Output of one recording, (time,), and its sensitivity to each weight and slot."""
+    y, first = of_weights(chain, hypothesis, weights, index)
+    every = range(len(slots))
+    return y, joined(first, of_slots(chain, hypothesis, weights, slots, theta, index, every))
+
+
+def joined(first: Sensitivity, second: Sensitivity) -> Sensitivity:
+    """To the numbers of both."""
+    if not len(second.places):
+        return first
+    return Sensitivity(*(np.concatenate(parts) for parts in zip(first, second, strict=True)))
+
+
+def of_weights(
+    chain: Chain, hypothesis: Hypothesis, weights: np.ndarray, index: int
+) -> tuple[np.ndarray, Sensitivity]:
+    """Output of one recording, (time,), and its sensitivity to each weight."""
     y, used, directions = chain.output_and_directions(hypothesis, weights, index)
-    members, n = hypothesis.members, len(weights)
-    slopes = chain.slopes(hypothesis, weights, index) if slots else {}
     stuck = chain.rests(hypothesis, index)
     one = np.ones((1, len(y))) if stuck is None else np.where(stuck.stuck, 0.0, 1.0)[None]
-    own = [j for j, s in enumerate(slots) if s.record is None or s.record == index]
-    rows, here = np.zeros((len(own), len(y))), chain.output(hypothesis, weights, index) if own else y
+    places = np.concatenate([used, [len(weights) - len(chain.records) + index]])
+    whitened = [chain.whitened(index, part) for part in (directions, one)]
+    return y, Sensitivity(places, np.concatenate(whitened))
+
+
+def of_slots(
+    chain: Chain,
+    hypothesis: Hypothesis,
+    weights: np.ndarray,
+    slots: Sequence[Slot],
+    theta: np.ndarray,
+    index: int,
+    chosen: Iterable[int],
+) -> Sensitivity:
+    """The sensitivity of one recording to the chosen slots."""
+    own = [j for j in chosen if slots[j].record is None or slots[j].record == index]
+    rows = np.zeros((len(own), len(chain.records[index].u)))
+    of_modes = chain.slopes(hypothesis, weights, index) if own else {}
+    here = chain.output(hypothesis, weights, index) if own else np.zeros(0)
     for j, row in zip(own, rows, strict=True):
         s = slots[j]
-        if s.member >= 0 and issubclass(members[s.member].effect, ModalEffect):
-            if (s.member, s.name) in slopes:  # else a coupling's number for a mode that was taken away
+        if s.member >= 0 and issubclass(hypothesis.members[s.member].effect, ModalEffect):
+            if (s.member, s.name) in of_modes:  # else a coupling's number for a mode that was taken away
                 per_inner = to_outer(s, float(theta[j])) if s.log else s.scale
-                row[:] = slopes[s.member, s.name] * per_inner
+                row[:] = of_modes[s.member, s.name] * per_inner
             continue
         moved = np.array(theta)
         moved[j] += s.step
         row[:] = (chain.output(with_theta(hypothesis, slots, moved), weights, index) - here) / s.step
-    places = np.concatenate([used, [n - len(chain.records) + index], n + np.array(own, dtype=int)])
-    whitened = [chain.whitened(index, part) for part in (directions, one, rows)]
-    return y, Sensitivity(places, np.concatenate(whitened))
+    return Sensitivity(len(weights) + np.array(own, dtype=int), chain.whitened(index, rows))
+
+
+def slopes_of(
+    chain: Chain,
+    hypothesis: Hypothesis,
+    weights: np.ndarray,
+    slots: Sequence[Slot],
+    theta: np.ndarray,
+    before: Slopes | None = None,
+) -> Slopes:
+    """The slope of every slot; of those that have moved little since `before`, as it was."""
+    at = (
+        np.array(theta)
+        if before is None
+        else np.where(abs(theta - before.theta) > MOVED, theta, before.theta)
+    )
+    new = np.arange(len(slots)) if before is None else np.flatnonzero(at != before.theta)
+    parts = []
+    for i in range(len(chain.records)):
+        part = of_slots(chain, hypothesis, weights, slots, theta, i, new.tolist())
+        if before is not None:
+            old = before.parts[i]
+            kept = ~np.isin(old.places, part.places)
+            part = joined(Sensitivity(old.places[kept], old.rows[kept]), part)
+        parts.append(part)
+    return Slopes(parts, at)
+
+
+def tangent_of(chain: Chain, hypothesis: Hypothesis, weights: np.ndarray) -> Tangent:
+    """How the output moves with the weights."""
+    parts = [of_weights(chain, hypothesis, weights, i)[1] for i in range(len(chain.records))]
+    return Tangent(parts, gram_of(parts, len(weights)))
+
+
+def gram_of(parts: Sequence[Sensitivity], size: int) -> np.ndarray:
+    """(size, size), J Jᵀ."""
+    gram = np.zeros((size, size))
+    for part in parts:
+        gram[np.ix_(part.places, part.places)] += part.rows @ part.rows.T
+    return gram
 
 
 def normal_equations(
-    chain: Chain, hypothesis: Hypothesis, weights: np.ndarray, slots: Sequence[Slot], theta: np.ndarray
+    chain: Chain,
+    hypothesis: Hypothesis,
+    weights: np.ndarray,
+    tangent: Tangent,
+    slopes: Slopes | None = None,
 ) -> tuple[np.ndarray, np.ndarray, float, list[Sensitivity]]:
     """J Jᵀ, J e and eᵀ e over the whitened coefficients, and J of each recording."""
-    size = len(weights) + len(slots)
+    n = len(weights)
+    size = n + (0 if slopes is None else len(slopes.theta))
     gram, right, ss, parts = np.zeros((size, size)), np.zeros(size), 0.0, []
-    for i, record in enumerate(chain.records):
-        y, part = jacobian(chain, hypothesis, weights, slots, theta, i)
-        error = chain.whitened(i, (record.y - y)[None])[0]
-        gram[np.ix_(part.places, part.places)] += part.rows @ part.rows.T
-        right[part.places] += part.rows @ error
+    gram[:n, :n] = tangent.gram
+    for i, residual in enumerate(residuals_of(chain, hypothesis, weights)):
+        first, error = tangent.parts[i], chain.whitened(i, residual[None])[0]
+        right[first.places] += first.rows @ error
         ss += float(error @ error)
-        parts.append(part)
+        if slopes is None:
+            continue
+        second = slopes.parts[i]
+        across = first.rows @ second.rows.T
+        gram[np.ix_(first.places, second.places)] += across
+        gram[np.ix_(second.places, first.places)] += across.T
+        gram[np.ix_(second.places, second.places)] += second.rows @ second.rows.T
+        right[second.places] += second.rows @ error
+        parts.append(joined(first, second))
     return gram, right, ss, parts
+
+
+def residuals_of(chain: Chain, hypothesis: Hypothesis, weights: np.ndarray) -> tuple[np.ndarray, ...]:
+    """(time,) for each recording, µm."""
+    return tuple(record.y - chain.output(hypothesis, weights, i) for i, record in enumerate(chain.records))
 
 
 def solve(gram: np.ndarray, right: np.ndarray, n: int, damping: float) -> np.ndarray:
@@ -347,20 +457,21 @@ def sum_of_squares(chain: Chain, hypothesis: Hypothesis, weights: np.ndarray) ->
     """Over the whitened coefficients; infinite where the chain cannot be."""
     ss = 0.0
     try:
-        for i, record in enumerate(chain.records):
-            e = chain.whitened(i, (record.y - chain.output(hypothesis, weights, i))[None])[0]
+        for i, residual in enumerate(residuals_of(chain, hypothesis, weights)):
+            e = chain.whitened(i, residual[None])[0]
             ss += float(e @ e)
     except StageError:  # a step to a stage that cannot exist, such as limits out of order
         return math.inf
     return ss if math.isfinite(ss) else math.inf
 
 
-def start_weights(chain: Chain, hypothesis: Hypothesis) -> np.ndarray:
+def start_weights(chain: Chain, hypothesis: Hypothesis) -> tuple[np.ndarray, Tangent]:
     """Least squares on the rows as they come out of the chain, to first order in the weights."""
     nothing = np.zeros(chain.numbers(hypothesis))
-    gram, right, _, _ = normal_equations(chain, hypothesis, nothing, (), np.zeros(0))
+    tangent = tangent_of(chain, hypothesis, nothing)
+    gram, right, _, _ = normal_equations(chain, hypothesis, nothing, tangent)
     gram, right = with_prior(gram, right, prior_of(chain, hypothesis, gram), nothing)
-    return solve(gram, right, len(right), 0.0)
+    return solve(gram, right, len(right), 0.0), tangent
 
 
 def rms(records: Sequence[Record], residuals: Sequence[np.ndarray], train: bool) -> float:

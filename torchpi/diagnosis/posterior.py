@@ -18,15 +18,13 @@ from torchpi.diagnosis.diagnosis import Rival
 from torchpi.diagnosis.fit import ROUGH
 from torchpi.diagnosis.hypothesis import Fit, Hypothesis
 from torchpi.diagnosis.parallel import Job
-from torchpi.diagnosis.reduced_basis import reduced
+from torchpi.diagnosis.reduced_basis import reduced, refitted
 from torchpi.diagnosis.score import ALIKE, Weighting
-from torchpi.diagnosis.search import OPERATOR, PRIOR, Round, Search
+from torchpi.diagnosis.search import ACCEPTED, OPERATOR, PRIOR, Round, Search, rms_of
 
 DRAWS = 400
 RIVALS = 4
 """Of an effect, that are fitted in its place."""
-TOGETHER = 2.0
-"""Standard errors within which a rival predicts as well: no recording here splits the two."""
 OPERATOR_NAME = "hysteresis_operator"
 
 
@@ -54,11 +52,11 @@ class Model:
     fit: Fit
 
 
-def posterior(search: Search, retuned: Fit, final: Fit, history: Sequence[Round]) -> list[Believed]:
-    """Each effect of the final hypothesis with its probability, the strongest first."""
-    search.weigh(final)
-    small = reduced(search.chain, final)
-    models = around(search, retuned, small, history)
+def posterior(
+    search: Search, retuned: Fit, final: Fit, history: Sequence[Round]
+) -> tuple[Fit, list[Believed]]:
+    """The best hypothesis, and each of its effects with its probability, the strongest first."""
+    final, models = settled(search, retuned, final, history)
     weighting = search.chain.weighting
     density = np.array([weighting.log_density(model.fit) for model in models])
     priors = np.array([prior(search, retuned, model.fit) for model in models])
@@ -73,10 +71,10 @@ def posterior(search: Search, retuned: Fit, final: Fit, history: Sequence[Round]
         for model, c, own in zip(models, chance, density, strict=True):
             if model.without != name or not model.instead:
                 continue
-            d = density[0] - own
-            sd = ALIKE * float(np.sqrt(np.sum((d - d.mean()) ** 2)))
-            rivals.append(Rival(model.instead, model.fit.train_rms, float(d.sum()), float(c)))
-            if d.sum() < TOGETHER * sd or d.sum() < -PRIOR:
+            rivals.append(
+                Rival(model.instead, model.fit.train_rms, float((density[0] - own).sum()), float(c))
+            )
+            if search.as_well(model.fit, models[0].fit):
                 alternatives.append(model.instead)
                 held += float(c)
         known, rise = adequacy(weighting, models[0].fit, less.fit)
@@ -85,7 +83,25 @@ def posterior(search: Search, retuned: Fit, final: Fit, history: Sequence[Round]
             Believed(name, round(min(held, 1.0) * known, 4), tuple(dict.fromkeys(alternatives)), rise,
                      tuple(rivals))
         )  # fmt: skip
-    return sorted(found, key=lambda one: -one.explained_um2)
+    return final, sorted(found, key=lambda one: -one.explained_um2)
+
+
+def settled(search: Search, retuned: Fit, final: Fit, history: Sequence[Round]) -> tuple[Fit, list[Model]]:
+    """The hypothesis that none around it predicts better than, and those around it."""
+    for last in (False, False, True):
+        search.weigh(final)
+        models = around(search, retuned, reduced(search.chain, final), history)
+        now = models[0].fit
+        better = [
+            (search.over(one.fit, now, prior(search, retuned, one.fit) - prior(search, retuned, now)), one)
+            for one in models[1:]
+        ]
+        ahead, best = max(better, key=lambda pair: pair[0].nats, default=(None, models[0]))
+        if ahead is None or ahead.probability < ACCEPTED or last or search.slips:
+            break
+        search.log(f"  {best.instead or 'nothing'} in the place of {best.without}: {rms_of(best.fit)}")
+        final = refitted(search.chain, best.fit)
+    return final, models
 
 
 def averaged(density: np.ndarray, priors: np.ndarray) -> np.ndarray:
@@ -136,7 +152,8 @@ def around(search: Search, retuned: Fit, small: Fit, history: Sequence[Round]) -
             for label, one, _ in rivals(search, history, OPERATOR_NAME, plain, small)
         ]
     jobs: list[Job] = [(one, w, 8, ROUGH) for _, _, one, w in wanted]
-    fits = search.fits(jobs)
+    (best,) = search.fits(jobs[:1])
+    fits = [best, *search.raced(jobs[1:], best)]
     return [
         Model(name, instead, one)
         for (name, instead, _, _), one in zip(wanted, fits, strict=True)
@@ -151,9 +168,9 @@ def rivals(
     found: list[tuple[str, Hypothesis, np.ndarray | None]] = []
     there = set(small.hypothesis.names)
     seen: set[str] = set()
-    for round in reversed(history):
-        if name not in names_of(round.accepted):
-            continue
+    taken = [round for round in history if name in names_of(round.accepted)]
+    considered = [round for round in history if any(name in names_of(one.name) for one in round.tried)]
+    for round in reversed(taken or considered[-1:]):
         for one in round.tried:
             label = OPERATOR_NAME if one.name.startswith(OPERATOR) else one.name
             parts = names_of(one.name)

@@ -6,6 +6,7 @@ displacement depends on the largest excursions since the first sample alone, and
 So it is a function of the running excursion, up or either way, here piecewise linear and 0 at its end.
 """
 
+import numba
 import numpy as np
 
 EITHER, UP = np.linspace(0, 1, 15)[1:] ** 1.5, np.linspace(0, 1, 6)[1:]
@@ -15,12 +16,21 @@ COLUMNS = len(EITHER) + len(UP)
 
 def remanence(v: np.ndarray) -> np.ndarray:
     """(COLUMNS, time) for a voltage, (time,): 1 at first, 0 once an excursion has passed its level."""
-    up, down = np.maximum.accumulate(v - v[0]), np.maximum.accumulate(v[0] - v)
-    either = np.maximum(up, down)
-    reach = max(float(either[-1]), 1e-300)
-    columns = np.empty((COLUMNS, len(v)))
-    for row, level in zip(columns, EITHER, strict=False):
-        np.maximum(0.0, 1.0 - either / (level * reach), out=row)
-    for row, level in zip(columns[len(EITHER) :], UP, strict=True):
-        np.maximum(0.0, 1.0 - up / (level * reach), out=row)
+    columns = np.zeros((COLUMNS, len(v)))
+    reach = max(float(np.abs(v - v[0]).max()), 1e-300)
+    _fill(v, reach * EITHER, reach * UP, columns)
     return columns
+
+
+@numba.njit(cache=True)
+def _fill(v: np.ndarray, either: np.ndarray, up: np.ndarray, columns: np.ndarray) -> None:
+    highest, largest = 0.0, 0.0
+    for t in range(len(v)):
+        highest = max(highest, v[t] - v[0])
+        largest = max(largest, abs(v[t] - v[0]))
+        for i in range(len(either)):
+            if largest < either[i]:
+                columns[i, t] = 1.0 - largest / either[i]
+        for i in range(len(up)):
+            if highest < up[i]:
+                columns[len(either) + i, t] = 1.0 - highest / up[i]

@@ -29,6 +29,7 @@ from torchpi.stage.effects import EFFECTS
 from torchpi.stage.effects.effect import Effect, Parameters
 from torchpi.stage.effects.inside import InsideEffect
 from torchpi.stage.effects.mechanics.cross_coupling import CrossCoupling
+from torchpi.stage.effects.mechanics.modal import ModalEffect
 from torchpi.stage.effects.mechanics.resonance import Resonance
 from torchpi.stage.effects.mechanics.second_mode import SecondMode
 from torchpi.stage.effects.mechanics.stiction import Stiction
@@ -40,12 +41,15 @@ ACCEPTED = 0.95
 FAINT = 0.3
 """Of the rms that is left: a history of its own must explain as much to be taken for one."""
 ROUNDS = 7
-FORMS, STARTS, HEAT = 3, 2, 4
-"""From how many forms an effect is fitted, and all axes through a mode; the steps after which only the best
-goes on."""
-TRIED, FINISHED, REFITTED = 6, 4, 2
-"""How many effects are fitted in a round, the best of the screen; how many of these to the end, and with all
-rows."""
+FORMS, STARTS, HEAT = 3, 2, 2
+"""From how many forms an effect is fitted, and all axes through a mode; the steps after which only what may
+still win goes on."""
+TRIED, FINISHED = 6, 4
+"""How many effects are fitted in a round, the best of the screen; how many of these to the end."""
+TOGETHER = 2.0
+"""Standard errors within which two hypotheses predict alike."""
+CLEAR = 6.0
+"""Standard errors by which a fit that has not ended may lose and still go on."""
 STEPS = 6
 """Of a fit in the search."""
 AXES = "resonance + cross_coupling"
@@ -129,12 +133,12 @@ class Search:
             tried = self.round(small)
             best = f"; best {tried[0].name}, {describe(tried[0])}" if tried else ""
             self.log(f"round {number}: {len(tried)} explanations fitted{best}")
-            chosen = next((one for one in tried if one.gain.probability > ACCEPTED), None)
+            chosen = self.simplest(tried)
             history.append(Round(now, tuple(tried), chosen.name if chosen else None))
             if chosen is None:
                 break
             grown = self.sized(chosen.fit) if chosen.name.startswith(OPERATOR) else chosen.fit
-            now = self.backward(self.realigned(grown))
+            now = self.backward(self.swapped(self.realigned(grown)))
             self.needless |= set(chosen.fit.hypothesis.names) - set(now.hypothesis.names)
             self.log(f"  with {', '.join(now.hypothesis.names) or chosen.name}: {rms_of(now)}")
         self.weigh(now)
@@ -143,6 +147,24 @@ class Search:
         else:
             now = refitted(self.chain, now)
         return retuned, now, history
+
+    def simplest(self, tried: Sequence[Tried]) -> Tried | None:
+        """The best of what earns its place; an effect where a larger hysteresis is no clearer."""
+        earned = [one for one in tried if one.gain.probability > ACCEPTED]
+        if not earned or not earned[0].name.startswith(OPERATOR):
+            return earned[0] if earned else None
+        # A larger hysteresis is fitted on many rows: so are its best rivals, before the two are compared.
+        for one in [one for one in earned if not one.name.startswith(OPERATOR)][:2]:
+            full = refitted(self.chain, one.fit, STEPS)
+            if self.as_well(full, earned[0].fit):
+                return replace(one, fit=full)
+        return earned[0]
+
+    def as_well(self, one: Fit, best: Fit) -> bool:
+        """Whether a fit predicts as well as a better one, within the standard error: no recording here splits
+        the two."""
+        ahead = self.over(best, one)
+        return not ahead.nats > max(TOGETHER * ahead.sd, -PRIOR)
 
     def retuned(self) -> Fit:
         """The nominal hysteresis, with the timing and the start that suit it better."""
@@ -158,8 +180,7 @@ class Search:
             other = replace(h, alignment=1 - h.alignment)
             now = max(self.fits([(h, None, 8, FINE), (other, None, 8, FINE)]), key=self.score)
         (less,) = self.fits([(replace(now.hypothesis, remanent=False), None, 8, FINE)])
-        faint = less.train_rms**2 - now.train_rms**2 < (FAINT * less.train_rms) ** 2
-        if faint or self.over(now, less).probability < ACCEPTED:
+        if self.needs_no_history(now, less):
             now = less
         if self.noise is not None:
             # The noise of a monitored voltage is in what the simulation makes of a hold.
@@ -169,6 +190,11 @@ class Search:
         self.weigh(now)
         self.log(f"retuned, {nominal.size} plays: {rms_of(now)}")
         return now
+
+    def needs_no_history(self, now: Fit, less: Fit) -> bool:
+        """Whether recordings that start de-energised are predicted as well, or all but as well."""
+        faint = less.train_rms**2 - now.train_rms**2 < (FAINT * less.train_rms) ** 2
+        return faint or self.over(now, less).probability < ACCEPTED
 
     def weigh(self, now: Fit) -> None:
         """Count every coefficient for what this fit leaves there, and for the noise."""
@@ -214,12 +240,10 @@ class Search:
     def round(self, now: Fit) -> list[Tried]:
         """Every promising effect, and growth of the hysteresis, fitted on top of this, the best first."""
         inherited = set(now.bounded)
-        fits = [(n, f) for n, f in self.effects(now) + self.growth(now) if set(f.bounded) <= inherited]
-        tried = self.ranked(now, fits)
-        best = [one for one in tried[:REFITTED] if one.gain.nats > 0]
-        full = self.full([one.fit for one in best])
-        again = [(t.name, f) for t, f in zip(best, full, strict=True) if set(f.bounded) <= inherited]
-        return self.ranked(now, again) + tried[len(best) :]
+        fits = self.effects(now)
+        leader = max([now, *(one for _, one in fits)], key=self.score)
+        fits = [(n, f) for n, f in fits + self.growth(now, leader) if set(f.bounded) <= inherited]
+        return self.ranked(now, fits)
 
     def ranked(self, now: Fit, fits: Sequence[tuple[str, Fit]]) -> list[Tried]:
         """With the gain over a fit, the best first."""
@@ -231,10 +255,6 @@ class Search:
         new = len(set(more.hypothesis.names)) - len(set(now.hypothesis.names))
         grown = more.hypothesis.nominal.family != now.hypothesis.nominal.family
         return PRIOR * (new + grown)
-
-    def full(self, fits: Sequence[Fit]) -> list[Fit]:
-        """Each on all rows of its hysteresis."""
-        return [refitted(self.chain, one, 4) for one in fits]
 
     def effects(self, now: Fit) -> list[tuple[str, Fit]]:
         """The most promising effects, each fitted from its best starts."""
@@ -251,8 +271,7 @@ class Search:
         for candidate in sorted(screened, key=lambda c: -c.gain):
             if candidate.gain > -PRIOR:
                 member = candidate.member
-                form = tuple(sorted({*member.shared, *(n for own in member.own for n in own)}))
-                best.setdefault(member.effect.name, {}).setdefault(form, candidate)
+                best.setdefault(member.effect.name, {}).setdefault(form(member), candidate)
         chosen = [(name, c) for name in list(best)[:TRIED] for c in list(best[name].values())[:FORMS]]
         names = [name for name, _ in chosen]
         jobs: list[Job] = [(now.hypothesis.plus(c.member), now.weights, HEAT, ROUGH) for _, c in chosen]
@@ -266,9 +285,11 @@ class Search:
         found: dict[str, Fit] = {}
         for name, one in zip(names, self.fits(jobs), strict=True):
             found[name] = max(one, found.get(name, one), key=self.worth)
-        best_first = sorted(found, key=lambda name: -self.score(found[name]))[:FINISHED]
-        rest: list[Job] = [(found[n].hypothesis, found[n].weights, STEPS, ROUGH) for n in best_first]
-        fits = list(zip(best_first, self.fits(rest), strict=True))
+        best_first = sorted(found, key=lambda name: -self.score(found[name]))
+        unclear = [name for name in best_first[:FINISHED] if self.near(found[name], found[best_first[0]])]
+        rest: list[Job] = [(found[n].hypothesis, found[n].weights, STEPS, ROUGH) for n in unclear]
+        found.update(zip(unclear, self.fits(rest), strict=True))
+        fits = [(name, found[name]) for name in best_first[:FINISHED]]
         if {effect.name for effect in (CrossCoupling, Resonance, SecondMode)} & (barred | self.given):
             return fits
         return [*fits, *driven_modes(self.chain, now, [one for _, one in fits], ROUGH)]
@@ -302,7 +323,7 @@ class Search:
                 hypothesis = now.hypothesis.plus(modes[place])
                 for coupling in couplings:
                     hypothesis = hypothesis.plus(coupling)
-                jobs.append((hypothesis, now.weights, 2 * HEAT, ROUGH))
+                jobs.append((hypothesis, now.weights, STEPS, ROUGH))
         return jobs
 
     def fits(self, jobs: Sequence[Job]) -> list[Fit]:
@@ -322,8 +343,8 @@ class Search:
             found += candidates_of(effect, records, starts, list(self.seen.aux))
         return found
 
-    def growth(self, now: Fit) -> list[tuple[str, Fit]]:
-        """A larger hysteresis in the place of the present one."""
+    def growth(self, now: Fit, leader: Fit) -> list[tuple[str, Fit]]:
+        """A larger hysteresis in the place of the present one, fitted to the end where it may beat a fit."""
         h, found = now.hypothesis, []
         larger: list[tuple[str, Nominal, tuple[str, ...], int]] = [("preisach", preisach(self.seen), (), 2)]
         larger.append(("bouc_wen", bouc_wen(self.seen, 0.1), ("sigma_v", "beta", "exponent"), 10))
@@ -333,7 +354,7 @@ class Search:
             (*basis(self.chain, h.on(nominal, shape), None, MANY), steps, ROUGH)
             for _, nominal, shape, steps in larger
         ]
-        for (family, *_), one in zip(larger, self.fits(jobs), strict=True):
+        for (family, *_), one in zip(larger, self.raced(jobs, leader), strict=True):
             found.append((OPERATOR + family, one))
             if one.train_rms > HOPELESS * now.train_rms:
                 self.hopeless.add(family)
@@ -350,17 +371,68 @@ class Search:
         return max([now, *self.fits(jobs)], key=self.score)
 
     def realigned(self, now: Fit) -> Fit:
-        """Under the conventions of timing that predict best: they are no physics."""
-        small = reduced(self.chain, now)
+        """Under the conventions of timing, and from the start, that predict best: they are no physics."""
+        small = best = reduced(self.chain, now)
+        if now.hypothesis.remanent:  # what an effect has explained since may have been taken for a history
+            job: Job = (replace(small.hypothesis, remanent=False), None, 3, ROUGH)
+            (less,) = self.fits([job])
+            best = less if self.needs_no_history(small, less) else small
         others = [
-            replace(small.hypothesis, alignment=alignment, held=held)
+            replace(best.hypothesis, alignment=alignment, held=held)
             for alignment in (0, 1)
             for held in (False, True)
             if (alignment, held) != (now.hypothesis.alignment, now.hypothesis.held)
         ]
-        fits = [f for f in self.fits([(h, small.weights, 3, ROUGH) for h in others]) if not f.bounded]
-        best = max([small, *fits], key=self.score)
-        return now if best is small else refitted(self.chain, best)
+        raced = self.raced([(h, best.weights, 3, ROUGH) for h in others], best)
+        fits = [one for one in raced if not one.bounded]
+        best = max([best, *fits], key=self.score)
+        return best
+
+    def swapped(self, now: Fit) -> Fit:
+        """With other forms of its effects, or what is degenerate with them, where these predict better.
+
+        What came first was taken for all that was missing then.
+        """
+        h, jobs = now.hypothesis, list[Job]()
+        for member in h.members:
+            if member.effect.name in self.given or issubclass(member.effect, ModalEffect):
+                continue
+            less, there = h.without(member.effect.name, member.aux), set(h.names)
+            for other in self.starts_by_form():
+                same = (
+                    other.effect is member.effect and other.aux == member.aux and form(other) != form(member)
+                )
+                alike = other.effect.name in member.effect.degenerate_with and other.effect.name not in there
+                if same or alike:
+                    jobs.append((less.plus(other), now.weights, STEPS, ROUGH))
+        fits = self.raced(jobs, now)
+        fits = [one for one in fits if set(one.bounded) <= set(now.bounded)]
+        best = max([now, *fits], key=self.worth)
+        if best is now:
+            return now
+        self.log(f"  as {', '.join(best.hypothesis.names)}: {rms_of(best)}")
+        return best
+
+    def starts_by_form(self) -> list[Member]:
+        """The middle start of each form of each effect."""
+        by_form: dict[tuple[object, ...], list[Member]] = {}
+        for member in self.starts:
+            by_form.setdefault((member.effect, member.aux, form(member)), []).append(member)
+        return [members[len(members) // 2] for members in by_form.values()]
+
+    def raced(self, jobs: Sequence[Job], now: Fit) -> list[Fit]:
+        """Fitted for a few steps each, and to the end where the outcome against a fit is not yet clear."""
+        fits = self.fits([(h, w, min(HEAT, steps), tolerance) for h, w, steps, tolerance in jobs])
+        unclear = [k for k, one in enumerate(fits) if self.near(one, now)]
+        rest: list[Job] = [(fits[k].hypothesis, fits[k].weights, *jobs[k][2:]) for k in unclear]
+        for k, one in zip(unclear, self.fits(rest), strict=True):
+            fits[k] = one
+        return fits
+
+    def near(self, one: Fit, now: Fit) -> bool:
+        """Whether a fit that has not ended may still be the better one."""
+        ahead = self.over(now, one)
+        return ahead.nats < CLEAR * ahead.sd
 
     def backward(self, now: Fit) -> Fit:
         """Without the effects that the others have made needless."""
@@ -372,18 +444,22 @@ class Search:
             if gains[worst].probability > 0.5:
                 break
             self.log(f"  without {' of '.join(filter(None, parts[worst]))}: the others explain it")
-            now = refitted(self.chain, fits[worst])
+            now = fits[worst]
         return now
 
     def without_each(self, now: Fit, parts: Sequence[tuple[str, str]]) -> list[Fit]:
         """The fit without one of its parts, for each."""
-        jobs: list[Job] = [(now.hypothesis.without(*p), now.weights, STEPS, ROUGH) for p in parts]
-        return self.fits(jobs)
+        return self.raced([(now.hypothesis.without(*p), now.weights, STEPS, ROUGH) for p in parts], now)
 
     def parts(self, now: Fit) -> list[tuple[str, str]]:
         """The added effects, and what each auxiliary signal does apart: names and signals."""
         members = now.hypothesis.members
         return list(dict.fromkeys((m.effect.name, m.aux) for m in members if m.effect.name not in self.given))
+
+
+def form(member: Member) -> tuple[str, ...]:
+    """The numbers that are fitted tell one form of an effect from another."""
+    return tuple(sorted({*member.shared, *(n for own in member.own for n in own)}))
 
 
 def describe(one: Tried) -> str:

@@ -106,18 +106,21 @@ def play_sum(
     any order.
     """
     y, h, degree = np.empty(len(up)), np.zeros(len(r)), weights.shape[0]
+    x, term, per_scale = np.empty(len(r)), np.empty(len(r)), 1.0 / scale
     for t in range(len(up)):
         rising, falling, width = up[t], down[t], widening[t]
         for i in range(len(r)):
             h[i] = _clamp_play(rising - r[i] * width, falling + r[i] * width, h[i])
         grown, kept, looped, middle, total = gain[t], straight[t], loop[t], chord[t], 0.0
         for i in range(len(r)):
-            x = h[i] * (grown if r[i] > 0.0 else kept)
-            x = x + (x - middle) * looped
-            term = weights[degree - 1, i]
-            for p in range(degree - 2, -1, -1):
-                term = term * (x / scale) + weights[p, i]
-            total += term * x
+            state = h[i] * (grown if r[i] > 0.0 else kept)
+            x[i] = state + (state - middle) * looped
+            term[i] = weights[degree - 1, i]
+        for p in range(degree - 2, -1, -1):
+            for i in range(len(r)):
+                term[i] = term[i] * (x[i] * per_scale) + weights[p, i]
+        for i in range(len(r)):
+            total += term[i] * x[i]
         y[t] = total
     return y
 

@@ -67,19 +67,64 @@ _relax: Any = numba.njit(relax)
 _observe: Any = numba.njit(observe)
 
 
+# A tile of the output stays in the cache while four poles after four are added to it.
+TILE = 512
+
+
 @numba.njit(cache=True)
 def _forward(
     u: np.ndarray, a: np.ndarray, b: np.ndarray, c: np.ndarray, d: float,
     x: np.ndarray, y: np.ndarray, states: np.ndarray,
 ) -> None:  # fmt: skip
     for batch in range(u.shape[0]):
-        now = x[batch]
-        for t in range(u.shape[1]):
-            if states.shape[1] > 0:
-                for i in range(len(a)):
-                    states[batch, t, i] = now[i]
-            y[batch, t] = _observe(c, d, now, u[batch, t])
-            _relax(a, b, now, u[batch, t])
+        if states.shape[1] > 0:
+            _keeping_states(u[batch], a, b, c, d, x[batch], y[batch], states[batch])
+        else:
+            for first in range(0, u.shape[1], TILE):
+                _tile(first, min(first + TILE, u.shape[1]), u[batch], a, b, c, d, x[batch], y[batch])
+
+
+@numba.njit(cache=True)
+def _keeping_states(
+    u: np.ndarray, a: np.ndarray, b: np.ndarray, c: np.ndarray, d: float,
+    x: np.ndarray, y: np.ndarray, states: np.ndarray,
+) -> None:  # fmt: skip
+    for t in range(len(u)):
+        for i in range(len(a)):
+            states[t, i] = x[i]
+        y[t] = _observe(c, d, x, u[t])
+        _relax(a, b, x, u[t])
+
+
+@numba.njit(cache=True)
+def _tile(
+    first: int, stop: int, u: np.ndarray, a: np.ndarray, b: np.ndarray, c: np.ndarray, d: float,
+    x: np.ndarray, y: np.ndarray,
+) -> None:  # fmt: skip
+    # `observe` and `relax`, their sums in the same order: the same bits. A recursion waits for its own last
+    # sum, four beside each other do not.
+    n, i = len(a), 0
+    while i + 4 <= n:
+        a0, a1, a2, a3 = a[i], a[i + 1], a[i + 2], a[i + 3]
+        b0, b1, b2, b3 = b[i], b[i + 1], b[i + 2], b[i + 3]
+        c0, c1, c2, c3 = c[i], c[i + 1], c[i + 2], c[i + 3]
+        x0, x1, x2, x3 = x[i], x[i + 1], x[i + 2], x[i + 3]
+        for t in range(first, stop):
+            now = u[t]
+            total = c0 * x0 if i == 0 else y[t] + c0 * x0
+            y[t] = ((total + c1 * x1) + c2 * x2) + c3 * x3
+            x0, x1, x2, x3 = a0 * x0 + b0 * now, a1 * x1 + b1 * now, a2 * x2 + b2 * now, a3 * x3 + b3 * now
+        x[i], x[i + 1], x[i + 2], x[i + 3] = x0, x1, x2, x3
+        i += 4
+    while i < n:
+        x0 = x[i]
+        for t in range(first, stop):
+            y[t] = c[i] * x0 if i == 0 else y[t] + c[i] * x0
+            x0 = a[i] * x0 + b[i] * u[t]
+        x[i] = x0
+        i += 1
+    for t in range(first, stop):
+        y[t] = y[t] + d * u[t]
 
 
 @numba.njit(cache=True)

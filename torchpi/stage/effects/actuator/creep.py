@@ -27,7 +27,6 @@ from torch import Tensor, nn
 
 from torchpi.operators.linear import Matrices, discretise
 from torchpi.operators.quantity import Quantity, check_order
-from torchpi.operators.relaxations import relaxations
 from torchpi.stage.effects.effect import SHORTEST_SLOW_S, Needs, Parameters, Seen, StateSpaceEffect
 
 REFERENCE_S = 0.1
@@ -142,15 +141,6 @@ class Creep(StateSpaceEffect):
 
     def initial_state(self, batch: int) -> Tensor:
         return torch.zeros(batch, len(self.bank().a) + 1, dtype=torch.float64)
-
-    @torch.no_grad()
-    def tangent(self, x: Tensor, dx: Tensor) -> Tensor:
-        a, b, c, d = self.matrices()
-        # A pole of no gain costs as much as any other; the bank needs one.
-        used = c != 0
-        used[-1] = True
-        start = torch.zeros(len(dx), int(used.sum()), dtype=torch.float64)
-        return relaxations(dx, a[used], b[used], c[used], d, start)[0]
 
     @classmethod
     def starts(cls, seen: Seen) -> list[Parameters]:
