@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 
+from tests.simulators import own_model
 from torchpi import cli, prediction
 from torchpi.operators.conformance import wandering
 from torchpi.recordings.recording import read_recording
@@ -105,3 +106,51 @@ def test_a_file_that_is_no_stage_is_refused(
 def test_the_de_energised_stage_stands_where_its_offset_is(tmp_path: Path) -> None:
     one = stage(tmp_path / "stage.pt")
     np.testing.assert_array_equal(prediction.predict(one, np.zeros(5), {}), 0.1)
+
+
+CORRECTING = {
+    "thresholds_v": [0.0], "weights": [0.0, 0.1], "simulation": {"reference": "mine:f", "gain": 2.0}
+}  # fmt: skip
+OWN = "tests.simulators.own_model:simulate"
+
+
+def test_a_stage_that_corrects_a_simulation_calls_what_is_named_and_nothing_else(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    Stage(RATE_HZ, CORRECTING).save(tmp_path / "stage.pt")
+    (u,) = wandering(1, 700).numpy()
+    given = write(tmp_path / "in.csv", time_s=np.arange(len(u)) / RATE_HZ, input_v=u)
+    monkeypatch.setattr(prediction, "AT_A_TIME", 256)
+    command = ("predict", tmp_path / "stage.pt", given, "--output", tmp_path / "out.csv")
+    assert torchpi(*command, monkeypatch=monkeypatch) == 2
+    error = capsys.readouterr().err.strip()
+    assert (
+        "corrects the simulation 'mine:f'" in error and "--simulation mine:f" in error and "\n" not in error
+    )
+    assert torchpi(*command, "--simulation", OWN, monkeypatch=monkeypatch) == 0
+    np.testing.assert_allclose(
+        read_recording(tmp_path / "out.csv").y, 2 * own_model.simulate(u, RATE_HZ) + 0.1, atol=1e-12
+    )
+
+
+def test_a_stage_that_corrects_a_recorded_output_reads_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    Stage(RATE_HZ, {**CORRECTING, "simulation": {"reference": "column", "gain": 2.0}}).save(tmp_path / "s.pt")
+    u, x = wandering(2, 700).numpy()
+    given = write(tmp_path / "in.csv", time_s=np.arange(len(u)) / RATE_HZ, input_v=u, simulated_nm=1e3 * x)
+    command = ("predict", tmp_path / "s.pt", given, "--output", tmp_path / "out.csv")
+    assert torchpi(*command, monkeypatch=monkeypatch) == 0
+    np.testing.assert_allclose(read_recording(tmp_path / "out.csv").y, 2 * x + 0.1, atol=1e-12)
+    given = write(tmp_path / "none.csv", time_s=np.arange(len(u)) / RATE_HZ, input_v=u)
+    assert torchpi("predict", tmp_path / "s.pt", given, monkeypatch=monkeypatch) == 2
+    assert "found 0 columns 'simulated…'" in capsys.readouterr().err
+
+
+def test_a_simulation_for_a_stage_that_calls_none_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    stage(tmp_path / "stage.pt")
+    given = write(tmp_path / "in.csv", time_s=np.arange(20) / 100, input_v=np.zeros(20))
+    assert torchpi("predict", tmp_path / "stage.pt", given, "--simulation", OWN, monkeypatch=monkeypatch) == 2
+    assert "found a stage that calls nothing" in capsys.readouterr().err

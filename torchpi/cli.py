@@ -265,7 +265,7 @@ def check(files: list[Path], output: Path = Path("check"), **reading: Any) -> No
 def diagnose(
     recordings: list[Path],
     output: Path = Path("diagnosis"),
-    simulation: Path | None = None,
+    simulation: str | None = None,
     executor: str = "processes",
     **reading: Any,
 ) -> None:
@@ -275,12 +275,17 @@ def diagnose(
     `torchpi predict` and for training through it), next_excitation.csv (the recording that would decide what
     is open) and the figures.
 
+    The simulation may be anyone's: a stage file (stage.yaml, stage.pt), an FMU with one input and one output
+    (model.fmu), a function simulate(u_v, fs_hz) -> y_um (package.module:simulate, or file.py:simulate), or
+    column: what a simulator made of each recording's voltage stands in it as simulated_um.
+
     Example: torchpi diagnose recordings/a.csv recordings/b.csv --output diagnosis
 
     Args:
         recordings: Recordings of one stage: time_s,input_v,output_um[,aux_…], first sample de-energised.
         output: Folder for the results.
-        simulation: Stage file (YAML) to compare with. Without it a plain stage: symmetric, rate-independent
+        simulation: What to compare with: stage.yaml, stage.pt, model.fmu, package.module:function,
+            file.py:function, or column. Without it a plain stage: symmetric, rate-independent
             Prandtl–Ishlinskii hysteresis, everything else ideal.
         executor: Where independent fits run: processes, or here.
         reading: How the files are read.
@@ -295,7 +300,13 @@ def diagnose(
     diagnose_files(recordings, output, simulation, executor, command, options)
 
 
-def predict(stage: Path, recording: Path, output: Path = Path("prediction.csv"), **reading: Any) -> None:
+def predict(
+    stage: Path,
+    recording: Path,
+    output: Path = Path("prediction.csv"),
+    simulation: str | None = None,
+    **reading: Any,
+) -> None:
     """Predict what a stage does with a voltage: time_s,input_v[,aux_…] in, the same with output_um out.
 
     From the de-energised state, at the file's own sample rate, without noise.
@@ -306,12 +317,14 @@ def predict(stage: Path, recording: Path, output: Path = Path("prediction.csv"),
         stage: The stage.pt of `torchpi diagnose`, or a stage file (YAML).
         recording: CSV, or any other kind that a recording may have; an output_um in it is left out.
         output: CSV to write.
+        simulation: What the stage corrects, where it was diagnosed with a function or an FMU: stage.pt only
+            names it, and no code is loaded that is not named here.
         reading: How the file is read.
     """
     options = RecordingOptions(**reading)
     from torchpi.prediction import predict_file
 
-    predicted = predict_file(stage, recording, output, options)
+    predicted = predict_file(stage, recording, output, options, simulation)
     print(
         f"{output}: {len(predicted):,} samples at {predicted.fs_hz:g} Hz, "
         f"y {predicted.y.min():.3f} … {predicted.y.max():.3f} µm"

@@ -25,5 +25,9 @@ class ArtifactError(TorchpiError):
     """A run folder, checkpoint or exported file that is missing, or is something else."""
 
 
+class SimulationError(TorchpiError):
+    """A simulation of someone's own that is missing, fails, or returns what is no displacement: names it."""
+
+
 class RecordingWarning(UserWarning):
     """A recording that can be used, but holds something that its owner should know."""

@@ -5,9 +5,12 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from torchpi.errors import RecordingError
+from torchpi.errors import RecordingError, SimulationError
+from torchpi.recordings.options import SIMULATED_COLUMN
 from torchpi.recordings.readers import open_source
 from torchpi.recordings.recording import Recording, RecordingOptions, read_signal, write_recording
+from torchpi.recordings.time_base import simulated_column
+from torchpi.simulators import COLUMN, load_simulator
 from torchpi.stage import Stage
 
 AT_A_TIME = 1 << 16
@@ -15,7 +18,11 @@ AT_A_TIME = 1 << 16
 
 
 def predict_file(
-    stage: str | Path, recording: str | Path, output: str | Path, options: RecordingOptions | None = None
+    stage: str | Path,
+    recording: str | Path,
+    output: str | Path,
+    options: RecordingOptions | None = None,
+    simulation: str | None = None,
 ) -> Recording:
     """Read time_s,input_v[,aux_…], write the same with output_um: `predict` over a file.
 
@@ -24,28 +31,61 @@ def predict_file(
         recording: a file of any kind that `read_recording` reads.
         output: CSV to write.
         options: which column is the voltage, in which unit; those of the displacement are of no use here.
+        simulation: what a stage calls that corrects a simulation: a file only names it, and loads no code.
 
     Raises:
         ArtifactError: `stage` is no stage file.
         RecordingError: A column is missing, or is not as expected.
+        SimulationError: The stage corrects a simulation that was not given, or that fails.
         StageError: The stage has no meaning at the file's sample rate.
     """
-    loaded = Stage.load(stage)
+    loaded = with_simulation(Stage.load(stage), str(stage), simulation)
     options = options or RecordingOptions()
     u = read_signal(
         recording, options.input_column, option="input_column", options=options, unit=options.input_unit
     )
-    names = [name for name in open_source(recording).names if name.startswith("aux_")]
+    source = open_source(recording)
+    names = [name for name in source.names if name.startswith("aux_")]
     for name in loaded.aux_names:
-        if name not in names:
+        if name not in [*names, SIMULATED_COLUMN]:
             raise RecordingError(
                 f"{recording}: no column '{name}', which {stage} takes; expected it beside the input"
             )
     aux = {name: read_signal(recording, name, options=options, unit="V").x for name in names}
-    y = predict(loaded.at_sample_rate(u.fs_hz), u.x, aux)
-    predicted = Recording(u.name, u.t, u.x, y, u.fs_hz, aux)
+    simulated = None
+    if SIMULATED_COLUMN in loaded.aux_names:
+        simulated = read_signal(recording, simulated_column(source), options=options).x
+    signals = aux if simulated is None else {**aux, SIMULATED_COLUMN: simulated}
+    y = predict(loaded.at_sample_rate(u.fs_hz), u.x, signals)
+    predicted = Recording(u.name, u.t, u.x, y, u.fs_hz, aux, simulated=simulated)
     write_recording(output, predicted)
     return predicted
+
+
+def with_simulation(stage: Stage, path: str, simulation: str | None) -> Stage:
+    """The stage with what it calls, if it calls anything.
+
+    Args:
+        stage: As its file has it.
+        path: Of its file.
+        simulation: What was given to be called.
+
+    Raises:
+        SimulationError: The one is there without the other.
+    """
+    calls = stage.simulation if stage.simulation != COLUMN else ""
+    if simulation in (None, COLUMN) and calls:
+        raise SimulationError(
+            f"{path}: found a stage that corrects the simulation '{calls}', expected that too; "
+            f"add --simulation {calls}"
+        )
+    if simulation in (None, stage.simulation) and not calls:
+        return stage
+    if not calls:
+        raise SimulationError(
+            f"{path}: found a stage that calls nothing, expected no simulation {simulation}"
+        )
+    return stage.with_simulation(load_simulator(str(simulation)))
 
 
 def predict(
@@ -55,9 +95,10 @@ def predict(
 ) -> np.ndarray:  # (time,), µm
     """The reading from the de-energised state, at the stage's own rate, without noise or converters."""
     y, state, of_sensor = np.empty(len(u)), None, None
+    at_a_time = len(u) if stage.simulation else AT_A_TIME  # a simulation is called with whole records
     with torch.no_grad():
-        for first in range(0, len(u), AT_A_TIME):
-            part = slice(first, first + AT_A_TIME)
+        for first in range(0, len(u), at_a_time):
+            part = slice(first, first + at_a_time)
             signals = {name: _row(aux[name][part]) for name in stage.aux_names}
             displacement, state = stage(_row(u[part]), state, signals)
             reading, of_sensor = stage.sensor(displacement, of_sensor)

@@ -217,8 +217,13 @@ def test_commands_beyond_the_limits_do_no_more_than_the_limits_of_an_amplifier_t
     assert not chain().saturates  # the range of its recordings is no limit of its amplifier
 
 
-STAYING = ("before.1.damping_ratio", "hysteresis.relaxation_s")
-"""Parameters without a gradient where a lag has one pole, and where plays do not relax."""
+STAYING = (
+    "before.1.damping_ratio",
+    "hysteresis.relaxation_s",
+    "after.1.replaced_frequency_hz",
+    "after.1.replaced_damping_ratio",
+)
+"""Parameters without a gradient: a lag has one pole, plays do not relax, a mode replaces no other."""
 
 
 def test_gradients_to_every_physical_parameter_are_those_of_finite_differences() -> None:

@@ -2,7 +2,8 @@
 
 import pickle
 from collections.abc import Sequence
-from functools import cached_property
+from dataclasses import replace
+from functools import cached_property, partial
 from hashlib import sha256
 from typing import NamedTuple
 
@@ -127,7 +128,7 @@ class Chain:
         """(time,), µm: the sum over the hysteresis."""
         used = self.used(hypothesis, index)
         # Which way is summed depends on the hypothesis alone, not on what is remembered: equal bits anywhere.
-        if not any(member.effect.before_hysteresis for member in hypothesis.members):
+        if not any(hypothesis.precedes(member.effect) for member in hypothesis.members):
             x: np.ndarray = weights[used] @ self.rows(hypothesis, index)
             return x
         nominal, v = self.nominal(hypothesis, index), self.voltage(hypothesis, index)
@@ -224,7 +225,8 @@ class Chain:
 
     def voltage(self, hypothesis: Hypothesis, index: int) -> np.ndarray:
         """What drives the hysteresis, (time,), V."""
-        v = torch.from_numpy(self.records[index].commanded(hypothesis.alignment))[None]
+        late = 0 if hypothesis.nominal.simulation else hypothesis.alignment
+        v = torch.from_numpy(self.records[index].commanded(late))[None]
         with torch.no_grad():
             for placed in self.before(hypothesis, index):
                 v = placed(v)
@@ -239,11 +241,11 @@ class Chain:
 
     def before(self, hypothesis: Hypothesis, index: int) -> list[Placed]:
         """What precedes the hysteresis."""
-        return [p for p in self.placed(hypothesis, index) if p.effect.before_hysteresis]
+        return [p for p in self.placed(hypothesis, index) if hypothesis.precedes(type(p.effect))]
 
     def after(self, hypothesis: Hypothesis, index: int) -> list[Placed]:
         """What follows the hysteresis."""
-        return [p for p in self.placed(hypothesis, index) if not p.effect.before_hysteresis]
+        return [p for p in self.placed(hypothesis, index) if not hypothesis.precedes(type(p.effect))]
 
     def placed(self, hypothesis: Hypothesis, index: int) -> list[Placed]:
         """Every effect outside the hysteresis, in the order of the chain."""
@@ -300,4 +302,7 @@ class Chain:
         for member in hypothesis.members:
             if issubclass(member.effect, InsideEffect):
                 nominal = nominal.with_shape(member.values(index))
+        if nominal.simulation:
+            called = partial(nominal.simulation.output, self.records[index])
+            nominal = replace(nominal, called=called, late=hypothesis.alignment)
         return nominal

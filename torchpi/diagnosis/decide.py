@@ -21,6 +21,7 @@ FAINT = 0.3
 DONE, EXPLAINED = 1.15, 1.5
 """Times the measured noise: an error within this leaves nothing to explain, or little beside the names."""
 OPERATORS = {
+    "prandtl_ishlinskii": "y = F + Σ w_i h_i: plays beside the simulation F",
     "preisach": "y = Σ g_i(h_i): a Preisach operator in play form",
     "bouc_wen": "dz/dv = 1/σ [1 - |z|ⁿ (1 - β + β sgn(z dv))]: Bouc–Wen",
     "duhem": "dz = α|dv| (f(v) - z): Duhem",

@@ -19,6 +19,7 @@ from torchpi.diagnosis.model import augmented_stage
 from torchpi.diagnosis.next_recording import next_recording
 from torchpi.diagnosis.noise import measured_noise
 from torchpi.diagnosis.nominal import plain
+from torchpi.diagnosis.outside import Outside, untried_note
 from torchpi.diagnosis.posterior import posterior
 from torchpi.diagnosis.records import Record, prepare, seen, whole
 from torchpi.diagnosis.reduced_basis import reduced
@@ -26,7 +27,14 @@ from torchpi.diagnosis.remainder import with_remainder
 from torchpi.diagnosis.say import nm, paragraph
 from torchpi.diagnosis.score import Weighting
 from torchpi.diagnosis.search import Search
-from torchpi.diagnosis.simulation import given_members, simulated, simulated_output
+from torchpi.diagnosis.simulation import (
+    Simulation,
+    given_members,
+    outside,
+    simulated,
+    simulated_output,
+    with_untried,
+)
 from torchpi.diagnosis.slips import unaided
 from torchpi.errors import RecordingError
 from torchpi.recordings.faults import dropouts
@@ -52,7 +60,7 @@ HELD_OUT = "the last 15 % of each recording, sealed until the end; the state car
 
 def diagnose(
     recordings: Sequence[Recording],
-    simulation: Stage | None = None,
+    simulation: Simulation | None = None,
     *,
     effects: Sequence[type[Effect] | type[InsideEffect]] = EFFECTS,
     say: Callable[[str], None] = lambda sentence: None,
@@ -62,35 +70,47 @@ def diagnose(
 
     Args:
         recordings: One or more of the same stage, at any sample rates, first sample de-energised.
-        simulation: What they are compared with; None is the plain stage: symmetric, rate-independent
-            Prandtl–Ishlinskii hysteresis, everything else ideal.
+        simulation: What they are compared with: a stage; any function simulate(u_v, fs_hz) -> y_um of whole
+            records, without noise, from rest; "column", the `simulated` of each recording. None is the
+            plain stage: symmetric, rate-independent Prandtl–Ishlinskii hysteresis, everything else ideal.
         effects: What may be missing: the effects that are tried.
         say: Called with a sentence at every step.
-        executor: Where independent fits run; None is this process.
+        executor: Where independent fits run; None is this process, which alone calls a simulation that
+            cannot be pickled.
 
     Raises:
         RecordingError: No recordings; auxiliary columns that differ between them; a simulation in other
             units than the recordings.
+        SimulationError: A simulation that fails, or returns what is no displacement.
     """
-    check(recordings, simulation)
+    check(recordings)
     wrong = [dropouts(recording.y) for recording in recordings]
     records = prepare(recordings, wrong)
+    called = outside(simulation)
+    given = simulation if isinstance(simulation, Stage) else None
+    if called is not None:
+        called.check(records)
+        executor = executor if called.travels else None
+    if (compared := called or given) is not None:
+        check_units(records, compared)
+    tried = [effect for effect in effects if called is None or called.can_try(effect)]
+    untried = [effect for effect in effects if effect not in tried]
     chain, what = Chain(records), seen(records)
     lsb_um, lattice_note = converter(records)
     noise = measured_noise(records)
     if noise is not None:
         noise = noise.with_converter(lsb_um)
     say("nominal: the simulation as it is, then refitted with as many plays as the data carry")
-    start = given_members(simulation)
-    if simulation is None:
-        first = fit(chain, Hypothesis(plain(what))).residuals
-    else:
-        first = simulated(simulation, records)
-    search = Search(chain, say, start, noise, executor, lsb_um, effects)
+    start = given_members(given)
+    first = (
+        fit(chain, Hypothesis(plain(what))).residuals if compared is None else simulated(compared, records)
+    )
+    search = Search(chain, say, start, noise, executor, lsb_um, tried, called)
     retuned, final, history = search.run()
     noise = search.noise
     say("decide: every effect against its rivals")
     final, believed = posterior(search, retuned, final, history)
+    believed = believed if called is None else with_untried(believed, tried, untried)
     modelled = augmented = unaided(chain, final, search.jump.value_um) if search.jump else final
     chain.weighting = search.chain.weighting
     say("what no effect explains")
@@ -122,7 +142,8 @@ def diagnose(
         open_names, what, unexplained=decision.verdict in ("unexplained", "partly_explained")
     )
     notes = (
-        *cannot_be_decided(records), *lattice_note, *conventions(final), *history_notes(search, final),
+        *cannot_be_decided(records), *untried_note(called, untried), *lattice_note, *conventions(final),
+        *history_notes(search, final),
         *slip_notes(search, final, augmented), *conflict(traces, floor_um),
     )  # fmt: skip
     errors = (
@@ -139,7 +160,7 @@ def diagnose(
     )  # fmt: skip
 
 
-def check(recordings: Sequence[Recording], simulation: Stage | None) -> None:
+def check(recordings: Sequence[Recording]) -> None:
     """Raise `RecordingError` for what no diagnosis can be made of."""
     if not recordings:
         raise RecordingError("recordings: found none, want at least one")
@@ -162,19 +183,17 @@ def check(recordings: Sequence[Recording], simulation: Stage | None) -> None:
                 )
     if all(np.ptp(recording.u) == 0 for recording in recordings):
         raise RecordingError("recordings: the input never moves, want at least one in which it does")
-    if simulation is not None:
-        check_units(recordings, simulation)
 
 
-def check_units(recordings: Sequence[Recording], simulation: Stage) -> None:
+def check_units(records: Sequence[Record], simulation: Stage | Outside) -> None:
     """A simulation that moves a hundred times more, or less, than the stage is in other units."""
-    largest = max(recordings, key=lambda recording: float(np.ptp(recording.y)))
-    y = simulated_output(simulation, prepare([largest], [np.zeros(0, int)])[0])
+    largest = max(records, key=lambda record: float(np.ptp(record.y)))
+    y = simulated_output(simulation, largest)
     ratio = np.ptp(y) / max(float(np.ptp(largest.y)), 1e-300)
     if not 1e-2 < ratio < 1e2:
         raise RecordingError(
-            f"simulation: moves {np.ptp(y):.4g} µm where {largest.source or largest.name} moves "
-            f"{np.ptp(largest.y):.4g} µm; want both in V and µm"
+            f"simulation: moves {np.ptp(y):.4g} µm where {largest.name} moves {np.ptp(largest.y):.4g} µm; "
+            "expected both in V and µm"
         )
 
 
@@ -256,6 +275,11 @@ def open_between(decision: Decision) -> list[str]:
 
 def conventions(final: Fit) -> tuple[str, ...]:
     """Timing that is a convention of who recorded, not physics."""
+    if final.hypothesis.alignment < 0:
+        return (
+            "The simulation answers a sample later than y(k), taken as its convention: what it makes of "
+            "u(k+1) is compared with y(k).",
+        )
     if final.hypothesis.alignment == 0:
         return ("y(k) answers the command of its own tick.",)
     return (

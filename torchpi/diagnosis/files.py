@@ -12,16 +12,18 @@ from pathlib import Path
 from torchpi.diagnosis.diagnose import diagnose
 from torchpi.diagnosis.diagnosis import Diagnosis
 from torchpi.diagnosis.parallel import end_with_parent, get_ready
+from torchpi.diagnosis.simulation import Simulation
 from torchpi.errors import ConfigError
 from torchpi.excitation_files import write_excitation
 from torchpi.recordings.recording import RecordingOptions, read_recording
+from torchpi.simulators import COLUMN, Simulator, load_simulator
 from torchpi.stage import Stage
 
 
 def diagnose_files(
     paths: Sequence[Path],
     output: Path,
-    simulation: Path | None,
+    simulation: str | None,
     executor: str,
     command: str,
     options: RecordingOptions,
@@ -42,8 +44,10 @@ def diagnose_files(
     from torchpi.report.what_was_run import provenance
 
     check_options(output, executor)
-    recordings = [read_recording(path, options, allow_constant_input=True) for path in paths]
-    stage = None if simulation is None else Stage.from_yaml(simulation)
+    given = None if simulation is None else load_simulation(simulation)
+    recordings = [
+        read_recording(path, options, allow_constant_input=True, simulated=given == COLUMN) for path in paths
+    ]
     started = time.monotonic()
 
     def say(sentence: str) -> None:
@@ -52,10 +56,12 @@ def diagnose_files(
     for recording in recordings:
         say(f"{recording.source}: {len(recording):,} samples at {recording.fs_hz:g} Hz")
     with executor_of(executor) as pool:
-        found = diagnose(recordings, stage, say=say, executor=pool)
+        found = diagnose(recordings, given, say=say, executor=pool)
     say("report: figures and page")
     files = {f"recording {recording.name}": recording.source for recording in recordings}
-    if simulation is not None:
+    if isinstance(given, Simulator) and given.source:
+        files[f"simulation {given.reference}"] = given.source
+    elif isinstance(given, Stage):
         files["simulation"] = str(simulation)
     page, numbers = write_diagnosis(found, provenance(command, files), output)
     found.stage.save(output / "stage.pt")
@@ -70,6 +76,15 @@ def diagnose_files(
     ):  # fmt: skip
         print(f"{path}: {what}")
     return found
+
+
+def load_simulation(text: str) -> Simulation:
+    """What `--simulation` names: a stage file, an FMU, a function, or "column"."""
+    if text == COLUMN:
+        return COLUMN
+    if Path(text).suffix.lower() in (".yaml", ".yml", ".pt"):
+        return Stage.load(text)
+    return load_simulator(text)
 
 
 def check_options(output: Path, executor: str) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 
 from torchpi.diagnosis.nominal import Nominal
 from torchpi.stage.effects import EFFECTS
-from torchpi.stage.effects.effect import Effect, Parameters
+from torchpi.stage.effects.effect import Described, Effect, Parameters
 from torchpi.stage.effects.inside import InsideEffect
 from torchpi.stage.effects.mechanics.modal import ModalCoupling, ModalEffect, mode_numbers
 
@@ -62,8 +62,14 @@ class Hypothesis:
         members = sorted([*self.members, member], key=lambda m: order[m.effect.name])
         return replace(self, members=tuple(members))
 
+    def precedes(self, effect: type[Described]) -> bool:
+        """Whether an effect acts on what drives the hysteresis, or the simulation."""
+        outside = self.nominal.simulation
+        return outside.precedes(effect) if outside else effect.before_hysteresis
+
     def on(self, nominal: Nominal, shape: tuple[str, ...] = ()) -> "Hypothesis":
-        """The same effects on another hysteresis."""
+        """The same effects on another hysteresis, beside the same simulation."""
+        nominal = replace(nominal, simulation=self.nominal.simulation)
         return replace(self, nominal=nominal, shape=shape)
 
     def without(self, name: str, aux: str | None = None) -> "Hypothesis":

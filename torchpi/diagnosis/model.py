@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from torchpi.diagnosis.hypothesis import Fit, Member
+from torchpi.diagnosis.nominal import FIRM
 from torchpi.stage import Stage
 from torchpi.stage.effects.effect import Seen
 from torchpi.stage.effects.mechanics.modal import ModalEffect
@@ -19,14 +20,22 @@ def augmented_stage(now: Fit, recordings: int, seen: Seen, noise_um: float) -> S
     nominal = now.hypothesis.nominal
     rows = now.weights[: nominal.kept]
     weights = rows if nominal.mixing is None else nominal.mixing.T @ rows
+    outside, r = nominal.simulation, nominal.thresholds_v
+    simulation = None
+    if outside:
+        simulation = {"reference": outside.reference, "gain": FIRM * float(weights[-1])}
+        weights = weights[:-1]
+        if not len(r):  # a stage has a play at least
+            r, weights = np.zeros(1), np.zeros(1)
     hysteresis = {
-        "thresholds_v": nominal.thresholds_v.tolist(),
+        "thresholds_v": r.tolist(),
         "weights": np.append(weights, 0.0),
         "degree": nominal.degree,
         "scale_v": nominal.scale_v,
         "bouc_wen": nominal.bouc_wen,
         "duhem": nominal.duhem,
         "shape": dict(nominal.shape),
+        **({"simulation": simulation} if simulation else {}),
     }
     effects = [
         {
@@ -37,7 +46,7 @@ def augmented_stage(now: Fit, recordings: int, seen: Seen, noise_um: float) -> S
         }
         for member in now.hypothesis.members
     ]
-    return Stage(
+    stage = Stage(
         seen.fs_hz,
         hysteresis,
         effects,
@@ -48,6 +57,7 @@ def augmented_stage(now: Fit, recordings: int, seen: Seen, noise_um: float) -> S
         stepped=now.hypothesis.held,
         zero_um=float(np.mean(now.weights[-recordings:])),
     )
+    return stage.with_simulation(outside.simulator) if outside and outside.simulator else stage
 
 
 def common_values(member: Member) -> dict[str, float]:

@@ -1,11 +1,13 @@
 """The nominal hysteresis: rows of elementary states, linear in their weights."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
+from torchpi.diagnosis.outside import Outside, shifted
 from torchpi.operators.hysteresis_rows import (
     bend,
     bouc_wen_row,
@@ -24,6 +26,8 @@ BLOCK = 256
 """Samples whose states are mixed at a time: they stay in the cache, however many plays there are."""
 BESIDE = (6, 14)
 """Plays beside a state of another family, spread in the logarithm and evenly."""
+FIRM = 30.0
+"""Times that a simulation's row is larger: a correction beside it costs more than its own gain."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,6 +47,13 @@ class Nominal:
     """Parameters inside the hysteresis, the rest being 0; of Bouc–Wen and Duhem too."""
     mixing: np.ndarray | None = None
     """(kept rows, rows): combinations that the data can tell apart; None keeps all."""
+    simulation: Outside | None = None
+    """A simulation that is not torchpi's, the last of the rows: what else there is corrects it."""
+    called: Callable[[np.ndarray], np.ndarray] | None = None
+    """The same on one recording: (time,), µm, for a voltage, (time,), V."""
+    late: int = 0
+    """Samples by which all of it is late, or early: a simulation that does not change with time need not be
+    called again for that."""
 
     @property
     def family(self) -> str:
@@ -51,18 +62,22 @@ class Nominal:
             return "bouc_wen"
         if self.duhem:
             return "duhem"
-        return "preisach" if self.degree > 1 else "prandtl_ishlinskii"
+        if self.degree > 1:
+            return "preisach"
+        return "prandtl_ishlinskii" if len(self.thresholds_v) else "simulation"
 
     @property
     def size(self) -> int:
         """Numbers in it, before any mixing."""
-        return len(self.thresholds_v) * self.degree + self.bouc_wen + 3 * self.duhem
+        others = self.bouc_wen + 3 * self.duhem + (self.simulation is not None)
+        return len(self.thresholds_v) * self.degree + others
 
     @cached_property
     def structure(self) -> tuple[object, ...]:
         """What tells two sets of rows apart, beside the shape."""
         mixed = None if self.mixing is None else self.mixing.tobytes()
-        return (self.thresholds_v.tobytes(), self.degree, self.bouc_wen, self.duhem, hash(mixed))
+        outside = self.simulation.token if self.simulation else ""
+        return (self.thresholds_v.tobytes(), self.degree, self.bouc_wen, self.duhem, hash(mixed), outside)
 
     def with_shape(self, values: dict[str, float]) -> "Nominal":
         return replace(self, shape={**self.shape, **values})
@@ -74,8 +89,9 @@ class Nominal:
 
     def fill(self, v: np.ndarray, period_s: float, rows: np.ndarray) -> None:
         """Into `rows`, (kept, time), for a voltage (time,) from the de-energised state."""
+        outside, v = self.of_simulation(v), shifted(v, self.late)
         inside = self.inside(v, period_s)
-        others = np.array(self.other_rows(v, inside[-3], inside[-1])).reshape(-1, len(v))
+        others = np.array(self.other_rows(v, inside[-3], inside[-1]) + outside).reshape(-1, len(v))
         plays = len(self.thresholds_v) * self.degree
         h = np.zeros(len(self.thresholds_v))
         states = np.empty((BLOCK, self.degree, len(h)))
@@ -95,13 +111,14 @@ class Nominal:
     def output(self, v: np.ndarray, period_s: float, weights: np.ndarray) -> np.ndarray:
         """(time,): weights @ rows, without the rows of the plays."""
         full = weights if self.mixing is None else self.mixing.T @ weights
+        outside, v = self.of_simulation(v), shifted(v, self.late)
         plays = len(self.thresholds_v) * self.degree
         chord, up, down, widening, gain, straight, loop = self.inside(v, period_s)
         y: np.ndarray = play_sum(
             chord, up, down, self.thresholds_v, widening, gain, straight, loop, self.scale_v,
             full[:plays].reshape(self.degree, -1).copy(),
         )  # fmt: skip
-        for weight, row in zip(full[plays:], self.other_rows(v, gain, loop), strict=True):
+        for weight, row in zip(full[plays:], self.other_rows(v, gain, loop) + outside, strict=True):
             y += weight * row
         return y
 
@@ -127,6 +144,10 @@ class Nominal:
         if self.duhem:
             rows += [duhem_row(v, self.shape["alpha_per_v"], k) / self.scale_v ** (k - 1) for k in (1, 2, 3)]
         return rows
+
+    def of_simulation(self, v: np.ndarray) -> list[np.ndarray]:
+        """What a simulation makes of a voltage, (time,)."""
+        return [FIRM * shifted(self.called(v), self.late)] if self.called else []
 
 
 def thresholds(seen: Seen, fine: int, even: int) -> np.ndarray:

@@ -42,6 +42,8 @@ class Record:
     """The coefficients that a fit sums over."""
     rests: Rests | None = None
     """None where no mount that sticks was seen."""
+    simulated: np.ndarray | None = None
+    """(time,), µm: a simulator's output, where the recording has it."""
 
     def commanded(self, alignment: int) -> np.ndarray:
         """The command that y(k) answers: that of tick k, or of `alignment` ticks before."""
@@ -85,7 +87,7 @@ def _record(recording: Recording, samples: int, wrong: np.ndarray, recordings: i
     at_most = max(200, int(AT_MOST / recordings / LEVELS) * 2)
     return Record(
         recording.name, u, y, recording.fs_hz, recording.aux, train,
-        Haar.of(activity, samples, valid, at_most),
+        Haar.of(activity, samples, valid, at_most), simulated=recording.simulated,
     )  # fmt: skip
 
 

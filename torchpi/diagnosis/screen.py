@@ -109,7 +109,7 @@ class Screen:
         hypothesis, found = self.now.hypothesis.plus(member), []
         for i, record in enumerate(self.records):
             # The fitted combination of a mixed hysteresis is its first row, the principal one its second.
-            principal = self.chain.rows(hypothesis, i)[:2][-1]
+            principal = self.chain.rows(hypothesis, i)[: min(2, hypothesis.nominal.kept)][-1]
             rows = np.stack([principal, *(record.aux[name] for name in aux)])
             found.append(self.chain.whitened(i, self.chain.moved(hypothesis, rows, i)))
         return np.concatenate(found, axis=1)

@@ -19,6 +19,7 @@ from torchpi.diagnosis.hypothesis import Fit, Hypothesis, Member
 from torchpi.diagnosis.modal import driven_modes
 from torchpi.diagnosis.noise import Noise, measured_noise
 from torchpi.diagnosis.nominal import Nominal, bouc_wen, duhem, many_plays, plain, preisach
+from torchpi.diagnosis.outside import Outside
 from torchpi.diagnosis.parallel import Job, fit_all, screen_all
 from torchpi.diagnosis.records import seen
 from torchpi.diagnosis.reduced_basis import MANY, basis, reduced, refitted
@@ -97,13 +98,16 @@ class Search:
         executor: Executor | None = None,
         lsb_um: float = 0.0,
         effects: Sequence[type[Effect] | type[InsideEffect]] = EFFECTS,
+        simulation: Outside | None = None,
     ) -> None:
         self.chain, self.log, self.start, self.noise = chain, log, tuple(given), noise
         self.lsb_um = lsb_um
         self.executor = executor
+        self.simulation = simulation
+        self.alignments = simulation.alignments if simulation else (0, 1)
         self.left_out: list[tuple[str, str]] = []
         self.given = {member.effect.name for member in given}
-        self.seen = seen(chain.records)
+        self.seen = replace(seen(chain.records), simulated=simulation is not None)
         self.hopeless: set[str] = set()
         self.needless: set[str] = set()
         self.slips: Slips | None = None
@@ -168,17 +172,17 @@ class Search:
 
     def retuned(self) -> Fit:
         """The nominal hysteresis, with the timing and the start that suit it better."""
-        nominal = many_plays(self.seen)
-        if sum(record.train.sum() for record in self.chain.records) < SAMPLES_A_PLAY * nominal.size:
-            nominal = plain(self.seen)
+        alone = Nominal(np.zeros(0), simulation=self.simulation)
+        nominal = alone if self.simulation else self.plays()
         # A given simulation is taken at its word first: only the weights are solved for.
         h, _ = basis(self.chain, Hypothesis(nominal, self.start, remanent=True), None, MANY)
-        now = max(self.fits([(replace(h, alignment=a), None, 0, FINE) for a in (0, 1)]), key=self.score)
+        each = [replace(h, alignment=a) for a in self.alignments]
+        now = max(self.fits([(one, None, 0, FINE) for one in each]), key=self.score)
         for _ in range(REWEIGHTED):
             self.weigh(now)
             h, _ = basis(self.chain, now.hypothesis, None, MANY)
-            other = replace(h, alignment=1 - h.alignment)
-            now = max(self.fits([(h, None, 8, FINE), (other, None, 8, FINE)]), key=self.score)
+            others = [replace(h, alignment=a) for a in self.alignments if a != h.alignment]
+            now = max(self.fits([(one, None, 8, FINE) for one in (h, *others)]), key=self.score)
         (less,) = self.fits([(replace(now.hypothesis, remanent=False), None, 8, FINE)])
         if self.needs_no_history(now, less):
             now = less
@@ -188,13 +192,20 @@ class Search:
             if noise is not None:
                 self.noise = noise.with_converter(self.lsb_um)
         self.weigh(now)
-        self.log(f"retuned, {nominal.size} plays: {rms_of(now)}")
+        size = "gain and zero" if self.simulation else f"{nominal.size} plays"
+        self.log(f"retuned, {size}: {rms_of(now)}")
         return now
 
     def needs_no_history(self, now: Fit, less: Fit) -> bool:
         """Whether recordings that start de-energised are predicted as well, or all but as well."""
         faint = less.train_rms**2 - now.train_rms**2 < (FAINT * less.train_rms) ** 2
         return faint or self.over(now, less).probability < ACCEPTED
+
+    def plays(self) -> Nominal:
+        """As many plays as the samples carry."""
+        nominal = many_plays(self.seen)
+        samples = sum(record.train.sum() for record in self.chain.records)
+        return plain(self.seen) if samples < SAMPLES_A_PLAY * nominal.size else nominal
 
     def weigh(self, now: Fit) -> None:
         """Count every coefficient for what this fit leaves there, and for the noise."""
@@ -208,8 +219,9 @@ class Search:
         return again
 
     def worth(self, one: Fit) -> float:
-        """Its log density, less what every number costs beside that: a form of fewer numbers is preferred."""
-        return self.score(one) + PRIOR * len(one.slots)
+        """Its log density, less what every number costs beside that: a form of fewer numbers is preferred,
+        and no delay of what is taken for early."""
+        return self.score(one) + PRIOR * (len(one.slots) - min(one.hypothesis.alignment, 0))
 
     def score(self, one: Fit) -> float:
         """Its log density."""
@@ -278,7 +290,7 @@ class Search:
         # What delays is taken for the convention of timing until it is fitted.
         late = self.at_the_other_timing(now, starts)
         names += late
-        jobs += [(replace(h, alignment=1 - h.alignment), now.weights, HEAT, ROUGH) for h in late.values()]
+        jobs += [(h, now.weights, HEAT, ROUGH) for h in late.values()]
         joint = self.axes_through_a_mode(now)
         names += [AXES] * len(joint)
         jobs += joint
@@ -296,15 +308,14 @@ class Search:
 
     def at_the_other_timing(self, now: Fit, starts: Sequence[Member]) -> dict[str, Hypothesis]:
         """For what delays the best start of all under the other convention, where it is worth a fit."""
-        other = replace(now.hypothesis, alignment=1 - now.hypothesis.alignment)
+        a = now.hypothesis.alignment
+        other = replace(now.hypothesis, alignment=a - 1 if a - 1 in self.alignments else a + 1)
         (moved,) = self.fits([(other, now.weights, 2, ROUGH)])
         slow = [member for member in starts if member.effect.delays]
         (screened,) = screen_all(self.chain, [(moved, slow)], self.executor)
         lost = self.score(now) - self.score(moved)
         worth = [c for c in screened if c.gain > lost - PRIOR]
-        return {
-            c.member.effect.name: now.hypothesis.plus(c.member) for c in sorted(worth, key=lambda c: c.gain)
-        }
+        return {c.member.effect.name: other.plus(c.member) for c in sorted(worth, key=lambda c: c.gain)}
 
     def axes_through_a_mode(self, now: Fit) -> list[Job]:
         """Every other axis and a resonance at once: each alone may explain little of a stage that rings."""
@@ -349,6 +360,8 @@ class Search:
         larger: list[tuple[str, Nominal, tuple[str, ...], int]] = [("preisach", preisach(self.seen), (), 2)]
         larger.append(("bouc_wen", bouc_wen(self.seen, 0.1), ("sigma_v", "beta", "exponent"), 10))
         larger.append(("duhem", duhem(self.seen, 5.0), ("alpha_per_v",), 6))
+        if self.simulation:
+            larger.insert(0, ("prandtl_ishlinskii", self.plays(), (), 2))
         larger = [one for one in larger if one[0] not in {*self.hopeless, h.nominal.family}]
         jobs: list[Job] = [
             (*basis(self.chain, h.on(nominal, shape), None, MANY), steps, ROUGH)
@@ -379,13 +392,13 @@ class Search:
             best = less if self.needs_no_history(small, less) else small
         others = [
             replace(best.hypothesis, alignment=alignment, held=held)
-            for alignment in (0, 1)
+            for alignment in self.alignments
             for held in (False, True)
             if (alignment, held) != (now.hypothesis.alignment, now.hypothesis.held)
         ]
         raced = self.raced([(h, best.weights, 3, ROUGH) for h in others], best)
         fits = [one for one in raced if not one.bounded]
-        best = max([best, *fits], key=self.score)
+        best = max([best, *fits], key=self.worth)
         return best
 
     def swapped(self, now: Fit) -> Fit:

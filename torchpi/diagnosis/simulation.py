@@ -1,22 +1,56 @@
 """A given simulation: what it makes of the recordings, and the physics that it already has."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 import torch
 
 from torchpi.diagnosis.hypothesis import Member
+from torchpi.diagnosis.outside import Effects, Outside
+from torchpi.diagnosis.posterior import OPERATOR_NAME, Believed
 from torchpi.diagnosis.records import Record
+from torchpi.errors import SimulationError
+from torchpi.simulators import COLUMN, Simulate, Simulator
 from torchpi.stage import EffectSettings, Stage
+from torchpi.stage.effects.effect import Effect
+from torchpi.stage.effects.inside import InsideEffect
+
+Simulation = Stage | Simulator | Simulate | Literal["column"]
+"""A stage; any function `simulate(u_v, fs_hz) -> y_um`; "column", an output that stands in the recordings."""
 
 
-def simulated(simulation: Stage, records: Sequence[Record]) -> tuple[np.ndarray, ...]:
+def outside(simulation: Simulation | None) -> Outside | None:
+    """A simulation that is not torchpi's own; None for a stage and for none.
+
+    Raises:
+        SimulationError: Something else, or a stage that itself corrects a simulation.
+    """
+    if isinstance(simulation, Stage):
+        if simulation.simulation:
+            raise SimulationError(
+                f"simulation: found a stage that corrects '{simulation.simulation}', expected that one itself"
+            )
+        return None
+    if simulation is None or isinstance(simulation, Simulator):
+        return Outside(simulation) if simulation else None
+    if simulation == COLUMN:
+        return Outside(None)
+    if not callable(simulation):
+        raise SimulationError(f"simulation: found {simulation!r}, expected a stage, a function or '{COLUMN}'")
+    return Outside(Simulator.of(simulation))
+
+
+def simulated(simulation: Stage | Outside, records: Sequence[Record]) -> tuple[np.ndarray, ...]:
     """Recorded less simulated, µm, for each recording, the simulation as it was given."""
     return tuple(record.y - simulated_output(simulation, record) for record in records)
 
 
-def simulated_output(simulation: Stage, record: Record) -> np.ndarray:
+def simulated_output(simulation: Stage | Outside, record: Record) -> np.ndarray:
     """What the simulation's sensor would read, without noise, (time,), µm."""
+    if isinstance(simulation, Outside):
+        return simulation.output(record, record.u)
     stage = simulation.at_sample_rate(record.fs_hz)
     aux = {name: torch.from_numpy(signal)[None] for name, signal in record.aux.items()}
     with torch.no_grad():
@@ -39,3 +73,38 @@ def _member(one: EffectSettings) -> Member:
         for name, value in one.values.items()
     }
     return Member(one.kind, values, aux=one.aux)
+
+
+def with_untried(believed: Sequence[Believed], tried: Effects, untried: Effects) -> list[Believed]:
+    """The effects with the alternatives that a simulation hides, or that could not be tried around it.
+
+    Another shape of the hysteresis may be any static effect, and what delays any other that does: several of
+    these may be a single one that could not be tried, and count as one. The rest is declared by the effects.
+    """
+    kinds = {effect.name: effect for effect in tried}
+    slow = [effect.name for effect in untried if effect.delays]
+    found: list[Believed] = []
+    for one in believed:
+        if one.name == OPERATOR_NAME:
+            more = [effect.name for effect in untried if effect.time_scale == "static"]
+            found.append(with_alternatives(one, more))
+            continue
+        kind = kinds[one.name]
+        more = [effect.name for effect in untried if effect.name in kind.degenerate_with]
+        more += [*(slow if kind.delays else ()), *kind.alike_inside]
+        first = next((k for k, other in enumerate(found) if kind.delays and _delays(other, kinds)), None)
+        if slow and first is not None:
+            both = found[first].explained_um2 + one.explained_um2
+            found[first] = replace(with_alternatives(found[first], [one.name]), explained_um2=both)
+        else:
+            found.append(with_alternatives(one, more))
+    return found
+
+
+def with_alternatives(one: Believed, more: Sequence[str]) -> Believed:
+    """The same with more effects that the data cannot tell from it."""
+    return replace(one, alternatives=tuple(dict.fromkeys([*one.alternatives, *more])))
+
+
+def _delays(one: Believed, kinds: Mapping[str, type[Effect] | type[InsideEffect]]) -> bool:
+    return one.name in kinds and kinds[one.name].delays

@@ -59,7 +59,9 @@ def check_recording(
     place = place or (lambda index: f"sample {index + 1}")
     name = recording.source or recording.name
     check_length(name, len(recording.u), min_samples)
-    check_values(name, [("input_v", recording.u), ("output_um", recording.y), *recording.aux.items()], place)
+    simulated = [] if recording.simulated is None else [("simulated_um", recording.simulated)]
+    signals = [("input_v", recording.u), ("output_um", recording.y), *simulated, *recording.aux.items()]
+    check_values(name, signals, place)
     for column, option, signal in (
         ("input", "input_unit", recording.u),
         ("output", "output_unit", recording.y),

@@ -6,6 +6,7 @@ from typing import Any, Literal
 from torchpi.errors import ConfigError
 
 TIME_COLUMN, INPUT_COLUMN, OUTPUT_COLUMN = "time_s", "input_v", "output_um"
+SIMULATED_COLUMN = "simulated_um"
 
 
 @dataclass(frozen=True)

@@ -14,12 +14,25 @@ import numpy as np
 from torchpi.errors import RecordingError
 from torchpi.files import write_atomically
 from torchpi.recordings.checks import MIN_SAMPLES, check_length, check_recording
-from torchpi.recordings.options import INPUT_COLUMN, OUTPUT_COLUMN, TIME_COLUMN, RecordingOptions
+from torchpi.recordings.options import (
+    INPUT_COLUMN,
+    OUTPUT_COLUMN,
+    SIMULATED_COLUMN,
+    TIME_COLUMN,
+    RecordingOptions,
+)
 from torchpi.recordings.readers import open_source
 from torchpi.recordings.readers.header import UNITS, Role
 from torchpi.recordings.readers.source import Column
 from torchpi.recordings.resampling import to_rate
-from torchpi.recordings.time_base import column_of, converted, rate_of, read_uniform, scale_of
+from torchpi.recordings.time_base import (
+    column_of,
+    converted,
+    rate_of,
+    read_uniform,
+    scale_of,
+    simulated_column,
+)
 
 __all__ = [
     "Recording",
@@ -53,10 +66,14 @@ class Recording:
     """The path as it was given."""
     sha256: str = ""
     """Of the file's bytes."""
+    simulated: np.ndarray | None = None
+    """(time,), µm: what a simulator makes of this voltage; None where nothing was simulated."""
 
     def __post_init__(self) -> None:
         lengths = {"t": len(self.t), "u": len(self.u), "y": len(self.y)}
         lengths |= {name: len(signal) for name, signal in self.aux.items()}
+        if self.simulated is not None:
+            lengths["simulated"] = len(self.simulated)
         if len(set(lengths.values())) > 1:
             found = ", ".join(f"{name} {length}" for name, length in lengths.items())
             raise RecordingError(
@@ -125,17 +142,25 @@ class Recording:
         convert = {
             name: to_rate(signal, self.fs_hz, fs_hz, samples) for name, signal in self._signals().items()
         }
-        u, y = convert.pop("u"), convert.pop("y")
-        return replace(
-            self, t=self.t[0] + np.arange(samples) / fs_hz, u=u, y=y, fs_hz=float(fs_hz), aux=convert
-        )
+        u, y, simulated = convert.pop("u"), convert.pop("y"), convert.pop("simulated", None)
+        t = self.t[0] + np.arange(samples) / fs_hz
+        return replace(self, t=t, u=u, y=y, fs_hz=float(fs_hz), aux=convert, simulated=simulated)
 
     def _signals(self) -> dict[str, np.ndarray]:
-        return {"u": self.u, "y": self.y, **self.aux}
+        simulated = {} if self.simulated is None else {"simulated": self.simulated}
+        return {"u": self.u, "y": self.y, **simulated, **self.aux}
 
     def _cut(self, first: int, last: int) -> "Recording":
         aux = {name: signal[first:last] for name, signal in self.aux.items()}
-        return replace(self, t=self.t[first:last], u=self.u[first:last], y=self.y[first:last], aux=aux)
+        simulated = None if self.simulated is None else self.simulated[first:last]
+        return replace(
+            self,
+            t=self.t[first:last],
+            u=self.u[first:last],
+            y=self.y[first:last],
+            aux=aux,
+            simulated=simulated,
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,6 +183,7 @@ def read_recording(
     *,
     min_samples: int = MIN_SAMPLES,
     allow_constant_input: bool = False,
+    simulated: bool = False,
     **changes: Any,
 ) -> Recording:
     """Read voltage and displacement from a file and check them.
@@ -170,6 +196,7 @@ def read_recording(
         options: which columns, in which units; by default `time_s,input_v,output_um`.
         min_samples: the fewest that the model needs.
         allow_constant_input: accept a hold.
+        simulated: read the column `simulated_um` as well.
         changes: single options of `RecordingOptions`, such as `input_column="u"`.
 
     Raises:
@@ -192,15 +219,20 @@ def read_recording(
     scale_u = scale_of(source, names[0], "input", options.input_unit)
     scale_y = scale_of(source, names[1], "output", options.output_unit)
     aux_names = [name for name in source.names if name.startswith("aux_") and name not in names]
-    read = read_uniform(source, names + aux_names, options, min_samples)
-    u, y, *aux = read.signals
+    simulated_names = [simulated_column(source)] if simulated else []
+    read = read_uniform(source, names + simulated_names + aux_names, options, min_samples)
+    u, y, *others = read.signals
+    of_simulator = None
+    if simulated:
+        of_simulator = converted(others.pop(0), scale_of(source, simulated_names[0], "output", None))
     recording = Recording(
         name=Path(path).stem,
         t=read.t,
         u=converted(u, scale_u),
         y=converted(y, scale_y),
         fs_hz=read.fs_hz,
-        aux=dict(zip(aux_names, aux, strict=True)),
+        aux=dict(zip(aux_names, others, strict=True)),
+        simulated=of_simulator,
         source=str(path),
         sha256=_sha256(path),
     ).with_zero(options.zero)
@@ -259,9 +291,15 @@ def read_signal(
 
 
 def write_recording(path: str | Path, recording: Recording) -> None:
-    """Write `time_s,input_v,output_um[,aux_…]` as CSV: every double survives; whole or not at all."""
-    columns = [recording.t, recording.u, recording.y, *recording.aux.values()]
-    header = ",".join([TIME_COLUMN, INPUT_COLUMN, OUTPUT_COLUMN, *recording.aux])
+    """Write `time_s,input_v,output_um[,simulated_um][,aux_…]` as CSV, whole or not at all.
+
+    Every double survives.
+    """
+    others = dict(recording.aux)
+    if recording.simulated is not None:
+        others = {SIMULATED_COLUMN: recording.simulated, **others}
+    columns = [recording.t, recording.u, recording.y, *others.values()]
+    header = ",".join([TIME_COLUMN, INPUT_COLUMN, OUTPUT_COLUMN, *others])
     row = ",".join(["%r"] * len(columns))  # repr: the shortest digits that give the same double back
     rows = map(row.__mod__, zip(*(np.asarray(c, dtype=np.float64).tolist() for c in columns), strict=True))
     with write_atomically(path) as temporary, open(temporary, "w", encoding="utf-8", newline="\n") as file:

@@ -7,10 +7,23 @@ import numpy as np
 
 from torchpi.errors import RecordingError, RecordingWarning
 from torchpi.recordings.checks import check_length, check_values
-from torchpi.recordings.options import INPUT_COLUMN, OUTPUT_COLUMN, TIME_COLUMN, RecordingOptions
+from torchpi.recordings.options import (
+    INPUT_COLUMN,
+    OUTPUT_COLUMN,
+    SIMULATED_COLUMN,
+    TIME_COLUMN,
+    RecordingOptions,
+)
 from torchpi.recordings.readers import Source
-from torchpi.recordings.readers.header import UNITS, Role, columns_for, role_of_unit
-from torchpi.recordings.readers.source import Column
+from torchpi.recordings.readers.header import (
+    SIMULATED,
+    UNITS,
+    Role,
+    columns_for,
+    role_of_unit,
+    stem_and_unit,
+)
+from torchpi.recordings.readers.source import Column, shortened
 from torchpi.recordings.readers.time_stamps import Grid, round_rate, uniform_grid
 
 RATE_TOLERANCE = 5e-3  # what coarse time stamps may leave open of the sample rate
@@ -46,6 +59,23 @@ def column_of(source: Source, column: Column, role: Role) -> str:
                 f"choose one with the option {role}_column"
             )
     return source.find(column, f"{role}_column")
+
+
+def simulated_column(source: Source) -> str:
+    """The name in the file of the column with a simulator's output, `simulated_um` or in another unit.
+
+    Raises:
+        RecordingError: there is none.
+    """
+    if SIMULATED_COLUMN in source.names:
+        return SIMULATED_COLUMN
+    found = [name for name in source.names if stem_and_unit(name)[0] == SIMULATED]
+    if len(found) != 1:
+        raise RecordingError(
+            f"{source.path}: found {len(found)} columns '{SIMULATED}…' among {shortened(source.names)}, "
+            f"expected one, {SIMULATED_COLUMN}, with what the simulator makes of the voltage"
+        )
+    return found[0]
 
 
 def scale_of(

@@ -26,6 +26,17 @@ class OneSampleLate(Operator):
         return DelayLineStream(1, 1.0, 0.0)
 
 
+class OneSampleEarly(Operator):
+    """Alignment -1, behind a simulation of whole records: the last output is held."""
+
+    def forward(
+        self,
+        x: Tensor,  # (batch, time), µm
+        state: Tensor | None = None,  # (batch, 0)
+    ) -> tuple[Tensor, Tensor]:
+        return torch.cat([x[:, 1:], x[:, -1:]], 1), self.initial_state(len(x)) if state is None else state
+
+
 class Zero(Operator):
     """The zero of the sensor, behind everything that has memory: a constant has no transient."""
 

@@ -24,7 +24,9 @@ from torchpi.operators.limits import ClipStream
 from torchpi.operators.noise import white_noise
 from torchpi.operators.quantity import Quantity, check_order
 from torchpi.operators.quantization import Converter
-from torchpi.stage.alignment import OneSampleLate, Zero
+from torchpi.recordings.options import SIMULATED_COLUMN
+from torchpi.simulators import COLUMN, Simulator
+from torchpi.stage.alignment import OneSampleEarly, OneSampleLate, Zero
 from torchpi.stage.effects import EFFECTS
 from torchpi.stage.effects.amplifier.delay import Delay
 from torchpi.stage.effects.effect import Effect, Parameters
@@ -35,6 +37,7 @@ from torchpi.stage.effects.mechanics.modes import Modes, Part
 from torchpi.stage.effects.unknown import Unknown
 from torchpi.stage.hysteresis import Hysteresis
 from torchpi.stage.settings import NOISE, build, of_sections, read_yaml
+from torchpi.stage.simulated import SimulatedHysteresis
 from torchpi.stage.stream import RigStream, StageStream
 
 SCHEMA, VERSION = "torchpi stage", 2
@@ -68,7 +71,7 @@ class Stage(Operator):
             alone: a stage that was identified has them all in `effects`.
         alignment: Whether y(k) answers the command of tick k (0) or that of the tick before (1). It is a
             convention of who recorded: one sample stays one sample at any rate. A controller that reads, then
-            writes, has 1.
+            writes, has 1. Where a simulation is called, -1 stands for one that answers a sample late.
         min_voltage_v: Lower end of the voltages that it stands for; None where none is known.
         max_voltage_v: Upper end.
         saturates: Whether the amplifier clips the voltage at these ends.
@@ -101,7 +104,7 @@ class Stage(Operator):
         zero_um: float = 0.0,
     ) -> None:
         super().__init__()
-        if alignment not in (0, 1):
+        if alignment not in (0, 1) and not (alignment == -1 and hysteresis.get("simulation")):
             raise StageError(f"alignment: found {alignment}, expected 0 or 1 samples")
         self.sample_rate_hz = RATE.check("sample_rate_hz", sample_rate_hz)
         self.sample_period_s = 1.0 / self.sample_rate_hz
@@ -120,11 +123,24 @@ class Stage(Operator):
                 raise StageError(f"sensor: found '{one.kind.name}', expected effects of the sensor")
         outside, self._signals = self._operators()
         hold_first_block(outside, self.stepped)
-        late = [OneSampleLate()] if self.alignment else []
-        self.before = nn.ModuleList([*late, *(e for e in outside if e.before_hysteresis)])
+        late: list[Operator] = (
+            [OneSampleEarly()] if self.alignment < 0 else [OneSampleLate()] * self.alignment
+        )
+        before: list[Operator] = [*late, *(e for e in outside if e.before_hysteresis)]
+        after: list[Operator] = [e for e in outside if not e.before_hysteresis]
         shape = dict(hysteresis.get("shape") or {}) | self._shape_inside()
-        self.hysteresis = Hysteresis(self.sample_period_s, **{**hysteresis, "shape": shape})
-        self.after = nn.ModuleList([*(e for e in outside if not e.before_hysteresis), Zero(self.zero_um)])
+        hysteresis = {**hysteresis, "shape": shape}
+        simulated = bool(hysteresis.get("simulation"))
+        self.hysteresis = (SimulatedHysteresis if simulated else Hysteresis)(
+            self.sample_period_s, **hysteresis
+        )
+        if simulated:
+            # What is late is so behind it: its output may be all that is known.
+            before = [e for e in outside if e.before_hysteresis and not e.commutes]
+            after = [*late, *(e for e in outside if e not in before)]
+        if self.simulation == COLUMN:
+            self._signals[self.hysteresis] = SIMULATED_COLUMN
+        self.before, self.after = nn.ModuleList(before), nn.ModuleList([*after, Zero(self.zero_um)])
         self.sensor = Chain(
             **{f"{one.kind.name}_{k}": self._operator(one) for k, one in enumerate(self._of_sensor)}
         )
@@ -217,7 +233,10 @@ class Stage(Operator):
 
     def at_sample_rate(self, sample_rate_hz: float) -> "Stage":
         """The same physics at another rate. Parameters are copied."""
-        return self.from_dict({**self.to_dict(), "sample_rate_hz": sample_rate_hz})
+        found = self.from_dict({**self.to_dict(), "sample_rate_hz": sample_rate_hz})
+        if isinstance(self.hysteresis, SimulatedHysteresis) and self.hysteresis.simulator:
+            found = found.with_simulation(self.hysteresis.simulator)
+        return found
 
     def plain(self) -> "Stage":
         """Its hysteresis without any of the effects. Parameters are copied."""
@@ -260,8 +279,26 @@ class Stage(Operator):
 
     @property
     def aux_names(self) -> tuple[str, ...]:
-        """The auxiliary signals that it takes."""
-        return tuple(dict.fromkeys(one.aux for one in self._named if one.aux))
+        """The auxiliary signals that it takes; of a simulation whose output is recorded, that output."""
+        simulated = [SIMULATED_COLUMN] if self.simulation == COLUMN else []
+        return tuple(dict.fromkeys([*(one.aux for one in self._named if one.aux), *simulated]))
+
+    @property
+    def simulation(self) -> str:
+        """The simulation of someone else's that it corrects; empty where there is none."""
+        return self.hysteresis.reference if isinstance(self.hysteresis, SimulatedHysteresis) else ""
+
+    def with_simulation(self, simulator: Simulator | None) -> "Stage":
+        """The same stage, calling this: a file names its simulation, and never loads it.
+
+        Raises:
+            StageError: It takes none.
+        """
+        found = self.from_dict(self.to_dict())
+        if not isinstance(found.hysteresis, SimulatedHysteresis) or self.simulation == COLUMN:
+            raise StageError(f"simulation: found {simulator}, expected none: this stage calls no simulation")
+        found.hysteresis.simulator = simulator
+        return found
 
     def series(self) -> list[Operator]:
         """Every operator from the limited command to the displacement, first to last."""
@@ -276,11 +313,10 @@ class Stage(Operator):
         state: Tensor | None = None,  # (batch, states)
         aux: Mapping[str, Tensor] | None = None,  # (batch, time) under each of `aux_names`
     ) -> tuple[Tensor, Tensor]:  # (batch, time), µm; (batch, states)
-        for one in self._named:
-            if one.aux and one.aux not in (aux or {}):
-                raise StageError(
-                    f"{one.kind.name}: found no signal '{one.aux}', expected it beside the voltage"
-                )
+        for name in self.aux_names:
+            if name not in (aux or {}):
+                takes = next((one.kind.name for one in self._named if one.aux == name), "simulation")
+                raise StageError(f"{takes}: found no signal '{name}', expected it beside the voltage")
         state = self.initial_state(len(x)).to(x.device) if state is None else state
         series = self.series()
         sizes = [operator.initial_state(1).shape[1] for operator in series]
@@ -310,6 +346,8 @@ class Stage(Operator):
                 longer than the record.
         """
         self._check_command(u)
+        if self.simulation == COLUMN:
+            raise StageError("simulation: found a voltage alone, expected the simulator's output beside it")
         u = u.to(torch.float64)
         if self.command_converter is not None:
             u, _ = self.command_converter(u)

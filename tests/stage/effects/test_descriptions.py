@@ -1,5 +1,7 @@
 """What the classes of effects say of themselves, for a search that knows none of them by name."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -20,7 +22,9 @@ def test_every_start_has_a_form_where_an_effect_has_several(effect):
 @each
 def test_every_form_is_tried_but_a_random_walk(effect):
     if not effect.read_off:
-        tried = {effect.form(start) for start in effect.starts(SEEN)}
+        ringing, simulated = np.sin(2 * np.pi * 700 * np.arange(20_000) / 1e4), replace(SEEN, simulated=True)
+        starts = [*effect.starts(SEEN), *effect.starts_from(simulated, ringing, ringing, 1e4)]
+        tried = {effect.form(start) for start in starts}
         assert set(effect.forms) - {"random walk"} <= tried
 
 

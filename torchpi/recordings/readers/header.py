@@ -31,6 +31,10 @@ _BRACKETED = re.compile(r"(?P<stem>.*?)\s*[\[({]\s*(?P<unit>[^\])}]*?)\s*[\])}]\
 _SUFFIXED = re.compile(r"(?P<stem>.+?)(?:\s*/\s*|_|\s+|\s*,\s*)(?P<unit>[A-Za-zµμ]+)")
 
 
+SIMULATED = "simulated"
+"""How a column begins that holds what a simulator makes of the voltage."""
+
+
 def known_unit(text: str) -> str | None:
     """The unit by its plain name (`um` for µm), None where it is not one of a time, voltage or length."""
     plain = text.strip().replace("µ", "u").replace("μ", "u")
@@ -65,9 +69,11 @@ def columns_for(role: Role, units: Iterable[tuple[str, str | None]]) -> list[str
     """The columns, of pairs of name and stated unit, that this role may mean: by name, else by unit alone."""
     of_unit, of_name = [], []
     for name, unit in units:
-        if name.startswith("aux_") or (unit is not None and role_of_unit(unit) != role):
+        stem = stem_and_unit(name)[0]
+        other = name.startswith("aux_") or stem == SIMULATED
+        if other or (unit is not None and role_of_unit(unit) != role):
             continue
-        if stem_and_unit(name)[0] in STEMS[role]:
+        if stem in STEMS[role]:
             of_name.append(name)
         if unit is not None:
             of_unit.append(name)

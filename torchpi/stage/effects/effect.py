@@ -39,6 +39,9 @@ class Seen:
     """Standard deviation of each auxiliary signal."""
     peak_rate_v_s: float = 0.0
     """The largest |u̇|, which only edges may reach."""
+    simulated: bool = False
+    """Whether effects act on the output of a simulation whose inside is not known: it may have them already,
+    with other parameters."""
 
     @property
     def span_v(self) -> float:
@@ -98,6 +101,10 @@ class Described:
     """Why it is left out where `starts` returns nothing."""
     degenerate_with: ClassVar[tuple[str, ...]] = ()
     """Effects that voltage and displacement alone cannot split from it in general."""
+    alike_inside: ClassVar[tuple[str, ...]] = ()
+    """Effects that look the same where a simulation whose inside is not known may have one of them."""
+    commutes: ClassVar[bool] = False
+    """Whether it does the same before and behind anything that does not change with time."""
     delays: ClassVar[bool] = False
     """Whether it makes the output late by about one time: a convention of timing looks the same."""
     smooths: ClassVar[bool] = False

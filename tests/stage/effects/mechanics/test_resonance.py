@@ -23,6 +23,30 @@ class TestLaws(EffectLaws):
         return Resonance(PERIOD_S, frequency_hz=1.3, damping_ratio=0.05)
 
 
+class TestLawsInThePlaceOfAnother(EffectLaws):
+    def operator(self) -> Resonance:
+        return Resonance(
+            PERIOD_S,
+            frequency_hz=1.3,
+            damping_ratio=0.05,
+            replaced_frequency_hz=1.1,
+            replaced_damping_ratio=0.03,
+        )
+
+
+@given(frequency_hz=st.floats(100.0, 800.0), replaced_hz=st.floats(100.0, 800.0))
+def test_behind_a_mode_it_stands_in_that_ones_place(frequency_hz, replaced_hz):
+    x = wandering(1, 4000)
+    own, replaced = (
+        {"frequency_hz": frequency_hz, "damping_ratio": 0.02},
+        {"frequency_hz": replaced_hz, "damping_ratio": 0.05},
+    )
+    other = {f"replaced_{name}": value for name, value in replaced.items()}
+    # A hundredth of the shortest period: what an input does between samples no longer matters.
+    y = Resonance(1e-5, **own, **other)(Resonance(1e-5, **replaced)(x)[0])[0]
+    torch.testing.assert_close(y, Resonance(1e-5, **own)(x)[0], rtol=0, atol=2e-3)
+
+
 @given(frequency_hz=st.floats(5.0, 2e3), damping_ratio=st.floats(0.001, 0.29))
 def test_a_ramp_rings_as_the_closed_form_says(frequency_hz, damping_ratio):
     t = torch.arange(500, dtype=torch.float64) / 1e4

@@ -38,6 +38,7 @@ class Delay(LinearEffect):
     signature = "phase grows in proportion to frequency, the gain stays flat"
     time_scale = "fast"
     delays = True
+    commutes = True
     quantities: ClassVar[dict[str, Quantity]] = {
         "delay_s": Quantity("s", at_least=0.0, at_most=LONGEST_S),
         "after_lag": Quantity("", at_least=0.0, at_most=1.0),

@@ -6,7 +6,7 @@ from typing import ClassVar
 from torchpi.operators.linear import Hold
 from torchpi.operators.quantity import Quantity
 from torchpi.stage.effects.effect import Block, Described, Parameters
-from torchpi.stage.effects.mechanics.resonance import TYPICAL_DAMPING, Resonance
+from torchpi.stage.effects.mechanics.resonance import OF_A_MODE, TYPICAL_DAMPING
 
 MOST_MODES = 16
 """How many modes a stage may have."""
@@ -29,7 +29,7 @@ class ModalResonance(ModalEffect):
     signature = "rings at one frequency, phase climbs towards it"
     time_scale = "fast"
     quantities: ClassVar[dict[str, Quantity]] = {
-        **Resonance.quantities,
+        **OF_A_MODE,
         "share": _SHARE,
         "rate_share": _SHARE,
     }

@@ -1,6 +1,13 @@
-"""The first mode of the mechanics: ẍ + 2ζω₀ẋ + ω₀²x = ω₀²x_in, ω₀ = 2πf₀."""
+"""The first mode of the mechanics: ẍ + 2ζω₀ẋ + ω₀²x = ω₀²x_in, ω₀ = 2πf₀.
+
+Behind a simulation that has a mode already, with another frequency ω_r or damping ζ_r, it takes that one's
+place: the mode over the one that it replaces,
+
+    Y/X = (1 + 2ζ_r s/ω_r + s²/ω_r²) / (1 + 2ζ s/ω₀ + s²/ω₀²)
+"""
 
 import math
+from collections.abc import Mapping
 from typing import ClassVar
 
 import numpy as np
@@ -13,8 +20,16 @@ from torchpi.stage.effects.effect import Parameters, Seen, StateSpaceEffect
 
 TYPICAL_DAMPING = 0.02
 BINS_PER_OCTAVE = 120
+CLOSE, NEAR = 2.0, (0.93, 0.98, 1.02, 1.07)
+"""The largest ratio of the frequencies of a mode and of the one that it replaces; ratios at which one is
+looked for where both make a single peak."""
 GRID = 14
 """Frequencies of a blind search: near enough for a fit to close in."""
+OF_A_MODE = {
+    "frequency_hz": Quantity("Hz", at_least=1.0, at_most=1e5),
+    # What is damped more is not seen to ring: a lag.
+    "damping_ratio": Quantity("", at_least=1e-4, at_most=0.3),
+}
 
 
 class Resonance(StateSpaceEffect):
@@ -26,30 +41,55 @@ class Resonance(StateSpaceEffect):
     signature = "rings at one frequency, phase climbs towards it"
     time_scale = "fast"
     quantities: ClassVar[dict[str, Quantity]] = {
-        "frequency_hz": Quantity("Hz", at_least=1.0, at_most=1e5),
-        # What is damped more is not seen to ring: a lag.
-        "damping_ratio": Quantity("", at_least=1e-4, at_most=0.3),
+        **OF_A_MODE,
+        "replaced_frequency_hz": OF_A_MODE["frequency_hz"],
+        "replaced_damping_ratio": OF_A_MODE["damping_ratio"],
     }
     accepted: ClassVar[dict[str, Quantity]] = {
         "frequency_hz": Quantity("Hz", at_least=0, positive=True),
         "damping_ratio": Quantity("", at_least=0),
     }
-    identity: ClassVar[Parameters] = {"frequency_hz": math.inf, "damping_ratio": TYPICAL_DAMPING}
+    identity: ClassVar[Parameters] = {
+        "frequency_hz": math.inf,
+        "damping_ratio": TYPICAL_DAMPING,
+        "replaced_frequency_hz": math.inf,
+        "replaced_damping_ratio": TYPICAL_DAMPING,
+    }
+    forms: ClassVar[tuple[str, ...]] = ("one mode", "in the place of the simulation's")
     frequency_hz: nn.Parameter
     damping_ratio: nn.Parameter
+    replaced_frequency_hz: nn.Parameter
+    replaced_damping_ratio: nn.Parameter
     order = 2
     hold: Hold = "first"
+
+    @classmethod
+    def form(cls, values: Mapping[str, float]) -> str:
+        of = {**cls.identity, **values}
+        if not cls.forms or math.isinf(of["frequency_hz"]):
+            return ""
+        return cls.forms[0] if math.isinf(of["replaced_frequency_hz"]) else cls.forms[1]
 
     def matrices(self) -> Matrices:
         if math.isinf(self.frequency_hz.item()):
             rest = self.frequency_hz.new_zeros(2)
             return rest.new_zeros(2, 2), rest, rest, rest.new_ones(())
         omega = 2 * math.pi * self.frequency_hz
-        zero, one = torch.zeros_like(omega), torch.ones_like(omega)
+        zero = torch.zeros_like(omega)
         # The second state is ẋ/ω₀: both are then of like size, which keeps the exponential accurate.
         a = torch.stack([zero, omega, -omega, -2 * self.damping_ratio * omega]).reshape(2, 2)
-        continuous = a, torch.stack([zero, omega]), torch.stack([one, zero]), zero
-        return discretise(*continuous, self.sample_period_s, self.hold)
+        c, d = self.observed()
+        return discretise(a, torch.stack([zero, omega]), c, d, self.sample_period_s, self.hold)
+
+    def observed(self) -> tuple[Tensor, Tensor]:
+        """C (2,) and D () of the mode, over the one that it replaces if there is one."""
+        zero = torch.zeros_like(self.frequency_hz)
+        replaces = "replaced_frequency_hz" in self.quantities
+        if not replaces or math.isinf(self.replaced_frequency_hz.item()):
+            return torch.stack([zero + 1, zero]), zero
+        ratio = self.frequency_hz / self.replaced_frequency_hz
+        damping = 2 * ratio * (self.replaced_damping_ratio - self.damping_ratio * ratio)
+        return torch.stack([1 - ratio**2, damping]), ratio**2
 
     @classmethod
     def starts(cls, seen: Seen) -> list[Parameters]:
@@ -76,7 +116,26 @@ class Resonance(StateSpaceEffect):
     def starts_from(
         cls, seen: Seen, residual: np.ndarray, output: np.ndarray, fs_hz: float
     ) -> list[Parameters]:
-        return cls.starts_at(seen, peaks_hz(torch.from_numpy(residual), fs_hz))
+        peaks = peaks_hz(torch.from_numpy(residual), fs_hz)
+        replaces = seen.simulated and "replaced_frequency_hz" in cls.quantities
+        return cls.starts_at(seen, peaks) + (cls.starts_in_place(peaks) if replaces else [])
+
+    @classmethod
+    def starts_in_place(cls, frequencies_hz: list[float]) -> list[Parameters]:
+        """A mode in the place of another: a residual shows both, or one peak where they are close."""
+        pairs = [
+            (a, b) for a in frequencies_hz for b in frequencies_hz if a != b and 1 / CLOSE < a / b < CLOSE
+        ]
+        pairs += [(f, f * near) for f in frequencies_hz for near in NEAR]
+        return [
+            {
+                "frequency_hz": own,
+                "damping_ratio": TYPICAL_DAMPING,
+                "replaced_frequency_hz": replaced,
+                "replaced_damping_ratio": TYPICAL_DAMPING,
+            }
+            for own, replaced in pairs
+        ]
 
 
 def peaks_hz(

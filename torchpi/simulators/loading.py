@@ -1,0 +1,51 @@
+"""A simulation from what a user writes: `package.module:function`, `file.py:function` or `model.fmu`."""
+
+import importlib
+import sys
+from pathlib import Path
+from typing import Final
+
+from torchpi.errors import SimulationError
+from torchpi.simulators.simulator import Simulator
+
+COLUMN: Final = "column"
+"""In the place of a simulation: its output stands in the recordings."""
+EXPECTED = (
+    "expected a stage file (.yaml, .pt), model.fmu, package.module:function, file.py:function or column"
+)
+
+
+def load_simulator(reference: str) -> Simulator:
+    """The simulation that a reference names; this imports its module, or loads the FMU's binary.
+
+    Modules are looked for in the current folder too.
+
+    Raises:
+        SimulationError: There is none, or it cannot be called.
+    """
+    if Path(reference).suffix.lower() == ".fmu":
+        from torchpi.simulators.fmu import Fmu
+
+        return Simulator(Fmu.of(reference), reference)
+    module, colon, name = reference.rpartition(":")
+    if not colon or not module or not name:
+        raise SimulationError(f"simulation: found '{reference}', {EXPECTED}")
+    path = Path(module)
+    folder = path.resolve().parent if path.suffix == ".py" else Path.cwd()
+    if path.suffix == ".py" and not path.is_file():
+        raise SimulationError(f"simulation {reference}: found no file '{module}', expected one with '{name}'")
+    if str(folder) not in sys.path:
+        sys.path.insert(0, str(folder))  # worker processes get the same path
+    importlib.invalidate_caches()
+    try:
+        found: object = importlib.import_module(path.stem if path.suffix == ".py" else module)
+    except Exception as error:  # a module of someone's own raises anything
+        text = f"{type(error).__name__}: {error}".splitlines()[0]
+        raise SimulationError(f"simulation {reference}: found {text}, expected to import it") from error
+    for part in name.split("."):
+        found = getattr(found, part, None)
+    if not callable(found):
+        raise SimulationError(
+            f"simulation {reference}: found no function '{name}' in '{module}', expected {name}(u_v, fs_hz)"
+        )
+    return Simulator(found, reference)

@@ -1,0 +1,118 @@
+"""A simulation that is only called: a voltage in, a displacement out, a whole record at a time."""
+
+import inspect
+import pickle
+from collections import OrderedDict
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass, field
+from hashlib import sha256
+from pathlib import Path
+from threading import RLock
+from uuid import uuid4
+
+import numpy as np
+
+from torchpi.errors import SimulationError
+
+Simulate = Callable[[np.ndarray, float], np.ndarray]
+"""simulate(u_v, fs_hz) → y_um: (time,) V, held between samples, and Hz in; (time,) µm out, from the
+de-energised state. The same voltage always gives the same displacement, without noise."""
+
+KEPT_BYTES = 300_000_000
+"""Of outputs in each process: a call may take seconds."""
+
+_outputs: OrderedDict[tuple[str, bytes, float], np.ndarray] = OrderedDict()
+_one_at_a_time = RLock()
+
+
+@dataclass(frozen=True, eq=False)
+class Simulator:
+    """A simulation of someone's own. Calling it checks what it returns, and never repeats a call.
+
+    Args:
+        function: See `Simulate`.
+        reference: How it is named in files and messages, such as `package.module:function`.
+    """
+
+    function: Simulate
+    reference: str
+    token: str = field(default_factory=lambda: uuid4().hex)
+    """What tells it from another, in any process."""
+
+    @classmethod
+    def of(cls, function: Simulate) -> "Simulator":
+        """Of any function, named by its module and its own name."""
+        kind = type(function)
+        name = getattr(function, "__qualname__", kind.__qualname__)
+        return cls(function, f"{getattr(function, '__module__', None) or kind.__module__}:{name}")
+
+    def __call__(
+        self,
+        u_v: np.ndarray,  # (time,), V
+        fs_hz: float,
+    ) -> np.ndarray:  # (time,), µm
+        """The displacement; what was called before is remembered.
+
+        Raises:
+            SimulationError: It fails, or returns another shape or numbers that are not finite.
+        """
+        key = self.token, sha256(u_v.tobytes()).digest(), fs_hz
+        with _one_at_a_time:
+            y = _outputs.get(key)
+            if y is None:
+                y = self.called(u_v, fs_hz)
+                while _outputs and sum(one.nbytes for one in _outputs.values()) + y.nbytes > KEPT_BYTES:
+                    _outputs.popitem(last=False)
+                _outputs[key] = y
+            _outputs.move_to_end(key)
+        return y
+
+    def called(self, u_v: np.ndarray, fs_hz: float) -> np.ndarray:
+        """The same, called in any case."""
+        where = f"simulation {self.reference}"
+        try:
+            returned = self.function(u_v.copy(), fs_hz)
+            y = np.array(returned, dtype=np.float64)
+        except SimulationError:
+            raise
+        except Exception as error:  # a function of someone's own raises anything
+            text = f"{type(error).__name__}: {error}".splitlines()[0]
+            raise SimulationError(
+                f"{where}: found {text}, with {len(u_v):,} samples at {fs_hz:g} Hz from {u_v.min():.4g} V to "
+                f"{u_v.max():.4g} V; expected a displacement in µm"
+            ) from error
+        if y.shape != u_v.shape:
+            raise SimulationError(f"{where}: found an output of shape {y.shape}, expected {u_v.shape}")
+        if not np.isfinite(y).all():
+            sample = int(np.flatnonzero(~np.isfinite(y))[0])
+            raise SimulationError(f"{where}: found {y[sample]} at sample {sample}, expected finite numbers")
+        y.flags.writeable = False
+        return y
+
+    def check_repeatable(self, u_v: np.ndarray, fs_hz: float) -> None:
+        """Raise `SimulationError` if a second call returns something else: a fit compares calls."""
+        first, second = self(u_v, fs_hz), self.called(u_v, fs_hz)
+        if not np.array_equal(first, second):
+            raise SimulationError(
+                f"simulation {self.reference}: found outputs for the same voltage that differ by "
+                f"{np.abs(second - first).max():.3g} µm, expected equal ones; start each call from rest, "
+                "and leave the noise out"
+            )
+
+    @property
+    def source(self) -> str:
+        """The file that it comes from; empty where there is none."""
+        path = getattr(self.function, "path", None)
+        if path is None:
+            with suppress(TypeError, OSError):  # what was not written in a file
+                path = inspect.getsourcefile(self.function)
+        return str(path) if path and Path(path).is_file() else ""
+
+    @property
+    def travels(self) -> bool:
+        """Whether another process can call it too."""
+        try:
+            return b"__main__" not in pickle.dumps(self)  # which is another module there
+        except Exception:  # whatever a function drags along may refuse in its own way
+            return False
