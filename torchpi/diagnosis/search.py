@@ -390,8 +390,11 @@ class Search:
             job: Job = (replace(small.hypothesis, remanent=False), None, 3, ROUGH)
             (less,) = self.fits([job])
             best = less if self.needs_no_history(small, less) else small
+        # A delay of whole samples may be the convention itself.
+        late = [m.effect.name for m in now.hypothesis.members if m.effect.commutes]
         others = [
-            replace(best.hypothesis, alignment=alignment, held=held)
+            replace(h, alignment=alignment, held=held)
+            for h in (best.hypothesis, *(best.hypothesis.without(name) for name in late))
             for alignment in self.alignments
             for held in (False, True)
             if (alignment, held) != (now.hypothesis.alignment, now.hypothesis.held)
