@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
+from torchpi.control.limits_met import limits_met
 from torchpi.errors import ArtifactError, RecordingError, StageError
 from torchpi.loop_result import (
     COMPENSATED,
@@ -36,7 +37,8 @@ class Compensator(Protocol):
     """What the loop needs of a compensator; an exported TorchScript file has it.
 
     Optional attributes: `has_reference_filter: bool` (`step` then takes the raw reference y_r),
-    `min_voltage_v` and `max_voltage_v` (its own output limits).
+    `min_voltage_v` and `max_voltage_v` (its own output limits), `limited_outputs: int` (how many voltages
+    its limits have changed since `reset`).
     """
 
     sample_period_s: float
@@ -54,7 +56,10 @@ class PlantStream(Protocol):
 
 
 class Plant(Protocol):
-    """What the loop needs of a stage; `torchpi.stage.Stage` has it."""
+    """What the loop needs of a stage; `torchpi.stage.Stage` has it.
+
+    Optional: `max_slew_v_s: float`, the slew limit of its amplifier.
+    """
 
     @property
     def sample_period_s(self) -> float: ...
@@ -78,6 +83,7 @@ def run_loop(
     yr: Signal | None = None,  # (time,), µm
     compare: Mapping[str, Compensator] | None = None,
     seed: int | None = None,
+    max_slew_v_s: float = math.inf,
     clock: Callable[[], int] = time.perf_counter_ns,
     on_drive: Callable[[str], None] = lambda label: None,
 ) -> LoopResult:
@@ -98,6 +104,7 @@ def run_loop(
         yr: the reference before the filter of eq. 14, for compensators that hold the filter.
         compare: other compensators, by name.
         seed: of the stage's noise; None is the stage's own.
+        max_slew_v_s: rate of the voltage that the amplifier bears; the stage's own slew limit counts as well.
         on_drive: called with the label of each run as it starts.
         clock: nanoseconds; reads the time before and after each `step`.
 
@@ -126,7 +133,8 @@ def run_loop(
     if compensator.preview > 0:
         straight[WITHOUT_LOOK_AHEAD] = _StraightLine(stage, slow_loop, compensator.preview)
 
-    rig = _Rig(stage, plant, yd, slow_loop, seed, clock)
+    max_slew_v_s = min(max_slew_v_s, getattr(stage, "max_slew_v_s", math.inf))
+    rig = _Rig(stage, plant, yd, slow_loop, seed, clock, max_slew_v_s)
     with _garbage_collection_held():
         drives = {}
         for key, one in {**straight, **compare, COMPENSATED: compensator}.items():
@@ -166,8 +174,10 @@ class _Rig:
         slow_loop: "_SlowLoop",
         seed: int,
         clock: Callable[[], int],
+        max_slew_v_s: float,
     ) -> None:
         self.stage, self.plant, self.yd, self.seed, self.clock = stage, plant, yd, seed, clock
+        self.max_slew_v_s = max_slew_v_s
         self.peak_to_peak_um = float(np.ptp(yd))
         self.range_um = slow_loop.high_um - slow_loop.low_um
         self.loading_samples = int(np.argmax(yd >= yd.max() - 1e-3 * self.peak_to_peak_um))
@@ -179,7 +189,7 @@ class _Rig:
         reference: Signal,  # (time,), µm
     ) -> Drive:
         preview = int(compensator.preview)
-        u, y_true, y_sensor, step_ns = _step_through(
+        u, y_true, y_sensor, step_ns, limited = _step_through(
             key, compensator, self.plant, _ahead(reference, preview), self.seed, self.clock
         )
         width = _loop_width(self.yd[self.loading_samples :], y_true[self.loading_samples :])
@@ -197,6 +207,9 @@ class _Rig:
             loop_width_percent=100.0 * width / self.peak_to_peak_um,
             saturated_share=float(np.mean((u <= low) | (u >= high))),
             latency=_latency(step_ns, self.stage.sample_period_s),
+            limits_met=limits_met(
+                u, self.yd, limited, low, high, self.max_slew_v_s, self.stage.sample_period_s
+            ),
         )
 
     def _tracking(self, y: Signal) -> Tracking:
@@ -228,13 +241,16 @@ def _step_through(
     feed: list[float],
     seed: int,
     clock: Callable[[], int],
-) -> tuple[Signal, Signal, Signal, npt.NDArray[np.int64]]:
-    """The loop itself. Returns u, y_true, y_sensor and the nanoseconds of each step."""
+) -> tuple[Signal, Signal, Signal, npt.NDArray[np.int64], npt.NDArray[np.bool_] | None]:
+    """The loop itself. Returns u, y_true, y_sensor, the nanoseconds of each step, and where a limit inside
+    the compensator changed the voltage, if it counts that."""
     u, y_true, y_sensor = (np.empty(len(feed)) for _ in range(3))
     step_ns = np.empty(len(feed), dtype=np.int64)
     step, move = compensator.step, plant.step
     compensator.reset()
     plant.reset(seed)
+    counts = hasattr(compensator, "limited_outputs")
+    changed = np.zeros(len(feed) + 1, dtype=np.int64)
     with torch.no_grad():
         for k, yd_ahead in enumerate(feed):
             start = clock()
@@ -247,7 +263,9 @@ def _step_through(
                 )
             u[k] = u_k
             y_true[k], y_sensor[k] = move(u_k)
-    return u, y_true, y_sensor, step_ns
+            if counts:
+                changed[k + 1] = compensator.limited_outputs  # type: ignore[attr-defined]
+    return u, y_true, y_sensor, step_ns, np.diff(changed) > 0 if counts else None
 
 
 @contextmanager

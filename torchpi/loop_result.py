@@ -3,7 +3,7 @@
 import dataclasses
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -53,6 +53,20 @@ class Latency:
 
 
 @dataclass(frozen=True)
+class LimitMet:
+    """A limit that the drive met, and where it stayed there longest."""
+
+    quantity: Literal["voltage", "slew"]
+    limit: float  # V, or V/s
+    value: float  # V, or V/s: the largest that was written while the limit was met
+    share: float  # of the samples
+    stretches: int  # in which it was met
+    time_s: float  # where the longest of them begins
+    duration_s: float  # of the longest
+    yd_um: float  # desired displacement at `time_s`
+
+
+@dataclass(frozen=True)
 class Drive:
     """One way of driving the stage along the trajectory, and what came of it."""
 
@@ -67,6 +81,7 @@ class Drive:
     loop_width_percent: float  # of peak to peak
     saturated_share: float  # of the samples, u at a voltage limit
     latency: Latency
+    limits_met: tuple[LimitMet, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -129,6 +144,7 @@ def as_json(result: LoopResult) -> dict[str, Any]:
             "loop_width_um": drive.loop_width_um,
             "loop_width_percent": drive.loop_width_percent,
             "saturated_share": drive.saturated_share,
+            "limits_met": [dataclasses.asdict(one) for one in drive.limits_met],
             "times_better_than_without": {
                 key: ratio if math.isfinite(ratio) else None
                 for key, ratio in dataclasses.asdict(result.improvement[key]).items()

@@ -18,13 +18,13 @@ from torchpi.export import save_json, save_torchscript
 from torchpi.files import write_atomically
 from torchpi.identification import inverse_errors
 from torchpi.identification.monotone import Monotone, monotone
+from torchpi.identification.recipe import MOST_PREVIEW
 from torchpi.report.training import TrainingReport
 from torchpi.report.what_was_run import Provenance
 from torchpi.trained import STATE
 from train.data import HELDOUT_SHARE, RecordingsData
 from train.module import InverseTraining
 from train.pictures import record_fits, saturation, weights_against_rate
-from train.preview import MOST
 from train.run_folder import RunFolder
 from train.sensor_zero import fit_zeros, on_bound
 from train.tracking import tracking_notes
@@ -136,8 +136,8 @@ def at_their_bound(model: InverseTraining) -> list[str]:
             for zero_um, stretch in zip(zeros, stretches, strict=True)
             if on_bound(zero_um, stretch)
         ]
-    if model.extensions["preview"] == "auto" and model.compensator.preview == MOST:
-        found.append(f"the look-ahead is {MOST} samples, the most that is tried")
+    if model.extensions["preview"] == "auto" and model.compensator.preview == MOST_PREVIEW:
+        found.append(f"the look-ahead is {MOST_PREVIEW} samples, the most that is tried")
     return found
 
 
