@@ -4,7 +4,7 @@
 
 with a zero y_0 for each recording (Kuhnen, *European Journal of Control* 9(4), 2003, for the plays). Delay,
 lag, curvature S of the input, creep C, mode M, and a history before the first sample are tried one after
-another; each is kept only where it predicts samples better that no fit has seen: the end of each recording.
+another; each is kept only where it better predicts what no fit has seen: the end of each recording.
 The last fit has as many plays as predict those best, and takes in all samples.
 """
 
@@ -43,6 +43,8 @@ MODES = 2
 """Frequencies from which a mode is fitted; other effects are fitted from their best start alone."""
 ROUGH = 3e-3
 """Relative gain of a step below which a fit of the search ends."""
+START_AWAY = 0.02
+"""Of the command's span: a recording that begins with so much may have a history before it."""
 DAMPING_RATIO = 0.02
 """Of a mode where its fit begins: one that rings is not found from one that hardly does."""
 
@@ -106,7 +108,12 @@ def identify_stage(
     identified = Identified(
         recordings_sha256(train), heldout.source or heldout.name, float(error.std()), _largest(error)
     )
-    settings = {**stage.to_dict(), "identified": identified.plain()}
+    # What it is judged on lies within what it stands for.
+    limits = {
+        "min_voltage_v": min(stage.min_voltage_v, float(heldout.u.min())),
+        "max_voltage_v": max(stage.max_voltage_v, float(heldout.u.max())),
+    }
+    settings = {**stage.to_dict(), **limits, "identified": identified.plain()}
     return ForwardStage(Stage.from_dict(settings), tuple(search.steps))
 
 
@@ -209,8 +216,9 @@ class _Search:
         return self.with_effect(now, Resonance, starts, base, MODES)
 
     def history(self, now: Fit) -> list[Fit]:
-        """A history of each recording, before its first sample."""
-        if now.hypothesis.remanent:
+        """A history of each recording before its first sample, if one begins with a voltage applied."""
+        away = START_AWAY * self.chain.span_v
+        if now.hypothesis.remanent or all(abs(one.u[0]) <= away for one in self.chain.records):
             return []
         self.log("history before the first sample")
         return [fit(self.chain, replace(now.hypothesis, remanent=True), None, tolerance=ROUGH)]

@@ -1,9 +1,12 @@
-"""Which recordings something was made from: a hash that a compensator and a stage both carry."""
+"""Which recordings something is made from: whether they go together, and a hash that their models carry."""
 
 import hashlib
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
+import numpy as np
+
+from torchpi.errors import RecordingError
 from torchpi.recordings.recording import Recording
 
 
@@ -21,6 +24,17 @@ def recordings_sha256(recordings: Iterable[Recording]) -> str:
 def is_sha256(value: object) -> bool:
     """Whether a value is such a hash: 64 hexadecimal digits."""
     return isinstance(value, str) and re.fullmatch(r"[0-9a-f]{64}", value) is not None
+
+
+def check_one_rate(recordings: Sequence[Recording]) -> None:
+    """Raise `RecordingError` unless all have one sample rate."""
+    first = recordings[0]
+    for other in recordings[1:]:
+        if not np.isclose(other.fs_hz, first.fs_hz, rtol=1e-6):
+            raise RecordingError(
+                f"{other.source}: sampled at {other.fs_hz:g} Hz, but {first.source} at {first.fs_hz:g} Hz; "
+                "expected one rate: train on each rate apart, or resample"
+            )
 
 
 def _of_samples(recording: Recording) -> str:

@@ -1,5 +1,6 @@
 """A stage's file: plain settings with a hash of them, read only if they are what was written."""
 
+import io
 import warnings
 from collections.abc import Mapping
 from pathlib import Path
@@ -8,7 +9,7 @@ from typing import Any
 import torch
 
 from torchpi.errors import ArtifactError
-from torchpi.files import check_archive, content_sha256, write_atomically
+from torchpi.files import check_archive, content_sha256
 
 SCHEMA, VERSION = "torchpi stage", 2
 OLDER_SCHEMA = "torchpi augmented stage"
@@ -17,11 +18,13 @@ LARGEST_BYTES = 2**28
 EXPECTED = "expected a stage.pt of 'torchpi diagnose' or of a training, or a stage file (.yaml)"
 
 
-def write_settings(path: str | Path, settings: Mapping[str, Any]) -> None:
+def write_settings(path: Path, settings: Mapping[str, Any]) -> None:
     """Write settings, plain values by name, which `torch.load` reads with weights only."""
     content = {"schema": SCHEMA, "version": VERSION, **settings}
-    with write_atomically(path) as temporary:
-        torch.save({**content, HASH: content_sha256(content)}, temporary)
+    # From a buffer, because a path leaves its name inside, and this one may be temporary.
+    buffer = io.BytesIO()
+    torch.save({**content, HASH: content_sha256(content)}, buffer)
+    path.write_bytes(buffer.getvalue())
 
 
 def read_settings(path: Path) -> dict[str, Any]:

@@ -16,6 +16,7 @@ import torch
 from torch import Tensor, nn
 
 from torchpi.errors import ArtifactError, ConfigError, StageError
+from torchpi.files import write_atomically
 from torchpi.operators.base import Operator
 from torchpi.operators.chain import Chain, ChainStream
 from torchpi.operators.limits import ClipStream
@@ -175,6 +176,11 @@ class Stage(Operator):
 
     def save(self, path: str | Path) -> None:
         """Write the file: plain numbers and a hash of them, which `torch.load` reads with weights only."""
+        with write_atomically(path) as temporary:
+            self.write(temporary)
+
+    def write(self, path: Path) -> None:
+        """The same in place, for files that appear together."""
         write_settings(path, self.to_dict())
 
     def to_dict(self) -> dict[str, Any]:
