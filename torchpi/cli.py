@@ -295,6 +295,9 @@ def commission(
         reading: How the files are read.
     """
     options = RecordingOptions(**reading)
+    # Its matrices are small: threads would only wait for each other.
+    for threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ.setdefault(threads, "1")
     from torchpi.commission.commission import commission as commission_files
 
     command = shlex.join(["torchpi", *sys.argv[1:]])
