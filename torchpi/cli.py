@@ -30,10 +30,16 @@ DESCRIPTION = """Makes piezo stages go where they are told.
   torchpi reproduce            runs the whole paper (Qin et al. 2013), and shows what torchpi does better
 """
 DEFAULT_STAGE = Path("configs/stage/default.yaml")
+IN_ONE_THREAD = ("commission", "diagnose")
+"""Commands of small matrices, or of fits side by side: more threads would only wait for each other."""
 
 
 def main() -> None:
     """Entry point."""
+    if sys.argv[1:2] and sys.argv[1] in IN_ONE_THREAD:
+        # Now, because libraries of linear algebra read it once, and parsing already loads one.
+        for threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+            os.environ.setdefault(threads, "1")
     sys.exit(run_command(lambda: run_chosen(COMMANDS, "torchpi", DESCRIPTION), "torchpi"))
 
 
@@ -295,9 +301,6 @@ def commission(
         reading: How the files are read.
     """
     options = RecordingOptions(**reading)
-    # Its matrices are small: threads would only wait for each other.
-    for threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-        os.environ.setdefault(threads, "1")
     from torchpi.commission.commission import commission as commission_files
 
     command = shlex.join(["torchpi", *sys.argv[1:]])
@@ -347,9 +350,6 @@ def diagnose(
         reading: How the files are read.
     """
     options = RecordingOptions(**reading)
-    # Fits run side by side in processes: threads inside them would only wait for each other.
-    for threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-        os.environ.setdefault(threads, "1")
     from torchpi.diagnosis.files import diagnose_files
 
     command = shlex.join(["torchpi", *sys.argv[1:]])
