@@ -11,9 +11,10 @@ import pytest
 
 from tests.train.conftest import recording, write
 from torchpi import cli
-from torchpi.commission.commission import FORMATS
+from torchpi.commission.commission import FORMATS, commission
 from torchpi.export import load_torchscript, trained_recordings
 from torchpi.recordings.identity import recordings_sha256
+from torchpi.recordings.options import RecordingOptions
 from torchpi.recordings.recording import read_recording
 from torchpi.stage import Stage
 from torchpi.stage.identified import Identified
@@ -37,14 +38,9 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
 def printed(files: list[str], tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     """The folder that a commissioning left, and what it printed."""
     folder = tmp_path_factory.mktemp("commissioned") / "mine"
-    with pytest.MonkeyPatch.context() as patched:
-        lines: list[str] = []
-        patched.setattr("builtins.print", lambda text, **_: lines.append(str(text)))
-        from torchpi.commission.commission import commission
-        from torchpi.recordings.options import RecordingOptions
-
-        paths = [Path(path) for path in files]
-        commission(paths, folder, RecordingOptions(), "torchpi commission", 500.0, log=lines.append)
+    lines: list[str] = []
+    paths = [Path(path) for path in files]
+    commission(paths, folder, RecordingOptions(), "torchpi commission", 500.0, log=lines.append)
     return folder, "\n".join(lines)
 
 
