@@ -57,7 +57,8 @@ def test_import_brings_neither_lightning_nor_matplotlib() -> None:
 
 
 @pytest.mark.parametrize(
-    "command", ["simulate", "excite", "export", "run", "check", "diagnose", "predict", "reproduce"]
+    "command",
+    ["simulate", "excite", "export", "run", "commission", "check", "diagnose", "predict", "reproduce"],
 )
 def test_every_command_has_an_example_and_every_option_an_explanation(
     command: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
@@ -136,7 +137,7 @@ def test_bad_input_is_one_line_and_exit_code_2(
     assert sorted(tmp_path.rglob("*")) == before
 
 
-@pytest.mark.parametrize("command", ["check", "diagnose", "predict", "fit"])
+@pytest.mark.parametrize("command", ["check", "commission", "diagnose", "predict", "fit"])
 def test_every_command_reads_recordings_by_the_same_options(
     command: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -20,6 +20,8 @@ DESCRIPTION = """Makes piezo stages go where they are told.
   3. torchpi export            makes a file of it for a controller
   4. torchpi run               tries that file in a control loop against the simulated stage
 
+  torchpi commission           does all of that for recordings of yours, and says how well it will track
+
   torchpi check                shows what recordings hold, and the options to read them by
   torchpi diagnose             says what physics the simulation lacks, and models it
   torchpi predict              simulates what a diagnosis left behind
@@ -28,10 +30,16 @@ DESCRIPTION = """Makes piezo stages go where they are told.
   torchpi reproduce            runs the whole paper (Qin et al. 2013), and shows what torchpi does better
 """
 DEFAULT_STAGE = Path("configs/stage/default.yaml")
+IN_ONE_THREAD = ("commission", "diagnose")
+"""Commands of small matrices, or of fits side by side: more threads would only wait for each other."""
 
 
 def main() -> None:
     """Entry point."""
+    if sys.argv[1:2] and sys.argv[1] in IN_ONE_THREAD:
+        # Now, because libraries of linear algebra read it once, and parsing already loads one.
+        for threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+            os.environ.setdefault(threads, "1")
     sys.exit(run_command(lambda: run_chosen(COMMANDS, "torchpi", DESCRIPTION), "torchpi"))
 
 
@@ -124,6 +132,8 @@ def export(
 ) -> None:
     """Export the compensator of a training run, for a controller: all files, or none.
 
+    The stage that the run identified goes with it, as NAME_stage.pt: `torchpi run` takes it.
+
     Example: torchpi export runs/demo --to torchscript,c,json --output exports/demo
 
     Args:
@@ -139,8 +149,10 @@ def export(
             trained range.
     """
     from torchpi.errors import ArtifactError
-    from torchpi.export import Load, export_files, safety_card
+    from torchpi.export import Load, made_files, safety_card, write_together
     from torchpi.operators import ReferenceFilter
+    from torchpi.stage import Stage
+    from torchpi.stage.beside import NAME, exported_stage
     from torchpi.trained import load_compensator, with_slew_limit
 
     compensator = load_compensator(run)
@@ -155,7 +167,10 @@ def export(
     output = (
         output.with_suffix("") if output.suffix in (".pt", ".c", ".h", ".pt2", ".json", ".html") else output
     )
-    files = export_files(compensator, output, [name.strip() for name in to.split(",")], inside, load)
+    files = made_files(compensator, output, [name.strip() for name in to.split(",")], inside, load)
+    if (run / NAME).is_file():
+        files[exported_stage(output)] = Stage.load(run / NAME).write
+    write_together(files)
     signal = "y_r" if reference_filter else "y_d"
     print(
         f"step({signal} at t + {compensator.preview} samples, µm) -> V, "
@@ -169,39 +184,58 @@ def export(
 
 def run(
     compensator: Path,
-    stage: Path = DEFAULT_STAGE,
+    stage: Path | None = None,
     trajectory: str | list[str] = "slow",
     output: Path | None = None,
     compare: dict[str, Path] | None = None,
     resample: bool = False,
+    max_slew_v_s: float | None = None,
     seed: int | None = None,
 ) -> None:
-    """Run an exported compensator in a control loop against the simulated stage, sample by sample.
+    """Run an exported compensator in a control loop against a simulated stage, sample by sample.
 
-    Reports the tracking error with and without compensation, and the time of a step against the sample
-    period; leaves loop.html (one page, to send to a colleague) and loop.json.
+    Reports the tracking error with and without compensation, where the voltage or its rate meets a limit, and
+    the time of a step against the sample period; leaves loop.html (one page, to send to a colleague) and
+    loop.json.
 
     Example: torchpi run exports/demo.pt --trajectory '[slow, fast]'
 
     Args:
         compensator: Exported TorchScript file.
-        stage: Stage file (YAML), or the stage.pt of `torchpi diagnose`.
+        stage: Stage file (YAML), or a stage.pt. By default the one identified from the recordings, beside
+            the compensator (NAME_stage.pt or stage.pt), else the built-in one.
         trajectory: slow (eq. 15), fast (eq. 16), a CSV with columns time_s,yd_um, or a list of these.
         output: Folder for the page; by default beside the compensator.
         compare: Other exported compensators by name, such as {two-stage: runs/demo/baseline.pt}.
         resample: Interpolate a trajectory file to the compensator's sample rate.
+        max_slew_v_s: Rate of the voltage that your amplifier bears, V/s.
         seed: Of the sensor's noise; the stage's own by default.
     """
+    import math
+    import warnings
+
     from rich.console import Console
 
-    from torchpi.export import load_torchscript
+    from torchpi.errors import RecordingWarning
+    from torchpi.export import load_torchscript, trained_recordings
     from torchpi.loop import run_loop
     from torchpi.report import provenance, words, write_loop_report
     from torchpi.stage import Stage
+    from torchpi.stage.beside import difference, stage_beside
     from torchpi.trajectory import load_trajectory
 
-    plant = Stage.load(stage)
     loaded = load_torchscript(compensator)
+    if stage is None:
+        stage = stage_beside(compensator) or DEFAULT_STAGE
+        own = (
+            "the built-in one, because none lies beside the compensator"
+            if stage == DEFAULT_STAGE
+            else ("identified from your recordings")
+        )
+        print(f"Stage: {stage}, {own}")
+    plant = Stage.load(stage)
+    if other := difference(plant, trained_recordings(compensator)):
+        warnings.warn(other, RecordingWarning, stacklevel=2)
     others = {name: load_torchscript(path) for name, path in (compare or {}).items()}
     names = [trajectory] if isinstance(trajectory, str) else trajectory
     trajectories = [
@@ -227,11 +261,13 @@ def run(
                 yr=one.yr,
                 compare=others,
                 seed=seed,
+                max_slew_v_s=math.inf if max_slew_v_s is None else max_slew_v_s,
                 on_drive=status.update,
             )
         results.append(result)
         print(words.table(results[-1]))
-        print(words.headline(results[-1]) + "\n")
+        print(words.headline(results[-1]))
+        print("\n".join(words.limits(results[-1])) + "\n")
     files: dict[str, str | Path] = {"compensator": compensator, "stage": stage, **(compare or {})}
     files |= {
         f"trajectory {one.name}": path for one, path in zip(trajectories, names, strict=True) if one.sha256
@@ -241,6 +277,34 @@ def run(
         results, provenance(command, files, seed), output or compensator.with_suffix("")
     )
     print(f"{page}: the page with all figures\n{numbers}: the same numbers")
+
+
+def commission(
+    recordings: list[Path],
+    output: Path = Path("commission"),
+    max_slew_v_s: float | None = None,
+    **reading: Any,
+) -> None:
+    """Go from recordings to a compensator that has been tried: check, fit, stage, loop, export, one page.
+
+    The last recording is held out. Leaves compensator.pt, .h, .c, .json and .html to deploy, stage.pt (your
+    stage, identified from the same recordings), and commission.html: the tracking error without and with
+    compensation, simulated on that stage, with the stage's own error beside it.
+
+    Example: torchpi commission recordings/slow.csv recordings/fast.csv recordings/judge.csv --output mine
+
+    Args:
+        recordings: Two or more of one stage, at the sample rate of the control loop, first sample
+            de-energised.
+        output: Folder for the results.
+        max_slew_v_s: Rate of the voltage that your amplifier bears, V/s: the page says where it is met.
+        reading: How the files are read.
+    """
+    options = RecordingOptions(**reading)
+    from torchpi.commission.commission import commission as commission_files
+
+    command = shlex.join(["torchpi", *sys.argv[1:]])
+    commission_files(recordings, output, options, command, max_slew_v_s)
 
 
 def check(files: list[Path], output: Path = Path("check"), **reading: Any) -> None:
@@ -291,9 +355,6 @@ def diagnose(
         reading: How the files are read.
     """
     options = RecordingOptions(**reading)
-    # Fits run side by side in processes: threads inside them would only wait for each other.
-    for threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-        os.environ.setdefault(threads, "1")
     from torchpi.diagnosis.files import diagnose_files
 
     command = shlex.join(["torchpi", *sys.argv[1:]])
@@ -354,4 +415,6 @@ def reproduce(
     print(f"{page}: the page\n{output / 'results.json'}: the same numbers")
 
 
-COMMANDS: list[Callable[..., None]] = [simulate, excite, export, run, check, diagnose, predict, reproduce]
+COMMANDS: list[Callable[..., None]] = [
+    simulate, excite, export, run, commission, check, diagnose, predict, reproduce
+]  # fmt: skip

@@ -29,6 +29,7 @@ from torchpi.operators.reference_filter import ReferenceFilter
 from torchpi.operators.relaxations import relaxations
 from torchpi.operators.weighted_plays import weighted_plays
 from torchpi.operators.weighted_sum import weighted_sum
+from torchpi.recordings.identity import is_sha256
 
 HIGHEST_DEGREE = 30  # far above what any loop needs; a file may ask for anything
 
@@ -55,6 +56,7 @@ class DirectInverse(nn.Module):
         train_thresholds: Whether gradients reach the thresholds.
         trained: Ranges of what it was trained on, `TrainedMotions.plain()`; None where that is not known.
         max_slew_v_s: Largest rate of the deployed step's voltage, V/s; None for any.
+        recordings_sha256: `recordings_sha256` of what it was trained on; None where that is not known.
 
     Raises:
         ConfigError: A value out of its range; the text names it.
@@ -79,6 +81,7 @@ class DirectInverse(nn.Module):
         train_thresholds: bool = False,
         trained: Mapping[str, Sequence[float]] | None = None,
         max_slew_v_s: float | None = None,
+        recordings_sha256: str | None = None,
     ) -> None:
         super().__init__()
         self.hyper_parameters: dict[str, Any] = {
@@ -106,6 +109,10 @@ class DirectInverse(nn.Module):
             )
         if max_slew_v_s is not None and not 0 < max_slew_v_s < math.inf:
             raise ConfigError(f"max_slew_v_s: found {max_slew_v_s}, expected a positive number of V/s")
+        if recordings_sha256 is not None and not is_sha256(recordings_sha256):
+            found = f"found {recordings_sha256!r}, expected 64 hexadecimal digits"
+            raise ConfigError(f"recordings_sha256: {found}")
+        self.recordings_sha256 = recordings_sha256
         self.sample_period_s = sample_period_s
         self.preview = preview
         self.min_voltage_v = min_voltage_v

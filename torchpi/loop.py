@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
+from torchpi.control.limits_met import limits_met
 from torchpi.errors import ArtifactError, RecordingError, StageError
 from torchpi.loop_result import (
     COMPENSATED,
@@ -24,19 +25,23 @@ from torchpi.loop_result import (
     WITHOUT_LOOK_AHEAD,
     Drive,
     Error,
-    Latency,
     LoopResult,
     Ratios,
     Signal,
     Tracking,
+    latency_of,
+    loop_width,
 )
+
+COUNTERS = ("limited_outputs", "outside_range", "held_inputs")
+"""Voltages that its limits changed, samples beyond the trained range or rates, samples that it held."""
 
 
 class Compensator(Protocol):
     """What the loop needs of a compensator; an exported TorchScript file has it.
 
     Optional attributes: `has_reference_filter: bool` (`step` then takes the raw reference y_r),
-    `min_voltage_v` and `max_voltage_v` (its own output limits).
+    `min_voltage_v` and `max_voltage_v` (its own output limits), and the counters since `reset`, `COUNTERS`.
     """
 
     sample_period_s: float
@@ -54,7 +59,10 @@ class PlantStream(Protocol):
 
 
 class Plant(Protocol):
-    """What the loop needs of a stage; `torchpi.stage.Stage` has it."""
+    """What the loop needs of a stage; `torchpi.stage.Stage` has it.
+
+    Optional: `max_slew_v_s: float`, the slew limit of its amplifier.
+    """
 
     @property
     def sample_period_s(self) -> float: ...
@@ -78,6 +86,7 @@ def run_loop(
     yr: Signal | None = None,  # (time,), µm
     compare: Mapping[str, Compensator] | None = None,
     seed: int | None = None,
+    max_slew_v_s: float = math.inf,
     clock: Callable[[], int] = time.perf_counter_ns,
     on_drive: Callable[[str], None] = lambda label: None,
 ) -> LoopResult:
@@ -98,6 +107,7 @@ def run_loop(
         yr: the reference before the filter of eq. 14, for compensators that hold the filter.
         compare: other compensators, by name.
         seed: of the stage's noise; None is the stage's own.
+        max_slew_v_s: rate of the voltage that the amplifier bears; the stage's own slew limit counts as well.
         on_drive: called with the label of each run as it starts.
         clock: nanoseconds; reads the time before and after each `step`.
 
@@ -126,7 +136,8 @@ def run_loop(
     if compensator.preview > 0:
         straight[WITHOUT_LOOK_AHEAD] = _StraightLine(stage, slow_loop, compensator.preview)
 
-    rig = _Rig(stage, plant, yd, slow_loop, seed, clock)
+    max_slew_v_s = min(max_slew_v_s, getattr(stage, "max_slew_v_s", math.inf))
+    rig = _Rig(stage, plant, yd, slow_loop, seed, clock, max_slew_v_s)
     with _garbage_collection_held():
         drives = {}
         for key, one in {**straight, **compare, COMPENSATED: compensator}.items():
@@ -166,8 +177,10 @@ class _Rig:
         slow_loop: "_SlowLoop",
         seed: int,
         clock: Callable[[], int],
+        max_slew_v_s: float,
     ) -> None:
         self.stage, self.plant, self.yd, self.seed, self.clock = stage, plant, yd, seed, clock
+        self.max_slew_v_s = max_slew_v_s
         self.peak_to_peak_um = float(np.ptp(yd))
         self.range_um = slow_loop.high_um - slow_loop.low_um
         self.loading_samples = int(np.argmax(yd >= yd.max() - 1e-3 * self.peak_to_peak_um))
@@ -179,10 +192,11 @@ class _Rig:
         reference: Signal,  # (time,), µm
     ) -> Drive:
         preview = int(compensator.preview)
-        u, y_true, y_sensor, step_ns = _step_through(
+        u, y_true, y_sensor, step_ns, counts = _step_through(
             key, compensator, self.plant, _ahead(reference, preview), self.seed, self.clock
         )
-        width = _loop_width(self.yd[self.loading_samples :], y_true[self.loading_samples :])
+        limited = None if counts is None else np.diff(counts[:, 0], prepend=0) > 0
+        width = loop_width(self.yd[self.loading_samples :], y_true[self.loading_samples :])
         low = max(self.stage.min_voltage_v, getattr(compensator, "min_voltage_v", -math.inf))
         high = min(self.stage.max_voltage_v, getattr(compensator, "max_voltage_v", math.inf))
         return Drive(
@@ -196,7 +210,11 @@ class _Rig:
             loop_width_um=width,
             loop_width_percent=100.0 * width / self.peak_to_peak_um,
             saturated_share=float(np.mean((u <= low) | (u >= high))),
-            latency=_latency(step_ns, self.stage.sample_period_s),
+            latency=latency_of(step_ns, self.stage.sample_period_s),
+            limits_met=limits_met(
+                u, self.yd, limited, low, high, self.max_slew_v_s, self.stage.sample_period_s
+            ),
+            beyond_trained_share=None if counts is None else float(counts[-1, 1:].sum() / len(u)),
         )
 
     def _tracking(self, y: Signal) -> Tracking:
@@ -228,13 +246,15 @@ def _step_through(
     feed: list[float],
     seed: int,
     clock: Callable[[], int],
-) -> tuple[Signal, Signal, Signal, npt.NDArray[np.int64]]:
-    """The loop itself. Returns u, y_true, y_sensor and the nanoseconds of each step."""
+) -> tuple[Signal, Signal, Signal, npt.NDArray[np.int64], npt.NDArray[np.int64] | None]:
+    """The loop itself. Returns u, y_true, y_sensor, the nanoseconds of each step, and after each the counters
+    `COUNTERS`, (time, 3), if the compensator has them."""
     u, y_true, y_sensor = (np.empty(len(feed)) for _ in range(3))
     step_ns = np.empty(len(feed), dtype=np.int64)
     step, move = compensator.step, plant.step
     compensator.reset()
     plant.reset(seed)
+    counts = np.zeros((len(feed), len(COUNTERS)), np.int64) if hasattr(compensator, COUNTERS[0]) else None
     with torch.no_grad():
         for k, yd_ahead in enumerate(feed):
             start = clock()
@@ -247,7 +267,9 @@ def _step_through(
                 )
             u[k] = u_k
             y_true[k], y_sensor[k] = move(u_k)
-    return u, y_true, y_sensor, step_ns
+            if counts is not None:
+                counts[k] = [getattr(compensator, name) for name in COUNTERS]
+    return u, y_true, y_sensor, step_ns, counts
 
 
 @contextmanager
@@ -269,40 +291,6 @@ def _ahead(reference: Signal, preview: int) -> list[float]:
     """`reference[k + preview]` for every k, the last value held past the end."""
     k = np.minimum(np.arange(len(reference)) + preview, len(reference) - 1)
     return [float(value) for value in reference[k]]
-
-
-def _latency(step_ns: npt.NDArray[np.int64], period_s: float) -> Latency:
-    step_us = step_ns / 1e3
-    period_us = period_s * 1e6
-    median, p99, p999 = np.percentile(step_us, [50.0, 99.0, 99.9])
-    shortest = max(float(step_us.min()), 1e-3)
-    longest = max(float(step_us.max()), 2 * shortest)
-    first, last = math.floor(20 * math.log10(shortest)), math.ceil(20 * math.log10(longest))
-    edges = 10.0 ** (np.arange(first, last + 1) / 20)  # 20 bins a decade
-    counts, _ = np.histogram(np.maximum(step_us, edges[0]), edges)
-    missed = int(np.count_nonzero(step_us > period_us))
-    return Latency(
-        steps=len(step_us),
-        median_us=float(median),
-        p99_us=float(p99),
-        p999_us=float(p999),
-        max_us=float(step_us.max()),
-        period_us=period_us,
-        missed=missed,
-        missed_share=missed / len(step_us),
-        histogram_edges_us=edges,
-        histogram_counts=counts,
-    )
-
-
-def _loop_width(yd: Signal, y: Signal) -> float:
-    """Widest spread of y at one y_d: y_d in 100 bins, the spread of y − y_d in each, the largest."""
-    e = y - yd
-    bins = np.minimum((100 * (yd - yd.min()) / max(np.ptp(yd), 1e-12)).astype(int), 99)
-    high, low = np.full(100, -np.inf), np.full(100, np.inf)
-    np.maximum.at(high, bins, e)
-    np.minimum.at(low, bins, e)
-    return float(np.max(high - low))
 
 
 def _ratios(worse: Tracking, better: Tracking) -> Ratios:

@@ -3,7 +3,7 @@
 import dataclasses
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -53,6 +53,20 @@ class Latency:
 
 
 @dataclass(frozen=True)
+class LimitMet:
+    """A limit that the drive met, and where it stayed there longest."""
+
+    quantity: Literal["voltage", "slew"]
+    limit: float  # V, or V/s
+    value: float  # V, or V/s: the largest that was written while the limit was met
+    share: float  # of the samples
+    stretches: int  # in which it was met
+    time_s: float  # where the longest of them begins
+    duration_s: float  # of the longest
+    yd_um: float  # desired displacement at `time_s`
+
+
+@dataclass(frozen=True)
 class Drive:
     """One way of driving the stage along the trajectory, and what came of it."""
 
@@ -67,6 +81,8 @@ class Drive:
     loop_width_percent: float  # of peak to peak
     saturated_share: float  # of the samples, u at a voltage limit
     latency: Latency
+    limits_met: tuple[LimitMet, ...] = ()
+    beyond_trained_share: float | None = None  # of the samples; None where that is not counted
 
 
 @dataclass(frozen=True)
@@ -116,6 +132,41 @@ WITHOUT_LOOK_AHEAD = "without_same_look_ahead"
 COMPENSATED = "torchpi"
 
 
+def latency_of(step_ns: npt.NDArray[np.int64], period_s: float) -> Latency:
+    """Of the nanoseconds of each step, (steps,), against the sample period."""
+    step_us = step_ns / 1e3
+    period_us = period_s * 1e6
+    median, p99, p999 = np.percentile(step_us, [50.0, 99.0, 99.9])
+    shortest = max(float(step_us.min()), 1e-3)
+    longest = max(float(step_us.max()), 2 * shortest)
+    first, last = math.floor(20 * math.log10(shortest)), math.ceil(20 * math.log10(longest))
+    edges = 10.0 ** (np.arange(first, last + 1) / 20)  # 20 bins a decade
+    counts, _ = np.histogram(np.maximum(step_us, edges[0]), edges)
+    missed = int(np.count_nonzero(step_us > period_us))
+    return Latency(
+        steps=len(step_us),
+        median_us=float(median),
+        p99_us=float(p99),
+        p999_us=float(p999),
+        max_us=float(step_us.max()),
+        period_us=period_us,
+        missed=missed,
+        missed_share=missed / len(step_us),
+        histogram_edges_us=edges,
+        histogram_counts=counts,
+    )
+
+
+def loop_width(yd: Signal, y: Signal) -> float:
+    """Widest spread of y at one y_d: y_d in 100 bins, the spread of y − y_d in each, the largest."""
+    e = y - yd
+    bins = np.minimum((100 * (yd - yd.min()) / max(np.ptp(yd), 1e-12)).astype(int), 99)
+    high, low = np.full(100, -np.inf), np.full(100, np.inf)
+    np.maximum.at(high, bins, e)
+    np.minimum.at(low, bins, e)
+    return float(np.max(high - low))
+
+
 def as_json(result: LoopResult) -> dict[str, Any]:
     """The result's numbers as plain keys with units; the traces stay out. Ratios over zero become null."""
     drives = {}
@@ -129,6 +180,8 @@ def as_json(result: LoopResult) -> dict[str, Any]:
             "loop_width_um": drive.loop_width_um,
             "loop_width_percent": drive.loop_width_percent,
             "saturated_share": drive.saturated_share,
+            "beyond_trained_share": drive.beyond_trained_share,
+            "limits_met": [dataclasses.asdict(one) for one in drive.limits_met],
             "times_better_than_without": {
                 key: ratio if math.isfinite(ratio) else None
                 for key, ratio in dataclasses.asdict(result.improvement[key]).items()

@@ -9,6 +9,7 @@ from rich.table import Table
 from torchpi.recordings.recording import Recording
 from train.data import RecordingsData
 from train.module import InverseTraining
+from train.results import stage_notes
 from train.run_folder import RunFolder
 from train.tracking import tracking_notes
 
@@ -62,7 +63,7 @@ def show_results(metrics: Mapping[str, Any], folder: RunFolder) -> None:
         row = metrics[key]
         table.add_row(label, *(f"{row[name]:.3g}" for name in NAMES))
     CONSOLE.print(table)
-    for note in tracking_notes(metrics):
+    for note in (*tracking_notes(metrics), *stage_notes(metrics)):
         CONSOLE.print(note, markup=False)
     for text in metrics["how"]["on_bound"]:
         CONSOLE.print(f"Careful: {text}.", markup=False, style="yellow")

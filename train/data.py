@@ -5,7 +5,6 @@ import warnings
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
-import numpy as np
 from lightning import LightningDataModule
 from torch.utils.data import DataLoader
 
@@ -13,6 +12,7 @@ from torchpi.errors import ConfigError, RecordingError, RecordingWarning
 from torchpi.identification import InversePair, inverse_pair
 from torchpi.identification.pair import seen_ahead
 from torchpi.motion import Motion
+from torchpi.recordings.identity import check_one_rate
 from torchpi.recordings.recording import Recording, RecordingOptions, read_recording
 from torchpi.stage import Stage
 from train.simulation import Simulation, simulate
@@ -101,7 +101,7 @@ class RecordingsData(LightningDataModule):
         """Read and check all recordings, once."""
         if self.records is None:
             train, heldout = self._read()
-            _one_rate([*train, *heldout])
+            check_one_rate([*train, *heldout])
             self.records = Records(train, heldout)
             self.split(self.preview)
         return self.records
@@ -208,13 +208,3 @@ def _until(pair: InversePair) -> InversePair:
     stop = pair.counted.stop
     motion = Motion(*(signal[:, :stop] for signal in pair.motion))
     return pair._replace(motion=motion, u=pair.u[:, :stop])
-
-
-def _one_rate(recordings: list[Recording]) -> None:
-    first = recordings[0]
-    for other in recordings[1:]:
-        if not np.isclose(other.fs_hz, first.fs_hz, rtol=1e-6):
-            raise RecordingError(
-                f"{other.source}: sampled at {other.fs_hz:g} Hz, but {first.source} at {first.fs_hz:g} Hz; "
-                f"want one rate: train on each rate apart, or resample"
-            )

@@ -10,7 +10,6 @@ from lightning.pytorch.core.optimizer import LightningOptimizer
 from torch import Tensor
 
 from torchpi.compensator import DirectInverse
-from torchpi.control.trained_motions import TrainedMotions
 from torchpi.errors import ConfigError
 from torchpi.identification import (
     InverseErrors,
@@ -21,16 +20,17 @@ from torchpi.identification import (
     searched_parameters,
 )
 from torchpi.identification.projection import projected_loss
-from torchpi.identification.selection import SPREADS, Form, Richest, Selection, select_form
+from torchpi.identification.recipe import MOST_PREVIEW, Recipe
+from torchpi.identification.selection import Form, Richest, Selection
 from torchpi.identification.two_stage import fit_weights
 from torchpi.operators.rate_weights import RateHead
+from torchpi.recordings.identity import recordings_sha256
 from torchpi.stage import Stage
 from torchpi.trained import to_checkpoint
 from train.coordinates import Coordinates
 from train.data import RecordingsData, Split
-from train.preview import MOST, find_preview
+from train.preview import find_preview
 from train.sensor_zero import fit_zeros
-from train.thresholds import spread_thresholds, usual_range_um
 from train.tracking import Tracking, TrackingErrors
 from train.windows import Window, windows
 
@@ -219,25 +219,21 @@ class InverseTraining(LightningModule):
     def start_on(self, data: RecordingsData) -> Start:
         """Two-stage least squares on these records."""
         paper_split = data.split(0)
-        trained_on = torch.cat([pair.motion.yd[0, pair.counted] for pair in paper_split.train])
-        rates = torch.cat([pair.motion.yd_dot[0, pair.counted] for pair in paper_split.train])
-        peak_to_peak_um = float(trained_on.max() - trained_on.min())
-        common = dict(
-            sample_period_s=paper_split.train[0].sample_period_s,
-            thresholds=self.thresholds or spread_thresholds(self.plays, peak_to_peak_um),
-            range_um=float(trained_on.abs().max()),
-            rate_scale_um_s=float(rates.abs().max()),
-            trained=TrainedMotions.of(paper_split.train).plain(),
+        recipe = Recipe(
+            paper_split.train,
+            self.plays,
+            self.thresholds,
             **self.form,
             **self.limits(data),
+            recordings_sha256=recordings_sha256(data.load().train),
         )
-        baseline = DirectInverse(**common, rate="linear")
+        baseline = DirectInverse(**recipe.common, rate="linear")
         two_stage = fit_two_stage(baseline, paper_split.train)
         baseline.requires_grad_(False)
-        plays = self.of_form(Form(), trained_on, common)
+        plays = recipe.of_form(Form())
         fit_weights(plays, paper_split.train)
         plays.requires_grad_(False)
-        selection = self.selected(data, trained_on, common) if self.selects else None
+        selection = self.selected(data, recipe) if self.selects else None
         if selection:
             compensator = selection.compensator
             split = data.split(compensator.preview)
@@ -246,32 +242,21 @@ class InverseTraining(LightningModule):
             if preview == "auto":
                 preview = find_preview(baseline, lambda ahead: data.split(ahead).train)
             split = data.split(preview)
-            compensator = DirectInverse(**common, **{**self.extensions, "preview": preview})
+            compensator = DirectInverse(**recipe.common, **{**self.extensions, "preview": preview})
             fit_two_stage(compensator, split.train)
         return Start(compensator, baseline, plays, two_stage, split, paper_split, selection)
 
-    def selected(self, data: RecordingsData, trained_on: Tensor, common: dict[str, Any]) -> Selection:
+    def selected(self, data: RecordingsData, recipe: Recipe) -> Selection:
         """The form that generalises best over these records, within what the options allow."""
         preview = self.extensions["preview"]
         richest = Richest(
-            previews=range(MOST + 1) if preview == "auto" else range(preview, preview + 1),
+            previews=range(MOST_PREVIEW + 1) if preview == "auto" else range(preview, preview + 1),
             degree=self.form["degree"],
             lead=self.extensions["lead"],
             creep_time_constants_s=tuple(self.extensions["creep_time_constants_s"]),
             rate=self.extensions["rate"] == "linear",
-            spreads=SPREADS[:1] if self.thresholds else SPREADS,
         )
-        return select_form(
-            lambda form, _: self.of_form(form, trained_on, common),
-            lambda ahead: data.split(ahead).train,
-            richest,
-        )
-
-    def of_form(self, form: Form, trained_on: Tensor, common: dict[str, Any]) -> DirectInverse:
-        """A compensator of this form, not yet fitted."""
-        options = {name: value for name, value in vars(form).items() if name != "spread"}
-        grid = spread_thresholds(self.plays, usual_range_um(trained_on), form.spread)
-        return DirectInverse(**{**common, **options, "thresholds": self.thresholds or grid})
+        return recipe.select(lambda ahead: data.split(ahead).train, richest)
 
     def limits(self, data: RecordingsData) -> dict[str, float]:
         """Of the controller's output, V."""

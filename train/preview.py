@@ -5,9 +5,9 @@ from collections.abc import Callable, Sequence
 
 from torchpi.compensator import DirectInverse
 from torchpi.identification import InversePair
+from torchpi.identification.recipe import MOST_PREVIEW
 from torchpi.identification.two_stage import fit_weights
 
-MOST = 64
 # The error has one valley over the look-ahead: so many samples of rise beyond its bottom are enough.
 RISING = 3
 
@@ -24,7 +24,7 @@ def find_preview(
     """
     trial = copy.deepcopy(compensator)
     best, least = 0, float("inf")
-    for preview in range(MOST + 1):
+    for preview in range(MOST_PREVIEW + 1):
         rms_v, _ = fit_weights(trial, pairs_seen_ahead(preview))
         if rms_v < least:
             best, least = preview, rms_v

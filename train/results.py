@@ -5,6 +5,7 @@ import json
 import platform
 import shlex
 import sys
+from collections.abc import Mapping
 from dataclasses import asdict
 from hashlib import sha256
 from pathlib import Path
@@ -17,14 +18,15 @@ from lightning.pytorch.loggers import TensorBoardLogger
 from torchpi.export import save_json, save_torchscript
 from torchpi.files import write_atomically
 from torchpi.identification import inverse_errors
+from torchpi.identification.forward_stage import ForwardStage, identify_stage
 from torchpi.identification.monotone import Monotone, monotone
+from torchpi.identification.recipe import MOST_PREVIEW
 from torchpi.report.training import TrainingReport
 from torchpi.report.what_was_run import Provenance
 from torchpi.trained import STATE
 from train.data import HELDOUT_SHARE, RecordingsData
 from train.module import InverseTraining
 from train.pictures import record_fits, saturation, weights_against_rate
-from train.preview import MOST
 from train.run_folder import RunFolder
 from train.sensor_zero import fit_zeros, on_bound
 from train.tracking import tracking_notes
@@ -60,6 +62,10 @@ def write_results(
     model.cpu().compensator.load_state_dict(best[STATE])
     metrics: dict[str, Any] = judge(model, data) | judge_tracking(model)
     metrics["how"] = how(model, data, int(best["epoch"]) + 1, trainer.current_epoch)
+    if not data.simulation:
+        identified = forward_stage(data)
+        identified.stage.save(folder.stage)
+        metrics["stage"] = stage_metrics(identified)
     save_json(model.compensator, folder.compensator.with_suffix(".json"))
     save_torchscript(model.compensator, folder.compensator)
     save_torchscript(model.baseline, folder.baseline)
@@ -81,6 +87,27 @@ def judge(model: InverseTraining, data: RecordingsData) -> dict[str, dict[str, f
         "baseline_lstsq": model.baseline_errors().as_dict(),
         "baseline_plays": model.baseline_errors(model.plays_baseline).as_dict(),
         "loading_excluded": loaded.as_dict(),
+    }
+
+
+def forward_stage(data: RecordingsData) -> ForwardStage:
+    """The stage of the recordings that were trained on, judged where the compensator is judged."""
+    records, split = data.load(), data.split(0)
+    heldout, counted = (records.heldout or records.train)[0], split.heldout[0].counted
+    train = records.train if records.heldout else [heldout.split_tail(1 - counted.start / len(heldout))[0]]
+    found = identify_stage(train, heldout, judged=counted, skip_s=data.skip_s)
+    return found
+
+
+def stage_metrics(identified: ForwardStage) -> dict[str, Any]:
+    """Its effects, and its error on what is held out."""
+    stage = identified.stage
+    assert stage.identified is not None
+    return {
+        "heldout": stage.identified.heldout,
+        "heldout_rms_um": stage.identified.heldout_rms_um,
+        "heldout_max_um": stage.identified.heldout_max_um,
+        "effects": {one.kind.name: one.values for one in stage.effects},
     }
 
 
@@ -136,8 +163,8 @@ def at_their_bound(model: InverseTraining) -> list[str]:
             for zero_um, stretch in zip(zeros, stretches, strict=True)
             if on_bound(zero_um, stretch)
         ]
-    if model.extensions["preview"] == "auto" and model.compensator.preview == MOST:
-        found.append(f"the look-ahead is {MOST} samples, the most that is tried")
+    if model.extensions["preview"] == "auto" and model.compensator.preview == MOST_PREVIEW:
+        found.append(f"the look-ahead is {MOST_PREVIEW} samples, the most that is tried")
     return found
 
 
@@ -165,11 +192,11 @@ def _write_report(folder: RunFolder, model: InverseTraining, metrics: dict[str, 
     facts = json.loads(folder.facts.read_text(encoding="utf-8"))
     report = TrainingReport(
         name=folder.path.name,
-        metrics={key: row for key, row in metrics.items() if key not in ("how", "tracking")},
+        metrics={key: row for key, row in metrics.items() if key not in ("how", "tracking", "stage")},
         records=record_fits(model),
         weights=weights_against_rate(model),
         saturation=saturation(model),
-        notes=(*notes(metrics["how"]), *tracking_notes(metrics)),
+        notes=(*notes(metrics["how"]), *tracking_notes(metrics), *stage_notes(metrics)),
     )
     provenance = Provenance(
         facts["command"], facts["seed"], facts["data_sha256"], facts["versions"], facts["machine"]
@@ -195,6 +222,18 @@ def notes(how: dict[str, Any]) -> tuple[str, ...]:
             )
         )
     return tuple(said)
+
+
+def stage_notes(metrics: Mapping[str, Any]) -> tuple[str, ...]:
+    """The stage that was identified, in a sentence, if one was."""
+    if "stage" not in metrics:
+        return ()
+    found = metrics["stage"]
+    effects = ", ".join(name.replace("_", " ") for name in found["effects"]) or "no dynamics"
+    return (
+        f"stage.pt simulates your stage (hysteresis, {effects}): it misses {found['heldout']}, held out, by "
+        f"{1e3 * found['heldout_rms_um']:.3g} nm rms.",
+    )
 
 
 def _log_hyper_parameters(trainer: Trainer, model: InverseTraining, metrics: dict[str, Any]) -> None:

@@ -56,6 +56,11 @@ class RunFolder:
         return self.path / "baseline.pt"
 
     @property
+    def stage(self) -> Path:
+        """The stage identified from the recordings."""
+        return self.path / "stage.pt"
+
+    @property
     def report(self) -> Path:
         return self.path / "report.html"
 

@@ -12,6 +12,9 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 
 from torchpi.export import load_torchscript
 from torchpi.motion import backward_motion
+from torchpi.recordings.identity import recordings_sha256
+from torchpi.recordings.recording import read_recording
+from torchpi.stage import Stage
 from torchpi.trained import load_compensator
 from train import cli
 from train.callbacks import EpochProgress
@@ -142,3 +145,15 @@ def test_the_next_run_takes_the_next_name(tmp_path: Path, monkeypatch: pytest.Mo
     assert cli.new_run(None, "demo", None).path == Path("runs/demo")
     (tmp_path / "runs" / "demo").mkdir(parents=True)
     assert cli.new_run(None, "demo", None).path == Path("runs/demo-2")
+
+
+def test_a_run_on_recordings_leaves_the_stage_of_what_was_trained_on(
+    run: Path, recordings: list[str]
+) -> None:
+    trained = recordings_sha256([read_recording(path) for path in recordings[:-1]])
+    stage, found = Stage.load(run / "stage.pt"), json.loads((run / "metrics.json").read_text())["stage"]
+    assert stage.identified is not None
+    assert stage.identified.recordings_sha256 == load_compensator(run).recordings_sha256 == trained
+    assert found["heldout"] == recordings[-1]
+    assert found["heldout_rms_um"] == stage.identified.heldout_rms_um < 0.02
+    assert f"{1e3 * found['heldout_rms_um']:.3g} nm" in (run / "report.html").read_text()

@@ -13,11 +13,11 @@ from hypothesis import strategies as st
 from tests.train.conftest import recording, write
 from torchpi.identification import InversePair, inverse_pair
 from torchpi.identification.projection import RIDGE
+from torchpi.identification.recipe import spread_thresholds
 from torchpi.motion import Motion
 from train.data import RecordingsData
 from train.module import InverseTraining
 from train.sensor_zero import fit_zero
-from train.thresholds import spread_thresholds
 from train.trainer import WholeCheckpoints
 from train.windows import windows
 

@@ -23,8 +23,28 @@ def export_files(
 ) -> list[Path]:
     """Write `output` with the suffixes of the formats; returns the files.
 
-    All are made before the first is put in place. `load` is what the amplifier drives, for the safety card of
-    json and page.
+    All are made before the first is put in place. Arguments and errors are those of `made_files`.
+    """
+    files = made_files(compensator, output, formats, reference_filter, load)
+    write_together(files)
+    return list(files)
+
+
+def made_files(
+    compensator: Deployable,
+    output: str | Path,
+    formats: Sequence[str] = ("torchscript", "json"),
+    reference_filter: ReferenceFilter | None = None,
+    load: Load | None = None,
+) -> Files:
+    """What an export writes, by path, for `write_together`.
+
+    Args:
+        compensator: What is exported.
+        output: Path without suffix.
+        formats: Of `FORMATS`.
+        reference_filter: Put before the compensator, inside the files.
+        load: What the amplifier drives, for the safety card of json and page.
 
     Raises:
         ConfigError: An unknown format.
@@ -37,8 +57,7 @@ def export_files(
     files: Files = {}
     for name in formats:
         files |= _made(name, compensator, Path(output), reference_filter, load)
-    write_together(files)
-    return list(files)
+    return files
 
 
 def write_together(files: Files) -> None:

@@ -62,6 +62,7 @@ def numbers(
     return {
         "schema": SCHEMA,
         "torchpi_version": torchpi.__version__,
+        "recordings_sha256": compensator.recordings_sha256,
         "source": "Qin et al., IEEE/ASME Trans. Mechatronics 18(3), 2013, eq. 1, 4, 7, 8",
         "input": {
             "signal": "reference y_r" if reference_filter else "desired displacement y_d",

@@ -17,7 +17,7 @@ from torchpi.compensator_stream import CompensatorStream
 from torchpi.errors import ArtifactError
 from torchpi.export.deployable import Deployable
 from torchpi.export.formats import Files
-from torchpi.export.torchscript_check import METHODS, check_file, check_graph
+from torchpi.export.torchscript_check import METHODS, RECORDINGS_PART, check_file, check_graph
 from torchpi.files import write_atomically
 from torchpi.operators.reference_filter import ReferenceFilter
 
@@ -39,8 +39,11 @@ def torchscript_files(
 ) -> Files:
     """NAME.pt, the frozen step of `compensator`; a reference filter goes inside on request."""
     scripted = script(compensator, reference_filter)
+    known = getattr(compensator, "recordings_sha256", None)
+    extra = {} if known is None else {RECORDINGS_PART.removeprefix("extra/"): known}
     # From a buffer, because a path leaves its name inside, and this one is temporary.
-    return {output.with_name(output.name + ".pt"): lambda path: path.write_bytes(scripted.save_to_buffer())}
+    content = scripted.save_to_buffer(_extra_files=extra)
+    return {output.with_name(output.name + ".pt"): lambda path: path.write_bytes(content)}
 
 
 def save_torchscript(
@@ -93,6 +96,17 @@ def load_torchscript(path: str | Path) -> CompensatorStream:
     except RuntimeError as error:
         raise ArtifactError(f"{path}: its step fails; expected a compensator of 'torchpi export'") from error
     return cast(CompensatorStream, loaded)
+
+
+def trained_recordings(path: str | Path) -> str | None:
+    """`recordings_sha256` of what an exported compensator was trained on; None where it does not say.
+
+    Args:
+        path: A file that `load_torchscript` has accepted.
+    """
+    with zipfile.ZipFile(path) as archive:
+        parts = [name for name in archive.namelist() if name.endswith("/" + RECORDINGS_PART)]
+        return archive.read(parts[0]).decode("ascii") if parts else None
 
 
 def _check_attributes(path: Path, loaded: torch.jit.ScriptModule) -> None:

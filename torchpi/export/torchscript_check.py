@@ -18,15 +18,18 @@ from typing import Any
 
 from torchpi.errors import ArtifactError
 from torchpi.files import check_archive
+from torchpi.recordings.identity import is_sha256
 
 LARGEST_BYTES = 2**26
+RECORDINGS_PART = "extra/recordings_sha256"
+"""The part of the archive that names what a compensator was trained on."""
 LONGEST_LOOP = 1024  # turns of a loop over constants
 LONGEST_LIST = 4096
 DEEPEST_LOOPS = {"reset": 2, "step": 2}  # within each other; these two run while a file is loaded
 METHODS = ("reset", "reset_at", "reset_at_voltage", "step", "block")
 
 _PARTS = re.compile(
-    r"[^/]+/(data\.pkl|constants\.pkl|version|byteorder|\.data/serialization_id"
+    r"[^/]+/(data\.pkl|constants\.pkl|extra/recordings_sha256|version|byteorder|\.data/serialization_id"
     r"|code/__torch__/[\w./]+\.py(\.debug_pkl)?)"
 )
 _ANNOTATIONS = re.compile(r"(List\[)?(float|int|bool)\]?|__torch__[\w.]+")
@@ -112,6 +115,8 @@ def check_file(path: Path) -> None:
             content = archive.read(name)
             if name.endswith(".py"):
                 _check_code(path, content)
+            elif name.endswith("/" + RECORDINGS_PART) and not is_sha256(content.decode("ascii", "replace")):
+                _refuse(path, "recordings that are named by no hash")
             elif not name.endswith(".debug_pkl") and name.endswith(".pkl"):
                 _check_pickle(path, content)
 

@@ -53,13 +53,7 @@ def loop_json(results: Sequence[LoopResult], provenance: Provenance) -> str:
     content = {
         "version": 1,
         "trajectories": [as_json(result) for result in results],
-        "run": {
-            "command": provenance.command,
-            "seed": provenance.seed,
-            "files_sha256": dict(provenance.files),
-            "versions": dict(provenance.versions),
-            "machine": provenance.machine,
-        },
+        "run": provenance.as_json(),
     }
     return json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
 
@@ -82,6 +76,7 @@ def _loop_page(
                 "id": f"trajectory-{number}",
                 "result": result,
                 "headline": words.headline(result),
+                "limits": words.limits(result),
                 "figures": _inline(f"t{number}", pictures),
             }
             for number, (result, pictures) in enumerate(zip(results, drawn, strict=True), start=1)

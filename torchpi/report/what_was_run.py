@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+from typing import Any
 
 
 @dataclass(frozen=True)
@@ -17,6 +18,16 @@ class Provenance:
     files: Mapping[str, str]  # 'what it is: path', or only the path -> SHA-256
     versions: Mapping[str, str]
     machine: str
+
+    def as_json(self) -> dict[str, Any]:
+        """Plain keys."""
+        return {
+            "command": self.command,
+            "seed": self.seed,
+            "files_sha256": dict(self.files),
+            "versions": dict(self.versions),
+            "machine": self.machine,
+        }
 
 
 def provenance(command: str, files: Mapping[str, str | Path], seed: int | None = None) -> Provenance:

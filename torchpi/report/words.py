@@ -20,6 +20,27 @@ def headline(result: LoopResult) -> str:
     )
 
 
+def limits(result: LoopResult) -> list[str]:
+    """Where the compensated drive met a limit of the voltage or of its rate, a sentence each."""
+    sentences = []
+    for one in result.compensated.limits_met:
+        unit, name = ("V", "voltage") if one.quantity == "voltage" else ("V/s", "rate of the voltage")
+        longest = "" if one.stretches == 1 else f", the longest of {one.stretches:,} stretches"
+        sentences.append(
+            f"On {result.title} the {name} meets its limit of {one.limit:.6g} {unit} "
+            f"(up to {one.value:.6g} {unit}) from {one.time_s:.6g} s for {1e3 * one.duration_s:.4g} ms"
+            f"{longest}, at y_d = {one.yd_um:.4g} µm; in all {figure(100 * one.share, 2)} % of the samples."
+        )
+    if not sentences:
+        sentences = [f"On {result.title} neither the voltage nor its rate meets a limit."]
+    if share := result.compensated.beyond_trained_share:
+        sentences.append(
+            f"{figure(100 * share, 2)} % of the samples lie beyond the trained range or rates, where it "
+            "extrapolates and leaves out its lead: train on a recording of such motions."
+        )
+    return sentences
+
+
 def table(result: LoopResult) -> str:
     """The true-displacement errors of every drive as plain text, for the terminal."""
     lines = [

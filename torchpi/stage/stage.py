@@ -8,7 +8,6 @@ and its file is plain data.
 """
 
 import math
-import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, cast
@@ -29,20 +28,20 @@ from torchpi.simulators import COLUMN, Simulator
 from torchpi.stage.alignment import OneSampleEarly, OneSampleLate, Zero
 from torchpi.stage.effects import EFFECTS
 from torchpi.stage.effects.amplifier.delay import Delay
+from torchpi.stage.effects.amplifier.slew_limit import SlewLimit
 from torchpi.stage.effects.effect import Effect, Parameters
 from torchpi.stage.effects.held import hold_first_block
 from torchpi.stage.effects.inside import InsideEffect
 from torchpi.stage.effects.mechanics.modal import MODAL, ModalEffect
 from torchpi.stage.effects.mechanics.modes import Modes, Part
 from torchpi.stage.effects.unknown import Unknown
+from torchpi.stage.file import EXPECTED, read_settings, write_settings
 from torchpi.stage.hysteresis import Hysteresis
+from torchpi.stage.identified import Identified
 from torchpi.stage.settings import NOISE, build, of_sections, read_yaml
 from torchpi.stage.simulated import SimulatedHysteresis
 from torchpi.stage.stream import RigStream, StageStream
 
-SCHEMA, VERSION = "torchpi stage", 2
-OLDER_SCHEMA = "torchpi augmented stage"
-EXPECTED = "expected a stage.pt of 'torchpi diagnose', or a stage file (.yaml)"
 RATE = Quantity("Hz", at_least=0, positive=True)
 SEED = Quantity("", at_least=0)
 
@@ -81,6 +80,8 @@ class Stage(Operator):
         seed: Of the noise.
         stepped: Whether the displacement of the ceramic is held through each sample, as the command is.
         zero_um: What the sensor reads of the de-energised stage.
+        identified: Fields of `Identified`: the recordings that it was identified from, and how well it
+            predicts others; None for a stage that was written down.
 
     Raises:
         StageError: An unknown effect, a value out of its bounds, or another alignment.
@@ -102,6 +103,7 @@ class Stage(Operator):
         seed: int = 0,
         stepped: bool = False,
         zero_um: float = 0.0,
+        identified: Mapping[str, Any] | None = None,
     ) -> None:
         super().__init__()
         if alignment not in (0, 1) and not (alignment == -1 and hysteresis.get("simulation")):
@@ -116,6 +118,7 @@ class Stage(Operator):
         self.noise_um = NOISE.check("noise_um", noise_um)
         self.seed = int(SEED.check("seed", seed))
         self.stepped, self.zero_um = bool(stepped), float(zero_um)
+        self.identified = None if identified is None else Identified.from_plain(identified)
         self._named = in_order(effects)
         self._of_sensor = in_order(sensor)
         for one in self._of_sensor:
@@ -181,32 +184,20 @@ class Stage(Operator):
         path = Path(path)
         if path.suffix in (".yaml", ".yml"):
             return cls.from_yaml(path)
-        if not path.is_file():
-            raise ArtifactError(f"{path}: no such file, {EXPECTED}")
-        try:
-            with warnings.catch_warnings():
-                # torch warns before it refuses a TorchScript file; ours is the error that follows.
-                warnings.filterwarnings("ignore", message=".*TorchScript archive.*")
-                content = torch.load(path, map_location="cpu", weights_only=True)
-        except Exception as error:  # bytes of anything make the unpickler raise anything
-            raise ArtifactError(f"{path}: not a stage file, {EXPECTED}") from error
-        if not isinstance(content, dict) or content.get("schema") not in (SCHEMA, OLDER_SCHEMA):
-            raise ArtifactError(f"{path}: a file of something else, {EXPECTED}")
-        settings = {name: value for name, value in content.items() if name not in ("schema", "version")}
-        if content.get("version") != VERSION:
-            raise ArtifactError(
-                f"{path}: found version {content.get('version')}, expected {VERSION}: "
-                "diagnose the recordings again"
-            )
+        settings = read_settings(path)
         try:
             return cls.from_dict(settings)
         except (ConfigError, StageError) as error:
             raise ArtifactError(f"{path}: damaged, {EXPECTED}: {error}") from error
 
     def save(self, path: str | Path) -> None:
-        """Write the file: plain numbers, which `torch.load` reads with weights only."""
+        """Write the file: plain numbers and a hash of them, which `torch.load` reads with weights only."""
         with write_atomically(path) as temporary:
-            torch.save({"schema": SCHEMA, "version": VERSION, **self.to_dict()}, temporary)
+            self.write(temporary)
+
+    def write(self, path: Path) -> None:
+        """The same in place, for files that appear together."""
+        write_settings(path, self.to_dict())
 
     def to_dict(self) -> dict[str, Any]:
         """Plain settings with the present values of the parameters: `from_dict` gives this stage again."""
@@ -229,6 +220,7 @@ class Stage(Operator):
             "seed": self.seed,
             "stepped": self.stepped,
             "zero_um": self.zero_um,
+            "identified": None if self.identified is None else self.identified.plain(),
         }
 
     def at_sample_rate(self, sample_rate_hz: float) -> "Stage":
@@ -244,7 +236,7 @@ class Stage(Operator):
         hysteresis, inside = settings["hysteresis"], self._shape_inside()
         shape = {name: value for name, value in hysteresis["shape"].items() if name not in inside}
         bare = {"effects": [], "sensor": [], "hysteresis": {**hysteresis, "shape": shape}}
-        return self.from_dict({**settings, **bare})
+        return self.from_dict({**settings, **bare, "identified": None})
 
     @property
     def effects(self) -> tuple[EffectSettings, ...]:
@@ -299,6 +291,12 @@ class Stage(Operator):
             raise StageError(f"simulation: found {simulator}, expected none: this stage calls no simulation")
         found.hysteresis.simulator = simulator
         return found
+
+    @property
+    def max_slew_v_s(self) -> float:
+        """The least of its amplifier's slew limits, V/s; infinite without any."""
+        rates = (one.values.get("rate_v_per_s", math.inf) for one in self.effects if one.kind is SlewLimit)
+        return min(rates, default=math.inf)
 
     def series(self) -> list[Operator]:
         """Every operator from the limited command to the displacement, first to last."""

@@ -1,0 +1,1 @@
+"""Recordings in; a compensator, a stage and a page out: `torchpi commission`."""

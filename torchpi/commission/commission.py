@@ -1,0 +1,190 @@
+"""From recordings to a compensator that has been tried: check, fit, stage, loop, export, page.
+
+The last recording is held out. Nothing is written before everything has been computed, and then all files
+are put in place together.
+"""
+
+import json
+import math
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import torch
+from rich.console import Console
+
+from torchpi.commission.outcome import Outcome
+from torchpi.compensator import DirectInverse
+from torchpi.errors import ArtifactError, RecordingError
+from torchpi.export import made_files, write_together
+from torchpi.export.formats import Files
+from torchpi.export.torchscript import script, warm
+from torchpi.identification import InversePair, inverse_errors, inverse_pair
+from torchpi.identification.forward_stage import identify_stage
+from torchpi.identification.pair import seen_ahead
+from torchpi.identification.recipe import Recipe
+from torchpi.identification.selection import Selection
+from torchpi.loop import run_loop
+from torchpi.loop_result import LoopResult
+from torchpi.recordings.identity import check_one_rate, recordings_sha256
+from torchpi.recordings.options import RecordingOptions
+from torchpi.recordings.recording import Recording, read_recording
+from torchpi.report import commission_page, provenance
+from torchpi.stage import Stage
+from torchpi.trained import to_checkpoint
+
+NAME = "compensator"
+FORMATS = ("torchscript", "c", "json", "page")
+MOST_LOOP_SAMPLES = 50_000
+"""Of the held-out motion, from its beginning, which are followed in the loop."""
+
+
+def commission(
+    paths: Sequence[Path],
+    output: Path,
+    options: RecordingOptions,
+    command: str,
+    max_slew_v_s: float | None = None,
+    log: Callable[[str], None] = print,
+) -> Outcome:
+    """Make a compensator from recordings, identify the stage, and try the one on the other.
+
+    Args:
+        paths: Two recordings or more, all at one sample rate; the last one is held out.
+        output: Folder for the files.
+        options: How the recordings are read.
+        command: What was typed, for the page.
+        max_slew_v_s: Rate of the voltage that the amplifier bears, V/s.
+        log: Called with each line of the report, ten at most.
+
+    Raises:
+        RecordingError: A file that cannot be used, fewer than two, two that are the same, or different rates.
+        ArtifactError: `output` cannot be a folder.
+    """
+    check_output(output)
+    recordings = read(paths, options)
+    *train, heldout = recordings
+    samples, looped = sum(map(len, train)), min(len(heldout), MOST_LOOP_SAMPLES)
+    # Seconds on two cores of 2020; printed as an order of magnitude.
+    fit_s, stage_s = 3 + 1.5e-4 * min(samples, 200_000), 3 + 3e-4 * min(samples, 400_000)
+    loop_s, files_s = 3 + 1.2e-4 * looped, 8.0
+    log(
+        f"check   {len(train)} recordings to train on, {samples:,} samples at {heldout.fs_hz:g} Hz; "
+        f"held out: {heldout.source}; about {fit_s + stage_s + loop_s + files_s:.0f} s"
+    )
+    with _timed("inverse: its form by cross-validation", fit_s) as clock:
+        pairs = [inverse_pair(recording, 0, None, options.skip_s) for recording in recordings]
+        selection = selected(recordings, pairs)
+        compensator = selection.compensator.requires_grad_(False)
+        errors = inverse_errors(compensator, [seen_ahead(pairs[-1], compensator.preview)])
+    log(
+        f"fit     {selection.steps[-1].form}; held out {1e3 * errors.rms_v:.3g} mV rms, "
+        f"{errors.rms_percent:.2g} % of the motion ({clock()})"
+    )
+    with _timed("stage: plays, then dynamics", stage_s) as clock:
+        forward = identify_stage(train, heldout, skip_s=options.skip_s)
+    log(f"stage   {commission_page.stage_sentence(forward.stage)} ({clock()})")
+    with _timed("loop: the held-out motion on the stage", loop_s) as clock:
+        loop = followed(compensator, forward.stage, heldout, pairs[-1], max_slew_v_s)
+    outcome = Outcome(
+        train, heldout, compensator, selection.steps, errors, forward, loop, looped / heldout.fs_hz
+    )
+    log(f"loop    {commission_page.headline(outcome)} ({clock()})")
+    log(f"limits  {commission_page.limits_sentence(outcome)}")
+    with _timed("files and page", files_s):
+        files = made(outcome, output, command, options)
+        write_together(files)
+    deployable = ", ".join(path.name for path in files if path.stem.startswith(NAME))
+    log(f"export  {output}: {deployable}")
+    log(f"stage   {output / 'stage.pt'}: torchpi run {output / NAME}.pt takes it, for motions of your own")
+    log(f"page    {output / 'commission.html'}; the same numbers in commission.json")
+    return outcome
+
+
+def check_output(output: Path) -> None:
+    """Raise `ArtifactError` where no folder can be."""
+    blocked = next((path for path in (output, *output.parents) if path.exists() and not path.is_dir()), None)
+    if blocked:
+        raise ArtifactError(f"--output {output}: found the file {blocked}, expected a folder")
+
+
+def read(paths: Sequence[Path], options: RecordingOptions) -> list[Recording]:
+    """The recordings, whole: what is not counted sets the state.
+
+    Raises:
+        RecordingError: As `commission`.
+    """
+    if len(paths) < 2:
+        raise RecordingError(
+            f"recordings: found {len(paths)}, expected two or more: the last one is held out and judges"
+        )
+    recordings = [read_recording(path, options.with_changes(skip_s=0.0)) for path in paths]
+    for k, recording in enumerate(recordings):
+        same = [other.source for other in recordings[:k] if other.sha256 == recording.sha256]
+        if same:
+            raise RecordingError(
+                f"{recording.source}: found the content of {same[0]}, expected different recordings; leave "
+                "one out"
+            )
+    check_one_rate(recordings)
+    return recordings
+
+
+def selected(recordings: Sequence[Recording], pairs: Sequence[InversePair]) -> Selection:
+    """The inverse of the form that generalises best, of all recordings but the last."""
+    u = [recording.u for recording in recordings]
+    recipe = Recipe(
+        pairs[:-1],
+        min_voltage_v=min(float(one.min()) for one in u),
+        max_voltage_v=max(float(one.max()) for one in u),
+        recordings_sha256=recordings_sha256(recordings[:-1]),
+    )
+    return recipe.select(lambda ahead: [seen_ahead(pair, ahead) for pair in pairs[:-1]])
+
+
+def followed(
+    compensator: DirectInverse,
+    stage: Stage,
+    heldout: Recording,
+    pair: InversePair,
+    max_slew_v_s: float | None,
+) -> LoopResult:
+    """The motion of the held-out recording, without its noise, followed on the stage."""
+    deployed = script(compensator)
+    warm(deployed)  # type: ignore[arg-type]
+    return run_loop(
+        deployed,  # type: ignore[arg-type]
+        stage,
+        pair.motion.yd[0, :MOST_LOOP_SAMPLES].numpy(),
+        fs_hz=heldout.fs_hz,
+        name=heldout.name,
+        title=f"the motion of {heldout.name}",
+        max_slew_v_s=math.inf if max_slew_v_s is None else max_slew_v_s,
+    )
+
+
+def made(outcome: Outcome, output: Path, command: str, options: RecordingOptions) -> Files:
+    """Everything that is left, by path."""
+    recordings = {f"trained on: {r.source}": r.sha256 for r in outcome.train}
+    recordings[f"held out: {outcome.heldout.source}"] = outcome.heldout.sha256
+    run = replace(provenance(command, {}), files=recordings)
+    numbers = {**outcome.as_json(), "run": run.as_json(), "skip_s": options.skip_s}
+    text = json.dumps(numbers, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+    html = commission_page.page(outcome, run)
+    files = made_files(outcome.compensator, output / NAME, FORMATS)
+    files[output / "stage.pt"] = outcome.stage.write
+    files[output / "checkpoints" / "best.ckpt"] = partial(torch.save, to_checkpoint(outcome.compensator))
+    files[output / "commission.json"] = lambda path: path.write_text(text, encoding="utf-8")
+    files[output / "commission.html"] = lambda path: path.write_text(html, encoding="utf-8")
+    return files
+
+
+@contextmanager
+def _timed(what: str, about_s: float) -> Iterator[Callable[[], str]]:
+    """Show what is done, and for about how long; yields what tells the seconds that it took."""
+    start = time.perf_counter()
+    with Console(stderr=True).status(f"{what}, about {about_s:.0f} s"):
+        yield lambda: f"{time.perf_counter() - start:.0f} s"

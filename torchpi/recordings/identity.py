@@ -1,0 +1,41 @@
+"""Which recordings something is made from: whether they go together, and a hash that their models carry."""
+
+import hashlib
+import re
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+
+from torchpi.errors import RecordingError
+from torchpi.recordings.recording import Recording
+
+
+def recordings_sha256(recordings: Iterable[Recording]) -> str:
+    """Hash of a set of recordings by their content, whatever their order, names and places.
+
+    Args:
+        recordings: As they were read; one that was not read from a file counts by its voltage and
+            displacement.
+    """
+    each = sorted(recording.sha256 or _of_samples(recording) for recording in recordings)
+    return hashlib.sha256("\n".join(each).encode()).hexdigest()
+
+
+def is_sha256(value: object) -> bool:
+    """Whether a value is such a hash: 64 hexadecimal digits."""
+    return isinstance(value, str) and re.fullmatch(r"[0-9a-f]{64}", value) is not None
+
+
+def check_one_rate(recordings: Sequence[Recording]) -> None:
+    """Raise `RecordingError` unless all have one sample rate."""
+    first = recordings[0]
+    for other in recordings[1:]:
+        if not np.isclose(other.fs_hz, first.fs_hz, rtol=1e-6):
+            raise RecordingError(
+                f"{other.source}: sampled at {other.fs_hz:g} Hz, but {first.source} at {first.fs_hz:g} Hz; "
+                "expected one rate: train on each rate apart, or resample"
+            )
+
+
+def _of_samples(recording: Recording) -> str:
+    return hashlib.sha256(recording.u.tobytes() + recording.y.tobytes()).hexdigest()

@@ -1,0 +1,114 @@
+"""The page of a commissioning, and its sentences. It formats an outcome, and computes nothing."""
+
+from typing import Protocol
+
+from markupsafe import Markup
+
+from torchpi.identification import InverseErrors
+from torchpi.identification.forward_stage import ForwardStage
+from torchpi.loop_result import LoopResult
+from torchpi.recordings.recording import Recording
+from torchpi.report import loop_figures, words
+from torchpi.report.page import render
+from torchpi.report.svg import inline_svg
+from torchpi.report.what_was_run import Provenance
+from torchpi.report.words import figure
+from torchpi.stage import Stage
+from torchpi.stage.identified import Identified
+
+
+class Commissioned(Protocol):
+    """What the page reads of `commission.outcome.Outcome`."""
+
+    @property
+    def heldout(self) -> Recording: ...
+    @property
+    def errors(self) -> InverseErrors: ...
+    @property
+    def forward(self) -> ForwardStage: ...
+    @property
+    def loop(self) -> LoopResult: ...
+    @property
+    def looped_s(self) -> float: ...
+    @property
+    def identified(self) -> Identified: ...
+    @property
+    def without_um(self) -> float: ...
+    @property
+    def with_um(self) -> float: ...
+    @property
+    def times_better(self) -> float: ...
+    @property
+    def trusted(self) -> bool: ...
+
+
+def headline(outcome: Commissioned) -> str:
+    """'434 nm → 29 nm rms on your stage, held out, 14 times better'."""
+    return (
+        f"{nm(outcome.without_um)} → {nm(outcome.with_um)} rms on your stage, held out, "
+        f"{words.times(outcome.times_better)}"
+    )
+
+
+def nm(value_um: float) -> str:
+    """A distance in nm, or from 10 µm on in µm."""
+    return f"{figure(value_um)} µm" if value_um >= 10 else f"{figure(1e3 * value_um)} nm"
+
+
+def stage_sentence(stage: Stage) -> str:
+    """What the stage is made of, and its own error."""
+    assert stage.identified is not None
+    effects = []
+    for one in stage.effects:
+        values = ", ".join(f"{v:.4g} {one.kind.quantities[n].unit}".strip() for n, v in one.values.items())
+        effects.append(f"{one.kind.name.replace('_', ' ')} ({values})")
+    return (
+        f"hysteresis, {', '.join(effects) or 'no dynamics'}; its own error, held out, "
+        f"{nm(stage.identified.heldout_rms_um)} rms"
+    )
+
+
+def honest(outcome: Commissioned) -> str:
+    """What the figure is, and what it is not."""
+    own = nm(outcome.identified.heldout_rms_um)
+    text = (
+        f"Simulated: the compensator follows the motion of {outcome.heldout.name}, which was not trained on, "
+        "on a stage that was identified from the other recordings. That stage itself misses the measured "
+        f"displacement of {outcome.heldout.name} by {own} rms (free-run simulation, about its mean)"
+    )
+    if outcome.trusted:
+        return f"{text}, less than the error with compensation. On your rig the two add up."
+    return f"{text}, more than the error with compensation: expect {own} or more on your rig."
+
+
+def limits_sentence(outcome: Commissioned) -> str:
+    """Where voltage or rate meet their limits, in one line."""
+    return " ".join(words.limits(outcome.loop))
+
+
+def page(outcome: Commissioned, provenance: Provenance) -> str:
+    """The page as text."""
+    drawn = (
+        (loop_figures.trajectory_figure, "Motion, desired and simulated; below, the error with and without."),
+        (loop_figures.linearity_figure, "Displacement against the desired one, before and after."),
+        (loop_figures.error_figure, "The error with compensation on its own scale, and its largest."),
+        (loop_figures.voltage_figure, "Voltage written to the stage, and its limits."),
+    )
+    stage = outcome.forward.stage
+    return render(
+        "commission.html.j2",
+        title=f"Commissioning: {headline(outcome)}",
+        provenance=provenance,
+        outcome=outcome,
+        headline=headline(outcome),
+        honest=honest(outcome),
+        limits=words.limits(outcome.loop),
+        drives=outcome.loop.drives.values(),
+        effects=[(one.kind, one.values) for one in stage.effects],
+        plays=len(stage.hysteresis.thresholds_v),
+        nm=nm,
+        figures=[
+            {"svg": Markup(inline_svg(draw(outcome.loop), f"c{k}", caption)), "caption": caption}
+            for k, (draw, caption) in enumerate(drawn)
+        ],
+    )
