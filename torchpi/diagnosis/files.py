@@ -97,13 +97,13 @@ def check_options(output: Path, executor: str) -> None:
 
 @contextmanager
 def executor_of(name: str) -> Iterator[Executor | None]:
-    """As many processes as cores, or none: this one."""
+    """Processes for all cores but the one that this process has, or none."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     if name == "here" or cores == 1:
         yield None
         return
     # Spawned, because a forked process would inherit the threads of torch in an unknown state.
-    workers = min(cores, 4)
+    workers = min(cores, 4) - 1
     with one_thread_each():
         pool = ProcessPoolExecutor(workers, get_context("spawn"), end_with_parent, (os.getpid(),))
         try:

@@ -5,8 +5,10 @@ import pickle
 import signal
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
+from functools import partial
+from typing import Any, TypeVar
 
 import numpy as np
 import torch
@@ -17,6 +19,7 @@ from torchpi.diagnosis.hypothesis import Fit, Hypothesis, Member
 from torchpi.diagnosis.score import Weighting
 from torchpi.diagnosis.screen import Candidate, Screen
 
+T = TypeVar("T")
 PIECES = 2
 """In how many pieces a screen is shared out: each has to prepare the whole tangent."""
 
@@ -29,9 +32,28 @@ def fit_all(chain: Chain, jobs: Sequence[Job], executor: Executor | None) -> lis
     if executor is None:
         return [fit(chain, *job) for job in jobs]
     key, packed = chain.packed
-    return list(
-        executor.map(_fit_elsewhere, *([one] * len(jobs) for one in (key, packed, chain.weighting)), jobs)
-    )
+    return shared_out(
+        executor, [(_fit_elsewhere, key, packed, chain.weighting, job) for job in jobs],
+        [partial(fit, chain, *job) for job in jobs],
+    )  # fmt: skip
+
+
+def shared_out(
+    executor: Executor, elsewhere: Sequence[tuple[Any, ...]], here: Sequence[Callable[[], T]]
+) -> list[T]:
+    """The results of calls, in their order, that an executor and this process share out between them.
+
+    Args:
+        executor: What takes the first of them.
+        elsewhere: The function and its arguments, for each.
+        here: The same calls, made in this process, which takes the last, and those that nobody has begun.
+    """
+    futures = [executor.submit(*call) for call in elsewhere[:-1]]
+    found = {len(here) - 1: here[-1]()} if here else {}
+    for k in reversed(range(len(futures))):
+        if futures[k].cancel():
+            found[k] = here[k]()
+    return [found[k] if k in found else futures[k].result() for k in range(len(here))]
 
 
 def screen_all(
@@ -42,8 +64,10 @@ def screen_all(
         return [_candidates(chain, now, members) for now, members in screens]
     key, packed = chain.packed
     pieces = [(now, members[k::PIECES]) for now, members in screens for k in range(PIECES)]
-    shared = ([one] * len(pieces) for one in (key, packed, chain.weighting))
-    found = list(executor.map(_screen_elsewhere, *shared, pieces))
+    found = shared_out(
+        executor, [(_screen_elsewhere, key, packed, chain.weighting, piece) for piece in pieces],
+        [partial(_candidates, chain, *piece) for piece in pieces],
+    )  # fmt: skip
     together: list[list[Candidate]] = []
     for first, (_, members) in zip(range(0, len(found), PIECES), screens, strict=True):
         each = [iter(piece) for piece in found[first : first + PIECES]]

@@ -177,13 +177,13 @@ class Search:
         # A given simulation is taken at its word first: only the weights are solved for.
         h, _ = basis(self.chain, Hypothesis(nominal, self.start, remanent=True), None, MANY)
         each = [replace(h, alignment=a) for a in self.alignments]
-        now = max(self.fits([(one, None, 0, FINE) for one in each]), key=self.score)
+        now = max(self.fits_here([(one, None, 0, FINE) for one in each]), key=self.score)
         for _ in range(REWEIGHTED):
             self.weigh(now)
             h, _ = basis(self.chain, now.hypothesis, None, MANY)
             others = [replace(h, alignment=a) for a in self.alignments if a != h.alignment]
-            now = max(self.fits([(one, None, 8, FINE) for one in (h, *others)]), key=self.score)
-        (less,) = self.fits([(replace(now.hypothesis, remanent=False), None, 8, FINE)])
+            now = max(self.fits_here([(one, None, 8, FINE) for one in (h, *others)]), key=self.score)
+        (less,) = self.fits_here([(replace(now.hypothesis, remanent=False), None, 8, FINE)])
         if self.needs_no_history(now, less):
             now = less
         if self.noise is not None:
@@ -336,6 +336,10 @@ class Search:
                     hypothesis = hypothesis.plus(coupling)
                 jobs.append((hypothesis, now.weights, STEPS, ROUGH))
         return jobs
+
+    def fits_here(self, jobs: Sequence[Job]) -> list[Fit]:
+        """Each hypothesis fitted in this process, while others begin."""
+        return fit_all(self.chain, jobs, None)
 
     def fits(self, jobs: Sequence[Job]) -> list[Fit]:
         """Each hypothesis fitted from its weights, in the executor if there is one."""

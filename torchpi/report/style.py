@@ -58,10 +58,9 @@ def drawing() -> Iterator[None]:
 
 
 def settle(figure: Figure) -> None:
-    """Lay the figure out until it rests, and leave it so: drawn twice, it is the same twice."""
+    """Lay the figure out, and leave it so: drawn twice, it is the same twice."""
     engine = figure.get_layout_engine()
     assert engine is not None  # the style asks for one
-    for _ in range(2):
-        # Drawing without a renderer lays out too, and costs the drawing as well.
-        engine.execute(figure)
+    # Drawing without a renderer lays out too, and costs the drawing as well.
+    engine.execute(figure)
     figure.set_layout_engine("none")
