@@ -29,7 +29,8 @@ RIVALS = 4
 OPERATOR_NAME = "hysteresis_operator"
 HALF, STEEPNESS = 0.75, 2.0
 """The share of what is to be explained where an effect acts from which its name is more likely right than
-wrong, and how fast that changes. Set on some forty names of development cases: `benchmarks/calibration.py`."""
+wrong, and how fast that changes. Set on some forty names of development cases; `benchmarks/calibration.py`
+measures what comes of it."""
 
 
 @dataclass(frozen=True)
@@ -104,7 +105,7 @@ def settled(search: Search, retuned: Fit, final: Fit, history: Sequence[Round]) 
         plainer = [
             (ahead, one)
             for ahead, one in better
-            if one.instead
+            if one.instead not in ("", OPERATOR_NAME)
             and (len(one.fit.slots), -ahead.nats) < (len(now.slots), 0.0)
             and search.as_well(one.fit, now)
         ]
