@@ -156,7 +156,7 @@ def adequacy(weighting: Weighting, now: Fit, less: Fit) -> tuple[float, float]:
 def trust(known: float) -> float:
     """How likely a name is right that explains this share of what is to be explained where it acts."""
     odds = (known / max(1 - known, 1e-9)) / (HALF / (1 - HALF))
-    return odds**STEEPNESS / (1 + odds**STEEPNESS)
+    return float(odds**STEEPNESS / (1 + odds**STEEPNESS))
 
 
 def around(search: Search, retuned: Fit, small: Fit, history: Sequence[Round]) -> list[Model]:

@@ -310,13 +310,23 @@ class Search:
         joint = self.axes_through_a_mode(now)
         names += [AXES] * len(joint)
         jobs += joint
-        found: dict[str, Fit] = {}
+        by_name: dict[str, list[Fit]] = {}
         for name, one in zip(names, self.fits(jobs), strict=True):
-            found[name] = max(one, found.get(name, one), key=self.worth)
+            by_name.setdefault(name, []).append(one)
+        forms = {name: sorted(each, key=self.worth, reverse=True) for name, each in by_name.items()}
+        found = {name: each[0] for name, each in forms.items()}
         best_first = sorted(found, key=lambda name: -self.score(found[name]))
         unclear = [name for name in best_first[:FINISHED] if self.near(found[name], found[best_first[0]])]
-        rest: list[Job] = [(found[n].hypothesis, found[n].weights, STEPS, ROUGH) for n in unclear]
-        found.update(zip(unclear, self.fits(rest), strict=True))
+        for place in range(FORMS):
+            rest: list[Job] = [
+                (forms[n][place].hypothesis, forms[n][place].weights, STEPS, ROUGH) for n in unclear
+            ]
+            found.update(zip(unclear, self.fits(rest), strict=True))
+            # A form of more numbers may run into a bound where it becomes a simpler one.
+            inherited = set(now.bounded)
+            unclear = [
+                n for n in unclear if not set(found[n].bounded) <= inherited and len(forms[n]) > place + 1
+            ]
         fits = [(name, found[name]) for name in best_first[:FINISHED]]
         if {effect.name for effect in (CrossCoupling, Resonance, SecondMode)} & (barred | self.given):
             return fits
