@@ -1,0 +1,87 @@
+"""Quotations of figures on pages: a number, and behind it a comment that names the figure.
+
+    547 nm<!-- figure: commission_without_nm -->        the number before the comment is the figure
+    about a minute<!-- in words: commission_s -->       the words stand for the figure's bound
+
+A comment is not seen where Markdown is shown.
+"""
+
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from benchmarks.figures.figure import Figure
+
+ROOT = Path(__file__).parents[2]
+# A number, what stands between it and the comment (its unit; no other number), and the comment.
+NUMBER = re.compile(
+    r"(?P<number>\d[\d,]*(?:\.\d+)?(?:e-?\d+)?)(?P<unit>[^\d<\n]{0,16})<!-- figure: (?P<name>\w+) -->"
+)
+CODE = re.compile(r"`[^`\n]*`")
+COMMENT = re.compile(r"<!-- (?P<kind>figure|in words): (?P<name>\w+) -->")
+
+
+@dataclass(frozen=True)
+class Quotation:
+    """Where a figure is quoted; `text` is the number as printed, or None in words."""
+
+    page: str
+    line: int
+    name: str
+    text: str | None
+
+
+def pages() -> list[Path]:
+    """All that may quote: README, docs, and the READMEs of benchmarks and exports."""
+    found = [ROOT / "README.md", *ROOT.glob("docs/*.md"), *ROOT.glob("benchmarks/**/README.md")]
+    return sorted([*found, ROOT / "exports" / "README.md"])
+
+
+def quotations(paths: Iterable[Path]) -> Iterator[Quotation]:
+    """All of these pages.
+
+    Raises:
+        ValueError: A comment without a number before it.
+    """
+    for path in paths:
+        page = path.relative_to(ROOT).as_posix() if path.is_relative_to(ROOT) else path.name
+        for at, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1):
+            line = CODE.sub(lambda code: " " * len(code[0]), line)
+            numbers = {match.end(): match["number"] for match in NUMBER.finditer(line)}
+            for match in COMMENT.finditer(line):
+                in_words = match["kind"] == "in words"
+                text = None if in_words else numbers.get(match.end())
+                if text is None and not in_words:
+                    raise ValueError(
+                        f"{page}:{at}: found no number before the comment of {match['name']}, expected one"
+                    )
+                yield Quotation(page, at, match["name"], text)
+
+
+def faults(paths: Iterable[Path], figures: Mapping[str, Figure], values: Mapping[str, float]) -> list[str]:
+    """What is wrong with the quotations, one line each: unknown, not measured, another number, not quoted."""
+    out, quoted = [], set()
+    for one in quotations(paths):
+        quoted.add(one.name)
+        where = f"{one.page}:{one.line}: {one.name}"
+        if one.name not in figures:
+            out.append(f"{where}: found no such figure, expected one of benchmarks/figures/registry.py")
+        elif one.name not in values:
+            out.append(f"{where}: found no value in docs/figures.json, expected one (make figures)")
+        elif one.text is not None and one.text != (right := figures[one.name].quoted(values[one.name])):
+            out.append(f"{where}: found {one.text}, expected {right}, as measured (make figures)")
+    out += [f"{name}: found on no page, expected a quotation" for name in figures if name not in quoted]
+    return out
+
+
+def renew(path: Path, figures: Mapping[str, Figure], values: Mapping[str, float]) -> str:
+    """The text of a page with every quoted number as it was measured; the words around it stay."""
+
+    def number(match: re.Match[str]) -> str:
+        name = match["name"]
+        if name not in figures or name not in values:
+            return match[0]
+        return match[0].replace(match["number"], figures[name].quoted(values[name]), 1)
+
+    return NUMBER.sub(number, path.read_text(encoding="utf-8"))
