@@ -46,6 +46,7 @@ def main() -> int:
             print(f"  {one.name}: {one.command}, about {one.about_s:.0f} s")
         return 0
     failed = measure(due, code, print)
+    record.write(record.registered(record.read(), FIGURES))
     for path in renewed(FIGURES):
         print(f"{path}: numbers renewed; read the words around them")
     failed += outside(FIGURES, record.values(record.read()))

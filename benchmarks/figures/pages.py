@@ -19,7 +19,15 @@ NUMBER = re.compile(
     r"(?P<number>\d[\d,]*(?:\.\d+)?(?:e-?\d+)?)(?P<unit>[^\d<\n]{0,16})<!-- figure: (?P<name>\w+) -->"
 )
 CODE = re.compile(r"`[^`\n]*`")
+FENCED = re.compile(r"^```.*?^```", re.DOTALL | re.MULTILINE)
 COMMENT = re.compile(r"<!-- (?P<kind>figure|in words): (?P<name>\w+) -->")
+
+STATED = re.compile(
+    r"\d(?:[\d,.]*\d)?(?:e-?\d+)? ?(?:nm|µm/s|µm|ms|µs|s|V|kHz|Hz|%|×|times|GB|MB|minutes)(?!\w)"
+)
+"""A number with a unit, as a result is stated. Other numbers are names, counts and equations."""
+MEASURED_ON = re.compile(r"Measured on \d{4}-\d\d-\d\d at commit [0-9a-f]{7,}")
+"""What a page that a command writes whole states of its run."""
 
 
 @dataclass(frozen=True)
@@ -38,6 +46,11 @@ def pages() -> list[Path]:
     return sorted([*found, ROOT / "exports" / "README.md"])
 
 
+def page_name(path: Path) -> str:
+    """As it is called in messages: from the root of the checkout."""
+    return path.relative_to(ROOT).as_posix() if path.is_relative_to(ROOT) else path.name
+
+
 def quotations(paths: Iterable[Path]) -> Iterator[Quotation]:
     """All of these pages.
 
@@ -45,7 +58,7 @@ def quotations(paths: Iterable[Path]) -> Iterator[Quotation]:
         ValueError: A comment without a number before it.
     """
     for path in paths:
-        page = path.relative_to(ROOT).as_posix() if path.is_relative_to(ROOT) else path.name
+        page = page_name(path)
         for at, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1):
             line = CODE.sub(lambda code: " " * len(code[0]), line)
             numbers = {match.end(): match["number"] for match in NUMBER.finditer(line)}
@@ -72,6 +85,24 @@ def faults(paths: Iterable[Path], figures: Mapping[str, Figure], values: Mapping
         elif one.text is not None and one.text != (right := figures[one.name].quoted(values[one.name])):
             out.append(f"{where}: found {one.text}, expected {right}, as measured (make figures)")
     out += [f"{name}: found on no page, expected a quotation" for name in figures if name not in quoted]
+    return out
+
+
+def unregistered(paths: Iterable[Path], definitions: Mapping[str, frozenset[str]]) -> list[str]:
+    """Numbers with units that are neither quoted figures nor definitions of their page, one line each."""
+    out = []
+    for path in paths:
+        page = page_name(path)
+        text = FENCED.sub(lambda block: "\n" * block[0].count("\n"), path.read_text(encoding="utf-8"))
+        for at, line in enumerate(text.splitlines(), 1):
+            line = CODE.sub(lambda code: " " * len(code[0]), line)
+            out += [
+                f"{page}:{at}: found {match[0]}, expected the comment of a figure behind it, or an entry in "
+                "DEFINITIONS of benchmarks/figures/registry.py"
+                for match in STATED.finditer(line)
+                if not line.startswith("<!-- figure:", match.end())
+                and match[0] not in definitions.get(page, frozenset())
+            ]
     return out
 
 

@@ -11,7 +11,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from benchmarks.figures.figure import Measurement
+from benchmarks.figures.figure import Figure, Measurement
 from benchmarks.figures.pages import ROOT
 from torchpi.files import write_atomically
 
@@ -45,6 +45,15 @@ def write(record: Record, path: Path = RECORD) -> None:
 
 def values(record: Mapping[str, Mapping[str, Any]]) -> dict[str, float]:
     return {name: entry["value"] for name, entry in record.items()}
+
+
+def registered(found: Record, figures: Mapping[str, Figure]) -> Record:
+    """The entries of these figures alone, with the bounds that they have now."""
+    return {
+        name: entry | {"bound": [figures[name].at_least, figures[name].at_most]}
+        for name, entry in found.items()
+        if name in figures
+    }
 
 
 def entries(measurement: Measurement, found: Mapping[str, float], code: str) -> Record:
