@@ -18,6 +18,7 @@ from benchmarks.figures import pages, record
 from benchmarks.figures.figure import Figure, Measurement
 from benchmarks.figures.measurements import DATA
 from benchmarks.figures.registry import FIGURES, MEASUREMENTS
+from torchpi.files import write_atomically
 
 
 def main() -> int:
@@ -111,7 +112,7 @@ def renewed(figures: dict[str, Figure]) -> list[str]:
     for path in pages.pages():
         text = pages.renew(path, figures, values)
         if text != path.read_text(encoding="utf-8"):
-            with record.write_atomically(path) as temporary:
+            with write_atomically(path) as temporary:
                 temporary.write_text(text, encoding="utf-8")
             changed.append(path.relative_to(pages.ROOT).as_posix())
     return changed

@@ -87,7 +87,8 @@ def code_sha256() -> str:
 
 def commit() -> str:
     """The commit, with a word where the code differs from it."""
-    changed = git("status", "--porcelain", "--", *CODE)
+    status = git("status", "--porcelain", "--", *CODE).splitlines()
+    changed = any(not line.endswith(NOT_CODE) for line in status)
     return git("rev-parse", "--short", "HEAD") + (" and changes" if changed else "")
 
 

@@ -51,7 +51,7 @@ MEASUREMENTS = (
             Figure("peers_lstsq_v", "V", 0.033, 0.035, ".4f"),
         ),
         measurements.peers,
-        about_s=30,
+        about_s=40,
     ),
     Measurement(
         "commission",
@@ -67,7 +67,7 @@ MEASUREMENTS = (
             Figure("commission_s", "s", 15, 120, ".0f"),
         ),
         measurements.commissioning,
-        about_s=75,
+        about_s=60,
     ),
     Measurement(
         "demo",
@@ -85,7 +85,7 @@ MEASUREMENTS = (
             Figure("demo_rest_percent_of_time", "%", 1, 30, ".0f"),
         ),
         measurements.demo,
-        about_s=60,
+        about_s=90,
     ),
     Measurement(
         "simulation",
