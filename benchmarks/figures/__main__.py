@@ -64,11 +64,8 @@ def measured(one: Measurement, found: record.Record, code: str) -> bool:
 def estimate(due: Sequence[Measurement]) -> str:
     """How long these will take, in words."""
     seconds = sum(one.about_s for one in due)
-    return (
-        f"{len(due)} to make, about {seconds:.0f} s"
-        if seconds < 120
-        else (f"{len(due)} to make, about {seconds / 60:.0f} minutes")
-    )
+    time_left = f"{seconds:.0f} s" if seconds < 120 else f"{seconds / 60:.0f} minutes"
+    return f"{len(due)} to make, about {time_left}"
 
 
 def measure(
@@ -101,7 +98,8 @@ def measure(
             continue
         record.write(record.read(path) | record.entries(one, found, code), path)
         for figure in one.figures:
-            log(f"    {figure.name}: {figure.quoted(found[figure.name])} {figure.unit}, bound {figure.bound}")
+            value = figure.quoted(found[figure.name]) + figure.unit_behind
+            log(f"    {figure.name}: {value}, bound {figure.bound}")
         log(f"    {time.perf_counter() - start:.0f} s")
     return failed
 

@@ -29,12 +29,17 @@ class Figure:
         return self.at_least <= value <= self.at_most
 
     def quoted(self, value: float) -> str:
-        """The value as a page prints it."""
+        """The value as a page prints it, without its unit."""
         return format(value, self.digits)
 
     @property
     def bound(self) -> str:
-        return f"{self.at_least:g} to {self.at_most:g} {self.unit}"
+        return f"{self.at_least:g} to {self.at_most:g}{self.unit_behind}"
+
+    @property
+    def unit_behind(self) -> str:
+        """As it stands behind a number; nothing for ratios and counts."""
+        return "" if self.unit == "1" else f" {self.unit}"
 
 
 @dataclass(frozen=True)

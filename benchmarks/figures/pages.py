@@ -32,12 +32,13 @@ MEASURED_ON = re.compile(r"Measured on \d{4}-\d\d-\d\d at commit [0-9a-f]{7,}")
 
 @dataclass(frozen=True)
 class Quotation:
-    """Where a figure is quoted; `text` is the number as printed, or None in words."""
+    """Where a figure is quoted; `number` and `unit` are as printed, or None in words."""
 
     page: str
     line: int
     name: str
-    text: str | None
+    number: str | None
+    unit: str | None
 
 
 def pages() -> list[Path]:
@@ -61,19 +62,19 @@ def quotations(paths: Iterable[Path]) -> Iterator[Quotation]:
         page = page_name(path)
         for at, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1):
             line = CODE.sub(lambda code: " " * len(code[0]), line)
-            numbers = {match.end(): match["number"] for match in NUMBER.finditer(line)}
+            numbers = {match.end(): match.group("number", "unit") for match in NUMBER.finditer(line)}
             for match in COMMENT.finditer(line):
                 in_words = match["kind"] == "in words"
-                text = None if in_words else numbers.get(match.end())
-                if text is None and not in_words:
+                if not in_words and match.end() not in numbers:
                     raise ValueError(
                         f"{page}:{at}: found no number before the comment of {match['name']}, expected one"
                     )
-                yield Quotation(page, at, match["name"], text)
+                number, unit = (None, None) if in_words else numbers[match.end()]
+                yield Quotation(page, at, match["name"], number, unit and unit.strip(" *"))
 
 
 def faults(paths: Iterable[Path], figures: Mapping[str, Figure], values: Mapping[str, float]) -> list[str]:
-    """What is wrong with the quotations, one line each: unknown, not measured, another number, not quoted."""
+    """What is wrong with quotations, one line each: unknown, not measured, another number or unit, none."""
     out, quoted = [], set()
     for one in quotations(paths):
         quoted.add(one.name)
@@ -82,8 +83,13 @@ def faults(paths: Iterable[Path], figures: Mapping[str, Figure], values: Mapping
             out.append(f"{where}: found no such figure, expected one of benchmarks/figures/registry.py")
         elif one.name not in values:
             out.append(f"{where}: found no value in docs/figures.json, expected one (make figures)")
-        elif one.text is not None and one.text != (right := figures[one.name].quoted(values[one.name])):
-            out.append(f"{where}: found {one.text}, expected {right}, as measured (make figures)")
+        elif one.number is not None:
+            figure = figures[one.name]
+            right = figure.quoted(values[one.name])
+            if one.number != right:
+                out.append(f"{where}: found {one.number}, expected {right}, as measured (make figures)")
+            if one.unit and figure.unit not in ("1", one.unit):
+                out.append(f"{where}: found the unit {one.unit}, expected {figure.unit}")
     out += [f"{name}: found on no page, expected a quotation" for name in figures if name not in quoted]
     return out
 

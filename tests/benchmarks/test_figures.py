@@ -13,7 +13,11 @@ from benchmarks.figures.figure import Figure, Measurement
 from benchmarks.figures.measurements import DATA
 from benchmarks.figures.registry import DEFINITIONS, FIGURES, MEASURED_PAGES, MEASUREMENTS
 
-STATING = [pages.ROOT / "README.md", *sorted(pages.ROOT.glob("docs/*.md"))]
+STATING = [
+    pages.ROOT / "README.md",
+    pages.ROOT / "benchmarks" / "README.md",
+    *sorted(pages.ROOT.glob("docs/*.md")),
+]
 SHORT = [one for one in MEASUREMENTS if one.short]
 WEIGHT = Figure("weight_g", "g", 1.0, 2.0, ".1f")
 
@@ -77,6 +81,7 @@ class TestPages:
             ("Between 1 and **1.5**<!-- figure: weight_g --> g.", 1.46, None),
             ("It is light<!-- in words: weight_g -->.", 1.9, None),
             ("It weighs 1.4 g<!-- figure: weight_g -->.", 1.5, "found 1.4, expected 1.5"),
+            ("It weighs 1.5 kg<!-- figure: weight_g -->.", 1.5, "found the unit kg, expected g"),
             ("It weighs 1.5 g.", 1.5, "weight_g: found on no page"),
             ("Say `2<!-- figure: weight_g -->`.", 1.5, "weight_g: found on no page"),
             (
