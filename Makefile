@@ -19,11 +19,11 @@ INSTALL_TORCH_gpu = $(PIP) install torch==$(TORCH_VERSION)
 .PHONY: demo test figures lint clean help
 
 help:
-	@echo "make demo   train a compensator on the simulated stage, export it, run it in a control loop"
-	@echo "make test   the tests"
+	@echo "make demo     train a compensator on the simulated stage, export it, run it in a control loop"
+	@echo "make test     the tests"
 	@echo "make figures  measure again what README and docs quote, and renew the numbers"
-	@echo "make lint   style and types"
-	@echo "make clean  remove .venv and what the demo left"
+	@echo "make lint     style and types"
+	@echo "make clean    remove .venv and what the demo left"
 
 demo: .venv/ready
 	@rm -rf runs/demo exports/demo exports/demo.pt exports/demo.json

@@ -16,7 +16,14 @@ from benchmarks.figures.pages import ROOT
 from torchpi.files import write_atomically
 
 RECORD = ROOT / "docs" / "figures.json"
-CODE = ("torchpi", "train", "configs", "benchmarks")
+CODE = (
+    "torchpi",
+    "train",
+    "configs",
+    "benchmarks",
+    "tests/diagnosis/simulations.py",
+    "tests/diagnosis/plants.py",
+)
 """What a figure depends on. A commit of other files, such as the record itself, leaves it measured."""
 BOOKKEEPING = tuple(
     f"benchmarks/figures/{name}.py" for name in ("__main__", "figure", "pages", "record", "registry")
