@@ -2,11 +2,15 @@
 
 from collections.abc import Sequence
 
+import numba
 import numpy as np
 
 from torchpi.diagnosis.records import Record
 from torchpi.stage.effects.effect import Effect, Seen
 from torchpi.stage.effects.inside import InsideEffect
+
+LEAST_STROKE = 0.1
+"""Of the travel: what moves less is no stroke."""
 
 
 def reason_to_leave_out(
@@ -27,6 +31,8 @@ def reason_to_leave_out(
         return f"{seen.duration_s:.2g} s is too short for it"
     if needs.reversals and not any(turns(record) for record in records):
         return "the voltage never turns round"
+    if needs.pace > 1.0 and (found := pace(records)) < needs.pace:
+        return f"the slowest stroke takes {found:.2g} times as long as the fastest, want {needs.pace:g}"
     if len(records) < needs.recordings:
         return f"it takes {needs.recordings} recordings"
     return effect.unseen if starts == 0 else None
@@ -59,3 +65,41 @@ def turns(record: Record) -> bool:
     """Whether the voltage goes up and down."""
     moved = np.diff(record.u)
     return bool((moved > 0).any() and (moved < 0).any())
+
+
+def pace(records: Sequence[Record]) -> float:
+    """How many times as long the slow strokes of the voltage take as the fast ones.
+
+    A stroke goes from one reversal to the next, over a tenth of the travel at least; the fastest and the
+    slowest twentieth of all travel do not count.
+    """
+    span = max(float(np.ptp(record.u)) for record in records)
+    strokes = [stroke for r in records for stroke in _strokes(r.u, LEAST_STROKE * span, r.period_s)]
+    if not strokes:
+        return 1.0
+    seconds, travel = np.array(sorted(strokes)).T
+    share = (np.cumsum(travel) - travel / 2) / travel.sum()
+    slow, fast = np.interp(0.95, share, seconds), np.interp(0.05, share, seconds)
+    return float(slow / max(fast, 1e-300))
+
+
+@numba.njit(cache=True)
+def _strokes(u: np.ndarray, least: float, period_s: float) -> list[tuple[float, float]]:
+    """(seconds, travel) of each stroke of a voltage, (time,); smaller reversals are noise."""
+    found = []
+    low = high = start = 0  # where the voltage was lowest, and highest, since the last reversal
+    direction = 0
+    for t in range(1, len(u)):
+        if u[t] > u[high]:
+            high = t
+        if u[t] < u[low]:
+            low = t
+        if direction >= 0 and u[high] - u[t] > least:
+            if direction > 0:
+                found.append(((high - start) * period_s, u[high] - u[start]))
+            direction, start, low = -1, high, t
+        elif direction <= 0 and u[t] - u[low] > least:
+            if direction < 0:
+                found.append(((low - start) * period_s, u[start] - u[low]))
+            direction, start, high = 1, low, t
+    return found

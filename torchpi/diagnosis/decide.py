@@ -16,7 +16,7 @@ from torchpi.stage.effects.mechanics.backlash import Backlash
 
 NAMED = 0.5
 """Probability from which a name is given: more likely right than wrong."""
-FAINT = 0.3
+FAINT = 0.2
 """Of the noise: an effect of a smaller rms is of no use to a user, and a solver's error does as much."""
 DONE, EXPLAINED = 1.15, 1.5
 """Times the measured noise: an error within this leaves nothing to explain, or little beside the names."""
@@ -106,7 +106,7 @@ def verdict(
     if noise is None:
         done = explained = not structured
     else:
-        ratio = final.heldout_rms / noise.rms_um
+        ratio = max(final.heldout_rms, final.train_rms) / noise.rms_um
         done, explained = ratio < DONE, ratio < EXPLAINED
     if not named:
         return "nothing_missing" if done and not more else "unexplained"

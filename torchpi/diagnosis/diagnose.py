@@ -121,7 +121,10 @@ def diagnose(
     decision = decide(search, retuned, final, believed, noise, remainder is not None or structure(left))
     if lsb_um > 0 and lsb_um / np.sqrt(12) > COARSE * final.train_rms:
         decision = with_read_off(decision, of_converter(lsb_um, retuned))
-    lost = [k[np.abs(e[k]) > LOST * final.train_rms] for e, k in zip(final.residuals, wrong, strict=True)]
+    lost = [
+        k[alone(record.y, e, k) & (np.abs(e[k]) > LOST * final.train_rms)]
+        for record, e, k in zip(records, final.residuals, wrong, strict=True)
+    ]
     if any(len(each) for each in lost):
         decision = with_read_off(decision, of_dropouts(records, lost, final))
     say("model: everything refitted to all samples")
@@ -212,6 +215,15 @@ def with_read_off(decision: Decision, effect: NamedEffect) -> Decision:
     now_named: dict[Verdict, Verdict] = {"nothing_missing": "explained", "unexplained": "partly_explained"}
     verdict = now_named.get(decision.verdict, decision.verdict)
     return replace(decision, verdict=verdict, effects=(*decision.effects, effect))
+
+
+def alone(y: np.ndarray, residual: np.ndarray, readings: np.ndarray) -> np.ndarray:
+    """Whether each of these readings is off by more than the model moves about it: a clock that jitters moves
+    a reading on an edge too, but no further."""
+    model = y - residual
+    before, after = np.maximum(readings - 1, 0), np.minimum(readings + 1, len(y) - 1)
+    found: np.ndarray = np.abs(residual[readings]) > np.abs(model[after] - model[before])
+    return found
 
 
 def of_converter(lsb_um: float, retuned: Fit) -> NamedEffect:

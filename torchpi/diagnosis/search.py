@@ -39,7 +39,7 @@ PRIOR = log(1 / 20)
 """Log odds that any one effect is missing before the recordings are seen: one or two of some twenty are."""
 ACCEPTED = 0.95
 """Probability of predicting better from which the search goes on with an effect."""
-FAINT = 0.3
+FAINT = 0.2
 """Of the rms that is left: a history of its own must explain as much to be taken for one."""
 ROUNDS = 7
 FORMS, STARTS, HEAT = 3, 2, 2
@@ -137,7 +137,7 @@ class Search:
             tried = self.round(small)
             best = f"; best {tried[0].name}, {describe(tried[0])}" if tried else ""
             self.log(f"round {number}: {len(tried)} explanations fitted{best}")
-            chosen = self.simplest(tried)
+            chosen = self.simplest([one for one in tried if not self.faint(one.fit, small)])
             history.append(Round(now, tuple(tried), chosen.name if chosen else None))
             if chosen is None:
                 break
@@ -149,8 +149,18 @@ class Search:
         if self.slips:
             self.jump = jump(self.slips, now)
         else:
-            now = refitted(self.chain, now)
+            now = refitted(self.chain, self.at_the_tick(now))
         return retuned, now, history
+
+    def at_the_tick(self, now: Fit) -> Fit:
+        """With the timing of the simulation, where what delays is missing anyway and predicts as well so."""
+        h = now.hypothesis
+        if h.alignment == 0 or not any(
+            m.effect.delays and m.effect.name not in self.given for m in h.members
+        ):
+            return now
+        (other,) = self.fits_here([(replace(h, alignment=0), now.weights, 2 * STEPS, ROUGH)])
+        return other if self.as_well(other, now) and set(other.bounded) <= set(now.bounded) else now
 
     def simplest(self, tried: Sequence[Tried]) -> Tried | None:
         """The best of what earns its place; an effect where a larger hysteresis is no clearer."""
@@ -163,6 +173,11 @@ class Search:
             if self.as_well(full, earned[0].fit):
                 return replace(one, fit=full)
         return earned[0]
+
+    def faint(self, more: Fit, less: Fit) -> bool:
+        """Whether what a fit explains beyond another is of no use to anyone: no name of it could stand."""
+        floor_um = self.noise.rms_um if self.noise is not None else more.train_rms
+        return less.train_rms**2 - more.train_rms**2 < (FAINT * floor_um) ** 2
 
     def as_well(self, one: Fit, best: Fit) -> bool:
         """Whether a fit predicts as well as a better one, within the standard error: no recording here splits
@@ -281,8 +296,9 @@ class Search:
         (screened,) = screen_all(self.chain, [(now, starts)], self.executor)
         best: dict[str, dict[tuple[str, ...], Candidate]] = {}
         for candidate in sorted(screened, key=lambda c: -c.gain):
-            if candidate.gain > -PRIOR:
-                member = candidate.member
+            member = candidate.member
+            # What is seen only where it begins, as a limit is, may show nothing to first order.
+            if candidate.gain > -PRIOR or (candidate.gain > 0 and member.effect.name not in best):
                 best.setdefault(member.effect.name, {}).setdefault(form(member), candidate)
         chosen = [(name, c) for name in list(best)[:TRIED] for c in list(best[name].values())[:FORMS]]
         names = [name for name, _ in chosen]
@@ -422,8 +438,9 @@ class Search:
                 same = (
                     other.effect is member.effect and other.aux == member.aux and form(other) != form(member)
                 )
-                alike = other.effect.name in member.effect.degenerate_with and other.effect.name not in there
-                if same or alike:
+                alike = other.effect.name in member.effect.degenerate_with
+                alike = alike or (other.effect.delays and member.effect.delays)
+                if same or (alike and other.effect.name not in there):
                     jobs.append((less.plus(other), now.weights, STEPS, ROUGH))
         fits = self.raced(jobs, now)
         fits = [one for one in fits if set(one.bounded) <= set(now.bounded)]
@@ -434,11 +451,14 @@ class Search:
         return best
 
     def starts_by_form(self) -> list[Member]:
-        """The middle start of each form of each effect."""
+        """Some starts of each form of each effect."""
         by_form: dict[tuple[object, ...], list[Member]] = {}
         for member in self.starts:
             by_form.setdefault((member.effect, member.aux, form(member)), []).append(member)
-        return [members[len(members) // 2] for members in by_form.values()]
+        few = ({len(m) // 4, len(m) // 2, 3 * len(m) // 4} for m in by_form.values())
+        return [
+            members[k] for members, places in zip(by_form.values(), few, strict=True) for k in sorted(places)
+        ]
 
     def raced(self, jobs: Sequence[Job], now: Fit) -> list[Fit]:
         """Fitted for a few steps each, and to the end where the outcome against a fit is not yet clear."""

@@ -62,6 +62,9 @@ class Needs:
     """A voltage that goes up and comes down."""
     recordings: int = 1
     """So many recordings."""
+    pace: float = 1.0
+    """Strokes of which one takes so many times as long as another: with one frequency the rate is a function
+    of the voltage and of the amplitude."""
 
 
 class Described:

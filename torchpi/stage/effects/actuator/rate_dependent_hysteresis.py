@@ -10,7 +10,7 @@ ceramics do. In the fourth every play relaxes to where it would stand, with a ti
 from typing import ClassVar
 
 from torchpi.operators.quantity import Quantity
-from torchpi.stage.effects.effect import Parameters, Seen
+from torchpi.stage.effects.effect import Needs, Parameters, Seen
 from torchpi.stage.effects.inside import InsideEffect
 
 
@@ -21,6 +21,7 @@ class RateDependentHysteresis(InsideEffect):
     """
 
     name = "rate_dependent_hysteresis"
+    needs = Needs(reversals=True, pace=1.5)
     equation = "w_i (1 + k v̇), or r_i (1 + β |v̇|), or loop · [1 + γ ln(1 + |v̇|/v̇₀)], or τ ḣ_i = p_i - h_i"
     signature = "like a delay in amplitude and frequency, and unlike one at reversals"
     quantities: ClassVar[dict[str, Quantity]] = {

@@ -60,7 +60,7 @@ class VoltageSaturation(Effect):
         def level(share: float) -> float:
             return seen.low_v + share * seen.span_v
 
-        above = [{"high_v": level(share)} for share in (0.98, 0.95, 0.9, 0.85, 0.8, 0.7, 0.6, 0.5)]
-        below = [{"low_v": level(share)} for share in (0.02, 0.05, 0.1, 0.2, 0.3)]
+        above = [{"high_v": level(share)} for share in (0.995, 0.98, 0.95, 0.9, 0.8, 0.7, 0.5)]
+        below = [{"low_v": level(share)} for share in (0.005, 0.02, 0.05, 0.1, 0.2, 0.3)]
         both = [{"low_v": level(share), "high_v": level(1 - share)} for share in (0.02, 0.1, 0.3)]
         return above + below + both
