@@ -16,13 +16,14 @@ INSTALL_TORCH_cpu = $(PIP) install torch==$(TORCH_VERSION)+cpu 2>/dev/null \
 	|| $(PIP) install torch==$(TORCH_VERSION)
 INSTALL_TORCH_gpu = $(PIP) install torch==$(TORCH_VERSION)
 
-.PHONY: demo test lint clean help
+.PHONY: demo test figures lint clean help
 
 help:
-	@echo "make demo   train a compensator on the simulated stage, export it, run it in a control loop"
-	@echo "make test   the tests"
-	@echo "make lint   style and types"
-	@echo "make clean  remove .venv and what the demo left"
+	@echo "make demo     train a compensator on the simulated stage, export it, run it in a control loop"
+	@echo "make test     the tests"
+	@echo "make figures  measure again what README and docs quote, and renew the numbers"
+	@echo "make lint     style and types"
+	@echo "make clean    remove .venv and what the demo left"
 
 demo: .venv/ready
 	@rm -rf runs/demo exports/demo exports/demo.pt exports/demo.json
@@ -38,6 +39,9 @@ demo: .venv/ready
 
 test: .venv/ready-dev
 	$(BIN)/python -m pytest
+
+figures: .venv/ready-dev
+	$(BIN)/python -m benchmarks.figures
 
 lint: .venv/ready-dev
 	$(BIN)/ruff check . && $(BIN)/ruff format --check . && $(BIN)/mypy

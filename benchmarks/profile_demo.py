@@ -47,30 +47,44 @@ def main() -> None:
     parser.add_argument("--cold", action="store_true", help="begin with no compiled kernels")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        run, model = f"{folder}/run", f"{folder}/demo"
-        commands = {
-            "fit": ["fit", "--config", "configs/demo.yaml", "--output", run],
-            "export": ["export", run, "--output", model],
-            "run": ["run", f"{model}.pt", "--stage", "configs/stage/default.yaml",
-                    "--trajectory", "[slow, fast]", "--compare", f"{{two-stage: {run}/baseline.pt}}"],
-        }  # fmt: skip
-        one_core = dict(OMP_NUM_THREADS="1")
-        if options.cold:
-            one_core["NUMBA_CACHE_DIR"] = f"{folder}/kernels"
-        spent = {}
-        for name, arguments in commands.items():
-            report = Path(folder) / f"{name}.json"
-            subprocess.run(
-                [sys.executable, __file__, "--of", name, str(report), *arguments],
-                env=os.environ | one_core, stdout=subprocess.DEVNULL, check=True,
-            )  # fmt: skip
-            spent[name] = json.loads(report.read_text(encoding="utf-8"))
+        spent = profiled(Path(folder), options.cold)
     every = sum(sum(phases.values()) for phases in spent.values())
     print("| command | phase | s | share |\n|---|---|---:|---:|")
     for name, phases in spent.items():
         for phase, seconds in sorted(phases.items(), key=lambda item: -item[1]):
             print(f"| {name} | {phase} | {seconds:.2f} | {100 * seconds / every:.0f} % |")
     print(f"| | all | {every:.2f} | |")
+
+
+def profiled(folder: Path, cold: bool = False) -> dict[str, dict[str, float]]:
+    """Run the demo into a folder, which keeps its files.
+
+    Args:
+        folder: For the run, the exported files, and the loop in `demo/`.
+        cold: Whether to begin with no compiled kernels.
+
+    Returns:
+        Seconds of the processor by command and phase.
+    """
+    run, model = f"{folder}/run", f"{folder}/demo"
+    commands = {
+        "fit": ["fit", "--config", "configs/demo.yaml", "--output", run],
+        "export": ["export", run, "--output", model],
+        "run": ["run", f"{model}.pt", "--stage", "configs/stage/default.yaml",
+                "--trajectory", "[slow, fast]", "--compare", f"{{two-stage: {run}/baseline.pt}}"],
+    }  # fmt: skip
+    one_core = dict(OMP_NUM_THREADS="1")
+    if cold:
+        one_core["NUMBA_CACHE_DIR"] = f"{folder}/kernels"
+    spent = {}
+    for name, arguments in commands.items():
+        report = folder / f"{name}.json"
+        subprocess.run(
+            [sys.executable, __file__, "--of", name, str(report), *arguments],
+            env=os.environ | one_core, stdout=subprocess.DEVNULL, check=True,
+        )  # fmt: skip
+        spent[name] = json.loads(report.read_text(encoding="utf-8"))
+    return spent
 
 
 def profile(command: str, report: Path, arguments: list[str]) -> None:

@@ -19,6 +19,7 @@ os.environ.update(
 import argparse
 import atexit
 import shutil
+import subprocess
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -70,8 +71,10 @@ def main() -> None:
     rows = compare(make_task(), [peer for peer in wanted if find_spec(peer.package)])
     print(table(rows))
     if options.write:
+        git = ["git", "rev-parse", "--short", "HEAD"]
+        commit = subprocess.run(git, cwd=DOCS, capture_output=True, text=True, check=True).stdout.strip()
         with write_atomically(DOCS / "peers.md") as temporary:
-            temporary.write_text(page(rows), encoding="utf-8")
+            temporary.write_text(page(rows, commit), encoding="utf-8")
         write_png(error_against_time(rows), DOCS / "peers.png", dots_per_inch=200)
 
 

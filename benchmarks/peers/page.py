@@ -1,7 +1,8 @@
 """The comparison as a Markdown table, and as the page docs/peers.md."""
 
 import platform
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from datetime import date
 from importlib.metadata import PackageNotFoundError, version
 
 from row import Row
@@ -17,17 +18,33 @@ HEADINGS = (
 PACKAGES = ("torch", "numba", "numpy", "jax-sysid", "jax", "dynonet", "sysidentpy")
 
 
-def table(rows: Sequence[Row]) -> str:
-    """One line a peer; a dash stands for what a peer does not have."""
-    lines = [HEADINGS, ("---",) + ("---:",) * (len(HEADINGS) - 1), *(_cells(row) for row in rows)]
-    return "\n".join("| " + " | ".join(cells) + " |" for cells in lines)
+# Those that need nothing to be installed are measured by `make figures` as well.
+FIGURES = {
+    "torchpi, joint": "peers_joint_v",
+    "torchpi, two stages": "peers_two_stage_v",
+    "lstsq on play states": "peers_lstsq_v",
+}
 
 
-def page(rows: Sequence[Row]) -> str:
+def table(rows: Sequence[Row], figures: Mapping[str, str] | None = None) -> str:
+    """One line a peer; a dash stands for what a peer does not have.
+
+    Args:
+        rows: What was measured.
+        figures: Name of the figure, for a comment behind the held-out rms error, by peer.
+    """
+    cells = [_cells(row, (figures or {}).get(row.peer.name)) for row in rows]
+    lines = [HEADINGS, ("---",) + ("---:",) * (len(HEADINGS) - 1), *cells]
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+
+
+def page(rows: Sequence[Row], commit: str) -> str:
+    """The page, with the date of today and the commit."""
     return f"""# Peers side by side
 
-Written by `python benchmarks/peers/compare.py --write`: do not edit. All in one run, on one core. Times
-drift with the machine and its load; quote the ratios. Peers are installed by `pip install -r
+Written by `python benchmarks/peers/compare.py --write`: do not edit.
+Measured on {date.today().isoformat()} at commit {commit}, all in one run, on one core. Times drift with the
+machine and its load; quote the ratios. Peers are installed by `pip install -r
 benchmarks/peers/requirements.txt`, best in an environment of their own.
 
 **The task.** A direct inverse: displacement, rate and acceleration in, voltage out. The recordings are of
@@ -37,7 +54,7 @@ the paper's rig (noise, converters, creep, delay and a 450 Hz mode are in). One 
 with other phases, judge: each is predicted whole, from the de-energised state, without the measured
 voltage. Every peer is given the same motion, smoothed, two samples ahead.
 
-{table(rows)}
+{table(rows, FIGURES)}
 
 Errors are of the held-out voltage; per cent is of its range, 10 V. *Fit* is without compilation, the median
 where it is repeated, in seconds of the processor: on one idle core, what one waits. *Step* is the median
@@ -65,12 +82,13 @@ Versions: {_versions()}.
 """
 
 
-def _cells(row: Row) -> tuple[str, ...]:
+def _cells(row: Row, figure: str | None) -> tuple[str, ...]:
+    comment = f"<!-- figure: {figure} -->" if figure else ""
     return (
         row.peer.name,
         _three_digits(row.fit_s),
         "–" if row.compile_s is None else _three_digits(row.compile_s),
-        f"{row.rms_v:.4f} ({100 * row.rms_v / row.range_v:.2f})",
+        f"{row.rms_v:.4f}{comment} ({100 * row.rms_v / row.range_v:.2f})",
         f"{row.max_v:.3f} ({100 * row.max_v / row.range_v:.2f})",
         "–" if row.step_us is None else _three_digits(row.step_us),
     )

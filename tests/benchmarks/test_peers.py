@@ -48,9 +48,10 @@ def test_dash_stands_for_what_a_peer_does_not_have() -> None:
 
 def test_page_tells_ratios_with_and_without_compilation() -> None:
     slow = a_row(peer=with_lstsq.PEER, fit_s=12.34, compile_s=None, rms_v=0.0246)
-    text = page([a_row(), slow])
+    text = page([a_row(), slow], "abc1234")
     assert "lstsq on play states: 100 × its time (5.81 × with compilation), 2.00 × its held-out" in text
     assert with_lstsq.PEER.settings in text
+    assert "at commit abc1234" in text and "0.0246<!-- figure: peers_lstsq_v --> (0.25)" in text
 
 
 def test_torchpi_and_lstsq_are_fitted_and_judged_on_records_they_have_not_seen(task: Task) -> None:

@@ -1,0 +1,241 @@
+"""How each figure is measured: what is run, and how the values are read off what it leaves."""
+
+import json
+import re
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from benchmarks import profile_demo, readme_check
+from benchmarks.figures.pages import ROOT
+from tests.diagnosis import simulations
+from torchpi.commission.commission import commission, followed
+from torchpi.diagnosis.diagnose import diagnose
+from torchpi.diagnosis.diagnosis import Diagnosis
+from torchpi.diagnostic_excitation import diagnostic_excitations
+from torchpi.drive_limits import DriveLimits
+from torchpi.excitation import sine_5hz
+from torchpi.identification import inverse_pair
+from torchpi.loop_result import COMPENSATED, WITHOUT
+from torchpi.recordings.options import RecordingOptions
+from torchpi.stage import Stage
+
+DATA = ROOT.parent / "shared" / "data"
+DEFAULT_STAGE = ROOT / "configs" / "stage" / "default.yaml"
+NM = 1e3  # in a micrometre
+
+
+def default_stage() -> dict[str, float]:
+    """Reach and loop of the built-in stage, from 0 to 10 V at 5 Hz."""
+    stage = Stage.from_yaml(DEFAULT_STAGE).requires_grad_(False)
+    _, u = sine_5hz(0.6, stage.sample_rate_hz)
+    y = stage(torch.tensor(u)[None])[0][0].numpy()
+    period = round(stage.sample_rate_hz / 5)
+    # The last loop. A slow displacement is 1.85 samples later than its command.
+    u, y = u[2 * period - 2 : 3 * period - 2], y[2 * period :]
+    at = np.linspace(0.1, 9.9, 200)
+    up = np.interp(at, u[: period // 2], y[: period // 2])
+    down = np.interp(at, u[period // 2 :][::-1], y[period // 2 :][::-1])
+    return {"stage_reach_um": y.max(), "stage_loop_percent": 100 * (down - up).max() / np.ptp(y)}
+
+
+def diagnostic_set() -> dict[str, float]:
+    """How long the excitations for a diagnosis last, by the limits in the README."""
+    limits = DriveLimits(0.0, 10.0, 2000.0, 10_000.0, 200.0)
+    samples = sum(len(u) for _, u in diagnostic_excitations(limits).values())
+    return {"diagnostic_set_s": samples / limits.sample_rate_hz}
+
+
+def piezo_stack() -> dict[str, float]:
+    """The recipe of configs/piezo_stack.yaml and its two baselines, held out, offline."""
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = Path(temporary) / "run"
+        run("-m", "train", "fit", "--config", "configs/piezo_stack.yaml", "--output", str(folder),
+            "--data.recordings", json.dumps([str(DATA / "piezo_stack" / "Model_Vi_Do.dat")]),
+            "--data.heldout", json.dumps([str(DATA / "piezo_stack" / "Test_Vi_Do_Di.dat")]),
+            "--trainer.figures_every=0")  # fmt: skip
+        metrics = json.loads((folder / "metrics.json").read_text(encoding="utf-8"))
+    if metrics["how"]["on_bound"]:
+        raise ValueError(f"piezo_stack: found {metrics['how']['on_bound']} on its bound, expected none")
+    two_stage, plays = (metrics[f"baseline_{name}"]["rms_um"] for name in ("lstsq", "plays"))
+    rms = metrics["heldout"]["rms_um"]
+    return {
+        "piezo_stack_um": rms,
+        "piezo_stack_percent": metrics["heldout"]["rms_percent"],
+        "piezo_stack_two_stage_um": two_stage,
+        "piezo_stack_plays_um": plays,
+        "piezo_stack_ratio": rms / min(two_stage, plays),
+        "piezo_stack_forward_um": metrics["stage"]["heldout_rms_um"],
+    }
+
+
+def commissioning() -> dict[str, float]:
+    """`torchpi commission` on the README's recordings, and its compensator on the true stage."""
+    with readme_recordings() as paths:
+        start = time.perf_counter()
+        outcome = commission(
+            paths,
+            paths[0].parent / "commissioned",
+            RecordingOptions(),
+            "torchpi commission",
+            log=lambda line: None,
+        )
+        seconds = time.perf_counter() - start
+    pairs = [inverse_pair(one, 0, None, 0.0) for one in (*outcome.train, outcome.heldout)]
+    *trained_um_s, heldout_um_s = (float(pair.motion.yd_dot.abs().max()) for pair in pairs)
+    true = Stage.from_yaml(DEFAULT_STAGE).requires_grad_(False)
+    on_true = followed(outcome.compensator, true, outcome.heldout, pairs[-1], None)
+    beyond = outcome.loop.compensated.beyond_trained_share
+    if beyond is None:
+        raise ValueError("commission: found no share of samples beyond the training, expected one")
+    return {
+        "commission_without_nm": NM * outcome.without_um,
+        "commission_with_nm": NM * outcome.with_um,
+        "commission_stage_nm": NM * outcome.identified.heldout_rms_um,
+        "commission_true_nm": NM * on_true.compensated.on_true.whole.rms_um,
+        "commission_heldout_um_s": heldout_um_s,
+        "commission_trained_um_s": max(trained_um_s),
+        "commission_beyond_percent": 100 * beyond,
+        "commission_s": seconds,
+    }
+
+
+def demo() -> dict[str, float]:
+    """The demo's three commands: tracking on the fast trajectory, and where the processor's time goes."""
+    with tempfile.TemporaryDirectory() as temporary:
+        spent = profile_demo.profiled(Path(temporary))
+        loops = json.loads((Path(temporary) / "demo" / "loop.json").read_text(encoding="utf-8"))
+    total_s = sum(sum(phases.values()) for phases in spent.values())
+    drives = next(loop["drives"] for loop in loops["trajectories"] if loop["name"] == "fast")
+    errors = {label: drives[label]["true_displacement"]["whole"] for label in drives}
+    imports_s = sum(phases["starting Python, imports"] for phases in spent.values())
+    pages_s = sum(spent[name]["page with its figures"] for name in ("fit", "run"))
+    shares = {
+        "training": spent["fit"]["training"],
+        "pages": pages_s + spent["fit"]["figures in TensorBoard"],
+        "imports": imports_s,
+        "loop": spent["run"]["loop, sample by sample"],
+    }
+    return {
+        "demo_without_max_percent": errors[WITHOUT]["max_percent"],
+        "demo_without_nm": NM * errors[WITHOUT]["rms_um"],
+        "demo_two_stage_nm": NM * errors["two-stage"]["rms_um"],
+        "demo_nm": NM * errors[COMPENSATED]["rms_um"],
+        "demo_s": total_s,
+        **{f"demo_{name}_percent_of_time": 100 * seconds / total_s for name, seconds in shares.items()},
+        "demo_rest_percent_of_time": 100 * (1 - sum(shares.values()) / total_s),
+    }
+
+
+def recipe(*options: str) -> list[dict[str, float]]:
+    """The rows of benchmarks/recipe.py."""
+    with tempfile.TemporaryDirectory() as temporary:
+        output = Path(temporary) / "recipe.json"
+        run("benchmarks/recipe.py", *options, "--output", str(output))
+        rows: list[dict[str, float]] = json.loads(output.read_text(encoding="utf-8"))
+    return rows
+
+
+def recipe_seed_1() -> dict[str, float]:
+    """The recipe over its better baseline on real and simulated recordings."""
+    ratios = [row["ratio"] for row in recipe()]
+    return {
+        "recipe_cases": len(ratios),
+        "recipe_median": float(np.median(ratios)),
+        "recipe_largest": max(ratios),
+    }
+
+
+def recipe_seed_2() -> dict[str, float]:
+    """The same on simulated stages that nothing was tuned on."""
+    ratios = sorted((row["ratio"] for row in recipe("--seeds", "2", "--only", "seed 2")), reverse=True)
+    return {
+        "recipe_other_cases": len(ratios),
+        "recipe_other_worse": sum(ratio > 1.01 for ratio in ratios),
+        "recipe_other_largest": ratios[0],
+        "recipe_other_second": ratios[1],
+    }
+
+
+def peers() -> dict[str, float]:
+    """Held-out errors of the peers that need nothing beyond what torchpi needs."""
+    printed = run("benchmarks/peers/compare.py", "--only", "torchpi,lstsq")
+    rows = dict(re.findall(r"^\| ([^|]+) \|(?:[^|]*\|){2} ([\d.]+) \(", printed, re.MULTILINE))
+    return {
+        "peers_joint_v": float(rows["torchpi, joint"]),
+        "peers_two_stage_v": float(rows["torchpi, two stages"]),
+        "peers_lstsq_v": float(rows["lstsq on play states"]),
+    }
+
+
+def other_simulation() -> dict[str, float]:
+    """A diagnosis against a simulation that only is called, and against its recorded output."""
+    recordings = simulations.recorded(simulations.stage(creep=True, cutoff_hz=100.0))
+    calls = []
+
+    def simulate(u_v: np.ndarray, fs_hz: float) -> np.ndarray:
+        calls.append(len(u_v))
+        return simulations.wrong_mode(u_v, fs_hz)
+
+    called = diagnose(recordings, simulate)
+    column = diagnose([replace(one, simulated=simulate(one.u, one.fs_hz)) for one in recordings], "column")
+    return {
+        "simulation_calls": len(calls) - len(recordings),
+        **corrections("called", called, "amplifier_lag"),
+        **corrections("column", column, "sensor_lag"),
+    }
+
+
+def corrections(how: str, found: Diagnosis, lag: str) -> dict[str, float]:
+    """Parameters and errors of one answer to `other_simulation`."""
+    values = {
+        effect.name: {one.name: float(one.value) for one in effect.parameters} for effect in found.effects
+    }
+    if values.keys() != {lag, "creep", "resonance"}:
+        raise ValueError(
+            f"simulation, {how}: found {sorted(values)}, expected {lag}, creep and resonance, as on the page"
+        )
+    return {
+        f"simulation_{how}_lag_hz": values[lag]["cutoff_hz"],
+        f"simulation_{how}_creep_percent": 100 * values["creep"]["per_decade"],
+        f"simulation_{how}_mode_hz": values["resonance"]["frequency_hz"],
+        f"simulation_{how}_replaced_hz": values["resonance"]["replaced_frequency_hz"],
+        f"simulation_{how}_given_nm": NM * found.nominal.heldout_rms_um,
+        f"simulation_{how}_retuned_nm": NM * found.retuned.heldout_rms_um,
+        f"simulation_{how}_augmented_nm": NM * found.augmented.heldout_rms_um,
+    }
+
+
+@contextmanager
+def readme_recordings() -> Iterator[list[Path]]:
+    """The recordings of the README's `torchpi simulate` lines, in a folder that is removed afterwards."""
+    lines, _ = readme_check.readme_lines((ROOT / "README.md").read_text(encoding="utf-8"))
+    with tempfile.TemporaryDirectory() as temporary:
+        paths = []
+        for words in lines:
+            at = words.index("--output") + 1
+            path = Path(temporary) / words[at]
+            run("-m", "torchpi", *words[:at], str(path), *words[at + 1 :])
+            paths.append(path)
+        yield paths
+
+
+def run(*words: str) -> str:
+    """Run Python with these words in the checkout; returns what it printed.
+
+    Raises:
+        ChildProcessError: It failed; with the end of what it printed.
+    """
+    done = subprocess.run([sys.executable, *words], cwd=ROOT, capture_output=True, text=True)
+    if done.returncode:
+        ending = " ".join((done.stderr or done.stdout).split())[-300:]
+        raise ChildProcessError(f"python {' '.join(words[:3])}: found exit code {done.returncode}: {ending}")
+    return done.stdout

@@ -1,0 +1,161 @@
+"""Every figure that a page quotes: what it is, its bound, and the command that measures it again.
+
+A bound is what the page promises beyond the digits: another machine, another version of a library or an
+improvement may move a figure within it. Times have wide bounds, since machines differ and are shared.
+"""
+
+from benchmarks.figures import measurements
+from benchmarks.figures.figure import Figure, Measurement
+
+README_COMMANDS = "the README's `torchpi simulate` lines, then "
+
+MEASUREMENTS = (
+    Measurement(
+        "stage",
+        "python -m benchmarks.figures --only stage",
+        (
+            Figure("stage_reach_um", "µm", 8.0, 8.2, ".0f"),
+            Figure("stage_loop_percent", "%", 13.5, 14.5, ".0f"),
+        ),
+        measurements.default_stage,
+        about_s=2,
+    ),
+    Measurement(
+        "diagnostic_set",
+        "torchpi excite --for diagnosis --max_voltage_v 10 --max_rate_v_s 2000 --sample_rate_hz 10000",
+        (Figure("diagnostic_set_s", "s", 45, 75, ".0f"),),
+        measurements.diagnostic_set,
+        about_s=1,
+    ),
+    Measurement(
+        "piezo_stack",
+        "python -m train fit --config configs/piezo_stack.yaml",
+        (
+            Figure("piezo_stack_um", "µm", 0, 0.25),
+            Figure("piezo_stack_percent", "%", 0, 0.6, ".2f"),
+            Figure("piezo_stack_two_stage_um", "µm", 0.3, 0.35),
+            Figure("piezo_stack_plays_um", "µm", 0.45, 0.55),
+            Figure("piezo_stack_ratio", "1", 0, 0.8, ".2f"),
+            Figure("piezo_stack_forward_um", "µm", 0, 0.6, ".2f"),
+        ),
+        measurements.piezo_stack,
+        about_s=15,
+        needs_recordings=True,
+    ),
+    Measurement(
+        "peers",
+        "python benchmarks/peers/compare.py --only torchpi,lstsq",
+        (
+            Figure("peers_joint_v", "V", 0.013, 0.014, ".4f"),
+            Figure("peers_two_stage_v", "V", 0.05, 0.062, ".4f"),
+            Figure("peers_lstsq_v", "V", 0.033, 0.035, ".4f"),
+        ),
+        measurements.peers,
+        about_s=40,
+    ),
+    Measurement(
+        "commission",
+        README_COMMANDS + "its `torchpi commission` line",
+        (
+            Figure("commission_without_nm", "nm", 520, 570, ".0f"),
+            Figure("commission_with_nm", "nm", 100, 200, ".0f"),
+            Figure("commission_stage_nm", "nm", 3, 6, ".1f"),
+            Figure("commission_true_nm", "nm", 100, 200, ".0f"),
+            Figure("commission_heldout_um_s", "µm/s", 3700, 4000, ",.0f"),
+            Figure("commission_trained_um_s", "µm/s", 1400, 1550, ",.0f"),
+            Figure("commission_beyond_percent", "%", 3, 10, ".1f"),
+            Figure("commission_s", "s", 15, 120, ".0f"),
+        ),
+        measurements.commissioning,
+        about_s=60,
+    ),
+    Measurement(
+        "demo",
+        "python benchmarks/profile_demo.py, which runs the commands of `make demo`",
+        (
+            Figure("demo_without_max_percent", "%", 9, 13, ".0f"),
+            Figure("demo_without_nm", "nm", 400, 440, ".0f"),
+            Figure("demo_two_stage_nm", "nm", 20, 40, ".0f"),
+            Figure("demo_nm", "nm", 5, 15, ".1f"),
+            Figure("demo_s", "s", 10, 180, ".0f"),
+            Figure("demo_training_percent_of_time", "%", 10, 50, ".0f"),
+            Figure("demo_pages_percent_of_time", "%", 10, 50, ".0f"),
+            Figure("demo_imports_percent_of_time", "%", 5, 40, ".0f"),
+            Figure("demo_loop_percent_of_time", "%", 3, 30, ".0f"),
+            Figure("demo_rest_percent_of_time", "%", 1, 30, ".0f"),
+        ),
+        measurements.demo,
+        about_s=90,
+    ),
+    Measurement(
+        "simulation",
+        "python -m benchmarks.figures --only simulation",
+        (
+            Figure("simulation_calls", "1", 100, 10_000, ",.0f"),
+            Figure("simulation_called_lag_hz", "Hz", 98, 102, ".1f"),
+            Figure("simulation_called_creep_percent", "%", 1.95, 2.05, ".2f"),
+            Figure("simulation_called_mode_hz", "Hz", 299, 301, ".1f"),
+            Figure("simulation_called_replaced_hz", "Hz", 260, 280, ".0f"),
+            Figure("simulation_called_given_nm", "nm", 170, 190, ".0f"),
+            Figure("simulation_called_retuned_nm", "nm", 110, 125, ".0f"),
+            Figure("simulation_called_augmented_nm", "nm", 3.5, 4.5, ".1f"),
+            Figure("simulation_column_lag_hz", "Hz", 95, 110, ".0f"),
+            Figure("simulation_column_creep_percent", "%", 1.95, 2.05, ".2f"),
+            Figure("simulation_column_mode_hz", "Hz", 299, 301, ".1f"),
+            Figure("simulation_column_replaced_hz", "Hz", 250, 320, ".0f"),
+            Figure("simulation_column_given_nm", "nm", 170, 190, ".0f"),
+            Figure("simulation_column_retuned_nm", "nm", 110, 125, ".0f"),
+            Figure("simulation_column_augmented_nm", "nm", 3.5, 30, ".0f"),
+        ),
+        measurements.other_simulation,
+        about_s=120,
+    ),
+    Measurement(
+        "recipe",
+        "python benchmarks/recipe.py",
+        (
+            Figure("recipe_cases", "1", 17, 17, ".0f"),
+            Figure("recipe_median", "1", 0, 0.8, ".2f"),
+            Figure("recipe_largest", "1", 0, 1.05, ".2f"),
+        ),
+        measurements.recipe_seed_1,
+        about_s=120,
+        needs_recordings=True,
+    ),
+    Measurement(
+        "recipe_others",
+        "python benchmarks/recipe.py --seeds 2 --only 'seed 2'",
+        (
+            Figure("recipe_other_cases", "1", 12, 12, ".0f"),
+            Figure("recipe_other_worse", "1", 0, 2, ".0f"),
+            Figure("recipe_other_largest", "1", 0, 1.3, ".2f"),
+            Figure("recipe_other_second", "1", 0, 1.3, ".2f"),
+        ),
+        measurements.recipe_seed_2,
+        about_s=90,
+    ),
+)
+
+FIGURES = {figure.name: figure for one in MEASUREMENTS for figure in one.figures}
+
+MEASURED_PAGES = {"docs/peers.md": "python benchmarks/peers/compare.py --write"}
+"""Pages that a command writes whole, with the date and the commit of the run in their text."""
+
+DEFINITIONS = {
+    # Computed traffic of a pass; the stretches of configs/piezo_stack.yaml, and what its authors publish.
+    "benchmarks/README.md": frozenset(
+        {"256 MB", "17.6 MB", "5.6 MB", "56 s", "70.5 s", "1 s", "15 s", "0.58 µm", "90 %", "1 %"}
+    ),
+    # The built-in stage's mode; the stretch on which configs/piezo_stack.yaml is judged.
+    "README.md": frozenset({"620 Hz", "56 s", "70.5 s"}),
+    # Rules of the forward stage; the noise of configs/stage/default.yaml.
+    "docs/commission.md": frozenset({"15 %", "2 %", "3 nm"}),
+    "docs/diagnosis.md": frozenset(
+        {"1.5 times", "90 %", "50 %", "15 %", "40 ms", "95 %", "0.3 times"}  # rules of the decision
+        | {"2 kHz", "2 ×", "2 s", "4 nm", "100 Hz", "2 %", "300 Hz", "270 Hz"}  # the recordings of an example
+        | {"2,540 Hz", "0.2 µm", "3.4 µm"}  # bounds of tests/diagnosis/test_modal.py
+    ),
+    # An example of an option; a rule of the checks.
+    "docs/recordings.md": frozenset({"0.5 µm", "100 times"}),
+}
+"""Numbers with units that are not measured, by page: settings, rules, examples. All others are figures."""
