@@ -1,5 +1,6 @@
 """One look for every figure: legible in print at column width, for colour-blind eyes, and in grey."""
 
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -50,6 +51,10 @@ _RC: dict[Any, Any] = {
 }
 
 
+GROWS = 4
+"""Heights that are tried."""
+
+
 @contextmanager
 def drawing() -> Iterator[None]:
     """The style, for drawing and for saving alike; nothing outside is changed."""
@@ -58,9 +63,16 @@ def drawing() -> Iterator[None]:
 
 
 def settle(figure: Figure) -> None:
-    """Lay the figure out, and leave it so: drawn twice, it is the same twice."""
+    """Lay the figure out, higher where it must be, and leave it so: drawn twice, it is the same twice."""
     engine = figure.get_layout_engine()
     assert engine is not None  # the style asks for one
-    # Drawing without a renderer lays out too, and costs the drawing as well.
-    engine.execute(figure)
+    for _ in range(GROWS):
+        try:
+            with warnings.catch_warnings():
+                warnings.filterwarnings("error", message="constrained_layout not applied")
+                # Drawing without a renderer lays out too, and costs the drawing as well.
+                engine.execute(figure)
+            break
+        except UserWarning:  # what stands beside the axes leaves them no room
+            figure.set_size_inches(figure.get_figwidth(), 1.25 * figure.get_figheight())
     figure.set_layout_engine("none")
