@@ -136,12 +136,12 @@ def test_figures_lie_beside_the_page_and_those_of_before_are_gone(
     folder: Path, found: Diagnosis, figures: dict[str, Figure], provenance: Provenance, tmp_path: Path
 ) -> None:
     names = {path.name for path in (folder / "figures").iterdir()}
-    assert names == {f"{name}.svg" for name in figures}
+    assert names == {f"{name}.{kind}" for name in figures for kind in ("png", "svg")}
     assert {"where", "errors", "signature_resonance", "rivals_amplifier_lag", "multisine_1"} <= set(figures)
     (tmp_path / "figures").mkdir()
-    (tmp_path / "figures" / "signature_creep.svg").write_bytes(b"old")
+    (tmp_path / "figures" / "signature_creep.png").write_bytes(b"old")
     write_diagnosis(found, provenance, tmp_path, {"errors": figures["errors"]})
-    assert {path.name for path in (tmp_path / "figures").iterdir()} == {"errors.svg"}
+    assert {path.name for path in (tmp_path / "figures").iterdir()} == {"errors.png", "errors.svg"}
     kept = {"figures", "report.html", "diagnosis.json", "next_excitation.csv"}
     assert {path.name for path in tmp_path.iterdir()} == kept
 
@@ -155,7 +155,7 @@ def test_what_fails_leaves_the_folder_as_it_was(
     def fails(*_: object) -> None:
         raise OSError("disk full")
 
-    monkeypatch.setattr(diagnosis_page, "_alone", fails)
+    monkeypatch.setattr(diagnosis_page, "write_png", fails)
     with pytest.raises(OSError, match="disk full"):
         write_diagnosis(found, provenance, tmp_path, {"remains": figures["remains"]})
     assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before

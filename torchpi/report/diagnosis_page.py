@@ -22,6 +22,7 @@ from torchpi.report.diagnosis_figures import diagnosis_figures
 from torchpi.report.diagnosis_json import diagnosis_json
 from torchpi.report.diagnosis_style import Unit, unit_of
 from torchpi.report.diagnosis_words import headline, in_prose, likelihood
+from torchpi.report.png import write_png
 from torchpi.report.svg import inline_svg
 from torchpi.report.what_was_run import Provenance
 
@@ -39,7 +40,7 @@ def write_diagnosis(
 ) -> tuple[Path, Path]:
     """Write `report.html`, `diagnosis.json`, `figures/` and `next_excitation.csv`; return the first two.
 
-    The figures lie there as SVG; those of an earlier diagnosis go. Everything is made before
+    The figures lie there as SVG and as PNG; those of an earlier diagnosis go. Everything is made before
     anything is replaced: an error in the making leaves the folder as it was.
 
     Args:
@@ -57,8 +58,8 @@ def write_diagnosis(
     directory.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix=".diagnosis-", dir=directory) as temporary:
         fresh, stale = Path(temporary) / "figures", Path(temporary) / "stale"
-        fresh.mkdir()
-        for name in figures:
+        for name, figure in figures.items():
+            write_png(figure, fresh / f"{name}.png")
             (fresh / f"{name}.svg").write_text(_alone(drawn[name]["svg"]), encoding="utf-8")
         if pictures.exists():
             os.replace(pictures, stale)
