@@ -17,7 +17,7 @@ from train import console, results
 from train.data import RecordingsData
 from train.module import InverseTraining
 from train.parser import TrainParser
-from train.run_folder import RunFolder, check_continues, new_run, run_to_continue
+from train.run_folder import RunFolder, check_continues, claim, new_run, run_to_continue
 from train.trainer import TrainerOptions, make_trainer
 
 DESCRIPTION = """\
@@ -154,17 +154,20 @@ class FitCLI(LightningCLI):
         resumed = self.folder.last if self.checkpoint == "last" else self.checkpoint
         if resumed:
             check_continues(Path(resumed), model.compensator)
-        results.write_settings(
-            self.folder,
-            self._parser("fit").dump(config, skip_none=False),
-            datamodule,
-            int(config.seed_everything),
-            model.stage_file,
-        )
-        try:
-            self.trainer.fit(model, datamodule=datamodule, ckpt_path=resumed, weights_only=True)
-        except SystemExit:
-            # Lightning turns Ctrl-C into exit code 1.
-            console.show_interrupted(self.folder)
-            raise KeyboardInterrupt from None
-        console.show_results(results.write_results(self.folder, self.trainer, model, datamodule), self.folder)
+        with claim(self.folder, goes_on=self.checkpoint == "last"):
+            results.write_settings(
+                self.folder,
+                self._parser("fit").dump(config, skip_none=False),
+                datamodule,
+                int(config.seed_everything),
+                model.stage_file,
+            )
+            try:
+                self.trainer.fit(model, datamodule=datamodule, ckpt_path=resumed, weights_only=True)
+            except SystemExit as ended:
+                # Lightning turns an interrupt, and SIGTERM, into exit code 1.
+                console.show_interrupted(self.folder)
+                cause = ended.__context__
+                raise (cause if isinstance(cause, KeyboardInterrupt) else KeyboardInterrupt()) from None
+            metrics = results.write_results(self.folder, self.trainer, model, datamodule)
+            console.show_results(metrics, self.folder)

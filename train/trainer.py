@@ -4,7 +4,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import torch
 from lightning import Trainer
 from lightning.fabric.utilities.exceptions import MisconfigurationException
 from lightning.pytorch.callbacks import EarlyStopping, ModelCheckpoint
@@ -12,7 +11,7 @@ from lightning.pytorch.loggers import TensorBoardLogger
 from lightning.pytorch.plugins.io import TorchCheckpointIO
 
 from torchpi.errors import ConfigError
-from torchpi.files import write_atomically
+from torchpi.files import save_tensors, write_atomically
 from train.callbacks import EpochProgress, TensorBoardFigures
 from train.module import CHOSEN_BY
 from train.run_folder import RunFolder
@@ -84,4 +83,4 @@ class WholeCheckpoints(TorchCheckpointIO):
 
     def save_checkpoint(self, checkpoint: dict[str, Any], path: Any, storage_options: Any = None) -> None:
         with write_atomically(Path(path)) as temporary:
-            torch.save(checkpoint, temporary)
+            save_tensors(checkpoint, temporary)

@@ -15,6 +15,7 @@ from torchpi.diagnosis.parallel import end_with_parent, get_ready
 from torchpi.diagnosis.simulation import Simulation
 from torchpi.errors import ConfigError
 from torchpi.excitation_files import write_excitation
+from torchpi.files import check_output_folder
 from torchpi.recordings.recording import RecordingOptions, read_recording
 from torchpi.simulators import COLUMN, Simulator, load_simulator
 from torchpi.stage import Stage
@@ -35,7 +36,8 @@ def diagnose_files(
     known.
 
     Raises:
-        ConfigError: An unknown executor, or an output that is a file.
+        ConfigError: An unknown executor.
+        ArtifactError: An output that cannot be written to.
         RecordingError: What is wrong with a recording.
     """
     # Drawing comes with matplotlib, which a diagnosis from Python does without.
@@ -43,7 +45,9 @@ def diagnose_files(
     from torchpi.report.diagnosis_page import write_diagnosis
     from torchpi.report.what_was_run import provenance
 
-    check_options(output, executor)
+    if executor not in ("processes", "here"):
+        raise ConfigError(f"--executor: found '{executor}', expected processes or here")
+    check_output_folder(output)
     given = None if simulation is None else load_simulation(simulation)
     recordings = [
         read_recording(path, options, allow_constant_input=True, simulated=given == COLUMN) for path in paths
@@ -85,14 +89,6 @@ def load_simulation(text: str) -> Simulation:
     if Path(text).suffix.lower() in (".yaml", ".yml", ".pt"):
         return Stage.load(text)
     return load_simulator(text)
-
-
-def check_options(output: Path, executor: str) -> None:
-    """Raise `ConfigError` for an option that cannot be."""
-    if executor not in ("processes", "here"):
-        raise ConfigError(f"--executor is '{executor}', wanted processes or here")
-    if output.exists() and not output.is_dir():
-        raise ConfigError(f"{output} is a file, wanted a folder for the results; choose another")
 
 
 @contextmanager
