@@ -20,6 +20,8 @@ import jsonargparse
 from torchpi.errors import ConfigError, RecordingWarning, TorchpiError
 from torchpi.files import reason
 
+INTERRUPTED, TERMINATED = 130, 143  # exit codes: 128 and the number of the signal
+
 
 def run_chosen(commands: Sequence[Callable[..., None]], program: str, description: str) -> None:
     """Parse the command line and call the function that it names.
@@ -88,10 +90,10 @@ def run_command(command: Callable[[], Any], program: str) -> int:
         return _failed(program, str(error))
     except Terminated:
         print(f"{program}: terminated; files already written are whole", file=sys.stderr)
-        return 143
+        return TERMINATED
     except KeyboardInterrupt:
         print(f"{program}: interrupted; files already written are whole", file=sys.stderr)
-        return 130
+        return INTERRUPTED
     except BrokenPipeError:
         _discard_output()
         return 1
@@ -108,6 +110,17 @@ def run_command(command: Callable[[], Any], program: str) -> int:
             raise
         return _failed(program, f"not enough memory ({str(error).rpartition(': ')[2]})")
     return 0
+
+
+def exit_at_once(code: int) -> NoReturn:
+    """End this process after an interrupt. Python's own exit would wait for the threads of a pool whose
+    workers were killed, and what they wait for may never come."""
+    for stream in (sys.stdout, sys.stderr):
+        with contextlib.suppress(OSError, ValueError, AttributeError):
+            stream.flush()
+    if finalizers := getattr(sys.modules.get("multiprocessing.util"), "_run_finalizers", None):
+        finalizers(0)  # removes semaphores, joins nothing
+    os._exit(code)
 
 
 def _failed(program: str, text: str) -> int:

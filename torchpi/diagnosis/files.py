@@ -1,17 +1,14 @@
 """A diagnosis from files to files."""
 
-import os
 import shutil
 import time
-from collections.abc import Iterator, Sequence
-from concurrent.futures import Executor, ProcessPoolExecutor
-from contextlib import contextmanager
-from multiprocessing import get_context
+from collections.abc import Sequence
+from contextlib import nullcontext
 from pathlib import Path
 
 from torchpi.diagnosis.diagnose import diagnose
 from torchpi.diagnosis.diagnosis import Diagnosis
-from torchpi.diagnosis.parallel import end_with_parent, get_ready
+from torchpi.diagnosis.parallel import get_ready
 from torchpi.diagnosis.simulation import Simulation
 from torchpi.errors import ConfigError
 from torchpi.excitation_files import write_excitation
@@ -19,6 +16,7 @@ from torchpi.files import check_output_folder
 from torchpi.recordings.recording import RecordingOptions, read_recording
 from torchpi.simulators import COLUMN, Simulator, load_simulator
 from torchpi.stage import Stage
+from torchpi.workers import worker_pool
 
 
 def diagnose_files(
@@ -59,7 +57,7 @@ def diagnose_files(
 
     for recording in recordings:
         say(f"{recording.source}: {len(recording):,} samples at {recording.fs_hz:g} Hz")
-    with executor_of(executor) as pool:
+    with worker_pool(get_ready) if executor == "processes" else nullcontext() as pool:
         found = diagnose(recordings, given, say=say, executor=pool)
     say("report: figures and page")
     files = {f"recording {recording.name}": recording.source for recording in recordings}
@@ -89,43 +87,3 @@ def load_simulation(text: str) -> Simulation:
     if Path(text).suffix.lower() in (".yaml", ".yml", ".pt"):
         return Stage.load(text)
     return load_simulator(text)
-
-
-@contextmanager
-def executor_of(name: str) -> Iterator[Executor | None]:
-    """Processes for all cores but the one that this process has, or none."""
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    if name == "here" or cores == 1:
-        yield None
-        return
-    # Spawned, because a forked process would inherit the threads of torch in an unknown state.
-    workers = min(cores, 4) - 1
-    with one_thread_each():
-        pool = ProcessPoolExecutor(workers, get_context("spawn"), end_with_parent, (os.getpid(),))
-        try:
-            for _ in range(workers):
-                pool.submit(get_ready)  # they import while the first fits run here
-            yield pool
-        except BaseException:
-            # What was interrupted does not wait for fits that nobody will see.
-            for process in list((pool._processes or {}).values()):
-                process.kill()
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
-        pool.shutdown()
-
-
-@contextmanager
-def one_thread_each() -> Iterator[None]:
-    """Processes that start meanwhile multiply matrices in one thread: as many as cores for each of as many
-    processes take three times as long."""
-    names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-    before = {name: os.environ.get(name) for name in names}
-    os.environ.update(dict.fromkeys(names, "1"))
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            os.environ.pop(name)
-            if value is not None:
-                os.environ[name] = value
