@@ -11,7 +11,7 @@ Before it, `accept` decides what is taken for the desired displacement:
 Thus whatever the equations see is finite, bounded, and of bounded rate, and what is held leaves nothing in
 the memory of hysteresis and creep. The derivatives of a lead are formed of four samples, and would carry a
 jump into the plays at many times its size: `smooth` counts the samples since the last one that was held, or
-moved faster than trained, and leads wait for three of them.
+moved faster than trained, and leads wait for four of them.
 
 Behind the equations, `emit` limits the voltage, and its change where that is wanted, and counts in
 `limited_outputs`. States do not wind up: beyond the trained range, but for one per cent, nothing is accepted
@@ -122,7 +122,7 @@ class GuardedStep(nn.Module):
         self.start_v = min(max(0.0, limits.min_voltage_v), limits.max_voltage_v)
         self.started = False
         self.confirmed = 0
-        self.smooth = 3
+        self.smooth = 4
         self.last_sample = self.start_um
         self.last_input = self.start_um
         self.last_voltage = self.start_v
@@ -133,7 +133,7 @@ class GuardedStep(nn.Module):
     def reset_guard(self) -> None:
         self.started = False
         self.confirmed = 0
-        self.smooth = 3
+        self.smooth = 4
         self.last_sample = self.start_um
         self.last_input = self.start_um
         self.last_voltage = self.start_v
@@ -154,7 +154,7 @@ class GuardedStep(nn.Module):
             self.last_input = yd
             self.last_sample = yd
             self.started = True
-            if self.smooth < 3:
+            if self.smooth < 4:
                 self.smooth += 1
         else:
             self.accept_beyond(yd)
