@@ -209,8 +209,10 @@ class DirectInverse(nn.Module):
         return self.scaled_lead * self.sample_period_s**powers
 
     def lead_limits(self) -> tuple[float, float] | None:
-        """Least and largest lead, τ_1 ẏ_d + τ_2 ÿ_d in µm, of the trained rates and accelerations; None without
-        a lead, or where they are not known."""
+        """Least and largest lead τ_1 ẏ_d + τ_2 ÿ_d of the trained rates and accelerations, or of none, µm.
+
+        None without a lead, or where these are not known.
+        """
         if len(self.scaled_lead) == 0 or self.trained is None or self.trained.accelerations_um_s2 is None:
             return None
         trained = (self.trained.rates_um_s, self.trained.accelerations_um_s2)

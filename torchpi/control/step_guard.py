@@ -10,8 +10,10 @@ Before it, `accept` decides what is taken for the desired displacement:
 
 Thus whatever the equations see is finite, bounded, and of bounded rate, and what is held leaves nothing in
 the memory of hysteresis and creep. The derivatives of a lead are formed of four samples, and would carry a
-jump into the plays at many times its size: `smooth` counts the samples since the last one that was held, or
-moved faster than trained, and leads wait for four of them.
+jump, or the step after a sample that was held, into the plays at many times its size: `smooth` counts the
+samples since the last one that was held, or moved faster than trained, and leads wait for four of them.
+Meanwhile the plays' input stays where it was, as far as the lead of the trained rates and accelerations can
+explain: with no lead it could pass the turning points of the motion, which wide plays never forget.
 
 Behind the equations, `emit` limits the voltage, and its change where that is wanted, and counts in
 `limited_outputs`. States do not wind up: beyond the trained range, but for one per cent, nothing is accepted
