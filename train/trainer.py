@@ -16,6 +16,9 @@ from train.callbacks import EpochProgress, TensorBoardFigures
 from train.module import CHOSEN_BY
 from train.run_folder import RunFolder
 
+OWN = ("callbacks", "logger", "plugins")
+"""Arguments of lightning.Trainer that are objects, and that a run cannot do without."""
+
 
 @dataclass
 class TrainerOptions:
@@ -43,6 +46,9 @@ class TrainerOptions:
 
 def make_trainer(options: TrainerOptions, folder: RunFolder) -> Trainer:
     """A trainer that writes into `folder`, which need not exist yet."""
+    for name in OWN:
+        if name in (options.lightning or {}):
+            raise ConfigError(f"trainer.lightning.{name}: found a value, expected none: a run has its own")
     progress = [EpochProgress(options.max_epochs)] if options.progress else []
     settings: dict[str, Any] = dict(
         max_epochs=options.max_epochs,

@@ -50,6 +50,16 @@ def test_mistakes_on_the_command_line(
         ("modle: {degree: 3}", "nearest is 'model"),
         ("data: {simulate: {train: [{excitaton: sine_5hz}]}}", "nearest is 'excitation'"),
         ("data: [", "parsing"),
+        ("trainer: {lightning: {callbacks: [x]}}", "trainer.lightning.callbacks"),
+        ("data: 3", "settings: "),
+        ("model: null", ""),
+        ("model: [1]", ""),
+        ("seed_everything: -5", "-5 is not in bounds"),
+        ("data: {simulate: {stage: configs/stage/default.yaml, train: []}}", "settings: "),
+        ("data: !!python/object/apply:os.system ['true']", "python/object"),
+        ("data: &a [*a]", ""),
+        ("data: \x00", ""),
+        ("data: " + 5000 * "[", ""),
     ],
 )
 def test_mistakes_in_a_config(
