@@ -50,7 +50,6 @@ def test_mistakes_on_the_command_line(
         ("modle: {degree: 3}", "nearest is 'model"),
         ("data: {simulate: {train: [{excitaton: sine_5hz}]}}", "nearest is 'excitation'"),
         ("data: [", "parsing"),
-        ("trainer: {lightning: {callbacks: [x]}}", "trainer.lightning.callbacks"),
         ("data: 3", "settings: "),
         ("model: null", ""),
         ("model: [1]", ""),
@@ -77,6 +76,8 @@ def test_settings_that_do_not_go_together(
     assert "adam" in refused([*common, "--data.window_samples=100"], capsys)
     assert "inside" in refused([*common, "--data.evaluate_s=[3, 4]"], capsys)
     assert "max_stepps" in refused([*common, "--trainer.lightning={max_stepps: 3}"], capsys)
+    callbacks = refused([*common, "--trainer.lightning={callbacks: [x]}"], capsys)
+    assert "trainer.lightning.callbacks" in callbacks
     assert not (tmp_path / "run").exists()
 
 
