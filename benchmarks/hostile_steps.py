@@ -19,10 +19,9 @@ import torch
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from tests.export.c_compiler import Stepped
-from tests.hostile.sequences import PERIOD_S, VOLTAGES_V, compensator, disturbed, motion
+from tests.hostile.sequences import VOLTAGES_V, compensator, disturbed, like_the_demo, motion
+from torchpi.compensator import DirectInverse
 from torchpi.export import export_files, load_torchscript
-
-RECOVERY = round(1.0 / PERIOD_S)
 
 
 def main() -> None:
@@ -34,55 +33,60 @@ def main() -> None:
     parser.add_argument("--steady_steps", type=int, default=1_000_000_000)
     parser.add_argument("--sanitized_steps", type=int, default=10_000_000)
     options = parser.parse_args()
-    with tempfile.TemporaryDirectory() as folder:
-        export_files(compensator(), Path(folder) / "demo", ("torchscript", "c"))
-        recovery(Path(folder), options.sequences)
-        bits(Path(folder), options.script_sequences)
-        drift(Path(folder), options.steady_steps)
-        sanitized(Path(folder), options.sanitized_steps)
+    for name, made in {"of every part": compensator(), "like the demo's": like_the_demo()}.items():
+        print(f"A compensator {name}, at {1 / made.sample_period_s:g} Hz", flush=True)
+        with tempfile.TemporaryDirectory() as folder:
+            export_files(made, Path(folder) / "demo", ("torchscript", "c"))
+            recovery(made, Path(folder), options.sequences)
+            bits(made, Path(folder), options.script_sequences)
+            drift(made, Path(folder), options.steady_steps)
+            sanitized(Path(folder), options.sanitized_steps)
 
 
-def recovery(folder: Path, sequences: int) -> None:
-    samples = RECOVERY + 500
+def recovery(made: DirectInverse, folder: Path, sequences: int) -> None:
+    period_s = made.sample_period_s
+    wait, samples = round(1.0 / period_s), round(1.5 / period_s)
     span = VOLTAGES_V[1] - VOLTAGES_V[0]
     for name, single in (("double", False), ("float", True)):
         step = Stepped(folder / "demo.c", single)
-        undisturbed = step.block(motion(samples))
+        undisturbed = step.block(motion(samples, period_s))
         outside, late, worst = 0, 0, 0.0
         for seed in range(sequences):
-            yd, end = disturbed(seed, samples)
+            yd, end = disturbed(seed, samples, period_s)
             step.reset()
             u = step.block(yd)
             outside += not bool(((u >= VOLTAGES_V[0]) & (u <= VOLTAGES_V[1])).all())
-            left = float((u - undisturbed)[end + RECOVERY :].abs().max()) / span
+            left = float((u - undisturbed)[end + wait :].abs().max()) / span
             late += left > 1e-3
             worst = max(worst, left)
         print(
             f"C {name}: {sequences} sequences, {outside} outside the limits, {late} more than 0.1 % of the "
-            f"voltage range off after 1 s, the worst {100 * worst:.2g} %"
+            f"voltage range off after 1 s, the worst {100 * worst:.2g} %",
+            flush=True,
         )
 
 
-def bits(folder: Path, sequences: int) -> None:
+def bits(made: DirectInverse, folder: Path, sequences: int) -> None:
     c, script, stream = (
         Stepped(folder / "demo.c"),
         load_torchscript(folder / "demo.pt"),
-        compensator().stream(),
+        made.stream(),
     )
     differing = 0
     for seed in range(sequences):
-        yd, end = disturbed(seed, 400)
+        yd, end = disturbed(seed, 4000, made.sample_period_s)
         yd = yd[: end + 60]
         c.reset()
         expected = c.block(yd).view(torch.int64)
         for one in (script, stream):
             one.reset()
             differing += not torch.equal(one.block(yd).view(torch.int64), expected)
-    print(f"TorchScript and Python: {sequences} sequences, {differing} with other bits than C")
+    print(f"TorchScript and Python: {sequences} sequences, {differing} with other bits than C", flush=True)
 
 
-def drift(folder: Path, steps: int) -> None:
-    periods = motion(200).repeat(1000)
+def drift(made: DirectInverse, folder: Path, steps: int) -> None:
+    period = motion(round(0.2 / made.sample_period_s), made.sample_period_s)
+    periods = period.repeat(200_000 // len(period))
     for name, single in (("double", False), ("float", True)):
         step = Stepped(folder / "demo.c", single)
         step.block(periods)  # creep settles
@@ -90,7 +94,7 @@ def drift(folder: Path, steps: int) -> None:
         for _ in range(steps // len(periods)):
             after = step.block(periods)
         off = float((after - before).abs().max())
-        print(f"C {name}: {steps} steps, drift of {off:.2g} V")
+        print(f"C {name}: {steps} steps, drift of {off:.2g} V", flush=True)
 
 
 def sanitized(folder: Path, steps: int) -> None:
@@ -101,7 +105,10 @@ def sanitized(folder: Path, steps: int) -> None:
         command += ["-fno-sanitize-recover=all", f"-I{folder}", *flags, str(hammer), str(folder / "demo.c")]
         subprocess.run([*command, "-o", str(program)], check=True)
         done = subprocess.run([str(program), str(steps)], capture_output=True, text=True)
-        print(f"C {name} under the sanitizers: {steps} steps, exit code {done.returncode} {done.stdout}")
+        print(
+            f"C {name} under the sanitizers: {steps} steps, exit code {done.returncode} {done.stdout}",
+            flush=True,
+        )
 
 
 if __name__ == "__main__":

@@ -8,6 +8,8 @@ Names are loaded when they are first used, so that `import torchpi` and `torchpi
 import importlib
 from typing import TYPE_CHECKING, Any
 
+from torchpi.files import provide_cache_folders
+
 if TYPE_CHECKING:
     from torchpi.compensator import DirectInverse as DirectInverse
     from torchpi.errors import TorchpiError as TorchpiError
@@ -32,6 +34,8 @@ if TYPE_CHECKING:
     from torchpi.stage import Stage as Stage
 
 __version__ = "0.1.0"
+
+provide_cache_folders()  # before Numba and Matplotlib are imported, which read once where they may write
 
 _HOME = {
     "DirectInverse": "torchpi.compensator",

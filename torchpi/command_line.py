@@ -1,8 +1,11 @@
 """How torchpi's commands meet their user: typed functions for options, one line for an error, exit code 2."""
 
 import argparse
+import contextlib
 import difflib
 import inspect
+import io
+import os
 import re
 import signal
 import sys
@@ -15,6 +18,9 @@ from typing import Any, NoReturn, TextIO, get_args, get_origin
 import jsonargparse
 
 from torchpi.errors import ConfigError, RecordingWarning, TorchpiError
+from torchpi.files import reason
+
+INTERRUPTED, TERMINATED = 130, 143  # exit codes: 128 and the number of the signal
 
 
 def run_chosen(commands: Sequence[Callable[..., None]], program: str, description: str) -> None:
@@ -22,8 +28,9 @@ def run_chosen(commands: Sequence[Callable[..., None]], program: str, descriptio
 
     A command's options are its signature, its help is its docstring.
     """
-    # Progress appears as it happens, into a pipe as well.
-    sys.stdout.reconfigure(line_buffering=True)  # type: ignore[union-attr]
+    # Progress appears as it happens, into a pipe as well; there may be no output at all.
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(line_buffering=True)
     parser = Parser(prog=program, description=description, formatter_class=_Formatter)
     subcommands = parser.add_subcommands(title="commands", description=None)
     for command in commands:
@@ -77,18 +84,57 @@ def run_command(command: Callable[[], Any], program: str) -> int:
         with warnings.catch_warnings(), _terminated_as_interrupted():
             _show_in_one_line(program)
             command()
+            if sys.stdout is not None:
+                sys.stdout.flush()
     except TorchpiError as error:
-        print(f"{program}: error: {error}", file=sys.stderr)
-        return 2
+        return _failed(program, str(error))
     except Terminated:
         print(f"{program}: terminated; files already written are whole", file=sys.stderr)
-        return 143
+        return TERMINATED
     except KeyboardInterrupt:
         print(f"{program}: interrupted; files already written are whole", file=sys.stderr)
-        return 130
+        return INTERRUPTED
     except BrokenPipeError:
+        _discard_output()
         return 1
+    except OSError as error:
+        _discard_output()
+        where = error.filename if isinstance(error.filename, str) else "standard output or a temporary file"
+        return _failed(program, f"{where}: {reason(error)}")
+    except MemoryError as error:
+        return _failed(program, f"not enough memory ({str(error) or 'no amount known'})")
+    except RecursionError:
+        return _failed(program, "a value is nested too deeply")
+    except RuntimeError as error:
+        if "can't allocate memory" not in str(error):  # torch's form of a MemoryError
+            raise
+        return _failed(program, f"not enough memory ({str(error).rpartition(': ')[2]})")
     return 0
+
+
+def exit_at_once(code: int) -> NoReturn:
+    """End this process after an interrupt. Python's own exit would wait for the threads of a pool whose
+    workers were killed, and what they wait for may never come."""
+    for stream in (sys.stdout, sys.stderr):
+        with contextlib.suppress(OSError, ValueError, AttributeError):
+            stream.flush()
+    if finalizers := getattr(sys.modules.get("multiprocessing.util"), "_run_finalizers", None):
+        finalizers(0)  # removes semaphores, joins nothing
+    os._exit(code)
+
+
+def _failed(program: str, text: str) -> int:
+    print(f"{program}: error: {' '.join(text.splitlines())}", file=sys.stderr)
+    return 2
+
+
+def _discard_output() -> None:
+    """What is still buffered for an output that cannot be written would fail once more at exit."""
+    if sys.stdout is not None:
+        with contextlib.suppress(OSError, ValueError):
+            nowhere = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(nowhere, sys.stdout.fileno())
+            os.close(nowhere)
 
 
 class Terminated(KeyboardInterrupt):

@@ -79,7 +79,7 @@ class DirectInverse(nn.Module):
         rate_scale_um_s: float = 1.0,
         hidden: int = 4,
         train_thresholds: bool = False,
-        trained: Mapping[str, Sequence[float]] | None = None,
+        trained: Mapping[str, Sequence[float] | None] | None = None,
         max_slew_v_s: float | None = None,
         recordings_sha256: str | None = None,
     ) -> None:
@@ -207,6 +207,20 @@ class DirectInverse(nn.Module):
         # Trained in units of the sample period, which are of size one.
         powers = torch.arange(1, len(self.scaled_lead) + 1, dtype=torch.float64)
         return self.scaled_lead * self.sample_period_s**powers
+
+    def lead_limits(self) -> tuple[float, float] | None:
+        """Least and largest lead τ_1 ẏ_d + τ_2 ÿ_d of the trained rates and accelerations, or of none, µm.
+
+        None without a lead, or where these are not known.
+        """
+        if len(self.scaled_lead) == 0 or self.trained is None or self.trained.accelerations_um_s2 is None:
+            return None
+        trained = (self.trained.rates_um_s, self.trained.accelerations_um_s2)
+        least, largest = 0.0, 0.0
+        for tau, interval in zip(self.lead.tolist(), trained, strict=False):
+            ends = [tau * end for end in (0.0, *interval)]
+            least, largest = least + min(ends), largest + max(ends)
+        return least, largest
 
     def at_rate(
         self,

@@ -93,7 +93,10 @@ def step_source(compensator: "DirectInverse", limits: StepLimits, filters: bool)
     at_rest = _indented(_at_rest_lines(compensator, constants))
     states = [f"xi{j}" for j in range(len(compensator.creep_gains))]
     states += [f"h{i}" for i in range(len(compensator.plays.r))]
-    cleared = _indented(f"self.{state} = 0.0" for state in states)
+    clears = [f"self.{state} = 0.0" for state in states]
+    if compensator.lead_limits() is not None:
+        clears.append("self.last_x = self.start_um")
+    cleared = _indented(clears)
     return f"""
 class WrittenOut(GuardedStep):
     '''The direct inverse of eq. 8, one sample at a time.'''
@@ -152,11 +155,23 @@ def _step_lines(
     yield "self.accept(yd)"
     yield "x, rate, acceleration = self.motion.step(self.last_input)"
     leads = (("rate", "s"), ("acceleration", "s^2"))
+    lead_um = compensator.lead_limits()
+    if lead_um is not None:
+        least = constant("least_lead_um", lead_um[0], "um, least lead of the trained rates and accelerations")
+        largest = constant("largest_lead_um", lead_um[1], "um, largest lead of these")
+        yield f"least_x = x + {least}"
+        yield f"largest_x = x + {largest}"
     if len(compensator.scaled_lead) > 0:
-        yield "if self.smooth >= 3:"
+        yield "if self.smooth >= 4:"
     for i, (tau, (derivative, unit)) in enumerate(zip(compensator.lead.tolist(), leads, strict=False), 1):
         yield f"    x = x + {constant(f'tau_{i}', tau, f'{unit}, lead on the {derivative}')} * {derivative}"
-    if filters or len(compensator.scaled_lead) > 0:
+    if lead_um is not None:
+        # Without a lead, x might pass the turning points of the motion, which wide plays never forget.
+        yield "else:"
+        yield "    x = self.last_x"
+        yield "x = min(max(x, least_x), largest_x)"
+        yield "self.last_x = x"
+    if filters or (len(compensator.scaled_lead) > 0 and lead_um is None):
         low, high = limits.accepted_um
         least = constant("least_x_um", 2 * low - high, "um, what leads and filter make of a jump")
         largest = constant("largest_x_um", 2 * high - low, "um")
@@ -183,6 +198,8 @@ def _crept(compensator: "DirectInverse", constant: _Constants) -> str:
 
 def _at_rest_lines(compensator: "DirectInverse", constant: _Constants) -> Iterator[str]:
     yield "x = yd"
+    if compensator.lead_limits() is not None:
+        yield "self.last_x = yd"
     for i in range(len(compensator.plays.r)):
         yield f"self.h{i} = 0.0"
     if len(compensator.creep_gains) > 0:

@@ -7,9 +7,8 @@ import numpy as np
 
 from torchpi.diagnostic_excitation import diagnostic_excitations
 from torchpi.drive_limits import DriveLimits
-from torchpi.errors import ConfigError
 from torchpi.excitation import Samples
-from torchpi.files import write_atomically
+from torchpi.files import check_output_folder, write_atomically
 
 INSTRUCTIONS = "WHAT_TO_DO.txt"
 
@@ -27,10 +26,10 @@ def write_diagnostic_set(folder: Path, limits: DriveLimits, seed: int = 0) -> st
     """Write the set for a diagnosis, numbered in the order of playing, and return what to do with it.
 
     Raises:
-        ConfigError: limits that the set cannot respect; the folder is a file. Nothing is written then.
+        ConfigError: limits that the set cannot respect. Nothing is written then.
+        ArtifactError: the folder cannot be written to.
     """
-    if folder.exists() and not folder.is_dir():
-        raise ConfigError(f"{folder} is a file, wanted a folder to write the excitations to; choose another")
+    check_output_folder(folder)
     made = diagnostic_excitations(limits, seed)
     files = {f"{number}_{name}.csv": samples for number, (name, samples) in enumerate(made.items(), 1)}
     text = instructions(folder, files, limits)

@@ -1,8 +1,13 @@
 """Files appear whole or not at all, and are read only if they are what was written."""
 
+import atexit
 import contextlib
+import fcntl
+import glob
 import hashlib
+import io
 import os
+import shutil
 import tempfile
 import zipfile
 from collections.abc import Iterator, Mapping, Sequence
@@ -16,22 +21,125 @@ from torchpi.errors import ArtifactError
 def write_atomically(path: str | Path) -> Iterator[Path]:
     """Yield a temporary path beside `path`; on success it replaces `path` in one step.
 
-    If the block raises, or the process is killed, whatever stood at `path` before is still there, whole.
-    The temporary name keeps the suffix, because some writers choose their format by it.
+    If the block raises, or the process is killed, whatever stood at `path` before is still there, whole. A
+    link is followed: what it points to is replaced. The temporary name keeps the suffix, because some
+    writers choose their format by it; temporary files of processes that were killed are removed.
+
+    Raises:
+        ArtifactError: A folder or a device stands at `path`, or the system does not let it be written.
     """
-    path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(prefix=f".{path.stem}-", suffix=path.suffix, dir=path.parent)
-    os.close(handle)
-    temporary = Path(name)
     try:
-        yield temporary
-        with open(temporary, "rb") as written:
-            os.fsync(written.fileno())
-        temporary.chmod(0o644)
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
+        target = _regular(Path(path))
+        target.parent.mkdir(parents=True, exist_ok=True)
+        handle, temporary = _temporary(target)
+        try:
+            yield temporary
+            with open(temporary, "rb") as written:
+                os.fsync(written.fileno())
+            temporary.chmod(0o644)
+            os.replace(temporary, target)
+        finally:
+            temporary.unlink(missing_ok=True)
+            os.close(handle)
+    except OSError as error:
+        raise ArtifactError(f"{path}: cannot be written ({reason(error)})") from error
+
+
+def check_output_folder(path: Path) -> None:
+    """Whether results can be written into this folder, which need not exist yet: before they are computed.
+
+    Raises:
+        ArtifactError: They cannot.
+    """
+    try:
+        existing = next(one for one in (path, *path.absolute().parents) if one.exists() or one.is_symlink())
+        if not existing.is_dir():
+            raise ArtifactError(f"{path}: {existing} is a file, expected a folder")
+        if not os.access(existing, os.W_OK | os.X_OK):
+            raise ArtifactError(f"{path}: cannot be written (no permission to write into {existing})")
+    except OSError as error:
+        raise ArtifactError(f"{path}: cannot be written ({reason(error)})") from error
+
+
+def provide_cache_folders() -> None:
+    """Where neither the package nor the home can be written, let Numba and Matplotlib cache in a temporary
+    folder: Numba refuses to compile without one. Processes that are started from here share it."""
+    home = Path(os.path.expanduser("~"))
+    caches = Path(os.environ.get("XDG_CACHE_HOME", home / ".cache"))
+    configs = Path(os.environ.get("XDG_CONFIG_HOME", home / ".config"))
+    beside = Path(__file__).parent / "__pycache__"
+    missing = []
+    if "NUMBA_CACHE_DIR" not in os.environ and not (_holds_files(beside) or _holds_files(caches / "numba")):
+        missing.append("NUMBA_CACHE_DIR")
+    if "MPLCONFIGDIR" not in os.environ and not _holds_files(configs / "matplotlib"):
+        missing.append("MPLCONFIGDIR")
+    if missing:
+        # A new folder of this user's own: what Numba reads back from it runs.
+        folder = tempfile.mkdtemp(prefix="torchpi-")
+        os.environ.update(dict.fromkeys(missing, folder))
+        owner = os.getpid()
+
+        def remove() -> None:
+            if os.getpid() == owner:  # and not a fork of it
+                shutil.rmtree(folder, ignore_errors=True)
+
+        atexit.register(remove)
+
+
+def _holds_files(folder: Path) -> bool:
+    """Whether a file can be made there, in folders that are made if need be."""
+    if not folder.is_absolute():
+        return False
+    existing = next(one for one in (folder, *folder.parents) if os.path.lexists(one))
+    return existing.is_dir() and os.access(existing, os.W_OK | os.X_OK)
+
+
+def reason(error: OSError) -> str:
+    """What the system says of an error, such as "no space left on device"."""
+    return (error.strerror or str(error) or type(error).__name__).lower()
+
+
+def _regular(path: Path) -> Path:
+    """The path, links followed, where a file may be written or replaced."""
+    target = Path(os.path.realpath(path))
+    if target.is_symlink():
+        raise ArtifactError(f"{path}: found a link that leads to itself, expected a file or a new name")
+    if target.is_dir():
+        raise ArtifactError(f"{path}: found a folder, expected a file or a new name")
+    if target.exists() and not target.is_file():
+        raise ArtifactError(f"{path}: found a device or a pipe, expected a file or a new name")
+    return target
+
+
+def _temporary(target: Path) -> tuple[int, Path]:
+    """A new file beside `target`, locked as long as its handle is open."""
+    # Names have limits in bytes; a part of a long one will do.
+    prefix = f".{target.stem[:40]}-"
+    for stale in target.parent.glob(f"{glob.escape(prefix)}????????{glob.escape(target.suffix)}"):
+        with contextlib.suppress(OSError):
+            handle = os.open(stale, os.O_RDWR | os.O_NOFOLLOW)
+            try:
+                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                stale.unlink()  # nobody writes it: its process was killed
+            finally:
+                os.close(handle)
+    while True:
+        handle, name = tempfile.mkstemp(prefix=prefix, suffix=target.suffix, dir=target.parent)
+        with contextlib.suppress(OSError):  # a file system without locks
+            fcntl.flock(handle, fcntl.LOCK_EX)
+        if os.fstat(handle).st_nlink:  # else another process took it for a stale one before it was locked
+            return handle, Path(name)
+        os.close(handle)
+
+
+def save_tensors(content: Any, path: Path) -> None:
+    """`torch.save`, in equal bytes for equal content: given a path, torch leaves its name inside, and answers
+    a full disk with an error of its own kind."""
+    import torch
+
+    buffer = io.BytesIO()
+    torch.save(content, buffer)
+    path.write_bytes(buffer.getvalue())
 
 
 def content_sha256(content: Any) -> str:

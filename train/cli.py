@@ -4,6 +4,8 @@ import argparse
 import logging
 import sys
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -12,12 +14,12 @@ from lightning import Trainer
 from lightning.pytorch.cli import LightningArgumentParser, LightningCLI
 
 from torchpi.command_line import run_command
-from torchpi.errors import RecordingWarning
+from torchpi.errors import ConfigError, RecordingWarning, TorchpiError
 from train import console, results
 from train.data import RecordingsData
 from train.module import InverseTraining
 from train.parser import TrainParser
-from train.run_folder import RunFolder, check_continues, new_run, run_to_continue
+from train.run_folder import RunFolder, check_continues, claim, new_run, run_to_continue
 from train.trainer import TrainerOptions, make_trainer
 
 DESCRIPTION = """\
@@ -68,6 +70,18 @@ def quieten() -> None:
         ".*torch.jit.*is deprecated.*",
     ):
         warnings.filterwarnings("ignore", message=message)
+
+
+@contextmanager
+def _settings_in_one_line() -> Iterator[None]:
+    """Values that parsers, Lightning and NumPy refuse in their own ways become one line."""
+    try:
+        yield
+    except (TorchpiError, OSError, RecursionError):
+        raise
+    except (TypeError, ValueError, AttributeError, LookupError, OverflowError, AssertionError) as error:
+        text = " ".join(str(error).split()) or "a value that cannot be used"
+        raise ConfigError(f"settings: {text}") from error
 
 
 class Formatter(argparse.RawDescriptionHelpFormatter, jsonargparse.DefaultHelpFormatter):
@@ -125,7 +139,8 @@ class FitCLI(LightningCLI):
         )
 
     def parse_arguments(self, parser: LightningArgumentParser, args: Any) -> None:
-        super().parse_arguments(parser, args)
+        with _settings_in_one_line():
+            super().parse_arguments(parser, args)
         # Taken out, because Lightning would let the checkpoint's settings overrule those given.
         self.checkpoint: str | None = self.config.fit.pop("ckpt_path", None)
 
@@ -137,6 +152,14 @@ class FitCLI(LightningCLI):
         else:
             self.folder = new_run(config.output, name, self.checkpoint)
 
+    def instantiate_classes(self) -> None:
+        with _settings_in_one_line():
+            super().instantiate_classes()
+
+    def _set_seed(self) -> None:
+        with _settings_in_one_line():
+            super()._set_seed()
+
     def instantiate_trainer(self, **kwargs: Any) -> Trainer:
         options: TrainerOptions = self._get(self.config_init, "trainer")
         return make_trainer(options, self.folder)
@@ -146,25 +169,29 @@ class FitCLI(LightningCLI):
         config = self.config.fit
         with warnings.catch_warnings(record=True) as heard:
             warnings.simplefilter("always", RecordingWarning)
-            datamodule.stage = model.load_stage()
-            datamodule.load()
+            with _settings_in_one_line():
+                datamodule.stage = model.load_stage()
+                datamodule.load()
             model.build(datamodule)
         console.show_data(datamodule, self.folder, [str(warning.message) for warning in heard])
         console.show_start(model)
         resumed = self.folder.last if self.checkpoint == "last" else self.checkpoint
         if resumed:
             check_continues(Path(resumed), model.compensator)
-        results.write_settings(
-            self.folder,
-            self._parser("fit").dump(config, skip_none=False),
-            datamodule,
-            int(config.seed_everything),
-            model.stage_file,
-        )
-        try:
-            self.trainer.fit(model, datamodule=datamodule, ckpt_path=resumed, weights_only=True)
-        except SystemExit:
-            # Lightning turns Ctrl-C into exit code 1.
-            console.show_interrupted(self.folder)
-            raise KeyboardInterrupt from None
-        console.show_results(results.write_results(self.folder, self.trainer, model, datamodule), self.folder)
+        with claim(self.folder, goes_on=self.checkpoint == "last"):
+            results.write_settings(
+                self.folder,
+                self._parser("fit").dump(config, skip_none=False),
+                datamodule,
+                int(config.seed_everything),
+                model.stage_file,
+            )
+            try:
+                self.trainer.fit(model, datamodule=datamodule, ckpt_path=resumed, weights_only=True)
+            except SystemExit as ended:
+                # Lightning turns an interrupt, and SIGTERM, into exit code 1.
+                console.show_interrupted(self.folder)
+                cause = ended.__context__
+                raise (cause if isinstance(cause, KeyboardInterrupt) else KeyboardInterrupt()) from None
+            metrics = results.write_results(self.folder, self.trainer, model, datamodule)
+            console.show_results(metrics, self.folder)

@@ -1,10 +1,16 @@
 """Where a run leaves its files, and whether it may."""
 
+import contextlib
+import fcntl
+import os
+import shutil
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 from torchpi.compensator import DirectInverse
 from torchpi.errors import ArtifactError, ConfigError
+from torchpi.files import check_output_folder
 from torchpi.trained import load_compensator
 
 RUNS = Path("runs")
@@ -24,6 +30,11 @@ class RunFolder:
     def facts(self) -> Path:
         """Seed, hashes of the data, versions."""
         return self.path / "run.json"
+
+    @property
+    def lock(self) -> Path:
+        """Held by the process that trains here."""
+        return self.path / ".lock"
 
     @property
     def checkpoints(self) -> Path:
@@ -69,20 +80,17 @@ def new_run(output: str | None, name: str, checkpoint: str | None) -> RunFolder:
     """The folder of a new run: `output`, or the next free one of that name.
 
     Raises:
-        ArtifactError: `output` is a file or is in use; the checkpoint to start from is missing.
+        ArtifactError: `output` is a file, is in use or cannot be written to; the checkpoint to start from is
+            missing.
     """
     if checkpoint is not None and not Path(checkpoint).is_file():
         raise ArtifactError(f"--ckpt_path {checkpoint}: no such file, want 'last' or a checkpoint")
     if output is None:
         return RunFolder(_free(name))
     path = Path(output)
-    if path.exists() and not path.is_dir():
-        raise ArtifactError(f"--output {output}: found a file, want a new or empty folder")
-    blocked = next((parent for parent in path.parents if parent.exists() and not parent.is_dir()), None)
-    if blocked:
-        raise ArtifactError(f"--output {output}: {blocked} is a file, want a new or empty folder")
+    check_output_folder(path)
     folder = RunFolder(path)
-    if path.is_dir() and any(path.iterdir()):
+    if path.is_dir() and any(path.iterdir()) and not _ended_early(folder):
         raise ArtifactError(f"--output {output}: {_contents(folder)}")
     return folder
 
@@ -108,6 +116,36 @@ def run_to_continue(output: str | None, name: str) -> RunFolder:
             f"--ckpt_path last: no {folder.last}; name a run's folder with --output, or leave out --ckpt_path"
         )
     return folder
+
+
+@contextlib.contextmanager
+def claim(folder: RunFolder, goes_on: bool) -> Iterator[None]:
+    """Make the folder, if need be, and hold it as long as this process trains there.
+
+    What a run left that was killed before its first checkpoint is cleared away, unless this one goes on.
+
+    Raises:
+        ArtifactError: Another process holds it, or has begun a run in it since it was chosen.
+    """
+    folder.path.mkdir(parents=True, exist_ok=True)
+    handle = os.open(folder.lock, os.O_RDWR | os.O_CREAT, 0o644)
+    try:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise ArtifactError(
+                f"{folder.path}: another process trains into it, expected a folder of its own for each run"
+            ) from None
+        except OSError:
+            pass  # a file system without locks
+        if not goes_on:
+            if any(entry != folder.lock for entry in folder.path.iterdir()) and not _ended_early(folder):
+                raise ArtifactError(f"{folder.path}: {_contents(folder)}")
+            shutil.rmtree(folder.events, ignore_errors=True)
+            shutil.rmtree(folder.checkpoints, ignore_errors=True)
+        yield
+    finally:
+        os.close(handle)
 
 
 def check_continues(checkpoint: Path, compensator: DirectInverse) -> None:
@@ -140,9 +178,17 @@ def _numbered(name: str) -> list[Path]:
     return paths
 
 
+def _ended_early(folder: RunFolder) -> bool:
+    """Whether the folder holds nothing but the beginnings of a run that has no checkpoint to go on with."""
+    own = {folder.lock, folder.config, folder.facts, folder.events, folder.checkpoints}
+    entries = set(folder.path.iterdir())
+    temporary = {one for one in entries if one.name.startswith((".config-", ".run-"))}
+    return folder.lock in entries and not folder.last.is_file() and entries - temporary <= own
+
+
 def _contents(folder: RunFolder) -> str:
     if folder.last.is_file():
         state = "a finished run" if folder.metrics.is_file() else "a run that was interrupted"
         return f"holds {state}; go on with it by --ckpt_path last, or name another folder"
-    first = min(entry.name for entry in folder.path.iterdir())
+    first = min(entry.name for entry in folder.path.iterdir() if entry != folder.lock)
     return f"is in use (it holds '{first}'), want a new or empty folder"

@@ -4,7 +4,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import torch
 from lightning import Trainer
 from lightning.fabric.utilities.exceptions import MisconfigurationException
 from lightning.pytorch.callbacks import EarlyStopping, ModelCheckpoint
@@ -12,10 +11,13 @@ from lightning.pytorch.loggers import TensorBoardLogger
 from lightning.pytorch.plugins.io import TorchCheckpointIO
 
 from torchpi.errors import ConfigError
-from torchpi.files import write_atomically
+from torchpi.files import save_tensors, write_atomically
 from train.callbacks import EpochProgress, TensorBoardFigures
 from train.module import CHOSEN_BY
 from train.run_folder import RunFolder
+
+OWN = ("callbacks", "logger", "plugins")
+"""Arguments of lightning.Trainer that are objects, and that a run cannot do without."""
 
 
 @dataclass
@@ -44,6 +46,9 @@ class TrainerOptions:
 
 def make_trainer(options: TrainerOptions, folder: RunFolder) -> Trainer:
     """A trainer that writes into `folder`, which need not exist yet."""
+    for name in OWN:
+        if name in (options.lightning or {}):
+            raise ConfigError(f"trainer.lightning.{name}: found a value, expected none: a run has its own")
     progress = [EpochProgress(options.max_epochs)] if options.progress else []
     settings: dict[str, Any] = dict(
         max_epochs=options.max_epochs,
@@ -84,4 +89,4 @@ class WholeCheckpoints(TorchCheckpointIO):
 
     def save_checkpoint(self, checkpoint: dict[str, Any], path: Any, storage_options: Any = None) -> None:
         with write_atomically(Path(path)) as temporary:
-            torch.save(checkpoint, temporary)
+            save_tensors(checkpoint, temporary)

@@ -54,8 +54,10 @@ def test_trained_motions_are_those_of_the_samples_that_count() -> None:
     u = torch.tensor([[50.0, 0.5, 1.0, 3.0, -50.0]], dtype=torch.float64)
     pair = InversePair("a", Motion(y, 10 * y, y), u, slice(1, 4), 0.1)
     found = TrainedMotions.of([pair])
-    assert found == TrainedMotions((1.0, 4.0), (10.0, 40.0), (0.5, 3.0), (5.0, 20.0))
+    assert found == TrainedMotions((1.0, 4.0), (10.0, 40.0), (0.5, 3.0), (5.0, 20.0), (1.0, 4.0))
     assert TrainedMotions.from_plain(found.plain()) == found
+    earlier = {name: value for name, value in found.plain().items() if name != "accelerations_um_s2"}
+    assert TrainedMotions.from_plain(earlier).accelerations_um_s2 is None
 
 
 def test_the_card_is_in_the_json_and_on_the_page(tmp_path: Path) -> None:

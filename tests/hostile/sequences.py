@@ -23,7 +23,7 @@ def compensator(**changes: object) -> DirectInverse:
         "min_voltage_v": VOLTAGES_V[0], "max_voltage_v": VOLTAGES_V[1],
         "trained": {
             "range_um": RANGE_UM, "rates_um_s": (-200.0, 200.0), "voltages_v": (0.0, 8.5),
-            "voltage_rates_v_s": (-250.0, 250.0),
+            "voltage_rates_v_s": (-250.0, 250.0), "accelerations_um_s2": (-6e3, 6e3),
         },
         **changes,
     }  # fmt: skip
@@ -38,9 +38,32 @@ def compensator(**changes: object) -> DirectInverse:
     return made
 
 
-def motion(samples: int) -> Tensor:
+def like_the_demo() -> DirectInverse:
+    """Wide plays that weigh something, and a second-order lead that multiplies jumps of the acceleration, at
+    the sample rate of `configs/demo.yaml`: what is left by a disturbance is remembered longest."""
+    thresholds = [0.0, 0.03, 0.12, 0.26, 0.46, 0.72, 1.04, 1.41, 1.85, 2.34, 2.88, 3.49, 4.15, 4.87]
+    made = DirectInverse(
+        1e-4, thresholds, range_um=8.0, rate_scale_um_s=1900.0, rate="linear", preview=2, lead=2,
+        creep_time_constants_s=[1e-3, 0.01, 0.1, 1.0], min_voltage_v=VOLTAGES_V[0],
+        max_voltage_v=VOLTAGES_V[1],
+        trained={
+            "range_um": RANGE_UM, "rates_um_s": (-1900.0, 1700.0), "voltages_v": (0.0, 8.5),
+            "voltage_rates_v_s": (-2200.0, 2000.0), "accelerations_um_s2": (-2e6, 2e6),
+        },
+    )  # fmt: skip
+    with torch.no_grad():
+        made.weights.theta.fill_(-0.02)
+        made.weights.theta[0] = torch.tensor([1.25, 0.02])
+        made.weights.theta[1:, 1] = 0.002
+        made.weights.theta[8:, 0] = -0.05
+        made.creep_gains.fill_(-0.015)
+        made.scaled_lead.copy_(torch.tensor([-3e-3, 6.3]))
+    return made
+
+
+def motion(samples: int, period_s: float = PERIOD_S) -> Tensor:
     """5 Hz through the trained range."""
-    t = PERIOD_S * torch.arange(samples, dtype=torch.float64)
+    t = period_s * torch.arange(samples, dtype=torch.float64)
     return 4.0 - 3.8 * torch.cos(2 * math.pi * 5 * t)
 
 
@@ -61,9 +84,9 @@ def hostile(seed: int) -> list[float]:
     return [rng.choice(chosen)() for _ in range(rng.choice([1, 1, 2, 5, 40]))]
 
 
-def disturbed(seed: int, samples: int) -> tuple[Tensor, int]:
-    """The motion with hostile samples in place of its own, and where they end."""
-    yd, inserted = motion(samples), hostile(seed)
-    start = random.Random(seed).randint(0, 250)
+def disturbed(seed: int, samples: int, period_s: float = PERIOD_S) -> tuple[Tensor, int]:
+    """The motion with hostile samples somewhere in its first period and a quarter, and where they end."""
+    yd, inserted = motion(samples, period_s), hostile(seed)
+    start = random.Random(seed).randint(0, round(0.25 / period_s))
     yd[start : start + len(inserted)] = torch.tensor(inserted, dtype=torch.float64)
     return yd, start + len(inserted)

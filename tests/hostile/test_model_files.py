@@ -3,6 +3,8 @@
 import linecache
 import random
 import struct
+import subprocess
+import sys
 import warnings
 import zipfile
 from collections.abc import Callable
@@ -289,6 +291,18 @@ def test_parameters_of_other_types_are_refused_in_one_line(
     del saved[HASH]
     torch.save(saved, tmp_path / "best.ckpt")
     refused(tmp_path / "best.ckpt", load_compensator)
+
+
+def test_equal_runs_leave_equal_bytes(tmp_path: Path) -> None:
+    # In processes of their own, since torch numbers the classes that one process has compiled.
+    program = (
+        "import sys; from tests.hostile.sequences import compensator; "
+        "from torchpi.export import save_torchscript; save_torchscript(compensator(), sys.argv[1])"
+    )
+    for name in ("a.pt", "b.pt"):
+        command = [sys.executable, "-W", "ignore", "-c", program, str(tmp_path / name)]
+        subprocess.run(command, check=True, cwd=Path(__file__).parents[2])
+    assert (tmp_path / "a.pt").read_bytes() == (tmp_path / "b.pt").read_bytes()
 
 
 def test_a_file_holds_no_name_of_a_temporary_one(good: bytes, tmp_path: Path) -> None:

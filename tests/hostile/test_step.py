@@ -10,7 +10,16 @@ from torch import Tensor
 
 from tests.export.c_compiler import Stepped, needs_cc
 from tests.export.test_torchscript import compensator as untrained
-from tests.hostile.sequences import PERIOD_S, RANGE_UM, VOLTAGES_V, compensator, disturbed, hostile, motion
+from tests.hostile.sequences import (
+    PERIOD_S,
+    RANGE_UM,
+    VOLTAGES_V,
+    compensator,
+    disturbed,
+    hostile,
+    like_the_demo,
+    motion,
+)
 from tests.test_compensator import scripted
 from tests.test_corrected import corrected
 from torchpi.compensator import DirectInverse
@@ -18,9 +27,9 @@ from torchpi.compensator_stream import CompensatorStream
 from torchpi.export import export_files
 from torchpi.export.deployable import Deployable
 from torchpi.indirect import ConventionalInverse
+from torchpi.motion import backward_motion
 from torchpi.operators import ReferenceFilter
 
-RECOVERY = round(1.0 / PERIOD_S)  # a second, less than ten times the longest relaxation
 TOLERANCE_V = 1e-3 * (VOLTAGES_V[1] - VOLTAGES_V[0])
 
 
@@ -37,27 +46,63 @@ def c_forms(
 
 @needs_cc
 @pytest.mark.parametrize("filtered", [False, True])
+@pytest.mark.parametrize("made", [compensator(), like_the_demo()], ids=["plain", "like the demo"])
 def test_after_a_hostile_sequence_the_output_is_soon_the_undisturbed_one(
-    filtered: bool, tmp_path: Path
+    made: DirectInverse, filtered: bool, tmp_path: Path
 ) -> None:
-    filter_ = ReferenceFilter(PERIOD_S) if filtered else None
-    samples = RECOVERY + 500
-    for step in c_forms(compensator(), tmp_path, filter_):
-        undisturbed = step.block(motion(samples))
+    period_s = made.sample_period_s
+    filter_ = ReferenceFilter(period_s) if filtered else None
+    recovery = round(1.0 / period_s)  # a second, less than ten times the longest relaxation
+    samples = round(1.5 / period_s)
+    for step in c_forms(made, tmp_path, filter_):
+        undisturbed = step.block(motion(samples, period_s))
         for seed in range(500):
-            yd, end = disturbed(seed, samples)
+            yd, end = disturbed(seed, samples, period_s)
             step.reset()
             u = step.block(yd)
             assert bool(((u >= VOLTAGES_V[0]) & (u <= VOLTAGES_V[1])).all()), seed
-            left = (u - undisturbed)[end + RECOVERY :].abs().max()
+            left = (u - undisturbed)[end + recovery :].abs().max()
             assert float(left) <= TOLERANCE_V, (seed, float(left))
+
+
+def test_a_held_sample_does_not_carry_the_lead_past_the_turning_point_of_the_motion() -> None:
+    made = like_the_demo()
+    yd = motion(1500, made.sample_period_s)
+    most = max(accepted_by(made, yd))
+    for at in range(960, 1010, 7):  # the motion turns at 1000
+        glitch = yd.clone()
+        glitch[at] = math.nan
+        assert max(accepted_by(made, glitch)) <= most + 1e-3
+
+
+def accepted_by(made: DirectInverse, yd: Tensor) -> list[float]:
+    """What the plays are driven with before creep, µm."""
+    stream = made.stream()
+    found = []
+    for sample in yd.tolist():
+        stream.step(sample)
+        found.append(stream.last_x)  # type: ignore[attr-defined]
+    return found
+
+
+def test_within_the_trained_motions_the_lead_is_that_of_the_batch_pass() -> None:
+    made = like_the_demo()
+    yd = motion(400, made.sample_period_s)
+    with torch.no_grad():
+        expected = made(backward_motion(yd[None], made.sample_period_s))[0]
+    assert same_bits(made.stream().block(yd), expected)
 
 
 @needs_cc
 @pytest.mark.parametrize("slew", [None, 500.0])
 def test_hostile_sequences_have_the_same_bits_in_every_form(slew: float | None, tmp_path: Path) -> None:
-    made = compensator(max_slew_v_s=slew)
-    double, _ = c_forms(made, tmp_path)
+    for made in (compensator(max_slew_v_s=slew), like_the_demo()):
+        (tmp_path / str(made.sample_period_s)).mkdir()
+        check_bits(made, tmp_path / str(made.sample_period_s))
+
+
+def check_bits(made: DirectInverse, folder: Path) -> None:
+    double, _ = c_forms(made, folder)
     python, script = made.stream(), scripted(made.stream())
     for seed in range(60):
         yd = torch.tensor([*motion(20).tolist(), *hostile(seed), *motion(30).tolist()], dtype=torch.float64)

@@ -50,6 +50,15 @@ def test_mistakes_on_the_command_line(
         ("modle: {degree: 3}", "nearest is 'model"),
         ("data: {simulate: {train: [{excitaton: sine_5hz}]}}", "nearest is 'excitation'"),
         ("data: [", "parsing"),
+        ("data: 3", "settings: "),
+        ("model: null", ""),
+        ("model: [1]", ""),
+        ("seed_everything: -5", "-5 is not in bounds"),
+        ("data: {simulate: {stage: configs/stage/default.yaml, train: []}}", "settings: "),
+        ("data: !!python/object/apply:os.system ['true']", "python/object"),
+        ("data: &a [*a]", ""),
+        ("data: \x00", ""),
+        ("data: " + 5000 * "[", ""),
     ],
 )
 def test_mistakes_in_a_config(
@@ -67,6 +76,8 @@ def test_settings_that_do_not_go_together(
     assert "adam" in refused([*common, "--data.window_samples=100"], capsys)
     assert "inside" in refused([*common, "--data.evaluate_s=[3, 4]"], capsys)
     assert "max_stepps" in refused([*common, "--trainer.lightning={max_stepps: 3}"], capsys)
+    callbacks = refused([*common, "--trainer.lightning={callbacks: [x]}"], capsys)
+    assert "trainer.lightning.callbacks" in callbacks
     assert not (tmp_path / "run").exists()
 
 

@@ -13,15 +13,15 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-import torch
 from rich.console import Console
 
 from torchpi.commission.outcome import Outcome
 from torchpi.compensator import DirectInverse
-from torchpi.errors import ArtifactError, RecordingError
+from torchpi.errors import RecordingError
 from torchpi.export import made_files, write_together
 from torchpi.export.formats import Files
 from torchpi.export.torchscript import script, warm
+from torchpi.files import check_output_folder, save_tensors
 from torchpi.identification import InversePair, inverse_errors, inverse_pair
 from torchpi.identification.forward_stage import identify_stage
 from torchpi.identification.pair import seen_ahead
@@ -64,7 +64,7 @@ def commission(
         RecordingError: A file that cannot be used, fewer than two, two that are the same, or different rates.
         ArtifactError: `output` cannot be a folder.
     """
-    check_output(output)
+    check_output_folder(output)
     recordings = read(paths, options)
     *train, heldout = recordings
     samples, looped = sum(map(len, train)), min(len(heldout), MOST_LOOP_SAMPLES)
@@ -102,13 +102,6 @@ def commission(
     log(f"stage   {output / 'stage.pt'}: torchpi run {output / NAME}.pt takes it, for motions of your own")
     log(f"page    {output / 'commission.html'}; the same numbers in commission.json")
     return outcome
-
-
-def check_output(output: Path) -> None:
-    """Raise `ArtifactError` where no folder can be."""
-    blocked = next((path for path in (output, *output.parents) if path.exists() and not path.is_dir()), None)
-    if blocked:
-        raise ArtifactError(f"--output {output}: found the file {blocked}, expected a folder")
 
 
 def read(paths: Sequence[Path], options: RecordingOptions) -> list[Recording]:
@@ -176,7 +169,7 @@ def made(outcome: Outcome, output: Path, command: str, options: RecordingOptions
     html = commission_page.page(outcome, run)
     files = made_files(outcome.compensator, output / NAME, FORMATS)
     files[output / "stage.pt"] = outcome.stage.write
-    files[output / "checkpoints" / "best.ckpt"] = partial(torch.save, to_checkpoint(outcome.compensator))
+    files[output / "checkpoints" / "best.ckpt"] = partial(save_tensors, to_checkpoint(outcome.compensator))
     files[output / "commission.json"] = lambda path: path.write_text(text, encoding="utf-8")
     files[output / "commission.html"] = lambda path: path.write_text(html, encoding="utf-8")
     return files

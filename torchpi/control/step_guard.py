@@ -10,8 +10,10 @@ Before it, `accept` decides what is taken for the desired displacement:
 
 Thus whatever the equations see is finite, bounded, and of bounded rate, and what is held leaves nothing in
 the memory of hysteresis and creep. The derivatives of a lead are formed of four samples, and would carry a
-jump into the plays at many times its size: `smooth` counts the samples since the last one that was held, or
-moved faster than trained, and leads wait for three of them.
+jump, or the step after a sample that was held, into the plays at many times its size: `smooth` counts the
+samples since the last one that was held, or moved faster than trained, and leads wait for four of them.
+Meanwhile the plays' input stays where it was, as far as the lead of the trained rates and accelerations can
+explain: with no lead it could pass the turning points of the motion, which wide plays never forget.
 
 Behind the equations, `emit` limits the voltage, and its change where that is wanted, and counts in
 `limited_outputs`. States do not wind up: beyond the trained range, but for one per cent, nothing is accepted
@@ -122,7 +124,7 @@ class GuardedStep(nn.Module):
         self.start_v = min(max(0.0, limits.min_voltage_v), limits.max_voltage_v)
         self.started = False
         self.confirmed = 0
-        self.smooth = 3
+        self.smooth = 4
         self.last_sample = self.start_um
         self.last_input = self.start_um
         self.last_voltage = self.start_v
@@ -133,7 +135,7 @@ class GuardedStep(nn.Module):
     def reset_guard(self) -> None:
         self.started = False
         self.confirmed = 0
-        self.smooth = 3
+        self.smooth = 4
         self.last_sample = self.start_um
         self.last_input = self.start_um
         self.last_voltage = self.start_v
@@ -154,7 +156,7 @@ class GuardedStep(nn.Module):
             self.last_input = yd
             self.last_sample = yd
             self.started = True
-            if self.smooth < 3:
+            if self.smooth < 4:
                 self.smooth += 1
         else:
             self.accept_beyond(yd)

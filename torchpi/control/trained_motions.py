@@ -35,38 +35,44 @@ class TrainedMotions:
         rates_um_s: Signed rate of the displacement, µm/s.
         voltages_v: Voltage, V.
         voltage_rates_v_s: Change of the voltage from sample to sample over the sample period, V/s.
+        accelerations_um_s2: Acceleration of the displacement, µm/s²; None in files of earlier versions.
     """
 
     range_um: Interval
     rates_um_s: Interval
     voltages_v: Interval
     voltage_rates_v_s: Interval
+    accelerations_um_s2: Interval | None = None
 
     @classmethod
     def of(cls, pairs: Iterable[Pair]) -> "TrainedMotions":
         """Those of the records that a compensator is trained on."""
-        y, rates, u, changes = [], [], [], []
+        y, rates, u, changes, accelerations = [], [], [], [], []
         for pair in pairs:
             y.append(pair.motion.yd[0, pair.counted])
             rates.append(pair.motion.yd_dot[0, pair.counted])
             u.append(pair.u[0, pair.counted])
             changes.append(u[-1].diff() / pair.sample_period_s)
-        return cls(*(_interval(torch.cat(part)) for part in (y, rates, u, changes)))
+            accelerations.append(pair.motion.yd_ddot[0, pair.counted])
+        return cls(*(_interval(torch.cat(part)) for part in (y, rates, u, changes, accelerations)))
 
     @classmethod
-    def from_plain(cls, values: Mapping[str, Sequence[float]]) -> "TrainedMotions":
+    def from_plain(cls, values: Mapping[str, Sequence[float] | None]) -> "TrainedMotions":
         """The inverse of `plain`.
 
         Raises:
             ConfigError: Another key, or no interval of finite numbers.
         """
         names = set(cls.__dataclass_fields__)
-        if not isinstance(values, Mapping) or set(values) != names:
+        if not isinstance(values, Mapping) or set(values) | {"accelerations_um_s2"} != names:
             found = sorted(values) if isinstance(values, Mapping) else type(values).__name__
             raise ConfigError(f"trained: found {found}, expected {', '.join(sorted(names))}")
         intervals = {}
         for name, value in values.items():
-            interval = torch.tensor([float(end) for end in value], dtype=torch.float64)
+            if value is None and name == "accelerations_um_s2":
+                continue
+            ends = [float(end) for end in value] if isinstance(value, Sequence) else []
+            interval = torch.tensor(ends, dtype=torch.float64)
             if len(interval) != 2 or not bool(torch.isfinite(interval).all()) or interval[0] > interval[1]:
                 raise ConfigError(f"trained.{name}: found {value}, expected two finite numbers in order")
             intervals[name] = (interval[0].item(), interval[1].item())
@@ -74,7 +80,7 @@ class TrainedMotions:
 
     def plain(self) -> dict[str, Any]:
         """Lists of numbers by name, as hyper-parameters and JSON keep them."""
-        return {name: list(value) for name, value in asdict(self).items()}
+        return {name: None if value is None else list(value) for name, value in asdict(self).items()}
 
 
 def _interval(values: Tensor) -> Interval:

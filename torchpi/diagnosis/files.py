@@ -1,23 +1,22 @@
 """A diagnosis from files to files."""
 
-import os
 import shutil
 import time
-from collections.abc import Iterator, Sequence
-from concurrent.futures import Executor, ProcessPoolExecutor
-from contextlib import contextmanager
-from multiprocessing import get_context
+from collections.abc import Sequence
+from contextlib import nullcontext
 from pathlib import Path
 
 from torchpi.diagnosis.diagnose import diagnose
 from torchpi.diagnosis.diagnosis import Diagnosis
-from torchpi.diagnosis.parallel import end_with_parent, get_ready
+from torchpi.diagnosis.parallel import get_ready
 from torchpi.diagnosis.simulation import Simulation
 from torchpi.errors import ConfigError
 from torchpi.excitation_files import write_excitation
+from torchpi.files import check_output_folder
 from torchpi.recordings.recording import RecordingOptions, read_recording
 from torchpi.simulators import COLUMN, Simulator, load_simulator
 from torchpi.stage import Stage
+from torchpi.workers import worker_pool
 
 
 def diagnose_files(
@@ -35,7 +34,8 @@ def diagnose_files(
     known.
 
     Raises:
-        ConfigError: An unknown executor, or an output that is a file.
+        ConfigError: An unknown executor.
+        ArtifactError: An output that cannot be written to.
         RecordingError: What is wrong with a recording.
     """
     # Drawing comes with matplotlib, which a diagnosis from Python does without.
@@ -43,7 +43,9 @@ def diagnose_files(
     from torchpi.report.diagnosis_page import write_diagnosis
     from torchpi.report.what_was_run import provenance
 
-    check_options(output, executor)
+    if executor not in ("processes", "here"):
+        raise ConfigError(f"--executor: found '{executor}', expected processes or here")
+    check_output_folder(output)
     given = None if simulation is None else load_simulation(simulation)
     recordings = [
         read_recording(path, options, allow_constant_input=True, simulated=given == COLUMN) for path in paths
@@ -55,7 +57,7 @@ def diagnose_files(
 
     for recording in recordings:
         say(f"{recording.source}: {len(recording):,} samples at {recording.fs_hz:g} Hz")
-    with executor_of(executor) as pool:
+    with worker_pool(get_ready) if executor == "processes" else nullcontext() as pool:
         found = diagnose(recordings, given, say=say, executor=pool)
     say("report: figures and page")
     files = {f"recording {recording.name}": recording.source for recording in recordings}
@@ -85,51 +87,3 @@ def load_simulation(text: str) -> Simulation:
     if Path(text).suffix.lower() in (".yaml", ".yml", ".pt"):
         return Stage.load(text)
     return load_simulator(text)
-
-
-def check_options(output: Path, executor: str) -> None:
-    """Raise `ConfigError` for an option that cannot be."""
-    if executor not in ("processes", "here"):
-        raise ConfigError(f"--executor is '{executor}', wanted processes or here")
-    if output.exists() and not output.is_dir():
-        raise ConfigError(f"{output} is a file, wanted a folder for the results; choose another")
-
-
-@contextmanager
-def executor_of(name: str) -> Iterator[Executor | None]:
-    """Processes for all cores but the one that this process has, or none."""
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    if name == "here" or cores == 1:
-        yield None
-        return
-    # Spawned, because a forked process would inherit the threads of torch in an unknown state.
-    workers = min(cores, 4) - 1
-    with one_thread_each():
-        pool = ProcessPoolExecutor(workers, get_context("spawn"), end_with_parent, (os.getpid(),))
-        try:
-            for _ in range(workers):
-                pool.submit(get_ready)  # they import while the first fits run here
-            yield pool
-        except BaseException:
-            # What was interrupted does not wait for fits that nobody will see.
-            for process in list((pool._processes or {}).values()):
-                process.kill()
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
-        pool.shutdown()
-
-
-@contextmanager
-def one_thread_each() -> Iterator[None]:
-    """Processes that start meanwhile multiply matrices in one thread: as many as cores for each of as many
-    processes take three times as long."""
-    names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-    before = {name: os.environ.get(name) for name in names}
-    os.environ.update(dict.fromkeys(names, "1"))
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            os.environ.pop(name)
-            if value is not None:
-                os.environ[name] = value

@@ -1,10 +1,7 @@
 """Independent fits and screens, here or in any executor of `concurrent.futures`."""
 
-import os
 import pickle
-import signal
 import threading
-import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from functools import partial
@@ -73,18 +70,6 @@ def screen_all(
         each = [iter(piece) for piece in found[first : first + PIECES]]
         together.append([next(each[k % PIECES]) for k in range(len(members))])
     return together
-
-
-def end_with_parent(parent: int) -> None:
-    """In a worker: leave an interrupt to the parent, and end when the parent is gone, however it ended."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-
-    def watch() -> None:
-        while os.getppid() == parent:
-            time.sleep(0.5)
-        os._exit(1)
-
-    threading.Thread(target=watch, daemon=True).start()
 
 
 def get_ready() -> None:

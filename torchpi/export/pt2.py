@@ -7,6 +7,7 @@ both ways of an `if` are computed, and `where` selects.
 
 import ast
 import functools
+import io
 import json
 import warnings
 from collections.abc import Callable, Iterator
@@ -36,7 +37,10 @@ def pt2_files(
     extra = {CONTRACT: json.dumps(contract)}
 
     def write(path: Path) -> None:
-        torch.export.save(program, path, extra_files=dict(extra))
+        # Through a buffer: a full disk is then an OSError.
+        buffer = io.BytesIO()
+        torch.export.save(program, buffer, extra_files=dict(extra))
+        path.write_bytes(buffer.getvalue())
 
     return {output.with_name(output.name + ".pt2"): write}
 

@@ -21,7 +21,7 @@ from rich.progress import (
 
 import torchpi
 from torchpi.errors import ConfigError
-from torchpi.files import write_atomically
+from torchpi.files import check_output_folder, write_atomically
 from torchpi.paper.context import FULL, RECIPE, Context, Item, Recipe, Size
 from torchpi.paper.items import ITEMS
 from torchpi.paper.stored import restore, store
@@ -59,8 +59,10 @@ def reproduce(
     Raises:
         ConfigError: An unknown name; the text lists the known ones. Or a stage file that is none.
         StageError: A stage with an unphysical value.
+        ArtifactError: `output` cannot be written to.
     """
     names = chosen(only)
+    check_output_folder(output)
     plant = Stage.from_yaml(stage)
     plant.requires_grad_(False)
     keys = _keys(plant, size, recipe)

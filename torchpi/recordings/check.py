@@ -8,7 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from torchpi.errors import ConfigError, RecordingError
+from torchpi.errors import RecordingError
+from torchpi.files import check_output_folder
 from torchpi.recordings.checks import AWAY_FROM_ZERO
 from torchpi.recordings.options import RecordingOptions
 from torchpi.recordings.readers import open_source
@@ -33,13 +34,12 @@ def check_files(
 
     Raises:
         RecordingError: the last of the files that cannot be used.
-        ConfigError: an output that is a file.
+        ArtifactError: an output that cannot be written to.
     """
     from torchpi.report.check_page import Checked, write_check
     from torchpi.report.what_was_run import provenance
 
-    if output.exists() and not output.is_dir():
-        raise ConfigError(f"{output}: is a file, expected a folder for the page; choose another")
+    check_output_folder(output)
     checked: list[Checked] = []
     failures: list[RecordingError] = []
     for path in paths:

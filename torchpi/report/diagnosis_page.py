@@ -1,8 +1,6 @@
 """The page of a diagnosis: what is missing, how probable that is, where it shows, and what is left."""
 
 import math
-import os
-import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -55,15 +53,13 @@ def write_diagnosis(
     drawn = {name: _drawn(name, figure) for name, figure in figures.items()}
     html = _page(diagnosis, provenance, drawn)
     text = diagnosis_json(diagnosis, provenance)
-    directory.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(prefix=".diagnosis-", dir=directory) as temporary:
-        fresh, stale = Path(temporary) / "figures", Path(temporary) / "stale"
-        for name, figure in figures.items():
-            write_png(figure, fresh / f"{name}.png")
-            (fresh / f"{name}.svg").write_text(_alone(drawn[name]["svg"]), encoding="utf-8")
-        if pictures.exists():
-            os.replace(pictures, stale)
-        os.replace(fresh, pictures)
+    for name, figure in figures.items():
+        write_png(figure, pictures / f"{name}.png")
+        with write_atomically(pictures / f"{name}.svg") as file:
+            file.write_text(_alone(drawn[name]["svg"]), encoding="utf-8")
+    for earlier in pictures.glob("*"):
+        if earlier.suffix in (".png", ".svg") and earlier.stem not in figures:
+            earlier.unlink()
     if len(diagnosis.next_excitation[0]):
         write_excitation(directory / "next_excitation.csv", *diagnosis.next_excitation)
     for path, content in ((page, html), (numbers, text)):

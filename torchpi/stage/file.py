@@ -1,6 +1,5 @@
 """A stage's file: plain settings with a hash of them, read only if they are what was written."""
 
-import io
 import warnings
 from collections.abc import Mapping
 from pathlib import Path
@@ -9,7 +8,7 @@ from typing import Any
 import torch
 
 from torchpi.errors import ArtifactError
-from torchpi.files import check_archive, content_sha256
+from torchpi.files import check_archive, content_sha256, save_tensors
 
 SCHEMA, VERSION = "torchpi stage", 2
 OLDER_SCHEMA = "torchpi augmented stage"
@@ -21,10 +20,7 @@ EXPECTED = "expected a stage.pt of 'torchpi diagnose' or of a training, or a sta
 def write_settings(path: Path, settings: Mapping[str, Any]) -> None:
     """Write settings, plain values by name, which `torch.load` reads with weights only."""
     content = {"schema": SCHEMA, "version": VERSION, **settings}
-    # From a buffer, because a path leaves its name inside, and this one may be temporary.
-    buffer = io.BytesIO()
-    torch.save({**content, HASH: content_sha256(content)}, buffer)
-    path.write_bytes(buffer.getvalue())
+    save_tensors({**content, HASH: content_sha256(content)}, path)
 
 
 def read_settings(path: Path) -> dict[str, Any]:

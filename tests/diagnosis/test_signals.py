@@ -1,0 +1,82 @@
+"""A diagnosis that is interrupted or killed leaves no process behind."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from torchpi.recordings.recording import Recording, write_recording
+
+ROOT = Path(__file__).parents[2]
+MOST_S = 2.0
+
+pytestmark = [
+    pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="children are found in /proc"),
+    pytest.mark.skipif((os.cpu_count() or 1) < 2, reason="one core: no workers"),
+]
+
+
+def descendants(process: int) -> list[int]:
+    found = []
+    for file in Path("/proc").glob(f"{process}/task/*/children"):
+        for child in map(int, file.read_text().split()):
+            found += [child, *descendants(child)]
+    return found
+
+
+def alive(process: int) -> bool:
+    try:
+        state = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0]
+    except OSError:
+        return False
+    return state != "Z"
+
+
+@pytest.fixture
+def diagnosis(tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
+    """`torchpi diagnose` with its workers started."""
+    t = np.arange(20_000) / 2e3
+    u = 5 - 5 * np.cos(2 * np.pi * (1 + 2 * t) * t)
+    y = 0.8 * u + 0.1 * np.sin(u) + np.random.default_rng(0).normal(0, 0.01, len(t))
+    write_recording(tmp_path / "a.csv", Recording("a", t, u, y, 2e3))
+    command = [sys.executable, "-m", "torchpi", "diagnose", str(tmp_path / "a.csv")]
+    process = subprocess.Popen(
+        [*command, "--output", str(tmp_path / "diagnosis")],
+        cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    end = time.monotonic() + 60
+    # A tracker of resources and at least one worker.
+    while len(descendants(process.pid)) < 2 and process.poll() is None and time.monotonic() < end:
+        time.sleep(0.05)
+    yield process
+    process.kill()
+    process.communicate()
+
+
+@pytest.mark.parametrize("after_s", [0.0, 4.0])
+@pytest.mark.parametrize(
+    ("number", "code", "word"),
+    [(signal.SIGTERM, 143, "terminated"), (signal.SIGINT, 130, "interrupted"), (signal.SIGKILL, -9, "")],
+    ids=["TERM", "INT", "KILL"],
+)
+def test_an_ended_diagnosis_leaves_no_process(
+    number: signal.Signals, code: int, word: str, after_s: float, diagnosis: subprocess.Popen[str]
+) -> None:
+    time.sleep(after_s)
+    children = descendants(diagnosis.pid)
+    assert len(children) >= 2
+    sent = time.monotonic()
+    diagnosis.send_signal(number)
+    while any(map(alive, children)) and time.monotonic() < sent + MOST_S:
+        time.sleep(0.02)
+    assert not any(map(alive, children))
+    diagnosis.wait(5 * MOST_S)
+    error = diagnosis.stderr.read() if diagnosis.stderr else ""
+    assert diagnosis.returncode == code
+    assert not word or error == f"torchpi: {word}; files already written are whole\n"

@@ -1,0 +1,201 @@
+"""Commands that are killed at random moments, and what must hold afterwards."""
+
+import json
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import time
+import zipfile
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import torch
+import yaml
+
+from tests.hostile.sequences import compensator
+from torchpi.recordings.recording import Recording, write_recording
+from torchpi.trained import to_checkpoint
+
+ROOT = Path(__file__).parents[2]
+SIGNALS = (signal.SIGTERM, signal.SIGKILL, signal.SIGINT)
+GONE_WITHIN_S = 2.0
+
+
+@dataclass(frozen=True)
+class Command:
+    """A command line, and the folder that holds everything it writes.
+
+    Attributes:
+        arguments: For `python -m`.
+        output: Its folder; nothing of the next run may depend on what a killed one left there.
+        again: How it is run after a kill, where that is not the same line.
+    """
+
+    arguments: Sequence[str]
+    output: Path
+    again: Callable[[], Sequence[str]] | None = None
+
+
+@dataclass
+class Outcome:
+    """What was seen of one command.
+
+    Attributes:
+        kills: By name of the signal, those that came before the command had ended.
+        faults: A line for each thing that must not be.
+    """
+
+    kills: dict[str, int] = field(default_factory=lambda: {one.name: 0 for one in SIGNALS})
+    faults: list[str] = field(default_factory=list)
+
+
+def commands(folder: Path) -> dict[str, Command]:
+    """Small ones of each kind, in a folder that is made ready for them."""
+    (folder / "recordings").mkdir(parents=True)
+    paths = []
+    for seed in range(2):
+        paths.append(str(folder / "recordings" / f"{seed}.csv"))
+        write_recording(paths[-1], recording(seed))
+    run = folder / "run" / "checkpoints"
+    run.mkdir(parents=True)
+    torch.save(to_checkpoint(compensator()), run / "best.ckpt")
+    fit = ["train", "fit", "--data.recordings", json.dumps(paths), "--model.plays=5",
+           "--trainer.max_epochs=6", "--output", str(folder / "fit")]  # fmt: skip
+    last = folder / "fit" / "checkpoints" / "last.ckpt"
+
+    def fit_again() -> Sequence[str]:
+        finished = (folder / "fit" / "metrics.json").is_file()
+        if finished:
+            shutil.rmtree(folder / "fit")
+        return [*fit, "--ckpt_path", "last"] if last.is_file() else fit
+
+    stage = str(ROOT / "configs/stage/qin2013.yaml")
+    exported, figures, diagnosis = folder / "export", folder / "figures", folder / "diagnosis"
+    paper = folder / "paper"
+    return {
+        "fit": Command(fit, folder / "fit", fit_again),
+        "export": Command(
+            ["torchpi", "export", str(run.parent), "--to", "torchscript,c,json,page",
+             "--allow_backwards", "true", "--output", str(exported / "c")],
+            exported,
+        ),
+        "diagnose": Command(["torchpi", "diagnose", paths[0], "--output", str(diagnosis)], diagnosis),
+        "reproduce": Command(
+            ["torchpi", "reproduce", "--only", "fig8", "--stage", stage, "--output", str(paper)], paper
+        ),
+        "figures": Command(["torchpi", "check", *paths, "--output", str(figures)], figures),
+    }  # fmt: skip
+
+
+def recording(seed: int) -> Recording:
+    """Two plays and a bend over a smooth random voltage, 1 s at 500 Hz."""
+    random_ = np.random.default_rng(seed)
+    t = np.arange(500) / 500.0
+    wave = sum(np.sin(2 * np.pi * f * t + random_.uniform(0, 6)) for f in (2, 3, 5, 7))
+    u = 5 * (1 + wave / 4) * (1 - np.exp(-t / 0.05))
+    h = np.zeros(len(t))
+    for k in range(1, len(t)):
+        h[k] = max(u[k] - 0.5, min(u[k] + 0.5, h[k - 1]))
+    y = 0.6 * u + 0.3 * h + 0.004 * u**2 + random_.normal(0, 2e-3, len(t))
+    return Recording(f"r{seed}", t, u, y, 500.0)
+
+
+def kill_often(command: Command, rounds: int, seed: int = 0) -> Outcome:
+    """Run it, kill it `rounds` times with each signal at random moments, and run it again after each."""
+    rng, outcome = random.Random(seed), Outcome()
+    started = time.monotonic()
+    done = finish(command.arguments)
+    lasts_s = time.monotonic() - started
+    if done.returncode:
+        raise RuntimeError(f"{command.arguments}: {done.stderr}")
+    for one in SIGNALS * rounds:
+        arguments = command.again() if command.again else command.arguments
+        before = {path: path.read_bytes() for path in files(command.output)}
+        process = subprocess.Popen(
+            [sys.executable, "-m", *arguments],
+            cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
+        )  # fmt: skip
+        at_s = rng.uniform(0.1, 1.05) * lasts_s
+        time.sleep(at_s)
+        children = descendants(process.pid)
+        killed = process.poll() is None
+        process.send_signal(one)
+        _, error = process.communicate()
+        outcome.kills[one.name] += killed
+        what = f"{one.name} after {at_s:.2f} s"
+        time.sleep(GONE_WITHIN_S if any(map(alive, children)) else 0.0)
+        if any(map(alive, children)):
+            outcome.faults.append(f"{what}: processes go on")
+        if "Traceback" in error and at_s > 2.0:  # before, Python itself is starting
+            outcome.faults.append(f"{what}: a traceback, {error.splitlines()[-1]}")
+        for path in {*files(command.output), *before}:
+            if not whole(path):
+                outcome.faults.append(f"{what}: {path.name} is not whole")
+        again = finish(command.again() if command.again else command.arguments)
+        if again.returncode:
+            outcome.faults.append(f"{what}: the next run failed, {again.stderr[-300:]}")
+        outcome.faults += [f"{what}: {path.name} is left" for path in temporaries(command.output)]
+    return outcome
+
+
+def finish(arguments: Sequence[str]) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([sys.executable, "-m", *arguments], cwd=ROOT, capture_output=True, text=True)
+
+
+def temporaries(folder: Path) -> list[Path]:
+    return [path for path in folder.rglob(".*") if path.name != ".lock"]
+
+
+def files(folder: Path) -> list[Path]:
+    """What a run left, but for the events of TensorBoard, which are appended to."""
+    found = [path for path in folder.rglob("*") if path.is_file() and not path.name.startswith(".")]
+    return [path for path in found if "tensorboard" not in path.parts]
+
+
+def whole(path: Path) -> bool:
+    """Whether a file is there and ends where its format ends."""
+    if not path.is_file():
+        return False
+    content = path.read_bytes()
+    try:
+        match path.suffix:
+            case ".json":
+                json.loads(content)
+            case ".yaml":
+                return bool(yaml.safe_load(content))
+            case ".pt" | ".ckpt" | ".npz" | ".pt2":
+                with zipfile.ZipFile(path) as archive:
+                    return archive.testzip() is None
+            case ".html" | ".svg":
+                return content.rstrip().endswith((b"</html>", b"</svg>"))
+            case ".png":
+                return content.endswith(b"IEND\xaeB`\x82")
+            case _:
+                return content.endswith(b"\n")
+    except (ValueError, yaml.YAMLError, zipfile.BadZipFile):
+        return False
+    return True
+
+
+def descendants(process: int) -> list[int]:
+    """Its children and theirs, from /proc."""
+    found = []
+    for file in Path("/proc").glob(f"{process}/task/*/children"):
+        try:
+            children = [int(child) for child in file.read_text().split()]
+        except OSError:
+            continue  # it has just ended
+        for child in children:
+            found += [child, *descendants(child)]
+    return found
+
+
+def alive(process: int) -> bool:
+    try:
+        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
