@@ -17,11 +17,12 @@ from tests.diagnosis.plants import (
 )
 from tests.diagnosis.prepared import prepared
 from torchpi.diagnosis.chain import Chain
-from torchpi.diagnosis.fit import fit, jacobian, with_theta
+from torchpi.diagnosis.fit import fit, jacobian
 from torchpi.diagnosis.hypothesis import Fit, Hypothesis, Member
 from torchpi.diagnosis.nominal import bouc_wen, many_plays, preisach
 from torchpi.diagnosis.records import seen
 from torchpi.diagnosis.reduced_basis import reduced, refitted
+from torchpi.diagnosis.slots import with_theta
 from torchpi.recordings.recording import Recording
 from torchpi.stage.effects.actuator.creep import Creep
 from torchpi.stage.effects.actuator.hysteresis_asymmetry import HysteresisAsymmetry

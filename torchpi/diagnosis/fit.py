@@ -2,16 +2,15 @@
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from torchpi.diagnosis.chain import Chain
-from torchpi.diagnosis.hypothesis import Fit, Hypothesis, Member, Slot
+from torchpi.diagnosis.hypothesis import Fit, Hypothesis, Slot
 from torchpi.diagnosis.records import Record
+from torchpi.diagnosis.slots import at_bound, slots_of, to_inner, to_outer, value_at, with_theta
 from torchpi.errors import StageError
-from torchpi.operators.quantity import Quantity
 from torchpi.stage.effects.mechanics.modal import ModalEffect
 
 RIDGE = 1e-9
@@ -215,100 +214,6 @@ def with_prior(
     gram[:n, :n] += prior
     right[:n] -= prior @ weights
     return gram, right
-
-
-def slots_of(hypothesis: Hypothesis) -> tuple[Slot, ...]:
-    slots = []
-    for name in hypothesis.shape:
-        slots.append(shape_slot(hypothesis, name))
-    for k, member in enumerate(hypothesis.members):
-        quantities = member.effect.quantities
-        for name, value in member.shared.items():
-            if name in member.effect.kinds:
-                continue
-            slots.append(slot(k, name, None, value, quantities[name], difference(member, name)))
-        for record, own in enumerate(member.own):
-            for name, value in own.items():
-                slots.append(slot(k, name, record, value, quantities[name], difference(member, name)))
-    return tuple(slots)
-
-
-SHAPE_BOUNDS = {
-    "sigma_v": (1e-3, 1e3),
-    "beta": (0.0, 3.0),
-    "exponent": (0.5, 6.0),
-    "alpha_per_v": (1e-3, 1e3),
-}
-
-
-def shape_slot(hypothesis: Hypothesis, name: str) -> Slot:
-    low, high = SHAPE_BOUNDS[name]
-    log = low > 0
-    return Slot(-1, name, None, log, 0.2 if not log else 1.0, low, high)
-
-
-def difference(member: Member, name: str) -> float:
-    """The step of a finite difference.
-
-    The weights learn to move what a limit has clipped already: only a step that reaches further samples tells
-    whether the limit lies there.
-    """
-    if name in member.effect.jumps:
-        return 0.04
-    return 3e-3 if name in member.effect.kinks else 1e-4
-
-
-def slot(member: int, name: str, record: int | None, value: float, quantity: Quantity, step: float) -> Slot:
-    log = quantity.at_least >= 0
-    low, high = quantity.at_least, quantity.at_most
-    if log:
-        low, high = max(low, abs(value) * 1e-4, 1e-300), min(high, abs(value) * 1e4)
-        return Slot(member, name, record, True, 1.0, low, high, step)
-    return Slot(member, name, record, False, abs(value) or 1.0, low, high, step)
-
-
-def to_inner(slot: Slot, value: float) -> float:
-    return math.log(value) if slot.log else value / slot.scale
-
-
-def to_outer(slot: Slot, inner: float) -> float:
-    value = math.exp(min(inner, 700.0)) if slot.log else inner * slot.scale
-    return min(max(value, slot.low), slot.high)
-
-
-def at_bound(slot: Slot, inner: float) -> bool:
-    value = to_outer(slot, inner)
-    span = 1e-6 * max(abs(slot.low), abs(slot.high)) if math.isfinite(slot.low + slot.high) else 0.0
-    if slot.log:
-        return value <= slot.low * 1.001 or value >= slot.high * 0.999
-    return value <= slot.low + span or value >= slot.high - span
-
-
-def value_at(hypothesis: Hypothesis, slot: Slot) -> float:
-    """The present number of a slot."""
-    if slot.member < 0:
-        return hypothesis.nominal.shape[slot.name]
-    member = hypothesis.members[slot.member]
-    return (member.shared if slot.record is None else member.own[slot.record])[slot.name]
-
-
-def with_theta(hypothesis: Hypothesis, slots: Sequence[Slot], theta: np.ndarray) -> Hypothesis:
-    members = list(hypothesis.members)
-    shape = {}
-    for s, inner in zip(slots, theta, strict=True):
-        value = to_outer(s, float(inner))
-        if s.member < 0:
-            shape[s.name] = value
-            continue
-        m = members[s.member]
-        if s.record is None:
-            members[s.member] = replace(m, shared={**m.shared, s.name: value})
-        else:
-            own = list(m.own)
-            own[s.record] = {**own[s.record], s.name: value}
-            members[s.member] = replace(m, own=tuple(own))
-    nominal = hypothesis.nominal.with_shape(shape) if shape else hypothesis.nominal
-    return replace(hypothesis, nominal=nominal, members=tuple(members))
 
 
 def jacobian(
