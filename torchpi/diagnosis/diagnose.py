@@ -15,6 +15,7 @@ from torchpi.diagnosis.fit import fit, rms
 from torchpi.diagnosis.hypothesis import Fit, Hypothesis
 from torchpi.diagnosis.leftovers import leftovers
 from torchpi.diagnosis.locate import locate
+from torchpi.diagnosis.long_recordings import at_a_lower_rate
 from torchpi.diagnosis.model import augmented_stage
 from torchpi.diagnosis.next_recording import next_recording
 from torchpi.diagnosis.noise import measured_noise
@@ -84,7 +85,7 @@ def diagnose(
         SimulationError: A simulation that fails, or returns what is no displacement.
     """
     check(recordings)
-    wrong = [dropouts(recording.y) for recording in recordings]
+    recordings, wrong, long = at_a_lower_rate(recordings, [dropouts(each.y) for each in recordings])
     records = prepare(recordings, wrong)
     called = outside(simulation)
     given = simulation if isinstance(simulation, Stage) else None
@@ -145,8 +146,8 @@ def diagnose(
         open_names, what, unexplained=decision.verdict in ("unexplained", "partly_explained")
     )
     notes = (
-        *cannot_be_decided(records), *untried_note(called, untried), *lattice_note, *conventions(final),
-        *history_notes(search, final),
+        *long, *cannot_be_decided(records), *untried_note(called, untried), *lattice_note,
+        *conventions(final), *history_notes(search, final),
         *slip_notes(search, final, augmented), *conflict(traces, floor_um),
     )  # fmt: skip
     errors = (

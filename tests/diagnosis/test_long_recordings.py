@@ -1,0 +1,48 @@
+"""Long recordings are worked on as means of their samples, and the report says so."""
+
+import numpy as np
+
+from torchpi.diagnosis import long_recordings
+from torchpi.diagnosis.long_recordings import at_a_lower_rate
+from torchpi.recordings.recording import Recording
+
+
+def recording(samples: int) -> Recording:
+    t = np.arange(samples) / 1e4
+    u = 5.0 - 5.0 * np.cos(2 * np.pi * t / t[-1] * 3)
+    return Recording("long", t, u, 0.8 * u, 1e4, aux={"aux_v": u**2}, simulated=0.7 * u)
+
+
+def test_short_recordings_stay_as_they_are():
+    one, wrong = recording(5000), [np.array([3])]
+    kept, left, notes = at_a_lower_rate([one], wrong)
+    assert kept == [one] and left == wrong and notes == ()
+
+
+def test_long_ones_become_means_at_a_lower_rate_and_a_note_says_so(monkeypatch):
+    monkeypatch.setattr(long_recordings, "AT_MOST", 10_000)
+    one = recording(39_999)
+    (kept,), (left,), (note,) = at_a_lower_rate([one], [np.zeros(0, int)])
+    assert len(kept) == 39_999 // 4 and kept.fs_hz == 2500.0 and len(left) == 0
+    np.testing.assert_allclose(kept.u[7], one.u[28:32].mean())
+    np.testing.assert_allclose(kept.y, 0.8 * kept.u)
+    np.testing.assert_allclose(kept.simulated, 0.7 * kept.u)
+    np.testing.assert_allclose(np.diff(kept.t), 1 / kept.fs_hz)
+    assert kept.aux["aux_v"].shape == kept.u.shape
+    assert "39,999 samples" in note and "1.25e+03 Hz" in note
+
+
+def test_a_reading_that_does_not_count_takes_the_one_before(monkeypatch):
+    monkeypatch.setattr(long_recordings, "AT_MOST", 10_000)
+    one = recording(40_000)
+    one.y[8001] = 1e6
+    (kept,), (left,), _ = at_a_lower_rate([one], [np.array([8001])])
+    assert np.abs(kept.y - 0.8 * kept.u).max() < 1e-2 and len(left) == 0
+
+
+def test_a_step_has_no_overshoot(monkeypatch):
+    monkeypatch.setattr(long_recordings, "AT_MOST", 10_000)
+    one = recording(40_000)
+    one.u[:] = np.where(np.arange(40_000) < 20_001, 1.0, 4.0)
+    (kept,), _, _ = at_a_lower_rate([one], [np.zeros(0, int)])
+    assert (np.diff(kept.u) >= 0).all() and kept.u.min() == 1.0 and kept.u.max() == 4.0
