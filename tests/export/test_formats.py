@@ -76,7 +76,7 @@ def test_no_file_is_placed_before_all_are_written(fails: int, tmp_path: Path) ->
         if next(count) == fails:
             raise OSError("no space")
 
-    with pytest.raises(OSError, match="no space"):
+    with pytest.raises(ArtifactError, match="no space"):
         write_together({tmp_path / str(k): write for k in range(3)})
     assert contents(tmp_path) == {"0": b"before"}
 
