@@ -27,9 +27,9 @@ DRAWS = 400
 RIVALS = 4
 """Of an effect, that are fitted in its place."""
 OPERATOR_NAME = "hysteresis_operator"
-HALF, STEEPNESS = 0.75, 2.0
+HALF, STEEPNESS = 0.57, 2.0
 """The share of what is to be explained where an effect acts from which its name is more likely right than
-wrong, and how fast that changes. Set on some forty names of development cases; `benchmarks/calibration.py`
+wrong, and how fast that changes. Set on some fifty names of development cases; `benchmarks/calibration.py`
 measures what comes of it."""
 
 
