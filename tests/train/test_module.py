@@ -139,7 +139,7 @@ def test_a_kill_while_a_checkpoint_is_written_leaves_the_previous_one(
         temporary.write_bytes(b"half")
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("train.trainer.torch.save", killed)
+    monkeypatch.setattr("train.trainer.save_tensors", killed)
     with pytest.raises(KeyboardInterrupt):
         WholeCheckpoints().save_checkpoint({"epoch": 2}, path)
     assert torch.load(path, weights_only=True) == {"epoch": 1}

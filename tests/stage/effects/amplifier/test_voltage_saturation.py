@@ -48,4 +48,4 @@ def test_a_search_tries_either_limit_and_both():
         frozenset({"low_v"}),
         frozenset({"low_v", "high_v"}),
     }
-    assert starts[0]["high_v"] == pytest.approx(7.8)
+    assert starts[0]["high_v"] == pytest.approx(7.95)

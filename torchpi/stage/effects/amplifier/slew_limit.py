@@ -60,7 +60,6 @@ class SlewLimit(Effect):
     time_scale = "fast"
     delays = True
     smooths = True
-    degenerate_with = ("amplifier_lag",)
     forms = ("hard", "soft")
     quantities: ClassVar[dict[str, Quantity]] = {
         "rate_v_per_s": Quantity("V/s", at_least=1e-3, at_most=1e9),
