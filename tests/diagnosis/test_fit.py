@@ -28,6 +28,7 @@ from torchpi.stage.effects.actuator.creep import Creep
 from torchpi.stage.effects.actuator.hysteresis_asymmetry import HysteresisAsymmetry
 from torchpi.stage.effects.actuator.rate_dependent_hysteresis import RateDependentHysteresis
 from torchpi.stage.effects.amplifier.amplifier_lag import AmplifierLag
+from torchpi.stage.effects.amplifier.delay import Delay
 from torchpi.stage.effects.amplifier.voltage_saturation import VoltageSaturation
 from torchpi.stage.effects.mechanics.cross_coupling import CrossCoupling
 from torchpi.stage.effects.mechanics.resonance import Resonance
@@ -65,6 +66,17 @@ PLANTED: dict[str, tuple[str, Step, Member, dict[str, float]]] = {
         {"per_decade": 0.02},
     ),
 }
+
+
+def test_a_hypothesis_is_the_same_whatever_else_was_evaluated_in_between() -> None:
+    chain = Chain(prepared(pair()))
+    alone = Hypothesis(many_plays(seen(chain.records))).plus(
+        Member(Delay, {"delay_s": 3.3e-4, "after_lag": 1.0})
+    )
+    both = alone.plus(Member(AmplifierLag, {"cutoff_hz": 300.0}))
+    before = chain.voltage(both, 0)
+    chain.voltage(alone, 0)
+    assert np.array_equal(chain.voltage(both, 0), before)
 
 
 @pytest.mark.parametrize("case", PLANTED)

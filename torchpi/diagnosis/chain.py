@@ -2,6 +2,7 @@
 
 import pickle
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import replace
 from functools import cached_property, partial
 from hashlib import sha256
@@ -269,7 +270,8 @@ class Chain:
                     if len(self.made) >= MADE:
                         self.made.clear()
                     self.made[key] = member.effect(record.period_s, **member.values(index))
-                parts.append((self.made[key], key, member.aux))
+                # A copy, because what its input does between samples is set by the blocks before it.
+                parts.append((copy(self.made[key]), key, member.aux))
             elif modal and member is modal[-1]:
                 each = [Part(m.effect, m.values(index), m.aux) for m in modal]  # type: ignore[arg-type]
                 names = tuple((m.effect, m.aux, *m.values(index).items()) for m in modal)
