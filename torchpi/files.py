@@ -9,6 +9,7 @@ import io
 import os
 import shutil
 import tempfile
+import warnings
 import zipfile
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -140,6 +141,25 @@ def save_tensors(content: Any, path: Path) -> None:
     buffer = io.BytesIO()
     torch.save(content, buffer)
     path.write_bytes(buffer.getvalue())
+
+
+def load_tensors(path: Path, largest_bytes: int, wrong: str) -> Any:
+    """What `save_tensors` or torch wrote: plain values and tensors alone, nothing that runs.
+
+    Raises:
+        ArtifactError: Anything else, which is called `wrong`, or a broken archive.
+    """
+    import torch
+
+    try:
+        with warnings.catch_warnings():
+            # torch warns before it refuses a TorchScript file; ours is the error that follows.
+            warnings.filterwarnings("ignore", message=".*TorchScript archive.*")
+            content = torch.load(path, map_location="cpu", weights_only=True)
+    except Exception as error:  # bytes of anything make the unpickler raise anything
+        raise ArtifactError(f"{path}: {wrong}") from error
+    check_archive(path, largest_bytes)
+    return content
 
 
 def content_sha256(content: Any) -> str:

@@ -1,15 +1,12 @@
 """A trained compensator, from its run folder or checkpoint."""
 
-import warnings
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import torch
-
 from torchpi.compensator import DirectInverse
 from torchpi.errors import ArtifactError, ConfigError
-from torchpi.files import check_archive, content_sha256
+from torchpi.files import content_sha256, load_tensors
 
 HYPER_PARAMETERS = "compensator_hyper_parameters"
 STATE = "compensator_state"
@@ -33,16 +30,8 @@ def load_compensator(path: str | Path) -> DirectInverse:
     file = path / "checkpoints" / "best.ckpt" if path.is_dir() else path
     if not file.is_file():
         raise ArtifactError(f"{file}: no such file, want a run folder of 'python -m train fit'")
-    try:
-        with warnings.catch_warnings():
-            # torch warns before it refuses a TorchScript file; ours is the error that follows.
-            warnings.filterwarnings("ignore", message=".*TorchScript archive.*")
-            checkpoint = torch.load(file, map_location="cpu", weights_only=True)
-    except Exception as error:  # bytes of anything make the unpickler raise anything
-        raise ArtifactError(
-            f"{file}: not a checkpoint, want a run folder of 'python -m train fit'"
-        ) from error
-    check_archive(file, LARGEST_BYTES)
+    wrong = "not a checkpoint, want a run folder of 'python -m train fit'"
+    checkpoint = load_tensors(file, LARGEST_BYTES, wrong)
     if not isinstance(checkpoint, dict) or HYPER_PARAMETERS not in checkpoint:
         raise ArtifactError(f"{file}: a checkpoint of something else, want one of 'python -m train fit'")
     kept: dict[str, Any] = {name: checkpoint.get(name) for name in (HYPER_PARAMETERS, STATE)}

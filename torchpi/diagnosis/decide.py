@@ -11,13 +11,11 @@ from torchpi.diagnosis.intervals import intervals_90
 from torchpi.diagnosis.noise import Noise
 from torchpi.diagnosis.parameters import parameters_of, shape_parameters
 from torchpi.diagnosis.posterior import OPERATOR_NAME, Believed
-from torchpi.diagnosis.search import Search
+from torchpi.diagnosis.search import FAINT, Search
 from torchpi.stage.effects.mechanics.backlash import Backlash
 
 NAMED = 0.5
 """Probability from which a name is given: more likely right than wrong."""
-FAINT = 0.2
-"""Of the noise: an effect of a smaller rms is of no use to a user, and a solver's error does as much."""
 DONE, EXPLAINED = 1.15, 1.5
 """Times the measured noise: an error within this leaves nothing to explain, or little beside the names."""
 OPERATORS = {

@@ -21,7 +21,7 @@ from torchpi.diagnosis.hypothesis import Fit, Hypothesis
 from torchpi.diagnosis.parallel import Job
 from torchpi.diagnosis.reduced_basis import reduced, refitted
 from torchpi.diagnosis.score import ALIKE, Weighting
-from torchpi.diagnosis.search import ACCEPTED, OPERATOR, PRIOR, Round, Search, rms_of
+from torchpi.diagnosis.search import ACCEPTED, OPERATOR, PRIOR, Round, Search, inside, rms_of
 
 DRAWS = 400
 RIVALS = 4
@@ -180,7 +180,7 @@ def around(search: Search, retuned: Fit, small: Fit, history: Sequence[Round]) -
     return [
         Model(name, instead, one)
         for (name, instead, _, _), one in zip(wanted, fits, strict=True)
-        if not (instead and set(one.bounded) - set(small.bounded))
+        if not instead or inside(one, small)
     ]
 
 

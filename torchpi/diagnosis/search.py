@@ -40,7 +40,8 @@ PRIOR = log(1 / 20)
 ACCEPTED = 0.95
 """Probability of predicting better from which the search goes on with an effect."""
 FAINT = 0.2
-"""Of the rms that is left: a history of its own must explain as much to be taken for one."""
+"""Of the noise, or of the rms that is left: what explains less is of no use to a user, and a solver's error
+does as much."""
 ROUNDS = 7
 FORMS, STARTS, HEAT = 3, 2, 2
 """From how many forms an effect is fitted, and all axes through a mode; the steps after which only what may
@@ -160,7 +161,7 @@ class Search:
         ):
             return now
         (other,) = self.fits_here([(replace(h, alignment=0), now.weights, 2 * STEPS, ROUGH)])
-        return other if self.as_well(other, now) and set(other.bounded) <= set(now.bounded) else now
+        return other if self.as_well(other, now) and inside(other, now) else now
 
     def simplest(self, tried: Sequence[Tried]) -> Tried | None:
         """The best of what earns its place; an effect where a larger hysteresis is no clearer."""
@@ -176,8 +177,7 @@ class Search:
 
     def faint(self, more: Fit, less: Fit) -> bool:
         """Whether what a fit explains beyond another is of no use to anyone: no name of it could stand."""
-        floor_um = self.noise.rms_um if self.noise is not None else more.train_rms
-        return less.train_rms**2 - more.train_rms**2 < (FAINT * floor_um) ** 2
+        return faint(more, less, self.noise.rms_um if self.noise is not None else more.train_rms)
 
     def as_well(self, one: Fit, best: Fit) -> bool:
         """Whether a fit predicts as well as a better one, within the standard error: no recording here splits
@@ -213,8 +213,7 @@ class Search:
 
     def needs_no_history(self, now: Fit, less: Fit) -> bool:
         """Whether recordings that start de-energised are predicted as well, or all but as well."""
-        faint = less.train_rms**2 - now.train_rms**2 < (FAINT * less.train_rms) ** 2
-        return faint or self.over(now, less).probability < ACCEPTED
+        return faint(now, less, less.train_rms) or self.over(now, less).probability < ACCEPTED
 
     def plays(self) -> Nominal:
         """As many plays as the samples carry."""
@@ -266,11 +265,9 @@ class Search:
 
     def round(self, now: Fit) -> list[Tried]:
         """Every promising effect, and growth of the hysteresis, fitted on top of this, the best first."""
-        inherited = set(now.bounded)
         fits = self.effects(now)
         leader = max([now, *(one for _, one in fits)], key=self.score)
-        fits = [(n, f) for n, f in fits + self.growth(now, leader) if set(f.bounded) <= inherited]
-        return self.ranked(now, fits)
+        return self.ranked(now, [(n, f) for n, f in fits + self.growth(now, leader) if inside(f, now)])
 
     def ranked(self, now: Fit, fits: Sequence[tuple[str, Fit]]) -> list[Tried]:
         """With the gain over a fit, the best first."""
@@ -323,10 +320,7 @@ class Search:
             ]
             found.update(zip(unclear, self.fits(rest), strict=True))
             # A form of more numbers may run into a bound where it becomes a simpler one.
-            inherited = set(now.bounded)
-            unclear = [
-                n for n in unclear if not set(found[n].bounded) <= inherited and len(forms[n]) > place + 1
-            ]
+            unclear = [n for n in unclear if not inside(found[n], now) and len(forms[n]) > place + 1]
         fits = [(name, found[name]) for name in best_first[:FINISHED]]
         if {effect.name for effect in (CrossCoupling, Resonance, SecondMode)} & (barred | self.given):
             return fits
@@ -430,21 +424,20 @@ class Search:
             if (alignment, held) != (now.hypothesis.alignment, now.hypothesis.held)
         ]
         raced = self.raced([(h, best.weights, 3, ROUGH) for h in others], best)
-        fits = [one for one in raced if not one.bounded]
-        best = max([best, *fits], key=self.worth)
-        return best
+        return max([best, *(one for one in raced if not one.bounded)], key=self.worth)
 
     def swapped(self, now: Fit) -> Fit:
         """With other forms of its effects, or what is degenerate with them, where these predict better.
 
         What came first was taken for all that was missing then.
         """
-        h, jobs = now.hypothesis, list[Job]()
+        h, jobs, starts = now.hypothesis, list[Job](), self.starts_by_form()
+        there = set(h.names)
         for member in h.members:
             if member.effect.name in self.given or issubclass(member.effect, ModalEffect):
                 continue
-            less, there = h.without(member.effect.name, member.aux), set(h.names)
-            for other in self.starts_by_form():
+            less = h.without(member.effect.name, member.aux)
+            for other in starts:
                 same = (
                     other.effect is member.effect and other.aux == member.aux and form(other) != form(member)
                 )
@@ -452,9 +445,7 @@ class Search:
                 alike = alike or (other.effect.delays and member.effect.delays)
                 if same or (alike and other.effect.name not in there):
                     jobs.append((less.plus(other), now.weights, STEPS, ROUGH))
-        fits = self.raced(jobs, now)
-        fits = [one for one in fits if set(one.bounded) <= set(now.bounded)]
-        best = max([now, *fits], key=self.worth)
+        best = max([now, *(one for one in self.raced(jobs, now) if inside(one, now))], key=self.worth)
         if best is now:
             return now
         self.log(f"  as {', '.join(best.hypothesis.names)}: {rms_of(best)}")
@@ -505,6 +496,16 @@ class Search:
         """The added effects, and what each auxiliary signal does apart: names and signals."""
         members = now.hypothesis.members
         return list(dict.fromkeys((m.effect.name, m.aux) for m in members if m.effect.name not in self.given))
+
+
+def faint(more: Fit, less: Fit, rms_um: float) -> bool:
+    """Whether the rms that a fit explains beyond another is a small share of this one."""
+    return less.train_rms**2 - more.train_rms**2 < (FAINT * rms_um) ** 2
+
+
+def inside(one: Fit, now: Fit) -> bool:
+    """Whether no number of a fit ended on a bound that did not before."""
+    return set(one.bounded) <= set(now.bounded)
 
 
 def form(member: Member) -> tuple[str, ...]:

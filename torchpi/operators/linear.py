@@ -184,15 +184,16 @@ def _forward(
     u: np.ndarray, a: np.ndarray, b: np.ndarray, c: np.ndarray, d: float,
     x: np.ndarray, y: np.ndarray, states: np.ndarray,
 ) -> None:  # fmt: skip
-    n, fours = len(b), u.shape[0] // 4 * 4 if len(b) == 2 and states.shape[1] == 0 else 0
-    for first in range(0, fours, 4):
-        _four_of_second_order(first, u, a, b, c, d, x, y)
-    for first in range(fours, u.shape[0], LANES):
+    if len(b) == 2 and states.shape[1] == 0:
+        fours = u.shape[0] // 4 * 4
+        for first in range(0, fours, 4):
+            _four_of_second_order(first, u, a, b, c, d, x, y)
+        for row in range(fours, u.shape[0]):
+            _second_order(u[row], a, b, c, d, x[row], y[row])
+        return
+    for first in range(0, u.shape[0], LANES):
         rows = min(LANES, u.shape[0] - first)
-        if n == 2 and states.shape[1] == 0:
-            for row in range(first, first + rows):
-                _second_order(u[row], a, b, c, d, x[row], y[row])
-        elif rows >= FEWEST_FOR_LANES:
+        if rows >= FEWEST_FOR_LANES:
             _forward_lanes(first, rows, u, a, b, c, d, x, y, states)
         else:
             _forward_rows(first, rows, u, a, b, c, d, x, y, states)

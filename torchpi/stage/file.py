@@ -1,14 +1,11 @@
 """A stage's file: plain settings with a hash of them, read only if they are what was written."""
 
-import warnings
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import torch
-
 from torchpi.errors import ArtifactError
-from torchpi.files import check_archive, content_sha256, save_tensors
+from torchpi.files import content_sha256, load_tensors, save_tensors
 
 SCHEMA, VERSION = "torchpi stage", 2
 OLDER_SCHEMA = "torchpi augmented stage"
@@ -31,14 +28,7 @@ def read_settings(path: Path) -> dict[str, Any]:
     """
     if not path.is_file():
         raise ArtifactError(f"{path}: no such file, {EXPECTED}")
-    try:
-        with warnings.catch_warnings():
-            # torch warns before it refuses a TorchScript file; ours is the error that follows.
-            warnings.filterwarnings("ignore", message=".*TorchScript archive.*")
-            content = torch.load(path, map_location="cpu", weights_only=True)
-    except Exception as error:  # bytes of anything make the unpickler raise anything
-        raise ArtifactError(f"{path}: not a stage file, {EXPECTED}") from error
-    check_archive(path, LARGEST_BYTES)
+    content = load_tensors(path, LARGEST_BYTES, f"not a stage file, {EXPECTED}")
     if not isinstance(content, dict) or content.get("schema") not in (SCHEMA, OLDER_SCHEMA):
         raise ArtifactError(f"{path}: a file of something else, {EXPECTED}")
     if content.get("version") != VERSION:
