@@ -5,13 +5,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from torchpi.diagnosis.contest import FAINT
 from torchpi.diagnosis.diagnosis import NamedEffect, Parameter, Verdict
 from torchpi.diagnosis.hypothesis import Fit
 from torchpi.diagnosis.intervals import intervals_90
 from torchpi.diagnosis.noise import Noise
 from torchpi.diagnosis.parameters import parameters_of, shape_parameters
 from torchpi.diagnosis.posterior import OPERATOR_NAME, Believed
-from torchpi.diagnosis.search import FAINT, Search
+from torchpi.diagnosis.search import Search
 from torchpi.stage.effects.mechanics.backlash import Backlash
 
 NAMED = 0.5

@@ -15,13 +15,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from torchpi.diagnosis.contest import ACCEPTED, PRIOR, inside
 from torchpi.diagnosis.diagnosis import Rival
 from torchpi.diagnosis.fit import ROUGH
 from torchpi.diagnosis.hypothesis import Fit, Hypothesis
 from torchpi.diagnosis.parallel import Job
 from torchpi.diagnosis.reduced_basis import reduced, refitted
 from torchpi.diagnosis.score import ALIKE, Weighting
-from torchpi.diagnosis.search import ACCEPTED, OPERATOR, PRIOR, Round, Search, inside, rms_of
+from torchpi.diagnosis.search import OPERATOR, Round, Search, rms_of
 
 DRAWS = 400
 RIVALS = 4

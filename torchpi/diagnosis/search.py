@@ -8,11 +8,11 @@ effect does is not evidence of that effect, and the other way round. One score d
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
-from math import log
 
 import numpy as np
 
 from torchpi.diagnosis.chain import Chain
+from torchpi.diagnosis.contest import ACCEPTED, HEAT, PRIOR, Contest, inside
 from torchpi.diagnosis.coverage import reason_to_leave_out
 from torchpi.diagnosis.fit import FINE, ROUGH
 from torchpi.diagnosis.hypothesis import Fit, Hypothesis, Member
@@ -20,10 +20,10 @@ from torchpi.diagnosis.modal import driven_modes
 from torchpi.diagnosis.noise import Noise, measured_noise
 from torchpi.diagnosis.nominal import Nominal, bouc_wen, duhem, many_plays, plain, preisach
 from torchpi.diagnosis.outside import Outside
-from torchpi.diagnosis.parallel import Job, fit_all, screen_all
+from torchpi.diagnosis.parallel import Job, screen_all
 from torchpi.diagnosis.records import seen
 from torchpi.diagnosis.reduced_basis import MANY, basis, reduced, refitted
-from torchpi.diagnosis.score import Gain, Weighting, gain
+from torchpi.diagnosis.score import Gain
 from torchpi.diagnosis.screen import Candidate, Screen, candidates_of
 from torchpi.diagnosis.slips import Jump, Slips, jump, slips
 from torchpi.stage.effects import EFFECTS
@@ -35,23 +35,11 @@ from torchpi.stage.effects.mechanics.resonance import Resonance
 from torchpi.stage.effects.mechanics.second_mode import SecondMode
 from torchpi.stage.effects.mechanics.stiction import Stiction
 
-PRIOR = log(1 / 20)
-"""Log odds that any one effect is missing before the recordings are seen: one or two of some twenty are."""
-ACCEPTED = 0.95
-"""Probability of predicting better from which the search goes on with an effect."""
-FAINT = 0.2
-"""Of the noise, or of the rms that is left: what explains less is of no use to a user, and a solver's error
-does as much."""
 ROUNDS = 7
-FORMS, STARTS, HEAT = 3, 2, 2
-"""From how many forms an effect is fitted, and all axes through a mode; the steps after which only what may
-still win goes on."""
+FORMS, STARTS = 3, 2
+"""From how many forms an effect is fitted, and all axes through a mode."""
 TRIED, FINISHED = 6, 4
 """How many effects are fitted in a round, the best of the screen; how many of these to the end."""
-TOGETHER = 2.0
-"""Standard errors within which two hypotheses predict alike."""
-CLEAR = 6.0
-"""Standard errors by which a fit that has not ended may lose and still go on."""
 STEPS = 6
 """Of a fit in the search."""
 AXES = "resonance + cross_coupling"
@@ -87,7 +75,7 @@ class Round:
     """The name of what was taken."""
 
 
-class Search:
+class Search(Contest):
     """A search on given records."""
 
     def __init__(
@@ -101,9 +89,8 @@ class Search:
         effects: Sequence[type[Effect] | type[InsideEffect]] = EFFECTS,
         simulation: Outside | None = None,
     ) -> None:
-        self.chain, self.log, self.start, self.noise = chain, log, tuple(given), noise
-        self.lsb_um = lsb_um
-        self.executor = executor
+        super().__init__(chain, noise, executor)
+        self.log, self.start, self.lsb_um = log, tuple(given), lsb_um
         self.simulation = simulation
         self.alignments = simulation.alignments if simulation else (0, 1)
         self.left_out: list[tuple[str, str]] = []
@@ -175,16 +162,6 @@ class Search:
                 return replace(one, fit=full)
         return earned[0]
 
-    def faint(self, more: Fit, less: Fit) -> bool:
-        """Whether what a fit explains beyond another is of no use to anyone: no name of it could stand."""
-        return faint(more, less, self.noise.rms_um if self.noise is not None else more.train_rms)
-
-    def as_well(self, one: Fit, best: Fit) -> bool:
-        """Whether a fit predicts as well as a better one, within the standard error: no recording here splits
-        the two."""
-        ahead = self.over(best, one)
-        return not ahead.nats > max(TOGETHER * ahead.sd, -PRIOR)
-
     def retuned(self) -> Fit:
         """The nominal hysteresis, with the timing and the start that suit it better."""
         alone = Nominal(np.zeros(0), simulation=self.simulation)
@@ -211,40 +188,11 @@ class Search:
         self.log(f"retuned, {size}: {rms_of(now)}")
         return now
 
-    def needs_no_history(self, now: Fit, less: Fit) -> bool:
-        """Whether recordings that start de-energised are predicted as well, or all but as well."""
-        return faint(now, less, less.train_rms) or self.over(now, less).probability < ACCEPTED
-
     def plays(self) -> Nominal:
         """As many plays as the samples carry."""
         nominal = many_plays(self.seen)
         samples = sum(record.train.sum() for record in self.chain.records)
         return plain(self.seen) if samples < SAMPLES_A_PLAY * nominal.size else nominal
-
-    def weigh(self, now: Fit) -> None:
-        """Count every coefficient for what this fit leaves there, and for the noise."""
-        self.chain.weighting = Weighting.of(self.chain.records, now.residuals, self.noise)
-
-    def reweighted(self, now: Fit) -> Fit:
-        """The fit on few rows, under the weights that it shows itself."""
-        self.weigh(now)
-        small = reduced(self.chain, now)
-        (again,) = self.fits([(small.hypothesis, small.weights, 3, ROUGH)])
-        return again
-
-    def worth(self, one: Fit) -> float:
-        """Its log density, less what every number costs beside that: a form of fewer numbers is preferred,
-        and no delay of what is taken for early."""
-        return self.score(one) + PRIOR * (len(one.slots) - min(one.hypothesis.alignment, 0))
-
-    def score(self, one: Fit) -> float:
-        """Its log density."""
-        return float(self.chain.weighting.log_density(one).sum())
-
-    def over(self, better: Fit, worse: Fit, prior: float = 0.0) -> Gain:
-        """By how much one fit predicts better than another."""
-        w = self.chain.weighting
-        return gain(w.log_density(better), w.log_density(worse), prior)
 
     def sticking(self, now: Fit) -> Tried | None:
         """Stiction, if the readings show it: from then on everything is fitted where the mount slips."""
@@ -357,14 +305,6 @@ class Search:
                 jobs.append((hypothesis, now.weights, STEPS, ROUGH))
         return jobs
 
-    def fits_here(self, jobs: Sequence[Job]) -> list[Fit]:
-        """Each hypothesis fitted in this process, while others begin."""
-        return fit_all(self.chain, jobs, None)
-
-    def fits(self, jobs: Sequence[Job]) -> list[Fit]:
-        """Each hypothesis fitted from its weights, in the executor if there is one."""
-        return fit_all(self.chain, jobs, self.executor)
-
     def from_residual(self, now: Fit) -> list[Member]:
         """Starts that no grid has: where the residual of the loudest recording, or the first, stands out."""
         records, found = self.chain.records, []
@@ -461,20 +401,6 @@ class Search:
             members[k] for members, places in zip(by_form.values(), few, strict=True) for k in sorted(places)
         ]
 
-    def raced(self, jobs: Sequence[Job], now: Fit) -> list[Fit]:
-        """Fitted for a few steps each, and to the end where the outcome against a fit is not yet clear."""
-        fits = self.fits([(h, w, min(HEAT, steps), tolerance) for h, w, steps, tolerance in jobs])
-        unclear = [k for k, one in enumerate(fits) if self.near(one, now)]
-        rest: list[Job] = [(fits[k].hypothesis, fits[k].weights, *jobs[k][2:]) for k in unclear]
-        for k, one in zip(unclear, self.fits(rest), strict=True):
-            fits[k] = one
-        return fits
-
-    def near(self, one: Fit, now: Fit) -> bool:
-        """Whether a fit that has not ended may still be the better one."""
-        ahead = self.over(now, one)
-        return ahead.nats < CLEAR * ahead.sd
-
     def backward(self, now: Fit) -> Fit:
         """Without the effects that the others have made needless."""
         while len(parts := self.parts(now)) > 1:
@@ -496,16 +422,6 @@ class Search:
         """The added effects, and what each auxiliary signal does apart: names and signals."""
         members = now.hypothesis.members
         return list(dict.fromkeys((m.effect.name, m.aux) for m in members if m.effect.name not in self.given))
-
-
-def faint(more: Fit, less: Fit, rms_um: float) -> bool:
-    """Whether the rms that a fit explains beyond another is a small share of this one."""
-    return less.train_rms**2 - more.train_rms**2 < (FAINT * rms_um) ** 2
-
-
-def inside(one: Fit, now: Fit) -> bool:
-    """Whether no number of a fit ended on a bound that did not before."""
-    return set(one.bounded) <= set(now.bounded)
 
 
 def form(member: Member) -> tuple[str, ...]:

@@ -1,0 +1,111 @@
+"""Fits against one another: what each is worth under the one score, and which is worth another step."""
+
+from collections.abc import Sequence
+from concurrent.futures import Executor
+from math import log
+
+from torchpi.diagnosis.chain import Chain
+from torchpi.diagnosis.fit import ROUGH
+from torchpi.diagnosis.hypothesis import Fit
+from torchpi.diagnosis.noise import Noise
+from torchpi.diagnosis.parallel import Job, fit_all
+from torchpi.diagnosis.reduced_basis import reduced
+from torchpi.diagnosis.score import Gain, Weighting, gain
+
+PRIOR = log(1 / 20)
+"""Log odds that any one effect is missing before the recordings are seen: one or two of some twenty are."""
+ACCEPTED = 0.95
+"""Probability of predicting better from which the search goes on with an effect."""
+FAINT = 0.2
+"""Of the noise, or of the rms that is left: what explains less is of no use to a user, and a solver's error
+does as much."""
+TOGETHER = 2.0
+"""Standard errors within which two hypotheses predict alike."""
+CLEAR = 6.0
+"""Standard errors by which a fit that has not ended may lose and still go on."""
+HEAT = 2
+"""Steps after which only what may still win goes on."""
+
+
+class Contest:
+    """Fits on given records.
+
+    Args:
+        chain: The recordings, and what each coefficient counts.
+        noise: What was measured of it, if anything.
+        executor: Where independent fits run; None is this process.
+    """
+
+    def __init__(self, chain: Chain, noise: Noise | None, executor: Executor | None) -> None:
+        self.chain, self.noise, self.executor = chain, noise, executor
+
+    def fits(self, jobs: Sequence[Job]) -> list[Fit]:
+        """Each hypothesis fitted from its weights, in the executor if there is one."""
+        return fit_all(self.chain, jobs, self.executor)
+
+    def fits_here(self, jobs: Sequence[Job]) -> list[Fit]:
+        """Each hypothesis fitted in this process, while others begin."""
+        return fit_all(self.chain, jobs, None)
+
+    def raced(self, jobs: Sequence[Job], now: Fit) -> list[Fit]:
+        """Fitted for a few steps each, and to the end where the outcome against a fit is not yet clear."""
+        fits = self.fits([(h, w, min(HEAT, steps), tolerance) for h, w, steps, tolerance in jobs])
+        unclear = [k for k, one in enumerate(fits) if self.near(one, now)]
+        rest: list[Job] = [(fits[k].hypothesis, fits[k].weights, *jobs[k][2:]) for k in unclear]
+        for k, one in zip(unclear, self.fits(rest), strict=True):
+            fits[k] = one
+        return fits
+
+    def near(self, one: Fit, now: Fit) -> bool:
+        """Whether a fit that has not ended may still be the better one."""
+        ahead = self.over(now, one)
+        return ahead.nats < CLEAR * ahead.sd
+
+    def weigh(self, now: Fit) -> None:
+        """Count every coefficient for what this fit leaves there, and for the noise."""
+        self.chain.weighting = Weighting.of(self.chain.records, now.residuals, self.noise)
+
+    def reweighted(self, now: Fit) -> Fit:
+        """The fit on few rows, under the weights that it shows itself."""
+        self.weigh(now)
+        small = reduced(self.chain, now)
+        (again,) = self.fits([(small.hypothesis, small.weights, 3, ROUGH)])
+        return again
+
+    def score(self, one: Fit) -> float:
+        """Its log density."""
+        return float(self.chain.weighting.log_density(one).sum())
+
+    def worth(self, one: Fit) -> float:
+        """Its log density, less what every number costs beside that: a form of fewer numbers is preferred,
+        and no delay of what is taken for early."""
+        return self.score(one) + PRIOR * (len(one.slots) - min(one.hypothesis.alignment, 0))
+
+    def over(self, better: Fit, worse: Fit, prior: float = 0.0) -> Gain:
+        """By how much one fit predicts better than another."""
+        w = self.chain.weighting
+        return gain(w.log_density(better), w.log_density(worse), prior)
+
+    def as_well(self, one: Fit, best: Fit) -> bool:
+        """Whether a fit predicts as well as a better one, within the standard error: no recording here splits
+        the two."""
+        ahead = self.over(best, one)
+        return not ahead.nats > max(TOGETHER * ahead.sd, -PRIOR)
+
+    def faint(self, more: Fit, less: Fit) -> bool:
+        """Whether what a fit explains beyond another is of no use to anyone: no name of it could stand."""
+        return faint(more, less, self.noise.rms_um if self.noise is not None else more.train_rms)
+
+    def needs_no_history(self, now: Fit, less: Fit) -> bool:
+        """Whether recordings that start de-energised are predicted as well, or all but as well."""
+        return faint(now, less, less.train_rms) or self.over(now, less).probability < ACCEPTED
+
+
+def faint(more: Fit, less: Fit, rms_um: float) -> bool:
+    """Whether the rms that a fit explains beyond another is a small share of this one."""
+    return less.train_rms**2 - more.train_rms**2 < (FAINT * rms_um) ** 2
+
+
+def inside(one: Fit, now: Fit) -> bool:
+    """Whether no number of a fit ended on a bound that did not before."""
+    return set(one.bounded) <= set(now.bounded)
