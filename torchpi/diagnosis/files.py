@@ -11,7 +11,6 @@ from torchpi.diagnosis.diagnosis import Diagnosis
 from torchpi.diagnosis.parallel import get_ready
 from torchpi.diagnosis.simulation import Simulation
 from torchpi.errors import ConfigError
-from torchpi.excitation_files import write_excitation
 from torchpi.files import check_output_folder
 from torchpi.recordings.recording import RecordingOptions, read_recording
 from torchpi.simulators import COLUMN, Simulator, load_simulator
@@ -67,7 +66,6 @@ def diagnose_files(
         files["simulation"] = str(simulation)
     page, numbers = write_diagnosis(found, provenance(command, files), output)
     found.stage.save(output / "stage.pt")
-    write_excitation(output / "next_excitation.csv", *found.next_excitation)
     shutil.rmtree(output / "tensorboard", ignore_errors=True)
     write_tensorboard(found, output)
     say("done")

@@ -38,8 +38,8 @@ def write_diagnosis(
 ) -> tuple[Path, Path]:
     """Write `report.html`, `diagnosis.json`, `figures/` and `next_excitation.csv`; return the first two.
 
-    The figures lie there as SVG and as PNG; those of an earlier diagnosis go. Everything is made before
-    anything is replaced: an error in the making leaves the folder as it was.
+    The figures lie there as SVG and as PNG; those of an earlier diagnosis go. The page is made before
+    anything is replaced, and each file is replaced whole, the page and the numbers last.
 
     Args:
         diagnosis: What was found.
