@@ -10,7 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from torchpi.command_line import INTERRUPTED, TERMINATED, exit_at_once, run_chosen, run_command
+from torchpi.command_line import run_chosen, run_program
 from torchpi.recordings.options import RecordingOptions
 
 DESCRIPTION = """Makes piezo stages go where they are told.
@@ -40,10 +40,7 @@ def main() -> None:
         # Now, because libraries of linear algebra read it once, and parsing already loads one.
         for threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
             os.environ.setdefault(threads, "1")
-    code = run_command(lambda: run_chosen(COMMANDS, "torchpi", DESCRIPTION), "torchpi")
-    if code in (INTERRUPTED, TERMINATED):
-        exit_at_once(code)
-    sys.exit(code)
+    run_program(lambda: run_chosen(COMMANDS, "torchpi", DESCRIPTION), "torchpi")
 
 
 def simulate(

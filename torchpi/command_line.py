@@ -112,7 +112,21 @@ def run_command(command: Callable[[], Any], program: str) -> int:
     return 0
 
 
-def exit_at_once(code: int) -> NoReturn:
+def run_program(command: Callable[[], Any], program: str) -> NoReturn:
+    """Run `command` and end this process with its exit code.
+
+    What takes seconds to import belongs into `command`: an interrupt meanwhile is one line as well.
+    """
+    code = run_command(command, program)
+    if code in (INTERRUPTED, TERMINATED):
+        _exit_at_once(code)
+    # All is written; an interrupt while Python ends would only add a traceback.
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.SIG_IGN)
+    sys.exit(code)
+
+
+def _exit_at_once(code: int) -> NoReturn:
     """End this process after an interrupt. Python's own exit would wait for the threads of a pool whose
     workers were killed, and what they wait for may never come."""
     for stream in (sys.stdout, sys.stderr):

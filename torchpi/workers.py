@@ -34,8 +34,9 @@ def worker_pool(get_ready: Callable[[], object]) -> Iterator[Executor | None]:
     with _one_thread_each():
         pool = ProcessPoolExecutor(workers, get_context("spawn"), _end_with_parent, (os.getpid(),))
         try:
-            for _ in range(workers):
-                pool.submit(get_ready)
+            with _signals_after():  # between its start and its entry in the pool nobody could end a worker
+                for _ in range(workers):
+                    pool.submit(get_ready)
             yield pool
         except BaseException:
             _kill(pool)
@@ -63,6 +64,24 @@ def _end_with_parent(parent: int) -> None:
         os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()
+
+
+@contextmanager
+def _signals_after() -> Iterator[None]:
+    """Interrupts and terminations wait for the end of the block."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    came: list[int] = []
+    numbers = (signal.SIGINT, signal.SIGTERM)
+    before = [signal.signal(number, lambda number, frame: came.append(number)) for number in numbers]
+    try:
+        yield
+    finally:
+        for number, handler in zip(numbers, before, strict=True):
+            signal.signal(number, handler)
+    if came:
+        signal.raise_signal(came[0])
 
 
 @contextmanager

@@ -1,5 +1,11 @@
-import sys
+from torchpi.command_line import run_program
 
-from train.cli import main
 
-sys.exit(main())
+def fit() -> None:
+    """Importing Lightning takes seconds."""
+    from train.cli import fit
+
+    fit()
+
+
+run_program(fit, "torchpi")

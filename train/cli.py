@@ -37,15 +37,20 @@ config.yaml, checkpoints, and events for `tensorboard --logdir runs`.
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the command; returns the exit code, 2 for an error of the input."""
-    quieten()
     # LightningCLI reads sys.argv, and warns where it is given anything else.
     before = sys.argv
     if arguments is not None:
         sys.argv = ["train", *arguments]
     try:
-        return run_command(FitCLI, "torchpi")
+        return run_command(fit, "torchpi")
     finally:
         sys.argv = before
+
+
+def fit() -> None:
+    """Do what the command line says."""
+    quieten()
+    FitCLI()
 
 
 def quieten() -> None:
