@@ -2,10 +2,12 @@
 
 import json
 import re
+import signal
 import subprocess
 import sys
 import time
 import warnings
+import weakref
 from dataclasses import fields
 from pathlib import Path
 
@@ -163,6 +165,23 @@ def test_a_warning_of_a_recording_is_one_line(capsys: pytest.CaptureFixture[str]
     assert run_command(command, "torchpi") == 0
     assert capsys.readouterr().err == "torchpi: warning: a.csv: starts at 30 µm\n"
     assert warnings.showwarning is before
+
+
+def test_an_interrupt_in_a_callback_that_lets_no_exception_out_still_ends_the_command(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    class Node:
+        pass
+
+    def command() -> None:
+        node = Node()
+        reference = weakref.ref(node, lambda _: signal.raise_signal(signal.SIGINT))
+        del node
+        assert reference() is None
+        time.sleep(5.0)
+
+    assert run_command(command, "torchpi") == 130
+    assert capsys.readouterr().err == "torchpi: interrupted; files already written are whole\n"
 
 
 def test_a_stage_with_an_unphysical_value_is_refused_by_name_and_unit(

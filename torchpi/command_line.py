@@ -1,6 +1,7 @@
 """How torchpi's commands meet their user: typed functions for options, one line for an error, exit code 2."""
 
 import argparse
+import atexit
 import contextlib
 import difflib
 import inspect
@@ -81,7 +82,7 @@ def run_command(command: Callable[[], Any], program: str) -> int:
     """Run `command`; an error of the user's input becomes one line on stderr, and so does a warning of a
     recording. Returns the exit code."""
     try:
-        with warnings.catch_warnings(), _terminated_as_interrupted():
+        with warnings.catch_warnings(), _signals_as_exceptions():
             _show_in_one_line(program)
             command()
             if sys.stdout is not None:
@@ -122,7 +123,7 @@ def run_program(command: Callable[[], Any], program: str) -> NoReturn:
         _exit_at_once(code)
     # All is written; an interrupt while Python ends would only add a traceback.
     for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, signal.SIG_IGN)
+        atexit.register(signal.signal, number, signal.SIG_IGN)
     sys.exit(code)
 
 
@@ -156,8 +157,9 @@ class Terminated(KeyboardInterrupt):
 
 
 @contextmanager
-def _terminated_as_interrupted() -> Iterator[None]:
-    """Raise `Terminated` where a process would end without a word, and its workers go on."""
+def _signals_as_exceptions() -> Iterator[None]:
+    """Raise `Terminated` where a process would end without a word, and its workers go on; and raise again
+    what came in a place, a weak reference's callback for one, from which Python lets no exception out."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -165,10 +167,19 @@ def _terminated_as_interrupted() -> Iterator[None]:
     def end(number: int, frame: object) -> None:
         raise Terminated
 
-    before = signal.signal(signal.SIGTERM, end)
+    def again(lost: "sys.UnraisableHookArgs") -> None:
+        if not isinstance(lost.exc_value, KeyboardInterrupt):
+            usual(lost)
+        else:
+            number = signal.SIGTERM if isinstance(lost.exc_value, Terminated) else signal.SIGINT
+            threading.Timer(0.01, os.kill, (os.getpid(), number)).start()
+
+    before, usual = signal.signal(signal.SIGTERM, end), sys.unraisablehook
+    sys.unraisablehook = again
     try:
         yield
     finally:
+        sys.unraisablehook = usual
         signal.signal(signal.SIGTERM, before)
 
 
