@@ -20,7 +20,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from tests.export.c_compiler import Stepped
 from tests.hostile.sequences import VOLTAGES_V, compensator, disturbed, like_the_demo, motion
-from torchpi.compensator import DirectInverse
+from torchpi.control.direct_inverse import DirectInverse
 from torchpi.export import export_files, load_torchscript
 
 

@@ -26,8 +26,8 @@ import numpy as np
 import scipy.optimize
 import torch
 
-from torchpi.compensator import DirectInverse
-from torchpi.excitation import paper_multisine, sine_5hz
+from torchpi.control.direct_inverse import DirectInverse
+from torchpi.excitation.signals import paper_multisine, sine_5hz
 from torchpi.identification import InversePair, fit_joint, fit_two_stage, inverse_pair, searched_parameters
 from torchpi.identification.projection import projected_loss
 from torchpi.paper.fig10 import paper_form

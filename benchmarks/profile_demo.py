@@ -33,11 +33,11 @@ PHASES = {
     },
     "export": {"writing and checking the files": "torchpi.export:export_files"},
     "run": {
-        "loop, sample by sample": "torchpi.loop:run_loop",
+        "loop, sample by sample": "torchpi.loop.loop:run_loop",
         "page with its figures": "torchpi.report:write_loop_report",
     },
 }
-PROGRAMS = {"fit": "train.cli", "export": "torchpi.cli", "run": "torchpi.cli"}
+PROGRAMS = {"fit": "train.cli", "export": "torchpi.cli.commands", "run": "torchpi.cli.commands"}
 
 
 def main() -> None:

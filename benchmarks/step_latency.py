@@ -23,7 +23,7 @@ import numpy as np
 import torch
 from torch import nn
 
-from torchpi.compensator import DirectInverse
+from torchpi.control.direct_inverse import DirectInverse
 from torchpi.export import export_files, load_torchscript
 
 HERE = Path(__file__).parent

@@ -13,10 +13,10 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from torchpi.compensator import DirectInverse
-from torchpi.motion import Motion, backward_motion
+from torchpi.control.direct_inverse import DirectInverse
 from torchpi.operators import play_bank, polynomial
 from torchpi.operators.conformance import wandering
+from torchpi.operators.motion import Motion, backward_motion
 from torchpi.operators.play_scan import play_scan
 
 PERIOD_S = 1e-4

@@ -11,10 +11,9 @@ from typing import TYPE_CHECKING, Any
 from torchpi.files import provide_cache_folders
 
 if TYPE_CHECKING:
-    from torchpi.compensator import DirectInverse as DirectInverse
+    from torchpi.control.direct_inverse import DirectInverse as DirectInverse
     from torchpi.errors import TorchpiError as TorchpiError
-    from torchpi.loop import run_loop as run_loop
-    from torchpi.motion import Motion as Motion
+    from torchpi.loop.loop import run_loop as run_loop
     from torchpi.operators import (
         PlayBank as PlayBank,
     )
@@ -27,6 +26,7 @@ if TYPE_CHECKING:
     from torchpi.operators import (
         ReferenceFilter as ReferenceFilter,
     )
+    from torchpi.operators.motion import Motion as Motion
     from torchpi.recordings.recording import Recording as Recording
     from torchpi.recordings.recording import RecordingOptions as RecordingOptions
     from torchpi.recordings.recording import read_recording as read_recording
@@ -38,8 +38,8 @@ __version__ = "0.1.0"
 provide_cache_folders()  # before Numba and Matplotlib are imported, which read once where they may write
 
 _HOME = {
-    "DirectInverse": "torchpi.compensator",
-    "Motion": "torchpi.motion",
+    "DirectInverse": "torchpi.control.direct_inverse",
+    "Motion": "torchpi.operators.motion",
     "PlayBank": "torchpi.operators",
     "Polynomial": "torchpi.operators",
     "PrandtlIshlinskii": "torchpi.operators",

@@ -1,4 +1,4 @@
-from torchpi.command_line import run_program
+from torchpi.cli.command_line import run_program
 
 
 def fit() -> None:

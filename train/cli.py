@@ -13,7 +13,7 @@ import jsonargparse
 from lightning import Trainer
 from lightning.pytorch.cli import LightningArgumentParser, LightningCLI
 
-from torchpi.command_line import run_command
+from torchpi.cli.command_line import run_command
 from torchpi.errors import ConfigError, RecordingWarning, TorchpiError
 from train import console, results
 from train.data import RecordingsData

@@ -9,8 +9,8 @@ import torch
 from torch import Tensor
 from torch.func import functional_call
 
-from torchpi.compensator import DirectInverse
-from torchpi.motion import Motion
+from torchpi.control.direct_inverse import DirectInverse
+from torchpi.operators.motion import Motion
 
 RIDGE = 1e-6
 """Share of a parameter's own effect below which a direction counts as none: it keeps steps along it small."""

@@ -11,7 +11,7 @@ from torch.utils.data import DataLoader
 from torchpi.errors import ConfigError, RecordingError, RecordingWarning
 from torchpi.identification import InversePair, inverse_pair
 from torchpi.identification.pair import seen_ahead
-from torchpi.motion import Motion
+from torchpi.operators.motion import Motion
 from torchpi.recordings.identity import check_one_rate
 from torchpi.recordings.recording import Recording, RecordingOptions, read_recording
 from torchpi.stage import Stage

@@ -9,7 +9,8 @@ from lightning import LightningModule
 from lightning.pytorch.core.optimizer import LightningOptimizer
 from torch import Tensor
 
-from torchpi.compensator import DirectInverse
+from torchpi.control.direct_inverse import DirectInverse
+from torchpi.control.trained import to_checkpoint
 from torchpi.errors import ConfigError
 from torchpi.identification import (
     InverseErrors,
@@ -26,7 +27,6 @@ from torchpi.identification.two_stage import fit_weights
 from torchpi.operators.rate_weights import RateHead
 from torchpi.recordings.identity import recordings_sha256
 from torchpi.stage import Stage
-from torchpi.trained import to_checkpoint
 from train.coordinates import Coordinates
 from train.data import RecordingsData, Split
 from train.preview import find_preview

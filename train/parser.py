@@ -5,7 +5,7 @@ from typing import Any, NoReturn
 
 from lightning.pytorch.cli import LightningArgumentParser
 
-from torchpi.command_line import Parser
+from torchpi.cli.command_line import Parser
 from torchpi.errors import ConfigError
 
 

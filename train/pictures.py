@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 
-from torchpi.compensator import DirectInverse
+from torchpi.control.direct_inverse import DirectInverse
 from torchpi.identification import InversePair
 from torchpi.report.training import RecordFit, Saturation, WeightsAgainstRate
 from train.module import InverseTraining

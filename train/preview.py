@@ -3,7 +3,7 @@
 import copy
 from collections.abc import Callable, Sequence
 
-from torchpi.compensator import DirectInverse
+from torchpi.control.direct_inverse import DirectInverse
 from torchpi.identification import InversePair
 from torchpi.identification.recipe import MOST_PREVIEW
 from torchpi.identification.two_stage import fit_weights

@@ -15,15 +15,15 @@ import torch
 from lightning import Trainer
 from lightning.pytorch.loggers import TensorBoardLogger
 
+from torchpi.control.trained import STATE
+from torchpi.diagnosis.forward_stage import ForwardStage, identify_stage
 from torchpi.export import save_json, save_torchscript
 from torchpi.files import write_atomically
 from torchpi.identification import inverse_errors
-from torchpi.identification.forward_stage import ForwardStage, identify_stage
 from torchpi.identification.monotone import Monotone, monotone
 from torchpi.identification.recipe import MOST_PREVIEW
 from torchpi.report.training import TrainingReport
 from torchpi.report.what_was_run import Provenance
-from torchpi.trained import STATE
 from train.data import HELDOUT_SHARE, RecordingsData
 from train.module import InverseTraining
 from train.pictures import record_fits, saturation, weights_against_rate

@@ -8,10 +8,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from torchpi.compensator import DirectInverse
+from torchpi.control.direct_inverse import DirectInverse
+from torchpi.control.trained import load_compensator
 from torchpi.errors import ArtifactError, ConfigError
 from torchpi.files import check_output_folder
-from torchpi.trained import load_compensator
 
 RUNS = Path("runs")
 

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import torch
 from scipy.optimize import minimize_scalar
 
-from torchpi.compensator import DirectInverse
+from torchpi.control.direct_inverse import DirectInverse
 from torchpi.identification import InversePair
 
 SHARE = 0.1  # of the stroke, to either side: a zero is sought within it

@@ -8,7 +8,7 @@ from typing import Any
 
 import torch
 
-from torchpi.excitation import EXCITATIONS, make_excitation
+from torchpi.excitation.signals import EXCITATIONS, make_excitation
 from torchpi.recordings.recording import Recording, check_recording
 from torchpi.stage import Stage
 

@@ -13,10 +13,10 @@ import torch
 from torch import Tensor
 from torch.func import functional_call
 
-from torchpi.compensator import DirectInverse
+from torchpi.control.direct_inverse import DirectInverse
 from torchpi.errors import ConfigError
-from torchpi.excitation import TRAJECTORIES
-from torchpi.motion import Motion, backward_motion
+from torchpi.excitation.signals import TRAJECTORIES
+from torchpi.operators.motion import Motion, backward_motion
 from torchpi.operators.reference_filter import ReferenceFilter
 from torchpi.stage import Stage
 from train.coordinates import Coordinates

@@ -6,7 +6,7 @@ from typing import NamedTuple
 from torch import Tensor
 
 from torchpi.identification import InversePair
-from torchpi.motion import Motion
+from torchpi.operators.motion import Motion
 
 
 class Window(NamedTuple):

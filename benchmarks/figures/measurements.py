@@ -20,11 +20,11 @@ from tests.diagnosis import simulations
 from torchpi.commission.commission import commission, followed
 from torchpi.diagnosis.diagnose import diagnose
 from torchpi.diagnosis.diagnosis import Diagnosis
-from torchpi.diagnostic_excitation import diagnostic_excitations
-from torchpi.drive_limits import DriveLimits
-from torchpi.excitation import sine_5hz
+from torchpi.excitation.limits import DriveLimits
+from torchpi.excitation.sets import diagnostic_excitations
+from torchpi.excitation.signals import sine_5hz
 from torchpi.identification import inverse_pair
-from torchpi.loop_result import COMPENSATED, WITHOUT
+from torchpi.loop.result import COMPENSATED, WITHOUT
 from torchpi.recordings.options import RecordingOptions
 from torchpi.stage import Stage
 

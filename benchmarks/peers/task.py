@@ -13,7 +13,7 @@ import numpy.typing as npt
 import torch
 
 from torchpi import Motion, Recording, Stage
-from torchpi.excitation import multisine
+from torchpi.excitation.signals import multisine
 from torchpi.identification import InversePair, inverse_pair
 
 STAGE = Path(__file__).parents[2] / "configs" / "stage" / "qin2013.yaml"

@@ -10,21 +10,21 @@ import numpy as np
 import pytest
 
 from tests.train.conftest import recording, write
-from torchpi import cli
+from torchpi.cli import commands
 from torchpi.commission.commission import FORMATS, commission
+from torchpi.control.trained import load_compensator
 from torchpi.export import load_torchscript, trained_recordings
 from torchpi.recordings.identity import recordings_sha256
 from torchpi.recordings.options import RecordingOptions
 from torchpi.recordings.recording import read_recording
 from torchpi.stage import Stage
 from torchpi.stage.identified import Identified
-from torchpi.trained import load_compensator
 
 
 def torchpi(monkeypatch: pytest.MonkeyPatch, *arguments: str | Path) -> int:
     monkeypatch.setattr(sys, "argv", ["torchpi", *map(str, arguments)])
     with pytest.raises(SystemExit) as ended:
-        cli.main()
+        commands.main()
     return int(ended.value.code or 0)
 
 

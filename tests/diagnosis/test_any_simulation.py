@@ -10,10 +10,10 @@ import pytest
 
 from tests.diagnosis import simulations
 from tests.diagnosis.simulations import FS_HZ, NOISE_UM, recorded, stage
+from torchpi.cli.predict import predict
 from torchpi.diagnosis.diagnose import diagnose
 from torchpi.diagnosis.diagnosis import Diagnosis
 from torchpi.errors import RecordingError, SimulationError
-from torchpi.prediction import predict
 from torchpi.recordings.recording import Recording
 from torchpi.simulators import Simulate, Simulator
 from torchpi.stage import Stage

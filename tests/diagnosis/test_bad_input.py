@@ -9,7 +9,7 @@ import pytest
 import yaml
 
 from tests.diagnosis.plants import FS_HZ, multisine, pair, record, stairs
-from torchpi import cli
+from torchpi.cli import commands
 from torchpi.diagnosis.diagnose import diagnose
 from torchpi.errors import RecordingError
 from torchpi.recordings.recording import Recording, write_recording
@@ -19,7 +19,7 @@ def refused(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
     """The one line with which the command refuses."""
     monkeypatch.setattr(sys, "argv", ["torchpi", "diagnose", *map(str, arguments)])
     with pytest.raises(SystemExit) as ended:
-        cli.main()
+        commands.main()
     assert ended.value.code == 2
     message = capsys.readouterr().err.strip()
     assert "\n" not in message and "Traceback" not in message

@@ -8,9 +8,9 @@ import pytest
 from scipy.signal import cont2discrete, lfilter, ss2tf
 
 from tests.diagnosis.plants import Signal
+from torchpi.cli.predict import predict
 from torchpi.diagnosis import diagnose
 from torchpi.diagnosis.diagnosis import Diagnosis, NamedEffect
-from torchpi.prediction import predict
 from torchpi.recordings.recording import Recording
 
 FS_HZ, FINER, SAMPLES = 4000.0, 8, 6000

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from torchpi.diagnosis.diagnosis import Trace
 from torchpi.diagnosis.locate import SIGNIFICANT
 from torchpi.diagnosis.multisine import Parts, Stretch, all_parts, multisine, periodic_stretches, sentence
-from torchpi.excitation import multisine as random_phase
+from torchpi.excitation.signals import multisine as random_phase
 
 FS_HZ, NOISE_UM = 5_000.0, 0.004
 _, U = random_phase(8.0, FS_HZ, 0, 10, 1, 200, 2, odd_lines=True, detection_lines=True, seed=2)

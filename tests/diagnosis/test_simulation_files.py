@@ -9,14 +9,14 @@ import pytest
 
 from tests.diagnosis.plants import FS_HZ, NOISE_UM, multisine
 from tests.simulators import own_model
-from torchpi import cli
+from torchpi.cli import commands
 from torchpi.recordings.recording import Recording, read_recording, write_recording
 
 
 def torchpi(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
     monkeypatch.setattr(sys, "argv", ["torchpi", *map(str, arguments)])
     with pytest.raises(SystemExit) as ended:
-        cli.main()
+        commands.main()
     return int(ended.value.code or 0)
 
 

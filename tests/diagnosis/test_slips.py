@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 
 from tests.diagnosis.plants import NOISE_UM, Signal, Step, creep, lag, multisine, record, stairs, triangles
 from tests.diagnosis.prepared import prepared
+from torchpi.cli.predict import predict
 from torchpi.diagnosis.chain import Chain
 from torchpi.diagnosis.diagnose import diagnose
 from torchpi.diagnosis.diagnosis import Diagnosis
@@ -16,7 +17,6 @@ from torchpi.diagnosis.hypothesis import Fit, Hypothesis
 from torchpi.diagnosis.nominal import many_plays
 from torchpi.diagnosis.records import seen
 from torchpi.diagnosis.slips import jump, resting, slips
-from torchpi.prediction import predict
 from torchpi.recordings.recording import Recording
 
 BREAKAWAY_UM, SLIDING_UM = 0.12, 0.02

@@ -12,12 +12,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import nn
 
-import torchpi.compensator_stream
+import torchpi.control.step
+from tests.control.test_corrected import corrected
+from tests.control.test_corrected import voltage as wave
+from tests.control.test_direct_inverse import compensator, trajectory
 from tests.export.c_compiler import FLOAT, STRICT, Stepped, built, cc, needs_cc, run
-from tests.test_compensator import compensator, trajectory
-from tests.test_corrected import corrected
-from tests.test_corrected import voltage as wave
-from torchpi.compensator import DirectInverse
+from torchpi.control.direct_inverse import DirectInverse
 from torchpi.errors import ArtifactError
 from torchpi.export import export_files
 from torchpi.export.c_source import c_source
@@ -150,7 +150,7 @@ def test_a_loop_stands_for_plays_and_relaxations() -> None:
 
 
 def test_play_may_be_written_with_selections(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(torchpi.compensator_stream, "play", play_by_selection)
+    monkeypatch.setattr(torchpi.control.step, "play", play_by_selection)
     text = c_source(compensator(), "demo")["demo.c"]
     assert "return low > inner ? low : inner;" in text
 

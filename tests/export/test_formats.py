@@ -8,13 +8,13 @@ from pathlib import Path
 import pytest
 import torch
 
-from tests.test_compensator import compensator
-from tests.test_corrected import corrected
-from torchpi import cli
+from tests.control.test_corrected import corrected
+from tests.control.test_direct_inverse import compensator
+from torchpi.cli import commands
+from torchpi.control.trained import HASH, HYPER_PARAMETERS, to_checkpoint
 from torchpi.errors import ArtifactError, ConfigError
 from torchpi.export import export_files, load_torchscript
 from torchpi.export.formats import write_together
-from torchpi.trained import HASH, HYPER_PARAMETERS, to_checkpoint
 
 
 def contents(folder: Path) -> dict[str, bytes]:
@@ -26,7 +26,7 @@ def test_every_format_leaves_its_files(tmp_path: Path) -> None:
     assert [file.name for file in files] == ["demo.pt", "demo.h", "demo.c", "demo_selftest.c", "demo.json"]
     assert set(contents(tmp_path)) == {file.name for file in files}
     assert load_torchscript(tmp_path / "demo.pt").preview == 3
-    assert json.loads((tmp_path / "demo.json").read_text())["schema"] == "torchpi.compensator/1"
+    assert json.loads((tmp_path / "demo.json").read_text())["schema"] == "torchpi.control.direct_inverse/1"
 
 
 def test_a_name_with_a_dot_stays_whole(tmp_path: Path) -> None:
@@ -91,7 +91,7 @@ def checkpoint(tmp_path: Path) -> Path:
 def export(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:
     monkeypatch.setattr(sys, "argv", ["torchpi", "export", *arguments])
     with pytest.raises(SystemExit) as ended:
-        cli.main()
+        commands.main()
     return int(ended.value.code or 0)
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import torch
 
-from tests.test_compensator import compensator, trajectory
+from tests.control.test_direct_inverse import compensator, trajectory
 from torchpi.export import save_json
 
 
@@ -57,7 +57,7 @@ def test_a_step_written_by_hand_from_the_json_gives_the_same_voltages(tmp_path: 
 def test_json_is_versioned_and_has_units(tmp_path: Path) -> None:
     save_json(compensator(), tmp_path / "c.json")
     numbers = json.loads((tmp_path / "c.json").read_text())
-    assert numbers["schema"] == "torchpi.compensator/1"
+    assert numbers["schema"] == "torchpi.control.direct_inverse/1"
     assert numbers["input"] == {"signal": "desired displacement y_d", "unit": "um", "preview_samples": 3}
     assert math.isclose(numbers["sample_period_s"], 1e-4)
     assert {"k_unit", "b_unit"} <= numbers["weights"].keys()

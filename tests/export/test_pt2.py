@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 import torch
 
-from tests.test_compensator import compensator, trajectory
-from tests.test_corrected import corrected
+from tests.control.test_corrected import corrected
+from tests.control.test_direct_inverse import compensator, trajectory
 from torchpi.export import export_files
 from torchpi.export.deployable import Deployable
 from torchpi.operators import ReferenceFilter

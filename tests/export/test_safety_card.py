@@ -9,14 +9,14 @@ import pytest
 import torch
 
 from tests.hostile.sequences import compensator
-from torchpi import cli
-from torchpi.compensator import DirectInverse
+from torchpi.cli import commands
+from torchpi.control.direct_inverse import DirectInverse
+from torchpi.control.trained import to_checkpoint
 from torchpi.control.trained_motions import TrainedMotions
 from torchpi.errors import ConfigError
 from torchpi.export import Load, export_files, load_torchscript, safety_card
 from torchpi.identification.pair import InversePair
-from torchpi.motion import Motion
-from torchpi.trained import to_checkpoint
+from torchpi.operators.motion import Motion
 
 
 def linear(**changes: object) -> DirectInverse:
@@ -74,7 +74,7 @@ def test_the_card_is_in_the_json_and_on_the_page(tmp_path: Path) -> None:
 def export(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:
     monkeypatch.setattr(sys, "argv", ["torchpi", "export", *arguments])
     with pytest.raises(SystemExit) as ended:
-        cli.main()
+        commands.main()
     return int(ended.value.code or 0)
 
 

@@ -8,11 +8,11 @@ from pathlib import Path
 import pytest
 import torch
 
-from torchpi.compensator import DirectInverse
+from torchpi.control.direct_inverse import DirectInverse
 from torchpi.errors import ArtifactError
 from torchpi.export import load_torchscript, save_torchscript
-from torchpi.motion import backward_motion
 from torchpi.operators import ReferenceFilter
+from torchpi.operators.motion import backward_motion
 
 
 def compensator() -> DirectInverse:

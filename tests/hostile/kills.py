@@ -17,8 +17,8 @@ import torch
 import yaml
 
 from tests.hostile.sequences import compensator
+from torchpi.control.trained import to_checkpoint
 from torchpi.recordings.recording import Recording, write_recording
-from torchpi.trained import to_checkpoint
 
 ROOT = Path(__file__).parents[2]
 SIGNALS = (signal.SIGTERM, signal.SIGKILL, signal.SIGINT)

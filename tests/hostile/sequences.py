@@ -7,8 +7,8 @@ import struct
 import torch
 from torch import Tensor
 
-from tests.test_compensator import THRESHOLDS
-from torchpi.compensator import DirectInverse
+from tests.control.test_direct_inverse import THRESHOLDS
+from torchpi.control.direct_inverse import DirectInverse
 
 PERIOD_S = 1e-3
 VOLTAGES_V = (-1.0, 9.0)

@@ -17,10 +17,10 @@ from torch import Tensor, nn
 
 from tests.export.test_torchscript import compensator
 from tests.hostile.sequences import compensator as trained
+from torchpi.control.trained import HASH, HYPER_PARAMETERS, STATE, load_compensator, to_checkpoint
 from torchpi.errors import ArtifactError
 from torchpi.export import load_torchscript, save_torchscript
 from torchpi.export.torchscript_check import METHODS
-from torchpi.trained import HASH, HYPER_PARAMETERS, STATE, load_compensator, to_checkpoint
 
 ATTRIBUTES = {
     "sample_period_s": 1e-4, "preview": 0, "min_voltage_v": 0.0, "max_voltage_v": 10.0,

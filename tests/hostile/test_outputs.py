@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from torchpi.command_line import run_command
+from torchpi.cli.command_line import run_command
 from torchpi.errors import ArtifactError
-from torchpi.excitation_files import write_excitation
+from torchpi.excitation.files import write_excitation
 from torchpi.files import check_output_folder, save_tensors, write_atomically
 from train.run_folder import RunFolder, claim, new_run
 
@@ -166,7 +166,7 @@ def test_without_a_writable_home_or_package_everything_works(tmp_path: Path) -> 
         environment.pop(name, None)
     (tmp_path / "tmp").mkdir()
     program = (
-        "import torchpi, matplotlib; from torchpi.cli import main\n"
+        "import torchpi, matplotlib; from torchpi.cli.commands import main\n"
         f"assert torchpi.__file__.startswith({str(tmp_path)!r})\n"
         "import torchpi.report.png; main()"
     )

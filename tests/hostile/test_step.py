@@ -8,6 +8,8 @@ import pytest
 import torch
 from torch import Tensor
 
+from tests.control.test_corrected import corrected
+from tests.control.test_direct_inverse import scripted
 from tests.export.c_compiler import Stepped, needs_cc
 from tests.export.test_torchscript import compensator as untrained
 from tests.hostile.sequences import (
@@ -20,15 +22,13 @@ from tests.hostile.sequences import (
     like_the_demo,
     motion,
 )
-from tests.test_compensator import scripted
-from tests.test_corrected import corrected
-from torchpi.compensator import DirectInverse
-from torchpi.compensator_stream import CompensatorStream
+from torchpi.control.direct_inverse import DirectInverse
+from torchpi.control.indirect import ConventionalInverse
+from torchpi.control.step import CompensatorStream
 from torchpi.export import export_files
 from torchpi.export.deployable import Deployable
-from torchpi.indirect import ConventionalInverse
-from torchpi.motion import backward_motion
 from torchpi.operators import ReferenceFilter
+from torchpi.operators.motion import backward_motion
 
 TOLERANCE_V = 1e-3 * (VOLTAGES_V[1] - VOLTAGES_V[0])
 

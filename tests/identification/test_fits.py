@@ -5,12 +5,12 @@ import pytest
 import scipy.optimize
 import torch
 
-from torchpi.compensator import DirectInverse
+from torchpi.control.direct_inverse import DirectInverse
 from torchpi.identification import InversePair, fit_joint, fit_two_stage
 from torchpi.identification.joint import joint_problem
 from torchpi.identification.levenberg_marquardt import levenberg_marquardt
 from torchpi.identification.two_stage import fit_saturation
-from torchpi.motion import Motion
+from torchpi.operators.motion import Motion
 
 PERIOD = 1e-3
 THRESHOLDS = [0.0, 0.2, 0.5, 0.9, 1.4]

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from tests.identification.test_fits import pairs, truth, wandering
-from torchpi.compensator import DirectInverse
+from torchpi.control.direct_inverse import DirectInverse
 from torchpi.identification import InversePair
 from torchpi.identification.levenberg_marquardt import levenberg_marquardt
 from torchpi.identification.monotone import monotone

@@ -8,13 +8,13 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from torchpi.compensator import DirectInverse
+from torchpi.control.direct_inverse import DirectInverse
 from torchpi.identification import InversePair
 from torchpi.identification.inverse_rows import SAMPLES, Record, blocks
 from torchpi.identification.projected_problem import ProjectedProblem, nonlinear
 from torchpi.identification.projection import linear_columns
 from torchpi.identification.thin_qr import ThinQR
-from torchpi.motion import Motion
+from torchpi.operators.motion import Motion
 
 EVERYTHING = ["lead", "gains", "c", "r", "slope", "shift"]
 PERIOD = 1e-3

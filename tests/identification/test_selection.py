@@ -8,11 +8,11 @@ import pytest
 import torch
 
 from tests.identification.test_fits import PERIOD, THRESHOLDS, pairs, truth
-from torchpi.compensator import DirectInverse
+from torchpi.control.direct_inverse import DirectInverse
 from torchpi.identification import InversePair
 from torchpi.identification.folds import make_folds
 from torchpi.identification.selection import Form, Richest, Selection, select_form
-from torchpi.motion import Motion
+from torchpi.operators.motion import Motion
 
 RICHEST = Richest(range(4), degree=4, lead=2, creep_time_constants_s=(0.05,), rate=True)
 

@@ -4,9 +4,9 @@ import pytest
 import torch
 
 from torchpi.errors import ConfigError
-from torchpi.motion import backward_motion
 from torchpi.operators import PrandtlIshlinskii
 from torchpi.operators.conformance import OperatorLaws, wandering
+from torchpi.operators.motion import backward_motion
 from torchpi.operators.rate_dependent_pi import RateDependentPI
 
 T = 1e-2

@@ -203,8 +203,8 @@ def test_without_numba_plain_torch_gives_the_same_voltage() -> None:
         builtins.__import__ = hidden
         import sys
         import torch
-        from torchpi.compensator import DirectInverse
-        from torchpi.motion import backward_motion
+        from torchpi.control.direct_inverse import DirectInverse
+        from torchpi.operators.motion import backward_motion
         from torchpi.operators import compiled
         assert not compiled.HAS_COMPILER
         made = DirectInverse(1e-3, [0.0, 0.1, 0.4], rate="neural", output_degree=2)

@@ -4,11 +4,11 @@ import tempfile
 from functools import cache
 from pathlib import Path
 
-from torchpi.compensator import DirectInverse
+from torchpi.cli.reproduce import reproduce
+from torchpi.control.direct_inverse import DirectInverse
 from torchpi.paper.context import SHORT, Recipe
 from torchpi.paper.fig7_plant import Fig7Plant
 from torchpi.paper.fig10 import identify
-from torchpi.paper.reproduce import reproduce
 from torchpi.stage import Stage
 
 STAGE = Path(__file__).parents[2] / "configs" / "stage" / "qin2013.yaml"

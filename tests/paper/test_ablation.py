@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from torchpi.compensator import DirectInverse
+from torchpi.control.direct_inverse import DirectInverse
 from torchpi.paper.ablation import PAPER, PASSES, VARIANTS, ablation
 from torchpi.paper.recipe import FORM, stage_recordings
 from torchpi.stage import Stage

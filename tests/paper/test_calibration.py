@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from torchpi.errors import ConfigError
-from torchpi.excitation import sine_5hz
+from torchpi.excitation.signals import sine_5hz
 from torchpi.paper.calibration import (
     EFFECTS_OF,
     PAPER_MAX_UM,

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from torchpi.indirect import conventional_inverse
+from torchpi.control.indirect import conventional_inverse
 from torchpi.operators import Polynomial
 from torchpi.paper import fig3, fig4, fig5, fig8
 

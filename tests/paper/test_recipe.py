@@ -5,7 +5,7 @@ import math
 import pytest
 import torch
 
-from torchpi.motion import backward_motion
+from torchpi.operators.motion import backward_motion
 from torchpi.paper.fig7_plant import Fig7Plant
 from torchpi.paper.recipe import fig7_compensator
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from torchpi.loop import run_loop
-from torchpi.loop_result import LoopResult
+from torchpi.loop.result import LoopResult
 from torchpi.report.training import RecordFit, Saturation, TrainingReport, WeightsAgainstRate
 from torchpi.report.what_was_run import Provenance
 

@@ -15,7 +15,7 @@ from torchpi.diagnosis.diagnosis import (
     Trace,
 )
 from torchpi.diagnosis.locate import locate
-from torchpi.excitation import multisine
+from torchpi.excitation.signals import multisine
 from torchpi.stage import Stage
 
 FS_HZ, NOISE_UM = 5_000.0, 0.004

@@ -6,7 +6,7 @@ from html.parser import HTMLParser
 
 import pytest
 
-from torchpi.loop_result import COMPENSATED, LoopResult
+from torchpi.loop.result import COMPENSATED, LoopResult
 from torchpi.report import words
 from torchpi.report.page import loop_json, loop_page, training_page, write_loop_report, write_training_report
 from torchpi.report.training import TrainingReport

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from torchpi.excitation import sine_5hz
+from torchpi.excitation.signals import sine_5hz
 from torchpi.stage import Stage
 
 FOLDER = Path(__file__).parents[2] / "configs/stage"

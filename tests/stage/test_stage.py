@@ -13,7 +13,7 @@ from torch import Tensor
 
 from torchpi.errors import ArtifactError, ConfigError, StageError
 from torchpi.loop import run_loop
-from torchpi.loop_result import COMPENSATED
+from torchpi.loop.result import COMPENSATED
 from torchpi.operators import PrandtlIshlinskii
 from torchpi.operators.conformance import OperatorLaws, wandering
 from torchpi.stage import Stage

@@ -8,9 +8,9 @@ from torch import Tensor
 from torch.distributed import destroy_process_group, init_process_group
 from torch.nn.parallel import DistributedDataParallel
 
-from torchpi.compensator import DirectInverse
-from torchpi.motion import backward_motion
+from torchpi.control.direct_inverse import DirectInverse
 from torchpi.operators.conformance import wandering
+from torchpi.operators.motion import backward_motion
 
 PROCESSES = 2
 PERIOD_S = 1e-3

@@ -10,12 +10,12 @@ import pytest
 import torch
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
+from torchpi.control.trained import load_compensator
 from torchpi.export import load_torchscript
-from torchpi.motion import backward_motion
+from torchpi.operators.motion import backward_motion
 from torchpi.recordings.identity import recordings_sha256
 from torchpi.recordings.recording import read_recording
 from torchpi.stage import Stage
-from torchpi.trained import load_compensator
 from train import cli
 from train.callbacks import EpochProgress
 from train.cli import main

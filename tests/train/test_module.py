@@ -14,7 +14,7 @@ from tests.train.conftest import recording, write
 from torchpi.identification import InversePair, inverse_pair
 from torchpi.identification.projection import RIDGE
 from torchpi.identification.recipe import spread_thresholds
-from torchpi.motion import Motion
+from torchpi.operators.motion import Motion
 from train.data import RecordingsData
 from train.module import InverseTraining
 from train.sensor_zero import fit_zero

@@ -8,8 +8,8 @@ import pytest
 import torch
 
 from tests.train.conftest import recording, write
+from torchpi.control.trained import load_compensator
 from torchpi.errors import ConfigError
-from torchpi.trained import load_compensator
 from train.cli import main
 from train.data import RecordingsData
 from train.module import InverseTraining

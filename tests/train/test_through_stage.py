@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from torchpi.excitation import random_trajectory
+from torchpi.excitation.signals import random_trajectory
 from torchpi.export import load_torchscript
 from torchpi.stage import Stage
 from train import results

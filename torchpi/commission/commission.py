@@ -16,25 +16,25 @@ from pathlib import Path
 from rich.console import Console
 
 from torchpi.commission.outcome import Outcome
-from torchpi.compensator import DirectInverse
+from torchpi.control.direct_inverse import DirectInverse
+from torchpi.control.trained import to_checkpoint
+from torchpi.diagnosis.forward_stage import identify_stage
 from torchpi.errors import RecordingError
 from torchpi.export import made_files, write_together
 from torchpi.export.formats import Files
 from torchpi.export.torchscript import script, warm
 from torchpi.files import check_output_folder, save_tensors
 from torchpi.identification import InversePair, inverse_errors, inverse_pair
-from torchpi.identification.forward_stage import identify_stage
 from torchpi.identification.pair import seen_ahead
 from torchpi.identification.recipe import Recipe
 from torchpi.identification.selection import Selection
 from torchpi.loop import run_loop
-from torchpi.loop_result import LoopResult
+from torchpi.loop.result import LoopResult
 from torchpi.recordings.identity import check_one_rate, recordings_sha256
 from torchpi.recordings.options import RecordingOptions
 from torchpi.recordings.recording import Recording, read_recording
 from torchpi.report import commission_page, provenance
 from torchpi.stage import Stage
-from torchpi.trained import to_checkpoint
 
 NAME = "compensator"
 FORMATS = ("torchscript", "c", "json", "page")

@@ -4,11 +4,11 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from torchpi.compensator import DirectInverse
+from torchpi.control.direct_inverse import DirectInverse
+from torchpi.diagnosis.forward_stage import ForwardStage
 from torchpi.identification import InverseErrors
-from torchpi.identification.forward_stage import ForwardStage
 from torchpi.identification.selection import Step
-from torchpi.loop_result import COMPENSATED, LoopResult, as_json
+from torchpi.loop.result import COMPENSATED, LoopResult, as_json
 from torchpi.recordings.recording import Recording
 from torchpi.stage import Stage
 from torchpi.stage.identified import Identified

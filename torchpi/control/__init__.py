@@ -1,1 +1,1 @@
-"""What keeps a compensator in a control loop within what it was trained on and what the stage bears."""
+"""Compensators, their step in a control loop, and what keeps them within what the stage bears."""

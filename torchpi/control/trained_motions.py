@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from torchpi.errors import ConfigError
-from torchpi.motion import Motion
+from torchpi.operators.motion import Motion
 
 Interval = tuple[float, float]
 

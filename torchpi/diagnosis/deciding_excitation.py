@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from torchpi.drive_limits import (
+from torchpi.excitation.limits import (
     FADE,
     DriveLimits,
     largest_rate_v_s,

@@ -10,8 +10,8 @@ import numpy as np
 from torchpi.diagnosis.deciding_excitation import Movement, stretch
 from torchpi.diagnosis.diagnosis import NextRecording
 from torchpi.diagnosis.splits import CONFIRM, NAMELESS, SHOWS, SPLITS, Decision
-from torchpi.drive_limits import DriveLimits, recorded
-from torchpi.excitation import Samples
+from torchpi.excitation.limits import DriveLimits, recorded
+from torchpi.excitation.signals import Samples
 from torchpi.stage.effects.effect import Seen
 
 MOST_SAMPLES = 600_000

@@ -2,7 +2,7 @@
 
 import math
 
-from torchpi.compensator_stream import CompensatorStream
+from torchpi.control.step import CompensatorStream
 
 SAMPLES = 600
 NOT_FINITE = (250, 251, 420)  # samples at which the input is not a number

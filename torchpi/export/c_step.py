@@ -18,7 +18,7 @@ from torchpi.control.step_guard import IN_DOUBLE
 from torchpi.errors import ArtifactError
 from torchpi.export.parts import Function, Part, Value, own_attribute
 from torchpi.export.roll import roll
-from torchpi.motion import BackwardMotionStream
+from torchpi.operators.motion import BackwardMotionStream
 from torchpi.operators.reference_filter import ReferenceFilterStream
 
 # Functions of the header that are methods of the step; `reset` is written from the states, `block` by hand.

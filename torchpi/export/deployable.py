@@ -2,7 +2,7 @@
 
 from typing import Protocol
 
-from torchpi.compensator_stream import CompensatorStream
+from torchpi.control.step import CompensatorStream
 from torchpi.operators.reference_filter import ReferenceFilter
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import torchpi
-from torchpi.compensator import DirectInverse
+from torchpi.control.direct_inverse import DirectInverse
 from torchpi.control.step_guard import CONFIRMATIONS
 from torchpi.errors import ArtifactError
 from torchpi.export.deployable import Deployable
@@ -14,7 +14,7 @@ from torchpi.export.safety_card import Load, safety_card
 from torchpi.files import write_atomically
 from torchpi.operators.reference_filter import ReferenceFilter
 
-SCHEMA = "torchpi.compensator/1"
+SCHEMA = "torchpi.control.direct_inverse/1"
 
 
 def json_files(

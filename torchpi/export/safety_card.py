@@ -3,7 +3,7 @@
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from torchpi.compensator import DirectInverse
+from torchpi.control.direct_inverse import DirectInverse
 from torchpi.control.trained_motions import Interval
 from torchpi.errors import ConfigError
 from torchpi.identification.monotone import monotone

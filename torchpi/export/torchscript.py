@@ -13,7 +13,7 @@ from typing import Any, cast
 import torch
 from torch import nn
 
-from torchpi.compensator_stream import CompensatorStream
+from torchpi.control.step import CompensatorStream
 from torchpi.errors import ArtifactError
 from torchpi.export.deployable import Deployable
 from torchpi.export.formats import Files

@@ -5,9 +5,9 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from torchpi.compensator import DirectInverse
-from torchpi.corrected import CorrectedInverse, delayed
-from torchpi.motion import Motion, backward_motion
+from torchpi.control.corrected import CorrectedInverse, delayed
+from torchpi.control.direct_inverse import DirectInverse
+from torchpi.operators.motion import Motion, backward_motion
 
 # Share of the columns' mean square: errors seen ahead are smooth, so their taps are nearly collinear.
 RIDGE = 1e-9

@@ -5,7 +5,7 @@ u = Σ_i (Σ_m θ_im φ_m(ẏ) + Σ_q ψ_iq z_i^q) h_i + u_0,   z_i = h_i / rang
 
 import numpy as np
 
-from torchpi.compensator import DirectInverse
+from torchpi.control.direct_inverse import DirectInverse
 from torchpi.identification.inverse_rows import Block, Nonlinear, over_rows, through_plays
 from torchpi.operators.rate_weights import squash
 

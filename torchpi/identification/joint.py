@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from torch import nn
 
-from torchpi.compensator import DirectInverse
+from torchpi.control.direct_inverse import DirectInverse
 from torchpi.identification.pair import InversePair
 from torchpi.identification.projected_problem import ProjectedProblem
 from torchpi.identification.projection import RIDGE, linear_parameters

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from torchpi.compensator import DirectInverse
+from torchpi.control.direct_inverse import DirectInverse
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ import numpy as np
 import torch
 from scipy.optimize import nnls
 
-from torchpi.compensator import DirectInverse
+from torchpi.control.direct_inverse import DirectInverse
 from torchpi.identification.pair import InversePair
 from torchpi.identification.projected_problem import Linearised, ProjectedProblem, Solved
 from torchpi.identification.projection import RIDGE

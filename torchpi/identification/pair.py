@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from torchpi.errors import RecordingError
-from torchpi.motion import Motion
+from torchpi.operators.motion import Motion
 from torchpi.recordings.differentiation import motion_bandwidth, zero_phase_motion
 from torchpi.recordings.recording import Recording
 

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 import torch
 
-from torchpi.compensator import DirectInverse
+from torchpi.control.direct_inverse import DirectInverse
 from torchpi.identification.inverse_columns import InverseColumns, RateFunctions
 from torchpi.identification.inverse_rows import Nonlinear, Record, Stretch, blocks
 from torchpi.identification.pair import InversePair

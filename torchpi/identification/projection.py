@@ -10,8 +10,8 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor, nn
 
-from torchpi.compensator import DirectInverse
-from torchpi.motion import Motion
+from torchpi.control.direct_inverse import DirectInverse
+from torchpi.operators.motion import Motion
 from torchpi.operators.weighted_sum import weighted_sum
 
 # Neighbouring plays are nearly collinear. This share of the columns' mean square keeps single weights

@@ -7,7 +7,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchpi.compensator import DirectInverse
+from torchpi.control.direct_inverse import DirectInverse
 from torchpi.control.trained_motions import TrainedMotions
 from torchpi.identification.pair import InversePair
 from torchpi.identification.selection import Form, Pairs, Richest, Selection, select_form

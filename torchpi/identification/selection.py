@@ -16,7 +16,7 @@ from typing import Literal
 import numpy as np
 import torch
 
-from torchpi.compensator import DirectInverse
+from torchpi.control.direct_inverse import DirectInverse
 from torchpi.identification.folds import BLOCKS, Fold, make_folds
 from torchpi.identification.levenberg_marquardt import levenberg_marquardt
 from torchpi.identification.monotone_problem import MonotoneProblem

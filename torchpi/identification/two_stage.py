@@ -13,13 +13,13 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from torchpi.compensator import DirectInverse
+from torchpi.control.direct_inverse import DirectInverse
 from torchpi.identification.inverse_columns import InverseColumns
 from torchpi.identification.pair import InversePair
 from torchpi.identification.projected_problem import ProjectedProblem
 from torchpi.identification.search import descend, search
 from torchpi.identification.thin_qr import ThinQR
-from torchpi.motion import Motion
+from torchpi.operators.motion import Motion
 
 EVALUATIONS = 100  # of stage 1, at most
 BLOCK = 10_000  # samples of stage 2 at a time

@@ -12,8 +12,8 @@ import torch
 from torch import Tensor, nn
 
 from torchpi.errors import ConfigError
-from torchpi.motion import backward_rate
 from torchpi.operators.base import Operator
+from torchpi.operators.motion import backward_rate
 from torchpi.operators.play import PlayBank, PlayStream
 from torchpi.operators.weighted_sum import weight, weighted_sum
 

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor, nn
 
 from torchpi.errors import ConfigError
-from torchpi.motion import BackwardMotionStream, Motion
+from torchpi.operators.motion import BackwardMotionStream, Motion
 
 
 class ReferenceFilter:

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from torchpi.compensator import DirectInverse
+from torchpi.control.direct_inverse import DirectInverse
 from torchpi.paper.fig8 import FREQUENCIES_HZ, deployed
 from torchpi.paper.methods import tracked
 from torchpi.paper.recipe import BANDWIDTH_HZ, FORM, fig7_compensator, learn, stage_recordings

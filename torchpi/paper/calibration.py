@@ -17,14 +17,14 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from torchpi.compensator import DirectInverse
+from torchpi.control.direct_inverse import DirectInverse
 from torchpi.errors import ConfigError
-from torchpi.excitation import Samples, paper_multisine, sine_5hz
+from torchpi.excitation.signals import Samples, paper_multisine, sine_5hz
+from torchpi.excitation.trajectory import load_trajectory
 from torchpi.identification import InversePair, TwoStageResult, fit_two_stage, inverse_pair, local_slope
 from torchpi.recordings.recording import Recording
 from torchpi.stage import Stage
 from torchpi.stage.effects.actuator.input_nonlinearity import InputNonlinearity
-from torchpi.trajectory import load_trajectory
 
 THRESHOLDS = (0.0, 0.05, 0.1, 0.2, 0.3, 0.5, 1.0, 1.5, 2.0, 3.0)
 """r of the paper's compensator, in the unit of S(y)."""

@@ -15,12 +15,12 @@ import scipy.optimize
 import torch
 from torch import Tensor
 
-from torchpi.compensator import DirectInverse
-from torchpi.excitation import multisine
+from torchpi.control.direct_inverse import DirectInverse
+from torchpi.excitation.signals import multisine
 from torchpi.identification import InversePair, fit_joint, inverse_errors, inverse_pair
 from torchpi.identification.two_stage import fit_saturation, fit_weights
-from torchpi.motion import Motion
 from torchpi.operators.dead_zone import DeadZones
+from torchpi.operators.motion import Motion
 from torchpi.operators.reference_filter import ReferenceFilter
 from torchpi.paper import fig12
 from torchpi.paper.fig10 import Identified, paper_form

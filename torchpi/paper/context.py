@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
-from torchpi.compensator import DirectInverse
-from torchpi.corrected import CorrectedInverse
+from torchpi.control.corrected import CorrectedInverse
+from torchpi.control.direct_inverse import DirectInverse
 from torchpi.paper import claims, fig13, recipe, unseen
 from torchpi.paper.ablation import PASSES, VARIANTS
 from torchpi.paper.calibration import PARTS

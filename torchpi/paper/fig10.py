@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from torchpi.compensator import DirectInverse
-from torchpi.excitation import paper_multisine, sine_5hz
+from torchpi.control.direct_inverse import DirectInverse
+from torchpi.excitation.signals import paper_multisine, sine_5hz
 from torchpi.identification import InversePair, TwoStageResult, fit_two_stage, inverse_pair, local_slope
 from torchpi.paper.calibration import DEGREE, MULTISINE_S, SINE_S, THRESHOLDS
 from torchpi.paper.tracking import Plant, record

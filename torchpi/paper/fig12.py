@@ -10,8 +10,8 @@ from functools import cache
 
 import numpy as np
 
+from torchpi.excitation.trajectory import Trajectory, load_trajectory
 from torchpi.paper.tracking import Deployed, Plant, TrackingError, follow, loading_samples, tracking_error
-from torchpi.trajectory import Trajectory, load_trajectory
 
 TRAJECTORIES = ("slow", "fast")
 

@@ -2,7 +2,7 @@
 
 import torch
 
-from torchpi.indirect.conventional import conventional_inverse
+from torchpi.control.indirect.conventional import conventional_inverse
 from torchpi.operators.prandtl_ishlinskii import PrandtlIshlinskii
 
 THRESHOLDS = [0.0, 0.1, 0.3, 0.6, 1.0]

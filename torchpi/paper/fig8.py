@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from torchpi.indirect.rate_dependent import RateDependentInverse
-from torchpi.motion import Motion
+from torchpi.control.indirect.rate_dependent import RateDependentInverse
+from torchpi.operators.motion import Motion
 from torchpi.paper.fig7_plant import OFFSETS, SAMPLE_PERIOD_S, SLOPES, THRESHOLDS, Fig7Plant
 from torchpi.paper.tracking import Deployed, follow
 

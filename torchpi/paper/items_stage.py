@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from torchpi.compensator import DirectInverse
+from torchpi.control.direct_inverse import DirectInverse
 from torchpi.paper import claims, fig12, fig13, methods, unseen
 from torchpi.paper import fig10 as identification
 from torchpi.paper.calibration import PAPER_MAX_UM, calibrate_paper_method, without

@@ -9,8 +9,9 @@ from typing import Any
 
 import torch
 
+from torchpi.excitation.trajectory import load_trajectory
 from torchpi.identification import fit_two_stage, inverse_pair
-from torchpi.indirect.fitted import (
+from torchpi.identification.indirect import (
     Records,
     fit_cascade,
     fit_conventional,
@@ -18,13 +19,12 @@ from torchpi.indirect.fitted import (
     fit_rate_dependent,
     fit_time_varying_thresholds,
 )
-from torchpi.motion import backward_motion
+from torchpi.operators.motion import backward_motion
 from torchpi.paper import fig7_plant, fig8, fig12
 from torchpi.paper.calibration import THRESHOLDS
 from torchpi.paper.fig7_plant import Fig7Plant
 from torchpi.paper.fig10 import identify, paper_form
 from torchpi.paper.tracking import Deployed, InOnePass, Plant, StraightLine, TrackingError
-from torchpi.trajectory import load_trajectory
 
 # On the stage: r of the forward models, V, denser where reversals are; dead zones of their saturation, µm.
 STAGE_THRESHOLDS_V = [0.0, 0.05, 0.1, 0.2, 0.35, 0.6, 1.0, 1.5, 2.0, 3.0, 4.0]

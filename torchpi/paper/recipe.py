@@ -6,13 +6,13 @@ from typing import Any
 import numpy as np
 import torch
 
-from torchpi import excitation
-from torchpi.compensator import DirectInverse
-from torchpi.corrected import CorrectedInverse
+from torchpi.control.corrected import CorrectedInverse
+from torchpi.control.direct_inverse import DirectInverse
+from torchpi.excitation import signals
 from torchpi.identification import InversePair, fit_joint, fit_two_stage, inverse_pair
 from torchpi.identification.corrections import fit_corrections
 from torchpi.identification.two_stage import fit_weights
-from torchpi.motion import backward_motion
+from torchpi.operators.motion import backward_motion
 from torchpi.paper.fig7_plant import Fig7Plant
 from torchpi.recordings.recording import Recording
 from torchpi.stage import Stage
@@ -44,12 +44,12 @@ def fig7_compensator(passes: int = PASSES) -> CorrectedInverse:
     voltages = [
         torch.from_numpy(u)[None]
         for _, u in (
-            excitation.multisine(2.0, fs_hz, 0, 10, 1, 20, 1, seed=1),
-            excitation.multisine(2.0, fs_hz, 0, 10, 1, 60, 1, seed=2),
-            excitation.multisine(1.0, fs_hz, 0, 10, 1, 120, 1, seed=3),
-            excitation.multisine(1.0, fs_hz, 0, 10, 1, 200, 1, seed=4),
-            excitation.multisine(2.0, fs_hz, 0, 6, 1, 60, 1, seed=5),
-            excitation.multisine(1.0, fs_hz, 3, 10, 1, 120, 1, seed=6),
+            signals.multisine(2.0, fs_hz, 0, 10, 1, 20, 1, seed=1),
+            signals.multisine(2.0, fs_hz, 0, 10, 1, 60, 1, seed=2),
+            signals.multisine(1.0, fs_hz, 0, 10, 1, 120, 1, seed=3),
+            signals.multisine(1.0, fs_hz, 0, 10, 1, 200, 1, seed=4),
+            signals.multisine(2.0, fs_hz, 0, 6, 1, 60, 1, seed=5),
+            signals.multisine(1.0, fs_hz, 3, 10, 1, 120, 1, seed=6),
         )
     ]
     generator = torch.Generator().manual_seed(0)
@@ -138,12 +138,12 @@ def stage_recordings(stage: Stage, seed: int = 0) -> list[Recording]:
     """
     fs_hz = stage.sample_rate_hz
     played = {
-        "sine_5hz": excitation.sine_5hz(1.0, fs_hz),
-        "paper_multisine": excitation.paper_multisine(1.0, fs_hz),
-        "multisine": excitation.multisine(4.0, fs_hz, high_hz=100, seed=3 + 100 * seed),
-        "triangles": excitation.triangles(6.0, fs_hz),
-        "multisine_low": excitation.multisine(3.0, fs_hz, high_hz=60, high_v=7.0, seed=5 + 100 * seed),
-        "triangles_low": excitation.triangles(4.0, fs_hz, high_v=5.0),
+        "sine_5hz": signals.sine_5hz(1.0, fs_hz),
+        "paper_multisine": signals.paper_multisine(1.0, fs_hz),
+        "multisine": signals.multisine(4.0, fs_hz, high_hz=100, seed=3 + 100 * seed),
+        "triangles": signals.triangles(6.0, fs_hz),
+        "multisine_low": signals.multisine(3.0, fs_hz, high_hz=60, high_v=7.0, seed=5 + 100 * seed),
+        "triangles_low": signals.triangles(4.0, fs_hz, high_v=5.0),
     }
     recordings = []
     for noise, (name, (t, u)) in enumerate(played.items(), start=1 + 100 * seed):

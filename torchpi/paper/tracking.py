@@ -7,7 +7,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchpi.motion import Motion, backward_motion
+from torchpi.operators.motion import Motion, backward_motion
 from torchpi.recordings.recording import Recording
 
 TRAVEL_UM = 8.1  # of the paper's stage

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from torchpi.excitation import random_trajectory
+from torchpi.excitation.signals import random_trajectory
 from torchpi.operators.reference_filter import ReferenceFilter
 from torchpi.paper.tracking import Deployed, Plant, TrackingError, follow, tracking_error
 

@@ -4,9 +4,9 @@ from typing import Protocol
 
 from markupsafe import Markup
 
+from torchpi.diagnosis.forward_stage import ForwardStage
 from torchpi.identification import InverseErrors
-from torchpi.identification.forward_stage import ForwardStage
-from torchpi.loop_result import LoopResult
+from torchpi.loop.result import LoopResult
 from torchpi.recordings.recording import Recording
 from torchpi.report import loop_figures, words
 from torchpi.report.page import render

@@ -13,7 +13,7 @@ from torchpi.diagnosis.diagnosis import Diagnosis, Where
 from torchpi.diagnosis.locate import SIGNIFICANT
 from torchpi.diagnosis.multisine import Part, Parts, all_parts
 from torchpi.diagnosis.say import spoken, spoken_parameter
-from torchpi.excitation_files import write_excitation
+from torchpi.excitation.files import write_excitation
 from torchpi.files import write_atomically
 from torchpi.report import words
 from torchpi.report.diagnosis_figures import diagnosis_figures

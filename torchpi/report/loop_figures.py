@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
-from torchpi.loop_result import COMPENSATED, WITHOUT, WITHOUT_LOOK_AHEAD, LoopResult
+from torchpi.loop.result import COMPENSATED, WITHOUT, WITHOUT_LOOK_AHEAD, LoopResult
 from torchpi.report import style
 from torchpi.report.style import drawing, settle
 from torchpi.report.traces import envelope, thinned

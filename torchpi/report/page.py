@@ -11,7 +11,7 @@ from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from torchpi.files import write_atomically
-from torchpi.loop_result import COMPENSATED, LoopResult, as_json
+from torchpi.loop.result import COMPENSATED, LoopResult, as_json
 from torchpi.report import loop_figures, training_figures, words
 from torchpi.report.png import write_png
 from torchpi.report.svg import inline_svg

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable, Mapping
 
-from torchpi.loop_result import COMPENSATED, LoopResult
+from torchpi.loop.result import COMPENSATED, LoopResult
 
 
 def headline(result: LoopResult) -> str:

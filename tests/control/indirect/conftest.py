@@ -1,0 +1,15 @@
+"""Motions and small models that the tests of the inverses share."""
+
+import pytest
+
+from torchpi.operators.conformance import wandering
+from torchpi.operators.motion import Motion, backward_motion
+
+PERIOD_S = 1e-4
+
+
+@pytest.fixture
+def motion() -> Motion:
+    """Two wandering trajectories, 0 … a few µm, rates as a control loop forms them."""
+    yd = 2.5 + wandering(2, 3000, seed=1)
+    return backward_motion(yd, PERIOD_S)

@@ -1,0 +1,159 @@
+"""Files as rigs write them: units in headers, preambles, other separators, time stamps of every kind."""
+
+import numpy as np
+import pytest
+
+from tests.recordings.test_readers import FS_HZ, T, U, Y, assert_is_the_record, csv_rows, refusal, write_rows
+from torchpi.errors import RecordingWarning
+from torchpi.recordings.recording import read_recording
+
+
+class TestAsRigsWriteIt:
+    """Each file holds the same recording."""
+
+    @pytest.mark.parametrize(
+        "header",
+        [
+            "time_s,input_v,output_um",
+            "time_ms,input_mV,output_nm",
+            "Time [ms],u [mV],y [nm]",
+            "t (us),Command (V),Displacement (nm)",
+            "Time / ms,Voltage / mV,Position / µm",
+            "t[ms],U[V],Y[mm]",
+            "timestamp_ns,cmd_kV,pos_m",
+            "Time (sec),Drive (volts),Stroke (microns)",
+            "time,voltage,displacement",
+        ],
+    )
+    def test_columns_and_units_are_found_in_the_header(self, tmp_path, header):
+        path = write_rows(tmp_path / "a.csv", csv_rows(header=header))
+        scale = [_factor(name) for name in header.split(",")]
+        rows = [
+            ",".join(f"{x / f:.12g}" for x, f in zip(row, scale, strict=True))
+            for row in zip(T, U, Y, strict=True)
+        ]
+        assert_is_the_record(read_recording(write_rows(path, [header, *rows])))
+
+    @pytest.mark.parametrize("units", ["ms,mV,nm", "[ms],[mV],[nm]", "(ms),(mV),(nm)"])
+    def test_a_row_of_units_below_the_header_counts(self, tmp_path, units):
+        rows = [f"{1e3 * t:.9g},{1e3 * u:.9g},{1e3 * y:.9g}" for t, u, y in zip(T, U, Y, strict=True)]
+        path = write_rows(tmp_path / "a.csv", ["time,input,output", units, *rows])
+        assert_is_the_record(read_recording(path))
+
+    @pytest.mark.parametrize(
+        "preamble",
+        [
+            ["Rig 7, 2024-05-01", "Sample rate,10000", "", "Operator: nobody"],
+            ["% made by a script", "% of somebody"],
+            ["# one", "# two, of three, words"],
+            [f"Setting {k}: {k}" for k in range(150)],
+            ["Date,2024,05"],
+        ],
+    )
+    @pytest.mark.parametrize("header", ["time_s,input_v,output_um", "# time_s,input_v,output_um"])
+    def test_lines_before_the_header_are_passed_over_and_counted(self, tmp_path, preamble, header):
+        rows = [*preamble, header, *csv_rows()[1:]]
+        path = write_rows(tmp_path / "a.csv", rows)
+        assert_is_the_record(read_recording(path))
+        rows[-1] = rows[-1].rpartition(",")[0] + ",nan"
+        assert f"row {len(rows)}:" in refusal(write_rows(path, rows))
+
+    def test_the_separator_that_a_spreadsheet_states_is_used(self, tmp_path):
+        rows = ["sep=;", *(row.replace(".", ",") for row in csv_rows(";"))]
+        assert_is_the_record(read_recording(write_rows(tmp_path / "a.csv", rows)))
+
+    def test_an_index_without_a_name_is_passed_over(self, tmp_path):
+        rows = csv_rows()
+        rows = ["," + rows[0], *(f"{k},{row}" for k, row in enumerate(rows[1:]))]
+        assert_is_the_record(read_recording(write_rows(tmp_path / "a.csv", rows)))
+
+    def test_a_delimiter_at_the_end_of_every_row_does_no_harm(self, tmp_path):
+        assert_is_the_record(
+            read_recording(write_rows(tmp_path / "a.csv", [row + ";" for row in csv_rows(";")]))
+        )
+
+    def test_utf_16_is_read(self, tmp_path):
+        (tmp_path / "a.txt").write_bytes("\r\n".join(csv_rows("\t")).encode("utf-16"))
+        assert_is_the_record(read_recording(tmp_path / "a.txt"))
+
+    @pytest.mark.parametrize(
+        "stamp",
+        [
+            "2024-05-01T23:59:59.{:09d}Z",
+            "2024-05-01 11:59:59.{:09d}",
+            "12:00:00.{:09d}",
+            "2024-05-01T12:00:00,{:09d}+02:00",
+        ],
+    )
+    def test_iso_time_stamps_are_read_to_the_nanosecond(self, tmp_path, stamp):
+        stamps = [stamp.format(round(1e9 * t)) for t in T]
+        rows = ["timestamp;input_v;output_um"]
+        rows += [f"{t};{u:.9g};{y:.9g}" for t, u, y in zip(stamps, U, Y, strict=True)]
+        if "," in stamp:
+            rows = [row.replace(".", ",") for row in rows]
+        assert_is_the_record(read_recording(write_rows(tmp_path / "a.csv", rows)))
+
+    def test_a_stamp_of_no_calendar_is_refused_by_its_row(self, tmp_path):
+        rows = ["time,input_v,output_um"]
+        rows += [f"2024-05-01T00:00:{k:02d},{u},{y}" for k, (u, y) in enumerate(zip(U[:50], Y, strict=False))]
+        rows[20] = rows[20].replace("2024-05-01", "2024-05-41")
+        text = refusal(write_rows(tmp_path / "a.csv", rows))
+        assert "row 21:" in text and "2024-05-41" in text and "time stamp" in text
+
+    def test_a_row_with_a_cell_too_many_is_refused(self, tmp_path):
+        rows = csv_rows()
+        rows[16] = rows[16].replace(".", ",")
+        text = refusal(write_rows(tmp_path / "a.csv", rows))
+        assert "row 17:" in text and "expected 3" in text and "decimal comma" in text
+
+    @pytest.mark.parametrize("times", [True, False])
+    def test_labview_measurement_files_are_read(self, tmp_path, times):
+        columns = "One" if times else "No"
+        head = [
+            "LabVIEW Measurement\t", "Writer_Version\t2", "Separator\tTab", "Decimal_Separator\t.",
+            f"X_Columns\t{columns}", "Time_Pref\tAbsolute", "***End_of_Header***\t", "\t", "Channels\t2\t\t",
+            "Samples\t400\t400\t", "Y_Unit_Label\tVolts\tnm\t", "X0\t0.0E+0\t0.0E+0\t",
+            f"Delta_X\t{1 / FS_HZ:E}\t{1 / FS_HZ:E}\t", "***End_of_Header***\t\t\t",
+            "X_Value\tVoltage\tSensor\tComment",
+        ]  # fmt: skip
+        rows = [
+            f"{f'{t:.6f}' if times else ''}\t{u:.9g}\t{1e3 * y:.9g}" for t, u, y in zip(T, U, Y, strict=True)
+        ]
+        assert_is_the_record(read_recording(write_rows(tmp_path / "a.lvm", head + rows)))
+
+    def test_one_array_is_read_by_column_number_or_by_field(self, tmp_path):
+        table = np.stack((T, U, Y))
+        for stored in (table, table.T):
+            np.save(tmp_path / "a.npy", stored)
+            assert_is_the_record(
+                read_recording(tmp_path / "a.npy", time_column=1, input_column=2, output_column=3)
+            )
+        fields = [("time_s", float), ("input_v", float), ("output_um", float)]
+        np.save(tmp_path / "b.npy", np.array(list(zip(T, U, Y, strict=True)), dtype=fields))
+        assert_is_the_record(read_recording(tmp_path / "b.npy"))
+
+    def test_columns_that_several_roles_fit_are_left_to_the_user(self, tmp_path):
+        path = write_rows(tmp_path / "a.csv", csv_rows(header="time_s,u [V],voltage [V]"))
+        assert "'u [V]' and 'voltage [V]' may each be the input" in refusal(path)
+        path = write_rows(tmp_path / "a.csv", csv_rows(header="time_s,u [V],sensor [V]"))
+        assert "no column 'output_um'" in refusal(path)
+        assert "is in V, expected um" in refusal(path, output_column="sensor")
+        assert_is_the_record(read_recording(path, output_column="sensor", output_unit=1))
+
+    def test_a_scale_is_a_unit_and_may_turn_the_sign(self, tmp_path):
+        path = write_rows(tmp_path / "a.csv", csv_rows(header="time_s,input_v,sensor"))
+        with pytest.warns(RecordingWarning, match="falls"):
+            read = read_recording(path, output_column="sensor", output_unit=-0.5)
+        np.testing.assert_allclose(read.y, -0.5 * Y, atol=1e-7)
+
+    def test_an_option_overrules_the_header(self, tmp_path):
+        path = write_rows(tmp_path / "a.csv", csv_rows(header="time_ms,input_mV,output_nm"))
+        assert_is_the_record(read_recording(path, time_unit="s", input_unit="V", output_unit="um"))
+
+
+def _factor(name: str) -> float:
+    """How many of our units one of this header's is."""
+    powers = {"ns": 1e-9, "us": 1e-6, "ms": 1e-3, "mv": 1e-3, "kv": 1e3, "nm": 1e-3, "mm": 1e3, "m": 1e6}
+    return powers.get(
+        name.lower().rstrip(")] ").replace("[", " ").replace("(", " ").replace("_", " ").split()[-1], 1.0
+    )

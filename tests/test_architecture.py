@@ -1,0 +1,38 @@
+"""Imports run one way, from what computes to what shows it."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+LAYERS = (
+    "errors", "files", "operators", "recordings", "simulators", "excitation", "stage", "control", "diagnosis",
+    "identification", "loop", "paper", "report", "export", "commission", "cli",
+)  # fmt: skip
+
+
+def imported(file: Path) -> set[str]:
+    """Modules of torchpi that a file imports, wherever in it."""
+    names: set[str] = set()
+    for node in ast.walk(ast.parse(file.read_text())):
+        if isinstance(node, ast.ImportFrom) and node.module:
+            names.add(node.module)
+        elif isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+    return {name for name in names if name.split(".")[0] in ("torchpi", "train", "tests", "benchmarks")}
+
+
+def test_every_part_of_the_package_has_its_layer() -> None:
+    parts = {path.stem for path in (ROOT / "torchpi").iterdir() if path.suffix == ".py" or path.is_dir()}
+    assert parts - {"__init__", "__main__", "__pycache__"} == set(LAYERS)
+
+
+@pytest.mark.parametrize("layer", LAYERS)
+def test_no_layer_imports_one_above_it(layer: str) -> None:
+    home = ROOT / "torchpi" / layer
+    above = [f"torchpi.{name}" for name in LAYERS[LAYERS.index(layer) + 1 :]]
+    for file in [*home.rglob("*.py"), *home.parent.glob(f"{layer}.py")]:
+        wrong = [name for name in imported(file) if name.startswith(("train", "tests", "benchmarks"))]
+        wrong += [name for name in imported(file) if ".".join(name.split(".")[:2]) in above]
+        assert not wrong, f"{file.relative_to(ROOT)} imports {sorted(wrong)}"

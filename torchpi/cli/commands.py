@@ -1,0 +1,420 @@
+"""The `torchpi` command. Each function is a command: its signature the options, its docstring the help.
+
+Nothing heavy is imported here at module level, so that `torchpi --help` answers at once.
+"""
+
+import os
+import shlex
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from torchpi.cli.command_line import run_chosen, run_program
+from torchpi.recordings.options import RecordingOptions
+
+DESCRIPTION = """Makes piezo stages go where they are told.
+
+  1. torchpi simulate          records the simulated stage; or take recordings of your own
+  2. python -m train fit       trains a compensator on recordings
+  3. torchpi export            makes a file of it for a controller
+  4. torchpi run               tries that file in a control loop against the simulated stage
+
+  torchpi commission           does all of that for recordings of yours, and says how well it will track
+
+  torchpi check                shows what recordings hold, and the options to read them by
+  torchpi diagnose             says what physics the simulation lacks, and models it
+  torchpi predict              simulates what a diagnosis left behind
+  torchpi excite               writes the recordings' voltages that a diagnosis wants
+
+  torchpi reproduce            runs the whole paper (Qin et al. 2013), and shows what torchpi does better
+"""
+DEFAULT_STAGE = Path("configs/stage/default.yaml")
+IN_ONE_THREAD = ("commission", "diagnose")
+"""Commands of small matrices, or of fits side by side: more threads would only wait for each other."""
+
+
+def main() -> None:
+    """Entry point."""
+    if sys.argv[1:2] and sys.argv[1] in IN_ONE_THREAD:
+        # Now, because libraries of linear algebra read it once, and parsing already loads one.
+        for threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+            os.environ.setdefault(threads, "1")
+    run_program(lambda: run_chosen(COMMANDS, "torchpi", DESCRIPTION), "torchpi")
+
+
+def simulate(
+    excitation: str = "paper_multisine",
+    stage: Path = DEFAULT_STAGE,
+    output: Path = Path("recordings/simulated.csv"),
+    duration_s: float | None = None,
+    seed: int = 0,
+    options: dict[str, Any] | None = None,
+) -> None:
+    """Record the simulated stage: play an excitation, write time_s,input_v,output_um.
+
+    Example: torchpi simulate --excitation multisine --output recordings/m.csv --options '{high_hz: 100}'
+
+    Args:
+        excitation: sine_5hz (paper, stage 1), paper_multisine (eq. 13), multisine, triangles (with minor
+            loops), stairs (up and down with holds), or hold.
+        stage: Stage file (YAML, physical parameters with units).
+        output: CSV to write.
+        duration_s: Length of the recording, s; each excitation has its own default.
+        seed: Of the sensor's noise, and of random phases.
+        options: Further options of the excitation, such as {low_v: 1, high_v: 9}.
+    """
+    import torch
+
+    from torchpi.excitation.signals import make_excitation
+    from torchpi.recordings.recording import Recording, write_recording
+    from torchpi.stage import Stage
+
+    simulated = Stage.from_yaml(stage)
+    t, u = make_excitation(excitation, simulated.sample_rate_hz, duration_s, seed, options or {})
+    _, y = simulated.simulate(torch.from_numpy(u)[None], seed)
+    recording = Recording(output.stem, t, u, y[0].detach().numpy(), simulated.sample_rate_hz)
+    write_recording(output, recording)
+    print(
+        f"{output}: {excitation} on {stage}, {len(u):,} samples at {recording.fs_hz:g} Hz, "
+        f"u {u.min():.2f} … {u.max():.2f} V, y {recording.y.min():.3f} … {recording.y.max():.3f} µm"
+    )
+
+
+def excite(
+    output: Path = Path("excitations"),
+    for_: str = "diagnosis",
+    min_voltage_v: float = 0.0,
+    max_voltage_v: float = 10.0,
+    max_rate_v_s: float = 2000.0,
+    sample_rate_hz: float = 10_000.0,
+    high_hz: float = 200.0,
+    seed: int = 0,
+) -> None:
+    """Write the voltages to record a stage with, about a minute in all, and what to do with them.
+
+    CSVs with columns time_s,input_v: a hold, a multisine at two amplitudes, stairs, triangles with minor
+    loops, and the multisine again for ten minutes later. They begin and end at 0 V.
+
+    Example: torchpi excite --for diagnosis --max_voltage_v 7.5 --high_hz 500 --output excitations
+
+    Args:
+        output: Folder for the files.
+        for_: What the recordings are for; diagnosis is the only purpose there is.
+        min_voltage_v: Lowest voltage that the stage bears, V of the controller; 0 or less.
+        max_voltage_v: Highest voltage, V.
+        max_rate_v_s: Largest rate of the voltage, V/s.
+        sample_rate_hz: Rate at which the voltage is played and the displacement recorded.
+        high_hz: Highest frequency to drive. Above the first resonance it shows the mechanics, if the stage
+            bears it.
+        seed: Of random phases.
+    """
+    from torchpi.errors import ConfigError
+    from torchpi.excitation.files import INSTRUCTIONS, write_diagnostic_set
+    from torchpi.excitation.limits import DriveLimits
+
+    if for_ != "diagnosis":
+        raise ConfigError(f"--for is '{for_}', wanted diagnosis, the only purpose there is so far")
+    limits = DriveLimits(min_voltage_v, max_voltage_v, max_rate_v_s, sample_rate_hz, high_hz)
+    print(write_diagnostic_set(output, limits, seed))
+    print(f"\n{output / INSTRUCTIONS}: the same words")
+
+
+def export(
+    run: Path,
+    output: Path | None = None,
+    to: str = "torchscript,json,page",
+    reference_filter: bool = False,
+    max_slew_v_s: float | None = None,
+    capacitance_uf: float | None = None,
+    amplifier_gain: float = 1.0,
+    allow_backwards: bool = False,
+) -> None:
+    """Export the compensator of a training run, for a controller: all files, or none.
+
+    The stage that the run identified goes with it, as NAME_stage.pt: `torchpi run` takes it.
+
+    Example: torchpi export runs/demo --to torchscript,c,json --output exports/demo
+
+    Args:
+        run: Run folder of `python -m train fit`, or one of its checkpoints.
+        output: Path without suffix; the formats add theirs. By default exports/ and the name of the run.
+        to: Formats, comma between: torchscript (.pt), c (.h, .c and _selftest.c, C99), pt2 (torch.export),
+            json (the bare numbers with units), page (.html, the safety card, which json has as well).
+        reference_filter: Put the paper's reference filter (eq. 14) inside: `step` then takes y_r.
+        max_slew_v_s: Limit the rate of the output voltage inside the step, V/s.
+        capacitance_uf: Of the piezo, µF: the safety card then has the current.
+        amplifier_gain: Voltage at the piezo per volt of the controller, for the current.
+        allow_backwards: Export a compensator that lowers the voltage to raise the stage somewhere in its
+            trained range.
+    """
+    from torchpi.control.trained import load_compensator, with_slew_limit
+    from torchpi.errors import ArtifactError
+    from torchpi.export import Load, made_files, safety_card, write_together
+    from torchpi.operators import ReferenceFilter
+    from torchpi.stage import Stage
+    from torchpi.stage.beside import NAME, exported_stage
+
+    compensator = load_compensator(run)
+    if max_slew_v_s is not None:
+        compensator = with_slew_limit(compensator, max_slew_v_s)
+    load = Load(capacitance_uf, amplifier_gain)
+    card = safety_card(compensator, load)
+    if card.monotone is False and not allow_backwards:
+        raise ArtifactError(f"{run}: {card.monotone_summary}; or export it with --allow_backwards true")
+    inside = ReferenceFilter(compensator.sample_period_s) if reference_filter else None
+    output = output or Path("exports") / run.resolve().name
+    output = (
+        output.with_suffix("") if output.suffix in (".pt", ".c", ".h", ".pt2", ".json", ".html") else output
+    )
+    files = made_files(compensator, output, [name.strip() for name in to.split(",")], inside, load)
+    if (run / NAME).is_file():
+        files[exported_stage(output)] = Stage.load(run / NAME).write
+    write_together(files)
+    signal = "y_r" if reference_filter else "y_d"
+    print(
+        f"step({signal} at t + {compensator.preview} samples, µm) -> V, "
+        f"every {compensator.sample_period_s:g} s:"
+    )
+    if card.monotone is None:
+        print(f"Careful: {card.monotone_summary}, so nothing says whether it runs backwards; train it again.")
+    for file in files:
+        print(file)
+
+
+def run(
+    compensator: Path,
+    stage: Path | None = None,
+    trajectory: str | list[str] = "slow",
+    output: Path | None = None,
+    compare: dict[str, Path] | None = None,
+    resample: bool = False,
+    max_slew_v_s: float | None = None,
+    seed: int | None = None,
+) -> None:
+    """Run an exported compensator in a control loop against a simulated stage, sample by sample.
+
+    Reports the tracking error with and without compensation, where the voltage or its rate meets a limit, and
+    the time of a step against the sample period; leaves loop.html (one page, to send to a colleague) and
+    loop.json.
+
+    Example: torchpi run exports/demo.pt --trajectory '[slow, fast]'
+
+    Args:
+        compensator: Exported TorchScript file.
+        stage: Stage file (YAML), or a stage.pt. By default the one identified from the recordings, beside
+            the compensator (NAME_stage.pt or stage.pt), else the built-in one.
+        trajectory: slow (eq. 15), fast (eq. 16), a CSV with columns time_s,yd_um, or a list of these.
+        output: Folder for the page; by default beside the compensator.
+        compare: Other exported compensators by name, such as {two-stage: runs/demo/baseline.pt}.
+        resample: Interpolate a trajectory file to the compensator's sample rate.
+        max_slew_v_s: Rate of the voltage that your amplifier bears, V/s.
+        seed: Of the sensor's noise; the stage's own by default.
+    """
+    import math
+    import warnings
+
+    from rich.console import Console
+
+    from torchpi.errors import RecordingWarning
+    from torchpi.excitation.trajectory import load_trajectory
+    from torchpi.export import load_torchscript, trained_recordings
+    from torchpi.loop import run_loop
+    from torchpi.report import provenance, words, write_loop_report
+    from torchpi.stage import Stage
+    from torchpi.stage.beside import difference, stage_beside
+
+    loaded = load_torchscript(compensator)
+    if stage is None:
+        stage = stage_beside(compensator) or DEFAULT_STAGE
+        own = (
+            "the built-in one, because none lies beside the compensator"
+            if stage == DEFAULT_STAGE
+            else ("identified from your recordings")
+        )
+        print(f"Stage: {stage}, {own}")
+    plant = Stage.load(stage)
+    if other := difference(plant, trained_recordings(compensator)):
+        warnings.warn(other, RecordingWarning, stacklevel=2)
+    others = {name: load_torchscript(path) for name, path in (compare or {}).items()}
+    names = [trajectory] if isinstance(trajectory, str) else trajectory
+    trajectories = [
+        load_trajectory(
+            which,
+            fs_hz=plant.sample_rate_hz,
+            resample=resample,
+            through_reference_filter=loaded.has_reference_filter,
+        )
+        for which in names
+    ]
+    results = []
+    for one in trajectories:
+        print(f"{compensator} on {stage}: {one.title}, {len(one.yd):,} samples")
+        with Console(stderr=True).status("") as status:
+            result = run_loop(
+                loaded,
+                plant,
+                one.yd,
+                fs_hz=plant.sample_rate_hz,
+                name=one.name,
+                title=one.title,
+                yr=one.yr,
+                compare=others,
+                seed=seed,
+                max_slew_v_s=math.inf if max_slew_v_s is None else max_slew_v_s,
+                on_drive=status.update,
+            )
+        results.append(result)
+        print(words.table(results[-1]))
+        print(words.headline(results[-1]))
+        print("\n".join(words.limits(results[-1])) + "\n")
+    files: dict[str, str | Path] = {"compensator": compensator, "stage": stage, **(compare or {})}
+    files |= {
+        f"trajectory {one.name}": path for one, path in zip(trajectories, names, strict=True) if one.sha256
+    }
+    command = shlex.join(["torchpi", *sys.argv[1:]])
+    page, numbers = write_loop_report(
+        results, provenance(command, files, seed), output or compensator.with_suffix("")
+    )
+    print(f"{page}: the page with all figures\n{numbers}: the same numbers")
+
+
+def commission(
+    recordings: list[Path],
+    output: Path = Path("commission"),
+    max_slew_v_s: float | None = None,
+    **reading: Any,
+) -> None:
+    """Go from recordings to a compensator that has been tried: check, fit, stage, loop, export, one page.
+
+    The last recording is held out. Leaves compensator.pt, .h, .c, .json and .html to deploy, stage.pt (your
+    stage, identified from the same recordings), and commission.html: the tracking error without and with
+    compensation, simulated on that stage, with the stage's own error beside it.
+
+    Example: torchpi commission recordings/slow.csv recordings/fast.csv recordings/judge.csv --output mine
+
+    Args:
+        recordings: Two or more of one stage, at the sample rate of the control loop, first sample
+            de-energised.
+        output: Folder for the results.
+        max_slew_v_s: Rate of the voltage that your amplifier bears, V/s: the page says where it is met.
+        reading: How the files are read.
+    """
+    options = RecordingOptions(**reading)
+    from torchpi.commission.commission import commission as commission_files
+
+    command = shlex.join(["torchpi", *sys.argv[1:]])
+    commission_files(recordings, output, options, command, max_slew_v_s)
+
+
+def check(files: list[Path], output: Path = Path("check"), **reading: Any) -> None:
+    """Show what recordings hold, what is wrong with them, and the commands to go on with.
+
+    Columns with their units, range and first values; sample rate and jitter; holds, range, noise, sign of the
+    gain, remanence at the start, wrong readings, clipping. Leaves check.html, the same with a plot of each.
+
+    Example: torchpi check recordings/slow.csv recordings/fast.csv
+
+    Args:
+        files: Recordings, in any format that the other commands read.
+        output: Folder for the page.
+        reading: How the files are read.
+    """
+    options = RecordingOptions(**reading)
+    from torchpi.cli.check import check_files
+
+    check_files(files, output, options, shlex.join(["torchpi", *sys.argv[1:]]))
+
+
+def diagnose(
+    recordings: list[Path],
+    output: Path = Path("diagnosis"),
+    simulation: str | None = None,
+    executor: str = "processes",
+    **reading: Any,
+) -> None:
+    """Say where recordings and a simulation differ, what physics was left out, and show the fit improve.
+
+    Leaves report.html (one page, to send to a colleague), diagnosis.json, stage.pt (the fitted stage, for
+    `torchpi predict` and for training through it), next_excitation.csv (the recording that would decide what
+    is open) and the figures.
+
+    The simulation may be anyone's: a stage file (stage.yaml, stage.pt), an FMU with one input and one output
+    (model.fmu), a function simulate(u_v, fs_hz) -> y_um (package.module:simulate, or file.py:simulate), or
+    column: what a simulator made of each recording's voltage stands in it as simulated_um.
+
+    Example: torchpi diagnose recordings/a.csv recordings/b.csv --output diagnosis
+
+    Args:
+        recordings: Recordings of one stage: time_s,input_v,output_um[,aux_…], first sample de-energised.
+        output: Folder for the results.
+        simulation: What to compare with: stage.yaml, stage.pt, model.fmu, package.module:function,
+            file.py:function, or column. Without it a plain stage: symmetric, rate-independent
+            Prandtl–Ishlinskii hysteresis, everything else ideal.
+        executor: Where independent fits run: processes, or here.
+        reading: How the files are read.
+    """
+    options = RecordingOptions(**reading)
+    from torchpi.cli.diagnose import diagnose_files
+
+    command = shlex.join(["torchpi", *sys.argv[1:]])
+    diagnose_files(recordings, output, simulation, executor, command, options)
+
+
+def predict(
+    stage: Path,
+    recording: Path,
+    output: Path = Path("prediction.csv"),
+    simulation: str | None = None,
+    **reading: Any,
+) -> None:
+    """Predict what a stage does with a voltage: time_s,input_v[,aux_…] in, the same with output_um out.
+
+    From the de-energised state, at the file's own sample rate, without noise.
+
+    Example: torchpi predict runs/diagnosis/stage.pt voltage.csv --output predicted.csv
+
+    Args:
+        stage: The stage.pt of `torchpi diagnose`, or a stage file (YAML).
+        recording: CSV, or any other kind that a recording may have; an output_um in it is left out.
+        output: CSV to write.
+        simulation: What the stage corrects, where it was diagnosed with a function or an FMU: stage.pt only
+            names it, and no code is loaded that is not named here.
+        reading: How the file is read.
+    """
+    options = RecordingOptions(**reading)
+    from torchpi.cli.predict import predict_file
+
+    predicted = predict_file(stage, recording, output, options, simulation)
+    print(
+        f"{output}: {len(predicted):,} samples at {predicted.fs_hz:g} Hz, "
+        f"y {predicted.y.min():.3f} … {predicted.y.max():.3f} µm"
+    )
+
+
+def reproduce(
+    output: Path = Path("exports/paper"),
+    only: str | None = None,
+    stage: Path = Path("configs/stage/qin2013.yaml"),
+) -> None:
+    """Run every figure and claim of Qin et al. (2013) against the calibrated stage, in minutes.
+
+    Leaves paper.html, in the paper's order, its figures beside ours, and results.json. Every result is
+    kept: an interrupted run goes on where it stopped.
+
+    Example: torchpi reproduce --only fig8,fig12
+
+    Args:
+        output: Folder for the page and the results.
+        only: Names of figures and experiments, comma between; an unknown one lists them all.
+        stage: Stage file (YAML) that stands for the paper's rig.
+    """
+    from torchpi.cli.reproduce import reproduce as run_paper
+
+    page = run_paper(output, [name.strip() for name in only.split(",")] if only else None, stage)
+    print(f"{page}: the page\n{output / 'results.json'}: the same numbers")
+
+
+COMMANDS: list[Callable[..., None]] = [
+    simulate, excite, export, run, commission, check, diagnose, predict, reproduce
+]  # fmt: skip

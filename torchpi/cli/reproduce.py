@@ -1,0 +1,194 @@
+"""Run the whole paper, or parts of it: every result stored as soon as it is there, one page at the end."""
+
+import hashlib
+import json
+import sys
+import time
+from collections.abc import Iterable, Iterator
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    SpinnerColumn,
+    TextColumn,
+    TimeElapsedColumn,
+)
+
+import torchpi
+from torchpi.errors import ConfigError
+from torchpi.files import check_output_folder, write_atomically
+from torchpi.paper.context import FULL, RECIPE, Context, Item, Recipe, Size
+from torchpi.paper.items import ITEMS
+from torchpi.paper.stored import restore, store
+from torchpi.report.paper_page import Section, write_paper_page
+from torchpi.report.what_was_run import provenance
+from torchpi.stage import Stage
+
+DEFAULT_STAGE = Path("configs/stage/qin2013.yaml")
+# What results do not depend on: a page drawn otherwise needs nothing computed again.
+NOT_COMPUTING = ("report", "export", "cli", "loop", "commission")
+
+
+def reproduce(
+    output: Path = Path("exports/paper"),
+    only: list[str] | None = None,
+    stage: Path = DEFAULT_STAGE,
+    size: Size = FULL,
+    recipe: Recipe = RECIPE,
+) -> Path:
+    """Compute what is not there yet, and write `paper.html` and `results.json` into `output`.
+
+    Every result is kept in `output/items` under a hash of what it was computed from, so that an interrupted
+    run goes on where it stopped. The page shows all that is there, in the paper's order.
+
+    Args:
+        output: Folder; made if need be.
+        only: Names of figures and experiments to compute, and what they need; None is all.
+        stage: Stage file of the simulated rig.
+        size: How much of each; the whole by default.
+        recipe: How torchpi's compensators are learned.
+
+    Returns:
+        The page.
+
+    Raises:
+        ConfigError: An unknown name; the text lists the known ones. Or a stage file that is none.
+        StageError: A stage with an unphysical value.
+        ArtifactError: `output` cannot be written to.
+    """
+    names = chosen(only)
+    check_output_folder(output)
+    plant = Stage.from_yaml(stage)
+    plant.requires_grad_(False)
+    keys = _keys(plant, size, recipe)
+    done: dict[str, Any] = {}
+    seconds: dict[str, float] = {}
+
+    def take(name: str) -> bool:
+        """Whether the result was there."""
+        found: tuple[Any, float] | None = restore(ITEMS[name].result, keys[name], _file(output, name))
+        if found is not None:
+            done[name], seconds[name] = found
+        return found is not None
+
+    wanted = list(_with_needs(names))
+    with _progress() as progress:
+        task = progress.add_task("", total=len(wanted))
+        for name in wanted:
+            progress.update(task, description=name)
+            if not take(name):
+                start = time.perf_counter()
+                done[name] = ITEMS[name].compute(Context(plant, recipe, size, done))
+                seconds[name] = time.perf_counter() - start
+                store(done[name], keys[name], seconds[name], _file(output, name))
+                progress.console.print(f"{name:12} {seconds[name]:6.1f} s")
+            progress.advance(task)
+        progress.update(task, description="page")
+        # What an earlier run has computed of the same stage stands on the page as well.
+        for name in ITEMS:
+            if name not in done:
+                take(name)
+        return _write(output, stage, done, seconds)
+
+
+def chosen(only: Iterable[str] | None) -> list[str]:
+    """The names, checked; all of them for None.
+
+    Raises:
+        ConfigError: A name that is none.
+    """
+    names = list(ITEMS) if only is None else list(only)
+    for name in names:
+        if name not in ITEMS:
+            near = get_close_matches(name, list(ITEMS), n=1)
+            guess = f", perhaps '{near[0]}'" if near else ""
+            raise ConfigError(f"only: no figure '{name}'{guess}; there are: {', '.join(ITEMS)}")
+    if not names:
+        raise ConfigError(f"only: found no name, want one or more of: {', '.join(ITEMS)}")
+    return names
+
+
+def _with_needs(names: list[str]) -> Iterator[str]:
+    """The names and what they need, needs first, each once."""
+    seen: set[str] = set()
+
+    def visit(name: str) -> Iterator[str]:
+        if name not in seen:
+            seen.add(name)
+            for need in ITEMS[name].needs:
+                yield from visit(need)
+            yield name
+
+    for name in names:
+        yield from visit(name)
+
+
+def _keys(plant: Stage, size: Size, recipe: Recipe) -> dict[str, str]:
+    """A hash for each item, of everything that its result depends on."""
+    code = _code_hash()
+    learned = [f"{one.__module__}.{one.__qualname__}" for one in (recipe.fig7, recipe.stage)]
+    settings = plant.to_dict()
+
+    def key(item: Item) -> str:
+        of_stage = settings if item.of_the_stage or _any_needs_the_stage(item) else None
+        inputs = json.dumps([item.name, repr(size), learned, of_stage, code], sort_keys=True)
+        return hashlib.sha256(inputs.encode()).hexdigest()
+
+    return {name: key(item) for name, item in ITEMS.items()}
+
+
+def _any_needs_the_stage(item: Item) -> bool:
+    return any(ITEMS[need].of_the_stage or _any_needs_the_stage(ITEMS[need]) for need in item.needs)
+
+
+def _code_hash() -> str:
+    """Of the package's own source, without what only reads or draws."""
+    root = Path(torchpi.__file__).parent
+    digest = hashlib.sha256()
+    for path in sorted(root.rglob("*.py")):
+        relative = path.relative_to(root)
+        if relative.parts[0] not in NOT_COMPUTING:
+            digest.update(str(relative).encode() + path.read_bytes())
+    return digest.hexdigest()
+
+
+def _file(output: Path, name: str) -> Path:
+    return output / "items" / f"{name}.npz"
+
+
+def _progress() -> Progress:
+    return Progress(
+        SpinnerColumn(),
+        TextColumn("{task.description:12}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        console=Console(stderr=True),
+    )
+
+
+def _write(output: Path, stage: Path, done: dict[str, Any], seconds: dict[str, float]) -> Path:
+    numbers: dict[str, Any] = {}
+    sections = []
+    for name in ITEMS:
+        if name in done:
+            _merge(numbers, done[name].numbers())
+            sections.append(Section(name, done[name], done[name].rows(), seconds[name]))
+    with write_atomically(output / "results.json") as temporary:
+        text = json.dumps(numbers, indent=1, ensure_ascii=False, allow_nan=False)
+        temporary.write_text(text + "\n", encoding="utf-8")
+    about = provenance(" ".join(["torchpi", *sys.argv[1:]]), {"stage": stage})
+    return write_paper_page(sections, [name for name in ITEMS if name not in done], about, output)
+
+
+def _merge(into: dict[str, Any], more: dict[str, Any]) -> None:
+    for key, value in more.items():
+        if isinstance(value, dict) and key in into:
+            _merge(into[key], value)
+        else:
+            into[key] = value

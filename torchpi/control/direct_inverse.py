@@ -1,0 +1,265 @@
+"""The direct inverse compensator, Qin et al. (2013), Fig. 6 and eq. 6–8: desired trajectory in, voltage out.
+
+    x_0 = y_d + τ_1 ẏ_d + τ_2 ÿ_d            undoes delay, lag and mode (extension; τ = 0 is the paper)
+    x = x_0 + Σ_j g_j ξ_j,  T_j ξ̇_j = x_0 - ξ_j    undoes creep (extension; g = 0 is the paper)
+    u = Σ_i w_i(ẏ_d, h_i) h_i + u_0,  h_i = H_ri[S(x)]    eq. 8; own output functions of the plays, and
+                                                  an offset, on request (extensions)
+
+It is identified from recordings of displacement and voltage, and never inverted.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from torchpi.control.reach import Reach, reach
+from torchpi.control.step import CompensatorStream, compensator_stream
+from torchpi.control.step_guard import StepLimits, step_limits
+from torchpi.control.trained_motions import TrainedMotions
+from torchpi.errors import ConfigError
+from torchpi.operators.compiled import HAS_COMPILER
+from torchpi.operators.motion import Motion
+from torchpi.operators.play import PlayBank
+from torchpi.operators.polynomial import Polynomial
+from torchpi.operators.rate_weights import RateHead, RateWeights
+from torchpi.operators.reference_filter import ReferenceFilter
+from torchpi.operators.relaxations import relaxations
+from torchpi.operators.weighted_plays import weighted_plays
+from torchpi.operators.weighted_sum import weighted_sum
+from torchpi.recordings.identity import is_sha256
+
+HIGHEST_DEGREE = 30  # far above what any loop needs; a file may ask for anything
+
+
+class DirectInverse(nn.Module):
+    """Maps a desired motion to the voltage that produces it.
+
+    Args:
+        sample_period_s: T of the control loop and of the recordings.
+        thresholds: r of the plays, in the unit of S(y), about µm; the first one 0 as in the paper.
+        degree: m, degree of the saturation polynomial (eq. 4).
+        rate: How the weights follow the rate: `none` (eq. 6), `linear` (eq. 7) or `neural`.
+        output_degree: Degree of the plays' own output functions; 1 is the paper's weighted sum, 2 or 3 fit
+            loops that are asymmetric or differ with the bias.
+        preview: How many samples the desired trajectory is seen ahead; 0 is the paper's case.
+        lead: Order of the lead that undoes the stage's linear dynamics, 0 (the paper), 1 or 2.
+        creep_time_constants_s: T_j of the relaxations that undo creep; none is the paper.
+        offset: Whether a constant voltage u_0 is learned, for recordings with an arbitrary zero.
+        min_voltage_v: Lower output limit.
+        max_voltage_v: Upper output limit.
+        range_um: A typical displacement, which scales the trained numbers to like size.
+        rate_scale_um_s: A typical rate, likewise.
+        hidden: Size of the neural rate head.
+        train_thresholds: Whether gradients reach the thresholds.
+        trained: Ranges of what it was trained on, `TrainedMotions.plain()`; None where that is not known.
+        max_slew_v_s: Largest rate of the deployed step's voltage, V/s; None for any.
+        recordings_sha256: `recordings_sha256` of what it was trained on; None where that is not known.
+
+    Raises:
+        ConfigError: A value out of its range; the text names it.
+    """
+
+    def __init__(
+        self,
+        sample_period_s: float,
+        thresholds: Sequence[float],
+        degree: int = 4,
+        rate: RateHead = "linear",
+        output_degree: int = 1,
+        preview: int = 0,
+        lead: int = 0,
+        creep_time_constants_s: Sequence[float] = (),
+        offset: bool = False,
+        min_voltage_v: float = 0.0,
+        max_voltage_v: float = 10.0,
+        range_um: float = 1.0,
+        rate_scale_um_s: float = 1.0,
+        hidden: int = 4,
+        train_thresholds: bool = False,
+        trained: Mapping[str, Sequence[float] | None] | None = None,
+        max_slew_v_s: float | None = None,
+        recordings_sha256: str | None = None,
+    ) -> None:
+        super().__init__()
+        self.hyper_parameters: dict[str, Any] = {
+            name: list(value) if isinstance(value, Sequence) and not isinstance(value, str) else value
+            for name, value in locals().items()
+            if name not in ("self", "__class__", "trained")
+        }
+        self.trained = None if trained is None else TrainedMotions.from_plain(trained)
+        self.hyper_parameters["trained"] = None if self.trained is None else self.trained.plain()
+        if not 0 < sample_period_s < math.inf:
+            raise ConfigError(f"sample_period_s: found {sample_period_s}, want a positive number of s")
+        for name, power in (("degree", degree), ("output_degree", output_degree)):
+            if not 1 <= power <= HIGHEST_DEGREE:
+                raise ConfigError(f"{name}: found {power}, expected 1 to {HIGHEST_DEGREE}")
+        if preview < 0:
+            raise ConfigError(f"preview: found {preview}, want a number of samples that is not negative")
+        if lead not in (0, 1, 2):
+            raise ConfigError(f"lead: found {lead}, want 0, 1 or 2")
+        for value in creep_time_constants_s:
+            if not 0 < value < math.inf:
+                raise ConfigError(f"creep_time_constants_s: found {value}, want positive numbers of s")
+        if not -math.inf < min_voltage_v < max_voltage_v < math.inf:
+            raise ConfigError(
+                f"min_voltage_v: found {min_voltage_v} V, want a number below max_voltage_v, {max_voltage_v}"
+            )
+        if max_slew_v_s is not None and not 0 < max_slew_v_s < math.inf:
+            raise ConfigError(f"max_slew_v_s: found {max_slew_v_s}, expected a positive number of V/s")
+        if recordings_sha256 is not None and not is_sha256(recordings_sha256):
+            found = f"found {recordings_sha256!r}, expected 64 hexadecimal digits"
+            raise ConfigError(f"recordings_sha256: {found}")
+        self.recordings_sha256 = recordings_sha256
+        self.sample_period_s = sample_period_s
+        self.preview = preview
+        self.min_voltage_v = min_voltage_v
+        self.max_voltage_v = max_voltage_v
+        self.max_slew_v_s = max_slew_v_s
+        self.scaled_lead = nn.Parameter(torch.zeros(lead, dtype=torch.float64))
+        self.creep_gains = nn.Parameter(torch.zeros(len(creep_time_constants_s), dtype=torch.float64))
+        self.creep_decay: Tensor
+        periods = sample_period_s / torch.tensor(list(creep_time_constants_s), dtype=torch.float64)
+        self.register_buffer("creep_decay", torch.exp(-periods), persistent=False)
+        self.saturation = Polynomial([1.0] + [0.0] * (degree - 1), scale=range_um)
+        self.plays = PlayBank(list(thresholds), train_thresholds)
+        self.weights = RateWeights([0.0] * len(thresholds), rate, rate_scale_um_s, hidden)
+        self.psi = nn.Parameter(torch.zeros(len(thresholds), output_degree - 1, dtype=torch.float64))
+        self.range_um = range_um
+        self.offset = nn.Parameter(torch.zeros((), dtype=torch.float64), requires_grad=offset)
+
+    def forward(self, motion: Motion) -> Tensor:
+        """The voltage for a desired motion from the de-energised state, within the output limits.
+
+        Shapes: (batch, time) in µm, µm/s, µm/s² to (batch, time) in V. Sample t of the motion is the
+        one `preview` periods ahead of sample t of the voltage.
+        """
+        return self.voltage(motion)[0].clamp(self.min_voltage_v, self.max_voltage_v)
+
+    def voltage(
+        self,
+        motion: Motion,
+        state: Tensor | None = None,  # (batch, relaxations + plays)
+    ) -> tuple[Tensor, Tensor]:
+        """Eq. 8 before the output limits, and the state after it: what identification and training fit."""
+        if motion.yd.device.type != "cpu" or not HAS_COMPILER:
+            h, state = self.play_states(motion, state)
+            return self.weighted(h, self.weights.basis(motion.yd_dot)), state
+        x, creep, plays = self._compensated(motion, state)
+        weights, dtype = self.weights, x.dtype
+        knots = torch.stack([weights.slope, weights.shift], 1)
+        # The same bits as above, and no tensor of (batch, time, plays).
+        u, plays = weighted_plays(
+            x,
+            motion.yd_dot,
+            plays.to(dtype),
+            self.saturation.c.to(dtype),
+            self.plays.r.to(dtype),
+            weights.theta.to(dtype),
+            knots.to(dtype),
+            self.psi.to(dtype),
+            self.offset.to(dtype),
+            weights.rate_scale_um_s,
+            self.range_um,
+        )
+        # Joining has its cost, in a pass of some milliseconds, even where one part is empty.
+        return u, torch.cat([creep, plays], 1) if len(self.creep_gains) > 0 else plays.to(creep.dtype)
+
+    def weighted(
+        self,
+        h: Tensor,  # (batch, time, plays)
+        basis: Tensor,  # (batch, time, functions of the rate)
+    ) -> Tensor:  # (batch, time), V
+        """What is linear in the weights: Σ_i w_i h_i + u_0."""
+        theta, psi, offset = (part.to(h.dtype) for part in (self.weights.theta, self.psi, self.offset))
+        return weighted_sum(h, basis, theta, psi, self.range_um) + offset
+
+    def play_states(self, motion: Motion, state: Tensor | None = None) -> tuple[Tensor, Tensor]:
+        """H_r[S(x)], (batch, time, plays), and the state after it: all that enters eq. 8 nonlinearly."""
+        x, creep, plays = self._compensated(motion, state)
+        s, _ = self.saturation(x)
+        h, plays = self.plays(s, plays)
+        return h, torch.cat([creep, plays], 1)
+
+    def _compensated(self, motion: Motion, state: Tensor | None) -> tuple[Tensor, Tensor, Tensor]:
+        """x, which undoes delay and creep; the state of the relaxations after it, of the plays before."""
+        if state is None:
+            state = self.initial_state(len(motion.yd))
+        creep, plays = state.split([len(self.creep_gains), len(self.psi)], 1)
+        x = motion.yd
+        if len(self.scaled_lead) > 0:
+            for tau, derivative in zip(self.lead.to(x.dtype), motion[1:], strict=False):
+                x = x + tau * derivative
+        if len(self.creep_gains) > 0:
+            one = torch.ones((), dtype=torch.float64)
+            x, creep = relaxations(x, self.creep_decay, 1.0 - self.creep_decay, self.creep_gains, one, creep)
+        return x, creep, plays
+
+    def initial_state(self, batch: int) -> Tensor:
+        """The de-energised state. Shape: (batch, relaxations + plays)."""
+        return self.offset.detach().new_zeros(batch, len(self.creep_gains) + len(self.psi))
+
+    @property
+    def lead(self) -> Tensor:
+        """τ_1 in s, τ_2 in s², as many as the order of the lead."""
+        # Trained in units of the sample period, which are of size one.
+        powers = torch.arange(1, len(self.scaled_lead) + 1, dtype=torch.float64)
+        return self.scaled_lead * self.sample_period_s**powers
+
+    def lead_limits(self) -> tuple[float, float] | None:
+        """Least and largest lead τ_1 ẏ_d + τ_2 ÿ_d of the trained rates and accelerations, or of none, µm.
+
+        None without a lead, or where these are not known.
+        """
+        if len(self.scaled_lead) == 0 or self.trained is None or self.trained.accelerations_um_s2 is None:
+            return None
+        trained = (self.trained.rates_um_s, self.trained.accelerations_um_s2)
+        least, largest = 0.0, 0.0
+        for tau, interval in zip(self.lead.tolist(), trained, strict=False):
+            ends = [tau * end for end in (0.0, *interval)]
+            least, largest = least + min(ends), largest + max(ends)
+        return least, largest
+
+    def at_rate(
+        self,
+        x: Tensor,  # (time,), µm
+        rate_um_s: float = 0.0,
+    ) -> Tensor:  # (time,), V
+        """Eq. 8 along x from the de-energised state at a constant rate, before lead, creep and limits."""
+        h, _ = self.plays(self.saturation(x[None])[0])
+        return self.weighted(h, self.weights.basis(torch.full_like(x, rate_um_s)[None]))[0]
+
+    def reach(self, rate_um_s: float = 0.0) -> Reach:
+        """The displacements at which the voltage of a motion at this rate meets the output limits."""
+        with torch.no_grad():
+            return reach(lambda x: self.at_rate(x, rate_um_s), self.min_voltage_v, self.max_voltage_v)
+
+    def step_limits(self) -> StepLimits:
+        """What the deployed step accepts, from the training and the reach of the output limits."""
+        at_rest = self.reach()
+        rates = (0.0, *self.trained.rates_um_s) if self.trained else (0.0,)
+        found = [self.reach(rate) for rate in rates]
+        # Creep carries the stage further than the voltage of a moment does.
+        further = 1 + float(self.creep_gains.detach().abs().sum())
+        reached = Reach(
+            further * min(one.low_um for one in found),
+            further * max(one.high_um for one in found),
+            at_rest.remanence_um,
+        )
+        return step_limits(
+            self.sample_period_s,
+            (self.min_voltage_v, self.max_voltage_v),
+            reached,
+            self.range_um,
+            self.trained,
+            self.max_slew_v_s,
+        )
+
+    def stream(self, reference_filter: ReferenceFilter | None = None) -> CompensatorStream:
+        """The compensator one sample at a time, scriptable: `u = step(y_d at t + preview)`.
+
+        With a reference filter inside, `step` takes the reference y_r and has the exact rate.
+        """
+        return compensator_stream(self, reference_filter)

@@ -1,0 +1,109 @@
+"""The direct inverse with generalised plays: other envelopes and thresholds up than down.
+
+    u = Σ_i (k_i ẏ_d + b_i) h_i[y_d]     (eq. 8, with h of `operators.generalised_play` for H_r[S])
+
+Direct, not indirect: it is fitted from displacement to voltage and never inverted. Qin et al. (2013), Section
+II-A, name these plays as a way to model more complex loops; Al Janaideh, Rakheja and Su (2009) have the
+forward model, and its inverse in closed form needs equal envelopes up and down, which this does not.
+"""
+
+from typing import cast
+
+import torch
+from torch import Tensor, nn
+
+from torchpi.control.indirect.base import check_deployment
+from torchpi.control.indirect.deployed import Deployed
+from torchpi.control.step import CompensatorStream
+from torchpi.errors import ConfigError
+from torchpi.operators.generalised_play import GeneralisedPlayBank, GeneralisedPlayStream
+from torchpi.operators.motion import Motion
+from torchpi.operators.reference_filter import ReferenceFilter
+from torchpi.operators.weighted_sum import weight, weighted_sum
+
+
+class GeneralisedDirectInverse(nn.Module):
+    """Maps a desired motion to the voltage that produces it, through generalised plays; trainable.
+
+    Args:
+        sample_period_s: T of the control loop and of the recordings.
+        plays: The bank over y_d, µm.
+        slopes: k, one a play.
+        offsets: b, one a play.
+        preview: How many samples ahead the desired trajectory is seen.
+        min_voltage_v: Lower output limit; -inf for none.
+        max_voltage_v: Upper output limit; inf for none.
+
+    Raises:
+        ConfigError: Another number of slopes or offsets than of plays, or a value out of its range.
+    """
+
+    def __init__(
+        self,
+        sample_period_s: float,
+        plays: GeneralisedPlayBank,
+        slopes: list[float],
+        offsets: list[float],
+        preview: int = 0,
+        min_voltage_v: float = 0.0,
+        max_voltage_v: float = 10.0,
+    ) -> None:
+        super().__init__()
+        check_deployment(sample_period_s, preview, min_voltage_v, max_voltage_v)
+        count = len(plays.raw_up)
+        for name, values in (("slopes", slopes), ("offsets", offsets)):
+            if len(values) != count:
+                raise ConfigError(f"{name}: found {len(values)}, want {count}, one a play")
+        self.sample_period_s = sample_period_s
+        self.preview = preview
+        self.min_voltage_v = min_voltage_v
+        self.max_voltage_v = max_voltage_v
+        self.plays = plays
+        self.b = nn.Parameter(torch.tensor(offsets, dtype=torch.float64))
+        self.k = nn.Parameter(torch.tensor(slopes, dtype=torch.float64))
+
+    def forward(self, motion: Motion) -> Tensor:
+        """The voltage from the de-energised state, within the limits: (batch, time), µm to V."""
+        return self.voltage(motion)[0].clamp(self.min_voltage_v, self.max_voltage_v)
+
+    def voltage(
+        self,
+        motion: Motion,
+        state: Tensor | None = None,  # (batch, plays)
+    ) -> tuple[Tensor, Tensor]:
+        """The same before the output limits, and the state after it."""
+        h, state = self.plays(motion.yd, state)
+        basis = torch.stack([torch.ones_like(motion.yd_dot), motion.yd_dot], -1)
+        return weighted_sum(h, basis, torch.stack([self.b, self.k], 1)), state
+
+    def stream(self, reference_filter: ReferenceFilter | None = None) -> CompensatorStream:
+        """One sample at a time, scriptable: `u = step(y_d at t + preview)`. Same bits as `forward`."""
+        theta = torch.stack([self.b, self.k], 1).flatten().tolist()
+        law = GeneralisedDirectStream(self.plays.stream(), theta)
+        return cast(CompensatorStream, Deployed(law, self, reference_filter))
+
+
+class GeneralisedDirectStream(nn.Module):
+    """The law, one sample at a time."""
+
+    theta: list[float]
+    basis: list[float]
+
+    def __init__(self, plays: GeneralisedPlayStream, theta: list[float]) -> None:
+        super().__init__()
+        self.plays = plays
+        self.theta = theta
+        self.basis = [1.0, 0.0]
+
+    @torch.jit.export
+    def reset(self) -> None:
+        self.plays.reset()
+
+    @torch.jit.export
+    def step(self, yd: float, rate: float, acceleration: float) -> float:
+        self.basis[1] = rate
+        h = self.plays.step(yd)
+        total = 0.0
+        for i in range(len(h)):
+            total += weight(self.theta, self.basis, i) * h[i]
+        return total

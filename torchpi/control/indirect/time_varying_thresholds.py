@@ -1,0 +1,249 @@
+"""The rate-dependent operator whose thresholds grow with the rate, and its inverse.
+
+    y(t) = Σ_i w_i H_ri(t)[u](t),   r_i(t) = r_i + ρ_i |u̇(t)|,  r_0 = ρ_0 = 0
+    u(t) = Σ_i w'_i H_r'i(t)[y](t),   r'_i(t), w'_i by the closed form from r_i(t), w_i at every t
+
+Al Janaideh and Krejčí, *An inversion formula for a Prandtl–Ishlinskii operator with time dependent
+thresholds*, Physica B 406(8), 2011, and *Inverse rate-dependent Prandtl–Ishlinskii model for feedforward
+compensation of hysteresis in a piezomicropositioning actuator*, IEEE/ASME Trans. Mechatronics 18(5), 2013.
+
+The formula is exact, sample by sample, under the dilation condition: no distance r_(i+1)(t) - r_i(t) between
+plays, i ≥ 1, shrinks in time (the first threshold itself may). A play with the larger threshold is then a
+play of the next smaller one's output, which is all that the closed form needs.
+
+The condition is sufficient, not necessary. It fails whenever the rate falls, if ρ grows with i. But these
+thresholds are least at each reversal of their own input: between two of them a play that is pushed stays
+pushed while its threshold falls, and no two plays come further apart than their thresholds. So the formula
+holds all the same, but for what the sampling of a reversal leaves. What it does need is thresholds that are
+known functions of time. A compensator has to form them from ẏ_d where the model has u̇: that is its error.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+
+from torchpi.control.indirect.base import IndirectInverse
+from torchpi.errors import ConfigError
+from torchpi.operators.base import Operator
+from torchpi.operators.dead_zone import DeadZones
+from torchpi.operators.generalised_play import clamp_bank, clamp_play
+from torchpi.operators.motion import Motion
+from torchpi.operators.rate_dependent_pi import RATE_STATES, OwnRateStream, own_rate
+from torchpi.operators.weighted_sum import weight, weighted_sum
+
+ROUNDING = 1e-12  # of the largest threshold: a distance that shrinks by less than this rests
+
+
+@dataclass(frozen=True)
+class Dilation:
+    """Whether thresholds keep the condition under which the inversion formula is exact, and where not."""
+
+    holds: bool
+    samples: int
+    violations: int  # samples at which some distance is smaller than one sample before
+    first_sample: int | None
+    largest_shrinkage: float  # of a distance within one sample, unit of the thresholds
+    plays: tuple[int, int] | None  # the pair whose distance shrinks most
+
+    def __str__(self) -> str:
+        if self.holds:
+            return f"the dilation condition holds over all {self.samples} samples"
+        assert self.plays is not None
+        return (
+            f"the dilation condition fails at {self.violations} of {self.samples} samples, first at "
+            f"{self.first_sample}; plays {self.plays[0]} and {self.plays[1]} come closer by up to "
+            f"{self.largest_shrinkage:.3g} in a sample: the inverse need not be exact there"
+        )
+
+
+def dilation(
+    r: Tensor,  # (time, plays), thresholds in the order of the plays
+) -> Dilation:
+    """Check the dilation condition, and say where it fails.
+
+    Raises:
+        ConfigError: Thresholds that are out of order or not finite, so that there is nothing to check.
+    """
+    if r.ndim != 2 or not bool(torch.isfinite(r).all()) or bool((r.diff(dim=1) < 0).any()):
+        raise ConfigError(f"r: found shape {tuple(r.shape)}, want finite (time, plays) in rising order")
+    # The play with the first threshold is not one of another play's output: its own threshold may shrink.
+    shrinkage = -r[:, 1:].diff(dim=1).diff(dim=0) if r[0, 0] == 0 else -r.diff(dim=1).diff(dim=0)
+    first_play = 1 if r[0, 0] == 0 else 0
+    if shrinkage.numel() == 0:
+        return Dilation(True, len(r), 0, None, 0.0, None)
+    shrinks = (shrinkage > ROUNDING * r.abs().max()).any(1)
+    if not bool(shrinks.any()):
+        return Dilation(True, len(r), 0, None, 0.0, None)
+    at, pair = divmod(int(shrinkage.argmax()), shrinkage.shape[1])
+    return Dilation(
+        holds=False,
+        samples=len(r),
+        violations=int(shrinks.sum()),
+        first_sample=int(shrinks.nonzero()[0]) + 1,
+        largest_shrinkage=float(shrinkage[at, pair]),
+        plays=(first_play + pair, first_play + pair + 1),
+    )
+
+
+class TimeVaryingThresholdPI(Operator):
+    """The forward operator; the rate is that of its own input, by the three-point backward difference.
+
+    State: the plays, then the memory of the rate.
+
+    Args:
+        sample_period_s: T.
+        thresholds: r at rest, unit of the input, rising from 0.
+        threshold_slopes: ρ, growth with the rate's size; 0 first, none below the one before.
+        weights: w, one a threshold.
+
+    Raises:
+        ConfigError: As `TimeVaryingThresholdInverse`: an operator without inverse is refused.
+    """
+
+    def __init__(
+        self,
+        sample_period_s: float,
+        thresholds: Sequence[float],
+        threshold_slopes: Sequence[float],
+        weights: Sequence[float],
+    ) -> None:
+        super().__init__()
+        TimeVaryingThresholdInverse(sample_period_s, thresholds, threshold_slopes, weights)
+        self.sample_period_s = sample_period_s
+        self.r: Tensor
+        self.register_buffer("r", torch.tensor(list(thresholds), dtype=torch.float64))
+        self.rho: Tensor
+        self.register_buffer("rho", torch.tensor(list(threshold_slopes), dtype=torch.float64))
+        self.w = nn.Parameter(torch.tensor(list(weights), dtype=torch.float64))
+
+    def initial_state(self, batch: int) -> Tensor:
+        return torch.zeros(batch, len(self.r) + RATE_STATES, dtype=torch.float64)
+
+    def forward(
+        self,
+        x: Tensor,  # (batch, time)
+        state: Tensor | None = None,  # (batch, plays + rate memory)
+    ) -> tuple[Tensor, Tensor]:
+        state = self.initial_state(len(x)).to(x.device, x.dtype) if state is None else state
+        h0, memory = state.split([len(self.r), RATE_STATES], 1)
+        rate, memory = own_rate(x, memory, self.sample_period_s)
+        y, h0 = self.at_thresholds(x, self.thresholds(rate), h0)
+        return y, torch.cat([h0, memory], 1)
+
+    def thresholds(
+        self,
+        rate: Tensor,  # (batch, time), unit of the input per s
+    ) -> Tensor:  # (batch, time, plays)
+        """r_i + ρ_i |rate|."""
+        return self.r + self.rho * rate.abs()[..., None]
+
+    def at_thresholds(
+        self,
+        x: Tensor,  # (batch, time)
+        r: Tensor,  # (batch, time, plays)
+        state: Tensor | None = None,  # (batch, plays)
+    ) -> tuple[Tensor, Tensor]:
+        """The operator with thresholds that are known functions of time."""
+        h0 = torch.zeros(len(x), len(self.r), dtype=x.dtype) if state is None else state
+        h = clamp_bank(x[..., None] - r, x[..., None] + r, h0)
+        return weighted_sum(h, torch.ones_like(x)[..., None], self.w.to(x.dtype)[:, None]), h[:, -1]
+
+    def stream(self) -> "TimeVaryingThresholdStream":
+        return TimeVaryingThresholdStream(
+            self.r.tolist(), self.rho.tolist(), self.w.tolist(), OwnRateStream(self.sample_period_s)
+        )
+
+
+class TimeVaryingThresholdStream(nn.Module):
+    """The forward operator, one sample at a time."""
+
+    r: list[float]
+    rho: list[float]
+    w: list[float]
+    one: list[float]
+    h: list[float]
+
+    def __init__(self, r: list[float], rho: list[float], w: list[float], rate: OwnRateStream) -> None:
+        super().__init__()
+        self.r = r
+        self.rho = rho
+        self.w = w
+        self.one = [1.0]
+        self.h = [0.0] * len(r)
+        self.rate = rate
+
+    @torch.jit.export
+    def reset(self) -> None:
+        self.rate.reset()
+        for i in range(len(self.h)):
+            self.h[i] = 0.0
+
+    @torch.jit.export
+    def step(self, x: float) -> float:
+        size = abs(self.rate.step(x))
+        total = 0.0
+        for i in range(len(self.h)):
+            r = self.r[i] + self.rho[i] * size
+            self.h[i] = clamp_play(x - r, x + r, self.h[i])
+            total += weight(self.w, self.one, i) * self.h[i]
+        return total
+
+
+class TimeVaryingThresholdInverse(IndirectInverse):
+    """The inversion formula, its thresholds formed from ẏ_d; exact where both rates agree and dilate.
+
+    Args:
+        sample_period_s: T of the control loop.
+        thresholds: r of the forward model at rest, V, rising from 0.
+        threshold_slopes: ρ, growth with the size of the rate, V per µm/s; 0 first, none below the one before.
+        weights: w of the forward model, µm/V.
+        saturation: Dead zones behind the plays of the forward model; None is none.
+        preview: How many samples ahead the desired trajectory is seen.
+        min_voltage_v: Lower output limit.
+        max_voltage_v: Upper output limit.
+
+    Raises:
+        ConfigError: A forward model that has no inverse, or a value out of its range.
+    """
+
+    def __init__(
+        self,
+        sample_period_s: float,
+        thresholds: Sequence[float],
+        threshold_slopes: Sequence[float],
+        weights: Sequence[float],
+        saturation: DeadZones | None = None,
+        preview: int = 0,
+        min_voltage_v: float = 0.0,
+        max_voltage_v: float = 10.0,
+    ) -> None:
+        super().__init__(
+            sample_period_s,
+            thresholds,
+            weights,
+            threshold_slopes=threshold_slopes,
+            saturation=saturation,
+            preview=preview,
+            min_voltage_v=min_voltage_v,
+            max_voltage_v=max_voltage_v,
+        )
+
+    def dilation(self, motion: Motion) -> Dilation:
+        """The condition, checked on the thresholds that this motion makes; the worst row of a batch."""
+        rate = motion.yd_dot.detach().abs()[..., None]
+        r = torch.tensor(self.r, dtype=torch.float64) + torch.tensor(self.rho, dtype=torch.float64) * rate
+        return max((dilation(row) for row in r), key=lambda report: report.violations)
+
+    def at_thresholds(
+        self,
+        y: Tensor,  # (batch, time)
+        r: Tensor,  # (batch, time, plays), of the forward operator
+    ) -> Tensor:  # (batch, time)
+        """The inversion formula for thresholds that are known functions of time, from zero states."""
+        slopes = torch.tensor(self.b, dtype=torch.float64).cumsum(0)[:-1]
+        inverse = torch.cat([torch.zeros_like(r[..., :1]), (slopes * r.diff(dim=-1)).cumsum(-1)], -1)
+        h = clamp_bank(y[..., None] - inverse, y[..., None] + inverse, torch.zeros(len(y), len(self.b)).to(y))
+        w = torch.tensor(self.inverse_weights, dtype=torch.float64)[:, None]
+        return weighted_sum(h, torch.ones_like(y)[..., None], w)

@@ -1,0 +1,92 @@
+"""Motions to follow: the paper's, through its reference filter, or one from a file."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import torch
+
+from torchpi.errors import RecordingError
+from torchpi.excitation.signals import fast_trajectory, slow_trajectory
+from torchpi.operators.reference_filter import ReferenceFilter
+from torchpi.recordings.recording import read_signal
+
+Signal = npt.NDArray[np.float64]  # shape: (time,)
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """A motion to follow: y_d, and y_r, the reference before the filter of eq. 14."""
+
+    name: str
+    title: str
+    fs_hz: float
+    yd: Signal  # (time,), µm
+    yr: Signal  # (time,), µm
+    sha256: str | None  # of the file, if it came from one
+
+
+def load_trajectory(
+    which: str | Path,
+    *,
+    fs_hz: float,
+    resample: bool = False,
+    through_reference_filter: bool = False,
+) -> Trajectory:
+    """The paper's slow (eq. 15, 2 s) or fast (eq. 16, 1 s) trajectory, or one from a file.
+
+    The paper's go through the reference filter (eq. 14), from rest. A file holds the columns `time_s` and
+    `yd_um` (or `output_um`, so that a recording's motion can be asked for), sampled uniformly.
+
+    Args:
+        which: 'slow', 'fast', or the path of a file.
+        fs_hz: sample rate wanted.
+        resample: bring a file of another sample rate, or of uneven sampling, to `fs_hz`.
+        through_reference_filter: take a file's motion as y_r and filter it: for a compensator that holds
+            the reference filter.
+
+    Raises:
+        RecordingError: if the file is missing, or a column, a row or the sampling is not as wanted.
+    """
+    if which in _PAPER:
+        make, title, duration_s = _PAPER[str(which)]
+        _, yr = make(duration_s, fs_hz)
+        return Trajectory(str(which), title, fs_hz, _filtered(yr, fs_hz), yr, None)
+    path = Path(which)
+    if not path.is_file():
+        raise RecordingError(f"{path}: no such file; wanted 'slow', 'fast', or a CSV file of time_s,yd_um")
+    y, sha256 = _read_motion(path, fs_hz, resample)
+    yd = _filtered(y, fs_hz) if through_reference_filter else y
+    return Trajectory(path.stem, path.name, fs_hz, yd, y, sha256)
+
+
+_PAPER = {"slow": (slow_trajectory, "eq. 15 (slow)", 2.0), "fast": (fast_trajectory, "eq. 16 (fast)", 1.0)}
+
+
+def _read_motion(path: Path, fs_hz: float, resample: bool) -> tuple[Signal, str]:
+    """The file's motion at `fs_hz`, µm, and its hash."""
+    try:
+        motion = read_signal(path, "yd_um", resample=resample, min_samples=10)
+    except RecordingError as error:
+        try:
+            motion = read_signal(path, "output_um", resample=resample, min_samples=10)
+        except RecordingError:
+            raise error from None
+    if np.isclose(motion.fs_hz, fs_hz, rtol=1e-4):
+        return motion.x, motion.sha256
+    if not resample:
+        raise RecordingError(
+            f"{path}: sampled at {motion.fs_hz:.6g} Hz; wanted {fs_hz:.6g} Hz, the compensator's rate: "
+            "--resample true interpolates"
+        )
+    # Monotone between samples, so that a resampled motion never goes beyond the one asked for.
+    from scipy.interpolate import PchipInterpolator
+
+    t = np.arange(len(motion.x)) / motion.fs_hz
+    wanted = np.arange(int(t[-1] * fs_hz + 1e-6) + 1) / fs_hz
+    return PchipInterpolator(t, motion.x)(np.minimum(wanted, t[-1])), motion.sha256
+
+
+def _filtered(yr: Signal, fs_hz: float) -> Signal:
+    return ReferenceFilter(1.0 / fs_hz)(torch.from_numpy(yr)[None]).yd[0].numpy()

@@ -1,0 +1,230 @@
+"""The methods of this package, each fitted to the same recordings.
+
+Forward models are fitted from voltage to displacement. What stands on their other side of the saturation is
+linear in it as well (Kuhnen 2003), so that plays and dead zones come from one bounded least squares:
+
+    Σ_i w_i H_ri[u] = S⁻¹(y) = y + Σ_j v_j S_dj(y),   w_i ≥ 0
+
+S is taken from the slow record alone, as the paper does with its polynomial; what follows the rate comes from
+the fast ones.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import scipy.optimize
+import torch
+
+from torchpi.control.indirect.cascade import CascadedInverse
+from torchpi.control.indirect.conventional import ConventionalInverse
+from torchpi.control.indirect.generalised_direct import GeneralisedDirectInverse
+from torchpi.control.indirect.rate_dependent import RateDependentInverse
+from torchpi.control.indirect.time_varying_thresholds import TimeVaryingThresholdInverse
+from torchpi.errors import ConfigError
+from torchpi.identification.pair import InversePair
+from torchpi.operators.dead_zone import DeadZones
+from torchpi.operators.generalised_play import GeneralisedPlayBank, clamp_bank
+from torchpi.operators.play import PlayBank
+
+LEAST_WEIGHT = 1e-3  # of the first play, of the record's µm per V: an inverse needs it above 0
+
+
+class Records:
+    """One slow record and faster ones, and what every fit shares.
+
+    Args:
+        slow: For what does not follow the rate.
+        fast: For what does; the slow one if there is none.
+        thresholds: r of the forward models, V, rising from 0.
+        dead_zones: Thresholds d of the saturation, µm, one of them 0; [0] is none.
+        preview: What the pairs were made with; the compensators get it.
+        min_voltage_v: Lower output limit of the compensators.
+        max_voltage_v: Upper output limit.
+
+    Raises:
+        ConfigError: The fitted saturation has no inverse: fewer dead zones are needed.
+    """
+
+    def __init__(
+        self,
+        slow: InversePair,
+        fast: Sequence[InversePair],
+        thresholds: Sequence[float],
+        dead_zones: Sequence[float] = (0.0,),
+        preview: int = 0,
+        min_voltage_v: float = 0.0,
+        max_voltage_v: float = 10.0,
+    ) -> None:
+        self.slow, self.fast = slow, list(fast) or [slow]
+        self.r = list(thresholds)
+        self.deployment: dict[str, Any] = {
+            "preview": preview,
+            "min_voltage_v": min_voltage_v,
+            "max_voltage_v": max_voltage_v,
+        }
+        self.period_s = slow.sample_period_s
+        self.floor = LEAST_WEIGHT * float(np.ptp(slow.motion.yd.numpy()) / np.ptp(slow.u.numpy()))
+
+        zones = DeadZones(list(dead_zones), [1.0] * len(dead_zones))
+        others = zones.d != 0
+        plays = self.plays(slow)
+        found = self.solve(
+            [np.concatenate([plays, -zones.pieces(slow.motion.yd)[0][:, others].numpy()], 1)],
+            [slow.motion.yd[0].numpy()],
+            [slow],
+            bounded=len(self.r),
+        )
+        self.w: list[float] = found[: len(self.r)].tolist()
+        v = torch.ones(len(zones.d), dtype=torch.float64)
+        v[others] = torch.from_numpy(found[len(self.r) :])
+        self.unsaturated = DeadZones(zones.d.tolist(), v.tolist())
+        try:
+            self.saturation = self.unsaturated.inverse()
+        except ConfigError as error:
+            raise ConfigError(f"{slow.name}: {error}; take fewer dead zones") from error
+
+    def plays(self, pair: InversePair) -> np.ndarray:  # (time, plays)
+        """H_r[u]."""
+        with torch.no_grad():
+            return np.asarray(PlayBank(self.r)(pair.u)[0][0].numpy())
+
+    def straightened(self, pair: InversePair) -> np.ndarray:  # (time,), µm
+        """S⁻¹(y)."""
+        with torch.no_grad():
+            return np.asarray(self.unsaturated(pair.motion.yd)[0][0].numpy())
+
+    def solve(
+        self,
+        columns: Sequence[np.ndarray],
+        wanted: Sequence[np.ndarray],
+        pairs: Sequence[InversePair],
+        bounded: int = 0,  # how many of the first coefficients must not be negative
+    ) -> np.ndarray:
+        """Least squares over the counted samples of the records, columns scaled to like size."""
+        a = np.concatenate([part[pair.counted] for part, pair in zip(columns, pairs, strict=True)])
+        b = np.concatenate([part[pair.counted] for part, pair in zip(wanted, pairs, strict=True)])
+        size = np.linalg.norm(a, axis=0)
+        size[size == 0] = 1.0
+        low = np.full(a.shape[1], -np.inf)
+        low[:bounded] = 0.0
+        low[:1] = self.floor * size[0] if bounded else -np.inf
+        # The normal equations' factor stands for the record: a hundred rows instead of a hundred thousand.
+        q, triangle = np.linalg.qr(a / size)
+        found = scipy.optimize.lsq_linear(triangle, q.T @ b, (low, np.inf), tol=1e-12, max_iter=500)
+        return np.asarray(found.x / size)
+
+
+def fit_conventional(records: Records) -> ConventionalInverse:
+    """A rate-independent model of the slow record."""
+    return ConventionalInverse(
+        records.period_s, records.r, records.w, records.saturation, **records.deployment
+    )
+
+
+def fit_rate_dependent(records: Records) -> RateDependentInverse:
+    """Weights k ẏ + b from the fast records: Σ_i (b_i + k_i ẏ) H_ri[u] = S⁻¹(y)."""
+    columns = []
+    for pair in records.fast:
+        h = records.plays(pair)
+        columns.append(np.concatenate([h, h * pair.motion.yd_dot[0].numpy()[:, None]], 1))
+    wanted = [records.straightened(pair) for pair in records.fast]
+    b, k = np.split(records.solve(columns, wanted, records.fast, bounded=len(records.r)), 2)
+    return RateDependentInverse(
+        records.period_s, records.r, k.tolist(), b.tolist(), records.saturation, **records.deployment
+    )
+
+
+def fit_time_varying_thresholds(records: Records) -> TimeVaryingThresholdInverse:
+    """Thresholds r_i + ρ|ẏ| from the fast records, one ρ for all but the first: they dilate as one."""
+    r = torch.tensor(records.r, dtype=torch.float64)
+    moving = (torch.arange(len(r)) > 0).to(torch.float64)
+    wanted = [records.straightened(pair) for pair in records.fast]
+    top_rate = max(float(pair.motion.yd_dot.abs().max()) for pair in records.fast)
+
+    def columns(rho: float) -> list[np.ndarray]:
+        banks = []
+        for pair in records.fast:
+            now = r + rho * moving * pair.motion.yd_dot.abs()[..., None]
+            h0 = torch.zeros(1, len(r), dtype=torch.float64)
+            banks.append(clamp_bank(pair.u[..., None] - now, pair.u[..., None] + now, h0)[0].numpy())
+        return banks
+
+    def left(rho: float) -> float:
+        banks = columns(rho)
+        w = records.solve(banks, wanted, records.fast, bounded=len(r))
+        return sum(
+            float(np.sum(((bank @ w - y)[pair.counted]) ** 2))
+            for bank, y, pair in zip(banks, wanted, records.fast, strict=True)
+        )
+
+    # Up to thresholds that have grown by half of the largest one at the fastest motion.
+    most = 0.5 * records.r[-1] / top_rate
+    rho = float(scipy.optimize.minimize_scalar(left, bounds=(0.0, most), method="bounded").x)
+    w = records.solve(columns(rho), wanted, records.fast, bounded=len(r))
+    return TimeVaryingThresholdInverse(
+        records.period_s,
+        records.r,
+        (rho * moving).tolist(),
+        w.tolist(),
+        records.saturation,
+        **records.deployment,
+    )
+
+
+def fit_cascade(records: Records, order: int = 2) -> CascadedInverse:
+    """The hysteresis of the slow record, and τ from the fast ones: y + τ_1 ẏ + τ_2 ÿ = S(Σ_i w_i H_ri[u])."""
+    columns, wanted = [], []
+    for pair in records.fast:
+        derivatives = [part[0].numpy() for part in pair.motion[1 : 1 + order]]
+        columns.append(np.stack(derivatives, 1))
+        with torch.no_grad():
+            plays = torch.from_numpy(records.plays(pair) @ np.array(records.w))
+            statically, _ = records.saturation(plays[None])
+        wanted.append(statically[0].numpy() - pair.motion.yd[0].numpy())
+    lead = records.solve(columns, wanted, records.fast)
+    return CascadedInverse(
+        records.period_s, records.r, records.w, lead.tolist(), records.saturation, **records.deployment
+    )
+
+
+def fit_generalised_direct(
+    records: Records,
+    thresholds: Sequence[float],  # r of the inverse's plays, µm
+    degree: int = 3,
+) -> GeneralisedDirectInverse:
+    """Envelopes from the slow record, by variable projection; then k and b from the fast ones.
+
+    One envelope for both ways is searched first, which is the paper's stage 1; two start from there, so that
+    the fit to the slow record is at least as good.
+    """
+    size = float(records.slow.motion.yd.max())
+    powers = size ** np.arange(degree)
+    r = list(thresholds)
+
+    def bank(scaled: np.ndarray) -> GeneralisedPlayBank:
+        up, down = scaled[:degree] / powers, scaled[-degree:] / powers
+        return GeneralisedPlayBank(r, r, up.tolist(), down.tolist(), size)
+
+    def states(plays: GeneralisedPlayBank, pair: InversePair) -> np.ndarray:
+        with torch.no_grad():
+            return np.asarray(plays(pair.motion.yd)[0][0].numpy())
+
+    def residual(scaled: np.ndarray) -> np.ndarray:
+        h, u = states(bank(scaled), records.slow), records.slow.u[0].numpy()
+        w = records.solve([h], [u], [records.slow])
+        return np.asarray((h @ w - u)[records.slow.counted])
+
+    def search(start: np.ndarray) -> np.ndarray:
+        steps = [1e-5] * len(start)
+        found = scipy.optimize.least_squares(residual, start, diff_step=steps, max_nfev=60)
+        return np.asarray(found.x)
+
+    plays = bank(search(np.tile(search(np.eye(degree)[0]), 2)))
+    columns, wanted = [], []
+    for pair in records.fast:
+        h = states(plays, pair)
+        columns.append(np.concatenate([h, h * pair.motion.yd_dot[0].numpy()[:, None]], 1))
+        wanted.append(pair.u[0].numpy())
+    b, k = np.split(records.solve(columns, wanted, records.fast), 2)
+    return GeneralisedDirectInverse(records.period_s, plays, k.tolist(), b.tolist(), **records.deployment)
