@@ -371,7 +371,8 @@ class Search(Contest):
 
         What came first was taken for all that was missing then.
         """
-        h, jobs, starts = now.hypothesis, list[Job](), self.starts_by_form()
+        h, starts = now.hypothesis, self.starts_by_form()
+        jobs = self.of_a_simpler_kind(now)
         there = set(h.names)
         for member in h.members:
             if member.effect.name in self.given or issubclass(member.effect, ModalEffect):
@@ -390,6 +391,27 @@ class Search(Contest):
             return now
         self.log(f"  as {', '.join(best.hypothesis.names)}: {rms_of(best)}")
         return best
+
+    def of_a_simpler_kind(self, now: Fit) -> list[Job]:
+        """An effect that has fewer of the same numbers in the place of an added one: a single mode in the
+        place of a second one, for which the simulation's own gives way where it has one.
+
+        The simulation's numbers may be so wrong that a fit, or the timing, could not find the way.
+        """
+        h = now.hypothesis
+        given = [member for member in h.members if member.effect.name in self.given]
+        absent = [member for member in self.starts if member.effect.name not in h.names and not member.own]
+        kinds = {(one.effect, form(one)): one for one in (*absent, *given) if one.shared}
+        return [
+            (replace(less.plus(moved), alignment=alignment), now.weights, 2 * STEPS, ROUGH)
+            for added in h.members
+            if added not in given
+            for simple in kinds.values()
+            if simple.effect.block == added.effect.block and {*simple.shared} < {*added.shared}
+            for moved in [replace(simple, shared={name: added.shared[name] for name in simple.shared})]
+            for less in [h.without(added.effect.name, added.aux).without(simple.effect.name)]
+            for alignment in self.alignments
+        ]
 
     def starts_by_form(self) -> list[Member]:
         """Some starts of each form of each effect."""
