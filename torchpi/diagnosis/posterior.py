@@ -11,7 +11,7 @@ explained.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -28,6 +28,8 @@ DRAWS = 400
 RIVALS = 4
 """Of an effect, that are fitted in its place."""
 OPERATOR_NAME = "hysteresis_operator"
+CONVENTION = "timing_convention"
+"""A rival of what delays: whole samples, by the convention of whoever recorded."""
 HALF, STEEPNESS = 0.57, 2.0
 """The share of what is to be explained where an effect acts from which its name is more likely right than
 wrong, and how fast that changes. Set on some fifty names of development cases; `benchmarks/calibration.py`
@@ -80,7 +82,7 @@ def posterior(
             rivals.append(
                 Rival(model.instead, model.fit.train_rms, float((density[0] - own).sum()), float(c))
             )
-            if search.as_well(model.fit, models[0].fit):
+            if model.instead != CONVENTION and search.as_well(model.fit, models[0].fit):
                 alternatives.append(model.instead)
                 held += float(c)
         known, rise = adequacy(weighting, models[0].fit, less.fit)
@@ -211,6 +213,9 @@ def rivals(
                     more = more.plus(member)
             found.append((label, more, small.weights))
     mine = next((effect for effect in search.effects_tried if effect.name == name), None)
+    if mine and mine.commutes:
+        others = (a for a in search.alignments if a != less.alignment)
+        found += [(CONVENTION, replace(less, alignment=a), small.weights) for a in others]
     for effect in search.effects_tried if mine else ():
         if mine and effect.name in mine.degenerate_with and effect.name not in seen | there:
             starts = [member for member in search.starts if member.effect is effect]

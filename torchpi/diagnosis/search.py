@@ -130,7 +130,7 @@ class Search(Contest):
             if chosen is None:
                 break
             grown = self.sized(chosen.fit) if chosen.name.startswith(OPERATOR) else chosen.fit
-            now = self.backward(self.swapped(self.realigned(grown)))
+            now = self.backward(self.swapped(self.delayed(self.realigned(grown))))
             self.needless |= set(chosen.fit.hypothesis.names) - set(now.hypothesis.names)
             self.log(f"  with {', '.join(now.hypothesis.names) or chosen.name}: {rms_of(now)}")
         self.weigh(now)
@@ -365,6 +365,22 @@ class Search(Contest):
         ]
         raced = self.raced([(h, best.weights, 3, ROUGH) for h in others], best)
         return max([best, *(one for one in raced if not one.bounded)], key=self.worth)
+
+    def delayed(self, now: Fit) -> Fit:
+        """With a delay in the place of a timing convention, which is whole samples, where that is clear."""
+        h = now.hypothesis
+        if h.alignment - 1 not in self.alignments:
+            return now
+        sample_s = float(np.median([1 / record.fs_hz for record in self.chain.records]))
+        there = {member.effect: member.shared for member in h.members}
+        jobs: list[Job] = []
+        for effect, member in {member.effect: member for member in self.starts_by_form()}.items():
+            if later := effect.later(there.get(effect, {}), sample_s):
+                one = h.without(effect.name).plus(replace(member, shared=later))
+                jobs.append((replace(one, alignment=h.alignment - 1), now.weights, 2 * STEPS, ROUGH))
+        fits = [one for one in self.raced(jobs, now) if inside(one, now)]
+        clear = [one for one in fits if self.over(one, now, self.prior(now, one)).probability > ACCEPTED]
+        return max([now, *clear], key=self.worth)
 
     def swapped(self, now: Fit) -> Fit:
         """With other forms of its effects, or what is degenerate with them, where these predict better.

@@ -141,6 +141,11 @@ class Described:
         return []
 
     @classmethod
+    def later(cls, values: Parameters, by_s: float) -> Parameters | None:
+        """Parameters with which the output is the same, so much later; None where no parameter does that."""
+        return None
+
+    @classmethod
     def checked(cls, values: Mapping[str, float]) -> Parameters:
         """The values, each within its bounds.
 

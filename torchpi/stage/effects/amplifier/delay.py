@@ -85,6 +85,10 @@ class Delay(LinearEffect):
         return DelayLineStream(whole, p.item(), q.item())
 
     @classmethod
+    def later(cls, values: Parameters, by_s: float) -> Parameters | None:
+        return {**values, "delay_s": values.get("delay_s", 0.0) + by_s}
+
+    @classmethod
     def starts(cls, seen: Seen) -> list[Parameters]:
         longest = min(LONGEST_S, seen.duration_s / 10)
         tried = (5e-5, 1e-4, 2e-4, 5e-4, 1e-3, 2e-3)
