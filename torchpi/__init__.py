@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from torchpi.recordings.recording import write_recording as write_recording
     from torchpi.stage import Stage as Stage
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 provide_cache_folders()  # before Numba and Matplotlib are imported, which read once where they may write
 

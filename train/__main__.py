@@ -3,7 +3,7 @@ from torchpi.cli.command_line import run_program
 
 def fit() -> None:
     """Importing Lightning takes seconds."""
-    from train.cli import fit
+    from .cli import fit
 
     fit()
 

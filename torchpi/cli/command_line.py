@@ -24,7 +24,7 @@ from torchpi.files import reason
 INTERRUPTED, TERMINATED = 130, 143  # exit codes: 128 and the number of the signal
 
 
-def run_chosen(commands: Sequence[Callable[..., None]], program: str, description: str) -> None:
+def run_chosen(commands: Sequence[Callable[..., None]], program: str, description: str, version: str) -> None:
     """Parse the command line and call the function that it names.
 
     A command's options are its signature, its help is its docstring.
@@ -32,7 +32,8 @@ def run_chosen(commands: Sequence[Callable[..., None]], program: str, descriptio
     # Progress appears as it happens, into a pipe as well; there may be no output at all.
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(line_buffering=True)
-    parser = Parser(prog=program, description=description, formatter_class=_Formatter)
+    jsonargparse.set_parsing_settings(add_print_completion_argument=True)  # where shtab is installed
+    parser = Parser(prog=program, description=description, version=version, formatter_class=_Formatter)
     subcommands = parser.add_subcommands(title="commands", description=None)
     for command in commands:
         text, _, _ = inspect.getdoc(command).partition("\n\nArgs:")  # type: ignore[union-attr]
