@@ -55,7 +55,7 @@ def test_the_wheel_has_one_top_level_package_with_configs_and_training(wheel: Pa
         own = [
             path.relative_to(ROOT).as_posix()
             for path in (ROOT / folder).rglob("*")
-            if path.is_file() and path.suffix != ".pyc"
+            if path.is_file() and path.parent.name != "__pycache__"
         ]
         assert {name if folder == "torchpi" else f"torchpi/{name}" for name in own} <= names
     assert not re.search(r"^Requires-Dist: (pytest|ruff|h5py)(?!.*extra ==)", metadata, re.MULTILINE)
