@@ -348,7 +348,7 @@ def check(files: list[Path], output: Path = Path("check"), **reading: Any) -> No
     check_files(files, output, options, shlex.join(["torchpi", *sys.argv[1:]]))
 
 
-def diagnose(
+def diagnose_(  # the parser looks names up in torchpi, and would load its own `diagnose` with torch
     recordings: list[Path],
     output: Path = Path("diagnosis"),
     simulation: str | None = None,
@@ -438,5 +438,5 @@ def reproduce(
 
 
 COMMANDS: list[Callable[..., None]] = [
-    simulate, excite, train, export, run, commission, check, diagnose, predict, reproduce
+    simulate, excite, train, export, run, commission, check, diagnose_, predict, reproduce
 ]  # fmt: skip
