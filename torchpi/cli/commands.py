@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from torchpi import __version__
+from torchpi.cli import duration
 from torchpi.cli.command_line import run_chosen, run_program
 from torchpi.recordings.options import RecordingOptions
 
@@ -95,6 +96,7 @@ def train() -> None:
     # The package of training stands above torchpi and imports it: here it is started as a program. A wheel
     # carries it inside torchpi, a checkout beside it.
     package = "torchpi.train" if find_spec("torchpi.train") else "train"
+    duration.announce_fit(sys.argv[2:])
     import_module(f"{package}.cli").fit(sys.argv[2:], "torchpi train")
 
 
@@ -228,6 +230,7 @@ def run(
         max_slew_v_s: Rate of the voltage that your amplifier bears, V/s.
         seed: Of the sensor's noise; the stage's own by default.
     """
+    duration.announce_run(trajectory, len(compare or {}))
     import math
     import warnings
 
@@ -343,6 +346,7 @@ def check(files: list[Path], output: Path = Path("check"), **reading: Any) -> No
         reading: How the files are read.
     """
     options = RecordingOptions(**reading)
+    duration.announce_check(files)
     from torchpi.cli.check import check_files
 
     check_files(files, output, options, shlex.join(["torchpi", *sys.argv[1:]]))
@@ -377,6 +381,7 @@ def diagnose_(  # the parser looks names up in torchpi, and would load its own `
         reading: How the files are read.
     """
     options = RecordingOptions(**reading)
+    duration.announce_diagnose(recordings)
     from torchpi.cli.diagnose import diagnose_files
 
     command = shlex.join(["torchpi", *sys.argv[1:]])
