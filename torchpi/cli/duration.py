@@ -64,8 +64,12 @@ def announce_fit(arguments: Sequence[str]) -> None:
         simulate = data.get("simulate") or {}
         played = [one for part in ("train", "heldout") for one in simulate.get(part) or ()]
         samples = sum(_samples_in(files)) + USUAL_HZ * sum(one.get("duration_s", 1.0) for one in played)
-        epochs = 0 if model.get("select") else int(trainer.get("max_epochs", 60))
-        _announce(12.0 + 4e-4 * samples + 1e-5 * epochs * samples, "identification", 40.0)
+        follow = data.get("follow") or {}
+        motions = [one for part in ("train", "heldout") for one in follow.get(part) or ()]
+        followed = USUAL_HZ * follow.get("duration_s", 1.0) * len(motions)
+        epochs = int(trainer.get("max_epochs", 60))
+        by_epochs = 1.5e-4 * samples + epochs * (2.5e-6 * samples + 4e-6 * followed)
+        _announce(12.0 + (4e-4 * samples if model.get("select") else by_epochs), "identification", 40.0)
 
 
 def _settings(arguments: Sequence[str]) -> tuple[dict[str, Any], ...]:
