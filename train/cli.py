@@ -45,13 +45,15 @@ config.yaml, checkpoints, and events for `tensorboard --logdir runs`.
 PROGRAM = "python -m train"
 
 
-def main(arguments: Sequence[str]) -> int:
+def main(
+    arguments: Sequence[str] | None = None,  # by default those of this process
+) -> int:
     """Run the command; returns the exit code, 2 for an error of the input."""
     return run_command(lambda: fit(arguments), "torchpi")
 
 
 def fit(
-    arguments: Sequence[str] | None = None,  # by default those of this process
+    arguments: Sequence[str] | None = None,
     program: str = PROGRAM,  # as it was called, for help and provenance
 ) -> None:
     """Do what the command line says."""
