@@ -7,7 +7,7 @@ import pytest
 
 import torchpi
 from torchpi import Compensator, DirectInverse, Recording
-from torchpi.errors import ArtifactError, RecordingError
+from torchpi.errors import ArtifactError, ConfigError, RecordingError
 
 T = np.arange(2000) / 1000
 U = 5 - 5 * np.cos(2 * np.pi * T)
@@ -46,6 +46,21 @@ def test_recordings_that_cannot_be_fitted_are_refused(recordings: Any, message: 
     with pytest.raises(RecordingError) as refused:
         Compensator.fit(recordings)
     assert message in str(refused.value) and "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"preview": -1}, "preview: found -1, expected a number of samples that is not negative"),
+        ({"preview": 0.5}, "preview: found 0.5, expected a number of samples"),
+        ({"skip_s": -1.0}, "skip_s: found -1.0, expected a time in s that is not negative"),
+    ],
+    ids=["negative", "half a sample", "skip"],
+)
+def test_settings_of_a_fit_that_are_none_are_refused(options: dict[str, Any], message: str) -> None:
+    with pytest.raises(ConfigError) as refused:
+        Compensator.fit([made(), made(1.1 * Y, "other")], **options)
+    assert message in str(refused.value)
 
 
 @pytest.mark.parametrize(

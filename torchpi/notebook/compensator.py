@@ -21,7 +21,7 @@ from torchpi.control.direct_inverse import DirectInverse
 from torchpi.control.step import CompensatorStream
 from torchpi.control.trained import load_compensator, to_checkpoint
 from torchpi.diagnosis.forward_stage import identify_stage
-from torchpi.errors import ArtifactError, RecordingError, RecordingWarning
+from torchpi.errors import ArtifactError, ConfigError, RecordingError, RecordingWarning
 from torchpi.export import made_files, safety_card, write_together
 from torchpi.export.formats import Files
 from torchpi.export.torchscript import script, warm
@@ -32,6 +32,7 @@ from torchpi.identification.selection import Form
 from torchpi.loop import run_loop
 from torchpi.notebook.tracked import Tracked
 from torchpi.recordings.checks import check_recording, check_values
+from torchpi.recordings.options import RecordingOptions
 from torchpi.recordings.readers.memory import MemorySource
 from torchpi.recordings.recording import Recording
 from torchpi.report.notebook import compensator_html
@@ -95,8 +96,11 @@ class Compensator:
         Raises:
             RecordingError: Fewer than two recordings, two that are the same, different sample rates, or one
                 that no model can be made from.
-            ConfigError: Limits that are none.
+            ConfigError: Limits that are none, or a number of samples or seconds that is negative.
         """
+        RecordingOptions(skip_s=skip_s)  # raises, as for a file
+        if preview is not None and not (isinstance(preview, int) and preview >= 0):
+            raise ConfigError(f"preview: found {preview}, expected a number of samples that is not negative")
         checked = [_checked(recording, k) for k, recording in enumerate(_as_sequence(recordings))]
         check_together(checked)
         pairs = [inverse_pair(recording, 0, None, skip_s) for recording in checked]
