@@ -12,7 +12,6 @@ import argparse
 import json
 import re
 import shlex
-import shutil
 import subprocess
 import sys
 import tempfile
@@ -43,8 +42,6 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as temporary:
         folder = options.keep or Path(temporary)
         folder.mkdir(parents=True, exist_ok=True)
-        # The commands are run in a checkout, whose stage files they read.
-        shutil.copytree(README.parent / "configs", folder / "configs", dirs_exist_ok=True)
         for words in simulate:
             run([*program, *words], folder)
         recordings = [words[words.index("--output") + 1] for words in simulate]

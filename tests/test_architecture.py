@@ -8,7 +8,9 @@ import pytest
 ROOT = Path(__file__).parents[1]
 LAYERS = (
     "errors", "files", "operators", "recordings", "simulators", "excitation", "stage", "control", "diagnosis",
-    "identification", "loop", "paper", "report", "export", "commission", "cli",
+    "identification", "loop", "paper", "report", "export", "commission",
+    "notebook",  # fits by the commission's recipe, and its results draw themselves by report
+    "cli",
 )  # fmt: skip
 
 

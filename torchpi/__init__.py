@@ -14,6 +14,8 @@ if TYPE_CHECKING:
     from torchpi.control.direct_inverse import DirectInverse as DirectInverse
     from torchpi.errors import TorchpiError as TorchpiError
     from torchpi.loop.loop import run_loop as run_loop
+    from torchpi.notebook.compensator import Compensator as Compensator
+    from torchpi.notebook.diagnosed import diagnose as diagnose
     from torchpi.operators import (
         PlayBank as PlayBank,
     )
@@ -33,11 +35,12 @@ if TYPE_CHECKING:
     from torchpi.recordings.recording import write_recording as write_recording
     from torchpi.stage import Stage as Stage
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 provide_cache_folders()  # before Numba and Matplotlib are imported, which read once where they may write
 
 _HOME = {
+    "Compensator": "torchpi.notebook.compensator",
     "DirectInverse": "torchpi.control.direct_inverse",
     "Motion": "torchpi.operators.motion",
     "PlayBank": "torchpi.operators",
@@ -48,6 +51,7 @@ _HOME = {
     "ReferenceFilter": "torchpi.operators",
     "Stage": "torchpi.stage",
     "TorchpiError": "torchpi.errors",
+    "diagnose": "torchpi.notebook.diagnosed",
     "read_recording": "torchpi.recordings.recording",
     "run_loop": "torchpi.loop",
     "write_recording": "torchpi.recordings.recording",

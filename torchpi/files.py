@@ -7,6 +7,7 @@ import glob
 import hashlib
 import io
 import os
+import re
 import shutil
 import tempfile
 import warnings
@@ -15,7 +16,32 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from torchpi.errors import ArtifactError
+from torchpi.errors import ArtifactError, ConfigError
+
+PACKAGE = Path(__file__).parent
+# A wheel carries `configs/` inside the package; in a checkout it stands beside it.
+CONFIGS = next((path for path in (PACKAGE / "configs", PACKAGE.parent / "configs") if path.is_dir()), PACKAGE)
+
+
+def config_file(given: str | Path, folder: str = "") -> Path:
+    """The file of a config or a stage: one of torchpi's own by its name (`default`), or any by its path.
+
+    Args:
+        given: A single word is a name; anything else is a path and returned as it is.
+        folder: Part of `configs/` in which names are looked up, such as `stage`.
+
+    Raises:
+        ConfigError: A word that is neither a name nor a file.
+    """
+    own = CONFIGS / folder / f"{given}.yaml"
+    if not re.fullmatch(r"[\w-]+", str(given)):
+        return Path(given)
+    if own.is_file():
+        return own
+    if not os.path.lexists(given):
+        names = ", ".join(sorted(path.stem for path in own.parent.glob("*.yaml")))
+        raise ConfigError(f"{given}: no such file or name, expected a path or one of {names}")
+    return Path(given)
 
 
 @contextlib.contextmanager

@@ -1,1 +1,1 @@
-"""Training with Lightning: recordings in, a trained direct inverse out. See `python -m train fit --help`."""
+"""Training with Lightning: recordings in, a trained direct inverse out. See `torchpi train fit --help`."""

@@ -1,9 +1,13 @@
+import sys
+
 from torchpi.cli.command_line import run_program
+from torchpi.cli.duration import announce_fit
 
 
 def fit() -> None:
     """Importing Lightning takes seconds."""
-    from train.cli import fit
+    announce_fit(sys.argv[1:])
+    from .cli import fit
 
     fit()
 

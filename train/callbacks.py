@@ -7,9 +7,9 @@ from lightning import Callback, LightningModule, Trainer
 from lightning.pytorch.loggers import TensorBoardLogger
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
-from train import console
-from train.module import InverseTraining
-from train.pictures import record_fits, weights_against_rate
+from . import console
+from .module import InverseTraining
+from .pictures import record_fits, weights_against_rate
 
 
 class EpochProgress(Callback):

@@ -1,10 +1,15 @@
-"""`python -m train fit`: a LightningCLI that creates nothing before the recordings have been checked."""
+"""`torchpi train fit`: a LightningCLI that creates nothing before the recordings have been checked.
+
+In a checkout `python -m train fit` is the same. A wheel carries this package as `torchpi.train`, so its
+modules import one another relatively.
+"""
 
 import argparse
 import logging
+import shlex
 import sys
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -15,42 +20,45 @@ from lightning.pytorch.cli import LightningArgumentParser, LightningCLI
 
 from torchpi.cli.command_line import run_command
 from torchpi.errors import ConfigError, RecordingWarning, TorchpiError
-from train import console, results
-from train.data import RecordingsData
-from train.module import InverseTraining
-from train.parser import TrainParser
-from train.run_folder import RunFolder, check_continues, claim, new_run, run_to_continue
-from train.trainer import TrainerOptions, make_trainer
+
+from . import console, results
+from .data import RecordingsData
+from .module import InverseTraining
+from .parser import TrainParser
+from .run_folder import RunFolder, check_continues, claim, new_run, run_to_continue
+from .trainer import TrainerOptions, make_trainer
 
 DESCRIPTION = """\
 Train a direct inverse compensator on recordings of a piezo stage: voltage in, displacement out.
 
-  python -m train fit --config configs/demo.yaml
-  python -m train fit --config configs/recorded.yaml --data.recordings '[slow.csv, fast.csv, other.csv]'
-  python -m train fit --config configs/recorded.yaml --output runs/recorded --ckpt_path last
+  torchpi train fit --config demo
+  torchpi train fit --config recorded --data.recordings '[slow.csv, fast.csv, other.csv]'
+  torchpi train fit --config recorded --output runs/recorded --ckpt_path last
 
+A config is a file, or the name of one of torchpi's own: demo, recorded, through_stage, piezo_stack.
 The last of several recordings is held out: it judges and is not fitted. The run folder holds
 compensator.pt and compensator.json to deploy, report.html to look at, metrics.json, the resolved
 config.yaml, checkpoints, and events for `tensorboard --logdir runs`.
 """
 
 
-def main(arguments: list[str] | None = None) -> int:
+PROGRAM = "python -m train"
+
+
+def main(
+    arguments: Sequence[str] | None = None,  # by default those of this process
+) -> int:
     """Run the command; returns the exit code, 2 for an error of the input."""
-    # LightningCLI reads sys.argv, and warns where it is given anything else.
-    before = sys.argv
-    if arguments is not None:
-        sys.argv = ["train", *arguments]
-    try:
-        return run_command(fit, "torchpi")
-    finally:
-        sys.argv = before
+    return run_command(lambda: fit(arguments), "torchpi")
 
 
-def fit() -> None:
+def fit(
+    arguments: Sequence[str] | None = None,
+    program: str = PROGRAM,  # as it was called, for help and provenance
+) -> None:
     """Do what the command line says."""
     quieten()
-    FitCLI()
+    FitCLI(list(sys.argv[1:] if arguments is None else arguments), program)
 
 
 def quieten() -> None:
@@ -69,6 +77,8 @@ def quieten() -> None:
         ".*GPU available but not used.*",
         # Lightning's own use of a torch function that torch renames.
         ".*isinstance.treespec, LeafSpec.. is deprecated.*",
+        # `torchpi train` passes on what follows it.
+        ".*LightningCLI's args parameter is intended to run from within Python.*",
         # What is wrong with such a checkpoint is said in the error that follows.
         ".*received a zip file that looks like a TorchScript archive.*",
         # TorchScript is the deployment contract, deprecated or not.
@@ -96,7 +106,9 @@ class Formatter(argparse.RawDescriptionHelpFormatter, jsonargparse.DefaultHelpFo
 class FitCLI(LightningCLI):
     """The command: `fit` only, with the trainer's options that matter here."""
 
-    def __init__(self) -> None:
+    def __init__(self, arguments: list[str], program: str) -> None:
+        self.command = shlex.join([*program.split(), *arguments])
+        usage = f"{program} fit --config NAME [options]"
         super().__init__(
             InverseTraining,
             RecordingsData,
@@ -104,18 +116,19 @@ class FitCLI(LightningCLI):
             seed_everything_default=0,
             parser_class=TrainParser,
             parser_kwargs={
-                "prog": "python -m train",
-                "usage": "python -m train fit --config configs/NAME.yaml [options]",
+                "prog": program,
+                "usage": usage,
                 "description": DESCRIPTION,
                 "formatter_class": Formatter,
                 "fit": {
-                    "usage": "python -m train fit --config configs/NAME.yaml [options]",
+                    "usage": usage,
                     "description": DESCRIPTION,
                     "formatter_class": Formatter,
                 },
             },
             auto_configure_optimizers=False,
             load_from_checkpoint_support=False,
+            args=arguments,
         )
 
     @staticmethod
@@ -186,6 +199,7 @@ class FitCLI(LightningCLI):
         with claim(self.folder, goes_on=self.checkpoint == "last"):
             results.write_settings(
                 self.folder,
+                self.command,
                 self._parser("fit").dump(config, skip_none=False),
                 datamodule,
                 int(config.seed_everything),

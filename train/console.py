@@ -7,11 +7,12 @@ from rich.console import Console
 from rich.table import Table
 
 from torchpi.recordings.recording import Recording
-from train.data import RecordingsData
-from train.module import InverseTraining
-from train.results import stage_notes
-from train.run_folder import RunFolder
-from train.tracking import tracking_notes
+
+from .data import RecordingsData
+from .module import InverseTraining
+from .results import stage_notes
+from .run_folder import RunFolder
+from .tracking import tracking_notes
 
 CONSOLE = Console(highlight=False, soft_wrap=True)
 

@@ -15,9 +15,10 @@ from torchpi.operators.motion import Motion
 from torchpi.recordings.identity import check_one_rate
 from torchpi.recordings.recording import Recording, RecordingOptions, read_recording
 from torchpi.stage import Stage
-from train.simulation import Simulation, simulate
-from train.tracking import Follow
-from train.windows import Window, windows
+
+from .simulation import Simulation, simulate
+from .tracking import Follow
+from .windows import Window, windows
 
 HELDOUT_SHARE = 0.3
 
@@ -71,7 +72,7 @@ class RecordingsData(LightningDataModule):
         if recordings and simulate:
             raise ConfigError(
                 "data.recordings: found files beside data.simulate, want one of the two; "
-                "configs/recorded.yaml is the recipe for files"
+                "--config recorded is the recipe for files"
             )
         if not recordings and not simulate:
             raise ConfigError(

@@ -27,12 +27,13 @@ from torchpi.identification.two_stage import fit_weights
 from torchpi.operators.rate_weights import RateHead
 from torchpi.recordings.identity import recordings_sha256
 from torchpi.stage import Stage
-from train.coordinates import Coordinates
-from train.data import RecordingsData, Split
-from train.preview import find_preview
-from train.sensor_zero import fit_zeros
-from train.tracking import Tracking, TrackingErrors
-from train.windows import Window, windows
+
+from .coordinates import Coordinates
+from .data import RecordingsData, Split
+from .preview import find_preview
+from .sensor_zero import fit_zeros
+from .tracking import Tracking, TrackingErrors
+from .windows import Window, windows
 
 CHOSEN_BY = "chosen_by"
 

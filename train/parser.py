@@ -3,18 +3,33 @@
 import re
 from typing import Any, NoReturn
 
+from jsonargparse import ActionConfigFile  # type: ignore[attr-defined]
 from lightning.pytorch.cli import LightningArgumentParser
 
 from torchpi.cli.command_line import Parser
 from torchpi.errors import ConfigError
+from torchpi.files import config_file
+
+
+class NamedConfig(ActionConfigFile):
+    """A config by its path, or one of torchpi's own by its name."""
+
+    def __call__(self, parser: Any, cfg: Any, values: Any, option_string: str | None = None) -> None:
+        super().__call__(parser, cfg, str(config_file(values)), option_string)
 
 
 class TrainParser(Parser, LightningArgumentParser):
-    """The parser of `python -m train`."""
+    """The parser of `torchpi train`."""
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         # An option that is merely the beginning of a right one is a mistake, and is named.
         super().__init__(*args, allow_abbrev=False, **kwargs)
+
+    def add_argument(self, *args: Any, **kwargs: Any) -> Any:
+        """As its base has it; `--config` takes names too."""
+        if kwargs.get("action") is ActionConfigFile:
+            kwargs["action"] = NamedConfig
+        return super().add_argument(*args, **kwargs)
 
     def error(self, message: str, ex: Exception | None = None) -> NoReturn:
         text = re.sub(r"\s+", " ", message).strip()

@@ -8,8 +8,9 @@ import torch
 from torchpi.control.direct_inverse import DirectInverse
 from torchpi.identification import InversePair
 from torchpi.report.training import RecordFit, Saturation, WeightsAgainstRate
-from train.module import InverseTraining
-from train.sensor_zero import fit_zeros
+
+from .module import InverseTraining
+from .sensor_zero import fit_zeros
 
 POINTS = 201
 

@@ -3,8 +3,6 @@
 import importlib.metadata
 import json
 import platform
-import shlex
-import sys
 from collections.abc import Mapping
 from dataclasses import asdict
 from hashlib import sha256
@@ -18,30 +16,33 @@ from lightning.pytorch.loggers import TensorBoardLogger
 from torchpi.control.trained import STATE
 from torchpi.diagnosis.forward_stage import ForwardStage, identify_stage
 from torchpi.export import save_json, save_torchscript
-from torchpi.files import write_atomically
+from torchpi.files import config_file, write_atomically
 from torchpi.identification import inverse_errors
 from torchpi.identification.monotone import Monotone, monotone
 from torchpi.identification.recipe import MOST_PREVIEW
 from torchpi.report.training import TrainingReport
 from torchpi.report.what_was_run import Provenance
-from train.data import HELDOUT_SHARE, RecordingsData
-from train.module import InverseTraining
-from train.pictures import record_fits, saturation, weights_against_rate
-from train.run_folder import RunFolder
-from train.sensor_zero import fit_zeros, on_bound
-from train.tracking import tracking_notes
+
+from .data import HELDOUT_SHARE, RecordingsData
+from .module import InverseTraining
+from .pictures import record_fits, saturation, weights_against_rate
+from .run_folder import RunFolder
+from .sensor_zero import fit_zeros, on_bound
+from .tracking import tracking_notes
 
 PACKAGES = ("torchpi", "torch", "lightning", "numpy", "scipy", "numba")
 
 
 def write_settings(
-    folder: RunFolder, config: str, data: RecordingsData, seed: int, stage_file: str | None
+    folder: RunFolder, command: str, config: str, data: RecordingsData, seed: int, stage_file: str | None
 ) -> None:
     """config.yaml and run.json: enough to run it again and to see whether it is the same."""
     records = data.load()
-    stage = {stage_file: sha256(Path(stage_file).read_bytes()).hexdigest()} if stage_file else {}
+    stage = (
+        {stage_file: sha256(config_file(stage_file, "stage").read_bytes()).hexdigest()} if stage_file else {}
+    )
     facts = {
-        "command": shlex.join(["python", "-m", "train", *sys.argv[1:]]),
+        "command": command,
         "seed": seed,
         "data_sha256": {
             recording.source: recording.sha256 for recording in [*records.train, *records.heldout]

@@ -37,12 +37,12 @@ class Simulation:
     Args:
         train: What to train on.
         heldout: What to judge on; as with files, the last one of `train` if there is none.
-        stage: Stage file, YAML.
+        stage: Stage file, YAML, or the name of one of torchpi's own: default, qin2013.
     """
 
     train: list[Simulated]
     heldout: list[Simulated] = field(default_factory=list)
-    stage: str = "configs/stage/default.yaml"
+    stage: str = "default"
 
 
 def simulate(

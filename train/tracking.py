@@ -19,7 +19,8 @@ from torchpi.excitation.signals import TRAJECTORIES
 from torchpi.operators.motion import Motion, backward_motion
 from torchpi.operators.reference_filter import ReferenceFilter
 from torchpi.stage import Stage
-from train.coordinates import Coordinates
+
+from .coordinates import Coordinates
 
 
 @dataclass

@@ -12,9 +12,10 @@ from lightning.pytorch.plugins.io import TorchCheckpointIO
 
 from torchpi.errors import ConfigError
 from torchpi.files import save_tensors, write_atomically
-from train.callbacks import EpochProgress, TensorBoardFigures
-from train.module import CHOSEN_BY
-from train.run_folder import RunFolder
+
+from .callbacks import EpochProgress, TensorBoardFigures
+from .module import CHOSEN_BY
+from .run_folder import RunFolder
 
 OWN = ("callbacks", "logger", "plugins")
 """Arguments of lightning.Trainer that are objects, and that a run cannot do without."""

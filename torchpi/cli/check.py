@@ -140,7 +140,7 @@ def commands_for(summaries: Sequence[Summary]) -> list[str]:
         groups.setdefault(summary.options, []).append(summary.recording.source)
     lines = []
     for options, files in groups.items():
-        fit = ["python", "-m", "train", "fit", "--config", "configs/recorded.yaml"]
+        fit = ["torchpi", "train", "fit", "--config", "recorded"]
         fit += ["--data.recordings", json.dumps(files), *options.as_arguments("--data.")]
         lines.append(shlex.join(fit))
         lines.append(shlex.join(["torchpi", "diagnose", *files, *options.as_arguments()]))

@@ -24,23 +24,25 @@ from torchpi.files import reason
 INTERRUPTED, TERMINATED = 130, 143  # exit codes: 128 and the number of the signal
 
 
-def run_chosen(commands: Sequence[Callable[..., None]], program: str, description: str) -> None:
+def run_chosen(commands: Sequence[Callable[..., None]], program: str, description: str, version: str) -> None:
     """Parse the command line and call the function that it names.
 
-    A command's options are its signature, its help is its docstring.
+    A command's options are its signature, its help is its docstring, its name that of the function without a
+    last underscore.
     """
     # Progress appears as it happens, into a pipe as well; there may be no output at all.
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(line_buffering=True)
-    parser = Parser(prog=program, description=description, formatter_class=_Formatter)
+    jsonargparse.set_parsing_settings(add_print_completion_argument=True)  # where shtab is installed
+    parser = Parser(prog=program, description=description, version=version, formatter_class=_Formatter)
     subcommands = parser.add_subcommands(title="commands", description=None)
-    for command in commands:
+    functions = {command.__name__.removesuffix("_"): command for command in commands}
+    for name, command in functions.items():
         text, _, _ = inspect.getdoc(command).partition("\n\nArgs:")  # type: ignore[union-attr]
         subparser = Parser(description=text, formatter_class=_Formatter)
         subparser.add_function_arguments(command, as_group=False, as_positional=True)
-        subcommands.add_subcommand(command.__name__, subparser, help=text.splitlines()[0])
+        subcommands.add_subcommand(name, subparser, help=text.splitlines()[0])
     chosen = parser.instantiate_classes(parser.parse_args())
-    functions = {command.__name__: command for command in commands}
     functions[chosen.subcommand](**chosen[chosen.subcommand])
 
 

@@ -10,13 +10,15 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from torchpi import __version__
+from torchpi.cli import duration
 from torchpi.cli.command_line import run_chosen, run_program
 from torchpi.recordings.options import RecordingOptions
 
 DESCRIPTION = """Makes piezo stages go where they are told.
 
   1. torchpi simulate          records the simulated stage; or take recordings of your own
-  2. python -m train fit       trains a compensator on recordings
+  2. torchpi train fit         trains a compensator on recordings
   3. torchpi export            makes a file of it for a controller
   4. torchpi run               tries that file in a control loop against the simulated stage
 
@@ -29,7 +31,7 @@ DESCRIPTION = """Makes piezo stages go where they are told.
 
   torchpi reproduce            runs the whole paper (Qin et al. 2013), and shows what torchpi does better
 """
-DEFAULT_STAGE = Path("configs/stage/default.yaml")
+DEFAULT_STAGE = Path("default")
 IN_ONE_THREAD = ("commission", "diagnose")
 """Commands of small matrices, or of fits side by side: more threads would only wait for each other."""
 
@@ -40,7 +42,9 @@ def main() -> None:
         # Now, because libraries of linear algebra read it once, and parsing already loads one.
         for threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
             os.environ.setdefault(threads, "1")
-    run_program(lambda: run_chosen(COMMANDS, "torchpi", DESCRIPTION), "torchpi")
+    if sys.argv[1:2] == ["train"]:
+        run_program(train, "torchpi")  # Lightning parses what follows
+    run_program(lambda: run_chosen(COMMANDS, "torchpi", DESCRIPTION, __version__), "torchpi")
 
 
 def simulate(
@@ -58,7 +62,7 @@ def simulate(
     Args:
         excitation: sine_5hz (paper, stage 1), paper_multisine (eq. 13), multisine, triangles (with minor
             loops), stairs (up and down with holds), or hold.
-        stage: Stage file (YAML, physical parameters with units).
+        stage: Stage file (YAML, physical parameters with units), or default or qin2013, torchpi's own.
         output: CSV to write.
         duration_s: Length of the recording, s; each excitation has its own default.
         seed: Of the sensor's noise, and of random phases.
@@ -79,6 +83,21 @@ def simulate(
         f"{output}: {excitation} on {stage}, {len(u):,} samples at {recording.fs_hz:g} Hz, "
         f"u {u.min():.2f} … {u.max():.2f} V, y {recording.y.min():.3f} … {recording.y.max():.3f} µm"
     )
+
+
+def train() -> None:
+    """Train a compensator on recordings, with Lightning: `torchpi train fit --help` lists the options.
+
+    Example: torchpi train fit --config recorded --data.recordings '[slow.csv, fast.csv, other.csv]'
+    """
+    from importlib import import_module
+    from importlib.util import find_spec
+
+    # The package of training stands above torchpi and imports it: here it is started as a program. A wheel
+    # carries it inside torchpi, a checkout beside it.
+    package = "torchpi.train" if find_spec("torchpi.train") else "train"
+    duration.announce_fit(sys.argv[2:])
+    import_module(f"{package}.cli").fit(sys.argv[2:], "torchpi train")
 
 
 def excite(
@@ -137,7 +156,7 @@ def export(
     Example: torchpi export runs/demo --to torchscript,c,json --output exports/demo
 
     Args:
-        run: Run folder of `python -m train fit`, or one of its checkpoints.
+        run: Run folder of `torchpi train fit`, or one of its checkpoints.
         output: Path without suffix; the formats add theirs. By default exports/ and the name of the run.
         to: Formats, comma between: torchscript (.pt), c (.h, .c and _selftest.c, C99), pt2 (torch.export),
             json (the bare numbers with units), page (.html, the safety card, which json has as well).
@@ -202,8 +221,8 @@ def run(
 
     Args:
         compensator: Exported TorchScript file.
-        stage: Stage file (YAML), or a stage.pt. By default the one identified from the recordings, beside
-            the compensator (NAME_stage.pt or stage.pt), else the built-in one.
+        stage: Stage file (YAML), a stage.pt, or a name (default, qin2013). By default the one identified
+            from the recordings, beside the compensator (NAME_stage.pt or stage.pt), else the built-in one.
         trajectory: slow (eq. 15), fast (eq. 16), a CSV with columns time_s,yd_um, or a list of these.
         output: Folder for the page; by default beside the compensator.
         compare: Other exported compensators by name, such as {two-stage: runs/demo/baseline.pt}.
@@ -211,6 +230,7 @@ def run(
         max_slew_v_s: Rate of the voltage that your amplifier bears, V/s.
         seed: Of the sensor's noise; the stage's own by default.
     """
+    duration.announce_run(trajectory, len(compare or {}))
     import math
     import warnings
 
@@ -219,6 +239,7 @@ def run(
     from torchpi.errors import RecordingWarning
     from torchpi.excitation.trajectory import load_trajectory
     from torchpi.export import load_torchscript, trained_recordings
+    from torchpi.files import config_file
     from torchpi.loop import run_loop
     from torchpi.report import provenance, words, write_loop_report
     from torchpi.stage import Stage
@@ -268,7 +289,11 @@ def run(
         print(words.table(results[-1]))
         print(words.headline(results[-1]))
         print("\n".join(words.limits(results[-1])) + "\n")
-    files: dict[str, str | Path] = {"compensator": compensator, "stage": stage, **(compare or {})}
+    files: dict[str, str | Path] = {
+        "compensator": compensator,
+        "stage": config_file(stage, "stage"),
+        **(compare or {}),
+    }
     files |= {
         f"trajectory {one.name}": path for one, path in zip(trajectories, names, strict=True) if one.sha256
     }
@@ -321,12 +346,13 @@ def check(files: list[Path], output: Path = Path("check"), **reading: Any) -> No
         reading: How the files are read.
     """
     options = RecordingOptions(**reading)
+    duration.announce_check(files)
     from torchpi.cli.check import check_files
 
     check_files(files, output, options, shlex.join(["torchpi", *sys.argv[1:]]))
 
 
-def diagnose(
+def diagnose_(  # the parser looks names up in torchpi, and would load its own `diagnose` with torch
     recordings: list[Path],
     output: Path = Path("diagnosis"),
     simulation: str | None = None,
@@ -355,6 +381,7 @@ def diagnose(
         reading: How the files are read.
     """
     options = RecordingOptions(**reading)
+    duration.announce_diagnose(recordings)
     from torchpi.cli.diagnose import diagnose_files
 
     command = shlex.join(["torchpi", *sys.argv[1:]])
@@ -375,7 +402,7 @@ def predict(
     Example: torchpi predict runs/diagnosis/stage.pt voltage.csv --output predicted.csv
 
     Args:
-        stage: The stage.pt of `torchpi diagnose`, or a stage file (YAML).
+        stage: The stage.pt of `torchpi diagnose`, a stage file (YAML), or a name (default, qin2013).
         recording: CSV, or any other kind that a recording may have; an output_um in it is left out.
         output: CSV to write.
         simulation: What the stage corrects, where it was diagnosed with a function or an FMU: stage.pt only
@@ -395,7 +422,7 @@ def predict(
 def reproduce(
     output: Path = Path("exports/paper"),
     only: str | None = None,
-    stage: Path = Path("configs/stage/qin2013.yaml"),
+    stage: Path = Path("qin2013"),
 ) -> None:
     """Run every figure and claim of Qin et al. (2013) against the calibrated stage, in minutes.
 
@@ -407,7 +434,7 @@ def reproduce(
     Args:
         output: Folder for the page and the results.
         only: Names of figures and experiments, comma between; an unknown one lists them all.
-        stage: Stage file (YAML) that stands for the paper's rig.
+        stage: Stage file (YAML) that stands for the paper's rig, or a name (default, qin2013).
     """
     from torchpi.cli.reproduce import reproduce as run_paper
 
@@ -416,5 +443,5 @@ def reproduce(
 
 
 COMMANDS: list[Callable[..., None]] = [
-    simulate, excite, export, run, commission, check, diagnose, predict, reproduce
+    simulate, excite, train, export, run, commission, check, diagnose_, predict, reproduce
 ]  # fmt: skip

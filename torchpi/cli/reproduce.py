@@ -21,7 +21,7 @@ from rich.progress import (
 
 import torchpi
 from torchpi.errors import ConfigError
-from torchpi.files import check_output_folder, write_atomically
+from torchpi.files import check_output_folder, config_file, write_atomically
 from torchpi.paper.context import FULL, RECIPE, Context, Item, Recipe, Size
 from torchpi.paper.items import ITEMS
 from torchpi.paper.stored import restore, store
@@ -29,7 +29,7 @@ from torchpi.report.paper_page import Section, write_paper_page
 from torchpi.report.what_was_run import provenance
 from torchpi.stage import Stage
 
-DEFAULT_STAGE = Path("configs/stage/qin2013.yaml")
+DEFAULT_STAGE = Path("qin2013")
 # What results do not depend on: a page drawn otherwise needs nothing computed again.
 NOT_COMPUTING = ("report", "export", "cli", "loop", "commission")
 
@@ -182,7 +182,7 @@ def _write(output: Path, stage: Path, done: dict[str, Any], seconds: dict[str, f
     with write_atomically(output / "results.json") as temporary:
         text = json.dumps(numbers, indent=1, ensure_ascii=False, allow_nan=False)
         temporary.write_text(text + "\n", encoding="utf-8")
-    about = provenance(" ".join(["torchpi", *sys.argv[1:]]), {"stage": stage})
+    about = provenance(" ".join(["torchpi", *sys.argv[1:]]), {"stage": config_file(stage, "stage")})
     return write_paper_page(sections, [name for name in ITEMS if name not in done], about, output)
 
 

@@ -26,8 +26,8 @@ from torchpi.export.torchscript import script, warm
 from torchpi.files import check_output_folder, save_tensors
 from torchpi.identification import InversePair, inverse_errors, inverse_pair
 from torchpi.identification.pair import seen_ahead
-from torchpi.identification.recipe import Recipe
-from torchpi.identification.selection import Selection
+from torchpi.identification.recipe import RECORDED, Recipe
+from torchpi.identification.selection import Richest, Selection
 from torchpi.loop import run_loop
 from torchpi.loop.result import LoopResult
 from torchpi.recordings.identity import check_one_rate, recordings_sha256
@@ -110,32 +110,44 @@ def read(paths: Sequence[Path], options: RecordingOptions) -> list[Recording]:
     Raises:
         RecordingError: As `commission`.
     """
-    if len(paths) < 2:
-        raise RecordingError(
-            f"recordings: found {len(paths)}, expected two or more: the last one is held out and judges"
-        )
     recordings = [read_recording(path, options.with_changes(skip_s=0.0)) for path in paths]
-    for k, recording in enumerate(recordings):
-        same = [other.source for other in recordings[:k] if other.sha256 == recording.sha256]
-        if same:
-            raise RecordingError(
-                f"{recording.source}: found the content of {same[0]}, expected different recordings; leave "
-                "one out"
-            )
-    check_one_rate(recordings)
+    check_together(recordings)
     return recordings
 
 
-def selected(recordings: Sequence[Recording], pairs: Sequence[InversePair]) -> Selection:
+def check_together(recordings: Sequence[Recording]) -> None:
+    """Raise `RecordingError` unless a compensator can be made of all but the last, and judged on that."""
+    if len(recordings) < 2:
+        raise RecordingError(
+            f"recordings: found {len(recordings)}, expected two or more: the last one is held out and judges"
+        )
+    first_of: dict[str, str] = {}
+    for recording in recordings:
+        name = recording.source or recording.name
+        first = first_of.setdefault(recordings_sha256([recording]), name)
+        if first is not name:
+            raise RecordingError(
+                f"{name}: found the content of {first}, expected different recordings; leave one out"
+            )
+    check_one_rate(recordings)
+
+
+def selected(
+    recordings: Sequence[Recording],
+    pairs: Sequence[InversePair],
+    richest: Richest = RECORDED,
+    min_voltage_v: float | None = None,  # by default the lowest that was recorded
+    max_voltage_v: float | None = None,
+) -> Selection:
     """The inverse of the form that generalises best, of all recordings but the last."""
     u = [recording.u for recording in recordings]
     recipe = Recipe(
         pairs[:-1],
-        min_voltage_v=min(float(one.min()) for one in u),
-        max_voltage_v=max(float(one.max()) for one in u),
+        min_voltage_v=min(float(one.min()) for one in u) if min_voltage_v is None else min_voltage_v,
+        max_voltage_v=max(float(one.max()) for one in u) if max_voltage_v is None else max_voltage_v,
         recordings_sha256=recordings_sha256(recordings[:-1]),
     )
-    return recipe.select(lambda ahead: [seen_ahead(pair, ahead) for pair in pairs[:-1]])
+    return recipe.select(lambda ahead: [seen_ahead(pair, ahead) for pair in pairs[:-1]], richest)
 
 
 def followed(

@@ -15,7 +15,7 @@ def fit_joint(compensator: DirectInverse, pairs: Sequence[InversePair], evaluati
     """Improve `compensator` in place over whole records, from where it stands; returns the rms error, V.
 
     Descends from there and from several scales of the polynomial, each descent in at most `evaluations`
-    trials, which cost two or three passes over the records. `python -m train fit` does the same with
+    trials, which cost two or three passes over the records. `torchpi train fit` does the same with
     validation, checkpoints and pictures.
     """
     problem = joint_problem(compensator, pairs)

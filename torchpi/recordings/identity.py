@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from torchpi.errors import RecordingError
-from torchpi.recordings.recording import Recording
+from torchpi.recordings.recording import Recording, samples_sha256
 
 
 def recordings_sha256(recordings: Iterable[Recording]) -> str:
@@ -17,7 +17,7 @@ def recordings_sha256(recordings: Iterable[Recording]) -> str:
         recordings: As they were read; one that was not read from a file counts by its voltage and
             displacement.
     """
-    each = sorted(recording.sha256 or _of_samples(recording) for recording in recordings)
+    each = sorted(recording.sha256 or samples_sha256(recording.u, recording.y) for recording in recordings)
     return hashlib.sha256("\n".join(each).encode()).hexdigest()
 
 
@@ -32,10 +32,7 @@ def check_one_rate(recordings: Sequence[Recording]) -> None:
     for other in recordings[1:]:
         if not np.isclose(other.fs_hz, first.fs_hz, rtol=1e-6):
             raise RecordingError(
-                f"{other.source}: sampled at {other.fs_hz:g} Hz, but {first.source} at {first.fs_hz:g} Hz; "
+                f"{other.source or other.name}: sampled at {other.fs_hz:g} Hz, "
+                f"but {first.source or first.name} at {first.fs_hz:g} Hz; "
                 "expected one rate: train on each rate apart, or resample"
             )
-
-
-def _of_samples(recording: Recording) -> str:
-    return hashlib.sha256(recording.u.tobytes() + recording.y.tobytes()).hexdigest()

@@ -4,12 +4,14 @@ Inside, the voltage is in V, the displacement in µm, the time in s, and the sam
 """
 
 import hashlib
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from itertools import islice
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+import numpy.typing as npt
 
 from torchpi.errors import RecordingError
 from torchpi.files import write_atomically
@@ -21,8 +23,9 @@ from torchpi.recordings.options import (
     TIME_COLUMN,
     RecordingOptions,
 )
-from torchpi.recordings.readers import open_source
+from torchpi.recordings.readers import Source, open_source
 from torchpi.recordings.readers.header import UNITS, Role
+from torchpi.recordings.readers.memory import MemorySource, frame_columns
 from torchpi.recordings.readers.source import Column
 from torchpi.recordings.resampling import to_rate
 from torchpi.recordings.time_base import (
@@ -79,6 +82,76 @@ class Recording:
             raise RecordingError(
                 f"{self.source or self.name}: unequal lengths: {found} samples; cut them to one"
             )
+
+    @classmethod
+    def from_arrays(
+        cls,
+        t: npt.ArrayLike | None,  # (time,), s
+        u: npt.ArrayLike,  # (time,), V
+        y: npt.ArrayLike,  # (time,), µm
+        *,
+        name: str = "arrays",
+        aux: Mapping[str, npt.ArrayLike] | None = None,
+        allow_constant_input: bool = False,
+        **changes: Any,
+    ) -> "Recording":
+        """Voltage and displacement from memory, with the checks and the options that a file has.
+
+        Args:
+            t: Time stamps, uniform; None where `fs_hz` gives the sample rate.
+            u: Voltage of the controller.
+            y: Displacement.
+            name: What errors and reports call the recording.
+            aux: Other signals (time,), by names that begin with `aux_`.
+            allow_constant_input: Accept a hold.
+            changes: Single options of `RecordingOptions`: `fs_hz`, `input_unit`, `output_unit`, `time_unit`,
+                `resample`, `zero`, `skip_s`.
+
+        Raises:
+            RecordingError: In one line, what is wrong, at which index, and what to do.
+            ConfigError: An option that there is not.
+
+        Warns:
+            RecordingWarning: See `check_recording`.
+
+        Example:
+            >>> import numpy as np
+            >>> from torchpi import Recording
+            >>> t = np.arange(2000) / 1000
+            >>> u = 5 - 5 * np.cos(2 * np.pi * t)
+            >>> Recording.from_arrays(t, 1e3 * u, 0.8 * u, input_unit="mV")
+            Recording('arrays', 2,000 samples at 1000 Hz, 2 s, u 0…10 V, y 0…8 µm)
+        """
+        arrays = {"u": u, "y": y, **(aux or {})} | ({} if t is None else {"t": t})
+        if t is None and changes.get("fs_hz") is None:
+            raise RecordingError(f"{name}: found neither t nor fs_hz, expected one of them")
+        columns = RecordingOptions("t" if t is not None else None, "u", "y")
+        return _recording_of(
+            MemorySource(name, arrays),
+            columns.with_changes(**changes),
+            name,
+            allow_constant_input=allow_constant_input,
+        )
+
+    @classmethod
+    def from_frame(
+        cls, frame: Any, *, name: str = "frame", allow_constant_input: bool = False, **changes: Any
+    ) -> "Recording":
+        """The columns of a pandas frame, found by their names and units as those of a file are.
+
+        Args:
+            frame: Anything with `columns` and `index`, such as a `pandas.DataFrame`. The index counts as a
+                column where it has a name or holds dates.
+            name: What errors and reports call the recording.
+            allow_constant_input: Accept a hold.
+            changes: Single options of `RecordingOptions`, such as `input_column="Command [mV]"`.
+
+        Raises, Warns:
+            As `from_arrays`.
+        """
+        source = MemorySource(name, frame_columns(name, frame), "iloc")
+        options = RecordingOptions().with_changes(**changes)
+        return _recording_of(source, options, name, allow_constant_input=allow_constant_input)
 
     def __repr__(self) -> str:
         if not len(self):
@@ -206,14 +279,34 @@ def read_recording(
     Warns:
         RecordingWarning: see `check_recording`.
     """
-    options = (options or RecordingOptions()).with_changes(**changes)
-    source = open_source(path)
+    return _recording_of(
+        open_source(path),
+        (options or RecordingOptions()).with_changes(**changes),
+        Path(path).stem,
+        sha256=_sha256(path),
+        min_samples=min_samples,
+        allow_constant_input=allow_constant_input,
+        simulated=simulated,
+    )
+
+
+def _recording_of(
+    source: Source,
+    options: RecordingOptions,
+    name: str,
+    *,
+    sha256: str | None = None,  # by default that of the samples
+    min_samples: int = MIN_SAMPLES,
+    allow_constant_input: bool = False,
+    simulated: bool = False,
+) -> Recording:
+    """What `read_recording` makes of an open file, or of signals in memory."""
     names = [
         column_of(source, options.input_column, "input"), column_of(source, options.output_column, "output")
     ]  # fmt: skip
     if names[0] == names[1]:
         raise RecordingError(
-            f"{path}: input and output are the same column '{names[0]}', expected two; "
+            f"{source.path}: input and output are the same column '{names[0]}', expected two; "
             f"choose with input_column and output_column"
         )
     scale_u = scale_of(source, names[0], "input", options.input_unit)
@@ -226,15 +319,15 @@ def read_recording(
     if simulated:
         of_simulator = converted(others.pop(0), scale_of(source, simulated_names[0], "output", None))
     recording = Recording(
-        name=Path(path).stem,
+        name=name,
         t=read.t,
         u=converted(u, scale_u),
         y=converted(y, scale_y),
         fs_hz=read.fs_hz,
         aux=dict(zip(aux_names, others, strict=True)),
         simulated=of_simulator,
-        source=str(path),
-        sha256=_sha256(path),
+        source=source.path,
+        sha256=sha256 or samples_sha256(u, y),
     ).with_zero(options.zero)
     if options.skip_s > 0:
         recording = recording.slice(recording.t[0] + options.skip_s, np.inf)
@@ -306,6 +399,11 @@ def write_recording(path: str | Path, recording: Recording) -> None:
         file.write(header + "\n")
         while chunk := list(islice(rows, 100_000)):
             file.write("\n".join(chunk) + "\n")
+
+
+def samples_sha256(u: np.ndarray, y: np.ndarray) -> str:
+    """Hash of a voltage and a displacement that were not read from a file."""
+    return hashlib.sha256(u.tobytes() + y.tobytes()).hexdigest()
 
 
 def _sha256(path: str | Path) -> str:

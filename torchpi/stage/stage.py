@@ -16,7 +16,7 @@ import torch
 from torch import Tensor, nn
 
 from torchpi.errors import ArtifactError, ConfigError, StageError
-from torchpi.files import write_atomically
+from torchpi.files import config_file, write_atomically
 from torchpi.operators.base import Operator
 from torchpi.operators.chain import Chain, ChainStream
 from torchpi.operators.limits import ClipStream
@@ -152,8 +152,12 @@ class Stage(Operator):
 
     @classmethod
     def from_yaml(cls, path: str | Path) -> "Stage":
-        """The stage in a file such as `configs/stage/default.yaml`; errors name the file."""
-        return cls.from_dict(read_yaml(path), str(path))
+        """The stage in a YAML file, or one of torchpi's own by its name: `default`, `qin2013`.
+
+        Raises:
+            ConfigError, StageError: No such file, or what is wrong in it.
+        """
+        return cls.from_dict(read_yaml(config_file(path, "stage")), str(path))
 
     @classmethod
     def from_dict(
@@ -176,12 +180,13 @@ class Stage(Operator):
 
     @classmethod
     def load(cls, path: str | Path) -> "Stage":
-        """The stage in a file that `save` wrote, or in a YAML file.
+        """The stage in a file that `save` wrote, in a YAML file, or one of torchpi's own by its name.
 
         Raises:
             ArtifactError: No such file, or something else.
+            ConfigError: Neither a file nor a name, or what is wrong in a YAML file.
         """
-        path = Path(path)
+        path = config_file(path, "stage")
         if path.suffix in (".yaml", ".yml"):
             return cls.from_yaml(path)
         settings = read_settings(path)

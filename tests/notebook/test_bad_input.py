@@ -1,0 +1,98 @@
+"""What a notebook gets wrong is one line, as with files, and before anything is fitted."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import torchpi
+from torchpi import Compensator, DirectInverse, Recording
+from torchpi.errors import ArtifactError, ConfigError, RecordingError
+
+T = np.arange(2000) / 1000
+U = 5 - 5 * np.cos(2 * np.pi * T)
+Y = 0.8 * U
+
+
+def made(y: np.ndarray = Y, name: str = "slow") -> Recording:
+    return Recording.from_arrays(T, U, y, name=name)
+
+
+@pytest.fixture
+def compensator() -> Compensator:
+    inverse = DirectInverse(1e-3, [0.0, 0.5], rate="none").requires_grad_(False)
+    return Compensator(inverse)
+
+
+@pytest.mark.parametrize(
+    ("recordings", "message"),
+    [
+        ([], "recordings: found 0, expected two or more"),
+        (made(), "recordings: found 1, expected two or more"),
+        ([made(), made(name="again")], "again: found the content of slow, expected different recordings"),
+        ([made(), Y], "recordings: found ndarray at index 1, expected a Recording"),
+        (
+            [made(), Recording.from_arrays(None, U, Y + 0.1, fs_hz=500, name="other")],
+            "other: sampled at 500 Hz, but slow at 1000 Hz; expected one rate",
+        ),
+        (
+            [made(), Recording("nan", T, U, Y * np.nan, 1000.0)],
+            "nan: sample 1: column 'output_um': found nan",
+        ),
+    ],
+    ids=["none", "one", "the same twice", "an array", "another rate", "unchecked"],
+)
+def test_recordings_that_cannot_be_fitted_are_refused(recordings: Any, message: str) -> None:
+    with pytest.raises(RecordingError) as refused:
+        Compensator.fit(recordings)
+    assert message in str(refused.value) and "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"preview": -1}, "preview: found -1, expected a number of samples that is not negative"),
+        ({"preview": 0.5}, "preview: found 0.5, expected a number of samples"),
+        ({"skip_s": -1.0}, "skip_s: found -1.0, expected a time in s that is not negative"),
+    ],
+    ids=["negative", "half a sample", "skip"],
+)
+def test_settings_of_a_fit_that_are_none_are_refused(options: dict[str, Any], message: str) -> None:
+    with pytest.raises(ConfigError) as refused:
+        Compensator.fit([made(), made(1.1 * Y, "other")], **options)
+    assert message in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("reference", "message"),
+    [
+        (np.zeros((3, 5)), "reference_um: 'reference_um' is an array of 3×5, expected one signal"),
+        ([1.0, float("inf")], "reference_um: index 1: column 'reference_um': found inf, expected a finite"),
+        (["a", "b"], "reference_um: 'reference_um' holds <U1, expected numbers"),
+        ([[1.0], [2.0, 3.0]], "reference_um: 'reference_um': found list, expected an array of numbers"),
+        ([], "reference_um: 0 samples, expected at least one"),
+    ],
+    ids=["two axes", "infinite", "words", "ragged", "empty"],
+)
+def test_a_reference_that_is_no_signal_is_refused(
+    compensator: Compensator, reference: Any, message: str
+) -> None:
+    with pytest.raises(RecordingError) as refused:
+        compensator.predict(reference)
+    assert message in str(refused.value) and "\n" not in str(refused.value)
+
+
+def test_tracking_without_a_stage_or_at_another_rate_is_refused(compensator: Compensator) -> None:
+    with pytest.raises(ArtifactError, match="stage: found none, expected one"):
+        compensator.track(Y)
+    with pytest.raises(ArtifactError, match="sample"):
+        compensator.track(Y, torchpi.Stage.from_yaml("default"))
+    with pytest.raises(RecordingError, match="sampled at 500 Hz, expected 1000 Hz, the compensator's rate"):
+        compensator.errors_on(Recording.from_arrays(None, U, Y, fs_hz=500))
+
+
+def test_a_diagnosis_of_arrays_names_what_makes_a_recording_of_them() -> None:
+    with pytest.raises(
+        RecordingError, match=r"found ndarray at index 0, expected a Recording: .*from_arrays"
+    ):
+        torchpi.diagnose([Y])  # type: ignore[list-item]

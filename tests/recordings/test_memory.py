@@ -1,0 +1,110 @@
+"""Arrays and frames become recordings by the rules of files, with the errors of files."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from torchpi.errors import RecordingError, TorchpiError
+from torchpi.recordings.identity import recordings_sha256
+from torchpi.recordings.recording import Recording
+
+T = np.arange(2000) / 1000
+U = 5 - 5 * np.cos(2 * np.pi * T)
+Y = 0.8 * U
+
+
+class Frame:
+    """As much of a pandas frame as is used."""
+
+    def __init__(self, index: Any = None, **columns: Any) -> None:
+        self.columns, self._columns = list(columns), columns
+        self.index = np.arange(len(T)) if index is None else index
+
+    def __getitem__(self, name: str) -> Any:
+        return self._columns[name]
+
+
+def test_arrays_tensors_and_lists_give_the_same_recording() -> None:
+    one = Recording.from_arrays(T, U, Y)
+    for t, u, y in ((list(T), list(U), list(Y)), (torch.tensor(T), torch.tensor(U), torch.tensor(Y)[None])):
+        other = Recording.from_arrays(t, u, y)
+        assert np.array_equal(one.u, other.u) and np.array_equal(one.y, other.y) and one.fs_hz == other.fs_hz
+    assert Recording.from_arrays(None, U, Y, fs_hz=1000).fs_hz == one.fs_hz == 1000
+    assert recordings_sha256([one]) == recordings_sha256([Recording.from_arrays(None, U, Y, fs_hz=1000)])
+
+
+def test_units_zero_skip_and_other_signals_are_options_as_of_a_file() -> None:
+    made = Recording.from_arrays(
+        1e3 * T, 1e3 * U, 1e3 * Y + 7, time_unit="ms", input_unit="mV", output_unit="nm", zero="first",
+        skip_s=0.5, aux={"aux_temperature": T},
+    )  # fmt: skip
+    assert np.allclose(made.u, U[500:]) and np.allclose(made.y, Y[500:]) and made.fs_hz == 1000
+    assert np.array_equal(made.aux["aux_temperature"], T[500:])
+
+
+def test_a_frame_is_read_by_its_names_and_units() -> None:
+    columns = {"u [mV]": 1e3 * U, "y (nm)": 1e3 * Y}
+    stamps = np.datetime64("2026-01-01") + (1e6 * T).round().astype("timedelta64[us]")
+    for frame in (Frame(time_ms=1e3 * T, **columns), pandas_index(stamps, columns)):
+        made = Recording.from_frame(frame, name="slow")
+        assert np.allclose(made.u, U) and np.allclose(made.y, Y) and made.fs_hz == pytest.approx(1000)
+
+
+def pandas_index(stamps: np.ndarray, columns: dict[str, np.ndarray]) -> Any:
+    """A pandas frame with dates in another time zone as its index."""
+    import pandas  # comes with asammdf
+
+    return pandas.DataFrame(columns, index=pandas.DatetimeIndex(stamps).tz_localize("Europe/Berlin"))
+
+
+SWAPPED = np.concatenate([T[:5], T[9:10], T[6:9], T[5:6], T[10:]])
+HOLE = np.where(np.arange(len(Y)) == 17, np.nan, Y)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "options", "message"),
+    [
+        ((T, U, Y[:-1]), {}, "arrays: unequal lengths: 'u' 2000, 'y' 1999, 't' 2000 samples, expected one"),
+        ((T, np.stack([U, U]), Y), {}, "arrays: 'u' is an array of 2×2000, expected one signal"),
+        ((T, U.astype(str), Y), {}, "arrays: 'u' holds <U32, expected numbers"),
+        ((T, U + 0j, Y), {}, "arrays: 'u' holds complex128, expected numbers"),
+        ((T, U, [[1.0], [2.0, 3.0]]), {}, "arrays: 'y': found list, expected an array of numbers"),
+        ((T, U, torch.tensor(Y, requires_grad=True)), {}, "arrays: 'y': found Tensor, expected an array"),
+        ((T, U, HOLE), {}, "arrays: index 17: column 'y': found nan, expected a finite number"),
+        ((T, np.ma.masked_equal(U, U[9]), Y), {}, "arrays: index 9: column 'u': found nan"),
+        ((SWAPPED, U, Y), {}, "arrays: index 6: time goes from 0.009 s to 0.006 s, expected an increase"),
+        ((None, U, Y), {}, "arrays: found neither t nor fs_hz, expected one of them"),
+        ((T, U, Y), {"input_unit": "mA"}, "arrays: input_unit is 'mA', expected one of V, mV"),
+        ((T, U, Y), {"unit": "V"}, "found the option 'unit', expected one of"),
+        ((T, T.astype("datetime64[s]"), Y), {}, "arrays: column 'u' is in s, expected V, mV"),
+        (([], [], []), {}, "arrays: 0 samples, expected at least 10"),
+    ],
+    ids=[
+        "lengths", "two axes", "words", "complex", "ragged", "gradient", "nan", "masked", "unsorted",
+        "no time", "unit", "option", "dates", "empty",
+    ],
+)  # fmt: skip
+def test_what_is_wrong_with_arrays_is_one_line_that_names_the_place(
+    arguments: tuple[Any, ...], options: dict[str, Any], message: str
+) -> None:
+    with pytest.raises(TorchpiError) as refused:
+        Recording.from_arrays(*arguments, **options)
+    assert message in str(refused.value) and "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("frame", "message"),
+    [
+        ([1, 2], "frame: found list, expected a frame with columns, such as pandas.DataFrame"),
+        (Frame(time_s=T, a=U, b=Y), "frame: no column 'input_v' (input_column); the file has: time_s, a, b"),
+        (Frame(time_s=SWAPPED, u=U, y=Y), "frame: iloc 6: time goes from 0.009 s to 0.006 s"),
+        (Frame(time_s=T, u=U, y=HOLE), "frame: iloc 17: column 'y': found nan"),
+    ],
+    ids=["a list", "no voltage", "unsorted", "nan"],
+)
+def test_what_is_wrong_with_a_frame_is_one_line_that_names_the_row(frame: Any, message: str) -> None:
+    with pytest.raises(RecordingError) as refused:
+        Recording.from_frame(frame)
+    assert message in str(refused.value) and "\n" not in str(refused.value)

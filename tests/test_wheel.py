@@ -1,0 +1,96 @@
+"""The wheel: one top-level name, recipes and training inside, and it works in an empty folder."""
+
+import os
+import re
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+
+import torchpi
+import torchpi.files
+
+ROOT = Path(__file__).parents[1]
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("wheel")
+    pip("wheel", "--no-deps", "--no-build-isolation", "--wheel-dir", str(folder), str(ROOT))
+    (built,) = folder.glob("*.whl")
+    return built
+
+
+@pytest.fixture(scope="module")
+def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder to import from, in which nothing but the wheel has been installed."""
+    site = tmp_path_factory.mktemp("site")
+    pip("install", "--no-deps", "--no-index", "--no-compile", "--target", str(site), str(wheel))
+    return site
+
+
+def pip(*arguments: str) -> None:
+    command = [sys.executable, "-m", "pip", "--disable-pip-version-check", "--quiet", *arguments]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+
+def in_empty_folder(installed: Path, folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    """`python -m torchpi` of the installed wheel; plays in Python: nothing here is worth compiling."""
+    environment = {**os.environ, "PYTHONPATH": str(installed), "NUMBA_DISABLE_JIT": "1"}
+    command = [sys.executable, "-m", "torchpi", *arguments]
+    return subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True)
+
+
+def test_the_wheel_has_one_top_level_package_with_configs_and_training(wheel: Path) -> None:
+    with zipfile.ZipFile(wheel) as archive:
+        names = set(archive.namelist())
+        about = next(name for name in names if name.endswith("METADATA"))
+        metadata = archive.read(about).decode()
+    assert {name.split("/")[0] for name in names} == {"torchpi", about.split("/")[0]}
+    assert {"torchpi/py.typed", f"{about.split('/')[0]}/licenses/LICENSE"} <= names
+    for folder in ("configs", "train", "torchpi"):
+        own = [
+            path.relative_to(ROOT).as_posix()
+            for path in (ROOT / folder).rglob("*")
+            if path.is_file() and path.parent.name != "__pycache__"
+        ]
+        assert {name if folder == "torchpi" else f"torchpi/{name}" for name in own} <= names
+    assert not re.search(r"^Requires-Dist: (pytest|ruff|h5py)(?!.*extra ==)", metadata, re.MULTILINE)
+
+
+def test_an_installed_torchpi_works_in_an_empty_folder(installed: Path, tmp_path: Path) -> None:
+    def torchpi_says(*arguments: str) -> str:
+        done = in_empty_folder(installed, tmp_path, *arguments)
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    assert torchpi_says("--version") == f"torchpi {torchpi.__version__}\n"
+    assert "torchpi train fit" in torchpi_says("--help")
+    made = torchpi_says("simulate", "--stage", "default", "--excitation", "sine_5hz", "--duration_s", "0.2")
+    assert "on default" in made
+    assert "--config recorded" in torchpi_says("check", "recordings/simulated.csv")
+    config = torchpi_says("train", "fit", "--config", "recorded", "--print_config")
+    assert "creep_time_constants_s" in config
+    assert {path.name for path in tmp_path.iterdir()} == {"recordings", "check"}
+
+
+def test_a_name_that_there_is_not_is_answered_with_those_that_there_are(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(torchpi.TorchpiError, match=r"record: no such file or name, expected .* recorded"):
+        torchpi.files.config_file("record")
+    assert torchpi.files.config_file("recorded") == ROOT / "configs" / "recorded.yaml"
+    assert torchpi.files.config_file("default", "stage") == ROOT / "configs" / "stage" / "default.yaml"
+    for path in ("missing.yaml", "folder/default", "data: {fs_hz: 1}"):
+        assert torchpi.files.config_file(path) == Path(path)
+    Path("own").write_text("")
+    assert torchpi.files.config_file("own") == Path("own")
+
+
+def test_the_citation_is_of_this_version() -> None:
+    for file in ("CITATION.cff", "CHANGELOG.md"):
+        assert torchpi.__version__ in (ROOT / file).read_text(encoding="utf-8")

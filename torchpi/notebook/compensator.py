@@ -1,0 +1,304 @@
+"""A compensator from recordings in memory: fit, predict, track, export, in the manner of scikit-learn.
+
+The recipe is that of `torchpi commission`: the form of the inverse by cross-validation, a forward stage from
+the same recordings, both judged on the last one, which is held out.
+"""
+
+import math
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+import numpy.typing as npt
+import torch
+
+from torchpi.commission.commission import check_together, selected
+from torchpi.control.direct_inverse import DirectInverse
+from torchpi.control.step import CompensatorStream
+from torchpi.control.trained import load_compensator, to_checkpoint
+from torchpi.diagnosis.forward_stage import identify_stage
+from torchpi.errors import ArtifactError, ConfigError, RecordingError, RecordingWarning
+from torchpi.export import made_files, safety_card, write_together
+from torchpi.export.formats import Files
+from torchpi.export.torchscript import script, warm
+from torchpi.files import save_tensors
+from torchpi.identification import InverseErrors, inverse_errors, inverse_pair
+from torchpi.identification.recipe import RECORDED
+from torchpi.identification.selection import Form
+from torchpi.loop import run_loop
+from torchpi.notebook.tracked import Tracked
+from torchpi.recordings.checks import check_recording, check_values
+from torchpi.recordings.options import RecordingOptions
+from torchpi.recordings.readers.memory import MemorySource
+from torchpi.recordings.recording import Recording
+from torchpi.report.notebook import compensator_html
+from torchpi.stage import Stage
+from torchpi.stage.beside import NAME as STAGE
+from torchpi.stage.beside import exported_stage
+
+Signal = npt.NDArray[np.float64]  # shape: (time,)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Compensator:
+    """Maps a desired displacement to the voltage that produces it on the stage of the recordings.
+
+    Attributes:
+        inverse: The direct inverse, a `torch.nn.Module`.
+        stage: The forward stage that was identified from the same recordings; None where there is none.
+        errors: Of the inverse on the held-out recording; None for one that was loaded.
+        form: What cross-validation selected; None for one that was loaded.
+
+    Example:
+        >>> import numpy as np, torch
+        >>> from torchpi import Compensator, Recording, Stage
+        >>> from torchpi.excitation.signals import make_excitation
+        >>> rig = Stage.from_yaml("default")  # in place of your own stage
+        >>> recordings = []
+        >>> for seed, kind in enumerate(("sine_5hz", "multisine", "multisine")):
+        ...     t, u = make_excitation(kind, rig.sample_rate_hz, 0.5, seed)
+        ...     _, y = rig.simulate(torch.from_numpy(u)[None])
+        ...     recordings.append(Recording.from_arrays(t, u, y[0].detach(), name=f"{kind} {seed}"))
+        >>> compensator = Compensator.fit(recordings)  # the last one is held out
+        >>> compensator.errors.rms_percent < 2
+        True
+    """
+
+    inverse: DirectInverse
+    stage: Stage | None = None
+    errors: InverseErrors | None = None
+    form: Form | None = None
+
+    @classmethod
+    def fit(
+        cls,
+        recordings: Sequence[Recording],
+        *,
+        preview: int | None = None,
+        skip_s: float = 0.0,
+        min_voltage_v: float | None = None,
+        max_voltage_v: float | None = None,
+    ) -> "Compensator":
+        """Identify the inverse and a forward stage. Takes some seconds for 10,000 samples.
+
+        Args:
+            recordings: Two or more of one stage, at the sample rate of the control loop, first sample
+                de-energised. The last one is held out and judges.
+            preview: Most samples that the trajectory is known ahead; 0 where it is not. By default as many as
+                the recordings show the stage to be late.
+            skip_s: Start-up transient of each recording, s, that sets the state and is not counted.
+            min_voltage_v, max_voltage_v: Limits of the voltage; by default those of the recordings.
+
+        Raises:
+            RecordingError: Fewer than two recordings, two that are the same, different sample rates, or one
+                that no model can be made from.
+            ConfigError: Limits that are none, or a number of samples or seconds that is negative.
+        """
+        RecordingOptions(skip_s=skip_s)  # raises, as for a file
+        if preview is not None and not (isinstance(preview, int) and preview >= 0):
+            raise ConfigError(f"preview: found {preview}, expected a number of samples that is not negative")
+        checked = [_checked(recording, k) for k, recording in enumerate(_as_sequence(recordings))]
+        check_together(checked)
+        pairs = [inverse_pair(recording, 0, None, skip_s) for recording in checked]
+        richest = RECORDED if preview is None else replace(RECORDED, previews=range(preview + 1))
+        selection = selected(checked, pairs, richest, min_voltage_v, max_voltage_v)
+        inverse = selection.compensator.requires_grad_(False)
+        *train, heldout = checked
+        return cls(
+            inverse,
+            identify_stage(train, heldout, skip_s=skip_s).stage,
+            _errors(inverse, heldout, skip_s),
+            selection.steps[-1].form,
+        )
+
+    @classmethod
+    def load(cls, path: str | Path) -> "Compensator":
+        """What `save` wrote, or the folder of `torchpi train fit` or `torchpi commission`.
+
+        Raises:
+            ArtifactError: No compensator there, or not as it was written.
+        """
+        stage = Path(path) / STAGE
+        inverse = load_compensator(path).requires_grad_(False)
+        return cls(inverse, Stage.load(stage) if stage.is_file() else None)
+
+    def save(self, folder: str | Path) -> None:
+        """Write the compensator and its stage into a folder, for `load` and for `torchpi export`.
+
+        Example:
+            >>> compensator.save("mine")
+            >>> bool((Compensator.load("mine").predict(reference) == compensator.predict(reference)).all())
+            True
+        """
+        checkpoint = Path(folder) / "checkpoints" / "best.ckpt"
+        files: Files = {checkpoint: partial(save_tensors, to_checkpoint(self.inverse))}
+        if self.stage is not None:
+            files[Path(folder) / STAGE] = self.stage.write
+        write_together(files)
+
+    @property
+    def sample_rate_hz(self) -> float:
+        """Of the recordings, of `predict`, and of the control loop."""
+        return 1.0 / self.inverse.sample_period_s
+
+    @property
+    def preview(self) -> int:
+        """How many samples the desired trajectory is seen ahead."""
+        return self.inverse.preview
+
+    def predict(
+        self,
+        reference_um: npt.ArrayLike,  # (time,), µm
+    ) -> Signal:  # (time,), V
+        """The voltage at each sample for a desired displacement, from the de-energised state.
+
+        These are the numbers of the exported file, sample by sample: it looks `preview` samples ahead, where
+        the last value holds beyond the end, and stays within its voltage limits.
+
+        Raises:
+            RecordingError: Another shape or type, or a number that is not finite.
+
+        Example:
+            >>> seconds = np.arange(2000) / compensator.sample_rate_hz
+            >>> reference = (4 - 3 * np.cos(2 * np.pi * 10 * seconds)) * np.minimum(1, seconds / 0.05)
+            >>> compensator.predict(reference).shape
+            (2000,)
+        """
+        yd = _signal(reference_um)
+        ahead = yd[np.minimum(np.arange(len(yd)) + self.preview, len(yd) - 1)]
+        self._step.reset()
+        with torch.no_grad():
+            u = self._step.block(torch.from_numpy(ahead)).numpy().copy()
+        self._step.reset()
+        return u
+
+    def track(
+        self,
+        reference_um: npt.ArrayLike,  # (time,), µm
+        stage: Stage | None = None,
+        *,
+        name: str = "reference",
+        max_slew_v_s: float = math.inf,
+    ) -> Tracked:
+        """Follow a desired displacement in a simulated control loop, with and without compensation.
+
+        Args:
+            reference_um: At the compensator's sample rate.
+            stage: What is moved; by default the stage identified from the same recordings.
+            name: Of the trajectory, in figures.
+            max_slew_v_s: Rate of the voltage that the amplifier bears: the result says where it is met.
+
+        Raises:
+            RecordingError: Another shape or type, not finite, constant, or beyond the stage's range.
+            ArtifactError: No stage, or one of another sample rate.
+
+        Example:
+            >>> result = compensator.track(reference)
+            >>> 3 * result.rms_um < result.without.on_true.whole.rms_um
+            True
+            >>> figure = result.plot()
+        """
+        plant = stage or self.stage
+        if plant is None:
+            raise ArtifactError("stage: found none, expected one: this compensator was loaded without")
+        result = run_loop(
+            self._step,
+            plant,
+            _signal(reference_um),
+            fs_hz=self.sample_rate_hz,
+            name=name,
+            max_slew_v_s=max_slew_v_s,
+        )
+        return Tracked(**vars(result))
+
+    def errors_on(self, recording: Recording, skip_s: float = 0.0) -> InverseErrors:
+        """Errors of the voltage over a recording, offline, in V, µm and per cent.
+
+        Raises:
+            RecordingError: A recording that no model can be judged on, or of another sample rate.
+        """
+        checked = _checked(recording, 0)
+        if not math.isclose(checked.fs_hz, self.sample_rate_hz, rel_tol=1e-6):
+            raise RecordingError(
+                f"{checked.source or checked.name}: sampled at {checked.fs_hz:g} Hz, "
+                f"expected {self.sample_rate_hz:g} Hz, the compensator's rate; resample it"
+            )
+        return _errors(self.inverse, checked, skip_s)
+
+    def export(
+        self, path: str | Path, to: Sequence[str] = ("torchscript", "c", "json", "page")
+    ) -> list[Path]:
+        """Write files for a controller, and the stage beside them: all, or none. Returns their paths.
+
+        Args:
+            path: Without suffix; the formats add theirs.
+            to: Formats of `torchpi export`: torchscript, c, pt2, json, page.
+
+        Raises:
+            ConfigError: An unknown format.
+            ArtifactError: A compensator that lowers the voltage to raise the stage, or a file that cannot be
+                written.
+
+        Example:
+            >>> [file.name for file in compensator.export("exports/mine", to=("torchscript", "json"))]
+            ['mine.pt', 'mine.json', 'mine_stage.pt']
+        """
+        card = safety_card(self.inverse)
+        if card.monotone is False:
+            raise ArtifactError(f"{path}: {card.monotone_summary}")
+        files = made_files(self.inverse, path, to)
+        if self.stage is not None:
+            files[exported_stage(Path(path))] = self.stage.write
+        write_together(files)
+        return list(files)
+
+    def __repr__(self) -> str:
+        error = "" if self.errors is None else f", held-out error {self.errors.rms_percent:.2g} % rms"
+        inverse = self.inverse
+        return (
+            f"Compensator({self.sample_rate_hz:g} Hz, preview {self.preview}, "
+            f"{inverse.min_voltage_v:g}…{inverse.max_voltage_v:g} V{error})"
+        )
+
+    def _repr_html_(self) -> str:
+        return compensator_html(self.inverse, self.form, self.errors, self.stage)
+
+    @cached_property
+    def _step(self) -> CompensatorStream:
+        """What is exported, compiled; its state is that at rest between calls."""
+        step = cast(CompensatorStream, script(self.inverse))
+        warm(step)
+        return step
+
+
+def _as_sequence(recordings: Sequence[Recording] | Recording) -> Sequence[Recording]:
+    return [recordings] if isinstance(recordings, Recording) else recordings
+
+
+def _checked(recording: Recording, position: int) -> Recording:
+    if not isinstance(recording, Recording):
+        raise RecordingError(
+            f"recordings: found {type(recording).__name__} at index {position}, expected a Recording: "
+            "Recording.from_arrays(t, u, y) makes one"
+        )
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RecordingWarning)  # whoever made it has heard them
+        check_recording(recording)
+    return recording
+
+
+def _signal(reference_um: npt.ArrayLike) -> Signal:
+    source = MemorySource("reference_um", {"reference_um": reference_um})
+    (yd,) = source.read(["reference_um"])
+    if not len(yd):
+        raise RecordingError("reference_um: 0 samples, expected at least one")
+    check_values("reference_um", [("reference_um", yd)], source.place)
+    return yd
+
+
+def _errors(inverse: DirectInverse, recording: Recording, skip_s: float) -> InverseErrors:
+    return inverse_errors(inverse, [inverse_pair(recording, inverse.preview, None, skip_s)])

@@ -1,0 +1,70 @@
+"""A tracked trajectory that draws and shows itself."""
+
+from typing import Literal
+
+from torchpi.errors import ConfigError
+from torchpi.loop.result import LoopResult, Signal
+from torchpi.report import loop_figures
+from torchpi.report.notebook import Plot, tracked_html
+
+FIGURES = {
+    "trajectory": loop_figures.trajectory_figure,
+    "linearity": loop_figures.linearity_figure,
+    "error": loop_figures.error_figure,
+    "voltage": loop_figures.voltage_figure,
+}
+
+
+class Tracked(LoopResult):
+    """What `Compensator.track` gives: motions without and with compensation, their errors, and limits met.
+
+    The fields are those of `LoopResult`; each of `drives` has its voltage `u`, its motion `y_true` and its
+    errors. What most want of the compensated drive has names of its own.
+    """
+
+    @property
+    def u_v(self) -> Signal:
+        """(time,), V: the voltage applied."""
+        return self.compensated.u
+
+    @property
+    def y_um(self) -> Signal:
+        """(time,), µm: where the stage was."""
+        return self.compensated.y_true
+
+    @property
+    def error_um(self) -> Signal:
+        """(time,), µm: where it was less where it should have been."""
+        error: Signal = self.y_um - self.yd
+        return error
+
+    @property
+    def rms_um(self) -> float:
+        """Of the tracking error with compensation."""
+        return self.compensated.on_true.whole.rms_um
+
+    @property
+    def max_um(self) -> float:
+        """Of the tracking error with compensation."""
+        return self.compensated.on_true.whole.max_um
+
+    def plot(self, what: Literal["trajectory", "linearity", "error", "voltage"] = "trajectory") -> Plot:
+        """A figure: the motion with its error, the motion over the reference, the error, or the voltage.
+
+        A notebook shows it as the last line of a cell; `.savefig(path)` saves it, `.figure` is matplotlib's.
+
+        Raises:
+            ConfigError: Another name.
+        """
+        if what not in FIGURES:
+            raise ConfigError(f"what: found '{what}', expected one of {', '.join(FIGURES)}")
+        return Plot(FIGURES[what](self), f"{what} of {self.title}")
+
+    def __repr__(self) -> str:
+        return (
+            f"Tracked({self.title!r}, {len(self.yd):,} samples, error {self.rms_um:.3g} µm rms, "
+            f"{self.without.on_true.whole.rms_um:.3g} µm without compensation)"
+        )
+
+    def _repr_html_(self) -> str:
+        return tracked_html(self)

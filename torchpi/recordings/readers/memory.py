@@ -1,0 +1,67 @@
+"""Signals that are in memory already: arrays, or the columns of a frame, under the same checks as a file."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from torchpi.errors import RecordingError
+from torchpi.recordings.readers.source import ArraySource
+
+
+class MemorySource(ArraySource):
+    """Arrays by name. Dates and time differences become seconds from the first.
+
+    Args:
+        name: What errors call it.
+        arrays: What NumPy makes an array of, by name.
+        position: How its owner counts samples, from 0: `index`, or `iloc` of a frame.
+    """
+
+    def __init__(self, name: str, arrays: Mapping[str, Any], position: str = "index") -> None:
+        super().__init__(name, list(arrays))
+        self._arrays, self._position = arrays, position
+        self.units = {key: "s" for key, values in arrays.items() if _kind(values) in ("m", "M")}
+
+    def place(self, index: int) -> str:
+        return f"{self._position} {index}"
+
+    def array(self, name: str) -> np.ndarray:
+        values = self._arrays[name]
+        try:
+            if isinstance(values, np.ma.MaskedArray):
+                return np.ma.filled(values.astype(np.float64), np.nan)
+            found = np.asarray(values)
+        except Exception as error:  # ragged lists, tensors that need a gradient: every library has its own
+            raise RecordingError(
+                f"{self.path}: '{name}': found {type(values).__name__}, expected an array of numbers"
+            ) from error
+        if found.dtype.kind in "mM" and len(found):
+            return np.asarray((found - found[0]) / np.timedelta64(1, "ns") * 1e-9)
+        return found
+
+
+def frame_columns(name: str, frame: Any) -> dict[str, Any]:
+    """The columns of a pandas frame by name, with its index where that has a name or holds dates.
+
+    Raises:
+        RecordingError: No frame.
+    """
+    if not (hasattr(frame, "columns") and hasattr(frame, "index") and hasattr(frame, "__getitem__")):
+        raise RecordingError(
+            f"{name}: found {type(frame).__name__}, expected a frame with columns, such as pandas.DataFrame"
+        )
+    columns = {str(column): frame[column] for column in frame.columns}
+    label = getattr(frame.index, "name", None)
+    if label is not None or _kind(frame.index) in ("m", "M"):
+        columns.setdefault("time" if label is None else str(label), frame.index)
+    # Dates with a time zone are objects to NumPy.
+    return {
+        key: values.to_numpy("datetime64[ns]") if _kind(values) == "M" else values
+        for key, values in columns.items()
+    }
+
+
+def _kind(values: Any) -> str:
+    """NumPy's letter for the type of an array or a column; of anything else none."""
+    return getattr(getattr(values, "dtype", None), "kind", "")
