@@ -86,6 +86,12 @@ class Contest:
         w = self.chain.weighting
         return gain(w.log_density(better), w.log_density(worse), prior)
 
+    def prior(self, now: Fit, more: Fit) -> float:
+        """Log odds of what a hypothesis has beyond another."""
+        new = len(set(more.hypothesis.names)) - len(set(now.hypothesis.names))
+        grown = more.hypothesis.nominal.family != now.hypothesis.nominal.family
+        return PRIOR * (new + grown)
+
     def as_well(self, one: Fit, best: Fit) -> bool:
         """Whether a fit predicts as well as a better one, within the standard error: no recording here splits
         the two."""

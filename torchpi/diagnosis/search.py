@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from torchpi.diagnosis.chain import Chain
-from torchpi.diagnosis.contest import ACCEPTED, HEAT, PRIOR, Contest, inside
+from torchpi.diagnosis.contest import ACCEPTED, HEAT, PRIOR, inside
 from torchpi.diagnosis.coverage import reason_to_leave_out
 from torchpi.diagnosis.fit import FINE, ROUGH
 from torchpi.diagnosis.hypothesis import Fit, Hypothesis, Member
@@ -22,10 +22,11 @@ from torchpi.diagnosis.nominal import Nominal, bouc_wen, duhem, many_plays, plai
 from torchpi.diagnosis.outside import Outside
 from torchpi.diagnosis.parallel import Job, screen_all
 from torchpi.diagnosis.records import seen
-from torchpi.diagnosis.reduced_basis import MANY, basis, reduced, refitted
+from torchpi.diagnosis.reduced_basis import MANY, basis, refitted
 from torchpi.diagnosis.score import Gain
 from torchpi.diagnosis.screen import Candidate, Screen, candidates_of
 from torchpi.diagnosis.slips import Jump, Slips, jump, slips
+from torchpi.diagnosis.timing import Timing
 from torchpi.stage.effects import EFFECTS
 from torchpi.stage.effects.effect import Effect, Parameters
 from torchpi.stage.effects.inside import InsideEffect
@@ -75,7 +76,7 @@ class Round:
     """The name of what was taken."""
 
 
-class Search(Contest):
+class Search(Timing):
     """A search on given records."""
 
     def __init__(
@@ -89,19 +90,17 @@ class Search(Contest):
         effects: Sequence[type[Effect] | type[InsideEffect]] = EFFECTS,
         simulation: Outside | None = None,
     ) -> None:
-        super().__init__(chain, noise, executor)
+        alignments = simulation.alignments if simulation else (0, 1)
+        super().__init__(chain, noise, executor, alignments, {member.effect.name for member in given})
         self.log, self.start, self.lsb_um = log, tuple(given), lsb_um
         self.simulation = simulation
-        self.alignments = simulation.alignments if simulation else (0, 1)
         self.left_out: list[tuple[str, str]] = []
-        self.given = {member.effect.name for member in given}
         self.seen = replace(seen(chain.records), simulated=simulation is not None)
         self.hopeless: set[str] = set()
         self.needless: set[str] = set()
         self.slips: Slips | None = None
         self.jump: Jump | None = None
         """Of the final fit, where a mount sticks."""
-        self.starts: list[Member] = []
         self.effects_tried: list[type[Effect] | type[InsideEffect]] = []
         for effect in effects:
             if effect.read_off:
@@ -139,16 +138,6 @@ class Search(Contest):
         else:
             now = refitted(self.chain, self.at_the_tick(now))
         return retuned, now, history
-
-    def at_the_tick(self, now: Fit) -> Fit:
-        """With the timing of the simulation, where what delays is missing anyway and predicts as well so."""
-        h = now.hypothesis
-        if h.alignment == 0 or not any(
-            m.effect.delays and m.effect.name not in self.given for m in h.members
-        ):
-            return now
-        (other,) = self.fits_here([(replace(h, alignment=0), now.weights, 2 * STEPS, ROUGH)])
-        return other if self.as_well(other, now) and inside(other, now) else now
 
     def simplest(self, tried: Sequence[Tried]) -> Tried | None:
         """The best of what earns its place; an effect where a larger hysteresis is no clearer."""
@@ -221,12 +210,6 @@ class Search(Contest):
         """With the gain over a fit, the best first."""
         tried = [Tried(name, one, self.over(one, now, self.prior(now, one))) for name, one in fits]
         return sorted(tried, key=lambda t: -t.gain.nats)
-
-    def prior(self, now: Fit, more: Fit) -> float:
-        """Log odds of what a hypothesis has beyond another."""
-        new = len(set(more.hypothesis.names)) - len(set(now.hypothesis.names))
-        grown = more.hypothesis.nominal.family != now.hypothesis.nominal.family
-        return PRIOR * (new + grown)
 
     def effects(self, now: Fit) -> list[tuple[str, Fit]]:
         """The most promising effects, each fitted from its best starts."""
@@ -346,41 +329,6 @@ class Search(Contest):
             (*basis(self.chain, h.on(preisach(self.seen, *size)), None, MANY), 2, FINE) for size in PREISACH
         ]
         return max([now, *self.fits(jobs)], key=self.score)
-
-    def realigned(self, now: Fit) -> Fit:
-        """Under the conventions of timing, and from the start, that predict best: they are no physics."""
-        small = best = reduced(self.chain, now)
-        if now.hypothesis.remanent:  # what an effect has explained since may have been taken for a history
-            job: Job = (replace(small.hypothesis, remanent=False), None, 3, ROUGH)
-            (less,) = self.fits([job])
-            best = less if self.needs_no_history(small, less) else small
-        # A delay of whole samples may be the convention itself.
-        late = [m.effect.name for m in now.hypothesis.members if m.effect.commutes]
-        others = [
-            replace(h, alignment=alignment, held=held)
-            for h in (best.hypothesis, *(best.hypothesis.without(name) for name in late))
-            for alignment in self.alignments
-            for held in (False, True)
-            if (alignment, held) != (now.hypothesis.alignment, now.hypothesis.held)
-        ]
-        raced = self.raced([(h, best.weights, 3, ROUGH) for h in others], best)
-        return max([best, *(one for one in raced if not one.bounded)], key=self.worth)
-
-    def delayed(self, now: Fit) -> Fit:
-        """With a delay in the place of a timing convention, which is whole samples, where that is clear."""
-        h = now.hypothesis
-        if h.alignment - 1 not in self.alignments:
-            return now
-        sample_s = float(np.median([1 / record.fs_hz for record in self.chain.records]))
-        there = {member.effect: member.shared for member in h.members}
-        jobs: list[Job] = []
-        for effect, member in {member.effect: member for member in self.starts_by_form()}.items():
-            if later := effect.later(there.get(effect, {}), sample_s):
-                one = h.without(effect.name).plus(replace(member, shared=later))
-                jobs.append((replace(one, alignment=h.alignment - 1), now.weights, 2 * STEPS, ROUGH))
-        fits = [one for one in self.raced(jobs, now) if inside(one, now)]
-        clear = [one for one in fits if self.over(one, now, self.prior(now, one)).probability > ACCEPTED]
-        return max([now, *clear], key=self.worth)
 
     def swapped(self, now: Fit) -> Fit:
         """With other forms of its effects, or what is degenerate with them, where these predict better.

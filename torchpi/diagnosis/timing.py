@@ -1,0 +1,88 @@
+"""Timing: whole samples by convention, a matter of who recorded, and the delays that stand against them."""
+
+from collections.abc import Sequence
+from concurrent.futures import Executor
+from dataclasses import replace
+
+import numpy as np
+
+from torchpi.diagnosis.chain import Chain
+from torchpi.diagnosis.contest import ACCEPTED, Contest, inside
+from torchpi.diagnosis.fit import ROUGH
+from torchpi.diagnosis.hypothesis import Fit, Member
+from torchpi.diagnosis.noise import Noise
+from torchpi.diagnosis.parallel import Job
+from torchpi.diagnosis.reduced_basis import reduced
+
+STEPS = 12
+"""Of a fit whose timing is another."""
+
+
+class Timing(Contest):
+    """Fits on given records, under one convention of timing or another.
+
+    Args:
+        chain: The recordings, and what each coefficient counts.
+        noise: What was measured of it, if anything.
+        executor: Where independent fits run; None is this process.
+        alignments: The conventions, in samples that y(k) comes behind the command of its own tick.
+        given: The names of what the simulation has already.
+    """
+
+    def __init__(
+        self,
+        chain: Chain,
+        noise: Noise | None,
+        executor: Executor | None,
+        alignments: Sequence[int],
+        given: set[str],
+    ) -> None:
+        super().__init__(chain, noise, executor)
+        self.alignments, self.given = alignments, given
+        self.starts: list[Member] = []
+        """From which effects are fitted."""
+
+    def at_the_tick(self, now: Fit) -> Fit:
+        """With the timing of the simulation, where what delays is missing anyway and predicts as well so."""
+        h = now.hypothesis
+        if h.alignment == 0 or not any(
+            m.effect.delays and m.effect.name not in self.given for m in h.members
+        ):
+            return now
+        (other,) = self.fits_here([(replace(h, alignment=0), now.weights, STEPS, ROUGH)])
+        return other if self.as_well(other, now) and inside(other, now) else now
+
+    def realigned(self, now: Fit) -> Fit:
+        """Under the conventions of timing, and from the start, that predict best: they are no physics."""
+        small = best = reduced(self.chain, now)
+        if now.hypothesis.remanent:  # what an effect has explained since may have been taken for a history
+            job: Job = (replace(small.hypothesis, remanent=False), None, 3, ROUGH)
+            (less,) = self.fits([job])
+            best = less if self.needs_no_history(small, less) else small
+        # A delay of whole samples may be the convention itself.
+        late = [m.effect.name for m in now.hypothesis.members if m.effect.commutes]
+        others = [
+            replace(h, alignment=alignment, held=held)
+            for h in (best.hypothesis, *(best.hypothesis.without(name) for name in late))
+            for alignment in self.alignments
+            for held in (False, True)
+            if (alignment, held) != (now.hypothesis.alignment, now.hypothesis.held)
+        ]
+        raced = self.raced([(h, best.weights, 3, ROUGH) for h in others], best)
+        return max([best, *(one for one in raced if not one.bounded)], key=self.worth)
+
+    def delayed(self, now: Fit) -> Fit:
+        """With a delay in the place of a timing convention, which is whole samples, where that is clear."""
+        h = now.hypothesis
+        if h.alignment - 1 not in self.alignments:
+            return now
+        sample_s = float(np.median([1 / record.fs_hz for record in self.chain.records]))
+        there = {member.effect: member.shared for member in h.members}
+        jobs: list[Job] = []
+        for effect, member in {member.effect: member for member in self.starts}.items():
+            if later := effect.later(there.get(effect, {}), sample_s):
+                one = h.without(effect.name).plus(replace(member, shared=later))
+                jobs.append((replace(one, alignment=h.alignment - 1), now.weights, STEPS, ROUGH))
+        fits = [one for one in self.raced(jobs, now) if inside(one, now)]
+        clear = [one for one in fits if self.over(one, now, self.prior(now, one)).probability > ACCEPTED]
+        return max([now, *clear], key=self.worth)
