@@ -42,7 +42,7 @@ class Coordinates:
         moved = moved / size[:, None]
         gram = moved @ moved.T / moved.shape[1]
         gram.diagonal().add_(RIDGE)
-        self.mixing = unit_v * torch.linalg.inv(torch.linalg.cholesky(gram)).T / size[:, None]
+        self.reduction = unit_v * torch.linalg.inv(torch.linalg.cholesky(gram)).T / size[:, None]
 
     def __len__(self) -> int:
         return len(self.origin)
@@ -52,7 +52,7 @@ class Coordinates:
         z: Tensor,  # (parameters,)
     ) -> dict[str, Tensor]:
         """The compensator's parameters there, differentiable in `z`."""
-        return self._named(self.origin + self.mixing @ z)
+        return self._named(self.origin + self.reduction @ z)
 
     def put(self, z: Tensor) -> None:
         """Set the compensator's parameters to those there."""

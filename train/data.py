@@ -71,16 +71,16 @@ class RecordingsData(LightningDataModule):
         options = RecordingOptions(**reading)
         if recordings and simulate:
             raise ConfigError(
-                "data.recordings: found files beside data.simulate, want one of the two; "
+                "data.recordings: found files beside data.simulate, expected one of the two; "
                 "--config recorded is the recipe for files"
             )
         if not recordings and not simulate:
             raise ConfigError(
-                "data.recordings: found none, want at least one file, such as "
+                "data.recordings: found none, expected at least one file, such as "
                 "--data.recordings '[slow.csv, fast.csv]'"
             )
         if window_samples is not None and window_samples < 1:
-            raise ConfigError(f"data.window_samples: found {window_samples}, want at least 1, or null")
+            raise ConfigError(f"data.window_samples: found {window_samples}, expected at least 1, or null")
         self.paths, self.heldout_paths, self.simulation = _paths(recordings), _paths(heldout), simulate
         # The skipped start sets the state, so it is read, and left out of what is counted.
         self.reading, self.skip_s = options.with_changes(skip_s=0.0), options.skip_s
@@ -177,8 +177,8 @@ class RecordingsData(LightningDataModule):
         if not 0 <= first < last or first >= pair.counted.stop:
             end_s = pair.counted.stop * pair.sample_period_s
             raise ConfigError(
-                f"data.{option}: found {list(seconds)} s, want a start and a later stop inside the held-out "
-                f"'{pair.name}', 0 to {end_s:.4g} s"
+                f"data.{option}: found {list(seconds)} s, expected a start and a later stop inside the "
+                f"held-out '{pair.name}', 0 to {end_s:.4g} s"
             )
         return _until(pair._replace(counted=slice(first, min(last, pair.counted.stop))))
 

@@ -121,11 +121,11 @@ class InverseTraining(LightningModule):
     ) -> None:
         super().__init__()
         if plays < 1:
-            raise ConfigError(f"model.plays: found {plays}, want at least 1")
+            raise ConfigError(f"model.plays: found {plays}, expected at least 1")
         if not learning_rate > 0:
-            raise ConfigError(f"model.learning_rate: found {learning_rate:g}, want a positive number")
+            raise ConfigError(f"model.learning_rate: found {learning_rate:g}, expected a positive number")
         if iterations < 1:
-            raise ConfigError(f"model.iterations: found {iterations}, want at least 1")
+            raise ConfigError(f"model.iterations: found {iterations}, expected at least 1")
         if select:
             for name, found, expected in (
                 ("stage", stage, None),
@@ -189,7 +189,7 @@ class InverseTraining(LightningModule):
         if self.optimizer_name == "lbfgs" and data.window_samples is not None:
             raise ConfigError(
                 f"data.window_samples: found {data.window_samples} with model.optimizer lbfgs, "
-                "which takes whole records; want null, or model.optimizer adam"
+                "which takes whole records; expected null, or model.optimizer adam"
             )
         start = self.start_on(data)
         data.preview = start.compensator.preview

@@ -40,7 +40,7 @@ class TrainParser(Parser, LightningArgumentParser):
         value = re.search(r'Parser key "(?P<key>[\w.]+)": .*(?:Given|Got) value: (?P<found>.*)$', text)
         if value:
             wanted = self._wanted(value["key"])
-            raise ConfigError(f"{value['key']}: found {value['found']}, want {wanted}") from ex
+            raise ConfigError(f"{value['key']}: found {value['found']}, expected {wanted}") from ex
         super().error(re.sub(r'Parser key "([\w.]+)"', r"\1", text), ex)
 
     def _wanted(self, key: str) -> str:

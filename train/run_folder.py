@@ -84,7 +84,7 @@ def new_run(output: str | None, name: str, checkpoint: str | None) -> RunFolder:
             missing.
     """
     if checkpoint is not None and not Path(checkpoint).is_file():
-        raise ArtifactError(f"--ckpt_path {checkpoint}: no such file, want 'last' or a checkpoint")
+        raise ArtifactError(f"--ckpt_path {checkpoint}: no such file, expected 'last' or a checkpoint")
     if output is None:
         return RunFolder(_free(name))
     path = Path(output)
@@ -191,4 +191,4 @@ def _contents(folder: RunFolder) -> str:
         state = "a finished run" if folder.metrics.is_file() else "a run that was interrupted"
         return f"holds {state}; go on with it by --ckpt_path last, or name another folder"
     first = min(entry.name for entry in folder.path.iterdir() if entry != folder.lock)
-    return f"is in use (it holds '{first}'), want a new or empty folder"
+    return f"is in use (it holds '{first}'), expected a new or empty folder"

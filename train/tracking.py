@@ -68,11 +68,11 @@ class Follow:
         """Raise `ConfigError` where there is nothing to follow, or no room for it."""
         if not 0 <= self.low < self.high <= 1:
             raise ConfigError(
-                f"data.follow.low: found {self.low:g} with high {self.high:g}, want 0 ≤ low < high ≤ 1"
+                f"data.follow.low: found {self.low:g} with high {self.high:g}, expected 0 ≤ low < high ≤ 1"
             )
         for name in ("train", "heldout"):
             if not getattr(self, name):
-                raise ConfigError(f"data.follow.{name}: found none, want at least one trajectory")
+                raise ConfigError(f"data.follow.{name}: found none, expected at least one trajectory")
 
 
 @dataclass(frozen=True)

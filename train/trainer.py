@@ -42,7 +42,7 @@ class TrainerOptions:
     def __post_init__(self) -> None:
         for name in ("max_epochs", "patience"):
             if getattr(self, name) < 1:
-                raise ConfigError(f"trainer.{name}: found {getattr(self, name)}, want at least 1")
+                raise ConfigError(f"trainer.{name}: found {getattr(self, name)}, expected at least 1")
 
 
 def make_trainer(options: TrainerOptions, folder: RunFolder) -> Trainer:

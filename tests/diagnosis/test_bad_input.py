@@ -82,7 +82,7 @@ def test_options_that_cannot_be_are_refused(
 def test_no_recordings_too_few_samples_and_holes_are_refused() -> None:
     with pytest.raises(RecordingError, match="found none"):
         diagnose([])
-    with pytest.raises(RecordingError, match="found 50 samples, want at least 100"):
+    with pytest.raises(RecordingError, match="found 50 samples, expected at least 100"):
         diagnose([record(multisine(50))])
     one = record(multisine(400))
     one.y[7] = np.nan

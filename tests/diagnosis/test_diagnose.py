@@ -25,7 +25,7 @@ from torchpi.diagnosis.diagnose import diagnose
 from torchpi.diagnosis.diagnosis import Diagnosis
 from torchpi.diagnosis.fit import fit
 from torchpi.diagnosis.hypothesis import Hypothesis
-from torchpi.diagnosis.nominal import many_plays
+from torchpi.diagnosis.hysteresis_model import many_plays
 from torchpi.diagnosis.reduced_basis import reduced
 from torchpi.diagnosis.search import Search
 from torchpi.recordings.recording import Recording

@@ -18,11 +18,11 @@ from tests.diagnosis.plants import (
 from tests.diagnosis.prepared import prepared
 from torchpi.diagnosis.chain import Chain
 from torchpi.diagnosis.fit import fit, jacobian
-from torchpi.diagnosis.hypothesis import Fit, Hypothesis, Member
-from torchpi.diagnosis.nominal import bouc_wen, many_plays, preisach
+from torchpi.diagnosis.free_parameters import with_theta
+from torchpi.diagnosis.hypothesis import EffectTerm, Fit, Hypothesis
+from torchpi.diagnosis.hysteresis_model import bouc_wen, many_plays, preisach
 from torchpi.diagnosis.records import seen
 from torchpi.diagnosis.reduced_basis import reduced, refitted
-from torchpi.diagnosis.slots import with_theta
 from torchpi.recordings.recording import Recording
 from torchpi.stage.effects.actuator.creep import Creep
 from torchpi.stage.effects.actuator.hysteresis_asymmetry import HysteresisAsymmetry
@@ -35,34 +35,34 @@ from torchpi.stage.effects.mechanics.resonance import Resonance
 from torchpi.stage.effects.sensor.hum import Hum
 
 
-def fitted(recordings: list[Recording], *members: Member) -> Fit:
+def fitted(recordings: list[Recording], *members: EffectTerm) -> Fit:
     chain = Chain(prepared(recordings))
     return fit(chain, Hypothesis(many_plays(seen(chain.records)), members))
 
 
-PLANTED: dict[str, tuple[str, Step, Member, dict[str, float]]] = {
+PLANTED: dict[str, tuple[str, Step, EffectTerm, dict[str, float]]] = {
     "lag": (
         "before",
         lambda v, fs_hz: lag(v, fs_hz, 130.0),
-        Member(AmplifierLag, {"cutoff_hz": 200.0}),
+        EffectTerm(AmplifierLag, {"cutoff_hz": 200.0}),
         {"cutoff_hz": 130.0},
     ),
     "saturation": (
         "before",
         lambda v, fs_hz: np.clip(v, 0.7, 8.8),
-        Member(VoltageSaturation, {"low_v": 1.0, "high_v": 8.5}),
+        EffectTerm(VoltageSaturation, {"low_v": 1.0, "high_v": 8.5}),
         {"low_v": 0.7, "high_v": 8.8},
     ),
     "resonance": (
         "after",
         lambda x, fs_hz: resonance(x, fs_hz, 310.0, 0.03),
-        Member(Resonance, {"frequency_hz": 330.0, "damping_ratio": 0.02}),
+        EffectTerm(Resonance, {"frequency_hz": 330.0, "damping_ratio": 0.02}),
         {"frequency_hz": 310.0, "damping_ratio": 0.03},
     ),
     "creep": (
         "after",
         lambda x, fs_hz: creep(x, fs_hz, 0.02),
-        Member(Creep, {"per_decade": 0.01}),
+        EffectTerm(Creep, {"per_decade": 0.01}),
         {"per_decade": 0.02},
     ),
 }
@@ -71,9 +71,9 @@ PLANTED: dict[str, tuple[str, Step, Member, dict[str, float]]] = {
 def test_a_hypothesis_is_the_same_whatever_else_was_evaluated_in_between() -> None:
     chain = Chain(prepared(pair()))
     alone = Hypothesis(many_plays(seen(chain.records))).plus(
-        Member(Delay, {"delay_s": 3.3e-4, "after_lag": 1.0})
+        EffectTerm(Delay, {"delay_s": 3.3e-4, "after_lag": 1.0})
     )
-    both = alone.plus(Member(AmplifierLag, {"cutoff_hz": 300.0}))
+    both = alone.plus(EffectTerm(AmplifierLag, {"cutoff_hz": 300.0}))
     before = chain.voltage(both, 0)
     chain.voltage(alone, 0)
     assert np.array_equal(chain.voltage(both, 0), before)
@@ -97,9 +97,9 @@ def test_several_effects_come_back_from_one_fit() -> None:
             before=lambda v, fs_hz: lag(v, fs_hz, 130.0),
             after=lambda x, fs_hz: resonance(creep(x, fs_hz, 0.02), fs_hz, 310.0, 0.03),
         ),
-        Member(AmplifierLag, {"cutoff_hz": 200.0}),
-        Member(Creep, {"per_decade": 0.01}),
-        Member(Resonance, {"frequency_hz": 330.0, "damping_ratio": 0.02}),
+        EffectTerm(AmplifierLag, {"cutoff_hz": 200.0}),
+        EffectTerm(Creep, {"per_decade": 0.01}),
+        EffectTerm(Resonance, {"frequency_hz": 330.0, "damping_ratio": 0.02}),
     )
     assert found.heldout_rms < 1.1 * NOISE_UM
     values = [next(iter(member.shared.values())) for member in found.hypothesis.members]
@@ -109,7 +109,7 @@ def test_several_effects_come_back_from_one_fit() -> None:
 def test_a_coupling_comes_back_with_its_sign_and_its_column() -> None:
     other = np.random.default_rng(5).standard_normal(4000)
     rig = record(multisine(4000), after=lambda x, fs_hz: x - 0.03 * other, aux={"aux_v": other})
-    found = fitted([rig], Member(CrossCoupling, {"coupling_um_per_v": 0.01}, aux="aux_v"))
+    found = fitted([rig], EffectTerm(CrossCoupling, {"coupling_um_per_v": 0.01}, aux="aux_v"))
     assert found.hypothesis.members[0].shared["coupling_um_per_v"] == pytest.approx(-0.03, rel=0.01)
 
 
@@ -119,12 +119,12 @@ def test_derivatives_equal_finite_differences(nominal: object) -> None:
     chain = Chain(prepared(pair(800)))
     own = tuple({"cos_um": 0.01, "sin_um": 0.02} for _ in chain.records)
     members = (
-        Member(AmplifierLag, {"cutoff_hz": 200.0}),
-        Member(HysteresisAsymmetry, {"asymmetry_per_v": 1e-3}),
-        Member(RateDependentHysteresis, {"weight_s_per_v": 1e-5}),
-        Member(Creep, {"per_decade": 0.01}),
-        Member(Resonance, {"frequency_hz": 330.0, "damping_ratio": 0.05}),
-        Member(Hum, {"frequency_hz": 50.0}, own),
+        EffectTerm(AmplifierLag, {"cutoff_hz": 200.0}),
+        EffectTerm(HysteresisAsymmetry, {"asymmetry_per_v": 1e-3}),
+        EffectTerm(RateDependentHysteresis, {"weight_s_per_v": 1e-5}),
+        EffectTerm(Creep, {"per_decade": 0.01}),
+        EffectTerm(Resonance, {"frequency_hz": 330.0, "damping_ratio": 0.05}),
+        EffectTerm(Hum, {"frequency_hz": 50.0}, own),
     )
     one = fit(chain, Hypothesis(nominal(seen(chain.records)), members), None, 0)  # type: ignore[operator]
     _, part = jacobian(chain, one.hypothesis, one.weights, one.slots, one.theta, 1)
@@ -152,7 +152,7 @@ def test_derivatives_equal_finite_differences(nominal: object) -> None:
 def test_a_parameter_at_its_bound_is_said() -> None:
     """Creep of one pole adds at most the displacement itself; the rig adds three times as much."""
     crawling = pair(after=lambda x, fs_hz: x + 3 * lag(x, fs_hz, 2.0))
-    found = fitted(crawling, Member(Creep, {"gain": 0.5, "time_constant_s": 0.08}))
+    found = fitted(crawling, EffectTerm(Creep, {"gain": 0.5, "time_constant_s": 0.08}))
     assert found.bounded == ("gain",)
 
 
@@ -160,13 +160,14 @@ def test_a_fit_never_ends_worse_than_it_began() -> None:
     recordings = pair(2000, before=lambda v, fs_hz: lag(v, fs_hz, 130.0))
     chain = Chain(prepared(recordings))
     for f in (5.0, 60.0, 900.0):
-        begun = Hypothesis(many_plays(seen(chain.records)), (Member(AmplifierLag, {"cutoff_hz": f}),))
+        begun = Hypothesis(many_plays(seen(chain.records)), (EffectTerm(AmplifierLag, {"cutoff_hz": f}),))
         assert fit(chain, begun).train_rms <= fit(chain, begun, None, 0).train_rms
 
 
 def test_a_pole_that_the_sampling_hides_costs_no_crash() -> None:
     found = fitted(
-        [record(multisine(1000))], Member(Resonance, {"frequency_hz": 0.49 * FS_HZ, "damping_ratio": 0.01})
+        [record(multisine(1000))],
+        EffectTerm(Resonance, {"frequency_hz": 0.49 * FS_HZ, "damping_ratio": 0.01}),
     )
     assert np.isfinite(found.heldout_rms)
 
@@ -188,6 +189,8 @@ def test_a_limit_that_clips_the_highest_tops_is_found_from_beside_it() -> None:
     chain = Chain(prepared(pair(4000, before=lambda v, fs_hz: np.minimum(v, limit_v), noise_um=0.001)))
     bent = reduced(chain, fit(chain, Hypothesis(many_plays(seen(chain.records)))))
     for start_v in (9.5, 9.65, 9.8):
-        few = fit(chain, bent.hypothesis.plus(Member(VoltageSaturation, {"high_v": start_v})), bent.weights)
+        few = fit(
+            chain, bent.hypothesis.plus(EffectTerm(VoltageSaturation, {"high_v": start_v})), bent.weights
+        )
         one = refitted(chain, few)
         assert one.hypothesis.members[0].shared["high_v"] == pytest.approx(limit_v, abs=5e-3)

@@ -8,9 +8,9 @@ from tests.diagnosis.plants import FS_HZ, hysteresis, lag, multisine, resonance,
 from tests.diagnosis.prepared import prepared
 from torchpi.diagnosis.chain import Chain
 from torchpi.diagnosis.fit import fit
-from torchpi.diagnosis.hypothesis import Hypothesis, Member
+from torchpi.diagnosis.hypothesis import EffectTerm, Hypothesis
+from torchpi.diagnosis.hysteresis_model import many_plays
 from torchpi.diagnosis.intervals import intervals_90, scatter
-from torchpi.diagnosis.nominal import many_plays
 from torchpi.diagnosis.records import seen
 from torchpi.recordings.recording import Recording
 from torchpi.stage.effects.amplifier.amplifier_lag import AmplifierLag
@@ -55,8 +55,8 @@ def test_intervals_cover(pole: float) -> None:
     us = [multisine(3000), triangles(3000)]
     clean = [resonance(hysteresis(lag(u, FS_HZ, TRUTH[0])), FS_HZ, *TRUTH[1:]) for u in us]
     members = (
-        Member(AmplifierLag, {"cutoff_hz": TRUTH[0]}),
-        Member(Resonance, {"frequency_hz": TRUTH[1], "damping_ratio": TRUTH[2]}),
+        EffectTerm(AmplifierLag, {"cutoff_hz": TRUTH[0]}),
+        EffectTerm(Resonance, {"frequency_hz": TRUTH[1], "damping_ratio": TRUTH[2]}),
     )
     truth, covered = np.array(TRUTH), np.zeros(3)
     for run in range(-1, RUNS):
@@ -88,7 +88,7 @@ def test_twice_the_noise_makes_them_twice_as_wide() -> None:
         e = noise_um * np.random.default_rng(7).standard_normal(len(u))
         y = hysteresis(lag(u, FS_HZ, 130.0)) + e
         chain = Chain(prepared([Recording("a", np.arange(len(u)) / FS_HZ, u, y, FS_HZ)]))
-        members = (Member(AmplifierLag, {"cutoff_hz": 130.0}),)
+        members = (EffectTerm(AmplifierLag, {"cutoff_hz": 130.0}),)
         ((low, high),) = intervals_90(chain, fit(chain, Hypothesis(many_plays(seen(chain.records)), members)))
         widths.append(high - low)
     assert widths[1] / widths[0] == pytest.approx(2.0, rel=0.3)

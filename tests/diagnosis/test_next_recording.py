@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from torchpi.diagnosis.deciding_excitation import stretch
 from torchpi.diagnosis.next_recording import LEAST_RATE, MOST_SAMPLES, _decision, next_recording
 from torchpi.diagnosis.splits import SHOWS, SPLITS
-from torchpi.stage.effects.effect import Seen
+from torchpi.stage.effects.effect import DataRange
 
 NAMES = (
     "amplifier_lag slew_limit voltage_saturation delay input_nonlinearity hysteresis_asymmetry "
@@ -18,7 +18,7 @@ NAMES = (
     "load_change backlash stiction cross_coupling sensor_lag sensor_nonlinearity quantization hum "
     "thermal_drift ageing"
 ).split()
-USUAL = Seen(10_000.0, 10.0, 0.0, 10.0, 1700.0, -0.1, 8.0, {})
+USUAL = DataRange(10_000.0, 10.0, 0.0, 10.0, 1700.0, -0.1, 8.0, {})
 
 
 def swings(u: np.ndarray) -> np.ndarray:
@@ -27,12 +27,12 @@ def swings(u: np.ndarray) -> np.ndarray:
 
 
 @st.composite
-def recordings(draw: st.DrawFn) -> Seen:
+def recordings(draw: st.DrawFn) -> DataRange:
     low_v = draw(st.floats(-100, 100))
     span_v = draw(st.sampled_from([0.0, 0.01, 1.0, 10.0, 170.0]))
     fs_hz = 10 ** draw(st.floats(-1, 6))
     rate_v_s = draw(st.sampled_from([0.0, 1e-3, 1.0, 1e3, 1e7]))
-    return Seen(fs_hz, 1.0, low_v, low_v + span_v, rate_v_s, 0.0, 1.0, {})
+    return DataRange(fs_hz, 1.0, low_v, low_v + span_v, rate_v_s, 0.0, 1.0, {})
 
 
 @settings(max_examples=80, deadline=None)
@@ -122,7 +122,7 @@ def test_backlash_against_stiction_gets_reversals_from_tiny_to_large():
 
 
 def test_recordings_at_rest_at_0_v_get_a_rest_and_are_sent_for_the_limits():
-    said, (_, u) = next_recording(["hum"], Seen(1000.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, {}))
+    said, (_, u) = next_recording(["hum"], DataRange(1000.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, {}))
     assert np.all(u == 0) and "torchpi excite" in said.excitation
 
 

@@ -9,7 +9,7 @@ from torchpi.diagnosis.chain import Chain
 from torchpi.diagnosis.diagnose import diagnose
 from torchpi.diagnosis.fit import fit
 from torchpi.diagnosis.hypothesis import Hypothesis
-from torchpi.diagnosis.nominal import many_plays
+from torchpi.diagnosis.hysteresis_model import many_plays
 from torchpi.diagnosis.records import seen
 from torchpi.diagnosis.remainder import with_remainder
 

@@ -10,7 +10,7 @@ from tests.diagnosis.prepared import prepared
 from torchpi.diagnosis.chain import Chain
 from torchpi.diagnosis.fit import fit
 from torchpi.diagnosis.hypothesis import Hypothesis
-from torchpi.diagnosis.nominal import many_plays
+from torchpi.diagnosis.hysteresis_model import many_plays
 from torchpi.diagnosis.records import seen
 from torchpi.diagnosis.remanence import COLUMNS, EITHER, remanence
 from torchpi.recordings.recording import Recording

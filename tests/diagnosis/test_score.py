@@ -11,7 +11,7 @@ from tests.diagnosis.prepared import prepared
 from torchpi.diagnosis.chain import Chain
 from torchpi.diagnosis.fit import fit, jacobian, left_out, prior_of, solve, with_prior
 from torchpi.diagnosis.hypothesis import Fit, Hypothesis
-from torchpi.diagnosis.nominal import plain
+from torchpi.diagnosis.hysteresis_model import plain
 from torchpi.diagnosis.records import Record, seen
 from torchpi.diagnosis.score import AT_MOST, Weighting, gain
 from torchpi.recordings.recording import Recording

@@ -161,14 +161,14 @@ def test_a_seed_gives_the_same_bits_and_another_one_other_phases():
 @pytest.mark.parametrize(
     ("limits", "says"),
     [
-        ({"min_voltage_v": 1.0}, "min_voltage_v is 1 V, wanted 0 V or less"),
-        ({"min_voltage_v": -5.0, "max_voltage_v": -1.0}, "max_voltage_v is -1 V, wanted 0 V or more"),
+        ({"min_voltage_v": 1.0}, "min_voltage_v is 1 V, expected 0 V or less"),
+        ({"min_voltage_v": -5.0, "max_voltage_v": -1.0}, "max_voltage_v is -1 V, expected 0 V or more"),
         ({"min_voltage_v": 0.0, "max_voltage_v": 0.0}, "wanted the lower limit first"),
         ({"max_voltage_v": np.inf}, "from 0 to inf V"),
-        ({"max_rate_v_s": 0.0}, "max_rate_v_s is 0, wanted more than 0"),
+        ({"max_rate_v_s": 0.0}, "max_rate_v_s is 0, expected more than 0"),
         ({"sample_rate_hz": np.nan}, "sample_rate_hz is nan"),
-        ({"sample_rate_hz": 500.0}, "sample_rate_hz is 500 Hz, wanted 800 Hz or more"),
-        ({"high_hz": 5.0}, "high_hz is 5 Hz, wanted 20 Hz or more"),
+        ({"sample_rate_hz": 500.0}, "sample_rate_hz is 500 Hz, expected 800 Hz or more"),
+        ({"high_hz": 5.0}, "high_hz is 5 Hz, expected 20 Hz or more"),
         ({"max_rate_v_s": 50.0}, "max_rate_v_s is 50 V/s, wanted"),
     ],
 )

@@ -87,7 +87,7 @@ def rows(*changed: tuple[int, str]) -> str:
         (rows((9, "")), r"row 10.*option resample"),
         (rows((9, "0.0006,1")), r"row 9"),
         ("time_s,yd_um\n0,0\n0.0001,1\n", r"2 samples"),
-        (rows().replace("0.00", "0.000"), r"sampled at 100000 Hz; wanted 10000 Hz.*--resample"),
+        (rows().replace("0.00", "0.000"), r"sampled at 100000 Hz; expected 10000 Hz.*--resample"),
     ],
 )
 def test_a_trajectory_file_that_cannot_be_used_is_refused_in_one_line(tmp_path: Path, text: str, found: str):
@@ -100,5 +100,5 @@ def test_a_trajectory_file_that_cannot_be_used_is_refused_in_one_line(tmp_path: 
 
 
 def test_a_missing_trajectory_file_is_refused():
-    with pytest.raises(RecordingError, match=r"quick: no such file; wanted 'slow', 'fast'"):
+    with pytest.raises(RecordingError, match=r"quick: no such file; expected 'slow', 'fast'"):
         load_trajectory("quick", fs_hz=FS_HZ)

@@ -256,7 +256,7 @@ def test_a_part_without_the_form_is_named_and_nothing_is_written(format_: str, t
 @pytest.mark.parametrize(
     ("part", "says"),
     [
-        (Scaled(math.inf), "part 'part' .*gain: found inf, want finite numbers"),
+        (Scaled(math.inf), "part 'part' .*gain: found inf, expected finite numbers"),
         (Scaled([1.0, math.nan]), "part 'part' .*gain: found .*nan"),
         (Scaled("2"), "part 'part' .*gain is neither a number"),
         (Scaled(torch.ones(2)), "part 'part' .*gain is neither a number"),

@@ -36,7 +36,7 @@ def test_a_name_with_a_dot_stays_whole(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("formats", [("onnx",), ("c", "jsn"), (), ("",)])
 def test_an_unknown_format_lists_those_that_there_are(formats: tuple[str, ...], tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="want one or more of torchscript,c,pt2,json") as error:
+    with pytest.raises(ConfigError, match="expected one or more of torchscript,c,pt2,json") as error:
         export_files(compensator(), tmp_path / "out" / "demo", formats)
     assert "\n" not in str(error.value) and list(tmp_path.iterdir()) == []
 
@@ -111,7 +111,7 @@ def test_command_exports_all_formats_and_says_what_it_left(
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (["--to", "torchscript,matlab"], "found 'matlab', want one or more of torchscript,c,pt2,json"),
+        (["--to", "torchscript,matlab"], "found 'matlab', expected one or more of torchscript,c,pt2,json"),
         (["--to", "json,c", "--output", "exports/my-stage"], "name for C: found 'my-stage'"),
         (["--to", "c", "--output", "exports/while"], "name for C: found 'while'"),
     ],
@@ -138,5 +138,5 @@ def test_command_refuses_a_sample_period_of_zero(
     del saved[HASH]
     torch.save(saved, checkpoint)
     assert export(monkeypatch, str(checkpoint), "--to", "c", "--output", str(checkpoint.parent / "x")) == 2
-    assert "sample_period_s: found 0.0, want a positive number of s" in capsys.readouterr().err
+    assert "sample_period_s: found 0.0, expected a positive number of s" in capsys.readouterr().err
     assert list(contents(checkpoint.parent)) == [checkpoint.name]

@@ -127,7 +127,7 @@ def test_pair_looks_ahead_by_the_preview() -> None:
 def test_a_record_with_nothing_left_to_count_is_refused() -> None:
     t = np.arange(300) * 1e-3
     recording = Recording("r", t, t, np.sin(t), 1000.0, source="r.csv")
-    with pytest.raises(RecordingError, match=r"r\.csv: found 300 samples, want at least 100"):
+    with pytest.raises(RecordingError, match=r"r\.csv: found 300 samples, expected at least 100"):
         inverse_pair(recording, skip_s=0.25)
 
 

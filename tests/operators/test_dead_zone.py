@@ -60,7 +60,7 @@ def test_fitted_weights_leave_nothing_where_the_curve_is_of_the_kind() -> None:
         ([0.5, 1.0], [1.0, 1.0], "thresholds.*one of them 0"),
         ([0.0, float("nan")], [1.0, 1.0], "thresholds"),
         ([], [], "thresholds"),
-        ([0.0, 1.0], [1.0], "weights.*want 2"),
+        ([0.0, 1.0], [1.0], "weights.*expected 2"),
         ([0.0, 1.0], [1.0, float("inf")], "weights"),
     ],
 )

@@ -63,7 +63,7 @@ def test_it_says_where_its_envelopes_cross() -> None:
 @pytest.mark.parametrize(
     ("up", "down", "named"),
     [
-        ([0.0, 1.0], [0.0], "thresholds_down: found 1, want 2"),
+        ([0.0, 1.0], [0.0], "thresholds_down: found 1, expected 2"),
         ([-1.0], [0.0], "thresholds_up"),
         ([0.0], [float("nan")], "thresholds_down"),
         ([], [], "thresholds_up"),
@@ -75,5 +75,5 @@ def test_impossible_thresholds_are_refused_by_name(up: list, down: list, named: 
 
 
 def test_another_number_of_weights_is_refused() -> None:
-    with pytest.raises(ConfigError, match="weights: found 1, want 3"):
+    with pytest.raises(ConfigError, match="weights: found 1, expected 3"):
         GeneralisedPrandtlIshlinskii(bank(), [1.0])

@@ -40,5 +40,5 @@ def test_eq_3_is_the_weighted_sum_of_the_plays() -> None:
 
 
 def test_another_number_of_weights_is_refused() -> None:
-    with pytest.raises(ConfigError, match="weights: found 1, want 2"):
+    with pytest.raises(ConfigError, match="weights: found 1, expected 2"):
         PrandtlIshlinskii([0.0, 1.0], [1.0])

@@ -44,7 +44,7 @@ def test_error_of_a_fine_converter_is_uniform():
 
 
 def test_a_range_out_of_order_or_no_bits_are_refused():
-    with pytest.raises(StageError, match="high: found 1, want a finite number above low = 2"):
+    with pytest.raises(StageError, match="high: found 1, expected a finite number above low = 2"):
         Converter(16, 2.0, 1.0)
-    with pytest.raises(StageError, match="bits: found 0 bits, want 1 to 32 bits"):
+    with pytest.raises(StageError, match="bits: found 0 bits, expected 1 to 32 bits"):
         Converter(0, 0.0, 1.0)

@@ -46,7 +46,7 @@ def test_a_record_may_begin_anywhere_without_a_jump_of_the_rate() -> None:
     [
         ((0.0, R, K, B), "sample_period_s"),
         ((T, [-1.0], [0.0], [1.0]), "thresholds"),
-        ((T, R, K[:2], B), "slopes.*want 3"),
+        ((T, R, K[:2], B), "slopes.*expected 3"),
         ((T, R, K, [1.0, 2.0, float("nan")]), "offsets"),
     ],
 )

@@ -68,7 +68,7 @@ def test_trajectories_of_the_paper_start_from_rest() -> None:
 
 
 def test_impossible_filters_are_refused_by_name_and_unit() -> None:
-    with pytest.raises(ConfigError, match=r"sample_period_s: found 0.0, want a positive number of s"):
+    with pytest.raises(ConfigError, match=r"sample_period_s: found 0.0, expected a positive number of s"):
         ReferenceFilter(0.0)
     with pytest.raises(ConfigError, match=r"damping_ratio: found -1.0"):
         ReferenceFilter(1e-4, damping_ratio=-1.0)

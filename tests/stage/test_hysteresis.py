@@ -7,7 +7,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from torchpi.diagnosis.nominal import Nominal
+from torchpi.diagnosis.hysteresis_model import HysteresisModel
 from torchpi.errors import StageError
 from torchpi.operators.conformance import HysteresisLaws, OperatorLaws, wandering
 from torchpi.operators.hysteresis_rows import bouc_wen
@@ -79,7 +79,9 @@ def test_it_is_the_nominal_that_the_search_fitted(
     degree: int, bouc_wen: bool, duhem: bool, inside: bool, seed: int
 ) -> None:
     operator = hysteresis(degree, bouc_wen, duhem, **(INSIDE_IT if inside else {}))
-    nominal = Nominal(np.array(THRESHOLDS_V), degree, 2.0, bouc_wen, duhem, {**IDENTITY, **operator.shape()})
+    nominal = HysteresisModel(
+        np.array(THRESHOLDS_V), degree, 2.0, bouc_wen, duhem, {**IDENTITY, **operator.shape()}
+    )
     v = wandering(1, 300, seed)
     weights = operator.weights.detach().numpy()
     wanted = nominal.output(v[0].numpy(), PERIOD_S, weights[:-1]) + weights[-1]
@@ -88,7 +90,7 @@ def test_it_is_the_nominal_that_the_search_fitted(
 
 
 def test_without_effects_inside_it_has_their_identities() -> None:
-    assert Nominal(np.zeros(1)).shape == IDENTITY == Hysteresis(PERIOD_S, [0.0], [1.0, 0.0]).shape()
+    assert HysteresisModel(np.zeros(1)).shape == IDENTITY == Hysteresis(PERIOD_S, [0.0], [1.0, 0.0]).shape()
 
 
 def test_gradients_hold_over_a_record_of_many_tiles() -> None:

@@ -22,7 +22,7 @@ def refused(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> str:
     [
         (["--model.degre=3"], "nearest is 'model.degree'"),
         (["--data.recordigs=a.csv"], "nearest is 'data.recordings'"),
-        (["--model.degree=x"], "model.degree: found x, want int"),
+        (["--model.degree=x"], "model.degree: found x, expected int"),
         (["--model.rate=quadratic"], "'linear'"),
         (["--data.evaluate_s=5"], "tuple[float, float]"),
         (["--data.recordings=a.csv", "--trainer.max_epochs=0"], "trainer.max_epochs"),

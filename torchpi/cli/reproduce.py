@@ -109,7 +109,7 @@ def chosen(only: Iterable[str] | None) -> list[str]:
             guess = f", perhaps '{near[0]}'" if near else ""
             raise ConfigError(f"only: no figure '{name}'{guess}; there are: {', '.join(ITEMS)}")
     if not names:
-        raise ConfigError(f"only: found no name, want one or more of: {', '.join(ITEMS)}")
+        raise ConfigError(f"only: found no name, expected one or more of: {', '.join(ITEMS)}")
     return names
 
 

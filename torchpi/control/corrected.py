@@ -52,16 +52,16 @@ class CorrectedInverse(nn.Module):
         super().__init__()
         if filters.ndim != 2 or filters.shape[1] < ahead + 1:
             raise ConfigError(
-                f"filters: found shape {tuple(filters.shape)}, want (passes, {ahead + 1} or more taps)"
+                f"filters: found shape {tuple(filters.shape)}, expected (passes, {ahead + 1} or more taps)"
             )
         if start.sample_period_s != model.sample_period_s:
             raise ConfigError(
-                f"model: sample period {model.sample_period_s} s, want that of start, "
+                f"model: sample period {model.sample_period_s} s, expected that of start, "
                 f"{start.sample_period_s} s"
             )
         if not min_voltage_v < max_voltage_v:
             raise ConfigError(
-                f"min_voltage_v: found {min_voltage_v} V, want less than max_voltage_v, {max_voltage_v} V"
+                f"min_voltage_v: found {min_voltage_v} V, expected less than max_voltage_v, {max_voltage_v} V"
             )
         self.inverse = start
         self.model = model

@@ -92,20 +92,21 @@ class DirectInverse(nn.Module):
         self.trained = None if trained is None else TrainedMotions.from_plain(trained)
         self.hyper_parameters["trained"] = None if self.trained is None else self.trained.plain()
         if not 0 < sample_period_s < math.inf:
-            raise ConfigError(f"sample_period_s: found {sample_period_s}, want a positive number of s")
+            raise ConfigError(f"sample_period_s: found {sample_period_s}, expected a positive number of s")
         for name, power in (("degree", degree), ("output_degree", output_degree)):
             if not 1 <= power <= HIGHEST_DEGREE:
                 raise ConfigError(f"{name}: found {power}, expected 1 to {HIGHEST_DEGREE}")
         if preview < 0:
-            raise ConfigError(f"preview: found {preview}, want a number of samples that is not negative")
+            raise ConfigError(f"preview: found {preview}, expected a number of samples that is not negative")
         if lead not in (0, 1, 2):
-            raise ConfigError(f"lead: found {lead}, want 0, 1 or 2")
+            raise ConfigError(f"lead: found {lead}, expected 0, 1 or 2")
         for value in creep_time_constants_s:
             if not 0 < value < math.inf:
-                raise ConfigError(f"creep_time_constants_s: found {value}, want positive numbers of s")
+                raise ConfigError(f"creep_time_constants_s: found {value}, expected positive numbers of s")
         if not -math.inf < min_voltage_v < max_voltage_v < math.inf:
             raise ConfigError(
-                f"min_voltage_v: found {min_voltage_v} V, want a number below max_voltage_v, {max_voltage_v}"
+                f"min_voltage_v: found {min_voltage_v} V, expected a number below max_voltage_v, "
+                f"{max_voltage_v}"
             )
         if max_slew_v_s is not None and not 0 < max_slew_v_s < math.inf:
             raise ConfigError(f"max_slew_v_s: found {max_slew_v_s}, expected a positive number of V/s")

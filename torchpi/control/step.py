@@ -60,7 +60,7 @@ def compensator_stream(
     for name, values in compensator.state_dict().items():
         if not bool(torch.isfinite(values).all()):
             raise ArtifactError(
-                f"{name}: found {values.tolist()}, want finite numbers: the training diverged"
+                f"{name}: found {values.tolist()}, expected finite numbers: the training diverged"
             )
     limits = compensator.step_limits()
     source = step_source(compensator, limits, reference_filter is not None)

@@ -29,11 +29,11 @@ def load_compensator(path: str | Path) -> DirectInverse:
     path = Path(path)
     file = path / "checkpoints" / "best.ckpt" if path.is_dir() else path
     if not file.is_file():
-        raise ArtifactError(f"{file}: no such file, want a run folder of 'torchpi train fit'")
-    wrong = "not a checkpoint, want a run folder of 'torchpi train fit'"
+        raise ArtifactError(f"{file}: no such file, expected a run folder of 'torchpi train fit'")
+    wrong = "not a checkpoint, expected a run folder of 'torchpi train fit'"
     checkpoint = load_tensors(file, LARGEST_BYTES, wrong)
     if not isinstance(checkpoint, dict) or HYPER_PARAMETERS not in checkpoint:
-        raise ArtifactError(f"{file}: a checkpoint of something else, want one of 'torchpi train fit'")
+        raise ArtifactError(f"{file}: a checkpoint of something else, expected one of 'torchpi train fit'")
     kept: dict[str, Any] = {name: checkpoint.get(name) for name in (HYPER_PARAMETERS, STATE)}
     if not all(isinstance(part, Mapping) for part in kept.values()):
         raise ArtifactError(f"{file}: found no parameters of a compensator, expected a whole checkpoint")

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from torchpi.diagnosis.hypothesis import Hypothesis
-from torchpi.diagnosis.nominal import Nominal
+from torchpi.diagnosis.hysteresis_model import HysteresisModel
 from torchpi.diagnosis.records import Record, Rests
 from torchpi.diagnosis.remanence import COLUMNS, remanence
 from torchpi.diagnosis.score import Weighting
@@ -298,7 +298,7 @@ class Chain:
                 self.matrices[key] = without_idle_poles(effect.matrices())
         return self.matrices[key]
 
-    def nominal(self, hypothesis: Hypothesis, index: int) -> Nominal:
+    def nominal(self, hypothesis: Hypothesis, index: int) -> HysteresisModel:
         """The hysteresis with the effects inside it."""
         nominal = hypothesis.nominal
         for member in hypothesis.members:

@@ -6,7 +6,7 @@ import numba
 import numpy as np
 
 from torchpi.diagnosis.records import Record
-from torchpi.stage.effects.effect import Effect, Seen
+from torchpi.stage.effects.effect import DataRange, Effect
 from torchpi.stage.effects.inside import InsideEffect
 
 LEAST_STROKE = 0.1
@@ -14,7 +14,7 @@ LEAST_STROKE = 0.1
 
 
 def reason_to_leave_out(
-    effect: type[Effect] | type[InsideEffect], records: Sequence[Record], seen: Seen, starts: int
+    effect: type[Effect] | type[InsideEffect], records: Sequence[Record], seen: DataRange, starts: int
 ) -> str | None:
     """Why an effect is no candidate on these recordings; None if it is one.
 
@@ -32,7 +32,7 @@ def reason_to_leave_out(
     if needs.reversals and not any(turns(record) for record in records):
         return "the voltage never turns round"
     if needs.pace > 1.0 and (found := pace(records)) < needs.pace:
-        return f"the slowest stroke takes {found:.2g} times as long as the fastest, want {needs.pace:g}"
+        return f"the slowest stroke takes {found:.2g} times as long as the fastest, expected {needs.pace:g}"
     if len(records) < needs.recordings:
         return f"it takes {needs.recordings} recordings"
     return effect.unseen if starts == 0 else None

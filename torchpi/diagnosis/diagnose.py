@@ -13,13 +13,13 @@ from torchpi.diagnosis.decide import Decision, decide, structure
 from torchpi.diagnosis.diagnosis import Diagnosis, Errors, NamedEffect, Parameter, Trace, Verdict
 from torchpi.diagnosis.fit import fit, rms
 from torchpi.diagnosis.hypothesis import Fit, Hypothesis
+from torchpi.diagnosis.hysteresis_model import plain
 from torchpi.diagnosis.leftovers import leftovers
 from torchpi.diagnosis.locate import locate
 from torchpi.diagnosis.long_recordings import at_a_lower_rate
 from torchpi.diagnosis.model import augmented_stage
 from torchpi.diagnosis.next_recording import next_recording
 from torchpi.diagnosis.noise import measured_noise
-from torchpi.diagnosis.nominal import plain
 from torchpi.diagnosis.outside import Outside, untried_note
 from torchpi.diagnosis.posterior import posterior
 from torchpi.diagnosis.records import Record, prepare, seen, whole
@@ -36,7 +36,7 @@ from torchpi.diagnosis.simulation import (
     simulated_output,
     with_untried,
 )
-from torchpi.diagnosis.slips import unaided
+from torchpi.diagnosis.stick_slip import free_run
 from torchpi.errors import RecordingError
 from torchpi.recordings.faults import dropouts
 from torchpi.recordings.recording import Recording
@@ -112,7 +112,7 @@ def diagnose(
     say("decide: every effect against its rivals")
     final, believed = posterior(search, retuned, final, history)
     believed = believed if called is None else with_untried(believed, tried, untried)
-    modelled = augmented = unaided(chain, final, search.jump.value_um) if search.jump else final
+    modelled = augmented = free_run(chain, final, search.jump.value_um) if search.jump else final
     chain.weighting = search.chain.weighting
     say("what no effect explains")
     remainder = with_remainder(chain, reduced(chain, modelled))
@@ -167,26 +167,26 @@ def diagnose(
 def check(recordings: Sequence[Recording]) -> None:
     """Raise `RecordingError` for what no diagnosis can be made of."""
     if not recordings:
-        raise RecordingError("recordings: found none, want at least one")
+        raise RecordingError("recordings: found none, expected at least one")
     columns = {tuple(sorted(recording.aux)) for recording in recordings}
     if len(columns) > 1:
         first, other = sorted(columns)[:2]
         raise RecordingError(
             f"auxiliary columns differ between the recordings: found {list(first)} and {list(other)}, "
-            "want the same in all; leave out the ones that not all have"
+            "expected the same in all; leave out the ones that not all have"
         )
     for recording in recordings:
         name = recording.source or recording.name
         if len(recording) < LEAST_SAMPLES:
-            raise RecordingError(f"{name}: found {len(recording)} samples, want at least {LEAST_SAMPLES}")
+            raise RecordingError(f"{name}: found {len(recording)} samples, expected at least {LEAST_SAMPLES}")
         for signal, values in {"input": recording.u, "output": recording.y, **recording.aux}.items():
             if not np.isfinite(values).all():
                 row = int(np.flatnonzero(~np.isfinite(values))[0])
                 raise RecordingError(
-                    f"{name}: {signal} is {values[row]} at sample {row}, want finite numbers"
+                    f"{name}: {signal} is {values[row]} at sample {row}, expected finite numbers"
                 )
     if all(np.ptp(recording.u) == 0 for recording in recordings):
-        raise RecordingError("recordings: the input never moves, want at least one in which it does")
+        raise RecordingError("recordings: the input never moves, expected at least one in which it does")
 
 
 def check_units(records: Sequence[Record], simulation: Stage | Outside) -> None:

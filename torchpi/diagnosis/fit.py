@@ -7,9 +7,16 @@ from typing import NamedTuple
 import numpy as np
 
 from torchpi.diagnosis.chain import Chain
-from torchpi.diagnosis.hypothesis import Fit, Hypothesis, Slot
+from torchpi.diagnosis.free_parameters import (
+    at_bound,
+    free_parameters_of,
+    to_inner,
+    to_outer,
+    value_at,
+    with_theta,
+)
+from torchpi.diagnosis.hypothesis import Fit, FreeParameter, Hypothesis
 from torchpi.diagnosis.records import Record
-from torchpi.diagnosis.slots import at_bound, slots_of, to_inner, to_outer, value_at, with_theta
 from torchpi.errors import StageError
 from torchpi.stage.effects.mechanics.modal import ModalEffect
 
@@ -75,7 +82,7 @@ def fit(
     solved anew at the parameters that it leads to (variable projection: Golub and Pereyra 1973): a limit of
     the voltage and a hundred plays that have bent round a wrong one move together or not at all.
     """
-    slots = slots_of(hypothesis)
+    slots = free_parameters_of(hypothesis)
     theta = np.array([to_inner(slot, value_at(hypothesis, slot)) for slot in slots])
     low = np.array([to_inner(s, s.low) for s in slots])
     high = np.array([to_inner(s, s.high) for s in slots])
@@ -191,7 +198,7 @@ def prior_of(chain: Chain, hypothesis: Hypothesis, gram: np.ndarray) -> np.ndarr
     kept = nominal.kept
     prior = np.diag(PRIOR * np.diag(gram))
     each = weight_prior(chain)
-    of_rows = np.eye(kept) if nominal.mixing is None else nominal.mixing @ nominal.mixing.T
+    of_rows = np.eye(kept) if nominal.reduction is None else nominal.reduction @ nominal.reduction.T
     prior[:kept, :kept] += each * of_rows
     history = np.arange(kept, len(prior) - zeros)
     prior[history, history] += 1.0 / (REMANENCE * chain.span_um) ** 2
@@ -203,7 +210,7 @@ def prior_of(chain: Chain, hypothesis: Hypothesis, gram: np.ndarray) -> np.ndarr
 
 def weight_prior(chain: Chain) -> float:
     """The inverse variance of one weight of the hysteresis, before any recording."""
-    return (PRIOR_SHARE * chain.span_v / chain.weighting.typical_um) ** 2
+    return (PRIOR_SHARE * chain.span_v / chain.weighting.geometric_mean_rms_um) ** 2
 
 
 def with_prior(
@@ -220,7 +227,7 @@ def jacobian(
     chain: Chain,
     hypothesis: Hypothesis,
     weights: np.ndarray,
-    slots: Sequence[Slot],
+    slots: Sequence[FreeParameter],
     theta: np.ndarray,
     index: int,
 ) -> tuple[np.ndarray, Sensitivity]:
@@ -253,7 +260,7 @@ def of_slots(
     chain: Chain,
     hypothesis: Hypothesis,
     weights: np.ndarray,
-    slots: Sequence[Slot],
+    slots: Sequence[FreeParameter],
     theta: np.ndarray,
     index: int,
     chosen: Iterable[int],
@@ -280,7 +287,7 @@ def slopes_of(
     chain: Chain,
     hypothesis: Hypothesis,
     weights: np.ndarray,
-    slots: Sequence[Slot],
+    slots: Sequence[FreeParameter],
     theta: np.ndarray,
     before: Slopes | None = None,
 ) -> Slopes:

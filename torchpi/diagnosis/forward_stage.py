@@ -16,9 +16,9 @@ import torch
 
 from torchpi.diagnosis.chain import Chain
 from torchpi.diagnosis.fit import fit
-from torchpi.diagnosis.hypothesis import Fit, Hypothesis, Member
+from torchpi.diagnosis.hypothesis import EffectTerm, Fit, Hypothesis
+from torchpi.diagnosis.hysteresis_model import HysteresisModel, many_plays, reach_v, thresholds
 from torchpi.diagnosis.model import augmented_stage
-from torchpi.diagnosis.nominal import Nominal, many_plays, reach_v, thresholds
 from torchpi.diagnosis.records import prepare, seen, whole
 from torchpi.errors import RecordingError
 from torchpi.recordings.faults import dropouts, noise_estimate
@@ -29,7 +29,7 @@ from torchpi.stage.effects.actuator.creep import Creep
 from torchpi.stage.effects.actuator.input_nonlinearity import InputNonlinearity
 from torchpi.stage.effects.amplifier.amplifier_lag import AmplifierLag
 from torchpi.stage.effects.amplifier.delay import Delay
-from torchpi.stage.effects.effect import Effect, Parameters, Seen
+from torchpi.stage.effects.effect import DataRange, Effect, Parameters
 from torchpi.stage.effects.mechanics.resonance import Resonance
 from torchpi.stage.identified import Identified
 
@@ -139,12 +139,12 @@ def _beginnings(recordings: Sequence[Recording]) -> list[Recording]:
 class _Search:
     def __init__(self, chain: Chain, log: Callable[[str], None]) -> None:
         self.chain, self.log = chain, log
-        self.seen: Seen = seen(chain.records)
+        self.seen: DataRange = seen(chain.records)
         self.steps: list[Step] = []
 
     def run(self) -> Fit:
         """The form that predicts unseen samples best, fitted to the others."""
-        few = Nominal(thresholds(self.seen, FINE, EVEN), 1, reach_v(self.seen))
+        few = HysteresisModel(thresholds(self.seen, FINE, EVEN), 1, reach_v(self.seen))
         self.log(f"hysteresis, {few.size} plays")
         now = self.taken(fit(self.chain, Hypothesis(few)))
         # Twice: what was hidden behind the others the first time may show once they are there.
@@ -236,7 +236,7 @@ class _Search:
         if not starts or kind.name in base.names:
             return []
         self.log(kind.name.replace("_", " "))
-        forms = [base.plus(Member(kind, start)) for start in starts]
+        forms = [base.plus(EffectTerm(kind, start)) for start in starts]
         if len(forms) > most:
             forms.sort(key=lambda form: fit(self.chain, form, None, 0).train_rms)
         return [fit(self.chain, form, now.weights, tolerance=ROUGH) for form in forms[:most]]

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from torchpi.diagnosis.nominal import Nominal
+from torchpi.diagnosis.hysteresis_model import HysteresisModel
 from torchpi.stage.effects import EFFECTS
 from torchpi.stage.effects.effect import Described, Effect, Parameters
 from torchpi.stage.effects.inside import InsideEffect
@@ -12,7 +12,7 @@ from torchpi.stage.effects.mechanics.modal import ModalCoupling, ModalEffect, mo
 
 
 @dataclass(frozen=True)
-class Member:
+class EffectTerm:
     """An effect in a hypothesis, with the parameters that are fitted."""
 
     effect: type[Effect] | type[InsideEffect] | type[ModalEffect]
@@ -27,7 +27,7 @@ class Member:
 
 
 @dataclass(frozen=True)
-class Slot:
+class FreeParameter:
     """Where one fitted number lives."""
 
     member: int  # -1: the nominal's own shape
@@ -43,10 +43,10 @@ class Slot:
 
 @dataclass(frozen=True, eq=False)
 class Hypothesis:
-    """Nominal and effects, in the order of the chain."""
+    """HysteresisModel and effects, in the order of the chain."""
 
-    nominal: Nominal
-    members: tuple[Member, ...] = ()
+    nominal: HysteresisModel
+    members: tuple[EffectTerm, ...] = ()
     alignment: int = 0
     """Whether y(k) sees the command of tick k (0) or of the tick before (1): a convention, not a delay."""
     held: bool = False
@@ -56,7 +56,7 @@ class Hypothesis:
     remanent: bool = False
     """Whether each recording may start from a history of its own."""
 
-    def plus(self, member: Member) -> "Hypothesis":
+    def plus(self, member: EffectTerm) -> "Hypothesis":
         """With one more effect, in the order of the chain."""
         order = {effect.name: i for i, effect in enumerate(EFFECTS)}
         members = sorted([*self.members, member], key=lambda m: order[m.effect.name])
@@ -67,7 +67,7 @@ class Hypothesis:
         outside = self.nominal.simulation
         return outside.precedes(effect) if outside else effect.before_hysteresis
 
-    def on(self, nominal: Nominal, shape: tuple[str, ...] = ()) -> "Hypothesis":
+    def on(self, nominal: HysteresisModel, shape: tuple[str, ...] = ()) -> "Hypothesis":
         """The same effects on another hysteresis, beside the same simulation."""
         nominal = replace(nominal, simulation=self.nominal.simulation)
         return replace(self, nominal=nominal, shape=shape)
@@ -98,7 +98,7 @@ class Fit:
 
     hypothesis: Hypothesis
     weights: np.ndarray
-    slots: tuple[Slot, ...]
+    slots: tuple[FreeParameter, ...]
     theta: np.ndarray
     residuals: tuple[np.ndarray, ...]
     """(time,) for each record, train and held out, µm."""

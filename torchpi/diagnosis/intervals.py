@@ -5,8 +5,8 @@ from scipy.special import stdtrit
 
 from torchpi.diagnosis.chain import Chain
 from torchpi.diagnosis.fit import PRIOR, jacobian
+from torchpi.diagnosis.free_parameters import to_outer
 from torchpi.diagnosis.hypothesis import Fit
-from torchpi.diagnosis.slots import to_outer
 
 BLOCKS = 30
 """Contiguous pieces of all recordings together; their scores are taken as independent."""

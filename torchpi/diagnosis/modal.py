@@ -15,7 +15,7 @@ import torch
 
 from torchpi.diagnosis.chain import Chain
 from torchpi.diagnosis.fit import fit
-from torchpi.diagnosis.hypothesis import Fit, Hypothesis, Member
+from torchpi.diagnosis.hypothesis import EffectTerm, Fit, Hypothesis
 from torchpi.diagnosis.score import gain
 from torchpi.diagnosis.screen import possible
 from torchpi.stage.effects.mechanics.modal import (
@@ -340,7 +340,7 @@ class Superposition:
         first = len(self.static) + len(now.aux)
         return now.coefficients[first:].reshape(len(now.poles), 1 + len(now.aux), 2)
 
-    def members(self, now: Solved) -> list[Member]:
+    def members(self, now: Solved) -> list[EffectTerm]:
         """What was found, by name: the mode that it could do without least is the resonance.
 
         Empty where the numbers are not those of a stage: recordings in extreme units ask for such.
@@ -354,16 +354,16 @@ class Superposition:
         shares = residues[:, 0] / static
         strongest = int(np.argmax(self.losses(now)))
         order = [strongest, *(int(m) for m in np.argsort(now.poles[:, 0]) if m != strongest)]
-        found: list[Member] = []
+        found: list[EffectTerm] = []
         for m in order:
             effect = ModalResonance if m == strongest else ModalSecondMode
             names = ("frequency_hz", "damping_ratio", "share", "rate_share")
             numbers = map(float, (*now.poles[m], *shares[m]))
-            found.append(Member(effect, dict(zip(names, numbers, strict=True))))
+            found.append(EffectTerm(effect, dict(zip(names, numbers, strict=True))))
         for k, name in enumerate(now.aux):
             values = {"coupling_um_per_v": float(direct[k] + residues[:, k + 1, 0].sum())}
             for number, m in enumerate(order, 1):
                 values[f"mode{number}_um_per_v"] = float(residues[m, k + 1, 0])
                 values[f"mode{number}_rate_um_per_v"] = float(residues[m, k + 1, 1])
-            found.append(Member(ModalCoupling, values, aux=name))
+            found.append(EffectTerm(ModalCoupling, values, aux=name))
         return found if all(possible(member.effect, member.shared) for member in found) else []

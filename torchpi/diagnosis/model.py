@@ -4,14 +4,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from torchpi.diagnosis.hypothesis import Fit, Member
-from torchpi.diagnosis.nominal import FIRM
+from torchpi.diagnosis.hypothesis import EffectTerm, Fit
+from torchpi.diagnosis.hysteresis_model import FIRM
 from torchpi.stage import Stage
-from torchpi.stage.effects.effect import Seen
+from torchpi.stage.effects.effect import DataRange
 from torchpi.stage.effects.mechanics.modal import ModalEffect
 
 
-def augmented_stage(now: Fit, recordings: int, seen: Seen, noise_um: float) -> Stage:
+def augmented_stage(now: Fit, recordings: int, seen: DataRange, noise_um: float) -> Stage:
     """The fitted chain at the highest sample rate of the recordings.
 
     A parameter that each recording has for itself becomes their mean where all agree in sign, and its
@@ -19,7 +19,7 @@ def augmented_stage(now: Fit, recordings: int, seen: Seen, noise_um: float) -> S
     """
     nominal = now.hypothesis.nominal
     rows = now.weights[: nominal.kept]
-    weights = rows if nominal.mixing is None else nominal.mixing.T @ rows
+    weights = rows if nominal.reduction is None else nominal.reduction.T @ rows
     outside, r = nominal.simulation, nominal.thresholds_v
     simulation = None
     if outside:
@@ -60,7 +60,7 @@ def augmented_stage(now: Fit, recordings: int, seen: Seen, noise_um: float) -> S
     return stage.with_simulation(outside.simulator) if outside and outside.simulator else stage
 
 
-def common_values(member: Member) -> dict[str, float]:
+def common_values(member: EffectTerm) -> dict[str, float]:
     """The parameters for a recording that was not made yet."""
     values = dict(member.shared)
     for name in {name for own in member.own for name in own}:

@@ -12,14 +12,14 @@ from torchpi.diagnosis.diagnosis import NextRecording
 from torchpi.diagnosis.splits import CONFIRM, NAMELESS, SHOWS, SPLITS, Decision
 from torchpi.excitation.limits import DriveLimits, recorded
 from torchpi.excitation.signals import Samples
-from torchpi.stage.effects.effect import Seen
+from torchpi.stage.effects.effect import DataRange
 
 MOST_SAMPLES = 600_000
 LEAST_RATE = 2.0  # ranges per second: what any stage that has crossed its range is taken to bear
 
 
 def next_recording(
-    open_names: Sequence[str], seen: Seen, *, unexplained: bool = False, seed: int = 1
+    open_names: Sequence[str], seen: DataRange, *, unexplained: bool = False, seed: int = 1
 ) -> tuple[NextRecording, Samples]:
     """The recording that opens the angle between the leading candidates, and the voltage to play for it.
 
@@ -63,7 +63,7 @@ def _decision(open_names: Sequence[str], unexplained: bool) -> Decision:
     return NAMELESS if unexplained or open_names else CONFIRM
 
 
-def _limits(seen: Seen, movement: Movement) -> DriveLimits:
+def _limits(seen: DataRange, movement: Movement) -> DriveLimits:
     """What the recordings have shown that the stage bears."""
     low_v, high_v = min(0.0, seen.low_v), max(0.0, seen.high_v)
     span_v, longer = high_v - low_v, stretch(seen.fs_hz)

@@ -12,7 +12,7 @@ import torch
 
 from torchpi.diagnosis.chain import Chain
 from torchpi.diagnosis.fit import fit
-from torchpi.diagnosis.hypothesis import Fit, Hypothesis, Member
+from torchpi.diagnosis.hypothesis import EffectTerm, Fit, Hypothesis
 from torchpi.diagnosis.score import Weighting
 from torchpi.diagnosis.screen import Candidate, Screen
 
@@ -54,7 +54,7 @@ def shared_out(
 
 
 def screen_all(
-    chain: Chain, screens: Sequence[tuple[Fit, Sequence[Member]]], executor: Executor | None
+    chain: Chain, screens: Sequence[tuple[Fit, Sequence[EffectTerm]]], executor: Executor | None
 ) -> list[list[Candidate]]:
     """For each fit the candidates of these members on top of it, in their order."""
     if executor is None:
@@ -91,12 +91,12 @@ def _fit_elsewhere(key: str, packed: bytes, weighting: Weighting, job: Job) -> F
 
 
 def _screen_elsewhere(
-    key: str, packed: bytes, weighting: Weighting, piece: tuple[Fit, Sequence[Member]]
+    key: str, packed: bytes, weighting: Weighting, piece: tuple[Fit, Sequence[EffectTerm]]
 ) -> list[Candidate]:
     return _candidates(_chain(key, packed, weighting), *piece)
 
 
-def _candidates(chain: Chain, now: Fit, members: Sequence[Member]) -> list[Candidate]:
+def _candidates(chain: Chain, now: Fit, members: Sequence[EffectTerm]) -> list[Candidate]:
     screen = Screen(chain, now)
     return [screen.candidate(member) for member in members]
 

@@ -4,11 +4,11 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from torchpi.diagnosis.diagnosis import Parameter
+from torchpi.diagnosis.free_parameters import to_outer, value_at
 from torchpi.diagnosis.hypothesis import Fit
 from torchpi.diagnosis.model import common_values
 from torchpi.diagnosis.search import Search
-from torchpi.diagnosis.slips import Jump
-from torchpi.diagnosis.slots import to_outer, value_at
+from torchpi.diagnosis.stick_slip import Jump
 from torchpi.stage.effects.mechanics.backlash import Backlash
 from torchpi.stage.effects.mechanics.stiction import Stiction
 

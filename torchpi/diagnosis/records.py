@@ -7,7 +7,7 @@ import numpy as np
 
 from torchpi.diagnosis.haar import Haar
 from torchpi.recordings.recording import Recording
-from torchpi.stage.effects.effect import Seen
+from torchpi.stage.effects.effect import DataRange
 
 SEALED = 0.15
 """Share of each recording, its end, that neither a fit nor the choice between hypotheses sees."""
@@ -91,11 +91,11 @@ def _record(recording: Recording, samples: int, wrong: np.ndarray, recordings: i
     )  # fmt: skip
 
 
-def seen(records: Sequence[Record]) -> Seen:
+def seen(records: Sequence[Record]) -> DataRange:
     """What these recordings span."""
     rates = np.concatenate([np.abs(np.diff(record.u)) * record.fs_hz for record in records])
     names = {name for record in records for name in record.aux}
-    return Seen(
+    return DataRange(
         fs_hz=max(record.fs_hz for record in records),
         duration_s=max(record.haar.samples / record.fs_hz for record in records),
         low_v=min(float(record.u.min()) for record in records),

@@ -28,7 +28,7 @@ def basis(
         kept: Principal combinations.
     """
     nominal = hypothesis.nominal
-    full = replace(nominal, mixing=None)
+    full = replace(nominal, reduction=None)
     size = full.kept
     if size <= kept + 1:
         return hypothesis, weights
@@ -40,13 +40,13 @@ def basis(
         gram += part @ part.T
     values, vectors = np.linalg.eigh(gram * THINNED)
     informed = int((values > INFORMED * weight_prior(chain)).sum())
-    mixing = vectors[:, ::-1][:, : max(1, min(kept, informed))].T
+    reduction = vectors[:, ::-1][:, : max(1, min(kept, informed))].T
     if weights is None:
-        return replace(hypothesis, nominal=replace(full, mixing=mixing)), None
+        return replace(hypothesis, nominal=replace(full, reduction=reduction)), None
     first = weights[: nominal.kept]
-    first = first if nominal.mixing is None else nominal.mixing.T @ first
-    mixed = replace(full, mixing=np.concatenate([first[None], mixing]))
-    started = np.concatenate([[1.0], np.zeros(len(mixing)), weights[nominal.kept :]])
+    first = first if nominal.reduction is None else nominal.reduction.T @ first
+    mixed = replace(full, reduction=np.concatenate([first[None], reduction]))
+    started = np.concatenate([[1.0], np.zeros(len(reduction)), weights[nominal.kept :]])
     return replace(hypothesis, nominal=mixed), started
 
 

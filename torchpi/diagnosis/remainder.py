@@ -7,7 +7,7 @@ import torch
 
 from torchpi.diagnosis.chain import Chain
 from torchpi.diagnosis.fit import Sensitivity, jacobian, left_out, rms
-from torchpi.diagnosis.hypothesis import Fit, Member
+from torchpi.diagnosis.hypothesis import EffectTerm, Fit
 from torchpi.diagnosis.records import seen
 from torchpi.diagnosis.score import gain
 from torchpi.stage.effects.unknown import TIMES, Unknown
@@ -64,7 +64,7 @@ def with_remainder(chain: Chain, now: Fit, ridge: float | None = None) -> tuple[
         if np.abs(a).max() > LARGEST:
             continue
         weights = now.weights - removed @ a
-        member = Member(
+        member = EffectTerm(
             Unknown, frame | {f"{'ab'[k // TIMES]}{k % TIMES}": float(v) for k, v in enumerate(a)}
         )
         hypothesis = replace(now.hypothesis, members=(*now.hypothesis.members, member))

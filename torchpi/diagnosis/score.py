@@ -76,7 +76,7 @@ class Weighting:
         return cls(scales, np.full(len(counts), sd**2), counts)
 
     @property
-    def typical_um(self) -> float:
+    def geometric_mean_rms_um(self) -> float:
         """The median of what a coefficient may be off by."""
         return float(1 / np.median(np.concatenate(self.inverse_sd)))
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from torchpi.diagnosis.chain import Chain
 from torchpi.diagnosis.fit import jacobian, whitener
-from torchpi.diagnosis.hypothesis import Fit, Member
+from torchpi.diagnosis.hypothesis import EffectTerm, Fit
 from torchpi.diagnosis.records import Record
 from torchpi.stage.effects.effect import Effect, Parameters
 from torchpi.stage.effects.inside import InsideEffect
@@ -26,7 +26,7 @@ ROUNDING = 1e-7
 class Candidate:
     """A start of an effect."""
 
-    member: Member
+    member: EffectTerm
     gain: float
     """Nats that it could gain, to first order."""
 
@@ -57,7 +57,7 @@ class Screen:
         found = found / self.chain.weighting.counts
         return found
 
-    def candidate(self, member: Member) -> Candidate:
+    def candidate(self, member: EffectTerm) -> Candidate:
         """Its gain, 0 if it moves nothing."""
         one_sided = not (signed(member) or member.effect.hold)
         gain = self.gain(self.off_tangent(self.directions(member)), one_sided)
@@ -89,7 +89,7 @@ class Screen:
         gained = self.chain.weighting.of_squares(self.squares(after)) - self.before
         return float(gained.sum())
 
-    def directions(self, member: Member) -> np.ndarray:
+    def directions(self, member: EffectTerm) -> np.ndarray:
         """What it adds from its start, (directions, coefficients)."""
         found = []
         for one in separate(member):
@@ -104,7 +104,7 @@ class Screen:
             found.append(self.of_inputs(member, ())[0])
         return np.array(found)
 
-    def of_inputs(self, member: Member, aux: Sequence[str]) -> np.ndarray:
+    def of_inputs(self, member: EffectTerm, aux: Sequence[str]) -> np.ndarray:
         """What a dynamic block makes of the voltage and of auxiliary signals, (signals, coefficients)."""
         hypothesis, found = self.now.hypothesis.plus(member), []
         for i, record in enumerate(self.records):
@@ -115,16 +115,16 @@ class Screen:
         return np.concatenate(found, axis=1)
 
 
-def signed(member: Member) -> bool:
+def signed(member: EffectTerm) -> bool:
     """Whether its parameters may take either sign."""
     return any(member.effect.quantities[name].at_least < 0 for name in all_names(member))
 
 
-def all_names(member: Member) -> set[str]:
+def all_names(member: EffectTerm) -> set[str]:
     return set(member.shared) | {name for own in member.own for name in own}
 
 
-def separate(member: Member) -> list[Member]:
+def separate(member: EffectTerm) -> list[EffectTerm]:
     """One member for each signed parameter, the other signed ones at their identity."""
     quantities, identity = member.effect.quantities, member.effect.identity
     free: list[tuple[str, int | None]] = [
@@ -139,7 +139,7 @@ def separate(member: Member) -> list[Member]:
     if not free:
         return [member]
 
-    def only(which: tuple[str, int | None]) -> Member:
+    def only(which: tuple[str, int | None]) -> EffectTerm:
         shared = {
             name: value if (name, None) == which or quantities[name].at_least >= 0 else identity[name]
             for name, value in member.shared.items()
@@ -151,7 +151,7 @@ def separate(member: Member) -> list[Member]:
             }
             for record, values in enumerate(member.own)
         )
-        return Member(member.effect, shared, own, member.aux)
+        return EffectTerm(member.effect, shared, own, member.aux)
 
     return [only(which) for which in free]
 
@@ -161,7 +161,7 @@ def candidates_of(
     records: Sequence[Record],
     starts: Sequence[Parameters],
     aux: Sequence[str],
-) -> list[Member]:
+) -> list[EffectTerm]:
     """The starts of an effect as members, its own parameters given to each recording.
 
     Starts out of its bounds are left out: recordings in extreme units, or at extreme rates, ask for them.
@@ -177,15 +177,15 @@ def candidates_of(
             # One recording with another load than the rest: the others keep the identity.
             for loaded in range(len(records)):
                 members.append(
-                    Member(
+                    EffectTerm(
                         effect, shared, tuple(dict(each) if i == loaded else {} for i in range(len(records)))
                     )
                 )
             continue
         members += (
-            [Member(effect, shared, own, a) for a in aux]
+            [EffectTerm(effect, shared, own, a) for a in aux]
             if effect.takes_aux
-            else [Member(effect, shared, own)]
+            else [EffectTerm(effect, shared, own)]
         )
     return members
 

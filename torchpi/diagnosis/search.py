@@ -15,17 +15,17 @@ from torchpi.diagnosis.chain import Chain
 from torchpi.diagnosis.contest import ACCEPTED, HEAT, PRIOR, inside
 from torchpi.diagnosis.coverage import reason_to_leave_out
 from torchpi.diagnosis.fit import FINE, ROUGH
-from torchpi.diagnosis.hypothesis import Fit, Hypothesis, Member
+from torchpi.diagnosis.hypothesis import EffectTerm, Fit, Hypothesis
+from torchpi.diagnosis.hysteresis_model import HysteresisModel, bouc_wen, duhem, many_plays, plain, preisach
 from torchpi.diagnosis.modal import driven_modes
 from torchpi.diagnosis.noise import Noise, measured_noise
-from torchpi.diagnosis.nominal import Nominal, bouc_wen, duhem, many_plays, plain, preisach
 from torchpi.diagnosis.outside import Outside
 from torchpi.diagnosis.parallel import Job, screen_all
 from torchpi.diagnosis.records import seen
 from torchpi.diagnosis.reduced_basis import MANY, basis, refitted
 from torchpi.diagnosis.score import Gain
 from torchpi.diagnosis.screen import Candidate, Screen, candidates_of
-from torchpi.diagnosis.slips import Jump, Slips, jump, slips
+from torchpi.diagnosis.stick_slip import Jump, Slips, jump, slips
 from torchpi.diagnosis.timing import Timing
 from torchpi.stage.effects import EFFECTS
 from torchpi.stage.effects.effect import Effect, Parameters
@@ -50,7 +50,7 @@ PREISACH = ((20, 60, 5), (15, 35, 7))
 """Plays spread in the logarithm, plays spread evenly, degree: what a Preisach operator may grow to."""
 SAMPLES_A_PLAY = 10
 """Shorter recordings than so many samples for each of a hundred plays get ten plays."""
-HOPELESS = 3.0
+REJECTED = 3.0
 """A family of hysteresis that fits this many times worse than another is not tried again."""
 REWEIGHTED = 3
 """Times that the nominal is fitted, each with the weights that the last fit shows."""
@@ -83,7 +83,7 @@ class Search(Timing):
         self,
         chain: Chain,
         log: Callable[[str], None],
-        given: Sequence[Member] = (),
+        given: Sequence[EffectTerm] = (),
         noise: Noise | None = None,
         executor: Executor | None = None,
         lsb_um: float = 0.0,
@@ -96,7 +96,7 @@ class Search(Timing):
         self.simulation = simulation
         self.left_out: list[tuple[str, str]] = []
         self.seen = replace(seen(chain.records), simulated=simulation is not None)
-        self.hopeless: set[str] = set()
+        self.rejected_families: set[str] = set()
         self.needless: set[str] = set()
         self.slips: Slips | None = None
         self.jump: Jump | None = None
@@ -153,7 +153,7 @@ class Search(Timing):
 
     def retuned(self) -> Fit:
         """The nominal hysteresis, with the timing and the start that suit it better."""
-        alone = Nominal(np.zeros(0), simulation=self.simulation)
+        alone = HysteresisModel(np.zeros(0), simulation=self.simulation)
         nominal = alone if self.simulation else self.plays()
         # A given simulation is taken at its word first: only the weights are solved for.
         h, _ = basis(self.chain, Hypothesis(nominal, self.start, remanent=True), None, MANY)
@@ -177,7 +177,7 @@ class Search(Timing):
         self.log(f"retuned, {size}: {rms_of(now)}")
         return now
 
-    def plays(self) -> Nominal:
+    def plays(self) -> HysteresisModel:
         """As many plays as the samples carry."""
         nominal = many_plays(self.seen)
         samples = sum(record.train.sum() for record in self.chain.records)
@@ -257,7 +257,7 @@ class Search(Timing):
             return fits
         return [*fits, *driven_modes(self.chain, now, [one for _, one in fits], ROUGH)]
 
-    def at_the_other_timing(self, now: Fit, starts: Sequence[Member]) -> dict[str, Hypothesis]:
+    def at_the_other_timing(self, now: Fit, starts: Sequence[EffectTerm]) -> dict[str, Hypothesis]:
         """For what delays the best start of all under the other convention, where it is worth a fit."""
         a = now.hypothesis.alignment
         other = replace(now.hypothesis, alignment=a - 1 if a - 1 in self.alignments else a + 1)
@@ -288,7 +288,7 @@ class Search(Timing):
                 jobs.append((hypothesis, now.weights, STEPS, ROUGH))
         return jobs
 
-    def from_residual(self, now: Fit) -> list[Member]:
+    def from_residual(self, now: Fit) -> list[EffectTerm]:
         """Starts that no grid has: where the residual of the loudest recording, or the first, stands out."""
         records, found = self.chain.records, []
         residuals = [e[r.train] for e, r in zip(now.residuals, records, strict=True)]
@@ -304,20 +304,22 @@ class Search(Timing):
     def growth(self, now: Fit, leader: Fit) -> list[tuple[str, Fit]]:
         """A larger hysteresis in the place of the present one, fitted to the end where it may beat a fit."""
         h, found = now.hypothesis, []
-        larger: list[tuple[str, Nominal, tuple[str, ...], int]] = [("preisach", preisach(self.seen), (), 2)]
+        larger: list[tuple[str, HysteresisModel, tuple[str, ...], int]] = [
+            ("preisach", preisach(self.seen), (), 2)
+        ]
         larger.append(("bouc_wen", bouc_wen(self.seen, 0.1), ("sigma_v", "beta", "exponent"), 10))
         larger.append(("duhem", duhem(self.seen, 5.0), ("alpha_per_v",), 6))
         if self.simulation:
             larger.insert(0, ("prandtl_ishlinskii", self.plays(), (), 2))
-        larger = [one for one in larger if one[0] not in {*self.hopeless, h.nominal.family}]
+        larger = [one for one in larger if one[0] not in {*self.rejected_families, h.nominal.family}]
         jobs: list[Job] = [
             (*basis(self.chain, h.on(nominal, shape), None, MANY), steps, ROUGH)
             for _, nominal, shape, steps in larger
         ]
         for (family, *_), one in zip(larger, self.raced(jobs, leader), strict=True):
             found.append((OPERATOR + family, one))
-            if one.train_rms > HOPELESS * now.train_rms:
-                self.hopeless.add(family)
+            if one.train_rms > REJECTED * now.train_rms:
+                self.rejected_families.add(family)
         return found
 
     def sized(self, now: Fit) -> Fit:
@@ -377,9 +379,9 @@ class Search(Timing):
             for alignment in self.alignments
         ]
 
-    def starts_by_form(self) -> list[Member]:
+    def starts_by_form(self) -> list[EffectTerm]:
         """Some starts of each form of each effect."""
-        by_form: dict[tuple[object, ...], list[Member]] = {}
+        by_form: dict[tuple[object, ...], list[EffectTerm]] = {}
         for member in self.starts:
             by_form.setdefault((member.effect, member.aux, form(member)), []).append(member)
         few = ({len(m) // 4, len(m) // 2, 3 * len(m) // 4} for m in by_form.values())
@@ -410,7 +412,7 @@ class Search(Timing):
         return list(dict.fromkeys((m.effect.name, m.aux) for m in members if m.effect.name not in self.given))
 
 
-def form(member: Member) -> tuple[str, ...]:
+def form(member: EffectTerm) -> tuple[str, ...]:
     """The numbers that are fitted tell one form of an effect from another."""
     return tuple(sorted({*member.shared, *(n for own in member.own for n in own)}))
 

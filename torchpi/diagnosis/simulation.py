@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 import torch
 
-from torchpi.diagnosis.hypothesis import Member
+from torchpi.diagnosis.hypothesis import EffectTerm
 from torchpi.diagnosis.outside import Effects, Outside
 from torchpi.diagnosis.posterior import OPERATOR_NAME, Believed
 from torchpi.diagnosis.records import Record
@@ -58,21 +58,21 @@ def simulated_output(simulation: Stage | Outside, record: Record) -> np.ndarray:
         return stage.sensor(y)[0][0].numpy()  # type: ignore[no-any-return]
 
 
-def given_members(simulation: Stage | None) -> tuple[Member, ...]:
+def given_members(simulation: Stage | None) -> tuple[EffectTerm, ...]:
     """The effects that a simulation has: they are refitted, and not reported as missing."""
     if simulation is None:
         return ()
     return tuple(_member(one) for one in (*simulation.effects, *simulation.sensor_effects))
 
 
-def _member(one: EffectSettings) -> Member:
+def _member(one: EffectSettings) -> EffectTerm:
     """Within the bounds of a fit: a mode that hardly rings is fitted as one that just does."""
     bounds = one.kind.quantities
     values = {
         name: min(max(value, bounds[name].at_least), bounds[name].at_most)
         for name, value in one.values.items()
     }
-    return Member(one.kind, values, aux=one.aux)
+    return EffectTerm(one.kind, values, aux=one.aux)
 
 
 def with_untried(believed: Sequence[Believed], tried: Effects, untried: Effects) -> list[Believed]:

@@ -9,7 +9,7 @@ import numpy as np
 from torchpi.diagnosis.chain import Chain
 from torchpi.diagnosis.contest import ACCEPTED, Contest, inside
 from torchpi.diagnosis.fit import ROUGH
-from torchpi.diagnosis.hypothesis import Fit, Member
+from torchpi.diagnosis.hypothesis import EffectTerm, Fit
 from torchpi.diagnosis.noise import Noise
 from torchpi.diagnosis.parallel import Job
 from torchpi.diagnosis.reduced_basis import reduced
@@ -39,7 +39,7 @@ class Timing(Contest):
     ) -> None:
         super().__init__(chain, noise, executor)
         self.alignments, self.given = alignments, given
-        self.starts: list[Member] = []
+        self.starts: list[EffectTerm] = []
         """From which effects are fitted."""
 
     def at_the_tick(self, now: Fit) -> Fit:

@@ -39,19 +39,19 @@ class DriveLimits:
     def __post_init__(self) -> None:
         for name in ("max_rate_v_s", "sample_rate_hz", "high_hz"):
             if not (math.isfinite(getattr(self, name)) and getattr(self, name) > 0):
-                raise ConfigError(f"{name} is {getattr(self, name):g}, wanted more than 0")
+                raise ConfigError(f"{name} is {getattr(self, name):g}, expected more than 0")
         low, high = self.min_voltage_v, self.max_voltage_v
         if not (math.isfinite(low) and math.isfinite(high) and low < high):
-            raise ConfigError(f"the voltage runs from {low:g} to {high:g} V, wanted the lower limit first")
+            raise ConfigError(f"the voltage runs from {low:g} to {high:g} V, expected the lower limit first")
         if not low <= 0 <= high:
             name, wanted = ("min_voltage_v", "0 V or less") if low > 0 else ("max_voltage_v", "0 V or more")
             raise ConfigError(
-                f"{name} is {low if low > 0 else high:g} V, wanted {wanted}: "
+                f"{name} is {low if low > 0 else high:g} V, expected {wanted}: "
                 "a recording starts de-energised at 0 V"
             )
         if self.sample_rate_hz < 4 * self.high_hz:
             raise ConfigError(
-                f"sample_rate_hz is {self.sample_rate_hz:g} Hz, wanted {4 * self.high_hz:g} Hz or more, "
+                f"sample_rate_hz is {self.sample_rate_hz:g} Hz, expected {4 * self.high_hz:g} Hz or more, "
                 f"four times high_hz; sample faster, or lower high_hz to {self.sample_rate_hz / 4:g} Hz"
             )
 

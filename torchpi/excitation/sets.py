@@ -42,13 +42,13 @@ def diagnostic_excitations(limits: DriveLimits, seed: int = 0) -> dict[str, Samp
     """
     if limits.high_hz < LEAST_HIGH_HZ:
         raise ConfigError(
-            f"high_hz is {limits.high_hz:g} Hz, wanted {LEAST_HIGH_HZ:g} Hz or more for a set of one minute"
+            f"high_hz is {limits.high_hz:g} Hz, expected {LEAST_HIGH_HZ:g} Hz or more for a set of one minute"
         )
     swing = multisine_swing(limits, PERIOD_S, seed)
     wanted_v_s = max(largest_rate_v_s(limits, swing) / (1 - FADE), LEAST_RATE * limits.span_v)
     if wanted_v_s > limits.max_rate_v_s:
         raise ConfigError(
-            f"max_rate_v_s is {limits.max_rate_v_s:g} V/s, wanted {1.01 * wanted_v_s:.3g} V/s or more for "
+            f"max_rate_v_s is {limits.max_rate_v_s:g} V/s, expected {1.01 * wanted_v_s:.3g} V/s or more for "
             f"{limits.min_voltage_v:g}…{limits.max_voltage_v:g} V up to {limits.high_hz:g} Hz; "
             "allow a larger rate, a smaller range or a lower high_hz"
         )

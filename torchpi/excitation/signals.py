@@ -80,7 +80,7 @@ def multisine(
     """
     _check_band(low_hz, high_hz, fs_hz)
     if periods < 1:
-        raise ConfigError(f"multisine: periods is {periods}, wanted 1 or more")
+        raise ConfigError(f"multisine: periods is {periods}, expected 1 or more")
     _check_range(low_v, high_v)
     random = np.random.default_rng(seed)
     samples = len(_times(duration_s / periods, fs_hz))
@@ -191,11 +191,11 @@ def stairs(
     """
     _check_range(low_v, high_v)
     if steps < 1:
-        raise ConfigError(f"stairs: steps is {steps}, wanted 1 or more")
+        raise ConfigError(f"stairs: steps is {steps}, expected 1 or more")
     t = _times(duration_s, fs_hz)
     rest = duration_s / (2 * steps + 1)
     if not 0 <= rise_s <= rest:
-        raise ConfigError(f"stairs: rise_s is {rise_s:g}, wanted 0 to {rest:g} s, the time on each level")
+        raise ConfigError(f"stairs: rise_s is {rise_s:g}, expected 0 to {rest:g} s, the time on each level")
     up = np.arange(1, steps + 1) / steps
     levels = np.concatenate(([0.0], up, up[-2::-1], [0.0]))
     at = np.minimum((t / rest + 1e-9).astype(int), 2 * steps)
@@ -327,10 +327,10 @@ def _perhaps(name: str, known: Iterable[str]) -> str:
 
 def _times(duration_s: float, fs_hz: float) -> np.ndarray:
     if not (np.isfinite(fs_hz) and fs_hz > 0):
-        raise ConfigError(f"fs_hz is {fs_hz:g}, wanted a sample rate over 0 Hz")
+        raise ConfigError(f"fs_hz is {fs_hz:g}, expected a sample rate over 0 Hz")
     samples = round(duration_s * fs_hz) if np.isfinite(duration_s) else 0
     if samples < 2:
-        raise ConfigError(f"duration_s is {duration_s:g}, wanted at least two samples, {2 / fs_hz:g} s")
+        raise ConfigError(f"duration_s is {duration_s:g}, expected at least two samples, {2 / fs_hz:g} s")
     return np.arange(samples) / fs_hz
 
 
@@ -386,7 +386,7 @@ def _random_phases(
 def _ramped_in(x: np.ndarray, period: np.ndarray, fs_hz: float, ramp_in_s: float) -> Samples:
     """Before x comes the end of its own period, eased up from 0 V: no step or kink where x begins."""
     if not (np.isfinite(ramp_in_s) and ramp_in_s >= 0):
-        raise ConfigError(f"ramp_in_s is {ramp_in_s:g}, wanted 0 or more")
+        raise ConfigError(f"ramp_in_s is {ramp_in_s:g}, expected 0 or more")
     ramp = round(ramp_in_s * fs_hz)
     before = period[np.arange(-ramp, 0) % len(period)] * ease(np.arange(ramp) / max(1, ramp))
     x = np.concatenate((before, x))
@@ -395,7 +395,7 @@ def _ramped_in(x: np.ndarray, period: np.ndarray, fs_hz: float, ramp_in_s: float
 
 def _check_range(low: float, high: float) -> None:
     if not (np.isfinite(low) and np.isfinite(high) and low < high):
-        raise ConfigError(f"the range is {low:g}…{high:g}, wanted the lower limit first and the two apart")
+        raise ConfigError(f"the range is {low:g}…{high:g}, expected the lower limit first and the two apart")
 
 
 def _check_band(low_hz: float, high_hz: float, fs_hz: float) -> None:

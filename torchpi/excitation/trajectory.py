@@ -55,7 +55,7 @@ def load_trajectory(
         return Trajectory(str(which), title, fs_hz, _filtered(yr, fs_hz), yr, None)
     path = Path(which)
     if not path.is_file():
-        raise RecordingError(f"{path}: no such file; wanted 'slow', 'fast', or a CSV file of time_s,yd_um")
+        raise RecordingError(f"{path}: no such file; expected 'slow', 'fast', or a CSV file of time_s,yd_um")
     y, sha256 = _read_motion(path, fs_hz, resample)
     yd = _filtered(y, fs_hz) if through_reference_filter else y
     return Trajectory(path.stem, path.name, fs_hz, yd, y, sha256)
@@ -77,7 +77,7 @@ def _read_motion(path: Path, fs_hz: float, resample: bool) -> tuple[Signal, str]
         return motion.x, motion.sha256
     if not resample:
         raise RecordingError(
-            f"{path}: sampled at {motion.fs_hz:.6g} Hz; wanted {fs_hz:.6g} Hz, the compensator's rate: "
+            f"{path}: sampled at {motion.fs_hz:.6g} Hz; expected {fs_hz:.6g} Hz, the compensator's rate: "
             "--resample true interpolates"
         )
     # Monotone between samples, so that a resampled motion never goes beyond the one asked for.

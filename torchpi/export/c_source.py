@@ -48,8 +48,8 @@ def c_source(
     """
     if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name, re.ASCII) or name in KEYWORDS | _STANDARD_HEADERS:
         raise ArtifactError(
-            f"name for C: found '{name}', want letters, digits and _ that begin with a letter, and no word "
-            "or header of C; give --output another last part"
+            f"name for C: found '{name}', expected letters, digits and _ that begin with a letter, and no "
+            "word or header of C; give --output another last part"
         )
     part = take_apart(compensator.stream(reference_filter), "C")
     step = StepInC(part, name, {f"{name}_{word}" for word in _PUBLIC})

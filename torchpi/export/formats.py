@@ -53,7 +53,7 @@ def made_files(
     """
     unknown = [name for name in formats if name not in FORMATS]
     if unknown or not formats:
-        raise ConfigError(f"to: found '{','.join(unknown)}', want one or more of {','.join(FORMATS)}")
+        raise ConfigError(f"to: found '{','.join(unknown)}', expected one or more of {','.join(FORMATS)}")
     files: Files = {}
     for name in formats:
         files |= _made(name, compensator, Path(output), reference_filter, load)

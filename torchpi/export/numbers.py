@@ -31,12 +31,12 @@ def json_files(
     if not isinstance(compensator, DirectInverse):
         raise ArtifactError(
             f"{type(compensator).__name__} has no JSON form: only a direct inverse has; "
-            "want --to torchscript for this model"
+            "use --to torchscript for this model"
         )
     try:
         text = json.dumps(numbers(compensator, reference_filter, load), indent=2, allow_nan=False)
     except ValueError as error:
-        raise ArtifactError("a number of the model: found inf or nan, want finite numbers") from error
+        raise ArtifactError("a number of the model: found inf or nan, expected finite numbers") from error
     return {output.with_name(output.name + ".json"): lambda path: path.write_text(text + "\n")}
 
 

@@ -69,7 +69,7 @@ class Part:
         Raises:
             ArtifactError: Always.
         """
-        raise ArtifactError(f"{self} has no {self.form} form: {found}; want --to torchscript for this model")
+        raise ArtifactError(f"{self} has no {self.form} form: {found}; use --to torchscript for this model")
 
     def child(self, name: str) -> "Part | None":
         """The part that this attribute holds, if it holds one."""
@@ -99,7 +99,7 @@ class Part:
         if not numbers or not all(type(number) in kinds for number in numbers):
             self.refuse(f"self.{name} is neither a number nor a list of floats")
         if not all(math.isfinite(number) for number in numbers):
-            raise ArtifactError(f"{self}: {name}: found {value}, want finite numbers")
+            raise ArtifactError(f"{self}: {name}: found {value}, expected finite numbers")
         return value  # type: ignore[no-any-return]
 
     @property
@@ -182,12 +182,14 @@ def take_apart(stream: Any, form: str) -> Part:
         ArtifactError: It is no stream, or its sample period is not a positive number.
     """
     if not isinstance(stream, nn.Module):
-        raise ArtifactError(f"{type(stream).__name__}: found no stream, want a module with reset and step")
+        raise ArtifactError(
+            f"{type(stream).__name__}: found no stream, expected a module with reset and step"
+        )
     part = Part((), stream, form)
     stream.reset()  # type: ignore[operator]
     period = part.value("sample_period_s")
     if not isinstance(period, float) or period <= 0:
-        raise ArtifactError(f"sample_period_s: found {period} s, want a positive number of s")
+        raise ArtifactError(f"sample_period_s: found {period} s, expected a positive number of s")
     return part
 
 

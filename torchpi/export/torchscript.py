@@ -77,9 +77,11 @@ def load_torchscript(path: str | Path) -> CompensatorStream:
     """
     path = Path(path)
     if not path.is_file():
-        raise ArtifactError(f"{path}: no such file, want a compensator written by 'torchpi export'")
+        raise ArtifactError(f"{path}: no such file, expected a compensator written by 'torchpi export'")
     if not zipfile.is_zipfile(path):
-        raise ArtifactError(f"{path}: not a TorchScript file, want a compensator written by 'torchpi export'")
+        raise ArtifactError(
+            f"{path}: not a TorchScript file, expected a compensator written by 'torchpi export'"
+        )
     check_file(path)
     try:
         with warnings.catch_warnings():
@@ -87,7 +89,7 @@ def load_torchscript(path: str | Path) -> CompensatorStream:
             loaded = torch.jit.load(str(path), map_location="cpu")
     except (RuntimeError, ValueError) as error:
         raise ArtifactError(
-            f"{path}: not a TorchScript file, want a compensator written by 'torchpi export'"
+            f"{path}: not a TorchScript file, expected a compensator written by 'torchpi export'"
         ) from error
     check_graph(path, loaded)
     _check_attributes(path, loaded)

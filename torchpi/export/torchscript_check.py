@@ -107,7 +107,7 @@ def check_file(path: Path) -> None:
             _refuse(path, "two parts of one name")
         if not any("/code/" in name for name in names):
             raise ArtifactError(
-                f"{path}: not a TorchScript file, want a compensator written by 'torchpi export'"
+                f"{path}: not a TorchScript file, expected a compensator written by 'torchpi export'"
             )
         for name in names:
             if not _PARTS.fullmatch(name):

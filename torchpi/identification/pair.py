@@ -74,7 +74,7 @@ def seen_ahead(pair: InversePair, preview: int, source: str = "") -> InversePair
     samples, start = pair.u.shape[1] - preview, pair.counted.start
     if samples - start < 100:
         raise RecordingError(
-            f"{source or pair.name}: found {pair.u.shape[1]} samples, want at least 100 "
+            f"{source or pair.name}: found {pair.u.shape[1]} samples, expected at least 100 "
             f"beyond the {preview} of preview and the {start} of skip_s"
         )
     motion = Motion(*(part[:, preview:] for part in pair.motion))

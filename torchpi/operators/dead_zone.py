@@ -52,12 +52,12 @@ class DeadZones(Operator):
         finite = d.ndim == 1 and bool(torch.isfinite(d).all())
         if not finite or not bool((d.diff() > 0).all()) or not bool((d == 0).any()):
             raise ConfigError(
-                f"thresholds: found {list(thresholds)}, want finite numbers that rise, one of them 0"
+                f"thresholds: found {list(thresholds)}, expected finite numbers that rise, one of them 0"
             )
         w = torch.as_tensor(weights, dtype=torch.float64)
         if w.shape != d.shape or not bool(torch.isfinite(w).all()):
             raise ConfigError(
-                f"weights: found {list(weights)}, want {len(d)} finite numbers, one a threshold"
+                f"weights: found {list(weights)}, expected {len(d)} finite numbers, one a threshold"
             )
         self.d: Tensor
         self.register_buffer("d", d.clone())
@@ -101,7 +101,7 @@ class DeadZones(Operator):
         slopes = self.slopes
         if not bool((slopes > 0).all()):
             raise ConfigError(
-                f"weights: the slopes are {slopes.tolist()}, want all positive: no inverse otherwise"
+                f"weights: the slopes are {slopes.tolist()}, expected all positive: no inverse otherwise"
             )
         reciprocal = 1.0 / slopes
         at = int((self.d == 0).nonzero())

@@ -56,7 +56,7 @@ class GeneralisedPlayBank(Operator):
         super().__init__()
         if len(thresholds_up) != len(thresholds_down):
             raise ConfigError(
-                f"thresholds_down: found {len(thresholds_down)}, want {len(thresholds_up)}, as many as up"
+                f"thresholds_down: found {len(thresholds_down)}, expected {len(thresholds_up)}, as many as up"
             )
         self.raw_up = _thresholds("thresholds_up", thresholds_up, trainable_thresholds)
         self.raw_down = _thresholds("thresholds_down", thresholds_down, trainable_thresholds)
@@ -228,5 +228,5 @@ def _backward(
 def _thresholds(name: str, values: list[float], trainable: bool) -> nn.Parameter:
     r = torch.as_tensor(values, dtype=torch.float64)
     if r.ndim != 1 or len(r) == 0 or not bool(torch.isfinite(r).all()) or bool((r < 0).any()):
-        raise ConfigError(f"{name}: found {list(values)}, want at least one finite number, none negative")
+        raise ConfigError(f"{name}: found {list(values)}, expected at least one finite number, none negative")
     return nn.Parameter(r.clone(), requires_grad=trainable)

@@ -29,7 +29,7 @@ class PlayBank(Operator):
         r = torch.as_tensor(thresholds, dtype=torch.float64)
         if r.ndim != 1 or len(r) == 0 or not bool(torch.isfinite(r).all()) or bool((r < 0).any()):
             raise ConfigError(
-                f"thresholds: found {list(thresholds)}, want at least one finite number, none negative"
+                f"thresholds: found {list(thresholds)}, expected at least one finite number, none negative"
             )
         self.raw_thresholds = nn.Parameter(r.clone(), requires_grad=trainable)
 

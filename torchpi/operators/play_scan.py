@@ -48,7 +48,7 @@ class _PlayScan(torch.autograd.Function):
         previous = torch.cat([h0[:, None], h[:, :-1]], 1)
         low, high = previous <= x[..., None] - r, previous >= x[..., None] + r
         side = torch.where(low, -1.0, torch.where(high, 1.0, 0.0)).to(x.dtype)
-        # Slot 0 stands for the initial state, slot t + 1 for a push by sample t.
+        # FreeParameter 0 stands for the initial state, slot t + 1 for a push by sample t.
         slots = torch.arange(1, x.shape[1] + 1, device=x.device)[None, :, None]
         last_push = torch.where(low | high, slots, 0).cummax(1).values
         landed = torch.zeros_like(h0)[:, None].repeat(1, x.shape[1] + 1, 1).scatter_add_(1, last_push, gh)

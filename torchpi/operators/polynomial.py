@@ -39,9 +39,9 @@ class Polynomial(Operator):
         super().__init__()
         c = torch.as_tensor(coefficients, dtype=torch.float64)
         if c.ndim != 1 or len(c) == 0 or not bool(torch.isfinite(c).all()):
-            raise ConfigError(f"coefficients: found {list(coefficients)}, want at least one, all finite")
+            raise ConfigError(f"coefficients: found {list(coefficients)}, expected at least one, all finite")
         if not 0 < scale < float("inf"):
-            raise ConfigError(f"scale: found {scale}, want a positive number")
+            raise ConfigError(f"scale: found {scale}, expected a positive number")
         self.powers: Tensor
         self.register_buffer("powers", scale ** torch.arange(len(c), dtype=torch.float64))
         self.scaled = nn.Parameter(c * self.powers)

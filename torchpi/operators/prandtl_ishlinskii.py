@@ -25,7 +25,7 @@ class SumOfPlays(Operator):
         self.plays = plays
         count = plays.initial_state(1).shape[1]
         if len(weights) != count:
-            raise ConfigError(f"weights: found {len(weights)}, want {count}, one a play")
+            raise ConfigError(f"weights: found {len(weights)}, expected {count}, one a play")
         self.w = nn.Parameter(torch.as_tensor(weights, dtype=torch.float64).clone())
 
     def initial_state(self, batch: int) -> Tensor:

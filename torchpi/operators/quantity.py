@@ -34,14 +34,14 @@ class Quantity:
         inside = self.at_least <= value <= self.at_most and not (self.positive and value <= 0)
         if not (math.isfinite(value) and inside):
             unit = f" {self.unit}" if self.unit else ""
-            raise StageError(f"{name}: found {value:g}{unit}, want {self.wanted()}{unit}")
+            raise StageError(f"{name}: found {value:g}{unit}, expected {self.expected()}{unit}")
         return float(value)
 
     def parameter(self, name: str, value: float) -> nn.Parameter:
         """A checked, trainable number in float64."""
         return nn.Parameter(torch.tensor(self.check(name, value), dtype=torch.float64))
 
-    def wanted(self) -> str:
+    def expected(self) -> str:
         """The limits in words."""
         if self.positive:
             return "a positive number of" if self.unit else "a positive number"
@@ -57,4 +57,6 @@ class Quantity:
 def check_order(low_name: str, low: float, high_name: str, high: float, unit: str) -> None:
     """Raise `StageError` unless `low` is below `high`."""
     if not low < high:
-        raise StageError(f"{high_name}: found {high:g} {unit}, want more than {low_name} = {low:g} {unit}")
+        raise StageError(
+            f"{high_name}: found {high:g} {unit}, expected more than {low_name} = {low:g} {unit}"
+        )

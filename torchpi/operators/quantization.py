@@ -78,7 +78,7 @@ class Converter(Operator):
         super().__init__()
         self.bits = int(self.quantities["bits"].check("bits", bits))
         if not -math.inf < low < high < math.inf:
-            raise StageError(f"high: found {high:g}, want a finite number above low = {low:g}")
+            raise StageError(f"high: found {high:g}, expected a finite number above low = {low:g}")
         self.low = float(low)
         self.high = float(high)
         self.last_code = 2.0**self.bits - 1.0

@@ -46,13 +46,14 @@ class RateDependentPI(Operator):
     ) -> None:
         super().__init__()
         if not 0 < sample_period_s < math.inf:
-            raise ConfigError(f"sample_period_s: found {sample_period_s}, want a positive number of s")
+            raise ConfigError(f"sample_period_s: found {sample_period_s}, expected a positive number of s")
         self.sample_period_s = sample_period_s
         self.plays = PlayBank(thresholds)
         for name, values in (("slopes", slopes), ("offsets", offsets)):
             if len(values) != len(thresholds) or not all(map(math.isfinite, values)):
                 raise ConfigError(
-                    f"{name}: found {list(values)}, want {len(thresholds)} finite numbers, one a threshold"
+                    f"{name}: found {list(values)}, expected {len(thresholds)} finite numbers, "
+                    "one a threshold"
                 )
         self.k = nn.Parameter(torch.as_tensor(slopes, dtype=torch.float64).clone())
         self.b = nn.Parameter(torch.as_tensor(offsets, dtype=torch.float64).clone())

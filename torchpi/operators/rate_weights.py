@@ -44,9 +44,9 @@ class RateWeights(nn.Module):
     ) -> None:
         super().__init__()
         if kind not in ("none", "linear", "neural"):
-            raise ConfigError(f"rate: found '{kind}', want none, linear or neural")
+            raise ConfigError(f"rate: found '{kind}', expected none, linear or neural")
         if not 0 < rate_scale_um_s < math.inf:
-            raise ConfigError(f"rate_scale_um_s: found {rate_scale_um_s}, want a positive number of µm/s")
+            raise ConfigError(f"rate_scale_um_s: found {rate_scale_um_s}, expected a positive number of µm/s")
         if not 1 <= hidden <= LARGEST_HEAD:
             raise ConfigError(f"hidden: found {hidden}, expected 1 to {LARGEST_HEAD}")
         self.kind = kind

@@ -38,9 +38,9 @@ class ReferenceFilter:
             ("natural_frequency_rad_s", natural_frequency_rad_s, "rad/s"),
         ):
             if not 0 < value < math.inf:
-                raise ConfigError(f"{name}: found {value}, want a positive number of {unit}")
+                raise ConfigError(f"{name}: found {value}, expected a positive number of {unit}")
         if not 0 <= damping_ratio < math.inf:
-            raise ConfigError(f"damping_ratio: found {damping_ratio}, want a number that is not negative")
+            raise ConfigError(f"damping_ratio: found {damping_ratio}, expected a number that is not negative")
         self.sample_period_s = sample_period_s
         self.natural_frequency_rad_s = natural_frequency_rad_s
         self.damping_ratio = damping_ratio

@@ -51,7 +51,7 @@ class Fig7Plant:
         if not min_voltage_v < max_voltage_v:
             raise StageError(
                 f"max_voltage_v: found {max_voltage_v:g} V, "
-                f"want more than min_voltage_v = {min_voltage_v:g} V"
+                f"expected more than min_voltage_v = {min_voltage_v:g} V"
             )
         self.sample_period_s = sample_period_s
         self.sample_rate_hz = 1.0 / sample_period_s
@@ -70,7 +70,7 @@ class Fig7Plant:
             StageError: Another shape than (batch, time), or a command that is not finite.
         """
         if u.ndim != 2 or not bool(torch.isfinite(u).all()):
-            raise StageError(f"u: found shape {tuple(u.shape)}, want (batch, time), all numbers finite")
+            raise StageError(f"u: found shape {tuple(u.shape)}, expected (batch, time), all numbers finite")
         y, _ = self.operator(u.to(torch.float64))
         return y, y
 
@@ -105,7 +105,7 @@ class Fig7Stream:
             StageError: A command that is not finite. The state stays as it was.
         """
         if not isfinite(u):
-            raise StageError(f"u: found {u} V, want a finite number")
+            raise StageError(f"u: found {u} V, expected a finite number")
         y = self.operator.step(u)
         return y, y
 

@@ -39,7 +39,7 @@ def zero_phase_motion(
     """
     if not 0 < bandwidth_hz < fs_hz / 2:
         raise ConfigError(
-            f"bandwidth_hz is {bandwidth_hz:g}, wanted above 0 and below half of the sample rate, "
+            f"bandwidth_hz is {bandwidth_hz:g}, expected above 0 and below half of the sample rate, "
             f"{fs_hz / 2:g} Hz"
         )
     y = np.asarray(y, dtype=np.float64)
@@ -127,6 +127,6 @@ def _edge_cubic(
 def _check_samples(samples: int) -> None:
     if samples < LEAST_SAMPLES:
         raise RecordingError(
-            f"a rate of {samples} samples is asked for, wanted at least {LEAST_SAMPLES}; "
+            f"a rate of {samples} samples is asked for, expected at least {LEAST_SAMPLES}; "
             "take a longer recording"
         )

@@ -63,7 +63,7 @@ def test_the_rate_is_nothing_to_it(motion: Motion) -> None:
         ({"thresholds": [0.1, 1.0, 2.0, 3.0]}, "thresholds.*rise from 0"),
         ({"thresholds": [0.0, 2.0, 1.0, 3.0]}, "thresholds.*rise from 0"),
         ({"thresholds": []}, "thresholds"),
-        ({"weights": [1.0, 1.0]}, "weights.*want 4"),
+        ({"weights": [1.0, 1.0]}, "weights.*expected 4"),
         ({"weights": [1.0, -0.5, -0.6, 2.0]}, "weights.*up to number 2.*-0.1"),
         ({"weights": [1.0, float("nan"), 1.0, 1.0]}, "weights"),
         ({"sample_period_s": 0.0}, "sample_period_s"),

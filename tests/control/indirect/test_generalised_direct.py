@@ -40,7 +40,8 @@ def test_gradients_reach_every_parameter(motion: Motion) -> None:
 
 
 @pytest.mark.parametrize(
-    ("k", "b", "named"), [(K[:2], B, "slopes: found 2, want 3"), (K, B[:1], "offsets: found 1, want 3")]
+    ("k", "b", "named"),
+    [(K[:2], B, "slopes: found 2, expected 3"), (K, B[:1], "offsets: found 1, expected 3")],
 )
 def test_other_numbers_of_weights_are_refused(k: list[float], b: list[float], named: str) -> None:
     with pytest.raises(ConfigError, match=named):

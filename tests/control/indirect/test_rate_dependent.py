@@ -77,5 +77,5 @@ def test_through_its_own_model_at_rest_it_is_exact() -> None:
 
 
 def test_another_number_of_slopes_is_refused() -> None:
-    with pytest.raises(ConfigError, match=r"weight_slopes.*want 10"):
+    with pytest.raises(ConfigError, match=r"weight_slopes.*expected 10"):
         RateDependentInverse(1e-4, THRESHOLDS, SLOPES[:3], OFFSETS)

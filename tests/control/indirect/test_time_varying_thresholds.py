@@ -126,7 +126,7 @@ def test_the_forward_loop_grows_with_the_rate() -> None:
     [
         ([1e-4, 1e-4, 1e-4, 1e-4], "threshold_slopes.*0 first"),
         ([0.0, 2e-4, 1e-4, 1e-4], "threshold_slopes.*none below"),
-        ([0.0, 1e-4], "threshold_slopes.*want 4"),
+        ([0.0, 1e-4], "threshold_slopes.*expected 4"),
     ],
 )
 def test_thresholds_that_would_lose_their_order_are_refused(rho: list[float], named: str) -> None:

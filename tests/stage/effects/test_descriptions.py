@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from torchpi.stage.effects import EFFECTS
-from torchpi.stage.effects.effect import Seen
+from torchpi.stage.effects.effect import DataRange
 
-SEEN = Seen(1e4, 20.0, 0, 100, 1e4, 0, 20, {"aux_v": 1.0}, peak_rate_v_s=1e5)
+SEEN = DataRange(1e4, 20.0, 0, 100, 1e4, 0, 20, {"aux_v": 1.0}, peak_rate_v_s=1e5)
 each = pytest.mark.parametrize("effect", EFFECTS, ids=lambda effect: effect.name)
 
 
@@ -44,7 +44,7 @@ def test_what_is_read_off_has_no_start_and_the_rest_has_one(effect):
 @each
 def test_what_takes_seconds_needs_a_recording_of_that_length(effect):
     assert (effect.time_scale == "slow") <= (effect.needs.duration_s > 0)
-    short = Seen(1e4, 0.5 * effect.needs.duration_s, 0, 100, 1e4, 0, 20, {"aux_v": 1.0})
+    short = DataRange(1e4, 0.5 * effect.needs.duration_s, 0, 100, 1e4, 0, 20, {"aux_v": 1.0})
     assert effect.needs.duration_s == 0 or len(effect.starts(short)) <= len(effect.starts(SEEN))
 
 

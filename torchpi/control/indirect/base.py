@@ -74,12 +74,12 @@ class IndirectInverse(nn.Module):
         self.rho = _numbers("threshold_slopes", threshold_slopes, len(self.r))
         if self.rho[0] != 0 or any(b < a for a, b in zip(self.rho, self.rho[1:], strict=False)):
             raise ConfigError(
-                f"threshold_slopes: found {self.rho}, want 0 first and none below the one before: "
+                f"threshold_slopes: found {self.rho}, expected 0 first and none below the one before: "
                 "thresholds must keep their order at every rate"
             )
         self.k = _numbers("weight_slopes", weight_slopes, len(self.r))
         if len(lead) > 2:
-            raise ConfigError(f"lead: found {list(lead)}, want at most two numbers, in s and s²")
+            raise ConfigError(f"lead: found {list(lead)}, expected at most two numbers, in s and s²")
         self.lead = _numbers("lead", [*lead, *[0.0] * (2 - len(lead))], 2)
         undone = saturation.inverse() if saturation is not None else DeadZones([0.0], [1.0])
         self.d: list[float] = undone.d.tolist()
@@ -229,12 +229,12 @@ def check_deployment(
 ) -> None:
     """Raise `ConfigError` unless a control loop can run at these."""
     if not 0 < sample_period_s < math.inf:
-        raise ConfigError(f"sample_period_s: found {sample_period_s}, want a positive number of s")
+        raise ConfigError(f"sample_period_s: found {sample_period_s}, expected a positive number of s")
     if preview < 0:
-        raise ConfigError(f"preview: found {preview}, want a number of samples that is not negative")
+        raise ConfigError(f"preview: found {preview}, expected a number of samples that is not negative")
     if not min_voltage_v < max_voltage_v:
         raise ConfigError(
-            f"min_voltage_v: found {min_voltage_v} V, want a number below max_voltage_v, {max_voltage_v}"
+            f"min_voltage_v: found {min_voltage_v} V, expected a number below max_voltage_v, {max_voltage_v}"
         )
 
 
@@ -242,7 +242,7 @@ def _numbers(name: str, values: Sequence[float], count: int) -> list[float]:
     """`values` as floats; zeros if there are none."""
     numbers = [float(value) for value in values] or [0.0] * count
     if len(numbers) != count or not all(map(math.isfinite, numbers)):
-        raise ConfigError(f"{name}: found {list(values)}, want {count} finite numbers")
+        raise ConfigError(f"{name}: found {list(values)}, expected {count} finite numbers")
     return numbers
 
 

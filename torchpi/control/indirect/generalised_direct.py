@@ -53,7 +53,7 @@ class GeneralisedDirectInverse(nn.Module):
         count = len(plays.raw_up)
         for name, values in (("slopes", slopes), ("offsets", offsets)):
             if len(values) != count:
-                raise ConfigError(f"{name}: found {len(values)}, want {count}, one a play")
+                raise ConfigError(f"{name}: found {len(values)}, expected {count}, one a play")
         self.sample_period_s = sample_period_s
         self.preview = preview
         self.min_voltage_v = min_voltage_v

@@ -67,7 +67,7 @@ def dilation(
         ConfigError: Thresholds that are out of order or not finite, so that there is nothing to check.
     """
     if r.ndim != 2 or not bool(torch.isfinite(r).all()) or bool((r.diff(dim=1) < 0).any()):
-        raise ConfigError(f"r: found shape {tuple(r.shape)}, want finite (time, plays) in rising order")
+        raise ConfigError(f"r: found shape {tuple(r.shape)}, expected finite (time, plays) in rising order")
     # The play with the first threshold is not one of another play's output: its own threshold may shrink.
     shrinkage = -r[:, 1:].diff(dim=1).diff(dim=0) if r[0, 0] == 0 else -r.diff(dim=1).diff(dim=0)
     first_play = 1 if r[0, 0] == 0 else 0

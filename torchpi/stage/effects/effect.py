@@ -22,7 +22,7 @@ Parameters = dict[str, float]
 
 
 @dataclass(frozen=True)
-class Seen:
+class DataRange:
     """What the recordings span: it sets where a search for an effect may begin."""
 
     fs_hz: float
@@ -132,7 +132,7 @@ class Described:
     @classmethod
     def starts_from(
         cls,
-        seen: Seen,
+        seen: DataRange,
         residual: np.ndarray,  # (time,), µm, of one recording
         output: np.ndarray,  # (time,), µm, its readings
         fs_hz: float,
@@ -196,7 +196,7 @@ class Effect(Described, Operator):
         raise TypeError(f"{type(self).__name__} must define tangent(x, dx)")
 
     @classmethod
-    def starts(cls, seen: Seen) -> list[Parameters]:
+    def starts(cls, seen: DataRange) -> list[Parameters]:
         """Where a fit may begin: a coarse grid over the typical range, all that these data could show.
 
         Only the parameters named in an entry are fitted from there; none is at its identity.

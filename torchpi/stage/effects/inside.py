@@ -2,7 +2,7 @@
 
 from typing import ClassVar
 
-from torchpi.stage.effects.effect import Block, Described, Parameters, Seen
+from torchpi.stage.effects.effect import Block, DataRange, Described, Parameters
 
 
 class InsideEffect(Described):
@@ -12,6 +12,6 @@ class InsideEffect(Described):
     before_hysteresis: ClassVar[bool] = True
 
     @classmethod
-    def starts(cls, seen: Seen) -> list[Parameters]:
+    def starts(cls, seen: DataRange) -> list[Parameters]:
         """As of `Effect`."""
         raise TypeError(f"{cls.__name__} must define starts(seen)")

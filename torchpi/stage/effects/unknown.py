@@ -15,7 +15,7 @@ from torch import Tensor, nn
 
 from torchpi.operators.quantity import Quantity
 from torchpi.operators.relaxations import relaxations
-from torchpi.stage.effects.effect import Effect, Parameters, Seen
+from torchpi.stage.effects.effect import DataRange, Effect, Parameters
 
 TIMES = 8
 _WEIGHT = Quantity("", at_least=-1e3, at_most=1e3)
@@ -99,7 +99,7 @@ class Unknown(Effect):
         )  # fmt: skip
 
     @classmethod
-    def starts(cls, seen: Seen) -> list[Parameters]:
+    def starts(cls, seen: DataRange) -> list[Parameters]:
         return []
 
 

@@ -10,13 +10,13 @@ from torch import Tensor
 
 from torchpi.errors import StageError
 from torchpi.operators.conformance import OperatorLaws, wandering
-from torchpi.stage.effects.effect import Effect, Seen
+from torchpi.stage.effects.effect import DataRange, Effect
 
 PERIOD_S = 0.1
 
 spans = st.floats(1e-3, 1e3)
 recordings = st.builds(
-    Seen,
+    DataRange,
     fs_hz=st.floats(10.0, 1e6),
     duration_s=st.floats(1e-3, 1e5),
     low_v=st.just(0.0),
@@ -63,7 +63,7 @@ class EffectLaws(OperatorLaws):
         for name, quantity in (effect.quantities | effect.accepted).items():
             bad = {quantity.at_least - 1, quantity.at_most * 1.01, math.nan} - {effect.identity[name]}
             for value in bad:
-                with pytest.raises(StageError, match=rf"^{name}: found .*{quantity.unit}, want "):
+                with pytest.raises(StageError, match=rf"^{name}: found .*{quantity.unit}, expected "):
                     effect(PERIOD_S, **{name: value})
 
     def test_tangent_is_what_finite_differences_of_the_output_say(self):
@@ -83,7 +83,7 @@ class EffectLaws(OperatorLaws):
         effect = type(self.operator())
 
         @given(seen=recordings)
-        def check(seen: Seen) -> None:
+        def check(seen: DataRange) -> None:
             starts = effect.starts(seen)
             assert len(starts) <= 48
             for start in starts:

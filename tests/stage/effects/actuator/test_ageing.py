@@ -7,7 +7,7 @@ import torch
 
 from tests.stage.effects.actuator.laws import PERIOD_S, EffectLaws, step
 from torchpi.stage.effects.actuator.ageing import Ageing
-from torchpi.stage.effects.effect import Seen
+from torchpi.stage.effects.effect import DataRange
 
 
 class TestLaws(EffectLaws):
@@ -30,6 +30,6 @@ def test_the_gain_falls_with_travel_and_a_hold_costs_nothing():
 
 
 def test_ageing_starts_from_one_per_cent_over_the_record():
-    by_time, by_travel = Ageing.starts(Seen(1e4, 20.0, 0.0, 10.0, 100.0, 0.0, 50.0, {}))
+    by_time, by_travel = Ageing.starts(DataRange(1e4, 20.0, 0.0, 10.0, 100.0, 0.0, 50.0, {}))
     assert by_time == {"loss_per_s": 0.01 / 20}
     assert by_travel == {"loss_per_mm": pytest.approx(0.01 / 2.5)}  # 500 µm/s at most, 125 in the mean

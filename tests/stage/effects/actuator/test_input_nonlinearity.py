@@ -7,7 +7,7 @@ import torch
 
 from tests.stage.effects.actuator.laws import PERIOD_S, EffectLaws
 from torchpi.stage.effects.actuator.input_nonlinearity import InputNonlinearity
-from torchpi.stage.effects.effect import Seen
+from torchpi.stage.effects.effect import DataRange
 
 
 class TestLaws(EffectLaws):
@@ -24,7 +24,7 @@ def test_a_cosine_gains_the_harmonics_of_a_square_and_a_cube():
 
 
 def test_a_search_starts_at_one_per_cent_of_full_voltage():
-    for start in InputNonlinearity.starts(Seen(1e4, 1.0, 0.0, 8.0, 1.0, 0.0, 1.0, {})):
+    for start in InputNonlinearity.starts(DataRange(1e4, 1.0, 0.0, 8.0, 1.0, 0.0, 1.0, {})):
         y = InputNonlinearity(1e-4, **start)(torch.full((1, 1), 8.0, dtype=torch.float64))[0]
         assert y.item() == pytest.approx(8 * (1 + 0.01 * len(start)), rel=1e-12)
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from tests.stage.effects.actuator.laws import PERIOD_S, EffectLaws, fixed
 from torchpi.operators.conformance import wandering
 from torchpi.stage.effects.amplifier.amplifier_lag import AmplifierLag
-from torchpi.stage.effects.effect import Seen
+from torchpi.stage.effects.effect import DataRange
 
 
 class TestOnePoleLaws(EffectLaws):
@@ -89,6 +89,6 @@ def test_the_form_is_the_number_of_poles():
 
 
 def test_a_search_starts_below_a_third_of_the_sample_rate_with_one_pole_and_with_two():
-    starts = AmplifierLag.starts(Seen(2e3, 1.0, 0, 1, 1, 0, 1, {}))
+    starts = AmplifierLag.starts(DataRange(2e3, 1.0, 0, 1, 1, 0, 1, {}))
     assert [start["cutoff_hz"] for start in starts] == [16.0, 60.0, 200.0] * 2
     assert ["damping_ratio" in start for start in starts] == [False] * 3 + [True] * 3

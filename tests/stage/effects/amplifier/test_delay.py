@@ -16,7 +16,7 @@ from torchpi.operators.conformance import wandering
 from torchpi.stage.alignment import OneSampleLate
 from torchpi.stage.effects.amplifier.amplifier_lag import AmplifierLag
 from torchpi.stage.effects.amplifier.delay import Delay
-from torchpi.stage.effects.effect import Seen
+from torchpi.stage.effects.effect import DataRange
 from torchpi.stage.effects.held import hold_first_block
 
 
@@ -50,7 +50,7 @@ def test_without_values_there_is_a_gradient_to_the_delay():
 
 
 def test_a_search_starts_between_a_twentieth_of_a_millisecond_and_two():
-    delays = [start["delay_s"] for start in Delay.starts(Seen(1e4, 10.0, 0, 1, 1, 0, 1, {}))]
+    delays = [start["delay_s"] for start in Delay.starts(DataRange(1e4, 10.0, 0, 1, 1, 0, 1, {}))]
     assert delays[0] == 5e-5 and delays[-1] == 2e-3
 
 

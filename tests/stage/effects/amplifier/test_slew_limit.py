@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from tests.stage.effects.actuator.laws import PERIOD_S, EffectLaws, fixed
 from torchpi.operators.conformance import wandering
 from torchpi.stage.effects.amplifier.slew_limit import SlewLimit
-from torchpi.stage.effects.effect import Seen
+from torchpi.stage.effects.effect import DataRange
 
 
 class TestHardLaws(EffectLaws):
@@ -49,14 +49,14 @@ def test_gradient_reaches_the_rate_from_every_sample_that_lags():
 
 
 def test_a_search_starts_at_shares_of_the_fastest_rate_seen():
-    starts = SlewLimit.starts(Seen(1e3, 1.0, 0, 1, 50.0, 0, 1, {}))
+    starts = SlewLimit.starts(DataRange(1e3, 1.0, 0, 1, 50.0, 0, 1, {}))
     rates = [start["rate_v_per_s"] for start in starts if "knee_v" not in start]
     assert rates[0] == pytest.approx(10.0) and rates[-1] == pytest.approx(45.0)
 
 
 def test_a_search_also_starts_between_the_usual_rates_and_those_of_edges() -> None:
-    usual = Seen(1e3, 1.0, 0, 1, 50.0, 0, 1, {})
-    edges = Seen(1e3, 1.0, 0, 1, 50.0, 0, 1, {}, peak_rate_v_s=5000.0)
+    usual = DataRange(1e3, 1.0, 0, 1, 50.0, 0, 1, {})
+    edges = DataRange(1e3, 1.0, 0, 1, 50.0, 0, 1, {}, peak_rate_v_s=5000.0)
     known = [start["rate_v_per_s"] for start in SlewLimit.starts(usual)]
     hard = [start["rate_v_per_s"] for start in SlewLimit.starts(edges) if "knee_v" not in start]
     added = [rate for rate in hard if rate not in known]

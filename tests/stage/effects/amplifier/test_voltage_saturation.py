@@ -9,7 +9,7 @@ from tests.stage.effects.actuator.laws import PERIOD_S, EffectLaws
 from torchpi.errors import StageError
 from torchpi.operators.conformance import wandering
 from torchpi.stage.effects.amplifier.voltage_saturation import VoltageSaturation
-from torchpi.stage.effects.effect import Seen
+from torchpi.stage.effects.effect import DataRange
 
 
 class TestLaws(EffectLaws):
@@ -37,12 +37,12 @@ def test_one_limit_may_be_missing():
 
 
 def test_limits_out_of_order_are_refused():
-    with pytest.raises(StageError, match="high_v: found 1 V, want more than low_v = 2 V"):
+    with pytest.raises(StageError, match="high_v: found 1 V, expected more than low_v = 2 V"):
         VoltageSaturation(0.1, low_v=2.0, high_v=1.0)
 
 
 def test_a_search_tries_either_limit_and_both():
-    starts = VoltageSaturation.starts(Seen(1e3, 1.0, -2.0, 8.0, 1, 0, 1, {}))
+    starts = VoltageSaturation.starts(DataRange(1e3, 1.0, -2.0, 8.0, 1, 0, 1, {}))
     assert {frozenset(start) for start in starts} == {
         frozenset({"high_v"}),
         frozenset({"low_v"}),

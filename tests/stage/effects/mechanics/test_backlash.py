@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from tests.stage.effects.actuator.laws import PERIOD_S, EffectLaws, fixed
 from torchpi.operators.conformance import wandering
-from torchpi.stage.effects.effect import Seen
+from torchpi.stage.effects.effect import DataRange
 from torchpi.stage.effects.mechanics.backlash import Backlash
 
 
@@ -41,7 +41,7 @@ def test_without_values_the_gradient_to_the_width_is_half_against_the_motion():
 
 
 def test_a_search_starts_at_small_shares_of_the_travel():
-    starts = Backlash.starts(Seen(1e4, 1.0, 0, 1, 1, 0, 20.0, {}))
+    starts = Backlash.starts(DataRange(1e4, 1.0, 0, 1, 1, 0, 20.0, {}))
     widths = [start["width_um"] for start in starts if "presliding_um" not in start]
     assert widths[0] == pytest.approx(0.02) and widths[-1] == pytest.approx(0.4)
 

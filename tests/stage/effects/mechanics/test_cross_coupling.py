@@ -5,7 +5,7 @@ import torch
 
 from tests.stage.effects.actuator.laws import PERIOD_S, EffectLaws
 from torchpi.operators.conformance import wandering
-from torchpi.stage.effects.effect import Seen
+from torchpi.stage.effects.effect import DataRange
 from torchpi.stage.effects.mechanics.cross_coupling import CrossCoupling
 
 
@@ -35,5 +35,5 @@ def test_without_values_nothing_is_added_and_the_gradient_is_the_other_signal():
 
 
 def test_a_search_starts_where_one_percent_of_the_travel_is_coupled():
-    seen = Seen(1e4, 1.0, 0, 1, 1, 0, 20.0, {"aux_v": 0.5})
+    seen = DataRange(1e4, 1.0, 0, 1, 1, 0, 20.0, {"aux_v": 0.5})
     assert CrossCoupling.starts(seen) == [{"coupling_um_per_v": pytest.approx(0.4)}]

@@ -107,7 +107,7 @@ def test_its_parts_are_read_back_without_what_is_said_of_a_mode_that_is_not_ther
 
 
 def test_a_number_out_of_bounds_or_unknown_is_refused_by_name():
-    with pytest.raises(StageError, match=r"^damping_ratio: found 2, want"):
+    with pytest.raises(StageError, match=r"^damping_ratio: found 2, expected"):
         Modes(PERIOD_S, [Part(ModalResonance, {"damping_ratio": 2.0})])
     with pytest.raises(StageError, match="gain"):
         Modes(PERIOD_S, [Part(ModalResonance, {"gain": 2.0})])

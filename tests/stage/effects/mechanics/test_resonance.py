@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 from tests.stage.effects.actuator.laws import PERIOD_S, EffectLaws, step
 from torchpi.errors import StageError
 from torchpi.operators.conformance import wandering
-from torchpi.stage.effects.effect import Seen
+from torchpi.stage.effects.effect import DataRange
 from torchpi.stage.effects.mechanics.resonance import Resonance, peaks_hz
 
-SEEN = Seen(2e4, 1.0, 0, 1, 1, 0, 1, {})
+SEEN = DataRange(2e4, 1.0, 0, 1, 1, 0, 1, {})
 
 
 class TestLaws(EffectLaws):
@@ -96,9 +96,9 @@ def test_a_stage_may_have_a_mode_without_damping_or_one_that_hardly_rings():
 @pytest.mark.parametrize(
     ("frequency_hz", "damping_ratio", "message"),
     [
-        (0.0, 0.02, "frequency_hz: found 0 Hz, want a positive number of Hz"),
-        (620.0, -0.1, "damping_ratio: found -0.1, want at least 0"),
-        (620.0, math.nan, "damping_ratio: found nan, want at least 0"),
+        (0.0, 0.02, "frequency_hz: found 0 Hz, expected a positive number of Hz"),
+        (620.0, -0.1, "damping_ratio: found -0.1, expected at least 0"),
+        (620.0, math.nan, "damping_ratio: found nan, expected at least 0"),
     ],
 )
 def test_an_unphysical_mode_is_refused(frequency_hz, damping_ratio, message):

@@ -4,7 +4,7 @@ import torch
 
 from tests.stage.effects.actuator.laws import PERIOD_S, EffectLaws
 from torchpi.operators.conformance import wandering
-from torchpi.stage.effects.effect import Seen
+from torchpi.stage.effects.effect import DataRange
 from torchpi.stage.effects.mechanics.resonance import Resonance
 from torchpi.stage.effects.mechanics.second_mode import SecondMode
 
@@ -30,6 +30,6 @@ def test_without_values_the_gradient_to_the_share_is_what_a_mode_would_change():
 
 
 def test_a_search_starts_with_a_small_share_at_each_frequency():
-    starts = SecondMode.starts(Seen(2e4, 1.0, 0, 1, 1, 0, 1, {}))
+    starts = SecondMode.starts(DataRange(2e4, 1.0, 0, 1, 1, 0, 1, {}))
     assert {start["share"] for start in starts} == {0.05}
     assert all(set(start) == {"share", *MODE} for start in starts)

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from tests.stage.effects.actuator.laws import PERIOD_S, EffectLaws
 from torchpi.operators.conformance import wandering
 from torchpi.operators.play import PlayBank
-from torchpi.stage.effects.effect import Seen
+from torchpi.stage.effects.effect import DataRange
 from torchpi.stage.effects.mechanics.stiction import Stiction
 
 
@@ -58,5 +58,5 @@ def test_a_rest_is_no_reversal():
 
 
 def test_a_search_starts_at_small_shares_of_the_travel():
-    sizes = [start["breakaway_um"] for start in Stiction.starts(Seen(1e4, 1.0, 0, 1, 1, 0, 20.0, {}))]
+    sizes = [start["breakaway_um"] for start in Stiction.starts(DataRange(1e4, 1.0, 0, 1, 1, 0, 20.0, {}))]
     assert sizes[0] == pytest.approx(0.02) and sizes[-1] == pytest.approx(0.4)

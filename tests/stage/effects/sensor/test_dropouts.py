@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from tests.stage.effects.actuator.laws import PERIOD_S, EffectLaws
 from torchpi.operators.conformance import wandering
-from torchpi.stage.effects.effect import Seen
+from torchpi.stage.effects.effect import DataRange
 from torchpi.stage.effects.sensor.dropouts import Dropouts
 
 FS_HZ = 1e4
@@ -31,7 +31,7 @@ def test_the_stage_predicts_no_wrong_readings():
 
 
 def test_a_search_has_no_start_for_they_are_read_off():
-    assert Dropouts.starts(Seen(1e4, 1.0, 0, 1, 1, 0, 1, {})) == []
+    assert Dropouts.starts(DataRange(1e4, 1.0, 0, 1, 1, 0, 1, {})) == []
 
 
 def noise(seed: int, kind: str) -> np.ndarray:

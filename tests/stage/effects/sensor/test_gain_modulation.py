@@ -8,10 +8,10 @@ import torch
 
 from tests.stage.effects.actuator.laws import PERIOD_S, EffectLaws
 from torchpi.operators.conformance import wandering
-from torchpi.stage.effects.effect import Seen
+from torchpi.stage.effects.effect import DataRange
 from torchpi.stage.effects.sensor.gain_modulation import KNOT_NAMES, GainModulation, modulation_hz
 
-SEEN = Seen(1e3, 20.0, 0, 1, 1, 0, 20, {})
+SEEN = DataRange(1e3, 20.0, 0, 1, 1, 0, 20, {})
 
 
 class TestLaws(EffectLaws):
@@ -57,9 +57,9 @@ def test_every_start_has_one_form_and_none_is_a_walk_that_takes_the_place_of_all
 def test_a_search_starts_at_lines_of_two_periods_and_more_below_half_of_the_sample_rate():
     lines = {s["frequency_hz"] for s in GainModulation.starts(SEEN) if "frequency_hz" in s}
     assert lines == {0.2, 0.6, 2.0, 6.0, 20.0}
-    slow = Seen(10.0, 20.0, 0, 1, 1, 0, 20, {})
+    slow = DataRange(10.0, 20.0, 0, 1, 1, 0, 20, {})
     assert max(s.get("frequency_hz", 0.0) for s in GainModulation.starts(slow)) == 2.0
-    assert GainModulation.starts(Seen(1e3, 0.1, 0, 1, 1, 0, 20, {})) == []
+    assert GainModulation.starts(DataRange(1e3, 0.1, 0, 1, 1, 0, 20, {})) == []
 
 
 def test_starts_at_given_lines_leave_out_what_is_no_slow_line():

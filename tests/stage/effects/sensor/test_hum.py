@@ -7,7 +7,7 @@ import torch
 
 from tests.stage.effects.actuator.laws import PERIOD_S, EffectLaws
 from torchpi.operators.conformance import wandering
-from torchpi.stage.effects.effect import Seen
+from torchpi.stage.effects.effect import DataRange
 from torchpi.stage.effects.sensor.hum import Hum
 
 
@@ -45,5 +45,5 @@ def test_recordings_that_began_at_other_times_are_told_apart():
 
 
 def test_a_search_starts_at_lines_that_the_sample_rate_shows():
-    lines = [start["frequency_hz"] for start in Hum.starts(Seen(250.0, 1.0, 0, 1, 1, 0, 10, {}))]
+    lines = [start["frequency_hz"] for start in Hum.starts(DataRange(250.0, 1.0, 0, 1, 1, 0, 10, {}))]
     assert lines == [50.0, 60.0, 100.0, 120.0]

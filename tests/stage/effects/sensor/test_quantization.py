@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from tests.stage.effects.actuator.laws import PERIOD_S, EffectLaws
 from torchpi.operators.conformance import wandering
-from torchpi.stage.effects.effect import Seen
+from torchpi.stage.effects.effect import DataRange
 from torchpi.stage.effects.sensor.quantization import Quantization
 
 
@@ -40,7 +40,7 @@ def test_every_reading_is_the_nearest_place_of_the_lattice(lsb_um, offset_um):
 
 
 def test_a_search_has_no_start_for_the_lattice_is_read_off():
-    assert Quantization.starts(Seen(1e4, 1.0, 0, 1, 1, 0, 1, {})) == []
+    assert Quantization.starts(DataRange(1e4, 1.0, 0, 1, 1, 0, 1, {})) == []
 
 
 def readings(seed: int, noise_um: float, time: int = 4000) -> np.ndarray:

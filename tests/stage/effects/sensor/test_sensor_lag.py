@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from tests.stage.effects.actuator.laws import PERIOD_S, EffectLaws
 from torchpi.operators.conformance import wandering
 from torchpi.operators.linear import discretise
-from torchpi.stage.effects.effect import Seen
+from torchpi.stage.effects.effect import DataRange
 from torchpi.stage.effects.sensor.sensor_lag import SensorLag
 
 
@@ -65,5 +65,5 @@ def test_a_cutoff_above_half_of_the_sample_rate_does_no_harm(cutoff_hz):
 
 
 def test_a_search_starts_below_half_of_the_sample_rate():
-    cutoffs = [start["cutoff_hz"] for start in SensorLag.starts(Seen(10e3, 1.0, 0, 1, 1, 0, 1, {}))]
+    cutoffs = [start["cutoff_hz"] for start in SensorLag.starts(DataRange(10e3, 1.0, 0, 1, 1, 0, 1, {}))]
     assert cutoffs == [30.0, 110.0, 400.0, 1500.0]

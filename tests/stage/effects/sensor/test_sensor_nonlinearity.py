@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from tests.stage.effects.actuator.laws import PERIOD_S, EffectLaws
-from torchpi.stage.effects.effect import Seen
+from torchpi.stage.effects.effect import DataRange
 from torchpi.stage.effects.sensor.sensor_nonlinearity import SensorNonlinearity
 
 
@@ -20,6 +20,6 @@ def test_the_reading_is_the_displacement_with_its_square_and_cube():
 
 
 def test_a_search_starts_at_one_per_cent_of_full_range():
-    for start in SensorNonlinearity.starts(Seen(1e4, 1.0, 0.0, 8.0, 1.0, -10.0, 30.0, {})):
+    for start in SensorNonlinearity.starts(DataRange(1e4, 1.0, 0.0, 8.0, 1.0, -10.0, 30.0, {})):
         y = SensorNonlinearity(1e-4, **start)(torch.full((1, 1), 40.0, dtype=torch.float64))[0]
         assert y.item() == pytest.approx(40 * (1 + 0.01 * len(start)), rel=1e-12)

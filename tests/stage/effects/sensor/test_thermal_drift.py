@@ -8,7 +8,7 @@ import torch
 
 from tests.stage.effects.actuator.laws import PERIOD_S, EffectLaws
 from torchpi.operators.conformance import wandering
-from torchpi.stage.effects.effect import Seen
+from torchpi.stage.effects.effect import DataRange
 from torchpi.stage.effects.sensor.thermal_drift import KNOT_NAMES, ThermalDrift
 
 
@@ -56,7 +56,7 @@ def test_the_forms_in_use_are_named():
 
 
 def test_a_search_tries_a_ramp_and_two_time_constants_and_no_walk():
-    starts = ThermalDrift.starts(Seen(1e3, 50.0, 0, 1, 1, 0, 20, {}))
+    starts = ThermalDrift.starts(DataRange(1e3, 50.0, 0, 1, 1, 0, 20, {}))
     assert starts[0] == {"rate_um_per_s": pytest.approx(0.2 / 50)}
     assert [start["time_constant_s"] for start in starts[1:3]] == [10.0, 50.0]
     assert [ThermalDrift.form(start) for start in starts] == [

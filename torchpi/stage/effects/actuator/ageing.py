@@ -14,7 +14,7 @@ from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 
 from torchpi.operators.quantity import Quantity
-from torchpi.stage.effects.effect import SHORTEST_SLOW_S, Effect, Needs, Parameters, Seen
+from torchpi.stage.effects.effect import SHORTEST_SLOW_S, DataRange, Effect, Needs, Parameters
 
 
 def travelled(travel_mm: float, x: float, before: float) -> float:
@@ -76,7 +76,7 @@ class Ageing(Effect):
         return left * (dx - x * lost)
 
     @classmethod
-    def starts(cls, seen: Seen) -> list[Parameters]:
+    def starts(cls, seen: DataRange) -> list[Parameters]:
         # What ages within a tenth of a second is not the gain.
         if seen.span_um == 0 or seen.span_v == 0 or seen.duration_s < 0.1:
             return []

@@ -27,7 +27,7 @@ from torch import Tensor, nn
 
 from torchpi.operators.linear import Matrices, discretise
 from torchpi.operators.quantity import Quantity, check_order
-from torchpi.stage.effects.effect import SHORTEST_SLOW_S, Needs, Parameters, Seen, StateSpaceEffect
+from torchpi.stage.effects.effect import SHORTEST_SLOW_S, DataRange, Needs, Parameters, StateSpaceEffect
 
 REFERENCE_S = 0.1
 """After a step the displacement at this time is y₀, whatever γ and p."""
@@ -143,7 +143,7 @@ class Creep(StateSpaceEffect):
         return torch.zeros(batch, len(self.bank().a) + 1, dtype=torch.float64)
 
     @classmethod
-    def starts(cls, seen: Seen) -> list[Parameters]:
+    def starts(cls, seen: DataRange) -> list[Parameters]:
         # A pole slower than the record is a ramp, one of a few samples a change of gain.
         taus = [tau for tau in (0.03, 0.3, 3.0, 30.0) if 10 / seen.fs_hz < tau < 2 * seen.duration_s]
         power = {"power_per_decade": 0.01, "exponent": 0.2}

@@ -3,7 +3,7 @@
 from typing import ClassVar
 
 from torchpi.operators.quantity import Quantity
-from torchpi.stage.effects.effect import Needs, Parameters, Seen
+from torchpi.stage.effects.effect import DataRange, Needs, Parameters
 from torchpi.stage.effects.inside import InsideEffect
 
 
@@ -21,5 +21,5 @@ class HysteresisAsymmetry(InsideEffect):
     identity: ClassVar[Parameters] = {"asymmetry_per_v": 0.0}
 
     @classmethod
-    def starts(cls, seen: Seen) -> list[Parameters]:
+    def starts(cls, seen: DataRange) -> list[Parameters]:
         return [{"asymmetry_per_v": 0.01 / seen.span_v}]

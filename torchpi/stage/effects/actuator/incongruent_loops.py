@@ -3,7 +3,7 @@
 from typing import ClassVar
 
 from torchpi.operators.quantity import Quantity
-from torchpi.stage.effects.effect import Needs, Parameters, Seen
+from torchpi.stage.effects.effect import DataRange, Needs, Parameters
 from torchpi.stage.effects.inside import InsideEffect
 
 
@@ -25,6 +25,6 @@ class IncongruentLoops(InsideEffect):
     identity: ClassVar[Parameters] = {"incongruence_per_v": 0.0, "straight_share": 0.0}
 
     @classmethod
-    def starts(cls, seen: Seen) -> list[Parameters]:
+    def starts(cls, seen: DataRange) -> list[Parameters]:
         by_volt = 0.02 / seen.span_v
         return [{"incongruence_per_v": by_volt}, {"incongruence_per_v": by_volt, "straight_share": 0.3}]

@@ -6,7 +6,7 @@ from torch import nn
 
 from torchpi.operators.quantity import Quantity
 from torchpi.stage.effects.curvature import Curvature
-from torchpi.stage.effects.effect import Parameters, Seen
+from torchpi.stage.effects.effect import DataRange, Parameters
 
 
 class InputNonlinearity(Curvature):
@@ -28,7 +28,7 @@ class InputNonlinearity(Curvature):
     c3_per_v2: nn.Parameter
 
     @classmethod
-    def starts(cls, seen: Seen) -> list[Parameters]:
+    def starts(cls, seen: DataRange) -> list[Parameters]:
         if seen.span_v == 0:
             return []
         # One per cent at full voltage.

@@ -12,7 +12,7 @@ from torch import nn
 
 from torchpi.operators.linear import Matrices, discretise
 from torchpi.operators.quantity import Quantity
-from torchpi.stage.effects.effect import SHORTEST_SLOW_S, Needs, Parameters, Seen, StateSpaceEffect
+from torchpi.stage.effects.effect import SHORTEST_SLOW_S, DataRange, Needs, Parameters, StateSpaceEffect
 
 
 class Leakage(StateSpaceEffect):
@@ -40,7 +40,7 @@ class Leakage(StateSpaceEffect):
         return a[0], b, c, d
 
     @classmethod
-    def starts(cls, seen: Seen) -> list[Parameters]:
+    def starts(cls, seen: DataRange) -> list[Parameters]:
         # In a record of D seconds a hold loses 2πf_c D of itself: under 0.2 % is not to be seen.
         corners = (0.003, 0.01, 0.03, 0.1, 0.3)
         return [{"corner_hz": f} for f in corners if 2e-3 < 2 * math.pi * f * seen.duration_s]

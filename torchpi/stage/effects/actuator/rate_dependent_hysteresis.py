@@ -10,7 +10,7 @@ ceramics do. In the fourth every play relaxes to where it would stand, with a ti
 from typing import ClassVar
 
 from torchpi.operators.quantity import Quantity
-from torchpi.stage.effects.effect import Needs, Parameters, Seen
+from torchpi.stage.effects.effect import DataRange, Needs, Parameters
 from torchpi.stage.effects.inside import InsideEffect
 
 
@@ -51,7 +51,7 @@ class RateDependentHysteresis(InsideEffect):
     }
 
     @classmethod
-    def starts(cls, seen: Seen) -> list[Parameters]:
+    def starts(cls, seen: DataRange) -> list[Parameters]:
         return [
             {"weight_s_per_v": 0.01 / seen.max_rate_v_s},
             {"threshold_s_per_v": 0.02 / seen.max_rate_v_s},

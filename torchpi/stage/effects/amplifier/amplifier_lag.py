@@ -18,7 +18,7 @@ from torch import Tensor, nn
 
 from torchpi.operators.linear import Matrices, discretise
 from torchpi.operators.quantity import Quantity
-from torchpi.stage.effects.effect import Parameters, Seen
+from torchpi.stage.effects.effect import DataRange, Parameters
 from torchpi.stage.effects.lag import FirstOrderLag
 
 FLATTEST = 0.5**0.5
@@ -81,7 +81,7 @@ class AmplifierLag(FirstOrderLag):
         return torch.zeros(batch, self.poles(), dtype=torch.float64)
 
     @classmethod
-    def starts(cls, seen: Seen) -> list[Parameters]:
+    def starts(cls, seen: DataRange) -> list[Parameters]:
         # Above a third of the sample rate a held input shows no lag.
         one = [{"cutoff_hz": f} for f in (16.0, 60.0, 200.0, 700.0, 2500.0, 9000.0) if f < seen.fs_hz / 3]
         return one + [{**start, "damping_ratio": FLATTEST} for start in one]

@@ -19,7 +19,7 @@ from torch import Tensor, nn
 from torchpi.errors import StageError
 from torchpi.operators.delay import DelayLineStream, delay_line
 from torchpi.operators.quantity import Quantity
-from torchpi.stage.effects.effect import LinearEffect, Parameters, Seen
+from torchpi.stage.effects.effect import DataRange, LinearEffect, Parameters
 
 LONGEST_S = 0.01
 
@@ -89,7 +89,7 @@ class Delay(LinearEffect):
         return {**values, "delay_s": values.get("delay_s", 0.0) + by_s}
 
     @classmethod
-    def starts(cls, seen: Seen) -> list[Parameters]:
+    def starts(cls, seen: DataRange) -> list[Parameters]:
         longest = min(LONGEST_S, seen.duration_s / 10)
         tried = (5e-5, 1e-4, 2e-4, 5e-4, 1e-3, 2e-3)
         return [{"delay_s": delay_s} for delay_s in tried if delay_s < longest]

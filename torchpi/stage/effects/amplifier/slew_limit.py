@@ -24,7 +24,7 @@ from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 
 from torchpi.operators.quantity import Quantity
-from torchpi.stage.effects.effect import Effect, Parameters, Seen
+from torchpi.stage.effects.effect import DataRange, Effect, Parameters
 
 EDGES = 1.5
 """Times the usual rates: what moves so much faster is an edge, and a limit between shows in it alone."""
@@ -98,7 +98,7 @@ class SlewLimit(Effect):
         return dv
 
     @classmethod
-    def starts(cls, seen: Seen) -> list[Parameters]:
+    def starts(cls, seen: DataRange) -> list[Parameters]:
         slowest = cls.quantities["rate_v_per_s"].at_least
         rates = [share * seen.max_rate_v_s for share in (0.2, 0.35, 0.5, 0.65, 0.8, 0.9)]
         if seen.peak_rate_v_s > EDGES * seen.max_rate_v_s:

@@ -8,7 +8,7 @@ from torch import Tensor, nn
 
 from torchpi.operators.limits import ClipStream
 from torchpi.operators.quantity import Quantity, check_order
-from torchpi.stage.effects.effect import Effect, Parameters, Seen
+from torchpi.stage.effects.effect import DataRange, Effect, Parameters
 
 
 class VoltageSaturation(Effect):
@@ -53,7 +53,7 @@ class VoltageSaturation(Effect):
         return dx.detach() * inside.to(dx.dtype)
 
     @classmethod
-    def starts(cls, seen: Seen) -> list[Parameters]:
+    def starts(cls, seen: DataRange) -> list[Parameters]:
         if seen.span_v == 0:
             return []
 

@@ -16,7 +16,7 @@ from torch import Tensor, nn
 from torchpi.operators.play import play, play_bank
 from torchpi.operators.quantity import Quantity
 from torchpi.operators.selection import NO_SOURCE, gather
-from torchpi.stage.effects.effect import Effect, Needs, Parameters, Seen
+from torchpi.stage.effects.effect import DataRange, Effect, Needs, Parameters
 from torchpi.stage.effects.mechanics.presliding import Slide, slide, slide_tangent
 
 
@@ -77,7 +77,7 @@ class Backlash(Effect):
         return gather(dx, _source(x[0].detach().numpy(), self.width_um.item() / 2))
 
     @classmethod
-    def starts(cls, seen: Seen) -> list[Parameters]:
+    def starts(cls, seen: DataRange) -> list[Parameters]:
         shares = (0.001, 0.002, 0.004, 0.008, 0.02)
         sharp = [{"width_um": share * seen.span_um} for share in shares if seen.span_um > 0]
         return sharp + [{**start, "presliding_um": start["width_um"]} for start in sharp]

@@ -10,7 +10,7 @@ from torch import Tensor, nn
 
 from torchpi.operators.chain import ChainStream
 from torchpi.operators.quantity import Quantity
-from torchpi.stage.effects.effect import Effect, Parameters, Seen
+from torchpi.stage.effects.effect import DataRange, Effect, Parameters
 
 
 class CrossCoupling(Effect):
@@ -43,7 +43,7 @@ class CrossCoupling(Effect):
         return dx.detach()
 
     @classmethod
-    def starts(cls, seen: Seen) -> list[Parameters]:
+    def starts(cls, seen: DataRange) -> list[Parameters]:
         # The output is linear in c: from anywhere, one step of a fit ends where it should.
         strongest = max(seen.aux.values(), default=0.0)
         if strongest == 0 or seen.span_um == 0:

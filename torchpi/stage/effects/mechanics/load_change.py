@@ -10,7 +10,7 @@ from torch import Tensor, nn
 
 from torchpi.operators.polynomial import PolynomialStream
 from torchpi.operators.quantity import Quantity
-from torchpi.stage.effects.effect import LinearEffect, Needs, Parameters, Seen
+from torchpi.stage.effects.effect import DataRange, LinearEffect, Needs, Parameters
 
 
 class LoadChange(LinearEffect):
@@ -48,5 +48,5 @@ class LoadChange(LinearEffect):
         return PolynomialStream([self.gain().item()])
 
     @classmethod
-    def starts(cls, seen: Seen) -> list[Parameters]:
+    def starts(cls, seen: DataRange) -> list[Parameters]:
         return [{"stiffness_ratio": 0.1}]

@@ -16,7 +16,7 @@ from torch import Tensor, nn
 
 from torchpi.operators.linear import Hold, Matrices, discretise
 from torchpi.operators.quantity import Quantity
-from torchpi.stage.effects.effect import Parameters, Seen, StateSpaceEffect
+from torchpi.stage.effects.effect import DataRange, Parameters, StateSpaceEffect
 
 TYPICAL_DAMPING = 0.02
 BINS_PER_OCTAVE = 120
@@ -92,7 +92,7 @@ class Resonance(StateSpaceEffect):
         return torch.stack([1 - ratio**2, damping]), ratio**2
 
     @classmethod
-    def starts(cls, seen: Seen) -> list[Parameters]:
+    def starts(cls, seen: DataRange) -> list[Parameters]:
         highest = min(5e3, 0.45 * seen.fs_hz)
         lowest = min(100.0, highest / 5)
         if lowest < cls.quantities["frequency_hz"].at_least:
@@ -103,7 +103,7 @@ class Resonance(StateSpaceEffect):
         ]
 
     @classmethod
-    def starts_at(cls, seen: Seen, frequencies_hz: list[float]) -> list[Parameters]:
+    def starts_at(cls, seen: DataRange, frequencies_hz: list[float]) -> list[Parameters]:
         """As `starts`, at frequencies of one's own, such as `peaks_hz` of a residual; a grid is too coarse
         for a mode of little damping."""
         return [
@@ -114,7 +114,7 @@ class Resonance(StateSpaceEffect):
 
     @classmethod
     def starts_from(
-        cls, seen: Seen, residual: np.ndarray, output: np.ndarray, fs_hz: float
+        cls, seen: DataRange, residual: np.ndarray, output: np.ndarray, fs_hz: float
     ) -> list[Parameters]:
         peaks = peaks_hz(torch.from_numpy(residual), fs_hz)
         replaces = seen.simulated and "replaced_frequency_hz" in cls.quantities

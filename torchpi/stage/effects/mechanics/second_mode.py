@@ -6,7 +6,7 @@ from torch import nn
 
 from torchpi.operators.linear import Matrices
 from torchpi.operators.quantity import Quantity
-from torchpi.stage.effects.effect import Parameters, Seen
+from torchpi.stage.effects.effect import DataRange, Parameters
 from torchpi.stage.effects.mechanics.resonance import OF_A_MODE, TYPICAL_DAMPING, Resonance
 
 
@@ -34,10 +34,10 @@ class SecondMode(Resonance):
         return a, b, self.share * c, (1 - self.share) + self.share * d
 
     @classmethod
-    def starts(cls, seen: Seen) -> list[Parameters]:
+    def starts(cls, seen: DataRange) -> list[Parameters]:
         # Half as many as for a resonance: where it is faint, the residual shows its frequency.
         return super().starts(seen)[::2]
 
     @classmethod
-    def starts_at(cls, seen: Seen, frequencies_hz: list[float]) -> list[Parameters]:
+    def starts_at(cls, seen: DataRange, frequencies_hz: list[float]) -> list[Parameters]:
         return [{"share": 0.05, **start} for start in super().starts_at(seen, frequencies_hz)]

@@ -18,7 +18,7 @@ from torch import Tensor, nn
 
 from torchpi.operators.quantity import Quantity
 from torchpi.operators.selection import NO_SOURCE, Selection, gather, select
-from torchpi.stage.effects.effect import Effect, Needs, Parameters, Seen
+from torchpi.stage.effects.effect import DataRange, Effect, Needs, Parameters
 
 
 def stick(x: float, breakaway: float, sliding: float, rests: bool, s: list[float]) -> float:
@@ -99,7 +99,7 @@ class Stiction(Effect):
         return self.breakaway_um.item(), self.at_rest()
 
     @classmethod
-    def starts(cls, seen: Seen) -> list[Parameters]:
+    def starts(cls, seen: DataRange) -> list[Parameters]:
         shares = (0.001, 0.002, 0.004, 0.008, 0.02)
         if seen.span_um == 0:
             return []

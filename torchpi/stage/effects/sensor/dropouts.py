@@ -19,7 +19,7 @@ import torch
 from torch import Tensor, nn
 
 from torchpi.operators.quantity import Quantity
-from torchpi.stage.effects.effect import Effect, Parameters, Seen
+from torchpi.stage.effects.effect import DataRange, Effect, Parameters
 
 LONGEST_RUN = 3
 REACH = 6
@@ -65,7 +65,7 @@ class Dropouts(Effect):
         return dx
 
     @classmethod
-    def starts(cls, seen: Seen) -> list[Parameters]:
+    def starts(cls, seen: DataRange) -> list[Parameters]:
         return []
 
     @staticmethod

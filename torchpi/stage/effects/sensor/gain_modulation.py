@@ -13,7 +13,7 @@ import torch
 from torch import Tensor, nn
 
 from torchpi.operators.quantity import Quantity
-from torchpi.stage.effects.effect import SHORTEST_SLOW_S, Effect, Needs, Parameters, Seen
+from torchpi.stage.effects.effect import SHORTEST_SLOW_S, DataRange, Effect, Needs, Parameters
 from torchpi.stage.effects.knots import SPACING, KnotsStream, knot_names, through_knots
 from torchpi.stage.effects.oscillation import oscillation, oscillations
 
@@ -108,14 +108,14 @@ class GainModulation(Effect):
         return dx * self.gain(self.initial_state(1), dx.shape[1])
 
     @classmethod
-    def starts(cls, seen: Seen) -> list[Parameters]:
+    def starts(cls, seen: DataRange) -> list[Parameters]:
         if seen.span_um == 0 or seen.duration_s < SHORTEST_SLOW_S:
             return []
         # No search starts at a random walk: a gain that may be anything takes the place of whatever is slow.
         return cls.starts_at(seen, list(STARTS_HZ))
 
     @classmethod
-    def starts_at(cls, seen: Seen, frequencies_hz: list[float]) -> list[Parameters]:
+    def starts_at(cls, seen: DataRange, frequencies_hz: list[float]) -> list[Parameters]:
         """As `starts`, at frequencies of one's own, such as `modulation_hz` of a residual.
 
         In a record of D seconds a fit finds a frequency from about 1/D away: a grid is too coarse for a line
@@ -135,7 +135,7 @@ class GainModulation(Effect):
 
     @classmethod
     def starts_from(
-        cls, seen: Seen, residual: np.ndarray, output: np.ndarray, fs_hz: float
+        cls, seen: DataRange, residual: np.ndarray, output: np.ndarray, fs_hz: float
     ) -> list[Parameters]:
         return cls.starts_at(seen, modulation_hz(residual, output, fs_hz, 2))
 

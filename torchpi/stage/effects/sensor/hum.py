@@ -7,7 +7,7 @@ from torch import nn
 
 from torchpi.operators.quantity import Quantity
 from torchpi.stage.effects.added_signal import AddedSignal
-from torchpi.stage.effects.effect import Parameters, Seen
+from torchpi.stage.effects.effect import DataRange, Parameters
 from torchpi.stage.effects.oscillation import fill_line, oscillation, oscillation_of_tensors
 
 MAINS_HZ = (50.0, 60.0, 100.0, 120.0, 150.0, 180.0)
@@ -36,7 +36,7 @@ class Hum(AddedSignal):
     sin_um: nn.Parameter
 
     @classmethod
-    def starts(cls, seen: Seen) -> list[Parameters]:
+    def starts(cls, seen: DataRange) -> list[Parameters]:
         # Below a few periods a line is a drift; above half of the sample rate it shows as another one.
         size = 1e-3 * seen.span_um
         seen_lines = [f for f in MAINS_HZ if 3 / seen.duration_s < f < seen.fs_hz / 2 and size > 0]
@@ -44,7 +44,7 @@ class Hum(AddedSignal):
 
     @classmethod
     def starts_from(
-        cls, seen: Seen, residual: np.ndarray, output: np.ndarray, fs_hz: float
+        cls, seen: DataRange, residual: np.ndarray, output: np.ndarray, fs_hz: float
     ) -> list[Parameters]:
         """At the strongest frequency of the residual within 1 % of each line that shows: the mains wander."""
         size, count = 1e-3 * seen.span_um, 1 << (4 * len(residual)).bit_length()

@@ -9,7 +9,7 @@ from torch import Tensor, nn
 from torchpi.operators.chain import ChainStream
 from torchpi.operators.quantity import Quantity
 from torchpi.operators.quantization import QuantizationStream, Quantize
-from torchpi.stage.effects.effect import Effect, Parameters, Seen
+from torchpi.stage.effects.effect import DataRange, Effect, Parameters
 
 FEWEST_READINGS = 8  # that differ; fewer lie on some lattice by chance
 FARTHEST = 0.2  # of a step, from a reading to its place; by chance, 2 in 5 do not lie farther
@@ -56,7 +56,7 @@ class Quantization(Effect):
         return dx
 
     @classmethod
-    def starts(cls, seen: Seen) -> list[Parameters]:
+    def starts(cls, seen: DataRange) -> list[Parameters]:
         return []
 
     @classmethod

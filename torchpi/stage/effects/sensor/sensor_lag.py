@@ -1,7 +1,7 @@
 """The low-pass of a sensor and its electronics: ẏ = 2πf_c (x - y)."""
 
 from torchpi.operators.linear import Hold, Matrices
-from torchpi.stage.effects.effect import Parameters, Seen
+from torchpi.stage.effects.effect import DataRange, Parameters
 from torchpi.stage.effects.lag import FirstOrderLag
 
 
@@ -17,7 +17,7 @@ class SensorLag(FirstOrderLag):
         return self.discrete(self.hold)
 
     @classmethod
-    def starts(cls, seen: Seen) -> list[Parameters]:
+    def starts(cls, seen: DataRange) -> list[Parameters]:
         # Near half of the sample rate a lag is little more than a change of gain.
         highest = min(20e3, 0.45 * seen.fs_hz)
         return [{"cutoff_hz": f} for f in (30.0, 110.0, 400.0, 1500.0, 5500.0, 20e3) if f <= highest]

@@ -10,7 +10,7 @@ from torch import nn
 
 from torchpi.operators.quantity import Quantity
 from torchpi.stage.effects.curvature import Curvature
-from torchpi.stage.effects.effect import Parameters, Seen
+from torchpi.stage.effects.effect import DataRange, Parameters
 
 
 class SensorNonlinearity(Curvature):
@@ -31,7 +31,7 @@ class SensorNonlinearity(Curvature):
     a3_per_um2: nn.Parameter
 
     @classmethod
-    def starts(cls, seen: Seen) -> list[Parameters]:
+    def starts(cls, seen: DataRange) -> list[Parameters]:
         if seen.span_um == 0:
             return []
         # One per cent at full range.

@@ -15,7 +15,7 @@ from torch import Tensor, nn
 
 from torchpi.operators.quantity import Quantity
 from torchpi.stage.effects.added_signal import AddedSignal, AddedSignalStream
-from torchpi.stage.effects.effect import SHORTEST_SLOW_S, Needs, Parameters, Seen
+from torchpi.stage.effects.effect import SHORTEST_SLOW_S, DataRange, Needs, Parameters
 from torchpi.stage.effects.knots import SPACING, KnotsStream, knot_names, through_knots
 
 KNOT_NAMES = knot_names("_um")
@@ -106,7 +106,7 @@ class ThermalDrift(AddedSignal):
         return a * (1 - torch.exp(-t_s / b)) + c * t_s
 
     @classmethod
-    def starts(cls, seen: Seen) -> list[Parameters]:
+    def starts(cls, seen: DataRange) -> list[Parameters]:
         size, duration_s = 0.01 * seen.span_um, seen.duration_s
         # Nothing warms up by itself within a tenth of a second.
         if size == 0 or duration_s < 0.1:

@@ -19,7 +19,7 @@ from torchpi.operators.hysteresis_rows import (
     straight_gain,
     threshold_widening,
 )
-from torchpi.stage.effects.effect import Seen
+from torchpi.stage.effects.effect import DataRange
 from torchpi.stage.hysteresis import IDENTITY
 
 BLOCK = 256
@@ -31,7 +31,7 @@ FIRM = 30.0
 
 
 @dataclass(frozen=True, eq=False)
-class Nominal:
+class HysteresisModel:
     """A hysteresis without its weights.
 
     The rows are h_i of the plays, their powers up to `degree` (output functions), then the states of the
@@ -45,7 +45,7 @@ class Nominal:
     duhem: bool = False
     shape: dict[str, float] = field(default_factory=lambda: dict(IDENTITY))
     """Parameters inside the hysteresis, the rest being 0; of Bouc–Wen and Duhem too."""
-    mixing: np.ndarray | None = None
+    reduction: np.ndarray | None = None
     """(kept rows, rows): combinations that the data can tell apart; None keeps all."""
     simulation: Outside | None = None
     """A simulation that is not torchpi's, the last of the rows: what else there is corrects it."""
@@ -68,24 +68,24 @@ class Nominal:
 
     @property
     def size(self) -> int:
-        """Numbers in it, before any mixing."""
+        """Numbers in it, before any reduction."""
         others = self.bouc_wen + 3 * self.duhem + (self.simulation is not None)
         return len(self.thresholds_v) * self.degree + others
 
     @cached_property
     def structure(self) -> tuple[object, ...]:
         """What tells two sets of rows apart, beside the shape."""
-        mixed = None if self.mixing is None else self.mixing.tobytes()
+        mixed = None if self.reduction is None else self.reduction.tobytes()
         outside = self.simulation.token if self.simulation else ""
         return (self.thresholds_v.tobytes(), self.degree, self.bouc_wen, self.duhem, hash(mixed), outside)
 
-    def with_shape(self, values: dict[str, float]) -> "Nominal":
+    def with_shape(self, values: dict[str, float]) -> "HysteresisModel":
         return replace(self, shape={**self.shape, **values})
 
     @property
     def kept(self) -> int:
-        """Rows that are left after mixing."""
-        return self.size if self.mixing is None else len(self.mixing)
+        """Rows that are left after reduction."""
+        return self.size if self.reduction is None else len(self.reduction)
 
     def fill(self, v: np.ndarray, period_s: float, rows: np.ndarray) -> None:
         """Into `rows`, (kept, time), for a voltage (time,) from the de-energised state."""
@@ -103,14 +103,16 @@ class Nominal:
                 chord, up, down, self.thresholds_v, widening, gain, straight, loop, self.scale_v, h, x
             )
             of_plays = x.reshape(len(x), plays).T
-            if self.mixing is None:
+            if self.reduction is None:
                 rows[:plays, part], rows[plays:, part] = of_plays, others[:, part]
             else:
-                rows[:, part] = self.mixing[:, :plays] @ of_plays + self.mixing[:, plays:] @ others[:, part]
+                rows[:, part] = (
+                    self.reduction[:, :plays] @ of_plays + self.reduction[:, plays:] @ others[:, part]
+                )
 
     def output(self, v: np.ndarray, period_s: float, weights: np.ndarray) -> np.ndarray:
         """(time,): weights @ rows, without the rows of the plays."""
-        full = weights if self.mixing is None else self.mixing.T @ weights
+        full = weights if self.reduction is None else self.reduction.T @ weights
         outside, v = self.of_simulation(v), shifted(v, self.late)
         plays = len(self.thresholds_v) * self.degree
         chord, up, down, widening, gain, straight, loop = self.inside(v, period_s)
@@ -150,40 +152,40 @@ class Nominal:
         return [FIRM * shifted(self.called(v), self.late)] if self.called else []
 
 
-def thresholds(seen: Seen, fine: int, even: int) -> np.ndarray:
+def thresholds(seen: DataRange, fine: int, even: int) -> np.ndarray:
     """0, then `fine` spread evenly in the logarithm and `even` evenly, up to where a play still moves."""
     reach = reach_v(seen)
     r = [np.zeros(1), np.geomspace(0.003 * reach, 0.97 * reach, fine)]
     return np.unique(np.concatenate([*r, np.linspace(0, 0.97 * reach, even + 1)[1:]]))
 
 
-def reach_v(seen: Seen) -> float:
+def reach_v(seen: DataRange) -> float:
     """The largest threshold that a play passes from the de-energised state."""
     return max(abs(seen.low_v), abs(seen.high_v), seen.span_v / 2)
 
 
-def plain(seen: Seen) -> Nominal:
+def plain(seen: DataRange) -> HysteresisModel:
     """Ten plays: the plain stage of the paper's kind."""
-    return Nominal(thresholds(seen, 0, 9), 1, reach_v(seen))
+    return HysteresisModel(thresholds(seen, 0, 9), 1, reach_v(seen))
 
 
-def many_plays(seen: Seen) -> Nominal:
+def many_plays(seen: DataRange) -> HysteresisModel:
     """A hundred plays: any Prandtl–Ishlinskii operator, down to the noise."""
-    return Nominal(thresholds(seen, 20, 80), 1, reach_v(seen))
+    return HysteresisModel(thresholds(seen, 20, 80), 1, reach_v(seen))
 
 
-def preisach(seen: Seen, fine: int = 10, even: int = 20, degree: int = 5) -> Nominal:
+def preisach(seen: DataRange, fine: int = 10, even: int = 20, degree: int = 5) -> HysteresisModel:
     """Plays through output functions: a Preisach operator in play form."""
-    return Nominal(thresholds(seen, fine, even), degree, reach_v(seen))
+    return HysteresisModel(thresholds(seen, fine, even), degree, reach_v(seen))
 
 
-def bouc_wen(seen: Seen, sigma: float) -> Nominal:
+def bouc_wen(seen: DataRange, sigma: float) -> HysteresisModel:
     """A Bouc–Wen state beside some plays: alone, or as a part of what is there."""
     shape = {**IDENTITY, "sigma_v": sigma * reach_v(seen), "beta": 0.6, "exponent": 1.2}
-    return Nominal(thresholds(seen, *BESIDE), 1, reach_v(seen), bouc_wen=True, shape=shape)
+    return HysteresisModel(thresholds(seen, *BESIDE), 1, reach_v(seen), bouc_wen=True, shape=shape)
 
 
-def duhem(seen: Seen, alpha: float) -> Nominal:
+def duhem(seen: DataRange, alpha: float) -> HysteresisModel:
     """Duhem states beside some plays."""
     shape = {**IDENTITY, "alpha_per_v": alpha / reach_v(seen)}
-    return Nominal(thresholds(seen, *BESIDE), 1, reach_v(seen), duhem=True, shape=shape)
+    return HysteresisModel(thresholds(seen, *BESIDE), 1, reach_v(seen), duhem=True, shape=shape)

@@ -14,9 +14,9 @@ from torchpi.diagnosis.diagnose import diagnose
 from torchpi.diagnosis.diagnosis import Diagnosis
 from torchpi.diagnosis.fit import fit
 from torchpi.diagnosis.hypothesis import Fit, Hypothesis
-from torchpi.diagnosis.nominal import many_plays
+from torchpi.diagnosis.hysteresis_model import many_plays
 from torchpi.diagnosis.records import seen
-from torchpi.diagnosis.slips import jump, resting, slips
+from torchpi.diagnosis.stick_slip import jump, resting, slips
 from torchpi.recordings.recording import Recording
 
 BREAKAWAY_UM, SLIDING_UM = 0.12, 0.02

@@ -23,7 +23,7 @@ import numpy as np
 
 from torchpi.diagnosis.chain import Chain
 from torchpi.diagnosis.fit import ROUGH, fit, rms
-from torchpi.diagnosis.hypothesis import Fit, Member
+from torchpi.diagnosis.hypothesis import EffectTerm, Fit
 from torchpi.diagnosis.intervals import BLOCKS, quantile
 from torchpi.diagnosis.records import Record, Rests
 from torchpi.diagnosis.reduced_basis import reduced
@@ -95,9 +95,9 @@ def cut(chain: Chain, now: Fit, least_um: float, rival_um: float) -> Slips | Non
     slipped = sum(int((r.train & ~r.rests.stuck).sum()) for r in told.records if r.rests)
     if np.mean(np.concatenate(rests)) < LEAST_STUCK or slipped < SLIPS_A_WEIGHT * len(now.weights):
         return None
-    one = fit(told, now.hypothesis.plus(Member(Stiction, {})), now.weights, 3, ROUGH)
+    one = fit(told, now.hypothesis.plus(EffectTerm(Stiction, {})), now.weights, 3, ROUGH)
     far = [distance(told, one, i) for i in range(len(told.records))]
-    jump_um = parting(told.records, far)
+    jump_um = slip_threshold(told.records, far)
     gain = 1.0 - rms(told.records, one_step(told, one, far, jump_um), True) / rival_um
     return Slips(told, one, least_um, gain)
 
@@ -110,14 +110,14 @@ def jump(found: Slips, last: Fit) -> Jump:
     records = found.chain.records
     free = Chain([replace(record, rests=None) for record in records], found.chain.weighting)
     far = [distance(found.chain, last, i) for i in range(len(records))]
-    parted = parting(records, far)
-    tried = [parted * (1 + float(share)) for share in NEAR]
+    threshold_um = slip_threshold(records, far)
+    tried = [threshold_um * (1 + float(share)) for share in NEAR]
     value = min(tried, key=lambda jump_um: slipping_freely(free, last, jump_um).train_rms)
-    without = np.array([parting(records, far, but) for but in range(BLOCKS)])
+    without = np.array([slip_threshold(records, far, but) for but in range(BLOCKS)])
     spread = quantile(BLOCKS) * float(
         np.sqrt((BLOCKS - 1) / BLOCKS * np.sum((without - without.mean()) ** 2))
     )
-    return Jump(value, (min(value, parted) - spread, max(value, parted) + spread))
+    return Jump(value, (min(value, threshold_um) - spread, max(value, threshold_um) + spread))
 
 
 def with_rests(records: Sequence[Record], least_um: float) -> list[Record]:
@@ -125,7 +125,7 @@ def with_rests(records: Sequence[Record], least_um: float) -> list[Record]:
     return [replace(record, rests=Rests(*resting(record.y, least_um))) for record in records]
 
 
-def unaided(chain: Chain, last: Fit, jump_um: float) -> Fit:
+def free_run(chain: Chain, last: Fit, jump_um: float) -> Fit:
     """The last fit on the records without their rests: the mount slips by itself.
 
     Where that predicts less than no such mount, everything is fitted without one.
@@ -137,7 +137,7 @@ def unaided(chain: Chain, last: Fit, jump_um: float) -> Fit:
 
 def slipping_freely(chain: Chain, one: Fit, jump_um: float) -> Fit:
     """The fit on records without rests, its mount slipping by itself."""
-    mount = Member(Stiction, {"breakaway_um": jump_um, "rests": 1.0})
+    mount = EffectTerm(Stiction, {"breakaway_um": jump_um, "rests": 1.0})
     hypothesis = one.hypothesis.without(Stiction.name).plus(mount)
     residuals = tuple(r.y - chain.output(hypothesis, one.weights, i) for i, r in enumerate(chain.records))
     return replace(
@@ -170,7 +170,7 @@ def distance(chain: Chain, one: Fit, index: int) -> np.ndarray:
     return far
 
 
-def parting(records: Sequence[Record], far: Sequence[np.ndarray], but: int = -1) -> float:
+def slip_threshold(records: Sequence[Record], far: Sequence[np.ndarray], but: int = -1) -> float:
     """The jump that parts the samples that are stuck from those that slipped with the fewest on the wrong
     side, µm; the block `but` of `BLOCKS` is left out."""
     size = np.concatenate([np.abs(d) for d in far])

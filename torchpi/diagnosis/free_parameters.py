@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from torchpi.diagnosis.hypothesis import Hypothesis, Member, Slot
+from torchpi.diagnosis.hypothesis import EffectTerm, FreeParameter, Hypothesis
 from torchpi.operators.quantity import Quantity
 
 
-def slots_of(hypothesis: Hypothesis) -> tuple[Slot, ...]:
+def free_parameters_of(hypothesis: Hypothesis) -> tuple[FreeParameter, ...]:
     slots = []
     for name in hypothesis.shape:
         slots.append(shape_slot(hypothesis, name))
@@ -34,13 +34,13 @@ SHAPE_BOUNDS = {
 }
 
 
-def shape_slot(hypothesis: Hypothesis, name: str) -> Slot:
+def shape_slot(hypothesis: Hypothesis, name: str) -> FreeParameter:
     low, high = SHAPE_BOUNDS[name]
     log = low > 0
-    return Slot(-1, name, None, log, 0.2 if not log else 1.0, low, high)
+    return FreeParameter(-1, name, None, log, 0.2 if not log else 1.0, low, high)
 
 
-def difference(member: Member, name: str) -> float:
+def difference(member: EffectTerm, name: str) -> float:
     """The step of a finite difference.
 
     The weights learn to move what a limit has clipped already: only a step that reaches further samples tells
@@ -51,25 +51,27 @@ def difference(member: Member, name: str) -> float:
     return 3e-3 if name in member.effect.kinks else 1e-4
 
 
-def slot(member: int, name: str, record: int | None, value: float, quantity: Quantity, step: float) -> Slot:
+def slot(
+    member: int, name: str, record: int | None, value: float, quantity: Quantity, step: float
+) -> FreeParameter:
     log = quantity.at_least >= 0
     low, high = quantity.at_least, quantity.at_most
     if log:
         low, high = max(low, abs(value) * 1e-4, 1e-300), min(high, abs(value) * 1e4)
-        return Slot(member, name, record, True, 1.0, low, high, step)
-    return Slot(member, name, record, False, abs(value) or 1.0, low, high, step)
+        return FreeParameter(member, name, record, True, 1.0, low, high, step)
+    return FreeParameter(member, name, record, False, abs(value) or 1.0, low, high, step)
 
 
-def to_inner(slot: Slot, value: float) -> float:
+def to_inner(slot: FreeParameter, value: float) -> float:
     return math.log(value) if slot.log else value / slot.scale
 
 
-def to_outer(slot: Slot, inner: float) -> float:
+def to_outer(slot: FreeParameter, inner: float) -> float:
     value = math.exp(min(inner, 700.0)) if slot.log else inner * slot.scale
     return min(max(value, slot.low), slot.high)
 
 
-def at_bound(slot: Slot, inner: float) -> bool:
+def at_bound(slot: FreeParameter, inner: float) -> bool:
     value = to_outer(slot, inner)
     span = 1e-6 * max(abs(slot.low), abs(slot.high)) if math.isfinite(slot.low + slot.high) else 0.0
     if slot.log:
@@ -77,7 +79,7 @@ def at_bound(slot: Slot, inner: float) -> bool:
     return value <= slot.low + span or value >= slot.high - span
 
 
-def value_at(hypothesis: Hypothesis, slot: Slot) -> float:
+def value_at(hypothesis: Hypothesis, slot: FreeParameter) -> float:
     """The present number of a slot."""
     if slot.member < 0:
         return hypothesis.nominal.shape[slot.name]
@@ -85,7 +87,7 @@ def value_at(hypothesis: Hypothesis, slot: Slot) -> float:
     return (member.shared if slot.record is None else member.own[slot.record])[slot.name]
 
 
-def with_theta(hypothesis: Hypothesis, slots: Sequence[Slot], theta: np.ndarray) -> Hypothesis:
+def with_theta(hypothesis: Hypothesis, slots: Sequence[FreeParameter], theta: np.ndarray) -> Hypothesis:
     members = list(hypothesis.members)
     shape = {}
     for s, inner in zip(slots, theta, strict=True):
