@@ -18,7 +18,7 @@ from typing import Any
 from torchpi.errors import ArtifactError, ConfigError
 
 LARGEST_YAML_BYTES = 2**20  # a hundred times the longest recipe
-MOST_YAML_VALUES = 100_000  # after aliases are followed: nine lists of nine aliases each stand for 10⁹ values
+MOST_YAML_VALUES = 100_000
 
 
 @contextlib.contextmanager
@@ -49,7 +49,7 @@ def write_atomically(path: str | Path) -> Iterator[Path]:
         raise ArtifactError(f"{path}: cannot be written ({reason(error)})") from error
 
 
-def read_yaml_text(path: str | Path) -> str:
+def read_yaml_text(path: str | os.PathLike[str], most_values: int = MOST_YAML_VALUES) -> str:
     """The text of a YAML file that is small enough to be settings.
 
     Raises:
@@ -66,7 +66,7 @@ def read_yaml_text(path: str | Path) -> str:
         raise ConfigError(f"{path}: found more than {LARGEST_YAML_BYTES} bytes, expected settings")
     try:
         text = content.decode("utf-8-sig")
-        check_yaml(text)
+        check_yaml(text, most_values)
     except UnicodeDecodeError as error:
         raise ConfigError(f"{path}: not valid YAML: byte {error.start} is not UTF-8") from error
     except ConfigError as error:
@@ -74,8 +74,9 @@ def read_yaml_text(path: str | Path) -> str:
     return text
 
 
-def check_yaml(text: str) -> None:
-    """Whether settings stay small when their aliases are followed, as everything that walks them does.
+def check_yaml(text: str, most_values: int = MOST_YAML_VALUES) -> None:
+    """Whether settings stay small when their aliases are followed, as everything that walks them does: nine
+    lists of nine aliases, each of the list before, stand for 10⁹ values.
 
     Text that is no YAML passes: who loads it says so.
 
@@ -96,7 +97,7 @@ def check_yaml(text: str) -> None:
                     anchor, size = opened.pop()
                 case yaml.AliasEvent():
                     # One inside what it stands for is as good as endless.
-                    anchor, size = None, sizes.get(event.anchor, MOST_YAML_VALUES)
+                    anchor, size = None, sizes.get(event.anchor, most_values)
                 case yaml.ScalarEvent():
                     anchor, size = event.anchor, 1
                 case _:
@@ -105,10 +106,10 @@ def check_yaml(text: str) -> None:
                 sizes[anchor] = size
             outer, before = opened[-1]
             opened[-1] = outer, before + size
-            if before + size > MOST_YAML_VALUES:
+            if before + size > most_values:
                 raise ConfigError(
-                    f"line {event.start_mark.line + 1}: found more than {MOST_YAML_VALUES} values once aliases "
-                    "are followed, expected fewer"
+                    f"line {event.start_mark.line + 1}: found more than {most_values} values, "
+                    "counting what aliases stand for, expected at most as many"
                 )
     except yaml.YAMLError:
         return

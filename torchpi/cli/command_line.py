@@ -17,6 +17,7 @@ from contextlib import contextmanager
 from typing import Any, NoReturn, TextIO, get_args, get_origin
 
 import jsonargparse
+import yaml
 
 from torchpi.errors import ConfigError, RecordingWarning, TorchpiError
 from torchpi.files import check_yaml, read_yaml_text, reason
@@ -50,12 +51,13 @@ class _Formatter(argparse.RawDescriptionHelpFormatter, jsonargparse.DefaultHelpF
 
 def _load_yaml(text: str) -> Any:
     """As jsonargparse loads files and values, but nothing that its aliases make too large to walk."""
-    check_yaml(text)
+    check_yaml(text, MOST_VALUES)
     return LOAD_YAML(text)
 
 
+MOST_VALUES = 1000  # jsonargparse copies a list once for each of its values
 LOAD_YAML = jsonargparse.get_loader("yaml")
-jsonargparse.set_loader("yaml", _load_yaml)
+jsonargparse.set_loader("yaml", _load_yaml, (yaml.YAMLError,))
 
 
 class Parser(jsonargparse.ArgumentParser):
@@ -64,7 +66,7 @@ class Parser(jsonargparse.ArgumentParser):
     def parse_path(self, cfg_path: str | os.PathLike[str], *args: Any, **kwargs: Any) -> Any:
         """As jsonargparse has it, of a file that is small enough to be settings."""
         if str(cfg_path) != "-":  # standard input
-            read_yaml_text(cfg_path)
+            read_yaml_text(cfg_path, MOST_VALUES)
         return super().parse_path(cfg_path, *args, **kwargs)
 
     def add_argument(self, *args: Any, **kwargs: Any) -> Any:

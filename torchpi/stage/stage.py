@@ -42,7 +42,8 @@ from torchpi.stage.settings import NOISE, build, of_sections, read_yaml
 from torchpi.stage.simulated import SimulatedHysteresis
 from torchpi.stage.stream import RigStream, StageStream
 
-RATE = Quantity("Hz", at_least=0, positive=True)
+RATE = Quantity("Hz", at_least=0, at_most=1e8, positive=True)  # a thousand times the fastest controller
+MOST_EFFECTS = 100
 SEED = Quantity("", at_least=0)
 
 
@@ -416,6 +417,8 @@ def in_order(entries: Sequence[Mapping[str, Any]]) -> list[EffectSettings]:
         StageError: An unknown effect, or an auxiliary signal that is missing or not taken.
     """
     kinds = {kind.name: kind for kind in (*EFFECTS, Unknown)}
+    if len(entries) > MOST_EFFECTS:
+        raise StageError(f"effects: found {len(entries)}, expected at most {MOST_EFFECTS}")
     found = []
     for entry in entries:
         name, aux = entry.get("name"), entry.get("aux") or ""
