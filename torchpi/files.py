@@ -95,9 +95,9 @@ def check_yaml(text: str, most_values: int = MOST_YAML_VALUES) -> None:
                     continue
                 case yaml.CollectionEndEvent():
                     anchor, size = opened.pop()
-                case yaml.AliasEvent():
+                case yaml.AliasEvent(anchor=str() as alias):
                     # One inside what it stands for is as good as endless.
-                    anchor, size = None, sizes.get(event.anchor, most_values)
+                    anchor, size = None, sizes.get(alias, most_values)
                 case yaml.ScalarEvent():
                     anchor, size = event.anchor, 1
                 case _:
@@ -108,11 +108,15 @@ def check_yaml(text: str, most_values: int = MOST_YAML_VALUES) -> None:
             opened[-1] = outer, before + size
             if before + size > most_values:
                 raise ConfigError(
-                    f"line {event.start_mark.line + 1}: found more than {most_values} values, "
+                    f"line {_line(event)}: found more than {most_values} values, "
                     "counting what aliases stand for, expected at most as many"
                 )
     except yaml.YAMLError:
         return
+
+
+def _line(event: Any) -> int:
+    return int(event.start_mark.line) + 1
 
 
 def yaml_loader() -> Any:

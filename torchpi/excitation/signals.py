@@ -333,7 +333,7 @@ def _perhaps(name: str, known: Iterable[str]) -> str:
 def _times(duration_s: float, fs_hz: float) -> np.ndarray:
     if not (np.isfinite(fs_hz) and fs_hz > 0):
         raise ConfigError(f"fs_hz is {fs_hz:g}, wanted a sample rate over 0 Hz")
-    samples = samples_in(duration_s, fs_hz, "duration_s")
+    samples = samples_in(duration_s, fs_hz, "duration_s") if np.isfinite(duration_s) else 0
     if samples < 2:
         raise ConfigError(f"duration_s is {duration_s:g}, wanted at least two samples, {2 / fs_hz:g} s")
     return np.arange(samples) / fs_hz

@@ -225,11 +225,12 @@ def read_yaml(path: str | Path) -> dict[str, Any]:
     """
     import yaml  # not at the top: nothing else of a stage needs it
 
+    text = read_yaml_text(path)
     try:
-        settings = yaml.load(read_yaml_text(path), yaml_loader())
+        settings = yaml.load(text, yaml_loader())
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
-        line = f", line {mark.line + 1}" if mark else ""
+        line = f", line {min(mark.line, text.count(chr(10))) + 1}" if mark else ""  # the end is its last line
         raise ConfigError(f"{path}{line}: not valid YAML: {getattr(error, 'problem', error)}") from error
     if not isinstance(settings, dict):
         raise ConfigError(
