@@ -31,7 +31,7 @@ from torchpi.operators import ReferenceFilter
 from torchpi.operators.motion import backward_motion
 
 # Stray samples just beyond the turning point of the motion, which wide plays remembered.
-LATE_ONCE = (1465, 1946, 3237, 5110, 6200, 7767, 9507)
+LATE_ONCE = (1465, 1946, 3237, 5110, 6200, 7767, 9507, 26659)
 TOLERANCE_V = 1e-3 * (VOLTAGES_V[1] - VOLTAGES_V[0])
 
 

@@ -200,7 +200,7 @@ class GuardedStep(nn.Module):
             else:
                 longest_um = self.largest_step_um if step_um > 0.0 else -self.largest_step_um
                 self.take(self.last_input + longest_um, step_um)
-            if abs(step_um) > self.trained_step_um or self.last_input != yd:
+            if self.confirmed == 0 or abs(step_um) > self.trained_step_um or self.last_input != yd:
                 self.smooth = 0
             elif self.smooth < 4:
                 self.smooth += 1
