@@ -3,7 +3,9 @@
     python benchmarks/step_latency.py [exports/NAME.pt] [--steps 20000]
 
 What is called from Python is called in turn, so that a busy machine slows all of it; so are the generated C
-and the one written by hand. What needs a C or C++ compiler is left out, with a word, where there is none.
+and the one written by hand, which holds inputs that are not finite and has no other guard: "C: generated over
+C: by hand" is what the guard costs. What needs a C or C++ compiler is left out, with a word, where there is
+none.
 """
 
 import argparse

@@ -21,6 +21,8 @@ from torchpi.errors import ArtifactError, ConfigError
 PACKAGE = Path(__file__).parent
 # A wheel carries `configs/` inside the package; in a checkout it stands beside it.
 CONFIGS = next((path for path in (PACKAGE / "configs", PACKAGE.parent / "configs") if path.is_dir()), PACKAGE)
+LARGEST_YAML_BYTES = 2**20  # a hundred times the longest recipe
+MOST_YAML_VALUES = 100_000
 
 
 def config_file(given: str | Path, folder: str = "") -> Path:
@@ -70,6 +72,83 @@ def write_atomically(path: str | Path) -> Iterator[Path]:
             os.close(handle)
     except OSError as error:
         raise ArtifactError(f"{path}: cannot be written ({reason(error)})") from error
+
+
+def read_yaml_text(path: str | os.PathLike[str], most_values: int = MOST_YAML_VALUES) -> str:
+    """The text of a YAML file that is small enough to be settings.
+
+    Raises:
+        ConfigError: It is not, or not a file; names the file.
+    """
+    try:
+        if Path(path).exists() and not Path(path).is_file():
+            raise ConfigError(f"{path}: found a folder, a device or a pipe, expected a YAML file")
+        with open(path, "rb") as file:
+            content = file.read(LARGEST_YAML_BYTES + 1)
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
+    if len(content) > LARGEST_YAML_BYTES:
+        raise ConfigError(f"{path}: found more than {LARGEST_YAML_BYTES} bytes, expected settings")
+    try:
+        text = content.decode("utf-8-sig")
+        check_yaml(text, most_values)
+    except UnicodeDecodeError as error:
+        raise ConfigError(f"{path}: not valid YAML: byte {error.start} is not UTF-8") from error
+    except ConfigError as error:
+        raise ConfigError(f"{path}, {error}") from error
+    return text
+
+
+def check_yaml(text: str, most_values: int = MOST_YAML_VALUES) -> None:
+    """Whether settings stay small when their aliases are followed, as everything that walks them does: nine
+    lists of nine aliases, each of the list before, stand for 10⁹ values.
+
+    Text that is no YAML passes: who loads it says so.
+
+    Raises:
+        ConfigError: They do not; begins with the line.
+    """
+    import yaml
+
+    sizes: dict[str, int] = {}  # values behind an anchor
+    opened: list[tuple[str | None, int]] = [(None, 0)]  # collections being read: anchor, values so far
+    try:
+        for event in yaml.parse(text, Loader=yaml_loader()):
+            match event:
+                case yaml.CollectionStartEvent():
+                    opened.append((event.anchor, 1))
+                    continue
+                case yaml.CollectionEndEvent():
+                    anchor, size = opened.pop()
+                case yaml.AliasEvent(anchor=str() as alias):
+                    # One inside what it stands for is as good as endless.
+                    anchor, size = None, sizes.get(alias, most_values)
+                case yaml.ScalarEvent():
+                    anchor, size = event.anchor, 1
+                case _:
+                    continue
+            if anchor is not None:
+                sizes[anchor] = size
+            outer, before = opened[-1]
+            opened[-1] = outer, before + size
+            if before + size > most_values:
+                raise ConfigError(
+                    f"line {_line(event)}: found more than {most_values} values, "
+                    "counting what aliases stand for, expected at most as many"
+                )
+    except yaml.YAMLError:
+        return
+
+
+def _line(event: Any) -> int:
+    return int(event.start_mark.line) + 1
+
+
+def yaml_loader() -> Any:
+    """The loader of plain values, the compiled one where there is one: the other needs ten times as long."""
+    import yaml
+
+    return getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
 
 def check_output_folder(path: Path) -> None:

@@ -9,7 +9,7 @@ from lightning import LightningModule
 from lightning.pytorch.core.optimizer import LightningOptimizer
 from torch import Tensor
 
-from torchpi.control.direct_inverse import DirectInverse
+from torchpi.control.direct_inverse import MOST_PLAYS, DirectInverse
 from torchpi.control.trained import to_checkpoint
 from torchpi.errors import ConfigError
 from torchpi.identification import (
@@ -120,8 +120,8 @@ class InverseTraining(LightningModule):
         iterations: int = 5,
     ) -> None:
         super().__init__()
-        if plays < 1:
-            raise ConfigError(f"model.plays: found {plays}, expected at least 1")
+        if not 1 <= plays <= MOST_PLAYS:
+            raise ConfigError(f"model.plays: found {plays}, expected 1 to {MOST_PLAYS}")
         if not learning_rate > 0:
             raise ConfigError(f"model.learning_rate: found {learning_rate:g}, expected a positive number")
         if iterations < 1:

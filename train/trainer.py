@@ -10,6 +10,7 @@ from lightning.pytorch.callbacks import EarlyStopping, ModelCheckpoint
 from lightning.pytorch.loggers import TensorBoardLogger
 from lightning.pytorch.plugins.io import TorchCheckpointIO
 
+from torchpi.cli.workers import available_cores
 from torchpi.errors import ConfigError
 from torchpi.files import save_tensors, write_atomically
 
@@ -17,6 +18,7 @@ from .callbacks import EpochProgress, TensorBoardFigures
 from .module import CHOSEN_BY
 from .run_folder import RunFolder
 
+MOST_NODES = 1000
 OWN = ("callbacks", "logger", "plugins")
 """Arguments of lightning.Trainer that are objects, and that a run cannot do without."""
 
@@ -50,6 +52,11 @@ def make_trainer(options: TrainerOptions, folder: RunFolder) -> Trainer:
     for name in OWN:
         if name in (options.lightning or {}):
             raise ConfigError(f"trainer.lightning.{name}: found a value, expected none: a run has its own")
+    for name, most in (("devices", available_cores()), ("num_nodes", MOST_NODES)):  # one process each
+        given = (options.lightning or {}).get(name, 1)
+        count = len(given) if isinstance(given, list) else given
+        if str(count).isdigit() and int(count) > most:
+            raise ConfigError(f"trainer.lightning.{name}: found {count}, expected at most {most}")
     progress = [EpochProgress(options.max_epochs)] if options.progress else []
     settings: dict[str, Any] = dict(
         max_epochs=options.max_epochs,

@@ -28,8 +28,10 @@ from torchpi.diagnosis.hypothesis import Hypothesis
 from torchpi.diagnosis.hysteresis_model import many_plays
 from torchpi.diagnosis.reduced_basis import reduced
 from torchpi.diagnosis.search import Search
+from torchpi.recordings.identity import recordings_sha256
 from torchpi.recordings.recording import Recording
 from torchpi.stage import Stage
+from torchpi.stage.beside import difference
 
 MODE = (310.0, 0.03)
 
@@ -69,6 +71,18 @@ def test_a_mode_is_named_with_its_numbers(of_a_mode: tuple[list[Recording], Diag
         assert low < parameter.value < high
     assert found.augmented.heldout_rms_um < 1.1 * NOISE_UM < 0.5 * found.retuned.heldout_rms_um
     assert "resonance" in found.says
+
+
+def test_the_stage_knows_the_recordings_of_a_compensator_that_held_one_out(
+    of_a_mode: tuple[list[Recording], Diagnosis],
+) -> None:
+    recordings, found = of_a_mode
+    assert found.stage.identified is not None
+    assert found.stage.identified.recordings_sha256 == recordings_sha256(recordings)
+    assert difference(found.stage, recordings_sha256(recordings)) is None
+    assert difference(found.stage, recordings_sha256(recordings[:-1])) is None
+    others = pair(200, after=ringing)
+    assert "different recordings" in str(difference(found.stage, recordings_sha256(others)))
 
 
 def test_the_residual_is_located_at_the_mode(of_a_mode: tuple[list[Recording], Diagnosis]) -> None:

@@ -63,7 +63,7 @@ def test_help_says_for_and_has_an_example(
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (["--for", "training"], "--for is 'training', wanted diagnosis"),
+        (["--for", "training"], "--for is 'training', expected diagnosis"),
         (["--fro", "diagnosis"], "nearest is 'for'"),
         (["--for_", "diagnosis"], "nearest is 'for'"),
         (["--max_rate_v_s", "20"], "max_rate_v_s is 20 V/s, wanted"),

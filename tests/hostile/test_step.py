@@ -30,6 +30,8 @@ from torchpi.export.deployable import Deployable
 from torchpi.operators import ReferenceFilter
 from torchpi.operators.motion import backward_motion
 
+# Stray samples just beyond the turning point of the motion, which wide plays remembered.
+LATE_ONCE = (1465, 1946, 3237, 5110, 6200, 7767, 9507, 26659)
 TOLERANCE_V = 1e-3 * (VOLTAGES_V[1] - VOLTAGES_V[0])
 
 
@@ -56,7 +58,7 @@ def test_after_a_hostile_sequence_the_output_is_soon_the_undisturbed_one(
     samples = round(1.5 / period_s)
     for step in c_forms(made, tmp_path, filter_):
         undisturbed = step.block(motion(samples, period_s))
-        for seed in range(500):
+        for seed in (*range(400), *LATE_ONCE):
             yd, end = disturbed(seed, samples, period_s)
             step.reset()
             u = step.block(yd)
@@ -73,6 +75,21 @@ def test_a_held_sample_does_not_carry_the_lead_past_the_turning_point_of_the_mot
         glitch = yd.clone()
         glitch[at] = math.nan
         assert max(accepted_by(made, glitch)) <= most + 1e-3
+
+
+@pytest.mark.parametrize("frequency_hz", [4.0, 15.0, 25.0])
+def test_a_motion_up_to_three_times_as_fast_as_trained_is_taken_as_it_is(frequency_hz: float) -> None:
+    stream = compensator().stream()
+    t = PERIOD_S * torch.arange(500, dtype=torch.float64)
+    yd = 4.0 - 3.9 * torch.cos(2 * math.pi * frequency_hz * t)
+    triangle = 0.2 + (0.4 * torch.arange(200, dtype=torch.float64)).remainder(14.0).sub(7.0).abs()
+    for motion_um in (yd.tolist(), triangle.tolist()):
+        stream.reset()
+        taken = []
+        for sample in motion_um:
+            stream.step(sample)
+            taken.append(stream.last_input)  # type: ignore[attr-defined]
+        assert taken == motion_um and stream.held_inputs == 0
 
 
 def accepted_by(made: DirectInverse, yd: Tensor) -> list[float]:
@@ -193,6 +210,8 @@ def test_counters_tell_apart_what_happened() -> None:
     for sample in (math.nan, 20.0, -1e300):
         stream.step(sample)
     assert (stream.held_inputs, stream.outside_range, stream.limited_outputs) == (3, 0, 0)
+    for _ in range(4):  # which agree, and then may go further than before
+        stream.step(2.0)
     for k in range(4):
         stream.step(2.0 + 0.15 * k)
     assert stream.outside_range == 0 and stream.limited_outputs == 0

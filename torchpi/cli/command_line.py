@@ -17,9 +17,10 @@ from contextlib import contextmanager
 from typing import Any, NoReturn, TextIO, get_args, get_origin
 
 import jsonargparse
+import yaml
 
 from torchpi.errors import ConfigError, RecordingWarning, TorchpiError
-from torchpi.files import reason
+from torchpi.files import check_yaml, read_yaml_text, reason
 
 INTERRUPTED, TERMINATED = 130, 143  # exit codes: 128 and the number of the signal
 
@@ -50,8 +51,25 @@ class _Formatter(argparse.RawDescriptionHelpFormatter, jsonargparse.DefaultHelpF
     """Keeps the line breaks of descriptions."""
 
 
+def _load_yaml(text: str) -> Any:
+    """As jsonargparse loads files and values, but nothing that its aliases make too large to walk."""
+    check_yaml(text, MOST_VALUES)
+    return LOAD_YAML(text)
+
+
+MOST_VALUES = 1000  # jsonargparse copies a list once for each of its values
+LOAD_YAML = jsonargparse.get_loader("yaml")
+jsonargparse.set_loader("yaml", _load_yaml, (yaml.YAMLError,))
+
+
 class Parser(jsonargparse.ArgumentParser):
     """A parser whose errors are one line that names the nearest right option."""
+
+    def parse_path(self, cfg_path: str | os.PathLike[str], *args: Any, **kwargs: Any) -> Any:
+        """As jsonargparse has it, of a file that is small enough to be settings."""
+        if str(cfg_path) != "-":  # standard input
+            read_yaml_text(cfg_path, MOST_VALUES)
+        return super().parse_path(cfg_path, *args, **kwargs)
 
     def add_argument(self, *args: Any, **kwargs: Any) -> Any:
         """As argparse has it, but for two things.

@@ -133,7 +133,7 @@ def excite(
     from torchpi.excitation.limits import DriveLimits
 
     if for_ != "diagnosis":
-        raise ConfigError(f"--for is '{for_}', wanted diagnosis, the only purpose there is so far")
+        raise ConfigError(f"--for is '{for_}', expected diagnosis, the only purpose there is so far")
     limits = DriveLimits(min_voltage_v, max_voltage_v, max_rate_v_s, sample_rate_hz, high_hz)
     print(write_diagnostic_set(output, limits, seed))
     print(f"\n{output / INSTRUCTIONS}: the same words")

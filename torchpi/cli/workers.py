@@ -16,6 +16,11 @@ MOST_WORKERS = 3
 WATCH_S = 0.2
 
 
+def available_cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
 @contextmanager
 def worker_pool(get_ready: Callable[[], object]) -> Iterator[Executor | None]:
     """Processes for all cores but the one that this process has, or None where there is only one.
@@ -25,8 +30,7 @@ def worker_pool(get_ready: Callable[[], object]) -> Iterator[Executor | None]:
     Args:
         get_ready: Called in each worker while the block has begun, so that it imports what it will need.
     """
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    workers = min(cores - 1, MOST_WORKERS)
+    workers = min(available_cores() - 1, MOST_WORKERS)
     if workers == 0:
         yield None
         return

@@ -31,6 +31,10 @@ from torchpi.operators.weighted_plays import weighted_plays
 from torchpi.operators.weighted_sum import weighted_sum
 from torchpi.recordings.identity import is_sha256
 
+MOST_PLAYS = 200  # ten times the usual; the step is written out play by play
+MOST_RELAXATIONS = 30
+MOST_HIDDEN = 200
+LARGEST_THRESHOLD = 1e12  # as of the values of a recording
 HIGHEST_DEGREE = 30  # far above what any loop needs; a file may ask for anything
 
 
@@ -96,6 +100,18 @@ class DirectInverse(nn.Module):
         for name, power in (("degree", degree), ("output_degree", output_degree)):
             if not 1 <= power <= HIGHEST_DEGREE:
                 raise ConfigError(f"{name}: found {power}, expected 1 to {HIGHEST_DEGREE}")
+        counts = (
+            ("thresholds", len(thresholds), MOST_PLAYS),
+            ("creep_time_constants_s", len(creep_time_constants_s), MOST_RELAXATIONS),
+            ("hidden", hidden, MOST_HIDDEN),
+        )
+        for name, count, most in counts:
+            if count > most:
+                raise ConfigError(f"{name}: found {count}, expected at most {most}")
+        if any(abs(r) > LARGEST_THRESHOLD for r in thresholds):
+            raise ConfigError(
+                f"thresholds: found {max(thresholds):g}, expected at most {LARGEST_THRESHOLD:g}"
+            )
         if preview < 0:
             raise ConfigError(f"preview: found {preview}, expected a number of samples that is not negative")
         if lead not in (0, 1, 2):

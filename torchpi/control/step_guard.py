@@ -7,9 +7,14 @@ Before it, `accept` decides what is taken for the desired displacement:
     a jump                                      held until four more samples confirm it, then followed at the
                                                 largest accepted rate and counted in `outside_range`
     outside the accepted range, inf, NaN        the last accepted one stands in, counted in `held_inputs`
+    a sudden step, longer than the one before   taken as far as the turning points so far, and counted in
+    by more than a trained one, and what        `held_inputs` where it lies beyond them, until four samples in
+    follows it                                  a row have made no such step
 
-Thus whatever the equations see is finite, bounded, and of bounded rate, and what is held leaves nothing in
-the memory of hysteresis and creep. The derivatives of a lead are formed of four samples, and would carry a
+Wide plays remember the outermost turning points of a motion until they are reset, and with them any stray
+sample beyond: only what agrees with its neighbours may set a new one. Thus whatever the equations see is
+finite, bounded, and of bounded rate, and what is held leaves nothing in the memory of hysteresis and creep.
+The derivatives of a lead are formed of four samples, and would carry a
 jump, or the step after a sample that was held, into the plays at many times its size: `smooth` counts the
 samples since the last one that was held, or moved faster than trained, and leads wait for four of them.
 Meanwhile the plays' input stays where it was, as far as the lead of the trained rates and accelerations can
@@ -36,11 +41,15 @@ BEYOND_REACH = 2.0  # times the largest displacement within reach, accepted wher
 
 # Numbers that stay double in C compiled for float: comparisons must come out alike in both.
 IN_DOUBLE = frozenset(
-    "yd aim_v last_input last_sample step_um start_um least_accepted_um largest_accepted_um least_trained_um "
+    "yd aim_v last_input last_sample start_trained_um lowest_um highest_um change_um last_change_um "
+    "taken_um longest_um step_um start_um least_accepted_um largest_accepted_um least_trained_um "
     "largest_trained_um trained_step_um largest_step_um least_um largest_um middle_um voltage_v start_v "
     "min_voltage_v max_voltage_v max_change_v last_voltage slower_v faster_v bounded_v least_v "
     "largest_v".split()
 )
+
+# Called for few samples: in C no part of the step, which compilers would otherwise take to be a large one.
+OUT_OF_LINE = frozenset(["accept_beyond"])
 
 
 @dataclass(frozen=True)
@@ -123,10 +132,14 @@ class GuardedStep(nn.Module):
         self.start_um = min(max(0.0, limits.accepted_um[0]), limits.accepted_um[1])
         self.start_v = min(max(0.0, limits.min_voltage_v), limits.max_voltage_v)
         self.started = False
-        self.confirmed = 0
+        self.confirmed = CONFIRMATIONS
         self.smooth = 4
         self.last_sample = self.start_um
+        self.last_change_um = 0.0
         self.last_input = self.start_um
+        self.start_trained_um = min(max(self.start_um, self.least_trained_um), self.largest_trained_um)
+        self.lowest_um = self.start_trained_um  # um, least input so far within the trained range
+        self.highest_um = self.start_trained_um  # um, largest
         self.last_voltage = self.start_v
         self.held_inputs = 0
         self.outside_range = 0
@@ -134,10 +147,13 @@ class GuardedStep(nn.Module):
 
     def reset_guard(self) -> None:
         self.started = False
-        self.confirmed = 0
+        self.confirmed = self.enough
         self.smooth = 4
         self.last_sample = self.start_um
+        self.last_change_um = 0.0
         self.last_input = self.start_um
+        self.lowest_um = self.start_trained_um
+        self.highest_um = self.start_trained_um
         self.last_voltage = self.start_v
         self.held_inputs = 0
         self.outside_range = 0
@@ -148,45 +164,71 @@ class GuardedStep(nn.Module):
         step_um = yd - self.last_input
         # Every comparison with NaN is false: NaN is not taken here, and held below.
         if (
-            yd >= self.least_trained_um
-            and yd <= self.largest_trained_um
+            self.smooth >= 4
+            and yd >= self.lowest_um
+            and yd <= self.highest_um
             and step_um <= self.trained_step_um
             and step_um >= -self.trained_step_um
         ):
+            self.last_change_um = step_um
             self.last_input = yd
-            self.last_sample = yd
             self.started = True
-            if self.smooth < 4:
-                self.smooth += 1
         else:
             self.accept_beyond(yd)
 
     def accept_beyond(self, yd: float) -> None:
-        """What lies outside the trained range or rates."""
+        """What lies beyond the turning points so far or the trained rates, or comes soon after."""
+        if self.smooth >= 4:
+            self.last_sample = self.last_input
         if yd >= self.least_accepted_um and yd <= self.largest_accepted_um:
+            change_um = yd - self.last_sample
+            longest_um = abs(self.last_change_um) + self.trained_step_um
+            if abs(change_um) > min(longest_um, self.largest_step_um):
+                self.confirmed = 0
+            elif self.confirmed < self.enough:
+                self.confirmed += 1
             step_um = yd - self.last_input
-            self.confirmed = self.confirmed + 1 if abs(yd - self.last_sample) <= self.largest_step_um else 0
             if not self.started:
                 # The trajectory rested here before its first sample.
-                self.last_input = yd
-                if yd < self.least_trained_um or yd > self.largest_trained_um:
-                    self.outside_range += 1
-            elif abs(step_um) <= self.largest_step_um:
-                self.last_input = yd
-                self.outside_range += 1
-                self.smooth = 0 if abs(step_um) > self.trained_step_um else self.smooth
+                self.confirmed = self.enough
+                change_um = 0.0
+                step_um = 0.0
+            if abs(step_um) <= self.largest_step_um:
+                self.take(yd, step_um)
             elif self.confirmed < self.enough:
                 self.held_inputs += 1
-                self.smooth = 0
             else:
+                longest_um = self.largest_step_um if step_um > 0.0 else -self.largest_step_um
+                self.take(self.last_input + longest_um, step_um)
+            if self.confirmed == 0 or abs(step_um) > self.trained_step_um or self.last_input != yd:
                 self.smooth = 0
-                self.last_input += self.largest_step_um if step_um > 0.0 else -self.largest_step_um
-                self.outside_range += 1
+            elif self.smooth < 4:
+                self.smooth += 1
+            self.last_change_um = change_um
             self.last_sample = yd
             self.started = True
         else:
             self.held_inputs += 1
             self.smooth = 0
+
+    def take(self, yd: float, step_um: float) -> None:
+        """What is accepted; before enough samples agree, no further than the turning points so far."""
+        taken_um = yd
+        if self.confirmed < self.enough:
+            least_um = self.lowest_um if self.lowest_um < self.last_input else self.last_input
+            largest_um = self.highest_um if self.highest_um > self.last_input else self.last_input
+            taken_um = least_um if yd < least_um else taken_um
+            taken_um = largest_um if yd > largest_um else taken_um
+        elif yd >= self.least_trained_um and yd <= self.largest_trained_um:
+            self.lowest_um = yd if yd < self.lowest_um else self.lowest_um
+            self.highest_um = yd if yd > self.highest_um else self.highest_um
+        if taken_um != yd:
+            self.held_inputs += 1
+        elif (
+            yd < self.least_trained_um or yd > self.largest_trained_um or abs(step_um) > self.trained_step_um
+        ):
+            self.outside_range += 1
+        self.last_input = taken_um
 
     def emit(self, u: float) -> None:
         """Leave in `last_voltage` the voltage within the limits."""
@@ -212,7 +254,7 @@ class GuardedStep(nn.Module):
         was over. A `yd` that is not accepted leaves the de-energised state, and counts in `held_inputs`.
         """
         self.reset()  # type: ignore[operator]
-        self.accept(yd)
+        self.accept_beyond(yd)
         u: float = self.at_rest(self.last_input)  # type: ignore[operator]
         self.last_voltage = u
         self.emit(u)

@@ -46,6 +46,7 @@ from torchpi.stage.effects.effect import Effect
 from torchpi.stage.effects.inside import InsideEffect
 from torchpi.stage.effects.sensor.dropouts import Dropouts
 from torchpi.stage.effects.sensor.quantization import Quantization
+from torchpi.stage.identified import Identified
 
 COARSE = 0.5
 """A converter is named where its step, as noise, is this share of all that is left."""
@@ -85,6 +86,7 @@ def diagnose(
         SimulationError: A simulation that fails, or returns what is no displacement.
     """
     check(recordings)
+    given_recordings = recordings
     recordings, wrong, long = at_a_lower_rate(recordings, [dropouts(each.y) for each in recordings])
     records = prepare(recordings, wrong)
     called = outside(simulation)
@@ -154,6 +156,10 @@ def diagnose(
         errors_of(records, first), errors_of(records, retuned.residuals),
         errors_of(records, augmented.residuals),
     )  # fmt: skip
+    last_errors = errors[-1]
+    stage.identified = Identified.of(
+        given_recordings, HELD_OUT, last_errors.heldout_rms_um, last_errors.heldout_max_um
+    )
     return Diagnosis(
         verdict=decision.verdict, effects=decision.effects, where=where,
         nominal=errors[0], retuned=errors[1], augmented=errors[2],

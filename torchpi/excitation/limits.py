@@ -12,11 +12,12 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 
 from torchpi.errors import ConfigError
-from torchpi.excitation.signals import Samples, ease, multisine
+from torchpi.excitation.signals import Samples, ease, multisine, samples_in
 
 REST_S = 0.1  # at 0 V before a recording moves: its zero
 STEEPEST_EASE = 15 / 8  # largest rate of `ease`, in distances over its time
 FADE = 0.1  # share of the largest rate that fading a vibration in and out may take
+LONGEST_S = 30.0  # of a movement, at any rate
 CORNERS = 40  # of a multisine's spectrum, tried from the flattest down
 
 
@@ -49,6 +50,10 @@ class DriveLimits:
                 f"{name} is {low if low > 0 else high:g} V, expected {wanted}: "
                 "a recording starts de-energised at 0 V"
             )
+        # Of movements through the range the set has a few.
+        samples_in(LONGEST_S, self.sample_rate_hz, "sample_rate_hz")
+        samples_in(STEEPEST_EASE * (high - low) / self.max_rate_v_s, self.sample_rate_hz, "max_rate_v_s")
+        samples_in(2 / self.high_hz, self.sample_rate_hz, "high_hz")
         if self.sample_rate_hz < 4 * self.high_hz:
             raise ConfigError(
                 f"sample_rate_hz is {self.sample_rate_hz:g} Hz, expected {4 * self.high_hz:g} Hz or more, "

@@ -14,6 +14,9 @@ import numpy as np
 
 from torchpi.errors import ConfigError
 
+MOST_SAMPLES = 20_000_000  # half an hour at 10 kHz, 160 MB a signal
+MOST_MINOR_LOOPS = 1000  # at each bias
+
 Samples = tuple[np.ndarray, np.ndarray]  # t (time,), s; and the signal (time,), V or µm
 
 
@@ -145,6 +148,8 @@ def triangle_corners(
     Raises:
         ConfigError: levels outside the range, or none.
     """
+    if minor_loops > MOST_MINOR_LOOPS:
+        raise ConfigError(f"triangles: found {minor_loops} minor_loops, expected at most {MOST_MINOR_LOOPS}")
     levels, seconds = [0.0], [0.0]
 
     def go(level: float, rate: float) -> None:
@@ -190,9 +195,9 @@ def stairs(
         rise_s: time of each step, eased; 0 jumps.
     """
     _check_range(low_v, high_v)
-    if steps < 1:
-        raise ConfigError(f"stairs: steps is {steps}, expected 1 or more")
     t = _times(duration_s, fs_hz)
+    if not 1 <= steps <= len(t):
+        raise ConfigError(f"stairs: found {steps} steps, expected 1 to {len(t)}, one a sample")
     rest = duration_s / (2 * steps + 1)
     if not 0 <= rise_s <= rest:
         raise ConfigError(f"stairs: rise_s is {rise_s:g}, expected 0 to {rest:g} s, the time on each level")
@@ -328,10 +333,23 @@ def _perhaps(name: str, known: Iterable[str]) -> str:
 def _times(duration_s: float, fs_hz: float) -> np.ndarray:
     if not (np.isfinite(fs_hz) and fs_hz > 0):
         raise ConfigError(f"fs_hz is {fs_hz:g}, expected a sample rate over 0 Hz")
-    samples = round(duration_s * fs_hz) if np.isfinite(duration_s) else 0
+    samples = samples_in(duration_s, fs_hz, "duration_s") if np.isfinite(duration_s) else 0
     if samples < 2:
         raise ConfigError(f"duration_s is {duration_s:g}, expected at least two samples, {2 / fs_hz:g} s")
     return np.arange(samples) / fs_hz
+
+
+def samples_in(seconds: float, fs_hz: float, name: str) -> int:
+    """Samples of a signal of this length.
+
+    Raises:
+        ConfigError: More than MOST_SAMPLES, which memory may not hold; begins with `name`.
+    """
+    if not abs(seconds) * fs_hz <= MOST_SAMPLES:
+        raise ConfigError(
+            f"{name}: found {seconds:g} s of signal at {fs_hz:g} Hz, expected at most {MOST_SAMPLES} samples"
+        )
+    return round(seconds * fs_hz)
 
 
 def _sine(frequency_hz: float, t: np.ndarray) -> np.ndarray:
@@ -387,7 +405,7 @@ def _ramped_in(x: np.ndarray, period: np.ndarray, fs_hz: float, ramp_in_s: float
     """Before x comes the end of its own period, eased up from 0 V: no step or kink where x begins."""
     if not (np.isfinite(ramp_in_s) and ramp_in_s >= 0):
         raise ConfigError(f"ramp_in_s is {ramp_in_s:g}, expected 0 or more")
-    ramp = round(ramp_in_s * fs_hz)
+    ramp = samples_in(ramp_in_s, fs_hz, "ramp_in_s")
     before = period[np.arange(-ramp, 0) % len(period)] * ease(np.arange(ramp) / max(1, ramp))
     x = np.concatenate((before, x))
     return np.arange(len(x)) / fs_hz, x

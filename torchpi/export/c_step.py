@@ -14,7 +14,7 @@ from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from typing import NoReturn
 
-from torchpi.control.step_guard import IN_DOUBLE
+from torchpi.control.step_guard import IN_DOUBLE, OUT_OF_LINE
 from torchpi.errors import ArtifactError
 from torchpi.export.parts import Function, Part, Value, own_attribute
 from torchpi.export.roll import roll
@@ -251,7 +251,8 @@ class _Translation:
         if len(self.returned) > 1:
             kind = self.step.result(self.returned)
         # inline: several are called from `reset_at` as well, and the step is what must be fast.
-        static = "" if self.is_public else "static inline "
+        inline = "" if self.function.tree.name in OUT_OF_LINE else "inline "
+        static = "" if self.is_public else f"static {inline}"
         head = f"{static}{kind} {self.c_name}({', '.join(arguments)})"
         return "\n".join([wrapped(head), "{", *map(wrapped, body), "}\n"])
 

@@ -75,7 +75,10 @@ def numbers(
             "inside accepted_um and within largest_step_um it is taken and counted in outside_range; from "
             "further away the last accepted one stands in (held_inputs), unless the input and the "
             "confirmations - 1 before it were each within largest_step_um of the one before: then the last "
-            "accepted one moves by largest_step_um towards it (outside_range); outside accepted_um, inf and "
+            "accepted one moves by largest_step_um towards it (outside_range); an input further from the "
+            "input before it than that was from its own by more than trained_step_um, and those after it "
+            "until confirmations in a row are not, are taken no further than the least and largest input so "
+            "far within trained_um (held_inputs beyond); outside accepted_um, inf and "
             "nan the last accepted one stands in (held_inputs); after a sample that was held, moved, or more "
             "than trained_step_um away, the lead is left out until three were taken",
             "accepted_um": list(limits.accepted_um),

@@ -9,6 +9,8 @@ import numpy.typing as npt
 
 from torchpi.loop.result import LimitMet, Signal
 
+ANSWERS = 3
+"""Samples after a voltage in which its displacement is read."""
 SLACK = 1e-9
 """Relative: a rate that the step has limited differs from its limit by rounding."""
 
@@ -16,6 +18,7 @@ SLACK = 1e-9
 def limits_met(
     u: Signal,  # (time,), V
     yd: Signal,  # (time,), µm
+    error_um: Signal,  # (time,), µm: displacement less y_d
     limited: npt.NDArray[np.bool_] | None,  # (time,): the compensator's limits changed the voltage
     low_v: float,
     high_v: float,
@@ -25,11 +28,14 @@ def limits_met(
     """The limits that a drive met: of the voltage, low and high, and of its rate.
 
     A voltage that lies on a limit, but was not changed by it, has not met it. Without `limited`, every
-    voltage on a limit has.
+    voltage on a limit has. Nor has one met it that the limit changes by next to nothing, as where a motion
+    begins at 0 V: while it lies there, the stage has to be off, away from the limit, by more than the rms
+    error of the motion.
 
     Args:
         u: Voltage written.
         yd: Desired displacement.
+        error_um: By how much the stage lies above it; positive while a lower limit cuts the voltage.
         limited: Where a limit inside the compensator changed the voltage; None where that is not counted.
         low_v, high_v: Limits of the voltage.
         max_slew_v_s: Limit of its rate, from sample to sample; infinite where none is known.
@@ -42,6 +48,7 @@ def limits_met(
         # What changed a voltage that lies on no limit is the slew limit inside.
         too_fast |= limited & ~at_low & ~at_high
         at_low, at_high = at_low & limited, at_high & limited
+    at_low, at_high = _cut(at_low, error_um), _cut(at_high, -error_um)
     inside_v_s = float(rate[too_fast].min()) if too_fast.any() else math.inf
     found: list[tuple[Literal["voltage", "slew"], float, npt.NDArray[np.bool_], Signal]] = [
         ("voltage", low_v, at_low, u),
@@ -53,6 +60,15 @@ def limits_met(
         for quantity, limit, where, values in found
         if where.any()
     )
+
+
+def _cut(where: npt.NDArray[np.bool_], away_um: Signal) -> npt.NDArray[np.bool_]:
+    """The stretches in which, or ANSWERS samples after which, the stage is off by more than its rms."""
+    rms_um = float(np.sqrt(np.mean(away_um**2)))
+    kept = np.zeros_like(where)
+    for first, stop in _stretches(where):
+        kept[first:stop] = away_um[first : stop + ANSWERS].max() > rms_um
+    return kept
 
 
 def _met(

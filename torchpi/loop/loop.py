@@ -212,7 +212,14 @@ class _Rig:
             saturated_share=float(np.mean((u <= low) | (u >= high))),
             latency=latency_of(step_ns, self.stage.sample_period_s),
             limits_met=limits_met(
-                u, self.yd, limited, low, high, self.max_slew_v_s, self.stage.sample_period_s
+                u,
+                self.yd,
+                y_true - self.yd,
+                limited,
+                low,
+                high,
+                self.max_slew_v_s,
+                self.stage.sample_period_s,
             ),
             beyond_trained_share=None if counts is None else float(counts[-1, 1:].sum() / len(u)),
         )

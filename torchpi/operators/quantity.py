@@ -43,6 +43,8 @@ class Quantity:
 
     def expected(self) -> str:
         """The limits in words."""
+        if self.positive and math.isfinite(self.at_most):
+            return f"more than 0 and at most {self.at_most:g}"
         if self.positive:
             return "a positive number of" if self.unit else "a positive number"
         if math.isfinite(self.at_least) and math.isfinite(self.at_most):

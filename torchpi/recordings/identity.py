@@ -17,8 +17,17 @@ def recordings_sha256(recordings: Iterable[Recording]) -> str:
         recordings: As they were read; one that was not read from a file counts by its voltage and
             displacement.
     """
-    each = sorted(recording.sha256 or samples_sha256(recording.u, recording.y) for recording in recordings)
-    return hashlib.sha256("\n".join(each).encode()).hexdigest()
+    return combined_sha256(each_sha256(recordings))
+
+
+def each_sha256(recordings: Iterable[Recording]) -> list[str]:
+    """Hash of each recording by its content, in an order of its own."""
+    return sorted(recording.sha256 or samples_sha256(recording.u, recording.y) for recording in recordings)
+
+
+def combined_sha256(each: Iterable[str]) -> str:
+    """`recordings_sha256` of recordings with these hashes."""
+    return hashlib.sha256("\n".join(sorted(each)).encode()).hexdigest()
 
 
 def is_sha256(value: object) -> bool:

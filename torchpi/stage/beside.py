@@ -29,7 +29,7 @@ def difference(stage: Stage, compensator_sha256: str | None) -> str | None:
     """
     if stage.identified is None or compensator_sha256 is None:
         return None
-    if stage.identified.recordings_sha256 == compensator_sha256:
+    if stage.identified.has(compensator_sha256):
         return None
     return (
         "stage and compensator were made from different recordings "

@@ -57,6 +57,7 @@ OF_BOUC_WEN = ("sigma_v", "beta", "exponent")
 OF_DUHEM = ("alpha_per_v",)
 NOT_TRAINED = ("rate_filter_s", *OF_BOUC_WEN, *OF_DUHEM)
 DUHEM_STATES = 3
+MOST_PLAYS = 10_000
 
 
 class Hysteresis(Operator):
@@ -104,6 +105,8 @@ class Hysteresis(Operator):
         self.bouc_wen, self.duhem = bool(bouc_wen), bool(duhem)
         self.register_buffer("thresholds_v", torch.as_tensor(thresholds_v, dtype=torch.float64).clone())
         self.weights = nn.Parameter(torch.as_tensor(weights, dtype=torch.float64).clone())
+        if len(self.thresholds_v) > MOST_PLAYS:
+            raise StageError(f"thresholds_v: found {len(self.thresholds_v)}, expected at most {MOST_PLAYS}")
         expected = len(self.thresholds_v) * degree + self.others + 1
         if self.weights.shape != (expected,):
             count = self.weights.numel()

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from torchpi.errors import ConfigError, StageError
+from torchpi.files import read_yaml_text, yaml_loader
 from torchpi.operators.quantity import Quantity, check_order
 from torchpi.operators.quantization import Converter
 from torchpi.stage.effects.actuator.creep import Creep
@@ -224,13 +225,12 @@ def read_yaml(path: str | Path) -> dict[str, Any]:
     """
     import yaml  # not at the top: nothing else of a stage needs it
 
+    text = read_yaml_text(path)
     try:
-        settings = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        settings = yaml.load(text, yaml_loader())
+    except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
-        line = f", line {mark.line + 1}" if mark else ""
+        line = f", line {min(mark.line, text.count(chr(10))) + 1}" if mark else ""  # the end is its last line
         raise ConfigError(f"{path}{line}: not valid YAML: {getattr(error, 'problem', error)}") from error
     if not isinstance(settings, dict):
         raise ConfigError(

@@ -42,8 +42,9 @@ from torchpi.stage.settings import NOISE, build, of_sections, read_yaml
 from torchpi.stage.simulated import SimulatedHysteresis
 from torchpi.stage.stream import RigStream, StageStream
 
-RATE = Quantity("Hz", at_least=0, positive=True)
-SEED = Quantity("", at_least=0)
+RATE = Quantity("Hz", at_least=0, at_most=1e8, positive=True)  # a thousand times the fastest controller
+SEED = Quantity("", at_least=0, at_most=2**63 - 1)
+MOST_EFFECTS = 100
 
 
 class EffectSettings(NamedTuple):
@@ -420,8 +421,9 @@ def in_order(entries: Sequence[Mapping[str, Any]]) -> list[EffectSettings]:
     Raises:
         StageError: An unknown effect, or an auxiliary signal that is missing or not taken.
     """
-    kinds = {kind.name: kind for kind in (*EFFECTS, Unknown)}
-    found = []
+    kinds, found = {kind.name: kind for kind in (*EFFECTS, Unknown)}, []
+    if len(entries) > MOST_EFFECTS:
+        raise StageError(f"effects: found {len(entries)}, expected at most {MOST_EFFECTS}")
     for entry in entries:
         name, aux = entry.get("name"), entry.get("aux") or ""
         if name is None:

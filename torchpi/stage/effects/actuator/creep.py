@@ -82,8 +82,9 @@ class Creep(StateSpaceEffect):
         "time_constant_s": Quantity("s", at_least=1e-3, at_most=1e4),
         "power_per_decade": Quantity("", at_least=0, at_most=0.5),
         "exponent": Quantity("", at_least=0.02, at_most=0.5),
-        "from_s": Quantity("s", at_least=0, positive=True),
-        "to_s": Quantity("s", at_least=0, positive=True),
+        # Each decade has its poles: between these times there are 40.
+        "from_s": Quantity("s", at_least=1e-9, at_most=1e9),
+        "to_s": Quantity("s", at_least=1e-9, at_most=1e9),
     }
     accepted: ClassVar[dict[str, Quantity]] = {"per_decade": Quantity("", at_least=-0.5, at_most=0.5)}
     identity: ClassVar[Parameters] = {

@@ -22,6 +22,7 @@ from torchpi.operators.quantity import Quantity
 from torchpi.stage.effects.effect import DataRange, LinearEffect, Parameters
 
 LONGEST_S = 0.01
+MOST_SAMPLES = 1_000_000  # that the line holds
 
 
 class Delay(LinearEffect):
@@ -50,6 +51,14 @@ class Delay(LinearEffect):
     after_lag: nn.Parameter
     decay: Callable[[Tensor], Tensor] | None = None
     """What is left of the lagged voltage after so many samples, if a lag of one pole stands before it."""
+
+    def __init__(self, sample_period_s: float, **values: float) -> None:
+        super().__init__(sample_period_s, **values)
+        if not self.delay_s.item() / sample_period_s <= MOST_SAMPLES:
+            raise StageError(
+                f"delay_s: found {self.delay_s.item():g} s, "
+                f"expected at most {MOST_SAMPLES * sample_period_s:g} s, {MOST_SAMPLES} samples"
+            )
 
     def split(self) -> tuple[int, Tensor]:
         """Whole samples m, and the fraction f with its gradient to the delay."""
