@@ -127,9 +127,14 @@ class Search(Timing):
             chosen = self.simplest([one for one in tried if not self.faint(one.fit, small)])
             history.append(Round(now, tuple(tried), chosen.name if chosen else None))
             if chosen is None:
-                break
+                late = self.delayed(now)
+                if late is now:
+                    break
+                now = self.backward(self.swapped(late))
+                self.log(f"  with {', '.join(now.hypothesis.names)}, and no other timing: {rms_of(now)}")
+                continue
             grown = self.sized(chosen.fit) if chosen.name.startswith(OPERATOR) else chosen.fit
-            now = self.backward(self.swapped(self.delayed(self.realigned(grown))))
+            now = self.backward(self.swapped(self.realigned(grown)))
             self.needless |= set(chosen.fit.hypothesis.names) - set(now.hypothesis.names)
             self.log(f"  with {', '.join(now.hypothesis.names) or chosen.name}: {rms_of(now)}")
         self.weigh(now)
