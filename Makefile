@@ -16,13 +16,14 @@ INSTALL_TORCH_cpu = $(PIP) install torch==$(TORCH_VERSION)+cpu 2>/dev/null \
 	|| $(PIP) install torch==$(TORCH_VERSION)
 INSTALL_TORCH_gpu = $(PIP) install torch==$(TORCH_VERSION)
 
-.PHONY: demo test figures lint clean help
+.PHONY: demo test figures lint docs clean help
 
 help:
 	@echo "make demo     train a compensator on the simulated stage, export it, run it in a control loop"
 	@echo "make test     the tests"
 	@echo "make figures  measure again what README and docs quote, and renew the numbers"
 	@echo "make lint     style and types"
+	@echo "make docs     the documentation site, into docs/_build/html; a warning is an error"
 	@echo "make clean    remove .venv and what the demo left"
 
 demo: .venv/ready
@@ -46,8 +47,13 @@ figures: .venv/ready-dev
 lint: .venv/ready-dev
 	$(BIN)/ruff check . && $(BIN)/ruff format --check . && $(BIN)/mypy
 
+docs: .venv/ready-docs
+	@rm -rf docs/generated
+	$(BIN)/sphinx-build -W --keep-going -q -c docs . docs/_build/html
+	@echo "==> Open docs/_build/html/index.html"
+
 clean:
-	rm -rf .venv runs/demo exports/demo exports/demo.pt exports/demo.json
+	rm -rf .venv docs/_build docs/generated runs/demo exports/demo exports/demo.pt exports/demo.json
 
 .venv/ready: pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
@@ -61,4 +67,9 @@ clean:
 .venv/ready-dev: .venv/ready
 	@echo "==> Adding what the tests need"
 	@$(PIP) install --editable '.[dev]'
+	@touch $@
+
+.venv/ready-docs: .venv/ready
+	@echo "==> Adding what the documentation needs"
+	@$(PIP) install --editable '.[docs]'
 	@touch $@

@@ -1,0 +1,137 @@
+"""Configuration of the documentation site: `make docs` builds it into docs/_build/html."""
+
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy.typing as npt
+from docutils import nodes
+from docutils.utils.math.latex2mathml import tex2mathml
+from sphinx import addnodes
+from sphinx.application import Sphinx
+from sphinx.util.typing import stringify_annotation
+
+import torchpi
+
+project = "torchpi"
+author = "torchpi developers"
+copyright = "torchpi developers"
+version = release = torchpi.__version__
+
+extensions = [
+    "myst_parser",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.autosummary",
+    "sphinx.ext.napoleon",
+    "sphinx.ext.viewcode",  # the source has the shape of each tensor beside it
+]
+root_doc = "docs/index"
+# The source folder is the checkout: pages link to each other across folders, and to files, as on a code host.
+include_patterns = [
+    "docs/**",
+    "README.md",
+    "CHANGELOG.md",
+    "CONTRIBUTING.md",
+    "exports/README.md",
+    "benchmarks/README.md",
+    "benchmarks/**/README.md",
+]
+exclude_patterns = [".*", "docs/_build", "docs/_templates", "runs", "dist", "build"]
+templates_path = [str(Path(__file__).parent / "_templates")]
+
+myst_enable_extensions = ["dollarmath"]
+myst_fence_as_directive = ["math"]  # code hosts draw such a block as an equation, and keep its backslashes
+myst_heading_anchors = 3  # links to headings, as GitHub makes them
+
+autosummary_generate = True
+napoleon_use_ivar = True  # fields of `Attributes:` that are members as well stand once
+autodoc_default_options = {"members": True, "undoc-members": True, "member-order": "bysource"}
+autodoc_preserve_defaults = True
+python_maximum_signature_line_length = 90
+default_role = "code"  # docstrings quote code between single backticks
+highlight_language = "none"
+
+html_theme = "furo"
+html_title = f"torchpi {release}"
+html_show_copyright = False
+html_math_renderer = "mathml"
+html_additional_pages = {"index": "to_first_page.html"}
+
+
+_SECTION = re.compile(r"(Args|Attributes|Raises|Returns|Example|Examples):$")
+# Absolute values, and what ends in an underscore; not between backticks.
+_MARKUP = re.compile(r"(`[^`]*`)|\||(?<=\w)_(?!\w)")
+_ARRAY_LIKE = stringify_annotation(npt.ArrayLike, "smart")  # a union of many lines
+
+
+def as_text(lines: list[str]) -> list[str]:
+    """A docstring with its equations, the indented paragraphs, as literal blocks, and nothing else as markup.
+
+    Sections such as `Args:` are left to napoleon: their indented lines follow without an empty line.
+    """
+    out: list[str] = []
+    literal = in_sections = False
+    for line in lines:
+        in_sections = in_sections or _SECTION.match(line) is not None
+        if line.startswith("    "):
+            if not (literal or in_sections) and out and not out[-1].strip():
+                out += ["::", ""]
+                literal = True
+        elif line.strip():
+            literal = False
+        out.append(line if literal else _MARKUP.sub(lambda found: found[1] or f"\\{found[0]}", line))
+    return out
+
+
+def prepare_docstring(
+    app: Sphinx, what: str, name: str, obj: object, options: object, lines: list[str]
+) -> None:
+    lines[:] = as_text(lines)
+    if what == "attribute" and ": " in lines[0]:
+        lines.insert(0, "\\ ")  # napoleon would take what stands before the colon for a type
+
+
+def shorten_signature(
+    app: Sphinx,
+    what: str,
+    name: str,
+    obj: object,
+    options: object,
+    signature: str | None,
+    returns: str | None,
+) -> tuple[str | None, str | None]:
+    """numpy's ArrayLike by its name, not as the union that it is; a default that is made anew as `...`."""
+    if signature is not None:
+        signature = signature.replace(_ARRAY_LIKE, "~numpy.typing.ArrayLike").replace("<factory>", "...")
+    return signature, returns
+
+
+def skip_plain_fields(
+    app: Sphinx, what: str, name: str, obj: object, skip: bool, options: object
+) -> bool | None:
+    """Fields of named tuples have no text of their own."""
+    return True if (getattr(obj, "__doc__", None) or "").startswith("Alias for field number") else None
+
+
+def show_folders_as_text(app: Sphinx, doctree: nodes.document) -> None:
+    """A code host lists a folder; the site has no page for one, so its name stands without a link."""
+    for node in list(doctree.findall(addnodes.pending_xref)):
+        if node.get("reftype") == "myst":
+            page = Path(app.env.doc2path(node["refdoc"]))
+            if (page.parent / node["reftarget"]).is_dir():
+                node.replace_self(node.children)
+
+
+def write_math(translator: Any, node: nodes.Element) -> None:
+    """Equations as MathML, which browsers draw themselves: a page needs no script and no network."""
+    block = isinstance(node, nodes.math_block)
+    translator.body.append(tex2mathml(node.astext(), as_block=block))
+    raise nodes.SkipNode
+
+
+def setup(app: Sphinx) -> None:
+    app.connect("autodoc-process-docstring", prepare_docstring, priority=100)  # before napoleon
+    app.connect("autodoc-process-signature", shorten_signature)
+    app.connect("autodoc-skip-member", skip_plain_fields)
+    app.connect("doctree-read", show_folders_as_text)
+    app.add_html_math_renderer("mathml", (write_math, None), (write_math, None))

@@ -1,0 +1,160 @@
+"""The documentation: every public name is on the API page, every link leads somewhere, the tutorial runs."""
+
+import importlib
+import re
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+DOCS = ROOT / "docs"
+PAGES = sorted(
+    [
+        *DOCS.glob("*.md"),
+        *ROOT.glob("*.md"),
+        ROOT / "exports" / "README.md",
+        *ROOT.glob("benchmarks/**/README.md"),
+    ]
+)
+COMPLETE = (
+    "torchpi",
+    "torchpi.operators",
+    "torchpi.excitation",
+    "torchpi.stage",
+    "torchpi.identification",
+    "torchpi.control.indirect",
+    "torchpi.loop",
+    "torchpi.diagnosis",
+    "torchpi.export",
+)
+LINK = re.compile(r"\]\((?!https?://)([^)#\s]*)(?:#([^)\s]+))?\)")
+
+
+def text_of(page: Path) -> str:
+    return page.read_text(encoding="utf-8")
+
+
+def documented() -> dict[str, Any]:
+    """What the tables of the API page list, by full names."""
+    found = {}
+    for block in re.findall(r"```{eval-rst}\n(.*?)```", text_of(DOCS / "api.md"), re.DOTALL):
+        (module,) = re.findall(r"^\.\. currentmodule:: (\S+)$", block, re.MULTILINE)
+        for name in re.findall(r"^   ([A-Za-z][\w.]*)$", block, re.MULTILINE):
+            found[f"{module}.{name}"] = named(f"{module}.{name}")
+    return found
+
+
+def named(full_name: str) -> Any:
+    """An object by its module and name; a function may have the name of its module."""
+    module, _, name = full_name.rpartition(".")
+    return getattr(importlib.import_module(module), name)
+
+
+def without_code(text: str) -> str:
+    """Nor equations: what is left has links."""
+    return re.sub(r"^```.*?^```|`[^`\n]*`|\$[^$\n]*\$", "", text, flags=re.DOTALL | re.MULTILINE)
+
+
+def anchors(page: Path) -> set[str]:
+    """Of its headings, as code hosts and MyST make them."""
+    text = re.sub(r"^```.*?^```", "", text_of(page), flags=re.DOTALL | re.MULTILINE)
+    headings = re.findall(r"^#{1,3} (.+)$", text, re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+@pytest.mark.parametrize("name", COMPLETE)
+def test_every_public_name_is_on_the_api_page(name: str) -> None:
+    module: ModuleType = importlib.import_module(name)
+    listed, text = [id(value) for value in documented().values()], text_of(DOCS / "api.md")
+    missing = [
+        public
+        for public in module.__all__
+        if id(getattr(module, public)) not in listed
+        and f"`{public}`" not in text
+        and f"`{name}.{public}`" not in text
+    ]
+    assert missing == []
+
+
+def test_every_name_on_the_api_page_exists_and_stands_there_once() -> None:
+    found = documented()
+    assert len(found) > 80
+    assert len({id(value) for value in found.values()}) == len(found)
+
+
+def test_every_documented_name_has_a_docstring() -> None:
+    assert [name for name, value in documented().items() if not (value.__doc__ or "").strip()] == []
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
+def test_every_link_leads_to_a_file_and_a_heading_that_exist(page: Path) -> None:
+    broken = []
+    for path, anchor in LINK.findall(without_code(text_of(page))):
+        target = page.parent / path if path else page
+        if not target.exists() or (anchor and anchor not in anchors(target)):
+            broken.append(f"{path}#{anchor}")
+    assert broken == []
+
+
+def test_every_page_is_linked_from_the_first_one_and_in_its_contents() -> None:
+    text = text_of(DOCS / "index.md")
+    contents = re.findall(r"^```{toctree}\n(.*?)```", text, re.DOTALL | re.MULTILINE)
+    entries = {
+        entry.partition("<")[2].rstrip(">") or entry
+        for block in contents
+        for entry in block.splitlines()
+        if entry and not entry.startswith(":")
+    }
+    on_site = {page for page in PAGES if page != DOCS / "index.md"}
+    assert {(DOCS / f"{entry}.md").resolve() for entry in entries} == on_site
+    assert {(DOCS / path).resolve() for path, _ in LINK.findall(text) if path.endswith(".md")} == on_site
+
+
+def test_the_commands_of_the_tutorial_are_those_of_the_readme_which_are_run() -> None:
+    def commands(page: Path) -> list[str]:
+        return [
+            line
+            for block in re.findall(r"```sh\n(.*?)```", text_of(page), re.DOTALL)
+            for line in block.splitlines()
+        ]
+
+    tutorial = commands(DOCS / "mismatch.md")
+    assert len(tutorial) >= 8
+    assert [line for line in tutorial if line not in commands(ROOT / "README.md")] == []
+
+
+class TestSite:
+    """What the configuration adds to sphinx; `make docs` builds the whole, with warnings as errors."""
+
+    @pytest.fixture
+    def conf(self, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+        for package in ("sphinx", "myst_parser", "furo"):
+            pytest.importorskip(package, reason="sphinx is not installed: pip install 'torchpi[docs]'")
+        monkeypatch.syspath_prepend(str(DOCS))
+        return importlib.import_module("conf")
+
+    def test_equations_of_docstrings_are_literal_blocks_and_sections_are_left_alone(
+        self, conf: ModuleType
+    ) -> None:
+        found = conf.as_text(["u = |x_|, `x_`", "", "    y = |x|", "      + b", "", "Args:", "    x: |x_|."])
+        assert found == [
+            "u = \\|x\\_\\|, `x_`",
+            "",
+            "::",
+            "",
+            "    y = |x|",
+            "      + b",
+            "",
+            "Args:",
+            "    x: \\|x\\_\\|.",
+        ]
+
+    def test_every_equation_of_the_theory_becomes_mathml(self, conf: ModuleType) -> None:
+        text = text_of(DOCS / "theory.md")
+        blocks = re.findall(r"```math\n(.*?)\n```", text, re.DOTALL)
+        inline = re.findall(r"\$([^$\n]+)\$", text)
+        assert len(blocks) >= 10 and len(inline) >= 20
+        for equation in [*blocks, *inline]:
+            assert conf.tex2mathml(equation).startswith("<math")
