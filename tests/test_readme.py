@@ -10,10 +10,11 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
+TUTORIAL = (ROOT / "docs" / "mismatch.md").read_text(encoding="utf-8")  # has commands of the README only
 
 
-def blocks(language: str) -> list[str]:
-    return re.findall(rf"```{language}\n(.*?)```", README, re.DOTALL)
+def blocks(language: str, page: str = README) -> list[str]:
+    return re.findall(rf"```{language}\n(.*?)```", page, re.DOTALL)
 
 
 def test_readme_commands_and_python_run_in_their_order(tmp_path: Path) -> None:
@@ -33,7 +34,7 @@ def test_readme_commands_and_python_run_in_their_order(tmp_path: Path) -> None:
     assert names & {"amplifier_lag", "sensor_lag", "delay"}
     assert (tmp_path / "runs" / "mine" / "report.html").is_file()
     assert (tmp_path / "exports" / "mine" / "loop.html").is_file()
-    for program in blocks("python"):
+    for program in [*blocks("python"), *blocks("python", TUTORIAL)]:
         program = "import warnings; warnings.simplefilter('ignore')\n" + program
         done = subprocess.run([sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True)
         assert done.returncode == 0, f"{program}\n{done.stderr}"
