@@ -55,12 +55,18 @@ html_theme = "furo"
 html_title = f"torchpi {release}"
 html_show_copyright = False
 html_math_renderer = "mathml"
+html_static_path = ["_static"]
+html_css_files = ["math.css"]
 html_additional_pages = {"index": "to_first_page.html"}
 
 
 _SECTION = re.compile(r"(Args|Attributes|Raises|Returns|Example|Examples):$")
 # Absolute values, and what ends in an underscore; not between backticks.
 _MARKUP = re.compile(r"(`[^`]*`)|\||(?<=\w)_(?!\w)")
+# What docutils makes of \dot y_d, with the index below the letter.
+_DOTTED = re.compile(
+    r"<munderover>(\s*<mi>.*?</mi>)(\s*<mi>.*?</mi>)(\s*<mo stretchy=\"false\">[˙¨]</mo>)\s*</munderover>"
+)
 _ARRAY_LIKE = stringify_annotation(npt.ArrayLike, "smart")  # a union of many lines
 
 
@@ -122,10 +128,13 @@ def show_folders_as_text(app: Sphinx, doctree: nodes.document) -> None:
                 node.replace_self(node.children)
 
 
+def mathml(equation: str, as_block: bool = False) -> str:
+    """LaTeX as MathML, which browsers draw themselves: a page needs no script and no network."""
+    return _DOTTED.sub(r"<msub><mover>\1\3</mover>\2</msub>", str(tex2mathml(equation, as_block=as_block)))
+
+
 def write_math(translator: Any, node: nodes.Element) -> None:
-    """Equations as MathML, which browsers draw themselves: a page needs no script and no network."""
-    block = isinstance(node, nodes.math_block)
-    translator.body.append(tex2mathml(node.astext(), as_block=block))
+    translator.body.append(mathml(node.astext(), as_block=isinstance(node, nodes.math_block)))
     raise nodes.SkipNode
 
 

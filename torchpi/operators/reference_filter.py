@@ -16,7 +16,7 @@ from torchpi.operators.motion import BackwardMotionStream, Motion
 
 
 class ReferenceFilter:
-    """Eq. 14, exact in discrete time.
+    """The filter of eq. 14, exact in discrete time.
 
     Args:
         sample_period_s: T.
