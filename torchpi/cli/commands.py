@@ -397,7 +397,8 @@ def predict(
 ) -> None:
     """Predict what a stage does with a voltage: time_s,input_v[,aux_…] in, the same with output_um out.
 
-    From the de-energised state, at the file's own sample rate, without noise.
+    From the de-energised state, at the file's own sample rate, without noise. A stage of several axes takes
+    input_1_v, input_2_v, … at its own rate, and gives output_1_um, output_2_um, …
 
     Example: torchpi predict runs/diagnosis/stage.pt voltage.csv --output predicted.csv
 
@@ -414,7 +415,7 @@ def predict(
 
     predicted = predict_file(stage, recording, output, options, simulation)
     print(
-        f"{output}: {len(predicted):,} samples at {predicted.fs_hz:g} Hz, "
+        f"{output}: {len(predicted.y):,} samples at {predicted.fs_hz:g} Hz, "
         f"y {predicted.y.min():.3f} … {predicted.y.max():.3f} µm"
     )
 

@@ -1,18 +1,22 @@
 """What a stage does with a voltage in a file: `torchpi predict`."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import torch
 
 from torchpi.errors import RecordingError, SimulationError
+from torchpi.recordings.multi_axis import MultiAxisRecording, read_multi_axis, write_multi_axis
 from torchpi.recordings.options import SIMULATED_COLUMN
 from torchpi.recordings.readers import open_source
 from torchpi.recordings.recording import Recording, RecordingOptions, read_signal, write_recording
 from torchpi.recordings.time_base import simulated_column
 from torchpi.simulators import COLUMN, load_simulator
 from torchpi.stage import Stage
+from torchpi.stage.multi_axis import MultiAxisStage
 
+RATE_TOLERANCE = 1e-3
 AT_A_TIME = 1 << 16
 """Samples that are predicted at a time: memory beside the signals themselves does not grow with the file."""
 
@@ -23,8 +27,10 @@ def predict_file(
     output: str | Path,
     options: RecordingOptions | None = None,
     simulation: str | None = None,
-) -> Recording:
+) -> Recording | MultiAxisRecording:
     """Read time_s,input_v[,aux_…], write the same with output_um: `predict` over a file.
+
+    With the stage of several axes, time_s,input_1_v,input_2_v,…, and output_1_um,output_2_um,… beside them.
 
     Args:
         stage: the file that a diagnosis left.
@@ -39,6 +45,10 @@ def predict_file(
         SimulationError: The stage corrects a simulation that was not given, or that fails.
         StageError: The stage has no meaning at the file's sample rate.
     """
+    if MultiAxisStage.is_in(stage):
+        return predict_multi_axis(
+            MultiAxisStage.load(stage), str(stage), recording, output, options, simulation
+        )
     loaded = with_simulation(Stage.load(stage), str(stage), simulation)
     options = options or RecordingOptions()
     u = read_signal(
@@ -59,6 +69,41 @@ def predict_file(
     y = predict(loaded.at_sample_rate(u.fs_hz), u.x, signals)
     predicted = Recording(u.name, u.t, u.x, y, u.fs_hz, aux, simulated=simulated)
     write_recording(output, predicted)
+    return predicted
+
+
+def predict_multi_axis(
+    stage: MultiAxisStage,
+    path: str,
+    recording: str | Path,
+    output: str | Path,
+    options: RecordingOptions | None,
+    simulation: str | None,
+) -> MultiAxisRecording:
+    """Read time_s,input_1_v,input_2_v,…, write the same with output_1_um,output_2_um,…, from rest.
+
+    For the steady state of a periodic input the file carries a period before those that count.
+
+    Raises:
+        RecordingError: Another number of inputs, or another sample rate.
+        SimulationError: A simulation was given, which such a stage does not call.
+    """
+    if simulation is not None:
+        raise SimulationError(
+            f"{path}: found a stage that calls nothing, expected no simulation {simulation}"
+        )
+    given = read_multi_axis(recording, options)
+    if given.u.shape[1] != stage.inputs:
+        raise RecordingError(
+            f"{recording}: found {given.u.shape[1]} inputs, expected {stage.inputs} as in {path}"
+        )
+    if abs(given.fs_hz - stage.sample_rate_hz) > RATE_TOLERANCE * stage.sample_rate_hz:
+        raise RecordingError(
+            f"{recording}: found {given.fs_hz:g} Hz, expected {stage.sample_rate_hz:g} Hz as in {path}"
+        )
+    y = stage.simulate(torch.from_numpy(given.u)[None])[0].numpy()
+    predicted = replace(given, y=y)
+    write_multi_axis(output, predicted)
     return predicted
 
 

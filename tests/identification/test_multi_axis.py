@@ -1,0 +1,50 @@
+"""Identification of a stage of several axes."""
+
+import numpy as np
+import pytest
+
+from tests.stage.two_axes import multisine, recordings, two_axes
+from torchpi.identification.multi_axis import MultiAxisOptions, identify
+from torchpi.identification.multi_axis.fit import Period, PeriodicFit
+from torchpi.identification.multi_axis.identify import linear_stage, period
+
+
+def rms(stage, every) -> float:
+    errors = PeriodicFit(stage, [period(one) for one in every]).errors()
+    assert errors is not None
+    return float(np.sqrt(np.mean(np.square(errors))))
+
+
+def test_the_gradient_is_that_of_finite_differences() -> None:
+    random = np.random.default_rng(0)
+    stage = two_axes()
+    fit = PeriodicFit(stage, [Period(multisine(random, 256, 0.5), random.standard_normal((256, 2)), 1.0)])
+    vector, errors = fit.vector(), fit.errors()
+    assert errors is not None
+    _, right = fit._normal_equations(np.arange(len(vector)), errors)
+    slopes = []
+    # Shorter than the way to the next kink, where a play begins to move.
+    for step in 1e-8 * np.eye(len(vector)):
+        fit.put(vector + step)
+        above = fit.cost(fit.errors())
+        fit.put(vector - step)
+        slopes.append((above - fit.cost(fit.errors())) / 2e-8)
+    np.testing.assert_allclose(-np.array(slopes) / 2, right, rtol=1e-4, atol=1e-5 * np.abs(right).max())
+
+
+def test_an_identified_stage_predicts_realisations_that_it_was_not_fitted_to() -> None:
+    every = recordings(two_axes(), (0.3, 0.6), 4)
+    heldout = [one for one in every if one.name.endswith(" 4")]
+    fitted = [one for one in every if one not in heldout]
+    options = MultiAxisOptions(modes=2, extra_elements=0, times_s=(0.05,), seconds=8.0)
+    stage = identify(fitted, options)
+    linear, _, _ = linear_stage(fitted, 2)
+    PeriodicFit(linear, [period(one) for one in fitted]).descend(list(linear.arrays()), 20)
+    motion = float(np.sqrt(np.mean([np.square(one.y - one.y.mean(0)) for one in heldout])))
+    assert rms(stage, heldout) < 0.02 * motion
+    assert rms(stage, heldout) < 0.5 * rms(linear, heldout)
+
+
+def test_options_without_meaning_are_named() -> None:
+    with pytest.raises(ValueError, match="modes: found 0, expected a whole number from 1 on"):
+        MultiAxisOptions(modes=0)

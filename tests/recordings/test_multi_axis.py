@@ -1,0 +1,73 @@
+"""Recordings of several axes: files, archives, and what is refused."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from torchpi.errors import RecordingError
+from torchpi.recordings.multi_axis import (
+    MultiAxisRecording,
+    check_together,
+    read_multi_axis,
+    read_realisations,
+    write_multi_axis,
+)
+
+
+def recording(inputs: int = 2, name: str = "one") -> MultiAxisRecording:
+    values = np.random.default_rng(0).standard_normal((64, inputs + 2))
+    return MultiAxisRecording(name, values[:, :inputs], values[:, inputs:], 500.0)
+
+
+def test_a_written_recording_comes_back_with_its_bits(tmp_path: Path) -> None:
+    one, path = recording(), tmp_path / "one.csv"
+    write_multi_axis(path, one)
+    back = read_multi_axis(path, periods=2)
+    np.testing.assert_array_equal(back.u, one.u)
+    np.testing.assert_array_equal(back.y, one.y)
+    assert (back.fs_hz, back.periods) == (pytest.approx(500.0), 2)
+
+
+def test_an_archive_of_realisations_is_read_run_by_run(tmp_path: Path) -> None:
+    values = np.random.default_rng(0).standard_normal((2, 32, 3, 4, 2))
+    np.savez(tmp_path / "a.npz", u_low=values[0], y_low=values[1])
+    found = read_realisations(tmp_path / "a.npz", 100.0, um_per_unit=1e6)
+    assert [one.name for one in found] == ["low 1", "low 2", "low 3", "low 4"]
+    np.testing.assert_array_equal(found[1].u[32:], values[0][:, :, 1, 1])
+    np.testing.assert_array_equal(found[2].y[:32], 1e6 * values[1][:, :, 2, 0])
+
+
+def test_an_archive_of_other_arrays_is_refused(tmp_path: Path) -> None:
+    np.savez(tmp_path / "a.npz", u_low=np.zeros((8, 3)), y_low=np.zeros((8, 3)))
+    with pytest.raises(RecordingError, match=r"expected \(samples, channels, realisations, periods\)"):
+        read_realisations(tmp_path / "a.npz", 100.0)
+
+
+def test_a_missing_number_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "one.csv"
+    path.write_text("time_s,input_1_v,input_3_v\n" + "".join(f"{k / 10},1,2\n" for k in range(20)))
+    with pytest.raises(RecordingError, match="input_1_v, input_3_v, expected numbers from 1 without a gap"):
+        read_multi_axis(path)
+
+
+def test_numbers_of_inputs_that_differ_are_refused() -> None:
+    with pytest.raises(RecordingError, match=r"two: found 3 inputs .* expected 2, 2 and 500 Hz as in one"):
+        check_together([recording(), recording(3, "two")])
+
+
+def test_an_input_that_never_moves_is_named() -> None:
+    one = recording()
+    still = replace(one, u=one.u * [1.0, 0.0])
+    with pytest.raises(RecordingError, match="input_2_v: found the same value throughout"):
+        check_together([still])
+
+
+def test_inputs_always_in_proportion_are_refused_with_the_reason() -> None:
+    one = recording(3)
+    alike = replace(one, u=one.u[:, [0, 1, 0]] * [1.0, 1.0, -2.0])
+    with pytest.raises(
+        RecordingError, match="input_1_v, input_3_v: found inputs that always move in proportion"
+    ):
+        check_together([alike])

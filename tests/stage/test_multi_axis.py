@@ -1,0 +1,74 @@
+"""The stage of several axes."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from tests.stage.two_axes import multisine, two_axes
+from torchpi.errors import ArtifactError, StageError
+from torchpi.files import load_tensors, save_tensors
+from torchpi.stage.multi_axis import MultiAxisStage
+
+
+def test_windows_with_the_state_carried_over_give_the_bits_of_the_whole() -> None:
+    stage, u = two_axes(), multisine(np.random.default_rng(0), 600, 0.5)
+    whole = stage.simulate(torch.from_numpy(u)[None])[0].numpy()
+    excess, state, parts = stage.excess(u), stage.initial_state(1), []
+    for part in np.split(np.arange(len(u)), [1, 7, 250, 251]):
+        y = np.zeros((1, len(part), 2))
+        stage.advance(u[None, part], [excess[part]], state, y)
+        parts.append(y[0])
+    np.testing.assert_array_equal(np.concatenate(parts), whole)
+
+
+def test_rows_of_a_batch_are_as_alone() -> None:
+    stage, u = two_axes(), torch.from_numpy(np.random.default_rng(0).standard_normal((3, 200, 2)))
+    together = stage.simulate(u)
+    for row, alone in zip(together, u, strict=True):
+        torch.testing.assert_close(row, stage.simulate(alone[None])[0], rtol=0, atol=0)
+
+
+def test_without_force_it_is_linear_in_the_voltages() -> None:
+    stage = two_axes(force=0.0)
+    with torch.no_grad():
+        stage.play_weights.zero_()
+    u = torch.from_numpy(multisine(np.random.default_rng(0), 512, 1.0))[None]
+    torch.testing.assert_close(3 * stage.simulate(u), stage.simulate(3 * u))
+
+
+def test_a_saved_stage_comes_back_with_its_bits(tmp_path: Path) -> None:
+    stage, path = two_axes(), tmp_path / "stage.pt"
+    stage.save(path)
+    u = torch.from_numpy(multisine(np.random.default_rng(0), 300, 0.5))[None]
+    torch.testing.assert_close(MultiAxisStage.load(path).simulate(u), stage.simulate(u), rtol=0, atol=0)
+
+
+def test_a_changed_file_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "stage.pt"
+    two_axes().save(path)
+    content = load_tensors(path, 2**20, "")
+    content["sample_rate_hz"] = 2000.0
+    save_tensors(content, path)
+    with pytest.raises(ArtifactError, match="changed since it was written"):
+        MultiAxisStage.load(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "message"),
+    [
+        ("seen", np.zeros((2, 3, 2)), r"seen: found an array of \(2, 3, 2\), expected \(2, 2, 2\)"),
+        ("poles", np.array([[1.0, 0.1], [0.5, 0.5]]), "outside the unit circle"),
+        ("through", np.full((2, 2), np.nan), "through: found a value that is not finite"),
+    ],
+)
+def test_parameters_without_meaning_are_named(name: str, value: np.ndarray, message: str) -> None:
+    stage = two_axes()
+    with pytest.raises(StageError, match=message):
+        MultiAxisStage(1000.0, {**stage.arrays(), name: value}, [0.1, 0.3], [0.0], [0.1, 0.5], [0.05])
+
+
+def test_another_number_of_inputs_is_refused() -> None:
+    with pytest.raises(StageError, match=r"expected \(batch, time, 2\)"):
+        two_axes().simulate(torch.zeros(1, 10, 3))

@@ -1,0 +1,188 @@
+"""From recordings at several amplitudes to one stage of several axes.
+
+The modes come from the best linear approximation at the middle amplitude. Then elements are put into the
+feedback, sensing what each actuator's elongation exceeds its voltage by; first their weights are fitted,
+at last every number. Dead zones make loops asymmetric, plays make them lag, and a stiffness that follows the
+mean amplitude moves the resonances without distortion.
+"""
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from torchpi.errors import ConfigError, RecordingError
+from torchpi.identification.multi_axis.fit import Period, PeriodicFit
+from torchpi.identification.multi_axis.linear import best_linear_approximation, fitted_poles, modes_of
+from torchpi.operators.modal_feedback import Shapes, parameter_shapes
+from torchpi.recordings.multi_axis import MultiAxisRecording, check_together
+from torchpi.stage.multi_axis import MultiAxisStage
+
+RELATIVE_ERROR = 0.0125
+"""Of a recording's rms: the error below which its noise alone counts in its weight."""
+NOISE = 1.5
+"""Noise of the mean period, in its weight."""
+ALIKE = 1.25
+"""Amplitudes within this ratio are one level."""
+QUASI_STATIC = 0.02
+"""Share of the lines, the lowest, whose mean response is the static gain."""
+FIRST_WEIGHT = 0.01
+FEW, NEAR = 2, 0.6
+"""Recordings of a level that the fit begins with, and the share of the time for that."""
+LINEAR_STEPS, WEIGHT_STEPS, MODE_STEPS, STEPS = 12, 4, 4, 60
+ZONES, PLAYS = (0.0, 0.5, 1.2, -0.5, -1.2), (0.03, 0.1, 0.3, 0.8, 1.6)
+"""Thresholds, in units of the rms of the largest input at the highest amplitude."""
+INPUT_PLAYS = (0.05, 0.15, 0.4, 1.0, 2.0)
+
+
+@dataclass(frozen=True)
+class MultiAxisOptions:
+    """What is identified, and for how long.
+
+    Args:
+        modes: Pairs of states, those that stand for what lies beyond the band included.
+        extra_elements: Nonlinear elements beside one at each input.
+        times_s: Times over which stiffness follows the amplitude, s.
+        seconds: Time for the fit; a step that has begun is finished.
+        seed: Of the directions in which the extra elements begin.
+    """
+
+    modes: int = 19
+    extra_elements: int = 2
+    times_s: tuple[float, ...] = (0.3, 0.02)
+    seconds: float = 480.0
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        for name, least in (("modes", 1), ("extra_elements", 0), ("seed", 0)):
+            value = getattr(self, name)
+            if isinstance(value, bool) or not isinstance(value, int) or value < least:
+                raise ConfigError(f"{name}: found {value!r}, expected a whole number from {least} on")
+
+
+def identify(
+    recordings: Sequence[MultiAxisRecording],
+    options: MultiAxisOptions | None = None,
+    log: Callable[[str], None] = lambda text: None,
+) -> MultiAxisStage:
+    """One stage for all recordings, each of whole periods in steady state.
+
+    Args:
+        recordings: At one amplitude or several, as many realisations as inputs at one of them.
+        options: What is identified, and for how long.
+        log: Called with a line of progress.
+
+    Raises:
+        RecordingError: Recordings that are not of one stage, or do not show what each input does.
+    """
+    options = options or MultiAxisOptions()
+    check_together(recordings)
+    started = time.monotonic()
+    levels = by_amplitude(recordings)
+    inputs = recordings[0].u.shape[1]
+    full = [level for level in levels if len(level) >= inputs]
+    if not full:
+        raise RecordingError(
+            f"{recordings[0].name}: found {max(map(len, levels))} realisations at one amplitude, expected "
+            f"{inputs} at least, one for each input"
+        )
+    middle = full[len(full) // 2]
+    linear, z, response = linear_stage(middle, options.modes)
+    fit = PeriodicFit(linear, [period(one) for one in middle])
+    names = list(linear.arrays())
+    cost = fit.descend(names, LINEAR_STEPS)
+    log(f"linear, {options.modes} modes: weighted error {np.sqrt(cost):.3g}")
+    stage = with_elements(linear, static_gain(z, response), recordings, options)
+    weights = ["weights", "play_weights", "seen", "direct"]
+
+    def goes_on(share: float) -> Callable[[float], bool]:
+        def report(cost: float) -> bool:
+            passed = time.monotonic() - started
+            log(f"{passed:.0f} s: weighted error {np.sqrt(cost):.4g}")
+            return passed < share * options.seconds
+
+        return report
+
+    # The least noisy few of each level bring it near, all of them finish it.
+    few = [one for level in levels for one in sorted(level, key=lambda one: one.period[2])[:FEW]]
+    fit = PeriodicFit(stage, [period(one) for one in few])
+    fit.descend(weights, WEIGHT_STEPS)
+    fit.descend([*weights, "poles", "drive"], MODE_STEPS)
+    fit.descend(names, STEPS, goes_on=goes_on(NEAR))
+    fit = PeriodicFit(stage, [period(one) for one in recordings])
+    fit.descend(names, STEPS, goes_on=goes_on(1.0))
+    return stage
+
+
+def by_amplitude(recordings: Sequence[MultiAxisRecording]) -> list[list[MultiAxisRecording]]:
+    """Recordings of one amplitude together, the lowest first."""
+    levels: list[list[MultiAxisRecording]] = []
+    for one in sorted(recordings, key=lambda recording: float(recording.u.std())):
+        if levels and one.u.std() < ALIKE * levels[-1][0].u.std():
+            levels[-1].append(one)
+        else:
+            levels.append([one])
+    return levels
+
+
+def period(recording: MultiAxisRecording) -> Period:
+    """The mean period, weighted by what is known of its noise."""
+    u, y, noise = recording.period
+    return Period(u, y, 1.0 / float(np.hypot(RELATIVE_ERROR * y.std(), NOISE * noise)))
+
+
+def linear_stage(
+    level: Sequence[MultiAxisRecording], modes: int
+) -> tuple[MultiAxisStage, np.ndarray, np.ndarray]:
+    """Modes alone, from the realisations of one amplitude, and the response that they were fitted to."""
+    means = [one.period for one in level]
+    z, response = best_linear_approximation([u for u, _, _ in means], [y for _, y, _ in means])
+    found = modes_of(z, response, fitted_poles(z, response, modes))
+    shapes = Shapes(response.shape[1], response.shape[2], modes, 0, 0, 0)
+    arrays = {name: found.get(name, np.zeros(shape)) for name, shape in parameter_shapes(shapes).items()}
+    return MultiAxisStage(level[0].fs_hz, arrays), z, response
+
+
+def static_gain(z: np.ndarray, response: np.ndarray) -> np.ndarray:
+    """(inputs, outputs), µm/V, of the lowest lines."""
+    lowest = np.argsort(np.angle(z))[: max(int(QUASI_STATIC * len(z)), 4)]
+    gain: np.ndarray = response[lowest].mean(0).real
+    return gain
+
+
+def with_elements(
+    linear: MultiAxisStage,
+    gain: np.ndarray,
+    recordings: Sequence[MultiAxisRecording],
+    options: MultiAxisOptions,
+) -> MultiAxisStage:
+    """The stage with elements at the inputs, and more in random directions, all nearly without force."""
+    old = linear.arrays()
+    inputs, modes = linear.inputs, linear.shapes.modes
+    scale = max(float(one.u.std()) for one in recordings)
+    zones, plays = [scale / 0.3 * r for r in ZONES], [scale / 0.3 * r for r in PLAYS]
+    elements = inputs + options.extra_elements
+    at_means = len(zones) + len(plays)
+    functions = at_means + len(options.times_s) + len(INPUT_PLAYS)
+    shapes = linear.shapes._replace(elements=elements, functions=functions, input_plays=len(INPUT_PLAYS))
+    arrays = {name: np.zeros(shape) for name, shape in parameter_shapes(shapes).items()}
+    arrays |= {name: old[name].copy() for name in ("poles", "drive", "seen", "direct")}
+    random = np.random.default_rng(options.seed)
+    mixed = np.concatenate([np.eye(inputs), random.standard_normal((options.extra_elements, inputs))])
+    back = np.linalg.pinv(gain)  # (outputs, inputs), V/µm
+    # Elongation, in volts, less the voltage: the elastic part, which follows the stress.
+    arrays["sensed"] = np.einsum("ni,oi,omc->nmc", mixed, back, old["seen"])
+    arrays["through"] = mixed @ (back.T @ old["direct"] - np.eye(inputs))
+    arrays["force"] = np.einsum("mci,ni->mcn", old["drive"], mixed).reshape(modes, 2, elements)
+    arrays["weights"][:inputs, at_means] = FIRST_WEIGHT
+    arrays["weights"][inputs:, 0] = FIRST_WEIGHT / 2
+    arrays["weights"][inputs:, at_means] = FIRST_WEIGHT / 10
+    return MultiAxisStage(
+        linear.sample_rate_hz, arrays, [scale * r for r in INPUT_PLAYS], zones, plays, options.times_s
+    )
+
+
+def without(recordings: Sequence[MultiAxisRecording], name: str) -> list[MultiAxisRecording]:
+    """The recordings but the one of this name: to be judged on it."""
+    return [one for one in recordings if one.name != name]

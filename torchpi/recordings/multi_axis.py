@@ -1,0 +1,183 @@
+"""Recordings of several axes: `time_s,input_1_v,input_2_v,…[,output_1_um,…]`, or arrays of a benchmark."""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+
+from torchpi.errors import RecordingError
+from torchpi.files import write_atomically
+from torchpi.recordings.options import TIME_COLUMN, RecordingOptions
+from torchpi.recordings.readers import open_source
+from torchpi.recordings.readers.npz import NpzSource
+from torchpi.recordings.readers.source import Source
+from torchpi.recordings.recording import read_signal
+
+INPUT, OUTPUT = re.compile(r"input_(\d+)(_v|\b)"), re.compile(r"output_(\d+)(_um|\b)")
+PARALLEL = 1e-6
+"""Least singular value of the inputs' correlation, beside the largest: below it they move as one."""
+
+
+@dataclass(frozen=True, eq=False)
+class MultiAxisRecording:
+    """Voltages and displacements of one run, uniformly sampled.
+
+    Attributes:
+        name: Of the file, and of the run in it.
+        u: (time, inputs), V.
+        y: (time, outputs), µm; without columns where none were recorded.
+        fs_hz: Sample rate, Hz.
+        periods: How many periods of one periodic excitation it holds, in steady state; 1 for any other.
+    """
+
+    name: str
+    u: np.ndarray
+    y: np.ndarray
+    fs_hz: float
+    periods: int = 1
+
+    @property
+    def period(self) -> tuple[np.ndarray, np.ndarray, float]:
+        """Voltages and displacements of the mean period, about the sensors' zero, and the rms of what differs
+        from period to period in that mean, µm."""
+        length = len(self.u) // self.periods
+        u = self.u[: length * self.periods].reshape(self.periods, length, -1)
+        y = self.y[: length * self.periods].reshape(self.periods, length, -1)
+        mean = y.mean(0)
+        each = (y - y.mean(1, keepdims=True)) - (mean - mean.mean(0))
+        noise = float(np.sqrt((each**2).mean() / max(self.periods - 1, 1)))
+        return u.mean(0), mean - mean.mean(0), noise
+
+
+def read_multi_axis(
+    path: str | Path, options: RecordingOptions | None = None, periods: int = 1
+) -> MultiAxisRecording:
+    """Read a file whose columns are named `input_1_v`, `input_2_v`, … and `output_1_um`, …
+
+    Args:
+        path: CSV, or any other kind with named columns.
+        options: Time column and sample rate.
+        periods: How many periods of a periodic excitation the file holds.
+
+    Raises:
+        RecordingError: No such columns, one that is missing in the row, or a file that cannot be read.
+    """
+    options = options or RecordingOptions()
+    source = open_source(path)
+    inputs, outputs = columns(source, INPUT, "input_1_v"), columns(source, OUTPUT, "")
+    signals = [read_signal(path, name, options=options, unit="V") for name in inputs]
+    signals += [read_signal(path, name, options=options, unit="um") for name in outputs]
+    length, fs_hz = len(signals[0].x), signals[0].fs_hz
+    if periods < 1 or length % periods:
+        raise RecordingError(f"{path}: found {length} samples, expected a multiple of {periods} periods")
+    values = np.stack([signal.x for signal in signals], 1)
+    split = len(inputs)
+    return MultiAxisRecording(Path(path).stem, values[:, :split], values[:, split:], fs_hz, periods)
+
+
+def is_multi_axis(source: Source) -> bool:
+    """Whether an open file has numbered inputs."""
+    return any(INPUT.match(name) for name in source.names)
+
+
+def columns(source: Source, kind: re.Pattern[str], first: str) -> list[str]:
+    """The numbered columns of a kind, in order.
+
+    Args:
+        source: An open file.
+        kind: `INPUT` or `OUTPUT`.
+        first: What one at least is called; empty where none is needed.
+
+    Raises:
+        RecordingError: A number that is missing.
+    """
+    found = {int(match[1]): name for name in source.names if (match := kind.match(name))}
+    if not found and first:
+        raise RecordingError(f"{source.path}: no column '{first}', expected numbered inputs and outputs")
+    if sorted(found) != list(range(1, len(found) + 1)):
+        raise RecordingError(
+            f"{source.path}: found columns {', '.join(found.values())}, expected numbers from 1 without a gap"
+        )
+    return [found[number] for number in sorted(found)]
+
+
+def read_realisations(path: str | Path, fs_hz: float, um_per_unit: float = 1.0) -> list[MultiAxisRecording]:
+    """Read an archive of pairs of arrays `u_NAME`, `y_NAME`, each (samples, channels, realisations, periods).
+
+    Args:
+        path: A NumPy archive.
+        fs_hz: Sample rate, Hz.
+        um_per_unit: How many µm 1 in `y_NAME` stands for.
+
+    Raises:
+        RecordingError: No such pairs, or arrays of other shapes.
+    """
+    source = NpzSource(str(path))
+    names = [name[2:] for name in source.names if name.startswith("u_") and f"y_{name[2:]}" in source.names]
+    if not names:
+        raise RecordingError(f"{path}: found {', '.join(source.names)}, expected arrays u_NAME and y_NAME")
+    found = []
+    for name in names:
+        u, y = np.asarray(source.array(f"u_{name}"), float), np.asarray(source.array(f"y_{name}"), float)
+        if u.ndim != 4 or y.ndim != 4 or u.shape[::2] != y.shape[::2] or u.shape[3] != y.shape[3]:
+            raise RecordingError(
+                f"{path}: {name}: found arrays of {u.shape} and {y.shape}, "
+                "expected (samples, channels, realisations, periods)"
+            )
+        for run in range(u.shape[2]):
+            one, other = (a[:, :, run].transpose(2, 0, 1).reshape(-1, a.shape[1]) for a in (u, y))
+            found.append(MultiAxisRecording(f"{name} {run + 1}", one, um_per_unit * other, fs_hz, u.shape[3]))
+    return found
+
+
+def check_together(recordings: Sequence[MultiAxisRecording]) -> None:
+    """Whether recordings are of one stage, and show what each of its inputs does.
+
+    Raises:
+        RecordingError: Numbers of inputs, outputs or sample rates that differ, a value that is not finite, an
+            input that never moves, or inputs that always move in proportion.
+    """
+    first = recordings[0]
+    for one in recordings:
+        found = (one.u.shape[1], one.y.shape[1], one.fs_hz)
+        expected = (first.u.shape[1], first.y.shape[1], first.fs_hz)
+        if found != expected:
+            raise RecordingError(
+                f"{one.name}: found {found[0]} inputs and {found[1]} outputs at {found[2]:g} Hz, expected "
+                f"{expected[0]}, {expected[1]} and {expected[2]:g} Hz as in {first.name}"
+            )
+        if not (np.isfinite(one.u).all() and np.isfinite(one.y).all()):
+            raise RecordingError(f"{one.name}: found a value that is not finite, expected numbers")
+    if first.y.shape[1] == 0:
+        raise RecordingError(
+            f"{first.name}: no column 'output_1_um', expected the displacements beside the inputs"
+        )
+    u = np.concatenate([one.u - one.u.mean(0) for one in recordings])
+    for number, moves in enumerate(np.ptp(u, axis=0) > 0, 1):
+        if not moves:
+            raise RecordingError(
+                f"input_{number}_v: found the same value throughout, expected one that moves; leave it out"
+            )
+    values, axes = np.linalg.eigh(np.corrcoef(u.T).reshape(u.shape[1], -1))
+    if values[0] < PARALLEL * values[-1]:
+        alike = ", ".join(f"input_{i + 1}_v" for i in np.flatnonzero(np.abs(axes[:, 0]) > 1e-3))
+        raise RecordingError(
+            f"{alike}: found inputs that always move in proportion, which leaves open what each does; "
+            "expected each to move by itself"
+        )
+
+
+def write_multi_axis(path: str | Path, recording: MultiAxisRecording) -> None:
+    """Write `time_s,input_1_v,…,output_1_um,…` as CSV, whole or not at all; every double survives."""
+    names = [f"input_{i + 1}_v" for i in range(recording.u.shape[1])]
+    names += [f"output_{i + 1}_um" for i in range(recording.y.shape[1])]
+    t = np.arange(len(recording.u))[:, None] / recording.fs_hz
+    table = np.concatenate([t, recording.u, recording.y], axis=1).tolist()
+    rows = (",".join(map(repr, row)) for row in table)
+    with write_atomically(path) as temporary, open(temporary, "w", encoding="utf-8", newline="\n") as file:
+        file.write(",".join([TIME_COLUMN, *names]) + "\n")
+        while chunk := list(islice(rows, 100_000)):
+            file.write("\n".join(chunk) + "\n")

@@ -1,0 +1,5 @@
+"""A stage of several axes: shared modes, with hysteresis at each actuator and in the feedback."""
+
+from torchpi.stage.multi_axis.stage import MultiAxisStage, MultiAxisState
+
+__all__ = ["MultiAxisStage", "MultiAxisState"]

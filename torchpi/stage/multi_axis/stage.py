@@ -1,0 +1,223 @@
+"""The stage of several axes: m voltages in, p displacements out.
+
+    voltages → plays of each actuator → shared modes ⇄ nonlinear elements → displacements
+
+`torchpi.operators.modal_feedback` has the equations. The numbers are the stage's parameters, float64.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from torchpi.errors import ArtifactError, StageError
+from torchpi.files import content_sha256, load_tensors, save_tensors, write_atomically
+from torchpi.operators.compiled import in_threads
+from torchpi.operators.modal_feedback import Shapes, modal_feedback, parameter_shapes
+from torchpi.operators.oversampled_plays import play_excess
+
+SCHEMA, VERSION = "torchpi multi-axis stage", 1
+LARGEST_BYTES = 2**26
+SETTINGS = ("sample_rate_hz", "input_thresholds_v", "dead_zones", "thresholds", "times_s")
+
+
+@dataclass
+class MultiAxisState:
+    """State of a batch after a sample: modes, plays, means, and how many samples they have seen."""
+
+    x: np.ndarray  # (batch, modes, 2)
+    h: np.ndarray  # (batch, elements, plays)
+    means: np.ndarray  # (batch, elements, means)
+    past: int = 0
+
+
+class MultiAxisStage(nn.Module):
+    """Modes that several inputs share, with hysteresis at each actuator and in the feedback.
+
+    Args:
+        sample_rate_hz: Of voltages and displacements; the modes are those of samples at this rate.
+        parameters: Arrays by name: `poles`, `drive`, `force`, `sensed`, `through`, `weights`, `play_weights`,
+            `seen`, `direct`, with the shapes of `parameter_shapes`.
+        input_thresholds_v: Of the plays of each input, V.
+        dead_zones: Thresholds of the elements' dead zones, in units of what the elements sense.
+        thresholds: Of their plays.
+        times_s: Over which they average.
+        offset_um: What the sensors read at rest, (outputs,); zeros by default.
+
+    Raises:
+        StageError: A parameter that is missing, of another shape, or not finite, or poles outside the unit
+            circle.
+    """
+
+    def __init__(
+        self,
+        sample_rate_hz: float,
+        parameters: Mapping[str, Any],
+        input_thresholds_v: Sequence[float] = (),
+        dead_zones: Sequence[float] = (),
+        thresholds: Sequence[float] = (),
+        times_s: Sequence[float] = (),
+        offset_um: Sequence[float] | None = None,
+    ) -> None:
+        super().__init__()
+        if not (math.isfinite(sample_rate_hz) and sample_rate_hz > 0):
+            raise StageError(f"sample_rate_hz: found {sample_rate_hz}, expected a positive number")
+        self.sample_rate_hz = float(sample_rate_hz)
+        self.input_thresholds_v = _numbers("input_thresholds_v", input_thresholds_v, positive=True)
+        self.dead_zones = _numbers("dead_zones", dead_zones)
+        self.thresholds = _numbers("thresholds", thresholds, positive=True)
+        self.times_s = _numbers("times_s", times_s, positive=True)
+        arrays = {name: np.asarray(value, dtype=np.float64) for name, value in parameters.items()}
+        self.shapes = self._shapes(arrays)
+        for name, shape in parameter_shapes(self.shapes).items():
+            value = arrays[name]
+            if value.shape != shape:
+                raise StageError(f"{name}: found an array of {value.shape}, expected {shape}")
+            if not np.isfinite(value).all():
+                raise StageError(f"{name}: found a value that is not finite, expected numbers")
+            setattr(self, name, nn.Parameter(torch.from_numpy(value.copy())))
+        if (np.square(arrays["poles"]).sum(1) >= 1).any():
+            raise StageError("poles: found one outside the unit circle, expected stable modes")
+        offset = np.zeros(self.outputs) if offset_um is None else np.asarray(offset_um, dtype=np.float64)
+        if offset.shape != (self.outputs,) or not np.isfinite(offset).all():
+            raise StageError(f"offset_um: found {offset.tolist()}, expected {self.outputs} finite numbers")
+        self.register_buffer("offset_um", torch.from_numpy(offset.copy()))
+
+    def _shapes(self, arrays: Mapping[str, np.ndarray]) -> Shapes:
+        names = list(parameter_shapes(Shapes(0, 0, 0, 0, 0, 0)))
+        if set(arrays) != set(names):
+            raise StageError(f"parameters: found {sorted(arrays)}, expected {', '.join(names)}")
+        if arrays["direct"].ndim != 2 or arrays["weights"].ndim != 2:
+            raise StageError("direct, weights: found arrays of other dimensions, expected two")
+        outputs, inputs = arrays["direct"].shape
+        plays = len(self.input_thresholds_v)
+        functions = len(self.dead_zones) + len(self.thresholds) + len(self.times_s) + plays
+        return Shapes(inputs, outputs, len(arrays["poles"]), len(arrays["weights"]), functions, plays)
+
+    @property
+    def inputs(self) -> int:
+        return self.shapes.inputs
+
+    @property
+    def outputs(self) -> int:
+        return self.shapes.outputs
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """The parameters by name, in the kernel's order, as it takes them."""
+        named = dict(self.named_parameters())
+        return {name: named[name].detach().contiguous().numpy() for name in parameter_shapes(self.shapes)}
+
+    def thresholds_of_kernel(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Dead zones, thresholds, and the share of a sample in each mean."""
+        shares = 1 / (np.asarray(self.times_s, dtype=np.float64) * self.sample_rate_hz)
+        return np.asarray(self.dead_zones), np.asarray(self.thresholds), np.minimum(shares, 1.0)
+
+    def excess(self, u: np.ndarray) -> np.ndarray:
+        """What the plays of the inputs add, (time, inputs, plays), for voltages (time, inputs)."""
+        return play_excess(u, np.asarray(self.input_thresholds_v))
+
+    def initial_state(self, batch: int) -> MultiAxisState:
+        """At rest."""
+        n = self.shapes.elements
+        return MultiAxisState(
+            np.zeros((batch, self.shapes.modes, 2)),
+            np.zeros((batch, n, len(self.thresholds))),
+            np.zeros((batch, n, len(self.times_s))),
+        )
+
+    def simulate(self, u: Tensor) -> Tensor:
+        """Displacements, (batch, time, outputs), µm, for voltages (batch, time, inputs), V, from rest.
+
+        Raises:
+            StageError: Another number of inputs, a value that is not finite, or states without bounds.
+        """
+        if u.ndim != 3 or u.shape[2] != self.inputs:
+            raise StageError(
+                f"voltages: found an array of {tuple(u.shape)}, expected (batch, time, {self.inputs})"
+            )
+        volts = u.detach().to(torch.float64).contiguous().numpy()
+        if not np.isfinite(volts).all():
+            raise StageError("voltages: found a value that is not finite, expected numbers")
+        excess = [self.excess(one) for one in volts]
+        state, y = self.initial_state(len(volts)), np.zeros((*volts.shape[:2], self.outputs))
+        self.advance(volts, excess, state, y)
+        return torch.from_numpy(y)
+
+    def advance(
+        self, volts: np.ndarray, excess: Sequence[np.ndarray], state: MultiAxisState, y: np.ndarray
+    ) -> None:
+        """Fill `y` and leave the state after the last sample: windows give the bits of the whole."""
+        arrays, constants = self.arrays(), self.thresholds_of_kernel()
+        bounded = np.zeros(len(volts), dtype=bool)
+        nothing = (0, 0, np.zeros((0, 0)), 1, 0, np.zeros(0), np.zeros((0, 0)), np.zeros((0, 0, 0)))
+
+        def run(first: int, last: int) -> None:
+            for i in range(first, last):
+                bounded[i] = modal_feedback(
+                    volts[i], excess[i], *arrays.values(), *constants, state.x[i], state.h[i], state.means[i],
+                    state.past, y[i], *nothing,
+                )  # fmt: skip
+
+        in_threads(run, len(volts))
+        if not bounded.all():
+            raise StageError("voltages: found some without a bounded answer, expected smaller ones")
+        state.past += volts.shape[1]
+        y += np.asarray(self.get_buffer("offset_um"))
+
+    def plain(self) -> dict[str, Any]:
+        """Settings and parameters, as its file keeps them."""
+        settings = {name: getattr(self, name) for name in SETTINGS}
+        parameters = {name: torch.from_numpy(value.copy()) for name, value in self.arrays().items()}
+        return {**settings, "offset_um": self.get_buffer("offset_um").tolist(), "parameters": parameters}
+
+    def save(self, path: str | Path) -> None:
+        """Write the stage, plain numbers with a hash of them, whole or not at all."""
+        content = {"schema": SCHEMA, "version": VERSION, **self.plain()}
+        with write_atomically(path) as temporary:
+            save_tensors({**content, "sha256": content_sha256(content)}, temporary)
+
+    @classmethod
+    def load(cls, path: str | Path) -> "MultiAxisStage":
+        """The stage in a file that `save` wrote.
+
+        Raises:
+            ArtifactError: No such file, another kind of file, another version, or one that was changed.
+            StageError: A value without meaning.
+        """
+        if not Path(path).is_file():
+            raise ArtifactError(f"{path}: no such file, expected a stage.pt of several axes")
+        wrong = "not a stage file, expected a stage of several axes"
+        content = load_tensors(Path(path), LARGEST_BYTES, wrong)
+        if not isinstance(content, dict) or content.get("schema") != SCHEMA:
+            raise ArtifactError(f"{path}: a file of something else, expected a stage of several axes")
+        if content.get("version") != VERSION:
+            raise ArtifactError(f"{path}: found version {content.get('version')}, expected {VERSION}")
+        found = content.pop("sha256", None)
+        if found != content_sha256(content):
+            raise ArtifactError(f"{path}: changed since it was written, expected the file as it was saved")
+        values = {name: value for name, value in content.items() if name not in ("schema", "version")}
+        try:
+            return cls(**values)
+        except TypeError as error:
+            raise ArtifactError(f"{path}: fields of another kind, expected those of a stage") from error
+
+    @staticmethod
+    def is_in(path: str | Path) -> bool:
+        """Whether a file, of whatever kind, is that of a stage of several axes."""
+        try:
+            content = load_tensors(Path(path), LARGEST_BYTES, "not a stage file")
+        except ArtifactError:
+            return False
+        return isinstance(content, dict) and content.get("schema") == SCHEMA
+
+
+def _numbers(name: str, values: Sequence[float], positive: bool = False) -> list[float]:
+    numbers = [float(value) for value in values]
+    if not all(math.isfinite(value) and (value > 0 or not positive) for value in numbers):
+        raise StageError(f"{name}: found {numbers}, expected finite{' positive' * positive} numbers")
+    return numbers

@@ -1,0 +1,152 @@
+"""`python -m train fit --config …` of a stage of several axes: one stage.pt for all recordings."""
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from torchpi.errors import ArtifactError, ConfigError
+from torchpi.files import check_output_folder, write_atomically
+from torchpi.identification.multi_axis import MultiAxisOptions, identify
+from torchpi.identification.multi_axis.fit import PeriodicFit
+from torchpi.identification.multi_axis.identify import by_amplitude, period
+from torchpi.recordings.multi_axis import (
+    MultiAxisRecording,
+    check_together,
+    read_multi_axis,
+    read_realisations,
+)
+from torchpi.recordings.options import RecordingOptions
+from torchpi.stage.multi_axis import MultiAxisStage
+from torchpi.stage.settings import read_yaml
+
+SECTION = "multi_axis"
+READING = ("recordings", "fs_hz", "um_per_unit", "periods", "heldout")
+USAGE = "expected python -m train fit --config configs/NAME.yaml [--output FOLDER]"
+
+
+def config_of(arguments: Sequence[str]) -> Path | None:
+    """The config of a command line, where it is of a stage of several axes; None for any other."""
+    named = _options(arguments).get("config")
+    if named is None or not Path(named).is_file():
+        return None
+    try:
+        return Path(named) if SECTION in read_yaml(named) else None
+    except ConfigError:
+        return None  # the other command has the error
+
+
+def fit(arguments: Sequence[str], config: Path) -> None:
+    """Identify the stage, judge it on what was held out, and write stage.pt and metrics.json.
+
+    Raises:
+        ConfigError: An option or a key that there is not, or a value of another kind.
+        RecordingError: Recordings that cannot be used.
+        ArtifactError: The output folder is in use or cannot be written to.
+    """
+    options = _options(arguments)
+    if unknown := sorted(set(options) - {"config", "output"}):
+        raise ConfigError(f"found the option --{unknown[0]}, {USAGE}")
+    content = read_yaml(config)
+    if other := sorted(set(content) - {SECTION}):
+        raise ConfigError(f"{config}: found the key {other[0]}, expected {SECTION} alone")
+    settings = content[SECTION]
+    if not isinstance(settings, dict):
+        raise ConfigError(f"{config}: {SECTION}: found {settings!r}, expected keys with values")
+    known = [field.name for field in fields(MultiAxisOptions)]
+    if wrong := sorted(set(settings) - {*known, *READING}):
+        expected = ", ".join([*READING, *known])
+        raise ConfigError(f"{config}: found the key {wrong[0]}, expected one of {expected}")
+    folder = Path(options.get("output", f"runs/{config.stem}"))
+    check_output_folder(folder)
+    if folder.is_dir() and any(folder.iterdir()):
+        raise ArtifactError(f"--output {folder}: found a folder in use, expected a new or empty one")
+    every = recordings(settings, config)
+    check_together(every)
+    heldout = settings.get("heldout", [])
+    runs = [one.name for one in every]
+    if not isinstance(heldout, list) or any(one not in runs for one in heldout):
+        raise ConfigError(f"{config}: heldout: found {heldout}, expected a list of some of {', '.join(runs)}")
+    fitted = [one for one in every if one.name not in heldout]
+    values = {name: settings[name] for name in known if name in settings}
+    if "times_s" in values:
+        values["times_s"] = tuple(values["times_s"])
+    stage = identify(fitted, MultiAxisOptions(**values), log=print)
+    metrics = {
+        "train": judged(stage, fitted),
+        "heldout": judged(stage, [one for one in every if one.name in heldout]),
+    }
+    stage.save(folder / "stage.pt")
+    for name, text in (
+        ("metrics.json", json.dumps(metrics, indent=2)),
+        ("config.yaml", yaml.safe_dump(content)),
+    ):
+        with write_atomically(folder / name) as temporary:
+            temporary.write_text(text + "\n", encoding="utf-8")
+    show(metrics)
+    found = f"{stage.inputs} inputs, {stage.outputs} outputs, {stage.shapes.modes} modes"
+    print(f"{folder / 'stage.pt'}: {found}")
+
+
+def recordings(settings: Mapping[str, Any], config: Path) -> list[MultiAxisRecording]:
+    """What the config names: an archive of realisations, or files with numbered columns.
+
+    Raises:
+        ConfigError: Neither is named, or a number is missing.
+        RecordingError: A file cannot be read.
+    """
+    named = settings.get("recordings")
+    if isinstance(named, str) and named.endswith(".npz"):
+        numbers = (settings.get("fs_hz"), settings.get("um_per_unit", 1.0))
+        for name, number in zip(("fs_hz", "um_per_unit"), numbers, strict=True):
+            if isinstance(number, bool) or not isinstance(number, int | float) or not number > 0:
+                raise ConfigError(f"{config}: {name}: found {number!r}, expected a positive number")
+        return read_realisations(named, float(numbers[0]), float(numbers[1]))  # type: ignore[arg-type]
+    if not (isinstance(named, list) and named and all(isinstance(one, str) for one in named)):
+        raise ConfigError(f"{config}: recordings: found {named!r}, expected an archive or a list of files")
+    reading = RecordingOptions(fs_hz=settings.get("fs_hz"))
+    return [read_multi_axis(one, reading, int(settings.get("periods", 1))) for one in named]
+
+
+def judged(stage: MultiAxisStage, every: Sequence[MultiAxisRecording]) -> list[dict[str, Any]]:
+    """The rms of the steady state's error over all outputs, µm, beside noise and motion, level by level."""
+    found = []
+    for level in by_amplitude(every):
+        errors = PeriodicFit(stage, [period(one) for one in level]).errors() or []
+        found += [
+            {
+                "name": one.name,
+                "input_rms_v": float(one.u.std()),
+                "rms_um": float(np.sqrt(np.mean(error**2))),
+                "noise_rms_um": one.period[2],
+                "motion_rms_um": float(one.y.std()),
+            }
+            for one, error in zip(level, errors, strict=True)
+        ]
+    return found
+
+
+def show(metrics: Mapping[str, Sequence[Mapping[str, Any]]]) -> None:
+    """One line for each recording."""
+    for part, every in metrics.items():
+        for one in every:
+            print(
+                f"{part:>8}  {one['name']:<24} {one['rms_um']:.4f} µm rms, "
+                f"noise {one['noise_rms_um']:.4f} µm, motion {one['motion_rms_um']:.3f} µm"
+            )
+
+
+def _options(arguments: Sequence[str]) -> dict[str, str]:
+    """--NAME VALUE and --NAME=VALUE."""
+    found: dict[str, str] = {}
+    rest = list(arguments)
+    while rest:
+        word = rest.pop(0)
+        if word.startswith("--"):
+            name, given, value = word[2:].partition("=")
+            found[name] = value if given else rest.pop(0) if rest else ""
+    return found
