@@ -9,7 +9,7 @@ from torchpi.operators.compiled import in_threads
 from torchpi.operators.modal_feedback import DIVERGED, modal_feedback
 from torchpi.stage.multi_axis.stage import MultiAxisStage
 
-STRIDE = 4
+STRIDE = 8
 """Every how many samples a row of slopes goes into the normal matrix; the gradient is of all samples."""
 BLOCK = 64
 """Tangents that are carried together."""

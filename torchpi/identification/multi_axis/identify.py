@@ -30,7 +30,7 @@ QUASI_STATIC = 0.02
 FIRST_WEIGHT = 0.01
 FEW, NEAR = 2, 0.6
 """Recordings of a level that the fit begins with, and the share of the time for that."""
-LINEAR_STEPS, WEIGHT_STEPS, MODE_STEPS, STEPS = 12, 4, 4, 60
+LINEAR_STEPS, WEIGHT_STEPS, MODE_STEPS, STEPS = 25, 4, 4, 60
 ZONES, PLAYS = (0.0, 0.5, 1.2, -0.5, -1.2), (0.03, 0.1, 0.3, 0.8, 1.6)
 """Thresholds, in units of the rms of the largest input at the highest amplitude."""
 INPUT_PLAYS = (0.05, 0.15, 0.4, 1.0, 2.0)
@@ -48,7 +48,7 @@ class MultiAxisOptions:
         seed: Of the directions in which the extra elements begin.
     """
 
-    modes: int = 19
+    modes: int = 24
     extra_elements: int = 2
     times_s: tuple[float, ...] = (0.3, 0.02)
     seconds: float = 480.0
