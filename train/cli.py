@@ -21,7 +21,7 @@ from lightning.pytorch.cli import LightningArgumentParser, LightningCLI
 from torchpi.cli.command_line import run_command
 from torchpi.errors import ConfigError, RecordingWarning, TorchpiError
 
-from . import console, results
+from . import console, multi_axis, results
 from .data import RecordingsData
 from .module import InverseTraining
 from .parser import TrainParser
@@ -57,8 +57,13 @@ def fit(
     program: str = PROGRAM,  # as it was called, for help and provenance
 ) -> None:
     """Do what the command line says."""
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    config = multi_axis.config_of(given)
+    if config is not None:
+        multi_axis.fit(given, config)
+        return
     quieten()
-    FitCLI(list(sys.argv[1:] if arguments is None else arguments), program)
+    FitCLI(given, program)
 
 
 def quieten() -> None:

@@ -10,7 +10,7 @@ import numpy as np
 import yaml
 
 from torchpi.errors import ArtifactError, ConfigError
-from torchpi.files import check_output_folder, write_atomically
+from torchpi.files import check_output_folder, config_file, write_atomically
 from torchpi.identification.multi_axis import MultiAxisOptions, identify
 from torchpi.identification.multi_axis.fit import PeriodicFit
 from torchpi.identification.multi_axis.identify import by_amplitude, period
@@ -32,10 +32,11 @@ USAGE = "expected python -m train fit --config configs/NAME.yaml [--output FOLDE
 def config_of(arguments: Sequence[str]) -> Path | None:
     """The config of a command line, where it is of a stage of several axes; None for any other."""
     named = _options(arguments).get("config")
-    if named is None or not Path(named).is_file():
+    if named is None or list(arguments[:1]) != ["fit"]:
         return None
     try:
-        return Path(named) if SECTION in read_yaml(named) else None
+        config = config_file(named)
+        return config if SECTION in read_yaml(config) else None
     except ConfigError:
         return None  # the other command has the error
 
@@ -73,6 +74,8 @@ def fit(arguments: Sequence[str], config: Path) -> None:
         raise ConfigError(f"{config}: heldout: found {heldout}, expected a list of some of {', '.join(runs)}")
     fitted = [one for one in every if one.name not in heldout]
     values = {name: settings[name] for name in known if name in settings}
+    if not isinstance(values.get("times_s", []), list):
+        raise ConfigError(f"{config}: times_s: found {values['times_s']!r}, expected a list of numbers")
     if "times_s" in values:
         values["times_s"] = tuple(values["times_s"])
     stage = identify(fitted, MultiAxisOptions(**values), log=print)

@@ -29,6 +29,8 @@ BINARY_SAMPLE = 24
 TEXTS = (".csv", ".txt", ".dat", ".tsv", ".asc", ".lvm")
 PAPER_S = {"slow": 2.0, "fast": 1.0}
 """Of the paper's trajectories."""
+SEVERAL_AXES_S = 480.0
+GROUPS = ("data", "model", "trainer")
 USUAL_HZ = 10_000.0
 """Of the built-in stages; that of others is not known before torch is there."""
 
@@ -59,7 +61,13 @@ def announce_fit(arguments: Sequence[str]) -> None:
     if arguments[:1] != ["fit"] or any(word.startswith(("-h", "--help", "--print")) for word in arguments):
         return
     with contextlib.suppress(ConfigError, OSError, yaml.YAMLError, AttributeError, TypeError, ValueError):
-        data, model, trainer = _settings(arguments)
+        data, model, trainer, several = _settings(arguments)
+        if several:
+            # A stage of several axes is fitted for a given time, however quick the machine.
+            print(
+                f"This will take up to {_spoken(float(several.get('seconds', SEVERAL_AXES_S)))}.", flush=True
+            )
+            return
         files = [*(data.get("recordings") or ()), *(data.get("heldout") or ())]
         simulate = data.get("simulate") or {}
         played = [one for part in ("train", "heldout") for one in simulate.get(part) or ()]
@@ -73,15 +81,15 @@ def announce_fit(arguments: Sequence[str]) -> None:
 
 
 def _settings(arguments: Sequence[str]) -> tuple[dict[str, Any], ...]:
-    """data, model and trainer of the config and of the options after it, as far as they tell of time."""
+    """Sections of the config, with the options after it, as far as they tell of time."""
     words = [part for word in arguments[1:] for part in (word.split("=", 1) if word[:2] == "--" else [word])]
     given = dict(itertools.pairwise(words))
     config = given.get("--config") or given.get("-c")
     read = yaml.safe_load(config_file(config).read_text(encoding="utf-8")) if config else {}
-    groups = {name: dict(read.get(name) or {}) for name in ("data", "model", "trainer")}
+    groups = {name: dict(read.get(name) or {}) for name in (*GROUPS, "multi_axis")}
     for option, value in given.items():
         group, _, name = option.removeprefix("--").partition(".")
-        if group in groups and name:
+        if group in GROUPS and name:
             groups[group][name] = yaml.safe_load(value)
     return tuple(groups.values())
 

@@ -59,6 +59,14 @@ class MultiAxisOptions:
             value = getattr(self, name)
             if isinstance(value, bool) or not isinstance(value, int) or value < least:
                 raise ConfigError(f"{name}: found {value!r}, expected a whole number from {least} on")
+        if (
+            isinstance(self.seconds, bool)
+            or not isinstance(self.seconds, int | float)
+            or not self.seconds >= 0
+        ):
+            raise ConfigError(f"seconds: found {self.seconds!r}, expected a number that is not negative")
+        if not all(isinstance(one, int | float) and one > 0 for one in self.times_s):
+            raise ConfigError(f"times_s: found {list(self.times_s)!r}, expected positive numbers")
 
 
 def identify(
