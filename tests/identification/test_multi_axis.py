@@ -45,6 +45,16 @@ def test_an_identified_stage_predicts_realisations_that_it_was_not_fitted_to() -
     assert rms(stage, heldout) < 0.5 * rms(linear, heldout)
 
 
+def test_a_pole_that_a_step_takes_out_of_the_unit_circle_comes_back_into_it() -> None:
+    stage = two_axes()
+    fit = PeriodicFit(stage, [Period(np.zeros((8, 2)), np.zeros((8, 2)), 1.0)])
+    vector = fit.vector()
+    vector[:2] = 1.2, 0.9
+    fit.put(vector)
+    assert np.hypot(*stage.arrays()["poles"][0]) < 1
+    np.testing.assert_array_equal(stage.arrays()["poles"][1], two_axes().arrays()["poles"][1])
+
+
 def test_options_without_meaning_are_named() -> None:
     with pytest.raises(ValueError, match="modes: found 0, expected a whole number from 1 on"):
         MultiAxisOptions(modes=0)

@@ -16,6 +16,8 @@ BLOCK = 64
 FIRST_DAMPING, LEAST_DAMPING = 1e-3, 1e-9
 LESS, MORE = 8.0, 5.0
 TRIALS = 8
+LARGEST_RADIUS, SMALLEST = 0.9995, 1e-12
+"""Of a pole."""
 UNMOVED = 1e-9
 """Of the largest slope: a number with less moves nothing."""
 
@@ -52,11 +54,16 @@ class PeriodicFit:
         return np.concatenate([value.ravel() for value in self.stage.arrays().values()])
 
     def put(self, vector: np.ndarray) -> None:
-        """Give the stage these numbers."""
+        """Give the stage these numbers, poles outside the unit circle brought back into it.
+
+        A mode that only its elements keep stable would ring by itself near rest, where they have no force.
+        """
         first = 0
         for value in self.stage.arrays().values():
             value[...] = vector[first : first + value.size].reshape(value.shape)
             first += value.size
+        poles = self.stage.arrays()["poles"]
+        poles *= np.minimum(1, LARGEST_RADIUS / np.maximum(np.hypot(*poles.T), SMALLEST))[:, None]
 
     def where(self, names: Sequence[str]) -> np.ndarray:
         """Indices in the vector of the parameters of these names."""
@@ -119,6 +126,7 @@ class PeriodicFit:
                 moved = vector.copy()
                 moved[index] += np.linalg.solve(damped, right / scale) / scale
                 self.put(moved)
+                moved = self.vector()
                 trial = self.errors()
                 if fell := self.cost(trial) < cost:
                     vector, errors, cost = moved, trial, self.cost(trial)
