@@ -66,7 +66,7 @@ def test_help_says_for_and_has_an_example(
         (["--for", "training"], "--for is 'training', expected diagnosis"),
         (["--fro", "diagnosis"], "nearest is 'for'"),
         (["--for_", "diagnosis"], "nearest is 'for'"),
-        (["--max_rate_v_s", "20"], "max_rate_v_s is 20 V/s, wanted"),
+        (["--max_rate_v_s", "20"], "max_rate_v_s is 20 V/s, expected"),
         (["--high_hz", "4000"], "sample_rate_hz is 10000 Hz, expected 16000 Hz"),
         (["--min_voltage_v", "2"], "min_voltage_v is 2 V"),
         (["--output", "taken"], "taken is a file, expected a folder"),

@@ -163,13 +163,13 @@ def test_a_seed_gives_the_same_bits_and_another_one_other_phases():
     [
         ({"min_voltage_v": 1.0}, "min_voltage_v is 1 V, expected 0 V or less"),
         ({"min_voltage_v": -5.0, "max_voltage_v": -1.0}, "max_voltage_v is -1 V, expected 0 V or more"),
-        ({"min_voltage_v": 0.0, "max_voltage_v": 0.0}, "wanted the lower limit first"),
+        ({"min_voltage_v": 0.0, "max_voltage_v": 0.0}, "expected the lower limit first"),
         ({"max_voltage_v": np.inf}, "from 0 to inf V"),
         ({"max_rate_v_s": 0.0}, "max_rate_v_s is 0, expected more than 0"),
         ({"sample_rate_hz": np.nan}, "sample_rate_hz is nan"),
         ({"sample_rate_hz": 500.0}, "sample_rate_hz is 500 Hz, expected 800 Hz or more"),
         ({"high_hz": 5.0}, "high_hz is 5 Hz, expected 20 Hz or more"),
-        ({"max_rate_v_s": 50.0}, "max_rate_v_s is 50 V/s, wanted"),
+        ({"max_rate_v_s": 50.0}, "max_rate_v_s is 50 V/s, expected"),
     ],
 )
 def test_limits_that_exclude_each_other_are_one_line_with_the_value_wanted(limits, says):
@@ -184,5 +184,5 @@ def test_the_rate_that_the_error_wants_is_enough(limits, seed):
     slow = replace(limits, max_rate_v_s=0.1 * limits.span_v)
     with pytest.raises(ConfigError) as caught:
         diagnostic_excitations(slow, seed)
-    wanted_v_s = float(str(caught.value).partition("wanted ")[2].split()[0])
+    wanted_v_s = float(str(caught.value).partition("expected ")[2].split()[0])
     diagnostic_excitations(replace(limits, max_rate_v_s=wanted_v_s), seed)

@@ -92,7 +92,7 @@ class TestEverySignal:
     @pytest.mark.parametrize("make", [*EXCITATIONS.values(), *TRAJECTORIES.values()])
     @pytest.mark.parametrize("wrong", [{"duration_s": 0.0}, {"duration_s": np.nan}, {"fs_hz": -1.0}])
     def test_no_samples_is_a_clear_error(self, make, wrong):
-        with pytest.raises(ConfigError, match="wanted"):
+        with pytest.raises(ConfigError, match="expected"):
             make(**wrong)
 
 

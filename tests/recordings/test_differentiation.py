@@ -144,7 +144,7 @@ class TestBadInput:
             zero_phase_motion(np.zeros(100), FS_HZ, bandwidth_hz)
 
     def test_too_few_samples(self):
-        with pytest.raises(RecordingError, match="wanted at least 8"):
+        with pytest.raises(RecordingError, match="expected at least 8"):
             zero_phase_motion(np.zeros(5), FS_HZ, 100)
-        with pytest.raises(RecordingError, match="wanted at least 8"):
+        with pytest.raises(RecordingError, match="expected at least 8"):
             motion_bandwidth(np.zeros(5), FS_HZ)

@@ -63,7 +63,7 @@ def test_what_was_run_is_written_down(run: Path, recordings: list[str]) -> None:
 
 def test_the_deployed_file_is_the_best_checkpoint(run: Path) -> None:
     compensator = load_compensator(run)
-    yd = 3 + 2 * torch.sin(torch.linspace(0, 20, 400, dtype=torch.float64))
+    yd = 2.5 * (1 - torch.cos(torch.linspace(0, 20, 400, dtype=torch.float64)))
     deployed = load_torchscript(run / "compensator.pt")
     assert deployed.preview == 1
     with torch.no_grad():

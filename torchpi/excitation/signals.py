@@ -99,7 +99,7 @@ def multisine(
         if period.min() < low_v or period.max() > high_v:
             raise ConfigError(
                 f"multisine: rms_v {rms_v:g} V needs {period.min():.3g}…{period.max():.3g} V, "
-                f"wanted {low_v:g}…{high_v:g} V; take a smaller rms_v or a wider range"
+                f"expected {low_v:g}…{high_v:g} V; take a smaller rms_v or a wider range"
             )
     return _ramped_in(np.tile(period, periods), period, fs_hz, ramp_in_s)
 
@@ -168,7 +168,7 @@ def triangle_corners(
     if seconds[-1] == 0 or min(levels) < 0 or max(levels) > 1:
         raise ConfigError(
             f"triangles: levels run from {min(levels):g} to {max(levels):g} of the range, "
-            "wanted 0 to 1 and a "
+            "expected 0 to 1 and a "
             f"movement; change amplitudes, minor_biases or minor_amplitude"
         )
     return levels, seconds
@@ -420,5 +420,5 @@ def _check_band(low_hz: float, high_hz: float, fs_hz: float) -> None:
     if not 0 <= low_hz < high_hz < fs_hz / 2:
         raise ConfigError(
             f"the band is {low_hz:g}…{high_hz:g} Hz at {fs_hz:g} Hz, "
-            f"wanted it rising and below {fs_hz / 2:g} Hz"
+            f"expected it rising and below {fs_hz / 2:g} Hz"
         )

@@ -14,14 +14,14 @@ from torchpi.report.traces import envelope, thinned
 
 
 def trajectory_figure(result: LoopResult) -> Figure:
-    """The motion against the one wanted, and the error of every drive below."""
+    """The motion against the reference, and the error of every drive below."""
     with drawing():
         figure = Figure(figsize=(style.WIDTH_IN, 4.6))
         motion, error = figure.subplots(2, 1, sharex=True, height_ratios=(1.15, 1))
         for key in (WITHOUT, COMPENSATED):
             drive = result.drives[key]
             motion.plot(*envelope(result.t, drive.y_true), label=drive.label, **_line(result, key))
-        motion.plot(*envelope(result.t, result.yd), label="wanted, $y_d$", **style.WANTED)
+        motion.plot(*envelope(result.t, result.yd), label="reference, $y_d$", **style.WANTED)
         motion.set_ylabel("displacement (µm)")
         motion.set_title(f"{result.title}: motion")
         for key, drive in result.drives.items():
@@ -37,7 +37,7 @@ def trajectory_figure(result: LoopResult) -> Figure:
 
 
 def linearity_figure(result: LoopResult) -> Figure:
-    """y against y_d before and after: a straight line through the origin is what is wanted."""
+    """y against y_d before and after: ideally a straight line through the origin."""
     with drawing():
         figure = Figure(figsize=(style.WIDTH_IN, 3.7))
         panels = figure.subplots(1, 2, sharex=True, sharey=True)
@@ -54,7 +54,7 @@ def linearity_figure(result: LoopResult) -> Figure:
                 label="steady",
             )
             axes.set_title(f"{drive.label}\nloop width {drive.loop_width_percent:.2g} % of peak to peak")
-            axes.set_xlabel("wanted displacement $y_d$ (µm)")
+            axes.set_xlabel("reference $y_d$ (µm)")
             axes.set_aspect("equal")
             axes.legend(loc="upper left")
         panels[0].set_ylabel("displacement $y$ (µm)")

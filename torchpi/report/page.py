@@ -120,12 +120,12 @@ def _loop_figures(result: LoopResult) -> list[_Picture]:
         _Picture(
             "trajectory",
             loop_figures.trajectory_figure(result),
-            "True displacement against the one wanted; below, the error of every drive.",
+            "True displacement against the reference; below, the error of every drive.",
         ),
         _Picture(
             "linearity",
             loop_figures.linearity_figure(result),
-            "Displacement against the one wanted, before and after: hysteresis opens the loop, "
+            "Displacement against the reference, before and after: hysteresis opens the loop, "
             "the dotted line is the aim.",
         ),
         _Picture(
