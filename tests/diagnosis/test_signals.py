@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.hostile.kills import alive, descendants
 from torchpi.recordings.recording import Recording, write_recording
 
 ROOT = Path(__file__).parents[2]
@@ -20,22 +21,6 @@ pytestmark = [
     pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="children are found in /proc"),
     pytest.mark.skipif((os.cpu_count() or 1) < 2, reason="one core: no workers"),
 ]
-
-
-def descendants(process: int) -> list[int]:
-    found = []
-    for file in Path("/proc").glob(f"{process}/task/*/children"):
-        for child in map(int, file.read_text().split()):
-            found += [child, *descendants(child)]
-    return found
-
-
-def alive(process: int) -> bool:
-    try:
-        state = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0]
-    except OSError:
-        return False
-    return state != "Z"
 
 
 @pytest.fixture

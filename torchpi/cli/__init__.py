@@ -1,5 +1,8 @@
-"""The command line. Nothing heavy is imported before a command has been chosen."""
+"""The command line. Nothing is imported before it is called: a worker process imports this package too."""
 
-from torchpi.cli.commands import main
 
-__all__ = ["main"]
+def main() -> None:
+    """Entry point."""
+    from torchpi.cli.commands import main
+
+    main()

@@ -13,6 +13,7 @@ from typing import Any
 from torchpi import __version__
 from torchpi.cli import duration
 from torchpi.cli.command_line import run_chosen, run_program
+from torchpi.cli.workers import THREADS
 from torchpi.recordings.options import RecordingOptions
 
 DESCRIPTION = """Makes piezo stages go where they are told.
@@ -39,9 +40,8 @@ IN_ONE_THREAD = ("commission", "diagnose")
 def main() -> None:
     """Entry point."""
     if sys.argv[1:2] and sys.argv[1] in IN_ONE_THREAD:
-        # Now, because libraries of linear algebra read it once, and parsing already loads one.
-        for threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-            os.environ.setdefault(threads, "1")
+        for name in THREADS:  # now, because parsing already loads such a library
+            os.environ.setdefault(name, "1")
     if sys.argv[1:2] == ["train"]:
         run_program(train, "torchpi")  # Lightning parses what follows
     run_program(lambda: run_chosen(COMMANDS, "torchpi", DESCRIPTION, __version__), "torchpi")

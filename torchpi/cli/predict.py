@@ -45,10 +45,8 @@ def predict_file(
         SimulationError: The stage corrects a simulation that was not given, or that fails.
         StageError: The stage has no meaning at the file's sample rate.
     """
-    if MultiAxisStage.is_in(stage):
-        return predict_multi_axis(
-            MultiAxisStage.load(stage), str(stage), recording, output, options, simulation
-        )
+    if several := MultiAxisStage.load_if_one(stage):
+        return predict_multi_axis(several, str(stage), recording, output, options, simulation)
     loaded = with_simulation(Stage.load(stage), str(stage), simulation)
     options = options or RecordingOptions()
     u = read_signal(
@@ -89,9 +87,7 @@ def predict_multi_axis(
         SimulationError: A simulation was given, which such a stage does not call.
     """
     if simulation is not None:
-        raise SimulationError(
-            f"{path}: found a stage that calls nothing, expected no simulation {simulation}"
-        )
+        raise calls_nothing(path, simulation)
     given = read_multi_axis(recording, options)
     if given.u.shape[1] != stage.inputs:
         raise RecordingError(
@@ -127,10 +123,13 @@ def with_simulation(stage: Stage, path: str, simulation: str | None) -> Stage:
     if simulation in (None, stage.simulation) and not calls:
         return stage
     if not calls:
-        raise SimulationError(
-            f"{path}: found a stage that calls nothing, expected no simulation {simulation}"
-        )
+        raise calls_nothing(path, simulation)
     return stage.with_simulation(load_simulator(str(simulation)))
+
+
+def calls_nothing(path: str, simulation: str | None) -> SimulationError:
+    """The error where a simulation is given to a stage that has no use for it."""
+    return SimulationError(f"{path}: found a stage that calls nothing, expected no simulation {simulation}")
 
 
 def predict(

@@ -13,6 +13,8 @@ from contextlib import contextmanager
 from multiprocessing import get_context
 
 MOST_WORKERS = 3
+THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+"""What libraries of linear algebra read, once, as they are imported."""
 WATCH_S = 0.2
 
 
@@ -92,9 +94,8 @@ def _signals_after() -> Iterator[None]:
 def _one_thread_each() -> Iterator[None]:
     """Processes that start meanwhile multiply matrices in one thread: as many as cores for each of as many
     processes take three times as long."""
-    names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-    before = {name: os.environ.get(name) for name in names}
-    os.environ.update(dict.fromkeys(names, "1"))
+    before = {name: os.environ.get(name) for name in THREADS}
+    os.environ.update(dict.fromkeys(THREADS, "1"))
     try:
         yield
     finally:

@@ -3,6 +3,7 @@
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import islice
 from pathlib import Path
 
@@ -39,7 +40,7 @@ class MultiAxisRecording:
     fs_hz: float
     periods: int = 1
 
-    @property
+    @cached_property
     def period(self) -> tuple[np.ndarray, np.ndarray, float]:
         """Voltages and displacements of the mean period, about the sensors' zero, and the rms of what differs
         from period to period in that mean, µm."""

@@ -9,7 +9,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeGuard
 
 import numpy as np
 import torch
@@ -193,8 +193,26 @@ class MultiAxisStage(nn.Module):
             raise ArtifactError(f"{path}: no such file, expected a stage.pt of several axes")
         wrong = "not a stage file, expected a stage of several axes"
         content = load_tensors(Path(path), LARGEST_BYTES, wrong)
-        if not isinstance(content, dict) or content.get("schema") != SCHEMA:
+        if not _is_one(content):
             raise ArtifactError(f"{path}: a file of something else, expected a stage of several axes")
+        return cls._of(content, path)
+
+    @classmethod
+    def load_if_one(cls, path: str | Path) -> "MultiAxisStage | None":
+        """The stage in a file; None where the file, of whatever kind, is not that of one of several axes.
+
+        Raises:
+            ArtifactError: Another version, or one that was changed.
+            StageError: A value without meaning.
+        """
+        try:
+            content = load_tensors(Path(path), LARGEST_BYTES, "not a stage file")
+        except ArtifactError:
+            return None
+        return cls._of(content, path) if _is_one(content) else None
+
+    @classmethod
+    def _of(cls, content: dict[str, Any], path: str | Path) -> "MultiAxisStage":
         if content.get("version") != VERSION:
             raise ArtifactError(f"{path}: found version {content.get('version')}, expected {VERSION}")
         found = content.pop("sha256", None)
@@ -206,14 +224,9 @@ class MultiAxisStage(nn.Module):
         except TypeError as error:
             raise ArtifactError(f"{path}: fields of another kind, expected those of a stage") from error
 
-    @staticmethod
-    def is_in(path: str | Path) -> bool:
-        """Whether a file, of whatever kind, is that of a stage of several axes."""
-        try:
-            content = load_tensors(Path(path), LARGEST_BYTES, "not a stage file")
-        except ArtifactError:
-            return False
-        return isinstance(content, dict) and content.get("schema") == SCHEMA
+
+def _is_one(content: object) -> TypeGuard[dict[str, Any]]:
+    return isinstance(content, dict) and content.get("schema") == SCHEMA
 
 
 def _numbers(name: str, values: Sequence[float], positive: bool = False) -> list[float]:
