@@ -1,4 +1,4 @@
-"""Lightning's parser with torchpi's errors: one line, what was found, what is wanted."""
+"""Lightning's parser with torchpi's errors: one line, what was found, what was expected."""
 
 import re
 from typing import Any, NoReturn

@@ -79,7 +79,7 @@ def step_limits(
     sample_period_s: float,
     voltages_v: tuple[float, float],
     reach: Reach,
-    geometric_mean_rms_um: float = 0.0,
+    typical_um: float = 0.0,
     trained: TrainedMotions | None = None,
     max_slew_v_s: float | None = None,
 ) -> StepLimits:
@@ -89,13 +89,13 @@ def step_limits(
         sample_period_s: T.
         voltages_v: Output limits.
         reach: What is reached within them.
-        geometric_mean_rms_um: A displacement that occurs, where the training is not known.
+        typical_um: A displacement that occurs, where the training is not known.
         trained: What it was trained on.
         max_slew_v_s: Largest rate of the output voltage, V/s; None for any.
     """
     change = None if max_slew_v_s is None else max_slew_v_s * sample_period_s
     if trained is None:
-        largest = BEYOND_REACH * max(abs(reach.low_um), abs(reach.high_um), abs(geometric_mean_rms_um))
+        largest = BEYOND_REACH * max(abs(reach.low_um), abs(reach.high_um), abs(typical_um))
         return StepLimits(
             (-largest, largest), 2 * largest, (-largest, largest), 2 * largest, *voltages_v, change
         )

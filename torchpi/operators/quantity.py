@@ -29,7 +29,7 @@ class Quantity:
         """Return `value` as a float.
 
         Raises:
-            StageError: It is no finite number, or outside the limits; names parameter, unit, found, wanted.
+            StageError: It is no finite number, or outside the limits; names parameter, unit, found, expected.
         """
         inside = self.at_least <= value <= self.at_most and not (self.positive and value <= 0)
         if not (math.isfinite(value) and inside):
