@@ -57,8 +57,13 @@ def test_inputs_and_modes_superpose():
 
 def test_without_modes_a_coupling_is_a_cross_coupling():
     x, a = wandering(2, 30), wandering(2, 30, seed=1)
-    y = Modes(PERIOD_S, [Part(ModalCoupling, {"coupling_um_per_v": 0.3}, "aux_a")])(x, None, [a])[0]
+    modes = Modes(PERIOD_S, [Part(ModalCoupling, {"coupling_um_per_v": 0.3}, "aux_a")])
+    y = modes(x, None, [a])[0]
     assert torch.equal(y, CrossCoupling(PERIOD_S, coupling_um_per_v=0.3)(x, None, a)[0])
+    with torch.no_grad():
+        assert torch.equal(modes(x, None, [a])[0], y)
+    slope = modes.slopes(x[:1], [a[:1]])[0, "coupling_um_per_v"]
+    torch.testing.assert_close(slope, a[:1], rtol=0, atol=1e-12)
 
 
 @pytest.mark.parametrize("hold", ["first", "end"])

@@ -120,16 +120,17 @@ class Modes(LinearEffect):
         a, b, c, d = (part.contiguous().numpy() for part in self.matrices())
         rows, modes = len(inputs[0]), len(a)
         u = torch.cat([one.to("cpu", torch.float64) for one in inputs]).numpy()
-        states = state.to("cpu", torch.float64).numpy().reshape(rows, -1, modes, 2).swapaxes(0, 1).copy()
-        after, y = states[: len(inputs)].reshape(-1, modes, 2), np.empty_like(u)
+        states = state.to("cpu", torch.float64).numpy()
+        states = states.reshape(rows, len(self.share), modes, 2).swapaxes(0, 1).copy()
+        after, y = states[: len(inputs)].reshape(len(u), modes, 2), np.empty_like(u)
         which = np.repeat(np.arange(len(inputs)), rows)
         residues = np.ascontiguousarray(c.transpose(1, 2, 0)), np.ascontiguousarray(d.T)
         superposed(u, a, b, *residues, self.direct().numpy(), which, after, y)
-        states[: len(inputs)] = after.reshape(-1, rows, modes, 2)
+        states[: len(inputs)] = after.reshape(len(inputs), rows, modes, 2)
         total = torch.zeros(rows, u.shape[1], dtype=torch.float64)
         for driven in torch.from_numpy(y).split(rows):
             total = total + driven
-        state_after = torch.from_numpy(states.swapaxes(0, 1).reshape(rows, -1))
+        state_after = torch.from_numpy(states.swapaxes(0, 1).reshape(state.shape))
         return total.to(inputs[0].device, inputs[0].dtype), state_after.to(state.device, state.dtype)
 
     def direct(self) -> Tensor:
