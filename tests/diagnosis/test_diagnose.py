@@ -17,11 +17,12 @@ from tests.diagnosis.plants import (
     pair,
     record,
     resonance,
+    stairs,
     triangles,
 )
 from tests.diagnosis.prepared import prepared
 from torchpi.diagnosis.chain import Chain
-from torchpi.diagnosis.diagnose import diagnose
+from torchpi.diagnosis.diagnose import diagnose, off_all_around
 from torchpi.diagnosis.diagnosis import Diagnosis
 from torchpi.diagnosis.fit import fit
 from torchpi.diagnosis.hypothesis import Hypothesis
@@ -149,3 +150,25 @@ def test_what_is_static_is_tried_while_the_displacement_is_taken_as_stepped() ->
     search = Search(chain, lambda sentence: None)
     stepped = reduced(chain, fit(chain, Hypothesis(many_plays(search.seen), held=True)))
     assert "creep" in dict(search.effects(stepped))
+
+
+def test_a_reading_where_the_stage_has_just_been_is_late_and_one_beyond_is_wrong() -> None:
+    model = np.concatenate([np.zeros(50), np.full(50, 8.0)])
+    late, wrong = model.copy(), model.copy()
+    late[52], wrong[70], wrong[30] = 3.0, 3.0, -5.0
+    assert off_all_around(late, late - model, np.array([52])) < 0
+    np.testing.assert_allclose(off_all_around(wrong, wrong - model, np.array([30, 70])), 5.0)
+
+
+def test_creep_of_two_poles_is_creep_and_no_drift() -> None:
+    def two_poles(x: np.ndarray, fs_hz: float) -> np.ndarray:
+        for gain, tau_s in ((0.03, 0.3), (0.03, 5.0)):
+            a = np.exp(-1 / (fs_hz * tau_s))
+            x = x + gain * lfilter([0.5 * (1 - a), 0.5 * (1 - a)], [1, -a], x)
+        return x
+
+    rig = {"after": two_poles, "fs_hz": 500.0}
+    u = stairs(4000), triangles(4000, 0.7, 500.0)
+    found = diagnose([record(one, **rig, seed=k, name="ab"[k]) for k, one in enumerate(u)])  # type: ignore[arg-type]
+    assert names(found) == ["creep"]
+    assert found.augmented.heldout_rms_um < 1.3 * NOISE_UM

@@ -1,5 +1,7 @@
 """Fits inside the chain: planted numbers come back, derivatives are true, a bound is said."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -17,12 +19,13 @@ from tests.diagnosis.plants import (
 )
 from tests.diagnosis.prepared import prepared
 from torchpi.diagnosis.chain import Chain
-from torchpi.diagnosis.fit import fit, jacobian
+from torchpi.diagnosis.fit import ROUGH, fit
 from torchpi.diagnosis.free_parameters import with_theta
 from torchpi.diagnosis.hypothesis import EffectTerm, Fit, Hypothesis
 from torchpi.diagnosis.hysteresis_model import bouc_wen, many_plays, preisach
 from torchpi.diagnosis.records import seen
 from torchpi.diagnosis.reduced_basis import reduced, refitted
+from torchpi.diagnosis.sensitivity import Near, jacobian
 from torchpi.recordings.recording import Recording
 from torchpi.stage.effects.actuator.creep import Creep
 from torchpi.stage.effects.actuator.hysteresis_asymmetry import HysteresisAsymmetry
@@ -66,6 +69,31 @@ PLANTED: dict[str, tuple[str, Step, EffectTerm, dict[str, float]]] = {
         {"per_decade": 0.02},
     ),
 }
+
+
+@pytest.mark.parametrize("kind", PLANTED)
+def test_a_fit_that_begins_with_the_sensitivities_of_another_ends_where_it_would(kind: str) -> None:
+    where, step, start, _ = PLANTED[kind]
+    chain = Chain(prepared(pair(**{where: step})))
+    before = reduced(chain, fit(chain, Hypothesis(many_plays(seen(chain.records)))))
+    more = before.hypothesis.plus(start)
+    alone = fit(chain, more, before.weights, tolerance=ROUGH)
+    assert chain.linearised is None
+    near = Near(before.hypothesis, before.weights)
+    found = fit(chain, more, before.weights, tolerance=ROUGH, near=near)
+    assert chain.linearised is not None
+    assert found.train_rms == pytest.approx(alone.train_rms, rel=0.03)
+    np.testing.assert_allclose(found.theta, alone.theta, rtol=0.02, atol=0.02)
+
+
+def test_sensitivities_of_another_hysteresis_are_not_taken() -> None:
+    chain = Chain(prepared(pair()))
+    hypothesis = Hypothesis(many_plays(seen(chain.records)))
+    near = Near(hypothesis, np.zeros(chain.numbers(hypothesis)))
+    assert near.resembles(hypothesis)
+    assert not near.resembles(hypothesis.on(preisach(seen(chain.records))))
+    assert not near.resembles(replace(hypothesis, alignment=1))
+    assert not near.resembles(replace(hypothesis, remanent=True))
 
 
 def test_a_hypothesis_is_the_same_whatever_else_was_evaluated_in_between() -> None:

@@ -9,7 +9,7 @@ import pytest
 from tests.diagnosis.plants import FS_HZ, creep, multisine, record, stairs, triangles
 from tests.diagnosis.prepared import prepared
 from torchpi.diagnosis.diagnose import converter
-from torchpi.diagnosis.noise import Noise, holds, measured_noise
+from torchpi.diagnosis.noise import Noise, held_error, holds, measured_noise
 from torchpi.recordings.recording import Recording
 
 Signal = np.ndarray
@@ -164,3 +164,27 @@ def test_readings_without_steps_have_no_converter() -> None:
 def test_one_recording_off_the_lattice_is_enough_against_it() -> None:
     recordings = [read_by(0.0123, record(multisine(3000))), record(multisine(3000, seed=1), name="b")]
     assert converter(prepared(recordings)) == (0.0, ())
+
+
+def test_a_converter_errs_once_on_each_line_where_nothing_moves() -> None:
+    samples, run = 16384, 64
+    still, moving = np.repeat(np.arange(samples // run) % 7, run), np.arange(samples) % 5
+    for y, most in ((still, run), (moving, 1)):
+        (one,) = prepared([read(np.linspace(0, 9, samples), y.astype(float))])
+        times = held_error(y.astype(float), one.haar)
+        assert times.min() >= 1.0 and times.max() == pytest.approx(most, rel=0.01)
+
+
+def test_the_error_of_a_converter_is_known_on_every_scale() -> None:
+    samples, lsb = 8192, 1.0
+    rng = np.random.default_rng(4)
+    true = np.repeat(rng.uniform(0, 50, 90), rng.integers(70, 120, 90))[:samples]
+    e = np.round(true / lsb) * lsb - true
+    (one,) = prepared([read(np.linspace(0, 9, samples), e)])
+    times = held_error(np.round(true / lsb), one.haar)
+    measured_um2 = np.bincount(one.haar.cell, one.haar(e[None])[0] ** 2) / np.bincount(one.haar.cell)
+    level = np.array([one.haar.level[one.haar.cell == c][0] for c in range(one.haar.cells)])
+    assert len(true) == samples
+    for k in range(6, one.haar.levels + 2):
+        mean_times = times[level == k].mean()
+        assert 0.3 < measured_um2[level == k].mean() / (lsb**2 / 12 * mean_times) < 3.0

@@ -9,11 +9,12 @@ import pytest
 from tests.diagnosis.plants import multisine, record, triangles
 from tests.diagnosis.prepared import prepared
 from torchpi.diagnosis.chain import Chain
-from torchpi.diagnosis.fit import fit, jacobian, left_out, prior_of, solve, with_prior
+from torchpi.diagnosis.fit import fit, left_out, prior_of, solve, with_prior
 from torchpi.diagnosis.hypothesis import Fit, Hypothesis
 from torchpi.diagnosis.hysteresis_model import plain
 from torchpi.diagnosis.records import Record, seen
 from torchpi.diagnosis.score import AT_MOST, Weighting, gain
+from torchpi.diagnosis.sensitivity import jacobian
 from torchpi.recordings.recording import Recording
 
 SAMPLES, FS_HZ = 1 << 13, 2e3

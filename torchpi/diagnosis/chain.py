@@ -6,7 +6,7 @@ from copy import copy
 from dataclasses import replace
 from functools import cached_property, partial
 from hashlib import sha256
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -78,6 +78,8 @@ class Chain:
         self.signals: dict[tuple[object, ...], Tensor] = {}
         self.made: dict[tuple[object, ...], Effect] = {}
         self.matrices: dict[tuple[object, ...], Matrices] = {}
+        self.linearised: Any = None
+        """The sensitivities that many fits begin with, and what they were taken of."""
         self.placements: dict[tuple[Hypothesis, int], list[Placed]] = {}
 
     @cached_property

@@ -11,6 +11,7 @@ from torchpi.diagnosis.noise import Noise
 from torchpi.diagnosis.parallel import Job, fit_all
 from torchpi.diagnosis.reduced_basis import reduced
 from torchpi.diagnosis.score import Gain, Weighting, gain
+from torchpi.diagnosis.sensitivity import Near
 
 PRIOR = log(1 / 20)
 """Log odds that any one effect is missing before the recordings are seen: one or two of some twenty are."""
@@ -39,9 +40,11 @@ class Contest:
     def __init__(self, chain: Chain, noise: Noise | None, executor: Executor | None) -> None:
         self.chain, self.noise, self.executor = chain, noise, executor
 
-    def fits(self, jobs: Sequence[Job]) -> list[Fit]:
-        """Each hypothesis fitted from its weights, in the executor if there is one."""
-        return fit_all(self.chain, jobs, self.executor)
+    def fits(self, jobs: Sequence[Job], around: Fit | None = None) -> list[Fit]:
+        """Each hypothesis fitted from its weights, in the executor if there is one, with the sensitivities of
+        the fit around which they are, if there is one."""
+        near = Near(around.hypothesis, around.weights) if around is not None else None
+        return fit_all(self.chain, jobs, self.executor, near)
 
     def fits_here(self, jobs: Sequence[Job]) -> list[Fit]:
         """Each hypothesis fitted in this process, while others begin."""
@@ -49,10 +52,10 @@ class Contest:
 
     def raced(self, jobs: Sequence[Job], now: Fit) -> list[Fit]:
         """Fitted for a few steps each, and to the end where the outcome against a fit is not yet clear."""
-        fits = self.fits([(h, w, min(HEAT, steps), tolerance) for h, w, steps, tolerance in jobs])
+        fits = self.fits([(h, w, min(HEAT, steps), tolerance) for h, w, steps, tolerance in jobs], now)
         unclear = [k for k, one in enumerate(fits) if self.near(one, now)]
         rest: list[Job] = [(fits[k].hypothesis, fits[k].weights, *jobs[k][2:]) for k in unclear]
-        for k, one in zip(unclear, self.fits(rest), strict=True):
+        for k, one in zip(unclear, self.fits(rest, now), strict=True):
             fits[k] = one
         return fits
 

@@ -54,6 +54,8 @@ UNCERTAIN = 0.9
 """An effect less probable than this is worth another recording."""
 LOST = 10.0
 """Times the rms of what is left, by which a single reading is off: less may be a heavy tail of the noise."""
+ABOUT = 5
+"""Samples before and after a reading that it is compared with."""
 READ_OFF = 0.99
 """Probability of what the readings themselves show."""
 LEAST_SAMPLES = 100
@@ -125,7 +127,7 @@ def diagnose(
     if lsb_um > 0 and lsb_um / np.sqrt(12) > COARSE * final.train_rms:
         decision = with_read_off(decision, of_converter(lsb_um, retuned))
     lost = [
-        k[alone(record.y, e, k) & (np.abs(e[k]) > LOST * final.train_rms)]
+        k[off_all_around(record.y, e, k) > LOST * final.train_rms]
         for record, e, k in zip(records, final.residuals, wrong, strict=True)
     ]
     if any(len(each) for each in lost):
@@ -224,12 +226,13 @@ def with_read_off(decision: Decision, effect: NamedEffect) -> Decision:
     return replace(decision, verdict=verdict, effects=(*decision.effects, effect))
 
 
-def alone(y: np.ndarray, residual: np.ndarray, readings: np.ndarray) -> np.ndarray:
-    """Whether each of these readings is off by more than the model moves about it: a clock that jitters moves
-    a reading on an edge too, but no further."""
+def off_all_around(y: np.ndarray, residual: np.ndarray, readings: np.ndarray) -> np.ndarray:
+    """(readings,), µm: by how much each of these readings lies beyond everything that the model passes about
+    it. A clock that jitters takes a reading early or late, but nowhere that the stage has not been."""
     model = y - residual
-    before, after = np.maximum(readings - 1, 0), np.minimum(readings + 1, len(y) - 1)
-    found: np.ndarray = np.abs(residual[readings]) > np.abs(model[after] - model[before])
+    places = readings[:, None] + np.arange(-ABOUT, ABOUT + 1)
+    passed = model[np.clip(places, 0, len(y) - 1)]
+    found: np.ndarray = np.maximum(y[readings] - passed.max(1), passed.min(1) - y[readings])
     return found
 
 

@@ -1,8 +1,7 @@
 """Gauss–Newton over everything at once: the weights, and the parameters of every effect in the chain."""
 
 import math
-from collections.abc import Iterable, Sequence
-from typing import NamedTuple
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -11,14 +10,23 @@ from torchpi.diagnosis.free_parameters import (
     at_bound,
     free_parameters_of,
     to_inner,
-    to_outer,
     value_at,
     with_theta,
 )
-from torchpi.diagnosis.hypothesis import Fit, FreeParameter, Hypothesis
+from torchpi.diagnosis.hypothesis import Fit, Hypothesis
 from torchpi.diagnosis.records import Record
+from torchpi.diagnosis.sensitivity import (
+    Near,
+    Sensitivity,
+    Slopes,
+    Tangent,
+    gram_of,
+    joined,
+    sensitivities_near,
+    slopes_of,
+    tangent_of,
+)
 from torchpi.errors import StageError
-from torchpi.stage.effects.mechanics.modal import ModalEffect
 
 RIDGE = 1e-9
 PRIOR, PRIOR_SHARE = 3e-7, 1e-2
@@ -30,8 +38,6 @@ recorded range."""
 ITERATIONS = 12
 FINE, ROUGH = 1e-4, 3e-3
 """Relative gain of a step below which a fit ends: to report, and to compare."""
-MOVED = 0.03
-"""Of a logarithm, or of the value at the start: what a slot has moved from which its slope is taken anew."""
 KEPT_PROMISE = 0.5
 """Share of the predicted decrease that a step must keep."""
 LEVERAGE = 0.9
@@ -40,39 +46,13 @@ REMANENCE = 0.1
 """Of the span: the width of the prior of what the stage remembers from before a recording."""
 
 
-class Sensitivity(NamedTuple):
-    """How the whitened coefficients of one recording move with the numbers of a fit."""
-
-    places: np.ndarray
-    """Of the numbers that move them."""
-    rows: np.ndarray
-    """(places, kept)."""
-
-
-class Tangent(NamedTuple):
-    """How the whitened coefficients move with the weights, at given parameters of the effects."""
-
-    parts: list[Sensitivity]
-    """Of each recording."""
-    gram: np.ndarray
-    """(weights, weights), J Jᵀ."""
-
-
-class Slopes(NamedTuple):
-    """How the whitened coefficients move with the slots, each where it was when its slope was last taken."""
-
-    parts: list[Sensitivity]
-    """Of each recording."""
-    theta: np.ndarray
-    """(slots,)."""
-
-
 def fit(
     chain: Chain,
     hypothesis: Hypothesis,
     weights: np.ndarray | None = None,
     iterations: int = ITERATIONS,
     tolerance: float = FINE,
+    near: Near | None = None,
 ) -> Fit:
     """The hypothesis fitted to what is not sealed, weighted, until a step gains less than the tolerance.
 
@@ -81,6 +61,14 @@ def fit(
     has moved little; not in a fine fit. Where a step does not keep its promise, the weights are
     solved anew at the parameters that it leads to (variable projection: Golub and Pereyra 1973): a limit of
     the voltage and a hundred plays that have bent round a wrong one move together or not at all.
+
+    Args:
+        chain: The recordings.
+        hypothesis: With the numbers from which the fit begins.
+        weights: From which it begins; None solves for them first.
+        iterations: At most.
+        tolerance: Of a step's relative gain.
+        near: Whose sensitivities the fit begins with, if it resembles the hypothesis.
     """
     slots = free_parameters_of(hypothesis)
     theta = np.array([to_inner(slot, value_at(hypothesis, slot)) for slot in slots])
@@ -89,7 +77,9 @@ def fit(
     tangent: Tangent | None = None
     slopes: Slopes | None = None
     fresh_weights = weights is None
-    if weights is None:
+    if weights is not None and near is not None and near.resembles(hypothesis):
+        tangent, slopes = sensitivities_near(chain, near, slots, hypothesis)
+    elif weights is None:
         weights, tangent = start_weights(chain, hypothesis)
     elif slots and any(member.effect.hold for member in hypothesis.members):
         # Weights found without a mode, or a lag, may be far from those that go with it.
@@ -221,106 +211,6 @@ def with_prior(
     gram[:n, :n] += prior
     right[:n] -= prior @ weights
     return gram, right
-
-
-def jacobian(
-    chain: Chain,
-    hypothesis: Hypothesis,
-    weights: np.ndarray,
-    slots: Sequence[FreeParameter],
-    theta: np.ndarray,
-    index: int,
-) -> tuple[np.ndarray, Sensitivity]:
-    """Output of one recording, (time,), and its sensitivity to each weight and slot."""
-    y, first = of_weights(chain, hypothesis, weights, index)
-    every = range(len(slots))
-    return y, joined(first, of_slots(chain, hypothesis, weights, slots, theta, index, every))
-
-
-def joined(first: Sensitivity, second: Sensitivity) -> Sensitivity:
-    """To the numbers of both."""
-    if not len(second.places):
-        return first
-    return Sensitivity(*(np.concatenate(parts) for parts in zip(first, second, strict=True)))
-
-
-def of_weights(
-    chain: Chain, hypothesis: Hypothesis, weights: np.ndarray, index: int
-) -> tuple[np.ndarray, Sensitivity]:
-    """Output of one recording, (time,), and its sensitivity to each weight."""
-    y, used, directions = chain.output_and_directions(hypothesis, weights, index)
-    stuck = chain.rests(hypothesis, index)
-    one = np.ones((1, len(y))) if stuck is None else np.where(stuck.stuck, 0.0, 1.0)[None]
-    places = np.concatenate([used, [len(weights) - len(chain.records) + index]])
-    whitened = [chain.whitened(index, part) for part in (directions, one)]
-    return y, Sensitivity(places, np.concatenate(whitened))
-
-
-def of_slots(
-    chain: Chain,
-    hypothesis: Hypothesis,
-    weights: np.ndarray,
-    slots: Sequence[FreeParameter],
-    theta: np.ndarray,
-    index: int,
-    chosen: Iterable[int],
-) -> Sensitivity:
-    """The sensitivity of one recording to the chosen slots."""
-    own = [j for j in chosen if slots[j].record is None or slots[j].record == index]
-    rows = np.zeros((len(own), len(chain.records[index].u)))
-    of_modes = chain.slopes(hypothesis, weights, index) if own else {}
-    here = chain.output(hypothesis, weights, index) if own else np.zeros(0)
-    for j, row in zip(own, rows, strict=True):
-        s = slots[j]
-        if s.member >= 0 and issubclass(hypothesis.members[s.member].effect, ModalEffect):
-            if (s.member, s.name) in of_modes:  # else a coupling's number for a mode that was taken away
-                per_inner = to_outer(s, float(theta[j])) if s.log else s.scale
-                row[:] = of_modes[s.member, s.name] * per_inner
-            continue
-        moved = np.array(theta)
-        moved[j] += s.step
-        row[:] = (chain.output(with_theta(hypothesis, slots, moved), weights, index) - here) / s.step
-    return Sensitivity(len(weights) + np.array(own, dtype=int), chain.whitened(index, rows))
-
-
-def slopes_of(
-    chain: Chain,
-    hypothesis: Hypothesis,
-    weights: np.ndarray,
-    slots: Sequence[FreeParameter],
-    theta: np.ndarray,
-    before: Slopes | None = None,
-) -> Slopes:
-    """The slope of every slot; of those that have moved little since `before`, as it was."""
-    at = (
-        np.array(theta)
-        if before is None
-        else np.where(abs(theta - before.theta) > MOVED, theta, before.theta)
-    )
-    new = np.arange(len(slots)) if before is None else np.flatnonzero(at != before.theta)
-    parts = []
-    for i in range(len(chain.records)):
-        part = of_slots(chain, hypothesis, weights, slots, theta, i, new.tolist())
-        if before is not None:
-            old = before.parts[i]
-            kept = ~np.isin(old.places, part.places)
-            part = joined(Sensitivity(old.places[kept], old.rows[kept]), part)
-        parts.append(part)
-    return Slopes(parts, at)
-
-
-def tangent_of(chain: Chain, hypothesis: Hypothesis, weights: np.ndarray) -> Tangent:
-    """How the output moves with the weights."""
-    parts = [of_weights(chain, hypothesis, weights, i)[1] for i in range(len(chain.records))]
-    return Tangent(parts, gram_of(parts, len(weights)))
-
-
-def gram_of(parts: Sequence[Sensitivity], size: int) -> np.ndarray:
-    """(size, size), J Jᵀ."""
-    gram = np.zeros((size, size))
-    for part in parts:
-        gram[np.ix_(part.places, part.places)] += part.rows @ part.rows.T
-    return gram
 
 
 def normal_equations(

@@ -4,9 +4,10 @@ import numpy as np
 from scipy.special import stdtrit
 
 from torchpi.diagnosis.chain import Chain
-from torchpi.diagnosis.fit import PRIOR, jacobian
+from torchpi.diagnosis.fit import PRIOR
 from torchpi.diagnosis.free_parameters import to_outer
 from torchpi.diagnosis.hypothesis import Fit
+from torchpi.diagnosis.sensitivity import jacobian
 
 BLOCKS = 30
 """Contiguous pieces of all recordings together; their scores are taken as independent."""

@@ -36,6 +36,8 @@ class Noise:
     """Of the recordings that it was measured in."""
     source: str
     """What it was measured from."""
+    lsb_um: float = 0.0
+    """The step of the lattice on which the readings lie, where there is one."""
 
     def level_um2(self, level: int) -> float:
         """The variance on a scale, 1 for differences of neighbours."""
@@ -49,9 +51,28 @@ class Noise:
     def with_converter(self, lsb_um: float) -> "Noise":
         """The same where readings lie on a lattice: a hold may stay on one line of it."""
         own = lsb_um**2 / 12
-        return Noise(
-            float(np.hypot(self.rms_um, np.sqrt(own))), self.variance_um2 + own, self.fs_hz, self.source
-        )
+        rms_um = float(np.hypot(self.rms_um, np.sqrt(own)))
+        return Noise(rms_um, self.variance_um2 + own, self.fs_hz, self.source, lsb_um)
+
+
+def held_error(y: np.ndarray, haar: Haar) -> np.ndarray:
+    """(cells,): the mean square of the coefficients that a converter's error has, over that of white error.
+
+    The error of readings that stay on one line of a lattice for R samples is one error, not R independent
+    ones. With the autocovariance 1 - |τ|/R of runs of R samples, a Haar coefficient on the scale of n samples
+    has n²/6R times the variance of white error where n is small against R, and R times where it is large.
+
+    Args:
+        y: (time,), readings on a lattice.
+        haar: The transform of them.
+    """
+    edges = np.flatnonzero(np.diff(y[: haar.samples])) + 1
+    lengths = np.diff([0, *edges.tolist(), haar.samples])
+    run = np.repeat(lengths, lengths).astype(float)[haar.at]
+    scale = 2.0 ** np.minimum(haar.level, haar.levels)
+    times = np.minimum(scale**2 / (6 * run), run)
+    found: np.ndarray = np.bincount(haar.cell, np.maximum(times, 1.0)) / np.bincount(haar.cell)
+    return found
 
 
 def measured_noise(records: Sequence[Record], residuals: Sequence[np.ndarray] | None = None) -> Noise | None:

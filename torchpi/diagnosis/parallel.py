@@ -15,6 +15,7 @@ from torchpi.diagnosis.fit import fit
 from torchpi.diagnosis.hypothesis import EffectTerm, Fit, Hypothesis
 from torchpi.diagnosis.score import Weighting
 from torchpi.diagnosis.screen import Candidate, Screen
+from torchpi.diagnosis.sensitivity import Near
 
 T = TypeVar("T")
 PIECES = 2
@@ -24,14 +25,16 @@ Job = tuple[Hypothesis, np.ndarray | None, int, float]
 """What is fitted, from which weights, in how many steps at most, and to which tolerance."""
 
 
-def fit_all(chain: Chain, jobs: Sequence[Job], executor: Executor | None) -> list[Fit]:
+def fit_all(
+    chain: Chain, jobs: Sequence[Job], executor: Executor | None, near: Near | None = None
+) -> list[Fit]:
     """The fits of these jobs, in their order; the same numbers wherever they ran."""
     if executor is None:
-        return [fit(chain, *job) for job in jobs]
+        return [fit(chain, *job, near) for job in jobs]
     key, packed = chain.packed
     return shared_out(
-        executor, [(_fit_elsewhere, key, packed, chain.weighting, job) for job in jobs],
-        [partial(fit, chain, *job) for job in jobs],
+        executor, [(_fit_elsewhere, key, packed, chain.weighting, job, near) for job in jobs],
+        [partial(fit, chain, *job, near) for job in jobs],
     )  # fmt: skip
 
 
@@ -86,8 +89,8 @@ class _Kept(threading.local):
 _kept = _Kept()
 
 
-def _fit_elsewhere(key: str, packed: bytes, weighting: Weighting, job: Job) -> Fit:
-    return fit(_chain(key, packed, weighting), *job)
+def _fit_elsewhere(key: str, packed: bytes, weighting: Weighting, job: Job, near: Near | None) -> Fit:
+    return fit(_chain(key, packed, weighting), *job, near)
 
 
 def _screen_elsewhere(

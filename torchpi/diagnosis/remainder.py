@@ -6,10 +6,11 @@ import numpy as np
 import torch
 
 from torchpi.diagnosis.chain import Chain
-from torchpi.diagnosis.fit import Sensitivity, jacobian, left_out, rms
+from torchpi.diagnosis.fit import left_out, rms
 from torchpi.diagnosis.hypothesis import EffectTerm, Fit
 from torchpi.diagnosis.records import seen
 from torchpi.diagnosis.score import gain
+from torchpi.diagnosis.sensitivity import Sensitivity, jacobian
 from torchpi.stage.effects.unknown import TIMES, Unknown
 
 RIDGES = (1e-1, 1e-2, 1e-3, 1e-4)

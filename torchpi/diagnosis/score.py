@@ -14,12 +14,14 @@ from their scatter (Vehtari, Gelman and Gabry, *Statistics and Computing* 27, 20
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from hashlib import sha256
 
 import numpy as np
 from scipy.special import ndtr
 
 from torchpi.diagnosis.hypothesis import Fit
-from torchpi.diagnosis.noise import Noise
+from torchpi.diagnosis.noise import Noise, held_error
 from torchpi.diagnosis.records import Record
 
 KNOWN = 4.0
@@ -60,6 +62,8 @@ class Weighting:
                     noise_um2[there] = noise.level_um2(int(level))
                 else:
                     noise_um2[there] = np.median(mean[there])
+            if noise is not None and noise.lsb_um > 0:
+                noise_um2 += noise.lsb_um**2 / 12 * (held_error(record.y, haar) - 1)
             noise_um2 = np.maximum(noise_um2, smallest)
             variance = (KNOWN * noise_um2 + n * mean) / (KNOWN + n)
             scales.append(1 / np.sqrt(variance)[haar.cell])
@@ -74,6 +78,11 @@ class Weighting:
         counts = np.concatenate([np.bincount(record.haar.cell) for record in records]).astype(float)
         scales = tuple(np.full(len(record.haar.kept), 1 / sd) for record in records)
         return cls(scales, np.full(len(counts), sd**2), counts)
+
+    @cached_property
+    def token(self) -> str:
+        """What tells it from another."""
+        return sha256(np.concatenate(self.inverse_sd).tobytes()).hexdigest()
 
     @property
     def geometric_mean_rms_um(self) -> float:

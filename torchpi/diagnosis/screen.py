@@ -11,9 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from torchpi.diagnosis.chain import Chain
-from torchpi.diagnosis.fit import jacobian, whitener
+from torchpi.diagnosis.fit import whitener
 from torchpi.diagnosis.hypothesis import EffectTerm, Fit
 from torchpi.diagnosis.records import Record
+from torchpi.diagnosis.sensitivity import jacobian
 from torchpi.stage.effects.effect import Effect, Parameters
 from torchpi.stage.effects.inside import InsideEffect
 from torchpi.stage.effects.mechanics.modal import ModalEffect

@@ -244,7 +244,7 @@ class Search(Timing):
         names += [AXES] * len(joint)
         jobs += joint
         by_name: dict[str, list[Fit]] = {}
-        for name, one in zip(names, self.fits(jobs), strict=True):
+        for name, one in zip(names, self.fits(jobs, now), strict=True):
             by_name.setdefault(name, []).append(one)
         forms = {name: sorted(each, key=self.worth, reverse=True) for name, each in by_name.items()}
         found = {name: each[0] for name, each in forms.items()}
@@ -254,7 +254,7 @@ class Search(Timing):
             rest: list[Job] = [
                 (forms[n][place].hypothesis, forms[n][place].weights, STEPS, ROUGH) for n in unclear
             ]
-            found.update(zip(unclear, self.fits(rest), strict=True))
+            found.update(zip(unclear, self.fits(rest, now), strict=True))
             # A form of more numbers may run into a bound where it becomes a simpler one.
             unclear = [n for n in unclear if not inside(found[n], now) and len(forms[n]) > place + 1]
         fits = [(name, found[name]) for name in best_first[:FINISHED]]
@@ -349,13 +349,22 @@ class Search(Timing):
             if member.effect.name in self.given or issubclass(member.effect, ModalEffect):
                 continue
             less = h.without(member.effect.name, member.aux)
+            # Two slow effects may share what one of them in another form explains alone.
+            slow = member.effect.time_scale == "slow"
+            beside = [
+                m
+                for m in less.members
+                if m.effect.name not in self.given
+                and (alike(m, member) or (slow and m.effect.time_scale == "slow"))
+            ]
             for other in starts:
-                same = (
-                    other.effect is member.effect and other.aux == member.aux and form(other) != form(member)
-                )
-                alike = other.effect.name in member.effect.degenerate_with
-                alike = alike or (other.effect.delays and member.effect.delays)
-                if same or (alike and other.effect.name not in there):
+                same = other.effect is member.effect and other.aux == member.aux
+                if same and form(other) != form(member):
+                    jobs += [
+                        (one.plus(other), now.weights, STEPS, ROUGH)
+                        for one in (less, *(less.without(m.effect.name, m.aux) for m in beside))
+                    ]
+                elif alike(other, member) and other.effect.name not in there:
                     jobs.append((less.plus(other), now.weights, STEPS, ROUGH))
         best = max([now, *(one for one in self.raced(jobs, now) if inside(one, now))], key=self.worth)
         if best is now:
@@ -415,6 +424,11 @@ class Search(Timing):
         """The added effects, and what each auxiliary signal does apart: names and signals."""
         members = now.hypothesis.members
         return list(dict.fromkeys((m.effect.name, m.aux) for m in members if m.effect.name not in self.given))
+
+
+def alike(one: EffectTerm, other: EffectTerm) -> bool:
+    """Whether an effect may be taken for another."""
+    return one.effect.name in other.effect.degenerate_with or (one.effect.delays and other.effect.delays)
 
 
 def form(member: EffectTerm) -> tuple[str, ...]:

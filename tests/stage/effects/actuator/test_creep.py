@@ -16,7 +16,14 @@ from torchpi.stage.effects.actuator.creep import FROM_S, TO_S, Creep, bank
 class TestLaws(EffectLaws):
     def operator(self) -> Creep:
         return Creep(
-            PERIOD_S, per_decade=0.03, gain=0.04, time_constant_s=0.7, power_per_decade=0.02, exponent=0.3
+            PERIOD_S,
+            per_decade=0.03,
+            gain=0.04,
+            time_constant_s=0.7,
+            slow_gain=0.03,
+            slow_time_constant_s=6.0,
+            power_per_decade=0.02,
+            exponent=0.3,
         )
 
 
@@ -113,6 +120,7 @@ def test_a_small_exponent_is_the_logarithm():
 def test_the_forms_in_use_are_named():
     assert Creep.form({"time_constant_s": 3.0, "exponent": 0.1}) == ""
     assert Creep.form({"per_decade": 0.01, "gain": 0.2}) == "logarithm + pole"
+    assert Creep.form({"gain": 0.01, "slow_gain": 0.02}) == "pole + slow pole"
     assert Creep.form({"power_per_decade": 0.01}) == "power law"
 
 
@@ -122,8 +130,17 @@ def test_tangent_of_either_kind_alone_is_the_effect_itself(values):
     torch.testing.assert_close(effect.tangent(dx[:1], dx), effect(dx)[0].detach(), rtol=0, atol=1e-14)
 
 
-def test_both_add_up():
+def test_forms_add_up():
     x = wandering(1, 300)
     log, pole = {"per_decade": 0.02}, {"gain": 0.05, "time_constant_s": 0.3}
-    parts = sum(Creep(0.01, **values)(x)[0] - x for values in (log, pole))
-    torch.testing.assert_close(Creep(0.01, **log, **pole)(x)[0] - x, parts, rtol=0, atol=1e-14)
+    slow = {"slow_gain": 0.03, "slow_time_constant_s": 4.0}
+    parts = sum(Creep(0.01, **values)(x)[0] - x for values in (log, pole, slow))
+    torch.testing.assert_close(Creep(0.01, **log, **pole, **slow)(x)[0] - x, parts, rtol=0, atol=1e-14)
+
+
+def test_either_pole_is_the_same_pole():
+    x = wandering(1, 300)
+    first = Creep(0.01, gain=0.05, time_constant_s=0.3)(x)[0]
+    torch.testing.assert_close(
+        Creep(0.01, slow_gain=0.05, slow_time_constant_s=0.3)(x)[0], first, rtol=0, atol=1e-14
+    )

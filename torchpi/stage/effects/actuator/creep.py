@@ -2,10 +2,10 @@
 
 The logarithm is a sum of relaxations spread evenly over log time (Janocha and Kuhnen, 2000): with n poles a
 decade, each of gain γ/n and time constant τ_i, the step response rises by γ in every decade that the poles
-span. Beside it stands one relaxation more, one spring and damper of the model of Croft, Shed and Devasia
+span. Beside it stand two relaxations more, springs and dampers of the model of Croft, Shed and Devasia
 (2001):
 
-    y = [x + γ log…(x)] + g (x relaxed with τ)
+    y = [x + γ log…(x)] + g₁ (x relaxed with τ₁) + g₂ (x relaxed with τ₂)
 
 The third form is the power law of a fractional-order element (Liu, Shan, Gabbert and Qi, *Hysteresis and
 creep modeling and compensation for a piezoelectric actuator using a fractional-order Maxwell resistive
@@ -20,6 +20,7 @@ growing as τ^α.
 
 import math
 from functools import lru_cache
+from itertools import pairwise
 from typing import ClassVar, NamedTuple
 
 import torch
@@ -64,7 +65,8 @@ def bank(sample_period_s: float, from_s: float, to_s: float) -> Bank:
 
 
 class Creep(StateSpaceEffect):
-    """Logarithmic creep, creep of one pole, of a power law, or all; the input runs straight between samples.
+    """Logarithmic creep, creep of one or two poles, of a power law, or all; the input runs straight between
+    samples.
 
     The gain at once is such that γ and p leave the displacement 0.1 s after a step as it is; g adds to it.
     The logarithm and the power law hold from `from_s` to `to_s`.
@@ -72,7 +74,7 @@ class Creep(StateSpaceEffect):
 
     name = "creep"
     block = "actuator"
-    equation = "y = y₀ [1 + γ log₁₀(t/0.1 s)], or y = x + g r, τ ṙ = x - r, or y₀ [1 + p (t/0.1 s)^α …]"
+    equation = "y = y₀ [1 + γ log₁₀(t/0.1 s)], or y = x + Σ g r, τ ṙ = x - r, or y₀ [1 + p (t/0.1 s)^α …]"
     signature = "slow, follows the sign of the last move, grows with the time of a hold"
     time_scale = "slow"
     needs = Needs(duration_s=SHORTEST_SLOW_S)
@@ -80,6 +82,8 @@ class Creep(StateSpaceEffect):
         "per_decade": Quantity("", at_least=0, at_most=0.5),
         "gain": Quantity("", at_least=0, at_most=0.5),
         "time_constant_s": Quantity("s", at_least=1e-3, at_most=1e4),
+        "slow_gain": Quantity("", at_least=0, at_most=0.5),
+        "slow_time_constant_s": Quantity("s", at_least=1e-3, at_most=1e4),
         "power_per_decade": Quantity("", at_least=0, at_most=0.5),
         "exponent": Quantity("", at_least=0.02, at_most=0.5),
         # Each decade has its poles: between these times there are 40.
@@ -91,21 +95,26 @@ class Creep(StateSpaceEffect):
         "per_decade": 0.0,
         "gain": 0.0,
         "time_constant_s": 1.0,
+        "slow_gain": 0.0,
+        "slow_time_constant_s": 10.0,
         "power_per_decade": 0.0,
         "exponent": 0.2,
         "from_s": FROM_S,
         "to_s": TO_S,
     }
-    forms = ("logarithm", "pole", "power law")
+    forms = ("logarithm", "pole", "slow pole", "power law")
     form_of: ClassVar[dict[str, str]] = {
         "per_decade": "logarithm",
         "gain": "pole",
+        "slow_gain": "slow pole",
         "power_per_decade": "power law",
     }
     kinds = ("from_s", "to_s")
     per_decade: nn.Parameter
     gain: nn.Parameter
     time_constant_s: nn.Parameter
+    slow_gain: nn.Parameter
+    slow_time_constant_s: nn.Parameter
     power_per_decade: nn.Parameter
     exponent: nn.Parameter
     from_s: nn.Parameter
@@ -126,26 +135,33 @@ class Creep(StateSpaceEffect):
         return (self.per_decade + power) / POLES_PER_DECADE
 
     def matrices(self) -> Matrices:
-        # The one pole is the last.
+        # The two single poles are the last.
         poles = self.bank()
         gains = self.spectrum(poles.tau)
-        rate, direct = (1 / self.time_constant_s).reshape(1), torch.zeros_like(self.gain)
+        rate = 1 / torch.stack([self.time_constant_s, self.slow_time_constant_s])
+        own = torch.stack([self.gain, self.slow_gain])
         a, b, c, d = discretise(
-            -rate[:, None], rate, self.gain.reshape(1), direct, self.sample_period_s, "first"
-        )
+            -rate[:, None, None], rate[:, None], own[:, None], torch.zeros_like(own), self.sample_period_s,
+            "first",
+        )  # fmt: skip
         return (
-            torch.cat([poles.a, a[0]]),
-            torch.cat([poles.b, b]),
-            torch.cat([gains, c]),
-            1 + (gains * poles.at_once).sum() + d,
+            torch.cat([poles.a, a[:, 0, 0]]),
+            torch.cat([poles.b, b[:, 0]]),
+            torch.cat([gains, c[:, 0]]),
+            1 + (gains * poles.at_once).sum() + d.sum(),
         )
 
     def initial_state(self, batch: int) -> Tensor:
-        return torch.zeros(batch, len(self.bank().a) + 1, dtype=torch.float64)
+        return torch.zeros(batch, len(self.bank().a) + 2, dtype=torch.float64)
 
     @classmethod
     def starts(cls, seen: DataRange) -> list[Parameters]:
         # A pole slower than the record is a ramp, one of a few samples a change of gain.
         taus = [tau for tau in (0.03, 0.3, 3.0, 30.0) if 10 / seen.fs_hz < tau < 2 * seen.duration_s]
         power = {"power_per_decade": 0.01, "exponent": 0.2}
-        return [{"per_decade": 0.01}, power, *({"gain": 0.01, "time_constant_s": tau} for tau in taus)]
+        pole = [{"gain": 0.01, "time_constant_s": tau} for tau in taus]
+        two = [
+            {**one, "slow_gain": 0.01, "slow_time_constant_s": later["time_constant_s"]}
+            for one, later in pairwise(pole)
+        ]
+        return [{"per_decade": 0.01}, power, *pole, *two]

@@ -1,0 +1,216 @@
+"""How the readings move with each number of a fit: with the weights, and with the parameters of effects."""
+
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from torchpi.diagnosis.chain import Chain
+from torchpi.diagnosis.free_parameters import free_parameters_of, to_inner, to_outer, value_at, with_theta
+from torchpi.diagnosis.hypothesis import FreeParameter, Hypothesis
+from torchpi.stage.effects.mechanics.modal import ModalEffect
+from torchpi.stage.effects.mechanics.stiction import Stiction
+
+MOVED = 0.03
+"""Of a logarithm, or of the value at the start: what a slot has moved from which its slope is taken anew."""
+
+
+class Sensitivity(NamedTuple):
+    """How the whitened coefficients of one recording move with the numbers of a fit."""
+
+    places: np.ndarray
+    """Of the numbers that move them."""
+    rows: np.ndarray
+    """(places, kept)."""
+
+
+class Tangent(NamedTuple):
+    """How the whitened coefficients move with the weights, at given parameters of the effects."""
+
+    parts: list[Sensitivity]
+    """Of each recording."""
+    gram: np.ndarray
+    """(weights, weights), J Jᵀ."""
+
+
+class Slopes(NamedTuple):
+    """How the whitened coefficients move with the slots, each where it was when its slope was last taken."""
+
+    parts: list[Sensitivity]
+    """Of each recording."""
+    theta: np.ndarray
+    """(slots,)."""
+
+
+class Near(NamedTuple):
+    """A hypothesis at whose numbers a fit of one that resembles it may take its first sensitivities."""
+
+    hypothesis: Hypothesis
+    weights: np.ndarray
+
+    def resembles(self, hypothesis: Hypothesis) -> bool:
+        """Whether a hypothesis has the same weights, and moves with them nearly alike."""
+        mine = self.hypothesis
+        return (
+            hypothesis.nominal.structure == mine.nominal.structure
+            and hypothesis.shape == mine.shape
+            and (hypothesis.alignment, hypothesis.held, hypothesis.remanent)
+            == (mine.alignment, mine.held, mine.remanent)
+            and (Stiction.name in hypothesis.names) == (Stiction.name in mine.names)
+        )
+
+
+def jacobian(
+    chain: Chain,
+    hypothesis: Hypothesis,
+    weights: np.ndarray,
+    slots: Sequence[FreeParameter],
+    theta: np.ndarray,
+    index: int,
+) -> tuple[np.ndarray, Sensitivity]:
+    """Output of one recording, (time,), and its sensitivity to each weight and slot."""
+    y, first = of_weights(chain, hypothesis, weights, index)
+    every = range(len(slots))
+    return y, joined(first, of_slots(chain, hypothesis, weights, slots, theta, index, every))
+
+
+def joined(first: Sensitivity, second: Sensitivity) -> Sensitivity:
+    """To the numbers of both."""
+    if not len(second.places):
+        return first
+    return Sensitivity(*(np.concatenate(parts) for parts in zip(first, second, strict=True)))
+
+
+def of_weights(
+    chain: Chain, hypothesis: Hypothesis, weights: np.ndarray, index: int
+) -> tuple[np.ndarray, Sensitivity]:
+    """Output of one recording, (time,), and its sensitivity to each weight."""
+    y, used, directions = chain.output_and_directions(hypothesis, weights, index)
+    stuck = chain.rests(hypothesis, index)
+    one = np.ones((1, len(y))) if stuck is None else np.where(stuck.stuck, 0.0, 1.0)[None]
+    places = np.concatenate([used, [len(weights) - len(chain.records) + index]])
+    whitened = [chain.whitened(index, part) for part in (directions, one)]
+    return y, Sensitivity(places, np.concatenate(whitened))
+
+
+def of_slots(
+    chain: Chain,
+    hypothesis: Hypothesis,
+    weights: np.ndarray,
+    slots: Sequence[FreeParameter],
+    theta: np.ndarray,
+    index: int,
+    chosen: Iterable[int],
+) -> Sensitivity:
+    """The sensitivity of one recording to the chosen slots."""
+    own = [j for j in chosen if slots[j].record is None or slots[j].record == index]
+    rows = np.zeros((len(own), len(chain.records[index].u)))
+    of_modes = chain.slopes(hypothesis, weights, index) if own else {}
+    here = chain.output(hypothesis, weights, index) if own else np.zeros(0)
+    for j, row in zip(own, rows, strict=True):
+        s = slots[j]
+        if s.member >= 0 and issubclass(hypothesis.members[s.member].effect, ModalEffect):
+            if (s.member, s.name) in of_modes:  # else a coupling's number for a mode that was taken away
+                per_inner = to_outer(s, float(theta[j])) if s.log else s.scale
+                row[:] = of_modes[s.member, s.name] * per_inner
+            continue
+        moved = np.array(theta)
+        moved[j] += s.step
+        row[:] = (chain.output(with_theta(hypothesis, slots, moved), weights, index) - here) / s.step
+    return Sensitivity(len(weights) + np.array(own, dtype=int), chain.whitened(index, rows))
+
+
+def slopes_of(
+    chain: Chain,
+    hypothesis: Hypothesis,
+    weights: np.ndarray,
+    slots: Sequence[FreeParameter],
+    theta: np.ndarray,
+    before: Slopes | None = None,
+) -> Slopes:
+    """The slope of every slot; of those that have moved little since `before`, as it was."""
+    at = (
+        np.array(theta)
+        if before is None
+        else np.where(abs(theta - before.theta) > MOVED, theta, before.theta)
+    )
+    new = np.arange(len(slots)) if before is None else np.flatnonzero(at != before.theta)
+    parts = []
+    for i in range(len(chain.records)):
+        part = of_slots(chain, hypothesis, weights, slots, theta, i, new.tolist())
+        if before is not None:
+            old = before.parts[i]
+            kept = ~np.isin(old.places, part.places)
+            part = joined(Sensitivity(old.places[kept], old.rows[kept]), part)
+        parts.append(part)
+    return Slopes(parts, at)
+
+
+def sensitivities_near(
+    chain: Chain, near: Near, slots: Sequence[FreeParameter], hypothesis: Hypothesis
+) -> tuple[Tangent, Slopes]:
+    """The tangent of what is near, and of its slopes those of the slots that a hypothesis shares with it.
+
+    Every candidate of a round is near the same fit, and adds a block that changes little of how the output
+    moves with anything else: these sensitivities are made once for all of them.
+
+    Args:
+        chain: The recordings.
+        near: What the hypothesis resembles.
+        slots: Of the hypothesis.
+        hypothesis: The one that is to be fitted.
+    """
+    mine = free_parameters_of(near.hypothesis)
+    key = (identity(near), chain.weighting.token)
+    if chain.linearised is None or chain.linearised[0] != key:
+        values = np.array([to_inner(s, value_at(near.hypothesis, s)) for s in mine])
+        tangent = tangent_of(chain, near.hypothesis, near.weights)
+        chain.linearised = key, (tangent, slopes_of(chain, near.hypothesis, near.weights, mine, values))
+    tangent, slopes = chain.linearised[1]
+    at = {place_of(near.hypothesis, slot): j for j, slot in enumerate(mine)}
+    theta, first = np.full(len(slots), np.inf), len(near.weights)
+    to, scale = np.full(len(mine), -1), np.ones(len(mine))
+    for k, slot in enumerate(slots):
+        j = at.get(place_of(hypothesis, slot))
+        if j is not None and slot.log == mine[j].log:
+            to[j], scale[j] = k, 1.0 if slot.log else slot.scale / mine[j].scale
+            theta[k] = to_inner(slot, value_at(near.hypothesis, mine[j]))
+    parts = []
+    for part in slopes.parts:
+        own = part.places - first
+        kept = to[own] >= 0
+        rows = part.rows[kept] * scale[own[kept], None]
+        parts.append(Sensitivity(first + to[own[kept]], rows))
+    return tangent, Slopes(parts, theta)
+
+
+def identity(near: Near) -> tuple[object, ...]:
+    """What tells it from another."""
+    h = near.hypothesis
+    members = tuple(
+        (m.effect.name, m.aux, *m.shared.items(), *(tuple(own.items()) for own in m.own)) for m in h.members
+    )
+    nominal = (h.nominal.structure, *sorted(h.nominal.shape.items()))
+    return (members, nominal, h.alignment, h.held, h.shape, h.remanent, near.weights.tobytes())
+
+
+def place_of(hypothesis: Hypothesis, slot: FreeParameter) -> tuple[object, ...]:
+    """Where a slot lives, whatever else the hypothesis has."""
+    if slot.member < 0:
+        return (slot.name,)
+    member = hypothesis.members[slot.member]
+    return (member.effect.name, member.aux, slot.record, slot.name)
+
+
+def tangent_of(chain: Chain, hypothesis: Hypothesis, weights: np.ndarray) -> Tangent:
+    """How the output moves with the weights."""
+    parts = [of_weights(chain, hypothesis, weights, i)[1] for i in range(len(chain.records))]
+    return Tangent(parts, gram_of(parts, len(weights)))
+
+
+def gram_of(parts: Sequence[Sensitivity], size: int) -> np.ndarray:
+    """(size, size), J Jᵀ."""
+    gram = np.zeros((size, size))
+    for part in parts:
+        gram[np.ix_(part.places, part.places)] += part.rows @ part.rows.T
+    return gram
