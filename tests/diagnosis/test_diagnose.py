@@ -22,7 +22,7 @@ from tests.diagnosis.plants import (
 )
 from tests.diagnosis.prepared import prepared
 from torchpi.diagnosis.chain import Chain
-from torchpi.diagnosis.diagnose import diagnose, off_all_around
+from torchpi.diagnosis.diagnose import diagnose, error_about, off_all_around
 from torchpi.diagnosis.diagnosis import Diagnosis
 from torchpi.diagnosis.fit import fit
 from torchpi.diagnosis.hypothesis import Hypothesis
@@ -158,6 +158,15 @@ def test_a_reading_where_the_stage_has_just_been_is_late_and_one_beyond_is_wrong
     late[52], wrong[70], wrong[30] = 3.0, 3.0, -5.0
     assert off_all_around(late, late - model, np.array([52])) < 0
     np.testing.assert_allclose(off_all_around(wrong, wrong - model, np.array([30, 70])), 5.0)
+
+
+def test_the_first_swing_of_a_ring_that_the_model_misses_is_no_wrong_reading() -> None:
+    noise = 0.01 * np.random.default_rng(0).standard_normal(400)
+    ringing = noise + np.where(np.arange(400) < 200, 0.0, np.cos(2.1 * (np.arange(400) - 200)))
+    lone = noise.copy()
+    lone[200] += 1.0
+    k = np.array([200])
+    assert error_about(ringing, k) > 0.3 and error_about(lone, k) < 0.02
 
 
 def test_creep_of_two_poles_is_creep_and_no_drift() -> None:

@@ -5,8 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from torchpi.diagnosis.posterior import adequacy, averaged, names_of
-from torchpi.diagnosis.score import Weighting
+from torchpi.diagnosis.posterior import averaged, names_of
 
 
 def densities(models: int, cells: int, seed: int) -> np.ndarray:
@@ -46,33 +45,6 @@ def test_a_prior_counts_as_so_many_nats() -> None:
 def test_the_same_densities_have_the_same_weights() -> None:
     density = densities(4, 50, 1)
     assert np.array_equal(averaged(density, np.zeros(4)), averaged(density.copy(), np.zeros(4)))
-
-
-class Left:
-    """What a fit leaves, as far as `adequacy` looks."""
-
-    def __init__(self, left_out_um2: np.ndarray) -> None:
-        self.left_out_um2 = left_out_um2
-        self.train_rms = float(np.sqrt(left_out_um2.mean()))
-
-
-def weighting(cells: int) -> Weighting:
-    return Weighting((np.ones(20 * cells),), np.ones(cells), np.full(cells, 20.0))
-
-
-def test_an_effect_that_leaves_noise_explains_all_and_one_that_leaves_much_explains_its_share() -> None:
-    less = Left(np.full(10, 10.0))
-    for left, known in ((1.0, 1.0), (5.5, 0.5), (9.99, 0.0)):
-        share, rise = adequacy(weighting(10), Left(np.full(10, left)), less)  # type: ignore[arg-type]
-        assert share == pytest.approx(known, abs=0.01)
-        assert rise == pytest.approx(10.0 - left)
-
-
-def test_what_is_missed_elsewhere_does_not_count_against_an_effect() -> None:
-    now, less = np.full(10, 1.0), np.full(10, 1.0)
-    less[:5], now[5:], less[5:] = 50.0, 100.0, 100.0
-    share, _ = adequacy(weighting(10), Left(now), Left(less))  # type: ignore[arg-type]
-    assert share > 0.99
 
 
 def test_the_names_in_an_explanation() -> None:

@@ -143,3 +143,27 @@ def test_leave_one_out_is_what_refits_without_each_coefficient_predict() -> None
     cell = np.concatenate([r.haar.cell + f for r, f in zip(chain.records, first, strict=True)])
     explicit = np.bincount(cell, (predicted / inverse_sd) ** 2) / np.bincount(cell)
     assert shortcut == pytest.approx(explicit, rel=1e-3)
+
+
+class Left:
+    """What a fit leaves, as far as its share of what is to be explained is concerned."""
+
+    def __init__(self, left_out_um2: np.ndarray) -> None:
+        self.left_out_um2 = left_out_um2
+
+
+def weighting(cells: int) -> Weighting:
+    return Weighting((np.ones(20 * cells),), np.ones(cells), np.full(cells, 20.0))
+
+
+def test_an_effect_that_leaves_noise_explains_all_and_one_that_leaves_much_explains_its_share() -> None:
+    less = Left(np.full(10, 10.0))
+    for left, known in ((1.0, 1.0), (5.5, 0.5), (9.99, 0.0)):
+        share = weighting(10).explained_where_it_acts(Left(np.full(10, left)), less)  # type: ignore[arg-type]
+        assert share == pytest.approx(known, abs=0.01)
+
+
+def test_what_is_missed_elsewhere_does_not_count_against_an_effect() -> None:
+    now, less = np.full(10, 1.0), np.full(10, 1.0)
+    less[:5], now[5:], less[5:] = 50.0, 100.0, 100.0
+    assert weighting(10).explained_where_it_acts(Left(now), Left(less)) > 0.99  # type: ignore[arg-type]

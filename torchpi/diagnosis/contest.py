@@ -20,6 +20,9 @@ ACCEPTED = 0.95
 FAINT = 0.2
 """Of the noise, or of the rms that is left: what explains less is of no use to a user, and a solver's error
 does as much."""
+ADEQUATE = 0.2
+"""Share of what is to be explained where an effect acts from which a search goes on with it: as much as each
+of five that act in the same place."""
 TOGETHER = 2.0
 """Standard errors within which two hypotheses predict alike."""
 CLEAR = 6.0
@@ -50,13 +53,33 @@ class Contest:
         """Each hypothesis fitted in this process, while others begin."""
         return fit_all(self.chain, jobs, None)
 
-    def raced(self, jobs: Sequence[Job], now: Fit) -> list[Fit]:
-        """Fitted for a few steps each, and to the end where the outcome against a fit is not yet clear."""
+    def raced(self, jobs: Sequence[Job], now: Fit, kinds: Sequence[object] | None = None) -> list[Fit]:
+        """Fitted for a few steps each, and to the end where the outcome against a fit is not yet clear.
+
+        Args:
+            jobs: What is fitted.
+            now: Against which fit.
+            kinds: What each is one of several starts of: the best of a kind goes on for as long again before
+                it is given up, for the start that would have been near may not be among them.
+        """
         fits = self.fits([(h, w, min(HEAT, steps), tolerance) for h, w, steps, tolerance in jobs], now)
+
+        def go_on(places: Sequence[int], at_most: int) -> None:
+            rest: list[Job] = [
+                (fits[k].hypothesis, fits[k].weights, min(at_most, jobs[k][2]), jobs[k][3]) for k in places
+            ]
+            for k, one in zip(places, self.fits(rest, now), strict=True):
+                fits[k] = one
+
         unclear = [k for k, one in enumerate(fits) if self.near(one, now)]
-        rest: list[Job] = [(fits[k].hypothesis, fits[k].weights, *jobs[k][2:]) for k in unclear]
-        for k, one in zip(unclear, self.fits(rest, now), strict=True):
-            fits[k] = one
+        if kinds is not None:
+            best: dict[object, int] = {}
+            for k in sorted(range(len(fits)), key=lambda k: self.score(fits[k])):
+                best[kinds[k]] = k
+            again = sorted(set(best.values()) - set(unclear))
+            go_on(again, HEAT)
+            unclear += [k for k in again if self.near(fits[k], now)]
+        go_on(unclear, max((job[2] for job in jobs), default=0))
         return fits
 
     def near(self, one: Fit, now: Fit) -> bool:
@@ -104,6 +127,11 @@ class Contest:
     def faint(self, more: Fit, less: Fit) -> bool:
         """Whether what a fit explains beyond another is of no use to anyone: no name of it could stand."""
         return faint(more, less, self.noise.rms_um if self.noise is not None else more.train_rms)
+
+    def adequate(self, more: Fit, less: Fit) -> bool:
+        """Whether what a fit explains beyond another is a share worth a name of what is to be explained where
+        it acts: anything explains a little of what it only resembles."""
+        return self.chain.weighting.explained_where_it_acts(more, less) > ADEQUATE
 
     def needs_no_history(self, now: Fit, less: Fit) -> bool:
         """Whether recordings that start de-energised are predicted as well, or all but as well."""

@@ -56,6 +56,8 @@ LOST = 10.0
 """Times the rms of what is left, by which a single reading is off: less may be a heavy tail of the noise."""
 ABOUT = 5
 """Samples before and after a reading that it is compared with."""
+BESIDE = 32
+"""Samples on either side of a reading from which the error of the model there is taken."""
 READ_OFF = 0.99
 """Probability of what the readings themselves show."""
 LEAST_SAMPLES = 100
@@ -127,7 +129,7 @@ def diagnose(
     if lsb_um > 0 and lsb_um / np.sqrt(12) > COARSE * final.train_rms:
         decision = with_read_off(decision, of_converter(lsb_um, retuned))
     lost = [
-        k[off_all_around(record.y, e, k) > LOST * final.train_rms]
+        k[off_all_around(record.y, e, k) > LOST * np.maximum(error_about(e, k), final.train_rms)]
         for record, e, k in zip(records, final.residuals, wrong, strict=True)
     ]
     if any(len(each) for each in lost):
@@ -233,6 +235,16 @@ def off_all_around(y: np.ndarray, residual: np.ndarray, readings: np.ndarray) ->
     places = readings[:, None] + np.arange(-ABOUT, ABOUT + 1)
     passed = model[np.clip(places, 0, len(y) - 1)]
     found: np.ndarray = np.maximum(y[readings] - passed.max(1), passed.min(1) - y[readings])
+    return found
+
+
+def error_about(residual: np.ndarray, readings: np.ndarray) -> np.ndarray:
+    """(readings,), µm: the error of the model before or after each of these readings, the larger, as a
+    standard deviation. Where the model misses a ring, its first swing is no wrong reading."""
+    places = readings[:, None] + np.arange(2, BESIDE + 2)
+    sides = (places, 2 * readings[:, None] - places)
+    medians = [np.median(np.abs(residual[np.clip(side, 0, len(residual) - 1)]), axis=1) for side in sides]
+    found: np.ndarray = 1.4826 * np.maximum(*medians)
     return found
 
 

@@ -21,7 +21,7 @@ from torchpi.diagnosis.fit import ROUGH
 from torchpi.diagnosis.hypothesis import Fit, Hypothesis
 from torchpi.diagnosis.parallel import Job
 from torchpi.diagnosis.reduced_basis import reduced, refitted
-from torchpi.diagnosis.score import ALIKE, Weighting
+from torchpi.diagnosis.score import ALIKE
 from torchpi.diagnosis.search import OPERATOR, Round, Search, rms_of
 
 DRAWS = 400
@@ -30,9 +30,9 @@ RIVALS = 4
 OPERATOR_NAME = "hysteresis_operator"
 CONVENTION = "timing_convention"
 """A rival of what delays: whole samples, by the convention of whoever recorded."""
-HALF, STEEPNESS = 0.57, 2.0
+HALF, STEEPNESS = 0.65, 3.0
 """The share of what is to be explained where an effect acts from which its name is more likely right than
-wrong, and how fast that changes. Set on some fifty names of development cases; `benchmarks/calibration.py`
+wrong, and how fast that changes. Set on some ninety names of development cases; `benchmarks/calibration.py`
 measures what comes of it."""
 
 
@@ -85,7 +85,8 @@ def posterior(
             if model.instead != CONVENTION and search.as_well(model.fit, models[0].fit):
                 alternatives.append(model.instead)
                 held += float(c)
-        known, rise = adequacy(weighting, models[0].fit, less.fit)
+        known = weighting.explained_where_it_acts(models[0].fit, less.fit)
+        rise = less.fit.train_rms**2 - models[0].fit.train_rms ** 2
         rivals.sort(key=lambda rival: rival.loses_nats)
         found.append(
             Believed(name, round(min(held, 1.0) * trust(known), 4), tuple(dict.fromkeys(alternatives)), rise,
@@ -141,19 +142,6 @@ def prior(search: Search, retuned: Fit, one: Fit) -> float:
     """Log odds of what a hypothesis adds to the retuned simulation."""
     grown = one.hypothesis.nominal.family != retuned.hypothesis.nominal.family
     return PRIOR * (len(search.added(one)) + grown)
-
-
-def adequacy(weighting: Weighting, now: Fit, less: Fit) -> tuple[float, float]:
-    """What an effect explains of all that is to be explained where it acts, 0–1; its mean square, µm²."""
-    n, after = weighting.counts, now.left_out_um2
-    gained = np.maximum(less.left_out_um2 - after, 0.0)
-    left = np.maximum(after - weighting.level_um2, 0.0)
-    share = gained / np.maximum(gained + left, 1e-300)
-    # A stretch that is missed by far is not to decide alone.
-    weight = n * gained / np.maximum(gained + after, 1e-300)
-    known = float((weight * share).sum() / max(float(weight.sum()), 1e-300))
-    rise = less.train_rms**2 - now.train_rms**2
-    return known, rise
 
 
 def trust(known: float) -> float:

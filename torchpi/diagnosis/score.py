@@ -93,6 +93,17 @@ class Weighting:
         """(cells,): ℓ_c of a fit."""
         return self.of_squares(fit.left_out_um2)
 
+    def explained_where_it_acts(self, more: Fit, less: Fit) -> float:
+        """What a fit explains beyond another, 0–1, of all that is to be explained in the cells where it
+        does."""
+        n, after = self.counts, more.left_out_um2
+        gained = np.maximum(less.left_out_um2 - after, 0.0)
+        left = np.maximum(after - self.level_um2, 0.0)
+        share = gained / np.maximum(gained + left, 1e-300)
+        # A stretch that is missed by far is not to decide alone.
+        weight = n * gained / np.maximum(gained + after, 1e-300)
+        return float((weight * share).sum() / max(float(weight.sum()), 1e-300))
+
     def of_squares(self, mean_um2: np.ndarray) -> np.ndarray:
         """The same of the cells' mean squares, (cells,), µm²."""
         n = np.minimum(self.counts, AT_MOST)

@@ -124,7 +124,9 @@ class Search(Timing):
             tried = self.round(small)
             best = f"; best {tried[0].name}, {describe(tried[0])}" if tried else ""
             self.log(f"round {number}: {len(tried)} explanations fitted{best}")
-            chosen = self.simplest([one for one in tried if not self.faint(one.fit, small)])
+            chosen = self.simplest(
+                [o for o in tried if not self.faint(o.fit, small) and self.adequate(o.fit, small)]
+            )
             history.append(Round(now, tuple(tried), chosen.name if chosen else None))
             if chosen is None:
                 late = self.delayed(now)
@@ -366,7 +368,8 @@ class Search(Timing):
                     ]
                 elif alike(other, member) and other.effect.name not in there:
                     jobs.append((less.plus(other), now.weights, STEPS, ROUGH))
-        best = max([now, *(one for one in self.raced(jobs, now) if inside(one, now))], key=self.worth)
+        kinds = [tuple((m.effect, m.aux, form(m)) for m in h.members) for h, *_ in jobs]
+        best = max([now, *(one for one in self.raced(jobs, now, kinds) if inside(one, now))], key=self.worth)
         if best is now:
             return now
         self.log(f"  as {', '.join(best.hypothesis.names)}: {rms_of(best)}")
