@@ -25,7 +25,7 @@ from torchpi.operators.bouc_wen_oscillator import BETWEEN_SAMPLES, BoucWenParame
 from torchpi.recordings.recording import Recording
 from torchpi.stage.bouc_wen_oscillator import STEPS, UM_PER_M, BoucWenOscillator
 
-SEARCHED = 8192
+SEARCHED = 4096
 """Samples that the search for a start simulates."""
 SEARCH_STEPS = 6
 """Of the integration in a sample, in that search."""
@@ -34,10 +34,12 @@ SHARES, DISSIPATION, HARDENING = (0.3, 0.6), (0.4, 1.2), (-1.0, 0.0, 0.5)
 """Starts: hysteretic share of the stiffness, g z / α for the largest forces z, and d / g."""
 LEAST_SAMPLES = 256
 LEAST_COHERENCE = 0.2
+MOST_LEFT = 0.9
+"""Of the rms of a recording: an oscillator that leaves more explains nothing."""
 DIFFERENCE = 1e-6
 """Relative step of the differences that stand for slopes."""
 DIVERGED = 10.0
-"""Error of a diverged solution, in units of the recording's rms."""
+"""Error of a diverged solution, in units of the recording."""
 INTERVAL = 1.96
 """Standard deviations on either side of a 95 % interval."""
 LEAST_EXPONENT, LARGEST_EXPONENT = 0.5, 6.0
@@ -136,10 +138,10 @@ class OutputError:
         oscillator, errors = self.oscillator(theta), []
         for one, counted in zip(self.recordings, self.counted, strict=True):
             try:
-                y = oscillator.simulate(torch.from_numpy(one.u)[None])[0].numpy()
+                error = one.y - oscillator.simulate(torch.from_numpy(one.u)[None])[0].numpy()
             except StageError:  # diverged
-                y = one.y - DIVERGED * one.y.std()
-            errors.append((one.y - y)[counted])
+                error = DIVERGED * one.y
+            errors.append(error[counted])
         return np.concatenate(errors)
 
     def __call__(self, theta: np.ndarray) -> np.ndarray:
@@ -189,8 +191,9 @@ def identify_oscillator(
     mass, damping, stiffness = linear_oscillator(recordings, counted)
     frequency = math.sqrt(stiffness / mass) / (2 * math.pi)
     log(f"linear: {frequency:.4g} Hz, mass {mass:.4g} kg, stiffness {stiffness:.4g} N/m")
-    largest = max(range(len(recordings)), key=lambda i: float(recordings[i].y.std()))
-    force = stiffness * float(recordings[largest].y.std()) / UM_PER_M
+    motions = [float(one.y[counts].std()) for one, counts in zip(recordings, counted, strict=True)]
+    largest = int(np.argmax(motions))
+    force = stiffness * motions[largest] / UM_PER_M
     exponent = 1.0 if options.exponent is None else options.exponent
     short, short_counted = _head(recordings[largest], counted[largest])
     search = OutputError(
@@ -219,14 +222,24 @@ def identify_oscillator(
 
 
 def best_start(search: OutputError, log: Callable[[str], None]) -> np.ndarray:
-    """θ near the best of several starts."""
+    """θ at the best of several starts.
+
+    Raises:
+        RecordingError: It explains nothing.
+    """
     found = []
     for share, wide, bent in itertools.product(SHARES, DISSIPATION, HARDENING):
         theta = np.array([0.0, 0.5, math.log(1 - share), math.log(share), wide, wide * bent])
         found.append(search.descend(theta, SEARCH_TRIALS))
     found = sorted(found, key=lambda one: float(one.cost))[:BETTER]
     best = min((search.descend(one.x, TRIALS) for one in found), key=lambda one: float(one.cost))
-    log(f"start: {search.rms(best.x):.4g} µm rms of {search.recordings[0].y.std():.4g} µm")
+    rms_um, motion_um = search.rms(best.x), float(search.recordings[0].y[search.counted[0]].std())
+    log(f"start: {rms_um:.4g} µm rms of {motion_um:.4g} µm")
+    if rms_um > MOST_LEFT * motion_um:
+        raise RecordingError(
+            f"{search.recordings[0].name}: found {rms_um:.4g} µm rms left of {motion_um:.4g} µm, expected a "
+            "displacement that the force explains by one mode"
+        )
     return np.asarray(best.x)
 
 
