@@ -30,8 +30,13 @@ SEARCHED = 4096
 SEARCH_STEPS = 6
 """Of the integration in a sample, in that search."""
 SEARCH_TRIALS, BETTER, TRIALS = 6, 3, 60
-SHARES, DISSIPATION, HARDENING = (0.3, 0.6), (0.4, 1.2), (-1.0, 0.0, 0.5)
-"""Starts: hysteretic share of the stiffness, g z / α for the largest forces z, and d / g."""
+OPEN = tuple(
+    (1 - share, share, wide, bent)
+    for share, wide, bent in itertools.product((0.3, 0.6), (0.4, 1.2), (-1.0, 0.0, 0.5))
+)
+"""Starts: elastic and hysteretic stiffness over the linear one, g z / α for its rms force z, and d / g."""
+SATURATED = tuple((0.95, 0.3, wide, 0.0) for wide in (6.0, 30.0))
+"""Starts of a hysteretic force that saturates well below that, as dry friction does."""
 LEAST_SAMPLES = 256
 LEAST_COHERENCE = 0.2
 MOST_LEFT = 0.9
@@ -228,8 +233,8 @@ def best_start(search: OutputError, log: Callable[[str], None]) -> np.ndarray:
         RecordingError: It explains nothing.
     """
     found = []
-    for share, wide, bent in itertools.product(SHARES, DISSIPATION, HARDENING):
-        theta = np.array([0.0, 0.5, math.log(1 - share), math.log(share), wide, wide * bent])
+    for elastic, hysteretic, wide, bent in (*OPEN, *SATURATED):
+        theta = np.array([0.0, 0.5, math.log(elastic), math.log(hysteretic), wide, wide * bent])
         found.append(search.descend(theta, SEARCH_TRIALS))
     found = sorted(found, key=lambda one: float(one.cost))[:BETTER]
     best = min((search.descend(one.x, TRIALS) for one in found), key=lambda one: float(one.cost))
