@@ -97,7 +97,7 @@ def bouc_wen() -> dict[str, float]:
         ("alpha", "hysteretic_stiffness_n_m"), ("dissipation", "dissipation"), ("hardening", "hardening"),
     ):  # fmt: skip
         one = metrics["parameters"][parameter]
-        found |= {f"bouc_wen_{name}": one["value"], f"bouc_wen_{name}_half": one["half_width_95"]}
+        found |= {f"bouc_wen_{name}": abs(one["value"]), f"bouc_wen_{name}_half": one["half_width_95"]}
     return found
 
 

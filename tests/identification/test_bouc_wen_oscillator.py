@@ -42,7 +42,7 @@ def test_physical_parameters_come_back_from_noisy_recordings() -> None:
     fine = [true.at_sample_rate(4 * RATE_HZ) for _ in range(2)]
     recordings = []
     for seed, one in enumerate(fine):
-        u = multisine(2048, 12.0 - 4 * seed, seed, factor=4)
+        u = multisine(1536, 12.0 - 4 * seed, seed, factor=4)
         whole = recorded(one, u, seed)
         recordings.append(replace(whole, t=whole.t[::4] / 4, u=u[::4], y=whole.y[::4]))
     found = identify_oscillator(recordings)
@@ -67,8 +67,8 @@ def test_another_exponent_and_a_held_force_are_found() -> None:
 
 
 def test_samples_that_do_not_count_are_not_looked_at() -> None:
-    one = recorded(an_oscillator(), multisine(1536, 12.0))
-    counted = np.arange(len(one)) < 1024
+    one = recorded(an_oscillator(), multisine(1024, 12.0))
+    counted = np.arange(len(one)) < 640
     spoilt = replace(one, y=np.where(counted, one.y, 1e4))
     options = OscillatorOptions(between="band_limited", exponent=1.0)
     first, second = (identify_oscillator([every], [counted], options) for every in (one, spoilt))
@@ -81,7 +81,7 @@ def test_of_the_benchmark_the_published_parameters_are_found_and_the_noise_is_le
         input_column="multisine/u", output_column="multisine/y", output_unit="m", fs_hz="multisine/fs"
     )
     whole = read_force_recording(BENCHMARK, options)
-    length = 4096
+    length = 3072
     one = replace(whole, t=whole.t[:length], u=whole.u[:length], y=whole.y[:length])
     counted = np.arange(length) < 3 * length // 4
     found = identify_oscillator([one], [counted], OscillatorOptions("band_limited", 1.0)).oscillator
