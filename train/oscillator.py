@@ -23,7 +23,8 @@ from .own_kind import leave, settings_of
 
 SECTION = "oscillator"
 OWN = ("recordings", "periods", "heldout")
-READING = (*OWN, *(field.name for field in fields(RecordingOptions)))
+READING = (*OWN, *(field.name for field in fields(RecordingOptions) if field.name != "skip_s"))
+"""Nothing is skipped: a recording begins at rest."""
 
 
 def fit(arguments: Sequence[str], config: Path) -> None:

@@ -91,6 +91,7 @@ def test_a_config_of_an_oscillator_leaves_a_stage_and_what_it_is_worth(
     ("settings", "message"),
     [
         ({"plays": 3}, "found the key plays, expected one of recordings, periods"),
+        ({"skip_s": 1}, "found the key skip_s, expected one of recordings, periods"),
         ({"recordings": "run.csv"}, "recordings: found 'run.csv', expected a list of files"),
         ({"periods": 0}, "periods: found 0, expected a whole number from 1 on"),
         ({"periods": 5}, "run: found 3072 samples, expected a multiple of 5 periods"),

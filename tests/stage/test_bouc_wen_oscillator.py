@@ -11,7 +11,8 @@ from tests.stage.two_axes import two_axes
 from torchpi.errors import ArtifactError, StageError
 from torchpi.files import load_tensors, save_tensors
 from torchpi.operators.bouc_wen_oscillator import BETWEEN_SAMPLES
-from torchpi.stage.bouc_wen_oscillator import BoucWenOscillator
+from torchpi.stage.bouc_wen_oscillator import SCHEMA, VERSION, BoucWenOscillator
+from torchpi.stage.file import save_model
 from torchpi.stage.kinds import load_own_kind
 from torchpi.stage.multi_axis import MultiAxisStage
 
@@ -132,6 +133,16 @@ def test_a_changed_file_is_refused(tmp_path: Path) -> None:
     save_tensors(content, path)
     with pytest.raises(ArtifactError, match="changed since it was written"):
         BoucWenOscillator.load(path)
+
+
+def test_a_file_with_fields_of_another_kind_is_refused(tmp_path: Path) -> None:
+    for number, change in enumerate(
+        ({"parameters": 5}, {"parameters": {**PARAMETERS._asdict(), "mass_kg": "x"}})
+    ):
+        path = tmp_path / f"{number}.pt"
+        save_model(path, SCHEMA, VERSION, {**an_oscillator().plain(), **change})
+        with pytest.raises(ArtifactError, match="fields of another kind, expected those of an oscillator"):
+            BoucWenOscillator.load(path)
 
 
 @pytest.mark.parametrize(

@@ -70,7 +70,7 @@ def announce_fit(arguments: Sequence[str]) -> None:
             return
         if oscillator:
             # 130 simulations of all samples, after a search of fixed length.
-            _announce(15.0 + 2e-4 * sum(_samples_in(oscillator["recordings"])), "operators", 10.0)
+            _announce(15.0 + 2e-4 * sum(_samples_in(oscillator.get("recordings") or ())), "operators", 10.0)
             return
         files = [*(data.get("recordings") or ()), *(data.get("heldout") or ())]
         simulate = data.get("simulate") or {}

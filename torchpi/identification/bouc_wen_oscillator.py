@@ -303,9 +303,13 @@ def _half_widths(problem: OutputError, found: OptimizeResult) -> dict[str, float
     steps = DIFFERENCE * np.eye(len(theta))
     moved = np.stack([np.array(problem.parameters(theta + step)) - values for step in steps], 1) / DIFFERENCE
     slopes = problem.slopes(theta)
+    scale = np.maximum(np.linalg.norm(slopes, axis=0), np.finfo(float).tiny)
+    _, strength, axes = np.linalg.svd(slopes / scale, full_matrices=False)
+    # What the recording does not determine keeps a wide interval.
+    strength = np.maximum(strength, np.finfo(float).eps * strength[0])
+    root = moved @ (axes.T / strength / scale[:, None])
     variance = 2 * float(found.cost) / max(samples - len(theta) - 1, 1)
-    covariance = moved @ np.linalg.pinv(slopes.T @ slopes) @ moved.T * variance
-    half = INTERVAL * np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    half = INTERVAL * np.sqrt(variance * np.square(root).sum(1))
     widths: dict[str, float | None] = dict(zip(BoucWenParameters._fields, half.tolist(), strict=True))
     if problem.exponent is not None:
         widths["exponent"] = None

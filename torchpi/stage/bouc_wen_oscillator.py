@@ -232,7 +232,9 @@ class BoucWenOscillator(nn.Module):
         """
         try:
             return cls(**settings)
-        except TypeError as error:
+        except StageError:
+            raise
+        except (TypeError, ValueError) as error:
             raise ArtifactError(f"{path}: fields of another kind, expected those of an oscillator") from error
 
 
