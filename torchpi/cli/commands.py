@@ -398,9 +398,8 @@ def predict(
 ) -> None:
     """Predict what a stage does with a voltage: time_s,input_v[,aux_…] in, the same with output_um out.
 
-    From the de-energised state, at the file's own sample rate, without noise. A stage of several axes takes
-    input_1_v, input_2_v, … at its own rate, and gives output_1_um, output_2_um, … An oscillator takes
-    force_n.
+    From the de-energised state, at the file's own rate, without noise. A stage of several axes takes
+    input_1_v, input_2_v, … at its own rate and gives output_1_um, output_2_um, …; an oscillator, force_n.
 
     Example: torchpi predict runs/diagnosis/stage.pt voltage.csv --output predicted.csv
 
