@@ -21,9 +21,10 @@ from lightning.pytorch.cli import LightningArgumentParser, LightningCLI
 from torchpi.cli.command_line import run_command
 from torchpi.errors import ConfigError, RecordingWarning, TorchpiError
 
-from . import console, multi_axis, results
+from . import console, multi_axis, oscillator, results
 from .data import RecordingsData
 from .module import InverseTraining
+from .own_kind import config_with
 from .parser import TrainParser
 from .run_folder import RunFolder, check_continues, claim, new_run, run_to_continue
 from .trainer import TrainerOptions, make_trainer
@@ -58,10 +59,11 @@ def fit(
 ) -> None:
     """Do what the command line says."""
     given = list(sys.argv[1:] if arguments is None else arguments)
-    config = multi_axis.config_of(given)
-    if config is not None:
-        multi_axis.fit(given, config)
-        return
+    for own_kind in (multi_axis, oscillator):
+        config = config_with(own_kind.SECTION, given)
+        if config is not None:
+            own_kind.fit(given, config)
+            return
     quieten()
     FitCLI(given, program)
 

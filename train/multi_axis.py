@@ -1,16 +1,13 @@
 """`python -m train fit --config …` of a stage of several axes: one stage.pt for all recordings."""
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
-from torchpi.errors import ArtifactError, ConfigError
-from torchpi.files import check_output_folder, config_file, write_atomically
+from torchpi.errors import ConfigError
 from torchpi.identification.multi_axis import MultiAxisOptions, identify
 from torchpi.identification.multi_axis.fit import PeriodicFit
 from torchpi.identification.multi_axis.identify import by_amplitude, period
@@ -22,23 +19,11 @@ from torchpi.recordings.multi_axis import (
 )
 from torchpi.recordings.options import RecordingOptions
 from torchpi.stage.multi_axis import MultiAxisStage
-from torchpi.stage.settings import read_yaml
+
+from .own_kind import leave, settings_of
 
 SECTION = "multi_axis"
 READING = ("recordings", "fs_hz", "um_per_unit", "periods", "heldout")
-USAGE = "expected python -m train fit --config configs/NAME.yaml [--output FOLDER]"
-
-
-def config_of(arguments: Sequence[str]) -> Path | None:
-    """The config of a command line, where it is of a stage of several axes; None for any other."""
-    named = _options(arguments).get("config")
-    if named is None or list(arguments[:1]) != ["fit"]:
-        return None
-    try:
-        config = config_file(named)
-        return config if SECTION in read_yaml(config) else None
-    except ConfigError:
-        return None  # the other command has the error
 
 
 def fit(arguments: Sequence[str], config: Path) -> None:
@@ -49,23 +34,8 @@ def fit(arguments: Sequence[str], config: Path) -> None:
         RecordingError: Recordings that cannot be used.
         ArtifactError: The output folder is in use or cannot be written to.
     """
-    options = _options(arguments)
-    if unknown := sorted(set(options) - {"config", "output"}):
-        raise ConfigError(f"found the option --{unknown[0]}, {USAGE}")
-    content = read_yaml(config)
-    if other := sorted(set(content) - {SECTION}):
-        raise ConfigError(f"{config}: found the key {other[0]}, expected {SECTION} alone")
-    settings = content[SECTION]
-    if not isinstance(settings, dict):
-        raise ConfigError(f"{config}: {SECTION}: found {settings!r}, expected keys with values")
     known = [field.name for field in fields(MultiAxisOptions)]
-    if wrong := sorted(set(settings) - {*known, *READING}):
-        expected = ", ".join([*READING, *known])
-        raise ConfigError(f"{config}: found the key {wrong[0]}, expected one of {expected}")
-    folder = Path(options.get("output", f"runs/{config.stem}"))
-    check_output_folder(folder)
-    if folder.is_dir() and any(folder.iterdir()):
-        raise ArtifactError(f"--output {folder}: found a folder in use, expected a new or empty one")
+    settings, folder = settings_of(arguments, config, SECTION, [*READING, *known])
     every = recordings(settings, config)
     check_together(every)
     heldout = settings.get("heldout", [])
@@ -83,13 +53,7 @@ def fit(arguments: Sequence[str], config: Path) -> None:
         "train": judged(stage, fitted),
         "heldout": judged(stage, [one for one in every if one.name in heldout]),
     }
-    stage.save(folder / "stage.pt")
-    for name, text in (
-        ("metrics.json", json.dumps(metrics, indent=2)),
-        ("config.yaml", yaml.safe_dump(content)),
-    ):
-        with write_atomically(folder / name) as temporary:
-            temporary.write_text(text + "\n", encoding="utf-8")
+    leave(folder, stage, metrics, {SECTION: settings})
     show(metrics)
     found = f"{stage.inputs} inputs, {stage.outputs} outputs, {stage.shapes.modes} modes"
     print(f"{folder / 'stage.pt'}: {found}")
@@ -141,15 +105,3 @@ def show(metrics: Mapping[str, Sequence[Mapping[str, Any]]]) -> None:
                 f"{part:>8}  {one['name']:<24} {one['rms_um']:.4f} µm rms, "
                 f"noise {one['noise_rms_um']:.4f} µm, motion {one['motion_rms_um']:.3f} µm"
             )
-
-
-def _options(arguments: Sequence[str]) -> dict[str, str]:
-    """--NAME VALUE and --NAME=VALUE."""
-    found: dict[str, str] = {}
-    rest = list(arguments)
-    while rest:
-        word = rest.pop(0)
-        if word.startswith("--"):
-            name, given, value = word[2:].partition("=")
-            found[name] = value if given else rest.pop(0) if rest else ""
-    return found

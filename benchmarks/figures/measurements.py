@@ -77,6 +77,30 @@ def piezo_stack() -> dict[str, float]:
     }
 
 
+def bouc_wen() -> dict[str, float]:
+    """The recipe of configs/bouc_wen.yaml: what is left of the held-out quarters, and the parameters."""
+    with tempfile.TemporaryDirectory() as temporary:
+        config, folder = Path(temporary) / "bouc_wen.yaml", Path(temporary) / "run"
+        content = (ROOT / "configs" / "bouc_wen.yaml").read_text(encoding="utf-8")
+        config.write_text(content.replace("../shared/data", str(DATA)), encoding="utf-8")
+        run("-m", "train", "fit", "--config", str(config), "--output", str(folder))
+        metrics = json.loads((folder / "metrics.json").read_text(encoding="utf-8"))
+    (heldout,) = metrics["heldout"]
+    found = {
+        "bouc_wen_heldout_um": heldout["rms_um"],
+        "bouc_wen_noise_um": heldout["noise_rms_um"],
+        "bouc_wen_mean_um": heldout["mean_period_rms_um"],
+        "bouc_wen_mean_noise_um": heldout["mean_period_noise_rms_um"],
+    }
+    for name, parameter in (
+        ("mass", "mass_kg"), ("damping", "damping_n_s_m"), ("stiffness", "stiffness_n_m"),
+        ("alpha", "hysteretic_stiffness_n_m"), ("dissipation", "dissipation"), ("hardening", "hardening"),
+    ):  # fmt: skip
+        one = metrics["parameters"][parameter]
+        found |= {f"bouc_wen_{name}": abs(one["value"]), f"bouc_wen_{name}_half": one["half_width_95"]}
+    return found
+
+
 def commissioning() -> dict[str, float]:
     """`torchpi commission` on the README's recordings, and its compensator on the true stage."""
     with readme_recordings() as paths:

@@ -43,6 +43,31 @@ MEASUREMENTS = (
         needs_recordings=True,
     ),
     Measurement(
+        "bouc_wen",
+        "python -m train fit --config configs/bouc_wen.yaml",
+        (
+            Figure("bouc_wen_heldout_um", "µm", 7, 7.6),
+            Figure("bouc_wen_noise_um", "µm", 7, 7.6),
+            Figure("bouc_wen_mean_um", "µm", 3.5, 3.9),
+            Figure("bouc_wen_mean_noise_um", "µm", 3.5, 3.9),
+            Figure("bouc_wen_mass", "kg", 1.999, 2.001, ".4f"),
+            Figure("bouc_wen_mass_half", "kg", 0, 0.001, ".4f"),
+            Figure("bouc_wen_damping", "N s/m", 9.9, 10.1, ".2f"),
+            Figure("bouc_wen_damping_half", "N s/m", 0, 0.1, ".2f"),
+            Figure("bouc_wen_stiffness", "N/m", 49_900, 50_100, ",.0f"),
+            Figure("bouc_wen_stiffness_half", "N/m", 0, 100, ".0f"),
+            Figure("bouc_wen_alpha", "N/m", 49_900, 50_100, ",.0f"),
+            Figure("bouc_wen_alpha_half", "N/m", 0, 100, ".0f"),
+            Figure("bouc_wen_dissipation", "1/m", 798, 802, ".1f"),
+            Figure("bouc_wen_dissipation_half", "1/m", 0, 2, ".1f"),
+            Figure("bouc_wen_hardening", "1/m", 1097, 1103, ".1f"),
+            Figure("bouc_wen_hardening_half", "1/m", 0, 2, ".1f"),
+        ),
+        measurements.bouc_wen,
+        about_s=25,
+        needs_recordings=True,
+    ),
+    Measurement(
         "peers",
         "python benchmarks/peers/compare.py --only torchpi,lstsq",
         (
@@ -155,6 +180,8 @@ DEFINITIONS = {
         | {"2 kHz", "2 ×", "2 s", "4 nm", "100 Hz", "2 %", "300 Hz", "270 Hz"}  # the recordings of an example
         | {"2,540 Hz", "0.2 µm", "3.4 µm"}  # bounds of tests/diagnosis/test_modal.py
     ),
+    # Of the intervals.
+    "docs/bouc_wen.md": frozenset({"95 %"}),
     # An example of an option; a rule of the checks.
     "docs/recordings.md": frozenset({"0.5 µm", "100 times"}),
 }

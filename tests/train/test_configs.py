@@ -5,12 +5,16 @@ from pathlib import Path
 import pytest
 import yaml
 
+from torchpi.identification.bouc_wen_oscillator import OscillatorOptions
 from torchpi.identification.multi_axis import MultiAxisOptions
-from train import multi_axis
+from train import multi_axis, oscillator
 from train.cli import main
+from train.own_kind import config_with
 
 EVERY = sorted(Path("configs").glob("*.yaml"))
-CONFIGS = [path for path in EVERY if multi_axis.SECTION not in yaml.safe_load(path.read_text())]
+OWN_KIND = {multi_axis: MultiAxisOptions, oscillator: OscillatorOptions}
+SECTIONS = {kind.SECTION for kind in OWN_KIND}
+CONFIGS = [path for path in EVERY if not SECTIONS & set(yaml.safe_load(path.read_text()))]
 
 
 def test_there_are_recipes() -> None:
@@ -31,8 +35,9 @@ def test_every_recipe_parses_and_keeps_its_values(path: Path, capsys: pytest.Cap
 
 
 @pytest.mark.parametrize("path", sorted({*EVERY} - {*CONFIGS}), ids=lambda path: path.stem)
-def test_every_recipe_of_several_axes_has_keys_that_are_read(path: Path) -> None:
-    settings = yaml.safe_load(path.read_text())[multi_axis.SECTION]
-    own = {name: value for name, value in settings.items() if name not in multi_axis.READING}
-    assert MultiAxisOptions(**own)
-    assert multi_axis.config_of(["fit", "--config", str(path)]) == path
+def test_every_recipe_of_a_stage_of_its_own_kind_has_keys_that_are_read(path: Path) -> None:
+    (section,) = yaml.safe_load(path.read_text()).items()
+    (kind,) = (one for one in OWN_KIND if one.SECTION == section[0])
+    own = {name: value for name, value in section[1].items() if name not in kind.READING}
+    assert OWN_KIND[kind](**own)
+    assert config_with(kind.SECTION, ["fit", "--config", str(path)]) == path

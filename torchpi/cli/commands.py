@@ -393,12 +393,13 @@ def predict(
     recording: Path,
     output: Path = Path("prediction.csv"),
     simulation: str | None = None,
+    periodic: bool = False,
     **reading: Any,
 ) -> None:
     """Predict what a stage does with a voltage: time_s,input_v[,aux_…] in, the same with output_um out.
 
-    From the de-energised state, at the file's own sample rate, without noise. A stage of several axes takes
-    input_1_v, input_2_v, … at its own rate, and gives output_1_um, output_2_um, …
+    From the de-energised state, at the file's own rate, without noise. A stage of several axes takes
+    input_1_v, input_2_v, … at its own rate and gives output_1_um, output_2_um, …; an oscillator, force_n.
 
     Example: torchpi predict runs/diagnosis/stage.pt voltage.csv --output predicted.csv
 
@@ -408,12 +409,13 @@ def predict(
         output: CSV to write.
         simulation: What the stage corrects, where it was diagnosed with a function or an FMU: stage.pt only
             names it, and no code is loaded that is not named here.
+        periodic: The file is one period of many before: predict the steady state; of an oscillator.
         reading: How the file is read.
     """
     options = RecordingOptions(**reading)
     from torchpi.cli.predict import predict_file
 
-    predicted = predict_file(stage, recording, output, options, simulation)
+    predicted = predict_file(stage, recording, output, options, simulation, periodic)
     print(
         f"{output}: {len(predicted.y):,} samples at {predicted.fs_hz:g} Hz, "
         f"y {predicted.y.min():.3f} … {predicted.y.max():.3f} µm"

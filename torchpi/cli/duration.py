@@ -61,12 +61,16 @@ def announce_fit(arguments: Sequence[str]) -> None:
     if arguments[:1] != ["fit"] or any(word.startswith(("-h", "--help", "--print")) for word in arguments):
         return
     with contextlib.suppress(ConfigError, OSError, yaml.YAMLError, AttributeError, TypeError, ValueError):
-        data, model, trainer, several = _settings(arguments)
+        data, model, trainer, several, oscillator = _settings(arguments)
         if several:
             # A stage of several axes is fitted for a given time, however quick the machine.
             print(
                 f"This will take up to {_spoken(float(several.get('seconds', SEVERAL_AXES_S)))}.", flush=True
             )
+            return
+        if oscillator:
+            # 130 simulations of all samples, after a search of fixed length.
+            _announce(15.0 + 2e-4 * sum(_samples_in(oscillator.get("recordings") or ())), "operators", 10.0)
             return
         files = [*(data.get("recordings") or ()), *(data.get("heldout") or ())]
         simulate = data.get("simulate") or {}
@@ -86,7 +90,7 @@ def _settings(arguments: Sequence[str]) -> tuple[dict[str, Any], ...]:
     given = dict(itertools.pairwise(words))
     config = given.get("--config") or given.get("-c")
     read = yaml.safe_load(config_file(config).read_text(encoding="utf-8")) if config else {}
-    groups = {name: dict(read.get(name) or {}) for name in (*GROUPS, "multi_axis")}
+    groups = {name: dict(read.get(name) or {}) for name in (*GROUPS, "multi_axis", "oscillator")}
     for option, value in given.items():
         group, _, name = option.removeprefix("--").partition(".")
         if group in GROUPS and name:

@@ -6,14 +6,17 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from torchpi.errors import RecordingError, SimulationError
+from torchpi.errors import ConfigError, RecordingError, SimulationError
+from torchpi.recordings.force import with_force
 from torchpi.recordings.multi_axis import MultiAxisRecording, read_multi_axis, write_multi_axis
-from torchpi.recordings.options import SIMULATED_COLUMN
+from torchpi.recordings.options import FORCE_COLUMN, INPUT_COLUMN, SIMULATED_COLUMN
 from torchpi.recordings.readers import open_source
 from torchpi.recordings.recording import Recording, RecordingOptions, read_signal, write_recording
 from torchpi.recordings.time_base import simulated_column
 from torchpi.simulators import COLUMN, load_simulator
 from torchpi.stage import Stage
+from torchpi.stage.bouc_wen_oscillator import BoucWenOscillator
+from torchpi.stage.kinds import load_own_kind
 from torchpi.stage.multi_axis import MultiAxisStage
 
 RATE_TOLERANCE = 1e-3
@@ -27,10 +30,12 @@ def predict_file(
     output: str | Path,
     options: RecordingOptions | None = None,
     simulation: str | None = None,
+    periodic: bool = False,
 ) -> Recording | MultiAxisRecording:
     """Read time_s,input_v[,aux_…], write the same with output_um: `predict` over a file.
 
-    With the stage of several axes, time_s,input_1_v,input_2_v,…, and output_1_um,output_2_um,… beside them.
+    With the stage of several axes, time_s,input_1_v,input_2_v,…, and output_1_um,output_2_um,… beside them;
+    with an oscillator, time_s,force_n or, a newton for a volt, time_s,input_v.
 
     Args:
         stage: the file that a diagnosis left.
@@ -38,15 +43,25 @@ def predict_file(
         output: CSV to write.
         options: which column is the voltage, in which unit; those of the displacement are of no use here.
         simulation: what a stage calls that corrects a simulation: a file only names it, and loads no code.
+        periodic: the file is one period of many before, and the prediction that of the steady state; of an
+            oscillator alone.
 
     Raises:
         ArtifactError: `stage` is no stage file.
+        ConfigError: Another stage than an oscillator is to predict a steady state.
         RecordingError: A column is missing, or is not as expected.
         SimulationError: The stage corrects a simulation that was not given, or that fails.
         StageError: The stage has no meaning at the file's sample rate.
     """
-    if several := MultiAxisStage.load_if_one(stage):
-        return predict_multi_axis(several, str(stage), recording, output, options, simulation)
+    own = load_own_kind(stage)
+    if isinstance(own, BoucWenOscillator):
+        if simulation is not None:
+            raise calls_nothing(str(stage), simulation)
+        return predict_oscillator(own, recording, output, options or RecordingOptions(), periodic)
+    if periodic:
+        raise ConfigError(f"{stage}: found a stage that begins at rest, expected an oscillator with periodic")
+    if own is not None:
+        return predict_multi_axis(own, str(stage), recording, output, options, simulation)
     loaded = with_simulation(Stage.load(stage), str(stage), simulation)
     options = options or RecordingOptions()
     u = read_signal(
@@ -100,6 +115,32 @@ def predict_multi_axis(
     y = stage.simulate(torch.from_numpy(given.u)[None])[0].numpy()
     predicted = replace(given, y=y)
     write_multi_axis(output, predicted)
+    return predicted
+
+
+def predict_oscillator(
+    oscillator: BoucWenOscillator,
+    recording: str | Path,
+    output: str | Path,
+    options: RecordingOptions,
+    periodic: bool,
+) -> Recording:
+    """Read time_s,force_n or time_s,input_v, write the same with output_um.
+
+    Raises:
+        RecordingError: A column is missing, or is not as expected.
+        StageError: The oscillator has no meaning at the file's sample rate, or diverges.
+    """
+    options = with_force(recording, options)
+    u = read_signal(
+        recording, options.input_column, option="input_column", options=options, unit=options.input_unit
+    )
+    # Stamps of few digits leave the rate open; a resonance does not.
+    same = abs(u.fs_hz - oscillator.sample_rate_hz) <= RATE_TOLERANCE * oscillator.sample_rate_hz
+    at_rate = oscillator if same else oscillator.at_sample_rate(u.fs_hz)
+    y = at_rate.simulate(torch.from_numpy(u.x)[None], periodic)[0].numpy()
+    predicted = Recording(u.name, u.t, u.x, y, u.fs_hz)
+    write_recording(output, predicted, FORCE_COLUMN if options.input_column == FORCE_COLUMN else INPUT_COLUMN)
     return predicted
 
 

@@ -7,6 +7,7 @@ from torchpi.errors import ConfigError
 
 TIME_COLUMN, INPUT_COLUMN, OUTPUT_COLUMN = "time_s", "input_v", "output_um"
 SIMULATED_COLUMN = "simulated_um"
+FORCE_COLUMN = "force_n"
 
 
 @dataclass(frozen=True)

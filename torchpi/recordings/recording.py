@@ -383,7 +383,7 @@ def read_signal(
     return Signal(Path(path).stem, read.t, x, read.fs_hz, str(path), _sha256(path))
 
 
-def write_recording(path: str | Path, recording: Recording) -> None:
+def write_recording(path: str | Path, recording: Recording, input_column: str = INPUT_COLUMN) -> None:
     """Write `time_s,input_v,output_um[,simulated_um][,aux_…]` as CSV, whole or not at all.
 
     Every double survives.
@@ -392,7 +392,7 @@ def write_recording(path: str | Path, recording: Recording) -> None:
     if recording.simulated is not None:
         others = {SIMULATED_COLUMN: recording.simulated, **others}
     columns = [recording.t, recording.u, recording.y, *others.values()]
-    header = ",".join([TIME_COLUMN, INPUT_COLUMN, OUTPUT_COLUMN, *others])
+    header = ",".join([TIME_COLUMN, input_column, OUTPUT_COLUMN, *others])
     row = ",".join(["%r"] * len(columns))  # repr: the shortest digits that give the same double back
     rows = map(row.__mod__, zip(*(np.asarray(c, dtype=np.float64).tolist() for c in columns), strict=True))
     with write_atomically(path) as temporary, open(temporary, "w", encoding="utf-8", newline="\n") as file:

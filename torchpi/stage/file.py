@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from torchpi.errors import ArtifactError
-from torchpi.files import content_sha256, load_tensors, save_tensors
+from torchpi.files import content_sha256, load_tensors, save_tensors, write_atomically
 
 SCHEMA, VERSION = "torchpi stage", 2
 OLDER_SCHEMA = "torchpi augmented stage"
@@ -41,3 +41,49 @@ def read_settings(path: Path) -> dict[str, Any]:
     if expected is not None and expected != content_sha256(content):
         raise ArtifactError(f"{path}: changed since it was written, expected the file as it was saved")
     return {name: value for name, value in content.items() if name not in ("schema", "version")}
+
+
+def save_model(path: str | Path, schema: str, version: int, settings: Mapping[str, Any]) -> None:
+    """Write the settings of a stage of its own kind with a hash of them, whole or not at all."""
+    content = {"schema": schema, "version": version, **settings}
+    with write_atomically(path) as temporary:
+        save_tensors({**content, HASH: content_sha256(content)}, temporary)
+
+
+def load_model(path: str | Path, schema: str, version: int, expected: str) -> dict[str, Any]:
+    """The settings in a file that `save_model` wrote.
+
+    Args:
+        path: Of the file.
+        schema: Its kind.
+        version: Of the kind, the one that is read.
+        expected: What errors call the kind.
+
+    Raises:
+        ArtifactError: No such file, another kind of file, another version, or one that was changed.
+    """
+    if not Path(path).is_file():
+        raise ArtifactError(f"{path}: no such file, expected {expected}")
+    content = load_tensors(Path(path), LARGEST_BYTES, f"not a stage file, expected {expected}")
+    if schema_of(content) != schema:
+        raise ArtifactError(f"{path}: a file of something else, expected {expected}")
+    return model_settings(content, path, version)
+
+
+def model_settings(content: dict[str, Any], path: str | Path, version: int) -> dict[str, Any]:
+    """The settings in the content of such a file.
+
+    Raises:
+        ArtifactError: Another version, or a content that was changed.
+    """
+    if content.get("version") != version:
+        raise ArtifactError(f"{path}: found version {content.get('version')}, expected {version}")
+    if content.pop(HASH, None) != content_sha256(content):
+        raise ArtifactError(f"{path}: changed since it was written, expected the file as it was saved")
+    return {name: value for name, value in content.items() if name not in ("schema", "version")}
+
+
+def schema_of(content: object) -> str | None:
+    """Which kind of stage the content of a file is, where it is that of one."""
+    found = content.get("schema") if isinstance(content, dict) else None
+    return found if isinstance(found, str) else None

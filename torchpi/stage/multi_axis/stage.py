@@ -9,20 +9,19 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeGuard
+from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
 from torchpi.errors import ArtifactError, StageError
-from torchpi.files import content_sha256, load_tensors, save_tensors, write_atomically
 from torchpi.operators.compiled import in_threads
 from torchpi.operators.modal_feedback import Shapes, modal_feedback, parameter_shapes
 from torchpi.operators.oversampled_plays import play_excess
+from torchpi.stage.file import load_model, save_model
 
 SCHEMA, VERSION = "torchpi multi-axis stage", 1
-LARGEST_BYTES = 2**26
 SETTINGS = ("sample_rate_hz", "input_thresholds_v", "dead_zones", "thresholds", "times_s")
 
 
@@ -177,9 +176,7 @@ class MultiAxisStage(nn.Module):
 
     def save(self, path: str | Path) -> None:
         """Write the stage, plain numbers with a hash of them, whole or not at all."""
-        content = {"schema": SCHEMA, "version": VERSION, **self.plain()}
-        with write_atomically(path) as temporary:
-            save_tensors({**content, "sha256": content_sha256(content)}, temporary)
+        save_model(path, SCHEMA, VERSION, self.plain())
 
     @classmethod
     def load(cls, path: str | Path) -> "MultiAxisStage":
@@ -189,44 +186,20 @@ class MultiAxisStage(nn.Module):
             ArtifactError: No such file, another kind of file, another version, or one that was changed.
             StageError: A value without meaning.
         """
-        if not Path(path).is_file():
-            raise ArtifactError(f"{path}: no such file, expected a stage.pt of several axes")
-        wrong = "not a stage file, expected a stage of several axes"
-        content = load_tensors(Path(path), LARGEST_BYTES, wrong)
-        if not _is_one(content):
-            raise ArtifactError(f"{path}: a file of something else, expected a stage of several axes")
-        return cls._of(content, path)
+        return cls.of(load_model(path, SCHEMA, VERSION, "a stage of several axes"), path)
 
     @classmethod
-    def load_if_one(cls, path: str | Path) -> "MultiAxisStage | None":
-        """The stage in a file; None where the file, of whatever kind, is not that of one of several axes.
+    def of(cls, settings: Mapping[str, Any], path: str | Path) -> "MultiAxisStage":
+        """The stage of these settings, which are those of a file.
 
         Raises:
-            ArtifactError: Another version, or one that was changed.
+            ArtifactError: Others than a stage has.
             StageError: A value without meaning.
         """
         try:
-            content = load_tensors(Path(path), LARGEST_BYTES, "not a stage file")
-        except ArtifactError:
-            return None
-        return cls._of(content, path) if _is_one(content) else None
-
-    @classmethod
-    def _of(cls, content: dict[str, Any], path: str | Path) -> "MultiAxisStage":
-        if content.get("version") != VERSION:
-            raise ArtifactError(f"{path}: found version {content.get('version')}, expected {VERSION}")
-        found = content.pop("sha256", None)
-        if found != content_sha256(content):
-            raise ArtifactError(f"{path}: changed since it was written, expected the file as it was saved")
-        values = {name: value for name, value in content.items() if name not in ("schema", "version")}
-        try:
-            return cls(**values)
+            return cls(**settings)
         except TypeError as error:
             raise ArtifactError(f"{path}: fields of another kind, expected those of a stage") from error
-
-
-def _is_one(content: object) -> TypeGuard[dict[str, Any]]:
-    return isinstance(content, dict) and content.get("schema") == SCHEMA
 
 
 def _numbers(name: str, values: Sequence[float], positive: bool = False) -> list[float]:

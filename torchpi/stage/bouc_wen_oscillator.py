@@ -1,0 +1,282 @@
+"""The oscillator with Bouc–Wen hysteresis: a force in, the displacement of one mode out.
+
+    force → mode ⇄ hysteresis of its own displacement → displacement
+
+`torchpi.operators.bouc_wen_oscillator` has the equations. The parameters are physical, and float64: one set
+serves any sample rate.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from torchpi.errors import ArtifactError, StageError
+from torchpi.operators.bouc_wen_oscillator import (
+    BETWEEN_SAMPLES,
+    BetweenSamples,
+    BoucWenParameters,
+    bouc_wen_oscillator,
+    half_width,
+    interpolation_taps,
+)
+from torchpi.operators.compiled import in_threads
+from torchpi.stage.file import load_model, save_model
+
+SCHEMA, VERSION = "torchpi Bouc-Wen oscillator", 1
+STEPS = 20
+"""Of the integration in a sample: of the nonlinear benchmark's oscillator at 750 Hz, to 2e-5 of its rms."""
+MOST_STEPS = 10_000
+UM_PER_M = 1e6
+PERIODIC = 1e-9
+"""Of the largest displacement: periods that differ by less are in steady state."""
+MOST_PERIODS = 1000
+
+
+@dataclass
+class OscillatorState:
+    """State of one run after a sample."""
+
+    before: np.ndarray  # (2 half widths,), N, the last samples of the force
+    motion: np.ndarray = field(
+        default_factory=lambda: np.zeros(3)
+    )  # displacement, velocity, hysteretic force
+    past: int = 0
+
+
+class BoucWenOscillator(nn.Module):
+    """A mode whose restoring force has Bouc–Wen hysteresis.
+
+    Args:
+        sample_rate_hz: Of force and displacement.
+        parameters: By the names of `BoucWenParameters`, in SI units. Where the input is a voltage, newtons
+            stand for volts.
+        between: How the force goes on between its samples: `band_limited`, `linear`, or `held`.
+        steps: Of the integration in a sample.
+        offset_um: What the sensor reads at rest.
+
+    Raises:
+        StageError: A parameter that is missing or has no physical meaning.
+    """
+
+    def __init__(
+        self,
+        sample_rate_hz: float,
+        parameters: Mapping[str, float],
+        between: BetweenSamples = "band_limited",
+        steps: int = STEPS,
+        offset_um: float = 0.0,
+    ) -> None:
+        super().__init__()
+        if not (math.isfinite(sample_rate_hz) and sample_rate_hz > 0):
+            raise StageError(f"sample_rate_hz: found {sample_rate_hz}, expected a positive number")
+        if between not in BETWEEN_SAMPLES:
+            raise StageError(f"between: found {between!r}, expected one of {', '.join(BETWEEN_SAMPLES)}")
+        if isinstance(steps, bool) or not isinstance(steps, int) or not 1 <= steps <= MOST_STEPS:
+            raise StageError(f"steps: found {steps!r}, expected a whole number from 1 to {MOST_STEPS}")
+        if not math.isfinite(offset_um):
+            raise StageError(f"offset_um: found {offset_um}, expected a finite number")
+        if set(parameters) != set(BoucWenParameters._fields):
+            expected = ", ".join(BoucWenParameters._fields)
+            raise StageError(f"parameters: found {', '.join(sorted(parameters))}, expected {expected}")
+        self.sample_rate_hz, self.between, self.steps = float(sample_rate_hz), between, steps
+        self._taps = interpolation_taps(between, steps)
+        for name in BoucWenParameters._fields:
+            value = float(parameters[name])
+            _check(name, value)
+            setattr(self, name, nn.Parameter(torch.tensor(value, dtype=torch.float64)))
+        self.register_buffer("offset_um", torch.tensor(offset_um, dtype=torch.float64))
+
+    @property
+    def values(self) -> BoucWenParameters:
+        """The parameters as plain numbers."""
+        return BoucWenParameters(*(getattr(self, name).item() for name in BoucWenParameters._fields))
+
+    @property
+    def frequency_hz(self) -> float:
+        """Of the undamped mode at small amplitude."""
+        p = self.values
+        return math.sqrt((p.stiffness_n_m + p.hysteretic_stiffness_n_m) / p.mass_kg) / (2 * math.pi)
+
+    @property
+    def damping_ratio(self) -> float:
+        """Of the mode at small amplitude, where the hysteresis dissipates nothing."""
+        p = self.values
+        stiffness = p.stiffness_n_m + p.hysteretic_stiffness_n_m
+        return p.damping_n_s_m / (2 * math.sqrt(stiffness * p.mass_kg))
+
+    @property
+    def delay_samples(self) -> int:
+        """How many samples a step is late: those to come that a band-limited force is interpolated from."""
+        return half_width(self.between) - 1
+
+    def at_sample_rate(self, fs_hz: float) -> "BoucWenOscillator":
+        """The same oscillator for samples at another rate, integrated in steps that are no longer."""
+        steps = math.ceil(self.steps * self.sample_rate_hz / fs_hz)
+        return BoucWenOscillator(
+            fs_hz, self.values._asdict(), self.between, max(steps, 1), self.get_buffer("offset_um").item()
+        )
+
+    def simulate(self, force: Tensor, periodic: bool = False) -> Tensor:
+        """Displacements, (batch, time), µm, for forces, (batch, time), N.
+
+        Args:
+            force: Before its first sample each is as in that; after its last, as in the last.
+            periodic: The force is one period of many before, and the displacement that of the steady state;
+                else it begins at rest.
+
+        Raises:
+            StageError: Another shape, a value that is not finite, a solution that diverges or never settles.
+        """
+        if force.ndim != 2 or force.shape[1] == 0:
+            raise StageError(f"force: found an array of {tuple(force.shape)}, expected (batch, time)")
+        u = force.detach().to(torch.float64).contiguous().numpy()
+        if not np.isfinite(u).all():
+            raise StageError("force: found a value that is not finite, expected numbers")
+        y = np.empty_like(u)
+        bounded, steady = np.ones(len(u), dtype=bool), np.ones(len(u), dtype=bool)
+
+        def run(first: int, last: int) -> None:
+            for i in range(first, last):
+                if periodic:
+                    bounded[i], steady[i] = self._settle(u[i], y[i])
+                else:
+                    bounded[i] = self._from_rest(u[i], y[i])
+
+        in_threads(run, len(u))
+        if not bounded.all():
+            raise StageError("force: found one without a bounded displacement, expected a smaller one")
+        if not steady.all():
+            raise StageError(f"force: found no steady state within {MOST_PERIODS} periods, expected one")
+        return torch.from_numpy(y)
+
+    def _from_rest(self, u: np.ndarray, y: np.ndarray) -> bool:
+        late = self.delay_samples
+        given = np.concatenate([u, np.full(late, u[-1])])
+        found = np.zeros_like(given)
+        bounded = self.advance(given, self.initial_state(), found)
+        y[:] = found[late:]
+        return bounded
+
+    def _settle(self, u: np.ndarray, y: np.ndarray) -> tuple[bool, bool]:
+        """Fill `y` with the period that repeats itself; whether it is bounded, and whether it does."""
+        state = self.initial_state()
+        found, last = np.zeros_like(u), np.full_like(u, np.inf)
+        for _ in range(MOST_PERIODS):
+            if not self.advance(u, state, found):
+                return False, True
+            if np.abs(found - last).max() <= PERIODIC * np.abs(found).max():
+                y[:] = np.roll(found, -self.delay_samples)
+                return True, True
+            last[:] = found
+        return True, False
+
+    def initial_state(self) -> OscillatorState:
+        """At rest, before the first sample."""
+        return OscillatorState(np.zeros(2 * half_width(self.between)))
+
+    def advance(self, u: np.ndarray, state: OscillatorState, y: np.ndarray) -> bool:
+        """Fill `y`, `delay_samples` late, and leave the state after the last sample; False where it diverges.
+
+        Windows give the bits of the whole.
+        """
+        bounded: bool = bouc_wen_oscillator(
+            u, self._taps, np.array(self.values), 1 / (self.sample_rate_hz * self.steps), state.past,
+            state.before, state.motion, y,
+        )  # fmt: skip
+        state.past += len(u)
+        y *= UM_PER_M
+        y += self.get_buffer("offset_um").item()
+        return bounded
+
+    def stream(self) -> "OscillatorStream":
+        """The oscillator one sample at a time."""
+        return OscillatorStream(self)
+
+    def plain(self) -> dict[str, Any]:
+        """Settings and parameters, as its file keeps them."""
+        return {
+            "sample_rate_hz": self.sample_rate_hz,
+            "parameters": self.values._asdict(),
+            "between": self.between,
+            "steps": self.steps,
+            "offset_um": self.get_buffer("offset_um").item(),
+        }
+
+    def save(self, path: str | Path) -> None:
+        """Write the oscillator, plain numbers with a hash of them, whole or not at all."""
+        save_model(path, SCHEMA, VERSION, self.plain())
+
+    @classmethod
+    def load(cls, path: str | Path) -> "BoucWenOscillator":
+        """The oscillator in a file that `save` wrote.
+
+        Raises:
+            ArtifactError: No such file, another kind of file, another version, or one that was changed.
+            StageError: A value without meaning.
+        """
+        return cls.of(load_model(path, SCHEMA, VERSION, "a Bouc–Wen oscillator"), path)
+
+    @classmethod
+    def of(cls, settings: Mapping[str, Any], path: str | Path) -> "BoucWenOscillator":
+        """The oscillator of these settings, which are those of a file.
+
+        Raises:
+            ArtifactError: Others than an oscillator has.
+            StageError: A value without meaning.
+        """
+        try:
+            return cls(**settings)
+        except StageError:
+            raise
+        except (TypeError, ValueError) as error:
+            raise ArtifactError(f"{path}: fields of another kind, expected those of an oscillator") from error
+
+
+class OscillatorStream:
+    """An oscillator, one sample at a time: the bits of the whole.
+
+    Args:
+        oscillator: What is stepped.
+    """
+
+    def __init__(self, oscillator: BoucWenOscillator) -> None:
+        self.delay_samples = oscillator.delay_samples
+        self._oscillator = oscillator
+        self._state = oscillator.initial_state()
+
+    def reset(self) -> None:
+        """Back to rest."""
+        self._state = self._oscillator.initial_state()
+
+    def step(self, u: float) -> float:
+        """Displacement, µm, `delay_samples` samples before this force, N; that at rest before the first.
+
+        Raises:
+            StageError: A force that is not finite, which leaves the state as it was, or too large a one.
+        """
+        if not math.isfinite(u):
+            raise StageError(f"u: found {u} N at sample {self._state.past}, expected a finite number")
+        y = np.zeros(1)
+        if not self._oscillator.advance(np.array([u]), self._state, y):
+            raise StageError(f"u: found {u} N at sample {self._state.past - 1}, which has no bounded answer")
+        return float(y[0])
+
+
+def _check(name: str, value: float) -> None:
+    """Whether a parameter has a physical meaning.
+
+    Raises:
+        StageError: It has none.
+    """
+    if not math.isfinite(value):
+        raise StageError(f"{name}: found {value}, expected a finite number")
+    if name in ("mass_kg", "hysteretic_stiffness_n_m", "stiffness_n_m", "exponent") and value <= 0:
+        raise StageError(f"{name}: found {value:g}, expected a positive number")
+    if name in ("damping_n_s_m", "dissipation") and value < 0:
+        raise StageError(f"{name}: found {value:g}, expected a number that is not negative")

@@ -1,0 +1,82 @@
+"""Configs of stages that Lightning does not train: one section, and what its fit leaves."""
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Protocol
+
+import yaml
+
+from torchpi.errors import ArtifactError, ConfigError
+from torchpi.files import check_output_folder, config_file, write_atomically
+from torchpi.stage.settings import read_yaml
+
+USAGE = "expected python -m train fit --config configs/NAME.yaml [--output FOLDER]"
+
+
+class Saved(Protocol):
+    """A stage that writes itself."""
+
+    def save(self, path: Path) -> None: ...
+
+
+def config_with(section: str, arguments: Sequence[str]) -> Path | None:
+    """The config of a command line, where it has this section; None for any other."""
+    named = _options(arguments).get("config")
+    if named is None or list(arguments[:1]) != ["fit"]:
+        return None
+    try:
+        config = config_file(named)
+        return config if section in read_yaml(config) else None
+    except ConfigError:
+        return None  # the other command has the error
+
+
+def settings_of(
+    arguments: Sequence[str], config: Path, section: str, known: Sequence[str]
+) -> tuple[dict[str, Any], Path]:
+    """The settings of the section, all of known names, and the folder for the results, new or empty.
+
+    Raises:
+        ConfigError: An option or a key that there is not.
+        ArtifactError: The folder is in use or cannot be written to.
+    """
+    options = _options(arguments)
+    if unknown := sorted(set(options) - {"config", "output"}):
+        raise ConfigError(f"found the option --{unknown[0]}, {USAGE}")
+    content = read_yaml(config)
+    if other := sorted(set(content) - {section}):
+        raise ConfigError(f"{config}: found the key {other[0]}, expected {section} alone")
+    settings = content[section]
+    if not isinstance(settings, dict):
+        raise ConfigError(f"{config}: {section}: found {settings!r}, expected keys with values")
+    if wrong := sorted(set(settings) - set(known)):
+        raise ConfigError(f"{config}: found the key {wrong[0]}, expected one of {', '.join(known)}")
+    folder = Path(options.get("output", f"runs/{config.stem}"))
+    check_output_folder(folder)
+    if folder.is_dir() and any(folder.iterdir()):
+        raise ArtifactError(f"--output {folder}: found a folder in use, expected a new or empty one")
+    return settings, folder
+
+
+def leave(folder: Path, stage: Saved, metrics: Mapping[str, Any], content: Mapping[str, Any]) -> None:
+    """Write stage.pt, metrics.json and config.yaml."""
+    stage.save(folder / "stage.pt")
+    for name, text in (
+        ("metrics.json", json.dumps(metrics, indent=2)),
+        ("config.yaml", yaml.safe_dump(dict(content))),
+    ):
+        with write_atomically(folder / name) as temporary:
+            temporary.write_text(text + "\n", encoding="utf-8")
+
+
+def _options(arguments: Sequence[str]) -> dict[str, str]:
+    """--NAME VALUE and --NAME=VALUE."""
+    found: dict[str, str] = {}
+    rest = list(arguments)
+    while rest:
+        word = rest.pop(0)
+        if word.startswith("--"):
+            name, given, value = word[2:].partition("=")
+            found[name] = value if given else rest.pop(0) if rest else ""
+    return found
