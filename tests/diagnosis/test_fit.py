@@ -26,6 +26,7 @@ from torchpi.diagnosis.hysteresis_model import bouc_wen, many_plays, preisach
 from torchpi.diagnosis.records import seen
 from torchpi.diagnosis.reduced_basis import reduced, refitted
 from torchpi.diagnosis.sensitivity import Near, jacobian
+from torchpi.diagnosis.timing import lateness_s
 from torchpi.recordings.recording import Recording
 from torchpi.stage.effects.actuator.creep import Creep
 from torchpi.stage.effects.actuator.hysteresis_asymmetry import HysteresisAsymmetry
@@ -222,3 +223,12 @@ def test_a_limit_that_clips_the_highest_tops_is_found_from_beside_it() -> None:
         )
         one = refitted(chain, few)
         assert one.hypothesis.members[0].shared["high_v"] == pytest.approx(limit_v, abs=5e-3)
+
+
+def test_lateness_is_that_of_every_lag_and_delay_and_of_the_tick() -> None:
+    chain = Chain(prepared([record(multisine(3000))]))
+    h = replace(Hypothesis(many_plays(seen(chain.records))), alignment=1)
+    late = h.plus(EffectTerm(AmplifierLag, {"cutoff_hz": 50.0})).plus(EffectTerm(Delay, {"delay_s": 3e-3}))
+    one = fit(chain, late, iterations=0)
+    expected_s = 1 / (2 * np.pi * 50.0) + 3e-3 + 1 / FS_HZ
+    assert lateness_s(chain, one) == pytest.approx(expected_s, abs=0.6 / FS_HZ)  # what a hold makes of a ramp

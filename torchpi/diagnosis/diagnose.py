@@ -37,6 +37,7 @@ from torchpi.diagnosis.simulation import (
     with_untried,
 )
 from torchpi.diagnosis.stick_slip import free_run
+from torchpi.diagnosis.timing import lateness_s
 from torchpi.errors import RecordingError
 from torchpi.recordings.faults import dropouts
 from torchpi.recordings.recording import Recording
@@ -153,7 +154,7 @@ def diagnose(
     )
     notes = (
         *long, *cannot_be_decided(records), *untried_note(called, untried), *lattice_note,
-        *conventions(final), *history_notes(search, final),
+        *conventions(search, final), *history_notes(search, final),
         *slip_notes(search, final, augmented), *conflict(traces, floor_um),
     )  # fmt: skip
     errors = (
@@ -307,8 +308,19 @@ def open_between(decision: Decision) -> list[str]:
     return [effect.name for effect in decision.effects if effect.probability < UNCERTAIN]
 
 
-def conventions(final: Fit) -> tuple[str, ...]:
-    """Timing that is a convention of who recorded, not physics."""
+def conventions(search: Search, final: Fit) -> tuple[str, ...]:
+    """Timing that is a convention of who recorded, not physics; and how late the readings are in all."""
+    if any(m.effect.delays and m.effect.name not in search.given for m in final.hypothesis.members):
+        ms = 1e3 * lateness_s(search.chain, final)
+        text = (
+            f"In all, the readings come {ms:.3g} ms behind a slow command: every lag and delay of the model."
+        )
+        return (*convention(final), text)
+    return convention(final)
+
+
+def convention(final: Fit) -> tuple[str, ...]:
+    """Whose command y(k) answers."""
     if final.hypothesis.alignment < 0:
         return (
             "The simulation answers a sample later than y(k), taken as its convention: what it makes of "

@@ -7,8 +7,8 @@ from torchpi.diagnosis.decide import Decision
 from torchpi.diagnosis.diagnosis import Errors, NamedEffect, NextRecording
 from torchpi.diagnosis.noise import Noise
 
-CERTAIN, LIKELY = 0.9, 0.5
-"""Probabilities from which an effect is missing without qualification, and probably."""
+CERTAIN, LIKELY, POSSIBLE = 0.9, 0.5, 0.1
+"""Probabilities from which an effect is missing without qualification, probably, and perhaps."""
 REMAINDER_HELPS = 0.97
 """Of the error without it: below this the unknown remainder is worth a sentence."""
 UNIT_SUFFIX = re.compile(r"_(hz|v|um|s|v_s|(?:(?:v|um|s)_)?per_(?:v2|v|um2|um|s|mm))$")
@@ -41,7 +41,7 @@ def paragraph(
     if decision.effects:
         parts.append(f"With that the error falls to {nm(augmented.heldout_rms_um)}.")
     for one in decision.open:
-        if one.probability < LIKELY:
+        if POSSIBLE < one.probability < LIKELY:
             text = f"with a probability of {percent(one.probability)} it is too uncertain to be named"
             parts.append(f"There may also be {spoken(one.name)}: {text}.")
     if decision.verdict == "partly_explained":

@@ -5,6 +5,7 @@ from concurrent.futures import Executor
 from dataclasses import replace
 
 import numpy as np
+import torch
 
 from torchpi.diagnosis.chain import Chain
 from torchpi.diagnosis.contest import ACCEPTED, Contest, inside
@@ -14,6 +15,8 @@ from torchpi.diagnosis.noise import Noise
 from torchpi.diagnosis.parallel import Job
 from torchpi.diagnosis.reduced_basis import reduced
 
+RAMP = 20_000
+"""Samples of a ramp, after which what delays follows it at its constant distance."""
 STEPS = 12
 """Of a fit whose timing is another."""
 
@@ -86,3 +89,13 @@ class Timing(Contest):
         fits = [one for one in self.raced(jobs, now) if inside(one, now)]
         clear = [one for one in fits if self.over(one, now, self.prior(now, one)).probability > ACCEPTED]
         return max([now, *clear], key=self.worth)
+
+
+def lateness_s(chain: Chain, one: Fit) -> float:
+    """How far the readings come behind a slow command, s: the sum of all in a fit that delays."""
+    record, h = chain.records[0], one.hypothesis
+    slope = 1e-6 * chain.span_v  # a sample: below any limit of a rate
+    ramp = slope * torch.arange(RAMP, dtype=torch.float64)[None]
+    with torch.no_grad():
+        behind = [float((ramp - p(ramp))[0, -1]) for p in chain.placed(h, 0) if p.effect.delays]
+    return (sum(behind) / slope + h.alignment) * record.period_s
