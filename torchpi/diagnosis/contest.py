@@ -5,6 +5,7 @@ from concurrent.futures import Executor
 from math import log
 
 from torchpi.diagnosis.chain import Chain
+from torchpi.diagnosis.coverage import follows_command, repeats
 from torchpi.diagnosis.fit import ROUGH
 from torchpi.diagnosis.hypothesis import Fit
 from torchpi.diagnosis.noise import Noise
@@ -42,6 +43,7 @@ class Contest:
 
     def __init__(self, chain: Chain, noise: Noise | None, executor: Executor | None) -> None:
         self.chain, self.noise, self.executor = chain, noise, executor
+        self.repeating = repeats(chain.records)
 
     def fits(self, jobs: Sequence[Job], around: Fit | None = None) -> list[Fit]:
         """Each hypothesis fitted from its weights, in the executor if there is one, with the sensitivities of
@@ -133,6 +135,15 @@ class Contest:
         it acts: anything explains a little of what it only resembles."""
         return self.chain.weighting.explained_where_it_acts(more, less) > ADEQUATE
 
+    def inside(self, one: Fit, now: Fit) -> bool:
+        """Whether no number of a fit ended on a bound that did not before, and no line of its own is one that
+        the command has."""
+        return set(one.bounded) <= set(now.bounded) and not any(
+            follows_command(line_hz, self.repeating)
+            for member in one.hypothesis.members
+            if (line_hz := member.effect.line_hz(member.shared)) is not None
+        )
+
     def needs_no_history(self, now: Fit, less: Fit) -> bool:
         """Whether recordings that start de-energised are predicted as well, or all but as well."""
         return faint(now, less, less.train_rms) or self.over(now, less).probability < ACCEPTED
@@ -141,8 +152,3 @@ class Contest:
 def faint(more: Fit, less: Fit, rms_um: float) -> bool:
     """Whether the rms that a fit explains beyond another is a small share of this one."""
     return less.train_rms**2 - more.train_rms**2 < (FAINT * rms_um) ** 2
-
-
-def inside(one: Fit, now: Fit) -> bool:
-    """Whether no number of a fit ended on a bound that did not before."""
-    return set(one.bounded) <= set(now.bounded)

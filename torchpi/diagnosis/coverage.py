@@ -5,12 +5,19 @@ from collections.abc import Sequence
 import numba
 import numpy as np
 
+from torchpi.diagnosis.multisine import periodic_stretches
 from torchpi.diagnosis.records import Record
 from torchpi.stage.effects.effect import DataRange, Effect
 from torchpi.stage.effects.inside import InsideEffect
 
 LEAST_STROKE = 0.1
-"""Of the travel: what moves less is no stroke."""
+"""Of the travel: what moves less is no stroke, and levels that differ by less are one."""
+LEVELS = 2
+"""At which whatever goes up and comes down turns round."""
+HARMONICS = 10
+"""Of a command that repeats, that a static curve or a loop has."""
+RESOLVED = 0.25
+"""Of one over the length of a record: nearer to one another two lines are one."""
 
 
 def reason_to_leave_out(
@@ -31,8 +38,10 @@ def reason_to_leave_out(
         return f"{seen.duration_s:.2g} s is too short for it"
     if needs.reversals and not any(turns(record) for record in records):
         return "the voltage never turns round"
-    if needs.pace > 1.0 and (found := pace(records)) < needs.pace:
-        return f"the slowest stroke takes {found:.2g} times as long as the fastest, expected {needs.pace:g}"
+    if needs.reversals > LEVELS and (found := levels(records)) < needs.reversals:
+        return f"the voltage turns round at {found} levels, expected {needs.reversals}"
+    if needs.pace > 1.0 and (times := pace(records)) < needs.pace:
+        return f"the slowest stroke takes {times:.2g} times as long as the fastest, expected {needs.pace:g}"
     if len(records) < needs.recordings:
         return f"it takes {needs.recordings} recordings"
     return effect.unseen if starts == 0 else None
@@ -67,6 +76,37 @@ def turns(record: Record) -> bool:
     return bool((moved > 0).any() and (moved < 0).any())
 
 
+def repeats(records: Sequence[Record]) -> list[tuple[float, float]]:
+    """(period, length), s, of each recording throughout which the command repeats."""
+    found = []
+    for record in records:
+        for stretch in periodic_stretches(record.u)[:1]:
+            if 2 * stretch.period * stretch.periods > len(record.u):
+                found.append((stretch.period * record.period_s, len(record.u) * record.period_s))
+    return found
+
+
+def follows_command(line_hz: float, repeating: Sequence[tuple[float, float]]) -> bool:
+    """Whether a line cannot be told from what a curve makes of a command.
+
+    Args:
+        line_hz: Its frequency.
+        repeating: (period, length), s, of recordings whose command repeats.
+    """
+    for period_s, length_s in repeating:
+        order = line_hz * period_s
+        if order < HARMONICS + 0.5 and abs(order - round(order)) * length_s < RESOLVED * period_s:
+            return True
+    return False
+
+
+def levels(records: Sequence[Record]) -> int:
+    """At how many levels the voltage turns round."""
+    span = max(float(np.ptp(record.u)) for record in records)
+    ends = [end for r in records for _, _, end in _strokes(r.u, LEAST_STROKE * span, r.period_s)]
+    return int((np.diff(np.sort(ends)) > LEAST_STROKE * span).sum()) + bool(ends)
+
+
 def pace(records: Sequence[Record]) -> float:
     """How many times as long the slow strokes of the voltage take as the fast ones.
 
@@ -77,15 +117,15 @@ def pace(records: Sequence[Record]) -> float:
     strokes = [stroke for r in records for stroke in _strokes(r.u, LEAST_STROKE * span, r.period_s)]
     if not strokes:
         return 1.0
-    seconds, travel = np.array(sorted(strokes)).T
+    seconds, travel, _ = np.array(sorted(strokes)).T
     share = (np.cumsum(travel) - travel / 2) / travel.sum()
     slow, fast = np.interp(0.95, share, seconds), np.interp(0.05, share, seconds)
     return float(slow / max(fast, 1e-300))
 
 
 @numba.njit(cache=True)
-def _strokes(u: np.ndarray, least: float, period_s: float) -> list[tuple[float, float]]:
-    """(seconds, travel) of each stroke of a voltage, (time,); smaller reversals are noise."""
+def _strokes(u: np.ndarray, least: float, period_s: float) -> list[tuple[float, float, float]]:
+    """(seconds, travel, end) of each stroke of a voltage, (time,); smaller reversals are noise."""
     found = []
     low = high = start = 0  # where the voltage was lowest, and highest, since the last reversal
     direction = 0
@@ -96,10 +136,10 @@ def _strokes(u: np.ndarray, least: float, period_s: float) -> list[tuple[float, 
             low = t
         if direction >= 0 and u[high] - u[t] > least:
             if direction > 0:
-                found.append(((high - start) * period_s, u[high] - u[start]))
+                found.append(((high - start) * period_s, u[high] - u[start], u[high]))
             direction, start, low = -1, high, t
         elif direction <= 0 and u[t] - u[low] > least:
             if direction < 0:
-                found.append(((low - start) * period_s, u[start] - u[low]))
+                found.append(((low - start) * period_s, u[start] - u[low], u[low]))
             direction, start, high = 1, low, t
     return found

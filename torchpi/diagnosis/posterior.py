@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from torchpi.diagnosis.contest import ACCEPTED, PRIOR, inside
+from torchpi.diagnosis.contest import ACCEPTED, PRIOR
 from torchpi.diagnosis.diagnosis import Rival
 from torchpi.diagnosis.fit import ROUGH
 from torchpi.diagnosis.hypothesis import Fit, Hypothesis
@@ -171,7 +171,7 @@ def around(search: Search, retuned: Fit, small: Fit, history: Sequence[Round]) -
     return [
         Model(name, instead, one)
         for (name, instead, _, _), one in zip(wanted, fits, strict=True)
-        if not instead or inside(one, small)
+        if not instead or search.inside(one, small)
     ]
 
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from torchpi.diagnosis.chain import Chain
-from torchpi.diagnosis.contest import ACCEPTED, HEAT, PRIOR, inside
+from torchpi.diagnosis.contest import ACCEPTED, HEAT, PRIOR
 from torchpi.diagnosis.coverage import reason_to_leave_out
 from torchpi.diagnosis.fit import FINE, ROUGH
 from torchpi.diagnosis.hypothesis import EffectTerm, Fit, Hypothesis
@@ -211,7 +211,7 @@ class Search(Timing):
         """Every promising effect, and growth of the hysteresis, fitted on top of this, the best first."""
         fits = self.effects(now)
         leader = max([now, *(one for _, one in fits)], key=self.score)
-        return self.ranked(now, [(n, f) for n, f in fits + self.growth(now, leader) if inside(f, now)])
+        return self.ranked(now, [(n, f) for n, f in fits + self.growth(now, leader) if self.inside(f, now)])
 
     def ranked(self, now: Fit, fits: Sequence[tuple[str, Fit]]) -> list[Tried]:
         """With the gain over a fit, the best first."""
@@ -258,7 +258,7 @@ class Search(Timing):
             ]
             found.update(zip(unclear, self.fits(rest, now), strict=True))
             # A form of more numbers may run into a bound where it becomes a simpler one.
-            unclear = [n for n in unclear if not inside(found[n], now) and len(forms[n]) > place + 1]
+            unclear = [n for n in unclear if not self.inside(found[n], now) and len(forms[n]) > place + 1]
         fits = [(name, found[name]) for name in best_first[:FINISHED]]
         if {effect.name for effect in (CrossCoupling, Resonance, SecondMode)} & (barred | self.given):
             return fits
@@ -369,7 +369,9 @@ class Search(Timing):
                 elif alike(other, member) and other.effect.name not in there:
                     jobs.append((less.plus(other), now.weights, STEPS, ROUGH))
         kinds = [tuple((m.effect, m.aux, form(m)) for m in h.members) for h, *_ in jobs]
-        best = max([now, *(one for one in self.raced(jobs, now, kinds) if inside(one, now))], key=self.worth)
+        best = max(
+            [now, *(one for one in self.raced(jobs, now, kinds) if self.inside(one, now))], key=self.worth
+        )
         if best is now:
             return now
         self.log(f"  as {', '.join(best.hypothesis.names)}: {rms_of(best)}")

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 
 from torchpi.diagnosis.chain import Chain
-from torchpi.diagnosis.contest import ACCEPTED, Contest, inside
+from torchpi.diagnosis.contest import ACCEPTED, Contest
 from torchpi.diagnosis.fit import ROUGH
 from torchpi.diagnosis.hypothesis import EffectTerm, Fit
 from torchpi.diagnosis.noise import Noise
@@ -53,7 +53,7 @@ class Timing(Contest):
         ):
             return now
         (other,) = self.fits_here([(replace(h, alignment=0), now.weights, STEPS, ROUGH)])
-        return other if self.as_well(other, now) and inside(other, now) else now
+        return other if self.as_well(other, now) and self.inside(other, now) else now
 
     def realigned(self, now: Fit) -> Fit:
         """Under the conventions of timing, and from the start, that predict best: they are no physics."""
@@ -86,7 +86,7 @@ class Timing(Contest):
             if later := effect.later(there.get(effect, {}), sample_s):
                 one = h.without(effect.name).plus(replace(member, shared=later))
                 jobs.append((replace(one, alignment=h.alignment - 1), now.weights, STEPS, ROUGH))
-        fits = [one for one in self.raced(jobs, now) if inside(one, now)]
+        fits = [one for one in self.raced(jobs, now) if self.inside(one, now)]
         clear = [one for one in fits if self.over(one, now, self.prior(now, one)).probability > ACCEPTED]
         return max([now, *clear], key=self.worth)
 

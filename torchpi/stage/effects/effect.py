@@ -58,8 +58,8 @@ class Needs:
 
     duration_s: float = 0.0
     """A recording of at least this length."""
-    reversals: bool = False
-    """A voltage that goes up and comes down."""
+    reversals: int = 0
+    """A voltage that goes up and comes down: levels at which it turns round."""
     recordings: int = 1
     """So many recordings."""
     pace: float = 1.0
@@ -139,6 +139,11 @@ class Described:
     ) -> list[Parameters]:
         """Further starts, from what a fit has left: for effects that no coarse grid finds."""
         return []
+
+    @classmethod
+    def line_hz(cls, values: Mapping[str, float]) -> float | None:
+        """The frequency of a line that it has of itself, whatever drives the stage, if it has one."""
+        return None
 
     @classmethod
     def later(cls, values: Parameters, by_s: float) -> Parameters | None:

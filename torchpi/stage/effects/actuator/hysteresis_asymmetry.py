@@ -14,7 +14,7 @@ class HysteresisAsymmetry(InsideEffect):
     equation = "h = max{v + a v² - r, min{v - a v² + r, h}}"
     signature = "even lines of a multisine, another error going up than coming down"
     time_scale = "static"
-    needs = Needs(reversals=True)
+    needs = Needs(reversals=2)
     quantities: ClassVar[dict[str, Quantity]] = {
         "asymmetry_per_v": Quantity("1/V", at_least=-0.2, at_most=0.2)
     }

@@ -17,7 +17,7 @@ class IncongruentLoops(InsideEffect):
     equation = "y = w_0 (1 - q κ v) v + Σ w_i (1 + κ v) h_i"
     signature = "minor loops of one amplitude differ with the bias; even lines"
     time_scale = "static"
-    needs = Needs(reversals=True)
+    needs = Needs(reversals=3)
     quantities: ClassVar[dict[str, Quantity]] = {
         "incongruence_per_v": Quantity("1/V", at_least=-0.5, at_most=0.5),
         "straight_share": Quantity("", at_least=0.0, at_most=10.0),

@@ -21,7 +21,7 @@ class RateDependentHysteresis(InsideEffect):
     """
 
     name = "rate_dependent_hysteresis"
-    needs = Needs(reversals=True, pace=1.5)
+    needs = Needs(reversals=2, pace=1.5)
     equation = "w_i (1 + k v̇), or r_i (1 + β |v̇|), or loop · [1 + γ ln(1 + |v̇|/v̇₀)], or τ ḣ_i = p_i - h_i"
     signature = "like a delay in amplitude and frequency, and unlike one at reversals"
     quantities: ClassVar[dict[str, Quantity]] = {

@@ -31,7 +31,7 @@ class Backlash(Effect):
     equation = "y(k) = max{x(k) - w/2, min{x(k) + w/2, y(k-1)}}, or y = x - d, dd/dy = (w/2 - d sgn ẏ)/ρ"
     signature = "flat at every reversal, by the same amount at any amplitude"
     time_scale = "static"
-    needs = Needs(reversals=True)
+    needs = Needs(reversals=2)
     forms = ("play", "Dahl")
     quantities: ClassVar[dict[str, Quantity]] = {
         "width_um": Quantity("µm", at_least=0.0, at_most=1e4),

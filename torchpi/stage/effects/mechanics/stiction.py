@@ -48,7 +48,7 @@ class Stiction(Effect):
     equation = "y(k) = y(k-1) after a reversal while |x - y| < J, else x(k) - d sgn(ẋ)"
     signature = "flat at every reversal, then a jump back"
     time_scale = "static"
-    needs = Needs(reversals=True)
+    needs = Needs(reversals=2)
     quantities: ClassVar[dict[str, Quantity]] = {
         "breakaway_um": Quantity("µm", at_least=0.0, at_most=1e4),
         "sliding_um": Quantity("µm", at_least=0.0, at_most=1e4),

@@ -6,6 +6,7 @@ Fleming, *A review of nanometer-resolution position sensors: operation and perfo
 A 190, 2013: drift of gain and of offset.
 """
 
+from collections.abc import Mapping
 from typing import ClassVar
 
 import numpy as np
@@ -106,6 +107,10 @@ class GainModulation(Effect):
     @torch.no_grad()
     def tangent(self, x: Tensor, dx: Tensor) -> Tensor:
         return dx * self.gain(self.initial_state(1), dx.shape[1])
+
+    @classmethod
+    def line_hz(cls, values: Mapping[str, float]) -> float | None:
+        return values.get("frequency_hz")  # a random walk has none
 
     @classmethod
     def starts(cls, seen: DataRange) -> list[Parameters]:

@@ -1,5 +1,6 @@
 """A mains line in the reading: y = x + a cos 2πft + b sin 2πft, t from the first sample."""
 
+from collections.abc import Mapping
 from typing import ClassVar
 
 import numpy as np
@@ -34,6 +35,10 @@ class Hum(AddedSignal):
     frequency_hz: nn.Parameter
     cos_um: nn.Parameter
     sin_um: nn.Parameter
+
+    @classmethod
+    def line_hz(cls, values: Mapping[str, float]) -> float | None:
+        return values["frequency_hz"]
 
     @classmethod
     def starts(cls, seen: DataRange) -> list[Parameters]:
