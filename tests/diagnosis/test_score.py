@@ -13,7 +13,7 @@ from torchpi.diagnosis.fit import fit, left_out, prior_of, solve, with_prior
 from torchpi.diagnosis.hypothesis import Fit, Hypothesis
 from torchpi.diagnosis.hysteresis_model import plain
 from torchpi.diagnosis.records import Record, seen
-from torchpi.diagnosis.score import AT_MOST, Weighting, gain
+from torchpi.diagnosis.score import AT_MOST, LEAST_IN_STRATUM, Weighting, gain
 from torchpi.diagnosis.sensitivity import jacobian
 from torchpi.recordings.recording import Recording
 
@@ -167,3 +167,27 @@ def test_what_is_missed_elsewhere_does_not_count_against_an_effect() -> None:
     now, less = np.full(10, 1.0), np.full(10, 1.0)
     less[:5], now[5:], less[5:] = 50.0, 100.0, 100.0
     assert weighting(10).explained_where_it_acts(Left(now), Left(less)) > 0.99  # type: ignore[arg-type]
+
+
+def test_a_small_gain_almost_everywhere_does_not_outvote_where_an_effect_acts() -> None:
+    now, less = np.full(40, 3.0), np.full(40, 3.1)
+    now[:4], less[:4] = 1.0, 200.0
+    assert weighting(40).explained_where_it_acts(Left(now), Left(less)) > 0.9  # type: ignore[arg-type]
+
+
+def test_a_gain_on_one_scale_is_as_sure_as_its_cells_agree() -> None:
+    strata, worse = np.repeat([0, 1, 2], 8), np.zeros(24)
+    steady, once = np.zeros(24), np.zeros(24)
+    steady[:8], once[0] = 5.0, 40.0
+    assert gain(steady, worse, strata=strata).probability > 0.999
+    assert gain(steady, worse).probability < gain(steady, worse, strata=strata).probability
+    assert gain(once, worse, strata=strata).probability < 0.75
+
+
+def test_every_stratum_is_of_one_recording_and_has_cells_enough() -> None:
+    records = records_of(white(0), white(1))
+    strata = Weighting.flat(records).strata
+    assert strata is not None and len(strata) == sum(r.haar.cells for r in records)
+    own = np.repeat([0, 1], [r.haar.cells for r in records])
+    assert all(len(np.unique(own[strata == one])) == 1 for one in np.unique(strata))
+    assert np.bincount(strata).min() >= LEAST_IN_STRATUM

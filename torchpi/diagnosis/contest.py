@@ -21,9 +21,9 @@ ACCEPTED = 0.95
 FAINT = 0.2
 """Of the noise, or of the rms that is left: what explains less is of no use to a user, and a solver's error
 does as much."""
-ADEQUATE = 0.2
+ADEQUATE = 0.25
 """Share of what is to be explained where an effect acts from which a search goes on with it: as much as each
-of five that act in the same place."""
+of four that act in the same place."""
 TOGETHER = 2.0
 """Standard errors within which two hypotheses predict alike."""
 CLEAR = 6.0
@@ -112,7 +112,7 @@ class Contest:
     def over(self, better: Fit, worse: Fit, prior: float = 0.0) -> Gain:
         """By how much one fit predicts better than another."""
         w = self.chain.weighting
-        return gain(w.log_density(better), w.log_density(worse), prior)
+        return gain(w.log_density(better), w.log_density(worse), prior, w.strata)
 
     def prior(self, now: Fit, more: Fit) -> float:
         """Log odds of what a hypothesis has beyond another."""

@@ -103,8 +103,12 @@ def follows_command(line_hz: float, repeating: Sequence[tuple[float, float]]) ->
 def levels(records: Sequence[Record]) -> int:
     """At how many levels the voltage turns round."""
     span = max(float(np.ptp(record.u)) for record in records)
-    ends = [end for r in records for _, _, end in _strokes(r.u, LEAST_STROKE * span, r.period_s)]
-    return int((np.diff(np.sort(ends)) > LEAST_STROKE * span).sum()) + bool(ends)
+    ends = sorted(end for r in records for _, _, end in _strokes(r.u, LEAST_STROKE * span, r.period_s))
+    found, last = 0, -np.inf
+    for end in ends:
+        if end - last > LEAST_STROKE * span:
+            found, last = found + 1, end
+    return found
 
 
 def pace(records: Sequence[Record]) -> float:

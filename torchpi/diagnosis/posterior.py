@@ -18,11 +18,11 @@ import numpy as np
 from torchpi.diagnosis.contest import ACCEPTED, PRIOR
 from torchpi.diagnosis.diagnosis import Rival
 from torchpi.diagnosis.fit import ROUGH
-from torchpi.diagnosis.hypothesis import Fit, Hypothesis
+from torchpi.diagnosis.hypothesis import EffectTerm, Fit, Hypothesis
 from torchpi.diagnosis.parallel import Job
 from torchpi.diagnosis.reduced_basis import reduced, refitted
 from torchpi.diagnosis.score import ALIKE
-from torchpi.diagnosis.search import OPERATOR, Round, Search, rms_of
+from torchpi.diagnosis.search import OPERATOR, Round, Search, form, rms_of
 
 DRAWS = 400
 RIVALS = 4
@@ -30,9 +30,9 @@ RIVALS = 4
 OPERATOR_NAME = "hysteresis_operator"
 CONVENTION = "timing_convention"
 """A rival of what delays: whole samples, by the convention of whoever recorded."""
-HALF, STEEPNESS = 0.65, 3.0
+HALF, STEEPNESS = 0.72, 5.0
 """The share of what is to be explained where an effect acts from which its name is more likely right than
-wrong, and how fast that changes. Set on some ninety names of development cases; `benchmarks/calibration.py`
+wrong, and how fast that changes. Set on some hundred names of development cases; `benchmarks/calibration.py`
 measures what comes of it."""
 
 
@@ -68,7 +68,7 @@ def posterior(
     weighting = search.chain.weighting
     density = np.array([weighting.log_density(model.fit) for model in models])
     priors = np.array([prior(search, retuned, model.fit) for model in models])
-    chance = averaged(density, priors)
+    chance = averaged(density, priors, weighting.strata)
     found = []
     for name in dict.fromkeys(model.without for model in models if model.without):
         less = next(m for m in models if m.without == name and not m.instead)
@@ -125,13 +125,16 @@ def settled(search: Search, retuned: Fit, final: Fit, history: Sequence[Round]) 
     return final, models
 
 
-def averaged(density: np.ndarray, priors: np.ndarray) -> np.ndarray:
-    """(models,): pseudo-BMA+ weights from log densities, (models, cells), and log priors."""
+def averaged(density: np.ndarray, priors: np.ndarray, strata: np.ndarray | None = None) -> np.ndarray:
+    """(models,): pseudo-BMA+ weights from log densities, (models, cells), and log priors; the cells of each
+    stratum, (cells,), are drawn among themselves."""
     rng = np.random.default_rng(0)
     shape, total = 1 / ALIKE**2, np.zeros(len(density))
     relative = density - density[0]
     for _ in range(DRAWS):
         cells = rng.gamma(shape, size=density.shape[1]) / shape
+        if strata is not None:
+            cells *= (np.bincount(strata) / np.maximum(np.bincount(strata, cells), 1e-300))[strata]
         score = relative @ cells + priors
         weight = np.exp(score - score.max())
         total += weight / weight.sum()
@@ -206,9 +209,13 @@ def rivals(
         found += [(CONVENTION, replace(less, alignment=a), small.weights) for a in others]
     for effect in search.effects_tried if mine else ():
         if mine and effect.name in mine.degenerate_with and effect.name not in seen | there:
-            starts = [member for member in search.starts if member.effect is effect]
-            for member in starts[len(starts) // 2 : len(starts) // 2 + 1]:
-                found.append((effect.name, less.plus(member), small.weights))
+            forms: dict[tuple[str, ...], list[EffectTerm]] = {}
+            for member in search.starts:
+                if member.effect is effect:
+                    forms.setdefault(form(member), []).append(member)
+            found += [
+                (effect.name, less.plus(each[len(each) // 2]), small.weights) for each in forms.values()
+            ]
     return found
 
 

@@ -82,6 +82,7 @@ def with_remainder(chain: Chain, now: Fit, ridge: float | None = None) -> tuple[
         return None
     removed_um2 = now.train_rms**2 - best[0].train_rms ** 2
     faint = removed_um2 < (FAINT * now.train_rms) ** 2
-    if ridge is None and (faint or gain(density(best[0]), density(now)).probability < EARNS):
+    gained = gain(density(best[0]), density(now), strata=chain.weighting.strata)
+    if ridge is None and (faint or gained.probability < EARNS):
         return None
     return best

@@ -31,6 +31,8 @@ AT_MOST = 30.0
 ALIKE = 2.0
 """By what the standard error is larger than that of independent cells: what a model has wrong comes again in
 every cycle and on neighbouring scales. Calibrated: `benchmarks/calibration.py`."""
+LEAST_IN_STRATUM = 4
+"""Cells whose differences tell a standard error."""
 TINY = 1e-12
 
 
@@ -41,6 +43,8 @@ class Weighting:
     inverse_sd: tuple[np.ndarray, ...]  # shape: (kept,) for each recording, 1/µm
     level_um2: np.ndarray  # shape: (cells of all recordings,), the noise's mean square in each cell
     counts: np.ndarray  # shape: (cells,), coefficients in each
+    strata: np.ndarray | None = None
+    """(cells,): cells of one stratum have a recording and a scale in common; None where all are one."""
 
     @classmethod
     def of(
@@ -69,7 +73,8 @@ class Weighting:
             scales.append(1 / np.sqrt(variance)[haar.cell])
             levels.append(noise_um2)
             counts.append(n)
-        return cls(tuple(scales), np.concatenate(levels), np.concatenate(counts).astype(float))
+        counted = np.concatenate(counts).astype(float)
+        return cls(tuple(scales), np.concatenate(levels), counted, strata_of(records))
 
     @classmethod
     def flat(cls, records: Sequence[Record]) -> "Weighting":
@@ -77,7 +82,7 @@ class Weighting:
         sd = 1e-3 * max(float(np.ptp(record.y)) for record in records) or 1e-9
         counts = np.concatenate([np.bincount(record.haar.cell) for record in records]).astype(float)
         scales = tuple(np.full(len(record.haar.kept), 1 / sd) for record in records)
-        return cls(scales, np.full(len(counts), sd**2), counts)
+        return cls(scales, np.full(len(counts), sd**2), counts, strata_of(records))
 
     @cached_property
     def token(self) -> str:
@@ -95,14 +100,12 @@ class Weighting:
 
     def explained_where_it_acts(self, more: Fit, less: Fit) -> float:
         """What a fit explains beyond another, 0–1, of all that is to be explained in the cells where it
-        does."""
-        n, after = self.counts, more.left_out_um2
-        gained = np.maximum(less.left_out_um2 - after, 0.0)
-        left = np.maximum(after - self.level_um2, 0.0)
+        does; each cell counts by the nats that it gains."""
+        gained = np.maximum(less.left_out_um2 - more.left_out_um2, 0.0)
+        left = np.maximum(more.left_out_um2 - self.level_um2, 0.0)
         share = gained / np.maximum(gained + left, 1e-300)
-        # A stretch that is missed by far is not to decide alone.
-        weight = n * gained / np.maximum(gained + after, 1e-300)
-        return float((weight * share).sum() / max(float(weight.sum()), 1e-300))
+        nats = np.maximum(self.log_density(more) - self.log_density(less), 0.0)
+        return float((nats * share).sum() / max(float(nats.sum()), 1e-300))
 
     def of_squares(self, mean_um2: np.ndarray) -> np.ndarray:
         """The same of the cells' mean squares, (cells,), µm²."""
@@ -125,8 +128,42 @@ class Gain:
         return float(ndtr(self.nats / self.sd)) if self.sd > 0 else float(self.nats > 0)
 
 
-def gain(better: np.ndarray, worse: np.ndarray, prior: float = 0.0) -> Gain:
-    """From the log densities of cells, (cells,) each; `prior` is the log of the prior odds."""
+def gain(better: np.ndarray, worse: np.ndarray, prior: float = 0.0, strata: np.ndarray | None = None) -> Gain:
+    """How much better one hypothesis predicts, with the standard error of a stratified sum.
+
+    Every effect acts on scales of its own: that scales differ is no chance, that the cells of one scale
+    differ is (Cochran, *Sampling Techniques*, 1977, 5.3).
+
+    Args:
+        better: (cells,), log densities.
+        worse: The same of the other.
+        prior: The log of the prior odds.
+        strata: (cells,), in which stratum each lies; None where all are in one.
+    """
     d = better - worse
-    sd = ALIKE * float(np.sqrt(np.sum((d - d.mean()) ** 2)))
-    return Gain(float(d.sum()) + prior, max(sd, 1.0))
+    strata = np.zeros(len(d), dtype=int) if strata is None else strata
+    size = np.bincount(strata)
+    mean = np.bincount(strata, d) / size
+    size = np.maximum(size, 2)
+    variance = np.sum((d - mean[strata]) ** 2 * (size / (size - 1))[strata])
+    return Gain(float(d.sum()) + prior, max(ALIKE * float(np.sqrt(variance)), 1.0))
+
+
+def strata_of(records: Sequence[Record]) -> np.ndarray:
+    """(cells,): the cells of each recording by their scale, scales of fewer than `LEAST_IN_STRATUM` cells
+    with the next finer one."""
+    found, first = [], 0
+    for record in records:
+        haar = record.haar
+        level = np.zeros(haar.cells, dtype=int)
+        level[haar.cell] = haar.level
+        stratum, count = np.zeros(haar.cells, dtype=int), 0
+        for one in sorted(np.unique(level), reverse=True):
+            there = level == one
+            stratum[there] = first
+            count += int(there.sum())
+            if count >= LEAST_IN_STRATUM:
+                first, count = first + 1, 0
+        first += count > 0
+        found.append(stratum)
+    return np.concatenate(found)

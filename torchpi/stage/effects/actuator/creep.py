@@ -78,6 +78,7 @@ class Creep(StateSpaceEffect):
     signature = "slow, follows the sign of the last move, grows with the time of a hold"
     time_scale = "slow"
     needs = Needs(duration_s=SHORTEST_SLOW_S)
+    degenerate_with = ("thermal_drift",)
     quantities: ClassVar[dict[str, Quantity]] = {
         "per_decade": Quantity("", at_least=0, at_most=0.5),
         "gain": Quantity("", at_least=0, at_most=0.5),

@@ -54,7 +54,7 @@ class ThermalDrift(AddedSignal):
     signature = "slow, in absolute time: does not follow the last move"
     time_scale = "slow"
     needs = Needs(duration_s=SHORTEST_SLOW_S)
-    degenerate_with = ("leakage",)
+    degenerate_with = ("leakage", "creep")
     quantities: ClassVar[dict[str, Quantity]] = {
         "amplitude_um": Quantity("µm", at_least=-1e4, at_most=1e4),
         "time_constant_s": Quantity("s", at_least=SLOWEST_DYNAMICS_S, at_most=1e6),

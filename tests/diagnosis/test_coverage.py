@@ -1,0 +1,48 @@
+"""What recordings cannot show, whatever is fitted."""
+
+import numpy as np
+import pytest
+
+from tests.diagnosis.plants import FS_HZ, multisine, record, triangles
+from tests.diagnosis.prepared import prepared
+from torchpi.diagnosis.coverage import follows_command, levels, repeats
+from torchpi.diagnosis.diagnose import diagnose
+
+T_S = np.arange(8000) / FS_HZ
+SINE_V = 5 - 5 * np.cos(2 * np.pi * T_S)
+
+
+def test_a_sine_turns_round_at_two_levels_and_minor_loops_at_more() -> None:
+    assert levels(prepared([record(SINE_V)])) == 2
+    assert levels(prepared([record(triangles(8000))])) == 3
+    assert levels(prepared([record(multisine(8000))])) > 3
+
+
+@pytest.mark.parametrize(
+    ("line_hz", "follows"),
+    [(2.0, True), (2.02, True), (2.4, False), (1.7, False), (10.0, True), (50.0, False)],
+)
+def test_low_harmonics_of_a_command_that_repeats_are_its_own(line_hz: float, follows: bool) -> None:
+    repeating = repeats(prepared([record(SINE_V)]))
+    assert repeating == [pytest.approx((1.0, 4.0))]
+    assert follows_command(line_hz, repeating) is follows
+
+
+def test_a_command_that_never_repeats_has_no_harmonics() -> None:
+    assert repeats(prepared([record(multisine(4000))])) == []
+    assert not follows_command(2.0, [])
+
+
+def test_a_curved_sensor_under_a_sine_is_no_modulation() -> None:
+    def curved(x: np.ndarray, fs_hz: float) -> np.ndarray:
+        return x - 4e-3 * (x - 4) ** 2
+
+    found = diagnose([record(SINE_V, after=curved)])
+    names = {effect.name for effect in found.effects}
+    assert "gain_modulation" not in names
+    assert names <= {
+        "sensor_nonlinearity",
+        "input_nonlinearity",
+        "hysteresis_asymmetry",
+        "hysteresis_operator",
+    }
