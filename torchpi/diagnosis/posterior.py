@@ -36,8 +36,8 @@ wrong, and how fast that changes. Set on some hundred names of development cases
 measures what comes of it."""
 
 LAPSE = 0.02
-"""Of names for which everything speaks, those that are wrong all the same: 0 of some eighty were, which leaves
-up to 0.037 at 95 %."""
+"""Of names for which everything speaks, those that are wrong all the same: 0 of some eighty were, which
+leaves up to 0.037 at 95 %."""
 
 
 @dataclass(frozen=True)
