@@ -10,6 +10,7 @@ import warnings
 import weakref
 from dataclasses import fields
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -189,6 +190,21 @@ def test_an_interrupt_in_a_callback_that_lets_no_exception_out_still_ends_the_co
         time.sleep(5.0)
 
     assert run_command(command, "torchpi") == 130
+    assert capsys.readouterr().err == "torchpi: interrupted; files already written are whole\n"
+
+
+def test_an_interrupt_while_llvm_calls_back_waits_until_it_has_returned(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    scope: dict[str, Any] = {"__name__": "llvmlite.binding.executionengine", "signal": signal, "seen": []}
+    exec("def called_back():\n    signal.raise_signal(signal.SIGINT)\n    seen.append('returned')\n", scope)
+
+    def command() -> None:
+        scope["called_back"]()
+        time.sleep(5.0)
+
+    assert run_command(command, "torchpi") == 130
+    assert scope["seen"] == ["returned"]
     assert capsys.readouterr().err == "torchpi: interrupted; files already written are whole\n"
 
 

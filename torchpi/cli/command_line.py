@@ -14,6 +14,7 @@ import threading
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from types import FrameType
 from typing import Any, NoReturn, TextIO, get_args, get_origin
 
 import jsonargparse
@@ -22,6 +23,7 @@ import yaml
 from torchpi.errors import ConfigError, RecordingWarning, TorchpiError
 from torchpi.files import check_yaml, read_yaml_text, reason
 
+COMPILER = "llvmlite.binding"  # Numba's way to LLVM
 INTERRUPTED, TERMINATED = 130, 143  # exit codes: 128 and the number of the signal
 
 
@@ -184,23 +186,44 @@ def _signals_as_exceptions() -> Iterator[None]:
         yield
         return
 
-    def end(number: int, frame: object) -> None:
-        raise Terminated
+    def end(number: int, frame: FrameType | None) -> None:
+        if _compiles(frame):
+            _send_again(number)
+        else:
+            raise Terminated if number == signal.SIGTERM else KeyboardInterrupt
 
     def again(lost: "sys.UnraisableHookArgs") -> None:
         if not isinstance(lost.exc_value, KeyboardInterrupt):
             usual(lost)
         else:
-            number = signal.SIGTERM if isinstance(lost.exc_value, Terminated) else signal.SIGINT
-            threading.Timer(0.01, os.kill, (os.getpid(), number)).start()
+            _send_again(signal.SIGTERM if isinstance(lost.exc_value, Terminated) else signal.SIGINT)
 
-    before, usual = signal.signal(signal.SIGTERM, end), sys.unraisablehook
+    numbers = (signal.SIGINT, signal.SIGTERM)
+    before, usual = [signal.signal(number, end) for number in numbers], sys.unraisablehook
     sys.unraisablehook = again
     try:
         yield
     finally:
         sys.unraisablehook = usual
-        signal.signal(signal.SIGTERM, before)
+        for number, handler in zip(numbers, before, strict=True):
+            signal.signal(number, handler)
+
+
+def _compiles(frame: FrameType | None) -> bool:
+    """Whether a compiler is at work: LLVM calls back into Python, and an exception from there ends it with a
+    segmentation fault."""
+    while frame is not None:
+        if frame.f_globals.get("__name__", "").startswith(COMPILER):
+            return True
+        frame = frame.f_back
+    return False
+
+
+def _send_again(number: int) -> None:
+    """Let a signal come once more, a little later."""
+    timer = threading.Timer(0.02, os.kill, (os.getpid(), number))
+    timer.daemon = True
+    timer.start()
 
 
 def _show_in_one_line(program: str) -> None:
