@@ -10,7 +10,7 @@ import numpy as np
 from torchpi.errors import ConfigError
 from torchpi.identification.multi_axis import MultiAxisOptions, identify
 from torchpi.identification.multi_axis.fit import PeriodicFit
-from torchpi.identification.multi_axis.identify import by_amplitude, period
+from torchpi.identification.multi_axis.identify import by_amplitude, periods
 from torchpi.recordings.multi_axis import (
     MultiAxisRecording,
     check_together,
@@ -83,7 +83,7 @@ def judged(stage: MultiAxisStage, every: Sequence[MultiAxisRecording]) -> list[d
     """The rms of the steady state's error over all outputs, µm, beside noise and motion, level by level."""
     found = []
     for level in by_amplitude(every):
-        errors = PeriodicFit(stage, [period(one) for one in level]).errors() or []
+        errors = PeriodicFit(stage, periods(level)).errors() or []
         found += [
             {
                 "name": one.name,

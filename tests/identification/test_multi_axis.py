@@ -6,11 +6,11 @@ import pytest
 from tests.stage.two_axes import multisine, recordings, two_axes
 from torchpi.identification.multi_axis import MultiAxisOptions, identify
 from torchpi.identification.multi_axis.fit import Period, PeriodicFit
-from torchpi.identification.multi_axis.identify import linear_stage, period
+from torchpi.identification.multi_axis.identify import linear_stage, periods
 
 
 def rms(stage, every) -> float:
-    errors = PeriodicFit(stage, [period(one) for one in every]).errors()
+    errors = PeriodicFit(stage, periods(every)).errors()
     assert errors is not None
     return float(np.sqrt(np.mean(np.square(errors))))
 
@@ -39,7 +39,7 @@ def test_an_identified_stage_predicts_realisations_that_it_was_not_fitted_to() -
     options = MultiAxisOptions(modes=2, extra_elements=0, times_s=(0.05,), seconds=8.0)
     stage = identify(fitted, options)
     linear, _, _ = linear_stage(fitted, 2)
-    PeriodicFit(linear, [period(one) for one in fitted]).descend(list(linear.arrays()), 20)
+    PeriodicFit(linear, periods(fitted)).descend(list(linear.arrays()), 20)
     motion = float(np.sqrt(np.mean([np.square(one.y - one.y.mean(0)) for one in heldout])))
     assert rms(stage, heldout) < 0.02 * motion
     assert rms(stage, heldout) < 0.5 * rms(linear, heldout)

@@ -1,6 +1,6 @@
 """Modes with hysteretic feedback, m inputs and p outputs, sampled: the compiled step and its exact tangents.
 
-    v_i  = u_i + Σ_r h_ir k_ir                    k_ir = P_r[u_i] - u_i, plays of the inputs, given
+    v_i  = u_i + Σ_r h_ir k_ir                    k_ir, what plays and amplifiers add to the inputs, given
     z_n  = Σ_m a_nm · x_m + Σ_i f_ni v_i          what the nonlinear element n senses of modes and inputs
     w_n  = Σ_j θ_nj φ_nj(z_n)                     its force
     x_m⁺ = Λ_m x_m + Σ_i b_mi v_i + Σ_n e_mn w_n  modes, pairs of real states, Λ = [[α, -β], [β, α]]
@@ -8,7 +8,7 @@
 
 The functions φ of an element, in this order: dead zones, max(z - r, 0) for r ≥ 0 and min(z - r, 0) for r < 0;
 plays less their input, P_r[z] - z; z √s_τ, with s_τ the mean of |z| over a time τ, a stiffness that follows
-the amplitude slowly; and z k_ir for the plays of its own input (i = n mod m), one that follows the voltage.
+the amplitude slowly; and z k_ir for its own input (i = n mod m), one that follows the voltage.
 Plays and dead zones in superposition: Kuhnen, European J. Control 9(4), 2003; the linear part with feedback
 around it: Paduart et al., Automatica 46(4), 2010.
 """
@@ -112,7 +112,8 @@ def modal_feedback(
     after_zones, after_plays = len(zones), len(zones) + plays
     after_means = after_plays + len(shares)
     for t in range(samples):
-        carried = tangents and t >= first
+        seeing = tangents and t >= counted
+        carried = tangents and t >= first and low < moving
         for i in range(inputs):
             v[i] = u[t, i]
             for r in range(input_plays):
@@ -192,13 +193,14 @@ def modal_feedback(
             for i in range(inputs):
                 sum_ += direct[o, i] * v[i]
             y[t, o] = sum_
-            if carried and t >= counted:
+            if seeing:
                 row[:] = 0.0
                 for m in range(modes):
                     for c in range(2):
-                        a, other = seen[o, m, c], dx[2 * m + c]
-                        for j in range(size):
-                            row[j] += a * other[j]
+                        if carried:
+                            a, other = seen[o, m, c], dx[2 * m + c]
+                            for j in range(size):
+                                row[j] += a * other[j]
                         _put(row, moving + (o * modes + m) * 2 + c - low, x[m, c])
                 for i in range(inputs):
                     _put(row, moving + outputs * 2 * modes + o * inputs + i - low, v[i])

@@ -13,6 +13,8 @@ STRIDE = 8
 """Every how many samples a row of slopes goes into the normal matrix; the gradient is of all samples."""
 BLOCK = 64
 """Tangents that are carried together."""
+LEAD_S = 0.5
+"""Before the period whose errors count, s: tangents begin there, at the earliest with the period before."""
 FIRST_DAMPING, LEAST_DAMPING = 1e-3, 1e-9
 LESS, MORE = 8.0, 5.0
 TRIALS = 8
@@ -40,7 +42,7 @@ class Period:
 class PeriodicFit:
     """Weighted mean squared error of a stage's steady state over periods, and its descent.
 
-    The stage runs through the period before, from rest; tangents begin with it as well.
+    The stage runs through the period before, from rest.
     """
 
     def __init__(self, stage: MultiAxisStage, periods: Sequence[Period]) -> None:
@@ -143,7 +145,10 @@ class PeriodicFit:
         self, index: np.ndarray, errors: Sequence[np.ndarray]
     ) -> tuple[np.ndarray, np.ndarray]:
         """The weighted normal matrix and gradient for the parameters at these indices."""
-        blocks = np.split(index, range(BLOCK, len(index), BLOCK))
+        # Slopes of `seen` and `direct` need no tangents of the states.
+        sides = np.split(index, [np.searchsorted(index, self.where(("seen", "direct"))[0])])
+        blocks = [part for side in sides for part in np.split(side, range(BLOCK, len(side), BLOCK))]
+        blocks = [block for block in blocks if len(block)]
         grams: list[np.ndarray] = [np.zeros(0)] * len(self.periods)
         rights: list[np.ndarray] = [np.zeros(0)] * len(self.periods)
 
@@ -151,8 +156,9 @@ class PeriodicFit:
             for i in range(first, last):
                 samples, outputs = errors[i].shape
                 gradient, every = np.zeros(len(index)), np.zeros((samples // STRIDE, outputs, len(index)))
-                for number, block in enumerate(blocks):
-                    here = slice(number * BLOCK, number * BLOCK + len(block))
+                done = 0
+                for block in blocks:
+                    here = slice(done, done := done + len(block))
                     size = int(block[-1] - block[0]) + 1
                     part, total = np.zeros(size), np.zeros((outputs, size))
                     slopes = np.zeros((samples // STRIDE, outputs, size))
@@ -182,10 +188,11 @@ class PeriodicFit:
         state = stage.initial_state(1)
         y = np.zeros((len(u), stage.outputs))
         every = np.concatenate([np.zeros((counted, error.shape[1])), error])
+        first = max(counted - round(LEAD_S * stage.sample_rate_hz), 0)
         nothing = (np.zeros(0), np.zeros((0, 0)), np.zeros((0, 0, 0)))
         carried = nothing if gradient is None else (gradient, total, slopes)
         bounded = modal_feedback(
             u, self.excess[i], *stage.arrays().values(), *stage.thresholds_of_kernel(),
-            state.x[0], state.h[0], state.means[0], 0, y, 0, counted, every, STRIDE, low, *carried,
+            state.x[0], state.h[0], state.means[0], 0, y, first, counted, every, STRIDE, low, *carried,
         )  # fmt: skip
         return y if bounded and np.abs(y).max() < DIVERGED else None

@@ -20,7 +20,7 @@ from torchpi.recordings.multi_axis import MultiAxisRecording, check_together
 from torchpi.stage.multi_axis import MultiAxisStage
 
 RELATIVE_ERROR = 0.0125
-"""Of a recording's rms: the error below which its noise alone counts in its weight."""
+"""Of the geometric mean of a recording's rms and the largest: below it, noise alone counts in the weight."""
 NOISE = 1.5
 """Noise of the mean period, in its weight."""
 ALIKE = 1.25
@@ -34,6 +34,8 @@ LINEAR_STEPS, WEIGHT_STEPS, MODE_STEPS, STEPS = 25, 4, 4, 60
 ZONES, PLAYS = (0.0, 0.5, 1.2, -0.5, -1.2), (0.03, 0.1, 0.3, 0.8, 1.6)
 """Thresholds, in units of the rms of the largest input at the highest amplitude."""
 INPUT_PLAYS = (0.05, 0.15, 0.4, 1.0, 2.0)
+CROSSOVER = (0.1, 0.3)
+"""Widths, in units of the rms slope of that input."""
 
 
 @dataclass(frozen=True)
@@ -44,6 +46,7 @@ class MultiAxisOptions:
         modes: Pairs of states, those that stand for what lies beyond the band included.
         extra_elements: Nonlinear elements beside one at each input.
         times_s: Times over which stiffness follows the amplitude, s.
+        amplifier_hz: Bandwidth of the amplifiers, whose crossover distortion is then identified, Hz.
         seconds: Time for the fit; a step that has begun is finished.
         seed: Of the directions in which the extra elements begin.
     """
@@ -51,6 +54,7 @@ class MultiAxisOptions:
     modes: int = 24
     extra_elements: int = 2
     times_s: tuple[float, ...] = (0.3, 0.02)
+    amplifier_hz: float | None = None
     seconds: float = 480.0
     seed: int = 0
 
@@ -65,6 +69,11 @@ class MultiAxisOptions:
             or not self.seconds >= 0
         ):
             raise ConfigError(f"seconds: found {self.seconds!r}, expected a number that is not negative")
+        hertz = self.amplifier_hz
+        if hertz is not None and not (
+            isinstance(hertz, int | float) and not isinstance(hertz, bool) and hertz > 0
+        ):
+            raise ConfigError(f"amplifier_hz: found {hertz!r}, expected a positive number")
         if not all(isinstance(one, int | float) and one > 0 for one in self.times_s):
             raise ConfigError(f"times_s: found {list(self.times_s)!r}, expected positive numbers")
 
@@ -97,7 +106,7 @@ def identify(
         )
     middle = full[len(full) // 2]
     linear, z, response = linear_stage(middle, options.modes)
-    fit = PeriodicFit(linear, [period(one) for one in middle])
+    fit = PeriodicFit(linear, periods(middle))
     names = list(linear.arrays())
     cost = fit.descend(names, LINEAR_STEPS)
     log(f"linear, {options.modes} modes: weighted error {np.sqrt(cost):.3g}")
@@ -114,11 +123,11 @@ def identify(
 
     # The least noisy few of each level bring it near, all of them finish it.
     few = [one for level in levels for one in sorted(level, key=lambda one: one.period[2])[:FEW]]
-    fit = PeriodicFit(stage, [period(one) for one in few])
+    fit = PeriodicFit(stage, periods(few))
     fit.descend(weights, WEIGHT_STEPS)
     fit.descend([*weights, "poles", "drive"], MODE_STEPS)
     fit.descend(names, STEPS, goes_on=goes_on(NEAR))
-    fit = PeriodicFit(stage, [period(one) for one in recordings])
+    fit = PeriodicFit(stage, periods(recordings))
     fit.descend(names, STEPS, goes_on=goes_on(1.0))
     return stage
 
@@ -134,10 +143,15 @@ def by_amplitude(recordings: Sequence[MultiAxisRecording]) -> list[list[MultiAxi
     return levels
 
 
-def period(recording: MultiAxisRecording) -> Period:
-    """The mean period, weighted by what is known of its noise."""
-    u, y, noise = recording.period
-    return Period(u, y, 1.0 / float(np.hypot(RELATIVE_ERROR * y.std(), NOISE * noise)))
+def periods(recordings: Sequence[MultiAxisRecording]) -> list[Period]:
+    """The mean period of each, weighted by its noise and its amplitude.
+
+    Errors grow less than the amplitude: weights in proportion would let the smallest count most.
+    """
+    means = [one.period for one in recordings]
+    largest = max(float(y.std()) for _, y, _ in means)
+    scales = [np.hypot(RELATIVE_ERROR * np.sqrt(y.std() * largest), NOISE * noise) for _, y, noise in means]
+    return [Period(u, y, 1.0 / float(scale)) for (u, y, _), scale in zip(means, scales, strict=True)]
 
 
 def linear_stage(
@@ -172,8 +186,10 @@ def with_elements(
     zones, plays = [scale / 0.3 * r for r in ZONES], [scale / 0.3 * r for r in PLAYS]
     elements = inputs + options.extra_elements
     at_means = len(zones) + len(plays)
-    functions = at_means + len(options.times_s) + len(INPUT_PLAYS)
-    shapes = linear.shapes._replace(elements=elements, functions=functions, input_plays=len(INPUT_PLAYS))
+    widths = crossover_widths(recordings) if options.amplifier_hz else []
+    excess = len(INPUT_PLAYS) + 2 * len(widths)
+    functions = at_means + len(options.times_s) + excess
+    shapes = linear.shapes._replace(elements=elements, functions=functions, input_plays=excess)
     arrays = {name: np.zeros(shape) for name, shape in parameter_shapes(shapes).items()}
     arrays |= {name: old[name].copy() for name in ("poles", "drive", "seen", "direct")}
     random = np.random.default_rng(options.seed)
@@ -187,8 +203,25 @@ def with_elements(
     arrays["weights"][inputs:, 0] = FIRST_WEIGHT / 2
     arrays["weights"][inputs:, at_means] = FIRST_WEIGHT / 10
     return MultiAxisStage(
-        linear.sample_rate_hz, arrays, [scale * r for r in INPUT_PLAYS], zones, plays, options.times_s
+        linear.sample_rate_hz,
+        arrays,
+        [scale * r for r in INPUT_PLAYS],
+        zones,
+        plays,
+        options.times_s,
+        widths,
+        options.amplifier_hz or np.inf,
     )
+
+
+def crossover_widths(recordings: Sequence[MultiAxisRecording]) -> list[float]:
+    """V/s, from the largest rms slope of an input."""
+    slopes = []
+    for one in recordings:
+        u = one.period[0]
+        lines = 2j * np.pi * np.fft.rfftfreq(len(u), 1 / one.fs_hz)[:, None]
+        slopes.append(float(np.fft.irfft(lines * np.fft.rfft(u, axis=0), len(u), axis=0).std()))
+    return [share * max(slopes) for share in CROSSOVER]
 
 
 def without(recordings: Sequence[MultiAxisRecording], name: str) -> list[MultiAxisRecording]:

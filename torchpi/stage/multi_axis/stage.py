@@ -1,6 +1,6 @@
 """The stage of several axes: m voltages in, p displacements out.
 
-    voltages → plays of each actuator → shared modes ⇄ nonlinear elements → displacements
+    voltages → amplifier and plays of each actuator → shared modes ⇄ nonlinear elements → displacements
 
 `torchpi.operators.modal_feedback` has the equations. The numbers are the stage's parameters, float64.
 """
@@ -18,11 +18,19 @@ from torch import Tensor, nn
 from torchpi.errors import ArtifactError, StageError
 from torchpi.operators.compiled import in_threads
 from torchpi.operators.modal_feedback import Shapes, modal_feedback, parameter_shapes
-from torchpi.operators.oversampled_plays import play_excess
+from torchpi.operators.oversampled_inputs import crossover, play_excess
 from torchpi.stage.file import load_model, save_model
 
-SCHEMA, VERSION = "torchpi multi-axis stage", 1
-SETTINGS = ("sample_rate_hz", "input_thresholds_v", "dead_zones", "thresholds", "times_s")
+SCHEMA, VERSION = "torchpi multi-axis stage", 2
+SETTINGS = (
+    "sample_rate_hz",
+    "input_thresholds_v",
+    "dead_zones",
+    "thresholds",
+    "times_s",
+    "crossover_v_per_s",
+    "amplifier_hz",
+)
 
 
 @dataclass
@@ -46,6 +54,8 @@ class MultiAxisStage(nn.Module):
         dead_zones: Thresholds of the elements' dead zones, in units of what the elements sense.
         thresholds: Of their plays.
         times_s: Over which they average.
+        crossover_v_per_s: Widths of the crossover distortion of each amplifier, V/s.
+        amplifier_hz: The amplifiers' bandwidth, Hz.
         offset_um: What the sensors read at rest, (outputs,); zeros by default.
 
     Raises:
@@ -61,6 +71,8 @@ class MultiAxisStage(nn.Module):
         dead_zones: Sequence[float] = (),
         thresholds: Sequence[float] = (),
         times_s: Sequence[float] = (),
+        crossover_v_per_s: Sequence[float] = (),
+        amplifier_hz: float = math.inf,
         offset_um: Sequence[float] | None = None,
     ) -> None:
         super().__init__()
@@ -68,6 +80,10 @@ class MultiAxisStage(nn.Module):
             raise StageError(f"sample_rate_hz: found {sample_rate_hz}, expected a positive number")
         self.sample_rate_hz = float(sample_rate_hz)
         self.input_thresholds_v = _numbers("input_thresholds_v", input_thresholds_v, positive=True)
+        self.crossover_v_per_s = _numbers("crossover_v_per_s", crossover_v_per_s, positive=True)
+        if not amplifier_hz > 0 or (self.crossover_v_per_s and not math.isfinite(amplifier_hz)):
+            raise StageError(f"amplifier_hz: found {amplifier_hz}, expected a positive number")
+        self.amplifier_hz = float(amplifier_hz)
         self.dead_zones = _numbers("dead_zones", dead_zones)
         self.thresholds = _numbers("thresholds", thresholds, positive=True)
         self.times_s = _numbers("times_s", times_s, positive=True)
@@ -94,9 +110,9 @@ class MultiAxisStage(nn.Module):
         if arrays["direct"].ndim != 2 or arrays["weights"].ndim != 2:
             raise StageError("direct, weights: found arrays of other dimensions, expected two")
         outputs, inputs = arrays["direct"].shape
-        plays = len(self.input_thresholds_v)
-        functions = len(self.dead_zones) + len(self.thresholds) + len(self.times_s) + plays
-        return Shapes(inputs, outputs, len(arrays["poles"]), len(arrays["weights"]), functions, plays)
+        excess = len(self.input_thresholds_v) + 2 * len(self.crossover_v_per_s)
+        functions = len(self.dead_zones) + len(self.thresholds) + len(self.times_s) + excess
+        return Shapes(inputs, outputs, len(arrays["poles"]), len(arrays["weights"]), functions, excess)
 
     @property
     def inputs(self) -> int:
@@ -117,8 +133,10 @@ class MultiAxisStage(nn.Module):
         return np.asarray(self.dead_zones), np.asarray(self.thresholds), np.minimum(shares, 1.0)
 
     def excess(self, u: np.ndarray) -> np.ndarray:
-        """What the plays of the inputs add, (time, inputs, plays), for voltages (time, inputs)."""
-        return play_excess(u, np.asarray(self.input_thresholds_v))
+        """What plays and amplifiers add to voltages (time, inputs): (time, inputs, all of them)."""
+        plays = play_excess(u, np.asarray(self.input_thresholds_v))
+        widths = np.asarray(self.crossover_v_per_s)
+        return np.concatenate([plays, crossover(u, widths, self.amplifier_hz, self.sample_rate_hz)], 2)
 
     def initial_state(self, batch: int) -> MultiAxisState:
         """At rest."""

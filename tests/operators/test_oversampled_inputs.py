@@ -1,0 +1,59 @@
+"""Plays and amplifiers between the samples."""
+
+import numpy as np
+import torch
+
+from torchpi.operators.oversampled_inputs import HALF_LENGTH, crossover, play_excess
+from torchpi.operators.play import PlayBank
+
+R = np.array([0.2, 0.7])
+
+
+def test_of_a_slow_signal_they_are_the_plays_of_its_samples() -> None:
+    t = np.arange(2000) / 2000
+    u = np.stack([np.sin(2 * np.pi * 2 * t), 0.5 * np.sin(2 * np.pi * 3 * t)], 1)
+    h = PlayBank(R.tolist())(torch.from_numpy(u.T.copy()))[0].detach().numpy().swapaxes(0, 1)
+    inner = slice(2 * HALF_LENGTH, -2 * HALF_LENGTH)
+    np.testing.assert_allclose(play_excess(u, R)[inner], (h - u[..., None])[inner], atol=5e-3)
+
+
+def test_they_turn_where_the_signal_turns_between_samples() -> None:
+    # Five samples to two periods: the samples alone reach a different height in each.
+    u = np.sin(2 * np.pi * 0.4 * np.arange(1000) + 0.3)[:, None]
+    r = np.array([0.99])
+    assert np.abs(play_excess(u, r) + u[..., None])[300:700].max() < 0.02
+    assert np.abs(play_excess(1.2 * u, r) + 1.2 * u[..., None])[300:700].max() > 0.1
+
+
+def test_without_thresholds_there_is_nothing() -> None:
+    assert play_excess(np.ones((10, 2)), np.zeros(0)).shape == (10, 2, 0)
+
+
+RATE_HZ, CORNER_HZ, HZ = 1000.0, 200.0, 40.0
+
+
+def fundamental(width: float) -> complex:
+    """Of tanh's part, for a sine of 1 V."""
+    t = np.arange(2000) / RATE_HZ
+    e = crossover(np.sin(2 * np.pi * HZ * t)[:, None], np.array([width]), CORNER_HZ, RATE_HZ)[1000:1800, 0, 0]
+    return complex(2 * np.mean(e * np.exp(-2j * np.pi * HZ * t[1000:1800])))
+
+
+def test_below_its_width_a_crossover_is_linear() -> None:
+    s, omega, width = 2j * np.pi * HZ, 2 * np.pi * CORNER_HZ, 1e6
+    expected = -1j * omega * s / (s + omega) * s / (s + omega) / width
+    assert abs(fundamental(width) - expected) < 0.02 * abs(expected)
+
+
+def test_far_above_its_width_it_is_the_sign_of_the_current() -> None:
+    s, omega = 2j * np.pi * HZ, 2 * np.pi * CORNER_HZ
+    lagging = -1j * s / (s + omega)  # of the slope, which is what the sign follows
+    expected = 4 / np.pi * lagging / abs(lagging) * s / (s + omega)
+    assert abs(fundamental(1e-3) - expected) < 0.03 * abs(expected)
+
+
+def test_its_even_part_is_that_of_the_negative_voltage_too() -> None:
+    u = np.random.default_rng(0).standard_normal((400, 1)).cumsum(0)
+    e = crossover(u, np.array([100.0]), CORNER_HZ, RATE_HZ)
+    turned = crossover(-u, np.array([100.0]), CORNER_HZ, RATE_HZ)
+    np.testing.assert_allclose(turned, e * [-1, 1], atol=1e-12)
