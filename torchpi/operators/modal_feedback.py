@@ -61,6 +61,11 @@ def _put(tangents: np.ndarray, at: int, value: float) -> None:
 
 
 @njit
+def _single(rows: int, size: int) -> np.ndarray:
+    return np.zeros((rows, size), np.float32)
+
+
+@njit
 def modal_feedback(
     u: np.ndarray,  # (time, inputs)
     k: np.ndarray,  # (time, inputs, input plays)
@@ -92,7 +97,8 @@ def modal_feedback(
 ) -> bool:
     """Fill `y`, and with a gradient the tangents; False where the states leave all bounds.
 
-    A few tangents at a time are quicker than many: their states then stay in the nearest cache.
+    A few tangents at a time are quicker than many: their states then stay in the nearest cache. They are
+    in single precision, of which twice as many fit; states and sums are not.
     """
     samples, inputs = u.shape
     modes, elements, functions = len(poles), len(weights), weights.shape[1]
@@ -105,9 +111,9 @@ def modal_feedback(
     moving = at_plays + inputs * input_plays  # parameters before these move the states
     size = len(gradient)
     at_drive, tangents = 2 * modes, size > 0
-    dx, dz, dw = np.zeros((2 * modes, size)), np.zeros((elements, size)), np.zeros((elements, size))
-    dh, dm = np.zeros((elements, plays, size)), np.zeros((elements, len(shares), size))
-    row = np.zeros(size)
+    dx, dz, dw = _single(2 * modes, size), _single(elements, size), _single(elements, size)
+    dh, dm = _single(elements * plays, size), _single(elements * len(shares), size)
+    row = np.zeros(size, np.float32)
     v, z, w, phi = np.zeros(inputs), np.zeros(elements), np.zeros(elements), np.zeros((elements, functions))
     after_zones, after_plays = len(zones), len(zones) + plays
     after_means = after_plays + len(shares)
@@ -132,7 +138,7 @@ def modal_feedback(
                 d[:] = 0.0
                 for m in range(modes):
                     for c in range(2):
-                        a, other = sensed[n, m, c], dx[2 * m + c]
+                        a, other = np.float32(sensed[n, m, c]), dx[2 * m + c]
                         for j in range(size):
                             d[j] += a * other[j]
                         _put(d, at_sensed + (n * modes + m) * 2 + c - low, x[m, c])
@@ -152,7 +158,7 @@ def modal_feedback(
                 phi[n, after_zones + r] = h[n, r] - value
                 slope -= weights[n, after_zones + r]
                 if carried and h[n, r] != before:
-                    dh[n, r, :] = dz[n]
+                    dh[n * plays + r, :] = dz[n]
             for q in range(len(shares)):
                 share = max(shares[q], 1.0 / (past + t + 1))
                 means[n, q] += share * (abs(value) - means[n, q])
@@ -160,10 +166,10 @@ def modal_feedback(
                 phi[n, after_plays + q] = value * root
                 slope += weights[n, after_plays + q] * root
                 if carried:
-                    d, other = dm[n, q], dz[n]
-                    sign = share if value > 0 else -share
+                    d, other = dm[n * len(shares) + q], dz[n]
+                    kept, sign = np.float32(share), np.float32(share if value > 0 else -share)
                     for j in range(size):
-                        d[j] += sign * other[j] - share * d[j]
+                        d[j] += sign * other[j] - kept * d[j]
             for r in range(input_plays):
                 phi[n, after_means + r] = value * k[t, n % inputs, r]
                 slope += weights[n, after_means + r] * k[t, n % inputs, r]
@@ -173,15 +179,17 @@ def modal_feedback(
             w[n] = sum_
             if carried:
                 d, other = dw[n], dz[n]
+                a = np.float32(slope)
                 for j in range(size):
-                    d[j] = slope * other[j]
+                    d[j] = a * other[j]
                 for r in range(plays):
-                    a, other = weights[n, after_zones + r], dh[n, r]
+                    a, other = np.float32(weights[n, after_zones + r]), dh[n * plays + r]
                     for j in range(size):
                         d[j] += a * other[j]
                 for q in range(len(shares)):
                     root = np.sqrt(means[n, q] + SMALLEST_MEAN)
-                    a, other = weights[n, after_plays + q] * value * 0.5 / root, dm[n, q]
+                    a = np.float32(weights[n, after_plays + q] * value * 0.5 / root)
+                    other = dm[n * len(shares) + q]
                     for j in range(size):
                         d[j] += a * other[j]
                 for q in range(functions):
@@ -198,7 +206,7 @@ def modal_feedback(
                 for m in range(modes):
                     for c in range(2):
                         if carried:
-                            a, other = seen[o, m, c], dx[2 * m + c]
+                            a, other = np.float32(seen[o, m, c]), dx[2 * m + c]
                             for j in range(size):
                                 row[j] += a * other[j]
                         _put(row, moving + (o * modes + m) * 2 + c - low, x[m, c])
@@ -226,11 +234,12 @@ def modal_feedback(
             x[m, 0], x[m, 1] = re * x0 - im * x1 + f0, im * x0 + re * x1 + f1
             if carried:
                 d0, d1 = dx[2 * m], dx[2 * m + 1]
+                a, b = np.float32(re), np.float32(im)
                 for j in range(size):
                     s0, s1 = d0[j], d1[j]
-                    d0[j], d1[j] = re * s0 - im * s1, im * s0 + re * s1
+                    d0[j], d1[j] = a * s0 - b * s1, b * s0 + a * s1
                 for n in range(elements):
-                    a, b, other = force[m, 0, n], force[m, 1, n], dw[n]
+                    a, b, other = np.float32(force[m, 0, n]), np.float32(force[m, 1, n]), dw[n]
                     for j in range(size):
                         d0[j] += a * other[j]
                         d1[j] += b * other[j]

@@ -40,9 +40,9 @@ def play_excess(u: np.ndarray, thresholds: np.ndarray) -> np.ndarray:
 def crossover(u: np.ndarray, widths: np.ndarray, corner_hz: float, rate_hz: float) -> np.ndarray:
     """Crossover distortion of the amplifier, low-passed, from rest.
 
-    The current into a piezo actuator follows the slope of its voltage v. An output stage of class B loses some
-    of its voltage where the current changes sign, and the amplifier's loop takes back what of that lies
-    below its bandwidth ω (Self, Audio Power Amplifier Design, 2013, ch. 9):
+    The current into a piezo actuator follows the slope of its voltage v. An output stage of class B loses
+    some of its voltage where the current changes sign, and the amplifier's loop takes back what of that
+    lies below its bandwidth ω (Self, Audio Power Amplifier Design, 2013, ch. 9):
 
         v̇ = ω (u - v),   e = s/(s + ω) tanh(v̇/w)
 

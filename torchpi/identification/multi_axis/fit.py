@@ -11,10 +11,8 @@ from torchpi.stage.multi_axis.stage import MultiAxisStage
 
 STRIDE = 8
 """Every how many samples a row of slopes goes into the normal matrix; the gradient is of all samples."""
-BLOCK = 64
+BLOCK = 256
 """Tangents that are carried together."""
-LEAD_S = 0.5
-"""Before the period whose errors count, s: tangents begin there, at the earliest with the period before."""
 FIRST_DAMPING, LEAST_DAMPING = 1e-3, 1e-9
 LESS, MORE = 8.0, 5.0
 TRIALS = 8
@@ -42,7 +40,7 @@ class Period:
 class PeriodicFit:
     """Weighted mean squared error of a stage's steady state over periods, and its descent.
 
-    The stage runs through the period before, from rest.
+    The stage runs through the period before, from rest; tangents begin with it as well.
     """
 
     def __init__(self, stage: MultiAxisStage, periods: Sequence[Period]) -> None:
@@ -188,11 +186,10 @@ class PeriodicFit:
         state = stage.initial_state(1)
         y = np.zeros((len(u), stage.outputs))
         every = np.concatenate([np.zeros((counted, error.shape[1])), error])
-        first = max(counted - round(LEAD_S * stage.sample_rate_hz), 0)
         nothing = (np.zeros(0), np.zeros((0, 0)), np.zeros((0, 0, 0)))
         carried = nothing if gradient is None else (gradient, total, slopes)
         bounded = modal_feedback(
             u, self.excess[i], *stage.arrays().values(), *stage.thresholds_of_kernel(),
-            state.x[0], state.h[0], state.means[0], 0, y, first, counted, every, STRIDE, low, *carried,
+            state.x[0], state.h[0], state.means[0], 0, y, 0, counted, every, STRIDE, low, *carried,
         )  # fmt: skip
         return y if bounded and np.abs(y).max() < DIVERGED else None
