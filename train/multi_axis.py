@@ -80,20 +80,22 @@ def recordings(settings: Mapping[str, Any], config: Path) -> list[MultiAxisRecor
 
 
 def judged(stage: MultiAxisStage, every: Sequence[MultiAxisRecording]) -> list[dict[str, Any]]:
-    """The rms of the steady state's error over all outputs, µm, beside noise and motion, level by level."""
+    """The rms of the steady state's error over all outputs, µm, beside noise and motion, level by level.
+
+    It is None where the stage has no bounded answer.
+    """
     found = []
-    for level in by_amplitude(every):
-        errors = PeriodicFit(stage, periods(level)).errors() or []
-        found += [
+    for one in (one for level in by_amplitude(every) for one in level):
+        errors = PeriodicFit(stage, periods([one])).errors()
+        found.append(
             {
                 "name": one.name,
                 "input_rms_v": float(one.u.std()),
-                "rms_um": float(np.sqrt(np.mean(error**2))),
+                "rms_um": None if errors is None else float(np.sqrt(np.mean(errors[0] ** 2))),
                 "noise_rms_um": one.period[2],
                 "motion_rms_um": float(one.y.std()),
             }
-            for one, error in zip(level, errors, strict=True)
-        ]
+        )
     return found
 
 
@@ -101,7 +103,8 @@ def show(metrics: Mapping[str, Sequence[Mapping[str, Any]]]) -> None:
     """One line for each recording."""
     for part, every in metrics.items():
         for one in every:
+            error = "no bounded answer" if one["rms_um"] is None else f"{one['rms_um']:.4f} µm rms"
             print(
-                f"{part:>8}  {one['name']:<24} {one['rms_um']:.4f} µm rms, "
+                f"{part:>8}  {one['name']:<24} {error}, "
                 f"noise {one['noise_rms_um']:.4f} µm, motion {one['motion_rms_um']:.3f} µm"
             )

@@ -45,6 +45,29 @@ def test_a_saved_stage_comes_back_with_its_bits(tmp_path: Path) -> None:
     torch.testing.assert_close(MultiAxisStage.load(path).simulate(u), stage.simulate(u), rtol=0, atol=0)
 
 
+def with_amplifiers(corner_hz: float) -> MultiAxisStage:
+    """The stage of two axes, its amplifiers with crossover distortion of one width."""
+    stage = two_axes()
+    arrays = {**stage.arrays()}
+    arrays["weights"] = np.pad(arrays["weights"], ((0, 0), (0, 2)))
+    arrays["play_weights"] = np.concatenate([arrays["play_weights"], np.full((2, 2), 0.05)], 1)
+    return MultiAxisStage(1000.0, arrays, [0.1, 0.3], [0.0], [0.1, 0.5], [0.05], [100.0], corner_hz)
+
+
+def test_a_saved_stage_comes_back_with_its_amplifiers(tmp_path: Path) -> None:
+    stage, path = with_amplifiers(200.0), tmp_path / "stage.pt"
+    stage.save(path)
+    u = torch.from_numpy(multisine(np.random.default_rng(0), 300, 0.5))[None]
+    torch.testing.assert_close(MultiAxisStage.load(path).simulate(u), stage.simulate(u), rtol=0, atol=0)
+    assert (stage.simulate(u) - two_axes().simulate(u)).abs().max() > 1e-3
+
+
+@pytest.mark.parametrize("corner_hz", [0.0, np.inf])
+def test_amplifiers_without_a_bandwidth_are_refused(corner_hz: float) -> None:
+    with pytest.raises(StageError, match=f"amplifier_hz: found {corner_hz}, expected a positive number"):
+        with_amplifiers(corner_hz)
+
+
 def test_a_changed_file_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "stage.pt"
     two_axes().save(path)

@@ -40,12 +40,16 @@ class Period:
 class PeriodicFit:
     """Weighted mean squared error of a stage's steady state over periods, and its descent.
 
-    The stage runs through the period before, from rest; tangents begin with it as well.
+    The stage runs through the period before, from rest; tangents begin with it as well. Feedback that is
+    stable for some voltages may not be for others: no step is taken after which one of the `guards`,
+    voltages of a period (samples, inputs), has no bounded answer.
     """
 
-    def __init__(self, stage: MultiAxisStage, periods: Sequence[Period]) -> None:
+    def __init__(
+        self, stage: MultiAxisStage, periods: Sequence[Period], guards: Sequence[np.ndarray] = ()
+    ) -> None:
         self.stage, self.periods = stage, list(periods)
-        self.twice = [np.concatenate([one.u, one.u]) for one in periods]
+        self.twice = [np.concatenate([u, u]) for u in [*(one.u for one in periods), *guards]]
         self.excess = [stage.excess(u) for u in self.twice]
         self.damping = FIRST_DAMPING
 
@@ -75,18 +79,20 @@ class PeriodicFit:
         return np.concatenate(found)
 
     def errors(self) -> list[np.ndarray] | None:
-        """(samples, outputs) for each period, µm; None where a state leaves all bounds."""
-        errors: list[np.ndarray | None] = [None] * len(self.periods)
+        """(samples, outputs) for each period, µm; None where a state leaves all bounds, a guard's too."""
+        errors: list[np.ndarray | None] = [None] * len(self.twice)
 
         def run(first: int, last: int) -> None:
             for i in range(first, last):
                 y = self._simulated(i, 0, np.zeros((0, 0)))
                 if y is not None:
-                    left = self.periods[i].y - y[len(y) // 2 :]
+                    left = (self.periods[i].y if i < len(self.periods) else 0.0) - y[len(y) // 2 :]
                     errors[i] = left - left.mean(0)
 
-        in_threads(run, len(self.periods))
-        return None if any(error is None for error in errors) else [e for e in errors if e is not None]
+        in_threads(run, len(self.twice))
+        if any(error is None for error in errors):
+            return None
+        return [error for error in errors[: len(self.periods)] if error is not None]
 
     def cost(self, errors: Sequence[np.ndarray] | None) -> float:
         """Weighted mean squared error."""

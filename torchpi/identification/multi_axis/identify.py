@@ -28,6 +28,8 @@ ALIKE = 1.25
 QUASI_STATIC = 0.02
 """Share of the lines, the lowest, whose mean response is the static gain."""
 FIRST_WEIGHT = 0.01
+MARGIN = 1.1
+"""Of the voltages of every recording, for which the stage keeps a bounded answer."""
 FEW, NEAR = 2, 0.6
 """Recordings of a level that the fit begins with, and the share of the time for that."""
 LINEAR_STEPS, WEIGHT_STEPS, MODE_STEPS, STEPS = 25, 4, 4, 60
@@ -123,11 +125,12 @@ def identify(
 
     # The least noisy few of each level bring it near, all of them finish it.
     few = [one for level in levels for one in sorted(level, key=lambda one: one.period[2])[:FEW]]
-    fit = PeriodicFit(stage, periods(few))
+    guards = [MARGIN * one.period[0] for one in recordings]
+    fit = PeriodicFit(stage, periods(few), guards)
     fit.descend(weights, WEIGHT_STEPS)
     fit.descend([*weights, "poles", "drive"], MODE_STEPS)
     fit.descend(names, STEPS, goes_on=goes_on(NEAR))
-    fit = PeriodicFit(stage, periods(recordings))
+    fit = PeriodicFit(stage, periods(recordings), guards)
     fit.descend(names, STEPS, goes_on=goes_on(1.0))
     return stage
 
@@ -159,8 +162,8 @@ def linear_stage(
 ) -> tuple[MultiAxisStage, np.ndarray, np.ndarray]:
     """Modes alone, from the realisations of one amplitude, and the response that they were fitted to."""
     means = [one.period for one in level]
-    z, response = best_linear_approximation([u for u, _, _ in means], [y for _, y, _ in means])
-    found = modes_of(z, response, fitted_poles(z, response, modes))
+    z, response, spread = best_linear_approximation([u for u, _, _ in means], [y for _, y, _ in means])
+    found = modes_of(z, response, fitted_poles(z, response, spread, modes))
     shapes = Shapes(response.shape[1], response.shape[2], modes, 0, 0, 0)
     arrays = {name: found.get(name, np.zeros(shape)) for name, shape in parameter_shapes(shapes).items()}
     return MultiAxisStage(level[0].fs_hz, arrays), z, response
