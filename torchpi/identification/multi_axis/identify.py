@@ -28,9 +28,9 @@ ALIKE = 1.25
 QUASI_STATIC = 0.02
 """Share of the lines, the lowest, whose mean response is the static gain."""
 FIRST_WEIGHT = 0.01
-MARGIN = 1.1
+MARGIN = 1.02
 """Of the voltages of every recording, for which the stage keeps a bounded answer."""
-FEW, NEAR = 2, 0.6
+FEW, NEAR = 2, 0.45
 """Recordings of a level that the fit begins with, and the share of the time for that."""
 LINEAR_STEPS, WEIGHT_STEPS, MODE_STEPS, STEPS = 25, 4, 4, 60
 ZONES, PLAYS = (0.0, 0.5, 1.2, -0.5, -1.2), (0.03, 0.1, 0.3, 0.8, 1.6)
