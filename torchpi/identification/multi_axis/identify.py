@@ -28,11 +28,9 @@ ALIKE = 1.25
 QUASI_STATIC = 0.02
 """Share of the lines, the lowest, whose mean response is the static gain."""
 FIRST_WEIGHT = 0.01
-MARGIN = 1.02
-"""Of the voltages of every recording, for which the stage keeps a bounded answer."""
 FEW, NEAR = 2, 0.45
 """Recordings of a level that the fit begins with, and the share of the time for that."""
-LINEAR_STEPS, WEIGHT_STEPS, MODE_STEPS, STEPS = 25, 4, 4, 60
+LINEAR_STEPS, WEIGHT_STEPS, MODE_STEPS, STEPS = 12, 4, 4, 60
 ZONES, PLAYS = (0.0, 0.5, 1.2, -0.5, -1.2), (0.03, 0.1, 0.3, 0.8, 1.6)
 """Thresholds, in units of the rms of the largest input at the highest amplitude."""
 INPUT_PLAYS = (0.05, 0.15, 0.4, 1.0, 2.0)
@@ -125,7 +123,7 @@ def identify(
 
     # The least noisy few of each level bring it near, all of them finish it.
     few = [one for level in levels for one in sorted(level, key=lambda one: one.period[2])[:FEW]]
-    guards = [MARGIN * one.period[0] for one in recordings]
+    guards = [one.period[0] for one in recordings]
     fit = PeriodicFit(stage, periods(few), guards)
     fit.descend(weights, WEIGHT_STEPS)
     fit.descend([*weights, "poles", "drive"], MODE_STEPS)
