@@ -7,7 +7,6 @@ from tests.stage.two_axes import multisine, recordings, two_axes
 from torchpi.identification.multi_axis import MultiAxisOptions, identify
 from torchpi.identification.multi_axis.fit import Period, PeriodicFit
 from torchpi.identification.multi_axis.identify import linear_stage, periods
-from torchpi.identification.multi_axis.linear import fitted_poles
 
 
 def rms(stage, every) -> float:
@@ -70,15 +69,3 @@ def test_options_without_meaning_are_named() -> None:
         MultiAxisOptions(modes=0)
     with pytest.raises(ValueError, match="amplifier_hz: found -1, expected a positive number"):
         MultiAxisOptions(amplifier_hz=-1)
-
-
-def test_poles_are_found_where_there_is_little_distortion_beside_strong_resonances() -> None:
-    random = np.random.default_rng(0)
-    z = np.exp(1j * np.linspace(0.05, 2.8, 400))
-    poles = np.exp([-0.01 + 0.5j, -0.02 + 2.2j])
-    gains = np.array([1.0, 3e-3])
-    clean = sum(g / (z - p) + g / (z - p.conj()) for g, p in zip(gains, poles, strict=True))
-    spread = 1e-4 + 0.05 * np.abs(clean)[:, None] * (np.angle(z) < 1)[:, None]
-    noise = spread[:, 0] * (random.standard_normal(400) + 1j * random.standard_normal(400)) / 2
-    found = fitted_poles(z, (clean + noise)[:, None, None], spread, 3)
-    assert np.abs(found[:, None] - poles).min(0).max() < 5e-3

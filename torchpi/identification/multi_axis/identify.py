@@ -30,7 +30,7 @@ QUASI_STATIC = 0.02
 FIRST_WEIGHT = 0.01
 FEW, NEAR = 2, 0.45
 """Recordings of a level that the fit begins with, and the share of the time for that."""
-LINEAR_STEPS, WEIGHT_STEPS, MODE_STEPS, STEPS = 12, 4, 4, 60
+LINEAR_STEPS, WEIGHT_STEPS, MODE_STEPS, STEPS = 25, 4, 4, 60
 ZONES, PLAYS = (0.0, 0.5, 1.2, -0.5, -1.2), (0.03, 0.1, 0.3, 0.8, 1.6)
 """Thresholds, in units of the rms of the largest input at the highest amplitude."""
 INPUT_PLAYS = (0.05, 0.15, 0.4, 1.0, 2.0)
@@ -160,8 +160,8 @@ def linear_stage(
 ) -> tuple[MultiAxisStage, np.ndarray, np.ndarray]:
     """Modes alone, from the realisations of one amplitude, and the response that they were fitted to."""
     means = [one.period for one in level]
-    z, response, spread = best_linear_approximation([u for u, _, _ in means], [y for _, y, _ in means])
-    found = modes_of(z, response, fitted_poles(z, response, spread, modes))
+    z, response = best_linear_approximation([u for u, _, _ in means], [y for _, y, _ in means])
+    found = modes_of(z, response, fitted_poles(z, response, modes))
     shapes = Shapes(response.shape[1], response.shape[2], modes, 0, 0, 0)
     arrays = {name: found.get(name, np.zeros(shape)) for name, shape in parameter_shapes(shapes).items()}
     return MultiAxisStage(level[0].fs_hz, arrays), z, response

@@ -8,34 +8,27 @@ happens between samples is part of the fit.
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.ndimage import uniform_filter1d
 
 ITERATIONS = 20
 LEAST_DAMPING = 0.003
 """Of a mode; what is sharper is noise of single lines."""
 BROAD = ((1.0, 0.03), (0.6, 1.0), (0.005, 3.0), (0.3, 0.2), (0.5, 0.2))
 """Broad poles: frequency as a share of the highest, and damping."""
-SMALLEST = 1e-3
-"""Spread of a line, beside the largest."""
 RIDGE = 1e-12
 """Of each column's square."""
-NEIGHBOURS = 61
-"""Lines over which the distortion is averaged."""
 
 
 def best_linear_approximation(
     u: Sequence[np.ndarray], y: Sequence[np.ndarray]
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Frequency response over the realisations of one amplitude, and what it does not explain.
+) -> tuple[np.ndarray, np.ndarray]:
+    """Frequency response over the realisations of one amplitude.
 
     Args:
         u: (samples, inputs) each, whole periods; as many realisations as inputs at least.
         y: (samples, outputs) each.
 
     Returns:
-        z on the unit circle, (lines,); the response, (lines, inputs, outputs), at the excited lines; and the
-        rms of noise and distortion about it, (lines, outputs), in one unit for all, which is 1 where there
-        are as many realisations as inputs.
+        z on the unit circle, (lines,), and the response, (lines, inputs, outputs), at the excited lines.
     """
     spectra = np.stack([np.fft.rfft(one, axis=0)[1:-1] for one in u], 1)  # (lines, realisations, inputs)
     answers = np.stack([np.fft.rfft(one, axis=0)[1:-1] for one in y], 1)
@@ -45,53 +38,42 @@ def best_linear_approximation(
     across = spectra.conj().swapaxes(1, 2)
     response = np.linalg.solve(across @ spectra, across @ answers)
     z = np.exp(2j * np.pi * (1 + np.flatnonzero(excited)) / len(u[0]))
-    power = np.square(np.abs(answers - spectra @ response)).mean(1)
-    if len(u) == spectra.shape[2]:
-        return z, response, np.ones_like(power)
-    return z, response, np.sqrt(uniform_filter1d(power, min(NEIGHBOURS, len(z)), axis=0))
+    return z, response
 
 
-def fitted_poles(z: np.ndarray, response: np.ndarray, spread: np.ndarray, pairs: int) -> np.ndarray:
+def fitted_poles(z: np.ndarray, response: np.ndarray, pairs: int) -> np.ndarray:
     """(pairs,), complex, of positive imaginary part: common poles of all channels of a response.
 
     Vector fitting finds the modes in the band. A few broad ones are put beside them where there are many:
     they stand for the modes beyond it, for amplifiers and delays, and a fit to the recordings moves them.
-    Lines count by what is known of them: distortion is largest in the resonances, and would draw more than
-    one pole to each.
-
-    Args:
-        z: (lines,).
-        response: (lines, inputs, outputs).
-        spread: Rms of noise and distortion, (lines, outputs).
-        pairs: How many.
     """
-    weights = np.repeat(1 / np.maximum(spread, SMALLEST * spread.max())[:, None], response.shape[1], 1)
-    channels, weights = response.reshape(len(z), -1), weights.reshape(len(z), -1)
+    channels = response.reshape(len(z), -1)
     last = float(np.angle(z).max())
     broad = min(len(BROAD), pairs // 4)
-    poles = np.exp((-0.01 + 1j) * np.linspace(last / (pairs - broad), last, pairs - broad + 2)[1:-1])
+    spread = np.linspace(last / (pairs - broad), last, pairs - broad + 2)[1:-1]
+    poles = np.exp((-0.01 + 1j) * spread)
     for _ in range(ITERATIONS):
-        poles = _relocated(z, channels, weights, poles)
+        poles = _relocated(z, channels, poles)
     return np.concatenate([poles, [np.exp(last * (-damping + 1j) * at) for at, damping in BROAD[:broad]]])
 
 
-def _relocated(z: np.ndarray, channels: np.ndarray, weights: np.ndarray, poles: np.ndarray) -> np.ndarray:
+def _relocated(z: np.ndarray, channels: np.ndarray, poles: np.ndarray) -> np.ndarray:
     """One step of vector fitting: the zeros of the fitted weight function, reflected into the unit circle."""
     columns = partial_fractions(z, poles)
     both = np.concatenate([columns, np.ones((len(z), 1))], 1)
     kept, rows, right = both.shape[1], [], []
-    for channel, weight in zip(channels.T, weights.T, strict=True):
-        matrix = _real(weight[:, None] * np.concatenate([both, -columns * channel[:, None]], 1))
+    for channel in channels.T:
+        matrix = _real(np.concatenate([both, -columns * channel[:, None]], 1))
         scale = np.linalg.norm(matrix, axis=0)
         q, r = np.linalg.qr(matrix / scale)
         rows.append(r[kept:, kept:] * scale[kept:])
-        right.append(q[:, kept:].T @ _real((weight * channel)[:, None])[:, 0])
-    found = np.linalg.lstsq(np.concatenate(rows), np.concatenate(right), rcond=None)[0]
-    state, drive = np.zeros((len(found), len(found))), np.zeros(len(found))
+        right.append(q[:, kept:].T @ _real(channel[:, None])[:, 0])
+    weights = np.linalg.lstsq(np.concatenate(rows), np.concatenate(right), rcond=None)[0]
+    state, drive = np.zeros((len(weights), len(weights))), np.zeros(len(weights))
     for m, pole in enumerate(poles):
         state[2 * m : 2 * m + 2, 2 * m : 2 * m + 2] = [[pole.real, pole.imag], [-pole.imag, pole.real]]
         drive[2 * m] = 2.0
-    zeros = np.linalg.eigvals(state - np.outer(drive, found))
+    zeros = np.linalg.eigvals(state - np.outer(drive, weights))
     zeros = np.where(np.abs(zeros) > 1, 1 / zeros.conj(), zeros)
     limit = np.exp(-LEAST_DAMPING * np.abs(np.angle(zeros)) - 1e-4)
     zeros *= np.minimum(1, limit / np.maximum(np.abs(zeros), 1e-9))
