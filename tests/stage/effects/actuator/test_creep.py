@@ -120,7 +120,8 @@ def test_a_small_exponent_is_the_logarithm():
 def test_the_forms_in_use_are_named():
     assert Creep.form({"time_constant_s": 3.0, "exponent": 0.1}) == ""
     assert Creep.form({"per_decade": 0.01, "gain": 0.2}) == "logarithm + pole"
-    assert Creep.form({"gain": 0.01, "slow_gain": 0.02}) == "pole + slow pole"
+    assert Creep.form({"gain": 0.01, "slow_gain": 0.02}) == "two poles"
+    assert Creep.form({"gain": 0.0, "slow_gain": 0.02}) == "pole"
     assert Creep.form({"power_per_decade": 0.01}) == "power law"
 
 

@@ -19,6 +19,7 @@ growing as τ^α.
 """
 
 import math
+from collections.abc import Mapping
 from functools import lru_cache
 from itertools import pairwise
 from typing import ClassVar, NamedTuple
@@ -103,11 +104,10 @@ class Creep(StateSpaceEffect):
         "from_s": FROM_S,
         "to_s": TO_S,
     }
-    forms = ("logarithm", "pole", "slow pole", "power law")
+    forms = ("logarithm", "pole", "two poles", "power law")
     form_of: ClassVar[dict[str, str]] = {
         "per_decade": "logarithm",
         "gain": "pole",
-        "slow_gain": "slow pole",
         "power_per_decade": "power law",
     }
     kinds = ("from_s", "to_s")
@@ -124,6 +124,12 @@ class Creep(StateSpaceEffect):
     def __init__(self, sample_period_s: float, **values: float) -> None:
         super().__init__(sample_period_s, **values)
         check_order("from_s", self.from_s.item(), "to_s", self.to_s.item(), "s")
+
+    @classmethod
+    def form(cls, values: Mapping[str, float]) -> str:
+        gains = [values.get(name, 0.0) for name in ("gain", "slow_gain")]
+        named = super().form({**values, "gain": max(gains)})
+        return named.replace("pole", "two poles") if all(gains) else named
 
     def bank(self) -> Bank:
         """The poles of the logarithm and the power law."""
