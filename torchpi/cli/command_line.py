@@ -23,7 +23,13 @@ import yaml
 from torchpi.errors import ConfigError, RecordingWarning, TorchpiError
 from torchpi.files import check_yaml, read_yaml_text, reason
 
-COMPILER = "llvmlite.binding"  # Numba's way to LLVM
+UNSAFE = ("importlib._bootstrap", "llvmlite.binding")
+"""Modules at work while a library starts, or LLVM compiles: both call back into Python, and an exception from
+there may end them with a segmentation fault."""
+ENDED = {
+    signal.SIGINT: "interrupted; files already written are whole",
+    signal.SIGTERM: "terminated; files already written are whole",
+}
 INTERRUPTED, TERMINATED = 130, 143  # exit codes: 128 and the number of the signal
 
 
@@ -104,7 +110,7 @@ def run_command(command: Callable[[], Any], program: str) -> int:
     """Run `command`; an error of the user's input becomes one line on stderr, and so does a warning of a
     recording. Returns the exit code."""
     try:
-        with warnings.catch_warnings(), _signals_as_exceptions():
+        with warnings.catch_warnings(), _signals_as_exceptions(program):
             _show_in_one_line(program)
             command()
             if sys.stdout is not None:
@@ -112,11 +118,9 @@ def run_command(command: Callable[[], Any], program: str) -> int:
     except TorchpiError as error:
         return _failed(program, str(error))
     except Terminated:
-        print(f"{program}: terminated; files already written are whole", file=sys.stderr)
-        return TERMINATED
+        return _ended(program, signal.SIGTERM)
     except KeyboardInterrupt:
-        print(f"{program}: interrupted; files already written are whole", file=sys.stderr)
-        return INTERRUPTED
+        return _ended(program, signal.SIGINT)
     except BrokenPipeError:
         _discard_output()
         return 1
@@ -160,6 +164,11 @@ def _exit_at_once(code: int) -> NoReturn:
     os._exit(code)
 
 
+def _ended(program: str, number: int) -> int:
+    print(f"{program}: {ENDED[signal.Signals(number)]}", file=sys.stderr)
+    return 128 + number
+
+
 def _failed(program: str, text: str) -> int:
     print(f"{program}: error: {' '.join(text.splitlines())}", file=sys.stderr)
     return 2
@@ -179,24 +188,25 @@ class Terminated(KeyboardInterrupt):
 
 
 @contextmanager
-def _signals_as_exceptions() -> Iterator[None]:
+def _signals_as_exceptions(program: str) -> Iterator[None]:
     """Raise `Terminated` where a process would end without a word, and its workers go on; and raise again
-    what came in a place, a weak reference's callback for one, from which Python lets no exception out."""
+    what came in a place, a weak reference's callback for one, from which Python lets no exception out. Where
+    no exception is safe, end at once: workers end with this process."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
 
     def end(number: int, frame: FrameType | None) -> None:
-        if _compiles(frame):
-            _send_again(number)
-        else:
-            raise Terminated if number == signal.SIGTERM else KeyboardInterrupt
+        if _unsafe(frame):
+            _exit_at_once(_ended(program, number))
+        raise Terminated if number == signal.SIGTERM else KeyboardInterrupt
 
     def again(lost: "sys.UnraisableHookArgs") -> None:
         if not isinstance(lost.exc_value, KeyboardInterrupt):
             usual(lost)
         else:
-            _send_again(signal.SIGTERM if isinstance(lost.exc_value, Terminated) else signal.SIGINT)
+            number = signal.SIGTERM if isinstance(lost.exc_value, Terminated) else signal.SIGINT
+            threading.Timer(0.01, os.kill, (os.getpid(), number)).start()
 
     numbers = (signal.SIGINT, signal.SIGTERM)
     before, usual = [signal.signal(number, end) for number in numbers], sys.unraisablehook
@@ -209,21 +219,13 @@ def _signals_as_exceptions() -> Iterator[None]:
             signal.signal(number, handler)
 
 
-def _compiles(frame: FrameType | None) -> bool:
-    """Whether a compiler is at work: LLVM calls back into Python, and an exception from there ends it with a
-    segmentation fault."""
+def _unsafe(frame: FrameType | None) -> bool:
+    """Whether a library starts, or LLVM compiles."""
     while frame is not None:
-        if frame.f_globals.get("__name__", "").startswith(COMPILER):
+        if frame.f_globals.get("__name__", "").startswith(UNSAFE):
             return True
         frame = frame.f_back
     return False
-
-
-def _send_again(number: int) -> None:
-    """Let a signal come once more, a little later."""
-    timer = threading.Timer(0.02, os.kill, (os.getpid(), number))
-    timer.daemon = True
-    timer.start()
 
 
 def _show_in_one_line(program: str) -> None:
