@@ -159,6 +159,9 @@ def _exit_at_once(code: int) -> NoReturn:
     for stream in (sys.stdout, sys.stderr):
         with contextlib.suppress(OSError, ValueError, AttributeError):
             stream.flush()
+    # A worker that still starts would miss the semaphores that are removed next, and say so.
+    for worker in getattr(sys.modules.get("multiprocessing"), "active_children", list)():
+        worker.kill()
     if finalizers := getattr(sys.modules.get("multiprocessing.util"), "_run_finalizers", None):
         finalizers(0)  # removes semaphores, joins nothing
     os._exit(code)
