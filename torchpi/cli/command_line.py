@@ -26,10 +26,7 @@ from torchpi.files import check_yaml, read_yaml_text, reason
 UNSAFE = ("importlib._bootstrap", "llvmlite.binding")
 """Modules at work while a library starts, or LLVM compiles: both call back into Python, and an exception from
 there may end them with a segmentation fault."""
-ENDED = {
-    signal.SIGINT: "interrupted; files already written are whole",
-    signal.SIGTERM: "terminated; files already written are whole",
-}
+ENDED = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated"}
 INTERRUPTED, TERMINATED = 130, 143  # exit codes: 128 and the number of the signal
 
 
@@ -168,7 +165,8 @@ def _exit_at_once(code: int) -> NoReturn:
 
 
 def _ended(program: str, number: int) -> int:
-    print(f"{program}: {ENDED[signal.Signals(number)]}", file=sys.stderr)
+    word = ENDED[signal.Signals(number)]
+    print(f"{program}: {word}; files already written are whole", file=sys.stderr)
     return 128 + number
 
 

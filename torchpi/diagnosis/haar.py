@@ -76,6 +76,13 @@ class Haar:
     def cells(self) -> int:
         return int(self.cell[-1]) + 1
 
+    @property
+    def level_of_cell(self) -> np.ndarray:
+        """(cells,): the level of each."""
+        found = np.zeros(self.cells, dtype=int)
+        found[self.cell] = self.level
+        return found
+
     def places(self, level: int) -> tuple[int, int]:
         """Where the coefficients of a level begin and end in the full transform."""
         coarsest = -(-self.samples // 2**self.levels)

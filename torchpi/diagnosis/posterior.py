@@ -18,11 +18,11 @@ import numpy as np
 from torchpi.diagnosis.contest import ACCEPTED, PRIOR
 from torchpi.diagnosis.diagnosis import Rival
 from torchpi.diagnosis.fit import ROUGH
-from torchpi.diagnosis.hypothesis import EffectTerm, Fit, Hypothesis
+from torchpi.diagnosis.hypothesis import Fit, Hypothesis
 from torchpi.diagnosis.parallel import Job
 from torchpi.diagnosis.reduced_basis import reduced, refitted
 from torchpi.diagnosis.score import ALIKE
-from torchpi.diagnosis.search import OPERATOR, Round, Search, form, rms_of
+from torchpi.diagnosis.search import OPERATOR, Round, Search, rms_of
 
 DRAWS = 400
 RIVALS = 4
@@ -214,13 +214,8 @@ def rivals(
         found += [(CONVENTION, replace(less, alignment=a), small.weights) for a in others]
     for effect in search.effects_tried if mine else ():
         if mine and effect.name in mine.degenerate_with and effect.name not in seen | there:
-            forms: dict[tuple[str, ...], list[EffectTerm]] = {}
-            for member in search.starts:
-                if member.effect is effect:
-                    forms.setdefault(form(member), []).append(member)
-            found += [
-                (effect.name, less.plus(each[len(each) // 2]), small.weights) for each in forms.values()
-            ]
+            forms = [each for each in search.by_form() if each[0].effect is effect]
+            found += [(effect.name, less.plus(each[len(each) // 2]), small.weights) for each in forms]
     return found
 
 

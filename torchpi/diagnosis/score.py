@@ -58,7 +58,7 @@ class Weighting:
             e = haar(residual[None, : haar.samples])[0]
             n = np.bincount(haar.cell)
             mean = np.bincount(haar.cell, e**2) / n
-            own = np.array([haar.level[np.searchsorted(haar.cell, cell)] for cell in range(len(n))])
+            own = haar.level_of_cell
             noise_um2 = np.empty(len(n))
             for level in np.unique(own):
                 there = own == level
@@ -154,10 +154,8 @@ def strata_of(records: Sequence[Record]) -> np.ndarray:
     with the next finer one."""
     found, first = [], 0
     for record in records:
-        haar = record.haar
-        level = np.zeros(haar.cells, dtype=int)
-        level[haar.cell] = haar.level
-        stratum, count = np.zeros(haar.cells, dtype=int), 0
+        level = record.haar.level_of_cell
+        stratum, count = np.zeros(len(level), dtype=int), 0
         for one in sorted(np.unique(level), reverse=True):
             there = level == one
             stratum[there] = first

@@ -398,14 +398,19 @@ class Search(Timing):
             for alignment in self.alignments
         ]
 
+    def by_form(self) -> list[list[EffectTerm]]:
+        """The starts of each form of each effect."""
+        found: dict[tuple[object, ...], list[EffectTerm]] = {}
+        for member in self.starts:
+            found.setdefault((member.effect, member.aux, form(member)), []).append(member)
+        return list(found.values())
+
     def starts_by_form(self) -> list[EffectTerm]:
         """Some starts of each form of each effect."""
-        by_form: dict[tuple[object, ...], list[EffectTerm]] = {}
-        for member in self.starts:
-            by_form.setdefault((member.effect, member.aux, form(member)), []).append(member)
-        few = ({len(m) // 4, len(m) // 2, 3 * len(m) // 4} for m in by_form.values())
         return [
-            members[k] for members, places in zip(by_form.values(), few, strict=True) for k in sorted(places)
+            each[k]
+            for each in self.by_form()
+            for k in sorted({len(each) // 4, len(each) // 2, 3 * len(each) // 4})
         ]
 
     def backward(self, now: Fit) -> Fit:
