@@ -52,6 +52,9 @@ def make_trainer(options: TrainerOptions, folder: RunFolder) -> Trainer:
     for name in OWN:
         if name in (options.lightning or {}):
             raise ConfigError(f"trainer.lightning.{name}: found a value, expected none: a run has its own")
+    if (device := (options.lightning or {}).get("accelerator", "cpu")) != "cpu":
+        why = "recordings and compiled kernels stay on the CPU, where sequences in float64 are quickest"
+        raise ConfigError(f"trainer.lightning.accelerator: found {device!r}, expected 'cpu': {why}")
     for name, most in (("devices", available_cores()), ("num_nodes", MOST_NODES)):  # one process each
         given = (options.lightning or {}).get(name, 1)
         count = len(given) if isinstance(given, list) else given
@@ -60,7 +63,6 @@ def make_trainer(options: TrainerOptions, folder: RunFolder) -> Trainer:
     progress = [EpochProgress(options.max_epochs)] if options.progress else []
     settings: dict[str, Any] = dict(
         max_epochs=options.max_epochs,
-        # Sequential kernels in float64: nothing else is as quick.
         accelerator="cpu",
         devices=1,
         logger=TensorBoardLogger(

@@ -78,6 +78,7 @@ def test_settings_that_do_not_go_together(
     assert "max_stepps" in refused([*common, "--trainer.lightning={max_stepps: 3}"], capsys)
     callbacks = refused([*common, "--trainer.lightning={callbacks: [x]}"], capsys)
     assert "trainer.lightning.callbacks" in callbacks
+    assert "'gpu', expected 'cpu'" in refused([*common, "--trainer.lightning={accelerator: gpu}"], capsys)
     assert not (tmp_path / "run").exists()
 
 

@@ -10,7 +10,7 @@ and its file is plain data.
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple, Self, cast
 
 import torch
 from torch import Tensor, nn
@@ -60,7 +60,8 @@ class Stage(Operator):
 
     `forward` maps volts to the displacement, µm, without noise or converters: what training goes through.
     `stage.sensor(y)` is what the sensor makes of that. `simulate` and `stream` are the whole rig. Physical
-    parameters are `parameters()`, float64, each in the unit of its name.
+    parameters are `parameters()`, float64, each in the unit of its name; they stay on the CPU wherever the
+    stage is moved, and a voltage from another device gives a displacement there.
 
     Args:
         sample_rate_hz: Of commands and readings.
@@ -321,7 +322,8 @@ class Stage(Operator):
             if name not in (aux or {}):
                 takes = next((one.kind.name for one in self._named if one.aux == name), "simulation")
                 raise StageError(f"{takes}: found no signal '{name}', expected it beside the voltage")
-        state = self.initial_state(len(x)).to(x.device) if state is None else state
+        outside = x
+        x, state = x.cpu(), self.initial_state(len(x)) if state is None else state.cpu()
         series = self.series()
         sizes = [operator.initial_state(1).shape[1] for operator in series]
         if self.saturates:
@@ -330,11 +332,18 @@ class Stage(Operator):
         for operator, part in zip(series, state.split(sizes, 1), strict=True):
             names = self._signals.get(operator, "")
             if isinstance(names, tuple):
-                x, part = operator(x, part, [aux[name] for name in names])  # type: ignore[index]
+                x, part = operator(x, part, [aux[name].cpu() for name in names])  # type: ignore[index]
+            elif names:
+                x, part = operator(x, part, aux[names].cpu())  # type: ignore[index]
             else:
-                x, part = operator(x, part, aux[names]) if names else operator(x, part)  # type: ignore[index]
+                x, part = operator(x, part)
             after.append(part)
-        return x, torch.cat(after, 1)
+        return x.to(outside.device), torch.cat(after, 1).to(outside.device)
+
+    def _apply(self, fn: Any, recurse: bool = True) -> Self:
+        # The kernels of a stage are compiled for a CPU: its numbers stay there, whatever module has it.
+        super()._apply(lambda tensor: fn(tensor).cpu(), recurse)  # type: ignore[no-untyped-call]
+        return self
 
     def simulate(
         self,
