@@ -28,6 +28,8 @@ TOGETHER = 2.0
 """Standard errors within which two hypotheses predict alike."""
 CLEAR = 6.0
 """Standard errors by which a fit that has not ended may lose and still go on."""
+STEPS = 6
+"""Of a fit in the search."""
 HEAT = 2
 """Steps after which only what may still win goes on."""
 
@@ -55,33 +57,13 @@ class Contest:
         """Each hypothesis fitted in this process, while others begin."""
         return fit_all(self.chain, jobs, None)
 
-    def raced(self, jobs: Sequence[Job], now: Fit, kinds: Sequence[object] | None = None) -> list[Fit]:
-        """Fitted for a few steps each, and to the end where the outcome against a fit is not yet clear.
-
-        Args:
-            jobs: What is fitted.
-            now: Against which fit.
-            kinds: What each is one of several starts of: the best of a kind goes on for as long again before
-                it is given up, for the start that would have been near may not be among them.
-        """
-        fits = self.fits([(h, w, min(HEAT, steps), tolerance) for h, w, steps, tolerance in jobs], now)
-
-        def go_on(places: Sequence[int], at_most: int) -> None:
-            rest: list[Job] = [
-                (fits[k].hypothesis, fits[k].weights, min(at_most, jobs[k][2]), jobs[k][3]) for k in places
-            ]
-            for k, one in zip(places, self.fits(rest, now), strict=True):
-                fits[k] = one
-
+    def raced(self, jobs: Sequence[Job], now: Fit, heat: int = HEAT) -> list[Fit]:
+        """Fitted for a few steps each, and to the end where the outcome against a fit is not yet clear."""
+        fits = self.fits([(h, w, min(heat, steps), tolerance) for h, w, steps, tolerance in jobs], now)
         unclear = [k for k, one in enumerate(fits) if self.near(one, now)]
-        if kinds is not None:
-            best: dict[object, int] = {}
-            for k in sorted(range(len(fits)), key=lambda k: self.score(fits[k])):
-                best[kinds[k]] = k
-            again = sorted(set(best.values()) - set(unclear))
-            go_on(again, HEAT)
-            unclear += [k for k in again if self.near(fits[k], now)]
-        go_on(unclear, max((job[2] for job in jobs), default=0))
+        rest: list[Job] = [(fits[k].hypothesis, fits[k].weights, jobs[k][2], jobs[k][3]) for k in unclear]
+        for k, one in zip(unclear, self.fits(rest, now), strict=True):
+            fits[k] = one
         return fits
 
     def near(self, one: Fit, now: Fit) -> bool:

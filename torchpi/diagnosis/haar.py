@@ -121,18 +121,20 @@ class Haar:
 def _kept(rows: np.ndarray, valid: np.ndarray, levels: int, kept: np.ndarray, out: np.ndarray) -> None:
     samples = len(valid)
     size = -(-samples // 2**levels) * 2**levels
-    part, half, root = np.zeros(size), np.empty(size), 1.0 / sqrt(2.0)
+    full, root = np.empty(size), 1.0 / sqrt(2.0)
+    sums, coarser = np.zeros(size), np.empty(size // 2 + 1)
     for i in range(len(rows)):
         for t in range(samples):
-            part[t] = rows[i, t] * valid[t]
-        part[samples:] = 0.0
-        n = size
+            sums[t] = rows[i, t] * valid[t]
+        sums[samples:] = 0.0
+        n, finer, next_ = size, sums, coarser
         for _ in range(levels):
             n //= 2
             for k in range(n):
-                first, second = part[2 * k], part[2 * k + 1]
-                half[k] = (first + second) * root
-                half[n + k] = (second - first) * root
-            part[: 2 * n] = half[: 2 * n]
+                first, second = finer[2 * k], finer[2 * k + 1]
+                next_[k] = (first + second) * root
+                full[n + k] = (second - first) * root
+            finer, next_ = next_, finer
+        full[:n] = finer[:n]
         for k in range(len(kept)):
-            out[i, k] = part[kept[k]]
+            out[i, k] = full[kept[k]]

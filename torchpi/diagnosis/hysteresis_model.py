@@ -17,6 +17,7 @@ from torchpi.operators.hysteresis_rows import (
     play_sum,
     smooth,
     straight_gain,
+    sums_of_plain_plays,
     threshold_widening,
 )
 from torchpi.stage.effects.effect import DataRange
@@ -24,6 +25,8 @@ from torchpi.stage.hysteresis import IDENTITY
 
 BLOCK = 256
 """Samples whose states are mixed at a time: they stay in the cache, however many plays there are."""
+CHANGING = ("asymmetry_per_v", "incongruence_per_v", "weight_s_per_v", "threshold_s_per_v", "loop_per_e")
+"""Numbers of the shape that change what a play does; the others only say how."""
 BESIDE = (6, 14)
 """Plays beside a state of another family, spread in the logarithm and evenly."""
 FIRM = 30.0
@@ -93,6 +96,11 @@ class HysteresisModel:
         inside = self.inside(v, period_s)
         others = np.array(self.other_rows(v, inside[-3], inside[-1]) + outside).reshape(-1, len(v))
         plays = len(self.thresholds_v) * self.degree
+        if self.plain and self.reduction is not None:
+            self.plain_sums(v, self.reduction[:, :plays], rows)
+            if len(others):
+                rows += self.reduction[:, plays:] @ others
+            return
         h = np.zeros(len(self.thresholds_v))
         states = np.empty((BLOCK, self.degree, len(h)))
         for first in range(0, len(v), BLOCK):
@@ -116,13 +124,27 @@ class HysteresisModel:
         outside, v = self.of_simulation(v), shifted(v, self.late)
         plays = len(self.thresholds_v) * self.degree
         chord, up, down, widening, gain, straight, loop = self.inside(v, period_s)
-        y: np.ndarray = play_sum(
-            chord, up, down, self.thresholds_v, widening, gain, straight, loop, self.scale_v,
-            full[:plays].reshape(self.degree, -1).copy(),
-        )  # fmt: skip
+        y = np.empty(len(v))
+        if self.plain:
+            self.plain_sums(v, full[None, :plays], y[None])
+        else:
+            y = play_sum(
+                chord, up, down, self.thresholds_v, widening, gain, straight, loop, self.scale_v,
+                full[:plays].reshape(self.degree, -1).copy(),
+            )  # fmt: skip
         for weight, row in zip(full[plays:], self.other_rows(v, gain, loop) + outside, strict=True):
             y += weight * row
         return y
+
+    @property
+    def plain(self) -> bool:
+        """Whether nothing inside the hysteresis changes its plays."""
+        return not any(self.shape[name] for name in CHANGING)
+
+    def plain_sums(self, v: np.ndarray, weights: np.ndarray, y: np.ndarray) -> None:
+        """Into `y`, (sums, time): the plays with these weights, (sums, powers of plays)."""
+        each = weights.reshape(len(weights), self.degree, -1).transpose(1, 2, 0)
+        sums_of_plain_plays(v, self.thresholds_v, self.scale_v, np.ascontiguousarray(each), y)
 
     def inside(self, v: np.ndarray, period_s: float) -> tuple[np.ndarray, ...]:
         """The chord, envelopes up and down, widening of the thresholds, gains, widening of the loop."""

@@ -5,6 +5,7 @@ import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from functools import partial
+from itertools import zip_longest
 from typing import Any, TypeVar
 
 import numpy as np
@@ -20,6 +21,8 @@ from torchpi.diagnosis.sensitivity import Near
 T = TypeVar("T")
 PIECES = 2
 """In how many pieces a screen is shared out: each has to prepare the whole tangent."""
+TOGETHER = 16
+"""Members that are projected off the tangent at once, which is read once for them."""
 
 Job = tuple[Hypothesis, np.ndarray | None, int, float]
 """What is fitted, from which weights, in how many steps at most, and to which tolerance."""
@@ -60,18 +63,21 @@ def screen_all(
     chain: Chain, screens: Sequence[tuple[Fit, Sequence[EffectTerm]]], executor: Executor | None
 ) -> list[list[Candidate]]:
     """For each fit the candidates of these members on top of it, in their order."""
+    pieces = []
+    for now, members in screens:
+        groups = [members[k : k + TOGETHER] for k in range(0, len(members), TOGETHER)]
+        pieces += [(now, groups[k::PIECES]) for k in range(PIECES)] if executor else [(now, groups)]
+    here = [partial(_candidates, chain, *piece) for piece in pieces]
     if executor is None:
-        return [_candidates(chain, now, members) for now, members in screens]
+        return [[candidate for group in call() for candidate in group] for call in here]
     key, packed = chain.packed
-    pieces = [(now, members[k::PIECES]) for now, members in screens for k in range(PIECES)]
     found = shared_out(
-        executor, [(_screen_elsewhere, key, packed, chain.weighting, piece) for piece in pieces],
-        [partial(_candidates, chain, *piece) for piece in pieces],
-    )  # fmt: skip
-    together: list[list[Candidate]] = []
-    for first, (_, members) in zip(range(0, len(found), PIECES), screens, strict=True):
-        each = [iter(piece) for piece in found[first : first + PIECES]]
-        together.append([next(each[k % PIECES]) for k in range(len(members))])
+        executor, [(_screen_elsewhere, key, packed, chain.weighting, piece) for piece in pieces], here
+    )
+    together = []
+    for first in range(0, len(found), PIECES):
+        dealt = zip_longest(*found[first : first + PIECES], fillvalue=[])
+        together.append([candidate for groups in dealt for group in groups for candidate in group])
     return together
 
 
@@ -94,14 +100,14 @@ def _fit_elsewhere(key: str, packed: bytes, weighting: Weighting, job: Job, near
 
 
 def _screen_elsewhere(
-    key: str, packed: bytes, weighting: Weighting, piece: tuple[Fit, Sequence[EffectTerm]]
-) -> list[Candidate]:
+    key: str, packed: bytes, weighting: Weighting, piece: tuple[Fit, Sequence[Sequence[EffectTerm]]]
+) -> list[list[Candidate]]:
     return _candidates(_chain(key, packed, weighting), *piece)
 
 
-def _candidates(chain: Chain, now: Fit, members: Sequence[EffectTerm]) -> list[Candidate]:
+def _candidates(chain: Chain, now: Fit, groups: Sequence[Sequence[EffectTerm]]) -> list[list[Candidate]]:
     screen = Screen(chain, now)
-    return [screen.candidate(member) for member in members]
+    return [screen.candidates(members) for members in groups]
 
 
 def _chain(key: str, packed: bytes, weighting: Weighting) -> Chain:

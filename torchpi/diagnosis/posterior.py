@@ -17,12 +17,13 @@ import numpy as np
 
 from torchpi.diagnosis.contest import ACCEPTED, PRIOR
 from torchpi.diagnosis.diagnosis import Rival
+from torchpi.diagnosis.exchange import rms_of
 from torchpi.diagnosis.fit import ROUGH
 from torchpi.diagnosis.hypothesis import Fit, Hypothesis
 from torchpi.diagnosis.parallel import Job
 from torchpi.diagnosis.reduced_basis import reduced, refitted
 from torchpi.diagnosis.score import ALIKE
-from torchpi.diagnosis.search import OPERATOR, Round, Search, rms_of
+from torchpi.diagnosis.search import OPERATOR, Round, Search
 
 DRAWS = 400
 RIVALS = 4

@@ -24,13 +24,15 @@ def remanence(v: np.ndarray) -> np.ndarray:
 
 @numba.njit(cache=True)
 def _fill(v: np.ndarray, either: np.ndarray, up: np.ndarray, columns: np.ndarray) -> None:
-    highest, largest = 0.0, 0.0
+    highest, largest, past_either, past_up = 0.0, 0.0, 0, 0
     for t in range(len(v)):
         highest = max(highest, v[t] - v[0])
         largest = max(largest, abs(v[t] - v[0]))
-        for i in range(len(either)):
-            if largest < either[i]:
-                columns[i, t] = 1.0 - largest / either[i]
-        for i in range(len(up)):
-            if highest < up[i]:
-                columns[len(either) + i, t] = 1.0 - highest / up[i]
+        while past_either < len(either) and largest >= either[past_either]:
+            past_either += 1
+        while past_up < len(up) and highest >= up[past_up]:
+            past_up += 1
+        for i in range(past_either, len(either)):
+            columns[i, t] = 1.0 - largest / either[i]
+        for i in range(past_up, len(up)):
+            columns[len(either) + i, t] = 1.0 - highest / up[i]

@@ -48,21 +48,25 @@ class Screen:
         self.residual = np.concatenate([chain.whitened(i, e[None])[0] for i, e in enumerate(now.residuals)])
         first = np.cumsum([0, *(record.haar.cells for record in self.records)])
         self.cell = np.concatenate([r.haar.cell + k for r, k in zip(self.records, first, strict=False)])
-        self.inverse_sd = np.concatenate(chain.weighting.inverse_sd)
+        self.variance_um2 = 1 / np.concatenate(chain.weighting.inverse_sd) ** 2
         self.left = self.off_tangent(self.residual[None])[0]
         self.before = chain.weighting.of_squares(self.squares(self.left))
 
     def squares(self, whitened: np.ndarray) -> np.ndarray:
         """(cells,): mean squares, µm², of a whitened residual, (coefficients,)."""
-        found: np.ndarray = np.bincount(self.cell, (whitened / self.inverse_sd) ** 2)
-        found = found / self.chain.weighting.counts
-        return found
+        sums: np.ndarray = np.bincount(self.cell, whitened**2 * self.variance_um2)
+        means: np.ndarray = sums / self.chain.weighting.counts
+        return means
 
-    def candidate(self, member: EffectTerm) -> Candidate:
-        """Its gain, 0 if it moves nothing."""
-        one_sided = not (signed(member) or member.effect.hold)
-        gain = self.gain(self.off_tangent(self.directions(member)), one_sided)
-        return Candidate(member, gain)
+    def candidates(self, members: Sequence[EffectTerm]) -> list[Candidate]:
+        """Their gains, 0 where one moves nothing."""
+        directions = [self.directions(member) for member in members]
+        left = self.off_tangent(np.concatenate(directions))
+        parts = np.split(left, np.cumsum([len(each) for each in directions])[:-1])
+        return [
+            Candidate(member, self.gain(part, not (signed(member) or member.effect.hold)))
+            for member, part in zip(members, parts, strict=True)
+        ]
 
     def off_tangent(self, directions: np.ndarray) -> np.ndarray:
         """What refitting cannot absorb of directions, (directions, coefficients); 0 for rounding."""

@@ -12,8 +12,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from torchpi.diagnosis.chain import Chain
-from torchpi.diagnosis.contest import ACCEPTED, HEAT, PRIOR
+from torchpi.diagnosis.contest import ACCEPTED, HEAT, PRIOR, STEPS
 from torchpi.diagnosis.coverage import reason_to_leave_out
+from torchpi.diagnosis.exchange import Exchange, form, rms_of
 from torchpi.diagnosis.fit import FINE, ROUGH
 from torchpi.diagnosis.hypothesis import EffectTerm, Fit, Hypothesis
 from torchpi.diagnosis.hysteresis_model import HysteresisModel, bouc_wen, duhem, many_plays, plain, preisach
@@ -26,12 +27,10 @@ from torchpi.diagnosis.reduced_basis import MANY, basis, refitted
 from torchpi.diagnosis.score import Gain
 from torchpi.diagnosis.screen import Candidate, Screen, candidates_of
 from torchpi.diagnosis.stick_slip import Jump, Slips, jump, slips
-from torchpi.diagnosis.timing import Timing
 from torchpi.stage.effects import EFFECTS
 from torchpi.stage.effects.effect import Effect, Parameters
 from torchpi.stage.effects.inside import InsideEffect
 from torchpi.stage.effects.mechanics.cross_coupling import CrossCoupling
-from torchpi.stage.effects.mechanics.modal import ModalEffect
 from torchpi.stage.effects.mechanics.resonance import Resonance
 from torchpi.stage.effects.mechanics.second_mode import SecondMode
 from torchpi.stage.effects.mechanics.stiction import Stiction
@@ -41,8 +40,6 @@ FORMS, STARTS = 3, 2
 """From how many forms an effect is fitted, and all axes through a mode."""
 TRIED, FINISHED = 6, 4
 """How many effects are fitted in a round, the best of the screen; how many of these to the end."""
-STEPS = 6
-"""Of a fit in the search."""
 AXES = "resonance + cross_coupling"
 OPERATOR = "hysteresis_operator: "
 """How a larger hysteresis is called among the explanations, before its family."""
@@ -76,7 +73,7 @@ class Round:
     """The name of what was taken."""
 
 
-class Search(Timing):
+class Search(Exchange):
     """A search on given records."""
 
     def __init__(
@@ -339,80 +336,6 @@ class Search(Timing):
         ]
         return max([now, *self.fits(jobs)], key=self.score)
 
-    def swapped(self, now: Fit) -> Fit:
-        """With other forms of its effects, or what is degenerate with them, where these predict better.
-
-        What came first was taken for all that was missing then.
-        """
-        h, starts = now.hypothesis, self.starts_by_form()
-        jobs = self.of_a_simpler_kind(now)
-        there = set(h.names)
-        for member in h.members:
-            if member.effect.name in self.given or issubclass(member.effect, ModalEffect):
-                continue
-            less = h.without(member.effect.name, member.aux)
-            # Two slow effects may share what one of them in another form explains alone.
-            slow = member.effect.time_scale == "slow"
-            beside = [
-                m
-                for m in less.members
-                if m.effect.name not in self.given
-                and (alike(m, member) or (slow and m.effect.time_scale == "slow"))
-            ]
-            for other in starts:
-                same = other.effect is member.effect and other.aux == member.aux
-                if same and form(other) != form(member):
-                    jobs += [
-                        (one.plus(other), now.weights, STEPS, ROUGH)
-                        for one in (less, *(less.without(m.effect.name, m.aux) for m in beside))
-                    ]
-                elif alike(other, member) and other.effect.name not in there:
-                    jobs.append((less.plus(other), now.weights, STEPS, ROUGH))
-        kinds = [tuple((m.effect, m.aux, form(m)) for m in h.members) for h, *_ in jobs]
-        best = max(
-            [now, *(one for one in self.raced(jobs, now, kinds) if self.inside(one, now))], key=self.worth
-        )
-        if best is now:
-            return now
-        self.log(f"  as {', '.join(best.hypothesis.names)}: {rms_of(best)}")
-        return best
-
-    def of_a_simpler_kind(self, now: Fit) -> list[Job]:
-        """An effect that has fewer of the same numbers in the place of an added one: a single mode in the
-        place of a second one, for which the simulation's own gives way where it has one.
-
-        The simulation's numbers may be so wrong that a fit, or the timing, could not find the way.
-        """
-        h = now.hypothesis
-        given = [member for member in h.members if member.effect.name in self.given]
-        absent = [member for member in self.starts if member.effect.name not in h.names and not member.own]
-        kinds = {(one.effect, form(one)): one for one in (*absent, *given) if one.shared}
-        return [
-            (replace(less.plus(moved), alignment=alignment), now.weights, 2 * STEPS, ROUGH)
-            for added in h.members
-            if added not in given
-            for simple in kinds.values()
-            if simple.effect.block == added.effect.block and {*simple.shared} < {*added.shared}
-            for moved in [replace(simple, shared={name: added.shared[name] for name in simple.shared})]
-            for less in [h.without(added.effect.name, added.aux).without(simple.effect.name)]
-            for alignment in self.alignments
-        ]
-
-    def by_form(self) -> list[list[EffectTerm]]:
-        """The starts of each form of each effect."""
-        found: dict[tuple[object, ...], list[EffectTerm]] = {}
-        for member in self.starts:
-            found.setdefault((member.effect, member.aux, form(member)), []).append(member)
-        return list(found.values())
-
-    def starts_by_form(self) -> list[EffectTerm]:
-        """Some starts of each form of each effect."""
-        return [
-            each[k]
-            for each in self.by_form()
-            for k in sorted({len(each) // 4, len(each) // 2, 3 * len(each) // 4})
-        ]
-
     def backward(self, now: Fit) -> Fit:
         """Without the effects that the others have made needless."""
         while len(parts := self.parts(now)) > 1:
@@ -436,19 +359,5 @@ class Search(Timing):
         return list(dict.fromkeys((m.effect.name, m.aux) for m in members if m.effect.name not in self.given))
 
 
-def alike(one: EffectTerm, other: EffectTerm) -> bool:
-    """Whether an effect may be taken for another."""
-    return one.effect.name in other.effect.degenerate_with or (one.effect.delays and other.effect.delays)
-
-
-def form(member: EffectTerm) -> tuple[str, ...]:
-    """The numbers that are fitted tell one form of an effect from another."""
-    return tuple(sorted({*member.shared, *(n for own in member.own for n in own)}))
-
-
 def describe(one: Tried) -> str:
     return f"{one.gain.nats:.0f} ± {one.gain.sd:.0f} nats, {rms_of(one.fit)}"
-
-
-def rms_of(one: Fit) -> str:
-    return f"{one.train_rms * 1e3:.3f} nm"

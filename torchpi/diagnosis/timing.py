@@ -17,7 +17,7 @@ from torchpi.diagnosis.reduced_basis import reduced
 
 RAMP = 20_000
 """Samples of a ramp, after which what delays follows it at its constant distance."""
-STEPS = 12
+TIMED = 12
 """Of a fit whose timing is another."""
 
 
@@ -52,7 +52,7 @@ class Timing(Contest):
             m.effect.delays and m.effect.name not in self.given for m in h.members
         ):
             return now
-        (other,) = self.fits_here([(replace(h, alignment=0), now.weights, STEPS, ROUGH)])
+        (other,) = self.fits_here([(replace(h, alignment=0), now.weights, TIMED, ROUGH)])
         return other if self.as_well(other, now) and self.inside(other, now) else now
 
     def realigned(self, now: Fit) -> Fit:
@@ -85,7 +85,7 @@ class Timing(Contest):
         for effect, member in {member.effect: member for member in self.starts}.items():
             if later := effect.later(there.get(effect, {}), sample_s):
                 one = h.without(effect.name).plus(replace(member, shared=later))
-                jobs.append((replace(one, alignment=h.alignment - 1), now.weights, STEPS, ROUGH))
+                jobs.append((replace(one, alignment=h.alignment - 1), now.weights, TIMED, ROUGH))
         fits = [one for one in self.raced(jobs, now) if self.inside(one, now)]
         clear = [one for one in fits if self.over(one, now, self.prior(now, one)).probability > ACCEPTED]
         return max([now, *clear], key=self.worth)

@@ -17,6 +17,8 @@ import numpy as np
 from torchpi.operators.generalised_play import clamp_play
 
 _clamp_play: Any = numba.njit(clamp_play)
+TOGETHER = 128
+"""Samples of many sums that are written at a time: they stay in the cache."""
 
 
 def bend(v: float, asymmetry_per_v: float) -> float:
@@ -123,6 +125,81 @@ def play_sum(
             total += term[i] * x[i]
         y[t] = total
     return y
+
+
+@numba.njit(cache=True, error_model="numpy")
+def sums_of_plain_plays(
+    v: np.ndarray, r: np.ndarray, scale: float, weights: np.ndarray, y: np.ndarray
+) -> None:
+    """Into `y`, (sums, time): Σ_p Σ_i w_pis h_i (h_i / scale)^p of plays max{v - r, min{v + r, h}} from 0.
+
+    The plays that move with v are those of the smallest thresholds, and they move alike: their share is a
+    polynomial in v, whose coefficients are sums over all smaller thresholds, tabulated beforehand. A step
+    costs as much as the plays that it newly moves, not as much as there are plays.
+
+    Args:
+        v: (time,).
+        r: (plays,), ascending.
+        scale: Of the powers.
+        weights: (degree, plays, sums).
+        y: What is written.
+    """
+    degree, plays, sums = weights.shape
+    u, thresholds = v / scale, r / scale
+    tables = np.zeros((2, plays + 1, degree + 1, sums))
+    for which in range(2):
+        for i in range(plays):
+            shift = -thresholds[i] if which == 0 else thresholds[i]
+            for p in range(degree):
+                # (u + shift)^(p + 1) by the binomial theorem, the highest power of u first.
+                factor = scale
+                for j in range(p + 1, -1, -1):
+                    for s in range(sums):
+                        tables[which, i + 1, j, s] += weights[p, i, s] * factor
+                    factor *= shift * j / (p + 2 - j)
+            for j in range(degree + 1):
+                for s in range(sums):
+                    tables[which, i + 1, j, s] += tables[which, i, j, s]
+    h, still = np.zeros(plays), np.zeros(sums)
+    block, total = np.empty((TOGETHER, sums)), np.empty(sums)
+    moving, sign, before = 0, 1.0, 0.0
+    for first in range(0, len(u), TOGETHER):
+        stop = min(first + TOGETHER, len(u))
+        for t in range(first, stop):
+            now = u[t]
+            if (now - before) * sign < 0.0:
+                for i in range(moving):
+                    h[i] = before - sign * thresholds[i]
+                _polynomials(before, tables[0 if sign > 0.0 else 1, moving], total)
+                for s in range(sums):
+                    still[s] += total[s]
+                moving, sign = 0, -sign
+            while moving < plays and sign * (now - h[moving]) > thresholds[moving]:
+                state, power = h[moving], scale
+                for p in range(degree):
+                    power *= state
+                    for s in range(sums):
+                        still[s] -= weights[p, moving, s] * power
+                moving += 1
+            at = block[t - first]
+            _polynomials(now, tables[0 if sign > 0.0 else 1, moving], at)
+            for s in range(sums):
+                at[s] += still[s]
+            before = now
+        for s in range(sums):
+            for t in range(first, stop):
+                y[s, t] = block[t - first, s]
+
+
+@numba.njit(cache=True, inline="always")
+def _polynomials(x: float, coefficients: np.ndarray, y: np.ndarray) -> None:
+    """Into y, (sums,): polynomials in x, of coefficients (powers, sums), the lowest power first."""
+    highest = len(coefficients) - 1
+    for s in range(len(y)):
+        y[s] = coefficients[highest, s]
+    for j in range(highest - 1, -1, -1):
+        for s in range(len(y)):
+            y[s] = y[s] * x + coefficients[j, s]
 
 
 @numba.njit(cache=True)

@@ -1,0 +1,30 @@
+"""The states of elementary hysteresis as rows, and their sums."""
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from torchpi.operators.hysteresis_rows import play_sum, sums_of_plain_plays
+
+VOLTS = st.floats(-10, 10, allow_subnormal=False)
+
+
+@settings(max_examples=200, deadline=None)
+@given(
+    v=arrays(np.float64, st.integers(1, 60), elements=VOLTS),
+    thresholds=arrays(np.float64, st.integers(1, 8), elements=st.floats(0, 10, allow_subnormal=False)),
+    degree=st.integers(1, 5),
+    seed=st.integers(0, 99),
+)
+def test_sums_of_plain_plays_are_those_of_one_play_after_another(
+    v: np.ndarray, thresholds: np.ndarray, degree: int, seed: int
+) -> None:
+    r = np.unique(thresholds)
+    weights = np.random.default_rng(seed).standard_normal((degree, len(r), 3))
+    one, none = np.ones(len(v)), np.zeros(len(v))
+    sums = np.empty((3, len(v)))
+    sums_of_plain_plays(v, r, 10.0, weights, sums)
+    for k in range(3):
+        expected = play_sum(v, v, v, r, one, one, one, none, 10.0, weights[:, :, k].copy())
+        np.testing.assert_allclose(sums[k], expected, rtol=0, atol=1e-11)

@@ -1,0 +1,106 @@
+"""What came first was taken for all that was missing then: other forms of it, or others in its place."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+from torchpi.diagnosis.contest import HEAT, STEPS
+from torchpi.diagnosis.fit import ROUGH
+from torchpi.diagnosis.hypothesis import EffectTerm, Fit
+from torchpi.diagnosis.parallel import Job, screen_all
+from torchpi.diagnosis.timing import Timing
+from torchpi.stage.effects.mechanics.modal import ModalEffect
+
+
+class Exchange(Timing):
+    """Fits on given records, in which one effect may stand in the place of another."""
+
+    log: Callable[[str], None]
+
+    def swapped(self, now: Fit) -> Fit:
+        """With other forms of its effects, or what is degenerate with them, where these predict better.
+
+        What came first was taken for all that was missing then.
+        """
+        h, jobs = now.hypothesis, self.of_a_simpler_kind(now)
+        added = [k for k, m in enumerate(h.members) if m.effect.name not in self.given]
+        instead: dict[frozenset[int], list[EffectTerm]] = {}
+        for k in added:
+            member = h.members[k]
+            if issubclass(member.effect, ModalEffect):
+                continue
+            beside = [j for j in added if j != k and shared_out_among(h.members[j], member)]
+            for other in self.starts:
+                if other.effect is member.effect and other.aux == member.aux and form(other) != form(member):
+                    for gone in (frozenset({k}), *(frozenset({k, j}) for j in beside)):
+                        instead.setdefault(gone, []).append(other)
+                elif alike(other, member) and other.effect.name not in h.names:
+                    instead.setdefault(frozenset({k}), []).append(other)
+        without = []
+        for gone in instead:
+            less = h
+            for k in gone:
+                less = less.without(h.members[k].effect.name, h.members[k].aux)
+            without.append(less)
+        bare = self.fits([(less, now.weights, 0, ROUGH) for less in without], now)
+        screens = list(zip(bare, instead.values(), strict=True))
+        for less, screened in zip(without, screen_all(self.chain, screens, self.executor), strict=True):
+            best = {kind(c.member): c.member for c in sorted(screened, key=lambda c: c.gain)}
+            jobs += [(less.plus(member), now.weights, STEPS, ROUGH) for member in best.values()]
+        fits = self.raced(jobs, now, 2 * HEAT)
+        chosen = max([now, *(one for one in fits if self.inside(one, now))], key=self.worth)
+        if chosen is now:
+            return now
+        self.log(f"  as {', '.join(chosen.hypothesis.names)}: {rms_of(chosen)}")
+        return chosen
+
+    def of_a_simpler_kind(self, now: Fit) -> list[Job]:
+        """An effect that has fewer of the same numbers in the place of an added one: a single mode in the
+        place of a second one, for which the simulation's own gives way where it has one.
+
+        The simulation's numbers may be so wrong that a fit, or the timing, could not find the way.
+        """
+        h = now.hypothesis
+        given = [member for member in h.members if member.effect.name in self.given]
+        absent = [member for member in self.starts if member.effect.name not in h.names and not member.own]
+        kinds = {(one.effect, form(one)): one for one in (*absent, *given) if one.shared}
+        return [
+            (replace(less.plus(moved), alignment=alignment), now.weights, 2 * STEPS, ROUGH)
+            for added in h.members
+            if added not in given
+            for simple in kinds.values()
+            if simple.effect.block == added.effect.block and {*simple.shared} < {*added.shared}
+            for moved in [replace(simple, shared={name: added.shared[name] for name in simple.shared})]
+            for less in [h.without(added.effect.name, added.aux).without(simple.effect.name)]
+            for alignment in self.alignments
+        ]
+
+    def by_form(self) -> list[list[EffectTerm]]:
+        """The starts of each form of each effect."""
+        found: dict[tuple[object, ...], list[EffectTerm]] = {}
+        for member in self.starts:
+            found.setdefault(kind(member), []).append(member)
+        return list(found.values())
+
+
+def alike(one: EffectTerm, other: EffectTerm) -> bool:
+    """Whether an effect may be taken for another."""
+    return one.effect.name in other.effect.degenerate_with or (one.effect.delays and other.effect.delays)
+
+
+def shared_out_among(one: EffectTerm, other: EffectTerm) -> bool:
+    """Whether two effects may share what one of them in another form explains alone."""
+    return alike(one, other) or one.effect.time_scale == other.effect.time_scale == "slow"
+
+
+def kind(member: EffectTerm) -> tuple[object, ...]:
+    """What all starts of one form of an effect have in common."""
+    return (member.effect, member.aux, form(member))
+
+
+def form(member: EffectTerm) -> tuple[str, ...]:
+    """The numbers that are fitted tell one form of an effect from another."""
+    return tuple(sorted({*member.shared, *(n for own in member.own for n in own)}))
+
+
+def rms_of(one: Fit) -> str:
+    return f"{one.train_rms * 1e3:.3f} nm"
