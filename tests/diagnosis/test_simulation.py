@@ -1,5 +1,7 @@
 """A simulation that is given: true, it lacks nothing; with a part left out, that part is what it lacks."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -8,6 +10,8 @@ from tests.diagnosis.plants import FS_HZ, NOISE_UM, multisine, triangles
 from torchpi.diagnosis.diagnose import diagnose
 from torchpi.recordings.recording import Recording
 from torchpi.stage import Stage
+from torchpi.stage.effects.mechanics.load_change import LoadChange
+from torchpi.stage.effects.sensor.gain_modulation import GainModulation
 
 PHYSICS = {
     "sample_rate_hz": FS_HZ,
@@ -50,3 +54,13 @@ def test_what_was_taken_out_of_a_simulation_is_what_it_lacks(part: str, name: st
     found = diagnose(crime(), Stage.from_dict(less))
     assert [effect.name for effect in found.effects] == [name] and found.verdict == "explained"
     assert found.augmented.heldout_rms_um < 1.1 * NOISE_UM < 0.7 * found.nominal.heldout_rms_um
+
+
+@pytest.mark.parametrize("share", [0.003, -0.003])
+def test_a_small_change_of_load_is_found_from_a_start_far_above_it(share: float) -> None:
+    first, second = crime()
+    last = replace(second, name="c", y=second.y / (1 + share))
+    found = diagnose([first, second, last], Stage.from_dict(PHYSICS), effects=[LoadChange, GainModulation])
+    assert [effect.name for effect in found.effects] == ["load_change"] and found.verdict == "explained"
+    (ratio,) = found.effects[0].parameters
+    assert isinstance(ratio.value, float) and ratio.value == pytest.approx(share, rel=0.1)

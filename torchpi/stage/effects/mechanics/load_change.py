@@ -14,7 +14,10 @@ from torchpi.stage.effects.effect import DataRange, LinearEffect, Needs, Paramet
 
 
 class LoadChange(LinearEffect):
-    """The static gain under a load spring of k_S = `stiffness_ratio` · k_A, another in each recording."""
+    """The static gain under a load spring of k_S = `stiffness_ratio` · k_A, another in each recording.
+
+    It counts from the load that the gain stands for: below zero where a load was taken away.
+    """
 
     name = "load_change"
     block = "mechanics"
@@ -23,7 +26,7 @@ class LoadChange(LinearEffect):
     time_scale = "static"
     needs = Needs(recordings=2)
     quantities: ClassVar[dict[str, Quantity]] = {
-        "stiffness_ratio": Quantity("", at_least=0.0, at_most=10.0),
+        "stiffness_ratio": Quantity("", at_least=-0.5, at_most=10.0),
     }
     identity: ClassVar[Parameters] = {"stiffness_ratio": 0.0}
     per_recording = ("stiffness_ratio",)
