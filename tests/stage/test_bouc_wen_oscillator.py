@@ -142,9 +142,7 @@ def test_a_file_with_fields_of_another_kind_is_refused(tmp_path: Path) -> None:
         path = tmp_path / f"{number}.pt"
         one = an_oscillator()
         write_settings(path, {**one.plain(), **change}, one.SCHEMA, one.VERSION)
-        with pytest.raises(
-            ArtifactError, match="expected those of a Bouc–Wen oscillator"
-        ):
+        with pytest.raises(ArtifactError, match="expected those of a Bouc–Wen oscillator"):
             BoucWenOscillator.load(path)
 
 

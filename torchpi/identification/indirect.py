@@ -118,7 +118,7 @@ class Records:
 def fit_conventional(records: Records) -> ConventionalInverse:
     """A rate-independent model of the slow record."""
     return ConventionalInverse(
-        records.period_s, records.r, records.w, records.saturation, **records.deployment
+        records.period_s, records.r, records.w, saturation=records.saturation, **records.deployment
     )
 
 
@@ -131,7 +131,12 @@ def fit_rate_dependent(records: Records) -> RateDependentInverse:
     wanted = [records.straightened(pair) for pair in records.fast]
     b, k = np.split(records.solve(columns, wanted, records.fast, bounded=len(records.r)), 2)
     return RateDependentInverse(
-        records.period_s, records.r, k.tolist(), b.tolist(), records.saturation, **records.deployment
+        records.period_s,
+        records.r,
+        b.tolist(),
+        weight_slopes=k.tolist(),
+        saturation=records.saturation,
+        **records.deployment,
     )
 
 
@@ -165,9 +170,9 @@ def fit_time_varying_thresholds(records: Records) -> TimeVaryingThresholdInverse
     return TimeVaryingThresholdInverse(
         records.period_s,
         records.r,
-        (rho * moving).tolist(),
         w.tolist(),
-        records.saturation,
+        threshold_slopes=(rho * moving).tolist(),
+        saturation=records.saturation,
         **records.deployment,
     )
 
@@ -184,7 +189,12 @@ def fit_cascade(records: Records, order: int = 2) -> CascadedInverse:
         wanted.append(statically[0].numpy() - pair.motion.yd[0].numpy())
     lead = records.solve(columns, wanted, records.fast)
     return CascadedInverse(
-        records.period_s, records.r, records.w, lead.tolist(), records.saturation, **records.deployment
+        records.period_s,
+        records.r,
+        records.w,
+        lead=lead.tolist(),
+        saturation=records.saturation,
+        **records.deployment,
     )
 
 

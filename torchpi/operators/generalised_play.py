@@ -20,7 +20,6 @@ from torch.autograd.function import FunctionCtx, once_differentiable
 from torchpi.errors import ConfigError
 from torchpi.operators.base import Operator
 from torchpi.operators.polynomial import Polynomial, PolynomialStream
-from torchpi.operators.prandtl_ishlinskii import SumOfPlays
 
 
 def clamp_play(low: float, high: float, h: float) -> float:
@@ -137,23 +136,6 @@ class GeneralisedPlayStream(nn.Module):
         for i in range(len(self.h)):
             self.h[i] = clamp_play(rising - self.r_up[i], falling + self.r_down[i], self.h[i])
         return self.h
-
-
-class GeneralisedPrandtlIshlinskii(SumOfPlays):
-    """y(t) = Σ_i w_i h_i(t) over generalised plays; with negative weights as well a direct inverse.
-
-    Args:
-        plays: The bank.
-        weights: w, one a play; may be negative.
-
-    Raises:
-        ConfigError: Another number of weights than of plays.
-    """
-
-    plays: GeneralisedPlayBank
-
-    def __init__(self, plays: GeneralisedPlayBank, weights: list[float]) -> None:
-        super().__init__(plays, weights)
 
 
 def clamp_bank(

@@ -79,11 +79,6 @@ def read_multi_axis(
     return MultiAxisRecording(Path(path).stem, values[:, :split], values[:, split:], fs_hz, periods)
 
 
-def is_multi_axis(source: Source) -> bool:
-    """Whether an open file has numbered inputs."""
-    return any(INPUT.match(name) for name in source.names)
-
-
 def columns(source: Source, kind: re.Pattern[str], first: str) -> list[str]:
     """The numbered columns of a kind, in order.
 

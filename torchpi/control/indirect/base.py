@@ -112,11 +112,6 @@ class IndirectInverse(nn.Module):
         return torch.zeros(batch, len(self.r), dtype=torch.float64)
 
     @property
-    def inverse_thresholds(self) -> list[float]:
-        """r' at rest, µm."""
-        return inverse_numbers(self.r, self.b)[0]
-
-    @property
     def inverse_weights(self) -> list[float]:
         """w' at rest, V/µm."""
         return inverse_numbers(self.r, self.b)[1]

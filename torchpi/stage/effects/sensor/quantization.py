@@ -85,15 +85,6 @@ class Quantization(Effect):
                 return None if _is_decimal(step) else step
         return None
 
-    @classmethod
-    def lattice_offset(
-        cls,
-        readings: np.ndarray,  # (time,), µm
-        lsb_um: float,
-    ) -> float:
-        """`offset_um` of readings on a lattice of this step: from 0 to one step."""
-        return _offset(np.asarray(readings, dtype=np.float64), lsb_um)
-
 
 def _refined(gaps: np.ndarray, step: float) -> float:
     """The step for which the gaps are whole multiples, from a first guess.
