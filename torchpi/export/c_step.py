@@ -17,7 +17,6 @@ from typing import NoReturn
 from torchpi.control.step_guard import IN_DOUBLE, OUT_OF_LINE
 from torchpi.errors import ArtifactError
 from torchpi.export.parts import Function, Part, Value, own_attribute
-from torchpi.export.roll import roll
 from torchpi.operators.motion import BackwardMotionStream
 from torchpi.operators.reference_filter import ReferenceFilterStream
 
@@ -88,7 +87,6 @@ class StepInC:
         self.helpers: dict[str, str] = {}
         self.results: dict[str, list[str]] = {}
         self._keys: dict[str, object] = {REAL: REAL}
-        self._loops: dict[tuple[str, ...], dict[str, Function]] = {}
         self._returns: dict[object, tuple[str, list[str]]] = {}
         for name_ in PUBLIC_METHODS:
             self.method(part, name_)
@@ -97,7 +95,7 @@ class StepInC:
         """The C name of a part's method, and the types it returns."""
         if (part.path, name) in self._returns:
             return self._returns[part.path, name]
-        function = self.rolled(part)[name] if name in self.rolled(part) else part.method(name)
+        function = part.method(name)
         for attribute in part.states:
             self.state(part, attribute)
         public = part.path == () and name in (*PUBLIC_METHODS, "reset")
@@ -106,15 +104,6 @@ class StepInC:
             return c_name, []
         number = DOUBLE if _in_double(part) else REAL
         return self._function((part.path, name), part, function, c_name, number, method=True)
-
-    def rolled(self, part: Part) -> dict[str, Function]:
-        """All methods of a part with their loops, since a list in one of them is a list in all."""
-        if part.path not in self._loops:
-            for name in part.methods:
-                roll(part, part.method(name))
-            # Once more, because a list found in a later method changes an earlier one.
-            self._loops[part.path] = {name: roll(part, part.method(name)) for name in part.methods}
-        return self._loops[part.path]
 
     def plain(self, part: Part, caller: Function, name: str, number: str) -> tuple[str, list[str]]:
         """The C name of a plain function for numbers of one type, and the types it returns."""
@@ -276,6 +265,9 @@ class _Translation:
         match node:
             case ast.Assign(targets=[ast.Tuple(elts=targets)], value=ast.Call() as call):
                 yield from self._unpack(targets, call, indent, outermost)
+            case ast.Assign(targets=[ast.Name(id=name)], value=value) if name not in self.loaded:
+                if any(isinstance(node, ast.Call) for node in ast.walk(value)):
+                    self._refuse(node)
             case ast.Assign(targets=[target], value=value):
                 yield indent + self._assign(target, value, outermost)
             case ast.AnnAssign(target=target, value=ast.expr() as value):
@@ -336,10 +328,6 @@ class _Translation:
     def _if(
         self, test: ast.expr, body: list[ast.stmt], orelse: list[ast.stmt], indent: str, outermost: bool
     ) -> Iterator[str]:
-        name = own_attribute(test)
-        if name is not None and name not in self.part.states:  # decided by a constant
-            yield from self._block(body if self.part.value(name) else orelse, indent, outermost)
-            return
         yield f"{indent}if ({self._as(test, BOOLEAN)}) {{"
         yield from self._block(body, indent + "    ")
         if orelse:
@@ -526,12 +514,6 @@ class _Translation:
         match node:
             case ast.Attribute(value=owner, attr=name):
                 part = self._part(owner, node)
-                self.step.rolled(part)
-                for listed, elements in part.lists.items():
-                    if name in elements:
-                        name, index = listed, elements.index(name)
-                        held_by = self.step.state if name in part.states else self.step.constant
-                        return f"{held_by(part, name)}[{index}]", type_of(part, name)
                 held = part.value(name)
                 if isinstance(held, list):
                     self._refuse(node)

@@ -18,6 +18,7 @@ from torchpi.errors import ArtifactError
 from torchpi.export.deployable import Deployable
 from torchpi.export.formats import Files
 from torchpi.export.torchscript_check import METHODS, RECORDINGS_PART, check_file, check_graph
+from torchpi.export.written_out import written_out
 from torchpi.files import write_atomically
 from torchpi.operators.reference_filter import ReferenceFilter
 
@@ -61,7 +62,7 @@ def script(
     compensator: Deployable, reference_filter: ReferenceFilter | None = None
 ) -> torch.jit.ScriptModule:
     """The compensator's stream, compiled and frozen: constants inside, state kept."""
-    stream = cast(nn.Module, compensator.stream(reference_filter)).eval()
+    stream = written_out(cast(nn.Module, compensator.stream(reference_filter))).eval()
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message=".*torch.jit.*deprecated.*")
         frozen = torch.jit.freeze(torch.jit.script(stream), preserved_attrs=[*METHODS, *_ATTRIBUTES])
