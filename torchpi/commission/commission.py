@@ -159,9 +159,9 @@ def followed(
 ) -> LoopResult:
     """The motion of the held-out recording, without its noise, followed on the stage."""
     deployed = script(compensator)
-    warm(deployed)  # type: ignore[arg-type]
+    warm(deployed)
     return run_loop(
-        deployed,  # type: ignore[arg-type]
+        deployed,
         stage,
         pair.motion.yd[0, :MOST_LOOP_SAMPLES].numpy(),
         fs_hz=heldout.fs_hz,

@@ -317,7 +317,7 @@ class DirectInverseStream(GuardedStep):
         weights, decay = compensator.weights, compensator.creep_decay.tolist()
         theta = weights.theta
         super().__init__(limits)
-        self.motion: nn.Module = (
+        self.motion: Any = (
             BackwardMotionStream(compensator.sample_period_s)
             if reference_filter is None
             else reference_filter.stream()
@@ -363,7 +363,7 @@ class DirectInverseStream(GuardedStep):
     @torch.jit.export
     def reset(self) -> None:
         self.reset_guard()
-        self.motion.reset()  # type: ignore[operator]
+        self.motion.reset()
         self.last_x = self.start_um
         if self.creeps:
             for i in range(len(self.xi)):
@@ -374,7 +374,7 @@ class DirectInverseStream(GuardedStep):
     @torch.jit.export
     def step(self, yd: float) -> float:
         self.accept(yd)
-        x, rate, acceleration = self.motion.step(self.last_input)  # type: ignore[operator]
+        x, rate, acceleration = self.motion.step(self.last_input)
         if self.limits_lead:
             least_x = x + self.least_lead_um
             largest_x = x + self.largest_lead_um
@@ -407,7 +407,7 @@ class DirectInverseStream(GuardedStep):
 
     def at_rest(self, yd: float) -> float:
         # The states of a stage that has come from rest to yd and stood there, and the voltage.
-        self.motion.reset_at(yd)  # type: ignore[operator]
+        self.motion.reset_at(yd)
         self.last_x = yd
         for i in range(len(self.h)):
             self.h[i] = 0.0

@@ -115,9 +115,7 @@ def vibration(limits: DriveLimits, swing: np.ndarray, periods: int) -> np.ndarra
 
     The swing itself must leave the share FADE of the largest rate.
     """
-    seconds = max(
-        STEEPEST_EASE * np.abs(swing).max() / (FADE * limits.max_rate_v_s), 2 / limits.high_hz
-    )  # fmt: skip
+    seconds = max(STEEPEST_EASE * np.abs(swing).max() / (FADE * limits.max_rate_v_s), 2 / limits.high_hz)
     samples = math.ceil(seconds * limits.sample_rate_hz)
     risen = ease(np.arange(samples) / samples)
     before = swing[np.arange(-samples, 0) % len(swing)] * risen

@@ -182,7 +182,7 @@ def ascii_only(comment: str) -> str:
 
 def wrapped(line: str) -> str:
     """The line in lines of a width to read."""
-    indent = re.match(" *", line).group() + " " * 8  # type: ignore[union-attr]
+    indent = " " * (len(line) - len(line.lstrip(" ")) + 8)
     return "\n".join(textwrap.wrap(line, 110, subsequent_indent=indent, break_long_words=False)) or line
 
 

@@ -15,7 +15,7 @@ import numba
 import numpy as np
 import torch
 from torch import Tensor, nn
-from torch.autograd.function import FunctionCtx, once_differentiable
+from torch.autograd.function import once_differentiable
 
 from torchpi.errors import ConfigError
 from torchpi.operators.base import Operator
@@ -154,7 +154,7 @@ def clamp_bank(
 
 class _ClampBank(torch.autograd.Function):
     @staticmethod
-    def forward(ctx: FunctionCtx, low: Tensor, high: Tensor, h0: Tensor) -> Tensor:
+    def forward(ctx: Any, low: Tensor, high: Tensor, h0: Tensor) -> Tensor:
         low, high, h0 = low.contiguous(), high.contiguous(), h0.contiguous()
         h = torch.empty_like(low)
         _forward(low.detach().numpy(), high.detach().numpy(), h0.detach().numpy(), h.numpy())
@@ -163,8 +163,8 @@ class _ClampBank(torch.autograd.Function):
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: FunctionCtx, *gradients: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        low, high, h0, h = (saved.detach() for saved in ctx.saved_tensors)  # type: ignore[attr-defined]
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        low, high, h0, h = (saved.detach() for saved in ctx.saved_tensors)
         glow, ghigh, gh0 = torch.zeros_like(low), torch.zeros_like(high), torch.zeros_like(h0)
         _backward(
             low.numpy(), high.numpy(), h0.numpy(), h.numpy(), gradients[0].contiguous().numpy(),

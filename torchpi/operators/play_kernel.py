@@ -47,7 +47,7 @@ def _cut(samples: int, plays: int) -> tuple[int, int]:
 @njit
 def _forward(
     first: int, last: int, x: np.ndarray, r: np.ndarray, h0: np.ndarray, blocks: int, h: np.ndarray
-) -> None:  # fmt: skip
+) -> None:
     for task in range(first, last):
         row, block = divmod(task, blocks)
         begin, end = len(r) * block // blocks, len(r) * (block + 1) // blocks

@@ -7,6 +7,7 @@ Ang, Garmón, Khosla and Riviere, IROS 2003; Ang, Khosla and Riviere, IEEE/ASME 
 """
 
 import math
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -103,7 +104,7 @@ class WeightedPlaysStream(nn.Module):
     theta: list[float]
     basis: list[float]
 
-    def __init__(self, plays: nn.Module, b: Tensor, k: Tensor) -> None:
+    def __init__(self, plays: Any, b: Tensor, k: Tensor) -> None:
         super().__init__()
         self.plays = plays
         self.theta = torch.stack([b, k], 1).flatten().tolist()
@@ -111,12 +112,12 @@ class WeightedPlaysStream(nn.Module):
 
     @torch.jit.export
     def reset(self) -> None:
-        self.plays.reset()  # type: ignore[operator]
+        self.plays.reset()
 
     @torch.jit.export
     def step(self, x: float, rate: float, acceleration: float) -> float:
         self.basis[1] = rate
-        h: list[float] = self.plays.step(x)  # type: ignore[operator]
+        h: list[float] = self.plays.step(x)
         total = 0.0
         for i in range(len(h)):
             total += weight(self.theta, self.basis, i) * h[i]

@@ -67,7 +67,7 @@ class ReferenceFilter:
         start = -torch.stack([yr[:, 0], yr_dot[:, 0]], -1)
         decay = torch.linalg.matrix_exp(self._dynamics() * t[:, None, None])  # (time, 2, 2)
         e, e_dot = torch.einsum("tij,bj->bit", decay, start).unbind(1)
-        return Motion(yr + e, yr_dot + e_dot, yr_ddot + self._e_ddot(e, e_dot))  # type: ignore[arg-type]
+        return Motion(yr + e, yr_dot + e_dot, yr_ddot + self._e_ddot(e, e_dot))
 
     def stream(self) -> "ReferenceFilterStream":
         """`step(y_r)` returns (y_d, its rate, its acceleration); scriptable."""

@@ -152,12 +152,12 @@ class _Eager(torch.autograd.Function):
     """The same operation without the dispatcher, which costs a fifth of a pass over some thousand samples."""
 
     @staticmethod
-    def forward(ctx: Any, *inputs: Any) -> tuple[Tensor, Tensor]:  # type: ignore[override]
+    def forward(ctx: Any, *inputs: Any) -> tuple[Tensor, Tensor]:
         output = _forward(*inputs)
         _keep(ctx, inputs, output)
         return output[:2]
 
     @staticmethod
     @torch.autograd.function.once_differentiable
-    def backward(ctx: Any, gu: Tensor, gfinal: Tensor) -> tuple[Tensor | None, ...]:  # type: ignore[override]
+    def backward(ctx: Any, gu: Tensor, gfinal: Tensor) -> tuple[Tensor | None, ...]:
         return _gradients(ctx, _backward, gu, gfinal)

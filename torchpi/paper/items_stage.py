@@ -278,7 +278,7 @@ class Fig12Result:
                     ours.samples_at_limit,
                     note=f"of {len(panel.t):,}; the paper's method {paper.samples_at_limit}",
                 ),
-            ]  # fmt: skip
+            ]
         return rows
 
 

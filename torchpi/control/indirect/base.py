@@ -104,7 +104,7 @@ class IndirectInverse(nn.Module):
         yd, rate, acceleration = (part.detach().to(torch.float64).contiguous().numpy() for part in motion)
         u = np.empty_like(yd)
         numbers = [np.array(part) for part in (self.r, self.rho, self.b, self.k, self.lead, self.d, self.v)]
-        _run(yd, rate, acceleration, *numbers, *self.rates_um_s, h.numpy(), u)  # type: ignore
+        _run(yd, rate, acceleration, *numbers, *self.rates_um_s, h.numpy(), u)
         return torch.from_numpy(u), h
 
     def initial_state(self, batch: int) -> Tensor:

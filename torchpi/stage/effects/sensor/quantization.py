@@ -44,7 +44,7 @@ class Quantization(Effect):
     ) -> tuple[Tensor, Tensor]:
         y = x
         if self.lsb_um.item() != 0.0:
-            y = Quantize.apply(x, self.offset_um, self.lsb_um, -math.inf, math.inf)  # type: ignore[no-untyped-call]
+            y = Quantize.apply(x, self.offset_um, self.lsb_um, -math.inf, math.inf)
         return y, self.initial_state(len(x)) if state is None else state
 
     def stream(self) -> nn.Module:
