@@ -164,9 +164,10 @@ def play_by_selection(x: float, r: float, h: float) -> float:
     "name", ["int", "2nd", "with-dash", "_hidden", "stdio", "", "ümlaut", "motion", "reference", "squash "]
 )
 def test_a_name_that_is_none_in_c_or_taken_is_refused(name: str) -> None:
+    filter_ = ReferenceFilter(1e-4) if name == "reference" else None
+    made = corrected(1) if name == "reference" else compensator()
     with pytest.raises(ArtifactError, match="name for C: found") as error:
-        filter_ = ReferenceFilter(1e-4) if name == "reference" else None
-        c_source(corrected(1) if name == "reference" else compensator(), name, filter_)
+        c_source(made, name, filter_)
     assert "\n" not in str(error.value)
 
 

@@ -56,7 +56,7 @@ class MultiAxisRecording:
 def read_multi_axis(
     path: str | Path, options: RecordingOptions | None = None, periods: int = 1
 ) -> MultiAxisRecording:
-    """Read a file whose columns are named `input_1_v`, `input_2_v`, … and `output_1_um`, …
+    """Read a file whose columns are named `input_1_v`, `input_2_v`, … and `output_1_um`, ….
 
     Args:
         path: CSV, or any other kind with named columns.
