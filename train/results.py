@@ -15,7 +15,7 @@ from lightning.pytorch.loggers import TensorBoardLogger
 
 from torchpi.control.trained import STATE
 from torchpi.diagnosis.forward_stage import ForwardStage, identify_stage
-from torchpi.export import save_json, save_torchscript
+from torchpi.export import export_files
 from torchpi.files import config_file, write_atomically
 from torchpi.identification import inverse_errors
 from torchpi.identification.monotone import Monotone, monotone
@@ -67,9 +67,8 @@ def write_results(
         identified = forward_stage(data)
         identified.stage.save(folder.stage)
         metrics["stage"] = stage_metrics(identified)
-    save_json(model.compensator, folder.compensator.with_suffix(".json"))
-    save_torchscript(model.compensator, folder.compensator)
-    save_torchscript(model.baseline, folder.baseline)
+    export_files(model.compensator, folder.compensator.with_suffix(""))
+    export_files(model.baseline, folder.baseline.with_suffix(""), ["torchscript"])
     _write_report(folder, model, metrics)
     _log_hyper_parameters(trainer, model, metrics)
     # Last, so that a run folder with metrics is a complete one.

@@ -21,11 +21,11 @@ from torchpi.control.step_guard import GuardedStep, StepLimits, step_limits
 from torchpi.control.trained_motions import TrainedMotions
 from torchpi.errors import ArtifactError, ConfigError
 from torchpi.operators.compiled import HAS_COMPILER
-from torchpi.operators.motion import BackwardMotionStream, Motion
+from torchpi.operators.motion import Motion
 from torchpi.operators.play import PlayBank, play
 from torchpi.operators.polynomial import Polynomial
 from torchpi.operators.rate_weights import RateHead, RateWeights, squash
-from torchpi.operators.reference_filter import ReferenceFilter
+from torchpi.operators.reference_filter import ReferenceFilter, motion_stream
 from torchpi.operators.relaxations import relaxations
 from torchpi.operators.weighted_plays import weighted_plays
 from torchpi.operators.weighted_sum import weighted_sum
@@ -317,11 +317,7 @@ class DirectInverseStream(GuardedStep):
         weights, decay = compensator.weights, compensator.creep_decay.tolist()
         theta = weights.theta
         super().__init__(limits)
-        self.motion: Any = (
-            BackwardMotionStream(compensator.sample_period_s)
-            if reference_filter is None
-            else reference_filter.stream()
-        )
+        self.motion: Any = motion_stream(compensator.sample_period_s, reference_filter)
         self.has_reference_filter = reference_filter is not None
         self.sample_period_s = compensator.sample_period_s
         self.preview = compensator.preview

@@ -19,7 +19,6 @@ from torchpi.export.deployable import Deployable
 from torchpi.export.formats import Files
 from torchpi.export.torchscript_check import METHODS, RECORDINGS_PART, check_file, check_graph
 from torchpi.export.written_out import written_out
-from torchpi.files import write_atomically
 from torchpi.operators.reference_filter import ReferenceFilter
 
 MOST_PREVIEW = 1_000_000  # samples
@@ -45,17 +44,6 @@ def torchscript_files(
     # From a buffer, because a path leaves its name inside, and this one is temporary.
     content = scripted.save_to_buffer(_extra_files=extra)
     return {output.with_name(output.name + ".pt"): lambda path: path.write_bytes(content)}
-
-
-def save_torchscript(
-    compensator: Deployable,
-    path: str | Path,
-    reference_filter: ReferenceFilter | None = None,
-) -> None:
-    """Write the file to `path`."""
-    (write,) = torchscript_files(compensator, Path(path), reference_filter).values()
-    with write_atomically(path) as temporary:
-        write(temporary)
 
 
 def script(

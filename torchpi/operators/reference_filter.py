@@ -140,3 +140,10 @@ class ReferenceFilterStream(nn.Module):
             rate + self.e_dot,
             acceleration + decay_acceleration(e, self.e_dot, self.omega, self.zeta),
         )
+
+
+def motion_stream(
+    sample_period_s: float, reference_filter: ReferenceFilter | None
+) -> "BackwardMotionStream | ReferenceFilterStream":
+    """`step` gives (y_d, its rate, its acceleration): of the filter, or without one of past samples alone."""
+    return BackwardMotionStream(sample_period_s) if reference_filter is None else reference_filter.stream()

@@ -7,8 +7,8 @@ from torch import Tensor
 
 from torchpi.control.reach import reach
 from torchpi.control.step_guard import GuardedStep, StepLimits, step_limits
-from torchpi.operators.motion import BackwardMotionStream, Motion
-from torchpi.operators.reference_filter import ReferenceFilter
+from torchpi.operators.motion import Motion
+from torchpi.operators.reference_filter import ReferenceFilter, motion_stream
 
 
 class Deployment(Protocol):
@@ -35,11 +35,7 @@ class Deployed(GuardedStep):
         super().__init__(_limits(how))
         self.law = law
         self.has_reference_filter = reference_filter is not None
-        self.motion: Any = (
-            BackwardMotionStream(how.sample_period_s)
-            if reference_filter is None
-            else reference_filter.stream()
-        )
+        self.motion: Any = motion_stream(how.sample_period_s, reference_filter)
         self.sample_period_s = how.sample_period_s
         self.preview = how.preview
 
