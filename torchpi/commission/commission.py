@@ -189,7 +189,7 @@ def made(outcome: Outcome, output: Path, command: str, options: RecordingOptions
 
 @contextmanager
 def _timed(what: str, about_s: float) -> Iterator[Callable[[], str]]:
-    """Show what is done, and for about how long; yields what tells the seconds that it took."""
+    """Show what is done, and for about how long; yields what formats the seconds that it took."""
     start = time.perf_counter()
     with Console(stderr=True).status(f"{what}, about {about_s:.0f} s"):
         yield lambda: f"{time.perf_counter() - start:.0f} s"

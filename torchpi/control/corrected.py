@@ -5,7 +5,7 @@
     u_{p+1}(k) = u_p(k) + Σ_j L_p(j) e_p(k + j),   j = -before … ahead
 
 A stage that answers with its input's own rate has no stable causal inverse of the form of eq. 8; a few
-passes with a look-ahead come as near to it as is wanted (iterative learning control, Arimoto 1984, run
+passes with a look-ahead come as near to it as needed (iterative learning control, Arimoto 1984, run
 ahead of time on a model instead of from trial to trial on the stage). Everything is identified from
 recordings; with no pass it is the paper's compensator.
 """
@@ -162,14 +162,14 @@ class PassStream(nn.Module):
         super().__init__()
         self.model: Any = model
         self.taps = taps  # V/um
-        self.wanted = Line(late)
+        self.desired = Line(late)
         self.voltage = Line(ahead)
         self.errors = Line(len(taps) - 1)
 
     @torch.jit.export
     def reset(self) -> None:
         self.model.reset()
-        self.wanted.reset()
+        self.desired.reset()
         self.voltage.reset()
         self.errors.reset()
 
@@ -177,7 +177,7 @@ class PassStream(nn.Module):
     def reset_at(self, yd: float, v: float) -> float:
         """As after a long rest at yd under v; returns the voltage corrected."""
         answer: float = self.model.reset_at(v)
-        self.wanted.reset_at(yd)
+        self.desired.reset_at(yd)
         self.voltage.reset_at(v)
         self.errors.reset_at(yd - answer)
         corrected = v
@@ -188,7 +188,7 @@ class PassStream(nn.Module):
     @torch.jit.export
     def step(self, yd: float, v: float) -> float:
         answer: float = self.model.step(v)
-        self.errors.step(self.wanted.step(yd) - answer)
+        self.errors.step(self.desired.step(yd) - answer)
         corrected = self.voltage.step(v)
         for i in range(len(self.taps)):
             corrected = corrected + self.taps[i] * self.errors.past(i)

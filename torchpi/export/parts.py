@@ -111,7 +111,7 @@ class Part:
         return getattr(self.module, "scratch", ())
 
     def remark(self, name: str) -> str:
-        """What `__init__` says of an attribute, in a comment behind the assignment."""
+        """The comment behind an attribute's assignment in `__init__`."""
         return self._remarks.get(name, "")
 
     def place(self, name: str) -> int:

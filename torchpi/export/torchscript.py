@@ -90,7 +90,7 @@ def load_torchscript(path: str | Path) -> CompensatorStream:
 
 
 def trained_recordings(path: str | Path) -> str | None:
-    """`recordings_sha256` of what an exported compensator was trained on; None where it does not say.
+    """`recordings_sha256` of what an exported compensator was trained on; None where it is not known.
 
     Args:
         path: A file that `load_torchscript` has accepted.

@@ -58,19 +58,19 @@ def fit_corrections(
 
 
 def _problem(
-    compensator: CorrectedInverse, motion: Motion, wanted: Tensor, p: int, skip: int
+    compensator: CorrectedInverse, motion: Motion, target: Tensor, p: int, skip: int
 ) -> tuple[Tensor, Tensor]:
     """Errors that the filter of pass p sees, (samples, taps), and the voltage that it should add."""
     v, e = compensator.passes(motion, p)
     taps = compensator.filters.shape[1]
     errors = torch.stack([delayed(e, i)[0, skip:] for i in range(taps)], 1)
-    return errors, (wanted - delayed(v, compensator.ahead))[0, skip:]
+    return errors, (target - delayed(v, compensator.ahead))[0, skip:]
 
 
-def _ridge(columns: Tensor, wanted: Tensor) -> Tensor:
+def _ridge(columns: Tensor, target: Tensor) -> Tensor:
     size = columns.square().mean(0).sqrt()
     scaled = columns / size
     gram = scaled.T @ scaled / len(scaled)
     gram.diagonal().add_(RIDGE)
-    solution: Tensor = torch.linalg.solve(gram, scaled.T @ wanted / len(scaled)) / size
+    solution: Tensor = torch.linalg.solve(gram, scaled.T @ target / len(scaled)) / size
     return solution

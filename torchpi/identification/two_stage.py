@@ -95,12 +95,12 @@ def fit_weights(compensator: DirectInverse, pairs: Sequence[InversePair]) -> tup
         rows[:, -1] = u
         factor.absorb(rows)
         samples += len(u)
-    triangle, wanted = factor.triangle[:, :-1], factor.triangle[:, -1]
+    triangle, target = factor.triangle[:, :-1], factor.triangle[:, -1]
     size = np.linalg.norm(triangle, axis=0)
     size[size == 0] = 1.0
-    solution, _, _, singular = np.linalg.lstsq(triangle / size, wanted, rcond=DEPENDENT)
+    solution, _, _, singular = np.linalg.lstsq(triangle / size, target, rcond=DEPENDENT)
     solution = solution / size
-    rms_v = float(np.linalg.norm(triangle @ solution - wanted) / np.sqrt(samples))
+    rms_v = float(np.linalg.norm(triangle @ solution - target) / np.sqrt(samples))
     theta, _ = columns.weights(solution)
     with torch.no_grad():
         compensator.weights.theta.zero_()

@@ -1,6 +1,6 @@
 """The laws that every operator keeps, as tests to inherit.
 
-A test class says how to build its operator; the laws come with it:
+A test class defines how its operator is built; the laws come with it:
 
     class TestPrandtlIshlinskii(HysteresisLaws):
         def operator(self):

@@ -39,8 +39,8 @@ def play_bank_backward(
 
 def _cut(samples: int, plays: int) -> tuple[int, int]:
     """Stretches of a record, and the samples of one."""
-    wanted = min(max(samples * plays // 2**17, 1), 64, samples)
-    length = -(-samples // wanted)
+    count = min(max(samples * plays // 2**17, 1), 64, samples)
+    length = -(-samples // count)
     return -(-samples // length), length
 
 

@@ -48,8 +48,8 @@ class _PlayScan(torch.autograd.Function):
         previous = torch.cat([h0[:, None], h[:, :-1]], 1)
         low, high = previous <= x[..., None] - r, previous >= x[..., None] + r
         side = torch.where(low, -1.0, torch.where(high, 1.0, 0.0)).to(x.dtype)
-        # FreeParameter 0 stands for the initial state, slot t + 1 for a push by sample t.
-        slots = torch.arange(1, x.shape[1] + 1, device=x.device)[None, :, None]
-        last_push = torch.where(low | high, slots, 0).cummax(1).values
+        # 0 stands for the initial state, t + 1 for a push by sample t.
+        numbers = torch.arange(1, x.shape[1] + 1, device=x.device)[None, :, None]
+        last_push = torch.where(low | high, numbers, 0).cummax(1).values
         landed = torch.zeros_like(h0)[:, None].repeat(1, x.shape[1] + 1, 1).scatter_add_(1, last_push, gh)
         return landed[:, 1:].sum(2), (landed[:, 1:] * side).sum((0, 1)), landed[:, 0]

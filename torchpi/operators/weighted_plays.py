@@ -141,7 +141,7 @@ def _gradients(
     parts = zip(
         sums.split([part.numel() for part in parameters]), parameters, ctx.needs_input_grad[3:9], strict=True
     )
-    gradients = (part.view(like.shape) if wanted else None for part, like, wanted in parts)
+    gradients = (part.view(like.shape) if needed else None for part, like, needed in parts)
     return gx, grate if with_rate else None, gh0, *gradients, None, None
 
 

@@ -54,7 +54,7 @@ def compute_methods(context: Context) -> MethodsResult:
         }
         stage_tables.append({**methods.tracked(stage, fitted), "torchpi": of_torchpi})
     panels: dict[str, dict[str, Fig8]] = {
-        "told": context.done["fig8"].indirect,
+        "known_plant": context.done["fig8"].indirect,
         "torchpi": context.done["fig8"].direct,
     }
     for name, by_hz in panels.items():

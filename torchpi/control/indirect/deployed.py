@@ -12,7 +12,7 @@ from torchpi.operators.reference_filter import ReferenceFilter, motion_stream
 
 
 class Deployment(Protocol):
-    """What a compensator says of its own deployment."""
+    """How a compensator is deployed."""
 
     sample_period_s: float
     preview: int

@@ -32,7 +32,7 @@ from torchpi.operators.motion import Motion
 from torchpi.operators.rate_dependent_pi import RATE_STATES, OwnRateStream, own_rate
 from torchpi.operators.weighted_sum import weight, weighted_sum
 
-ROUNDING = 1e-12  # of the largest threshold: a distance that shrinks by less than this rests
+ROUNDING = 1e-12  # of the largest threshold: a distance that shrinks by less than this has not
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ class Dilation:
 def dilation(
     r: Tensor,  # (time, plays), thresholds in the order of the plays
 ) -> Dilation:
-    """Check the dilation condition, and say where it fails.
+    """Check the dilation condition, and where it fails.
 
     Raises:
         ConfigError: Thresholds that are out of order or not finite, so that there is nothing to check.
