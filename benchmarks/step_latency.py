@@ -171,9 +171,7 @@ def from_cpp(folder: Path, steps: int) -> list[Row]:
 
 
 def paper_compensator() -> DirectInverse:
-    compensator = DirectInverse(
-        1e-4, THRESHOLDS, degree=4, rate="linear", rate_scale_um_s=RATE_SCALE_UM_S
-    )  # fmt: skip
+    compensator = DirectInverse(1e-4, THRESHOLDS, degree=4, rate="linear", rate_scale_um_s=RATE_SCALE_UM_S)
     compensator.saturation.set_coefficients(torch.tensor(COEFFICIENTS, dtype=torch.float64))
     with torch.no_grad():
         compensator.weights.theta.copy_(torch.tensor([B, K], dtype=torch.float64).T)

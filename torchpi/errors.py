@@ -1,6 +1,6 @@
-"""What torchpi says when it is given something that it cannot use.
+"""Errors and warnings about input that cannot be used.
 
-Every error is one line: what was wrong, where, the value found, the value wanted, and what to do.
+Every error is one line: what was wrong, where, the value found, the value expected, and what to do.
 The commands print that line without a traceback and exit with code 2.
 """
 

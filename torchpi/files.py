@@ -103,7 +103,7 @@ def check_yaml(text: str, most_values: int = MOST_YAML_VALUES) -> None:
     """Whether settings stay small when their aliases are followed, as everything that walks them does: nine
     lists of nine aliases, each of the list before, stand for 10⁹ values.
 
-    Text that is no YAML passes: who loads it says so.
+    Text that is no YAML passes: loading it raises.
 
     Raises:
         ConfigError: They do not; begins with the line.
@@ -201,7 +201,7 @@ def _holds_files(folder: Path) -> bool:
 
 
 def reason(error: OSError) -> str:
-    """What the system says of an error, such as "no space left on device"."""
+    """The system's own text of an error, such as "no space left on device"."""
     return (error.strerror or str(error) or type(error).__name__).lower()
 
 

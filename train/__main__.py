@@ -1,3 +1,5 @@
+"""`python -m train`."""
+
 import sys
 
 from torchpi.cli.command_line import run_program

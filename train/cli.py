@@ -57,7 +57,7 @@ def fit(
     arguments: Sequence[str] | None = None,
     program: str = PROGRAM,  # as it was called, for help and provenance
 ) -> None:
-    """Do what the command line says."""
+    """Run the command line."""
     given = list(sys.argv[1:] if arguments is None else arguments)
     for own_kind in (multi_axis, oscillator):
         config = config_with(own_kind.SECTION, given)
@@ -78,7 +78,7 @@ def quieten() -> None:
         ".*does not have many workers.*",
         # One batch an epoch is what full-batch training is; we log by epoch.
         ".*The number of training batches.*is smaller than the logging interval.*",
-        # Going on from last.ckpt is what was asked for.
+        # Going on from last.ckpt was requested.
         ".*Checkpoint directory .* exists and is not empty.*",
         # Where a machine has an accelerator, the CPU is still the quickest for these kernels.
         ".*GPU available but not used.*",
@@ -86,7 +86,7 @@ def quieten() -> None:
         ".*isinstance.treespec, LeafSpec.. is deprecated.*",
         # `torchpi train` passes on what follows it.
         ".*LightningCLI's args parameter is intended to run from within Python.*",
-        # What is wrong with such a checkpoint is said in the error that follows.
+        # What is wrong with such a checkpoint is in the error that follows.
         ".*received a zip file that looks like a TorchScript archive.*",
         # TorchScript is the deployment contract, deprecated or not.
         ".*torch.jit.*is deprecated.*",
@@ -192,13 +192,13 @@ class FitCLI(LightningCLI):
     def fit(self, model: InverseTraining, datamodule: RecordingsData) -> None:
         """Read, fit, judge, write. Nothing is created before the recordings have been read and checked."""
         config = self.config.fit
-        with warnings.catch_warnings(record=True) as heard:
+        with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always", RecordingWarning)
             with _settings_in_one_line():
                 datamodule.stage = model.load_stage()
                 datamodule.load()
             model.build(datamodule)
-        console.show_data(datamodule, self.folder, [str(warning.message) for warning in heard])
+        console.show_data(datamodule, self.folder, [str(warning.message) for warning in caught])
         console.show_start(model)
         resumed = self.folder.last if self.checkpoint == "last" else self.checkpoint
         if resumed:

@@ -69,7 +69,7 @@ def show_results(metrics: Mapping[str, Any], folder: RunFolder) -> None:
     for text in metrics["how"]["on_bound"]:
         CONSOLE.print(f"Careful: {text}.", markup=False, style="yellow")
     if not metrics["how"]["monotone"]:
-        CONSOLE.print(f"Careful: {metrics['how']['monotone_says']}.", markup=False, style="yellow")
+        CONSOLE.print(f"Careful: {metrics['how']['monotone_summary']}.", markup=False, style="yellow")
     for path, what in (
         (folder.compensator, "to deploy: TorchScript; the bare numbers in compensator.json"),
         (folder.report, "the page with all figures"),

@@ -39,12 +39,12 @@ class TrainParser(Parser, LightningArgumentParser):
             raise ConfigError(f"{nested[0]}; --help lists all") from ex
         value = re.search(r'Parser key "(?P<key>[\w.]+)": .*(?:Given|Got) value: (?P<found>.*)$', text)
         if value:
-            wanted = self._wanted(value["key"])
-            raise ConfigError(f"{value['key']}: found {value['found']}, expected {wanted}") from ex
+            expected = self._expected(value["key"])
+            raise ConfigError(f"{value['key']}: found {value['found']}, expected {expected}") from ex
         super().error(re.sub(r'Parser key "([\w.]+)"', r"\1", text), ex)
 
-    def _wanted(self, key: str) -> str:
-        """The type of an option, as a reader of its help would say it."""
+    def _expected(self, key: str) -> str:
+        """The type of an option, as its help names it."""
         for action in self._actions:
             choices = getattr(action, "_name_parser_map", None) or {}
             for parser in choices.values():

@@ -15,7 +15,7 @@ from lightning.pytorch.loggers import TensorBoardLogger
 
 from torchpi.control.trained import STATE
 from torchpi.diagnosis.forward_stage import ForwardStage, identify_stage
-from torchpi.export import save_json, save_torchscript
+from torchpi.export import export_files
 from torchpi.files import config_file, write_atomically
 from torchpi.identification import inverse_errors
 from torchpi.identification.monotone import Monotone, monotone
@@ -67,9 +67,8 @@ def write_results(
         identified = forward_stage(data)
         identified.stage.save(folder.stage)
         metrics["stage"] = stage_metrics(identified)
-    save_json(model.compensator, folder.compensator.with_suffix(".json"))
-    save_torchscript(model.compensator, folder.compensator)
-    save_torchscript(model.baseline, folder.baseline)
+    export_files(model.compensator, folder.compensator.with_suffix(""))
+    export_files(model.baseline, folder.baseline.with_suffix(""), ["torchscript"])
     _write_report(folder, model, metrics)
     _log_hyper_parameters(trainer, model, metrics)
     # Last, so that a run folder with metrics is a complete one.
@@ -143,7 +142,7 @@ def how(model: InverseTraining, data: RecordingsData, best_epoch: int, epochs: i
         "baseline_zeros_um": fit_zeros(model.baseline, model.paper_split.zero),
         "epoch_chosen_by": chosen_by(model, data),
         "monotone": bool(rises := check_monotone(model)),
-        "monotone_says": str(rises),
+        "monotone_summary": str(rises),
         "best_epoch": best_epoch,
         "epochs": epochs,
     }
@@ -207,22 +206,23 @@ def _write_report(folder: RunFolder, model: InverseTraining, metrics: dict[str, 
 
 def notes(how: dict[str, Any]) -> tuple[str, ...]:
     """What a reader of the page must know of the numbers."""
-    said = [f"Held out: {', '.join(how['heldout'])}."]
-    said += [f"Careful: {text}." for text in how["on_bound"]]
+    remarks = [f"Held out: {', '.join(how['heldout'])}."]
+    remarks += [f"Careful: {text}." for text in how["on_bound"]]
     if how["selected"]:
-        said.append(f"Selected by cross-validation over what is trained on: {how['selected'][-1]['form']}.")
+        form = how["selected"][-1]["form"]
+        remarks.append(f"Selected by cross-validation over what is trained on: {form}.")
     if not how["monotone"]:
-        said.append(f"Careful: {how['monotone_says']}.")
+        remarks.append(f"Careful: {how['monotone_summary']}.")
     if how["evaluate_s"]:
-        said.append("Judged from {:g} s to {:g} s of it.".format(*how["evaluate_s"]))
+        remarks.append("Judged from {:g} s to {:g} s of it.".format(*how["evaluate_s"]))
     if how["zero_s"]:
-        said.append(
+        remarks.append(
             "The zero of its sensor is arbitrary: one number, fitted from {:g} s to {:g} s. The error is the "
             "residual of the inverse on a recording, offline; no stage tracked a motion with it.".format(
                 *how["zero_s"]
             )
         )
-    return tuple(said)
+    return tuple(remarks)
 
 
 def stage_notes(metrics: Mapping[str, Any]) -> tuple[str, ...]:

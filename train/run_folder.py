@@ -155,12 +155,12 @@ def check_continues(checkpoint: Path, compensator: DirectInverse) -> None:
         ArtifactError: Not a checkpoint, or one of something else.
         ConfigError: Of a compensator with other hyper-parameters.
     """
-    found, wanted = load_compensator(checkpoint).hyper_parameters, compensator.hyper_parameters
-    for name in wanted:
-        if found[name] != wanted[name]:
+    found, given = load_compensator(checkpoint).hyper_parameters, compensator.hyper_parameters
+    for name in given:
+        if found[name] != given[name]:
             raise ConfigError(
                 f"{checkpoint}: trained with {name} {found[name]}, but these settings and recordings make it "
-                f"{wanted[name]}; go on with those it was started with, or start a new run"
+                f"{given[name]}; go on with those it was started with, or start a new run"
             )
 
 

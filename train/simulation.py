@@ -68,7 +68,7 @@ def _record(stage: Stage, simulated: Simulated, identified: bool) -> Recording:
     )
     with torch.no_grad():
         y_true, reading = stage.simulate(torch.from_numpy(u)[None], seed=simulated.seed)
-    # Of a stage that was identified nothing is gained by blurring what it says with noise.
+    # Of a stage that was identified nothing is gained by blurring it with noise.
     y = y_true if identified else reading
     name = f"{simulated.excitation}-{simulated.seed}"
     recording = Recording(

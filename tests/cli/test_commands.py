@@ -105,9 +105,7 @@ def test_export_then_run_leaves_files_page_and_numbers(
     trajectory = tmp_path / "t.csv"
     rows = [f"{k * 1e-4:.4f},{1.5e-5 * k * k / 100:.8f}" for k in range(500)]
     trajectory.write_text("time_s,yd_um\n" + "\n".join(rows) + "\n")
-    code = torchpi(
-        monkeypatch, "run", f"{output}.pt", "--stage", STAGE, "--trajectory", str(trajectory)
-    )  # fmt: skip
+    code = torchpi(monkeypatch, "run", f"{output}.pt", "--stage", STAGE, "--trajectory", str(trajectory))
     assert code == 0
     assert (output / "loop.html").is_file() and (output / "loop.json").is_file()
     assert "without compensation" in capsys.readouterr().out

@@ -60,7 +60,7 @@ def test_every_method_has_a_row_with_all_its_numbers(results: dict[str, Any]) ->
     assert len(table) == 9
     for name, row in table.items():
         assert list(row["fig7_max_percent"]) == ["5", "10", "50", "100"]
-        if name != "told":
+        if name != "known_plant":
             for key in ("stage", "stage_with_look_ahead"):
                 assert all(0 < row[key][trajectory]["max_percent"] < 50 for trajectory in ("slow", "fast"))
     without, conventional = (table[name]["stage"]["slow"] for name in ("without", "conventional"))

@@ -10,7 +10,7 @@ import torch
 from torchpi.control.corrected import CorrectedInverse, delayed
 from torchpi.control.direct_inverse import DirectInverse
 from torchpi.errors import ConfigError
-from torchpi.export import load_torchscript, save_torchscript
+from torchpi.export import export_files, load_torchscript
 from torchpi.identification.corrections import fit_corrections
 from torchpi.operators import ReferenceFilter
 from torchpi.operators.motion import backward_motion
@@ -70,7 +70,7 @@ def test_step_block_and_batch_agree_to_the_last_bit(passes: int, filtered: bool)
 
 def test_the_exported_file_gives_the_same_numbers(tmp_path) -> None:
     made = corrected(2)
-    save_torchscript(made, tmp_path / "c.pt")
+    export_files(made, tmp_path / "c", ["torchscript"])
     loaded = load_torchscript(tmp_path / "c.pt")
     yd = voltage(5)[0]
     assert loaded.preview == made.preview

@@ -79,7 +79,7 @@ def test_the_errors_of_such_a_diagnosis_are_those_of_the_stage_that_it_leaves(
 
 
 @pytest.mark.parametrize(
-    "what, before, after",
+    ("what", "before", "after"),
     [
         ("nothing", lambda v, fs_hz: v, lambda x, fs_hz: x),
         ("creep", lambda v, fs_hz: v, lambda x, fs_hz: creep(x, fs_hz, 0.02)),

@@ -11,7 +11,7 @@ import torch
 
 from tests.export.c_compiler import needs_cc
 from tests.export.test_torchscript import compensator
-from torchpi.export import export_files, save_torchscript
+from torchpi.export import export_files
 
 EXPORTS = Path(__file__).parents[2] / "exports"
 
@@ -33,7 +33,7 @@ def voltages(command: list[str]) -> list[float]:
 
 
 def test_python_loop_runs_without_torchpi_and_gives_the_same_voltages(tmp_path: Path) -> None:
-    save_torchscript(compensator(), tmp_path / "c.pt")
+    export_files(compensator(), tmp_path / "c", ["torchscript"])
     command = [sys.executable, "-I", str(EXPORTS / "python_loop" / "loop.py"), str(tmp_path / "c.pt"), "50"]
     assert voltages(command) == expected_lines(50)
 
@@ -42,7 +42,7 @@ def test_python_loop_runs_without_torchpi_and_gives_the_same_voltages(tmp_path: 
     not (shutil.which("cmake") and shutil.which("c++")), reason="needs cmake and a C++ compiler"
 )
 def test_cpp_loop_builds_and_gives_the_same_voltages(tmp_path: Path) -> None:
-    save_torchscript(compensator(), tmp_path / "c.pt")
+    export_files(compensator(), tmp_path / "c", ["torchscript"])
     build = tmp_path / "build"
     prefix = torch.utils.cmake_prefix_path
     configure = ["cmake", "-S", str(EXPORTS / "cpp_loop"), "-B", str(build), f"-DCMAKE_PREFIX_PATH={prefix}"]

@@ -8,7 +8,7 @@ from typing import Any
 import torch
 
 from tests.control.test_direct_inverse import compensator, trajectory
-from torchpi.export import save_json
+from torchpi.export import export_files
 
 
 def by_hand(numbers: dict[str, Any], yd: list[float]) -> list[float]:
@@ -45,7 +45,7 @@ def by_hand(numbers: dict[str, Any], yd: list[float]) -> list[float]:
 
 def test_a_step_written_by_hand_from_the_json_gives_the_same_voltages(tmp_path: Path) -> None:
     made = compensator()
-    save_json(made, tmp_path / "c.json")
+    export_files(made, tmp_path / "c", ["json"])
     numbers = json.loads((tmp_path / "c.json").read_text())
     yd = trajectory(400)
     expected = made.stream().block(yd)
@@ -55,7 +55,7 @@ def test_a_step_written_by_hand_from_the_json_gives_the_same_voltages(tmp_path: 
 
 
 def test_json_is_versioned_and_has_units(tmp_path: Path) -> None:
-    save_json(compensator(), tmp_path / "c.json")
+    export_files(compensator(), tmp_path / "c", ["json"])
     numbers = json.loads((tmp_path / "c.json").read_text())
     assert numbers["schema"] == "torchpi.control.direct_inverse/1"
     assert numbers["input"] == {"signal": "desired displacement y_d", "unit": "um", "preview_samples": 3}

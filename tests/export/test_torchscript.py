@@ -10,7 +10,7 @@ import torch
 
 from torchpi.control.direct_inverse import DirectInverse
 from torchpi.errors import ArtifactError
-from torchpi.export import load_torchscript, save_torchscript
+from torchpi.export import export_files, load_torchscript
 from torchpi.operators import ReferenceFilter
 from torchpi.operators.motion import backward_motion
 
@@ -30,7 +30,7 @@ def trajectory() -> torch.Tensor:
 
 
 def test_file_has_the_contract_and_the_bits_of_the_batch(tmp_path: Path) -> None:
-    save_torchscript(compensator(), tmp_path / "c.pt")
+    export_files(compensator(), tmp_path / "c", ["torchscript"])
     loaded = load_torchscript(tmp_path / "c.pt")
     assert (loaded.sample_period_s, loaded.preview, loaded.held_inputs) == (1e-4, 2, 0)
     yd = trajectory()
@@ -41,7 +41,7 @@ def test_file_has_the_contract_and_the_bits_of_the_batch(tmp_path: Path) -> None
 
 
 def test_file_loads_without_torchpi(tmp_path: Path) -> None:
-    save_torchscript(compensator(), tmp_path / "c.pt")
+    export_files(compensator(), tmp_path / "c", ["torchscript"])
     program = (
         "import sys, warnings; warnings.simplefilter('ignore'); sys.modules['torchpi'] = None; import torch; "
         "c = torch.jit.load(sys.argv[1]); c.reset(); print(repr(c.step(1.0)), c.sample_period_s, c.preview)"
@@ -54,7 +54,7 @@ def test_file_loads_without_torchpi(tmp_path: Path) -> None:
 
 
 def test_loading_twice_gives_two_independent_states(tmp_path: Path) -> None:
-    save_torchscript(compensator(), tmp_path / "c.pt")
+    export_files(compensator(), tmp_path / "c", ["torchscript"])
     one, other = load_torchscript(tmp_path / "c.pt"), load_torchscript(tmp_path / "c.pt")
     one.step(5.0)
     assert other.step(1.0) == compensator().stream().step(1.0)
@@ -62,7 +62,7 @@ def test_loading_twice_gives_two_independent_states(tmp_path: Path) -> None:
 
 def test_exporting_leaves_the_source_alone_and_the_other_way_round(tmp_path: Path) -> None:
     made = compensator()
-    save_torchscript(made, tmp_path / "c.pt")
+    export_files(made, tmp_path / "c", ["torchscript"])
     before = load_torchscript(tmp_path / "c.pt").step(1.0)
     with torch.no_grad():
         made.weights.theta.zero_()
@@ -71,7 +71,7 @@ def test_exporting_leaves_the_source_alone_and_the_other_way_round(tmp_path: Pat
 
 def test_reference_filter_goes_inside_on_request(tmp_path: Path) -> None:
     filter_ = ReferenceFilter(1e-4)
-    save_torchscript(compensator(), tmp_path / "c.pt", filter_)
+    export_files(compensator(), tmp_path / "c", ["torchscript"], filter_)
     loaded = load_torchscript(tmp_path / "c.pt")
     assert loaded.has_reference_filter
     yr = 4 + trajectory()
@@ -80,7 +80,7 @@ def test_reference_filter_goes_inside_on_request(tmp_path: Path) -> None:
 
 def test_failed_save_leaves_the_previous_file_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "c.pt"
-    save_torchscript(compensator(), path)
+    export_files(compensator(), path.with_suffix(""), ["torchscript"])
     before = path.read_bytes()
 
     def killed(self: Path, content: bytes) -> None:
@@ -89,7 +89,7 @@ def test_failed_save_leaves_the_previous_file_whole(tmp_path: Path, monkeypatch:
 
     monkeypatch.setattr(Path, "write_bytes", killed)
     with pytest.raises(KeyboardInterrupt):
-        save_torchscript(compensator(), path)
+        export_files(compensator(), path.with_suffix(""), ["torchscript"])
     monkeypatch.undo()
     assert path.read_bytes() == before and list(tmp_path.iterdir()) == [path]
 

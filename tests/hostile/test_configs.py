@@ -104,7 +104,7 @@ CONFIGS = {
     "a seed below nothing": "seed_everything: -1",
     "a checkpoint that is a device": "ckpt_path: /dev/zero",
     "a checkpoint that is a folder": "ckpt_path: .",
-}  # fmt: skip
+}
 
 
 class TrainingBegins(BaseException):

@@ -19,7 +19,7 @@ from tests.export.test_torchscript import compensator
 from tests.hostile.sequences import compensator as trained
 from torchpi.control.trained import HASH, HYPER_PARAMETERS, STATE, load_compensator, to_checkpoint
 from torchpi.errors import ArtifactError
-from torchpi.export import load_torchscript, save_torchscript
+from torchpi.export import export_files, load_torchscript
 from torchpi.export.torchscript_check import METHODS
 
 ATTRIBUTES = {
@@ -149,7 +149,7 @@ def test_attributes_are_checked(name: str, value: object, tmp_path: Path) -> Non
 @pytest.fixture(scope="module")
 def good(tmp_path_factory: pytest.TempPathFactory) -> bytes:
     path = tmp_path_factory.mktemp("good") / "c.pt"
-    save_torchscript(compensator(), path)
+    export_files(compensator(), path.with_suffix(""), ["torchscript"])
     return path.read_bytes()
 
 
@@ -297,9 +297,9 @@ def test_equal_runs_leave_equal_bytes(tmp_path: Path) -> None:
     # In processes of their own, since torch numbers the classes that one process has compiled.
     program = (
         "import sys; from tests.hostile.sequences import compensator; "
-        "from torchpi.export import save_torchscript; save_torchscript(compensator(), sys.argv[1])"
+        "from torchpi.export import export_files; export_files(compensator(), sys.argv[1], ['torchscript'])"
     )
-    for name in ("a.pt", "b.pt"):
+    for name in ("a", "b"):
         command = [sys.executable, "-W", "ignore", "-c", program, str(tmp_path / name)]
         subprocess.run(command, check=True, cwd=Path(__file__).parents[2])
     assert (tmp_path / "a.pt").read_bytes() == (tmp_path / "b.pt").read_bytes()

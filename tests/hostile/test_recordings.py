@@ -178,7 +178,7 @@ WHOLE_FILES: dict[str, bytes] = {
     "a name with a line end": csv('time_s,input_v,"output\n_um"').encode(),
     "a format string": csv("time_s,input_v,output_%n%s{0}").encode(),
     "many aux": csv("time_s,input_v,aux_output_um").encode(),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("name", WHOLE_FILES)

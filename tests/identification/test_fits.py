@@ -72,8 +72,10 @@ def test_a_planted_grid_of_thresholds_is_found_with_thresholds_free() -> None:
     made = truth()
     [record] = pairs(made, (3000,))
     start = [1.12 * r + 0.03 * (r > 0) for r in THRESHOLDS]
-    fitted = DirectInverse(PERIOD, start, degree=2, range_um=4.0, rate_scale_um_s=100.0)
-    assert fit_saturation(fitted, [record], free_thresholds=True) < 1e-4
+    scales = {"range_um": 4.0, "rate_scale_um_s": 100.0}
+    fitted = DirectInverse(PERIOD, start, degree=2, rate="none", train_thresholds=True, **scales)
+    fit_saturation(fitted, [record])
+    assert fit_joint(fitted, [record]) < 2e-4
     # The scale of S and that of the thresholds are one number: only their ratio is in the record.
     scale = (fitted.saturation.c[0] / made.saturation.c[0]).item()
     assert (fitted.plays.r / scale).tolist() == pytest.approx(THRESHOLDS, rel=1e-2)

@@ -60,7 +60,7 @@ def test_rate_dependent_is_nearly_its_model_where_the_motion_is_mild() -> None:
 
 
 def test_time_varying_thresholds_finds_their_growth() -> None:
-    plant = TimeVaryingThresholdPI(PERIOD_S, R, [0.0, 4e-4, 4e-4, 4e-4], W)
+    plant = TimeVaryingThresholdPI(PERIOD_S, R, W, [0.0, 4e-4, 4e-4, 4e-4])
     inverse = fit_time_varying_thresholds(records(plant))
     # The plant's growth is per V/s, the compensator's per µm/s.
     rise = np.ptp(plant(torch.linspace(0, 10, 4000, dtype=torch.float64)[None])[0].detach().numpy()) / 10

@@ -19,7 +19,7 @@ from torch import nn
 from torchpi.control.direct_inverse import DirectInverse
 from torchpi.errors import ArtifactError, RecordingError, StageError
 from torchpi.excitation.trajectory import load_trajectory
-from torchpi.export import load_torchscript, save_torchscript
+from torchpi.export import export_files, load_torchscript
 from torchpi.loop import run_loop
 from torchpi.loop.result import COMPENSATED, WITHOUT, WITHOUT_LOOK_AHEAD, LoopResult, as_json
 from torchpi.operators.reference_filter import ReferenceFilter
@@ -355,8 +355,8 @@ def test_an_exported_compensator_runs_against_the_simulated_stage(tmp_path: Path
     compensator = DirectInverse(1 / FS_HZ, [0.0, 0.5], preview=1)  # the stage is 1 µm/V, a sample late
     with torch.no_grad():
         compensator.weights.theta[0, 0] = 1.0
-    save_torchscript(compensator, tmp_path / "plain.pt")
-    save_torchscript(compensator, tmp_path / "filter.pt", ReferenceFilter(1 / FS_HZ))
+    export_files(compensator, tmp_path / "plain", ["torchscript"])
+    export_files(compensator, tmp_path / "filter", ["torchscript"], ReferenceFilter(1 / FS_HZ))
     fast = load_trajectory("fast", fs_hz=FS_HZ)
     result = run_loop(
         load_torchscript(tmp_path / "plain.pt"),

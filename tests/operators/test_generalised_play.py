@@ -2,15 +2,18 @@
 
 import pytest
 import torch
+from torch import Tensor, nn
 
 from torchpi.errors import ConfigError
-from torchpi.operators import PlayBank, Polynomial
+from torchpi.operators import Operator, PlayBank, Polynomial, weighted_sum
 from torchpi.operators.conformance import HysteresisLaws, OperatorLaws, wandering
 from torchpi.operators.generalised_play import (
     GeneralisedPlayBank,
-    GeneralisedPrandtlIshlinskii,
     clamp_bank,
 )
+from torchpi.operators.rate_dependent_pi import OwnRateStream, RateDependentPIStream, WeightedPlaysStream
+
+W = torch.tensor([1.0, -0.4, 0.3], dtype=torch.float64)
 
 
 def bank() -> GeneralisedPlayBank:
@@ -24,9 +27,28 @@ class TestBank(OperatorLaws):
         return bank()
 
 
-class TestGeneralisedPrandtlIshlinskii(HysteresisLaws):
-    def operator(self) -> GeneralisedPrandtlIshlinskii:
-        return GeneralisedPrandtlIshlinskii(bank(), [1.0, -0.4, 0.3])
+class Weighted(Operator):
+    """One signal of the bank, which the laws of hysteresis are about."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.plays = bank()
+
+    def initial_state(self, batch: int) -> Tensor:
+        return self.plays.initial_state(batch)
+
+    def forward(self, x: Tensor, state: Tensor | None = None) -> tuple[Tensor, Tensor]:
+        h, state = self.plays(x, state)
+        return weighted_sum(h, torch.ones_like(x)[..., None], W[:, None].to(x.dtype)), state
+
+    def stream(self) -> nn.Module:
+        law = WeightedPlaysStream(self.plays.stream(), W, torch.zeros_like(W))
+        return RateDependentPIStream(law, OwnRateStream(1.0))
+
+
+class TestWeighted(HysteresisLaws):
+    def operator(self) -> Weighted:
+        return Weighted()
 
 
 def test_equal_envelopes_and_thresholds_are_the_play_of_eq_1_behind_the_polynomial() -> None:
@@ -72,8 +94,3 @@ def test_it_says_where_its_envelopes_cross() -> None:
 def test_impossible_thresholds_are_refused_by_name(up: list, down: list, named: str) -> None:
     with pytest.raises(ConfigError, match=named):
         GeneralisedPlayBank(up, down, [1.0], [1.0])
-
-
-def test_another_number_of_weights_is_refused() -> None:
-    with pytest.raises(ConfigError, match="weights: found 1, expected 3"):
-        GeneralisedPrandtlIshlinskii(bank(), [1.0])

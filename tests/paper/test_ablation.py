@@ -32,9 +32,9 @@ def test_every_variant_has_its_spread_over_the_seeds(stage: Stage) -> None:
             "evaluations": 4,
         },
     }
-    told: list[str] = []
-    found = ablation(stage, seeds=2, variants=variants, passes=(), told=told.append)
-    assert len(told) == 4 and found.seeds == 2 and found.fig7 == {}
+    lines: list[str] = []
+    found = ablation(stage, seeds=2, variants=variants, passes=(), log=lines.append)
+    assert len(lines) == 4 and found.seeds == 2 and found.fig7 == {}
     for spreads in found.stage.values():
         for spread in spreads.values():
             assert 0 < spread.least <= spread.mean <= spread.most

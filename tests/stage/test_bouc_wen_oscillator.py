@@ -11,8 +11,8 @@ from tests.stage.two_axes import two_axes
 from torchpi.errors import ArtifactError, StageError
 from torchpi.files import load_tensors, save_tensors
 from torchpi.operators.bouc_wen_oscillator import BETWEEN_SAMPLES
-from torchpi.stage.bouc_wen_oscillator import SCHEMA, VERSION, BoucWenOscillator
-from torchpi.stage.file import save_model
+from torchpi.stage.bouc_wen_oscillator import BoucWenOscillator
+from torchpi.stage.file import write_settings
 from torchpi.stage.kinds import load_own_kind
 from torchpi.stage.multi_axis import MultiAxisStage
 
@@ -140,8 +140,9 @@ def test_a_file_with_fields_of_another_kind_is_refused(tmp_path: Path) -> None:
         ({"parameters": 5}, {"parameters": {**PARAMETERS._asdict(), "mass_kg": "x"}})
     ):
         path = tmp_path / f"{number}.pt"
-        save_model(path, SCHEMA, VERSION, {**an_oscillator().plain(), **change})
-        with pytest.raises(ArtifactError, match="fields of another kind, expected those of an oscillator"):
+        one = an_oscillator()
+        write_settings(path, {**one.plain(), **change}, one.SCHEMA, one.VERSION)
+        with pytest.raises(ArtifactError, match="expected those of a Bouc–Wen oscillator"):
             BoucWenOscillator.load(path)
 
 

@@ -354,7 +354,7 @@ def test_another_file_is_refused_in_one_line(tmp_path: Path) -> None:
     with pytest.raises(ArtifactError, match="something else"):
         Stage.load(tmp_path / "other.pt")
     torch.save({"schema": "torchpi augmented stage", "version": 1, "alignment": 1}, tmp_path / "older.pt")
-    with pytest.raises(ArtifactError, match="found version 1, expected 2: diagnose the recordings again"):
+    with pytest.raises(ArtifactError, match="found version 1, expected 2: identify the stage again"):
         Stage.load(tmp_path / "older.pt")
     plain = {"schema": "torchpi stage", "version": 2}
     damaged = [{}, {"sample_rate_hz": RATE_HZ, "hysteresis": {"plays": 3}}]

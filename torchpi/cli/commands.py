@@ -23,12 +23,12 @@ DESCRIPTION = """Makes piezo stages go where they are told.
   3. torchpi export            makes a file of it for a controller
   4. torchpi run               tries that file in a control loop against the simulated stage
 
-  torchpi commission           does all of that for recordings of yours, and says how well it will track
+  torchpi commission           does all of that for recordings of yours, and predicts how well it will track
 
   torchpi check                shows what recordings hold, and the options to read them by
-  torchpi diagnose             says what physics the simulation lacks, and models it
+  torchpi diagnose             names the physics that the simulation lacks, and models it
   torchpi predict              simulates what a diagnosis left behind
-  torchpi excite               writes the recordings' voltages that a diagnosis wants
+  torchpi excite               writes the recordings' voltages that a diagnosis needs
 
   torchpi reproduce            runs the whole paper (Qin et al. 2013), and shows what torchpi does better
 """
@@ -196,7 +196,7 @@ def export(
         f"every {compensator.sample_period_s:g} s:"
     )
     if card.monotone is None:
-        print(f"Careful: {card.monotone_summary}, so nothing says whether it runs backwards; train it again.")
+        print(f"Careful: {card.monotone_summary}: it may run backwards; train it again.")
     for file in files:
         print(file)
 
@@ -322,7 +322,7 @@ def commission(
         recordings: Two or more of one stage, at the sample rate of the control loop, first sample
             de-energised.
         output: Folder for the results.
-        max_slew_v_s: Rate of the voltage that your amplifier bears, V/s: the page says where it is met.
+        max_slew_v_s: Rate of the voltage that your amplifier bears, V/s: the page shows where it is met.
         reading: How the files are read.
     """
     options = RecordingOptions(**reading)

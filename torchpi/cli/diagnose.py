@@ -28,7 +28,7 @@ def diagnose_files(
 ) -> Diagnosis:
     """Read, diagnose, and write the report, the JSON, the stage, the next excitation and the figures.
 
-    Arguments are those of `torchpi diagnose`; `command` is what was typed, `options` says
+    Arguments are those of `torchpi diagnose`; `command` is what was typed, `options` has
     how the files are read. Nothing is written before all is
     known.
 
@@ -51,14 +51,14 @@ def diagnose_files(
     ]
     started = time.monotonic()
 
-    def say(sentence: str) -> None:
+    def log(sentence: str) -> None:
         print(f"{time.monotonic() - started:6.1f} s  {sentence}")
 
     for recording in recordings:
-        say(f"{recording.source}: {len(recording):,} samples at {recording.fs_hz:g} Hz")
+        log(f"{recording.source}: {len(recording):,} samples at {recording.fs_hz:g} Hz")
     with worker_pool(get_ready) if executor == "processes" else nullcontext() as pool:
-        found = diagnose(recordings, given, say=say, executor=pool)
-    say("report: figures and page")
+        found = diagnose(recordings, given, say=log, executor=pool)
+    log("report: figures and page")
     files = {f"recording {recording.name}": recording.source for recording in recordings}
     if isinstance(given, Simulator) and given.source:
         files[f"simulation {given.reference}"] = given.source
@@ -68,7 +68,7 @@ def diagnose_files(
     found.stage.save(output / "stage.pt")
     shutil.rmtree(output / "tensorboard", ignore_errors=True)
     write_tensorboard(found, output)
-    say("done")
+    log("done")
     print(f"\n{found.says}\n")
     for what, path in (
         ("the page", page), ("the same in numbers", numbers), ("the augmented stage", output / "stage.pt"),

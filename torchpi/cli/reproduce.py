@@ -76,10 +76,10 @@ def reproduce(
             done[name], seconds[name] = found
         return found is not None
 
-    wanted = list(_with_needs(names))
+    items = list(_with_needs(names))
     with _progress() as progress:
-        task = progress.add_task("", total=len(wanted))
-        for name in wanted:
+        task = progress.add_task("", total=len(items))
+        for name in items:
             progress.update(task, description=name)
             if not take(name):
                 start = time.perf_counter()

@@ -159,9 +159,9 @@ def followed(
 ) -> LoopResult:
     """The motion of the held-out recording, without its noise, followed on the stage."""
     deployed = script(compensator)
-    warm(deployed)  # type: ignore[arg-type]
+    warm(deployed)
     return run_loop(
-        deployed,  # type: ignore[arg-type]
+        deployed,
         stage,
         pair.motion.yd[0, :MOST_LOOP_SAMPLES].numpy(),
         fs_hz=heldout.fs_hz,
@@ -189,7 +189,7 @@ def made(outcome: Outcome, output: Path, command: str, options: RecordingOptions
 
 @contextmanager
 def _timed(what: str, about_s: float) -> Iterator[Callable[[], str]]:
-    """Show what is done, and for about how long; yields what tells the seconds that it took."""
+    """Show what is done, and for about how long; yields what formats the seconds that it took."""
     start = time.perf_counter()
     with Console(stderr=True).status(f"{what}, about {about_s:.0f} s"):
         yield lambda: f"{time.perf_counter() - start:.0f} s"

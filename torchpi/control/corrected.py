@@ -5,12 +5,13 @@
     u_{p+1}(k) = u_p(k) + Σ_j L_p(j) e_p(k + j),   j = -before … ahead
 
 A stage that answers with its input's own rate has no stable causal inverse of the form of eq. 8; a few
-passes with a look-ahead come as near to it as is wanted (iterative learning control, Arimoto 1984, run
+passes with a look-ahead come as near to it as needed (iterative learning control, Arimoto 1984, run
 ahead of time on a model instead of from trial to trial on the stage). Everything is identified from
 recordings; with no pass it is the paper's compensator.
 """
 
 from dataclasses import replace
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -117,9 +118,9 @@ class CorrectedStream(GuardedStep):
         self.preview = compensator.preview
         self.has_reference_filter = reference_filter is not None
         self.reference = Reference(compensator.sample_period_s, reference_filter)
-        self.inverse: nn.Module = compensator.inverse.stream()  # type: ignore[assignment]
+        self.inverse: Any = compensator.inverse.stream()
         lates = [compensator.inverse.preview + p * compensator.ahead for p in range(len(compensator.filters))]
-        self.passes = nn.ModuleList(
+        self.passes: Any = nn.ModuleList(
             [
                 PassStream(compensator.model.stream(), taps.tolist(), compensator.ahead, late)
                 for taps, late in zip(compensator.filters, lates, strict=True)
@@ -130,25 +131,25 @@ class CorrectedStream(GuardedStep):
     def reset(self) -> None:
         self.reset_guard()
         self.reference.reset()
-        self.inverse.reset()  # type: ignore[operator]
+        self.inverse.reset()
         for one in self.passes:
-            one.reset()  # type: ignore[operator]
+            one.reset()
 
     @torch.jit.export
     def step(self, yd: float) -> float:
         self.accept(yd)
         x = self.reference.step(self.last_input)
-        v: float = self.inverse.step(x)  # type: ignore[operator]
+        v: float = self.inverse.step(x)
         for one in self.passes:
-            v = one.step(x, v)  # type: ignore[operator]
+            v = one.step(x, v)
         self.emit(v)
         return self.last_voltage
 
     def at_rest(self, yd: float) -> float:
         self.reference.reset_at(yd)
-        v: float = self.inverse.reset_at(yd)  # type: ignore[operator]
+        v: float = self.inverse.reset_at(yd)
         for one in self.passes:
-            v = one.reset_at(yd, v)  # type: ignore[operator]
+            v = one.reset_at(yd, v)
         return v
 
 
@@ -159,24 +160,24 @@ class PassStream(nn.Module):
 
     def __init__(self, model: CompensatorStream, taps: list[float], ahead: int, late: int) -> None:
         super().__init__()
-        self.model: nn.Module = model  # type: ignore[assignment]
+        self.model: Any = model
         self.taps = taps  # V/um
-        self.wanted = Line(late)
+        self.desired = Line(late)
         self.voltage = Line(ahead)
         self.errors = Line(len(taps) - 1)
 
     @torch.jit.export
     def reset(self) -> None:
-        self.model.reset()  # type: ignore[operator]
-        self.wanted.reset()
+        self.model.reset()
+        self.desired.reset()
         self.voltage.reset()
         self.errors.reset()
 
     @torch.jit.export
     def reset_at(self, yd: float, v: float) -> float:
         """As after a long rest at yd under v; returns the voltage corrected."""
-        answer: float = self.model.reset_at(v)  # type: ignore[operator]
-        self.wanted.reset_at(yd)
+        answer: float = self.model.reset_at(v)
+        self.desired.reset_at(yd)
         self.voltage.reset_at(v)
         self.errors.reset_at(yd - answer)
         corrected = v
@@ -186,8 +187,8 @@ class PassStream(nn.Module):
 
     @torch.jit.export
     def step(self, yd: float, v: float) -> float:
-        answer: float = self.model.step(v)  # type: ignore[operator]
-        self.errors.step(self.wanted.step(yd) - answer)
+        answer: float = self.model.step(v)
+        self.errors.step(self.desired.step(yd) - answer)
         corrected = self.voltage.step(v)
         for i in range(len(self.taps)):
             corrected = corrected + self.taps[i] * self.errors.past(i)

@@ -10,22 +10,22 @@ It is identified from recordings of displacement and voltage, and never inverted
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, ClassVar
 
 import torch
 from torch import Tensor, nn
 
 from torchpi.control.reach import Reach, reach
-from torchpi.control.step import CompensatorStream, compensator_stream
-from torchpi.control.step_guard import StepLimits, step_limits
+from torchpi.control.step import CompensatorStream
+from torchpi.control.step_guard import GuardedStep, StepLimits, step_limits
 from torchpi.control.trained_motions import TrainedMotions
-from torchpi.errors import ConfigError
+from torchpi.errors import ArtifactError, ConfigError
 from torchpi.operators.compiled import HAS_COMPILER
 from torchpi.operators.motion import Motion
-from torchpi.operators.play import PlayBank
+from torchpi.operators.play import PlayBank, play
 from torchpi.operators.polynomial import Polynomial
-from torchpi.operators.rate_weights import RateHead, RateWeights
-from torchpi.operators.reference_filter import ReferenceFilter
+from torchpi.operators.rate_weights import RateHead, RateWeights, squash
+from torchpi.operators.reference_filter import ReferenceFilter, motion_stream
 from torchpi.operators.relaxations import relaxations
 from torchpi.operators.weighted_plays import weighted_plays
 from torchpi.operators.weighted_sum import weighted_sum
@@ -279,4 +279,168 @@ class DirectInverse(nn.Module):
 
         With a reference filter inside, `step` takes the reference y_r and has the exact rate.
         """
-        return compensator_stream(self, reference_filter)
+        return DirectInverseStream(self, reference_filter)
+
+
+class DirectInverseStream(GuardedStep):
+    """The direct inverse of eq. 8, one sample at a time.
+
+    Attributes:
+        scratch: Lists that a step fills before it reads them.
+
+    Raises:
+        ArtifactError: A parameter is not finite.
+    """
+
+    scratch: ClassVar[tuple[str, ...]] = ("phi",)
+
+    slope: list[float]
+    shift: list[float]
+    phi: list[float]
+    k: list[float]
+    theta: list[float]
+    psi: list[float]
+    g: list[float]
+    kept: list[float]
+    taken: list[float]
+    xi: list[float]
+
+    def __init__(self, compensator: DirectInverse, reference_filter: ReferenceFilter | None) -> None:
+        for name, values in compensator.state_dict().items():
+            if not bool(torch.isfinite(values).all()):
+                raise ArtifactError(
+                    f"{name}: found {values.tolist()}, expected finite numbers: the training diverged"
+                )
+        limits, lead_um = compensator.step_limits(), compensator.lead_limits()
+        low, high = limits.accepted_um
+        lead = [*compensator.lead.tolist(), 0.0, 0.0]
+        weights, decay = compensator.weights, compensator.creep_decay.tolist()
+        theta = weights.theta
+        super().__init__(limits)
+        self.motion: Any = motion_stream(compensator.sample_period_s, reference_filter)
+        self.has_reference_filter = reference_filter is not None
+        self.sample_period_s = compensator.sample_period_s
+        self.preview = compensator.preview
+        self.leads = len(compensator.scaled_lead) > 0
+        self.leads_acceleration = len(compensator.scaled_lead) > 1
+        self.limits_lead = lead_um is not None
+        self.limits_x = self.has_reference_filter or (self.leads and not self.limits_lead)
+        self.creeps = len(decay) > 0
+        self.follows_rate = weights.kind != "none"
+        self.is_neural = len(weights.slope) > 0
+        self.powers = compensator.psi.shape[1]
+        self.has_output_functions = self.powers > 0
+        self.has_offset = compensator.offset.item() != 0.0
+        # Plain ASCII, because the comments go into C as well.
+        self.least_lead_um, self.largest_lead_um = lead_um or (0.0, 0.0)  # um, at the trained motions
+        self.tau_1 = lead[0]  # s, lead on the rate
+        self.tau_2 = lead[1]  # s^2, lead on the acceleration
+        self.least_x_um = 2 * low - high  # um, what leads and filter make of a jump
+        self.largest_x_um = 2 * high - low  # um
+        self.g = compensator.creep_gains.tolist()  # 1, share of relaxation i in creep
+        self.kept = decay  # 1, what relaxation i keeps in one period
+        self.taken = [1.0 - a for a in decay]  # 1, what relaxation i takes up in one period
+        self.c = compensator.saturation.c.tolist()[::-1]  # um^(1-m) ... 1, polynomial, eq. 4
+        self.rate_scale_um_s = weights.rate_scale_um_s  # um/s, unit of the rates
+        self.slope = weights.slope.tolist()  # 1, function j of the rate
+        self.shift = weights.shift.tolist()  # 1, function j of the rate
+        self.range_um = compensator.range_um  # um, unit of the plays' own output functions
+        self.r = compensator.plays.r.tolist()  # um, threshold of play i, eq. 1
+        self.b = theta[:, 0].tolist()  # V/um, weight of play i at rest, eq. 7
+        self.k = theta[:, 1:2].flatten().tolist()  # V/um, weight of play i times z, eq. 7
+        self.theta = theta[:, 2:].T.flatten().tolist()  # V/um, weights of the plays times function j
+        self.psi = compensator.psi.flip(1).T.flatten().tolist()  # V/um, output functions, by falling power
+        self.u_0 = compensator.offset.item()  # V, offset
+        self.phi = [0.0] * len(self.slope)
+        self.xi = [0.0] * len(decay)
+        self.h = [0.0] * len(self.r)
+        self.last_x = self.start_um
+
+    @torch.jit.export
+    def reset(self) -> None:
+        self.reset_guard()
+        self.motion.reset()
+        self.last_x = self.start_um
+        if self.creeps:
+            for i in range(len(self.xi)):
+                self.xi[i] = 0.0
+        for i in range(len(self.h)):
+            self.h[i] = 0.0
+
+    @torch.jit.export
+    def step(self, yd: float) -> float:
+        self.accept(yd)
+        x, rate, acceleration = self.motion.step(self.last_input)
+        if self.limits_lead:
+            least_x = x + self.least_lead_um
+            largest_x = x + self.largest_lead_um
+            if self.smooth >= 4:
+                x = self.led(x, rate, acceleration)
+            else:
+                # Without a lead, x might pass turning points of the motion, which wide plays never forget.
+                x = self.last_x
+            x = min(max(x, least_x), largest_x)
+            self.last_x = x
+        elif self.leads:
+            if self.smooth >= 4:
+                x = self.led(x, rate, acceleration)
+        if self.limits_x:
+            x = min(max(x, self.least_x_um), self.largest_x_um)
+        if self.creeps:
+            crept = 0.0
+            for i in range(len(self.xi)):
+                crept = crept + self.g[i] * self.xi[i]
+                self.xi[i] = self.kept[i] * self.xi[i] + self.taken[i] * x
+            x = crept + x
+        self.emit(self.law(x, rate))
+        return self.last_voltage
+
+    def led(self, x: float, rate: float, acceleration: float) -> float:
+        x = x + self.tau_1 * rate
+        if self.leads_acceleration:
+            x = x + self.tau_2 * acceleration
+        return x
+
+    def at_rest(self, yd: float) -> float:
+        # The states of a stage that has come from rest to yd and stood there, and the voltage.
+        self.motion.reset_at(yd)
+        self.last_x = yd
+        for i in range(len(self.h)):
+            self.h[i] = 0.0
+        x = yd
+        if self.creeps:
+            crept = 0.0
+            for i in range(len(self.xi)):
+                self.xi[i] = yd
+                crept = crept + self.g[i] * self.xi[i]
+            x = crept + x
+        return self.law(x, 0.0)
+
+    def law(self, x: float, rate: float) -> float:
+        s = 0.0
+        for i in range(len(self.c)):
+            s = (s + self.c[i]) * x  # eq. 4
+        z = rate / self.rate_scale_um_s
+        if self.is_neural:
+            for j in range(len(self.slope)):
+                self.phi[j] = squash(self.slope[j] * z + self.shift[j])
+        u = 0.0
+        for i in range(len(self.r)):
+            h = play(s, self.r[i], self.h[i])  # eq. 1
+            self.h[i] = h
+            w = self.b[i]
+            if self.follows_rate:
+                w = w + self.k[i] * z
+            if self.is_neural:
+                for j in range(len(self.slope)):
+                    w = w + self.theta[j * len(self.r) + i] * self.phi[j]
+            if self.has_output_functions:
+                v = h / self.range_um
+                own = 0.0
+                for q in range(self.powers):
+                    own = (own + self.psi[q * len(self.r) + i]) * v
+                w = w + own
+            u = u + w * h  # eq. 7, 8
+        if self.has_offset:
+            u = u + self.u_0
+        return u

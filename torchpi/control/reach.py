@@ -6,7 +6,6 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-LARGEST_UM = 1e4  # ten millimetres, beyond any piezo stage
 POINTS = 4000
 
 Law = Callable[[Tensor], Tensor]  # desired displacement (time,), µm, from the de-energised state, to V

@@ -20,7 +20,7 @@ samples since the last one that was held, or moved faster than trained, and lead
 Meanwhile the plays' input stays where it was, as far as the lead of the trained rates and accelerations can
 explain: with no lead it could pass the turning points of the motion, which wide plays never forget.
 
-Behind the equations, `emit` limits the voltage, and its change where that is wanted, and counts in
+Behind the equations, `emit` limits the voltage, and its change on request, and counts in
 `limited_outputs`. States do not wind up: beyond the trained range, but for one per cent, nothing is accepted
 that the voltage limits do not reach, so there is no saturated stretch for them to integrate.
 """

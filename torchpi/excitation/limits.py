@@ -26,7 +26,7 @@ class DriveLimits:
     """Range, rate and band of the voltage.
 
     Raises:
-        ConfigError: limits that exclude each other; names the one, its value and the value wanted.
+        ConfigError: limits that exclude each other; names the one, its value and the value expected.
     """
 
     min_voltage_v: float = 0.0
@@ -45,9 +45,9 @@ class DriveLimits:
         if not (math.isfinite(low) and math.isfinite(high) and low < high):
             raise ConfigError(f"the voltage runs from {low:g} to {high:g} V, expected the lower limit first")
         if not low <= 0 <= high:
-            name, wanted = ("min_voltage_v", "0 V or less") if low > 0 else ("max_voltage_v", "0 V or more")
+            name, expected = ("min_voltage_v", "0 V or less") if low > 0 else ("max_voltage_v", "0 V or more")
             raise ConfigError(
-                f"{name} is {low if low > 0 else high:g} V, expected {wanted}: "
+                f"{name} is {low if low > 0 else high:g} V, expected {expected}: "
                 "a recording starts de-energised at 0 V"
             )
         # Of movements through the range the set has a few.
@@ -115,9 +115,7 @@ def vibration(limits: DriveLimits, swing: np.ndarray, periods: int) -> np.ndarra
 
     The swing itself must leave the share FADE of the largest rate.
     """
-    seconds = max(
-        STEEPEST_EASE * np.abs(swing).max() / (FADE * limits.max_rate_v_s), 2 / limits.high_hz
-    )  # fmt: skip
+    seconds = max(STEEPEST_EASE * np.abs(swing).max() / (FADE * limits.max_rate_v_s), 2 / limits.high_hz)
     samples = math.ceil(seconds * limits.sample_rate_hz)
     risen = ease(np.arange(samples) / samples)
     before = swing[np.arange(-samples, 0) % len(swing)] * risen

@@ -37,17 +37,17 @@ def load_trajectory(
     """The paper's slow (eq. 15, 2 s) or fast (eq. 16, 1 s) trajectory, or one from a file.
 
     The paper's go through the reference filter (eq. 14), from rest. A file holds the columns `time_s` and
-    `yd_um` (or `output_um`, so that a recording's motion can be asked for), sampled uniformly.
+    `yd_um` (or `output_um`, so that a recording's motion can be followed), sampled uniformly.
 
     Args:
         which: 'slow', 'fast', or the path of a file.
-        fs_hz: sample rate wanted.
+        fs_hz: sample rate of the result.
         resample: bring a file of another sample rate, or of uneven sampling, to `fs_hz`.
         through_reference_filter: take a file's motion as y_r and filter it: for a compensator that holds
             the reference filter.
 
     Raises:
-        RecordingError: if the file is missing, or a column, a row or the sampling is not as wanted.
+        RecordingError: if the file is missing, or a column, a row or the sampling is not as expected.
     """
     if which in _PAPER:
         make, title, duration_s = _PAPER[str(which)]
@@ -80,12 +80,12 @@ def _read_motion(path: Path, fs_hz: float, resample: bool) -> tuple[Signal, str]
             f"{path}: sampled at {motion.fs_hz:.6g} Hz; expected {fs_hz:.6g} Hz, the compensator's rate: "
             "--resample true interpolates"
         )
-    # Monotone between samples, so that a resampled motion never goes beyond the one asked for.
+    # Monotone between samples, so that a resampled motion never goes beyond the given one.
     from scipy.interpolate import PchipInterpolator
 
     t = np.arange(len(motion.x)) / motion.fs_hz
-    wanted = np.arange(int(t[-1] * fs_hz + 1e-6) + 1) / fs_hz
-    return PchipInterpolator(t, motion.x)(np.minimum(wanted, t[-1])), motion.sha256
+    grid_s = np.arange(int(t[-1] * fs_hz + 1e-6) + 1) / fs_hz
+    return PchipInterpolator(t, motion.x)(np.minimum(grid_s, t[-1])), motion.sha256
 
 
 def _filtered(yr: Signal, fs_hz: float) -> Signal:

@@ -1,9 +1,8 @@
 """Exports: the compensator as TorchScript, C99, `.pt2`, and its bare numbers as JSON."""
 
 from torchpi.export.formats import FORMATS, export_files, made_files, write_together
-from torchpi.export.numbers import save_json
 from torchpi.export.safety_card import Load, SafetyCard, safety_card
-from torchpi.export.torchscript import load_torchscript, save_torchscript, trained_recordings
+from torchpi.export.torchscript import load_torchscript, trained_recordings
 
 __all__ = [
     "FORMATS",
@@ -13,8 +12,6 @@ __all__ = [
     "load_torchscript",
     "made_files",
     "safety_card",
-    "save_json",
-    "save_torchscript",
     "trained_recordings",
     "write_together",
 ]

@@ -4,7 +4,7 @@ A translator of what a step is made of and no more: assignments, `if`, loops ove
 parts, calls among parts and plain functions, and + - * / with comparisons, `max`, `min` and `abs`. What it
 does not know it refuses by the part's name. Operations keep their order, so the bits are those of Python.
 
-Numbers are of type `real`, double or float as the file is compiled, but for what `_in_double` says.
+Numbers are of type `real`, double or float as the file is compiled, but for those of `_in_double`.
 """
 
 import ast
@@ -17,7 +17,6 @@ from typing import NoReturn
 from torchpi.control.step_guard import IN_DOUBLE, OUT_OF_LINE
 from torchpi.errors import ArtifactError
 from torchpi.export.parts import Function, Part, Value, own_attribute
-from torchpi.export.roll import roll
 from torchpi.operators.motion import BackwardMotionStream
 from torchpi.operators.reference_filter import ReferenceFilterStream
 
@@ -45,7 +44,7 @@ def _in_double(part: Part, name: str | None = None) -> bool:
 
 @dataclass(frozen=True)
 class Constant:
-    """A number of the step, and what `__init__` says of it."""
+    """A number of the step, and its comment in `__init__`."""
 
     part: Part
     attribute: str
@@ -88,7 +87,6 @@ class StepInC:
         self.helpers: dict[str, str] = {}
         self.results: dict[str, list[str]] = {}
         self._keys: dict[str, object] = {REAL: REAL}
-        self._loops: dict[tuple[str, ...], dict[str, Function]] = {}
         self._returns: dict[object, tuple[str, list[str]]] = {}
         for name_ in PUBLIC_METHODS:
             self.method(part, name_)
@@ -97,7 +95,7 @@ class StepInC:
         """The C name of a part's method, and the types it returns."""
         if (part.path, name) in self._returns:
             return self._returns[part.path, name]
-        function = self.rolled(part)[name] if name in self.rolled(part) else part.method(name)
+        function = part.method(name)
         for attribute in part.states:
             self.state(part, attribute)
         public = part.path == () and name in (*PUBLIC_METHODS, "reset")
@@ -106,15 +104,6 @@ class StepInC:
             return c_name, []
         number = DOUBLE if _in_double(part) else REAL
         return self._function((part.path, name), part, function, c_name, number, method=True)
-
-    def rolled(self, part: Part) -> dict[str, Function]:
-        """All methods of a part with their loops, since a list in one of them is a list in all."""
-        if part.path not in self._loops:
-            for name in part.methods:
-                roll(part, part.method(name))
-            # Once more, because a list found in a later method changes an earlier one.
-            self._loops[part.path] = {name: roll(part, part.method(name)) for name in part.methods}
-        return self._loops[part.path]
 
     def plain(self, part: Part, caller: Function, name: str, number: str) -> tuple[str, list[str]]:
         """The C name of a plain function for numbers of one type, and the types it returns."""
@@ -193,7 +182,7 @@ def ascii_only(comment: str) -> str:
 
 def wrapped(line: str) -> str:
     """The line in lines of a width to read."""
-    indent = re.match(" *", line).group() + " " * 8  # type: ignore[union-attr]
+    indent = " " * (len(line) - len(line.lstrip(" ")) + 8)
     return "\n".join(textwrap.wrap(line, 110, subsequent_indent=indent, break_long_words=False)) or line
 
 
@@ -266,9 +255,9 @@ class _Translation:
             self.last_line = max(self.last_line, statement.lineno)
             lines = list(self._statement(statement, indent, outermost))
             end = statement.end_lineno or statement.lineno
-            said = self.function.comments.get(end)
-            if said and not isinstance(statement, (ast.If, ast.For)):
-                lines[-1] += f" /* {ascii_only(said)} */"
+            comment = self.function.comments.get(end)
+            if comment and not isinstance(statement, (ast.If, ast.For)):
+                lines[-1] += f" /* {ascii_only(comment)} */"
             self.last_line = max(self.last_line, end)
             yield from lines
 
@@ -276,6 +265,9 @@ class _Translation:
         match node:
             case ast.Assign(targets=[ast.Tuple(elts=targets)], value=ast.Call() as call):
                 yield from self._unpack(targets, call, indent, outermost)
+            case ast.Assign(targets=[ast.Name(id=name)], value=value) if name not in self.loaded:
+                if any(isinstance(node, ast.Call) for node in ast.walk(value)):
+                    self._refuse(node)
             case ast.Assign(targets=[target], value=value):
                 yield indent + self._assign(target, value, outermost)
             case ast.AnnAssign(target=target, value=ast.expr() as value):
@@ -336,10 +328,6 @@ class _Translation:
     def _if(
         self, test: ast.expr, body: list[ast.stmt], orelse: list[ast.stmt], indent: str, outermost: bool
     ) -> Iterator[str]:
-        name = own_attribute(test)
-        if name is not None and name not in self.part.states:  # decided by a constant
-            yield from self._block(body if self.part.value(name) else orelse, indent, outermost)
-            return
         yield f"{indent}if ({self._as(test, BOOLEAN)}) {{"
         yield from self._block(body, indent + "    ")
         if orelse:
@@ -384,26 +372,26 @@ class _Translation:
     def _type(self, node: ast.expr) -> str:
         return self._expression(node, self.number)[2]
 
-    def _expression(self, node: ast.expr, wanted: str) -> tuple[str, int, str]:
-        """Text, how tightly it binds, type. A bare number takes the type `wanted`."""
+    def _expression(self, node: ast.expr, target: str) -> tuple[str, int, str]:
+        """Text, how tightly it binds, type. A bare number takes the type `target`."""
         # Asked for its type and for its text, at every level of an expression: answered once.
-        key = ast.dump(node), wanted, *(part.path for part in self.bound.values())
+        key = ast.dump(node), target, *(part.path for part in self.bound.values())
         if key not in self.known:
-            self.known[key] = self._translated(node, wanted)
+            self.known[key] = self._translated(node, target)
         return self.known[key]
 
-    def _translated(self, node: ast.expr, wanted: str) -> tuple[str, int, str]:
+    def _translated(self, node: ast.expr, target: str) -> tuple[str, int, str]:
         match node:
             case ast.Constant(value=bool() as value):
                 return ("true" if value else "false"), _ATOM, BOOLEAN
             case ast.Constant(value=int() as value):
-                kind = wanted if wanted in (REAL, DOUBLE) else INTEGER
+                kind = target if target in (REAL, DOUBLE) else INTEGER
                 return (f"{value}" if kind == INTEGER else literal(float(value), kind)), _ATOM, kind
             case ast.Constant(value=float() as value):
-                kind = wanted if wanted in (REAL, DOUBLE) else self.number
+                kind = target if target in (REAL, DOUBLE) else self.number
                 return literal(value, kind), _ATOM if kind == DOUBLE else _UNARY, kind
             case ast.UnaryOp(op=ast.USub(), operand=operand):
-                text, binding, kind = self._expression(operand, wanted)
+                text, binding, kind = self._expression(operand, target)
                 if kind in (INTEGER, BOOLEAN):
                     self._refuse(node)
                 return f"-{_inside(text, binding, _UNARY + 1)}", _UNARY, kind
@@ -412,7 +400,7 @@ class _Translation:
                 return f"!{_inside(text, binding, _UNARY)}", _UNARY, BOOLEAN
             case ast.BinOp(left=left, op=op, right=right):
                 symbol, binding = _OPERATORS.get(type(op)) or self._refuse(node)
-                kind, a, b = self._pair(left, right, binding, wanted)
+                kind, a, b = self._pair(left, right, binding, target)
                 if kind == BOOLEAN or symbol == ("/" if kind == INTEGER else "%"):
                     self._refuse(node)
                 return f"{a} {symbol} {b}", binding, kind
@@ -425,19 +413,19 @@ class _Translation:
                 texts = [_inside(*self._expression(v, BOOLEAN)[:2], 9) for v in values]
                 return f" {symbol} ".join(texts), binding, BOOLEAN
             case ast.IfExp(test=test, body=body, orelse=orelse):
-                kind, a, b = self._pair(body, orelse, _TERNARY + 1, wanted)
+                kind, a, b = self._pair(body, orelse, _TERNARY + 1, target)
                 condition = _inside(*self._expression(test, BOOLEAN)[:2], _TERNARY + 1)
                 return f"{condition} ? {a} : {b}", _TERNARY, kind
             case ast.Call(func=ast.Name(id="len"), args=[listed], keywords=[]) if own_attribute(listed):
                 held = self.part.value(own_attribute(listed) or "")
                 return (str(len(held)), _ATOM, INTEGER) if isinstance(held, list) else self._refuse(node)
             case ast.Call(func=ast.Name(id="float"), args=[value], keywords=[]):
-                return self._expression(value, wanted)
+                return self._expression(value, target)
             case ast.Call(func=ast.Name(id="max" | "min" as function), args=[left, right], keywords=[]):
-                kind, a, b = self._pair(left, right, 0, wanted)
+                kind, a, b = self._pair(left, right, 0, target)
                 return f"{self.step.helper(_HELPERS[function], kind)}({a}, {b})", _ATOM, kind
             case ast.Call(func=ast.Name(id="abs"), args=[value], keywords=[]):
-                text, _, kind = self._expression(value, wanted)
+                text, _, kind = self._expression(value, target)
                 return f"{self.step.helper('magnitude', kind)}({text})", _ATOM, kind
             case ast.Call() as call:
                 text, returned = self._call(call)
@@ -448,15 +436,15 @@ class _Translation:
                 name, kind = self._place(node)
                 return name, _ATOM, kind
 
-    def _pair(self, left: ast.expr, right: ast.expr, binding: int, wanted: str) -> tuple[str, str, str]:
+    def _pair(self, left: ast.expr, right: ast.expr, binding: int, target: str) -> tuple[str, str, str]:
         """Both sides as numbers of the wider of their types; C groups from the left as Python does."""
         self._keep_order([left, right])
         sides = left, right
         bare = [isinstance(_unsigned(side), ast.Constant) for side in sides]
         kinds = [
-            self._expression(s, wanted)[2] for s, literal_ in zip(sides, bare, strict=True) if not literal_
+            self._expression(s, target)[2] for s, literal_ in zip(sides, bare, strict=True) if not literal_
         ]
-        kinds = kinds or [self._expression(s, wanted)[2] for s in sides]
+        kinds = kinds or [self._expression(s, target)[2] for s in sides]
         kind = next((k for k in (DOUBLE, REAL, INTEGER, BOOLEAN) if k in kinds), REAL)
         if INTEGER in kinds and kind != INTEGER:
             self.part.refuse(f"whole and real numbers in one expression, at '{ast.unparse(left)}'")
@@ -490,25 +478,25 @@ class _Translation:
                 kinds = [self._type(argument) for argument in call.args]
                 number = DOUBLE if DOUBLE in kinds else REAL
                 c_name, returned = self.step.plain(self.part, self.function, name, number)
-                wanted = [number] * len(call.args)
-                return f"{c_name}({self._arguments(call, wanted)})", returned
+                target = [number] * len(call.args)
+                return f"{c_name}({self._arguments(call, target)})", returned
             case ast.Attribute(value=owner, attr=name):
                 part = self._part(owner, call)
                 c_name, returned = self.step.method(part, name)
-                wanted = [
+                target = [
                     DOUBLE if _in_double(part, argument) else REAL if kind == "float" else kind
                     for argument, kind in _annotations(part.method(name))
                 ]
-                given = self._arguments(call, wanted)
+                given = self._arguments(call, target)
                 return f"{c_name}(self{', ' + given if given else ''})", returned
             case _:
                 self._refuse(call)
 
-    def _arguments(self, call: ast.Call, wanted: list[str]) -> str:
-        if len(wanted) != len(call.args):
+    def _arguments(self, call: ast.Call, target: list[str]) -> str:
+        if len(target) != len(call.args):
             self._refuse(call)
         self._keep_order(call.args)
-        return ", ".join(self._as(a, kind) for a, kind in zip(call.args, wanted, strict=True))
+        return ", ".join(self._as(a, kind) for a, kind in zip(call.args, target, strict=True))
 
     def _part(self, node: ast.expr, within: ast.expr) -> Part:
         match node:
@@ -526,12 +514,6 @@ class _Translation:
         match node:
             case ast.Attribute(value=owner, attr=name):
                 part = self._part(owner, node)
-                self.step.rolled(part)
-                for listed, elements in part.lists.items():
-                    if name in elements:
-                        name, index = listed, elements.index(name)
-                        held_by = self.step.state if name in part.states else self.step.constant
-                        return f"{held_by(part, name)}[{index}]", type_of(part, name)
                 held = part.value(name)
                 if isinstance(held, list):
                     self._refuse(node)
@@ -600,8 +582,8 @@ def _annotations(function: Function) -> list[tuple[str, str]]:
     ]
 
 
-def _cast(text: str, binding: int, found: str, wanted: str) -> str:
-    return text if found == wanted else f"({wanted}){_inside(text, binding, _UNARY)}"
+def _cast(text: str, binding: int, found: str, target: str) -> str:
+    return text if found == target else f"({target}){_inside(text, binding, _UNARY)}"
 
 
 def _inside(text: str, binding: int, least: int) -> str:

@@ -11,7 +11,6 @@ from torchpi.errors import ArtifactError
 from torchpi.export.deployable import Deployable
 from torchpi.export.formats import Files
 from torchpi.export.safety_card import Load, safety_card
-from torchpi.files import write_atomically
 from torchpi.operators.reference_filter import ReferenceFilter
 
 SCHEMA = "torchpi.control.direct_inverse/1"
@@ -38,17 +37,6 @@ def json_files(
     except ValueError as error:
         raise ArtifactError("a number of the model: found inf or nan, expected finite numbers") from error
     return {output.with_name(output.name + ".json"): lambda path: path.write_text(text + "\n")}
-
-
-def save_json(
-    compensator: DirectInverse,
-    path: str | Path,
-    reference_filter: ReferenceFilter | None = None,
-) -> None:
-    """Write the numbers of `compensator` to `path`."""
-    (write,) = json_files(compensator, Path(path), reference_filter).values()
-    with write_atomically(path) as temporary:
-        write(temporary)
 
 
 def numbers(

@@ -5,14 +5,14 @@ equation is written once. A part is a stream (a module with `reset` and `step`) 
 """
 
 import ast
+import copy
 import inspect
 import io
 import math
-import re
 import textwrap
 import tokenize
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from typing import Any, NoReturn
 
@@ -50,13 +50,11 @@ class Part:
         path: Names of the attributes that lead to it; () is the step itself.
         module: The stream, de-energised.
         form: What it is to become, for errors: 'C' or '.pt2'.
-        lists: Names of attributes that are taken as one list, by its name.
     """
 
     path: tuple[str, ...]
     module: nn.Module
     form: str
-    lists: dict[str, tuple[str, ...]] = field(default_factory=dict, repr=False)
     _children: dict[str, "Part"] = field(default_factory=dict, repr=False)
 
     def __str__(self) -> str:
@@ -91,8 +89,6 @@ class Part:
         Raises:
             ArtifactError: It is neither a number nor a list of floats, or not finite.
         """
-        if name in self.lists:
-            return [self.value(element) for element in self.lists[name]]  # type: ignore[misc]
         value: Any = getattr(self.module, name, None)
         numbers = value if isinstance(value, list) else [value]
         kinds = [float] if isinstance(value, list) else [float, int, bool]
@@ -102,28 +98,25 @@ class Part:
             raise ArtifactError(f"{self}: {name}: found {value}, expected finite numbers")
         return value  # type: ignore[no-any-return]
 
-    @property
-    def states(self) -> tuple[str, ...]:
-        """Names of the attributes that its methods assign, in the order of `__init__`."""
-        listed = {element: name for name, elements in self.lists.items() for element in elements}
-        return tuple(dict.fromkeys(listed.get(name, name) for name in self._states))
-
     @cached_property
-    def _states(self) -> tuple[str, ...]:
+    def states(self) -> tuple[str, ...]:
+        """Names of the attributes that its methods assign, in the order of `__init__`; no empty lists."""
         assigned = {name for method in self._methods.values() for name in _assigned(read(method).tree)}
-        return tuple(name for name in vars(self.module) if name in assigned)
+        held = {name for name, value in vars(self.module).items() if value != []}
+        return tuple(name for name in vars(self.module) if name in assigned & held - set(self.scratch))
+
+    @property
+    def scratch(self) -> tuple[str, ...]:
+        """Lists that a step fills before it reads them."""
+        return getattr(self.module, "scratch", ())
 
     def remark(self, name: str) -> str:
-        """What `__init__` says of an attribute, in a comment behind the assignment."""
-        if name not in self.lists:
-            return self._remarks.get(name, "")
-        first, second, *_ = (self._remarks.get(element, "") for element in self.lists[name])
-        a, b = re.split(r"(\d+)", first), re.split(r"(\d+)", second)
-        return "".join(x if x == y else "i" for x, y in zip(a, b, strict=False))
+        """The comment behind an attribute's assignment in `__init__`."""
+        return self._remarks.get(name, "")
 
     def place(self, name: str) -> int:
         """Where an attribute stands in `__init__`."""
-        return list(vars(self.module)).index(self.lists[name][0] if name in self.lists else name)
+        return list(vars(self.module)).index(name)
 
     @cached_property
     def _remarks(self) -> dict[str, str]:
@@ -143,9 +136,13 @@ class Part:
         return (type(self.module).__doc__ or "").partition("\n")[0]
 
     def method(self, name: str) -> Function:
+        """A method without the branches that a constant decides, its scratch lists as local numbers."""
         if name not in self._methods:
             self.refuse(f"no method '{name}' written in Python")
-        return read(self._methods[name])
+        function = read(self._methods[name])
+        decide = _Decide(self, dict(function.comments))
+        tree = decide.visit(copy.deepcopy(function.tree))
+        return replace(function, tree=ast.fix_missing_locations(tree), comments=decide.comments)
 
     def called(self, function: Function, name: str) -> Function:
         """The plain function that goes by this name in `function`."""
@@ -173,6 +170,74 @@ class Part:
             for name, function in vars(cls).items()
             if inspect.isfunction(function) and name != "__init__"
         }
+
+
+class WriteOut(ast.NodeTransformer):
+    """Writes out, turn by turn, the loops that a subclass chooses."""
+
+    def __init__(self, module: nn.Module) -> None:
+        self.module = module
+        self.turns: dict[str, int] = {}
+
+    def chooses(self, variable: str, loop: ast.For) -> bool:
+        """Whether this loop is written out."""
+        raise NotImplementedError
+
+    def visit_For(self, node: ast.For) -> Any:
+        match node:
+            case ast.For(target=ast.Name(id=name), iter=ast.Call(args=[count])) if self.chooses(name, node):
+                found = []
+                for turn in range(self.number(count)):
+                    self.turns[name] = turn
+                    found += self.block(copy.deepcopy(node.body))
+                self.turns.pop(name, None)
+                return found
+        return self.generic_visit(node)
+
+    def block(self, statements: list[ast.stmt]) -> list[ast.stmt]:
+        """The statements, each visited."""
+        module = ast.Module(statements, [])
+        self.generic_visit(module)
+        return module.body
+
+    def visit_Name(self, node: ast.Name) -> ast.expr:
+        return ast.Constant(self.turns[node.id]) if node.id in self.turns else node
+
+    def number(self, node: ast.expr) -> int:
+        """A count or a place, from the lengths of lists and the turns of loops."""
+        code = compile(ast.Expression(node), "<index>", "eval")
+        return int(eval(code, {"len": len, "self": self.module, **self.turns}))
+
+
+class _Decide(WriteOut):
+    """Takes out what a constant switch leaves out, with its comments; scratch lists become local numbers."""
+
+    def __init__(self, part: Part, comments: dict[int, str]) -> None:
+        super().__init__(part.module)
+        self.part, self.comments = part, comments
+
+    def chooses(self, variable: str, loop: ast.For) -> bool:
+        places = (node for node in ast.walk(loop) if isinstance(node, ast.Subscript))
+        return any(
+            own_attribute(one.value) in self.part.scratch and ast.unparse(one.slice) == variable
+            for one in places
+        )
+
+    def visit_Subscript(self, node: ast.Subscript) -> ast.AST:
+        name = own_attribute(node.value)
+        if name in self.part.scratch:
+            return ast.Name(f"{name}_{self.number(node.slice)}", node.ctx)
+        return self.generic_visit(node)
+
+    def visit_If(self, node: ast.If) -> Any:
+        name = own_attribute(node.test)
+        end, last = node.body[-1].end_lineno or 0, node.end_lineno or 0
+        if name is None or name in self.part.states:
+            return self.generic_visit(node)
+        taken = bool(self.part.value(name))
+        for line in range(end + 1, last + 1) if taken else range(node.lineno, end + 1):
+            self.comments.pop(line, None)
+        return self.block(node.body if taken else node.orelse)
 
 
 def take_apart(stream: Any, form: str) -> Part:

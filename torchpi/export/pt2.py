@@ -257,7 +257,7 @@ class _Run:
             case ast.Name(id="min"), [a, b]:
                 return _where(b < a, b, a)
             case (ast.Name(id="abs"), [a]) | (ast.Name(id="float"), [a]):
-                return abs(a) if function.id == "abs" else a  # type: ignore[attr-defined]
+                return abs(a) if function.id == "abs" else a
             case ast.Name(id="len"), [a]:
                 return len(a)
             case ast.Name(id=name), _:

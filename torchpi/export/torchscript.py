@@ -18,7 +18,7 @@ from torchpi.errors import ArtifactError
 from torchpi.export.deployable import Deployable
 from torchpi.export.formats import Files
 from torchpi.export.torchscript_check import METHODS, RECORDINGS_PART, check_file, check_graph
-from torchpi.files import write_atomically
+from torchpi.export.written_out import written_out
 from torchpi.operators.reference_filter import ReferenceFilter
 
 MOST_PREVIEW = 1_000_000  # samples
@@ -46,22 +46,11 @@ def torchscript_files(
     return {output.with_name(output.name + ".pt"): lambda path: path.write_bytes(content)}
 
 
-def save_torchscript(
-    compensator: Deployable,
-    path: str | Path,
-    reference_filter: ReferenceFilter | None = None,
-) -> None:
-    """Write the file to `path`."""
-    (write,) = torchscript_files(compensator, Path(path), reference_filter).values()
-    with write_atomically(path) as temporary:
-        write(temporary)
-
-
 def script(
     compensator: Deployable, reference_filter: ReferenceFilter | None = None
 ) -> torch.jit.ScriptModule:
     """The compensator's stream, compiled and frozen: constants inside, state kept."""
-    stream = cast(nn.Module, compensator.stream(reference_filter)).eval()
+    stream = written_out(cast(nn.Module, compensator.stream(reference_filter))).eval()
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message=".*torch.jit.*deprecated.*")
         frozen = torch.jit.freeze(torch.jit.script(stream), preserved_attrs=[*METHODS, *_ATTRIBUTES])
@@ -101,7 +90,7 @@ def load_torchscript(path: str | Path) -> CompensatorStream:
 
 
 def trained_recordings(path: str | Path) -> str | None:
-    """`recordings_sha256` of what an exported compensator was trained on; None where it does not say.
+    """`recordings_sha256` of what an exported compensator was trained on; None where it is not known.
 
     Args:
         path: A file that `load_torchscript` has accepted.

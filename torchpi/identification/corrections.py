@@ -11,6 +11,7 @@ from torchpi.operators.motion import Motion, backward_motion
 
 # Share of the columns' mean square: errors seen ahead are smooth, so their taps are nearly collinear.
 RIDGE = 1e-9
+SKIPPED = 300  # samples at the start of each record
 
 
 def fit_corrections(
@@ -22,7 +23,6 @@ def fit_corrections(
     ahead: int = 8,
     min_voltage_v: float = 0.0,
     max_voltage_v: float = 10.0,
-    skip: int = 300,
 ) -> CorrectedInverse:
     """A corrected inverse whose filters turn the model's answers back into the voltages that made them.
 
@@ -38,7 +38,6 @@ def fit_corrections(
         ahead: Errors ahead that it sees; each pass adds as many samples of look-ahead.
         min_voltage_v: Lower output limit.
         max_voltage_v: Upper output limit.
-        skip: Samples at the start of each record that are not fitted.
     """
     compensator = CorrectedInverse(
         start, model, torch.zeros(passes, before + 1 + ahead), ahead, min_voltage_v, max_voltage_v
@@ -49,7 +48,7 @@ def fit_corrections(
         for p in range(passes):
             late = start.preview + (p + 1) * ahead
             problems = [
-                _problem(compensator, motion, delayed(u, late), p, skip)
+                _problem(compensator, motion, delayed(u, late), p)
                 for motion, u in zip(motions, voltages, strict=True)
             ]
             errors, left = (torch.cat(parts) for parts in zip(*problems, strict=True))
@@ -57,20 +56,18 @@ def fit_corrections(
     return compensator
 
 
-def _problem(
-    compensator: CorrectedInverse, motion: Motion, wanted: Tensor, p: int, skip: int
-) -> tuple[Tensor, Tensor]:
+def _problem(compensator: CorrectedInverse, motion: Motion, target: Tensor, p: int) -> tuple[Tensor, Tensor]:
     """Errors that the filter of pass p sees, (samples, taps), and the voltage that it should add."""
     v, e = compensator.passes(motion, p)
     taps = compensator.filters.shape[1]
-    errors = torch.stack([delayed(e, i)[0, skip:] for i in range(taps)], 1)
-    return errors, (wanted - delayed(v, compensator.ahead))[0, skip:]
+    errors = torch.stack([delayed(e, i)[0, SKIPPED:] for i in range(taps)], 1)
+    return errors, (target - delayed(v, compensator.ahead))[0, SKIPPED:]
 
 
-def _ridge(columns: Tensor, wanted: Tensor) -> Tensor:
+def _ridge(columns: Tensor, target: Tensor) -> Tensor:
     size = columns.square().mean(0).sqrt()
     scaled = columns / size
     gram = scaled.T @ scaled / len(scaled)
     gram.diagonal().add_(RIDGE)
-    solution: Tensor = torch.linalg.solve(gram, scaled.T @ wanted / len(scaled)) / size
+    solution: Tensor = torch.linalg.solve(gram, scaled.T @ target / len(scaled)) / size
     return solution

@@ -97,13 +97,13 @@ class Records:
     def solve(
         self,
         columns: Sequence[np.ndarray],
-        wanted: Sequence[np.ndarray],
+        target: Sequence[np.ndarray],
         pairs: Sequence[InversePair],
         bounded: int = 0,  # how many of the first coefficients must not be negative
     ) -> np.ndarray:
         """Least squares over the counted samples of the records, columns scaled to like size."""
         a = np.concatenate([part[pair.counted] for part, pair in zip(columns, pairs, strict=True)])
-        b = np.concatenate([part[pair.counted] for part, pair in zip(wanted, pairs, strict=True)])
+        b = np.concatenate([part[pair.counted] for part, pair in zip(target, pairs, strict=True)])
         size = np.linalg.norm(a, axis=0)
         size[size == 0] = 1.0
         low = np.full(a.shape[1], -np.inf)
@@ -118,7 +118,7 @@ class Records:
 def fit_conventional(records: Records) -> ConventionalInverse:
     """A rate-independent model of the slow record."""
     return ConventionalInverse(
-        records.period_s, records.r, records.w, records.saturation, **records.deployment
+        records.period_s, records.r, records.w, saturation=records.saturation, **records.deployment
     )
 
 
@@ -128,10 +128,15 @@ def fit_rate_dependent(records: Records) -> RateDependentInverse:
     for pair in records.fast:
         h = records.plays(pair)
         columns.append(np.concatenate([h, h * pair.motion.yd_dot[0].numpy()[:, None]], 1))
-    wanted = [records.straightened(pair) for pair in records.fast]
-    b, k = np.split(records.solve(columns, wanted, records.fast, bounded=len(records.r)), 2)
+    target = [records.straightened(pair) for pair in records.fast]
+    b, k = np.split(records.solve(columns, target, records.fast, bounded=len(records.r)), 2)
     return RateDependentInverse(
-        records.period_s, records.r, k.tolist(), b.tolist(), records.saturation, **records.deployment
+        records.period_s,
+        records.r,
+        b.tolist(),
+        weight_slopes=k.tolist(),
+        saturation=records.saturation,
+        **records.deployment,
     )
 
 
@@ -139,7 +144,7 @@ def fit_time_varying_thresholds(records: Records) -> TimeVaryingThresholdInverse
     """Thresholds r_i + ρ|ẏ| from the fast records, one ρ for all but the first: they dilate as one."""
     r = torch.tensor(records.r, dtype=torch.float64)
     moving = (torch.arange(len(r)) > 0).to(torch.float64)
-    wanted = [records.straightened(pair) for pair in records.fast]
+    target = [records.straightened(pair) for pair in records.fast]
     top_rate = max(float(pair.motion.yd_dot.abs().max()) for pair in records.fast)
 
     def columns(rho: float) -> list[np.ndarray]:
@@ -152,39 +157,44 @@ def fit_time_varying_thresholds(records: Records) -> TimeVaryingThresholdInverse
 
     def left(rho: float) -> float:
         banks = columns(rho)
-        w = records.solve(banks, wanted, records.fast, bounded=len(r))
+        w = records.solve(banks, target, records.fast, bounded=len(r))
         return sum(
             float(np.sum(((bank @ w - y)[pair.counted]) ** 2))
-            for bank, y, pair in zip(banks, wanted, records.fast, strict=True)
+            for bank, y, pair in zip(banks, target, records.fast, strict=True)
         )
 
     # Up to thresholds that have grown by half of the largest one at the fastest motion.
     most = 0.5 * records.r[-1] / top_rate
     rho = float(scipy.optimize.minimize_scalar(left, bounds=(0.0, most), method="bounded").x)
-    w = records.solve(columns(rho), wanted, records.fast, bounded=len(r))
+    w = records.solve(columns(rho), target, records.fast, bounded=len(r))
     return TimeVaryingThresholdInverse(
         records.period_s,
         records.r,
-        (rho * moving).tolist(),
         w.tolist(),
-        records.saturation,
+        threshold_slopes=(rho * moving).tolist(),
+        saturation=records.saturation,
         **records.deployment,
     )
 
 
 def fit_cascade(records: Records, order: int = 2) -> CascadedInverse:
     """The hysteresis of the slow record, and τ from the fast ones: y + τ_1 ẏ + τ_2 ÿ = S(Σ_i w_i H_ri[u])."""
-    columns, wanted = [], []
+    columns, target = [], []
     for pair in records.fast:
         derivatives = [part[0].numpy() for part in pair.motion[1 : 1 + order]]
         columns.append(np.stack(derivatives, 1))
         with torch.no_grad():
             plays = torch.from_numpy(records.plays(pair) @ np.array(records.w))
             statically, _ = records.saturation(plays[None])
-        wanted.append(statically[0].numpy() - pair.motion.yd[0].numpy())
-    lead = records.solve(columns, wanted, records.fast)
+        target.append(statically[0].numpy() - pair.motion.yd[0].numpy())
+    lead = records.solve(columns, target, records.fast)
     return CascadedInverse(
-        records.period_s, records.r, records.w, lead.tolist(), records.saturation, **records.deployment
+        records.period_s,
+        records.r,
+        records.w,
+        lead=lead.tolist(),
+        saturation=records.saturation,
+        **records.deployment,
     )
 
 
@@ -221,10 +231,10 @@ def fit_generalised_direct(
         return np.asarray(found.x)
 
     plays = bank(search(np.tile(search(np.eye(degree)[0]), 2)))
-    columns, wanted = [], []
+    columns, target = [], []
     for pair in records.fast:
         h = states(plays, pair)
         columns.append(np.concatenate([h, h * pair.motion.yd_dot[0].numpy()[:, None]], 1))
-        wanted.append(pair.u[0].numpy())
-    b, k = np.split(records.solve(columns, wanted, records.fast), 2)
+        target.append(pair.u[0].numpy())
+    b, k = np.split(records.solve(columns, target, records.fast), 2)
     return GeneralisedDirectInverse(records.period_s, plays, k.tolist(), b.tolist(), **records.deployment)

@@ -26,7 +26,7 @@ class RateFunctions:
         self.phi[1:2] = self.z
         steps = np.multiply.outer(part.slope[: max(functions - 2, 0)], self.z)
         steps += part.shift[: len(steps), None]
-        self.phi[2:] = squash(steps)  # type: ignore[arg-type]
+        self.phi[2:] = squash(steps)
         self.of_shift = 1.0 / (1.0 + np.abs(steps)) ** 2  # dφ_{2+j}/d(shift_j)
 
 

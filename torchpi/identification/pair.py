@@ -1,4 +1,4 @@
-"""A recording as the direct inverse sees it: displacement in, voltage wanted."""
+"""A recording as the direct inverse sees it: displacement in, voltage out."""
 
 from typing import NamedTuple
 

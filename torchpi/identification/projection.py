@@ -27,18 +27,18 @@ def projected_loss(
     counted: Sequence[slice],  # samples of each that count
 ) -> Tensor:
     """Mean squared error, V², at the weights that are best for the other parameters, which are set."""
-    h, basis, wanted = [], [], []
+    h, basis, target = [], [], []
     for motion, u, part in zip(motions, voltages, counted, strict=True):
         states, _ = compensator.play_states(motion)
         h.append(states[:, part])
         basis.append(compensator.weights.basis(motion.yd_dot[:, part]))
-        wanted.append(u[:, part])
-    solve_weights(compensator, [a[0] for a in h], [b[0] for b in basis], [u[0] for u in wanted])
+        target.append(u[:, part])
+    solve_weights(compensator, [a[0] for a in h], [b[0] for b in basis], [u[0] for u in target])
     solved = [part.detach() for part in (compensator.weights.theta, compensator.psi, compensator.offset)]
     theta, psi, offset = solved
     errors = [
         weighted_sum(a, b, theta, psi, compensator.range_um) + offset - u
-        for a, b, u in zip(h, basis, wanted, strict=True)
+        for a, b, u in zip(h, basis, target, strict=True)
     ]
     return torch.cat(errors, 1).square().mean()
 
@@ -57,8 +57,8 @@ def solve_weights(
         columns /= size
         gram = columns.T @ columns / len(columns)
         gram.diagonal().add_(RIDGE)
-        wanted = columns.T @ torch.cat(list(u)) / len(columns)
-        solution = torch.linalg.solve(gram, wanted) / size
+        target = columns.T @ torch.cat(list(u)) / len(columns)
+        solution = torch.linalg.solve(gram, target) / size
         start = 0
         for part in linear_parameters(compensator):
             part.copy_(solution[start : start + part.numel()].reshape(part.shape))

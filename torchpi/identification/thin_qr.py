@@ -42,7 +42,7 @@ def triangle_of(matrix: np.ndarray) -> np.ndarray:
     return factor.triangle
 
 
-def solve_triangle(triangle: np.ndarray, wanted: np.ndarray) -> np.ndarray:
-    """x of R x = wanted, for an upper triangle without a zero on its diagonal."""
-    solution, _ = dtrtrs(triangle, wanted)
+def solve_triangle(triangle: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """x of R x = target, for an upper triangle without a zero on its diagonal."""
+    solution, _ = dtrtrs(triangle, target)
     return np.asarray(solution)

@@ -50,18 +50,16 @@ class TwoStageResult:
 def fit_two_stage(
     compensator: DirectInverse,
     pairs: Sequence[InversePair],
-    free_thresholds: bool = False,
     several_starts: bool = True,
 ) -> TwoStageResult:
     """Fit `compensator` in place: stage 1 on the slowest record, stage 2 on the others.
 
     A single record serves both. Lead and creep stay as they are. Of a neural rate head, the linear
-    part is fitted. With `free_thresholds` stage 1 moves the thresholds as well (extension). Without
-    `several_starts` it descends from where c stands alone, as the paper does: to the next minimum, which need
-    not be the deepest.
+    part is fitted. Without `several_starts` stage 1 descends from where c stands alone, as the paper does: to
+    the next minimum, which need not be the deepest.
     """
     slow, *fast = sorted(pairs, key=_typical_rate)
-    slow_rms_v = fit_saturation(compensator, [slow], free_thresholds, several_starts)
+    slow_rms_v = fit_saturation(compensator, [slow], several_starts)
     fast_rms_v, condition_number = fit_weights(compensator, fast or [slow])
     return TwoStageResult(
         slow.name, tuple(pair.name for pair in fast) or (slow.name,), slow_rms_v, fast_rms_v, condition_number
@@ -71,12 +69,10 @@ def fit_two_stage(
 def fit_saturation(
     compensator: DirectInverse,
     pairs: Sequence[InversePair],
-    free_thresholds: bool = False,
     several_starts: bool = True,
 ) -> float:
     """Stage 1 (eq. 10) in place: c, with weights that do not follow the rate; returns the rms error, V."""
-    searched = ["c", "r"] if free_thresholds else ["c"]
-    problem = ProjectedProblem(compensator, pairs, searched, functions=1, own_degree=0)
+    problem = ProjectedProblem(compensator, pairs, ["c"], functions=1, own_degree=0)
     alpha, solved = (search if several_starts else descend)(problem, EVALUATIONS)
     problem.put(alpha, solved.beta)
     return float(solved.mean_square**0.5)
@@ -95,12 +91,12 @@ def fit_weights(compensator: DirectInverse, pairs: Sequence[InversePair]) -> tup
         rows[:, -1] = u
         factor.absorb(rows)
         samples += len(u)
-    triangle, wanted = factor.triangle[:, :-1], factor.triangle[:, -1]
+    triangle, target = factor.triangle[:, :-1], factor.triangle[:, -1]
     size = np.linalg.norm(triangle, axis=0)
     size[size == 0] = 1.0
-    solution, _, _, singular = np.linalg.lstsq(triangle / size, wanted, rcond=DEPENDENT)
+    solution, _, _, singular = np.linalg.lstsq(triangle / size, target, rcond=DEPENDENT)
     solution = solution / size
-    rms_v = float(np.linalg.norm(triangle @ solution - wanted) / np.sqrt(samples))
+    rms_v = float(np.linalg.norm(triangle @ solution - target) / np.sqrt(samples))
     theta, _ = columns.weights(solution)
     with torch.no_grad():
         compensator.weights.theta.zero_()

@@ -190,7 +190,7 @@ class Compensator:
             reference_um: At the compensator's sample rate.
             stage: What is moved; by default the stage identified from the same recordings.
             name: Of the trajectory, in figures.
-            max_slew_v_s: Rate of the voltage that the amplifier bears: the result says where it is met.
+            max_slew_v_s: Rate of the voltage that the amplifier bears: the result names where it is met.
 
         Raises:
             RecordingError: Another shape or type, not finite, constant, or beyond the stage's range.
@@ -286,7 +286,7 @@ def _checked(recording: Recording, position: int) -> Recording:
             "Recording.from_arrays(t, u, y) makes one"
         )
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RecordingWarning)  # whoever made it has heard them
+        warnings.simplefilter("ignore", RecordingWarning)  # they were shown when it was made
         check_recording(recording)
     return recording
 

@@ -1,6 +1,6 @@
 """The laws that every operator keeps, as tests to inherit.
 
-A test class says how to build its operator; the laws come with it:
+A test class defines how its operator is built; the laws come with it:
 
     class TestPrandtlIshlinskii(HysteresisLaws):
         def operator(self):
@@ -13,6 +13,7 @@ import copy
 import io
 import itertools
 import warnings
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -135,12 +136,12 @@ class HysteresisLaws(OperatorLaws):
         assert torch.allclose(below - below[:, :1], above - above[:, :1], rtol=0, atol=1e-12)
 
 
-def streamed(stream: torch.nn.Module, x: Tensor) -> Tensor:
+def streamed(stream: Any, x: Tensor) -> Tensor:
     """Step through the only row of `x`; shape (time, …)."""
     step = stream.step
     outputs = []
     for sample in x[0].tolist():
-        output = step(sample)  # type: ignore[operator]
+        output = step(sample)
         # A bank hands out its own list of states: copy it before the next step writes into it.
         outputs.append(list(output) if isinstance(output, list) else output)
     return torch.tensor(outputs, dtype=torch.float64)

@@ -122,9 +122,7 @@ def advance(x: np.ndarray, r: float, h: np.ndarray, count: int) -> None:
 
 
 @njit
-def advance_sum(
-    x: np.ndarray, r: float, h: np.ndarray, w: np.ndarray, count: int, total: np.ndarray
-) -> None:  # fmt: skip
+def advance_sum(x: np.ndarray, r: float, h: np.ndarray, w: np.ndarray, count: int, total: np.ndarray) -> None:
     """`advance`, and add the states with weights `w` to `total`: one pass over the tile in place of two."""
     for q in range(count):
         h[q + LANES] = _play(x[q], r, h[q])
@@ -145,7 +143,7 @@ def advance_linear_sum(
 @njit_sum
 def threshold_gradient(
     gh: np.ndarray, x: np.ndarray, h: np.ndarray, waiting: np.ndarray, count: int
-) -> float:  # fmt: skip
+) -> float:
     """What `land` has landed: + where the upper edge pushed, - where the lower one did."""
     total = x.dtype.type(0)
     for q in range(count):
@@ -163,9 +161,7 @@ def expect_pushes(r: float, h: np.ndarray, least: np.ndarray, most: np.ndarray, 
 
 
 @njit
-def note_latest(
-    x: np.ndarray, r: float, h: np.ndarray, count: int, begin: int, latest: np.ndarray
-) -> None:  # fmt: skip
+def note_latest(x: np.ndarray, r: float, h: np.ndarray, count: int, begin: int, latest: np.ndarray) -> None:
     """Note the last push in each lane that is marked: its step + 1, negative where the lower edge pushed.
 
     For tiles from the last to the first; `begin` is the step a tile begins with.
@@ -184,7 +180,7 @@ def note_latest(
 @njit
 def hand_over(
     left: np.ndarray, latest: np.ndarray, length: int, gx: np.ndarray, gr: np.ndarray, gh: np.ndarray
-) -> None:  # fmt: skip
+) -> None:
     """What a stretch leaves at its start lands on the last push of the stretches before it.
 
     `left` and `latest` are (batch, groups, plays, lanes), the latter as `note_latest` counts; `gx` is

@@ -15,12 +15,11 @@ import numba
 import numpy as np
 import torch
 from torch import Tensor, nn
-from torch.autograd.function import FunctionCtx, once_differentiable
+from torch.autograd.function import once_differentiable
 
 from torchpi.errors import ConfigError
 from torchpi.operators.base import Operator
 from torchpi.operators.polynomial import Polynomial, PolynomialStream
-from torchpi.operators.prandtl_ishlinskii import SumOfPlays
 
 
 def clamp_play(low: float, high: float, h: float) -> float:
@@ -139,23 +138,6 @@ class GeneralisedPlayStream(nn.Module):
         return self.h
 
 
-class GeneralisedPrandtlIshlinskii(SumOfPlays):
-    """y(t) = Σ_i w_i h_i(t) over generalised plays; with negative weights as well a direct inverse.
-
-    Args:
-        plays: The bank.
-        weights: w, one a play; may be negative.
-
-    Raises:
-        ConfigError: Another number of weights than of plays.
-    """
-
-    plays: GeneralisedPlayBank
-
-    def __init__(self, plays: GeneralisedPlayBank, weights: list[float]) -> None:
-        super().__init__(plays, weights)
-
-
 def clamp_bank(
     low: Tensor,  # (batch, time, plays)
     high: Tensor,  # (batch, time, plays)
@@ -172,7 +154,7 @@ def clamp_bank(
 
 class _ClampBank(torch.autograd.Function):
     @staticmethod
-    def forward(ctx: FunctionCtx, low: Tensor, high: Tensor, h0: Tensor) -> Tensor:
+    def forward(ctx: Any, low: Tensor, high: Tensor, h0: Tensor) -> Tensor:
         low, high, h0 = low.contiguous(), high.contiguous(), h0.contiguous()
         h = torch.empty_like(low)
         _forward(low.detach().numpy(), high.detach().numpy(), h0.detach().numpy(), h.numpy())
@@ -181,8 +163,8 @@ class _ClampBank(torch.autograd.Function):
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: FunctionCtx, *gradients: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        low, high, h0, h = (saved.detach() for saved in ctx.saved_tensors)  # type: ignore[attr-defined]
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        low, high, h0, h = (saved.detach() for saved in ctx.saved_tensors)
         glow, ghigh, gh0 = torch.zeros_like(low), torch.zeros_like(high), torch.zeros_like(h0)
         _backward(
             low.numpy(), high.numpy(), h0.numpy(), h.numpy(), gradients[0].contiguous().numpy(),

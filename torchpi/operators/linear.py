@@ -59,7 +59,7 @@ def discretise(
 
     With "first", x(k+1) = e^{AT} x(k) + (Γ₀ - Γ₁) u(k) + Γ₁ u(k+1) (Franklin, Powell and Workman,
     *Digital Control of Dynamic Systems*, triangle hold); the state z = x - Γ₁ u brings it back to the
-    standard form. A zero state then says: the input rose from 0 during the sample before the first.
+    standard form. A zero state then means that the input rose from 0 during the sample before the first.
     """
     n = a.shape[-1]
     # exp of [[A, B, 0], [0, 0, 1], [0, 0, 0]], time scaled to one sample: e^{AT}, Γ₀ and Γ₁ in one go.

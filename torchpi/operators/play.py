@@ -120,7 +120,7 @@ def _play_bank_backward(
     gx = x.new_empty(x.shape)
     gr, gh0 = play_bank_backward(
         as_array(x), as_array(r), as_array(h0), as_array(h), as_array(gh), gx.numpy()
-    )  # fmt: skip
+    )
     return gx, torch.from_numpy(gr), torch.from_numpy(gh0)
 
 

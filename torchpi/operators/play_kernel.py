@@ -39,15 +39,15 @@ def play_bank_backward(
 
 def _cut(samples: int, plays: int) -> tuple[int, int]:
     """Stretches of a record, and the samples of one."""
-    wanted = min(max(samples * plays // 2**17, 1), 64, samples)
-    length = -(-samples // wanted)
+    count = min(max(samples * plays // 2**17, 1), 64, samples)
+    length = -(-samples // count)
     return -(-samples // length), length
 
 
 @njit
 def _forward(
     first: int, last: int, x: np.ndarray, r: np.ndarray, h0: np.ndarray, blocks: int, h: np.ndarray
-) -> None:  # fmt: skip
+) -> None:
     for task in range(first, last):
         row, block = divmod(task, blocks)
         begin, end = len(r) * block // blocks, len(r) * (block + 1) // blocks

@@ -5,11 +5,11 @@ initial state to any later state is one clamp again, (low, high), and a doubling
 them in log2(time) passes. Only selections happen, so the bits are those of the sequential form.
 """
 
-from typing import cast
+from typing import Any, cast
 
 import torch
 from torch import Tensor
-from torch.autograd.function import FunctionCtx, once_differentiable
+from torch.autograd.function import once_differentiable
 
 
 def play_scan(
@@ -23,7 +23,7 @@ def play_scan(
 
 class _PlayScan(torch.autograd.Function):
     @staticmethod
-    def forward(ctx: FunctionCtx, x: Tensor, r: Tensor, h0: Tensor) -> Tensor:
+    def forward(ctx: Any, x: Tensor, r: Tensor, h0: Tensor) -> Tensor:
         low, high = x[..., None] - r, x[..., None] + r
         span = 1
         while span < x.shape[1]:
@@ -42,14 +42,14 @@ class _PlayScan(torch.autograd.Function):
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: FunctionCtx, *gradients: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        x, r, h0, h = ctx.saved_tensors  # type: ignore[attr-defined]
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        x, r, h0, h = ctx.saved_tensors
         (gh,) = gradients
         previous = torch.cat([h0[:, None], h[:, :-1]], 1)
         low, high = previous <= x[..., None] - r, previous >= x[..., None] + r
         side = torch.where(low, -1.0, torch.where(high, 1.0, 0.0)).to(x.dtype)
-        # FreeParameter 0 stands for the initial state, slot t + 1 for a push by sample t.
-        slots = torch.arange(1, x.shape[1] + 1, device=x.device)[None, :, None]
-        last_push = torch.where(low | high, slots, 0).cummax(1).values
+        # 0 stands for the initial state, t + 1 for a push by sample t.
+        numbers = torch.arange(1, x.shape[1] + 1, device=x.device)[None, :, None]
+        last_push = torch.where(low | high, numbers, 0).cummax(1).values
         landed = torch.zeros_like(h0)[:, None].repeat(1, x.shape[1] + 1, 1).scatter_add_(1, last_push, gh)
         return landed[:, 1:].sum(2), (landed[:, 1:] * side).sum((0, 1)), landed[:, 0]

@@ -5,41 +5,11 @@ from torch import Tensor, nn
 
 from torchpi.errors import ConfigError
 from torchpi.operators.base import Operator
-from torchpi.operators.play import PlayBank
+from torchpi.operators.play import PlayBank, PlayStream
 from torchpi.operators.weighted_sum import weight, weighted_sum
 
 
-class SumOfPlays(Operator):
-    """y(t) = Σ_i w_i h_i(t) over any bank of plays.
-
-    Args:
-        plays: The bank: (batch, time) to (batch, time, plays), and a stream that returns its states.
-        weights: w, one a play, output per input; may be negative.
-
-    Raises:
-        ConfigError: Another number of weights than of plays.
-    """
-
-    def __init__(self, plays: Operator, weights: list[float]) -> None:
-        super().__init__()
-        self.plays = plays
-        count = plays.initial_state(1).shape[1]
-        if len(weights) != count:
-            raise ConfigError(f"weights: found {len(weights)}, expected {count}, one a play")
-        self.w = nn.Parameter(torch.as_tensor(weights, dtype=torch.float64).clone())
-
-    def initial_state(self, batch: int) -> Tensor:
-        return self.plays.initial_state(batch)
-
-    def forward(self, x: Tensor, state: Tensor | None = None) -> tuple[Tensor, Tensor]:
-        h, state = self.plays(x, state)
-        return weighted_sum(h, torch.ones_like(x)[..., None], self.w.to(x.dtype)[:, None]), state
-
-    def stream(self) -> "SumOfPlaysStream":
-        return SumOfPlaysStream(self.plays.stream(), self.w.tolist())
-
-
-class PrandtlIshlinskii(SumOfPlays):
+class PrandtlIshlinskii(Operator):
     """y(t) = Σ_i w_i H_ri[x](t). With negative weights it is as well the inverse of such an operator.
 
     Args:
@@ -51,21 +21,33 @@ class PrandtlIshlinskii(SumOfPlays):
         ConfigError: Bad thresholds, or another number of weights than of thresholds.
     """
 
-    plays: PlayBank
-
     def __init__(
         self, thresholds: list[float], weights: list[float], trainable_thresholds: bool = False
     ) -> None:
-        super().__init__(PlayBank(thresholds, trainable_thresholds), weights)
+        super().__init__()
+        self.plays = PlayBank(thresholds, trainable_thresholds)
+        if len(weights) != len(thresholds):
+            raise ConfigError(f"weights: found {len(weights)}, expected {len(thresholds)}, one a play")
+        self.w = nn.Parameter(torch.as_tensor(weights, dtype=torch.float64).clone())
+
+    def initial_state(self, batch: int) -> Tensor:
+        return self.plays.initial_state(batch)
+
+    def forward(self, x: Tensor, state: Tensor | None = None) -> tuple[Tensor, Tensor]:
+        h, state = self.plays(x, state)
+        return weighted_sum(h, torch.ones_like(x)[..., None], self.w.to(x.dtype)[:, None]), state
+
+    def stream(self) -> "PrandtlIshlinskiiStream":
+        return PrandtlIshlinskiiStream(self.plays.stream(), self.w.tolist())
 
 
-class SumOfPlaysStream(nn.Module):
+class PrandtlIshlinskiiStream(nn.Module):
     """The sum, one sample at a time."""
 
     w: list[float]
     one: list[float]
 
-    def __init__(self, plays: nn.Module, w: list[float]) -> None:
+    def __init__(self, plays: PlayStream, w: list[float]) -> None:
         super().__init__()
         self.plays = plays
         self.w = w
@@ -73,11 +55,11 @@ class SumOfPlaysStream(nn.Module):
 
     @torch.jit.export
     def reset(self) -> None:
-        self.plays.reset()  # type: ignore[operator]
+        self.plays.reset()
 
     @torch.jit.export
     def step(self, x: float) -> float:
-        h: list[float] = self.plays.step(x)  # type: ignore[operator]
+        h = self.plays.step(x)
         total = 0.0
         for i in range(len(h)):
             total += weight(self.w, self.one, i) * h[i]

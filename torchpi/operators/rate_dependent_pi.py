@@ -7,6 +7,7 @@ Ang, Garmón, Khosla and Riviere, IROS 2003; Ang, Khosla and Riviere, IEEE/ASME 
 """
 
 import math
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -14,7 +15,7 @@ from torch import Tensor, nn
 from torchpi.errors import ConfigError
 from torchpi.operators.base import Operator
 from torchpi.operators.motion import backward_rate
-from torchpi.operators.play import PlayBank, PlayStream
+from torchpi.operators.play import PlayBank
 from torchpi.operators.weighted_sum import weight, weighted_sum
 
 RATE_STATES = 3  # the two last inputs, and whether there was one
@@ -84,39 +85,61 @@ class RateDependentPI(Operator):
         return weighted_sum(h, basis, torch.stack([self.b, self.k], 1).to(x.dtype)), state
 
     def stream(self) -> "RateDependentPIStream":
-        theta = torch.stack([self.b, self.k], 1).flatten().tolist()
-        return RateDependentPIStream(self.plays.stream(), theta, OwnRateStream(self.sample_period_s))
+        law = WeightedPlaysStream(self.plays.stream(), self.b, self.k)
+        return RateDependentPIStream(law, OwnRateStream(self.sample_period_s))
 
     def extra_repr(self) -> str:
         return f"T = {self.sample_period_s:g} s"
 
 
-class RateDependentPIStream(nn.Module):
-    """The operator, one sample at a time."""
+class WeightedPlaysStream(nn.Module):
+    """Σ_i (b_i + k_i ẋ) h_i over any bank of plays, one sample at a time, at a rate that is given.
+
+    Args:
+        plays: Stream of the bank, whose `step(x)` returns the list of its states.
+        b: Weights at rest, one a play.
+        k: Change of the weights with the rate.
+    """
 
     theta: list[float]
     basis: list[float]
 
-    def __init__(self, plays: PlayStream, theta: list[float], rate: "OwnRateStream") -> None:
+    def __init__(self, plays: Any, b: Tensor, k: Tensor) -> None:
         super().__init__()
         self.plays = plays
-        self.theta = theta
+        self.theta = torch.stack([b, k], 1).flatten().tolist()
         self.basis = [1.0, 0.0]
-        self.rate = rate
 
     @torch.jit.export
     def reset(self) -> None:
         self.plays.reset()
-        self.rate.reset()
 
     @torch.jit.export
-    def step(self, x: float) -> float:
-        self.basis[1] = self.rate.step(x)
-        h = self.plays.step(x)
+    def step(self, x: float, rate: float, acceleration: float) -> float:
+        self.basis[1] = rate
+        h: list[float] = self.plays.step(x)
         total = 0.0
         for i in range(len(h)):
             total += weight(self.theta, self.basis, i) * h[i]
         return total
+
+
+class RateDependentPIStream(nn.Module):
+    """The operator, one sample at a time."""
+
+    def __init__(self, law: WeightedPlaysStream, rate: "OwnRateStream") -> None:
+        super().__init__()
+        self.law = law
+        self.rate = rate
+
+    @torch.jit.export
+    def reset(self) -> None:
+        self.law.reset()
+        self.rate.reset()
+
+    @torch.jit.export
+    def step(self, x: float) -> float:
+        return self.law.step(x, self.rate.step(x), 0.0)
 
 
 def own_rate(

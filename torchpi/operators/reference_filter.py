@@ -67,7 +67,7 @@ class ReferenceFilter:
         start = -torch.stack([yr[:, 0], yr_dot[:, 0]], -1)
         decay = torch.linalg.matrix_exp(self._dynamics() * t[:, None, None])  # (time, 2, 2)
         e, e_dot = torch.einsum("tij,bj->bit", decay, start).unbind(1)
-        return Motion(yr + e, yr_dot + e_dot, yr_ddot + self._e_ddot(e, e_dot))  # type: ignore[arg-type]
+        return Motion(yr + e, yr_dot + e_dot, yr_ddot + self._e_ddot(e, e_dot))
 
     def stream(self) -> "ReferenceFilterStream":
         """`step(y_r)` returns (y_d, its rate, its acceleration); scriptable."""
@@ -140,3 +140,10 @@ class ReferenceFilterStream(nn.Module):
             rate + self.e_dot,
             acceleration + decay_acceleration(e, self.e_dot, self.omega, self.zeta),
         )
+
+
+def motion_stream(
+    sample_period_s: float, reference_filter: ReferenceFilter | None
+) -> "BackwardMotionStream | ReferenceFilterStream":
+    """`step` gives (y_d, its rate, its acceleration): of the filter, or without one of past samples alone."""
+    return BackwardMotionStream(sample_period_s) if reference_filter is None else reference_filter.stream()

@@ -8,9 +8,9 @@ from typing import Any
 import numba
 import numpy as np
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
-from torchpi.operators.linear import observe, recursion
+from torchpi.operators.linear import LinearStream, observe, recursion
 
 
 def relax(a: list[float], b: list[float], x: list[float], u: float) -> None:
@@ -19,26 +19,8 @@ def relax(a: list[float], b: list[float], x: list[float], u: float) -> None:
         x[i] = a[i] * x[i] + b[i] * u
 
 
-class RelaxationsStream(nn.Module):
+class RelaxationsStream(LinearStream):
     """The bank, one sample at a time."""
-
-    a: list[float]
-    b: list[float]
-    c: list[float]
-    x: list[float]
-
-    def __init__(self, a: list[float], b: list[float], c: list[float], d: float) -> None:
-        super().__init__()
-        self.a = a
-        self.b = b
-        self.c = c
-        self.d = d
-        self.x = [0.0] * len(a)
-
-    @torch.jit.export
-    def reset(self) -> None:
-        for i in range(len(self.x)):
-            self.x[i] = 0.0
 
     @torch.jit.export
     def step(self, u: float) -> float:
@@ -55,11 +37,7 @@ def relaxations(
     d: Tensor,  # ()
     x0: Tensor,  # (batch, n)
 ) -> tuple[Tensor, Tensor]:  # (batch, time), (batch, n)
-    """Output, and the state after the last sample; differentiable in all six arguments.
-
-    Computed in float64 on the CPU whatever comes in; what goes out has the device and type of `u`,
-    the state those of `x0`.
-    """
+    """As `state_space`, with the diagonal of A."""
     return recursion(_forward, _backward, u, a, b, c, d, x0)
 
 

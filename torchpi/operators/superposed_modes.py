@@ -1,4 +1,4 @@
-"""Modes side by side over whole records, compiled: their sum, and the states that a fit of modes asks for.
+"""Modes side by side over whole records, compiled: their sum, and the states that a fit of modes needs.
 
 No gradients are kept: `state_space` has them, one mode at a time, with the same bits.
 """

@@ -141,7 +141,7 @@ def _gradients(
     parts = zip(
         sums.split([part.numel() for part in parameters]), parameters, ctx.needs_input_grad[3:9], strict=True
     )
-    gradients = (part.view(like.shape) if wanted else None for part, like, wanted in parts)
+    gradients = (part.view(like.shape) if needed else None for part, like, needed in parts)
     return gx, grate if with_rate else None, gh0, *gradients, None, None
 
 
@@ -152,12 +152,12 @@ class _Eager(torch.autograd.Function):
     """The same operation without the dispatcher, which costs a fifth of a pass over some thousand samples."""
 
     @staticmethod
-    def forward(ctx: Any, *inputs: Any) -> tuple[Tensor, Tensor]:  # type: ignore[override]
+    def forward(ctx: Any, *inputs: Any) -> tuple[Tensor, Tensor]:
         output = _forward(*inputs)
         _keep(ctx, inputs, output)
         return output[:2]
 
     @staticmethod
     @torch.autograd.function.once_differentiable
-    def backward(ctx: Any, gu: Tensor, gfinal: Tensor) -> tuple[Tensor | None, ...]:  # type: ignore[override]
+    def backward(ctx: Any, gu: Tensor, gfinal: Tensor) -> tuple[Tensor | None, ...]:
         return _gradients(ctx, _backward, gu, gfinal)

@@ -147,7 +147,7 @@ def _forward(
 @njit
 def _basis(
     rate: np.ndarray, group: int, begin: int, end: int, length: int, p: Parameters, phi: np.ndarray
-) -> None:  # fmt: skip
+) -> None:
     """φ_1, φ_2, … of eq. 7 and beyond, over a tile; φ_0 is 1."""
     count = (end - begin) * LANES
     if len(phi) == 1:
@@ -164,9 +164,7 @@ def _basis(
 
 
 @njit
-def _add_own_weight(
-    p: Parameters, i: int, h: np.ndarray, count: int, own: np.ndarray, w: np.ndarray
-) -> None:  # fmt: skip
+def _add_own_weight(p: Parameters, i: int, h: np.ndarray, count: int, own: np.ndarray, w: np.ndarray) -> None:
     scale = p.scales[1]
     own[:count] = 0
     for j in range(p.psi.shape[1] - 1, -1, -1):
@@ -337,7 +335,7 @@ def _own_gradients(
 @njit
 def _rate_gradient(
     p: Parameters, phi: np.ndarray, v: np.ndarray, g: np.ndarray, count: int, gknots: np.ndarray
-) -> None:  # fmt: skip
+) -> None:
     """By the slopes and shifts of the squashed functions, and by ẏ, left in `v[1]`."""
     z, gz = phi[1], v[1]
     for q in range(count):
@@ -360,7 +358,7 @@ def _rate_gradient(
 @njit
 def _through_polynomial(
     first: int, last: int, x: np.ndarray, length: int, c: np.ndarray, gx: np.ndarray, sums: np.ndarray
-) -> None:  # fmt: skip
+) -> None:
     """From the gradient of S(x) to that of x, in place, and that of c: the adjoint of eq. 4."""
     power = np.empty(TILE, x.dtype)
     nothing = x.dtype.type(0)

@@ -12,7 +12,7 @@ from typing import Any, cast
 import numpy as np
 import torch
 from torch import Tensor
-from torch.autograd.function import FunctionCtx, once_differentiable
+from torch.autograd.function import once_differentiable
 
 from torchpi.operators.compiled import HAS_COMPILER, njit
 
@@ -60,28 +60,26 @@ def own_weight(psi: list[float], degree: int, z: float, i: int) -> float:
 
 class _WeightedSum(torch.autograd.Function):
     @staticmethod
-    def forward(
-        ctx: FunctionCtx, h: Tensor, basis: Tensor, theta: Tensor, psi: Tensor, scale: float
-    ) -> Tensor:
+    def forward(ctx: Any, h: Tensor, basis: Tensor, theta: Tensor, psi: Tensor, scale: float) -> Tensor:
         h, basis, theta, psi = (part.detach().contiguous() for part in (h, basis, theta, psi))
         y = torch.empty(h.shape[:2], dtype=h.dtype)
         _forward(
             h.numpy(), basis.numpy(), theta.flatten().numpy(), psi.flatten().numpy(), psi.shape[1], scale,
             y.numpy(),
         )  # fmt: skip
-        ctx.scale = scale  # type: ignore[attr-defined]
+        ctx.scale = scale
         ctx.save_for_backward(h, basis, theta, psi)
         return y
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: FunctionCtx, *gradients: Tensor) -> tuple[Tensor | None, ...]:
-        h, basis, theta, psi = ctx.saved_tensors  # type: ignore[attr-defined]
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
+        h, basis, theta, psi = ctx.saved_tensors
         gy = gradients[0].contiguous()
         gh, gbasis = torch.empty_like(h), torch.empty_like(basis)
         gtheta, gpsi = torch.zeros_like(theta), torch.zeros_like(psi)
         _backward(
-            h.numpy(), basis.numpy(), theta.numpy(), psi.numpy(), ctx.scale, gy.numpy(),  # type: ignore
+            h.numpy(), basis.numpy(), theta.numpy(), psi.numpy(), ctx.scale, gy.numpy(),
             gh.numpy(), gbasis.numpy(), gtheta.numpy(), gpsi.numpy(),
         )  # fmt: skip
         return gh, gbasis, gtheta, gpsi, None

@@ -59,21 +59,21 @@ def ablation(
     seeds: int = 2,
     variants: Mapping[str, Mapping[str, Any]] = VARIANTS,
     passes: Sequence[int] = PASSES,
-    told: Callable[[str], None] = lambda text: None,
+    log: Callable[[str], None] = lambda text: None,
 ) -> Ablation:
     """Train every variant on the same recordings, for every seed, and let it track eq. 15 and 16."""
     found: dict[str, list[dict[str, TrackingError]]] = {name: [] for name in variants}
     for seed in range(seeds):
         recordings = stage_recordings(stage, seed)
         for name, settings in variants.items():
-            told(f"{name}, seed {seed + 1} of {seeds}")
+            log(f"{name}, seed {seed + 1} of {seeds}")
             compensator: DirectInverse = learn(
                 recordings, stage.min_voltage_v, stage.max_voltage_v, **settings
             )
             found[name].append(tracked(stage, {name: InOnePass(compensator)})[name])
     fig7 = {}
     for count in passes:
-        told(f"Fig. 7 plant, {count} passes")
+        log(f"Fig. 7 plant, {count} passes")
         corrected = InOnePass(fig7_compensator(count))
         fig7[str(count)] = {str(hz): deployed(corrected, hz).max_percent for hz in FREQUENCIES_HZ}
     return Ablation({name: _spreads(errors) for name, errors in found.items()}, fig7, seeds)

@@ -243,9 +243,9 @@ def _fit_dead_zones(compensator: DirectInverse, slow: InversePair) -> float:
         put(numbers)
         with torch.no_grad():
             h, _ = compensator.play_states(slow.motion)
-        columns, wanted = h[0, slow.counted].numpy(), slow.u[0, slow.counted].numpy()
-        weights = np.linalg.lstsq(columns, wanted, rcond=1e-10)[0]
-        return np.asarray(columns @ weights - wanted)
+        columns, u = h[0, slow.counted].numpy(), slow.u[0, slow.counted].numpy()
+        weights = np.linalg.lstsq(columns, u, rcond=1e-10)[0]
+        return np.asarray(columns @ weights - u)
 
     found = scipy.optimize.least_squares(residual, start, diff_step=[1e-4] * len(start), max_nfev=60)
     return float(np.sqrt(np.mean(residual(found.x) ** 2)))

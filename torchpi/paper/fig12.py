@@ -40,23 +40,23 @@ class Panel:
 
 def panel(plant: Plant, trajectory: str, compensators: Mapping[str, Deployed]) -> Panel:
     """Run each compensator along `trajectory`, slow or fast, every run from the de-energised state."""
-    wanted = _reference(trajectory, plant.sample_rate_hz)
-    peak_to_peak_um = float(np.ptp(wanted.yr))
+    reference = _reference(trajectory, plant.sample_rate_hz)
+    peak_to_peak_um = float(np.ptp(reference.yr))
     tracked = {}
     for name, compensator in compensators.items():
-        run = follow(compensator, plant, wanted.yd)
+        run = follow(compensator, plant, reference.yd)
         tracked[name] = Tracked(
             run.u,
             run.y,
-            tracking_error(run.y, wanted.yd, peak_to_peak_um),
-            tracking_error(run.reading, wanted.yd, peak_to_peak_um),
+            tracking_error(run.y, reference.yd, peak_to_peak_um),
+            tracking_error(run.reading, reference.yd, peak_to_peak_um),
             int(np.count_nonzero((run.u <= plant.min_voltage_v) | (run.u >= plant.max_voltage_v))),
         )
     return Panel(
-        np.arange(len(wanted.yd)) / plant.sample_rate_hz,
-        wanted.yd,
+        np.arange(len(reference.yd)) / plant.sample_rate_hz,
+        reference.yd,
         peak_to_peak_um,
-        loading_samples(wanted.yd) / plant.sample_rate_hz,
+        loading_samples(reference.yd) / plant.sample_rate_hz,
         tracked,
     )
 

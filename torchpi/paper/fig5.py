@@ -26,13 +26,13 @@ def loop(
     return x[0, samples:].numpy(), u[0, samples:].numpy()
 
 
-def end_slope_ratio(amplitude: float = AMPLITUDE) -> float:
+def end_slope_ratio() -> float:
     """How much steeper the loop's upper end is than its middle, on the way up: near-vertical ends."""
-    x, u = loop(amplitude)
+    x, u = loop()
     samples = len(x) - 1
     up = np.r_[x[3 * samples // 4 :], x[1 : samples // 4 + 1]]
     height = np.r_[u[3 * samples // 4 :], u[1 : samples // 4 + 1]]
     slope = np.gradient(height, up)
-    middle = np.abs(up) < 0.2 * amplitude
-    end = up > 0.97 * amplitude
+    middle = np.abs(up) < 0.2 * AMPLITUDE
+    end = up > 0.97 * AMPLITUDE
     return float(slope[end].mean() / slope[middle].mean())

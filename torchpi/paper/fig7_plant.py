@@ -29,35 +29,21 @@ class Fig7Plant:
 
     Args:
         sample_period_s: T.
-        min_voltage_v: Lower end of the voltages to use. The plant itself has no limits, and answers any; the
-            loop takes its range from here, and an inverse needs less than 0 V to come down to 1 µm (eq. 9).
-        max_voltage_v: Upper end.
-        seed: For the contract of a stage; there is no noise.
 
     Raises:
         ConfigError: A period that is not positive.
-        StageError: Limits out of order.
     """
 
-    def __init__(
-        self,
-        sample_period_s: float = SAMPLE_PERIOD_S,
-        min_voltage_v: float = -2.0,
-        max_voltage_v: float = 12.0,
-        seed: int = 0,
-    ) -> None:
+    # The plant itself has no limits, and answers any voltage; the loop takes its range from here, and an
+    # inverse needs less than 0 V to come down to 1 µm (eq. 9).
+    min_voltage_v, max_voltage_v = -2.0, 12.0
+    seed = 0  # for the contract of a stage; there is no noise
+
+    def __init__(self, sample_period_s: float = SAMPLE_PERIOD_S) -> None:
         self.operator = RateDependentPI(sample_period_s, THRESHOLDS, SLOPES, OFFSETS)
         self.operator.requires_grad_(False)
-        if not min_voltage_v < max_voltage_v:
-            raise StageError(
-                f"max_voltage_v: found {max_voltage_v:g} V, "
-                f"expected more than min_voltage_v = {min_voltage_v:g} V"
-            )
         self.sample_period_s = sample_period_s
         self.sample_rate_hz = 1.0 / sample_period_s
-        self.min_voltage_v = min_voltage_v
-        self.max_voltage_v = max_voltage_v
-        self.seed = seed
 
     def simulate(
         self,

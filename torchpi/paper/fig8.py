@@ -49,8 +49,8 @@ def fig8_inverse(sample_period_s: float = SAMPLE_PERIOD_S) -> RateDependentInver
     return RateDependentInverse(
         sample_period_s,
         THRESHOLDS,
-        SLOPES,
         OFFSETS,
+        weight_slopes=SLOPES,
         min_voltage_v=-float("inf"),
         max_voltage_v=float("inf"),
     )

@@ -5,11 +5,11 @@ from typing import Any
 
 from torchpi.paper.ablation import VARIANTS, Ablation, ablation
 from torchpi.paper.context import Context
-from torchpi.paper.result import Row
+from torchpi.paper.result import Result
 
 
 @dataclass(frozen=True)
-class AblationResult:
+class AblationResult(Result):
     """The table, over seeds of phases and noise."""
 
     table: Ablation
@@ -31,9 +31,6 @@ class AblationResult:
                 }
             }
         }
-
-    def rows(self) -> list[Row]:
-        return []
 
 
 def compute_ablation(context: Context) -> AblationResult:

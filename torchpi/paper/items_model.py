@@ -9,11 +9,11 @@ import torch
 
 from torchpi.paper import fig3, fig4, fig5, fig7_plant, fig8
 from torchpi.paper.context import Context
-from torchpi.paper.result import Row
+from torchpi.paper.result import Result, Row
 
 
 @dataclass(frozen=True)
-class Fig3Result:
+class Fig3Result(Result):
     """Plays with negative weights, each alone and summed."""
 
     x: np.ndarray  # (time,)
@@ -50,7 +50,7 @@ def compute_fig3(context: Context) -> Fig3Result:
 
 
 @dataclass(frozen=True)
-class Fig4Result:
+class Fig4Result(Result):
     """A cubic against six dead zones."""
 
     curves: fig4.Fig4
@@ -72,7 +72,7 @@ class Fig4Result:
 
 
 @dataclass(frozen=True)
-class Fig5Result:
+class Fig5Result(Result):
     """What the polynomial does to the loop of an inverse."""
 
     x: np.ndarray  # (time,)
@@ -117,7 +117,7 @@ FIG7_AREAS = {
 
 
 @dataclass(frozen=True)
-class Fig7Result:
+class Fig7Result(Result):
     """The loop grows with the frequency."""
 
     loops: dict[str, LoopOfFig7]
@@ -146,7 +146,7 @@ DIRECT_AT_MOST_PERCENT = {"5": 0.3, "10": 0.3, "50": 0.5, "100": 1.0}
 
 
 @dataclass(frozen=True)
-class Fig8Result:
+class Fig8Result(Result):
     """The plant of Fig. 7 behind the indirect inverse, and behind one direct compensator."""
 
     indirect: dict[str, fig8.Fig8]

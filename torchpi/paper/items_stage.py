@@ -14,12 +14,12 @@ from torchpi.paper import fig10 as identification
 from torchpi.paper.calibration import PAPER_MAX_UM, calibrate_paper_method, without
 from torchpi.paper.context import Context
 from torchpi.paper.fig8 import Fig8
-from torchpi.paper.result import Row
+from torchpi.paper.result import Result, Row
 from torchpi.paper.tracking import Deployed, StraightLine, TrackingError
 
 
 @dataclass(frozen=True)
-class MethodsResult:
+class MethodsResult(Result):
     """By method, in the order of `methods.LABELS`."""
 
     fig7: dict[str, dict[str, float]]  # % of 9 µm, by frequency
@@ -40,9 +40,6 @@ class MethodsResult:
                 }
         return {"more": {"methods": table}}
 
-    def rows(self) -> list[Row]:
-        return []
-
 
 def compute_methods(context: Context) -> MethodsResult:
     stage = context.stage
@@ -57,7 +54,7 @@ def compute_methods(context: Context) -> MethodsResult:
         }
         stage_tables.append({**methods.tracked(stage, fitted), "torchpi": of_torchpi})
     panels: dict[str, dict[str, Fig8]] = {
-        "told": context.done["fig8"].indirect,
+        "known_plant": context.done["fig8"].indirect,
         "torchpi": context.done["fig8"].direct,
     }
     for name, by_hz in panels.items():
@@ -66,7 +63,7 @@ def compute_methods(context: Context) -> MethodsResult:
 
 
 @dataclass(frozen=True)
-class CalibrationResult:
+class CalibrationResult(Result):
     """The paper's method on the stage, and on the stage without one part of its physics."""
 
     max_um: dict[str, float]  # model, slow, fast
@@ -98,7 +95,7 @@ def compute_calibration(context: Context) -> CalibrationResult:
 
 
 @dataclass(frozen=True)
-class Fig10Result:
+class Fig10Result(Result):
     """The identified model beside the ideal inversion."""
 
     figure: identification.Fig10
@@ -152,7 +149,7 @@ class Fig10Result:
 
 
 @dataclass(frozen=True)
-class Table1Result:
+class Table1Result(Result):
     """k and b."""
 
     k: list[float]  # V/µm per µm/s
@@ -161,9 +158,6 @@ class Table1Result:
     def numbers(self) -> dict[str, Any]:
         return {"more": {"table1": {"k": self.k, "b": self.b}}}
 
-    def rows(self) -> list[Row]:
-        return []
-
 
 def compute_table1(context: Context) -> Table1Result:
     figure = context.done["fig10"].figure
@@ -171,7 +165,7 @@ def compute_table1(context: Context) -> Table1Result:
 
 
 @dataclass(frozen=True)
-class Learning:
+class Learning(Result):
     """What torchpi learned from recordings of the stage."""
 
     hyper_parameters: dict[str, Any]
@@ -211,7 +205,7 @@ AT_MOST_PERCENT, AT_MOST_RMS_PERCENT = 0.5, 0.15
 
 
 @dataclass(frozen=True)
-class Fig12Result:
+class Fig12Result(Result):
     """The slow and the fast trajectory, the paper's method and torchpi's."""
 
     panels: dict[str, fig12.Panel]
@@ -278,7 +272,7 @@ class Fig12Result:
                     ours.samples_at_limit,
                     note=f"of {len(panel.t):,}; the paper's method {paper.samples_at_limit}",
                 ),
-            ]  # fmt: skip
+            ]
         return rows
 
 
@@ -288,7 +282,7 @@ def compute_fig12(context: Context) -> Fig12Result:
 
 
 @dataclass(frozen=True)
-class Fig13Result:
+class Fig13Result(Result):
     """Loops before and after: the two trajectories, and sines by frequency."""
 
     before: dict[str, fig13.Loop]  # by frequency
@@ -309,9 +303,6 @@ class Fig13Result:
             }
         }
 
-    def rows(self) -> list[Row]:
-        return []
-
 
 def compute_fig13(context: Context) -> Fig13Result:
     straight = StraightLine(context.identified.slow)
@@ -326,7 +317,7 @@ def compute_fig13(context: Context) -> Fig13Result:
 
 
 @dataclass(frozen=True)
-class UnseenResult:
+class UnseenResult(Result):
     """Random trajectories, the paper's method and torchpi's."""
 
     trials: dict[str, list[unseen.Trial]]
@@ -370,7 +361,7 @@ def compute_unseen(context: Context) -> UnseenResult:
 
 
 @dataclass(frozen=True)
-class ClaimResult:
+class ClaimResult(Result):
     """A statement of the paper, tried."""
 
     name: str
@@ -378,9 +369,6 @@ class ClaimResult:
 
     def numbers(self) -> dict[str, Any]:
         return {"more": {"claims": {self.name: {"holds": self.claim.holds, "variants": self.claim.variants}}}}
-
-    def rows(self) -> list[Row]:
-        return []
 
 
 def trying(name: str) -> Callable[[Context], ClaimResult]:

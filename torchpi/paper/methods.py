@@ -1,7 +1,7 @@
 """Every method that the paper names, fitted to the same recordings, on the same motions: one table.
 
 The recordings are the paper's two, 5 Hz sine and eq. 13. A method sees them and nothing else of the plant, so
-that its row shows what its form is worth, not what it was told.
+that its row shows what its form is worth, not what is known of the plant.
 """
 
 from collections.abc import Callable
@@ -41,7 +41,7 @@ LABELS = {
     "without": "straight line, no compensation",
     "conventional": "conventional inverse (Krejčí–Kuhnen)",
     "rate_dependent": "rate-dependent terms put in (Ang, Tan)",
-    "told": "the same, told the plant's numbers (Fig. 8)",
+    "known_plant": "the same, with the plant's own numbers (Fig. 8)",
     "time_varying_thresholds": "time-varying thresholds (Al Janaideh–Krejčí)",
     "cascade": "hysteresis in cascade with linear dynamics (Croft–Devasia)",
     "generalised_direct": "direct, generalised plays",

@@ -1,7 +1,7 @@
 """What every item of the reproduction gives: its part of results.json, and rows beside the paper's."""
 
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 
 @dataclass(frozen=True)
@@ -13,8 +13,8 @@ class Row:
         ours: What came out.
         unit: Of both; empty for a bare number.
         paper: The paper's number, or the one recomputed from its text; None if it gives none.
-        at_most: What `ours` must not exceed, if something is asked of it.
-        within_percent: How far `ours` may be from `paper`, if something is asked of it.
+        at_most: What `ours` must not exceed, if it has such a bound.
+        within_percent: How far `ours` may be from `paper`, if it has such a bound.
         note: What a reader needs to compare the two.
     """
 
@@ -38,22 +38,22 @@ class Row:
 
     @property
     def met(self) -> bool | None:
-        """Whether what is asked is reached; None if nothing is."""
-        asked = []
+        """Whether the bounds are kept; None without any."""
+        kept = []
         if self.at_most is not None:
-            asked.append(self.ours <= self.at_most)
+            kept.append(self.ours <= self.at_most)
         if self.within_percent is not None and self.difference_percent is not None:
-            asked.append(abs(self.difference_percent) <= self.within_percent)
-        return all(asked) if asked else None
+            kept.append(abs(self.difference_percent) <= self.within_percent)
+        return all(kept) if kept else None
 
 
-class Result(Protocol):
-    """A frozen dataclass of an item."""
+class Result:
+    """What an item found: a frozen dataclass."""
 
     def numbers(self) -> dict[str, Any]:
         """Its part of results.json: nested, every key a string."""
-        ...
+        raise NotImplementedError
 
     def rows(self) -> list[Row]:
         """Its table."""
-        ...
+        return []

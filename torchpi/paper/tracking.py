@@ -89,7 +89,6 @@ def follow(
     plant: Plant,
     yd: np.ndarray,  # (time,), µm
     beyond: np.ndarray | None = None,  # how the motion goes on, for compensators that look ahead
-    seed: int | None = None,
 ) -> Followed:
     """Drive the plant along `yd` from the de-energised state. Beyond its end it rests, if not given."""
     beyond = np.full(compensator.preview, yd[-1]) if beyond is None else beyond
@@ -97,7 +96,7 @@ def follow(
     with torch.no_grad():
         compensator.reset()
         u = compensator.block(torch.from_numpy(ahead))
-        y, reading = plant.simulate(u[None], plant.seed if seed is None else seed)
+        y, reading = plant.simulate(u[None], plant.seed)
     return Followed(u.numpy(), y[0].numpy(), reading[0].numpy())
 
 

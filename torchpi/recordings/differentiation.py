@@ -127,6 +127,6 @@ def _edge_cubic(
 def _check_samples(samples: int) -> None:
     if samples < LEAST_SAMPLES:
         raise RecordingError(
-            f"a rate of {samples} samples is asked for, expected at least {LEAST_SAMPLES}; "
+            f"a rate of {samples} samples is needed, expected at least {LEAST_SAMPLES}; "
             "take a longer recording"
         )

@@ -56,7 +56,7 @@ class MultiAxisRecording:
 def read_multi_axis(
     path: str | Path, options: RecordingOptions | None = None, periods: int = 1
 ) -> MultiAxisRecording:
-    """Read a file whose columns are named `input_1_v`, `input_2_v`, … and `output_1_um`, …
+    """Read a file whose columns are named `input_1_v`, `input_2_v`, … and `output_1_um`, ….
 
     Args:
         path: CSV, or any other kind with named columns.
@@ -77,11 +77,6 @@ def read_multi_axis(
     values = np.stack([signal.x for signal in signals], 1)
     split = len(inputs)
     return MultiAxisRecording(Path(path).stem, values[:, :split], values[:, split:], fs_hz, periods)
-
-
-def is_multi_axis(source: Source) -> bool:
-    """Whether an open file has numbered inputs."""
-    return any(INPUT.match(name) for name in source.names)
 
 
 def columns(source: Source, kind: re.Pattern[str], first: str) -> list[str]:

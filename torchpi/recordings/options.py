@@ -70,9 +70,9 @@ class RecordingOptions:
             value = getattr(self, field.name)
             if value != field.default:
                 text = _as_text(value)
-                arguments += [f"{prefix}{field.name}={text}"] if text[:1] == "-" else [
-                    f"{prefix}{field.name}", text
-                ]  # fmt: skip
+                arguments += (
+                    [f"{prefix}{field.name}={text}"] if text[:1] == "-" else [f"{prefix}{field.name}", text]
+                )
         return arguments
 
 

@@ -19,7 +19,6 @@ MOST_COLUMNS = 40  # of a file of many arrays the first
 PREVIEWED = 5
 HOLD_SAMPLES = 16  # a hold lasts for at least so many
 HOLD_SPREAD = 7.0  # standard deviations: 16 samples of noise keep within them but once in ten thousand
-ROLES: tuple[Role, ...] = ("time", "input", "output")
 
 
 @dataclass(frozen=True, eq=False)

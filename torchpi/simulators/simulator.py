@@ -38,7 +38,7 @@ class Simulator:
     function: Simulate
     reference: str
     token: str = field(default_factory=lambda: uuid4().hex)
-    """What tells it from another, in any process."""
+    """What distinguishes it from another, in any process."""
 
     @classmethod
     def of(cls, function: Simulate) -> "Simulator":

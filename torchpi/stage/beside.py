@@ -24,8 +24,8 @@ def difference(stage: Stage, compensator_sha256: str | None) -> str | None:
 
     Args:
         stage: One that was identified, or one that was written down, which no recordings belong to.
-        compensator_sha256: `recordings_sha256` of what the compensator was trained on; None where it does
-            not say.
+        compensator_sha256: `recordings_sha256` of what the compensator was trained on; None where it is
+            not known.
     """
     if stage.identified is None or compensator_sha256 is None:
         return None

@@ -9,14 +9,13 @@ serves any sample rate.
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
-from torchpi.errors import ArtifactError, StageError
+from torchpi.errors import StageError
 from torchpi.operators.bouc_wen_oscillator import (
     BETWEEN_SAMPLES,
     BetweenSamples,
@@ -26,9 +25,8 @@ from torchpi.operators.bouc_wen_oscillator import (
     interpolation_taps,
 )
 from torchpi.operators.compiled import in_threads
-from torchpi.stage.file import load_model, save_model
+from torchpi.stage.file import SavedStage
 
-SCHEMA, VERSION = "torchpi Bouc-Wen oscillator", 1
 STEPS = 20
 """Of the integration in a sample: of the nonlinear benchmark's oscillator at 750 Hz, to 2e-5 of its rms."""
 MOST_STEPS = 10_000
@@ -49,7 +47,7 @@ class OscillatorState:
     past: int = 0
 
 
-class BoucWenOscillator(nn.Module):
+class BoucWenOscillator(SavedStage):
     """A mode whose restoring force has Bouc–Wen hysteresis.
 
     Args:
@@ -63,6 +61,8 @@ class BoucWenOscillator(nn.Module):
     Raises:
         StageError: A parameter that is missing or has no physical meaning.
     """
+
+    SCHEMA, VERSION, KIND = "torchpi Bouc-Wen oscillator", 1, "a Bouc–Wen oscillator"
 
     def __init__(
         self,
@@ -199,7 +199,6 @@ class BoucWenOscillator(nn.Module):
         return OscillatorStream(self)
 
     def plain(self) -> dict[str, Any]:
-        """Settings and parameters, as its file keeps them."""
         return {
             "sample_rate_hz": self.sample_rate_hz,
             "parameters": self.values._asdict(),
@@ -207,35 +206,6 @@ class BoucWenOscillator(nn.Module):
             "steps": self.steps,
             "offset_um": self.get_buffer("offset_um").item(),
         }
-
-    def save(self, path: str | Path) -> None:
-        """Write the oscillator, plain numbers with a hash of them, whole or not at all."""
-        save_model(path, SCHEMA, VERSION, self.plain())
-
-    @classmethod
-    def load(cls, path: str | Path) -> "BoucWenOscillator":
-        """The oscillator in a file that `save` wrote.
-
-        Raises:
-            ArtifactError: No such file, another kind of file, another version, or one that was changed.
-            StageError: A value without meaning.
-        """
-        return cls.of(load_model(path, SCHEMA, VERSION, "a Bouc–Wen oscillator"), path)
-
-    @classmethod
-    def of(cls, settings: Mapping[str, Any], path: str | Path) -> "BoucWenOscillator":
-        """The oscillator of these settings, which are those of a file.
-
-        Raises:
-            ArtifactError: Others than an oscillator has.
-            StageError: A value without meaning.
-        """
-        try:
-            return cls(**settings)
-        except StageError:
-            raise
-        except (TypeError, ValueError) as error:
-            raise ArtifactError(f"{path}: fields of another kind, expected those of an oscillator") from error
 
 
 class OscillatorStream:

@@ -1,10 +1,12 @@
 """A stage's file: plain settings with a hash of them, read only if they are what was written."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar, Self
 
-from torchpi.errors import ArtifactError
+from torch import nn
+
+from torchpi.errors import ArtifactError, StageError
 from torchpi.files import content_sha256, load_tensors, save_tensors, write_atomically
 
 SCHEMA, VERSION = "torchpi stage", 2
@@ -14,71 +16,43 @@ LARGEST_BYTES = 2**28
 EXPECTED = "expected a stage.pt of 'torchpi diagnose' or of a training, or a stage file (.yaml)"
 
 
-def write_settings(path: Path, settings: Mapping[str, Any]) -> None:
+def write_settings(
+    path: Path, settings: Mapping[str, Any], schema: str = SCHEMA, version: int = VERSION
+) -> None:
     """Write settings, plain values by name, which `torch.load` reads with weights only."""
-    content = {"schema": SCHEMA, "version": VERSION, **settings}
+    content = {"schema": schema, "version": version, **settings}
     save_tensors({**content, HASH: content_sha256(content)}, path)
 
 
-def read_settings(path: Path) -> dict[str, Any]:
+def read_settings(
+    path: Path,
+    schemas: Sequence[str] = (SCHEMA, OLDER_SCHEMA),
+    version: int = VERSION,
+    expected: str = EXPECTED,
+) -> dict[str, Any]:
     """The settings in a file that `write_settings` wrote.
+
+    Args:
+        path: Of the file.
+        schemas: The kinds of files that are read.
+        version: Of the kind, the one that is read.
+        expected: The end of errors about another kind of file.
 
     Raises:
         ArtifactError: No such file, something else, of another version, or changed since it was written.
     """
     if not path.is_file():
-        raise ArtifactError(f"{path}: no such file, {EXPECTED}")
-    content = load_tensors(path, LARGEST_BYTES, f"not a stage file, {EXPECTED}")
-    if not isinstance(content, dict) or content.get("schema") not in (SCHEMA, OLDER_SCHEMA):
-        raise ArtifactError(f"{path}: a file of something else, {EXPECTED}")
-    if content.get("version") != VERSION:
+        raise ArtifactError(f"{path}: no such file, {expected}")
+    content = load_tensors(path, LARGEST_BYTES, f"not a stage file, {expected}")
+    if schema_of(content) not in schemas:
+        raise ArtifactError(f"{path}: a file of something else, {expected}")
+    if content.get("version") != version:
         raise ArtifactError(
-            f"{path}: found version {content.get('version')}, expected {VERSION}: "
-            "diagnose the recordings again"
+            f"{path}: found version {content.get('version')}, expected {version}: identify the stage again"
         )
     # Files of earlier versions have no hash; every part of the archive still has its checksum.
-    expected = content.pop(HASH, None)
-    if expected is not None and expected != content_sha256(content):
-        raise ArtifactError(f"{path}: changed since it was written, expected the file as it was saved")
-    return {name: value for name, value in content.items() if name not in ("schema", "version")}
-
-
-def save_model(path: str | Path, schema: str, version: int, settings: Mapping[str, Any]) -> None:
-    """Write the settings of a stage of its own kind with a hash of them, whole or not at all."""
-    content = {"schema": schema, "version": version, **settings}
-    with write_atomically(path) as temporary:
-        save_tensors({**content, HASH: content_sha256(content)}, temporary)
-
-
-def load_model(path: str | Path, schema: str, version: int, expected: str) -> dict[str, Any]:
-    """The settings in a file that `save_model` wrote.
-
-    Args:
-        path: Of the file.
-        schema: Its kind.
-        version: Of the kind, the one that is read.
-        expected: What errors call the kind.
-
-    Raises:
-        ArtifactError: No such file, another kind of file, another version, or one that was changed.
-    """
-    if not Path(path).is_file():
-        raise ArtifactError(f"{path}: no such file, expected {expected}")
-    content = load_tensors(Path(path), LARGEST_BYTES, f"not a stage file, expected {expected}")
-    if schema_of(content) != schema:
-        raise ArtifactError(f"{path}: a file of something else, expected {expected}")
-    return model_settings(content, path, version)
-
-
-def model_settings(content: dict[str, Any], path: str | Path, version: int) -> dict[str, Any]:
-    """The settings in the content of such a file.
-
-    Raises:
-        ArtifactError: Another version, or a content that was changed.
-    """
-    if content.get("version") != version:
-        raise ArtifactError(f"{path}: found version {content.get('version')}, expected {version}")
-    if content.pop(HASH, None) != content_sha256(content):
+    written = content.pop(HASH, None)
+    if written is not None and written != content_sha256(content):
         raise ArtifactError(f"{path}: changed since it was written, expected the file as it was saved")
     return {name: value for name, value in content.items() if name not in ("schema", "version")}
 
@@ -87,3 +61,42 @@ def schema_of(content: object) -> str | None:
     """Which kind of stage the content of a file is, where it is that of one."""
     found = content.get("schema") if isinstance(content, dict) else None
     return found if isinstance(found, str) else None
+
+
+class SavedStage(nn.Module):
+    """A stage of a kind of its own, whose file holds the arguments that it is made of.
+
+    Attributes:
+        SCHEMA: The kind, in its files.
+        VERSION: Of the kind, the one that is written and read.
+        KIND: The kind, in errors.
+    """
+
+    SCHEMA: ClassVar[str]
+    VERSION: ClassVar[int]
+    KIND: ClassVar[str]
+
+    def plain(self) -> dict[str, Any]:
+        """Settings and parameters, as its file keeps them: the arguments of the class."""
+        raise NotImplementedError
+
+    def save(self, path: str | Path) -> None:
+        """Write the stage, plain numbers with a hash of them, whole or not at all."""
+        with write_atomically(path) as temporary:
+            write_settings(temporary, self.plain(), self.SCHEMA, self.VERSION)
+
+    @classmethod
+    def load(cls, path: str | Path) -> Self:
+        """The stage in a file that `save` wrote.
+
+        Raises:
+            ArtifactError: No such file, another kind of file, another version, or one that was changed.
+            StageError: A value without meaning.
+        """
+        settings = read_settings(Path(path), [cls.SCHEMA], cls.VERSION, f"expected {cls.KIND}")
+        try:
+            return cls(**settings)
+        except StageError:
+            raise
+        except (TypeError, ValueError) as error:
+            raise ArtifactError(f"{path}: fields of another kind, expected those of {cls.KIND}") from error

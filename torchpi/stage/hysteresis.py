@@ -166,7 +166,7 @@ class Hysteresis(Operator):
             v - bent,
             threshold_widening(rate, shape["threshold_s_per_v"]),  # type: ignore[arg-type]
             gain,
-            straight_gain(gain, shape["straight_share"]),  # type: ignore[arg-type]
+            straight_gain(gain, shape["straight_share"]),
             loop,
         )
         of_plays = weights[: plays * self.degree].reshape(self.degree, plays)

@@ -4,9 +4,8 @@ from pathlib import Path
 
 from torchpi.errors import ArtifactError
 from torchpi.files import load_tensors
-from torchpi.stage import bouc_wen_oscillator, multi_axis
 from torchpi.stage.bouc_wen_oscillator import BoucWenOscillator
-from torchpi.stage.file import LARGEST_BYTES, model_settings, schema_of
+from torchpi.stage.file import LARGEST_BYTES, schema_of
 from torchpi.stage.multi_axis import MultiAxisStage
 
 
@@ -18,12 +17,8 @@ def load_own_kind(path: str | Path) -> MultiAxisStage | BoucWenOscillator | None
         StageError: A value without meaning.
     """
     try:
-        content = load_tensors(Path(path), LARGEST_BYTES, "not a stage file")
+        schema = schema_of(load_tensors(Path(path), LARGEST_BYTES, "not a stage file"))
     except ArtifactError:
         return None
-    match schema_of(content):
-        case multi_axis.stage.SCHEMA:
-            return MultiAxisStage.of(model_settings(content, path, multi_axis.stage.VERSION), path)
-        case bouc_wen_oscillator.SCHEMA:
-            return BoucWenOscillator.of(model_settings(content, path, bouc_wen_oscillator.VERSION), path)
-    return None
+    kinds = {kind.SCHEMA: kind for kind in (MultiAxisStage, BoucWenOscillator)}
+    return kinds[schema].load(path) if schema in kinds else None

@@ -270,7 +270,7 @@ def build(
 
 
 def _of_kind(value: Any, kind: str, where: str) -> Any:
-    """The value as the annotation wants it. YAML 1.1 takes 1e-4 for text: that is a number here."""
+    """The value as its annotation requires. YAML 1.1 takes 1e-4 for text: that is a number here."""
     if "Mapping" in kind or (value is None and "None" in kind):
         return value
     if "bool" in kind:

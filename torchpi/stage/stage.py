@@ -10,7 +10,7 @@ and its file is plain data.
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple, Self, cast
+from typing import Any, Self, cast
 
 import torch
 from torch import Tensor, nn
@@ -26,15 +26,14 @@ from torchpi.operators.quantization import Converter
 from torchpi.recordings.options import SIMULATED_COLUMN
 from torchpi.simulators import COLUMN, Simulator
 from torchpi.stage.alignment import OneSampleEarly, OneSampleLate, Zero
-from torchpi.stage.effects import EFFECTS
+from torchpi.stage.effect_settings import EffectSettings, in_order
 from torchpi.stage.effects.amplifier.delay import Delay
 from torchpi.stage.effects.amplifier.slew_limit import SlewLimit
 from torchpi.stage.effects.effect import Effect, Parameters
 from torchpi.stage.effects.held import hold_first_block
 from torchpi.stage.effects.inside import InsideEffect
-from torchpi.stage.effects.mechanics.modal import MODAL, ModalEffect
+from torchpi.stage.effects.mechanics.modal import ModalEffect
 from torchpi.stage.effects.mechanics.modes import Modes, Part
-from torchpi.stage.effects.unknown import Unknown
 from torchpi.stage.file import EXPECTED, read_settings, write_settings
 from torchpi.stage.hysteresis import Hysteresis
 from torchpi.stage.identified import Identified
@@ -44,15 +43,6 @@ from torchpi.stage.stream import RigStream, StageStream
 
 RATE = Quantity("Hz", at_least=0, at_most=1e8, positive=True)  # a thousand times the fastest controller
 SEED = Quantity("", at_least=0, at_most=2**63 - 1)
-MOST_EFFECTS = 100
-
-
-class EffectSettings(NamedTuple):
-    """An effect of a stage: its kind, its parameters, and the auxiliary signal that it takes, if any."""
-
-    kind: type[Effect] | type[InsideEffect] | type[ModalEffect]
-    values: Parameters
-    aux: str = ""
 
 
 class Stage(Operator):
@@ -215,8 +205,8 @@ class Stage(Operator):
         return {
             "sample_rate_hz": self.sample_rate_hz,
             "hysteresis": self.hysteresis.settings(),
-            "effects": [_entry(one) for one in self.effects],
-            "sensor": [_entry(one) for one in self.sensor_effects],
+            "effects": [one.plain() for one in self.effects],
+            "sensor": [one.plain() for one in self.sensor_effects],
             "alignment": self.alignment,
             "min_voltage_v": self.min_voltage_v if math.isfinite(self.min_voltage_v) else None,
             "max_voltage_v": self.max_voltage_v if math.isfinite(self.max_voltage_v) else None,
@@ -258,7 +248,7 @@ class Stage(Operator):
             elif modes is not None and issubclass(one.kind, ModalEffect):
                 values, part = modes.part_values(part), part + 1
             else:
-                values = _present(one, next(alone))
+                values = one.present(next(alone))
             found.append(one._replace(values=values))
         return tuple(found)
 
@@ -267,7 +257,7 @@ class Stage(Operator):
         """Those between the displacement and the reading."""
         operators = cast(list[Effect], self.sensor.series())
         return tuple(
-            one._replace(values=_present(one, operator))
+            one._replace(values=one.present(operator))
             for one, operator in zip(self._of_sensor, operators, strict=True)
         )
 
@@ -307,7 +297,7 @@ class Stage(Operator):
 
     def series(self) -> list[Operator]:
         """Every operator from the limited command to the displacement, first to last."""
-        return [*self.before, self.hysteresis, *self.after]  # type: ignore[list-item]
+        return [*self.before, self.hysteresis, *self.after]
 
     def initial_state(self, batch: int) -> Tensor:
         return torch.cat([operator.initial_state(batch).cpu() for operator in self.series()], 1)
@@ -318,8 +308,9 @@ class Stage(Operator):
         state: Tensor | None = None,  # (batch, states)
         aux: Mapping[str, Tensor] | None = None,  # (batch, time) under each of `aux_names`
     ) -> tuple[Tensor, Tensor]:  # (batch, time), µm; (batch, states)
+        aux = aux or {}
         for name in self.aux_names:
-            if name not in (aux or {}):
+            if name not in aux:
                 takes = next((one.kind.name for one in self._named if one.aux == name), "simulation")
                 raise StageError(f"{takes}: found no signal '{name}', expected it beside the voltage")
         outside = x
@@ -332,11 +323,9 @@ class Stage(Operator):
         for operator, part in zip(series, state.split(sizes, 1), strict=True):
             names = self._signals.get(operator, "")
             if isinstance(names, tuple):
-                x, part = operator(x, part, [aux[name].cpu() for name in names])  # type: ignore[index]
-            elif names:
-                x, part = operator(x, part, aux[names].cpu())  # type: ignore[index]
+                x, part = operator(x, part, [aux[name].cpu() for name in names])
             else:
-                x, part = operator(x, part)
+                x, part = operator(x, part, aux[names].cpu()) if names else operator(x, part)
             after.append(part)
         return x.to(outside.device), torch.cat(after, 1).to(outside.device)
 
@@ -422,43 +411,3 @@ class Stage(Operator):
                 operators.append(modes := Modes(self.sample_period_s, parts))
                 signals[modes] = modes.aux_names
         return operators, signals
-
-
-def in_order(entries: Sequence[Mapping[str, Any]]) -> list[EffectSettings]:
-    """Effects as `Stage` takes them, in the order of the chain.
-
-    Raises:
-        StageError: An unknown effect, or an auxiliary signal that is missing or not taken.
-    """
-    kinds, found = {kind.name: kind for kind in (*EFFECTS, Unknown)}, []
-    if len(entries) > MOST_EFFECTS:
-        raise StageError(f"effects: found {len(entries)}, expected at most {MOST_EFFECTS}")
-    for entry in entries:
-        name, aux = entry.get("name"), entry.get("aux") or ""
-        if name is None:
-            raise StageError(f"effects: found an entry without a name, expected one of {', '.join(kinds)}")
-        if name not in kinds:
-            raise StageError(f"effects: found '{name}', expected one of {', '.join(kinds)}")
-        kind = MODAL[name] if entry.get("modal") else kinds[name]
-        if kind.takes_aux != bool(aux):
-            expected = "the name of the signal that it takes" if kind.takes_aux else "none"
-            raise StageError(f"{name}: found the auxiliary signal '{aux}', expected {expected}")
-        values = {parameter: float(value) for parameter, value in (entry.get("values") or {}).items()}
-        found.append(EffectSettings(kind, values, aux))
-    order = list(kinds)
-    return sorted(found, key=lambda one: order.index(one.kind.name))
-
-
-def _present(one: EffectSettings, operator: Effect) -> Parameters:
-    """The present parameters: those that were given, and those that training has moved."""
-    return {
-        name: value
-        for name, value in operator.values().items()
-        if name in one.values or value != operator.identity[name]
-    }
-
-
-def _entry(one: EffectSettings) -> dict[str, Any]:
-    """The effect as the constructor takes it."""
-    entry = {"name": one.kind.name, "values": one.values, "aux": one.aux}
-    return entry | {"modal": True} if issubclass(one.kind, ModalEffect) else entry

@@ -17,7 +17,7 @@ R, W = [0.0, 0.4, 1.0, 2.5], [0.8, 0.1, 0.15, 0.05]
 
 class TestDeployed(DeployedLaws):
     def compensator(self) -> CascadedInverse:
-        return CascadedInverse(1e-4, R, W, [2e-4, 6e-8], preview=3)
+        return CascadedInverse(1e-4, R, W, lead=[2e-4, 6e-8], preview=3)
 
 
 def sine(period_s: float) -> Motion:
@@ -40,7 +40,9 @@ def test_it_undoes_its_own_cascade_to_second_order_in_the_sample_period(kind: st
         dynamics = lag if kind == "lag" else Resonance(period_s, frequency_hz=600.0, damping_ratio=0.1)
         forward = Chain(hysteresis=PrandtlIshlinskii(R, W), dynamics=dynamics)
         motion = sine(period_s)
-        inverse = CascadedInverse(period_s, R, W, lead_of(dynamics), min_voltage_v=-99.0, max_voltage_v=99.0)
+        inverse = CascadedInverse(
+            period_s, R, W, lead=lead_of(dynamics), min_voltage_v=-99.0, max_voltage_v=99.0
+        )
         error = (forward(inverse(motion))[0] - motion.yd)[0, motion.yd.shape[1] // 2 :]
         errors.append(error.abs().max().item())
     assert errors[0] < 5e-3
@@ -51,17 +53,17 @@ def test_it_undoes_its_own_cascade_to_second_order_in_the_sample_period(kind: st
 def test_a_delay_is_undone_by_preview() -> None:
     forward = Chain(hysteresis=PrandtlIshlinskii(R, W), delay=Delay(1e-4, delay_s=5e-4))
     motion = sine(1e-4)
-    inverse = CascadedInverse(1e-4, R, W, [], preview=5)
+    inverse = CascadedInverse(1e-4, R, W, preview=5)
     assert inverse.stream().preview == 5
     y = forward(inverse(Motion(*(part[:, 5:] for part in motion))))[0]
     assert torch.allclose(y[:, 5:], motion.yd[:, 5:-5], rtol=0, atol=1e-12)
 
 
 def test_without_dynamics_it_is_the_conventional_inverse(motion: Motion) -> None:
-    assert torch.equal(CascadedInverse(1e-4, R, W, [])(motion), ConventionalInverse(1e-4, R, W)(motion))
+    assert torch.equal(CascadedInverse(1e-4, R, W)(motion), ConventionalInverse(1e-4, R, W)(motion))
 
 
 @pytest.mark.parametrize(("lead", "named"), [([1.0, 1.0, 1.0], "at most two"), ([float("inf")], "lead")])
 def test_an_impossible_lead_is_refused(lead: list[float], named: str) -> None:
     with pytest.raises(ConfigError, match=named):
-        CascadedInverse(1e-4, R, W, lead)
+        CascadedInverse(1e-4, R, W, lead=lead)

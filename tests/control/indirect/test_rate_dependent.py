@@ -17,12 +17,12 @@ from torchpi.paper.fig8 import fig8_inverse, indirect
 
 class TestDeployed(DeployedLaws):
     def compensator(self) -> RateDependentInverse:
-        return RateDependentInverse(1e-4, THRESHOLDS, SLOPES, OFFSETS, preview=1)
+        return RateDependentInverse(1e-4, THRESHOLDS, OFFSETS, weight_slopes=SLOPES, preview=1)
 
 
 def test_without_slopes_it_is_the_conventional_inverse(motion: Motion) -> None:
     none = [0.0] * len(OFFSETS)
-    rate_dependent = RateDependentInverse(1e-4, THRESHOLDS, none, OFFSETS)
+    rate_dependent = RateDependentInverse(1e-4, THRESHOLDS, OFFSETS, weight_slopes=none)
     assert torch.equal(rate_dependent(motion), ConventionalInverse(1e-4, THRESHOLDS, OFFSETS)(motion))
 
 
@@ -78,4 +78,4 @@ def test_through_its_own_model_at_rest_it_is_exact() -> None:
 
 def test_another_number_of_slopes_is_refused() -> None:
     with pytest.raises(ConfigError, match=r"weight_slopes.*expected 10"):
-        RateDependentInverse(1e-4, THRESHOLDS, SLOPES[:3], OFFSETS)
+        RateDependentInverse(1e-4, THRESHOLDS, OFFSETS, weight_slopes=SLOPES[:3])

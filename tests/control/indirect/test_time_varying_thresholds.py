@@ -19,12 +19,12 @@ GROWING = [0.0, 1e-4, 3e-4, 6e-4]
 class TestForward(OperatorLaws):
     def operator(self) -> TimeVaryingThresholdPI:
         # ρ such that gradients by differences stay clear of the kinks at these rates.
-        return TimeVaryingThresholdPI(0.1, [0.0, 0.11, 0.4], [0.0, 0.013, 0.021], [1.0, 0.3, -0.2])
+        return TimeVaryingThresholdPI(0.1, [0.0, 0.11, 0.4], [1.0, 0.3, -0.2], [0.0, 0.013, 0.021])
 
 
 class TestDeployed(DeployedLaws):
     def compensator(self) -> TimeVaryingThresholdInverse:
-        return TimeVaryingThresholdInverse(1e-4, R, RHO, W)
+        return TimeVaryingThresholdInverse(1e-4, R, W, threshold_slopes=RHO)
 
 
 @given(
@@ -40,8 +40,8 @@ def test_the_inverse_is_exact_to_1e_9_where_the_condition_holds(seed: int, weigh
     r = torch.stack([torch.zeros_like(first), first, first + 0.2 + gains[:, 0], first + 1 + gains.sum(1)], 1)
     report = dilation(r)
     assert report.holds and "holds" in str(report)
-    forward = TimeVaryingThresholdPI(1e-4, R, RHO, weights)
-    inverse = TimeVaryingThresholdInverse(1e-4, R, RHO, weights)
+    forward = TimeVaryingThresholdPI(1e-4, R, weights, RHO)
+    inverse = TimeVaryingThresholdInverse(1e-4, R, weights, threshold_slopes=RHO)
     y, _ = forward.at_thresholds(x, r[None])
     assert (inverse.at_thresholds(y, r[None]) - x).abs().max() < 1e-9
 
@@ -49,7 +49,8 @@ def test_the_inverse_is_exact_to_1e_9_where_the_condition_holds(seed: int, weigh
 def test_thresholds_that_move_with_the_rate_together_satisfy_the_condition(motion: Motion) -> None:
     """r_i + ρ|u̇| with one ρ: the distances stay, and the round trip is exact, rates rising and falling."""
     forward, inverse = (
-        kind(1e-4, R, RHO, W) for kind in (TimeVaryingThresholdPI, TimeVaryingThresholdInverse)
+        kind(1e-4, R, W, threshold_slopes=RHO)
+        for kind in (TimeVaryingThresholdPI, TimeVaryingThresholdInverse)
     )
     assert inverse.dilation(motion).holds
     r = forward.thresholds(motion.yd_dot)
@@ -68,8 +69,8 @@ def test_where_the_condition_fails_it_is_said_and_the_inverse_is_not_exact() -> 
     assert 0.3 < report.violations / report.samples < 0.7
     assert report.plays == (1, 2) and report.largest_shrinkage > 0
     assert "fails" in str(report) and "plays 1 and 2" in str(report)
-    forward = TimeVaryingThresholdPI(1e-4, R[:3], RHO[:3], W[:3])
-    inverse = TimeVaryingThresholdInverse(1e-4, R[:3], RHO[:3], W[:3])
+    forward = TimeVaryingThresholdPI(1e-4, R[:3], W[:3], RHO[:3])
+    inverse = TimeVaryingThresholdInverse(1e-4, R[:3], W[:3], threshold_slopes=RHO[:3])
     y, _ = forward.at_thresholds(x, r[None])
     assert (inverse.at_thresholds(y, r[None]) - x).abs().max() > 1e-3
 
@@ -81,7 +82,8 @@ def test_thresholds_that_are_least_at_every_reversal_need_no_dilation(tones: lis
     x = 5 - sum(a * torch.cos(2 * torch.pi * f * t) for a, f in tones)
     rate = sum(2 * torch.pi * f * a * torch.sin(2 * torch.pi * f * t) for a, f in tones)
     forward, inverse = (
-        kind(1e-4, R, GROWING, W) for kind in (TimeVaryingThresholdPI, TimeVaryingThresholdInverse)
+        kind(1e-4, R, W, threshold_slopes=GROWING)
+        for kind in (TimeVaryingThresholdPI, TimeVaryingThresholdInverse)
     )
     report = inverse.dilation(Motion(x, rate, rate))
     assert report.violations / report.samples == pytest.approx(0.5, abs=0.03)
@@ -100,18 +102,20 @@ def test_the_first_sample_that_breaks_the_condition_is_named() -> None:
 
 
 def test_the_compensator_forms_the_thresholds_from_the_desired_rate(motion: Motion) -> None:
-    inverse = TimeVaryingThresholdInverse(1e-4, R, RHO, W, min_voltage_v=-99, max_voltage_v=99)
-    r = TimeVaryingThresholdPI(1e-4, R, RHO, W).thresholds(motion.yd_dot)
+    inverse = TimeVaryingThresholdInverse(
+        1e-4, R, W, threshold_slopes=RHO, min_voltage_v=-99, max_voltage_v=99
+    )
+    r = TimeVaryingThresholdPI(1e-4, R, W, RHO).thresholds(motion.yd_dot)
     assert torch.allclose(inverse(motion), inverse.at_thresholds(motion.yd, r), rtol=0, atol=1e-12)
 
 
 def test_without_growth_it_is_eq_3() -> None:
     x = wandering(2, 300)
-    assert torch.equal(TimeVaryingThresholdPI(1e-4, R, [0.0] * 4, W)(x)[0], PrandtlIshlinskii(R, W)(x)[0])
+    assert torch.equal(TimeVaryingThresholdPI(1e-4, R, W, [0.0] * 4)(x)[0], PrandtlIshlinskii(R, W)(x)[0])
 
 
 def test_the_forward_loop_grows_with_the_rate() -> None:
-    forward, areas = TimeVaryingThresholdPI(1e-4, R, RHO, W), []
+    forward, areas = TimeVaryingThresholdPI(1e-4, R, W, RHO), []
     for frequency_hz in (1, 10, 50):
         phase = 2 * torch.pi * torch.arange(2 * 10_000 // frequency_hz + 1, dtype=torch.float64)[None]
         x = 5 - 5 * torch.cos(phase * frequency_hz / 10_000)
@@ -132,7 +136,7 @@ def test_the_forward_loop_grows_with_the_rate() -> None:
 def test_thresholds_that_would_lose_their_order_are_refused(rho: list[float], named: str) -> None:
     for kind in (TimeVaryingThresholdPI, TimeVaryingThresholdInverse):
         with pytest.raises(ConfigError, match=named):
-            kind(1e-4, R, rho, W)
+            kind(1e-4, R, W, threshold_slopes=rho)
 
 
 def test_thresholds_out_of_order_have_no_condition_to_check() -> None:

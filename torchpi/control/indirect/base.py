@@ -4,7 +4,7 @@
     r_i(ẏ_d) = r_i + ρ_i |ẏ_d|,  w_i(ẏ_d) = b_i + k_i ẏ_d       of the forward model, at this sample
     u = Σ_i w'_i H_r'i[x]                     r', w' from r, w by the closed form of `inversion_law`
 
-A method says which of ρ, k and τ it has; its file says where that comes from and when it is exact.
+Each method has some of ρ, k and τ; its file explains where that comes from and when it is exact.
 """
 
 import math
@@ -38,7 +38,7 @@ class IndirectInverse(nn.Module):
         weights: b of the forward model at rest, µm/V.
         threshold_slopes: ρ, V per µm/s; none is constant thresholds.
         weight_slopes: k, µm/V per µm/s; none is constant weights.
-        lead: τ_1 in s and τ_2 in s², as many as are wanted; none is no dynamics.
+        lead: τ_1 in s and τ_2 in s², at most; none is no dynamics.
         saturation: The forward model's dead zones, displacement of the plays to displacement; None is none.
         preview: How many samples ahead the desired trajectory is seen.
         min_voltage_v: Lower output limit; -inf for none.
@@ -104,17 +104,12 @@ class IndirectInverse(nn.Module):
         yd, rate, acceleration = (part.detach().to(torch.float64).contiguous().numpy() for part in motion)
         u = np.empty_like(yd)
         numbers = [np.array(part) for part in (self.r, self.rho, self.b, self.k, self.lead, self.d, self.v)]
-        _run(yd, rate, acceleration, *numbers, *self.rates_um_s, h.numpy(), u)  # type: ignore
+        _run(yd, rate, acceleration, *numbers, *self.rates_um_s, h.numpy(), u)
         return torch.from_numpy(u), h
 
     def initial_state(self, batch: int) -> Tensor:
         """The de-energised state. Shape: (batch, plays)."""
         return torch.zeros(batch, len(self.r), dtype=torch.float64)
-
-    @property
-    def inverse_thresholds(self) -> list[float]:
-        """r' at rest, µm."""
-        return inverse_numbers(self.r, self.b)[0]
 
     @property
     def inverse_weights(self) -> list[float]:

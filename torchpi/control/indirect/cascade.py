@@ -9,54 +9,16 @@ samples of preview. The forward model is `torchpi.operators.chain.Chain(hysteres
 """
 
 import math
-from collections.abc import Sequence
 
 import torch
 
 from torchpi.control.indirect.base import IndirectInverse
-from torchpi.operators.dead_zone import DeadZones
 from torchpi.stage.effects.mechanics.resonance import Resonance
 from torchpi.stage.effects.sensor.sensor_lag import SensorLag
 
 
 class CascadedInverse(IndirectInverse):
-    """The inverse of the dynamics before the exact inverse of the hysteresis.
-
-    Args:
-        sample_period_s: T of the control loop.
-        thresholds: r of the hysteresis, V, rising from 0.
-        weights: w of the hysteresis, µm/V.
-        lead: τ_1 in s, and τ_2 in s² if G is of second order; see `lead_of`.
-        saturation: Dead zones behind the plays; None is none.
-        preview: How many samples ahead the desired trajectory is seen: the delay τ.
-        min_voltage_v: Lower output limit.
-        max_voltage_v: Upper output limit.
-
-    Raises:
-        ConfigError: A hysteresis that has no inverse, or a value out of its range.
-    """
-
-    def __init__(
-        self,
-        sample_period_s: float,
-        thresholds: Sequence[float],
-        weights: Sequence[float],
-        lead: Sequence[float],
-        saturation: DeadZones | None = None,
-        preview: int = 0,
-        min_voltage_v: float = 0.0,
-        max_voltage_v: float = 10.0,
-    ) -> None:
-        super().__init__(
-            sample_period_s,
-            thresholds,
-            weights,
-            lead=lead,
-            saturation=saturation,
-            preview=preview,
-            min_voltage_v=min_voltage_v,
-            max_voltage_v=max_voltage_v,
-        )
+    """The inverse of the dynamics, `lead` (see `lead_of`) and `preview`, before that of the hysteresis."""
 
 
 def lead_of(dynamics: SensorLag | Resonance) -> list[float]:

@@ -5,11 +5,8 @@ Krejčí and Kuhnen, *Inverse control of systems with hysteresis and creep*, IEE
 9(4), 2003. Fig. 2 and 3 of Qin et al. (2013) are of this kind. It knows nothing of the rate.
 """
 
-from collections.abc import Sequence
-
 from torchpi.control.indirect.base import IndirectInverse
 from torchpi.control.indirect.inversion_law import inverse_numbers
-from torchpi.operators.dead_zone import DeadZones
 from torchpi.operators.prandtl_ishlinskii import PrandtlIshlinskii
 
 
@@ -23,37 +20,4 @@ def conventional_inverse(operator: PrandtlIshlinskii) -> PrandtlIshlinskii:
 
 
 class ConventionalInverse(IndirectInverse):
-    """The exact inverse of y = S(Σ_i w_i H_ri[u]), as a compensator.
-
-    Args:
-        sample_period_s: T of the control loop.
-        thresholds: r of the forward model, V, rising from 0.
-        weights: w of the forward model, µm/V.
-        saturation: S as dead zones; None is none.
-        preview: How many samples ahead the desired trajectory is seen.
-        min_voltage_v: Lower output limit.
-        max_voltage_v: Upper output limit.
-
-    Raises:
-        ConfigError: A forward model that has no inverse, or a value out of its range.
-    """
-
-    def __init__(
-        self,
-        sample_period_s: float,
-        thresholds: Sequence[float],
-        weights: Sequence[float],
-        saturation: DeadZones | None = None,
-        preview: int = 0,
-        min_voltage_v: float = 0.0,
-        max_voltage_v: float = 10.0,
-    ) -> None:
-        super().__init__(
-            sample_period_s,
-            thresholds,
-            weights,
-            saturation=saturation,
-            preview=preview,
-            min_voltage_v=min_voltage_v,
-            max_voltage_v=max_voltage_v,
-        )
+    """The exact inverse of y = S(Σ_i w_i H_ri[u]), as a compensator: no slopes, no lead."""

@@ -1,18 +1,18 @@
 """A law of inversion as a compensator in a control loop: motion before it, limits after it."""
 
-from typing import Protocol
+from typing import Any, Protocol
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from torchpi.control.reach import reach
 from torchpi.control.step_guard import GuardedStep, StepLimits, step_limits
-from torchpi.operators.motion import BackwardMotionStream, Motion
-from torchpi.operators.reference_filter import ReferenceFilter
+from torchpi.operators.motion import Motion
+from torchpi.operators.reference_filter import ReferenceFilter, motion_stream
 
 
 class Deployment(Protocol):
-    """What a compensator says of its own deployment."""
+    """How a compensator is deployed."""
 
     sample_period_s: float
     preview: int
@@ -31,36 +31,32 @@ class Deployed(GuardedStep):
         reference_filter: Goes inside, and `step` takes y_r; None forms the rate from past samples.
     """
 
-    def __init__(self, law: nn.Module, how: Deployment, reference_filter: ReferenceFilter | None) -> None:
+    def __init__(self, law: Any, how: Deployment, reference_filter: ReferenceFilter | None) -> None:
         super().__init__(_limits(how))
         self.law = law
         self.has_reference_filter = reference_filter is not None
-        self.motion: nn.Module = (
-            BackwardMotionStream(how.sample_period_s)
-            if reference_filter is None
-            else reference_filter.stream()
-        )
+        self.motion: Any = motion_stream(how.sample_period_s, reference_filter)
         self.sample_period_s = how.sample_period_s
         self.preview = how.preview
 
     @torch.jit.export
     def reset(self) -> None:
         self.reset_guard()
-        self.motion.reset()  # type: ignore[operator]
-        self.law.reset()  # type: ignore[operator]
+        self.motion.reset()
+        self.law.reset()
 
     @torch.jit.export
     def step(self, yd: float) -> float:
         self.accept(yd)
-        x, rate, acceleration = self.motion.step(self.last_input)  # type: ignore[operator]
-        u: float = self.law.step(x, rate, acceleration)  # type: ignore[operator]
+        x, rate, acceleration = self.motion.step(self.last_input)
+        u: float = self.law.step(x, rate, acceleration)
         self.emit(u)
         return self.last_voltage
 
     def at_rest(self, yd: float) -> float:
-        self.motion.reset_at(yd)  # type: ignore[operator]
-        self.law.reset()  # type: ignore[operator]
-        u: float = self.law.step(yd, 0.0, 0.0)  # type: ignore[operator]
+        self.motion.reset_at(yd)
+        self.law.reset()
+        u: float = self.law.step(yd, 0.0, 0.0)
         return u
 
 

@@ -16,10 +16,11 @@ from torchpi.control.indirect.base import check_deployment
 from torchpi.control.indirect.deployed import Deployed
 from torchpi.control.step import CompensatorStream
 from torchpi.errors import ConfigError
-from torchpi.operators.generalised_play import GeneralisedPlayBank, GeneralisedPlayStream
+from torchpi.operators.generalised_play import GeneralisedPlayBank
 from torchpi.operators.motion import Motion
+from torchpi.operators.rate_dependent_pi import WeightedPlaysStream
 from torchpi.operators.reference_filter import ReferenceFilter
-from torchpi.operators.weighted_sum import weight, weighted_sum
+from torchpi.operators.weighted_sum import weighted_sum
 
 
 class GeneralisedDirectInverse(nn.Module):
@@ -78,32 +79,5 @@ class GeneralisedDirectInverse(nn.Module):
 
     def stream(self, reference_filter: ReferenceFilter | None = None) -> CompensatorStream:
         """One sample at a time, scriptable: `u = step(y_d at t + preview)`. Same bits as `forward`."""
-        theta = torch.stack([self.b, self.k], 1).flatten().tolist()
-        law = GeneralisedDirectStream(self.plays.stream(), theta)
+        law = WeightedPlaysStream(self.plays.stream(), self.b, self.k)
         return cast(CompensatorStream, Deployed(law, self, reference_filter))
-
-
-class GeneralisedDirectStream(nn.Module):
-    """The law, one sample at a time."""
-
-    theta: list[float]
-    basis: list[float]
-
-    def __init__(self, plays: GeneralisedPlayStream, theta: list[float]) -> None:
-        super().__init__()
-        self.plays = plays
-        self.theta = theta
-        self.basis = [1.0, 0.0]
-
-    @torch.jit.export
-    def reset(self) -> None:
-        self.plays.reset()
-
-    @torch.jit.export
-    def step(self, yd: float, rate: float, acceleration: float) -> float:
-        self.basis[1] = rate
-        h = self.plays.step(yd)
-        total = 0.0
-        for i in range(len(h)):
-            total += weight(self.theta, self.basis, i) * h[i]
-        return total

@@ -27,13 +27,12 @@ from torch import Tensor, nn
 from torchpi.control.indirect.base import IndirectInverse
 from torchpi.errors import ConfigError
 from torchpi.operators.base import Operator
-from torchpi.operators.dead_zone import DeadZones
 from torchpi.operators.generalised_play import clamp_bank, clamp_play
 from torchpi.operators.motion import Motion
 from torchpi.operators.rate_dependent_pi import RATE_STATES, OwnRateStream, own_rate
 from torchpi.operators.weighted_sum import weight, weighted_sum
 
-ROUNDING = 1e-12  # of the largest threshold: a distance that shrinks by less than this rests
+ROUNDING = 1e-12  # of the largest threshold: a distance that shrinks by less than this has not
 
 
 @dataclass(frozen=True)
@@ -61,7 +60,7 @@ class Dilation:
 def dilation(
     r: Tensor,  # (time, plays), thresholds in the order of the plays
 ) -> Dilation:
-    """Check the dilation condition, and say where it fails.
+    """Check the dilation condition, and where it fails.
 
     Raises:
         ConfigError: Thresholds that are out of order or not finite, so that there is nothing to check.
@@ -95,8 +94,8 @@ class TimeVaryingThresholdPI(Operator):
     Args:
         sample_period_s: T.
         thresholds: r at rest, unit of the input, rising from 0.
-        threshold_slopes: ρ, growth with the rate's size; 0 first, none below the one before.
         weights: w, one a threshold.
+        threshold_slopes: ρ, growth with the rate's size; 0 first, none below the one before.
 
     Raises:
         ConfigError: As `TimeVaryingThresholdInverse`: an operator without inverse is refused.
@@ -106,11 +105,11 @@ class TimeVaryingThresholdPI(Operator):
         self,
         sample_period_s: float,
         thresholds: Sequence[float],
-        threshold_slopes: Sequence[float],
         weights: Sequence[float],
+        threshold_slopes: Sequence[float],
     ) -> None:
         super().__init__()
-        TimeVaryingThresholdInverse(sample_period_s, thresholds, threshold_slopes, weights)
+        TimeVaryingThresholdInverse(sample_period_s, thresholds, weights, threshold_slopes=threshold_slopes)
         self.sample_period_s = sample_period_s
         self.r: Tensor
         self.register_buffer("r", torch.tensor(list(thresholds), dtype=torch.float64))
@@ -192,43 +191,7 @@ class TimeVaryingThresholdStream(nn.Module):
 
 
 class TimeVaryingThresholdInverse(IndirectInverse):
-    """The inversion formula, its thresholds formed from ẏ_d; exact where both rates agree and dilate.
-
-    Args:
-        sample_period_s: T of the control loop.
-        thresholds: r of the forward model at rest, V, rising from 0.
-        threshold_slopes: ρ, growth with the size of the rate, V per µm/s; 0 first, none below the one before.
-        weights: w of the forward model, µm/V.
-        saturation: Dead zones behind the plays of the forward model; None is none.
-        preview: How many samples ahead the desired trajectory is seen.
-        min_voltage_v: Lower output limit.
-        max_voltage_v: Upper output limit.
-
-    Raises:
-        ConfigError: A forward model that has no inverse, or a value out of its range.
-    """
-
-    def __init__(
-        self,
-        sample_period_s: float,
-        thresholds: Sequence[float],
-        threshold_slopes: Sequence[float],
-        weights: Sequence[float],
-        saturation: DeadZones | None = None,
-        preview: int = 0,
-        min_voltage_v: float = 0.0,
-        max_voltage_v: float = 10.0,
-    ) -> None:
-        super().__init__(
-            sample_period_s,
-            thresholds,
-            weights,
-            threshold_slopes=threshold_slopes,
-            saturation=saturation,
-            preview=preview,
-            min_voltage_v=min_voltage_v,
-            max_voltage_v=max_voltage_v,
-        )
+    """The inversion formula, its thresholds formed from ẏ_d; exact where both rates agree and dilate."""
 
     def dilation(self, motion: Motion) -> Dilation:
         """The condition, checked on the thresholds that this motion makes; the worst row of a batch."""

@@ -13,6 +13,8 @@ def open_file(path: str) -> "Hdf5Source":
 
 
 class Hdf5Source(ArraySource):
+    """Data sets by path."""
+
     def __init__(self, path: str, matlab: bool) -> None:
         h5py = self.h5py = import_extra(path, "h5py")
         self.matlab = matlab

@@ -15,6 +15,8 @@ def open_file(path: str) -> "LvmSource":
 
 
 class LvmSource(TextSource):
+    """The table below the headers."""
+
     def __init__(self, path: str) -> None:
         with open(path, encoding=text_encoding(path), errors="replace") as lines:
             head = [line.rstrip("\r\n") for line in islice(lines, SNIFFED_LINES)]

@@ -19,6 +19,8 @@ def open_file(path: str) -> ArraySource:
 
 
 class MatSource(ArraySource):
+    """Variables by name."""
+
     def __init__(self, path: str) -> None:
         from scipy.io import loadmat
 

@@ -15,6 +15,8 @@ def open_file(path: str) -> "Mf4Source":
 
 
 class Mf4Source(Source):
+    """Channels by name."""
+
     has_times = True
 
     def __init__(self, path: str) -> None:

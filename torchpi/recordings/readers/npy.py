@@ -11,6 +11,8 @@ def open_file(path: str) -> "NpySource":
 
 
 class NpySource(ArraySource):
+    """The columns of one array."""
+
     def __init__(self, path: str) -> None:
         try:
             with open(path, "rb") as file:

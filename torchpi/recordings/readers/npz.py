@@ -13,6 +13,8 @@ def open_file(path: str) -> "NpzSource":
 
 
 class NpzSource(ArraySource):
+    """Arrays by name."""
+
     def __init__(self, path: str) -> None:
         if not zipfile.is_zipfile(path):
             raise RecordingError(f"{path}: is not a NumPy archive, expected one that numpy.savez wrote")

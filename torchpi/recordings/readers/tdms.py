@@ -47,6 +47,8 @@ class _Collector(logging.Handler):
 
 
 class TdmsSource(Source):
+    """Channels by group and name."""
+
     has_times = True
 
     def __init__(self, path: str) -> None:

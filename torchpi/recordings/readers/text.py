@@ -52,6 +52,8 @@ class Dialect:
 
 
 class TextSource(Source):
+    """A table of text."""
+
     def __init__(self, path: str, skip_lines: int = 0) -> None:
         self.encoding = text_encoding(path)
         with open(path, encoding=self.encoding, errors="replace") as file:

@@ -8,20 +8,18 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
-from torchpi.errors import ArtifactError, StageError
+from torchpi.errors import StageError
 from torchpi.operators.compiled import in_threads
 from torchpi.operators.modal_feedback import Shapes, modal_feedback, parameter_shapes
 from torchpi.operators.oversampled_inputs import crossover, play_excess
-from torchpi.stage.file import load_model, save_model
+from torchpi.stage.file import SavedStage
 
-SCHEMA, VERSION = "torchpi multi-axis stage", 2
 SETTINGS = (
     "sample_rate_hz",
     "input_thresholds_v",
@@ -43,7 +41,7 @@ class MultiAxisState:
     past: int = 0
 
 
-class MultiAxisStage(nn.Module):
+class MultiAxisStage(SavedStage):
     """Modes that several inputs share, with hysteresis at each actuator and in the feedback.
 
     Args:
@@ -62,6 +60,8 @@ class MultiAxisStage(nn.Module):
         StageError: A parameter that is missing, of another shape, or not finite, or poles outside the unit
             circle.
     """
+
+    SCHEMA, VERSION, KIND = "torchpi multi-axis stage", 2, "a stage of several axes"
 
     def __init__(
         self,
@@ -187,37 +187,9 @@ class MultiAxisStage(nn.Module):
         y += np.asarray(self.get_buffer("offset_um"))
 
     def plain(self) -> dict[str, Any]:
-        """Settings and parameters, as its file keeps them."""
         settings = {name: getattr(self, name) for name in SETTINGS}
         parameters = {name: torch.from_numpy(value.copy()) for name, value in self.arrays().items()}
         return {**settings, "offset_um": self.get_buffer("offset_um").tolist(), "parameters": parameters}
-
-    def save(self, path: str | Path) -> None:
-        """Write the stage, plain numbers with a hash of them, whole or not at all."""
-        save_model(path, SCHEMA, VERSION, self.plain())
-
-    @classmethod
-    def load(cls, path: str | Path) -> "MultiAxisStage":
-        """The stage in a file that `save` wrote.
-
-        Raises:
-            ArtifactError: No such file, another kind of file, another version, or one that was changed.
-            StageError: A value without meaning.
-        """
-        return cls.of(load_model(path, SCHEMA, VERSION, "a stage of several axes"), path)
-
-    @classmethod
-    def of(cls, settings: Mapping[str, Any], path: str | Path) -> "MultiAxisStage":
-        """The stage of these settings, which are those of a file.
-
-        Raises:
-            ArtifactError: Others than a stage has.
-            StageError: A value without meaning.
-        """
-        try:
-            return cls(**settings)
-        except TypeError as error:
-            raise ArtifactError(f"{path}: fields of another kind, expected those of a stage") from error
 
 
 def _numbers(name: str, values: Sequence[float], positive: bool = False) -> list[float]:

@@ -5,7 +5,6 @@ Physik Instrumente, *Fundamentals of Piezo Technology*: displacement with a spri
 
 from typing import ClassVar
 
-import torch
 from torch import Tensor, nn
 
 from torchpi.operators.polynomial import PolynomialStream
@@ -31,10 +30,6 @@ class LoadChange(LinearEffect):
     identity: ClassVar[Parameters] = {"stiffness_ratio": 0.0}
     per_recording = ("stiffness_ratio",)
     stiffness_ratio: nn.Parameter
-
-    def frequency_factor(self) -> Tensor:
-        """√((k_A + k_S) / k_A): what the load makes of the frequency of a mode. Shape ()."""
-        return torch.sqrt(1 + self.stiffness_ratio)
 
     def gain(self) -> Tensor:
         """k_A / (k_A + k_S). Shape ()."""

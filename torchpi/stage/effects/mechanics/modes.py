@@ -12,7 +12,7 @@ x is 1.
 
 import math
 from collections.abc import Sequence
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import torch
@@ -207,18 +207,18 @@ class ModesStream(nn.Module):
     def __init__(self, direct: float, modes: list[LinearStream]) -> None:
         super().__init__()
         self.direct = direct
-        self.modes = nn.ModuleList(modes)
+        self.modes: Any = nn.ModuleList(modes)
 
     @torch.jit.export
     def reset(self) -> None:
         for mode in self.modes:
-            mode.reset()  # type: ignore[operator]
+            mode.reset()
 
     @torch.jit.export
     def step(self, x: float) -> float:
         y = self.direct * x
         for mode in self.modes:
-            y = y + mode.step(x)  # type: ignore[operator]
+            y = y + mode.step(x)
         return y
 
 

@@ -44,7 +44,7 @@ class Quantization(Effect):
     ) -> tuple[Tensor, Tensor]:
         y = x
         if self.lsb_um.item() != 0.0:
-            y = Quantize.apply(x, self.offset_um, self.lsb_um, -math.inf, math.inf)  # type: ignore[no-untyped-call]
+            y = Quantize.apply(x, self.offset_um, self.lsb_um, -math.inf, math.inf)
         return y, self.initial_state(len(x)) if state is None else state
 
     def stream(self) -> nn.Module:
@@ -84,15 +84,6 @@ class Quantization(Effect):
             if _misfit(y, step) < FARTHEST:
                 return None if _is_decimal(step) else step
         return None
-
-    @classmethod
-    def lattice_offset(
-        cls,
-        readings: np.ndarray,  # (time,), µm
-        lsb_um: float,
-    ) -> float:
-        """`offset_um` of readings on a lattice of this step: from 0 to one step."""
-        return _offset(np.asarray(readings, dtype=np.float64), lsb_um)
 
 
 def _refined(gaps: np.ndarray, step: float) -> float:
