@@ -1,6 +1,7 @@
 """The default recipe beside its two baselines, on what neither has seen.
 
-    python benchmarks/recipe.py [--only piezo_stack,preisach] [--seeds 1] [--first_seed 1] [--output recipe.json]
+    python benchmarks/recipe.py [--only piezo_stack,preisach] [--seeds 1] [--first_seed 1]
+        [--output recipe.json]
 
 The recipe is `configs/recorded.yaml`: the form of the inverse is selected by cross-validation over what is
 trained on. The baselines are the paper's two-stage least squares (eq. 10, 11), and least squares on plays of
