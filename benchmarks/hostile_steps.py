@@ -1,17 +1,22 @@
 """Hostile sequences through an exported step: how many leave the limits, or more than 0.1 % a second later.
 
-    python benchmarks/hostile_steps.py [--sequences 10000] [--script_sequences 200]
+    python benchmarks/hostile_steps.py [--sequences 10000] [--first_seed 0] [--whole_every 100]
         [--steady_steps 1000000000] [--sanitized_steps 10000000]
+        [--only recovery,bits,drift,sanitizers] [--compensator parts,demo]
 
-C in double and float take all the sequences, TorchScript and the Python stream the first `script_sequences`,
-compared with C to the last bit. Then one period over and over: how far its voltages drift. Then steps under
-the address and undefined-behaviour sanitizers.
+`recovery`: C in double and float, each sequence to its end. `bits`: TorchScript and the Python stream beside
+C in double, every sample compared to the last bit until 60 samples after the last hostile one, and of every
+`whole_every`-th sequence all 1.5 s. `drift`: one period over and over, by how much its voltages ever differ
+from those of the first round after creep has settled. `sanitizers`: steps under the address and
+undefined-behaviour sanitizers.
 """
 
 import argparse
 import subprocess
 import sys
 import tempfile
+import time
+from collections.abc import Callable
 from pathlib import Path
 
 import torch
@@ -23,78 +28,115 @@ from tests.hostile.sequences import VOLTAGES_V, compensator, disturbed, like_the
 from torchpi.control.direct_inverse import DirectInverse
 from torchpi.export import export_files, load_torchscript
 
+PRECISIONS = {"double": False, "float": True}
+COMPENSATORS: dict[str, tuple[str, Callable[[], DirectInverse]]] = {
+    "parts": ("of every part", compensator),
+    "demo": ("like the demo's", like_the_demo),
+}
+
 
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--sequences", type=int, default=10_000)
-    parser.add_argument("--script_sequences", type=int, default=200)
+    parser.add_argument("--first_seed", type=int, default=0, help="of the sequences")
+    parser.add_argument("--whole_every", type=int, default=100)
     parser.add_argument("--steady_steps", type=int, default=1_000_000_000)
     parser.add_argument("--sanitized_steps", type=int, default=10_000_000)
+    parser.add_argument("--only", default="recovery,bits,drift,sanitizers")
+    parser.add_argument("--compensator", default="parts,demo")
     options = parser.parse_args()
-    for name, made in {"of every part": compensator(), "like the demo's": like_the_demo()}.items():
+    torch.set_num_threads(1)
+    seeds = range(options.first_seed, options.first_seed + options.sequences)
+    for key in options.compensator.split(","):
+        name, make = COMPENSATORS[key]
+        made = make()
         print(f"A compensator {name}, at {1 / made.sample_period_s:g} Hz", flush=True)
         with tempfile.TemporaryDirectory() as folder:
             export_files(made, Path(folder) / "demo", ("torchscript", "c"))
-            recovery(made, Path(folder), options.sequences)
-            bits(made, Path(folder), options.script_sequences)
-            drift(made, Path(folder), options.steady_steps)
-            sanitized(Path(folder), options.sanitized_steps)
+            parts: dict[str, Callable[[], None]] = {
+                "recovery": lambda made=made, at=Path(folder): recovery(made, at, seeds),
+                "bits": lambda made=made, at=Path(folder): bits(made, at, seeds, options.whole_every),
+                "drift": lambda made=made, at=Path(folder): drift(made, at, options.steady_steps),
+                "sanitizers": lambda at=Path(folder): sanitized(at, options.sanitized_steps),
+            }
+            for part in options.only.split(","):
+                parts[part]()
 
 
-def recovery(made: DirectInverse, folder: Path, sequences: int) -> None:
+def recovery(made: DirectInverse, folder: Path, seeds: range) -> None:
     period_s = made.sample_period_s
     wait, samples = round(1.0 / period_s), round(1.5 / period_s)
     span = VOLTAGES_V[1] - VOLTAGES_V[0]
-    for name, single in (("double", False), ("float", True)):
+    for name, single in PRECISIONS.items():
         step = Stepped(folder / "demo.c", single)
         undisturbed = step.block(motion(samples, period_s))
-        outside, late, worst = 0, 0, 0.0
-        for seed in range(sequences):
+        outside, late, worst = 0, [], 0.0
+        for seed in seeds:
             yd, end = disturbed(seed, samples, period_s)
             step.reset()
             u = step.block(yd)
             outside += not bool(((u >= VOLTAGES_V[0]) & (u <= VOLTAGES_V[1])).all())
             left = float((u - undisturbed)[end + wait :].abs().max()) / span
-            late += left > 1e-3
+            late += [seed] if left > 1e-3 else []
             worst = max(worst, left)
         print(
-            f"C {name}: {sequences} sequences, {outside} outside the limits, {late} more than 0.1 % of the "
-            f"voltage range off after 1 s, the worst {100 * worst:.2g} %",
+            f"C {name}: {len(seeds)} sequences, {outside} outside the limits, {len(late)} more than 0.1 % of "
+            f"the voltage range off after 1 s {late}, the worst {100 * worst:.2g} %",
             flush=True,
         )
 
 
-def bits(made: DirectInverse, folder: Path, sequences: int) -> None:
+def bits(made: DirectInverse, folder: Path, seeds: range, whole_every: int) -> None:
     c, script, stream = (
         Stepped(folder / "demo.c"),
         load_torchscript(folder / "demo.pt"),
         made.stream(),
     )
-    differing = 0
-    for seed in range(sequences):
-        yd, end = disturbed(seed, 4000, made.sample_period_s)
-        yd = yd[: end + 60]
+    samples = round(1.5 / made.sample_period_s)
+    differing = {"TorchScript": 0, "Python": 0}
+    outside, whole, started = 0, 0, time.monotonic()
+    for done, seed in enumerate(seeds, 1):
+        yd, end = disturbed(seed, samples, made.sample_period_s)
+        if seed % whole_every:
+            yd = yd[: end + 60]
+        else:
+            whole += 1
         c.reset()
-        expected = c.block(yd).view(torch.int64)
-        for one in (script, stream):
+        expected = c.block(yd)
+        outside += not bool(((expected >= VOLTAGES_V[0]) & (expected <= VOLTAGES_V[1])).all())
+        for name, one in (("TorchScript", script), ("Python", stream)):
             one.reset()
-            differing += not torch.equal(one.block(yd).view(torch.int64), expected)
-    print(f"TorchScript and Python: {sequences} sequences, {differing} with other bits than C", flush=True)
+            differing[name] += not torch.equal(one.block(yd).view(torch.int64), expected.view(torch.int64))
+        progress(done, len(seeds), started)
+    print(
+        f"TorchScript, Python and C double: {len(seeds)} sequences, {whole} of them whole, {outside} outside "
+        f"the limits; with other bits than C: " + ", ".join(f"{n} {name}" for name, n in differing.items()),
+        flush=True,
+    )
 
 
 def drift(made: DirectInverse, folder: Path, steps: int) -> None:
     period = motion(round(0.2 / made.sample_period_s), made.sample_period_s)
     periods = period.repeat(200_000 // len(period))
-    for name, single in (("double", False), ("float", True)):
+    rounds = steps // len(periods)
+    for name, single in PRECISIONS.items():
         step = Stepped(folder / "demo.c", single)
-        step.block(periods)  # creep settles
-        before = after = step.block(periods)
-        for _ in range(steps // len(periods)):
-            after = step.block(periods)
-        off = float((after - before).abs().max())
-        print(f"C {name}: {steps} steps, drift of {off:.2g} V", flush=True)
+        for _ in range(3):  # creep settles
+            step.block(periods)
+        first, off, started = step.block(periods), 0.0, time.monotonic()
+        for done in range(1, rounds + 1):
+            off = max(off, float((step.block(periods) - first).abs().max()))
+            progress(done, rounds, started)
+        print(f"C {name}: {rounds * len(periods)} steps, drift of {off:.2g} V", flush=True)
+
+
+def progress(done: int, of: int, started: float) -> None:
+    """A line at each tenth of what takes long, to the standard error."""
+    lasted = time.monotonic() - started
+    if done * 10 // of > (done - 1) * 10 // of and lasted > 5.0:
+        print(f"  {100 * done // of} % after {lasted:.0f} s", file=sys.stderr, flush=True)
 
 
 def sanitized(folder: Path, steps: int) -> None:

@@ -1,6 +1,7 @@
 """The default recipe beside its two baselines, on what neither has seen.
 
-    python benchmarks/recipe.py [--only piezo_stack,preisach] [--seeds 1] [--output recipe.json]
+    python benchmarks/recipe.py [--only piezo_stack,preisach] [--seeds 1] [--first_seed 1]
+        [--output recipe.json]
 
 The recipe is `configs/recorded.yaml`: the form of the inverse is selected by cross-validation over what is
 trained on. The baselines are the paper's two-stage least squares (eq. 10, 11), and least squares on plays of
@@ -62,13 +63,14 @@ def main() -> None:
     )
     parser.add_argument("--only", default="", help="cases whose names contain one of these")
     parser.add_argument("--seeds", type=int, default=1, help="simulated stages of each family")
+    parser.add_argument("--first_seed", type=int, default=1, help="seed of the first of them")
     parser.add_argument("--output", type=Path, help="write the rows as JSON too")
     options = parser.parse_args()
     torch.set_num_threads(1)
     wanted = [part for part in options.only.split(",") if part]
     rows = []
     print(f"{'case':34} {'recipe V':>9} {'two-stage':>9} {'plays':>9} {'ratio':>6} {'s':>5}  form")
-    for name, make in cases(options.seeds):
+    for name, make in cases(options.seeds, options.first_seed):
         if wanted and not any(part in name for part in wanted):
             continue
         row = run(name, make())
@@ -105,14 +107,14 @@ def run(name: str, data: RecordingsData) -> Row:
     )
 
 
-def cases(seeds: int) -> Iterator[tuple[str, Callable[[], RecordingsData]]]:
+def cases(seeds: int, first: int = 1) -> Iterator[tuple[str, Callable[[], RecordingsData]]]:
     """Names, and what makes the recordings."""
     if DATA.is_dir():
         yield "piezo_stack", piezo_stack
         for axis in range(3):
             yield f"steering_mirror, axis {axis + 1}", lambda axis=axis: steering_mirror(axis)
         yield "bouc_wen as a stage", bouc_wen
-    for seed in range(1, seeds + 1):
+    for seed in range(first, first + seeds):
         for family in FAMILIES:
             for name, play in EXCITATIONS.items():
                 yield (

@@ -21,6 +21,11 @@ def test_trained_on_two_sines_it_halves_the_error_on_triangles() -> None:
     assert row.ratio <= 0.6, row
 
 
+def test_the_lag_of_a_stage_is_undone_though_one_sine_alone_was_recorded() -> None:
+    row = recipe.run("plays", recipe.simulated("pi", recipe.one_sine, seed=2))
+    assert row.ratio <= 0.7, row
+
+
 def test_a_case_is_the_same_every_time() -> None:
     first, again = (recipe.simulated("preisach", recipe.one_sine, seed=2).load() for _ in range(2))
     for one, other in zip(first.train + first.heldout, again.train + again.heldout, strict=True):

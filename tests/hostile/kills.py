@@ -108,45 +108,79 @@ def recording(seed: int) -> Recording:
     return Recording(f"r{seed}", t, u, y, 500.0)
 
 
-def kill_often(command: Command, rounds: int, seed: int = 0) -> Outcome:
-    """Run it, kill it `rounds` times with each signal at random moments, and run it again after each."""
+def kill_often(
+    command: Command,
+    rounds: int,
+    seed: int = 0,
+    finish_every: int = 1,
+    watch: Callable[[Outcome], None] = lambda outcome: None,
+) -> Outcome:
+    """Kill it until `rounds` signals of each kind have come in time, at moments spread over its run.
+
+    Every run begins with what the one killed before it left, and must not end by itself with an error. After
+    each `finish_every`-th kill, and after the last, it is run to its end.
+
+    Args:
+        command: What is run.
+        rounds: How many signals of each kind.
+        seed: Of the moments.
+        finish_every: Kills from one run that may end to the next.
+        watch: Is given the outcome so far after each of these.
+    """
     rng, outcome = random.Random(seed), Outcome()
     started = time.monotonic()
     done = finish(command.arguments)
     lasts_s = time.monotonic() - started
     if done.returncode:
         raise RuntimeError(f"{command.arguments}: {done.stderr}")
-    for one in SIGNALS * rounds:
-        arguments = command.again() if command.again else command.arguments
-        before = {path: path.read_bytes() for path in files(command.output)}
-        process = subprocess.Popen(
-            [sys.executable, "-m", *arguments],
-            cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
-        )  # fmt: skip
-        at_s = rng.uniform(0.1, 1.05) * lasts_s
-        time.sleep(at_s)
-        children = descendants(process.pid)
-        killed = process.poll() is None
-        process.send_signal(one)
-        _, error = process.communicate()
-        outcome.kills[one.name] += killed
-        what = f"{one.name} after {at_s:.2f} s"
-        time.sleep(GONE_WITHIN_S if any(map(alive, children)) else 0.0)
-        if any(map(alive, children)):
-            outcome.faults.append(f"{what}: processes go on")
-        if "Traceback" in error and at_s > 2.0:  # before, Python itself is starting
-            outcome.faults.append(f"{what}: a traceback, {error.splitlines()[-1]}")
-        for path in {*files(command.output), *before}:
-            if not whole(path):
-                outcome.faults.append(f"{what}: {path.name} is not whole")
-        started = time.monotonic()
-        again = finish(command.again() if command.again else command.arguments)
-        if command.again is None:  # the first run may have compiled
-            lasts_s = min(lasts_s, time.monotonic() - started)
-        if again.returncode:
-            outcome.faults.append(f"{what}: the next run failed, {again.stderr[-300:]}")
-        outcome.faults += [f"{what}: {path.name} is left" for path in temporaries(command.output)]
+    tries = [(share, one) for share in range(rounds) for one in SIGNALS]
+    for count in range(2 * len(tries)):
+        missing = [(share, one) for share, one in tries if outcome.kills[one.name] < rounds]
+        if not missing:
+            break
+        share, one = missing[count % len(missing)]
+        at_s = (0.05 + 0.95 * (share + rng.random()) / rounds) * lasts_s
+        kill_once(command, one, at_s, outcome)
+        last = sum(outcome.kills.values()) == len(tries)
+        if last or (count + 1) % finish_every == 0:
+            started = time.monotonic()
+            again = finish(command.again() if command.again else command.arguments)
+            if command.again is None:  # the first run may have compiled
+                lasts_s = min(lasts_s, time.monotonic() - started)
+            what = f"after {one.name} at {at_s:.2f} s"
+            if again.returncode:
+                outcome.faults.append(f"{what}: the next run failed, {again.stderr[-300:]}")
+            outcome.faults += [f"{what}: {path.name} is left" for path in temporaries(command.output)]
+            watch(outcome)
     return outcome
+
+
+def kill_once(command: Command, one: signal.Signals, at_s: float, outcome: Outcome) -> None:
+    """Start it, send it the signal so many seconds later, and see what is left."""
+    before = {path: path.read_bytes() for path in files(command.output)}
+    process = subprocess.Popen(
+        [sys.executable, "-m", *(command.again() if command.again else command.arguments)],
+        cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    time.sleep(at_s)
+    children = descendants(process.pid)
+    killed = process.poll() is None
+    process.send_signal(one)
+    _, error = process.communicate()
+    outcome.kills[one.name] += killed
+    what = f"{one.name} after {at_s:.2f} s"
+    if not killed and process.returncode:
+        outcome.faults.append(f"{what}: it had failed by itself, {error[-300:]}")
+    gone_by = time.monotonic() + GONE_WITHIN_S
+    while any(map(alive, children)) and time.monotonic() < gone_by:
+        time.sleep(0.02)
+    if any(map(alive, children)):
+        outcome.faults.append(f"{what}: processes go on")
+    if "Traceback" in error and at_s > 2.0:  # before, Python itself is starting
+        outcome.faults.append(f"{what}: a traceback, {error.splitlines()[-1]}")
+    for path in {*files(command.output), *before}:
+        if not whole(path):
+            outcome.faults.append(f"{what}: {path.name} is not whole")
 
 
 def finish(arguments: Sequence[str]) -> subprocess.CompletedProcess[str]:

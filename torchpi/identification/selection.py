@@ -6,7 +6,8 @@ has left out: by more than one standard error over the folds in the mean of log(
 and in the pooled error too. Where nothing does, the start stays.
 
 What a record cannot show is not tried on it. A single one has no other motion to be judged on: creep, weights
-that follow the rate and a polynomial of high degree then fit the shape of its loops, and miss others.
+that follow the rate and a polynomial of high degree then fit the shape of its loops, and miss others. Its
+look-ahead is read where it turns round (`reversals`): errors over its blocks cannot tell it.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -21,6 +22,7 @@ from torchpi.identification.folds import BLOCKS, Fold, make_folds
 from torchpi.identification.levenberg_marquardt import levenberg_marquardt
 from torchpi.identification.monotone_problem import MonotoneProblem
 from torchpi.identification.pair import InversePair
+from torchpi.identification.reversals import lag_at_reversals
 
 LEAST = 0.02  # share of the error
 # The widest threshold as a share of the range: one of half of it would only move in the first loading. The
@@ -149,7 +151,8 @@ def select_form(
             break
         current = better
         steps.append(current)
-    if current.left.mean() > start.left.mean():
+    # Blocks of a single record cannot judge a look-ahead that its reversals show.
+    if search.lag is None and current.left.mean() > start.left.mean():
         steps = [start]
     compensator = search.fitted(steps[-1].form)
     return Selection(compensator, tuple(Step(one.form, float(one.left.mean() ** 0.5)) for one in steps))
@@ -167,6 +170,8 @@ class _Search:
         self.records: dict[int, tuple[Sequence[InversePair], list[Fold]]] = {}
         pairs, _ = self.at(richest.previews[0])
         self.single = len(pairs) == 1
+        more = len(richest.previews) - 1  # samples, beyond the first
+        self.lag = lag_at_reversals(pairs[0], more) if self.single and more else None
         longest_s = max(pair.u.shape[1] * pair.sample_period_s for pair in pairs)
         period_s = pairs[0].sample_period_s
         self.creep = tuple(
@@ -196,10 +201,14 @@ class _Search:
     def preview(self, form: Form) -> int:
         """The look-ahead with which this form generalises best.
 
-        A single record hardly tells a lag from its loops: there it is the shortest one within one standard
-        error of the best. Its slow and its fast samples are no folds here, because a lag shows where they are
-        together.
+        A single record hardly tells a lag from its loops. There its reversals show it: creep only adds to it,
+        and less to what moves faster, so that the whole samples below the mean less its standard error are
+        taken. With too few reversals it is the shortest look-ahead within one standard error of the best. Its
+        slow and its fast samples are no folds here, because a lag shows where they are together.
         """
+        if self.lag is not None:
+            whole = int(self.lag.mean - self.lag.standard_error)
+            return self.richest.previews[max(0, min(whole, len(self.richest.previews) - 1))]
         found: dict[int, np.ndarray] = {}
         best = form.preview
         for preview in self.richest.previews:
