@@ -24,23 +24,30 @@ class Case:
     untouched: list[Columns] = field(default_factory=list)
 
 
-def write_case(case: Case, name: str, output: Path) -> None:
-    """OUTPUT/NAME is for the tool, OUTPUT/sealed for the judge, OUTPUT/untouched_… for the tool as well."""
-    _write_recordings(case.recordings, output / name)
-    if case.untouched:
-        _write_recordings(case.untouched, output / str(case.labels["untouched"]))
+def write_given(case: Case, folder: Path) -> None:
+    """What a tool is given: FOLDER/a.csv to e.csv, and heldout_input.csv where it is to predict."""
+    write_recordings(case.recordings, folder)
     if case.heldout is not None:
         given = {key: column for key, column in case.heldout.items() if key != "output_um"}
-        write_csv(output / name / "heldout_input.csv", given)
+        write_csv(folder / "heldout_input.csv", given)
+
+
+def write_recordings(recordings: list[Columns], folder: Path) -> None:
+    """FOLDER/a.csv, b.csv, …"""
+    for letter, columns in zip("abcde", recordings, strict=False):
+        write_csv(folder / f"{letter}.csv", columns)
+
+
+def write_case(case: Case, name: str, output: Path) -> None:
+    """OUTPUT/NAME and OUTPUT/untouched_… are for the tool, OUTPUT/sealed is for the judge."""
+    write_given(case, output / name)
+    if case.untouched:
+        write_recordings(case.untouched, output / str(case.labels["untouched"]))
+    if case.heldout is not None:
         write_csv(output / "sealed" / f"{name}_heldout.csv", case.heldout)
     seal = output / "sealed" / f"{name}.json"
     seal.parent.mkdir(parents=True, exist_ok=True)
     seal.write_text(json.dumps({"case": name, **case.labels}, indent=1) + "\n")
-
-
-def _write_recordings(recordings: list[Columns], folder: Path) -> None:
-    for letter, columns in zip("abcde", recordings, strict=False):
-        write_csv(folder / f"{letter}.csv", columns)
 
 
 def write_csv(path: Path, columns: Columns) -> None:

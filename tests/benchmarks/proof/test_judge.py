@@ -130,11 +130,15 @@ class TestTolerance:
         assert grade(labels(effect("creep")), answer(named("hysteresis_operator"))).wrong == ["hysteresis_operator"]
         assert grade(labels(curve), answer(named("input_nonlinearity"), named("creep"))).wrong == ["creep"]
 
-    @pytest.mark.parametrize(("ticks", "excused"), [(1.0, True), (1.5, True), (1.7, False), (3.0, False)])
+    @pytest.mark.parametrize(("ticks", "excused"), [(1.0, True), (1.5, True), (1.6, False), (3.0, False)])
     def test_the_hold_of_a_reading_before_the_write_may_be_called_a_delay(self, ticks, excused):
         said = answer(named("delay", delay=value(1e3 * ticks / FS_HZ, "ms")))
         assert (grade(labels(timing="before_write"), said).tolerated == ["delay"]) is excused
         assert grade(labels(), said).wrong == ["delay"]
+
+    def test_nothing_but_a_delay_is_excused_by_the_hold(self):
+        said = answer(named("creep", tau_1_s=value(1 / FS_HZ, "s")))
+        assert grade(labels(timing="before_write"), said).wrong == ["creep"]
 
     def test_a_delay_without_a_size_is_not_excused(self):
         assert grade(labels(timing="before_write"), answer(named("delay"))).wrong == ["delay"]
@@ -156,6 +160,11 @@ class TestContract:
             answer(named("creep", probability=1.2)),
             answer(named("creep", probability=-0.1)),
             answer(named("creep", probability=math.nan)),
+            answer(named("creep", probability="high")),
+            answer(named("creep") | {"alternatives": "hum"}),
+            answer(named("creep") | {"parameters": [1.0]}),
+            answer(named("creep") | {"parameters": {"tau_s": 1.0}}),
+            {"verdict": "explained", "effects": {"name": "creep"}},
         ],
     )
     def test_an_answer_that_breaks_the_contract_is_no_answer(self, bad):
@@ -177,7 +186,14 @@ class TestParameters:
         assert self.rows({"bandwidth": value(0.11, "kHz")})[0]["relative_error"] == pytest.approx(0.1)
         two = {"first": value(110.0, "Hz"), "second": value(300.0, "Hz")}
         assert "relative_error" not in self.rows(two)[0]
-        assert "relative_error" not in self.rows({"cutoff": value(110.0, "s")})[0]
+        assert "relative_error" not in self.rows({"cutoff_hz": value(110.0, "s")})[0]
+        both = {"first_hz": value(100.0, "Hz"), "second_hz": value(200.0, "Hz")}
+        assert all("relative_error" not in row for row in self.rows({"other_hz": value(100.0, "Hz")}, both))
+        assert "relative_error" not in self.rows({}, both)[0]
+
+    def test_a_true_zero_and_what_is_no_number_have_no_relative_error(self):
+        assert "relative_error" not in self.rows({"x": value(1.0, "V")}, {"x": value(0.0, "V")})[0]
+        assert "relative_error" not in self.rows({"x": {"value": "large", "unit": "V"}}, {"x": value(1.0, "V")})[0]
 
     def test_numbers_without_a_unit_are_compared_by_name_only(self):
         truth = {"gain": value(2.0, "1")}
@@ -185,15 +201,30 @@ class TestParameters:
         assert "relative_error" not in self.rows({"ratio": value(2.0, "1")}, truth)[0]
 
     @pytest.mark.parametrize(
-        ("unit", "number"), [("kHz", 0.1), ("rad/s", 200 * math.pi), ("mHz", 1e5), ("Hz", 100.0)]
+        ("true", "unit", "number"),
+        [
+            *(("s", *pair) for pair in (("s", 2.0), ("ms", 2e3), ("us", 2e6), ("µs", 2e6))),
+            *(("Hz", *pair) for pair in (("Hz", 2.0), ("kHz", 2e-3), ("mHz", 2e3), ("rad/s", 4 * math.pi))),
+            *(("um", *pair) for pair in (("um", 2.0), ("µm", 2.0), ("μm", 2.0), ("nm", 2e3))),
+            *(("V/s", *pair) for pair in (("V/s", 2.0), ("V/ms", 2e-3))),
+            *(("um/V", *pair) for pair in (("um/V", 2.0), ("µm/V", 2.0), ("μm/V", 2.0), ("nm/V", 2e3))),
+            *(("1/um", unit, 2.0) for unit in ("1/um", "1/µm", "µm⁻¹")),
+            *(("1/um^2", unit, 2.0) for unit in ("1/um^2", "1/µm²", "1/µm^2")),
+            *(("1/V", unit, 2.0) for unit in ("1/V",)),
+            *(("1/V^2", unit, 2.0) for unit in ("1/V^2", "1/V²")),
+            *(("1", *pair) for pair in (("1", 2.0), ("", 2.0), ("%", 200.0), ("per decade", 2.0))),
+            ("A", "A", 2.0),
+        ],
     )
-    def test_units_are_brought_to_one(self, unit, number):
-        assert self.rows({"cutoff_hz": value(number, unit)})[0]["relative_error"] == pytest.approx(0, abs=1e-12)
+    def test_units_are_brought_to_one(self, true, unit, number):
+        (row,) = self.rows({"x": value(number, unit)}, {"x": value(2.0, true)})
+        assert row["relative_error"] == pytest.approx(0, abs=1e-12)
 
     def test_an_interval_covers_or_it_does_not(self):
         for interval, covered in (([90.0, 105.0], True), ([101.0, 105.0], False), ([90.0, 99.0], False)):
             assert self.rows({"cutoff_hz": value(98.0, "Hz", interval)})[0]["covered"] is covered
-        assert self.rows({"cutoff_hz": value(98.0, "Hz")})[0]["covered"] is None
+        for none in (None, [90.0, None], [90.0], [90.0, math.inf], "wide"):
+            assert self.rows({"cutoff_hz": value(98.0, "Hz") | {"interval_90": none}})[0]["covered"] is None
         assert self.rows({"cutoff_hz": value(0.098, "kHz", [0.09, 0.105])})[0]["covered"] is True
 
     def test_a_second_value_that_is_as_true_is_accepted(self):
@@ -210,8 +241,9 @@ class TestParameters:
 
 class TestHeldOut:
     def ratio(self, predicted: np.ndarray, *effects: dict) -> float | None:
-        measured = np.zeros(100)
-        return grade(labels(*effects), answer(), predicted_um=predicted, measured_um=measured).heldout_over_noise
+        measured = np.full(100, 0.5)
+        found = grade(labels(*effects), answer(), predicted_um=predicted + 0.5, measured_um=measured)
+        return found.heldout_over_noise
 
     def test_the_residual_is_in_units_of_the_noise(self):
         assert self.ratio(np.full(100, 3 * NOISE_UM)) == pytest.approx(3.0)
@@ -220,9 +252,15 @@ class TestHeldOut:
         lsb = effect("quantization", parameters={"lsb_um": value(math.sqrt(12) * NOISE_UM, "um")})
         assert self.ratio(np.full(100, 3 * NOISE_UM), lsb) == pytest.approx(3 / math.sqrt(2))
 
-    def test_a_prediction_of_another_length_or_without_a_number_is_infinitely_bad(self):
-        assert self.ratio(np.zeros(99)) == math.inf
-        assert self.ratio(np.full(100, np.nan)) == math.inf
+    def test_a_prediction_of_another_length_or_without_a_number_is_useless(self):
+        assert self.ratio(np.zeros(99)) == self.ratio(np.full(100, np.nan)) == 1e9
+
+    def test_without_a_prediction_or_a_measurement_there_is_no_residual(self):
+        some = np.zeros(9)
+        for given in ({"predicted_um": some}, {"measured_um": some}, {}):
+            assert grade(labels(), answer(), **given).heldout_over_noise is None
+        failed = grade(labels(), None, predicted_um=some, measured_um=some)
+        assert failed.heldout_over_noise is None
 
     def test_the_gain_is_that_of_the_augmented_stage_over_the_retuned(self):
         assert grade(labels(), answer(heldout_um=(2.0, 0.5))).heldout_gain == pytest.approx(0.75)
@@ -281,6 +319,8 @@ class TestFigures:
         grades = [grade(foreign, right), grade(foreign, wrong), grade(shared, right)]
         assert self.of("foreign", *grades) == (1, 2)
         assert self.of("foreign_wrong", *grades) == (1, 2)
+        outside = grade(labels(effect("echo", listed=False, foreign=True)), wrong)
+        assert self.of("foreign_wrong", outside) == (0, 0)
 
     @pytest.mark.parametrize(
         ("said", "counted"),
@@ -297,8 +337,10 @@ class TestFigures:
     def test_outside_the_list_the_verdict_stays_open_and_nothing_wrong_is_named(self, said, counted):
         mode = labels(effect("duffing_mode", listed=False), tolerated=["resonance"])
         assert self.of("unknown", grade(mode, said)) == (int(counted), 1)
+        nothing_wrong = said is not None and all(e["name"] != "creep" for e in said["effects"])
+        assert self.of("unknown_right", grade(mode, said)) == (int(nothing_wrong), 1)
 
-    @pytest.mark.parametrize(("gain", "counted"), [(0.02, True), (0.004, False), (-0.2, False)])
+    @pytest.mark.parametrize(("gain", "counted"), [(0.02, True), (0.006, True), (0.004, False), (-0.2, False)])
     def test_outside_the_list_the_fit_improves_where_u_determines_the_effect(self, gain, counted):
         said = answer(verdict="unexplained", heldout_um=(1.0, 1.0 - gain))
         mode = effect("duffing_mode", listed=False)
@@ -385,6 +427,28 @@ class TestSummary:
         filled = [(r["measure"], r["from"], r["to"]) for r in rows if r["right_group"]["of"]]
         assert filled == [("severity", 10.0, 20.0), ("severity_beyond_plays", 5.0, 10.0)]
         assert all(r["right_group"]["count"] == r["wrong"]["count"] == 1 for r in rows if r["right_group"]["of"])
+
+    def test_the_bins_of_severity_are_those_that_are_published(self):
+        edges = [0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 40.0]
+        grades = [grade(labels(effect("creep", edge)), answer(named("creep"))) for edge in edges]
+        rows = [r for r in summarise(grades)["detection"] if r["measure"] == "severity"]
+        assert [(r["from"], r["to"]) for r in rows] == list(zip([0.0, *edges[1:]], [*edges[1:], None], strict=True))
+        assert all(r["right_group"]["of"] == 1 for r in rows)
+
+    def test_tables_by_effect_form_and_truth_have_their_own_cases(self):
+        creep, hum = effect("creep", 5.0, form="poles"), effect("hum", 1.0)
+        grades = [
+            grade(labels(creep), answer(named("creep"))),
+            grade(labels(hum, family="duhem"), answer(named("ageing"))),
+            grade(labels(), answer(verdict="nothing_missing")),
+        ]
+        summary = summarise(grades)
+        assert set(summary["by_effect"]) == {"creep", "hum", "nothing"}
+        assert set(summary["by_form"]) == {"creep: poles", "hum: a form", "nothing: –"}
+        assert set(summary["by_truth"]) == {"pi", "duhem"} and summary["by_truth"]["pi"]["cases"] == 2
+        assert summary["by_effect"]["creep"]["group"] == share(1, 1)
+        assert summary["by_effect"]["hum"]["group"] == share(0, 0)  # faint
+        assert summary["by_effect"]["hum"]["wrong"] == share(1, 1)
 
     def test_the_worst_cases_are_wrong_names_then_failures_then_misses(self):
         cases = {
@@ -525,6 +589,12 @@ class TestInjected:
             graded = grade_injected(self.labels(), said, before)
             assert graded.failed and not graded.found and not graded.wrong
         assert figures([grade_injected(self.labels(), None, good)])["group"] == share(0, 1)
+
+    def test_a_tool_that_gives_no_account_of_its_fit_is_graded_by_its_names(self):
+        bare = {"verdict": "explained", "effects": [named("hum")]}
+        graded = self.of(self.labels(severity=1e3), bare, {"verdict": "unexplained", "effects": []})
+        assert graded.found == ["hum"] and graded.over_residual is None
+        assert self.of(self.labels(severity=1e3), bare, bare).named_before
 
     def test_it_is_counted_from_three_times_what_was_left(self):
         def case(severity: float, *said: dict) -> object:  # 0.5 µm are left of the untouched recording

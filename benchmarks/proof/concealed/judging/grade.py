@@ -43,6 +43,7 @@ UNITS = {  # to a common one
 LARGEST_GROUP = max(len(group) for group in GROUPS)
 HOLD_TICKS = 1.6
 """A delay of fewer ticks may be the hold of the converter, where the reading is taken before the write."""
+USELESS = 1e9  # for the ratio of a prediction that is no prediction: finite, so that results.json is JSON
 VERDICTS = ("nothing_missing", "explained", "partly_explained", "unexplained")
 
 
@@ -98,13 +99,25 @@ def unreadable(diagnosis: object) -> str:
         return f"diagnosis.json: found {type(diagnosis).__name__}, expected an object"
     if diagnosis.get("verdict") not in VERDICTS:
         return f"verdict: found {diagnosis.get('verdict')!r}, expected one of {', '.join(VERDICTS)}"
-    for effect in diagnosis.get("effects", []):
+    effects = diagnosis.get("effects", [])
+    if not isinstance(effects, list):
+        return f"effects: found {type(effects).__name__}, expected a list"
+    for effect in effects:
         if not isinstance(effect, dict) or not isinstance(effect.get("name"), str):
             return f"effects: found {effect!r}, expected an object with a name"
         probability = effect.get("probability")
-        if probability is not None and not 0 <= probability <= 1:
+        if probability is not None and not (_is_number(probability) and 0 <= probability <= 1):
             return f"{effect['name']}: found probability {probability!r}, expected 0 to 1"
+        if not isinstance(effect.get("alternatives", []), list):
+            return f"{effect['name']}: found alternatives {effect['alternatives']!r}, expected a list"
+        parameters = effect.get("parameters", {})
+        if not isinstance(parameters, dict) or not all(isinstance(p, dict) for p in parameters.values()):
+            return f"{effect['name']}: found parameters {parameters!r}, expected an object of objects"
     return ""
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and math.isfinite(value)
 
 
 def grade(
@@ -196,15 +209,12 @@ def _tolerated(effect: dict, labels: dict) -> bool:
 def _values(parameters: dict) -> dict[str, tuple[float, str, tuple[float, float] | None]]:
     out = {}
     for name, p in parameters.items():
-        if not isinstance(p.get("value"), int | float):
+        if not _is_number(p.get("value")):
             continue
         unit, factor = UNITS.get(p.get("unit", ""), (p.get("unit", ""), 1.0))
-        interval = p.get("interval_90")
-        out[name] = (
-            p["value"] * factor,
-            unit,
-            None if interval is None else tuple(v * factor for v in interval),
-        )
+        ends = p.get("interval_90")
+        known = isinstance(ends, list) and len(ends) == 2 and all(_is_number(end) for end in ends)
+        out[name] = (p["value"] * factor, unit, (ends[0] * factor, ends[1] * factor) if known else None)
     return out
 
 
@@ -245,7 +255,7 @@ def _over_noise(labels, predicted_um, measured_um):
     if predicted_um is None or measured_um is None:
         return None
     if predicted_um.shape != measured_um.shape or not np.all(np.isfinite(predicted_um)):
-        return math.inf
+        return USELESS
     lsb = next(
         (e["parameters"]["lsb_um"]["value"] for e in labels["effects"] if e["name"] == "quantization"), 0.0
     )

@@ -15,6 +15,7 @@ CLEAR, FAINT, CLEAR_OF_RESIDUAL = 2.0, 0.7, 3.0
 CLOSE, FAR = 1.5, 2.0  # held-out residual over noise
 GAIN = 0.005  # of the held-out error, that counts as an improvement
 BINS = (0.0, 1.0, 2.0, 5.0, 10.0, 20.0, 40.0, float("inf"))
+NAMES = (*EFFECTS, "gain_modulation", "dropouts")
 STILL_OPEN = ("unexplained", "partly_explained")
 CLOSED = ("explained", "nothing_missing")
 
@@ -51,12 +52,12 @@ def _several(grades: Grades, count: int) -> list[Grade]:
 
 def exact_set(g: Grade) -> bool:
     """Whether every truth is found, and nothing wrong is named."""
-    return not g.failed and len(g.found) == len(g.truth) and not g.wrong
+    return len(g.found) == len(g.truth) and not g.wrong
 
 
 def recognised(g: Grade) -> bool:
     """Whether an effect outside the list is left open, and nothing wrong is named."""
-    return not g.failed and not g.wrong and g.verdict in STILL_OPEN
+    return not g.wrong and g.verdict in STILL_OPEN
 
 
 def improves(g: Grade) -> bool:
@@ -145,7 +146,7 @@ FIGURES: tuple[tuple[str, str, Callable[[Grades], Share | float | int | None], b
         False,
     ),
     ("unknown", "outside the list: left open, nothing wrong named", lambda g: _cases(_unknown(g), recognised), True),
-    ("unknown_right", "outside the list: nothing wrong named", lambda g: _cases(_unknown(g), lambda c: not c.wrong), True),
+    ("unknown_right", "outside the list: nothing wrong named", lambda g: _cases(_unknown(g), lambda c: not c.wrong and not c.failed), True),
     (
         "unknown_improves",
         "outside the list, determined by u: held-out fit improves",
@@ -251,7 +252,7 @@ def answer_of(g: Grade) -> str:
 
 def confusion(grades: Grades) -> dict[str, object]:
     """Truth against answer over the cases with at most one effect; "abstained" leaves it open without a name."""
-    rows = [*EFFECTS, "gain_modulation", "dropouts", "nothing", "unknown"]
+    rows = [*NAMES, "nothing", "unknown"]
     columns = [*rows[:-1], "abstained", "other", "failed"]
     matrix = np.zeros((len(rows), len(columns)), dtype=int)
     for g in grades:

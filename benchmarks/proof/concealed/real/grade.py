@@ -84,17 +84,22 @@ def _has_grown(effect: dict, labels: dict, answer: dict, untouched: dict) -> boo
 
 
 def _explained(effect: dict, answer: dict) -> float:
-    """Variance, µm²: the effect's share of the mismatch over the floor."""
-    floor = answer["fit"].get("noise_floor_um") or 0.0
-    mismatch = answer["fit"]["retuned"]["heldout_rms_um"] ** 2 - floor**2
+    """Variance, µm²: the effect's share of the mismatch over the floor; 0 where the tool gives no account of it."""
+    floor = (answer.get("fit") or {}).get("noise_floor_um") or 0.0
+    mismatch = (_rms_um(answer, "retuned") or 0.0) ** 2 - floor**2
     return float(effect.get("share", 0.0)) * max(mismatch, 0.0)
 
 
 def _over_residual(labels: dict, untouched: dict) -> float | None:
     """The injected rms over what the untouched answer leaves held out: what it has to be seen against."""
-    if labels["severity"] is None:
+    left = _rms_um(untouched, "augmented")
+    if not left or labels["severity"] is None:
         return None
-    return labels["severity"] * labels["noise_rms_um"] / untouched["fit"]["augmented"]["heldout_rms_um"]
+    return labels["severity"] * labels["noise_rms_um"] / left
+
+
+def _rms_um(answer: dict, fit: str) -> float | None:
+    return ((answer.get("fit") or {}).get(fit) or {}).get("heldout_rms_um")
 
 
 def _stated(effect: dict, taken: dict | None, accepted: set[str]) -> dict[str, object]:

@@ -1,38 +1,23 @@
 """The rival: forty plays by least squares and one linearised column per effect, in NumPy.
 
-    python benchmarks/concealed/baseline.py diagnose a.csv b.csv c.csv --output DIR
-    python benchmarks/concealed/baseline.py predict DIR/stage.json heldout_input.csv --output prediction.csv
+    python -m concealed.rivals.baseline diagnose a.csv b.csv c.csv --output DIR
+    python -m concealed.rivals.baseline predict DIR/stage.json heldout_input.csv --output prediction.csv
 
 The last 30 % of each recording is held out. An effect is named only where its column is the best in training
 and the best held out, and the held-out error falls by 3 %; its column stays and the search goes on, to three.
 """
 
-import argparse
-import json
 import math
 from pathlib import Path
 
 import numpy as np
 from scipy.signal import lfilter
 
+from concealed.rivals.contract import MOST, Run, command_line, named, write_diagnosis
+
+HELD = 0.7  # of each recording is fitted, the rest held out
+RECORDINGS = 5  # at most
 THRESHOLDS = np.concatenate([[0.0], np.geomspace(2e-3, 0.9, 39)])
-BLOCKS = {
-    "amplifier_lag": "amplifier",
-    "slew_limit": "amplifier",
-    "voltage_saturation": "amplifier",
-    "delay": "amplifier",
-    "hysteresis_operator": "actuator",
-    "rate_dependent_hysteresis": "actuator",
-    "creep": "actuator",
-    "leakage": "actuator",
-    "ageing": "actuator",
-    "resonance": "mechanics",
-    "load_change": "mechanics",
-    "cross_coupling": "mechanics",
-    "backlash": "mount",
-    "hum": "sensor",
-    "thermal_drift": "any",
-}
 PARAMETERS = {
     "amplifier_lag": ("cutoff_hz", "Hz"),
     "slew_limit": ("limit_v_per_s", "V/s"),
@@ -46,52 +31,43 @@ PARAMETERS = {
 }
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("verb", choices=("diagnose", "predict"))
-    parser.add_argument("files", type=Path, nargs="+")
-    parser.add_argument("--output", type=Path, required=True)
-    options = parser.parse_args()
-    (diagnose if options.verb == "diagnose" else predict)(options.files, options.output)
-
-
-def diagnose(files: list[Path], output: Path) -> None:
+def diagnose(runs: list[Run], output: Path) -> None:
     """Write diagnosis.json and stage.json into `output`."""
-    runs = [read(f) for f in files]
-    y = np.concatenate([run["output_um"] for run in runs])
-    train = np.concatenate([np.arange(r["time_s"].size) < 0.7 * r["time_s"].size for r in runs])
-    span = max(np.max(np.abs(run["input_v"])) for run in runs)
-    plays = np.concatenate([nominal(run, span) for run in runs])
+    every = max(sum(run["time_s"].size for run in runs) // MOST, 1)
+    y = np.concatenate([run["output_um"][::every] for run in runs])
+    train = np.concatenate([(np.arange(r["time_s"].size) < HELD * r["time_s"].size)[::every] for r in runs])
+    span = max(float(np.max(np.abs(run["input_v"]))) for run in runs)
+    states = [nominal(run, span) for run in runs]
+    plays = np.concatenate([s[::every] for s in states])
     weights = ridge(plays[train], y[train])
-    smooth = np.split(plays @ weights, np.cumsum([r["time_s"].size for r in runs])[:-1])
-    steepest = max(np.max(np.abs(np.diff(run["input_v"]))) / run["dt"] for run in runs)
+    smooth = [s @ weights for s in states]
+    steepest = max(float(np.max(np.abs(np.diff(run["input_v"])))) / run["dt"] for run in runs)
     grid = candidates(runs[0]["dt"], span, steepest, np.ptp(y), len(runs), "aux_v" in runs[0])
     columns = [
-        np.concatenate([column(n, p, r, s, i) for i, (r, s) in enumerate(zip(runs, smooth, strict=True))])
+        np.concatenate(
+            [column(n, p, r, s, i)[::every] for i, (r, s) in enumerate(zip(runs, smooth, strict=True))]
+        )
         for n, p in grid
     ]
-    base, named, starts = plays, [], []
+    base, found, starts = plays, [], []
     errors = [errors_of(base, y, train)]
-    while len(named) < 3:
+    while len(found) < 3:
         trained = [fit_on_top(base, c, y, train) for c in columns]
         best_train, best_held = (min(range(len(grid)), key=lambda i, j=j: trained[i][j]) for j in (0, 1))
         if grid[best_train][0] != grid[best_held][0] or trained[best_train][1] > 0.97 * errors[-1][1]:
             break
-        named.append(grid[best_train])
+        found.append(grid[best_train])
         starts.append(base.shape[1])
         base = np.column_stack([base, columns[best_train]])
         errors.append(errors_of(base, y, train))
-        taken = [n for n, _ in named]
+        taken = [n for n, _ in found]
         keep = [i for i, (n, _) in enumerate(grid) if n not in taken]
         grid, columns = [grid[i] for i in keep], [columns[i] for i in keep]
     final = ridge(base[train], y[train])
-    stage = {"span": span, "smooth": weights.tolist(), "weights": final.tolist(), "named": named}
-    named = [_signed(n, p, final[start]) for (n, p), start in zip(named, starts, strict=True)]
-    output.mkdir(parents=True, exist_ok=True)
-    (output / "stage.json").write_text(json.dumps(stage))
-    (output / "diagnosis.json").write_text(json.dumps(report(named, errors), indent=1))
+    stage = {"span": span, "smooth": weights.tolist(), "weights": final.tolist(), "named": found}
+    signed = [_signed(n, p, final[start]) for (n, p), start in zip(found, starts, strict=True)]
+    effects = [named(n, len(signed), _parameters(n, p)) for n, p in signed]
+    write_diagnosis(output, effects, errors, stage)
 
 
 def _signed(name: str, parameter: float, weight: float) -> tuple[str, float]:
@@ -99,60 +75,19 @@ def _signed(name: str, parameter: float, weight: float) -> tuple[str, float]:
     return ("leakage", parameter) if name == "creep" and weight < 0 else (name, parameter)
 
 
-def report(named: list, errors: list) -> dict:
-    """diagnosis.json by the contract, as far as a baseline can fill it."""
-    fits = [{"train_rms_um": a, "heldout_rms_um": b, "heldout_max_um": c} for a, b, c in errors]
-    effects = []
-    for name, parameter in named:
-        known = (
-            {PARAMETERS[name][0]: {"value": parameter, "unit": PARAMETERS[name][1]}}
-            if name in PARAMETERS
-            else {}
-        )
-        effects.append(
-            {
-                "name": name,
-                "block": BLOCKS[name],
-                "alternatives": [],
-                "probability": 1.0,
-                "parameters": known,
-                "share": 1.0 / len(named),
-            }
-        )
-    return {
-        "verdict": "explained" if named else "nothing_missing",
-        "effects": effects,
-        "where": [],
-        "fit": {"nominal": fits[0], "retuned": fits[0], "augmented": fits[-1]},
-        "says": "missing: " + (", ".join(n for n, _ in named) or "nothing"),
-    }
+def _parameters(name: str, value: float) -> dict:
+    if name not in PARAMETERS:
+        return {}
+    key, unit = PARAMETERS[name]
+    return {key: {"value": float(value), "unit": unit}}
 
 
-def predict(files: list[Path], output: Path) -> None:
-    """Write the stage's answer to an input file."""
-    stage, run = json.loads(files[0].read_text()), read(files[1])
+def predict(stage: dict, run: Run) -> np.ndarray:
+    """The stage's answer to an input."""
     plays = nominal(run, stage["span"])
     smooth = plays @ np.array(stage["smooth"])
     columns = [column(name, p, run, smooth, -1) for name, p in stage["named"]]
-    y = np.column_stack([plays, *columns]) @ np.array(stage["weights"])
-    output.parent.mkdir(parents=True, exist_ok=True)
-    np.savetxt(
-        output,
-        np.column_stack([run["time_s"], run["input_v"], y]),
-        "%.9g",
-        ",",
-        header="time_s,input_v,output_um",
-        comments="",
-    )
-
-
-def read(path: Path) -> dict:
-    """The columns of a recording, and its sample period."""
-    with path.open() as file:
-        names = file.readline().strip().split(",")
-    table = np.loadtxt(path, delimiter=",", skiprows=1)
-    run = dict(zip(names, table.T, strict=True))
-    return run | {"dt": float(np.median(np.diff(run["time_s"])))}
+    return np.column_stack([plays, *columns]) @ np.array(stage["weights"])
 
 
 def nominal(run: dict, span: float) -> np.ndarray:
@@ -225,9 +160,9 @@ def column(name: str, p: float, run: dict, y: np.ndarray, index: int) -> np.ndar
 
 
 def _own(index: int, columns: np.ndarray) -> np.ndarray:
-    """Columns that each of three recordings has for itself; a new recording (-1) has none."""
-    out = np.zeros((len(columns), 3 * columns.shape[1]))
-    if 0 <= index < 3:
+    """Columns that each recording has for itself; a new one (-1) has none."""
+    out = np.zeros((len(columns), RECORDINGS * columns.shape[1]))
+    if 0 <= index < RECORDINGS:
         out[:, index * columns.shape[1] : (index + 1) * columns.shape[1]] = columns
     return out
 
@@ -253,4 +188,4 @@ def fit_on_top(base: np.ndarray, c: np.ndarray, y: np.ndarray, train: np.ndarray
 
 
 if __name__ == "__main__":
-    main()
+    command_line(__doc__, diagnose, predict)
