@@ -41,7 +41,7 @@ ENTRIES = {
     for entry in (
         Entry(
             "torchpi",
-            "torchpi diagnose {recordings} --output {out}",
+            "torchpi diagnose {recordings} --resample true --output {out}",  # where samples are uneven
             "torchpi predict {out}/stage.pt {input} --output {prediction}",
         ),
         _rival("baseline"),

@@ -47,7 +47,7 @@ def detection(results: dict, path: Path) -> None:
             share, low, high = (np.array([r[key][k] for r in rows]) for k in ("share", "at_least", "at_most"))
             axes.plot(x, share, "o-", color=colour, label=label)
             axes.fill_between(x, low.astype(float), high.astype(float), color=colour, alpha=0.15, linewidth=0)
-        axes.set(xscale="log", ylim=(-0.02, 1.02), xlabel=words)
+        axes.set(xscale="log", xlim=(0.5, 100), ylim=(-0.02, 1.02), xlabel=words)
         axes.grid(alpha=0.3)
     panels[0].set_ylabel("share of cases")
     panels[0].legend(loc="center right")
