@@ -352,7 +352,8 @@ class TestFigures:
         two, three = labels(effect("creep"), effect("hum")), labels(*map(effect, ("creep", "hum", "delay")))
         both, one = [named("creep"), named("hum")], [named("creep")]
         grades = [grade(two, answer(*said)) for said in (both, one, [*both, named("ageing")])]
-        assert self.of("pairs", *grades, grade(three, answer(*both))) == (1, 3)
+        assert [self.of("pairs", g) for g in grades] == [(1, 1), (0, 1), (0, 1)]
+        assert self.of("pairs", grade(three, answer(*both)), grade(two, None)) == (0, 1)
         assert figures([grade(three, answer(*both))])["triples_f1"] == pytest.approx(0.8)
         assert figures([grade(three, answer(named("ageing"), *one))])["triples_f1"] == pytest.approx(0.4)
         assert figures(grades)["triples_f1"] is None
@@ -366,6 +367,10 @@ class TestFigures:
         assert self.of("intervals", *grades) == (1, 2)
         assert figures(grades)["parameter_error"] == pytest.approx(0.2)
         assert figures(grades[2:])["parameter_error"] is None
+        lag = effect("creep", 5.0, parameters={"tau_s": value(1.0, "s"), "share": value(1.0, "1")})
+        bare = grade(labels(lag), answer(named("creep", tau_s=value(1.1, "s"))))
+        assert self.of("intervals", bare) == (0, 0) and figures([bare])["parameter_error"] == pytest.approx(0.1)
+        assert figures([grades[1]])["parameter_error"] == pytest.approx(0.2)
 
     def test_held_out_residuals_are_counted_under_a_closed_verdict(self):
         def ratio(times: float, verdict: str) -> object:
@@ -373,7 +378,7 @@ class TestFigures:
             return grade(labels(), answer(verdict=verdict), predicted_um=predicted, measured_um=np.zeros(50))
 
         grades = [ratio(1.4, "explained"), ratio(1.6, "nothing_missing"), ratio(2.1, "explained")]
-        grades.append(ratio(9.0, "unexplained"))
+        grades += [ratio(9.0, "unexplained"), grade(labels(), answer())]
         assert self.of("heldout_close", *grades) == (1, 3)
         assert self.of("closed_far", *grades) == (1, 3)
         assert figures(grades)["heldout"] == pytest.approx(1.6)
@@ -427,6 +432,10 @@ class TestSummary:
         filled = [(r["measure"], r["from"], r["to"]) for r in rows if r["right_group"]["of"]]
         assert filled == [("severity", 10.0, 20.0), ("severity_beyond_plays", 5.0, 10.0)]
         assert all(r["right_group"]["count"] == r["wrong"]["count"] == 1 for r in rows if r["right_group"]["of"])
+        poor = grade(labels(effect("creep"), adequate=False), answer())
+        without = grade(labels(effect("creep") | {"severity_beyond_plays": None}), answer())
+        counts = [sum(r["right_group"]["of"] for r in summarise([g])["detection"]) for g in (poor, without)]
+        assert counts == [0, 1]
 
     def test_the_bins_of_severity_are_those_that_are_published(self):
         edges = [0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 40.0]
@@ -442,6 +451,8 @@ class TestSummary:
             grade(labels(hum, family="duhem"), answer(named("ageing"))),
             grade(labels(), answer(verdict="nothing_missing")),
         ]
+        outside = grade(labels(effect("echo", listed=False)), answer())
+        assert set(summarise([outside])["by_effect"]) == {"echo"}
         summary = summarise(grades)
         assert set(summary["by_effect"]) == {"creep", "hum", "nothing"}
         assert set(summary["by_form"]) == {"creep: poles", "hum: a form", "nothing: –"}
@@ -456,10 +467,16 @@ class TestSummary:
             "failed": (labels(), None),
             "missed": (labels(effect("creep", 30.0)), answer(verdict="unexplained")),
             "faint": (labels(effect("creep", 1.0)), answer(verdict="unexplained")),
+            "just": (labels(effect("creep", 2.0)), answer(verdict="unexplained")),
             "good": (labels(effect("creep")), answer(named("creep"))),
         }
         grades = [grade(label | {"case": name}, said) for name, (label, said) in cases.items()]
-        assert summarise(grades)["worst"] == ["alien/wrong", "alien/failed", "alien/missed"]
+        for name, verdict, ratio in (("far", "explained", 3.0), ("open", "unexplained", 9.0), ("near", "explained", 1.9)):
+            given = {"predicted_um": np.full(9, ratio * NOISE_UM), "measured_um": np.zeros(9)}
+            grades.append(grade(labels(case=name), answer(verdict=verdict), **given))
+        worst = summarise(grades)["worst"]
+        assert worst == [f"alien/{name}" for name in ("wrong", "failed", "missed", "just", "far")]
+        assert len(summarise([grades[0]] * 12)["worst"]) == 10
 
 
 class TestBounds:
@@ -564,6 +581,8 @@ class TestInjected:
         assert not same.found and same.named_before and not same.wrong
         summary = figures([same])
         assert summary["group"]["of"] == summary["precision"]["of"] == 0 and summary["named_before"] == 1
+        assert sum(map(sum, summarise([same])["confusion"]["matrix"])) == 0
+        assert all(row["right_group"]["of"] == 0 for row in summarise([same])["detection"])
 
     def test_the_floor_counts_neither_before_nor_after(self):
         label = self.labels(severity=10.0)

@@ -1,38 +1,18 @@
-"""Effects put into real recordings: exactly what the label says, and graded against the untouched answer."""
+"""Effects put into real recordings: exactly what the label says."""
 
-import ast
-import json
-import subprocess
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
+from concealed.cases import write_case
+from concealed.real import effects
+from concealed.real.case import EVERYWHERE, PLANS, SEVERITIES, draw_case, untouched_recordings
+from concealed.real.sources import Record, draw_residual, noise_of_periods
+from concealed.tracks import DATA
 
-sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks" / "real"))
-
-import inject
-import score
-from injection import effects
-from injection.case import EVERYWHERE, PLANS, SEVERITIES, draw_case
-from injection.grade import grade
-from injection.sources import Record, noise_of_periods
-from injection.summary import summarise, table
-
-REAL = Path(inject.__file__).parent
-DATA = inject.DATA
 with_data = pytest.mark.skipif(not DATA.is_dir(), reason="the real recordings are not here")
 FS = 500.0
 NOISE_UM = 0.01
-
-
-def test_imports_nothing_of_torchpi():
-    for file in REAL.rglob("*.py"):
-        for node in ast.walk(ast.parse(file.read_text())):
-            names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
-            names += [node.module] if isinstance(node, ast.ImportFrom) else []
-            assert not {name.split(".")[0] for name in names} & {"torchpi", "train", "torch"}, file
 
 
 class TestEffects:
@@ -97,7 +77,7 @@ class TestCases:
         case = draw_case(DATA, 0, index)
         with_effect, without = (
             np.concatenate([r["output_um"] - r["output_um"].mean() for r in records])
-            for records in (case.recordings, case.untouched_recordings)
+            for records in (case.recordings, case.untouched)
         )
         gain = with_effect @ without / (without @ without)
         rms = np.sqrt(np.mean((with_effect - gain * without) ** 2))
@@ -105,114 +85,32 @@ class TestCases:
         assert SEVERITIES[0] * 0.9 < case.labels["severity"] < SEVERITIES[1] * 1.1
 
     def test_a_seed_gives_the_same_files_again_and_both_folders_have_the_contract(self, tmp_path):
-        number = _index(0, "stack_sine", "axis_recorded") + 1
+        number = _index(0, "stack_sine", "axis_recorded")
         for folder in ("first", "again"):
-            inject.write_case(DATA, 0, number, tmp_path / folder)
+            write_case(draw_case(DATA, 0, number), "case_0001", tmp_path / folder)
         files = sorted(p.relative_to(tmp_path / "first") for p in (tmp_path / "first").rglob("*.csv"))
         assert len(files) == 2
         for file in files:
             assert (tmp_path / "first" / file).read_bytes() == (tmp_path / "again" / file).read_bytes()
             assert (tmp_path / "first" / file).read_text().startswith("time_s,input_v,output_um,aux_v\n")
 
-    def test_the_score_reads_the_answers_of_a_command(self, tmp_path, monkeypatch):
-        number = _index(0, "stack_sine", "hum") + 1
-        inject.write_case(DATA, 0, number, tmp_path / "cases")
-        tool = tmp_path / "tool.py"
-        tool.write_text(
-            "import json, pathlib, sys\n"
-            "out, names = pathlib.Path(sys.argv[2]), ['hum'] * ('case_' in sys.argv[1])\n"
-            "effects = [{'name': n, 'probability': 0.9, 'share': 1.0} for n in names]\n"
-            "rms = {'heldout_rms_um': 1.0}\n"
-            "fit = {'retuned': rms, 'augmented': rms}\n"
-            "answer = {'verdict': 'explained', 'effects': effects, 'fit': fit}\n"
-            "(out / 'diagnosis.json').write_text(json.dumps(answer))\n"
-        )
-        arguments = [str(tmp_path / "cases"), "--answers", str(tmp_path / "answers")]
-        command = f"{sys.executable} {tool} {{recordings}} {{out}}"
-        monkeypatch.setattr(sys, "argv", ["score.py", *arguments, "--diagnose", command])
-        score.main()
-        results = json.loads((tmp_path / "answers" / "results.json").read_text())
-        assert results["all"]["right_group"]["count"] == 1 and results["all"]["failed"] == 0
+    def test_cases_with_the_same_untouched_recordings_have_them_alike(self):
+        first, second = (_index(3, "motor_a", kind) for kind in ("hum", "ageing"))
+        assert untouched_recordings(3, first) == untouched_recordings(3, second) == ("motor_a", False)
+        one, other = (draw_case(DATA, 3, index) for index in (first, second))
+        assert one.labels["untouched"] == other.labels["untouched"]
+        np.testing.assert_array_equal(one.untouched[0]["output_um"], other.untouched[0]["output_um"])
+
+    @pytest.mark.parametrize("seed", range(3))
+    def test_residuals_of_real_recordings_have_the_rms_and_the_length_that_were_asked_for(self, seed):
+        noise = draw_residual(DATA, _rng(seed))
+        pieces = [noise(_rng(k), 30_000, NOISE_UM) for k in range(4)]
+        assert all(piece.size == 30_000 for piece in pieces)
+        assert np.mean([piece.std() for piece in pieces]) == pytest.approx(NOISE_UM, rel=0.3)
 
     def test_every_pair_of_recording_and_effect_is_drawn_once_a_seed(self):
         order = np.random.default_rng([5, 1]).permutation(len(PLANS))
         assert sorted(order) == list(range(len(PLANS)))
-
-
-class TestGrade:
-    def test_a_new_name_of_the_truth_is_right_and_exact(self):
-        graded = grade(_labels("hum"), _answer("hum"), _answer())
-        assert graded.outcome == "right" and graded.exact and not graded.wrong
-
-    def test_a_name_that_cannot_be_split_from_the_truth_is_right_but_not_exact(self):
-        graded = grade(_labels("sensor_lag", "amplifier_lag"), _answer("amplifier_lag"), _answer())
-        assert graded.outcome == "right" and not graded.exact
-
-    def test_the_truth_among_few_alternatives_is_right_and_among_many_is_not(self):
-        few = _answer("sensor_lag", alternatives=["delay"])
-        many = _answer("sensor_lag", alternatives=["delay", "creep", "hum", "leakage", "ageing"])
-        assert grade(_labels("delay"), few, _answer()).outcome == "right"
-        graded = grade(_labels("delay"), many, _answer())
-        assert graded.outcome == "missed" and graded.wrong == ["sensor_lag"]
-
-    def test_another_new_name_is_wrong_even_beside_the_right_one(self):
-        graded = grade(_labels("hum"), _answer("hum", "creep"), _answer())
-        assert graded.outcome == "right" and graded.wrong == ["creep"]
-
-    def test_what_the_untouched_recording_has_is_neither_charged_nor_credited(self):
-        graded = grade(_labels("hum"), _answer("creep"), _answer("creep"))
-        assert graded.outcome == "missed" and not graded.wrong
-        assert grade(_labels("hum"), _answer("hum"), _answer("hum")).outcome == "named_before"
-        before = _answer("creep", alternatives=["thermal_drift"])
-        assert not grade(_labels("hum"), _answer("thermal_drift"), before).wrong
-
-    def test_another_name_of_a_group_is_new_only_where_the_first_is_still_there(self):
-        before = _answer("hysteresis_operator")
-        assert not grade(_labels("hum"), _answer("incongruent_loops"), before).wrong
-        both = _answer("hysteresis_operator", "incongruent_loops")
-        assert grade(_labels("hum"), both, before).wrong == ["incongruent_loops"]
-
-    def test_a_name_that_was_there_and_grows_by_what_was_injected_is_right(self):
-        labels = _labels("hum", severity=10.0)  # 0.1 µm
-        grown = _answer("hum", retuned_um=0.3)
-        assert grade(labels, grown, _answer("hum", retuned_um=0.28)).outcome == "right"
-        assert grade(labels, grown, _answer("hum", retuned_um=0.295)).outcome == "named_before"
-
-    def test_what_has_no_name_is_recognised_only_without_a_wrong_one(self):
-        labels = _labels("cross_coupling") | {"accepted": []}
-        assert grade(labels, _answer(verdict="unexplained"), _answer()).outcome == "recognised"
-        assert grade(labels, _answer(verdict="explained"), _answer()).outcome == "overlooked"
-        assert grade(labels, _answer("creep", verdict="unexplained"), _answer()).outcome == "overlooked"
-
-    def test_a_failure_misses_and_charges_nothing(self):
-        graded = grade(_labels("hum"), None, _answer())
-        assert graded.outcome == "missed" and graded.verdict == "failed" and not graded.wrong
-
-    def test_parameters_of_a_new_exact_name_are_compared(self):
-        labels = _labels("hum") | {"parameters": {"mains_hz": {"value": 50.0, "unit": "Hz"}}}
-        answer = _answer("hum")
-        answer["effects"][0]["parameters"] = {
-            "frequency": {"value": 51.0, "unit": "Hz", "interval_90": [49.0, 52.0]}
-        }
-        (row,) = grade(labels, answer, _answer()).parameters
-        assert row["relative_error"] == pytest.approx(0.02) and row["covered"]
-
-    def test_the_summary_counts_right_missed_and_wrong(self):
-        grades = [
-            grade(_labels("hum"), _answer("hum"), _answer()),
-            grade(_labels("hum"), _answer("creep"), _answer()),
-            grade(_labels("hum"), _answer("hum"), _answer("hum")),
-        ]
-        summary = summarise(grades, {"x/untouched_a": _answer("creep")})
-        assert summary["all"]["right_group"]["count"] == 1 and summary["all"]["right_group"]["of"] == 2
-        assert summary["all"]["wrong_names"]["share"] == 0.5 and summary["all"]["named_before"] == 1
-        assert "50 % (1/2)" in table(summary) and "creep (0.90)" in table(summary)
-
-
-def test_help_is_printed():
-    for script in ("inject.py", "score.py"):
-        done = subprocess.run([sys.executable, str(REAL / script), "--help"], capture_output=True, text=True)
-        assert done.returncode == 0 and "usage" in done.stdout
 
 
 def _rng(seed: int = 0) -> np.random.Generator:
@@ -226,33 +124,3 @@ def _record(y: np.ndarray) -> Record:
 def _index(seed: int, source: str, kind: str) -> int:
     order = np.random.default_rng([seed, 1]).permutation(len(PLANS))
     return order.tolist().index(PLANS.index((source, kind)))
-
-
-def _labels(name: str, *also: str, severity: float = 5.0) -> dict:
-    return {
-        "case": "case_0001",
-        "source": "stack_sine",
-        "kind": name,
-        "name": name,
-        "accepted": [name, *also],
-        "severity": severity,
-        "noise_rms_um": NOISE_UM,
-        "parameters": {},
-    }
-
-
-def _answer(
-    *names: str,
-    verdict: str = "partly_explained",
-    alternatives: list[str] | None = None,
-    retuned_um: float = 0.3,
-) -> dict:
-    effects = [
-        {"name": name, "probability": 0.9, "share": 1.0, "alternatives": alternatives or []} for name in names
-    ]
-    fit = {
-        "retuned": {"heldout_rms_um": retuned_um},
-        "augmented": {"heldout_rms_um": 0.05},
-        "noise_floor_um": None,
-    }
-    return {"verdict": verdict, "effects": effects, "fit": fit}

@@ -44,7 +44,7 @@ def _steepest(rig, runs):
 @LISTED.add("slew_limit", "current_limit_of_second_order", "Fleming 2009", "amplifier", "amplifier_lag")
 def _current(rng, rig, runs):
     zeta, steepest = rng.uniform(0.6, 1.0), _steepest(rig, runs)
-    omega = 2 * math.pi * rig.fs_hz / 2.5
+    omega = 2 * math.pi * rig.fs_hz
     act = lambda u, at, s: kernels.limited_second_order(u, omega, zeta, steepest / s, at.dt)  # noqa: E731
     return Drawn(act, 0.3, 300.0, 3.0, lambda s: {"limit_v_per_s": (steepest / s, "V/s")})
 

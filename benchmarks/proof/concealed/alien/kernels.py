@@ -93,8 +93,8 @@ def oscillator(x, omega, zeta, drag_per_um, branch, tau_s, stiffer_per_um, pump,
 
 
 @numba.njit(cache=True)
-def bristles(x, coulomb_um, static_um, stribeck_um_per_s, presliding_um, tau_s, dt):
-    """A viscous guide with the bristles of LuGre behind a spring: τ y' = x - y - F, in µm of the spring.
+def bristles(x, coulomb_um, static_um, stribeck_um_per_s, presliding_um, dt):
+    """A guide with the bristles of LuGre behind a spring, in µm of the spring: x - y = F.
 
     z' = y' - |y'| z / g, F = F(g) z / g at its own level; g falls from breakaway to sliding with the rate
     (static = coulomb is Dahl's friction). Implicit in the rate, by bisection.
@@ -102,15 +102,14 @@ def bristles(x, coulomb_um, static_um, stribeck_um_per_s, presliding_um, tau_s, 
     y, share, out = 0.0, 0.0, np.empty(x.size)  # share = friction over its sliding level
     for t in range(x.size):
         pull = x[t] - y
-        span = abs(pull) + static_um
-        low, high = -span / tau_s, span / tau_s
-        rate, new = 0.0, share
-        for _ in range(18):
+        high = (abs(pull) + static_um) / dt
+        low, rate, new = -high, 0.0, share
+        for _ in range(20):
             rate = 0.5 * (low + high)
             level = coulomb_um + (static_um - coulomb_um) * math.exp(-((rate / stribeck_um_per_s) ** 2))
             sign = 1.0 if rate > 0 else -1.0
             new = sign + (share - sign) * math.exp(-abs(rate) * dt / presliding_um)
-            if tau_s * rate + dt * rate + level * new > pull:
+            if dt * rate + level * new > pull:
                 high = rate
             else:
                 low = rate

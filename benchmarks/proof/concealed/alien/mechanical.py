@@ -9,7 +9,7 @@ from concealed.alien.electrical import LISTED, log_uniform
 from concealed.alien.rig import Drawn
 
 MODES = ("resonance", "second_mode")
-FRICTION = ("stiction", "backlash", "sensor_lag", "amplifier_lag")
+FRICTION = ("stiction", "backlash")
 
 
 def mode_hz(rng, rig):
@@ -99,7 +99,7 @@ def _met(rng, rig, runs):
 
 @LISTED.add("backlash", "gap_with_spring_and_damper", "Nordin and Gutman 2002", "mount", *FRICTION)
 def _soft_gap(rng, rig, runs):
-    tau = rng.uniform(0.2, 1.5) / rig.fs_hz
+    tau = rng.uniform(0.02, 0.2) / rig.fs_hz
     act = lambda x, at, s: kernels.gap(x, s * rig.range_um, 0.0, tau, at.dt)  # noqa: E731
     return Drawn(act, 1e-6, 0.04, 3e-3, lambda s: {"width_um": (2 * s * rig.range_um, "um")})
 
@@ -113,23 +113,23 @@ def _skewed_gap(rng, rig, runs):
 
 @LISTED.add("stiction", "lugre", "Canudas de Wit, Olsson, Åström and Lischinsky 1995", "mount", *FRICTION)
 def _lugre(rng, rig, runs):
-    ratio, tau = rng.uniform(1.3, 2.5), 2 * rig.dt
+    ratio = rng.uniform(1.3, 2.5)
     stribeck = rng.uniform(0.02, 0.2) * rig.range_um / rig.duration_s * 20
 
     def act(x, at, s):
         f = s * rig.range_um
-        return kernels.bristles(x, f, ratio * f, stribeck, 0.05 * f, tau, at.dt)
+        return kernels.bristles(x, f, ratio * f, stribeck, 0.05 * f, at.dt)
 
     return Drawn(act, 1e-6, 0.03, 2e-3)
 
 
 @LISTED.add("stiction", "dahl", "Dahl 1968", "mount", *FRICTION, foreign=False)
 def _dahl(rng, rig, runs):
-    length, tau = rng.uniform(0.05, 1.0), 2 * rig.dt
+    length = rng.uniform(0.05, 1.0)
 
     def act(x, at, s):
         f = s * rig.range_um
-        return kernels.bristles(x, f, f, 1.0, length * f, tau, at.dt)
+        return kernels.bristles(x, f, f, 1.0, length * f, at.dt)
 
     return Drawn(act, 1e-6, 0.03, 2e-3)
 

@@ -49,13 +49,8 @@ def _pumped(rng, rig, runs):
 
 @OPEN.add("end_stop", "compliant", "Johnson 1985", "mount", "voltage_saturation", "load_change", *STATIC, "sensor_nonlinearity")
 def _end_stop(rng, rig, runs):
-    stop, share = rng.uniform(0.6, 0.9) * rig.range_um, rng.uniform(0.2, 0.9)
-
-    def act(x, at, s):
-        beyond = np.maximum(x * rig.sign - stop * (1 - s), 0)
-        return x - rig.sign * share * beyond
-
-    return Drawn(act, 1e-5, 0.6, 0.1)
+    stop = rng.uniform(0.5, 0.8) * rig.range_um
+    return Drawn(lambda x, at, s: x - rig.sign * s * np.maximum(x * rig.sign - stop, 0), 1e-6, 0.95, 0.1)
 
 
 @OPEN.add("self_heating", "dielectric_loss", "Zheng et al. 1996", "actuator", "gain_modulation", "ageing", "rate_dependent_hysteresis")

@@ -75,12 +75,8 @@ def _precision(grades: Grades) -> Share:
     return share(right, right + wrong)
 
 
-def _ratios(grades: Grades, verdicts: Sequence[str] = ()) -> list[float]:
-    return [
-        g.heldout_over_noise
-        for g in grades
-        if g.heldout_over_noise is not None and (not verdicts or g.verdict in verdicts)
-    ]
+def _ratios(grades: Grades, verdicts: Sequence[str]) -> list[float]:
+    return [g.heldout_over_noise for g in grades if g.heldout_over_noise is not None and g.verdict in verdicts]
 
 
 def _intervals(grades: Grades) -> Share:
@@ -207,7 +203,7 @@ def summarise(grades: Grades) -> dict[str, object]:
         "confusion": confusion(grades),
         "detection": detection(proof),
         "calibration": calibration([g.as_dict() for g in proof]),
-        "worst": [f"{g.track}/{g.case}" for g in sorted(grades, key=badness, reverse=True)[:10] if badness(g) > 0],
+        "worst": [f"{g.track}/{g.case}" for g in sorted(grades, key=badness, reverse=True)[:10] if any(badness(g))],
     }
 
 
@@ -231,12 +227,12 @@ def _by(grades: Grades, key: Callable[[Grade, str], str]) -> dict[str, dict[str,
     return rows
 
 
-def badness(g: Grade) -> float:
-    """Orders the worst cases: wrong names first, then failures, then what is clear and missed, then a bad prediction
-    under a closed verdict."""
+def badness(g: Grade) -> tuple[int, bool, float, float]:
+    """Orders the worst cases: by wrong names, no answer, what is clear and missed, and a bad prediction under a closed
+    verdict."""
     missed = max((g.severities[n] for n in g.truth if n not in g.found and g.severities[n] >= CLEAR), default=0.0)
-    ratio = g.heldout_over_noise if g.verdict in CLOSED and g.heldout_over_noise is not None else 0.0
-    return 1000.0 * len(g.wrong) + 500.0 * bool(g.failed) + min(missed, 100.0) + min(max(ratio - FAR, 0.0), 100.0)
+    over = max(_ratios([g], CLOSED), default=0.0)
+    return len(g.wrong), bool(g.failed), missed, over if over > FAR else 0.0
 
 
 def answer_of(g: Grade) -> str:
