@@ -30,7 +30,9 @@ def main(arguments: list[str] | None = None) -> None:
 
     verb = verbs.add_parser("generate", help="write cases, with their labels sealed apart")
     verb.set_defaults(do=_generate)
-    verb.add_argument("--track", choices=("all", *PROOF, *DEVELOPMENT), required=True, help="all: the four of the proof")
+    verb.add_argument(
+        "--track", choices=("all", *PROOF, *DEVELOPMENT), required=True, help="all: the four of the proof"
+    )
     verb.add_argument("--count", type=int, default=6, help="of cases in each track")
     verb.add_argument("--first", type=int, default=1, help="number of the first case")
     verb.add_argument("--seed", type=int, default=0, help="0 to 9999 are for development")
@@ -39,7 +41,9 @@ def main(arguments: list[str] | None = None) -> None:
     verb.add_argument("--processes", type=int, default=1)
 
     verb = verbs.add_parser("draw", help="draw the seeds of a run, from a committed tree")
-    verb.set_defaults(do=lambda o: print(json.dumps(draw_seeds(o.output, dict.fromkeys(PROOF, o.count)), indent=1)))
+    verb.set_defaults(
+        do=lambda o: print(json.dumps(draw_seeds(o.output, dict.fromkeys(PROOF, o.count)), indent=1))
+    )
     verb.add_argument("--count", type=int, default=300, help="of cases in each track")
     verb.add_argument("--output", type=Path, required=True)
 
@@ -56,7 +60,9 @@ def main(arguments: list[str] | None = None) -> None:
     verb.add_argument("--tracks", nargs="*", choices=PROOF, default=PROOF)
     verb.add_argument("--limit", type=int, help="only the first so many cases of each track")
     verb.add_argument("--data", type=Path, default=DATA, help="folder of the real recordings")
-    verb.add_argument("--not-frozen", action="store_true", help="run whatever the tree holds: for development")
+    verb.add_argument(
+        "--not-frozen", action="store_true", help="run whatever the tree holds: for development"
+    )
 
     verb = verbs.add_parser("page", help="write the page from the results; the first folder is the tool's")
     verb.set_defaults(do=_page)

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-
 from concealed.cases import read_column
 from concealed.plant.physics import Array
 
@@ -54,7 +53,7 @@ ENTRIES = {
 
 @dataclass(frozen=True)
 class Answer:
-    """What a tool left: its diagnosis (None: it failed), its prediction (empty: it failed; None: not asked for)."""
+    """What a tool left: a diagnosis (None: it failed), a prediction (empty: it failed; None: not asked for)."""
 
     diagnosis: object
     predicted_um: Array | None

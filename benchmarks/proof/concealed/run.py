@@ -70,7 +70,9 @@ def check_frozen(seeds: dict, allowed: Sequence[Path]) -> None:
     """Refuse a tree that differs from the commit of the seeds, but in the files of the run itself."""
     changed = _changed(seeds["commit"], allowed)
     if changed:
-        raise RunError(f"expected the tree of commit {seeds['commit'][:12]}: found changes in {', '.join(changed[:5])}")
+        raise RunError(
+            f"expected the tree of commit {seeds['commit'][:12]}: found changes in {', '.join(changed[:5])}"
+        )
 
 
 def _changed(commit: str, allowed: Sequence[Path]) -> list[str]:
@@ -168,7 +170,8 @@ def _work(jobs: list[Job], output: Path, executor: Executor, stamp: dict) -> Non
         part.write_text(json.dumps(stamp | record) + "\n")
         part.replace(folder / f"{job.name}.json")
         left = (time.monotonic() - started) / done * (len(open_jobs) - done)
-        line = f"{done}/{len(open_jobs)} {job.name}: {record['diagnose_s']:.0f} s{' failed' * bool(record['failure'])}"
+        line = f"{done}/{len(open_jobs)} {job.name}: {record['diagnose_s']:.0f} s"
+        line += " failed" * bool(record["failure"])
         print(f"{line}; about {left / 60:.0f} min left", file=sys.stderr, flush=True)
 
 
@@ -184,7 +187,7 @@ def _record(output: Path, name: str, stamp: dict) -> dict | None:
 
 
 def work(job: Job) -> dict[str, object]:
-    """Draw one case, put it to the tool, grade the answer. The labels are never written where the tool runs."""
+    """Draw one case, put it to the tool, grade the answer. No label is written where the tool runs."""
     case = draw(job.track, job.seed, job.number - 1, job.data)
     with tempfile.TemporaryDirectory(prefix="concealed_") as name:
         folder = Path(name)

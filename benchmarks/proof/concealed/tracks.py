@@ -3,7 +3,6 @@
 from pathlib import Path
 
 import numpy as np
-
 from concealed.alien.case import draw_case as draw_alien
 from concealed.cases import Case
 from concealed.plant.case import TRACKS as PUBLISHED

@@ -8,13 +8,13 @@ from concealed.alien.case import LISTED, NULL_OF_FOUR, OPEN, draw_case
 from concealed.alien.excitation import BROAD, LOOPS, POOR, command, draw_waves
 from concealed.alien.hysteresis import FAMILIES, draw_truth
 from concealed.alien.rig import PLACES, Form, Rig, simulate
-from concealed.judging.summary import NAMES
+from concealed.names import NAMES
 from concealed.plant.rig import Run
 from concealed.plant.severity import misfit_um
 
 SAMPLES, FS_HZ = 2000, 2000.0
-# What no small strength can undo: a delay of whole ticks, a mode of any frequency in the band, the bandwidth that an
-# amplifier has at most.
+# What no small strength can undo: a delay of whole ticks, a mode of any frequency in the band, the bandwidth
+# that an amplifier has at most.
 NEVER_FAINT = {"delay", "resonance", "amplifier_lag", "slew_limit"}
 
 
@@ -60,7 +60,14 @@ class TestForms:
             sizes.append(misfit_um(changed, plain) / rig().noise_um)
         assert form.place in PLACES
         assert sizes[1] > 2 and (sizes[0] < 0.5 or form.effect in NEVER_FAINT)
-        assert {unit for _, unit in drawn.parameters(drawn.start).values()} <= {"Hz", "s", "V/s", "V", "um", "um/V"}
+        assert {unit for _, unit in drawn.parameters(drawn.start).values()} <= {
+            "Hz",
+            "s",
+            "V/s",
+            "V",
+            "um",
+            "um/V",
+        }
 
 
 class TestTruths:
@@ -80,8 +87,12 @@ class TestTruths:
         drawn = form.draw(rng(3), rig(), runs())
         acts = [(form.place, lambda x, at: drawn.act(x, at, 0.1))]
         for run in runs():
-            np.testing.assert_array_equal(simulate(rig(), [], run, time_s, kept), simulate(rig(), [], run, time_s))
-            np.testing.assert_array_equal(simulate(rig(), acts, run, time_s, kept), simulate(rig(), acts, run, time_s))
+            np.testing.assert_array_equal(
+                simulate(rig(), [], run, time_s, kept), simulate(rig(), [], run, time_s)
+            )
+            np.testing.assert_array_equal(
+                simulate(rig(), acts, run, time_s, kept), simulate(rig(), acts, run, time_s)
+            )
 
     def test_a_reading_before_the_write_is_a_tick_late_and_a_negative_gain_is_a_sign(self):
         time_s, run = np.arange(SAMPLES) / FS_HZ, runs()[0]
@@ -111,7 +122,9 @@ class TestCases:
         one, again = draw_case(track, 7000, index), draw_case(track, 7000, index)
         for a, b in zip(one.recordings, again.recordings, strict=True):
             assert list(a)[:3] == ["time_s", "input_v", "output_um"]
-            assert all(np.all(np.isfinite(column)) for column in a.values()) and np.all(np.diff(a["time_s"]) > 0)
+            assert all(np.all(np.isfinite(column)) for column in a.values()) and np.all(
+                np.diff(a["time_s"]) > 0
+            )
             np.testing.assert_array_equal(a["output_um"], b["output_um"])
         (effect,) = one.labels["effects"]
         assert effect["listed"] is (track == "alien")
@@ -124,7 +137,11 @@ class TestCases:
         for track, of in (("alien", LISTED), ("open", OPEN), ("noise", LISTED)):
             drawn = [_draw_forms(track, 1, k, rng(k)) for k in range(240)]
             assert all(not forms for forms in drawn[NULL_OF_FOUR[track] :: 4])
-            singles = [forms[0].effect for k, forms in enumerate(drawn) if len(forms) == 1 and (track != "noise" or k % 4 == 3)]
+            singles = [
+                forms[0].effect
+                for k, forms in enumerate(drawn)
+                if len(forms) == 1 and (track != "noise" or k % 4 == 3)
+            ]
             count = len(of.effects())
             assert len(set(singles[:count])) == count
         several = [len(forms) for forms in (_draw_forms("alien", 1, k, rng(k)) for k in range(7, 240, 8))]

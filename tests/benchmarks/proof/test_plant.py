@@ -1,4 +1,4 @@
-"""The published plant: severities are what was asked for, recordings keep the contract, conditions are right."""
+"""The published plant: its severities, its recordings, its conditions."""
 
 import json
 from dataclasses import replace

@@ -1,1 +1,1 @@
-"""Plants whose equations nobody who writes a diagnosis has read: other forms of each effect, other solvers."""
+"""Plants whose equations no author of a diagnosis has read: other forms of each effect, other solvers."""

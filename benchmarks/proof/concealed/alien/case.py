@@ -5,15 +5,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-
 from concealed.alien import electrical, mechanical, sensing
 from concealed.alien.excitation import command, draw_waves, heldout
 from concealed.alien.hysteresis import FAMILIES, draw_truth
 from concealed.alien.open_set import OPEN
 from concealed.alien.rig import PLACES, Act, Drawn, Form, Placed, Plain, Rig, simulate
 from concealed.cases import Case, Columns
+from concealed.names import STATIC
 from concealed.plant.case import CLASHING
-from concealed.plant.effects import STATIC
 from concealed.plant.excitation import Reach, draw_aux
 from concealed.plant.growth import beyond_plays_um
 from concealed.plant.noise import draw_noise
@@ -50,7 +49,7 @@ class Recorded:
 
 
 def draw_case(track: str, seed: int, index: int, noise: Noise | None = None) -> Case:
-    """The case of this seed and index; a quarter of a track is nulls. Other noise than the simulated by `noise`."""
+    """The case of this seed and index; a quarter of a track is nulls. `noise` replaces the simulated noise."""
     rng = np.random.default_rng([seed, index, *track.encode()])
     forms = _draw_forms(track, seed, index, rng)
     rig, recorded, waves, adequate = _draw_rig(rng, index, forms)
@@ -87,7 +86,11 @@ def draw_case(track: str, seed: int, index: int, noise: Noise | None = None) -> 
     kinds = ["white", "ar", "flicker", "heavy_tailed"]
     colour = str(rng.choice(kinds)) if noise is None else "real"
     make = noise or (lambda g, n, rms: _noise(g, colour, n, rms))
-    gain, offset, spread = (rng.uniform(-0.01, 0.01), rng.uniform(-2e-3, 2e-3), math.exp(rng.uniform(-10.8, -8.1)))
+    gain, offset, spread = (
+        rng.uniform(-0.01, 0.01),
+        rng.uniform(-2e-3, 2e-3),
+        math.exp(rng.uniform(-10.8, -8.1)),
+    )
     recordings = []
     for run, t in zip(runs, times, strict=True):
         y = simulate(rig, acts, run, t, noise_um=make(rng, t.size, rig.noise_um))
@@ -96,7 +99,9 @@ def draw_case(track: str, seed: int, index: int, noise: Noise | None = None) -> 
         if recorded.monitored:
             u = (1 + gain) * u + rig.span_v * (offset + spread * rng.standard_normal(u.size))
         recordings.append(_columns(t, u, y, run, rig))
-    knowable = [a for a, form in zip(acts, forms, strict=True) if form.foreseeable or form.effect == "quantization"]
+    knowable = [
+        a for a, form in zip(acts, forms, strict=True) if form.foreseeable or form.effect == "quantization"
+    ]
     t = np.arange(last.u.size) / rig.fs_hz
     y = simulate(rig, knowable, last, t, noise_um=make(rng, t.size, rig.noise_um))
     u = (1 + gain) * last.u + rig.span_v * offset if recorded.monitored else last.u
@@ -125,7 +130,7 @@ def draw_case(track: str, seed: int, index: int, noise: Noise | None = None) -> 
 
 
 def _draw_forms(track: str, seed: int, index: int, rng: np.random.Generator) -> list[Form]:
-    """Every fourth case is a null. In alien tracks one of eight has two effects, every third of these has three."""
+    """Every fourth case is a null. One of eight alien cases has two effects, every third of these three."""
     place = index % 4
     if place == NULL_OF_FOUR[track]:
         return []
@@ -205,7 +210,9 @@ def _draw_runs(
         history = np.zeros(0)
         if recorded.remanent:  # ramps that end elsewhere, so that plays and creep have a past
             corners = [0.0, *rng.uniform(rig.lower_v, rig.upper_v, int(rng.integers(3, 9))), 0.0]
-            history = np.interp(np.linspace(0, len(corners) - 1, rig.samples // 2), range(len(corners)), corners)
+            history = np.interp(
+                np.linspace(0, len(corners) - 1, rig.samples // 2), range(len(corners)), corners
+            )
         runs.append(run(u, number, np.round(history, 6)))
     last = run(heldout(rng, min(rig.samples, LONGEST), rig.lower_v, rig.upper_v), len(waves) + 7, np.zeros(0))
     return runs, last
@@ -234,16 +241,21 @@ def _noise(rng: np.random.Generator, colour: str, n: int, rms: float) -> Array:
 def _columns(t: Array, u: Array, y: Array, run: Run, rig: Rig) -> Columns:
     columns = {"time_s": t, "input_v": u, "output_um": y}
     if run.aux is not None:
-        columns["aux_v"] = run.aux[run.history + np.minimum((t * rig.fs_hz + 1e-6).astype(int), len(run.u) - run.history - 1)]
+        columns["aux_v"] = run.aux[
+            run.history + np.minimum((t * rig.fs_hz + 1e-6).astype(int), len(run.u) - run.history - 1)
+        ]
     return columns
 
 
 def _label(form: Form, drawn: Drawn, strength: float, reached: float, rig: Rig) -> dict[str, object]:
     parameters = {
-        key: {"value": float(value), "unit": unit} for key, (value, unit) in drawn.parameters(strength).items()
+        key: {"value": float(value), "unit": unit}
+        for key, (value, unit) in drawn.parameters(strength).items()
     }
     if form.effect == "delay" and rig.late:
-        parameters["delay_s"]["or"] = parameters["delay_s"]["value"] + 1 / rig.fs_hz  # with the hold counted in
+        parameters["delay_s"]["or"] = (
+            parameters["delay_s"]["value"] + 1 / rig.fs_hz
+        )  # with the hold counted in
     return {
         "name": form.effect,
         "listed": form in LISTED.all,

@@ -3,11 +3,10 @@
 import math
 
 import numpy as np
-from scipy.signal import bessel
-
 from concealed.alien import kernels
 from concealed.alien.hysteresis import envelopes
 from concealed.alien.rig import Drawn, Forms
+from scipy.signal import bessel
 
 LISTED = Forms()
 STATIC = ("input_nonlinearity", "hysteresis_asymmetry", "incongruent_loops", "hysteresis_operator")
@@ -80,7 +79,9 @@ def _knee(rng, rig, runs):
 @LISTED.add("input_nonlinearity", "electrostriction", "Damjanovic 1998", "amplifier")
 def _electrostriction(rng, rig, runs):
     sign = rng.choice([-1.0, 1.0])
-    return Drawn(lambda u, at, s: u + sign * s * np.log(np.cosh(u / rig.span_v * 3)) * rig.span_v, 1e-5, 0.2, 0.01)
+    return Drawn(
+        lambda u, at, s: u + sign * s * np.log(np.cosh(u / rig.span_v * 3)) * rig.span_v, 1e-5, 0.2, 0.01
+    )
 
 
 @LISTED.add("input_nonlinearity", "saturating_polarisation", "Smith 2005", "amplifier")
@@ -96,7 +97,9 @@ def _bank(rng, count=24):
     return r, rng.uniform(0.2, 1.8, count) / count
 
 
-@LISTED.add("hysteresis_asymmetry", "tanh_envelopes", "Al Janaideh, Rakheja and Su 2009", "hysteresis", *STATIC)
+@LISTED.add(
+    "hysteresis_asymmetry", "tanh_envelopes", "Al Janaideh, Rakheja and Su 2009", "hysteresis", *STATIC
+)
 def _tanh(rng, rig, runs):
     r, w = _bank(rng)
     shift = rng.uniform(0.1, 0.4) * rng.choice([-1, 1])
@@ -116,7 +119,9 @@ def _direction(rng, rig, runs):
 
     def act(v, at, s):
         bent = np.maximum(v / rig.span_v, 0) ** 2
-        return rig.truth.respond(v) + s * rig.range_um * (envelopes(rise * bent, r, w, 0.1, 0.1, 0.0) - 0.5 * bent)
+        return rig.truth.respond(v) + s * rig.range_um * (
+            envelopes(rise * bent, r, w, 0.1, 0.1, 0.0) - 0.5 * bent
+        )
 
     return Drawn(act, 1e-4, 3.0, 0.1)
 

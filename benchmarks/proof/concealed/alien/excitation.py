@@ -4,9 +4,8 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-from scipy.signal import lfilter
-
 from concealed.plant.physics import Array
+from scipy.signal import lfilter
 
 Wave = Callable[[np.random.Generator, int], Array]
 
@@ -28,7 +27,10 @@ def _chirp(rng: np.random.Generator, n: int) -> Array:
 
 def _prbs(rng: np.random.Generator, n: int) -> Array:
     hold = max(n // int(rng.integers(80, 400)), 3)
-    return np.repeat(rng.choice([-1.0, 1.0], n // hold + 1), hold)[:n] * np.repeat(rng.uniform(0.3, 1, 5), n // 5 + 1)[:n]
+    return (
+        np.repeat(rng.choice([-1.0, 1.0], n // hold + 1), hold)[:n]
+        * np.repeat(rng.uniform(0.3, 1, 5), n // 5 + 1)[:n]
+    )
 
 
 def _steps(rng: np.random.Generator, n: int) -> Array:
@@ -77,7 +79,7 @@ POOR: tuple[Wave, ...] = (_sine, _triangle)
 
 
 def draw_waves(rng: np.random.Generator, recordings: int, samples: int) -> tuple[list[Wave], bool]:
-    """The waves of the recordings, and whether they are adequate: loops and a band of frequencies, 4,000 samples."""
+    """The waves of the recordings, and whether they are adequate: loops, a band of frequencies, 4,000 samples."""
     if rng.random() < 0.2:
         return [POOR[rng.integers(len(POOR))] for _ in range(recordings)], False
     kinds = [BROAD, LOOPS]
@@ -88,7 +90,9 @@ def draw_waves(rng: np.random.Generator, recordings: int, samples: int) -> tuple
     return waves, (both or waves[0] in (_steps, _stairs, _prbs)) and samples * recordings >= 4000
 
 
-def command(wave: Wave, rng: np.random.Generator, n: int, lower_v: float, upper_v: float, rests: bool) -> Array:
+def command(
+    wave: Wave, rng: np.random.Generator, n: int, lower_v: float, upper_v: float, rests: bool
+) -> Array:
     """The wave between the limits, from 0 V, after a rest and with one at its end where there are rests."""
     rest = int(rng.uniform(0.05, 0.12) * n) if rests else 0
     bridge = max(n // 50, 4)

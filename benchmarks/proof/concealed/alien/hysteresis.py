@@ -2,8 +2,8 @@
 
 Preisach with a log-normal density of coercivities (Füzi, 1999) and with a random continuum; Bouc–Wen with its
 exponent (Wen, 1976); Duhem's in the form of Coleman and Hodgdon (1986); domain walls after Jiles and Atherton
-(1986; for ceramics Smith and Ounaies, 2000); Krasnosel'skii–Pokrovskii kernels (Banks, Kurdila and Webb, 1997);
-generalised plays with tanh envelopes (Al Janaideh, Rakheja and Su, 2009).
+(1986; for ceramics Smith and Ounaies, 2000); Krasnosel'skii–Pokrovskii kernels (Banks, Kurdila and Webb,
+1997); generalised plays with tanh envelopes (Al Janaideh, Rakheja and Su, 2009).
 """
 
 import math
@@ -12,10 +12,9 @@ from dataclasses import dataclass
 
 import numba
 import numpy as np
-from scipy.ndimage import gaussian_filter
-
 from concealed.plant.hysteresis import Preisach, _proportions, _swing, draw_hysteresis
 from concealed.plant.physics import Array
+from scipy.ndimage import gaussian_filter
 
 FAMILIES = (
     "pi", "preisach", "random_continuum", "bouc_wen", "duhem", "jiles_atherton", "krasnoselskii_pokrovskii",
@@ -43,7 +42,9 @@ def draw_truth(family: str, rng: np.random.Generator, span_v: float, range_um: f
     if family == "pi":
         return Truth(family, 0.0, 1.0, draw_hysteresis("pi", rng, span_v, range_um).respond)
     shape = _SHAPES[family](rng, span_v)
-    return Truth(family, *_proportions(shape(_swing(span_v)), span_v, range_um, rng.uniform(0.06, 0.18)), shape)
+    return Truth(
+        family, *_proportions(shape(_swing(span_v)), span_v, range_um, rng.uniform(0.06, 0.18)), shape
+    )
 
 
 def _preisach(rng: np.random.Generator, span_v: float) -> Callable[[Array], Array]:
@@ -51,11 +52,13 @@ def _preisach(rng: np.random.Generator, span_v: float) -> Callable[[Array], Arra
     coercive, spread = rng.uniform(0.1, 0.3), rng.uniform(0.5, 0.9)
     middle, broad = rng.uniform(-0.1, 0.5), rng.uniform(0.3, 0.7)
     log = np.log(np.maximum(half, 1e-3) / coercive) / spread
-    return _relays(np.exp(-0.5 * (log**2 + ((centre - middle) / broad) ** 2)) / np.maximum(half, 0.02), span_v)
+    return _relays(
+        np.exp(-0.5 * (log**2 + ((centre - middle) / broad) ** 2)) / np.maximum(half, 0.02), span_v
+    )
 
 
 def _random_continuum(rng: np.random.Generator, span_v: float) -> Callable[[Array], Array]:
-    half, centre = _plane()
+    half, _ = _plane()
     bumps = gaussian_filter(rng.standard_normal(half.shape), rng.uniform(6, 20))
     density = np.exp(rng.uniform(0.5, 1.2) * bumps / bumps.std() - half / rng.uniform(0.15, 0.4))
     return _relays(density, span_v)

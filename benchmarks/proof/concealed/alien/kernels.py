@@ -4,9 +4,8 @@ import math
 
 import numba
 import numpy as np
-from scipy.signal import bilinear, lfilter
-
 from concealed.plant.physics import Array
+from scipy.signal import bilinear, lfilter
 
 
 def linear(numerator: list[float], denominator: list[float], x: Array, dt: float) -> Array:
@@ -121,7 +120,7 @@ def bristles(x, coulomb_um, static_um, stribeck_um_per_s, presliding_um, dt):
 
 @numba.njit(cache=True)
 def gap(x, half_um, skew_per_um, tau_s, dt):
-    """A gap whose width may follow the position, closed through a spring and a damper: τ y' = dead zone(x - y)."""
+    """A gap, closed through a spring and a damper; its width may follow the position: τ y' = dead zone(x - y)."""
     y, gain, out = 0.0, 1 - math.exp(-dt / tau_s) if tau_s > 0 else 1.0, np.empty(x.size)
     for t in range(x.size):
         half = half_um * max(1 + skew_per_um * x[t], 0.0)

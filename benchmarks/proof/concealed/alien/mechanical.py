@@ -3,7 +3,6 @@
 import math
 
 import numpy as np
-
 from concealed.alien import kernels
 from concealed.alien.electrical import LISTED, log_uniform
 from concealed.alien.rig import Drawn
@@ -20,7 +19,9 @@ def mode_hz(rng, rig):
 def oscillate(x, at, hz, zeta, drag=0.0, branch=0.0, tau_s=1.0, stiffer=0.0, pump=0.0, pump_hz=0.0):
     """The displacement behind a mode; what is not given is linear."""
     omega = 2 * math.pi * hz
-    return kernels.oscillator(x, omega, zeta, drag, branch, tau_s, stiffer, pump, 2 * math.pi * pump_hz, at.dt)
+    return kernels.oscillator(
+        x, omega, zeta, drag, branch, tau_s, stiffer, pump, 2 * math.pi * pump_hz, at.dt
+    )
 
 
 @LISTED.add("resonance", "drag_of_the_second_power", "Bert 1973", "mechanics", *MODES)
@@ -86,7 +87,9 @@ def _hardening(rng, rig, runs):
     return Drawn(act, 1e-5, 0.5, 0.05)
 
 
-@LISTED.add("load_change", "spring_that_is_met_on_the_way", "Johnson 1985", "mechanics", "sensor_nonlinearity")
+@LISTED.add(
+    "load_change", "spring_that_is_met_on_the_way", "Johnson 1985", "mechanics", "sensor_nonlinearity"
+)
 def _met(rng, rig, runs):
     contact = rng.uniform(0.2, 0.6) * rig.range_um * rig.sign
 

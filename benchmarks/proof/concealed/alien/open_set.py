@@ -3,7 +3,6 @@
 import math
 
 import numpy as np
-
 from concealed.alien import kernels
 from concealed.alien.electrical import STATIC, log_uniform
 from concealed.alien.mechanical import mode_hz, oscillate
@@ -11,7 +10,14 @@ from concealed.alien.rig import Drawn, Form, Forms
 from concealed.plant.unknowns import UNKNOWNS
 
 OPEN = Forms()
-BY_ITSELF = {"gain_random_walk", "timebase_jitter", "aliased_tone", "sensor_glitches", "repeated_samples", "regime_switch"}
+BY_ITSELF = {
+    "gain_random_walk",
+    "timebase_jitter",
+    "aliased_tone",
+    "sensor_glitches",
+    "repeated_samples",
+    "regime_switch",
+}
 
 
 def _published(unknown):
@@ -30,7 +36,12 @@ OPEN.all.extend(_published(unknown) for unknown in UNKNOWNS.values())
 @OPEN.add("cyclic_error", "quadrature", "Heydemann 1981", "sensor", "quantization")
 def _cyclic(rng, rig, runs):
     period, phase = min(rng.choice([0.316, 0.158]), 0.2 * rig.range_um), rng.uniform(0, 2 * math.pi)
-    return Drawn(lambda x, at, s: x + s * np.sin(2 * math.pi * x / period + phase), 0.1 * rig.noise_um, 0.3 * period, rig.noise_um)
+    return Drawn(
+        lambda x, at, s: x + s * np.sin(2 * math.pi * x / period + phase),
+        0.1 * rig.noise_um,
+        0.3 * period,
+        rig.noise_um,
+    )
 
 
 @OPEN.add("crossover_notch", "class_b", "Self 2013", "amplifier", *STATIC, "sensor_nonlinearity")
@@ -40,20 +51,45 @@ def _notch(rng, rig, runs):
     return Drawn(act, 1e-4, 1.0, 0.1)
 
 
-@OPEN.add("pumped_mode", "mathieu", "Nayfeh and Mook 1979", "mechanics", "resonance", "second_mode", foreseeable=False)
+@OPEN.add(
+    "pumped_mode",
+    "mathieu",
+    "Nayfeh and Mook 1979",
+    "mechanics",
+    "resonance",
+    "second_mode",
+    foreseeable=False,
+)
 def _pumped(rng, rig, runs):
     hz, zeta, pump = mode_hz(rng, rig), rng.uniform(0.02, 0.06), rng.uniform(0.02, 0.06)
     act = lambda x, at, s: (1 - s) * x + s * oscillate(x, at, hz, zeta, pump=pump, pump_hz=1.7 * hz)  # noqa: E731
     return Drawn(act, 1e-4, 1.0, 0.2)
 
 
-@OPEN.add("end_stop", "compliant", "Johnson 1985", "mount", "voltage_saturation", "load_change", *STATIC, "sensor_nonlinearity")
+@OPEN.add(
+    "end_stop",
+    "compliant",
+    "Johnson 1985",
+    "mount",
+    "voltage_saturation",
+    "load_change",
+    *STATIC,
+    "sensor_nonlinearity",
+)
 def _end_stop(rng, rig, runs):
     stop = rng.uniform(0.5, 0.8) * rig.range_um
     return Drawn(lambda x, at, s: x - rig.sign * s * np.maximum(x * rig.sign - stop, 0), 1e-6, 0.95, 0.1)
 
 
-@OPEN.add("self_heating", "dielectric_loss", "Zheng et al. 1996", "actuator", "gain_modulation", "ageing", "rate_dependent_hysteresis")
+@OPEN.add(
+    "self_heating",
+    "dielectric_loss",
+    "Zheng et al. 1996",
+    "actuator",
+    "gain_modulation",
+    "ageing",
+    "rate_dependent_hysteresis",
+)
 def _self_heating(rng, rig, runs):
     tau = rig.duration_s * log_uniform(rng, 0.05, 0.5)
 
@@ -75,7 +111,9 @@ def _echo(rng, rig, runs):
     return Drawn(act, 1e-6, 0.5, 1e-2)
 
 
-@OPEN.add("tracking_converter", "slewing_sensor", "Kester 2005", "sensor", "slew_limit", "sensor_lag", "delay")
+@OPEN.add(
+    "tracking_converter", "slewing_sensor", "Kester 2005", "sensor", "slew_limit", "sensor_lag", "delay"
+)
 def _tracking(rng, rig, runs):
     ratio = rng.uniform(0.5, 1.0)
     steepest = rig.range_um * rig.fs_hz / 20
@@ -83,7 +121,15 @@ def _tracking(rng, rig, runs):
     return Drawn(act, 1e-2, 1e4, 1.0)
 
 
-@OPEN.add("supply_sag", "by_the_current", "Horowitz and Hill 2015", "amplifier", "amplifier_lag", "slew_limit", "rate_dependent_hysteresis")
+@OPEN.add(
+    "supply_sag",
+    "by_the_current",
+    "Horowitz and Hill 2015",
+    "amplifier",
+    "amplifier_lag",
+    "slew_limit",
+    "rate_dependent_hysteresis",
+)
 def _sag(rng, rig, runs):
     tau = log_uniform(rng, 20 / rig.fs_hz, max(0.1 * rig.duration_s, 40 / rig.fs_hz))
 
@@ -95,7 +141,9 @@ def _sag(rng, rig, runs):
     return Drawn(act, 1e-6, 0.9, 1e-2)
 
 
-@OPEN.add("barkhausen_jumps", "coarse_relays", "Mayergoyz 2003", "hysteresis", *STATIC, "stiction", "backlash")
+@OPEN.add(
+    "barkhausen_jumps", "coarse_relays", "Mayergoyz 2003", "hysteresis", *STATIC, "stiction", "backlash"
+)
 def _barkhausen(rng, rig, runs):
     count = int(rng.integers(3, 12))
     up = rng.uniform(0.1, 0.95, count) * rig.span_v

@@ -1,18 +1,28 @@
 """The chain that alien effects act in, and what a form of an effect is.
 
-    command → converter → (hold) → amplifier → hysteresis → actuator → mechanics → mount → sensor → reading → (noise) → code
+command → converter → (hold) → amplifier → hysteresis → actuator → mechanics → mount → sensor → reading
+    → (noise) → code
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-
 from concealed.alien.hysteresis import Truth
 from concealed.plant.physics import Array
 from concealed.plant.rig import Run
 
-PLACES = ("converter", "amplifier", "hysteresis", "actuator", "mechanics", "mount", "sensor", "reading", "code")
+PLACES = (
+    "converter",
+    "amplifier",
+    "hysteresis",
+    "actuator",
+    "mechanics",
+    "mount",
+    "sensor",
+    "reading",
+    "code",
+)
 
 
 @dataclass(frozen=True)
@@ -148,7 +158,13 @@ def simulate(
 
 
 def _along(
-    rig: Rig, acts: Placed, run: Run, time_s: Array, start: int, kept: dict[str, Array], noise_um: Array | float
+    rig: Rig,
+    acts: Placed,
+    run: Run,
+    time_s: Array,
+    start: int,
+    kept: dict[str, Array],
+    noise_um: Array | float,
 ) -> Array:
     """From the signal before place `start` to the readings; keeps what comes before each place."""
     x = kept[PLACES[start]]
@@ -174,7 +190,7 @@ def _along(
 
 
 def _read(rig: Rig, run: Run, x: Array, time_s: Array) -> Array:
-    """The fine signal at the moments of the readings: a tick's reading follows its whole hold, or precedes it."""
+    """The fine signal at the moments of the readings: behind the whole hold of a tick, or before its write."""
     ticks = time_s * rig.fs_hz + run.history + (0 if rig.late else 1)
     place = ticks * rig.fine - 1  # the last fine step before that moment
     return np.interp(place, np.arange(x.size), x)

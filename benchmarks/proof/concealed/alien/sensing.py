@@ -3,11 +3,10 @@
 import math
 
 import numpy as np
-from scipy.signal import lfilter
-
 from concealed.alien import kernels
 from concealed.alien.electrical import LISTED, log_uniform
 from concealed.alien.rig import Drawn
+from scipy.signal import lfilter
 
 
 @LISTED.add("delay", "whole_ticks_of_the_command", "Åström and Wittenmark 1997", "converter", foreign=False)
@@ -76,13 +75,19 @@ def _uneven_codes(rng, rig, runs):
         offsets = np.random.default_rng([rig.seed, 31]).uniform(-spread, spread, 4096)
         return s * (codes + offsets[codes.astype(int) % 4096])
 
-    return Drawn(act, 0.1 * rig.noise_um, 0.05 * rig.range_um, 5 * rig.noise_um, lambda s: {"lsb_um": (s, "um")})
+    return Drawn(
+        act, 0.1 * rig.noise_um, 0.05 * rig.range_um, 5 * rig.noise_um, lambda s: {"lsb_um": (s, "um")}
+    )
 
 
-@LISTED.add("quantization", "truncation_with_a_dead_band", "Kester 2005", "code", "backlash", foreseeable=False)
+@LISTED.add(
+    "quantization", "truncation_with_a_dead_band", "Kester 2005", "code", "backlash", foreseeable=False
+)
 def _dead_band(rng, rig, runs):
     act = lambda y, at, s: kernels.dead_band(y, s)  # noqa: E731
-    return Drawn(act, 0.1 * rig.noise_um, 0.05 * rig.range_um, 3 * rig.noise_um, lambda s: {"lsb_um": (s, "um")})
+    return Drawn(
+        act, 0.1 * rig.noise_um, 0.05 * rig.range_um, 3 * rig.noise_um, lambda s: {"lsb_um": (s, "um")}
+    )
 
 
 def sizes(rig):
@@ -117,7 +122,9 @@ def _ripple(rng, rig, runs):
     mains, duty = mains_hz(rng, rig), rng.uniform(0.15, 0.5)
 
     def act(y, at, s):
-        phase = (mains * at.time_s + at.rng(33).uniform()) % 1  # charges for a share of each cycle, and decays
+        phase = (
+            mains * at.time_s + at.rng(33).uniform()
+        ) % 1  # charges for a share of each cycle, and decays
         return y + s * np.where(phase < duty, phase / duty, np.exp(-(phase - duty)) * 1.2 - 0.2)
 
     return Drawn(act, *sizes(rig), lambda s: {"frequency_hz": (mains, "Hz")})
@@ -140,19 +147,30 @@ def _two_capacities(rng, rig, runs):
 
     def act(y, at, s):
         t = at.time_s
-        return y + s * at.rng(35).uniform(0.6, 1.4) * (1 - np.exp(-t / fast) - share * (1 - np.exp(-t / slow)))
+        return y + s * at.rng(35).uniform(0.6, 1.4) * (
+            1 - np.exp(-t / fast) - share * (1 - np.exp(-t / slow))
+        )
 
     return Drawn(act, *sizes(rig))
 
 
-@LISTED.add("gain_modulation", "ornstein_uhlenbeck", "Uhlenbeck and Ornstein 1930", "reading", "ageing", foreseeable=False)
+@LISTED.add(
+    "gain_modulation",
+    "ornstein_uhlenbeck",
+    "Uhlenbeck and Ornstein 1930",
+    "reading",
+    "ageing",
+    foreseeable=False,
+)
 def _ornstein(rng, rig, runs):
     ticks = rig.samples * rng.uniform(0.05, 0.3)
 
     def act(y, at, s):
         decay = math.exp(-1 / ticks)
         g = at.rng(36)
-        walk = lfilter([math.sqrt(1 - decay**2)], [1, -decay], g.standard_normal(y.size), zi=[g.standard_normal()])[0]
+        walk = lfilter(
+            [math.sqrt(1 - decay**2)], [1, -decay], g.standard_normal(y.size), zi=[g.standard_normal()]
+        )[0]
         return y * (1 + s * walk)
 
     return Drawn(act, 1e-6, 0.3, 1e-2)
@@ -164,7 +182,9 @@ def _sweeping(rng, rig, runs):
 
     def act(y, at, s):
         t = at.time_s / rig.duration_s
-        return y * (1 + s * np.sin(2 * math.pi * cycles * (t + growth * t * t / 2) + at.rng(37).uniform(0, 6.28)))
+        return y * (
+            1 + s * np.sin(2 * math.pi * cycles * (t + growth * t * t / 2) + at.rng(37).uniform(0, 6.28))
+        )
 
     return Drawn(act, 1e-6, 0.3, 1e-2)
 

@@ -9,9 +9,8 @@ alternatives as well.
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
-
 from concealed.judging.proportions import share
+from numpy.typing import NDArray
 
 BINS = 10
 DRAWS = 2000  # of a perfectly calibrated tool that states the same probabilities

@@ -4,8 +4,8 @@ import math
 from dataclasses import asdict, dataclass, field
 
 import numpy as np
+from concealed.names import GROUPS, STATIC
 from numpy.typing import NDArray
-from concealed.plant.effects import GROUPS, STATIC
 
 UNITS = {  # to a common one
     "s": ("s", 1.0),
@@ -243,7 +243,7 @@ def compared_parameters(truth: dict, answer: dict) -> list[dict[str, object]]:
 
 
 def heldout_gain(diagnosis: dict) -> float | None:
-    """The share of the retuned simulation's held-out error that the augmented one removes; by its own account."""
+    """The share of the retuned stage's held-out error that the augmented one removes, by the tool's account."""
     try:
         fit = diagnosis["fit"]
         return 1 - fit["augmented"]["heldout_rms_um"] / fit["retuned"]["heldout_rms_um"]

@@ -4,18 +4,16 @@ from collections.abc import Callable, Iterable, Sequence
 from itertools import pairwise
 
 import numpy as np
-
 from concealed.judging.calibration import calibration
 from concealed.judging.grade import Grade
 from concealed.judging.proportions import share
-from concealed.plant.effects import EFFECTS, GROUPS
+from concealed.names import GROUPS, NAMES
 
 CLEAR, FAINT, CLEAR_OF_RESIDUAL = 2.0, 0.7, 3.0
 """Severities, in units of the noise, or of what the answer to the untouched recording leaves."""
 CLOSE, FAR = 1.5, 2.0  # held-out residual over noise
 GAIN = 0.005  # of the held-out error, that counts as an improvement
 BINS = (0.0, 1.0, 2.0, 5.0, 10.0, 20.0, 40.0, float("inf"))
-NAMES = (*EFFECTS, "gain_modulation", "dropouts")
 STILL_OPEN = ("unexplained", "partly_explained")
 CLOSED = ("explained", "nothing_missing")
 
@@ -76,11 +74,15 @@ def _precision(grades: Grades) -> Share:
 
 
 def _ratios(grades: Grades, verdicts: Sequence[str]) -> list[float]:
-    return [g.heldout_over_noise for g in grades if g.heldout_over_noise is not None and g.verdict in verdicts]
+    return [
+        g.heldout_over_noise for g in grades if g.heldout_over_noise is not None and g.verdict in verdicts
+    ]
 
 
 def _intervals(grades: Grades) -> Share:
-    rows = [p for g in grades for p in g.parameters if p["severity"] >= CLEAR and p.get("covered") is not None]
+    rows = [
+        p for g in grades for p in g.parameters if p["severity"] >= CLEAR and p.get("covered") is not None
+    ]
     return share(sum(bool(p["covered"]) for p in rows), len(rows))
 
 
@@ -141,8 +143,18 @@ FIGURES: tuple[tuple[str, str, Callable[[Grades], Share | float | int | None], b
         lambda g: _cases([c for c in g if c.foreign], lambda c: bool(c.wrong)),
         False,
     ),
-    ("unknown", "outside the list: left open, nothing wrong named", lambda g: _cases(_unknown(g), recognised), True),
-    ("unknown_right", "outside the list: nothing wrong named", lambda g: _cases(_unknown(g), lambda c: not c.wrong and not c.failed), True),
+    (
+        "unknown",
+        "outside the list: left open, nothing wrong named",
+        lambda g: _cases(_unknown(g), recognised),
+        True,
+    ),
+    (
+        "unknown_right",
+        "outside the list: nothing wrong named",
+        lambda g: _cases(_unknown(g), lambda c: not c.wrong and not c.failed),
+        True,
+    ),
     (
         "unknown_improves",
         "outside the list, determined by u: held-out fit improves",
@@ -154,7 +166,12 @@ FIGURES: tuple[tuple[str, str, Callable[[Grades], Share | float | int | None], b
     ("calibration_error", "expected calibration error", _calibration_error, False),
     ("intervals", "90 % intervals cover", _intervals, True),
     ("parameter_error", "parameters: median relative error", lambda g: _median(_errors(g)), False),
-    ("heldout", "held-out residual over noise, explained: median", lambda g: _median(_ratios(g, CLOSED)), False),
+    (
+        "heldout",
+        "held-out residual over noise, explained: median",
+        lambda g: _median(_ratios(g, CLOSED)),
+        False,
+    ),
     (
         "heldout_close",
         "held-out residual at most 1.5 × the noise, explained",
@@ -170,7 +187,9 @@ FIGURES: tuple[tuple[str, str, Callable[[Grades], Share | float | int | None], b
     (
         "injected",
         "injected into real recordings: right group, 3 × what was left and more",
-        lambda g: _found([(c, n) for c, n in truths(g, 0.0) if (c.over_residual or 0.0) >= CLEAR_OF_RESIDUAL]),
+        lambda g: _found(
+            [(c, n) for c, n in truths(g, 0.0) if (c.over_residual or 0.0) >= CLEAR_OF_RESIDUAL]
+        ),
         True,
     ),
     (
@@ -179,7 +198,12 @@ FIGURES: tuple[tuple[str, str, Callable[[Grades], Share | float | int | None], b
         lambda g: _cases([c for c in g if c.injected and not c.failed], lambda c: bool(c.wrong)),
         False,
     ),
-    ("named_before", "named without the injection, in no count", lambda g: sum(c.named_before for c in g), False),
+    (
+        "named_before",
+        "named without the injection, in no count",
+        lambda g: sum(c.named_before for c in g),
+        False,
+    ),
     ("seconds", "seconds of a diagnosis, median", lambda g: _median(c.diagnose_s for c in g), False),
 )
 
@@ -190,7 +214,7 @@ def figures(grades: Grades) -> dict[str, object]:
 
 
 def summarise(grades: Grades) -> dict[str, object]:
-    """Figures by track, their means over the tracks with equal weights, and the pooled counts without `crime`."""
+    """Figures by track, their means with equal weights of the tracks, and of all cases but `crime` together."""
     tracks = {t: figures([g for g in grades if g.track == t]) for t in sorted({g.track for g in grades})}
     proof = [g for g in grades if g.track != "crime"]
     return {
@@ -203,17 +227,21 @@ def summarise(grades: Grades) -> dict[str, object]:
         "confusion": confusion(grades),
         "detection": detection(proof),
         "calibration": calibration([g.as_dict() for g in proof]),
-        "worst": [f"{g.track}/{g.case}" for g in sorted(grades, key=badness, reverse=True)[:10] if any(badness(g))],
+        "worst": [
+            f"{g.track}/{g.case}" for g in sorted(grades, key=badness, reverse=True)[:10] if any(badness(g))
+        ],
     }
 
 
 def _mean_of(tracks: dict[str, dict], key: str) -> float | None:
-    values = [f[key]["share"] if isinstance(f[key], dict) else f[key] for t, f in tracks.items() if t != "crime"]
+    values = [
+        f[key]["share"] if isinstance(f[key], dict) else f[key] for t, f in tracks.items() if t != "crime"
+    ]
     return _mean([v for v in values if v is not None])
 
 
 def _by(grades: Grades, key: Callable[[Grade, str], str]) -> dict[str, dict[str, object]]:
-    """For each key of a case and its truth: cases, right group where that is clear, cases with a wrong name."""
+    """For each key of a case and its truth: cases, right group where clear, cases with a wrong name."""
     pairs = [(g, name) for g in grades for name in [*g.truth, *g.unknown] or ["nothing"]]
     rows = {}
     for row in sorted({key(g, name) for g, name in pairs}):
@@ -228,9 +256,10 @@ def _by(grades: Grades, key: Callable[[Grade, str], str]) -> dict[str, dict[str,
 
 
 def badness(g: Grade) -> tuple[int, bool, float, float]:
-    """Orders the worst cases: by wrong names, no answer, what is clear and missed, and a bad prediction under a closed
-    verdict."""
-    missed = max((g.severities[n] for n in g.truth if n not in g.found and g.severities[n] >= CLEAR), default=0.0)
+    """Orders the worst cases: wrong names, no answer, clear and missed, a bad prediction under a closed verdict."""
+    missed = max(
+        (g.severities[n] for n in g.truth if n not in g.found and g.severities[n] >= CLEAR), default=0.0
+    )
     over = max(_ratios([g], CLOSED), default=0.0)
     return len(g.wrong), bool(g.failed), missed, over if over > FAR else 0.0
 
@@ -240,14 +269,18 @@ def answer_of(g: Grade) -> str:
     if g.failed:
         return "failed"
     if g.found:
-        return g.found[0] if g.found[0] in g.exact else next(n for n in g.named if n not in g.wrong + g.tolerated)
+        return (
+            g.found[0]
+            if g.found[0] in g.exact
+            else next(n for n in g.named if n not in g.wrong + g.tolerated)
+        )
     if g.wrong:
         return g.wrong[0]
     return "abstained" if g.verdict in STILL_OPEN else "nothing"
 
 
 def confusion(grades: Grades) -> dict[str, object]:
-    """Truth against answer over the cases with at most one effect; "abstained" leaves it open without a name."""
+    """Truth against answer, of cases with at most one effect; "abstained" leaves it open without a name."""
     rows = [*NAMES, "nothing", "unknown"]
     columns = [*rows[:-1], "abstained", "other", "failed"]
     matrix = np.zeros((len(rows), len(columns)), dtype=int)
@@ -261,11 +294,13 @@ def confusion(grades: Grades) -> dict[str, object]:
 
 
 def detection(grades: Grades) -> list[dict[str, object]]:
-    """Right group and wrong names of single effects, by severity and by what forty refitted plays leave of it."""
+    """Right group and wrong names of single effects, by severity and by what refitted plays leave of it."""
     single = [g for g in grades if len(g.truth) == 1 and g.adequate and not g.named_before]
     rows = []
     for measure in ("severity", "severity_beyond_plays"):
-        sizes = [(g, (g.severities if measure == "severity" else g.beyond_plays).get(g.truth[0])) for g in single]
+        sizes = [
+            (g, (g.severities if measure == "severity" else g.beyond_plays).get(g.truth[0])) for g in single
+        ]
         for low, high in pairwise(BINS):
             inside = [g for g, size in sizes if size is not None and low <= size < high]
             rows.append(
@@ -278,4 +313,3 @@ def detection(grades: Grades) -> list[dict[str, object]]:
                 }
             )
     return rows
-

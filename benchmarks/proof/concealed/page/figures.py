@@ -8,9 +8,8 @@ import numpy as np
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
-from matplotlib.figure import Figure
-
 from concealed.judging.calibration import BINS
+from matplotlib.figure import Figure
 
 
 def _save(figure: Figure, path: Path) -> None:
@@ -39,7 +38,10 @@ def confusion(results: dict, path: Path) -> None:
 def detection(results: dict, path: Path) -> None:
     """Shares of right groups and of wrong names against severity, with their bounds."""
     figure, panels = plt.subplots(1, 2, figsize=(11, 4), sharey=True, layout="constrained")
-    measures = (("severity", "severity, × noise"), ("severity_beyond_plays", "severity beyond plays, × noise"))
+    measures = (
+        ("severity", "severity, × noise"),
+        ("severity_beyond_plays", "severity beyond plays, × noise"),
+    )
     for axes, (measure, words) in zip(panels, measures, strict=True):
         rows = [r for r in results["detection"] if r["measure"] == measure and r["right_group"]["of"]]
         x = [1.4 * max(r["from"], 0.5) for r in rows]
@@ -66,7 +68,9 @@ def reliability(results: dict, path: Path) -> None:
         if not found[key]["bins"]:
             continue
         rows = found[key]["bins"]
-        x, y, low, high = (np.array([b[k] for b in rows]) for k in ("probability", "share", "at_least", "at_most"))
+        x, y, low, high = (
+            np.array([b[k] for b in rows]) for k in ("probability", "share", "at_least", "at_most")
+        )
         top.errorbar(x, y, [y - low, high - y], fmt=marker, capsize=3, markersize=5, label=label)
         top.legend(loc="lower right", fontsize=8)
     top.set(ylabel="share that is right", ylim=(-0.03, 1.03), title=f"{found['names']} names")

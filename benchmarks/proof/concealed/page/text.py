@@ -8,7 +8,8 @@ from concealed.page import figures
 
 BETTER_MORE = {key: more for key, _, _, more in FIGURES}
 WORDS = {key: words for key, words, _, _ in FIGURES}
-# What the run is to reach: the value, and the value that the bound is to reach.
+# What the run is to reach: the value, and that of the bound. Of the intervals both ends count.
+COVERAGE = (0.86, 0.94)
 GOALS: dict[str, tuple[float, float | None]] = {
     "false_alarms": (0.01, 0.02),
     "precision": (0.97, 0.95),
@@ -20,6 +21,7 @@ GOALS: dict[str, tuple[float, float | None]] = {
     "pairs": (0.80, None),
     "triples_f1": (0.85, None),
     "calibration_error": (0.05, None),
+    "intervals": (COVERAGE[0], None),
     "heldout": (1.15, None),
     "heldout_close": (0.90, None),
     "injected": (0.85, None),
@@ -41,20 +43,20 @@ def write_page(results: Results, output: Path) -> None:
         f"# How often {tool} is right",
         _about(first),
         "## All figures, beside the rivals'",
-        "Pooled over the tracks but `crime`; a share, its count, and the one-sided 95 % bound of Clopper and Pearson "
-        "(1934). *Goal* is what the run was to reach, in the value and, behind a slash, in the bound; ✗ marks what "
-        "falls short.",
+        "All tracks but `crime` together; a share, its count, and the one-sided 95 % bound of Clopper and "
+        "Pearson (1934). *Goal* is what the run was to reach, in the value and, behind a slash, in the bound; "
+        "✗ marks what falls short.",
         figure_table(results, goals=True),
         "## By track",
-        "`crime` is the library's own equations, written again: it shows how flattering that is, and is no result. "
-        "*Mean* gives each other track the same weight.",
+        "`crime` is the library's own equations, written again: it shows how flattering that is. It is no "
+        "result. *Mean* gives each other track the same weight.",
         figure_table({tool: first}, tracks=True),
         "## Truth against answer",
         "Cases with at most one effect. *Abstained*: the verdict stays open, and nothing is named.",
         picture("confusion", "Confusion matrix"),
         "## Detection against severity",
-        "Single effects; bands are two-sided 90 % (each side 95 %). *Beyond plays* is what forty refitted plays leave of "
-        "the effect: the part that no other hysteresis explains.",
+        "Single effects; bands are two-sided 90 % (each side 95 %). *Beyond plays* is what forty refitted "
+        "plays leave of the effect: the part that no other hysteresis explains.",
         picture("detection", "Right group and wrong names against severity"),
         _detection_table(first["detection"]),
         "## Do the probabilities hold?",
@@ -77,10 +79,13 @@ def write_page(results: Results, output: Path) -> None:
 
 
 def _about(results: dict) -> str:
-    seeds = ", ".join(f"`{track}` {seed} ({results['counts'][track]} cases)" for track, seed in results["seeds"].items())
+    seeds = ", ".join(
+        f"`{track}` {seed} ({results['counts'][track]} cases)" for track, seed in results["seeds"].items()
+    )
     return (
-        f"Commit `{results['commit'][:12]}`, seeds drawn {results['drawn'] or 'by hand: a development run'}: {seeds}. "
-        f"The commands: `{results['diagnose']}`" + (f" and `{results['predict']}`." if results["predict"] else ".")
+        f"Commit `{results['commit'][:12]}`, seeds drawn {results['drawn'] or 'by hand, for development'}: {seeds}. "
+        f"The commands: `{results['diagnose']}`"
+        + (f" and `{results['predict']}`." if results["predict"] else ".")
     )
 
 
@@ -111,7 +116,8 @@ def cell(value: object, key: str) -> str:
             return "–"
         more = BETTER_MORE.get(key, True)
         bound = value["at_least"] if more else value["at_most"]
-        return f"{_percent(value['share'])} ({value['count']}/{value['of']}; {'≥' if more else '≤'} {_percent(bound)})"
+        sign = "≥" if more else "≤"
+        return f"{_percent(value['share'])} ({value['count']}/{value['of']}; {sign} {_percent(bound)})"
     return f"{value:.3g}" if isinstance(value, float) else str(value)
 
 
@@ -127,6 +133,7 @@ def _goal(key: str, value: object) -> str:
     shares = isinstance(value, dict)
     shown = f"{'≥' if more else '≤'} {_percent(goal) if shares else f'{goal:g}'}"
     shown += f" / {_percent(bound)}" if bound is not None else ""
+    shown += f", ≤ {_percent(COVERAGE[1])}" if key == "intervals" else ""
     return shown + " ✗" * (not reached(key, value))
 
 
@@ -138,6 +145,8 @@ def reached(key: str, value: object) -> bool:
         return False
     if not isinstance(value, dict):
         return value >= goal if more else value <= goal
+    if key == "intervals":
+        return COVERAGE[0] <= value["share"] <= COVERAGE[1]
     if more:
         return value["share"] >= goal and (bound is None or value["at_least"] >= bound)
     return value["share"] <= goal and (bound is None or value["at_most"] <= bound)
@@ -150,14 +159,16 @@ def _detection_table(rows: Sequence[dict]) -> str:
             beyond = "" if row["measure"] == "severity" else " beyond plays"
             to = " and above" if row["to"] is None else f"–{row['to']:g}"
             found, wrong = cell(row["right_group"], ""), cell(row["wrong"], "failed")
-            lines.append(f"| {row['from']:g}{to} ×{beyond} | {row['right_group']['of']} | {found} | {wrong} |")
+            lines.append(
+                f"| {row['from']:g}{to} ×{beyond} | {row['right_group']['of']} | {found} | {wrong} |"
+            )
     return "\n".join(lines)
 
 
 def _calibration(found: dict) -> str:
     lines = [
-        f"{found['names']} names; {found['tolerated']} tolerated, {found['without_a_probability']} without a probability, "
-        "both left out.",
+        f"{found['names']} names; {found['tolerated']} that are tolerated and {found['without_a_probability']} "
+        "without a probability are left out.",
         "",
         "| | Brier score | calibration error | of it by chance: mean, 95 % below |",
         "|---|---|---|---|",
@@ -176,21 +187,32 @@ def _calibration(found: dict) -> str:
 def _rows(rows: dict[str, dict], words: str) -> str:
     lines = [f"| {words} | cases | right group, 2 × and more | a wrong name |", "|---|---|---|---|"]
     for name, row in rows.items():
-        lines.append(f"| {name} | {row['cases']} | {cell(row['group'], '')} | {cell(row['wrong'], 'failed')} |")
+        lines.append(
+            f"| {name} | {row['cases']} | {cell(row['group'], '')} | {cell(row['wrong'], 'failed')} |"
+        )
     return "\n".join(lines)
 
 
 def _worst(results: dict) -> str:
     cases = {f"{case['track']}/{case['case']}": case for case in results["cases"]}
-    lines = ["| case | over | missing (× noise) | answer | wrong | held-out over noise |", "|---|---|---|---|---|---|"]
+    lines = [
+        "| case | over | missing (× noise) | answer | wrong | held-out over noise |",
+        "|---|---|---|---|---|---|",
+    ]
     for name in results["worst"]:
         case = cases[name]
         truth = ", ".join(f"{n} {s:.1f}" for n, s in case["severities"].items()) or "nothing"
         said = case["failed"] or f"{case['verdict']}: {', '.join(case['named']) or 'no name'}"
         ratio = cell(case["heldout_over_noise"], "")
         wrong = ", ".join(case["wrong"]) or "–"
-        lines.append(f"| {name} | {case['family']} | {truth} | {said.replace('|', '/')} | {wrong} | {ratio} |")
-    return "\n".join(lines) if results["worst"] else "No case has a wrong name, a failure or a clear effect that was missed."
+        lines.append(
+            f"| {name} | {case['family']} | {truth} | {said.replace('|', '/')} | {wrong} | {ratio} |"
+        )
+    return (
+        "\n".join(lines)
+        if results["worst"]
+        else "No case has a wrong name, a failure or a clear effect that was missed."
+    )
 
 
 def _limits(results: dict) -> str:
@@ -201,7 +223,9 @@ def _limits(results: dict) -> str:
         if not reached(key, together[key])
     ]
     rows = results["by_effect"].items()
-    seldom = [f"`{n}` ({cell(r['group'], '')})" for n, r in rows if r["group"]["of"] and r["group"]["share"] < 0.5]
+    seldom = [
+        f"`{n}` ({cell(r['group'], '')})" for n, r in rows if r["group"]["of"] and r["group"]["share"] < 0.5
+    ]
     lines = ["Goals that were not reached:", *short] if short else ["Every goal was reached."]
     if seldom:
         lines += ["", f"Found in fewer than half of the clear cases: {', '.join(seldom)}."]

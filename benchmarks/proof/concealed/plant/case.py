@@ -5,8 +5,8 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 
 import numpy as np
-
 from concealed.cases import Case
+from concealed.names import STATIC, group_of
 from concealed.plant import excitation
 from concealed.plant.conditions import (
     PLAIN,
@@ -17,7 +17,7 @@ from concealed.plant.conditions import (
     draw_monitor,
     without_holds,
 )
-from concealed.plant.effects import EFFECTS, STATIC, Proposal, group_of
+from concealed.plant.effects import EFFECTS, Proposal
 from concealed.plant.growth import beyond_plays_um
 from concealed.plant.hysteresis import Plays, draw_hysteresis
 from concealed.plant.noise import draw_noise

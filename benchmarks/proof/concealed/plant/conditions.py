@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-
 from concealed.plant.excitation import Reach
 from concealed.plant.physics import Array
 

@@ -5,7 +5,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-
 from concealed.plant.physics import Creep, Mode
 from concealed.plant.rig import Rig, Run
 
@@ -314,20 +313,3 @@ EFFECTS = {
         ),
     )
 }
-
-STATIC = frozenset(
-    {
-        "input_nonlinearity",
-        "hysteresis_asymmetry",
-        "incongruent_loops",
-        "sensor_nonlinearity",
-        "hysteresis_operator",
-    }
-)
-# What u and y cannot split; a name that is in no set is a group of its own.
-GROUPS = (STATIC, frozenset({"amplifier_lag", "sensor_lag"}), frozenset({"resonance", "second_mode"}))
-
-
-def group_of(name: str) -> frozenset[str]:
-    """The names that are right where `name` is true, as far as the group goes."""
-    return next((group for group in GROUPS if name in group), frozenset({name}))

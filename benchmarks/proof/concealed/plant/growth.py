@@ -4,7 +4,6 @@ from collections.abc import Sequence
 
 import numba
 import numpy as np
-
 from concealed.plant.physics import Array
 from concealed.plant.rig import Run
 

@@ -1,9 +1,8 @@
 """Sensor noise of a given rms: white, autoregressive, or 1/f on white."""
 
 import numpy as np
-from scipy.signal import lfilter
-
 from concealed.plant.physics import Array
+from scipy.signal import lfilter
 
 
 def draw_noise(rng: np.random.Generator, colour: str, samples: int, rms_um: float) -> Array:

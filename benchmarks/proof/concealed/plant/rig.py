@@ -4,7 +4,6 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
-
 from concealed.plant import blocks
 from concealed.plant.hysteresis import Hysteresis
 from concealed.plant.physics import Array, Physics

@@ -4,7 +4,6 @@ import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
-
 from concealed.plant.physics import Array, Physics
 from concealed.plant.rig import Rig, Run, simulate
 

@@ -5,7 +5,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-
 from concealed.plant import blocks
 from concealed.plant.effects import Proposal, _mode_frequency
 from concealed.plant.physics import Outside

@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 from concealed.cases import Case
 from concealed.plant.severity import misfit_um, strength_for
-
 from concealed.real import effects
 from concealed.real.effects import Injection
 from concealed.real.sources import SOURCES, Array, Record, Source, second_axis
@@ -81,7 +80,7 @@ def draw_case(data: Path, seed: int, index: int) -> Case:
 
 
 def untouched_recordings(seed: int, index: int) -> tuple[str, bool]:
-    """Which recordings the case is compared with: those of this source, with a second axis in the files or not.
+    """Which recordings the case is compared with: those of this source, with or without a second axis.
 
     Cases of one seed with the same answer here have the same untouched recordings.
     """

@@ -9,9 +9,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.signal import lfilter
-
 from concealed.real.sources import Array, Record
+from scipy.signal import lfilter
 
 LAG_GROUP = frozenset({"amplifier_lag", "sensor_lag"})
 CURVES = frozenset({"sensor_nonlinearity", "input_nonlinearity"})

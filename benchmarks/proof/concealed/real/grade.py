@@ -7,7 +7,7 @@ from concealed.judging.grade import (
     heldout_gain,
     unreadable,
 )
-from concealed.plant.effects import group_of
+from concealed.names import group_of
 
 STRENGTHENED = 0.5  # of the injected variance must be in the growth of a name that was there before
 
@@ -23,7 +23,9 @@ def grade_injected(
     in the place of another of its group, which u and y cannot split, is not new. Without an answer to the
     untouched recording nothing can be graded: the case counts as failed.
     """
-    failed = next((why for a in (answer, untouched) if (why := "no answer" if a is None else unreadable(a))), "")
+    failed = next(
+        (why for a in (answer, untouched) if (why := "no answer" if a is None else unreadable(a))), ""
+    )
     effects, before = ([], []) if failed else (_effects(answer), _effects(untouched))
     accepted, nameless = set(labels["accepted"]), not labels["accepted"]
     names_before = {e["name"] for e in before}
@@ -84,7 +86,7 @@ def _has_grown(effect: dict, labels: dict, answer: dict, untouched: dict) -> boo
 
 
 def _explained(effect: dict, answer: dict) -> float:
-    """Variance, µm²: the effect's share of the mismatch over the floor; 0 where the tool gives no account of it."""
+    """Variance, µm²: the effect's share of the mismatch over the floor; 0 without an account of it."""
     floor = (answer.get("fit") or {}).get("noise_floor_um") or 0.0
     mismatch = (_rms_um(answer, "retuned") or 0.0) ** 2 - floor**2
     return float(effect.get("share", 0.0)) * max(mismatch, 0.0)

@@ -134,17 +134,21 @@ SOURCES: dict[str, Callable[[Path, np.random.Generator], Source]] = {
 }
 
 
-def draw_residual(data: Path, case: np.random.Generator) -> Callable[[np.random.Generator, int, float], Array]:
+def draw_residual(
+    data: Path, case: np.random.Generator
+) -> Callable[[np.random.Generator, int, float], Array]:
     """Noise that nobody simulated: what real recordings of one source, drawn here, do besides repeating.
 
-    The function takes a generator, a number of samples and an rms; pieces follow one another, sample for sample
-    whatever the rates.
+    The function takes a generator, a number of samples and an rms; pieces follow one another, sample for
+    sample, whatever the rates.
     """
     rows = _RESIDUALS[str(case.choice(sorted(_RESIDUALS)))](data)
     rows = rows / rows.std()
 
     def noise(rng: np.random.Generator, samples: int, rms: float) -> Array:
-        pieces = [rows[k] * rng.choice([-1, 1]) for k in rng.integers(len(rows), size=2 + samples // rows.shape[1])]
+        pieces = [
+            rows[k] * rng.choice([-1, 1]) for k in rng.integers(len(rows), size=2 + samples // rows.shape[1])
+        ]
         start = int(rng.integers(rows.shape[1]))
         return rms * np.concatenate(pieces)[start : start + samples]
 

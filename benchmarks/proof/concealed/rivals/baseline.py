@@ -11,9 +11,8 @@ import math
 from pathlib import Path
 
 import numpy as np
-from scipy.signal import lfilter
-
 from concealed.rivals.contract import MOST, Run, command_line, named, write_diagnosis
+from scipy.signal import lfilter
 
 HELD = 0.7  # of each recording is fitted, the rest held out
 RECORDINGS = 5  # at most

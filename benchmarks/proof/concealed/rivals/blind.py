@@ -11,8 +11,7 @@ import argparse
 import hashlib
 from pathlib import Path
 
-from concealed.judging.summary import NAMES
-from concealed.plant.effects import STATIC
+from concealed.names import NAMES, STATIC
 from concealed.rivals.contract import named, write_diagnosis
 
 

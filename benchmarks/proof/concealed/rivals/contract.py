@@ -14,7 +14,9 @@ MOST = 120_000  # rows that a rival fits
 
 
 def command_line(
-    description: str | None, diagnose: Callable[[list[Run], Path], None], predict: Callable[[dict, Run], NDArray]
+    description: str | None,
+    diagnose: Callable[[list[Run], Path], None],
+    predict: Callable[[dict, Run], NDArray],
 ) -> None:
     """`diagnose a.csv … --output DIR` and `predict DIR/stage.json in.csv --output out.csv`."""
     parser = argparse.ArgumentParser(

@@ -3,20 +3,20 @@
     python -m concealed.rivals.sindy diagnose a.csv b.csv c.csv --output DIR
     python -m concealed.rivals.sindy predict DIR/stage.json heldout_input.csv --output prediction.csv
 
-Kaheman, Kaiser, Strom, Kutz and Brunton, *Learning discrepancy models from experimental data*, 2019: sequentially
-thresholded least squares (Brunton, Proctor and Kutz, *Discovering governing equations from data by sparse
-identification*, PNAS 113, 2016), the way pysindy's STLSQ has it, written here so that nothing is to be installed.
-Each term stands for the effect that it is the first order of. The threshold is the one of twelve that predicts
-the held-out 30 % of each recording best; an effect is named where its terms lower that error by 3 %.
+Kaheman, Kaiser, Strom, Kutz and Brunton, *Learning discrepancy models from experimental data*, 2019:
+sequentially thresholded least squares (Brunton, Proctor and Kutz, *Discovering governing equations from
+data by sparse identification*, PNAS 113, 2016), the way pysindy's STLSQ has it, written here so that
+nothing is to be installed. Each term stands for the effect that it is the first order of. The threshold is
+the one of twelve that predicts the held-out 30 % of each recording best; an effect is named where its terms
+lower that error by 3 %.
 """
 
 from pathlib import Path
 
 import numpy as np
-from scipy.signal import lfilter
-
 from concealed.rivals.baseline import HELD, errors_of, nominal, ridge
 from concealed.rivals.contract import MOST, Run, command_line, named, write_diagnosis
+from scipy.signal import lfilter
 
 THRESHOLDS = np.geomspace(0.003, 0.5, 12)  # of the rms of what the plays leave
 GAIN = 0.97
@@ -28,7 +28,9 @@ def terms(run: Run, y: np.ndarray) -> list[tuple[str, np.ndarray]]:
     rate = np.gradient(u) / dt
     smooth = lfilter([0.2], [1, -0.8], rate)
     loop = y - u * np.ptp(y) / max(np.ptp(u), 1e-12)
-    slow = [(tau, lfilter([-np.expm1(-dt / tau)], [1, -np.exp(-dt / tau)], y)) for tau in (0.01, 0.1, 1.0, 10.0)]
+    slow = [
+        (tau, lfilter([-np.expm1(-dt / tau)], [1, -np.exp(-dt / tau)], y)) for tau in (0.01, 0.1, 1.0, 10.0)
+    ]
     out = [
         ("input_nonlinearity", u**2),
         ("input_nonlinearity", u**3),
@@ -57,8 +59,7 @@ def diagnose(runs: list[Run], output: Path) -> None:
     plays = [nominal(run, span) for run in runs]
     train = np.concatenate([(np.arange(p.shape[0]) < HELD * p.shape[0])[::every] for p in plays])
     base, y = (
-        np.concatenate([a[::every] for a in arrays])
-        for arrays in (plays, [run["output_um"] for run in runs])
+        np.concatenate([a[::every] for a in arrays]) for arrays in (plays, [run["output_um"] for run in runs])
     )
     weights = ridge(base[train], y[train])
     library = [terms(run, p @ weights) for run, p in zip(runs, plays, strict=True)]
