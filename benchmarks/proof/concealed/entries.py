@@ -53,7 +53,7 @@ ENTRIES = {
 
 @dataclass(frozen=True)
 class Answer:
-    """What a tool left: a diagnosis (None: it failed), a prediction (empty: it failed; None: not asked for)."""
+    """What a tool left: a diagnosis (None: failed), a prediction (empty: failed; None: not asked for)."""
 
     diagnosis: object
     predicted_um: Array | None

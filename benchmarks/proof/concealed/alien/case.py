@@ -49,7 +49,7 @@ class Recorded:
 
 
 def draw_case(track: str, seed: int, index: int, noise: Noise | None = None) -> Case:
-    """The case of this seed and index; a quarter of a track is nulls. `noise` replaces the simulated noise."""
+    """The case of this seed and index; a quarter are nulls. `noise` replaces the simulated noise."""
     rng = np.random.default_rng([seed, index, *track.encode()])
     forms = _draw_forms(track, seed, index, rng)
     rig, recorded, waves, adequate = _draw_rig(rng, index, forms)

@@ -79,7 +79,7 @@ POOR: tuple[Wave, ...] = (_sine, _triangle)
 
 
 def draw_waves(rng: np.random.Generator, recordings: int, samples: int) -> tuple[list[Wave], bool]:
-    """The waves of the recordings, and whether they are adequate: loops, a band of frequencies, 4,000 samples."""
+    """The recordings' waves, and whether they are adequate: loops, a band of frequencies, 4,000 samples."""
     if rng.random() < 0.2:
         return [POOR[rng.integers(len(POOR))] for _ in range(recordings)], False
     kinds = [BROAD, LOOPS]

@@ -120,7 +120,7 @@ def bristles(x, coulomb_um, static_um, stribeck_um_per_s, presliding_um, dt):
 
 @numba.njit(cache=True)
 def gap(x, half_um, skew_per_um, tau_s, dt):
-    """A gap, closed through a spring and a damper; its width may follow the position: τ y' = dead zone(x - y)."""
+    """A gap behind spring and damper; its width may follow the position: τ y' = dead zone(x - y)."""
     y, gain, out = 0.0, 1 - math.exp(-dt / tau_s) if tau_s > 0 else 1.0, np.empty(x.size)
     for t in range(x.size):
         half = half_um * max(1 + skew_per_um * x[t], 0.0)

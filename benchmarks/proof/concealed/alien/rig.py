@@ -190,7 +190,7 @@ def _along(
 
 
 def _read(rig: Rig, run: Run, x: Array, time_s: Array) -> Array:
-    """The fine signal at the moments of the readings: behind the whole hold of a tick, or before its write."""
+    """The fine signal at the moments of the readings: after the hold of a tick, or before its write."""
     ticks = time_s * rig.fs_hz + run.history + (0 if rig.late else 1)
     place = ticks * rig.fine - 1  # the last fine step before that moment
     return np.interp(place, np.arange(x.size), x)

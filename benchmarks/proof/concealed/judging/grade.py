@@ -243,7 +243,7 @@ def compared_parameters(truth: dict, answer: dict) -> list[dict[str, object]]:
 
 
 def heldout_gain(diagnosis: dict) -> float | None:
-    """The share of the retuned stage's held-out error that the augmented one removes, by the tool's account."""
+    """The share of the retuned held-out error that the augmented stage removes, by the tool's account."""
     try:
         fit = diagnosis["fit"]
         return 1 - fit["augmented"]["heldout_rms_um"] / fit["retuned"]["heldout_rms_um"]

@@ -214,7 +214,7 @@ def figures(grades: Grades) -> dict[str, object]:
 
 
 def summarise(grades: Grades) -> dict[str, object]:
-    """Figures by track, their means with equal weights of the tracks, and of all cases but `crime` together."""
+    """Figures by track, their means with equal weights, and of all cases but `crime` together."""
     tracks = {t: figures([g for g in grades if g.track == t]) for t in sorted({g.track for g in grades})}
     proof = [g for g in grades if g.track != "crime"]
     return {
@@ -256,7 +256,7 @@ def _by(grades: Grades, key: Callable[[Grade, str], str]) -> dict[str, dict[str,
 
 
 def badness(g: Grade) -> tuple[int, bool, float, float]:
-    """Orders the worst cases: wrong names, no answer, clear and missed, a bad prediction under a closed verdict."""
+    """Orders the worst cases: wrong names, no answer, clear misses, bad predictions under a closed verdict."""
     missed = max(
         (g.severities[n] for n in g.truth if n not in g.found and g.severities[n] >= CLEAR), default=0.0
     )

@@ -44,8 +44,8 @@ def write_page(results: Results, output: Path) -> None:
         _about(first),
         "## All figures, beside the rivals'",
         "All tracks but `crime` together; a share, its count, and the one-sided 95 % bound of Clopper and "
-        "Pearson (1934). *Goal* is what the run was to reach, in the value and, behind a slash, in the bound; "
-        "✗ marks what falls short.",
+        "Pearson (1934). *Goal* is what the run was to reach, in the value and, behind a slash, in the "
+        "bound; ✗ marks what falls short.",
         figure_table(results, goals=True),
         "## By track",
         "`crime` is the library's own equations, written again: it shows how flattering that is. It is no "
@@ -83,7 +83,8 @@ def _about(results: dict) -> str:
         f"`{track}` {seed} ({results['counts'][track]} cases)" for track, seed in results["seeds"].items()
     )
     return (
-        f"Commit `{results['commit'][:12]}`, seeds drawn {results['drawn'] or 'by hand, for development'}: {seeds}. "
+        f"Commit `{results['commit'][:12]}`, seeds drawn "
+        f"{results['drawn'] or 'by hand, for development'}: {seeds}. "
         f"The commands: `{results['diagnose']}`"
         + (f" and `{results['predict']}`." if results["predict"] else ".")
     )
@@ -167,8 +168,8 @@ def _detection_table(rows: Sequence[dict]) -> str:
 
 def _calibration(found: dict) -> str:
     lines = [
-        f"{found['names']} names; {found['tolerated']} that are tolerated and {found['without_a_probability']} "
-        "without a probability are left out.",
+        f"{found['names']} names; {found['tolerated']} that are tolerated, and "
+        f"{found['without_a_probability']} without a probability, are left out.",
         "",
         "| | Brier score | calibration error | of it by chance: mean, 95 % below |",
         "|---|---|---|---|",
