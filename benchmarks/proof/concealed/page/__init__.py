@@ -1,0 +1,1 @@
+"""The page of a run, from its results and nothing else."""

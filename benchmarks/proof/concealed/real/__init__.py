@@ -1,0 +1,1 @@
+"""Known effects in real recordings."""

@@ -1,0 +1,1 @@
+"""What a diagnosis has to be better than."""
