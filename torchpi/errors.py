@@ -31,3 +31,7 @@ class SimulationError(TorchpiError):
 
 class RecordingWarning(UserWarning):
     """A recording that can be used, but holds something that its owner should know."""
+
+
+class ExportWarning(UserWarning):
+    """An export that can be used, but lacks something: names the file and what would bring it."""

@@ -8,12 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from torchpi.cli import duration
+from torchpi.cli import duration, machine
+from torchpi.cli.machine import Machine
 
 
 @pytest.fixture(autouse=True)
 def same_machine(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(duration, "_pace", lambda: 1.0)
+    monkeypatch.setattr(duration, "measured", lambda processes: Machine(1.0, 1.0, float(processes)))
     monkeypatch.setattr(duration, "_compiled", lambda part: True)
 
 
@@ -24,9 +25,13 @@ def recording(path: Path, samples: int) -> Path:
 
 
 def seconds(text: str) -> float:
-    found = re.fullmatch(r"This will take about (\d+) (s|min)\.\n", text)
-    assert found, text
-    return float(found[1]) * (60.0 if found[2] == "min" else 1.0)
+    assert re.fullmatch(r"This will take about \d+ (s|min)(, .*)?\.\n", text), text
+    return said(text)
+
+
+def said(text: str) -> float:
+    number, unit = re.findall(r"(\d+) (s|min)", text)[0]
+    return float(number) * (60.0 if unit == "min" else 1.0)
 
 
 @pytest.mark.parametrize("samples", [50, 20_000])
@@ -84,12 +89,46 @@ def test_the_first_use_is_longer_and_a_slower_machine_too(
 ) -> None:
     duration.announce_diagnose(["none.csv"])
     usual = seconds(capsys.readouterr().out)
-    monkeypatch.setattr(duration, "_pace", lambda: 3.0)
+    monkeypatch.setattr(duration, "measured", lambda processes: Machine(0.5, 0.6, 0.6))
     duration.announce_diagnose(["none.csv"])
-    assert seconds(capsys.readouterr().out) == pytest.approx(3 * usual, rel=0.5)
+    assert seconds(capsys.readouterr().out) == pytest.approx(usual / 0.3, rel=0.5)
     monkeypatch.setattr(duration, "_compiled", lambda part: False)
     duration.announce_diagnose(["none.csv"])
     assert "most of it to compile, this once" in capsys.readouterr().out
+
+
+def test_a_diagnosis_has_limits_by_how_much_it_finds(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    duration.announce_diagnose([recording(tmp_path / "long.csv", 100_000)])
+    found = re.findall(r"(\d+) (s|min)", capsys.readouterr().out)
+    usual, least, most = (float(number) * (60 if unit == "min" else 1) for number, unit in found)
+    assert least < usual < most
+
+
+def test_what_is_left_of_a_diagnosis_follows_its_rounds() -> None:
+    countdown = duration.Countdown()
+    assert countdown.left("nominal: the simulation as it is", 1.0) == ""
+    assert countdown.left("retuned, 100 plays: 59.612 nm", 10.0) == ""
+    left = countdown.left("round 1: 7 explanations fitted; best creep", 30.0)
+    assert left.startswith("; about ") and left.endswith(" left")
+    assert countdown.left("  with creep: 3.1 nm", 31.0) == ""
+    slower = duration.Countdown()
+    slower.left("retuned, 100 plays: 59.612 nm", 30.0)
+    assert said(slower.left("round 1: 7 explanations", 90.0)) == pytest.approx(3 * said(left), rel=0.3)
+    assert said(countdown.left("round 7: 6 explanations", 400.0)) > said(left)
+
+
+def test_a_machine_that_gives_less_needs_longer() -> None:
+    quick, busy = Machine(1.0, 1.0, 2.0), Machine(0.5, 0.25, 0.5)
+    assert quick.seconds(8.0, 4.0) == 10.0
+    assert busy.seconds(8.0, 4.0) == 80.0
+
+
+def test_what_this_machine_gives_is_measured() -> None:
+    machine.measured.cache_clear()
+    found = machine.measured(2)
+    assert found.speed > 0 and 0 < found.alone <= 1.1 and found.alone <= found.together <= 2.2
 
 
 @pytest.mark.parametrize(

@@ -83,7 +83,8 @@ def test_the_first_screen_of_the_page_says_the_number_and_what_it_is(folder: Pat
     assert "Simulated" in first and "identified from the other recordings" in first
     own_nm = 1e3 * numbers(folder)["tracking"]["stage_heldout_rms_um"]
     assert f"{own_nm:.3g}" in first
-    assert not re.search(r"(?:src|href)=\"?https?:|@import|<script", page)
+    assert "default-src 'none'" in page and not re.search(r"(?:src|href)=\"?https?:|@import", page)
+    assert "<figure" in first and "linked-data" in first
 
 
 def test_compensator_checkpoint_json_and_stage_carry_the_hash_of_the_recordings(

@@ -36,7 +36,7 @@ def test_a_name_with_a_dot_stays_whole(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("formats", [("onnx",), ("c", "jsn"), (), ("",)])
 def test_an_unknown_format_lists_those_that_there_are(formats: tuple[str, ...], tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="expected one or more of torchscript,c,pt2,json") as error:
+    with pytest.raises(ConfigError, match="expected one or more of torchscript,c,fmu,pt2,json") as error:
         export_files(compensator(), tmp_path / "out" / "demo", formats)
     assert "\n" not in str(error.value) and list(tmp_path.iterdir()) == []
 
@@ -101,17 +101,17 @@ def test_command_exports_all_formats_and_says_what_it_left(
     checkpoint: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     output = tmp_path / "exports" / "demo"
-    arguments = ["--to", "torchscript,c,pt2,json", "--output", str(output)]
+    arguments = ["--to", "torchscript,c,fmu,pt2,json", "--output", str(output)]
     assert export(monkeypatch, str(checkpoint), *arguments) == 0
     printed = capsys.readouterr().out
-    assert len(contents(output.parent)) == 6
+    assert len(contents(output.parent)) == 7
     assert all(str(path) in printed for path in output.parent.iterdir())
 
 
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (["--to", "torchscript,matlab"], "found 'matlab', expected one or more of torchscript,c,pt2,json"),
+        (["--to", "c,matlab"], "found 'matlab', expected one or more of torchscript,c,fmu,pt2,json"),
         (["--to", "json,c", "--output", "exports/my-stage"], "name for C: found 'my-stage'"),
         (["--to", "c", "--output", "exports/while"], "name for C: found 'while'"),
     ],

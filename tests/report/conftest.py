@@ -2,12 +2,19 @@
 
 import math
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
+from tests.report.synthetic_diagnosis import diagnosis
+from torchpi.diagnosis.diagnosis import Diagnosis
 from torchpi.loop import run_loop
 from torchpi.loop.result import LoopResult
+from torchpi.report.diagnosis_figures import diagnosis_figures
+from torchpi.report.diagnosis_page import write_diagnosis
+from torchpi.report.page import loop_page, training_page
 from torchpi.report.training import RecordFit, Saturation, TrainingReport, WeightsAgainstRate
 from torchpi.report.what_was_run import Provenance
 
@@ -112,3 +119,35 @@ def training() -> TrainingReport:
         saturation=Saturation(x, (c * x[:, None] ** np.arange(1, 5)).sum(1), c),
         notes=("The stage leads by a lag.",),
     )
+
+
+@pytest.fixture(scope="session")
+def loop_html(results: list[LoopResult], provenance: Provenance) -> str:
+    return loop_page(results, provenance)
+
+
+@pytest.fixture(scope="session")
+def training_html(training: TrainingReport, provenance: Provenance) -> str:
+    return training_page(training, provenance)
+
+
+@pytest.fixture(scope="session")
+def found() -> Diagnosis:
+    return diagnosis()
+
+
+@pytest.fixture(scope="session")
+def figures(found: Diagnosis) -> dict[str, Figure]:
+    return diagnosis_figures(found)
+
+
+@pytest.fixture(scope="session")
+def folder(
+    found: Diagnosis,
+    figures: dict[str, Figure],
+    provenance: Provenance,
+    tmp_path_factory: pytest.TempPathFactory,
+) -> Path:
+    directory = tmp_path_factory.mktemp("diagnosis")
+    write_diagnosis(found, provenance, directory, figures)
+    return directory

@@ -20,7 +20,7 @@ from typing import Any, NoReturn, TextIO, get_args, get_origin
 import jsonargparse
 import yaml
 
-from torchpi.errors import ConfigError, RecordingWarning, TorchpiError
+from torchpi.errors import ConfigError, ExportWarning, RecordingWarning, TorchpiError
 from torchpi.files import check_yaml, read_yaml_text, reason
 
 UNSAFE = ("importlib._bootstrap", "llvmlite.binding")
@@ -230,7 +230,7 @@ def _unsafe(frame: FrameType | None) -> bool:
 
 
 def _show_in_one_line(program: str) -> None:
-    """Print a warning of a recording without the line of code that gave it; others as Python does."""
+    """Print a warning of ours without the line of code that gave it; others as Python does."""
     usual = warnings.showwarning
 
     def show(
@@ -241,7 +241,7 @@ def _show_in_one_line(program: str) -> None:
         file: TextIO | None = None,
         line: str | None = None,
     ) -> None:
-        if issubclass(category, RecordingWarning):
+        if issubclass(category, (RecordingWarning, ExportWarning)):
             print(f"{program}: warning: {message}", file=file or sys.stderr)
         else:
             usual(message, category, filename, lineno, file, line)

@@ -158,8 +158,9 @@ def export(
     Args:
         run: Run folder of `torchpi train fit`, or one of its checkpoints.
         output: Path without suffix; the formats add theirs. By default exports/ and the name of the run.
-        to: Formats, comma between: torchscript (.pt), c (.h, .c and _selftest.c, C99), pt2 (torch.export),
-            json (the bare numbers with units), page (.html, the safety card, which json has as well).
+        to: Formats, comma between: torchscript (.pt), c (.h, .c and _selftest.c, C99), fmu (FMI 3.0,
+            co-simulation), pt2 (torch.export), json (the bare numbers with units), page (.html, the safety
+            card, which json has as well).
         reference_filter: Put the paper's reference filter (eq. 14) inside: `step` then takes y_r.
         max_slew_v_s: Limit the rate of the output voltage inside the step, V/s.
         capacitance_uf: Of the piezo, µF: the safety card then has the current.
@@ -183,9 +184,8 @@ def export(
         raise ArtifactError(f"{run}: {card.monotone_summary}; or export it with --allow_backwards true")
     inside = ReferenceFilter(compensator.sample_period_s) if reference_filter else None
     output = output or Path("exports") / run.resolve().name
-    output = (
-        output.with_suffix("") if output.suffix in (".pt", ".c", ".h", ".pt2", ".json", ".html") else output
-    )
+    if output.suffix in (".pt", ".c", ".h", ".fmu", ".pt2", ".json", ".html"):
+        output = output.with_suffix("")
     files = made_files(compensator, output, [name.strip() for name in to.split(",")], inside, load)
     if (run / NAME).is_file():
         files[exported_stage(output)] = Stage.load(run / NAME).write

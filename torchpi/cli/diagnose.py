@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from contextlib import nullcontext
 from pathlib import Path
 
+from torchpi.cli.duration import Countdown
 from torchpi.cli.workers import worker_pool
 from torchpi.diagnosis.diagnose import diagnose
 from torchpi.diagnosis.diagnosis import Diagnosis
@@ -49,10 +50,11 @@ def diagnose_files(
     recordings = [
         read_recording(path, options, allow_constant_input=True, simulated=given == COLUMN) for path in paths
     ]
-    started = time.monotonic()
+    started, countdown = time.monotonic(), Countdown()
 
     def log(sentence: str) -> None:
-        print(f"{time.monotonic() - started:6.1f} s  {sentence}")
+        elapsed_s = time.monotonic() - started
+        print(f"{elapsed_s:6.1f} s  {sentence}{countdown.left(sentence, elapsed_s)}", flush=True)
 
     for recording in recordings:
         log(f"{recording.source}: {len(recording):,} samples at {recording.fs_hz:g} Hz")

@@ -1,27 +1,26 @@
-"""How long a command will take: from the size of its files, and from how quick this machine is right now.
+"""How long a command will take: from the size of its files, and from what this machine gives it right now.
 
-Printed before anything heavy is imported, so that it stands there within two seconds. The seconds of each
-command were measured on one core of an AMD EPYC; a loop that was timed there shows how much slower or quicker
-this machine is. It is an estimate for recordings of the usual kind: what a diagnosis finds decides how long
-it goes on.
+Printed before anything heavy is imported, so that it stands there within two seconds. The work of each
+command is counted in processor seconds, those of one core of an AMD EPYC; `machine.py` measures how many of
+them a second brings here and now. How long a diagnosis goes on depends on how much it finds: it says what is
+left after each round.
 """
 
 import contextlib
 import itertools
-import math
 import os
-import time
+import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
 import yaml
 
+from torchpi.cli.machine import measured
+from torchpi.cli.workers import MOST_WORKERS, available_cores
 from torchpi.errors import ConfigError
 from torchpi.files import PACKAGE, config_file
 
-PROBE_LOOPS, PROBE_S = 300_000, 0.038
-"""A loop of plain Python, and how long it took where the seconds below were measured."""
 FIRST_LINES = 1 << 16
 """Bytes of a text by which the length of its lines is judged."""
 BINARY_SAMPLE = 24
@@ -33,12 +32,19 @@ SEVERAL_AXES_S = 480.0
 GROUPS = ("data", "model", "trainer")
 USUAL_HZ = 10_000.0
 """Of the built-in stages; that of others is not known before torch is there."""
+MOST_SAMPLES = 200_000
+"""That a diagnosis works on; longer recordings are taken at a lower rate."""
+MOST_ROUNDS, USUAL_ROUNDS = 7, 3
+DIAGNOSIS_S, DRAWING_S = 13.0, 6.0
+"""Of a diagnosis in all and at its end, whatever the recordings: libraries are imported, figures drawn."""
+DECIDING = 1.5
+"""A diagnosis with what follows the rounds, over the rounds alone."""
 
 
 def announce_check(files: Iterable[str | Path]) -> None:
     """Before `torchpi check`."""
     sizes = _samples_in(files)
-    _announce(3.2 + 0.25 * len(sizes) + 8e-6 * sum(sizes))
+    _announce_work(3.2 + 0.25 * len(sizes) + 8e-6 * sum(sizes))
 
 
 def announce_run(trajectories: str | Sequence[str], compared: int) -> None:
@@ -46,14 +52,46 @@ def announce_run(trajectories: str | Sequence[str], compared: int) -> None:
     names = [trajectories] if isinstance(trajectories, str) else trajectories
     own = _samples_in(name for name in names if name not in PAPER_S)
     samples = sum(own) + sum(USUAL_HZ * PAPER_S.get(name, 0.0) for name in names)
-    _announce(6.0 + 5.5 * len(names) + 3.0 * compared + 1.2e-4 * (3 + compared) * samples, "stage", 10.0)
+    _announce_work(6.0 + 5.5 * len(names) + 3.0 * compared + 1.2e-4 * (3 + compared) * samples, "stage", 10.0)
 
 
 def announce_diagnose(recordings: Iterable[str | Path]) -> None:
-    """Before `torchpi diagnose`."""
-    sizes = _samples_in(recordings)
-    # Two cores share it. Each recording of another motion brings more to light, and so more rounds.
-    _announce(20.0 + 35.0 * (len(sizes) - 1) + 5e-4 * min(sum(sizes), 400_000), "diagnosis", 60.0)
+    """Before `torchpi diagnose`: where some effects are missing, and between which limits it lies."""
+    samples = min(sum(_samples_in(recordings)), MOST_SAMPLES)
+    compile_s = 0.0 if _compiled("diagnosis") else 60.0
+    machine = measured(min(available_cores(), 1 + MOST_WORKERS))
+    alone = DIAGNOSIS_S + compile_s
+    work = {n: 1.6e-3 * samples * DECIDING * share_of_rounds(n) for n in (1, USUAL_ROUNDS, MOST_ROUNDS)}
+    least, usual, most = (machine.seconds(alone, shared) for shared in work.values())
+    limits = f", {_spoken(least)} where nothing is missing, {_spoken(most)} where much is"
+    note = _compiles(compile_s, alone + work[USUAL_ROUNDS])
+    _announce(usual, ("" if _spoken(least) == _spoken(most) else limits) + note)
+
+
+def share_of_rounds(rounds: float) -> float:
+    """How much of all the rounds that there may be so many of them are: each has more to fit again."""
+    return 0.05 + 0.95 * (rounds / MOST_ROUNDS) ** 2
+
+
+class Countdown:
+    """What is left of a diagnosis, by what its rounds took so far."""
+
+    def __init__(self) -> None:
+        self.retuned_s = 0.0
+
+    def left(self, sentence: str, elapsed_s: float) -> str:
+        """What to add to a sentence of its progress: empty but after a round."""
+        if sentence.startswith("retuned"):
+            self.retuned_s = elapsed_s
+        found = re.match(r"round (\d+):", sentence)
+        if found is None:
+            return ""
+        # As if one more round found something, and another one nothing.
+        rounds = int(found[1])
+        ahead = share_of_rounds(min(rounds + 2, MOST_ROUNDS)) / share_of_rounds(rounds)
+        searched = (elapsed_s - self.retuned_s) * (DECIDING * ahead - 1.0)
+        left = searched + measured(1).seconds(DRAWING_S)
+        return f"; about {_spoken(left)} left"
 
 
 def announce_fit(arguments: Sequence[str]) -> None:
@@ -70,7 +108,9 @@ def announce_fit(arguments: Sequence[str]) -> None:
             return
         if oscillator:
             # 130 simulations of all samples, after a search of fixed length.
-            _announce(15.0 + 2e-4 * sum(_samples_in(oscillator.get("recordings") or ())), "operators", 10.0)
+            _announce_work(
+                15.0 + 2e-4 * sum(_samples_in(oscillator.get("recordings") or ())), "operators", 10.0
+            )
             return
         files = [*(data.get("recordings") or ()), *(data.get("heldout") or ())]
         simulate = data.get("simulate") or {}
@@ -81,7 +121,7 @@ def announce_fit(arguments: Sequence[str]) -> None:
         followed = USUAL_HZ * follow.get("duration_s", 1.0) * len(motions)
         epochs = int(trainer.get("max_epochs", 60))
         by_epochs = 1.5e-4 * samples + epochs * (2.5e-6 * samples + 4e-6 * followed)
-        _announce(12.0 + (4e-4 * samples if model.get("select") else by_epochs), "identification", 40.0)
+        _announce_work(12.0 + (4e-4 * samples if model.get("select") else by_epochs), "identification", 40.0)
 
 
 def _settings(arguments: Sequence[str]) -> tuple[dict[str, Any], ...]:
@@ -98,17 +138,25 @@ def _settings(arguments: Sequence[str]) -> tuple[dict[str, Any], ...]:
     return tuple(groups.values())
 
 
-def _announce(seconds: float, compiles: str = "", compile_s: float = 0.0) -> None:
-    """Print about how long it will take, of `seconds` as measured.
+def _announce(seconds: float, note: str = "") -> None:
+    print(f"This will take about {_spoken(seconds)}{note}.", flush=True)
+
+
+def _announce_work(processor_s: float, compiles: str = "", compile_s: float = 0.0) -> None:
+    """Print about how long it will take.
 
     Args:
-        seconds: With compiled kernels there.
+        processor_s: Of one processor, with compiled kernels there.
         compiles: The part of the package whose kernels are needed.
         compile_s: What compiling them takes, at the first use of an installation.
     """
-    first = bool(compiles) and not _compiled(compiles)
-    note = ", most of it to compile, this once" if first and compile_s > seconds else ""
-    print(f"This will take about {_spoken((seconds + compile_s * first) * _pace())}{note}.", flush=True)
+    first_s = compile_s if compiles and not _compiled(compiles) else 0.0
+    seconds = measured(1).seconds(processor_s + first_s)
+    _announce(seconds, _compiles(first_s, processor_s + first_s))
+
+
+def _compiles(first_s: float, all_s: float) -> str:
+    return ", most of it to compile, this once" if first_s > 0.5 * all_s else ""
 
 
 def _spoken(seconds: float) -> str:
@@ -116,19 +164,6 @@ def _spoken(seconds: float) -> str:
     if seconds < 10:
         return f"{max(1, round(seconds))} s"
     return f"{10 * round(seconds / 10)} s" if seconds < 95 else f"{round(seconds / 60)} min"
-
-
-def _pace() -> float:
-    """How many times as long as measured this machine takes.
-
-    The geometric mean of two answers: how quick its processor is, and how busy the machine is in this moment,
-    which may pass.
-    """
-    wall, processor, x = time.perf_counter(), time.process_time(), 0
-    for _ in range(PROBE_LOOPS):
-        x = (x * 1103515245 + 12345) & 0x7FFFFFFF
-    wall, processor = time.perf_counter() - wall, time.process_time() - processor
-    return math.sqrt(wall * processor) / PROBE_S
 
 
 def _samples_in(paths: Iterable[str | Path]) -> list[int]:

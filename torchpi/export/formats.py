@@ -11,7 +11,7 @@ from torchpi.files import write_atomically
 from torchpi.operators.reference_filter import ReferenceFilter
 
 Files = dict[Path, Callable[[Path], object]]  # what writes each file's content to a path
-FORMATS = ("torchscript", "c", "pt2", "json", "page")
+FORMATS = ("torchscript", "c", "fmu", "pt2", "json", "page")
 
 
 def export_files(
@@ -87,6 +87,8 @@ def _made(
         return page_files(compensator, output, reference_filter, load)
     elif name == "c":
         from torchpi.export.c_source import c_files as files
+    elif name == "fmu":
+        from torchpi.export.fmu import fmu_files as files
     else:
         from torchpi.export.pt2 import pt2_files as files
     return files(compensator, output, reference_filter)

@@ -9,6 +9,8 @@ from torchpi.identification import InverseErrors
 from torchpi.loop.result import LoopResult
 from torchpi.recordings.recording import Recording
 from torchpi.report import loop_figures, words
+from torchpi.report.linked import linked_markup
+from torchpi.report.linked_traces import loop_traces
 from torchpi.report.page import render
 from torchpi.report.svg import inline_svg
 from torchpi.report.what_was_run import Provenance
@@ -94,6 +96,10 @@ def page(outcome: Commissioned, provenance: Provenance) -> str:
         (loop_figures.error_figure, "The error with compensation on its own scale, and its largest."),
         (loop_figures.voltage_figure, "Voltage written to the stage, and its limits."),
     )
+    pictures = [
+        Markup(inline_svg(draw(outcome.loop), f"c{k}", caption)) for k, (draw, caption) in enumerate(drawn)
+    ]
+    pictures[0] = linked_markup([loop_traces(outcome.loop)], pictures[0])
     stage = outcome.forward.stage
     return render(
         "commission.html.j2",
@@ -107,8 +113,5 @@ def page(outcome: Commissioned, provenance: Provenance) -> str:
         effects=[(one.kind, one.values) for one in stage.effects],
         plays=len(stage.hysteresis.thresholds_v),
         nm=nm,
-        figures=[
-            {"svg": Markup(inline_svg(draw(outcome.loop), f"c{k}", caption)), "caption": caption}
-            for k, (draw, caption) in enumerate(drawn)
-        ],
+        figures=[{"svg": svg, "caption": caption} for svg, (_, caption) in zip(pictures, drawn, strict=True)],
     )

@@ -20,7 +20,10 @@ from torchpi.report.diagnosis_style import (
     unit_of,
 )
 from torchpi.report.style import drawing, settle
-from torchpi.report.traces import Signal, envelope, thinned
+from torchpi.report.traces import Signal, envelope, stretches, thinned
+
+HELDOUT_TRACES = 4
+"""Recordings of which the traces are drawn."""
 
 
 def errors_figure(diagnosis: Diagnosis) -> Figure:
@@ -56,7 +59,7 @@ def errors_figure(diagnosis: Diagnosis) -> Figure:
 
 def heldout_figure(diagnosis: Diagnosis) -> Figure:
     """Every recording's motion, and its residual before and after; what was held out is shaded."""
-    traces = diagnosis.traces[:4]
+    traces = diagnosis.traces[:HELDOUT_TRACES]
     unit = unit_of(max(largest_um(trace) for trace in traces))
     with drawing():
         figure = Figure(figsize=(style.WIDTH_IN, 0.5 + 1.95 * len(traces)))
@@ -86,7 +89,7 @@ def heldout_figure(diagnosis: Diagnosis) -> Figure:
             residual.set_xlabel("time (s)")
             for axes in (motion, residual):
                 axes.set_xlim(trace.t[0], trace.t[-1])
-                for number, (start, stop) in enumerate(_runs(trace.heldout)):
+                for number, (start, stop) in enumerate(stretches(trace.heldout)):
                     axes.axvspan(
                         trace.t[start],
                         trace.t[stop - 1],
@@ -115,7 +118,7 @@ def loop_figure(diagnosis: Diagnosis) -> Figure:
             (trace.residual_retuned, "before: retuned", BEFORE),
             (trace.residual_augmented, "after: augmented", AFTER),
         ):
-            k = np.linspace(0, len(e) - 1, min(len(e), 2500)).astype(int)
+            k = np.linspace(0, len(e) - 1, min(len(e), 1_000)).astype(int)
             residual.plot(
                 trace.u[k], unit.per_um * e[k], ls="", marker=".", ms=1.6, color=look["color"], label=label
             )
@@ -214,7 +217,7 @@ def largest_um(trace: Trace) -> float:
 
 def _heldout_density(trace: Trace, e: Signal) -> tuple[Signal, Signal]:
     """Amplitude density of the held-out stretches, nm per √Hz, in fine logarithmic bands."""
-    runs = _runs(trace.heldout) or [(0, len(e))]
+    runs = stretches(trace.heldout) or [(0, len(e))]
     length = min(stop - start for start, stop in runs)
     window = np.hanning(length + 2)[1:-1]
     scale = 2 / ((window**2).sum() * trace.fs_hz)
@@ -224,8 +227,3 @@ def _heldout_density(trace: Trace, e: Signal) -> tuple[Signal, Signal]:
     edges = np.unique(np.round(np.geomspace(1, len(f) + 1, 160)).astype(int)) - 1
     band = np.add.reduceat(power, edges[:-1]) / np.diff(edges)
     return np.sqrt(f[edges[:-1]] * f[edges[1:] - 1]), np.maximum(1e3 * np.sqrt(band), SILENT_NM)
-
-
-def _runs(mask: Signal) -> list[tuple[int, int]]:
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]])))
-    return [(int(start), int(stop)) for start, stop in zip(edges[::2], edges[1::2], strict=True)]

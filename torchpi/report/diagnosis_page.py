@@ -5,7 +5,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import jinja2
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
@@ -17,10 +16,14 @@ from torchpi.excitation.files import write_excitation
 from torchpi.files import write_atomically
 from torchpi.report import words
 from torchpi.report.diagnosis_figures import diagnosis_figures
+from torchpi.report.diagnosis_fit import HELDOUT_TRACES
 from torchpi.report.diagnosis_json import diagnosis_json
 from torchpi.report.diagnosis_style import Unit, unit_of
 from torchpi.report.diagnosis_words import headline, in_prose, likelihood
+from torchpi.report.linked import MOST_NUMBERS, linked_markup
+from torchpi.report.linked_traces import diagnosis_traces
 from torchpi.report.png import write_png
+from torchpi.report.rendering import environment
 from torchpi.report.svg import inline_svg
 from torchpi.report.what_was_run import Provenance
 
@@ -76,24 +79,24 @@ def diagnosis_page(diagnosis: Diagnosis, provenance: Provenance) -> str:
 
 def _page(diagnosis: Diagnosis, provenance: Provenance, drawn: Mapping[str, Mapping[str, str]]) -> str:
     parts = all_parts(diagnosis.traces)
+    if "heldout" in drawn:
+        shown = [diagnosis_traces(trace) for trace in diagnosis.traces[:HELDOUT_TRACES]]
+        live = linked_markup(shown, Markup(drawn["heldout"]["svg"]), MOST_NUMBERS / 2)
+        drawn = {**drawn, "heldout": {**drawn["heldout"], "svg": live}}
     unit = unit_of(max(diagnosis.nominal.heldout_rms_um, diagnosis.retuned.heldout_rms_um))
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("torchpi.report"),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
+    made = environment(
+        figure=_shown,
+        spoken=spoken,
+        spoken_parameter=spoken_parameter,
+        in_prose=in_prose,
+        likelihood=likelihood,
     )
-    environment.filters["figure"] = _shown
-    environment.filters["spoken"] = spoken
-    environment.filters["spoken_parameter"] = spoken_parameter
-    environment.filters["in_prose"] = in_prose
-    environment.filters["likelihood"] = likelihood
-    return environment.get_template("diagnosis.html.j2").render(
+    return made.get_template("diagnosis.html.j2").render(
         title="Diagnosis: " + ", ".join(trace.name for trace in diagnosis.traces),
         diagnosis=diagnosis,
         provenance=provenance,
         verdict=headline(diagnosis),
+        answer=_answer(diagnosis),
         unit=unit,
         fits=_fits(diagnosis, unit),
         loudest=_loudest(diagnosis.where),
@@ -101,6 +104,13 @@ def _page(diagnosis: Diagnosis, provenance: Provenance, drawn: Mapping[str, Mapp
         multisines=[_multisine_row(one, unit) for one in parts],
         drawn=drawn,
     )
+
+
+def _answer(diagnosis: Diagnosis) -> str:
+    """The held-out error before and after, in one unit."""
+    before, after = diagnosis.retuned.heldout_rms_um, diagnosis.augmented.heldout_rms_um
+    unit = unit_of(max(before, after))
+    return f"{words.figure(unit.per_um * before)} → {words.figure(unit.per_um * after)} {unit.name}"
 
 
 def _fits(diagnosis: Diagnosis, unit: Unit) -> list[dict[str, Any]]:
@@ -188,7 +198,7 @@ _CAPTIONS = {
     "errors": "Held-out error of three stages: as given, retuned and grown inside its own class, and with "
     "what was missing. What retuning takes away was a wrong parameter, not missing physics.",
     "where": "Where the retuned stage's residual lies: share of its square, less the noise where that "
-    "was measured. Dark cells (bold numbers in time) are louder than the rest by more than "
+    "was measured. Strongly coloured cells (bold numbers in time) are louder than the rest by more than "
     f"{SIGNIFICANT:g} standard deviations of the residual's own colour; pale ones may be chance. A bar's "
     "height is the share of its cell, whatever the cell's width.",
     "heldout": "Recorded motion, and what each stage leaves of it. Shaded stretches were held out: no stage "
@@ -211,7 +221,7 @@ def _drawn(name: str, figure: Figure) -> dict[str, str]:
         )
     elif name.startswith("rivals_"):
         caption = (
-            "The named effect (dark), those that these recordings cannot distinguish from it (dotted), and "
+            "The named effect (solid), those that these recordings cannot distinguish from it (dotted), and "
             "what else was tried in its place (hatched), each fitted with everything else. The effect's "
             "probability includes that of the dotted ones."
         )

@@ -20,12 +20,14 @@ def trajectory_figure(result: LoopResult) -> Figure:
         motion, error = figure.subplots(2, 1, sharex=True, height_ratios=(1.15, 1))
         for key in (WITHOUT, COMPENSATED):
             drive = result.drives[key]
-            motion.plot(*envelope(result.t, drive.y_true), label=drive.label, **_line(result, key))
+            motion.plot(*envelope(result.t, drive.y_true), label=drive.label, **line_of(result, key))
         motion.plot(*envelope(result.t, result.yd), label="reference, $y_d$", **style.WANTED)
         motion.set_ylabel("displacement (µm)")
         motion.set_title(f"{result.title}: motion")
         for key, drive in result.drives.items():
-            error.plot(*envelope(result.t, drive.y_true - result.yd), label=drive.label, **_line(result, key))
+            error.plot(
+                *envelope(result.t, drive.y_true - result.yd), label=drive.label, **line_of(result, key)
+            )
         error.set_ylabel("error $y - y_d$ (µm)")
         error.set_xlabel("time (s)")
         error.set_xlim(0.0, result.t[-1])
@@ -50,7 +52,7 @@ def linearity_figure(result: LoopResult) -> Figure:
             )
             axes.plot(
                 *thinned(result.yd[n:], drive.y_true[n:]),
-                **{**_line(result, key), "linewidth": 0.9},
+                **{**line_of(result, key), "linewidth": 0.9},
                 label="steady",
             )
             axes.set_title(f"{drive.label}\nloop width {drive.loop_width_percent:.2g} % of peak to peak")
@@ -72,7 +74,7 @@ def error_figure(result: LoopResult) -> Figure:
             if key in (WITHOUT, WITHOUT_LOOK_AHEAD):
                 continue
             error_nm = 1e3 * (drive.y_true - result.yd)
-            line = {**_line(result, key), "linewidth": 0.9}
+            line = {**line_of(result, key), "linewidth": 0.9}
             whole.plot(*envelope(result.t, error_nm), label=drive.label, **line)
             zoom.plot(1e3 * result.t[start:stop], error_nm[start:stop], label=drive.label, **line)
         _shade_loading(whole, result)
@@ -99,7 +101,7 @@ def voltage_figure(result: LoopResult) -> Figure:
         axes = figure.subplots()
         for key in (WITHOUT, COMPENSATED):
             drive = result.drives[key]
-            axes.plot(*envelope(result.t, drive.u), label=drive.label, **_line(result, key))
+            axes.plot(*envelope(result.t, drive.u), label=drive.label, **line_of(result, key))
         for limit_v, label in ((result.min_voltage_v, "limits"), (result.max_voltage_v, None)):
             axes.axhline(limit_v, label=label, **style.LIMIT)
         axes.set_xlim(0.0, result.t[-1])
@@ -153,7 +155,8 @@ def latency_figure(result: LoopResult) -> Figure:
     return figure
 
 
-def _line(result: LoopResult, key: str) -> dict[str, Any]:
+def line_of(result: LoopResult, key: str) -> dict[str, Any]:
+    """The look of a drive, the same in every figure."""
     if key == COMPENSATED:
         return {**style.TORCHPI, "zorder": 3}
     if key == WITHOUT:

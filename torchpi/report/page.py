@@ -1,19 +1,21 @@
 """Pages: one HTML file each, with its figures inside and nothing fetched from anywhere."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import jinja2
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from torchpi.files import write_atomically
 from torchpi.loop.result import COMPENSATED, LoopResult, as_json
 from torchpi.report import loop_figures, training_figures, words
+from torchpi.report.linked import MOST_NUMBERS, Linked, linked_markup
+from torchpi.report.linked_traces import loop_traces, record_traces
 from torchpi.report.png import write_png
+from torchpi.report.rendering import environment
 from torchpi.report.svg import inline_svg
 from torchpi.report.training import TrainingReport
 from torchpi.report.what_was_run import Provenance
@@ -75,9 +77,12 @@ def _loop_page(
             {
                 "id": f"trajectory-{number}",
                 "result": result,
+                "answer": words.answer(result),
                 "headline": words.headline(result),
                 "limits": words.limits(result),
-                "figures": _inline(f"t{number}", pictures),
+                "figures": _inline(
+                    f"t{number}", pictures, {"trajectory": [loop_traces(result)]}, MOST_NUMBERS / len(results)
+                ),
             }
             for number, (result, pictures) in enumerate(zip(results, drawn, strict=True), start=1)
         ],
@@ -93,9 +98,15 @@ def training_page(report: TrainingReport, provenance: Provenance) -> str:
         metrics=[
             (_METRIC_NAMES.get(key, key.replace("_", " ")), key, row) for key, row in report.metrics.items()
         ],
+        answer=words.training_answer(report.metrics),
         headline=words.training_headline(report.metrics),
         provenance=provenance,
-        figures=_inline("f", _training_figures(report)),
+        figures=_inline(
+            "f",
+            _training_figures(report),
+            {f"traces {record.name}": [record_traces(record)] for record in report.records},
+            MOST_NUMBERS / 2,  # its figures are larger
+        ),
     )
 
 
@@ -148,14 +159,14 @@ def _training_figures(report: TrainingReport) -> list[_Picture]:
         of = f"{record.name} ({record.role})"
         pictures += [
             _Picture(
+                f"traces {record.name}",
+                training_figures.traces_figure(record),
+                f"Voltage of {of}, recorded and predicted, and the residual.",
+            ),
+            _Picture(
                 "loop",
                 training_figures.loop_figure(record),
                 f"Hysteresis of {of}: voltage against displacement.",
-            ),
-            _Picture(
-                "traces",
-                training_figures.traces_figure(record),
-                f"Voltage of {of}, recorded and predicted, and the residual.",
             ),
             _Picture(
                 "spectrum",
@@ -184,25 +195,23 @@ def _training_figures(report: TrainingReport) -> list[_Picture]:
     return pictures
 
 
-def _inline(prefix: str, pictures: Sequence[_Picture]) -> list[dict[str, Any]]:
-    return [
-        {
-            "svg": Markup(inline_svg(picture.figure, f"{prefix}-{picture.name}-{number}", picture.caption)),
-            "caption": picture.caption,
-        }
-        for number, picture in enumerate(pictures, start=1)
-    ]
+def _inline(
+    prefix: str,
+    pictures: Sequence[_Picture],
+    traces: Mapping[str, Sequence[Linked]],
+    most: float,
+) -> list[dict[str, Any]]:
+    """Pictures as they stand in the page: those of traces are drawn anew by a script, where one runs."""
+    inlined = []
+    for number, picture in enumerate(pictures, start=1):
+        kind = picture.name.partition(" ")[0]  # names from outside stay outside of identifiers
+        svg = Markup(inline_svg(picture.figure, f"{prefix}-{kind}-{number}", picture.caption))
+        if picture.name in traces:
+            svg = linked_markup(traces[picture.name], svg, most / len(traces))
+        inlined.append({"svg": svg, "caption": picture.caption})
+    return inlined
 
 
 def render(template: str, **values: Any) -> str:
     """A page from its template and what stands in it."""
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("torchpi.report"),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters["figure"] = words.figure
-    environment.filters["times"] = words.times
-    return environment.get_template(template).render(**values)
+    return environment(figure=words.figure, times=words.times).get_template(template).render(**values)

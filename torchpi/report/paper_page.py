@@ -13,6 +13,7 @@ from torchpi.report import words
 from torchpi.report.paper_figures import FIGURES
 from torchpi.report.paper_texts import TEXTS
 from torchpi.report.png import write_png
+from torchpi.report.rendering import environment
 from torchpi.report.svg import inline_svg
 from torchpi.report.what_was_run import Provenance
 
@@ -334,17 +335,11 @@ def _signed_percent(value: float) -> str:
 
 
 def _environment() -> jinja2.Environment:
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("torchpi.report"),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
+    return environment(
+        shown=_shown,
+        minus=lambda text: text.replace("-0", "−0"),
+        plainly=_plainly,
+        time=_time,
+        signed=_signed,
+        signed_percent=_signed_percent,
     )
-    environment.filters["shown"] = _shown
-    environment.filters["minus"] = lambda text: text.replace("-0", "−0")
-    environment.filters["plainly"] = _plainly
-    environment.filters["time"] = _time
-    environment.filters["signed"] = _signed
-    environment.filters["signed_percent"] = _signed_percent
-    return environment

@@ -10,22 +10,44 @@ Signal = npt.NDArray[np.float64]  # shape: (time,)
 
 def envelope(t: Signal, y: Signal, columns: int = 800) -> tuple[Signal, Signal]:
     """The lowest and the highest sample of every column, in order of time; short traces pass whole."""
+    k = extremes(y, columns)
+    return t[k], y[k]
+
+
+def extremes(y: Signal, columns: int) -> npt.NDArray[np.intp]:
+    """Where the lowest and the highest sample of every column lie, in order, and the first and the last."""
     if len(y) <= 2 * columns:
-        return t, y
+        return np.arange(len(y))
     starts = np.linspace(0, len(y), columns + 1).astype(int)
     kept = [0, len(y) - 1]
     for start, stop in pairwise(starts):
         column = y[start:stop]
         kept += [start + int(np.argmin(column)), start + int(np.argmax(column))]
-    k = np.unique(kept)
-    return t[k], y[k]
+    return np.unique(kept)
 
 
-def thinned(x: Signal, y: Signal, resolution: float = 1 / 1500) -> tuple[Signal, Signal]:
-    """A curve without the samples that fall on the dot of the one kept before; turning points stay."""
+def thinned(x: Signal, y: Signal, resolution: float = 1 / 1500, most: int = 6_000) -> tuple[Signal, Signal]:
+    """A curve without the samples that fall on the dot of the one kept before; turning points stay.
+
+    Dots grow until at most `most` samples are left.
+    """
+    kept = _off_the_dot(x, y, resolution)
+    while kept.sum() > most and resolution < 0.1:
+        resolution *= 1.5
+        kept = _off_the_dot(x, y, resolution)
+    return x[kept], y[kept]
+
+
+def _off_the_dot(x: Signal, y: Signal, resolution: float) -> npt.NDArray[np.bool_]:
     dots_x = np.round((x - x.min()) / max(float(np.ptp(x)), 1e-12) / resolution)
     dots_y = np.round((y - y.min()) / max(float(np.ptp(y)), 1e-12) / resolution)
     moved = (np.diff(dots_x) != 0) | (np.diff(dots_y) != 0)
     kept = np.concatenate([[True], moved])
     kept[-1] = True
-    return x[kept], y[kept]
+    return kept
+
+
+def stretches(mask: Signal) -> list[tuple[int, int]]:
+    """Where it is true: first samples, and those behind the last."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]])))
+    return [(int(start), int(stop)) for start, stop in zip(edges[::2], edges[1::2], strict=True)]

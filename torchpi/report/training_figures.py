@@ -11,8 +11,8 @@ from torchpi.report.style import drawing, settle
 from torchpi.report.traces import Signal, envelope, thinned
 from torchpi.report.training import RecordFit, Saturation, WeightsAgainstRate
 
-_RECORDED: dict[str, Any] = {"color": "#000000", "linestyle": "-", "linewidth": 1.6, "alpha": 0.75}
-_PREDICTED: dict[str, Any] = {"color": "#E69F00", "linestyle": (0, (3, 1.2)), "linewidth": 1.2}
+RECORDED: dict[str, Any] = {"color": "#000000", "linestyle": "-", "linewidth": 1.6, "alpha": 0.75}
+PREDICTED: dict[str, Any] = {"color": "#E69F00", "linestyle": (0, (3, 1.2)), "linewidth": 1.2}
 
 
 def loop_figure(record: RecordFit) -> Figure:
@@ -20,8 +20,8 @@ def loop_figure(record: RecordFit) -> Figure:
     with drawing():
         figure = Figure(figsize=(0.62 * style.WIDTH_IN, 3.6))
         axes = figure.subplots()
-        axes.plot(*thinned(record.y, record.u), label="recorded", **_RECORDED)
-        axes.plot(*thinned(record.y, record.u_hat), label="predicted", **_PREDICTED)
+        axes.plot(*thinned(record.y, record.u), label="recorded", **RECORDED)
+        axes.plot(*thinned(record.y, record.u_hat), label="predicted", **PREDICTED)
         axes.set_xlabel("displacement $y$ (µm)")
         axes.set_ylabel("voltage $u$ (V)")
         axes.set_title(f"{record.name}, {record.role}")
@@ -35,8 +35,8 @@ def traces_figure(record: RecordFit) -> Figure:
     with drawing():
         figure = Figure(figsize=(style.WIDTH_IN, 3.8))
         voltage, residual = figure.subplots(2, 1, sharex=True)
-        voltage.plot(*envelope(record.t, record.u), label="recorded", **_RECORDED)
-        voltage.plot(*envelope(record.t, record.u_hat), label="predicted", **_PREDICTED)
+        voltage.plot(*envelope(record.t, record.u), label="recorded", **RECORDED)
+        voltage.plot(*envelope(record.t, record.u_hat), label="predicted", **PREDICTED)
         voltage.set_ylabel("voltage $u$ (V)")
         voltage.set_title(f"{record.name}, {record.role}")
         voltage.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, borderaxespad=0.2)

@@ -20,6 +20,15 @@ def headline(result: LoopResult) -> str:
     )
 
 
+def answer(result: LoopResult) -> tuple[str, str]:
+    """The number that was asked for, and what it is."""
+    times_better = times(result.improvement[COMPENSATED].whole_rms)
+    return (
+        length(result.compensated.on_true.whole.rms_um),
+        f"rms tracking error on {result.title}: {times_better} than without compensation",
+    )
+
+
 def limits(result: LoopResult) -> list[str]:
     """Where the compensated drive met a limit of the voltage or of its rate, a sentence each."""
     sentences = []
@@ -58,6 +67,12 @@ def table(result: LoopResult) -> str:
     return "\n".join(lines)
 
 
+def training_answer(metrics: Mapping[str, Mapping[str, float]]) -> tuple[str, str]:
+    """The number that was asked for, and what it is."""
+    part, where = ("heldout", "on held-out recordings") if "heldout" in metrics else ("train", "in training")
+    return length(metrics[part]["rms_um"]), f"rms error of the predicted voltage {where}, as displacement"
+
+
 def training_headline(metrics: Mapping[str, Mapping[str, float]]) -> str:
     """The outcome of a training in one sentence, on held-out recordings where there are any."""
     part, where = ("heldout", "on held-out recordings") if "heldout" in metrics else ("train", "in training")
@@ -72,6 +87,12 @@ def training_headline(metrics: Mapping[str, Mapping[str, float]]) -> str:
             f", {times(metrics['baseline_lstsq']['rms_um'] / error['rms_um'])} than two-stage least squares"
         )
     return sentence + "."
+
+
+def length(value_um: float, digits: int = 3) -> str:
+    """A length in the unit that suits it: 21.3 nm, 4.10 µm."""
+    nm = abs(value_um) < 1.0
+    return f"{figure((1e3 if nm else 1.0) * value_um, digits)} {'nm' if nm else 'µm'}"
 
 
 def figure(value: float, digits: int = 3) -> str:

@@ -1,0 +1,68 @@
+"""How quick this machine is right now: its processors, and what other processes leave of them.
+
+Nothing heavy is imported here: it is measured before torch is there, within a second.
+"""
+
+import hashlib
+import threading
+import time
+from dataclasses import dataclass
+from functools import cache
+
+LOOPS, LOOPS_S = 300_000, 0.024
+"""A loop of plain Python, and its processor time where the work of the commands was measured."""
+WINDOW_S = 0.3
+"""Of watching what one thread is given, and what several are: longer than a scheduler takes to be fair."""
+BLOCK = bytes(1 << 18)
+"""What the threads hash meanwhile; Python's lock is free then."""
+LEAST = 0.02
+"""Processors: a machine that gives less gives nobody an estimate."""
+
+
+@dataclass(frozen=True)
+class Machine:
+    """What a process gets of it.
+
+    Attributes:
+        speed: Of a processor, over that on which the work was measured.
+        alone: Processors that one thread is given, at most 1.
+        together: Processors that as many processes are given as a command starts, in all.
+    """
+
+    speed: float
+    alone: float
+    together: float
+
+    def seconds(self, alone: float, shared: float = 0.0) -> float:
+        """How long work takes that needs so many processor seconds, in one thread and shared out."""
+        return (alone / self.alone + shared / self.together) / self.speed
+
+
+@cache
+def measured(processes: int) -> Machine:
+    """This machine, now, for a command of so many processes."""
+    alone = _processors(1)
+    return Machine(_speed(), alone, max(alone, _processors(processes)) if processes > 1 else alone)
+
+
+def _speed() -> float:
+    started, x = time.process_time(), 0
+    for _ in range(LOOPS):
+        x = (x * 1103515245 + 12345) & 0x7FFFFFFF
+    return LOOPS_S / max(time.process_time() - started, 1e-6)
+
+
+def _processors(threads: int) -> float:
+    """Processor time a second that so many busy threads get together."""
+    wall, processor = time.perf_counter(), time.process_time()
+    busy = [threading.Thread(target=_work, args=(wall + WINDOW_S,)) for _ in range(threads)]
+    for thread in busy:
+        thread.start()
+    for thread in busy:
+        thread.join()
+    return max((time.process_time() - processor) / (time.perf_counter() - wall), LEAST)
+
+
+def _work(until: float) -> None:
+    while time.perf_counter() < until:
+        hashlib.sha256(BLOCK).digest()
