@@ -13,7 +13,15 @@ from torchpi.stage.effects.sensor.hum import Hum
 
 class TestLaws(EffectLaws):
     def operator(self) -> Hum:
-        return Hum(PERIOD_S, frequency_hz=50.7, cos_um=0.3, sin_um=-0.2)
+        sizes = {
+            "cos_um": 0.3,
+            "sin_um": -0.2,
+            "cos2_um": 0.1,
+            "sin2_um": 0.05,
+            "cos3_um": 0.02,
+            "sin3_um": -0.1,
+        }
+        return Hum(PERIOD_S, frequency_hz=50.7, **sizes)
 
 
 def test_the_spectrum_shows_one_line_of_its_size_and_phase():
@@ -45,5 +53,7 @@ def test_recordings_that_began_at_other_times_are_told_apart():
 
 
 def test_a_search_starts_at_lines_that_the_sample_rate_shows():
-    lines = [start["frequency_hz"] for start in Hum.starts(DataRange(250.0, 1.0, 0, 1, 1, 0, 10, {}))]
-    assert lines == [50.0, 60.0, 100.0, 120.0]
+    starts = Hum.starts(DataRange(350.0, 1.0, 0, 1, 1, 0, 10, {}))
+    lines = [start["frequency_hz"] for start in starts if Hum.form(start) == "one line"]
+    with_harmonics = [start["frequency_hz"] for start in starts if Hum.form(start) == "with harmonics"]
+    assert lines == [50.0, 60.0, 100.0, 120.0, 150.0] and with_harmonics == [50.0]

@@ -1,40 +1,74 @@
-"""A mains line in the reading: y = x + a cos 2πft + b sin 2πft, t from the first sample."""
+"""Mains lines in the reading: y = x + Σ_k a_k cos 2πkft + b_k sin 2πkft, t from the first sample."""
 
 from collections.abc import Mapping
 from typing import ClassVar
 
 import numpy as np
-from torch import nn
+import torch
+from torch import Tensor, nn
 
 from torchpi.operators.quantity import Quantity
-from torchpi.stage.effects.added_signal import AddedSignal
-from torchpi.stage.effects.effect import DataRange, Parameters
-from torchpi.stage.effects.oscillation import fill_line, oscillation, oscillation_of_tensors
+from torchpi.stage.effects.effect import DataRange, Effect, Parameters
+from torchpi.stage.effects.oscillation import oscillation, oscillations
 
+SIZES = ("cos_um", "sin_um", "cos2_um", "sin2_um", "cos3_um", "sin3_um")
+"""a_k and b_k, one harmonic after another."""
 MAINS_HZ = (50.0, 60.0, 100.0, 120.0, 150.0, 180.0)
 STANDS_OUT = 3.0
 """Times the median amplitude around it, from which a line is worth a start."""
 
 
-class Hum(AddedSignal):
-    """One line of the mains, or of a multiple of it; its phase is another one in each recording."""
+class Hum(Effect):
+    """One line of the mains, or of a multiple of it, alone or with its second and third harmonic; their
+    phases are others in each recording. The state: samples since the first."""
 
     name = "hum"
     block = "sensor"
-    equation = "y = x + a cos 2πft + b sin 2πft"
+    equation = "y = x + Σ_k a_k cos 2πkft + b_k sin 2πkft, k = 1 or k = 1 … 3"
     signature = "one exact line, not periodic with the input, of one size in motion and at rest"
     quantities: ClassVar[dict[str, Quantity]] = {
         "frequency_hz": Quantity("Hz", at_least=45, at_most=400),
-        "cos_um": Quantity("µm", at_least=-1e3, at_most=1e3),
-        "sin_um": Quantity("µm", at_least=-1e3, at_most=1e3),
+        **dict.fromkeys(SIZES, Quantity("µm", at_least=-1e3, at_most=1e3)),
     }
-    identity: ClassVar[Parameters] = {"frequency_hz": 50.0, "cos_um": 0.0, "sin_um": 0.0}
-    per_recording = ("cos_um", "sin_um")
-    signal, kernel = staticmethod(oscillation), staticmethod(fill_line)
-    of_tensors = staticmethod(oscillation_of_tensors)
+    identity: ClassVar[Parameters] = {"frequency_hz": 50.0, **dict.fromkeys(SIZES, 0.0)}
+    per_recording = SIZES
+    forms = ("one line", "with harmonics")
     frequency_hz: nn.Parameter
-    cos_um: nn.Parameter
-    sin_um: nn.Parameter
+
+    @classmethod
+    def form(cls, values: Mapping[str, float]) -> str:
+        if any(values.get(name) for name in SIZES[2:]):
+            return "with harmonics"
+        return "one line" if any(values.get(name) for name in SIZES[:2]) else ""
+
+    def initial_state(self, batch: int) -> Tensor:
+        return torch.zeros(batch, 1, dtype=torch.float64)
+
+    def forward(
+        self,
+        x: Tensor,  # (batch, time), µm
+        state: Tensor | None = None,  # (batch, 1), samples
+    ) -> tuple[Tensor, Tensor]:
+        elapsed = self.initial_state(len(x)) if state is None else state
+        added = torch.zeros_like(x, dtype=torch.float64)
+        for k, (cos, sin) in enumerate(self.lines(), 1):
+            if torch.is_grad_enabled() or cos.item() or sin.item():
+                f = k * self.frequency_hz
+                added = added + oscillations(elapsed, x.shape[1], self.sample_period_s, f, cos, sin)
+        return x + added.to(x), elapsed + x.shape[1]
+
+    def lines(self) -> list[tuple[Tensor, Tensor]]:
+        """a_k and b_k of each harmonic."""
+        sizes = [getattr(self, name) for name in SIZES]
+        return list(zip(sizes[::2], sizes[1::2], strict=True))
+
+    def stream(self) -> "HumStream":
+        lines = self.lines()
+        cos, sin = ([line[part].item() for line in lines] for part in range(2))
+        return HumStream(self.sample_period_s, self.frequency_hz.item(), cos, sin)
+
+    def tangent(self, x: Tensor, dx: Tensor) -> Tensor:
+        return dx
 
     @classmethod
     def line_hz(cls, values: Mapping[str, float]) -> float | None:
@@ -45,7 +79,13 @@ class Hum(AddedSignal):
         # Below a few periods a line is a drift; above half of the sample rate it shows as another one.
         size = 1e-3 * seen.span_um
         seen_lines = [f for f in MAINS_HZ if 3 / seen.duration_s < f < seen.fs_hz / 2 and size > 0]
-        return [{"frequency_hz": f, "cos_um": size, "sin_um": size} for f in seen_lines]
+        return [start for f in seen_lines for start in cls.starts_at(f, size, seen.fs_hz)]
+
+    @classmethod
+    def starts_at(cls, frequency_hz: float, size_um: float, fs_hz: float) -> list[Parameters]:
+        """One line, and one with the harmonics that the sample rate shows."""
+        one = {"frequency_hz": frequency_hz, **dict.fromkeys(SIZES[:2], size_um)}
+        return [one, {**one, **dict.fromkeys(SIZES[2:], size_um)}] if 6 * frequency_hz < fs_hz else [one]
 
     @classmethod
     def starts_from(
@@ -62,5 +102,26 @@ class Hum(AddedSignal):
                 continue
             if power[near].max() > STANDS_OUT * np.median(power[around]):
                 line = float(f[near][power[near].argmax()])
-                starts.append({"frequency_hz": line, "cos_um": size, "sin_um": size})
+                starts += cls.starts_at(line, size, fs_hz)
         return starts
+
+
+class HumStream(nn.Module):
+    """The lines, one sample at a time."""
+
+    def __init__(self, period_s: float, frequency_hz: float, cos: list[float], sin: list[float]) -> None:
+        super().__init__()
+        self.period_s, self.frequency_hz, self.cos, self.sin = period_s, frequency_hz, cos, sin
+        self.elapsed = 0.0
+
+    @torch.jit.export
+    def reset(self) -> None:
+        self.elapsed = 0.0
+
+    @torch.jit.export
+    def step(self, x: float) -> float:
+        t_s, added = self.elapsed * self.period_s, 0.0
+        for k in range(len(self.cos)):
+            added += oscillation(t_s, (k + 1) * self.frequency_hz, self.cos[k], self.sin[k])
+        self.elapsed += 1.0
+        return x + added
