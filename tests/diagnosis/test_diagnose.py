@@ -22,13 +22,14 @@ from tests.diagnosis.plants import (
 )
 from tests.diagnosis.prepared import prepared
 from torchpi.diagnosis.chain import Chain
-from torchpi.diagnosis.diagnose import diagnose, error_about, off_all_around
+from torchpi.diagnosis.diagnose import diagnose
 from torchpi.diagnosis.diagnosis import Diagnosis
 from torchpi.diagnosis.fit import fit
 from torchpi.diagnosis.hypothesis import Hypothesis
 from torchpi.diagnosis.hysteresis_model import many_plays
 from torchpi.diagnosis.reduced_basis import reduced
 from torchpi.diagnosis.search import Search
+from torchpi.diagnosis.wrong_readings import error_about, expected_beyond, off_all_around
 from torchpi.recordings.identity import recordings_sha256
 from torchpi.recordings.recording import Recording
 from torchpi.stage import Stage
@@ -181,3 +182,12 @@ def test_creep_of_two_poles_is_creep_and_no_drift() -> None:
     found = diagnose([record(one, **rig, seed=k, name="ab"[k]) for k, one in enumerate(u)])  # type: ignore[arg-type]
     assert names(found) == ["creep"]
     assert found.augmented.heldout_rms_um < 1.3 * NOISE_UM
+
+
+@pytest.mark.parametrize("freedom", [3.0, 5.0, 1e6])
+def test_as_many_readings_are_expected_far_out_as_a_heavy_tail_has(freedom: float) -> None:
+    error = np.abs(np.random.default_rng(1).standard_t(freedom, 40_000))
+    limit = float(np.quantile(error, 0.999))
+    assert expected_beyond(limit, error) == pytest.approx(40, rel=0.5)
+    lost = np.concatenate([error, np.full(40, 1e3)])
+    assert expected_beyond(1e3, lost) < 0.01

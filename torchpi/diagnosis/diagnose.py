@@ -38,6 +38,7 @@ from torchpi.diagnosis.simulation import (
 )
 from torchpi.diagnosis.stick_slip import free_run
 from torchpi.diagnosis.timing import lateness_s
+from torchpi.diagnosis.wrong_readings import READ_OFF, of_dropouts, wrong_readings
 from torchpi.errors import RecordingError
 from torchpi.recordings.faults import dropouts
 from torchpi.recordings.recording import Recording
@@ -45,7 +46,6 @@ from torchpi.stage import Stage
 from torchpi.stage.effects import EFFECTS
 from torchpi.stage.effects.effect import Effect
 from torchpi.stage.effects.inside import InsideEffect
-from torchpi.stage.effects.sensor.dropouts import Dropouts
 from torchpi.stage.effects.sensor.quantization import Quantization
 from torchpi.stage.identified import Identified
 
@@ -53,14 +53,6 @@ COARSE = 0.5
 """A converter is named where its step, as noise, is this share of all that is left."""
 UNCERTAIN = 0.9
 """An effect less probable than this is worth another recording."""
-LOST = 10.0
-"""Times the rms of what is left, by which a single reading is off: less may be a heavy tail of the noise."""
-ABOUT = 5
-"""Samples before and after a reading that it is compared with."""
-BESIDE = 32
-"""Samples on either side of a reading from which the error of the model there is taken."""
-READ_OFF = 0.99
-"""Probability of what the readings themselves show."""
 LEAST_SAMPLES = 100
 HELD_OUT = "the last 15 % of each recording, sealed until the end; the state carries over"
 
@@ -129,10 +121,7 @@ def diagnose(
     decision = decide(search, retuned, final, believed, noise, remainder is not None or structure(left))
     if lsb_um > 0 and lsb_um / np.sqrt(12) > COARSE * final.train_rms:
         decision = with_read_off(decision, of_converter(lsb_um, retuned))
-    lost = [
-        k[off_all_around(record.y, e, k) > LOST * np.maximum(error_about(e, k), final.train_rms)]
-        for record, e, k in zip(records, final.residuals, wrong, strict=True)
-    ]
+    lost = wrong_readings(records, wrong, final)
     if any(len(each) for each in lost):
         decision = with_read_off(decision, of_dropouts(records, lost, final))
     say("model: everything refitted to all samples")
@@ -229,26 +218,6 @@ def with_read_off(decision: Decision, effect: NamedEffect) -> Decision:
     return replace(decision, verdict=verdict, effects=(*decision.effects, effect))
 
 
-def off_all_around(y: np.ndarray, residual: np.ndarray, readings: np.ndarray) -> np.ndarray:
-    """(readings,), µm: by how much each of these readings lies beyond everything that the model passes about
-    it. A clock that jitters takes a reading early or late, but nowhere that the stage has not been."""
-    model = y - residual
-    places = readings[:, None] + np.arange(-ABOUT, ABOUT + 1)
-    passed = model[np.clip(places, 0, len(y) - 1)]
-    found: np.ndarray = np.maximum(y[readings] - passed.max(1), passed.min(1) - y[readings])
-    return found
-
-
-def error_about(residual: np.ndarray, readings: np.ndarray) -> np.ndarray:
-    """(readings,), µm: the error of the model before or after each of these readings, the larger, as a
-    standard deviation. Where the model misses a ring, its first swing is no wrong reading."""
-    places = readings[:, None] + np.arange(2, BESIDE + 2)
-    sides = (places, 2 * readings[:, None] - places)
-    medians = [np.median(np.abs(residual[np.clip(side, 0, len(residual) - 1)]), axis=1) for side in sides]
-    found: np.ndarray = 1.4826 * np.maximum(*medians)
-    return found
-
-
 def of_converter(lsb_um: float, retuned: Fit) -> NamedEffect:
     """The sensor's converter: its lattice is seen."""
     return NamedEffect(
@@ -256,19 +225,6 @@ def of_converter(lsb_um: float, retuned: Fit) -> NamedEffect:
         (Parameter("lsb_um", lsb_um, "µm", (lsb_um * (1 - 1e-6), lsb_um * (1 + 1e-6))),),
         min(1.0, lsb_um**2 / 12 / max(retuned.train_rms**2, 1e-300)), Quantization.equation,
         Quantization.signature, (),
-    )  # fmt: skip
-
-
-def of_dropouts(records: Sequence[Record], wrong: Sequence[np.ndarray], final: Fit) -> NamedEffect:
-    """Single wrong readings: each is seen, and none is fitted."""
-    off = [e[k] for e, k in zip(final.residuals, wrong, strict=True)]
-    samples, count = sum(len(r.y) for r in records), sum(len(k) for k in wrong)
-    squares = float(np.square(np.concatenate(off)).sum())
-    rest = sum(float(e @ e) for e in final.residuals)
-    return NamedEffect(
-        Dropouts.name, Dropouts.block, (), READ_OFF,
-        (Parameter("share", count / samples, "", None),), squares / max(rest, 1e-300), Dropouts.equation,
-        Dropouts.signature, (),
     )  # fmt: skip
 
 
