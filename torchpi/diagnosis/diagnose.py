@@ -110,6 +110,11 @@ def diagnose(
     noise = search.noise
     say("decide: every effect against its rivals")
     final, believed = posterior(search, retuned, final, history)
+    if noise is not None and not search.slips:
+        # What a hold shows of hum, or of a drift, is no noise once it has been explained.
+        left_in_holds = measured_noise(records, final.residuals)
+        if left_in_holds is not None and left_in_holds.rms_um < noise.rms_um:
+            noise = left_in_holds.with_converter(lsb_um)
     believed = believed if called is None else with_untried(believed, tried, untried)
     modelled = augmented = free_run(chain, final, search.jump.value_um) if search.jump else final
     chain.weighting = search.chain.weighting
