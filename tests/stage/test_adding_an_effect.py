@@ -50,7 +50,7 @@ def test_a_class_and_a_row_are_enough_to_be_named(page: ModuleType, monkeypatch:
     place = search.EFFECTS.index(SensorLag)
     effects: tuple[type[Effect], ...] = (
         *search.EFFECTS[:place], page.RatePickup, *search.EFFECTS[place:],
-    )  # type: ignore[assignment]  # fmt: skip
+    )  # fmt: skip
     for module in (hypothesis, effect_settings):  # the order of the chain
         monkeypatch.setattr(module, "EFFECTS", effects)
 

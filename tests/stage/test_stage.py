@@ -58,7 +58,7 @@ def chain(**changes: object) -> Stage:
     """A stage of effects, as a diagnosis makes it."""
     settings = {"effects": [HUM, RESONANCE, RATE, LAG], "alignment": 1, "noise_um": 0.003}
     settings |= {"min_voltage_v": 0.0, "max_voltage_v": 10.0, **changes}
-    return Stage(RATE_HZ, HYSTERESIS, **settings)  # type: ignore[arg-type]
+    return Stage(RATE_HZ, HYSTERESIS, **settings)
 
 
 def operator(stage: Stage, kind: type[Effect]) -> Effect:
@@ -244,7 +244,7 @@ def test_gradients_to_every_physical_parameter_are_those_of_finite_differences()
                 parameter.data.view(-1)[i] = side
                 sides.append(loss().item())
             parameter.data.view(-1)[i] = value
-            found = parameter.grad.flatten()[i].item()  # type: ignore[union-attr]
+            found = parameter.grad.flatten()[i].item()
             assert found == pytest.approx((sides[0] - sides[1]) / (2 * step), rel=2e-4, abs=1e-4), name
         seen.add(name.rsplit(".", 1)[-1])
     assert {"cutoff_hz", "delay_s", "weights", "per_decade", "frequency_hz", "damping_ratio"} <= seen
@@ -282,7 +282,7 @@ def test_a_stage_is_identified_again_by_descent_on_its_physical_parameters() -> 
 
     first = closure().item()
     for _ in range(10):
-        optimizer.step(closure)  # type: ignore[arg-type]
+        optimizer.step(closure)
     assert closure().item() < 1e-4 * first
 
 

@@ -46,7 +46,7 @@ def test_a_parameter_that_training_moved_off_its_identity_is_kept() -> None:
 
 def _creep() -> type[Effect]:
     (kind,) = (kind for kind in EFFECTS if kind.name == "creep")
-    return kind  # type: ignore[return-value]
+    return kind
 
 
 def _values(stage: Stage, name: str) -> dict[str, object]:
