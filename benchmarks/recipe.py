@@ -125,7 +125,7 @@ def cases(seeds: int, first: int = 1) -> Iterator[tuple[str, Callable[[], Record
 
 def of_records(train: list[Recording], heldout: list[Recording], **options: object) -> RecordingsData:
     """Recordings that are in memory, as the data of a training."""
-    data = RecordingsData(recordings=[record.name for record in train], **options)  # type: ignore[arg-type]
+    data = RecordingsData(recordings=[record.name for record in train], **options)
     data.records = Records(train, heldout)
     return data
 
@@ -136,8 +136,7 @@ def piezo_stack() -> RecordingsData:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RecordingWarning)
         train, judge = (
-            read_recording(folder / name, **read)  # type: ignore[arg-type]
-            for name in ("Model_Vi_Do.dat", "Test_Vi_Do_Di.dat")
+            read_recording(folder / name, **read) for name in ("Model_Vi_Do.dat", "Test_Vi_Do_Di.dat")
         )
     return of_records([train], [judge], skip_s=1.0, evaluate_s=(56.0, 70.5), zero_s=(1.0, 15.0))
 

@@ -118,7 +118,7 @@ def from_shared_library(folder: Path) -> tuple[Callable[[float], float], str]:
     # Larger than any state of ten plays.
     state = (ctypes.c_double * 64)()
     try:
-        import cffi  # type: ignore[import-not-found]
+        import cffi
     except ImportError:
         loaded = ctypes.CDLL(str(library))
         loaded.generated_step.restype = ctypes.c_double

@@ -124,7 +124,7 @@ def _eager_voltage(model: DirectInverse, motion: Motion) -> Tensor:
     h = torch.zeros_like(r)
     voltages = []
     for t in range(motion.yd.shape[1]):
-        s = polynomial(motion.yd[0, t], c)  # type: ignore[arg-type]
+        s = polynomial(motion.yd[0, t], c)
         h = torch.maximum(s - r, torch.minimum(s + r, h))
         w = theta[:, 0] + theta[:, 1] * (motion.yd_dot[0, t] / model.weights.rate_scale_um_s)
         voltages.append((w * h).cumsum(0)[-1])

@@ -104,7 +104,7 @@ def _search(compensator: DirectInverse, pair: InversePair) -> int:
         loss.backward()
         return loss
 
-    optimizer.step(closure)  # type: ignore[arg-type]
+    optimizer.step(closure)
     return evaluations
 
 

@@ -27,7 +27,7 @@ def task() -> Task:
 
 def a_row(**changes: object) -> Row:
     row = Row(with_torchpi.JOINT, 12_000, 0.1234, 2.0, 0.0123, 0.25, 10.0, 5.678)
-    return dataclasses.replace(row, **changes)  # type: ignore[arg-type]
+    return dataclasses.replace(row, **changes)
 
 
 def cells(line: str) -> list[str]:

@@ -146,7 +146,7 @@ def test_holds_are_counted_in_commanded_and_monitored_voltages(noise_v: float) -
 @pytest.mark.parametrize("sigma", [1e-3, 0.02])
 @pytest.mark.parametrize("make", [sine_5hz, stairs, multisine])
 def test_the_noise_is_estimated_beside_the_motion(make: object, sigma: float) -> None:
-    u = make(1.0)[1]  # type: ignore[operator]
+    u = make(1.0)[1]
     y = 0.8 * u + sigma * np.random.default_rng(2).standard_normal(len(u))
     assert noise_estimate(y) == pytest.approx(sigma, rel=0.05)
 

@@ -24,7 +24,7 @@ def compensator(seed: int = 0, **changes: object) -> DirectInverse:
         "rate": "neural", "lead": 2, "creep_time_constants_s": [0.01, 0.3, 5.0], "offset": True,
         "output_degree": 3, "preview": 3, **changes,
     }  # fmt: skip
-    made = DirectInverse(**arguments)  # type: ignore[arg-type]
+    made = DirectInverse(**arguments)
     generator = torch.Generator().manual_seed(seed)
     with torch.no_grad():
         for parameter in made.parameters():
@@ -41,7 +41,7 @@ def trajectory(samples: int = 1500) -> Tensor:
 def scripted(stream: CompensatorStream) -> CompensatorStream:
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message=".*torch.jit.*deprecated.*")
-        return torch.jit.script(stream)  # type: ignore[no-any-return]
+        return torch.jit.script(stream)
 
 
 @pytest.mark.parametrize("rate", ["none", "linear", "neural"])

@@ -99,6 +99,6 @@ def record(
 def pair(samples: int = 4000, **rig: object) -> list[Recording]:
     """A multisine and triangles on one rig."""
     return [
-        record(multisine(samples), name="multisine", seed=1, **rig),  # type: ignore[arg-type]
-        record(triangles(samples), name="triangles", seed=2, **rig),  # type: ignore[arg-type]
+        record(multisine(samples), name="multisine", seed=1, **rig),
+        record(triangles(samples), name="triangles", seed=2, **rig),
     ]

@@ -188,7 +188,7 @@ def test_what_is_no_simulation_is_refused_in_one_line(
     simulate: Callable | str, error: type[Exception], text: str
 ) -> None:
     with pytest.raises(error, match=text) as raised:
-        diagnose(recorded(stage(), 400), simulate)  # type: ignore[arg-type]
+        diagnose(recorded(stage(), 400), simulate)
     assert "\n" not in str(raised.value)
 
 

@@ -179,7 +179,7 @@ def test_creep_of_two_poles_is_creep_and_no_drift() -> None:
 
     rig = {"after": two_poles, "fs_hz": 500.0}
     u = stairs(4000), triangles(4000, 0.7, 500.0)
-    found = diagnose([record(one, **rig, seed=k, name="ab"[k]) for k, one in enumerate(u)])  # type: ignore[arg-type]
+    found = diagnose([record(one, **rig, seed=k, name="ab"[k]) for k, one in enumerate(u)])
     assert names(found) == ["creep"]
     assert found.augmented.heldout_rms_um < 1.3 * NOISE_UM
 

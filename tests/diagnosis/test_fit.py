@@ -155,7 +155,7 @@ def test_derivatives_equal_finite_differences(nominal: object) -> None:
         EffectTerm(Resonance, {"frequency_hz": 330.0, "damping_ratio": 0.05}),
         EffectTerm(Hum, {"frequency_hz": 50.0}, own),
     )
-    one = fit(chain, Hypothesis(nominal(seen(chain.records)), members), None, 0)  # type: ignore[operator]
+    one = fit(chain, Hypothesis(nominal(seen(chain.records)), members), None, 0)
     _, part = jacobian(chain, one.hypothesis, one.weights, one.slots, one.theta, 1)
     y = chain.output(one.hypothesis, one.weights, 1)  # summed as what it is compared with
     n, step = len(one.weights), 1e-6

@@ -159,20 +159,20 @@ def weighting(cells: int) -> Weighting:
 def test_an_effect_that_leaves_noise_explains_all_and_one_that_leaves_much_explains_its_share() -> None:
     less = Left(np.full(10, 10.0))
     for left, known in ((1.0, 1.0), (5.5, 0.5), (9.99, 0.0)):
-        share = weighting(10).explained_where_it_acts(Left(np.full(10, left)), less)  # type: ignore[arg-type]
+        share = weighting(10).explained_where_it_acts(Left(np.full(10, left)), less)
         assert share == pytest.approx(known, abs=0.01)
 
 
 def test_what_is_missed_elsewhere_does_not_count_against_an_effect() -> None:
     now, less = np.full(10, 1.0), np.full(10, 1.0)
     less[:5], now[5:], less[5:] = 50.0, 100.0, 100.0
-    assert weighting(10).explained_where_it_acts(Left(now), Left(less)) > 0.99  # type: ignore[arg-type]
+    assert weighting(10).explained_where_it_acts(Left(now), Left(less)) > 0.99
 
 
 def test_a_small_gain_almost_everywhere_does_not_outvote_where_an_effect_acts() -> None:
     now, less = np.full(40, 3.0), np.full(40, 3.1)
     now[:4], less[:4] = 1.0, 200.0
-    assert weighting(40).explained_where_it_acts(Left(now), Left(less)) > 0.9  # type: ignore[arg-type]
+    assert weighting(40).explained_where_it_acts(Left(now), Left(less)) > 0.9
 
 
 def test_a_gain_on_one_scale_is_as_sure_as_its_cells_agree() -> None:

@@ -45,7 +45,7 @@ def test_a_true_simulation_lacks_nothing() -> None:
 
 @pytest.mark.parametrize(("part", "name"), [("mechanics", "resonance"), ("creep", "creep")])
 def test_what_was_taken_out_of_a_simulation_is_what_it_lacks(part: str, name: str) -> None:
-    actuator = {key: value for key, value in PHYSICS["actuator"].items() if not key.startswith("creep")}  # type: ignore[attr-defined]
+    actuator = {key: value for key, value in PHYSICS["actuator"].items() if not key.startswith("creep")}
     less = (
         {key: value for key, value in PHYSICS.items() if key != part}
         if part == "mechanics"

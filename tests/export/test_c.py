@@ -200,8 +200,8 @@ class Around(nn.Module):
         self.held_inputs = 0
 
     def step(self, yd: float) -> float:
-        x = self.part.step(yd)  # type: ignore[operator]
-        return x  # type: ignore[no-any-return]
+        x = self.part.step(yd)
+        return x
 
     def stream(self, reference_filter: ReferenceFilter | None = None) -> "Around":
         return self
@@ -215,7 +215,7 @@ class Scaled(nn.Module):
         self.gain = gain
 
     def step(self, x: float) -> float:
-        return self.gain * x  # type: ignore
+        return self.gain * x
 
 
 class ListFunction(nn.Module):

@@ -21,7 +21,7 @@ from torchpi.operators.motion import Motion
 
 def linear(**changes: object) -> DirectInverse:
     """u = 2 y - h_1: from rest 2 V/µm up to the threshold of 1 µm, then 1 V/µm."""
-    made = DirectInverse(1e-3, [0.0, 1.0], degree=1, rate="none", **changes)  # type: ignore[arg-type]
+    made = DirectInverse(1e-3, [0.0, 1.0], degree=1, rate="none", **changes)
     with torch.no_grad():
         made.weights.theta[:, 0] = torch.tensor([2.0, -1.0])
     return made

@@ -9,7 +9,7 @@ from torchpi.export.written_out import written_out
 
 
 def text(made: DirectInverse) -> str:
-    step = written_out(made.stream())  # type: ignore[arg-type]
+    step = written_out(made.stream())
     return "".join(inspect.getsource(one) for one in vars(type(step)).values() if callable(one))
 
 
@@ -26,6 +26,6 @@ def test_what_a_compensator_does_not_have_is_not_in_its_step() -> None:
 
 
 def test_a_step_inside_another_is_written_out_as_well() -> None:
-    stream = written_out(corrected(1).stream())  # type: ignore[arg-type]
+    stream = written_out(corrected(1).stream())
     names = [type(one).__name__ for one in stream.modules()]
     assert names.count("WrittenOut") == 2 and "DirectInverseStream" not in names

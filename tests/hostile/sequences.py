@@ -27,7 +27,7 @@ def compensator(**changes: object) -> DirectInverse:
         },
         **changes,
     }  # fmt: skip
-    made = DirectInverse(**arguments)  # type: ignore[arg-type]
+    made = DirectInverse(**arguments)
     with torch.no_grad():
         made.weights.theta.fill_(-0.005)
         made.weights.theta[0] = torch.tensor([1.15, 0.05] if made.weights.kind == "linear" else [1.15])

@@ -23,7 +23,7 @@ U = 5 - 5 * np.cos(2 * np.pi * 25 * T)
 
 def torchpi_command(*arguments: str, **options: object) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-m", "torchpi", *arguments]
-    return subprocess.run(command, cwd=ROOT, stderr=subprocess.PIPE, text=True, **options)  # type: ignore
+    return subprocess.run(command, cwd=ROOT, stderr=subprocess.PIPE, text=True, **options)
 
 
 def one_line(done: subprocess.CompletedProcess[str]) -> str:
@@ -145,7 +145,7 @@ def nested() -> None:
 
 @pytest.mark.parametrize("command", [memory, torch_memory, nested])
 def test_too_little_memory_is_one_line(command: object, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run_command(command, "torchpi") == 2  # type: ignore[arg-type]
+    assert run_command(command, "torchpi") == 2
     error = capsys.readouterr().err
     assert error.startswith("torchpi: error: ") and error.count("\n") == 1
 

@@ -88,7 +88,7 @@ def test_a_motion_up_to_three_times_as_fast_as_trained_is_taken_as_it_is(frequen
         taken = []
         for sample in motion_um:
             stream.step(sample)
-            taken.append(stream.last_input)  # type: ignore[attr-defined]
+            taken.append(stream.last_input)
         assert taken == motion_um and stream.held_inputs == 0
 
 
@@ -98,7 +98,7 @@ def accepted_by(made: DirectInverse, yd: Tensor) -> list[float]:
     found = []
     for sample in yd.tolist():
         stream.step(sample)
-        found.append(stream.last_x)  # type: ignore[attr-defined]
+        found.append(stream.last_x)
     return found
 
 
@@ -148,7 +148,7 @@ def check_bits(made: DirectInverse, folder: Path) -> None:
 def test_every_compensator_stays_finite_and_within_limits(
     made: Deployable, filtered: bool, tmp_path: Path
 ) -> None:
-    filter_ = ReferenceFilter(made.sample_period_s) if filtered else None  # type: ignore[attr-defined]
+    filter_ = ReferenceFilter(made.sample_period_s) if filtered else None
     stream = made.stream(filter_)
     double, single = c_forms(made, tmp_path, filter_)
     for seed in range(200):
@@ -199,7 +199,7 @@ def test_a_jump_is_held_until_four_samples_confirm_it_and_then_followed() -> Non
     accepted = []
     for _ in range(12):
         stream.step(7.0)
-        accepted.append(stream.last_input)  # type: ignore[attr-defined]
+        accepted.append(stream.last_input)
     assert accepted == pytest.approx([min(1.0 + 0.8 * (k + 1), 7.0) for k in range(12)])
     assert stream.held_inputs == 4 and stream.outside_range > 0
 

@@ -43,7 +43,7 @@ def pairs(made: DirectInverse, lengths: tuple[int, ...], noise_v: float = 0.0) -
 
 
 def truth(**form: object) -> DirectInverse:
-    made = DirectInverse(PERIOD, THRESHOLDS, degree=2, range_um=4.0, rate_scale_um_s=100.0, **form)  # type: ignore[arg-type]
+    made = DirectInverse(PERIOD, THRESHOLDS, degree=2, range_um=4.0, rate_scale_um_s=100.0, **form)
     made.saturation.set_coefficients(torch.tensor([1.2, -0.03], dtype=torch.float64))
     with torch.no_grad():
         made.weights.theta[:, 0] = torch.tensor([1.0, -0.1, -0.15, -0.1, -0.2])

@@ -41,7 +41,7 @@ def pair(name: str, hz: list[float], made: DirectInverse, rate_weights: bool) ->
     omegas = [2 * math.pi * f for f in hz]
     yd = 4 + sum((4 / len(hz)) * torch.sin(w * t - math.pi / 2) for w in omegas)
     yd_dot = sum((4 / len(hz)) * w * torch.cos(w * t - math.pi / 2) for w in omegas)
-    motion = Motion(yd[None], yd_dot[None], torch.zeros_like(yd)[None])  # type: ignore[union-attr]
+    motion = Motion(yd[None], yd_dot[None], torch.zeros_like(yd)[None])
     with torch.no_grad():
         made.weights.theta[:, 1] = 0.02 * made.weights.theta[:, 0] if rate_weights else 0.0
         u = made.voltage(motion)[0]

@@ -17,7 +17,7 @@ PERIOD = 1e-3
 
 def form(**more: object) -> DirectInverse:
     options: dict[str, object] = dict(degree=2, range_um=4.0, rate_scale_um_s=100.0, rate="none")
-    return DirectInverse(PERIOD, [0.0, 0.2, 0.5, 0.9, 1.4], **(options | more))  # type: ignore[arg-type]
+    return DirectInverse(PERIOD, [0.0, 0.2, 0.5, 0.9, 1.4], **(options | more))
 
 
 def fitted(compensator: DirectInverse, records: list[InversePair]) -> float:

@@ -95,4 +95,4 @@ def test_a_diagnosis_of_arrays_names_what_makes_a_recording_of_them() -> None:
     with pytest.raises(
         RecordingError, match=r"found ndarray at index 0, expected a Recording: .*from_arrays"
     ):
-        torchpi.diagnose([Y])  # type: ignore[list-item]
+        torchpi.diagnose([Y])

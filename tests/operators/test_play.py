@@ -21,7 +21,7 @@ class TestPlayBank(HysteresisLaws):
     def test_gradients_are_those_of_finite_differences(self) -> None:
         # The threshold that is exactly 0 stays 0, so finite differences there see a kink of `relu`.
         operator = PlayBank([0.07, 0.1, 0.45, 1.3], trainable=True)
-        self.operator = lambda: operator  # type: ignore[method-assign]
+        self.operator = lambda: operator
         super().test_gradients_are_those_of_finite_differences()
 
 
@@ -53,7 +53,7 @@ def test_zero_threshold_copies_the_input_and_passes_gradient_one_everywhere() ->
     h, _ = PlayBank([0.0])(x)
     assert torch.equal(h[..., 0], x)
     h.sum().backward()
-    assert torch.equal(x.grad, torch.ones_like(x))  # type: ignore[arg-type]
+    assert torch.equal(x.grad, torch.ones_like(x))
 
 
 @given(seed=st.integers(0, 10**6), time=st.integers(1, 200), plays=st.integers(1, 6))
@@ -83,7 +83,7 @@ def test_at_a_kink_the_gradient_is_one_of_the_one_sided_derivatives(form: object
     # The play rests exactly on its edge: the sample may push or not, and must do one of the two whole.
     x = torch.tensor([[1.0, 1.0]], dtype=torch.float64, requires_grad=True)
     r = torch.tensor([0.4], dtype=torch.float64, requires_grad=True)
-    h = form(x, r, torch.zeros(1, 1, dtype=torch.float64))  # type: ignore[operator]
+    h = form(x, r, torch.zeros(1, 1, dtype=torch.float64))
     gx, gr = torch.autograd.grad(h[0, 1, 0], (x, r))
     assert sorted(gx[0].tolist()) == [0.0, 1.0]
     assert gr.tolist() == [-1.0]

@@ -43,10 +43,10 @@ def one_after_the_other(
     offset: Tensor,
 ) -> tuple[Tensor, Tensor]:  # fmt: skip
     kind = {1: "none", 2: "linear"}.get(theta.shape[1], "neural")
-    head = RateWeights([0.0] * len(r), kind, SCALES[0], max(len(knots), 1))  # type: ignore[arg-type]
+    head = RateWeights([0.0] * len(r), kind, SCALES[0], max(len(knots), 1))
     values = {"slope": knots[:, 0], "shift": knots[:, 1]}
     basis = torch.func.functional_call(_Basis(head), {f"head.{k}": v for k, v in values.items()}, (rate,))
-    h = play_bank(polynomial(x, list(c)), r, h0)  # type: ignore[arg-type]
+    h = play_bank(polynomial(x, list(c)), r, h0)
     return weighted_sum(h, basis, theta, psi, SCALES[1]) + offset, h[:, -1]
 
 
@@ -151,7 +151,7 @@ def _counted_in_threads() -> list[int]:
         done[first:last] = range(first, last)
 
     in_threads(kernel, 7)
-    return done.tolist()  # type: ignore[no-any-return]
+    return done.tolist()
 
 
 def test_both_operations_keep_the_rules_of_torch_library() -> None:

@@ -21,7 +21,7 @@ Y = 0.8 * U + 0.01 * np.sin(7 * U)
 def refusal(path: Path, **options: object) -> str:
     """The error's text, which is one line and begins with the file."""
     with pytest.raises(RecordingError) as caught:
-        read_recording(path, **options)  # type: ignore[arg-type]
+        read_recording(path, **options)
     text = str(caught.value)
     assert "\n" not in text
     assert text.startswith(str(path))

@@ -225,7 +225,7 @@ def test_the_first_lines_hold_the_verdict_and_its_number(html: str, found: Diagn
         ("partly_explained", "Partly explained: 1 % of the squared mismatch is not; held-out error "),
         ("unexplained", "Something is missing that no known effect explains: held-out error "),
     ):
-        assert headline(dataclasses.replace(found, verdict=verdict)).startswith(start)  # type: ignore[arg-type]
+        assert headline(dataclasses.replace(found, verdict=verdict)).startswith(start)
 
 
 def test_the_wording_follows_the_probability(html: str) -> None:

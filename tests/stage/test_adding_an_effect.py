@@ -13,7 +13,7 @@ import torch
 from tests.diagnosis.plants import FS_HZ, pair
 from torchpi.diagnosis import hypothesis, search
 from torchpi.diagnosis.diagnose import diagnose
-from torchpi.stage import stage
+from torchpi.stage import effect_settings
 from torchpi.stage.effects.effect import Effect
 from torchpi.stage.effects.sensor.sensor_lag import SensorLag
 
@@ -50,8 +50,8 @@ def test_a_class_and_a_row_are_enough_to_be_named(page: ModuleType, monkeypatch:
     place = search.EFFECTS.index(SensorLag)
     effects: tuple[type[Effect], ...] = (
         *search.EFFECTS[:place], page.RatePickup, *search.EFFECTS[place:],
-    )  # type: ignore[assignment]  # fmt: skip
-    for module in (hypothesis, stage):  # the order of the chain
+    )  # fmt: skip
+    for module in (hypothesis, effect_settings):  # the order of the chain
         monkeypatch.setattr(module, "EFFECTS", effects)
 
     def pick_up(x: np.ndarray, fs_hz: float) -> np.ndarray:

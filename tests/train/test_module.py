@@ -42,7 +42,7 @@ def test_windows_with_carried_state_add_up_to_whole_records(recordings: list[str
         with torch.no_grad():
             module.compensator.creep_gains.zero_()
             whole = [module.training_step([window], 0) for window in windows(module.split.train, None)]
-        assert float(sum(whole)) == pytest.approx(1.0, rel=1e-12)  # type: ignore[arg-type]
+        assert float(sum(whole)) == pytest.approx(1.0, rel=1e-12)
 
 
 @given(samples=st.integers(1, 40), first=st.integers(0, 29), length=st.integers(1, 30))

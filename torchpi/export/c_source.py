@@ -10,8 +10,9 @@ from pathlib import Path
 
 import torchpi
 from torchpi.errors import ArtifactError
+from torchpi.export.c_expression import DOUBLE, KEYWORDS, REAL, literal
 from torchpi.export.c_selftest import selftest
-from torchpi.export.c_step import DOUBLE, KEYWORDS, REAL, StepInC, ascii_only, literal, wrapped
+from torchpi.export.c_step import StepInC, ascii_only, wrapped
 from torchpi.export.deployable import Deployable
 from torchpi.export.formats import Files
 from torchpi.export.parts import Part, take_apart

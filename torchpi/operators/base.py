@@ -28,3 +28,22 @@ class Operator(nn.Module):
     def stream(self) -> nn.Module:
         """A scriptable module of plain floats with `reset()` and `step(x: float) -> float`."""
         raise TypeError(f"{type(self).__name__} must define stream()")
+
+
+class Static(Operator):
+    """An operator without memory, which `of` defines."""
+
+    def of(self, x: Tensor) -> Tensor:
+        """The output, (batch, time)."""
+        raise TypeError(f"{type(self).__name__} must define of(x)")
+
+    def forward(self, x: Tensor, state: Tensor | None = None) -> tuple[Tensor, Tensor]:
+        return self.of(x), self.initial_state(len(x)) if state is None else state
+
+
+class StaticStream(nn.Module):
+    """The same one sample at a time: nothing to reset."""
+
+    @torch.jit.export
+    def reset(self) -> None:
+        return

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor, nn
 
 from torchpi.errors import ConfigError
-from torchpi.operators.base import Operator
+from torchpi.operators.base import Static, StaticStream
 from torchpi.operators.weighted_sum import weighted_sum
 
 
@@ -33,7 +33,7 @@ def dead_zones(x: float, d: list[float], w: list[float]) -> float:
     return total
 
 
-class DeadZones(Operator):
+class DeadZones(Static):
     """A weighted sum of one-sided dead zones: piecewise linear through the origin, memoryless.
 
     Args:
@@ -84,9 +84,8 @@ class DeadZones(Operator):
             torch.where(self.d < 0, -torch.relu(-shifted), x[..., None]),
         )
 
-    def forward(self, x: Tensor, state: Tensor | None = None) -> tuple[Tensor, Tensor]:
-        s = weighted_sum(self.pieces(x), torch.ones_like(x)[..., None], self.w.to(x.dtype)[:, None])
-        return s, self.initial_state(len(x)) if state is None else state
+    def of(self, x: Tensor) -> Tensor:
+        return weighted_sum(self.pieces(x), torch.ones_like(x)[..., None], self.w.to(x.dtype)[:, None])
 
     def inverse(self) -> "DeadZones":
         """The operator that undoes this one, of the same kind (Kuhnen 2003).
@@ -118,7 +117,7 @@ class DeadZones(Operator):
         return f"zones={len(self.d)}, thresholds {self.d[0].item():.4g} … {self.d[-1].item():.4g}"
 
 
-class DeadZonesStream(nn.Module):
+class DeadZonesStream(StaticStream):
     """The operator, one sample at a time."""
 
     d: list[float]
@@ -128,10 +127,6 @@ class DeadZonesStream(nn.Module):
         super().__init__()
         self.d = d
         self.w = w
-
-    @torch.jit.export
-    def reset(self) -> None:
-        return
 
     @torch.jit.export
     def step(self, x: float) -> float:

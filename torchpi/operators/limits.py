@@ -1,7 +1,8 @@
 """A voltage that cannot leave its range: clip(u)."""
 
 import torch
-from torch import nn
+
+from torchpi.operators.base import StaticStream
 
 
 def clip(x: float, low: float, high: float) -> float:
@@ -9,17 +10,13 @@ def clip(x: float, low: float, high: float) -> float:
     return max(low, min(high, x))
 
 
-class ClipStream(nn.Module):
+class ClipStream(StaticStream):
     """Saturation, one sample at a time."""
 
     def __init__(self, low: float, high: float) -> None:
         super().__init__()
         self.low = low
         self.high = high
-
-    @torch.jit.export
-    def reset(self) -> None:
-        return
 
     @torch.jit.export
     def step(self, x: float) -> float:

@@ -4,7 +4,7 @@ import torch
 from torch import Tensor, nn
 
 from torchpi.errors import ConfigError
-from torchpi.operators.base import Operator
+from torchpi.operators.base import Static, StaticStream
 
 
 def polynomial(x: float, c: list[float]) -> float:
@@ -23,7 +23,7 @@ def horner(s: float, c: float, x: float) -> float:
     return (s + c) * x
 
 
-class Polynomial(Operator):
+class Polynomial(Static):
     """Saturation operator: a polynomial without constant term, memoryless.
 
     Args:
@@ -56,9 +56,9 @@ class Polynomial(Operator):
         with torch.no_grad():
             self.scaled.copy_(c * self.powers)
 
-    def forward(self, x: Tensor, state: Tensor | None = None) -> tuple[Tensor, Tensor]:
+    def of(self, x: Tensor) -> Tensor:
         s: Tensor = polynomial(x, list(self.c.to(x.dtype)))  # type: ignore
-        return s, self.initial_state(len(x)) if state is None else state
+        return s
 
     def stream(self) -> "PolynomialStream":
         return PolynomialStream(self.c.tolist())
@@ -67,7 +67,7 @@ class Polynomial(Operator):
         return f"degree={len(self.scaled)}"
 
 
-class PolynomialStream(nn.Module):
+class PolynomialStream(StaticStream):
     """The saturation operator, one sample at a time."""
 
     c: list[float]
@@ -75,10 +75,6 @@ class PolynomialStream(nn.Module):
     def __init__(self, c: list[float]) -> None:
         super().__init__()
         self.c = c
-
-    @torch.jit.export
-    def reset(self) -> None:
-        return
 
     @torch.jit.export
     def step(self, x: float) -> float:

@@ -4,14 +4,14 @@ Widrow and Kollár, *Quantization Noise*, 2008.
 """
 
 import math
-from typing import Any, ClassVar
+from typing import Any, ClassVar, cast
 
 import torch
 from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 
 from torchpi.errors import StageError
-from torchpi.operators.base import Operator
+from torchpi.operators.base import Static, StaticStream
 from torchpi.operators.limits import clip
 from torchpi.operators.quantity import Quantity
 
@@ -41,7 +41,7 @@ class Quantize(torch.autograd.Function):
         return gradients[0] * inside, torch.zeros_like(offset), torch.zeros_like(step), None, None
 
 
-class QuantizationStream(nn.Module):
+class QuantizationStream(StaticStream):
     """The rounding, one sample at a time."""
 
     def __init__(self, offset: float, step: float, first: float = -math.inf, last: float = math.inf) -> None:
@@ -52,15 +52,11 @@ class QuantizationStream(nn.Module):
         self.last = last
 
     @torch.jit.export
-    def reset(self) -> None:
-        return
-
-    @torch.jit.export
     def step(self, x: float) -> float:
         return quantize(x, self.offset, self.step_size, self.first, self.last)
 
 
-class Converter(Operator):
+class Converter(Static):
     """A D/A or A/D converter: 2^bits levels that divide its range.
 
     Args:
@@ -84,10 +80,9 @@ class Converter(Operator):
         self.last_code = 2.0**self.bits - 1.0
         self.step_size = (self.high - self.low) / 2.0**self.bits
 
-    def forward(self, x: Tensor, state: Tensor | None = None) -> tuple[Tensor, Tensor]:
+    def of(self, x: Tensor) -> Tensor:
         offset, step = (torch.tensor(value, dtype=x.dtype) for value in (self.low, self.step_size))
-        y = Quantize.apply(x, offset, step, 0.0, self.last_code)
-        return y, self.initial_state(len(x)) if state is None else state
+        return cast(Tensor, Quantize.apply(x, offset, step, 0.0, self.last_code))
 
     def stream(self) -> nn.Module:
         return QuantizationStream(self.low, self.step_size, 0.0, self.last_code)

@@ -3,7 +3,7 @@
 import torch
 from torch import Tensor, nn
 
-from torchpi.operators.base import Operator
+from torchpi.operators.base import Operator, Static, StaticStream
 from torchpi.operators.delay import DelayLineStream
 
 
@@ -26,41 +26,33 @@ class OneSampleLate(Operator):
         return DelayLineStream(1, 1.0, 0.0)
 
 
-class OneSampleEarly(Operator):
+class OneSampleEarly(Static):
     """Alignment -1, behind a simulation of whole records: the last output is held."""
 
-    def forward(
-        self,
-        x: Tensor,  # (batch, time), µm
-        state: Tensor | None = None,  # (batch, 0)
-    ) -> tuple[Tensor, Tensor]:
-        return torch.cat([x[:, 1:], x[:, -1:]], 1), self.initial_state(len(x)) if state is None else state
+    def of(self, x: Tensor) -> Tensor:
+        return torch.cat([x[:, 1:], x[:, -1:]], 1)
 
 
-class Zero(Operator):
+class Zero(Static):
     """The zero of the sensor, behind everything that has memory: a constant has no transient."""
 
     def __init__(self, zero_um: float) -> None:
         super().__init__()
         self.zero_um = float(zero_um)
 
-    def forward(self, x: Tensor, state: Tensor | None = None) -> tuple[Tensor, Tensor]:
-        return x + self.zero_um, self.initial_state(len(x)) if state is None else state
+    def of(self, x: Tensor) -> Tensor:
+        return x + self.zero_um
 
     def stream(self) -> nn.Module:
         return ZeroStream(self.zero_um)
 
 
-class ZeroStream(nn.Module):
+class ZeroStream(StaticStream):
     """The zero, one sample at a time."""
 
     def __init__(self, zero_um: float) -> None:
         super().__init__()
         self.zero_um = zero_um
-
-    @torch.jit.export
-    def reset(self) -> None:
-        return
 
     @torch.jit.export
     def step(self, x: float) -> float:

@@ -26,6 +26,6 @@ def test_only_the_first_block_takes_a_held_command_whatever_another_chain_has_le
     before: list[type[Effect]], held: bool, resonance: str, sensor_lag: str, left: str
 ) -> None:
     mode, lag = Resonance(1e-4), SensorLag(1e-4)
-    mode.hold = lag.hold = left  # type: ignore[assignment]
+    mode.hold = lag.hold = left
     hold_first_block([*(kind(1e-4) for kind in before), mode, lag], held)
     assert (mode.hold, lag.hold) == (resonance, sensor_lag)

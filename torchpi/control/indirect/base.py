@@ -17,7 +17,7 @@ import torch
 from numba.extending import register_jitable
 from torch import Tensor, nn
 
-from torchpi.control.indirect.deployed import Deployed
+from torchpi.control.indirect.deployed import Deployed, Inverse
 from torchpi.control.indirect.inversion_law import check_invertible, inverse_numbers, invert
 from torchpi.control.step import CompensatorStream
 from torchpi.errors import ConfigError
@@ -29,7 +29,7 @@ from torchpi.operators.reference_filter import ReferenceFilter
 LEAST_SLOPE = 0.05  # of that at rest: rates beyond which a slope of the model is less are held there
 
 
-class IndirectInverse(nn.Module):
+class IndirectInverse(Inverse):
     """A forward Prandtl–Ishlinskii model, inverted; see the subclasses. Nothing in it is trained.
 
     Args:
@@ -62,13 +62,8 @@ class IndirectInverse(nn.Module):
         min_voltage_v: float = 0.0,
         max_voltage_v: float = 10.0,
     ) -> None:
-        super().__init__()
-        check_deployment(sample_period_s, preview, min_voltage_v, max_voltage_v)
+        super().__init__(sample_period_s, preview, min_voltage_v, max_voltage_v)
         check_invertible(thresholds, weights)
-        self.sample_period_s = sample_period_s
-        self.preview = preview
-        self.min_voltage_v = min_voltage_v
-        self.max_voltage_v = max_voltage_v
         self.r = _numbers("thresholds", thresholds, len(thresholds))
         self.b = _numbers("weights", weights, len(self.r))
         self.rho = _numbers("threshold_slopes", threshold_slopes, len(self.r))
@@ -86,20 +81,12 @@ class IndirectInverse(nn.Module):
         self.v: list[float] = undone.w.tolist()
         self.rates_um_s = _rates(self.b, self.k)
 
-    def forward(self, motion: Motion) -> Tensor:
-        """The voltage for a desired motion from the de-energised state, within the output limits.
-
-        Shapes: (batch, time) in µm, µm/s, µm/s² to (batch, time) in V. Sample t of the motion is the one
-        `preview` periods ahead of sample t of the voltage.
-        """
-        return self.voltage(motion)[0].clamp(self.min_voltage_v, self.max_voltage_v)
-
     def voltage(
         self,
         motion: Motion,
         state: Tensor | None = None,  # (batch, plays)
     ) -> tuple[Tensor, Tensor]:
-        """The same before the output limits, and the state after it. Carries no gradient."""
+        """The voltage before the output limits, and the state after it. Carries no gradient."""
         h = self.initial_state(len(motion.yd)) if state is None else state.clone()
         yd, rate, acceleration = (part.detach().to(torch.float64).contiguous().numpy() for part in motion)
         u = np.empty_like(yd)
@@ -217,20 +204,6 @@ def _run(
                 yd[batch, t], rate[batch, t], acceleration[batch, t], r, rho, b, k, lead, d, v,
                 slowest, fastest, r_now, w_now, r_inverse, w_inverse, h[batch],
             )  # fmt: skip
-
-
-def check_deployment(
-    sample_period_s: float, preview: int, min_voltage_v: float, max_voltage_v: float
-) -> None:
-    """Raise `ConfigError` unless a control loop can run at these."""
-    if not 0 < sample_period_s < math.inf:
-        raise ConfigError(f"sample_period_s: found {sample_period_s}, expected a positive number of s")
-    if preview < 0:
-        raise ConfigError(f"preview: found {preview}, expected a number of samples that is not negative")
-    if not min_voltage_v < max_voltage_v:
-        raise ConfigError(
-            f"min_voltage_v: found {min_voltage_v} V, expected a number below max_voltage_v, {max_voltage_v}"
-        )
 
 
 def _numbers(name: str, values: Sequence[float], count: int) -> list[float]:

@@ -1,25 +1,60 @@
 """A law of inversion as a compensator in a control loop: motion before it, limits after it."""
 
-from typing import Any, Protocol
+import math
+from typing import Any
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from torchpi.control.reach import reach
 from torchpi.control.step_guard import GuardedStep, StepLimits, step_limits
+from torchpi.errors import ConfigError
 from torchpi.operators.motion import Motion
 from torchpi.operators.reference_filter import ReferenceFilter, motion_stream
 
 
-class Deployment(Protocol):
-    """How a compensator is deployed."""
+class Inverse(nn.Module):
+    """An inverse and how it is deployed; a subclass has `voltage(motion, state)` and `stream()`.
 
-    sample_period_s: float
-    preview: int
-    min_voltage_v: float
-    max_voltage_v: float
+    Args:
+        sample_period_s: T of the control loop.
+        preview: How many samples ahead the desired trajectory is seen.
+        min_voltage_v: Lower output limit; -inf for none.
+        max_voltage_v: Upper output limit; inf for none.
 
-    def voltage(self, motion: Motion, /) -> tuple[Tensor, Tensor]: ...
+    Raises:
+        ConfigError: A value out of its range; the text names it.
+    """
+
+    def __init__(
+        self, sample_period_s: float, preview: int, min_voltage_v: float, max_voltage_v: float
+    ) -> None:
+        super().__init__()
+        if not 0 < sample_period_s < math.inf:
+            raise ConfigError(f"sample_period_s: found {sample_period_s}, expected a positive number of s")
+        if preview < 0:
+            raise ConfigError(f"preview: found {preview}, expected a number of samples that is not negative")
+        if not min_voltage_v < max_voltage_v:
+            raise ConfigError(
+                f"min_voltage_v: found {min_voltage_v} V, expected a number below max_voltage_v, "
+                f"{max_voltage_v}"
+            )
+        self.sample_period_s = sample_period_s
+        self.preview = preview
+        self.min_voltage_v = min_voltage_v
+        self.max_voltage_v = max_voltage_v
+
+    def voltage(self, motion: Motion, state: Tensor | None = None) -> tuple[Tensor, Tensor]:
+        """The voltage before the output limits, (batch, time), V, and the state after it."""
+        raise NotImplementedError
+
+    def forward(self, motion: Motion) -> Tensor:
+        """The voltage for a desired motion from the de-energised state, within the output limits.
+
+        Shapes: (batch, time) in µm, µm/s, µm/s² to (batch, time) in V. Sample t of the motion is the one
+        `preview` periods ahead of sample t of the voltage.
+        """
+        return self.voltage(motion)[0].clamp(self.min_voltage_v, self.max_voltage_v)
 
 
 class Deployed(GuardedStep):
@@ -31,7 +66,7 @@ class Deployed(GuardedStep):
         reference_filter: Goes inside, and `step` takes y_r; None forms the rate from past samples.
     """
 
-    def __init__(self, law: Any, how: Deployment, reference_filter: ReferenceFilter | None) -> None:
+    def __init__(self, law: Any, how: Inverse, reference_filter: ReferenceFilter | None) -> None:
         super().__init__(_limits(how))
         self.law = law
         self.has_reference_filter = reference_filter is not None
@@ -60,7 +95,7 @@ class Deployed(GuardedStep):
         return u
 
 
-def _limits(how: Deployment) -> StepLimits:
+def _limits(how: Inverse) -> StepLimits:
     """What it was made from is not known: the reach of the output limits decides what is accepted."""
 
     def law(y: Tensor) -> Tensor:

@@ -12,8 +12,7 @@ from typing import cast
 import torch
 from torch import Tensor, nn
 
-from torchpi.control.indirect.base import check_deployment
-from torchpi.control.indirect.deployed import Deployed
+from torchpi.control.indirect.deployed import Deployed, Inverse
 from torchpi.control.step import CompensatorStream
 from torchpi.errors import ConfigError
 from torchpi.operators.generalised_play import GeneralisedPlayBank
@@ -23,7 +22,7 @@ from torchpi.operators.reference_filter import ReferenceFilter
 from torchpi.operators.weighted_sum import weighted_sum
 
 
-class GeneralisedDirectInverse(nn.Module):
+class GeneralisedDirectInverse(Inverse):
     """Maps a desired motion to the voltage that produces it, through generalised plays; trainable.
 
     Args:
@@ -49,30 +48,21 @@ class GeneralisedDirectInverse(nn.Module):
         min_voltage_v: float = 0.0,
         max_voltage_v: float = 10.0,
     ) -> None:
-        super().__init__()
-        check_deployment(sample_period_s, preview, min_voltage_v, max_voltage_v)
+        super().__init__(sample_period_s, preview, min_voltage_v, max_voltage_v)
         count = len(plays.raw_up)
         for name, values in (("slopes", slopes), ("offsets", offsets)):
             if len(values) != count:
                 raise ConfigError(f"{name}: found {len(values)}, expected {count}, one a play")
-        self.sample_period_s = sample_period_s
-        self.preview = preview
-        self.min_voltage_v = min_voltage_v
-        self.max_voltage_v = max_voltage_v
         self.plays = plays
         self.b = nn.Parameter(torch.tensor(offsets, dtype=torch.float64))
         self.k = nn.Parameter(torch.tensor(slopes, dtype=torch.float64))
-
-    def forward(self, motion: Motion) -> Tensor:
-        """The voltage from the de-energised state, within the limits: (batch, time), µm to V."""
-        return self.voltage(motion)[0].clamp(self.min_voltage_v, self.max_voltage_v)
 
     def voltage(
         self,
         motion: Motion,
         state: Tensor | None = None,  # (batch, plays)
     ) -> tuple[Tensor, Tensor]:
-        """The same before the output limits, and the state after it."""
+        """The voltage before the output limits, and the state after it."""
         h, state = self.plays(motion.yd, state)
         basis = torch.stack([torch.ones_like(motion.yd_dot), motion.yd_dot], -1)
         return weighted_sum(h, basis, torch.stack([self.b, self.k], 1)), state

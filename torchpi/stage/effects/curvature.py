@@ -2,17 +2,18 @@
 
 from torch import Tensor, nn
 
+from torchpi.operators.base import Static
 from torchpi.operators.polynomial import PolynomialStream, polynomial
 from torchpi.stage.effects.effect import Effect
 
 
-class Curvature(Effect):
+class Curvature(Static, Effect):
     """Its two parameters are c₂ and c₃, in the order of `quantities`."""
 
-    def forward(self, x: Tensor, state: Tensor | None = None) -> tuple[Tensor, Tensor]:
+    def of(self, x: Tensor) -> Tensor:
         c = [1.0, *(getattr(self, name) for name in self.quantities)]
         y: Tensor = polynomial(x, c)  # type: ignore
-        return y, self.initial_state(len(x)) if state is None else state
+        return y
 
     def stream(self) -> nn.Module:
         return PolynomialStream([1.0, *self.values().values()])

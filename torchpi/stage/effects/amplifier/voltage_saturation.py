@@ -6,12 +6,13 @@ from typing import ClassVar
 import torch
 from torch import Tensor, nn
 
+from torchpi.operators.base import Static
 from torchpi.operators.limits import ClipStream
 from torchpi.operators.quantity import Quantity, check_order
 from torchpi.stage.effects.effect import DataRange, Effect, Parameters
 
 
-class VoltageSaturation(Effect):
+class VoltageSaturation(Static, Effect):
     """A voltage that cannot leave its range; either limit may be missing.
 
     Raises:
@@ -37,13 +38,8 @@ class VoltageSaturation(Effect):
         super().__init__(sample_period_s, **values)
         check_order("low_v", self.low_v.item(), "high_v", self.high_v.item(), "V")
 
-    def forward(
-        self,
-        x: Tensor,  # (batch, time), V
-        state: Tensor | None = None,  # (batch, 0)
-    ) -> tuple[Tensor, Tensor]:
-        v = torch.clamp(x, self.low_v, self.high_v)
-        return v, self.initial_state(len(x)) if state is None else state
+    def of(self, x: Tensor) -> Tensor:
+        return torch.clamp(x, self.low_v, self.high_v)
 
     def stream(self) -> nn.Module:
         return ClipStream(self.low_v.item(), self.high_v.item())

@@ -7,12 +7,13 @@ from typing import ClassVar
 
 from torch import Tensor, nn
 
+from torchpi.operators.base import Static
 from torchpi.operators.polynomial import PolynomialStream
 from torchpi.operators.quantity import Quantity
 from torchpi.stage.effects.effect import DataRange, LinearEffect, Needs, Parameters
 
 
-class LoadChange(LinearEffect):
+class LoadChange(Static, LinearEffect):
     """The static gain under a load spring of k_S = `stiffness_ratio` · k_A, another in each recording.
 
     It counts from the load that the gain stands for: below zero where a load was taken away.
@@ -35,12 +36,8 @@ class LoadChange(LinearEffect):
         """k_A / (k_A + k_S). Shape ()."""
         return 1 / (1 + self.stiffness_ratio)
 
-    def forward(
-        self,
-        x: Tensor,  # (batch, time), µm
-        state: Tensor | None = None,  # (batch, 0)
-    ) -> tuple[Tensor, Tensor]:
-        return self.gain() * x, self.initial_state(len(x)) if state is None else state
+    def of(self, x: Tensor) -> Tensor:
+        return self.gain() * x
 
     def stream(self) -> nn.Module:
         return PolynomialStream([self.gain().item()])

@@ -6,14 +6,15 @@ in the readings by `torchpi.recordings.faults.dropouts`.
 
 from typing import ClassVar
 
-import torch
 from torch import Tensor, nn
 
+from torchpi.operators.base import Static
+from torchpi.operators.chain import ChainStream
 from torchpi.operators.quantity import Quantity
 from torchpi.stage.effects.effect import DataRange, Effect, Parameters
 
 
-class Dropouts(Effect):
+class Dropouts(Static, Effect):
     """Readings that are not of the stage. Nothing predicts them: the output is the input, whatever the share.
 
     `share` is how many of the readings are wrong, for the report.
@@ -30,15 +31,11 @@ class Dropouts(Effect):
     per_recording = ("share",)
     share: nn.Parameter
 
-    def forward(
-        self,
-        x: Tensor,  # (batch, time), µm
-        state: Tensor | None = None,
-    ) -> tuple[Tensor, Tensor]:
-        return x, self.initial_state(len(x)) if state is None else state
+    def of(self, x: Tensor) -> Tensor:
+        return x
 
     def stream(self) -> nn.Module:
-        return DropoutsStream()
+        return ChainStream([])
 
     def tangent(self, x: Tensor, dx: Tensor) -> Tensor:
         return dx
@@ -46,15 +43,3 @@ class Dropouts(Effect):
     @classmethod
     def starts(cls, seen: DataRange) -> list[Parameters]:
         return []
-
-
-class DropoutsStream(nn.Module):
-    """Nothing, one sample at a time."""
-
-    @torch.jit.export
-    def reset(self) -> None:
-        return
-
-    @torch.jit.export
-    def step(self, x: float) -> float:
-        return x

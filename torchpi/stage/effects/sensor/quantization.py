@@ -1,11 +1,12 @@
 """Readings on a lattice: y = o + q round((x - o) / q) (Widrow and Kollár, *Quantization Noise*, 2008)."""
 
 import math
-from typing import ClassVar
+from typing import ClassVar, cast
 
 import numpy as np
 from torch import Tensor, nn
 
+from torchpi.operators.base import Static
 from torchpi.operators.chain import ChainStream
 from torchpi.operators.quantity import Quantity
 from torchpi.operators.quantization import QuantizationStream, Quantize
@@ -16,7 +17,7 @@ FARTHEST = 0.2  # of a step, from a reading to its place; by chance, 2 in 5 do n
 FLOAT32_STEP = 2.0**-23
 
 
-class Quantization(Effect):
+class Quantization(Static, Effect):
     """A converter of finite resolution and no end of range; `lsb_um` 0 has no steps.
 
     Straight-through: the gradient in x is 1, as if there were no steps, and that in the two parameters is 0.
@@ -37,15 +38,10 @@ class Quantization(Effect):
     lsb_um: nn.Parameter
     offset_um: nn.Parameter
 
-    def forward(
-        self,
-        x: Tensor,  # (batch, time), µm
-        state: Tensor | None = None,
-    ) -> tuple[Tensor, Tensor]:
-        y = x
-        if self.lsb_um.item() != 0.0:
-            y = Quantize.apply(x, self.offset_um, self.lsb_um, -math.inf, math.inf)
-        return y, self.initial_state(len(x)) if state is None else state
+    def of(self, x: Tensor) -> Tensor:
+        if self.lsb_um.item() == 0.0:
+            return x
+        return cast(Tensor, Quantize.apply(x, self.offset_um, self.lsb_um, -math.inf, math.inf))
 
     def stream(self) -> nn.Module:
         if self.lsb_um.item() == 0.0:
