@@ -162,3 +162,22 @@ def test_remanence_at_the_start_differs_from_a_start_on_the_loop() -> None:
     assert comes_back(u[800:], play[800:]) == pytest.approx(0, abs=0.02)
     assert comes_back(np.arange(100.0), np.arange(100.0)) is None
     assert comes_back(np.ones(100), np.arange(100.0)) is None
+
+
+@pytest.mark.parametrize(
+    ("sign", "found"), [(1.0, "µm higher: the remanence"), (-1.0, "µm lower: the remanence")]
+)
+def test_remanence_is_seen_of_a_sensor_mounted_either_way_round(
+    sign: float,
+    found: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    y, state = np.empty_like(U), 0.0
+    for k, x in enumerate(U):
+        state = max(x - 0.7, min(x + 0.7, state))
+        y[k] = state
+    path = write(tmp_path / "a.csv", "time_s,input_v,output_um", T, U, sign * y)
+    assert check(monkeypatch, path, "--output", tmp_path / "page") == 0
+    assert found in capsys.readouterr().out

@@ -167,10 +167,12 @@ def _start(summary: Summary) -> str:
         return f"{text}; the input never comes back there, so remanence cannot be seen"
     if abs(u[0]) > AWAY_FROM_ZERO * np.ptp(u):
         return f"{text}; a voltage was applied already: the state at the start is not known"
-    if back > max(0.005 * stroke, 3 * summary.output_noise_um):
+    falls = summary.correlation < 0.0  # a sensor mounted the other way round
+    if (-back if falls else back) > max(0.005 * stroke, 3 * summary.output_noise_um):
+        where = f"{abs(back):.3g} µm {'lower' if falls else 'higher'}"
         return (
-            f"{text}; back at this voltage the output stands {back:.3g} µm higher: the remanence of a stage "
-            "that started de-energised"
+            f"{text}; back at this voltage the output stands {where}: the remanence of a stage that started "
+            "de-energised"
         )
     return (
         f"{text}; back at this voltage the output returns to within {abs(back):.2g} µm: the first sample was "

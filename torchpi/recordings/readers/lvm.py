@@ -23,7 +23,7 @@ class LvmSource(TextSource):
         ends = [number for number, line in enumerate(head, start=1) if line.startswith(END)]
         super().__init__(path, skip_lines=ends[-1] if ends else 0)
         settings: dict[str, list[str]] = {}
-        for line in head[: ends[-1]] if ends else []:
+        for line in filter(str.strip, head[: ends[-1]] if ends else []):
             key, *values = line.replace(",", ".").split("\t" if "\t" in line else None)
             settings[key] = [value.strip() for value in values if value.strip()]
         signals = [name for name in self.names if name not in ("", "X_Value", "Comment")]
