@@ -1,5 +1,7 @@
 """Configuration of the documentation site: `make docs` builds it into docs/_build/html."""
 
+import ast
+import importlib
 import re
 from pathlib import Path
 from typing import Any
@@ -112,6 +114,37 @@ def shorten_signature(
     return signature, returns
 
 
+def examples(page: str) -> list[tuple[str, list[object]]]:
+    """Each block of Python of a page, with what it imports and uses."""
+    found = []
+    for block in re.findall(r"^```python\n(.*?)^```", page, re.DOTALL | re.MULTILINE):
+        tree = ast.parse(block)
+        used = {node.id for node in ast.walk(tree) if isinstance(node, ast.Name)}
+        names = [
+            (node.module or "", alias.name)
+            for node in ast.walk(tree)
+            if isinstance(node, ast.ImportFrom)
+            for alias in node.names
+            if alias.name in used
+        ]
+        objects = [getattr(importlib.import_module(module), name) for module, name in names]
+        found.append((block, objects))
+    return found
+
+
+EXAMPLES = examples((Path(__file__).parent / "examples.md").read_text(encoding="utf-8"))
+
+
+def show_example(app: Sphinx, what: str, name: str, obj: object, options: object, lines: list[str]) -> None:
+    """The block of `examples.md` that a name stands in, on the page of the name."""
+    for block, objects in EXAMPLES:
+        if any(one is obj for one in objects) and what in ("class", "function", "exception"):
+            lines += ["", ".. rubric:: Example", "", ".. code-block:: python", ""]
+            lines += [f"    {line}" if line else "" for line in block.splitlines()]
+            lines += ["", "From :doc:`/docs/examples`, which a test runs.", ""]
+            return
+
+
 def skip_plain_fields(
     app: Sphinx, what: str, name: str, obj: object, skip: bool, options: object
 ) -> bool | None:
@@ -140,6 +173,7 @@ def write_math(translator: Any, node: nodes.Element) -> None:
 
 def setup(app: Sphinx) -> None:
     app.connect("autodoc-process-docstring", prepare_docstring, priority=100)  # before napoleon
+    app.connect("autodoc-process-docstring", show_example, priority=900)  # after it
     app.connect("autodoc-process-signature", shorten_signature)
     app.connect("autodoc-skip-member", skip_plain_fields)
     app.connect("doctree-read", show_folders_as_text)

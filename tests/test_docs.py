@@ -1,7 +1,10 @@
 """The documentation: every public name is on the API page, every link leads somewhere, the tutorial runs."""
 
+import ast
 import importlib
 import re
+import sys
+import warnings
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -34,6 +37,11 @@ LINK = re.compile(r"\]\((?!https?://)([^)#\s]*)(?:#([^)\s]+))?\)")
 
 def text_of(page: Path) -> str:
     return page.read_text(encoding="utf-8")
+
+
+def python_of(page: Path) -> list[str]:
+    """Its blocks of Python."""
+    return re.findall(r"^```python\n(.*?)^```", text_of(page), re.DOTALL | re.MULTILINE)
 
 
 def documented() -> dict[str, Any]:
@@ -82,6 +90,35 @@ def test_every_name_on_the_api_page_exists_and_stands_there_once() -> None:
     found = documented()
     assert len(found) > 80
     assert len({id(value) for value in found.values()}) == len(found)
+
+
+def test_every_public_name_is_used_in_an_example() -> None:
+    """In a block that imports it, on a page that a test runs."""
+    used: list[int] = []
+    for page in ("examples.md", "adding_an_effect.md"):
+        for block in python_of(DOCS / page):
+            tree = ast.parse(block)
+            loaded = {node.id for node in ast.walk(tree) if isinstance(node, ast.Name)}
+            for node in ast.walk(tree):
+                if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("torchpi"):
+                    names = [alias.name for alias in node.names if alias.name in loaded]
+                    used += [id(named(f"{node.module}.{name}")) for name in names]
+    in_notebooks = ("torchpi.Compensator", "torchpi.diagnose")  # whose docstrings have examples that are run
+    missing = [
+        name for name, value in documented().items() if id(value) not in used and name not in in_notebooks
+    ]
+    assert missing == []
+
+
+def test_the_examples_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [*sys.path])  # a simulation of someone's own is imported from here
+    names: dict[str, Any] = {}
+    with warnings.catch_warnings():
+        for block in re.findall(
+            r"^```python\n(.*?)^```", text_of(DOCS / "examples.md"), re.DOTALL | re.MULTILINE
+        ):
+            exec(block, names)
 
 
 def test_every_documented_name_has_a_docstring() -> None:

@@ -107,16 +107,17 @@ def test_a_diagnosis_has_limits_by_how_much_it_finds(
 
 
 def test_what_is_left_of_a_diagnosis_follows_its_rounds() -> None:
-    countdown = duration.Countdown()
-    assert countdown.left("nominal: the simulation as it is", 1.0) == ""
-    assert countdown.left("retuned, 100 plays: 59.612 nm", 10.0) == ""
-    left = countdown.left("round 1: 7 explanations fitted; best creep", 30.0)
+    quick, slow = duration.Countdown(), duration.Countdown()
+    for countdown, times in ((quick, 1.0), (slow, 3.0)):
+        assert countdown.left("nominal: the simulation as it is", times) == ""
+        assert countdown.left("retuned, 100 plays: 59.612 nm", 10.0 * times) == ""
+        assert countdown.left("round 1: 7 explanations fitted; best creep", 30.0 * times) == ""
+    left, longer = (one.left("  with creep: 3.1 nm", s) for one, s in ((quick, 31.0), (slow, 93.0)))
     assert left.startswith("; about ") and left.endswith(" left")
-    assert countdown.left("  with creep: 3.1 nm", 31.0) == ""
-    slower = duration.Countdown()
-    slower.left("retuned, 100 plays: 59.612 nm", 30.0)
-    assert said(slower.left("round 1: 7 explanations", 90.0)) == pytest.approx(3 * said(left), rel=0.3)
-    assert said(countdown.left("round 7: 6 explanations", 400.0)) > said(left)
+    assert said(longer) == pytest.approx(3 * said(left), rel=0.4)
+    # A round that finds nothing is the last one.
+    quick.left("round 2: 7 explanations fitted; best hum", 50.0)
+    assert said(quick.left("decide: every effect against its rivals", 50.0)) < said(left)
 
 
 def test_a_machine_that_gives_less_needs_longer() -> None:

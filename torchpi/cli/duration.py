@@ -37,8 +37,8 @@ MOST_SAMPLES = 200_000
 MOST_ROUNDS, USUAL_ROUNDS = 7, 3
 DIAGNOSIS_S, DRAWING_S = 13.0, 6.0
 """Of a diagnosis in all and at its end, whatever the recordings: libraries are imported, figures drawn."""
-DECIDING = 1.5
-"""A diagnosis with what follows the rounds, over the rounds alone."""
+DECIDING, DECISION = 1.5, 0.25
+"""A search with what follows it, over its rounds alone; the decision, over the search."""
 
 
 def announce_check(files: Iterable[str | Path]) -> None:
@@ -77,21 +77,25 @@ class Countdown:
     """What is left of a diagnosis, by what its rounds took so far."""
 
     def __init__(self) -> None:
-        self.retuned_s = 0.0
+        self.retuned_s, self.rounds = 0.0, 0
 
     def left(self, sentence: str, elapsed_s: float) -> str:
-        """What to add to a sentence of its progress: empty but after a round."""
+        """What to add to a sentence of its progress: where a round found something, and at the decision."""
         if sentence.startswith("retuned"):
             self.retuned_s = elapsed_s
-        found = re.match(r"round (\d+):", sentence)
-        if found is None:
-            return ""
-        # As if one more round found something, and another one nothing.
-        rounds = int(found[1])
-        ahead = share_of_rounds(min(rounds + 2, MOST_ROUNDS)) / share_of_rounds(rounds)
-        searched = (elapsed_s - self.retuned_s) * (DECIDING * ahead - 1.0)
-        left = searched + measured(1).seconds(DRAWING_S)
-        return f"; about {_spoken(left)} left"
+        elif found := re.match(r"round (\d+):", sentence):
+            self.rounds = int(found[1])
+        searched_s = elapsed_s - self.retuned_s
+        if sentence.startswith("decide"):
+            return self._said(DECISION * searched_s)
+        if sentence.startswith("  with ") and self.rounds < MOST_ROUNDS:
+            # As if another round found something, and the one after it nothing.
+            ahead = share_of_rounds(min(self.rounds + 2, MOST_ROUNDS)) / share_of_rounds(self.rounds)
+            return self._said(((1.0 + DECISION) * ahead - 1.0) * searched_s)
+        return ""
+
+    def _said(self, seconds: float) -> str:
+        return f"; about {_spoken(seconds + measured(1).seconds(DRAWING_S))} left"
 
 
 def announce_fit(arguments: Sequence[str]) -> None:

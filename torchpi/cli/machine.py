@@ -9,14 +9,16 @@ import time
 from dataclasses import dataclass
 from functools import cache
 
+from torchpi.cli.workers import available_cores
+
 LOOPS, LOOPS_S = 300_000, 0.024
 """A loop of plain Python, and its processor time where the work of the commands was measured."""
 WINDOW_S = 0.3
 """Of watching what one thread is given, and what several are: longer than a scheduler takes to be fair."""
 BLOCK = bytes(1 << 18)
 """What the threads hash meanwhile; Python's lock is free then."""
-LEAST = 0.02
-"""Processors: a machine that gives less gives nobody an estimate."""
+FAIR = 0.6
+"""Of an equal share of the processors, at least taken to be given: less is a moment that passes."""
 
 
 @dataclass(frozen=True)
@@ -58,9 +60,22 @@ def _processors(threads: int) -> float:
     busy = [threading.Thread(target=_work, args=(wall + WINDOW_S,)) for _ in range(threads)]
     for thread in busy:
         thread.start()
-    for thread in busy:
-        thread.join()
-    return max((time.process_time() - processor) / (time.perf_counter() - wall), LEAST)
+    waiting = []
+    while any(thread.is_alive() for thread in busy):
+        time.sleep(WINDOW_S / 15)
+        waiting.append(_runnable())
+    given = (time.process_time() - processor) / (time.perf_counter() - wall)
+    processes = max(sum(waiting) / len(waiting), threads)
+    return max(given, FAIR * threads * min(1.0, available_cores() / processes))
+
+
+def _runnable() -> int:
+    """Processes and threads that run or could, with those of this one; 0 where the system does not say."""
+    try:
+        with open("/proc/loadavg") as file:
+            return int(file.read().split()[3].partition("/")[0])
+    except (OSError, ValueError, IndexError):
+        return 0
 
 
 def _work(until: float) -> None:
