@@ -68,6 +68,9 @@ def main(arguments: list[str] | None = None) -> None:
     verb.set_defaults(do=_page)
     verb.add_argument("results", type=Path, nargs="+", help="folders that `run` wrote")
     verb.add_argument("--output", type=Path, required=True, help="its pictures go into a folder of its name")
+    verb.add_argument(
+        "--data", type=Path, default=DATA, help="folder of the real recordings, for the worst cases"
+    )
 
     options = parser.parse_args(arguments)
     try:
@@ -115,7 +118,7 @@ def _page(options: argparse.Namespace) -> None:
     from concealed.page.text import write_page
 
     results = [json.loads((folder / "results.json").read_text()) for folder in options.results]
-    write_page({found["entry"]: found for found in results}, options.output)
+    write_page({found["entry"]: found for found in results}, options.output, options.data)
 
 
 if __name__ == "__main__":

@@ -180,7 +180,8 @@ class TestSummary:
 
     def test_the_confusion_matrix_has_single_effects_only(self):
         two = grade(labels(effect("creep"), effect("hum")), answer(named("creep")))
-        assert sum(map(sum, summarise([two])["confusion"]["matrix"])) == 0
+        beside = grade(labels(effect("creep"), effect("echo", listed=False)), answer(named("creep")))
+        assert sum(map(sum, summarise([two, beside])["confusion"]["matrix"])) == 0
 
     def test_detection_is_counted_by_severity_and_by_what_plays_leave(self):
         rows = summarise([grade(labels(effect("creep", 12.0)), answer(named("creep"), named("hum")))])[

@@ -6,6 +6,7 @@ import subprocess
 import sys
 from concurrent.futures import Executor, Future
 from pathlib import Path
+from types import SimpleNamespace
 
 import concealed
 import numpy as np
@@ -125,6 +126,17 @@ class TestRun:
             assert pool.submit(abs, -3).result() == 3
         with pytest.raises(RunError, match="expected processes:N or dask:ADDRESS"):
             open_executor("cloud")
+
+    def test_a_dask_cluster_is_asked_for_its_executor(self, monkeypatch):
+        class Client:
+            def __init__(self, address: str) -> None:
+                self.address = address
+
+            def get_executor(self) -> str:
+                return f"executor of {self.address}"
+
+        monkeypatch.setitem(sys.modules, "distributed", SimpleNamespace(Client=Client))
+        assert open_executor("dask:tcp://10.0.0.1:8786") == "executor of tcp://10.0.0.1:8786"
 
 
 class TestEntries:
