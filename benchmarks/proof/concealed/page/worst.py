@@ -10,7 +10,7 @@ from concealed.tracks import draw
 
 
 def picture(results: dict, name: str, data: Path, path: Path) -> None:
-    """The case `TRACK/case_0001`: the first recording as a loop, and what forty refitted plays leave of it."""
+    """The case `TRACK/case_0001`: the first recording as a loop, and what forty plays leave of it."""
     track, _, case = name.partition("/")
     drawn = draw(track, results["seeds"][track], int(case.removeprefix("case_")) - 1, data)
     run, noise_um = drawn.recordings[0], float(drawn.labels["noise_rms_um"])
