@@ -222,4 +222,13 @@ class TestHeldOut:
 
     def test_the_gain_is_that_of_the_augmented_stage_over_the_retuned(self):
         assert grade(labels(), answer(heldout_um=(2.0, 0.5))).heldout_gain == pytest.approx(0.75)
-        assert grade(labels(), {"verdict": "explained"}).heldout_gain is None
+        none = {"heldout_rms_um": 0.0}
+        for fit in (
+            None,
+            3,
+            {},
+            {"retuned": none, "augmented": none},
+            {"retuned": none | {"heldout_rms_um": 1}},
+        ):
+            assert grade(labels(), {"verdict": "explained", "fit": fit}).heldout_gain is None
+        assert grade(labels(), answer(heldout_um=(1.0, math.nan))).heldout_gain is None

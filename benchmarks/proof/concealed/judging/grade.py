@@ -244,11 +244,19 @@ def compared_parameters(truth: dict, answer: dict) -> list[dict[str, object]]:
 
 def heldout_gain(diagnosis: dict) -> float | None:
     """The share of the retuned held-out error that the augmented stage removes, by the tool's account."""
-    try:
-        fit = diagnosis["fit"]
-        return 1 - fit["augmented"]["heldout_rms_um"] / fit["retuned"]["heldout_rms_um"]
-    except (KeyError, TypeError, ZeroDivisionError):
-        return None
+    retuned, augmented = (heldout_rms_um(diagnosis, fit) for fit in ("retuned", "augmented"))
+    return None if not retuned or augmented is None else 1 - augmented / retuned
+
+
+def heldout_rms_um(diagnosis: dict, fit: str) -> float | None:
+    """What a fit leaves held out, by the tool's account; None without one."""
+    fits = diagnosis.get("fit")
+    rms = (
+        fits[fit].get("heldout_rms_um")
+        if isinstance(fits, dict) and isinstance(fits.get(fit), dict)
+        else None
+    )
+    return rms if _is_number(rms) else None
 
 
 def _over_noise(labels, predicted_um, measured_um):
