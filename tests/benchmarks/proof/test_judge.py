@@ -118,6 +118,8 @@ class TestContract:
             answer(named("creep") | {"parameters": [1.0]}),
             answer(named("creep") | {"parameters": {"tau_s": 1.0}}),
             {"verdict": "explained", "effects": {"name": "creep"}},
+            {"verdict": "explained", "effects": [], "fit": 0.1},
+            answer(named("creep") | {"share": "most"}),
         ],
     )
     def test_an_answer_that_breaks_the_contract_is_no_answer(self, bad):
@@ -222,13 +224,7 @@ class TestHeldOut:
 
     def test_the_gain_is_that_of_the_augmented_stage_over_the_retuned(self):
         assert grade(labels(), answer(heldout_um=(2.0, 0.5))).heldout_gain == pytest.approx(0.75)
-        none = {"heldout_rms_um": 0.0}
-        for fit in (
-            None,
-            3,
-            {},
-            {"retuned": none, "augmented": none},
-            {"retuned": none | {"heldout_rms_um": 1}},
-        ):
+        some, none = {"heldout_rms_um": 1.0}, {"heldout_rms_um": 0.0}
+        for fit in ({}, {"retuned": 1.0}, {"retuned": none, "augmented": none}, {"retuned": some}):
             assert grade(labels(), {"verdict": "explained", "fit": fit}).heldout_gain is None
         assert grade(labels(), answer(heldout_um=(1.0, math.nan))).heldout_gain is None

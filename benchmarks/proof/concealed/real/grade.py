@@ -88,9 +88,9 @@ def _has_grown(effect: dict, labels: dict, answer: dict, untouched: dict) -> boo
 
 def _explained(effect: dict, answer: dict) -> float:
     """Variance, µm²: the effect's share of the mismatch over the floor; 0 without an account of it."""
-    floor = (answer.get("fit") or {}).get("noise_floor_um") or 0.0
+    floor = answer.get("fit", {}).get("noise_floor_um") or 0.0
     mismatch = (heldout_rms_um(answer, "retuned") or 0.0) ** 2 - floor**2
-    return float(effect.get("share", 0.0)) * max(mismatch, 0.0)
+    return effect.get("share", 0.0) * max(mismatch, 0.0)
 
 
 def _over_residual(labels: dict, untouched: dict) -> float | None:
