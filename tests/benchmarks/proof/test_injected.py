@@ -43,6 +43,7 @@ class TestInjected:
         assert self.of(self.labels(), answer(named("delay", *few))).found == ["hum"]
         graded = self.of(self.labels(), answer(named("delay", *many)))
         assert not graded.found and graded.wrong == ["delay"]
+        assert self.of(self.labels("creep"), answer(named("creep", *many))).exact == ["creep"]
 
     def test_what_the_untouched_recording_has_is_not_charged(self):
         assert not self.of(self.labels(), answer(named("creep")), answer(named("creep"))).wrong
@@ -108,6 +109,9 @@ class TestInjected:
         grades = [case(151.0, named("hum")), case(151.0), case(149.0, named("hum"))]
         assert figures(grades)["injected"] == share(1, 2)
         assert figures([*grades, case(10.0, named("creep"))])["injected_wrong"] == share(1, 4)
+        assert figures([self.of(self.labels(), None)])["injected_wrong"]["of"] == 0
+        withheld = self.labels("cross_coupling", accepted=[], severity=None)
+        assert self.of(withheld, answer()).over_residual is None
         simulated = grade(labels(effect("creep")), answer(named("hum")))
         assert figures([simulated])["injected"]["of"] == figures([simulated])["injected_wrong"]["of"] == 0
 

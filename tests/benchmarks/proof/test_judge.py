@@ -37,6 +37,10 @@ class TestNames:
         many = grade(labels(effect("creep")), answer(named("leakage", *few, "backlash")))
         assert not many.found and many.wrong == ["leakage"]
 
+    def test_the_exact_name_is_right_whatever_its_alternatives(self):
+        many = ["hum", "leakage", "ageing", "delay", "backlash"]
+        assert grade(labels(effect("creep")), answer(named("creep", *many))).exact == ["creep"]
+
     def test_a_name_repeated_among_its_own_alternatives_counts_once(self):
         group = ["leakage", "hum", "creep", "ageing", "delay"]
         assert grade(labels(effect("creep")), answer(named("leakage", *group))).found == ["creep"]
