@@ -122,6 +122,19 @@ class TestInjected:
         simulated = grade(labels(effect("creep")), answer(named("hum")))
         assert figures([simulated])["injected"]["of"] == figures([simulated])["injected_wrong"]["of"] == 0
 
+    def test_the_exact_name_is_taken_before_an_accepted_one_and_that_before_an_alternative(self):
+        label = self.labels("sensor_lag", "amplifier_lag", parameters={"cutoff_hz": value(100.0, "Hz")})
+        lag = named("amplifier_lag", cutoff_hz=value(90.0, "Hz"))
+        said = [named("delay", "sensor_lag"), lag, named("sensor_lag", cutoff_hz=value(80.0, "Hz"))]
+        exact, accepted, alternative = (self.of(label, answer(*said[:n])) for n in (3, 2, 1))
+        assert exact.exact == ["sensor_lag"] and exact.tolerated == ["delay", "amplifier_lag"]
+        assert [row["relative_error"] for row in exact.parameters] == [pytest.approx(0.2)]
+        assert accepted.found == ["sensor_lag"] and not accepted.exact and not accepted.parameters
+        assert accepted.tolerated == ["delay"] and [s["name"] for s in accepted.stated] == ["amplifier_lag"]
+        assert alternative.found == ["sensor_lag"] and not alternative.tolerated
+        wrong = self.of(label, answer(named("creep"), named("ageing")), answer(named("ageing")))
+        assert (wrong.tolerated, wrong.wrong) == (["ageing"], ["creep"])
+
     def test_probabilities_are_graded_by_name_and_by_group_and_what_was_there_is_left_out(self):
         said = answer(named("delay", "hum"), named("creep"), named("ageing"))
         found = self.of(self.labels(), said, answer(named("ageing"))).stated

@@ -36,7 +36,9 @@ def grade_injected(
     candidates = [e for e in effects if _is_right(e, accepted)]
     new = [e for e in candidates if e["name"] not in names_before]
     grown = [e for e in candidates if e["name"] in names_before and _has_grown(e, labels, answer, untouched)]
-    taken = next(iter(sorted(new + grown, key=lambda e: e["name"] not in accepted)), None)
+    taken = min(
+        new + grown, key=lambda e: (e["name"] != labels["name"], e["name"] not in accepted), default=None
+    )
     charged = [e for e in effects if not _is_right(e, accepted) and e["name"] not in known]
     exact = taken is not None and taken["name"] == labels["name"]
     in_both = names_before & {e["name"] for e in effects} & accepted
