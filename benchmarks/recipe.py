@@ -7,11 +7,12 @@ The recipe is `configs/recorded.yaml`: the form of the inverse is selected by cr
 trained on. The baselines are the paper's two-stage least squares (eq. 10, 11), and least squares on plays of
 the displacement with an offset. A ratio is the recipe's held-out rms in V over the smaller one of theirs.
 
-Recordings: the piezo stack, each axis of the steering mirror by itself (the other two voltages are unknown to
-it), the Bouc–Wen benchmark as a stage, where `../shared/data` is at hand; and simulated stages of four
-families of hysteresis (those of the concealed proof) with two samples of delay, creep, and a sensor with
-noise of 0.05 % and a drift of about 0.1 % of the range, after three excitations: one sum of two sines, judged
-on triangles; one sine, judged on a decaying one; a set of three records, judged on others.
+Recordings: the piezo stack, each axis of the steering mirror by itself (the other two voltages are
+unknown to it), the Bouc–Wen benchmark as a stage, where `../shared/data` is at hand; and simulated stages
+of four families of hysteresis (those of the proof's published plant) with two samples of delay, creep,
+and a sensor with noise of 0.05 % and a drift of about 0.1 % of the range, after three excitations: one
+sum of two sines, judged on triangles; one sine, judged on a decaying one; a set of three records, judged
+on others.
 """
 
 import argparse
@@ -32,9 +33,9 @@ from torchpi.recordings.recording import Recording, read_recording
 from train.data import RecordingsData, Records
 from train.module import InverseTraining
 
-sys.path.insert(0, str(Path(__file__).parent / "concealed"))
-from plant import blocks
-from plant.hysteresis import draw_hysteresis
+sys.path.insert(0, str(Path(__file__).parent / "proof"))
+from concealed.plant import blocks
+from concealed.plant.hysteresis import draw_hysteresis
 
 DATA = Path(__file__).parents[2] / "shared" / "data"
 RECIPE = Path(__file__).parents[1] / "configs" / "recorded.yaml"

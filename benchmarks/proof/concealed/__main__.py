@@ -1,6 +1,7 @@
 """The proof's command line.
 
     concealed generate --track alien --seed 7000 --count 6 --output cases    # to develop on
+    concealed run --seed 7000 --limit 6 --output runs/development            # likewise
     concealed draw --count 300 --output seeds.json                           # once, after the freeze
     concealed run seeds.json --entry torchpi --output runs/torchpi --executor processes:2
     concealed page runs/torchpi runs/baseline runs/sindy --output docs/proof.md
@@ -17,7 +18,7 @@ from pathlib import Path
 
 from concealed.cases import write_case
 from concealed.entries import ENTRIES, Entry
-from concealed.run import RunError, check_frozen, draw_seeds, open_executor, run
+from concealed.run import RunError, check_frozen, development_seeds, draw_seeds, open_executor, run
 from concealed.tracks import DATA, DEVELOPMENT, PROOF, draw
 
 
@@ -49,7 +50,8 @@ def main(arguments: list[str] | None = None) -> None:
 
     verb = verbs.add_parser("run", help="put the cases of a file of seeds to a tool, and grade its answers")
     verb.set_defaults(do=_run)
-    verb.add_argument("seeds", type=Path)
+    verb.add_argument("seeds", type=Path, nargs="?", help="what `draw` wrote; without it, --seed")
+    verb.add_argument("--seed", type=int, default=0, help="0 to 9999: a run for development, of any tree")
     verb.add_argument("--entry", choices=tuple(ENTRIES), default="torchpi")
     verb.add_argument("--name", help="of another tool")
     verb.add_argument("--diagnose", help="its command, with {recordings} and {out}")
@@ -58,16 +60,17 @@ def main(arguments: list[str] | None = None) -> None:
     verb.add_argument("--output", type=Path, required=True)
     verb.add_argument("--executor", default="processes:1", help="processes:N, or dask:ADDRESS")
     verb.add_argument("--tracks", nargs="*", choices=PROOF, default=PROOF)
-    verb.add_argument("--limit", type=int, help="only the first so many cases of each track")
+    verb.add_argument("--limit", type=int, help="only the first so many cases of each track (6 with --seed)")
     verb.add_argument("--data", type=Path, default=DATA, help="folder of the real recordings")
-    verb.add_argument(
-        "--not-frozen", action="store_true", help="run whatever the tree holds: for development"
-    )
+    verb.add_argument("--not-frozen", action="store_true", help="run whatever the tree holds")
 
     verb = verbs.add_parser("page", help="write the page from the results; the first folder is the tool's")
     verb.set_defaults(do=_page)
     verb.add_argument("results", type=Path, nargs="+", help="folders that `run` wrote")
     verb.add_argument("--output", type=Path, required=True, help="its pictures go into a folder of its name")
+    verb.add_argument(
+        "--data", type=Path, default=DATA, help="folder of the real recordings, for the worst cases"
+    )
 
     options = parser.parse_args(arguments)
     try:
@@ -98,9 +101,12 @@ def _generate_one(track: str, seed: int, number: int, output: Path, data: Path) 
 
 
 def _run(options: argparse.Namespace) -> None:
-    seeds = json.loads(options.seeds.read_text())
-    if not options.not_frozen:
-        check_frozen(seeds, [options.seeds, options.output])
+    if options.seeds is None:
+        seeds = development_seeds(options.seed, options.limit or 6)
+    else:
+        seeds = json.loads(options.seeds.read_text())
+        if not options.not_frozen:
+            check_frozen(seeds, [options.seeds, options.output])
     entry = ENTRIES[options.entry]
     if options.diagnose:
         entry = Entry(options.name or "entry", options.diagnose, options.predict, options.timeout_s)
@@ -115,7 +121,7 @@ def _page(options: argparse.Namespace) -> None:
     from concealed.page.text import write_page
 
     results = [json.loads((folder / "results.json").read_text()) for folder in options.results]
-    write_page({found["entry"]: found for found in results}, options.output)
+    write_page({found["entry"]: found for found in results}, options.output, options.data)
 
 
 if __name__ == "__main__":

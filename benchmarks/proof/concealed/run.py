@@ -66,6 +66,14 @@ def draw_seeds(output: Path, counts: dict[str, int]) -> dict[str, object]:
     return seeds
 
 
+def development_seeds(seed: int, count: int) -> dict[str, object]:
+    """The same seed for every track, of a tree that may change: nothing to quote."""
+    if not 0 <= seed < FIRST_SEED:
+        raise RunError(f"seed: found {seed}, expected 0 to {FIRST_SEED - 1}: the others are drawn")
+    every = dict.fromkeys(PROOF, seed)
+    return {"commit": "development", "drawn": None, "seeds": every, "counts": dict.fromkeys(PROOF, count)}
+
+
 def check_frozen(seeds: dict, allowed: Sequence[Path]) -> None:
     """Refuse a tree that differs from the commit of the seeds, but in the files of the run itself."""
     changed = _changed(seeds["commit"], allowed)
@@ -138,7 +146,7 @@ def run(
         **summarise(grades),
         "cases": [grade.as_dict() for grade in grades],
     }
-    (output / "results.json").write_text(json.dumps(results, indent=1) + "\n")
+    (output / "results.json").write_text(json.dumps(results, indent=1, allow_nan=False) + "\n")
     return results
 
 

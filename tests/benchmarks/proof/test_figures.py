@@ -180,7 +180,8 @@ class TestSummary:
 
     def test_the_confusion_matrix_has_single_effects_only(self):
         two = grade(labels(effect("creep"), effect("hum")), answer(named("creep")))
-        assert sum(map(sum, summarise([two])["confusion"]["matrix"])) == 0
+        beside = grade(labels(effect("creep"), effect("echo", listed=False)), answer(named("creep")))
+        assert sum(map(sum, summarise([two, beside])["confusion"]["matrix"])) == 0
 
     def test_detection_is_counted_by_severity_and_by_what_plays_leave(self):
         rows = summarise([grade(labels(effect("creep", 12.0)), answer(named("creep"), named("hum")))])[
@@ -277,7 +278,8 @@ class TestCalibration:
     def test_bins_of_a_tenth_are_weighted_by_their_names(self):
         probabilities, right = np.array([0.05] * 3 + [0.15] + [1.0]), np.array([0, 0, 0, 1, 1], dtype=bool)
         found = reliability(probabilities, right)
-        assert [b["of"] for b in found["bins"]] == [3, 1, 1]
+        rows = [(b["from"], b["to"], b["probability"], b["of"]) for b in found["bins"]]
+        assert rows == [pytest.approx(row) for row in ((0, 0.1, 0.05, 3), (0.1, 0.2, 0.15, 1), (0.9, 1, 1, 1))]
         assert found["expected_calibration_error"] == pytest.approx((3 * 0.05 + 0.85) / 5)
 
     def test_names_that_are_tolerated_or_without_a_probability_are_left_out(self):

@@ -33,16 +33,19 @@ class TestInjected:
     def test_a_new_name_of_the_truth_is_right_and_another_is_wrong_even_beside_it(self):
         graded = self.of(self.labels(), answer(named("hum"), named("creep")))
         assert graded.exact == graded.found == ["hum"] and graded.wrong == ["creep"]
+        missed = self.of(self.labels(), answer(named("creep")))
+        assert not missed.found and not missed.named_before
 
     def test_a_name_that_cannot_be_split_from_the_truth_is_right_but_not_exact(self):
         graded = self.of(self.labels("sensor_lag", "amplifier_lag"), answer(named("amplifier_lag")))
         assert graded.found == ["sensor_lag"] and not graded.exact
 
     def test_the_truth_among_five_names_is_right_and_among_six_is_wrong(self):
-        few, many = ["hum"], ["hum", "creep", "leakage", "ageing", "backlash"]
+        few, many = ["hum", "creep", "leakage", "ageing"], ["hum", "creep", "leakage", "ageing", "backlash"]
         assert self.of(self.labels(), answer(named("delay", *few))).found == ["hum"]
         graded = self.of(self.labels(), answer(named("delay", *many)))
         assert not graded.found and graded.wrong == ["delay"]
+        assert self.of(self.labels("creep"), answer(named("creep", *many))).exact == ["creep"]
 
     def test_what_the_untouched_recording_has_is_not_charged(self):
         assert not self.of(self.labels(), answer(named("creep")), answer(named("creep"))).wrong
@@ -76,6 +79,10 @@ class TestInjected:
         after = answer(named("hum"), heldout_um=(0.3, 0.05))
         after["fit"]["noise_floor_um"] = 0.29
         assert self.of(label, after, before).named_before
+        before["fit"]["noise_floor_um"] = after["fit"]["noise_floor_um"] = 0.1
+        assert self.of(label, after, before).found == ["hum"]
+        del after["effects"][0]["share"]
+        assert self.of(label, after, before).named_before
 
     def test_what_has_no_name_is_recognised_only_without_a_wrong_one(self):
         label = self.labels("cross_coupling", accepted=[])
@@ -108,8 +115,35 @@ class TestInjected:
         grades = [case(151.0, named("hum")), case(151.0), case(149.0, named("hum"))]
         assert figures(grades)["injected"] == share(1, 2)
         assert figures([*grades, case(10.0, named("creep"))])["injected_wrong"] == share(1, 4)
+        assert figures([self.of(self.labels(), None)])["injected_wrong"]["of"] == 0
+        withheld = self.labels("cross_coupling", accepted=[], severity=None)
+        unnamed = self.of(withheld, answer())
+        assert unnamed.over_residual is None and unnamed.severities == {"cross_coupling": 0.0}
         simulated = grade(labels(effect("creep")), answer(named("hum")))
         assert figures([simulated])["injected"]["of"] == figures([simulated])["injected_wrong"]["of"] == 0
+
+    def test_the_exact_name_is_taken_before_an_accepted_one_and_that_before_an_alternative(self):
+        label = self.labels("sensor_lag", "amplifier_lag", parameters={"cutoff_hz": value(100.0, "Hz")})
+        lag = named("amplifier_lag", cutoff_hz=value(90.0, "Hz"))
+        said = [named("delay", "sensor_lag"), lag, named("sensor_lag", cutoff_hz=value(80.0, "Hz"))]
+        exact, accepted, alternative = (self.of(label, answer(*said[:n])) for n in (3, 2, 1))
+        assert exact.exact == ["sensor_lag"] and exact.tolerated == ["delay", "amplifier_lag"]
+        assert [row["relative_error"] for row in exact.parameters] == [pytest.approx(0.2)]
+        assert accepted.found == ["sensor_lag"] and not accepted.exact and not accepted.parameters
+        assert accepted.tolerated == ["delay"] and [s["name"] for s in accepted.stated] == ["amplifier_lag"]
+        assert alternative.found == ["sensor_lag"] and not alternative.tolerated
+        wrong = self.of(label, answer(named("creep"), named("ageing")), answer(named("ageing")))
+        assert (wrong.tolerated, wrong.wrong) == (["ageing"], ["creep"])
+
+    def test_probabilities_are_graded_by_name_and_by_group_and_what_was_there_is_left_out(self):
+        said = answer(named("delay", "hum"), named("creep"), named("ageing"))
+        found = self.of(self.labels(), said, answer(named("ageing"))).stated
+        assert [(s["name"], s["right"], s["right_group"]) for s in found] == [
+            ("delay", False, True),
+            ("creep", False, False),
+        ]
+        (exact,) = self.of(self.labels("sensor_lag", "amplifier_lag"), answer(named("amplifier_lag"))).stated
+        assert exact["right"] and exact["right_group"] and exact["probability"] == 0.9
 
     def test_parameters_of_a_new_exact_name_are_compared_and_of_an_old_one_are_not(self):
         label = self.labels(parameters={"mains_hz": value(50.0, "Hz")})

@@ -37,6 +37,10 @@ class TestNames:
         many = grade(labels(effect("creep")), answer(named("leakage", *few, "backlash")))
         assert not many.found and many.wrong == ["leakage"]
 
+    def test_the_exact_name_is_right_whatever_its_alternatives(self):
+        many = ["hum", "leakage", "ageing", "delay", "backlash"]
+        assert grade(labels(effect("creep")), answer(named("creep", *many))).exact == ["creep"]
+
     def test_a_name_repeated_among_its_own_alternatives_counts_once(self):
         group = ["leakage", "hum", "creep", "ageing", "delay"]
         assert grade(labels(effect("creep")), answer(named("leakage", *group))).found == ["creep"]
@@ -118,6 +122,8 @@ class TestContract:
             answer(named("creep") | {"parameters": [1.0]}),
             answer(named("creep") | {"parameters": {"tau_s": 1.0}}),
             {"verdict": "explained", "effects": {"name": "creep"}},
+            {"verdict": "explained", "effects": [], "fit": 0.1},
+            answer(named("creep") | {"share": "most"}),
         ],
     )
     def test_an_answer_that_breaks_the_contract_is_no_answer(self, bad):
@@ -222,4 +228,7 @@ class TestHeldOut:
 
     def test_the_gain_is_that_of_the_augmented_stage_over_the_retuned(self):
         assert grade(labels(), answer(heldout_um=(2.0, 0.5))).heldout_gain == pytest.approx(0.75)
-        assert grade(labels(), {"verdict": "explained"}).heldout_gain is None
+        some, none = {"heldout_rms_um": 1.0}, {"heldout_rms_um": 0.0}
+        for fit in ({}, {"retuned": 1.0}, {"retuned": none, "augmented": none}, {"retuned": some}):
+            assert grade(labels(), {"verdict": "explained", "fit": fit}).heldout_gain is None
+        assert grade(labels(), answer(heldout_um=(1.0, math.nan))).heldout_gain is None

@@ -2,10 +2,13 @@
 
 from pathlib import Path
 
+import numpy as np
 import pytest
+from concealed.cases import Case
 from concealed.judging.grade import Grade
 from concealed.judging.proportions import share
 from concealed.judging.summary import FIGURES, summarise
+from concealed.page import worst
 from concealed.page.text import GOALS, cell, figure_table, reached, write_page
 
 
@@ -108,6 +111,18 @@ class TestPage:
         )
         write_page({"tool": tool}, tmp_path / "proof.md")
         assert {p.name: p.read_bytes() for p in (tmp_path / "proof").iterdir()} == before
+
+    def test_the_worst_cases_are_drawn_again_from_their_seeds(self, tmp_path, monkeypatch):
+        t = np.arange(300) / 100
+        run = {"time_s": t, "input_v": np.sin(t), "output_um": np.sin(t) + 0.1 * t}
+        asked = []
+        monkeypatch.setattr(
+            worst, "draw", lambda *case: asked.append(case) or Case([run], {"noise_rms_um": 0.01})
+        )
+        write_page({"tool": results(graded(9, named="hum"))}, tmp_path / "proof.md", tmp_path)
+        assert asked == [("alien", 12345, 8, tmp_path)]
+        assert (tmp_path / "proof" / "alien_case_0009.svg").stat().st_size > 0
+        assert "](proof/alien_case_0009.svg)" in (tmp_path / "proof.md").read_text()
 
     def test_a_run_without_anything_to_count_has_a_page(self, tmp_path):
         failed = graded(

@@ -6,6 +6,7 @@ import subprocess
 import sys
 from concurrent.futures import Executor, Future
 from pathlib import Path
+from types import SimpleNamespace
 
 import concealed
 import numpy as np
@@ -14,7 +15,7 @@ from concealed import run as running
 from concealed.__main__ import main
 from concealed.cases import Case
 from concealed.entries import ENTRIES, Entry, ask
-from concealed.run import RunError, check_frozen, draw_seeds, open_executor, run
+from concealed.run import RunError, check_frozen, development_seeds, draw_seeds, open_executor, run
 from concealed.tracks import DATA, PROOF
 
 PACKAGE = Path(concealed.__path__[0])
@@ -126,6 +127,17 @@ class TestRun:
         with pytest.raises(RunError, match="expected processes:N or dask:ADDRESS"):
             open_executor("cloud")
 
+    def test_a_dask_cluster_is_asked_for_its_executor(self, monkeypatch):
+        class Client:
+            def __init__(self, address: str) -> None:
+                self.address = address
+
+            def get_executor(self) -> str:
+                return f"executor of {self.address}"
+
+        monkeypatch.setitem(sys.modules, "distributed", SimpleNamespace(Client=Client))
+        assert open_executor("dask:tcp://10.0.0.1:8786") == "executor of tcp://10.0.0.1:8786"
+
 
 class TestEntries:
     def given(self, tmp_path: Path) -> Path:
@@ -211,6 +223,11 @@ class TestFreeze:
         assert len(seeds["commit"]) == 40 and seeds["drawn"].startswith("20")
         assert set(seeds["seeds"]) == set(PROOF) and all(seed >= 10_000 for seed in seeds["seeds"].values())
         assert len(set(seeds["seeds"].values())) == len(PROOF)
+
+    def test_seeds_for_development_are_below_those_that_are_drawn(self):
+        assert set(development_seeds(9999, 3)["counts"].values()) == {3}
+        with pytest.raises(RunError, match="found 10000, expected 0 to 9999"):
+            development_seeds(10_000, 3)
 
     @pytest.mark.parametrize("file", ["engine.py", "new.py"])
     def test_seeds_are_drawn_from_a_committed_tree_and_once(self, tree, file):

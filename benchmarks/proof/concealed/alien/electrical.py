@@ -48,7 +48,7 @@ def _current(rng, rig, runs):
     return Drawn(act, 0.3, 300.0, 3.0, lambda s: {"limit_v_per_s": (steepest / s, "V/s")})
 
 
-@LISTED.add("slew_limit", "source_and_sink_differ", "Adriaens, de Koning and Banning 2000", "amplifier")
+@LISTED.add("slew_limit", "source_and_sink_differ", "Horowitz and Hill 2015", "amplifier")
 def _uneven(rng, rig, runs):
     ratio, steepest = rng.uniform(0.4, 0.8), _steepest(rig, runs)
     act = lambda u, at, s: kernels.uneven_slew(u, steepest / s, ratio * steepest / s, at.dt)  # noqa: E731
@@ -112,8 +112,10 @@ def _tanh(rng, rig, runs):
     return Drawn(act, 1e-4, 3.0, 0.2)
 
 
-@LISTED.add("hysteresis_asymmetry", "weights_by_direction", "Gu, Yang and Zhu 2012", "hysteresis", *STATIC)
-def _direction(rng, rig, runs):
+@LISTED.add(
+    "hysteresis_asymmetry", "one_sided_plays_of_a_bent_input", "Gu, Yang and Zhu 2012", "hysteresis", *STATIC
+)
+def _one_sided(rng, rig, runs):
     r, w = _bank(rng)
     rise = rng.uniform(0.5, 1.0)
 
@@ -157,8 +159,8 @@ def _mixed(rng, rig, runs):
     return Drawn(act, 1e-4, 1.0, 0.3)
 
 
-@LISTED.add("hysteresis_operator", "stops_in_parallel", "Brokate and Sprekels 1996", "hysteresis", *STATIC)
-def _stops(rng, rig, runs):
+@LISTED.add("hysteresis_operator", "cascade_of_two", "Brokate and Sprekels 1996", "hysteresis", *STATIC)
+def _cascade(rng, rig, runs):
     act = lambda v, at, s: rig.truth.respond(v + s * rig.span_v * (rig.other.respond(v) / rig.range_um))  # noqa: E731
     return Drawn(act, 1e-4, 1.0, 0.1)
 

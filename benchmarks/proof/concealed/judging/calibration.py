@@ -51,14 +51,11 @@ def reliability(probabilities: NDArray[np.float64], right: NDArray[np.bool_]) ->
         for k in range(BINS)
         if np.any(inside == k)
     ]
-    rng = np.random.default_rng(0)
-    by_chance = [
-        _calibration_error(probabilities, rng.random(probabilities.size) < probabilities, inside)
-        for _ in range(DRAWS)
-    ]
+    chance = np.random.default_rng(0).random((DRAWS, probabilities.size)) < probabilities
+    by_chance = _calibration_error(probabilities, chance, inside)
     return {
         "brier": float(np.mean((probabilities - right) ** 2)),
-        "expected_calibration_error": _calibration_error(probabilities, right, inside),
+        "expected_calibration_error": float(_calibration_error(probabilities, right, inside)),
         "by_chance": {"mean": float(np.mean(by_chance)), "below": float(np.quantile(by_chance, 0.95))},
         "bins": bins,
     }
@@ -66,7 +63,7 @@ def reliability(probabilities: NDArray[np.float64], right: NDArray[np.bool_]) ->
 
 def _calibration_error(
     probabilities: NDArray[np.float64], right: NDArray[np.bool_], inside: NDArray[np.int_]
-) -> float:
-    """Σ n_k / n |share that is right - mean probability| over the bins."""
-    excess = np.bincount(inside, weights=right - probabilities, minlength=BINS)
-    return float(np.sum(np.abs(excess)) / probabilities.size)
+) -> NDArray[np.float64]:
+    """Σ n_k / n |share that is right - mean probability| over the bins; `right` may be a stack of draws."""
+    excess = (right - probabilities) @ (inside[:, None] == np.arange(BINS))
+    return np.abs(excess).sum(axis=-1) / probabilities.size

@@ -99,6 +99,8 @@ def unreadable(diagnosis: object) -> str:
         return f"diagnosis.json: found {type(diagnosis).__name__}, expected an object"
     if diagnosis.get("verdict") not in VERDICTS:
         return f"verdict: found {diagnosis.get('verdict')!r}, expected one of {', '.join(VERDICTS)}"
+    if not isinstance(diagnosis.get("fit", {}), dict):
+        return f"fit: found {type(diagnosis['fit']).__name__}, expected an object"
     effects = diagnosis.get("effects", [])
     if not isinstance(effects, list):
         return f"effects: found {type(effects).__name__}, expected a list"
@@ -108,6 +110,8 @@ def unreadable(diagnosis: object) -> str:
         probability = effect.get("probability")
         if probability is not None and not (_is_number(probability) and 0 <= probability <= 1):
             return f"{effect['name']}: found probability {probability!r}, expected 0 to 1"
+        if not _is_number(effect.get("share", 0.0)):
+            return f"{effect['name']}: found share {effect['share']!r}, expected a number"
         if not isinstance(effect.get("alternatives", []), list):
             return f"{effect['name']}: found alternatives {effect['alternatives']!r}, expected a list"
         parameters = effect.get("parameters", {})
@@ -244,11 +248,15 @@ def compared_parameters(truth: dict, answer: dict) -> list[dict[str, object]]:
 
 def heldout_gain(diagnosis: dict) -> float | None:
     """The share of the retuned held-out error that the augmented stage removes, by the tool's account."""
-    try:
-        fit = diagnosis["fit"]
-        return 1 - fit["augmented"]["heldout_rms_um"] / fit["retuned"]["heldout_rms_um"]
-    except (KeyError, TypeError, ZeroDivisionError):
-        return None
+    retuned, augmented = (heldout_rms_um(diagnosis, fit) for fit in ("retuned", "augmented"))
+    return None if not retuned or augmented is None else 1 - augmented / retuned
+
+
+def heldout_rms_um(diagnosis: dict, fit: str) -> float | None:
+    """What a fit leaves held out, by the tool's account; None without one."""
+    found = diagnosis.get("fit", {}).get(fit)
+    rms = found.get("heldout_rms_um") if isinstance(found, dict) else None
+    return rms if _is_number(rms) else None
 
 
 def _over_noise(labels, predicted_um, measured_um):

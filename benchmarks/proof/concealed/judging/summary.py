@@ -256,7 +256,7 @@ def _by(grades: Grades, key: Callable[[Grade, str], str]) -> dict[str, dict[str,
 
 
 def badness(g: Grade) -> tuple[int, bool, float, float]:
-    """Orders the worst cases: wrong names, no answer, clear misses, bad predictions under a closed verdict."""
+    """Orders the worst cases: wrong names, no answer, clear misses, bad predictions of closed verdicts."""
     missed = max(
         (g.severities[n] for n in g.truth if n not in g.found and g.severities[n] >= CLEAR), default=0.0
     )

@@ -12,7 +12,8 @@ from concealed.judging.calibration import BINS
 from matplotlib.figure import Figure
 
 
-def _save(figure: Figure, path: Path) -> None:
+def save(figure: Figure, path: Path) -> None:
+    """As SVG."""
     # The same results give the same bytes.
     with plt.rc_context({"svg.hashsalt": "proof"}):
         figure.savefig(path, metadata={"Date": None})
@@ -32,7 +33,7 @@ def confusion(results: dict, path: Path) -> None:
     axes.set_xticks(range(len(found["answer"])), found["answer"], rotation=90)
     axes.set_yticks(range(len(found["truth"])), found["truth"])
     axes.set(xlabel="answer", ylabel="truth")
-    _save(figure, path)
+    save(figure, path)
 
 
 def detection(results: dict, path: Path) -> None:
@@ -53,7 +54,7 @@ def detection(results: dict, path: Path) -> None:
         axes.grid(alpha=0.3)
     panels[0].set_ylabel("share of cases")
     panels[0].legend(loc="center right")
-    _save(figure, path)
+    save(figure, path)
 
 
 def reliability(results: dict, path: Path) -> None:
@@ -77,7 +78,7 @@ def reliability(results: dict, path: Path) -> None:
     counts = found["by_itself"]["bins"]
     bottom.bar([b["from"] + 0.5 / BINS for b in counts], [b["of"] for b in counts], 0.9 / BINS, color="0.6")
     bottom.set(xlabel="stated probability", ylabel="names", xlim=(-0.03, 1.03))
-    _save(figure, path)
+    save(figure, path)
 
 
 ALL: dict[str, Callable[[dict, Path], None]] = {

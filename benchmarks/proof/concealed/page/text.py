@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from concealed.judging.summary import FIGURES
-from concealed.page import figures
+from concealed.page import figures, worst
 
 BETTER_MORE = {key: more for key, _, _, more in FIGURES}
 WORDS = {key: words for key, words, _, _ in FIGURES}
@@ -31,8 +31,11 @@ GOALS: dict[str, tuple[float, float | None]] = {
 Results = Mapping[str, dict]
 
 
-def write_page(results: Results, output: Path) -> None:
-    """Write OUTPUT and its pictures, from the results of the tool (first) and of its rivals."""
+def write_page(results: Results, output: Path, data: Path | None = None) -> None:
+    """Write OUTPUT and its pictures, from the results of the tool (first) and of its rivals.
+
+    The worst cases are drawn again where `data`, the folder of the real recordings, is given.
+    """
     tool, first = next(iter(results.items()))
     folder = output.parent / output.stem
     folder.mkdir(parents=True, exist_ok=True)
@@ -70,6 +73,7 @@ def write_page(results: Results, output: Path) -> None:
         _rows(first["by_truth"], "hysteresis, or recording"),
         "## The ten worst cases",
         _worst(first),
+        *(_pictured(first, name, data, folder) for name in first["worst"] if data is not None),
         "## What it cannot do",
         _limits(first),
         "## Every case",
@@ -214,6 +218,12 @@ def _worst(results: dict) -> str:
         if results["worst"]
         else "No case has a wrong name, a failure or a clear effect that was missed."
     )
+
+
+def _pictured(results: dict, name: str, data: Path, folder: Path) -> str:
+    file = f"{name.replace('/', '_')}.svg"
+    worst.picture(results, name, data, folder / file)
+    return f"![The case {name}]({folder.name}/{file})"
 
 
 def _limits(results: dict) -> str:

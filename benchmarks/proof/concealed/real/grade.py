@@ -5,6 +5,7 @@ from concealed.judging.grade import (
     Grade,
     compared_parameters,
     heldout_gain,
+    heldout_rms_um,
     unreadable,
 )
 from concealed.names import group_of
@@ -35,7 +36,9 @@ def grade_injected(
     candidates = [e for e in effects if _is_right(e, accepted)]
     new = [e for e in candidates if e["name"] not in names_before]
     grown = [e for e in candidates if e["name"] in names_before and _has_grown(e, labels, answer, untouched)]
-    taken = next(iter(sorted(new + grown, key=lambda e: e["name"] not in accepted)), None)
+    taken = min(
+        new + grown, key=lambda e: (e["name"] != labels["name"], e["name"] not in accepted), default=None
+    )
     charged = [e for e in effects if not _is_right(e, accepted) and e["name"] not in known]
     exact = taken is not None and taken["name"] == labels["name"]
     in_both = names_before & {e["name"] for e in effects} & accepted
@@ -87,21 +90,17 @@ def _has_grown(effect: dict, labels: dict, answer: dict, untouched: dict) -> boo
 
 def _explained(effect: dict, answer: dict) -> float:
     """Variance, µm²: the effect's share of the mismatch over the floor; 0 without an account of it."""
-    floor = (answer.get("fit") or {}).get("noise_floor_um") or 0.0
-    mismatch = (_rms_um(answer, "retuned") or 0.0) ** 2 - floor**2
-    return float(effect.get("share", 0.0)) * max(mismatch, 0.0)
+    floor = answer.get("fit", {}).get("noise_floor_um") or 0.0
+    mismatch = (heldout_rms_um(answer, "retuned") or 0.0) ** 2 - floor**2
+    return effect.get("share", 0.0) * max(mismatch, 0.0)
 
 
 def _over_residual(labels: dict, untouched: dict) -> float | None:
     """The injected rms over what the untouched answer leaves held out: what it has to be seen against."""
-    left = _rms_um(untouched, "augmented")
+    left = heldout_rms_um(untouched, "augmented")
     if not left or labels["severity"] is None:
         return None
     return labels["severity"] * labels["noise_rms_um"] / left
-
-
-def _rms_um(answer: dict, fit: str) -> float | None:
-    return ((answer.get("fit") or {}).get(fit) or {}).get("heldout_rms_um")
 
 
 def _stated(effect: dict, taken: dict | None, accepted: set[str]) -> dict[str, object]:
