@@ -3,7 +3,7 @@
 import numpy as np
 
 from torchpi.diagnosis.diagnosis import Trace
-from torchpi.loop.result import COMPENSATED, WITHOUT, LoopResult
+from torchpi.loop.result import COMPENSATED, WITHOUT, WITHOUT_LOOK_AHEAD, LoopResult
 from torchpi.report import style
 from torchpi.report.diagnosis_style import AFTER, BEFORE, RECORDED, unit_of
 from torchpi.report.linked import Curve, Linked, Panel
@@ -17,15 +17,20 @@ VOLTAGE = {**style.TORCHPI, "linewidth": 0.9}
 
 
 def loop_traces(result: LoopResult) -> Linked:
-    """Reference and motion, tracking error, voltage. The error without compensation hides the others: it
-    waits for a click."""
+    """Reference and motion, tracking error, voltage. Errors without compensation hide the others: they
+    wait for a click."""
     both = (WITHOUT, COMPENSATED)
     motions = [
         Curve(result.drives[key].label, result.drives[key].y_true, line_of(result, key)) for key in both
     ]
     reference = Curve("reference", result.yd, style.WANTED)
     errors = [
-        Curve(drive.label, 1e3 * (drive.y_true - result.yd), line_of(result, key), shown=key != WITHOUT)
+        Curve(
+            drive.label,
+            1e3 * (drive.y_true - result.yd),
+            line_of(result, key),
+            shown=key not in (WITHOUT, WITHOUT_LOOK_AHEAD),
+        )
         for key, drive in result.drives.items()
     ]
     voltages = [Curve(result.drives[key].label, result.drives[key].u, line_of(result, key)) for key in both]
