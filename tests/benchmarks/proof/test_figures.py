@@ -279,7 +279,9 @@ class TestCalibration:
         probabilities, right = np.array([0.05] * 3 + [0.15] + [1.0]), np.array([0, 0, 0, 1, 1], dtype=bool)
         found = reliability(probabilities, right)
         rows = [(b["from"], b["to"], b["probability"], b["of"]) for b in found["bins"]]
-        assert rows == [pytest.approx(row) for row in ((0, 0.1, 0.05, 3), (0.1, 0.2, 0.15, 1), (0.9, 1, 1, 1))]
+        assert rows == [
+            pytest.approx(row) for row in ((0, 0.1, 0.05, 3), (0.1, 0.2, 0.15, 1), (0.9, 1, 1, 1))
+        ]
         assert found["expected_calibration_error"] == pytest.approx((3 * 0.05 + 0.85) / 5)
 
     def test_names_that_are_tolerated_or_without_a_probability_are_left_out(self):
