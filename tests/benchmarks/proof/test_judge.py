@@ -183,11 +183,13 @@ class TestParameters:
         assert row["relative_error"] == pytest.approx(0, abs=1e-12)
 
     def test_an_interval_covers_or_it_does_not(self):
-        for interval, covered in (([90.0, 105.0], True), ([101.0, 105.0], False), ([90.0, 99.0], False)):
+        inside, outside = ([90.0, 105.0], [90.0, 100.0], [100.0, 105.0]), ([101.0, 105.0], [90.0, 99.0])
+        for interval, covered in [*((i, True) for i in inside), *((i, False) for i in outside)]:
             assert self.rows({"cutoff_hz": value(98.0, "Hz", interval)})[0]["covered"] is covered
         for none in (None, [90.0, None], [90.0], [90.0, math.inf], "wide"):
             assert self.rows({"cutoff_hz": value(98.0, "Hz") | {"interval_90": none}})[0]["covered"] is None
-        assert self.rows({"cutoff_hz": value(0.098, "kHz", [0.09, 0.105])})[0]["covered"] is True
+        for ends, covered in (([0.09, 0.105], True), ([0.101, 0.105], False), ([0.09, 0.099], False)):
+            assert self.rows({"cutoff_hz": value(0.098, "kHz", ends)})[0]["covered"] is covered
 
     def test_a_second_value_that_is_as_true_is_accepted(self):
         truth = {"delay_s": value(0.002, "s") | {"or": 0.003}}
