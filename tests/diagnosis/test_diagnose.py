@@ -191,3 +191,15 @@ def test_as_many_readings_are_expected_far_out_as_a_heavy_tail_has(freedom: floa
     assert expected_beyond(limit, error) == pytest.approx(40, rel=0.5)
     lost = np.concatenate([error, np.full(40, 1e3)])
     assert expected_beyond(1e3, lost) < 0.01
+
+
+def test_dropouts_leave_the_held_out_error_and_stretch_as_they_are() -> None:
+    whole = pair(2000)
+    wrong = [replace(one, y=one.y.copy()) for one in whole]
+    for one in wrong:
+        one.y[[300, 700, 1100, 1950]] += 20.0
+    found, clean = diagnose(wrong, effects=[]), diagnose(whole, effects=[])
+    assert [effect.name for effect in found.effects] == ["dropouts"]
+    assert found.retuned.heldout_rms_um == pytest.approx(clean.retuned.heldout_rms_um, rel=0.05)
+    for trace in found.traces:
+        assert np.array_equal(trace.heldout, np.arange(2000) >= 1700)

@@ -23,12 +23,13 @@ def test_the_last_part_of_each_recording_is_sealed_and_no_coefficient_sees_it(sa
 
 def test_dropouts_count_neither_in_a_fit_nor_in_an_error() -> None:
     one = record(multisine(2000))
-    wrong = np.array([3, 500, 501])
+    wrong = np.array([3, 500, 501, 1900])
     (clean,) = prepare([one], [wrong])
     one.y[wrong] = 0.0
     (spoilt,) = prepare([one], [wrong])
-    assert not spoilt.train[wrong].any()
     first = int((1 - SEALED) * 2000)
+    assert not spoilt.train[wrong].any() and not spoilt.held_out[wrong].any()
+    assert spoilt.train.sum() == first - 3 and spoilt.held_out.sum() == 2000 - first - 1
     assert np.array_equal(clean.haar.full(clean.y[None, :first]), spoilt.haar.full(spoilt.y[None, :first]))
 
 

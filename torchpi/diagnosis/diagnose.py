@@ -235,7 +235,7 @@ def of_converter(lsb_um: float, retuned: Fit) -> NamedEffect:
 
 def errors_of(records: Sequence[Record], residuals: Sequence[np.ndarray]) -> Errors:
     """Of these residuals, train and held out."""
-    held = np.concatenate([e[~r.train] for r, e in zip(records, residuals, strict=True)])
+    held = np.concatenate([e[r.held_out] for r, e in zip(records, residuals, strict=True)])
     return Errors(rms(records, residuals, True), rms(records, residuals, False), float(np.abs(held).max()))
 
 
@@ -254,7 +254,8 @@ def traces_of(
         }
         traces.append(
             Trace(
-                recording.name, recording.fs_hz, recording.t, record.u, record.y, ~record.train,
+                recording.name, recording.fs_hz, recording.t, record.u, record.y,
+                np.arange(len(record.u)) >= record.haar.samples,
                 retuned.residuals[r], augmented.residuals[r], signatures,
             )
         )  # fmt: skip

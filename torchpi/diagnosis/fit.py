@@ -278,5 +278,7 @@ def start_weights(chain: Chain, hypothesis: Hypothesis) -> tuple[np.ndarray, Tan
 
 def rms(records: Sequence[Record], residuals: Sequence[np.ndarray], train: bool) -> float:
     """Of the training samples, or of those held out; 0 where there are none."""
-    joined = np.concatenate([e[r.train == train] for r, e in zip(records, residuals, strict=True)])
+    joined = np.concatenate(
+        [e[r.train if train else r.held_out] for r, e in zip(records, residuals, strict=True)]
+    )
     return float(np.sqrt(np.mean(joined**2))) if len(joined) else 0.0

@@ -33,8 +33,8 @@ CONVENTION = "timing_convention"
 """A rival of what delays: whole samples, by the convention of whoever recorded."""
 HALF, STEEPNESS = 0.72, 5.0
 """The share of what is to be explained where an effect acts from which its name is more likely right than
-wrong, and how fast that changes. Set on some hundred names of development cases; `benchmarks/calibration.py`
-measures what comes of it."""
+wrong, and how fast that changes. Set on some hundred names of development cases;
+`concealed/judging/calibration.py` measures what comes of it."""
 
 LAPSE = 0.02
 """Of names for which everything speaks, those that are wrong all the same: 0 of some eighty were, which

@@ -37,7 +37,9 @@ class Record:
     fs_hz: float
     aux: dict[str, np.ndarray]
     train: np.ndarray
-    """(time,), bool; the rest is sealed."""
+    """(time,), bool: before the sealed end, and no dropout."""
+    held_out: np.ndarray
+    """(time,), bool: in the sealed end, and no dropout."""
     haar: Haar
     """The coefficients that a fit sums over."""
     rests: Rests | None = None
@@ -79,14 +81,13 @@ def whole(recordings: Sequence[Recording], dropouts: Sequence[np.ndarray]) -> li
 
 def _record(recording: Recording, samples: int, wrong: np.ndarray, recordings: int) -> Record:
     u, y = recording.u.astype(np.float64), recording.y.astype(np.float64)
-    train, valid = np.arange(len(u)) < samples, np.ones(len(u), dtype=bool)
+    before, valid = np.arange(len(u)) < samples, np.ones(len(u), dtype=bool)
     valid[wrong] = False
-    train &= valid
     # What the command does at once, and what the readings do: edges, and rings after them.
     activity = np.diff(y, 2, prepend=y[:1], append=y[-1:])
     at_most = max(200, int(AT_MOST / recordings / LEVELS) * 2)
     return Record(
-        recording.name, u, y, recording.fs_hz, recording.aux, train,
+        recording.name, u, y, recording.fs_hz, recording.aux, before & valid, ~before & valid,
         Haar.of(activity, samples, valid, at_most), simulated=recording.simulated,
     )  # fmt: skip
 

@@ -30,7 +30,7 @@ AT_MOST = 30.0
 """Coefficients that a cell counts for."""
 ALIKE = 2.0
 """By what the standard error is larger than that of independent cells: what a model has wrong comes again in
-every cycle and on neighbouring scales. Calibrated: `benchmarks/calibration.py`."""
+every cycle and on neighbouring scales. Calibrated: `concealed/judging/calibration.py`."""
 LEAST_IN_STRATUM = 4
 """Cells whose differences tell a standard error."""
 TINY = 1e-12
