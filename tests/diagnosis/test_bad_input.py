@@ -90,20 +90,21 @@ def test_no_recordings_too_few_samples_and_holes_are_refused() -> None:
         diagnose([one])
 
 
-def test_recordings_of_different_stages_are_said_to_conflict() -> None:
-    """A stage of another gain may as well be the same one under a load: that is named, with its size."""
+@pytest.mark.parametrize(("gain", "comparison"), [(0.8, "smaller"), (1.2, "larger")])
+def test_recordings_of_different_stages_are_said_to_conflict(gain: float, comparison: str) -> None:
+    """A stage of another gain may as well be the same one under a load, or without one: that is named."""
     first, second = pair(2000)
     third = record(multisine(2000, seed=5), name="third", seed=5)
-    found = diagnose([first, second, replace(third, y=0.8 * third.y + 0.5)])
-    assert any(note.startswith("Recording third asks for a smaller gain") for note in found.notes)
+    found = diagnose([first, second, replace(third, y=gain * third.y + 0.5)])
+    assert any(note.startswith(f"Recording third asks for a {comparison} gain") for note in found.notes)
     assert [effect.name for effect in found.effects] == ["load_change"]
-    assert found.effects[0].parameters[0].value == pytest.approx(1 / 0.8 - 1, rel=0.02)
+    assert found.effects[0].parameters[0].value == pytest.approx(1 / gain - 1, rel=0.02)
 
 
 def test_recordings_that_no_load_explains_are_said_to_be_of_another_stage() -> None:
     first, second = pair(2000)
     third = record(multisine(2000, seed=5), name="third", seed=5)
-    found = diagnose([first, second, replace(third, y=1.2 * third.y)])
+    found = diagnose([first, second, replace(third, y=2.5 * third.y)])
     conflict = next(note for note in found.notes if note.startswith("Recording third asks for"))
     # A gain of its own that wanders is what the list has for it.
     assert "another stage" in conflict or "gain_modulation" in {effect.name for effect in found.effects}
