@@ -157,9 +157,10 @@ def kill_often(
 
 def kill_once(command: Command, one: signal.Signals, at_s: float, outcome: Outcome) -> None:
     """Start it, send it the signal so many seconds later, and see what is left."""
+    arguments = command.again() if command.again else command.arguments  # may clear a finished run
     before = {path: path.read_bytes() for path in files(command.output)}
     process = subprocess.Popen(
-        [sys.executable, "-m", *(command.again() if command.again else command.arguments)],
+        [sys.executable, "-m", *arguments],
         cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
     time.sleep(at_s)

@@ -4,7 +4,8 @@
 
 with a zero y_0 for each recording (Kuhnen, *European Journal of Control* 9(4), 2003, for the plays). Delay,
 lag, curvature S of the input, creep C, mode M, and a history before the first sample are tried one after
-another; each is kept only where it better predicts what no fit has seen: the end of each recording.
+another; each is kept only where it better predicts what no fit has seen: the end of each recording, and its
+start-up.
 The last fit has as many plays as predict those best, and takes in all samples.
 """
 
@@ -93,15 +94,11 @@ def identify_stage(
     if not train or all(np.ptp(recording.u) == 0 for recording in train):
         raise RecordingError("recordings: found none in which the voltage moves, expected at least one")
     used = _beginnings(train)
-    # `prepare` and `whole` leave out the readings at these indices.
-    uncounted = [
-        np.union1d(dropouts(one.y), np.arange(min(round(skip_s * one.fs_hz), len(one) // 2))).astype(int)
-        for one in used
-    ]
-    search = _Search(Chain(prepare(used, uncounted)), log)
+    wrong = [dropouts(one.y) for one in used]
+    search = _Search(Chain(prepare(used, wrong, skip_s)), log)
     best = search.run()
     log("everything refitted to all samples")
-    last = fit(Chain(whole(used, uncounted)), best.hypothesis, best.weights)
+    last = fit(Chain(whole(used, wrong, skip_s)), best.hypothesis, best.weights)
     noise_um = float(np.median([noise_estimate(one.y) for one in used]))
     stage = augmented_stage(last, len(used), search.seen, noise_um)
     error = free_run_error(stage, heldout)[judged or slice(round(skip_s * heldout.fs_hz), None)]

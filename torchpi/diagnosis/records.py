@@ -37,9 +37,9 @@ class Record:
     fs_hz: float
     aux: dict[str, np.ndarray]
     train: np.ndarray
-    """(time,), bool: before the sealed end, and no dropout."""
+    """(time,), bool: neither in the sealed end, nor start-up that is skipped, nor a dropout."""
     held_out: np.ndarray
-    """(time,), bool: in the sealed end, and no dropout."""
+    """(time,), bool: what is not trained on, but for the dropouts."""
     haar: Haar
     """The coefficients that a fit sums over."""
     rests: Rests | None = None
@@ -58,37 +58,43 @@ class Record:
         return 1.0 / self.fs_hz
 
 
-def prepare(recordings: Sequence[Recording], dropouts: Sequence[np.ndarray]) -> list[Record]:
+def prepare(
+    recordings: Sequence[Recording], dropouts: Sequence[np.ndarray], skip_s: float = 0.0
+) -> list[Record]:
     """The recordings with their ends sealed.
 
     Args:
         recordings: One or more.
         dropouts: For each the indices of readings that do not count.
+        skip_s: Start-up of each, half of it at most, that is held out as its end is, s.
     """
     return [
-        _record(recording, int((1 - SEALED) * len(recording.u)), wrong, len(recordings))
+        _record(recording, int((1 - SEALED) * len(recording.u)), wrong, len(recordings), skip_s)
         for recording, wrong in zip(recordings, dropouts, strict=True)
     ]
 
 
-def whole(recordings: Sequence[Recording], dropouts: Sequence[np.ndarray]) -> list[Record]:
-    """The same with nothing sealed: what the model that is left behind is fitted to."""
+def whole(
+    recordings: Sequence[Recording], dropouts: Sequence[np.ndarray], skip_s: float = 0.0
+) -> list[Record]:
+    """The same with no end sealed: what the model that is left behind is fitted to."""
     return [
-        _record(recording, len(recording.u), wrong, len(recordings))
+        _record(recording, len(recording.u), wrong, len(recordings), skip_s)
         for recording, wrong in zip(recordings, dropouts, strict=True)
     ]
 
 
-def _record(recording: Recording, samples: int, wrong: np.ndarray, recordings: int) -> Record:
+def _record(recording: Recording, samples: int, wrong: np.ndarray, recordings: int, skip_s: float) -> Record:
     u, y = recording.u.astype(np.float64), recording.y.astype(np.float64)
-    before, valid = np.arange(len(u)) < samples, np.ones(len(u), dtype=bool)
+    valid, fitted = np.ones(len(u), dtype=bool), np.arange(len(u)) < samples
     valid[wrong] = False
+    fitted[: min(round(skip_s * recording.fs_hz), len(u) // 2)] = False
     # What the command does at once, and what the readings do: edges, and rings after them.
     activity = np.diff(y, 2, prepend=y[:1], append=y[-1:])
     at_most = max(200, int(AT_MOST / recordings / LEVELS) * 2)
     return Record(
-        recording.name, u, y, recording.fs_hz, recording.aux, before & valid, ~before & valid,
-        Haar.of(activity, samples, valid, at_most), simulated=recording.simulated,
+        recording.name, u, y, recording.fs_hz, recording.aux, fitted & valid, ~fitted & valid,
+        Haar.of(activity, samples, fitted & valid, at_most), simulated=recording.simulated,
     )  # fmt: skip
 
 
