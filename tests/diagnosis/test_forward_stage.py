@@ -96,3 +96,13 @@ def test_a_voltage_that_never_moves_is_refused() -> None:
     still = replace(recorded(rig(), 0), u=np.zeros(round(2 * RATE_HZ)))
     with pytest.raises(RecordingError, match="none in which the voltage moves, expected at least one"):
         identify_stage([still], recorded(rig(), 9))
+
+
+def test_the_mode_of_a_stage_that_creeps_is_found_beside_it() -> None:
+    """Two poles of creep would take what a mode and a lag leave, and the stage would miss by ten times."""
+    logarithm = {"name": "creep", "values": {"per_decade": 0.015}}
+    stage = rig(logarithm, MODE)
+    found = identify_stage([recorded(stage, 1), recorded(stage, 2)], recorded(stage, 3))
+    creeps = [one["values"] for one in found.stage.to_dict()["effects"] if one["name"] == "creep"]
+    assert all(not values.get("slow_gain") for values in creeps)
+    assert "resonance" in {one["name"] for one in found.stage.to_dict()["effects"]}

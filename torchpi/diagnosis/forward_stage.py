@@ -193,7 +193,7 @@ class _Search:
 
     def creep(self, now: Fit) -> list[Fit]:
         """Logarithmic creep, and a single relaxation."""
-        starts = [one for one in Creep.starts(self.seen) if "power_per_decade" not in one]
+        starts = [one for one in Creep.starts(self.seen) if not {"power_per_decade", "slow_gain"} & {*one}]
         logarithm = [one for one in starts if "per_decade" in one]
         return [
             *self.with_effect(now, Creep, logarithm),

@@ -106,8 +106,8 @@ def _screen_elsewhere(
 
 
 def _candidates(chain: Chain, now: Fit, groups: Sequence[Sequence[EffectTerm]]) -> list[list[Candidate]]:
-    screen = Screen(chain, now)
-    return [screen.candidates(members) for members in groups]
+    screen = Screen(chain, now) if groups else None
+    return [screen.candidates(members) for members in groups] if screen else []
 
 
 def _chain(key: str, packed: bytes, weighting: Weighting) -> Chain:
