@@ -1,15 +1,13 @@
-"""Effects that add a signal in absolute time: y = x + s(t; a, b, c), t from the first sample."""
+"""Effects that add a signal in absolute time: y = x + s(t), t from the first sample."""
 
 from collections.abc import Callable, Sequence
-from typing import Any, ClassVar
+from typing import Any
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from torchpi.stage.effects.effect import Effect
-
-Signal = Callable[[float, float, float, float], float]
 
 
 def sampled(
@@ -25,17 +23,7 @@ def sampled(
 
 
 class AddedSignal(Effect):
-    """A signal of three parameters, the first of `quantities`. The state: samples since the first.
-
-    The scalar equation serves kernel and stream, whose bits agree; the one of tensors only the gradients.
-    """
-
-    signal: ClassVar[Any]
-    """s(t), of floats."""
-    kernel: ClassVar[Any]
-    """Compiled: (elapsed (batch,), period, a, b, c, s (batch, time)) fills in s."""
-    of_tensors: ClassVar[Any]
-    """s(t), of tensors."""
+    """What adds a signal, whatever the stage does. The state: samples since the first."""
 
     def initial_state(self, batch: int) -> Tensor:
         return torch.zeros(batch, 1, dtype=torch.float64)
@@ -46,42 +34,14 @@ class AddedSignal(Effect):
         state: Tensor | None = None,  # (batch, 1), samples
     ) -> tuple[Tensor, Tensor]:
         elapsed = self.initial_state(len(x)) if state is None else state
-        time, period_s = x.shape[1], self.sample_period_s
-        added = sampled(self.kernel, self.of_tensors, elapsed, time, period_s, self._parameters_of_signal())
-        return x + added.to(x), elapsed + time
+        return x + self.added(elapsed, x.shape[1]).to(x), elapsed + x.shape[1]
 
-    def stream(self) -> nn.Module:
-        a, b, c = (parameter.item() for parameter in self._parameters_of_signal())
-        return AddedSignalStream(self.signal, self.sample_period_s, a, b, c)
+    def added(self, elapsed: Tensor, time: int) -> Tensor:
+        """The signal, (batch, time), µm, from `elapsed` samples on, (batch, 1)."""
+        raise NotImplementedError
 
     def tangent(self, x: Tensor, dx: Tensor) -> Tensor:
         return dx
-
-    def _parameters_of_signal(self) -> list[Tensor]:
-        return [getattr(self, name) for name in list(self.quantities)[:3]]
-
-
-class AddedSignalStream(nn.Module):
-    """The signal, one sample at a time."""
-
-    def __init__(self, signal: Signal, period_s: float, a: float, b: float, c: float) -> None:
-        super().__init__()
-        self.signal = signal
-        self.period_s = period_s
-        self.a = a
-        self.b = b
-        self.c = c
-        self.elapsed = 0.0
-
-    @torch.jit.export
-    def reset(self) -> None:
-        self.elapsed = 0.0
-
-    @torch.jit.export
-    def step(self, x: float) -> float:
-        y = x + self.signal(self.elapsed * self.period_s, self.a, self.b, self.c)
-        self.elapsed += 1.0
-        return y
 
 
 class _Sampled(torch.autograd.Function):

@@ -8,7 +8,8 @@ import torch
 from torch import Tensor, nn
 
 from torchpi.operators.quantity import Quantity
-from torchpi.stage.effects.effect import DataRange, Effect, Parameters
+from torchpi.stage.effects.added_signal import AddedSignal
+from torchpi.stage.effects.effect import DataRange, Parameters
 from torchpi.stage.effects.oscillation import oscillation, oscillations
 
 SIZES = ("cos_um", "sin_um", "cos2_um", "sin2_um", "cos3_um", "sin3_um")
@@ -18,9 +19,9 @@ STANDS_OUT = 3.0
 """Times the median amplitude around it, from which a line is worth a start."""
 
 
-class Hum(Effect):
+class Hum(AddedSignal):
     """One line of the mains, or of a multiple of it, alone or with its second and third harmonic; their
-    phases are others in each recording. The state: samples since the first."""
+    phases are others in each recording."""
 
     name = "hum"
     block = "sensor"
@@ -41,21 +42,13 @@ class Hum(Effect):
             return "with harmonics"
         return "one line" if any(values.get(name) for name in SIZES[:2]) else ""
 
-    def initial_state(self, batch: int) -> Tensor:
-        return torch.zeros(batch, 1, dtype=torch.float64)
-
-    def forward(
-        self,
-        x: Tensor,  # (batch, time), µm
-        state: Tensor | None = None,  # (batch, 1), samples
-    ) -> tuple[Tensor, Tensor]:
-        elapsed = self.initial_state(len(x)) if state is None else state
-        added = torch.zeros_like(x, dtype=torch.float64)
+    def added(self, elapsed: Tensor, time: int) -> Tensor:
+        added = elapsed.new_zeros(len(elapsed), time)
         for k, (cos, sin) in enumerate(self.lines(), 1):
             if torch.is_grad_enabled() or cos.item() or sin.item():
                 f = k * self.frequency_hz
-                added = added + oscillations(elapsed, x.shape[1], self.sample_period_s, f, cos, sin)
-        return x + added.to(x), elapsed + x.shape[1]
+                added = added + oscillations(elapsed, time, self.sample_period_s, f, cos, sin)
+        return added
 
     def lines(self) -> list[tuple[Tensor, Tensor]]:
         """a_k and b_k of each harmonic."""
@@ -66,9 +59,6 @@ class Hum(Effect):
         lines = self.lines()
         cos, sin = ([line[part].item() for line in lines] for part in range(2))
         return HumStream(self.sample_period_s, self.frequency_hz.item(), cos, sin)
-
-    def tangent(self, x: Tensor, dx: Tensor) -> Tensor:
-        return dx
 
     @classmethod
     def line_hz(cls, values: Mapping[str, float]) -> float | None:

@@ -6,7 +6,7 @@ from where it settles (ρ), or that of a room, which wanders: a random walk, thr
 """
 
 import math
-from typing import Any, ClassVar, cast
+from typing import Any, ClassVar
 
 import numba
 import numpy as np
@@ -14,7 +14,7 @@ import torch
 from torch import Tensor, nn
 
 from torchpi.operators.quantity import Quantity
-from torchpi.stage.effects.added_signal import AddedSignal, AddedSignalStream
+from torchpi.stage.effects.added_signal import AddedSignal, sampled
 from torchpi.stage.effects.effect import SHORTEST_SLOW_S, DataRange, Needs, Parameters
 from torchpi.stage.effects.knots import SPACING, KnotsStream, knot_names, through_knots
 
@@ -77,7 +77,6 @@ class ThermalDrift(AddedSignal):
     }
     per_recording = ("amplitude_um", "rate_um_per_s", *KNOT_NAMES)
     kinds = ("knot_spacing_s",)
-    signal, kernel = staticmethod(drift), staticmethod(_moved)
     amplitude_um: nn.Parameter
     time_constant_s: nn.Parameter
     rate_um_per_s: nn.Parameter
@@ -86,6 +85,10 @@ class ThermalDrift(AddedSignal):
     def knots(self) -> Tensor:
         """Where the walk is at each knot, (KNOTS,), µm."""
         return torch.stack([getattr(self, name) for name in KNOT_NAMES])
+
+    def added(self, elapsed: Tensor, time: int) -> Tensor:
+        parameters = (self.amplitude_um, self.time_constant_s, self.rate_um_per_s)
+        return sampled(_moved, self.of_tensors, elapsed, time, self.sample_period_s, parameters)
 
     def forward(
         self,
@@ -99,7 +102,8 @@ class ThermalDrift(AddedSignal):
 
     def stream(self) -> nn.Module:
         walk = KnotsStream(self.sample_period_s, self.knot_spacing_s.item(), self.knots().tolist())
-        return ThermalDriftStream(cast(AddedSignalStream, super().stream()), walk)
+        numbers = (self.amplitude_um.item(), self.time_constant_s.item(), self.rate_um_per_s.item())
+        return ThermalDriftStream(self.sample_period_s, *numbers, walk)
 
     @staticmethod
     def of_tensors(t_s: Tensor, a: Tensor, b: Tensor, c: Tensor) -> Tensor:
@@ -122,16 +126,28 @@ class ThermalDrift(AddedSignal):
 class ThermalDriftStream(nn.Module):
     """The drift, one sample at a time."""
 
-    def __init__(self, drift: AddedSignalStream, walk: KnotsStream) -> None:
+    def __init__(
+        self,
+        period_s: float,
+        amplitude_um: float,
+        time_constant_s: float,
+        rate_um_per_s: float,
+        walk: KnotsStream,
+    ) -> None:
         super().__init__()
-        self.drift = drift
+        self.period_s = period_s
+        self.amplitude_um, self.time_constant_s = amplitude_um, time_constant_s
+        self.rate_um_per_s = rate_um_per_s
         self.walk = walk
+        self.elapsed = 0.0
 
     @torch.jit.export
     def reset(self) -> None:
-        self.drift.reset()
+        self.elapsed = 0.0
 
     @torch.jit.export
     def step(self, x: float) -> float:
-        walked = self.walk.at(self.drift.elapsed)
-        return self.drift.step(x) + walked
+        t_s, walked = self.elapsed * self.period_s, self.walk.at(self.elapsed)
+        y = x + drift(t_s, self.amplitude_um, self.time_constant_s, self.rate_um_per_s)
+        self.elapsed += 1.0
+        return y + walked
