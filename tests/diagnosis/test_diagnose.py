@@ -203,3 +203,14 @@ def test_dropouts_leave_the_held_out_error_and_stretch_as_they_are() -> None:
     assert found.retuned.heldout_rms_um == pytest.approx(clean.retuned.heldout_rms_um, rel=0.05)
     for trace in found.traces:
         assert np.array_equal(trace.heldout, np.arange(2000) >= 1700)
+
+
+def test_a_tone_that_is_left_is_not_called_noise() -> None:
+    """Above the lines of the mains, where no effect of the list can take it."""
+
+    def tone(x: np.ndarray, fs_hz: float) -> np.ndarray:
+        return x + 2 * NOISE_UM * np.sin(2 * np.pi * 762.0 * np.arange(len(x)) / fs_hz)
+
+    found = diagnose([record(multisine(4000), after=tone)])
+    assert found.verdict == "unexplained" and found.effects == ()
+    assert "at 762 Hz" in found.says and "Nothing is missing" not in found.says

@@ -1,11 +1,17 @@
 """Probabilities: weights of hypotheses that are compared by cells."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from torchpi.diagnosis.posterior import averaged, names_of
+from torchpi.diagnosis.hypothesis import EffectTerm, Hypothesis
+from torchpi.diagnosis.hysteresis_model import HysteresisModel
+from torchpi.diagnosis.posterior import averaged, names_of, rivals
+from torchpi.stage.effects.amplifier.amplifier_lag import AmplifierLag
+from torchpi.stage.effects.amplifier.slew_limit import SlewLimit
 
 
 def densities(models: int, cells: int, seed: int) -> np.ndarray:
@@ -51,3 +57,18 @@ def test_the_names_in_an_explanation() -> None:
     assert names_of("resonance + cross_coupling") == ["resonance", "cross_coupling"]
     assert names_of("hysteresis_operator: preisach") == ["hysteresis_operator"]
     assert names_of(None) == []
+
+
+def test_what_came_by_exchange_competes_with_what_it_replaced() -> None:
+    """A slew limit that is soft enough is a lag: it was exchanged for the one that had been taken."""
+    lag, slew = EffectTerm(AmplifierLag, {"cutoff_hz": 250.0}), EffectTerm(SlewLimit, {"rate_v_per_s": 7e3})
+    less = Hypothesis(HysteresisModel(np.zeros(1)))
+    fitted = SimpleNamespace(hypothesis=less.plus(lag))
+    taken = SimpleNamespace(
+        accepted="amplifier_lag", tried=(SimpleNamespace(name="amplifier_lag", fit=fitted),)
+    )
+    search = SimpleNamespace(effects_tried=[], alignments=(0, 1))
+    small = SimpleNamespace(hypothesis=less.plus(slew), weights=np.zeros(1))
+    found = rivals(search, [taken], "slew_limit", less, small)
+    assert [label for label, _, _ in found] == ["amplifier_lag"]
+    assert found[0][1].names == ("amplifier_lag",)

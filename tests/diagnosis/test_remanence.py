@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from tests.diagnosis.plants import NOISE_UM, multisine
 from tests.diagnosis.prepared import prepared
 from torchpi.diagnosis.chain import Chain
+from torchpi.diagnosis.diagnose import diagnose
 from torchpi.diagnosis.fit import fit
 from torchpi.diagnosis.hypothesis import Hypothesis
 from torchpi.diagnosis.hysteresis_model import many_plays
@@ -61,3 +62,19 @@ def test_a_history_is_forgotten_once_the_largest_excursion_is_reached() -> None:
 
 def test_a_hold_remembers_for_ever_and_divides_by_nothing() -> None:
     assert np.array_equal(remanence(np.full(50, 3.0)), np.ones((COLUMNS, 50)))
+
+
+def test_a_bouc_wen_stage_with_a_history_is_explained_down_to_the_noise() -> None:
+    """At ±80 V, far from the unit of its state, which starts where the last recording left it."""
+    time, noise_um = np.arange(6000) / 120.0, 0.0015
+    u = np.where(time > 3, -80 * np.exp(-time / 40) * np.sin(1.6 * (time - 3)), 0.0)
+    v = np.interp(np.arange(6000 * 20) / 20, np.arange(6000), u)
+    z, states = -0.17, np.empty(len(v))
+    for k, dv in enumerate(np.diff(v, prepend=0.0)):
+        z += dv / 60.0 * (1 - abs(z) ** 1.2 * (-0.5 + 1.5 * np.sign(z * dv)))
+        states[k] = z
+    y = -0.33 * u + 4.2 * states[::20] + np.random.default_rng(0).normal(0, noise_um, 6000)
+    found = diagnose([Recording("decaying", time, u, y, 120.0)])
+    assert [effect.name for effect in found.effects] == ["hysteresis_operator"]
+    assert found.effects[0].parameters[0].value == "bouc_wen"
+    assert found.augmented.heldout_rms_um < 1.3 * noise_um

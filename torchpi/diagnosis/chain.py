@@ -240,7 +240,8 @@ class Chain:
         nominal = self.nominal(hypothesis, index)
         before = tuple((p.effect.name, *p.effect.values().items()) for p in self.before(hypothesis, index))
         shape = tuple(sorted(nominal.shape.items()))
-        return (index, hypothesis.alignment, hypothesis.remanent, nominal.structure, shape, before)
+        past = (hypothesis.remanent, nominal.start)
+        return (index, hypothesis.alignment, past, nominal.structure, shape, before)
 
     def before(self, hypothesis: Hypothesis, index: int) -> list[Placed]:
         """What precedes the hysteresis."""
@@ -306,6 +307,8 @@ class Chain:
         for member in hypothesis.members:
             if issubclass(member.effect, InsideEffect):
                 nominal = nominal.with_shape(member.values(index))
+        if hypothesis.remanent and hypothesis.starts:
+            nominal = replace(nominal, start=hypothesis.starts[index])
         if nominal.simulation:
             called = partial(nominal.simulation.output, self.records[index])
             nominal = replace(nominal, called=called, late=hypothesis.alignment)

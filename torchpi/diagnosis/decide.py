@@ -47,6 +47,7 @@ def decide(
     believed: Sequence[Believed],
     noise: Noise | None,
     structured: bool,
+    loud: bool,
 ) -> Decision:
     """Name what is more likely than not.
 
@@ -57,6 +58,7 @@ def decide(
         believed: Its effects with their probabilities.
         noise: What was measured of it.
         structured: Whether what is left can be predicted from the voltage, or is not white.
+        loud: Whether a recording, a stretch or a frequency stands out of it.
     """
     floor_um = noise.rms_um if noise is not None else 0.0
     faint = (FAINT * (floor_um or final.train_rms)) ** 2
@@ -93,7 +95,7 @@ def decide(
     left = tuple(one for one in believed if one.name not in kept and one.explained_um2 >= faint)
     above = max(final.train_rms**2 - floor_um**2, 0.0) if noise is not None else 0.0
     above += sum(max(one.explained_um2, 0.0) for one in left)
-    found = verdict(named, bool(left), final, noise, structured)
+    found = verdict(named, bool(left) or loud, final, noise, structured)
     share = 0.0 if found == "nothing_missing" else min(1.0, above / total)
     return Decision(found, tuple(named), left, share, noise.rms_um if noise is not None else None)
 

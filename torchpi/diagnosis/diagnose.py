@@ -123,7 +123,9 @@ def diagnose(
     if remainder is not None:
         augmented = remainder[0]
     left = [e[r.train] for e, r in zip(augmented.residuals, records, strict=True)]
-    decision = decide(search, retuned, final, believed, noise, remainder is not None or structure(left))
+    loud = leftovers(records, augmented.residuals)
+    structured = remainder is not None or structure(left)
+    decision = decide(search, retuned, final, believed, noise, structured, bool(loud))
     if lsb_um > 0 and lsb_um / np.sqrt(12) > COARSE * final.train_rms:
         decision = with_read_off(decision, of_converter(lsb_um, retuned))
     lost = wrong_readings(records, wrong, final)
@@ -165,7 +167,7 @@ def diagnose(
         noise_floor_um=noise.rms_um if noise is not None else None,
         heldout=HELD_OUT, unexplained_share=decision.unexplained_share, next_recording=next_one,
         next_excitation=excitation, notes=notes, traces=traces, stage=stage,
-        says=paragraph(decision, errors, noise, next_one, leftovers(traces)),
+        says=paragraph(decision, errors, noise, next_one, loud),
     )  # fmt: skip
 
 

@@ -13,7 +13,11 @@ from torchpi.operators.quantity import Quantity
 def free_parameters_of(hypothesis: Hypothesis) -> tuple[FreeParameter, ...]:
     slots = []
     for name in hypothesis.shape:
-        slots.append(shape_slot(hypothesis, name))
+        slots.append(shape_slot(name))
+    if hypothesis.remanent:
+        unit = 1.0 if hypothesis.nominal.bouc_wen else hypothesis.nominal.scale_v
+        for record in range(len(hypothesis.starts)):
+            slots.append(FreeParameter(-1, START, record, False, 0.2 * unit, -2 * unit, 2 * unit))
     for k, member in enumerate(hypothesis.members):
         quantities = member.effect.quantities
         for name, value in member.shared.items():
@@ -26,6 +30,7 @@ def free_parameters_of(hypothesis: Hypothesis) -> tuple[FreeParameter, ...]:
     return tuple(slots)
 
 
+START = "start"
 SHAPE_BOUNDS = {
     "sigma_v": (1e-3, 1e3),
     "beta": (0.0, 3.0),
@@ -34,7 +39,7 @@ SHAPE_BOUNDS = {
 }
 
 
-def shape_slot(hypothesis: Hypothesis, name: str) -> FreeParameter:
+def shape_slot(name: str) -> FreeParameter:
     low, high = SHAPE_BOUNDS[name]
     log = low > 0
     return FreeParameter(-1, name, None, log, 0.2 if not log else 1.0, low, high)
@@ -82,18 +87,21 @@ def at_bound(slot: FreeParameter, inner: float) -> bool:
 def value_at(hypothesis: Hypothesis, slot: FreeParameter) -> float:
     """The present number of a slot."""
     if slot.member < 0:
-        return hypothesis.nominal.shape[slot.name]
+        return hypothesis.nominal.shape[slot.name] if slot.record is None else hypothesis.starts[slot.record]
     member = hypothesis.members[slot.member]
     return (member.shared if slot.record is None else member.own[slot.record])[slot.name]
 
 
 def with_theta(hypothesis: Hypothesis, slots: Sequence[FreeParameter], theta: np.ndarray) -> Hypothesis:
-    members = list(hypothesis.members)
+    members, starts = list(hypothesis.members), list(hypothesis.starts)
     shape = {}
     for s, inner in zip(slots, theta, strict=True):
         value = to_outer(s, float(inner))
         if s.member < 0:
-            shape[s.name] = value
+            if s.record is None:
+                shape[s.name] = value
+            else:
+                starts[s.record] = value
             continue
         m = members[s.member]
         if s.record is None:
@@ -103,4 +111,4 @@ def with_theta(hypothesis: Hypothesis, slots: Sequence[FreeParameter], theta: np
             own[s.record] = {**own[s.record], s.name: value}
             members[s.member] = replace(m, own=tuple(own))
     nominal = hypothesis.nominal.with_shape(shape) if shape else hypothesis.nominal
-    return replace(hypothesis, nominal=nominal, members=tuple(members))
+    return replace(hypothesis, nominal=nominal, members=tuple(members), starts=tuple(starts))

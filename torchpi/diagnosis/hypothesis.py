@@ -55,6 +55,8 @@ class Hypothesis:
     """Parameters of the nominal's shape that are fitted."""
     remanent: bool = False
     """Whether each recording may start from a history of its own."""
+    starts: tuple[float, ...] = ()
+    """With a history, where the state of a Bouc–Wen or Duhem hysteresis starts in each recording."""
 
     def plus(self, member: EffectTerm) -> "Hypothesis":
         """With one more effect, in the order of the chain."""
@@ -70,7 +72,7 @@ class Hypothesis:
     def on(self, nominal: HysteresisModel, shape: tuple[str, ...] = ()) -> "Hypothesis":
         """The same effects on another hysteresis, beside the same simulation."""
         nominal = replace(nominal, simulation=self.nominal.simulation)
-        return replace(self, nominal=nominal, shape=shape)
+        return replace(self, nominal=nominal, shape=shape, starts=())
 
     def without(self, name: str, aux: str | None = None) -> "Hypothesis":
         """Without what has this name; of what takes a signal, only that of one, if it is given.

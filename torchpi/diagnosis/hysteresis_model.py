@@ -28,7 +28,7 @@ BLOCK = 256
 CHANGING = ("asymmetry_per_v", "incongruence_per_v", "weight_s_per_v", "threshold_s_per_v", "loop_per_e")
 """Numbers of the shape that change what a play does; the others only say how."""
 BESIDE = (6, 14)
-"""Plays beside a state of another family, spread in the logarithm and evenly."""
+"""Plays beside a state of another family at first, spread in the logarithm and evenly."""
 FIRM = 30.0
 """Times that a simulation's row is larger: a correction beside it costs more than its own gain."""
 
@@ -38,7 +38,7 @@ class HysteresisModel:
     """A hysteresis without its weights.
 
     The rows are h_i of the plays, their powers up to `degree` (output functions), then the states of the
-    other families.
+    other families; all of them in volts.
     """
 
     thresholds_v: np.ndarray
@@ -48,6 +48,8 @@ class HysteresisModel:
     duhem: bool = False
     shape: dict[str, float] = field(default_factory=lambda: dict(IDENTITY))
     """Parameters inside the hysteresis, the rest being 0; of Bouc–Wen and Duhem too."""
+    start: float = 0.0
+    """Of z before a recording, or of d_1, whose memory fades as that of all d does; V."""
     reduction: np.ndarray | None = None
     """(kept rows, rows): combinations that the data can tell apart; None keeps all."""
     simulation: Outside | None = None
@@ -163,10 +165,13 @@ class HysteresisModel:
         """States of the other families."""
         rows = []
         if self.bouc_wen:
-            z = bouc_wen_row(v, self.shape["sigma_v"], self.shape["beta"], self.shape["exponent"]) * gain
-            rows.append(z + z * loop)
+            numbers = (self.shape["sigma_v"], self.shape["beta"], self.shape["exponent"])
+            z = bouc_wen_row(v, *numbers, self.start) * gain
+            # In the unit of the plays, whose weights have one prior.
+            rows.append(self.scale_v * (z + z * loop))
         if self.duhem:
-            rows += [duhem_row(v, self.shape["alpha_per_v"], k) / self.scale_v ** (k - 1) for k in (1, 2, 3)]
+            alpha, starts = self.shape["alpha_per_v"], (self.start, 0.0, 0.0)
+            rows += [duhem_row(v, alpha, k + 1, z) / self.scale_v**k for k, z in enumerate(starts)]
         return rows
 
     def of_simulation(self, v: np.ndarray) -> list[np.ndarray]:

@@ -5,8 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.ndimage import median_filter
 
-from torchpi.diagnosis.diagnosis import Trace
 from torchpi.diagnosis.lines import AROUND, periodogram
+from torchpi.diagnosis.records import Record
 
 LOUD = 10.0
 """Times the rms of the rest."""
@@ -18,27 +18,30 @@ AT_MOST = 3
 """Phrases."""
 
 
-def leftovers(traces: Sequence[Trace]) -> tuple[str, ...]:
+def leftovers(records: Sequence[Record], residuals: Sequence[np.ndarray]) -> tuple[str, ...]:
     """A phrase for each recording, stretch or frequency that stands out of what the modelled stage leaves.
 
     The loudest comes first.
+
+    Args:
+        records: The recordings.
+        residuals: (time,) each, µm.
     """
     found: list[tuple[float, str]] = []
-    squares = [float(np.mean(trace.residual_augmented**2)) for trace in traces]
-    for trace, own in zip(traces, squares, strict=True):
-        e = trace.residual_augmented
-        others = [square for other, square in zip(traces, squares, strict=True) if other is not trace]
+    squares = [float(np.mean(e**2)) for e in residuals]
+    for record, e, own in zip(records, residuals, squares, strict=True):
+        others = [square for other, square in zip(records, squares, strict=True) if other is not record]
         if others and own > LOUD**2 * max(float(np.median(others)), 1e-300):
             found.append(
-                (own, f"recording {trace.name}, {np.sqrt(own / np.median(others)):.0f} times the others")
+                (own, f"recording {record.name}, {np.sqrt(own / np.median(others)):.0f} times the others")
             )
         parts = np.array_split(e, min(STRETCHES, len(e)))
         each = np.array([float(np.mean(part**2)) for part in parts])
         place, typical = int(each.argmax()), max(float(np.median(each)), 1e-300)
         if each[place] > LOUD**2 * typical:
-            width = len(e) / len(parts) / trace.fs_hz
+            width = len(e) / len(parts) / record.fs_hz
             found.append(
-                (each[place], f"{trace.name} from {place * width:.3g} s to {(place + 1) * width:.3g} s, "
+                (each[place], f"{record.name} from {place * width:.3g} s to {(place + 1) * width:.3g} s, "
                  f"{np.sqrt(each[place] / typical):.0f} times the rest")
             )  # fmt: skip
         power = periodogram(e - e.mean())
@@ -48,8 +51,8 @@ def leftovers(traces: Sequence[Trace]) -> tuple[str, ...]:
         peak = int(np.argmax(np.where(power > LOUD**2 * around, power, 0.0)[4:])) + 4
         share = float(power[max(peak - 2, 0) : peak + 3].sum() / max(power.sum(), 1e-300))
         if power[peak] > LOUD**2 * around[peak] and share > TONE:
-            hz = peak * trace.fs_hz / len(e)
+            hz = peak * record.fs_hz / len(e)
             found.append(
-                (share * own, f"{trace.name} at {hz:.3g} Hz, {100 * share:.0f} % of what is left there")
+                (share * own, f"{record.name} at {hz:.3g} Hz, {100 * share:.0f} % of what is left there")
             )
     return tuple(phrase for _, phrase in sorted(found, reverse=True)[:AT_MOST])

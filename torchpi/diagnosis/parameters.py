@@ -89,5 +89,5 @@ def shape_parameters(final: Fit, spans: Sequence[tuple[float, float]]) -> list[P
     return [
         Parameter(slot.name, value_at(final.hypothesis, slot), units.get(slot.name, ""), span)
         for slot, span in zip(final.slots, spans, strict=True)
-        if slot.member < 0
+        if slot.member < 0 and slot.record is None
     ]

@@ -192,6 +192,9 @@ def rivals(
     there = set(small.hypothesis.names)
     seen: set[str] = set()
     taken = [round for round in history if name in names_of(round.accepted)]
+    # What came by exchange stands in the place of what was taken then.
+    kept = there | {OPERATOR_NAME}
+    taken = taken or [one for one in history if one.accepted and not kept & {*names_of(one.accepted)}]
     considered = [round for round in history if any(name in names_of(one.name) for one in round.tried)]
     for round in reversed(taken or considered[-1:]):
         for one in round.tried:

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from torchpi.diagnosis.chain import Chain
 from torchpi.diagnosis.fit import ITERATIONS, fit, weight_prior
@@ -29,18 +30,20 @@ def basis(
     """
     nominal = hypothesis.nominal
     full = replace(nominal, reduction=None)
-    size = full.kept
+    size = len(full.thresholds_v) * full.degree
     if size <= kept + 1:
         return hypothesis, weights
     bare, gram = replace(hypothesis, nominal=full), np.zeros((size, size))
     for i, record in enumerate(chain.records):
-        rows = np.empty((size, len(record.u)))
+        rows = np.empty((full.kept, len(record.u)))
         chain.nominal(bare, i).fill(chain.voltage(bare, i), record.period_s, rows)
-        part = np.ascontiguousarray(chain.whitened(i, rows)[:, ::THINNED])
+        part = np.ascontiguousarray(chain.whitened(i, rows[:size])[:, ::THINNED])
         gram += part @ part.T
     values, vectors = np.linalg.eigh(gram * THINNED)
     informed = int((values > INFORMED * weight_prior(chain)).sum())
-    reduction = vectors[:, ::-1][:, : max(1, min(kept, informed))].T
+    of_plays = vectors[:, ::-1][:, : max(1, min(kept, informed))].T
+    # What a state adds to its plays may be little where it begins, and much where its numbers lead.
+    reduction = block_diag(of_plays, np.eye(full.kept - size))
     if weights is None:
         return replace(hypothesis, nominal=replace(full, reduction=reduction)), None
     first = weights[: nominal.kept]

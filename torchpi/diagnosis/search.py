@@ -306,25 +306,42 @@ class Search(Exchange):
         return found
 
     def growth(self, now: Fit, leader: Fit) -> list[tuple[str, Fit]]:
-        """A larger hysteresis in the place of the present one, fitted to the end where it may beat a fit."""
+        """A larger hysteresis in the place of the present one, fitted to the end where it may beat a fit.
+
+        A state that is not linear in its numbers is only held against the present fit until it has the
+        weights that it shows itself.
+        """
         h, found = now.hypothesis, []
         larger: list[tuple[str, HysteresisModel, tuple[str, ...], int]] = [
             ("preisach", preisach(self.seen), (), 2)
         ]
-        larger.append(("bouc_wen", bouc_wen(self.seen, 0.1), ("sigma_v", "beta", "exponent"), 10))
-        larger.append(("duhem", duhem(self.seen, 5.0), ("alpha_per_v",), 6))
+        larger.append(("bouc_wen", bouc_wen(self.seen, 0.2), ("sigma_v", "beta", "exponent"), 10))
+        larger.append(("duhem", duhem(self.seen, 2.0), ("alpha_per_v",), 6))
         if self.simulation:
             larger.insert(0, ("prandtl_ishlinskii", self.plays(), (), 2))
         larger = [one for one in larger if one[0] not in {*self.rejected_families, h.nominal.family}]
         jobs: list[Job] = [
-            (*basis(self.chain, h.on(nominal, shape), None, MANY), steps, ROUGH)
+            (*basis(self.chain, self.on(h, nominal, shape), None, MANY), steps, ROUGH)
             for _, nominal, shape, steps in larger
         ]
-        for (family, *_), one in zip(larger, self.raced(jobs, leader), strict=True):
+        states = [k for k, (_, _, shape, _) in enumerate(larger) if shape]
+        fits = dict(zip(states, self.raced([jobs[k] for k in states], now), strict=True))
+        rest = [k for k in range(len(larger)) if k not in fits]
+        fits |= dict(zip(rest, self.raced([jobs[k] for k in rest], leader), strict=True))
+        for k, (family, *_) in enumerate(larger):
+            one = fits[k]
+            if k in states and self.over(one, now).probability > ACCEPTED:
+                one = self.at_its_own_weights(one)
+                one = max(one, self.at_its_own_weights(self.beside_all(one)), key=self.score)
             found.append((OPERATOR + family, one))
             if one.train_rms > REJECTED * now.train_rms:
                 self.rejected_families.add(family)
         return found
+
+    def on(self, h: Hypothesis, nominal: HysteresisModel, shape: tuple[str, ...]) -> Hypothesis:
+        """A hypothesis on another hysteresis, whose state starts anywhere if recordings have a history."""
+        remembers = nominal.bouc_wen or nominal.duhem
+        return replace(h.on(nominal, shape), starts=(0.0,) * (len(self.chain.records) * remembers))
 
     def sized(self, now: Fit) -> Fit:
         """A Preisach operator with as many numbers as predict best."""
@@ -335,6 +352,26 @@ class Search(Exchange):
             (*basis(self.chain, h.on(preisach(self.seen, *size)), None, MANY), 2, FINE) for size in PREISACH
         ]
         return max([now, *self.fits(jobs)], key=self.score)
+
+    def at_its_own_weights(self, now: Fit) -> Fit:
+        """A fit with the weights that it shows itself, where that predicts better: those before it make
+        little of where it improves."""
+        shared, best = self.chain.weighting, now
+        for _ in range(REWEIGHTED):
+            self.weigh(now)
+            (now,) = self.fits_here([(now.hypothesis, now.weights, 8, ROUGH)])
+            if shared.log_density(now).sum() > shared.log_density(best).sum():
+                best = now
+        self.chain.weighting = shared
+        return best
+
+    def beside_all(self, now: Fit) -> Fit:
+        """A state beside as many plays as the samples carry, where it began beside a few."""
+        h = now.hypothesis
+        nominal = replace(h.nominal, thresholds_v=self.plays().thresholds_v, reduction=None)
+        more, _ = basis(self.chain, replace(h, nominal=nominal), None, MANY)
+        (fit,) = self.fits_here([(more, None, 8, ROUGH)])
+        return fit
 
     def backward(self, now: Fit) -> Fit:
         """Without the effects that the others have made needless."""

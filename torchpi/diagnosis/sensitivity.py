@@ -54,8 +54,8 @@ class Near(NamedTuple):
         return (
             hypothesis.nominal.structure == mine.nominal.structure
             and hypothesis.shape == mine.shape
-            and (hypothesis.alignment, hypothesis.held, hypothesis.remanent)
-            == (mine.alignment, mine.held, mine.remanent)
+            and (hypothesis.alignment, hypothesis.held, hypothesis.remanent, len(hypothesis.starts))
+            == (mine.alignment, mine.held, mine.remanent, len(mine.starts))
             and (Stiction.name in hypothesis.names) == (Stiction.name in mine.names)
         )
 
@@ -191,13 +191,14 @@ def identity(near: Near) -> tuple[object, ...]:
         (m.effect.name, m.aux, *m.shared.items(), *(tuple(own.items()) for own in m.own)) for m in h.members
     )
     nominal = (h.nominal.structure, *sorted(h.nominal.shape.items()))
-    return (members, nominal, h.alignment, h.held, h.shape, h.remanent, near.weights.tobytes())
+    past = (h.remanent, h.starts)
+    return (members, nominal, h.alignment, h.held, h.shape, past, near.weights.tobytes())
 
 
 def place_of(hypothesis: Hypothesis, slot: FreeParameter) -> tuple[object, ...]:
     """Where a slot lives, whatever else the hypothesis has."""
     if slot.member < 0:
-        return (slot.name,)
+        return (slot.name, slot.record)
     member = hypothesis.members[slot.member]
     return (member.effect.name, member.aux, slot.record, slot.name)
 

@@ -203,10 +203,10 @@ def _polynomials(x: float, coefficients: np.ndarray, y: np.ndarray) -> None:
 
 
 @numba.njit(cache=True)
-def bouc_wen_row(v: np.ndarray, sigma: float, beta: float, n: float) -> np.ndarray:
-    """(time,), z from rest at v = 0."""
+def bouc_wen_row(v: np.ndarray, sigma: float, beta: float, n: float, start: float) -> np.ndarray:
+    """(time,), z from v = 0, where it was `start`."""
     row = np.empty(len(v))
-    z, before = 0.0, 0.0
+    z, before = start, 0.0
     for t in range(len(v)):
         z = _bouc_wen(z, v[t] - before, sigma, beta, n)
         row[t] = z
@@ -215,10 +215,10 @@ def bouc_wen_row(v: np.ndarray, sigma: float, beta: float, n: float) -> np.ndarr
 
 
 @numba.njit(cache=True)
-def duhem_row(v: np.ndarray, alpha: float, power: int) -> np.ndarray:
-    """(time,), z from rest at v = 0."""
+def duhem_row(v: np.ndarray, alpha: float, power: int, start: float) -> np.ndarray:
+    """(time,), z from v = 0, where it was `start`."""
     row = np.empty(len(v))
-    z, before = 0.0, 0.0
+    z, before = start, 0.0
     for t in range(len(v)):
         z = _duhem(z, v[t], before, alpha, power)
         row[t] = z
