@@ -9,7 +9,7 @@ from torchpi.diagnosis.chain import Chain
 from torchpi.diagnosis.fit import ITERATIONS, fit, weight_prior
 from torchpi.diagnosis.hypothesis import Fit, Hypothesis
 
-FEW, MANY = 24, 80
+FEW, MANY = 24, 160
 """Principal combinations for a search, and to report."""
 INFORMED = 0.1
 """What the samples know of a combination, over what the prior does, from which it is kept."""
@@ -31,9 +31,13 @@ def basis(
     nominal = hypothesis.nominal
     full = replace(nominal, reduction=None)
     size = len(full.thresholds_v) * full.degree
-    if size <= kept + 1:
-        return hypothesis, weights
     bare, gram = replace(hypothesis, nominal=full), np.zeros((size, size))
+    first, others = weights, np.zeros(0)
+    if weights is not None:
+        first, others = np.split(weights, [nominal.kept])
+        first = first if nominal.reduction is None else nominal.reduction.T @ first
+    if size <= kept + 1:
+        return bare, None if first is None else np.concatenate([first, others])
     for i, record in enumerate(chain.records):
         rows = np.empty((full.kept, len(record.u)))
         chain.nominal(bare, i).fill(chain.voltage(bare, i), record.period_s, rows)
@@ -44,12 +48,10 @@ def basis(
     of_plays = vectors[:, ::-1][:, : max(1, min(kept, informed))].T
     # What a state adds to its plays may be little where it begins, and much where its numbers lead.
     reduction = block_diag(of_plays, np.eye(full.kept - size))
-    if weights is None:
+    if first is None:
         return replace(hypothesis, nominal=replace(full, reduction=reduction)), None
-    first = weights[: nominal.kept]
-    first = first if nominal.reduction is None else nominal.reduction.T @ first
     mixed = replace(full, reduction=np.concatenate([first[None], reduction]))
-    started = np.concatenate([[1.0], np.zeros(len(reduction)), weights[nominal.kept :]])
+    started = np.concatenate([[1.0], np.zeros(len(reduction)), others])
     return replace(hypothesis, nominal=mixed), started
 
 

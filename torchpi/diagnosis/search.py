@@ -43,8 +43,10 @@ TRIED, FINISHED = 6, 4
 AXES = "resonance + cross_coupling"
 OPERATOR = "hysteresis_operator: "
 """How a larger hysteresis is called among the explanations, before its family."""
-PREISACH = ((20, 60, 5), (15, 35, 7))
+PREISACH = ((20, 60, 5), (20, 60, 9))
 """Plays spread in the logarithm, plays spread evenly, degree: what a Preisach operator may grow to."""
+ALL = 300
+"""Combinations of its rows, at most: a few less leave several times the noise of an operator in play form."""
 SAMPLES_A_PLAY = 10
 """Shorter recordings than so many samples for each of a hundred plays get ten plays."""
 REJECTED = 3.0
@@ -309,7 +311,7 @@ class Search(Exchange):
         """A larger hysteresis in the place of the present one, fitted to the end where it may beat a fit.
 
         A state that is not linear in its numbers is only held against the present fit until it has the
-        weights that it shows itself.
+        weights that it shows itself. What is larger has to beat the present one on the same terms.
         """
         h, found = now.hypothesis, []
         larger: list[tuple[str, HysteresisModel, tuple[str, ...], int]] = [
@@ -330,13 +332,17 @@ class Search(Exchange):
         fits |= dict(zip(rest, self.raced([jobs[k] for k in rest], leader), strict=True))
         for k, (family, *_) in enumerate(larger):
             one = fits[k]
-            if k in states and self.over(one, now).probability > ACCEPTED:
+            if self.over(one, now).probability > ACCEPTED:
                 one = self.at_its_own_weights(one)
-                one = max(one, self.at_its_own_weights(self.beside_all(one)), key=self.score)
+                if k in states:
+                    one = max(one, self.at_its_own_weights(self.beside_all(one)), key=self.score)
             found.append((OPERATOR + family, one))
             if one.train_rms > REJECTED * now.train_rms:
                 self.rejected_families.add(family)
-        return found
+        if all(self.over(one, now).probability <= ACCEPTED for _, one in found):
+            return found
+        settled = self.at_its_own_weights(refitted(self.chain, now))
+        return [(name, one) for name, one in found if self.over(one, settled, PRIOR).probability > ACCEPTED]
 
     def on(self, h: Hypothesis, nominal: HysteresisModel, shape: tuple[str, ...]) -> Hypothesis:
         """A hypothesis on another hysteresis, whose state starts anywhere if recordings have a history."""
@@ -348,10 +354,9 @@ class Search(Exchange):
         h = now.hypothesis
         if h.nominal.family != "preisach":
             return now
-        jobs: list[Job] = [
-            (*basis(self.chain, h.on(preisach(self.seen, *size)), None, MANY), 2, FINE) for size in PREISACH
-        ]
-        return max([now, *self.fits(jobs)], key=self.score)
+        larger = [h.on(preisach(self.seen, *size)) for size in PREISACH]
+        jobs: list[Job] = [(*basis(self.chain, one, None, ALL), 2, FINE) for one in larger]
+        return max([now, *map(self.at_its_own_weights, self.fits(jobs))], key=self.score)
 
     def at_its_own_weights(self, now: Fit) -> Fit:
         """A fit with the weights that it shows itself, where that predicts better: those before it make
