@@ -9,8 +9,10 @@ from hypothesis import strategies as st
 
 from torchpi.diagnosis.hypothesis import EffectTerm, Hypothesis
 from torchpi.diagnosis.hysteresis_model import HysteresisModel
-from torchpi.diagnosis.posterior import averaged, names_of, rivals
+from torchpi.diagnosis.posterior import FORM_ERROR, HALF, Believed, apart, averaged, names_of, rivals, trust
+from torchpi.stage.effects.actuator.creep import Creep
 from torchpi.stage.effects.amplifier.amplifier_lag import AmplifierLag
+from torchpi.stage.effects.amplifier.delay import Delay
 from torchpi.stage.effects.amplifier.slew_limit import SlewLimit
 
 
@@ -72,3 +74,23 @@ def test_what_came_by_exchange_competes_with_what_it_replaced() -> None:
     found = rivals(search, [taken], "slew_limit", less, small)
     assert [label for label, _, _ in found] == ["amplifier_lag"]
     assert found[0][1].names == ("amplifier_lag",)
+
+
+@given(st.floats(1e-6, 1.0))
+def test_what_an_effect_leaves_by_its_form_is_not_named_after_its_kin(share: float) -> None:
+    terms = {
+        "amplifier_lag": EffectTerm(AmplifierLag, {"cutoff_hz": 250.0}),
+        "delay": EffectTerm(Delay, {"delay_s": 1e-4}),
+        "creep": EffectTerm(Creep, {"per_decade": 0.01}),
+    }
+    lag, late, slow = (
+        Believed(name, 1.0, (), size, ()) for name, size in zip(terms, (1.0, share, share), strict=True)
+    )
+    found = [lag, late, slow]
+    assert apart(slow, found, terms) == 1.0
+    assert apart(late, found, terms) == pytest.approx(1 / (1 + (FORM_ERROR / share) ** 2))
+    assert apart(lag, found, terms) > 0.98
+
+
+def test_a_name_has_to_explain_as_much_as_stays_unexplained() -> None:
+    assert trust(0.5) < 0.25 < trust(HALF) < 0.5 < trust(0.8) < 1.0

@@ -5,6 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from tests.diagnosis.plants import multisine, record, triangles
 from tests.diagnosis.prepared import prepared
@@ -191,3 +193,13 @@ def test_every_stratum_is_of_one_recording_and_has_cells_enough() -> None:
     own = np.repeat([0, 1], [r.haar.cells for r in records])
     assert all(len(np.unique(own[strata == one])) == 1 for one in np.unique(strata))
     assert np.bincount(strata).min() >= LEAST_IN_STRATUM
+
+
+@given(st.integers(0, 999))
+def test_of_all_that_is_left_what_lies_in_other_cells_counts_as_well(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    now = rng.uniform(2.0, 9.0, 40)
+    less = now + np.where(np.arange(40) < 3, rng.uniform(1.0, 50.0), 0.0)
+    share = weighting(40).explained_of_all(Left(now), Left(less))
+    gained, left = (less - now) @ weighting(40).counts, (now - 1.0) @ weighting(40).counts
+    assert share == pytest.approx(gained / (gained + left))

@@ -18,6 +18,7 @@ from torchpi.diagnosis.leftovers import leftovers
 from torchpi.diagnosis.locate import locate
 from torchpi.diagnosis.long_recordings import at_a_lower_rate
 from torchpi.diagnosis.model import augmented_stage
+from torchpi.diagnosis.monitored import noise_of
 from torchpi.diagnosis.next_recording import next_recording
 from torchpi.diagnosis.noise import measured_noise
 from torchpi.diagnosis.outside import Outside, untried_note
@@ -150,6 +151,7 @@ def diagnose(
     )
     notes = (
         *long, *cannot_be_decided(records), *untried_note(called, untried), *lattice_note,
+        *monitored_notes(records),
         *conventions(search, final), *history_notes(search, final),
         *slip_notes(search, final, augmented), *conflict(traces, floor_um),
     )  # fmt: skip
@@ -270,6 +272,17 @@ def open_between(decision: Decision) -> list[str]:
         if effect.alternatives:
             return [effect.name, *effect.alternatives]
     return [effect.name for effect in decision.effects if effect.probability < UNCERTAIN]
+
+
+def monitored_notes(records: Sequence[Record]) -> tuple[str, ...]:
+    """The noise of each voltage that was monitored and not commanded."""
+    found = {record.name: noise_of(record.u) for record in records}
+    noisy = [f"{sd:.2g} V in {name}" for name, sd in found.items() if sd > 0]
+    return (
+        (f"The voltage has noise of its own, taken out before it drives: {', '.join(noisy)}.",)
+        if noisy
+        else ()
+    )
 
 
 def conventions(search: Search, final: Fit) -> tuple[str, ...]:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from torchpi.diagnosis.haar import Haar
+from torchpi.diagnosis.monitored import without_noise
 from torchpi.recordings.recording import Recording
 from torchpi.stage.effects.effect import DataRange
 
@@ -33,6 +34,7 @@ class Record:
 
     name: str
     u: np.ndarray
+    """As it was recorded."""
     y: np.ndarray
     fs_hz: float
     aux: dict[str, np.ndarray]
@@ -46,12 +48,13 @@ class Record:
     """None where no mount that sticks was seen."""
     simulated: np.ndarray | None = None
     """(time,), µm: a simulator's output, where the recording has it."""
+    driving: np.ndarray | None = None
+    """(time,), V: a monitored voltage without the noise of the monitor; None is `u`."""
 
     def commanded(self, alignment: int) -> np.ndarray:
         """The command that y(k) answers: that of tick k, or of `alignment` ticks before."""
-        if alignment == 0:
-            return self.u
-        return np.concatenate([np.full(alignment, self.u[0]), self.u[:-alignment]])
+        u = self.u if self.driving is None else self.driving
+        return u if alignment == 0 else np.concatenate([np.full(alignment, u[0]), u[:-alignment]])
 
     @property
     def period_s(self) -> float:
@@ -94,7 +97,8 @@ def _record(recording: Recording, samples: int, wrong: np.ndarray, recordings: i
     at_most = max(200, int(AT_MOST / recordings / LEVELS) * 2)
     return Record(
         recording.name, u, y, recording.fs_hz, recording.aux, fitted & valid, ~fitted & valid,
-        Haar.of(activity, samples, fitted & valid, at_most), simulated=recording.simulated,
+        Haar.of(activity, samples, fitted & valid, at_most),
+        simulated=recording.simulated, driving=without_noise(u),
     )  # fmt: skip
 
 

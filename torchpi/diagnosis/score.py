@@ -107,6 +107,12 @@ class Weighting:
         nats = np.maximum(self.log_density(more) - self.log_density(less), 0.0)
         return float((nats * share).sum() / max(float(nats.sum()), 1e-300))
 
+    def explained_of_all(self, more: Fit, less: Fit) -> float:
+        """What a fit explains beyond another, 0–1, of that and of all that is left of the mean squares."""
+        gained = np.maximum(less.left_out_um2 - more.left_out_um2, 0.0) @ self.counts
+        left = np.maximum(more.left_out_um2 - self.level_um2, 0.0) @ self.counts
+        return float(gained / max(gained + left, 1e-300))
+
     def of_squares(self, mean_um2: np.ndarray) -> np.ndarray:
         """The same of the cells' mean squares, (cells,), µm²."""
         n = np.minimum(self.counts, AT_MOST)

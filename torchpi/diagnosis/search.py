@@ -359,13 +359,14 @@ class Search(Exchange):
         return max([now, *map(self.at_its_own_weights, self.fits(jobs))], key=self.score)
 
     def at_its_own_weights(self, now: Fit) -> Fit:
-        """A fit with the weights that it shows itself, where that predicts better: those before it make
-        little of where it improves."""
+        """A fit with the weights that it shows itself, where that predicts better and leaves no more: those
+        before it make little of where it improves."""
         shared, best = self.chain.weighting, now
         for _ in range(REWEIGHTED):
             self.weigh(now)
             (now,) = self.fits_here([(now.hypothesis, now.weights, 8, ROUGH)])
-            if shared.log_density(now).sum() > shared.log_density(best).sum():
+            ahead = shared.log_density(now).sum() > shared.log_density(best).sum()
+            if ahead and now.train_rms <= best.train_rms:
                 best = now
         self.chain.weighting = shared
         return best

@@ -104,6 +104,8 @@ class Described:
     """Why it is left out where `starts` returns nothing."""
     degenerate_with: ClassVar[tuple[str, ...]] = ()
     """Effects that voltage and displacement alone cannot split from it in general."""
+    left_by: ClassVar[tuple[str, ...]] = ()
+    """Effects whose remainder looks like this one where their equation is not quite the rig's."""
     alike_inside: ClassVar[tuple[str, ...]] = ()
     """Effects that look the same where a simulation whose inside is not known may have one of them."""
     commutes: ClassVar[bool] = False

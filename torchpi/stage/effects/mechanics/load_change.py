@@ -24,6 +24,7 @@ class LoadChange(Static, LinearEffect):
     equation = "y = k_A / (k_A + k_S) x"
     signature = "another gain in another recording, and a resonance higher by its root"
     time_scale = "static"
+    left_by = ("resonance", "second_mode")
     needs = Needs(recordings=2)
     quantities: ClassVar[dict[str, Quantity]] = {
         "stiffness_ratio": Quantity("", at_least=-0.5, at_most=10.0),

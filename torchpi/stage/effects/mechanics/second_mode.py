@@ -20,6 +20,7 @@ class SecondMode(Resonance):
     name = "second_mode"
     equation = "y = (1 - s) x + s M(x)"
     signature = "rings at one frequency, weakly: a resonance next to an antiresonance"
+    left_by = ("resonance",)
     quantities: ClassVar[dict[str, Quantity]] = {
         "share": Quantity("", at_least=-0.9, at_most=0.9),
         **OF_A_MODE,
