@@ -116,8 +116,10 @@ class Search(Exchange):
         retuned = now = self.retuned()
         history: list[Round] = []
         for number in range(1, ROUNDS + 1):
-            if found := self.sticking(now):
-                history.append(Round(now, (found,), found.name))
+            if stuck := self.sticking(now):
+                before, found = stuck
+                history.append(Round(before, (found,), found.name))
+                retuned = before if now is retuned else retuned
                 now = found.fit
             small = self.reweighted(now)
             tried = self.round(small)
@@ -189,8 +191,9 @@ class Search(Exchange):
         samples = sum(record.train.sum() for record in self.chain.records)
         return plain(self.seen) if samples < SAMPLES_A_PLAY * nominal.size else nominal
 
-    def sticking(self, now: Fit) -> Tried | None:
-        """Stiction, if the readings show it: from then on everything is fitted where the mount slips."""
+    def sticking(self, now: Fit) -> tuple[Fit, Tried] | None:
+        """Stiction, if the readings show it, and the fit before it without a history: from then on
+        everything is fitted where the mount slips."""
         if Stiction.name in now.hypothesis.names or self.noise is None:
             return None
         if now.hypothesis.remanent:  # a mount that has not slipped yet looks like a history
@@ -200,7 +203,7 @@ class Search(Exchange):
             return None
         self.chain, self.slips = found.chain, found
         self.log(f"readings that hold and jump, a mount that sticks: one step ahead {rms_of(found.fit)}")
-        return Tried(Stiction.name, found.fit, self.over(found.fit, now))
+        return now, Tried(Stiction.name, found.fit, self.over(found.fit, now))
 
     def added(self, now: Fit) -> list[str]:
         """The effects that the simulation did not have."""

@@ -128,11 +128,16 @@ def with_rests(records: Sequence[Record], least_um: float) -> list[Record]:
 def free_run(chain: Chain, last: Fit, jump_um: float) -> Fit:
     """The last fit on the records without their rests: the mount slips by itself.
 
-    Where that predicts less than no such mount, everything is fitted without one.
+    Where that does not predict every recording better than no such mount, everything is fitted without one:
+    where one slip is predicted wrongly, all that follow are.
     """
     without = fit(chain, last.hypothesis.without(Stiction.name), last.weights)
     slipping = slipping_freely(chain, last, jump_um)
-    return min(slipping, without, key=lambda one: one.train_rms)
+    better = [
+        rms([record], [slips], True) < rms([record], [stays], True)
+        for record, slips, stays in zip(chain.records, slipping.residuals, without.residuals, strict=True)
+    ]
+    return slipping if all(better) else without
 
 
 def slipping_freely(chain: Chain, one: Fit, jump_um: float) -> Fit:
