@@ -6,7 +6,7 @@ would be predicted at most: one pass of the chain a start.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,6 +19,8 @@ from torchpi.stage.effects.effect import Effect, Parameters
 from torchpi.stage.effects.inside import InsideEffect
 from torchpi.stage.effects.mechanics.modal import ModalEffect
 
+RESIZED = (0.02, 3.0)
+"""Times its size, at most, that a start becomes: to first order, no more is known."""
 ROUNDING = 1e-7
 """Of a squared direction: less than this off the tangent is rounding."""
 
@@ -28,6 +30,7 @@ class Candidate:
     """A start of an effect."""
 
     member: EffectTerm
+    """With the size that explains most, to first order."""
     gain: float
     """Nats that it could gain, to first order."""
 
@@ -64,9 +67,31 @@ class Screen:
         left = self.off_tangent(np.concatenate(directions))
         parts = np.split(left, np.cumsum([len(each) for each in directions])[:-1])
         return [
-            Candidate(member, self.gain(part, not (signed(member) or member.effect.hold)))
+            Candidate(
+                self.of_the_best_size(member, part),
+                self.gain(part, not (signed(member) or member.effect.hold)),
+            )
             for member, part in zip(members, parts, strict=True)
         ]
+
+    def of_the_best_size(self, member: EffectTerm, off_tangent: np.ndarray) -> EffectTerm:
+        """The member with the numbers that say how much there is of it times what the first of its
+        directions, (directions, coefficients), is to be multiplied with."""
+        first = off_tangent[0]
+        sizes = sizes_of(member)
+        if not sizes or not first.any():
+            return member
+        factor = float(np.clip((first @ self.left) / (first @ first), *RESIZED))
+        bounds = member.effect.quantities
+        return replace(
+            member,
+            shared={
+                name: min(max(value * factor, bounds[name].at_least), bounds[name].at_most)
+                if name in sizes
+                else value
+                for name, value in member.shared.items()
+            },
+        )
 
     def off_tangent(self, directions: np.ndarray) -> np.ndarray:
         """What refitting cannot absorb of directions, (directions, coefficients); 0 for rounding."""
@@ -118,6 +143,15 @@ class Screen:
             rows = np.stack([principal, *(record.aux[name] for name in aux)])
             found.append(self.chain.whitened(i, self.chain.moved(hypothesis, rows, i)))
         return np.concatenate(found, axis=1)
+
+
+def sizes_of(member: EffectTerm) -> list[str]:
+    """Its numbers that say how much there is of it: nothing at 0, and no kink or jump in between."""
+    effect = member.effect
+    if signed(member) or member.own:
+        return []
+    rough = {*effect.jumps, *effect.kinks, *effect.kinds}
+    return [n for n, value in member.shared.items() if effect.identity[n] == 0.0 < value and n not in rough]
 
 
 def signed(member: EffectTerm) -> bool:

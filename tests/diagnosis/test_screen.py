@@ -1,0 +1,36 @@
+"""The screen: what a start could explain to first order, and of what size it does."""
+
+import pytest
+
+from tests.diagnosis.plants import creep, pair
+from tests.diagnosis.prepared import prepared
+from torchpi.diagnosis.chain import Chain
+from torchpi.diagnosis.fit import fit
+from torchpi.diagnosis.hypothesis import EffectTerm, Hypothesis
+from torchpi.diagnosis.hysteresis_model import many_plays
+from torchpi.diagnosis.records import seen
+from torchpi.diagnosis.score import Weighting
+from torchpi.diagnosis.screen import Screen, sizes_of
+from torchpi.stage.effects.actuator.creep import Creep
+from torchpi.stage.effects.amplifier.amplifier_lag import AmplifierLag
+from torchpi.stage.effects.amplifier.slew_limit import SlewLimit
+from torchpi.stage.effects.sensor.sensor_nonlinearity import SensorNonlinearity
+
+
+@pytest.mark.parametrize("per_decade", [0.001, 0.01, 0.02])
+def test_a_start_gets_the_size_that_explains_most(per_decade: float) -> None:
+    """Twenty times too large, its fit would end far from there before it is worth another step."""
+    rig = pair(4000, after=lambda x, fs_hz: creep(x, fs_hz, per_decade), noise_um=0.0005)
+    chain = Chain(prepared(rig))
+    now = fit(chain, Hypothesis(many_plays(seen(chain.records))))
+    chain.weighting = Weighting.of(chain.records, now.residuals, None)
+    (found,) = Screen(chain, now).candidates([EffectTerm(Creep, {"per_decade": 0.02})])
+    assert found.gain > 0
+    assert found.member.shared["per_decade"] == pytest.approx(per_decade, rel=0.5)
+
+
+def test_what_is_no_size_stays_as_it_starts() -> None:
+    assert sizes_of(EffectTerm(Creep, {"power_per_decade": 0.01, "exponent": 0.2})) == ["power_per_decade"]
+    assert sizes_of(EffectTerm(AmplifierLag, {"cutoff_hz": 100.0})) == []
+    assert sizes_of(EffectTerm(SlewLimit, {"rate_v_per_s": 100.0})) == []
+    assert sizes_of(EffectTerm(SensorNonlinearity, {"a2_per_um": 0.01})) == []
