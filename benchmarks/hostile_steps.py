@@ -6,7 +6,8 @@
 
 `recovery`: C in double and float, each sequence to its end. `bits`: TorchScript and the Python stream beside
 C in double, every sample compared to the last bit until 60 samples after the last hostile one, and of every
-`whole_every`-th sequence all 1.5 s. `drift`: one period over and over, by how much its voltages ever differ
+`whole_every`-th sequence all 1.5 s; it prints its counts at each tenth, and what was cut off goes on from
+there with `--first_seed`. `drift`: one period over and over, by how much its voltages ever differ
 from those of the first round after creep has settled. `sanitizers`: steps under the address and
 undefined-behaviour sanitizers.
 """
@@ -109,12 +110,14 @@ def bits(made: DirectInverse, folder: Path, seeds: range, whole_every: int) -> N
         for name, one in (("TorchScript", script), ("Python", stream)):
             one.reset()
             differing[name] += not torch.equal(one.block(yd).view(torch.int64), expected.view(torch.int64))
-        progress(done, len(seeds), started)
-    print(
-        f"TorchScript, Python and C double: {len(seeds)} sequences, {whole} of them whole, {outside} outside "
-        f"the limits; with other bits than C: " + ", ".join(f"{n} {name}" for name, n in differing.items()),
-        flush=True,
-    )
+        if tenth(done, len(seeds)):
+            print(
+                f"TorchScript, Python and C double: seeds {seeds[0]} to {seed}, {whole} of them whole, "
+                f"{outside} outside the limits; with other bits than C: "
+                + ", ".join(f"{n} {name}" for name, n in differing.items())
+                + f", after {time.monotonic() - started:.0f} s",
+                flush=True,
+            )
 
 
 def drift(made: DirectInverse, folder: Path, steps: int) -> None:
@@ -135,8 +138,13 @@ def drift(made: DirectInverse, folder: Path, steps: int) -> None:
 def progress(done: int, of: int, started: float) -> None:
     """A line at each tenth of what takes long, to the standard error."""
     lasted = time.monotonic() - started
-    if done * 10 // of > (done - 1) * 10 // of and lasted > 5.0:
+    if tenth(done, of) and lasted > 5.0:
         print(f"  {100 * done // of} % after {lasted:.0f} s", file=sys.stderr, flush=True)
+
+
+def tenth(done: int, of: int) -> bool:
+    """Whether another tenth is done."""
+    return done * 10 // of > (done - 1) * 10 // of
 
 
 def sanitized(folder: Path, steps: int) -> None:

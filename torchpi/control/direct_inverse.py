@@ -225,20 +225,6 @@ class DirectInverse(nn.Module):
         powers = torch.arange(1, len(self.scaled_lead) + 1, dtype=torch.float64)
         return self.scaled_lead * self.sample_period_s**powers
 
-    def lead_limits(self) -> tuple[float, float] | None:
-        """Least and largest lead τ_1 ẏ_d + τ_2 ÿ_d of the trained rates and accelerations, or of none, µm.
-
-        None without a lead, or where these are not known.
-        """
-        if len(self.scaled_lead) == 0 or self.trained is None or self.trained.accelerations_um_s2 is None:
-            return None
-        trained = (self.trained.rates_um_s, self.trained.accelerations_um_s2)
-        least, largest = 0.0, 0.0
-        for tau, interval in zip(self.lead.tolist(), trained, strict=False):
-            ends = [tau * end for end in (0.0, *interval)]
-            least, largest = least + min(ends), largest + max(ends)
-        return least, largest
-
     def at_rate(
         self,
         x: Tensor,  # (time,), µm
@@ -311,11 +297,12 @@ class DirectInverseStream(GuardedStep):
                 raise ArtifactError(
                     f"{name}: found {values.tolist()}, expected finite numbers: the training diverged"
                 )
-        limits, lead_um = compensator.step_limits(), compensator.lead_limits()
+        limits, trained = compensator.step_limits(), compensator.trained
         low, high = limits.accepted_um
         lead = [*compensator.lead.tolist(), 0.0, 0.0]
         weights, decay = compensator.weights, compensator.creep_decay.tolist()
-        theta = weights.theta
+        lead_um = trained.lead_limits(compensator.lead.tolist()) if trained else None
+        sharpest = trained.accelerations_um_s2 if trained else None
         super().__init__(limits)
         self.motion: Any = motion_stream(compensator.sample_period_s, reference_filter)
         self.has_reference_filter = reference_filter is not None
@@ -323,7 +310,7 @@ class DirectInverseStream(GuardedStep):
         self.preview = compensator.preview
         self.leads = len(compensator.scaled_lead) > 0
         self.leads_acceleration = len(compensator.scaled_lead) > 1
-        self.limits_lead = lead_um is not None
+        self.limits_lead = self.leads and lead_um is not None
         self.limits_x = self.has_reference_filter or (self.leads and not self.limits_lead)
         self.creeps = len(decay) > 0
         self.follows_rate = weights.kind != "none"
@@ -333,6 +320,7 @@ class DirectInverseStream(GuardedStep):
         self.has_offset = compensator.offset.item() != 0.0
         # Plain ASCII, because the comments go into C as well.
         self.least_lead_um, self.largest_lead_um = lead_um or (0.0, 0.0)  # um, at the trained motions
+        self.least_trained_um_s2, self.largest_trained_um_s2 = sharpest or (0.0, 0.0)  # um/s^2
         self.tau_1 = lead[0]  # s, lead on the rate
         self.tau_2 = lead[1]  # s^2, lead on the acceleration
         self.least_x_um = 2 * low - high  # um, what leads and filter make of a jump
@@ -346,21 +334,25 @@ class DirectInverseStream(GuardedStep):
         self.shift = weights.shift.tolist()  # 1, function j of the rate
         self.range_um = compensator.range_um  # um, unit of the plays' own output functions
         self.r = compensator.plays.r.tolist()  # um, threshold of play i, eq. 1
-        self.b = theta[:, 0].tolist()  # V/um, weight of play i at rest, eq. 7
-        self.k = theta[:, 1:2].flatten().tolist()  # V/um, weight of play i times z, eq. 7
-        self.theta = theta[:, 2:].T.flatten().tolist()  # V/um, weights of the plays times function j
+        self.b = weights.theta[:, 0].tolist()  # V/um, weight of play i at rest, eq. 7
+        self.k = weights.theta[:, 1:2].flatten().tolist()  # V/um, weight of play i times z, eq. 7
+        self.theta = weights.theta[:, 2:].T.flatten().tolist()  # V/um, weights of the plays times function j
         self.psi = compensator.psi.flip(1).T.flatten().tolist()  # V/um, output functions, by falling power
         self.u_0 = compensator.offset.item()  # V, offset
         self.phi = [0.0] * len(self.slope)
         self.xi = [0.0] * len(decay)
         self.h = [0.0] * len(self.r)
         self.last_x = self.start_um
+        self.lowest_x_um = self.start_um  # um, least x so far of motions no sharper than trained
+        self.highest_x_um = self.start_um  # um, largest
 
     @torch.jit.export
     def reset(self) -> None:
         self.reset_guard()
         self.motion.reset()
         self.last_x = self.start_um
+        self.lowest_x_um = self.start_um
+        self.highest_x_um = self.start_um
         if self.creeps:
             for i in range(len(self.xi)):
                 self.xi[i] = 0.0
@@ -370,20 +362,24 @@ class DirectInverseStream(GuardedStep):
     @torch.jit.export
     def step(self, yd: float) -> float:
         self.accept(yd)
-        x, rate, acceleration = self.motion.step(self.last_input)
+        y, rate, acceleration = self.motion.step(self.last_input)
+        x = y
         if self.limits_lead:
-            least_x = x + self.least_lead_um
-            largest_x = x + self.largest_lead_um
             if self.smooth >= 4:
-                x = self.led(x, rate, acceleration)
+                x = self.led(y, rate, acceleration)
             else:
                 # Without a lead, x might pass turning points of the motion, which wide plays never forget.
                 x = self.last_x
-            x = min(max(x, least_x), largest_x)
+            x = min(max(x, y + self.least_lead_um), y + self.largest_lead_um)
+            if acceleration >= self.least_trained_um_s2 and acceleration <= self.largest_trained_um_s2:
+                self.lowest_x_um = x if x < self.lowest_x_um else self.lowest_x_um
+                self.highest_x_um = x if x > self.highest_x_um else self.highest_x_um
+            else:
+                x = self.within_turning_points(x, y)
             self.last_x = x
         elif self.leads:
             if self.smooth >= 4:
-                x = self.led(x, rate, acceleration)
+                x = self.led(y, rate, acceleration)
         if self.limits_x:
             x = min(max(x, self.least_x_um), self.largest_x_um)
         if self.creeps:
@@ -395,6 +391,12 @@ class DirectInverseStream(GuardedStep):
         self.emit(self.law(x, rate))
         return self.last_voltage
 
+    def within_turning_points(self, x: float, y: float) -> float:
+        # What turns more sharply than trained may be a stray sample: its lead sets no turning point.
+        least_x_um = y if y < self.lowest_x_um else self.lowest_x_um
+        largest_x_um = y if y > self.highest_x_um else self.highest_x_um
+        return min(max(x, least_x_um), largest_x_um)
+
     def led(self, x: float, rate: float, acceleration: float) -> float:
         x = x + self.tau_1 * rate
         if self.leads_acceleration:
@@ -405,6 +407,8 @@ class DirectInverseStream(GuardedStep):
         # The states of a stage that has come from rest to yd and stood there, and the voltage.
         self.motion.reset_at(yd)
         self.last_x = yd
+        self.lowest_x_um = yd if yd < self.start_um else self.start_um
+        self.highest_x_um = yd if yd > self.start_um else self.start_um
         for i in range(len(self.h)):
             self.h[i] = 0.0
         x = yd

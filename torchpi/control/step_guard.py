@@ -10,15 +10,20 @@ Before it, `accept` decides what is taken for the desired displacement:
     a sudden step, longer than the one before   taken as far as the turning points so far, and counted in
     by more than a trained one, and what        `held_inputs` where it lies beyond them, until four samples in
     follows it                                  a row have made no such step
+    a sharp step, longer than the one before    taken beyond the turning points so far by no more than that,
+    by more than 4 trained accelerations make   and counted in `held_inputs`
+    it, or 1 % of the trained range
+    a first sample outside the trained range    held until four more samples confirm it
 
 Wide plays remember the outermost turning points of a motion until they are reset, and with them any stray
 sample beyond: only what agrees with its neighbours may set a new one. Thus whatever the equations see is
 finite, bounded, and of bounded rate, and what is held leaves nothing in the memory of hysteresis and creep.
-The derivatives of a lead are formed of four samples, and would carry a
-jump, or the step after a sample that was held, into the plays at many times its size: `smooth` counts the
-samples since the last one that was held, or moved faster than trained, and leads wait for four of them.
-Meanwhile the plays' input stays where it was, as far as the lead of the trained rates and accelerations can
-explain: with no lead it could pass the turning points of the motion, which wide plays never forget.
+The derivatives of a lead are formed of four samples, and would carry a jump, or the step after a sample that
+was held, into the plays at many times its size: `smooth` counts the samples since the last one that was
+held, or moved faster than trained, and leads wait for four of them. Meanwhile the plays' input stays where it
+was, as far as the lead of the trained rates and accelerations can explain: with no lead it could pass the
+turning points of the motion, which wide plays never forget. Nor does a lead set a turning point where the
+acceleration is beyond the trained one.
 
 Behind the equations, `emit` limits the voltage, and its change on request, and counts in
 `limited_outputs`. States do not wind up: beyond the trained range, but for one per cent, nothing is accepted
@@ -34,7 +39,7 @@ from torchpi.control.reach import Reach
 from torchpi.control.trained_motions import TrainedMotions
 
 BEYOND_RANGE = 0.25  # of the trained range, accepted on either side of it: 1.5 times the trained range
-BEYOND_RATE = 4.0  # times the largest trained rate, accepted
+BEYOND_RATE = 4.0  # times the largest trained rate, accepted; and acceleration, beyond the turning points
 NOISE = 0.01  # of the trained range, accepted beyond it whatever is reached, and from sample to sample
 CONFIRMATIONS = 4  # samples that lie within an accepted step of the one before
 BEYOND_REACH = 2.0  # times the largest displacement within reach, accepted where the training is not known
@@ -42,14 +47,14 @@ BEYOND_REACH = 2.0  # times the largest displacement within reach, accepted wher
 # Numbers that stay double in C compiled for float: comparisons must come out alike in both.
 IN_DOUBLE = frozenset(
     "yd aim_v last_input last_sample start_trained_um lowest_um highest_um change_um last_change_um "
-    "taken_um longest_um step_um start_um least_accepted_um largest_accepted_um least_trained_um "
-    "largest_trained_um trained_step_um largest_step_um least_um largest_um middle_um voltage_v start_v "
-    "min_voltage_v max_voltage_v max_change_v last_voltage slower_v faster_v bounded_v least_v "
-    "largest_v".split()
+    "taken_um longest_um further_um sharp_um step_um start_um least_accepted_um largest_accepted_um "
+    "least_trained_um largest_trained_um trained_step_um largest_step_um least_um largest_um middle_um "
+    "voltage_v start_v min_voltage_v max_voltage_v max_change_v last_voltage slower_v faster_v bounded_v "
+    "least_v largest_v least_trained_um_s2 largest_trained_um_s2".split()
 )
 
 # Called for few samples: in C no part of the step, which compilers would otherwise take to be a large one.
-OUT_OF_LINE = frozenset(["accept_beyond"])
+OUT_OF_LINE = frozenset(["accept_beyond", "within_turning_points"])
 
 
 @dataclass(frozen=True)
@@ -61,6 +66,7 @@ class StepLimits:
         largest_step_um: Longest step from one accepted sample to the next, µm.
         trained_um: Trained range, µm; the accepted one where the training is not known.
         trained_step_um: Longest step from sample to sample at the trained rates, µm.
+        sharp_um: Longest accepted change from one step to the next where the next sets a turning point, µm.
         min_voltage_v: Lower output limit.
         max_voltage_v: Upper output limit.
         max_change_v: Largest change of the output from sample to sample; None for any.
@@ -70,6 +76,7 @@ class StepLimits:
     largest_step_um: float
     trained_um: tuple[float, float]
     trained_step_um: float
+    sharp_um: float
     min_voltage_v: float
     max_voltage_v: float
     max_change_v: float | None = None
@@ -97,7 +104,13 @@ def step_limits(
     if trained is None:
         largest = BEYOND_REACH * max(abs(reach.low_um), abs(reach.high_um), abs(typical_um))
         return StepLimits(
-            (-largest, largest), 2 * largest, (-largest, largest), 2 * largest, *voltages_v, change
+            (-largest, largest),
+            2 * largest,
+            (-largest, largest),
+            2 * largest,
+            2 * largest,
+            *voltages_v,
+            change,
         )
     low, high = trained.range_um
     span = high - low
@@ -107,7 +120,12 @@ def step_limits(
     )
     trained_step = max(map(abs, trained.rates_um_s)) * sample_period_s
     longest = min(max(BEYOND_RATE * trained_step, NOISE * span), accepted[1] - accepted[0])
-    return StepLimits(accepted, longest, trained.range_um, min(trained_step, longest), *voltages_v, change)
+    trained_step = min(trained_step, longest)
+    sharp = trained_step
+    if trained.accelerations_um_s2 is not None:
+        turned = max(map(abs, trained.accelerations_um_s2)) * sample_period_s**2
+        sharp = min(max(BEYOND_RATE * turned, NOISE * span), trained_step)
+    return StepLimits(accepted, longest, trained.range_um, trained_step, sharp, *voltages_v, change)
 
 
 class GuardedStep(nn.Module):
@@ -124,6 +142,7 @@ class GuardedStep(nn.Module):
         self.least_trained_um = limits.trained_um[0]  # um
         self.largest_trained_um = limits.trained_um[1]  # um
         self.trained_step_um = limits.trained_step_um  # um, from one sample to the next
+        self.sharp_um = limits.sharp_um  # um, from one step to the next
         self.min_voltage_v = limits.min_voltage_v  # V
         self.max_voltage_v = limits.max_voltage_v  # V
         self.limits_change = limits.max_change_v is not None
@@ -188,40 +207,49 @@ class GuardedStep(nn.Module):
             elif self.confirmed < self.enough:
                 self.confirmed += 1
             step_um = yd - self.last_input
-            if not self.started:
+            trained = yd >= self.least_trained_um and yd <= self.largest_trained_um
+            if not self.started and (trained or self.confirmed >= self.enough):
                 # The trajectory rested here before its first sample.
+                self.started = True
                 self.confirmed = self.enough
                 change_um = 0.0
                 step_um = 0.0
-            if abs(step_um) <= self.largest_step_um:
-                self.take(yd, step_um)
+            if self.started and abs(step_um) <= self.largest_step_um:
+                self.take(yd, step_um, change_um)
             elif self.confirmed < self.enough:
                 self.held_inputs += 1
             else:
                 longest_um = self.largest_step_um if step_um > 0.0 else -self.largest_step_um
-                self.take(self.last_input + longest_um, step_um)
+                self.take(self.last_input + longest_um, step_um, change_um)
             if self.confirmed == 0 or abs(step_um) > self.trained_step_um or self.last_input != yd:
                 self.smooth = 0
             elif self.smooth < 4:
                 self.smooth += 1
             self.last_change_um = change_um
             self.last_sample = yd
-            self.started = True
         else:
             self.held_inputs += 1
             self.smooth = 0
 
-    def take(self, yd: float, step_um: float) -> None:
-        """What is accepted; before enough samples agree, no further than the turning points so far."""
+    def take(self, yd: float, step_um: float, change_um: float) -> None:
+        """What is accepted; a sudden sample no further beyond the turning points so far than trained."""
         taken_um = yd
-        if self.confirmed < self.enough:
-            least_um = self.lowest_um if self.lowest_um < self.last_input else self.last_input
-            largest_um = self.highest_um if self.highest_um > self.last_input else self.last_input
+        further_um = abs(self.last_change_um) + self.sharp_um
+        if self.confirmed < self.enough or abs(change_um) > further_um:
+            further_um = further_um if self.confirmed >= self.enough else 0.0
+            least_um = self.last_input - further_um
+            largest_um = self.last_input + further_um
+            least_um = self.lowest_um if self.lowest_um < least_um else least_um
+            largest_um = self.highest_um if self.highest_um > largest_um else largest_um
             taken_um = least_um if yd < least_um else taken_um
             taken_um = largest_um if yd > largest_um else taken_um
-        elif yd >= self.least_trained_um and yd <= self.largest_trained_um:
-            self.lowest_um = yd if yd < self.lowest_um else self.lowest_um
-            self.highest_um = yd if yd > self.highest_um else self.highest_um
+        if (
+            self.confirmed >= self.enough
+            and taken_um >= self.least_trained_um
+            and taken_um <= self.largest_trained_um
+        ):
+            self.lowest_um = taken_um if taken_um < self.lowest_um else self.lowest_um
+            self.highest_um = taken_um if taken_um > self.highest_um else self.highest_um
         if taken_um != yd:
             self.held_inputs += 1
         elif (
@@ -254,6 +282,8 @@ class GuardedStep(nn.Module):
         was over. A `yd` that is not accepted leaves the de-energised state, and counts in `held_inputs`.
         """
         self.reset()  # type: ignore[operator]
+        if yd >= self.least_accepted_um and yd <= self.largest_accepted_um:
+            self.last_input = yd  # no jump from the de-energised state
         self.accept_beyond(yd)
         u: float = self.at_rest(self.last_input)  # type: ignore[operator]
         self.last_voltage = u

@@ -78,6 +78,23 @@ class TrainedMotions:
             intervals[name] = (interval[0].item(), interval[1].item())
         return cls(**intervals)
 
+    def lead_limits(self, lead: Sequence[float]) -> Interval | None:
+        """Least and largest τ_1 ẏ + τ_2 ÿ of these rates and accelerations, or of none, µm.
+
+        Args:
+            lead: τ_1 in s, τ_2 in s².
+
+        Returns:
+            None where the accelerations are not known.
+        """
+        if self.accelerations_um_s2 is None:
+            return None
+        least, largest = 0.0, 0.0
+        for tau, interval in zip(lead, (self.rates_um_s, self.accelerations_um_s2), strict=False):
+            ends = [tau * end for end in (0.0, *interval)]
+            least, largest = least + min(ends), largest + max(ends)
+        return least, largest
+
     def plain(self) -> dict[str, Any]:
         """Lists of numbers by name, as hyper-parameters and JSON keep them."""
         return {name: None if value is None else list(value) for name, value in asdict(self).items()}
