@@ -84,9 +84,11 @@ def test_a_polynomial_that_falls_is_no_candidate() -> None:
     assert np.isinf(problem.solve(np.array([0.5])).objective)
 
 
-def test_the_linearisation_is_the_slope_of_the_objective() -> None:
+@pytest.mark.parametrize("stiffness", [0.0, 1.0])
+def test_the_linearisation_is_the_slope_of_the_objective(stiffness: float) -> None:
     [record] = pairs(truth(), (1500,), noise_v=0.05)
-    problem = MonotoneProblem(form(lead=1, creep_time_constants_s=[0.1], offset=True), [record])
+    made = form(lead=1, creep_time_constants_s=[0.1], offset=True)
+    problem = MonotoneProblem(made, [record]).stiffened(stiffness)
     alpha = np.array([3e-4, 0.02, 0.01])
     solved = problem.solve(alpha)
     linearised = problem.linearise(alpha, solved.beta)
@@ -94,6 +96,16 @@ def test_the_linearisation_is_the_slope_of_the_objective() -> None:
     for k, step in enumerate((1e-7, 1e-5, 1e-5)):
         ends = [problem.solve(alpha + sign * step * np.eye(3)[k]).objective for sign in (1, -1)]
         assert slopes[k] == pytest.approx((ends[0] - ends[1]) / (2 * step), rel=2e-2, abs=1e-7)
+
+
+def test_the_stiffer_the_less_s_bends() -> None:
+    [record] = pairs(truth(), (1500,), noise_v=0.05)
+    bends = []
+    for stiffness in (0.0, 1.0, 100.0):
+        problem = MonotoneProblem(form(), [record]).stiffened(stiffness)
+        alpha, _ = levenberg_marquardt(problem, problem.alpha, 60, 1e-6)
+        bends.append(float(np.abs(alpha).max()))
+    assert bends[0] > bends[1] > bends[2] > 0.0
 
 
 def test_only_the_rows_that_are_given_are_fitted() -> None:

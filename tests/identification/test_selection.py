@@ -9,6 +9,7 @@ import torch
 
 from tests.identification.test_fits import PERIOD, THRESHOLDS, pairs, truth
 from torchpi.control.direct_inverse import DirectInverse
+from torchpi.diagnosis.locate import turning_points
 from torchpi.identification import InversePair
 from torchpi.identification.folds import make_folds
 from torchpi.identification.selection import Form, Richest, Selection, select_form
@@ -72,7 +73,26 @@ def test_creep_is_found_in_several_records_and_not_sought_in_one() -> None:
     found = select(records).steps[-1].form
     assert found.creep_time_constants_s == (0.05,)
     alone = select(records[:1]).steps[-1].form
-    assert (alone.creep_time_constants_s, alone.rate) == ((), "none") and alone.degree <= 2
+    assert (alone.creep_time_constants_s, alone.rate) == ((), "none") and alone.degree in (1, 4)
+
+
+def test_one_record_shows_whether_s_bends_and_not_how() -> None:
+    bent = truth(rate="none")
+    bent.saturation.set_coefficients(torch.tensor([1.2, -0.06], dtype=torch.float64))
+    found = {
+        degree: select(pairs(inverse, (1500,), noise_v=0.01)).steps[-1].form.degree
+        for degree, inverse in ((1, made(rate="none")), (4, bent))
+    }
+    assert found == {1: 1, 4: 4}
+
+
+def test_the_first_loading_of_a_single_record_is_fitted_in_every_fold() -> None:
+    [record] = pairs(made(), (1500,))
+    first = int(turning_points(record.u[0].numpy(), 0.1 * float(np.ptp(record.u.numpy())))[1:][0])
+    record = record._replace(counted=slice(first - 20, None))
+    for fold in make_folds([record]):
+        assert fold.judged[0].min() >= first
+        assert np.isin(np.arange(first - 20, first), fold.fitted[0]).all()
 
 
 def test_the_look_ahead_of_a_late_stage_is_found() -> None:

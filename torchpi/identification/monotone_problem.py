@@ -10,7 +10,9 @@ as much as y over it: the thresholds alone fix its scale, and are chosen for S(y
 does what a ridge does for neighbouring plays that are nearly collinear.
 """
 
+import copy
 from collections.abc import Sequence
+from typing import Self
 
 import numpy as np
 import torch
@@ -69,6 +71,7 @@ class MonotoneProblem(ProjectedProblem):
         self.to_searched = np.delete(self.to_searched, first, 1)
         self.at_zero = np.zeros(len(self.searched))
         self.at_zero[first] = 1.0
+        self.bending = np.zeros(len(self.searched) - 1)  # V, what each of α adds to the error
 
     def _of_sums(self, low: float, high: float) -> np.ndarray:
         """θ of sums W_j at one or both ends of the rates: (columns, sums)."""
@@ -84,6 +87,20 @@ class MonotoneProblem(ProjectedProblem):
         theta[:, 0] = np.hstack([high * differences, -low * differences]) / (high - low)
         theta[:, 1] = np.hstack([-differences, differences]) / (high - low)
         return matrix
+
+    def stiffened(self, stiffness: float) -> Self:
+        """The same with a ridge on the bend of S, Σ_{m≥2} (c_m range^(m-1))².
+
+        Args:
+            stiffness: What a sum of 1 costs, as a share of the mean square error that S = y leaves.
+        """
+        stiff = copy.copy(self)
+        bends = np.delete(self.is_polynomial, int(np.argmax(self.at_zero)))
+        left = self.solve(np.where(bends, 0.0, self.alpha)).mean_square if bends.any() else 0.0
+        scales = self.compensator.range_um ** np.arange(1, bends.sum() + 1)
+        stiff.bending = np.zeros(len(bends))
+        stiff.bending[bends] = np.sqrt(stiffness * left) * scales
+        return stiff
 
     @property
     def alpha(self) -> np.ndarray:
@@ -104,8 +121,9 @@ class MonotoneProblem(ProjectedProblem):
         p = self.columns.count
         beta = self.to_weights.sum(1) * LEAST_SLOPE + np.hstack([self.to_weights, self.offset_columns]) @ sums
         error = triangle[:, :p] @ beta - triangle[:, p]
-        objective = float(np.square(columns @ sums - left).sum())
-        return Solved(objective / self.samples, float(error @ error) / self.samples, beta)
+        objective = float(np.square(columns @ sums - left).sum()) / self.samples
+        objective += float(np.square(self.bending * alpha).sum())
+        return Solved(objective, float(error @ error) / self.samples, beta)
 
     def linearise(self, alpha: np.ndarray, beta: np.ndarray) -> Linearised:
         """How the projected error moves with α while the sums that are at their bound stay there."""
@@ -116,7 +134,9 @@ class MonotoneProblem(ProjectedProblem):
         slopes = rows[:, p:-1] @ self.to_searched
         reduced = triangle_of(np.column_stack([columns[:, sums > 0], slopes, left]))
         end, root = q + len(alpha), np.sqrt(self.samples)
-        return Linearised(reduced[q:end, q:end] / root, reduced[q:end, end] / root)
+        bent = np.column_stack([np.diag(self.bending), -self.bending * alpha])
+        both = triangle_of(np.vstack([reduced[q:end, q:] / root, bent]))
+        return Linearised(both[: len(alpha), :-1], both[: len(alpha), -1])
 
     def put(self, alpha: np.ndarray, beta: np.ndarray) -> None:
         """Write α and β into the compensator."""

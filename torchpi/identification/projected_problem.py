@@ -9,7 +9,7 @@ all of it: R = ((R_11, R_12, r_13), (0, R_22, r_23), (0, 0, ρ)) gives β = R_11
 
 import copy
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 import torch
@@ -129,7 +129,7 @@ class ProjectedProblem:
         bounded.stands_at_most = max(STANDS_AT_MOST, own)
         return bounded
 
-    def thinned(self, rows: int) -> "ProjectedProblem":
+    def thinned(self, rows: int) -> Self:
         """The same with about as many rows, evenly spread, or with all of them if they are fewer."""
         step = self.samples // rows
         if step < 2:

@@ -5,9 +5,12 @@ extension after the other is tried, and the best one is taken as long as it lowe
 has left out: by more than one standard error over the folds in the mean of log(error), by more than `LEAST`,
 and in the pooled error too. Where nothing does, the start stays.
 
-What a record cannot show is not tried on it. A single one has no other motion to be judged on: creep, weights
-that follow the rate and a polynomial of high degree then fit the shape of its loops, and miss others. Its
-look-ahead is read where it turns round (`reversals`): errors over its blocks cannot tell it.
+What a record cannot show is not tried on it. A single one has no other motion to be judged on: creep and
+weights that follow the rate then fit the shape of its loops, and miss others. Its look-ahead is read where it
+turns round (`reversals`): errors over its blocks cannot tell it. Nor can they tell how S bends: the loops of
+plays are symmetric about a point, so that one loop shows the even part of S, while plays of other thresholds
+stand in for the odd one. They show whether S bends at all. Where it does, the even part alone would be wrong
+about every other loop: S has the highest degree, and a ridge on all that bends it.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -32,7 +35,9 @@ MOST_STEPS = 8
 ROWS, ROWS_AT_LAST = 4_000, 20_000  # of a fit to a fold, and of the last fit
 EVALUATIONS = 30
 TOLERANCE = 1e-3
-DEGREE_OF_ONE_RECORD = 2
+# Of S in a single record: coefficients that bend it by as much as it rises must explain a third of the error.
+STIFFNESS = 0.3
+BENT = 2  # the least degree of a polynomial that bends
 # Of the rms displacement, what the acceleration must add to it: below that a single record does not reach the
 # mode, and τ_2 would fit the curvature of their loops.
 LEAST_INERTIA = 0.2
@@ -142,7 +147,7 @@ def select_form(
     search = _Search(build, pairs_seen_ahead, richest)
     start = search.tried(Form(richest.previews[0], richest.spreads[0]))
     # A bent loop moves the apparent lag: it is sought with a polynomial that can bend.
-    bent = replace(start.form, degree=min(richest.degree, DEGREE_OF_ONE_RECORD))
+    bent = replace(start.form, degree=min(richest.degree, BENT))
     current = search.tried(replace(start.form, preview=search.preview(bent)))
     steps = [start, current] if current.form != start.form else [start]
     for _ in range(MOST_STEPS):
@@ -170,6 +175,7 @@ class _Search:
         self.records: dict[int, tuple[Sequence[InversePair], list[Fold]]] = {}
         pairs, _ = self.at(richest.previews[0])
         self.single = len(pairs) == 1
+        self.stiffness = STIFFNESS if self.single else 0.0
         more = len(richest.previews) - 1  # samples, beyond the first
         self.lag = lag_at_reversals(pairs[0], more) if self.single and more else None
         longest_s = max(pair.u.shape[1] * pair.sample_period_s for pair in pairs)
@@ -193,7 +199,7 @@ class _Search:
             compensator = self.build(form, pairs)
             if start:
                 _begin_from(compensator, start.fitted[i])
-            _fit(compensator, pairs, fold.fitted, ROWS)
+            _fit(compensator, pairs, fold.fitted, ROWS, self.stiffness)
             fitted.append(compensator)
             left.append(_mean_square(compensator, pairs, fold.judged))
         return _Trial(form, fitted, np.array(left))
@@ -234,12 +240,15 @@ class _Search:
             gain = trial.beats(current)
             if gain is not None and gain < gained and self.reaches_the_mode(trial):
                 best, gained = trial, gain
+        if best and self.single and best.form.degree >= BENT:
+            best = self.tried(replace(best.form, degree=self.richest.degree), current)
         return best
 
     def neighbours(self, form: Form) -> Iterator[Form]:
         """Forms that differ in one respect, and that these records can judge."""
-        highest = min(self.richest.degree, DEGREE_OF_ONE_RECORD) if self.single else self.richest.degree
-        yield from (replace(form, degree=d) for d in range(1, highest + 1) if d != form.degree)
+        if not self.single or form.degree == 1:
+            degrees = range(1, self.richest.degree + 1)
+            yield from (replace(form, degree=d) for d in degrees if d != form.degree)
         # A lead takes over part of the look-ahead.
         ahead = {p for p in (0, 1, 2, form.preview) if p in self.richest.previews}
         if self.richest.lead == 2 and form.lead != 2:
@@ -271,14 +280,18 @@ class _Search:
         """A compensator of this form, fitted to all records."""
         pairs, _ = self.at(form.preview)
         compensator = self.build(form, pairs)
-        _fit(compensator, pairs, None, ROWS_AT_LAST)
+        _fit(compensator, pairs, None, ROWS_AT_LAST, self.stiffness)
         return compensator
 
 
 def _fit(
-    compensator: DirectInverse, pairs: Sequence[InversePair], rows: Sequence[np.ndarray] | None, most: int
+    compensator: DirectInverse,
+    pairs: Sequence[InversePair],
+    rows: Sequence[np.ndarray] | None,
+    most: int,
+    stiffness: float,
 ) -> None:
-    problem = MonotoneProblem(compensator, pairs, rows).thinned(most)
+    problem = MonotoneProblem(compensator, pairs, rows).thinned(most).stiffened(stiffness)
     alpha, solved = levenberg_marquardt(problem, problem.alpha, EVALUATIONS, TOLERANCE)
     problem.put(alpha, solved.beta)
 
