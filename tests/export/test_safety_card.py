@@ -1,6 +1,7 @@
 """The safety card: what the model and its training say, in JSON and on the page, and the flag it may need."""
 
 import json
+import re
 import sys
 from html import unescape
 from pathlib import Path
@@ -32,6 +33,7 @@ def test_reach_is_where_the_loop_meets_the_limits() -> None:
     # Up: 2 y - (y - 1) = 10. Down from there, h_1 first stands still at 8, then follows at y + 1.
     assert card.reachable_um == pytest.approx((0.0, 9.0), abs=0.02)
     assert card.remanence_um == pytest.approx(1.0, abs=0.02)
+    assert card.reachable_from_remanence_um == (card.remanence_um, card.reachable_um[1])
     assert card.monotone is None and card.trained_range_um is None and card.current_ma is None
 
 
@@ -68,7 +70,15 @@ def test_the_card_is_in_the_json_and_on_the_page(tmp_path: Path) -> None:
     assert numbers["guard"]["accepted_um"] == list(compensator().step_limits().accepted_um)
     for key in card.as_json():
         assert f'data-part="{key}"' in html or key.startswith("monotone")
+    assert "0.001 s" in html and "-6000 … 6000 µm/s²" in html and "3.4 µF" in html
     assert card.monotone_summary in unescape(html) and f"{card.current_ma:.4g} mA" in html
+
+
+def test_what_is_not_known_is_called_so_and_how_to_give_it(tmp_path: Path) -> None:
+    [page] = export_files(linear(), tmp_path / "demo", ("page",))
+    rows = dict(re.findall(r'data-part="(\w+)">.*?<td>(.*?)</td>', page.read_text(), re.DOTALL))
+    assert rows["trained_voltage_rates_v_s"] == rows["trained_range_um"] == rows["current_ma"] == "not known"
+    assert "--max_slew_v_s" in rows["max_slew_v_s"] and "--capacitance_uf" in rows["capacitance_uf"]
 
 
 def export(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:

@@ -66,14 +66,18 @@ def numbers(
             "accepted one moves by largest_step_um towards it (outside_range); an input further from the "
             "input before it than that was from its own by more than trained_step_um, and those after it "
             "until confirmations in a row are not, are taken no further than the least and largest input so "
-            "far within trained_um (held_inputs beyond); outside accepted_um, inf and "
-            "nan the last accepted one stands in (held_inputs); after a sample that was held, moved, or more "
-            "than trained_step_um away, the lead is left out until three were taken",
+            "far within trained_um (held_inputs beyond), and one that is so by more than sharp_um alone no "
+            "further beyond these than the last accepted one moved by the step before and sharp_um; outside "
+            "accepted_um, inf and nan the last accepted one stands in (held_inputs), and so it does for a "
+            "first input outside trained_um until confirmations more agree; after a sample that was held, "
+            "moved, or more than trained_step_um away, the lead is left out until three were taken, and "
+            "beyond trained_accelerations_um_s2 it carries no further than the plays' input went before",
             "accepted_um": list(limits.accepted_um),
             "largest_step_um": limits.largest_step_um,
             "confirmations": CONFIRMATIONS,
             "trained_um": list(limits.trained_um),
             "trained_step_um": limits.trained_step_um,
+            "sharp_um": limits.sharp_um,
             "largest_output_change_v": limits.max_change_v,
         },
         "reference_filter": None

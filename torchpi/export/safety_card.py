@@ -41,14 +41,20 @@ class SafetyCard:
     """The card; None where something is not known.
 
     Attributes:
+        sample_period_s: The period at which the step must be called.
+        preview: Samples that the desired displacement is given ahead.
         reachable_um: Displacements of slow motions within the output limits, from the de-energised state.
         remanence_um: The lowest displacement after a full excursion, without de-energising.
+        reachable_from_remanence_um: Displacements of slow motions from there on.
         output_limits_v: Voltage limits, inside the step.
         max_slew_v_s: Limit on the rate of the output, inside the step.
         trained_range_um: Displacements trained on.
         trained_rates_um_s: Signed rates trained on.
+        trained_accelerations_um_s2: Accelerations trained on.
         trained_voltages_v: Voltages of the trained motions.
         trained_voltage_rates_v_s: Rates of these voltages, from sample to sample.
+        capacitance_uf: Of the load, as given.
+        amplifier_gain: As given.
         current_ma: Peak current of the trained motions into the given capacitance.
         current_at_slew_limit_ma: Current at `max_slew_v_s`.
         monotone: Whether the inverse rises everywhere over the trained range and rates.
@@ -57,14 +63,20 @@ class SafetyCard:
         accepted_rate_um_s: Jumps beyond are held, then followed at this rate.
     """
 
+    sample_period_s: float
+    preview: int
     reachable_um: Interval
     remanence_um: float
+    reachable_from_remanence_um: Interval
     output_limits_v: Interval
     max_slew_v_s: float | None
     trained_range_um: Interval | None
     trained_rates_um_s: Interval | None
+    trained_accelerations_um_s2: Interval | None
     trained_voltages_v: Interval | None
     trained_voltage_rates_v_s: Interval | None
+    capacitance_uf: float | None
+    amplifier_gain: float
     current_ma: float | None
     current_at_slew_limit_ma: float | None
     monotone: bool | None
@@ -86,14 +98,20 @@ def safety_card(compensator: DirectInverse, load: Load | None = None) -> SafetyC
     peak_v_s = max(map(abs, trained.voltage_rates_v_s)) if trained else None
     rises = monotone(compensator, trained.range_um, trained.rates_um_s) if trained else None
     return SafetyCard(
+        sample_period_s=compensator.sample_period_s,
+        preview=compensator.preview,
         reachable_um=(reach.low_um, reach.high_um),
         remanence_um=reach.remanence_um,
+        reachable_from_remanence_um=(reach.remanence_um, reach.high_um),
         output_limits_v=(compensator.min_voltage_v, compensator.max_voltage_v),
         max_slew_v_s=compensator.max_slew_v_s,
         trained_range_um=trained.range_um if trained else None,
         trained_rates_um_s=trained.rates_um_s if trained else None,
+        trained_accelerations_um_s2=trained.accelerations_um_s2 if trained else None,
         trained_voltages_v=trained.voltages_v if trained else None,
         trained_voltage_rates_v_s=trained.voltage_rates_v_s if trained else None,
+        capacitance_uf=load.capacitance_uf,
+        amplifier_gain=load.amplifier_gain,
         current_ma=load.current_ma(peak_v_s) if peak_v_s is not None else None,
         current_at_slew_limit_ma=(
             load.current_ma(compensator.max_slew_v_s) if compensator.max_slew_v_s is not None else None

@@ -18,19 +18,26 @@ class Card(Protocol):
     def as_json(self) -> dict[str, Any]: ...
 
 
+# Label, key in the card, unit, and what stands where there is no value.
 _ROWS = (
-    ("reachable from the de-energised state", "reachable_um", "µm"),
-    ("lowest displacement after a full excursion (remanence)", "remanence_um", "µm"),
-    ("output limits", "output_limits_v", "V"),
-    ("slew limit", "max_slew_v_s", "V/s"),
-    ("trained range", "trained_range_um", "µm"),
-    ("trained rates", "trained_rates_um_s", "µm/s"),
-    ("voltages of the trained motions", "trained_voltages_v", "V"),
-    ("rates of these voltages", "trained_voltage_rates_v_s", "V/s"),
-    ("peak current of the trained motions", "current_ma", "mA"),
-    ("current at the slew limit", "current_at_slew_limit_ma", "mA"),
-    ("accepted inputs; others are held", "accepted_um", "µm"),
-    ("largest accepted rate", "accepted_rate_um_s", "µm/s"),
+    ("called every", "sample_period_s", "s", NOT_KNOWN),
+    ("desired displacement, given ahead by", "preview", "samples", NOT_KNOWN),
+    ("reachable from the de-energised state, slowly", "reachable_um", "µm", NOT_KNOWN),
+    ("lowest displacement after a full excursion (remanence)", "remanence_um", "µm", NOT_KNOWN),
+    ("reachable from there, until de-energised again", "reachable_from_remanence_um", "µm", NOT_KNOWN),
+    ("output limits", "output_limits_v", "V", NOT_KNOWN),
+    ("slew limit", "max_slew_v_s", "V/s", "none (export with --max_slew_v_s)"),
+    ("trained range", "trained_range_um", "µm", NOT_KNOWN),
+    ("trained rates", "trained_rates_um_s", "µm/s", NOT_KNOWN),
+    ("trained accelerations", "trained_accelerations_um_s2", "µm/s²", NOT_KNOWN),
+    ("voltages of the trained motions", "trained_voltages_v", "V", NOT_KNOWN),
+    ("rates of these voltages", "trained_voltage_rates_v_s", "V/s", NOT_KNOWN),
+    ("capacitance of the load", "capacitance_uf", "µF", "not given (export with --capacitance_uf)"),
+    ("amplifier gain", "amplifier_gain", "V/V", NOT_KNOWN),
+    ("peak current of the trained motions", "current_ma", "mA", NOT_KNOWN),
+    ("current at the slew limit", "current_at_slew_limit_ma", "mA", NOT_KNOWN),
+    ("accepted inputs; others are held", "accepted_um", "µm", NOT_KNOWN),
+    ("largest accepted rate", "accepted_rate_um_s", "µm/s", NOT_KNOWN),
 )
 
 
@@ -42,14 +49,14 @@ def safety_page(name: str, card: Card, provenance: Provenance) -> str:
         title=f"Safety card: {name}",
         name=name,
         card=card,
-        rows=[(label, key, _figure(values[key], unit)) for label, key, unit in _ROWS],
+        rows=[(label, key, _figure(values[key], unit, missing)) for label, key, unit, missing in _ROWS],
         provenance=provenance,
     )
 
 
-def _figure(value: list[float] | float | None, unit: str) -> str:
+def _figure(value: list[float] | float | None, unit: str, missing: str) -> str:
     if value is None:
-        return NOT_KNOWN if unit != "V/s" else "none"
+        return missing
     if isinstance(value, list):
         return f"{value[0]:.4g} … {value[1]:.4g} {unit}"
     return f"{value:.4g} {unit}"
