@@ -63,8 +63,7 @@ def write_atomically(path: str | Path) -> Iterator[Path]:
         handle, temporary = _temporary(target)
         try:
             yield temporary
-            with open(temporary, "rb") as written:
-                os.fsync(written.fileno())
+            to_disk(temporary)
             temporary.chmod(0o644)
             os.replace(temporary, target)
         finally:
@@ -72,6 +71,12 @@ def write_atomically(path: str | Path) -> Iterator[Path]:
             os.close(handle)
     except OSError as error:
         raise ArtifactError(f"{path}: cannot be written ({reason(error)})") from error
+
+
+def to_disk(path: Path) -> None:
+    """Wait until a file is on its disk: some file systems find out only then that there is no room."""
+    with open(path, "rb") as written:
+        os.fsync(written.fileno())
 
 
 def read_yaml_text(path: str | os.PathLike[str], most_values: int = MOST_YAML_VALUES) -> str:

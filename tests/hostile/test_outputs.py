@@ -1,18 +1,24 @@
 """Outputs that cannot be written, or must not be: one line, exit code 2, and what stood there stands."""
 
+import errno
 import os
 import resource
 import shutil
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
+from tests.hostile.sequences import compensator
 from torchpi.cli.command_line import run_command
+from torchpi.control.trained import to_checkpoint
 from torchpi.errors import ArtifactError
 from torchpi.excitation.files import write_excitation
+from torchpi.export import export_files
 from torchpi.files import check_output_folder, save_tensors, write_atomically
 from train.run_folder import RunFolder, claim, new_run
 
@@ -92,13 +98,15 @@ def test_a_folder_that_cannot_hold_results_is_refused_before_they_are_computed(t
         ("simulate", "--excitation", "hold"),
         ("predict", "configs/stage/default.yaml", "{input}"),
         ("check", "{input}"),
+        ("export", "{checkpoint}", "--to", "json,c,page"),
     ],
     ids=lambda arguments: arguments[0],
 )
 def test_a_full_disk_is_one_line_and_leaves_the_previous_file(
     arguments: tuple[str, ...], tmp_path: Path
 ) -> None:
-    recording, output = tmp_path / "voltage.csv", tmp_path / "out"
+    recording, output, checkpoint = tmp_path / "voltage.csv", tmp_path / "out", tmp_path / "best.ckpt"
+    torch.save(to_checkpoint(compensator()), checkpoint)
     recording.write_text(
         "time_s,input_v,output_um\n" + "".join(f"{t},{u},{0.8 * u}\n" for t, u in zip(T, U, strict=True))
     )
@@ -110,13 +118,47 @@ def test_a_full_disk_is_one_line_and_leaves_the_previous_file(
         resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
 
     done = torchpi_command(
-        *(argument.format(input=recording) for argument in arguments), "--output", str(output),
+        *(argument.format(input=recording, checkpoint=checkpoint) for argument in arguments),
+        "--output", str(output),
         stdout=subprocess.PIPE, preexec_fn=limited,
     )  # fmt: skip
     assert "cannot be written (file too large)" in one_line(done)
-    left = [output] if output.is_file() else list(output.iterdir())
+    left = [output] if output.is_file() else list(output.iterdir()) if output.is_dir() else []
     assert left in ([], [output]) and (not left or output.read_text() == "previous")
     assert not [path for path in tmp_path.rglob(".*")]
+
+
+@pytest.mark.parametrize("written", range(3))
+def test_a_disk_that_fills_up_between_the_files_of_an_export_leaves_the_previous_ones(
+    written: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    formats = ("json", "torchscript", "page")
+    before = {path: path.read_bytes() for path in export_files(compensator(), tmp_path / "a", formats)}
+    calls = iter(range(10))
+
+    def fsync(handle: int) -> None:
+        if next(calls) == written:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr("torchpi.files.os.fsync", fsync)
+    with pytest.raises(ArtifactError, match=r"cannot be written \(no space left on device\)"):
+        export_files(compensator(max_slew_v_s=10.0), tmp_path / "a", formats)
+    assert {path: path.read_bytes() for path in sorted(tmp_path.iterdir())} == dict(sorted(before.items()))
+
+
+def test_a_library_s_thread_that_cannot_write_leaves_no_traceback(capfd: pytest.CaptureFixture[str]) -> None:
+    def write() -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    def command() -> None:
+        thread = threading.Thread(target=write)
+        thread.start()
+        thread.join()
+        write()
+
+    assert run_command(command, "torchpi") == 2
+    error = capfd.readouterr().err
+    assert error.startswith("torchpi: error: ") and error.count("\n") == 1
 
 
 def test_standard_output_that_is_full_or_closed_has_no_traceback(tmp_path: Path) -> None:
@@ -134,8 +176,6 @@ def memory() -> None:
 
 
 def torch_memory() -> None:
-    import torch
-
     torch.empty(2**60 // 8)
 
 
@@ -219,8 +259,6 @@ def test_a_folder_with_files_of_others_is_never_cleared(tmp_path: Path) -> None:
 
 
 def test_equal_content_leaves_equal_bytes_that_hold_no_temporary_name(tmp_path: Path) -> None:
-    import torch
-
     for name in ("a.ckpt", "b.ckpt"):
         with write_atomically(tmp_path / name) as temporary:
             save_tensors({"x": torch.arange(3.0)}, temporary)

@@ -107,7 +107,7 @@ def run_command(command: Callable[[], Any], program: str) -> int:
     """Run `command`; an error of the user's input becomes one line on stderr, and so does a warning of a
     recording. Returns the exit code."""
     try:
-        with warnings.catch_warnings(), _signals_as_exceptions(program):
+        with warnings.catch_warnings(), _signals_as_exceptions(program), _silent_writers():
             _show_in_one_line(program)
             command()
             if sys.stdout is not None:
@@ -134,6 +134,22 @@ def run_command(command: Callable[[], Any], program: str) -> int:
             raise
         return _failed(program, f"not enough memory ({str(error).rpartition(': ')[2]})")
     return 0
+
+
+@contextmanager
+def _silent_writers() -> Iterator[None]:
+    """No traceback of a thread that cannot write, as TensorBoard's: what writes through it next raises."""
+    before = threading.excepthook
+
+    def hook(args: threading.ExceptHookArgs) -> None:
+        if not isinstance(args.exc_value, OSError):
+            before(args)
+
+    threading.excepthook = hook
+    try:
+        yield
+    finally:
+        threading.excepthook = before
 
 
 def run_program(command: Callable[[], Any], program: str) -> NoReturn:

@@ -7,7 +7,7 @@ from pathlib import Path
 from torchpi.errors import ConfigError
 from torchpi.export.deployable import Deployable
 from torchpi.export.safety_card import Load
-from torchpi.files import write_atomically
+from torchpi.files import to_disk, write_atomically
 from torchpi.operators.reference_filter import ReferenceFilter
 
 Files = dict[Path, Callable[[Path], object]]  # what writes each file's content to a path
@@ -64,7 +64,9 @@ def write_together(files: Files) -> None:
     """Write every file beside its place; when all are there, put them in place."""
     with ExitStack() as placed:
         for path, write in files.items():
-            write(placed.enter_context(write_atomically(path)))
+            temporary = placed.enter_context(write_atomically(path))
+            write(temporary)
+            to_disk(temporary)
 
 
 def _made(
