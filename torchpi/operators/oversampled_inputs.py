@@ -9,7 +9,7 @@ and low-passed back to the rate of the samples. Both filters are of linear phase
 import numpy as np
 from scipy.signal import bilinear, firwin, lfilter, upfirdn
 
-from torchpi.operators.play_kernel import play_bank_forward
+from torchpi.operators.relaxing_play import relaxing_plays
 
 FACTOR = 4
 HALF_LENGTH = 40
@@ -18,12 +18,14 @@ LOOKAHEAD = 2 * HALF_LENGTH
 TAPS = firwin(2 * FACTOR * HALF_LENGTH + 1, 1.0 / FACTOR, window=("kaiser", 6.0))
 
 
-def play_excess(u: np.ndarray, thresholds: np.ndarray) -> np.ndarray:
-    """P_r[u] - u, low-passed, from plays at rest.
+def play_excess(u: np.ndarray, thresholds: np.ndarray, rates_hz: np.ndarray, rate_hz: float) -> np.ndarray:
+    """h - u of relaxing plays, low-passed, from rest.
 
     Args:
         u: (time, inputs).
         thresholds: r, (plays,), in the unit of u.
+        rates_hz: ω / 2π, Hz, (plays,).
+        rate_hz: Sample rate of u, Hz.
 
     Returns:
         (time, inputs, plays).
@@ -32,7 +34,7 @@ def play_excess(u: np.ndarray, thresholds: np.ndarray) -> np.ndarray:
         return np.zeros((*u.shape, 0))
     x = np.ascontiguousarray(_interpolated(u).T)  # (inputs, fine time)
     h = np.empty((*x.shape, len(thresholds)))
-    play_bank_forward(x, thresholds, np.zeros((len(x), len(thresholds))), h)
+    relaxing_plays(x, thresholds, np.exp(-2 * np.pi * rates_hz / (FACTOR * rate_hz)), h)
     h -= x[..., None]
     return _decimated(h.swapaxes(0, 1))
 
