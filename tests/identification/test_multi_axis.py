@@ -6,7 +6,7 @@ import pytest
 from tests.stage.two_axes import multisine, recordings, two_axes
 from torchpi.identification.multi_axis import MultiAxisOptions, identify
 from torchpi.identification.multi_axis.fit import Period, PeriodicFit
-from torchpi.identification.multi_axis.identify import linear_stage, periods
+from torchpi.identification.multi_axis.identify import linear_stage, periods, silence
 
 
 def rms(stage, every) -> float:
@@ -93,3 +93,14 @@ def test_options_without_meaning_are_named() -> None:
         MultiAxisOptions(modes=0)
     with pytest.raises(ValueError, match="amplifier_hz: found -1, expected a positive number"):
         MultiAxisOptions(amplifier_hz=-1)
+
+
+def test_a_stage_that_rings_by_itself_near_rest_costs() -> None:
+    every = recordings(two_axes(), (0.3,), 2)
+    calm, ringing = two_axes(), two_axes()
+    ringing.arrays()["poles"][:] *= 1.02
+    costs = []
+    for stage in (calm, ringing):
+        fit = PeriodicFit(stage, [silence(every[0])])
+        costs.append(fit.cost(fit.errors()))
+    assert costs[0] < 1e-3 * costs[1]

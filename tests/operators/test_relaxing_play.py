@@ -32,7 +32,11 @@ def test_loops_widen_with_the_rate_and_small_motions_are_a_lag() -> None:
         t = np.arange(4000) / 1000
         h = np.empty((1, 4000, 1))
         relaxing_plays(
-            amplitude * np.sin(2 * np.pi * hz * t)[None], np.array([R]), np.exp([-OMEGA / 1000]), h
+            amplitude * np.sin(2 * np.pi * hz * t)[None],
+            np.array([R]),
+            np.exp([-OMEGA / 1000]),
+            np.zeros((1, 1)),
+            h,
         )
         return float(-np.angle(1j * np.mean(h[0, 2000:, 0] * np.exp(-2j * np.pi * hz * t[2000:]))))
 

@@ -37,12 +37,14 @@ def relaxing_plays(
     x: np.ndarray,  # (rows, time)
     r: np.ndarray,  # (plays,), thresholds
     a: np.ndarray,  # (plays,), what a sample leaves of small motions
+    state: np.ndarray,  # (rows, plays), left as after the last sample
     h: np.ndarray,  # (rows, time, plays), written
 ) -> None:
-    """All plays of all rows, from rest."""
+    """All plays of all rows."""
     for row in range(x.shape[0]):
         for play in range(len(r)):
-            state = 0.0
+            last = state[row, play]
             for t in range(x.shape[1]):
-                state = _step(x[row, t], r[play], a[play], state)
-                h[row, t, play] = state
+                last = _step(x[row, t], r[play], a[play], last)
+                h[row, t, play] = last
+            state[row, play] = last

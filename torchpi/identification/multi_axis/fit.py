@@ -37,11 +37,13 @@ class Period:
         u: (samples, inputs), V.
         y: (samples, outputs), µm, about its mean.
         weight: Of its errors, 1/µm.
+        before: Voltages of the period before, where they were others.
     """
 
     u: np.ndarray
     y: np.ndarray
     weight: float
+    before: np.ndarray | None = None
 
 
 class PeriodicFit:
@@ -56,7 +58,8 @@ class PeriodicFit:
         self, stage: MultiAxisStage, periods: Sequence[Period], guards: Sequence[np.ndarray] = ()
     ) -> None:
         self.stage, self.periods = stage, list(periods)
-        self.twice = [np.concatenate([u, u]) for u in [*(one.u for one in periods), *guards]]
+        self.twice = [np.concatenate([one.u if one.before is None else one.before, one.u]) for one in periods]
+        self.twice += [np.concatenate([u, u]) for u in guards]
         self.excess = [stage.excess(u) for u in self.twice]
         self.damping, self.run_in, self.in_matrix = FIRST_DAMPING, RUN_IN, IN_MATRIX
 

@@ -23,6 +23,8 @@ RELATIVE_ERROR = 0.0125
 """Of the geometric mean of a recording's rms and the largest: below it, noise alone counts in the weight."""
 NOISE = 1.5
 """Noise of the mean period, in its weight."""
+FAINT, SILENT = 0.05, 0.1
+"""Size of a motion near rest, as a share of the smallest recording's, and weight of what is left after it."""
 ALIKE = 1.25
 """Amplitudes within this ratio are one level."""
 QUASI_STATIC = 0.02
@@ -120,7 +122,8 @@ def identify(
         log(f"{passed:.0f} s: weighted error {np.sqrt(cost):.4g}")
         return passed < options.seconds
 
-    fit = PeriodicFit(stage, periods([one for level in levels for one in level]))
+    every = periods([one for level in levels for one in level])
+    fit = PeriodicFit(stage, [*every, silence(levels[0][0])])
     fit.descend(weights, WEIGHT_STEPS)
     fit.descend([*weights, "poles", "drive"], MODE_STEPS)
     fit.descend(names, STEPS, tolerance=0.0, goes_on=goes_on)
@@ -147,6 +150,18 @@ def periods(recordings: Sequence[MultiAxisRecording]) -> list[Period]:
     largest = max(float(y.std()) for _, y, _ in means)
     scales = [np.hypot(RELATIVE_ERROR * np.sqrt(y.std() * largest), NOISE * noise) for _, y, noise in means]
     return [Period(u, y, 1.0 / float(scale)) for (u, y, _), scale in zip(means, scales, strict=True)]
+
+
+def silence(recording: MultiAxisRecording) -> Period:
+    """A period at rest after a small motion, in which a stage must not ring by itself.
+
+    Feedback that is stable at the amplitudes of the recordings may not be so near rest, where none was made.
+    """
+    u, y, _ = recording.period
+    before = FAINT * u
+    before[len(u) // 2 :] = 0
+    scale = RELATIVE_ERROR * FAINT * float(y.std())
+    return Period(np.zeros_like(u), np.zeros_like(y), SILENT / scale, before)
 
 
 def linear_stage(

@@ -17,7 +17,7 @@ from torch import Tensor, nn
 from torchpi.errors import StageError
 from torchpi.operators.compiled import in_threads
 from torchpi.operators.modal_feedback import Shapes, modal_feedback, parameter_shapes
-from torchpi.operators.oversampled_inputs import crossover, play_excess
+from torchpi.operators.oversampled_inputs import LOOKAHEAD, OversampledInputs
 from torchpi.stage.file import SavedStage
 
 SETTINGS = (
@@ -149,10 +149,18 @@ class MultiAxisStage(SavedStage):
 
     def excess(self, u: np.ndarray) -> np.ndarray:
         """What plays and amplifiers add to voltages (time, inputs): (time, inputs, all of them)."""
-        thresholds, rates_hz = np.asarray(self.input_thresholds_v), np.asarray(self.input_rates_hz)
-        plays = play_excess(u, thresholds, rates_hz, self.sample_rate_hz)
-        widths = np.asarray(self.crossover_v_per_s)
-        return np.concatenate([plays, crossover(u, widths, self.amplifier_hz, self.sample_rate_hz)], 2)
+        return self.excess_stream().advance(np.pad(u, ((0, LOOKAHEAD), (0, 0))))[LOOKAHEAD:]
+
+    def excess_stream(self) -> OversampledInputs:
+        """The same window after window, `LOOKAHEAD` samples late."""
+        return OversampledInputs(
+            self.inputs,
+            self.sample_rate_hz,
+            self.input_thresholds_v,
+            self.input_rates_hz,
+            self.crossover_v_per_s,
+            self.amplifier_hz,
+        )
 
     def initial_state(self, batch: int) -> MultiAxisState:
         """At rest."""
