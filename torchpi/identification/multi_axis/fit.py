@@ -49,17 +49,13 @@ class Period:
 class PeriodicFit:
     """Weighted mean squared error of a stage's steady state over periods, and its descent.
 
-    The stage runs through the period before, from rest; tangents begin in it, at `run_in`. Feedback that is
-    stable for some voltages may not be for others: no step is taken after which one of the `guards`,
-    voltages of a period (samples, inputs) beside those fitted, has no bounded answer.
+    The stage runs through the period before, from rest; tangents begin in it, at `run_in`. No step is taken
+    after which a period has no bounded answer.
     """
 
-    def __init__(
-        self, stage: MultiAxisStage, periods: Sequence[Period], guards: Sequence[np.ndarray] = ()
-    ) -> None:
+    def __init__(self, stage: MultiAxisStage, periods: Sequence[Period]) -> None:
         self.stage, self.periods = stage, list(periods)
         self.twice = [np.concatenate([one.u if one.before is None else one.before, one.u]) for one in periods]
-        self.twice += [np.concatenate([u, u]) for u in guards]
         self.excess = [stage.excess(u) for u in self.twice]
         self.damping, self.run_in, self.in_matrix = FIRST_DAMPING, RUN_IN, IN_MATRIX
 
@@ -102,18 +98,6 @@ class PeriodicFit:
         in_threads(run, len(self.periods))
         found = [error for error in errors if error is not None]
         return found if len(found) == len(errors) else None
-
-    def bounded(self) -> bool:
-        """Whether all guards have a bounded answer."""
-        found = np.zeros(len(self.twice), dtype=bool)
-        found[: len(self.periods)] = True
-
-        def run(first: int, last: int) -> None:
-            for i in range(first + len(self.periods), last + len(self.periods)):
-                found[i] = self._simulated(i) is not None
-
-        in_threads(run, len(self.twice) - len(self.periods))
-        return bool(found.all())
 
     def cost(self, errors: Sequence[np.ndarray] | None) -> float:
         """Weighted mean squared error."""
@@ -160,7 +144,7 @@ class PeriodicFit:
                 self.put(moved)
                 moved = self.vector()
                 trial = self.errors()
-                if fell := self.cost(trial) < cost and self.bounded():
+                if fell := self.cost(trial) < cost:
                     vector, errors, cost = moved, trial, self.cost(trial)
                     self.damping = max(self.damping / LESS, LEAST_DAMPING)
                     break

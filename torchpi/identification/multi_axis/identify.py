@@ -2,8 +2,8 @@
 
 The modes come from the best linear approximation at the middle amplitude. Then elements are put into the
 feedback, sensing what each actuator's elongation exceeds its voltage by; first their weights are fitted,
-at last every number. Dead zones make loops asymmetric, plays make them lag, and a stiffness that follows the
-mean amplitude moves the resonances without distortion.
+at last every number. Dead zones make loops asymmetric, relaxing plays make them lag, a stiffness that follows
+the mean amplitude moves the resonances without distortion, and elements that sense the rate damp them.
 """
 
 import time
