@@ -6,7 +6,7 @@ import pytest
 from tests.stage.two_axes import multisine, recordings, two_axes
 from torchpi.identification.multi_axis import MultiAxisOptions, identify
 from torchpi.identification.multi_axis.fit import Period, PeriodicFit
-from torchpi.identification.multi_axis.identify import linear_stage, periods
+from torchpi.identification.multi_axis.identify import linear_stage, periods, silence
 
 
 def rms(stage, every) -> float:
@@ -19,9 +19,10 @@ def test_the_gradient_is_that_of_finite_differences() -> None:
     random = np.random.default_rng(0)
     stage = two_axes()
     fit = PeriodicFit(stage, [Period(multisine(random, 256, 0.5), random.standard_normal((256, 2)), 1.0)])
+    fit.run_in = 1.0  # all of the period before
     vector, errors = fit.vector(), fit.errors()
     assert errors is not None
-    _, right = fit._normal_equations(np.arange(len(vector)), errors)
+    right = fit.gradient(errors)
     slopes = []
     # Shorter than the way to the next kink, where a play begins to move.
     for step in 1e-8 * np.eye(len(vector)):
@@ -30,6 +31,27 @@ def test_the_gradient_is_that_of_finite_differences() -> None:
         fit.put(vector - step)
         slopes.append((above - fit.cost(fit.errors())) / 2e-8)
     np.testing.assert_allclose(-np.array(slopes) / 2, right, rtol=1e-4, atol=1e-5 * np.abs(right).max())
+
+
+def test_the_normal_matrix_is_that_of_finite_differences(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("torchpi.identification.multi_axis.fit.STRIDE", 1)
+    stage = two_axes()
+    stage.arrays()["through"][:] = 0.1  # else the first sample is at a kink
+    fit = PeriodicFit(stage, [Period(multisine(np.random.default_rng(0), 256, 0.5), np.zeros((256, 2)), 2.0)])
+    fit.run_in = 1.0
+    vector, rows = fit.vector(), []
+    for step in 1e-8 * np.eye(len(vector)):
+        fit.put(vector + step)
+        above = fit.errors()
+        fit.put(vector - step)
+        below = fit.errors()
+        assert above is not None and below is not None
+        rows.append((below[0] - above[0]).ravel() / 2e-8)
+    fit.put(vector)
+    expected = 4.0 * np.array(rows) @ np.array(rows).T / (256 * 2)
+    scale = np.sqrt(np.diag(expected))
+    found = fit._normal_matrix(np.arange(len(vector)), 0, 1)
+    assert np.abs((found - expected) / scale / scale[:, None]).max() < 1e-3
 
 
 def test_an_identified_stage_predicts_realisations_that_it_was_not_fitted_to() -> None:
@@ -55,13 +77,14 @@ def test_a_pole_that_a_step_takes_out_of_the_unit_circle_comes_back_into_it() ->
     np.testing.assert_array_equal(stage.arrays()["poles"][1], two_axes().arrays()["poles"][1])
 
 
-def test_no_step_is_taken_after_which_a_guard_has_no_bounded_answer() -> None:
+def test_a_period_without_a_bounded_answer_has_no_cost_below_any() -> None:
     stage = two_axes()
     u = multisine(np.random.default_rng(1), 256, 0.2)
     # Stiffness that falls with the amplitude: stable at this one, not at forty times it.
     stage.arrays()["weights"][:, 3] = 0.05
-    assert PeriodicFit(stage, [Period(u, np.zeros((256, 2)), 1.0)]).errors() is not None
-    assert PeriodicFit(stage, [Period(u, np.zeros((256, 2)), 1.0)], [40 * u]).errors() is None
+    small, large = (PeriodicFit(stage, [Period(share * u, np.zeros((256, 2)), 1.0)]) for share in (1, 40))
+    assert np.isfinite(small.cost(small.errors()))
+    assert large.cost(large.errors()) == np.inf
 
 
 def test_options_without_meaning_are_named() -> None:
@@ -69,3 +92,14 @@ def test_options_without_meaning_are_named() -> None:
         MultiAxisOptions(modes=0)
     with pytest.raises(ValueError, match="amplifier_hz: found -1, expected a positive number"):
         MultiAxisOptions(amplifier_hz=-1)
+
+
+def test_a_stage_that_rings_by_itself_near_rest_costs() -> None:
+    every = recordings(two_axes(), (0.3,), 2)
+    calm, ringing = two_axes(), two_axes()
+    ringing.arrays()["poles"][:] *= 1.02
+    costs = []
+    for stage in (calm, ringing):
+        fit = PeriodicFit(stage, [silence(every[0])])
+        costs.append(fit.cost(fit.errors()))
+    assert costs[0] < 1e-3 * costs[1]

@@ -1,32 +1,62 @@
 """Plays and amplifiers between the samples."""
 
 import numpy as np
-import torch
 
-from torchpi.operators.oversampled_inputs import HALF_LENGTH, crossover, play_excess
-from torchpi.operators.play import PlayBank
+from torchpi.operators.oversampled_inputs import HALF_LENGTH, LOOKAHEAD, OversampledInputs
+from torchpi.operators.relaxing_play import relaxing_plays
 
-R = np.array([0.2, 0.7])
+
+def excess(u: np.ndarray, rate_hz: float, *arguments: object) -> np.ndarray:
+    """Of a whole signal, (time, inputs, …)."""
+    stream = OversampledInputs(u.shape[1], rate_hz, *arguments)
+    return stream.advance(np.pad(u, ((0, LOOKAHEAD), (0, 0))))[LOOKAHEAD:]
+
+
+def play_excess(u: np.ndarray, r: np.ndarray, rates_hz: np.ndarray, rate_hz: float) -> np.ndarray:
+    return excess(u, rate_hz, r, rates_hz)
+
+
+def crossover(u: np.ndarray, widths: np.ndarray, corner_hz: float, rate_hz: float) -> np.ndarray:
+    return excess(u, rate_hz, (), (), widths, corner_hz)
+
+
+def test_windows_give_the_bits_of_the_whole() -> None:
+    u = np.random.default_rng(0).standard_normal((500, 2))
+    arguments = (2, 1000.0, [0.2, 0.7], [3.0, 20.0], [100.0], 200.0)
+    whole, parts = OversampledInputs(*arguments).advance(u), OversampledInputs(*arguments)
+    found = [parts.advance(part) for part in np.split(u, [1, 2, 9, 300])]
+    np.testing.assert_array_equal(np.concatenate(found), whole)
+
+
+R, RATES_HZ = np.array([0.2, 0.7]), np.array([3.0, 20.0])
 
 
 def test_of_a_slow_signal_they_are_the_plays_of_its_samples() -> None:
     t = np.arange(2000) / 2000
     u = np.stack([np.sin(2 * np.pi * 2 * t), 0.5 * np.sin(2 * np.pi * 3 * t)], 1)
-    h = PlayBank(R.tolist())(torch.from_numpy(u.T.copy()))[0].detach().numpy().swapaxes(0, 1)
+    h = np.empty((2, 2000, 2))
+    relaxing_plays(np.ascontiguousarray(u.T), R, np.exp(-2 * np.pi * RATES_HZ / 2000), np.zeros((2, 2)), h)
     inner = slice(2 * HALF_LENGTH, -2 * HALF_LENGTH)
-    np.testing.assert_allclose(play_excess(u, R)[inner], (h - u[..., None])[inner], atol=5e-3)
+    found = play_excess(u, R, RATES_HZ, 2000.0)
+    np.testing.assert_allclose(found[inner], (h.swapaxes(0, 1) - u[..., None])[inner], atol=5e-3)
 
 
 def test_they_turn_where_the_signal_turns_between_samples() -> None:
     # Five samples to two periods: the samples alone reach a different height in each.
-    u = np.sin(2 * np.pi * 0.4 * np.arange(1000) + 0.3)[:, None]
-    r = np.array([0.99])
-    assert np.abs(play_excess(u, r) + u[..., None])[300:700].max() < 0.02
-    assert np.abs(play_excess(1.2 * u, r) + 1.2 * u[..., None])[300:700].max() > 0.1
+    r, rate_hz, found = np.array([0.3]), np.array([50.0]), []
+    for finer in (1, 8):
+        t = np.arange(1000 * finer) / finer
+        excess = play_excess(np.sin(0.8 * np.pi * t)[:, None], r, rate_hz, 1000.0 * finer)[:, 0, 0]
+        inner = slice(300 * finer, 700 * finer)
+        found.append(np.mean(excess[inner] * np.exp(-0.8j * np.pi * t[inner])))
+    h, u = np.empty((1, 1000, 1)), np.sin(0.8 * np.pi * np.arange(1000))
+    relaxing_plays(u[None], r, np.exp(-2 * np.pi * rate_hz / 1000.0), np.zeros((1, 1)), h)
+    of_samples = np.mean((h[0, :, 0] - u)[300:700] * np.exp(-0.8j * np.pi * np.arange(300, 700)))
+    assert abs(found[0] - found[1]) < 0.4 * abs(of_samples - found[1])
 
 
 def test_without_thresholds_there_is_nothing() -> None:
-    assert play_excess(np.ones((10, 2)), np.zeros(0)).shape == (10, 2, 0)
+    assert play_excess(np.ones((10, 2)), np.zeros(0), np.zeros(0), 1000.0).shape == (10, 2, 0)
 
 
 RATE_HZ, CORNER_HZ, HZ = 1000.0, 200.0, 40.0

@@ -49,9 +49,10 @@ def with_amplifiers(corner_hz: float) -> MultiAxisStage:
     """The stage of two axes, its amplifiers with crossover distortion of one width."""
     stage = two_axes()
     arrays = {**stage.arrays()}
-    arrays["weights"] = np.pad(arrays["weights"], ((0, 0), (0, 2)))
     arrays["play_weights"] = np.concatenate([arrays["play_weights"], np.full((2, 2), 0.05)], 1)
-    return MultiAxisStage(1000.0, arrays, [0.1, 0.3], [0.0], [0.1, 0.5], [0.05], [100.0], corner_hz)
+    return MultiAxisStage(
+        1000.0, arrays, [0.1, 0.3], [5.0, 20.0], [0.0], [0.1, 0.5], [5.0, 20.0], [0.05], [100.0], corner_hz
+    )
 
 
 def test_a_saved_stage_comes_back_with_its_amplifiers(tmp_path: Path) -> None:
@@ -89,7 +90,22 @@ def test_a_changed_file_is_refused(tmp_path: Path) -> None:
 def test_parameters_without_meaning_are_named(name: str, value: np.ndarray, message: str) -> None:
     stage = two_axes()
     with pytest.raises(StageError, match=message):
-        MultiAxisStage(1000.0, {**stage.arrays(), name: value}, [0.1, 0.3], [0.0], [0.1, 0.5], [0.05])
+        MultiAxisStage(
+            1000.0,
+            {**stage.arrays(), name: value},
+            [0.1, 0.3],
+            [5.0, 20.0],
+            [0.0],
+            [0.1, 0.5],
+            [5.0, 20.0],
+            [0.05],
+        )
+
+
+def test_a_play_without_a_rate_is_refused() -> None:
+    stage = two_axes()
+    with pytest.raises(StageError, match="input_rates_hz: found 1, expected one for each of 2 thresholds"):
+        MultiAxisStage(1000.0, stage.arrays(), [0.1, 0.3], [5.0])
 
 
 def test_another_number_of_inputs_is_refused() -> None:

@@ -6,10 +6,13 @@ and low-passed back to the rate of the samples. Both filters are of linear phase
 `LOOKAHEAD` samples to come.
 """
 
+import math
+from collections.abc import Sequence
+
 import numpy as np
 from scipy.signal import bilinear, firwin, lfilter, upfirdn
 
-from torchpi.operators.play_kernel import play_bank_forward
+from torchpi.operators.relaxing_play import relaxing_plays
 
 FACTOR = 4
 HALF_LENGTH = 40
@@ -18,63 +21,66 @@ LOOKAHEAD = 2 * HALF_LENGTH
 TAPS = firwin(2 * FACTOR * HALF_LENGTH + 1, 1.0 / FACTOR, window=("kaiser", 6.0))
 
 
-def play_excess(u: np.ndarray, thresholds: np.ndarray) -> np.ndarray:
-    """P_r[u] - u, low-passed, from plays at rest.
+class OversampledInputs:
+    """What plays and amplifiers add to voltages, window after window.
 
-    Args:
-        u: (time, inputs).
-        thresholds: r, (plays,), in the unit of u.
-
-    Returns:
-        (time, inputs, plays).
-    """
-    if len(thresholds) == 0:
-        return np.zeros((*u.shape, 0))
-    x = np.ascontiguousarray(_interpolated(u).T)  # (inputs, fine time)
-    h = np.empty((*x.shape, len(thresholds)))
-    play_bank_forward(x, thresholds, np.zeros((len(x), len(thresholds))), h)
-    h -= x[..., None]
-    return _decimated(h.swapaxes(0, 1))
-
-
-def crossover(u: np.ndarray, widths: np.ndarray, corner_hz: float, rate_hz: float) -> np.ndarray:
-    """Crossover distortion of the amplifier, low-passed, from rest.
-
-    The current into a piezo actuator follows the slope of its voltage v. An output stage of class B loses
-    some of its voltage where the current changes sign, and the amplifier's loop takes back what of that
-    lies below its bandwidth ω (Self, Audio Power Amplifier Design, 2013, ch. 9):
+    Relaxing plays add h - u. The current into a piezo actuator follows the slope of its voltage v. An output
+    stage of class B loses some of its voltage where the current changes sign, and the amplifier's loop takes
+    back what of that lies below its bandwidth ω (Self, Audio Power Amplifier Design, 2013, ch. 9):
 
         v̇ = ω (u - v),   e = s/(s + ω) tanh(v̇/w)
 
     Where the signs change at another current than zero, there is some of tanh² as well.
 
     Args:
-        u: (time, inputs), V.
-        widths: w, V/s, (widths,).
-        corner_hz: ω / 2π, Hz.
-        rate_hz: Sample rate of u, Hz.
-
-    Returns:
-        (time, inputs, 2 widths): those of tanh, then those of tanh².
+        inputs: How many voltages.
+        rate_hz: Sample rate, Hz.
+        thresholds: r of the plays, V.
+        rates_hz: ω / 2π of the plays, Hz.
+        widths: w, V/s.
+        corner_hz: ω / 2π of the amplifiers, Hz.
     """
-    if len(widths) == 0:
-        return np.zeros((*u.shape, 0))
-    omega = 2 * np.pi * corner_hz
-    high_pass = bilinear([1.0, 0.0], [1.0, omega], FACTOR * rate_hz)
-    slope = omega * lfilter(*high_pass, _interpolated(u), axis=0)
-    odd = np.tanh(slope[..., None] / widths)
-    return _decimated(lfilter(*high_pass, np.concatenate([odd, odd**2], 2), axis=0))
 
+    def __init__(
+        self,
+        inputs: int,
+        rate_hz: float,
+        thresholds: Sequence[float] = (),
+        rates_hz: Sequence[float] = (),
+        widths: Sequence[float] = (),
+        corner_hz: float = math.inf,
+    ) -> None:
+        fine_hz = FACTOR * rate_hz
+        self.thresholds, self.widths = np.asarray(thresholds, float), np.asarray(widths, float)
+        self.kept = np.exp(-2 * np.pi * np.asarray(rates_hz, float) / fine_hz)
+        self.omega = 2 * np.pi * corner_hz
+        self.high_pass = bilinear([1.0, 0.0], [1.0, self.omega], fine_hz) if len(widths) else None
+        self.u = np.zeros((2 * HALF_LENGTH, inputs))
+        self.h = np.zeros((inputs, len(thresholds)))
+        self.slope, self.lost = np.zeros((1, inputs)), np.zeros((1, inputs, 2 * len(widths)))
+        self.fine = np.zeros((2 * FACTOR * HALF_LENGTH, inputs, len(thresholds) + 2 * len(widths)))
 
-def _interpolated(u: np.ndarray) -> np.ndarray:
-    """(fine time, inputs)."""
-    late = FACTOR * HALF_LENGTH
-    fine: np.ndarray = upfirdn(FACTOR * TAPS, u, up=FACTOR, axis=0)[late : late + FACTOR * len(u)]
-    return fine
+    def advance(self, u: np.ndarray) -> np.ndarray:
+        """(time, inputs, plays, then tanh of each width, then tanh²), of `LOOKAHEAD` samples before u's."""
+        known = np.concatenate([self.u, u])
+        late = 2 * FACTOR * HALF_LENGTH
+        x = upfirdn(FACTOR * TAPS, known, up=FACTOR, axis=0)[late : late + FACTOR * len(u)]
+        fine = np.concatenate([self.fine, np.concatenate([self._plays(x), self._crossover(x)], 2)])
+        low = upfirdn(TAPS, fine, down=FACTOR, axis=0)[2 * HALF_LENGTH : 2 * HALF_LENGTH + len(u)]
+        self.u, self.fine = known[len(u) :], fine[FACTOR * len(u) :]
+        return np.ascontiguousarray(low)
 
+    def _plays(self, x: np.ndarray) -> np.ndarray:
+        each = np.ascontiguousarray(x.T)  # (inputs, fine time)
+        h = np.empty((*each.shape, len(self.thresholds)))
+        relaxing_plays(each, self.thresholds, self.kept, self.h, h)
+        h -= each[..., None]
+        return h.swapaxes(0, 1)
 
-def _decimated(fine: np.ndarray) -> np.ndarray:
-    """(time, …) of (fine time, …)."""
-    padded = np.concatenate([fine, np.zeros((FACTOR * HALF_LENGTH, *fine.shape[1:]))])
-    low = upfirdn(TAPS, padded, down=FACTOR, axis=0)[HALF_LENGTH : HALF_LENGTH + len(fine) // FACTOR]
-    return np.ascontiguousarray(low)
+    def _crossover(self, x: np.ndarray) -> np.ndarray:
+        if self.high_pass is None:
+            return np.zeros((*x.shape, 0))
+        slope, self.slope = lfilter(*self.high_pass, x, axis=0, zi=self.slope)
+        odd = np.tanh(self.omega * slope[..., None] / self.widths)
+        lost, self.lost = lfilter(*self.high_pass, np.concatenate([odd, odd**2], 2), axis=0, zi=self.lost)
+        return np.asarray(lost)

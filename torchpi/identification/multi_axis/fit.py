@@ -6,13 +6,20 @@ from dataclasses import dataclass
 import numpy as np
 
 from torchpi.operators.compiled import in_threads
-from torchpi.operators.modal_feedback import DIVERGED, modal_feedback
+from torchpi.operators.modal_feedback import DIVERGED, modal_feedback, record_width
+from torchpi.operators.modal_tangents import modal_gradient, modal_tangents
 from torchpi.stage.multi_axis.stage import MultiAxisStage
 
-STRIDE = 8
-"""Every how many samples a row of slopes goes into the normal matrix; the gradient is of all samples."""
-BLOCK = 256
+STRIDE = 16
+"""Every how many samples a row of slopes goes into the normal matrix; the gradient is of all."""
+BLOCK = 192
 """Tangents that are carried together."""
+RUN_IN = 0.25
+"""Share of a period before the counted one from which slopes are followed: what modes remember, and more."""
+IN_MATRIX = 3
+"""Periods of which a step's normal matrix is made, others in the next one's; the gradient is of all."""
+REMEMBERED = 4
+"""Steps over which the matrices are averaged."""
 FIRST_DAMPING, LEAST_DAMPING = 1e-3, 1e-9
 LESS, MORE = 8.0, 5.0
 TRIALS = 8
@@ -30,28 +37,27 @@ class Period:
         u: (samples, inputs), V.
         y: (samples, outputs), µm, about its mean.
         weight: Of its errors, 1/µm.
+        before: Voltages of the period before, where they were others.
     """
 
     u: np.ndarray
     y: np.ndarray
     weight: float
+    before: np.ndarray | None = None
 
 
 class PeriodicFit:
     """Weighted mean squared error of a stage's steady state over periods, and its descent.
 
-    The stage runs through the period before, from rest; tangents begin with it as well. Feedback that is
-    stable for some voltages may not be for others: no step is taken after which one of the `guards`,
-    voltages of a period (samples, inputs), has no bounded answer.
+    The stage runs through the period before, from rest; tangents begin in it, at `run_in`. No step is taken
+    after which a period has no bounded answer.
     """
 
-    def __init__(
-        self, stage: MultiAxisStage, periods: Sequence[Period], guards: Sequence[np.ndarray] = ()
-    ) -> None:
+    def __init__(self, stage: MultiAxisStage, periods: Sequence[Period]) -> None:
         self.stage, self.periods = stage, list(periods)
-        self.twice = [np.concatenate([u, u]) for u in [*(one.u for one in periods), *guards]]
+        self.twice = [np.concatenate([one.u if one.before is None else one.before, one.u]) for one in periods]
         self.excess = [stage.excess(u) for u in self.twice]
-        self.damping = FIRST_DAMPING
+        self.damping, self.run_in, self.in_matrix = FIRST_DAMPING, RUN_IN, IN_MATRIX
 
     def vector(self) -> np.ndarray:
         """All numbers of the stage."""
@@ -79,20 +85,19 @@ class PeriodicFit:
         return np.concatenate(found)
 
     def errors(self) -> list[np.ndarray] | None:
-        """(samples, outputs) for each period, µm; None where a state leaves all bounds, a guard's too."""
-        errors: list[np.ndarray | None] = [None] * len(self.twice)
+        """(samples, outputs) for each period, µm; None where a state leaves all bounds."""
+        errors: list[np.ndarray | None] = [None] * len(self.periods)
 
         def run(first: int, last: int) -> None:
             for i in range(first, last):
-                y = self._simulated(i, 0, np.zeros((0, 0)))
+                y = self._simulated(i)
                 if y is not None:
-                    left = (self.periods[i].y if i < len(self.periods) else 0.0) - y[len(y) // 2 :]
+                    left = self.periods[i].y - y[len(y) // 2 :]
                     errors[i] = left - left.mean(0)
 
-        in_threads(run, len(self.twice))
-        if any(error is None for error in errors):
-            return None
-        return [error for error in errors[: len(self.periods)] if error is not None]
+        in_threads(run, len(self.periods))
+        found = [error for error in errors if error is not None]
+        return found if len(found) == len(errors) else None
 
     def cost(self, errors: Sequence[np.ndarray] | None) -> float:
         """Weighted mean squared error."""
@@ -119,10 +124,15 @@ class PeriodicFit:
         index, vector = self.where(names), self.vector()
         errors = self.errors()
         cost = self.cost(errors)
-        for _ in range(steps):
+        gram = np.zeros((len(index), len(index)))
+        for step in range(steps):
             if errors is None:
                 break
-            gram, right = self._normal_equations(index, errors)
+            right = self.gradient(errors)[index]
+            # Strided: periods of one amplitude are beside each other.
+            groups = -(-len(self.periods) // self.in_matrix)
+            remembered = min(step + 1, REMEMBERED if groups > 1 else 1)
+            gram += (self._normal_matrix(index, step % groups, groups) - gram) / remembered
             scale = np.sqrt(np.diag(gram))
             scale = np.maximum(scale, UNMOVED * scale.max())
             unit = gram / scale / scale[:, None]
@@ -145,57 +155,67 @@ class PeriodicFit:
         self.damping = min(max(self.damping, LEAST_DAMPING), 1e-2)
         return cost
 
-    def _normal_equations(
-        self, index: np.ndarray, errors: Sequence[np.ndarray]
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """The weighted normal matrix and gradient for the parameters at these indices."""
+    def gradient(self, errors: Sequence[np.ndarray]) -> np.ndarray:
+        """Of half the cost, its sign turned, for all numbers of the stage."""
+        slopes = [{name: np.zeros_like(value) for name, value in self.stage.arrays().items()} for _ in errors]
+
+        def run(first: int, last: int) -> None:
+            for i in range(first, last):
+                record, began = self._record(i)
+                error = errors[i] * (self.periods[i].weight ** 2 / errors[i].size / len(errors))
+                modal_gradient(
+                    record, self.excess[i][began:], *self.stage.arrays().values(),
+                    *self.stage.thresholds_of_kernel(), began, error, *slopes[i].values(),
+                )  # fmt: skip
+
+        in_threads(run, len(errors))
+        each = [np.concatenate([value.ravel() for value in one.values()]) for one in slopes]
+        return np.asarray(np.sum(each, axis=0))
+
+    def _normal_matrix(self, index: np.ndarray, start: int, stride: int) -> np.ndarray:
+        """The weighted normal matrix for the parameters at these indices, of every so manieth period."""
         # Slopes of `seen` and `direct` need no tangents of the states.
         sides = np.split(index, [np.searchsorted(index, self.where(("seen", "direct"))[0])])
         blocks = [part for side in sides for part in np.split(side, range(BLOCK, len(side), BLOCK))]
         blocks = [block for block in blocks if len(block)]
-        grams: list[np.ndarray] = [np.zeros(0)] * len(self.periods)
-        rights: list[np.ndarray] = [np.zeros(0)] * len(self.periods)
+        chosen = range(start, len(self.periods), stride)
+        grams: list[np.ndarray] = [np.zeros(0)] * len(chosen)
 
         def run(first: int, last: int) -> None:
-            for i in range(first, last):
-                samples, outputs = errors[i].shape
-                gradient, every = np.zeros(len(index)), np.zeros((samples // STRIDE, outputs, len(index)))
-                done = 0
+            for at, i in enumerate(chosen[first:last], first):
+                samples, outputs = self.periods[i].y.shape
+                record, began = self._record(i)
+                every, done = np.zeros((samples // STRIDE, outputs, len(index))), 0
                 for block in blocks:
                     here = slice(done, done := done + len(block))
-                    size = int(block[-1] - block[0]) + 1
-                    part, total = np.zeros(size), np.zeros((outputs, size))
-                    slopes = np.zeros((samples // STRIDE, outputs, size))
-                    self._simulated(i, samples, errors[i], int(block[0]), part, total, slopes)
-                    gradient[here] = part[block - block[0]]
-                    every[:, :, here] = (slopes - total / samples)[:, :, block - block[0]]
-                centred = every.reshape(-1, len(index))
-                share = self.periods[i].weight ** 2 / (samples * outputs)
-                grams[i] = centred.T @ centred * (STRIDE * share)
-                rights[i] = gradient * share
+                    slopes = np.zeros((samples // STRIDE, outputs, int(block[-1] - block[0]) + 1), np.float32)
+                    modal_tangents(
+                        record, self.excess[i][began:], *self.stage.arrays().values(),
+                        *self.stage.thresholds_of_kernel(), began, samples, STRIDE, int(block[0]), slopes,
+                    )  # fmt: skip
+                    every[:, :, here] = (slopes - slopes.mean(0))[:, :, block - block[0]]
+                rows = every.reshape(-1, len(index))
+                grams[at] = rows.T @ rows * (self.periods[i].weight ** 2 / len(rows))
 
-        in_threads(run, len(self.periods))
-        return np.sum(grams, axis=0), np.sum(rights, axis=0)
+        in_threads(run, len(chosen))
+        return np.asarray(np.mean(grams, axis=0))
 
-    def _simulated(
-        self,
-        i: int,
-        counted: int,
-        error: np.ndarray,
-        low: int = 0,
-        gradient: np.ndarray | None = None,
-        total: np.ndarray | None = None,
-        slopes: np.ndarray | None = None,
-    ) -> np.ndarray | None:
+    def _record(self, i: int) -> tuple[np.ndarray, int]:
+        """What slopes need, from a sample in the period before on, and that sample."""
+        samples = len(self.periods[i].u)
+        began = samples - int(self.run_in * samples)
+        width = record_width(self.stage.shapes, len(self.stage.thresholds), len(self.stage.times_s))
+        record = np.empty((2 * samples - began, width))
+        self._simulated(i, record)
+        return record, began
+
+    def _simulated(self, i: int, record: np.ndarray | None = None) -> np.ndarray | None:
         """Both periods, (time, outputs); None where a state leaves all bounds."""
         stage, u = self.stage, self.twice[i]
         state = stage.initial_state(1)
         y = np.zeros((len(u), stage.outputs))
-        every = np.concatenate([np.zeros((counted, error.shape[1])), error])
-        nothing = (np.zeros(0), np.zeros((0, 0)), np.zeros((0, 0, 0)))
-        carried = nothing if gradient is None else (gradient, total, slopes)
         bounded = modal_feedback(
-            u, self.excess[i], *stage.arrays().values(), *stage.thresholds_of_kernel(),
-            state.x[0], state.h[0], state.means[0], 0, y, 0, counted, every, STRIDE, low, *carried,
+            u, self.excess[i], *stage.arrays().values(), *stage.thresholds_of_kernel(), state.x[0],
+            state.h[0], state.means[0], 0, y, np.zeros((0, 0)) if record is None else record,
         )  # fmt: skip
         return y if bounded and np.abs(y).max() < DIVERGED else None

@@ -2,8 +2,8 @@
 
 The modes come from the best linear approximation at the middle amplitude. Then elements are put into the
 feedback, sensing what each actuator's elongation exceeds its voltage by; first their weights are fitted,
-at last every number. Dead zones make loops asymmetric, plays make them lag, and a stiffness that follows the
-mean amplitude moves the resonances without distortion.
+at last every number. Dead zones make loops asymmetric, relaxing plays make them lag, a stiffness that follows
+the mean amplitude moves the resonances without distortion, and elements that sense the rate damp them.
 """
 
 import time
@@ -23,17 +23,20 @@ RELATIVE_ERROR = 0.0125
 """Of the geometric mean of a recording's rms and the largest: below it, noise alone counts in the weight."""
 NOISE = 1.5
 """Noise of the mean period, in its weight."""
+FAINT, SILENT = 0.05, 0.1
+"""Size of a motion near rest, as a share of the smallest recording's, and weight of what is left after it."""
 ALIKE = 1.25
 """Amplitudes within this ratio are one level."""
 QUASI_STATIC = 0.02
 """Share of the lines, the lowest, whose mean response is the static gain."""
 FIRST_WEIGHT = 0.01
-FEW, NEAR = 2, 0.45
-"""Recordings of a level that the fit begins with, and the share of the time for that."""
-LINEAR_STEPS, WEIGHT_STEPS, MODE_STEPS, STEPS = 25, 4, 4, 60
-ZONES, PLAYS = (0.0, 0.5, 1.2, -0.5, -1.2), (0.03, 0.1, 0.3, 0.8, 1.6)
-"""Thresholds, in units of the rms of the largest input at the highest amplitude."""
-INPUT_PLAYS = (0.05, 0.15, 0.4, 1.0, 2.0)
+LINEAR_STEPS, WEIGHT_STEPS, MODE_STEPS, STEPS = 25, 4, 4, 1000
+ZONES = (0.0, 1.5, 4.0, -1.5, -4.0)
+PLAYS = ((0.1, 1.0), (0.2, 1.0), (0.4, 1.0), (0.3, 30.0), (1.0, 30.0))
+INPUT_PLAYS = ((0.1, 1.0), (0.3, 1.0), (1.0, 1.0), (0.1, 30.0), (0.3, 30.0), (1.0, 30.0))
+"""Thresholds, in units of the rms of the largest input at the highest amplitude, and rates, Hz."""
+SHARP = 0.2
+"""Damping below which a mode has a part in the rate of the elastic part."""
 CROSSOVER = (0.1, 0.3)
 """Widths, in units of the rms slope of that input."""
 
@@ -107,29 +110,23 @@ def identify(
     middle = full[len(full) // 2]
     linear, z, response = linear_stage(middle, options.modes)
     fit = PeriodicFit(linear, periods(middle))
+    fit.in_matrix = len(middle)
     names = list(linear.arrays())
     cost = fit.descend(names, LINEAR_STEPS)
     log(f"linear, {options.modes} modes: weighted error {np.sqrt(cost):.3g}")
     stage = with_elements(linear, static_gain(z, response), recordings, options)
     weights = ["weights", "play_weights", "seen", "direct"]
 
-    def goes_on(share: float) -> Callable[[float], bool]:
-        def report(cost: float) -> bool:
-            passed = time.monotonic() - started
-            log(f"{passed:.0f} s: weighted error {np.sqrt(cost):.4g}")
-            return passed < share * options.seconds
+    def goes_on(cost: float) -> bool:
+        passed = time.monotonic() - started
+        log(f"{passed:.0f} s: weighted error {np.sqrt(cost):.4g}")
+        return passed < options.seconds
 
-        return report
-
-    # The least noisy few of each level bring it near, all of them finish it.
-    few = [one for level in levels for one in sorted(level, key=lambda one: one.period[2])[:FEW]]
-    guards = [one.period[0] for one in recordings]
-    fit = PeriodicFit(stage, periods(few), guards)
+    every = periods([one for level in levels for one in level])
+    fit = PeriodicFit(stage, [*every, silence(levels[0][0])])
     fit.descend(weights, WEIGHT_STEPS)
     fit.descend([*weights, "poles", "drive"], MODE_STEPS)
-    fit.descend(names, STEPS, goes_on=goes_on(NEAR))
-    fit = PeriodicFit(stage, periods(recordings), guards)
-    fit.descend(names, STEPS, goes_on=goes_on(1.0))
+    fit.descend(names, STEPS, tolerance=0.0, goes_on=goes_on)
     return stage
 
 
@@ -155,6 +152,18 @@ def periods(recordings: Sequence[MultiAxisRecording]) -> list[Period]:
     return [Period(u, y, 1.0 / float(scale)) for (u, y, _), scale in zip(means, scales, strict=True)]
 
 
+def silence(recording: MultiAxisRecording) -> Period:
+    """A period at rest after a small motion, in which a stage must not ring by itself.
+
+    Feedback that is stable at the amplitudes of the recordings may not be so near rest, where none was made.
+    """
+    u, y, _ = recording.period
+    before = FAINT * u
+    before[len(u) // 2 :] = 0
+    scale = RELATIVE_ERROR * FAINT * float(y.std())
+    return Period(np.zeros_like(u), np.zeros_like(y), SILENT / scale, before)
+
+
 def linear_stage(
     level: Sequence[MultiAxisRecording], modes: int
 ) -> tuple[MultiAxisStage, np.ndarray, np.ndarray]:
@@ -162,7 +171,7 @@ def linear_stage(
     means = [one.period for one in level]
     z, response = best_linear_approximation([u for u, _, _ in means], [y for _, y, _ in means])
     found = modes_of(z, response, fitted_poles(z, response, modes))
-    shapes = Shapes(response.shape[1], response.shape[2], modes, 0, 0, 0)
+    shapes = Shapes(response.shape[1], response.shape[2], modes, elements=0, functions=1, input_plays=0)
     arrays = {name: found.get(name, np.zeros(shape)) for name, shape in parameter_shapes(shapes).items()}
     return MultiAxisStage(level[0].fs_hz, arrays), z, response
 
@@ -180,16 +189,19 @@ def with_elements(
     recordings: Sequence[MultiAxisRecording],
     options: MultiAxisOptions,
 ) -> MultiAxisStage:
-    """The stage with elements at the inputs, and more in random directions, all nearly without force."""
+    """The stage with elements at the inputs, and more in random directions, all nearly without force.
+
+    An element of each input senses the elastic part of its actuator's elongation, which is hysteresis and
+    stiffness, a second one the rate of that, which is damping.
+    """
     old = linear.arrays()
     inputs, modes = linear.inputs, linear.shapes.modes
     scale = max(float(one.u.std()) for one in recordings)
-    zones, plays = [scale / 0.3 * r for r in ZONES], [scale / 0.3 * r for r in PLAYS]
-    elements = inputs + options.extra_elements
-    at_means = len(zones) + len(plays)
+    elements = 2 * inputs + options.extra_elements
+    at_means = len(ZONES) + len(PLAYS)
     widths = crossover_widths(recordings) if options.amplifier_hz else []
     excess = len(INPUT_PLAYS) + 2 * len(widths)
-    functions = at_means + len(options.times_s) + excess
+    functions = at_means + len(options.times_s) + 1
     shapes = linear.shapes._replace(elements=elements, functions=functions, input_plays=excess)
     arrays = {name: np.zeros(shape) for name, shape in parameter_shapes(shapes).items()}
     arrays |= {name: old[name].copy() for name in ("poles", "drive", "seen", "direct")}
@@ -197,22 +209,40 @@ def with_elements(
     mixed = np.concatenate([np.eye(inputs), random.standard_normal((options.extra_elements, inputs))])
     back = np.linalg.pinv(gain)  # (outputs, inputs), V/µm
     # Elongation, in volts, less the voltage: the elastic part, which follows the stress.
-    arrays["sensed"] = np.einsum("ni,oi,omc->nmc", mixed, back, old["seen"])
-    arrays["through"] = mixed @ (back.T @ old["direct"] - np.eye(inputs))
-    arrays["force"] = np.einsum("mci,ni->mcn", old["drive"], mixed).reshape(modes, 2, elements)
-    arrays["weights"][:inputs, at_means] = FIRST_WEIGHT
-    arrays["weights"][inputs:, 0] = FIRST_WEIGHT / 2
-    arrays["weights"][inputs:, at_means] = FIRST_WEIGHT / 10
+    elastic = np.einsum("ni,oi,omc->nmc", mixed, back, old["seen"])
+    first, rest = slice(0, inputs), slice(2 * inputs, None)
+    rates = slice(inputs, 2 * inputs)
+    arrays["sensed"][first], arrays["sensed"][rest] = elastic[:inputs], elastic[inputs:]
+    arrays["sensed"][rates] = rate_of(elastic[:inputs], old["poles"])
+    through = mixed @ (back.T @ old["direct"] - np.eye(inputs))
+    arrays["through"][first], arrays["through"][rest] = through[:inputs], through[inputs:]
+    directions = np.concatenate([mixed[:inputs], mixed])
+    arrays["force"] = np.einsum("mci,ni->mcn", old["drive"], directions).reshape(modes, 2, elements)
+    arrays["weights"][first, at_means] = FIRST_WEIGHT
+    arrays["weights"][rates, at_means] = FIRST_WEIGHT / 10
+    arrays["weights"][rest, 0] = FIRST_WEIGHT / 2
+    arrays["weights"][rest, at_means] = FIRST_WEIGHT / 10
     return MultiAxisStage(
         linear.sample_rate_hz,
         arrays,
-        [scale * r for r in INPUT_PLAYS],
-        zones,
-        plays,
-        options.times_s,
-        widths,
-        options.amplifier_hz or np.inf,
+        input_thresholds_v=[scale * r for r, _ in INPUT_PLAYS],
+        input_rates_hz=[rate for _, rate in INPUT_PLAYS],
+        dead_zones=[scale * r for r in ZONES],
+        thresholds=[scale * r for r, _ in PLAYS],
+        rates_hz=[rate for _, rate in PLAYS],
+        times_s=options.times_s,
+        crossover_v_per_s=widths,
+        amplifier_hz=options.amplifier_hz or np.inf,
     )
+
+
+def rate_of(seen: np.ndarray, poles: np.ndarray) -> np.ndarray:
+    """What senses the rate of what `seen` (…, modes, 2) senses, over a frequency that leaves its size."""
+    slopes = np.log(poles @ np.array([1, 1j]))
+    sharp = np.abs(slopes.real) < SHARP * np.abs(slopes)
+    turned = (seen @ np.array([1, -1j])) * np.where(sharp, slopes, 0)
+    size = np.sqrt(np.square(np.abs(turned)).sum() / np.square(seen).sum())
+    return np.stack([turned.real, -turned.imag], -1) / max(float(size), 1e-12)
 
 
 def crossover_widths(recordings: Sequence[MultiAxisRecording]) -> list[float]:

@@ -17,14 +17,16 @@ from torch import Tensor, nn
 from torchpi.errors import StageError
 from torchpi.operators.compiled import in_threads
 from torchpi.operators.modal_feedback import Shapes, modal_feedback, parameter_shapes
-from torchpi.operators.oversampled_inputs import crossover, play_excess
+from torchpi.operators.oversampled_inputs import LOOKAHEAD, OversampledInputs
 from torchpi.stage.file import SavedStage
 
 SETTINGS = (
     "sample_rate_hz",
     "input_thresholds_v",
+    "input_rates_hz",
     "dead_zones",
     "thresholds",
+    "rates_hz",
     "times_s",
     "crossover_v_per_s",
     "amplifier_hz",
@@ -48,9 +50,11 @@ class MultiAxisStage(SavedStage):
         sample_rate_hz: Of voltages and displacements; the modes are those of samples at this rate.
         parameters: Arrays by name: `poles`, `drive`, `force`, `sensed`, `through`, `weights`, `play_weights`,
             `seen`, `direct`, with the shapes of `parameter_shapes`.
-        input_thresholds_v: Of the plays of each input, V.
+        input_thresholds_v: Of the relaxing plays of each input, V.
+        input_rates_hz: Of the same plays, at small motions.
         dead_zones: Thresholds of the elements' dead zones, in units of what the elements sense.
-        thresholds: Of their plays.
+        thresholds: Of their relaxing plays, likewise.
+        rates_hz: Of the same plays, at small motions.
         times_s: Over which they average.
         crossover_v_per_s: Widths of the crossover distortion of each amplifier, V/s.
         amplifier_hz: The amplifiers' bandwidth, Hz.
@@ -61,15 +65,17 @@ class MultiAxisStage(SavedStage):
             circle.
     """
 
-    SCHEMA, VERSION, KIND = "torchpi multi-axis stage", 2, "a stage of several axes"
+    SCHEMA, VERSION, KIND = "torchpi multi-axis stage", 3, "a stage of several axes"
 
     def __init__(
         self,
         sample_rate_hz: float,
         parameters: Mapping[str, Any],
         input_thresholds_v: Sequence[float] = (),
+        input_rates_hz: Sequence[float] = (),
         dead_zones: Sequence[float] = (),
         thresholds: Sequence[float] = (),
+        rates_hz: Sequence[float] = (),
         times_s: Sequence[float] = (),
         crossover_v_per_s: Sequence[float] = (),
         amplifier_hz: float = math.inf,
@@ -80,12 +86,20 @@ class MultiAxisStage(SavedStage):
             raise StageError(f"sample_rate_hz: found {sample_rate_hz}, expected a positive number")
         self.sample_rate_hz = float(sample_rate_hz)
         self.input_thresholds_v = _numbers("input_thresholds_v", input_thresholds_v, positive=True)
+        self.input_rates_hz = _numbers("input_rates_hz", input_rates_hz, positive=True)
         self.crossover_v_per_s = _numbers("crossover_v_per_s", crossover_v_per_s, positive=True)
         if not amplifier_hz > 0 or (self.crossover_v_per_s and not math.isfinite(amplifier_hz)):
             raise StageError(f"amplifier_hz: found {amplifier_hz}, expected a positive number")
         self.amplifier_hz = float(amplifier_hz)
         self.dead_zones = _numbers("dead_zones", dead_zones)
         self.thresholds = _numbers("thresholds", thresholds, positive=True)
+        self.rates_hz = _numbers("rates_hz", rates_hz, positive=True)
+        for name, few, many in (
+            ("input_rates_hz", self.input_rates_hz, self.input_thresholds_v),
+            ("rates_hz", self.rates_hz, self.thresholds),
+        ):
+            if len(few) != len(many):
+                raise StageError(f"{name}: found {len(few)}, expected one for each of {len(many)} thresholds")
         self.times_s = _numbers("times_s", times_s, positive=True)
         arrays = {name: np.asarray(value, dtype=np.float64) for name, value in parameters.items()}
         self.shapes = self._shapes(arrays)
@@ -111,7 +125,7 @@ class MultiAxisStage(SavedStage):
             raise StageError("direct, weights: found arrays of other dimensions, expected two")
         outputs, inputs = arrays["direct"].shape
         excess = len(self.input_thresholds_v) + 2 * len(self.crossover_v_per_s)
-        functions = len(self.dead_zones) + len(self.thresholds) + len(self.times_s) + excess
+        functions = len(self.dead_zones) + len(self.thresholds) + len(self.times_s) + 1
         return Shapes(inputs, outputs, len(arrays["poles"]), len(arrays["weights"]), functions, excess)
 
     @property
@@ -127,16 +141,26 @@ class MultiAxisStage(SavedStage):
         named = dict(self.named_parameters())
         return {name: named[name].detach().contiguous().numpy() for name in parameter_shapes(self.shapes)}
 
-    def thresholds_of_kernel(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Dead zones, thresholds, and the share of a sample in each mean."""
+    def thresholds_of_kernel(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Dead zones, thresholds, what a sample leaves of small motions, and its share in each mean."""
+        kept = np.exp(-2 * np.pi * np.asarray(self.rates_hz, dtype=np.float64) / self.sample_rate_hz)
         shares = 1 / (np.asarray(self.times_s, dtype=np.float64) * self.sample_rate_hz)
-        return np.asarray(self.dead_zones), np.asarray(self.thresholds), np.minimum(shares, 1.0)
+        return np.asarray(self.dead_zones), np.asarray(self.thresholds), kept, np.minimum(shares, 1.0)
 
     def excess(self, u: np.ndarray) -> np.ndarray:
         """What plays and amplifiers add to voltages (time, inputs): (time, inputs, all of them)."""
-        plays = play_excess(u, np.asarray(self.input_thresholds_v))
-        widths = np.asarray(self.crossover_v_per_s)
-        return np.concatenate([plays, crossover(u, widths, self.amplifier_hz, self.sample_rate_hz)], 2)
+        return self.excess_stream().advance(np.pad(u, ((0, LOOKAHEAD), (0, 0))))[LOOKAHEAD:]
+
+    def excess_stream(self) -> OversampledInputs:
+        """The same window after window, `LOOKAHEAD` samples late."""
+        return OversampledInputs(
+            self.inputs,
+            self.sample_rate_hz,
+            self.input_thresholds_v,
+            self.input_rates_hz,
+            self.crossover_v_per_s,
+            self.amplifier_hz,
+        )
 
     def initial_state(self, batch: int) -> MultiAxisState:
         """At rest."""
@@ -171,13 +195,12 @@ class MultiAxisStage(SavedStage):
         """Fill `y` and leave the state after the last sample: windows give the bits of the whole."""
         arrays, constants = self.arrays(), self.thresholds_of_kernel()
         bounded = np.zeros(len(volts), dtype=bool)
-        nothing = (0, 0, np.zeros((0, 0)), 1, 0, np.zeros(0), np.zeros((0, 0)), np.zeros((0, 0, 0)))
 
         def run(first: int, last: int) -> None:
             for i in range(first, last):
                 bounded[i] = modal_feedback(
                     volts[i], excess[i], *arrays.values(), *constants, state.x[i], state.h[i], state.means[i],
-                    state.past, y[i], *nothing,
+                    state.past, y[i], np.zeros((0, 0)),
                 )  # fmt: skip
 
         in_threads(run, len(volts))

@@ -1,0 +1,79 @@
+"""The inverse of a stage of several axes."""
+
+import numpy as np
+import pytest
+import torch
+
+from tests.stage.two_axes import multisine, two_axes
+from torchpi.control.multi_axis import MultiAxisInverse, linear_inverses
+from torchpi.errors import StageError
+from torchpi.stage.multi_axis import MultiAxisStage
+
+RMS_V, BAND_HZ = 0.3, 30.0
+
+
+@pytest.fixture(scope="module")
+def stage() -> MultiAxisStage:
+    return two_axes()
+
+
+@pytest.fixture(scope="module")
+def filters(stage: MultiAxisStage) -> tuple[np.ndarray, np.ndarray]:
+    return linear_inverses(stage, RMS_V, BAND_HZ)
+
+
+def trajectory() -> np.ndarray:
+    """(time, 2), µm, twice the same, to `BAND_HZ`."""
+    spectrum = np.fft.rfft(multisine(np.random.default_rng(5), 2000, 1.0), axis=0)
+    spectrum[int(BAND_HZ / 1000.0 * 2000) :] = 0
+    yd = np.fft.irfft(spectrum, axis=0)
+    return np.tile(yd / yd.std(0), (2, 1))
+
+
+def moved(stage: MultiAxisStage, inverse: MultiAxisInverse, yd: np.ndarray) -> np.ndarray:
+    """What the stage does in the second half."""
+    inverse.reset()
+    u = inverse.block(np.concatenate([yd, yd[: inverse.preview]]))[inverse.preview :]
+    y = stage.simulate(torch.from_numpy(u)[None])[0].numpy()
+    return y[2200:-200]
+
+
+def test_corrections_leave_a_tenth_of_what_the_best_linear_inverse_leaves(
+    stage: MultiAxisStage, filters: tuple[np.ndarray, np.ndarray]
+) -> None:
+    yd = trajectory()
+    errors = []
+    for passes in (0, 3):
+        y = moved(stage, MultiAxisInverse(stage, *filters, passes), yd)
+        errors.append((y - yd[2200:-200]).std(0))
+    assert (errors[1] < 0.01).all()
+    assert (errors[1] < 0.1 * errors[0]).all()
+
+
+def test_an_axis_that_is_to_stand_stands(
+    stage: MultiAxisStage, filters: tuple[np.ndarray, np.ndarray]
+) -> None:
+    yd = trajectory() * [1.0, 0.0]
+    assert moved(stage, MultiAxisInverse(stage, *filters, 3), yd)[:, 1].std() < 0.005
+
+
+def test_samples_one_by_one_give_the_voltages_of_the_block(
+    stage: MultiAxisStage, filters: tuple[np.ndarray, np.ndarray]
+) -> None:
+    inverse, yd = MultiAxisInverse(stage, *filters, 1), trajectory()[:700]
+    whole = inverse.block(yd)
+    inverse.reset()
+    np.testing.assert_allclose([inverse.step(one) for one in yd], whole, atol=1e-12)
+
+
+def test_bands_and_arrays_without_meaning_are_named(
+    stage: MultiAxisStage, filters: tuple[np.ndarray, np.ndarray]
+) -> None:
+    with pytest.raises(StageError, match="band_hz: found 400, expected a number up to 170"):
+        linear_inverses(stage, RMS_V, 400.0)
+    with pytest.raises(StageError, match=r"corrections: found an array of \(3, 2, 2\)"):
+        MultiAxisInverse(stage, filters[0], filters[1][:3])
+    with pytest.raises(StageError, match="passes: found -1"):
+        MultiAxisInverse(stage, *filters, -1)
+    with pytest.raises(StageError, match=r"expected finite numbers \(time, 2\)"):
+        MultiAxisInverse(stage, *filters).step([1.0, np.nan])

@@ -1,0 +1,45 @@
+"""The play that relaxes."""
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from torchpi.operators.relaxing_play import relaxing_play, relaxing_play_slope, relaxing_plays
+
+R, OMEGA = 0.3, 2 * np.pi * 5.0
+
+
+def test_between_samples_it_follows_its_differential_equation() -> None:
+    # dh/dt = ω (e + e³/r²) with x held: integrated by itself, and by the closed form in one step.
+    def rate(t: float, h: np.ndarray) -> np.ndarray:
+        e = 1.0 - h
+        return OMEGA * (e + e**3 / R**2)
+
+    step = 0.01
+    exact = solve_ivp(rate, (0, step), [-0.4], rtol=1e-10, atol=1e-12).y[0, -1]
+    assert relaxing_play(1.0, R, np.exp(-OMEGA * step), -0.4) == pytest.approx(exact, rel=1e-7)
+
+
+def test_its_slope_is_that_of_finite_differences() -> None:
+    a = np.exp(-0.1)
+    above, below = relaxing_play(0.5, R, a, 0.1 + 1e-6), relaxing_play(0.5, R, a, 0.1 - 1e-6)
+    assert relaxing_play_slope(0.5, R, a, 0.1) == pytest.approx((above - below) / 2e-6, rel=1e-6)
+
+
+def test_loops_widen_with_the_rate_and_small_motions_are_a_lag() -> None:
+    def lag(amplitude: float, hz: float) -> float:
+        """Of the fundamental behind the input, rad."""
+        t = np.arange(4000) / 1000
+        h = np.empty((1, 4000, 1))
+        relaxing_plays(
+            amplitude * np.sin(2 * np.pi * hz * t)[None],
+            np.array([R]),
+            np.exp([-OMEGA / 1000]),
+            np.zeros((1, 1)),
+            h,
+        )
+        return float(-np.angle(1j * np.mean(h[0, 2000:, 0] * np.exp(-2j * np.pi * hz * t[2000:]))))
+
+    assert lag(1e-6, 2.0) == pytest.approx(np.arctan(2.0 / 5.0), rel=0.02)
+    assert lag(1e-6, 2.0) < lag(1e-6, 8.0)
+    assert lag(10.0, 2.0) < 0.2 * lag(1e-6, 2.0)

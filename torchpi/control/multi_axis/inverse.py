@@ -1,0 +1,223 @@
+"""The inverse of an identified stage of several axes, with look-ahead.
+
+The best linear inverse, a matrix of filters, makes a first voltage of the trajectories. Then the stage is
+simulated with that voltage, and filters of small motions turn what the displacements still lack into a
+correction, several times:
+
+    u_0 = A * y_d,   u_j = u_{j-1} + B * (y_d - ŷ(u_{j-1}))
+
+It is model-inverse iterative learning (Bristow, Tharayil and Alleyne, IEEE Control Systems 26(3), 2006), here
+against the identified stage and in a pipeline: each pass runs its look-ahead behind the one before, so that
+all of them together are a causal filter of a trajectory known some samples ahead. It converges the faster,
+the smaller the hysteresis is beside the linear part. The stage itself is its only model.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from torchpi.errors import StageError
+from torchpi.operators.oversampled_inputs import LOOKAHEAD
+from torchpi.stage.multi_axis import MultiAxisStage
+
+LINES = 2048
+"""Frequencies at which the linear inverses are found, up to the Nyquist frequency."""
+FLAT, LAST = 0.17, 0.24
+"""Shares of the sample rate: up to the first the filters invert, from there they fade until the second."""
+HALF_LENGTH = 256
+"""Of the filters, samples."""
+SMALL, MEANS = 0.02, 2
+"""Size of a small motion beside the trajectories', and how many trajectories responses are averaged over."""
+
+
+def linear_inverses(
+    stage: MultiAxisStage, rms_v: float, band_hz: float, seed: int = 0
+) -> tuple[np.ndarray, np.ndarray]:
+    """Filters whose output, as voltages, moves the stage as their input does.
+
+    The first are those of the best linear approximation in the trajectories' band (Pintelon and Schoukens,
+    System Identification, 2012, ch. 3). The second are of small motions beside such trajectories, as
+    corrections are: hysteresis and a stiffness that follows the amplitude answer them differently.
+
+    Args:
+        stage: As many outputs as inputs.
+        rms_v: Of each input, V.
+        band_hz: Up to where trajectories have content, Hz.
+        seed: Of the phases.
+
+    Returns:
+        (2 `HALF_LENGTH` + 1, inputs, outputs) each, V/µm; the middle one acts at once.
+
+    Raises:
+        StageError: Another number of outputs than of inputs, or a band that is not within the filters'.
+    """
+    m, length, last = stage.inputs, 2 * LINES, int(2 * LINES * LAST)
+    if stage.outputs != m:
+        raise StageError(f"inverse: found {m} inputs and {stage.outputs} outputs, expected as many of each")
+    highest = FLAT * stage.sample_rate_hz
+    if not 0 < band_hz <= highest:
+        raise StageError(
+            f"band_hz: found {band_hz:g}, expected a number up to {highest:g} at this sample rate"
+        )
+    random = np.random.default_rng(seed)
+    in_band = int(band_hz / stage.sample_rate_hz * length)
+    large, moved = np.zeros((last, m, m), complex), []
+    for _ in range(MEANS):
+        bases = rms_v * _multisines(random, m, in_band)
+        spectra, answers = np.fft.rfft(bases, axis=1), _steady(stage, bases)
+        large[:in_band] += _solved(spectra, answers)[:in_band] / MEANS
+        # All inputs move, then each alone.
+        for alone in (None, *range(m)):
+            base = bases[:1] if alone is None else bases[:1] * (np.arange(m) == alone)
+            beside = SMALL * rms_v * _multisines(random, m, last)
+            differs = _steady(stage, base + beside) - _steady(stage, base)
+            moved.append(_solved(np.fft.rfft(beside, axis=1), differs)[:last])
+    # The least squares of 1 - (small response)(inverse): cautious where the responses differ.
+    back = [each.conj().swapaxes(1, 2) for each in moved]
+    squares = np.sum([each @ other for each, other in zip(moved, back, strict=True)], axis=0)
+    small = np.linalg.solve(squares.swapaxes(1, 2), np.sum(back, axis=0).swapaxes(1, 2)).swapaxes(1, 2)
+    first = np.concatenate([np.linalg.inv(large[:in_band]), small[in_band:]])
+    return _filters(first), _filters(small)
+
+
+def _multisines(random: np.random.Generator, m: int, last: int) -> np.ndarray:
+    """(runs, samples, inputs), of random phase and rms 1; as many runs as inputs, orthogonal."""
+    phases = np.exp(2j * np.pi * random.random((last, m)))
+    turns = np.exp(2j * np.pi * np.outer(np.arange(m), np.arange(m)) / m)
+    spectra = np.zeros((m, LINES + 1, m), complex)
+    spectra[:, 1 : last + 1] = turns[:, None] * phases
+    u = np.fft.irfft(spectra, axis=1)
+    return np.asarray(u / u.std())
+
+
+def _steady(stage: MultiAxisStage, u: np.ndarray) -> np.ndarray:
+    """Spectra of the displacements in steady state, (runs, lines, outputs), of periodic voltages."""
+    found = []
+    for run in u:
+        y = StageStream(stage).advance(np.concatenate([run, run, run, run[:LOOKAHEAD]]))
+        found.append(np.fft.rfft(y[-len(run) :], axis=0))
+    return np.array(found)
+
+
+def _solved(inputs: np.ndarray, answers: np.ndarray) -> np.ndarray:
+    """Responses (lines, inputs, outputs) without that at 0 Hz, from spectra of the runs."""
+    across = inputs.swapaxes(0, 1)[1:]
+    usable = np.abs(across).max((1, 2)) > 1e-9 * np.abs(across).max()
+    response = np.zeros((len(across), across.shape[2], answers.shape[2]), complex)
+    response[usable] = np.linalg.solve(across[usable], answers.swapaxes(0, 1)[1:][usable])
+    return response
+
+
+def _filters(found: np.ndarray) -> np.ndarray:
+    """(taps, inputs, outputs) of inverses (lines, outputs, inputs) at the lines from the first on."""
+    last, m = len(found), found.shape[1]
+    inverse = np.zeros((LINES + 1, m, m), complex)
+    inverse[1 : last + 1] = found.swapaxes(1, 2)
+    inverse[0] = inverse[1:4].mean(0).real
+    fade = np.clip((np.arange(LINES + 1) / (2 * LINES) - FLAT) / (LAST - FLAT), 0, 1)
+    inverse *= np.square(np.cos(np.pi / 2 * fade))[:, None, None]
+    taps = np.roll(np.fft.irfft(inverse, axis=0), HALF_LENGTH, axis=0)[: 2 * HALF_LENGTH + 1]
+    return np.asarray(taps * np.kaiser(2 * HALF_LENGTH + 1, 3.0)[:, None, None])
+
+
+class StageStream:
+    """A stage's displacements about its offset, window after window, `LOOKAHEAD` samples late."""
+
+    def __init__(self, stage: MultiAxisStage) -> None:
+        self.stage, self.excess, self.state = stage, stage.excess_stream(), stage.initial_state(1)
+        self.late = np.zeros((LOOKAHEAD, stage.inputs))
+
+    def advance(self, u: np.ndarray) -> np.ndarray:
+        """(time, outputs), µm, for (time, inputs), V."""
+        known = np.concatenate([self.late, u])
+        now, self.late = known[: len(u)], known[len(u) :]
+        y = np.zeros((1, len(u), self.stage.outputs))
+        self.stage.advance(now[None], [self.excess.advance(u)], self.state, y)
+        return np.asarray(y[0] - np.asarray(self.stage.get_buffer("offset_um")))
+
+
+class FilterMatrix:
+    """Filters of several inputs and outputs, window after window, `HALF_LENGTH` samples late."""
+
+    def __init__(self, taps: np.ndarray) -> None:
+        self.taps = taps  # (taps, outputs, inputs)
+        self.known = np.zeros((len(taps) - 1, taps.shape[2]))
+
+    def advance(self, x: np.ndarray) -> np.ndarray:
+        known = np.concatenate([self.known, x])
+        self.known = known[len(x) :]
+        found = np.zeros((len(x), self.taps.shape[1]))
+        for i in range(self.taps.shape[1]):
+            for o in range(self.taps.shape[2]):
+                found[:, i] += np.convolve(known[:, o], self.taps[:, i, o], "valid")
+        return found
+
+
+class Delay:
+    """The samples of some time before, window after window."""
+
+    def __init__(self, samples: int, channels: int) -> None:
+        self.known = np.zeros((samples, channels))
+
+    def advance(self, x: np.ndarray) -> np.ndarray:
+        known = np.concatenate([self.known, x])
+        self.known = known[len(x) :]
+        return known[: len(x)]
+
+
+class MultiAxisInverse:
+    """Voltages that move a stage of several axes along desired trajectories.
+
+    Args:
+        stage: Identified, with as many outputs as inputs.
+        first: Filters of the linear inverse, from `linear_inverses`.
+        corrections: Those of small motions, from the same.
+        passes: Corrections against the stage; without any it is the linear inverse.
+
+    Attributes:
+        preview: How many samples ahead `step` takes the trajectories.
+    """
+
+    def __init__(
+        self, stage: MultiAxisStage, first: np.ndarray, corrections: np.ndarray, passes: int = 3
+    ) -> None:
+        if passes < 0:
+            raise StageError(f"passes: found {passes}, expected a whole number from 0 on")
+        expected = (len(first), stage.inputs, stage.outputs)
+        for name, taps in (("first", first), ("corrections", corrections)):
+            if taps.shape != expected or len(taps) % 2 == 0:
+                raise StageError(f"{name}: found an array of {taps.shape}, expected (odd, {expected[1:]})")
+        self.stage, self.first, self.corrections, self.passes = stage, first, corrections, passes
+        half = len(first) // 2
+        self.preview = half + passes * (LOOKAHEAD + half)
+        self.reset()
+
+    def reset(self) -> None:
+        """To rest."""
+        half, stage = len(self.first) // 2, self.stage
+        self._first = FilterMatrix(self.first)
+        # Each pass is half a filter and the stage's look-ahead behind the one before.
+        self._desired = [Delay(half + LOOKAHEAD, stage.outputs) for _ in range(self.passes)]
+        self._stages = [StageStream(stage) for _ in range(self.passes)]
+        self._filters = [FilterMatrix(self.corrections) for _ in range(self.passes)]
+        self._voltages = [Delay(LOOKAHEAD + half, stage.inputs) for _ in range(self.passes)]
+
+    def block(self, yd: np.ndarray) -> np.ndarray:
+        """Voltages (time, inputs), V, for trajectories (time, outputs), µm, `preview` samples ahead."""
+        if yd.ndim != 2 or yd.shape[1] != self.stage.outputs or not np.isfinite(yd).all():
+            raise StageError(
+                f"trajectories: found an array of {yd.shape}, "
+                f"expected finite numbers (time, {self.stage.outputs})"
+            )
+        u, desired = self._first.advance(yd), yd
+        for late, stage, filters, voltages in zip(
+            self._desired, self._stages, self._filters, self._voltages, strict=True
+        ):
+            desired = late.advance(desired)
+            lacking = desired - stage.advance(u)
+            u = voltages.advance(u) + filters.advance(lacking)
+        return u
+
+    def step(self, yd: Sequence[float]) -> list[float]:
+        """Voltages, V, for desired displacements, µm, `preview` samples ahead."""
+        return [float(u) for u in self.block(np.asarray(yd, dtype=np.float64)[None])[0]]
