@@ -97,6 +97,7 @@ class Search(Exchange):
         self.seen = replace(seen(chain.records), simulated=simulation is not None)
         self.rejected_families: set[str] = set()
         self.needless: set[str] = set()
+        self.nominal = HysteresisModel(np.zeros(0))
         self.slips: Slips | None = None
         self.jump: Jump | None = None
         """Of the final fit, where a mount sticks."""
@@ -114,6 +115,7 @@ class Search(Exchange):
     def run(self) -> tuple[Fit, Fit, list[Round]]:
         """The retuned nominal, the best hypothesis, and the rounds: forward, with a backward check."""
         retuned = now = self.retuned()
+        self.nominal = retuned.hypothesis.nominal
         history: list[Round] = []
         for number in range(1, ROUNDS + 1):
             if stuck := self.sticking(now):
@@ -136,7 +138,8 @@ class Search(Exchange):
                 now = self.backward(self.swapped(late))
                 self.log(f"  with {', '.join(now.hypothesis.names)}, and no other timing: {rms_of(now)}")
                 continue
-            grown = self.sized(chosen.fit) if chosen.name.startswith(OPERATOR) else chosen.fit
+            larger = chosen.name.startswith(OPERATOR)
+            grown = self.sized(chosen.fit) if larger else self.at_its_own_weights(chosen.fit)
             now = self.backward(self.swapped(self.realigned(grown)))
             self.needless |= set(chosen.fit.hypothesis.names) - set(now.hypothesis.names)
             self.log(f"  with {', '.join(now.hypothesis.names) or chosen.name}: {rms_of(now)}")
@@ -154,7 +157,7 @@ class Search(Exchange):
             return earned[0] if earned else None
         # A larger hysteresis is fitted on many rows: so are its best rivals, before the two are compared.
         for one in [one for one in earned if not one.name.startswith(OPERATOR)][:2]:
-            full = refitted(self.chain, one.fit, STEPS)
+            full = self.at_its_own_weights(refitted(self.chain, one.fit, STEPS))
             if self.as_well(full, earned[0].fit):
                 return replace(one, fit=full)
         return earned[0]
@@ -213,12 +216,9 @@ class Search(Exchange):
         """Every promising effect, and growth of the hysteresis, fitted on top of this, the best first."""
         fits = self.effects(now)
         leader = max([now, *(one for _, one in fits)], key=self.score)
-        return self.ranked(now, [(n, f) for n, f in fits + self.growth(now, leader) if self.inside(f, now)])
-
-    def ranked(self, now: Fit, fits: Sequence[tuple[str, Fit]]) -> list[Tried]:
-        """With the gain over a fit, the best first."""
         tried = [Tried(name, one, self.over(one, now, self.prior(now, one))) for name, one in fits]
-        return sorted(tried, key=lambda t: -t.gain.nats)
+        tried += self.growth(now, leader)
+        return sorted([t for t in tried if self.inside(t.fit, now)], key=lambda t: -t.gain.nats)
 
     def effects(self, now: Fit) -> list[tuple[str, Fit]]:
         """The most promising effects, each fitted from its best starts."""
@@ -310,13 +310,13 @@ class Search(Exchange):
             found += candidates_of(effect, records, starts, list(self.seen.aux))
         return found
 
-    def growth(self, now: Fit, leader: Fit) -> list[tuple[str, Fit]]:
+    def growth(self, now: Fit, leader: Fit) -> list[Tried]:
         """A larger hysteresis in the place of the present one, fitted to the end where it may beat a fit.
 
         A state that is not linear in its numbers is only held against the present fit until it has the
         weights that it shows itself. What is larger has to beat the present one on the same terms.
         """
-        h, found = now.hypothesis, []
+        h, found = now.hypothesis, list[tuple[str, Fit]]()
         larger: list[tuple[str, HysteresisModel, tuple[str, ...], int]] = [
             ("preisach", preisach(self.seen), (), 2)
         ]
@@ -342,10 +342,9 @@ class Search(Exchange):
             found.append((OPERATOR + family, one))
             if one.train_rms > REJECTED * now.train_rms:
                 self.rejected_families.add(family)
-        if all(self.over(one, now).probability <= ACCEPTED for _, one in found):
-            return found
-        settled = self.at_its_own_weights(refitted(self.chain, now))
-        return [(name, one) for name, one in found if self.over(one, settled, PRIOR).probability > ACCEPTED]
+        if any(self.over(one, now).probability > ACCEPTED for _, one in found):
+            now = max(now, self.at_its_own_weights(refitted(self.chain, now)), key=self.score)
+        return [Tried(name, one, self.over(one, now, PRIOR)) for name, one in found]
 
     def on(self, h: Hypothesis, nominal: HysteresisModel, shape: tuple[str, ...]) -> Hypothesis:
         """A hypothesis on another hysteresis, whose state starts anywhere if recordings have a history."""
@@ -393,7 +392,19 @@ class Search(Exchange):
                 break
             self.log(f"  without {' of '.join(filter(None, parts[worst]))}: the others explain it")
             now = fits[worst]
-        return now
+        return self.no_larger(now)
+
+    def no_larger(self, now: Fit) -> Fit:
+        """With the hysteresis of the simulation again, where effects make a larger one needless."""
+        h = now.hypothesis
+        if h.nominal.family == self.nominal.family or not self.added(now):
+            return now
+        plain = refitted(self.chain, self.fits([(h.on(self.nominal), None, STEPS, ROUGH)])[0])
+        plain = self.at_its_own_weights(plain)
+        if not self.as_well(plain, now):
+            return now
+        self.log(f"  without a larger hysteresis: {rms_of(plain)}")
+        return plain
 
     def without_each(self, now: Fit, parts: Sequence[tuple[str, str]]) -> list[Fit]:
         """The fit without one of its parts, for each."""
