@@ -9,7 +9,17 @@ from hypothesis import strategies as st
 
 from torchpi.diagnosis.hypothesis import EffectTerm, Hypothesis
 from torchpi.diagnosis.hysteresis_model import HysteresisModel
-from torchpi.diagnosis.posterior import FORM_ERROR, HALF, Believed, apart, averaged, names_of, rivals, trust
+from torchpi.diagnosis.posterior import (
+    FORM_ERROR,
+    HALF,
+    OPERATOR_NAME,
+    Believed,
+    apart,
+    averaged,
+    names_of,
+    rivals,
+    trust,
+)
 from torchpi.stage.effects.actuator.creep import Creep
 from torchpi.stage.effects.amplifier.amplifier_lag import AmplifierLag
 from torchpi.stage.effects.amplifier.delay import Delay
@@ -90,6 +100,8 @@ def test_what_an_effect_leaves_by_its_form_is_not_named_after_its_kin(share: flo
     assert apart(slow, found, terms) == 1.0
     assert apart(late, found, terms) == pytest.approx(1 / (1 + (FORM_ERROR / share) ** 2))
     assert apart(lag, found, terms) > 0.98
+    operator = Believed(OPERATOR_NAME, 1.0, (), share, ())
+    assert apart(operator, [*found, operator], terms) == apart(late, found, terms)
 
 
 def test_a_name_has_to_explain_as_much_as_stays_unexplained() -> None:

@@ -119,12 +119,14 @@ def has_a_signal_of_its_own(final: Fit, name: str) -> bool:
 
 
 def apart(one: Believed, found: Sequence[Believed], terms: Mapping[str, EffectTerm]) -> float:
-    """How likely an effect is another cause, and not what the strongest of its kin leaves by its form."""
-    kin = [
-        other.explained_um2
-        for other in found
-        if other.name in terms and one.name in terms and of_one_kin(terms[one.name], terms[other.name])
-    ]
+    """How likely an effect is another cause, and not what the strongest of its kin leaves by its form.
+
+    Every effect is kin of a larger hysteresis, which takes a part of whatever follows the voltage.
+    """
+    others = [other for other in found if other.name != one.name and other.name in terms]
+    if one.name in terms:
+        others = [other for other in others if of_one_kin(terms[one.name], terms[other.name])]
+    kin = [other.explained_um2 for other in others]
     if not kin or one.explained_um2 <= 0:
         return 1.0
     return float(1 / (1 + (FORM_ERROR * max(kin) / one.explained_um2) ** FALL))
