@@ -138,6 +138,13 @@ class HysteresisModel:
             y += weight * row
         return y
 
+    def of_stage(self, weights: np.ndarray) -> np.ndarray:
+        """Weights of the rows as a stage has them, (size,), whose Bouc–Wen state has no unit."""
+        full = weights.copy() if self.reduction is None else self.reduction.T @ weights
+        if self.bouc_wen:
+            full[len(self.thresholds_v) * self.degree] *= self.scale_v
+        return full
+
     @property
     def plain(self) -> bool:
         """Whether nothing inside the hysteresis changes its plays."""

@@ -18,8 +18,7 @@ def augmented_stage(now: Fit, recordings: int, seen: DataRange, noise_um: float)
     identity where they do not: the phase of the mains, for one, is another in the next recording.
     """
     nominal = now.hypothesis.nominal
-    rows = now.weights[: nominal.kept]
-    weights = rows.copy() if nominal.reduction is None else nominal.reduction.T @ rows
+    weights = nominal.of_stage(now.weights[: nominal.kept])
     outside, r = nominal.simulation, nominal.thresholds_v
     simulation = None
     if outside:
@@ -27,8 +26,6 @@ def augmented_stage(now: Fit, recordings: int, seen: DataRange, noise_um: float)
         weights = weights[:-1]
         if not len(r):  # a stage has a play at least
             r, weights = np.zeros(1), np.zeros(1)
-    if nominal.bouc_wen:
-        weights[len(r) * nominal.degree] *= nominal.scale_v
     hysteresis = {
         "thresholds_v": r.tolist(),
         "weights": np.append(weights, 0.0),
