@@ -369,7 +369,7 @@ class Search(Exchange):
             self.weigh(now)
             (now,) = self.fits_here([(now.hypothesis, now.weights, 8, ROUGH)])
             ahead = shared.log_density(now).sum() > shared.log_density(best).sum()
-            if ahead and now.train_rms <= best.train_rms:
+            if ahead and now.train_rms <= best.train_rms and self.inside(now, best):
                 best = now
         self.chain.weighting = shared
         return best
@@ -403,7 +403,7 @@ class Search(Exchange):
             return now
         plain = refitted(self.chain, self.fits([(h.on(self.nominal), None, STEPS, ROUGH)])[0])
         plain = self.at_its_own_weights(plain)
-        if self.inside(now, plain) and not self.as_well(plain, now):
+        if set(now.bounded) <= set(plain.bounded) and not self.as_well(plain, now):
             return now
         self.log(f"  without a larger hysteresis: {rms_of(plain)}")
         self.rejected_families.add(h.nominal.family)
