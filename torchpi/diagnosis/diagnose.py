@@ -276,8 +276,7 @@ def open_between(decision: Decision) -> list[str]:
 
 def monitored_notes(records: Sequence[Record]) -> tuple[str, ...]:
     """The noise of each voltage that was monitored and not commanded."""
-    found = {record.name: noise_of(record.u) for record in records}
-    noisy = [f"{sd:.2g} V in {name}" for name, sd in found.items() if sd > 0]
+    noisy = [f"{noise_of(r.u):.2g} V in {r.name}" for r in records if r.driving is not r.u]
     return (
         (f"The voltage has noise of its own, taken out before it drives: {', '.join(noisy)}.",)
         if noisy

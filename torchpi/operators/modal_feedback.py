@@ -53,13 +53,27 @@ def parameter_shapes(shapes: Shapes) -> dict[str, tuple[int, ...]]:
     }
 
 
-def record_width(shapes: Shapes, plays: int, means: int) -> int:
-    """Numbers of a sample in a record, of which `modal_tangents` makes slopes.
+@njit
+def record_places(
+    inputs: int, modes: int, elements: int, functions: int, plays: int, means: int
+) -> tuple[int, int, int, int, int, int, int, int]:
+    """Where the parts of a sample begin in a record, of which `modal_tangents` makes slopes, and its width.
 
-    They are v, x, φ, z, the force's slope but for plays and means, the slopes of these, and w.
+    After v they are x, φ, z, the force's slope but for plays and means, the slopes of these, and w.
     """
-    n = shapes.elements
-    return shapes.inputs + 2 * shapes.modes + n * (shapes.functions + plays + means + 3)
+    at_phi = inputs + 2 * modes
+    at_z = at_phi + elements * functions
+    at_slope = at_z + elements
+    at_play_slopes = at_slope + elements
+    at_mean_slopes = at_play_slopes + elements * plays
+    at_w = at_mean_slopes + elements * means
+    return inputs, at_phi, at_z, at_slope, at_play_slopes, at_mean_slopes, at_w, at_w + elements
+
+
+def record_width(shapes: Shapes, plays: int, means: int) -> int:
+    """Numbers of a sample in a record."""
+    inputs, modes, elements, functions = shapes.inputs, shapes.modes, shapes.elements, shapes.functions
+    return int(record_places(inputs, modes, elements, functions, plays, means)[-1])
 
 
 @njit

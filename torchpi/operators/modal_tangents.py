@@ -8,6 +8,7 @@ simulations.
 import numpy as np
 
 from torchpi.operators.compiled import njit, njit_sum
+from torchpi.operators.modal_feedback import record_places
 
 
 @njit
@@ -83,14 +84,9 @@ def modal_tangents(
     of_modes, of_force = low < at_force, low < at_sensed and high > at_force
     of_sensed, of_weights = low < at_through and high > at_sensed, low < at_plays and high > at_through
     of_plays = low < moving and high > at_plays
-    # Where a record's parts begin.
-    at_x = inputs
-    at_phi = at_x + 2 * modes
-    at_z = at_phi + elements * functions
-    at_slope = at_z + elements
-    at_play_slopes = at_slope + elements
-    at_mean_slopes = at_play_slopes + elements * plays
-    at_w = at_mean_slopes + elements * averages
+    at_x, at_phi, at_z, at_slope, at_play_slopes, at_mean_slopes, at_w, _ = record_places(
+        inputs, modes, elements, functions, plays, averages
+    )
     dx, dz, dw = _single(2 * modes, size), _single(elements, size), _single(elements, size)
     dh, dm = _single(elements * plays, size), _single(elements * averages, size)
     row = np.zeros(size, np.float32)
@@ -219,13 +215,9 @@ def modal_gradient(
     inputs, modes, elements, functions = drive.shape[2], len(poles), len(weights), weights.shape[1]
     outputs, plays, input_plays, averages = len(seen), len(thresholds), k.shape[2], len(shares)
     after_zones, after_means = len(zones), functions - 1
-    at_x = inputs
-    at_phi = at_x + 2 * modes
-    at_z = at_phi + elements * functions
-    at_slope = at_z + elements
-    at_play_slopes = at_slope + elements
-    at_mean_slopes = at_play_slopes + elements * plays
-    at_w = at_mean_slopes + elements * averages
+    at_x, at_phi, at_z, at_slope, at_play_slopes, at_mean_slopes, at_w, _ = record_places(
+        inputs, modes, elements, functions, plays, averages
+    )
     # Adjoints of the states after a sample, of what is sensed, of the forces and of the inputs.
     ax, ah, am = np.zeros((modes, 2)), np.zeros((elements, plays)), np.zeros((elements, averages))
     az, aw, av = np.zeros(elements), np.zeros(elements), np.zeros(inputs)
