@@ -318,10 +318,10 @@ class Search(Exchange):
         """
         h, found = now.hypothesis, list[tuple[str, Fit]]()
         larger: list[tuple[str, HysteresisModel, tuple[str, ...], int]] = [
-            ("preisach", preisach(self.seen), (), 2)
+            ("preisach", preisach(self.seen), (), 2),
+            ("bouc_wen", bouc_wen(self.seen, 0.2), ("sigma_v", "beta", "exponent"), 10),
+            ("duhem", duhem(self.seen, 2.0), ("alpha_per_v",), 6),
         ]
-        larger.append(("bouc_wen", bouc_wen(self.seen, 0.2), ("sigma_v", "beta", "exponent"), 10))
-        larger.append(("duhem", duhem(self.seen, 2.0), ("alpha_per_v",), 6))
         if self.simulation:
             larger.insert(0, ("prandtl_ishlinskii", self.plays(), (), 2))
         larger = [one for one in larger if one[0] not in {*self.rejected_families, h.nominal.family}]
