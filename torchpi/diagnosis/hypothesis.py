@@ -69,10 +69,12 @@ class Hypothesis:
         outside = self.nominal.simulation
         return outside.precedes(effect) if outside else effect.before_hysteresis
 
-    def on(self, nominal: HysteresisModel, shape: tuple[str, ...] = ()) -> "Hypothesis":
+    def on(
+        self, nominal: HysteresisModel, shape: tuple[str, ...] = (), starts: tuple[float, ...] = ()
+    ) -> "Hypothesis":
         """The same effects on another hysteresis, beside the same simulation."""
         nominal = replace(nominal, simulation=self.nominal.simulation)
-        return replace(self, nominal=nominal, shape=shape, starts=())
+        return replace(self, nominal=nominal, shape=shape, starts=starts)
 
     def without(self, name: str, aux: str | None = None) -> "Hypothesis":
         """Without what has this name; of what takes a signal, only that of one, if it is given.

@@ -244,8 +244,8 @@ def rivals(
                 continue
             seen.add(label)
             if label == OPERATOR_NAME:
-                nominal = one.fit.hypothesis.nominal
-                found.append((label, less.on(nominal, one.fit.hypothesis.shape), None))
+                larger = one.fit.hypothesis
+                found.append((label, less.on(larger.nominal, larger.shape, larger.starts), None))
                 continue
             more = less
             for member in one.fit.hypothesis.members:

@@ -336,7 +336,9 @@ class Search(Exchange):
         for k, (family, *_) in enumerate(larger):
             one = fits[k]
             # A correction beside a given simulation takes what the effects leave: it is not weighed anew.
-            if not self.simulation and self.over(one, now).probability > ACCEPTED:
+            # What an effect beats by far waits for the next round.
+            earned = self.over(one, now).probability > ACCEPTED and self.near(one, leader)
+            if earned and not self.simulation:
                 one = self.at_its_own_weights(one)
                 if k in states:
                     one = max(one, self.at_its_own_weights(self.beside_all(one)), key=self.score)
@@ -350,7 +352,7 @@ class Search(Exchange):
     def on(self, h: Hypothesis, nominal: HysteresisModel, shape: tuple[str, ...]) -> Hypothesis:
         """A hypothesis on another hysteresis, whose state starts anywhere if recordings have a history."""
         remembers = nominal.bouc_wen or nominal.duhem
-        return replace(h.on(nominal, shape), starts=(0.0,) * (len(self.chain.records) * remembers))
+        return h.on(nominal, shape, (0.0,) * (len(self.chain.records) * remembers))
 
     def sized(self, now: Fit) -> Fit:
         """A Preisach operator with as many numbers as predict best."""

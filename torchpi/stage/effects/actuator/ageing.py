@@ -67,13 +67,11 @@ class Ageing(Effect):
 
     def tangent(self, x: Tensor, dx: Tensor) -> Tensor:
         """Exact: δy = (δx - μ x δs) e^{-(λt + μs)}; δs sums ±Δδx by the direction of each move."""
-        x, dx = x.detach(), dx.detach()
-        rest, move = torch.zeros_like(dx[:, :1]), torch.diff(x, dim=1, prepend=torch.zeros_like(x[:, :1]))
-        loss_per_s, loss_per_um = self.loss_per_s.item(), 1e-3 * self.loss_per_mm.item()
-        t_s = self.sample_period_s * torch.arange(x.shape[1], dtype=x.dtype)
-        left = torch.exp(-(loss_per_s * t_s + loss_per_um * move.abs().cumsum(1)))
-        lost = (loss_per_um * move.sign() * torch.diff(dx, dim=1, prepend=rest)).cumsum(1)
-        return left * (dx - x * lost)
+        x, dx = x.detach().contiguous(), dx.detach().contiguous()
+        moved = torch.empty_like(dx)
+        losses = (self.loss_per_s.item(), self.loss_per_mm.item())
+        _tangent(x.numpy(), dx.numpy(), self.sample_period_s, *losses, moved.numpy())
+        return moved
 
     @classmethod
     def starts(cls, seen: DataRange) -> list[Parameters]:
@@ -160,3 +158,24 @@ def _forward(
             elapsed += 1.0
             before = x[batch, k]
         state[batch, 0], state[batch, 1], state[batch, 2] = elapsed, travel_mm, before
+
+
+@numba.njit(cache=True)
+def _tangent(
+    x: np.ndarray, dx: np.ndarray, period_s: float, loss_per_s: float, loss_per_mm: float, moved: np.ndarray
+) -> None:
+    left, sign = np.empty(x.shape[1]), np.empty(x.shape[1])
+    for row in range(dx.shape[0]):
+        batch = row if x.shape[0] > 1 else 0
+        if row == 0 or x.shape[0] > 1:
+            travel_mm, before = 0.0, 0.0
+            for k in range(x.shape[1]):
+                travel_mm = _travelled(travel_mm, x[batch, k], before)
+                left[k] = _aged(1.0, k * period_s, travel_mm, loss_per_s, loss_per_mm)
+                sign[k] = np.sign(x[batch, k] - before)
+                before = x[batch, k]
+        lost, last = 0.0, 0.0
+        for k in range(x.shape[1]):
+            lost += 1e-3 * loss_per_mm * sign[k] * (dx[row, k] - last)
+            last = dx[row, k]
+            moved[row, k] = left[k] * (dx[row, k] - x[batch, k] * lost)
