@@ -12,7 +12,9 @@ from torchpi.stage.effects.mechanics.modal import ModalEffect
 from torchpi.stage.effects.mechanics.stiction import Stiction
 
 MOVED = 0.03
-"""Of a logarithm, or of the value at the start: what a slot has moved from which its slope is taken anew."""
+"""Of a logarithm, or of the value at the start: what a slot has moved from which its slope is taken anew.
+Those of a block behind the hysteresis cost one filter, and are taken anew at once: a mode's change as soon as
+its frequency moves by a share of its width."""
 
 
 class Sensitivity(NamedTuple):
@@ -120,6 +122,11 @@ def of_slots(
     return Sensitivity(len(weights) + np.array(own, dtype=int), chain.whitened(index, rows))
 
 
+def of_a_filter(hypothesis: Hypothesis, slot: FreeParameter) -> bool:
+    """Whether a slot is a number of a dynamic block behind the hysteresis."""
+    return slot.member >= 0 and hypothesis.members[slot.member].effect.hold is not None
+
+
 def slopes_of(
     chain: Chain,
     hypothesis: Hypothesis,
@@ -129,15 +136,17 @@ def slopes_of(
     before: Slopes | None = None,
 ) -> Slopes:
     """The slope of every slot; of those that have moved little since `before`, as it was."""
-    at = (
-        np.array(theta)
-        if before is None
-        else np.where(abs(theta - before.theta) > MOVED, theta, before.theta)
-    )
-    new = np.arange(len(slots)) if before is None else np.flatnonzero(at != before.theta)
+    if before is None:
+        new = np.full(len(slots), True)
+        at = np.array(theta)
+    else:
+        filters = np.array([of_a_filter(hypothesis, slot) for slot in slots], dtype=bool)
+        far = abs(theta - before.theta) > np.where(filters, 0.0, MOVED)
+        new = far | (filters & bool((far & filters).any()))
+        at = np.where(new, theta, before.theta)
     parts = []
     for i in range(len(chain.records)):
-        part = of_slots(chain, hypothesis, weights, slots, theta, i, new.tolist())
+        part = of_slots(chain, hypothesis, weights, slots, theta, i, np.flatnonzero(new).tolist())
         if before is not None:
             old = before.parts[i]
             kept = ~np.isin(old.places, part.places)
