@@ -10,6 +10,7 @@ from torchpi.diagnosis.fit import ROUGH
 from torchpi.diagnosis.hypothesis import Fit
 from torchpi.diagnosis.noise import Noise
 from torchpi.diagnosis.parallel import Job, fit_all
+from torchpi.diagnosis.records import seen
 from torchpi.diagnosis.reduced_basis import reduced
 from torchpi.diagnosis.score import Gain, Weighting, gain
 from torchpi.diagnosis.sensitivity import Near
@@ -45,7 +46,7 @@ class Contest:
 
     def __init__(self, chain: Chain, noise: Noise | None, executor: Executor | None) -> None:
         self.chain, self.noise, self.executor = chain, noise, executor
-        self.repeating = repeats(chain.records)
+        self.repeating, self.seen = repeats(chain.records), seen(chain.records)
 
     def fits(self, jobs: Sequence[Job], around: Fit | None = None) -> list[Fit]:
         """Each hypothesis fitted from its weights, in the executor if there is one, with the sensitivities of
@@ -118,12 +119,17 @@ class Contest:
         return self.chain.weighting.explained_where_it_acts(more, less) > ADEQUATE
 
     def inside(self, one: Fit, now: Fit) -> bool:
-        """Whether no number of a fit ended on a bound that did not before, and no line of its own is one that
-        the command has."""
-        return set(one.bounded) <= set(now.bounded) and not any(
-            follows_command(line_hz, self.repeating)
-            for member in one.hypothesis.members
-            if (line_hz := member.effect.line_hz(member.shared)) is not None
+        """Whether no number of a fit ended on a bound that did not before, no limit lies beyond what the
+        command asks for, and no line of its own is one that the command has."""
+        members = one.hypothesis.members
+        return (
+            set(one.bounded) <= set(now.bounded)
+            and all(member.effect.reached(member.shared, self.seen) for member in members)
+            and not any(
+                follows_command(line_hz, self.repeating)
+                for member in members
+                if (line_hz := member.effect.line_hz(member.shared)) is not None
+            )
         )
 
     def needs_no_history(self, now: Fit, less: Fit) -> bool:

@@ -22,7 +22,6 @@ from torchpi.diagnosis.modal import driven_modes
 from torchpi.diagnosis.noise import Noise, measured_noise
 from torchpi.diagnosis.outside import Outside
 from torchpi.diagnosis.parallel import Job, screen_all
-from torchpi.diagnosis.records import seen
 from torchpi.diagnosis.reduced_basis import MANY, basis, refitted
 from torchpi.diagnosis.score import Gain
 from torchpi.diagnosis.screen import Candidate, Screen, candidates_of
@@ -94,7 +93,7 @@ class Search(Exchange):
         self.log, self.start, self.lsb_um = log, tuple(given), lsb_um
         self.simulation = simulation
         self.left_out: list[tuple[str, str]] = []
-        self.seen = replace(seen(chain.records), simulated=simulation is not None)
+        self.seen = replace(self.seen, simulated=simulation is not None)
         self.rejected_families: set[str] = set()
         self.needless: set[str] = set()
         self.nominal = HysteresisModel(np.zeros(0))

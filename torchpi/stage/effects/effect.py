@@ -148,6 +148,11 @@ class Described:
         return None
 
     @classmethod
+    def reached(cls, values: Mapping[str, float], seen: DataRange) -> bool:
+        """Whether recordings drive it as far as what it limits: beyond that, it is something else."""
+        return True
+
+    @classmethod
     def later(cls, values: Parameters, by_s: float) -> Parameters | None:
         """Parameters with which the output is the same, so much later; None where no parameter does that."""
         return None

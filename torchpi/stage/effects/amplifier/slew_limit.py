@@ -76,6 +76,11 @@ class SlewLimit(Effect):
             return ""
         return "soft" if of["knee_v"] > 0 else "hard"
 
+    @classmethod
+    def reached(cls, values: Mapping[str, float], seen: DataRange) -> bool:
+        # Far below its rate, a soft limit is a lag of the time V / S.
+        return values["rate_v_per_s"] <= seen.peak_rate_v_s
+
     def initial_state(self, batch: int) -> Tensor:
         return torch.zeros(batch, 1, dtype=torch.float64)
 
