@@ -1,11 +1,13 @@
 # `make demo` runs the main job, `make test` the tests; both set up first, once, in .venv.
 # With another interpreter: make demo PYTHON=python3.12. With the CUDA build of torch: make demo TORCH=gpu.
+# Tests run side by side in two processes; on a larger machine: make test TEST_WORKERS=8.
 
 PYTHON ?= python3
 TORCH ?= cpu
 TORCH_VERSION := 2.13.0
 BIN := .venv/bin
 STAGE := configs/stage/default.yaml
+TEST_WORKERS ?= 2
 
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
 
@@ -39,7 +41,7 @@ demo: .venv/ready
 	@echo "    To watch a training: $(BIN)/tensorboard --logdir runs"
 
 test: .venv/ready-dev
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n $(TEST_WORKERS) --dist worksteal
 
 figures: .venv/ready-dev
 	$(BIN)/python -m benchmarks.figures

@@ -1,7 +1,10 @@
-"""Every test runs in float64 on one thread, and leaves torch's global state as it was."""
+"""Long tests run first; each runs in float64 on one thread, and leaves torch's global state as it was."""
 
 import os
+import subprocess
+import sys
 from collections.abc import Iterator
+from pathlib import Path
 
 # Libraries of linear algebra read it once, as they are imported. With more, threads wait for each other by
 # turning in circles: on two busy cores a diagnosis takes five times as long.
@@ -12,8 +15,14 @@ import hypothesis  # noqa: E402
 import pytest  # noqa: E402
 import torch  # noqa: E402
 
+ROOT = Path(__file__).parents[1]
+
 hypothesis.settings.register_profile("torchpi", deadline=None, max_examples=25, derandomize=True)
 hypothesis.settings.load_profile("torchpi")
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    items.sort(key=lambda item: item.get_closest_marker("long") is None)
 
 
 @pytest.fixture(autouse=True)
@@ -23,3 +32,25 @@ def untouched_torch() -> Iterator[None]:
     torch.manual_seed(0)
     yield
     assert (torch.get_default_dtype(), torch.are_deterministic_algorithms_enabled()) == before
+
+
+@pytest.fixture(scope="session")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("wheel")
+    pip("wheel", "--no-deps", "--no-build-isolation", "--wheel-dir", str(folder), str(ROOT))
+    (built,) = folder.glob("*.whl")
+    return built
+
+
+@pytest.fixture(scope="session")
+def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder to import from, in which nothing but the wheel has been installed."""
+    site = tmp_path_factory.mktemp("site")
+    pip("install", "--no-deps", "--no-index", "--no-compile", "--target", str(site), str(wheel))
+    return site
+
+
+def pip(*arguments: str) -> None:
+    command = [sys.executable, "-m", "pip", "--disable-pip-version-check", "--quiet", *arguments]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr

@@ -1,43 +1,95 @@
-"""Every command and every line of Python in the README runs, in its order, in an empty folder."""
+"""Every command and every line of Python in the README runs, in an empty folder, from the built wheel.
+
+`benchmarks/wheel_readme.py` runs them in an environment that has nothing but the wheel and what it requires.
+"""
 
 import json
 import os
 import re
 import shlex
+import shutil
 import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 TUTORIAL = (ROOT / "docs" / "mismatch.md").read_text(encoding="utf-8")  # has commands of the README only
+FROM_WHEEL = "import torchpi, warnings; assert {!r} in torchpi.__file__; warnings.simplefilter('ignore')"
+
+
+PARTS = {
+    "diagnose": ("torchpi diagnose", "torchpi predict", "--config through_stage", "predicted.csv"),
+    "train": ("--config recorded", "torchpi export", "torchpi run", "exports/mine.pt"),
+    "commission": ("torchpi check", "torchpi commission"),
+    "reproduce": ("torchpi excite", "torchpi reproduce", "recordings/slow.csv"),
+}
+"""What the commands and programs of each part hold; a part needs nothing of the others but the recordings."""
 
 
 def blocks(language: str, page: str = README) -> list[str]:
     return re.findall(rf"```{language}\n(.*?)```", page, re.DOTALL)
 
 
-def test_readme_commands_and_python_run_in_their_order(tmp_path: Path) -> None:
-    environment = dict(os.environ)
-    environment["PATH"] = f"{Path(sys.executable).parent}{os.pathsep}{environment['PATH']}"
-    commands = [line for block in blocks("sh") for line in block.splitlines() if not line.startswith("make ")]
-    assert sum("torchpi" in command for command in commands) >= 6
-    for command in commands:
-        done = subprocess.run(
-            shlex.split(command), cwd=tmp_path, env=environment, capture_output=True, text=True
-        )
-        assert done.returncode == 0, f"{command}\n{done.stdout}\n{done.stderr}"
-    diagnosis = json.loads((tmp_path / "diagnosis" / "diagnosis.json").read_text(encoding="utf-8"))
-    names = {effect["name"] for effect in diagnosis["effects"]}
-    assert diagnosis["verdict"] != "nothing_missing"
-    assert {"resonance", "creep"} <= names
-    assert names & {"amplifier_lag", "sensor_lag", "delay"}
-    assert (tmp_path / "runs" / "mine" / "report.html").is_file()
-    assert (tmp_path / "exports" / "mine" / "loop.html").is_file()
-    for program in [*blocks("python"), *blocks("python", TUTORIAL)]:
-        program = "import warnings; warnings.simplefilter('ignore')\n" + program
-        done = subprocess.run([sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True)
-        assert done.returncode == 0, f"{program}\n{done.stderr}"
+def commands() -> list[str]:
+    return [line for block in blocks("sh") for line in block.splitlines() if not line.startswith("make ")]
+
+
+def programs() -> list[str]:
+    return [*blocks("python"), *blocks("python", TUTORIAL)]
+
+
+def part_of(text: str) -> str:
+    """The first of which it holds something."""
+    return next(part for part, marks in PARTS.items() if any(mark in text for mark in marks))
+
+
+@pytest.fixture(scope="session")
+def recordings(installed: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the recordings that the README simulates."""
+    folder = tmp_path_factory.mktemp("readme")
+    for command in commands():
+        if command.startswith("torchpi simulate"):
+            run(shlex.split(command), folder, installed)
+    return folder / "recordings"
+
+
+def run(command: list[str], folder: Path, installed: Path) -> None:
+    environment = {
+        **os.environ,
+        "PATH": os.pathsep.join([str(installed / "bin"), os.environ["PATH"]]),
+        "PYTHONPATH": str(installed),
+    }
+    done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, f"{shlex.join(command)}\n{done.stdout}\n{done.stderr}"
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("part", PARTS)
+def test_commands_and_python_run_in_their_order_from_the_wheel(
+    part: str, recordings: Path, installed: Path, tmp_path: Path
+) -> None:
+    shutil.copytree(recordings, tmp_path / "recordings")
+    mine = [shlex.split(one) for one in commands() if "torchpi simulate" not in one and part_of(one) == part]
+    assert len(mine) >= 2
+    for command in mine:
+        run(command, tmp_path, installed)
+    for program in programs():
+        if part_of(program) == part:
+            run(
+                [sys.executable, "-c", f"{FROM_WHEEL.format(str(installed))}\n{program}"], tmp_path, installed
+            )
+    if part == "diagnose":
+        diagnosis = json.loads((tmp_path / "diagnosis" / "diagnosis.json").read_text(encoding="utf-8"))
+        names = {effect["name"] for effect in diagnosis["effects"]}
+        assert diagnosis["verdict"] != "nothing_missing"
+        assert {"resonance", "creep"} <= names
+        assert names & {"amplifier_lag", "sensor_lag", "delay"}
+    if part == "train":
+        assert (tmp_path / "runs" / "mine" / "report.html").is_file()
+        assert (tmp_path / "exports" / "mine" / "loop.html").is_file()
 
 
 def test_readme_make_targets_exist() -> None:

@@ -15,28 +15,6 @@ import torchpi.files
 ROOT = Path(__file__).parents[1]
 
 
-@pytest.fixture(scope="module")
-def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("wheel")
-    pip("wheel", "--no-deps", "--no-build-isolation", "--wheel-dir", str(folder), str(ROOT))
-    (built,) = folder.glob("*.whl")
-    return built
-
-
-@pytest.fixture(scope="module")
-def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder to import from, in which nothing but the wheel has been installed."""
-    site = tmp_path_factory.mktemp("site")
-    pip("install", "--no-deps", "--no-index", "--no-compile", "--target", str(site), str(wheel))
-    return site
-
-
-def pip(*arguments: str) -> None:
-    command = [sys.executable, "-m", "pip", "--disable-pip-version-check", "--quiet", *arguments]
-    done = subprocess.run(command, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-
-
 def in_empty_folder(installed: Path, folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
     """`python -m torchpi` of the installed wheel; plays in Python: nothing here is worth compiling."""
     environment = {**os.environ, "PYTHONPATH": str(installed), "NUMBA_DISABLE_JIT": "1"}

@@ -58,6 +58,7 @@ def test_names_of_measurements_and_figures_are_unique() -> None:
     assert len({one.name for one in MEASUREMENTS}) == len(MEASUREMENTS)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("one", SHORT, ids=[one.name for one in SHORT])
 def test_a_short_figure_measured_again_lies_in_its_bound(one: Measurement) -> None:
     if one.needs_recordings and not DATA.is_dir():

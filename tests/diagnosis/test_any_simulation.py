@@ -81,6 +81,7 @@ def test_hysteresis_of_other_weights_is_named_with_all_that_is_as_static(how: st
     assert hidden <= set(found.effects[0].alternatives)
 
 
+@pytest.mark.long
 def test_a_lag_before_a_simulation_is_found_where_it_can_be_called() -> None:
     found = compared("function", recorded(stage(cutoff_hz=100.0)), simulations.right)
     assert names(found) == ["amplifier_lag"] and found.verdict == "explained"

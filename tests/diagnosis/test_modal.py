@@ -1,6 +1,5 @@
 """A stage that every input rings: the inputs that were left out, and the modes that all of them drive."""
 
-from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +9,7 @@ from scipy.signal import cont2discrete, lfilter, ss2tf
 from tests.diagnosis.plants import Signal
 from torchpi.cli.predict import predict
 from torchpi.diagnosis import diagnose
-from torchpi.diagnosis.diagnosis import Diagnosis, NamedEffect
+from torchpi.diagnosis.diagnosis import NamedEffect
 from torchpi.recordings.recording import Recording
 
 FS_HZ, FINER, SAMPLES = 4000.0, 8, 6000
@@ -67,11 +66,6 @@ def recorded(seed: int, names: tuple[str, ...]) -> Recording:
     return Recording(f"run {seed}", np.arange(SAMPLES) / FS_HZ, u, y, FS_HZ, aux)
 
 
-@cache
-def found(*names: str) -> Diagnosis:
-    return diagnose([recorded(seed, names) for seed in (1, 2)])
-
-
 def frequencies_hz(effects: dict[str, NamedEffect]) -> list[float]:
     return sorted(
         float(parameter.value)
@@ -81,26 +75,24 @@ def frequencies_hz(effects: dict[str, NamedEffect]) -> list[float]:
     )
 
 
-@pytest.mark.parametrize("other", ["aux_3", "aux_dead"])
-def test_inputs_and_the_modes_that_they_share_are_found_and_a_dead_input_is_not(other: str) -> None:
-    one = found("aux_2", other)
+@pytest.mark.long
+def test_inputs_with_shared_modes_are_found_a_dead_one_is_not_and_another_recording_is_predicted() -> None:
+    one = diagnose([recorded(seed, ("aux_2", "aux_3", "aux_dead")) for seed in (1, 2)])
     effects = {effect.name: effect for effect in one.effects}
     assert set(effects) == {"cross_coupling", "resonance", "second_mode"}
     assert min(effect.probability for effect in one.effects) > 0.95
-    assert one.stage.aux_names == (("aux_2", "aux_3") if other == "aux_3" else ("aux_2",))
+    assert one.stage.aux_names == ("aux_2", "aux_3")
     assert frequencies_hz(effects) == pytest.approx([f for f, _ in MODES], rel=2e-3)
     assert one.augmented.heldout_rms_um < 1.15 * NOISE_UM < 0.03 * one.retuned.heldout_rms_um
-
-
-def test_the_stage_predicts_a_recording_that_it_has_not_seen() -> None:
     other = recorded(3, ("aux_2", "aux_3"))
-    y = predict(found("aux_2", "aux_3").stage, other.u, other.aux)
+    y = predict(one.stage, other.u, other.aux)
     assert np.std(other.y - y) < 1.2 * NOISE_UM
 
 
 MIRROR = Path(__file__).parents[3] / "shared" / "data" / "steering_mirror" / "train.npz"
 
 
+@pytest.mark.long
 @pytest.mark.skipif(not MIRROR.is_file(), reason="the recordings of the steering mirror are not here")
 def test_the_two_missing_voltages_and_the_modes_of_a_real_steering_mirror_are_found() -> None:
     signals = np.load(MIRROR)

@@ -190,6 +190,7 @@ def test_too_little_memory_is_one_line(command: object, capsys: pytest.CaptureFi
     assert error.startswith("torchpi: error: ") and error.count("\n") == 1
 
 
+@pytest.mark.long
 def test_without_a_writable_home_or_package_everything_works(tmp_path: Path) -> None:
     shutil.copytree(ROOT / "torchpi", tmp_path / "torchpi", ignore=shutil.ignore_patterns("__pycache__"))
     for folder in [path for path in (tmp_path / "torchpi").rglob("*") if path.is_dir()] + [

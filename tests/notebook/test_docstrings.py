@@ -15,6 +15,7 @@ DOCUMENTED = (
 )  # fmt: skip
 
 
+@pytest.mark.long
 def test_every_example_gives_what_it_states(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     names: dict[str, Any] = {}

@@ -17,6 +17,7 @@ def test_from_arrays_to_a_tracked_trajectory_are_at_most_fifteen_lines() -> None
     assert len(lines) <= 15
 
 
+@pytest.mark.long
 def test_the_page_runs_in_an_empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     names: dict[str, Any] = {}
