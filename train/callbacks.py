@@ -1,6 +1,6 @@
 """What one sees while training: a line of progress, and figures in TensorBoard."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, cast
 
 from lightning import Callback, LightningModule, Trainer
@@ -55,12 +55,32 @@ class EpochProgress(Callback):
             self.progress = None
 
 
+class RunEvents(TensorBoardLogger):
+    """Events in the run's own folder, by whose name TensorBoard calls it, without a chart of the epoch."""
+
+    def log_metrics(self, metrics: Mapping[str, float], step: int | None = None) -> None:
+        super().log_metrics({name: value for name, value in metrics.items() if name != "epoch"}, step)
+
+    def save(self) -> None:
+        self.experiment.flush()  # without hparams.yaml: config.yaml has them
+
+
 class TensorBoardFigures(Callback):
-    """Loops, traces with residual, spectrum of the residual, and weights against rate."""
+    """Loops, traces with residual, spectrum of the residual, weights against rate; and the charts."""
 
     def __init__(self, every: int) -> None:
         self.every = every
         self.drawn_at = -1
+
+    def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        charts = {"rms error, V": "rms_v", "largest error, V": "max_v", "rms error, µm": "rms_um"}
+        if cast(InverseTraining, pl_module).tracking:
+            charts = {"tracking error, µm": "tracking_um", **charts}
+        board: Any = cast(TensorBoardLogger, trainer.logger).experiment
+        lines = {
+            title: ["Multiline", [f"^{key}/train$", f"^{key}/heldout$"]] for title, key in charts.items()
+        }
+        board.add_custom_scalars({"training and held out": lines})
 
     def on_train_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         if self.every > 0 and trainer.current_epoch % self.every == 0:

@@ -74,7 +74,7 @@ def show_results(metrics: Mapping[str, Any], folder: RunFolder) -> None:
         (folder.compensator, "to deploy: TorchScript; the bare numbers in compensator.json"),
         (folder.report, "the page with all figures"),
         (folder.metrics, "these numbers; % is of the recording's peak to peak"),
-        (folder.events, f"tensorboard --logdir {folder.path}"),
+        (folder.path, f"tensorboard --logdir {folder.path}"),
     ):
         CONSOLE.print(f"{path}  {what}", markup=False)
 

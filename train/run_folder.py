@@ -49,8 +49,9 @@ class RunFolder:
         return self.checkpoints / "last.ckpt"
 
     @property
-    def events(self) -> Path:
-        return self.path / "tensorboard"
+    def events(self) -> list[Path]:
+        """Files of TensorBoard, which names a run by the folder that they are in."""
+        return sorted(self.path.glob("events.out.tfevents.*"))
 
     @property
     def metrics(self) -> Path:
@@ -141,7 +142,8 @@ def claim(folder: RunFolder, goes_on: bool) -> Iterator[None]:
         if not goes_on:
             if any(entry != folder.lock for entry in folder.path.iterdir()) and not _ended_early(folder):
                 raise ArtifactError(f"{folder.path}: {_contents(folder)}")
-            shutil.rmtree(folder.events, ignore_errors=True)
+            for file in folder.events:
+                file.unlink(missing_ok=True)
             shutil.rmtree(folder.checkpoints, ignore_errors=True)
         yield
     finally:
@@ -180,7 +182,7 @@ def _numbered(name: str) -> list[Path]:
 
 def _ended_early(folder: RunFolder) -> bool:
     """Whether the folder holds nothing but the beginnings of a run that has no checkpoint to go on with."""
-    own = {folder.lock, folder.config, folder.facts, folder.events, folder.checkpoints}
+    own = {folder.lock, folder.config, folder.facts, *folder.events, folder.checkpoints}
     entries = set(folder.path.iterdir())
     temporary = {one for one in entries if one.name.startswith((".config-", ".run-"))}
     return folder.lock in entries and not folder.last.is_file() and entries - temporary <= own

@@ -7,14 +7,13 @@ from typing import Any
 from lightning import Trainer
 from lightning.fabric.utilities.exceptions import MisconfigurationException
 from lightning.pytorch.callbacks import EarlyStopping, ModelCheckpoint
-from lightning.pytorch.loggers import TensorBoardLogger
 from lightning.pytorch.plugins.io import TorchCheckpointIO
 
 from torchpi.cli.workers import available_cores
 from torchpi.errors import ConfigError
 from torchpi.files import save_tensors, write_atomically
 
-from .callbacks import EpochProgress, TensorBoardFigures
+from .callbacks import EpochProgress, RunEvents, TensorBoardFigures
 from .module import CHOSEN_BY
 from .run_folder import RunFolder
 
@@ -65,9 +64,7 @@ def make_trainer(options: TrainerOptions, folder: RunFolder) -> Trainer:
         max_epochs=options.max_epochs,
         accelerator="cpu",
         devices=1,
-        logger=TensorBoardLogger(
-            folder.path, name="", version=folder.events.name, default_hp_metric=False
-        ),
+        logger=RunEvents(folder.path, name="", version="", default_hp_metric=False),
         callbacks=[
             *progress,
             TensorBoardFigures(options.figures_every),

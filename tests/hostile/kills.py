@@ -195,7 +195,7 @@ def temporaries(folder: Path) -> list[Path]:
 def files(folder: Path) -> list[Path]:
     """What a run left, but for the events of TensorBoard, which are appended to."""
     found = [path for path in folder.rglob("*") if path.is_file() and not path.name.startswith(".")]
-    return [path for path in found if "tensorboard" not in path.parts]
+    return [path for path in found if "tfevents" not in path.name]
 
 
 def whole(path: Path) -> bool:

@@ -8,10 +8,12 @@ import pytest
 
 import torchpi
 from torchpi import Compensator, Recording
+from torchpi.notebook.diagnosed import Diagnosed
+from torchpi.notebook.tracked import Tracked
 
 DOCUMENTED = (
     Recording.from_arrays, Compensator, Compensator.predict, Compensator.save, Compensator.track,
-    Compensator.export, torchpi.diagnose,
+    Tracked, Compensator.export, torchpi.diagnose, Diagnosed,
 )  # fmt: skip
 
 

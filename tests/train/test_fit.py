@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 import torch
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+from tensorboard.plugins.custom_scalar.layout_pb2 import Layout
 
 from torchpi.control.trained import load_compensator
 from torchpi.export import load_torchscript
@@ -79,14 +80,19 @@ def test_checkpoints_load_with_weights_only(run: Path) -> None:
 
 
 def test_tensorboard_has_scalars_figures_and_the_result(run: Path) -> None:
-    events = EventAccumulator(str(run / "tensorboard"))
+    assert not (run / "tensorboard").exists()  # TensorBoard names a run by the folder that has its events
+    events = EventAccumulator(str(run))
     events.Reload()
     tags = events.Tags()
     wanted = {
         f"{key}/{part}" for key in ("rms_v", "max_v", "rms_um", "max_um") for part in ("train", "heldout")
     }
     assert wanted | {"loss/train", "loss/heldout", "result/heldout_rms_um"} <= set(tags["scalars"])
+    assert "epoch" not in tags["scalars"]
     assert {"loop", "trace", "residual spectrum", "weights against rate"} <= set(tags["images"])
+    layout = Layout.FromString(events.Tensors("custom_scalars__config__")[0].tensor_proto.string_val[0])
+    charted = [tag for chart in layout.category[0].chart for tag in chart.multiline.tag]
+    assert {f"^{name}$" for name in wanted if not name.startswith("max_um")} == set(charted)
 
 
 def test_there_is_a_page(run: Path) -> None:

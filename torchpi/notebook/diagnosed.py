@@ -16,6 +16,11 @@ class Diagnosed(Diagnosis):
     """What `torchpi.diagnose` gives: verdict, effects with parameters and alternatives, errors, fitted stage.
 
     The fields are those of `Diagnosis`.
+
+    Example:
+        >>> [effect.name for effect in found.effects] != []
+        True
+        >>> figure = found.plot("spectrum")
     """
 
     def plot(self, what: str = "heldout") -> Plot:

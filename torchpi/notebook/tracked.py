@@ -20,6 +20,13 @@ class Tracked(LoopResult):
 
     The fields are those of `LoopResult`; each of `drives` has its voltage `u`, its motion `y_true` and its
     errors. What most want of the compensated drive has names of its own.
+
+    Example:
+        >>> bool(result.rms_um < result.max_um)
+        True
+        >>> result.error_um.shape == result.u_v.shape
+        True
+        >>> figure = result.plot("linearity")
     """
 
     @property
