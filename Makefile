@@ -9,6 +9,8 @@ BIN := .venv/bin
 STAGE := configs/stage/default.yaml
 TEST_WORKERS ?= 2
 
+LOCK := constraints.txt
+
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
 
 # The CPU build: from where pip looks if it is there, else from where uv knows it to be, else the default build.
@@ -18,7 +20,7 @@ INSTALL_TORCH_cpu = $(PIP) install torch==$(TORCH_VERSION)+cpu 2>/dev/null \
 	|| $(PIP) install torch==$(TORCH_VERSION)
 INSTALL_TORCH_gpu = $(PIP) install torch==$(TORCH_VERSION)
 
-.PHONY: demo test figures lint docs clean help
+.PHONY: demo test figures lint docs lock clean help
 
 help:
 	@echo "make demo     train a compensator on the simulated stage, export it, run it in a control loop"
@@ -26,6 +28,7 @@ help:
 	@echo "make figures  measure again what README and docs quote, and renew the numbers"
 	@echo "make lint     style and types"
 	@echo "make docs     the documentation site, into docs/_build/html; a warning is an error"
+	@echo "make lock     newest versions of all that is installed besides torch, into $(LOCK)"
 	@echo "make clean    remove .venv and what the demo left"
 
 demo: .venv/ready
@@ -54,24 +57,33 @@ docs: .venv/ready-docs
 	$(BIN)/sphinx-build -W --keep-going -q -c docs . docs/_build/html
 	@echo "==> Open docs/_build/html/index.html"
 
+# torch, and what only its CUDA build needs, are left to TORCH_VERSION.
+lock: .venv/ready
+	@$(PIP) install uv
+	@echo "torch==$(TORCH_VERSION)" > .venv/torch.txt
+	@{ echo "# Made by \`make lock\`: the versions that make installs, and CI tests."; \
+		$(BIN)/uv pip compile --quiet --universal --upgrade --no-header --no-annotate --constraints .venv/torch.txt \
+			--extra dev --extra docs pyproject.toml | grep -Ev '^(torch|triton|cuda-[^ ]*|nvidia-[^ ]*)=='; } > .venv/$(LOCK)
+	@mv .venv/$(LOCK) $(LOCK)
+
 clean:
 	rm -rf .venv docs/_build docs/generated runs/demo exports/demo exports/demo.pt exports/demo.json
 
-.venv/ready: pyproject.toml
+.venv/ready: pyproject.toml $(LOCK)
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
 		{ echo "make: $(PYTHON) is too old, want Python 3.11 or newer: make PYTHON=python3.12"; exit 1; }
 	@echo "==> Setting up .venv (once; torch alone is some 200 MB)"
 	@test -x $(BIN)/python || $(PYTHON) -m venv .venv
 	@$(INSTALL_TORCH_$(TORCH))
-	@$(PIP) install --editable .
+	@$(PIP) install --constraint $(LOCK) --editable .
 	@touch $@
 
 .venv/ready-dev: .venv/ready
 	@echo "==> Adding what the tests need"
-	@$(PIP) install --editable '.[dev]'
+	@$(PIP) install --constraint $(LOCK) --editable '.[dev]'
 	@touch $@
 
 .venv/ready-docs: .venv/ready
 	@echo "==> Adding what the documentation needs"
-	@$(PIP) install --editable '.[docs]'
+	@$(PIP) install --constraint $(LOCK) --editable '.[docs]'
 	@touch $@
