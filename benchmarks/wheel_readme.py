@@ -1,10 +1,11 @@
-"""Does an installed torchpi do what the README says? Its commands, in their order, from the built wheel.
+"""Does an installed torchpi do what the README says? Its commands and programs, in an empty environment.
 
     python benchmarks/wheel_readme.py [--keep folder]
 
-Builds the wheel, installs it without its dependencies into a folder of its own, which comes first on the
-path, and runs each command of the README in an empty folder. Prints the seconds of each, and ends with 1 at
-the first that fails.
+Builds the wheel, makes an environment that has nothing but it and what it requires, and there, in an empty
+folder, runs each command and each program of the README. Then a file of each format that needs an extra: its
+error must be the line that installs it. Prints the seconds of each, with what the command itself had
+estimated, and ends with 1 at the first that fails.
 """
 
 import argparse
@@ -15,9 +16,16 @@ import subprocess
 import sys
 import tempfile
 import time
+import venv
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
+NEED_EXTRAS = {
+    "torchpi check a.h5": "pip install 'torchpi[io]'",
+    "torchpi check a.tdms": "pip install 'torchpi[io]'",
+    "torchpi check a.mf4": "pip install 'torchpi[io]'",
+    "torchpi diagnose recordings/slow.csv --simulation a.fmu": "pip install 'torchpi[fmi]'",
+}
 
 
 def main() -> int:
@@ -26,34 +34,66 @@ def main() -> int:
     )
     parser.add_argument("--keep", type=Path, help="empty folder in which all is done and left")
     options = parser.parse_args()
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
     with tempfile.TemporaryDirectory() as temporary:
         folder = (options.keep or Path(temporary)).resolve()
-        site, empty = folder / "site", folder / "empty"
-        empty.mkdir(parents=True)
-        pip = [sys.executable, "-m", "pip", "--disable-pip-version-check", "--quiet"]
-        subprocess.run(
-            [*pip, "wheel", "--no-deps", "--no-build-isolation", "-w", str(folder), str(ROOT)], check=True
-        )
-        (wheel,) = folder.glob("*.whl")
-        subprocess.run([*pip, "install", "--no-deps", "--target", str(site), str(wheel)], check=True)
-        path = os.pathsep.join([str(site / "bin"), str(Path(sys.executable).parent), os.environ["PATH"]])
-        environment = {**os.environ, "PATH": path, "PYTHONPATH": str(site)}
-        for command in commands((ROOT / "README.md").read_text(encoding="utf-8")):
-            started = time.perf_counter()
-            done = subprocess.run(
-                shlex.split(command), cwd=empty, env=environment, capture_output=True, text=True
-            )
-            print(f"{time.perf_counter() - started:6.1f} s  {command}", flush=True)
-            if done.returncode:
-                print(done.stdout + done.stderr, file=sys.stderr)
+        empty, environment = folder / "empty", installed(folder)
+        empty.mkdir()
+        programs = [["python", "-W", "ignore", "-c", text] for text in blocks(readme, "python")]
+        for command in [*commands(readme), *programs]:
+            if not runs(command, empty, environment):
                 return 1
+        for text, line in NEED_EXTRAS.items():
+            command = shlex.split(text)
+            (empty / next(word for word in command if word.startswith("a."))).write_bytes(b"\x89")
+            done = run(command, empty, environment)
+            error = done.stderr.rstrip("\n")
+            if done.returncode != 2 or "\n" in error or line not in error:
+                print(f"{text}: found {error!r}, expected one line with {line}", file=sys.stderr)
+                return 1
+            print(f"{text}: {error}")
     return 0
 
 
-def commands(readme: str) -> list[str]:
+def installed(folder: Path) -> dict[str, str]:
+    """The variables of an environment in which the wheel of this checkout has been installed."""
+    pip = ["-m", "pip", "--disable-pip-version-check", "--quiet"]
+    build = [*pip, "wheel", "--no-deps", "--wheel-dir", str(folder), str(ROOT)]
+    subprocess.run([sys.executable, *build], check=True)
+    (wheel,) = folder.glob("*.whl")
+    venv.create(folder / "environment", with_pip=True)
+    programs = folder / "environment" / "bin"
+    subprocess.run([programs / "python", *pip, "install", str(wheel)], check=True)
+    path = os.pathsep.join([str(programs), os.environ["PATH"]])
+    others = {name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "VIRTUAL_ENV")}
+    return {**others, "PATH": path}
+
+
+def runs(command: list[str], folder: Path, environment: dict[str, str]) -> bool:
+    """Run it, print how long it took and how long it had said to, or what it complained of."""
+    started = time.perf_counter()
+    done = run(command, folder, environment)
+    seconds = time.perf_counter() - started
+    estimate = re.search(r"This will take (.*)\.$", done.stdout, re.MULTILINE)
+    words = shlex.join(command).splitlines()[0][:110]
+    print(f"{seconds:6.1f} s  {words}{f' ({estimate[1]})' if estimate else ''}", flush=True)
+    if done.returncode:
+        print(done.stdout + done.stderr, file=sys.stderr)
+    return done.returncode == 0
+
+
+def run(command: list[str], folder: Path, environment: dict[str, str]) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True)
+
+
+def blocks(readme: str, language: str) -> list[str]:
+    return re.findall(rf"```{language}\n(.*?)```", readme, re.DOTALL)
+
+
+def commands(readme: str) -> list[list[str]]:
     """The README's lines of shell, without those of `make`, which are of a checkout."""
-    blocks = re.findall(r"```sh\n(.*?)```", readme, re.DOTALL)
-    return [line for block in blocks for line in block.splitlines() if not line.startswith("make ")]
+    lines = [line for block in blocks(readme, "sh") for line in block.splitlines()]
+    return [shlex.split(line) for line in lines if not line.startswith("make ")]
 
 
 if __name__ == "__main__":

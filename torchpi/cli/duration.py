@@ -37,6 +37,8 @@ MOST_SAMPLES = 200_000
 MOST_ROUNDS, USUAL_ROUNDS = 7, 3
 DIAGNOSIS_S, DRAWING_S = 13.0, 6.0
 """Of a diagnosis in all and at its end, whatever the recordings: libraries are imported, figures drawn."""
+WORK_S = 1.6e-3
+"""Of a search through all the rounds that there may be, a sample."""
 DECIDING, DECISION = 1.5, 0.25
 """A search with what follows it, over its rounds alone; the decision, over the search."""
 
@@ -61,7 +63,7 @@ def announce_diagnose(recordings: Iterable[str | Path]) -> None:
     compile_s = 0.0 if _compiled("diagnosis") else 60.0
     machine = measured(min(available_cores(), 1 + MOST_WORKERS))
     alone = DIAGNOSIS_S + compile_s
-    work = {n: 1.6e-3 * samples * DECIDING * share_of_rounds(n) for n in (1, USUAL_ROUNDS, MOST_ROUNDS)}
+    work = {n: WORK_S * samples * DECIDING * share_of_rounds(n) for n in (1, USUAL_ROUNDS, MOST_ROUNDS)}
     least, usual, most = (machine.seconds(alone, shared) for shared in work.values())
     limits = f", {_spoken(least)} where nothing is missing, {_spoken(most)} where much is"
     note = _compiles(compile_s, alone + work[USUAL_ROUNDS])

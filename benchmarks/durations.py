@@ -1,0 +1,128 @@
+"""How right are the estimates that commands begin with? And the constants of a diagnosis's, measured again.
+
+    python benchmarks/durations.py [--only check,fit,run,diagnose] [--rounds]
+
+Runs the README's commands that estimate their time, in a temporary folder, and prints for each what it had
+said, what it took, and the ratio of the two, which should lie between a half and two. With `--rounds` it then
+diagnoses several sets of the README's recordings, and fits to their processor time, over the samples and the
+rounds of each, the constants of `torchpi/cli/duration.py`:
+
+    processor s = DIAGNOSIS_S + WORK_S · DECIDING · samples · share_of_rounds(rounds)
+"""
+
+import argparse
+import re
+import resource
+import shlex
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from torchpi.cli import duration
+from torchpi.cli.machine import measured
+
+README = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
+MARKS = {"check": "torchpi check", "fit": "train fit", "run": "torchpi run", "diagnose": "torchpi diagnose"}
+SETS = (("slow",), ("slow", "judge"), ("slow", "triangles", "judge"), ("slow", "fast", "triangles", "judge"))
+
+
+@dataclass(frozen=True)
+class Ran:
+    """A command that has ended.
+
+    Attributes:
+        seconds: From its start.
+        processor_s: Of it and of its processes, on the machine on which the constants were counted.
+        estimated_s: What it said at first; NaN where it said nothing.
+        rounds: Of its search, where it is a diagnosis.
+    """
+
+    seconds: float
+    processor_s: float
+    estimated_s: float
+    rounds: int
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--only", default=",".join(MARKS), help="the commands whose estimates are compared")
+    parser.add_argument("--rounds", action="store_true", help="measure the constants of a diagnosis")
+    options = parser.parse_args()
+    compared = [MARKS[name] for name in options.only.split(",") if name]
+    with tempfile.TemporaryDirectory() as temporary:
+        folder, wrong = Path(temporary), 0
+        for command in commands():
+            if any(mark in command for mark in compared):
+                ran = run(shlex.split(command), folder)
+                ratio = ran.estimated_s / ran.seconds
+                wrong += not 0.5 <= ratio <= 2
+                print(
+                    f"{ran.estimated_s:5.0f} s estimated, {ran.seconds:5.0f} s taken, {ratio:4.2f}: {command}"
+                )
+            elif any(mark in command for mark in needed(compared)):
+                run(shlex.split(command), folder)
+        if options.rounds:
+            print_constants(folder)
+    return 1 if wrong else 0
+
+
+def commands() -> list[str]:
+    """The README's lines of shell."""
+    return [
+        line for block in re.findall(r"```sh\n(.*?)```", README, re.DOTALL) for line in block.splitlines()
+    ]
+
+
+def needed(compared: Sequence[str]) -> tuple[str, ...]:
+    """What else has to run: a run needs a fit, and the last fit a diagnosis."""
+    fit = ("--config recorded", "torchpi export") if MARKS["run"] in compared else ()
+    diagnosis = (MARKS["diagnose"],) if MARKS["fit"] in compared else ()
+    return ("torchpi simulate", *fit, *diagnosis)
+
+
+def run(command: Sequence[str], folder: Path) -> Ran:
+    before, started = processor_s(), time.perf_counter()
+    done = subprocess.run(
+        [sys.executable, "-m", *command], cwd=folder, capture_output=True, text=True, check=False
+    )
+    seconds = time.perf_counter() - started
+    if done.returncode:
+        raise SystemExit(f"{shlex.join(command)}: exit {done.returncode}: {done.stderr.strip()[-500:]}")
+    said = re.search(r"This will take about (\d+) (s|min)", done.stdout)
+    estimated = float(said[1]) * (60.0 if said[2] == "min" else 1.0) if said else float("nan")
+    rounds = max((int(number) for number in re.findall(r"round (\d+):", done.stdout)), default=0)
+    return Ran(seconds, (processor_s() - before) * measured(1).speed, estimated, rounds)
+
+
+def processor_s() -> float:
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
+
+
+def print_constants(folder: Path) -> None:
+    rows, spent = [], []
+    for recordings in SETS:
+        files = [folder / "recordings" / f"{name}.csv" for name in recordings]
+        ran = run(["torchpi", "diagnose", *map(str, files), "--output", str(folder / "again")], folder)
+        samples = sum(file.read_bytes().count(b"\n") - 1 for file in files)
+        rows.append([1.0, samples * duration.share_of_rounds(ran.rounds)])
+        spent.append(ran.processor_s)
+        print(f"{' '.join(recordings)}: {samples:,} samples, {ran.rounds} rounds, {ran.processor_s:.0f} s")
+    (alone, work), *_ = np.linalg.lstsq(np.array(rows), np.array(spent), rcond=None)
+    misses = np.array(rows) @ [alone, work] / spent
+    print(f"DIAGNOSIS_S = {alone:.1f}, WORK_S = {work / duration.DECIDING:.2e}")
+    print(f"they give {', '.join(f'{ratio:.2f}' for ratio in misses)} of what was measured")
+
+
+if __name__ == "__main__":
+    sys.exit(main())
