@@ -125,14 +125,10 @@ class TestFile:
         with pytest.raises(RecordingError, match="--trajectory_column"):
             read_signal(tmp_path / "a.csv", "yd", option="--trajectory_column")
 
-    def test_a_million_rows_are_no_trouble(self, tmp_path):
-        import time
-
-        u = sine_5hz(20.0)[1]  # a fifth of a million keeps the test short
+    def test_a_fifth_of_a_million_rows_are_no_trouble(self, tmp_path):
+        u = sine_5hz(20.0)[1]
         write_recording(tmp_path / "a.csv", record(u, 0.8 * u))
-        start = time.perf_counter()
         assert len(read_recording(tmp_path / "a.csv")) == 200_000
-        assert time.perf_counter() - start < 5
 
 
 class TestTime:

@@ -1,6 +1,5 @@
 """The stage that is shipped is a rig of the paper's kind, and its file says true things about it."""
 
-import time
 from pathlib import Path
 
 import numpy as np
@@ -65,13 +64,3 @@ def test_its_creep_is_one_and_a_half_percent_a_decade(stage):
 def test_its_readings_scatter_by_nanometres(stage):
     y, reading = stage.simulate(torch.zeros(1, 20_000, dtype=torch.float64))
     assert float((reading - y).std()) == pytest.approx(0.003, rel=0.05)
-
-
-def test_a_step_of_it_leaves_time_for_the_rest_of_the_loop(stage):
-    stream = stage.stream()
-    spent = []
-    for _ in range(3000):
-        start = time.perf_counter()
-        stream.step(1.0)
-        spent.append(time.perf_counter() - start)
-    assert np.median(spent) < 200e-6  # some 30 µs; the wide margin is for shared machines
