@@ -194,5 +194,7 @@ DEFINITIONS = {
     "docs/bouc_wen.md": frozenset({"95 %"}),
     # An example of an option; a rule of the checks.
     "docs/recordings.md": frozenset({"0.5 µm", "100 times"}),
+    # Of the excitations; at rest before each run.
+    "docs/rigs.md": frozenset({"10 V", "0 V", "50 ms"}),
 }
 """Numbers with units that are not measured, by page: settings, rules, examples. All others are figures."""
