@@ -223,3 +223,21 @@ def test_a_stage_with_an_unphysical_value_is_refused_by_name_and_unit(
     assert torchpi(monkeypatch, "simulate", "--stage", str(stage), "--output", str(tmp_path / "r.csv")) == 2
     assert "damping_ratio: found -0.02" in capsys.readouterr().err
     assert not (tmp_path / "r.csv").exists()
+
+
+def test_completions_for_a_shell_name_the_commands(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("shtab", reason="needs shtab: pip install 'torchpi[completion]'")
+    assert torchpi(monkeypatch, "--print_completion", "shtab-bash") == 0
+    written = capsys.readouterr().out
+    assert all(command in written for command in ("simulate", "diagnose", "--max_rate_v_s"))
+
+
+def test_completions_without_their_library_name_the_line_that_installs_it(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "shtab", None)
+    assert torchpi(monkeypatch, "--print_completion", "shtab-bash") == 2
+    error = capsys.readouterr().err
+    assert error == "torchpi: error: --print_completion needs shtab; run: pip install 'torchpi[completion]'\n"

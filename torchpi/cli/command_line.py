@@ -14,6 +14,7 @@ import threading
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from importlib.util import find_spec
 from types import FrameType
 from typing import Any, NoReturn, TextIO, get_args, get_origin
 
@@ -39,6 +40,9 @@ def run_chosen(commands: Sequence[Callable[..., None]], program: str, descriptio
     # Progress appears as it happens, into a pipe as well; there may be no output at all.
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(line_buffering=True)
+    completion = any(word.startswith("--print_completion") for word in sys.argv[1:])
+    if completion and find_spec("shtab") is None:
+        raise ConfigError("--print_completion needs shtab; run: pip install 'torchpi[completion]'")
     jsonargparse.set_parsing_settings(add_print_completion_argument=True)  # where shtab is installed
     parser = Parser(prog=program, description=description, version=version, formatter_class=_Formatter)
     subcommands = parser.add_subcommands(title="commands", description=None)
