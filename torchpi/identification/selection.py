@@ -5,6 +5,13 @@ extension after the other is tried, and the best one is taken as long as it lowe
 has left out: by more than one standard error over the folds in the mean of log(error), by more than `LEAST`,
 and in the pooled error too. Where nothing does, the start stays.
 
+Creep, the degree of S and the width of the plays can stand in for each other, so that each alone may lower
+nothing: where no single extension does, they are tried together.
+
+Least squares leaves the errors of a form that cannot be right where they are cheapest: a slow loop, over and
+over, is learned by heart, and motions of many turning points pay for it. So the selected form is fitted with
+weights that make the errors of the records more equal. Where it is right they are, and so are the weights.
+
 What a record cannot show is not tried on it. A single one has no other motion to be judged on: creep and
 weights that follow the rate then fit the shape of its loops, and miss others. Its look-ahead is read where it
 turns round (`reversals`): errors over its blocks cannot tell it. Nor can they tell how S bends: the loops of
@@ -15,6 +22,7 @@ about every other loop: S has the highest degree, and a ridge on all that bends 
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import Literal
 
 import numpy as np
@@ -41,6 +49,9 @@ BENT = 2  # the least degree of a polynomial that bends
 # Of the rms displacement, what the acceleration must add to it: below that a single record does not reach the
 # mode, and τ_2 would fit the curvature of their loops.
 LEAST_INERTIA = 0.2
+# The last fit to several records is made again so often, with weights by the errors that they kept.
+BALANCING = 3
+MOST_WEIGHT = 4.0  # against the record of median error, and its least against it
 PREVIEW_RISING = 3  # samples beyond the best: the error has one valley over the look-ahead
 
 Pairs = Callable[[int], Sequence[InversePair]]
@@ -235,11 +246,14 @@ class _Search:
     def best_beyond(self, current: _Trial) -> _Trial | None:
         """The neighbour that beats the current form by most."""
         best, gained = None, 0.0
-        for form in self.neighbours(current.form):
-            trial = self.tried(form, current)
-            gain = trial.beats(current)
-            if gain is not None and gain < gained and self.reaches_the_mode(trial):
-                best, gained = trial, gain
+        for forms in (self.neighbours(current.form), self.together(current.form)):
+            for form in forms:
+                trial = self.tried(form, current)
+                gain = trial.beats(current)
+                if gain is not None and gain < gained and self.reaches_the_mode(trial):
+                    best, gained = trial, gain
+            if best:
+                break
         if best and self.single and best.form.degree >= BENT:
             best = self.tried(replace(best.form, degree=self.richest.degree), current)
         return best
@@ -267,6 +281,17 @@ class _Search:
         yield replace(form, offset=not form.offset)
         yield from (replace(form, spread=s) for s in self.richest.spreads if s != form.spread)
 
+    def together(self, form: Form) -> Iterator[Form]:
+        """Forms that differ in more than one respect: each alone may show nothing."""
+        if self.single:
+            return
+        degrees = dict.fromkeys((form.degree, self.richest.degree))
+        creeps = dict.fromkeys((form.creep_time_constants_s, self.creep, self.creep[1:], self.creep[:-1]))
+        for degree, creep, spread in product(degrees, creeps, self.richest.spreads):
+            changes = degree != form.degree, creep != form.creep_time_constants_s, spread != form.spread
+            if sum(changes) > 1:
+                yield replace(form, degree=degree, creep_time_constants_s=creep, spread=spread)
+
     def reaches_the_mode(self, trial: _Trial) -> bool:
         """Whether a lead of order 2 is one that the only record shows; several judge it themselves."""
         if trial.form.lead < 2 or not self.single:
@@ -277,10 +302,14 @@ class _Search:
         return all(float((one.lead[1] * added / moved).detach()) > LEAST_INERTIA for one in trial.fitted)
 
     def fitted(self, form: Form) -> DirectInverse:
-        """A compensator of this form, fitted to all records."""
+        """A compensator of this form, fitted to all records, their errors balanced."""
         pairs, _ = self.at(form.preview)
         compensator = self.build(form, pairs)
         _fit(compensator, pairs, None, ROWS_AT_LAST, self.stiffness)
+        weights = np.ones(len(pairs))
+        for _ in range(BALANCING if len(pairs) > 1 else 0):
+            weights = np.sqrt(weights * _balancing_weights(compensator, pairs))
+            _fit(compensator, pairs, None, ROWS_AT_LAST, self.stiffness, weights)
         return compensator
 
 
@@ -290,10 +319,23 @@ def _fit(
     rows: Sequence[np.ndarray] | None,
     most: int,
     stiffness: float,
+    weights: np.ndarray | None = None,
 ) -> None:
-    problem = MonotoneProblem(compensator, pairs, rows).thinned(most).stiffened(stiffness)
+    problem = MonotoneProblem(compensator, pairs, rows)
+    if weights is not None:
+        problem = problem.weighted(weights)
+    problem = problem.thinned(most).stiffened(stiffness)
     alpha, solved = levenberg_marquardt(problem, problem.alpha, EVALUATIONS, TOLERANCE)
     problem.put(alpha, solved.beta)
+
+
+def _balancing_weights(compensator: DirectInverse, pairs: Sequence[InversePair]) -> np.ndarray:
+    """Of the records, with which least squares goes towards the least Σ (mean square of a record)³."""
+    counted = [np.arange(pair.u.shape[1])[pair.counted] for pair in pairs]
+    left = np.array(
+        [_mean_square(compensator, [pair], [rows]) for pair, rows in zip(pairs, counted, strict=True)]
+    )
+    return np.asarray(np.square(left / np.median(left)).clip(1 / MOST_WEIGHT, MOST_WEIGHT))
 
 
 def _begin_from(compensator: DirectInverse, other: DirectInverse) -> None:
