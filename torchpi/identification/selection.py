@@ -6,7 +6,7 @@ has left out: by more than one standard error over the folds in the mean of log(
 and in the pooled error too. Where nothing does, the start stays.
 
 Creep, the degree of S and the width of the plays can stand in for each other, so that each alone may lower
-nothing: where no single extension does, they are tried together.
+nothing: they are also tried together.
 
 Least squares leaves the errors of a form that cannot be right where they are cheapest: a slow loop, over and
 over, is learned by heart, and motions of many turning points pay for it. So the selected form is fitted with
@@ -22,7 +22,7 @@ about every other loop: S has the highest degree, and a ridge on all that bends 
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import product
+from itertools import chain, product
 from typing import Literal
 
 import numpy as np
@@ -244,16 +244,13 @@ class _Search:
         return best
 
     def best_beyond(self, current: _Trial) -> _Trial | None:
-        """The neighbour that beats the current form by most."""
+        """The form beside the current one that beats it by most."""
         best, gained = None, 0.0
-        for forms in (self.neighbours(current.form), self.together(current.form)):
-            for form in forms:
-                trial = self.tried(form, current)
-                gain = trial.beats(current)
-                if gain is not None and gain < gained and self.reaches_the_mode(trial):
-                    best, gained = trial, gain
-            if best:
-                break
+        for form in chain(self.neighbours(current.form), self.together(current.form)):
+            trial = self.tried(form, current)
+            gain = trial.beats(current)
+            if gain is not None and gain < gained and self.reaches_the_mode(trial):
+                best, gained = trial, gain
         if best and self.single and best.form.degree >= BENT:
             best = self.tried(replace(best.form, degree=self.richest.degree), current)
         return best
