@@ -10,7 +10,8 @@ nothing: they are also tried together.
 
 Least squares leaves the errors of a form that cannot be right where they are cheapest: a slow loop, over and
 over, is learned by heart, and motions of many turning points pay for it. So the selected form is fitted with
-weights that make the errors of the records more equal. Where it is right they are, and so are the weights.
+weights that make the errors of the records more equal, where that lowers the largest of them by more than
+`BALANCED`: what noise and the sensor's drift leave, no weights do.
 
 What a record cannot show is not tried on it. A single one has no other motion to be judged on: creep and
 weights that follow the rate then fit the shape of its loops, and miss others. Its look-ahead is read where it
@@ -49,9 +50,11 @@ BENT = 2  # the least degree of a polynomial that bends
 # Of the rms displacement, what the acceleration must add to it: below that a single record does not reach the
 # mode, and τ_2 would fit the curvature of their loops.
 LEAST_INERTIA = 0.2
-# The last fit to several records is made again so often, with weights by the errors that they kept.
+# The last fit to several records is made again so often, with weights by the squares of their mean square
+# errors: least squares then goes towards the least sum of their cubes.
 BALANCING = 3
-MOST_WEIGHT = 4.0  # against the record of median error, and its least against it
+MOST_WEIGHT = 4.0  # of a record, against that of median error; and the least, its inverse
+BALANCED = 0.1  # by which share the largest error of a record must fall
 PREVIEW_RISING = 3  # samples beyond the best: the error has one valley over the look-ahead
 
 Pairs = Callable[[int], Sequence[InversePair]]
@@ -299,15 +302,22 @@ class _Search:
         return all(float((one.lead[1] * added / moved).detach()) > LEAST_INERTIA for one in trial.fitted)
 
     def fitted(self, form: Form) -> DirectInverse:
-        """A compensator of this form, fitted to all records, their errors balanced."""
+        """A compensator of this form, fitted to all records, their errors balanced where that is possible."""
         pairs, _ = self.at(form.preview)
         compensator = self.build(form, pairs)
         _fit(compensator, pairs, None, ROWS_AT_LAST, self.stiffness)
-        weights = np.ones(len(pairs))
-        for _ in range(BALANCING if len(pairs) > 1 else 0):
-            weights = np.sqrt(weights * _balancing_weights(compensator, pairs))
-            _fit(compensator, pairs, None, ROWS_AT_LAST, self.stiffness, weights)
-        return compensator
+        if len(pairs) == 1:
+            return compensator
+        left = _of_each(compensator, pairs)
+        balanced, weights = self.build(form, pairs), np.ones(len(pairs))
+        _begin_from(balanced, compensator)
+        balanced_left = left
+        for _ in range(BALANCING):
+            aim = np.square(balanced_left / np.median(balanced_left)).clip(1 / MOST_WEIGHT, MOST_WEIGHT)
+            weights = np.sqrt(weights * aim)
+            _fit(balanced, pairs, None, ROWS_AT_LAST, self.stiffness, weights)
+            balanced_left = _of_each(balanced, pairs)
+        return balanced if balanced_left.max() < (1 - BALANCED) ** 2 * left.max() else compensator
 
 
 def _fit(
@@ -326,13 +336,11 @@ def _fit(
     problem.put(alpha, solved.beta)
 
 
-def _balancing_weights(compensator: DirectInverse, pairs: Sequence[InversePair]) -> np.ndarray:
-    """Of the records, with which least squares goes towards the least Σ (mean square of a record)³."""
+def _of_each(compensator: DirectInverse, pairs: Sequence[InversePair]) -> np.ndarray:
+    """Mean square of the error over each record, V²."""
     counted = [np.arange(pair.u.shape[1])[pair.counted] for pair in pairs]
-    left = np.array(
-        [_mean_square(compensator, [pair], [rows]) for pair, rows in zip(pairs, counted, strict=True)]
-    )
-    return np.asarray(np.square(left / np.median(left)).clip(1 / MOST_WEIGHT, MOST_WEIGHT))
+    each = zip(pairs, counted, strict=True)
+    return np.array([_mean_square(compensator, [pair], [rows]) for pair, rows in each])
 
 
 def _begin_from(compensator: DirectInverse, other: DirectInverse) -> None:
