@@ -10,8 +10,8 @@ nothing: they are also tried together.
 
 Least squares leaves the errors of a form that cannot be right where they are cheapest: a slow loop, over and
 over, is learned by heart, and motions of many turning points pay for it. So the selected form is fitted with
-weights that make the errors of the records more equal, where that lowers the largest of them by more than
-`BALANCED`: what noise and the sensor's drift leave, no weights do.
+weights that make the errors of the records more equal, where the largest of them is above `WRONG` and falls
+by more than `BALANCED`: what noise and the sensor's drift leave, no weights lower.
 
 What a record cannot show is not tried on it. A single one has no other motion to be judged on: creep and
 weights that follow the rate then fit the shape of its loops, and miss others. Its look-ahead is read where it
@@ -55,6 +55,7 @@ LEAST_INERTIA = 0.2
 BALANCING = 3
 MOST_WEIGHT = 4.0  # of a record, against that of median error; and the least, its inverse
 BALANCED = 0.1  # by which share the largest error of a record must fall
+WRONG = 5e-3  # share of the voltages' range: a form with smaller errors on every record is right enough
 PREVIEW_RISING = 3  # samples beyond the best: the error has one valley over the look-ahead
 
 Pairs = Callable[[int], Sequence[InversePair]]
@@ -306,9 +307,10 @@ class _Search:
         pairs, _ = self.at(form.preview)
         compensator = self.build(form, pairs)
         _fit(compensator, pairs, None, ROWS_AT_LAST, self.stiffness)
-        if len(pairs) == 1:
-            return compensator
         left = _of_each(compensator, pairs)
+        u = torch.cat([pair.u[0, pair.counted] for pair in pairs])
+        if len(pairs) == 1 or left.max() < (WRONG * float(u.max() - u.min())) ** 2:
+            return compensator
         balanced, weights = self.build(form, pairs), np.ones(len(pairs))
         _begin_from(balanced, compensator)
         balanced_left = left
