@@ -6,27 +6,33 @@
 
 `recovery`: C in double and float, each sequence to its end. `bits`: TorchScript and the Python stream beside
 C in double, every sample compared to the last bit until 60 samples after the last hostile one, and of every
-`whole_every`-th sequence all 1.5 s; it prints its counts at each tenth, and what was cut off goes on from
-there with `--first_seed`. `drift`: one period over and over, by how much its voltages ever differ
-from those of the first round after creep has settled. `sanitizers`: steps under the address and
-undefined-behaviour sanitizers.
+`whole_every`-th sequence all 1.5 s. What comes before the first hostile sample is the same motion in all: the
+slow forms step through it once, and begin each sequence with a copy of their state. It prints its counts at
+each tenth, and what was cut off goes on from there with `--first_seed`.
+
+`drift`: one period over and over, by how much its voltages ever differ from those of the first round after
+creep has settled. `sanitizers`: steps under the address and undefined-behaviour sanitizers.
 """
 
 import argparse
+import copy
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Collection
+from itertools import pairwise
 from pathlib import Path
 
 import torch
+from torch import Tensor
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from tests.export.c_compiler import Stepped
-from tests.hostile.sequences import VOLTAGES_V, compensator, disturbed, like_the_demo, motion
+from tests.hostile.sequences import VOLTAGES_V, compensator, disturbed, hostile, like_the_demo, motion
 from torchpi.control.direct_inverse import DirectInverse
+from torchpi.control.step import CompensatorStream
 from torchpi.export import export_files, load_torchscript
 
 PRECISIONS = {"double": False, "float": True}
@@ -90,34 +96,63 @@ def recovery(made: DirectInverse, folder: Path, seeds: range) -> None:
 
 
 def bits(made: DirectInverse, folder: Path, seeds: range, whole_every: int) -> None:
-    c, script, stream = (
-        Stepped(folder / "demo.c"),
-        load_torchscript(folder / "demo.pt"),
-        made.stream(),
-    )
-    samples = round(1.5 / made.sample_period_s)
+    c, script, python = Stepped(folder / "demo.c"), load_torchscript(folder / "demo.pt"), made.stream()
     differing = {"TorchScript": 0, "Python": 0}
     outside, whole, started = 0, 0, time.monotonic()
-    for done, seed in enumerate(seeds, 1):
-        yd, end = disturbed(seed, samples, made.sample_period_s)
-        if seed % whole_every:
-            yd = yd[: end + 60]
-        else:
-            whole += 1
+    samples = round(1.5 / made.sample_period_s)
+    for some in tenths(seeds):
+        in_full = [seed for seed in some if seed % whole_every == 0]
+        for name, one in (("TorchScript", script), ("Python", python)):
+            for seed in in_full:
+                yd, _ = disturbed(seed, samples, made.sample_period_s)
+                c.reset()
+                one.reset()
+                differing[name] += not same_bits(one.block(yd), c.block(yd))
+            differing[name] += with_other_bits(one, c, made.sample_period_s, set(some).difference(in_full))
+        for seed in some:
+            yd, _ = disturbed(seed, samples, made.sample_period_s)
+            c.reset()
+            u = c.block(yd)
+            outside += not bool(((u >= VOLTAGES_V[0]) & (u <= VOLTAGES_V[1])).all())
+        whole += len(in_full)
+        print(
+            f"TorchScript, Python and C double: seeds {seeds[0]} to {some[-1]}, {whole} of them whole, "
+            f"{outside} outside the limits; with other bits than C: "
+            + ", ".join(f"{n} {name}" for name, n in differing.items())
+            + f", after {time.monotonic() - started:.0f} s",
+            flush=True,
+        )
+
+
+def with_other_bits(
+    stream: CompensatorStream, c: Stepped, period_s: float, seeds: Collection[int], after: int = 60
+) -> int:
+    """How many sequences differ until so many samples after their last hostile one.
+
+    The motion before the first hostile sample is the same in all of them: it is stepped through once, and
+    each sequence begins with a copy of the state there.
+    """
+    differing = 0
+    samples = round(0.25 / period_s) + 40 + after  # the latest, and the longest
+    undisturbed = motion(samples, period_s)
+    starts = {seed: disturbed(seed, samples, period_s)[1] - len(hostile(seed)) for seed in seeds}
+    stream.reset()
+    reached = 0
+    so_far = torch.empty(0, dtype=torch.float64)
+    for seed in sorted(starts, key=starts.__getitem__):
+        start = starts[seed]
+        so_far = torch.cat([so_far, stream.block(undisturbed[reached:start])])
+        reached = start
+        yd, end = disturbed(seed, samples, period_s)
+        yd = yd[: end + after]
         c.reset()
-        expected = c.block(yd)
-        outside += not bool(((expected >= VOLTAGES_V[0]) & (expected <= VOLTAGES_V[1])).all())
-        for name, one in (("TorchScript", script), ("Python", stream)):
-            one.reset()
-            differing[name] += not torch.equal(one.block(yd).view(torch.int64), expected.view(torch.int64))
-        if tenth(done, len(seeds)):
-            print(
-                f"TorchScript, Python and C double: seeds {seeds[0]} to {seed}, {whole} of them whole, "
-                f"{outside} outside the limits; with other bits than C: "
-                + ", ".join(f"{n} {name}" for name, n in differing.items())
-                + f", after {time.monotonic() - started:.0f} s",
-                flush=True,
-            )
+        found = torch.cat([so_far, copy.deepcopy(stream).block(yd[start:])])
+        differing += not same_bits(found, c.block(yd))
+    return differing
+
+
+def same_bits(one: Tensor, other: Tensor) -> bool:
+    return torch.equal(one.view(torch.int64), other.view(torch.int64))
 
 
 def drift(made: DirectInverse, folder: Path, steps: int) -> None:
@@ -145,6 +180,11 @@ def progress(done: int, of: int, started: float) -> None:
 def tenth(done: int, of: int) -> bool:
     """Whether another tenth is done."""
     return done * 10 // of > (done - 1) * 10 // of
+
+
+def tenths(seeds: range) -> list[range]:
+    edges = [len(seeds) * k // 10 for k in range(11)]
+    return [seeds[first:last] for first, last in pairwise(edges) if last > first]
 
 
 def sanitized(folder: Path, steps: int) -> None:

@@ -37,22 +37,4 @@ class TrainParser(Parser, LightningArgumentParser):
         nested = re.search(r"unknown option or key '[^']*'(; nearest is '[^']*')?", text)
         if nested:
             raise ConfigError(f"{nested[0]}; --help lists all") from ex
-        value = re.search(r'Parser key "(?P<key>[\w.]+)": .*(?:Given|Got) value: (?P<found>.*)$', text)
-        if value:
-            expected = self._expected(value["key"])
-            raise ConfigError(f"{value['key']}: found {value['found']}, expected {expected}") from ex
-        super().error(re.sub(r'Parser key "([\w.]+)"', r"\1", text), ex)
-
-    def _expected(self, key: str) -> str:
-        """The type of an option, as its help names it."""
-        for action in self._actions:
-            choices = getattr(action, "_name_parser_map", None) or {}
-            for parser in choices.values():
-                if any(other.dest == key for other in parser._actions):
-                    return str(parser._wanted(key))
-            hint = getattr(action, "_typehint", None)
-            if action.dest == key and hint is not None:
-                text = re.sub(r"<class '(?:[\w]+\.)*(\w+)'>|\b(?:\w+\.)+(\w+)", r"\1\2", str(hint))
-                text = re.sub(r"Literal\[(.*?)\]", r"\1", text)
-                return re.sub(r"Optional\[(.*)\]", r"\1 or null", text).replace(" | None", " or null")
-        return "a value of the kind that --help names"
+        super().error(text, ex)

@@ -72,6 +72,7 @@ def test_the_derivative_is_the_slope_of_the_projected_error(
 ) -> None:
     made = compensator(seed, **form)
     of = problem(made, [pair(seed, 400, slice(5, None)), pair(seed + 1, 700, slice(31, 600, 2))], ridge)
+    of = of.weighted(np.array([1.0, 2.5]))
     alpha = of.alpha
     linearised = of.linearise(alpha, of.solve(alpha).beta)
     gradient = -2 * linearised.slopes.T @ linearised.error
@@ -145,3 +146,11 @@ def test_the_triangle_is_that_of_all_rows(seed: int, cuts: list[int]) -> None:
         first += cut
     assert np.array_equal(factor.triangle, np.triu(factor.triangle))
     np.testing.assert_allclose(factor.triangle.T @ factor.triangle, matrix.T @ matrix, atol=1e-10)
+
+
+def test_a_record_of_weight_2_counts_as_if_it_stood_twice() -> None:
+    made = compensator(3, rate="linear", offset=True)
+    one, other = pair(3, 400, slice(5, None)), pair(4, 700, slice(31, None))
+    weighted = problem(made, [one, other], 0.0).weighted(np.array([2.0, 1.0]))
+    twice = problem(made, [one, one, other], 0.0)
+    assert weighted.solve(weighted.alpha).beta == pytest.approx(twice.solve(twice.alpha).beta, rel=1e-9)

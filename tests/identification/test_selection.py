@@ -1,6 +1,7 @@
 """What is selected generalises, and is no richer than the records can show."""
 
 from collections.abc import Sequence
+from dataclasses import astuple
 from typing import Any
 
 import numpy as np
@@ -10,19 +11,20 @@ import torch
 from tests.identification.test_fits import PERIOD, THRESHOLDS, pairs, truth
 from torchpi.control.direct_inverse import DirectInverse
 from torchpi.diagnosis.locate import turning_points
-from torchpi.identification import InversePair
+from torchpi.identification import InversePair, selection
 from torchpi.identification.folds import make_folds
-from torchpi.identification.selection import Form, Richest, Selection, select_form
+from torchpi.identification.selection import Form, Richest, Selection, _Search, select_form
 from torchpi.operators.motion import Motion
 
 RICHEST = Richest(range(4), degree=4, lead=2, creep_time_constants_s=(0.05,), rate=True)
 
 
-def select(records: Sequence[InversePair], richest: Richest = RICHEST) -> Selection:
-    def build(form: Form, _: Sequence[InversePair]) -> DirectInverse:
-        options: dict[str, Any] = {name: value for name, value in vars(form).items() if name != "spread"}
-        return DirectInverse(PERIOD, THRESHOLDS, range_um=4.0, rate_scale_um_s=100.0, **options)
+def build(form: Form, _: Sequence[InversePair]) -> DirectInverse:
+    options: dict[str, Any] = {name: value for name, value in vars(form).items() if name != "spread"}
+    return DirectInverse(PERIOD, THRESHOLDS, range_um=4.0, rate_scale_um_s=100.0, **options)
 
+
+def select(records: Sequence[InversePair], richest: Richest = RICHEST) -> Selection:
     def ahead(preview: int) -> list[InversePair]:
         return [
             record._replace(
@@ -74,6 +76,37 @@ def test_creep_is_found_in_several_records_and_not_sought_in_one() -> None:
     assert found.creep_time_constants_s == (0.05,)
     alone = select(records[:1]).steps[-1].form
     assert (alone.creep_time_constants_s, alone.rate) == ((), "none") and alone.degree in (1, 4)
+
+
+def test_extensions_are_tried_together_where_several_records_judge_them() -> None:
+    search = _Search(build, lambda _: pairs(made(rate="none"), (300, 300)), RICHEST)
+    together = list(search.together(Form()))
+    assert Form(degree=4, creep_time_constants_s=(0.05,), spread=0.3) in together
+    changes = [
+        sum(mine != plain for mine, plain in zip(astuple(form), astuple(Form()), strict=True))
+        for form in together
+    ]
+    assert min(changes) == 2 and len(set(together)) == len(together)
+    alone = _Search(build, lambda _: pairs(made(rate="none"), (300,)), RICHEST)
+    assert not list(alone.together(Form()))
+
+
+def test_a_form_that_cannot_be_right_has_like_errors_on_all_records() -> None:
+    """Two records of one law, a short one of another: least squares alone would leave the third behind."""
+    records = pairs(made(rate="none"), (1500, 1500), noise_v=0.02)
+    bent = made(rate="none")
+    bent.saturation.set_coefficients(torch.tensor([1.2, -0.05], dtype=torch.float64))
+    records += pairs(bent, (600, 600, 600), noise_v=0.02)[2:]
+    plain = Richest(range(1), degree=1, lead=0, creep_time_constants_s=(), rate=False)
+    balanced = select(records, plain)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(selection, "BALANCING", 0)
+        least_squares = select(records, plain)
+    balanced_v, least_squares_v = (
+        [heldout_rms_v(one, record) for record in records] for one in (balanced, least_squares)
+    )
+    assert max(least_squares_v) == least_squares_v[2] > 3 * min(least_squares_v)
+    assert max(balanced_v) < 0.85 * max(least_squares_v)
 
 
 def test_one_record_shows_whether_s_bends_and_not_how() -> None:

@@ -231,6 +231,13 @@ class TestWhichIsWhich:
         )
         assert not any("comes before" in line for line in said(record(u, -y)))
 
+    def test_a_narrow_loop_shows_swapped_columns_in_few_samples(self):
+        u = SIGNALS["multisine of eq. 13"][1]
+        y = 0.7 * u + 0.3 * stage(u) * (np.ptp(u) / np.ptp(stage(u)))
+        lines = said(record(y, u))
+        assert any("comes before the input" in line for line in lines), lines
+        assert not any("comes before" in line for line in said(record(u, y)))
+
     def test_a_start_away_from_zero_is_said_with_the_remedy(self, multisine_record):
         (text,) = said(record(multisine_record.u, multisine_record.y + 30))
         assert "starts at 30" in text and "zero (first)" in text

@@ -104,7 +104,26 @@ class Parser(jsonargparse.ArgumentParser):
             if isinstance(cause, TorchpiError):
                 raise cause
             cause = cause.__cause__ or cause.__context__
-        raise ConfigError(one_line(message, list(option_names(self)))) from ex
+        text = one_line(message, list(option_names(self)))
+        value = re.search(r'Parser key "(?P<key>[\w.]+)": .*(?:Given|Got) value: (?P<found>.*)$', text)
+        if value:
+            text = f"{value['key']}: found {value['found']}, expected {self.expected(value['key'])}"
+        raise ConfigError(re.sub(r'Parser key "([\w.]+)"', r"\1", text)) from ex
+
+    def expected(self, key: str) -> str:
+        """The type of an option, as its help names it."""
+        for action in self._actions:
+            choices = getattr(action, "_name_parser_map", None) or {}
+            for name, parser in choices.items():
+                inner = key.removeprefix(f"{name}.")
+                if isinstance(parser, Parser) and any(other.dest == inner for other in parser._actions):
+                    return parser.expected(inner)
+            hint = getattr(action, "_typehint", None)
+            if action.dest == key and hint is not None:
+                text = re.sub(r"<class '(?:[\w]+\.)*(\w+)'>|\b(?:\w+\.)+(\w+)", r"\1\2", str(hint))
+                text = re.sub(r"Literal\[(.*?)\]", r"\1", text)
+                return re.sub(r"Optional\[(.*)\]", r"\1 or null", text).replace(" | None", " or null")
+        return "a value of the kind that --help names"
 
 
 def run_command(command: Callable[[], Any], program: str) -> int:

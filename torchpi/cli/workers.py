@@ -5,6 +5,7 @@ Nothing heavy is imported here: a worker has to watch its parent before it spend
 
 import os
 import signal
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -16,6 +17,7 @@ MOST_WORKERS = 3
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 """What libraries of linear algebra read, once, as they are imported."""
 WATCH_S = 0.2
+LEFT_SEMAPHORES = "ignore::UserWarning:multiprocessing.resource_tracker"
 
 
 def available_cores() -> int:
@@ -37,7 +39,7 @@ def worker_pool(get_ready: Callable[[], object]) -> Iterator[Executor | None]:
         yield None
         return
     # Spawned, because a forked process would inherit the threads of torch in an unknown state.
-    with _one_thread_each():
+    with _one_thread_each(), _quiet_tracker():
         pool = ProcessPoolExecutor(workers, get_context("spawn"), _end_with_parent, (os.getpid(),))
         try:
             with _signals_after():  # between its start and its entry in the pool nobody could end a worker
@@ -88,6 +90,17 @@ def _signals_after() -> Iterator[None]:
             signal.signal(number, handler)
     if came:
         signal.raise_signal(came[0])
+
+
+@contextmanager
+def _quiet_tracker() -> Iterator[None]:
+    """Python's tracker of semaphores, if it starts meanwhile, will not warn of those that this process leaves
+    when it is killed: it removes them."""
+    sys.warnoptions.append(LEFT_SEMAPHORES)  # inherited by what starts
+    try:
+        yield
+    finally:
+        sys.warnoptions.remove(LEFT_SEMAPHORES)
 
 
 @contextmanager

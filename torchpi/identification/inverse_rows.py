@@ -39,6 +39,7 @@ class Record(NamedTuple):
     yd_ddot: np.ndarray
     u: np.ndarray  # V
     counted: np.ndarray  # rising indices: (rows,)
+    weight: float = 1.0  # of its squared errors
 
     @classmethod
     def of(cls, pair: InversePair) -> "Record":
@@ -53,7 +54,7 @@ class Record(NamedTuple):
     def with_rows(self, rows: np.ndarray) -> "Record":
         """These samples as rows, in place of those that count; what comes after them is left out."""
         yd, yd_dot, yd_ddot, u = (signal[: rows[-1] + 1] for signal in self[:4])
-        return Record(yd, yd_dot, yd_ddot, u, rows)
+        return Record(yd, yd_dot, yd_ddot, u, rows, self.weight)
 
     def fewer_rows(self, step: int) -> "Record":
         """Every `step`-th row."""
@@ -72,7 +73,7 @@ class Record(NamedTuple):
         rows = self.counted[::step]
         kept = np.union1d(np.append(turns, [0, len(x) - 1]), rows)
         yd, yd_dot, yd_ddot, u = (signal[kept] for signal in self[:4])
-        return Record(yd, yd_dot, yd_ddot, u, np.searchsorted(kept, rows))
+        return Record(yd, yd_dot, yd_ddot, u, np.searchsorted(kept, rows), self.weight)
 
     def stretches(self) -> list["Stretch"]:
         """The record cut into parts that a core's cache holds."""

@@ -143,6 +143,15 @@ class ProjectedProblem:
         )
         return thinned
 
+    def weighted(self, weights: np.ndarray) -> Self:
+        """The same with a weight of each record's squared errors; shape (records,)."""
+        weighted = copy.copy(self)
+        weighted.records = [
+            record._replace(weight=float(weight))
+            for record, weight in zip(self.records, weights, strict=True)
+        ]
+        return weighted
+
     def moved(self, alpha: np.ndarray, step: np.ndarray) -> np.ndarray:
         """`alpha + step`, but thresholds stay positive: no step takes one below a tenth of itself."""
         trial: np.ndarray = np.where(self.is_threshold, np.maximum(alpha + step, 0.1 * alpha), alpha + step)
@@ -202,7 +211,7 @@ class ProjectedProblem:
         if self.ridge == 0:
             factor.triangle[np.diag_indices(p)] = FLOOR * columns.range_um * np.sqrt(self.samples)
         slopes = None if beta is None or self.ridge == 0 else np.zeros((p, len(self.numbers)))
-        for record, rates in zip(self.stretches, self.rates, strict=True):
+        for one, record, rates in zip(self.records, self.stretches, self.rates, strict=True):
             ran = blocks(record, part, self.decay, derivative=beta is not None)
             for stretch, block, kept in zip(record, ran, rates, strict=True):
                 rate = self._rate(stretch, part) if self.moves_rate else kept
@@ -212,7 +221,8 @@ class ProjectedProblem:
                 if beta is not None:
                     rows[:, p:-1] = columns.derivative(block, rate, beta, self.searched)
                 if slopes is not None:
-                    slopes += columns.size_slopes(block, rate, len(self.numbers))
+                    slopes += one.weight * columns.size_slopes(block, rate, len(self.numbers))
+                rows *= np.sqrt(one.weight)
                 factor.absorb(rows)
         if slopes is None or beta is None:
             return factor.triangle, None

@@ -5,6 +5,14 @@ extension after the other is tried, and the best one is taken as long as it lowe
 has left out: by more than one standard error over the folds in the mean of log(error), by more than `LEAST`,
 and in the pooled error too. Where nothing does, the start stays.
 
+Creep, the degree of S and the width of the plays can stand in for each other, so that each alone may lower
+nothing: they are also tried together.
+
+Least squares leaves the errors of a form that cannot be right where they are cheapest: a slow loop, over and
+over, is learned by heart, and motions of many turning points pay for it. So the selected form is fitted with
+weights that make the errors of the records more equal, where the largest of them is above `WRONG` and falls
+by more than `BALANCED`: what noise and the sensor's drift leave, no weights lower.
+
 What a record cannot show is not tried on it. A single one has no other motion to be judged on: creep and
 weights that follow the rate then fit the shape of its loops, and miss others. Its look-ahead is read where it
 turns round (`reversals`): errors over its blocks cannot tell it. Nor can they tell how S bends: the loops of
@@ -15,6 +23,7 @@ about every other loop: S has the highest degree, and a ridge on all that bends 
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain, product
 from typing import Literal
 
 import numpy as np
@@ -41,6 +50,12 @@ BENT = 2  # the least degree of a polynomial that bends
 # Of the rms displacement, what the acceleration must add to it: below that a single record does not reach the
 # mode, and τ_2 would fit the curvature of their loops.
 LEAST_INERTIA = 0.2
+# The last fit to several records is made again so often, with weights by the squares of their mean square
+# errors: least squares then goes towards the least sum of their cubes.
+BALANCING = 3
+MOST_WEIGHT = 4.0  # of a record, against that of median error; and the least, its inverse
+BALANCED = 0.1  # by which share the largest error of a record must fall
+WRONG = 5e-3  # share of the voltages' range: a form with smaller errors on every record is right enough
 PREVIEW_RISING = 3  # samples beyond the best: the error has one valley over the look-ahead
 
 Pairs = Callable[[int], Sequence[InversePair]]
@@ -233,9 +248,9 @@ class _Search:
         return best
 
     def best_beyond(self, current: _Trial) -> _Trial | None:
-        """The neighbour that beats the current form by most."""
+        """The form beside the current one that beats it by most."""
         best, gained = None, 0.0
-        for form in self.neighbours(current.form):
+        for form in chain(self.neighbours(current.form), self.together(current.form)):
             trial = self.tried(form, current)
             gain = trial.beats(current)
             if gain is not None and gain < gained and self.reaches_the_mode(trial):
@@ -267,6 +282,17 @@ class _Search:
         yield replace(form, offset=not form.offset)
         yield from (replace(form, spread=s) for s in self.richest.spreads if s != form.spread)
 
+    def together(self, form: Form) -> Iterator[Form]:
+        """Forms that differ in more than one respect: each alone may show nothing."""
+        if self.single:
+            return
+        degrees = dict.fromkeys((form.degree, self.richest.degree))
+        creeps = dict.fromkeys((form.creep_time_constants_s, self.creep, self.creep[1:], self.creep[:-1]))
+        for degree, creep, spread in product(degrees, creeps, self.richest.spreads):
+            changes = degree != form.degree, creep != form.creep_time_constants_s, spread != form.spread
+            if sum(changes) > 1:
+                yield replace(form, degree=degree, creep_time_constants_s=creep, spread=spread)
+
     def reaches_the_mode(self, trial: _Trial) -> bool:
         """Whether a lead of order 2 is one that the only record shows; several judge it themselves."""
         if trial.form.lead < 2 or not self.single:
@@ -277,11 +303,23 @@ class _Search:
         return all(float((one.lead[1] * added / moved).detach()) > LEAST_INERTIA for one in trial.fitted)
 
     def fitted(self, form: Form) -> DirectInverse:
-        """A compensator of this form, fitted to all records."""
+        """A compensator of this form, fitted to all records, their errors balanced where that is possible."""
         pairs, _ = self.at(form.preview)
         compensator = self.build(form, pairs)
         _fit(compensator, pairs, None, ROWS_AT_LAST, self.stiffness)
-        return compensator
+        left = _of_each(compensator, pairs)
+        u = torch.cat([pair.u[0, pair.counted] for pair in pairs])
+        if len(pairs) == 1 or left.max() < (WRONG * float(u.max() - u.min())) ** 2:
+            return compensator
+        balanced, weights = self.build(form, pairs), np.ones(len(pairs))
+        _begin_from(balanced, compensator)
+        balanced_left = left
+        for _ in range(BALANCING):
+            aim = np.square(balanced_left / np.median(balanced_left)).clip(1 / MOST_WEIGHT, MOST_WEIGHT)
+            weights = np.sqrt(weights * aim)
+            _fit(balanced, pairs, None, ROWS_AT_LAST, self.stiffness, weights)
+            balanced_left = _of_each(balanced, pairs)
+        return balanced if balanced_left.max() < (1 - BALANCED) ** 2 * left.max() else compensator
 
 
 def _fit(
@@ -290,10 +328,21 @@ def _fit(
     rows: Sequence[np.ndarray] | None,
     most: int,
     stiffness: float,
+    weights: np.ndarray | None = None,
 ) -> None:
-    problem = MonotoneProblem(compensator, pairs, rows).thinned(most).stiffened(stiffness)
+    problem = MonotoneProblem(compensator, pairs, rows)
+    if weights is not None:
+        problem = problem.weighted(weights)
+    problem = problem.thinned(most).stiffened(stiffness)
     alpha, solved = levenberg_marquardt(problem, problem.alpha, EVALUATIONS, TOLERANCE)
     problem.put(alpha, solved.beta)
+
+
+def _of_each(compensator: DirectInverse, pairs: Sequence[InversePair]) -> np.ndarray:
+    """Mean square of the error over each record, V²."""
+    counted = [np.arange(pair.u.shape[1])[pair.counted] for pair in pairs]
+    each = zip(pairs, counted, strict=True)
+    return np.array([_mean_square(compensator, [pair], [rows]) for pair, rows in each])
 
 
 def _begin_from(compensator: DirectInverse, other: DirectInverse) -> None:

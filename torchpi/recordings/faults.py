@@ -78,7 +78,8 @@ def lead_of_output(u: np.ndarray, y: np.ndarray) -> float:
     """How far y runs ahead of u: the signed area of the loop, Σ y Δu, over Σ|Δu|·std(y).
 
     Hysteresis, lag, delay and creep make it negative, whatever the gain's sign: for a sine that lags by δ it
-    is −1.11 sin δ. Positive, beyond what chance makes of n samples (5/√n), the output comes first.
+    is −1.11 sin δ. Positive, the output comes first; of n samples, what is not in phase with u makes up to
+    5σ/(√n std(y)) by chance, where σ is its standard deviation.
 
     Args:
         u, y: (time,).
@@ -94,7 +95,8 @@ def lead_of_output(u: np.ndarray, y: np.ndarray) -> float:
     beside = centred - gain * (u - u.mean())  # what is in phase encloses no area, but an open path counts it
     lead = float((beside[1:] + beside[:-1]) @ np.diff(u)) / 2 / (path * float(y.std()) or np.inf)
     lead *= np.sign(gain) or 1.0
-    return lead if lead > max(LEAST_LEAD, 5 / np.sqrt(len(y))) else 0.0
+    chance = 5 * float(beside.std()) / (np.sqrt(len(y)) * float(y.std()) or np.inf)
+    return lead if lead > max(LEAST_LEAD, chance) else 0.0
 
 
 def without_line(x: np.ndarray) -> np.ndarray:
