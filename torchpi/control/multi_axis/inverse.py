@@ -17,8 +17,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from torchpi.errors import StageError
-from torchpi.operators.oversampled_inputs import LOOKAHEAD
-from torchpi.stage.multi_axis import MultiAxisStage
+from torchpi.operators.filters import filter_matrix
+from torchpi.stage.multi_axis import MultiAxisStage, MultiAxisStream
 
 LINES = 2048
 """Frequencies at which the linear inverses are found, up to the Nyquist frequency."""
@@ -94,7 +94,7 @@ def _steady(stage: MultiAxisStage, u: np.ndarray) -> np.ndarray:
     """Spectra of the displacements in steady state, (runs, lines, outputs), of periodic voltages."""
     found = []
     for run in u:
-        y = StageStream(stage).advance(np.concatenate([run, run, run, run[:LOOKAHEAD]]))
+        y = MultiAxisStream(stage).block(np.concatenate([run, run, run, run[: stage.delay_samples]]))
         found.append(np.fft.rfft(y[-len(run) :], axis=0))
     return np.array(found)
 
@@ -120,22 +120,6 @@ def _filters(found: np.ndarray) -> np.ndarray:
     return np.asarray(taps * np.kaiser(2 * HALF_LENGTH + 1, 3.0)[:, None, None])
 
 
-class StageStream:
-    """A stage's displacements about its offset, window after window, `LOOKAHEAD` samples late."""
-
-    def __init__(self, stage: MultiAxisStage) -> None:
-        self.stage, self.excess, self.state = stage, stage.excess_stream(), stage.initial_state(1)
-        self.late = np.zeros((LOOKAHEAD, stage.inputs))
-
-    def advance(self, u: np.ndarray) -> np.ndarray:
-        """(time, outputs), µm, for (time, inputs), V."""
-        known = np.concatenate([self.late, u])
-        now, self.late = known[: len(u)], known[len(u) :]
-        y = np.zeros((1, len(u), self.stage.outputs))
-        self.stage.advance(now[None], [self.excess.advance(u)], self.state, y)
-        return np.asarray(y[0] - np.asarray(self.stage.get_buffer("offset_um")))
-
-
 class FilterMatrix:
     """Filters of several inputs and outputs, window after window, `HALF_LENGTH` samples late."""
 
@@ -146,10 +130,8 @@ class FilterMatrix:
     def advance(self, x: np.ndarray) -> np.ndarray:
         known = np.concatenate([self.known, x])
         self.known = known[len(x) :]
-        found = np.zeros((len(x), self.taps.shape[1]))
-        for i in range(self.taps.shape[1]):
-            for o in range(self.taps.shape[2]):
-                found[:, i] += np.convolve(known[:, o], self.taps[:, i, o], "valid")
+        found = np.empty((len(x), self.taps.shape[1]))
+        filter_matrix(known, self.taps, found)
         return found
 
 
@@ -189,7 +171,7 @@ class MultiAxisInverse:
                 raise StageError(f"{name}: found an array of {taps.shape}, expected (odd, {expected[1:]})")
         self.stage, self.first, self.corrections, self.passes = stage, first, corrections, passes
         half = len(first) // 2
-        self.preview = half + passes * (LOOKAHEAD + half)
+        self.preview = half + passes * (stage.delay_samples + half)
         self.reset()
 
     def reset(self) -> None:
@@ -197,10 +179,10 @@ class MultiAxisInverse:
         half, stage = len(self.first) // 2, self.stage
         self._first = FilterMatrix(self.first)
         # Each pass is half a filter and the stage's look-ahead behind the one before.
-        self._desired = [Delay(half + LOOKAHEAD, stage.outputs) for _ in range(self.passes)]
-        self._stages = [StageStream(stage) for _ in range(self.passes)]
+        self._desired = [Delay(half + stage.delay_samples, stage.outputs) for _ in range(self.passes)]
+        self._stages = [MultiAxisStream(stage) for _ in range(self.passes)]
         self._filters = [FilterMatrix(self.corrections) for _ in range(self.passes)]
-        self._voltages = [Delay(LOOKAHEAD + half, stage.inputs) for _ in range(self.passes)]
+        self._voltages = [Delay(stage.delay_samples + half, stage.inputs) for _ in range(self.passes)]
 
     def block(self, yd: np.ndarray) -> np.ndarray:
         """Voltages (time, inputs), V, for trajectories (time, outputs), µm, `preview` samples ahead."""
@@ -209,12 +191,13 @@ class MultiAxisInverse:
                 f"trajectories: found an array of {yd.shape}, "
                 f"expected finite numbers (time, {self.stage.outputs})"
             )
+        offset = self.stage.offset()
         u, desired = self._first.advance(yd), yd
         for late, stage, filters, voltages in zip(
             self._desired, self._stages, self._filters, self._voltages, strict=True
         ):
             desired = late.advance(desired)
-            lacking = desired - stage.advance(u)
+            lacking = desired - (stage.block(u) - offset)
             u = voltages.advance(u) + filters.advance(lacking)
         return u
 
