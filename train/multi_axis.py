@@ -94,9 +94,16 @@ def judged(stage: MultiAxisStage, every: Sequence[MultiAxisRecording]) -> list[d
                 "rms_um": None if errors is None else float(np.sqrt(np.mean(errors[0] ** 2))),
                 "noise_rms_um": one.period[2],
                 "motion_rms_um": float(one.y.std()),
+                "input_range_v": ranges(one.u),
+                "output_range_um": ranges(one.y),
             }
         )
     return found
+
+
+def ranges(x: np.ndarray) -> list[list[float]]:
+    """Least and largest of each channel."""
+    return [[float(one.min()), float(one.max())] for one in x.T]
 
 
 def show(metrics: Mapping[str, Sequence[Mapping[str, Any]]]) -> None:

@@ -142,16 +142,18 @@ def excite(
 def export(
     run: Path,
     output: Path | None = None,
-    to: str = "torchscript,json,page",
+    to: str | None = None,
     reference_filter: bool = False,
     max_slew_v_s: float | None = None,
     capacitance_uf: float | None = None,
     amplifier_gain: float = 1.0,
     allow_backwards: bool = False,
+    band_hz: float | None = None,
 ) -> None:
     """Export the compensator of a training run, for a controller: all files, or none.
 
-    The stage that the run identified goes with it, as NAME_stage.pt: `torchpi run` takes it.
+    The stage that the run identified goes with it, as NAME_stage.pt: `torchpi run` takes it. Of a stage of
+    several axes the inverse is NAME, and the stage itself as a step NAME_forward.
 
     Example: torchpi export runs/demo --to torchscript,c,json --output exports/demo
 
@@ -160,21 +162,43 @@ def export(
         output: Path without suffix; the formats add theirs. By default exports/ and the name of the run.
         to: Formats, comma between: torchscript (.pt), c (.h, .c and _selftest.c, C99), fmu (FMI 3.0,
             co-simulation), pt2 (torch.export), json (the bare numbers with units), page (.html, the safety
-            card, which json has as well).
+            card, which json has as well). By default torchscript,json,page; of several axes
+            torchscript,c,json, which are all there are.
         reference_filter: Put the paper's reference filter (eq. 14) inside: `step` then takes y_r.
         max_slew_v_s: Limit the rate of the output voltage inside the step, V/s.
         capacitance_uf: Of the piezo, µF: the safety card then has the current.
         amplifier_gain: Voltage at the piezo per volt of the controller, for the current.
         allow_backwards: Export a compensator that lowers the voltage to raise the stage somewhere in its
             trained range.
+        band_hz: Of several axes: highest frequency of the trajectories, Hz; by default a twentieth of the
+            sample rate.
     """
+    from torchpi.cli.export_axes import export_axes, stage_of_axes
     from torchpi.control.trained import load_compensator, with_slew_limit
-    from torchpi.errors import ArtifactError
+    from torchpi.errors import ArtifactError, ConfigError
     from torchpi.export import Load, made_files, safety_card, write_together
     from torchpi.operators import ReferenceFilter
     from torchpi.stage import Stage
     from torchpi.stage.beside import NAME, exported_stage
 
+    output = output or Path("exports") / run.resolve().name
+    if output.suffix in (".pt", ".c", ".h", ".fmu", ".pt2", ".json", ".html"):
+        output = output.with_suffix("")
+    names = None if to is None else [name.strip() for name in to.split(",")]
+    if (axes := stage_of_axes(run)) is not None:
+        for option, found, default in (
+            ("reference_filter", reference_filter, False),
+            ("max_slew_v_s", max_slew_v_s, None),
+            ("capacitance_uf", capacitance_uf, None),
+            ("amplifier_gain", amplifier_gain, 1.0),
+            ("allow_backwards", allow_backwards, False),
+        ):
+            if found != default:
+                raise ConfigError(f"--{option}: found {found}, expected none for a stage of several axes")
+        print("\n".join(map(str, export_axes(axes, run, output, names, band_hz))))
+        return
+    if band_hz is not None:
+        raise ConfigError(f"--band_hz: found {band_hz:g}, expected none for a stage of one axis")
     compensator = load_compensator(run)
     if max_slew_v_s is not None:
         compensator = with_slew_limit(compensator, max_slew_v_s)
@@ -183,10 +207,7 @@ def export(
     if card.monotone is False and not allow_backwards:
         raise ArtifactError(f"{run}: {card.monotone_summary}; or export it with --allow_backwards true")
     inside = ReferenceFilter(compensator.sample_period_s) if reference_filter else None
-    output = output or Path("exports") / run.resolve().name
-    if output.suffix in (".pt", ".c", ".h", ".fmu", ".pt2", ".json", ".html"):
-        output = output.with_suffix("")
-    files = made_files(compensator, output, [name.strip() for name in to.split(",")], inside, load)
+    files = made_files(compensator, output, names or ["torchscript", "json", "page"], inside, load)
     if (run / NAME).is_file():
         files[exported_stage(output)] = Stage.load(run / NAME).write
     write_together(files)

@@ -25,4 +25,3 @@ def relaxing_play_slope(x: float, r: float, a: float, h: float) -> float:
     s = (x - h) / r
     q = 1.0 + (1.0 - a * a) * s * s
     return float(a / (q * np.sqrt(q)))
-
