@@ -30,6 +30,18 @@ def test_a_written_recording_comes_back_with_its_bits(tmp_path: Path) -> None:
     assert (back.fs_hz, back.periods) == (pytest.approx(500.0), 2)
 
 
+@pytest.mark.parametrize(("periods", "noise"), [(4, 0.0), (4, 1e-3), (1, 0.0), (4, 0.1)])
+def test_periods_are_found_where_the_inputs_repeat_themselves(
+    periods: int, noise: float, tmp_path: Path
+) -> None:
+    random, one = np.random.default_rng(0), recording()
+    u = np.tile(one.u, (periods, 1))
+    u += noise * random.standard_normal(u.shape)
+    write_multi_axis(tmp_path / "one.csv", replace(one, u=u, y=np.zeros((len(u), 1))))
+    found = read_multi_axis(tmp_path / "one.csv", periods=None).periods
+    assert found == (periods if noise < 0.01 else 1)
+
+
 def test_an_archive_of_realisations_is_read_run_by_run(tmp_path: Path) -> None:
     values = np.random.default_rng(0).standard_normal((2, 32, 3, 4, 2))
     np.savez(tmp_path / "a.npz", u_low=values[0], y_low=values[1])

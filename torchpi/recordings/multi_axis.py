@@ -18,6 +18,8 @@ from torchpi.recordings.readers.source import Source
 from torchpi.recordings.recording import read_signal
 
 INPUT, OUTPUT = re.compile(r"input_(\d+)(_v|\b)"), re.compile(r"output_(\d+)(_um|\b)")
+MOST_PERIODS, REPEATED = 32, 0.01
+"""How often an excitation may repeat itself, and by how much of its rms it may differ then, monitored."""
 PARALLEL = 1e-6
 """Least singular value of the inputs' correlation, beside the largest: below it they move as one."""
 
@@ -54,14 +56,14 @@ class MultiAxisRecording:
 
 
 def read_multi_axis(
-    path: str | Path, options: RecordingOptions | None = None, periods: int = 1
+    path: str | Path, options: RecordingOptions | None = None, periods: int | None = 1
 ) -> MultiAxisRecording:
     """Read a file whose columns are named `input_1_v`, `input_2_v`, … and `output_1_um`, ….
 
     Args:
         path: CSV, or any other kind with named columns.
         options: Time column and sample rate.
-        periods: How many periods of a periodic excitation the file holds.
+        periods: How many periods of a periodic excitation the file holds; None finds them.
 
     Raises:
         RecordingError: No such columns, one that is missing in the row, or a file that cannot be read.
@@ -72,11 +74,28 @@ def read_multi_axis(
     signals = [read_signal(path, name, options=options, unit="V") for name in inputs]
     signals += [read_signal(path, name, options=options, unit="um") for name in outputs]
     length, fs_hz = len(signals[0].x), signals[0].fs_hz
-    if periods < 1 or length % periods:
-        raise RecordingError(f"{path}: found {length} samples, expected a multiple of {periods} periods")
     values = np.stack([signal.x for signal in signals], 1)
     split = len(inputs)
+    if periods is None:
+        periods = whole_periods(values[:, :split])
+    if periods < 1 or length % periods:
+        raise RecordingError(f"{path}: found {length} samples, expected a multiple of {periods} periods")
     return MultiAxisRecording(Path(path).stem, values[:, :split], values[:, split:], fs_hz, periods)
+
+
+def has_axes(source: Source) -> bool:
+    """Whether a file has numbered inputs, and is of several axes then."""
+    return any(INPUT.match(name) for name in source.names)
+
+
+def whole_periods(u: np.ndarray) -> int:
+    """How many times inputs (time, inputs) repeat themselves from the first sample to the last."""
+    size = float(u.std())
+    for periods in range(MOST_PERIODS, 1, -1):
+        length, left = divmod(len(u), periods)
+        if not left and length > 1 and (u[length:] - u[:-length]).std() < REPEATED * size:
+            return periods
+    return 1
 
 
 def columns(source: Source, kind: re.Pattern[str], first: str) -> list[str]:

@@ -14,7 +14,12 @@ import numpy as np
 
 from torchpi.errors import ConfigError, RecordingError
 from torchpi.identification.multi_axis.fit import Period, PeriodicFit
-from torchpi.identification.multi_axis.linear import best_linear_approximation, fitted_poles, modes_of
+from torchpi.identification.multi_axis.linear import (
+    best_linear_approximation,
+    fitted_poles,
+    modes_of,
+    windowed,
+)
 from torchpi.operators.modal_feedback import Shapes, parameter_shapes
 from torchpi.recordings.multi_axis import MultiAxisRecording, check_together
 from torchpi.stage.multi_axis import MultiAxisStage
@@ -25,6 +30,8 @@ NOISE = 1.5
 """Noise of the mean period, in its weight."""
 FAINT, SILENT = 0.05, 0.1
 """Size of a motion near rest, as a share of the smallest recording's, and weight of what is left after it."""
+PIECE = 8192
+"""Samples of a record without periods that are simulated on their own, at most."""
 ALIKE = 1.25
 """Amplitudes within this ratio are one level."""
 QUASI_STATIC = 0.02
@@ -86,7 +93,10 @@ def identify(
     options: MultiAxisOptions | None = None,
     log: Callable[[str], None] = lambda text: None,
 ) -> MultiAxisStage:
-    """One stage for all recordings, each of whole periods in steady state.
+    """One stage for all recordings.
+
+    Periodic ones are of whole periods in steady state. Others take the time-domain path: they are cut into
+    pieces, each simulated from rest through the piece before, of which the first is left out.
 
     Args:
         recordings: At one amplitude or several, as many realisations as inputs at one of them.
@@ -142,14 +152,24 @@ def by_amplitude(recordings: Sequence[MultiAxisRecording]) -> list[list[MultiAxi
 
 
 def periods(recordings: Sequence[MultiAxisRecording]) -> list[Period]:
-    """The mean period of each, weighted by its noise and its amplitude.
+    """The mean period of each, or the pieces of one without periods, weighted by noise and amplitude.
 
     Errors grow less than the amplitude: weights in proportion would let the smallest count most.
     """
-    means = [one.period for one in recordings]
-    largest = max(float(y.std()) for _, y, _ in means)
-    scales = [np.hypot(RELATIVE_ERROR * np.sqrt(y.std() * largest), NOISE * noise) for _, y, noise in means]
-    return [Period(u, y, 1.0 / float(scale)) for (u, y, _), scale in zip(means, scales, strict=True)]
+    largest, found = max(float(one.y.std()) for one in recordings), []
+    for one in recordings:
+        mean_u, mean_y, noise = one.period
+        size = RELATIVE_ERROR * np.sqrt(float(mean_y.std()) * largest)
+        weight = 1.0 / float(np.hypot(size, NOISE * noise))
+        if one.periods > 1:
+            found.append(Period(mean_u, mean_y, weight))
+            continue
+        pieces = max(2, -(-len(one.u) // PIECE))
+        length = len(one.u) // pieces
+        each = one.u[: length * pieces].reshape(pieces, length, -1)
+        seen = one.y[: length * pieces].reshape(pieces, length, -1)
+        found += [Period(each[k], seen[k] - seen[k].mean(0), weight, each[k - 1]) for k in range(1, pieces)]
+    return found
 
 
 def silence(recording: MultiAxisRecording) -> Period:
@@ -168,8 +188,12 @@ def linear_stage(
     level: Sequence[MultiAxisRecording], modes: int
 ) -> tuple[MultiAxisStage, np.ndarray, np.ndarray]:
     """Modes alone, from the realisations of one amplitude, and the response that they were fitted to."""
-    means = [one.period for one in level]
-    z, response = best_linear_approximation([u for u, _, _ in means], [y for _, y, _ in means])
+    if all(one.periods > 1 for one in level):
+        means = [one.period for one in level]
+        u, y = [u for u, _, _ in means], [y for _, y, _ in means]
+    else:
+        u, y = windowed([one.u for one in level], [one.y for one in level])
+    z, response = best_linear_approximation(u, y)
     found = modes_of(z, response, fitted_poles(z, response, modes))
     shapes = Shapes(response.shape[1], response.shape[2], modes, elements=0, functions=1, input_plays=0)
     arrays = {name: found.get(name, np.zeros(shape)) for name, shape in parameter_shapes(shapes).items()}
