@@ -14,6 +14,7 @@ from torchpi import __version__
 from torchpi.cli import duration
 from torchpi.cli.command_line import run_chosen, run_program
 from torchpi.cli.workers import THREADS
+from torchpi.errors import ConfigError
 from torchpi.recordings.options import RecordingOptions
 
 DESCRIPTION = """Makes piezo stages go where they are told.
@@ -128,7 +129,6 @@ def excite(
             bears it.
         seed: Of random phases.
     """
-    from torchpi.errors import ConfigError
     from torchpi.excitation.files import INSTRUCTIONS, write_diagnostic_set
     from torchpi.excitation.limits import DriveLimits
 
@@ -175,7 +175,7 @@ def export(
     """
     from torchpi.cli.export_axes import export_axes, stage_of_axes
     from torchpi.control.trained import load_compensator, with_slew_limit
-    from torchpi.errors import ArtifactError, ConfigError
+    from torchpi.errors import ArtifactError
     from torchpi.export import Load, made_files, safety_card, write_together
     from torchpi.operators import ReferenceFilter
     from torchpi.stage import Stage
@@ -378,6 +378,7 @@ def diagnose_(  # the parser looks names up in torchpi, and would load its own `
     output: Path = Path("diagnosis"),
     simulation: str | None = None,
     executor: str = "processes",
+    seconds: float | None = None,
     **reading: Any,
 ) -> None:
     """Say where recordings and a simulation differ, what physics was left out, and show the fit improve.
@@ -390,6 +391,10 @@ def diagnose_(  # the parser looks names up in torchpi, and would load its own `
     (model.fmu), a function simulate(u_v, fs_hz) -> y_um (package.module:simulate, or file.py:simulate), or
     column: what a simulator made of each recording's voltage stands in it as simulated_um.
 
+    Recordings of several axes (time_s,input_1_v,input_2_v,…,output_1_um,…) are compared with the stage.pt of
+    such a stage, or with a linear one that is made of them; the last realisation of each amplitude is held
+    out. They leave report.html, diagnosis.json and stage.pt.
+
     Example: torchpi diagnose recordings/a.csv recordings/b.csv --output diagnosis
 
     Args:
@@ -399,13 +404,26 @@ def diagnose_(  # the parser looks names up in torchpi, and would load its own `
             file.py:function, or column. Without it a plain stage: symmetric, rate-independent
             Prandtl–Ishlinskii hysteresis, everything else ideal.
         executor: Where independent fits run: processes, or here.
+        seconds: Of several axes: time for the fit at the end, s; 480 by default.
         reading: How the files are read.
     """
     options = RecordingOptions(**reading)
+    from torchpi.recordings.multi_axis import has_axes
+    from torchpi.recordings.readers import open_source
+
+    command = shlex.join(["torchpi", *sys.argv[1:]])
+    if has_axes(open_source(recordings[0])):
+        fit_s = duration.SEVERAL_AXES_S if seconds is None else seconds
+        duration.announce_axes(recordings, fit_s)
+        from torchpi.cli.diagnose_axes import diagnose_axes_files
+
+        diagnose_axes_files(recordings, output, simulation, fit_s, command, options)
+        return
+    if seconds is not None:
+        raise ConfigError(f"--seconds: found {seconds:g}, expected none for a stage of one axis")
     duration.announce_diagnose(recordings)
     from torchpi.cli.diagnose import diagnose_files
 
-    command = shlex.join(["torchpi", *sys.argv[1:]])
     diagnose_files(recordings, output, simulation, executor, command, options)
 
 

@@ -49,6 +49,30 @@ CROSSOVER = (0.1, 0.3)
 
 
 @dataclass(frozen=True)
+class Physics:
+    """What is put into the feedback of the modes and at the inputs.
+
+    Args:
+        zones: Thresholds of the elements' dead zones: asymmetry without memory.
+        plays: Thresholds and rates of their relaxing plays: hysteresis that the motion drives.
+        follows_amplitude: Whether stiffness and damping follow the mean amplitude.
+        input_plays: Thresholds and rates of the plays of the voltages.
+        crossover: Whether amplifiers have crossover distortion, where their bandwidth is known.
+        feedback: Whether there are elements in the feedback at all.
+    """
+
+    zones: tuple[float, ...] = ZONES
+    plays: tuple[tuple[float, float], ...] = PLAYS
+    follows_amplitude: bool = True
+    input_plays: tuple[tuple[float, float], ...] = INPUT_PLAYS
+    crossover: bool = True
+    feedback: bool = True
+
+
+ALL = Physics()
+
+
+@dataclass(frozen=True)
 class MultiAxisOptions:
     """What is identified, and for how long.
 
@@ -188,16 +212,19 @@ def linear_stage(
     level: Sequence[MultiAxisRecording], modes: int
 ) -> tuple[MultiAxisStage, np.ndarray, np.ndarray]:
     """Modes alone, from the realisations of one amplitude, and the response that they were fitted to."""
-    if all(one.periods > 1 for one in level):
-        means = [one.period for one in level]
-        u, y = [u for u, _, _ in means], [y for _, y, _ in means]
-    else:
-        u, y = windowed([one.u for one in level], [one.y for one in level])
-    z, response = best_linear_approximation(u, y)
+    z, response = response_of(level)
     found = modes_of(z, response, fitted_poles(z, response, modes))
     shapes = Shapes(response.shape[1], response.shape[2], modes, elements=0, functions=1, input_plays=0)
     arrays = {name: found.get(name, np.zeros(shape)) for name, shape in parameter_shapes(shapes).items()}
     return MultiAxisStage(level[0].fs_hz, arrays), z, response
+
+
+def response_of(level: Sequence[MultiAxisRecording]) -> tuple[np.ndarray, np.ndarray]:
+    """The best linear approximation at one amplitude: z of its lines, and (lines, inputs, outputs)."""
+    if all(one.periods > 1 for one in level):
+        means = [one.period for one in level]
+        return best_linear_approximation([u for u, _, _ in means], [y for _, y, _ in means])
+    return best_linear_approximation(*windowed([one.u for one in level], [one.y for one in level]))
 
 
 def static_gain(z: np.ndarray, response: np.ndarray) -> np.ndarray:
@@ -212,6 +239,7 @@ def with_elements(
     gain: np.ndarray,
     recordings: Sequence[MultiAxisRecording],
     options: MultiAxisOptions,
+    physics: Physics = ALL,
 ) -> MultiAxisStage:
     """The stage with elements at the inputs, and more in random directions, all nearly without force.
 
@@ -219,45 +247,57 @@ def with_elements(
     stiffness, a second one the rate of that, which is damping.
     """
     old = linear.arrays()
-    inputs, modes = linear.inputs, linear.shapes.modes
+    inputs = linear.inputs
     scale = max(float(one.u.std()) for one in recordings)
-    elements = 2 * inputs + options.extra_elements
-    at_means = len(ZONES) + len(PLAYS)
-    widths = crossover_widths(recordings) if options.amplifier_hz else []
-    excess = len(INPUT_PLAYS) + 2 * len(widths)
-    functions = at_means + len(options.times_s) + 1
+    extra = options.extra_elements if physics.feedback else 0
+    elements = 2 * inputs + extra if physics.feedback else 0
+    times_s = options.times_s if physics.follows_amplitude else ()
+    at_means = len(physics.zones) + len(physics.plays)
+    widths = crossover_widths(recordings) if options.amplifier_hz and physics.crossover else []
+    excess = len(physics.input_plays) + 2 * len(widths)
+    functions = at_means + len(times_s) + 1
     shapes = linear.shapes._replace(elements=elements, functions=functions, input_plays=excess)
     arrays = {name: np.zeros(shape) for name, shape in parameter_shapes(shapes).items()}
     arrays |= {name: old[name].copy() for name in ("poles", "drive", "seen", "direct")}
-    random = np.random.default_rng(options.seed)
-    mixed = np.concatenate([np.eye(inputs), random.standard_normal((options.extra_elements, inputs))])
+    if physics.feedback:
+        put_elements(arrays, gain, options.seed, extra, at_means)
+    return MultiAxisStage(
+        linear.sample_rate_hz,
+        arrays,
+        input_thresholds_v=[scale * r for r, _ in physics.input_plays],
+        input_rates_hz=[rate for _, rate in physics.input_plays],
+        dead_zones=[scale * r for r in physics.zones],
+        thresholds=[scale * r for r, _ in physics.plays],
+        rates_hz=[rate for _, rate in physics.plays],
+        times_s=times_s,
+        crossover_v_per_s=widths,
+        amplifier_hz=options.amplifier_hz if options.amplifier_hz and widths else np.inf,
+    )
+
+
+def put_elements(
+    arrays: dict[str, np.ndarray], gain: np.ndarray, seed: int, extra: int, at_means: int
+) -> None:
+    """Fill what elements sense, where they act, and how strongly they begin; modes and gain are given."""
+    modes, inputs = arrays["drive"].shape[0], arrays["drive"].shape[2]
+    elements = 2 * inputs + extra
+    random = np.random.default_rng(seed)
+    mixed = np.concatenate([np.eye(inputs), random.standard_normal((extra, inputs))])
     back = np.linalg.pinv(gain)  # (outputs, inputs), V/µm
     # Elongation, in volts, less the voltage: the elastic part, which follows the stress.
-    elastic = np.einsum("ni,oi,omc->nmc", mixed, back, old["seen"])
+    elastic = np.einsum("ni,oi,omc->nmc", mixed, back, arrays["seen"])
     first, rest = slice(0, inputs), slice(2 * inputs, None)
     rates = slice(inputs, 2 * inputs)
     arrays["sensed"][first], arrays["sensed"][rest] = elastic[:inputs], elastic[inputs:]
-    arrays["sensed"][rates] = rate_of(elastic[:inputs], old["poles"])
-    through = mixed @ (back.T @ old["direct"] - np.eye(inputs))
+    arrays["sensed"][rates] = rate_of(elastic[:inputs], arrays["poles"])
+    through = mixed @ (back.T @ arrays["direct"] - np.eye(inputs))
     arrays["through"][first], arrays["through"][rest] = through[:inputs], through[inputs:]
     directions = np.concatenate([mixed[:inputs], mixed])
-    arrays["force"] = np.einsum("mci,ni->mcn", old["drive"], directions).reshape(modes, 2, elements)
+    arrays["force"] = np.einsum("mci,ni->mcn", arrays["drive"], directions).reshape(modes, 2, elements)
     arrays["weights"][first, at_means] = FIRST_WEIGHT
     arrays["weights"][rates, at_means] = FIRST_WEIGHT / 10
     arrays["weights"][rest, 0] = FIRST_WEIGHT / 2
     arrays["weights"][rest, at_means] = FIRST_WEIGHT / 10
-    return MultiAxisStage(
-        linear.sample_rate_hz,
-        arrays,
-        input_thresholds_v=[scale * r for r, _ in INPUT_PLAYS],
-        input_rates_hz=[rate for _, rate in INPUT_PLAYS],
-        dead_zones=[scale * r for r in ZONES],
-        thresholds=[scale * r for r, _ in PLAYS],
-        rates_hz=[rate for _, rate in PLAYS],
-        times_s=options.times_s,
-        crossover_v_per_s=widths,
-        amplifier_hz=options.amplifier_hz or np.inf,
-    )
 
 
 def rate_of(seen: np.ndarray, poles: np.ndarray) -> np.ndarray:
@@ -277,8 +317,3 @@ def crossover_widths(recordings: Sequence[MultiAxisRecording]) -> list[float]:
         lines = 2j * np.pi * np.fft.rfftfreq(len(u), 1 / one.fs_hz)[:, None]
         slopes.append(float(np.fft.irfft(lines * np.fft.rfft(u, axis=0), len(u), axis=0).std()))
     return [share * max(slopes) for share in CROSSOVER]
-
-
-def without(recordings: Sequence[MultiAxisRecording], name: str) -> list[MultiAxisRecording]:
-    """The recordings but the one of this name: to be judged on it."""
-    return [one for one in recordings if one.name != name]
