@@ -13,9 +13,9 @@ from torchpi.identification.multi_axis.fit import PeriodicFit
 from torchpi.identification.multi_axis.identify import by_amplitude, periods
 from torchpi.recordings.multi_axis import (
     MultiAxisRecording,
-    check_together,
     read_multi_axis,
     read_realisations,
+    usable,
 )
 from torchpi.recordings.options import RecordingOptions
 from torchpi.stage.multi_axis import MultiAxisStage
@@ -36,8 +36,7 @@ def fit(arguments: Sequence[str], config: Path) -> None:
     """
     known = [field.name for field in fields(MultiAxisOptions)]
     settings, folder = settings_of(arguments, config, SECTION, [*READING, *known])
-    every = recordings(settings, config)
-    check_together(every)
+    every = usable(recordings(settings, config))
     heldout = settings.get("heldout", [])
     runs = [one.name for one in every]
     if not isinstance(heldout, list) or any(one not in runs for one in heldout):

@@ -6,12 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from torchpi.errors import RecordingError
+from torchpi.errors import RecordingError, RecordingWarning
 from torchpi.recordings.multi_axis import (
     MultiAxisRecording,
-    check_together,
     read_multi_axis,
     read_realisations,
+    usable,
     write_multi_axis,
 )
 
@@ -66,14 +66,19 @@ def test_a_missing_number_is_named(tmp_path: Path) -> None:
 
 def test_numbers_of_inputs_that_differ_are_refused() -> None:
     with pytest.raises(RecordingError, match=r"two: found 3 inputs .* expected 2, 2 and 500 Hz as in one"):
-        check_together([recording(), recording(3, "two")])
+        usable([recording(), recording(3, "two")])
 
 
-def test_an_input_that_never_moves_is_named() -> None:
-    one = recording()
-    still = replace(one, u=one.u * [1.0, 0.0])
-    with pytest.raises(RecordingError, match="input_2_v: found the same value throughout"):
-        check_together([still])
+def test_an_input_that_never_moves_is_named_and_left_out() -> None:
+    one = recording(3)
+    still = replace(one, u=one.u * [1.0, 0.0, 1.0])
+    with pytest.warns(
+        RecordingWarning, match=r"input_2_v: found the same .* inputs of the stage are input_1_v, input_3_v"
+    ):
+        (found,) = usable([still])
+    np.testing.assert_array_equal(found.u, one.u[:, [0, 2]])
+    with pytest.raises(RecordingError, match="found inputs that never move, expected one at least"):
+        usable([replace(one, u=0 * one.u)])
 
 
 def test_inputs_always_in_proportion_are_refused_with_the_reason() -> None:
@@ -82,4 +87,4 @@ def test_inputs_always_in_proportion_are_refused_with_the_reason() -> None:
     with pytest.raises(
         RecordingError, match="input_1_v, input_3_v: found inputs that always move in proportion"
     ):
-        check_together([alike])
+        usable([alike])

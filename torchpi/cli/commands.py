@@ -369,8 +369,16 @@ def check(files: list[Path], output: Path = Path("check"), **reading: Any) -> No
     options = RecordingOptions(**reading)
     duration.announce_check(files)
     from torchpi.cli.check import check_files
+    from torchpi.cli.check_axes import check_axes_files
+    from torchpi.recordings.multi_axis import has_axes
+    from torchpi.recordings.readers import open_source
 
-    check_files(files, output, options, shlex.join(["torchpi", *sys.argv[1:]]))
+    of_axes = files[0].is_file() and has_axes(open_source(files[0]))
+    command = shlex.join(["torchpi", *sys.argv[1:]])
+    if of_axes:
+        check_axes_files(files, output, options, command)
+    else:
+        check_files(files, output, options, command)
 
 
 def diagnose_(  # the parser looks names up in torchpi, and would load its own `diagnose` with torch
@@ -412,7 +420,7 @@ def diagnose_(  # the parser looks names up in torchpi, and would load its own `
     from torchpi.recordings.readers import open_source
 
     command = shlex.join(["torchpi", *sys.argv[1:]])
-    if has_axes(open_source(recordings[0])):
+    if recordings[0].is_file() and has_axes(open_source(recordings[0])):
         fit_s = duration.SEVERAL_AXES_S if seconds is None else seconds
         duration.announce_axes(recordings, fit_s)
         from torchpi.cli.diagnose_axes import diagnose_axes_files

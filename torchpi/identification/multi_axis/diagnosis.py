@@ -31,7 +31,7 @@ from torchpi.identification.multi_axis.identify import (
 )
 from torchpi.identification.multi_axis.properties import Loop, loop_of
 from torchpi.operators.modal_feedback import parameter_shapes
-from torchpi.recordings.multi_axis import MultiAxisRecording, check_together
+from torchpi.recordings.multi_axis import MultiAxisRecording, usable
 from torchpi.stage.multi_axis import MultiAxisStage
 
 CANDIDATES = {
@@ -129,7 +129,7 @@ def diagnose_axes(
             simulation's.
     """
     options = options or MultiAxisOptions()
-    check_together(recordings)
+    recordings = usable(recordings)
     fitted, heldout = split(recordings)
     first = fitted[0]
     options = replace(options, amplifier_hz=options.amplifier_hz or AMPLIFIER * first.fs_hz)

@@ -21,7 +21,7 @@ from torchpi.identification.multi_axis.linear import (
     windowed,
 )
 from torchpi.operators.modal_feedback import Shapes, parameter_shapes
-from torchpi.recordings.multi_axis import MultiAxisRecording, check_together
+from torchpi.recordings.multi_axis import MultiAxisRecording, usable
 from torchpi.stage.multi_axis import MultiAxisStage
 
 RELATIVE_ERROR = 0.0125
@@ -131,7 +131,7 @@ def identify(
         RecordingError: Recordings that are not of one stage, or do not show what each input does.
     """
     options = options or MultiAxisOptions()
-    check_together(recordings)
+    recordings = usable(recordings)
     started = time.monotonic()
     levels = by_amplitude(recordings)
     inputs = recordings[0].u.shape[1]
