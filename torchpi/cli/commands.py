@@ -225,7 +225,7 @@ def export(
 def run(
     compensator: Path,
     stage: Path | None = None,
-    trajectory: str | list[str] = "slow",
+    trajectory: str | list[str] | None = None,
     output: Path | None = None,
     compare: dict[str, Path] | None = None,
     resample: bool = False,
@@ -238,19 +238,34 @@ def run(
     the time of a step against the sample period; leaves loop.html (one page, to send to a colleague) and
     loop.json.
 
+    An inverse of several axes (NAME.pt or NAME.json, NAME_stage.pt beside it) runs by its numbers, and
+    leaves loop.json: errors, and how much each axis moves the others, beside the best linear inverse.
+
     Example: torchpi run exports/demo.pt --trajectory '[slow, fast]'
 
     Args:
         compensator: Exported TorchScript file.
         stage: Stage file (YAML), a stage.pt, or a name (default, qin2013). By default the one identified
             from the recordings, beside the compensator (NAME_stage.pt or stage.pt), else the built-in one.
-        trajectory: slow (eq. 15), fast (eq. 16), a CSV with columns time_s,yd_um, or a list of these.
+        trajectory: slow (eq. 15, the default), fast (eq. 16), a CSV with columns time_s,yd_um, or a list of
+            these. Of several axes: random (the default), or a CSV with columns time_s,yd_1_um,yd_2_um,….
         output: Folder for the page; by default beside the compensator.
         compare: Other exported compensators by name, such as {two-stage: runs/demo/baseline.pt}.
         resample: Interpolate a trajectory file to the compensator's sample rate.
         max_slew_v_s: Rate of the voltage that your amplifier bears, V/s.
         seed: Of the sensor's noise; the stage's own by default.
     """
+    from torchpi.cli.axes import numbers_of_axes
+
+    if (numbers := numbers_of_axes(compensator)) is not None:
+        from torchpi.cli.run_axes import run_axes
+
+        for option, found in (("compare", compare), ("max_slew_v_s", max_slew_v_s), ("seed", seed)):
+            if found is not None:
+                raise ConfigError(f"--{option}: found {found}, expected none for several axes")
+        run_axes(numbers, stage, trajectory, output or compensator.with_suffix(""))
+        return
+    trajectory = trajectory or "slow"
     duration.announce_run(trajectory, len(compare or {}))
     import math
     import warnings

@@ -19,6 +19,7 @@ from torchpi.recordings.readers.source import Source
 from torchpi.recordings.recording import read_signal
 
 INPUT, OUTPUT = re.compile(r"input_(\d+)(_v|\b)"), re.compile(r"output_(\d+)(_um|\b)")
+DESIRED = re.compile(r"yd_(\d+)(_um|\b)")
 MOST_PERIODS, REPEATED = 32, 0.01
 """How often an excitation may repeat itself, and by how much of its rms it may differ then, monitored."""
 PARALLEL = 1e-6

@@ -26,7 +26,7 @@ FLAT, LAST = 0.17, 0.24
 """Shares of the sample rate: up to the first the filters invert, from there they fade until the second."""
 HALF_LENGTH = 256
 """Of the filters, samples."""
-PASSES = 2
+PASSES = 3
 LARGEST = 1e9
 """Of a voltage or a displacement where no limit is known."""
 SMALL, MEANS = 0.02, 2

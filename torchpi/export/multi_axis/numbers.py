@@ -1,10 +1,14 @@
 """The bare numbers of several axes as JSON, with units: enough to write the step by hand."""
 
 import json
+from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 import torchpi
 from torchpi.control.multi_axis import MultiAxisInverse
+from torchpi.errors import ArtifactError
 from torchpi.operators.modal_feedback import SMALLEST_MEAN
 from torchpi.operators.oversampled_inputs import FACTOR, TAPS
 from torchpi.stage.multi_axis import MultiAxisStage
@@ -87,6 +91,37 @@ def of_stage(stage: MultiAxisStage) -> dict[str, Any]:
             "offset_um": stage.offset().tolist(),
         },
     }
+
+
+def read_inverse(path: Path, stage: MultiAxisStage) -> MultiAxisInverse:
+    """The inverse whose numbers a file has.
+
+    Args:
+        path: NAME.json.
+        stage: What it was made for.
+
+    Raises:
+        ArtifactError: Another kind of file, one that was changed, or another stage.
+    """
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+        filters = content["filters"]
+        inverse = MultiAxisInverse(
+            stage,
+            np.array(filters["first"], dtype=np.float64),
+            np.array(filters["corrections"], dtype=np.float64),
+            int(filters["passes"]),
+            np.array(content["output"]["limits_v"], dtype=np.float64),
+            np.array(content["guard"]["accepted_um"], dtype=np.float64),
+        )
+        same = content["schema"] == INVERSE_SCHEMA and content["stage"]["modes"] == of_stage(stage)["modes"]
+    except (OSError, KeyError, TypeError, ValueError) as error:
+        raise ArtifactError(f"{path}: not readable, expected the numbers of 'torchpi export'") from error
+    if not same:
+        raise ArtifactError(
+            f"{path}: found the numbers of another stage, expected those of the one beside it"
+        )
+    return inverse
 
 
 def of_inverse(inverse: MultiAxisInverse) -> dict[str, Any]:
