@@ -63,7 +63,8 @@ def simulate(
     Args:
         excitation: sine_5hz (paper, stage 1), paper_multisine (eq. 13), multisine, triangles (with minor
             loops), stairs (up and down with holds), or hold.
-        stage: Stage file (YAML, physical parameters with units), or default or qin2013, torchpi's own.
+        stage: Stage file (YAML, physical parameters with units), or default or qin2013, torchpi's own; or the
+            stage.pt of several axes, whose inputs are each moved by a multisine of its own.
         output: CSV to write.
         duration_s: Length of the recording, s; each excitation has its own default.
         seed: Of the sensor's noise, and of random phases.
@@ -75,6 +76,11 @@ def simulate(
     from torchpi.recordings.recording import Recording, write_recording
     from torchpi.stage import Stage
 
+    if stage.suffix == ".pt":
+        from torchpi.cli.simulate_axes import simulate_axes
+
+        simulate_axes(stage, excitation, output, duration_s, seed, options or {})
+        return
     simulated = Stage.from_yaml(stage)
     t, u = make_excitation(excitation, simulated.sample_rate_hz, duration_s, seed, options or {})
     _, y = simulated.simulate(torch.from_numpy(u)[None], seed)
