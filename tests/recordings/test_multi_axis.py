@@ -14,6 +14,7 @@ from torchpi.recordings.multi_axis import (
     usable,
     write_multi_axis,
 )
+from torchpi.recordings.recording import read_recording
 
 
 def recording(inputs: int = 2, name: str = "one") -> MultiAxisRecording:
@@ -88,3 +89,15 @@ def test_inputs_always_in_proportion_are_refused_with_the_reason() -> None:
         RecordingError, match="input_1_v, input_3_v: found inputs that always move in proportion"
     ):
         usable([alike])
+
+
+def test_a_reader_of_one_axis_says_what_takes_several(tmp_path: Path) -> None:
+    write_multi_axis(tmp_path / "one.csv", recording())
+    with pytest.raises(
+        RecordingError, match=r"found a recording of several axes \(input_1_v, .*expected one input"
+    ):
+        read_recording(tmp_path / "one.csv")
+    with pytest.raises(RecordingError, match=r"expected one input"):
+        read_recording(tmp_path / "one.csv", output_column="output_1_um")
+    chosen = read_recording(tmp_path / "one.csv", input_column="input_2_v", output_column="output_1_um")
+    np.testing.assert_array_equal(chosen.u, recording().u[:, 1])
