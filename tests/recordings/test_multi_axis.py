@@ -99,5 +99,3 @@ def test_a_reader_of_one_axis_says_what_takes_several(tmp_path: Path) -> None:
         read_recording(tmp_path / "one.csv")
     with pytest.raises(RecordingError, match=r"expected one input"):
         read_recording(tmp_path / "one.csv", output_column="output_1_um")
-    chosen = read_recording(tmp_path / "one.csv", input_column="input_2_v", output_column="output_1_um")
-    np.testing.assert_array_equal(chosen.u, recording().u[:, 1])
