@@ -7,7 +7,8 @@ import torch
 from tests.stage.two_axes import multisine, recordings, two_axes
 from torchpi.identification.multi_axis import MultiAxisOptions, identify
 from torchpi.identification.multi_axis.fit import Period, PeriodicFit
-from torchpi.identification.multi_axis.identify import linear_stage, periods, silence
+from torchpi.identification.multi_axis.identify import linear_stage, periods, silence, slow_motion
+from torchpi.identification.multi_axis.properties import static_gain_of
 from torchpi.recordings.multi_axis import MultiAxisRecording
 
 
@@ -116,3 +117,15 @@ def test_a_stage_that_rings_by_itself_near_rest_costs() -> None:
         fit = PeriodicFit(stage, [silence(every[0])])
         costs.append(fit.cost(fit.errors()))
     assert costs[0] < 1e-3 * costs[1]
+
+
+def test_a_stage_that_a_slow_voltage_drives_without_bounds_is_no_step_of_a_fit() -> None:
+    every = recordings(two_axes(), (0.3,), 2)
+    gain = static_gain_of(two_axes(), 0.1).T
+    calm, driven = two_axes(), two_axes()
+    driven.arrays()["weights"][:, -1] = 10.0  # stiffness that follows the voltage
+    costs = []
+    for stage in (calm, driven):
+        fit = PeriodicFit(stage, [slow_motion(every, gain)])
+        costs.append(fit.cost(fit.errors()))
+    assert costs[0] < 1.0 and costs[1] == np.inf

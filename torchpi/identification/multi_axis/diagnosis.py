@@ -22,11 +22,11 @@ from torchpi.identification.multi_axis.identify import (
     Physics,
     by_amplitude,
     crossover_widths,
+    guards,
     identify,
     linear_stage,
     periods,
     response_of,
-    silence,
     static_gain,
     with_elements,
 )
@@ -66,7 +66,7 @@ class Level:
         noise_um: Of its mean period; 0 where there is only one.
         errors_um: By name, held out: the simulation, each candidate, and the stage at the end.
         resonance_hz: Where the response at this amplitude is largest; None without a response.
-        loop_widths: Of each actuator under a sine of `PEAK` times this rms, as a share of its stroke.
+        loop_widths: Of each actuator under a sine as high as this rms, as a share of its stroke.
     """
 
     input_rms_v: float
@@ -108,7 +108,6 @@ class AxesDiagnosis:
 
 
 SIMULATION, STAGE = "the simulation", "the augmented stage"
-PEAK = 2.0
 
 
 def diagnose_axes(
@@ -153,11 +152,11 @@ def diagnose_axes(
     log(f"{LINEAR}: held-out error {_listed(errors[LINEAR])} µm")
     stages = {}
     for name, physics in CANDIDATES.items():
-        stages[name] = candidate(with_elements(linear, gain, fitted, options, physics), fitted)
+        stages[name] = candidate(with_elements(linear, gain, fitted, options, physics), fitted, gain)
         errors[name] = rms_of(stages[name], heldout)
         log(f"{name}: held-out error {_listed(errors[name])} µm")
     if min(CANDIDATES, key=lambda name: sum(np.log(errors[name]))) == HYSTERESIS:
-        stage = candidate(with_crossover(stages[HYSTERESIS], fitted, options), fitted)
+        stage = candidate(with_crossover(stages[HYSTERESIS], fitted, options), fitted, gain)
         errors[CROSSOVER] = rms_of(stage, heldout)
         log(f"{CROSSOVER}: held-out error {_listed(errors[CROSSOVER])} µm")
     mean = {name: float(np.exp(np.mean(np.log(each)))) for name, each in errors.items()}
@@ -174,7 +173,7 @@ def diagnose_axes(
     log(f"{STAGE}: held-out error {_listed(errors[STAGE])} µm")
     found = []
     for k, (one, level) in enumerate(zip(heldout, by_amplitude(recordings), strict=True)):
-        widths = [loop_of(final, i + 1, PEAK * float(one.u.std())).width for i in range(final.inputs)]
+        widths = [loop_of(final, i + 1, float(one.u.std())).width for i in range(final.inputs)]
         found.append(
             Level(
                 float(one.u.std()),
@@ -185,7 +184,7 @@ def diagnose_axes(
                 widths,
             )
         )
-    peak = PEAK * found[-1].input_rms_v
+    peak = found[-1].input_rms_v
     loops = [loop_of(final, i + 1, peak) for i in range(final.inputs)]
     return AxesDiagnosis(found, named, summary_of(found, named), final, loops, [one.name for one in heldout])
 
@@ -254,9 +253,11 @@ def with_crossover(
     return MultiAxisStage(**{**stage.plain(), **changed, "parameters": arrays})
 
 
-def candidate(stage: MultiAxisStage, fitted: Sequence[MultiAxisRecording]) -> MultiAxisStage:
+def candidate(
+    stage: MultiAxisStage, fitted: Sequence[MultiAxisRecording], gain: np.ndarray
+) -> MultiAxisStage:
     """The stage after a few steps."""
-    fit = PeriodicFit(stage, [*periods(fitted), silence(by_amplitude(fitted)[0][0])])
+    fit = PeriodicFit(stage, [*periods(fitted), *guards(fitted, gain)])
     fit.descend(["weights", "play_weights", "seen", "direct"], WEIGHT_STEPS)
     fit.descend(["weights", "play_weights", "seen", "direct", "poles", "drive"], MODE_STEPS)
     fit.descend(list(stage.arrays()), CANDIDATE_STEPS)

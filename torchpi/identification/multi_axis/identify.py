@@ -28,8 +28,9 @@ RELATIVE_ERROR = 0.0125
 """Of the geometric mean of a recording's rms and the largest: below it, noise alone counts in the weight."""
 NOISE = 1.5
 """Noise of the mean period, in its weight."""
-FAINT, SILENT = 0.05, 0.1
-"""Size of a motion near rest, as a share of the smallest recording's, and weight of what is left after it."""
+FAINT, SLOW, SILENT = 0.05, 1.5, 0.1
+"""Size of a motion near rest, as a share of the smallest recording's, of a slow one, as a multiple of the
+largest rms, and weight of what is left in either."""
 PIECE = 8192
 """Samples of a record without periods that are simulated on their own, at most."""
 ALIKE = 1.25
@@ -148,7 +149,8 @@ def identify(
     names = list(linear.arrays())
     cost = fit.descend(names, LINEAR_STEPS)
     log(f"linear, {options.modes} modes: weighted error {np.sqrt(cost):.3g}")
-    stage = with_elements(linear, static_gain(z, response), recordings, options)
+    gain = static_gain(z, response)
+    stage = with_elements(linear, gain, recordings, options)
     weights = ["weights", "play_weights", "seen", "direct"]
 
     def goes_on(cost: float) -> bool:
@@ -157,7 +159,7 @@ def identify(
         return passed < options.seconds
 
     every = periods([one for level in levels for one in level])
-    fit = PeriodicFit(stage, [*every, silence(levels[0][0])])
+    fit = PeriodicFit(stage, [*every, *guards(recordings, gain)])
     fit.descend(weights, WEIGHT_STEPS)
     fit.descend([*weights, "poles", "drive"], MODE_STEPS)
     fit.descend(names, STEPS, tolerance=0.0, goes_on=goes_on)
@@ -194,6 +196,26 @@ def periods(recordings: Sequence[MultiAxisRecording]) -> list[Period]:
         seen = one.y[: length * pieces].reshape(pieces, length, -1)
         found += [Period(each[k], seen[k] - seen[k].mean(0), weight, each[k - 1]) for k in range(1, pieces)]
     return found
+
+
+def guards(recordings: Sequence[MultiAxisRecording], gain: np.ndarray) -> list[Period]:
+    """Periods that nobody recorded, at rest and in slow motion, through which a stage must stay calm."""
+    return [silence(by_amplitude(recordings)[0][0]), slow_motion(recordings, gain)]
+
+
+def slow_motion(recordings: Sequence[MultiAxisRecording], gain: np.ndarray) -> Period:
+    """Slow sines of all inputs, which the displacements follow but for the hysteresis.
+
+    A stiffness or damping that follows the voltage averages out in recordings of fast voltages; held for
+    long, the same voltage may drive a mode without bounds.
+    """
+    largest = max(recordings, key=lambda one: float(one.u.std()))
+    mean = largest.period[0]
+    samples = len(mean) if largest.periods > 1 else min(len(mean), PIECE)
+    cycles = np.arange(1, mean.shape[1] + 1)
+    u = SLOW * float(largest.u.std()) * np.sin(2 * np.pi * np.outer(np.arange(samples) / samples, cycles))
+    y = u @ gain
+    return Period(u, y - y.mean(0), SILENT / (RELATIVE_ERROR * float(y.std())))
 
 
 def silence(recording: MultiAxisRecording) -> Period:
