@@ -215,6 +215,8 @@ DEFINITIONS = {
         | {"2 kHz", "2 ×", "2 s", "4 nm", "100 Hz", "2 %", "300 Hz", "270 Hz"}  # the recordings of an example
         | {"2,540 Hz", "0.2 µm", "3.4 µm"}  # bounds of tests/diagnosis/test_modal.py
     ),
+    # A setting of configs/mirror.yaml, and of the loops.
+    "docs/mirror.md": frozenset({"480 s", "0.3 V"}),
     # Of the intervals.
     "docs/bouc_wen.md": frozenset({"95 %"}),
     # An example of an option; a rule of the checks.

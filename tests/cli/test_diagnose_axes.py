@@ -26,7 +26,7 @@ def test_from_a_linear_simulation_to_a_page_numbers_and_a_stage(
 ) -> None:
     linear().save(tmp_path / "linear.pt")
     paths, output = files(tmp_path), tmp_path / "found"
-    diagnose_(paths, output, str(tmp_path / "linear.pt"), seconds=2.0)
+    diagnose_(paths, output, str(tmp_path / "linear.pt"), seconds=1.0)
     printed = capsys.readouterr().out
     assert "The simulation leaves out hysteresis in the actuators" in printed
     content = json.loads((output / "diagnosis.json").read_text())
