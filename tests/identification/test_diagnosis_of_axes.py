@@ -9,7 +9,14 @@ import torch
 from tests.stage.two_axes import recordings, two_axes
 from torchpi.errors import RecordingError
 from torchpi.identification.multi_axis import MultiAxisOptions
-from torchpi.identification.multi_axis.diagnosis import HYSTERESIS, LINEAR, SIMULATION, STAGE, diagnose_axes
+from torchpi.identification.multi_axis.diagnosis import (
+    HYSTERESIS,
+    LINEAR,
+    SIMULATION,
+    STAGE,
+    diagnose_axes,
+    loops_of,
+)
 from torchpi.identification.multi_axis.properties import loop_of, modes_of_stage, static_gain_of
 from torchpi.stage.multi_axis import MultiAxisStage
 
@@ -72,3 +79,10 @@ def test_a_stage_says_its_loops_its_modes_and_its_coupling() -> None:
     u = torch.ones(1, 2000, 2, dtype=torch.float64) * torch.tensor([1.0, 0.0])
     expected = linear().simulate(u)[0, 1500].numpy()
     np.testing.assert_allclose(static_gain_of(linear(), 0.5)[:, 0], expected, rtol=1e-3)
+
+
+def test_a_loop_without_a_bounded_answer_is_none() -> None:
+    driven = two_axes()
+    driven.arrays()["weights"][:, -1] = 10.0
+    assert loops_of(driven, 1.0) == [None, None]
+    assert all(loops_of(two_axes(), 0.3))

@@ -39,7 +39,7 @@ def write_axes_diagnosis(found: AxesDiagnosis, provenance: Provenance, path: Pat
 def loops_figure(found: AxesDiagnosis) -> Figure:
     """Displacement over voltage of each actuator, less the line through the ends of its loop."""
     with drawing():
-        figure = Figure(figsize=(style.WIDTH_IN, 2.6))
+        figure = Figure(figsize=(style.WIDTH_IN, 2.6 if found.loops else 0.5))
         for place, loop in enumerate(found.loops, 1):
             axes = figure.add_subplot(1, len(found.loops), place)
             slope = loop.y[loop.u.argmax()] - loop.y[loop.u.argmin()]

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from torchpi.errors import RecordingError
+from torchpi.errors import RecordingError, StageError
 from torchpi.identification.multi_axis.fit import PeriodicFit
 from torchpi.identification.multi_axis.identify import (
     LINEAR_STEPS,
@@ -66,7 +66,8 @@ class Level:
         noise_um: Of its mean period; 0 where there is only one.
         errors_um: By name, held out: the simulation, each candidate, and the stage at the end.
         resonance_hz: Where the response at this amplitude is largest; None without a response.
-        loop_widths: Of each actuator under a sine as high as this rms, as a share of its stroke.
+        loop_widths: Of each actuator under a sine as high as this rms, as a share of its stroke; None where
+            the stage has no bounded answer.
     """
 
     input_rms_v: float
@@ -74,7 +75,7 @@ class Level:
     noise_um: float
     errors_um: dict[str, float]
     resonance_hz: float | None
-    loop_widths: list[float]
+    loop_widths: list[float | None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +104,10 @@ class AxesDiagnosis:
             "named": self.named,
             "summary": self.summary,
             "heldout": self.heldout,
-            "levels": [vars(level) for level in self.levels],
+            "levels": [
+                {**vars(level), "errors_um": {name: _finite(e) for name, e in level.errors_um.items()}}
+                for level in self.levels
+            ],
         }
 
 
@@ -173,7 +177,8 @@ def diagnose_axes(
     log(f"{STAGE}: held-out error {_listed(errors[STAGE])} µm")
     found = []
     for k, (one, level) in enumerate(zip(heldout, by_amplitude(recordings), strict=True)):
-        widths = [loop_of(final, i + 1, float(one.u.std())).width for i in range(final.inputs)]
+        drawn = loops_of(final, float(one.u.std()))
+        widths = [None if loop is None else loop.width for loop in drawn]
         found.append(
             Level(
                 float(one.u.std()),
@@ -184,8 +189,7 @@ def diagnose_axes(
                 widths,
             )
         )
-    peak = found[-1].input_rms_v
-    loops = [loop_of(final, i + 1, peak) for i in range(final.inputs)]
+    loops = [loop for loop in loops_of(final, found[-1].input_rms_v) if loop is not None]
     return AxesDiagnosis(found, named, summary_of(found, named), final, loops, [one.name for one in heldout])
 
 
@@ -274,6 +278,17 @@ def rms_of(stage: MultiAxisStage, every: Sequence[MultiAxisRecording]) -> list[f
     return found
 
 
+def loops_of(stage: MultiAxisStage, amplitude_v: float) -> list[Loop | None]:
+    """Of each actuator; None where a slow motion has no bounded answer."""
+    found: list[Loop | None] = []
+    for number in range(1, stage.inputs + 1):
+        try:
+            found.append(loop_of(stage, number, amplitude_v))
+        except StageError:
+            found.append(None)
+    return found
+
+
 def resonance(level: Sequence[MultiAxisRecording]) -> float | None:
     """Hz; None of fewer realisations than inputs."""
     if len(level) < level[0].u.shape[1]:
@@ -308,8 +323,8 @@ def summary_of(levels: Sequence[Level], named: str | None) -> str:
             f"From {first.input_rms_v:.3g} to {last.input_rms_v:.3g} V rms the largest resonance moves from "
             f"{first.resonance_hz:.4g} to {last.resonance_hz:.4g} Hz, which no linear model does."
         )
-    if "hysteresis" in named:
-        widths = " / ".join(f"{100 * one:.2g}" for one in last.loop_widths)
+    if "hysteresis" in named and None not in last.loop_widths:
+        widths = " / ".join(f"{100 * one:.2g}" for one in last.loop_widths if one is not None)
         sentences.append(
             f"Slow loops of the actuators are {widths} % of their stroke wide at the highest amplitude."
         )
@@ -318,3 +333,7 @@ def summary_of(levels: Sequence[Level], named: str | None) -> str:
 
 def _listed(values: Sequence[float]) -> str:
     return " / ".join(f"{value:.3g}" for value in values)
+
+
+def _finite(value: float) -> float | None:
+    return value if np.isfinite(value) else None
