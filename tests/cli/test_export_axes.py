@@ -51,7 +51,7 @@ def test_a_stage_without_an_inverse_leaves_its_step(
 
 def test_what_several_axes_do_not_have_is_refused(tmp_path: Path) -> None:
     run = left(tmp_path, two_axes())
-    with pytest.raises(ConfigError, match=r"--max_slew_v_s: found 3.0, expected none for a stage of several"):
+    with pytest.raises(ConfigError, match=r"--max_slew_v_s: found 3.0, expected none for several axes"):
         export(run, tmp_path / "two", max_slew_v_s=3.0)
     (run / "metrics.json").write_text("{}")
     with pytest.raises(ArtifactError, match=r"metrics.json: not readable, expected the metrics of the run"):

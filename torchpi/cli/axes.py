@@ -1,7 +1,9 @@
-"""Which files are of several axes, without loading what works on them."""
+"""What commands need to know of several axes, without loading what works on them."""
 
 import json
 from pathlib import Path
+
+from torchpi.errors import ConfigError
 
 SCHEMA = "torchpi.control.multi_axis/"
 LARGEST_BYTES = 1 << 28
@@ -20,3 +22,17 @@ def numbers_of_axes(compensator: Path) -> Path | None:
         return None
     found = content.get("schema") if isinstance(content, dict) else None
     return path if isinstance(found, str) and found.startswith(SCHEMA) else None
+
+
+def refuse(**options: object) -> None:
+    """What several axes do not have.
+
+    Args:
+        options: As given; None where it was not.
+
+    Raises:
+        ConfigError: One that was given.
+    """
+    for option, found in options.items():
+        if found is not None:
+            raise ConfigError(f"--{option}: found {found}, expected none for several axes")

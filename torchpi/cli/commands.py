@@ -179,6 +179,7 @@ def export(
         band_hz: Of several axes: highest frequency of the trajectories, Hz; by default a twentieth of the
             sample rate.
     """
+    from torchpi.cli.axes import refuse
     from torchpi.cli.export_axes import export_axes, stage_of_axes
     from torchpi.control.trained import load_compensator, with_slew_limit
     from torchpi.errors import ArtifactError
@@ -192,15 +193,13 @@ def export(
         output = output.with_suffix("")
     names = None if to is None else [name.strip() for name in to.split(",")]
     if (axes := stage_of_axes(run)) is not None:
-        for option, found, default in (
-            ("reference_filter", reference_filter, False),
-            ("max_slew_v_s", max_slew_v_s, None),
-            ("capacitance_uf", capacitance_uf, None),
-            ("amplifier_gain", amplifier_gain, 1.0),
-            ("allow_backwards", allow_backwards, False),
-        ):
-            if found != default:
-                raise ConfigError(f"--{option}: found {found}, expected none for a stage of several axes")
+        refuse(
+            reference_filter=reference_filter or None,
+            max_slew_v_s=max_slew_v_s,
+            capacitance_uf=capacitance_uf,
+            amplifier_gain=None if amplifier_gain == 1.0 else amplifier_gain,
+            allow_backwards=allow_backwards or None,
+        )
         print("\n".join(map(str, export_axes(axes, run, output, names, band_hz))))
         return
     if band_hz is not None:
@@ -261,89 +260,21 @@ def run(
         max_slew_v_s: Rate of the voltage that your amplifier bears, V/s.
         seed: Of the sensor's noise; the stage's own by default.
     """
-    from torchpi.cli.axes import numbers_of_axes
+    from torchpi.cli.axes import numbers_of_axes, refuse
 
     if (numbers := numbers_of_axes(compensator)) is not None:
         from torchpi.cli.run_axes import run_axes
 
-        for option, found in (("compare", compare), ("max_slew_v_s", max_slew_v_s), ("seed", seed)):
-            if found is not None:
-                raise ConfigError(f"--{option}: found {found}, expected none for several axes")
+        refuse(compare=compare, max_slew_v_s=max_slew_v_s, seed=seed)
         run_axes(numbers, stage, trajectory, output or compensator.with_suffix(""))
         return
     trajectory = trajectory or "slow"
     duration.announce_run(trajectory, len(compare or {}))
-    import math
-    import warnings
+    from torchpi.cli.run import run_files
 
-    from rich.console import Console
-
-    from torchpi.errors import RecordingWarning
-    from torchpi.excitation.trajectory import load_trajectory
-    from torchpi.export import load_torchscript, trained_recordings
-    from torchpi.files import config_file
-    from torchpi.loop import run_loop
-    from torchpi.report import provenance, words, write_loop_report
-    from torchpi.stage import Stage
-    from torchpi.stage.beside import difference, stage_beside
-
-    loaded = load_torchscript(compensator)
-    if stage is None:
-        stage = stage_beside(compensator) or DEFAULT_STAGE
-        own = (
-            "the built-in one, because none lies beside the compensator"
-            if stage == DEFAULT_STAGE
-            else ("identified from your recordings")
-        )
-        print(f"Stage: {stage}, {own}")
-    plant = Stage.load(stage)
-    if other := difference(plant, trained_recordings(compensator)):
-        warnings.warn(other, RecordingWarning, stacklevel=2)
-    others = {name: load_torchscript(path) for name, path in (compare or {}).items()}
     names = [trajectory] if isinstance(trajectory, str) else trajectory
-    trajectories = [
-        load_trajectory(
-            which,
-            fs_hz=plant.sample_rate_hz,
-            resample=resample,
-            through_reference_filter=loaded.has_reference_filter,
-        )
-        for which in names
-    ]
-    results = []
-    for one in trajectories:
-        print(f"{compensator} on {stage}: {one.title}, {len(one.yd):,} samples")
-        with Console(stderr=True).status("") as status:
-            result = run_loop(
-                loaded,
-                plant,
-                one.yd,
-                fs_hz=plant.sample_rate_hz,
-                name=one.name,
-                title=one.title,
-                yr=one.yr,
-                compare=others,
-                seed=seed,
-                max_slew_v_s=math.inf if max_slew_v_s is None else max_slew_v_s,
-                on_drive=status.update,
-            )
-        results.append(result)
-        print(words.table(results[-1]))
-        print(words.headline(results[-1]))
-        print("\n".join(words.limits(results[-1])) + "\n")
-    files: dict[str, str | Path] = {
-        "compensator": compensator,
-        "stage": config_file(stage, "stage"),
-        **(compare or {}),
-    }
-    files |= {
-        f"trajectory {one.name}": path for one, path in zip(trajectories, names, strict=True) if one.sha256
-    }
     command = shlex.join(["torchpi", *sys.argv[1:]])
-    page, numbers = write_loop_report(
-        results, provenance(command, files, seed), output or compensator.with_suffix("")
-    )
-    print(f"{page}: the page with all figures\n{numbers}: the same numbers")
+    run_files(compensator, stage, names, output, compare or {}, resample, max_slew_v_s, seed, command)
 
 
 def commission(
