@@ -24,15 +24,15 @@ OPTIONS = MultiAxisOptions(modes=2, extra_elements=0, times_s=(0.05,), seconds=3
 
 
 def test_hysteresis_is_named_and_its_stage_predicts_what_was_held_out() -> None:
-    told: list[str] = []
-    found = diagnose_axes(recordings(two_axes(), (0.3, 0.6), 4), None, OPTIONS, told.append)
+    logged: list[str] = []
+    found = diagnose_axes(recordings(two_axes(), (0.3, 0.6), 4), None, OPTIONS, logged.append)
     assert found.named is not None and found.named.startswith(HYSTERESIS)
     assert found.summary.startswith("The simulation leaves out hysteresis in the actuators")
     assert found.heldout == ["0.3 4", "0.6 4"]
     for level in found.levels:
         assert level.errors_um[STAGE] < 0.4 * level.errors_um[SIMULATION]
         assert level.errors_um[STAGE] < 0.5 * level.errors_um[LINEAR]
-    assert any(line.startswith(f"{HYSTERESIS}: held-out error") for line in told)
+    assert any(line.startswith(f"{HYSTERESIS}: held-out error") for line in logged)
 
 
 def linear(extra: float = 0.0) -> MultiAxisStage:
