@@ -13,9 +13,9 @@ from torchpi.identification.multi_axis.fit import PeriodicFit
 from torchpi.identification.multi_axis.identify import by_amplitude, periods
 from torchpi.recordings.multi_axis import (
     MultiAxisRecording,
-    check_together,
     read_multi_axis,
     read_realisations,
+    usable,
 )
 from torchpi.recordings.options import RecordingOptions
 from torchpi.stage.multi_axis import MultiAxisStage
@@ -36,8 +36,7 @@ def fit(arguments: Sequence[str], config: Path) -> None:
     """
     known = [field.name for field in fields(MultiAxisOptions)]
     settings, folder = settings_of(arguments, config, SECTION, [*READING, *known])
-    every = recordings(settings, config)
-    check_together(every)
+    every = usable(recordings(settings, config))
     heldout = settings.get("heldout", [])
     runs = [one.name for one in every]
     if not isinstance(heldout, list) or any(one not in runs for one in heldout):
@@ -76,7 +75,10 @@ def recordings(settings: Mapping[str, Any], config: Path) -> list[MultiAxisRecor
     if not (isinstance(named, list) and named and all(isinstance(one, str) for one in named)):
         raise ConfigError(f"{config}: recordings: found {named!r}, expected an archive or a list of files")
     reading = RecordingOptions(fs_hz=settings.get("fs_hz"))
-    return [read_multi_axis(one, reading, int(settings.get("periods", 1))) for one in named]
+    periods = settings.get("periods")
+    if periods is not None and (isinstance(periods, bool) or not isinstance(periods, int) or periods < 1):
+        raise ConfigError(f"{config}: periods: found {periods!r}, expected a whole number from 1 on")
+    return [read_multi_axis(one, reading, periods) for one in named]
 
 
 def judged(stage: MultiAxisStage, every: Sequence[MultiAxisRecording]) -> list[dict[str, Any]]:
@@ -87,16 +89,24 @@ def judged(stage: MultiAxisStage, every: Sequence[MultiAxisRecording]) -> list[d
     found = []
     for one in (one for level in by_amplitude(every) for one in level):
         errors = PeriodicFit(stage, periods([one])).errors()
+        squares = None if errors is None else np.mean([np.square(error).mean() for error in errors])
         found.append(
             {
                 "name": one.name,
                 "input_rms_v": float(one.u.std()),
-                "rms_um": None if errors is None else float(np.sqrt(np.mean(errors[0] ** 2))),
+                "rms_um": None if squares is None else float(np.sqrt(squares)),
                 "noise_rms_um": one.period[2],
                 "motion_rms_um": float(one.y.std()),
+                "input_range_v": ranges(one.u),
+                "output_range_um": ranges(one.y),
             }
         )
     return found
+
+
+def ranges(x: np.ndarray) -> list[list[float]]:
+    """Least and largest of each channel."""
+    return [[float(one.min()), float(one.max())] for one in x.T]
 
 
 def show(metrics: Mapping[str, Sequence[Mapping[str, Any]]]) -> None:

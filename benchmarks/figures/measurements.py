@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from benchmarks import profile_demo, readme_check
+from benchmarks import multi_axis_steps, profile_demo, readme_check
 from benchmarks.figures.pages import ROOT
 from tests.diagnosis import simulations
 from torchpi.commission.commission import commission, followed
@@ -24,13 +24,16 @@ from torchpi.excitation.limits import DriveLimits
 from torchpi.excitation.sets import diagnostic_excitations
 from torchpi.excitation.signals import sine_5hz
 from torchpi.identification import inverse_pair
+from torchpi.identification.multi_axis.properties import loop_of, static_gain_of
 from torchpi.loop.result import COMPENSATED, WITHOUT
 from torchpi.recordings.options import RecordingOptions
 from torchpi.stage import Stage
+from torchpi.stage.multi_axis import MultiAxisStage
 
 DATA = ROOT.parent / "shared" / "data"
 DEFAULT_STAGE = ROOT / "configs" / "stage" / "default.yaml"
 NM = 1e3  # in a micrometre
+MIRROR_PEAK_V = 0.3
 
 
 def default_stage() -> dict[str, float]:
@@ -99,6 +102,41 @@ def bouc_wen() -> dict[str, float]:
         one = metrics["parameters"][parameter]
         found |= {f"bouc_wen_{name}": abs(one["value"]), f"bouc_wen_{name}_half": one["half_width_95"]}
     return found
+
+
+def mirror() -> dict[str, float]:
+    """The recipe of configs/mirror.yaml, a realisation of each amplitude held out; its inverse and steps."""
+    heldout = ["100mV_train 4", "200mV_train 4", "300mV_train 5"]
+    with tempfile.TemporaryDirectory() as temporary:
+        config, folder = Path(temporary) / "mirror.yaml", Path(temporary) / "mirror"
+        content = (ROOT / "configs" / "mirror.yaml").read_text(encoding="utf-8")
+        content = content.replace("../shared/data", str(DATA)).replace("heldout: []", f"heldout: {heldout}")
+        config.write_text(content, encoding="utf-8")
+        began = time.monotonic()
+        run("-m", "train", "fit", "--config", str(config), "--output", str(folder))
+        found = {"mirror_fit_s": time.monotonic() - began}
+        metrics = json.loads((folder / "metrics.json").read_text(encoding="utf-8"))
+        exported = Path(temporary) / "exports" / "mirror"
+        run("-m", "torchpi", "export", str(folder), "--output", str(exported))
+        run("-m", "torchpi", "run", f"{exported}.json")
+        tracked = json.loads((exported / "loop.json").read_text(encoding="utf-8"))["random"]
+        random, steps = np.random.default_rng(0), exported.parent
+        found["mirror_step_us"] = multi_axis_steps.in_c(steps / "mirror_forward.c", 1000, random)
+        found["mirror_inverse_us"] = multi_axis_steps.in_c(steps / "mirror.c", 1000, random)
+        stage = MultiAxisStage.load(folder / "stage.pt")
+    for level, one in zip((100, 200, 300), metrics["heldout"], strict=True):
+        found |= {f"mirror_{level}_um": one["rms_um"], f"mirror_{level}_noise_um": one["noise_rms_um"]}
+    found |= {
+        "mirror_tracking_percent": max(tracked["error_percent"]),
+        "mirror_coupling_percent": np.max(tracked["coupling_percent"]),
+        "mirror_linear_tracking_percent": max(tracked["linear_error_percent"]),
+        "mirror_linear_coupling_percent": np.max(tracked["linear_coupling_percent"]),
+    }
+    for number in (1, 2, 3):
+        found[f"mirror_loop_{number}_percent"] = 100 * loop_of(stage, number, MIRROR_PEAK_V).width
+    gain = static_gain_of(stage, MIRROR_PEAK_V)
+    found |= {f"mirror_gain_{o + 1}_{i + 1}": abs(float(gain[o, i])) for o in range(3) for i in range(3)}
+    return {name: float(value) for name, value in found.items()}
 
 
 def commissioning() -> dict[str, float]:

@@ -43,6 +43,31 @@ MEASUREMENTS = (
         needs_recordings=True,
     ),
     Measurement(
+        "mirror",
+        "python -m train fit --config configs/mirror.yaml, one realisation of each amplitude held out, then "
+        "torchpi export, torchpi run and benchmarks/multi_axis_steps.py",
+        (
+            Figure("mirror_fit_s", "s", 0, 700, ".0f"),
+            Figure("mirror_100_um", "µm", 0, 0.05, ".3f"),
+            Figure("mirror_200_um", "µm", 0, 0.08, ".3f"),
+            Figure("mirror_300_um", "µm", 0, 0.13, ".3f"),
+            Figure("mirror_100_noise_um", "µm", 0.011, 0.012, ".3f"),
+            Figure("mirror_200_noise_um", "µm", 0.0095, 0.0105, ".3f"),
+            Figure("mirror_300_noise_um", "µm", 0.017, 0.019, ".3f"),
+            Figure("mirror_step_us", "µs", 0, 4, ".2f"),
+            Figure("mirror_inverse_us", "µs", 0, 40, ".0f"),
+            Figure("mirror_tracking_percent", "%", 0, 1, ".2f"),
+            Figure("mirror_coupling_percent", "%", 0, 0.1, ".2f"),
+            Figure("mirror_linear_tracking_percent", "%", 0, 10, ".1f"),
+            Figure("mirror_linear_coupling_percent", "%", 0, 10, ".1f"),
+            *(Figure(f"mirror_loop_{number}_percent", "%", 0, 10, ".1f") for number in (1, 2, 3)),
+            *(Figure(f"mirror_gain_{o}_{i}", "µm/V", 0, 10, ".2f") for o in (1, 2, 3) for i in (1, 2, 3)),
+        ),
+        measurements.mirror,
+        about_s=560,
+        needs_recordings=True,
+    ),
+    Measurement(
         "bouc_wen",
         "python -m train fit --config configs/bouc_wen.yaml",
         (
@@ -190,6 +215,8 @@ DEFINITIONS = {
         | {"2 kHz", "2 ×", "2 s", "4 nm", "100 Hz", "2 %", "300 Hz", "270 Hz"}  # the recordings of an example
         | {"2,540 Hz", "0.2 µm", "3.4 µm"}  # bounds of tests/diagnosis/test_modal.py
     ),
+    # A setting of configs/mirror.yaml, and of the loops.
+    "docs/mirror.md": frozenset({"480 s", "0.3 V"}),
     # Of the intervals.
     "docs/bouc_wen.md": frozenset({"95 %"}),
     # An example of an option; a rule of the checks.

@@ -75,5 +75,32 @@ def test_bands_and_arrays_without_meaning_are_named(
         MultiAxisInverse(stage, filters[0], filters[1][:3])
     with pytest.raises(StageError, match="passes: found -1"):
         MultiAxisInverse(stage, *filters, -1)
-    with pytest.raises(StageError, match=r"expected finite numbers \(time, 2\)"):
-        MultiAxisInverse(stage, *filters).step([1.0, np.nan])
+    with pytest.raises(StageError, match=r"array of \(1, 3\), expected \(time, 2\)"):
+        MultiAxisInverse(stage, *filters).step([1.0, 2.0, 3.0])
+    with pytest.raises(StageError, match=r"limits_v: found .*, expected the least and the largest voltage"):
+        MultiAxisInverse(stage, *filters, 1, np.array([[0.0, 1.0], [1.0, 1.0]]))
+    with pytest.raises(StageError, match=r"accepted_um: found .*, expected 2 positive numbers"):
+        MultiAxisInverse(stage, *filters, 1, accepted_um=np.array([1.0, 0.0]))
+
+
+def test_a_sample_that_is_not_accepted_is_held_and_counted(
+    stage: MultiAxisStage, filters: tuple[np.ndarray, np.ndarray]
+) -> None:
+    yd = trajectory()[:400]
+    held, wild = yd.copy(), yd.copy()
+    held[[0, 150]], held[151] = [yd[0] * 0, yd[149]], yd[149]
+    wild[0, 1], wild[150, 0], wild[151, 1] = np.nan, 1e30, -50.0
+    one, other = (MultiAxisInverse(stage, *filters, 1, accepted_um=np.full(2, 20.0)) for _ in range(2))
+    voltages = one.block(held)
+    np.testing.assert_allclose([other.step(sample) for sample in wild], voltages, atol=1e-12)
+    assert (one.held_inputs, other.held_inputs) == (0, 3)
+
+
+def test_voltages_stay_within_their_limits(
+    stage: MultiAxisStage, filters: tuple[np.ndarray, np.ndarray]
+) -> None:
+    limits = np.array([[-0.1, 0.2], [-5.0, 5.0]])
+    limited = MultiAxisInverse(stage, *filters, 0, limits)
+    u, free = limited.block(trajectory()), MultiAxisInverse(stage, *filters, 0).block(trajectory())
+    np.testing.assert_array_equal(u, np.clip(free, *limits.T))
+    assert limited.limited_outputs == (u != free).any(1).sum() > 0

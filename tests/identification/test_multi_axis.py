@@ -2,11 +2,14 @@
 
 import numpy as np
 import pytest
+import torch
 
 from tests.stage.two_axes import multisine, recordings, two_axes
 from torchpi.identification.multi_axis import MultiAxisOptions, identify
 from torchpi.identification.multi_axis.fit import Period, PeriodicFit
-from torchpi.identification.multi_axis.identify import linear_stage, periods, silence
+from torchpi.identification.multi_axis.identify import linear_stage, periods, silence, slow_motion
+from torchpi.identification.multi_axis.properties import static_gain_of
+from torchpi.recordings.multi_axis import MultiAxisRecording
 
 
 def rms(stage, every) -> float:
@@ -67,6 +70,17 @@ def test_an_identified_stage_predicts_realisations_that_it_was_not_fitted_to() -
     assert rms(stage, heldout) < 0.5 * rms(linear, heldout)
 
 
+def test_records_without_periods_take_the_time_domain_path() -> None:
+    stage, random, every = two_axes(), np.random.default_rng(7), []
+    for run in range(4):
+        u = multisine(random, 1500, 0.5)
+        y = stage.simulate(torch.from_numpy(u)[None])[0].numpy()
+        every.append(MultiAxisRecording(f"{run}", u, y, 1000.0))
+    fitted = identify(every[:3], MultiAxisOptions(modes=2, extra_elements=0, times_s=(0.05,), seconds=3.0))
+    motion = float(np.sqrt(np.mean([np.square(one.y).mean() for one in periods(every[3:])])))
+    assert rms(fitted, every[3:]) < 0.05 * motion
+
+
 def test_a_pole_that_a_step_takes_out_of_the_unit_circle_comes_back_into_it() -> None:
     stage = two_axes()
     fit = PeriodicFit(stage, [Period(np.zeros((8, 2)), np.zeros((8, 2)), 1.0)])
@@ -103,3 +117,15 @@ def test_a_stage_that_rings_by_itself_near_rest_costs() -> None:
         fit = PeriodicFit(stage, [silence(every[0])])
         costs.append(fit.cost(fit.errors()))
     assert costs[0] < 1e-3 * costs[1]
+
+
+def test_a_stage_that_a_slow_voltage_drives_without_bounds_is_no_step_of_a_fit() -> None:
+    every = recordings(two_axes(), (0.3,), 2)
+    gain = static_gain_of(two_axes(), 0.1).T
+    calm, driven = two_axes(), two_axes()
+    driven.arrays()["weights"][:, -1] = 10.0  # stiffness that follows the voltage
+    costs = []
+    for stage in (calm, driven):
+        fit = PeriodicFit(stage, [slow_motion(every, gain)])
+        costs.append(fit.cost(fit.errors()))
+    assert costs[0] < 1.0 and costs[1] == np.inf

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from torchpi.operators.relaxing_play import relaxing_play, relaxing_play_slope, relaxing_plays
+from torchpi.operators.relaxing_play import relaxing_play, relaxing_play_slope
 
 R, OMEGA = 0.3, 2 * np.pi * 5.0
 
@@ -30,15 +30,10 @@ def test_loops_widen_with_the_rate_and_small_motions_are_a_lag() -> None:
     def lag(amplitude: float, hz: float) -> float:
         """Of the fundamental behind the input, rad."""
         t = np.arange(4000) / 1000
-        h = np.empty((1, 4000, 1))
-        relaxing_plays(
-            amplitude * np.sin(2 * np.pi * hz * t)[None],
-            np.array([R]),
-            np.exp([-OMEGA / 1000]),
-            np.zeros((1, 1)),
-            h,
-        )
-        return float(-np.angle(1j * np.mean(h[0, 2000:, 0] * np.exp(-2j * np.pi * hz * t[2000:]))))
+        h, a = [0.0], np.exp(-OMEGA / 1000)
+        for x in amplitude * np.sin(2 * np.pi * hz * t):
+            h.append(relaxing_play(x, R, a, h[-1]))
+        return float(-np.angle(1j * np.mean(h[2001:] * np.exp(-2j * np.pi * hz * t[2000:]))))
 
     assert lag(1e-6, 2.0) == pytest.approx(np.arctan(2.0 / 5.0), rel=0.02)
     assert lag(1e-6, 2.0) < lag(1e-6, 8.0)

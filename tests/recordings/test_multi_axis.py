@@ -6,14 +6,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from torchpi.errors import RecordingError
+from torchpi.errors import RecordingError, RecordingWarning
 from torchpi.recordings.multi_axis import (
     MultiAxisRecording,
-    check_together,
     read_multi_axis,
     read_realisations,
+    usable,
     write_multi_axis,
 )
+from torchpi.recordings.recording import read_recording
 
 
 def recording(inputs: int = 2, name: str = "one") -> MultiAxisRecording:
@@ -28,6 +29,18 @@ def test_a_written_recording_comes_back_with_its_bits(tmp_path: Path) -> None:
     np.testing.assert_array_equal(back.u, one.u)
     np.testing.assert_array_equal(back.y, one.y)
     assert (back.fs_hz, back.periods) == (pytest.approx(500.0), 2)
+
+
+@pytest.mark.parametrize(("periods", "noise"), [(4, 0.0), (4, 1e-3), (1, 0.0), (4, 0.1)])
+def test_periods_are_found_where_the_inputs_repeat_themselves(
+    periods: int, noise: float, tmp_path: Path
+) -> None:
+    random, one = np.random.default_rng(0), recording()
+    u = np.tile(one.u, (periods, 1))
+    u += noise * random.standard_normal(u.shape)
+    write_multi_axis(tmp_path / "one.csv", replace(one, u=u, y=np.zeros((len(u), 1))))
+    found = read_multi_axis(tmp_path / "one.csv", periods=None).periods
+    assert found == (periods if noise < 0.01 else 1)
 
 
 def test_an_archive_of_realisations_is_read_run_by_run(tmp_path: Path) -> None:
@@ -54,14 +67,19 @@ def test_a_missing_number_is_named(tmp_path: Path) -> None:
 
 def test_numbers_of_inputs_that_differ_are_refused() -> None:
     with pytest.raises(RecordingError, match=r"two: found 3 inputs .* expected 2, 2 and 500 Hz as in one"):
-        check_together([recording(), recording(3, "two")])
+        usable([recording(), recording(3, "two")])
 
 
-def test_an_input_that_never_moves_is_named() -> None:
-    one = recording()
-    still = replace(one, u=one.u * [1.0, 0.0])
-    with pytest.raises(RecordingError, match="input_2_v: found the same value throughout"):
-        check_together([still])
+def test_an_input_that_never_moves_is_named_and_left_out() -> None:
+    one = recording(3)
+    still = replace(one, u=one.u * [1.0, 0.0, 1.0])
+    with pytest.warns(
+        RecordingWarning, match=r"input_2_v: found the same .* inputs of the stage are input_1_v, input_3_v"
+    ):
+        (found,) = usable([still])
+    np.testing.assert_array_equal(found.u, one.u[:, [0, 2]])
+    with pytest.raises(RecordingError, match="found inputs that never move, expected one at least"):
+        usable([replace(one, u=0 * one.u)])
 
 
 def test_inputs_always_in_proportion_are_refused_with_the_reason() -> None:
@@ -70,4 +88,14 @@ def test_inputs_always_in_proportion_are_refused_with_the_reason() -> None:
     with pytest.raises(
         RecordingError, match="input_1_v, input_3_v: found inputs that always move in proportion"
     ):
-        check_together([alike])
+        usable([alike])
+
+
+def test_a_reader_of_one_axis_says_what_takes_several(tmp_path: Path) -> None:
+    write_multi_axis(tmp_path / "one.csv", recording())
+    with pytest.raises(
+        RecordingError, match=r"found a recording of several axes \(input_1_v, .*expected one input"
+    ):
+        read_recording(tmp_path / "one.csv")
+    with pytest.raises(RecordingError, match=r"expected one input"):
+        read_recording(tmp_path / "one.csv", output_column="output_1_um")

@@ -9,18 +9,35 @@ import torch
 from tests.stage.two_axes import multisine, two_axes
 from torchpi.errors import ArtifactError, StageError
 from torchpi.files import load_tensors, save_tensors
-from torchpi.stage.multi_axis import MultiAxisStage
+from torchpi.stage.multi_axis import MultiAxisStage, MultiAxisStream
 
 
 def test_windows_with_the_state_carried_over_give_the_bits_of_the_whole() -> None:
     stage, u = two_axes(), multisine(np.random.default_rng(0), 600, 0.5)
     whole = stage.simulate(torch.from_numpy(u)[None])[0].numpy()
-    excess, state, parts = stage.excess(u), stage.initial_state(1), []
+    driven, state, parts = stage.driven(u), stage.initial_state(1), []
     for part in np.split(np.arange(len(u)), [1, 7, 250, 251]):
         y = np.zeros((1, len(part), 2))
-        stage.advance(u[None, part], [excess[part]], state, y)
+        stage.advance(driven[None, part], state, y)
         parts.append(y[0])
     np.testing.assert_array_equal(np.concatenate(parts), whole)
+
+
+def test_samples_one_by_one_give_the_bits_of_the_whole_some_samples_late() -> None:
+    stage, u = with_amplifiers(200.0), multisine(np.random.default_rng(0), 300, 0.5)
+    stream, whole = MultiAxisStream(stage), stage.simulate(torch.from_numpy(u)[None])[0].numpy()
+    for _ in range(2):
+        stream.reset()
+        found = [stream.step(one) for one in np.pad(u, ((0, stream.delay_samples), (0, 0)))]
+        np.testing.assert_array_equal(found[stream.delay_samples :], whole)
+
+
+def test_a_step_refuses_what_it_cannot_take() -> None:
+    stream = MultiAxisStream(two_axes())
+    with pytest.raises(StageError, match=r"found an array of \(1, 3\), expected finite numbers \(time, 2\)"):
+        stream.step([1.0, 2.0, 3.0])
+    with pytest.raises(StageError, match="expected finite numbers"):
+        stream.step([1.0, np.nan])
 
 
 def test_rows_of_a_batch_are_as_alone() -> None:

@@ -14,6 +14,7 @@ from torchpi import __version__
 from torchpi.cli import duration
 from torchpi.cli.command_line import run_chosen, run_program
 from torchpi.cli.workers import THREADS
+from torchpi.errors import ConfigError
 from torchpi.recordings.options import RecordingOptions
 
 DESCRIPTION = """Makes piezo stages go where they are told.
@@ -62,7 +63,8 @@ def simulate(
     Args:
         excitation: sine_5hz (paper, stage 1), paper_multisine (eq. 13), multisine, triangles (with minor
             loops), stairs (up and down with holds), or hold.
-        stage: Stage file (YAML, physical parameters with units), or default or qin2013, torchpi's own.
+        stage: Stage file (YAML, physical parameters with units), or default or qin2013, torchpi's own; or the
+            stage.pt of several axes, whose inputs are each moved by a multisine of its own.
         output: CSV to write.
         duration_s: Length of the recording, s; each excitation has its own default.
         seed: Of the sensor's noise, and of random phases.
@@ -74,6 +76,11 @@ def simulate(
     from torchpi.recordings.recording import Recording, write_recording
     from torchpi.stage import Stage
 
+    if stage.suffix == ".pt":
+        from torchpi.cli.simulate_axes import simulate_axes
+
+        simulate_axes(stage, excitation, output, duration_s, seed, options or {})
+        return
     simulated = Stage.from_yaml(stage)
     t, u = make_excitation(excitation, simulated.sample_rate_hz, duration_s, seed, options or {})
     _, y = simulated.simulate(torch.from_numpy(u)[None], seed)
@@ -128,7 +135,6 @@ def excite(
             bears it.
         seed: Of random phases.
     """
-    from torchpi.errors import ConfigError
     from torchpi.excitation.files import INSTRUCTIONS, write_diagnostic_set
     from torchpi.excitation.limits import DriveLimits
 
@@ -142,16 +148,18 @@ def excite(
 def export(
     run: Path,
     output: Path | None = None,
-    to: str = "torchscript,json,page",
+    to: str | None = None,
     reference_filter: bool = False,
     max_slew_v_s: float | None = None,
     capacitance_uf: float | None = None,
     amplifier_gain: float = 1.0,
     allow_backwards: bool = False,
+    band_hz: float | None = None,
 ) -> None:
     """Export the compensator of a training run, for a controller: all files, or none.
 
-    The stage that the run identified goes with it, as NAME_stage.pt: `torchpi run` takes it.
+    The stage that the run identified goes with it, as NAME_stage.pt: `torchpi run` takes it. Of a stage of
+    several axes the inverse is NAME, and the stage itself as a step NAME_forward.
 
     Example: torchpi export runs/demo --to torchscript,c,json --output exports/demo
 
@@ -160,14 +168,19 @@ def export(
         output: Path without suffix; the formats add theirs. By default exports/ and the name of the run.
         to: Formats, comma between: torchscript (.pt), c (.h, .c and _selftest.c, C99), fmu (FMI 3.0,
             co-simulation), pt2 (torch.export), json (the bare numbers with units), page (.html, the safety
-            card, which json has as well).
+            card, which json has as well). By default torchscript,json,page; of several axes
+            torchscript,c,json, which are all there are.
         reference_filter: Put the paper's reference filter (eq. 14) inside: `step` then takes y_r.
         max_slew_v_s: Limit the rate of the output voltage inside the step, V/s.
         capacitance_uf: Of the piezo, µF: the safety card then has the current.
         amplifier_gain: Voltage at the piezo per volt of the controller, for the current.
         allow_backwards: Export a compensator that lowers the voltage to raise the stage somewhere in its
             trained range.
+        band_hz: Of several axes: highest frequency of the trajectories, Hz; by default a twentieth of the
+            sample rate.
     """
+    from torchpi.cli.axes import refuse
+    from torchpi.cli.export_axes import export_axes, stage_of_axes
     from torchpi.control.trained import load_compensator, with_slew_limit
     from torchpi.errors import ArtifactError
     from torchpi.export import Load, made_files, safety_card, write_together
@@ -175,6 +188,22 @@ def export(
     from torchpi.stage import Stage
     from torchpi.stage.beside import NAME, exported_stage
 
+    output = output or Path("exports") / run.resolve().name
+    if output.suffix in (".pt", ".c", ".h", ".fmu", ".pt2", ".json", ".html"):
+        output = output.with_suffix("")
+    names = None if to is None else [name.strip() for name in to.split(",")]
+    if (axes := stage_of_axes(run)) is not None:
+        refuse(
+            reference_filter=reference_filter or None,
+            max_slew_v_s=max_slew_v_s,
+            capacitance_uf=capacitance_uf,
+            amplifier_gain=None if amplifier_gain == 1.0 else amplifier_gain,
+            allow_backwards=allow_backwards or None,
+        )
+        print("\n".join(map(str, export_axes(axes, run, output, names, band_hz))))
+        return
+    if band_hz is not None:
+        raise ConfigError(f"--band_hz: found {band_hz:g}, expected none for a stage of one axis")
     compensator = load_compensator(run)
     if max_slew_v_s is not None:
         compensator = with_slew_limit(compensator, max_slew_v_s)
@@ -183,10 +212,7 @@ def export(
     if card.monotone is False and not allow_backwards:
         raise ArtifactError(f"{run}: {card.monotone_summary}; or export it with --allow_backwards true")
     inside = ReferenceFilter(compensator.sample_period_s) if reference_filter else None
-    output = output or Path("exports") / run.resolve().name
-    if output.suffix in (".pt", ".c", ".h", ".fmu", ".pt2", ".json", ".html"):
-        output = output.with_suffix("")
-    files = made_files(compensator, output, [name.strip() for name in to.split(",")], inside, load)
+    files = made_files(compensator, output, names or ["torchscript", "json", "page"], inside, load)
     if (run / NAME).is_file():
         files[exported_stage(output)] = Stage.load(run / NAME).write
     write_together(files)
@@ -204,7 +230,7 @@ def export(
 def run(
     compensator: Path,
     stage: Path | None = None,
-    trajectory: str | list[str] = "slow",
+    trajectory: str | list[str] | None = None,
     output: Path | None = None,
     compare: dict[str, Path] | None = None,
     resample: bool = False,
@@ -217,91 +243,38 @@ def run(
     the time of a step against the sample period; leaves loop.html (one page, to send to a colleague) and
     loop.json.
 
+    An inverse of several axes (NAME.pt or NAME.json, NAME_stage.pt beside it) runs by its numbers, and
+    leaves loop.json: errors, and how much each axis moves the others, beside the best linear inverse.
+
     Example: torchpi run exports/demo.pt --trajectory '[slow, fast]'
 
     Args:
         compensator: Exported TorchScript file.
         stage: Stage file (YAML), a stage.pt, or a name (default, qin2013). By default the one identified
             from the recordings, beside the compensator (NAME_stage.pt or stage.pt), else the built-in one.
-        trajectory: slow (eq. 15), fast (eq. 16), a CSV with columns time_s,yd_um, or a list of these.
+        trajectory: slow (eq. 15, the default), fast (eq. 16), a CSV with columns time_s,yd_um, or a list of
+            these. Of several axes: random (the default), or a CSV with columns time_s,yd_1_um,yd_2_um,….
         output: Folder for the page; by default beside the compensator.
         compare: Other exported compensators by name, such as {two-stage: runs/demo/baseline.pt}.
         resample: Interpolate a trajectory file to the compensator's sample rate.
         max_slew_v_s: Rate of the voltage that your amplifier bears, V/s.
         seed: Of the sensor's noise; the stage's own by default.
     """
+    from torchpi.cli.axes import numbers_of_axes, refuse
+
+    if (numbers := numbers_of_axes(compensator)) is not None:
+        from torchpi.cli.run_axes import run_axes
+
+        refuse(compare=compare, max_slew_v_s=max_slew_v_s, seed=seed)
+        run_axes(numbers, stage, trajectory, output or compensator.with_suffix(""))
+        return
+    trajectory = trajectory or "slow"
     duration.announce_run(trajectory, len(compare or {}))
-    import math
-    import warnings
+    from torchpi.cli.run import run_files
 
-    from rich.console import Console
-
-    from torchpi.errors import RecordingWarning
-    from torchpi.excitation.trajectory import load_trajectory
-    from torchpi.export import load_torchscript, trained_recordings
-    from torchpi.files import config_file
-    from torchpi.loop import run_loop
-    from torchpi.report import provenance, words, write_loop_report
-    from torchpi.stage import Stage
-    from torchpi.stage.beside import difference, stage_beside
-
-    loaded = load_torchscript(compensator)
-    if stage is None:
-        stage = stage_beside(compensator) or DEFAULT_STAGE
-        own = (
-            "the built-in one, because none lies beside the compensator"
-            if stage == DEFAULT_STAGE
-            else ("identified from your recordings")
-        )
-        print(f"Stage: {stage}, {own}")
-    plant = Stage.load(stage)
-    if other := difference(plant, trained_recordings(compensator)):
-        warnings.warn(other, RecordingWarning, stacklevel=2)
-    others = {name: load_torchscript(path) for name, path in (compare or {}).items()}
     names = [trajectory] if isinstance(trajectory, str) else trajectory
-    trajectories = [
-        load_trajectory(
-            which,
-            fs_hz=plant.sample_rate_hz,
-            resample=resample,
-            through_reference_filter=loaded.has_reference_filter,
-        )
-        for which in names
-    ]
-    results = []
-    for one in trajectories:
-        print(f"{compensator} on {stage}: {one.title}, {len(one.yd):,} samples")
-        with Console(stderr=True).status("") as status:
-            result = run_loop(
-                loaded,
-                plant,
-                one.yd,
-                fs_hz=plant.sample_rate_hz,
-                name=one.name,
-                title=one.title,
-                yr=one.yr,
-                compare=others,
-                seed=seed,
-                max_slew_v_s=math.inf if max_slew_v_s is None else max_slew_v_s,
-                on_drive=status.update,
-            )
-        results.append(result)
-        print(words.table(results[-1]))
-        print(words.headline(results[-1]))
-        print("\n".join(words.limits(results[-1])) + "\n")
-    files: dict[str, str | Path] = {
-        "compensator": compensator,
-        "stage": config_file(stage, "stage"),
-        **(compare or {}),
-    }
-    files |= {
-        f"trajectory {one.name}": path for one, path in zip(trajectories, names, strict=True) if one.sha256
-    }
     command = shlex.join(["torchpi", *sys.argv[1:]])
-    page, numbers = write_loop_report(
-        results, provenance(command, files, seed), output or compensator.with_suffix("")
-    )
-    print(f"{page}: the page with all figures\n{numbers}: the same numbers")
+    run_files(compensator, stage, names, output, compare or {}, resample, max_slew_v_s, seed, command)
 
 
 def commission(
@@ -348,8 +321,16 @@ def check(files: list[Path], output: Path = Path("check"), **reading: Any) -> No
     options = RecordingOptions(**reading)
     duration.announce_check(files)
     from torchpi.cli.check import check_files
+    from torchpi.cli.check_axes import check_axes_files
+    from torchpi.recordings.multi_axis import has_axes
+    from torchpi.recordings.readers import open_source
 
-    check_files(files, output, options, shlex.join(["torchpi", *sys.argv[1:]]))
+    of_axes = files[0].is_file() and has_axes(open_source(files[0]))
+    command = shlex.join(["torchpi", *sys.argv[1:]])
+    if of_axes:
+        check_axes_files(files, output, options, command)
+    else:
+        check_files(files, output, options, command)
 
 
 def diagnose_(  # the parser looks names up in torchpi, and would load its own `diagnose` with torch
@@ -357,6 +338,7 @@ def diagnose_(  # the parser looks names up in torchpi, and would load its own `
     output: Path = Path("diagnosis"),
     simulation: str | None = None,
     executor: str = "processes",
+    seconds: float | None = None,
     **reading: Any,
 ) -> None:
     """Say where recordings and a simulation differ, what physics was left out, and show the fit improve.
@@ -369,6 +351,10 @@ def diagnose_(  # the parser looks names up in torchpi, and would load its own `
     (model.fmu), a function simulate(u_v, fs_hz) -> y_um (package.module:simulate, or file.py:simulate), or
     column: what a simulator made of each recording's voltage stands in it as simulated_um.
 
+    Recordings of several axes (time_s,input_1_v,input_2_v,…,output_1_um,…) are compared with the stage.pt of
+    such a stage, or with a linear one that is made of them; the last realisation of each amplitude is held
+    out. They leave report.html, diagnosis.json and stage.pt.
+
     Example: torchpi diagnose recordings/a.csv recordings/b.csv --output diagnosis
 
     Args:
@@ -378,13 +364,26 @@ def diagnose_(  # the parser looks names up in torchpi, and would load its own `
             file.py:function, or column. Without it a plain stage: symmetric, rate-independent
             Prandtl–Ishlinskii hysteresis, everything else ideal.
         executor: Where independent fits run: processes, or here.
+        seconds: Of several axes: time for the fit at the end, s; 480 by default.
         reading: How the files are read.
     """
     options = RecordingOptions(**reading)
+    from torchpi.recordings.multi_axis import has_axes
+    from torchpi.recordings.readers import open_source
+
+    command = shlex.join(["torchpi", *sys.argv[1:]])
+    if recordings[0].is_file() and has_axes(open_source(recordings[0])):
+        fit_s = duration.SEVERAL_AXES_S if seconds is None else seconds
+        duration.announce_axes(recordings, fit_s)
+        from torchpi.cli.diagnose_axes import diagnose_axes_files
+
+        diagnose_axes_files(recordings, output, simulation, fit_s, command, options)
+        return
+    if seconds is not None:
+        raise ConfigError(f"--seconds: found {seconds:g}, expected none for a stage of one axis")
     duration.announce_diagnose(recordings)
     from torchpi.cli.diagnose import diagnose_files
 
-    command = shlex.join(["torchpi", *sys.argv[1:]])
     diagnose_files(recordings, output, simulation, executor, command, options)
 
 

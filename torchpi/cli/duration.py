@@ -70,6 +70,12 @@ def announce_diagnose(recordings: Iterable[str | Path]) -> None:
     _announce(usual, ("" if _spoken(least) == _spoken(most) else limits) + note)
 
 
+def announce_axes(recordings: Iterable[str | Path], seconds: float) -> None:
+    """Before `torchpi diagnose` of several axes, whose last fit has a given time."""
+    work_s = DIAGNOSIS_S + 5e-4 * sum(_samples_in(recordings))
+    _announce(seconds + measured(min(available_cores(), 2)).seconds(work_s))
+
+
 def share_of_rounds(rounds: float) -> float:
     """How much of all the rounds that there may be so many of them are: each has more to fit again."""
     return 0.05 + 0.95 * (rounds / MOST_ROUNDS) ** 2

@@ -47,11 +47,7 @@ def c_source(
     Raises:
         ArtifactError: As `c_files`.
     """
-    if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name, re.ASCII) or name in KEYWORDS | _STANDARD_HEADERS:
-        raise ArtifactError(
-            f"name for C: found '{name}', expected letters, digits and _ that begin with a letter, and no "
-            "word or header of C; give --output another last part"
-        )
+    check_name(name)
     part = take_apart(compensator.stream(reference_filter), "C")
     step = StepInC(part, name, {f"{name}_{word}" for word in _PUBLIC})
     return {
@@ -59,6 +55,19 @@ def c_source(
         f"{name}.c": source(step),
         f"{name}_selftest.c": selftest(compensator.stream(reference_filter), name),
     }
+
+
+def check_name(name: str) -> None:
+    """Whether names in C may begin with it.
+
+    Raises:
+        ArtifactError: They may not.
+    """
+    if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name, re.ASCII) or name in KEYWORDS | _STANDARD_HEADERS:
+        raise ArtifactError(
+            f"name for C: found '{name}', expected letters, digits and _ that begin with a letter, and no "
+            "word or header of C; give --output another last part"
+        )
 
 
 def header(part: Part, step: StepInC) -> str:

@@ -12,8 +12,6 @@ motions relax at the rate ω, ones that are much larger than r at once down to r
 
 import numpy as np
 
-from torchpi.operators.compiled import njit
-
 
 def relaxing_play(x: float, r: float, a: float, h: float) -> float:
     """One step: h(t) from x(t) and h(t - T)."""
@@ -27,24 +25,3 @@ def relaxing_play_slope(x: float, r: float, a: float, h: float) -> float:
     s = (x - h) / r
     q = 1.0 + (1.0 - a * a) * s * s
     return float(a / (q * np.sqrt(q)))
-
-
-_step = njit(relaxing_play)
-
-
-@njit
-def relaxing_plays(
-    x: np.ndarray,  # (rows, time)
-    r: np.ndarray,  # (plays,), thresholds
-    a: np.ndarray,  # (plays,), what a sample leaves of small motions
-    state: np.ndarray,  # (rows, plays), left as after the last sample
-    h: np.ndarray,  # (rows, time, plays), written
-) -> None:
-    """All plays of all rows."""
-    for row in range(x.shape[0]):
-        for play in range(len(r)):
-            last = state[row, play]
-            for t in range(x.shape[1]):
-                last = _step(x[row, t], r[play], a[play], last)
-                h[row, t, play] = last
-            state[row, play] = last

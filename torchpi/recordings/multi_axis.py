@@ -1,15 +1,16 @@
 """Recordings of several axes: `time_s,input_1_v,input_2_v,…[,output_1_um,…]`, or arrays of a benchmark."""
 
 import re
+import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import islice
 from pathlib import Path
 
 import numpy as np
 
-from torchpi.errors import RecordingError
+from torchpi.errors import RecordingError, RecordingWarning
 from torchpi.files import write_atomically
 from torchpi.recordings.options import TIME_COLUMN, RecordingOptions
 from torchpi.recordings.readers import open_source
@@ -18,6 +19,9 @@ from torchpi.recordings.readers.source import Source
 from torchpi.recordings.recording import read_signal
 
 INPUT, OUTPUT = re.compile(r"input_(\d+)(_v|\b)"), re.compile(r"output_(\d+)(_um|\b)")
+DESIRED = re.compile(r"yd_(\d+)(_um|\b)")
+MOST_PERIODS, REPEATED = 32, 0.01
+"""How often an excitation may repeat itself, and by how much of its rms it may differ then, monitored."""
 PARALLEL = 1e-6
 """Least singular value of the inputs' correlation, beside the largest: below it they move as one."""
 
@@ -54,14 +58,14 @@ class MultiAxisRecording:
 
 
 def read_multi_axis(
-    path: str | Path, options: RecordingOptions | None = None, periods: int = 1
+    path: str | Path, options: RecordingOptions | None = None, periods: int | None = 1
 ) -> MultiAxisRecording:
     """Read a file whose columns are named `input_1_v`, `input_2_v`, … and `output_1_um`, ….
 
     Args:
         path: CSV, or any other kind with named columns.
         options: Time column and sample rate.
-        periods: How many periods of a periodic excitation the file holds.
+        periods: How many periods of a periodic excitation the file holds; None finds them.
 
     Raises:
         RecordingError: No such columns, one that is missing in the row, or a file that cannot be read.
@@ -72,11 +76,28 @@ def read_multi_axis(
     signals = [read_signal(path, name, options=options, unit="V") for name in inputs]
     signals += [read_signal(path, name, options=options, unit="um") for name in outputs]
     length, fs_hz = len(signals[0].x), signals[0].fs_hz
-    if periods < 1 or length % periods:
-        raise RecordingError(f"{path}: found {length} samples, expected a multiple of {periods} periods")
     values = np.stack([signal.x for signal in signals], 1)
     split = len(inputs)
+    if periods is None:
+        periods = whole_periods(values[:, :split])
+    if periods < 1 or length % periods:
+        raise RecordingError(f"{path}: found {length} samples, expected a multiple of {periods} periods")
     return MultiAxisRecording(Path(path).stem, values[:, :split], values[:, split:], fs_hz, periods)
+
+
+def has_axes(source: Source) -> bool:
+    """Whether a file has numbered inputs, and is of several axes then."""
+    return any(INPUT.match(name) for name in source.names)
+
+
+def whole_periods(u: np.ndarray) -> int:
+    """How many times inputs (time, inputs) repeat themselves from the first sample to the last."""
+    size = float(u.std())
+    for periods in range(MOST_PERIODS, 1, -1):
+        length, left = divmod(len(u), periods)
+        if not left and length > 1 and (u[length:] - u[:-length]).std() < REPEATED * size:
+            return periods
+    return 1
 
 
 def columns(source: Source, kind: re.Pattern[str], first: str) -> list[str]:
@@ -129,12 +150,14 @@ def read_realisations(path: str | Path, fs_hz: float, um_per_unit: float = 1.0) 
     return found
 
 
-def check_together(recordings: Sequence[MultiAxisRecording]) -> None:
-    """Whether recordings are of one stage, and show what each of its inputs does.
+def usable(recordings: Sequence[MultiAxisRecording]) -> list[MultiAxisRecording]:
+    """The recordings of one stage, if they show what each of its inputs does.
+
+    Warns (`RecordingWarning`) of an input that never moves, which is left out.
 
     Raises:
-        RecordingError: Numbers of inputs, outputs or sample rates that differ, a value that is not finite, an
-            input that never moves, or inputs that always move in proportion.
+        RecordingError: Numbers of inputs, outputs or sample rates that differ, a value that is not finite,
+            inputs none of which moves, or that always move in proportion.
     """
     first = recordings[0]
     for one in recordings:
@@ -152,18 +175,25 @@ def check_together(recordings: Sequence[MultiAxisRecording]) -> None:
             f"{first.name}: no column 'output_1_um', expected the displacements beside the inputs"
         )
     u = np.concatenate([one.u - one.u.mean(0) for one in recordings])
-    for number, moves in enumerate(np.ptp(u, axis=0) > 0, 1):
-        if not moves:
-            raise RecordingError(
-                f"input_{number}_v: found the same value throughout, expected one that moves; leave it out"
-            )
-    values, axes = np.linalg.eigh(np.corrcoef(u.T).reshape(u.shape[1], -1))
+    moving = np.flatnonzero(np.ptp(u, axis=0) > 0)
+    names = [f"input_{i + 1}_v" for i in moving]
+    if not names:
+        raise RecordingError(f"{first.name}: found inputs that never move, expected one at least that does")
+    if still := [f"input_{i + 1}_v" for i in range(u.shape[1]) if i not in moving]:
+        warnings.warn(
+            f"{', '.join(still)}: found the same value throughout, and left out: the inputs of the stage are "
+            f"{', '.join(names)}",
+            RecordingWarning,
+            stacklevel=2,
+        )
+    values, axes = np.linalg.eigh(np.corrcoef(u[:, moving].T).reshape(len(moving), -1))
     if values[0] < PARALLEL * values[-1]:
-        alike = ", ".join(f"input_{i + 1}_v" for i in np.flatnonzero(np.abs(axes[:, 0]) > 1e-3))
+        alike = ", ".join(names[i] for i in np.flatnonzero(np.abs(axes[:, 0]) > 1e-3))
         raise RecordingError(
             f"{alike}: found inputs that always move in proportion, which leaves open what each does; "
             "expected each to move by itself"
         )
+    return list(recordings) if not still else [replace(one, u=one.u[:, moving]) for one in recordings]
 
 
 def write_multi_axis(path: str | Path, recording: MultiAxisRecording) -> None:

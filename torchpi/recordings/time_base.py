@@ -1,5 +1,6 @@
 """Signals of a file on one uniform time base, checked: what `read_recording` and `read_signal` begin with."""
 
+import re
 import warnings
 from typing import NamedTuple
 
@@ -43,6 +44,10 @@ class Uniform(NamedTuple):
     """The samples are no longer the rows of the file."""
 
 
+NUMBERED = re.compile(r"(input|output)_\d+(_|$)")
+"""Columns of several axes."""
+
+
 def column_of(source: Source, column: Column, role: Role) -> str:
     """The name in the file of this column; of the default's, any that alone can be meant.
 
@@ -57,6 +62,12 @@ def column_of(source: Source, column: Column, role: Role) -> str:
             raise RecordingError(
                 f"{source.path}: {' and '.join(repr(name) for name in found[:4])} may each be the {role}; "
                 f"choose one with the option {role}_column"
+            )
+        if several := [name for name in source.names if NUMBERED.match(name)]:
+            raise RecordingError(
+                f"{source.path}: found a recording of several axes ({', '.join(several[:4])}), expected one "
+                f"{role}; choose one with the option {role}_column, or take check, diagnose, predict, or a "
+                "config with multi_axis"
             )
     return source.find(column, f"{role}_column")
 

@@ -5,10 +5,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from torchpi.files import write_atomically
+from torchpi.recordings.multi_axis import MultiAxisRecording
 from torchpi.recordings.summary import Column, Summary
 from torchpi.report import style
 from torchpi.report.page import render
@@ -32,13 +34,20 @@ def write_check(
     checked: Sequence[Checked], commands: Sequence[str], provenance: Provenance, path: str | Path
 ) -> Path:
     """Write the page; returns its path."""
-    html = render(
-        "check.html.j2",
-        title="Check of " + ", ".join(each.summary.recording.name for each in checked),
-        commands=commands,
-        provenance=provenance,
-        recordings=[_section(number, each) for number, each in enumerate(checked, start=1)],
-    )
+    title = "Check of " + ", ".join(each.summary.recording.name for each in checked)
+    sections = [_section(number, each) for number, each in enumerate(checked, start=1)]
+    return write_sections(title, sections, commands, provenance, path)
+
+
+def write_sections(
+    title: str,
+    sections: Sequence[dict[str, Any]],
+    commands: Sequence[str],
+    provenance: Provenance,
+    path: str | Path,
+) -> Path:
+    """Write the page of sections, one for each recording; returns its path."""
+    html = render("check.html.j2", title=title, commands=commands, provenance=provenance, recordings=sections)
     with write_atomically(path) as temporary:
         temporary.write_text(html, encoding="utf-8")
     return Path(path)
@@ -65,6 +74,36 @@ def recording_figure(summary: Summary) -> Figure:
         loop.set_ylabel("output (µm)")
         settle(figure)
     return figure
+
+
+def axes_section(
+    number: int,
+    source: str,
+    recording: MultiAxisRecording,
+    columns: Sequence[Column],
+    facts: Sequence[tuple[str, str]],
+) -> dict[str, Any]:
+    """The section of a recording of several axes."""
+    caption = f"{source}: inputs and outputs over time."
+    t = np.arange(len(recording.u)) / recording.fs_hz
+    with drawing():
+        figure = Figure(figsize=(style.WIDTH_IN, 4.4))
+        upper, lower = figure.subplots(2, 1, sharex=True)
+        for axes, signals in ((upper, recording.u), (lower, recording.y)):
+            for x in signals.T:
+                axes.plot(*envelope(t, x), linewidth=0.8)
+        upper.set_ylabel("inputs (V)")
+        lower.set_ylabel("outputs (µm)")
+        lower.set_xlabel("time (s)")
+        settle(figure)
+    return {
+        "source": source,
+        "columns": columns,
+        "facts": facts,
+        "warnings": [],
+        "svg": Markup(inline_svg(figure, f"r{number}", caption)),
+        "caption": caption,
+    }
 
 
 def _section(number: int, each: Checked) -> dict[str, Any]:

@@ -17,8 +17,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from torchpi.errors import StageError
-from torchpi.operators.oversampled_inputs import LOOKAHEAD
-from torchpi.stage.multi_axis import MultiAxisStage
+from torchpi.operators.filters import filter_matrix
+from torchpi.stage.multi_axis import MultiAxisStage, MultiAxisStream
 
 LINES = 2048
 """Frequencies at which the linear inverses are found, up to the Nyquist frequency."""
@@ -26,6 +26,9 @@ FLAT, LAST = 0.17, 0.24
 """Shares of the sample rate: up to the first the filters invert, from there they fade until the second."""
 HALF_LENGTH = 256
 """Of the filters, samples."""
+PASSES = 3
+LARGEST = 1e9
+"""Of a voltage or a displacement where no limit is known."""
 SMALL, MEANS = 0.02, 2
 """Size of a small motion beside the trajectories', and how many trajectories responses are averaged over."""
 
@@ -94,7 +97,7 @@ def _steady(stage: MultiAxisStage, u: np.ndarray) -> np.ndarray:
     """Spectra of the displacements in steady state, (runs, lines, outputs), of periodic voltages."""
     found = []
     for run in u:
-        y = StageStream(stage).advance(np.concatenate([run, run, run, run[:LOOKAHEAD]]))
+        y = MultiAxisStream(stage).block(np.concatenate([run, run, run, run[: stage.delay_samples]]))
         found.append(np.fft.rfft(y[-len(run) :], axis=0))
     return np.array(found)
 
@@ -120,22 +123,6 @@ def _filters(found: np.ndarray) -> np.ndarray:
     return np.asarray(taps * np.kaiser(2 * HALF_LENGTH + 1, 3.0)[:, None, None])
 
 
-class StageStream:
-    """A stage's displacements about its offset, window after window, `LOOKAHEAD` samples late."""
-
-    def __init__(self, stage: MultiAxisStage) -> None:
-        self.stage, self.excess, self.state = stage, stage.excess_stream(), stage.initial_state(1)
-        self.late = np.zeros((LOOKAHEAD, stage.inputs))
-
-    def advance(self, u: np.ndarray) -> np.ndarray:
-        """(time, outputs), µm, for (time, inputs), V."""
-        known = np.concatenate([self.late, u])
-        now, self.late = known[: len(u)], known[len(u) :]
-        y = np.zeros((1, len(u), self.stage.outputs))
-        self.stage.advance(now[None], [self.excess.advance(u)], self.state, y)
-        return np.asarray(y[0] - np.asarray(self.stage.get_buffer("offset_um")))
-
-
 class FilterMatrix:
     """Filters of several inputs and outputs, window after window, `HALF_LENGTH` samples late."""
 
@@ -146,10 +133,8 @@ class FilterMatrix:
     def advance(self, x: np.ndarray) -> np.ndarray:
         known = np.concatenate([self.known, x])
         self.known = known[len(x) :]
-        found = np.zeros((len(x), self.taps.shape[1]))
-        for i in range(self.taps.shape[1]):
-            for o in range(self.taps.shape[2]):
-                found[:, i] += np.convolve(known[:, o], self.taps[:, i, o], "valid")
+        found = np.empty((len(x), self.taps.shape[1]))
+        filter_matrix(known, self.taps, found)
         return found
 
 
@@ -173,13 +158,23 @@ class MultiAxisInverse:
         first: Filters of the linear inverse, from `linear_inverses`.
         corrections: Those of small motions, from the same.
         passes: Corrections against the stage; without any it is the linear inverse.
+        limits_v: (inputs, 2), least and largest voltage of each; any by default.
+        accepted_um: (outputs,), the desired displacements further from 0 that are held; none by default.
 
     Attributes:
         preview: How many samples ahead `step` takes the trajectories.
+        held_inputs: Samples that were not finite or not accepted: the last accepted one stood in.
+        limited_outputs: Samples with a voltage that the limits changed.
     """
 
     def __init__(
-        self, stage: MultiAxisStage, first: np.ndarray, corrections: np.ndarray, passes: int = 3
+        self,
+        stage: MultiAxisStage,
+        first: np.ndarray,
+        corrections: np.ndarray,
+        passes: int = PASSES,
+        limits_v: np.ndarray | None = None,
+        accepted_um: np.ndarray | None = None,
     ) -> None:
         if passes < 0:
             raise StageError(f"passes: found {passes}, expected a whole number from 0 on")
@@ -188,36 +183,67 @@ class MultiAxisInverse:
             if taps.shape != expected or len(taps) % 2 == 0:
                 raise StageError(f"{name}: found an array of {taps.shape}, expected (odd, {expected[1:]})")
         self.stage, self.first, self.corrections, self.passes = stage, first, corrections, passes
-        half = len(first) // 2
-        self.preview = half + passes * (LOOKAHEAD + half)
+        any_v, any_um = np.tile([-LARGEST, LARGEST], (stage.inputs, 1)), np.full(stage.outputs, LARGEST)
+        self.limits_v = any_v if limits_v is None else np.asarray(limits_v, dtype=np.float64)
+        self.accepted_um = any_um if accepted_um is None else np.asarray(accepted_um, dtype=np.float64)
+        if self.limits_v.shape != any_v.shape or not (self.limits_v[:, 0] < self.limits_v[:, 1]).all():
+            raise StageError(
+                f"limits_v: found {self.limits_v.tolist()}, expected the least and the largest voltage of "
+                f"each of {stage.inputs} inputs"
+            )
+        if self.accepted_um.shape != any_um.shape or not (self.accepted_um > 0).all():
+            raise StageError(
+                f"accepted_um: found {self.accepted_um.tolist()}, expected {stage.outputs} positive numbers"
+            )
+        self.half = len(first) // 2
+        self.preview = self.half + passes * (stage.delay_samples + self.half)
         self.reset()
 
     def reset(self) -> None:
         """To rest."""
-        half, stage = len(self.first) // 2, self.stage
+        half, stage = self.half, self.stage
         self._first = FilterMatrix(self.first)
         # Each pass is half a filter and the stage's look-ahead behind the one before.
-        self._desired = [Delay(half + LOOKAHEAD, stage.outputs) for _ in range(self.passes)]
-        self._stages = [StageStream(stage) for _ in range(self.passes)]
+        self._desired = [Delay(half + stage.delay_samples, stage.outputs) for _ in range(self.passes)]
+        self._stages = [MultiAxisStream(stage) for _ in range(self.passes)]
         self._filters = [FilterMatrix(self.corrections) for _ in range(self.passes)]
-        self._voltages = [Delay(LOOKAHEAD + half, stage.inputs) for _ in range(self.passes)]
+        self._voltages = [Delay(stage.delay_samples + half, stage.inputs) for _ in range(self.passes)]
+        self._accepted = np.zeros(stage.outputs)
+        self.held_inputs = self.limited_outputs = 0
 
     def block(self, yd: np.ndarray) -> np.ndarray:
-        """Voltages (time, inputs), V, for trajectories (time, outputs), µm, `preview` samples ahead."""
-        if yd.ndim != 2 or yd.shape[1] != self.stage.outputs or not np.isfinite(yd).all():
+        """Voltages (time, inputs), V, for trajectories (time, outputs), µm, `preview` samples ahead.
+
+        Raises:
+            StageError: Another number of trajectories, or ones along which the stage has no bounded answer.
+        """
+        if yd.ndim != 2 or yd.shape[1] != self.stage.outputs:
             raise StageError(
-                f"trajectories: found an array of {yd.shape}, "
-                f"expected finite numbers (time, {self.stage.outputs})"
+                f"trajectories: found an array of {yd.shape}, expected (time, {self.stage.outputs})"
             )
-        u, desired = self._first.advance(yd), yd
+        desired, offset = self._held(yd), self.stage.offset()
+        u = self._first.advance(desired)
         for late, stage, filters, voltages in zip(
             self._desired, self._stages, self._filters, self._voltages, strict=True
         ):
             desired = late.advance(desired)
-            lacking = desired - stage.advance(u)
+            lacking = desired - (stage.block(u) - offset)
             u = voltages.advance(u) + filters.advance(lacking)
-        return u
+        limited: np.ndarray = np.clip(u, *self.limits_v.T)
+        self.limited_outputs += int((limited != u).any(1).sum())
+        return limited
 
     def step(self, yd: Sequence[float]) -> list[float]:
         """Voltages, V, for desired displacements, µm, `preview` samples ahead."""
-        return [float(u) for u in self.block(np.asarray(yd, dtype=np.float64)[None])[0]]
+        return [float(u) for u in self.block(np.asarray(yd, dtype=np.float64).reshape(1, -1))[0]]
+
+    def _held(self, yd: np.ndarray) -> np.ndarray:
+        """The trajectories, the last accepted sample in the place of those that are not."""
+        desired = yd.astype(np.float64)
+        # A comparison with NaN is false.
+        for t in np.flatnonzero(~(np.abs(desired) <= self.accepted_um).all(1)):
+            desired[t] = desired[t - 1] if t else self._accepted
+            self.held_inputs += 1
+        if len(desired):
+            self._accepted = desired[-1]
+        return desired

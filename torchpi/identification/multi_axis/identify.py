@@ -14,17 +14,25 @@ import numpy as np
 
 from torchpi.errors import ConfigError, RecordingError
 from torchpi.identification.multi_axis.fit import Period, PeriodicFit
-from torchpi.identification.multi_axis.linear import best_linear_approximation, fitted_poles, modes_of
+from torchpi.identification.multi_axis.linear import (
+    best_linear_approximation,
+    fitted_poles,
+    modes_of,
+    windowed,
+)
 from torchpi.operators.modal_feedback import Shapes, parameter_shapes
-from torchpi.recordings.multi_axis import MultiAxisRecording, check_together
+from torchpi.recordings.multi_axis import MultiAxisRecording, usable
 from torchpi.stage.multi_axis import MultiAxisStage
 
 RELATIVE_ERROR = 0.0125
 """Of the geometric mean of a recording's rms and the largest: below it, noise alone counts in the weight."""
 NOISE = 1.5
 """Noise of the mean period, in its weight."""
-FAINT, SILENT = 0.05, 0.1
-"""Size of a motion near rest, as a share of the smallest recording's, and weight of what is left after it."""
+FAINT, SLOW, SILENT = 0.05, 1.5, 0.1
+"""Size of a motion near rest, as a share of the smallest recording's, of a slow one, as a multiple of the
+largest rms, and weight of what is left in either."""
+PIECE = 8192
+"""Samples of a record without periods that are simulated on their own, at most."""
 ALIKE = 1.25
 """Amplitudes within this ratio are one level."""
 QUASI_STATIC = 0.02
@@ -39,6 +47,30 @@ SHARP = 0.2
 """Damping below which a mode has a part in the rate of the elastic part."""
 CROSSOVER = (0.1, 0.3)
 """Widths, in units of the rms slope of that input."""
+
+
+@dataclass(frozen=True)
+class Physics:
+    """What is put into the feedback of the modes and at the inputs.
+
+    Args:
+        zones: Thresholds of the elements' dead zones: asymmetry without memory.
+        plays: Thresholds and rates of their relaxing plays: hysteresis that the motion drives.
+        follows_amplitude: Whether stiffness and damping follow the mean amplitude.
+        input_plays: Thresholds and rates of the plays of the voltages.
+        crossover: Whether amplifiers have crossover distortion, where their bandwidth is known.
+        feedback: Whether there are elements in the feedback at all.
+    """
+
+    zones: tuple[float, ...] = ZONES
+    plays: tuple[tuple[float, float], ...] = PLAYS
+    follows_amplitude: bool = True
+    input_plays: tuple[tuple[float, float], ...] = INPUT_PLAYS
+    crossover: bool = True
+    feedback: bool = True
+
+
+ALL = Physics()
 
 
 @dataclass(frozen=True)
@@ -86,7 +118,10 @@ def identify(
     options: MultiAxisOptions | None = None,
     log: Callable[[str], None] = lambda text: None,
 ) -> MultiAxisStage:
-    """One stage for all recordings, each of whole periods in steady state.
+    """One stage for all recordings.
+
+    Periodic ones are of whole periods in steady state. Others take the time-domain path: they are cut into
+    pieces, each simulated from rest through the piece before, of which the first is left out.
 
     Args:
         recordings: At one amplitude or several, as many realisations as inputs at one of them.
@@ -97,7 +132,7 @@ def identify(
         RecordingError: Recordings that are not of one stage, or do not show what each input does.
     """
     options = options or MultiAxisOptions()
-    check_together(recordings)
+    recordings = usable(recordings)
     started = time.monotonic()
     levels = by_amplitude(recordings)
     inputs = recordings[0].u.shape[1]
@@ -114,7 +149,8 @@ def identify(
     names = list(linear.arrays())
     cost = fit.descend(names, LINEAR_STEPS)
     log(f"linear, {options.modes} modes: weighted error {np.sqrt(cost):.3g}")
-    stage = with_elements(linear, static_gain(z, response), recordings, options)
+    gain = static_gain(z, response)
+    stage = with_elements(linear, gain, recordings, options)
     weights = ["weights", "play_weights", "seen", "direct"]
 
     def goes_on(cost: float) -> bool:
@@ -123,7 +159,7 @@ def identify(
         return passed < options.seconds
 
     every = periods([one for level in levels for one in level])
-    fit = PeriodicFit(stage, [*every, silence(levels[0][0])])
+    fit = PeriodicFit(stage, [*every, *guards(recordings, gain)])
     fit.descend(weights, WEIGHT_STEPS)
     fit.descend([*weights, "poles", "drive"], MODE_STEPS)
     fit.descend(names, STEPS, tolerance=0.0, goes_on=goes_on)
@@ -142,14 +178,44 @@ def by_amplitude(recordings: Sequence[MultiAxisRecording]) -> list[list[MultiAxi
 
 
 def periods(recordings: Sequence[MultiAxisRecording]) -> list[Period]:
-    """The mean period of each, weighted by its noise and its amplitude.
+    """The mean period of each, or the pieces of one without periods, weighted by noise and amplitude.
 
     Errors grow less than the amplitude: weights in proportion would let the smallest count most.
     """
-    means = [one.period for one in recordings]
-    largest = max(float(y.std()) for _, y, _ in means)
-    scales = [np.hypot(RELATIVE_ERROR * np.sqrt(y.std() * largest), NOISE * noise) for _, y, noise in means]
-    return [Period(u, y, 1.0 / float(scale)) for (u, y, _), scale in zip(means, scales, strict=True)]
+    largest, found = max(float(one.y.std()) for one in recordings), []
+    for one in recordings:
+        mean_u, mean_y, noise = one.period
+        size = RELATIVE_ERROR * np.sqrt(float(mean_y.std()) * largest)
+        weight = 1.0 / float(np.hypot(size, NOISE * noise))
+        if one.periods > 1:
+            found.append(Period(mean_u, mean_y, weight))
+            continue
+        pieces = max(2, -(-len(one.u) // PIECE))
+        length = len(one.u) // pieces
+        each = one.u[: length * pieces].reshape(pieces, length, -1)
+        seen = one.y[: length * pieces].reshape(pieces, length, -1)
+        found += [Period(each[k], seen[k] - seen[k].mean(0), weight, each[k - 1]) for k in range(1, pieces)]
+    return found
+
+
+def guards(recordings: Sequence[MultiAxisRecording], gain: np.ndarray) -> list[Period]:
+    """Periods that nobody recorded, at rest and in slow motion, through which a stage must stay calm."""
+    return [silence(by_amplitude(recordings)[0][0]), slow_motion(recordings, gain)]
+
+
+def slow_motion(recordings: Sequence[MultiAxisRecording], gain: np.ndarray) -> Period:
+    """Slow sines of all inputs, which the displacements follow but for the hysteresis.
+
+    A stiffness or damping that follows the voltage averages out in recordings of fast voltages; held for
+    long, the same voltage may drive a mode without bounds.
+    """
+    largest = max(recordings, key=lambda one: float(one.u.std()))
+    mean = largest.period[0]
+    samples = len(mean) if largest.periods > 1 else min(len(mean), PIECE)
+    cycles = np.arange(1, mean.shape[1] + 1)
+    u = SLOW * float(largest.u.std()) * np.sin(2 * np.pi * np.outer(np.arange(samples) / samples, cycles))
+    y = u @ gain
+    return Period(u, y - y.mean(0), SILENT / (RELATIVE_ERROR * float(y.std())))
 
 
 def silence(recording: MultiAxisRecording) -> Period:
@@ -168,12 +234,19 @@ def linear_stage(
     level: Sequence[MultiAxisRecording], modes: int
 ) -> tuple[MultiAxisStage, np.ndarray, np.ndarray]:
     """Modes alone, from the realisations of one amplitude, and the response that they were fitted to."""
-    means = [one.period for one in level]
-    z, response = best_linear_approximation([u for u, _, _ in means], [y for _, y, _ in means])
+    z, response = response_of(level)
     found = modes_of(z, response, fitted_poles(z, response, modes))
     shapes = Shapes(response.shape[1], response.shape[2], modes, elements=0, functions=1, input_plays=0)
     arrays = {name: found.get(name, np.zeros(shape)) for name, shape in parameter_shapes(shapes).items()}
     return MultiAxisStage(level[0].fs_hz, arrays), z, response
+
+
+def response_of(level: Sequence[MultiAxisRecording]) -> tuple[np.ndarray, np.ndarray]:
+    """The best linear approximation at one amplitude: z of its lines, and (lines, inputs, outputs)."""
+    if all(one.periods > 1 for one in level):
+        means = [one.period for one in level]
+        return best_linear_approximation([u for u, _, _ in means], [y for _, y, _ in means])
+    return best_linear_approximation(*windowed([one.u for one in level], [one.y for one in level]))
 
 
 def static_gain(z: np.ndarray, response: np.ndarray) -> np.ndarray:
@@ -188,6 +261,7 @@ def with_elements(
     gain: np.ndarray,
     recordings: Sequence[MultiAxisRecording],
     options: MultiAxisOptions,
+    physics: Physics = ALL,
 ) -> MultiAxisStage:
     """The stage with elements at the inputs, and more in random directions, all nearly without force.
 
@@ -195,45 +269,57 @@ def with_elements(
     stiffness, a second one the rate of that, which is damping.
     """
     old = linear.arrays()
-    inputs, modes = linear.inputs, linear.shapes.modes
+    inputs = linear.inputs
     scale = max(float(one.u.std()) for one in recordings)
-    elements = 2 * inputs + options.extra_elements
-    at_means = len(ZONES) + len(PLAYS)
-    widths = crossover_widths(recordings) if options.amplifier_hz else []
-    excess = len(INPUT_PLAYS) + 2 * len(widths)
-    functions = at_means + len(options.times_s) + 1
+    extra = options.extra_elements if physics.feedback else 0
+    elements = 2 * inputs + extra if physics.feedback else 0
+    times_s = options.times_s if physics.follows_amplitude else ()
+    at_means = len(physics.zones) + len(physics.plays)
+    widths = crossover_widths(recordings) if options.amplifier_hz and physics.crossover else []
+    excess = len(physics.input_plays) + 2 * len(widths)
+    functions = at_means + len(times_s) + 1
     shapes = linear.shapes._replace(elements=elements, functions=functions, input_plays=excess)
     arrays = {name: np.zeros(shape) for name, shape in parameter_shapes(shapes).items()}
     arrays |= {name: old[name].copy() for name in ("poles", "drive", "seen", "direct")}
-    random = np.random.default_rng(options.seed)
-    mixed = np.concatenate([np.eye(inputs), random.standard_normal((options.extra_elements, inputs))])
+    if physics.feedback:
+        put_elements(arrays, gain, options.seed, extra, at_means)
+    return MultiAxisStage(
+        linear.sample_rate_hz,
+        arrays,
+        input_thresholds_v=[scale * r for r, _ in physics.input_plays],
+        input_rates_hz=[rate for _, rate in physics.input_plays],
+        dead_zones=[scale * r for r in physics.zones],
+        thresholds=[scale * r for r, _ in physics.plays],
+        rates_hz=[rate for _, rate in physics.plays],
+        times_s=times_s,
+        crossover_v_per_s=widths,
+        amplifier_hz=options.amplifier_hz if options.amplifier_hz and widths else np.inf,
+    )
+
+
+def put_elements(
+    arrays: dict[str, np.ndarray], gain: np.ndarray, seed: int, extra: int, at_means: int
+) -> None:
+    """Fill what elements sense, where they act, and how strongly they begin; modes and gain are given."""
+    modes, inputs = arrays["drive"].shape[0], arrays["drive"].shape[2]
+    elements = 2 * inputs + extra
+    random = np.random.default_rng(seed)
+    mixed = np.concatenate([np.eye(inputs), random.standard_normal((extra, inputs))])
     back = np.linalg.pinv(gain)  # (outputs, inputs), V/µm
     # Elongation, in volts, less the voltage: the elastic part, which follows the stress.
-    elastic = np.einsum("ni,oi,omc->nmc", mixed, back, old["seen"])
+    elastic = np.einsum("ni,oi,omc->nmc", mixed, back, arrays["seen"])
     first, rest = slice(0, inputs), slice(2 * inputs, None)
     rates = slice(inputs, 2 * inputs)
     arrays["sensed"][first], arrays["sensed"][rest] = elastic[:inputs], elastic[inputs:]
-    arrays["sensed"][rates] = rate_of(elastic[:inputs], old["poles"])
-    through = mixed @ (back.T @ old["direct"] - np.eye(inputs))
+    arrays["sensed"][rates] = rate_of(elastic[:inputs], arrays["poles"])
+    through = mixed @ (back.T @ arrays["direct"] - np.eye(inputs))
     arrays["through"][first], arrays["through"][rest] = through[:inputs], through[inputs:]
     directions = np.concatenate([mixed[:inputs], mixed])
-    arrays["force"] = np.einsum("mci,ni->mcn", old["drive"], directions).reshape(modes, 2, elements)
+    arrays["force"] = np.einsum("mci,ni->mcn", arrays["drive"], directions).reshape(modes, 2, elements)
     arrays["weights"][first, at_means] = FIRST_WEIGHT
     arrays["weights"][rates, at_means] = FIRST_WEIGHT / 10
     arrays["weights"][rest, 0] = FIRST_WEIGHT / 2
     arrays["weights"][rest, at_means] = FIRST_WEIGHT / 10
-    return MultiAxisStage(
-        linear.sample_rate_hz,
-        arrays,
-        input_thresholds_v=[scale * r for r, _ in INPUT_PLAYS],
-        input_rates_hz=[rate for _, rate in INPUT_PLAYS],
-        dead_zones=[scale * r for r in ZONES],
-        thresholds=[scale * r for r, _ in PLAYS],
-        rates_hz=[rate for _, rate in PLAYS],
-        times_s=options.times_s,
-        crossover_v_per_s=widths,
-        amplifier_hz=options.amplifier_hz or np.inf,
-    )
 
 
 def rate_of(seen: np.ndarray, poles: np.ndarray) -> np.ndarray:
@@ -253,8 +339,3 @@ def crossover_widths(recordings: Sequence[MultiAxisRecording]) -> list[float]:
         lines = 2j * np.pi * np.fft.rfftfreq(len(u), 1 / one.fs_hz)[:, None]
         slopes.append(float(np.fft.irfft(lines * np.fft.rfft(u, axis=0), len(u), axis=0).std()))
     return [share * max(slopes) for share in CROSSOVER]
-
-
-def without(recordings: Sequence[MultiAxisRecording], name: str) -> list[MultiAxisRecording]:
-    """The recordings but the one of this name: to be judged on it."""
-    return [one for one in recordings if one.name != name]

@@ -14,8 +14,28 @@ LEAST_DAMPING = 0.003
 """Of a mode; what is sharper is noise of single lines."""
 BROAD = ((1.0, 0.03), (0.6, 1.0), (0.005, 3.0), (0.3, 0.2), (0.5, 0.2))
 """Broad poles: frequency as a share of the highest, and damping."""
+WINDOW = 4096
+"""Samples, at most."""
 RIDGE = 1e-12
 """Of each column's square."""
+
+
+def windowed(u: Sequence[np.ndarray], y: Sequence[np.ndarray]) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """Records without periods as windows of one length, half over each other: (samples, channels) each.
+
+    A Hann window leaves little of what a mode remembers from before it (Pintelon and Schoukens, ch. 2).
+    """
+    length = min(WINDOW, 2 * (min(map(len, u)) // (u[0].shape[1] + 1)))
+    shape = np.hanning(length + 1)[:length, None]
+    cut = [
+        [
+            shape * (x[k : k + length] - x.mean(0))
+            for x in record
+            for k in range(0, len(x) - length + 1, length // 2)
+        ]
+        for record in (u, y)
+    ]
+    return cut[0], cut[1]
 
 
 def best_linear_approximation(

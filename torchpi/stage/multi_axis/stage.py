@@ -65,7 +65,7 @@ class MultiAxisStage(SavedStage):
             circle.
     """
 
-    SCHEMA, VERSION, KIND = "torchpi multi-axis stage", 3, "a stage of several axes"
+    SCHEMA, VERSION, KIND = "torchpi multi-axis stage", 4, "a stage of several axes"
 
     def __init__(
         self,
@@ -136,6 +136,10 @@ class MultiAxisStage(SavedStage):
     def outputs(self) -> int:
         return self.shapes.outputs
 
+    def offset(self) -> np.ndarray:
+        """What the sensors read at rest, (outputs,), µm."""
+        return np.asarray(self.get_buffer("offset_um"))
+
     def arrays(self) -> dict[str, np.ndarray]:
         """The parameters by name, in the kernel's order, as it takes them."""
         named = dict(self.named_parameters())
@@ -147,12 +151,25 @@ class MultiAxisStage(SavedStage):
         shares = 1 / (np.asarray(self.times_s, dtype=np.float64) * self.sample_rate_hz)
         return np.asarray(self.dead_zones), np.asarray(self.thresholds), kept, np.minimum(shares, 1.0)
 
+    @property
+    def delay_samples(self) -> int:
+        """How many samples a step is late: those to come that the plays of the inputs need."""
+        return LOOKAHEAD
+
     def excess(self, u: np.ndarray) -> np.ndarray:
         """What plays and amplifiers add to voltages (time, inputs): (time, inputs, all of them)."""
-        return self.excess_stream().advance(np.pad(u, ((0, LOOKAHEAD), (0, 0))))[LOOKAHEAD:]
+        return self._inputs().advance(_padded(u))[LOOKAHEAD:]
 
-    def excess_stream(self) -> OversampledInputs:
-        """The same window after window, `LOOKAHEAD` samples late."""
+    def driven(self, u: np.ndarray) -> np.ndarray:
+        """Voltages (time, inputs) with all that plays and amplifiers add: v of `modal_feedback`."""
+        added = self.input_stream().advance(_padded(u))[LOOKAHEAD:]
+        return np.asarray(u + added[:, :, 0])
+
+    def input_stream(self) -> OversampledInputs:
+        """What is added in `driven`, window after window, `LOOKAHEAD` samples late."""
+        return self._inputs(self.arrays()["play_weights"].copy())
+
+    def _inputs(self, weights: np.ndarray | None = None) -> OversampledInputs:
         return OversampledInputs(
             self.inputs,
             self.sample_rate_hz,
@@ -160,6 +177,7 @@ class MultiAxisStage(SavedStage):
             self.input_rates_hz,
             self.crossover_v_per_s,
             self.amplifier_hz,
+            weights,
         )
 
     def initial_state(self, batch: int) -> MultiAxisState:
@@ -184,30 +202,45 @@ class MultiAxisStage(SavedStage):
         volts = u.detach().to(torch.float64).contiguous().numpy()
         if not np.isfinite(volts).all():
             raise StageError("voltages: found a value that is not finite, expected numbers")
-        excess = [self.excess(one) for one in volts]
+        driven = np.empty_like(volts)
+
+        def run(first: int, last: int) -> None:
+            for i in range(first, last):
+                driven[i] = self.driven(volts[i])
+
+        in_threads(run, len(volts))
         state, y = self.initial_state(len(volts)), np.zeros((*volts.shape[:2], self.outputs))
-        self.advance(volts, excess, state, y)
+        self.advance(driven, state, y)
         return torch.from_numpy(y)
 
-    def advance(
-        self, volts: np.ndarray, excess: Sequence[np.ndarray], state: MultiAxisState, y: np.ndarray
-    ) -> None:
-        """Fill `y` and leave the state after the last sample: windows give the bits of the whole."""
+    def advance(self, driven: np.ndarray, state: MultiAxisState, y: np.ndarray) -> None:
+        """Fill `y` and leave the state after the last sample: windows give the bits of the whole.
+
+        Args:
+            driven: (batch, time, inputs), V, from `driven`.
+            state: Of this batch.
+            y: (batch, time, outputs), µm, written.
+
+        Raises:
+            StageError: States without bounds.
+        """
         arrays, constants = self.arrays(), self.thresholds_of_kernel()
-        bounded = np.zeros(len(volts), dtype=bool)
+        arrays["play_weights"] = np.zeros((self.inputs, 0))  # they are in `driven`
+        nothing = np.zeros((driven.shape[1], self.inputs, 0))
+        bounded = np.zeros(len(driven), dtype=bool)
 
         def run(first: int, last: int) -> None:
             for i in range(first, last):
                 bounded[i] = modal_feedback(
-                    volts[i], excess[i], *arrays.values(), *constants, state.x[i], state.h[i], state.means[i],
+                    driven[i], nothing, *arrays.values(), *constants, state.x[i], state.h[i], state.means[i],
                     state.past, y[i], np.zeros((0, 0)),
                 )  # fmt: skip
 
-        in_threads(run, len(volts))
+        in_threads(run, len(driven))
         if not bounded.all():
             raise StageError("voltages: found some without a bounded answer, expected smaller ones")
-        state.past += volts.shape[1]
-        y += np.asarray(self.get_buffer("offset_um"))
+        state.past += driven.shape[1]
+        y += self.offset()
 
     def plain(self) -> dict[str, Any]:
         settings = {name: getattr(self, name) for name in SETTINGS}
@@ -220,3 +253,8 @@ def _numbers(name: str, values: Sequence[float], positive: bool = False) -> list
     if not all(math.isfinite(value) and (value > 0 or not positive) for value in numbers):
         raise StageError(f"{name}: found {numbers}, expected finite{' positive' * positive} numbers")
     return numbers
+
+
+def _padded(u: np.ndarray) -> np.ndarray:
+    """Voltages with the samples behind their end that the look-ahead needs, all 0."""
+    return np.pad(u, ((0, LOOKAHEAD), (0, 0)))

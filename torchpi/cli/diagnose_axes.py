@@ -1,0 +1,82 @@
+"""A diagnosis of several axes, from files to files."""
+
+import json
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+import torch
+
+from torchpi.cli.workers import available_cores
+from torchpi.errors import SimulationError
+from torchpi.files import check_output_folder, write_atomically
+from torchpi.identification.multi_axis import MultiAxisOptions
+from torchpi.identification.multi_axis.diagnosis import AxesDiagnosis, diagnose_axes
+from torchpi.recordings.multi_axis import read_multi_axis
+from torchpi.recordings.options import RecordingOptions
+from torchpi.stage.kinds import load_own_kind
+from torchpi.stage.multi_axis import MultiAxisStage
+
+
+def diagnose_axes_files(
+    paths: Sequence[Path],
+    output: Path,
+    simulation: str | None,
+    seconds: float,
+    command: str,
+    options: RecordingOptions,
+) -> AxesDiagnosis:
+    """Read, diagnose, and write report.html, diagnosis.json and stage.pt.
+
+    Raises:
+        ArtifactError: An output that cannot be written to.
+        RecordingError: What is wrong with a recording.
+        SimulationError: A simulation that is no stage of several axes.
+    """
+    from torchpi.report.axes_page import write_axes_diagnosis
+    from torchpi.report.what_was_run import provenance
+
+    check_output_folder(output)
+    given = None if simulation is None else load_axes(simulation)
+    recordings = [read_multi_axis(path, options, None) for path in paths]
+    started = time.monotonic()
+
+    def log(sentence: str) -> None:
+        print(f"{time.monotonic() - started:6.1f} s  {sentence}", flush=True)
+
+    for path, one in zip(paths, recordings, strict=True):
+        held = f"{one.periods} periods" if one.periods > 1 else "no periods"
+        log(f"{path}: {len(one.u):,} samples at {one.fs_hz:g} Hz, {held}, {one.u.std():.3g} V rms")
+    modes = MultiAxisOptions.modes if given is None else given.shapes.modes
+    torch.set_num_threads(available_cores())  # of the fits; those of linear algebra stay single
+    found = diagnose_axes(recordings, given, MultiAxisOptions(modes=modes, seconds=seconds), log)
+    files = {f"recording {one.name}": str(path) for path, one in zip(paths, recordings, strict=True)}
+    if simulation is not None:
+        files["simulation"] = simulation
+    page = write_axes_diagnosis(found, provenance(command, files), output / "report.html")
+    with write_atomically(output / "diagnosis.json") as temporary:
+        text = json.dumps(found.as_json(), indent=1, ensure_ascii=False)
+        temporary.write_text(text + "\n", encoding="utf-8")
+    found.stage.save(output / "stage.pt")
+    print(f"\n{found.summary}\n")
+    for what, file in (
+        ("the page", page), ("the same in numbers", output / "diagnosis.json"),
+        ("the augmented stage", output / "stage.pt"),
+    ):  # fmt: skip
+        print(f"{file}: {what}")
+    return found
+
+
+def load_axes(simulation: str) -> MultiAxisStage:
+    """The stage of several axes that a simulation names.
+
+    Raises:
+        SimulationError: It names anything else.
+    """
+    found = load_own_kind(simulation) if Path(simulation).suffix == ".pt" else None
+    if not isinstance(found, MultiAxisStage):
+        raise SimulationError(
+            f"{simulation}: found no stage of several axes, expected the stage.pt of a training or "
+            "of a diagnosis of several axes, or no simulation"
+        )
+    return found

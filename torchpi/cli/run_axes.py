@@ -1,0 +1,117 @@
+"""An exported inverse of several axes against a simulated stage: `torchpi run`."""
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from torchpi.cli.export_axes import BAND
+from torchpi.control.multi_axis import MultiAxisInverse
+from torchpi.errors import ArtifactError, ConfigError, RecordingError
+from torchpi.export.multi_axis.numbers import read_inverse
+from torchpi.files import check_output_folder, write_atomically
+from torchpi.loop.axes import AxesTracking, random_axes, track_axes
+from torchpi.recordings.multi_axis import DESIRED, columns
+from torchpi.recordings.options import RecordingOptions
+from torchpi.recordings.readers import open_source
+from torchpi.recordings.recording import read_signal
+from torchpi.stage.beside import exported_stage
+from torchpi.stage.kinds import load_own_kind
+from torchpi.stage.multi_axis import MultiAxisStage
+
+RANDOM, RANDOM_S = "random", 3.0
+
+
+def run_axes(
+    numbers: Path, stage: Path | None, trajectory: str | Sequence[str] | None, output: Path
+) -> list[AxesTracking]:
+    """Drive the stage along each trajectory, print what is left, and write loop.json.
+
+    The numbers of NAME.json are what runs: the steps of NAME.pt and NAME.c have their bits.
+
+    Args:
+        numbers: NAME.json, with NAME_stage.pt beside it.
+        stage: The plant; by default NAME_stage.pt.
+        trajectory: CSVs with columns time_s,yd_1_um,yd_2_um,…, or random.
+        output: Folder.
+
+    Raises:
+        ArtifactError: Files that are damaged, or do not belong together.
+        ConfigError: A trajectory that there is not.
+        RecordingError: A trajectory that cannot be used.
+        StageError: A stage with other axes.
+    """
+    check_output_folder(output)
+    inverse = read_inverse(numbers, axes_stage(exported_stage(numbers.with_suffix(""))))
+    plant = inverse.stage if stage is None else axes_stage(stage)
+    names = (
+        [RANDOM] if trajectory is None else [trajectory] if isinstance(trajectory, str) else list(trajectory)
+    )
+    found = []
+    for name in names:
+        tracked = track_axes(inverse, plant, trajectory_of(name, inverse))
+        print(f"{name}:\n{table(tracked)}")
+        found.append(tracked)
+    path = output / "loop.json"
+    with write_atomically(path) as temporary:
+        content = {name: one.as_json() for name, one in zip(names, found, strict=True)}
+        temporary.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+    print(f"{path}: the same numbers")
+    return found
+
+
+def axes_stage(path: Path) -> MultiAxisStage:
+    """The stage of several axes in a file.
+
+    Raises:
+        ArtifactError: There is none.
+    """
+    found = load_own_kind(path) if path.is_file() else None
+    if not isinstance(found, MultiAxisStage):
+        raise ArtifactError(
+            f"{path}: found no stage of several axes, expected one, as 'torchpi export' leaves it"
+        )
+    return found
+
+
+def trajectory_of(name: str, inverse: MultiAxisInverse) -> np.ndarray:
+    """(time, outputs), µm.
+
+    Raises:
+        ConfigError: No such trajectory.
+        RecordingError: Another number of axes, or another sample rate.
+    """
+    rate, outputs = inverse.stage.sample_rate_hz, inverse.stage.outputs
+    if name == RANDOM:
+        return random_axes(inverse, RANDOM_S, BAND * rate)
+    if not Path(name).is_file():
+        raise ConfigError(f"--trajectory: found {name}, expected a file with columns yd_1_um, …, or {RANDOM}")
+    source = open_source(name)
+    signals = [
+        read_signal(name, one, options=RecordingOptions(), unit="um")
+        for one in columns(source, DESIRED, "yd_1_um")
+    ]
+    if len(signals) != outputs:
+        raise RecordingError(f"{name}: found {len(signals)} axes, expected {outputs} as in the compensator")
+    if abs(signals[0].fs_hz - rate) > 1e-3 * rate:
+        raise RecordingError(
+            f"{name}: found {signals[0].fs_hz:g} Hz, expected {rate:g} Hz as in the compensator"
+        )
+    return np.stack([one.x for one in signals], 1)
+
+
+def table(tracked: AxesTracking) -> str:
+    """Errors and coupling of each axis, in lines of text."""
+    rows = [("axis", "desired rms", "error", "moves others", "linear inverse", "moves others")]
+    for k, desired in enumerate(tracked.desired_um):
+        rows.append(
+            (
+                str(k + 1), f"{desired:.4g} µm", f"{tracked.error_percent[k]:.3g} %",
+                f"{max(tracked.coupling_percent[k]):.3g} %", f"{tracked.linear_error_percent[k]:.3g} %",
+                f"{max(tracked.linear_coupling_percent[k]):.3g} %",
+            )
+        )  # fmt: skip
+    lines = ["  " + "  ".join(cell.rjust(14) for cell in row) for row in rows]
+    counted = f"  held inputs {tracked.held_inputs}, voltages at a limit {tracked.limited_outputs}"
+    return "\n".join([*lines, counted])

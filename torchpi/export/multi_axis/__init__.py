@@ -1,0 +1,5 @@
+"""Exports of several axes: arrays in, arrays out, as TorchScript, C99 and JSON."""
+
+from torchpi.export.multi_axis.files import FORMATS, multi_axis_files
+
+__all__ = ["FORMATS", "multi_axis_files"]

@@ -1,0 +1,194 @@
+"""Several axes as C99: a header, a source, and a program that tests them on the target.
+
+The templates beside this file have the equations; each sum has the order of the Python step, and so its bits.
+"""
+
+import textwrap
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import jinja2
+import numpy as np
+
+import torchpi
+from torchpi.control.multi_axis import MultiAxisInverse
+from torchpi.export.c_source import check_name
+from torchpi.operators.modal_feedback import DIVERGED, SMALLEST_MEAN
+from torchpi.operators.oversampled_inputs import FACTOR, TAPS
+from torchpi.stage.multi_axis import MultiAxisStage, MultiAxisStream
+
+FLAGS = "-std=c99 -ffp-contract=off -fno-math-errno -O2"
+RECORDED, EVERY = 160, 16
+"""Rows of the self-test, and samples between two."""
+BYTES = 8
+
+
+def c_source(exported: MultiAxisStage | MultiAxisInverse, name: str) -> dict[str, str]:
+    """NAME.h, NAME.c and NAME_selftest.c.
+
+    Raises:
+        ArtifactError: NAME is not free to use in C.
+    """
+    check_name(name)
+    context = _context(exported, name)
+    templates = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(Path(__file__).parent),
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
+    templates.filters |= {"number": _number, "numbers": _numbers, "rows": _rows, "hexadecimal": _hexadecimal}
+    files = {f"{name}.h": "step.h.j2", f"{name}.c": "step.c.j2", f"{name}_selftest.c": "selftest.c.j2"}
+    return {file: templates.get_template(template).render(context) for file, template in files.items()}
+
+
+def _context(exported: MultiAxisStage | MultiAxisInverse, name: str) -> dict[str, Any]:
+    inverse = isinstance(exported, MultiAxisInverse)
+    stage = exported.stage if isinstance(exported, MultiAxisInverse) else exported
+    passes = exported.passes if isinstance(exported, MultiAxisInverse) else 0
+    context: dict[str, Any] = {
+        "name": name,
+        "version": torchpi.__version__,
+        "flags": FLAGS,
+        "inverse": inverse,
+        "passes": passes,
+        "with_stage": passes > 0 or not inverse,
+        **of_stage(stage),
+    }
+    m, p, delay = stage.inputs, stage.outputs, stage.delay_samples
+    ends = ("u", "y") if not inverse else ("yd", "u")
+    units = ("V", "um") if not inverse else ("um", "V")
+    context |= dict(zip(("given", "taken", "given_unit", "taken_unit"), ends + units, strict=True))
+    context |= {"takes": p if inverse else m, "gives": m if inverse else p}
+    if isinstance(exported, MultiAxisInverse):
+        context |= _of_inverse(exported)
+        scale = np.minimum(exported.accepted_um, 1.0)
+        contract = (
+            f"yd has {p} desired displacements in um, {exported.preview} samples ahead of the {m} voltages u "
+            "in V."
+        )
+        summary = "voltages for a piezo stage of several axes, without feedback."
+        accepts = ", or further from 0 than ACCEPTED in the source,"
+        doubles = m * (len(exported.first) + 1) * (passes + 1) + 2 * passes * m * context["wait"]
+    else:
+        scale = np.full(m, max(stage.input_thresholds_v, default=1.0))
+        contract = f"y has {p} displacements in um, {delay} samples behind the {m} voltages u in V."
+        summary, accepts, doubles = "a piezo stage of several axes, as it was identified.", "", 0
+    of_one_stage = m * (len(TAPS) + FACTOR + len(TAPS) // FACTOR + delay) + 2 * stage.shapes.modes
+    doubles += of_one_stage * (passes if inverse else 1)
+    return context | {
+        "contract": "\n * ".join(textwrap.wrap(contract, 100)),
+        "summary": summary,
+        "accepts": accepts,
+        "state_kib": max(1, round(doubles * BYTES / 1024)),
+        "scale": scale.tolist(),
+        "every": EVERY,
+        "recorded": recorded(exported, scale).tolist(),
+    }
+
+
+def of_stage(stage: MultiAxisStage) -> dict[str, Any]:
+    """The numbers of a stage, in the order in which the step in C meets them."""
+    a = stage.arrays()
+    zones, thresholds, kept, shares = stage.thresholds_of_kernel()
+    inputs = stage.input_stream()
+    blocks = len(TAPS) // FACTOR
+    padded = np.zeros(FACTOR * (blocks + 1))
+    padded[: len(TAPS)] = FACTOR * TAPS
+    # What a block of samples at the higher rate leaves for one of those to come, its first sample first.
+    low = [[float(TAPS[FACTOR * (k + 1) - q]) for k in range(blocks)] for q in range(FACTOR)]
+    return {
+        "m": stage.inputs,
+        "p": stage.outputs,
+        "n": stage.shapes.elements,
+        "modes": stage.shapes.modes,
+        "functions": stage.shapes.functions,
+        "delay": stage.delay_samples,
+        "period_s": 1 / stage.sample_rate_hz,
+        "factor": FACTOR,
+        "blocks": blocks,
+        "interpolation": padded.tolist(),
+        "newest": float(TAPS[0]),
+        "decimation": low,
+        "diverged": repr(DIVERGED),
+        "smallest_mean": repr(SMALLEST_MEAN),
+        "plays": len(inputs.thresholds),
+        "play_r": inputs.thresholds.tolist(),
+        "play_kept": inputs.kept.tolist(),
+        "widths": len(inputs.widths),
+        "width": inputs.widths.tolist(),
+        "omega": inputs.omega,
+        **dict(zip(("b0", "b1", "a1"), inputs.high_pass.tolist(), strict=True)),
+        "added": inputs.columns,
+        "play_weights": a["play_weights"].tolist(),
+        "pole_re": a["poles"][:, 0].tolist(),
+        "pole_im": a["poles"][:, 1].tolist(),
+        "drive_re": a["drive"][:, 0].T.tolist(),
+        "drive_im": a["drive"][:, 1].T.tolist(),
+        "force_re": a["force"][:, 0].T.tolist(),
+        "force_im": a["force"][:, 1].T.tolist(),
+        "sensed_re": a["sensed"][:, :, 0].T.tolist(),
+        "sensed_im": a["sensed"][:, :, 1].T.tolist(),
+        "through": a["through"].T.tolist(),
+        "weights": a["weights"].T.tolist(),
+        "seen_re": a["seen"][:, :, 0].T.tolist(),
+        "seen_im": a["seen"][:, :, 1].T.tolist(),
+        "direct": a["direct"].T.tolist(),
+        "offset": stage.offset().tolist(),
+        "zones": len(zones),
+        "zone": zones.tolist(),
+        "element_plays": len(thresholds),
+        "r": thresholds.tolist(),
+        "kept": kept.tolist(),
+        "means": len(shares),
+        "share": shares.tolist(),
+    }
+
+
+def _of_inverse(inverse: MultiAxisInverse) -> dict[str, Any]:
+    outputs = range(inverse.stage.outputs)
+    return {
+        "length": len(inverse.first),
+        "preview": inverse.preview,
+        "wait": inverse.half + inverse.stage.delay_samples,
+        "first": [inverse.first[:, :, o].ravel().tolist() for o in outputs],
+        "corrections": [inverse.corrections[:, :, o].ravel().tolist() for o in outputs],
+        "lowest": inverse.limits_v[:, 0].tolist(),
+        "highest": inverse.limits_v[:, 1].tolist(),
+        "accepted": inverse.accepted_um.tolist(),
+    }
+
+
+def recorded(exported: MultiAxisStage | MultiAxisInverse, scale: np.ndarray) -> np.ndarray:
+    """What the step answers to the self-test's noise, the last of every `EVERY` samples."""
+    seed, noise = 1, np.empty((RECORDED * EVERY, len(scale)))
+    for sample in noise:
+        for k in range(len(scale)):
+            seed = (seed * 1664525 + 1013904223) % 2**32
+            sample[k] = scale[k] * ((seed >> 8) / 8388608.0 - 1.0)
+    if isinstance(exported, MultiAxisStage):
+        answers = MultiAxisStream(exported).block(noise)
+    else:
+        exported.reset()
+        answers = exported.block(noise)
+        exported.reset()
+    return answers[EVERY - 1 :: EVERY]
+
+
+def _number(value: float) -> str:
+    return repr(float(value))
+
+
+def _numbers(values: Iterable[float]) -> str:
+    """Numbers in lines of a width to read."""
+    return "\n    ".join(textwrap.wrap(", ".join(map(_number, values)), 106))
+
+
+def _rows(values: Iterable[Iterable[float]]) -> str:
+    return ",\n    ".join(f"{{ {_numbers(row)} }}" for row in values)
+
+
+def _hexadecimal(values: Iterable[float]) -> str:
+    return ", ".join(float(value).hex() for value in values)

@@ -1,0 +1,50 @@
+"""The files of a stage of several axes and of its inverse, by format."""
+
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+
+from torchpi.control.multi_axis import MultiAxisInverse
+from torchpi.errors import ConfigError
+from torchpi.export.formats import Files
+from torchpi.export.multi_axis.c_source import c_source
+from torchpi.export.multi_axis.numbers import numbers
+from torchpi.export.multi_axis.tensors import scripted
+from torchpi.stage.multi_axis import MultiAxisStage
+
+FORMATS = ("torchscript", "c", "json")
+
+
+def multi_axis_files(
+    exported: MultiAxisStage | MultiAxisInverse, output: Path, formats: Sequence[str]
+) -> Files:
+    """What an export writes, by path, for `write_together`.
+
+    Args:
+        exported: The stage as a step from voltages to displacements, or its inverse.
+        output: Path without suffix.
+        formats: Of `FORMATS`.
+
+    Raises:
+        ConfigError: Another format.
+        ArtifactError: A name that is not free to use in C.
+    """
+    other = [name for name in formats if name not in FORMATS]
+    if other or not formats:
+        raise ConfigError(
+            f"to: found '{','.join(other)}', expected one or more of {','.join(FORMATS)} for several axes"
+        )
+    files: Files = {}
+    if "torchscript" in formats:
+        content = scripted(exported).save_to_buffer()
+        files[output.with_name(f"{output.name}.pt")] = partial(_write, content)
+    if "c" in formats:
+        for name, text in c_source(exported, output.name).items():
+            files[output.with_name(name)] = partial(_write, text.encode("ascii"))
+    if "json" in formats:
+        files[output.with_name(f"{output.name}.json")] = partial(_write, numbers(exported).encode())
+    return files
+
+
+def _write(content: bytes, path: Path) -> None:
+    path.write_bytes(content)

@@ -1,0 +1,58 @@
+"""The stage of several axes as a rig that is stepped: voltages in, displacements out."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from torchpi.errors import StageError
+from torchpi.stage.multi_axis.stage import MultiAxisStage
+
+
+class MultiAxisStream:
+    """A stage of several axes, one sample or one window after another: the bits of the whole.
+
+    Args:
+        stage: What is stepped.
+
+    Attributes:
+        delay_samples: How many samples the displacements are late.
+    """
+
+    def __init__(self, stage: MultiAxisStage) -> None:
+        self.stage, self.delay_samples = stage, stage.delay_samples
+        self.reset()
+
+    def reset(self) -> None:
+        """Back to rest."""
+        self._inputs, self._state = self.stage.input_stream(), self.stage.initial_state(1)
+        self._late = np.zeros((self.delay_samples, self.stage.inputs))
+        self._to_come = self.delay_samples
+
+    def step(self, u: Sequence[float]) -> list[float]:
+        """Displacements, µm, `delay_samples` samples before these voltages, V; at rest before the first.
+
+        Raises:
+            StageError: Another number of voltages, one that is not finite, or states without bounds.
+        """
+        return [float(y) for y in self.block(np.asarray(u, dtype=np.float64).reshape(1, -1))[0]]
+
+    def block(self, u: np.ndarray) -> np.ndarray:
+        """(time, outputs), µm, for (time, inputs), V, as many samples late.
+
+        Raises:
+            StageError: As `step`; the state stays as it was but where states have no bounds.
+        """
+        if u.ndim != 2 or u.shape[1] != self.stage.inputs or not np.isfinite(u).all():
+            raise StageError(
+                f"voltages: found an array of {u.shape}, expected finite numbers (time, {self.stage.inputs})"
+            )
+        known = np.concatenate([self._late, u])
+        driven, self._late = known[: len(u)], known[len(u) :]
+        driven = driven + self._inputs.advance(u)[:, :, 0]
+        # It rests until the first sample, whatever the inputs' filters know of it before.
+        first = min(self._to_come, len(u))
+        self._to_come -= first
+        y = np.empty((1, len(u), self.stage.outputs))
+        y[0, :first] = self.stage.offset()
+        self.stage.advance(driven[None, first:], self._state, y[:, first:])
+        return np.asarray(y[0])
