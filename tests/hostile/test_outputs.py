@@ -237,11 +237,10 @@ def test_a_run_that_was_killed_before_its_first_checkpoint_starts_again_in_its_f
     with claim(folder, goes_on=False):
         folder.config.write_text("half of it")
         (folder.path / ".run-12345678.json").write_text("")
-        folder.events.mkdir()
-        (folder.events / "events.out").write_text("events")
+        (folder.path / "events.out.tfevents.1").write_text("events")
     folder = new_run(str(tmp_path / "run"), "run", None)
     with claim(folder, goes_on=False):
-        assert not folder.events.exists()
+        assert folder.events == []
     folder.checkpoints.mkdir()
     folder.last.write_text("a checkpoint")
     with pytest.raises(ArtifactError, match="--ckpt_path last"):
