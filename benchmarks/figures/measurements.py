@@ -251,25 +251,25 @@ def other_simulation() -> dict[str, float]:
     column = diagnose([replace(one, simulated=simulate(one.u, one.fs_hz)) for one in recordings], "column")
     return {
         "simulation_calls": len(calls) - len(recordings),
-        **corrections("called", called, "amplifier_lag"),
-        **corrections("column", column, "sensor_lag"),
+        **corrections("called", called, "amplifier_lag", {"resonance"}),
+        **corrections("column", column, "sensor_lag", set()),
     }
 
 
-def corrections(how: str, found: Diagnosis, lag: str) -> dict[str, float]:
-    """Parameters and errors of one answer to `other_simulation`."""
+def corrections(how: str, found: Diagnosis, lag: str, mode: set[str]) -> dict[str, float]:
+    """Parameters and errors of one answer to `other_simulation`, which names a mode or does not."""
     values = {
         effect.name: {one.name: float(one.value) for one in effect.parameters} for effect in found.effects
     }
-    if values.keys() != {lag, "creep", "resonance"}:
+    expected = {lag, "creep"} | mode
+    if values.keys() != expected:
         raise ValueError(
-            f"simulation, {how}: found {sorted(values)}, expected {lag}, creep and resonance, as on the page"
+            f"simulation, {how}: found {sorted(values)}, expected {sorted(expected)}, as on the page"
         )
-    return {
+    of_modes = {"mode_hz": "frequency_hz", "replaced_hz": "replaced_frequency_hz"}
+    return {f"simulation_{how}_{key}": values[name][of] for name in mode for key, of in of_modes.items()} | {
         f"simulation_{how}_lag_hz": values[lag]["cutoff_hz"],
         f"simulation_{how}_creep_percent": 100 * values["creep"]["per_decade"],
-        f"simulation_{how}_mode_hz": values["resonance"]["frequency_hz"],
-        f"simulation_{how}_replaced_hz": values["resonance"]["replaced_frequency_hz"],
         f"simulation_{how}_given_nm": NM * found.nominal.heldout_rms_um,
         f"simulation_{how}_retuned_nm": NM * found.retuned.heldout_rms_um,
         f"simulation_{how}_augmented_nm": NM * found.augmented.heldout_rms_um,
