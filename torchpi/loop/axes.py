@@ -13,7 +13,6 @@ from torchpi.stage.multi_axis import MultiAxisStage
 RUN_IN_S = 0.3
 """At the beginning, in which the error is not counted."""
 EASE_S = 0.1
-RATE_TOLERANCE = 1e-3
 WITHIN = 0.8
 """Of the voltage limits, what a random trajectory needs."""
 
@@ -58,16 +57,8 @@ def track_axes(inverse: MultiAxisInverse, plant: MultiAxisStage, yd: np.ndarray)
         StageError: A plant with other axes or another sample rate, or a trajectory that is too short.
     """
     model = inverse.stage
-    if (plant.inputs, plant.outputs) != (model.inputs, model.outputs):
-        raise StageError(
-            f"stage: found {plant.inputs} inputs and {plant.outputs} outputs, expected {model.inputs} and "
-            f"{model.outputs} as in the compensator"
-        )
-    if abs(plant.sample_rate_hz - model.sample_rate_hz) > RATE_TOLERANCE * model.sample_rate_hz:
-        raise StageError(
-            f"stage: found {plant.sample_rate_hz:g} Hz, expected {model.sample_rate_hz:g} Hz as in the "
-            "compensator"
-        )
+    if found := model.mismatch(plant.inputs, plant.outputs, plant.sample_rate_hz):
+        raise StageError(f"stage: {found} the compensator")
     first, last = int(RUN_IN_S * plant.sample_rate_hz), plant.delay_samples
     if yd.shape[1:] != (model.outputs,) or len(yd) < 2 * first:
         raise StageError(

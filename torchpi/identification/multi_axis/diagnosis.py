@@ -53,7 +53,6 @@ MOVED = 0.003
 """Share by which a resonance moves that is worth a word."""
 GAINED = 0.1
 """Share by which the held-out error of what is named is smaller than the linear model's."""
-RATE_TOLERANCE = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -225,17 +224,8 @@ def check_of(simulation: MultiAxisStage, first: MultiAxisRecording) -> None:
     Raises:
         RecordingError: Other numbers of inputs or outputs, or another sample rate.
     """
-    found = (first.u.shape[1], first.y.shape[1])
-    if found != (simulation.inputs, simulation.outputs):
-        raise RecordingError(
-            f"{first.name}: found {found[0]} inputs and {found[1]} outputs, expected {simulation.inputs} and "
-            f"{simulation.outputs} as in the simulation"
-        )
-    if abs(first.fs_hz - simulation.sample_rate_hz) > RATE_TOLERANCE * first.fs_hz:
-        raise RecordingError(
-            f"{first.name}: found {first.fs_hz:g} Hz, expected {simulation.sample_rate_hz:g} Hz as in the "
-            "simulation"
-        )
+    if found := simulation.mismatch(first.u.shape[1], first.y.shape[1], first.fs_hz):
+        raise RecordingError(f"{first.name}: {found} the simulation")
 
 
 def linear_part(stage: MultiAxisStage) -> MultiAxisStage:

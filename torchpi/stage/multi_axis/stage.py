@@ -20,6 +20,9 @@ from torchpi.operators.modal_feedback import Shapes, modal_feedback, parameter_s
 from torchpi.operators.oversampled_inputs import LOOKAHEAD, OversampledInputs
 from torchpi.stage.file import SavedStage
 
+RATE_TOLERANCE = 1e-3
+"""By which share a sample rate may differ."""
+
 SETTINGS = (
     "sample_rate_hz",
     "input_thresholds_v",
@@ -135,6 +138,15 @@ class MultiAxisStage(SavedStage):
     @property
     def outputs(self) -> int:
         return self.shapes.outputs
+
+    def mismatch(self, inputs: int, outputs: int, fs_hz: float) -> str | None:
+        """What tells these axes and this sample rate from those of the stage; None where nothing does."""
+        own = (self.inputs, self.outputs)
+        if (inputs, outputs) != own:
+            return f"found {inputs} inputs and {outputs} outputs, expected {own[0]} and {own[1]} as in"
+        if abs(fs_hz - self.sample_rate_hz) > RATE_TOLERANCE * self.sample_rate_hz:
+            return f"found {fs_hz:g} Hz, expected {self.sample_rate_hz:g} Hz as in"
+        return None
 
     def offset(self) -> np.ndarray:
         """What the sensors read at rest, (outputs,), µm."""
