@@ -9,7 +9,7 @@ from torchpi.files import write_atomically
 from torchpi.identification.multi_axis.diagnosis import STAGE, AxesDiagnosis
 from torchpi.report import style
 from torchpi.report.page import render
-from torchpi.report.style import drawing, settle
+from torchpi.report.style import canvas
 from torchpi.report.svg import inline_svg
 from torchpi.report.traces import thinned
 from torchpi.report.what_was_run import Provenance
@@ -38,14 +38,11 @@ def write_axes_diagnosis(found: AxesDiagnosis, provenance: Provenance, path: Pat
 
 def loops_figure(found: AxesDiagnosis) -> Figure:
     """Displacement over voltage of each actuator, less the line through the ends of its loop."""
-    with drawing():
-        figure = Figure(figsize=(style.WIDTH_IN, 2.6 if found.loops else 0.5))
+    with canvas(2.6 if found.loops else 0.5) as figure:
         for place, loop in enumerate(found.loops, 1):
             axes = figure.add_subplot(1, len(found.loops), place)
             slope = loop.y[loop.u.argmax()] - loop.y[loop.u.argmin()]
             left = loop.y - slope / (loop.u.max() - loop.u.min()) * loop.u
             axes.plot(*thinned(loop.u, left), **style.TORCHPI)
-            axes.set_xlabel(f"input {loop.input} (V)")
-            axes.set_ylabel(f"output {loop.output} less its line (µm)")
-        settle(figure)
+            axes.set(xlabel=f"input {loop.input} (V)", ylabel=f"output {loop.output} less its line (µm)")
     return figure

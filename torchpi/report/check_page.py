@@ -14,7 +14,7 @@ from torchpi.recordings.multi_axis import MultiAxisRecording
 from torchpi.recordings.summary import Column, Summary
 from torchpi.report import style
 from torchpi.report.page import render
-from torchpi.report.style import drawing, settle
+from torchpi.report.style import canvas
 from torchpi.report.svg import inline_svg
 from torchpi.report.traces import envelope, thinned
 from torchpi.report.what_was_run import Provenance
@@ -56,8 +56,7 @@ def write_sections(
 def recording_figure(summary: Summary) -> Figure:
     """Input and output over time, wrong readings marked, and the one over the other."""
     recording, wrong = summary.recording, summary.dropouts
-    with drawing():
-        figure = Figure(figsize=(style.WIDTH_IN, 4.4))
+    with canvas(4.4) as figure:
         grid = figure.add_gridspec(2, 2, width_ratios=(1.6, 1))
         upper = figure.add_subplot(grid[0, 0])
         lower = figure.add_subplot(grid[1, 0], sharex=upper)
@@ -68,11 +67,8 @@ def recording_figure(summary: Summary) -> Figure:
         for axes, x in ((lower, recording.t), (loop, recording.u)):
             axes.plot(x[wrong], recording.y[wrong], "x", color=style.OTHERS[0]["color"])
         upper.set_ylabel("input (V)")
-        lower.set_ylabel("output (µm)")
-        lower.set_xlabel("time (s)")
-        loop.set_xlabel("input (V)")
-        loop.set_ylabel("output (µm)")
-        settle(figure)
+        lower.set(ylabel="output (µm)", xlabel="time (s)")
+        loop.set(xlabel="input (V)", ylabel="output (µm)")
     return figure
 
 
@@ -86,16 +82,13 @@ def axes_section(
     """The section of a recording of several axes."""
     caption = f"{source}: inputs and outputs over time."
     t = np.arange(len(recording.u)) / recording.fs_hz
-    with drawing():
-        figure = Figure(figsize=(style.WIDTH_IN, 4.4))
+    with canvas(4.4) as figure:
         upper, lower = figure.subplots(2, 1, sharex=True)
         for axes, signals in ((upper, recording.u), (lower, recording.y)):
             for x in signals.T:
                 axes.plot(*envelope(t, x), linewidth=0.8)
         upper.set_ylabel("inputs (V)")
-        lower.set_ylabel("outputs (µm)")
-        lower.set_xlabel("time (s)")
-        settle(figure)
+        lower.set(ylabel="outputs (µm)", xlabel="time (s)")
     return {
         "source": source,
         "columns": columns,

@@ -19,7 +19,7 @@ from torchpi.report.diagnosis_style import (
     shortened,
     unit_of,
 )
-from torchpi.report.style import drawing, settle
+from torchpi.report.style import canvas
 from torchpi.report.traces import Signal, envelope, stretches, thinned
 
 HELDOUT_TRACES = 4
@@ -34,8 +34,7 @@ def errors_figure(diagnosis: Diagnosis) -> Figure:
         "with what was missing": diagnosis.augmented,
     }
     unit = unit_of(max(fit.heldout_rms_um for fit in fits.values()))
-    with drawing():
-        figure = Figure(figsize=(style.WIDTH_IN, 1.75))
+    with canvas(1.75) as figure:
         axes = figure.subplots()
         fills = (("#cccccc", "//"), (BEFORE["color"], ""), (AFTER["color"], ""))
         values = [unit.per_um * fit.heldout_rms_um for fit in fits.values()]
@@ -49,11 +48,9 @@ def errors_figure(diagnosis: Diagnosis) -> Figure:
         axes.invert_yaxis()
         axes.grid(False, axis="y")
         log_if_wide(axes, [*values, unit.per_um * (diagnosis.noise_floor_um or 0.0)])
-        axes.set_xlabel(f"held-out error, rms ({unit.name})")
-        axes.set_title("three stages on the same held-out data")
+        axes.set(xlabel=f"held-out error, rms ({unit.name})", title="three stages on the same held-out data")
         if diagnosis.noise_floor_um is not None:
             axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.2)
-        settle(figure)
     return figure
 
 
@@ -61,13 +58,11 @@ def heldout_figure(diagnosis: Diagnosis) -> Figure:
     """Every recording's motion, and its residual before and after; what was held out is shaded."""
     traces = diagnosis.traces[:HELDOUT_TRACES]
     unit = unit_of(max(largest_um(trace) for trace in traces))
-    with drawing():
-        figure = Figure(figsize=(style.WIDTH_IN, 0.5 + 1.95 * len(traces)))
+    with canvas(0.5 + 1.95 * len(traces)) as figure:
         rows = figure.subplots(2 * len(traces), 1, height_ratios=(0.55, 1.0) * len(traces))
         for trace, motion, residual in zip(traces, rows[::2], rows[1::2], strict=True):
             motion.plot(*envelope(trace.t, trace.y), **{**RECORDED, "linewidth": 0.8})
-            motion.set_ylabel("$y$ (µm)")
-            motion.set_title(shortened(trace.name))
+            motion.set(ylabel="$y$ (µm)", title=shortened(trace.name))
             motion.tick_params(labelbottom=False)
             residual.plot(
                 *envelope(trace.t, unit.per_um * trace.residual_retuned),
@@ -85,8 +80,7 @@ def heldout_figure(diagnosis: Diagnosis) -> Figure:
                     **{**style.LIMIT, "color": "#000000"},
                 )
             residual.set_ylim(*(sign * unit.per_um * largest_um(trace) for sign in (-1, 1)))
-            residual.set_ylabel(f"residual ({unit.name})")
-            residual.set_xlabel("time (s)")
+            residual.set(ylabel=f"residual ({unit.name})", xlabel="time (s)")
             for axes in (motion, residual):
                 axes.set_xlim(trace.t[0], trace.t[-1])
                 for number, (start, stop) in enumerate(stretches(trace.heldout)):
@@ -97,7 +91,6 @@ def heldout_figure(diagnosis: Diagnosis) -> Figure:
                         **HELD_OUT,
                     )
         rows[1].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=4, borderaxespad=0.2)
-        settle(figure)
     return figure
 
 
@@ -105,15 +98,16 @@ def loop_figure(diagnosis: Diagnosis) -> Figure:
     """The loop of the recording with the largest residual, opened, and the residual over the voltage."""
     trace = max(diagnosis.traces, key=lambda one: float((one.residual_retuned**2).mean()))
     unit = unit_of(largest_um(trace))
-    with drawing():
-        figure = Figure(figsize=(style.WIDTH_IN, 3.1))
+    with canvas(3.1) as figure:
         loop, residual = figure.subplots(1, 2)
         slope, offset = np.polyfit(trace.u, trace.y, 1) if np.ptp(trace.u) else (0.0, trace.y.mean())
         bent = trace.y - slope * trace.u - offset
         bent_unit = unit_of(float(np.abs(bent).max()))
         loop.plot(*thinned(trace.u, bent_unit.per_um * bent), **{**RECORDED, "linewidth": 0.5})
-        loop.set_ylabel(f"$y$ less a straight line ({bent_unit.name})")
-        loop.set_title(f"{shortened(trace.name)}: loop, recorded")
+        loop.set(
+            ylabel=f"$y$ less a straight line ({bent_unit.name})",
+            title=f"{shortened(trace.name)}: loop, recorded",
+        )
         for e, label, look in (
             (trace.residual_retuned, "before: retuned", BEFORE),
             (trace.residual_augmented, "after: augmented", AFTER),
@@ -123,22 +117,18 @@ def loop_figure(diagnosis: Diagnosis) -> Figure:
                 trace.u[k], unit.per_um * e[k], ls="", marker=".", ms=1.6, color=look["color"], label=label
             )
         residual.set_ylim(*(sign * unit.per_um * largest_um(trace) for sign in (-1, 1)))
-        residual.set_ylabel(f"residual ({unit.name})")
-        residual.set_title("residual over voltage")
+        residual.set(ylabel=f"residual ({unit.name})", title="residual over voltage")
         residual.legend(loc="best", markerscale=5, handletextpad=0.2)
         for axes in (loop, residual):
             axes.set_xlabel("voltage $u$ (V)")
-        settle(figure)
     return figure
 
 
 def spectrum_figure(diagnosis: Diagnosis) -> Figure:
     """Held-out residual over frequency, before and after, against white noise of the measured size."""
-    with drawing():
-        traces = diagnosis.traces[:4]
-        columns = min(len(traces), 2)
-        lines = -(-len(traces) // 2)
-        figure = Figure(figsize=(style.WIDTH_IN, 0.4 + 2.5 * lines))
+    traces = diagnosis.traces[:4]
+    columns, lines = min(len(traces), 2), -(-len(traces) // 2)
+    with canvas(0.4 + 2.5 * lines) as figure:
         panels = figure.subplots(lines, columns, squeeze=False, sharey=True).ravel()
         for axes, trace in zip(panels, traces, strict=False):
             for e, label, look in (
@@ -149,16 +139,12 @@ def spectrum_figure(diagnosis: Diagnosis) -> Figure:
             if diagnosis.noise_floor_um is not None:
                 floor = 1e3 * diagnosis.noise_floor_um * np.sqrt(2 / trace.fs_hz)
                 axes.axhline(floor, label="noise floor", **{**style.LIMIT, "color": "#000000"})
-            axes.set_xscale("log")
-            axes.set_yscale("log")
+            axes.set(xscale="log", yscale="log")
             plain_numbers(axes)
-            axes.set_xlabel("frequency (Hz)")
-            axes.set_ylabel("residual (nm per √Hz)")
-            axes.set_title(shortened(trace.name))
+            axes.set(xlabel="frequency (Hz)", ylabel="residual (nm per √Hz)", title=shortened(trace.name))
         for axes in panels[len(traces) :]:
             axes.set_visible(False)
         panels[0].legend(loc="best")
-        settle(figure)
     return figure
 
 
@@ -167,8 +153,7 @@ def remains_figure(diagnosis: Diagnosis) -> Figure:
     shares = {spoken(effect.name): effect.share for effect in diagnosis.effects}
     if diagnosis.noise_floor_um is not None or not shares:
         shares["unexplained"] = diagnosis.unexplained_share
-    with drawing():
-        figure = Figure(figsize=(style.WIDTH_IN, 0.75 + 0.27 * len(shares)))
+    with canvas(0.75 + 0.27 * len(shares)) as figure:
         axes = figure.subplots()
         for at, (name, share) in enumerate(shares.items()):
             rest = name == "unexplained"
@@ -186,22 +171,16 @@ def remains_figure(diagnosis: Diagnosis) -> Figure:
         axes.grid(False, axis="y")
         over = "" if diagnosis.noise_floor_um is None else " over the noise floor"
         axes.set_xlabel(f"share of the squared mismatch{over} (%)")
-        settle(figure)
     return figure
 
 
 def next_figure(diagnosis: Diagnosis) -> Figure:
     """The voltage to play next."""
     t, u = diagnosis.next_excitation
-    with drawing():
-        figure = Figure(figsize=(style.WIDTH_IN, 1.8))
+    with canvas(1.8) as figure:
         axes = figure.subplots()
         axes.plot(*envelope(t, u), **{**style.TORCHPI, "linewidth": 0.8})
-        axes.set_xlim(t[0], t[-1])
-        axes.set_xlabel("time (s)")
-        axes.set_ylabel("voltage $u$ (V)")
-        axes.set_title("to be played next")
-        settle(figure)
+        axes.set(xlim=(t[0], t[-1]), xlabel="time (s)", ylabel="voltage $u$ (V)", title="to be played next")
     return figure
 
 

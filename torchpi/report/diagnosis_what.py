@@ -8,7 +8,7 @@ from matplotlib.ticker import MaxNLocator
 
 from torchpi.diagnosis.diagnosis import Diagnosis, NamedEffect, Trace
 from torchpi.diagnosis.say import spoken
-from torchpi.report import style, words
+from torchpi.report import words
 from torchpi.report.diagnosis_style import (
     ADDED,
     BEFORE,
@@ -19,7 +19,7 @@ from torchpi.report.diagnosis_style import (
     shortened,
     unit_of,
 )
-from torchpi.report.style import drawing, settle
+from torchpi.report.style import canvas
 from torchpi.report.traces import Signal, envelope
 
 
@@ -29,8 +29,7 @@ def rivals_figure(effect: NamedEffect) -> Figure:
     names = [spoken(effect.name), *(spoken(rival.name) for rival in rivals)]
     lost = [0.0, *(rival.loses_nats for rival in rivals)]
     chances = [100 * effect.probability, *(100 * rival.probability for rival in rivals)]
-    with drawing():
-        figure = Figure(figsize=(style.WIDTH_IN, 1.15 + 0.24 * len(names)))
+    with canvas(1.15 + 0.24 * len(names)) as figure:
         density, probability = figure.subplots(1, 2, sharey=True)
         for at in range(len(names)):
             alternative = at > 0 and rivals[at - 1].name in effect.alternatives
@@ -49,17 +48,13 @@ def rivals_figure(effect: NamedEffect) -> Figure:
                 )  # fmt: skip
         density.set_yticks(range(len(names)), names)
         density.invert_yaxis()
-        density.set_xlabel("log predictive density lost (nats)")
-        density.set_title("loss with it in the effect's place")
-        probability.set_xlabel("probability (%)")
-        probability.set_xlim(0, 118)
-        probability.set_title("probability")
+        density.set(xlabel="log predictive density lost (nats)", title="loss with it in the effect's place")
+        probability.set(xlabel="probability (%)", xlim=(0, 118), title="probability")
         density.margins(x=0.16)
         density.xaxis.set_major_locator(MaxNLocator(4))
         plain_numbers(density, y=False)
         for axes in (density, probability):
             axes.grid(False, axis="y")
-        settle(figure)
     return figure
 
 
@@ -70,22 +65,20 @@ def signature_figure(effect: NamedEffect, diagnosis: Diagnosis) -> Figure:
     added, left = trace.signatures[effect.name][inside], trace.residual_retuned[inside]
     unit = unit_of(float(max(np.abs(added).max(), np.abs(left).max())))
     t, time_unit = _time_axis(trace.t[inside])
-    with drawing():
-        figure = Figure(figsize=(style.WIDTH_IN, 3.5))
+    with canvas(3.5) as figure:
         motion, residual = figure.subplots(2, 1, sharex=True, height_ratios=(0.65, 1.35))
         motion.plot(*envelope(t, trace.y[inside]), **RECORDED)
-        motion.set_ylabel("$y$ (µm)")
-        motion.set_title(f"{shortened(trace.name)}, where {spoken(effect.name)} is largest: recorded motion")
+        motion.set(
+            ylabel="$y$ (µm)",
+            title=f"{shortened(trace.name)}, where {spoken(effect.name)} is largest: recorded motion",
+        )
         residual.plot(
             *envelope(t, unit.per_um * left), label="recorded − retuned stage", **{**BEFORE, "linewidth": 0.8}
         )
         residual.plot(*envelope(t, unit.per_um * added), label=f"{spoken(effect.name)} adds", **ADDED)
         residual.axhline(0.0, color="#000000", linewidth=0.5)
-        residual.set_ylabel(f"displacement ({unit.name})")
-        residual.set_xlabel(f"time ({time_unit})")
-        residual.set_xlim(t[0], t[-1])
+        residual.set(ylabel=f"displacement ({unit.name})", xlabel=f"time ({time_unit})", xlim=(t[0], t[-1]))
         residual.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, borderaxespad=0.2)
-        settle(figure)
     return figure
 
 

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from torchpi.diagnosis.diagnosis import Where
 from torchpi.diagnosis.locate import SIGNIFICANT
 from torchpi.diagnosis.multisine import Parts
-from torchpi.report import style, words
+from torchpi.report import words
 from torchpi.report.diagnosis_style import (
     SILENT_NM,
     STRONG,
@@ -19,15 +19,14 @@ from torchpi.report.diagnosis_style import (
     shortened,
     unit_of,
 )
-from torchpi.report.style import drawing, settle
+from torchpi.report.style import canvas
 from torchpi.report.traces import Signal
 
 
 def where_figure(where: Sequence[Where]) -> Figure:
     """Share of each cell of the eight domains; cells that stand out from chance are dark."""
-    with drawing():
-        strips = _strips(where)
-        figure = Figure(figsize=(style.WIDTH_IN, 6.2 + 0.3 * len(strips)))
+    strips = _strips(where)
+    with canvas(6.2 + 0.3 * len(strips)) as figure:
         grid = figure.add_gridspec(5, 2, height_ratios=(0.62 + 0.3 * len(strips), 1.5, 1.5, 1.5, 1.5))
         _heat_strips(figure.add_subplot(grid[0, :]), strips)
         _bands(figure.add_subplot(grid[1, :]), _map(where, "frequency"), "frequency (Hz)", "frequency", True)
@@ -57,7 +56,6 @@ def where_figure(where: Sequence[Where]) -> Figure:
         both = grid[4, 1].subgridspec(1, 2, width_ratios=(1, 1.3))
         _names(figure.add_subplot(both[0]), _map(where, "direction"), "direction")
         _names(figure.add_subplot(both[1]), _map(where, "recording"), "recording")
-        settle(figure)
     return figure
 
 
@@ -72,8 +70,7 @@ def multisine_figure(parts: Parts) -> Figure:
     }
     highest = 3 * float(parts.hz[parts.kind == "linear"].max())
     shown = parts.hz <= highest
-    with drawing():
-        figure = Figure(figsize=(style.WIDTH_IN, 3.0))
+    with canvas(3.0) as figure:
         axes = figure.subplots()
         for kind, (label, mark) in marks.items():
             mask = _loudest(shown & (parts.kind == kind), parts.amplitude_um)
@@ -90,21 +87,24 @@ def multisine_figure(parts: Parts) -> Figure:
             label="noise, rms",
         )
         typical = unit.per_um * float(np.median(parts.noise_amplitude_um[shown]))
-        axes.set_ylim(
-            max(0.2 * typical, SILENT_NM),
-            max(10 * SILENT_NM, 2 * unit.per_um * float(parts.amplitude_um[shown].max())),
+        axes.set(
+            ylim=(
+                max(0.2 * typical, SILENT_NM),
+                max(10 * SILENT_NM, 2 * unit.per_um * float(parts.amplitude_um[shown].max())),
+            ),
+            xscale="log",
+            yscale="log",
         )
-        axes.set_xscale("log")
-        axes.set_yscale("log")
         plain_numbers(axes)
-        axes.set_xlabel("frequency (Hz)")
-        axes.set_ylabel(f"amplitude of the residual ({unit.name})")
-        axes.set_title(f"{shortened(parts.recording)}, from {parts.start_s:.3g} s: lines of the period")
+        axes.set(
+            xlabel="frequency (Hz)",
+            ylabel=f"amplitude of the residual ({unit.name})",
+            title=f"{shortened(parts.recording)}, from {parts.start_s:.3g} s: lines of the period",
+        )
         axes.legend(
             loc="upper center", bbox_to_anchor=(0.5, -0.17), ncols=5, handletextpad=0.3, columnspacing=1.2,
             markerscale=1.4,
         )  # fmt: skip
-        settle(figure)
     return figure
 
 
@@ -146,8 +146,7 @@ def _heat_strips(axes: Axes, strips: dict[str, list[Where]]) -> None:
     axes.set_xlim(0, longest or 1.0)
     axes.invert_yaxis()
     axes.grid(False)
-    axes.set_xlabel("time in the recording (s)")
-    axes.set_title("time: share in each twelfth of a recording (%)")
+    axes.set(xlabel="time in the recording (s)", title="time: share in each twelfth of a recording (%)")
 
 
 def _bands(axes: Axes, cells: Sequence[Where], label: str, title: str, log: bool = False) -> None:
@@ -188,15 +187,15 @@ def _names(axes: Axes, cells: Sequence[Where], title: str) -> None:
     axes.set_yticks(range(len(cells)), [shortened(cell.label, 16) for cell in cells])
     axes.invert_yaxis()
     axes.grid(False, axis="y")
-    axes.set_xlim(0, 105)
-    axes.set_xlabel("share (%)")
-    axes.set_title(title)
+    axes.set(xlim=(0, 105), xlabel="share (%)", title=title)
 
 
 def _finish(axes: Axes, cells: Sequence[Where], title: str) -> None:
-    axes.set_ylabel("share (%)")
-    axes.set_ylim(0, 1.12 * max(max((100 * cell.share for cell in cells), default=0.0), 1.0))
-    axes.set_title(title)
+    axes.set(
+        ylabel="share (%)",
+        ylim=(0, 1.12 * max(max((100 * cell.share for cell in cells), default=0.0), 1.0)),
+        title=title,
+    )
 
 
 def _look(cell: Where) -> dict[str, Any]:

@@ -9,39 +9,33 @@ from matplotlib.ticker import FuncFormatter
 
 from torchpi.loop.result import COMPENSATED, WITHOUT, WITHOUT_LOOK_AHEAD, LoopResult
 from torchpi.report import style
-from torchpi.report.style import drawing, settle
+from torchpi.report.style import canvas
 from torchpi.report.traces import envelope, thinned
 
 
 def trajectory_figure(result: LoopResult) -> Figure:
     """The motion against the reference, and the error of every drive below."""
-    with drawing():
-        figure = Figure(figsize=(style.WIDTH_IN, 4.6))
+    with canvas(4.6) as figure:
         motion, error = figure.subplots(2, 1, sharex=True, height_ratios=(1.15, 1))
         for key in (WITHOUT, COMPENSATED):
             drive = result.drives[key]
             motion.plot(*envelope(result.t, drive.y_true), label=drive.label, **line_of(result, key))
         motion.plot(*envelope(result.t, result.yd), label="reference, $y_d$", **style.WANTED)
-        motion.set_ylabel("displacement (µm)")
-        motion.set_title(f"{result.title}: motion")
+        motion.set(ylabel="displacement (µm)", title=f"{result.title}: motion")
         for key, drive in result.drives.items():
             error.plot(
                 *envelope(result.t, drive.y_true - result.yd), label=drive.label, **line_of(result, key)
             )
-        error.set_ylabel("error $y - y_d$ (µm)")
-        error.set_xlabel("time (s)")
-        error.set_xlim(0.0, result.t[-1])
+        error.set(ylabel="error $y - y_d$ (µm)", xlabel="time (s)", xlim=(0.0, result.t[-1]))
         for axes in (motion, error):
             _shade_loading(axes, result)
             _legend_above(axes)
-        settle(figure)
     return figure
 
 
 def linearity_figure(result: LoopResult) -> Figure:
     """y against y_d before and after: ideally a straight line through the origin."""
-    with drawing():
-        figure = Figure(figsize=(style.WIDTH_IN, 3.7))
+    with canvas(3.7) as figure:
         panels = figure.subplots(1, 2, sharex=True, sharey=True)
         for axes, key in zip(panels, (WITHOUT, COMPENSATED), strict=True):
             drive = result.drives[key]
@@ -55,19 +49,19 @@ def linearity_figure(result: LoopResult) -> Figure:
                 **{**line_of(result, key), "linewidth": 0.9},
                 label="steady",
             )
-            axes.set_title(f"{drive.label}\nloop width {drive.loop_width_percent:.2g} % of peak to peak")
-            axes.set_xlabel("reference $y_d$ (µm)")
-            axes.set_aspect("equal")
+            axes.set(
+                title=f"{drive.label}\nloop width {drive.loop_width_percent:.2g} % of peak to peak",
+                xlabel="reference $y_d$ (µm)",
+                aspect="equal",
+            )
             axes.legend(loc="upper left")
         panels[0].set_ylabel("displacement $y$ (µm)")
-        settle(figure)
     return figure
 
 
 def error_figure(result: LoopResult) -> Figure:
     """The errors that the first figure's scale hides, and a zoom on the worst of them."""
-    with drawing():
-        figure = Figure(figsize=(style.WIDTH_IN, 4.4))
+    with canvas(4.4) as figure:
         whole, zoom = figure.subplots(2, 1)
         start, stop = _worst_window(result)
         for key, drive in result.drives.items():
@@ -81,44 +75,39 @@ def error_figure(result: LoopResult) -> Figure:
         whole.axvspan(
             result.t[start], result.t[stop - 1], **{**style.SHADE, "color": "#0072B2", "alpha": 0.18}
         )
-        whole.set_xlim(0.0, result.t[-1])
-        whole.set_title("error with compensation")
-        whole.set_xlabel("time (s)")
-        zoom.set_xlim(1e3 * result.t[start], 1e3 * result.t[stop - 1])
-        zoom.set_title("the marked stretch, around the largest steady error")
-        zoom.set_xlabel("time (ms)")
+        whole.set(xlim=(0.0, result.t[-1]), title="error with compensation", xlabel="time (s)")
+        zoom.set(
+            xlim=(1e3 * result.t[start], 1e3 * result.t[stop - 1]),
+            title="the marked stretch, around the largest steady error",
+            xlabel="time (ms)",
+        )
         for axes in (whole, zoom):
             axes.set_ylabel("error (nm)")
         _legend_above(whole)
-        settle(figure)
     return figure
 
 
 def voltage_figure(result: LoopResult) -> Figure:
     """The voltage written to the stage, and its limits."""
-    with drawing():
-        figure = Figure(figsize=(style.WIDTH_IN, 2.7))
+    with canvas(2.7) as figure:
         axes = figure.subplots()
         for key in (WITHOUT, COMPENSATED):
             drive = result.drives[key]
             axes.plot(*envelope(result.t, drive.u), label=drive.label, **line_of(result, key))
         for limit_v, label in ((result.min_voltage_v, "limits"), (result.max_voltage_v, None)):
             axes.axhline(limit_v, label=label, **style.LIMIT)
-        axes.set_xlim(0.0, result.t[-1])
-        axes.set_xlabel("time (s)")
-        axes.set_ylabel("voltage $u$ (V)")
-        axes.set_title("voltage applied")
+        axes.set(
+            xlim=(0.0, result.t[-1]), xlabel="time (s)", ylabel="voltage $u$ (V)", title="voltage applied"
+        )
         _shade_loading(axes, result)
         _legend_above(axes)
-        settle(figure)
     return figure
 
 
 def latency_figure(result: LoopResult) -> Figure:
     """How long the compensator's steps took, the sample period marked."""
     latency = result.compensated.latency
-    with drawing():
-        figure = Figure(figsize=(style.WIDTH_IN, 2.9))
+    with canvas(2.9) as figure:
         axes = figure.subplots()
         axes.stairs(
             latency.histogram_counts,
@@ -141,17 +130,14 @@ def latency_figure(result: LoopResult) -> Figure:
             linewidth=2.2,
             label=f"sample period {latency.period_us:.4g} µs",
         )
-        axes.set_xscale("log")
-        axes.set_yscale("log")
+        axes.set(xscale="log", yscale="log")
         axes.set_ylim(bottom=0.5)
         edges = latency.histogram_edges_us
         axes.set_xlim(0.8 * min(edges[0], latency.period_us), 1.4 * max(edges[-1], latency.period_us))
         for axis in (axes.xaxis, axes.yaxis):
             axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.6g}"))
-        axes.set_xlabel("time of one step (µs)")
-        axes.set_ylabel("steps")
+        axes.set(xlabel="time of one step (µs)", ylabel="steps")
         _legend_above(axes)
-        settle(figure)
     return figure
 
 

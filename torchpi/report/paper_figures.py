@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
 from torchpi.report import style
-from torchpi.report.style import drawing, settle
+from torchpi.report.style import canvas
 from torchpi.report.traces import envelope, thinned
 
 if TYPE_CHECKING:
@@ -23,8 +23,7 @@ PANELS = "abcd"
 
 def fig3(result: "items_model.Fig3Result") -> Figure:
     """(a) every play with its weight, (b) their sum."""
-    with drawing():
-        figure = Figure(figsize=(style.WIDTH_IN, 3.2))
+    with canvas(3.2) as figure:
         alone, total = figure.subplots(1, 2)
         weights = ("10", "−5", "−5/3", "−5/6", "−0.5")
         for number, (part, weight) in enumerate(zip(result.parts, weights, strict=True)):
@@ -36,15 +35,13 @@ def fig3(result: "items_model.Fig3Result") -> Figure:
         for axes in (alone, total):
             axes.set_xlabel("input (–)")
         alone.set_ylabel("output (–)")
-        settle(figure)
     return figure
 
 
 def fig4(result: "items_model.Fig4Result") -> Figure:
     """The polynomial and the dead zones over the stage's travel, and how far they are apart."""
     of = result.curves
-    with drawing():
-        figure = Figure(figsize=(style.WIDTH_IN, 3.2))
+    with canvas(3.2) as figure:
         curves, apart = figure.subplots(1, 2, width_ratios=(1.2, 1))
         curves.plot(of.x, of.cubic, label=f"cubic, {of.cubic_numbers} numbers", **style.TORCHPI)
         label = f"six dead zones, {of.dead_zone_numbers} numbers"
@@ -54,16 +51,13 @@ def fig4(result: "items_model.Fig4Result") -> Figure:
         apart.plot(of.x, 100 * (of.dead_zones - of.cubic) / np.ptp(of.cubic), **style.OTHERS[0])
         apart.set_ylabel("difference (% of range)")
         for axes, title in ((curves, "the two operators"), (apart, "their difference")):
-            axes.set_title(title)
-            axes.set_xlabel("input (µm)")
-        settle(figure)
+            axes.set(title=title, xlabel="input (µm)")
     return figure
 
 
 def fig5(result: "items_model.Fig5Result") -> Figure:
     """The loop of the inverse without and with the polynomial of eq. 5."""
-    with drawing():
-        figure = Figure(figsize=(style.WIDTH_IN, 3.2))
+    with canvas(3.2) as figure:
         plain, bent = figure.subplots(1, 2)
         plain.plot(result.x, result.u_plain, **style.WITHOUT)
         plain.set_title("plays alone")
@@ -72,14 +66,12 @@ def fig5(result: "items_model.Fig5Result") -> Figure:
         for axes in (plain, bent):
             axes.set_xlabel("input (–)")
         plain.set_ylabel("output (–)")
-        settle(figure)
     return figure
 
 
 def fig7(result: "items_model.Fig7Result") -> Figure:
     """Displacement over voltage, one loop a frequency."""
-    with drawing():
-        figure = Figure(figsize=(0.62 * style.WIDTH_IN, 3.7))
+    with canvas(3.7, 0.62 * style.WIDTH_IN) as figure:
         axes = figure.subplots()
         for number, (hz, loop) in enumerate(result.loops.items()):
             axes.plot(
@@ -88,19 +80,14 @@ def fig7(result: "items_model.Fig7Result") -> Figure:
                 linewidth=1.2,
                 label=f"{hz} Hz, {loop.area:.3g} V µm",
             )
-        axes.set_xlim(0, 10)
-        axes.set_xlabel("input (V)")
-        axes.set_ylabel("output (µm)")
-        axes.set_title("loops of the plant")
+        axes.set(xlim=(0, 10), xlabel="input (V)", ylabel="output (µm)", title="loops of the plant")
         axes.legend(loc="upper left")
-        settle(figure)
     return figure
 
 
 def fig8(result: "items_model.Fig8Result") -> Figure:
     """Four panels of y over y_d, indirect and direct, with the 45° line."""
-    with drawing():
-        figure = Figure(figsize=(style.WIDTH_IN, 6.8))
+    with canvas(6.8) as figure:
         panels = figure.subplots(2, 2, sharex=True, sharey=True).flat
         for letter, axes, hz in zip(PANELS, panels, result.indirect, strict=False):
             axes.plot([0, 11], [0, 11], **DIAGONAL)
@@ -109,23 +96,18 @@ def fig8(result: "items_model.Fig8Result") -> Figure:
             axes.plot(*thinned(indirect.yd, indirect.y), label=label, **PAPER)
             label = f"torchpi, direct, {direct.max_percent:.2g} %"
             axes.plot(*thinned(direct.yd, direct.y), label=label, **style.TORCHPI)
-            axes.set_title(f"({letter}) {hz} Hz")
-            axes.set_xlim(0, 11)
-            axes.set_ylim(0, 11)
-            axes.set_aspect("equal")
+            axes.set(title=f"({letter}) {hz} Hz", xlim=(0, 11), ylim=(0, 11), aspect="equal")
             axes.legend(loc="upper left", title="largest error", alignment="left")
         for axes in figure.axes[2:]:
             axes.set_xlabel("desired displacement $y_d$ (µm)")
         for axes in figure.axes[::2]:
             axes.set_ylabel("actual displacement $y$ (µm)")
-        settle(figure)
     return figure
 
 
 def fig8_errors(result: "items_model.Fig8Result") -> Figure:
     """The same errors over one cycle, which the four panels hide."""
-    with drawing():
-        figure = Figure(figsize=(style.WIDTH_IN, 4.2))
+    with canvas(4.2) as figure:
         panels = figure.subplots(2, 2, sharex=True).flat
         for axes, hz in zip(panels, result.indirect, strict=False):
             for one, line, label in (
@@ -134,51 +116,43 @@ def fig8_errors(result: "items_model.Fig8Result") -> Figure:
             ):
                 cycle = np.linspace(0, 1, len(one.yd))
                 axes.plot(*envelope(cycle, 100 * (one.y - one.yd) / 9), label=label, **line)
-            axes.set_title(f"{hz} Hz")
-            axes.set_xlim(0, 1)
+            axes.set(title=f"{hz} Hz", xlim=(0, 1))
         for axes in figure.axes[2:]:
             axes.set_xlabel("cycle (–)")
         for axes in figure.axes[::2]:
             axes.set_ylabel("error (% of 9 µm)")
         figure.axes[1].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, borderaxespad=0.2)
-        settle(figure)
     return figure
 
 
 def fig10(result: "items_stage.Fig10Result") -> Figure:
     """(a) voltage over displacement, (b) over time, and the difference below."""
     of = result.figure
-    with drawing():
-        figure = Figure(figsize=(style.WIDTH_IN, 5.6))
+    with canvas(5.6) as figure:
         mosaic = figure.subplot_mosaic("ab;cc", width_ratios=(1, 1.35), height_ratios=(1.4, 1))
         loop, time, error = mosaic["a"], mosaic["b"], mosaic["c"]
         loop.plot(*thinned(of.y, of.u), label="ideal inversion (measured)", **MEASURED)
         loop.plot(*thinned(of.y, of.u_model), label="identified model", **PAPER)
-        loop.set_xlabel("displacement $y$ (µm)")
-        loop.set_title("(a) loops")
+        loop.set(xlabel="displacement $y$ (µm)", title="(a) loops")
         short = of.t <= 0.2
         time.plot(*envelope(of.t[short], of.u[short]), label="ideal inversion (measured)", **MEASURED)
         time.plot(*envelope(of.t[short], of.u_model[short]), label="identified model", **PAPER)
-        time.set_title("(b) time plot")
-        time.set_xlim(0, of.t[short][-1])
+        time.set(title="(b) time plot", xlim=(0, of.t[short][-1]))
         time.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.2)
         error.plot(*envelope(of.t, of.u_model - of.u), **{**PAPER, "linewidth": 0.8})
         error.axvspan(0, of.loading_s, **style.SHADE)
-        error.set_xlim(0, of.t[-1])
-        error.set_title("model − measured (initial loading shaded)")
+        error.set(xlim=(0, of.t[-1]), title="model − measured (initial loading shaded)")
         for axes in (loop, time):
             axes.set_ylabel("voltage $u$ (V)")
         error.set_ylabel("error (V)")
         for axes in (time, error):
             axes.set_xlabel("time (s)")
-        settle(figure)
     return figure
 
 
 def fig12(result: "items_stage.Fig12Result") -> Figure:
     """(a) slow, (b) fast: desired and actual over time; (c) the errors of both."""
-    with drawing():
-        figure = Figure(figsize=(style.WIDTH_IN, 7.6))
+    with canvas(7.6) as figure:
         axes = list(figure.subplots(4, 1, height_ratios=(1.1, 1.1, 1, 1)))
         for letter, (name, panel), motion, error in zip(
             PANELS, result.panels.items(), axes[:2], axes[2:], strict=False
@@ -188,27 +162,29 @@ def fig12(result: "items_stage.Fig12Result") -> Figure:
             ours = panel.tracked["torchpi"].y
             motion.plot(*envelope(panel.t[shown], ours[shown]), label="torchpi", **style.TORCHPI)
             motion.plot(*envelope(panel.t[shown], panel.yd[shown]), label="desired", **DIAGONAL)
-            motion.set_xlim(0, panel.t[shown][-1])
-            motion.set_ylabel("displacement (µm)")
-            motion.set_title(f"({letter}) {name} trajectory")
+            motion.set(
+                xlim=(0, panel.t[shown][-1]),
+                ylabel="displacement (µm)",
+                title=f"({letter}) {name} trajectory",
+            )
             for method, line in (("paper", PAPER), ("torchpi", style.TORCHPI)):
                 trace = panel.tracked[method].y - panel.yd
                 error.plot(*envelope(panel.t, trace), **{**line, "linewidth": 0.8})
             error.axvspan(0, panel.loading_s, **style.SHADE)
-            error.set_xlim(0, panel.t[-1])
-            error.set_ylabel("error (µm)")
-            error.set_title(f"(c) tracking error, {name} (initial loading shaded)")
+            error.set(
+                xlim=(0, panel.t[-1]),
+                ylabel="error (µm)",
+                title=f"(c) tracking error, {name} (initial loading shaded)",
+            )
         axes[0].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, borderaxespad=0.2)
         for one in axes:
             one.set_xlabel("time (s)")
-        settle(figure)
     return figure
 
 
 def fig13(result: "items_stage.Fig13Result") -> Figure:
     """(a) slow, (b) fast: actual over desired displacement, before and after."""
-    with drawing():
-        figure = Figure(figsize=(style.WIDTH_IN, 3.9))
+    with canvas(3.9) as figure:
         panels = figure.subplots(1, 2, sharex=True, sharey=True)
         for letter, axes, (name, panel) in zip(PANELS, panels, result.trajectories.items(), strict=False):
             start = int(np.searchsorted(panel.t, panel.loading_s))
@@ -221,19 +197,19 @@ def fig13(result: "items_stage.Fig13Result") -> Figure:
                 axes.plot(
                     *thinned(panel.yd[start:], trace[start:]), **{**line, "linewidth": 0.8}, label=label
                 )
-            axes.set_title(f"({letter}) {name} trajectory")
-            axes.set_xlabel("desired displacement $y_d$ (µm)")
-            axes.set_aspect("equal")
+            axes.set(
+                title=f"({letter}) {name} trajectory",
+                xlabel="desired displacement $y_d$ (µm)",
+                aspect="equal",
+            )
         panels[0].set_ylabel("actual displacement $y$ (µm)")
         panels[0].legend(loc="upper left")
-        settle(figure)
     return figure
 
 
 def fig13_by_frequency(result: "items_stage.Fig13Result") -> Figure:
     """Width and nonlinearity over the frequency, logarithmic, before and after."""
-    with drawing():
-        figure = Figure(figsize=(style.WIDTH_IN, 3.3))
+    with canvas(3.3) as figure:
         panels = figure.subplots(1, 2, sharex=True, sharey=True)
         for axes, key, title in zip(
             panels, ("width_percent", "nonlinearity_percent"), ("loop width", "nonlinearity"), strict=True
@@ -245,21 +221,17 @@ def fig13_by_frequency(result: "items_stage.Fig13Result") -> Figure:
                 hz = [float(name) for name in loops]
                 values = [getattr(loop, key) for loop in loops.values()]
                 axes.plot(hz, values, marker="o", markersize=3.5, label=label, **line)
-            axes.set_xscale("log")
-            axes.set_yscale("log")
+            axes.set(xscale="log", yscale="log")
             _plain_ticks(axes, hz)
-            axes.set_title(title)
-            axes.set_xlabel("frequency (Hz)")
+            axes.set(title=title, xlabel="frequency (Hz)")
         panels[0].set_ylabel("% of range")
         panels[0].legend(loc="center left")
-        settle(figure)
     return figure
 
 
 def unseen(result: "items_stage.UnseenResult") -> Figure:
     """Every random trajectory, its largest error with either method."""
-    with drawing():
-        figure = Figure(figsize=(style.WIDTH_IN, 3.0))
+    with canvas(3.0) as figure:
         axes = figure.subplots()
         for method, line, label in (("paper", PAPER, _OF_PAPER), ("torchpi", style.TORCHPI, "torchpi")):
             trials = result.trials[method]
@@ -271,12 +243,10 @@ def unseen(result: "items_stage.UnseenResult") -> Figure:
         axes.set_yscale("log")
         axes.xaxis.set_major_locator(FixedLocator(list(number)))
         axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-        axes.set_xlabel("trajectory (–)")
-        axes.set_ylabel("error (% of peak to peak)")
+        axes.set(xlabel="trajectory (–)", ylabel="error (% of peak to peak)")
         axes.yaxis.set_major_locator(FixedLocator([0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 20]))
         axes.yaxis.set_minor_locator(NullLocator())
         axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=4, borderaxespad=0.2)
-        settle(figure)
     return figure
 
 

@@ -62,17 +62,21 @@ def drawing() -> Iterator[None]:
         yield
 
 
-def settle(figure: Figure) -> None:
-    """Lay the figure out, higher where it must be, and leave it so: drawn twice, it is the same twice."""
-    engine = figure.get_layout_engine()
-    assert engine is not None  # the style asks for one
-    for _ in range(GROWS):
-        try:
-            with warnings.catch_warnings():
-                warnings.filterwarnings("error", message="constrained_layout not applied")
-                # Drawing without a renderer lays out too, and costs the drawing as well.
-                engine.execute(figure)
-            break
-        except UserWarning:  # what stands beside the axes leaves them no room
-            figure.set_size_inches(figure.get_figwidth(), 1.25 * figure.get_figheight())
-    figure.set_layout_engine("none")
+@contextmanager
+def canvas(height_in: float, width_in: float = WIDTH_IN) -> Iterator[Figure]:
+    """A figure, laid out at the end, higher where it must be: drawn twice, it is the same twice."""
+    with drawing():
+        figure = Figure(figsize=(width_in, height_in))
+        yield figure
+        engine = figure.get_layout_engine()
+        assert engine is not None  # the style asks for one
+        for _ in range(GROWS):
+            try:
+                with warnings.catch_warnings():
+                    warnings.filterwarnings("error", message="constrained_layout not applied")
+                    # Drawing without a renderer lays out too, and costs the drawing as well.
+                    engine.execute(figure)
+                break
+            except UserWarning:  # what stands beside the axes leaves them no room
+                figure.set_size_inches(figure.get_figwidth(), 1.25 * figure.get_figheight())
+        figure.set_layout_engine("none")

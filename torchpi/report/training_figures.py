@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from torchpi.report import style
-from torchpi.report.style import drawing, settle
+from torchpi.report.style import canvas
 from torchpi.report.traces import Signal, envelope, thinned
 from torchpi.report.training import RecordFit, Saturation, WeightsAgainstRate
 
@@ -17,43 +17,39 @@ PREDICTED: dict[str, Any] = {"color": "#E69F00", "linestyle": (0, (3, 1.2)), "li
 
 def loop_figure(record: RecordFit) -> Figure:
     """Hysteresis: recorded voltage and predicted voltage against the recorded displacement."""
-    with drawing():
-        figure = Figure(figsize=(0.62 * style.WIDTH_IN, 3.6))
+    with canvas(3.6, 0.62 * style.WIDTH_IN) as figure:
         axes = figure.subplots()
         axes.plot(*thinned(record.y, record.u), label="recorded", **RECORDED)
         axes.plot(*thinned(record.y, record.u_hat), label="predicted", **PREDICTED)
-        axes.set_xlabel("displacement $y$ (µm)")
-        axes.set_ylabel("voltage $u$ (V)")
-        axes.set_title(f"{record.name}, {record.role}")
+        axes.set(
+            xlabel="displacement $y$ (µm)", ylabel="voltage $u$ (V)", title=f"{record.name}, {record.role}"
+        )
         axes.legend(loc="upper left")
-        settle(figure)
     return figure
 
 
 def traces_figure(record: RecordFit) -> Figure:
     """Voltage against time, and what the prediction leaves over."""
-    with drawing():
-        figure = Figure(figsize=(style.WIDTH_IN, 3.8))
+    with canvas(3.8) as figure:
         voltage, residual = figure.subplots(2, 1, sharex=True)
         voltage.plot(*envelope(record.t, record.u), label="recorded", **RECORDED)
         voltage.plot(*envelope(record.t, record.u_hat), label="predicted", **PREDICTED)
-        voltage.set_ylabel("voltage $u$ (V)")
-        voltage.set_title(f"{record.name}, {record.role}")
+        voltage.set(ylabel="voltage $u$ (V)", title=f"{record.name}, {record.role}")
         voltage.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, borderaxespad=0.2)
         residual.plot(*envelope(record.t, 1e3 * (record.u_hat - record.u)), color="#0072B2", linewidth=0.8)
         residual.axhline(0.0, color="#000000", linewidth=0.6)
-        residual.set_ylabel("residual (mV)")
-        residual.set_title("residual, predicted − recorded")
-        residual.set_xlabel("time (s)")
-        residual.set_xlim(record.t[0], record.t[-1])
-        settle(figure)
+        residual.set(
+            ylabel="residual (mV)",
+            title="residual, predicted − recorded",
+            xlabel="time (s)",
+            xlim=(record.t[0], record.t[-1]),
+        )
     return figure
 
 
 def spectrum_figure(record: RecordFit) -> Figure:
     """Where in frequency the residual lies: lines that stand out from it are structure left over."""
-    with drawing():
-        figure = Figure(figsize=(style.WIDTH_IN, 2.9))
+    with canvas(2.9) as figure:
         axes = figure.subplots()
         dt_s = float(np.median(np.diff(record.t)))
         for signal, label, color, width in (
@@ -62,20 +58,20 @@ def spectrum_figure(record: RecordFit) -> Figure:
         ):
             f, density = _amplitude_density(signal, dt_s)
             axes.plot(f, density, label=label, color=color, linewidth=width)
-        axes.set_xscale("log")
-        axes.set_yscale("log")
-        axes.set_xlabel("frequency (Hz)")
-        axes.set_ylabel("V per √Hz")
-        axes.set_title(f"spectrum, {record.name}, {record.role}")
+        axes.set(
+            xscale="log",
+            yscale="log",
+            xlabel="frequency (Hz)",
+            ylabel="V per √Hz",
+            title=f"spectrum, {record.name}, {record.role}",
+        )
         axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, borderaxespad=0.2)
-        settle(figure)
     return figure
 
 
 def weights_figure(weights: WeightsAgainstRate) -> Figure:
     """Eq. 7: each play's weight against the rate, and their running sum, the slope of the loop."""
-    with drawing():
-        figure = Figure(figsize=(style.WIDTH_IN, 3.5))
+    with canvas(3.5) as figure:
         single, running = figure.subplots(1, 2)
         plays = len(weights.r)
         colours = matplotlib.colormaps["cividis"](np.linspace(0.0, 0.92, plays))
@@ -89,9 +85,11 @@ def weights_figure(weights: WeightsAgainstRate) -> Figure:
                 label=f"{r:.3g}",
                 lw=1.1,
             )
-        single.set_xlabel("rate $\\dot{y}$ (µm/s)")
-        single.set_ylabel("weight $w_i(\\dot{y})$ (V per unit of $S$)")
-        single.set_title("weights against rate")
+        single.set(
+            xlabel="rate $\\dot{y}$ (µm/s)",
+            ylabel="weight $w_i(\\dot{y})$ (V per unit of $S$)",
+            title="weights against rate",
+        )
         single.legend(
             title="threshold $r_i$",
             title_fontsize=8,
@@ -112,31 +110,28 @@ def weights_figure(weights: WeightsAgainstRate) -> Figure:
                 **line,
             )
         running.axhline(0.0, **style.LIMIT)
-        running.set_xlabel("threshold $r_j$ (unit of $S$)")
-        running.set_ylabel("$\\sum_{i \\leq j} w_i$ (V per unit of $S$)")
-        running.set_title("their running sum: slope of the loop")
+        running.set(
+            xlabel="threshold $r_j$ (unit of $S$)",
+            ylabel="$\\sum_{i \\leq j} w_i$ (V per unit of $S$)",
+            title="their running sum: slope of the loop",
+        )
         running.legend(loc="best")
-        settle(figure)
     return figure
 
 
 def saturation_figure(saturation: Saturation) -> Figure:
     """Eq. 4: how S bends away from its own slope at zero, and the slope itself."""
-    with drawing():
-        figure = Figure(figsize=(style.WIDTH_IN, 2.7))
+    with canvas(2.7) as figure:
         value, slope = figure.subplots(1, 2)
         value.plot(saturation.y, saturation.s, label="$S(y)$", **style.TORCHPI)
         value.plot(saturation.y, saturation.c[0] * saturation.y, label="$c_1 y$", **style.LIMIT)
-        value.set_ylabel("$S$")
-        value.set_title("saturation polynomial")
+        value.set(ylabel="$S$", title="saturation polynomial")
         value.legend(loc="upper left")
         slope.plot(saturation.y, _slope(saturation), **style.TORCHPI)
-        slope.set_ylabel("slope S′ (per µm)")
-        slope.set_title("its slope")
+        slope.set(ylabel="slope S′ (per µm)", title="its slope")
         slope.set_ylim(bottom=min(0.0, slope.get_ylim()[0]))
         for axes in (value, slope):
             axes.set_xlabel("displacement $y$ (µm)")
-        settle(figure)
     return figure
 
 
