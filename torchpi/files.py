@@ -73,6 +73,16 @@ def write_atomically(path: str | Path) -> Iterator[Path]:
         raise ArtifactError(f"{path}: cannot be written ({reason(error)})") from error
 
 
+def write_text(path: str | Path, text: str) -> None:
+    """Write a file of text, as `write_atomically` does.
+
+    Raises:
+        ArtifactError: As `write_atomically`.
+    """
+    with write_atomically(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
 def to_disk(path: Path) -> None:
     """Wait until a file is on its disk: some file systems find out only then that there is no room."""
     with open(path, "rb") as written:

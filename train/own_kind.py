@@ -8,7 +8,7 @@ from typing import Any, Protocol
 import yaml
 
 from torchpi.errors import ArtifactError, ConfigError
-from torchpi.files import check_output_folder, config_file, write_atomically
+from torchpi.files import check_output_folder, config_file, write_text
 from torchpi.stage.settings import read_yaml
 
 USAGE = "expected python -m train fit --config configs/NAME.yaml [--output FOLDER]"
@@ -66,8 +66,7 @@ def leave(folder: Path, stage: Saved, metrics: Mapping[str, Any], content: Mappi
         ("metrics.json", json.dumps(metrics, indent=2)),
         ("config.yaml", yaml.safe_dump(dict(content))),
     ):
-        with write_atomically(folder / name) as temporary:
-            temporary.write_text(text + "\n", encoding="utf-8")
+        write_text(folder / name, text + "\n")
 
 
 def _options(arguments: Sequence[str]) -> dict[str, str]:

@@ -6,7 +6,6 @@ import platform
 from collections.abc import Mapping
 from dataclasses import asdict
 from hashlib import sha256
-from pathlib import Path
 from typing import Any, cast
 
 import torch
@@ -16,7 +15,7 @@ from lightning.pytorch.loggers import TensorBoardLogger
 from torchpi.control.trained import STATE
 from torchpi.diagnosis.forward_stage import ForwardStage, identify_stage
 from torchpi.export import export_files
-from torchpi.files import config_file, write_atomically
+from torchpi.files import config_file, write_text
 from torchpi.identification import inverse_errors
 from torchpi.identification.monotone import Monotone, monotone
 from torchpi.identification.recipe import MOST_PREVIEW
@@ -51,8 +50,8 @@ def write_settings(
         "versions": {"python": platform.python_version(), **{name: _version(name) for name in PACKAGES}},
         "machine": f"{platform.system()} {platform.machine()}",
     }
-    _write(folder.config, config)
-    _write(folder.facts, json.dumps(facts, indent=2, ensure_ascii=False) + "\n")
+    write_text(folder.config, config)
+    write_text(folder.facts, json.dumps(facts, indent=2, ensure_ascii=False) + "\n")
 
 
 def write_results(
@@ -72,7 +71,7 @@ def write_results(
     _write_report(folder, model, metrics)
     _log_hyper_parameters(trainer, model, metrics)
     # Last, so that a run folder with metrics is a complete one.
-    _write(folder.metrics, json.dumps(metrics, indent=2, ensure_ascii=False) + "\n")
+    write_text(folder.metrics, json.dumps(metrics, indent=2, ensure_ascii=False) + "\n")
     return metrics
 
 
@@ -249,11 +248,6 @@ def _log_hyper_parameters(trainer: Trainer, model: InverseTraining, metrics: dic
         shown,
     )
     logger.finalize("success")
-
-
-def _write(path: Path, text: str) -> None:
-    with write_atomically(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
 
 
 def _version(package: str) -> str:

@@ -9,7 +9,7 @@ import torch
 
 from torchpi.cli.workers import available_cores
 from torchpi.errors import SimulationError
-from torchpi.files import check_output_folder, write_atomically
+from torchpi.files import check_output_folder, write_text
 from torchpi.identification.multi_axis import MultiAxisOptions
 from torchpi.identification.multi_axis.diagnosis import AxesDiagnosis, diagnose_axes
 from torchpi.recordings.multi_axis import read_multi_axis
@@ -54,9 +54,8 @@ def diagnose_axes_files(
     if simulation is not None:
         files["simulation"] = simulation
     page = write_axes_diagnosis(found, provenance(command, files), output / "report.html")
-    with write_atomically(output / "diagnosis.json") as temporary:
-        text = json.dumps(found.as_json(), indent=1, ensure_ascii=False)
-        temporary.write_text(text + "\n", encoding="utf-8")
+    text = json.dumps(found.as_json(), indent=1, ensure_ascii=False)
+    write_text(output / "diagnosis.json", text + "\n")
     found.stage.save(output / "stage.pt")
     print(f"\n{found.summary}\n")
     for what, file in (

@@ -21,7 +21,7 @@ from rich.progress import (
 
 import torchpi
 from torchpi.errors import ConfigError
-from torchpi.files import check_output_folder, config_file, write_atomically
+from torchpi.files import check_output_folder, config_file, write_text
 from torchpi.paper.context import FULL, RECIPE, Context, Item, Recipe, Size
 from torchpi.paper.items import ITEMS
 from torchpi.paper.stored import restore, store
@@ -180,9 +180,8 @@ def _write(output: Path, stage: Path, done: dict[str, Any], seconds: dict[str, f
         if name in done:
             _merge(numbers, done[name].numbers())
             sections.append(Section(name, done[name], done[name].rows(), seconds[name]))
-    with write_atomically(output / "results.json") as temporary:
-        text = json.dumps(numbers, indent=1, ensure_ascii=False, allow_nan=False)
-        temporary.write_text(text + "\n", encoding="utf-8")
+    text = json.dumps(numbers, indent=1, ensure_ascii=False, allow_nan=False)
+    write_text(output / "results.json", text + "\n")
     about = provenance(" ".join(["torchpi", *sys.argv[1:]]), {"stage": config_file(stage, "stage")})
     return write_paper_page(sections, [name for name in ITEMS if name not in done], about, output)
 

@@ -10,7 +10,7 @@ from torchpi.cli.export_axes import BAND
 from torchpi.control.multi_axis import MultiAxisInverse
 from torchpi.errors import ArtifactError, ConfigError, RecordingError
 from torchpi.export.multi_axis.numbers import read_inverse
-from torchpi.files import check_output_folder, write_atomically
+from torchpi.files import check_output_folder, write_text
 from torchpi.loop.axes import AxesTracking, random_axes, track_axes
 from torchpi.recordings.multi_axis import DESIRED, columns
 from torchpi.recordings.options import RecordingOptions
@@ -54,9 +54,8 @@ def run_axes(
         print(f"{name}:\n{table(tracked)}")
         found.append(tracked)
     path = output / "loop.json"
-    with write_atomically(path) as temporary:
-        content = {name: one.as_json() for name, one in zip(names, found, strict=True)}
-        temporary.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+    content = {name: one.as_json() for name, one in zip(names, found, strict=True)}
+    write_text(path, json.dumps(content, indent=1) + "\n")
     print(f"{path}: the same numbers")
     return found
 

@@ -8,7 +8,7 @@ import numpy as np
 from torchpi.excitation.limits import DriveLimits
 from torchpi.excitation.sets import diagnostic_excitations
 from torchpi.excitation.signals import Samples
-from torchpi.files import check_output_folder, write_atomically
+from torchpi.files import check_output_folder, write_atomically, write_text
 
 INSTRUCTIONS = "WHAT_TO_DO.txt"
 
@@ -35,8 +35,7 @@ def write_diagnostic_set(folder: Path, limits: DriveLimits, seed: int = 0) -> st
     text = instructions(folder, files, limits)
     for name, (t, u) in files.items():
         write_excitation(folder / name, t, u)
-    with write_atomically(folder / INSTRUCTIONS) as temporary:
-        temporary.write_text(text + "\n", encoding="utf-8")
+    write_text(folder / INSTRUCTIONS, text + "\n")
     return text
 
 

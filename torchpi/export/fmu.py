@@ -19,13 +19,12 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import jinja2
-
 import torchpi
 from torchpi.errors import ArtifactError, ExportWarning
 from torchpi.export.c_source import c_source
 from torchpi.export.deployable import Deployable
 from torchpi.export.formats import Files
+from torchpi.export.templates import rendered
 from torchpi.operators.reference_filter import ReferenceFilter
 
 FMI3 = Path(__file__).parent / "fmi3"
@@ -87,11 +86,11 @@ def fmu_sources(
         "not_offered": _not_offered(),
     }
     # One token for one model: of all that decides what it computes and how it is called.
-    tokenless = [_rendered(file, {**context, "token": ""}) for file in TEMPLATES]
+    tokenless = [rendered(f"fmi3/{file}.j2", {**context, "token": ""}) for file in TEMPLATES]
     context["token"] = hashlib.sha256("".join([*texts.values(), *tokenless]).encode()).hexdigest()[:32]
     content = {f"sources/{file}": text for file, text in texts.items()}
     content |= {f"sources/{file}": (FMI3 / file).read_text(encoding="ascii") for file in HEADERS}
-    content |= {place.format(name): _rendered(file, context) for file, place in TEMPLATES.items()}
+    content |= {place.format(name): rendered(f"fmi3/{file}.j2", context) for file, place in TEMPLATES.items()}
     return {file: text.encode() for file, text in content.items()}
 
 
@@ -139,16 +138,6 @@ def _not_offered() -> list[tuple[str, str]]:
         for function, parameters in found
         if f"fmi3Status {function}(" not in own
     ]
-
-
-def _rendered(file: str, context: dict[str, Any]) -> str:
-    environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(FMI3),
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        keep_trailing_newline=True,
-    )
-    return environment.get_template(f"{file}.j2").render(context)
 
 
 def _write(content: dict[str, bytes], path: Path) -> None:

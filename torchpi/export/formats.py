@@ -60,6 +60,12 @@ def made_files(
     return files
 
 
+def written(content: str | bytes) -> Callable[[Path], object]:
+    """What writes this content to a path; lines end alike on every system."""
+    encoded = content.encode() if isinstance(content, str) else content
+    return lambda path: path.write_bytes(encoded)
+
+
 def write_together(files: Files) -> None:
     """Write every file beside its place; when all are there, put them in place."""
     with ExitStack() as placed:

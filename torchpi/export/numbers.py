@@ -9,7 +9,7 @@ from torchpi.control.direct_inverse import DirectInverse
 from torchpi.control.step_guard import CONFIRMATIONS
 from torchpi.errors import ArtifactError
 from torchpi.export.deployable import Deployable
-from torchpi.export.formats import Files
+from torchpi.export.formats import Files, written
 from torchpi.export.safety_card import Load, safety_card
 from torchpi.operators.reference_filter import ReferenceFilter
 
@@ -36,7 +36,7 @@ def json_files(
         text = json.dumps(numbers(compensator, reference_filter, load), indent=2, allow_nan=False)
     except ValueError as error:
         raise ArtifactError("a number of the model: found inf or nan, expected finite numbers") from error
-    return {output.with_name(output.name + ".json"): lambda path: path.write_text(text + "\n")}
+    return {output.with_name(output.name + ".json"): written(text + "\n")}
 
 
 def numbers(

@@ -2,13 +2,12 @@
 
 import shlex
 import sys
-from functools import partial
 from pathlib import Path
 
 from torchpi.control.direct_inverse import DirectInverse
 from torchpi.errors import ArtifactError
 from torchpi.export.deployable import Deployable
-from torchpi.export.formats import Files
+from torchpi.export.formats import Files, written
 from torchpi.export.safety_card import Load, safety_card
 from torchpi.operators.reference_filter import ReferenceFilter
 
@@ -35,8 +34,4 @@ def page_files(
         )
     command = shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])
     html = safety_page(output.name, safety_card(compensator, load), provenance(command, {}))
-    return {output.with_name(output.name + ".html"): partial(_write, html)}
-
-
-def _write(html: str, path: Path) -> None:
-    path.write_text(html, encoding="utf-8")
+    return {output.with_name(output.name + ".html"): written(html)}

@@ -16,7 +16,7 @@ from torch import nn
 from torchpi.control.step import CompensatorStream
 from torchpi.errors import ArtifactError
 from torchpi.export.deployable import Deployable
-from torchpi.export.formats import Files
+from torchpi.export.formats import Files, written
 from torchpi.export.torchscript_check import METHODS, RECORDINGS_PART, check_file, check_graph
 from torchpi.export.written_out import written_out
 from torchpi.operators.reference_filter import ReferenceFilter
@@ -43,7 +43,7 @@ def torchscript_files(
     extra = {} if known is None else {RECORDINGS_PART.removeprefix("extra/"): known}
     # From a buffer, because a path leaves its name inside, and this one is temporary.
     content = scripted.save_to_buffer(_extra_files=extra)
-    return {output.with_name(output.name + ".pt"): lambda path: path.write_bytes(content)}
+    return {output.with_name(output.name + ".pt"): written(content)}
 
 
 def script(

@@ -5,7 +5,7 @@ from pathlib import Path
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
-from torchpi.files import write_atomically
+from torchpi.files import write_text
 from torchpi.identification.multi_axis.diagnosis import STAGE, AxesDiagnosis
 from torchpi.report import style
 from torchpi.report.page import render
@@ -31,8 +31,7 @@ def write_axes_diagnosis(found: AxesDiagnosis, provenance: Provenance, path: Pat
         caption=CAPTION,
         provenance=provenance,
     )
-    with write_atomically(path) as temporary:
-        temporary.write_text(html, encoding="utf-8")
+    write_text(path, html)
     return path
 
 

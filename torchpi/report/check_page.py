@@ -9,7 +9,7 @@ import numpy as np
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
-from torchpi.files import write_atomically
+from torchpi.files import write_text
 from torchpi.recordings.multi_axis import MultiAxisRecording
 from torchpi.recordings.summary import Column, Summary
 from torchpi.report import style
@@ -48,8 +48,7 @@ def write_sections(
 ) -> Path:
     """Write the page of sections, one for each recording; returns its path."""
     html = render("check.html.j2", title=title, commands=commands, provenance=provenance, recordings=sections)
-    with write_atomically(path) as temporary:
-        temporary.write_text(html, encoding="utf-8")
+    write_text(path, html)
     return Path(path)
 
 

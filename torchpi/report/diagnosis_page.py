@@ -13,7 +13,7 @@ from torchpi.diagnosis.locate import SIGNIFICANT
 from torchpi.diagnosis.multisine import Part, Parts, all_parts
 from torchpi.diagnosis.say import spoken, spoken_parameter
 from torchpi.excitation.files import write_excitation
-from torchpi.files import write_atomically
+from torchpi.files import write_text
 from torchpi.report import words
 from torchpi.report.diagnosis_figures import diagnosis_figures
 from torchpi.report.diagnosis_fit import HELDOUT_TRACES
@@ -58,16 +58,14 @@ def write_diagnosis(
     text = diagnosis_json(diagnosis, provenance)
     for name, figure in figures.items():
         write_png(figure, pictures / f"{name}.png")
-        with write_atomically(pictures / f"{name}.svg") as file:
-            file.write_text(_alone(drawn[name]["svg"]), encoding="utf-8")
+        write_text(pictures / f"{name}.svg", _alone(drawn[name]["svg"]))
     for earlier in pictures.glob("*"):
         if earlier.suffix in (".png", ".svg") and earlier.stem not in figures:
             earlier.unlink()
     if len(diagnosis.next_excitation[0]):
         write_excitation(directory / "next_excitation.csv", *diagnosis.next_excitation)
     for path, content in ((page, html), (numbers, text)):
-        with write_atomically(path) as file:
-            file.write_text(content, encoding="utf-8")
+        write_text(path, content)
     return page, numbers
 
 

@@ -9,7 +9,7 @@ from typing import Any
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
-from torchpi.files import write_atomically
+from torchpi.files import write_text
 from torchpi.loop.result import COMPENSATED, LoopResult, as_json
 from torchpi.report import loop_figures, training_figures, words
 from torchpi.report.linked import MOST_NUMBERS, Linked, linked_markup
@@ -35,18 +35,15 @@ def write_loop_report(
     for result, pictures in zip(results, drawn, strict=True):
         for picture in pictures:
             write_png(picture.figure, directory / "figures" / f"{result.name}_{picture.name}.png")
-    with write_atomically(numbers) as temporary:
-        temporary.write_text(text, encoding="utf-8")
-    with write_atomically(page) as temporary:
-        temporary.write_text(html, encoding="utf-8")
+    write_text(numbers, text)
+    write_text(page, html)
     return page, numbers
 
 
 def write_training_report(report: TrainingReport, provenance: Provenance, path: str | Path) -> Path:
     """Write the training page, usually as `report.html` of the run folder."""
     html = training_page(report, provenance)
-    with write_atomically(path) as temporary:
-        temporary.write_text(html, encoding="utf-8")
+    write_text(path, html)
     return Path(path)
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import jinja2
 from markupsafe import Markup
 
-from torchpi.files import write_atomically
+from torchpi.files import write_text
 from torchpi.report import words
 from torchpi.report.paper_figures import FIGURES
 from torchpi.report.paper_texts import TEXTS
@@ -47,8 +47,7 @@ def write_paper_page(
     directory = Path(directory)
     html = paper_page(sections, missing, provenance, directory / "figures")
     page = directory / "paper.html"
-    with write_atomically(page) as temporary:
-        temporary.write_text(html, encoding="utf-8")
+    write_text(page, html)
     return page
 
 

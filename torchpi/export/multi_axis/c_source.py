@@ -4,16 +4,15 @@ The templates beside this file have the equations; each sum has the order of the
 """
 
 import textwrap
-from collections.abc import Iterable
-from pathlib import Path
+from collections.abc import Callable, Iterable
 from typing import Any
 
-import jinja2
 import numpy as np
 
 import torchpi
 from torchpi.control.multi_axis import MultiAxisInverse
 from torchpi.export.c_source import check_name
+from torchpi.export.templates import rendered
 from torchpi.operators.modal_feedback import DIVERGED, SMALLEST_MEAN
 from torchpi.operators.oversampled_inputs import FACTOR, TAPS
 from torchpi.stage.multi_axis import MultiAxisStage, MultiAxisStream
@@ -32,16 +31,14 @@ def c_source(exported: MultiAxisStage | MultiAxisInverse, name: str) -> dict[str
     """
     check_name(name)
     context = _context(exported, name)
-    templates = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(Path(__file__).parent),
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-    )
-    templates.filters |= {"number": _number, "numbers": _numbers, "rows": _rows, "hexadecimal": _hexadecimal}
+    filters: dict[str, Callable[..., str]] = {
+        "number": _number,
+        "numbers": _numbers,
+        "rows": _rows,
+        "hexadecimal": _hexadecimal,
+    }
     files = {f"{name}.h": "step.h.j2", f"{name}.c": "step.c.j2", f"{name}_selftest.c": "selftest.c.j2"}
-    return {file: templates.get_template(template).render(context) for file, template in files.items()}
+    return {file: rendered(f"multi_axis/{one}", context, **filters) for file, one in files.items()}
 
 
 def _context(exported: MultiAxisStage | MultiAxisInverse, name: str) -> dict[str, Any]:

@@ -1,12 +1,11 @@
 """The files of a stage of several axes and of its inverse, by format."""
 
 from collections.abc import Sequence
-from functools import partial
 from pathlib import Path
 
 from torchpi.control.multi_axis import MultiAxisInverse
 from torchpi.errors import ConfigError
-from torchpi.export.formats import Files
+from torchpi.export.formats import Files, written
 from torchpi.export.multi_axis.c_source import c_source
 from torchpi.export.multi_axis.numbers import numbers
 from torchpi.export.multi_axis.tensors import scripted
@@ -37,14 +36,10 @@ def multi_axis_files(
     files: Files = {}
     if "torchscript" in formats:
         content = scripted(exported).save_to_buffer()
-        files[output.with_name(f"{output.name}.pt")] = partial(_write, content)
+        files[output.with_name(f"{output.name}.pt")] = written(content)
     if "c" in formats:
         for name, text in c_source(exported, output.name).items():
-            files[output.with_name(name)] = partial(_write, text.encode("ascii"))
+            files[output.with_name(name)] = written(text)
     if "json" in formats:
-        files[output.with_name(f"{output.name}.json")] = partial(_write, numbers(exported).encode())
+        files[output.with_name(f"{output.name}.json")] = written(numbers(exported))
     return files
-
-
-def _write(content: bytes, path: Path) -> None:
-    path.write_bytes(content)

@@ -216,17 +216,40 @@ class PassTensors(nn.Module):
         return late, before + self.filter.advance(lacking)
 
 
-class StageStep(nn.Module):
+class Step(nn.Module):
+    """A step of tensors, `forward`, as a loop calls it: with lists of numbers, and in blocks."""
+
+    def __init__(self, sample_rate_hz: float, takes: int, gives: int) -> None:
+        super().__init__()
+        self.sample_period_s = 1 / sample_rate_hz
+        self.gives = gives
+        self.held_inputs = 0
+        self.accepted = torch.zeros(takes, dtype=torch.float64)
+
+    @torch.jit.export
+    def step(self, x: list[float]) -> list[float]:
+        # On a name: TorchScript computes what stands before `tolist` three times.
+        y: Tensor = self.forward(exact(x))
+        numbers: list[float] = y.tolist()
+        return numbers
+
+    @torch.jit.export
+    def block(self, x: Tensor) -> Tensor:
+        """(time, inputs) to (time, outputs)."""
+        y = torch.empty(len(x), self.gives, dtype=torch.float64)
+        for t in range(len(x)):
+            y[t] = self.forward(x[t])
+        return y
+
+
+class StageStep(Step):
     """`step` from voltages to displacements, `delay_samples` late."""
 
     def __init__(self, stage: MultiAxisStage) -> None:
-        super().__init__()
+        super().__init__(stage.sample_rate_hz, stage.inputs, stage.outputs)
         self.stage = StageTensors(stage)
-        self.sample_period_s = 1 / stage.sample_rate_hz
         self.delay_samples = stage.delay_samples
         self.inputs, self.outputs = stage.inputs, stage.outputs
-        self.held_inputs = 0
-        self.accepted = torch.zeros(stage.inputs, dtype=torch.float64)
 
     @torch.jit.export
     def reset(self) -> None:
@@ -244,34 +267,19 @@ class StageStep(nn.Module):
             self.held_inputs += 1
         return self.stage.advance(self.accepted)
 
-    @torch.jit.export
-    def step(self, u: list[float]) -> list[float]:
-        y = self.forward(exact(u))
-        # On a name: TorchScript computes what stands before `tolist` three times.
-        numbers: list[float] = y.tolist()
-        return numbers
 
-    @torch.jit.export
-    def block(self, u: Tensor) -> Tensor:
-        """(time, inputs) to (time, outputs)."""
-        y = torch.empty(len(u), self.outputs, dtype=torch.float64)
-        for t in range(len(u)):
-            y[t] = self.forward(u[t])
-        return y
-
-
-class InverseStep(nn.Module):
+class InverseStep(Step):
     """`step` from desired displacements, `preview` samples ahead, to voltages."""
 
     def __init__(self, inverse: MultiAxisInverse) -> None:
-        super().__init__()
+        stage = inverse.stage
+        super().__init__(stage.sample_rate_hz, stage.outputs, stage.inputs)
         self.first = FilterTensors(inverse.first)
         self.passes = nn.ModuleList([PassTensors(inverse) for _ in range(inverse.passes)])
         self.limits_v, self.accepted_um = tensor(inverse.limits_v), tensor(inverse.accepted_um)
-        self.sample_period_s, self.preview = 1 / inverse.stage.sample_rate_hz, inverse.preview
-        self.inputs, self.outputs = inverse.stage.inputs, inverse.stage.outputs
-        self.held_inputs = self.limited_outputs = 0
-        self.accepted = torch.zeros(inverse.stage.outputs, dtype=torch.float64)
+        self.preview = inverse.preview
+        self.inputs, self.outputs = stage.inputs, stage.outputs
+        self.limited_outputs = 0
 
     @torch.jit.export
     def reset(self) -> None:
@@ -298,18 +306,3 @@ class InverseStep(nn.Module):
         if bool((limited != u).any()):
             self.limited_outputs += 1
         return limited
-
-    @torch.jit.export
-    def step(self, yd: list[float]) -> list[float]:
-        u = self.forward(exact(yd))
-        # On a name: TorchScript computes what stands before `tolist` three times.
-        numbers: list[float] = u.tolist()
-        return numbers
-
-    @torch.jit.export
-    def block(self, yd: Tensor) -> Tensor:
-        """(time, outputs) to (time, inputs)."""
-        u = torch.empty(len(yd), self.inputs, dtype=torch.float64)
-        for t in range(len(yd)):
-            u[t] = self.forward(yd[t])
-        return u
