@@ -18,7 +18,6 @@ class Third(StateSpaceEffect):
     """A lag and a mode in one, dense, with a way straight through."""
 
     order = 3
-    quantities, identity = {}, {}
 
     def __init__(self) -> None:
         super().__init__(sample_period_s=0.2)

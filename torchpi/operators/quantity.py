@@ -3,9 +3,6 @@
 import math
 from dataclasses import dataclass
 
-import torch
-from torch import nn
-
 from torchpi.errors import StageError
 
 
@@ -18,12 +15,14 @@ class Quantity:
         at_least: Smallest value allowed.
         at_most: Largest value allowed.
         positive: Whether 0 itself is not allowed, `at_least` being 0.
+        identity: The value at which what it is a parameter of is not there; it may lie beyond the limits.
     """
 
     unit: str
     at_least: float = -math.inf
     at_most: float = math.inf
     positive: bool = False
+    identity: float = 0.0
 
     def check(self, name: str, value: float) -> float:
         """Return `value` as a float.
@@ -36,10 +35,6 @@ class Quantity:
             unit = f" {self.unit}" if self.unit else ""
             raise StageError(f"{name}: found {value:g}{unit}, expected {self.expected()}{unit}")
         return float(value)
-
-    def parameter(self, name: str, value: float) -> nn.Parameter:
-        """A checked, trainable number in float64."""
-        return nn.Parameter(torch.tensor(self.check(name, value), dtype=torch.float64))
 
     def expected(self) -> str:
         """The limits in words."""

@@ -1,8 +1,9 @@
 """What every piece of physics that a stage may lack has in common."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 import torch
@@ -67,8 +68,23 @@ class Needs:
     of the voltage and of the amplitude."""
 
 
+def parameter(
+    unit: str,
+    at_least: float = -math.inf,
+    at_most: float = math.inf,
+    positive: bool = False,
+    identity: float = 0.0,
+) -> Any:
+    """A physical parameter in the body of an effect's class: arguments are those of `Quantity`."""
+    return Quantity(unit, at_least, at_most, positive, identity)
+
+
 class Described:
-    """What the search, the report and the files need of a kind of effect, whatever it acts on."""
+    """What the search, the report and the files need of a kind of effect, whatever it acts on.
+
+    The parameters are the quantities in a class's body, and those of `quantities` beside them, where there
+    are many, or others than in the class that it is derived from.
+    """
 
     name: ClassVar[str]
     """As in `diagnosis.json`."""
@@ -78,7 +94,7 @@ class Described:
     signature: ClassVar[str]
     """How the residual shows it, in one line."""
     quantities: ClassVar[dict[str, Quantity]]
-    """Unit and physical bounds of each parameter."""
+    """Unit, physical bounds and identity of each parameter."""
     accepted: ClassVar[dict[str, Quantity]] = {}
     """Bounds of a given value, where they are wider than those that a fit stays in."""
     identity: ClassVar[Parameters]
@@ -120,6 +136,16 @@ class Described:
     """Its equations, where the cause is known and the equation is not; empty for one equation only."""
     form_of: ClassVar[Mapping[str, str]] = {}
     """The form that each parameter brings in when it leaves its identity."""
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        own = {name: value for name, value in vars(cls).items() if isinstance(value, Quantity)}
+        for name in own:
+            delattr(cls, name)  # an instance has the number there
+        others = vars(cls).get("quantities")
+        inherited = getattr(cls, "quantities", {}) if others is None else {}
+        cls.quantities = {**inherited, **own, **(others or {})}
+        cls.identity = {name: quantity.identity for name, quantity in cls.quantities.items()}
 
     @classmethod
     def form(cls, values: Mapping[str, float]) -> str:

@@ -6,6 +6,7 @@ Mathematical Society 99, 1961). Behind the last knot it stays where that is.
 """
 
 import math
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -13,7 +14,7 @@ from torch import Tensor, nn
 from torchpi.operators.quantity import Quantity
 
 KNOTS = 8
-SPACING = Quantity("s", at_least=1e-6, at_most=1e6)
+SPACING: Any = Quantity("s", at_least=1e-6, at_most=1e6, identity=1.0)
 """Bounds of the time from one knot to the next."""
 
 

@@ -8,7 +8,7 @@ from torch import nn
 
 from torchpi.operators.linear import Hold, Matrices
 from torchpi.operators.quantity import Quantity
-from torchpi.stage.effects.effect import Parameters, StateSpaceEffect
+from torchpi.stage.effects.effect import StateSpaceEffect, parameter
 
 
 class FirstOrderLag(StateSpaceEffect):
@@ -27,10 +27,8 @@ class FirstOrderLag(StateSpaceEffect):
     signature = "phase grows in proportion to frequency, the gain rolls off"
     time_scale = "fast"
     delays = True
-    quantities: ClassVar[dict[str, Quantity]] = {"cutoff_hz": Quantity("Hz", at_least=1.0, at_most=1e6)}
+    cutoff_hz: nn.Parameter = parameter("Hz", at_least=1.0, at_most=1e6, identity=math.inf)
     accepted: ClassVar[dict[str, Quantity]] = {"cutoff_hz": Quantity("Hz", at_least=0, positive=True)}
-    identity: ClassVar[Parameters] = {"cutoff_hz": math.inf}
-    cutoff_hz: nn.Parameter
     order = 1
 
     def discrete(self, hold: Hold) -> Matrices:

@@ -15,11 +15,9 @@ from torch import Tensor, nn
 
 from torchpi.operators.quantity import Quantity
 from torchpi.operators.relaxations import relaxations
-from torchpi.stage.effects.effect import DataRange, Effect, Parameters
+from torchpi.stage.effects.effect import DataRange, Effect, Parameters, parameter
 
 TIMES = 8
-_WEIGHT = Quantity("", at_least=-1e3, at_most=1e3)
-_TIME = Quantity("s", at_least=1e-7, at_most=1e7)
 
 
 class Unknown(Effect):
@@ -29,23 +27,12 @@ class Unknown(Effect):
     block = "sensor"
     equation = "y = x + Σ a_j ξ_j + Σ b_j ξ_j x / L"
     signature = "none that is known"
-    quantities: ClassVar[dict[str, Quantity]] = {
-        "length_um": Quantity("µm", at_least=1e-9, at_most=1e9),
-        "shortest_s": _TIME,
-        "longest_s": _TIME,
-        **{f"a{j}": _WEIGHT for j in range(TIMES)},
-        **{f"b{j}": _WEIGHT for j in range(TIMES)},
-    }
-    identity: ClassVar[Parameters] = {
-        "length_um": 1.0,
-        "shortest_s": 1e-3,
-        "longest_s": 10.0,
-        **{f"a{j}": 0.0 for j in range(TIMES)},
-        **{f"b{j}": 0.0 for j in range(TIMES)},
-    }
-    length_um: nn.Parameter
-    shortest_s: nn.Parameter
-    longest_s: nn.Parameter
+    length_um: nn.Parameter = parameter("µm", at_least=1e-9, at_most=1e9, identity=1.0)
+    shortest_s: nn.Parameter = parameter("s", at_least=1e-7, at_most=1e7, identity=1e-3)
+    longest_s: nn.Parameter = parameter("s", at_least=1e-7, at_most=1e7, identity=10.0)
+    quantities: ClassVar[dict[str, Quantity]] = dict.fromkeys(
+        [f"{letter}{j}" for letter in "ab" for j in range(TIMES)], Quantity("", at_least=-1e3, at_most=1e3)
+    )
 
     def initial_state(self, batch: int) -> Tensor:
         return torch.zeros(batch, TIMES, dtype=torch.float64)

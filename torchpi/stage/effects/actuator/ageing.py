@@ -5,7 +5,7 @@ zirconate titanate actuator materials*, 2005); ageing after poling goes with tim
 """
 
 import math
-from typing import Any, ClassVar
+from typing import Any
 
 import numba
 import numpy as np
@@ -13,8 +13,7 @@ import torch
 from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 
-from torchpi.operators.quantity import Quantity
-from torchpi.stage.effects.effect import SHORTEST_SLOW_S, DataRange, Effect, Needs, Parameters
+from torchpi.stage.effects.effect import SHORTEST_SLOW_S, DataRange, Effect, Needs, Parameters, parameter
 
 
 def travelled(travel_mm: float, x: float, before: float) -> float:
@@ -40,13 +39,8 @@ class Ageing(Effect):
     time_scale = "slow"
     needs = Needs(duration_s=SHORTEST_SLOW_S)
     degenerate_with = ("gain_modulation",)
-    quantities: ClassVar[dict[str, Quantity]] = {
-        "loss_per_s": Quantity("1/s", at_least=0, at_most=10),
-        "loss_per_mm": Quantity("1/mm", at_least=0, at_most=1e6),
-    }
-    identity: ClassVar[Parameters] = {"loss_per_s": 0.0, "loss_per_mm": 0.0}
-    loss_per_s: nn.Parameter
-    loss_per_mm: nn.Parameter
+    loss_per_s: nn.Parameter = parameter("1/s", at_least=0, at_most=10)
+    loss_per_mm: nn.Parameter = parameter("1/mm", at_least=0, at_most=1e6)
 
     def initial_state(self, batch: int) -> Tensor:
         return torch.zeros(batch, 3, dtype=torch.float64)

@@ -29,7 +29,14 @@ from torch import Tensor, nn
 
 from torchpi.operators.linear import Matrices, discretise
 from torchpi.operators.quantity import Quantity, check_order
-from torchpi.stage.effects.effect import SHORTEST_SLOW_S, DataRange, Needs, Parameters, StateSpaceEffect
+from torchpi.stage.effects.effect import (
+    SHORTEST_SLOW_S,
+    DataRange,
+    Needs,
+    Parameters,
+    StateSpaceEffect,
+    parameter,
+)
 
 REFERENCE_S = 0.1
 """After a step the displacement at this time is y₀, whatever γ and p."""
@@ -80,30 +87,17 @@ class Creep(StateSpaceEffect):
     time_scale = "slow"
     needs = Needs(duration_s=SHORTEST_SLOW_S)
     degenerate_with = ("thermal_drift",)
-    quantities: ClassVar[dict[str, Quantity]] = {
-        "per_decade": Quantity("", at_least=0, at_most=0.5),
-        "gain": Quantity("", at_least=0, at_most=0.5),
-        "time_constant_s": Quantity("s", at_least=1e-3, at_most=1e4),
-        "slow_gain": Quantity("", at_least=0, at_most=0.5),
-        "slow_time_constant_s": Quantity("s", at_least=1e-3, at_most=1e4),
-        "power_per_decade": Quantity("", at_least=0, at_most=0.5),
-        "exponent": Quantity("", at_least=0.02, at_most=0.5),
-        # Each decade has its poles: between these times there are 40.
-        "from_s": Quantity("s", at_least=1e-9, at_most=1e9),
-        "to_s": Quantity("s", at_least=1e-9, at_most=1e9),
-    }
+    per_decade: nn.Parameter = parameter("", at_least=0, at_most=0.5)
+    gain: nn.Parameter = parameter("", at_least=0, at_most=0.5)
+    time_constant_s: nn.Parameter = parameter("s", at_least=1e-3, at_most=1e4, identity=1.0)
+    slow_gain: nn.Parameter = parameter("", at_least=0, at_most=0.5)
+    slow_time_constant_s: nn.Parameter = parameter("s", at_least=1e-3, at_most=1e4, identity=10.0)
+    power_per_decade: nn.Parameter = parameter("", at_least=0, at_most=0.5)
+    exponent: nn.Parameter = parameter("", at_least=0.02, at_most=0.5, identity=0.2)
+    # Each decade has its poles: between these times there are 40.
+    from_s: nn.Parameter = parameter("s", at_least=1e-9, at_most=1e9, identity=FROM_S)
+    to_s: nn.Parameter = parameter("s", at_least=1e-9, at_most=1e9, identity=TO_S)
     accepted: ClassVar[dict[str, Quantity]] = {"per_decade": Quantity("", at_least=-0.5, at_most=0.5)}
-    identity: ClassVar[Parameters] = {
-        "per_decade": 0.0,
-        "gain": 0.0,
-        "time_constant_s": 1.0,
-        "slow_gain": 0.0,
-        "slow_time_constant_s": 10.0,
-        "power_per_decade": 0.0,
-        "exponent": 0.2,
-        "from_s": FROM_S,
-        "to_s": TO_S,
-    }
     forms = ("logarithm", "pole", "two poles", "power law")
     form_of: ClassVar[dict[str, str]] = {
         "per_decade": "logarithm",
@@ -111,15 +105,6 @@ class Creep(StateSpaceEffect):
         "power_per_decade": "power law",
     }
     kinds = ("from_s", "to_s")
-    per_decade: nn.Parameter
-    gain: nn.Parameter
-    time_constant_s: nn.Parameter
-    slow_gain: nn.Parameter
-    slow_time_constant_s: nn.Parameter
-    power_per_decade: nn.Parameter
-    exponent: nn.Parameter
-    from_s: nn.Parameter
-    to_s: nn.Parameter
 
     def __init__(self, sample_period_s: float, **values: float) -> None:
         super().__init__(sample_period_s, **values)

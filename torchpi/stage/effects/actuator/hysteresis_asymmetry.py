@@ -1,9 +1,6 @@
 """Envelopes that differ up and down: a generalised play (Brokate and Sprekels, 1996) in one parameter."""
 
-from typing import ClassVar
-
-from torchpi.operators.quantity import Quantity
-from torchpi.stage.effects.effect import DataRange, Needs, Parameters
+from torchpi.stage.effects.effect import DataRange, Needs, Parameters, parameter
 from torchpi.stage.effects.inside import InsideEffect
 
 
@@ -15,10 +12,7 @@ class HysteresisAsymmetry(InsideEffect):
     signature = "even lines of a multisine, another error going up than coming down"
     time_scale = "static"
     needs = Needs(reversals=2)
-    quantities: ClassVar[dict[str, Quantity]] = {
-        "asymmetry_per_v": Quantity("1/V", at_least=-0.2, at_most=0.2)
-    }
-    identity: ClassVar[Parameters] = {"asymmetry_per_v": 0.0}
+    asymmetry_per_v: float = parameter("1/V", at_least=-0.2, at_most=0.2)
 
     @classmethod
     def starts(cls, seen: DataRange) -> list[Parameters]:

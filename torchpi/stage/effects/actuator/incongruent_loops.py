@@ -1,9 +1,6 @@
 """Weights that depend on the bias: equal minor loops are no longer congruent (Mayergoyz, 2003)."""
 
-from typing import ClassVar
-
-from torchpi.operators.quantity import Quantity
-from torchpi.stage.effects.effect import DataRange, Needs, Parameters
+from torchpi.stage.effects.effect import DataRange, Needs, Parameters, parameter
 from torchpi.stage.effects.inside import InsideEffect
 
 
@@ -18,11 +15,8 @@ class IncongruentLoops(InsideEffect):
     signature = "minor loops of one amplitude differ with the bias; even lines"
     time_scale = "static"
     needs = Needs(reversals=3)
-    quantities: ClassVar[dict[str, Quantity]] = {
-        "incongruence_per_v": Quantity("1/V", at_least=-0.5, at_most=0.5),
-        "straight_share": Quantity("", at_least=0.0, at_most=10.0),
-    }
-    identity: ClassVar[Parameters] = {"incongruence_per_v": 0.0, "straight_share": 0.0}
+    incongruence_per_v: float = parameter("1/V", at_least=-0.5, at_most=0.5)
+    straight_share: float = parameter("", at_least=0.0, at_most=10.0)
 
     @classmethod
     def starts(cls, seen: DataRange) -> list[Parameters]:

@@ -1,12 +1,9 @@
 """Curvature ahead of the hysteresis: w = v + c₂v² + c₃v³ (Qin et al., 2013, eq. 4, with c₁ = 1)."""
 
-from typing import ClassVar
-
 from torch import nn
 
-from torchpi.operators.quantity import Quantity
 from torchpi.stage.effects.curvature import Curvature
-from torchpi.stage.effects.effect import DataRange, Parameters
+from torchpi.stage.effects.effect import DataRange, Parameters, parameter
 
 
 class InputNonlinearity(Curvature):
@@ -19,13 +16,8 @@ class InputNonlinearity(Curvature):
     signature = "even (c₂) and odd (c₃) harmonics that survive f → 0, and loops of unlike halves"
     time_scale = "static"
     degenerate_with = ("sensor_nonlinearity",)
-    quantities: ClassVar[dict[str, Quantity]] = {
-        "c2_per_v": Quantity("1/V", at_least=-1e3, at_most=1e3),
-        "c3_per_v2": Quantity("1/V²", at_least=-1e6, at_most=1e6),
-    }
-    identity: ClassVar[Parameters] = {"c2_per_v": 0.0, "c3_per_v2": 0.0}
-    c2_per_v: nn.Parameter
-    c3_per_v2: nn.Parameter
+    c2_per_v: nn.Parameter = parameter("1/V", at_least=-1e3, at_most=1e3)
+    c3_per_v2: nn.Parameter = parameter("1/V²", at_least=-1e6, at_most=1e6)
 
     @classmethod
     def starts(cls, seen: DataRange) -> list[Parameters]:

@@ -5,14 +5,19 @@ f_c = 1/(2πRC) of the feedback resistance and the load, or of the integrator, a
 """
 
 import math
-from typing import ClassVar
 
 import torch
 from torch import nn
 
 from torchpi.operators.linear import Matrices, discretise
-from torchpi.operators.quantity import Quantity
-from torchpi.stage.effects.effect import SHORTEST_SLOW_S, DataRange, Needs, Parameters, StateSpaceEffect
+from torchpi.stage.effects.effect import (
+    SHORTEST_SLOW_S,
+    DataRange,
+    Needs,
+    Parameters,
+    StateSpaceEffect,
+    parameter,
+)
 
 
 class Leakage(StateSpaceEffect):
@@ -28,10 +33,8 @@ class Leakage(StateSpaceEffect):
     time_scale = "slow"
     needs = Needs(duration_s=SHORTEST_SLOW_S)
     degenerate_with = ("thermal_drift",)
-    quantities: ClassVar[dict[str, Quantity]] = {"corner_hz": Quantity("Hz", at_least=0, at_most=10)}
-    identity: ClassVar[Parameters] = {"corner_hz": 0.0}
+    corner_hz: nn.Parameter = parameter("Hz", at_least=0, at_most=10)
     order = 1
-    corner_hz: nn.Parameter
 
     def matrices(self) -> Matrices:
         omega = (2 * math.pi * self.corner_hz).reshape(1)

@@ -9,8 +9,7 @@ ceramics do. In the fourth every play relaxes to where it would stand, with a ti
 
 from typing import ClassVar
 
-from torchpi.operators.quantity import Quantity
-from torchpi.stage.effects.effect import DataRange, Needs, Parameters
+from torchpi.stage.effects.effect import DataRange, Needs, Parameters, parameter
 from torchpi.stage.effects.inside import InsideEffect
 
 
@@ -24,24 +23,13 @@ class RateDependentHysteresis(InsideEffect):
     needs = Needs(reversals=2, pace=1.5)
     equation = "w_i (1 + k v̇), or r_i (1 + β |v̇|), or loop · [1 + γ ln(1 + |v̇|/v̇₀)], or τ ḣ_i = p_i - h_i"
     signature = "like a delay in amplitude and frequency, and unlike one at reversals"
-    quantities: ClassVar[dict[str, Quantity]] = {
-        "weight_s_per_v": Quantity("s/V", at_least=-1.0, at_most=1.0),
-        "threshold_s_per_v": Quantity("s/V", at_least=-0.01, at_most=1.0),
-        "loop_per_e": Quantity("", at_least=-1.0, at_most=1.0),
-        "chord_share": Quantity("", at_least=0.2, at_most=2.0),
-        "reference_rate_v_s": Quantity("V/s", at_least=1e-3, at_most=1e6),
-        "rate_filter_s": Quantity("s", at_least=0.0, at_most=0.1),
-        "relaxation_s": Quantity("s", at_least=0.0, at_most=1.0),
-    }
-    identity: ClassVar[Parameters] = {
-        "weight_s_per_v": 0.0,
-        "threshold_s_per_v": 0.0,
-        "loop_per_e": 0.0,
-        "chord_share": 1.0,
-        "reference_rate_v_s": 1.0,
-        "rate_filter_s": 0.0,
-        "relaxation_s": 0.0,
-    }
+    weight_s_per_v: float = parameter("s/V", at_least=-1.0, at_most=1.0)
+    threshold_s_per_v: float = parameter("s/V", at_least=-0.01, at_most=1.0)
+    loop_per_e: float = parameter("", at_least=-1.0, at_most=1.0)
+    chord_share: float = parameter("", at_least=0.2, at_most=2.0, identity=1.0)
+    reference_rate_v_s: float = parameter("V/s", at_least=1e-3, at_most=1e6, identity=1.0)
+    rate_filter_s: float = parameter("s", at_least=0.0, at_most=0.1)
+    relaxation_s: float = parameter("s", at_least=0.0, at_most=1.0)
     forms = ("weights", "thresholds", "loop width", "relaxing plays")
     form_of: ClassVar[dict[str, str]] = {
         "weight_s_per_v": "weights",

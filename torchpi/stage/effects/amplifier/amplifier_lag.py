@@ -11,14 +11,12 @@ Design of Analog Integrated Circuits*, the two-pole feedback amplifier). ζ → 
 
 import math
 from collections.abc import Mapping
-from typing import ClassVar
 
 import torch
 from torch import Tensor, nn
 
 from torchpi.operators.linear import Matrices, discretise
-from torchpi.operators.quantity import Quantity
-from torchpi.stage.effects.effect import DataRange, Parameters
+from torchpi.stage.effects.effect import DataRange, Parameters, parameter
 from torchpi.stage.effects.lag import FirstOrderLag
 
 FLATTEST = 0.5**0.5
@@ -39,12 +37,7 @@ class AmplifierLag(FirstOrderLag):
     smooths = True
     degenerate_with = ("sensor_lag",)
     forms = ("one pole", "two poles")
-    quantities: ClassVar[dict[str, Quantity]] = {
-        **FirstOrderLag.quantities,
-        "damping_ratio": Quantity("", at_least=0.35, at_most=10.0),
-    }
-    identity: ClassVar[Parameters] = {**FirstOrderLag.identity, "damping_ratio": math.inf}
-    damping_ratio: nn.Parameter
+    damping_ratio: nn.Parameter = parameter("", at_least=0.35, at_most=10.0, identity=math.inf)
 
     @classmethod
     def form(cls, values: Mapping[str, float]) -> str:

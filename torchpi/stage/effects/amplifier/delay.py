@@ -19,7 +19,7 @@ from torch import Tensor, nn
 from torchpi.errors import StageError
 from torchpi.operators.delay import DelayLineStream, delay_line
 from torchpi.operators.quantity import Quantity
-from torchpi.stage.effects.effect import DataRange, LinearEffect, Parameters
+from torchpi.stage.effects.effect import DataRange, LinearEffect, Parameters, parameter
 
 LONGEST_S = 0.01
 MOST_SAMPLES = 1_000_000  # that the line holds
@@ -40,15 +40,10 @@ class Delay(LinearEffect):
     time_scale = "fast"
     delays = True
     commutes = True
-    quantities: ClassVar[dict[str, Quantity]] = {
-        "delay_s": Quantity("s", at_least=0.0, at_most=LONGEST_S),
-        "after_lag": Quantity("", at_least=0.0, at_most=1.0),
-    }
+    delay_s: nn.Parameter = parameter("s", at_least=0.0, at_most=LONGEST_S)
+    after_lag: nn.Parameter = parameter("", at_least=0.0, at_most=1.0)
     accepted: ClassVar[dict[str, Quantity]] = {"delay_s": Quantity("s", at_least=0.0)}
-    identity: ClassVar[Parameters] = {"delay_s": 0.0, "after_lag": 0.0}
     kinds = ("after_lag",)
-    delay_s: nn.Parameter
-    after_lag: nn.Parameter
     decay: Callable[[Tensor], Tensor] | None = None
     """What is left of the lagged voltage after so many samples, if a lag of one pole stands before it."""
 

@@ -15,7 +15,7 @@ bandwidth of one integrator). For a held command, e = u - v, it is exact in clos
 
 import math
 from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import Any
 
 import numba
 import numpy as np
@@ -23,8 +23,7 @@ import torch
 from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 
-from torchpi.operators.quantity import Quantity
-from torchpi.stage.effects.effect import DataRange, Effect, Parameters
+from torchpi.stage.effects.effect import DataRange, Effect, Parameters, parameter
 
 EDGES = 1.5
 """Times the usual rates: what moves so much faster is an edge, and a limit between shows in it alone."""
@@ -61,13 +60,8 @@ class SlewLimit(Effect):
     delays = True
     smooths = True
     forms = ("hard", "soft")
-    quantities: ClassVar[dict[str, Quantity]] = {
-        "rate_v_per_s": Quantity("V/s", at_least=1e-3, at_most=1e9),
-        "knee_v": Quantity("V", at_least=0.0, at_most=1e4),
-    }
-    identity: ClassVar[Parameters] = {"rate_v_per_s": math.inf, "knee_v": 0.0}
-    rate_v_per_s: nn.Parameter
-    knee_v: nn.Parameter
+    rate_v_per_s: nn.Parameter = parameter("V/s", at_least=1e-3, at_most=1e9, identity=math.inf)
+    knee_v: nn.Parameter = parameter("V", at_least=0.0, at_most=1e4)
 
     @classmethod
     def form(cls, values: Mapping[str, float]) -> str:

@@ -1,15 +1,14 @@
 """An output stage that runs into its supply: v = max{low, min{high, u}}."""
 
 import math
-from typing import ClassVar
 
 import torch
 from torch import Tensor, nn
 
 from torchpi.operators.base import Static
 from torchpi.operators.limits import ClipStream
-from torchpi.operators.quantity import Quantity, check_order
-from torchpi.stage.effects.effect import DataRange, Effect, Parameters
+from torchpi.operators.quantity import check_order
+from torchpi.stage.effects.effect import DataRange, Effect, Parameters, parameter
 
 
 class VoltageSaturation(Static, Effect):
@@ -25,14 +24,9 @@ class VoltageSaturation(Static, Effect):
     equation = "v = max{low, min{high, u}}"
     signature = "nothing but beyond a level, where the tops are flat"
     time_scale = "static"
-    quantities: ClassVar[dict[str, Quantity]] = {
-        "low_v": Quantity("V", at_least=-1500.0, at_most=1500.0),
-        "high_v": Quantity("V", at_least=-1500.0, at_most=1500.0),
-    }
-    identity: ClassVar[Parameters] = {"low_v": -math.inf, "high_v": math.inf}
+    low_v: nn.Parameter = parameter("V", at_least=-1500.0, at_most=1500.0, identity=-math.inf)
+    high_v: nn.Parameter = parameter("V", at_least=-1500.0, at_most=1500.0, identity=math.inf)
     kinks = ("low_v", "high_v")
-    low_v: nn.Parameter
-    high_v: nn.Parameter
 
     def __init__(self, sample_period_s: float, **values: float) -> None:
         super().__init__(sample_period_s, **values)

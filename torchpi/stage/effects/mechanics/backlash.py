@@ -6,7 +6,7 @@ friction of Dahl's kind behind a spring, `torchpi.stage.effects.mechanics.presli
 """
 
 from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import Any
 
 import numba
 import numpy as np
@@ -14,9 +14,8 @@ import torch
 from torch import Tensor, nn
 
 from torchpi.operators.play import play, play_bank
-from torchpi.operators.quantity import Quantity
 from torchpi.operators.selection import NO_SOURCE, gather
-from torchpi.stage.effects.effect import DataRange, Effect, Needs, Parameters
+from torchpi.stage.effects.effect import DataRange, Effect, Needs, Parameters, parameter
 from torchpi.stage.effects.mechanics.presliding import Slide, slide, slide_tangent
 
 
@@ -33,13 +32,8 @@ class Backlash(Effect):
     time_scale = "static"
     needs = Needs(reversals=2)
     forms = ("play", "Dahl")
-    quantities: ClassVar[dict[str, Quantity]] = {
-        "width_um": Quantity("µm", at_least=0.0, at_most=1e4),
-        "presliding_um": Quantity("µm", at_least=0.0, at_most=1e4),
-    }
-    identity: ClassVar[Parameters] = {"width_um": 0.0, "presliding_um": 0.0}
-    width_um: nn.Parameter
-    presliding_um: nn.Parameter
+    width_um: nn.Parameter = parameter("µm", at_least=0.0, at_most=1e4)
+    presliding_um: nn.Parameter = parameter("µm", at_least=0.0, at_most=1e4)
 
     @classmethod
     def form(cls, values: Mapping[str, float]) -> str:

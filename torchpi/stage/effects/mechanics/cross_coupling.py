@@ -4,13 +4,10 @@ Devasia, Eleftheriou and Moheimani, *A survey of control issues in nanopositioni
 Systems Technology 15(5), 2007.
 """
 
-from typing import ClassVar
-
 from torch import Tensor, nn
 
 from torchpi.operators.chain import ChainStream
-from torchpi.operators.quantity import Quantity
-from torchpi.stage.effects.effect import DataRange, Effect, Parameters
+from torchpi.stage.effects.effect import DataRange, Effect, Parameters, parameter
 
 
 class CrossCoupling(Effect):
@@ -20,12 +17,8 @@ class CrossCoupling(Effect):
     block = "mechanics"
     equation = "y = x + c a"
     signature = "coherent with the other axis, whatever this one does"
-    quantities: ClassVar[dict[str, Quantity]] = {
-        "coupling_um_per_v": Quantity("µm/V", at_least=-1e3, at_most=1e3),
-    }
-    identity: ClassVar[Parameters] = {"coupling_um_per_v": 0.0}
+    coupling_um_per_v: nn.Parameter = parameter("µm/V", at_least=-1e3, at_most=1e3)
     takes_aux = True
-    coupling_um_per_v: nn.Parameter
 
     def forward(
         self,

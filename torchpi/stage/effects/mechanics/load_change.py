@@ -3,14 +3,11 @@
 Physik Instrumente, *Fundamentals of Piezo Technology*: displacement with a spring load.
 """
 
-from typing import ClassVar
-
 from torch import Tensor, nn
 
 from torchpi.operators.base import Static
 from torchpi.operators.polynomial import PolynomialStream
-from torchpi.operators.quantity import Quantity
-from torchpi.stage.effects.effect import DataRange, LinearEffect, Needs, Parameters
+from torchpi.stage.effects.effect import DataRange, LinearEffect, Needs, Parameters, parameter
 
 
 class LoadChange(Static, LinearEffect):
@@ -26,12 +23,8 @@ class LoadChange(Static, LinearEffect):
     time_scale = "static"
     left_by = ("resonance", "second_mode")
     needs = Needs(recordings=2)
-    quantities: ClassVar[dict[str, Quantity]] = {
-        "stiffness_ratio": Quantity("", at_least=-0.5, at_most=10.0),
-    }
-    identity: ClassVar[Parameters] = {"stiffness_ratio": 0.0}
+    stiffness_ratio: nn.Parameter = parameter("", at_least=-0.5, at_most=10.0)
     per_recording = ("stiffness_ratio",)
-    stiffness_ratio: nn.Parameter
 
     def gain(self) -> Tensor:
         """k_A / (k_A + k_S). Shape ()."""

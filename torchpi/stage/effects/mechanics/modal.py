@@ -5,8 +5,8 @@ from typing import ClassVar
 
 from torchpi.operators.linear import Hold
 from torchpi.operators.quantity import Quantity
-from torchpi.stage.effects.effect import Block, Described, Parameters
-from torchpi.stage.effects.mechanics.resonance import OF_A_MODE, TYPICAL_DAMPING
+from torchpi.stage.effects.effect import Block, Described
+from torchpi.stage.effects.mechanics.resonance import OF_A_MODE
 
 MOST_MODES = 16
 """How many modes a stage may have."""
@@ -28,17 +28,7 @@ class ModalResonance(ModalEffect):
     equation = "y = x + Σ s (M(x) - x) + Σ v Ṁ(x)/ω₀, over the modes M"
     signature = "rings at one frequency, phase climbs towards it"
     time_scale = "fast"
-    quantities: ClassVar[dict[str, Quantity]] = {
-        **OF_A_MODE,
-        "share": _SHARE,
-        "rate_share": _SHARE,
-    }
-    identity: ClassVar[Parameters] = {
-        "frequency_hz": 1000.0,
-        "damping_ratio": TYPICAL_DAMPING,
-        "share": 0.0,
-        "rate_share": 0.0,
-    }
+    quantities: ClassVar[dict[str, Quantity]] = {**OF_A_MODE, "share": _SHARE, "rate_share": _SHARE}
 
 
 class ModalSecondMode(ModalResonance):
@@ -60,7 +50,6 @@ class ModalCoupling(ModalEffect):
         **{f"mode{k}_um_per_v": _RESIDUE for k in range(1, MOST_MODES + 1)},
         **{f"mode{k}_rate_um_per_v": _RESIDUE for k in range(1, MOST_MODES + 1)},
     }
-    identity: ClassVar[Parameters] = dict.fromkeys(quantities, 0.0)
     takes_aux = True
 
     @classmethod

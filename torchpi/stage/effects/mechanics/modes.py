@@ -12,14 +12,13 @@ x is 1.
 
 import math
 from collections.abc import Sequence
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
 from torchpi.operators.linear import Hold, LinearStream, Matrices, discretise, state_space
-from torchpi.operators.quantity import Quantity
 from torchpi.operators.superposed_modes import mode_states, superposed
 from torchpi.stage.effects.effect import LinearEffect, Parameters
 from torchpi.stage.effects.mechanics.modal import ModalCoupling, ModalEffect, ModalResonance, mode_numbers
@@ -55,8 +54,6 @@ class Modes(LinearEffect):
 
     name = "modes"
     block = "mechanics"
-    quantities: ClassVar[dict[str, Quantity]] = {}
-    identity: ClassVar[Parameters] = {}
     hold: Hold = "first"
 
     def __init__(self, sample_period_s: float, parts: Sequence[Part]) -> None:

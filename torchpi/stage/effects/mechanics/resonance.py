@@ -8,6 +8,7 @@ place: the mode over the one that it replaces,
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
@@ -26,10 +27,11 @@ looked for where both make a single peak."""
 GRID = 14
 """Frequencies of a blind search: near enough for a fit to close in."""
 OF_A_MODE = {
-    "frequency_hz": Quantity("Hz", at_least=1.0, at_most=1e5),
+    "frequency_hz": Quantity("Hz", at_least=1.0, at_most=1e5, identity=1000.0),
     # What is damped more is not seen to ring: a lag.
-    "damping_ratio": Quantity("", at_least=1e-4, at_most=0.3),
+    "damping_ratio": Quantity("", at_least=1e-4, at_most=0.3, identity=TYPICAL_DAMPING),
 }
+FREQUENCY = replace(OF_A_MODE["frequency_hz"], identity=math.inf)
 
 
 class Resonance(StateSpaceEffect):
@@ -42,18 +44,13 @@ class Resonance(StateSpaceEffect):
     time_scale = "fast"
     quantities: ClassVar[dict[str, Quantity]] = {
         **OF_A_MODE,
-        "replaced_frequency_hz": OF_A_MODE["frequency_hz"],
+        "frequency_hz": FREQUENCY,
+        "replaced_frequency_hz": FREQUENCY,
         "replaced_damping_ratio": OF_A_MODE["damping_ratio"],
     }
     accepted: ClassVar[dict[str, Quantity]] = {
         "frequency_hz": Quantity("Hz", at_least=0, positive=True),
         "damping_ratio": Quantity("", at_least=0),
-    }
-    identity: ClassVar[Parameters] = {
-        "frequency_hz": math.inf,
-        "damping_ratio": TYPICAL_DAMPING,
-        "replaced_frequency_hz": math.inf,
-        "replaced_damping_ratio": TYPICAL_DAMPING,
     }
     forms: ClassVar[tuple[str, ...]] = ("one mode", "in the place of the simulation's")
     frequency_hz: nn.Parameter

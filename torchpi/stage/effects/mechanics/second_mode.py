@@ -7,7 +7,7 @@ from torch import nn
 from torchpi.operators.linear import Matrices
 from torchpi.operators.quantity import Quantity
 from torchpi.stage.effects.effect import DataRange, Parameters
-from torchpi.stage.effects.mechanics.resonance import OF_A_MODE, TYPICAL_DAMPING, Resonance
+from torchpi.stage.effects.mechanics.resonance import OF_A_MODE, Resonance
 
 
 class SecondMode(Resonance):
@@ -25,7 +25,6 @@ class SecondMode(Resonance):
         "share": Quantity("", at_least=-0.9, at_most=0.9),
         **OF_A_MODE,
     }
-    identity: ClassVar[Parameters] = {"share": 0.0, "frequency_hz": 1000.0, "damping_ratio": TYPICAL_DAMPING}
     forms: ClassVar[tuple[str, ...]] = ()
     alike_inside = ("resonance",)  # in the place of another
     share: nn.Parameter

@@ -9,16 +9,15 @@ that a converter holds, a mount may come to rest in every sample, and move in ju
 """
 
 from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import Any
 
 import numba
 import numpy as np
 import torch
 from torch import Tensor, nn
 
-from torchpi.operators.quantity import Quantity
 from torchpi.operators.selection import NO_SOURCE, Selection, gather, select
-from torchpi.stage.effects.effect import DataRange, Effect, Needs, Parameters
+from torchpi.stage.effects.effect import DataRange, Effect, Needs, Parameters, parameter
 
 
 def stick(x: float, breakaway: float, sliding: float, rests: bool, s: list[float]) -> float:
@@ -49,18 +48,12 @@ class Stiction(Effect):
     signature = "flat at every reversal, then a jump back"
     time_scale = "static"
     needs = Needs(reversals=2)
-    quantities: ClassVar[dict[str, Quantity]] = {
-        "breakaway_um": Quantity("µm", at_least=0.0, at_most=1e4),
-        "sliding_um": Quantity("µm", at_least=0.0, at_most=1e4),
-        "rests": Quantity("", at_least=0.0, at_most=1.0),
-    }
-    identity: ClassVar[Parameters] = {"breakaway_um": 0.0, "sliding_um": 0.0, "rests": 0.0}
+    breakaway_um: nn.Parameter = parameter("µm", at_least=0.0, at_most=1e4)
+    sliding_um: nn.Parameter = parameter("µm", at_least=0.0, at_most=1e4)
+    rests: nn.Parameter = parameter("", at_least=0.0, at_most=1.0)
     forms = ("breakaway", "stick-slip")
     jumps = ("breakaway_um",)
     kinds = ("rests",)
-    breakaway_um: nn.Parameter
-    sliding_um: nn.Parameter
-    rests: nn.Parameter
 
     @classmethod
     def form(cls, values: Mapping[str, float]) -> str:

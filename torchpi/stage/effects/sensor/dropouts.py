@@ -4,14 +4,11 @@ They are additive outliers (Fox, *Outliers in time series*, J. Royal Statistical
 in the readings by `torchpi.recordings.faults.dropouts`.
 """
 
-from typing import ClassVar
-
 from torch import Tensor, nn
 
 from torchpi.operators.base import Static
 from torchpi.operators.chain import ChainStream
-from torchpi.operators.quantity import Quantity
-from torchpi.stage.effects.effect import DataRange, Effect, Parameters
+from torchpi.stage.effects.effect import DataRange, Effect, Parameters, parameter
 
 
 class Dropouts(Static, Effect):
@@ -26,10 +23,8 @@ class Dropouts(Static, Effect):
     signature = "single readings far off both of their neighbours"
     read_off = True
     unseen = "no single reading lies far off its neighbours"
-    quantities: ClassVar[dict[str, Quantity]] = {"share": Quantity("", at_least=0.0, at_most=1.0)}
-    identity: ClassVar[Parameters] = {"share": 0.0}
+    share: nn.Parameter = parameter("", at_least=0.0, at_most=1.0)
     per_recording = ("share",)
-    share: nn.Parameter
 
     def of(self, x: Tensor) -> Tensor:
         return x

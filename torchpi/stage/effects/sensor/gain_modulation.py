@@ -14,7 +14,7 @@ import torch
 from torch import Tensor, nn
 
 from torchpi.operators.quantity import Quantity
-from torchpi.stage.effects.effect import SHORTEST_SLOW_S, DataRange, Effect, Needs, Parameters
+from torchpi.stage.effects.effect import SHORTEST_SLOW_S, DataRange, Effect, Needs, Parameters, parameter
 from torchpi.stage.effects.knots import SPACING, KnotsStream, knot_names, through_knots
 from torchpi.stage.effects.oscillation import oscillation, oscillations
 
@@ -39,24 +39,15 @@ class GainModulation(Effect):
     time_scale = "slow"
     needs = Needs(duration_s=SHORTEST_SLOW_S)
     degenerate_with = ("ageing",)
-    quantities: ClassVar[dict[str, Quantity]] = {
-        "frequency_hz": Quantity("Hz", at_least=1e-3, at_most=45.0),
-        "cos": Quantity("", at_least=-0.9, at_most=0.9),
-        "sin": Quantity("", at_least=-0.9, at_most=0.9),
-        "cos_um": Quantity("µm", at_least=-1e3, at_most=1e3),
-        "sin_um": Quantity("µm", at_least=-1e3, at_most=1e3),
-        "knot_spacing_s": SPACING,
-        **dict.fromkeys(KNOT_NAMES, Quantity("", at_least=-0.9, at_most=0.9)),
-    }
-    identity: ClassVar[Parameters] = {
-        "frequency_hz": 1.0,
-        "cos": 0.0,
-        "sin": 0.0,
-        "cos_um": 0.0,
-        "sin_um": 0.0,
-        "knot_spacing_s": 1.0,
-        **dict.fromkeys(KNOT_NAMES, 0.0),
-    }
+    frequency_hz: nn.Parameter = parameter("Hz", at_least=1e-3, at_most=45.0, identity=1.0)
+    cos: nn.Parameter = parameter("", at_least=-0.9, at_most=0.9)
+    sin: nn.Parameter = parameter("", at_least=-0.9, at_most=0.9)
+    cos_um: nn.Parameter = parameter("µm", at_least=-1e3, at_most=1e3)
+    sin_um: nn.Parameter = parameter("µm", at_least=-1e3, at_most=1e3)
+    knot_spacing_s: nn.Parameter = SPACING
+    quantities: ClassVar[dict[str, Quantity]] = dict.fromkeys(
+        KNOT_NAMES, Quantity("", at_least=-0.9, at_most=0.9)
+    )
     forms = ("multiplicative", "additive", "random walk")
     form_of: ClassVar[dict[str, str]] = {
         **dict.fromkeys(("cos", "sin"), "multiplicative"),
@@ -65,12 +56,6 @@ class GainModulation(Effect):
     }
     per_recording = ("cos", "sin", "cos_um", "sin_um", *KNOT_NAMES)
     kinds = ("knot_spacing_s",)
-    frequency_hz: nn.Parameter
-    cos: nn.Parameter
-    sin: nn.Parameter
-    cos_um: nn.Parameter
-    sin_um: nn.Parameter
-    knot_spacing_s: nn.Parameter
 
     def knots(self) -> Tensor:
         """The walk of the gain at each knot, (KNOTS,)."""

@@ -9,7 +9,7 @@ from torch import Tensor, nn
 
 from torchpi.operators.quantity import Quantity
 from torchpi.stage.effects.added_signal import AddedSignal
-from torchpi.stage.effects.effect import DataRange, Parameters
+from torchpi.stage.effects.effect import DataRange, Parameters, parameter
 from torchpi.stage.effects.oscillation import oscillation, oscillations
 
 SIZES = ("cos_um", "sin_um", "cos2_um", "sin2_um", "cos3_um", "sin3_um")
@@ -27,14 +27,10 @@ class Hum(AddedSignal):
     block = "sensor"
     equation = "y = x + Σ_k a_k cos 2πkft + b_k sin 2πkft, k = 1 or k = 1 … 3"
     signature = "one exact line, not periodic with the input, of one size in motion and at rest"
-    quantities: ClassVar[dict[str, Quantity]] = {
-        "frequency_hz": Quantity("Hz", at_least=45, at_most=400),
-        **dict.fromkeys(SIZES, Quantity("µm", at_least=-1e3, at_most=1e3)),
-    }
-    identity: ClassVar[Parameters] = {"frequency_hz": 50.0, **dict.fromkeys(SIZES, 0.0)}
+    frequency_hz: nn.Parameter = parameter("Hz", at_least=45, at_most=400, identity=50.0)
+    quantities: ClassVar[dict[str, Quantity]] = dict.fromkeys(SIZES, Quantity("µm", -1e3, 1e3))
     per_recording = SIZES
     forms = ("one line", "with harmonics")
-    frequency_hz: nn.Parameter
 
     @classmethod
     def form(cls, values: Mapping[str, float]) -> str:

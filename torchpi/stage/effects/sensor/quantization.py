@@ -1,16 +1,15 @@
 """Readings on a lattice: y = o + q round((x - o) / q) (Widrow and Kollár, *Quantization Noise*, 2008)."""
 
 import math
-from typing import ClassVar, cast
+from typing import cast
 
 import numpy as np
 from torch import Tensor, nn
 
 from torchpi.operators.base import Static
 from torchpi.operators.chain import ChainStream
-from torchpi.operators.quantity import Quantity
 from torchpi.operators.quantization import QuantizationStream, Quantize
-from torchpi.stage.effects.effect import DataRange, Effect, Parameters
+from torchpi.stage.effects.effect import DataRange, Effect, Parameters, parameter
 
 FEWEST_READINGS = 8  # that differ; fewer lie on some lattice by chance
 FARTHEST = 0.2  # of a step, from a reading to its place; by chance, 2 in 5 do not lie farther
@@ -30,13 +29,8 @@ class Quantization(Static, Effect):
     signature = "readings on a lattice; an error spread evenly over one step"
     time_scale = "static"
     read_off = True
-    quantities: ClassVar[dict[str, Quantity]] = {
-        "lsb_um": Quantity("µm", at_least=0, at_most=100),
-        "offset_um": Quantity("µm", at_least=-1e6, at_most=1e6),
-    }
-    identity: ClassVar[Parameters] = {"lsb_um": 0.0, "offset_um": 0.0}
-    lsb_um: nn.Parameter
-    offset_um: nn.Parameter
+    lsb_um: nn.Parameter = parameter("µm", at_least=0, at_most=100)
+    offset_um: nn.Parameter = parameter("µm", at_least=-1e6, at_most=1e6)
 
     def of(self, x: Tensor) -> Tensor:
         if self.lsb_um.item() == 0.0:

@@ -4,13 +4,10 @@ Fleming, *A review of nanometer-resolution position sensors: operation and perfo
 Actuators A 190, 2013: the mapping error of a sensor as a polynomial of its input.
 """
 
-from typing import ClassVar
-
 from torch import nn
 
-from torchpi.operators.quantity import Quantity
 from torchpi.stage.effects.curvature import Curvature
-from torchpi.stage.effects.effect import DataRange, Parameters
+from torchpi.stage.effects.effect import DataRange, Parameters, parameter
 
 
 class SensorNonlinearity(Curvature):
@@ -22,13 +19,8 @@ class SensorNonlinearity(Curvature):
     signature = "second (a₂) and third (a₃) harmonics of the displacement, in phase with it at any rate"
     time_scale = "static"
     degenerate_with = ("input_nonlinearity",)
-    quantities: ClassVar[dict[str, Quantity]] = {
-        "a2_per_um": Quantity("1/µm", at_least=-1e3, at_most=1e3),
-        "a3_per_um2": Quantity("1/µm²", at_least=-1e6, at_most=1e6),
-    }
-    identity: ClassVar[Parameters] = {"a2_per_um": 0.0, "a3_per_um2": 0.0}
-    a2_per_um: nn.Parameter
-    a3_per_um2: nn.Parameter
+    a2_per_um: nn.Parameter = parameter("1/µm", at_least=-1e3, at_most=1e3)
+    a3_per_um2: nn.Parameter = parameter("1/µm²", at_least=-1e6, at_most=1e6)
 
     @classmethod
     def starts(cls, seen: DataRange) -> list[Parameters]:

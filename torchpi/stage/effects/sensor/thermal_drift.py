@@ -15,7 +15,7 @@ from torch import Tensor, nn
 
 from torchpi.operators.quantity import Quantity
 from torchpi.stage.effects.added_signal import AddedSignal, sampled
-from torchpi.stage.effects.effect import SHORTEST_SLOW_S, DataRange, Needs, Parameters
+from torchpi.stage.effects.effect import SHORTEST_SLOW_S, DataRange, Needs, Parameters, parameter
 from torchpi.stage.effects.knots import SPACING, KnotsStream, knot_names, through_knots
 
 KNOT_NAMES = knot_names("_um")
@@ -55,20 +55,13 @@ class ThermalDrift(AddedSignal):
     time_scale = "slow"
     needs = Needs(duration_s=SHORTEST_SLOW_S)
     degenerate_with = ("leakage", "creep")
-    quantities: ClassVar[dict[str, Quantity]] = {
-        "amplitude_um": Quantity("µm", at_least=-1e4, at_most=1e4),
-        "time_constant_s": Quantity("s", at_least=SLOWEST_DYNAMICS_S, at_most=1e6),
-        "rate_um_per_s": Quantity("µm/s", at_least=-1e3, at_most=1e3),
-        "knot_spacing_s": SPACING,
-        **dict.fromkeys(KNOT_NAMES, Quantity("µm", at_least=-1e4, at_most=1e4)),
-    }
-    identity: ClassVar[Parameters] = {
-        "amplitude_um": 0.0,
-        "time_constant_s": 60.0,
-        "rate_um_per_s": 0.0,
-        "knot_spacing_s": 1.0,
-        **dict.fromkeys(KNOT_NAMES, 0.0),
-    }
+    amplitude_um: nn.Parameter = parameter("µm", at_least=-1e4, at_most=1e4)
+    time_constant_s: nn.Parameter = parameter("s", at_least=SLOWEST_DYNAMICS_S, at_most=1e6, identity=60.0)
+    rate_um_per_s: nn.Parameter = parameter("µm/s", at_least=-1e3, at_most=1e3)
+    knot_spacing_s: nn.Parameter = SPACING
+    quantities: ClassVar[dict[str, Quantity]] = dict.fromkeys(
+        KNOT_NAMES, Quantity("µm", at_least=-1e4, at_most=1e4)
+    )
     forms = ("exponential", "linear", "random walk")
     form_of: ClassVar[dict[str, str]] = {
         "amplitude_um": "exponential",
@@ -77,10 +70,6 @@ class ThermalDrift(AddedSignal):
     }
     per_recording = ("amplitude_um", "rate_um_per_s", *KNOT_NAMES)
     kinds = ("knot_spacing_s",)
-    amplitude_um: nn.Parameter
-    time_constant_s: nn.Parameter
-    rate_um_per_s: nn.Parameter
-    knot_spacing_s: nn.Parameter
 
     def knots(self) -> Tensor:
         """Where the walk is at each knot, (KNOTS,), µm."""
