@@ -46,19 +46,20 @@ def test_the_stages_own_seed_is_the_default_and_repeats() -> None:
 
 def test_the_initial_loading_is_the_worst_of_the_model_and_of_the_fast_trajectory() -> None:
     found = calibration(1)
-    assert found.model.loading_max_um > found.model.max_um
-    assert found.fast.loading_max_um == found.fast.max_um > found.fast.steady_max_um
+    assert found.model.whole.max_um > found.model.after_loading.max_um
+    fast = found.panels["fast"].tracked["paper"].error
+    assert fast.max_um > fast.max_um_after_loading
 
 
 def test_the_figures_are_those_of_the_curves_beside_them() -> None:
-    for tracking in (calibration(1).slow, calibration(1).fast):
-        error = tracking.y - tracking.yd
-        assert tracking.max_um == max(tracking.loading_max_um, tracking.steady_max_um)
-        assert tracking.max_um == pytest.approx(np.abs(error).max())
-        assert tracking.max_percent == pytest.approx(100 * tracking.max_um / np.ptp(tracking.yd))
-        assert tracking.rms_um < tracking.max_um
-        again, _ = stage().simulate(torch.from_numpy(tracking.u)[None])
-        np.testing.assert_array_equal(again[0].numpy(), tracking.y)
+    for panel in calibration(1).panels.values():
+        tracked = panel.tracked["paper"]
+        assert tracked.error.max_um == pytest.approx(np.abs(tracked.y - panel.yd).max())
+        assert tracked.error.max_um >= tracked.error.max_um_after_loading
+        assert tracked.error.max_percent == pytest.approx(100 * tracked.error.max_um / panel.peak_to_peak_um)
+        assert tracked.error.rms_um < tracked.error.max_um
+        again, _ = stage().simulate(torch.from_numpy(tracked.u)[None])
+        np.testing.assert_array_equal(again[0].numpy(), tracked.y)
 
 
 def test_every_value_is_one_that_such_a_rig_has() -> None:

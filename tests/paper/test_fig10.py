@@ -5,7 +5,6 @@ import pytest
 import torch
 
 from tests.paper.short_run import STAGE
-from torchpi.paper.calibration import calibrate_paper_method
 from torchpi.paper.fig10 import EQ_12, Fig10, Identified, fig10, identify, saturation
 from torchpi.stage import Stage
 
@@ -18,12 +17,6 @@ def identified() -> Identified:
 @pytest.fixture(scope="module")
 def figure(identified: Identified) -> Fig10:
     return fig10(identified)
-
-
-def test_it_is_the_method_that_the_stage_is_calibrated_by(figure: Fig10) -> None:
-    calibrated = calibrate_paper_method(Stage.from_yaml(STAGE)).model
-    assert figure.after_loading.max_um == pytest.approx(calibrated.max_um, rel=1e-3)
-    assert figure.after_loading.max_v == pytest.approx(calibrated.max_v, rel=1e-3)
 
 
 def test_the_initial_loading_is_the_worst_part_as_in_the_paper(figure: Fig10) -> None:

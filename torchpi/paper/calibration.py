@@ -13,107 +13,30 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numpy as np
-import numpy.typing as npt
 import torch
 
-from torchpi.control.direct_inverse import DirectInverse
 from torchpi.errors import ConfigError
-from torchpi.excitation.signals import Samples, paper_multisine, sine_5hz
-from torchpi.excitation.trajectory import load_trajectory
-from torchpi.identification import InversePair, TwoStageResult, fit_two_stage, inverse_pair, local_slope
-from torchpi.recordings.recording import Recording
+from torchpi.paper import fig12
+from torchpi.paper.fig10 import Fig10, fig10, identify
 from torchpi.stage import Stage
 from torchpi.stage.effects.actuator.input_nonlinearity import InputNonlinearity
 
-THRESHOLDS = (0.0, 0.05, 0.1, 0.2, 0.3, 0.5, 1.0, 1.5, 2.0, 3.0)
-"""r of the paper's compensator, in the unit of S(y)."""
-DEGREE = 4
-"""m, of its saturation polynomial."""
 PAPER_MAX_UM = {"model": 0.21, "slow": 0.22, "fast": 0.23}
 """The paper's figures, µm."""
-SINE_S, MULTISINE_S = 1.0, 0.5
-
-Signal = npt.NDArray[np.float64]  # shape: (time,)
-
-
-@dataclass(frozen=True, eq=False)
-class ModelError:
-    """What the fitted inverse misses on its own record of eq. 13, as in Fig. 10.
-
-    A voltage error in µm is that error through the local slope of the measured loop: the displacement by
-    which the stage would miss. The initial loading ends where the voltage first reaches its largest value:
-    nothing of the de-energised start is left in the plays from there on.
-
-    Attributes:
-        max_um: Past the initial loading: the paper's 0.21 µm.
-        rms_um: Likewise.
-        max_v: The same error in volts.
-        loading_max_um: Within the initial loading.
-        loading_max_v: Likewise, in volts.
-        loading_end: First sample past the initial loading.
-        error_um: All of it, (time,), predicted minus recorded.
-    """
-
-    max_um: float
-    rms_um: float
-    max_v: float
-    loading_max_um: float
-    loading_max_v: float
-    loading_end: int
-    error_um: Signal
-
-
-@dataclass(frozen=True, eq=False)
-class TrackingError:
-    """How the stage, driven by the compensator alone, follows a trajectory, as in Fig. 12.
-
-    The error is y - y_d of the true displacement. The initial loading ends where y_d is first within 0.1 %
-    of its largest value.
-
-    Attributes:
-        max_um: Largest error, the initial loading included: the paper's 0.22 and 0.23 µm.
-        rms_um: Likewise.
-        max_percent: Of the trajectory's peak to peak.
-        rms_percent: Likewise.
-        loading_max_um: Within the initial loading.
-        steady_max_um: After it.
-        mean_um: After it, with its sign: the drift.
-        sensor_max_um: Largest error of the sensor's reading, for comparison.
-        loading_end: First sample past the initial loading.
-        yd: (time,), µm.
-        y: (time,), µm.
-        u: (time,), V.
-    """
-
-    max_um: float
-    rms_um: float
-    max_percent: float
-    rms_percent: float
-    loading_max_um: float
-    steady_max_um: float
-    mean_um: float
-    sensor_max_um: float
-    loading_end: int
-    yd: Signal
-    y: Signal
-    u: Signal
 
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """The paper's method on one stage, and the compensator that it found."""
+    """The paper's method on one stage: its model, and what it tracks."""
 
-    model: ModelError
-    slow: TrackingError
-    fast: TrackingError
-    fit: TwoStageResult
-    compensator: DirectInverse
+    model: Fig10
+    panels: dict[str, fig12.Panel]  # slow, fast; tracked: paper
 
     @property
     def max_um(self) -> dict[str, float]:
         """The three figures under the keys of `PAPER_MAX_UM`."""
-        return {"model": self.model.max_um, "slow": self.slow.max_um, "fast": self.fast.max_um}
+        tracked = {name: panel.tracked["paper"].error.max_um for name, panel in self.panels.items()}
+        return {"model": self.model.after_loading.max_um, **tracked}
 
 
 def calibrate_paper_method(
@@ -125,28 +48,10 @@ def calibrate_paper_method(
     Raises:
         RecordingError, StageError: A stage that cannot be recorded or driven so.
     """
-    seed = stage.seed if seed is None else seed
-    fs_hz = stage.sample_rate_hz
-    # Neighbouring seeds: the noise of one record is not that of another.
-    sine = _record(stage, "5 Hz sine", sine_5hz(SINE_S, fs_hz), 4 * seed)
-    multisine = _record(stage, "eq. 13", paper_multisine(MULTISINE_S, fs_hz), 4 * seed + 1)
-    compensator = DirectInverse(
-        stage.sample_period_s,
-        THRESHOLDS,
-        DEGREE,
-        rate="linear",
-        range_um=float(sine.y.max()),
-        rate_scale_um_s=1000.0,
-    )
-    pairs = [inverse_pair(sine), inverse_pair(multisine)]
-    fit = fit_two_stage(compensator, pairs, several_starts=False)
-    return Calibration(
-        _model_error(compensator, pairs[1]),
-        _tracking_error(stage, compensator, "slow", 4 * seed + 2),
-        _tracking_error(stage, compensator, "fast", 4 * seed + 3),
-        fit,
-        compensator,
-    )
+    identified = identify(stage, seed)
+    compensator = {"paper": identified.compensator.stream()}
+    panels = {name: fig12.panel(stage, name, compensator) for name in fig12.TRAJECTORIES}
+    return Calibration(fig10(identified), panels)
 
 
 PARTS = ("noise", "quantisation", "delay", "lag", "mode", "creep", "curvature", "hysteresis")
@@ -217,63 +122,3 @@ def _bent(stage: Stage, v: float) -> float:
         if isinstance(effect, InputNonlinearity):
             bent, _ = effect(bent)
     return float(bent)
-
-
-def _record(stage: Stage, name: str, excitation: Samples, seed: int) -> Recording:
-    t, u = excitation
-    with torch.no_grad():
-        _, reading = stage.simulate(torch.from_numpy(u)[None], seed)
-    return Recording(name, t, u, reading[0].numpy(), stage.sample_rate_hz, source=name)
-
-
-def _model_error(compensator: DirectInverse, pair: InversePair) -> ModelError:
-    with torch.no_grad():
-        volts = (compensator(pair.motion) - pair.u)[0].numpy()
-    microns = volts * local_slope(pair.motion.yd[0], pair.u[0]).numpy()
-    # The displacement's own largest value will not do: with creep it comes in the last period.
-    top = _first_at_top(pair.u[0].numpy(), 1e-9)
-    return ModelError(
-        max_um=_max(microns[top:]),
-        rms_um=_rms(microns[top:]),
-        max_v=_max(volts[top:]),
-        loading_max_um=_max(microns[:top]),
-        loading_max_v=_max(volts[:top]),
-        loading_end=top,
-        error_um=microns,
-    )
-
-
-def _tracking_error(stage: Stage, compensator: DirectInverse, name: str, seed: int) -> TrackingError:
-    yd = load_trajectory(name, fs_hz=stage.sample_rate_hz).yd
-    with torch.no_grad():
-        u = compensator.stream().block(torch.from_numpy(yd))
-        y, reading = stage.simulate(u[None], seed)
-    error = y[0].numpy() - yd
-    top = _first_at_top(yd, 1e-3)
-    return TrackingError(
-        max_um=_max(error),
-        rms_um=_rms(error),
-        max_percent=100 * _max(error) / float(np.ptp(yd)),
-        rms_percent=100 * _rms(error) / float(np.ptp(yd)),
-        loading_max_um=_max(error[:top]),
-        steady_max_um=_max(error[top:]),
-        mean_um=float(error[top:].mean()),
-        sensor_max_um=_max(reading[0].numpy() - yd),
-        loading_end=top,
-        yd=yd,
-        y=y[0].numpy(),
-        u=u.numpy(),
-    )
-
-
-def _first_at_top(x: Signal, within: float) -> int:
-    """First sample within this share of the range of the largest."""
-    return int(np.argmax(x >= x.max() - within * np.ptp(x)))
-
-
-def _max(error: Signal) -> float:
-    return float(np.abs(error).max())
-
-
-def _rms(error: Signal) -> float:
-    return float(np.sqrt(np.mean(error**2)))

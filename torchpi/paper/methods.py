@@ -21,9 +21,8 @@ from torchpi.identification.indirect import (
 )
 from torchpi.operators.motion import backward_motion
 from torchpi.paper import fig7_plant, fig8, fig12
-from torchpi.paper.calibration import THRESHOLDS
 from torchpi.paper.fig7_plant import Fig7Plant
-from torchpi.paper.fig10 import identify, paper_form
+from torchpi.paper.fig10 import THRESHOLDS, identify, paper_form
 from torchpi.paper.tracking import Deployed, InOnePass, Plant, StraightLine, TrackingError
 
 # On the stage: r of the forward models, V, denser where reversals are; dead zones of their saturation, µm.
