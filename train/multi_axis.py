@@ -20,7 +20,7 @@ from torchpi.recordings.multi_axis import (
 from torchpi.recordings.options import RecordingOptions
 from torchpi.stage.multi_axis import MultiAxisStage
 
-from .own_kind import leave, settings_of
+from .own_kind import files_named, leave, settings_of, whole_number
 
 SECTION = "multi_axis"
 READING = ("recordings", "fs_hz", "um_per_unit", "periods", "heldout")
@@ -72,13 +72,11 @@ def recordings(settings: Mapping[str, Any], config: Path) -> list[MultiAxisRecor
             if isinstance(number, bool) or not isinstance(number, int | float) or not number > 0:
                 raise ConfigError(f"{config}: {name}: found {number!r}, expected a positive number")
         return read_realisations(named, float(numbers[0]), float(numbers[1]))  # type: ignore[arg-type]
-    if not (isinstance(named, list) and named and all(isinstance(one, str) for one in named)):
-        raise ConfigError(f"{config}: recordings: found {named!r}, expected an archive or a list of files")
+    files = files_named(config, named, "an archive or ")
     reading = RecordingOptions(fs_hz=settings.get("fs_hz"))
-    periods = settings.get("periods")
-    if periods is not None and (isinstance(periods, bool) or not isinstance(periods, int) or periods < 1):
-        raise ConfigError(f"{config}: periods: found {periods!r}, expected a whole number from 1 on")
-    return [read_multi_axis(one, reading, periods) for one in named]
+    given = settings.get("periods")
+    periods = None if given is None else whole_number(config, "periods", given)
+    return [read_multi_axis(one, reading, periods) for one in files]
 
 
 def judged(stage: MultiAxisStage, every: Sequence[MultiAxisRecording]) -> list[dict[str, Any]]:

@@ -19,7 +19,7 @@ from torchpi.recordings.options import RecordingOptions
 from torchpi.recordings.recording import Recording
 from torchpi.stage.bouc_wen_oscillator import BoucWenOscillator
 
-from .own_kind import leave, settings_of
+from .own_kind import files_named, leave, settings_of, whole_number
 
 SECTION = "oscillator"
 OWN = ("recordings", "periods", "heldout")
@@ -37,15 +37,8 @@ def fit(arguments: Sequence[str], config: Path) -> None:
     """
     known = [field.name for field in fields(OscillatorOptions)]
     settings, folder = settings_of(arguments, config, SECTION, [*READING, *known])
-    named, periods, share = (
-        settings.get("recordings"),
-        settings.get("periods", 1),
-        settings.get("heldout", 0.0),
-    )
-    if not (isinstance(named, list) and named and all(isinstance(one, str) for one in named)):
-        raise ConfigError(f"{config}: recordings: found {named!r}, expected a list of files")
-    if isinstance(periods, bool) or not isinstance(periods, int) or periods < 1:
-        raise ConfigError(f"{config}: periods: found {periods!r}, expected a whole number from 1 on")
+    named = files_named(config, settings.get("recordings"))
+    periods, share = whole_number(config, "periods", settings.get("periods", 1)), settings.get("heldout", 0.0)
     if isinstance(share, bool) or not isinstance(share, int | float) or not 0 <= share < 1:
         raise ConfigError(f"{config}: heldout: found {share!r}, expected a number from 0 on, below 1")
     options = OscillatorOptions(**{name: settings[name] for name in known if name in settings})

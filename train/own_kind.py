@@ -59,6 +59,28 @@ def settings_of(
     return settings, folder
 
 
+def files_named(config: Path, found: object, otherwise: str = "") -> list[str]:
+    """The recordings of a config.
+
+    Raises:
+        ConfigError: No list of files.
+    """
+    if isinstance(found, list) and found and all(isinstance(one, str) for one in found):
+        return found
+    raise ConfigError(f"{config}: recordings: found {found!r}, expected {otherwise}a list of files")
+
+
+def whole_number(config: Path, name: str, found: object) -> int:
+    """A number of periods, or the like.
+
+    Raises:
+        ConfigError: No whole number from 1 on.
+    """
+    if isinstance(found, int) and not isinstance(found, bool) and found >= 1:
+        return found
+    raise ConfigError(f"{config}: {name}: found {found!r}, expected a whole number from 1 on")
+
+
 def leave(folder: Path, stage: Saved, metrics: Mapping[str, Any], content: Mapping[str, Any]) -> None:
     """Write stage.pt, metrics.json and config.yaml."""
     stage.save(folder / "stage.pt")

@@ -11,7 +11,8 @@ from torchpi.operators.generalised_play import (
     GeneralisedPlayBank,
     clamp_bank,
 )
-from torchpi.operators.rate_dependent_pi import OwnRateStream, RateDependentPIStream, WeightedPlaysStream
+from torchpi.operators.motion import BackwardMotionStream
+from torchpi.operators.rate_dependent_pi import RateDependentPIStream, WeightedPlaysStream
 
 W = torch.tensor([1.0, -0.4, 0.3], dtype=torch.float64)
 
@@ -43,7 +44,7 @@ class Weighted(Operator):
 
     def stream(self) -> nn.Module:
         law = WeightedPlaysStream(self.plays.stream(), W, torch.zeros_like(W))
-        return RateDependentPIStream(law, OwnRateStream(1.0))
+        return RateDependentPIStream(law, BackwardMotionStream(1.0))
 
 
 class TestWeighted(HysteresisLaws):

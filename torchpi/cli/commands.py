@@ -180,19 +180,20 @@ def export(
             sample rate.
     """
     from torchpi.cli.axes import refuse
-    from torchpi.cli.export_axes import export_axes, stage_of_axes
+    from torchpi.cli.export_axes import export_axes
     from torchpi.control.trained import load_compensator, with_slew_limit
     from torchpi.errors import ArtifactError
     from torchpi.export import Load, made_files, safety_card, write_together
     from torchpi.operators import ReferenceFilter
     from torchpi.stage import Stage
     from torchpi.stage.beside import NAME, exported_stage
+    from torchpi.stage.kinds import load_axes
 
     output = output or Path("exports") / run.resolve().name
     if output.suffix in (".pt", ".c", ".h", ".fmu", ".pt2", ".json", ".html"):
         output = output.with_suffix("")
     names = None if to is None else [name.strip() for name in to.split(",")]
-    if (axes := stage_of_axes(run)) is not None:
+    if (axes := load_axes(run / NAME)) is not None:
         refuse(
             reference_filter=reference_filter or None,
             max_slew_v_s=max_slew_v_s,

@@ -14,8 +14,7 @@ from torchpi.identification.multi_axis import MultiAxisOptions
 from torchpi.identification.multi_axis.diagnosis import AxesDiagnosis, diagnose_axes
 from torchpi.recordings.multi_axis import read_multi_axis
 from torchpi.recordings.options import RecordingOptions
-from torchpi.stage.kinds import load_own_kind
-from torchpi.stage.multi_axis import MultiAxisStage
+from torchpi.stage.kinds import load_axes
 
 
 def diagnose_axes_files(
@@ -38,6 +37,11 @@ def diagnose_axes_files(
 
     check_output_folder(output)
     given = None if simulation is None else load_axes(simulation)
+    if simulation is not None and given is None:
+        raise SimulationError(
+            f"{simulation}: found no stage of several axes, expected the stage.pt of a training or "
+            "of a diagnosis of several axes, or no simulation"
+        )
     recordings = [read_multi_axis(path, options, None) for path in paths]
     started = time.monotonic()
 
@@ -63,19 +67,4 @@ def diagnose_axes_files(
         ("the augmented stage", output / "stage.pt"),
     ):  # fmt: skip
         print(f"{file}: {what}")
-    return found
-
-
-def load_axes(simulation: str) -> MultiAxisStage:
-    """The stage of several axes that a simulation names.
-
-    Raises:
-        SimulationError: It names anything else.
-    """
-    found = load_own_kind(simulation) if Path(simulation).suffix == ".pt" else None
-    if not isinstance(found, MultiAxisStage):
-        raise SimulationError(
-            f"{simulation}: found no stage of several axes, expected the stage.pt of a training or "
-            "of a diagnosis of several axes, or no simulation"
-        )
     return found

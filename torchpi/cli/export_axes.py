@@ -11,21 +11,13 @@ from torchpi.control.multi_axis import MultiAxisInverse, linear_inverses
 from torchpi.errors import ArtifactError
 from torchpi.export.formats import write_together
 from torchpi.export.multi_axis import FORMATS, multi_axis_files
-from torchpi.stage.beside import NAME, exported_stage
-from torchpi.stage.kinds import load_own_kind
+from torchpi.stage.beside import exported_stage
 from torchpi.stage.multi_axis import MultiAxisStage
 
 BAND = 0.05
 """Of the sample rate: the band of trajectories where none is given."""
 BEYOND = 1.5
 """Desired displacements are accepted up to so many times the largest that was recorded."""
-
-
-def stage_of_axes(run: Path) -> MultiAxisStage | None:
-    """The stage that a run of several axes left; None for any other run."""
-    path = run / NAME
-    found = load_own_kind(path) if path.is_file() else None
-    return found if isinstance(found, MultiAxisStage) else None
 
 
 def export_axes(

@@ -18,8 +18,8 @@ from torchpi.stage import Stage
 from torchpi.stage.bouc_wen_oscillator import BoucWenOscillator
 from torchpi.stage.kinds import load_own_kind
 from torchpi.stage.multi_axis import MultiAxisStage
+from torchpi.stage.multi_axis.stage import RATE_TOLERANCE
 
-RATE_TOLERANCE = 1e-3
 AT_A_TIME = 1 << 16
 """Samples that are predicted at a time: memory beside the signals themselves does not grow with the file."""
 
@@ -108,10 +108,8 @@ def predict_multi_axis(
         raise RecordingError(
             f"{recording}: found {given.u.shape[1]} inputs, expected {stage.inputs} as in {path}"
         )
-    if abs(given.fs_hz - stage.sample_rate_hz) > RATE_TOLERANCE * stage.sample_rate_hz:
-        raise RecordingError(
-            f"{recording}: found {given.fs_hz:g} Hz, expected {stage.sample_rate_hz:g} Hz as in {path}"
-        )
+    if differs := stage.mismatch(stage.inputs, stage.outputs, given.fs_hz):
+        raise RecordingError(f"{recording}: {differs} {path}")
     y = stage.simulate(torch.from_numpy(given.u)[None])[0].numpy()
     predicted = replace(given, y=y)
     write_multi_axis(output, predicted)

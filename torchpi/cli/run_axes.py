@@ -17,7 +17,7 @@ from torchpi.recordings.options import RecordingOptions
 from torchpi.recordings.readers import open_source
 from torchpi.recordings.recording import read_signal
 from torchpi.stage.beside import exported_stage
-from torchpi.stage.kinds import load_own_kind
+from torchpi.stage.kinds import load_axes
 from torchpi.stage.multi_axis import MultiAxisStage
 
 RANDOM, RANDOM_S = "random", 3.0
@@ -66,8 +66,8 @@ def axes_stage(path: Path) -> MultiAxisStage:
     Raises:
         ArtifactError: There is none.
     """
-    found = load_own_kind(path) if path.is_file() else None
-    if not isinstance(found, MultiAxisStage):
+    found = load_axes(path)
+    if found is None:
         raise ArtifactError(
             f"{path}: found no stage of several axes, expected one, as 'torchpi export' leaves it"
         )

@@ -14,7 +14,7 @@ from torch import Tensor, nn
 
 from torchpi.errors import ConfigError
 from torchpi.operators.base import Operator
-from torchpi.operators.motion import backward_rate
+from torchpi.operators.motion import BackwardMotionStream, backward_rate
 from torchpi.operators.play import PlayBank
 from torchpi.operators.weighted_sum import weight, weighted_sum
 
@@ -86,7 +86,7 @@ class RateDependentPI(Operator):
 
     def stream(self) -> "RateDependentPIStream":
         law = WeightedPlaysStream(self.plays.stream(), self.b, self.k)
-        return RateDependentPIStream(law, OwnRateStream(self.sample_period_s))
+        return RateDependentPIStream(law, BackwardMotionStream(self.sample_period_s))
 
     def extra_repr(self) -> str:
         return f"T = {self.sample_period_s:g} s"
@@ -127,19 +127,20 @@ class WeightedPlaysStream(nn.Module):
 class RateDependentPIStream(nn.Module):
     """The operator, one sample at a time."""
 
-    def __init__(self, law: WeightedPlaysStream, rate: "OwnRateStream") -> None:
+    def __init__(self, law: WeightedPlaysStream, motion: BackwardMotionStream) -> None:
         super().__init__()
         self.law = law
-        self.rate = rate
+        self.motion = motion
 
     @torch.jit.export
     def reset(self) -> None:
         self.law.reset()
-        self.rate.reset()
+        self.motion.reset()
 
     @torch.jit.export
     def step(self, x: float) -> float:
-        return self.law.step(x, self.rate.step(x), 0.0)
+        _, rate, _ = self.motion.step(x)
+        return self.law.step(x, rate, 0.0)
 
 
 def own_rate(
@@ -161,29 +162,3 @@ def own_rate(
     )
     last = torch.stack([held[:, -1], held[:, -2], torch.ones_like(held[:, -1])], 1)
     return rate, last  # type: ignore[return-value]
-
-
-class OwnRateStream(nn.Module):
-    """The same rate, one sample at a time."""
-
-    def __init__(self, sample_period_s: float) -> None:
-        super().__init__()
-        self.sample_period_s = sample_period_s
-        self.started = False
-        self.y1 = 0.0
-        self.y2 = 0.0
-
-    @torch.jit.export
-    def reset(self) -> None:
-        self.started = False
-
-    @torch.jit.export
-    def step(self, x: float) -> float:
-        if not self.started:
-            self.started = True
-            self.y1 = x
-            self.y2 = x
-        rate = backward_rate(x, self.y1, self.y2, self.sample_period_s)
-        self.y2 = self.y1
-        self.y1 = x
-        return rate

@@ -10,7 +10,6 @@ each from the de-energised state. It is then judged by three figures, which the 
 """
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
@@ -56,21 +55,6 @@ def calibrate_paper_method(
 
 PARTS = ("noise", "quantisation", "delay", "lag", "mode", "creep", "curvature", "hysteresis")
 """Of the physics, each of which `without` can take away."""
-
-
-def shares(stage: Stage, seed: int | None = None, parts: Sequence[str] = PARTS) -> dict[str, Calibration]:
-    """The same with one part of the physics removed at a time, under its name; "all" has every part.
-
-    Shares do not add up: maxima fall on different samples, and the fit makes up for what it can. About 1.5 s
-    each.
-
-    Raises:
-        ConfigError: An unknown part.
-    """
-    stages = {part: without(stage, part) for part in parts}
-    return {name: calibrate_paper_method(one, seed) for name, one in {"all": stage, **stages}.items()}
-
-
 EFFECTS_OF = {
     "delay": ("delay",),
     "lag": ("amplifier_lag", "sensor_lag"),
@@ -86,6 +70,8 @@ def without(stage: Stage, part: str) -> Stage:
 
     "lag" is that of the amplifier and of the sensor. For curvature there stands a straight line through the
     same end point, for hysteresis a plain gain that takes the first rise as far.
+
+    Shares of parts do not add up: maxima fall on different samples, and the fit makes up for what it can.
 
     Raises:
         ConfigError: An unknown part.

@@ -9,6 +9,16 @@ from torchpi.stage.file import LARGEST_BYTES, schema_of
 from torchpi.stage.multi_axis import MultiAxisStage
 
 
+def load_axes(path: str | Path) -> MultiAxisStage | None:
+    """The stage of several axes in a file; None for any other file, or none.
+
+    Raises:
+        ArtifactError, StageError: As `load_own_kind`.
+    """
+    found = load_own_kind(path) if Path(path).is_file() else None
+    return found if isinstance(found, MultiAxisStage) else None
+
+
 def load_own_kind(path: str | Path) -> MultiAxisStage | BoucWenOscillator | None:
     """A stage of several axes, or an oscillator; None for any other file, which `Stage.load` may read.
 

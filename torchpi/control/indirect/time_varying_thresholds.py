@@ -28,8 +28,8 @@ from torchpi.control.indirect.base import IndirectInverse
 from torchpi.errors import ConfigError
 from torchpi.operators.base import Operator
 from torchpi.operators.generalised_play import clamp_bank, clamp_play
-from torchpi.operators.motion import Motion
-from torchpi.operators.rate_dependent_pi import RATE_STATES, OwnRateStream, own_rate
+from torchpi.operators.motion import BackwardMotionStream, Motion
+from torchpi.operators.rate_dependent_pi import RATE_STATES, own_rate
 from torchpi.operators.weighted_sum import weight, weighted_sum
 
 ROUNDING = 1e-12  # of the largest threshold: a distance that shrinks by less than this has not
@@ -151,7 +151,7 @@ class TimeVaryingThresholdPI(Operator):
 
     def stream(self) -> "TimeVaryingThresholdStream":
         return TimeVaryingThresholdStream(
-            self.r.tolist(), self.rho.tolist(), self.w.tolist(), OwnRateStream(self.sample_period_s)
+            self.r.tolist(), self.rho.tolist(), self.w.tolist(), BackwardMotionStream(self.sample_period_s)
         )
 
 
@@ -164,24 +164,27 @@ class TimeVaryingThresholdStream(nn.Module):
     one: list[float]
     h: list[float]
 
-    def __init__(self, r: list[float], rho: list[float], w: list[float], rate: OwnRateStream) -> None:
+    def __init__(
+        self, r: list[float], rho: list[float], w: list[float], motion: BackwardMotionStream
+    ) -> None:
         super().__init__()
         self.r = r
         self.rho = rho
         self.w = w
         self.one = [1.0]
         self.h = [0.0] * len(r)
-        self.rate = rate
+        self.motion = motion
 
     @torch.jit.export
     def reset(self) -> None:
-        self.rate.reset()
+        self.motion.reset()
         for i in range(len(self.h)):
             self.h[i] = 0.0
 
     @torch.jit.export
     def step(self, x: float) -> float:
-        size = abs(self.rate.step(x))
+        _, rate, _ = self.motion.step(x)
+        size = abs(rate)
         total = 0.0
         for i in range(len(self.h)):
             r = self.r[i] + self.rho[i] * size
