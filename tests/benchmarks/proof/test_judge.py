@@ -63,7 +63,17 @@ class TestNames:
     def test_two_truths_need_two_names(self):
         two = labels(effect("creep"), effect("hum"))
         assert grade(two, answer(named("creep", "hum"))).found == ["creep"]
-        assert sorted(grade(two, answer(named("creep"), named("hum"))).found) == ["creep", "hum"]
+        both = grade(two, answer(named("creep"), named("hum")))
+        assert sorted(both.found) == ["creep", "hum"]
+        assert [one["right"] for one in both.stated] == [True, True]
+
+    def test_the_name_of_an_effect_outside_the_list_is_wrong(self):
+        outside = grade(labels(effect("echo", listed=False)), answer(named("echo")))
+        assert (outside.truth, outside.found, outside.wrong) == ([], [], ["echo"])
+
+    def test_a_label_without_a_form_has_none(self):
+        bare = {key: value for key, value in effect("creep").items() if key != "form"}
+        assert grade(labels(bare), answer(named("creep"))).forms == {}
 
 
 class TestTolerance:
@@ -92,6 +102,8 @@ class TestTolerance:
         said = answer(named("delay", delay=value(1e3 * ticks / FS_HZ, "ms")))
         assert (grade(labels(timing="before_write"), said).tolerated == ["delay"]) is excused
         assert grade(labels(), said).wrong == ["delay"]
+        beside = answer(named("delay", delay=value(1e3 * ticks / FS_HZ, "ms"), gain=value(9.0, "1")))
+        assert (grade(labels(timing="before_write"), beside).tolerated == ["delay"]) is excused
 
     def test_nothing_but_a_delay_is_excused_by_the_hold(self):
         said = answer(named("creep", tau_1_s=value(1 / FS_HZ, "s")))
@@ -122,6 +134,7 @@ class TestContract:
             answer(named("creep") | {"parameters": [1.0]}),
             answer(named("creep") | {"parameters": {"tau_s": 1.0}}),
             {"verdict": "explained", "effects": {"name": "creep"}},
+            {"verdict": "explained", "effects": {}},
             {"verdict": "explained", "effects": [], "fit": 0.1},
             answer(named("creep") | {"share": "most"}),
         ],
