@@ -1,10 +1,10 @@
-"""Effects that add a signal in absolute time: y = x + s(t), t from the first sample."""
+"""Effects in absolute time, t from the first sample; most add a signal, y = x + s(t)."""
 
 from collections.abc import Callable, Sequence
 from typing import Any
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 
 from torchpi.stage.effects.effect import Effect
@@ -22,11 +22,37 @@ def sampled(
     return _Sampled.apply(kernel, of_tensors, time, period_s, elapsed, *parameters)  # type: ignore
 
 
-class AddedSignal(Effect):
-    """What adds a signal, whatever the stage does. The state: samples since the first."""
+class InTime(Effect):
+    """What depends on the time. The state: samples since the first."""
 
     def initial_state(self, batch: int) -> Tensor:
         return torch.zeros(batch, 1, dtype=torch.float64)
+
+
+class InTimeStream(nn.Module):
+    """The same, one sample at a time."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.elapsed = 0.0
+
+    @torch.jit.export
+    def reset(self) -> None:
+        self.elapsed = 0.0
+
+    @torch.jit.export
+    def step(self, x: float) -> float:
+        y = self.at(x, self.elapsed)
+        self.elapsed += 1.0
+        return y
+
+    def at(self, x: float, elapsed: float) -> float:
+        """The output, so many samples after the first."""
+        raise NotImplementedError
+
+
+class AddedSignal(InTime):
+    """What adds a signal, whatever the stage does."""
 
     def forward(
         self,

@@ -14,7 +14,8 @@ import torch
 from torch import Tensor, nn
 
 from torchpi.operators.quantity import Quantity
-from torchpi.stage.effects.effect import SHORTEST_SLOW_S, DataRange, Effect, Needs, Parameters, parameter
+from torchpi.stage.effects.added_signal import InTime, InTimeStream
+from torchpi.stage.effects.effect import SHORTEST_SLOW_S, DataRange, Needs, Parameters, parameter
 from torchpi.stage.effects.knots import SPACING, KnotsStream, knot_names, through_knots
 from torchpi.stage.effects.oscillation import oscillation, oscillations
 
@@ -24,11 +25,8 @@ FEWEST_PERIODS = 2.0
 """Of a line in the longest recording; fewer are a drift, or a gain that differs between recordings."""
 
 
-class GainModulation(Effect):
-    """A gain, or a zero, that moves by itself; how far is another number in each recording.
-
-    The state is the number of samples since the first.
-    """
+class GainModulation(InTime):
+    """A gain, or a zero, that moves by itself; how far is another number in each recording."""
 
     name = "gain_modulation"
     block = "sensor"
@@ -60,9 +58,6 @@ class GainModulation(Effect):
     def knots(self) -> Tensor:
         """The walk of the gain at each knot, (KNOTS,)."""
         return torch.stack([getattr(self, name) for name in KNOT_NAMES])
-
-    def initial_state(self, batch: int) -> Tensor:
-        return torch.zeros(batch, 1, dtype=torch.float64)
 
     def gain(self, elapsed: Tensor, time: int) -> Tensor:
         """1 + m, (batch, time)."""
@@ -158,7 +153,7 @@ def modulation_hz(
     return f[found[np.argsort(-explained[found])][:count]].tolist()  # type: ignore[no-any-return]
 
 
-class GainModulationStream(nn.Module):
+class GainModulationStream(InTimeStream):
     """The modulation, one sample at a time."""
 
     def __init__(
@@ -175,17 +170,10 @@ class GainModulationStream(nn.Module):
         self.cos, self.sin = gain
         self.cos_um, self.sin_um = added_um
         self.walk = walk
-        self.elapsed = 0.0
 
-    @torch.jit.export
-    def reset(self) -> None:
-        self.elapsed = 0.0
-
-    @torch.jit.export
-    def step(self, x: float) -> float:
-        t_s = self.elapsed * self.period_s
+    def at(self, x: float, elapsed: float) -> float:
+        """x, modulated."""
+        t_s = elapsed * self.period_s
         gain = 1.0 + oscillation(t_s, self.frequency_hz, self.cos, self.sin)
-        gain = gain + self.walk.at(self.elapsed)
-        added = oscillation(t_s, self.frequency_hz, self.cos_um, self.sin_um)
-        self.elapsed += 1.0
-        return x * gain + added
+        gain = gain + self.walk.at(elapsed)
+        return x * gain + oscillation(t_s, self.frequency_hz, self.cos_um, self.sin_um)

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor, nn
 
 from torchpi.operators.quantity import Quantity
-from torchpi.stage.effects.added_signal import AddedSignal
+from torchpi.stage.effects.added_signal import AddedSignal, InTimeStream
 from torchpi.stage.effects.effect import DataRange, Parameters, parameter
 from torchpi.stage.effects.oscillation import oscillation, oscillations
 
@@ -92,22 +92,16 @@ class Hum(AddedSignal):
         return starts
 
 
-class HumStream(nn.Module):
+class HumStream(InTimeStream):
     """The lines, one sample at a time."""
 
     def __init__(self, period_s: float, frequency_hz: float, cos: list[float], sin: list[float]) -> None:
         super().__init__()
         self.period_s, self.frequency_hz, self.cos, self.sin = period_s, frequency_hz, cos, sin
-        self.elapsed = 0.0
 
-    @torch.jit.export
-    def reset(self) -> None:
-        self.elapsed = 0.0
-
-    @torch.jit.export
-    def step(self, x: float) -> float:
-        t_s, added = self.elapsed * self.period_s, 0.0
+    def at(self, x: float, elapsed: float) -> float:
+        """x and the lines."""
+        t_s, added = elapsed * self.period_s, 0.0
         for k in range(len(self.cos)):
             added += oscillation(t_s, (k + 1) * self.frequency_hz, self.cos[k], self.sin[k])
-        self.elapsed += 1.0
         return x + added

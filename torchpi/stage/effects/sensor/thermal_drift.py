@@ -14,7 +14,7 @@ import torch
 from torch import Tensor, nn
 
 from torchpi.operators.quantity import Quantity
-from torchpi.stage.effects.added_signal import AddedSignal, sampled
+from torchpi.stage.effects.added_signal import AddedSignal, InTimeStream, sampled
 from torchpi.stage.effects.effect import SHORTEST_SLOW_S, DataRange, Needs, Parameters, parameter
 from torchpi.stage.effects.knots import SPACING, KnotsStream, knot_names, through_knots
 
@@ -77,17 +77,9 @@ class ThermalDrift(AddedSignal):
 
     def added(self, elapsed: Tensor, time: int) -> Tensor:
         parameters = (self.amplitude_um, self.time_constant_s, self.rate_um_per_s)
-        return sampled(_moved, self.of_tensors, elapsed, time, self.sample_period_s, parameters)
-
-    def forward(
-        self,
-        x: Tensor,  # (batch, time), µm
-        state: Tensor | None = None,  # (batch, 1), samples
-    ) -> tuple[Tensor, Tensor]:
-        elapsed = self.initial_state(len(x)) if state is None else state
-        y, after = super().forward(x, elapsed)
-        walk = through_knots(elapsed, x.shape[1], self.sample_period_s, self.knot_spacing_s, self.knots())
-        return y + walk.to(x), after
+        settling = sampled(_moved, self.of_tensors, elapsed, time, self.sample_period_s, parameters)
+        walk = through_knots(elapsed, time, self.sample_period_s, self.knot_spacing_s, self.knots())
+        return settling + walk
 
     def stream(self) -> nn.Module:
         walk = KnotsStream(self.sample_period_s, self.knot_spacing_s.item(), self.knots().tolist())
@@ -112,7 +104,7 @@ class ThermalDrift(AddedSignal):
         ]
 
 
-class ThermalDriftStream(nn.Module):
+class ThermalDriftStream(InTimeStream):
     """The drift, one sample at a time."""
 
     def __init__(
@@ -128,15 +120,8 @@ class ThermalDriftStream(nn.Module):
         self.amplitude_um, self.time_constant_s = amplitude_um, time_constant_s
         self.rate_um_per_s = rate_um_per_s
         self.walk = walk
-        self.elapsed = 0.0
 
-    @torch.jit.export
-    def reset(self) -> None:
-        self.elapsed = 0.0
-
-    @torch.jit.export
-    def step(self, x: float) -> float:
-        t_s, walked = self.elapsed * self.period_s, self.walk.at(self.elapsed)
-        y = x + drift(t_s, self.amplitude_um, self.time_constant_s, self.rate_um_per_s)
-        self.elapsed += 1.0
-        return y + walked
+    def at(self, x: float, elapsed: float) -> float:
+        """x and where the drift is."""
+        settling = drift(elapsed * self.period_s, self.amplitude_um, self.time_constant_s, self.rate_um_per_s)
+        return x + (settling + self.walk.at(elapsed))
