@@ -87,6 +87,8 @@ class TestUnexplained:
         open_too = decided(believed("creep", 48.0), believed("sensor_lag", 24.0, 0.1), final=np.sqrt(28.0))
         assert open_too.unexplained_share == pytest.approx(48.0 / 96.0)
         assert decided(believed("sensor_lag", 80.0, 0.1), final=8.0).unexplained_share == 1.0
+        louder = decided(believed("creep", 48.0), final=5.0, noise=SimpleNamespace(rms_um=3.0))
+        assert louder.unexplained_share == pytest.approx(16.0 / 91.0)
 
     def test_a_fit_below_the_noise_takes_nothing_off_what_is_open(self) -> None:
         found = decided(believed("creep", 48.0), believed("sensor_lag", 24.0, 0.1), final=1.0)

@@ -230,6 +230,7 @@ class TestHeldOut:
     def test_half_a_step_of_a_true_quantisation_is_noise_too(self):
         lsb = effect("quantization", parameters={"lsb_um": value(math.sqrt(12) * NOISE_UM, "um")})
         assert self.ratio(np.full(100, 3 * NOISE_UM), lsb) == pytest.approx(3 / math.sqrt(2))
+        assert self.ratio(np.full(100, 3 * NOISE_UM), effect("creep"), lsb) == pytest.approx(3 / math.sqrt(2))
 
     def test_a_prediction_of_another_length_or_without_a_number_is_useless(self):
         assert self.ratio(np.zeros(99)) == self.ratio(np.full(100, np.nan)) == 1e9
