@@ -29,8 +29,8 @@ if TYPE_CHECKING:
         ReferenceFilter as ReferenceFilter,
     )
     from torchpi.operators.motion import Motion as Motion
+    from torchpi.recordings.options import RecordingOptions as RecordingOptions
     from torchpi.recordings.recording import Recording as Recording
-    from torchpi.recordings.recording import RecordingOptions as RecordingOptions
     from torchpi.recordings.recording import read_recording as read_recording
     from torchpi.recordings.recording import write_recording as write_recording
     from torchpi.stage import Stage as Stage
@@ -47,7 +47,7 @@ _HOME = {
     "Polynomial": "torchpi.operators",
     "PrandtlIshlinskii": "torchpi.operators",
     "Recording": "torchpi.recordings.recording",
-    "RecordingOptions": "torchpi.recordings.recording",
+    "RecordingOptions": "torchpi.recordings.options",
     "ReferenceFilter": "torchpi.operators",
     "Stage": "torchpi.stage",
     "TorchpiError": "torchpi.errors",

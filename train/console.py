@@ -7,6 +7,7 @@ from rich.console import Console
 from rich.table import Table
 
 from torchpi.recordings.recording import Recording
+from torchpi.report.words import METRICS
 
 from .data import RecordingsData
 from .module import InverseTraining
@@ -60,7 +61,7 @@ def show_results(metrics: Mapping[str, Any], folder: RunFolder) -> None:
     table.add_column("error of the voltage")
     for heading in ("rms V", "max V", "rms µm", "max µm", "rms %", "max %"):
         table.add_column(heading, justify="right")
-    for key, label in LABELS.items():
+    for key, label in METRICS.items():
         row = metrics[key]
         table.add_row(label, *(f"{row[name]:.3g}" for name in NAMES))
     CONSOLE.print(table)
@@ -80,13 +81,6 @@ def show_results(metrics: Mapping[str, Any], folder: RunFolder) -> None:
 
 
 NAMES = ("rms_v", "max_v", "rms_um", "max_um", "rms_percent", "max_percent")
-LABELS = {
-    "train": "trained on",
-    "heldout": "held out",
-    "loading_excluded": "held out, loading excluded",
-    "baseline_lstsq": "held out, two-stage baseline",
-    "baseline_plays": "held out, least squares on plays",
-}
 
 
 def _line(recording: Recording) -> str:

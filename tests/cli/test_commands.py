@@ -52,7 +52,8 @@ def test_options_are_parsed_without_torch(command: str) -> None:
 
 def test_help_lists_the_way_from_recordings_to_the_loop_without_torch() -> None:
     program = "import sys; from torchpi.cli.commands import main\ntry: main()\nexcept SystemExit: pass\n"
-    program += "print([m for m in ('torch', 'lightning', 'matplotlib', 'numba') if m in sys.modules])"
+    program += "heavy = ('torch', 'lightning', 'matplotlib', 'numba', 'scipy', 'numpy')\n"
+    program += "print([m for m in heavy if m in sys.modules])"
     done = subprocess.run(
         [sys.executable, "-c", program, "--help"], capture_output=True, text=True, check=True
     )

@@ -30,6 +30,7 @@ from torchpi.loop.result import (
     Signal,
     Tracking,
     latency_of,
+    loading_samples,
     loop_width,
 )
 
@@ -183,7 +184,7 @@ class _Rig:
         self.max_slew_v_s = max_slew_v_s
         self.peak_to_peak_um = float(np.ptp(yd))
         self.range_um = slow_loop.high_um - slow_loop.low_um
-        self.loading_samples = int(np.argmax(yd >= yd.max() - 1e-3 * self.peak_to_peak_um))
+        self.loading_samples = loading_samples(yd)
 
     def drive(
         self,

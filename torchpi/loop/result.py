@@ -157,6 +157,11 @@ def latency_of(step_ns: npt.NDArray[np.int64], period_s: float) -> Latency:
     )
 
 
+def loading_samples(yd: Signal) -> int:
+    """Samples before y_d first comes within 0.1 % of its largest: until then the start is remembered."""
+    return int(np.argmax(yd >= yd.max() - 1e-3 * np.ptp(yd)))
+
+
 def loop_width(yd: Signal, y: Signal) -> float:
     """Widest spread of y at one y_d: y_d in 100 bins, the spread of y − y_d in each, the largest."""
     e = y - yd

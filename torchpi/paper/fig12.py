@@ -11,7 +11,8 @@ from functools import cache
 import numpy as np
 
 from torchpi.excitation.trajectory import Trajectory, load_trajectory
-from torchpi.paper.tracking import Deployed, Plant, TrackingError, follow, loading_samples, tracking_error
+from torchpi.loop.result import loading_samples
+from torchpi.paper.tracking import Deployed, Plant, TrackingError, follow, tracking_error
 
 TRAJECTORIES = ("slow", "fast")
 

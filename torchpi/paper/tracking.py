@@ -7,6 +7,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from torchpi.loop.result import loading_samples
 from torchpi.operators.motion import Motion, backward_motion
 from torchpi.recordings.recording import Recording
 
@@ -121,11 +122,6 @@ def tracking_error(
         extreme_um=float(error[np.abs(error).argmax()]),
         mean_um_after_loading=float(after.mean()),
     )
-
-
-def loading_samples(yd: np.ndarray) -> int:
-    """Samples before y_d first comes within 0.1 % of its largest: until then the start is remembered."""
-    return int(np.argmax(yd >= yd.max() - 1e-3 * np.ptp(yd)))
 
 
 class InOnePass:

@@ -93,7 +93,7 @@ def training_page(report: TrainingReport, provenance: Provenance) -> str:
         title=f"Training: {report.name}",
         report=report,
         metrics=[
-            (_METRIC_NAMES.get(key, key.replace("_", " ")), key, row) for key, row in report.metrics.items()
+            (words.METRICS.get(key, key.replace("_", " ")), key, row) for key, row in report.metrics.items()
         ],
         answer=words.training_answer(report.metrics),
         headline=words.training_headline(report.metrics),
@@ -105,15 +105,6 @@ def training_page(report: TrainingReport, provenance: Provenance) -> str:
             MOST_NUMBERS / 2,  # its figures are larger
         ),
     )
-
-
-_METRIC_NAMES = {
-    "train": "trained on",
-    "heldout": "held out",
-    "baseline_lstsq": "held out, two-stage least squares",
-    "baseline_plays": "held out, least squares on plays",
-    "loading_excluded": "held out, without initial loading",
-}
 
 
 @dataclass(frozen=True)

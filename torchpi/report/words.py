@@ -5,6 +5,15 @@ from collections.abc import Callable, Mapping
 
 from torchpi.loop.result import COMPENSATED, LoopResult
 
+METRICS = {
+    "train": "trained on",
+    "heldout": "held out",
+    "loading_excluded": "held out, without initial loading",
+    "baseline_lstsq": "held out, two-stage least squares",
+    "baseline_plays": "held out, least squares on plays",
+}
+"""What the errors of a training run are of, by their keys in metrics.json."""
+
 
 def headline(result: LoopResult) -> str:
     """The result in one sentence."""

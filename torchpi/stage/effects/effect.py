@@ -1,6 +1,5 @@
 """What every piece of physics that a stage may lack has in common."""
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
@@ -68,15 +67,9 @@ class Needs:
     of the voltage and of the amplitude."""
 
 
-def parameter(
-    unit: str,
-    at_least: float = -math.inf,
-    at_most: float = math.inf,
-    positive: bool = False,
-    identity: float = 0.0,
-) -> Any:
+def parameter(unit: str, at_least: float, at_most: float, identity: float = 0.0) -> Any:
     """A physical parameter in the body of an effect's class: arguments are those of `Quantity`."""
-    return Quantity(unit, at_least, at_most, positive, identity)
+    return Quantity(unit, at_least, at_most, identity=identity)
 
 
 class Described:
