@@ -31,6 +31,7 @@ class LoadChange(Static, LinearEffect):
     }
     identity: ClassVar[Parameters] = {"stiffness_ratio": 0.0}
     per_recording = ("stiffness_ratio",)
+    relative = True
     stiffness_ratio: nn.Parameter
 
     def gain(self) -> Tensor:
