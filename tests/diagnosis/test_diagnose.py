@@ -134,7 +134,7 @@ def test_an_input_that_was_left_out_is_found_in_its_column() -> None:
 
 def test_every_step_is_said() -> None:
     said: list[str] = []
-    diagnose([record(multisine(1000))], say=said.append)
+    diagnose([record(multisine(1000))], log=said.append)
     assert [
         word for word in ("nominal", "round", "decide", "model", "locate") if not any(word in s for s in said)
     ] == []

@@ -24,6 +24,7 @@ from torchpi.stage.effects.actuator.creep import Creep
 from torchpi.stage.effects.amplifier.amplifier_lag import AmplifierLag
 from torchpi.stage.effects.amplifier.delay import Delay
 from torchpi.stage.effects.amplifier.slew_limit import SlewLimit
+from torchpi.stage.effects.sensor.thermal_drift import ThermalDrift
 
 
 def densities(models: int, cells: int, seed: int) -> np.ndarray:
@@ -100,6 +101,10 @@ def test_what_an_effect_leaves_by_its_form_is_not_named_after_its_kin(share: flo
     assert apart(slow, found, terms) == 1.0
     assert apart(late, found, terms) == pytest.approx(1 / (1 + (FORM_ERROR / share) ** 2))
     assert apart(lag, found, terms) > 0.98
+    # What the two signals cannot split in general is kin as well: a drift is what a creep's form leaves.
+    drift = Believed("thermal_drift", 1.0, (), share**2, ())
+    terms["thermal_drift"] = EffectTerm(ThermalDrift, {}, ({"rate_um_per_s": 0.01},))
+    assert apart(drift, [*found, drift], terms) == pytest.approx(apart(late, found, terms))
     operator = Believed(OPERATOR_NAME, 1.0, (), share, ())
     assert apart(operator, [*found, operator], terms) == apart(late, found, terms)
 

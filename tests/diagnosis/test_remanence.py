@@ -5,16 +5,19 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.diagnosis.plants import NOISE_UM, multisine
+from tests.diagnosis.plants import NOISE_UM, hysteresis, lag, multisine
 from tests.diagnosis.prepared import prepared
 from torchpi.diagnosis.chain import Chain
 from torchpi.diagnosis.diagnose import diagnose
 from torchpi.diagnosis.fit import fit
-from torchpi.diagnosis.hypothesis import Hypothesis
+from torchpi.diagnosis.hypothesis import EffectTerm, Hypothesis
 from torchpi.diagnosis.hysteresis_model import many_plays
 from torchpi.diagnosis.records import seen
+from torchpi.diagnosis.reduced_basis import refitted
 from torchpi.diagnosis.remanence import COLUMNS, EITHER, remanence
+from torchpi.diagnosis.search import Search
 from torchpi.recordings.recording import Recording
+from torchpi.stage.effects.sensor.sensor_lag import SensorLag
 
 
 def remembered(v: np.ndarray, seed: int) -> np.ndarray:
@@ -43,6 +46,22 @@ def test_plays_and_columns_fit_what_plays_alone_do_not(seed: int) -> None:
     both = fit(chain, Hypothesis(plays.nominal, remanent=True)).train_rms
     assert both**2 - NOISE_UM**2 < 0.1 * (alone**2 - NOISE_UM**2)
     assert alone > 3 * NOISE_UM
+
+
+@pytest.mark.parametrize("remembers", [True, False])
+def test_a_history_is_decided_again_once_an_effect_is_known(remembers: bool) -> None:
+    """Beside what was missing before it may have been too small to see, or have taken some of that."""
+    v = np.roll(multisine(4000, high_hz=20.0), -1500)
+    v = v if remembers else v - v[0]
+    y = lag(remembered(v, 1) if remembers else hysteresis(v), 2e3, cutoff_hz=20.0)
+    y += NOISE_UM * np.random.default_rng(0).standard_normal(len(v))
+    chain = Chain(prepared([Recording("lagging", np.arange(len(v)) / 2e3, v, y, 2e3)]))
+    search = Search(chain, lambda sentence: None)
+    lagging = EffectTerm(SensorLag, {"cutoff_hz": 20.0})
+    before = Hypothesis(many_plays(search.seen), (lagging,), remanent=not remembers)
+    now = refitted(chain, fit(chain, before))
+    search.weigh(now)
+    assert search.realigned(now).hypothesis.remanent == remembers
 
 
 @given(st.integers(0, 999), st.integers(2, 400))

@@ -59,7 +59,7 @@ def diagnose_files(
     for recording in recordings:
         log(f"{recording.source}: {len(recording):,} samples at {recording.fs_hz:g} Hz")
     with worker_pool(get_ready) if executor == "processes" else nullcontext() as pool:
-        found = diagnose(recordings, given, say=log, executor=pool)
+        found = diagnose(recordings, given, log=log, executor=pool)
     log("report: figures and page")
     files = {f"recording {recording.name}": recording.source for recording in recordings}
     if isinstance(given, Simulator) and given.source:

@@ -125,7 +125,7 @@ class Chain:
                     known = placed(y)
                     self.remember(tuple(path), known)
                 y = known
-        return self.told(hypothesis, index, y[0].numpy() + self.zero(weights, index))
+        return self.where_stuck(hypothesis, index, y[0].numpy() + self.zero(weights, index))
 
     def displacement(self, hypothesis: Hypothesis, weights: np.ndarray, index: int) -> np.ndarray:
         """(time,), µm: the sum over the hysteresis."""
@@ -148,7 +148,7 @@ class Chain:
         """The zero of one recording, µm."""
         return float(weights[len(weights) - len(self.records) + index])
 
-    def told(self, hypothesis: Hypothesis, index: int, y: np.ndarray) -> np.ndarray:
+    def where_stuck(self, hypothesis: Hypothesis, index: int, y: np.ndarray) -> np.ndarray:
         """An output, and where the mount is seen to stick the place at which it rests."""
         rests = self.rests(hypothesis, index)
         return y if rests is None else np.where(rests.stuck, rests.at_um, y)
@@ -172,7 +172,7 @@ class Chain:
         rests = self.rests(hypothesis, index)
         if rests is not None:
             moves = np.where(rests.stuck, 0.0, moves)
-        return self.told(hypothesis, index, x[0].numpy() + self.zero(weights, index)), used, moves
+        return self.where_stuck(hypothesis, index, x[0].numpy() + self.zero(weights, index)), used, moves
 
     def used(self, hypothesis: Hypothesis, index: int) -> np.ndarray:
         """Which weights belong to the rows of a recording."""

@@ -63,7 +63,7 @@ def diagnose(
     simulation: Simulation | None = None,
     *,
     effects: Sequence[type[Effect] | type[InsideEffect]] = EFFECTS,
-    say: Callable[[str], None] = lambda sentence: None,
+    log: Callable[[str], None] = lambda sentence: None,
     executor: Executor | None = None,
 ) -> Diagnosis:
     """Where a simulation and recordings differ, and what was left out of it.
@@ -74,7 +74,7 @@ def diagnose(
             records, without noise, from rest; "column", the `simulated` of each recording. None is the
             plain stage: symmetric, rate-independent Prandtl–Ishlinskii hysteresis, everything else ideal.
         effects: What may be missing: the effects that are tried.
-        say: Called with a sentence at every step.
+        log: Called with a sentence at every step.
         executor: Where independent fits run; None is this process, which alone calls a simulation that
             cannot be pickled.
 
@@ -101,15 +101,15 @@ def diagnose(
     noise = measured_noise(records)
     if noise is not None:
         noise = noise.with_converter(lsb_um)
-    say("nominal: the simulation as it is, then refitted with as many plays as the data carry")
+    log("nominal: the simulation as it is, then refitted with as many plays as the data carry")
     start = given_members(given)
     first = (
         fit(chain, Hypothesis(plain(what))).residuals if compared is None else simulated(compared, records)
     )
-    search = Search(chain, say, start, noise, executor, lsb_um, tried, called)
+    search = Search(chain, log, start, noise, executor, lsb_um, tried, called)
     retuned, final, history = search.run()
     noise = search.noise
-    say("decide: every effect against its rivals")
+    log("decide: every effect against its rivals")
     final, believed = posterior(search, retuned, final, history)
     if noise is not None and not search.slips:
         # What a hold shows of hum, or of a drift, is no noise once it has been explained.
@@ -119,7 +119,7 @@ def diagnose(
     believed = believed if called is None else with_untried(believed, tried, untried)
     modelled = augmented = free_run(chain, final, search.jump.value_um) if search.jump else final
     chain.weighting = search.chain.weighting
-    say("what no effect explains")
+    log("what no effect explains")
     remainder = with_remainder(chain, reduced(chain, modelled))
     if remainder is not None:
         augmented = remainder[0]
@@ -132,7 +132,7 @@ def diagnose(
     lost = wrong_readings(records, wrong, final)
     if any(len(each) for each in lost):
         decision = with_read_off(decision, of_dropouts(records, lost, final))
-    say("model: everything refitted to all samples")
+    log("model: everything refitted to all samples")
     complete = whole(recordings, wrong)
     everything = Chain(complete, Weighting.of(complete, modelled.residuals, noise))
     # A mount that sticks decides at each slip where the next one begins: no gradient leads through that.
@@ -143,7 +143,7 @@ def diagnose(
     floor_um = noise.rms_um if noise is not None else 0.0
     stage = augmented_stage(last, len(recordings), what, floor_um or augmented.heldout_rms)
     traces = traces_of(recordings, records, retuned, augmented, final, search.chain, decision)
-    say("locate: where the residual lives")
+    log("locate: where the residual lives")
     where = locate(traces, floor_um)
     open_names = open_between(decision)
     next_one, excitation = next_recording(

@@ -134,8 +134,9 @@ def apart(one: Believed, found: Sequence[Believed], terms: Mapping[str, EffectTe
 
 def of_one_kin(one: EffectTerm, other: EffectTerm) -> bool:
     """Whether an effect looks like what another leaves if its form is not quite the rig's."""
+    kin = (*one.effect.left_by, *one.effect.degenerate_with)
     return one.effect is not other.effect and (
-        (one.effect.delays and other.effect.delays) or other.effect.name in one.effect.left_by
+        (one.effect.delays and other.effect.delays) or other.effect.name in kin
     )
 
 

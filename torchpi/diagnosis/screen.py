@@ -212,14 +212,12 @@ def candidates_of(
         shared = {n: v for n, v in start.items() if n not in effect.per_recording}
         each = {n: v for n, v in start.items() if n in effect.per_recording}
         own = tuple(dict(each) for _ in records) if each else ()
-        if effect.name == "load_change":
-            # One recording with another load than the rest: the others keep the identity.
-            for loaded in range(len(records)):
-                members.append(
-                    EffectTerm(
-                        effect, shared, tuple(dict(each) if i == loaded else {} for i in range(len(records)))
-                    )
-                )
+        if effect.relative:
+            places = range(len(records))
+            members += [
+                EffectTerm(effect, shared, tuple(dict(each) if i == other else {} for i in places))
+                for other in places
+            ]
             continue
         members += (
             [EffectTerm(effect, shared, own, a) for a in aux]

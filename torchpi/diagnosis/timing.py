@@ -57,11 +57,12 @@ class Timing(Contest):
 
     def realigned(self, now: Fit) -> Fit:
         """Under the conventions of timing, and from the start, that predict best: they are no physics."""
-        small = best = reduced(self.chain, now)
-        if now.hypothesis.remanent:  # what an effect has explained since may have been taken for a history
-            job: Job = (replace(small.hypothesis, remanent=False), None, 3, ROUGH)
-            (less,) = self.fits([job])
-            best = less if self.needs_no_history(small, less) else small
+        small = reduced(self.chain, now)
+        remembers = small.hypothesis.remanent
+        (other,) = self.fits([(replace(small.hypothesis, remanent=not remembers), None, TIMED, ROUGH)])
+        more, less = (small, other) if remembers else (other, small)
+        # What an effect has explained since may have been taken for a history, or have covered one.
+        best = less if self.needs_no_history(more, less) else more
         # A delay of whole samples may be the convention itself.
         late = [m.effect.name for m in now.hypothesis.members if m.effect.commutes]
         others = [

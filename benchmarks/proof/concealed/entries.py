@@ -45,6 +45,7 @@ ENTRIES = {
         ),
         _rival("baseline"),
         _rival("sindy"),
+        _rival("lisdd"),
         Entry("most_frequent", f"{PYTHON}.blind most_frequent {{recordings}} --output {{out}}"),
         Entry("guess", f"{PYTHON}.blind guess {{recordings}} --output {{out}}"),
     )

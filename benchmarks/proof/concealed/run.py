@@ -137,17 +137,25 @@ def run(
     _work(graded, output, executor, stamp)
     records = {job.name: _record(output, job.name, stamp) for job in jobs}
     grades = [Grade(**record["grade"]) for record in records.values()]
+    summary = summarise(grades)
     results = {
         **stamp,
         "entry": entry.name,
         "drawn": seeds.get("drawn"),
         "seeds": {track: seeds["seeds"][track] for track in tracks},
         "counts": counts,
-        **summarise(grades),
+        **summary,
+        "said": {name: _said(records[name.replace("/case", "")]) for name in summary["stories"]},
         "cases": [grade.as_dict() for grade in grades],
     }
     (output / "results.json").write_text(json.dumps(results, indent=1, allow_nan=False) + "\n")
     return results
+
+
+def _said(record: dict) -> str:
+    """A tool's answer in words, where it has any."""
+    answer = record["diagnosis"]
+    return str(answer.get("says", "")) if isinstance(answer, dict) else ""
 
 
 def _untouched_of(job: Job) -> Job | None:

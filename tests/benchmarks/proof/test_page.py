@@ -8,7 +8,7 @@ from concealed.cases import Case
 from concealed.judging.grade import Grade
 from concealed.judging.proportions import share
 from concealed.judging.summary import FIGURES, summarise
-from concealed.page import worst
+from concealed.page import cases
 from concealed.page.text import GOALS, cell, figure_table, reached, write_page
 
 
@@ -50,6 +50,7 @@ def results(*grades: Grade) -> dict:
         "seeds": {"alien": 12345},
         "counts": {"alien": len(grades)},
         **summarise(grades),
+        "said": {"alien/case_0009": "The stage lacks hum."},
         "cases": [grade.as_dict() for grade in grades],
     }
 
@@ -117,12 +118,28 @@ class TestPage:
         run = {"time_s": t, "input_v": np.sin(t), "output_um": np.sin(t) + 0.1 * t}
         asked = []
         monkeypatch.setattr(
-            worst, "draw", lambda *case: asked.append(case) or Case([run], {"noise_rms_um": 0.01})
+            cases, "draw", lambda *case: asked.append(case) or Case([run], {"noise_rms_um": 0.01})
         )
         write_page({"tool": results(graded(9, named="hum"))}, tmp_path / "proof.md", tmp_path)
-        assert asked == [("alien", 12345, 8, tmp_path)]
+        assert set(asked) == {("alien", 12345, 8, tmp_path)}
         assert (tmp_path / "proof" / "alien_case_0009.svg").stat().st_size > 0
-        assert "](proof/alien_case_0009.svg)" in (tmp_path / "proof.md").read_text()
+        page = (tmp_path / "proof.md").read_text()
+        assert page.count("](proof/alien_case_0009.svg)") == 2  # among the worst, and as a story
+        story = page.split("### alien/case_0009")[1]
+        assert "1 recording of duhem, 300 samples at 100 Hz, 0 to 1 V." in story
+        assert "**Concealed**: creep (power law), 8 × the noise." in story
+        assert "“The stage lacks hum.”" in story
+        assert "**Right**: none; wrong: hum; verdict: explained." in story
+
+    def test_stories_are_the_first_of_their_kind_whatever_came_of_them(self):
+        two = {"creep": 4.0, "hum": 3.0}
+        grades = [
+            graded(1, track="open"), graded(2, truth="", named="hum"), graded(3, named="hum"), graded(4),
+            graded(5, severities=two), graded(6, severities=two), graded(7, truth="", named=""),
+            *(graded(k, track="noise", injected=True) for k in (1, 3, 5)),
+        ]  # fmt: skip
+        told = ["alien/case_0003", "alien/case_0005", "alien/case_0002", "noise/case_0001", "noise/case_0003"]
+        assert summarise(grades)["stories"] == told
 
     def test_a_run_without_anything_to_count_has_a_page(self, tmp_path):
         failed = graded(

@@ -94,6 +94,8 @@ class Described:
     """The value of each parameter at which the effect is not there."""
     per_recording: ClassVar[tuple[str, ...]] = ()
     """Parameters that are another number in each recording, such as a phase."""
+    relative: ClassVar[bool] = False
+    """Whether it shows as a difference alone: one recording has it, and the rest keep the identity."""
     before_hysteresis: ClassVar[bool] = False
     """Whether it acts on the voltage, not on a displacement."""
     takes_aux: ClassVar[bool] = False

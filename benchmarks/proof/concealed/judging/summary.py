@@ -230,7 +230,20 @@ def summarise(grades: Grades) -> dict[str, object]:
         "worst": [
             f"{g.track}/{g.case}" for g in sorted(grades, key=badness, reverse=True)[:10] if any(badness(g))
         ],
+        "stories": stories(grades),
     }
+
+
+def stories(grades: Grades) -> list[str]:
+    """The cases to be told from beginning to end: the first of their kind, whatever came of them."""
+    alien = [g for g in grades if g.track == "alien"]
+    kinds = (
+        [g for g in alien if len(g.severities) == 1],
+        [g for g in alien if len(g.severities) > 1],
+        [g for g in alien if g.null],
+    )
+    chosen = [g for kind in kinds for g in kind[:1]] + [g for g in grades if g.injected][:2]
+    return [f"{g.track}/{g.case}" for g in chosen]
 
 
 def _mean_of(tracks: dict[str, dict], key: str) -> float | None:

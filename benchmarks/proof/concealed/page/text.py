@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from concealed.judging.summary import FIGURES
-from concealed.page import figures, worst
+from concealed.page import cases, figures
 
 BETTER_MORE = {key: more for key, _, _, more in FIGURES}
 WORDS = {key: words for key, words, _, _ in FIGURES}
@@ -74,6 +74,7 @@ def write_page(results: Results, output: Path, data: Path | None = None) -> None
         "## The ten worst cases",
         _worst(first),
         *(_pictured(first, name, data, folder) for name in first["worst"] if data is not None),
+        *_stories(first, data, folder),
         "## What it cannot do",
         _limits(first),
         "## Every case",
@@ -222,8 +223,24 @@ def _worst(results: dict) -> str:
 
 def _pictured(results: dict, name: str, data: Path, folder: Path) -> str:
     file = f"{name.replace('/', '_')}.svg"
-    worst.picture(results, name, data, folder / file)
+    cases.picture(cases.drawn(results, name, data), name, folder / file)
     return f"![The case {name}]({folder.name}/{file})"
+
+
+def _stories(results: dict, data: Path | None, folder: Path) -> list[str]:
+    """Some cases from beginning to end, whatever came of them."""
+    if data is None or not results["stories"]:
+        return []
+    parts = [
+        "## Five cases told",
+        "The first of their kind, whatever came of them: one effect, several, and none on alien plants; two "
+        "real recordings into which an effect was put. The picture has the first recording.",
+    ]
+    for name in results["stories"]:
+        case, file = cases.drawn(results, name, data), f"{name.replace('/', '_')}.svg"
+        cases.picture(case, name, folder / file)
+        parts.append(cases.story(results, name, case, f"{folder.name}/{file}"))
+    return parts
 
 
 def _limits(results: dict) -> str:

@@ -8,10 +8,12 @@ and the best held out, and the held-out error falls by 3 %; its column stays and
 """
 
 import math
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
-from concealed.rivals.contract import MOST, Run, command_line, named, write_diagnosis
+from concealed.rivals.contract import MOST, Errors, Run, command_line, named, write_diagnosis
 from scipy.signal import lfilter
 
 HELD = 0.7  # of each recording is fitted, the rest held out
@@ -30,25 +32,27 @@ PARAMETERS = {
 }
 
 
+class Library(NamedTuple):
+    """What is fitted to: thinned rows of all recordings, one behind the other."""
+
+    y: np.ndarray  # (rows,), µm
+    input_v: np.ndarray  # (rows,)
+    rate_v_s: np.ndarray  # (rows,)
+    place: np.ndarray  # (rows,): how far on in its recording, 0 to 1
+    plays: np.ndarray  # (rows, plays + 1)
+    weights: np.ndarray
+    """Of the plays, from the first of each recording."""
+    span: float
+    grid: list[tuple[str, float]]
+    columns: list[np.ndarray]
+    """Of each entry of the grid, (rows, columns)."""
+
+
 def diagnose(runs: list[Run], output: Path) -> None:
     """Write diagnosis.json and stage.json into `output`."""
-    every = max(sum(run["time_s"].size for run in runs) // MOST, 1)
-    y = np.concatenate([run["output_um"][::every] for run in runs])
-    train = np.concatenate([(np.arange(r["time_s"].size) < HELD * r["time_s"].size)[::every] for r in runs])
-    span = max(float(np.max(np.abs(run["input_v"]))) for run in runs)
-    states = [nominal(run, span) for run in runs]
-    plays = np.concatenate([s[::every] for s in states])
-    weights = ridge(plays[train], y[train])
-    smooth = [s @ weights for s in states]
-    steepest = max(float(np.max(np.abs(np.diff(run["input_v"])))) / run["dt"] for run in runs)
-    grid = candidates(runs[0]["dt"], span, steepest, np.ptp(y), len(runs), "aux_v" in runs[0])
-    columns = [
-        np.concatenate(
-            [column(n, p, r, s, i)[::every] for i, (r, s) in enumerate(zip(runs, smooth, strict=True))]
-        )
-        for n, p in grid
-    ]
-    base, found, starts = plays, [], []
+    library = library_of(runs)
+    y, train, grid, columns = library.y, library.place < HELD, library.grid, library.columns
+    base, found, starts = library.plays, [], []
     errors = [errors_of(base, y, train)]
     while len(found) < 3:
         trained = [fit_on_top(base, c, y, train) for c in columns]
@@ -62,11 +66,53 @@ def diagnose(runs: list[Run], output: Path) -> None:
         taken = [n for n, _ in found]
         keep = [i for i, (n, _) in enumerate(grid) if n not in taken]
         grid, columns = [grid[i] for i in keep], [columns[i] for i in keep]
-    final = ridge(base[train], y[train])
-    stage = {"span": span, "smooth": weights.tolist(), "weights": final.tolist(), "named": found}
+    write_answer(output, library, found, starts, ridge(base[train], y[train]), errors)
+
+
+def library_of(runs: list[Run]) -> Library:
+    """Forty plays, and what each effect of the grid would add to them."""
+    every = max(sum(run["time_s"].size for run in runs) // MOST, 1)
+
+    def rows(of_run: Callable[[Run], np.ndarray]) -> np.ndarray:
+        return np.concatenate([of_run(run)[::every] for run in runs])
+
+    y, place = rows(lambda run: run["output_um"]), rows(lambda run: np.linspace(0, 1, run["time_s"].size))
+    span = max(float(np.max(np.abs(run["input_v"]))) for run in runs)
+    states = [nominal(run, span) for run in runs]
+    plays = np.concatenate([s[::every] for s in states])
+    weights = ridge(plays[place < HELD], y[place < HELD])
+    steepest = max(float(np.max(np.abs(np.diff(run["input_v"])))) / run["dt"] for run in runs)
+    grid = candidates(runs[0]["dt"], span, steepest, np.ptp(y), len(runs), "aux_v" in runs[0])
+    columns = [
+        np.concatenate(
+            [
+                column(n, p, r, s @ weights, i)[::every]
+                for i, (r, s) in enumerate(zip(runs, states, strict=True))
+            ]
+        )
+        for n, p in grid
+    ]
+    rate = rows(lambda run: np.gradient(run["input_v"], run["dt"]))
+    return Library(y, rows(lambda run: run["input_v"]), rate, place, plays, weights, span, grid, columns)
+
+
+def write_answer(
+    output: Path,
+    library: Library,
+    found: Sequence[tuple[str, float]],
+    starts: Sequence[int],
+    final: np.ndarray,
+    errors: Sequence[Errors],
+) -> None:
+    """Name what was found; `starts` are the places of its first weight among the final ones."""
+    stage = {
+        "span": library.span,
+        "smooth": library.weights.tolist(),
+        "weights": final.tolist(),
+        "named": found,
+    }
     signed = [_signed(n, p, final[start]) for (n, p), start in zip(found, starts, strict=True)]
-    effects = [named(n, len(signed), _parameters(n, p)) for n, p in signed]
-    write_diagnosis(output, effects, errors, stage)
+    write_diagnosis(output, [named(n, len(signed), _parameters(n, p)) for n, p in signed], errors, stage)
 
 
 def _signed(name: str, parameter: float, weight: float) -> tuple[str, float]:

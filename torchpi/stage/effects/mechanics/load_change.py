@@ -25,6 +25,7 @@ class LoadChange(Static, LinearEffect):
     needs = Needs(recordings=2)
     stiffness_ratio: nn.Parameter = parameter("", at_least=-0.5, at_most=10.0)
     per_recording = ("stiffness_ratio",)
+    relative = True
 
     def gain(self) -> Tensor:
         """k_A / (k_A + k_S). Shape ()."""
