@@ -5,7 +5,7 @@ import pytest
 from concealed.judging.calibration import calibration, reliability
 from concealed.judging.grade import grade
 from concealed.judging.proportions import share
-from concealed.judging.summary import figures, summarise
+from concealed.judging.summary import FIGURES, figures, summarise
 from concealed.names import STATIC
 from hand_made import NOISE_UM, answer, effect, labels, named, value
 
@@ -84,6 +84,17 @@ class TestFigures:
         assert self.of("unknown", grade(mode, said)) == (int(counted), 1)
         nothing_wrong = said is not None and all(e["name"] != "creep" for e in said["effects"])
         assert self.of("unknown_right", grade(mode, said)) == (int(nothing_wrong), 1)
+
+    def test_an_effect_of_the_list_is_not_outside_it(self):
+        listed = grade(labels(effect("creep")), answer(verdict="unexplained"))
+        for key in ("unknown", "unknown_right", "unknown_improves"):
+            assert self.of(key, listed) == (0, 0)
+
+    def test_the_bound_that_is_quoted_is_the_one_on_the_worse_side(self):
+        assert {key for key, _, _, more_is_better in FIGURES if not more_is_better} == {
+            "failed", "false_alarms", "foreign_wrong", "calibration_error", "parameter_error", "heldout",
+            "closed_far", "injected_wrong", "named_before", "seconds",
+        }  # fmt: skip
 
     @pytest.mark.parametrize(
         ("gain", "counted"), [(0.02, True), (0.006, True), (0.004, False), (-0.2, False)]
