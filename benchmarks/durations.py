@@ -5,9 +5,11 @@
 Runs the README's commands that estimate their time, in a temporary folder, and prints for each what it had
 said, what it took, and the ratio of the two, which should lie between a half and two. With `--rounds` it then
 diagnoses several sets of the README's recordings, and fits to their processor time, over the samples and the
-rounds of each, the constants of `torchpi/cli/duration.py`:
+rounds of each, the constants of `torchpi/cli/duration.py`, printed again after each set from the third on:
 
-    processor s = DIAGNOSIS_S + WORK_S · DECIDING · samples · share_of_rounds(rounds)
+    processor s = DIAGNOSIS_S + ROUND_S · rounds + WORK_S · samples · share_of_rounds(rounds)
+
+Every line is printed when it is known: what has been measured holds if this program is ended early.
 """
 
 import argparse
@@ -23,6 +25,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from scipy.optimize import nnls
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
@@ -67,7 +70,9 @@ def main() -> int:
                 ratio = ran.estimated_s / ran.seconds
                 wrong += not 0.5 <= ratio <= 2
                 print(
-                    f"{ran.estimated_s:5.0f} s estimated, {ran.seconds:5.0f} s taken, {ratio:4.2f}: {command}"
+                    f"{ran.estimated_s:5.0f} s estimated, {ran.seconds:5.0f} s taken, "
+                    f"{ran.processor_s:5.0f} processor s, {ratio:4.2f}: {command}",
+                    flush=True,
                 )
             elif any(mark in command for mark in needed(compared)):
                 run(shlex.split(command), folder)
@@ -115,13 +120,19 @@ def print_constants(folder: Path) -> None:
         files = [folder / "recordings" / f"{name}.csv" for name in recordings]
         ran = run(["torchpi", "diagnose", *map(str, files), "--output", str(folder / "again")], folder)
         samples = sum(file.read_bytes().count(b"\n") - 1 for file in files)
-        rows.append([1.0, samples * duration.share_of_rounds(ran.rounds)])
+        rows.append([1.0, ran.rounds, samples * duration.share_of_rounds(ran.rounds)])
         spent.append(ran.processor_s)
-        print(f"{' '.join(recordings)}: {samples:,} samples, {ran.rounds} rounds, {ran.processor_s:.0f} s")
-    (alone, work), *_ = np.linalg.lstsq(np.array(rows), np.array(spent), rcond=None)
-    misses = np.array(rows) @ [alone, work] / spent
-    print(f"DIAGNOSIS_S = {alone:.1f}, WORK_S = {work / duration.DECIDING:.2e}")
-    print(f"they give {', '.join(f'{ratio:.2f}' for ratio in misses)} of what was measured")
+        print(
+            f"{' '.join(recordings)}: {samples:,} samples, {ran.rounds} rounds, {ran.processor_s:.0f} s",
+            flush=True,
+        )
+        if len(rows) >= len(rows[0]):
+            constants, _ = nnls(np.array(rows), np.array(spent))
+            misses = np.array(rows) @ constants / spent
+            print("DIAGNOSIS_S = {:.1f}, ROUND_S = {:.1f}, WORK_S = {:.2e}".format(*constants))
+            print(
+                f"they give {', '.join(f'{ratio:.2f}' for ratio in misses)} of what was measured", flush=True
+            )
 
 
 if __name__ == "__main__":

@@ -106,8 +106,26 @@ def test_a_diagnosis_has_limits_by_how_much_it_finds(
     assert least < usual < most
 
 
+@pytest.mark.parametrize(
+    ("samples", "rounds", "measured_s"), [(10_000, 3, 31), (31_000, 7, 77), (61_000, 7, 110)]
+)
+def test_a_diagnosis_is_announced_within_a_factor_of_two_of_what_it_took(
+    samples: int,
+    rounds: int,
+    measured_s: float,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Processor seconds that sets of the README's recordings took (`benchmarks/durations.py --rounds`)."""
+    monkeypatch.setattr(duration, "measured", lambda processes: Machine(1.0, 1.0, 1.0))
+    assert duration.DIAGNOSIS_S + duration.search_s(rounds, samples) == pytest.approx(measured_s, rel=0.1)
+    duration.announce_diagnose([recording(tmp_path / "a.csv", samples)])
+    assert 0.5 < said(capsys.readouterr().out) / measured_s < 2
+
+
 def test_what_is_left_of_a_diagnosis_follows_its_rounds() -> None:
-    quick, slow = duration.Countdown(), duration.Countdown()
+    quick, slow = duration.Countdown(30_000), duration.Countdown(30_000)
     for countdown, times in ((quick, 1.0), (slow, 3.0)):
         assert countdown.left("nominal: the simulation as it is", times) == ""
         assert countdown.left("retuned, 100 plays: 59.612 nm", 10.0 * times) == ""

@@ -71,8 +71,8 @@ def test_the_derivative_is_the_slope_of_the_projected_error(
     seed: int, form: dict[str, Any], ridge: float
 ) -> None:
     made = compensator(seed, **form)
-    of = problem(made, [pair(seed, 400, slice(5, None)), pair(seed + 1, 700, slice(31, 600, 2))], ridge)
-    of = of.weighted(np.array([1.0, 2.5]))
+    records = [pair(seed, 400, slice(5, None)), pair(seed + 1, 700, slice(31, 600, 2))]
+    of = problem(made, [records[0], records[1]._replace(weight=2.5)], ridge)
     alpha = of.alpha
     linearised = of.linearise(alpha, of.solve(alpha).beta)
     gradient = -2 * linearised.slopes.T @ linearised.error
@@ -151,6 +151,6 @@ def test_the_triangle_is_that_of_all_rows(seed: int, cuts: list[int]) -> None:
 def test_a_record_of_weight_2_counts_as_if_it_stood_twice() -> None:
     made = compensator(3, rate="linear", offset=True)
     one, other = pair(3, 400, slice(5, None)), pair(4, 700, slice(31, None))
-    weighted = problem(made, [one, other], 0.0).weighted(np.array([2.0, 1.0]))
+    weighted = problem(made, [one._replace(weight=2.0), other], 0.0)
     twice = problem(made, [one, one, other], 0.0)
     assert weighted.solve(weighted.alpha).beta == pytest.approx(twice.solve(twice.alpha).beta, rel=1e-9)

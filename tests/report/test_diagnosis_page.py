@@ -276,7 +276,7 @@ def look(html: str, folder: Path) -> tuple[str, str, Path]:
     return done.stdout.decode(), "\n".join(console), shot
 
 
-@pytest.mark.skipif(CHROMIUM is None, reason="chromium is not installed")
+@pytest.mark.skipif(CHROMIUM is None, reason="needs chromium: apt install chromium")
 def test_a_browser_shows_it_without_a_complaint(html: str, folder: Path, tmp_path: Path) -> None:
     dom, complaints, shot = look(html, tmp_path)
     assert complaints == ""
@@ -288,7 +288,7 @@ def test_a_browser_shows_it_without_a_complaint(html: str, folder: Path, tmp_pat
     assert inked[0] < 100 and np.diff(inked).max() < 300
 
 
-@pytest.mark.skipif(CHROMIUM is None, reason="chromium is not installed")
+@pytest.mark.skipif(CHROMIUM is None, reason="needs chromium: apt install chromium")
 def test_a_browser_would_complain_of_anything_loaded(tmp_path: Path) -> None:
     html = '<!DOCTYPE html><html><head></head><body><img src="http://example.invalid/a.png"></body></html>'
     assert "example.invalid" in look(html, tmp_path)[1]

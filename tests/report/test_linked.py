@@ -130,7 +130,7 @@ def test_a_page_is_below_two_megabytes_and_forbids_every_load(name: str, pages: 
     assert "Permission is hereby granted" in html  # uPlot's licence goes where its code goes
 
 
-@pytest.mark.skipif(CHROMIUM is None, reason="chromium is not installed")
+@pytest.mark.skipif(CHROMIUM is None, reason="needs chromium: apt install chromium")
 @pytest.mark.parametrize("name", ["loop", "training", "diagnosis"])
 def test_the_first_screen_has_number_and_picture_and_values_follow_the_pointer(
     name: str, pages: dict[str, str], tmp_path: Path
@@ -150,7 +150,7 @@ def test_the_first_screen_has_number_and_picture_and_values_follow_the_pointer(
         assert {"s", "µm", "V"} <= units and units & {"nm", "mV"}
 
 
-@pytest.mark.skipif(CHROMIUM is None, reason="chromium is not installed")
+@pytest.mark.skipif(CHROMIUM is None, reason="needs chromium: apt install chromium")
 def test_values_under_the_pointer_are_those_of_the_record(
     pages: dict[str, str], results: list[LoopResult], tmp_path: Path
 ) -> None:

@@ -34,13 +34,14 @@ USUAL_HZ = 10_000.0
 """Of the built-in stages; that of others is not known before torch is there."""
 MOST_SAMPLES = 200_000
 """That a diagnosis works on; longer recordings are taken at a lower rate."""
-MOST_ROUNDS, USUAL_ROUNDS = 7, 3
-DIAGNOSIS_S, DRAWING_S = 13.0, 6.0
+MOST_ROUNDS, USUAL_ROUNDS = 7, 5
+DIAGNOSIS_S, DRAWING_S = 18.0, 6.0
 """Of a diagnosis in all and at its end, whatever the recordings: libraries are imported, figures drawn."""
-WORK_S = 1.6e-3
-"""Of a search through all the rounds that there may be, a sample."""
-DECIDING, DECISION = 1.5, 0.25
-"""A search with what follows it, over its rounds alone; the decision, over the search."""
+ROUND_S, WORK_S = 3.6, 1.1e-3
+"""Of a round, whatever the recordings: extensions are screened on as many rows of any. And of a search
+through all the rounds that there may be, a sample; both with their share of the decision."""
+DECISION = 0.25
+"""The decision, over the search."""
 
 
 def announce_check(files: Iterable[str | Path]) -> None:
@@ -63,7 +64,7 @@ def announce_diagnose(recordings: Iterable[str | Path]) -> None:
     compile_s = 0.0 if _compiled("diagnosis") else 60.0
     machine = measured(min(available_cores(), 1 + MOST_WORKERS))
     alone = DIAGNOSIS_S + compile_s
-    work = {n: WORK_S * samples * DECIDING * share_of_rounds(n) for n in (1, USUAL_ROUNDS, MOST_ROUNDS)}
+    work = {n: search_s(n, samples) for n in (1, USUAL_ROUNDS, MOST_ROUNDS)}
     least, usual, most = (machine.seconds(alone, shared) for shared in work.values())
     limits = f", {_spoken(least)} where nothing is missing, {_spoken(most)} where much is"
     note = _compiles(compile_s, alone + work[USUAL_ROUNDS])
@@ -76,15 +77,21 @@ def announce_axes(recordings: Iterable[str | Path], seconds: float) -> None:
     _announce(seconds + measured(min(available_cores(), 2)).seconds(work_s))
 
 
-def share_of_rounds(rounds: float) -> float:
-    """How much of all the rounds that there may be so many of them are: each has more to fit again."""
+def search_s(rounds: int, samples: int) -> float:
+    """Of so many rounds over so many samples, with the decision."""
+    return ROUND_S * rounds + WORK_S * samples * share_of_rounds(rounds)
+
+
+def share_of_rounds(rounds: int) -> float:
+    """How much of what all the rounds take by the samples so many of them do: each has more to fit again."""
     return 0.05 + 0.95 * (rounds / MOST_ROUNDS) ** 2
 
 
 class Countdown:
-    """What is left of a diagnosis, by what its rounds took so far."""
+    """What is left of a diagnosis of so many samples, by what its rounds took so far."""
 
-    def __init__(self) -> None:
+    def __init__(self, samples: int) -> None:
+        self.samples = min(samples, MOST_SAMPLES)
         self.retuned_s, self.rounds = 0.0, 0
 
     def left(self, sentence: str, elapsed_s: float) -> str:
@@ -98,7 +105,8 @@ class Countdown:
             return self._said(DECISION * searched_s)
         if sentence.startswith("  with ") and self.rounds < MOST_ROUNDS:
             # As if another round found something, and the one after it nothing.
-            ahead = share_of_rounds(min(self.rounds + 2, MOST_ROUNDS)) / share_of_rounds(self.rounds)
+            last = min(self.rounds + 2, MOST_ROUNDS)
+            ahead = search_s(last, self.samples) / search_s(self.rounds, self.samples)
             return self._said(((1.0 + DECISION) * ahead - 1.0) * searched_s)
         return ""
 

@@ -36,6 +36,7 @@ TEMPLATES = {  # and where in the archive they stand
 }
 OPTIONS = ("-ffp-contract=off", "-O2")
 COMPILE_S = 120.0
+INSTALL_COMPILER = {"darwin": "xcode-select --install", "win32": "winget install LLVM.LLVM"}  # else Debian's
 SUFFIXES = {"linux": ".so", "darwin": ".dylib", "windows": ".dll"}
 MACHINES = {"amd64": "x86_64", "arm64": "aarch64", "i386": "x86", "i686": "x86"}
 
@@ -104,8 +105,8 @@ def compiled(content: dict[str, bytes], name: str) -> dict[str, bytes]:
     compiler = shlex.split(os.environ.get("CC", "cc"))
     if not compiler or shutil.which(compiler[0]) is None:
         raise ExportWarning(
-            f"{name}.fmu: found no C compiler '{' '.join(compiler)}', so {without}; install gcc or clang, or "
-            "name another in CC"
+            f"{name}.fmu: found no C compiler '{' '.join(compiler)}', so {without}; run: "
+            f"{INSTALL_COMPILER.get(sys.platform, 'apt install gcc')}, or name another compiler in CC"
         )
     system = {"win32": "windows"}.get(sys.platform, sys.platform)
     machine = platform.machine().lower()

@@ -49,7 +49,7 @@ class Record(NamedTuple):
             np.ascontiguousarray(part[0, : counted[-1] + 1].numpy(), dtype=np.float64)
             for part in (*pair.motion, pair.u)
         )
-        return cls(yd, yd_dot, yd_ddot, u, counted)
+        return cls(yd, yd_dot, yd_ddot, u, counted, pair.weight)
 
     def with_rows(self, rows: np.ndarray) -> "Record":
         """These samples as rows, in place of those that count; what comes after them is left out."""

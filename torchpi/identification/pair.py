@@ -21,6 +21,7 @@ class InversePair(NamedTuple):
         u: Voltage, (1, time), V.
         counted: Slice of the samples that count in a loss or an error; the others only set the state.
         sample_period_s: T.
+        weight: Of its squared errors in a fit.
     """
 
     name: str
@@ -28,6 +29,12 @@ class InversePair(NamedTuple):
     u: Tensor
     counted: slice
     sample_period_s: float
+    weight: float = 1.0
+
+    @property
+    def rate_um_s(self) -> float:
+        """rms of ẏ."""
+        return float(self.motion.yd_dot[0, self.counted].square().mean().sqrt())
 
 
 def inverse_pair(

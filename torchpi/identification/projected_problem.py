@@ -143,15 +143,6 @@ class ProjectedProblem:
         )
         return thinned
 
-    def weighted(self, weights: np.ndarray) -> Self:
-        """The same with a weight of each record's squared errors; shape (records,)."""
-        weighted = copy.copy(self)
-        weighted.records = [
-            record._replace(weight=float(weight))
-            for record, weight in zip(self.records, weights, strict=True)
-        ]
-        return weighted
-
     def moved(self, alpha: np.ndarray, step: np.ndarray) -> np.ndarray:
         """`alpha + step`, but thresholds stay positive: no step takes one below a tenth of itself."""
         trial: np.ndarray = np.where(self.is_threshold, np.maximum(alpha + step, 0.1 * alpha), alpha + step)

@@ -8,10 +8,7 @@ and in the pooled error too. Where nothing does, the start stays.
 Creep, the degree of S and the width of the plays can stand in for each other, so that each alone may lower
 nothing: they are also tried together.
 
-Least squares leaves the errors of a form that cannot be right where they are cheapest: a slow loop, over and
-over, is learned by heart, and motions of many turning points pay for it. So the selected form is fitted with
-weights that make the errors of the records more equal, where the largest of them is above `WRONG` and falls
-by more than `BALANCED`: what noise and the sensor's drift leave, no weights lower.
+The slowest of several records, where it repeats itself, has the weight of one repetition (`repetitions`).
 
 What a record cannot show is not tried on it. A single one has no other motion to be judged on: creep and
 weights that follow the rate then fit the shape of its loops, and miss others. Its look-ahead is read where it
@@ -34,6 +31,7 @@ from torchpi.identification.folds import BLOCKS, Fold, make_folds
 from torchpi.identification.levenberg_marquardt import levenberg_marquardt
 from torchpi.identification.monotone_problem import MonotoneProblem
 from torchpi.identification.pair import InversePair
+from torchpi.identification.repetitions import weighted_by_repetitions
 from torchpi.identification.reversals import lag_at_reversals
 
 LEAST = 0.02  # share of the error
@@ -50,12 +48,6 @@ BENT = 2  # the least degree of a polynomial that bends
 # Of the rms displacement, what the acceleration must add to it: below that a single record does not reach the
 # mode, and τ_2 would fit the curvature of their loops.
 LEAST_INERTIA = 0.2
-# The last fit to several records is made again so often, with weights by the squares of their mean square
-# errors: least squares then goes towards the least sum of their cubes.
-BALANCING = 3
-MOST_WEIGHT = 4.0  # of a record, against that of median error; and the least, its inverse
-BALANCED = 0.1  # by which share the largest error of a record must fall
-WRONG = 5e-3  # share of the voltages' range: a form with smaller errors on every record is right enough
 PREVIEW_RISING = 3  # samples beyond the best: the error has one valley over the look-ahead
 
 Pairs = Callable[[int], Sequence[InversePair]]
@@ -202,7 +194,7 @@ class _Search:
     def at(self, preview: int) -> tuple[Sequence[InversePair], list[Fold]]:
         """The records seen so far ahead, and their folds."""
         if preview not in self.records:
-            pairs = self.pairs_seen_ahead(preview)
+            pairs = weighted_by_repetitions(self.pairs_seen_ahead(preview))
             self.records[preview] = pairs, make_folds(pairs)
         return self.records[preview]
 
@@ -303,23 +295,11 @@ class _Search:
         return all(float((one.lead[1] * added / moved).detach()) > LEAST_INERTIA for one in trial.fitted)
 
     def fitted(self, form: Form) -> DirectInverse:
-        """A compensator of this form, fitted to all records, their errors balanced where that is possible."""
+        """A compensator of this form, fitted to all records."""
         pairs, _ = self.at(form.preview)
         compensator = self.build(form, pairs)
         _fit(compensator, pairs, None, ROWS_AT_LAST, self.stiffness)
-        left = _of_each(compensator, pairs)
-        u = torch.cat([pair.u[0, pair.counted] for pair in pairs])
-        if len(pairs) == 1 or left.max() < (WRONG * float(u.max() - u.min())) ** 2:
-            return compensator
-        balanced, weights = self.build(form, pairs), np.ones(len(pairs))
-        _begin_from(balanced, compensator)
-        balanced_left = left
-        for _ in range(BALANCING):
-            aim = np.square(balanced_left / np.median(balanced_left)).clip(1 / MOST_WEIGHT, MOST_WEIGHT)
-            weights = np.sqrt(weights * aim)
-            _fit(balanced, pairs, None, ROWS_AT_LAST, self.stiffness, weights)
-            balanced_left = _of_each(balanced, pairs)
-        return balanced if balanced_left.max() < (1 - BALANCED) ** 2 * left.max() else compensator
+        return compensator
 
 
 def _fit(
@@ -328,21 +308,10 @@ def _fit(
     rows: Sequence[np.ndarray] | None,
     most: int,
     stiffness: float,
-    weights: np.ndarray | None = None,
 ) -> None:
-    problem = MonotoneProblem(compensator, pairs, rows)
-    if weights is not None:
-        problem = problem.weighted(weights)
-    problem = problem.thinned(most).stiffened(stiffness)
+    problem = MonotoneProblem(compensator, pairs, rows).thinned(most).stiffened(stiffness)
     alpha, solved = levenberg_marquardt(problem, problem.alpha, EVALUATIONS, TOLERANCE)
     problem.put(alpha, solved.beta)
-
-
-def _of_each(compensator: DirectInverse, pairs: Sequence[InversePair]) -> np.ndarray:
-    """Mean square of the error over each record, V²."""
-    counted = [np.arange(pair.u.shape[1])[pair.counted] for pair in pairs]
-    each = zip(pairs, counted, strict=True)
-    return np.array([_mean_square(compensator, [pair], [rows]) for pair, rows in each])
 
 
 def _begin_from(compensator: DirectInverse, other: DirectInverse) -> None:

@@ -58,7 +58,7 @@ def fit_two_stage(
     part is fitted. Without `several_starts` stage 1 descends from where c stands alone, as the paper does: to
     the next minimum, which need not be the deepest.
     """
-    slow, *fast = sorted(pairs, key=_typical_rate)
+    slow, *fast = sorted(pairs, key=lambda pair: pair.rate_um_s)
     slow_rms_v = fit_saturation(compensator, [slow], several_starts)
     fast_rms_v, condition_number = fit_weights(compensator, fast or [slow])
     return TwoStageResult(
@@ -123,7 +123,3 @@ def _blocks(
                 basis = compensator.weights.basis(motion.yd_dot)
             counted = slice(max(begin - first, (begin - first) % step), None, step)
             yield h[0, counted].numpy(), basis[0, counted].numpy().T, pair.u[0, stretch][counted].numpy()
-
-
-def _typical_rate(pair: InversePair) -> float:
-    return float(pair.motion.yd_dot[0, pair.counted].square().mean().sqrt())
