@@ -175,6 +175,7 @@ class TestSummary:
         [
             (["creep"], answer(named("creep")), ("creep", "creep")),
             (["amplifier_lag"], answer(named("sensor_lag")), ("amplifier_lag", "sensor_lag")),
+            (["amplifier_lag"], answer(named("hum"), named("sensor_lag")), ("amplifier_lag", "sensor_lag")),
             (["creep"], answer(named("hum"), named("delay")), ("creep", "hum")),
             (["creep"], answer(verdict="unexplained"), ("creep", "abstained")),
             (["creep"], answer(verdict="nothing_missing"), ("creep", "nothing")),
@@ -188,6 +189,12 @@ class TestSummary:
         matrix = summarise([grade(labels(*map(effect, truth)), said)])["confusion"]
         row, column = matrix["truth"].index(cell[0]), matrix["answer"].index(cell[1])
         assert matrix["matrix"][row][column] == 1 and sum(map(sum, matrix["matrix"])) == 1
+
+    def test_the_confusion_matrix_counts_no_tolerated_name(self):
+        lag = labels(effect("amplifier_lag"), tolerated=["hum"])
+        matrix = summarise([grade(lag, answer(named("hum"), named("sensor_lag")))])["confusion"]
+        row, column = matrix["truth"].index("amplifier_lag"), matrix["answer"].index("sensor_lag")
+        assert matrix["matrix"][row][column] == 1
 
     def test_the_confusion_matrix_has_single_effects_only(self):
         two = grade(labels(effect("creep"), effect("hum")), answer(named("creep")))
