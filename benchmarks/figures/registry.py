@@ -186,7 +186,10 @@ MEASUREMENTS = (
 
 FIGURES = {figure.name: figure for one in MEASUREMENTS for figure in one.figures}
 
-MEASURED_PAGES = {"docs/peers.md": "python benchmarks/peers/compare.py --write"}
+MEASURED_PAGES = {
+    "docs/peers.md": "python benchmarks/peers/compare.py --write",
+    "docs/proof.md": "python -m concealed page",
+}
 """Pages that a command writes whole, with the date and the commit of the run in their text."""
 
 DEFINITIONS = {

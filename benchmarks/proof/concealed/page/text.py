@@ -78,7 +78,8 @@ def write_page(results: Results, output: Path, data: Path | None = None) -> None
         "## What it cannot do",
         _limits(first),
         "## Every case",
-        "`results.json` of the run has them all. Drawn by `concealed page`; nothing here is written by hand.",
+        "`results.json` of the run has them all. This page is what `python -m concealed page` makes of it; "
+        "nothing here is written by hand.",
     ]
     output.write_text("\n\n".join(part for part in parts if part) + "\n")
 
@@ -87,9 +88,12 @@ def _about(results: dict) -> str:
     seeds = ", ".join(
         f"`{track}` {seed} ({results['counts'][track]} cases)" for track, seed in results["seeds"].items()
     )
+    drawn = results["drawn"]
+    when = f"Measured on {drawn[:10]} at" if drawn else "For development, of"
+    cases = sum(results["counts"].values())
     return (
-        f"Commit `{results['commit'][:12]}`, seeds drawn "
-        f"{results['drawn'] or 'by hand, for development'}: {seeds}. "
+        f"{when} commit {results['commit'][:12]}: {cases} cases, seeds "
+        f"{f'drawn {drawn}' if drawn else 'by hand'}: {seeds}. "
         f"The commands: `{results['diagnose']}`"
         + (f" and `{results['predict']}`." if results["predict"] else ".")
     )
