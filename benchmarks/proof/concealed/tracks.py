@@ -16,8 +16,25 @@ PROOF = ("alien", "noise", "open", "crime")
 DEVELOPMENT = tuple(track for track in PUBLISHED if track not in PROOF)
 
 
+APART, TRIES = 1_000_000, 5
+"""Between the index of a plant that diverged and of the one in its place; how many may."""
+
+
 def draw(track: str, seed: int, index: int, data: Path = DATA) -> Case:
-    """The same arguments give the same case."""
+    """The same arguments give the same case. A plant that diverges is none: another is drawn in its place.
+
+    Raises:
+        OverflowError: Plants that diverge, one after another.
+    """
+    for attempt in range(TRIES):
+        case = _draw(track, seed, index + attempt * APART, data)
+        heldout = [] if case.heldout is None else [case.heldout]
+        if all(np.isfinite(run["output_um"]).all() for run in [*case.recordings, *heldout]):
+            return case
+    raise OverflowError(f"{track} {seed}/{index}: {TRIES} plants that diverge")
+
+
+def _draw(track: str, seed: int, index: int, data: Path) -> Case:
     if track in PUBLISHED:
         return draw_published(Settings(track, seed, index))
     if track != "noise":

@@ -12,6 +12,7 @@ import concealed
 import numpy as np
 import pytest
 from concealed import run as running
+from concealed import tracks
 from concealed.__main__ import main
 from concealed.cases import Case
 from concealed.entries import ENTRIES, Entry, ask
@@ -194,6 +195,29 @@ class TestEntries:
         assert answer.diagnosis["verdict"] in ("explained", "nothing_missing")
         if ENTRIES[name].predict:
             assert np.sqrt(np.mean((answer.predicted_um - y) ** 2)) < 0.5
+
+
+class TestDrawing:
+    def draw_of(self, monkeypatch, finite_from: int) -> list[int]:
+        asked = []
+
+        def drawn(track: str, seed: int, index: int, *residual: object) -> Case:
+            asked.append(index)
+            y = np.full(10, 1.0 if len(asked) >= finite_from else np.nan)
+            return Case([{"output_um": np.zeros(10)}], {}, heldout={"output_um": y})
+
+        monkeypatch.setattr(tracks, "draw_alien", drawn)
+        tracks.draw("open", 7000, 14)
+        return asked
+
+    def test_a_plant_that_diverges_is_drawn_anew(self, monkeypatch):
+        assert self.draw_of(monkeypatch, finite_from=1) == [14]
+        again = self.draw_of(monkeypatch, finite_from=3)
+        assert len(again) == 3 and {index % 4 for index in again} == {14 % 4}  # a null stays a null
+
+    def test_plants_that_all_diverge_are_an_error(self, monkeypatch):
+        with pytest.raises(OverflowError, match="open 7000/14: 5 plants that diverge"):
+            self.draw_of(monkeypatch, finite_from=99)
 
 
 class TestFreeze:
