@@ -8,13 +8,12 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from row import Row
 
 from torchpi.report import style
-from torchpi.report.style import drawing, settle
+from torchpi.report.style import canvas
 
 
 def error_against_time(rows: Sequence[Row]) -> Figure:
     """One point a peer, at the time without compilation; a line to the time with it."""
-    with drawing():
-        figure = Figure(figsize=(style.WIDTH_IN, 4.2))
+    with canvas(4.2) as figure:
         axes = figure.subplots()
         axes.set_xscale("log")
         axes.set_yscale("log")
@@ -45,7 +44,6 @@ def error_against_time(rows: Sequence[Row]) -> Figure:
         for axis in (axes.xaxis, axes.yaxis):
             axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,g}"))
             axis.set_minor_formatter(NullFormatter())
-        settle(figure)
     return figure
 
 
