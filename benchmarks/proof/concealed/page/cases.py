@@ -55,7 +55,7 @@ def picture(case: Case, name: str, path: Path) -> None:
     run, noise_um = case.recordings[0], float(case.labels["noise_rms_um"])
     plays = nominal(run, float(np.max(np.abs(run["input_v"]))) or 1.0)
     left = run["output_um"] - plays @ ridge(plays, run["output_um"])
-    some = slice(None, None, max(left.size // 4000, 1))
+    some = slice(None, None, max(left.size // 1200, 1))
     figure, (loop, time) = plt.subplots(1, 2, figsize=(11, 3), width_ratios=(1, 2), layout="constrained")
     loop.plot(run["input_v"][some], run["output_um"][some], linewidth=0.6)
     loop.set(xlabel="V", ylabel="µm", title=name)
