@@ -258,14 +258,15 @@ def other_simulation() -> dict[str, float]:
 
 def corrections(how: str, found: Diagnosis, lag: str, mode: set[str]) -> dict[str, float]:
     """Parameters and errors of one answer to `other_simulation`, which names a mode or does not."""
+    expected = {lag, "creep"} | mode
+    named = {effect.name for effect in found.effects}
+    if named != expected:
+        raise ValueError(
+            f"simulation, {how}: found {sorted(named)}, expected {sorted(expected)}, as on the page"
+        )
     values = {
         effect.name: {one.name: float(one.value) for one in effect.parameters} for effect in found.effects
     }
-    expected = {lag, "creep"} | mode
-    if values.keys() != expected:
-        raise ValueError(
-            f"simulation, {how}: found {sorted(values)}, expected {sorted(expected)}, as on the page"
-        )
     of_modes = {"mode_hz": "frequency_hz", "replaced_hz": "replaced_frequency_hz"}
     return {f"simulation_{how}_{key}": values[name][of] for name in mode for key, of in of_modes.items()} | {
         f"simulation_{how}_lag_hz": values[lag]["cutoff_hz"],

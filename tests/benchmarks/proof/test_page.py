@@ -121,7 +121,7 @@ class TestPage:
             cases, "draw", lambda *case: asked.append(case) or Case([run], {"noise_rms_um": 0.01})
         )
         write_page({"tool": results(graded(9, named="hum"))}, tmp_path / "proof.md", tmp_path)
-        assert set(asked) == {("alien", 12345, 8, tmp_path)}
+        assert asked == [("alien", 12345, 8, tmp_path)]
         assert (tmp_path / "proof" / "alien_case_0009.svg").stat().st_size > 0
         page = (tmp_path / "proof.md").read_text()
         assert page.count("](proof/alien_case_0009.svg)") == 2  # among the worst, and as a story

@@ -16,7 +16,7 @@ def drawn(results: dict, name: str, data: Path) -> Case:
     return draw(track, results["seeds"][track], int(case.removeprefix("case_")) - 1, data)
 
 
-def story(results: dict, name: str, case: Case, picture_at: str) -> str:
+def story(results: dict, name: str, case: Case, picture: str) -> str:
     """What was recorded and concealed, what the tool said of it, and what that was worth."""
     graded = next(c for c in results["cases"] if f"{c['track']}/{c['case']}" == name)
     runs = case.recordings
@@ -39,7 +39,7 @@ def story(results: dict, name: str, case: Case, picture_at: str) -> str:
             f"### {name}",
             given,
             f"**Concealed**: {'; '.join(missing) or 'nothing'}.",
-            f"![The case {name}]({picture_at})",
+            picture,
             f"**The answer**: “{said}”",
             f"**Right**: {_spoken(right)}; wrong: {_spoken(wrong)}; verdict: {_spoken(graded['verdict'])}.",
         ]

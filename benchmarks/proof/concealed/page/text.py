@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from concealed.cases import Case
 from concealed.judging.summary import FIGURES
 from concealed.page import cases, figures
 
@@ -42,6 +43,10 @@ def write_page(results: Results, output: Path, data: Path | None = None) -> None
     for name, draw in figures.ALL.items():
         draw(first, folder / f"{name}.svg")
     picture = lambda name, text: f"![{text}]({folder.name}/{name}.svg)"  # noqa: E731
+    shown = {} if data is None else {name: cases.drawn(first, name, data) for name in _shown(first)}
+    for name, case in shown.items():
+        cases.picture(case, name, folder / f"{_file(name)}.svg")
+    pictures = {name: picture(_file(name), f"The case {name}") for name in shown}
     parts = [
         f"# How often {tool} is right",
         _about(first),
@@ -73,8 +78,8 @@ def write_page(results: Results, output: Path, data: Path | None = None) -> None
         _rows(first["by_truth"], "hysteresis, or recording"),
         "## The ten worst cases",
         _worst(first),
-        *(_pictured(first, name, data, folder) for name in first["worst"] if data is not None),
-        *_stories(first, data, folder),
+        *(pictures[name] for name in first["worst"] if name in shown),
+        *_stories(first, shown, pictures),
         "## What it cannot do",
         _limits(first),
         "## Every case",
@@ -225,26 +230,24 @@ def _worst(results: dict) -> str:
     )
 
 
-def _pictured(results: dict, name: str, data: Path, folder: Path) -> str:
-    file = f"{name.replace('/', '_')}.svg"
-    cases.picture(cases.drawn(results, name, data), name, folder / file)
-    return f"![The case {name}]({folder.name}/{file})"
+def _shown(results: dict) -> list[str]:
+    """The cases with a picture, each once."""
+    return list(dict.fromkeys([*results["worst"], *results["stories"]]))
 
 
-def _stories(results: dict, data: Path | None, folder: Path) -> list[str]:
+def _file(name: str) -> str:
+    return name.replace("/", "_")
+
+
+def _stories(results: dict, shown: Mapping[str, Case], pictures: Mapping[str, str]) -> list[str]:
     """Some cases from beginning to end, whatever came of them."""
-    if data is None or not results["stories"]:
-        return []
-    parts = [
+    told = [cases.story(results, n, shown[n], pictures[n]) for n in results["stories"] if n in shown]
+    head = [
         "## Five cases told",
         "The first of their kind, whatever came of them: one effect, several, and none on alien plants; two "
         "real recordings into which an effect was put. The picture has the first recording.",
     ]
-    for name in results["stories"]:
-        case, file = cases.drawn(results, name, data), f"{name.replace('/', '_')}.svg"
-        cases.picture(case, name, folder / file)
-        parts.append(cases.story(results, name, case, f"{folder.name}/{file}"))
-    return parts
+    return [*head, *told] if told else []
 
 
 def _limits(results: dict) -> str:
