@@ -58,15 +58,11 @@ class Timing(Contest):
     def realigned(self, now: Fit) -> Fit:
         """Under the conventions of timing, and from the start, that predict best: they are no physics."""
         small = reduced(self.chain, now)
-        best, remembers = small, small.hypothesis.remanent
-        # What an effect has explained since may have been taken for a history, or have covered one; a given
-        # simulation begins each recording itself.
-        if remembers or not small.hypothesis.nominal.simulation:
-            steps = 3 if remembers else TIMED  # without a history the numbers hardly move
-            job: Job = (replace(small.hypothesis, remanent=not remembers), None, steps, ROUGH)
-            (other,) = self.fits([job])
-            more, less = (small, other) if remembers else (other, small)
-            best = less if self.needs_no_history(more, less) else more
+        remembers = small.hypothesis.remanent
+        (other,) = self.fits([(replace(small.hypothesis, remanent=not remembers), None, TIMED, ROUGH)])
+        more, less = (small, other) if remembers else (other, small)
+        # What an effect has explained since may have been taken for a history, or have covered one.
+        best = less if self.needs_no_history(more, less) else more
         # A delay of whole samples may be the convention itself.
         late = [m.effect.name for m in now.hypothesis.members if m.effect.commutes]
         others = [
