@@ -20,10 +20,8 @@ THRESHOLDS = (0.0, 0.05, 0.1, 0.2, 0.3, 0.5, 1.0, 1.5, 2.0, 3.0)
 """r of the paper's compensator, in the unit of S(y)."""
 DEGREE = 4
 """m, of its saturation polynomial."""
-SINE_S, MULTISINE_S = (
-    1.0,
-    0.5,
-)  # five periods of each; 5,000 samples of eq. 13, the least that the paper asks for
+# Five periods of each; 5,000 samples of eq. 13, the least that the paper asks for.
+SINE_S, MULTISINE_S = 1.0, 0.5
 EQ_12 = [1.40, -7.62e-2, 1.45e-2, -7.53e-4]  # c_1 … c_4, as identified on the paper's rig
 
 
