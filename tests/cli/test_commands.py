@@ -147,6 +147,17 @@ def test_bad_input_is_one_line_and_exit_code_2(
     assert sorted(tmp_path.rglob("*")) == before
 
 
+@pytest.mark.parametrize(
+    "arguments", [["check", "nowhere.csv"], ["diagnose", "nowhere.csv"], ["run", "nowhere.pt"]]
+)
+def test_no_time_is_estimated_for_a_file_that_is_not_there(
+    arguments: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert torchpi(monkeypatch, *arguments) == 2
+    said = capsys.readouterr()
+    assert "no such file" in said.err and said.out == ""
+
+
 @pytest.mark.parametrize("command", ["check", "commission", "diagnose", "predict", "fit"])
 def test_every_command_reads_recordings_by_the_same_options(
     command: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

@@ -270,7 +270,8 @@ def run(
         run_axes(numbers, stage, trajectory, output or compensator.with_suffix(""))
         return
     trajectory = trajectory or "slow"
-    duration.announce_run(trajectory, len(compare or {}))
+    if compensator.is_file():  # else there is nothing to estimate, but an error at once
+        duration.announce_run(trajectory, len(compare or {}))
     from torchpi.cli.run import run_files
 
     names = [trajectory] if isinstance(trajectory, str) else trajectory
@@ -320,7 +321,8 @@ def check(files: list[Path], output: Path = Path("check"), **reading: Any) -> No
         reading: How the files are read.
     """
     options = RecordingOptions(**reading)
-    duration.announce_check(files)
+    if all(file.is_file() for file in files):  # else there is nothing to estimate, but an error at once
+        duration.announce_check(files)
     from torchpi.cli.check import check_files
     from torchpi.cli.check_axes import check_axes_files
     from torchpi.recordings.multi_axis import has_axes
@@ -382,7 +384,8 @@ def diagnose_(  # the parser looks names up in torchpi, and would load its own `
         return
     if seconds is not None:
         raise ConfigError(f"--seconds: found {seconds:g}, expected none for a stage of one axis")
-    duration.announce_diagnose(recordings)
+    if all(file.is_file() for file in recordings):  # else there is nothing to estimate, but an error at once
+        duration.announce_diagnose(recordings)
     from torchpi.cli.diagnose import diagnose_files
 
     diagnose_files(recordings, output, simulation, executor, command, options)
