@@ -20,7 +20,7 @@ from torchpi.diagnosis.long_recordings import at_a_lower_rate
 from torchpi.diagnosis.model import augmented_stage
 from torchpi.diagnosis.monitored import noise_of
 from torchpi.diagnosis.next_recording import next_recording
-from torchpi.diagnosis.noise import measured_noise
+from torchpi.diagnosis.noise import Noise, measured_noise
 from torchpi.diagnosis.outside import Outside, untried_note
 from torchpi.diagnosis.posterior import posterior
 from torchpi.diagnosis.records import Record, prepare, seen, whole
@@ -108,14 +108,10 @@ def diagnose(
     )
     search = Search(chain, log, start, noise, executor, lsb_um, tried, called)
     retuned, final, history = search.run()
-    noise = search.noise
+    search.noise = noise = left_unexplained(search, final)
     log("decide: every effect against its rivals")
     final, believed = posterior(search, retuned, final, history)
-    if noise is not None and not search.slips:
-        # What a hold shows of hum, or of a drift, is no noise once it has been explained.
-        left_in_holds = measured_noise(records, final.residuals)
-        if left_in_holds is not None and left_in_holds.rms_um < noise.rms_um:
-            noise = left_in_holds.with_converter(lsb_um)
+    noise = left_unexplained(search, final)
     believed = believed if called is None else with_untried(believed, tried, untried)
     modelled = augmented = free_run(chain, final, search.jump.value_um) if search.jump else final
     chain.weighting = search.chain.weighting
@@ -208,6 +204,16 @@ def check_units(records: Sequence[Record], simulation: Stage | Outside) -> None:
             f"simulation: moves {np.ptp(y):.4g} µm where {largest.name} moves {np.ptp(largest.y):.4g} µm; "
             "expected both in V and µm"
         )
+
+
+def left_unexplained(search: Search, final: Fit) -> Noise | None:
+    """The noise that a fit leaves: what a hold shows of hum, or of a drift, is none once it has been
+    explained."""
+    noise, records = search.noise, search.chain.records
+    if noise is None or search.slips:
+        return noise
+    left = measured_noise(records, final.residuals)
+    return left.with_converter(search.lsb_um) if left and left.rms_um < noise.rms_um else noise
 
 
 def converter(records: Sequence[Record]) -> tuple[float, tuple[str, ...]]:

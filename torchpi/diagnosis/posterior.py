@@ -25,6 +25,7 @@ from torchpi.diagnosis.hypothesis import EffectTerm, Fit, Hypothesis
 from torchpi.diagnosis.parallel import Job
 from torchpi.diagnosis.reduced_basis import reduced, refitted
 from torchpi.diagnosis.score import ALIKE
+from torchpi.diagnosis.sealed import confirmed
 from torchpi.diagnosis.search import OPERATOR, Round, Search
 
 DRAWS = 400
@@ -33,7 +34,7 @@ RIVALS = 4
 OPERATOR_NAME = "hysteresis_operator"
 CONVENTION = "timing_convention"
 """A rival of what delays: whole samples, by the convention of whoever recorded."""
-HALF, STEEPNESS = 0.65, 6.0
+HALF, STEEPNESS = 0.78, 6.0
 """The share of what is to be explained from which a name is more likely right than wrong, and how fast that
 changes. Set on some hundred names of development cases; `concealed/judging/calibration.py` measures what
 comes of it."""
@@ -96,9 +97,15 @@ def posterior(
             if model.instead != CONVENTION and search.as_well(model.fit, models[0].fit):
                 alternatives.append(model.instead)
                 held += float(c)
-        known = weighting.explained_where_it_acts(models[0].fit, less.fit)
-        if not has_a_signal_of_its_own(models[0].fit, name):
+        known, own_signal = (
+            weighting.explained_where_it_acts(models[0].fit, less.fit),
+            has_a_signal_of_its_own(models[0].fit, name),
+        )
+        if not own_signal:
             known = sqrt(known * weighting.explained_of_all(models[0].fit, less.fit))
+        known = confirmed(
+            known, search.chain.records, models[0].fit, less.fit, weighting.mean_noise_um2, own_signal
+        )
         rise = less.fit.train_rms**2 - models[0].fit.train_rms ** 2
         rivals.sort(key=lambda rival: rival.loses_nats)
         found.append(

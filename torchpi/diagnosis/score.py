@@ -94,6 +94,11 @@ class Weighting:
         """The median of what a coefficient may be off by."""
         return float(1 / np.median(np.concatenate(self.inverse_sd)))
 
+    @property
+    def mean_noise_um2(self) -> float:
+        """The mean square of a reading's noise, or of what stands in for it."""
+        return float(self.level_um2 @ self.counts / self.counts.sum())
+
     def log_density(self, fit: Fit) -> np.ndarray:
         """(cells,): ℓ_c of a fit."""
         return self.of_squares(fit.left_out_um2)

@@ -1,0 +1,72 @@
+"""The sealed samples confirm an effect, or they do not."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from torchpi.diagnosis.sealed import confirmed
+
+TRAIN, SEALED = 850, 150
+NOISE_UM2 = 1e-4
+
+
+def record() -> SimpleNamespace:
+    held_out = np.arange(TRAIN + SEALED) >= TRAIN
+    return SimpleNamespace(held_out=held_out, train=~held_out)
+
+
+def fits(here: float, there: float, records: int = 1) -> tuple[SimpleNamespace, SimpleNamespace]:
+    """With an effect nothing but noise is left, but for what it adds that is not there; without it a sine of
+    these amplitudes, µm, in the samples of the fit and in the sealed ones. A negative one spoils."""
+    rng, sine = np.random.default_rng(0), np.sin(np.arange(TRAIN + SEALED) / 7)
+    size = np.where(record().held_out, there, here)
+    more = [rng.normal(0, NOISE_UM2**0.5, len(sine)) - np.minimum(size, 0) * sine for _ in range(records)]
+    less = [e + size * sine for e in more]
+    return SimpleNamespace(residuals=more), SimpleNamespace(residuals=less)
+
+
+def test_what_explains_the_sealed_samples_as_well_keeps_its_share() -> None:
+    more, less = fits(0.1, 0.1)
+    assert confirmed(0.9, [record()], more, less, NOISE_UM2, False) == pytest.approx(0.9, abs=0.02)
+
+
+def test_what_spoils_the_sealed_samples_has_none() -> None:
+    more, less = fits(0.1, -0.1)
+    assert confirmed(0.9, [record()], more, less, NOISE_UM2, False) < 0.05
+
+
+def test_samples_in_which_an_effect_does_not_act_say_nothing() -> None:
+    more, less = fits(0.1, 0.0)
+    assert confirmed(0.9, [record()], more, less, NOISE_UM2, False) == pytest.approx(0.9)
+
+
+def test_what_else_is_left_counts_but_for_a_signal_of_its_own() -> None:
+    more, less = fits(0.1, 0.1)
+    for e, without in zip(more.residuals, less.residuals, strict=True):
+        rest = 0.2 * np.cos(np.arange(len(e)) / 3)
+        e += rest
+        without += rest
+    assert confirmed(0.9, [record()], more, less, NOISE_UM2, False) < 0.5
+    assert confirmed(0.9, [record()], more, less, NOISE_UM2, True) == pytest.approx(0.9)
+
+
+def test_a_recording_that_misses_by_far_counts_as_one() -> None:
+    more, less = fits(0.1, 0.1, 3)
+    spoilt, as_before = fits(10.0, -10.0)
+    more.residuals[0], less.residuals[0] = spoilt.residuals[0], as_before.residuals[0]
+    assert 0.2 < confirmed(0.9, [record()] * 3, more, less, NOISE_UM2, True) < 0.5
+
+
+def test_a_recording_of_which_nothing_was_sealed_says_nothing() -> None:
+    more, less = fits(0.1, 0.1)
+    whole = SimpleNamespace(held_out=np.zeros(TRAIN + SEALED, bool), train=np.ones(TRAIN + SEALED, bool))
+    assert confirmed(0.9, [whole], more, less, NOISE_UM2, False) == 0.9
+
+
+@given(st.floats(0, 1), st.floats(-1, 1), st.floats(1e-3, 1), st.booleans())
+def test_no_share_becomes_larger(known: float, there: float, here: float, alone: bool) -> None:
+    more, less = fits(here, there)
+    assert 0 <= confirmed(known, [record()], more, less, NOISE_UM2, alone) <= known
