@@ -210,7 +210,7 @@ DEFINITIONS = {
             "40 ms",
             "95 %",
             "0.2 times",
-            "78 %",
+            "72 %",
             "98 %",
         }  # rules of the decision
         | {"2 kHz", "2 ×", "2 s", "4 nm", "100 Hz", "2 %", "300 Hz", "270 Hz"}  # the recordings of an example

@@ -13,6 +13,8 @@ from tests.diagnosis.simulations import FS_HZ, NOISE_UM, recorded, stage
 from torchpi.cli.predict import predict
 from torchpi.diagnosis.diagnose import diagnose
 from torchpi.diagnosis.diagnosis import Diagnosis
+from torchpi.diagnosis.posterior import Believed
+from torchpi.diagnosis.simulation import with_untried
 from torchpi.errors import RecordingError, SimulationError
 from torchpi.recordings.recording import Recording
 from torchpi.simulators import Simulate, Simulator
@@ -199,3 +201,16 @@ def test_an_output_with_holes_is_refused() -> None:
     recordings[1].simulated[7] = np.inf
     with pytest.raises(RecordingError, match="triangles: simulated_um: found inf at sample 7"):
         diagnose(recordings, "column")
+
+
+def test_what_a_lag_leaves_behind_a_column_counts_as_one_with_it() -> None:
+    def believed(name: str, explained_um2: float) -> Believed:
+        return Believed(name, 0.9, (), explained_um2, ())
+
+    found = with_untried(
+        [believed("hysteresis_operator", 3.0), believed("sensor_lag", 2.0), believed("creep", 1.0)],
+        (SensorLag, Creep),
+        (AmplifierLag,),
+    )
+    assert [(one.name, one.explained_um2) for one in found] == [("sensor_lag", 5.0), ("creep", 1.0)]
+    assert {"amplifier_lag", "hysteresis_operator"} <= {*found[0].alternatives}

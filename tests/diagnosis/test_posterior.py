@@ -110,4 +110,4 @@ def test_what_an_effect_leaves_by_its_form_is_not_named_after_its_kin(share: flo
 
 
 def test_a_name_has_to_explain_as_much_as_stays_unexplained() -> None:
-    assert trust(0.5) < 0.25 < trust(HALF) < 0.5 < trust(0.8) < 1.0
+    assert trust(0.5) < 0.25 < trust(HALF) < 0.5 < trust(0.85) < 1.0

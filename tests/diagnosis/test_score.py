@@ -155,7 +155,8 @@ class Left:
 
 
 def weighting(cells: int) -> Weighting:
-    return Weighting((np.ones(20 * cells),), np.ones(cells), np.full(cells, 20.0))
+    one = np.ones(cells)
+    return Weighting((np.ones(20 * cells),), one, 20 * one, one, np.zeros(cells, dtype=int))
 
 
 def test_an_effect_that_leaves_noise_explains_all_and_one_that_leaves_much_explains_its_share() -> None:
@@ -203,3 +204,11 @@ def test_of_all_that_is_left_what_lies_in_other_cells_counts_as_well(seed: int) 
     share = weighting(40).explained_of_all(Left(now), Left(less))
     gained, left = (less - now) @ weighting(40).counts, (now - 1.0) @ weighting(40).counts
     assert share == pytest.approx(gained / (gained + left))
+
+
+def test_a_typical_residual_is_no_noise_of_what_stays_unexplained() -> None:
+    rng = np.random.default_rng(0)
+    white = rng.normal(0, 1e-3, SAMPLES)
+    structured = Weighting.of(records_of(np.cumsum(white)), [np.cumsum(white)], None)
+    assert np.median(structured.level_um2) > 10 * structured.floor_um2.max() > 0
+    assert Weighting.of(records_of(white), [white], None).mean_floor_um2 == pytest.approx(1e-6, rel=0.1)

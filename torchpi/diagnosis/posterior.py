@@ -34,7 +34,7 @@ RIVALS = 4
 OPERATOR_NAME = "hysteresis_operator"
 CONVENTION = "timing_convention"
 """A rival of what delays: whole samples, by the convention of whoever recorded."""
-HALF, STEEPNESS = 0.78, 6.0
+HALF, STEEPNESS = 0.72, 6.0
 """The share of what is to be explained from which a name is more likely right than wrong, and how fast that
 changes. Set on some hundred names of development cases; `concealed/judging/calibration.py` measures what
 comes of it."""
@@ -104,7 +104,7 @@ def posterior(
         if not own_signal:
             known = sqrt(known * weighting.explained_of_all(models[0].fit, less.fit))
         known = confirmed(
-            known, search.chain.records, models[0].fit, less.fit, weighting.mean_noise_um2, own_signal
+            known, search.chain.records, models[0].fit, less.fit, weighting.mean_floor_um2, own_signal
         )
         rise = less.fit.train_rms**2 - models[0].fit.train_rms ** 2
         rivals.sort(key=lambda rival: rival.loses_nats)

@@ -43,15 +43,15 @@ class Weighting:
     inverse_sd: tuple[np.ndarray, ...]  # shape: (kept,) for each recording, 1/µm
     level_um2: np.ndarray  # shape: (cells of all recordings,), the noise's mean square in each cell
     counts: np.ndarray  # shape: (cells,), coefficients in each
-    strata: np.ndarray | None = None
-    """(cells,): cells of one stratum have a recording and a scale in common; None where all are one."""
+    floor_um2: np.ndarray  # shape: (cells,), what nothing explains of each: the noise, if it was measured
+    strata: np.ndarray  # shape: (cells,), cells of one stratum have a recording and a scale in common
 
     @classmethod
     def of(
         cls, records: Sequence[Record], residuals: Sequence[np.ndarray], noise: Noise | None
     ) -> "Weighting":
         """From the residuals of the best fit, (time,) each, µm, and the noise that was measured."""
-        scales, levels, counts = [], [], []
+        scales, levels, floors, counts = [], [], [], []
         smallest = TINY * max(float(np.ptp(record.y)) for record in records) ** 2 + 1e-300
         for record, residual in zip(records, residuals, strict=True):
             haar = record.haar
@@ -59,22 +59,26 @@ class Weighting:
             n = np.bincount(haar.cell)
             mean = np.bincount(haar.cell, e**2) / n
             own = haar.level_of_cell
+            measured = noise is not None and record.fs_hz == noise.fs_hz
             noise_um2 = np.empty(len(n))
             for level in np.unique(own):
                 there = own == level
-                if noise is not None and record.fs_hz == noise.fs_hz:
+                if noise and measured:
                     noise_um2[there] = noise.level_um2(int(level))
                 else:
                     noise_um2[there] = np.median(mean[there])
             if noise is not None and noise.lsb_um > 0:
                 noise_um2 += noise.lsb_um**2 / 12 * (held_error(record.y, haar) - 1)
             noise_um2 = np.maximum(noise_um2, smallest)
+            # A typical residual is no noise: what a model has wrong everywhere would count as explained.
+            finest_um2 = noise_um2[own == own.min()].min()
+            floors.append(noise_um2 if measured else np.minimum(noise_um2, finest_um2))
             variance = (KNOWN * noise_um2 + n * mean) / (KNOWN + n)
             scales.append(1 / np.sqrt(variance)[haar.cell])
             levels.append(noise_um2)
             counts.append(n)
         counted = np.concatenate(counts).astype(float)
-        return cls(tuple(scales), np.concatenate(levels), counted, strata_of(records))
+        return cls(tuple(scales), np.concatenate(levels), counted, np.concatenate(floors), strata_of(records))
 
     @classmethod
     def flat(cls, records: Sequence[Record]) -> "Weighting":
@@ -82,7 +86,8 @@ class Weighting:
         sd = 1e-3 * max(float(np.ptp(record.y)) for record in records) or 1e-9
         counts = np.concatenate([np.bincount(record.haar.cell) for record in records]).astype(float)
         scales = tuple(np.full(len(record.haar.kept), 1 / sd) for record in records)
-        return cls(scales, np.full(len(counts), sd**2), counts, strata_of(records))
+        level_um2 = np.full(len(counts), sd**2)
+        return cls(scales, level_um2, counts, level_um2, strata_of(records))
 
     @cached_property
     def token(self) -> str:
@@ -95,9 +100,9 @@ class Weighting:
         return float(1 / np.median(np.concatenate(self.inverse_sd)))
 
     @property
-    def mean_noise_um2(self) -> float:
-        """The mean square of a reading's noise, or of what stands in for it."""
-        return float(self.level_um2 @ self.counts / self.counts.sum())
+    def mean_floor_um2(self) -> float:
+        """The mean square that nothing explains of a reading."""
+        return float(self.floor_um2 @ self.counts / self.counts.sum())
 
     def log_density(self, fit: Fit) -> np.ndarray:
         """(cells,): ℓ_c of a fit."""
@@ -107,7 +112,7 @@ class Weighting:
         """What a fit explains beyond another, 0–1, of all that is to be explained in the cells where it
         does; each cell counts by the nats that it gains."""
         gained = np.maximum(less.left_out_um2 - more.left_out_um2, 0.0)
-        left = np.maximum(more.left_out_um2 - self.level_um2, 0.0)
+        left = np.maximum(more.left_out_um2 - self.floor_um2, 0.0)
         share = gained / np.maximum(gained + left, 1e-300)
         nats = np.maximum(self.log_density(more) - self.log_density(less), 0.0)
         return float((nats * share).sum() / max(float(nats.sum()), 1e-300))
@@ -115,7 +120,9 @@ class Weighting:
     def explained_of_all(self, more: Fit, less: Fit) -> float:
         """What a fit explains beyond another, 0–1, of that and of all that is left of the mean squares."""
         gained = np.maximum(less.left_out_um2 - more.left_out_um2, 0.0) @ self.counts
-        left = np.maximum(more.left_out_um2 - self.level_um2, 0.0) @ self.counts
+        # Noise lies above its mean in half of the cells: all of a scale together tell what is left there.
+        above = (more.left_out_um2 - self.floor_um2) * self.counts
+        left = np.maximum(np.bincount(self.strata, above), 0.0).sum()
         return float(gained / max(gained + left, 1e-300))
 
     def of_squares(self, mean_um2: np.ndarray) -> np.ndarray:

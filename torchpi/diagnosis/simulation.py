@@ -1,6 +1,6 @@
 """A given simulation: what it makes of the recordings, and the physics that it already has."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Literal
 
@@ -14,8 +14,6 @@ from torchpi.diagnosis.records import Record
 from torchpi.errors import SimulationError
 from torchpi.simulators import COLUMN, Simulate, Simulator
 from torchpi.stage import EffectSettings, Stage
-from torchpi.stage.effects.effect import Effect
-from torchpi.stage.effects.inside import InsideEffect
 
 Simulation = Stage | Simulator | Simulate | Literal["column"]
 """A stage; any function `simulate(u_v, fs_hz) -> y_um`; "column", an output that stands in the recordings."""
@@ -79,32 +77,29 @@ def with_untried(believed: Sequence[Believed], tried: Effects, untried: Effects)
     """The effects with the alternatives that a simulation hides, or that could not be tried around it.
 
     Another shape of the hysteresis may be any static effect, and what delays any other that does: several of
-    these may be a single one that could not be tried, and count as one. The rest is declared by the effects.
+    these may be a single one that could not be tried, and count as one; with them counts a loop, which a lag
+    in front of the hysteresis leaves when it is taken for one behind. The rest is declared by the effects.
     """
     kinds = {effect.name: effect for effect in tried}
     slow = [effect.name for effect in untried if effect.delays]
+    static = [effect.name for effect in untried if effect.time_scale == "static"]
+    late = [one for one in believed if one.name in kinds and kinds[one.name].delays]
+    as_one = [*late, *(one for one in believed if one.name == OPERATOR_NAME)] if slow and late else []
     found: list[Believed] = []
     for one in believed:
-        if one.name == OPERATOR_NAME:
-            more = [effect.name for effect in untried if effect.time_scale == "static"]
-            found.append(with_alternatives(one, more))
+        if one in as_one[1:]:
             continue
-        kind = kinds[one.name]
-        more = [effect.name for effect in untried if effect.name in kind.degenerate_with]
-        more += [*(slow if kind.delays else ()), *kind.alike_inside]
-        first = next((k for k, other in enumerate(found) if kind.delays and _delays(other, kinds)), None)
-        if slow and first is not None:
-            both = found[first].explained_um2 + one.explained_um2
-            found[first] = replace(with_alternatives(found[first], [one.name]), explained_um2=both)
-        else:
-            found.append(with_alternatives(one, more))
+        kind = kinds.get(one.name)
+        more = static if kind is None else [e.name for e in untried if e.name in kind.degenerate_with]
+        if kind is not None:
+            more += [*(slow if kind.delays else ()), *kind.alike_inside]
+        if one in as_one:
+            one = replace(one, explained_um2=sum(other.explained_um2 for other in as_one))
+            more += [other.name for other in as_one[1:]]
+        found.append(with_alternatives(one, more))
     return found
 
 
 def with_alternatives(one: Believed, more: Sequence[str]) -> Believed:
     """The same with more effects that the data cannot tell from it."""
     return replace(one, alternatives=tuple(dict.fromkeys([*one.alternatives, *more])))
-
-
-def _delays(one: Believed, kinds: Mapping[str, type[Effect] | type[InsideEffect]]) -> bool:
-    return one.name in kinds and kinds[one.name].delays
