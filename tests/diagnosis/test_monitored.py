@@ -41,6 +41,11 @@ def test_what_scatters_as_much_as_it_moves_is_a_command() -> None:
     assert noise_of(u) == 0.0
 
 
+def test_the_rounding_of_a_file_is_no_noise() -> None:
+    u = np.round(COMMANDS["sine"], 6)
+    assert without_noise(u) is u
+
+
 def test_a_record_too_short_to_tell_stays_as_it_is() -> None:
     u = COMMANDS["sine"][:200] + np.random.default_rng(3).normal(0, 0.02, 200)
     assert without_noise(u) is u

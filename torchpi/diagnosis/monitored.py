@@ -7,8 +7,8 @@ the noise (errors in variables: Söderström, *Errors-in-Variables Methods in Sy
 import numpy as np
 from scipy.signal import savgol_filter
 
-LARGEST = 0.005
-"""Of the span: what scatters more is a command."""
+SMALLEST, LARGEST = 1e-6, 0.005
+"""Of the span: what scatters less is the rounding of a file, what scatters more is a command."""
 OF_WHITE = (-0.8, 0.4)
 """Autocorrelations of the fourth differences of white noise, at one and two samples."""
 WITHIN = 0.03
@@ -54,7 +54,7 @@ def noise_of(u: np.ndarray) -> float:
         return 0.0
     scatter = 1.4826 * float(np.median(np.abs(bent)))
     sd = scatter / np.sqrt(70.0)  # the sum of the squares of 1, 4, 6, 4, 1
-    if not 0.0 < sd < LARGEST * span:
+    if not SMALLEST * span < sd < LARGEST * span:
         return 0.0
     bent = np.clip(bent, -5 * scatter, 5 * scatter)
     size = float(bent @ bent)
