@@ -7,8 +7,9 @@ weights of the cells, so that a difference counts in units of its own standard e
 
 What a recording leaves unexplained may be what an effect only resembles: a name is the less probable the
 smaller the share is that it explains of all that is to be explained, in the very cells in which it acts and
-over all; what has a signal of its own, a second input or a line, resembles nothing else. And what another
-effect leaves because its equation is not quite the rig's looks like one of its kin.
+over all, and on the sealed samples as well; what has a signal of its own, a second input or a line, resembles
+nothing else. And what another effect leaves because its equation is not quite the rig's looks like one of its
+kin.
 """
 
 from collections.abc import Mapping, Sequence
@@ -97,15 +98,7 @@ def posterior(
             if model.instead != CONVENTION and search.as_well(model.fit, models[0].fit):
                 alternatives.append(model.instead)
                 held += float(c)
-        known, own_signal = (
-            weighting.explained_where_it_acts(models[0].fit, less.fit),
-            has_a_signal_of_its_own(models[0].fit, name),
-        )
-        if not own_signal:
-            known = sqrt(known * weighting.explained_of_all(models[0].fit, less.fit))
-        known = confirmed(
-            known, search.chain.records, models[0].fit, less.fit, weighting.mean_floor_um2, own_signal
-        )
+        known = share_explained(search, models[0].fit, less.fit, name)
         rise = less.fit.train_rms**2 - models[0].fit.train_rms ** 2
         rivals.sort(key=lambda rival: rival.loses_nats)
         found.append(
@@ -117,6 +110,16 @@ def posterior(
     return final, [
         replace(one, probability=round(one.probability * apart(one, found, terms), 4)) for one in found
     ]
+
+
+def share_explained(search: Search, more: Fit, less: Fit, name: str) -> float:
+    """The share of what is to be explained that an effect explains, 0–1, as far as the sealed samples confirm
+    it."""
+    weighting, own_signal = search.chain.weighting, has_a_signal_of_its_own(more, name)
+    known = weighting.explained_where_it_acts(more, less)
+    if not own_signal:
+        known = sqrt(known * weighting.explained_of_all(more, less))
+    return confirmed(known, search.chain.records, more, less, weighting.mean_floor_um2, own_signal)
 
 
 def has_a_signal_of_its_own(final: Fit, name: str) -> bool:
