@@ -34,6 +34,7 @@ from torchpi.stage.effects.actuator.rate_dependent_hysteresis import RateDepende
 from torchpi.stage.effects.amplifier.amplifier_lag import AmplifierLag
 from torchpi.stage.effects.amplifier.delay import Delay
 from torchpi.stage.effects.amplifier.voltage_saturation import VoltageSaturation
+from torchpi.stage.effects.mechanics.backlash import Backlash
 from torchpi.stage.effects.mechanics.cross_coupling import CrossCoupling
 from torchpi.stage.effects.mechanics.resonance import Resonance
 from torchpi.stage.effects.sensor.hum import Hum
@@ -232,3 +233,10 @@ def test_lateness_is_that_of_every_lag_and_delay_and_of_the_tick() -> None:
     one = fit(chain, late, iterations=0)
     expected_s = 1 / (2 * np.pi * 50.0) + 3e-3 + 1 / FS_HZ
     assert lateness_s(chain, one) == pytest.approx(expected_s, abs=0.6 / FS_HZ)  # what a hold makes of a ramp
+
+
+def test_a_fit_behind_lost_motion_begins_with_weights_that_move() -> None:
+    chain = Chain(prepared([record(multisine(4000)), record(triangles(4000), name="b")]))
+    plays = Hypothesis(many_plays(seen(chain.records)))
+    small = EffectTerm(Backlash, {"width_um": 1e-3})
+    assert fit(chain, plays.plus(small)).train_rms < 1.1 * fit(chain, plays).train_rms

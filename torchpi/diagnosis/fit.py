@@ -267,13 +267,18 @@ def sum_of_squares(chain: Chain, hypothesis: Hypothesis, weights: np.ndarray) ->
     return ss if math.isfinite(ss) else math.inf
 
 
-def start_weights(chain: Chain, hypothesis: Hypothesis) -> tuple[np.ndarray, Tangent]:
-    """Least squares on the rows as they come out of the chain, to first order in the weights."""
+def start_weights(chain: Chain, hypothesis: Hypothesis) -> tuple[np.ndarray, Tangent | None]:
+    """Least squares on the rows as they come out of the chain, to first order in the weights; and the
+    tangent, unless it leaves something out: what sticks at rest has no slope there."""
+    moving = hypothesis
+    for member in hypothesis.members:
+        if member.effect.sticks:
+            moving = moving.without(member.effect.name, member.aux)
     nothing = np.zeros(chain.numbers(hypothesis))
-    tangent = tangent_of(chain, hypothesis, nothing)
-    gram, right, _, _ = normal_equations(chain, hypothesis, nothing, tangent)
+    tangent = tangent_of(chain, moving, nothing)
+    gram, right, _, _ = normal_equations(chain, moving, nothing, tangent)
     gram, right = with_prior(gram, right, prior_of(chain, hypothesis, gram), nothing)
-    return solve(gram, right, len(right), 0.0), tangent
+    return solve(gram, right, len(right), 0.0), tangent if moving is hypothesis else None
 
 
 def rms(records: Sequence[Record], residuals: Sequence[np.ndarray], train: bool) -> float:

@@ -104,6 +104,8 @@ class Described:
     """Parameters in which the output jumps: only a finite step shows which way to go."""
     kinks: ClassVar[tuple[str, ...]] = ()
     """Parameters that decide which samples an effect touches: an infinitesimal step touches no others."""
+    sticks: ClassVar[bool] = False
+    """Whether nothing small moves it: at rest its output has no slope."""
     kinds: ClassVar[tuple[str, ...]] = ()
     """Parameters that choose between kinds of the effect: a start sets them, and they are not fitted."""
     hold: Hold | None = None

@@ -32,6 +32,7 @@ class Backlash(Effect):
     time_scale = "static"
     needs = Needs(reversals=2)
     forms = ("play", "Dahl")
+    sticks = True
     width_um: nn.Parameter = parameter("µm", at_least=0.0, at_most=1e4)
     presliding_um: nn.Parameter = parameter("µm", at_least=0.0, at_most=1e4)
 
