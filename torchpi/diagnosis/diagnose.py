@@ -108,7 +108,7 @@ def diagnose(
     )
     search = Search(chain, log, start, noise, executor, lsb_um, tried, called)
     retuned, final, history = search.run()
-    search.noise = noise = left_unexplained(search, final)
+    search.noise = left_unexplained(search, final)
     log("decide: every effect against its rivals")
     final, believed = posterior(search, retuned, final, history)
     noise = left_unexplained(search, final)
