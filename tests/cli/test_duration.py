@@ -154,7 +154,9 @@ def test_what_this_machine_gives_is_measured() -> None:
     "command",
     [["check", "a.csv"], ["diagnose", "a.csv"], ["run", "a.pt"], ["train", "fit", "--config", "recorded"]],
 )
-def test_it_is_printed_before_torch_is_imported(command: list[str]) -> None:
+def test_it_is_printed_before_torch_is_imported(command: list[str], tmp_path: Path) -> None:
+    recording(tmp_path / "a.csv", 100)
+    (tmp_path / "a.pt").touch()
     program = (
         "import sys\n"
         "from torchpi.cli import duration, main\n"
@@ -164,5 +166,7 @@ def test_it_is_printed_before_torch_is_imported(command: list[str]) -> None:
         "duration._announce = announced\n"
         "main()\n"
     )
-    done = subprocess.run([sys.executable, "-c", program, *command], capture_output=True, text=True)
+    done = subprocess.run(
+        [sys.executable, "-c", program, *command], capture_output=True, text=True, cwd=tmp_path
+    )
     assert done.stdout == "False\n", done.stderr
