@@ -21,6 +21,7 @@ from tests.diagnosis.plants import (
     triangles,
 )
 from tests.diagnosis.prepared import prepared
+from torchpi.diagnosis import long_recordings
 from torchpi.diagnosis.chain import Chain
 from torchpi.diagnosis.diagnose import diagnose
 from torchpi.diagnosis.diagnosis import Diagnosis
@@ -203,6 +204,28 @@ def test_dropouts_leave_the_held_out_error_and_stretch_as_they_are() -> None:
     assert found.retuned.heldout_rms_um == pytest.approx(clean.retuned.heldout_rms_um, rel=0.05)
     for trace in found.traces:
         assert np.array_equal(trace.heldout, np.arange(2000) >= 1700)
+
+
+def test_wrong_readings_stand_beside_what_the_model_has_wrong_for_a_while() -> None:
+    """A bump of a second is no tail of the noise, however large: a single reading stands out of it."""
+    rig = [record(multisine(8000), name="a", after=lambda x, fs_hz: x + bump(len(x)))]
+    rig[0].y[[300, 900, 2700, 4100]] += 20.0
+    assert "dropouts" in [effect.name for effect in diagnose(rig, effects=[]).effects]
+
+
+def bump(samples: int) -> np.ndarray:
+    return 4.0 * np.exp(-(((np.arange(samples) - 0.7 * samples) / (0.05 * samples)) ** 2))
+
+
+def test_the_step_of_a_converter_is_that_of_the_readings_not_of_their_means(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(long_recordings, "AT_MOST", 9000)
+    lsb_um = 0.31
+    read = [replace(one, y=lsb_um * np.round(one.y / lsb_um)) for one in pair(8000)]
+    (found,) = diagnose(read, effects=[]).effects
+    assert found.name == "quantization"
+    assert found.parameters[0].value == pytest.approx(lsb_um, rel=1e-6)
 
 
 def test_a_tone_that_is_left_is_not_called_noise() -> None:

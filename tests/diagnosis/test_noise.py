@@ -10,6 +10,7 @@ from tests.diagnosis.plants import FS_HZ, creep, multisine, record, stairs, tria
 from tests.diagnosis.prepared import prepared
 from torchpi.diagnosis.diagnose import converter
 from torchpi.diagnosis.noise import Noise, held_error, holds, measured_noise
+from torchpi.diagnosis.records import prepare
 from torchpi.recordings.recording import Recording
 
 Signal = np.ndarray
@@ -138,6 +139,16 @@ def test_a_lattice_is_part_of_the_noise() -> None:
     assert found.variance_um2 == pytest.approx(np.full(3, 0.0123**2 / 12))
 
 
+def test_wrong_readings_are_no_noise() -> None:
+    """A flipped bit in a hold is a thousand times the noise, and not a part of it."""
+    y = 0.01 * white(4000)
+    flipped = y.copy()
+    flipped[[1200, 2500]] += 9.0
+    recordings = [read(np.zeros(4000), flipped)]
+    found = measured_noise(prepare(recordings, [np.array([1200, 2500])]))
+    assert found is not None and found.rms_um == pytest.approx(0.01, rel=0.1)
+
+
 def test_readings_that_never_differ_measure_no_noise() -> None:
     still = read(np.zeros(2000), np.zeros(2000))
     assert measured_noise(prepared([still])) is None
@@ -152,18 +163,18 @@ def test_the_step_of_a_converter_is_read_off_the_readings(noise_um: float) -> No
     recordings = [
         read_by(0.0123, record(multisine(3000, seed=s), noise_um=noise_um, name=str(s))) for s in (0, 1)
     ]
-    step, notes = converter(prepared(recordings))
+    step, notes = converter(recordings)
     assert step == pytest.approx(0.0123, rel=1e-6)
     assert notes == ("All readings lie on a lattice of 12.3 nm.",)
 
 
 def test_readings_without_steps_have_no_converter() -> None:
-    assert converter(prepared([record(multisine(3000))])) == (0.0, ())
+    assert converter([record(multisine(3000))]) == (0.0, ())
 
 
 def test_one_recording_off_the_lattice_is_enough_against_it() -> None:
     recordings = [read_by(0.0123, record(multisine(3000))), record(multisine(3000, seed=1), name="b")]
-    assert converter(prepared(recordings)) == (0.0, ())
+    assert converter(recordings) == (0.0, ())
 
 
 def test_a_converter_errs_once_on_each_line_where_nothing_moves() -> None:

@@ -24,6 +24,7 @@ from torchpi.stage.effects.actuator.creep import Creep
 from torchpi.stage.effects.amplifier.amplifier_lag import AmplifierLag
 from torchpi.stage.effects.amplifier.delay import Delay
 from torchpi.stage.effects.amplifier.slew_limit import SlewLimit
+from torchpi.stage.effects.mechanics.backlash import Backlash
 from torchpi.stage.effects.sensor.thermal_drift import ThermalDrift
 
 
@@ -107,6 +108,11 @@ def test_what_an_effect_leaves_by_its_form_is_not_named_after_its_kin(share: flo
     assert apart(drift, [*found, drift], terms) == pytest.approx(apart(late, found, terms))
     operator = Believed(OPERATOR_NAME, 1.0, (), share, ())
     assert apart(operator, [*found, operator], terms) == apart(late, found, terms)
+    # A play behind plays is plays: what a hysteresis of the wrong family leaves looks like lost motion.
+    terms["backlash"] = EffectTerm(Backlash, {"width_um": 0.01})
+    lost, larger = Believed("backlash", 1.0, (), share, ()), Believed(OPERATOR_NAME, 1.0, (), 1.0, ())
+    assert apart(lost, [lost, larger], terms) == apart(late, found, terms)
+    assert apart(slow, [slow, larger], terms) == 1.0
 
 
 def test_a_name_has_to_explain_as_much_as_stays_unexplained() -> None:

@@ -5,8 +5,19 @@ import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.signal import lfilter
 
-from tests.diagnosis.plants import NOISE_UM, Signal, Step, creep, lag, multisine, record, stairs, triangles
+from tests.diagnosis.plants import (
+    NOISE_UM,
+    Signal,
+    Step,
+    creep,
+    lag,
+    multisine,
+    record,
+    stairs,
+    triangles,
+)
 from tests.diagnosis.prepared import prepared
 from torchpi.cli.predict import predict
 from torchpi.diagnosis.chain import Chain
@@ -16,7 +27,7 @@ from torchpi.diagnosis.fit import fit
 from torchpi.diagnosis.hypothesis import Fit, Hypothesis
 from torchpi.diagnosis.hysteresis_model import many_plays
 from torchpi.diagnosis.records import seen
-from torchpi.diagnosis.stick_slip import jump, resting, slips
+from torchpi.diagnosis.stick_slip import MEMORY, jump, one_step_rival, resting, slips
 from torchpi.recordings.recording import Recording
 
 BREAKAWAY_UM, SLIDING_UM = 0.12, 0.02
@@ -92,6 +103,15 @@ def test_nothing_else_shows_slips(what: str, before: Step, after: Step) -> None:
     chain, now = retuned(recorded(after, before))
     for share in (0.5, 1.0, 2.0):  # of the floor: whoever states it may be wrong by as much
         assert slips(chain, now, share * NOISE_UM) is None, what
+
+
+def test_what_is_late_by_a_few_samples_is_no_evidence_of_slips() -> None:
+    """The rival predicts it from how the chain moves, before any lag is in the chain."""
+    x = np.cumsum(np.random.default_rng(2).standard_normal(4000))
+    late = lfilter([0.2, 0.3, 0.4, 0.1], [1.0], x) - x
+    (one,) = prepared([Recording("a", np.arange(4000) / 1e3, x, x + late, 1e3, {})])
+    (left,) = one_step_rival([one], [late])
+    assert np.abs(left[MEMORY:]).max() < 1e-3 * np.abs(late).max()
 
 
 def test_the_lines_of_a_coarse_converter_are_no_slips() -> None:

@@ -97,7 +97,7 @@ def diagnose(
     tried = [effect for effect in effects if called is None or called.can_try(effect)]
     untried = [effect for effect in effects if effect not in tried]
     chain, what = Chain(records), seen(records)
-    lsb_um, lattice_note = converter(records)
+    lsb_um, lattice_note = converter(given_recordings)
     noise = measured_noise(records)
     if noise is not None:
         noise = noise.with_converter(lsb_um)
@@ -216,11 +216,11 @@ def left_unexplained(search: Search, final: Fit) -> Noise | None:
     return left.with_converter(search.lsb_um) if left and left.rms_um < noise.rms_um else noise
 
 
-def converter(records: Sequence[Record]) -> tuple[float, tuple[str, ...]]:
+def converter(recordings: Sequence[Recording]) -> tuple[float, tuple[str, ...]]:
     """The step of the lattice on which all readings lie, µm, and a note; 0 where they lie on none."""
-    steps = [Quantization.lattice(record.y) for record in records]
+    steps = [Quantization.lattice(recording.y) for recording in recordings]
     found = [step for step in steps if step is not None]
-    if len(found) < len(records) or max(found) > 1.01 * min(found):
+    if len(found) < len(recordings) or max(found) > 1.01 * min(found):
         return 0.0, ()
     step = float(np.median(found))
     return step, (f"All readings lie on a lattice of {step * 1e3:.4g} nm.",)

@@ -84,8 +84,8 @@ def measured_noise(records: Sequence[Record], residuals: Sequence[np.ndarray] | 
         residuals: (time,) each: of a simulation, in the place of the readings. They have the noise of a
             monitored voltage as well.
     """
-    if residuals is not None:
-        records = [replace(record, y=e) for record, e in zip(records, residuals, strict=True)]
+    readings = residuals or [record.y for record in records]
+    records = [replace(record, y=bridged(y, record)) for record, y in zip(records, readings, strict=True)]
     sources = (
         ("holds of the voltage", of_holds),
         ("periods that repeat, the first left out", of_repeats),
@@ -101,6 +101,13 @@ def measured_noise(records: Sequence[Record], residuals: Sequence[np.ndarray] | 
             if rms_um > 0:
                 return Noise(rms_um, variance, longest, source)
     return None
+
+
+def bridged(y: np.ndarray, record: Record) -> np.ndarray:
+    """(time,): straight across the wrong readings of a recording, which are no noise."""
+    valid = record.train | record.held_out
+    k = np.arange(len(y))
+    return y if valid.all() else np.interp(k, k[valid], y[valid])
 
 
 def spectrum_of(pieces: Sequence[np.ndarray]) -> tuple[float, np.ndarray]:

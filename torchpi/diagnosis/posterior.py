@@ -129,21 +129,25 @@ def has_a_signal_of_its_own(final: Fit, name: str) -> bool:
 
 
 def apart(one: Believed, found: Sequence[Believed], terms: Mapping[str, EffectTerm]) -> float:
-    """How likely an effect is another cause, and not what the strongest of its kin leaves by its form.
-
-    Every effect is kin of a larger hysteresis, which takes a part of whatever follows the voltage.
-    """
-    others = [other for other in found if other.name != one.name and other.name in terms]
-    if one.name in terms:
-        others = [other for other in others if of_one_kin(terms[one.name], terms[other.name])]
-    kin = [other.explained_um2 for other in others]
+    """How likely an effect is another cause, and not what the strongest of its kin leaves by its form."""
+    kin = [
+        other.explained_um2
+        for other in found
+        if other.name != one.name and of_one_kin(terms.get(one.name), terms.get(other.name))
+    ]
     if not kin or one.explained_um2 <= 0:
         return 1.0
     return float(1 / (1 + (FORM_ERROR * max(kin) / one.explained_um2) ** FALL))
 
 
-def of_one_kin(one: EffectTerm, other: EffectTerm) -> bool:
-    """Whether an effect looks like what another leaves if its form is not quite the rig's."""
+def of_one_kin(one: EffectTerm | None, other: EffectTerm | None) -> bool:
+    """Whether an effect looks like what another leaves if its form is not quite the rig's.
+
+    Every effect is kin of a larger hysteresis, None, which takes a part of whatever follows the voltage; and
+    that of an effect that is a hysteresis itself.
+    """
+    if one is None or other is None:
+        return one is None or one.effect.sticks
     kin = (*one.effect.left_by, *one.effect.degenerate_with)
     return one.effect is not other.effect and (
         (one.effect.delays and other.effect.delays) or other.effect.name in kin

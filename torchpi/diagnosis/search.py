@@ -150,16 +150,35 @@ class Search(Exchange):
         return retuned, now, history
 
     def simplest(self, tried: Sequence[Tried]) -> Tried | None:
-        """The best of what earns its place; an effect where a larger hysteresis is no clearer."""
+        """The best of what earns its place. An effect where a larger hysteresis is no clearer; the larger
+        hysteresis where the effect is one itself: a play behind plays is plays."""
         earned = [one for one in tried if one.gain.probability > ACCEPTED]
-        if not earned or not earned[0].name.startswith(OPERATOR):
-            return earned[0] if earned else None
+        if not earned:
+            return None
+        larger = [one for one in earned if one.name.startswith(OPERATOR)]
+        effects = [one for one in earned if one not in larger]
+        best = earned[0]
+        if best in larger:
+            rivals = [one for one in effects if not self.sticks(one)]
+        elif self.sticks(best):
+            rivals = larger
+        else:
+            return best
         # A larger hysteresis is fitted on many rows: so are its best rivals, before the two are compared.
-        for one in [one for one in earned if not one.name.startswith(OPERATOR)][:2]:
-            full = self.at_its_own_weights(refitted(self.chain, one.fit, STEPS))
-            if self.as_well(full, earned[0].fit):
+        known = best.fit if best in larger else self.on_many_rows(best.fit)
+        for one in rivals[:2]:
+            full = self.on_many_rows(one.fit)
+            if self.as_well(full, known):
                 return replace(one, fit=full)
-        return earned[0]
+        return best
+
+    def sticks(self, one: Tried) -> bool:
+        """Whether an effect among what was tried is a hysteresis itself."""
+        there = {member.effect.name: member.effect for member in one.fit.hypothesis.members}
+        return any(there[name].sticks for name in one.name.split(" + ") if name in there)
+
+    def on_many_rows(self, one: Fit) -> Fit:
+        return self.at_its_own_weights(refitted(self.chain, one, STEPS))
 
     def retuned(self) -> Fit:
         """The nominal hysteresis, with the timing and the start that suit it better."""

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.ndimage import median_filter
 from scipy.optimize import brentq
 from scipy.special import pdtrc, stdtr, stdtrit
 
@@ -15,6 +16,8 @@ LOST = 10.0
 """Times the rms of what is left, by which a single reading is off."""
 ABOUT = 5
 """Samples before and after a reading that it is compared with."""
+ALONE = 5
+"""Samples about a reading whose median it is compared with."""
 BESIDE = 32
 """Samples on either side of a reading from which the error of the model there is taken."""
 FALSE_ALARM = 1e-3
@@ -41,7 +44,9 @@ def wrong_readings(records: Sequence[Record], apart: Sequence[np.ndarray], final
         there = off > LOST * np.maximum(error_about(e, k), final.train_rms)
         lost.append(k[there])
         off_um += off[there].tolist()
-    rest = np.concatenate([np.delete(e, k) for e, k in zip(final.residuals, lost, strict=True)])
+    # What the model has wrong is slow beside a single reading: it is no tail of the noise.
+    alone = [e - median_filter(e, ALONE) for e in final.residuals]
+    rest = np.concatenate([np.delete(e, k) for e, k in zip(alone, lost, strict=True)])
     if off_um and pdtrc(len(off_um) - 1, expected_beyond(min(off_um), np.abs(rest))) < FALSE_ALARM:
         return lost
     return [k[:0] for k in lost]

@@ -8,7 +8,10 @@ from torch import nn
 
 from torchpi.operators.linear import Hold, Matrices
 from torchpi.operators.quantity import Quantity
-from torchpi.stage.effects.effect import StateSpaceEffect, parameter
+from torchpi.stage.effects.effect import DataRange, StateSpaceEffect, parameter
+
+APART = 3.6
+"""Times that one start of a search lies below the last: a fit finds its way from a factor of two."""
 
 
 class FirstOrderLag(StateSpaceEffect):
@@ -27,7 +30,7 @@ class FirstOrderLag(StateSpaceEffect):
     signature = "phase grows in proportion to frequency, the gain rolls off"
     time_scale = "fast"
     delays = True
-    cutoff_hz: nn.Parameter = parameter("Hz", at_least=1.0, at_most=1e6, identity=math.inf)
+    cutoff_hz: nn.Parameter = parameter("Hz", at_least=1e-3, at_most=1e6, identity=math.inf)
     accepted: ClassVar[dict[str, Quantity]] = {"cutoff_hz": Quantity("Hz", at_least=0, positive=True)}
     order = 1
 
@@ -39,3 +42,9 @@ class FirstOrderLag(StateSpaceEffect):
             return a, a * gamma0, torch.ones_like(a), gamma0[0]
         gamma1 = 1 - gamma0 / omega_t
         return a, gamma0 - gamma1 + a * gamma1, torch.ones_like(a), gamma1[0]
+
+    @staticmethod
+    def cutoffs_hz(seen: DataRange, highest_hz: float) -> list[float]:
+        """Where a search may begin: from a cutoff downward, as long as the lag ends within a recording."""
+        count = 1 + math.floor(max(math.log(highest_hz * seen.duration_s) / math.log(APART), 0.0))
+        return [highest_hz / APART**k for k in range(count)]

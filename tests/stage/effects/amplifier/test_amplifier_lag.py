@@ -1,6 +1,7 @@
 """Amplifier lag: a first-order lag of a held command."""
 
 import math
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -88,7 +89,12 @@ def test_the_form_is_the_number_of_poles():
     assert AmplifierLag.form({"cutoff_hz": 20.0, "damping_ratio": 1.0}) == "two poles"
 
 
-def test_a_search_starts_below_a_third_of_the_sample_rate_with_one_pole_and_with_two():
-    starts = AmplifierLag.starts(DataRange(2e3, 1.0, 0, 1, 1, 0, 1, {}))
-    assert [start["cutoff_hz"] for start in starts] == [16.0, 60.0, 200.0] * 2
-    assert ["damping_ratio" in start for start in starts] == [False] * 3 + [True] * 3
+@pytest.mark.parametrize(("fs_hz", "duration_s"), [(200.0, 130.0), (2e3, 1.0), (5e4, 0.05)])
+def test_a_search_starts_from_a_third_of_the_sample_rate_to_what_a_recording_lasts(
+    fs_hz: float, duration_s: float
+) -> None:
+    starts = AmplifierLag.starts(DataRange(fs_hz, duration_s, 0, 1, 1, 0, 1, {}))
+    one = [start["cutoff_hz"] for start in starts if "damping_ratio" not in start]
+    assert [start["cutoff_hz"] for start in starts if "damping_ratio" in start] == one
+    assert max(one) == fs_hz / 3 and 1 <= min(one) * duration_s < 4
+    assert all(later / earlier == pytest.approx(1 / 3.6) for earlier, later in pairwise(one))

@@ -49,9 +49,10 @@ def test_without_values_there_is_a_gradient_to_the_delay():
     assert effect.delay_s.grad.item() == pytest.approx(-(x[0, 20] - x[0, 19]).item() / 0.001)
 
 
-def test_a_search_starts_between_a_twentieth_of_a_millisecond_and_two():
-    delays = [start["delay_s"] for start in Delay.starts(DataRange(1e4, 10.0, 0, 1, 1, 0, 1, {}))]
-    assert delays[0] == 5e-5 and delays[-1] == 2e-3
+@pytest.mark.parametrize(("fs_hz", "longest_s"), [(200.0, 0.05), (1e4, 2e-3), (5e4, 4e-4)])
+def test_a_search_starts_between_half_a_sample_and_twenty(fs_hz: float, longest_s: float) -> None:
+    delays = [start["delay_s"] for start in Delay.starts(DataRange(fs_hz, 10.0, 0, 1, 1, 0, 1, {}))]
+    assert delays[0] == 0.5 / fs_hz and delays[-1] == pytest.approx(longest_s)
 
 
 @given(samples=st.integers(0, 25))

@@ -64,6 +64,6 @@ def test_a_cutoff_above_half_of_the_sample_rate_does_no_harm(cutoff_hz):
     assert bool(effect.cutoff_hz.grad.isfinite())
 
 
-def test_a_search_starts_below_half_of_the_sample_rate():
+def test_a_search_starts_between_what_a_recording_lasts_and_half_of_the_sample_rate():
     cutoffs = [start["cutoff_hz"] for start in SensorLag.starts(DataRange(10e3, 1.0, 0, 1, 1, 0, 1, {}))]
-    assert cutoffs == [30.0, 110.0, 400.0, 1500.0]
+    assert max(cutoffs) == 4500.0 and 1.0 <= min(cutoffs) < 4.0

@@ -76,5 +76,5 @@ class AmplifierLag(FirstOrderLag):
     @classmethod
     def starts(cls, seen: DataRange) -> list[Parameters]:
         # Above a third of the sample rate a held input shows no lag.
-        one = [{"cutoff_hz": f} for f in (16.0, 60.0, 200.0, 700.0, 2500.0, 9000.0) if f < seen.fs_hz / 3]
+        one = [{"cutoff_hz": f} for f in cls.cutoffs_hz(seen, seen.fs_hz / 3)]
         return one + [{**start, "damping_ratio": FLATTEST} for start in one]

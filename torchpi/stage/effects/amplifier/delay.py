@@ -26,7 +26,7 @@ MOST_SAMPLES = 1_000_000  # that the line holds
 
 
 class Delay(LinearEffect):
-    """A delay, of up to 10 ms in a fit. The state holds the last inputs, as many at any such delay.
+    """A delay, of up to 0.1 s in a fit. The state holds the last inputs, as many at any delay up to 10 ms.
 
     With `after_lag` 1, and an amplifier's lag of one pole before it in the chain, the fraction of a sample is
     exact for a held command.
@@ -40,7 +40,7 @@ class Delay(LinearEffect):
     time_scale = "fast"
     delays = True
     commutes = True
-    delay_s: nn.Parameter = parameter("s", at_least=0.0, at_most=LONGEST_S)
+    delay_s: nn.Parameter = parameter("s", at_least=0.0, at_most=0.1)
     after_lag: nn.Parameter = parameter("", at_least=0.0, at_most=1.0)
     accepted: ClassVar[dict[str, Quantity]] = {"delay_s": Quantity("s", at_least=0.0)}
     kinds = ("after_lag",)
@@ -94,6 +94,6 @@ class Delay(LinearEffect):
 
     @classmethod
     def starts(cls, seen: DataRange) -> list[Parameters]:
-        longest = min(LONGEST_S, seen.duration_s / 10)
-        tried = (5e-5, 1e-4, 2e-4, 5e-4, 1e-3, 2e-3)
-        return [{"delay_s": delay_s} for delay_s in tried if delay_s < longest]
+        longest_s = min(cls.quantities["delay_s"].at_most, seen.duration_s / 10)
+        tried = [samples / seen.fs_hz for samples in (0.5, 1.0, 2.0, 5.0, 10.0, 20.0)]
+        return [{"delay_s": delay_s} for delay_s in tried if delay_s < longest_s]

@@ -19,5 +19,4 @@ class SensorLag(FirstOrderLag):
     @classmethod
     def starts(cls, seen: DataRange) -> list[Parameters]:
         # Near half of the sample rate a lag is little more than a change of gain.
-        highest = min(20e3, 0.45 * seen.fs_hz)
-        return [{"cutoff_hz": f} for f in (30.0, 110.0, 400.0, 1500.0, 5500.0, 20e3) if f <= highest]
+        return [{"cutoff_hz": f} for f in cls.cutoffs_hz(seen, 0.45 * seen.fs_hz)]
