@@ -14,7 +14,7 @@ from torchpi.diagnosis.hypothesis import EffectTerm, Hypothesis
 from torchpi.diagnosis.hysteresis_model import many_plays
 from torchpi.diagnosis.records import seen
 from torchpi.diagnosis.reduced_basis import refitted
-from torchpi.diagnosis.remanence import COLUMNS, EITHER, remanence
+from torchpi.diagnosis.remanence import COLUMNS, EITHER, FADING, remanence
 from torchpi.diagnosis.search import Search
 from torchpi.recordings.recording import Recording
 from torchpi.stage.effects.sensor.sensor_lag import SensorLag
@@ -77,6 +77,39 @@ def test_a_history_is_forgotten_once_the_largest_excursion_is_reached() -> None:
     v = np.concatenate([np.linspace(0, 5, 100), np.linspace(5, -8, 200), np.linspace(-8, 4, 100)])
     columns = remanence(v)
     assert columns[: len(EITHER), 299:].max() < 1e-12 < columns[len(EITHER) - 1, 290]
+
+
+@given(st.integers(0, 99), st.floats(0.8, 4.0))
+def test_the_start_of_a_state_without_wiping_out_fades_as_columns_do(seed: int, alpha: float) -> None:
+    """Of dz = α|dv|(f(v) - z), whatever f and the way of v: e^{-αs}."""
+    v = np.cumsum(np.random.default_rng(seed).standard_normal(600))
+    v -= v[0]
+    reach, path = np.abs(v).max(), np.cumsum(np.abs(np.diff(v, prepend=v[0])))
+    fades = np.exp(-alpha * path / reach)
+    columns = remanence(v, fading=True)
+    assert columns.shape == (COLUMNS + len(FADING), 600)
+    coefficients, *_ = np.linalg.lstsq(columns.T, fades, rcond=None)
+    assert np.linalg.norm(coefficients @ columns - fades) < 0.03 * np.linalg.norm(fades)
+
+
+def test_a_hysteresis_whose_loops_move_is_fitted_by_what_has_no_wiping_out() -> None:
+    """Minor loops of a Duhem state drift towards the middle as they are repeated; those of plays never do."""
+    t = np.arange(8000) / 2e3
+    recordings = []
+    for seed, offset in enumerate((2.0, 6.0)):
+        v = np.minimum(t / 0.4, 1) * (
+            offset + 1.5 * np.sin(2 * np.pi * 7 * t) + 1.5 * np.sin(2 * np.pi * 0.4 * t)
+        )
+        z, states = 0.0, np.empty(len(v))
+        for k, (one, before) in enumerate(zip(v, np.concatenate([[0.0], v[:-1]]), strict=True)):
+            z += (np.tanh(one / 4) - z) * -np.expm1(-0.4 * abs(one - before))
+            states[k] = z
+        y = v + 3.0 * states + NOISE_UM * np.random.default_rng(seed).standard_normal(len(v))
+        recordings.append(Recording(str(seed), t, v, y, 2e3))
+    found = diagnose(recordings, effects=[])
+    assert [effect.name for effect in found.effects] == ["hysteresis_operator"]
+    assert found.effects[0].parameters[0].value == "duhem"
+    assert found.augmented.heldout_rms_um < 2 * NOISE_UM < 0.2 * found.retuned.heldout_rms_um
 
 
 def test_a_hold_remembers_for_ever_and_divides_by_nothing() -> None:

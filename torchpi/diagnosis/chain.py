@@ -15,7 +15,7 @@ from torch import Tensor
 from torchpi.diagnosis.hypothesis import Hypothesis
 from torchpi.diagnosis.hysteresis_model import HysteresisModel
 from torchpi.diagnosis.records import Record, Rests
-from torchpi.diagnosis.remanence import COLUMNS, remanence
+from torchpi.diagnosis.remanence import remanence
 from torchpi.diagnosis.score import Weighting
 from torchpi.operators.linear import Matrices
 from torchpi.stage.effects.effect import Effect, LinearEffect, StateSpaceEffect, run, without_idle_poles
@@ -100,7 +100,7 @@ class Chain:
 
     def numbers(self, hypothesis: Hypothesis) -> int:
         """How many weights there are: of the rows, of the history of each recording, of its zero."""
-        return hypothesis.nominal.kept + len(self.records) * (1 + COLUMNS * hypothesis.remanent)
+        return hypothesis.nominal.kept + len(self.records) * (1 + hypothesis.history)
 
     def whitened(self, index: int, rows: np.ndarray) -> np.ndarray:
         """(rows, kept): Haar coefficients of rows, (rows, time), over what each may be off by."""
@@ -136,7 +136,10 @@ class Chain:
             return x
         nominal, v = self.nominal(hypothesis, index), self.voltage(hypothesis, index)
         x = nominal.output(v, self.records[index].period_s, weights[: nominal.kept])
-        return x + weights[used[nominal.kept :]] @ remanence(v) if hypothesis.remanent else x
+        if not hypothesis.remanent:
+            return x
+        remembered: np.ndarray = x + weights[used[nominal.kept :]] @ remanence(v, hypothesis.fading)
+        return remembered
 
     def remember(self, path: tuple[object, ...], signal: Tensor) -> None:
         """Keep a signal inside the chain: one candidate after another acts behind the same ones."""
@@ -177,9 +180,8 @@ class Chain:
     def used(self, hypothesis: Hypothesis, index: int) -> np.ndarray:
         """Which weights belong to the rows of a recording."""
         kept = hypothesis.nominal.kept
-        first = kept + COLUMNS * index
-        own = np.arange(first, first + COLUMNS) if hypothesis.remanent else np.arange(0)
-        return np.concatenate([np.arange(kept), own])
+        first = kept + hypothesis.history * index
+        return np.concatenate([np.arange(kept), np.arange(first, first + hypothesis.history)])
 
     def slopes(
         self, hypothesis: Hypothesis, weights: np.ndarray, index: int
@@ -215,10 +217,10 @@ class Chain:
         if key not in self.remembered:
             nominal = self.nominal(hypothesis, index)
             v = self.voltage(hypothesis, index)
-            rows = np.empty((nominal.kept + COLUMNS * hypothesis.remanent, len(v)))
+            rows = np.empty((nominal.kept + hypothesis.history, len(v)))
             nominal.fill(v, self.records[index].period_s, rows[: nominal.kept])
             if hypothesis.remanent:
-                rows[nominal.kept :] = remanence(v)
+                rows[nominal.kept :] = remanence(v, hypothesis.fading)
             while (
                 self.remembered and sum(r.nbytes for r in self.remembered.values()) + rows.nbytes > REMEMBERED
             ):

@@ -15,9 +15,8 @@ def free_parameters_of(hypothesis: Hypothesis) -> tuple[FreeParameter, ...]:
     for name in hypothesis.shape:
         slots.append(shape_slot(name))
     if hypothesis.remanent:
-        unit = 1.0 if hypothesis.nominal.bouc_wen else hypothesis.nominal.scale_v
         for record in range(len(hypothesis.starts)):
-            slots.append(FreeParameter(-1, START, record, False, 0.2 * unit, -2 * unit, 2 * unit))
+            slots.append(FreeParameter(-1, START, record, False, 0.2, -2.0, 2.0))
     for k, member in enumerate(hypothesis.members):
         quantities = member.effect.quantities
         for name, value in member.shared.items():
@@ -35,7 +34,6 @@ SHAPE_BOUNDS = {
     "sigma_v": (1e-3, 1e3),
     "beta": (0.0, 3.0),
     "exponent": (0.5, 6.0),
-    "alpha_per_v": (1e-3, 1e3),
 }
 
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from torchpi.diagnosis.hysteresis_model import HysteresisModel
+from torchpi.diagnosis.remanence import COLUMNS, FADING
 from torchpi.stage.effects import EFFECTS
 from torchpi.stage.effects.effect import Described, Effect, Parameters
 from torchpi.stage.effects.inside import InsideEffect
@@ -56,7 +57,17 @@ class Hypothesis:
     remanent: bool = False
     """Whether each recording may start from a history of its own."""
     starts: tuple[float, ...] = ()
-    """With a history, where the state of a Bouc–Wen or Duhem hysteresis starts in each recording."""
+    """With a history, where the state of a Bouc–Wen hysteresis starts in each recording."""
+
+    @property
+    def fading(self) -> bool:
+        """Whether a history fades along the way, as it does without wiping-out."""
+        return self.nominal.bouc_wen or self.nominal.duhem
+
+    @property
+    def history(self) -> int:
+        """Columns of what each recording may remember."""
+        return (COLUMNS + len(FADING) * self.fading) * self.remanent
 
     def plus(self, member: EffectTerm) -> "Hypothesis":
         """With one more effect, in the order of the chain."""

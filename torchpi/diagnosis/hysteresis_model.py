@@ -9,6 +9,7 @@ import numpy as np
 
 from torchpi.diagnosis.outside import Outside, shifted
 from torchpi.operators.hysteresis_rows import (
+    DUHEM_BANK,
     bend,
     bouc_wen_row,
     duhem_row,
@@ -27,6 +28,8 @@ BLOCK = 256
 """Samples whose states are mixed at a time: they stay in the cache, however many plays there are."""
 CHANGING = ("asymmetry_per_v", "incongruence_per_v", "weight_s_per_v", "threshold_s_per_v", "loop_per_e")
 """Numbers of the shape that change what a play does; the others only say how."""
+LONGEST_MEMORY = 0.1
+"""The smallest α of a bank, over the voltage reached."""
 BESIDE = (6, 14)
 """Plays beside a state of another family at first, spread in the logarithm and evenly."""
 FIRM = 30.0
@@ -49,7 +52,7 @@ class HysteresisModel:
     shape: dict[str, float] = field(default_factory=lambda: dict(IDENTITY))
     """Parameters inside the hysteresis, the rest being 0; of Bouc–Wen and Duhem too."""
     start: float = 0.0
-    """Of z before a recording, or of d_1, whose memory fades as that of all d does; V."""
+    """Of z before a recording."""
     reduction: np.ndarray | None = None
     """(kept rows, rows): combinations that the data can tell apart; None keeps all."""
     simulation: Outside | None = None
@@ -74,7 +77,7 @@ class HysteresisModel:
     @property
     def size(self) -> int:
         """Numbers in it, before any reduction."""
-        others = self.bouc_wen + 3 * self.duhem + (self.simulation is not None)
+        others = self.bouc_wen + len(DUHEM_BANK) * self.duhem + (self.simulation is not None)
         return len(self.thresholds_v) * self.degree + others
 
     @cached_property
@@ -177,8 +180,8 @@ class HysteresisModel:
             # In the unit of the plays, whose weights have one prior.
             rows.append(self.scale_v * (z + z * loop))
         if self.duhem:
-            alpha, starts = self.shape["alpha_per_v"], (self.start, 0.0, 0.0)
-            rows += [duhem_row(v, alpha, k + 1, z) / self.scale_v**k for k, z in enumerate(starts)]
+            alpha = self.shape["alpha_per_v"]
+            rows += [duhem_row(v, times * alpha, k) / self.scale_v ** (k - 1) for times, k in DUHEM_BANK]
         return rows
 
     def of_simulation(self, v: np.ndarray) -> list[np.ndarray]:
@@ -219,7 +222,7 @@ def bouc_wen(seen: DataRange, sigma: float) -> HysteresisModel:
     return HysteresisModel(thresholds(seen, *BESIDE), 1, reach_v(seen), bouc_wen=True, shape=shape)
 
 
-def duhem(seen: DataRange, alpha: float) -> HysteresisModel:
-    """Duhem states beside some plays."""
-    shape = {**IDENTITY, "alpha_per_v": alpha / reach_v(seen)}
-    return HysteresisModel(thresholds(seen, *BESIDE), 1, reach_v(seen), duhem=True, shape=shape)
+def duhem(seen: DataRange, fine: int = 10, even: int = 20, degree: int = 5) -> HysteresisModel:
+    """A bank of Duhem states beside a Preisach operator: also what does not close its loops."""
+    shape = {**IDENTITY, "alpha_per_v": LONGEST_MEMORY / reach_v(seen)}
+    return replace(preisach(seen, fine, even, degree), duhem=True, shape=shape)

@@ -85,7 +85,7 @@ def together(each: Sequence[Parameter], value: float) -> Parameter:
 
 def shape_parameters(final: Fit, spans: Sequence[tuple[float, float]]) -> list[Parameter]:
     """Numbers of the operator's own shape."""
-    units = {"sigma_v": "V", "alpha_per_v": "1/V"}
+    units = {"sigma_v": "V"}
     return [
         Parameter(slot.name, value_at(final.hypothesis, slot), units.get(slot.name, ""), span)
         for slot, span in zip(final.slots, spans, strict=True)

@@ -48,10 +48,15 @@ ALL = 300
 """Combinations of its rows, at most: with eighty of four hundred, two to three times the noise is left."""
 SAMPLES_A_PLAY = 10
 """Shorter recordings than so many samples for each of a hundred plays get ten plays."""
+TO_THE_END = 20
+"""Steps in which the numbers of a state are found from far away."""
 REJECTED = 3.0
 """A family of hysteresis that fits this many times worse than another is not tried again."""
 REWEIGHTED = 3
 """Times that the nominal is fitted, each with the weights that the last fit shows."""
+
+
+Larger = tuple[str, HysteresisModel, tuple[str, ...], int]
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,17 +131,20 @@ class Search(Exchange):
             tried = self.round(small)
             best = f"; best {tried[0].name}, {describe(tried[0])}" if tried else ""
             self.log(f"round {number}: {len(tried)} explanations fitted{best}")
-            chosen = self.simplest(
-                [o for o in tried if not self.faint(o.fit, small) and self.adequate(o.fit, small)]
-            )
-            history.append(Round(now, tuple(tried), chosen.name if chosen else None))
-            if chosen is None:
-                late = self.delayed(now)
-                if late is now:
-                    break
+            chosen = self.simplest(tried, small)
+            late = self.delayed(now) if chosen is None else now
+            if late is not now:
+                history.append(Round(now, tuple(tried), None))
                 now = self.backward(self.swapped(late))
                 self.log(f"  with {', '.join(now.hypothesis.names)}, and no other timing: {rms_of(now)}")
                 continue
+            if chosen is None:
+                # What has no wiping-out can do much that is physics of another kind: it comes last.
+                tried += self.growth(small, small, self.without_wiping_out())
+                chosen = self.simplest(tried, small)
+            history.append(Round(now, tuple(tried), chosen.name if chosen else None))
+            if chosen is None:
+                break
             larger = chosen.name.startswith(OPERATOR)
             grown = self.sized(chosen.fit) if larger else self.at_its_own_weights(chosen.fit)
             now = self.backward(self.swapped(self.realigned(grown)))
@@ -149,10 +157,16 @@ class Search(Exchange):
             now = refitted(self.chain, self.at_the_tick(now))
         return retuned, now, history
 
-    def simplest(self, tried: Sequence[Tried]) -> Tried | None:
+    def simplest(self, tried: Sequence[Tried], now: Fit) -> Tried | None:
         """The best of what earns its place. An effect where a larger hysteresis is no clearer; the larger
         hysteresis where the effect is one itself: a play behind plays is plays."""
-        earned = [one for one in tried if one.gain.probability > ACCEPTED]
+        earned = [
+            one
+            for one in tried
+            if one.gain.probability > ACCEPTED
+            and not self.faint(one.fit, now)
+            and self.adequate(one.fit, now)
+        ]
         if not earned:
             return None
         larger = [one for one in earned if one.name.startswith(OPERATOR)]
@@ -235,7 +249,7 @@ class Search(Exchange):
         fits = self.effects(now)
         leader = max([now, *(one for _, one in fits)], key=self.score)
         tried = [Tried(name, one, self.over(one, now, self.prior(now, one))) for name, one in fits]
-        tried += self.growth(now, leader)
+        tried += self.growth(now, leader, self.larger())
         return sorted([t for t in tried if self.inside(t.fit, now)], key=lambda t: -t.gain.nats)
 
     def effects(self, now: Fit) -> list[tuple[str, Fit]]:
@@ -328,27 +342,34 @@ class Search(Exchange):
             found += candidates_of(effect, records, starts, list(self.seen.aux))
         return found
 
-    def growth(self, now: Fit, leader: Fit) -> list[Tried]:
+    def larger(self) -> list[Larger]:
+        """What the hysteresis may grow to: families, the names of their numbers, steps of a fit."""
+        found: list[Larger] = [
+            ("preisach", preisach(self.seen), (), 2),
+            ("bouc_wen", bouc_wen(self.seen, 0.2), ("sigma_v", "beta", "exponent"), TO_THE_END),
+        ]
+        return [("prandtl_ishlinskii", self.plays(), (), 2), *found] if self.simulation else found
+
+    def without_wiping_out(self) -> list[Larger]:
+        """What it may grow to where nothing else is found."""
+        return [("duhem", duhem(self.seen), (), 2)]
+
+    def growth(self, now: Fit, leader: Fit, larger: Sequence[Larger]) -> list[Tried]:
         """A larger hysteresis in the place of the present one, fitted to the end where it may beat a fit.
 
         A state that is not linear in its numbers is only held against the present fit until it has the
         weights that it shows itself. What is larger has to beat the present one on the same terms.
         """
         h, found = now.hypothesis, list[tuple[str, Fit]]()
-        larger: list[tuple[str, HysteresisModel, tuple[str, ...], int]] = [
-            ("preisach", preisach(self.seen), (), 2),
-            ("bouc_wen", bouc_wen(self.seen, 0.2), ("sigma_v", "beta", "exponent"), 10),
-            ("duhem", duhem(self.seen, 2.0), ("alpha_per_v",), 6),
-        ]
-        if self.simulation:
-            larger.insert(0, ("prandtl_ishlinskii", self.plays(), (), 2))
         larger = [one for one in larger if one[0] not in {*self.rejected_families, h.nominal.family}]
         jobs: list[Job] = [
             (*basis(self.chain, self.on(h, nominal, shape), None, MANY), steps, ROUGH)
             for _, nominal, shape, steps in larger
         ]
         states = [k for k, (_, _, shape, _) in enumerate(larger) if shape]
-        fits = dict(zip(states, self.raced([jobs[k] for k in states], now), strict=True))
+        # A state far from its numbers is behind for many steps; once effects are there, only what keeps up.
+        heat = HEAT if self.added(now) else TO_THE_END
+        fits = dict(zip(states, self.raced([jobs[k] for k in states], now, heat), strict=True))
         rest = [k for k in range(len(larger)) if k not in fits]
         fits |= dict(zip(rest, self.raced([jobs[k] for k in rest], leader), strict=True))
         for k, (family, *_) in enumerate(larger):
@@ -369,15 +390,15 @@ class Search(Exchange):
 
     def on(self, h: Hypothesis, nominal: HysteresisModel, shape: tuple[str, ...]) -> Hypothesis:
         """A hypothesis on another hysteresis, whose state starts anywhere if recordings have a history."""
-        remembers = nominal.bouc_wen or nominal.duhem
-        return h.on(nominal, shape, (0.0,) * (len(self.chain.records) * remembers))
+        return h.on(nominal, shape, (0.0,) * (len(self.chain.records) * nominal.bouc_wen))
 
     def sized(self, now: Fit) -> Fit:
-        """A Preisach operator with as many numbers as predict best."""
+        """Plays through output functions, with as many numbers as predict best."""
         h = now.hypothesis
-        if h.nominal.family != "preisach":
+        if h.nominal.degree == 1:
             return now
-        larger = [h.on(preisach(self.seen, *size)) for size in PREISACH]
+        of_family = duhem if h.nominal.duhem else preisach
+        larger = [h.on(of_family(self.seen, *size)) for size in PREISACH]
         jobs: list[Job] = [(*basis(self.chain, one, None, ALL), 2, FINE) for one in larger]
         return max([now, *map(self.at_its_own_weights, self.fits(jobs))], key=self.score)
 

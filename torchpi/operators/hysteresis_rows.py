@@ -5,7 +5,8 @@ Three families, each linear in its weights once the rows stand:
 - generalised plays (Prandtl–Ishlinskii, and Preisach in play form through output functions),
   h = max{v_up - r, min{v_down + r, h}};
 - Bouc–Wen, dz/dv = 1/σ [1 - |z|ⁿ (γ + β sgn(z dv))], β + γ = 1 (Ikhouane and Rodellar, 2007, normalised);
-- Duhem after Coleman and Hodgdon (1986), dz = α|dv| (f(v) - z) with f a power of v.
+- a bank of Duhem states after Coleman and Hodgdon (1986), dz = α|dv| (f(v) - z) with f a power of v: loops
+  that move as they are repeated, which plays never do.
 """
 
 import math
@@ -19,6 +20,9 @@ from torchpi.operators.generalised_play import clamp_play
 _clamp_play: Any = numba.njit(clamp_play)
 TOGETHER = 128
 """Samples of many sums that are written at a time: they stay in the cache."""
+DUHEM_BANK = tuple((times, power) for times in (1.0, 3.0, 10.0, 30.0, 100.0) for power in (1, 2, 3, 4))
+"""Of each state of a bank its α over the smallest, and the power of v: any α in between, and any smooth f, is
+all but a sum of these."""
 
 
 def bend(v: float, asymmetry_per_v: float) -> float:
@@ -215,10 +219,10 @@ def bouc_wen_row(v: np.ndarray, sigma: float, beta: float, n: float, start: floa
 
 
 @numba.njit(cache=True)
-def duhem_row(v: np.ndarray, alpha: float, power: int, start: float) -> np.ndarray:
-    """(time,), z from v = 0, where it was `start`."""
+def duhem_row(v: np.ndarray, alpha: float, power: int) -> np.ndarray:
+    """(time,), z from v = 0, where it was 0."""
     row = np.empty(len(v))
-    z, before = start, 0.0
+    z, before = 0.0, 0.0
     for t in range(len(v)):
         z = _duhem(z, v[t], before, alpha, power)
         row[t] = z

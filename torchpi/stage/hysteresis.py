@@ -1,6 +1,6 @@
 """The hysteresis of a diagnosis as one operator: plays through output functions, Bouc–Wen, Duhem.
 
-    y = Σ_p Σ_i w_pi x_i (x_i / s)^p + w z + Σ_k w_k d_k / s^(k-1) + w_0
+    y = Σ_p Σ_i w_pi x_i (x_i / s)^p + w z + Σ_jk w_jk d_jk / s^(k-1) + w_0
 
     h_i = max{v + a v² - r_i β(v̇), min{v - a v² + r_i β(v̇), h_i}},    β = 1 + b |v̇|
     x_i = c v + (h_i g_i - c v) (1 + l),    l = γ ln(1 + |v̇| / v̇₀)
@@ -9,9 +9,9 @@
 With `relaxation_s` each play of r_i > 0 relaxes to where h_i would stand:
 `torchpi.stage.effects.actuator.relaxing_plays`.
 
-z is a Bouc–Wen state, d_1 to d_3 are Duhem states; `torchpi.operators.hysteresis_rows` has their equations,
-and the sources. v̇ is the difference to the sample before over T, through a low-pass of `rate_filter_s`: the
-sample rate enters nowhere else.
+z is a Bouc–Wen state, d_jk are those of a bank of Duhem states; `torchpi.operators.hysteresis_rows` has their
+equations, and the sources. v̇ is the difference to the sample before over T, through a low-pass of
+`rate_filter_s`: the sample rate enters nowhere else.
 """
 
 import math
@@ -26,6 +26,7 @@ from torchpi.errors import StageError
 from torchpi.operators.base import Operator
 from torchpi.operators.generalised_play import clamp_play
 from torchpi.operators.hysteresis_rows import (
+    DUHEM_BANK,
     bend,
     bouc_wen,
     duhem,
@@ -56,14 +57,13 @@ IDENTITY = {
 OF_BOUC_WEN = ("sigma_v", "beta", "exponent")
 OF_DUHEM = ("alpha_per_v",)
 NOT_TRAINED = ("rate_filter_s", *OF_BOUC_WEN, *OF_DUHEM)
-DUHEM_STATES = 3
 MOST_PLAYS = 10_000
 
 
 class Hysteresis(Operator):
     """A rate-independent hysteresis, and what effects inside it make of it.
 
-    The state: one h for each play, the last voltage, the filtered rate, then z and d_1 to d_3 as far as they
+    The state: one h for each play, the last voltage, the filtered rate, then z and the d_jk as far as they
     are there. Weights and shape are trained, but for `rate_filter_s` and the shapes of z and d, which are
     plain numbers. The derivative by the asymmetry at exactly 0 is that from above: below it, the play with
     r = 0 has memory. At exactly 0 `relaxation_s` has no gradient.
@@ -71,8 +71,8 @@ class Hysteresis(Operator):
     Args:
         sample_period_s: T.
         thresholds_v: r, none negative.
-        weights: w, as many as plays × `degree` (all of one power, then the next), then those of z, of d_1 to
-            d_3, and the constant.
+        weights: w, as many as plays × `degree` (all of one power, then the next), then those of z, of the
+            d_jk, and the constant.
         degree: Of the output functions; 1 is a weighted sum.
         scale_v: s.
         bouc_wen: Whether z is there.
@@ -125,7 +125,7 @@ class Hysteresis(Operator):
     @property
     def others(self) -> int:
         """States that are no plays, as many as their weights."""
-        return self.bouc_wen + DUHEM_STATES * self.duhem
+        return self.bouc_wen + len(DUHEM_BANK) * self.duhem
 
     def shape(self) -> dict[str, float]:
         """The present parameters inside."""
@@ -227,9 +227,9 @@ class Hysteresis(Operator):
             numbers = tuple(fixed[name] for name in OF_BOUC_WEN)
             found.append((BOUC_WEN, numbers, 1.0))
         if self.duhem:
-            for k in range(DUHEM_STATES):
-                numbers = (fixed["alpha_per_v"], k + 1.0, 0.0)
-                found.append((DUHEM, numbers, self.scale_v**k))
+            for times, power in DUHEM_BANK:
+                numbers = (fixed["alpha_per_v"] * times, float(power), 0.0)
+                found.append((DUHEM, numbers, self.scale_v ** (power - 1)))
         return found
 
 
@@ -240,6 +240,9 @@ class HysteresisStream(nn.Module):
     w: list[float]
     h: list[float]
     d: list[float]
+    alpha: list[float]
+    power: list[int]
+    scales: list[float]
 
     def __init__(self, hysteresis: Hysteresis) -> None:
         super().__init__()
@@ -255,8 +258,10 @@ class HysteresisStream(nn.Module):
         self.loop, self.reference = shape["loop_per_e"], shape["reference_rate_v_s"]
         self.chord, self.straight = shape["chord_share"], shape["straight_share"]
         self.sigma, self.beta, self.exponent = (shape[name] for name in OF_BOUC_WEN)
-        self.alpha = shape["alpha_per_v"]
-        self.h, self.d = [0.0] * len(self.r), [0.0] * DUHEM_STATES
+        self.alpha = [shape["alpha_per_v"] * times for times, _ in DUHEM_BANK]
+        self.power = [power for _, power in DUHEM_BANK]
+        self.scales = [self.scale ** (power - 1) for power in self.power]
+        self.h, self.d = [0.0] * len(self.r), [0.0] * len(DUHEM_BANK)
         self.z = 0.0
         self.before = 0.0
         self.rate = 0.0
@@ -298,11 +303,9 @@ class HysteresisStream(nn.Module):
             y = y + self.w[place] * (z + z * loop)
             place += 1
         if self.has_duhem:
-            scale = 1.0
             for k in range(len(self.d)):
-                self.d[k] = duhem(self.d[k], x, self.before, self.alpha, k + 1)
-                y = y + self.w[place] * (self.d[k] / scale)
-                scale = scale * self.scale
+                self.d[k] = duhem(self.d[k], x, self.before, self.alpha[k], self.power[k])
+                y = y + self.w[place] * (self.d[k] / self.scales[k])
                 place += 1
         self.before = x
         return y + self.w[place]
