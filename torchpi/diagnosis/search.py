@@ -140,7 +140,8 @@ class Search(Exchange):
                 continue
             if chosen is None:
                 # What has no wiping-out can do much that is physics of another kind: it comes last.
-                tried += self.growth(small, small, self.without_wiping_out())
+                last = self.growth(small, small, self.without_wiping_out())
+                tried += [one for one in last if self.inside(one.fit, small)]
                 chosen = self.simplest(tried, small)
             history.append(Round(now, tuple(tried), chosen.name if chosen else None))
             if chosen is None:
