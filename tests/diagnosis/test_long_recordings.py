@@ -46,3 +46,17 @@ def test_a_step_has_no_overshoot(monkeypatch):
     one.u[:] = np.where(np.arange(40_000) < 20_001, 1.0, 4.0)
     (kept,), _, _ = at_a_lower_rate([one], [np.zeros(0, int)])
     assert (np.diff(kept.u) >= 0).all() and kept.u.min() == 1.0 and kept.u.max() == 4.0
+
+
+def test_a_fast_voltage_is_cut_short_where_its_means_would_turn_elsewhere(monkeypatch):
+    """A play sees every turning point: of a chirp to a tenth of the sample rate means of two have others."""
+    monkeypatch.setattr(long_recordings, "AT_MOST", 30_000)
+    slow, chirp = recording(20_000), recording(20_000)
+    chirp.u[:] = 5 * np.sin(2 * np.pi * 0.05 * np.arange(20_000) ** 2 / 20_000)
+    (means, first), (_, left), (averaged, cut) = at_a_lower_rate(
+        [slow, chirp], [np.zeros(0, int), np.array([7, 15_000])]
+    )
+    assert means.fs_hz == 5e3 and "means of 2" in averaged
+    assert first.fs_hz == 1e4 and np.array_equal(first.u, chirp.u[:10_000]) and left.tolist() == [7]
+    assert first.aux["aux_v"].shape == first.simulated.shape == first.u.shape
+    assert "the first 1 s of 2 s" in cut and "too fast" in cut

@@ -1,7 +1,7 @@
-"""Long recordings at a lower rate: a search works on as many samples as it can fit in a minute or so."""
+"""Long recordings at a lower rate, or their beginning: a search works on what fits in about a minute."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -12,14 +12,19 @@ AT_MOST = 200_000
 """Samples of all recordings together."""
 LEAST = 2_000
 """Samples of a recording that stays as it is."""
+FAST = 0.05
+"""Rms of a voltage within the samples of a mean, over its own, from which it is too fast for means: of a sine
+they lose some half of its square, here 0.1 %, at each turning point."""
 
 
 def at_a_lower_rate(
     recordings: Sequence[Recording], dropouts: Sequence[np.ndarray]
 ) -> tuple[list[Recording], list[np.ndarray], tuple[str, ...]]:
-    """The recordings as means of so many samples at a time that together they are `AT_MOST`; and a note.
+    """The recordings as means of so many samples at a time that together they are `AT_MOST`, those of a fast
+    voltage by as many of their first samples; and notes.
 
-    A mean over a block has no overshoot at a step, so that no play sees a reversal that was none.
+    A mean over a block has no overshoot at a step, so that no play sees a reversal that was none. But a play
+    sees every turning point, and means of a fast voltage have others.
 
     Args:
         recordings: One or more.
@@ -27,29 +32,52 @@ def at_a_lower_rate(
             value of the reading before.
 
     Returns:
-        The recordings, the dropouts that are left in them, and a sentence for the report, if any changed.
+        The recordings, the dropouts that are left in them, and sentences for the report on what changed.
     """
     samples = sum(len(recording) for recording in recordings)
     if samples <= AT_MOST:
         return list(recordings), list(dropouts), ()
     factor = math.ceil(samples / AT_MOST)
-    kept, left = [], []
+    kept, left, averaged, notes = [], [], [], []
     for recording, wrong in zip(recordings, dropouts, strict=True):
-        if len(recording) < LEAST * factor:
+        count = len(recording) // factor
+        if count < LEAST:
             kept.append(recording)
             left.append(wrong)
-            continue
-        good = np.ones(len(recording), dtype=bool)
-        good[wrong] = False
-        last = np.maximum.accumulate(np.where(good, np.arange(len(recording)), 0))
-        kept.append(_means(replace(recording, y=recording.y[last]), factor))
-        left.append(np.zeros(0, dtype=int))
-    fastest = max(recording.fs_hz for recording in kept) / 2
-    note = (
-        f"{samples:,} samples: worked on as means of {factor} at a time; nothing faster than "
-        f"{fastest:.3g} Hz was looked for. An excerpt of a recording shows that."
-    )
-    return kept, left, (note,)
+        elif fast(recording.u, factor):
+            kept.append(_first(recording, count))
+            left.append(wrong[wrong < count])
+            notes.append(
+                f"{recording.name}: the first {count / recording.fs_hz:.4g} s of "
+                f"{len(recording) / recording.fs_hz:.4g} s; its voltage is too fast for means of {factor}."
+            )
+        else:
+            good = np.ones(len(recording), dtype=bool)
+            good[wrong] = False
+            last = np.maximum.accumulate(np.where(good, np.arange(len(recording)), 0))
+            kept.append(_means(replace(recording, y=recording.y[last]), factor))
+            left.append(np.zeros(0, dtype=int))
+            averaged.append(kept[-1])
+    if averaged:
+        fastest = max(recording.fs_hz for recording in averaged) / 2
+        notes.insert(
+            0,
+            f"{samples:,} samples: worked on as means of {factor} at a time; nothing faster than "
+            f"{fastest:.3g} Hz was looked for. An excerpt of a recording shows that.",
+        )
+    return kept, left, tuple(notes)
+
+
+def fast(u: np.ndarray, factor: int) -> bool:
+    """Whether a voltage, (time,), moves much within so many samples."""
+    blocks = u[: len(u) // factor * factor].astype(np.float64).reshape(-1, factor)
+    within = blocks - blocks.mean(1, keepdims=True)
+    return bool(within.std() > FAST * blocks.std())
+
+
+def _first(recording: Recording, count: int) -> Recording:
+    """So many samples from its beginning, where the history is known."""
+    return _of_each(recording, recording.fs_hz, lambda x: x[:count])
 
 
 def _means(recording: Recording, factor: int) -> Recording:
@@ -60,9 +88,14 @@ def _means(recording: Recording, factor: int) -> Recording:
         found: np.ndarray = x[:whole].astype(np.float64).reshape(-1, factor).mean(1)
         return found
 
+    return _of_each(recording, recording.fs_hz / factor, means)
+
+
+def _of_each(recording: Recording, fs_hz: float, of: Callable[[np.ndarray], np.ndarray]) -> Recording:
+    """The same with a function of each of its columns."""
     simulated = recording.simulated
     return replace(
-        recording, t=means(recording.t), u=means(recording.u), y=means(recording.y),
-        fs_hz=recording.fs_hz / factor, aux={name: means(x) for name, x in recording.aux.items()},
-        simulated=None if simulated is None else means(simulated),
+        recording, t=of(recording.t), u=of(recording.u), y=of(recording.y), fs_hz=fs_hz,
+        aux={name: of(x) for name, x in recording.aux.items()},
+        simulated=None if simulated is None else of(simulated),
     )  # fmt: skip
