@@ -7,17 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.signal import lfilter
 
-from tests.diagnosis.plants import (
-    NOISE_UM,
-    Signal,
-    Step,
-    creep,
-    lag,
-    multisine,
-    record,
-    stairs,
-    triangles,
-)
+from tests.diagnosis.plants import NOISE_UM, Signal, Step, creep, lag, multisine, record, stairs, triangles
 from tests.diagnosis.prepared import prepared
 from torchpi.cli.predict import predict
 from torchpi.diagnosis.chain import Chain

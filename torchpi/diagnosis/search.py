@@ -33,6 +33,7 @@ from torchpi.stage.effects.mechanics.cross_coupling import CrossCoupling
 from torchpi.stage.effects.mechanics.resonance import Resonance
 from torchpi.stage.effects.mechanics.second_mode import SecondMode
 from torchpi.stage.effects.mechanics.stiction import Stiction
+from torchpi.stage.hysteresis import OF_BOUC_WEN
 
 ROUNDS = 7
 FORMS, STARTS = 3, 2
@@ -54,9 +55,6 @@ REJECTED = 3.0
 """A family of hysteresis that fits this many times worse than another is not tried again."""
 REWEIGHTED = 3
 """Times that the nominal is fitted, each with the weights that the last fit shows."""
-
-
-Larger = tuple[str, HysteresisModel, tuple[str, ...], int]
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,7 +138,7 @@ class Search(Exchange):
                 continue
             if chosen is None:
                 # What has no wiping-out can do much that is physics of another kind: it comes last.
-                last = self.growth(small, small, self.without_wiping_out())
+                last = self.growth(small, small, [duhem(self.seen)])
                 tried += [one for one in last if self.inside(one.fit, small)]
                 chosen = self.simplest(tried, small)
             history.append(Round(now, tuple(tried), chosen.name if chosen else None))
@@ -343,37 +341,30 @@ class Search(Exchange):
             found += candidates_of(effect, records, starts, list(self.seen.aux))
         return found
 
-    def larger(self) -> list[Larger]:
-        """What the hysteresis may grow to: families, the names of their numbers, steps of a fit."""
-        found: list[Larger] = [
-            ("preisach", preisach(self.seen), (), 2),
-            ("bouc_wen", bouc_wen(self.seen, 0.2), ("sigma_v", "beta", "exponent"), TO_THE_END),
-        ]
-        return [("prandtl_ishlinskii", self.plays(), (), 2), *found] if self.simulation else found
+    def larger(self) -> list[HysteresisModel]:
+        """What the hysteresis may grow to."""
+        found = [preisach(self.seen), bouc_wen(self.seen, 0.2)]
+        return [self.plays(), *found] if self.simulation else found
 
-    def without_wiping_out(self) -> list[Larger]:
-        """What it may grow to where nothing else is found."""
-        return [("duhem", duhem(self.seen), (), 2)]
-
-    def growth(self, now: Fit, leader: Fit, larger: Sequence[Larger]) -> list[Tried]:
+    def growth(self, now: Fit, leader: Fit, larger: Sequence[HysteresisModel]) -> list[Tried]:
         """A larger hysteresis in the place of the present one, fitted to the end where it may beat a fit.
 
         A state that is not linear in its numbers is only held against the present fit until it has the
         weights that it shows itself. What is larger has to beat the present one on the same terms.
         """
         h, found = now.hypothesis, list[tuple[str, Fit]]()
-        larger = [one for one in larger if one[0] not in {*self.rejected_families, h.nominal.family}]
+        larger = [one for one in larger if one.family not in {*self.rejected_families, h.nominal.family}]
         jobs: list[Job] = [
-            (*basis(self.chain, self.on(h, nominal, shape), None, MANY), steps, ROUGH)
-            for _, nominal, shape, steps in larger
+            (*basis(self.chain, self.on(h, one), None, MANY), TO_THE_END if one.bouc_wen else 2, ROUGH)
+            for one in larger
         ]
-        states = [k for k, (_, _, shape, _) in enumerate(larger) if shape]
+        states = [k for k, one in enumerate(larger) if one.bouc_wen]
         # A state far from its numbers is behind for many steps; once effects are there, only what keeps up.
         heat = HEAT if self.added(now) else TO_THE_END
         fits = dict(zip(states, self.raced([jobs[k] for k in states], now, heat), strict=True))
         rest = [k for k in range(len(larger)) if k not in fits]
         fits |= dict(zip(rest, self.raced([jobs[k] for k in rest], leader), strict=True))
-        for k, (family, *_) in enumerate(larger):
+        for k, family in enumerate(nominal.family for nominal in larger):
             one = fits[k]
             # A correction beside a given simulation takes what the effects leave: it is not weighed anew.
             # What an effect beats by far waits for the next round.
@@ -389,9 +380,11 @@ class Search(Exchange):
             now = max(now, self.at_its_own_weights(refitted(self.chain, now)), key=self.score)
         return [Tried(name, one, self.over(one, now, PRIOR)) for name, one in found]
 
-    def on(self, h: Hypothesis, nominal: HysteresisModel, shape: tuple[str, ...]) -> Hypothesis:
+    def on(self, h: Hypothesis, nominal: HysteresisModel) -> Hypothesis:
         """A hypothesis on another hysteresis, whose state starts anywhere if recordings have a history."""
-        return h.on(nominal, shape, (0.0,) * (len(self.chain.records) * nominal.bouc_wen))
+        if not nominal.bouc_wen:
+            return h.on(nominal)
+        return h.on(nominal, OF_BOUC_WEN, (0.0,) * len(self.chain.records))
 
     def sized(self, now: Fit) -> Fit:
         """Plays through output functions, with as many numbers as predict best."""

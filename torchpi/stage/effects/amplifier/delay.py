@@ -21,7 +21,8 @@ from torchpi.operators.delay import DelayLineStream, delay_line
 from torchpi.operators.quantity import Quantity
 from torchpi.stage.effects.effect import DataRange, LinearEffect, Parameters, parameter
 
-LONGEST_S = 0.01
+LONGEST_S = 0.1  # in a fit
+USUAL_S = 0.01  # that a line holds of a shorter delay
 MOST_SAMPLES = 1_000_000  # that the line holds
 
 
@@ -40,7 +41,7 @@ class Delay(LinearEffect):
     time_scale = "fast"
     delays = True
     commutes = True
-    delay_s: nn.Parameter = parameter("s", at_least=0.0, at_most=0.1)
+    delay_s: nn.Parameter = parameter("s", at_least=0.0, at_most=LONGEST_S)
     after_lag: nn.Parameter = parameter("", at_least=0.0, at_most=1.0)
     accepted: ClassVar[dict[str, Quantity]] = {"delay_s": Quantity("s", at_least=0.0)}
     kinds = ("after_lag",)
@@ -71,7 +72,7 @@ class Delay(LinearEffect):
         return p, 1 - p
 
     def initial_state(self, batch: int) -> Tensor:
-        longest_s = max(LONGEST_S, self.delay_s.item())
+        longest_s = max(USUAL_S, self.delay_s.item())
         return torch.zeros(batch, math.floor(longest_s / self.sample_period_s) + 2, dtype=torch.float64)
 
     def forward(
@@ -94,6 +95,6 @@ class Delay(LinearEffect):
 
     @classmethod
     def starts(cls, seen: DataRange) -> list[Parameters]:
-        longest_s = min(cls.quantities["delay_s"].at_most, seen.duration_s / 10)
+        longest_s = min(LONGEST_S, seen.duration_s / 10)
         tried = [samples / seen.fs_hz for samples in (0.5, 1.0, 2.0, 5.0, 10.0, 20.0)]
         return [{"delay_s": delay_s} for delay_s in tried if delay_s < longest_s]
