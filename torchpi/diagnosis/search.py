@@ -283,8 +283,13 @@ class Search(Exchange):
             by_name.setdefault(name, []).append(one)
         forms = {name: sorted(each, key=self.worth, reverse=True) for name, each in by_name.items()}
         found = {name: each[0] for name, each in forms.items()}
-        best_first = sorted(found, key=lambda name: -self.score(found[name]))
-        unclear = [name for name in best_first[:FINISHED] if self.near(found[name], found[best_first[0]])]
+        leader = max(found.values(), key=self.score, default=now)
+        # Where other numbers have to move as well, two steps keep little of what the screen promised.
+        hoped = {name: self.score(one) for name, one in found.items()}
+        for name, c in chosen:
+            hoped[name] = max(hoped[name], self.score(now) + c.gain)
+        best_first = sorted(found, key=lambda name: -hoped[name])[:FINISHED]
+        unclear = [n for n in best_first if self.near(found[n], leader) or hoped[n] > self.score(leader)]
         for place in range(FORMS):
             rest: list[Job] = [
                 (forms[n][place].hypothesis, forms[n][place].weights, STEPS, ROUGH) for n in unclear
@@ -292,7 +297,7 @@ class Search(Exchange):
             found.update(zip(unclear, self.fits(rest, now), strict=True))
             # A form of more numbers may run into a bound where it becomes a simpler one.
             unclear = [n for n in unclear if not self.inside(found[n], now) and len(forms[n]) > place + 1]
-        fits = [(name, found[name]) for name in best_first[:FINISHED]]
+        fits = [(name, found[name]) for name in best_first]
         if {effect.name for effect in (CrossCoupling, Resonance, SecondMode)} & (barred | self.given):
             return fits
         return [*fits, *driven_modes(self.chain, now, [one for _, one in fits], ROUGH)]
