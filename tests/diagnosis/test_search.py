@@ -15,7 +15,13 @@ def test_a_refit_is_taken_where_it_leaves_less_and_runs_into_no_bound(
     bounded: tuple[str, ...], rms: float, taken: bool
 ) -> None:
     before, after = (
-        SimpleNamespace(bounded=each, train_rms=size, hypothesis=SimpleNamespace(members=()), weights=None)
+        SimpleNamespace(
+            bounded=each,
+            on_a_bound=[SimpleNamespace(name=name, member=-1) for name in each],
+            train_rms=size,
+            hypothesis=SimpleNamespace(members=()),
+            weights=None,
+        )
         for each, size in (((), 1.0), (bounded, rms))
     )
     search = object.__new__(Search)

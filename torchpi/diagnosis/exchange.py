@@ -30,7 +30,7 @@ class Exchange(Timing):
                 continue
             beside = [j for j in added if j != k and shared_out_among(h.members[j], member)]
             for other in self.starts:
-                if other.effect is member.effect and other.aux == member.aux and form(other) != form(member):
+                if other.effect is member.effect and other.aux == member.aux and other.form != member.form:
                     for gone in (frozenset({k}), *(frozenset({k, j}) for j in beside)):
                         instead.setdefault(gone, []).append(other)
                 elif alike(other, member) and other.effect.name not in h.names:
@@ -44,7 +44,7 @@ class Exchange(Timing):
         bare = self.fits([(less, now.weights, 0, ROUGH) for less in without], now)
         screens = list(zip(bare, instead.values(), strict=True))
         for less, screened in zip(without, screen_all(self.chain, screens, self.executor), strict=True):
-            best = {kind(c.member): c.member for c in sorted(screened, key=lambda c: c.gain)}
+            best = {c.member.kind: c.member for c in sorted(screened, key=lambda c: c.gain)}
             jobs += [(less.plus(member), now.weights, STEPS, ROUGH) for member in best.values()]
         fits = self.raced(jobs, now, 2 * HEAT)
         chosen = max([now, *(one for one in fits if self.inside(one, now))], key=self.worth)
@@ -62,7 +62,7 @@ class Exchange(Timing):
         h = now.hypothesis
         given = [member for member in h.members if member.effect.name in self.given]
         absent = [member for member in self.starts if member.effect.name not in h.names and not member.own]
-        kinds = {(one.effect, form(one)): one for one in (*absent, *given) if one.shared}
+        kinds = {(one.effect, one.form): one for one in (*absent, *given) if one.shared}
         return [
             (replace(less.plus(moved), alignment=alignment), now.weights, 2 * STEPS, ROUGH)
             for added in h.members
@@ -78,7 +78,7 @@ class Exchange(Timing):
         """The starts of each form of each effect."""
         found: dict[tuple[object, ...], list[EffectTerm]] = {}
         for member in self.starts:
-            found.setdefault(kind(member), []).append(member)
+            found.setdefault(member.kind, []).append(member)
         return list(found.values())
 
 
@@ -90,16 +90,6 @@ def alike(one: EffectTerm, other: EffectTerm) -> bool:
 def shared_out_among(one: EffectTerm, other: EffectTerm) -> bool:
     """Whether two effects may share what one of them in another form explains alone."""
     return alike(one, other) or one.effect.time_scale == other.effect.time_scale == "slow"
-
-
-def kind(member: EffectTerm) -> tuple[object, ...]:
-    """What all starts of one form of an effect have in common."""
-    return (member.effect, member.aux, form(member))
-
-
-def form(member: EffectTerm) -> tuple[str, ...]:
-    """The numbers that are fitted tell one form of an effect from another."""
-    return tuple(sorted({*member.shared, *(n for own in member.own for n in own)}))
 
 
 def rms_of(one: Fit) -> str:

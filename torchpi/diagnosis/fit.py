@@ -131,7 +131,7 @@ def fit(
     return Fit(
         current, weights, slots, theta, residuals,
         rms(records, residuals, True), rms(records, residuals, False),
-        tuple(s.name for s, t in zip(slots, theta, strict=True) if at_bound(s, t)),
+        tuple(s for s, t in zip(slots, theta, strict=True) if at_bound(s, t)),
         left_out(chain, residuals, parts, prior),
     )  # fmt: skip
 

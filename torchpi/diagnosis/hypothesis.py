@@ -23,6 +23,16 @@ class EffectTerm:
     aux: str = ""
     """The auxiliary signal that it takes."""
 
+    @property
+    def form(self) -> tuple[str, ...]:
+        """The numbers that are fitted tell one form of an effect from another."""
+        return tuple(sorted({*self.shared, *(name for own in self.own for name in own)}))
+
+    @property
+    def kind(self) -> tuple[object, ...]:
+        """What all starts of one form of an effect have in common."""
+        return (self.effect, self.aux, self.form)
+
     def values(self, record: int) -> Parameters:
         return {**self.shared, **(self.own[record] if self.own else {})}
 
@@ -119,7 +129,12 @@ class Fit:
     """(time,) for each record, train and held out, µm."""
     train_rms: float
     heldout_rms: float
-    bounded: tuple[str, ...]
-    """Parameters that ended on a bound."""
+    on_a_bound: tuple[FreeParameter, ...]
+    """Those of the slots that ended there."""
     left_out_um2: np.ndarray
     """(cells,): mean square of each cell, each coefficient predicted by the fit without it."""
+
+    @property
+    def bounded(self) -> tuple[str, ...]:
+        """The names of what ended on a bound."""
+        return tuple(slot.name for slot in self.on_a_bound)

@@ -33,6 +33,8 @@ class Candidate:
     """With the size that explains most, to first order."""
     gain: float
     """Nats that it could gain, to first order."""
+    at_once: float
+    """Those that it gains with the numbers that it has, to first order in the others."""
 
 
 class Screen:
@@ -66,22 +68,19 @@ class Screen:
         directions = [self.directions(member) for member in members]
         left = self.off_tangent(np.concatenate(directions))
         parts = np.split(left, np.cumsum([len(each) for each in directions])[:-1])
-        return [
-            Candidate(
-                self.of_the_best_size(member, part),
-                self.gain(part, not (signed(member) or member.effect.hold)),
-            )
-            for member, part in zip(members, parts, strict=True)
-        ]
+        return [self.candidate(member, part) for member, part in zip(members, parts, strict=True)]
 
-    def of_the_best_size(self, member: EffectTerm, off_tangent: np.ndarray) -> EffectTerm:
-        """The member with the numbers that say how much there is of it times what the first of its
-        directions, (directions, coefficients), is to be multiplied with."""
-        first = off_tangent[0]
-        sizes = sizes_of(member)
-        if not sizes or not first.any():
-            return member
-        factor = float(np.clip((first @ self.left) / (first @ first), *RESIZED))
+    def candidate(self, member: EffectTerm, off_tangent: np.ndarray) -> Candidate:
+        """A start whose directions these are, (directions, coefficients)."""
+        first, factor = off_tangent[0], 1.0
+        gain = self.gain(off_tangent, not (signed(member) or member.effect.hold))
+        if (sizes := sizes_of(member)) and first.any():
+            factor = float(np.clip((first @ self.left) / (first @ first), *RESIZED))
+            member = self.resized(member, sizes, factor)
+        return Candidate(member, gain, gain if signed(member) else self.gained(self.left - factor * first))
+
+    def resized(self, member: EffectTerm, sizes: Sequence[str], factor: float) -> EffectTerm:
+        """The member with the numbers that say how much there is of it, times a factor."""
         bounds = member.effect.quantities
         return replace(
             member,
@@ -115,9 +114,11 @@ class Screen:
         coefficients = np.linalg.solve(unit, right / spread) / spread
         if one_sided and coefficients[0] < 0:
             return 0.0
-        after = self.left - coefficients @ off_tangent[alive]
-        gained = self.chain.weighting.of_squares(self.squares(after)) - self.before
-        return float(gained.sum())
+        return self.gained(self.left - coefficients @ off_tangent[alive])
+
+    def gained(self, whitened: np.ndarray) -> float:
+        """Nats that a whitened residual, (coefficients,), is ahead of the present one."""
+        return float((self.chain.weighting.of_squares(self.squares(whitened)) - self.before).sum())
 
     def directions(self, member: EffectTerm) -> np.ndarray:
         """What it adds from its start, (directions, coefficients)."""

@@ -14,7 +14,7 @@ import numpy as np
 from torchpi.diagnosis.chain import Chain
 from torchpi.diagnosis.contest import ACCEPTED, HEAT, PRIOR, STEPS
 from torchpi.diagnosis.coverage import reason_to_leave_out
-from torchpi.diagnosis.exchange import Exchange, form, rms_of
+from torchpi.diagnosis.exchange import Exchange, rms_of
 from torchpi.diagnosis.fit import FINE, ROUGH
 from torchpi.diagnosis.hypothesis import EffectTerm, Fit, Hypothesis
 from torchpi.diagnosis.hysteresis_model import HysteresisModel, bouc_wen, duhem, many_plays, plain, preisach
@@ -267,8 +267,13 @@ class Search(Exchange):
             member = candidate.member
             # What is seen only where it begins, as a limit is, may show nothing to first order.
             if candidate.gain > -PRIOR or (candidate.gain > 0 and member.effect.name not in best):
-                best.setdefault(member.effect.name, {}).setdefault(form(member), candidate)
+                best.setdefault(member.effect.name, {}).setdefault(member.form, candidate)
         chosen = [(name, c) for name in list(best)[:TRIED] for c in list(best[name].values())[:FORMS]]
+        # What could gain most, if there were less or more of it, may be far from where it does gain.
+        ready = {c.member.effect.name: c for c in sorted(screened, key=lambda c: c.at_once) if c.at_once > 0}
+        chosen += [
+            (name, c) for name in list(best)[:TRIED] if (c := ready.get(name)) and (name, c) not in chosen
+        ]
         names = [name for name, _ in chosen]
         jobs: list[Job] = [(now.hypothesis.plus(c.member), now.weights, HEAT, ROUGH) for _, c in chosen]
         # What delays is taken for the convention of timing until it is fitted.
@@ -284,12 +289,11 @@ class Search(Exchange):
         forms = {name: sorted(each, key=self.worth, reverse=True) for name, each in by_name.items()}
         found = {name: each[0] for name, each in forms.items()}
         leader = max(found.values(), key=self.score, default=now)
+        best_first = sorted(found, key=lambda name: -self.score(found[name]))
         # Where other numbers have to move as well, two steps keep little of what the screen promised.
-        hoped = {name: self.score(one) for name, one in found.items()}
-        for name, c in chosen:
-            hoped[name] = max(hoped[name], self.score(now) + c.gain)
-        best_first = sorted(found, key=lambda name: -hoped[name])[:FINISHED]
-        unclear = [n for n in best_first if self.near(found[n], leader) or hoped[n] > self.score(leader)]
+        promised = [name for name, c in chosen if self.score(now) + c.at_once > self.score(leader)]
+        finished = list(dict.fromkeys([*best_first[:FINISHED], *promised]))
+        unclear = [name for name in finished if name in promised or self.near(found[name], leader)]
         for place in range(FORMS):
             rest: list[Job] = [
                 (forms[n][place].hypothesis, forms[n][place].weights, STEPS, ROUGH) for n in unclear
@@ -297,7 +301,7 @@ class Search(Exchange):
             found.update(zip(unclear, self.fits(rest, now), strict=True))
             # A form of more numbers may run into a bound where it becomes a simpler one.
             unclear = [n for n in unclear if not self.inside(found[n], now) and len(forms[n]) > place + 1]
-        fits = [(name, found[name]) for name in best_first]
+        fits = [(name, found[name]) for name in finished]
         if {effect.name for effect in (CrossCoupling, Resonance, SecondMode)} & (barred | self.given):
             return fits
         return [*fits, *driven_modes(self.chain, now, [one for _, one in fits], ROUGH)]
@@ -387,6 +391,8 @@ class Search(Exchange):
 
     def on(self, h: Hypothesis, nominal: HysteresisModel) -> Hypothesis:
         """A hypothesis on another hysteresis, whose state starts anywhere if recordings have a history."""
+        if nominal.duhem:  # its history is of another kind than one that proved needless
+            return replace(h.on(nominal), remanent=True)
         if not nominal.bouc_wen:
             return h.on(nominal)
         return h.on(nominal, OF_BOUC_WEN, (0.0,) * len(self.chain.records))
