@@ -49,6 +49,9 @@ ALL = 300
 """Combinations of its rows, at most: with eighty of four hundred, two to three times the noise is left."""
 SAMPLES_A_PLAY = 10
 """Shorter recordings than so many samples for each of a hundred plays get ten plays."""
+REVERSALS = (0.2, 0.6, 2.0)
+"""Of the reach, the voltage in which a state turns round: from the shortest alone, loops that do not close
+within the range were missed."""
 TO_THE_END = 20
 """Steps in which the numbers of a state are found from far away."""
 REJECTED = 3.0
@@ -100,6 +103,8 @@ class Search(Exchange):
         self.rejected_families: set[str] = set()
         self.needless: set[str] = set()
         self.nominal = HysteresisModel(np.zeros(0))
+        self.states = [bouc_wen(self.seen, share) for share in REVERSALS]
+        """Where a Bouc–Wen state begins: anywhere, then where it ended before."""
         self.slips: Slips | None = None
         self.jump: Jump | None = None
         """Of the final fit, where a mount sticks."""
@@ -352,7 +357,7 @@ class Search(Exchange):
 
     def larger(self) -> list[HysteresisModel]:
         """What the hysteresis may grow to."""
-        found = [preisach(self.seen), bouc_wen(self.seen, 0.2)]
+        found = [preisach(self.seen), *self.states]
         return [self.plays(), *found] if self.simulation else found
 
     def growth(self, now: Fit, leader: Fit, larger: Sequence[HysteresisModel]) -> list[Tried]:
@@ -368,19 +373,22 @@ class Search(Exchange):
             for one in larger
         ]
         states = [k for k, one in enumerate(larger) if one.bouc_wen]
+        rest = [k for k, one in enumerate(larger) if not one.bouc_wen]
         # A state far from its numbers is behind for many steps; once effects are there, only what keeps up.
         heat = HEAT if self.added(now) else TO_THE_END
-        fits = dict(zip(states, self.raced([jobs[k] for k in states], now, heat), strict=True))
-        rest = [k for k in range(len(larger)) if k not in fits]
-        fits |= dict(zip(rest, self.raced([jobs[k] for k in rest], leader), strict=True))
-        for k, family in enumerate(nominal.family for nominal in larger):
-            one = fits[k]
+        of_a_state = self.raced([jobs[k] for k in states], now, heat)
+        fits = self.raced([jobs[k] for k in rest], leader)
+        if of_a_state:
+            fits.append(max(of_a_state, key=lambda one: (not one.bounded, self.score(one))))
+            self.states = [self.states[0].with_shape(fits[-1].hypothesis.nominal.shape)]
+        for one in fits:
+            family = one.hypothesis.nominal.family
             # A correction beside a given simulation takes what the effects leave: it is not weighed anew.
             # What an effect beats by far waits for the next round.
             earned = self.over(one, now).probability > ACCEPTED and self.near(one, leader)
             if earned and not self.simulation:
                 one = self.at_its_own_weights(one)
-                if k in states:
+                if one.hypothesis.nominal.bouc_wen:
                     one = max(one, self.at_its_own_weights(self.beside_all(one)), key=self.score)
             found.append((OPERATOR + family, one))
             if one.train_rms > REJECTED * now.train_rms:
