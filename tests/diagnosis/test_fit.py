@@ -8,6 +8,7 @@ import pytest
 from tests.diagnosis.plants import (
     FS_HZ,
     NOISE_UM,
+    Signal,
     Step,
     creep,
     lag,
@@ -224,6 +225,20 @@ def test_a_limit_that_clips_the_highest_tops_is_found_from_beside_it() -> None:
         )
         one = refitted(chain, few)
         assert one.hypothesis.members[0].shared["high_v"] == pytest.approx(limit_v, abs=5e-3)
+
+
+def test_a_round_corner_fits_a_limit_of_another_form_where_a_hard_one_does_not() -> None:
+    def limited(v: Signal, fs_hz: float) -> Signal:
+        return np.where(v < 6.0, v, 6.0 + 3.0 * np.tanh((v - 6.0) / 3.0))
+
+    chain = Chain(prepared(pair(4000, before=limited, noise_um=0.001)))
+    bent = reduced(chain, fit(chain, Hypothesis(many_plays(seen(chain.records)))))
+    hard, soft = (
+        fit(chain, bent.hypothesis.plus(EffectTerm(VoltageSaturation, start)), bent.weights)
+        for start in ({"high_v": 8.5}, {"high_v": 8.5, "knee_v": 0.5})
+    )
+    assert soft.train_rms < 0.3 * min(hard.train_rms, bent.train_rms)
+    assert soft.bounded == ()
 
 
 def test_lateness_is_that_of_every_lag_and_delay_and_of_the_tick() -> None:

@@ -116,14 +116,15 @@ def test_a_hold_remembers_for_ever_and_divides_by_nothing() -> None:
     assert np.array_equal(remanence(np.full(50, 3.0)), np.ones((COLUMNS, 50)))
 
 
-def test_a_bouc_wen_stage_with_a_history_is_explained_down_to_the_noise() -> None:
+@pytest.mark.parametrize("sigma_v", [15.0, 60.0, 100.0])
+def test_a_bouc_wen_stage_with_a_history_is_explained_down_to_the_noise(sigma_v: float) -> None:
     """At ±80 V, far from the unit of its state, which starts where the last recording left it."""
     time, noise_um = np.arange(6000) / 120.0, 0.0015
     u = np.where(time > 3, -80 * np.exp(-time / 40) * np.sin(1.6 * (time - 3)), 0.0)
     v = np.interp(np.arange(6000 * 20) / 20, np.arange(6000), u)
     z, states = -0.17, np.empty(len(v))
     for k, dv in enumerate(np.diff(v, prepend=0.0)):
-        z += dv / 60.0 * (1 - abs(z) ** 1.2 * (-0.5 + 1.5 * np.sign(z * dv)))
+        z += dv / sigma_v * (1 - abs(z) ** 1.2 * (-0.5 + 1.5 * np.sign(z * dv)))
         states[k] = z
     y = -0.33 * u + 4.2 * states[::20] + np.random.default_rng(0).normal(0, noise_um, 6000)
     found = diagnose([Recording("decaying", time, u, y, 120.0)])

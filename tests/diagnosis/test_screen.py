@@ -2,7 +2,7 @@
 
 import pytest
 
-from tests.diagnosis.plants import creep, pair
+from tests.diagnosis.plants import creep, lag, pair
 from tests.diagnosis.prepared import prepared
 from torchpi.diagnosis.chain import Chain
 from torchpi.diagnosis.fit import fit
@@ -27,6 +27,18 @@ def test_a_start_gets_the_size_that_explains_most(per_decade: float) -> None:
     (found,) = Screen(chain, now).candidates([EffectTerm(Creep, {"per_decade": 0.02})])
     assert found.gain > 0
     assert found.member.shared["per_decade"] == pytest.approx(per_decade, rel=0.5)
+
+
+def test_a_start_gains_at_once_only_near_its_place() -> None:
+    """A thirtieth of a lag far below explains as much, to first order, and a fit from there ends far away."""
+    chain = Chain(prepared(pair(4000, before=lambda v, fs_hz: lag(v, fs_hz, 300.0))))
+    now = fit(chain, Hypothesis(many_plays(seen(chain.records))))
+    chain.weighting = Weighting.of(chain.records, now.residuals, None)
+    far, near = Screen(chain, now).candidates(
+        [EffectTerm(AmplifierLag, {"cutoff_hz": cutoff_hz}) for cutoff_hz in (10.0, 250.0)]
+    )
+    assert far.gain > 0 > far.at_once
+    assert 0 < near.at_once <= near.gain
 
 
 def test_what_is_no_size_stays_as_it_starts() -> None:

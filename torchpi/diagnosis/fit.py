@@ -46,6 +46,8 @@ REMANENCE = 0.1
 """Of the span: the width of the prior of what the stage remembers from before a recording."""
 
 
+# A step may lead to numbers with which a state grows without bound: that leaves an infinite error.
+@np.errstate(over="ignore", invalid="ignore")
 def fit(
     chain: Chain,
     hypothesis: Hypothesis,

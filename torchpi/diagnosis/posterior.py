@@ -98,7 +98,9 @@ def posterior(
             if model.instead != CONVENTION and search.as_well(model.fit, models[0].fit):
                 alternatives.append(model.instead)
                 held += float(c)
-        known = share_explained(search, models[0].fit, less.fit, name)
+        # What a hysteresis, driven by the voltage alone, predicts as well need not have a signal.
+        own = has_a_signal_of_its_own(models[0].fit, name) and OPERATOR_NAME not in alternatives
+        known = share_explained(search, models[0].fit, less.fit, own)
         rise = less.fit.train_rms**2 - models[0].fit.train_rms ** 2
         rivals.sort(key=lambda rival: rival.loses_nats)
         found.append(
@@ -112,10 +114,10 @@ def posterior(
     ]
 
 
-def share_explained(search: Search, more: Fit, less: Fit, name: str) -> float:
+def share_explained(search: Search, more: Fit, less: Fit, own_signal: bool) -> float:
     """The share of what is to be explained that an effect explains, 0–1, as far as the sealed samples confirm
     it."""
-    weighting, own_signal = search.chain.weighting, has_a_signal_of_its_own(more, name)
+    weighting = search.chain.weighting
     known = weighting.explained_where_it_acts(more, less)
     if not own_signal:
         known = sqrt(known * weighting.explained_of_all(more, less))

@@ -1,23 +1,111 @@
-"""A voltage that cannot leave its range: clip(u)."""
+"""A voltage that cannot leave its range: max{low, min{high, u}}, with corners that may be round.
 
+The round corner is the smooth maximum of Chen and Mangasarian (*Mathematical Programming* 71, 1995),
+
+    max{x, a} → a + K ln(1 + e^{(x - a)/K}),
+
+which has half the slope at the limit and no more than K ln 2 less there.
+"""
+
+import math
+from typing import Any
+
+import numba
+import numpy as np
 import torch
+from torch import Tensor
+from torch.autograd.function import once_differentiable
 
 from torchpi.operators.base import StaticStream
 
 
-def clip(x: float, low: float, high: float) -> float:
-    """max{low, min{high, x}}."""
-    return max(low, min(high, x))
+def clip(x: float, low: float, high: float, knee: float = 0.0) -> float:
+    """max{low, min{high, x}}, with corners of the width `knee`."""
+    below = min(high, x)
+    if knee > 0.0:
+        below -= knee * math.log1p(math.exp(-abs(x - high) / knee))
+        return max(low, below) + knee * math.log1p(math.exp(-abs(below - low) / knee))
+    return max(low, below)
 
 
 class ClipStream(StaticStream):
     """Saturation, one sample at a time."""
 
-    def __init__(self, low: float, high: float) -> None:
+    def __init__(self, low: float, high: float, knee: float = 0.0) -> None:
         super().__init__()
         self.low = low
         self.high = high
+        self.knee = knee
 
     @torch.jit.export
     def step(self, x: float) -> float:
-        return clip(x, self.low, self.high)
+        return clip(x, self.low, self.high, self.knee)
+
+
+def clipped(
+    x: Tensor,  # (batch, time)
+    low: Tensor,
+    high: Tensor,
+    knee: Tensor,
+) -> Tensor:  # (batch, time)
+    """`clip` of every sample, with the gradients of all four."""
+    return _Clip.apply(x, low, high, knee)  # type: ignore[no-any-return, no-untyped-call]
+
+
+def clip_slope(x: np.ndarray, low: float, high: float, knee: float) -> np.ndarray:
+    """(time,): the derivative of `clip` by x, (time,)."""
+    return _slopes(x, low, high, knee)[0]  # type: ignore[no-any-return]
+
+
+class _Clip(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, x: Tensor, low: Tensor, high: Tensor, knee: Tensor) -> Tensor:
+        flat = x.detach().contiguous().reshape(-1)
+        ctx.save_for_backward(flat, low, high, knee)
+        v = torch.empty_like(flat)
+        _fill(flat.numpy(), low.item(), high.item(), knee.item(), v.numpy())
+        return v.reshape(x.shape)
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor, ...]:
+        x, low, high, knee = ctx.saved_tensors
+        slopes = _slopes(x.numpy(), low.item(), high.item(), knee.item())
+        by_x, *of_numbers = (torch.from_numpy(part) for part in slopes)
+        g = gradients[0]
+        return (by_x.reshape(g.shape) * g, *((part * g.reshape(-1)).sum() for part in of_numbers))
+
+
+_clip: Any = numba.njit(clip)
+
+
+@numba.njit(cache=True)
+def _fill(x: np.ndarray, low: float, high: float, knee: float, v: np.ndarray) -> None:
+    for t in range(len(x)):
+        v[t] = _clip(x[t], low, high, knee)
+
+
+def _slopes(x: np.ndarray, low: float, high: float, knee: float) -> tuple[np.ndarray, ...]:
+    """(time,) each: the derivatives of `clip` by x, low, high and the knee."""
+    if knee == 0.0:
+        inside = (x >= low) & (x <= high)
+        return inside.astype(float), (x < low).astype(float), (x > high).astype(float), np.zeros(len(x))
+    above, of_high = _corner(x - high, knee)
+    below = np.minimum(x, high) - of_high[0]
+    under, of_low = _corner(low - below, knee)
+    by_below = 1.0 - under
+    return (
+        by_below * (1.0 - above), under, by_below * above,
+        of_low[1] - by_below * of_high[1],
+    )  # fmt: skip
+
+
+def _corner(beyond: np.ndarray, knee: float) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
+    """The share of a limit in the slope, (time,), so far beyond it; by how much the corner is rounded, and
+    the derivative of that by the knee."""
+    z = np.abs(beyond) / knee
+    e = np.exp(-z)
+    share = np.where(beyond > 0, 1.0, e) / (1.0 + e)
+    far = np.isinf(z)
+    rounded = np.log1p(e)
+    return share, (knee * rounded, rounded + np.where(far, 0.0, z) * e / (1.0 + e))
