@@ -240,7 +240,7 @@ class Chain:
     def key(self, hypothesis: Hypothesis, index: int) -> tuple[object, ...]:
         """What the states depend on."""
         nominal = self.nominal(hypothesis, index)
-        before = tuple((p.effect.name, *p.effect.values().items()) for p in self.before(hypothesis, index))
+        before = tuple(placed.key for placed in self.before(hypothesis, index))
         shape = tuple(sorted(nominal.shape.items()))
         past = (hypothesis.remanent, nominal.start)
         return (index, hypothesis.alignment, past, nominal.structure, shape, before)

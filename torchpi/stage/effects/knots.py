@@ -36,6 +36,8 @@ def through_knots(
     knots: Tensor,  # (KNOTS,), at spacing, 2 spacing, …
 ) -> Tensor:  # (batch, time)
     """The line at `time` samples."""
+    if not knots.requires_grad and not knots.any():
+        return knots.new_zeros(len(elapsed), time)
     place = (elapsed + torch.arange(time, dtype=torch.float64)) * period_s / spacing_s
     before = torch.clamp(torch.floor(place.detach()), 0, len(knots) - 1)
     values = torch.cat([knots.new_zeros(1), knots])
