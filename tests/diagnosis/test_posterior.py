@@ -1,5 +1,6 @@
 """Probabilities: weights of hypotheses that are compared by cells."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -7,8 +8,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.diagnosis.plants import pair
+from tests.diagnosis.prepared import prepared
+from torchpi.diagnosis.chain import Chain
 from torchpi.diagnosis.hypothesis import EffectTerm, Hypothesis
-from torchpi.diagnosis.hysteresis_model import HysteresisModel
+from torchpi.diagnosis.hysteresis_model import HysteresisModel, plain
 from torchpi.diagnosis.posterior import (
     FORM_ERROR,
     HALF,
@@ -16,15 +20,18 @@ from torchpi.diagnosis.posterior import (
     Believed,
     apart,
     averaged,
+    has_a_recorded_signal,
     names_of,
     rivals,
     trust,
 )
+from torchpi.diagnosis.records import seen
 from torchpi.stage.effects.actuator.creep import Creep
 from torchpi.stage.effects.amplifier.amplifier_lag import AmplifierLag
 from torchpi.stage.effects.amplifier.delay import Delay
 from torchpi.stage.effects.amplifier.slew_limit import SlewLimit
 from torchpi.stage.effects.mechanics.backlash import Backlash
+from torchpi.stage.effects.mechanics.cross_coupling import CrossCoupling
 from torchpi.stage.effects.sensor.thermal_drift import ThermalDrift
 
 
@@ -117,3 +124,19 @@ def test_what_an_effect_leaves_by_its_form_is_not_named_after_its_kin(share: flo
 
 def test_a_name_has_to_explain_as_much_as_stays_unexplained() -> None:
     assert trust(0.5) < 0.25 < trust(HALF) < 0.5 < trust(0.85) < 1.0
+
+
+@pytest.mark.parametrize("independent", [True, False])
+def test_only_a_recorded_signal_that_the_voltage_does_not_tell_is_one_of_its_own(independent: bool) -> None:
+    rig = pair(2000)
+    noise = np.random.default_rng(3)
+    rig = [
+        replace(one, aux={"aux_v": noise.normal(size=len(one)) if independent else one.u + 0.01 * one.y})
+        for one in rig
+    ]
+    chain = Chain(prepared(rig))
+    h = Hypothesis(plain(seen(chain.records)))
+    coupled = h.plus(EffectTerm(CrossCoupling, {"coupling_um_per_v": 0.1}, aux="aux_v"))
+    search = SimpleNamespace(chain=chain)
+    assert has_a_recorded_signal(search, SimpleNamespace(hypothesis=coupled), "cross_coupling") is independent
+    assert not has_a_recorded_signal(search, SimpleNamespace(hypothesis=h), "cross_coupling")

@@ -5,7 +5,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from torchpi.diagnosis.hypothesis import EffectTerm
 from torchpi.diagnosis.search import Search
+from torchpi.stage.effects.actuator.creep import Creep
+from torchpi.stage.effects.amplifier.slew_limit import SlewLimit
+from torchpi.stage.effects.effect import DataRange
 
 
 @pytest.mark.parametrize(
@@ -19,7 +23,7 @@ def test_a_refit_is_taken_where_it_leaves_less_and_runs_into_no_bound(
             bounded=each,
             on_a_bound=[SimpleNamespace(name=name, member=-1) for name in each],
             train_rms=size,
-            hypothesis=SimpleNamespace(members=()),
+            hypothesis=SimpleNamespace(members=(), nominal=SimpleNamespace(bouc_wen=False)),
             weights=None,
         )
         for each, size in (((), 1.0), (bounded, rms))
@@ -30,3 +34,24 @@ def test_a_refit_is_taken_where_it_leaves_less_and_runs_into_no_bound(
     search.weigh, search.fits_here = lambda fit: None, lambda jobs: [after]
     assert search.at_its_own_weights(before) is (after if taken else before)
     assert search.chain.weighting is weighting
+
+
+def test_what_was_taken_before_bars_no_addition_but_a_limit_that_nothing_reaches_is_none() -> None:
+    soft = EffectTerm(SlewLimit, {"rate_v_per_s": 900.0, "knee_v": 1.0})
+    creep = EffectTerm(Creep, {"per_decade": 0.01})
+    search = object.__new__(Search)
+    search.seen = DataRange(1e3, 1.0, 0.0, 10.0, 100.0, 0, 1, {}, peak_rate_v_s=500.0)
+    search.repeating = []
+
+    def fitted(*members: EffectTerm, bounded: int | None = None) -> SimpleNamespace:
+        slots = [] if bounded is None else [SimpleNamespace(name="a number", member=bounded)]
+        return SimpleNamespace(
+            hypothesis=SimpleNamespace(members=members), bounded=(), on_a_bound=slots
+        )  # fmt: skip
+
+    now, more = fitted(soft), fitted(soft, creep)
+    assert search.inside(more, now) and not search.within_reach(more)
+    assert not search.inside(fitted(soft), fitted())
+    assert search.inside(fitted(soft, creep, bounded=0), now)
+    assert not search.inside(fitted(soft, creep, bounded=1), now)
+    assert not search.inside(fitted(soft, bounded=0), now)

@@ -119,23 +119,28 @@ class Contest:
         return self.chain.weighting.explained_where_it_acts(more, less) > ADEQUATE
 
     def inside(self, one: Fit, now: Fit) -> bool:
-        """Whether no number ended on a bound that did not before, in what a fit has beyond another if it has
-        more, no limit lies beyond what the command asks for, and no line of its own is one that the command
-        has."""
+        """Whether no number ended on a bound that did not before, no limit lies beyond what the command asks
+        for, and no line of its own is one that the command has: of what a fit has beyond another, if it has
+        more."""
         members = one.hypothesis.members
         there = {member.kind for member in now.hypothesis.members}
         new = {k for k, member in enumerate(members) if member.kind not in there}
         # What an addition makes of a number that was there before is for a backward step to judge.
         told = [slot.name for slot in one.on_a_bound if not new or slot.member in {-1, *new}]
+        asked = [member for k, member in enumerate(members) if not new or k in new]
         return (
             set(told) <= set(now.bounded)
-            and all(member.effect.reached(member.shared, self.seen) for member in members)
+            and all(member.effect.reached(member.shared, self.seen) for member in asked)
             and not any(
                 follows_command(line_hz, self.repeating)
-                for member in members
+                for member in asked
                 if (line_hz := member.effect.line_hz(member.shared)) is not None
             )
         )
+
+    def within_reach(self, one: Fit) -> bool:
+        """Whether the command asks for what each limit of a fit allows, and more."""
+        return all(member.effect.reached(member.shared, self.seen) for member in one.hypothesis.members)
 
     def needs_no_history(self, now: Fit, less: Fit) -> bool:
         """Whether recordings that start de-energised are predicted as well, or all but as well."""

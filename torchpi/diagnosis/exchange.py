@@ -47,7 +47,10 @@ class Exchange(Timing):
             best = {c.member.kind: c.member for c in sorted(screened, key=lambda c: c.gain)}
             jobs += [(less.plus(member), now.weights, STEPS, ROUGH) for member in best.values()]
         fits = self.raced(jobs, now, 2 * HEAT)
-        chosen = max([now, *(one for one in fits if self.inside(one, now))], key=self.worth)
+        others = [one for one in fits if self.inside(one, now)]
+        chosen = max([now, *others], key=self.worth)
+        if not self.within_reach(now):  # a limit that nothing reaches any more is something else
+            chosen = max((one for one in others if self.within_reach(one)), key=self.worth, default=now)
         if chosen is now:
             return now
         self.log(f"  as {', '.join(chosen.hypothesis.names)}: {rms_of(chosen)}")

@@ -44,6 +44,8 @@ FORM_ERROR, FALL = 0.1, 2.0
 error of its form, and how fast that changes. Set on the same cases: 0.009 to 0.07 in four wrong names, 0.66
 in a right one."""
 
+TOLD = 0.5
+"""Of the variance of a recorded signal, what the voltage may tell of it for it to be one of its own."""
 LAPSE = 0.02
 """Of names for which everything speaks, those that are wrong all the same: 0 of some eighty were, which
 leaves up to 0.037 at 95 %."""
@@ -101,6 +103,8 @@ def posterior(
         # What a hysteresis, driven by the voltage alone, predicts as well need not have a signal.
         own = has_a_signal_of_its_own(models[0].fit, name) and OPERATOR_NAME not in alternatives
         known = share_explained(search, models[0].fit, less.fit, own)
+        if own and has_a_recorded_signal(search, models[0].fit, name):
+            known = confirmed_alone(search, models[0].fit, less.fit)
         rise = less.fit.train_rms**2 - models[0].fit.train_rms ** 2
         rivals.sort(key=lambda rival: rival.loses_nats)
         found.append(
@@ -122,6 +126,36 @@ def share_explained(search: Search, more: Fit, less: Fit, own_signal: bool) -> f
     if not own_signal:
         known = sqrt(known * weighting.explained_of_all(more, less))
     return confirmed(known, search.chain.records, more, less, weighting.mean_floor_um2, own_signal)
+
+
+def confirmed_alone(search: Search, more: Fit, less: Fit) -> float:
+    """How likely an effect is there that nothing else can look like, whatever else there may be: that it
+    predicts better, as far as the sealed samples confirm it."""
+    floor_um2 = search.chain.weighting.mean_floor_um2
+    return confirmed(
+        search.over(more, less, PRIOR).probability, search.chain.records, more, less, floor_um2, True
+    )
+
+
+def has_a_recorded_signal(search: Search, final: Fit, name: str) -> bool:
+    """Whether an effect brings in a recorded signal that the voltage does not tell: what else the model has
+    wrong follows the voltage, and does not look like it."""
+    chain, h = search.chain, final.hypothesis
+    signals = {m.aux for m in h.members if m.effect.name == name and m.effect.takes_aux}
+    for signal in signals:
+        told = whole = 0.0
+        for i, record in enumerate(chain.records):
+            aux = record.aux[signal][record.train]
+            aux = aux - aux.mean()
+            rows = chain.rows(h, i)[:, record.train]
+            rows = np.concatenate([rows, np.gradient(record.commanded(0))[None, record.train]])
+            rows = rows - rows.mean(1, keepdims=True)
+            weights = np.linalg.lstsq(rows.T, aux, rcond=1e-6)[0]
+            told += float(((weights @ rows) ** 2).sum())
+            whole += float(aux @ aux)
+        if told > TOLD * whole:
+            return False
+    return bool(signals)
 
 
 def has_a_signal_of_its_own(final: Fit, name: str) -> bool:
