@@ -49,10 +49,10 @@ def test_a_soft_limit_rises_with_the_command_and_stays_between_its_limits(x, low
     assert a >= low
 
 
-def test_a_soft_limit_has_to_lie_within_what_was_commanded():
+def test_a_soft_limit_has_to_lie_within_what_was_commanded_and_to_leave_a_straight_part():
     seen = DataRange(1e3, 1.0, -2.0, 8.0, 1, 0, 1, {})
-    for high_v, reached in ((7.0, True), (9.0, False)):
-        assert VoltageSaturation.reached({"high_v": high_v, "knee_v": 1.0}, seen) is reached
+    for high_v, knee_v, reached in ((7.0, 0.5, True), (9.0, 0.5, False), (7.0, 5.0, False)):
+        assert VoltageSaturation.reached({"high_v": high_v, "knee_v": knee_v}, seen) is reached
     assert VoltageSaturation.reached({"high_v": 9.0}, seen)
 
 

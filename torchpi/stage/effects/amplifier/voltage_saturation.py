@@ -15,8 +15,9 @@ from torchpi.operators.limits import ClipStream, clip_slope, clipped
 from torchpi.operators.quantity import check_order
 from torchpi.stage.effects.effect import DataRange, Effect, Parameters, parameter
 
-KNEES = (0.02, 0.1)
-"""Shares of the voltage's span over which a corner is round, where a fit begins."""
+KNEES, ROUNDEST = (0.01, 0.03), 0.06
+"""Shares of the voltage's span over which a corner is round, where a fit begins, and at most: a corner takes
+some six times that, and what has no straight part is a curvature of the input."""
 
 
 class VoltageSaturation(Static, Effect):
@@ -51,9 +52,9 @@ class VoltageSaturation(Static, Effect):
 
     @classmethod
     def reached(cls, values: Mapping[str, float], seen: DataRange) -> bool:
-        # Far from its limits a round corner is a curvature of the input.
         of = {**cls.identity, **values}
-        return of["knee_v"] == 0 or of["high_v"] < seen.high_v or of["low_v"] > seen.low_v
+        inside = of["high_v"] < seen.high_v or of["low_v"] > seen.low_v
+        return of["knee_v"] == 0 or (inside and of["knee_v"] <= ROUNDEST * seen.span_v)
 
     def of(self, x: Tensor) -> Tensor:
         return clipped(x, self.low_v, self.high_v, self.knee_v)
