@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from concurrent.futures import Executor
+from dataclasses import dataclass
 from math import log
 
 from torchpi.diagnosis.chain import Chain
@@ -33,6 +34,16 @@ STEPS = 6
 """Of a fit in the search."""
 HEAT = 2
 """Steps after which only what may still win goes on."""
+
+
+@dataclass(frozen=True, eq=False)
+class Tried:
+    """A hypothesis that was fitted in a round."""
+
+    name: str
+    fit: Fit
+    gain: Gain
+    """Over the hypothesis before, the prior included."""
 
 
 class Contest:

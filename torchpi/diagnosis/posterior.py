@@ -22,12 +22,13 @@ from torchpi.diagnosis.contest import ACCEPTED, PRIOR
 from torchpi.diagnosis.diagnosis import Rival
 from torchpi.diagnosis.exchange import rms_of
 from torchpi.diagnosis.fit import ROUGH
+from torchpi.diagnosis.growth import OPERATOR
 from torchpi.diagnosis.hypothesis import EffectTerm, Fit, Hypothesis
 from torchpi.diagnosis.parallel import Job
 from torchpi.diagnosis.reduced_basis import reduced, refitted
 from torchpi.diagnosis.score import ALIKE
 from torchpi.diagnosis.sealed import confirmed
-from torchpi.diagnosis.search import OPERATOR, Round, Search
+from torchpi.diagnosis.search import Round, Search
 
 DRAWS = 400
 RIVALS = 4

@@ -12,18 +12,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from torchpi.diagnosis.chain import Chain
-from torchpi.diagnosis.contest import ACCEPTED, HEAT, PRIOR, STEPS
+from torchpi.diagnosis.contest import ACCEPTED, HEAT, PRIOR, STEPS, Tried
 from torchpi.diagnosis.coverage import reason_to_leave_out
-from torchpi.diagnosis.exchange import Exchange, rms_of
+from torchpi.diagnosis.exchange import rms_of
 from torchpi.diagnosis.fit import FINE, ROUGH
+from torchpi.diagnosis.growth import OPERATOR, REWEIGHTED, Growth
 from torchpi.diagnosis.hypothesis import EffectTerm, Fit, Hypothesis
-from torchpi.diagnosis.hysteresis_model import HysteresisModel, bouc_wen, duhem, many_plays, plain, preisach
+from torchpi.diagnosis.hysteresis_model import HysteresisModel, duhem
 from torchpi.diagnosis.modal import driven_modes
 from torchpi.diagnosis.noise import Noise, measured_noise
 from torchpi.diagnosis.outside import Outside
 from torchpi.diagnosis.parallel import Job, screen_all
 from torchpi.diagnosis.reduced_basis import MANY, basis, refitted
-from torchpi.diagnosis.score import Gain
 from torchpi.diagnosis.screen import Candidate, Screen, candidates_of
 from torchpi.diagnosis.stick_slip import Jump, Slips, jump, slips
 from torchpi.stage.effects import EFFECTS
@@ -33,7 +33,6 @@ from torchpi.stage.effects.mechanics.cross_coupling import CrossCoupling
 from torchpi.stage.effects.mechanics.resonance import Resonance
 from torchpi.stage.effects.mechanics.second_mode import SecondMode
 from torchpi.stage.effects.mechanics.stiction import Stiction
-from torchpi.stage.hysteresis import OF_BOUC_WEN
 
 ROUNDS = 7
 FORMS, STARTS = 3, 2
@@ -41,35 +40,6 @@ FORMS, STARTS = 3, 2
 TRIED, FINISHED = 6, 4
 """How many effects are fitted in a round, the best of the screen; how many of these to the end."""
 AXES = "resonance + cross_coupling"
-OPERATOR = "hysteresis_operator: "
-"""How a larger hysteresis is called among the explanations, before its family."""
-PREISACH = ((20, 60, 5), (20, 60, 9))
-"""Plays spread in the logarithm, plays spread evenly, degree: what a Preisach operator may grow to."""
-ALL = 300
-"""Combinations of its rows, at most: with eighty of four hundred, two to three times the noise is left."""
-SAMPLES_A_PLAY = 10
-"""Shorter recordings than so many samples for each of a hundred plays get ten plays."""
-REVERSALS = (0.2, 0.6, 2.0)
-"""Of the reach, the voltage in which a state turns round: from the shortest alone, loops that do not close
-within the range were missed."""
-TO_THE_END = 20
-"""Steps in which the numbers of a state are found from far away."""
-FOLLOWED, FOLLOWS = 8, 0.97
-"""Times that a state is fitted again under its own weights, while it leaves a smaller share of the error."""
-REJECTED = 3.0
-"""A family of hysteresis that fits this many times worse than another is not tried again."""
-REWEIGHTED = 3
-"""Times that the nominal is fitted, each with the weights that the last fit shows."""
-
-
-@dataclass(frozen=True, eq=False)
-class Tried:
-    """A hypothesis that was fitted in a round."""
-
-    name: str
-    fit: Fit
-    gain: Gain
-    """Over the hypothesis before, the prior included."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +52,7 @@ class Round:
     """The name of what was taken."""
 
 
-class Search(Exchange):
+class Search(Growth):
     """A search on given records."""
 
     def __init__(
@@ -97,16 +67,11 @@ class Search(Exchange):
         simulation: Outside | None = None,
     ) -> None:
         alignments = simulation.alignments if simulation else (0, 1)
-        super().__init__(chain, noise, executor, alignments, {member.effect.name for member in given})
+        names = {member.effect.name for member in given}
+        super().__init__(chain, noise, executor, alignments, names, simulation)
         self.log, self.start, self.lsb_um = log, tuple(given), lsb_um
-        self.simulation = simulation
         self.left_out: list[tuple[str, str]] = []
-        self.seen = replace(self.seen, simulated=simulation is not None)
-        self.rejected_families: set[str] = set()
         self.needless: set[str] = set()
-        self.nominal = HysteresisModel(np.zeros(0))
-        self.states = [bouc_wen(self.seen, share) for share in REVERSALS]
-        """Where a Bouc–Wen state begins: anywhere, then where it ended before."""
         self.slips: Slips | None = None
         self.jump: Jump | None = None
         """Of the final fit, where a mount sticks."""
@@ -197,9 +162,6 @@ class Search(Exchange):
         there = {member.effect.name: member.effect for member in one.fit.hypothesis.members}
         return any(there[name].sticks for name in one.name.split(" + ") if name in there)
 
-    def on_many_rows(self, one: Fit) -> Fit:
-        return self.at_its_own_weights(refitted(self.chain, one, STEPS))
-
     def retuned(self) -> Fit:
         """The nominal hysteresis, with the timing and the start that suit it better."""
         alone = HysteresisModel(np.zeros(0), simulation=self.simulation)
@@ -226,12 +188,6 @@ class Search(Exchange):
         self.log(f"retuned, {size}: {rms_of(now)}")
         return now
 
-    def plays(self) -> HysteresisModel:
-        """As many plays as the samples carry."""
-        nominal = many_plays(self.seen)
-        samples = sum(record.train.sum() for record in self.chain.records)
-        return plain(self.seen) if samples < SAMPLES_A_PLAY * nominal.size else nominal
-
     def sticking(self, now: Fit) -> tuple[Fit, Tried] | None:
         """Stiction, if the readings show it, and the fit before it without a history: from then on
         everything is fitted where the mount slips."""
@@ -245,10 +201,6 @@ class Search(Exchange):
         self.chain, self.slips = found.chain, found
         self.log(f"readings that hold and jump, a mount that sticks: one step ahead {rms_of(found.fit)}")
         return now, Tried(Stiction.name, found.fit, self.over(found.fit, now))
-
-    def added(self, now: Fit) -> list[str]:
-        """The effects that the simulation did not have."""
-        return [name for name in dict.fromkeys(now.hypothesis.names) if name not in self.given]
 
     def round(self, now: Fit) -> list[Tried]:
         """Every promising effect, and growth of the hysteresis, fitted on top of this, the best first."""
@@ -357,95 +309,6 @@ class Search(Exchange):
             found += candidates_of(effect, records, starts, list(self.seen.aux))
         return found
 
-    def larger(self) -> list[HysteresisModel]:
-        """What the hysteresis may grow to."""
-        found = [preisach(self.seen), *self.states]
-        return [self.plays(), *found] if self.simulation else found
-
-    def growth(self, now: Fit, leader: Fit, larger: Sequence[HysteresisModel]) -> list[Tried]:
-        """A larger hysteresis in the place of the present one, fitted to the end where it may beat a fit.
-
-        A state that is not linear in its numbers is only held against the present fit until it has the
-        weights that it shows itself. What is larger has to beat the present one on the same terms.
-        """
-        h, found = now.hypothesis, list[tuple[str, Fit]]()
-        larger = [one for one in larger if one.family not in {*self.rejected_families, h.nominal.family}]
-        jobs: list[Job] = [
-            (*basis(self.chain, self.on(h, one), None, MANY), TO_THE_END if one.bouc_wen else 2, ROUGH)
-            for one in larger
-        ]
-        states = [k for k, one in enumerate(larger) if one.bouc_wen]
-        rest = [k for k, one in enumerate(larger) if not one.bouc_wen]
-        # A state far from its numbers is behind for many steps; once effects are there, only what keeps up.
-        heat = HEAT if self.added(now) else TO_THE_END
-        of_a_state = self.raced([jobs[k] for k in states], now, heat)
-        fits = self.raced([jobs[k] for k in rest], leader)
-        if of_a_state:
-            fits.append(max(of_a_state, key=lambda one: (not one.bounded, self.score(one))))
-            self.states = [self.states[0].with_shape(fits[-1].hypothesis.nominal.shape)]
-        for one in fits:
-            family = one.hypothesis.nominal.family
-            # A correction beside a given simulation takes what the effects leave: it is not weighed anew.
-            # What an effect beats by far waits for the next round.
-            earned = self.over(one, now).probability > ACCEPTED and self.near(one, leader)
-            if earned and not self.simulation:
-                one = self.at_its_own_weights(one)
-                if one.hypothesis.nominal.bouc_wen:
-                    one = max(one, self.at_its_own_weights(self.beside_all(one)), key=self.score)
-            found.append((OPERATOR + family, one))
-            if one.train_rms > REJECTED * now.train_rms:
-                self.rejected_families.add(family)
-        if any(self.over(one, now).probability > ACCEPTED for _, one in found):
-            now = max(now, self.at_its_own_weights(refitted(self.chain, now)), key=self.score)
-        return [Tried(name, one, self.over(one, now, PRIOR)) for name, one in found]
-
-    def on(self, h: Hypothesis, nominal: HysteresisModel) -> Hypothesis:
-        """A hypothesis on another hysteresis, whose state starts anywhere if recordings have a history."""
-        if nominal.duhem:  # its history is of another kind than one that proved needless
-            return replace(h.on(nominal), remanent=True)
-        if not nominal.bouc_wen:
-            return h.on(nominal)
-        return h.on(nominal, OF_BOUC_WEN, (0.0,) * len(self.chain.records))
-
-    def sized(self, now: Fit) -> Fit:
-        """Plays through output functions, with as many numbers as predict best."""
-        h = now.hypothesis
-        if h.nominal.bouc_wen:
-            # Numbers and weights of a state move along a valley, each time that the weighting follows.
-            for _ in range(FOLLOWED):
-                before, now = now, self.at_its_own_weights(now)
-                if now.train_rms > FOLLOWS * before.train_rms:
-                    break
-            return now
-        if h.nominal.degree == 1:
-            return now
-        of_family = duhem if h.nominal.duhem else preisach
-        larger = [h.on(of_family(self.seen, *size)) for size in PREISACH]
-        jobs: list[Job] = [(*basis(self.chain, one, None, ALL), 2, FINE) for one in larger]
-        return max([now, *map(self.at_its_own_weights, self.fits(jobs))], key=self.score)
-
-    def at_its_own_weights(self, now: Fit) -> Fit:
-        """A fit with the weights that it shows itself, where that predicts better and leaves no more: those
-        before it make little of where it improves."""
-        shared, best = self.chain.weighting, now
-        for _ in range(REWEIGHTED):
-            self.weigh(now)
-            tolerance = FINE if now.hypothesis.nominal.bouc_wen else ROUGH
-            (now,) = self.fits_here([(now.hypothesis, now.weights, 8, tolerance)])
-            ahead = shared.log_density(now).sum() > shared.log_density(best).sum()
-            if ahead and now.train_rms <= best.train_rms and self.inside(now, best):
-                best = now
-        self.chain.weighting = shared
-        return best
-
-    def beside_all(self, now: Fit) -> Fit:
-        """A state beside as many plays as the samples carry, where it began beside a few."""
-        h = now.hypothesis
-        nominal = replace(h.nominal, thresholds_v=self.plays().thresholds_v, reduction=None)
-        more, _ = basis(self.chain, replace(h, nominal=nominal), None, MANY)
-        (fit,) = self.fits_here([(more, None, 8, ROUGH)])
-        return fit
-
     def backward(self, now: Fit) -> Fit:
         """Without the effects that the others have made needless."""
         while len(parts := self.parts(now)) > 1:
@@ -458,20 +321,6 @@ class Search(Exchange):
             self.log(f"  without {' of '.join(filter(None, parts[worst]))}: the others explain it")
             now = fits[worst]
         return self.no_larger(now)
-
-    def no_larger(self, now: Fit) -> Fit:
-        """With the hysteresis of the simulation again, where effects make a larger one needless, or have
-        driven it to the bounds of its numbers."""
-        h = now.hypothesis
-        if h.nominal.family == self.nominal.family or not self.added(now):
-            return now
-        plain = refitted(self.chain, self.fits([(h.on(self.nominal), None, STEPS, ROUGH)])[0])
-        plain = self.at_its_own_weights(plain)
-        if set(now.bounded) <= set(plain.bounded) and not self.as_well(plain, now):
-            return now
-        self.log(f"  without a larger hysteresis: {rms_of(plain)}")
-        self.rejected_families.add(h.nominal.family)
-        return plain
 
     def without_each(self, now: Fit, parts: Sequence[tuple[str, str]]) -> list[Fit]:
         """The fit without one of its parts, for each."""
