@@ -97,12 +97,10 @@ def train() -> None:
 
     Example: torchpi train fit --config recorded --data.recordings '[slow.csv, fast.csv, other.csv]'
     """
-    from importlib import import_module
-    from importlib.util import find_spec
+    from importlib import import_module, util
 
-    # The package of training stands above torchpi and imports it: here it is started as a program. A wheel
-    # carries it inside torchpi, a checkout beside it.
-    package = "torchpi.train" if find_spec("torchpi.train") else "train"
+    # It stands above torchpi and imports it: in a wheel it lies inside, in a checkout beside it.
+    package = "torchpi.train" if util.find_spec("torchpi.train") else "train"
     duration.announce_fit(sys.argv[2:])
     import_module(f"{package}.cli").fit(sys.argv[2:], "torchpi train")
 
@@ -354,14 +352,13 @@ def diagnose_(  # the parser looks names up in torchpi, and would load its own `
     (model.fmu), a function simulate(u_v, fs_hz) -> y_um (package.module:simulate, or file.py:simulate), or
     column: what a simulator made of each recording's voltage stands in it as simulated_um.
 
-    Recordings of several axes (time_s,input_1_v,input_2_v,…,output_1_um,…) are compared with the stage.pt of
-    such a stage, or with a linear one that is made of them; the last realisation of each amplitude is held
-    out. They leave report.html, diagnosis.json and stage.pt.
+    Recordings of several axes (time_s,input_1_v,…,output_1_um,…) are compared with the stage.pt of such a
+    stage, or with a linear one made of them; the last realisation of each amplitude is held out.
 
     Example: torchpi diagnose recordings/a.csv recordings/b.csv --output diagnosis
 
     Args:
-        recordings: Recordings of one stage: time_s,input_v,output_um[,aux_…], first sample de-energised.
+        recordings: Recordings of one stage: time_s,input_v,output_um[,aux_…].
         output: Folder for the results.
         simulation: What to compare with: stage.yaml, stage.pt, model.fmu, package.module:function,
             file.py:function, or column. Without it a plain stage: symmetric, rate-independent

@@ -69,7 +69,7 @@ def diagnose(
     """Where a simulation and recordings differ, and what was left out of it.
 
     Args:
-        recordings: One or more of the same stage, at any sample rates, first sample de-energised.
+        recordings: One or more of the same stage, at any sample rates.
         simulation: What they are compared with: a stage; any function simulate(u_v, fs_hz) -> y_um of whole
             records, without noise, from rest; "column", the `simulated` of each recording. None is the
             plain stage: symmetric, rate-independent Prandtl–Ishlinskii hysteresis, everything else ideal.
