@@ -19,7 +19,9 @@ from torchpi.diagnosis.posterior import (
     OPERATOR_NAME,
     Believed,
     apart,
+    as_one,
     averaged,
+    groups,
     has_a_recorded_signal,
     names_of,
     rivals,
@@ -140,3 +142,25 @@ def test_only_a_recorded_signal_that_the_voltage_does_not_tell_is_one_of_its_own
     search = SimpleNamespace(chain=chain)
     assert has_a_recorded_signal(search, SimpleNamespace(hypothesis=coupled), "cross_coupling") is independent
     assert not has_a_recorded_signal(search, SimpleNamespace(hypothesis=h), "cross_coupling")
+
+
+def test_of_effects_that_stand_in_for_each_other_the_strongest_is_as_likely_as_any() -> None:
+    lag, late = Believed("amplifier_lag", 0.1, (), 2.0, ()), Believed("delay", 0.2, (), 1.0, ())
+    slow = Believed("creep", 0.3, (), 5.0, ())
+    together = [Believed("amplifier_lag + delay", 0.9, ("amplifier_lag", "delay"), 7.0, ())]
+    found = [as_one(one, [lag, late, slow], together) for one in (lag, late, slow)]
+    assert found == [replace(lag, probability=0.9, alternatives=("delay",), explained_um2=7.0), late, slow]
+    sure = replace(lag, probability=0.95)
+    assert as_one(sure, [sure, late, slow], together) == sure
+
+
+def test_effects_that_voltage_and_displacement_cannot_split_are_one_group() -> None:
+    h = Hypothesis(HysteresisModel(np.zeros(0)))
+    for effect in (AmplifierLag, Creep, Delay, ThermalDrift, Backlash):
+        h = h.plus(EffectTerm(effect, {}))
+    fit = SimpleNamespace(hypothesis=h)
+    search = SimpleNamespace(added=lambda one: list(one.hypothesis.names))
+    assert {frozenset(group) for group in groups(search, fit)} == {
+        frozenset({"amplifier_lag", "delay"}),
+        frozenset({"creep", "thermal_drift"}),
+    }

@@ -149,9 +149,10 @@ class Contest:
             )
         )
 
-    def within_reach(self, one: Fit) -> bool:
-        """Whether the command asks for what each limit of a fit allows, and more."""
-        return all(member.effect.reached(member.shared, self.seen) for member in one.hypothesis.members)
+    def within_reach(self, one: Fit, name: str | None = None) -> bool:
+        """Whether the command asks for what each limit of a fit allows, or those of one effect, and more."""
+        members = [m for m in one.hypothesis.members if name in (None, m.effect.name)]
+        return all(member.effect.reached(member.shared, self.seen) for member in members)
 
     def needs_no_history(self, now: Fit, less: Fit) -> bool:
         """Whether recordings that start de-energised are predicted as well, or all but as well."""

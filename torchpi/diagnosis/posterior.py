@@ -20,7 +20,7 @@ import numpy as np
 
 from torchpi.diagnosis.contest import ACCEPTED, PRIOR
 from torchpi.diagnosis.diagnosis import Rival
-from torchpi.diagnosis.exchange import rms_of
+from torchpi.diagnosis.exchange import alike, rms_of
 from torchpi.diagnosis.fit import ROUGH
 from torchpi.diagnosis.growth import OPERATOR
 from torchpi.diagnosis.hypothesis import EffectTerm, Fit, Hypothesis
@@ -85,13 +85,11 @@ def posterior(
     density = np.array([weighting.log_density(model.fit) for model in models])
     priors = np.array([prior(search, retuned, model.fit) for model in models])
     chance = averaged(density, priors, weighting.strata)
-    found = []
+    found, together = [], []
     for name in dict.fromkeys(model.without for model in models if model.without):
         less = next(m for m in models if m.without == name and not m.instead)
         rivals, alternatives = [], []
-        held = float(chance[0]) + sum(
-            float(c) for m, c in zip(models, chance, strict=True) if m.without not in ("", name)
-        )
+        held = sum(float(c) for m, c in zip(models, chance, strict=True) if name not in names_of(m.without))
         for model, c, own in zip(models, chance, density, strict=True):
             if model.without != name or not model.instead:
                 continue
@@ -106,17 +104,40 @@ def posterior(
         known = share_explained(search, models[0].fit, less.fit, own)
         if own and has_a_recorded_signal(search, models[0].fit, name):
             known = confirmed_alone(search, models[0].fit, less.fit)
+        if not search.within_reach(models[0].fit, name):
+            known = 0.0
         rise = less.fit.train_rms**2 - models[0].fit.train_rms ** 2
+        if len(group := names_of(name)) > 1:
+            held = 1 - float(chance[models.index(less)])
+            together.append(Believed(name, held * trust(known), tuple(group), rise, ()))
+            continue
         rivals.sort(key=lambda rival: rival.loses_nats)
         found.append(
             Believed(name, round(min(held, 1.0) * trust(known), 4), tuple(dict.fromkeys(alternatives)), rise,
                      tuple(rivals))
         )  # fmt: skip
+    found = [as_one(one, found, together) for one in found]
     found.sort(key=lambda one: -one.explained_um2)
     terms = {member.effect.name: member for member in final.hypothesis.members}
     return final, [
         replace(one, probability=round(one.probability * apart(one, found, terms), 4)) for one in found
     ]
+
+
+def as_one(one: Believed, found: Sequence[Believed], together: Sequence[Believed]) -> Believed:
+    """The strongest of effects that may stand in each other's place, as likely as that any of them is
+    missing: without one the others stand in for it, and little is lost."""
+    for group in together:
+        strongest = max(
+            (each for each in found if each.name in group.alternatives), key=lambda each: each.explained_um2
+        )
+        if one is strongest and one.probability < group.probability:
+            others = (*one.alternatives, *(name for name in group.alternatives if name != one.name))
+            return replace(
+                one, probability=round(group.probability, 4), alternatives=tuple(dict.fromkeys(others)),
+                explained_um2=max(one.explained_um2, group.explained_um2),
+            )  # fmt: skip
+    return one
 
 
 def share_explained(search: Search, more: Fit, less: Fit, own_signal: bool) -> float:
@@ -266,6 +287,11 @@ def around(search: Search, retuned: Fit, small: Fit, history: Sequence[Round]) -
             (OPERATOR_NAME, label, one, None)
             for label, one, _ in rivals(search, history, OPERATOR_NAME, plain, small)
         ]
+    for group in groups(search, small):
+        less = h
+        for name in group:
+            less = less.without(name)
+        wanted.append((" + ".join(group), "", less, small.weights))
     jobs: list[Job] = [(one, w, 8, ROUGH) for _, _, one, w in wanted]
     (best,) = search.fits(jobs[:1])
     fits = [best, *search.raced(jobs[1:], best)]
@@ -274,6 +300,21 @@ def around(search: Search, retuned: Fit, small: Fit, history: Sequence[Round]) -
         for (name, instead, _, _), one in zip(wanted, fits, strict=True)
         if not instead or search.inside(one, small)
     ]
+
+
+def groups(search: Search, small: Fit) -> list[tuple[str, ...]]:
+    """The added effects that may stand in each other's place, where there are two or more of them."""
+    terms = {member.effect.name: member for member in small.hypothesis.members}
+    left, found = search.added(small), []
+    while left:
+        group, left = [left[0]], left[1:]
+        while kin := [
+            n for n in left if any(alike(terms[n], terms[g]) or alike(terms[g], terms[n]) for g in group)
+        ]:
+            group, left = [*group, *kin], [name for name in left if name not in kin]
+        if len(group) > 1:
+            found.append(tuple(group))
+    return found
 
 
 def rivals(

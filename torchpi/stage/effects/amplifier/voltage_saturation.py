@@ -15,7 +15,7 @@ from torchpi.operators.limits import ClipStream, clip_slope, clipped
 from torchpi.operators.quantity import check_order
 from torchpi.stage.effects.effect import DataRange, Effect, Parameters, parameter
 
-KNEES, ROUNDEST = (0.01, 0.03), 0.06
+KNEES, ROUNDEST = (0.01, 0.03), 0.05
 """Shares of the voltage's span over which a corner is round, where a fit begins, and at most: a corner takes
 some six times that, and what has no straight part is a curvature of the input."""
 
