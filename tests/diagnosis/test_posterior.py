@@ -28,6 +28,7 @@ from torchpi.diagnosis.posterior import (
     trust,
 )
 from torchpi.diagnosis.records import seen
+from torchpi.stage.effects import EFFECTS
 from torchpi.stage.effects.actuator.creep import Creep
 from torchpi.stage.effects.amplifier.amplifier_lag import AmplifierLag
 from torchpi.stage.effects.amplifier.delay import Delay
@@ -147,7 +148,7 @@ def test_only_a_recorded_signal_that_the_voltage_does_not_tell_is_one_of_its_own
 def test_of_effects_that_stand_in_for_each_other_the_strongest_is_as_likely_as_any() -> None:
     lag, late = Believed("amplifier_lag", 0.1, (), 2.0, ()), Believed("delay", 0.2, (), 1.0, ())
     slow = Believed("creep", 0.3, (), 5.0, ())
-    together = [Believed("amplifier_lag + delay", 0.9, ("amplifier_lag", "delay"), 7.0, ())]
+    together = [Believed("amplifier_lag + delay", 0.9, (), 7.0, ())]
     found = [as_one(one, [lag, late, slow], together) for one in (lag, late, slow)]
     assert found == [replace(lag, probability=0.9, alternatives=("delay",), explained_um2=7.0), late, slow]
     sure = replace(lag, probability=0.95)
@@ -164,3 +165,10 @@ def test_effects_that_voltage_and_displacement_cannot_split_are_one_group() -> N
         frozenset({"amplifier_lag", "delay"}),
         frozenset({"creep", "thermal_drift"}),
     }
+
+
+def test_what_cannot_be_split_is_said_of_both() -> None:
+    """Whoever asks whether one effect is like another need not ask the other way round."""
+    effects = {effect.name: effect for effect in EFFECTS}
+    for name, effect in effects.items():
+        assert all(name in effects[other].degenerate_with for other in effect.degenerate_with), name

@@ -50,8 +50,8 @@ def test_what_was_taken_before_bars_no_addition_but_a_limit_that_nothing_reaches
         )  # fmt: skip
 
     now, more = fitted(soft), fitted(soft, creep)
-    assert search.inside(more, now) and not search.within_reach(more)
-    assert not search.within_reach(more, "slew_limit") and search.within_reach(more, "creep")
+    assert search.inside(more, now) and not search.within_reach([soft, creep])
+    assert not search.within_reach([soft]) and search.within_reach([creep])
     assert not search.inside(fitted(soft), fitted())
     assert search.inside(fitted(soft, creep, bounded=0), now)
     assert not search.inside(fitted(soft, creep, bounded=1), now)

@@ -8,7 +8,7 @@ from math import log
 from torchpi.diagnosis.chain import Chain
 from torchpi.diagnosis.coverage import follows_command, repeats
 from torchpi.diagnosis.fit import ROUGH
-from torchpi.diagnosis.hypothesis import Fit
+from torchpi.diagnosis.hypothesis import EffectTerm, Fit
 from torchpi.diagnosis.noise import Noise
 from torchpi.diagnosis.parallel import Job, fit_all
 from torchpi.diagnosis.records import seen
@@ -141,7 +141,7 @@ class Contest:
         asked = [member for k, member in enumerate(members) if not new or k in new]
         return (
             set(told) <= set(now.bounded)
-            and all(member.effect.reached(member.shared, self.seen) for member in asked)
+            and self.within_reach(asked)
             and not any(
                 follows_command(line_hz, self.repeating)
                 for member in asked
@@ -149,9 +149,8 @@ class Contest:
             )
         )
 
-    def within_reach(self, one: Fit, name: str | None = None) -> bool:
-        """Whether the command asks for what each limit of a fit allows, or those of one effect, and more."""
-        members = [m for m in one.hypothesis.members if name in (None, m.effect.name)]
+    def within_reach(self, members: Sequence[EffectTerm]) -> bool:
+        """Whether the command asks for what each limit among these allows, and more."""
         return all(member.effect.reached(member.shared, self.seen) for member in members)
 
     def needs_no_history(self, now: Fit, less: Fit) -> bool:

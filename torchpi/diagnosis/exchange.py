@@ -49,8 +49,9 @@ class Exchange(Timing):
         fits = self.raced(jobs, now, 2 * HEAT)
         others = [one for one in fits if self.inside(one, now)]
         chosen = max([now, *others], key=self.worth)
-        if not self.within_reach(now):  # a limit that nothing reaches any more is something else
-            chosen = max((one for one in others if self.within_reach(one)), key=self.worth, default=now)
+        if not self.within_reach(h.members):  # a limit that nothing reaches any more is something else
+            reached = (one for one in others if self.within_reach(one.hypothesis.members))
+            chosen = max(reached, key=self.worth, default=now)
         if chosen is now:
             return now
         self.log(f"  as {', '.join(chosen.hypothesis.names)}: {rms_of(chosen)}")

@@ -5,18 +5,13 @@ shows itself.
 """
 
 from collections.abc import Sequence
-from concurrent.futures import Executor
 from dataclasses import replace
 
-import numpy as np
-
-from torchpi.diagnosis.chain import Chain
 from torchpi.diagnosis.contest import ACCEPTED, HEAT, PRIOR, STEPS, Tried
 from torchpi.diagnosis.exchange import Exchange, rms_of
 from torchpi.diagnosis.fit import FINE, ROUGH
 from torchpi.diagnosis.hypothesis import Fit, Hypothesis
-from torchpi.diagnosis.hysteresis_model import HysteresisModel, bouc_wen, duhem, many_plays, plain, preisach
-from torchpi.diagnosis.noise import Noise
+from torchpi.diagnosis.hysteresis_model import HysteresisModel, duhem, many_plays, plain, preisach
 from torchpi.diagnosis.outside import Outside
 from torchpi.diagnosis.parallel import Job
 from torchpi.diagnosis.reduced_basis import MANY, basis, refitted
@@ -44,28 +39,14 @@ REWEIGHTED = 3
 
 
 class Growth(Exchange):
-    """Fits on given records, whose hysteresis may grow.
+    """Fits on given records, whose hysteresis may grow."""
 
-    Args:
-        chain: The recordings, and what each coefficient counts.
-        noise: What was measured of it, if anything.
-        executor: Where independent fits run; None is this process.
-        alignments: The conventions of timing.
-        given: The names of what the simulation has already.
-        simulation: What is called for the hysteresis, or recorded; None for plays.
-    """
-
-    def __init__(
-        self, chain: Chain, noise: Noise | None, executor: Executor | None, alignments: Sequence[int],
-        given: set[str], simulation: Outside | None,
-    ) -> None:  # fmt: skip
-        super().__init__(chain, noise, executor, alignments, given)
-        self.simulation = simulation
-        self.seen = replace(self.seen, simulated=simulation is not None)
-        self.nominal = HysteresisModel(np.zeros(0))
-        self.rejected_families: set[str] = set()
-        self.states = [bouc_wen(self.seen, share) for share in REVERSALS]
-        """Where a Bouc–Wen state begins: anywhere, then where it ended before."""
+    simulation: Outside | None
+    """What is called for the hysteresis, or recorded; None for plays."""
+    nominal: HysteresisModel
+    rejected_families: set[str]
+    states: list[HysteresisModel]
+    """Where a Bouc–Wen state begins: anywhere, then where it ended before."""
 
     def plays(self) -> HysteresisModel:
         """As many plays as the samples carry."""
@@ -101,9 +82,10 @@ class Growth(Exchange):
         of_a_state = self.raced([jobs[k] for k in states], now, heat)
         fits = self.raced([jobs[k] for k in rest], leader)
         if of_a_state:
-            fits.append(max(of_a_state, key=lambda one: (not one.bounded, self.score(one))))
-            if not fits[-1].bounded:
-                self.states = [self.states[0].with_shape(fits[-1].hypothesis.nominal.shape)]
+            best = max(of_a_state, key=lambda one: (not one.bounded, self.score(one)))
+            fits.append(best)
+            if not best.bounded:
+                self.states = [self.states[0].with_shape(best.hypothesis.nominal.shape)]
         for one in fits:
             family = one.hypothesis.nominal.family
             # A correction beside a given simulation takes what the effects leave: it is not weighed anew.

@@ -85,11 +85,14 @@ def posterior(
     density = np.array([weighting.log_density(model.fit) for model in models])
     priors = np.array([prior(search, retuned, model.fit) for model in models])
     chance = averaged(density, priors, weighting.strata)
-    found, together = [], []
+    found, together, h = [], [], models[0].fit.hypothesis
     for name in dict.fromkeys(model.without for model in models if model.without):
         less = next(m for m in models if m.without == name and not m.instead)
         rivals, alternatives = [], []
-        held = sum(float(c) for m, c in zip(models, chance, strict=True) if name not in names_of(m.without))
+        names = {*names_of(name)}
+        held = sum(
+            float(c) for m, c in zip(models, chance, strict=True) if not names <= {*names_of(m.without)}
+        )
         for model, c, own in zip(models, chance, density, strict=True):
             if model.without != name or not model.instead:
                 continue
@@ -101,15 +104,11 @@ def posterior(
                 held += float(c)
         # What a hysteresis, driven by the voltage alone, predicts as well need not have a signal.
         own = has_a_signal_of_its_own(models[0].fit, name) and OPERATOR_NAME not in alternatives
-        known = share_explained(search, models[0].fit, less.fit, own)
-        if own and has_a_recorded_signal(search, models[0].fit, name):
-            known = confirmed_alone(search, models[0].fit, less.fit)
-        if not search.within_reach(models[0].fit, name):
-            known = 0.0
+        reached = search.within_reach([m for m in h.members if m.effect.name == name])
+        known = share_explained(search, models[0].fit, less.fit, name, own) if reached else 0.0
         rise = less.fit.train_rms**2 - models[0].fit.train_rms ** 2
-        if len(group := names_of(name)) > 1:
-            held = 1 - float(chance[models.index(less)])
-            together.append(Believed(name, held * trust(known), tuple(group), rise, ()))
+        if len(names) > 1:
+            together.append(Believed(name, held * trust(known), (), rise, ()))
             continue
         rivals.sort(key=lambda rival: rival.loses_nats)
         found.append(
@@ -128,11 +127,10 @@ def as_one(one: Believed, found: Sequence[Believed], together: Sequence[Believed
     """The strongest of effects that may stand in each other's place, as likely as that any of them is
     missing: without one the others stand in for it, and little is lost."""
     for group in together:
-        strongest = max(
-            (each for each in found if each.name in group.alternatives), key=lambda each: each.explained_um2
-        )
+        names = names_of(group.name)
+        strongest = max((each for each in found if each.name in names), key=lambda each: each.explained_um2)
         if one is strongest and one.probability < group.probability:
-            others = (*one.alternatives, *(name for name in group.alternatives if name != one.name))
+            others = (*one.alternatives, *(name for name in names if name != one.name))
             return replace(
                 one, probability=round(group.probability, 4), alternatives=tuple(dict.fromkeys(others)),
                 explained_um2=max(one.explained_um2, group.explained_um2),
@@ -140,23 +138,18 @@ def as_one(one: Believed, found: Sequence[Believed], together: Sequence[Believed
     return one
 
 
-def share_explained(search: Search, more: Fit, less: Fit, own_signal: bool) -> float:
+def share_explained(search: Search, more: Fit, less: Fit, name: str, own_signal: bool) -> float:
     """The share of what is to be explained that an effect explains, 0–1, as far as the sealed samples confirm
-    it."""
+    it. For a recorded signal that nothing else can look like, how likely it predicts better, whatever else
+    there may be."""
     weighting = search.chain.weighting
-    known = weighting.explained_where_it_acts(more, less)
-    if not own_signal:
-        known = sqrt(known * weighting.explained_of_all(more, less))
+    if own_signal and has_a_recorded_signal(search, more, name):
+        known = search.over(more, less, PRIOR).probability
+    else:
+        known = weighting.explained_where_it_acts(more, less)
+        if not own_signal:
+            known = sqrt(known * weighting.explained_of_all(more, less))
     return confirmed(known, search.chain.records, more, less, weighting.mean_floor_um2, own_signal)
-
-
-def confirmed_alone(search: Search, more: Fit, less: Fit) -> float:
-    """How likely an effect is there that nothing else can look like, whatever else there may be: that it
-    predicts better, as far as the sealed samples confirm it."""
-    floor_um2 = search.chain.weighting.mean_floor_um2
-    return confirmed(
-        search.over(more, less, PRIOR).probability, search.chain.records, more, less, floor_um2, True
-    )
 
 
 def has_a_recorded_signal(search: Search, final: Fit, name: str) -> bool:
@@ -206,10 +199,7 @@ def of_one_kin(one: EffectTerm | None, other: EffectTerm | None) -> bool:
     """
     if one is None or other is None:
         return one is None or one.effect.sticks
-    kin = (*one.effect.left_by, *one.effect.degenerate_with)
-    return one.effect is not other.effect and (
-        (one.effect.delays and other.effect.delays) or other.effect.name in kin
-    )
+    return one.effect is not other.effect and (alike(one, other) or other.effect.name in one.effect.left_by)
 
 
 def settled(search: Search, retuned: Fit, final: Fit, history: Sequence[Round]) -> tuple[Fit, list[Model]]:
@@ -308,9 +298,7 @@ def groups(search: Search, small: Fit) -> list[tuple[str, ...]]:
     left, found = search.added(small), []
     while left:
         group, left = [left[0]], left[1:]
-        while kin := [
-            n for n in left if any(alike(terms[n], terms[g]) or alike(terms[g], terms[n]) for g in group)
-        ]:
+        while kin := [n for n in left if any(alike(terms[n], terms[g]) for g in group)]:
             group, left = [*group, *kin], [name for name in left if name not in kin]
         if len(group) > 1:
             found.append(tuple(group))

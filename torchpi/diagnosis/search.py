@@ -16,9 +16,9 @@ from torchpi.diagnosis.contest import ACCEPTED, HEAT, PRIOR, STEPS, Tried
 from torchpi.diagnosis.coverage import reason_to_leave_out
 from torchpi.diagnosis.exchange import rms_of
 from torchpi.diagnosis.fit import FINE, ROUGH
-from torchpi.diagnosis.growth import OPERATOR, REWEIGHTED, Growth
+from torchpi.diagnosis.growth import OPERATOR, REVERSALS, REWEIGHTED, Growth
 from torchpi.diagnosis.hypothesis import EffectTerm, Fit, Hypothesis
-from torchpi.diagnosis.hysteresis_model import HysteresisModel, duhem
+from torchpi.diagnosis.hysteresis_model import HysteresisModel, bouc_wen, duhem
 from torchpi.diagnosis.modal import driven_modes
 from torchpi.diagnosis.noise import Noise, measured_noise
 from torchpi.diagnosis.outside import Outside
@@ -67,9 +67,13 @@ class Search(Growth):
         simulation: Outside | None = None,
     ) -> None:
         alignments = simulation.alignments if simulation else (0, 1)
-        names = {member.effect.name for member in given}
-        super().__init__(chain, noise, executor, alignments, names, simulation)
+        super().__init__(chain, noise, executor, alignments, {member.effect.name for member in given})
         self.log, self.start, self.lsb_um = log, tuple(given), lsb_um
+        self.simulation = simulation
+        self.seen = replace(self.seen, simulated=simulation is not None)
+        self.nominal = HysteresisModel(np.zeros(0))
+        self.rejected_families = set()
+        self.states = [bouc_wen(self.seen, share) for share in REVERSALS]
         self.left_out: list[tuple[str, str]] = []
         self.needless: set[str] = set()
         self.slips: Slips | None = None
