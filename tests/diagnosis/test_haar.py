@@ -46,13 +46,6 @@ def test_every_coefficient_has_its_cell_and_its_level(samples: int, at_most: int
     assert len(haar.full(np.zeros((1, samples)))[0]) // 2**haar.levels >= COARSEST
 
 
-@given(st.integers(64, 3000), st.integers(20, 200))
-def test_what_is_kept_stands_for_all_of_its_level(samples: int, at_most: int) -> None:
-    few, every = whole(samples, at_most=at_most), whole(samples)
-    for level in range(1, few.levels + 1):
-        assert few.represents[few.level == level].sum() == pytest.approx((every.level == level).sum())
-
-
 def test_white_noise_has_one_variance_on_all_levels() -> None:
     haar = whole(1 << 15)
     full = haar.full(np.random.default_rng(0).standard_normal((40, 1 << 15)))

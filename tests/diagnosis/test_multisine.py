@@ -2,12 +2,11 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from torchpi.diagnosis.diagnosis import Trace
 from torchpi.diagnosis.locate import SIGNIFICANT
-from torchpi.diagnosis.multisine import Parts, Stretch, all_parts, multisine, periodic_stretches, sentence
+from torchpi.diagnosis.multisine import Parts, all_parts, multisine, sentence
+from torchpi.diagnosis.repeats import Stretch, periodic_stretches
 from torchpi.excitation.signals import multisine as random_phase
 
 FS_HZ, NOISE_UM = 5_000.0, 0.004
@@ -28,10 +27,6 @@ def parts(e: np.ndarray, seed: int = 0) -> Parts:
 
 def significant(found: Parts) -> set[str]:
     return {part for part, score in found.significance.items() if score > SIGNIFICANT}
-
-
-def test_the_period_is_found_behind_a_ramp() -> None:
-    assert periodic_stretches(U) == (Stretch(len(U) - 40_000, 20_000, 2),)
 
 
 def test_noise_has_no_parts() -> None:
@@ -90,27 +85,3 @@ def test_two_multisines_in_one_recording_are_two_stretches() -> None:
     found = periodic_stretches(u)
     assert sorted(found, key=lambda one: one.start) == [Stretch(3_000, 20_000, 2), Stretch(47_000, 20_000, 2)]
     assert len(all_parts([trace(0 * u + 1e-3 * np.random.default_rng(0).standard_normal(len(u)), u)])) == 2
-
-
-def test_triangles_and_sines_repeat() -> None:
-    t = np.arange(20_000) / FS_HZ
-    assert periodic_stretches(np.sin(2 * np.pi * 5 * t))[0] == Stretch(0, 1_000, 20)
-    (triangle,) = periodic_stretches(np.abs((t * 2 + 1) % 2 - 1))
-    assert triangle.period == 5_000
-
-
-@given(st.sampled_from(["walk", "sweep", "rest", "stairs", "decay", "noise", "steps"]), st.integers(0, 2**31))
-def test_what_does_not_repeat_is_not_called_periodic(kind: str, seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    n = int(rng.integers(200, 20_000))
-    t = np.arange(n) / FS_HZ
-    u = {
-        "walk": np.cumsum(rng.standard_normal(n)),
-        "sweep": np.sin(2 * np.pi * (1 + 20 * t) * t),
-        "rest": np.full(n, rng.uniform(0, 10)),
-        "stairs": np.floor(t * 8) * 0.5,
-        "decay": np.abs((t * 3) % 2 - 1) * (1 - t / (n / FS_HZ * 1.5)),
-        "noise": rng.standard_normal(n),
-        "steps": np.repeat(rng.uniform(0, 10, n // 100 + 1), 100)[:n],
-    }[kind]
-    assert periodic_stretches(u) == ()

@@ -16,7 +16,7 @@ def test_the_last_part_of_each_recording_is_sealed_and_no_coefficient_sees_it(sa
     first = int((1 - SEALED) * samples)
     assert one.train[:first].all() and not one.train[first:].any()
     other = np.where(one.train, one.y, 1e6)
-    assert np.array_equal(one.haar(one.y[None, :first]), one.haar(other[None]))
+    assert np.array_equal(one.coefficients(one.y[None, :first]), one.coefficients(other[None]))
     (everything,) = whole([record(multisine(samples))], [np.arange(0)])
     assert everything.train.all()
 
@@ -30,17 +30,19 @@ def test_dropouts_count_neither_in_a_fit_nor_in_an_error() -> None:
     first = int((1 - SEALED) * 2000)
     assert not spoilt.train[wrong].any() and not spoilt.held_out[wrong].any()
     assert spoilt.train.sum() == first - 3 and spoilt.held_out.sum() == 2000 - first - 1
-    assert np.array_equal(clean.haar.full(clean.y[None, :first]), spoilt.haar.full(spoilt.y[None, :first]))
+    assert np.array_equal(
+        clean.coefficients(clean.y[None, :first]), spoilt.coefficients(spoilt.y[None, :first])
+    )
 
 
 def test_an_edge_is_kept_though_most_of_a_long_recording_is_passed_over() -> None:
     u = np.zeros(300_000)
     u[150_001:] = 5.0
     (one,) = prepared([record(u)])
-    assert len(one.haar.kept) < 2 * AT_MOST
+    assert one.coefficients.kept < 2 * AT_MOST
     edge = np.zeros(len(u))
     edge[150_001] = 1.0
-    assert np.abs(one.haar(edge[None])[0]).max() > 0.5
+    assert np.abs(one.coefficients(edge[None])[0]).max() > 0.5
 
 
 def test_what_recordings_span_is_that_of_all_of_them() -> None:

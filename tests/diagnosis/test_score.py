@@ -15,6 +15,7 @@ from torchpi.diagnosis.fit import fit, left_out, prior_of, solve, with_prior
 from torchpi.diagnosis.hypothesis import Fit, Hypothesis
 from torchpi.diagnosis.hysteresis_model import plain
 from torchpi.diagnosis.records import Record, seen
+from torchpi.diagnosis.repeats import APART, PLAIN
 from torchpi.diagnosis.score import AT_MOST, LEAST_IN_STRATUM, Weighting, gain
 from torchpi.diagnosis.sensitivity import jacobian
 from torchpi.recordings.recording import Recording
@@ -34,8 +35,8 @@ def squares(records: Sequence[Record], residuals: Sequence[np.ndarray]) -> np.nd
     """(cells,): mean squares."""
     parts = []
     for record_, e in zip(records, residuals, strict=True):
-        cell = record_.haar.cell
-        parts.append(np.bincount(cell, record_.haar(e[None])[0] ** 2) / np.bincount(cell))
+        cell = record_.coefficients.cell
+        parts.append(np.bincount(cell, record_.coefficients(e[None])[0] ** 2) / np.bincount(cell))
     return np.concatenate(parts)
 
 
@@ -73,13 +74,13 @@ def test_noise_predicts_no_better_where_it_is_fitted_by_columns_of_noise() -> No
     for seed in range(30):
         e = white(seed)[: SAMPLES // 4]
         records = records_of(e)
-        haar = records[0].haar
-        columns, c = haar(rng.standard_normal((20, len(e)))), haar(e[None])[0]
+        of = records[0].coefficients
+        columns, c = of(rng.standard_normal((20, len(e)))), of(e[None])[0]
         weighting = Weighting.of(records, [e], None)
         q, _ = np.linalg.qr(columns.T)
         leverage, left = (q**2).sum(1), c - q @ (q.T @ c)
-        n = np.bincount(haar.cell)
-        cells = [np.bincount(haar.cell, x**2) / n for x in (left / (1 - leverage), c, left)]
+        n = np.bincount(of.cell)
+        cells = [np.bincount(of.cell, x**2) / n for x in (left / (1 - leverage), c, left)]
         densities = [weighting.of_squares(x) for x in cells]
         found.append((gain(densities[0], densities[1]).nats, gain(densities[2], densities[1]).nats))
     predicted, fitted = np.mean(found, axis=0)
@@ -141,8 +142,8 @@ def test_leave_one_out_is_what_refits_without_each_coefficient_predict() -> None
         )
         predicted[k] = y[k] - without @ j[:, k]
     inverse_sd = np.concatenate(chain.weighting.inverse_sd)
-    first = np.cumsum([0, chain.records[0].haar.cells])
-    cell = np.concatenate([r.haar.cell + f for r, f in zip(chain.records, first, strict=True)])
+    first = np.cumsum([0, chain.records[0].coefficients.cells])
+    cell = np.concatenate([r.coefficients.cell + f for r, f in zip(chain.records, first, strict=True)])
     explicit = np.bincount(cell, (predicted / inverse_sd) ** 2) / np.bincount(cell)
     assert shortcut == pytest.approx(explicit, rel=1e-3)
 
@@ -154,9 +155,10 @@ class Left:
         self.left_out_um2 = left_out_um2
 
 
-def weighting(cells: int) -> Weighting:
-    one = np.ones(cells)
-    return Weighting((np.ones(20 * cells),), one, 20 * one, one, np.zeros(cells, dtype=int))
+def weighting(cells: int, kinds: np.ndarray | None = None) -> Weighting:
+    one, alike = np.ones(cells), np.zeros(cells, dtype=int)
+    kinds = alike if kinds is None else kinds
+    return Weighting((np.ones(20 * cells),), one, 20 * one, one, kinds, kinds)
 
 
 def test_an_effect_that_leaves_noise_explains_all_and_one_that_leaves_much_explains_its_share() -> None:
@@ -170,6 +172,14 @@ def test_what_is_missed_elsewhere_does_not_count_against_an_effect() -> None:
     now, less = np.full(10, 1.0), np.full(10, 1.0)
     less[:5], now[5:], less[5:] = 50.0, 100.0, 100.0
     assert weighting(10).explained_where_it_acts(Left(now), Left(less)) > 0.99
+
+
+def test_what_repeats_does_not_count_against_what_does_not() -> None:
+    now, less = np.full(20, 1.0), np.full(20, 1.0)
+    less[:10], now[10:], less[10:] = 50.0, 100.0, 100.0
+    apart = np.repeat([APART, PLAIN], 10)
+    assert weighting(20).explained_of_all(Left(now), Left(less)) < 0.5
+    assert weighting(20, apart).explained_of_all(Left(now), Left(less)) > 0.95
 
 
 def test_a_small_gain_almost_everywhere_does_not_outvote_where_an_effect_acts() -> None:
@@ -190,8 +200,8 @@ def test_a_gain_on_one_scale_is_as_sure_as_its_cells_agree() -> None:
 def test_every_stratum_is_of_one_recording_and_has_cells_enough() -> None:
     records = records_of(white(0), white(1))
     strata = Weighting.flat(records).strata
-    assert strata is not None and len(strata) == sum(r.haar.cells for r in records)
-    own = np.repeat([0, 1], [r.haar.cells for r in records])
+    assert strata is not None and len(strata) == sum(r.coefficients.cells for r in records)
+    own = np.repeat([0, 1], [r.coefficients.cells for r in records])
     assert all(len(np.unique(own[strata == one])) == 1 for one in np.unique(strata))
     assert np.bincount(strata).min() >= LEAST_IN_STRATUM
 

@@ -104,9 +104,9 @@ class Chain:
 
     def whitened(self, index: int, rows: np.ndarray) -> np.ndarray:
         """(rows, kept): Haar coefficients of rows, (rows, time), over what each may be off by."""
-        coefficients = self.records[index].haar(rows)
-        coefficients *= self.weighting.inverse_sd[index]
-        return coefficients
+        found = self.records[index].coefficients(rows)
+        found *= self.weighting.inverse_sd[index]
+        return found
 
     def output(self, hypothesis: Hypothesis, weights: np.ndarray, index: int) -> np.ndarray:
         """(time,), µm, for one recording. Its zero lies behind everything."""

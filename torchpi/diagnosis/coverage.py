@@ -5,8 +5,8 @@ from collections.abc import Sequence
 import numba
 import numpy as np
 
-from torchpi.diagnosis.multisine import periodic_stretches
 from torchpi.diagnosis.records import Record
+from torchpi.diagnosis.repeats import periodic_stretches
 from torchpi.stage.effects.effect import DataRange, Effect
 from torchpi.stage.effects.inside import InsideEffect
 

@@ -265,7 +265,7 @@ def traces_of(
         traces.append(
             Trace(
                 recording.name, recording.fs_hz, recording.t, record.u, record.y,
-                np.arange(len(record.u)) >= record.haar.samples,
+                np.arange(len(record.u)) >= record.coefficients.samples,
                 retuned.residuals[r], augmented.residuals[r], signatures,
             )
         )  # fmt: skip

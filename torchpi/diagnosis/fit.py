@@ -152,8 +152,8 @@ def left_out(
     root, means = whitener(parts, prior), []
     for record, residual, part in zip(chain.records, residuals, parts, strict=True):
         leverage = np.minimum((root[:, part.places] @ part.rows) ** 2, 1e6).sum(0)
-        e = record.haar(residual[None])[0] / (1 - np.minimum(leverage, LEVERAGE))
-        cell = record.haar.cell
+        e = record.coefficients(residual[None])[0] / (1 - np.minimum(leverage, LEVERAGE))
+        cell = record.coefficients.cell
         means.append(np.bincount(cell, e**2) / np.bincount(cell))
     return np.concatenate(means)
 

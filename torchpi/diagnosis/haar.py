@@ -32,7 +32,6 @@ class Haar:
     level: np.ndarray  # shape: (kept,), 1 for differences of neighbours; levels + 1 for what no level holds
     cell: np.ndarray  # shape: (kept,), numbered within the recording
     at: np.ndarray  # shape: (kept,), the sample in the middle of each
-    represents: np.ndarray  # shape: (kept,), for how many coefficients of the full transform each stands
 
     @classmethod
     def of(cls, activity: np.ndarray, samples: int, valid: np.ndarray, at_most: int) -> "Haar":
@@ -47,10 +46,10 @@ class Haar:
         levels = max(0, int(np.log2(max(samples // COARSEST, 1))))
         mask = valid[:samples].astype(np.float64)
         nothing = np.zeros(0, int)
-        whole = cls(samples, levels, mask, nothing, nothing, nothing, nothing, np.zeros(0))
+        whole = cls(samples, levels, mask, nothing, nothing, nothing, nothing)
         size = np.abs(whole.full(activity[None, :samples])[0])
         support = whole.support()
-        kept, level, cell, at, represents, cells = [], [], [], [], [], 0
+        kept, level, cell, at, cells = [], [], [], [], 0
         for one in range(1, levels + 2):
             first, stop = whole.places(one)
             width = 2 ** min(one, levels)
@@ -67,9 +66,8 @@ class Haar:
             level.append(np.full(len(there), one))
             cell.append(cells + np.arange(len(there)) * count // len(there))
             at.append(np.minimum((there - first) * width + width // 2, samples - 1))
-            represents.append(np.full(len(there), (support[first:stop] > 0.5).sum() / len(there)))
             cells += count
-        joined = (np.concatenate(part) for part in (kept, level, cell, at, represents))
+        joined = (np.concatenate(part or [nothing]) for part in (kept, level, cell, at))
         return cls(samples, levels, mask, *joined)
 
     @property

@@ -27,7 +27,7 @@ def intervals_90(chain: Chain, now: Fit) -> list[tuple[float, float]]:
     """
     if not now.slots:
         return []
-    total = sum(record.haar.samples for record in chain.records)
+    total = sum(record.coefficients.samples for record in chain.records)
     blocks: list[tuple[np.ndarray, np.ndarray]] = []
     recordings: list[tuple[np.ndarray, np.ndarray]] = []
     for i, record in enumerate(chain.records):
@@ -36,8 +36,8 @@ def intervals_90(chain: Chain, now: Fit) -> list[tuple[float, float]]:
         part[places] = rows
         error = chain.whitened(i, now.residuals[i][None])[0]
         recordings.append((part @ part.T, part @ error))
-        pieces = max(2, round(BLOCKS * record.haar.samples / total))
-        block = record.haar.at * pieces // record.haar.samples
+        pieces = max(2, round(BLOCKS * record.coefficients.samples / total))
+        block = record.coefficients.at * pieces // record.coefficients.samples
         for inside in (block == b for b in range(pieces)):
             blocks.append((part[:, inside] @ part[:, inside].T, part[:, inside] @ error[inside]))
     whole = np.sum([gram for gram, _ in recordings], 0)

@@ -254,7 +254,8 @@ class Superposition:
         """(cells,): its log density."""
         squares = []
         for record, e in zip(self.records, self.residuals(now), strict=True):
-            squares.append(np.bincount(record.haar.cell, record.haar(e[None])[0] ** 2))
+            of = record.coefficients
+            squares.append(np.bincount(of.cell, of(e[None])[0] ** 2))
         return self.weighting.of_squares(np.concatenate(squares) / self.weighting.counts)
 
     def residuals(self, now: Solved) -> list[np.ndarray]:

@@ -15,16 +15,10 @@ from scipy.ndimage import median_filter, uniform_filter1d
 
 from torchpi.diagnosis.diagnosis import Trace
 from torchpi.diagnosis.locate import SIGNIFICANT, normal_score
+from torchpi.diagnosis.repeats import Stretch, periodic_stretches
 
 Part = Literal["linear", "even", "odd", "non_periodic"]
 
-PROBES, PROBE_SAMPLES = 32, 48
-LEAST_PERIOD = 32
-"""Samples."""
-SAME = 3e-4
-"""Of the span: two inputs that differ by less are the same; one that was measured has noise of its own."""
-LEAST_SWING = 0.01
-"""Of the recording's span, that a period must cover: a rest repeats as well."""
 EXCITED = 1e-3
 """Of the strongest line's amplitude."""
 BAND = 3
@@ -35,17 +29,6 @@ FINE_HZ = 1.0
 """Of lines closer than this, those on the mains are hum's, and count as non-periodic."""
 LEAKS = 2.5
 """Times the noise, from which six lines about a line are more than noise."""
-AT_MOST = 4
-"""Stretches taken from one recording."""
-
-
-@dataclass(frozen=True)
-class Stretch:
-    """Samples start … start + periods · period, over which the input repeats exactly."""
-
-    start: int
-    period: int
-    periods: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,60 +86,6 @@ def sentence(parts: Parts) -> str:
     if blind:
         text += f"; no {' and no '.join(blind)} line was left unexcited to show such distortion"
     return text + "."
-
-
-def periodic_stretches(u: np.ndarray) -> tuple[Stretch, ...]:
-    """Where the input repeats exactly, twice or more, the longest stretch first; none overlaps another.
-
-    Short probes of the input are looked up further on in the record; each distance at which one comes again
-    is tried as a period over the whole record. Of distances that fit the same stretch the shortest counts.
-    Periods that are no whole number of samples are found at their first whole multiple.
-    """
-    span = float(np.ptp(u))
-    if span == 0 or len(u) < 2 * LEAST_PERIOD:
-        return ()
-    found: list[Stretch] = []
-    free = np.ones(len(u), dtype=bool)
-    lags = _lags(u, SAME * span)
-    while len(found) < AT_MOST:
-        options = [stretch for lag in lags if (stretch := _stretch(u, free, int(lag), span))]
-        if not options:
-            break
-        longest = max(one.period * one.periods for one in options)
-        best = min(
-            (one for one in options if one.period * one.periods > 0.9 * longest), key=lambda one: one.period
-        )
-        found.append(best)
-        free[best.start : best.start + best.period * best.periods] = False
-    return tuple(found)
-
-
-def _lags(u: np.ndarray, tolerance: float) -> np.ndarray:
-    """Distances at which a moving piece of the input comes again."""
-    lags: set[int] = set()
-    for start in np.linspace(0, len(u) - PROBE_SAMPLES - 1, PROBES).astype(int):
-        probe = u[start : start + PROBE_SAMPLES]
-        if np.ptp(probe) <= 10 * tolerance:
-            continue
-        at = start + LEAST_PERIOD + np.arange(max(len(u) - PROBE_SAMPLES - start - LEAST_PERIOD, 0))
-        for j in (0, PROBE_SAMPLES - 1, *range(1, PROBE_SAMPLES - 1)):
-            at = at[np.abs(u[at + j] - probe[j]) <= tolerance]
-        lags.update(int(lag) for lag in at[:8] - start)
-    return np.array(sorted(lags), dtype=int)
-
-
-def _stretch(u: np.ndarray, free: np.ndarray, lag: int, span: float) -> Stretch | None:
-    """The longest stretch of whole periods of this length, at the end of where the input repeats."""
-    same = (np.abs(u[lag:] - u[:-lag]) <= SAME * span) & free[lag:] & free[:-lag]
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], same, [False]])))
-    starts, stops = edges[::2], edges[1::2]
-    if not len(starts) or (stops - starts).max() < lag:
-        return None
-    longest = int((stops - starts).argmax())
-    periods = (int(stops[longest]) + lag - int(starts[longest])) // lag
-    start = int(stops[longest]) + lag - periods * lag
-    swing = float(np.ptp(u[start : start + lag]))
-    return Stretch(start, lag, periods) if swing > LEAST_SWING * span else None
 
 
 def _parts(trace: Trace, residual: np.ndarray, stretch: Stretch) -> Parts:

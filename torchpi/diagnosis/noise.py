@@ -6,18 +6,17 @@ from itertools import pairwise
 
 import numpy as np
 
+from torchpi.diagnosis.coefficients import Coefficients
 from torchpi.diagnosis.haar import Haar
 from torchpi.diagnosis.lines import without_lines
-from torchpi.diagnosis.multisine import SAME, periodic_stretches
 from torchpi.diagnosis.records import Record
+from torchpi.diagnosis.repeats import SAME, periodic_stretches
 
 LEAST_HOLD = 200
 """Samples of a hold from which a level is taken."""
 STILL, SMALL = (0.5, 1.5), 0.005
 """Von Neumann's ratio of a monitored voltage that holds: half the mean squared successive difference over the
 variance is 1 for white noise, and small where it moves; and its standard deviation, of the span."""
-LEAST_PERIODS = 3
-"""Of an input that repeats: the first still has the transient of the start."""
 LEAST_COEFFICIENTS = 8
 """Of a scale from which its variance is taken; the next slower ones are extrapolated."""
 STEEPEST = 1.5
@@ -55,7 +54,7 @@ class Noise:
         return Noise(rms_um, self.variance_um2 + own, self.fs_hz, self.source, lsb_um)
 
 
-def held_error(y: np.ndarray, haar: Haar) -> np.ndarray:
+def held_error(y: np.ndarray, of: Coefficients) -> np.ndarray:
     """(cells,): the mean square of the coefficients that a converter's error has, over that of white error.
 
     The error of readings that stay on one line of a lattice for R samples is one error, not R independent
@@ -64,14 +63,13 @@ def held_error(y: np.ndarray, haar: Haar) -> np.ndarray:
 
     Args:
         y: (time,), readings on a lattice.
-        haar: The transform of them.
+        of: The coefficients of them.
     """
-    edges = np.flatnonzero(np.diff(y[: haar.samples])) + 1
-    lengths = np.diff([0, *edges.tolist(), haar.samples])
-    run = np.repeat(lengths, lengths).astype(float)[haar.at]
-    scale = 2.0 ** np.minimum(haar.level, haar.levels)
-    times = np.minimum(scale**2 / (6 * run), run)
-    found: np.ndarray = np.bincount(haar.cell, np.maximum(times, 1.0)) / np.bincount(haar.cell)
+    edges = np.flatnonzero(np.diff(y[: of.samples])) + 1
+    lengths = np.diff([0, *edges.tolist(), of.samples])
+    run = np.repeat(lengths, lengths).astype(float)[of.at]
+    times = np.minimum(of.scale**2 / (6 * run), run)
+    found: np.ndarray = np.bincount(of.cell, np.maximum(times, 1.0)) / np.bincount(of.cell)
     return found
 
 
@@ -88,7 +86,7 @@ def measured_noise(records: Sequence[Record], residuals: Sequence[np.ndarray] | 
     records = [replace(record, y=bridged(y, record)) for record, y in zip(records, readings, strict=True)]
     sources = (
         ("holds of the voltage", of_holds),
-        ("periods that repeat, the first left out", of_repeats),
+        ("periods that repeat, the start left out", of_repeats),
         ("recordings of the same voltage", of_second_recordings),
     )
     for source, pieces in sources:
@@ -171,13 +169,13 @@ def _still(u: np.ndarray, span: float) -> bool:
 
 
 def of_repeats(record: Record, records: Sequence[Record]) -> Iterator[np.ndarray]:
-    """Differences of neighbouring periods, over root two, each less its own line."""
+    """Differences of neighbouring periods, over root two, each less its own line: without the first, which
+    has the transient of the start; of two periods the second half."""
     for stretch in periodic_stretches(record.u):
-        if stretch.periods >= LEAST_PERIODS:
-            end = stretch.start + stretch.periods * stretch.period
-            periods = record.y[stretch.start : end].reshape(stretch.periods, stretch.period)
-            for before, after in pairwise(periods[1:]):
-                yield _straightened(after - before) / np.sqrt(2)
+        periods = record.y[stretch.start : stretch.end].reshape(stretch.periods, stretch.period)
+        settled = periods[1:] if stretch.periods > 2 else periods[:, stretch.period // 2 :]
+        for before, after in pairwise(settled):
+            yield _straightened(after - before) / np.sqrt(2)
 
 
 def of_second_recordings(record: Record, records: Sequence[Record]) -> Iterator[np.ndarray]:

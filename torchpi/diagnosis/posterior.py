@@ -26,6 +26,7 @@ from torchpi.diagnosis.growth import OPERATOR
 from torchpi.diagnosis.hypothesis import EffectTerm, Fit, Hypothesis
 from torchpi.diagnosis.parallel import Job
 from torchpi.diagnosis.reduced_basis import reduced, refitted
+from torchpi.diagnosis.repeats import APART, STARTING
 from torchpi.diagnosis.score import ALIKE
 from torchpi.diagnosis.sealed import confirmed
 from torchpi.diagnosis.search import Round, Search
@@ -149,7 +150,11 @@ def share_explained(search: Search, more: Fit, less: Fit, name: str, own_signal:
         known = weighting.explained_where_it_acts(more, less)
         if not own_signal:
             known = sqrt(known * weighting.explained_of_all(more, less))
-    return confirmed(known, search.chain.records, more, less, weighting.mean_floor_um2, own_signal)
+    nats = weighting.nats_of_kinds(more, less)
+    apart = float(nats[[STARTING, APART]].sum() / max(float(nats.sum()), 1e-300))
+    terms = [member for member in more.hypothesis.members if member.effect.name == name]
+    alone = own_signal or not all(member.effect.foretells(member.shared) for member in terms)
+    return confirmed(known, search.chain.records, more, less, weighting.mean_floor_um2, alone, apart)
 
 
 def has_a_recorded_signal(search: Search, final: Fit, name: str) -> bool:

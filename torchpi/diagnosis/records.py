@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from torchpi.diagnosis.haar import Haar
+from torchpi.diagnosis.coefficients import Coefficients
 from torchpi.diagnosis.monitored import without_noise
 from torchpi.recordings.recording import Recording
 from torchpi.stage.effects.effect import DataRange
@@ -14,6 +14,9 @@ SEALED = 0.15
 """Share of each recording, its end, that neither a fit nor the choice between hypotheses sees."""
 AT_MOST = 30_000
 """Coefficients that a search sums over, of all recordings."""
+REPEATS = 0.25
+"""Share of a recording's coefficients that hold what does not repeat, where its voltage does: a third period
+again."""
 LEVELS = 8.0
 """Scales among which they are shared out."""
 
@@ -42,8 +45,8 @@ class Record:
     """(time,), bool: neither in the sealed end, nor start-up that is skipped, nor a dropout."""
     held_out: np.ndarray
     """(time,), bool: what is not trained on, but for the dropouts."""
-    haar: Haar
-    """The coefficients that a fit sums over."""
+    coefficients: Coefficients
+    """Those that a fit sums over."""
     rests: Rests | None = None
     """None where no mount that sticks was seen."""
     simulated: np.ndarray | None = None
@@ -97,7 +100,7 @@ def _record(recording: Recording, samples: int, wrong: np.ndarray, recordings: i
     at_most = max(200, int(AT_MOST / recordings / LEVELS) * 2)
     return Record(
         recording.name, u, y, recording.fs_hz, recording.aux, fitted & valid, ~fitted & valid,
-        Haar.of(activity, samples, fitted & valid, at_most),
+        Coefficients.of(u, activity, samples, fitted & valid, at_most),
         simulated=recording.simulated, driving=without_noise(u),
     )  # fmt: skip
 
@@ -108,7 +111,7 @@ def seen(records: Sequence[Record]) -> DataRange:
     names = {name for record in records for name in record.aux}
     return DataRange(
         fs_hz=max(record.fs_hz for record in records),
-        duration_s=max(record.haar.samples / record.fs_hz for record in records),
+        duration_s=max(record.coefficients.samples / record.fs_hz for record in records),
         low_v=min(float(record.u.min()) for record in records),
         high_v=max(float(record.u.max()) for record in records),
         # Steps between long holds are too few for a percentile to see.
@@ -117,4 +120,5 @@ def seen(records: Sequence[Record]) -> DataRange:
         high_um=max(float(record.y.max()) for record in records),
         aux={n: max(float(r.aux[n].std()) for r in records if n in r.aux) for n in sorted(names)},
         peak_rate_v_s=float(rates.max()),
+        repeats=all(record.coefficients.repeats.apart.mean() > REPEATS for record in records),
     )

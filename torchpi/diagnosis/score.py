@@ -23,6 +23,7 @@ from scipy.special import ndtr
 from torchpi.diagnosis.hypothesis import Fit
 from torchpi.diagnosis.noise import Noise, held_error
 from torchpi.diagnosis.records import Record
+from torchpi.diagnosis.repeats import APART, KINDS, PLAIN, STARTING
 
 KNOWN = 4.0
 """Degrees of freedom with which the noise of a cell is known beforehand: to a factor of about two."""
@@ -44,7 +45,8 @@ class Weighting:
     level_um2: np.ndarray  # shape: (cells of all recordings,), the noise's mean square in each cell
     counts: np.ndarray  # shape: (cells,), coefficients in each
     floor_um2: np.ndarray  # shape: (cells,), what nothing explains of each: the noise, if it was measured
-    strata: np.ndarray  # shape: (cells,), cells of one stratum have a recording and a scale in common
+    strata: np.ndarray  # shape: (cells,), cells of one stratum have a recording, a kind and a scale in common
+    kinds: np.ndarray  # shape: (cells,), the readings, or what does not repeat of them
 
     @classmethod
     def of(
@@ -54,40 +56,47 @@ class Weighting:
         scales, levels, floors, counts = [], [], [], []
         smallest = TINY * max(float(np.ptp(record.y)) for record in records) ** 2 + 1e-300
         for record, residual in zip(records, residuals, strict=True):
-            haar = record.haar
-            e = haar(residual[None, : haar.samples])[0]
-            n = np.bincount(haar.cell)
-            mean = np.bincount(haar.cell, e**2) / n
-            own = haar.level_of_cell
+            of = record.coefficients
+            e = of(residual[None])[0]
+            n = np.bincount(of.cell)
+            mean = np.bincount(of.cell, e**2) / n
+            own, kind = of.level_of_cell, of.kind_of_cell
             measured = noise is not None and record.fs_hz == noise.fs_hz
             noise_um2 = np.empty(len(n))
-            for level in np.unique(own):
-                there = own == level
+            for level, one in sorted(set(zip(own.tolist(), kind.tolist(), strict=True))):
+                there = (own == level) & (kind == one)
                 if noise and measured:
-                    noise_um2[there] = noise.level_um2(int(level))
+                    noise_um2[there] = noise.level_um2(level)
                 else:
                     noise_um2[there] = np.median(mean[there])
             if noise is not None and noise.lsb_um > 0:
-                noise_um2 += noise.lsb_um**2 / 12 * (held_error(record.y, haar) - 1)
+                noise_um2 += noise.lsb_um**2 / 12 * (held_error(record.y, of) - 1)
             noise_um2 = np.maximum(noise_um2, smallest)
             # A typical residual is no noise: what a model has wrong everywhere would count as explained.
             finest_um2 = noise_um2[own == own.min()].min()
             floors.append(noise_um2 if measured else np.minimum(noise_um2, finest_um2))
+            # What a model lacks of a stage's dynamics may ring while the stage starts: as loud as it repeats.
+            for level in np.unique(own[kind == STARTING]):
+                there = (own == level) & (kind == STARTING)
+                mean[there] = np.maximum(mean[there], mean[(own == level) & (kind == PLAIN)].mean())
             variance = (KNOWN * noise_um2 + n * mean) / (KNOWN + n)
-            scales.append(1 / np.sqrt(variance)[haar.cell])
+            scales.append(1 / np.sqrt(variance)[of.cell])
             levels.append(noise_um2)
             counts.append(n)
         counted = np.concatenate(counts).astype(float)
-        return cls(tuple(scales), np.concatenate(levels), counted, np.concatenate(floors), strata_of(records))
+        return cls(
+            tuple(scales), np.concatenate(levels), counted, np.concatenate(floors), strata_of(records),
+            kinds_of(records),
+        )  # fmt: skip
 
     @classmethod
     def flat(cls, records: Sequence[Record]) -> "Weighting":
         """Every coefficient alike, before anything is known."""
         sd = 1e-3 * max(float(np.ptp(record.y)) for record in records) or 1e-9
-        counts = np.concatenate([np.bincount(record.haar.cell) for record in records]).astype(float)
-        scales = tuple(np.full(len(record.haar.kept), 1 / sd) for record in records)
+        counts = np.concatenate([np.bincount(record.coefficients.cell) for record in records]).astype(float)
+        scales = tuple(np.full(record.coefficients.kept, 1 / sd) for record in records)
         level_um2 = np.full(len(counts), sd**2)
-        return cls(scales, level_um2, counts, level_um2, strata_of(records))
+        return cls(scales, level_um2, counts, level_um2, strata_of(records), kinds_of(records))
 
     @cached_property
     def token(self) -> str:
@@ -118,12 +127,27 @@ class Weighting:
         return float((nats * share).sum() / max(float(nats.sum()), 1e-300))
 
     def explained_of_all(self, more: Fit, less: Fit) -> float:
-        """What a fit explains beyond another, 0–1, of that and of all that is left of the mean squares."""
-        gained = np.maximum(less.left_out_um2 - more.left_out_um2, 0.0) @ self.counts
+        """What a fit explains beyond another, 0–1, of that and of all that is left of the mean squares: of
+        the readings, and of what does not repeat of them, as the nats are shared between them."""
+        gained = np.maximum(less.left_out_um2 - more.left_out_um2, 0.0) * self.counts
         # Noise lies above its mean in half of the cells: all of a scale together tell what is left there.
         above = (more.left_out_um2 - self.floor_um2) * self.counts
-        left = np.maximum(np.bincount(self.strata, above), 0.0).sum()
-        return float(gained / max(gained + left, 1e-300))
+        kind_of_stratum = np.zeros(int(self.strata.max()) + 1, dtype=int)
+        kind_of_stratum[self.strata] = self.kinds
+        left = np.maximum(np.bincount(self.strata, above), 0.0)
+        left = np.bincount(kind_of_stratum, left, len(KINDS))
+        explained = np.bincount(self.kinds, gained, len(KINDS))
+        share = explained / np.maximum(explained + left, 1e-300)
+        nats = self.nats_of_kinds(more, less)
+        return float(share @ nats / max(float(nats.sum()), 1e-300))
+
+    def nats_of_kinds(self, more: Fit, less: Fit) -> np.ndarray:
+        """(kinds,): what a fit gains beyond another in the cells of each kind where it does; of the readings,
+        beyond what it gains in what does not repeat of them."""
+        nats = np.maximum(self.log_density(more) - self.log_density(less), 0.0)
+        found: np.ndarray = np.bincount(self.kinds, nats, len(KINDS))
+        found[PLAIN] = max(found[PLAIN] - found[[STARTING, APART]].sum(), 0.0)
+        return found
 
     def of_squares(self, mean_um2: np.ndarray) -> np.ndarray:
         """The same of the cells' mean squares, (cells,), µm²."""
@@ -168,18 +192,25 @@ def gain(better: np.ndarray, worse: np.ndarray, prior: float = 0.0, strata: np.n
 
 
 def strata_of(records: Sequence[Record]) -> np.ndarray:
-    """(cells,): the cells of each recording by their scale, scales of fewer than `LEAST_IN_STRATUM` cells
-    with the next finer one."""
+    """(cells,): the cells of each recording by their kind and scale, scales of fewer than `LEAST_IN_STRATUM`
+    cells with the next finer one."""
     found, first = [], 0
     for record in records:
-        level = record.haar.level_of_cell
-        stratum, count = np.zeros(len(level), dtype=int), 0
-        for one in sorted(np.unique(level), reverse=True):
-            there = level == one
-            stratum[there] = first
-            count += int(there.sum())
-            if count >= LEAST_IN_STRATUM:
-                first, count = first + 1, 0
-        first += count > 0
+        level, kind = record.coefficients.level_of_cell, record.coefficients.kind_of_cell
+        stratum = np.zeros(len(level), dtype=int)
+        for each in np.unique(kind):
+            count = 0
+            for one in sorted(np.unique(level[kind == each]), reverse=True):
+                there = (level == one) & (kind == each)
+                stratum[there] = first
+                count += int(there.sum())
+                if count >= LEAST_IN_STRATUM:
+                    first, count = first + 1, 0
+            first += count > 0
         found.append(stratum)
     return np.concatenate(found)
+
+
+def kinds_of(records: Sequence[Record]) -> np.ndarray:
+    """(cells,): the kind of the piece that each lies in."""
+    return np.concatenate([record.coefficients.kind_of_cell for record in records])

@@ -51,8 +51,9 @@ class Screen:
         self.tangent = np.concatenate([root[:, part.places] @ part.rows for part in parts], axis=1)
         """(numbers, coefficients), orthonormal."""
         self.residual = np.concatenate([chain.whitened(i, e[None])[0] for i, e in enumerate(now.residuals)])
-        first = np.cumsum([0, *(record.haar.cells for record in self.records)])
-        self.cell = np.concatenate([r.haar.cell + k for r, k in zip(self.records, first, strict=False)])
+        each = [record.coefficients for record in self.records]
+        first = np.cumsum([0, *(of.cells for of in each)])
+        self.cell = np.concatenate([of.cell + k for of, k in zip(each, first, strict=False)])
         self.variance_um2 = 1 / np.concatenate(chain.weighting.inverse_sd) ** 2
         self.left = self.off_tangent(self.residual[None])[0]
         self.before = chain.weighting.of_squares(self.squares(self.left))

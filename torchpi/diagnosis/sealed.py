@@ -13,8 +13,9 @@ from torchpi.diagnosis.records import Record
 
 
 def confirmed(
-    known: float, records: Sequence[Record], more: Fit, less: Fit, noise_um2: float, of_its_own: bool
-) -> float:
+    known: float, records: Sequence[Record], more: Fit, less: Fit, noise_um2: float, alone: bool,
+    apart: float = 0.0,
+) -> float:  # fmt: skip
     """The share that an effect explains of what is to be explained, 0–1, if the sealed samples agree; else
     theirs. They count as much as the effect acts there, beside what it does where it was fitted.
 
@@ -24,22 +25,43 @@ def confirmed(
         more: With the effect.
         less: Without it, everything else refitted.
         noise_um2: Mean square that nothing explains.
-        of_its_own: What else is left does not count, but only whether the effect improves every recording.
+        alone: What else is left does not count, but only whether the effect improves every recording: it has
+            a signal of its own, or does not foretell how it goes on.
+        apart: How much of what it gains lies in what does not repeat with the voltage, 0–1.
     """
-    gained = changed = left = here = there = 0.0
-    for record, e, without in zip(records, more.residuals, less.residuals, strict=True):
-        if not record.held_out.any():
+    share = known
+    for part, split in ((1.0 - apart, as_they_are), (apart, what_does_not_repeat)):
+        if part == 0.0:
             continue
-        after, before = mean_square(e[record.held_out]), mean_square(without[record.held_out])
-        # Of a recording that misses by far no more counts than of another.
-        scale = (after + before) / 2 + 1e-300
-        gained += (before - after) / scale
-        changed += abs(before - after) / scale
-        left += 0.0 if of_its_own else max(after - noise_um2, 0.0) / scale
-        acts = without - e
-        here, there = here + mean_square(acts[record.held_out]), there + mean_square(acts[record.train])
-    share, weight = max(gained, 0.0) / max(changed + left, 1e-300), min(here / max(there, 1e-300), 1.0)
-    return known + weight * (min(known, share) - known)
+        gained = changed = left = here = there = 0.0
+        for record, e, without in zip(records, more.residuals, less.residuals, strict=True):
+            (e_held, e_train), (without_held, without_train) = split(record, e), split(record, without)
+            if not len(e_held):
+                continue
+            after, before = mean_square(e_held), mean_square(without_held)
+            # Of a recording that misses by far no more counts than of another.
+            scale = (after + before) / 2 + 1e-300
+            gained += (before - after) / scale
+            changed += abs(before - after) / scale
+            left += 0.0 if alone else max(after - noise_um2, 0.0) / scale
+            here += mean_square(without_held - e_held)
+            there += mean_square(without_train - e_train)
+        sealed, weight = max(gained, 0.0) / max(changed + left, 1e-300), min(here / max(there, 1e-300), 1.0)
+        share += part * weight * (min(known, sealed) - known)
+    return share
+
+
+def as_they_are(record: Record, e: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The residuals that were held out, and those that were not."""
+    return e[record.held_out], e[record.train]
+
+
+def what_does_not_repeat(record: Record, e: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The same, less what repeats with the voltage; none where it does not repeat."""
+    repeats = record.coefficients.repeats
+    sealed = repeats.beyond(e)
+    told = np.isfinite(sealed) & record.held_out[repeats.samples :]
+    return sealed[told], repeats(e[None])[0][repeats.apart]
 
 
 def mean_square(e: np.ndarray) -> float:

@@ -42,6 +42,8 @@ class DataRange:
     simulated: bool = False
     """Whether effects act on the output of a simulation whose inside is not known: it may have them already,
     with other parameters."""
+    repeats: bool = False
+    """Whether the voltage of every recording repeats: what does not repeat with it stands apart."""
 
     @property
     def span_v(self) -> float:
@@ -164,6 +166,11 @@ class Described:
     ) -> list[Parameters]:
         """Further starts, from what a fit has left: for effects that no coarse grid finds."""
         return []
+
+    @classmethod
+    def foretells(cls, values: Mapping[str, float]) -> bool:
+        """Whether these numbers tell what comes after the samples that they were fitted to."""
+        return True
 
     @classmethod
     def line_hz(cls, values: Mapping[str, float]) -> float | None:

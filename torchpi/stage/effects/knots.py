@@ -12,6 +12,7 @@ import torch
 from torch import Tensor, nn
 
 from torchpi.operators.quantity import Quantity
+from torchpi.stage.effects.effect import DataRange
 
 KNOTS = 8
 SPACING: Any = Quantity("s", at_least=1e-6, at_most=1e6, identity=1.0)
@@ -43,6 +44,14 @@ def through_knots(
     values = torch.cat([knots.new_zeros(1), knots])
     left, right = values[before.long()], values[before.long() + 1]
     return between(left, right, torch.clamp(place - before, max=1.0))  # type: ignore[arg-type, return-value]
+
+
+def walk_start(seen: DataRange, size: float, unit: str) -> list[dict[str, float]]:
+    """Where a search for a walk of about this size begins: none but where all that follows the voltage
+    repeats, since a signal that may be anything takes the place of whatever is slow."""
+    if not seen.repeats or size == 0:
+        return []
+    return [{"knot_spacing_s": seen.duration_s / KNOTS, **dict.fromkeys(knot_names(unit), size)}]
 
 
 class KnotsStream(nn.Module):

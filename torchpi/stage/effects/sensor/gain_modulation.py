@@ -16,7 +16,7 @@ from torch import Tensor, nn
 from torchpi.operators.quantity import Quantity
 from torchpi.stage.effects.added_signal import InTime, InTimeStream
 from torchpi.stage.effects.effect import SHORTEST_SLOW_S, DataRange, Needs, Parameters, parameter
-from torchpi.stage.effects.knots import SPACING, KnotsStream, knot_names, through_knots
+from torchpi.stage.effects.knots import SPACING, KnotsStream, knot_names, through_knots, walk_start
 from torchpi.stage.effects.oscillation import oscillation, oscillations
 
 KNOT_NAMES = knot_names("")
@@ -93,11 +93,14 @@ class GainModulation(InTime):
         return values.get("frequency_hz")  # a random walk has none
 
     @classmethod
+    def foretells(cls, values: Mapping[str, float]) -> bool:
+        return "knot_spacing_s" not in values
+
+    @classmethod
     def starts(cls, seen: DataRange) -> list[Parameters]:
         if seen.span_um == 0 or seen.duration_s < SHORTEST_SLOW_S:
             return []
-        # No search starts at a random walk: a gain that may be anything takes the place of whatever is slow.
-        return cls.starts_at(seen, list(STARTS_HZ))
+        return [*cls.starts_at(seen, list(STARTS_HZ)), *walk_start(seen, 0.01, "")]
 
     @classmethod
     def starts_at(cls, seen: DataRange, frequencies_hz: list[float]) -> list[Parameters]:

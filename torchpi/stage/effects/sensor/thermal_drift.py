@@ -6,6 +6,7 @@ from where it settles (ρ), or that of a room, which wanders: a random walk, thr
 """
 
 import math
+from collections.abc import Mapping
 from typing import Any, ClassVar
 
 import numba
@@ -16,7 +17,7 @@ from torch import Tensor, nn
 from torchpi.operators.quantity import Quantity
 from torchpi.stage.effects.added_signal import AddedSignal, InTimeStream, sampled
 from torchpi.stage.effects.effect import SHORTEST_SLOW_S, DataRange, Needs, Parameters, parameter
-from torchpi.stage.effects.knots import SPACING, KnotsStream, knot_names, through_knots
+from torchpi.stage.effects.knots import SPACING, KnotsStream, knot_names, through_knots, walk_start
 
 KNOT_NAMES = knot_names("_um")
 SLOWEST_DYNAMICS_S = 0.5
@@ -91,16 +92,20 @@ class ThermalDrift(AddedSignal):
         return a * (1 - torch.exp(-t_s / b)) + c * t_s
 
     @classmethod
+    def foretells(cls, values: Mapping[str, float]) -> bool:
+        return "knot_spacing_s" not in values
+
+    @classmethod
     def starts(cls, seen: DataRange) -> list[Parameters]:
         size, duration_s = 0.01 * seen.span_um, seen.duration_s
         # Nothing warms up by itself within a tenth of a second.
         if size == 0 or duration_s < 0.1:
             return []
-        # No search starts at a random walk: it would take the place of whatever is slow.
         return [
             {"rate_um_per_s": size / duration_s},
             {"amplitude_um": size, "time_constant_s": max(duration_s / 5, SLOWEST_DYNAMICS_S)},
             {"amplitude_um": size, "time_constant_s": max(duration_s, SLOWEST_DYNAMICS_S)},
+            *walk_start(seen, size, "_um"),
         ]
 
 

@@ -1,0 +1,87 @@
+"""The Haar coefficients of one recording that a fit sums over, and the cell that each is in."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from torchpi.diagnosis.haar import Haar
+from torchpi.diagnosis.repeats import PLAIN, Repeats
+
+CHUNK = 16
+"""Rows of which what does not repeat is taken at a time."""
+
+
+@dataclass(frozen=True, eq=False)
+class Coefficients:
+    """Of a recording's readings and, where its input repeats, of what does not repeat of them.
+
+    What follows the voltage counts once; what does not counts once more, without what hides it.
+    """
+
+    samples: int
+    """That are transformed: those before the sealed block."""
+    repeats: Repeats
+    pieces: tuple[tuple[int, Haar], ...]
+    """Each with its first sample; the first has the readings as they are."""
+    scale: np.ndarray  # shape: (kept,), samples that each spans
+    cell: np.ndarray  # shape: (kept,), numbered within the recording
+    at: np.ndarray  # shape: (kept,), the sample in the middle of each
+    level_of_cell: np.ndarray  # shape: (cells,), 1 for differences of neighbours
+    kind_of_cell: np.ndarray  # shape: (cells,), of the piece
+
+    @classmethod
+    def of(
+        cls, u: np.ndarray, activity: np.ndarray, samples: int, valid: np.ndarray, at_most: int
+    ) -> "Coefficients":
+        """Those of a recording.
+
+        Args:
+            u: (time,), its voltage.
+            activity: (time,), a signal whose larger coefficients are kept first where not all can be.
+            samples: How many samples, from the first, are transformed.
+            valid: (time,), bool: readings that count.
+            at_most: Coefficients of one scale of a piece that are kept.
+        """
+        repeats = Repeats.of(u, samples, valid)
+        active = repeats(activity[None])[0]
+        pieces, kinds = [(0, Haar.of(activity, samples, valid, at_most))], [PLAIN]
+        for first, stop, kind in repeats.pieces:
+            haar = Haar.of(active[first:stop], stop - first, repeats.apart[first:stop], at_most)
+            if len(haar.kept):
+                pieces.append((first, haar))
+                kinds.append(kind)
+        first_cell = np.cumsum([0, *(haar.cells for _, haar in pieces)])
+        return cls(
+            samples,
+            repeats,
+            tuple(pieces),
+            np.concatenate([2.0 ** np.minimum(haar.level, haar.levels) for _, haar in pieces]),
+            np.concatenate([haar.cell + k for (_, haar), k in zip(pieces, first_cell, strict=False)]),
+            np.concatenate([haar.at + first for first, haar in pieces]),
+            np.concatenate([haar.level_of_cell for _, haar in pieces]),
+            np.repeat(kinds, [haar.cells for _, haar in pieces]),
+        )
+
+    @property
+    def kept(self) -> int:
+        return len(self.cell)
+
+    @property
+    def cells(self) -> int:
+        return len(self.level_of_cell)
+
+    def __call__(self, rows: np.ndarray) -> np.ndarray:
+        """(rows, kept) of rows, (rows, time)."""
+        (_, readings), *apart = self.pieces
+        if not apart:
+            return readings(rows)
+        out = np.empty((len(rows), self.kept))
+        out[:, : len(readings.kept)] = readings(rows)
+        for begin in range(0, len(rows), CHUNK):
+            some, at = slice(begin, begin + CHUNK), len(readings.kept)
+            left = self.repeats(rows[some])
+            for first, haar in apart:
+                part = np.ascontiguousarray(left[:, first : first + haar.samples])
+                out[some, at : at + len(haar.kept)] = haar(part)
+                at += len(haar.kept)
+        return out

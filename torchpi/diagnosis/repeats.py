@@ -1,0 +1,176 @@
+"""Where an input repeats, and what of the readings does not repeat with it.
+
+A reading less the mean of all later readings at the same phase, in the proportion that keeps white noise
+white: Helmert's rotation (*Astronomische Nachrichten* 88, 1876) without its last row. Whatever the voltage
+alone brings about, once a transient is over, is gone from it, with all that a model has wrong of it; drift,
+hum, wrong readings and what other signals do stand there beside nothing but noise.
+"""
+
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+
+PROBES, PROBE_SAMPLES = 32, 48
+LEAST_PERIOD = 32
+"""Samples."""
+SAME = 3e-4
+"""Of the span: two inputs that differ by less are the same; one that was measured has noise of its own."""
+LEAST_SWING = 0.01
+"""Of the recording's span, that a period must cover: a rest repeats as well."""
+AT_MOST = 4
+"""Stretches taken from one recording."""
+LEAST_AGAIN = 64
+"""Samples that come again."""
+PLAIN, STARTING, APART = KINDS = range(3)
+"""Of what is compared: the readings as they are; what does not repeat of them, while a transient of the start
+may last, and after it."""
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """Samples start … start + periods · period, over which the input repeats exactly."""
+
+    start: int
+    period: int
+    periods: int
+
+    @property
+    def end(self) -> int:
+        return self.start + self.periods * self.period
+
+
+def periodic_stretches(u: np.ndarray) -> tuple[Stretch, ...]:
+    """Where the input repeats exactly, twice or more, the longest stretch first; none overlaps another.
+
+    Short probes of the input are looked up further on in the record; each distance at which one comes again
+    is tried as a period over the whole record. Of distances that fit the same stretch the shortest counts.
+    Periods that are no whole number of samples are found at their first whole multiple.
+    """
+    span = float(np.ptp(u))
+    if span == 0 or len(u) < 2 * LEAST_PERIOD:
+        return ()
+    found: list[Stretch] = []
+    free = np.ones(len(u), dtype=bool)
+    lags = _lags(u, SAME * span)
+    while len(found) < AT_MOST:
+        options = [stretch for lag in lags if (stretch := _stretch(u, free, int(lag), span))]
+        if not options:
+            break
+        longest = max(one.period * one.periods for one in options)
+        best = min(
+            (one for one in options if one.period * one.periods > 0.9 * longest), key=lambda one: one.period
+        )
+        found.append(best)
+        free[best.start : best.start + best.period * best.periods] = False
+    return tuple(found)
+
+
+def _lags(u: np.ndarray, tolerance: float) -> np.ndarray:
+    """Distances at which a moving piece of the input comes again."""
+    lags: set[int] = set()
+    for start in np.linspace(0, len(u) - PROBE_SAMPLES - 1, PROBES).astype(int):
+        probe = u[start : start + PROBE_SAMPLES]
+        if np.ptp(probe) <= 10 * tolerance:
+            continue
+        at = start + LEAST_PERIOD + np.arange(max(len(u) - PROBE_SAMPLES - start - LEAST_PERIOD, 0))
+        for j in (0, PROBE_SAMPLES - 1, *range(1, PROBE_SAMPLES - 1)):
+            at = at[np.abs(u[at + j] - probe[j]) <= tolerance]
+        lags.update(int(lag) for lag in at[:8] - start)
+    return np.array(sorted(lags), dtype=int)
+
+
+def _stretch(u: np.ndarray, free: np.ndarray, lag: int, span: float) -> Stretch | None:
+    """The longest stretch of whole periods of this length, at the end of where the input repeats."""
+    same = (np.abs(u[lag:] - u[:-lag]) <= SAME * span) & free[lag:] & free[:-lag]
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], same, [False]])))
+    starts, stops = edges[::2], edges[1::2]
+    if not len(starts) or (stops - starts).max() < lag:
+        return None
+    longest = int((stops - starts).argmax())
+    periods = (int(stops[longest]) + lag - int(starts[longest])) // lag
+    start = int(stops[longest]) + lag - periods * lag
+    swing = float(np.ptp(u[start : start + lag]))
+    return Stretch(start, lag, periods) if swing > LEAST_SWING * span else None
+
+
+@dataclass(frozen=True, eq=False)
+class Repeats:
+    """What does not repeat of a recording's readings, on each stretch over which its input does."""
+
+    samples: int
+    """That are looked at, from the first."""
+    stretches: np.ndarray  # shape: (stretches, 3), int: first sample, the one behind the last, and the period
+    go_on: np.ndarray  # shape: (stretches,), int: up to which sample each goes on beyond those looked at
+    valid: np.ndarray  # shape: (samples,), bool: readings that count
+    apart: np.ndarray  # shape: (samples,), bool: readings that come again and count
+
+    @classmethod
+    def of(cls, u: np.ndarray, samples: int, valid: np.ndarray) -> "Repeats":
+        """Of a recording's voltage, (time,), and the readings of it that count, (time,)."""
+        found = [
+            (one.start, min(one.end, samples), one.period, one.end)
+            for one in sorted(periodic_stretches(u), key=lambda one: one.start)
+            # A period again, or enough of it for a spectrum.
+            if min(one.end, samples) - one.start >= one.period + LEAST_AGAIN
+        ]
+        table = np.array(found, dtype=int).reshape(-1, 4)
+        stretches, mask = np.ascontiguousarray(table[:, :3]), np.ascontiguousarray(valid[:samples])
+        apart = np.zeros(samples, dtype=bool)
+        _less_later(np.zeros((1, samples)), mask, stretches, apart, np.empty((1, samples)))
+        return cls(samples, stretches, table[:, 3], mask, apart)
+
+    @property
+    def pieces(self) -> list[tuple[int, int, int]]:
+        """(first sample, the one behind the last, kind) of each: the first period of a stretch has the
+        transient of the start, of two periods the first half of it."""
+        found = []
+        for start, stop, period in self.stretches.tolist():
+            last = stop - period
+            settled = min(start + (period if stop - start > 2 * period else period // 2), last)
+            found += [(start, settled, STARTING), (settled, last, APART)]
+        return [one for one in found if one[1] > one[0]]
+
+    def beyond(self, e: np.ndarray) -> np.ndarray:
+        """What does not repeat of what comes after the samples, (those after,), of a signal, (time,): NaN
+        where the input does not go on repeating."""
+        found = np.full(len(e) - self.samples, np.nan)
+        for (start, stop, period), end in zip(self.stretches.tolist(), self.go_on.tolist(), strict=True):
+            phase, valid = (np.arange(start, end) - start) % period, self.valid[start:stop]
+            before = phase[: stop - start][valid]
+            number = np.bincount(before, minlength=period)
+            mean = np.bincount(before, e[start:stop][valid], period) / np.maximum(number, 1)
+            later = phase[stop - start :]
+            n = np.where(number > 0, number, np.nan)[later]
+            found[: end - stop] = np.sqrt(n / (n + 1)) * (e[stop:end] - mean[later])
+        return found
+
+    def __call__(self, rows: np.ndarray) -> np.ndarray:
+        """(rows, samples) of rows, (rows, time): 0 where nothing comes again."""
+        out = np.zeros((len(rows), self.samples))
+        _less_later(rows, self.valid, self.stretches, np.empty(self.samples, dtype=np.bool_), out)
+        return out
+
+
+@numba.njit(cache=True)
+def _less_later(
+    rows: np.ndarray, valid: np.ndarray, stretches: np.ndarray, apart: np.ndarray, out: np.ndarray
+) -> None:
+    for k in range(len(stretches)):
+        start, stop, period = stretches[k]
+        share = 1.0 / np.arange(1, (stop - start) // period + 3)
+        root = np.sqrt(1.0 - share)
+        total, number = np.empty(period), np.empty(period, np.int64)
+        for i in range(len(rows)):
+            total[:], number[:] = 0.0, 0
+            for last in range(stop, start, -period):
+                for phase in range(min(period, last - start)):
+                    t = last - 1 - phase
+                    if not valid[t]:
+                        continue
+                    x, n = rows[i, t], number[phase]
+                    if n > 0:
+                        apart[t] = True
+                        out[i, t] = root[n] * (x - total[phase] * share[n - 1])
+                    total[phase] += x
+                    number[phase] = n + 1
