@@ -18,6 +18,7 @@ import torch
 
 from torchpi.commission.commission import check_together, selected
 from torchpi.control.direct_inverse import DirectInverse
+from torchpi.control.reach import check_reached
 from torchpi.control.step import CompensatorStream
 from torchpi.control.trained import load_compensator, to_checkpoint
 from torchpi.diagnosis.forward_stage import identify_stage
@@ -41,6 +42,8 @@ from torchpi.stage.beside import NAME as STAGE
 from torchpi.stage.beside import exported_stage
 
 Signal = npt.NDArray[np.float64]  # shape: (time,)
+LEAST_MOTION = 2e-3
+"""Of the reach: whatever moves less than that may be in another unit."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -160,7 +163,12 @@ class Compensator:
         the last value holds beyond the end, and stays within its voltage limits.
 
         Raises:
-            RecordingError: Another shape or type, or a number that is not finite.
+            RecordingError: Another shape or type, not finite, or beyond what is reached within the voltage
+                limits.
+
+        Warns:
+            RecordingWarning: Samples beyond the displacements or rates of the recordings, or a motion so
+                small that it may be in another unit.
 
         Example:
             >>> seconds = np.arange(2000) / compensator.sample_rate_hz
@@ -169,11 +177,25 @@ class Compensator:
             (2000,)
         """
         yd = _signal(reference_um)
+        low_um, high_um = self._reached_um
+        check_reached("reference_um", yd, (low_um, high_um), "compensator")
+        largest_um = float(np.abs(yd).max())
+        if 0 < largest_um < LEAST_MOTION * (high_um - low_um):
+            _warn(
+                f"goes no further than {largest_um:.3g} µm of {low_um:.3g} to {high_um:.3g} µm; "
+                "if it is in mm, multiply by 1000"
+            )
         ahead = yd[np.minimum(np.arange(len(yd)) + self.preview, len(yd) - 1)]
         self._step.reset()
         with torch.no_grad():
             u = self._step.block(torch.from_numpy(ahead)).numpy().copy()
+        held, outside = self._step.held_inputs, self._step.outside_range
         self._step.reset()
+        if held or outside:
+            _warn(
+                f"{held + outside} of {len(yd)} samples lie beyond the displacements or rates recorded, "
+                f"{held} of them were held back; scale or slow the trajectory, or record such motions"
+            )
         return u
 
     def track(
@@ -268,11 +290,22 @@ class Compensator:
         return compensator_html(self.inverse, self.form, self.errors, self.stage)
 
     @cached_property
+    def _reached_um(self) -> tuple[float, float]:
+        """The ends of what is reached within the voltage limits, or was in the recordings."""
+        reached, trained = self.inverse.reach(), self.inverse.trained
+        low, high = (0.0, 0.0) if trained is None else trained.range_um
+        return min(low, reached.low_um), max(high, reached.high_um)
+
+    @cached_property
     def _step(self) -> CompensatorStream:
         """What is exported, compiled; its state is that at rest between calls."""
         step = cast(CompensatorStream, script(self.inverse))
         warm(step)
         return step
+
+
+def _warn(text: str) -> None:
+    warnings.warn(f"reference_um: {text}", RecordingWarning, stacklevel=3)
 
 
 def _as_sequence(recordings: Sequence[Recording] | Recording) -> Sequence[Recording]:
