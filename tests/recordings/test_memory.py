@@ -99,10 +99,14 @@ def test_what_is_wrong_with_arrays_is_one_line_that_names_the_place(
     [
         ([1, 2], "frame: found list, expected a frame with columns, such as pandas.DataFrame"),
         (Frame(time_s=T, a=U, b=Y), "frame: no column 'input_v' (input_column); the file has: time_s, a, b"),
+        (
+            Frame(time_s=T, u=U, **{"y [inch]": Y}),
+            "frame: column 'y [inch]' is in inch, expected um, nm, mm, m, pm, cm, angstrom; choose another",
+        ),
         (Frame(time_s=SWAPPED, u=U, y=Y), "frame: iloc 6: time goes from 0.009 s to 0.006 s"),
         (Frame(time_s=T, u=U, y=HOLE), "frame: iloc 17: column 'y': found nan"),
     ],
-    ids=["a list", "no voltage", "unsorted", "nan"],
+    ids=["a list", "no voltage", "unknown unit", "unsorted", "nan"],
 )
 def test_what_is_wrong_with_a_frame_is_one_line_that_names_the_row(frame: Any, message: str) -> None:
     with pytest.raises(RecordingError) as refused:

@@ -27,8 +27,8 @@ class RecordingOptions:
         time_unit: s, ms, us, ns or min; by default as the column states, else s.
         input_unit: V, mV, kV or uV, or how many volts 1 in the file stands for; by default as the column
             states, else V.
-        output_unit: um, nm, mm, m or pm, or how many µm 1 in the file stands for, negative where the sensor
-            counts downwards; by default as the column states, else um.
+        output_unit: um, nm, mm, m, pm, cm or angstrom, or how many µm 1 in the file stands for, negative
+            where the sensor counts downwards; by default as the column states, else um.
         zero: Where the displacement counts from: the sensor's own zero (recorded), or each record's first
             sample (first).
         skip_s: Start-up transient, s, that is not counted: fit lets it set the state, the other commands
