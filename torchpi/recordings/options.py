@@ -47,6 +47,8 @@ class RecordingOptions:
     skip_s: float = 0.0
 
     def __post_init__(self) -> None:
+        if not isinstance(self.resample, bool):
+            raise ConfigError(f"resample: found {self.resample!r}, expected true or false")
         if self.zero not in ("recorded", "first"):
             raise ConfigError(f"zero: found '{self.zero}', expected recorded or first")
         if not (isinstance(self.skip_s, int | float) and 0 <= self.skip_s < float("inf")):

@@ -101,7 +101,7 @@ class ArraySource(Source):
     def _signal(self, name: str) -> np.ndarray:
         match = None if name in self.names else INDEXED.fullmatch(name)
         stored = np.asarray(self.array(match["name"] if match else name))
-        if stored.dtype.kind not in "fiub":
+        if stored.dtype.kind not in "fiu":
             raise RecordingError(
                 f"{self.path}: '{name}' holds {stored.dtype}, expected numbers; choose another name"
             )
