@@ -5,12 +5,14 @@ the same recordings, both judged on the last one, which is held out.
 """
 
 import math
+import os
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
+from numbers import Real
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -22,7 +24,7 @@ from torchpi.control.reach import check_reached
 from torchpi.control.step import CompensatorStream
 from torchpi.control.trained import load_compensator, to_checkpoint
 from torchpi.diagnosis.forward_stage import identify_stage
-from torchpi.errors import ArtifactError, ConfigError, RecordingError, RecordingWarning
+from torchpi.errors import ArtifactError, ConfigError, RecordingError, RecordingWarning, kind_of
 from torchpi.export import made_files, safety_card, write_together
 from torchpi.export.formats import Files
 from torchpi.export.torchscript import script, warm
@@ -31,6 +33,7 @@ from torchpi.identification import InverseErrors, inverse_errors, inverse_pair
 from torchpi.identification.recipe import RECORDED
 from torchpi.identification.selection import Form
 from torchpi.loop import run_loop
+from torchpi.notebook.given import given_recordings
 from torchpi.notebook.tracked import Tracked
 from torchpi.recordings.checks import check_recording, check_values
 from torchpi.recordings.options import RecordingOptions
@@ -46,7 +49,7 @@ LEAST_MOTION = 2e-3
 """Of the reach: whatever moves less than that may be in another unit."""
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@dataclass(frozen=True, eq=False, repr=False, init=False)
 class Compensator:
     """Maps a desired displacement to the voltage that produces it on the stage of the recordings.
 
@@ -76,6 +79,29 @@ class Compensator:
     errors: InverseErrors | None = None
     form: Form | None = None
 
+    def __init__(
+        self,
+        inverse: DirectInverse | None = None,
+        stage: Stage | None = None,
+        errors: InverseErrors | None = None,
+        form: Form | None = None,
+        **settings: Any,
+    ) -> None:
+        """Around an inverse that there is already; `fit` and `load` make one.
+
+        Raises:
+            ConfigError: No inverse, or settings of a fit.
+        """
+        if settings or not isinstance(inverse, DirectInverse):
+            found = ", ".join(settings) if settings else kind_of(inverse)
+            raise ConfigError(
+                f"Compensator: found {found}, expected a DirectInverse: Compensator.fit(recordings, …) "
+                "makes a compensator from recordings, Compensator.load(path) reads one"
+            )
+        vars(self).update(inverse=inverse, stage=stage, errors=errors, form=form)
+        # It stays as it is: a fit on it would give another, and leave the one that was meant.
+        vars(self)["fit"] = _refuse_to_refit
+
     @classmethod
     def fit(
         cls,
@@ -89,8 +115,8 @@ class Compensator:
         """Identify the inverse and a forward stage. Takes some seconds for 10,000 samples.
 
         Args:
-            recordings: Two or more of one stage, at the sample rate of the control loop, first sample
-                de-energised. The last one is held out and judges.
+            recordings: Two or more of one stage, at the sample rate of the control loop. The last one is held
+                out and judges.
             preview: Most samples that the trajectory is known ahead; 0 where it is not. By default as many as
                 the recordings show the stage to be late.
             skip_s: Start-up transient of each recording, s, that sets the state and is not counted.
@@ -99,12 +125,16 @@ class Compensator:
         Raises:
             RecordingError: Fewer than two recordings, two that are the same, different sample rates, or one
                 that no model can be made from.
-            ConfigError: Limits that are none, or a number of samples or seconds that is negative.
+            ConfigError: Limits that are none, a number of samples or seconds that is negative, or a call on a
+                compensator that is fitted already.
         """
         RecordingOptions(skip_s=skip_s)  # raises, as for a file
         if preview is not None and not (isinstance(preview, int) and preview >= 0):
             raise ConfigError(f"preview: found {preview}, expected a number of samples that is not negative")
-        checked = [_checked(recording, k) for k, recording in enumerate(_as_sequence(recordings))]
+        for key, value in (("min_voltage_v", min_voltage_v), ("max_voltage_v", max_voltage_v)):
+            if not isinstance(value, Real | None):
+                raise ConfigError(f"{key}: found {value!r}, expected a voltage in V")
+        checked = [_checked(recording) for recording in given_recordings(recordings)]
         check_together(checked)
         pairs = [inverse_pair(recording, 0, None, skip_s) for recording in checked]
         richest = RECORDED if preview is None else replace(RECORDED, previews=range(preview + 1))
@@ -125,6 +155,8 @@ class Compensator:
         Raises:
             ArtifactError: No compensator there, or not as it was written.
         """
+        if not isinstance(path, str | os.PathLike):
+            raise ArtifactError(f"path: found {kind_of(path)}, expected the path of a folder or a checkpoint")
         stage = Path(path) / STAGE
         inverse = load_compensator(path).requires_grad_(False)
         return cls(inverse, Stage.load(stage) if stage.is_file() else None)
@@ -201,7 +233,7 @@ class Compensator:
     def track(
         self,
         reference_um: npt.ArrayLike,  # (time,), µm
-        stage: Stage | None = None,
+        stage: Stage | str | Path | None = None,
         *,
         name: str = "reference",
         max_slew_v_s: float = math.inf,
@@ -210,13 +242,15 @@ class Compensator:
 
         Args:
             reference_um: At the compensator's sample rate.
-            stage: What is moved; by default the stage identified from the same recordings.
+            stage: What is moved, or its file, or the name of one of torchpi's own, `default`; by default the
+                stage identified from the same recordings.
             name: Of the trajectory, in figures.
             max_slew_v_s: Rate of the voltage that the amplifier bears: the result names where it is met.
 
         Raises:
             RecordingError: Another shape or type, not finite, constant, or beyond the stage's range.
             ArtifactError: No stage, or one of another sample rate.
+            ConfigError: A name that no stage has, or a slew rate that is not positive.
 
         Example:
             >>> result = compensator.track(reference)
@@ -224,7 +258,8 @@ class Compensator:
             True
             >>> figure = result.plot()
         """
-        plant = stage or self.stage
+        given = Stage.load(stage) if isinstance(stage, str | Path) else stage
+        plant = self.stage if given is None else given
         if plant is None:
             raise ArtifactError("stage: found none, expected one: this compensator was loaded without")
         result = run_loop(
@@ -243,7 +278,7 @@ class Compensator:
         Raises:
             RecordingError: A recording that no model can be judged on, or of another sample rate.
         """
-        checked = _checked(recording, 0)
+        checked = _checked(*given_recordings(recording))
         if not math.isclose(checked.fs_hz, self.sample_rate_hz, rel_tol=1e-6):
             raise RecordingError(
                 f"{checked.source or checked.name}: sampled at {checked.fs_hz:g} Hz, "
@@ -308,16 +343,14 @@ def _warn(text: str) -> None:
     warnings.warn(f"reference_um: {text}", RecordingWarning, stacklevel=3)
 
 
-def _as_sequence(recordings: Sequence[Recording] | Recording) -> Sequence[Recording]:
-    return [recordings] if isinstance(recordings, Recording) else recordings
+def _refuse_to_refit(*_: object, **__: object) -> None:
+    raise ConfigError(
+        "fit: found a compensator that is fitted already, and stays as it is; expected the class: "
+        "compensator = Compensator.fit(recordings)"
+    )
 
 
-def _checked(recording: Recording, position: int) -> Recording:
-    if not isinstance(recording, Recording):
-        raise RecordingError(
-            f"recordings: found {type(recording).__name__} at index {position}, expected a Recording: "
-            "Recording.from_arrays(t, u, y) makes one"
-        )
+def _checked(recording: Recording) -> Recording:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RecordingWarning)  # they were shown when it was made
         check_recording(recording)
