@@ -26,7 +26,7 @@ from torchpi.control.trained import load_compensator, to_checkpoint
 from torchpi.diagnosis.forward_stage import identify_stage
 from torchpi.errors import ArtifactError, ConfigError, RecordingError, RecordingWarning, kind_of
 from torchpi.export import made_files, safety_card, write_together
-from torchpi.export.formats import Files
+from torchpi.export.formats import Files, without_suffix
 from torchpi.export.torchscript import script, warm
 from torchpi.files import save_tensors
 from torchpi.identification import InverseErrors, inverse_errors, inverse_pair
@@ -60,15 +60,15 @@ class Compensator:
         form: What cross-validation selected; None for one that was loaded.
 
     Example:
-        >>> import numpy as np, torch
+        >>> import numpy as np
         >>> from torchpi import Compensator, Recording, Stage
         >>> from torchpi.excitation.signals import make_excitation
         >>> rig = Stage.from_yaml("default")  # in place of your own stage
         >>> recordings = []
         >>> for seed, kind in enumerate(("sine_5hz", "multisine", "multisine")):
         ...     t, u = make_excitation(kind, rig.sample_rate_hz, 0.5, seed)
-        ...     _, y = rig.simulate(torch.from_numpy(u)[None])
-        ...     recordings.append(Recording.from_arrays(t, u, y[0].detach(), name=f"{kind} {seed}"))
+        ...     _, y = rig.simulate(u[None])
+        ...     recordings.append(Recording.from_arrays(t, u, y[0], name=f"{kind} {seed}"))
         >>> compensator = Compensator.fit(recordings)  # the last one is held out
         >>> compensator.errors.rms_percent < 2
         True
@@ -287,13 +287,13 @@ class Compensator:
         return _errors(self.inverse, checked, skip_s)
 
     def export(
-        self, path: str | Path, to: Sequence[str] = ("torchscript", "c", "json", "page")
+        self, path: str | Path, to: str | Sequence[str] = ("torchscript", "c", "json", "page")
     ) -> list[Path]:
         """Write files for a controller, and the stage beside them: all, or none. Returns their paths.
 
         Args:
-            path: Without suffix; the formats add theirs.
-            to: Formats of `torchpi export`: torchscript, c, pt2, json, page.
+            path: Without suffix, or with that of one of the files; the formats add theirs.
+            to: Formats of `torchpi export`, one or several: torchscript, c, fmu, pt2, json, page.
 
         Raises:
             ConfigError: An unknown format.
@@ -307,9 +307,10 @@ class Compensator:
         card = safety_card(self.inverse)
         if card.monotone is False:
             raise ArtifactError(f"{path}: {card.monotone_summary}")
-        files = made_files(self.inverse, path, to)
+        output = without_suffix(path)
+        files = made_files(self.inverse, output, to)
         if self.stage is not None:
-            files[exported_stage(Path(path))] = self.stage.write
+            files[exported_stage(output)] = self.stage.write
         write_together(files)
         return list(files)
 
