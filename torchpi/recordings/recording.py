@@ -28,6 +28,7 @@ from torchpi.recordings.readers.header import UNITS, Role
 from torchpi.recordings.readers.memory import MemorySource, frame_columns
 from torchpi.recordings.readers.source import Column
 from torchpi.recordings.resampling import to_rate
+from torchpi.recordings.shown import Shown
 from torchpi.recordings.time_base import (
     column_of,
     converted,
@@ -51,7 +52,7 @@ MOST_RESAMPLED = 1000  # times the samples that there are, in either direction
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Recording:
+class Recording(Shown):
     """Voltage and displacement of one run of a stage, uniformly sampled, as `read_recording` leaves them."""
 
     name: str
