@@ -114,6 +114,7 @@ def record_traces(record: RecordFit) -> Linked:
             Panel("voltage", "V", (recorded, predicted)),
             Panel("residual", "mV", (residual,)),
         ),
+        view=_first_view(record.t, record.y),
     )
 
 

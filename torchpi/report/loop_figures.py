@@ -22,7 +22,7 @@ def trajectory_figure(result: LoopResult) -> Figure:
         for key in (WITHOUT, COMPENSATED):
             drive = result.drives[key]
             motion.plot(*envelope(t, drive.y_true[part]), label=drive.label, **line_of(result, key))
-        motion.plot(*envelope(t, yd), label="reference, $y_d$", **style.WANTED)
+        motion.plot(*envelope(t, yd), label="reference, $y_d$", **style.WANTED, zorder=4)
         motion.set(ylabel="displacement (µm)", title=f"{result.title}: motion")
         for key, drive in result.drives.items():
             error.plot(*envelope(t, drive.y_true[part] - yd), label=drive.label, **line_of(result, key))
