@@ -37,7 +37,8 @@ def load_trajectory(
     """The paper's slow or fast trajectory, or one from a file.
 
     The paper's are eq. 15 for 2 s and eq. 16 for 1 s, and go through the reference filter (eq. 14), from
-    rest. A file holds the columns `time_s` and `yd_um` (or `output_um`, so that a recording's motion can be followed), sampled uniformly.
+    rest. A file holds the columns `time_s` and `yd_um` (or `output_um`, so that a recording's motion can be
+    followed), sampled uniformly.
 
     Args:
         which: 'slow', 'fast', or the path of a file.
