@@ -180,6 +180,17 @@ def test_values_under_the_pointer_are_those_of_the_record(
     assert without == pytest.approx(result.drives["without"].y_true[k], abs=1e-3)
 
 
+def test_in_the_dark_a_line_has_one_colour_drawn_by_the_script_or_not(pages: dict[str, str]) -> None:
+    style = pages["loop"].partition("<style>")[2].partition("</style>")[0]
+    assert "svg.figure, .live canvas, .live .u-marker { filter:" in style
+    overridden = re.findall(r"--([0-9a-f]{6}):", style)  # the script reads these, the figures have rules
+    assert overridden == ["e69f00", "d55e00"]
+    for color in overridden:
+        for what in ("stroke", "fill"):
+            rule = f'svg.figure [style*="{what}: #{color}"] {{ {what}: var(--{color}) !important; }}'
+            assert rule in style
+
+
 def test_without_a_script_the_figure_is_shown(pages: dict[str, str]) -> None:
     for name, html in pages.items():
         style = html.partition("<style>")[2].partition("</style>")[0]
