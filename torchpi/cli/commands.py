@@ -31,7 +31,7 @@ DESCRIPTION = """Makes piezo stages go where they are told.
   torchpi predict              simulates what a diagnosis left behind
   torchpi excite               writes the recordings' voltages that a diagnosis needs
 
-  torchpi reproduce            runs the whole paper (Qin et al. 2013), and shows what torchpi does better
+  torchpi reproduce            runs the whole paper (Qin et al. 2013), with torchpi's errors beside its
 """
 DEFAULT_STAGE = Path("default")
 IN_ONE_THREAD = ("commission", "diagnose")
