@@ -127,6 +127,12 @@ def test_every_documented_name_has_a_docstring() -> None:
     assert [name for name, value in documented().items() if not (value.__doc__ or "").strip()] == []
 
 
+def test_no_summary_on_the_api_page_ends_at_an_abbreviation() -> None:
+    """The site's tables show what stands before the first full stop that a space follows."""
+    summaries = {name: " ".join((value.__doc__ or "").split()) for name, value in documented().items()}
+    assert [name for name, text in summaries.items() if re.match(r"[^.]*\b(eqs?|Figs?|cf)\. ", text)] == []
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
 def test_every_link_leads_to_a_file_and_a_heading_that_exist(page: Path) -> None:
     broken = []
@@ -151,7 +157,8 @@ def test_every_page_is_linked_from_the_first_one_and_in_its_contents() -> None:
     assert {(DOCS / path).resolve() for path, _ in LINK.findall(text) if path.endswith(".md")} == on_site
 
 
-def test_the_commands_of_the_tutorial_are_those_of_the_readme_which_are_run() -> None:
+@pytest.mark.parametrize("page", ["mismatch.md", "csv_to_controller.md"])
+def test_the_commands_of_a_tutorial_are_those_of_the_readme_which_are_run(page: str) -> None:
     def commands(page: Path) -> list[str]:
         return [
             line
@@ -159,9 +166,14 @@ def test_the_commands_of_the_tutorial_are_those_of_the_readme_which_are_run() ->
             for line in block.splitlines()
         ]
 
-    tutorial = commands(DOCS / "mismatch.md")
+    tutorial = commands(DOCS / page)
     assert len(tutorial) >= 8
     assert [line for line in tutorial if line not in commands(ROOT / "README.md")] == []
+
+
+def test_the_program_at_the_end_of_the_path_from_csv_files_is_the_readme_s_which_is_run() -> None:
+    programs = python_of(DOCS / "csv_to_controller.md")
+    assert programs and set(programs) <= set(python_of(ROOT / "README.md"))
 
 
 class TestSite:

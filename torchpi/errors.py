@@ -5,6 +5,13 @@ The commands print that line without a traceback and exit with code 2.
 """
 
 
+def kind_of(value: object) -> str:
+    """What a value is, for an error: the name of its type, and the shape if it has one."""
+    shape = getattr(value, "shape", None)
+    name = type(value).__name__
+    return f"{name} of {'×'.join(map(str, shape))}" if isinstance(shape, tuple) else name
+
+
 class TorchpiError(ValueError):
     """Base of every error that a user's input can cause."""
 

@@ -8,7 +8,7 @@ from lightning.pytorch.loggers import TensorBoardLogger
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
 from . import console
-from .module import InverseTraining
+from .module import CHOSEN_BY, TRACKING_TAG, InverseTraining
 from .pictures import record_fits, weights_against_rate
 
 
@@ -34,7 +34,8 @@ class EpochProgress(Callback):
 
     def on_train_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         logged = trainer.callback_metrics
-        key, unit = ("tracking_um", "nm") if "tracking_um/train" in logged else ("rms_v", "mV")
+        tracking = f"{TRACKING_TAG}/train" in logged
+        key, unit = (TRACKING_TAG, "nm") if tracking else ("error_v", "mV")
         train, heldout = (1e3 * float(logged[f"{key}/{part}"]) for part in ("train", "heldout"))
         assert self.progress is not None
         self.progress.update(
@@ -56,10 +57,14 @@ class EpochProgress(Callback):
 
 
 class RunEvents(TensorBoardLogger):
-    """Events in the run's own folder, by whose name TensorBoard calls it, without a chart of the epoch."""
+    """Events in the run's own folder, by whose name TensorBoard calls it.
+
+    Neither the epoch nor what chooses it has a chart.
+    """
 
     def log_metrics(self, metrics: Mapping[str, float], step: int | None = None) -> None:
-        super().log_metrics({name: value for name, value in metrics.items() if name != "epoch"}, step)
+        charted = {name: value for name, value in metrics.items() if name not in ("epoch", CHOSEN_BY)}
+        super().log_metrics(charted, step)
 
     def save(self) -> None:
         self.experiment.flush()  # without hparams.yaml: config.yaml has them
@@ -73,9 +78,13 @@ class TensorBoardFigures(Callback):
         self.drawn_at = -1
 
     def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        charts = {"rms error, V": "rms_v", "largest error, V": "max_v", "rms error, µm": "rms_um"}
+        charts = {
+            "rms error, V": "error_v",
+            "largest error, V": "largest_error_v",
+            "rms error, µm": "error_um",
+        }
         if cast(InverseTraining, pl_module).tracking:
-            charts = {"tracking error, µm": "tracking_um", **charts}
+            charts = {"tracking error, µm": TRACKING_TAG, **charts}
         board: Any = cast(TensorBoardLogger, trainer.logger).experiment
         lines = {
             title: ["Multiline", [f"^{key}/train$", f"^{key}/heldout$"]] for title, key in charts.items()

@@ -36,6 +36,15 @@ from .tracking import Tracking, TrackingErrors
 from .windows import Window, windows
 
 CHOSEN_BY = "chosen_by"
+"""What chooses the epoch: one of the errors, or one of a stretch apart. It has no chart of its own."""
+TAGS = {
+    "error_um": "rms_um",
+    "error_v": "rms_v",
+    "largest_error_um": "max_um",
+    "largest_error_v": "max_v",
+}
+"""Errors by their names in TensorBoard, which shows the first by name first."""
+TRACKING_TAG = "error_tracking_um"
 
 
 class Start(NamedTuple):
@@ -312,13 +321,13 @@ class InverseTraining(LightningModule):
             chosen_by = inverse_errors(self.compensator, batch.zero, zeros_um=zeros)
         loss = {"train": train.rms_v**2, "heldout": heldout.rms_v**2}
         for name, errors in (("train", train), ("heldout", heldout)):
-            for key in ("rms_v", "max_v", "rms_um", "max_um"):
-                self.log(f"{key}/{name}", getattr(errors, key), batch_size=1)
+            for tag, key in TAGS.items():
+                self.log(f"{tag}/{name}", getattr(errors, key), batch_size=1)
         if self.tracking:
             followed = self.tracking.errors(self.compensator)
             loss = {name: errors.rms_um**2 for name, errors in followed.items()}
             for name, missed in followed.items():
-                self.log(f"tracking_um/{name}", missed.rms_um, batch_size=1)
+                self.log(f"{TRACKING_TAG}/{name}", missed.rms_um, batch_size=1)
         self.log(CHOSEN_BY, loss["heldout"] if self.tracking else chosen_by.rms_v, batch_size=1)
         for name, square in loss.items():
             self.log(f"loss/{name}", square / self.scale, batch_size=1)

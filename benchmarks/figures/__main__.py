@@ -14,7 +14,7 @@ import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from benchmarks.figures import pages, record
+from benchmarks.figures import pages, record, table
 from benchmarks.figures.figure import Figure, Measurement
 from benchmarks.figures.measurements import DATA
 from benchmarks.figures.registry import FIGURES, MEASUREMENTS
@@ -48,6 +48,8 @@ def main() -> int:
         return 0
     failed = measure(due, code, print)
     record.write(record.registered(record.read(), FIGURES))
+    with write_atomically(table.PAGE) as temporary:
+        temporary.write_text(table.page(MEASUREMENTS, record.read()), encoding="utf-8")
     for path in renewed(FIGURES):
         print(f"{path}: numbers renewed; read the words around them")
     failed += outside(FIGURES, record.values(record.read()))

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks.figures import __main__ as command
-from benchmarks.figures import pages, record
+from benchmarks.figures import pages, record, table
 from benchmarks.figures.figure import Figure, Measurement
 from benchmarks.figures.measurements import DATA
 from benchmarks.figures.registry import DEFINITIONS, FIGURES, MEASURED_PAGES, MEASUREMENTS
@@ -33,6 +33,12 @@ def test_every_registered_figure_is_recorded_with_its_command_and_nothing_else_i
             assert entry["commit"] and entry["date"] and "Python" in entry["machine"], figure.name
 
 
+def test_the_page_of_figures_is_that_of_the_record_and_names_each() -> None:
+    text = table.PAGE.read_text(encoding="utf-8")
+    assert text == table.page(MEASUREMENTS, record.read())
+    assert [name for name in FIGURES if f"| `{name}` |" not in text] == []
+
+
 def test_every_recorded_figure_lies_in_its_bound() -> None:
     assert command.outside(FIGURES, record.values(record.read())) == []
 
@@ -42,7 +48,8 @@ def test_pages_quote_what_was_measured_and_every_figure_is_quoted() -> None:
 
 
 def test_every_number_with_a_unit_is_a_figure_or_a_definition() -> None:
-    stating = [path for path in STATING if pages.page_name(path) not in MEASURED_PAGES]
+    written = {*(pages.ROOT / page for page in MEASURED_PAGES), table.PAGE}
+    stating = [path for path in STATING if path not in written]
     assert pages.unregistered(stating, DEFINITIONS) == []
 
 

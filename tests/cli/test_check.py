@@ -49,6 +49,8 @@ def test_what_a_file_holds_is_printed_and_drawn(
         assert found in text
     page = (tmp_path / "out" / "check.html").read_text(encoding="utf-8")
     assert "<svg" in page and "row 702" in page and "torchpi diagnose" in page
+    answer = page[page.index('<p class="answer"') : page.index("<figure")]
+    assert "Usable, with a warning" in answer and "row 702" in answer and "1,000 Hz, 2 s" in answer
 
 
 @pytest.mark.parametrize(
@@ -94,7 +96,9 @@ def test_a_bad_file_is_one_line_and_the_others_are_described(
     assert check(monkeypatch, missing, flat, good, "--output", tmp_path / "out") == 2
     printed = capsys.readouterr()
     assert re.fullmatch(r"torchpi: error: .*missing\.csv: .*\ntorchpi: error: .*flat\.csv: .*\n", printed.err)
-    assert "good.csv" in printed.out and (tmp_path / "out" / "check.html").is_file()
+    assert "good.csv" in printed.out
+    page = (tmp_path / "out" / "check.html").read_text(encoding="utf-8")
+    assert "<strong>2 of 3 cannot be used</strong>" in page and "missing.csv" in page
 
 
 def test_nothing_is_written_where_no_file_is_good(

@@ -76,9 +76,9 @@ def test_it_leaves_what_export_writes_the_stage_a_page_and_numbers(folder: Path)
 
 def test_the_first_screen_of_the_page_says_the_number_and_what_it_is(folder: Path) -> None:
     page = (folder / "commission.html").read_text(encoding="utf-8")
-    first = page[page.index("<h1") : page.index("<section")]
+    first = page[page.index('<p class="answer"') : page.index("<section")]
     without, with_ = (1e3 * numbers(folder)["tracking"][f"{name}_rms_um"] for name in ("without", "with"))
-    shown = [float(text) for text in re.search(r"<h1[^>]*>([\d.]+) nm → ([\d.]+) nm", first).groups()]
+    shown = [float(text) for text in re.search(r"<strong>([\d.]+) nm → ([\d.]+) nm<", first).groups()]
     np.testing.assert_allclose(shown, [without, with_], rtol=0.01)
     assert "Simulated" in first and "identified from the other recordings" in first
     own_nm = 1e3 * numbers(folder)["tracking"]["stage_heldout_rms_um"]

@@ -14,7 +14,7 @@ from torchpi.cli import commands
 from torchpi.control.trained import HASH, HYPER_PARAMETERS, to_checkpoint
 from torchpi.errors import ArtifactError, ConfigError
 from torchpi.export import export_files, load_torchscript
-from torchpi.export.formats import write_together
+from torchpi.export.formats import without_suffix, write_together
 
 
 def contents(folder: Path) -> dict[str, bytes]:
@@ -34,7 +34,17 @@ def test_a_name_with_a_dot_stays_whole(tmp_path: Path) -> None:
     assert file.name == "v1.2.json" and file.is_file()
 
 
-@pytest.mark.parametrize("formats", [("onnx",), ("c", "jsn"), (), ("",)])
+def test_one_format_may_be_given_alone(tmp_path: Path) -> None:
+    assert export_files(compensator(), tmp_path / "demo", "json") == [tmp_path / "demo.json"]
+
+
+def test_an_export_is_named_by_whichever_of_its_files() -> None:
+    for suffix in (".pt", ".c", ".h", ".json", ".html"):
+        assert without_suffix(f"exports/v1.2{suffix}") == Path("exports/v1.2")
+    assert without_suffix("exports/v1.2") == Path("exports/v1.2")
+
+
+@pytest.mark.parametrize("formats", ["jsn", ("onnx",), ("c", "jsn"), (), ("",)])
 def test_an_unknown_format_lists_those_that_there_are(formats: tuple[str, ...], tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="expected one or more of torchscript,c,fmu,pt2,json") as error:
         export_files(compensator(), tmp_path / "out" / "demo", formats)

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from torch import nn
 
 from torchpi.control.direct_inverse import DirectInverse
-from torchpi.errors import ArtifactError, RecordingError, StageError
+from torchpi.errors import ArtifactError, ConfigError, RecordingError, StageError
 from torchpi.excitation.trajectory import load_trajectory
 from torchpi.export import export_files, load_torchscript
 from torchpi.loop import run_loop
@@ -314,6 +314,22 @@ def test_a_voltage_that_is_not_finite_is_refused_with_its_sample():
     with pytest.raises(ArtifactError, match=r"nan V at sample 40"):
         run(Failing())
     assert gc.isenabled()
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [("max_slew_v_s", -5.0), ("max_slew_v_s", "5"), ("max_slew_v_s", math.nan), ("fs_hz", 0)],
+)
+def test_a_rate_that_is_no_positive_number_is_refused_by_its_name(key: str, value: object):
+    with pytest.raises(ConfigError, match=rf"{key}: found .*, expected a positive number of"):
+        run(Inverse(), **{key: value})
+
+
+def test_what_neither_steps_nor_is_a_stage_is_refused():
+    with pytest.raises(ArtifactError, match="compensator: found DirectInverse without 'reset', expected one"):
+        run(DirectInverse(1 / FS_HZ, [0.0]))
+    with pytest.raises(ArtifactError, match="stage: found str without 'sample_period_s', expected a stage"):
+        run(Inverse(), "default")
 
 
 def test_a_trajectory_outside_the_range_is_refused_with_the_range():

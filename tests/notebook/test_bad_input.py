@@ -1,5 +1,6 @@
 """What a notebook gets wrong is one line, as with files, and before anything is fitted."""
 
+import pickle
 from typing import Any
 
 import numpy as np
@@ -27,6 +28,8 @@ def compensator() -> Compensator:
 @pytest.mark.parametrize(
     ("recordings", "message"),
     [
+        (None, "recordings: found NoneType, expected a Recording: Recording.from_arrays(t, u, y) makes one"),
+        ("slow.csv", "recordings: found str, expected a Recording"),
         ([], "recordings: found 0, expected two or more"),
         (made(), "recordings: found 1, expected two or more"),
         ([made(), made(name="again")], "again: found the content of slow, expected different recordings"),
@@ -40,7 +43,7 @@ def compensator() -> Compensator:
             "nan: sample 1: column 'output_um': found nan",
         ),
     ],
-    ids=["none", "one", "the same twice", "an array", "another rate", "unchecked"],
+    ids=["nothing", "a path", "none", "one", "the same twice", "an array", "another rate", "unchecked"],
 )
 def test_recordings_that_cannot_be_fitted_are_refused(recordings: Any, message: str) -> None:
     with pytest.raises(RecordingError) as refused:
@@ -53,9 +56,10 @@ def test_recordings_that_cannot_be_fitted_are_refused(recordings: Any, message: 
     [
         ({"preview": -1}, "preview: found -1, expected a number of samples that is not negative"),
         ({"preview": 0.5}, "preview: found 0.5, expected a number of samples"),
+        ({"max_voltage_v": "10"}, "max_voltage_v: found '10', expected a voltage in V"),
         ({"skip_s": -1.0}, "skip_s: found -1.0, expected a time in s that is not negative"),
     ],
-    ids=["negative", "half a sample", "skip"],
+    ids=["negative", "half a sample", "a word", "skip"],
 )
 def test_settings_of_a_fit_that_are_none_are_refused(options: dict[str, Any], message: str) -> None:
     with pytest.raises(ConfigError) as refused:
@@ -82,6 +86,40 @@ def test_a_reference_that_is_no_signal_is_refused(
     assert message in str(refused.value) and "\n" not in str(refused.value)
 
 
+@pytest.mark.parametrize(
+    ("arguments", "found"),
+    [({}, "NoneType"), ({"preview": 2}, "preview"), ({"inverse": Y}, "ndarray of 2000")],
+)
+def test_a_compensator_of_nothing_names_what_makes_one(arguments: dict[str, Any], found: str) -> None:
+    with pytest.raises(ConfigError) as refused:
+        Compensator(**arguments)
+    message = str(refused.value)
+    assert f"found {found}, expected a DirectInverse" in message
+    assert "Compensator.fit(recordings" in message and "Compensator.load(path)" in message
+
+
+def test_a_compensator_that_is_fitted_is_not_fitted_again(compensator: Compensator) -> None:
+    with pytest.raises(
+        ConfigError, match=r"fit: found a compensator that is fitted already, .*Compensator\.fit"
+    ):
+        compensator.fit([made(), made(1.1 * Y, "other")])
+    again = pickle.loads(pickle.dumps(compensator))
+    assert again.sample_rate_hz == compensator.sample_rate_hz
+
+
+def test_a_stage_may_be_given_by_its_name_and_a_path_is_a_path(compensator: Compensator) -> None:
+    with pytest.raises(ArtifactError, match="sample period"):  # found, but of another rate
+        compensator.track(Y, "default")
+    with pytest.raises(ConfigError, match="nonsense: no such file or name"):
+        compensator.track(Y, "nonsense")
+    with pytest.raises(
+        ArtifactError, match="stage: found ndarray without 'sample_period_s', expected a stage"
+    ):
+        compensator.track(Y, Y)  # type: ignore[arg-type]
+    with pytest.raises(ArtifactError, match="path: found int, expected the path of a folder or a checkpoint"):
+        Compensator.load(4)  # type: ignore[arg-type]
+
+
 def test_tracking_without_a_stage_or_at_another_rate_is_refused(compensator: Compensator) -> None:
     with pytest.raises(ArtifactError, match="stage: found none, expected one"):
         compensator.track(Y)
@@ -95,4 +133,6 @@ def test_a_diagnosis_of_arrays_names_what_makes_a_recording_of_them() -> None:
     with pytest.raises(
         RecordingError, match=r"found ndarray at index 0, expected a Recording: .*from_arrays"
     ):
-        torchpi.diagnose([Y])
+        torchpi.diagnose([Y])  # type: ignore[list-item]
+    with pytest.raises(RecordingError, match=r"found NoneType, expected a Recording: .*from_arrays"):
+        torchpi.diagnose(None)  # type: ignore[arg-type]

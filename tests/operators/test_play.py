@@ -1,5 +1,7 @@
 """The play operator: eq. 1, eq. 2, its gradients and its other forms."""
 
+from typing import Any
+
 import control
 import numpy as np
 import pytest
@@ -9,7 +11,7 @@ from hypothesis import strategies as st
 from torch import Tensor
 
 from torchpi.errors import ConfigError
-from torchpi.operators import PlayBank, play, play_bank
+from torchpi.operators import Operator, PlayBank, Polynomial, PrandtlIshlinskii, play, play_bank
 from torchpi.operators.conformance import HysteresisLaws, wandering
 from torchpi.operators.play_scan import play_scan
 
@@ -102,10 +104,29 @@ def test_trained_thresholds_move_but_the_one_that_is_zero_stays() -> None:
     assert gradient is not None and gradient[0] == 0 and gradient[1] != 0
 
 
-@pytest.mark.parametrize("thresholds", [[], [-0.1], [float("nan")], [float("inf")]])
-def test_impossible_thresholds_are_refused_by_name(thresholds: list[float]) -> None:
+@pytest.mark.parametrize("thresholds", [[], [-0.1], [float("nan")], [float("inf")], "abc", None, ["a"]])
+def test_impossible_thresholds_are_refused_by_name(thresholds: Any) -> None:
     with pytest.raises(ConfigError, match="thresholds: found"):
         PlayBank(thresholds)
+
+
+@pytest.mark.parametrize(
+    "operator", [PlayBank([0.0, 0.5]), PrandtlIshlinskii([0.5], [2.0]), Polynomial([0.5])]
+)
+@pytest.mark.parametrize(
+    ("x", "found"),
+    [
+        (torch.arange(6).reshape(1, 6), "torch.int64, expected floating-point numbers"),
+        (np.zeros((1, 6)), r"ndarray, expected a tensor \(batch, time\)"),
+        ("abc", r"str, expected a tensor \(batch, time\)"),
+        (torch.zeros(6), r"shape \(6,\), expected \(batch, time\)"),
+        (torch.zeros(1, 6, 2), r"shape \(1, 6, 2\), expected \(batch, time\)"),
+    ],
+    ids=["integers", "array", "word", "one record", "three dimensions"],
+)
+def test_what_is_no_batch_of_records_is_refused(operator: Operator, x: Any, found: str) -> None:
+    with pytest.raises(ConfigError, match=f"x: found {found}"):
+        operator(x)
 
 
 def test_states_are_those_of_a_plain_loop() -> None:

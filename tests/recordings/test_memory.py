@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from torchpi.errors import RecordingError, TorchpiError
+from torchpi.errors import RecordingError, RecordingWarning, TorchpiError
 from torchpi.recordings.identity import recordings_sha256
 from torchpi.recordings.recording import Recording
 
@@ -59,6 +59,46 @@ def pandas_index(stamps: np.ndarray, columns: dict[str, np.ndarray]) -> Any:
     return pandas.DataFrame(columns, index=pandas.DatetimeIndex(stamps).tz_localize("Europe/Berlin"))
 
 
+@pytest.mark.parametrize(
+    ("t", "u"),
+    [
+        (T.astype(object), U.astype(object)),
+        ([f"{t:.3f}".replace(".", ",") for t in T], [f"{u:.17g}".replace(".", ",") for u in U]),
+        ([f"2026-01-01T12:00:{t:06.3f}Z" for t in T], U),
+    ],
+    ids=["objects", "decimal commas", "ISO dates"],
+)
+def test_a_frame_may_hold_what_a_text_file_may(t: Any, u: Any) -> None:
+    import pandas
+
+    for kind in (object, None):  # None: pandas' own type of text
+        frame = pandas.DataFrame({"time": pandas.Series(t, dtype=kind), "u": pandas.Series(u), "y": Y})
+        made = Recording.from_frame(frame)
+        assert np.allclose(made.u, U) and made.fs_hz == pytest.approx(1000)
+
+
+def test_a_recording_stays_as_it_was_when_its_arrays_change() -> None:
+    import pandas
+
+    t, u, y, extra = T.copy(), U.copy(), torch.tensor(Y), T.copy()
+    frame = pandas.DataFrame({"time_s": t, "u": u, "y": Y.copy()})
+    made = [Recording.from_arrays(t, u, y, aux={"aux_x": extra}), Recording.from_frame(frame)]
+    t *= 2
+    u *= 2
+    y *= 2
+    extra *= 2
+    frame.loc[:, "u"] = 0.0
+    for one in made:
+        assert np.array_equal(one.t, T) and np.array_equal(one.u, U) and np.array_equal(one.y, Y)
+    assert np.array_equal(made[0].aux["aux_x"], T)
+
+
+@pytest.mark.parametrize(("factor", "unit"), [(1e3, "ms or us"), (1e-6, "s")])
+def test_a_sample_rate_that_no_controller_has_names_the_unit_of_time(factor: float, unit: str) -> None:
+    with pytest.warns(RecordingWarning, match=f"sampled at .* Hz .*; if the time stamps are in {unit}, give"):
+        Recording.from_arrays(factor * T, U, Y)
+
+
 SWAPPED = np.concatenate([T[:5], T[9:10], T[6:9], T[5:6], T[10:]])
 HOLE = np.where(np.arange(len(Y)) == 17, np.nan, Y)
 
@@ -80,10 +120,16 @@ HOLE = np.where(np.arange(len(Y)) == 17, np.nan, Y)
         ((T, U, Y), {"unit": "V"}, "found the option 'unit', expected one of"),
         ((T, T.astype("datetime64[s]"), Y), {}, "arrays: column 'u' is in s, expected V, mV"),
         (([], [], []), {}, "arrays: 0 samples, expected at least 10"),
+        ((T, U > 5, Y), {}, "arrays: 'u' holds bool, expected numbers"),
+        ((T, U, Y), {"aux": {"temp": T}}, "arrays: aux: found 'temp', expected a name that begins with aux_"),
+        ((T, U, Y), {"aux": [T]}, "arrays: aux: found list, expected signals by their names"),
+        ((T, U, Y), {"resample": "no"}, "resample: found 'no', expected true or false"),
+        ((None, U, Y), {"fs": 1000}, "found the option 'fs', expected one of"),
     ],
     ids=[
         "lengths", "two axes", "words", "complex", "ragged", "gradient", "nan", "masked", "unsorted",
-        "no time", "unit", "option", "dates", "empty",
+        "no time", "unit", "option", "dates", "empty", "booleans", "aux's name", "aux's kind", "word",
+        "no time but an option",
     ],
 )  # fmt: skip
 def test_what_is_wrong_with_arrays_is_one_line_that_names_the_place(
@@ -99,10 +145,14 @@ def test_what_is_wrong_with_arrays_is_one_line_that_names_the_place(
     [
         ([1, 2], "frame: found list, expected a frame with columns, such as pandas.DataFrame"),
         (Frame(time_s=T, a=U, b=Y), "frame: no column 'input_v' (input_column); the file has: time_s, a, b"),
+        (
+            Frame(time_s=T, u=U, **{"y [inch]": Y}),
+            "frame: column 'y [inch]' is in inch, expected um, nm, mm, m, pm, cm, angstrom; choose another",
+        ),
         (Frame(time_s=SWAPPED, u=U, y=Y), "frame: iloc 6: time goes from 0.009 s to 0.006 s"),
         (Frame(time_s=T, u=U, y=HOLE), "frame: iloc 17: column 'y': found nan"),
     ],
-    ids=["a list", "no voltage", "unsorted", "nan"],
+    ids=["a list", "no voltage", "unknown unit", "unsorted", "nan"],
 )
 def test_what_is_wrong_with_a_frame_is_one_line_that_names_the_row(frame: Any, message: str) -> None:
     with pytest.raises(RecordingError) as refused:

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from torchpi.errors import RecordingError, RecordingWarning
+from torchpi.errors import ConfigError, RecordingError, RecordingWarning
 from torchpi.excitation.signals import (
     paper_multisine,
     sine_5hz,
@@ -272,3 +272,18 @@ class TestRealRecordings:
                 fs_hz="multisine/fs",
             )
         assert (len(recording), recording.fs_hz) == (40_960, 750)
+
+
+def test_what_is_neither_path_nor_option_nor_recording_is_refused_by_its_name(tmp_path):
+    path = tmp_path / "a.csv"
+    with pytest.raises(RecordingError, match="path: found int, expected the path of a file"):
+        read_recording(5)
+    with pytest.raises(
+        ConfigError, match="options: found dict, expected RecordingOptions; single options go"
+    ):
+        read_recording(path, {"fs_hz": 1000})
+    with pytest.raises(RecordingError, match=r"recording: found ndarray of 3×2, expected a Recording"):
+        write_recording(path, np.zeros((3, 2)))
+    with pytest.raises(RecordingError, match="one: t: found list, expected a NumPy array"):
+        Recording("one", [0.0, 1.0], np.zeros(2), np.zeros(2), 1.0)
+    assert not path.exists()

@@ -21,6 +21,8 @@ class TestAsRigsWriteIt:
             "Time / ms,Voltage / mV,Position / µm",
             "t[ms],U[V],Y[mm]",
             "timestamp_ns,cmd_kV,pos_m",
+            "t (msec),U [Volts],Position [cm]",
+            "t (seconds),U,Y [Å]",
             "Time (sec),Drive (volts),Stroke (microns)",
             "time,voltage,displacement",
         ],
@@ -33,6 +35,24 @@ class TestAsRigsWriteIt:
             for row in zip(T, U, Y, strict=True)
         ]
         assert_is_the_record(read_recording(write_rows(path, [header, *rows])))
+
+    @pytest.mark.parametrize("unit", ["furlong", "counts", "in", "%", "a.u.", "NM", "mA"])
+    def test_a_unit_that_is_not_known_is_refused_with_the_option(self, tmp_path, unit):
+        for header in (f"time_s,u,y [{unit}]", f"time_s,u,y ({unit})"):
+            path = write_rows(tmp_path / "a.csv", [header, *csv_rows()[1:]])
+            said = refusal(path)
+            assert f"is in {unit}, expected um, nm, mm, m, pm, cm, angstrom" in said and "output_unit" in said
+            assert_is_the_record(read_recording(path, output_unit=1))
+
+    @pytest.mark.parametrize("text", ["1", "CH1", "CH A", "-", "raw", "Sensor", ""])
+    def test_what_is_no_unit_may_stand_in_brackets(self, tmp_path, text):
+        path = write_rows(tmp_path / "a.csv", [f"time (UTC),u,y [{text}]", *csv_rows()[1:]])
+        assert_is_the_record(read_recording(path))
+
+    def test_a_column_of_the_same_name_in_another_unit_is_passed_over(self, tmp_path):
+        rows = [f"{row},7" for row in csv_rows()[1:]]
+        path = write_rows(tmp_path / "a.csv", ["time [s],u,y,T [degC]", *rows])
+        assert_is_the_record(read_recording(path))
 
     @pytest.mark.parametrize("units", ["ms,mV,nm", "[ms],[mV],[nm]", "(ms),(mV),(nm)"])
     def test_a_row_of_units_below_the_header_counts(self, tmp_path, units):
@@ -156,6 +176,7 @@ class TestAsRigsWriteIt:
 def _factor(name: str) -> float:
     """How many of our units one of this header's is."""
     powers = {"ns": 1e-9, "us": 1e-6, "ms": 1e-3, "mv": 1e-3, "kv": 1e3, "nm": 1e-3, "mm": 1e3, "m": 1e6}
+    powers |= {"msec": 1e-3, "cm": 1e4, "å": 1e-4}
     return powers.get(
         name.lower().rstrip(")] ").replace("[", " ").replace("(", " ").replace("_", " ").split()[-1], 1.0
     )

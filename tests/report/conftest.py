@@ -3,20 +3,30 @@
 import math
 from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
+from tests.hostile.sequences import compensator
+from tests.paper.short_run import short_run
 from tests.report.synthetic_diagnosis import diagnosis
+from torchpi.cli.check import check_files
 from torchpi.diagnosis.diagnosis import Diagnosis
+from torchpi.export import safety_card
 from torchpi.loop import run_loop
 from torchpi.loop.result import LoopResult
+from torchpi.recordings.options import RecordingOptions
+from torchpi.recordings.recording import Recording
+from torchpi.report import commission_page
 from torchpi.report.diagnosis_figures import diagnosis_figures
 from torchpi.report.diagnosis_page import write_diagnosis
 from torchpi.report.page import loop_page, training_page
+from torchpi.report.safety_page import safety_page
 from torchpi.report.training import RecordFit, Saturation, TrainingReport, WeightsAgainstRate
 from torchpi.report.what_was_run import Provenance
+from torchpi.stage import Stage
 
 FS_HZ = 10_000.0
 
@@ -129,6 +139,53 @@ def loop_html(results: list[LoopResult], provenance: Provenance) -> str:
 @pytest.fixture(scope="session")
 def training_html(training: TrainingReport, provenance: Provenance) -> str:
     return training_page(training, provenance)
+
+
+@pytest.fixture(scope="session")
+def recording() -> Recording:
+    t = np.arange(8_000) / FS_HZ
+    u = 5 - 5 * np.cos(2 * np.pi * 5 * t)
+    y = 0.8 * u + 0.002 * np.random.default_rng(1).standard_normal(len(t))
+    return Recording("mine", t, u, y, FS_HZ)
+
+
+@pytest.fixture(scope="session")
+def commission_html(results: list[LoopResult], recording: Recording, provenance: Provenance) -> str:
+    stage = Stage.from_yaml("default")
+    outcome = SimpleNamespace(
+        heldout=recording,
+        errors=SimpleNamespace(rms_v=0.02),
+        forward=SimpleNamespace(stage=stage, steps=[SimpleNamespace(names=["creep"], unseen_rms_um=0.01)]),
+        loop=results[1],
+        looped_s=0.8,
+        identified=SimpleNamespace(heldout_rms_um=0.004),
+        without_um=results[1].without.on_true.whole.rms_um,
+        with_um=results[1].compensated.on_true.whole.rms_um,
+        times_better=results[1].improvement["torchpi"].whole_rms,
+        trusted=True,
+    )
+    return commission_page.page(outcome, provenance)
+
+
+@pytest.fixture(scope="session")
+def check_html(recording: Recording, tmp_path_factory: pytest.TempPathFactory) -> str:
+    folder = tmp_path_factory.mktemp("check")
+    table = np.stack([recording.t, recording.u, recording.y], 1)
+    for name in ("slow", "fast"):
+        header = "time_s,input_v,output_um"
+        np.savetxt(folder / f"{name}.csv", table, "%.9g", ",", header=header, comments="")
+    check_files([folder / "slow.csv", folder / "fast.csv"], folder, RecordingOptions(), "torchpi check")
+    return (folder / "check.html").read_text(encoding="utf-8")
+
+
+@pytest.fixture(scope="session")
+def paper_html() -> str:
+    return (short_run() / "paper.html").read_text(encoding="utf-8")
+
+
+@pytest.fixture(scope="session")
+def safety_html(provenance: Provenance) -> str:
+    return safety_page("demo", safety_card(compensator()), provenance)
 
 
 @pytest.fixture(scope="session")

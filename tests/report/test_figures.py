@@ -9,7 +9,7 @@ from matplotlib.text import Text
 
 from torchpi.report import loop_figures, training_figures
 from torchpi.report.svg import inline_svg
-from torchpi.report.traces import envelope, thinned
+from torchpi.report.traces import envelope, readable, thinned
 
 
 @pytest.fixture(scope="module")
@@ -70,6 +70,34 @@ def test_a_thinned_curve_stays_within_a_dot_of_the_whole():
     assert len(short_x) < len(x) / 2
     distance = np.hypot(x[::197, None] - short_x, y[::197, None] - short_y).min(axis=1)
     assert distance.max() < 2 * np.sqrt(2) / 500
+
+
+def test_a_long_motion_is_first_shown_over_a_stretch_that_can_be_read_and_a_short_one_whole():
+    t = np.arange(20_000) / 1e4
+    noise = 0.01 * np.random.default_rng(0).standard_normal(len(t))
+    many = readable(np.sin(2 * np.pi * 100 * t) + noise)
+    assert (many.stop - many.start) / 1e4 == pytest.approx(24 / 200, rel=0.05)
+    assert (many.stop + many.start) / 2 == pytest.approx(len(t) / 2, rel=0.02)
+    assert readable(np.sin(2 * np.pi * 5 * t) + noise) == slice(0, len(t))
+    assert readable(np.zeros(10)) == slice(0, 10)
+
+
+def test_loops_are_drawn_as_errors_so_that_their_opening_is_seen(results):
+    both, alone = loop_figures.linearity_figure(results[0]).axes
+    drive = results[0].compensated
+    steady = 1e3 * (drive.y_true - results[0].yd)[results[0].loading_samples :]
+    for axes in (both, alone):
+        drawn = next(line.get_ydata() for line in axes.lines if line.get_label() == drive.label)
+        assert drawn.min() == pytest.approx(steady.min(), abs=1) and len(drawn) > 100
+        assert axes.get_ylabel() == "error $y - y_d$ (nm)"
+    assert len([line for line in both.lines if line.get_label() == "without compensation"]) == 1
+
+
+def test_the_loading_is_not_shaded_where_it_is_most_of_the_picture(results):
+    import dataclasses
+
+    late = dataclasses.replace(results[0], loading_samples=int(0.8 * len(results[0].t)))
+    assert loop_figures.loading_s(late) is None and loop_figures.loading_s(results[0]) is not None
 
 
 def test_a_trajectory_that_starts_at_its_top_is_drawn_without_loading(results):

@@ -77,10 +77,15 @@ def shown_by(html: str, folder: Path, *options: str) -> dict[str, dict[str, Any]
     return {one["name"]: one for one in said}
 
 
+TRACED = ("loop", "training", "diagnosis", "commission", "check", "paper")
+"""Pages with traces to zoom into."""
+
+
 @pytest.fixture(scope="module")
-def pages(loop_html: str, training_html: str, folder: Path) -> dict[str, str]:
+def pages(request: pytest.FixtureRequest, folder: Path) -> dict[str, str]:
     diagnosed = (folder / "report.html").read_text(encoding="utf-8")
-    return {"loop": loop_html, "training": training_html, "diagnosis": diagnosed}
+    others = (name for name in (*TRACED, "safety") if name != "diagnosis")
+    return {"diagnosis": diagnosed} | {name: request.getfixturevalue(f"{name}_html") for name in others}
 
 
 def data_in(markup: str) -> list[dict[str, Any]]:
@@ -112,13 +117,21 @@ def test_a_name_from_outside_cannot_end_the_script() -> None:
     assert data_in(markup)[0]["panels"][0]["curves"][0]["label"] == "</script><b>"
 
 
+def test_what_is_shown_first_is_drawn_more_closely_than_the_whole() -> None:
+    t = np.arange(200_000) / 1e4
+    linked = Linked(t, (Panel("y", "µm", (Curve("a", np.sin(99 * t), LOOK),)),), view=(10.0, 10.2))
+    (data,) = data_in(linked_markup([linked], Markup(""), 10_000))
+    assert data["view"] == [10.0, 10.2] and "Shown first: 0.2 s of 20 s" in data["note"]
+    assert sum(10.0 <= one <= 10.2 for one in data["t"]) > 500 > 0.2 * len(data["t"]) / 20
+
+
 def test_a_constant_and_a_short_record_have_traces() -> None:
     t = np.arange(3.0)
     linked = Linked(t, (Panel("y", "µm", (Curve("a", np.zeros(3), LOOK),)),))
     assert data_in(linked_markup([linked], Markup("")))[0]["t"] == [0.0, 1.0, 2.0]
 
 
-@pytest.mark.parametrize("name", ["loop", "training", "diagnosis"])
+@pytest.mark.parametrize("name", TRACED)
 def test_a_page_is_below_two_megabytes_and_forbids_every_load(name: str, pages: dict[str, str]) -> None:
     html = pages[name]
     assert len(html.encode()) < 2_000_000
@@ -131,7 +144,7 @@ def test_a_page_is_below_two_megabytes_and_forbids_every_load(name: str, pages: 
 
 
 @pytest.mark.skipif(CHROMIUM is None, reason="needs chromium: apt install chromium")
-@pytest.mark.parametrize("name", ["loop", "training", "diagnosis"])
+@pytest.mark.parametrize("name", [*TRACED, "safety"])
 def test_the_first_screen_has_number_and_picture_and_values_follow_the_pointer(
     name: str, pages: dict[str, str], tmp_path: Path
 ) -> None:
@@ -139,6 +152,8 @@ def test_the_first_screen_has_number_and_picture_and_values_follow_the_pointer(
     assert max(shown["screen"]["number"], shown["screen"]["ends"]) <= 800
     for one in shown.values():
         assert one["scrolls"] <= 0
+        if name == "safety":
+            continue
         for values in (one["middle"], one["start"], one["zoomed"]):
             times = {panel[0] for panel in values}
             assert len(times) == 1 and "–" not in times  # the panels share the pointer
@@ -147,7 +162,7 @@ def test_the_first_screen_has_number_and_picture_and_values_follow_the_pointer(
         )
         assert start < zoomed < middle
         units = {value.rpartition(" ")[2] for panel in one["middle"] for value in panel} - {"–"}
-        assert {"s", "µm", "V"} <= units and units & {"nm", "mV"}
+        assert {"s", "µm"} <= units and units & {"nm", "mV", "V", "µm"}
 
 
 @pytest.mark.skipif(CHROMIUM is None, reason="needs chromium: apt install chromium")
@@ -165,8 +180,23 @@ def test_values_under_the_pointer_are_those_of_the_record(
     assert without == pytest.approx(result.drives["without"].y_true[k], abs=1e-3)
 
 
+def test_in_the_dark_a_line_has_one_colour_drawn_by_the_script_or_not(pages: dict[str, str]) -> None:
+    style = pages["loop"].partition("<style>")[2].partition("</style>")[0]
+    assert "svg.figure, .live canvas, .live .u-marker { filter:" in style
+    overridden = re.findall(r"--([0-9a-f]{6}):", style)  # the script reads these, the figures have rules
+    assert overridden == ["e69f00", "d55e00"]
+    for color in overridden:
+        for what in ("stroke", "fill"):
+            rule = f'svg.figure [style*="{what}: #{color}"] {{ {what}: var(--{color}) !important; }}'
+            assert rule in style
+
+
 def test_without_a_script_the_figure_is_shown(pages: dict[str, str]) -> None:
-    for html in pages.values():
+    for name, html in pages.items():
         style = html.partition("<style>")[2].partition("</style>")[0]
         assert ".live { display: none; }" in style  # and only a script makes it anything else
-        assert html.count('<div class="still"><svg class="figure"') == html.count('<div class="linked">') > 0
+        stills, linked = (
+            html.count('<div class="still"><svg class="figure"'),
+            html.count('<div class="linked">'),
+        )
+        assert stills == linked and bool(linked) == (name in TRACED)

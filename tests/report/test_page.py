@@ -2,12 +2,13 @@
 
 import json
 import re
+from dataclasses import replace
 from html.parser import HTMLParser
 
 import pytest
 
 from tests.report.test_diagnosis_page import without_scripts
-from torchpi.loop.result import COMPENSATED, LoopResult
+from torchpi.loop.result import COMPENSATED, LimitMet, LoopResult
 from torchpi.report import words
 from torchpi.report.page import loop_json, loop_page, write_loop_report, write_training_report
 from torchpi.report.training import TrainingReport
@@ -133,6 +134,27 @@ def test_provenance_hashes_the_files(tmp_path):
     gathered = provenance("torchpi run a.pt", {"compensator": path}, seed=1)
     (sha256,) = gathered.files.values()
     assert sha256 == "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"
+
+
+def test_a_limit_that_was_met_is_said_once_and_what_went_beyond_it_too(results: list[LoopResult]):
+    met = LimitMet("voltage", 10.0, 10.0, 0.01, 1, 0.5, 0.001, 8.0)
+    sentences = [
+        words.limits(with_limits(results[0], one))[0]
+        for one in (met, replace(met, quantity="slew", limit=80.0, value=81.0))
+    ]
+    assert "the voltage meets its limit of 10 V from 0.5 s for 1 ms" in sentences[0]
+    assert "meets its limit of 80 V/s (at most 81 V/s) from 0.5 s" in sentences[1]
+
+
+def with_limits(result: LoopResult, met: LimitMet) -> LoopResult:
+    drives = {**result.drives, COMPENSATED: replace(result.compensated, limits_met=(met,))}
+    return replace(result, drives=drives)
+
+
+def test_a_check_says_first_whether_the_files_can_be_used(check_html: str):
+    first = check_html[: check_html.index("<section")]
+    assert "<strong>Usable</strong> both recordings, without a warning" in first
+    assert "<b>slow</b>: 10,000 Hz, 0.8 s, noise about 2.0 nm" in first and "linked-data" in first
 
 
 @pytest.mark.parametrize(

@@ -8,9 +8,10 @@ import pytest
 from matplotlib.text import Text
 
 from tests.paper.short_run import short_run
+from tests.report.test_diagnosis_page import without_scripts
 from torchpi.paper.items import ITEMS
 from torchpi.paper.result import Row
-from torchpi.report import paper_page
+from torchpi.report import paper_page, words
 from torchpi.report.paper_figures import FIGURES
 from torchpi.report.paper_texts import TEXTS
 
@@ -26,7 +27,7 @@ def results() -> dict[str, Any]:
 
 
 def test_it_fetches_nothing_and_is_small(html: str) -> None:
-    assert not re.search(r"https?://|src=|@import|<link|<script|<iframe|<object|<img", html)
+    assert not re.search(r"https?://|src=|@import|<link|<script|<iframe|<object|<img", without_scripts(html))
     assert len(html.encode()) < 3_000_000
 
 
@@ -41,7 +42,7 @@ def test_sections_come_in_the_paper_s_order_each_with_title_and_figures(html: st
     assert re.findall(r'<section id="([^"]+)"', html) == list(ITEMS)
     for name in ITEMS:
         assert TEXTS[name].title.replace("'", "&#39;") in html
-    assert html.count('<svg class="figure"') == sum(len(drawn) for drawn in FIGURES.values())
+    assert html.count('<svg class="figure"') == 1 + sum(len(drawn) for drawn in FIGURES.values())
 
 
 def test_figures_of_the_paper_come_in_its_order() -> None:
@@ -79,7 +80,7 @@ def test_text_in_figures_is_eight_points_or_more_and_axes_have_units(monkeypatch
     monkeypatch.setattr(paper_page, "inline_svg", lambda figure, *_: seen.append(figure) or "<svg></svg>")
     for section in _sections():
         paper_page.paper_page([section], [], _PROVENANCE)
-    assert len(seen) == sum(len(drawn) for drawn in FIGURES.values())
+    assert len(seen) == 1 + sum(len(drawn) for drawn in FIGURES.values())
     for figure in seen:
         assert min(text.get_fontsize() for text in figure.findobj(Text) if text.get_text()) >= 8
         for axes in figure.axes:
@@ -106,6 +107,17 @@ def test_a_row_that_is_met_or_missed_says_so() -> None:
     html = paper_page.paper_page([section], [], _PROVENANCE)
     assert '<tr class="met">' in html and '<tr class="missed">' in html
     assert "Of 2 numbers that are asked for, 1 are" in html
+    assert "<strong>1 of 2</strong>" in html
+
+
+def test_the_first_number_is_what_the_paper_s_method_and_torchpi_leave_of_the_fast_trajectory(
+    html: str, results: dict[str, Any]
+) -> None:
+    first = html[: html.index("<section")]
+    paper, ours = (
+        words.figure(results["fig12"][method]["fast"]["max_percent"], 2) for method in ("paper", "torchpi")
+    )
+    assert f"<strong>{paper} % → {ours} %</strong>" in first
 
 
 def _sections() -> list[paper_page.Section]:

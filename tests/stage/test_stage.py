@@ -3,6 +3,7 @@
 import json
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -412,3 +413,26 @@ def test_modes_that_several_inputs_drive_are_simulated_stepped_saved_and_trained
     assert all(bool((p.grad != 0).any()) for name, p in one.named_parameters() if "after.0" in name)
     with pytest.raises(StageError, match="aux_b"):
         one(u)
+
+
+def test_numpy_gives_numpy_and_a_tensor_the_same_numbers_with_gradients() -> None:
+    stage, u = Stage.from_yaml("default"), np.linspace(0.0, 5.0, 50)[None]
+    y, reading = stage.simulate(u)
+    assert isinstance(y, np.ndarray) and isinstance(reading, np.ndarray)
+    of_tensor, read = stage.simulate(torch.from_numpy(u))
+    assert of_tensor.requires_grad
+    assert np.array_equal(of_tensor.detach().numpy(), y) and np.array_equal(read.detach().numpy(), reading)
+    assert np.array_equal(stage.simulate(u.astype(np.float32))[0].shape, y.shape)
+
+
+@pytest.mark.parametrize(
+    ("u", "found"),
+    [
+        ([[0.0, 1.0]], "list, expected a tensor or a NumPy array"),
+        (np.zeros(5), r"shape \(5,\), expected \(batch, time\)"),
+        (np.array([["a", "b"]]), "an array of <U1, expected numbers"),
+    ],
+)
+def test_what_is_no_voltage_is_refused(u: Any, found: str) -> None:
+    with pytest.raises(StageError, match=f"u: found {found}"):
+        Stage.from_yaml("default").simulate(u)

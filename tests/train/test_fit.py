@@ -84,15 +84,15 @@ def test_tensorboard_has_scalars_figures_and_the_result(run: Path) -> None:
     events = EventAccumulator(str(run))
     events.Reload()
     tags = events.Tags()
-    wanted = {
-        f"{key}/{part}" for key in ("rms_v", "max_v", "rms_um", "max_um") for part in ("train", "heldout")
-    }
+    errors = ("error_um", "error_v", "largest_error_um", "largest_error_v")
+    wanted = {f"{key}/{part}" for key in errors for part in ("train", "heldout")}
     assert wanted | {"loss/train", "loss/heldout", "result/heldout_rms_um"} <= set(tags["scalars"])
-    assert "epoch" not in tags["scalars"]
+    assert not {"epoch", "chosen_by"} & set(tags["scalars"])
+    assert min(tags["scalars"] + tags["images"]) == "error_um/heldout"  # TensorBoard's first card
     assert {"loop", "trace", "residual spectrum", "weights against rate"} <= set(tags["images"])
     layout = Layout.FromString(events.Tensors("custom_scalars__config__")[0].tensor_proto.string_val[0])
     charted = [tag for chart in layout.category[0].chart for tag in chart.multiline.tag]
-    assert {f"^{name}$" for name in wanted if not name.startswith("max_um")} == set(charted)
+    assert {f"^{name}$" for name in wanted if not name.startswith("largest_error_um")} == set(charted)
 
 
 def test_there_is_a_page(run: Path) -> None:

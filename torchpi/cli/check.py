@@ -63,7 +63,13 @@ def check_files(
         files: dict[str, str | Path] = {
             f"recording {each.summary.recording.name}": each.summary.recording.source for each in checked
         }
-        page = write_check(checked, commands, provenance(command, files), output / "check.html")
+        page = write_check(
+            checked,
+            [str(failure) for failure in failures],
+            commands,
+            provenance(command, files),
+            output / "check.html",
+        )
         print(f"{page}: the page")
     if failures:
         raise failures[-1]

@@ -58,7 +58,7 @@ def check_axes_files(
         f"recording {one.name}": path for one, path in zip(found, paths, strict=True)
     }
     title = "Check of " + ", ".join(one.name for one in found)
-    page = write_sections(title, sections, commands, provenance(command, files), output / "check.html")
+    page = write_sections(title, sections, [], commands, provenance(command, files), output / "check.html")
     print(f"{page}: the page")
     return found
 

@@ -31,7 +31,7 @@ DESCRIPTION = """Makes piezo stages go where they are told.
   torchpi predict              simulates what a diagnosis left behind
   torchpi excite               writes the recordings' voltages that a diagnosis needs
 
-  torchpi reproduce            runs the whole paper (Qin et al. 2013), and shows what torchpi does better
+  torchpi reproduce            runs the whole paper (Qin et al. 2013), with torchpi's errors beside its
 """
 DEFAULT_STAGE = Path("default")
 IN_ONE_THREAD = ("commission", "diagnose")
@@ -182,14 +182,13 @@ def export(
     from torchpi.control.trained import load_compensator, with_slew_limit
     from torchpi.errors import ArtifactError
     from torchpi.export import Load, made_files, safety_card, write_together
+    from torchpi.export.formats import without_suffix
     from torchpi.operators import ReferenceFilter
     from torchpi.stage import Stage
     from torchpi.stage.beside import NAME, exported_stage
     from torchpi.stage.kinds import load_axes
 
-    output = output or Path("exports") / run.resolve().name
-    if output.suffix in (".pt", ".c", ".h", ".fmu", ".pt2", ".json", ".html"):
-        output = output.with_suffix("")
+    output = without_suffix(output or Path("exports") / run.resolve().name)
     names = None if to is None else [name.strip() for name in to.split(",")]
     if (axes := load_axes(run / NAME)) is not None:
         refuse(

@@ -3,10 +3,16 @@
 from collections.abc import Callable
 from typing import NamedTuple
 
+import numpy as np
+import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from torchpi.errors import RecordingError
+
 POINTS = 4000
+BEYOND = 0.05
+"""Of the reach. Creep and noise carry a long record a few percent further: it may be asked for again."""
 
 Law = Callable[[Tensor], Tensor]  # desired displacement (time,), µm, from the de-energised state, to V
 
@@ -42,6 +48,33 @@ def reach(law: Law, min_voltage_v: float, max_voltage_v: float) -> Reach:
     down = law(torch.cat([up, back]))[POINTS:] <= min_voltage_v
     remanence = float(back[int(down.int().argmax())]) if bool(down.any()) else low
     return Reach(low, high, remanence)
+
+
+def check_reached(
+    name: str,
+    yd: npt.NDArray[np.float64],  # (time,), µm
+    ends_um: tuple[float, float],
+    of: str,
+) -> None:
+    """Whether a desired displacement stays within what is reached, or `BEYOND` it.
+
+    Args:
+        name: What the error calls it.
+        yd: The desired displacement.
+        ends_um: The lowest and the highest displacement that are reached.
+        of: What reaches them, `stage` or `compensator`.
+
+    Raises:
+        RecordingError: It does not; names the sample that is furthest beyond.
+    """
+    low, high = ends_um
+    tolerance = BEYOND * (high - low)
+    k = int(np.argmax(np.maximum(low - yd, yd - high)))
+    if not low - tolerance <= yd[k] <= high + tolerance:
+        raise RecordingError(
+            f"{name}: sample {k} is {yd[k]:.4g} µm, outside the range of this {of}, "
+            f"{low:.3g} to {high:.3g} µm: scale the trajectory, or take another {of}"
+        )
 
 
 def _end(y: Tensor, u: Tensor, limit_behind_v: float, limit_ahead_v: float) -> float:

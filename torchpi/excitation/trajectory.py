@@ -17,7 +17,7 @@ Signal = npt.NDArray[np.float64]  # shape: (time,)
 
 @dataclass(frozen=True)
 class Trajectory:
-    """A motion to follow: y_d, and y_r, the reference before the filter of eq. 14."""
+    """A reference trajectory: y_d, and y_r, what it was before the reference filter."""
 
     name: str
     title: str
@@ -34,10 +34,11 @@ def load_trajectory(
     resample: bool = False,
     through_reference_filter: bool = False,
 ) -> Trajectory:
-    """The paper's slow (eq. 15, 2 s) or fast (eq. 16, 1 s) trajectory, or one from a file.
+    """The paper's slow or fast trajectory, or one from a file.
 
-    The paper's go through the reference filter (eq. 14), from rest. A file holds the columns `time_s` and
-    `yd_um` (or `output_um`, so that a recording's motion can be followed), sampled uniformly.
+    The paper's are eq. 15 for 2 s and eq. 16 for 1 s, and go through the reference filter (eq. 14), from
+    rest. A file holds the columns `time_s` and `yd_um` (or `output_um`, so that a recording's motion can be
+    followed), sampled uniformly.
 
     Args:
         which: 'slow', 'fast', or the path of a file.

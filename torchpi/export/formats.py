@@ -11,13 +11,14 @@ from torchpi.files import to_disk, write_atomically
 from torchpi.operators.reference_filter import ReferenceFilter
 
 Files = dict[Path, Callable[[Path], object]]  # what writes each file's content to a path
+SUFFIXES = (".pt", ".c", ".h", ".fmu", ".pt2", ".json", ".html")
 FORMATS = ("torchscript", "c", "fmu", "pt2", "json", "page")
 
 
 def export_files(
     compensator: Deployable,
     output: str | Path,
-    formats: Sequence[str] = ("torchscript", "json"),
+    formats: str | Sequence[str] = ("torchscript", "json"),
     reference_filter: ReferenceFilter | None = None,
     load: Load | None = None,
 ) -> list[Path]:
@@ -33,7 +34,7 @@ def export_files(
 def made_files(
     compensator: Deployable,
     output: str | Path,
-    formats: Sequence[str] = ("torchscript", "json"),
+    formats: str | Sequence[str] = ("torchscript", "json"),
     reference_filter: ReferenceFilter | None = None,
     load: Load | None = None,
 ) -> Files:
@@ -42,7 +43,7 @@ def made_files(
     Args:
         compensator: What is exported.
         output: Path without suffix.
-        formats: Of `FORMATS`.
+        formats: Of `FORMATS`; one, or several.
         reference_filter: Put before the compensator, inside the files.
         load: What the amplifier drives, for the safety card of json and page.
 
@@ -51,6 +52,7 @@ def made_files(
         ArtifactError: The compensator has a part that one of the formats has no form for, or a number that
             is not finite, or its name cannot be one in C. Nothing is written then.
     """
+    formats = [formats] if isinstance(formats, str) else formats
     unknown = [name for name in formats if name not in FORMATS]
     if unknown or not formats:
         raise ConfigError(f"to: found '{','.join(unknown)}', expected one or more of {','.join(FORMATS)}")
@@ -58,6 +60,12 @@ def made_files(
     for name in formats:
         files |= _made(name, compensator, Path(output), reference_filter, load)
     return files
+
+
+def without_suffix(output: str | Path) -> Path:
+    """`mine` of `mine.pt`, by whichever of its files an export is named; other dots stay."""
+    path = Path(output)
+    return path.with_suffix("") if path.suffix in SUFFIXES else path
 
 
 def written(content: str | bytes) -> Callable[[Path], object]:

@@ -33,9 +33,10 @@ class Monotone:
 
     def __str__(self) -> str:
         if self:
+            least = self.least_weight_sum * self.least_saturation_slope
             return (
-                f"the inverse rises everywhere in use: by {self.least_weight_sum:.3g} V/µm at least, "
-                f"S' by {self.least_saturation_slope:.3g}"
+                "the voltage never runs backwards: over the range and the rates of the training it moves one "
+                f"way with the displacement, by {least:.3g} V/µm at least"
             )
         where = (
             f"the weights of the moving plays sum to {self.least_weight_sum:.3g} V/µm "

@@ -11,13 +11,15 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from numbers import Real
 from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
 import torch
 
-from torchpi.errors import ArtifactError, RecordingError, StageError
+from torchpi.control.reach import check_reached
+from torchpi.errors import ArtifactError, ConfigError, RecordingError, StageError
 from torchpi.loop.limits_met import limits_met
 from torchpi.loop.result import (
     COMPENSATED,
@@ -34,6 +36,8 @@ from torchpi.loop.result import (
     loop_width,
 )
 
+STEPS = ("sample_period_s", "preview", "reset", "step")
+MOVES = ("sample_period_s", "min_voltage_v", "max_voltage_v", "seed", "stream")
 COUNTERS = ("limited_outputs", "outside_range", "held_inputs")
 """Voltages that its limits changed, samples beyond the trained range or rates, samples that it held."""
 
@@ -114,9 +118,16 @@ def run_loop(
 
     Raises:
         StageError: if the stage has no voltage limits.
-        ArtifactError: if sample periods differ, or a compensator returns a voltage that is not finite.
+        ArtifactError: if sample periods differ, a compensator returns a voltage that is not finite, or
+            `compensator` or `stage` is something else.
         RecordingError: if the trajectory is not finite, constant, or outside the stage's range.
+        ConfigError: if `fs_hz` or `max_slew_v_s` is no positive number.
     """
+    _check_offers("compensator", compensator, STEPS, "one that steps, such as DirectInverse.stream()")
+    _check_offers("stage", stage, MOVES, "a stage, such as Stage.load(path)")
+    for key, value, unit in (("fs_hz", fs_hz, "Hz"), ("max_slew_v_s", max_slew_v_s, "V/s")):
+        if not (isinstance(value, Real) and value > 0):
+            raise ConfigError(f"{key}: found {value!r}, expected a positive number of {unit}")
     compare = dict(compare or {})
     reserved = {WITHOUT, WITHOUT_LOOK_AHEAD, COMPENSATED} & compare.keys()
     if reserved:
@@ -131,7 +142,7 @@ def run_loop(
     seed = stage.seed if seed is None else seed
     plant = stage.stream()
     slow_loop = _slow_full_range_loop(stage, plant, seed)
-    _check_within_range(title, yd, slow_loop)
+    check_reached(title, yd, (slow_loop.low_um, slow_loop.high_um), "stage")
 
     straight: dict[str, Compensator] = {WITHOUT: _StraightLine(stage, slow_loop, preview=0)}
     if compensator.preview > 0:
@@ -392,6 +403,14 @@ class _StraightLine:
 # --- checks -------------------------------------------------------------------------------------------------
 
 
+def _check_offers(name: str, found: object, needed: tuple[str, ...], expected: str) -> None:
+    missing = [one for one in needed if not hasattr(found, one)]
+    if missing:
+        raise ArtifactError(
+            f"{name}: found {type(found).__name__} without '{missing[0]}', expected {expected}"
+        )
+
+
 def _check_same_period(name: str, period_s: float, stage: Plant) -> None:
     if not math.isclose(period_s, stage.sample_period_s, rel_tol=1e-9):
         raise ArtifactError(
@@ -412,15 +431,3 @@ def _checked_trajectory(name: str, y: Signal) -> Signal:
     if np.ptp(y) == 0.0:
         raise RecordingError(f"{name}: the trajectory stays at {y[0]:.6g} µm; expected one that moves")
     return y
-
-
-def _check_within_range(name: str, yd: Signal, slow_loop: _SlowLoop) -> None:
-    low, high = slow_loop.low_um, slow_loop.high_um
-    # Creep and noise carry a long record a few percent further: it may be asked for again.
-    tolerance = 0.05 * (high - low)
-    k = int(np.argmax(np.maximum(low - yd, yd - high)))
-    if not low - tolerance <= yd[k] <= high + tolerance:
-        raise RecordingError(
-            f"{name}: sample {k} is {yd[k]:.4g} µm, outside the range of this stage, "
-            f"{low:.3g} to {high:.3g} µm: scale the trajectory, or take another stage"
-        )

@@ -5,12 +5,14 @@ the same recordings, both judged on the last one, which is held out.
 """
 
 import math
+import os
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
+from numbers import Real
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -18,18 +20,20 @@ import torch
 
 from torchpi.commission.commission import check_together, selected
 from torchpi.control.direct_inverse import DirectInverse
+from torchpi.control.reach import check_reached
 from torchpi.control.step import CompensatorStream
 from torchpi.control.trained import load_compensator, to_checkpoint
 from torchpi.diagnosis.forward_stage import identify_stage
-from torchpi.errors import ArtifactError, ConfigError, RecordingError, RecordingWarning
+from torchpi.errors import ArtifactError, ConfigError, RecordingError, RecordingWarning, kind_of
 from torchpi.export import made_files, safety_card, write_together
-from torchpi.export.formats import Files
+from torchpi.export.formats import Files, without_suffix
 from torchpi.export.torchscript import script, warm
 from torchpi.files import save_tensors
 from torchpi.identification import InverseErrors, inverse_errors, inverse_pair
 from torchpi.identification.recipe import RECORDED
 from torchpi.identification.selection import Form
 from torchpi.loop import run_loop
+from torchpi.notebook.given import given_recordings
 from torchpi.notebook.tracked import Tracked
 from torchpi.recordings.checks import check_recording, check_values
 from torchpi.recordings.options import RecordingOptions
@@ -41,9 +45,11 @@ from torchpi.stage.beside import NAME as STAGE
 from torchpi.stage.beside import exported_stage
 
 Signal = npt.NDArray[np.float64]  # shape: (time,)
+LEAST_MOTION = 2e-3
+"""Of the reach: whatever moves less than that may be in another unit."""
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@dataclass(frozen=True, eq=False, repr=False, init=False)
 class Compensator:
     """Maps a desired displacement to the voltage that produces it on the stage of the recordings.
 
@@ -54,15 +60,15 @@ class Compensator:
         form: What cross-validation selected; None for one that was loaded.
 
     Example:
-        >>> import numpy as np, torch
+        >>> import numpy as np
         >>> from torchpi import Compensator, Recording, Stage
         >>> from torchpi.excitation.signals import make_excitation
         >>> rig = Stage.from_yaml("default")  # in place of your own stage
         >>> recordings = []
         >>> for seed, kind in enumerate(("sine_5hz", "multisine", "multisine")):
         ...     t, u = make_excitation(kind, rig.sample_rate_hz, 0.5, seed)
-        ...     _, y = rig.simulate(torch.from_numpy(u)[None])
-        ...     recordings.append(Recording.from_arrays(t, u, y[0].detach(), name=f"{kind} {seed}"))
+        ...     _, y = rig.simulate(u[None])
+        ...     recordings.append(Recording.from_arrays(t, u, y[0], name=f"{kind} {seed}"))
         >>> compensator = Compensator.fit(recordings)  # the last one is held out
         >>> compensator.errors.rms_percent < 2
         True
@@ -72,6 +78,29 @@ class Compensator:
     stage: Stage | None = None
     errors: InverseErrors | None = None
     form: Form | None = None
+
+    def __init__(
+        self,
+        inverse: DirectInverse | None = None,
+        stage: Stage | None = None,
+        errors: InverseErrors | None = None,
+        form: Form | None = None,
+        **settings: Any,
+    ) -> None:
+        """Around an inverse that there is already; `fit` and `load` make one.
+
+        Raises:
+            ConfigError: No inverse, or settings of a fit.
+        """
+        if settings or not isinstance(inverse, DirectInverse):
+            found = ", ".join(settings) if settings else kind_of(inverse)
+            raise ConfigError(
+                f"Compensator: found {found}, expected a DirectInverse: Compensator.fit(recordings, …) "
+                "makes a compensator from recordings, Compensator.load(path) reads one"
+            )
+        vars(self).update(inverse=inverse, stage=stage, errors=errors, form=form)
+        # It stays as it is: a fit on it would give another, and leave the one that was meant.
+        vars(self)["fit"] = _refuse_to_refit
 
     @classmethod
     def fit(
@@ -86,8 +115,8 @@ class Compensator:
         """Identify the inverse and a forward stage. Takes some seconds for 10,000 samples.
 
         Args:
-            recordings: Two or more of one stage, at the sample rate of the control loop, first sample
-                de-energised. The last one is held out and judges.
+            recordings: Two or more of one stage, at the sample rate of the control loop. The last one is held
+                out and judges.
             preview: Most samples that the trajectory is known ahead; 0 where it is not. By default as many as
                 the recordings show the stage to be late.
             skip_s: Start-up transient of each recording, s, that sets the state and is not counted.
@@ -96,12 +125,16 @@ class Compensator:
         Raises:
             RecordingError: Fewer than two recordings, two that are the same, different sample rates, or one
                 that no model can be made from.
-            ConfigError: Limits that are none, or a number of samples or seconds that is negative.
+            ConfigError: Limits that are none, a number of samples or seconds that is negative, or a call on a
+                compensator that is fitted already.
         """
         RecordingOptions(skip_s=skip_s)  # raises, as for a file
         if preview is not None and not (isinstance(preview, int) and preview >= 0):
             raise ConfigError(f"preview: found {preview}, expected a number of samples that is not negative")
-        checked = [_checked(recording, k) for k, recording in enumerate(_as_sequence(recordings))]
+        for key, value in (("min_voltage_v", min_voltage_v), ("max_voltage_v", max_voltage_v)):
+            if not isinstance(value, Real | None):
+                raise ConfigError(f"{key}: found {value!r}, expected a voltage in V")
+        checked = [_checked(recording) for recording in given_recordings(recordings)]
         check_together(checked)
         pairs = [inverse_pair(recording, 0, None, skip_s) for recording in checked]
         richest = RECORDED if preview is None else replace(RECORDED, previews=range(preview + 1))
@@ -122,6 +155,8 @@ class Compensator:
         Raises:
             ArtifactError: No compensator there, or not as it was written.
         """
+        if not isinstance(path, str | os.PathLike):
+            raise ArtifactError(f"path: found {kind_of(path)}, expected the path of a folder or a checkpoint")
         stage = Path(path) / STAGE
         inverse = load_compensator(path).requires_grad_(False)
         return cls(inverse, Stage.load(stage) if stage.is_file() else None)
@@ -160,7 +195,12 @@ class Compensator:
         the last value holds beyond the end, and stays within its voltage limits.
 
         Raises:
-            RecordingError: Another shape or type, or a number that is not finite.
+            RecordingError: Another shape or type, not finite, or beyond what is reached within the voltage
+                limits.
+
+        Warns:
+            RecordingWarning: Samples beyond the displacements or rates of the recordings, or a motion so
+                small that it may be in another unit.
 
         Example:
             >>> seconds = np.arange(2000) / compensator.sample_rate_hz
@@ -169,17 +209,31 @@ class Compensator:
             (2000,)
         """
         yd = _signal(reference_um)
+        low_um, high_um = self._reached_um
+        check_reached("reference_um", yd, (low_um, high_um), "compensator")
+        largest_um = float(np.abs(yd).max())
+        if 0 < largest_um < LEAST_MOTION * (high_um - low_um):
+            _warn(
+                f"goes no further than {largest_um:.3g} µm of {low_um:.3g} to {high_um:.3g} µm; "
+                "if it is in mm, multiply by 1000"
+            )
         ahead = yd[np.minimum(np.arange(len(yd)) + self.preview, len(yd) - 1)]
         self._step.reset()
         with torch.no_grad():
             u = self._step.block(torch.from_numpy(ahead)).numpy().copy()
+        held, outside = self._step.held_inputs, self._step.outside_range
         self._step.reset()
+        if held or outside:
+            _warn(
+                f"{held + outside} of {len(yd)} samples lie beyond the displacements or rates recorded, "
+                f"{held} of them were held back; scale or slow the trajectory, or record such motions"
+            )
         return u
 
     def track(
         self,
         reference_um: npt.ArrayLike,  # (time,), µm
-        stage: Stage | None = None,
+        stage: Stage | str | Path | None = None,
         *,
         name: str = "reference",
         max_slew_v_s: float = math.inf,
@@ -188,13 +242,15 @@ class Compensator:
 
         Args:
             reference_um: At the compensator's sample rate.
-            stage: What is moved; by default the stage identified from the same recordings.
+            stage: What is moved, or its file, or the name of one of torchpi's own, `default`; by default the
+                stage identified from the same recordings.
             name: Of the trajectory, in figures.
             max_slew_v_s: Rate of the voltage that the amplifier bears: the result names where it is met.
 
         Raises:
             RecordingError: Another shape or type, not finite, constant, or beyond the stage's range.
             ArtifactError: No stage, or one of another sample rate.
+            ConfigError: A name that no stage has, or a slew rate that is not positive.
 
         Example:
             >>> result = compensator.track(reference)
@@ -202,7 +258,8 @@ class Compensator:
             True
             >>> figure = result.plot()
         """
-        plant = stage or self.stage
+        given = Stage.load(stage) if isinstance(stage, str | Path) else stage
+        plant = self.stage if given is None else given
         if plant is None:
             raise ArtifactError("stage: found none, expected one: this compensator was loaded without")
         result = run_loop(
@@ -221,7 +278,7 @@ class Compensator:
         Raises:
             RecordingError: A recording that no model can be judged on, or of another sample rate.
         """
-        checked = _checked(recording, 0)
+        checked = _checked(*given_recordings(recording))
         if not math.isclose(checked.fs_hz, self.sample_rate_hz, rel_tol=1e-6):
             raise RecordingError(
                 f"{checked.source or checked.name}: sampled at {checked.fs_hz:g} Hz, "
@@ -230,13 +287,13 @@ class Compensator:
         return _errors(self.inverse, checked, skip_s)
 
     def export(
-        self, path: str | Path, to: Sequence[str] = ("torchscript", "c", "json", "page")
+        self, path: str | Path, to: str | Sequence[str] = ("torchscript", "c", "json", "page")
     ) -> list[Path]:
         """Write files for a controller, and the stage beside them: all, or none. Returns their paths.
 
         Args:
-            path: Without suffix; the formats add theirs.
-            to: Formats of `torchpi export`: torchscript, c, pt2, json, page.
+            path: Without suffix, or with that of one of the files; the formats add theirs.
+            to: Formats of `torchpi export`, one or several: torchscript, c, fmu, pt2, json, page.
 
         Raises:
             ConfigError: An unknown format.
@@ -250,9 +307,10 @@ class Compensator:
         card = safety_card(self.inverse)
         if card.monotone is False:
             raise ArtifactError(f"{path}: {card.monotone_summary}")
-        files = made_files(self.inverse, path, to)
+        output = without_suffix(path)
+        files = made_files(self.inverse, output, to)
         if self.stage is not None:
-            files[exported_stage(Path(path))] = self.stage.write
+            files[exported_stage(output)] = self.stage.write
         write_together(files)
         return list(files)
 
@@ -268,6 +326,13 @@ class Compensator:
         return compensator_html(self.inverse, self.form, self.errors, self.stage)
 
     @cached_property
+    def _reached_um(self) -> tuple[float, float]:
+        """The ends of what is reached within the voltage limits, or was in the recordings."""
+        reached, trained = self.inverse.reach(), self.inverse.trained
+        low, high = (0.0, 0.0) if trained is None else trained.range_um
+        return min(low, reached.low_um), max(high, reached.high_um)
+
+    @cached_property
     def _step(self) -> CompensatorStream:
         """What is exported, compiled; its state is that at rest between calls."""
         step = cast(CompensatorStream, script(self.inverse))
@@ -275,16 +340,18 @@ class Compensator:
         return step
 
 
-def _as_sequence(recordings: Sequence[Recording] | Recording) -> Sequence[Recording]:
-    return [recordings] if isinstance(recordings, Recording) else recordings
+def _warn(text: str) -> None:
+    warnings.warn(f"reference_um: {text}", RecordingWarning, stacklevel=3)
 
 
-def _checked(recording: Recording, position: int) -> Recording:
-    if not isinstance(recording, Recording):
-        raise RecordingError(
-            f"recordings: found {type(recording).__name__} at index {position}, expected a Recording: "
-            "Recording.from_arrays(t, u, y) makes one"
-        )
+def _refuse_to_refit(*_: object, **__: object) -> None:
+    raise ConfigError(
+        "fit: found a compensator that is fitted already, and stays as it is; expected the class: "
+        "compensator = Compensator.fit(recordings)"
+    )
+
+
+def _checked(recording: Recording) -> Recording:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RecordingWarning)  # they were shown when it was made
         check_recording(recording)

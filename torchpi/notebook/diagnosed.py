@@ -6,7 +6,8 @@ from concurrent.futures import Executor
 from torchpi.diagnosis import Diagnosis
 from torchpi.diagnosis import diagnose as diagnosis_of
 from torchpi.diagnosis.simulation import Simulation
-from torchpi.errors import ConfigError, RecordingError
+from torchpi.errors import ConfigError
+from torchpi.notebook.given import given_recordings
 from torchpi.recordings.recording import Recording
 from torchpi.report.diagnosis_figures import diagnosis_figures
 from torchpi.report.notebook import Plot, diagnosed_html
@@ -53,7 +54,7 @@ def diagnose(
     """Where a simulation and recordings differ, and what physics was left out of it. Takes a minute or more.
 
     Args:
-        recordings: One or more of the same stage, first sample de-energised.
+        recordings: One or more of the same stage.
         simulation: What they are compared with: a `Stage`, a function simulate(u_v, fs_hz) -> y_um, or
             "column", the `simulated` of each recording. By default a plain stage: symmetric,
             rate-independent Prandtl–Ishlinskii hysteresis, everything else ideal.
@@ -71,11 +72,5 @@ def diagnose(
         True
         >>> figure = found.plot("errors")
     """
-    given = [recordings] if isinstance(recordings, Recording) else list(recordings)
-    for k, recording in enumerate(given):
-        if not isinstance(recording, Recording):
-            raise RecordingError(
-                f"recordings: found {type(recording).__name__} at index {k}, expected a Recording: "
-                "Recording.from_arrays(t, u, y) makes one"
-            )
-    return Diagnosed(**vars(diagnosis_of(given, simulation, executor=executor)))
+    found = diagnosis_of(given_recordings(recordings), simulation, executor=executor)
+    return Diagnosed(**vars(found))

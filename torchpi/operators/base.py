@@ -3,6 +3,8 @@
 import torch
 from torch import Tensor, nn
 
+from torchpi.errors import ConfigError
+
 
 class Operator(nn.Module):
     """A causal map of one sampled signal to another, its state explicit.
@@ -30,6 +32,20 @@ class Operator(nn.Module):
         raise TypeError(f"{type(self).__name__} must define stream()")
 
 
+def check_records(x: object) -> None:
+    """Whether this is a tensor (batch, time) of floating-point numbers.
+
+    Raises:
+        ConfigError: It is not.
+    """
+    if not isinstance(x, Tensor):
+        raise ConfigError(f"x: found {type(x).__name__}, expected a tensor (batch, time)")
+    if x.ndim != 2:
+        raise ConfigError(f"x: found shape {tuple(x.shape)}, expected (batch, time)")
+    if not x.is_floating_point():
+        raise ConfigError(f"x: found {x.dtype}, expected floating-point numbers: x.double() has them")
+
+
 class Static(Operator):
     """An operator without memory, which `of` defines."""
 
@@ -38,6 +54,7 @@ class Static(Operator):
         raise TypeError(f"{type(self).__name__} must define of(x)")
 
     def forward(self, x: Tensor, state: Tensor | None = None) -> tuple[Tensor, Tensor]:
+        check_records(x)
         return self.of(x), self.initial_state(len(x)) if state is None else state
 
 

@@ -7,7 +7,7 @@ from torch import Tensor, nn
 
 
 class Motion(NamedTuple):
-    """A trajectory. Shapes: (batch, time). Units: µm, µm/s, µm/s²."""
+    """A reference trajectory with its rate and acceleration, each (batch, time), in µm, µm/s and µm/s²."""
 
     yd: Tensor
     yd_dot: Tensor

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor, nn
 
 from torchpi.errors import ConfigError
-from torchpi.operators.base import Operator
+from torchpi.operators.base import Operator, check_records
 from torchpi.operators.compiled import HAS_COMPILER, as_array
 from torchpi.operators.play_equation import play as play
 from torchpi.operators.play_kernel import play_bank_backward, play_bank_forward
@@ -21,16 +21,18 @@ class PlayBank(Operator):
         trainable: Whether gradients reach the thresholds. A threshold of exactly 0 stays 0.
 
     Raises:
-        ConfigError: No threshold, or one that is negative or not finite.
+        ConfigError: No threshold, or one that is negative or not finite; in use, no tensor of records.
     """
 
     def __init__(self, thresholds: list[float], trainable: bool = False) -> None:
         super().__init__()
-        r = torch.as_tensor(thresholds, dtype=torch.float64)
+        expected = f"thresholds: found {thresholds}, expected at least one finite number, none negative"
+        try:
+            r = torch.as_tensor(thresholds, dtype=torch.float64)
+        except (TypeError, ValueError, RuntimeError):  # words, nothing, ragged lists
+            raise ConfigError(expected) from None
         if r.ndim != 1 or len(r) == 0 or not bool(torch.isfinite(r).all()) or bool((r < 0).any()):
-            raise ConfigError(
-                f"thresholds: found {list(thresholds)}, expected at least one finite number, none negative"
-            )
+            raise ConfigError(expected)
         self.raw_thresholds = nn.Parameter(r.clone(), requires_grad=trainable)
 
     @property
@@ -47,6 +49,7 @@ class PlayBank(Operator):
         x: Tensor,  # (batch, time)
         state: Tensor | None = None,  # (batch, plays)
     ) -> tuple[Tensor, Tensor]:  # (batch, time, plays), (batch, plays)
+        check_records(x)
         h0 = self.initial_state(len(x)) if state is None else state
         h = play_bank(x, self.r.to(x.dtype), h0.to(x.dtype))
         return h, h[:, -1]

@@ -8,9 +8,9 @@ from torchpi.operators.base import Static, StaticStream
 
 
 def polynomial(x: float, c: list[float]) -> float:
-    """S(x) = c_m x^m + … + c_1 x (eq. 4), by Horner's rule; `c` is c_1 first. No constant term.
+    """S(x) = c_m x^m + … + c_1 x, by Horner's rule; `c` is c_1 first. No constant term.
 
-    Tensors pass as well: batch and stream run this one function.
+    This is eq. 4. Tensors pass as well: batch and stream run this one function.
     """
     s = 0.0
     for i in range(len(c) - 1, -1, -1):

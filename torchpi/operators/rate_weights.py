@@ -19,7 +19,9 @@ def squash(z: float) -> float:
 
 
 class RateWeights(nn.Module):
-    """w(ẏ) = k ẏ + b (eq. 7), signed rate; as `neural`, + Σ_j W_j squash(a_j ẏ/ẏ_scale + c_j).
+    """w(ẏ) = k ẏ + b, signed rate; as `neural`, + Σ_j W_j squash(a_j ẏ/ẏ_scale + c_j).
+
+    The first is eq. 7.
 
     All kinds are linear in θ = (b, k, W) over a basis φ(ẏ) = (1, ẏ/ẏ_scale, squash_1, …), so least
     squares can find θ for a fixed basis. At W = 0 the neural head is the linear one, at k = 0 that

@@ -16,7 +16,9 @@ from torchpi.operators.motion import BackwardMotionStream, Motion
 
 
 class ReferenceFilter:
-    """The filter of eq. 14, exact in discrete time.
+    """The paper's filter of the reference trajectory, of second order, exact in discrete time.
+
+    It is eq. 14.
 
     Args:
         sample_period_s: T.

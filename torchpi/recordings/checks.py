@@ -25,6 +25,7 @@ MIN_SAMPLES = 10
 RELATED = 0.1  # correlation at the best lag; 1 % of the output explained
 LONG_RUN = 4  # equal samples in a row that noise or a sharp peak does not make
 LEAST_STROKE_UM, LARGEST_STROKE_UM = 0.02, 1000.0
+LEAST_RATE_HZ, LARGEST_RATE_HZ = 50.0, 5e6  # 1 to 50 kHz are 1 to 50 Hz where stamps in ms count as s
 LEAST_VOLTAGE_V, LARGEST_VOLTAGE_V = 0.005, 1500.0
 LARGEST, LEAST_RANGE = 1e12, 1e-12  # of any unit: beyond them products of four lose their digits
 CLEAR_GAIN = 0.5  # in-phase correlation that leaves no doubt of the gain and its sign
@@ -54,7 +55,7 @@ def check_recording(
 
     Warns:
         RecordingWarning: clipping, dropouts, a falling output, an output that comes before its input, a start
-            away from zero, or a range that suggests other units.
+            away from zero, or a range or a sample rate that suggests other units.
     """
     place = place or (lambda index: f"sample {index + 1}")
     name = recording.source or recording.name
@@ -310,6 +311,12 @@ def _start_away(recording: "Recording") -> str | None:
 def _suspicious_units(recording: "Recording") -> list[str]:
     stroke, voltage = float(np.ptp(recording.y)), float(np.ptp(recording.u))
     found = []
+    if not LEAST_RATE_HZ <= recording.fs_hz <= LARGEST_RATE_HZ:
+        meant = "ms or us" if recording.fs_hz < LEAST_RATE_HZ else "s"
+        found.append(
+            f"sampled at {recording.fs_hz:.4g} Hz for {recording.duration_s:.4g} s; "
+            f"if the time stamps are in {meant}, give time_unit"
+        )
     if stroke < LEAST_STROKE_UM:
         meant = "m" if stroke < 0.0005 else "mm"
         found.append(

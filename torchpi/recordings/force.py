@@ -22,8 +22,10 @@ def read_force_recording(path: str | Path, options: RecordingOptions) -> Recordi
         RecordingError: As `read_recording`.
 
     Warns:
-        RecordingWarning: As `read_recording`, but not of units: forces and strokes are not those of a piezo.
+        RecordingWarning: As `read_recording`, but not of units, which are not those of a piezo.
     """
     with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message=".*give (in|out)put_unit", category=RecordingWarning)
+        warnings.filterwarnings(
+            "ignore", message=".*give (input|output|time)_unit", category=RecordingWarning
+        )
         return read_recording(path, with_force(path, options))

@@ -27,8 +27,8 @@ class RecordingOptions:
         time_unit: s, ms, us, ns or min; by default as the column states, else s.
         input_unit: V, mV, kV or uV, or how many volts 1 in the file stands for; by default as the column
             states, else V.
-        output_unit: um, nm, mm, m or pm, or how many µm 1 in the file stands for, negative where the sensor
-            counts downwards; by default as the column states, else um.
+        output_unit: um, nm, mm, m, pm, cm or angstrom, or how many µm 1 in the file stands for, negative
+            where the sensor counts downwards; by default as the column states, else um.
         zero: Where the displacement counts from: the sensor's own zero (recorded), or each record's first
             sample (first).
         skip_s: Start-up transient, s, that is not counted: fit lets it set the state, the other commands
@@ -47,6 +47,8 @@ class RecordingOptions:
     skip_s: float = 0.0
 
     def __post_init__(self) -> None:
+        if not isinstance(self.resample, bool):
+            raise ConfigError(f"resample: found {self.resample!r}, expected true or false")
         if self.zero not in ("recorded", "first"):
             raise ConfigError(f"zero: found '{self.zero}', expected recorded or first")
         if not (isinstance(self.skip_s, int | float) and 0 <= self.skip_s < float("inf")):

@@ -13,7 +13,7 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from torchpi.errors import RecordingError
+from torchpi.errors import ConfigError, RecordingError, kind_of
 from torchpi.files import write_atomically
 from torchpi.recordings.checks import MIN_SAMPLES, check_length, check_recording
 from torchpi.recordings.options import (
@@ -28,6 +28,7 @@ from torchpi.recordings.readers.header import UNITS, Role
 from torchpi.recordings.readers.memory import MemorySource, frame_columns
 from torchpi.recordings.readers.source import Column
 from torchpi.recordings.resampling import to_rate
+from torchpi.recordings.shown import Shown
 from torchpi.recordings.time_base import (
     column_of,
     converted,
@@ -51,7 +52,7 @@ MOST_RESAMPLED = 1000  # times the samples that there are, in either direction
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Recording:
+class Recording(Shown):
     """Voltage and displacement of one run of a stage, uniformly sampled, as `read_recording` leaves them."""
 
     name: str
@@ -73,6 +74,12 @@ class Recording:
     """(time,), µm: what a simulator makes of this voltage; None where nothing was simulated."""
 
     def __post_init__(self) -> None:
+        for name, signal in (("t", self.t), *self._signals().items()):
+            if not (isinstance(signal, np.ndarray) and signal.ndim == 1):
+                raise RecordingError(
+                    f"{self.source or self.name}: {name}: found {kind_of(signal)}, expected a NumPy array "
+                    "(time,): Recording.from_arrays makes a recording of anything that NumPy takes"
+                )
         lengths = {"t": len(self.t), "u": len(self.u), "y": len(self.y)}
         lengths |= {name: len(signal) for name, signal in self.aux.items()}
         if self.simulated is not None:
@@ -98,7 +105,7 @@ class Recording:
         """Voltage and displacement from memory, with the checks and the options that a file has.
 
         Args:
-            t: Time stamps, uniform; None where `fs_hz` gives the sample rate.
+            t: Time stamps, uniform; None where `fs_hz` gives the sample rate. What is given is copied.
             u: Voltage of the controller.
             y: Displacement.
             name: What errors and reports call the recording.
@@ -122,15 +129,19 @@ class Recording:
             >>> Recording.from_arrays(t, 1e3 * u, 0.8 * u, input_unit="mV")
             Recording('arrays', 2,000 samples at 1000 Hz, 2 s, u 0…10 V, y 0…8 µm)
         """
-        arrays = {"u": u, "y": y, **(aux or {})} | ({} if t is None else {"t": t})
-        if t is None and changes.get("fs_hz") is None:
+        options = RecordingOptions("t" if t is not None else None, "u", "y").with_changes(**changes)
+        if t is None and options.fs_hz is None:
             raise RecordingError(f"{name}: found neither t nor fs_hz, expected one of them")
-        columns = RecordingOptions("t" if t is not None else None, "u", "y")
+        if aux is not None and not isinstance(aux, Mapping):
+            raise RecordingError(f"{name}: aux: found {kind_of(aux)}, expected signals by their names")
+        for key in aux or {}:
+            if not str(key).startswith("aux_"):
+                raise RecordingError(
+                    f"{name}: aux: found {key!r}, expected a name that begins with aux_: 'aux_{key}'"
+                )
+        arrays = {"u": u, "y": y, **(aux or {})} | ({} if t is None else {"t": t})
         return _recording_of(
-            MemorySource(name, arrays),
-            columns.with_changes(**changes),
-            name,
-            allow_constant_input=allow_constant_input,
+            MemorySource(name, arrays), options, name, allow_constant_input=allow_constant_input
         )
 
     @classmethod
@@ -279,9 +290,10 @@ def read_recording(
     Warns:
         RecordingWarning: see `check_recording`.
     """
+    options = _options(options, changes)
     return _recording_of(
         open_source(path),
-        (options or RecordingOptions()).with_changes(**changes),
+        options,
         Path(path).stem,
         sha256=_sha256(path),
         min_samples=min_samples,
@@ -368,7 +380,7 @@ def read_signal(
     Raises:
         RecordingError: in one line, what is wrong and what to do.
     """
-    options = (options or RecordingOptions()).with_changes(**changes)
+    options = _options(options, changes)
     source = open_source(path)
     is_input = option == "input_column"
     name = column_of(source, column, "input") if is_input else source.find(column, option)
@@ -387,7 +399,16 @@ def write_recording(path: str | Path, recording: Recording, input_column: str = 
     """Write `time_s,input_v,output_um[,simulated_um][,aux_…]` as CSV, whole or not at all.
 
     Every double survives.
+
+    Raises:
+        RecordingError: No `Recording`.
+        ArtifactError: The path cannot be written.
     """
+    if not isinstance(recording, Recording):
+        raise RecordingError(
+            f"recording: found {kind_of(recording)}, expected a Recording: "
+            "Recording.from_arrays and Recording.from_frame make one"
+        )
     others = dict(recording.aux)
     if recording.simulated is not None:
         others = {SIMULATED_COLUMN: recording.simulated, **others}
@@ -399,6 +420,15 @@ def write_recording(path: str | Path, recording: Recording, input_column: str = 
         file.write(header + "\n")
         while chunk := list(islice(rows, 100_000)):
             file.write("\n".join(chunk) + "\n")
+
+
+def _options(options: RecordingOptions | None, changes: dict[str, Any]) -> RecordingOptions:
+    if not isinstance(options, RecordingOptions | None):
+        raise ConfigError(
+            f"options: found {kind_of(options)}, expected RecordingOptions; single options go by their "
+            "names, such as fs_hz=1000"
+        )
+    return (options or RecordingOptions()).with_changes(**changes)
 
 
 def samples_sha256(u: np.ndarray, y: np.ndarray) -> str:

@@ -1,6 +1,7 @@
 """What a file of signals holds, and what its recording shows before any model: for `torchpi check`."""
 
 import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -116,13 +117,26 @@ def summarise(path: str | Path, options: RecordingOptions | None = None) -> Summ
     columns: dict[Role, str] = {"time": stamps[0]} if stamps else {}
     columns["input"] = column_of(source, options.input_column, "input")
     columns["output"] = column_of(source, options.output_column, "output")
+    said = [str(warning.message).removeprefix(f"{path}: ") for warning in caught]
+    return summary_of(recording, options, columns, guessed, jitter, said)
+
+
+def summary_of(
+    recording: Recording,
+    options: RecordingOptions | None = None,
+    columns: dict[Role, str] | None = None,
+    guessed: bool = False,
+    jitter: float | None = None,
+    warnings: Sequence[str] = (),
+) -> Summary:
+    """What can be seen of a recording without a model; of its file what is given."""
     u, y = recording.u, recording.y
     input_noise = noise_estimate(u)
     power = float((u - u.mean()) @ (u - u.mean()))
     return Summary(
         recording=recording,
-        options=options,
-        columns=columns,
+        options=options or RecordingOptions(),
+        columns=columns or {},
         guessed=guessed,
         jitter=jitter,
         holds=holds_of(u, recording.fs_hz, input_noise),
@@ -133,7 +147,7 @@ def summarise(path: str | Path, options: RecordingOptions | None = None) -> Summ
         correlation=in_phase_correlation(u, y),
         comes_back_um=comes_back(u, y),
         dropouts=dropouts(y),
-        warnings=[str(warning.message).removeprefix(f"{path}: ") for warning in caught],
+        warnings=list(warnings),
     )
 
 

@@ -21,6 +21,7 @@ from torchpi.recordings.readers.header import (
     UNITS,
     Role,
     columns_for,
+    known_unit,
     role_of_unit,
     stem_and_unit,
 )
@@ -106,11 +107,11 @@ def scale_of(
         )
     if unit is None:
         return UNITS[role][stated] if stated else (1, 1)
-    text = str(unit).replace("µ", "u").replace("μ", "u")
-    if text in UNITS[role]:
-        return UNITS[role][text]
+    known = known_unit(str(unit))
+    if known in UNITS[role]:
+        return UNITS[role][known]
     try:
-        factor = float(text)
+        factor = float(unit)
     except ValueError:
         factor = 0.0
     if factor == 0 or not 1e-12 <= abs(factor) <= 1e12 or (role == "time" and factor < 0):

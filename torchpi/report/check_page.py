@@ -12,12 +12,16 @@ from matplotlib.figure import Figure
 from torchpi.files import write_text
 from torchpi.recordings.multi_axis import MultiAxisRecording
 from torchpi.recordings.summary import Column, Summary
-from torchpi.report import style
+from torchpi.report import style, words
+from torchpi.report.linked import MOST_NUMBERS, linked_markup
+from torchpi.report.linked_traces import axes_traces, recording_traces
 from torchpi.report.page import render
 from torchpi.report.style import canvas
 from torchpi.report.svg import inline_svg
 from torchpi.report.traces import envelope, thinned
 from torchpi.report.what_was_run import Provenance
+
+WRONG: dict[str, Any] = {"color": style.OTHERS[0]["color"], "marker": "x", "linestyle": ""}
 
 
 @dataclass(frozen=True)
@@ -31,43 +35,62 @@ class Checked:
 
 
 def write_check(
-    checked: Sequence[Checked], commands: Sequence[str], provenance: Provenance, path: str | Path
+    checked: Sequence[Checked],
+    refused: Sequence[str],
+    commands: Sequence[str],
+    provenance: Provenance,
+    path: str | Path,
 ) -> Path:
-    """Write the page; returns its path."""
+    """Write the page of the files that can be used, and why the others cannot; returns its path."""
     title = "Check of " + ", ".join(each.summary.recording.name for each in checked)
-    sections = [_section(number, each) for number, each in enumerate(checked, start=1)]
-    return write_sections(title, sections, commands, provenance, path)
+    most = MOST_NUMBERS / len(checked)
+    sections = [_section(number, each, most) for number, each in enumerate(checked, start=1)]
+    return write_sections(title, sections, refused, commands, provenance, path)
 
 
 def write_sections(
     title: str,
     sections: Sequence[dict[str, Any]],
+    refused: Sequence[str],
     commands: Sequence[str],
     provenance: Provenance,
     path: str | Path,
 ) -> Path:
     """Write the page of sections, one for each recording; returns its path."""
-    html = render("check.html.j2", title=title, commands=commands, provenance=provenance, recordings=sections)
+    html = render(
+        "check.html.j2",
+        title=title,
+        answer=_answer(sections, refused),
+        refused=refused,
+        commands=commands,
+        provenance=provenance,
+        recordings=sections,
+    )
     write_text(path, html)
     return Path(path)
 
 
-def recording_figure(summary: Summary) -> Figure:
-    """Input and output over time, wrong readings marked, and the one over the other."""
+def time_figure(summary: Summary) -> Figure:
+    """Input and output over time, wrong readings marked."""
     recording, wrong = summary.recording, summary.dropouts
-    with canvas(4.4) as figure:
-        grid = figure.add_gridspec(2, 2, width_ratios=(1.6, 1))
-        upper = figure.add_subplot(grid[0, 0])
-        lower = figure.add_subplot(grid[1, 0], sharex=upper)
-        loop = figure.add_subplot(grid[:, 1])
+    with canvas(3.8) as figure:
+        upper, lower = figure.subplots(2, 1, sharex=True)
         upper.plot(*envelope(recording.t, recording.u), **style.WITHOUT)
         lower.plot(*envelope(recording.t, recording.y), **style.TORCHPI)
-        loop.plot(*thinned(recording.u, recording.y), **{**style.TORCHPI, "linewidth": 0.8})
-        for axes, x in ((lower, recording.t), (loop, recording.u)):
-            axes.plot(x[wrong], recording.y[wrong], "x", color=style.OTHERS[0]["color"])
+        lower.plot(recording.t[wrong], recording.y[wrong], **WRONG)
         upper.set_ylabel("input (V)")
         lower.set(ylabel="output (µm)", xlabel="time (s)")
-        loop.set(xlabel="input (V)", ylabel="output (µm)")
+    return figure
+
+
+def loop_figure(summary: Summary) -> Figure:
+    """Output over input, wrong readings marked."""
+    recording, wrong = summary.recording, summary.dropouts
+    with canvas(3.4, 0.62 * style.WIDTH_IN) as figure:
+        axes = figure.subplots()
+        axes.plot(*thinned(recording.u, recording.y), **{**style.TORCHPI, "linewidth": 0.8})
+        axes.plot(recording.u[wrong], recording.y[wrong], **WRONG)
+        axes.set(xlabel="input (V)", ylabel="output (µm)")
     return figure
 
 
@@ -88,26 +111,56 @@ def axes_section(
                 axes.plot(*envelope(t, x), linewidth=0.8)
         upper.set_ylabel("inputs (V)")
         lower.set(ylabel="outputs (µm)", xlabel="time (s)")
+    svg = linked_markup(
+        [axes_traces(t, recording.u, recording.y)], Markup(inline_svg(figure, f"r{number}", caption))
+    )
     return {
         "source": source,
+        "name": recording.name,
+        "sampling": _sampling(recording.fs_hz, len(recording.u)),
         "columns": columns,
         "facts": facts,
         "warnings": [],
-        "svg": Markup(inline_svg(figure, f"r{number}", caption)),
-        "caption": caption,
+        "figures": [{"svg": svg, "caption": caption}],
     }
 
 
-def _section(number: int, each: Checked) -> dict[str, Any]:
-    source = each.summary.recording.source
-    caption = f"{source}: input and output over time, and the output over the input."
-    if len(each.summary.dropouts):
-        caption += " Crosses mark single wrong readings."
+def _section(number: int, each: Checked, most: float) -> dict[str, Any]:
+    recording = each.summary.recording
+    crosses = " Crosses mark single wrong readings." if len(each.summary.dropouts) else ""
+    over_time, loop = (
+        f"{recording.source}: {what}." for what in ("input and output over time", "the output over the input")
+    )
+    still = Markup(inline_svg(time_figure(each.summary), f"r{number}", over_time + crosses))
     return {
-        "source": source,
+        "source": recording.source,
+        "name": recording.name,
+        "sampling": f"{_sampling(recording.fs_hz, len(recording))}, "
+        f"noise about {words.length(each.summary.output_noise_um, 2)}",
         "columns": each.columns,
         "facts": each.facts,
         "warnings": each.summary.warnings,
-        "svg": Markup(inline_svg(recording_figure(each.summary), f"r{number}", caption)),
-        "caption": caption,
+        "figures": [
+            {"svg": linked_markup([recording_traces(recording)], still, most), "caption": over_time},
+            {
+                "svg": Markup(inline_svg(loop_figure(each.summary), f"l{number}", loop + crosses)),
+                "caption": loop + crosses,
+            },
+        ],
     }
+
+
+def _sampling(fs_hz: float, samples: int) -> str:
+    return f"{fs_hz:,.6g} Hz, {samples / fs_hz:.4g} s"
+
+
+def _answer(sections: Sequence[dict[str, Any]], refused: Sequence[str]) -> tuple[str, str]:
+    """Whether the files can be used, and the first warning."""
+    files = len(sections) + len(refused)
+    if refused:
+        return f"{len(refused)} of {files} cannot be used", refused[0]
+    warned = [section for section in sections if section["warnings"]]
+    if warned:
+        return "Usable, with a warning", f"{warned[0]['source']}: {warned[0]['warnings'][0]}"
+    which = {1: "the recording", 2: "both recordings"}.get(files, f"all {files} recordings")
+    return "Usable", f"{which}, without a warning"

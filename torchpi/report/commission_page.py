@@ -91,8 +91,11 @@ def limits_sentence(outcome: Commissioned) -> str:
 def page(outcome: Commissioned, provenance: Provenance) -> str:
     """The page as text."""
     drawn = (
-        (loop_figures.trajectory_figure, "Motion, desired and simulated; below, the error with and without."),
-        (loop_figures.linearity_figure, "Displacement against the desired one, before and after."),
+        (
+            loop_figures.trajectory_figure,
+            "Reference and simulated motion; below, the tracking error without and with compensation.",
+        ),
+        (loop_figures.linearity_figure, words.loops(outcome.loop)),
         (loop_figures.error_figure, "The error with compensation on its own scale, and its largest."),
         (loop_figures.voltage_figure, "Voltage written to the stage, and its limits."),
     )

@@ -30,7 +30,7 @@ def errors_figure(diagnosis: Diagnosis) -> Figure:
     """Errors of the three stages on held-out samples, and the noise floor, where it was measured."""
     fits = {
         "nominal, as given": diagnosis.nominal,
-        "retuned and grown": diagnosis.retuned,
+        "retuned": diagnosis.retuned,
         "with what was missing": diagnosis.augmented,
     }
     unit = unit_of(max(fit.heldout_rms_um for fit in fits.values()))

@@ -114,7 +114,7 @@ def _answer(diagnosis: Diagnosis) -> str:
 def _fits(diagnosis: Diagnosis, unit: Unit) -> list[dict[str, Any]]:
     rows = (
         ("nominal", "nominal, as given", diagnosis.nominal),
-        ("retuned", "retuned and grown inside its class", diagnosis.retuned),
+        ("retuned", "retuned, with no physics added", diagnosis.retuned),
         ("augmented", "augmented with what was missing", diagnosis.augmented),
     )
     floor = diagnosis.noise_floor_um
@@ -193,7 +193,7 @@ def _multisine_row(parts: Parts, unit: Unit) -> dict[str, Any]:
 
 
 _CAPTIONS = {
-    "errors": "Held-out error of three stages: as given, retuned and grown inside its own class, and with "
+    "errors": "Held-out error of three stages: as given, retuned without adding any physics, and with "
     "what was missing. What retuning takes away was a wrong parameter, not missing physics.",
     "where": "Where the retuned stage's residual lies: share of its square, less the noise where that "
     "was measured. Strongly coloured cells (bold numbers in time) are louder than the rest by more than "

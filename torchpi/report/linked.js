@@ -7,16 +7,10 @@
   const number = (value, digits) =>
     value == null ? "–" : value.toLocaleString("en", { maximumSignificantDigits: digits }).replace("-", "−");
 
-  /* Colours that were chosen for white paper, made lighter where the page is dark. */
+  /* Colours are those of white paper, which the page's style inverts where it is dark, but for a few. */
   function color(hex) {
-    if (!dark.matches) return hex;
-    const parts = [1, 3, 5].map((at) => parseInt(hex.slice(at, at + 2), 16));
-    const mixed = parts.map((part) => Math.round(part + 0.42 * (255 - part) * (parts[0] + parts[1] + parts[2] ? 1 : 2)));
-    return "rgb(" + mixed.join(",") + ")";
-  }
-
-  function variable(name) {
-    return getComputedStyle(document.documentElement).getPropertyValue(name).trim();
+    const name = "--" + hex.slice(1).toLowerCase();
+    return getComputedStyle(document.documentElement).getPropertyValue(name).trim() || hex;
   }
 
   function drawn(data, into, key) {
@@ -25,7 +19,7 @@
     const width = () => Math.max(into.clientWidth, 200);
     data.panels.forEach((panel, place) => {
       const last = place === data.panels.length - 1;
-      const ink = variable("--ink"), grid = { stroke: variable("--faint"), width: 1 };
+      const ink = "#1a1a1a", grid = { stroke: "#e2e2e2", width: 1 };
       const axis = { stroke: ink, grid: grid, ticks: grid, font: "12px system-ui, sans-serif", labelFont: "12px system-ui, sans-serif" };
       const options = {
         width: width(),
@@ -52,7 +46,7 @@
           drawClear: [
             (plot) => {
               plot.ctx.save();
-              plot.ctx.fillStyle = dark.matches ? "rgba(255,255,255,.09)" : "rgba(0,0,0,.06)";
+              plot.ctx.fillStyle = "rgba(0,0,0,.06)";
               plot.ctx.beginPath();
               plot.ctx.rect(plot.bbox.left, plot.bbox.top, plot.bbox.width, plot.bbox.height);
               plot.ctx.clip();
@@ -67,6 +61,7 @@
       };
       plots.push(new uPlot(options, [data.t].concat(panel.curves.map((curve) => curve.values)), into));
     });
+    plots.forEach((plot) => plot.setScale("x", { min: data.view[0], max: data.view[1] }));
     const watch = new ResizeObserver(() => {
       for (const plot of plots) if (plot.width !== width()) plot.setSize({ width: width(), height: plot.height });
     });

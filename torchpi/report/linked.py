@@ -51,6 +51,8 @@ class Linked:
     shaded: tuple[tuple[float, float], ...] = ()
     shade_label: str = ""
     title: str = ""
+    view: tuple[float, float] | None = None
+    """The stretch that is shown first, s; None for the whole."""
 
     @property
     def curves(self) -> list[Curve]:
@@ -75,12 +77,21 @@ def _script(linked: Linked, most_numbers: float) -> str:
     fewest, most = COLUMNS
     columns = int(most_numbers / (2 * len(curves) * (len(curves) + 1)))
     columns = min(max(columns, fewest), most)
-    kept = np.unique(np.concatenate([extremes(curve.values, columns) for curve in curves]))
+    parts = [slice(0, len(linked.t))]
+    if linked.view is not None:
+        columns //= 2
+        parts.append(slice(*np.searchsorted(linked.t, linked.view)))
+    kept = np.unique(
+        np.concatenate(
+            [part.start + extremes(curve.values[part], columns) for curve in curves for part in parts]
+        )
+    )
     step_s = float(np.median(np.diff(linked.t))) if len(linked.t) > 1 else 1.0
     content = {
         "title": linked.title,
         "t": _rounded(linked.t[kept], 0.01 * step_s),
         "shaded": [list(one) for one in linked.shaded],
+        "view": linked.view or (float(linked.t[0]), float(linked.t[-1])),
         "note": _note(linked, len(kept)),
         "panels": [
             {
@@ -125,6 +136,9 @@ def _note(linked: Linked, kept: int) -> str:
     ]
     if kept < len(linked.t):
         parts.append(f"{kept:,} of {len(linked.t):,} samples are drawn; none of the peaks is left out.")
+    if linked.view is not None:
+        begin_s, end_s = linked.view
+        parts.append(f"Shown first: {end_s - begin_s:.2g} s of {linked.t[-1] - linked.t[0]:.3g} s.")
     if linked.shaded:
         parts.append(f"Shaded: {linked.shade_label}.")
     return " ".join(parts)

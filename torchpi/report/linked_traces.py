@@ -1,24 +1,29 @@
 """What the linked traces of each page show."""
 
+from collections.abc import Iterator
+from typing import Any
+
 import numpy as np
+import numpy.typing as npt
 
 from torchpi.diagnosis.diagnosis import Trace
 from torchpi.loop.result import COMPENSATED, WITHOUT, WITHOUT_LOOK_AHEAD, LoopResult
+from torchpi.recordings.recording import Recording
 from torchpi.report import style
 from torchpi.report.diagnosis_style import AFTER, BEFORE, RECORDED, unit_of
 from torchpi.report.linked import Curve, Linked, Panel
-from torchpi.report.loop_figures import line_of
-from torchpi.report.traces import stretches
+from torchpi.report.loop_figures import line_of, loading_s
+from torchpi.report.traces import Signal, readable, stretches
 from torchpi.report.training import RecordFit
 from torchpi.report.training_figures import PREDICTED
 from torchpi.report.training_figures import RECORDED as RECORDED_VOLTAGE
 
+Signals = npt.NDArray[np.float64]  # shape: (time, axes)
 VOLTAGE = {**style.TORCHPI, "linewidth": 0.9}
 
 
 def loop_traces(result: LoopResult) -> Linked:
-    """Reference and motion, tracking error, voltage. Errors without compensation hide the others: they
-    wait for a click."""
+    """Reference and motion, tracking error without and with compensation, voltage."""
     both = (WITHOUT, COMPENSATED)
     motions = [
         Curve(result.drives[key].label, result.drives[key].y_true, line_of(result, key)) for key in both
@@ -29,12 +34,12 @@ def loop_traces(result: LoopResult) -> Linked:
             drive.label,
             1e3 * (drive.y_true - result.yd),
             line_of(result, key),
-            shown=key not in (WITHOUT, WITHOUT_LOOK_AHEAD),
+            shown=key != WITHOUT_LOOK_AHEAD,
         )
         for key, drive in result.drives.items()
     ]
     voltages = [Curve(result.drives[key].label, result.drives[key].u, line_of(result, key)) for key in both]
-    loading_s = float(result.t[result.loading_samples]) if result.loading_samples else 0.0
+    loaded_s = loading_s(result)
     return Linked(
         result.t,
         (
@@ -42,9 +47,59 @@ def loop_traces(result: LoopResult) -> Linked:
             Panel("error", "nm", tuple(errors)),
             Panel("voltage", "V", tuple(voltages), share=0.8),
         ),
-        shaded=((0.0, loading_s),) if loading_s else (),
+        shaded=((0.0, loaded_s),) if loaded_s is not None else (),
         shade_label="loading",
+        view=_first_view(result.t, result.yd),
     )
+
+
+def paper_traces(t: Signal, yd: Signal, paper: Signal, ours: Signal) -> Linked:
+    """A trajectory, followed with the paper's method and with torchpi, and both errors."""
+    drawn = (("the paper's method", paper, style.WITHOUT), ("torchpi", ours, style.TORCHPI))
+    return Linked(
+        t,
+        (
+            Panel(
+                "displacement", "µm", (*(Curve(*one) for one in drawn), Curve("desired", yd, style.WANTED))
+            ),
+            Panel("error", "µm", tuple(Curve(name, y - yd, look) for name, y, look in drawn)),
+        ),
+        view=_first_view(t, yd),
+    )
+
+
+def _first_view(t: Signal, y: Signal) -> tuple[float, float] | None:
+    """A stretch to be read, where the whole is none."""
+    part = t[readable(y)]
+    return (float(part[0]), float(part[-1])) if len(part) < len(t) else None
+
+
+def recording_traces(recording: Recording) -> Linked:
+    """Output and input of a recording."""
+    return Linked(
+        recording.t,
+        (
+            Panel("output", "µm", (Curve("output", recording.y, style.TORCHPI),)),
+            Panel("input", "V", (Curve("input", recording.u, style.WITHOUT),)),
+        ),
+        view=_first_view(recording.t, recording.y),
+    )
+
+
+def axes_traces(t: Signal, u: Signals, y: Signals) -> Linked:
+    """Outputs and inputs of a recording of several axes."""
+    panels = (
+        Panel(name + "s", unit, tuple(Curve(f"{name} {k}", x, look) for k, x, look in _numbered(signals)))
+        for name, unit, signals in (("output", "µm", y), ("input", "V", u))
+    )
+    return Linked(t, tuple(panels), view=_first_view(t, y[:, 0]))
+
+
+def _numbered(signals: Signals) -> Iterator[tuple[int, Signal, dict[str, Any]]]:
+    """Columns with their numbers and looks."""
+    looks = (style.TORCHPI, style.WITHOUT, *style.OTHERS)
+    for k, x in enumerate(signals.T):
+        yield k + 1, x, looks[k % len(looks)]
 
 
 def record_traces(record: RecordFit) -> Linked:
@@ -59,6 +114,7 @@ def record_traces(record: RecordFit) -> Linked:
             Panel("voltage", "V", (recorded, predicted)),
             Panel("residual", "mV", (residual,)),
         ),
+        view=_first_view(record.t, record.y),
     )
 
 

@@ -10,23 +10,23 @@ from matplotlib.ticker import FuncFormatter
 from torchpi.loop.result import COMPENSATED, WITHOUT, WITHOUT_LOOK_AHEAD, LoopResult
 from torchpi.report import style
 from torchpi.report.style import canvas
-from torchpi.report.traces import envelope, thinned
+from torchpi.report.traces import envelope, readable, thinned
 
 
 def trajectory_figure(result: LoopResult) -> Figure:
-    """The motion against the reference, and the error of every drive below."""
+    """The motion against the reference, and the error of every drive below, over a stretch to be read."""
+    part = readable(result.yd)
+    t, yd = result.t[part], result.yd[part]
     with canvas(4.6) as figure:
         motion, error = figure.subplots(2, 1, sharex=True, height_ratios=(1.15, 1))
         for key in (WITHOUT, COMPENSATED):
             drive = result.drives[key]
-            motion.plot(*envelope(result.t, drive.y_true), label=drive.label, **line_of(result, key))
-        motion.plot(*envelope(result.t, result.yd), label="reference, $y_d$", **style.WANTED)
+            motion.plot(*envelope(t, drive.y_true[part]), label=drive.label, **line_of(result, key))
+        motion.plot(*envelope(t, yd), label="reference, $y_d$", **style.WANTED, zorder=4)
         motion.set(ylabel="displacement (µm)", title=f"{result.title}: motion")
         for key, drive in result.drives.items():
-            error.plot(
-                *envelope(result.t, drive.y_true - result.yd), label=drive.label, **line_of(result, key)
-            )
-        error.set(ylabel="error $y - y_d$ (µm)", xlabel="time (s)", xlim=(0.0, result.t[-1]))
+            error.plot(*envelope(t, drive.y_true[part] - yd), label=drive.label, **line_of(result, key))
+        error.set(ylabel="error $y - y_d$ (µm)", xlabel="time (s)", xlim=(t[0], t[-1]))
         for axes in (motion, error):
             _shade_loading(axes, result)
             _legend_above(axes)
@@ -34,28 +34,24 @@ def trajectory_figure(result: LoopResult) -> Figure:
 
 
 def linearity_figure(result: LoopResult) -> Figure:
-    """y against y_d before and after: ideally a straight line through the origin."""
-    with canvas(3.7) as figure:
-        panels = figure.subplots(1, 2, sharex=True, sharey=True)
-        for axes, key in zip(panels, (WITHOUT, COMPENSATED), strict=True):
-            drive = result.drives[key]
-            n = result.loading_samples
-            axes.plot([0, result.yd.max()], [0, result.yd.max()], **{**style.WANTED, "linewidth": 0.8})
-            axes.plot(
-                *thinned(result.yd[: n + 1], drive.y_true[: n + 1]), color="#999999", lw=0.8, label="loading"
-            )
-            axes.plot(
-                *thinned(result.yd[n:], drive.y_true[n:]),
-                **{**line_of(result, key), "linewidth": 0.9},
-                label="steady",
-            )
-            axes.set(
-                title=f"{drive.label}\nloop width {drive.loop_width_percent:.2g} % of peak to peak",
-                xlabel="reference $y_d$ (µm)",
-                aspect="equal",
-            )
-            axes.legend(loc="upper left")
-        panels[0].set_ylabel("displacement $y$ (µm)")
+    """Tracking error over displacement, before and after on one scale, and after on its own."""
+    with canvas(3.4) as figure:
+        both, alone = figure.subplots(1, 2)
+        n = result.loading_samples if loading_s(result) is not None else 0
+        for axes, keys in ((both, (WITHOUT, COMPENSATED)), (alone, (COMPENSATED,))):
+            for key in keys:
+                drive = result.drives[key]
+                error_nm = 1e3 * (drive.y_true - result.yd)
+                if n:
+                    loading = "loading" if key == keys[-1] else None
+                    until = slice(n + 1)
+                    axes.plot(
+                        *thinned(result.yd[until], error_nm[until]), color="#999999", lw=0.7, label=loading
+                    )
+                line = {**line_of(result, key), "linewidth": 0.8}
+                axes.plot(*thinned(result.yd[n:], error_nm[n:]), label=drive.label, **line)
+            axes.set(xlabel="reference $y_d$ (µm)", ylabel="error $y - y_d$ (nm)")
+            axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, borderaxespad=0.2)
     return figure
 
 
@@ -151,9 +147,16 @@ def line_of(result: LoopResult, key: str) -> dict[str, Any]:
     return style.OTHERS[others.index(key) % len(style.OTHERS)]
 
 
+def loading_s(result: LoopResult) -> float | None:
+    """Where to end the shade of the loading; none where it would lie over most of the picture."""
+    if 0 < result.loading_samples <= len(result.t) / 2:
+        return float(result.t[result.loading_samples])
+    return None
+
+
 def _shade_loading(axes: Axes, result: LoopResult) -> None:
-    if result.loading_samples:
-        end = result.t[result.loading_samples]
+    end = loading_s(result)
+    if end is not None:
         axes.axvspan(0.0, end, **style.SHADE)
         axes.annotate(
             "loading",
@@ -164,6 +167,7 @@ def _shade_loading(axes: Axes, result: LoopResult) -> None:
             ha="center",
             fontsize=8,
             color="#555555",
+            annotation_clip=True,
         )
 
 

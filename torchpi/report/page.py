@@ -124,8 +124,7 @@ def _loop_figures(result: LoopResult) -> list[_Picture]:
         _Picture(
             "linearity",
             loop_figures.linearity_figure(result),
-            "Displacement against the reference, before and after: hysteresis opens the loop, "
-            "the dotted line is the aim.",
+            words.loops(result),
         ),
         _Picture(
             "error",

@@ -250,6 +250,22 @@ def unseen(result: "items_stage.UnseenResult") -> Figure:
     return figure
 
 
+def fast_trajectory(result: "items_stage.Fig12Result") -> Figure:
+    """The fast panel of Fig. 12 alone: motion and error of both methods."""
+    panel = result.panels["fast"]
+    with canvas(3.8) as figure:
+        motion, error = figure.subplots(2, 1, sharex=True)
+        motion.plot(*envelope(panel.t, panel.yd), label="desired", **DIAGONAL)
+        for method, line, label in (("paper", PAPER, _OF_PAPER), ("torchpi", style.TORCHPI, "torchpi")):
+            y = panel.tracked[method].y
+            motion.plot(*envelope(panel.t, y), label=label, **line)
+            error.plot(*envelope(panel.t, y - panel.yd), **{**line, "linewidth": 0.8})
+        motion.set_ylabel("displacement (µm)")
+        motion.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, borderaxespad=0.2)
+        error.set(xlabel="time (s)", ylabel="error (µm)", xlim=(0, panel.t[-1]))
+    return figure
+
+
 FIGURES: Mapping[str, tuple[tuple[Callable[[Any], Figure], str], ...]] = {
     "fig3": ((fig3, "Fig. 3: plays with negative weights make the loop of an inverse."),),
     "fig4": ((fig4, "Fig. 4: a cubic against six one-sided dead zones."),),

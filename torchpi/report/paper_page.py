@@ -10,7 +10,9 @@ from markupsafe import Markup
 
 from torchpi.files import write_text
 from torchpi.report import words
-from torchpi.report.paper_figures import FIGURES
+from torchpi.report.linked import linked_markup
+from torchpi.report.linked_traces import paper_traces
+from torchpi.report.paper_figures import FIGURES, fast_trajectory
 from torchpi.report.paper_texts import TEXTS
 from torchpi.report.png import write_png
 from torchpi.report.rendering import environment
@@ -58,15 +60,17 @@ def paper_page(
     figures: Path | None = None,
 ) -> str:
     """The page as text; its figures also as PNG where `figures` says."""
-    rows = [row for section in sections for row in section.rows]
+    asked = [row for section in sections for row in section.rows if row.met is not None]
     return (
         _environment()
         .get_template("paper.html.j2")
         .render(
             title=TITLE,
             provenance=provenance,
+            answer=_answer(sections, asked),
+            lead=_lead(sections),
             headlines=_headlines(sections),
-            asked=[row for row in rows if row.met is not None],
+            asked=asked,
             missing=missing,
             sections=[_section(section, figures) for section in sections],
         )
@@ -121,6 +125,36 @@ def _section(section: Section, figures: Path | None) -> dict[str, Any]:
         "settled": text.settled,
         "seconds": section.seconds,
     }
+
+
+def _answer(sections: Sequence[Section], asked: Sequence["Row"]) -> tuple[str, str] | None:
+    """The number that was asked for, and what it is; None where nothing was asked for."""
+    for section in sections:
+        if section.name == "fig12":
+            tracked = section.result.panels["fast"].tracked
+            paper, ours = (words.figure(tracked[of].error.max_percent, 2) for of in ("paper", "torchpi"))
+            return (
+                f"{paper} % → {ours} %",
+                "largest tracking error on the paper's fast trajectory, of its peak to peak, "
+                "with the paper's method and with torchpi",
+            )
+    if asked:
+        met = sum(bool(row.met) for row in asked)
+        return f"{met} of {len(asked)}", "numbers that are asked for are reached"
+    return None
+
+
+def _lead(sections: Sequence[Section]) -> dict[str, Any] | None:
+    """The picture that the page begins with: the fast trajectory of Fig. 12, where it was computed."""
+    for section in sections:
+        if section.name == "fig12":
+            caption = "The fast trajectory of Fig. 12, with the paper's method and with torchpi."
+            still = Markup(inline_svg(fast_trajectory(section.result), "lead", caption))
+            panel = section.result.panels["fast"]
+            motions = {name: tracked.y for name, tracked in panel.tracked.items()}
+            traces = paper_traces(panel.t, panel.yd, motions["paper"], motions["torchpi"])
+            return {"svg": linked_markup([traces], still), "caption": caption}
+    return None
 
 
 def _headlines(sections: Sequence[Section]) -> list[str]:

@@ -1,11 +1,28 @@
 """The page of an export: what to know before it drives a stage. It formats a card, and computes nothing."""
 
+from collections.abc import Mapping
 from typing import Any, Protocol
 
+from markupsafe import Markup
+from matplotlib.figure import Figure
+
+from torchpi.report import style
 from torchpi.report.page import render
+from torchpi.report.style import canvas
+from torchpi.report.svg import inline_svg
 from torchpi.report.what_was_run import Provenance
 
 NOT_KNOWN = "not known"
+CAPTION = (
+    "Desired displacements: those that the stage can reach, those of the training, beyond which the "
+    "compensator extrapolates, and those that are accepted, beyond which its input is held."
+)
+_RANGES = (
+    ("reachable, from the de-energised state", "reachable_um", style.TORCHPI["color"]),
+    ("reachable, after a full excursion", "reachable_from_remanence_um", style.OTHERS[3]["color"]),
+    ("trained", "trained_range_um", style.OTHERS[1]["color"]),
+    ("accepted", "accepted_um", "#999999"),
+)
 
 
 class Card(Protocol):
@@ -49,9 +66,24 @@ def safety_page(name: str, card: Card, provenance: Provenance) -> str:
         title=f"Safety card: {name}",
         name=name,
         card=card,
+        answer=_figure(values["reachable_um"], "µm", NOT_KNOWN),
+        picture={"svg": Markup(inline_svg(ranges_figure(values), "ranges", CAPTION)), "caption": CAPTION},
         rows=[(label, key, _figure(values[key], unit, missing)) for label, key, unit, missing in _ROWS],
         provenance=provenance,
     )
+
+
+def ranges_figure(values: Mapping[str, Any]) -> Figure:
+    """Where the desired displacement may be, one bar for each answer."""
+    known = [(label, values[key], color) for label, key, color in _RANGES if values[key] is not None]
+    with canvas(0.6 + 0.35 * len(known)) as figure:
+        axes = figure.subplots()
+        for place, (_, (low, high), color) in enumerate(known):
+            axes.barh(-place, high - low, left=low, height=0.55, color=color)
+        axes.set_yticks([-place for place in range(len(known))], [label for label, _, _ in known])
+        axes.set_xlabel("desired displacement (µm)")
+        axes.grid(visible=False, axis="y")
+    return figure
 
 
 def _figure(value: list[float] | float | None, unit: str, missing: str) -> str:

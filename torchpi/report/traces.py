@@ -26,6 +26,20 @@ def extremes(y: Signal, columns: int) -> npt.NDArray[np.intp]:
     return np.unique(kept)
 
 
+def readable(y: Signal, most: int = 24) -> slice:
+    """The stretch in the middle that swings so many times through its mean; the whole, where it does not.
+
+    A swing goes from half a standard deviation above the mean to as much below it, or back.
+    """
+    away = y - y.mean()
+    beyond = np.flatnonzero(np.abs(away) > 0.5 * y.std())
+    swings = beyond[1:][np.diff(np.sign(away[beyond])) != 0]
+    if len(swings) <= 2 * most:
+        return slice(0, len(y))
+    first = (len(swings) - most) // 2
+    return slice(int(swings[first]), int(swings[first + most]))
+
+
 def thinned(x: Signal, y: Signal, resolution: float = 1 / 1500, most: int = 6_000) -> tuple[Signal, Signal]:
     """A curve without the samples that fall on the dot of the one kept before; turning points stay.
 

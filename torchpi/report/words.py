@@ -43,10 +43,12 @@ def limits(result: LoopResult) -> list[str]:
     sentences = []
     for one in result.compensated.limits_met:
         unit, name = ("V", "voltage") if one.quantity == "voltage" else ("V/s", "rate of the voltage")
+        largest = f"{one.value:.6g}"
+        beyond = "" if largest == f"{one.limit:.6g}" else f" (at most {largest} {unit})"
         longest = "" if one.stretches == 1 else f", the longest of {one.stretches:,} stretches"
         sentences.append(
-            f"On {result.title} the {name} meets its limit of {one.limit:.6g} {unit} "
-            f"(up to {one.value:.6g} {unit}) from {one.time_s:.6g} s for {1e3 * one.duration_s:.4g} ms"
+            f"On {result.title} the {name} meets its limit of {one.limit:.6g} {unit}{beyond} "
+            f"from {one.time_s:.6g} s for {1e3 * one.duration_s:.4g} ms"
             f"{longest}, at y_d = {one.yd_um:.4g} µm; in all {figure(100 * one.share, 2)} % of the samples."
         )
     if not sentences:
@@ -57,6 +59,17 @@ def limits(result: LoopResult) -> list[str]:
             "extrapolates and leaves out its lead: train on a recording of such motions."
         )
     return sentences
+
+
+def loops(result: LoopResult) -> str:
+    """What the loops of the error show, and how far they are open."""
+    before, after = (
+        f"{figure(drive.loop_width_percent, 2)} %" for drive in (result.without, result.compensated)
+    )
+    return (
+        "Tracking error over displacement, without and with compensation; on the right, with it on its own "
+        f"scale. The loop is {before} of peak to peak wide without compensation, {after} with it."
+    )
 
 
 def table(result: LoopResult) -> str:

@@ -10,12 +10,14 @@ and its file is plain data.
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Self, cast
+from typing import Any, Self, cast, overload
 
+import numpy as np
+import numpy.typing as npt
 import torch
 from torch import Tensor, nn
 
-from torchpi.errors import ArtifactError, ConfigError, StageError
+from torchpi.errors import ArtifactError, ConfigError, StageError, kind_of
 from torchpi.files import config_file, write_atomically
 from torchpi.operators.base import Operator
 from torchpi.operators.chain import Chain, ChainStream
@@ -42,6 +44,7 @@ from torchpi.stage.simulated import SimulatedHysteresis
 from torchpi.stage.stream import RigStream, StageStream
 
 RATE = Quantity("Hz", at_least=0, at_most=1e8, positive=True)  # a thousand times the fastest controller
+Array = npt.NDArray[np.float64]
 SEED = Quantity("", at_least=0, at_most=2**63 - 1)
 
 
@@ -334,26 +337,35 @@ class Stage(Operator):
         super()._apply(lambda tensor: fn(tensor).cpu(), recurse)  # type: ignore[no-untyped-call]
         return self
 
+    @overload
+    def simulate(self, u: Tensor, seed: int | None = None) -> tuple[Tensor, Tensor]: ...
+    @overload
+    def simulate(self, u: Array, seed: int | None = None) -> tuple[Array, Array]: ...
     def simulate(
         self,
-        u: Tensor,  # (batch, time), V
+        u: Tensor | Array,  # (batch, time), V
         seed: int | None = None,  # of the noise; the stage's own by default
-    ) -> tuple[Tensor, Tensor]:  # (batch, time), µm, twice
+    ) -> tuple[Tensor, Tensor] | tuple[Array, Array]:  # (batch, time), µm, twice
         """Displacement, and what the sensor reads of it, from the de-energised state; other axes are at rest.
 
-        Converters and noise are in. Each row has its own noise, the same in every call.
+        Converters and noise are in. Each row has its own noise, the same in every call. A NumPy array gives
+        NumPy arrays, a tensor tensors, which carry gradients.
 
         Raises:
-            StageError: Another shape than (batch, time), a command that is not finite, or a delay that is
-                longer than the record.
+            StageError: Another shape than (batch, time), a command of other than finite numbers, or a delay
+                that is longer than the record.
         """
+        if isinstance(u, np.ndarray):
+            with torch.no_grad():
+                y, reading = self.simulate(_as_tensor(u), seed)
+            return y.numpy(), reading.numpy()
         self._check_command(u)
         if self.simulation == COLUMN:
             raise StageError("simulation: found a voltage alone, expected the simulator's output beside it")
-        u = u.to(torch.float64)
+        command = u.to(torch.float64)
         if self.command_converter is not None:
-            u, _ = self.command_converter(u)
-        y, _ = self(u, None, {name: torch.zeros_like(u) for name in self.aux_names})
+            command, _ = self.command_converter(command)
+        y, _ = self(command, None, {name: torch.zeros_like(command) for name in self.aux_names})
         reading, _ = self.sensor(y)
         reading = reading + self.noise_um * white_noise(self.seed if seed is None else seed, *u.shape)
         if self.reading_converter is not None:
@@ -377,6 +389,8 @@ class Stage(Operator):
         return StageStream(rig, self.seed, compiled)
 
     def _check_command(self, u: Tensor) -> None:
+        if not isinstance(u, Tensor):
+            raise StageError(f"u: found {kind_of(u)}, expected a tensor or a NumPy array (batch, time)")
         if u.ndim != 2:
             raise StageError(f"u: found shape {tuple(u.shape)}, expected (batch, time)")
         finite = torch.isfinite(u)
@@ -411,3 +425,9 @@ class Stage(Operator):
                 operators.append(modes := Modes(self.sample_period_s, parts))
                 signals[modes] = modes.aux_names
         return operators, signals
+
+
+def _as_tensor(u: Array) -> Tensor:
+    if u.dtype.kind not in "fiu":
+        raise StageError(f"u: found an array of {u.dtype}, expected numbers")
+    return torch.from_numpy(np.array(u, dtype=np.float64))

@@ -1,9 +1,10 @@
 """Files of measured signals, one format a file. `open_source` picks the reader by the file's suffix."""
 
 import importlib
+import os
 from pathlib import Path
 
-from torchpi.errors import RecordingError
+from torchpi.errors import RecordingError, kind_of
 from torchpi.recordings.readers.source import Source, nearest
 
 __all__ = ["Source", "open_source"]
@@ -14,6 +15,8 @@ def open_source(path: str | Path) -> Source:
 
     Raises RecordingError if the file is missing, empty, of an unknown kind, or its reader is not installed.
     """
+    if not isinstance(path, str | os.PathLike):
+        raise RecordingError(f"path: found {kind_of(path)}, expected the path of a file")
     name, file = str(path), Path(path)
     if file.is_dir():
         raise RecordingError(f"{name}: is a folder, expected a file; give the recording inside it")

@@ -5,6 +5,7 @@ column fits; where several do, the user chooses.
 """
 
 import re
+import unicodedata
 from collections.abc import Iterable
 from typing import Literal
 
@@ -15,19 +16,33 @@ Role = Literal["time", "input", "output"]
 UNITS: dict[Role, dict[str, tuple[float, float]]] = {
     "time": {"s": (1, 1), "ms": (1, 1000), "us": (1, 1_000_000), "ns": (1, 1_000_000_000), "min": (60, 1)},
     "input": {"V": (1, 1), "mV": (1, 1000), "kV": (1000, 1), "uV": (1, 1_000_000)},
-    "output": {"um": (1, 1), "nm": (1, 1000), "mm": (1000, 1), "m": (1_000_000, 1), "pm": (1, 1_000_000)},
-}
+    "output": {
+        "um": (1, 1), "nm": (1, 1000), "mm": (1000, 1), "m": (1_000_000, 1), "pm": (1, 1_000_000),
+        "cm": (10_000, 1), "angstrom": (1, 10_000),
+    },
+}  # fmt: skip
 ALIASES = {
     "v": "V", "volt": "V", "volts": "V", "mv": "mV", "kv": "kV", "uv": "uV", "micron": "um", "microns": "um",
-    "sec": "s", "second": "s", "seconds": "s", "minutes": "min",
+    "sec": "s", "second": "s", "seconds": "s", "minutes": "min", "msec": "ms", "usec": "us",
+    "milliseconds": "ms", "microseconds": "us", "millivolts": "mV", "micrometer": "um", "micrometers": "um",
+    "micrometre": "um", "micrometres": "um", "nanometer": "nm", "nanometers": "nm", "nanometre": "nm",
+    "nanometres": "nm", "millimeters": "mm", "millimetres": "mm", "meters": "m", "metres": "m",
+    "Å": "angstrom", "angstrom": "angstrom", "angstroms": "angstrom", "ångström": "angstrom",
 }  # fmt: skip
 STEMS: dict[Role, frozenset[str]] = {
     "time": frozenset({"time", "t", "timestamp", "time_stamp", "timestamps", "datetime", "x_value"}),
     "input": frozenset({"input", "in", "u", "voltage", "command", "cmd", "drive", "v_in", "vin"}),
     "output": frozenset({"output", "out", "y", "displacement", "position", "disp", "pos", "stroke"}),
 }
+# What stands in brackets, in lower case, and is no unit. `in` may be inches.
+DESCRIPTIONS = frozenset().union(*STEMS.values()) - {"in"} | {
+    "raw", "filtered", "measured", "meas", "actual", "desired", "set", "setpoint", "target", "reference",
+    "ref", "sensor", "monitor", "mon", "feedback", "open", "closed", "left", "right", "x", "y", "z", "utc",
+    "gmt", "local", "iso", "none", "unknown",
+}  # fmt: skip
 LONGEST_NAME = 200  # characters of a name that is parsed: the patterns below take the square of it
 _BRACKETED = re.compile(r"(?P<stem>.*?)\s*[\[({]\s*(?P<unit>[^\])}]*?)\s*[\])}]\s*")
+_UNIT = re.compile(r"[./·*]*(?:[^\W\d_]|[%°])(?:[^\W\d_]|[./·*%°])*")  # letters, and how units multiply
 _SUFFIXED = re.compile(r"(?P<stem>.+?)(?:\s*/\s*|_|\s+|\s*,\s*)(?P<unit>[A-Za-zµμ]+)")
 
 
@@ -37,23 +52,36 @@ SIMULATED = "simulated"
 
 def known_unit(text: str) -> str | None:
     """The unit by its plain name (`um` for µm), None where it is not one of a time, voltage or length."""
-    plain = text.strip().replace("µ", "u").replace("μ", "u")
+    plain = unicodedata.normalize("NFC", text.strip()).replace("µ", "u").replace("μ", "u")
     plain = ALIASES.get(plain.lower() if plain[1:].islower() else plain, plain)
     return plain if any(plain in units for units in UNITS.values()) else None
 
 
-def role_of_unit(unit: str) -> Role:
-    """What is measured in this unit, which `known_unit` gave."""
-    return next(role for role, units in UNITS.items() if unit in units)
+def stated_unit(text: str) -> str | None:
+    """The unit that a file states in brackets or beside a name, known or not; None where it states none.
+
+    A channel (`CH1`), a number or a description (`raw`) is no unit.
+    """
+    plain = text.strip()
+    is_unit = _UNIT.fullmatch(plain) and plain.lower() not in DESCRIPTIONS
+    return known_unit(plain) or (plain if is_unit else None)
+
+
+def role_of_unit(unit: str) -> Role | None:
+    """What is measured in this unit, which `stated_unit` gave; None where it is not known."""
+    return next((role for role, units in UNITS.items() if unit in units), None)
 
 
 def stem_and_unit(name: str) -> tuple[str, str | None]:
-    """(`u`, `mV`) of `u [mV]`, `u (mV)`, `u / mV`, `u_mV`; without a unit the name and None."""
+    """(`u`, `mV`) of `u [mV]`, `u (mV)`, `u / mV`, `u_mV`; without a unit the name and None.
+
+    In brackets the unit may be one that is not known.
+    """
     if len(name) > LONGEST_NAME:
         return name, None
     bracketed = _BRACKETED.fullmatch(name)
     if bracketed:
-        return _plain(bracketed["stem"]), known_unit(bracketed["unit"])
+        return _plain(bracketed["stem"]), stated_unit(bracketed["unit"])
     suffixed = _SUFFIXED.fullmatch(name)
     unit = known_unit(suffixed["unit"]) if suffixed else None
     if suffixed is None or unit is None:
@@ -66,18 +94,21 @@ def stem_and_unit(name: str) -> tuple[str, str | None]:
 
 
 def columns_for(role: Role, units: Iterable[tuple[str, str | None]]) -> list[str]:
-    """The columns, of pairs of name and stated unit, that this role may mean: by name, else by unit alone."""
-    of_unit, of_name = [], []
+    """The columns, of pairs of name and stated unit, that this role may mean: by name, else by unit alone.
+
+    One in a unit that is not known is meant where no other has such a name.
+    """
+    of_unit, of_name, of_unknown_unit = list[str](), list[str](), list[str]()
     for name, unit in units:
         stem = stem_and_unit(name)[0]
-        other = name.startswith("aux_") or stem == SIMULATED
-        if other or (unit is not None and role_of_unit(unit) != role):
+        measured = None if unit is None else role_of_unit(unit)
+        if name.startswith("aux_") or stem == SIMULATED or measured not in (role, None):
             continue
         if stem in STEMS[role]:
-            of_name.append(name)
-        if unit is not None:
+            (of_unknown_unit if unit is not None and measured is None else of_name).append(name)
+        if measured is not None:
             of_unit.append(name)
-    return of_name or of_unit
+    return of_name or of_unknown_unit or of_unit
 
 
 def _plain(stem: str) -> str:

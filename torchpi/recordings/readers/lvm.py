@@ -4,7 +4,7 @@ from itertools import islice
 
 import numpy as np
 
-from torchpi.recordings.readers.header import known_unit
+from torchpi.recordings.readers.header import stated_unit
 from torchpi.recordings.readers.text import SNIFFED_LINES, TextSource, text_encoding
 
 END = "***End_of_Header***"
@@ -28,8 +28,8 @@ class LvmSource(TextSource):
             settings[key] = [value.strip() for value in values if value.strip()]
         signals = [name for name in self.names if name not in ("", "X_Value", "Comment")]
         for name, unit in zip(signals, settings.get("Y_Unit_Label", []), strict=False):
-            if (known := known_unit(unit)) is not None:
-                self.units[name] = known
+            if (stated := stated_unit(unit)) is not None:
+                self.units[name] = stated
         self.period_s = _number(settings.get("Delta_X", []))
         self.has_times = self.period_s is not None and settings.get("X_Columns") == ["No"]
 

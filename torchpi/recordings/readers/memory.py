@@ -6,11 +6,12 @@ from typing import Any
 import numpy as np
 
 from torchpi.errors import RecordingError
+from torchpi.recordings.readers.iso_time import is_stamp, seconds_of
 from torchpi.recordings.readers.source import ArraySource
 
 
 class MemorySource(ArraySource):
-    """Arrays by name. Dates and time differences become seconds from the first.
+    """Copies of arrays by name. Dates and time differences become seconds from the first.
 
     Args:
         name: What errors call it.
@@ -31,7 +32,7 @@ class MemorySource(ArraySource):
         try:
             if isinstance(values, np.ma.MaskedArray):
                 return np.ma.filled(values.astype(np.float64), np.nan)
-            found = np.asarray(values)
+            found = np.asarray(values).copy()
         except Exception as error:  # ragged lists, tensors that need a gradient: every library has its own
             raise RecordingError(
                 f"{self.path}: '{name}': found {type(values).__name__}, expected an array of numbers"
@@ -55,11 +56,24 @@ def frame_columns(name: str, frame: Any) -> dict[str, Any]:
     label = getattr(frame.index, "name", None)
     if label is not None or _kind(frame.index) in ("m", "M"):
         columns.setdefault("time" if label is None else str(label), frame.index)
-    # Dates with a time zone are objects to NumPy.
-    return {
-        key: values.to_numpy("datetime64[ns]") if _kind(values) == "M" else values
-        for key, values in columns.items()
-    }
+    return {key: _as_numbers(values) for key, values in columns.items()}
+
+
+def _as_numbers(values: Any) -> Any:
+    """A column as a text reader would take it: dates, time stamps and decimal commas are numbers too."""
+    if _kind(values) == "M":  # dates with a time zone are objects to NumPy
+        return values.to_numpy("datetime64[ns]")
+    cells = np.asarray(values)
+    if cells.dtype.kind not in "OUT" or any(isinstance(cell, bool) for cell in cells.flat):
+        return values
+    words = [cell for cell in cells.flat if isinstance(cell, str)]
+    try:
+        if words and is_stamp(words[0]):
+            return seconds_of(cells)
+        plain = [cell.replace(",", ".") if isinstance(cell, str) else cell for cell in cells.flat]
+        return np.array([np.nan if cell is None else float(cell) for cell in plain])
+    except (TypeError, ValueError):  # words: refused by whoever needs numbers
+        return values
 
 
 def _kind(values: Any) -> str:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from torchpi.errors import RecordingError
-from torchpi.recordings.readers.header import LONGEST_NAME, known_unit, stem_and_unit
+from torchpi.recordings.readers.header import LONGEST_NAME, stated_unit, stem_and_unit
 
 Column = str | int  # a name, or a number counted from 1
 
@@ -101,7 +101,7 @@ class ArraySource(Source):
     def _signal(self, name: str) -> np.ndarray:
         match = None if name in self.names else INDEXED.fullmatch(name)
         stored = np.asarray(self.array(match["name"] if match else name))
-        if stored.dtype.kind not in "fiub":
+        if stored.dtype.kind not in "fiu":
             raise RecordingError(
                 f"{self.path}: '{name}' holds {stored.dtype}, expected numbers; choose another name"
             )
@@ -130,7 +130,7 @@ INDEXED = re.compile(r"(?P<name>.+)\[(?P<index>[-\d:,\s]+)\]")
 def _without_unit(name: str) -> str:
     """`Command` of `Command [mV]`, as it is spelled."""
     match = re.fullmatch(r"(.{1,200}?)\s*[\[(][^\])]*[\])]\s*", name)
-    return match[1] if match and known_unit(name[match.end(1) :].strip(" []()")) else name
+    return match[1] if match and stated_unit(name[match.end(1) :].strip(" []()")) else name
 
 
 def nearest(name: str, names: Iterable[str]) -> str | None:
@@ -149,9 +149,9 @@ def shortened(names: list[str], most: int = 20) -> str:
 
 
 def stated_units(pairs: Iterable[tuple[str, str]]) -> dict[str, str]:
-    """Units by column, of pairs of a name and what the file writes as its unit; only those that are known."""
-    known = ((name, known_unit(text)) for name, text in pairs)
-    return {name: unit for name, unit in known if unit is not None}
+    """Units by column, of pairs of a name and what the file writes as its unit."""
+    stated = ((name, stated_unit(text)) for name, text in pairs)
+    return {name: unit for name, unit in stated if unit is not None}
 
 
 def reason_of(error: Exception) -> str:

@@ -1,0 +1,35 @@
+"""A recording as a notebook shows it: the figure of `torchpi check`, and what it shows before any model."""
+
+from markupsafe import Markup
+
+from torchpi.recordings.recording import Recording
+from torchpi.recordings.summary import summary_of
+from torchpi.report.check_page import recording_figure
+from torchpi.report.notebook import Plot
+from torchpi.report.words import figure
+
+
+def recording_plot(recording: Recording) -> Plot:
+    """Voltage and displacement over time, and the one over the other."""
+    drawn = recording_figure(summary_of(recording))
+    return Plot(drawn, f"{recording.name}: input and output over time, and output over input")
+
+
+def recording_html(recording: Recording) -> str:
+    """Rate, length, ranges and noise as a table, and the figure."""
+    if not len(recording):
+        return str(Markup("<b>{}</b>: empty").format(recording.name))
+    found = summary_of(recording)
+    u, y = recording.u, recording.y
+    rows = [
+        ("samples", f"{len(recording):,} at {recording.fs_hz:g} Hz, {recording.duration_s:.4g} s"),
+        ("input", f"{u.min():.4g} … {u.max():.4g} V, noise {figure(found.input_noise_v)} V"),
+        ("output", f"{y.min():.4g} … {y.max():.4g} µm, noise {figure(found.output_noise_um)} µm"),
+        ("gain", f"{figure(found.gain_um_per_v)} µm/V"),
+        ("single wrong readings", f"{len(found.dropouts)}"),
+    ]
+    if recording.aux:
+        rows.append(("other signals", ", ".join(recording.aux)))
+    table = Markup("").join(Markup("<tr><td>{}</td><td>{}</td></tr>").format(*row) for row in rows)
+    head = Markup("<b>{}</b><table>{}</table>").format(recording.name, table)
+    return str(head + Markup(recording_plot(recording)._repr_html_()))
