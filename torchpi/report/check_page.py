@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from markupsafe import Markup
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from torchpi.files import write_text
@@ -70,28 +71,44 @@ def write_sections(
     return Path(path)
 
 
+def recording_figure(summary: Summary) -> Figure:
+    """Input and output over time, wrong readings marked, and the one over the other."""
+    with canvas(4.4) as figure:
+        grid = figure.add_gridspec(2, 2, width_ratios=(1.6, 1))
+        upper = figure.add_subplot(grid[0, 0])
+        _over_time(summary, upper, figure.add_subplot(grid[1, 0], sharex=upper))
+        _loop(summary, figure.add_subplot(grid[:, 1]))
+    return figure
+
+
 def time_figure(summary: Summary) -> Figure:
     """Input and output over time, wrong readings marked."""
-    recording, wrong = summary.recording, summary.dropouts
     with canvas(3.8) as figure:
-        upper, lower = figure.subplots(2, 1, sharex=True)
-        upper.plot(*envelope(recording.t, recording.u), **style.WITHOUT)
-        lower.plot(*envelope(recording.t, recording.y), **style.TORCHPI)
-        lower.plot(recording.t[wrong], recording.y[wrong], **WRONG)
-        upper.set_ylabel("input (V)")
-        lower.set(ylabel="output (µm)", xlabel="time (s)")
+        _over_time(summary, *figure.subplots(2, 1, sharex=True))
     return figure
 
 
 def loop_figure(summary: Summary) -> Figure:
     """Output over input, wrong readings marked."""
-    recording, wrong = summary.recording, summary.dropouts
     with canvas(3.4, 0.62 * style.WIDTH_IN) as figure:
-        axes = figure.subplots()
-        axes.plot(*thinned(recording.u, recording.y), **{**style.TORCHPI, "linewidth": 0.8})
-        axes.plot(recording.u[wrong], recording.y[wrong], **WRONG)
-        axes.set(xlabel="input (V)", ylabel="output (µm)")
+        _loop(summary, figure.subplots())
     return figure
+
+
+def _over_time(summary: Summary, upper: Axes, lower: Axes) -> None:
+    recording, wrong = summary.recording, summary.dropouts
+    upper.plot(*envelope(recording.t, recording.u), **style.WITHOUT)
+    lower.plot(*envelope(recording.t, recording.y), **style.TORCHPI)
+    lower.plot(recording.t[wrong], recording.y[wrong], **WRONG)
+    upper.set_ylabel("input (V)")
+    lower.set(ylabel="output (µm)", xlabel="time (s)")
+
+
+def _loop(summary: Summary, axes: Axes) -> None:
+    recording, wrong = summary.recording, summary.dropouts
+    axes.plot(*thinned(recording.u, recording.y), **{**style.TORCHPI, "linewidth": 0.8})
+    axes.plot(recording.u[wrong], recording.y[wrong], **WRONG)
+    axes.set(xlabel="input (V)", ylabel="output (µm)")
 
 
 def axes_section(
