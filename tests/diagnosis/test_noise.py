@@ -63,15 +63,15 @@ def test_where_nothing_holds_or_repeats_the_noise_is_not_known() -> None:
     assert measured_noise(prepared([record(multisine(4000)), record(triangles(4000), name="b")])) is None
 
 
-@pytest.mark.parametrize("periods", [2, 3, 6])
-def test_periods_that_repeat_measure_it(periods: int) -> None:
-    found = measured(record(np.tile(multisine(2000), periods), noise_um=0.02))
+def test_two_periods_do_not_measure_it_three_do() -> None:
+    once = multisine(2000)
+    assert measured_noise(prepared([record(np.tile(once, 2), noise_um=0.02)])) is None
+    found = measured(record(np.tile(once, 3), noise_um=0.02))
     assert found.rms_um == pytest.approx(0.02, rel=0.1) and found.source.startswith("periods")
 
 
-@pytest.mark.parametrize("periods", [2, 4])
-def test_the_transient_of_the_first_period_is_not_taken_for_noise(periods: int) -> None:
-    u = np.tile(multisine(2000), periods)
+def test_the_transient_of_the_first_period_is_not_taken_for_noise() -> None:
+    u = np.tile(multisine(2000), 4)
     start = 1.0 * np.exp(-np.arange(len(u)) / 200)
     assert measured(read(u, start + 0.02 * white(len(u)))).rms_um == pytest.approx(0.02, rel=0.1)
 

@@ -17,6 +17,8 @@ LEAST_HOLD = 200
 STILL, SMALL = (0.5, 1.5), 0.005
 """Von Neumann's ratio of a monitored voltage that holds: half the mean squared successive difference over the
 variance is 1 for white noise, and small where it moves; and its standard deviation, of the span."""
+LEAST_PERIODS = 3
+"""Of an input that repeats: the first still has the transient of the start."""
 LEAST_COEFFICIENTS = 8
 """Of a scale from which its variance is taken; the next slower ones are extrapolated."""
 STEEPEST = 1.5
@@ -86,7 +88,7 @@ def measured_noise(records: Sequence[Record], residuals: Sequence[np.ndarray] | 
     records = [replace(record, y=bridged(y, record)) for record, y in zip(records, readings, strict=True)]
     sources = (
         ("holds of the voltage", of_holds),
-        ("periods that repeat, the start left out", of_repeats),
+        ("periods that repeat, the first left out", of_repeats),
         ("recordings of the same voltage", of_second_recordings),
     )
     for source, pieces in sources:
@@ -169,13 +171,12 @@ def _still(u: np.ndarray, span: float) -> bool:
 
 
 def of_repeats(record: Record, records: Sequence[Record]) -> Iterator[np.ndarray]:
-    """Differences of neighbouring periods, over root two, each less its own line: without the first, which
-    has the transient of the start; of two periods the second half."""
+    """Differences of neighbouring periods, over root two, each less its own line."""
     for stretch in periodic_stretches(record.u):
-        periods = record.y[stretch.start : stretch.end].reshape(stretch.periods, stretch.period)
-        settled = periods[1:] if stretch.periods > 2 else periods[:, stretch.period // 2 :]
-        for before, after in pairwise(settled):
-            yield _straightened(after - before) / np.sqrt(2)
+        if stretch.periods >= LEAST_PERIODS:
+            periods = record.y[stretch.start : stretch.end].reshape(stretch.periods, stretch.period)
+            for before, after in pairwise(periods[1:]):
+                yield _straightened(after - before) / np.sqrt(2)
 
 
 def of_second_recordings(record: Record, records: Sequence[Record]) -> Iterator[np.ndarray]:

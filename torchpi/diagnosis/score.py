@@ -32,6 +32,9 @@ AT_MOST = 30.0
 ALIKE = 2.0
 """By what the standard error is larger than that of independent cells: what a model has wrong comes again in
 every cycle and on neighbouring scales. Calibrated: `concealed/judging/calibration.py`."""
+MORE = 1.04
+"""Times the noise's mean square that is more than noise: nothing is named that adds less than a fifth of its
+rms."""
 LEAST_IN_STRATUM = 4
 """Cells whose differences tell a standard error."""
 TINY = 1e-12
@@ -148,6 +151,12 @@ class Weighting:
         found: np.ndarray = np.bincount(self.kinds, nats, len(KINDS))
         found[PLAIN] = max(found[PLAIN] - found[[STARTING, APART]].sum(), 0.0)
         return found
+
+    def above_noise_apart(self, fit: Fit) -> bool:
+        """Whether what does not repeat with the voltage is more than noise, once the start is over."""
+        apart = self.kinds == APART
+        left = fit.left_out_um2[apart] @ self.counts[apart]
+        return bool(left > MORE * (self.floor_um2[apart] @ self.counts[apart]))
 
     def of_squares(self, mean_um2: np.ndarray) -> np.ndarray:
         """The same of the cells' mean squares, (cells,), µm²."""

@@ -219,10 +219,14 @@ class Search(Growth):
         barred = {*self.needless, *(name for name, _ in self.left_out)}
         # Of an effect with a signal of its own there may be one for each signal.
         there = {(member.effect.name, member.aux) for member in now.hypothesis.members}
+        # A walk has many numbers: it is looked at where there is something that only it can explain.
+        wanders = self.chain.weighting.above_noise_apart(now)
         starts = [
             member
             for member in [*self.starts, *self.from_residual(now)]
-            if member.effect.name not in barred and (member.effect.name, member.aux) not in there
+            if member.effect.name not in barred
+            and (member.effect.name, member.aux) not in there
+            and (wanders or member.effect.foretells(member.shared))
         ]
         (screened,) = screen_all(self.chain, [(now, starts)], self.executor)
         best: dict[str, dict[tuple[str, ...], Candidate]] = {}
