@@ -6,7 +6,6 @@ import numba
 import numpy as np
 
 from torchpi.diagnosis.records import Record
-from torchpi.diagnosis.repeats import periodic_stretches
 from torchpi.stage.effects.effect import DataRange, Effect
 from torchpi.stage.effects.inside import InsideEffect
 
@@ -80,7 +79,7 @@ def repeats(records: Sequence[Record]) -> list[tuple[float, float]]:
     """(period, length), s, of each recording throughout which the command repeats."""
     found = []
     for record in records:
-        for stretch in periodic_stretches(record.u)[:1]:
+        for stretch in record.coefficients.repeats.periodic[:1]:
             if 2 * stretch.period * stretch.periods > len(record.u):
                 found.append((stretch.period * record.period_s, len(record.u) * record.period_s))
     return found

@@ -10,7 +10,7 @@ from torchpi.diagnosis.coefficients import Coefficients
 from torchpi.diagnosis.haar import Haar
 from torchpi.diagnosis.lines import without_lines
 from torchpi.diagnosis.records import Record
-from torchpi.diagnosis.repeats import SAME, periodic_stretches
+from torchpi.diagnosis.repeats import SAME
 
 LEAST_HOLD = 200
 """Samples of a hold from which a level is taken."""
@@ -172,7 +172,7 @@ def _still(u: np.ndarray, span: float) -> bool:
 
 def of_repeats(record: Record, records: Sequence[Record]) -> Iterator[np.ndarray]:
     """Differences of neighbouring periods, over root two, each less its own line."""
-    for stretch in periodic_stretches(record.u):
+    for stretch in record.coefficients.repeats.periodic:
         if stretch.periods >= LEAST_PERIODS:
             periods = record.y[stretch.start : stretch.end].reshape(stretch.periods, stretch.period)
             for before, after in pairwise(periods[1:]):

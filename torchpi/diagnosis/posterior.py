@@ -153,7 +153,7 @@ def share_explained(search: Search, more: Fit, less: Fit, name: str, own_signal:
     nats = weighting.nats_of_kinds(more, less)
     apart = float(nats[[STARTING, APART]].sum() / max(float(nats.sum()), 1e-300))
     terms = [member for member in more.hypothesis.members if member.effect.name == name]
-    alone = own_signal or not all(member.effect.foretells(member.shared) for member in terms)
+    alone = own_signal or not all(member.effect.extrapolates(member.shared) for member in terms)
     return confirmed(known, search.chain.records, more, less, weighting.mean_floor_um2, alone, apart)
 
 

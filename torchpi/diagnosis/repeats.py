@@ -98,6 +98,8 @@ def _stretch(u: np.ndarray, free: np.ndarray, lag: int, span: float) -> Stretch 
 class Repeats:
     """What does not repeat of a recording's readings, on each stretch over which its input does."""
 
+    periodic: tuple[Stretch, ...]
+    """Of the whole recording."""
     samples: int
     """That are looked at, from the first."""
     stretches: np.ndarray  # shape: (stretches, 3), int: first sample, the one behind the last, and the period
@@ -108,9 +110,10 @@ class Repeats:
     @classmethod
     def of(cls, u: np.ndarray, samples: int, valid: np.ndarray) -> "Repeats":
         """Of a recording's voltage, (time,), and the readings of it that count, (time,)."""
+        periodic = periodic_stretches(u)
         found = [
             (one.start, min(one.end, samples), one.period, one.end)
-            for one in sorted(periodic_stretches(u), key=lambda one: one.start)
+            for one in sorted(periodic, key=lambda one: one.start)
             # A period again, or enough of it for a spectrum.
             if min(one.end, samples) - one.start >= one.period + LEAST_AGAIN
         ]
@@ -118,7 +121,7 @@ class Repeats:
         stretches, mask = np.ascontiguousarray(table[:, :3]), np.ascontiguousarray(valid[:samples])
         apart = np.zeros(samples, dtype=bool)
         _less_later(np.zeros((1, samples)), mask, stretches, apart, np.empty((1, samples)))
-        return cls(samples, stretches, table[:, 3], mask, apart)
+        return cls(periodic, samples, stretches, table[:, 3], mask, apart)
 
     @property
     def pieces(self) -> list[tuple[int, int, int]]:

@@ -26,7 +26,7 @@ def confirmed(
         less: Without it, everything else refitted.
         noise_um2: Mean square that nothing explains.
         alone: What else is left does not count, but only whether the effect improves every recording: it has
-            a signal of its own, or does not foretell how it goes on.
+            a signal of its own, or cannot be extrapolated.
         apart: How much of what it gains lies in what does not repeat with the voltage, 0–1.
     """
     share = known

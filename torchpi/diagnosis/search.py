@@ -226,7 +226,7 @@ class Search(Growth):
             for member in [*self.starts, *self.from_residual(now)]
             if member.effect.name not in barred
             and (member.effect.name, member.aux) not in there
-            and (wanders or member.effect.foretells(member.shared))
+            and (wanders or member.effect.extrapolates(member.shared))
         ]
         (screened,) = screen_all(self.chain, [(now, starts)], self.executor)
         best: dict[str, dict[tuple[str, ...], Candidate]] = {}

@@ -1,6 +1,6 @@
 """Effects in absolute time, t from the first sample; most add a signal, y = x + s(t)."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import torch
@@ -27,6 +27,10 @@ class InTime(Effect):
 
     def initial_state(self, batch: int) -> Tensor:
         return torch.zeros(batch, 1, dtype=torch.float64)
+
+    @classmethod
+    def extrapolates(cls, values: Mapping[str, float]) -> bool:
+        return "knot_spacing_s" not in values  # a random walk goes on as it likes
 
 
 class InTimeStream(nn.Module):

@@ -168,7 +168,7 @@ class Described:
         return []
 
     @classmethod
-    def foretells(cls, values: Mapping[str, float]) -> bool:
+    def extrapolates(cls, values: Mapping[str, float]) -> bool:
         """Whether these numbers tell what comes after the samples that they were fitted to."""
         return True
 

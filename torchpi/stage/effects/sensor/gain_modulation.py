@@ -93,10 +93,6 @@ class GainModulation(InTime):
         return values.get("frequency_hz")  # a random walk has none
 
     @classmethod
-    def foretells(cls, values: Mapping[str, float]) -> bool:
-        return "knot_spacing_s" not in values
-
-    @classmethod
     def starts(cls, seen: DataRange) -> list[Parameters]:
         if seen.span_um == 0 or seen.duration_s < SHORTEST_SLOW_S:
             return []

@@ -6,7 +6,6 @@ from where it settles (ρ), or that of a room, which wanders: a random walk, thr
 """
 
 import math
-from collections.abc import Mapping
 from typing import Any, ClassVar
 
 import numba
@@ -90,10 +89,6 @@ class ThermalDrift(AddedSignal):
     @staticmethod
     def of_tensors(t_s: Tensor, a: Tensor, b: Tensor, c: Tensor) -> Tensor:
         return a * (1 - torch.exp(-t_s / b)) + c * t_s
-
-    @classmethod
-    def foretells(cls, values: Mapping[str, float]) -> bool:
-        return "knot_spacing_s" not in values
 
     @classmethod
     def starts(cls, seen: DataRange) -> list[Parameters]:
