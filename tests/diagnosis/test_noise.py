@@ -168,6 +168,18 @@ def test_the_step_of_a_converter_is_read_off_the_readings(noise_um: float) -> No
     assert notes == ("All readings lie on a lattice of 12.3 nm.",)
 
 
+def test_uneven_codes_of_a_converter_are_read_off_as_well() -> None:
+    places = 0.2 * np.random.default_rng(0).uniform(0.75, 1.25, 60).cumsum()
+    recordings = []
+    for seed in (0, 1):
+        one = record(multisine(3000, seed=seed), noise_um=0.03, name=str(seed))
+        y = places[np.abs((one.y - one.y.min())[:, None] - places).argmin(1)]
+        recordings.append(replace(one, y=y))
+    step, (note,) = converter(recordings)
+    assert step == pytest.approx(0.2, rel=0.25)
+    assert "unevenly" in note
+
+
 def test_readings_without_steps_have_no_converter() -> None:
     assert converter([record(multisine(3000))]) == (0.0, ())
 

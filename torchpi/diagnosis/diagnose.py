@@ -47,7 +47,7 @@ from torchpi.stage import Stage
 from torchpi.stage.effects import EFFECTS
 from torchpi.stage.effects.effect import Effect
 from torchpi.stage.effects.inside import InsideEffect
-from torchpi.stage.effects.sensor.quantization import Quantization
+from torchpi.stage.effects.sensor.quantization import WIDEST, Quantization, uneven_codes
 from torchpi.stage.identified import Identified
 
 COARSE = 0.5
@@ -217,13 +217,20 @@ def left_unexplained(search: Search, final: Fit) -> Noise | None:
 
 
 def converter(recordings: Sequence[Recording]) -> tuple[float, tuple[str, ...]]:
-    """The step of the lattice on which all readings lie, µm, and a note; 0 where they lie on none."""
-    steps = [Quantization.lattice(recording.y) for recording in recordings]
+    """The step of the values on which all readings lie, µm, and a note; 0 where they lie on none."""
+    even = [Quantization.lattice(recording.y) for recording in recordings]
+    if step := agreed(even, 1.01):
+        return step, (f"All readings lie on a lattice of {step * 1e3:.4g} nm.",)
+    uneven = [uneven_codes(recording.y, recording.u) for recording in recordings]
+    if step := agreed(uneven, WIDEST):
+        return step, (f"All readings lie on few values, unevenly spaced, {step * 1e3:.4g} nm on the median.",)
+    return 0.0, ()
+
+
+def agreed(steps: Sequence[float | None], ratio: float) -> float:
+    """The median of the steps of all recordings; 0 where one has none, or they differ by more than a ratio."""
     found = [step for step in steps if step is not None]
-    if len(found) < len(recordings) or max(found) > 1.01 * min(found):
-        return 0.0, ()
-    step = float(np.median(found))
-    return step, (f"All readings lie on a lattice of {step * 1e3:.4g} nm.",)
+    return float(np.median(found)) if len(found) == len(steps) and max(found) <= ratio * min(found) else 0.0
 
 
 def with_read_off(decision: Decision, effect: NamedEffect) -> Decision:

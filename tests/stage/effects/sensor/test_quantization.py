@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from tests.stage.effects.actuator.laws import PERIOD_S, EffectLaws
 from torchpi.operators.conformance import wandering
 from torchpi.stage.effects.effect import DataRange
-from torchpi.stage.effects.sensor.quantization import Quantization
+from torchpi.stage.effects.sensor.quantization import Quantization, uneven_codes
 
 
 class TestLaws(EffectLaws):
@@ -104,3 +104,22 @@ def test_any_readings_have_an_answer(values):
 def test_few_different_readings_say_nothing():
     assert Quantization.lattice(np.array([0.0, 0.1, 0.3, 0.1, 0.0])) is None
     assert Quantization.lattice(np.zeros(100)) is None
+
+
+@given(seed=st.integers(0, 1000), codes=st.integers(10, 60))
+def test_the_typical_step_of_a_converter_with_uneven_codes_is_read_off(seed, codes):
+    rng = np.random.default_rng(seed)
+    places = np.cumsum(rng.uniform(0.7, 1.3, codes))
+    u = np.sin(np.linspace(0, 60, 6000)) + 1e-3 * rng.standard_normal(6000)
+    x = (u + 1.1) / 2.2 * (places[-1] - places[0]) + places[0]
+    y = places[np.abs(x[:, None] - places).argmin(1)]
+    assert uneven_codes(y, u) == pytest.approx(1.0, rel=0.25)
+    assert uneven_codes(x, u) is None
+
+
+def test_a_command_of_few_values_or_a_file_of_few_decimals_is_no_converter():
+    levels = np.random.default_rng(0).uniform(0.8, 1.2, 20).cumsum()
+    at = np.repeat(np.arange(20), 100)
+    assert uneven_codes(levels[at], 7.0 * at) is None
+    u = np.sin(np.linspace(0, 60, 6000))
+    assert uneven_codes(np.round(u, 1), u) is None

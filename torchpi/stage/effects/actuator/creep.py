@@ -89,15 +89,20 @@ class Creep(StateSpaceEffect):
     degenerate_with = ("thermal_drift",)
     per_decade: nn.Parameter = parameter("", at_least=0, at_most=0.5)
     gain: nn.Parameter = parameter("", at_least=0, at_most=0.5)
-    time_constant_s: nn.Parameter = parameter("s", at_least=1e-3, at_most=1e4, identity=1.0)
+    # What is over before y₀ is read is an electrical or mechanical lag, not creep.
+    time_constant_s: nn.Parameter = parameter("s", at_least=REFERENCE_S, at_most=1e4, identity=1.0)
     slow_gain: nn.Parameter = parameter("", at_least=0, at_most=0.5)
-    slow_time_constant_s: nn.Parameter = parameter("s", at_least=1e-3, at_most=1e4, identity=10.0)
+    slow_time_constant_s: nn.Parameter = parameter("s", at_least=REFERENCE_S, at_most=1e4, identity=10.0)
     power_per_decade: nn.Parameter = parameter("", at_least=0, at_most=0.5)
     exponent: nn.Parameter = parameter("", at_least=0.02, at_most=0.5, identity=0.2)
     # Each decade has its poles: between these times there are 40.
     from_s: nn.Parameter = parameter("s", at_least=1e-9, at_most=1e9, identity=FROM_S)
     to_s: nn.Parameter = parameter("s", at_least=1e-9, at_most=1e9, identity=TO_S)
-    accepted: ClassVar[dict[str, Quantity]] = {"per_decade": Quantity("", at_least=-0.5, at_most=0.5)}
+    accepted: ClassVar[dict[str, Quantity]] = {
+        "per_decade": Quantity("", at_least=-0.5, at_most=0.5),
+        "time_constant_s": Quantity("s", at_least=1e-3, at_most=1e4),
+        "slow_time_constant_s": Quantity("s", at_least=1e-3, at_most=1e4),
+    }
     forms = ("logarithm", "pole", "two poles", "power law")
     form_of: ClassVar[dict[str, str]] = {
         "per_decade": "logarithm",
@@ -149,7 +154,7 @@ class Creep(StateSpaceEffect):
     @classmethod
     def starts(cls, seen: DataRange) -> list[Parameters]:
         # A pole slower than the record is a ramp, one of a few samples a change of gain.
-        taus = [tau for tau in (0.03, 0.3, 3.0, 30.0) if 10 / seen.fs_hz < tau < 2 * seen.duration_s]
+        taus = [tau for tau in (0.3, 3.0, 30.0) if 10 / seen.fs_hz < tau < 2 * seen.duration_s]
         power = {"power_per_decade": 0.01, "exponent": 0.2}
         pole = [{"gain": 0.01, "time_constant_s": tau} for tau in taus]
         two = [

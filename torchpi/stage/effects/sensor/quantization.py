@@ -14,6 +14,8 @@ from torchpi.stage.effects.effect import DataRange, Effect, Parameters, paramete
 FEWEST_READINGS = 8  # that differ; fewer lie on some lattice by chance
 FARTHEST = 0.2  # of a step, from a reading to its place; by chance, 2 in 5 do not lie farther
 FLOAT32_STEP = 2.0**-23
+OFTEN = 20  # readings of a code, on average; noise or motion that is not quantised hardly repeats a value
+NARROWEST, WIDEST = 0.5, 1.5  # code widths over the median: of a converter with a code for every input
 
 
 class Quantization(Static, Effect):
@@ -74,6 +76,25 @@ class Quantization(Static, Effect):
             if _misfit(y, step) < FARTHEST:
                 return None if _is_decimal(step) else step
         return None
+
+
+def uneven_codes(
+    readings: np.ndarray,  # (time,), µm
+    commands: np.ndarray,  # (time,), V
+) -> float | None:
+    """The typical step, µm, of readings that lie on few values, not evenly spaced; None where they do not.
+
+    A converter's code widths differ (differential nonlinearity: IEEE Std 1241-2010, 9.2). That values come
+    again in the readings and not in the command tells it from a stage that is sent to the same few places.
+    """
+    y = np.unique(readings)
+    if len(y) < FEWEST_READINGS or len(readings) < OFTEN * len(y) or len(np.unique(commands)) < 4 * len(y):
+        return None
+    gaps = np.diff(y)
+    step = float(np.median(gaps))
+    # Evenly spaced values are those of a file with few decimals, or of a lattice.
+    uneven = gaps.max() > 1.01 * gaps.min()
+    return step if uneven and gaps.min() >= NARROWEST * step and gaps.max() <= WIDEST * step else None
 
 
 def _refined(gaps: np.ndarray, step: float) -> float:
