@@ -122,7 +122,8 @@ class Contest:
 
     def faint(self, more: Fit, less: Fit) -> bool:
         """Whether what a fit explains beyond another is of no use to anyone: no name of it could stand."""
-        return faint(more, less, self.noise.rms_um if self.noise is not None else more.train_rms)
+        rms_um = self.noise.rms_um if self.noise is not None else more.train_rms
+        return explains_less(more, less, FAINT * rms_um)
 
     def adequate(self, more: Fit, less: Fit) -> bool:
         """Whether what a fit explains beyond another is a share worth a name of what is to be explained where
@@ -155,9 +156,9 @@ class Contest:
 
     def needs_no_history(self, now: Fit, less: Fit) -> bool:
         """Whether recordings that start de-energised are predicted as well, or all but as well."""
-        return faint(now, less, less.train_rms) or self.over(now, less).probability < ACCEPTED
+        return explains_less(now, less, FAINT * less.train_rms) or self.over(now, less).probability < ACCEPTED
 
 
-def faint(more: Fit, less: Fit, rms_um: float) -> bool:
-    """Whether the rms that a fit explains beyond another is a small share of this one."""
-    return less.train_rms**2 - more.train_rms**2 < (FAINT * rms_um) ** 2
+def explains_less(more: Fit, less: Fit, rms_um: float) -> bool:
+    """Whether what a fit explains beyond another has a smaller rms than this."""
+    return less.train_rms**2 - more.train_rms**2 < rms_um**2

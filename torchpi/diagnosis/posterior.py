@@ -209,7 +209,7 @@ def of_one_kin(one: EffectTerm | None, other: EffectTerm | None) -> bool:
 
 def settled(search: Search, retuned: Fit, final: Fit, history: Sequence[Round]) -> tuple[Fit, list[Model]]:
     """The hypothesis that none around it predicts better than, and those around it."""
-    for last in (False, False, True):
+    for last in (False, True):
         search.weigh(final)
         models = around(search, retuned, reduced(search.chain, final), history)
         now = models[0].fit

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from torchpi.diagnosis.chain import Chain
-from torchpi.diagnosis.contest import ACCEPTED, HEAT, PRIOR, STEPS, Tried
+from torchpi.diagnosis.contest import ACCEPTED, HEAT, PRIOR, STEPS, Tried, explains_less
 from torchpi.diagnosis.coverage import reason_to_leave_out
 from torchpi.diagnosis.exchange import rms_of
 from torchpi.diagnosis.fit import FINE, ROUGH
@@ -122,7 +122,9 @@ class Search(Growth):
                 break
             larger = chosen.name.startswith(OPERATOR)
             grown = self.sized(chosen.fit) if larger else self.at_its_own_weights(chosen.fit)
-            now = self.backward(self.swapped(self.realigned(grown)))
+            # What explains less than the noise changes nothing of what was taken before.
+            considerable = self.noise is None or not explains_less(grown, small, self.noise.rms_um)
+            now = self.backward(self.swapped(self.realigned(grown)) if considerable else grown)
             self.needless |= set(chosen.fit.hypothesis.names) - set(now.hypothesis.names)
             self.log(f"  with {', '.join(now.hypothesis.names) or chosen.name}: {rms_of(now)}")
         self.weigh(now)

@@ -40,6 +40,11 @@ from torchpi.stage.effects.effect import (
 
 REFERENCE_S = 0.1
 """After a step the displacement at this time is y₀, whatever γ and p."""
+FASTEST_S = REFERENCE_S / math.log(4)
+"""Of a single pole that a fit may find: a quarter of its rise is still to come when y₀ is read. What is faster
+is an electrical or mechanical lag."""
+LARGEST = 0.25
+"""Of the travel, a single pole: 1 to 20 % over minutes are usual (Jung and Gweon, 2000; Croft et al., 2001)."""
 POLES_PER_DECADE = 2  # they follow the logarithm to 0.3 %, one would to 11 %
 # Poles from 1 ms to 1000 s, so that any record lies within them.
 FROM_S, TO_S = 1e-3 * math.sqrt(10), 100.0
@@ -88,11 +93,10 @@ class Creep(StateSpaceEffect):
     needs = Needs(duration_s=SHORTEST_SLOW_S)
     degenerate_with = ("thermal_drift",)
     per_decade: nn.Parameter = parameter("", at_least=0, at_most=0.5)
-    gain: nn.Parameter = parameter("", at_least=0, at_most=0.5)
-    # What is over before y₀ is read is an electrical or mechanical lag, not creep.
-    time_constant_s: nn.Parameter = parameter("s", at_least=REFERENCE_S, at_most=1e4, identity=1.0)
-    slow_gain: nn.Parameter = parameter("", at_least=0, at_most=0.5)
-    slow_time_constant_s: nn.Parameter = parameter("s", at_least=REFERENCE_S, at_most=1e4, identity=10.0)
+    gain: nn.Parameter = parameter("", at_least=0, at_most=LARGEST)
+    time_constant_s: nn.Parameter = parameter("s", at_least=FASTEST_S, at_most=1e4, identity=1.0)
+    slow_gain: nn.Parameter = parameter("", at_least=0, at_most=LARGEST)
+    slow_time_constant_s: nn.Parameter = parameter("s", at_least=FASTEST_S, at_most=1e4, identity=10.0)
     power_per_decade: nn.Parameter = parameter("", at_least=0, at_most=0.5)
     exponent: nn.Parameter = parameter("", at_least=0.02, at_most=0.5, identity=0.2)
     # Each decade has its poles: between these times there are 40.
@@ -100,8 +104,10 @@ class Creep(StateSpaceEffect):
     to_s: nn.Parameter = parameter("s", at_least=1e-9, at_most=1e9, identity=TO_S)
     accepted: ClassVar[dict[str, Quantity]] = {
         "per_decade": Quantity("", at_least=-0.5, at_most=0.5),
-        "time_constant_s": Quantity("s", at_least=1e-3, at_most=1e4),
-        "slow_time_constant_s": Quantity("s", at_least=1e-3, at_most=1e4),
+        **dict.fromkeys(("gain", "slow_gain"), Quantity("", at_least=0, at_most=0.5)),
+        **dict.fromkeys(
+            ("time_constant_s", "slow_time_constant_s"), Quantity("s", at_least=1e-3, at_most=1e4)
+        ),
     }
     forms = ("logarithm", "pole", "two poles", "power law")
     form_of: ClassVar[dict[str, str]] = {
@@ -154,7 +160,7 @@ class Creep(StateSpaceEffect):
     @classmethod
     def starts(cls, seen: DataRange) -> list[Parameters]:
         # A pole slower than the record is a ramp, one of a few samples a change of gain.
-        taus = [tau for tau in (0.3, 3.0, 30.0) if 10 / seen.fs_hz < tau < 2 * seen.duration_s]
+        taus = [tau for tau in (0.1, 0.3, 3.0, 30.0) if 10 / seen.fs_hz < tau < 2 * seen.duration_s]
         power = {"power_per_decade": 0.01, "exponent": 0.2}
         pole = [{"gain": 0.01, "time_constant_s": tau} for tau in taus]
         two = [
