@@ -228,7 +228,7 @@ def converter(recordings: Sequence[Recording]) -> tuple[float, tuple[str, ...]]:
 
 
 def agreed(steps: Sequence[float | None], ratio: float) -> float:
-    """The median of the steps of all recordings; 0 where one has none, or they differ by more than a ratio."""
+    """The median step of all recordings; 0 where one has none, or they differ by more than a ratio."""
     found = [step for step in steps if step is not None]
     return float(np.median(found)) if len(found) == len(steps) and max(found) <= ratio * min(found) else 0.0
 

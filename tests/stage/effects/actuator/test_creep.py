@@ -145,3 +145,11 @@ def test_either_pole_is_the_same_pole():
     torch.testing.assert_close(
         Creep(0.01, slow_gain=0.05, slow_time_constant_s=0.3)(x)[0], first, rtol=0, atol=1e-14
     )
+
+
+@pytest.mark.parametrize("values", [{"gain": 0.3}, {"time_constant_s": 0.035}])
+def test_a_file_may_hold_a_pole_that_a_fit_would_take_for_a_lag(values):
+    Creep(PERIOD_S, **{"gain": 0.1, "time_constant_s": 1.0, **values})
+    ((name, value),) = values.items()
+    bounds = Creep.quantities[name]
+    assert not bounds.at_least <= value <= bounds.at_most

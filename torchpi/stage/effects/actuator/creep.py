@@ -41,10 +41,10 @@ from torchpi.stage.effects.effect import (
 REFERENCE_S = 0.1
 """After a step the displacement at this time is y₀, whatever γ and p."""
 FASTEST_S = REFERENCE_S / math.log(4)
-"""Of a single pole that a fit may find: a quarter of its rise is still to come when y₀ is read. What is faster
-is an electrical or mechanical lag."""
+"""Of a single pole that a fit may find: a quarter of its rise is still to come when y₀ is read. What is
+faster is an electrical or mechanical lag."""
 LARGEST = 0.25
-"""Of the travel, a single pole: 1 to 20 % over minutes are usual (Jung and Gweon, 2000; Croft et al., 2001)."""
+"""Of the travel, a single pole: 1 to 20 % over minutes are usual (Jung and Gweon, 2000)."""
 POLES_PER_DECADE = 2  # they follow the logarithm to 0.3 %, one would to 11 %
 # Poles from 1 ms to 1000 s, so that any record lies within them.
 FROM_S, TO_S = 1e-3 * math.sqrt(10), 100.0
