@@ -40,13 +40,13 @@ def decided(
 )
 def test_the_verb_follows_the_probability(probability: float, words: str) -> None:
     text = sentence(lag(probability, ("sensor_lag", "delay")))
-    assert text.startswith(f"{words} amplifier lag in the amplifier (cutoff 412 Hz): 71 % of the squared")
+    assert text.startswith(f"{words} amplifier lag (cutoff 412 Hz): 71 % of the squared")
     assert f"probability {100 * probability:.0f} %" in text
     assert text.endswith("these recordings cannot distinguish it from sensor lag or delay.")
 
 
 def test_the_form_of_an_effect_is_said() -> None:
-    assert "in the amplifier (two poles; cutoff 412 Hz)" in sentence(replace(lag(0.9), form="two poles"))
+    assert "amplifier lag (two poles; cutoff 412 Hz)" in sentence(replace(lag(0.9), form="two poles"))
 
 
 def test_noise_that_was_not_measured_is_said_not_to_be() -> None:

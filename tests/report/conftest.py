@@ -22,7 +22,7 @@ from torchpi.recordings.recording import Recording
 from torchpi.report import commission_page
 from torchpi.report.diagnosis_figures import diagnosis_figures
 from torchpi.report.diagnosis_page import write_diagnosis
-from torchpi.report.page import loop_page, training_page
+from torchpi.report.page import training_page, write_loop_report
 from torchpi.report.safety_page import safety_page
 from torchpi.report.training import RecordFit, Saturation, TrainingReport, WeightsAgainstRate
 from torchpi.report.what_was_run import Provenance
@@ -132,8 +132,11 @@ def training() -> TrainingReport:
 
 
 @pytest.fixture(scope="session")
-def loop_html(results: list[LoopResult], provenance: Provenance) -> str:
-    return loop_page(results, provenance)
+def loop_html(
+    results: list[LoopResult], provenance: Provenance, tmp_path_factory: pytest.TempPathFactory
+) -> str:
+    page, _ = write_loop_report(results, provenance, tmp_path_factory.mktemp("loop"))
+    return page.read_text(encoding="utf-8")
 
 
 @pytest.fixture(scope="session")

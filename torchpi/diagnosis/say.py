@@ -78,8 +78,10 @@ def sentence(effect: NamedEffect) -> str:
         if p.value != 0.0  # what differs between recordings has no common value
     )
     inside = "; ".join(filter(None, (effect.form, numbers)))
+    name = spoken(effect.name)
+    where = "" if effect.block in name else f" in the {effect.block}"
     text = (
-        f"The simulation {lacks(effect.probability)} {spoken(effect.name)} in the {effect.block}"
+        f"The simulation {lacks(effect.probability)} {name}{where}"
         f"{f' ({inside})' if inside else ''}: {percent(effect.share)} of the squared residual, "
         f"probability {percent(effect.probability)}"
     )

@@ -57,11 +57,6 @@ def loop_json(results: Sequence[LoopResult], provenance: Provenance) -> str:
     return json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
 
 
-def loop_page(results: Sequence[LoopResult], provenance: Provenance) -> str:
-    """The loop page as text."""
-    return _loop_page(results, [_loop_figures(result) for result in results], provenance)
-
-
 def _loop_page(
     results: Sequence[LoopResult], drawn: Sequence[Sequence["_Picture"]], provenance: Provenance
 ) -> str:
