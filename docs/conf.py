@@ -1,8 +1,10 @@
 """Configuration of the documentation site: `make docs` builds it into docs/_build/html."""
 
 import ast
+import dataclasses
 import importlib
 import re
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +17,9 @@ from sphinx.util.typing import stringify_annotation
 
 import torchpi
 
+sys.path.insert(0, str(Path(__file__).parent))
+from described import beside, docstring_of, with_parameters
+
 project = "torchpi"
 author = "torchpi developers"
 copyright = "torchpi developers"
@@ -25,7 +30,7 @@ extensions = [
     "sphinx.ext.autodoc",
     "sphinx.ext.autosummary",
     "sphinx.ext.napoleon",
-    "sphinx.ext.viewcode",  # the source has the shape of each tensor beside it
+    "sphinx.ext.viewcode",
 ]
 root_doc = "docs/index"
 # The source folder is the checkout: pages link to each other across folders, and to files, as on a code host.
@@ -105,6 +110,27 @@ def as_text(lines: list[str]) -> list[str]:
     return out
 
 
+def describe(app: Sphinx, what: str, name: str, obj: Any, options: object, lines: list[str]) -> None:
+    """Parameters, as the comments beside them and the classes above describe them; fields likewise."""
+    if what == "attribute" and not any(lines):
+        *path, field = name.split(".")
+        lines[:] = [beside(named(".".join(path))).get(field, "")]
+    if what in ("function", "method") or (what == "class" and not is_record(obj)):
+        own = docstring_of(obj) or "\n".join(lines)  # what is inherited
+        lines[:] = [*with_parameters(obj, own).splitlines(), ""]
+
+
+def is_record(of: type) -> bool:
+    """Its fields stand one by one."""
+    return dataclasses.is_dataclass(of) or issubclass(of, tuple)
+
+
+def named(full_name: str) -> Any:
+    """A class by its full name."""
+    module, _, name = full_name.rpartition(".")
+    return getattr(importlib.import_module(module), name)
+
+
 def prepare_docstring(
     app: Sphinx, what: str, name: str, obj: object, options: object, lines: list[str]
 ) -> None:
@@ -150,7 +176,9 @@ EXAMPLES = examples((Path(__file__).parent / "examples.md").read_text(encoding="
 
 
 def show_example(app: Sphinx, what: str, name: str, obj: object, options: object, lines: list[str]) -> None:
-    """The block of `examples.md` that a name stands in, on the page of the name."""
+    """The block of `examples.md` that a name stands in, where it has no example of its own."""
+    if ">>>" in docstring_of(obj):
+        return
     for block, objects in EXAMPLES:
         if any(one is obj for one in objects) and what in ("class", "function", "exception"):
             lines += ["", ".. rubric:: Example", "", ".. code-block:: python", ""]
@@ -186,6 +214,7 @@ def write_math(translator: Any, node: nodes.Element) -> None:
 
 
 def setup(app: Sphinx) -> None:
+    app.connect("autodoc-process-docstring", describe, priority=50)
     app.connect("autodoc-process-docstring", prepare_docstring, priority=100)  # before napoleon
     app.connect("autodoc-process-docstring", show_example, priority=900)  # after it
     app.connect("autodoc-process-signature", shorten_signature)
