@@ -13,6 +13,7 @@ from docutils import nodes
 from docutils.utils.math.latex2mathml import tex2mathml
 from sphinx import addnodes
 from sphinx.application import Sphinx
+from sphinx.pycode import ModuleAnalyzer
 from sphinx.util.typing import stringify_annotation
 
 import torchpi
@@ -55,7 +56,7 @@ nitpick_ignore_regex = [
         r"py:class",
         r"torchpi\.(operators\.(quantity\.Quantity|dead_zone\.DeadZones)|control\.trained_motions\.Pair)",
     ),
-    (r"py:class", r"torchpi\.operators\.generalised_play\.GeneralisedPlayBank"),
+    (r"py:class", r"torchpi\.operators\.(generalised_play\.Generalised|oversampled_inputs\.Over)\w+"),
     (r"py:class", r"torchpi\.stage\.effects\.(sensor|mechanics)\.\w+\.\w+"),
 ]
 templates_path = [str(Path(__file__).parent / "_templates")]
@@ -112,9 +113,10 @@ def as_text(lines: list[str]) -> list[str]:
 
 def describe(app: Sphinx, what: str, name: str, obj: Any, options: object, lines: list[str]) -> None:
     """Parameters, as the comments beside them and the classes above describe them; fields likewise."""
-    if what == "attribute" and not any(lines):
-        *path, field = name.split(".")
-        lines[:] = [beside(named(".".join(path))).get(field, "")]
+    if what == "class" and is_record(obj):
+        for field, text in beside(obj).items():
+            texts_of_fields = ModuleAnalyzer.for_module(obj.__module__).attr_docs
+            texts_of_fields.setdefault((obj.__qualname__, field), [text, ""])
     if what in ("function", "method") or (what == "class" and not is_record(obj)):
         own = docstring_of(obj) or "\n".join(lines)  # what is inherited
         lines[:] = [*with_parameters(obj, own).splitlines(), ""]
@@ -123,12 +125,6 @@ def describe(app: Sphinx, what: str, name: str, obj: Any, options: object, lines
 def is_record(of: type) -> bool:
     """Its fields stand one by one."""
     return dataclasses.is_dataclass(of) or issubclass(of, tuple)
-
-
-def named(full_name: str) -> Any:
-    """A class by its full name."""
-    module, _, name = full_name.rpartition(".")
-    return getattr(importlib.import_module(module), name)
 
 
 def prepare_docstring(
