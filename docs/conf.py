@@ -20,6 +20,7 @@ import torchpi
 
 sys.path.insert(0, str(Path(__file__).parent))
 from described import beside, docstring_of, with_parameters
+from executed import EXECUTED, with_outputs
 
 project = "torchpi"
 author = "torchpi developers"
@@ -78,7 +79,7 @@ html_title = f"torchpi {release}"
 html_show_copyright = False
 html_math_renderer = "mathml"
 html_static_path = ["_static"]
-html_css_files = ["math.css"]
+html_css_files = ["math.css", "output.css"]
 html_additional_pages = {"index": "to_first_page.html"}
 
 
@@ -183,6 +184,12 @@ def show_example(app: Sphinx, what: str, name: str, obj: object, options: object
             return
 
 
+def execute(app: Sphinx, page: str, source: list[str]) -> None:
+    """A program that fails ends the build."""
+    if page in EXECUTED:
+        source[0] = with_outputs(source[0])
+
+
 def skip_plain_fields(
     app: Sphinx, what: str, name: str, obj: object, skip: bool, options: object
 ) -> bool | None:
@@ -210,6 +217,7 @@ def write_math(translator: Any, node: nodes.Element) -> None:
 
 
 def setup(app: Sphinx) -> None:
+    app.connect("source-read", execute)
     app.connect("autodoc-process-docstring", describe, priority=50)
     app.connect("autodoc-process-docstring", prepare_docstring, priority=100)  # before napoleon
     app.connect("autodoc-process-docstring", show_example, priority=900)  # after it

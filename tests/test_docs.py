@@ -14,6 +14,7 @@ from typing import Any
 import pytest
 
 import torchpi
+from docs.executed import EXECUTED, with_outputs
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
@@ -171,6 +172,17 @@ def test_the_commands_of_a_tutorial_are_those_of_the_readme_which_are_run(page: 
 def test_the_program_at_the_end_of_the_path_from_csv_files_is_the_readme_s_which_is_run() -> None:
     programs = python_of(DOCS / "csv_to_controller.md")
     assert programs and set(programs) <= set(python_of(ROOT / "README.md"))
+
+
+def test_a_page_that_is_executed_shows_what_its_expressions_give() -> None:
+    page = "a\n\n```python\nx = 2\nx * 3  # six\ny = x\nNone\n```\n\n```python\ny\n```\nb\n"
+    assert with_outputs(page) == (
+        "a\n\n```python\nx = 2\nx * 3  # six\n```\n```text\n6\n```\n```python\ny = x\nNone\n```\n\n"
+        "```python\ny\n```\n```text\n2\n```\nb\n"
+    )
+    with pytest.raises(ZeroDivisionError):
+        with_outputs("```python\n1 / 0\n```\n")
+    assert all((ROOT / f"{name}.md").is_file() for name in EXECUTED)
 
 
 class TestSite:
