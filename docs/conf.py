@@ -68,7 +68,12 @@ myst_heading_anchors = 3  # links to headings, as GitHub makes them
 
 autosummary_generate = True
 napoleon_use_ivar = True  # fields of `Attributes:` that are members as well stand once
-autodoc_default_options = {"members": True, "undoc-members": True, "member-order": "bysource"}
+autodoc_default_options = {
+    "members": True,
+    "undoc-members": True,
+    "member-order": "bysource",
+    "exclude-members": "extra_repr",  # of torch, for its own printing
+}
 autodoc_preserve_defaults = True
 python_maximum_signature_line_length = 90
 default_role = "code"  # docstrings quote code between single backticks
@@ -173,14 +178,15 @@ EXAMPLES = examples((Path(__file__).parent / "examples.md").read_text(encoding="
 
 
 def show_example(app: Sphinx, what: str, name: str, obj: object, options: object, lines: list[str]) -> None:
-    """The block of `examples.md` that a name stands in, where it has no example of its own."""
-    if ">>>" in docstring_of(obj):
+    """The block of `examples.md` that a name stands in, where its page has no example of its own."""
+    members = vars(obj).values() if what == "class" else []
+    if any(">>>" in (getattr(one, "__doc__", None) or "") for one in (obj, *members)):
         return
     for block, objects in EXAMPLES:
         if any(one is obj for one in objects) and what in ("class", "function", "exception"):
             lines += ["", ".. rubric:: Example", "", ".. code-block:: python", ""]
             lines += [f"    {line}" if line else "" for line in block.splitlines()]
-            lines += ["", "From :doc:`/docs/examples`, which a test runs.", ""]
+            lines += ["", "From :doc:`/docs/examples`, whose blocks before this one make what it uses.", ""]
             return
 
 

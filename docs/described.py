@@ -32,7 +32,10 @@ def _sections(docstring: str) -> list[str]:
 def with_parameters(obj: Any, docstring: str) -> str:
     """A docstring that describes all parameters in `Args:`."""
     text = described(obj)
-    names = [name for name in inspect.signature(obj).parameters if text.get(name)]
+    try:
+        names = [name for name in inspect.signature(obj).parameters if text.get(name)]
+    except ValueError:  # of exceptions, whose constructor is built in
+        return docstring
     start, *sections = _sections(docstring)
     args = ["Args:\n" + "\n".join(f"    {name}: {text[name]}" for name in names)] if names else []
     return "\n\n".join([start, *args, *(one for one in sections if not one.startswith("Args"))])
