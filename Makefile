@@ -20,7 +20,7 @@ INSTALL_TORCH_cpu = $(PIP) install torch==$(TORCH_VERSION)+cpu 2>/dev/null \
 	|| $(PIP) install torch==$(TORCH_VERSION)
 INSTALL_TORCH_gpu = $(PIP) install torch==$(TORCH_VERSION)
 
-.PHONY: demo test figures lint docs lock clean help
+.PHONY: demo test figures lint docs links lock clean help
 
 help:
 	@echo "make demo     train a compensator on the simulated stage, export it, run it in a control loop"
@@ -28,6 +28,7 @@ help:
 	@echo "make figures  measure again what README and docs quote, and renew the numbers"
 	@echo "make lint     style and types"
 	@echo "make docs     the documentation site, into docs/_build/html; a warning is an error"
+	@echo "make links    addresses of others on its pages, which needs the network; one that is broken is an error"
 	@echo "make lock     newest versions of all that is installed besides torch, into $(LOCK)"
 	@echo "make clean    remove .venv and what the demo left"
 
@@ -56,6 +57,9 @@ docs: .venv/ready-docs
 	@rm -rf docs/generated
 	$(BIN)/sphinx-build -W --keep-going -q -c docs . docs/_build/html
 	@echo "==> Open docs/_build/html/index.html"
+
+links: .venv/ready-docs
+	$(BIN)/sphinx-build -b linkcheck -q -c docs . docs/_build/links
 
 # torch, and what only its CUDA build needs, are left to TORCH_VERSION.
 lock: .venv/ready

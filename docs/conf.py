@@ -1,8 +1,10 @@
 """Configuration of the documentation site: `make docs` builds it into docs/_build/html."""
 
 import ast
+import dataclasses
 import importlib
 import re
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -11,9 +13,14 @@ from docutils import nodes
 from docutils.utils.math.latex2mathml import tex2mathml
 from sphinx import addnodes
 from sphinx.application import Sphinx
+from sphinx.pycode import ModuleAnalyzer
 from sphinx.util.typing import stringify_annotation
 
 import torchpi
+
+sys.path.insert(0, str(Path(__file__).parent))
+from described import beside, docstring_of, with_parameters
+from executed import EXECUTED, with_outputs
 
 project = "torchpi"
 author = "torchpi developers"
@@ -25,7 +32,7 @@ extensions = [
     "sphinx.ext.autodoc",
     "sphinx.ext.autosummary",
     "sphinx.ext.napoleon",
-    "sphinx.ext.viewcode",  # the source has the shape of each tensor beside it
+    "sphinx.ext.viewcode",
 ]
 root_doc = "docs/index"
 # The source folder is the checkout: pages link to each other across folders, and to files, as on a code host.
@@ -50,7 +57,7 @@ nitpick_ignore_regex = [
         r"py:class",
         r"torchpi\.(operators\.(quantity\.Quantity|dead_zone\.DeadZones)|control\.trained_motions\.Pair)",
     ),
-    (r"py:class", r"torchpi\.operators\.generalised_play\.GeneralisedPlayBank"),
+    (r"py:class", r"torchpi\.operators\.(generalised_play\.Generalised|oversampled_inputs\.Over)\w+"),
     (r"py:class", r"torchpi\.stage\.effects\.(sensor|mechanics)\.\w+\.\w+"),
 ]
 templates_path = [str(Path(__file__).parent / "_templates")]
@@ -61,7 +68,12 @@ myst_heading_anchors = 3  # links to headings, as GitHub makes them
 
 autosummary_generate = True
 napoleon_use_ivar = True  # fields of `Attributes:` that are members as well stand once
-autodoc_default_options = {"members": True, "undoc-members": True, "member-order": "bysource"}
+autodoc_default_options = {
+    "members": True,
+    "undoc-members": True,
+    "member-order": "bysource",
+    "exclude-members": "extra_repr",  # of torch, for its own printing
+}
 autodoc_preserve_defaults = True
 python_maximum_signature_line_length = 90
 default_role = "code"  # docstrings quote code between single backticks
@@ -72,7 +84,7 @@ html_title = f"torchpi {release}"
 html_show_copyright = False
 html_math_renderer = "mathml"
 html_static_path = ["_static"]
-html_css_files = ["math.css"]
+html_css_files = ["math.css", "output.css"]
 html_additional_pages = {"index": "to_first_page.html"}
 
 
@@ -103,6 +115,22 @@ def as_text(lines: list[str]) -> list[str]:
             literal = False
         out.append(line if literal else _MARKUP.sub(lambda found: found[1] or f"\\{found[0]}", line))
     return out
+
+
+def describe(app: Sphinx, what: str, name: str, obj: Any, options: object, lines: list[str]) -> None:
+    """Parameters, as the comments beside them and the classes above describe them; fields likewise."""
+    if what == "class" and is_record(obj):
+        for field, text in beside(obj).items():
+            texts_of_fields = ModuleAnalyzer.for_module(obj.__module__).attr_docs
+            texts_of_fields.setdefault((obj.__qualname__, field), [text, ""])
+    if what in ("function", "method") or (what == "class" and not is_record(obj)):
+        own = docstring_of(obj) or "\n".join(lines)  # what is inherited
+        lines[:] = [*with_parameters(obj, own).splitlines(), ""]
+
+
+def is_record(of: type) -> bool:
+    """Its fields stand one by one."""
+    return dataclasses.is_dataclass(of) or issubclass(of, tuple)
 
 
 def prepare_docstring(
@@ -150,13 +178,22 @@ EXAMPLES = examples((Path(__file__).parent / "examples.md").read_text(encoding="
 
 
 def show_example(app: Sphinx, what: str, name: str, obj: object, options: object, lines: list[str]) -> None:
-    """The block of `examples.md` that a name stands in, on the page of the name."""
+    """The block of `examples.md` that a name stands in, where its page has no example of its own."""
+    members = vars(obj).values() if what == "class" else []
+    if any(">>>" in (getattr(one, "__doc__", None) or "") for one in (obj, *members)):
+        return
     for block, objects in EXAMPLES:
         if any(one is obj for one in objects) and what in ("class", "function", "exception"):
             lines += ["", ".. rubric:: Example", "", ".. code-block:: python", ""]
             lines += [f"    {line}" if line else "" for line in block.splitlines()]
-            lines += ["", "From :doc:`/docs/examples`, which a test runs.", ""]
+            lines += ["", "From :doc:`/docs/examples`, whose blocks before this one make what it uses.", ""]
             return
+
+
+def execute(app: Sphinx, page: str, source: list[str]) -> None:
+    """A program that fails ends the build."""
+    if page in EXECUTED:
+        source[0] = with_outputs(source[0])
 
 
 def skip_plain_fields(
@@ -186,6 +223,8 @@ def write_math(translator: Any, node: nodes.Element) -> None:
 
 
 def setup(app: Sphinx) -> None:
+    app.connect("source-read", execute)
+    app.connect("autodoc-process-docstring", describe, priority=50)
     app.connect("autodoc-process-docstring", prepare_docstring, priority=100)  # before napoleon
     app.connect("autodoc-process-docstring", show_example, priority=900)  # after it
     app.connect("autodoc-process-signature", shorten_signature)

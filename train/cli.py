@@ -10,7 +10,7 @@ import shlex
 import sys
 import warnings
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -221,3 +221,23 @@ class FitCLI(LightningCLI):
                 raise (cause if isinstance(cause, KeyboardInterrupt) else KeyboardInterrupt()) from None
             metrics = results.write_results(self.folder, self.trainer, model, datamodule)
             console.show_results(metrics, self.folder)
+
+
+class _Made(Exception):
+    """There is a parser, and nothing to parse."""
+
+
+class Options(FitCLI):
+    """The options of the command, for a shell's completions."""
+
+    def __init__(self) -> None:
+        quieten()
+        with suppress(_Made):
+            super().__init__([], PROGRAM)
+
+    def parse_arguments(self, parser: LightningArgumentParser, args: Any) -> None:
+        raise _Made
+
+    def parsers(self) -> dict[str, LightningArgumentParser]:
+        """Of each subcommand."""
+        return dict(self._subcommand_parsers)

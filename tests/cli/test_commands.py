@@ -245,6 +245,8 @@ def test_completions_for_a_shell_name_the_commands(
     assert torchpi(monkeypatch, "--print_completion", "shtab-bash") == 0
     written = capsys.readouterr().out
     assert all(command in written for command in ("simulate", "diagnose", "--max_rate_v_s"))
+    of_fit = re.search(r"^_shtab_torchpi_train_fit_option_strings=\((.*)\)$", written, re.MULTILINE)
+    assert of_fit and {"--config", "--data.recordings", "--output"} <= set(of_fit[1].split())
 
 
 def test_completions_without_their_library_name_the_line_that_installs_it(

@@ -38,11 +38,22 @@ class TestAsRigsWriteIt:
 
     @pytest.mark.parametrize("unit", ["furlong", "counts", "in", "%", "a.u.", "NM", "mA"])
     def test_a_unit_that_is_not_known_is_refused_with_the_option(self, tmp_path, unit):
-        for header in (f"time_s,u,y [{unit}]", f"time_s,u,y ({unit})"):
+        for header in (f"time_s,u,y [{unit}]", f"time_s,u,y ({unit})", f"time_s,u,output_{unit}"):
             path = write_rows(tmp_path / "a.csv", [header, *csv_rows()[1:]])
             said = refusal(path)
             assert f"is in {unit}, expected um, nm, mm, m, pm, cm, angstrom" in said and "output_unit" in said
             assert_is_the_record(read_recording(path, output_unit=1))
+
+    def test_a_column_that_is_chosen_by_name_is_refused_for_its_unit_as_well(self, tmp_path):
+        path = write_rows(tmp_path / "a.csv", ["time_s,input_v,output_furlong", *csv_rows()[1:]])
+        expected = f"{path}: column 'output_furlong' is in furlong, expected um, nm, mm, m, pm, cm, angstrom;"
+        assert refusal(path, output_column="output_furlong").startswith(expected)
+
+    @pytest.mark.parametrize("name", ["output_raw", "output_CH2", "output_", "y_stage", "gauge_left"])
+    def test_the_last_word_of_a_name_need_not_be_a_unit(self, tmp_path, name):
+        path = write_rows(tmp_path / "a.csv", [f"time_stamp,input_voltage,{name}", *csv_rows()[1:]])
+        chosen = {"time_column": "time_stamp", "input_column": "input_voltage", "output_column": name}
+        assert_is_the_record(read_recording(path, **chosen))
 
     @pytest.mark.parametrize("text", ["1", "CH1", "CH A", "-", "raw", "Sensor", ""])
     def test_what_is_no_unit_may_stand_in_brackets(self, tmp_path, text):

@@ -12,7 +12,7 @@ import signal
 import sys
 import threading
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from importlib.util import find_spec
 from types import FrameType
@@ -31,11 +31,17 @@ ENDED = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated"}
 INTERRUPTED, TERMINATED = 130, 143  # exit codes: 128 and the number of the signal
 
 
-def run_chosen(commands: Sequence[Callable[..., None]], program: str, description: str, version: str) -> None:
+def run_chosen(
+    commands: Sequence[Callable[..., None]],
+    program: str,
+    description: str,
+    version: str,
+    parsers_below: Mapping[str, Callable[[], Mapping[str, Any]]],
+) -> None:
     """Parse the command line and call the function that it names.
 
     A command's options are its signature, its help is its docstring, its name that of the function without a
-    last underscore.
+    last underscore. One that parses the rest itself has `parsers_below`, which a shell's completions need.
     """
     # Progress appears as it happens, into a pipe as well; there may be no output at all.
     if isinstance(sys.stdout, io.TextIOWrapper):
@@ -52,6 +58,10 @@ def run_chosen(commands: Sequence[Callable[..., None]], program: str, descriptio
         subparser = Parser(description=text, formatter_class=_Formatter)
         subparser.add_function_arguments(command, as_group=False, as_positional=True)
         subcommands.add_subcommand(name, subparser, help=text.splitlines()[0])
+        if completion and name in parsers_below:
+            below = subparser.add_subcommands()
+            for word, parser_below in parsers_below[name]().items():
+                below.add_subcommand(word, parser_below)
     chosen = parser.instantiate_classes(parser.parse_args())
     functions[chosen.subcommand](**chosen[chosen.subcommand])
 

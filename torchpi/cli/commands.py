@@ -13,6 +13,8 @@ from typing import Any
 from torchpi import __version__
 from torchpi.cli import duration
 from torchpi.cli.command_line import run_chosen, run_program
+from torchpi.cli.train import parsers as parsers_of_train
+from torchpi.cli.train import train_cli
 from torchpi.cli.workers import THREADS
 from torchpi.errors import ConfigError
 from torchpi.recordings.options import RecordingOptions
@@ -45,7 +47,8 @@ def main() -> None:
             os.environ.setdefault(name, "1")
     if sys.argv[1:2] == ["train"]:
         run_program(train, "torchpi")  # Lightning parses what follows
-    run_program(lambda: run_chosen(COMMANDS, "torchpi", DESCRIPTION, __version__), "torchpi")
+    below = {"train": parsers_of_train}
+    run_program(lambda: run_chosen(COMMANDS, "torchpi", DESCRIPTION, __version__, below), "torchpi")
 
 
 def simulate(
@@ -97,12 +100,8 @@ def train() -> None:
 
     Example: torchpi train fit --config recorded --data.recordings '[slow.csv, fast.csv, other.csv]'
     """
-    from importlib import import_module, util
-
-    # It stands above torchpi and imports it: in a wheel it lies inside, in a checkout beside it.
-    package = "torchpi.train" if util.find_spec("torchpi.train") else "train"
     duration.announce_fit(sys.argv[2:])
-    import_module(f"{package}.cli").fit(sys.argv[2:], "torchpi train")
+    train_cli().fit(sys.argv[2:], "torchpi train")
 
 
 def excite(

@@ -96,7 +96,12 @@ class CorrectedInverse(nn.Module):
             e = self.miss(motion.yd, v, late)
         return v, e
 
-    def miss(self, yd: Tensor, v: Tensor, late: int) -> Tensor:
+    def miss(
+        self,
+        yd: Tensor,  # (batch, time), µm
+        v: Tensor,  # (batch, time), V
+        late: int,
+    ) -> Tensor:  # (batch, time), µm
         """e = y_d - F[u], y_d being `late` samples old when its voltage comes out."""
         answer, _ = self.model.voltage(backward_motion(v, self.sample_period_s))
         return delayed(yd, late) - answer

@@ -158,7 +158,7 @@ class DirectInverse(nn.Module):
     def voltage(
         self,
         motion: Motion,
-        state: Tensor | None = None,  # (batch, relaxations + plays)
+        state: Tensor | None = None,  # (batch, relaxations + plays), in the units of y_d and of S(y)
     ) -> tuple[Tensor, Tensor]:
         """Eq. 8 before the output limits, and the state after it: what identification and training fit."""
         if motion.yd.device.type != "cpu" or not HAS_COMPILER:
@@ -186,15 +186,15 @@ class DirectInverse(nn.Module):
 
     def weighted(
         self,
-        h: Tensor,  # (batch, time, plays)
-        basis: Tensor,  # (batch, time, functions of the rate)
+        h: Tensor,  # (batch, time, plays), in the unit of S(y)
+        basis: Tensor,  # (batch, time, functions of the rate), without unit
     ) -> Tensor:  # (batch, time), V
         """What is linear in the weights: Σ_i w_i h_i + u_0."""
         theta, psi, offset = (part.to(h.dtype) for part in (self.weights.theta, self.psi, self.offset))
         return weighted_sum(h, basis, theta, psi, self.range_um) + offset
 
     def play_states(self, motion: Motion, state: Tensor | None = None) -> tuple[Tensor, Tensor]:
-        """H_r[S(x)], (batch, time, plays), and the state after it: all that enters eq. 8 nonlinearly."""
+        """H_r[S(x)], (batch, time, plays), and the state after it, in the units of `voltage`."""
         x, creep, plays = self._compensated(motion, state)
         s, _ = self.saturation(x)
         h, plays = self.plays(s, plays)

@@ -9,7 +9,7 @@ class CompensatorStream(Protocol):
     """What an exported compensator offers; `torch.jit.script` compiles it.
 
     `step` takes the desired displacement at t + preview, in µm, and returns the voltage at t. `block`
-    takes as many samples as it is given, (N,) float64, and leaves the same state. `reset_at` starts from a
+    takes as many samples as it is given, and leaves the same state. `reset_at` starts from a
     measured displacement, `reset_at_voltage` from a measured voltage. The guard of every step, and what the
     counters count, is in `torchpi.control.step_guard`.
     """
@@ -27,4 +27,7 @@ class CompensatorStream(Protocol):
     def reset_at(self, yd: float) -> float: ...
     def reset_at_voltage(self, voltage_v: float) -> float: ...
     def step(self, yd: float) -> float: ...
-    def block(self, yd: Tensor) -> Tensor: ...
+    def block(
+        self,
+        yd: Tensor,  # (time,), µm, float64
+    ) -> Tensor: ...  # (time,), V

@@ -23,6 +23,9 @@ def to_checkpoint(compensator: DirectInverse) -> dict[str, Any]:
 def load_compensator(path: str | Path) -> DirectInverse:
     """The compensator of a run folder's best checkpoint, or of a checkpoint file.
 
+    Args:
+        path: The folder or the file.
+
     Raises:
         ArtifactError: Nothing there, something else, or not as it was written.
     """

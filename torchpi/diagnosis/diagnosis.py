@@ -94,8 +94,11 @@ class Trace:
     name: str
     fs_hz: float
     t: np.ndarray
+    """(time,), s."""
     u: np.ndarray
+    """(time,), V."""
     y: np.ndarray
+    """(time,), µm."""
     heldout: np.ndarray
     """(time,), bool."""
     residual_retuned: np.ndarray

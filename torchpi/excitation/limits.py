@@ -27,6 +27,11 @@ class DriveLimits:
 
     Raises:
         ConfigError: limits that exclude each other; names the one, its value and the value expected.
+
+    Example:
+        >>> from torchpi.excitation import DriveLimits
+        >>> DriveLimits(max_voltage_v=8.0, max_rate_v_s=500.0).span_v
+        8.0
     """
 
     min_voltage_v: float = 0.0

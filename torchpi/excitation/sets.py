@@ -34,11 +34,21 @@ LEAST_RATE = 2.0  # ranges per second: three rates that differ, within a minute
 def diagnostic_excitations(limits: DriveLimits, seed: int = 0) -> dict[str, Samples]:
     """The set, by name, in the order in which to play it; each t (time,), s, and u (time,), V.
 
-    Every one starts at 0 V, comes back to 0 V, and stays within the limits; `seed` draws the phases and the
-    lines left out of the multisine, of which `multisine_again` is a copy, to be played ten minutes later.
+    Every one starts at 0 V, comes back to 0 V, and stays within the limits; `multisine_again` is a
+    copy of the large multisine, to be played ten minutes later.
+
+    Args:
+        limits: What the stage and its amplifier bear.
+        seed: Of the phases, and of the lines that the multisine leaves out.
 
     Raises:
         ConfigError: a rate or a band too small for the range.
+
+    Example:
+        >>> from torchpi.excitation import DriveLimits, diagnostic_excitations
+        >>> to_play = diagnostic_excitations(DriveLimits(max_voltage_v=8.0))
+        >>> {name: round(float(u.max()), 1) for name, (t, u) in to_play.items() if "multisine" in name}
+        {'multisine_large': 8.0, 'multisine_small': 5.2, 'multisine_again': 8.0}
     """
     if limits.high_hz < LEAST_HIGH_HZ:
         raise ConfigError(

@@ -299,6 +299,12 @@ def make_excitation(
 
     Raises:
         ConfigError: an unknown name or option, with the nearest right one, or a value that does not fit.
+
+    Example:
+        >>> from torchpi.excitation import make_excitation
+        >>> t, u = make_excitation("sine_5hz", fs_hz=10_000.0, duration_s=0.4)
+        >>> (len(u), float(u.min()), float(u.max()))
+        (4000, 0.0, 10.0)
     """
     if name not in EXCITATIONS:
         raise ConfigError(

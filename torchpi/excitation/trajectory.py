@@ -49,6 +49,12 @@ def load_trajectory(
 
     Raises:
         RecordingError: if the file is missing, or a column, a row or the sampling is not as expected.
+
+    Example:
+        >>> from torchpi.excitation import load_trajectory
+        >>> fast = load_trajectory("fast", fs_hz=10_000.0)
+        >>> f"{fast.title}: {len(fast.yd)} samples, {fast.yd.min():.2f} to {fast.yd.max():.2f} µm"
+        'eq. 16 (fast): 10000 samples, 0.00 to 7.83 µm'
     """
     if which in _PAPER:
         make, title, duration_s = _PAPER[str(which)]

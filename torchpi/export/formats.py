@@ -25,6 +25,13 @@ def export_files(
     """Write `output` with the suffixes of the formats; returns the files.
 
     All are made before the first is put in place. Arguments and errors are those of `made_files`.
+
+    Example:
+        >>> from torchpi import DirectInverse
+        >>> from torchpi.export import export_files
+        >>> compensator = DirectInverse(1e-4, thresholds=[0.0, 0.1, 0.3])
+        >>> [file.name for file in export_files(compensator, "mine", ["c", "json"])]
+        ['mine.h', 'mine.c', 'mine_selftest.c', 'mine.json']
     """
     files = made_files(compensator, output, formats, reference_filter, load)
     write_together(files)
@@ -75,7 +82,11 @@ def written(content: str | bytes) -> Callable[[Path], object]:
 
 
 def write_together(files: Files) -> None:
-    """Write every file beside its place; when all are there, put them in place."""
+    """Write every file beside its place; when all are there, put them in place.
+
+    Args:
+        files: What writes each file, by its path, from `made_files`.
+    """
     with ExitStack() as placed:
         for path, write in files.items():
             temporary = placed.enter_context(write_atomically(path))

@@ -19,6 +19,11 @@ class Load:
 
     Raises:
         ConfigError: One that is not positive.
+
+    Example:
+        >>> from torchpi.export import Load
+        >>> Load(capacitance_uf=2.0, amplifier_gain=10.0).current_ma(rate_v_s=500.0)
+        10.0
     """
 
     capacitance_uf: float | None = None
@@ -92,7 +97,20 @@ class SafetyCard:
 
 
 def safety_card(compensator: DirectInverse, load: Load | None = None) -> SafetyCard:
-    """The card of a compensator, for a load if it is known."""
+    """The card of a compensator, for a load if it is known.
+
+    Args:
+        compensator: Trained; of one that is not, less is known.
+        load: What the amplifier drives; without it no current is stated.
+
+    Example:
+        >>> from torchpi import DirectInverse
+        >>> from torchpi.export import Load, safety_card
+        >>> compensator = DirectInverse(1e-4, thresholds=[0.0], max_slew_v_s=500.0)
+        >>> card = safety_card(compensator, Load(capacitance_uf=2.0))
+        >>> (card.output_limits_v, card.current_at_slew_limit_ma)
+        ((0.0, 10.0), 1.0)
+    """
     load = load or Load()
     trained, limits, reach = compensator.trained, compensator.step_limits(), compensator.reach()
     peak_v_s = max(map(abs, trained.voltage_rates_v_s)) if trained else None

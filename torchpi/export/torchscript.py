@@ -60,9 +60,21 @@ def script(
 def load_torchscript(path: str | Path) -> CompensatorStream:
     """Load an exported compensator, warm and reset. Nothing of a file runs that torchpi does not write.
 
+    Args:
+        path: A `.pt` of `export_files` or `torchpi export`.
+
     Raises:
         ArtifactError: There is no such file, or it is not a compensator, or it is damaged, or it holds an
             operator or a number that no compensator has.
+
+    Example:
+        >>> from torchpi import DirectInverse
+        >>> from torchpi.export import export_files, load_torchscript
+        >>> compensator = DirectInverse(1e-4, thresholds=[0.0, 0.1], preview=2)
+        >>> files = export_files(compensator, "mine", "torchscript")
+        >>> deployed = load_torchscript("mine.pt")
+        >>> deployed.step(0.5) == compensator.stream().step(0.5)
+        True
     """
     path = Path(path)
     if not path.is_file():

@@ -79,6 +79,13 @@ def local_slope(
     Least squares of the steps of y on the steps of u, over as many samples as u takes to move by a
     twentieth of its range. Where u rests the slope of the whole loop stands in; about a reversal,
     where a lag turns the sign, a quarter of it is the least.
+
+    Example:
+        >>> import torch
+        >>> from torchpi.identification import local_slope
+        >>> u = torch.linspace(0.0, 10.0, 200, dtype=torch.float64)
+        >>> round(local_slope(0.8 * u, u)[100].item(), 3)
+        0.8
     """
     whole = (y.max() - y.min()) / (u.max() - u.min())
     dy, du = y.diff(prepend=y[:1]), u.diff(prepend=u[:1])

@@ -14,9 +14,13 @@ from torchpi.identification.search import search
 def fit_joint(compensator: DirectInverse, pairs: Sequence[InversePair], evaluations: int = 150) -> float:
     """Improve `compensator` in place over whole records, from where it stands; returns the rms error, V.
 
-    Descends from there and from several scales of the polynomial, each descent in at most `evaluations`
-    trials, which cost two or three passes over the records. `torchpi train fit` does the same with
+    Descends from there and from several scales of the polynomial. `torchpi train fit` does the same with
     validation, checkpoints and pictures.
+
+    Args:
+        compensator: Changed in place.
+        pairs: Records, made with the compensator's preview.
+        evaluations: Trials of each descent, at most; one costs two or three passes over the records.
     """
     problem = joint_problem(compensator, pairs)
     alpha, solved = search(problem, evaluations, thorough=True)
@@ -48,7 +52,12 @@ def joint_problem(compensator: DirectInverse, pairs: Sequence[InversePair]) -> P
 
 
 def searched_parameters(compensator: DirectInverse, weights_are_solved: bool) -> list[nn.Parameter]:
-    """What an optimiser moves: all that is trainable, without what least squares gives at each trial."""
+    """What an optimiser moves: all that is trainable, without what least squares gives at each trial.
+
+    Args:
+        compensator: What is trained.
+        weights_are_solved: Whether each trial solves for the weights by least squares.
+    """
     solved = {id(part) for part in linear_parameters(compensator)} if weights_are_solved else set()
     return [
         parameter

@@ -53,6 +53,16 @@ def inverse_pair(
 
     Raises:
         RecordingError: Nothing is left to count.
+
+    Example:
+        >>> import numpy as np
+        >>> from torchpi import Recording
+        >>> from torchpi.identification import inverse_pair
+        >>> t = np.arange(4000) / 1e4
+        >>> u = 5 - 5 * np.cos(2 * np.pi * 5 * t)
+        >>> pair = inverse_pair(Recording.from_arrays(t, u, 0.8 * u), preview=2)
+        >>> (tuple(pair.u.shape), round(pair.rate_um_s))
+        ((1, 3998), 89)
     """
     bandwidth = bandwidth_hz or motion_bandwidth(recording.y, recording.fs_hz)
     motion = Motion(

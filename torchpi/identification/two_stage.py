@@ -55,8 +55,25 @@ def fit_two_stage(
     """Fit `compensator` in place: stage 1 on the slowest record, stage 2 on the others.
 
     A single record serves both. Lead and creep stay as they are. Of a neural rate head, the linear
-    part is fitted. Without `several_starts` stage 1 descends from where c stands alone, as the paper does: to
-    the next minimum, which need not be the deepest.
+    part is fitted.
+
+    Args:
+        compensator: Changed in place.
+        pairs: Records, made with the compensator's preview.
+        several_starts: False descends in stage 1 from where c stands alone, as the paper does: to the next
+            minimum, which need not be the deepest.
+
+    Example:
+        >>> from torchpi import DirectInverse, Recording, Stage
+        >>> from torchpi.excitation import make_excitation
+        >>> from torchpi.identification import fit_two_stage, inverse_errors, inverse_pair
+        >>> rig = Stage.from_yaml("default")  # in place of your own stage
+        >>> t, u = make_excitation("sine_5hz", rig.sample_rate_hz, 0.4)
+        >>> pair = inverse_pair(Recording.from_arrays(t, u, rig.simulate(u[None])[1][0]), preview=2)
+        >>> inverse = DirectInverse(1e-4, [0.0, 0.1, 0.3, 0.8, 1.8], degree=3, preview=2, range_um=8.0)
+        >>> fitted = fit_two_stage(inverse, [pair])
+        >>> inverse_errors(inverse, [pair]).rms_percent < 0.5
+        True
     """
     slow, *fast = sorted(pairs, key=lambda pair: pair.rate_um_s)
     slow_rms_v = fit_saturation(compensator, [slow], several_starts)

@@ -122,6 +122,21 @@ def run_loop(
             `compensator` or `stage` is something else.
         RecordingError: if the trajectory is not finite, constant, or outside the stage's range.
         ConfigError: if `fs_hz` or `max_slew_v_s` is no positive number.
+
+    Example:
+        >>> import numpy as np
+        >>> from torchpi import DirectInverse, Recording, Stage, run_loop
+        >>> from torchpi.excitation import make_excitation
+        >>> from torchpi.identification import fit_two_stage, inverse_pair
+        >>> stage = Stage.from_yaml("default")
+        >>> t, u = make_excitation("sine_5hz", stage.sample_rate_hz, 0.4)
+        >>> pair = inverse_pair(Recording.from_arrays(t, u, stage.simulate(u[None])[1][0]))
+        >>> inverse = DirectInverse(1e-4, [0.0, 0.1, 0.3, 0.8, 1.8], degree=3, range_um=8.0)
+        >>> fitted = fit_two_stage(inverse, [pair])
+        >>> yd = 3 - 3 * np.cos(2 * np.pi * 10 * t)  # µm
+        >>> result = run_loop(inverse.stream(), stage, yd, fs_hz=stage.sample_rate_hz, name="sine")
+        >>> {label: f"{drive.on_true.steady.rms_um:.2f} µm" for label, drive in result.drives.items()}
+        {'without': '0.47 µm', 'torchpi': '0.25 µm'}
     """
     _check_offers("compensator", compensator, STEPS, "one that steps, such as DirectInverse.stream()")
     _check_offers("stage", stage, MOVES, "a stage, such as Stage.load(path)")

@@ -48,8 +48,8 @@ class Latency:
     period_us: float
     missed: int  # steps longer than the sample period
     missed_share: float
-    histogram_edges_us: Signal  # (bins + 1,), logarithmic
-    histogram_counts: npt.NDArray[np.int64]  # (bins,)
+    histogram_edges_us: Signal  # (bins + 1,), µs, logarithmic
+    histogram_counts: npt.NDArray[np.int64]  # (bins,), counts
 
 
 @dataclass(frozen=True)

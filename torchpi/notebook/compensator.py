@@ -59,6 +59,9 @@ class Compensator:
         errors: Of the inverse on the held-out recording; None for one that was loaded.
         form: What cross-validation selected; None for one that was loaded.
 
+    Raises:
+        ConfigError: No inverse, or settings of a fit; `fit` and `load` make a compensator.
+
     Example:
         >>> import numpy as np
         >>> from torchpi import Compensator, Recording, Stage
@@ -87,11 +90,7 @@ class Compensator:
         form: Form | None = None,
         **settings: Any,
     ) -> None:
-        """Around an inverse that there is already; `fit` and `load` make one.
-
-        Raises:
-            ConfigError: No inverse, or settings of a fit.
-        """
+        """Around an inverse that there is already; `fit` and `load` make one."""
         if settings or not isinstance(inverse, DirectInverse):
             found = ", ".join(settings) if settings else kind_of(inverse)
             raise ConfigError(

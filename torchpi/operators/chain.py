@@ -14,6 +14,15 @@ class Chain(Operator):
     Args:
         operators: First to last, each from (batch, time) to (batch, time), under the name that it will
             have here; None leaves its place empty.
+
+    Example:
+        >>> import torch
+        >>> from torchpi import Polynomial, PrandtlIshlinskii
+        >>> from torchpi.operators import Chain
+        >>> loop = PrandtlIshlinskii([0.0, 0.5], [0.75, 0.25])
+        >>> drive = Chain(hysteresis=loop, saturation=Polynomial([1.0, -0.5]))
+        >>> drive(torch.tensor([[0.0, 1.0, 0.0]], dtype=torch.float64))[0].tolist()
+        [[0.0, 0.4921875, 0.1171875]]
     """
 
     def __init__(self, **operators: Operator | None) -> None:

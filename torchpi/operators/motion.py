@@ -7,7 +7,20 @@ from torch import Tensor, nn
 
 
 class Motion(NamedTuple):
-    """A reference trajectory with its rate and acceleration, each (batch, time), in µm, µm/s and µm/s²."""
+    """A reference trajectory with its rate and acceleration.
+
+    Attributes:
+        yd: (batch, time), µm.
+        yd_dot: (batch, time), µm/s.
+        yd_ddot: (batch, time), µm/s².
+
+    Example:
+        >>> import torch
+        >>> from torchpi import ReferenceFilter
+        >>> motion = ReferenceFilter(sample_period_s=1e-4)(torch.ones(1, 200, dtype=torch.float64))
+        >>> round(motion.yd_dot.max().item())  # µm/s, of a filtered step of 1 µm
+        231
+    """
 
     yd: Tensor
     yd_dot: Tensor

@@ -22,6 +22,14 @@ class PlayBank(Operator):
 
     Raises:
         ConfigError: No threshold, or one that is negative or not finite; in use, no tensor of records.
+
+    Example:
+        >>> import torch
+        >>> from torchpi import PlayBank
+        >>> x = torch.tensor([[0.0, 1.0, 2.0, 1.0, 0.0]], dtype=torch.float64)
+        >>> states, last = PlayBank([0.0, 0.5])(x)
+        >>> states[0, :, 1].tolist()
+        [0.0, 0.5, 1.5, 1.5, 0.5]
     """
 
     def __init__(self, thresholds: list[float], trainable: bool = False) -> None:
@@ -86,10 +94,10 @@ class PlayStream(nn.Module):
 
 
 def play_bank(
-    x: Tensor,  # (batch, time)
-    r: Tensor,  # (plays,)
-    h0: Tensor,  # (batch, plays)
-) -> Tensor:  # (batch, time, plays)
+    x: Tensor,  # (batch, time), any unit
+    r: Tensor,  # (plays,), the unit of x
+    h0: Tensor,  # (batch, plays), the unit of x
+) -> Tensor:  # (batch, time, plays), the unit of x
     """States of all plays over a whole record, differentiable in `x`, `r` and `h0`.
 
     On the CPU a compiled sequential kernel, elsewhere or without Numba an associative scan: the same
@@ -98,6 +106,13 @@ def play_bank(
 
     Memory: the result, which backward keeps, and nothing else of its size. Where the states themselves
     are not wanted, `weighted_plays` makes none of them last.
+
+    Example:
+        >>> import torch
+        >>> from torchpi.operators import play_bank
+        >>> x, r = torch.tensor([[0.0, 2.0, 0.0]]), torch.tensor([0.0, 0.5])
+        >>> play_bank(x, r, h0=torch.zeros(1, 2))[0].tolist()
+        [[0.0, 0.0], [2.0, 1.5], [0.0, 0.5]]
     """
     if x.device.type == "cpu" and HAS_COMPILER:
         differentiable = torch.is_grad_enabled() and any(part.requires_grad for part in (x, r, h0))

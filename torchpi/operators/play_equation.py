@@ -6,5 +6,15 @@ def play(x: float, r: float, h: float) -> float:
 
     This is eq. 1. At the first sample `h` is the initial state h0, which makes it eq. 2. This one function
     is what the kernels, the stream and the exports compile.
+
+    Args:
+        x: Input, in any unit.
+        r: Threshold, in the unit of x.
+        h: State after the sample before, likewise.
+
+    Example:
+        >>> from torchpi.operators import play
+        >>> [play(x, r=0.5, h=0.0) for x in (0.2, 1.0, -1.0)]
+        [0.0, 0.5, -0.5]
     """
     return max(x - r, min(x + r, h))

@@ -11,6 +11,15 @@ def polynomial(x: float, c: list[float]) -> float:
     """S(x) = c_m x^m + … + c_1 x, by Horner's rule; `c` is c_1 first. No constant term.
 
     This is eq. 4. Tensors pass as well: batch and stream run this one function.
+
+    Args:
+        x: Input, in any unit.
+        c: c_1 first; c_i in the unit of the output, per unit of x to the i.
+
+    Example:
+        >>> from torchpi.operators import polynomial
+        >>> polynomial(2.0, [1.0, -0.05])  # 2 - 0.05 · 2²
+        1.8
     """
     s = 0.0
     for i in range(len(c) - 1, -1, -1):
@@ -33,6 +42,13 @@ class Polynomial(Static):
 
     Raises:
         ConfigError: No coefficient, one that is not finite, or a scale that is not positive.
+
+    Example:
+        >>> import torch
+        >>> from torchpi import Polynomial
+        >>> y, _ = Polynomial([1.0, -0.05])(torch.tensor([[1.0, 2.0]], dtype=torch.float64))
+        >>> y.tolist()
+        [[0.95, 1.8]]
     """
 
     def __init__(self, coefficients: list[float], scale: float = 1.0) -> None:
@@ -52,7 +68,7 @@ class Polynomial(Static):
         return self.scaled / self.powers
 
     def set_coefficients(self, c: Tensor) -> None:
-        """Replace c_1 … c_m, (degree,)."""
+        """Replace c_1 … c_m, (degree,), c_i in the unit of the output per unit of the input to the i."""
         with torch.no_grad():
             self.scaled.copy_(c * self.powers)
 

@@ -19,6 +19,14 @@ class PrandtlIshlinskii(Operator):
 
     Raises:
         ConfigError: Bad thresholds, or another number of weights than of thresholds.
+
+    Example:
+        >>> import torch
+        >>> from torchpi import PrandtlIshlinskii
+        >>> voltage = torch.tensor([[0.0, 5.0, 10.0, 5.0, 0.0]], dtype=torch.float64)
+        >>> y, _ = PrandtlIshlinskii(thresholds=[0.0, 1.0], weights=[0.6, 0.2])(voltage)
+        >>> y[0].tolist()  # the way back lies above the way there
+        [0.0, 3.8, 7.8, 4.2, 0.2]
     """
 
     def __init__(

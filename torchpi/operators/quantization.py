@@ -66,6 +66,13 @@ class Converter(Static):
 
     Raises:
         StageError: Fewer than 1 or more than 32 bits, or a range out of order.
+
+    Example:
+        >>> import torch
+        >>> from torchpi.operators import Converter
+        >>> read, _ = Converter(bits=8, low=0.0, high=10.0)(torch.tensor([[1.0, 12.0]], dtype=torch.float64))
+        >>> read.tolist()
+        [[1.015625, 9.9609375]]
     """
 
     quantities: ClassVar[dict[str, Quantity]] = {"bits": Quantity("bits", at_least=1, at_most=32)}

@@ -35,6 +35,13 @@ class RateWeights(nn.Module):
 
     Raises:
         ConfigError: An unknown kind, a scale that is not positive, or `hidden` below 1.
+
+    Example:
+        >>> import torch
+        >>> from torchpi.operators import RateWeights
+        >>> weights = RateWeights([0.7, 0.3], kind="none")
+        >>> weights(torch.tensor([[0.0, 500.0]], dtype=torch.float64)).tolist()  # at rest, and at 500 µm/s
+        [[[0.7, 0.3], [0.7, 0.3]]]
     """
 
     def __init__(

@@ -27,6 +27,14 @@ class ReferenceFilter:
 
     Raises:
         ConfigError: A period or frequency that is not positive, or negative damping.
+
+    Example:
+        >>> import torch
+        >>> from torchpi import ReferenceFilter
+        >>> step = torch.ones(1, 200, dtype=torch.float64)  # of 1 µm, at 10 kHz
+        >>> motion = ReferenceFilter(sample_period_s=1e-4)(step)
+        >>> [round(motion.yd[0, k].item(), 2) for k in (0, 20, 100, 199)]
+        [0.0, 0.36, 0.99, 1.0]
     """
 
     def __init__(

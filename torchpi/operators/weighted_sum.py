@@ -18,15 +18,22 @@ from torchpi.operators.compiled import HAS_COMPILER, njit
 
 
 def weighted_sum(
-    h: Tensor,  # (batch, time, plays)
-    basis: Tensor,  # φ: (batch, time, functions)
-    theta: Tensor,  # θ: (plays, functions)
-    psi: Tensor | None = None,  # ψ: (plays, degree of the output functions - 1)
-    scale: float = 1.0,
+    h: Tensor,  # (batch, time, plays), any unit
+    basis: Tensor,  # φ: (batch, time, functions), without unit
+    theta: Tensor,  # θ: (plays, functions), units of the result per unit of h
+    psi: Tensor | None = None,  # ψ: (plays, degree of the output functions - 1), the unit of θ
+    scale: float = 1.0,  # of the play states in their output functions
 ) -> Tensor:  # (batch, time)
     """Σ_i w_i h_i, summed left to right, differentiable in all tensors.
 
     On the CPU a compiled kernel, elsewhere or without Numba plain torch, with the same bits.
+
+    Example:
+        >>> import torch
+        >>> from torchpi.operators import weighted_sum
+        >>> states, basis = torch.tensor([[[1.0, 0.5], [2.0, 1.5]]]), torch.ones(1, 2, 1)
+        >>> weighted_sum(states, basis, theta=torch.tensor([[0.75], [0.25]])).tolist()
+        [[0.875, 1.875]]
     """
     psi = theta.new_zeros(len(theta), 0) if psi is None else psi
     if h.device.type == "cpu" and HAS_COMPILER:

@@ -44,6 +44,14 @@ def dropouts(y: np.ndarray) -> np.ndarray:
 
     Returns:
         (dropouts,), int, increasing.
+
+    Example:
+        >>> import numpy as np
+        >>> from torchpi.recordings.faults import dropouts
+        >>> y = np.sin(np.arange(200) / 20)
+        >>> y[70] = 5.0
+        >>> dropouts(y).tolist()
+        [70]
     """
     from scipy.special import ndtri
 

@@ -33,6 +33,15 @@ class RecordingOptions:
             sample (first).
         skip_s: Start-up transient, s, that is not counted: fit lets it set the state, the other commands
             leave it out.
+
+    Example:
+        >>> import numpy as np
+        >>> from torchpi import RecordingOptions, read_recording
+        >>> k, names = np.arange(1000), "seconds,command,gauge"
+        >>> np.savetxt("rig.csv", np.c_[k / 1000, k, 0.8 * k], delimiter=",", header=names, comments="")
+        >>> columns = RecordingOptions("seconds", "command", "gauge", input_unit="mV", output_unit="nm")
+        >>> read_recording("rig.csv", columns)
+        Recording('rig', 1,000 samples at 1000 Hz, 1 s, u 0…0.999 V, y 0…0.7992 µm)
     """
 
     time_column: str | int | None = TIME_COLUMN

@@ -53,7 +53,12 @@ MOST_RESAMPLED = 1000  # times the samples that there are, in either direction
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Recording(Shown):
-    """Voltage and displacement of one run of a stage, uniformly sampled, as `read_recording` leaves them."""
+    """Voltage and displacement of one run of a stage, uniformly sampled, as `read_recording` leaves them.
+
+    Raises:
+        RecordingError: Signals that are no arrays of one length; in use, an interval or a fraction without
+            samples, or a rate that they cannot be brought to.
+    """
 
     name: str
     """The file's name without its suffix."""
@@ -65,7 +70,7 @@ class Recording(Shown):
     """(time,), µm."""
     fs_hz: float
     aux: dict[str, np.ndarray] = field(default_factory=dict)
-    """Other recorded signals (time,), under their column names, `aux_…`."""
+    """Other recorded signals, (time,), each in its own unit, under their column names, `aux_…`."""
     source: str = ""
     """The path as it was given."""
     sha256: str = ""
@@ -196,8 +201,7 @@ class Recording(Shown):
         if not 0 < tail < len(self):
             raise RecordingError(
                 f"{self.source or self.name}: a tail of {fraction:g} of {len(self)} samples leaves "
-                "nothing to one "
-                f"part, expected a fraction between 0 and 1; choose another"
+                "nothing to one part, expected a fraction between 0 and 1; choose another"
             )
         return self._cut(0, len(self) - tail), self._cut(len(self) - tail, len(self))
 
@@ -235,16 +239,10 @@ class Recording(Shown):
         return {"u": self.u, "y": self.y, **simulated, **self.aux}
 
     def _cut(self, first: int, last: int) -> "Recording":
-        aux = {name: signal[first:last] for name, signal in self.aux.items()}
-        simulated = None if self.simulated is None else self.simulated[first:last]
-        return replace(
-            self,
-            t=self.t[first:last],
-            u=self.u[first:last],
-            y=self.y[first:last],
-            aux=aux,
-            simulated=simulated,
-        )
+        cut = slice(first, last)
+        aux = {name: signal[cut] for name, signal in self.aux.items()}
+        simulated = None if self.simulated is None else self.simulated[cut]
+        return replace(self, t=self.t[cut], u=self.u[cut], y=self.y[cut], aux=aux, simulated=simulated)
 
 
 @dataclass(frozen=True, eq=False)
@@ -289,6 +287,13 @@ def read_recording(
 
     Warns:
         RecordingWarning: see `check_recording`.
+
+    Example:
+        >>> from torchpi import Recording, read_recording, write_recording
+        >>> triangle = Recording.from_arrays(None, [0, 5, 10, 5] * 50, [0, 4, 8, 4] * 50, fs_hz=100)
+        >>> write_recording("slow.csv", triangle)
+        >>> read_recording("slow.csv")
+        Recording('slow', 200 samples at 100 Hz, 2 s, u 0…10 V, y 0…8 µm)
     """
     options = _options(options, changes)
     return _recording_of(
@@ -396,9 +401,13 @@ def read_signal(
 
 
 def write_recording(path: str | Path, recording: Recording, input_column: str = INPUT_COLUMN) -> None:
-    """Write `time_s,input_v,output_um[,simulated_um][,aux_…]` as CSV, whole or not at all.
+    """Write `time_s,input_v,output_um[,simulated_um][,aux_…]` as CSV, every double exact, whole or not at
+    all.
 
-    Every double survives.
+    Args:
+        path: The file; what was there is replaced.
+        recording: What is written.
+        input_column: Name of the column of the voltage.
 
     Raises:
         RecordingError: No `Recording`.

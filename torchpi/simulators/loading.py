@@ -20,8 +20,19 @@ def load_simulator(reference: str) -> Simulator:
 
     Modules are looked for in the current folder too.
 
+    Args:
+        reference: `file.py:function`, `package.module:function`, or the path of an `.fmu`.
+
     Raises:
         SimulationError: There is none, or it cannot be called.
+
+    Example:
+        >>> from pathlib import Path
+        >>> import numpy as np
+        >>> from torchpi.simulators import load_simulator
+        >>> written = Path("linear.py").write_text("def simulate(u_v, fs_hz): return 0.8 * u_v")
+        >>> load_simulator("linear.py:simulate")(np.array([0.0, 5.0]), fs_hz=1e4).tolist()
+        [0.0, 4.0]
     """
     if Path(reference).suffix.lower() == ".fmu":
         from torchpi.simulators.fmu import Fmu

@@ -33,6 +33,17 @@ class Simulator:
     Args:
         function: See `Simulate`.
         reference: How it is named in files and messages, such as `package.module:function`.
+
+    Raises:
+        SimulationError: In use: it fails, its output has another shape or is not finite, or a second call
+            returns something else.
+
+    Example:
+        >>> import numpy as np
+        >>> from torchpi.simulators import Simulator
+        >>> linear = Simulator(lambda u_v, fs_hz: 0.8 * u_v, "a straight line")
+        >>> linear(np.array([0.0, 5.0]), fs_hz=1e4).tolist()
+        [0.0, 4.0]
     """
 
     function: Simulate
@@ -68,7 +79,11 @@ class Simulator:
             _outputs.move_to_end(key)
         return y
 
-    def called(self, u_v: np.ndarray, fs_hz: float) -> np.ndarray:
+    def called(
+        self,
+        u_v: np.ndarray,  # (time,), V
+        fs_hz: float,
+    ) -> np.ndarray:  # (time,), µm
         """The same, called in any case."""
         where = f"simulation {self.reference}"
         try:
@@ -90,7 +105,11 @@ class Simulator:
         y.flags.writeable = False
         return y
 
-    def check_repeatable(self, u_v: np.ndarray, fs_hz: float) -> None:
+    def check_repeatable(
+        self,
+        u_v: np.ndarray,  # (time,), V
+        fs_hz: float,
+    ) -> None:
         """Raise `SimulationError` if a second call returns something else: a fit compares calls."""
         first, second = self(u_v, fs_hz), self.called(u_v, fs_hz)
         if not np.array_equal(first, second):

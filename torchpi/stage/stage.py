@@ -80,6 +80,15 @@ class Stage(Operator):
 
     Raises:
         StageError: An unknown effect, a value out of its bounds, or another alignment.
+
+    Example:
+        >>> import numpy as np
+        >>> from torchpi import Stage
+        >>> stage = Stage.from_yaml("default")
+        >>> t = np.arange(4000) / stage.sample_rate_hz
+        >>> displacement, reading = stage.simulate(5 - 5 * np.cos(2 * np.pi * 5 * t)[None])
+        >>> f"{displacement.max():.2f} µm"  # at 10 V
+        '8.08 µm'
     """
 
     def __init__(

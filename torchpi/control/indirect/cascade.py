@@ -22,7 +22,17 @@ class CascadedInverse(IndirectInverse):
 
 
 def lead_of(dynamics: SensorLag | Resonance) -> list[float]:
-    """τ_1 and, for a mode, τ_2: what undoes these dynamics exactly, on a trajectory that is smooth."""
+    """τ_1 and, for a mode, τ_2: what undoes these dynamics exactly, on a trajectory that is smooth.
+
+    Args:
+        dynamics: A lag, or a mode, between the hysteresis and the reading.
+
+    Example:
+        >>> from torchpi.control.indirect import lead_of
+        >>> from torchpi.stage.effects.sensor.sensor_lag import SensorLag
+        >>> [f"{tau:.3g} s" for tau in lead_of(SensorLag(1e-4, cutoff_hz=800.0))]
+        ['0.000199 s']
+    """
     with torch.no_grad():
         if isinstance(dynamics, SensorLag):
             return [1 / (2 * math.pi * dynamics.cutoff_hz.item())]

@@ -13,8 +13,18 @@ from torchpi.operators.prandtl_ishlinskii import PrandtlIshlinskii
 def conventional_inverse(operator: PrandtlIshlinskii) -> PrandtlIshlinskii:
     """The operator that undoes `operator`, of the same kind: thresholds and weights in closed form.
 
+    Args:
+        operator: Thresholds in V and weights in µm/V, where it is a stage's hysteresis.
+
     Raises:
         ConfigError: Thresholds that do not rise from 0, or a slope that is not positive.
+
+    Example:
+        >>> from torchpi import PrandtlIshlinskii
+        >>> from torchpi.control.indirect import conventional_inverse
+        >>> inverse = conventional_inverse(PrandtlIshlinskii([0.0, 1.0], [0.5, 0.5]))  # V, µm/V
+        >>> (inverse.plays.r.tolist(), inverse.w.tolist())  # µm, V/µm
+        ([0.0, 0.5], [2.0, -1.0])
     """
     return PrandtlIshlinskii(*inverse_numbers(operator.plays.r.tolist(), operator.w.tolist()))
 

@@ -58,12 +58,20 @@ class Dilation:
 
 
 def dilation(
-    r: Tensor,  # (time, plays), thresholds in the order of the plays
+    r: Tensor,  # (time, plays), any unit, thresholds in the order of the plays
 ) -> Dilation:
     """Check the dilation condition, and where it fails.
 
     Raises:
         ConfigError: Thresholds that are out of order or not finite, so that there is nothing to check.
+
+    Example:
+        >>> import torch
+        >>> from torchpi.control.indirect import dilation
+        >>> r = torch.tensor([[0.0, 1.0, 2.0], [0.0, 1.0, 1.75]], dtype=torch.float64)
+        >>> found = dilation(r)
+        >>> (found.holds, found.plays, found.largest_shrinkage)
+        (False, (1, 2), 0.25)
     """
     if r.ndim != 2 or not bool(torch.isfinite(r).all()) or bool((r.diff(dim=1) < 0).any()):
         raise ConfigError(f"r: found shape {tuple(r.shape)}, expected finite (time, plays) in rising order")
@@ -140,9 +148,9 @@ class TimeVaryingThresholdPI(Operator):
 
     def at_thresholds(
         self,
-        x: Tensor,  # (batch, time)
-        r: Tensor,  # (batch, time, plays)
-        state: Tensor | None = None,  # (batch, plays)
+        x: Tensor,  # (batch, time), any unit
+        r: Tensor,  # (batch, time, plays), the unit of x
+        state: Tensor | None = None,  # (batch, plays), the unit of x
     ) -> tuple[Tensor, Tensor]:
         """The operator with thresholds that are known functions of time."""
         h0 = torch.zeros(len(x), len(self.r), dtype=x.dtype) if state is None else state
@@ -204,9 +212,9 @@ class TimeVaryingThresholdInverse(IndirectInverse):
 
     def at_thresholds(
         self,
-        y: Tensor,  # (batch, time)
-        r: Tensor,  # (batch, time, plays), of the forward operator
-    ) -> Tensor:  # (batch, time)
+        y: Tensor,  # (batch, time), µm
+        r: Tensor,  # (batch, time, plays), V, of the forward operator
+    ) -> Tensor:  # (batch, time), V
         """The inversion formula for thresholds that are known functions of time, from zero states."""
         slopes = torch.tensor(self.b, dtype=torch.float64).cumsum(0)[:-1]
         inverse = torch.cat([torch.zeros_like(r[..., :1]), (slopes * r.diff(dim=-1)).cumsum(-1)], -1)

@@ -155,11 +155,14 @@ class MultiAxisInverse:
 
     Args:
         stage: Identified, with as many outputs as inputs.
-        first: Filters of the linear inverse, from `linear_inverses`.
-        corrections: Those of small motions, from the same.
+        first: Filters of the linear inverse, (taps, inputs, outputs), V/µm, from `linear_inverses`.
+        corrections: Those of small motions, of the same shape and unit, from the same.
         passes: Corrections against the stage; without any it is the linear inverse.
-        limits_v: (inputs, 2), least and largest voltage of each; any by default.
-        accepted_um: (outputs,), the desired displacements further from 0 that are held; none by default.
+        limits_v: (inputs, 2), V, least and largest voltage of each; any by default.
+        accepted_um: (outputs,), µm, the desired displacements further from 0 that are held; none by default.
+
+    Raises:
+        StageError: Filters, limits or passes that do not fit the stage or each other.
 
     Attributes:
         preview: How many samples ahead `step` takes the trajectories.

@@ -44,7 +44,8 @@ LONGEST_NAME = 200  # characters of a name that is parsed: the patterns below ta
 _BRACKETED = re.compile(r"(?P<stem>.*?)\s*[\[({]\s*(?P<unit>[^\])}]*?)\s*[\])}]\s*")
 _UNIT = re.compile(r"[./·*]*(?:[^\W\d_]|[%°])(?:[^\W\d_]|[./·*%°])*")  # letters, and how units multiply
 _SUFFIXED = re.compile(r"(?P<stem>.+?)(?:\s*/\s*|_|\s+|\s*,\s*)(?P<unit>[A-Za-zµμ]+)")
-
+# Names as torchpi writes them, in which the last part is the unit.
+_OWN = re.compile(r"(?P<stem>time|input|output)(?:_|\s*[/,]\s*)(?P<unit>.+)", re.IGNORECASE)
 
 SIMULATED = "simulated"
 """How a column begins that holds what a simulator makes of the voltage."""
@@ -75,7 +76,7 @@ def role_of_unit(unit: str) -> Role | None:
 def stem_and_unit(name: str) -> tuple[str, str | None]:
     """(`u`, `mV`) of `u [mV]`, `u (mV)`, `u / mV`, `u_mV`; without a unit the name and None.
 
-    In brackets the unit may be one that is not known.
+    In brackets, and after `time`, `input` and `output`, the unit may be one that is not known.
     """
     if len(name) > LONGEST_NAME:
         return name, None
@@ -85,7 +86,9 @@ def stem_and_unit(name: str) -> tuple[str, str | None]:
     suffixed = _SUFFIXED.fullmatch(name)
     unit = known_unit(suffixed["unit"]) if suffixed else None
     if suffixed is None or unit is None:
-        return _plain(name), None
+        own = _OWN.fullmatch(name)
+        stated = stated_unit(own["unit"]) if own and _plain(name) not in STEMS["time"] else None
+        return (_plain(own["stem"]), stated) if own and stated else (_plain(name), None)
     stem = _plain(suffixed["stem"])
     # `y_m` is rather "y, measured" than metres; `output_m` is in metres.
     if len(suffixed["unit"]) == 1 and (len(stem) == 1 or not any(stem in stems for stems in STEMS.values())):

@@ -231,8 +231,8 @@ class Effect(Described, Operator):
 
     def tangent(
         self,
-        x: Tensor,  # (1, time): the input at which it is taken
-        dx: Tensor,  # (directions, time)
+        x: Tensor,  # (1, time), V or µm as the effect's input: where it is taken
+        dx: Tensor,  # (directions, time), likewise V or µm
     ) -> Tensor:  # (directions, time)
         """How the output moves when the input moves along each direction, from the de-energised state."""
         raise TypeError(f"{type(self).__name__} must define tangent(x, dx)")

@@ -40,9 +40,9 @@ SETTINGS = (
 class MultiAxisState:
     """State of a batch after a sample: modes, plays, means, and how many samples they have seen."""
 
-    x: np.ndarray  # (batch, modes, 2)
-    h: np.ndarray  # (batch, elements, plays)
-    means: np.ndarray  # (batch, elements, means)
+    x: np.ndarray  # (batch, modes, 2), the unit of `drive` times V
+    h: np.ndarray  # (batch, elements, plays), the unit of `sensed` times x
+    means: np.ndarray  # (batch, elements, means), likewise in units of what the elements sense
     past: int = 0
 
 
@@ -169,11 +169,11 @@ class MultiAxisStage(SavedStage):
         return LOOKAHEAD
 
     def excess(self, u: np.ndarray) -> np.ndarray:
-        """What plays and amplifiers add to voltages (time, inputs): (time, inputs, all of them)."""
+        """What plays and amplifiers add to voltages (time, inputs), V: (time, inputs, all of them)."""
         return self._inputs().advance(_padded(u))[LOOKAHEAD:]
 
     def driven(self, u: np.ndarray) -> np.ndarray:
-        """Voltages (time, inputs) with all that plays and amplifiers add: v of `modal_feedback`."""
+        """Voltages (time, inputs), V, with all that plays and amplifiers add: v of `modal_feedback`."""
         added = self.input_stream().advance(_padded(u))[LOOKAHEAD:]
         return np.asarray(u + added[:, :, 0])
 
