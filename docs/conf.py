@@ -1,7 +1,6 @@
 """Configuration of the documentation site: `make docs` builds it into docs/_build/html."""
 
 import ast
-import dataclasses
 import importlib
 import re
 import sys
@@ -19,7 +18,7 @@ from sphinx.util.typing import stringify_annotation
 import torchpi
 
 sys.path.insert(0, str(Path(__file__).parent))
-from described import beside, docstring_of, with_parameters
+from described import beside, docstring_of, is_record, with_parameters
 from executed import EXECUTED, with_outputs
 
 project = "torchpi"
@@ -120,17 +119,12 @@ def as_text(lines: list[str]) -> list[str]:
 def describe(app: Sphinx, what: str, name: str, obj: Any, options: object, lines: list[str]) -> None:
     """Parameters, as the comments beside them and the classes above describe them; fields likewise."""
     if what == "class" and is_record(obj):
+        texts_of_fields = ModuleAnalyzer.for_module(obj.__module__).attr_docs
         for field, text in beside(obj).items():
-            texts_of_fields = ModuleAnalyzer.for_module(obj.__module__).attr_docs
             texts_of_fields.setdefault((obj.__qualname__, field), [text, ""])
-    if what in ("function", "method") or (what == "class" and not is_record(obj)):
+    elif what in ("function", "method", "class"):
         own = docstring_of(obj) or "\n".join(lines)  # what is inherited
         lines[:] = [*with_parameters(obj, own).splitlines(), ""]
-
-
-def is_record(of: type) -> bool:
-    """Its fields stand one by one."""
-    return dataclasses.is_dataclass(of) or issubclass(of, tuple)
 
 
 def prepare_docstring(

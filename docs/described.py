@@ -1,6 +1,7 @@
 """What the source says of each parameter and field: in `Args:` or `Attributes:`, or beside or below it."""
 
 import ast
+import dataclasses
 import inspect
 import re
 import textwrap
@@ -12,6 +13,11 @@ _SECTION = re.compile(r"^(?:Args|Attributes|Example|Raises|Returns|Warns)(?:, \w
 _ENTRY = re.compile(r"^(\w+(?:, \w+)*): ?(.*)$")
 _COMMENT = re.compile(r"\s# (?!type: |noqa|fmt: )([^#]+)$")
 _AS_ELSEWHERE = re.compile(r"Arguments and errors are those of `(\w+)`\.")
+
+
+def is_record(obj: Any) -> bool:
+    """A class of fields, which have their units in their names, or text where there is more to say."""
+    return inspect.isclass(obj) and (dataclasses.is_dataclass(obj) or issubclass(obj, tuple))
 
 
 def docstring_of(obj: Any) -> str:

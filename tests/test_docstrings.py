@@ -1,7 +1,6 @@
 """Docstrings of the public names: parameters, shapes, units, errors; the examples in them run."""
 
 import ast
-import dataclasses
 import doctest
 import inspect
 import re
@@ -14,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from docs.described import described, section
+from docs.described import described, is_record, section
 from tests.notebook.test_docstrings import DOCUMENTED as IN_NOTEBOOK
 from tests.test_docs import documented
 
@@ -53,11 +52,6 @@ def parameters(of: Any) -> list[inspect.Parameter]:
     passed_on = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
     found = inspect.signature(of).parameters.values()
     return [one for one in found if one.kind not in passed_on and one.name not in ("self", "cls")]
-
-
-def is_record(of: Any) -> bool:
-    """A class of fields, which have their units in their names, or text where there is more to say."""
-    return inspect.isclass(of) and (dataclasses.is_dataclass(of) or issubclass(of, tuple))
 
 
 def raised(of: Any) -> set[str]:

@@ -47,7 +47,7 @@ from torchpi.stage import Stage
 from torchpi.stage.effects import EFFECTS
 from torchpi.stage.effects.effect import Effect
 from torchpi.stage.effects.inside import InsideEffect
-from torchpi.stage.effects.sensor.quantization import WIDEST, Quantization, uneven_codes
+from torchpi.stage.effects.sensor.quantization import EVEN, WIDEST, Quantization, uneven_codes
 from torchpi.stage.identified import Identified
 
 COARSE = 0.5
@@ -219,7 +219,7 @@ def left_unexplained(search: Search, final: Fit) -> Noise | None:
 def converter(recordings: Sequence[Recording]) -> tuple[float, tuple[str, ...]]:
     """The step of the values on which all readings lie, µm, and a note; 0 where they lie on none."""
     even = [Quantization.lattice(recording.y) for recording in recordings]
-    if step := agreed(even, 1.01):
+    if step := agreed(even, EVEN):
         return step, (f"All readings lie on a lattice of {step * 1e3:.4g} nm.",)
     uneven = [uneven_codes(recording.y, recording.u) for recording in recordings]
     if step := agreed(uneven, WIDEST):

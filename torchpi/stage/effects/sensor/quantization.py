@@ -15,6 +15,7 @@ FEWEST_READINGS = 8  # that differ; fewer lie on some lattice by chance
 FARTHEST = 0.2  # of a step, from a reading to its place; by chance, 2 in 5 do not lie farther
 FLOAT32_STEP = 2.0**-23
 OFTEN = 20  # readings of a code, on average; noise or motion that is not quantised hardly repeats a value
+EVEN = 1.01  # the widest step over the narrowest, of what is spaced evenly
 NARROWEST, WIDEST = 0.5, 1.5  # code widths over the median: of a converter with a code for every input
 
 
@@ -93,7 +94,7 @@ def uneven_codes(
     gaps = np.diff(y)
     step = float(np.median(gaps))
     # Evenly spaced values are those of a file with few decimals, or of a lattice.
-    uneven = gaps.max() > 1.01 * gaps.min()
+    uneven = gaps.max() > EVEN * gaps.min()
     return step if uneven and gaps.min() >= NARROWEST * step and gaps.max() <= WIDEST * step else None
 
 
