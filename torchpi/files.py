@@ -21,6 +21,7 @@ from torchpi.errors import ArtifactError, ConfigError
 PACKAGE = Path(__file__).parent
 # A wheel carries `configs/` inside the package; in a checkout it stands beside it.
 CONFIGS = next((path for path in (PACKAGE / "configs", PACKAGE.parent / "configs") if path.is_dir()), PACKAGE)
+NAME = r"[\w-]+"  # of one of them; anything else is a path
 LARGEST_YAML_BYTES = 2**20  # a hundred times the longest recipe
 MOST_YAML_VALUES = 100_000
 
@@ -36,14 +37,17 @@ def config_file(given: str | Path, folder: str = "") -> Path:
         ConfigError: A word that is neither a name nor a file.
     """
     own = CONFIGS / folder / f"{given}.yaml"
-    if not re.fullmatch(r"[\w-]+", str(given)):
-        return Path(given)
-    if own.is_file():
+    if is_own_config(given, folder):
         return own
-    if not os.path.lexists(given):
+    if re.fullmatch(NAME, str(given)) and not os.path.lexists(given):
         names = ", ".join(sorted(path.stem for path in own.parent.glob("*.yaml")))
         raise ConfigError(f"{given}: no such file or name, expected a path or one of {names}")
     return Path(given)
+
+
+def is_own_config(given: str | Path, folder: str = "") -> bool:
+    """Whether this is the name of one of torchpi's own, as in `config_file`."""
+    return bool(re.fullmatch(NAME, str(given))) and (CONFIGS / folder / f"{given}.yaml").is_file()
 
 
 @contextlib.contextmanager

@@ -107,7 +107,7 @@ def test_a_diagnosis_has_limits_by_how_much_it_finds(
 
 
 @pytest.mark.parametrize(
-    ("samples", "rounds", "measured_s"), [(10_000, 3, 31), (31_000, 7, 77), (61_000, 7, 110)]
+    ("samples", "rounds", "measured_s"), [(10_000, 4, 43), (21_000, 6, 67), (31_000, 6, 89), (41_000, 6, 132)]
 )
 def test_a_diagnosis_is_announced_within_a_factor_of_two_of_what_it_took(
     samples: int,
@@ -119,7 +119,7 @@ def test_a_diagnosis_is_announced_within_a_factor_of_two_of_what_it_took(
 ) -> None:
     """Processor seconds that sets of the README's recordings took (`benchmarks/durations.py --rounds`)."""
     monkeypatch.setattr(duration, "measured", lambda processes: Machine(1.0, 1.0, 1.0))
-    assert duration.DIAGNOSIS_S + duration.search_s(rounds, samples) == pytest.approx(measured_s, rel=0.1)
+    assert duration.DIAGNOSIS_S + duration.search_s(rounds, samples) == pytest.approx(measured_s, rel=0.2)
     duration.announce_diagnose([recording(tmp_path / "a.csv", samples)])
     assert 0.5 < said(capsys.readouterr().out) / measured_s < 2
 

@@ -10,7 +10,10 @@ import pytest
 from tests.diagnosis.plants import FS_HZ, NOISE_UM, multisine
 from tests.simulators import own_model
 from torchpi.cli import commands
+from torchpi.cli.diagnose import load_simulation
+from torchpi.errors import SimulationError
 from torchpi.recordings.recording import Recording, read_recording, write_recording
+from torchpi.stage import Stage
 
 
 def torchpi(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
@@ -44,6 +47,13 @@ def test_a_true_simulation_is_diagnosed_and_predicts(
     assert torchpi(monkeypatch, *command) == 0
     assert one.simulated is not None
     np.testing.assert_allclose(read_recording(predicted).y, one.simulated, atol=NOISE_UM)
+
+
+def test_a_stage_of_the_package_is_a_simulation_by_its_name() -> None:
+    found = load_simulation("default")
+    assert isinstance(found, Stage) and found.to_dict() == Stage.load("default").to_dict()
+    with pytest.raises(SimulationError, match="found 'defualt', expected a stage"):
+        load_simulation("defualt")
 
 
 def test_a_column_that_one_file_lacks_is_refused_in_one_line(

@@ -346,9 +346,10 @@ def diagnose_(  # the parser looks names up in torchpi, and would load its own `
     `torchpi predict` and for training through it), next_excitation.csv (the recording that would decide what
     is open) and the figures.
 
-    The simulation may be anyone's: a stage file (stage.yaml, stage.pt), an FMU with one input and one output
-    (model.fmu), a function simulate(u_v, fs_hz) -> y_um (package.module:simulate, or file.py:simulate), or
-    column: what a simulator made of each recording's voltage stands in it as simulated_um.
+    The simulation may be anyone's: a stage (stage.yaml, stage.pt, or default by its name), an FMU with one
+    input and one output (model.fmu), a function simulate(u_v, fs_hz) -> y_um (package.module:simulate, or
+    file.py:simulate), or column: what a simulator made of each recording's voltage stands in it as
+    simulated_um.
 
     Recordings of several axes (time_s,input_1_v,…,output_1_um,…) are compared with the stage.pt of such a
     stage, or with a linear one made of them; the last realisation of each amplitude is held out.
@@ -358,7 +359,7 @@ def diagnose_(  # the parser looks names up in torchpi, and would load its own `
     Args:
         recordings: Recordings of one stage: time_s,input_v,output_um[,aux_…].
         output: Folder for the results.
-        simulation: What to compare with: stage.yaml, stage.pt, model.fmu, package.module:function,
+        simulation: What to compare with: stage.yaml, stage.pt, default, model.fmu, package.module:function,
             file.py:function, or column. Without it a plain stage: symmetric, rate-independent
             Prandtl–Ishlinskii hysteresis, everything else ideal.
         executor: Where independent fits run: processes, or here.

@@ -13,7 +13,7 @@ from torchpi.diagnosis.diagnosis import Diagnosis
 from torchpi.diagnosis.parallel import get_ready
 from torchpi.diagnosis.simulation import Simulation
 from torchpi.errors import ConfigError
-from torchpi.files import check_output_folder
+from torchpi.files import check_output_folder, config_file, is_own_config
 from torchpi.recordings.recording import RecordingOptions, read_recording
 from torchpi.simulators import COLUMN, Simulator, load_simulator
 from torchpi.stage import Stage
@@ -65,7 +65,7 @@ def diagnose_files(
     if isinstance(given, Simulator) and given.source:
         files[f"simulation {given.reference}"] = given.source
     elif isinstance(given, Stage):
-        files["simulation"] = str(simulation)
+        files["simulation"] = str(config_file(str(simulation), "stage"))
     page, numbers = write_diagnosis(found, provenance(command, files), output)
     found.stage.save(output / "stage.pt")
     shutil.rmtree(output / "tensorboard", ignore_errors=True)
@@ -81,9 +81,9 @@ def diagnose_files(
 
 
 def load_simulation(text: str) -> Simulation:
-    """What `--simulation` names: a stage file, an FMU, a function, or "column"."""
+    """What `--simulation` names: a stage by its file or name, an FMU, a function, or "column"."""
     if text == COLUMN:
         return COLUMN
-    if Path(text).suffix.lower() in (".yaml", ".yml", ".pt"):
+    if Path(text).suffix.lower() in (".yaml", ".yml", ".pt") or is_own_config(text, "stage"):
         return Stage.load(text)
     return load_simulator(text)

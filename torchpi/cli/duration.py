@@ -35,11 +35,10 @@ USUAL_HZ = 10_000.0
 MOST_SAMPLES = 200_000
 """That a diagnosis works on; longer recordings are taken at a lower rate."""
 MOST_ROUNDS, USUAL_ROUNDS = 7, 5
-DIAGNOSIS_S, DRAWING_S = 18.0, 6.0
+DIAGNOSIS_S, DRAWING_S = 25.0, 6.0
 """Of a diagnosis in all and at its end, whatever the recordings: libraries are imported, figures drawn."""
-ROUND_S, WORK_S = 3.6, 1.1e-3
-"""Of a round, whatever the recordings: extensions are screened on as many rows of any. And of a search
-through all the rounds that there may be, a sample; both with their share of the decision."""
+WORK_S = 3.1e-3
+"""Of a sample, in a search through all the rounds that there may be, with its share of the decision."""
 DECISION = 0.25
 """The decision, over the search."""
 
@@ -79,7 +78,7 @@ def announce_axes(recordings: Iterable[str | Path], seconds: float) -> None:
 
 def search_s(rounds: int, samples: int) -> float:
     """Of so many rounds over so many samples, with the decision."""
-    return ROUND_S * rounds + WORK_S * samples * share_of_rounds(rounds)
+    return WORK_S * samples * share_of_rounds(rounds)
 
 
 def share_of_rounds(rounds: int) -> float:

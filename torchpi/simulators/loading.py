@@ -10,9 +10,7 @@ from torchpi.simulators.simulator import Simulator
 
 COLUMN: Final = "column"
 """In the place of a simulation: its output stands in the recordings."""
-EXPECTED = (
-    "expected a stage file (.yaml, .pt), model.fmu, package.module:function, file.py:function or column"
-)
+EXPECTED = "expected a stage (file or name), model.fmu, package.module:function, file.py:function or column"
 
 
 def load_simulator(reference: str) -> Simulator:
