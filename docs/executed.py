@@ -28,10 +28,13 @@ def _run(block: str, names: dict[str, Any]) -> str:
             continue
         value = eval(compile(ast.Expression(node.value), "page", "eval"), names)
         if value is not None:
-            cells += ["```python", *lines[shown : node.end_lineno], "```", *_output(value)]
+            cells += [*_code(lines[shown : node.end_lineno]), *_output(value)]
             shown = node.end_lineno or shown
-    rest = ["```python", *lines[shown:], "```"] if any(lines[shown:]) else []
-    return "\n".join([*cells, *rest, ""])
+    return "\n".join([*cells, *(_code(lines[shown:]) if any(lines[shown:]) else []), ""])
+
+
+def _code(lines: list[str]) -> list[str]:
+    return ["```python", *"\n".join(lines).strip("\n").splitlines(), "```"]
 
 
 def _output(value: Any) -> list[str]:

@@ -175,7 +175,7 @@ def test_the_program_at_the_end_of_the_path_from_csv_files_is_the_readme_s_which
 
 
 def test_a_page_that_is_executed_shows_what_its_expressions_give() -> None:
-    page = "a\n\n```python\nx = 2\nx * 3  # six\ny = x\nNone\n```\n\n```python\ny\n```\nb\n"
+    page = "a\n\n```python\nx = 2\nx * 3  # six\n\ny = x\nNone\n```\n\n```python\ny\n```\nb\n"
     assert with_outputs(page) == (
         "a\n\n```python\nx = 2\nx * 3  # six\n```\n```text\n6\n```\n```python\ny = x\nNone\n```\n\n"
         "```python\ny\n```\n```text\n2\n```\nb\n"

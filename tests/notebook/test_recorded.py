@@ -31,7 +31,7 @@ def test_a_recording_shows_its_numbers_and_its_figure(recording: Recording) -> N
     for said in (
         "&lt;slow&gt;",
         "2,000 at 1000 Hz, 2 s",
-        "0 … 10 V",
+        "0 … 10 V, without noise",
         "0.800 µm/V",
         "aux_temperature",
         "<svg",

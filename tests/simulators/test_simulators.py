@@ -45,7 +45,7 @@ def test_a_function_is_found_in_a_file_and_in_the_current_folder(
 @pytest.mark.parametrize(
     ("reference", "text"),
     [
-        ("simulate", "found 'simulate', expected a stage file"),
+        ("simulate", "found 'simulate', expected a stage"),
         ("no_such_module:simulate", "found ModuleNotFoundError"),
         ("no_such_file.py:simulate", "found no file 'no_such_file.py'"),
         ("tests.simulators.own_model:simulator", "found no function 'simulator'"),

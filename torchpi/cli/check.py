@@ -112,10 +112,9 @@ def facts_of(summary: Summary) -> list[tuple[str, str]]:
         sampling += f"; steps off by up to {100 * summary.jitter:.2g} % of the period: interpolated"
     else:
         sampling += f"; stamps within {100 * summary.jitter:.2g} % of the period"
-    monitored = summary.input_noise_v > 1e-6 * max(float(np.ptp(u)), 1e-300)
-    how = f"noise about {summary.input_noise_v:.2g} V: a monitored voltage, or a fast one" if monitored else (
-        "without noise: the command itself"
-    )  # fmt: skip
+    how = "without noise: the command itself"
+    if summary.input_is_noisy:
+        how = f"noise about {summary.input_noise_v:.2g} V: a monitored voltage, or a fast one"
     held = (
         f"{holds.count} holds, {100 * holds.share:.2g} % of the time, the longest {holds.longest_s:.3g} s"
         if holds.count

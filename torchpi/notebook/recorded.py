@@ -21,9 +21,10 @@ def recording_html(recording: Recording) -> str:
         return str(Markup("<b>{}</b>: empty").format(recording.name))
     found = summary_of(recording)
     u, y = recording.u, recording.y
+    noise = f"noise {figure(found.input_noise_v)} V" if found.input_is_noisy else "without noise"
     rows = [
         ("samples", f"{len(recording):,} at {recording.fs_hz:g} Hz, {recording.duration_s:.4g} s"),
-        ("input", f"{u.min():.4g} … {u.max():.4g} V, noise {figure(found.input_noise_v)} V"),
+        ("input", f"{u.min():.4g} … {u.max():.4g} V, {noise}"),
         ("output", f"{y.min():.4g} … {y.max():.4g} µm, noise {figure(found.output_noise_um)} µm"),
         ("gain", f"{figure(found.gain_um_per_v)} µm/V"),
         ("single wrong readings", f"{len(found.dropouts)}"),

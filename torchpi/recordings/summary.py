@@ -73,6 +73,11 @@ class Summary:
     warnings: list[str]
     """Of `check_recording`, without the file's name."""
 
+    @property
+    def input_is_noisy(self) -> bool:
+        """A monitored voltage, or a fast one: more than rounding from sample to sample."""
+        return self.input_noise_v > 1e-6 * float(np.ptp(self.recording.u))
+
 
 def columns_in(source: Source) -> list[Column]:
     """The columns of a file, with their numbers where they have any."""
