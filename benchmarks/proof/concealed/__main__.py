@@ -110,6 +110,8 @@ def _run(options: argparse.Namespace) -> None:
     entry = ENTRIES[options.entry]
     if options.diagnose:
         entry = Entry(options.name or "entry", options.diagnose, options.predict, options.timeout_s)
+    if options.executor.startswith("processes"):  # a cluster's workers have the tool, which may not be here
+        entry.check_programs()
     with open_executor(options.executor) as executor:
         results = run(seeds, entry, options.output, executor, options.data, options.tracks, options.limit)
     from concealed.page.text import figure_table

@@ -3,6 +3,7 @@
 import json
 import os
 import shlex
+import shutil
 import subprocess
 import sys
 import time
@@ -14,6 +15,10 @@ from concealed.cases import read_column
 from concealed.plant.physics import Array
 
 
+class RunError(ValueError):
+    """A run that would prove nothing."""
+
+
 @dataclass(frozen=True)
 class Entry:
     """Templates with {recordings}, {out}, {input}, {prediction}; without `predict` nothing is predicted."""
@@ -22,6 +27,13 @@ class Entry:
     diagnose: str
     predict: str = ""
     timeout_s: float = 900.0
+
+    def check_programs(self) -> None:
+        """Raises RunError where what its commands begin with is no program on PATH."""
+        for command in filter(None, (self.diagnose, self.predict)):
+            program = shlex.split(command)[0].replace("{python}", sys.executable)
+            if shutil.which(program) is None:
+                raise RunError(f"entry {self.name}: found no program '{program}', expected it on PATH")
 
 
 PYTHON = "{python} -m concealed.rivals"

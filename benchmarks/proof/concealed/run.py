@@ -13,7 +13,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from concealed.cases import Case, write_given, write_recordings
-from concealed.entries import Entry, ask
+from concealed.entries import Entry, RunError, ask
 from concealed.judging.grade import Grade, grade
 from concealed.judging.summary import summarise
 from concealed.real.case import untouched_recordings
@@ -22,10 +22,6 @@ from concealed.tracks import PROOF, draw
 
 HERE = Path(__file__).parent
 FIRST_SEED, SEEDS = 10_000, 2**31 - 20_000  # those below are for development
-
-
-class RunError(ValueError):
-    """A run that would prove nothing."""
 
 
 @dataclass(frozen=True)

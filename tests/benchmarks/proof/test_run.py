@@ -285,6 +285,11 @@ class TestFreeze:
         with pytest.raises(SystemExit, match="concealed run: expected the tree of commit"):
             main(["run", str(tree / "seeds.json"), "--output", str(tmp_path / "out")])
 
+    def test_a_tool_that_is_not_there_is_named_before_any_case(self, tmp_path):
+        with pytest.raises(SystemExit, match="entry mine: found no program 'mine-tool', expected it on PATH"):
+            main(["run", "--name", "mine", "--diagnose", "mine-tool {recordings}", "--output", str(tmp_path)])
+        assert not list(tmp_path.iterdir())
+
 
 def test_it_imports_nothing_of_torchpi_and_little_else():
     allowed = {"numpy", "scipy", "numba", "matplotlib", "distributed", "concealed", *sys.stdlib_module_names}
