@@ -207,7 +207,7 @@ def test_a_little_beyond_the_recorded_range_a_large_hysteresis_still_moves_as_it
     u = 0.7 * multisine(6000)
     records = prepared([record(u), record(0.7 * triangles(6000), name="b")])
     chain = Chain(records)
-    larger = fit(chain, Hypothesis(preisach(seen(records), 10, 30, 20)))
+    larger = fit(chain, Hypothesis(preisach(seen(records), 15, 35, 7)))
     nominal = larger.hypothesis.nominal
     beyond = nominal.output(1.3 * u, records[0].period_s, larger.weights[: nominal.kept])
     beyond += chain.zero(larger.weights, 0)

@@ -29,17 +29,12 @@ INSIDE_IT = {
 FAMILIES = {"sigma_v": 0.31, "beta": 0.6, "exponent": 1.7, "alpha_per_v": 0.5}
 
 
-KINKS_V = (-0.4, 0.1, 0.9)
-
-
-def hysteresis(kinks: int = 0, bouc_wen: bool = False, duhem: bool = False, **shape: float) -> Hysteresis:
-    count = len(THRESHOLDS_V) * (1 + kinks) + bouc_wen + len(DUHEM_BANK) * duhem + 1
+def hysteresis(degree: int = 1, bouc_wen: bool = False, duhem: bool = False, **shape: float) -> Hysteresis:
+    count = len(THRESHOLDS_V) * degree + bouc_wen + len(DUHEM_BANK) * duhem + 1
     weights = torch.linspace(0.9, 0.1, count, dtype=torch.float64)
     needed = {"sigma_v": bouc_wen, "beta": bouc_wen, "exponent": bouc_wen, "alpha_per_v": duhem}
     own = {name: FAMILIES[name] for name, there in needed.items() if there}
-    made = Hysteresis(
-        PERIOD_S, THRESHOLDS_V, weights, KINKS_V[:kinks], 2.0, bouc_wen, duhem, {**own, **shape}
-    )
+    made = Hysteresis(PERIOD_S, THRESHOLDS_V, weights, degree, 2.0, bouc_wen, duhem, {**own, **shape})
     # At 0 the asymmetry has a kink: to one side of it the play with r = 0 has memory.
     made.asymmetry_per_v.requires_grad_("asymmetry_per_v" in shape)
     return made
@@ -52,17 +47,17 @@ class TestPlays(HysteresisLaws):
 
 class TestPlaysThroughOutputFunctions(OperatorLaws):
     def operator(self) -> Hysteresis:
-        return hysteresis(kinks=2)
+        return hysteresis(degree=3)
 
 
 class TestEffectsInside(OperatorLaws):
     def operator(self) -> Hysteresis:
-        return hysteresis(kinks=3, **INSIDE_IT)
+        return hysteresis(degree=2, **INSIDE_IT)
 
 
 class TestRelaxingPlays(OperatorLaws):
     def operator(self) -> Hysteresis:
-        return hysteresis(kinks=3, **INSIDE_IT, relaxation_s=0.07)
+        return hysteresis(degree=2, **INSIDE_IT, relaxation_s=0.07)
 
 
 class TestBoucWen(OperatorLaws):
@@ -76,21 +71,16 @@ class TestDuhem(OperatorLaws):
 
 
 @given(
-    kinks=st.integers(0, 3), bouc_wen=st.booleans(), duhem=st.booleans(), inside=st.booleans(),
+    degree=st.integers(1, 4), bouc_wen=st.booleans(), duhem=st.booleans(), inside=st.booleans(),
     seed=st.integers(0, 99),
 )  # fmt: skip
 @settings(max_examples=20, deadline=None)
 def test_it_is_the_nominal_that_the_search_fitted(
-    kinks: int, bouc_wen: bool, duhem: bool, inside: bool, seed: int
+    degree: int, bouc_wen: bool, duhem: bool, inside: bool, seed: int
 ) -> None:
-    operator = hysteresis(kinks, bouc_wen, duhem, **(INSIDE_IT if inside else {}))
+    operator = hysteresis(degree, bouc_wen, duhem, **(INSIDE_IT if inside else {}))
     nominal = HysteresisModel(
-        np.array(THRESHOLDS_V),
-        np.array(KINKS_V[:kinks]),
-        2.0,
-        bouc_wen,
-        duhem,
-        {**IDENTITY, **operator.shape()},
+        np.array(THRESHOLDS_V), degree, 2.0, bouc_wen, duhem, {**IDENTITY, **operator.shape()}
     )
     v = wandering(1, 300, seed)
     weights = operator.weights.detach().numpy().copy()
@@ -105,7 +95,7 @@ def test_without_effects_inside_it_has_their_identities() -> None:
 
 
 def test_gradients_hold_over_a_record_of_many_tiles() -> None:
-    operator, v = hysteresis(kinks=3, **INSIDE_IT), wandering(2, 1000).requires_grad_()
+    operator, v = hysteresis(degree=2, **INSIDE_IT), wandering(2, 1000).requires_grad_()
     direction = wandering(2, 1000, seed=5)
     (gradient,) = torch.autograd.grad(operator(v)[0].square().sum(), v)
     with torch.no_grad():
@@ -115,7 +105,7 @@ def test_gradients_hold_over_a_record_of_many_tiles() -> None:
 
 
 def test_one_thread_or_several_give_the_same_bits() -> None:
-    operator, v = hysteresis(kinks=3, **INSIDE_IT), wandering(4, 700)
+    operator, v = hysteresis(degree=2, **INSIDE_IT), wandering(4, 700)
     before, found = torch.get_num_threads(), []
     for threads in (1, 3):
         torch.set_num_threads(threads)
@@ -184,13 +174,13 @@ def test_a_relaxing_play_solves_its_differential_equation_for_a_held_voltage() -
 
 def test_plays_that_relax_at_once_are_plays() -> None:
     x = wandering(2, 300)
-    plain, late = (hysteresis(kinks=2, **INSIDE_IT, **more)(x)[0] for more in ({}, {"relaxation_s": 1e-4}))
+    plain, late = (hysteresis(degree=3, **INSIDE_IT, **more)(x)[0] for more in ({}, {"relaxation_s": 1e-4}))
     torch.testing.assert_close(late, plain, rtol=0, atol=1e-13)
 
 
 def test_relaxing_plays_are_one_physics_at_two_sample_rates() -> None:
     held = wandering(1, 200)
     slow = hysteresis(relaxation_s=0.25)
-    fast = Hysteresis(PERIOD_S / 10, THRESHOLDS_V, slow.weights.detach(), shape=slow.shape())
+    fast = Hysteresis(PERIOD_S / 10, THRESHOLDS_V, slow.weights.detach(), 1, 2.0, shape=slow.shape())
     fine = fast(held.repeat_interleave(10, 1))[0][:, 9::10]
     torch.testing.assert_close(fine, slow(held)[0], rtol=0, atol=1e-12)

@@ -33,8 +33,8 @@ PRIOR, PRIOR_SHARE = 3e-7, 1e-2
 """Of the hysteresis's weights about 0. The first is over what the samples know of each: without it hundreds
 of rows that are nearly one another, half of whose samples lie in a few holds, bend away from what was not
 fitted. The second says that a weight as large as the gain of the stage costs as much as one reading that is
-wrong by this share of the travel: without it output functions of plays that hardly moved bend away just
-beyond the recorded range."""
+wrong by this share of the travel: without it powers of plays that hardly moved explode just beyond the
+recorded range."""
 ITERATIONS = 12
 FINE, ROUGH = 1e-4, 3e-3
 """Relative gain of a step below which a fit ends: to report, and to compare."""

@@ -141,7 +141,7 @@ class _Search:
 
     def run(self) -> Fit:
         """The form that predicts unseen samples best, fitted to the others."""
-        few = HysteresisModel(thresholds(self.seen, FINE, EVEN), scale_v=reach_v(self.seen))
+        few = HysteresisModel(thresholds(self.seen, FINE, EVEN), 1, reach_v(self.seen))
         self.log(f"hysteresis, {few.size} plays")
         now = self.taken(fit(self.chain, Hypothesis(few)))
         # Twice: what was hidden behind the others the first time may show once they are there.

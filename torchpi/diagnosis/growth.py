@@ -19,9 +19,8 @@ from torchpi.stage.hysteresis import OF_BOUC_WEN
 
 OPERATOR = "hysteresis_operator: "
 """How a larger hysteresis is called among the explanations, before its family."""
-PREISACH = ((10, 30, 12), (10, 30, 20))
-"""Plays spread in the logarithm, plays spread evenly, pieces of their output functions: what a Preisach
-operator may grow to."""
+PREISACH = ((20, 60, 5), (20, 60, 9))
+"""Plays spread in the logarithm, plays spread evenly, degree: what a Preisach operator may grow to."""
 ALL = 300
 """Combinations of its rows, at most: with eighty of four hundred, two to three times the noise is left."""
 SAMPLES_A_PLAY = 10
@@ -117,7 +116,7 @@ class Growth(Exchange):
         h = now.hypothesis
         if h.nominal.bouc_wen:
             return self.followed(now)
-        if not len(h.nominal.kinks_v):
+        if h.nominal.degree == 1:
             return now
         of_family = duhem if h.nominal.duhem else preisach
         larger = [h.on(of_family(self.seen, *size)) for size in PREISACH]

@@ -40,12 +40,12 @@ FIRM = 30.0
 class HysteresisModel:
     """A hysteresis without its weights.
 
-    The rows are h_i of the plays, their hinges at each of `kinks_v` (output functions), then the states of
-    the other families; all of them in volts.
+    The rows are h_i of the plays, their powers up to `degree` (output functions), then the states of the
+    other families; all of them in volts.
     """
 
     thresholds_v: np.ndarray
-    kinks_v: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    degree: int = 1
     scale_v: float = 1.0
     bouc_wen: bool = False
     duhem: bool = False
@@ -70,34 +70,22 @@ class HysteresisModel:
             return "bouc_wen"
         if self.duhem:
             return "duhem"
-        if len(self.kinks_v):
+        if self.degree > 1:
             return "preisach"
         return "prandtl_ishlinskii" if len(self.thresholds_v) else "simulation"
-
-    @property
-    def of_plays(self) -> int:
-        """Rows of plays and hinges, before any reduction."""
-        return len(self.thresholds_v) * (1 + len(self.kinks_v))
 
     @property
     def size(self) -> int:
         """Numbers in it, before any reduction."""
         others = self.bouc_wen + len(DUHEM_BANK) * self.duhem + (self.simulation is not None)
-        return self.of_plays + others
+        return len(self.thresholds_v) * self.degree + others
 
     @cached_property
     def structure(self) -> tuple[object, ...]:
         """What tells two sets of rows apart, beside the shape."""
         mixed = None if self.reduction is None else self.reduction.tobytes()
         outside = self.simulation.token if self.simulation else ""
-        return (
-            self.thresholds_v.tobytes(),
-            self.kinks_v.tobytes(),
-            self.bouc_wen,
-            self.duhem,
-            hash(mixed),
-            outside,
-        )
+        return (self.thresholds_v.tobytes(), self.degree, self.bouc_wen, self.duhem, hash(mixed), outside)
 
     def with_shape(self, values: dict[str, float]) -> "HysteresisModel":
         return replace(self, shape={**self.shape, **values})
@@ -112,20 +100,20 @@ class HysteresisModel:
         outside, v = self.of_simulation(v), shifted(v, self.late)
         inside = self.inside(v, period_s)
         others = np.array(self.other_rows(v, inside[-3], inside[-1]) + outside).reshape(-1, len(v))
-        plays = self.of_plays
+        plays = len(self.thresholds_v) * self.degree
         if self.plain and self.reduction is not None:
             self.plain_sums(v, self.reduction[:, :plays], rows)
             if len(others):
                 rows += self.reduction[:, plays:] @ others
             return
         h = np.zeros(len(self.thresholds_v))
-        states = np.empty((BLOCK, 1 + len(self.kinks_v), len(h)))
+        states = np.empty((BLOCK, self.degree, len(h)))
         for first in range(0, len(v), BLOCK):
             part = slice(first, min(first + BLOCK, len(v)))
             x = states[: part.stop - first]
             chord, up, down, widening, gain, straight, loop = (one[part] for one in inside)
             play_states(
-                chord, up, down, self.thresholds_v, widening, gain, straight, loop, self.kinks_v, h, x
+                chord, up, down, self.thresholds_v, widening, gain, straight, loop, self.scale_v, h, x
             )
             of_plays = x.reshape(len(x), plays).T
             if self.reduction is None:
@@ -139,15 +127,15 @@ class HysteresisModel:
         """(time,): weights @ rows, without the rows of the plays."""
         full = weights if self.reduction is None else self.reduction.T @ weights
         outside, v = self.of_simulation(v), shifted(v, self.late)
-        plays = self.of_plays
+        plays = len(self.thresholds_v) * self.degree
         chord, up, down, widening, gain, straight, loop = self.inside(v, period_s)
         y = np.empty(len(v))
         if self.plain:
             self.plain_sums(v, full[None, :plays], y[None])
         else:
             y = play_sum(
-                chord, up, down, self.thresholds_v, widening, gain, straight, loop, self.kinks_v,
-                full[:plays].reshape(1 + len(self.kinks_v), -1).copy(),
+                chord, up, down, self.thresholds_v, widening, gain, straight, loop, self.scale_v,
+                full[:plays].reshape(self.degree, -1).copy(),
             )  # fmt: skip
         for weight, row in zip(full[plays:], self.other_rows(v, gain, loop) + outside, strict=True):
             y += weight * row
@@ -157,7 +145,7 @@ class HysteresisModel:
         """Weights of the rows as a stage has them, (size,), whose Bouc–Wen state has no unit."""
         full = weights.copy() if self.reduction is None else self.reduction.T @ weights
         if self.bouc_wen:
-            full[self.of_plays] *= self.scale_v
+            full[len(self.thresholds_v) * self.degree] *= self.scale_v
         return full
 
     @property
@@ -166,9 +154,9 @@ class HysteresisModel:
         return not any(self.shape[name] for name in CHANGING)
 
     def plain_sums(self, v: np.ndarray, weights: np.ndarray, y: np.ndarray) -> None:
-        """Into `y`, (sums, time): plays and hinges with these weights, (sums, rows of them)."""
-        each = weights.reshape(len(weights), 1 + len(self.kinks_v), -1).transpose(1, 2, 0)
-        sums_of_plain_plays(v, self.thresholds_v, self.kinks_v, np.ascontiguousarray(each), y)
+        """Into `y`, (sums, time): the plays with these weights, (sums, powers of plays)."""
+        each = weights.reshape(len(weights), self.degree, -1).transpose(1, 2, 0)
+        sums_of_plain_plays(v, self.thresholds_v, self.scale_v, np.ascontiguousarray(each), y)
 
     def inside(self, v: np.ndarray, period_s: float) -> tuple[np.ndarray, ...]:
         """The chord, envelopes up and down, widening of the thresholds, gains, widening of the loop."""
@@ -215,27 +203,26 @@ def reach_v(seen: DataRange) -> float:
 
 def plain(seen: DataRange) -> HysteresisModel:
     """Ten plays: the plain stage of the paper's kind."""
-    return HysteresisModel(thresholds(seen, 0, 9), scale_v=reach_v(seen))
+    return HysteresisModel(thresholds(seen, 0, 9), 1, reach_v(seen))
 
 
 def many_plays(seen: DataRange) -> HysteresisModel:
     """A hundred plays: any Prandtl–Ishlinskii operator, down to the noise."""
-    return HysteresisModel(thresholds(seen, 20, 80), scale_v=reach_v(seen))
+    return HysteresisModel(thresholds(seen, 20, 80), 1, reach_v(seen))
 
 
-def preisach(seen: DataRange, fine: int = 5, even: int = 15, pieces: int = 12) -> HysteresisModel:
-    """Plays through output functions of so many straight pieces: a Preisach operator in play form."""
-    kinks_v = np.linspace(seen.low_v, seen.high_v, pieces + 1)[1:-1]
-    return HysteresisModel(thresholds(seen, fine, even), kinks_v, reach_v(seen))
+def preisach(seen: DataRange, fine: int = 10, even: int = 20, degree: int = 5) -> HysteresisModel:
+    """Plays through output functions: a Preisach operator in play form."""
+    return HysteresisModel(thresholds(seen, fine, even), degree, reach_v(seen))
 
 
 def bouc_wen(seen: DataRange, sigma: float) -> HysteresisModel:
     """A Bouc–Wen state beside some plays: alone, or as a part of what is there."""
     shape = {**IDENTITY, "sigma_v": sigma * reach_v(seen), "beta": 0.6, "exponent": 1.2}
-    return HysteresisModel(thresholds(seen, *BESIDE), scale_v=reach_v(seen), bouc_wen=True, shape=shape)
+    return HysteresisModel(thresholds(seen, *BESIDE), 1, reach_v(seen), bouc_wen=True, shape=shape)
 
 
-def duhem(seen: DataRange, fine: int = 5, even: int = 15, pieces: int = 12) -> HysteresisModel:
+def duhem(seen: DataRange, fine: int = 10, even: int = 20, degree: int = 5) -> HysteresisModel:
     """A bank of Duhem states beside a Preisach operator: also what does not close its loops."""
     shape = {**IDENTITY, "alpha_per_v": LONGEST_MEMORY / reach_v(seen)}
-    return replace(preisach(seen, fine, even, pieces), duhem=True, shape=shape)
+    return replace(preisach(seen, fine, even, degree), duhem=True, shape=shape)

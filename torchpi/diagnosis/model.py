@@ -29,7 +29,7 @@ def augmented_stage(now: Fit, recordings: int, seen: DataRange, noise_um: float)
     hysteresis = {
         "thresholds_v": r.tolist(),
         "weights": np.append(weights, 0.0),
-        "kinks_v": nominal.kinks_v.tolist(),
+        "degree": nominal.degree,
         "scale_v": nominal.scale_v,
         "bouc_wen": nominal.bouc_wen,
         "duhem": nominal.duhem,

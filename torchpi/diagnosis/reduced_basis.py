@@ -31,7 +31,7 @@ def basis(
     """
     nominal = hypothesis.nominal
     full = replace(nominal, reduction=None)
-    size = full.of_plays
+    size = len(full.thresholds_v) * full.degree
     bare, gram = replace(hypothesis, nominal=full), np.zeros((size, size))
     first, others = weights, np.zeros(0)
     if weights is not None:

@@ -2,10 +2,8 @@
 
 Three families, each linear in its weights once the rows stand:
 
-- generalised plays, h = max{v_up - r, min{v_down + r, h}}: Prandtl–Ishlinskii, and Preisach in play form
-  (Brokate and Sprekels 1996), y = Σ f_i(h_i), through output functions f_i that are piecewise linear: sums of
-  h_i and of hinges, each the part of h_i beyond a kink. They go on straight beyond what was recorded, where
-  powers diverge, and they follow a density that changes fast;
+- generalised plays (Prandtl–Ishlinskii, and Preisach in play form through output functions),
+  h = max{v_up - r, min{v_down + r, h}};
 - Bouc–Wen, dz/dv = 1/σ [1 - |z|ⁿ (γ + β sgn(z dv))], β + γ = 1 (Ikhouane and Rodellar, 2007, normalised);
 - a bank of Duhem states after Coleman and Hodgdon (1986), dz = α|dv| (f(v) - z) with f a power of v: loops
   that move as they are repeated, which plays never do.
@@ -74,12 +72,6 @@ def duhem(z: float, v: float, before: float, alpha: float, power: int) -> float:
     return z + (target - z) * -math.expm1(-alpha * abs(v - before))
 
 
-def hinge(x: float, kink: float) -> float:
-    """The part of x beyond a kink, away from 0: each output function is 0 there."""
-    return max(x - kink, 0.0) if kink >= 0.0 else min(x - kink, 0.0)
-
-
-_hinge: Any = numba.njit(hinge)
 _bouc_wen: Any = numba.njit(bouc_wen)
 _duhem: Any = numba.njit(duhem)
 
@@ -87,9 +79,9 @@ _duhem: Any = numba.njit(duhem)
 @numba.njit(cache=True, error_model="numpy")
 def play_states(
     chord: np.ndarray, up: np.ndarray, down: np.ndarray, r: np.ndarray, widening: np.ndarray,
-    gain: np.ndarray, straight: np.ndarray, loop: np.ndarray, kinks: np.ndarray, h: np.ndarray, x: np.ndarray,
+    gain: np.ndarray, straight: np.ndarray, loop: np.ndarray, scale: float, h: np.ndarray, x: np.ndarray,
 ) -> None:  # fmt: skip
-    """Into `x`, (time, 1 + kinks, plays): states h of max{up - r w, min{down + r w, h}}, then their hinges.
+    """Into `x`, (time, degree, plays): the states h of max{up - r w, min{down + r w, h}}, h (h / scale)^p.
 
     States with memory take the gain, v itself `straight`, all the widening of the loop about its chord; all
     are (time,). `h`, (plays,), is where they start and where they end.
@@ -103,24 +95,24 @@ def play_states(
         for i in range(len(r)):
             state = h[i] * (grown if r[i] > 0.0 else kept)
             first[i] = state + (state - middle) * looped
-        for k in range(len(kinks)):
-            beyond = x[t, k + 1]
+        for p in range(1, x.shape[1]):
+            power, below = x[t, p], x[t, p - 1]
             for i in range(len(r)):
-                beyond[i] = _hinge(first[i], kinks[k])
+                power[i] = below[i] * (first[i] / scale)
 
 
 @numba.njit(cache=True, fastmath={"reassoc"}, error_model="numpy")
 def play_sum(
     chord: np.ndarray, up: np.ndarray, down: np.ndarray, r: np.ndarray, widening: np.ndarray,
-    gain: np.ndarray, straight: np.ndarray, loop: np.ndarray, kinks: np.ndarray, weights: np.ndarray,
+    gain: np.ndarray, straight: np.ndarray, loop: np.ndarray, scale: float, weights: np.ndarray,
 ) -> np.ndarray:  # fmt: skip
-    """(time,): the weighted sum of the states and hinges of `play_states`, without the rows.
+    """(time,): Σ_p Σ_i w_pi h_i (h_i / scale)^p without the rows; weights are (degree, plays).
 
     Seven times as fast as one play after another: the loop over plays runs in vector registers, and sums in
     any order.
     """
-    y, h = np.empty(len(up)), np.zeros(len(r))
-    x, term = np.empty(len(r)), np.empty(len(r))
+    y, h, degree = np.empty(len(up)), np.zeros(len(r)), weights.shape[0]
+    x, term, per_scale = np.empty(len(r)), np.empty(len(r)), 1.0 / scale
     for t in range(len(up)):
         rising, falling, width = up[t], down[t], widening[t]
         for i in range(len(r)):
@@ -129,113 +121,89 @@ def play_sum(
         for i in range(len(r)):
             state = h[i] * (grown if r[i] > 0.0 else kept)
             x[i] = state + (state - middle) * looped
-            term[i] = weights[0, i] * x[i]
-        for k in range(len(kinks)):
-            kink = kinks[k]
-            if kink >= 0.0:
-                for i in range(len(r)):
-                    term[i] += weights[k + 1, i] * max(x[i] - kink, 0.0)
-            else:
-                for i in range(len(r)):
-                    term[i] += weights[k + 1, i] * min(x[i] - kink, 0.0)
+            term[i] = weights[degree - 1, i]
+        for p in range(degree - 2, -1, -1):
+            for i in range(len(r)):
+                term[i] = term[i] * (x[i] * per_scale) + weights[p, i]
         for i in range(len(r)):
-            total += term[i]
+            total += term[i] * x[i]
         y[t] = total
     return y
 
 
 @numba.njit(cache=True, error_model="numpy")
 def sums_of_plain_plays(
-    v: np.ndarray, r: np.ndarray, kinks: np.ndarray, weights: np.ndarray, y: np.ndarray
+    v: np.ndarray, r: np.ndarray, scale: float, weights: np.ndarray, y: np.ndarray
 ) -> None:
-    """Into `y`, (sums, time): the sums of `play_sum`, of plays max{v - r, min{v + r, h}} from 0.
+    """Into `y`, (sums, time): Σ_p Σ_i w_pis h_i (h_i / scale)^p of plays max{v - r, min{v + r, h}} from 0.
 
-    The plays that move with v are those of the smallest thresholds, and they move alike: their share is
-    straight in v, offset + slope v, until one of them passes a kink or the next play begins to move. A step
-    costs as much as these events, not as much as there are plays.
+    The plays that move with v are those of the smallest thresholds, and they move alike: their share is a
+    polynomial in v, whose coefficients are sums over all smaller thresholds, tabulated beforehand. A step
+    costs as much as the plays that it newly moves, not as much as there are plays.
 
     Args:
         v: (time,).
         r: (plays,), ascending.
-        kinks: Ascending.
-        weights: (1 + kinks, plays, sums).
+        scale: Of the powers.
+        weights: (degree, plays, sums).
         y: What is written.
     """
-    _, plays, sums = weights.shape
-    slopes, offsets = _pieces(kinks, weights)
-    h, still, offset, slope = np.zeros(plays), np.zeros(sums), np.zeros(sums), np.zeros(sums)
-    piece, block = np.zeros(plays, np.int64), np.empty((TOGETHER, sums))
-    moving, sign, before, passed = 0, 1.0, 0.0, np.inf
-    for first in range(0, len(v), TOGETHER):
-        stop = min(first + TOGETHER, len(v))
+    degree, plays, sums = weights.shape
+    u, thresholds = v / scale, r / scale
+    tables = np.zeros((2, plays + 1, degree + 1, sums))
+    for which in range(2):
+        for i in range(plays):
+            shift = -thresholds[i] if which == 0 else thresholds[i]
+            for p in range(degree):
+                # (u + shift)^(p + 1) by the binomial theorem, the highest power of u first.
+                factor = scale
+                for j in range(p + 1, -1, -1):
+                    for s in range(sums):
+                        tables[which, i + 1, j, s] += weights[p, i, s] * factor
+                    factor *= shift * j / (p + 2 - j)
+            for j in range(degree + 1):
+                for s in range(sums):
+                    tables[which, i + 1, j, s] += tables[which, i, j, s]
+    h, still = np.zeros(plays), np.zeros(sums)
+    block, total = np.empty((TOGETHER, sums)), np.empty(sums)
+    moving, sign, before = 0, 1.0, 0.0
+    for first in range(0, len(u), TOGETHER):
+        stop = min(first + TOGETHER, len(u))
         for t in range(first, stop):
-            now = v[t]
+            now = u[t]
             if (now - before) * sign < 0.0:
                 for i in range(moving):
-                    h[i] = before - sign * r[i]
+                    h[i] = before - sign * thresholds[i]
+                _polynomials(before, tables[0 if sign > 0.0 else 1, moving], total)
                 for s in range(sums):
-                    still[s] += offset[s] + slope[s] * before
-                    offset[s], slope[s] = 0.0, 0.0
-                moving, sign, passed = 0, -sign, np.inf
-            if sign * now >= passed:
-                passed = np.inf
-                for i in range(moving):
-                    state, old = now - sign * r[i], piece[i]
-                    piece[i] = _piece_of(state, kinks, old)
-                    if piece[i] != old:
-                        for s in range(sums):
-                            turned = slopes[piece[i], i, s] - slopes[old, i, s]
-                            offset[s] += offsets[piece[i], i, s] - offsets[old, i, s] - sign * r[i] * turned
-                            slope[s] += turned
-                    passed = min(passed, _next_kink(piece[i], kinks, sign) + r[i])
-            while moving < plays and sign * (now - h[moving]) > r[moving]:
-                state, old = h[moving], _piece_of(h[moving], kinks, 0)
-                piece[moving] = _piece_of(now - sign * r[moving], kinks, old)
-                for s in range(sums):
-                    still[s] -= offsets[old, moving, s] + slopes[old, moving, s] * state
-                    gained = slopes[piece[moving], moving, s]
-                    offset[s] += offsets[piece[moving], moving, s] - sign * r[moving] * gained
-                    slope[s] += gained
-                passed = min(passed, _next_kink(piece[moving], kinks, sign) + r[moving])
+                    still[s] += total[s]
+                moving, sign = 0, -sign
+            while moving < plays and sign * (now - h[moving]) > thresholds[moving]:
+                state, power = h[moving], scale
+                for p in range(degree):
+                    power *= state
+                    for s in range(sums):
+                        still[s] -= weights[p, moving, s] * power
                 moving += 1
+            at = block[t - first]
+            _polynomials(now, tables[0 if sign > 0.0 else 1, moving], at)
             for s in range(sums):
-                block[t - first, s] = still[s] + (offset[s] + slope[s] * now)
+                at[s] += still[s]
             before = now
         for s in range(sums):
             for t in range(first, stop):
                 y[s, t] = block[t - first, s]
 
 
-@numba.njit(cache=True)
-def _pieces(kinks: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Slope and offset of the output functions between two kinks, each (1 + kinks, plays, sums)."""
-    slopes, offsets = np.zeros(weights.shape), np.zeros(weights.shape)
-    for piece in range(len(kinks) + 1):
-        slopes[piece] += weights[0]
-        for k in range(len(kinks)):
-            if k < piece if kinks[k] >= 0.0 else k >= piece:
-                slopes[piece] += weights[k + 1]
-                offsets[piece] -= kinks[k] * weights[k + 1]
-    return slopes, offsets
-
-
 @numba.njit(cache=True, inline="always")
-def _piece_of(x: float, kinks: np.ndarray, near: int) -> int:
-    """How many kinks are at x or below, from a guess."""
-    piece = near
-    while piece < len(kinks) and kinks[piece] <= x:
-        piece += 1
-    while piece > 0 and kinks[piece - 1] > x:
-        piece -= 1
-    return piece
-
-
-@numba.njit(cache=True, inline="always")
-def _next_kink(piece: int, kinks: np.ndarray, sign: float) -> float:
-    """Where a piece ends for a state that moves on, times the sign of its way."""
-    if sign > 0.0:
-        return kinks[piece] if piece < len(kinks) else np.inf
-    return -kinks[piece - 1] if piece > 0 else np.inf
+def _polynomials(x: float, coefficients: np.ndarray, y: np.ndarray) -> None:
+    """Into y, (sums,): polynomials in x, of coefficients (powers, sums), the lowest power first."""
+    highest = len(coefficients) - 1
+    for s in range(len(y)):
+        y[s] = coefficients[highest, s]
+    for j in range(highest - 1, -1, -1):
+        for s in range(len(y)):
+            y[s] = y[s] * x + coefficients[j, s]
 
 
 @numba.njit(cache=True)

@@ -1,7 +1,6 @@
 """The hysteresis of a diagnosis as one operator: plays through output functions, Bouc–Wen, Duhem.
 
-    y = Σ_i [w_i x_i + Σ_k w_ki (the part of x_i beyond the kink g_k, away from 0)]
-        + w z + Σ_jk w_jk d_jk / s^(k-1) + w_0
+    y = Σ_p Σ_i w_pi x_i (x_i / s)^p + w z + Σ_jk w_jk d_jk / s^(k-1) + w_0
 
     h_i = max{v + a v² - r_i β(v̇), min{v - a v² + r_i β(v̇), h_i}},    β = 1 + b |v̇|
     x_i = c v + (h_i g_i - c v) (1 + l),    l = γ ln(1 + |v̇| / v̇₀)
@@ -32,7 +31,6 @@ from torchpi.operators.hysteresis_rows import (
     bouc_wen,
     duhem,
     gain_inside,
-    hinge,
     loop_widening,
     straight_gain,
     threshold_widening,
@@ -73,9 +71,9 @@ class Hysteresis(Operator):
     Args:
         sample_period_s: T.
         thresholds_v: r, none negative.
-        weights: w, of the plays, of their hinges (of all plays at the first kink, then at the next), then
-            those of z, of the d_jk, and the constant.
-        kinks_v: Of the output functions, ascending; none for a weighted sum.
+        weights: w, as many as plays × `degree` (all of one power, then the next), then those of z, of the
+            d_jk, and the constant.
+        degree: Of the output functions; 1 is a weighted sum.
         scale_v: s.
         bouc_wen: Whether z is there.
         duhem: Whether d is there.
@@ -89,14 +87,13 @@ class Hysteresis(Operator):
     asymmetry_per_v: nn.Parameter
     relaxation_s: nn.Parameter
     thresholds_v: Tensor
-    kinks_v: Tensor
 
     def __init__(
         self,
         sample_period_s: float,
         thresholds_v: Sequence[float] | Tensor | np.ndarray,
         weights: Sequence[float] | Tensor | np.ndarray,
-        kinks_v: Sequence[float] | Tensor | np.ndarray = (),
+        degree: int = 1,
         scale_v: float = 1.0,
         bouc_wen: bool = False,
         duhem: bool = False,
@@ -104,19 +101,16 @@ class Hysteresis(Operator):
     ) -> None:
         super().__init__()
         self.sample_period_s = sample_period_s
-        self.scale_v = float(scale_v)
+        self.degree, self.scale_v = int(degree), float(scale_v)
         self.bouc_wen, self.duhem = bool(bouc_wen), bool(duhem)
         self.register_buffer("thresholds_v", torch.as_tensor(thresholds_v, dtype=torch.float64).clone())
-        self.register_buffer("kinks_v", torch.as_tensor(kinks_v, dtype=torch.float64).clone())
         self.weights = nn.Parameter(torch.as_tensor(weights, dtype=torch.float64).clone())
         if len(self.thresholds_v) > MOST_PLAYS:
             raise StageError(f"thresholds_v: found {len(self.thresholds_v)}, expected at most {MOST_PLAYS}")
-        if self.kinks_v.ndim != 1 or not (torch.diff(self.kinks_v) > 0.0).all():
-            raise StageError(f"kinks_v: found {self.kinks_v.tolist()}, expected them in ascending order")
-        expected = len(self.thresholds_v) * self.functions + self.others + 1
+        expected = len(self.thresholds_v) * degree + self.others + 1
         if self.weights.shape != (expected,):
             count = self.weights.numel()
-            raise StageError(f"weights: found {count}, expected {expected}: plays × (1 + kinks) and more")
+            raise StageError(f"weights: found {count}, expected {expected}: plays × degree and more")
         needed = (*IDENTITY, *(OF_BOUC_WEN if bouc_wen else ()), *(OF_DUHEM if duhem else ()))
         values = {**IDENTITY, **(shape or {})}
         for name in (*needed, *values):
@@ -127,11 +121,6 @@ class Hysteresis(Operator):
         for name in self.trained:
             self.register_parameter(name, nn.Parameter(torch.tensor(values[name], dtype=torch.float64)))
         self.fixed = {name: float(values[name]) for name in needed if name in NOT_TRAINED}
-
-    @property
-    def functions(self) -> int:
-        """Of each play: itself, and its hinges."""
-        return 1 + len(self.kinks_v)
 
     @property
     def others(self) -> int:
@@ -147,7 +136,7 @@ class Hysteresis(Operator):
         return {
             "thresholds_v": self.thresholds_v.tolist(),
             "weights": self.weights.tolist(),
-            "kinks_v": self.kinks_v.tolist(),
+            "degree": self.degree,
             "scale_v": self.scale_v,
             "bouc_wen": self.bouc_wen,
             "duhem": self.duhem,
@@ -180,14 +169,14 @@ class Hysteresis(Operator):
             straight_gain(gain, shape["straight_share"]),
             loop,
         )
-        of_plays = weights[: plays * self.functions].reshape(self.functions, plays)
+        of_plays = weights[: plays * self.degree].reshape(self.degree, plays)
         if self.relaxation_s.item() > 0.0:
             y, h = self._relaxing(signals, of_plays, h)
         else:
-            y, h = PlaySum.apply(*signals, of_plays, h, self.thresholds_v, self.kinks_v)
+            y, h = PlaySum.apply(*signals, of_plays, h, self.thresholds_v, self.scale_v)
         ends = []
         for weight, z0, (kernels, numbers, scale) in zip(
-            weights[plays * self.functions : -1], others.unbind(1), self._families(), strict=True
+            weights[plays * self.degree : -1], others.unbind(1), self._families(), strict=True
         ):
             z = CarriedState.apply(v, before[:, 0], z0, kernels, numbers)
             ends.append(z[:, -1:])
@@ -214,7 +203,7 @@ class Hysteresis(Operator):
         for i, r in enumerate(self.thresholds_v.tolist()):
             h, grown = states[..., i], gain if r > 0.0 else straight
             part, _ = PlaySum.apply(
-                chord, h, h, width, grown, grown, loop, weights[:, i : i + 1], start, none, self.kinks_v
+                chord, h, h, width, grown, grown, loop, weights[:, i : i + 1], start, none, self.scale_v
             )
             y = y + part
         return y, states[:, -1]
@@ -249,7 +238,6 @@ class HysteresisStream(nn.Module):
 
     r: list[float]
     w: list[float]
-    kinks: list[float]
     h: list[float]
     d: list[float]
     alpha: list[float]
@@ -262,7 +250,7 @@ class HysteresisStream(nn.Module):
         self.period_s = hysteresis.sample_period_s
         self.kept = hysteresis._kept()
         self.late = hysteresis.late().item()
-        self.kinks, self.scale = hysteresis.kinks_v.tolist(), hysteresis.scale_v
+        self.degree, self.scale = hysteresis.degree, hysteresis.scale_v
         self.has_bouc_wen, self.has_duhem = hysteresis.bouc_wen, hysteresis.duhem
         self.r, self.w = hysteresis.thresholds_v.tolist(), hysteresis.weights.tolist()
         self.asymmetry, self.incongruence = shape["asymmetry_per_v"], shape["incongruence_per_v"]
@@ -304,11 +292,11 @@ class HysteresisStream(nn.Module):
             self.h[i] = towards(bound, self.h[i], self.late if self.r[i] > 0.0 else 0.0)
             inner = self.h[i] * (gain if self.r[i] > 0.0 else straight)
             inner = inner + (inner - chord) * loop
-            part = self.w[i] * inner
-            for k in range(len(self.kinks)):
-                part = part + self.w[(k + 1) * plays + i] * hinge(inner, self.kinks[k])
-            y = y + part
-        place = plays * (1 + len(self.kinks))
+            term = self.w[(self.degree - 1) * plays + i]
+            for p in range(self.degree - 2, -1, -1):
+                term = term * (inner / self.scale) + self.w[p * plays + i]
+            y = y + term * inner
+        place = plays * self.degree
         if self.has_bouc_wen:
             self.z = bouc_wen(self.z, x - self.before, self.sigma, self.beta, self.exponent)
             z = self.z * gain

@@ -9,7 +9,6 @@ from torch.autograd.function import once_differentiable
 
 from torchpi.operators.compiled import as_array, in_threads, njit
 from torchpi.operators.generalised_play import clamp_play
-from torchpi.operators.hysteresis_rows import hinge
 
 TILE = 256
 """Samples from one set of stored states to the next."""
@@ -20,41 +19,42 @@ class PlaySum(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, *inputs: Any) -> tuple[Tensor, Tensor]:
-        signals, (weights, h0, r, kinks) = inputs[:7], inputs[7:]
+        *tensors, scale = inputs
+        signals, (weights, h0, r) = tensors[:7], tensors[7:]
         up = signals[1]
         y, h = torch.empty_like(up), h0.detach().clone()
         stored = up.new_empty(len(up), -(-up.shape[1] // TILE), len(r))
         arrays = [as_array(signal) for signal in signals]
         in_threads(
-            _plays_forward, len(up), *arrays, as_array(weights), as_array(r),
-            as_array(kinks), h.numpy(), stored.numpy(), y.numpy(),
+            _plays_forward, len(up), *arrays, as_array(weights), as_array(r), scale,
+            h.numpy(), stored.numpy(), y.numpy(),
         )  # fmt: skip
-        ctx.save_for_backward(*signals, weights, r, kinks, stored)
+        ctx.scale = scale
+        ctx.save_for_backward(*signals, weights, r, stored)
         return y, h
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
-        *signals, weights, r, kinks, stored = ctx.saved_tensors
+        *signals, weights, r, stored = ctx.saved_tensors
         by = [torch.zeros_like(signal) for signal in signals]
         by_h = gradients[1].clone(memory_format=torch.contiguous_format)
         by_weights = weights.new_zeros(len(by_h), *weights.shape)
         in_threads(
             _plays_backward, len(by_h), *(as_array(signal) for signal in signals), as_array(weights),
-            as_array(r), as_array(kinks), as_array(stored), as_array(gradients[0]),
+            as_array(r), ctx.scale, as_array(stored), as_array(gradients[0]),
             *(part.numpy() for part in by), by_weights.numpy(), by_h.numpy(),
         )  # fmt: skip
         return *by, by_weights.sum(0), by_h, None, None
 
 
 _clamp_play = njit(clamp_play)
-_hinge = njit(hinge)
 
 
 @njit
 def _plays_forward(
     first: int, last: int, chord: np.ndarray, up: np.ndarray, down: np.ndarray, width: np.ndarray,
-    gain: np.ndarray, straight: np.ndarray, loop: np.ndarray, w: np.ndarray, r: np.ndarray, kinks: np.ndarray,
+    gain: np.ndarray, straight: np.ndarray, loop: np.ndarray, w: np.ndarray, r: np.ndarray, scale: float,
     h: np.ndarray, stored: np.ndarray, y: np.ndarray,
 ) -> None:  # fmt: skip
     part = np.empty(len(r))
@@ -68,9 +68,10 @@ def _plays_forward(
             for i in range(len(r)):
                 x = now[i] * (grown if r[i] > 0.0 else kept)
                 x = x + (x - middle) * looped
-                part[i] = w[0, i] * x
-                for k in range(len(kinks)):
-                    part[i] = part[i] + w[k + 1, i] * _hinge(x, kinks[k])
+                term = w[len(w) - 1, i]
+                for p in range(len(w) - 2, -1, -1):
+                    term = term * (x / scale) + w[p, i]
+                part[i] = term * x
             total = 0.0
             for i in range(len(r)):
                 total = total + part[i]
@@ -86,7 +87,7 @@ def _advance(rising: float, falling: float, width: float, r: np.ndarray, h: np.n
 @njit
 def _plays_backward(
     first: int, last: int, chord: np.ndarray, up: np.ndarray, down: np.ndarray, width: np.ndarray,
-    gain: np.ndarray, straight: np.ndarray, loop: np.ndarray, w: np.ndarray, r: np.ndarray, kinks: np.ndarray,
+    gain: np.ndarray, straight: np.ndarray, loop: np.ndarray, w: np.ndarray, r: np.ndarray, scale: float,
     stored: np.ndarray, gy: np.ndarray, gchord: np.ndarray, gup: np.ndarray, gdown: np.ndarray,
     gwidth: np.ndarray, ggain: np.ndarray, gstraight: np.ndarray, gloop: np.ndarray, gw: np.ndarray,
     gh: np.ndarray,
@@ -110,12 +111,12 @@ def _plays_backward(
                     grown = gain[row, t] if r[i] > 0.0 else straight[row, t]
                     inner = now[i] * grown
                     x = inner + (inner - middle) * looped
-                    slope = w[0, i]
-                    gw[row, 0, i] += g * x
-                    for k in range(len(kinks)):
-                        beyond = _hinge(x, kinks[k])
-                        gw[row, k + 1, i] += g * beyond
-                        slope += w[k + 1, i] if beyond != 0.0 else 0.0
+                    slope, power = 0.0, x
+                    for p in range(len(w)):
+                        gw[row, p, i] += g * power
+                        power = power * (x / scale)
+                    for p in range(len(w) - 1, -1, -1):
+                        slope = slope * (x / scale) + (p + 1) * w[p, i]
                     by_x = g * slope
                     by_inner = by_x * (1.0 + looped)
                     by_chord -= by_x * looped
