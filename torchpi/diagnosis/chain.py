@@ -136,7 +136,7 @@ class Chain:
             return x
         nominal, v = self.nominal(hypothesis, index), self.voltage(hypothesis, index)
         x = nominal.output(v, self.records[index].period_s, weights[: nominal.kept])
-        if not hypothesis.remanent:
+        if not hypothesis.history:
             return x
         remembered: np.ndarray = x + weights[used[nominal.kept :]] @ remanence(v, hypothesis.fading)
         return remembered
@@ -219,7 +219,7 @@ class Chain:
             v = self.voltage(hypothesis, index)
             rows = np.empty((nominal.kept + hypothesis.history, len(v)))
             nominal.fill(v, self.records[index].period_s, rows[: nominal.kept])
-            if hypothesis.remanent:
+            if hypothesis.history:
                 rows[nominal.kept :] = remanence(v, hypothesis.fading)
             while (
                 self.remembered and sum(r.nbytes for r in self.remembered.values()) + rows.nbytes > REMEMBERED

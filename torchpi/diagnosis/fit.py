@@ -194,7 +194,8 @@ def prior_of(chain: Chain, hypothesis: Hypothesis, gram: np.ndarray) -> np.ndarr
     prior[:kept, :kept] += each * of_rows
     history = np.arange(kept, len(prior) - zeros)
     prior[history, history] += 1.0 / (REMANENCE * chain.span_um) ** 2
-    free = [0, *range(len(prior) - zeros, len(prior))]
+    # The line, or the fitted sum; a Bouc–Wen state, of which there is but one; the zeros.
+    free = [0, *([kept - 1 - bool(nominal.simulation)] if nominal.bouc_wen else []), *range(len(prior) - zeros, len(prior))]
     prior[free] = 0.0
     prior[:, free] = 0.0
     return prior

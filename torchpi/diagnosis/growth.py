@@ -66,26 +66,16 @@ class Growth(Exchange):
     def growth(self, now: Fit, leader: Fit, larger: Sequence[HysteresisModel]) -> list[Tried]:
         """A larger hysteresis in the place of the present one, fitted to the end where it may beat a fit.
 
-        A state that is not linear in its numbers is only held against the present fit until it has the
-        weights that it shows itself. What is larger has to beat the present one on the same terms.
+        What is larger has to beat the present one on the same terms.
         """
         h, found = now.hypothesis, list[tuple[str, Fit]]()
         larger = [one for one in larger if one.family not in {*self.rejected_families, h.nominal.family}]
         jobs: list[Job] = [
-            (*basis(self.chain, self.on(h, one), None, MANY), TO_THE_END if one.bouc_wen else 2, ROUGH)
-            for one in larger
+            (*basis(self.chain, self.on(h, one), None, MANY), 2, ROUGH) for one in larger if not one.bouc_wen
         ]
-        states = [k for k, one in enumerate(larger) if one.bouc_wen]
-        rest = [k for k, one in enumerate(larger) if not one.bouc_wen]
-        # A state far from its numbers is behind for many steps; once effects are there, only what keeps up.
-        heat = HEAT if self.added(now) else TO_THE_END
-        of_a_state = self.raced([jobs[k] for k in states], now, heat)
-        fits = self.raced([jobs[k] for k in rest], leader)
-        if of_a_state:
-            best = max(of_a_state, key=lambda one: (not one.bounded, self.score(one)))
-            fits.append(best)
-            if not best.bounded:
-                self.states = [self.states[0].with_shape(best.hypothesis.nominal.shape)]
+        fits = self.raced(jobs, leader)
+        if states := [one for one in larger if one.bouc_wen]:
+            fits.append(self.of_a_state(h, states))
         for one in fits:
             family = one.hypothesis.nominal.family
             # A correction beside a given simulation takes what the effects leave: it is not weighed anew.
@@ -93,14 +83,32 @@ class Growth(Exchange):
             earned = self.over(one, now).probability > ACCEPTED and self.near(one, leader)
             if earned and not self.simulation:
                 one = self.at_its_own_weights(one)
-                if one.hypothesis.nominal.bouc_wen:
-                    one = max(one, self.at_its_own_weights(self.beside_all(one)), key=self.score)
             found.append((OPERATOR + family, one))
             if one.train_rms > REJECTED * now.train_rms:
                 self.rejected_families.add(family)
         if any(self.over(one, now).probability > ACCEPTED for _, one in found):
             now = max(now, self.at_its_own_weights(refitted(self.chain, now)), key=self.score)
         return [Tried(name, one, self.over(one, now, PRIOR)) for name, one in found]
+
+    def of_a_state(self, h: Hypothesis, states: Sequence[HysteresisModel]) -> Fit:
+        """A state that is not linear in its numbers, alone, or beside plays where that predicts better.
+
+        What the present hysteresis leaves everywhere weighs as if it were noise, and plays take most of what
+        a state with wrong numbers lacks: beside them, under those weights, it stays where it began. So it
+        begins without any, from each of its starts, and is weighted by what it leaves itself.
+        """
+        jobs: list[Job] = [(self.on(h, one), None, TO_THE_END, ROUGH) for one in states]
+        best = min(map(self.followed, self.fits(jobs)), key=lambda one: (bool(one.bounded), one.train_rms))
+        shape = best.hypothesis.nominal.shape
+        if not best.bounded:
+            self.states = [states[0].with_shape(shape)]
+        shared = self.chain.weighting
+        self.weigh(best)
+        nominal = replace(best.hypothesis.nominal, thresholds_v=self.plays().thresholds_v)
+        more, _ = basis(self.chain, replace(best.hypothesis, nominal=nominal), None, MANY)
+        (one,) = self.fits_here([(more, None, TO_THE_END, ROUGH)])
+        self.chain.weighting = shared
+        return best if self.as_well(best, one) or self.faint(one, best) else one
 
     def on(self, h: Hypothesis, nominal: HysteresisModel) -> Hypothesis:
         """A hypothesis on another hysteresis, whose state starts anywhere if recordings have a history."""
@@ -145,14 +153,6 @@ class Growth(Exchange):
                 best = now
         self.chain.weighting = shared
         return best
-
-    def beside_all(self, now: Fit) -> Fit:
-        """A state beside as many plays as the samples carry, where it began beside a few."""
-        h = now.hypothesis
-        nominal = replace(h.nominal, thresholds_v=self.plays().thresholds_v, reduction=None)
-        more, _ = basis(self.chain, replace(h, nominal=nominal), None, MANY)
-        (fit,) = self.fits_here([(more, None, 8, ROUGH)])
-        return fit
 
     def on_many_rows(self, one: Fit) -> Fit:
         return self.at_its_own_weights(refitted(self.chain, one, STEPS))

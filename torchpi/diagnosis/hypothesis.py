@@ -72,12 +72,14 @@ class Hypothesis:
     @property
     def fading(self) -> bool:
         """Whether a history fades along the way, as it does without wiping-out."""
-        return self.nominal.bouc_wen or self.nominal.duhem
+        return self.nominal.duhem
 
     @property
     def history(self) -> int:
         """Columns of what each recording may remember."""
-        return (COLUMNS + len(FADING) * self.fading) * self.remanent
+        # A line remembers nothing, and where a state of its own starts is a number.
+        columns = COLUMNS * bool(self.nominal.simulation or self.nominal.thresholds_v.any())
+        return (columns + len(FADING) * self.fading) * self.remanent
 
     def plus(self, member: EffectTerm) -> "Hypothesis":
         """With one more effect, in the order of the chain."""

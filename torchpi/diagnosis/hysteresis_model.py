@@ -30,8 +30,6 @@ CHANGING = ("asymmetry_per_v", "incongruence_per_v", "weight_s_per_v", "threshol
 """Numbers of the shape that change what a play does; the others only say how."""
 LONGEST_MEMORY = 0.1
 """The smallest α of a bank, over the voltage reached."""
-BESIDE = (6, 14)
-"""Plays beside a state of another family at first, spread in the logarithm and evenly."""
 FIRM = 30.0
 """Times that a simulation's row is larger: a correction beside it costs more than its own gain."""
 
@@ -217,9 +215,9 @@ def preisach(seen: DataRange, fine: int = 10, even: int = 20, degree: int = 5) -
 
 
 def bouc_wen(seen: DataRange, sigma: float) -> HysteresisModel:
-    """A Bouc–Wen state beside some plays: alone, or as a part of what is there."""
+    """A Bouc–Wen state on a line."""
     shape = {**IDENTITY, "sigma_v": sigma * reach_v(seen), "beta": 0.6, "exponent": 1.2}
-    return HysteresisModel(thresholds(seen, *BESIDE), 1, reach_v(seen), bouc_wen=True, shape=shape)
+    return HysteresisModel(np.zeros(1), 1, reach_v(seen), bouc_wen=True, shape=shape)
 
 
 def duhem(seen: DataRange, fine: int = 10, even: int = 20, degree: int = 5) -> HysteresisModel:
