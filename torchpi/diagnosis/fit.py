@@ -194,8 +194,10 @@ def prior_of(chain: Chain, hypothesis: Hypothesis, gram: np.ndarray) -> np.ndarr
     prior[:kept, :kept] += each * of_rows
     history = np.arange(kept, len(prior) - zeros)
     prior[history, history] += 1.0 / (REMANENCE * chain.span_um) ** 2
-    # The line, or the fitted sum; a Bouc–Wen state, of which there is but one; the zeros.
-    free = [0, *([kept - 1 - bool(nominal.simulation)] if nominal.bouc_wen else []), *range(len(prior) - zeros, len(prior))]
+    # The line, or the fitted sum, and the zeros; and a Bouc–Wen state, of which there is but one.
+    free = [0, *range(len(prior) - zeros, len(prior))]
+    if nominal.bouc_wen:
+        free.append(kept - 1 - bool(nominal.simulation))
     prior[free] = 0.0
     prior[:, free] = 0.0
     return prior

@@ -7,7 +7,7 @@ shows itself.
 from collections.abc import Sequence
 from dataclasses import replace
 
-from torchpi.diagnosis.contest import ACCEPTED, HEAT, PRIOR, STEPS, Tried
+from torchpi.diagnosis.contest import ACCEPTED, PRIOR, STEPS, Tried
 from torchpi.diagnosis.exchange import Exchange, rms_of
 from torchpi.diagnosis.fit import FINE, ROUGH
 from torchpi.diagnosis.hypothesis import Fit, Hypothesis

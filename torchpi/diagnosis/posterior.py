@@ -25,7 +25,7 @@ from torchpi.diagnosis.fit import ROUGH
 from torchpi.diagnosis.growth import OPERATOR
 from torchpi.diagnosis.hypothesis import EffectTerm, Fit, Hypothesis
 from torchpi.diagnosis.parallel import Job
-from torchpi.diagnosis.reduced_basis import reduced, refitted
+from torchpi.diagnosis.reduced_basis import reduced
 from torchpi.diagnosis.repeats import APART, STARTING
 from torchpi.diagnosis.score import ALIKE
 from torchpi.diagnosis.sealed import confirmed
@@ -234,7 +234,7 @@ def settled(search: Search, retuned: Fit, final: Fit, history: Sequence[Round]) 
                 break
             best = max(plainer, key=lambda pair: pair[0].nats)[1]
         search.log(f"  {best.instead or 'nothing'} in the place of {best.without}: {rms_of(best.fit)}")
-        final = refitted(search.chain, best.fit)
+        final = search.on_its_rows(best.fit)
     return final, models
 
 

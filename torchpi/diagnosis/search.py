@@ -131,8 +131,13 @@ class Search(Growth):
         if self.slips:
             self.jump = jump(self.slips, now)
         else:
-            now = refitted(self.chain, self.at_the_tick(now))
+            now = self.on_its_rows(self.at_the_tick(now))
         return retuned, now, history
+
+    def on_its_rows(self, now: Fit) -> Fit:
+        """The fit on many rows, where that predicts no worse: there the prior holds all of a hysteresis, not
+        only what was added to it last, and may bend a stage whose travel is many times the noise."""
+        return max(refitted(self.chain, now), now, key=self.score)
 
     def simplest(self, tried: Sequence[Tried], now: Fit) -> Tried | None:
         """The best of what earns its place. An effect where a larger hysteresis is no clearer; the larger
