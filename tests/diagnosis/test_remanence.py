@@ -14,8 +14,9 @@ from torchpi.diagnosis.hypothesis import EffectTerm, Hypothesis
 from torchpi.diagnosis.hysteresis_model import many_plays
 from torchpi.diagnosis.records import seen
 from torchpi.diagnosis.reduced_basis import refitted
-from torchpi.diagnosis.remanence import COLUMNS, EITHER, FADING, remanence
+from torchpi.diagnosis.remanence import COLUMNS, EITHER, excursions, fading
 from torchpi.diagnosis.search import Search
+from torchpi.operators.hysteresis_rows import duhem
 from torchpi.recordings.recording import Recording
 from torchpi.stage.effects.sensor.sensor_lag import SensorLag
 
@@ -67,7 +68,7 @@ def test_a_history_is_decided_again_once_an_effect_is_known(remembers: bool) -> 
 @given(st.integers(0, 999), st.integers(2, 400))
 def test_columns_start_at_one_and_only_fall(seed: int, samples: int) -> None:
     v = np.cumsum(np.random.default_rng(seed).standard_normal(samples))
-    columns = remanence(v)
+    columns = excursions(v)
     assert columns.shape == (COLUMNS, samples)
     assert (columns[:, 0] == 1).all() and (columns >= 0).all()
     assert (np.diff(columns, axis=1) <= 1e-12).all()
@@ -75,21 +76,23 @@ def test_columns_start_at_one_and_only_fall(seed: int, samples: int) -> None:
 
 def test_a_history_is_forgotten_once_the_largest_excursion_is_reached() -> None:
     v = np.concatenate([np.linspace(0, 5, 100), np.linspace(5, -8, 200), np.linspace(-8, 4, 100)])
-    columns = remanence(v)
+    columns = excursions(v)
     assert columns[: len(EITHER), 299:].max() < 1e-12 < columns[len(EITHER) - 1, 290]
 
 
-@given(st.integers(0, 99), st.floats(0.8, 4.0))
-def test_the_start_of_a_state_without_wiping_out_fades_as_columns_do(seed: int, alpha: float) -> None:
-    """Of dz = α|dv|(f(v) - z), whatever f and the way of v: e^{-αs}."""
-    v = np.cumsum(np.random.default_rng(seed).standard_normal(600))
-    v -= v[0]
-    reach, path = np.abs(v).max(), np.cumsum(np.abs(np.diff(v, prepend=v[0])))
-    fades = np.exp(-alpha * path / reach)
-    columns = remanence(v, fading=True)
-    assert columns.shape == (COLUMNS + len(FADING), 600)
-    coefficients, *_ = np.linalg.lstsq(columns.T, fades, rcond=None)
-    assert np.linalg.norm(coefficients @ columns - fades) < 0.03 * np.linalg.norm(fades)
+@given(st.integers(0, 99), st.floats(0.1, 4.0), st.integers(1, 4))
+def test_the_start_of_a_state_without_wiping_out_fades_as_its_column_does(
+    seed: int, alpha: float, power: int
+) -> None:
+    """Of dz = α|dv|(f(v) - z), whatever f and the way of v."""
+    v = np.cumsum(np.random.default_rng(seed).standard_normal(200))
+    states = np.array([0.3, -1.2])
+    apart = [states[1] - states[0]]
+    for now, before in zip(v[1:], v[:-1], strict=True):
+        states = np.array([duhem(z, now, before, alpha, power) for z in states])
+        apart.append(states[1] - states[0])
+    size = abs(states).max() + 1.5
+    assert np.allclose(apart, apart[0] * fading(v, alpha), atol=1e-12 * size, rtol=1e-6)
 
 
 def test_a_hysteresis_whose_loops_move_is_fitted_by_what_has_no_wiping_out() -> None:
@@ -113,7 +116,7 @@ def test_a_hysteresis_whose_loops_move_is_fitted_by_what_has_no_wiping_out() -> 
 
 
 def test_a_hold_remembers_for_ever_and_divides_by_nothing() -> None:
-    assert np.array_equal(remanence(np.full(50, 3.0)), np.ones((COLUMNS, 50)))
+    assert np.array_equal(excursions(np.full(50, 3.0)), np.ones((COLUMNS, 50)))
 
 
 @pytest.mark.parametrize("sigma_v", [15.0, 60.0, 100.0])

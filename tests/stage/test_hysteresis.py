@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from torchpi.diagnosis.hysteresis_model import HysteresisModel
 from torchpi.errors import StageError
 from torchpi.operators.conformance import HysteresisLaws, OperatorLaws, wandering
-from torchpi.operators.hysteresis_rows import DUHEM_BANK, bouc_wen
+from torchpi.operators.hysteresis_rows import DUHEM_POWERS, bouc_wen
 from torchpi.stage.hysteresis import IDENTITY, Hysteresis
 
 PERIOD_S = 0.1
@@ -30,7 +30,7 @@ FAMILIES = {"sigma_v": 0.31, "beta": 0.6, "exponent": 1.7, "alpha_per_v": 0.5}
 
 
 def hysteresis(degree: int = 1, bouc_wen: bool = False, duhem: bool = False, **shape: float) -> Hysteresis:
-    count = len(THRESHOLDS_V) * degree + bouc_wen + len(DUHEM_BANK) * duhem + 1
+    count = len(THRESHOLDS_V) * degree + bouc_wen + len(DUHEM_POWERS) * duhem + 1
     weights = torch.linspace(0.9, 0.1, count, dtype=torch.float64)
     needed = {"sigma_v": bouc_wen, "beta": bouc_wen, "exponent": bouc_wen, "alpha_per_v": duhem}
     own = {name: FAMILIES[name] for name, there in needed.items() if there}

@@ -15,7 +15,6 @@ from torch import Tensor
 from torchpi.diagnosis.hypothesis import Hypothesis
 from torchpi.diagnosis.hysteresis_model import HysteresisModel
 from torchpi.diagnosis.records import Record, Rests
-from torchpi.diagnosis.remanence import remanence
 from torchpi.diagnosis.score import Weighting
 from torchpi.operators.linear import Matrices
 from torchpi.stage.effects.effect import Effect, LinearEffect, StateSpaceEffect, run, without_idle_poles
@@ -138,7 +137,7 @@ class Chain:
         x = nominal.output(v, self.records[index].period_s, weights[: nominal.kept])
         if not hypothesis.history:
             return x
-        remembered: np.ndarray = x + weights[used[nominal.kept :]] @ remanence(v, hypothesis.fading)
+        remembered: np.ndarray = x + weights[used[nominal.kept :]] @ nominal.remembered(v)
         return remembered
 
     def remember(self, path: tuple[object, ...], signal: Tensor) -> None:
@@ -220,7 +219,7 @@ class Chain:
             rows = np.empty((nominal.kept + hypothesis.history, len(v)))
             nominal.fill(v, self.records[index].period_s, rows[: nominal.kept])
             if hypothesis.history:
-                rows[nominal.kept :] = remanence(v, hypothesis.fading)
+                rows[nominal.kept :] = nominal.remembered(v)
             while (
                 self.remembered and sum(r.nbytes for r in self.remembered.values()) + rows.nbytes > REMEMBERED
             ):

@@ -23,7 +23,7 @@ OPERATORS = {
     "prandtl_ishlinskii": "y = F + Σ w_i h_i: plays beside the simulation F",
     "preisach": "y = Σ g_i(h_i): a Preisach operator in play form",
     "bouc_wen": "dz/dv = 1/σ [1 - |z|ⁿ (1 - β + β sgn(z dv))]: Bouc–Wen",
-    "duhem": "y = Σ g_i(h_i) + Σ w_j d_j, dd_j = α_j|dv| (f_j(v) - d_j): Preisach and Duhem",
+    "duhem": "y = Σ g_i(h_i) + d, dd = α|dv| (f(v) - d): Preisach and Duhem",
 }
 
 

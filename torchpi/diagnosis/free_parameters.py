@@ -34,6 +34,7 @@ SHAPE_BOUNDS = {
     "sigma_v": (1e-3, 1e3),
     "beta": (0.0, 3.0),
     "exponent": (0.5, 6.0),
+    "alpha_per_v": (1e-6, 1e3),
 }
 
 

@@ -7,15 +7,15 @@ shows itself.
 from collections.abc import Sequence
 from dataclasses import replace
 
-from torchpi.diagnosis.contest import ACCEPTED, PRIOR, STEPS, Tried
+from torchpi.diagnosis.contest import ACCEPTED, FAINT, PRIOR, STEPS, Tried, explains_less
 from torchpi.diagnosis.exchange import Exchange, rms_of
 from torchpi.diagnosis.fit import FINE, ROUGH
 from torchpi.diagnosis.hypothesis import Fit, Hypothesis
-from torchpi.diagnosis.hysteresis_model import HysteresisModel, duhem, many_plays, plain, preisach
+from torchpi.diagnosis.hysteresis_model import HysteresisModel, many_plays, plain, preisach
 from torchpi.diagnosis.outside import Outside
 from torchpi.diagnosis.parallel import Job
 from torchpi.diagnosis.reduced_basis import MANY, basis, refitted
-from torchpi.stage.hysteresis import OF_BOUC_WEN
+from torchpi.stage.hysteresis import OF_BOUC_WEN, OF_DUHEM
 
 OPERATOR = "hysteresis_operator: "
 """How a larger hysteresis is called among the explanations, before its family."""
@@ -71,11 +71,13 @@ class Growth(Exchange):
         h, found = now.hypothesis, list[tuple[str, Fit]]()
         larger = [one for one in larger if one.family not in {*self.rejected_families, h.nominal.family}]
         jobs: list[Job] = [
-            (*basis(self.chain, self.on(h, one), None, MANY), 2, ROUGH) for one in larger if not one.bouc_wen
+            (*basis(self.chain, self.on(h, one), None, MANY), 2, ROUGH)
+            for one in larger
+            if not one.has_states
         ]
         fits = self.raced(jobs, leader)
-        if states := [one for one in larger if one.bouc_wen]:
-            fits.append(self.of_a_state(h, states))
+        if starts := [one for one in larger if one.has_states]:
+            fits.append(self.of_states(h, starts))
         for one in fits:
             family = one.hypothesis.nominal.family
             # A correction beside a given simulation takes what the effects leave: it is not weighed anew.
@@ -90,30 +92,34 @@ class Growth(Exchange):
             now = max(now, self.at_its_own_weights(refitted(self.chain, now)), key=self.score)
         return [Tried(name, one, self.over(one, now, PRIOR)) for name, one in found]
 
-    def of_a_state(self, h: Hypothesis, states: Sequence[HysteresisModel]) -> Fit:
-        """A state that is not linear in its numbers, alone, or beside plays where that predicts better.
+    def of_states(self, h: Hypothesis, starts: Sequence[HysteresisModel]) -> Fit:
+        """States of one family that are not linear in their numbers, alone, or beside plays where that
+        predicts better.
 
         What the present hysteresis leaves everywhere weighs as if it were noise, and plays take most of what
         a state with wrong numbers lacks: beside them, under those weights, it stays where it began. So it
         begins without any, from each of its starts, and is weighted by what it leaves itself.
         """
-        jobs: list[Job] = [(self.on(h, one), None, TO_THE_END, ROUGH) for one in states]
-        best = min(map(self.followed, self.fits(jobs)), key=lambda one: (bool(one.bounded), one.train_rms))
-        shape = best.hypothesis.nominal.shape
-        if not best.bounded:
-            self.states = [states[0].with_shape(shape)]
+        jobs: list[Job] = [(self.on(h, one), None, TO_THE_END, ROUGH) for one in starts]
+        fits = map(self.at_its_own_weights, self.fits(jobs))
+        best = self.followed(min(fits, key=lambda one: (bool(one.bounded), one.train_rms)))
+        nominal = best.hypothesis.nominal
+        if nominal.bouc_wen and not best.bounded:
+            self.states = [starts[0].with_shape(nominal.shape)]
         shared = self.chain.weighting
         self.weigh(best)
-        nominal = replace(best.hypothesis.nominal, thresholds_v=self.plays().thresholds_v)
+        plays = preisach(self.seen) if nominal.duhem else self.plays()
+        nominal = replace(nominal, thresholds_v=plays.thresholds_v)
         more, _ = basis(self.chain, replace(best.hypothesis, nominal=nominal), None, MANY)
         (one,) = self.fits_here([(more, None, TO_THE_END, ROUGH)])
         self.chain.weighting = shared
-        return best if self.as_well(best, one) or self.faint(one, best) else one
+        enough = self.as_well(best, one) or explains_less(one, best, FAINT * best.train_rms)
+        return best if enough else one
 
     def on(self, h: Hypothesis, nominal: HysteresisModel) -> Hypothesis:
-        """A hypothesis on another hysteresis, whose state starts anywhere if recordings have a history."""
+        """A hypothesis on another hysteresis, whose states start anywhere if recordings have a history."""
         if nominal.duhem:  # its history is of another kind than one that proved needless
-            return replace(h.on(nominal), remanent=True)
+            return replace(h.on(nominal, OF_DUHEM), remanent=True)
         if not nominal.bouc_wen:
             return h.on(nominal)
         return h.on(nominal, OF_BOUC_WEN, (0.0,) * len(self.chain.records))
@@ -122,13 +128,16 @@ class Growth(Exchange):
         """Plays through output functions with as many numbers as predict best, a state with those at which it
         ends."""
         h = now.hypothesis
-        if h.nominal.bouc_wen:
-            return self.followed(now)
-        if h.nominal.degree == 1:
+        if h.shape:
+            now = self.followed(now)
+        if h.nominal.degree == 1 or not h.nominal.thresholds_v.any():
             return now
-        of_family = duhem if h.nominal.duhem else preisach
-        larger = [h.on(of_family(self.seen, *size)) for size in PREISACH]
-        jobs: list[Job] = [(*basis(self.chain, one, None, ALL), 2, FINE) for one in larger]
+        sizes = [preisach(self.seen, *size) for size in PREISACH]
+        of_now = replace(now.hypothesis.nominal, reduction=None)
+        larger = [replace(of_now, thresholds_v=one.thresholds_v, degree=one.degree) for one in sizes]
+        jobs: list[Job] = [
+            (*basis(self.chain, replace(now.hypothesis, nominal=one), None, ALL), 2, FINE) for one in larger
+        ]
         return max([now, *map(self.at_its_own_weights, self.fits(jobs))], key=self.score)
 
     def followed(self, now: Fit) -> Fit:
@@ -146,7 +155,7 @@ class Growth(Exchange):
         shared, best = self.chain.weighting, now
         for _ in range(REWEIGHTED):
             self.weigh(now)
-            tolerance = FINE if now.hypothesis.nominal.bouc_wen else ROUGH
+            tolerance = FINE if now.hypothesis.shape else ROUGH
             (now,) = self.fits_here([(now.hypothesis, now.weights, 8, tolerance)])
             ahead = shared.log_density(now).sum() > shared.log_density(best).sum()
             if ahead and now.train_rms <= best.train_rms and self.inside(now, best):

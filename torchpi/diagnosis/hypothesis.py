@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from torchpi.diagnosis.hysteresis_model import HysteresisModel
-from torchpi.diagnosis.remanence import COLUMNS, FADING
 from torchpi.stage.effects import EFFECTS
 from torchpi.stage.effects.effect import Described, Effect, Parameters
 from torchpi.stage.effects.inside import InsideEffect
@@ -70,16 +69,9 @@ class Hypothesis:
     """With a history, where the state of a Bouc–Wen hysteresis starts in each recording."""
 
     @property
-    def fading(self) -> bool:
-        """Whether a history fades along the way, as it does without wiping-out."""
-        return self.nominal.duhem
-
-    @property
     def history(self) -> int:
         """Columns of what each recording may remember."""
-        # A line remembers nothing, and where a state of its own starts is a number.
-        columns = COLUMNS * bool(self.nominal.simulation or self.nominal.thresholds_v.any())
-        return (columns + len(FADING) * self.fading) * self.remanent
+        return self.nominal.remembers * self.remanent
 
     def plus(self, member: EffectTerm) -> "Hypothesis":
         """With one more effect, in the order of the chain."""

@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 
 from torchpi.diagnosis.outside import Outside, shifted
+from torchpi.diagnosis.remanence import COLUMNS, excursions, fading
 from torchpi.operators.hysteresis_rows import (
-    DUHEM_BANK,
+    DUHEM_POWERS,
     bend,
     bouc_wen_row,
     duhem_row,
@@ -28,8 +29,8 @@ BLOCK = 256
 """Samples whose states are mixed at a time: they stay in the cache, however many plays there are."""
 CHANGING = ("asymmetry_per_v", "incongruence_per_v", "weight_s_per_v", "threshold_s_per_v", "loop_per_e")
 """Numbers of the shape that change what a play does; the others only say how."""
-LONGEST_MEMORY = 0.1
-"""The smallest α of a bank, over the voltage reached."""
+DEGREE = 5
+"""Of output functions."""
 FIRM = 30.0
 """Times that a simulation's row is larger: a correction beside it costs more than its own gain."""
 
@@ -73,9 +74,14 @@ class HysteresisModel:
         return "prandtl_ishlinskii" if len(self.thresholds_v) else "simulation"
 
     @property
+    def has_states(self) -> bool:
+        """Whether it has states that are no plays."""
+        return self.bouc_wen or self.duhem
+
+    @property
     def size(self) -> int:
         """Numbers in it, before any reduction."""
-        others = self.bouc_wen + len(DUHEM_BANK) * self.duhem + (self.simulation is not None)
+        others = self.bouc_wen + len(DUHEM_POWERS) * self.duhem + (self.simulation is not None)
         return len(self.thresholds_v) * self.degree + others
 
     @cached_property
@@ -84,6 +90,19 @@ class HysteresisModel:
         mixed = None if self.reduction is None else self.reduction.tobytes()
         outside = self.simulation.token if self.simulation else ""
         return (self.thresholds_v.tobytes(), self.degree, self.bouc_wen, self.duhem, hash(mixed), outside)
+
+    @property
+    def remembers(self) -> int:
+        """Columns of what a recording may remember from before it began: a line remembers nothing, and where
+        a Bouc–Wen state starts is a number."""
+        return COLUMNS * bool(self.simulation or self.thresholds_v.any()) + self.duhem
+
+    def remembered(self, v: np.ndarray) -> np.ndarray:
+        """(remembers, time) for a voltage, (time,)."""
+        columns = [excursions(v)] if self.simulation or self.thresholds_v.any() else []
+        if self.duhem:
+            columns.append(fading(v, self.shape["alpha_per_v"])[None])
+        return np.concatenate([np.zeros((0, len(v))), *columns])
 
     def with_shape(self, values: dict[str, float]) -> "HysteresisModel":
         return replace(self, shape={**self.shape, **values})
@@ -179,7 +198,7 @@ class HysteresisModel:
             rows.append(self.scale_v * (z + z * loop))
         if self.duhem:
             alpha = self.shape["alpha_per_v"]
-            rows += [duhem_row(v, times * alpha, k) / self.scale_v ** (k - 1) for times, k in DUHEM_BANK]
+            rows += [duhem_row(v, alpha, k) / self.scale_v ** (k - 1) for k in DUHEM_POWERS]
         return rows
 
     def of_simulation(self, v: np.ndarray) -> list[np.ndarray]:
@@ -209,7 +228,7 @@ def many_plays(seen: DataRange) -> HysteresisModel:
     return HysteresisModel(thresholds(seen, 20, 80), 1, reach_v(seen))
 
 
-def preisach(seen: DataRange, fine: int = 10, even: int = 20, degree: int = 5) -> HysteresisModel:
+def preisach(seen: DataRange, fine: int = 10, even: int = 20, degree: int = DEGREE) -> HysteresisModel:
     """Plays through output functions: a Preisach operator in play form."""
     return HysteresisModel(thresholds(seen, fine, even), degree, reach_v(seen))
 
@@ -220,7 +239,7 @@ def bouc_wen(seen: DataRange, sigma: float) -> HysteresisModel:
     return HysteresisModel(np.zeros(1), 1, reach_v(seen), bouc_wen=True, shape=shape)
 
 
-def duhem(seen: DataRange, fine: int = 10, even: int = 20, degree: int = 5) -> HysteresisModel:
-    """A bank of Duhem states beside a Preisach operator: also what does not close its loops."""
-    shape = {**IDENTITY, "alpha_per_v": LONGEST_MEMORY / reach_v(seen)}
-    return replace(preisach(seen, fine, even, degree), duhem=True, shape=shape)
+def duhem(seen: DataRange) -> HysteresisModel:
+    """A bank of Duhem states on a curve: also what does not close its loops."""
+    shape = {**IDENTITY, "alpha_per_v": 1.0 / reach_v(seen)}
+    return HysteresisModel(np.zeros(1), DUHEM_POWERS[-1], reach_v(seen), duhem=True, shape=shape)

@@ -6,8 +6,7 @@ displacement depends on the largest excursions since the first sample alone, and
 So it is a function of the running excursion, up or either way, here piecewise linear and 0 at its end.
 
 A hysteresis without wiping-out forgets along the way instead: the start of dz = α|dv|(f(v) - z) fades as
-e^{-α s} with the path s = ∫|dv| (Duhem; Visintin, *Differential Models of Hysteresis*, 1994), that of a
-Bouc–Wen state all but so.
+e^{-α s} with the path s = ∫|dv| (Duhem; Visintin, *Differential Models of Hysteresis*, 1994).
 """
 
 import numba
@@ -15,21 +14,21 @@ import numpy as np
 
 EITHER, UP = np.linspace(0, 1, 15)[1:] ** 1.5, np.linspace(0, 1, 6)[1:]
 """Excursions either way, and up, of the largest, at which one of the columns ends."""
-FADING = np.array([0.2, 0.5, 1.2])
-"""Paths, over the largest excursion, along which the others fade."""
 COLUMNS = len(EITHER) + len(UP)
 
 
-def remanence(v: np.ndarray, fading: bool = False) -> np.ndarray:
-    """(columns, time) for a voltage, (time,): 1 at first, 0 once an excursion has passed its level; if
-    they are wanted, then those that fade along the way."""
+def excursions(v: np.ndarray) -> np.ndarray:
+    """(columns, time) for a voltage, (time,): 1 at first, 0 once an excursion has passed its level."""
     columns = np.zeros((COLUMNS, len(v)))
     reach = max(float(np.abs(v - v[0]).max()), 1e-300)
     _fill(v, reach * EITHER, reach * UP, columns)
-    if not fading:
-        return columns
-    path = np.cumsum(np.abs(np.diff(v, prepend=v[0])))
-    return np.concatenate([columns, np.exp(-path / (reach * FADING[:, None]))])
+    return columns
+
+
+def fading(v: np.ndarray, alpha_per_v: float) -> np.ndarray:
+    """(time,) for a voltage, (time,): e^{-α s} along its path."""
+    faded: np.ndarray = np.exp(-alpha_per_v * np.cumsum(np.abs(np.diff(v, prepend=v[0]))))
+    return faded
 
 
 @numba.njit(cache=True)

@@ -1,6 +1,6 @@
 """The hysteresis of a diagnosis as one operator: plays through output functions, Bouc–Wen, Duhem.
 
-    y = Σ_p Σ_i w_pi x_i (x_i / s)^p + w z + Σ_jk w_jk d_jk / s^(k-1) + w_0
+    y = Σ_p Σ_i w_pi x_i (x_i / s)^p + w z + Σ_k w_k d_k / s^(k-1) + w_0
 
     h_i = max{v + a v² - r_i β(v̇), min{v - a v² + r_i β(v̇), h_i}},    β = 1 + b |v̇|
     x_i = c v + (h_i g_i - c v) (1 + l),    l = γ ln(1 + |v̇| / v̇₀)
@@ -9,7 +9,7 @@
 With `relaxation_s` each play of r_i > 0 relaxes to where h_i would stand:
 `torchpi.stage.effects.actuator.relaxing_plays`.
 
-z is a Bouc–Wen state, d_jk are those of a bank of Duhem states; `torchpi.operators.hysteresis_rows` has their
+z is a Bouc–Wen state, d_k are those of a bank of Duhem states; `torchpi.operators.hysteresis_rows` has their
 equations, and the sources. v̇ is the difference to the sample before over T, through a low-pass of
 `rate_filter_s`: the sample rate enters nowhere else.
 """
@@ -26,7 +26,7 @@ from torchpi.errors import StageError
 from torchpi.operators.base import Operator
 from torchpi.operators.generalised_play import clamp_play
 from torchpi.operators.hysteresis_rows import (
-    DUHEM_BANK,
+    DUHEM_POWERS,
     bend,
     bouc_wen,
     duhem,
@@ -63,7 +63,7 @@ MOST_PLAYS = 10_000
 class Hysteresis(Operator):
     """A rate-independent hysteresis, and what effects inside it make of it.
 
-    The state: one h for each play, the last voltage, the filtered rate, then z and the d_jk as far as they
+    The state: one h for each play, the last voltage, the filtered rate, then z and the d_k as far as they
     are there. Weights and shape are trained, but for `rate_filter_s` and the shapes of z and d, which are
     plain numbers. The derivative by the asymmetry at exactly 0 is that from above: below it, the play with
     r = 0 has memory. At exactly 0 `relaxation_s` has no gradient.
@@ -72,7 +72,7 @@ class Hysteresis(Operator):
         sample_period_s: T.
         thresholds_v: r, none negative.
         weights: w, as many as plays × `degree` (all of one power, then the next), then those of z, of the
-            d_jk, and the constant.
+            d_k, and the constant.
         degree: Of the output functions; 1 is a weighted sum.
         scale_v: s.
         bouc_wen: Whether z is there.
@@ -125,7 +125,7 @@ class Hysteresis(Operator):
     @property
     def others(self) -> int:
         """States that are no plays, as many as their weights."""
-        return self.bouc_wen + len(DUHEM_BANK) * self.duhem
+        return self.bouc_wen + len(DUHEM_POWERS) * self.duhem
 
     def shape(self) -> dict[str, float]:
         """The present parameters inside."""
@@ -227,8 +227,8 @@ class Hysteresis(Operator):
             numbers = tuple(fixed[name] for name in OF_BOUC_WEN)
             found.append((BOUC_WEN, numbers, 1.0))
         if self.duhem:
-            for times, power in DUHEM_BANK:
-                numbers = (fixed["alpha_per_v"] * times, float(power), 0.0)
+            for power in DUHEM_POWERS:
+                numbers = (fixed["alpha_per_v"], float(power), 0.0)
                 found.append((DUHEM, numbers, self.scale_v ** (power - 1)))
         return found
 
@@ -240,7 +240,7 @@ class HysteresisStream(nn.Module):
     w: list[float]
     h: list[float]
     d: list[float]
-    alpha: list[float]
+    alpha: float
     power: list[int]
     scales: list[float]
 
@@ -258,10 +258,9 @@ class HysteresisStream(nn.Module):
         self.loop, self.reference = shape["loop_per_e"], shape["reference_rate_v_s"]
         self.chord, self.straight = shape["chord_share"], shape["straight_share"]
         self.sigma, self.beta, self.exponent = (shape[name] for name in OF_BOUC_WEN)
-        self.alpha = [shape["alpha_per_v"] * times for times, _ in DUHEM_BANK]
-        self.power = [power for _, power in DUHEM_BANK]
+        self.alpha, self.power = shape["alpha_per_v"], list(DUHEM_POWERS)
         self.scales = [self.scale ** (power - 1) for power in self.power]
-        self.h, self.d = [0.0] * len(self.r), [0.0] * len(DUHEM_BANK)
+        self.h, self.d = [0.0] * len(self.r), [0.0] * len(DUHEM_POWERS)
         self.z = 0.0
         self.before = 0.0
         self.rate = 0.0
@@ -304,7 +303,7 @@ class HysteresisStream(nn.Module):
             place += 1
         if self.has_duhem:
             for k in range(len(self.d)):
-                self.d[k] = duhem(self.d[k], x, self.before, self.alpha[k], self.power[k])
+                self.d[k] = duhem(self.d[k], x, self.before, self.alpha, self.power[k])
                 y = y + self.w[place] * (self.d[k] / self.scales[k])
                 place += 1
         self.before = x
