@@ -134,3 +134,26 @@ def test_a_bouc_wen_stage_with_a_history_is_explained_down_to_the_noise(sigma_v:
     assert [effect.name for effect in found.effects] == ["hysteresis_operator"]
     assert found.effects[0].parameters[0].value == "bouc_wen"
     assert found.augmented.heldout_rms_um < 1.3 * noise_um
+
+
+def test_a_bouc_wen_stage_is_found_beneath_a_hundred_plays_that_all_but_follow_it() -> None:
+    """It turns round within more than the range: beside plays, under the weights of what they leave, a state
+    stays where it began."""
+    fs_hz, noise_um, rng = 2e3, 0.0008, np.random.default_rng(0)
+    recordings = []
+    for k, start in enumerate((-0.32, -0.37)):
+        t = np.arange(5000) / fs_hz
+        wave = np.sin(2 * np.pi * (3 + 2 * k) * t + 3 * np.sin(2.2 * t))
+        u = 70 * np.minimum(t / 0.2, 1) * (1 + 0.99 * wave)
+        fine = np.interp(np.arange(5000 * 20) / 20, np.arange(5000), u)
+        z, states = start, np.empty(len(fine))
+        for j, dv in enumerate(np.diff(fine, prepend=0.0)):
+            z += dv / 159.0 * (1 - abs(z) ** 1.34 * (1 - 1.265 + 1.265 * np.sign(z * dv)))
+            states[j] = z
+        y = 0.103 * u - 6.7 * states[::20] + rng.normal(0, noise_um, 5000)
+        recordings.append(Recording(str(k), t, u, y, fs_hz))
+    found = diagnose(recordings, effects=[])
+    family, sigma, beta, *_ = found.effects[0].parameters
+    assert family.value == "bouc_wen"
+    assert abs(float(sigma.value) - 159) < 8 and abs(float(beta.value) - 1.265) < 0.05
+    assert found.augmented.heldout_rms_um < 1.3 * noise_um < 0.05 * found.retuned.train_rms_um

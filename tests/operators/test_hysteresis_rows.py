@@ -4,8 +4,9 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from scipy.integrate import quad
 
-from torchpi.operators.hysteresis_rows import play_sum, sums_of_plain_plays
+from torchpi.operators.hysteresis_rows import DUHEM_POWERS, duhem, play_sum, sums_of_plain_plays
 
 VOLTS = st.floats(-10, 10, allow_subnormal=False)
 
@@ -28,3 +29,25 @@ def test_sums_of_plain_plays_are_those_of_one_play_after_another(
     for k in range(3):
         expected = play_sum(v, v, v, r, one, one, one, none, 10.0, weights[:, :, k].copy())
         np.testing.assert_allclose(sums[k], expected, rtol=0, atol=1e-11)
+
+
+@settings(max_examples=100, deadline=None)
+@given(
+    z=st.floats(-1, 1),
+    ends=st.tuples(st.floats(-1, 1), st.floats(-1, 1)),
+    alpha=st.floats(0.01, 20.0),
+    power=st.sampled_from(DUHEM_POWERS),
+)
+def test_a_duhem_state_takes_a_step_of_any_size_as_its_differential_equation_does(
+    z: float, ends: tuple[float, float], alpha: float, power: int
+) -> None:
+    """z e^{-A} + ∫ α e^{-α(s_1 - s)} f(v(s)) ds over the path s: one value of f would miss it by per cents."""
+    before, v = ends
+    path = abs(v - before)
+
+    def pulled(left: float) -> float:
+        at = v - np.copysign(left, v - before)
+        return float(alpha * np.exp(-alpha * left) * at**power)
+
+    expected = z * np.exp(-alpha * path) + quad(pulled, 0, path, epsabs=1e-12, epsrel=1e-10)[0]
+    assert abs(duhem(z, v, before, alpha, power) - expected) < 1e-4

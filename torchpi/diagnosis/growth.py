@@ -117,12 +117,13 @@ class Growth(Exchange):
         return best if enough else one
 
     def on(self, h: Hypothesis, nominal: HysteresisModel) -> Hypothesis:
-        """A hypothesis on another hysteresis, whose states start anywhere if recordings have a history."""
-        if nominal.duhem:  # its history is of another kind than one that proved needless
+        """A hypothesis on another hysteresis. States that are no plays start anywhere: their history is of
+        another kind than one that proved needless."""
+        if nominal.duhem:
             return replace(h.on(nominal, OF_DUHEM), remanent=True)
-        if not nominal.bouc_wen:
-            return h.on(nominal)
-        return h.on(nominal, OF_BOUC_WEN, (0.0,) * len(self.chain.records))
+        if nominal.bouc_wen:
+            return replace(h.on(nominal, OF_BOUC_WEN, (0.0,) * len(self.chain.records)), remanent=True)
+        return h.on(nominal)
 
     def sized(self, now: Fit) -> Fit:
         """Plays through output functions with as many numbers as predict best, a state with those at which it
