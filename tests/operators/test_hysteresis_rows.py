@@ -41,7 +41,7 @@ def test_sums_of_plain_plays_are_those_of_one_play_after_another(
 def test_a_duhem_state_takes_a_step_of_any_size_as_its_differential_equation_does(
     z: float, ends: tuple[float, float], alpha: float, power: int
 ) -> None:
-    """z e^{-A} + ∫ α e^{-α(s_1 - s)} f(v(s)) ds over the path s: one value of f would miss it by per cents."""
+    """z e^{-A} + ∫ α e^{-α(s_1 - s)} f(v(s)) ds over the path s, which one value of f would miss."""
     before, v = ends
     path = abs(v - before)
 
