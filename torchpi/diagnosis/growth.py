@@ -7,7 +7,7 @@ shows itself.
 from collections.abc import Sequence
 from dataclasses import replace
 
-from torchpi.diagnosis.contest import ACCEPTED, FAINT, PRIOR, STEPS, Tried, explains_less
+from torchpi.diagnosis.contest import ACCEPTED, FAINT, HEAT, PRIOR, STEPS, Tried, explains_less
 from torchpi.diagnosis.exchange import Exchange, rms_of
 from torchpi.diagnosis.fit import FINE, ROUGH
 from torchpi.diagnosis.hypothesis import Fit, Hypothesis
@@ -77,7 +77,7 @@ class Growth(Exchange):
         ]
         fits = self.raced(jobs, leader)
         if starts := [one for one in larger if one.has_states]:
-            fits.append(self.of_states(h, starts))
+            fits.append(self.of_states(now, starts))
         for one in fits:
             family = one.hypothesis.nominal.family
             # A correction beside a given simulation takes what the effects leave: it is not weighed anew.
@@ -92,7 +92,7 @@ class Growth(Exchange):
             now = max(now, self.at_its_own_weights(refitted(self.chain, now)), key=self.score)
         return [Tried(name, one, self.over(one, now, PRIOR)) for name, one in found]
 
-    def of_states(self, h: Hypothesis, starts: Sequence[HysteresisModel]) -> Fit:
+    def of_states(self, now: Fit, starts: Sequence[HysteresisModel]) -> Fit:
         """States of one family that are not linear in their numbers, alone, or beside plays where that
         predicts better.
 
@@ -100,9 +100,9 @@ class Growth(Exchange):
         a state with wrong numbers lacks: beside them, under those weights, it stays where it began. So it
         begins without any, from each of its starts, and is weighted by what it leaves itself.
         """
-        jobs: list[Job] = [(self.on(h, one), None, TO_THE_END, ROUGH) for one in starts]
-        fits = map(self.at_its_own_weights, self.fits(jobs))
-        best = self.followed(min(fits, key=lambda one: (bool(one.bounded), one.train_rms)))
+        jobs: list[Job] = [(self.on(now.hypothesis, one), None, TO_THE_END, ROUGH) for one in starts]
+        begun = min(self.fits(jobs), key=lambda one: (bool(one.bounded), one.train_rms))
+        best = self.followed(begun)
         nominal = best.hypothesis.nominal
         if nominal.bouc_wen and not best.bounded:
             self.states = [starts[0].with_shape(nominal.shape)]
@@ -111,7 +111,9 @@ class Growth(Exchange):
         plays = preisach(self.seen) if nominal.duhem else self.plays()
         nominal = replace(nominal, thresholds_v=plays.thresholds_v)
         more, _ = basis(self.chain, replace(best.hypothesis, nominal=nominal), None, MANY)
-        (one,) = self.fits_here([(more, None, TO_THE_END, ROUGH)])
+        # Once effects are there, only what keeps up with them is fitted to the end.
+        heat = HEAT if self.added(now) else TO_THE_END
+        (one,) = self.raced([(more, None, TO_THE_END, ROUGH)], now, heat)
         self.chain.weighting = shared
         enough = self.as_well(best, one) or explains_less(one, best, FAINT * best.train_rms)
         return best if enough else one
