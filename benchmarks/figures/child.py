@@ -17,9 +17,10 @@ def main(parent: str, *words: str) -> None:
         sys.argv[:] = words[1:]
         runpy.run_module(words[1], run_name="__main__", alter_sys=True)
     else:
-        sys.argv[:] = words
-        sys.path[0] = str(Path(words[0]).parent)
-        runpy.run_path(words[0], run_name="__main__")
+        file = Path(words[0]).resolve()
+        sys.argv[:] = [str(file), *words[1:]]
+        sys.path[0] = str(file.parent)
+        runpy.run_path(str(file), run_name="__main__")
 
 
 if __name__ == "__main__":

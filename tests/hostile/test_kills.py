@@ -3,6 +3,7 @@
 `benchmarks/kills.py` does it for more commands, and at more moments.
 """
 
+import os
 import signal
 import subprocess
 import sys
@@ -26,11 +27,13 @@ def test_a_killed_command_leaves_whole_files_and_the_next_run_succeeds(name: str
 @pytest.mark.parametrize("one", [signal.SIGTERM, signal.SIGKILL])  # a shell's background job ignores SIGINT
 def test_what_a_measurement_runs_ends_with_it(one: signal.Signals, tmp_path: Path) -> None:
     file = tmp_path / "endless.py"
-    file.write_text("import time\nprint(flush=True)\ntime.sleep(600)\n", encoding="utf-8")
-    words = f"sys.executable, '-m', 'benchmarks.figures.child', str(os.getpid()), '{file}'"
+    file.write_text("import time\nprint(__file__, flush=True)\ntime.sleep(600)\n", encoding="utf-8")
+    words = (
+        f"sys.executable, '-m', 'benchmarks.figures.child', str(os.getpid()), '{os.path.relpath(file, ROOT)}'"
+    )
     program = [sys.executable, "-c", f"import os, subprocess, sys\nsubprocess.run([{words}])"]
     with subprocess.Popen(program, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) as process:
-        assert process.stdout is not None and process.stdout.readline()  # the child is in its script
+        assert process.stdout is not None and process.stdout.readline() == f"{file}\n".encode()  # it runs
         children = descendants(process.pid)
         process.send_signal(one)
     gone_by = time.monotonic() + 10.0
