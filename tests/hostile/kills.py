@@ -106,6 +106,7 @@ def figures(folder: Path) -> Command:
     for name in filter(lambda name: (ROOT / name).is_file(), listed):
         (checkout / name).parent.mkdir(parents=True, exist_ok=True)
         shutil.copy2(ROOT / name, checkout / name)
+    shutil.rmtree(checkout / "docs" / "_templates")  # parts of pages, which end anywhere
     git(checkout, "init")
     git(checkout, "add", ".")
     git(checkout, "-c", "user.name=a test", "-c", "user.email=", "commit", "-m", "a copy")
