@@ -1,14 +1,14 @@
 """Commands killed at random moments: previous files whole, nothing left running, the next run succeeds.
 
     python benchmarks/kills.py [--rounds 30] [--finish_every 6] [--seed 0]
-        [--only fit,export,diagnose,reproduce,figures]
+        [--only fit,export,diagnose,reproduce,check,figures]
 
-Each command, with small inputs, is run once, and then killed until `rounds` of each of SIGTERM, SIGKILL and
-SIGINT have come before its end, at moments spread evenly over its run. After every kill the files must be
-whole and no process may go on. Every run begins with what the killed one before it left, and may not end by
-itself with an error; after every `finish_every`-th kill, and the last, it is run to its end, which must
-succeed and leave no temporary file. Counts are printed after each of these: what has been counted holds
-if this program is ended early.
+Each command, with small inputs (`figures`: two of the measurements of `make figures`), is run once, and then
+killed until `rounds` of each of SIGTERM, SIGKILL and SIGINT have come before its end, at moments spread
+evenly over its run. After every kill the files must be whole and no process may go on. Every run begins with
+what the killed one before it left, and may not end by itself with an error; after every `finish_every`-th
+kill, and the last, it is run to its end, which must succeed and leave no temporary file. Counts are printed
+after each of these: what has been counted holds if this program is ended early.
 """
 
 import argparse
@@ -18,7 +18,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from tests.hostile.kills import Outcome, commands, kill_often
+from tests.hostile.kills import Outcome, commands, figures, kill_often
 
 
 def main() -> None:
@@ -28,13 +28,13 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=30)
     parser.add_argument("--finish_every", type=int, default=6)
     parser.add_argument("--seed", type=int, default=0, help="of the moments")
-    parser.add_argument("--only", default="fit,export,diagnose,reproduce,figures")
+    parser.add_argument("--only", default="fit,export,diagnose,reproduce,check,figures")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         known = commands(Path(folder))
         for name in options.only.split(","):
             outcome = kill_often(
-                known[name],
+                figures(Path(folder)) if name == "figures" else known[name],
                 options.rounds,
                 options.seed,
                 finish_every=options.finish_every,

@@ -20,6 +20,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from torchpi.cli.workers import end_with_parent
+
 PHASES = {
     "fit": {
         "simulating the recordings": "train.simulation:simulate",
@@ -80,7 +82,7 @@ def profiled(folder: Path, cold: bool = False) -> dict[str, dict[str, float]]:
     for name, arguments in commands.items():
         report = folder / f"{name}.json"
         subprocess.run(
-            [sys.executable, __file__, "--of", name, str(report), *arguments],
+            [sys.executable, __file__, "--of", str(os.getpid()), name, str(report), *arguments],
             env=os.environ | one_core, stdout=subprocess.DEVNULL, check=True,
         )  # fmt: skip
         spent[name] = json.loads(report.read_text(encoding="utf-8"))
@@ -141,6 +143,7 @@ class Clock:
 
 if __name__ == "__main__":
     if sys.argv[1:2] == ["--of"]:
-        profile(sys.argv[2], Path(sys.argv[3]), sys.argv[4:])
+        end_with_parent(int(sys.argv[2]))
+        profile(sys.argv[3], Path(sys.argv[4]), sys.argv[5:])
     else:
         main()

@@ -1,6 +1,7 @@
 """How each figure is measured: what is run, and how the values are read off what it leaves."""
 
 import json
+import os
 import re
 import subprocess
 import sys
@@ -292,12 +293,14 @@ def readme_recordings() -> Iterator[list[Path]]:
 
 
 def run(*words: str) -> str:
-    """Run Python with these words in the checkout; returns what it printed.
+    """Run Python with these words in the checkout, in a process that ends with this one; returns what it
+    printed.
 
     Raises:
         ChildProcessError: It failed; with the end of what it printed.
     """
-    done = subprocess.run([sys.executable, *words], cwd=ROOT, capture_output=True, text=True)
+    command = [sys.executable, "-m", "benchmarks.figures.child", str(os.getpid()), *words]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
     if done.returncode:
         ending = " ".join((done.stderr or done.stdout).split())[-300:]
         raise ChildProcessError(f"python {' '.join(words[:3])}: found exit code {done.returncode}: {ending}")

@@ -26,7 +26,8 @@ CODE = (
 )
 """What a figure depends on. A commit of other files, such as the record itself, leaves it measured."""
 BOOKKEEPING = tuple(
-    f"benchmarks/figures/{name}.py" for name in ("__main__", "figure", "pages", "record", "registry", "table")
+    f"benchmarks/figures/{name}.py"
+    for name in ("__main__", "child", "command", "figure", "pages", "record", "registry", "table")
 )
 NOT_CODE = (".md", ".png", *BOOKKEEPING)
 

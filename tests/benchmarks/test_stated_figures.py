@@ -7,8 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.figures import __main__ as command
-from benchmarks.figures import pages, record, table
+from benchmarks.figures import command, pages, record, table
 from benchmarks.figures.figure import Figure, Measurement
 from benchmarks.figures.measurements import DATA
 from benchmarks.figures.registry import DEFINITIONS, FIGURES, MEASURED_PAGES, MEASUREMENTS

@@ -13,7 +13,7 @@ from torchpi.control.direct_inverse import DirectInverse
 from torchpi.diagnosis.locate import turning_points
 from torchpi.identification import InversePair, selection
 from torchpi.identification.folds import make_folds
-from torchpi.identification.selection import Form, Richest, Selection, _Search, select_form
+from torchpi.identification.selection import Form, Richest, Selection, _Search, _Trial, select_form
 from torchpi.operators.motion import Motion
 
 RICHEST = Richest(range(4), degree=4, lead=2, creep_time_constants_s=(0.05,), rate=True)
@@ -154,3 +154,26 @@ def test_no_fold_is_judged_on_what_it_was_fitted_to(count: int) -> None:
             counted = np.arange(record.u.shape[1])[record.counted]
             assert len(np.unique(both)) == len(both) and np.isin(both, counted).all()
         assert sum(map(len, fold.judged)) > 0 < sum(map(len, fold.fitted))
+
+
+def test_a_slow_loop_judges_a_look_ahead_with_the_weight_of_one_repetition(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """It would be followed best without one, and the other record, by less, with two samples."""
+    records = pairs(made(rate="none"), (1500, 1500))
+    looping = [records[0]._replace(weight=0.1), records[1]]
+
+    def with_weights(those: Sequence[InversePair]) -> int:
+        monkeypatch.setattr(selection, "weighted_by_repetitions", lambda _: those)
+        search = _Search(build, lambda _: those, RICHEST)
+
+        def tried(form: Form, start: _Trial | None = None) -> _Trial:
+            _, folds = search.at(form.preview)
+            looped = [len(fold.judged[0]) > 0 for fold in folds]
+            late = np.where(looped, form.preview, 0.5 * abs(form.preview - 2))
+            return _Trial(form, [], np.exp(late))
+
+        monkeypatch.setattr(search, "tried", tried)
+        return search.preview(Form())
+
+    assert (with_weights(records), with_weights(looping)) == (0, 2)

@@ -40,7 +40,7 @@ def worker_pool(get_ready: Callable[[], object]) -> Iterator[Executor | None]:
         return
     # Spawned, because a forked process would inherit the threads of torch in an unknown state.
     with _one_thread_each(), _quiet_tracker():
-        pool = ProcessPoolExecutor(workers, get_context("spawn"), _end_with_parent, (os.getpid(),))
+        pool = ProcessPoolExecutor(workers, get_context("spawn"), end_with_parent, (os.getpid(),))
         try:
             with _signals_after():  # between its start and its entry in the pool nobody could end a worker
                 for _ in range(workers):
@@ -62,8 +62,12 @@ def _kill(pool: ProcessPoolExecutor) -> None:
     pool.shutdown(wait=False)
 
 
-def _end_with_parent(parent: int) -> None:
-    """In a worker: leave an interrupt to the parent, and end when the parent is gone."""
+def end_with_parent(parent: int) -> None:
+    """In a worker: leave an interrupt to the parent, and end when the parent is gone.
+
+    Args:
+        parent: Its process id.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
     def watch() -> None:

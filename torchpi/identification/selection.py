@@ -8,7 +8,8 @@ and in the pooled error too. Where nothing does, the start stays.
 Creep, the degree of S and the width of the plays can stand in for each other, so that each alone may lower
 nothing: they are also tried together.
 
-The slowest of several records, where it repeats itself, has the weight of one repetition (`repetitions`).
+The slowest of several records, where it repeats itself, has the weight of one repetition (`repetitions`),
+also where it judges a look-ahead: its loops hardly tell a lag from what creep and wider plays do to them.
 
 What a record cannot show is not tried on it. A single one has no other motion to be judged on: creep and
 weights that follow the rate then fit the shape of its loops, and miss others. Its look-ahead is read where it
@@ -222,12 +223,14 @@ class _Search:
         if self.lag is not None:
             whole = int(self.lag.mean - self.lag.standard_error)
             return self.richest.previews[max(0, min(whole, len(self.richest.previews) - 1))]
+        judges = slice(BLOCKS if self.single else None)
+        weights = self.weights(form.preview)[judges]
         found: dict[int, np.ndarray] = {}
         best = form.preview
         for preview in self.richest.previews:
             trial = self.tried(replace(form, preview=preview))
-            found[preview] = 0.5 * np.log(trial.left[: BLOCKS if self.single else None])
-            if found[preview].mean() < found[best].mean():
+            found[preview] = 0.5 * np.log(trial.left[judges])
+            if np.average(found[preview] - found[best], weights=weights) < 0:
                 best = preview
             elif preview == best + PREVIEW_RISING:
                 break
@@ -238,6 +241,14 @@ class _Search:
             if excess.mean() <= excess.std(ddof=1) / np.sqrt(len(excess)):
                 return preview
         return best
+
+    def weights(self, preview: int) -> list[float]:
+        """Of the folds: those of the records that they judge."""
+        pairs, folds = self.at(preview)
+        return [
+            sum(pair.weight for pair, judged in zip(pairs, fold.judged, strict=True) if len(judged) > 0)
+            for fold in folds
+        ]
 
     def best_beyond(self, current: _Trial) -> _Trial | None:
         """The form beside the current one that beats it by most."""
