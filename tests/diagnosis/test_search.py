@@ -23,7 +23,7 @@ def test_a_refit_is_taken_where_it_leaves_less_and_runs_into_no_bound(
             bounded=each,
             on_a_bound=[SimpleNamespace(name=name, member=-1) for name in each],
             train_rms=size,
-            hypothesis=SimpleNamespace(members=(), nominal=SimpleNamespace(bouc_wen=False)),
+            hypothesis=SimpleNamespace(members=(), shape=()),
             weights=None,
         )
         for each, size in (((), 1.0), (bounded, rms))

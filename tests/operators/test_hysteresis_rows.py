@@ -35,7 +35,7 @@ def test_sums_of_plain_plays_are_those_of_one_play_after_another(
 @given(
     z=st.floats(-1, 1),
     ends=st.tuples(st.floats(-1, 1), st.floats(-1, 1)),
-    alpha=st.floats(0.01, 20.0),
+    alpha=st.floats(0.01, 100.0),
     power=st.sampled_from(DUHEM_POWERS),
 )
 def test_a_duhem_state_takes_a_step_of_any_size_as_its_differential_equation_does(
@@ -51,3 +51,7 @@ def test_a_duhem_state_takes_a_step_of_any_size_as_its_differential_equation_doe
 
     expected = z * np.exp(-alpha * path) + quad(pulled, 0, path, epsabs=1e-12, epsrel=1e-10)[0]
     assert abs(duhem(z, v, before, alpha, power) - expected) < 1e-4
+
+
+def test_a_duhem_state_without_memory_follows_its_function() -> None:
+    assert abs(duhem(5.0, -2.0, 3.0, 1e9, 3) + 8.0) < 0.02

@@ -63,21 +63,27 @@ def bouc_wen(z: float, dv: float, sigma: float, beta: float, n: float) -> float:
 
 
 def duhem(z: float, v: float, before: float, alpha: float, power: int) -> float:
-    """z after a straight move from `before` to v, z e^{-A} + ∫ e^{-(A - s)} f(v(s)) ds with A = α|dv|, by
-    Gauss's rule of two points in pieces of A = 1/25, 64 at most."""
-    gauss = 0.5 - math.sqrt(0.75) / 3.0
+    """z after a straight move from `before` to v, z e^{-A} + ∫ e^{-(A - s)} f(v(s)) ds with A = α|dv|.
+
+    In up to 64 pieces, shorter than a twenty-fifth of the memory, and than an eighth of the voltages, where f
+    is curved; in each by f at Gauss's two points, with the weights that are exact for a straight f.
+    """
     whole = alpha * abs(v - before)
-    pieces = int(min(whole * 25.0, 63.0)) + 1
+    if whole == 0.0:
+        return z
+    pieces = int(min(whole * 25.0 + 8.0 * abs(v - before) / (abs(v) + abs(before)), 63.0)) + 1
     move, part = (v - before) / pieces, whole / pieces
-    first, second = math.exp(part * (gauss - 1.0)), math.exp(-part * gauss)
-    kept, share = math.exp(-part), -math.expm1(-part) / (first + second)
+    gap = math.sqrt(3.0) / 3.0
+    kept, share = math.exp(-part), -math.expm1(-part)
+    second = (1.0 - share / part - 0.5 * (1.0 - gap) * share) / gap
+    first = share - second
     for piece in range(pieces):
-        early = before + move * (piece + gauss)
-        late = before + move * (piece + 1.0 - gauss)
+        early = before + move * (piece + 0.5 * (1.0 - gap))
+        late = before + move * (piece + 0.5 * (1.0 + gap))
         f_early, f_late = 1.0, 1.0
         for _ in range(power):
             f_early, f_late = f_early * early, f_late * late
-        z = kept * z + share * (first * f_early + second * f_late)
+        z = kept * z + first * f_early + second * f_late
     return z
 
 

@@ -137,30 +137,30 @@ def _duhem_slopes(
 ) -> tuple[float, float, float]:
     """How the state after a move changes with that before it, and with the end and the beginning of the move:
     the derivative of `duhem`, line by line."""
-    gauss = 0.5 - np.sqrt(0.75) / 3.0
     whole = alpha * abs(v - before)
-    pieces = int(min(whole * 25.0, 63.0)) + 1
-    move, part = (v - before) / pieces, whole / pieces
-    part_by_v = alpha * np.sign(v - before) / pieces
-    first, second = np.exp(part * (gauss - 1.0)), np.exp(-part * gauss)
-    first_by_part, second_by_part = first * (gauss - 1.0), -second * gauss
-    kept, both = np.exp(-part), first + second
-    share = -np.expm1(-part) / both
-    share_by_part = (kept - share * (first_by_part + second_by_part)) / both
+    if whole == 0.0:
+        return 1.0, 0.0, 0.0
+    pieces = int(min(whole * 25.0 + 8.0 * abs(v - before) / (abs(v) + abs(before)), 63.0)) + 1
+    move, part, part_by_v = (v - before) / pieces, whole / pieces, alpha * np.sign(v - before) / pieces
+    gap = np.sqrt(3.0) / 3.0
+    kept, share = np.exp(-part), -np.expm1(-part)
+    second = (1.0 - share / part - 0.5 * (1.0 - gap) * share) / gap
+    first = share - second
+    second_by_part = ((share / part - kept) / part - 0.5 * (1.0 - gap) * kept) / gap
+    first_by_part = kept - second_by_part
     by_z, by_v, by_before = 1.0, 0.0, 0.0
     for piece in range(pieces):
-        at_early, at_late = (piece + gauss) / pieces, (piece + 1.0 - gauss) / pieces
+        at_early, at_late = (piece + 0.5 * (1.0 - gap)) / pieces, (piece + 0.5 * (1.0 + gap)) / pieces
         early, late = before + move * pieces * at_early, before + move * pieces * at_late
         f_early, f_late = early**power, late**power
-        slope_early, slope_late = power * early ** (power - 1.0), power * late ** (power - 1.0)
-        sum_by_part = first_by_part * f_early + second_by_part * f_late
-        by_part = -kept * z + share_by_part * (first * f_early + second * f_late) + share * sum_by_part
-        direct = share * (first * slope_early * at_early + second * slope_late * at_late)
-        whole_slope = share * (first * slope_early + second * slope_late)
-        by_v = kept * by_v + by_part * part_by_v + direct
-        by_before = kept * by_before - by_part * part_by_v + whole_slope - direct
+        slope_early = first * power * early ** (power - 1.0)
+        slope_late = second * power * late ** (power - 1.0)
+        by_part = -kept * z + first_by_part * f_early + second_by_part * f_late
+        by_end = slope_early * at_early + slope_late * at_late
+        by_v = kept * by_v + by_part * part_by_v + by_end
+        by_before = kept * by_before - by_part * part_by_v + slope_early + slope_late - by_end
         by_z = kept * by_z
-        z = kept * z + share * (first * f_early + second * f_late)
+        z = kept * z + first * f_early + second * f_late
     return by_z, by_v, by_before
 
 
