@@ -1,5 +1,7 @@
 """The contract that every operator keeps."""
 
+from collections.abc import Callable, Sequence
+
 import torch
 from torch import Tensor, nn
 
@@ -64,3 +66,33 @@ class StaticStream(nn.Module):
     @torch.jit.export
     def reset(self) -> None:
         return
+
+
+class StepStream(nn.Module):
+    """One sample at a time by a scalar function, which reads its numbers and leaves its state in a list.
+
+    Args:
+        of: y(x, numbers, state), a plain function that TorchScript compiles.
+        numbers: What it reads.
+        states: How many numbers the state has, all 0 at rest.
+    """
+
+    numbers: list[float]
+    state: list[float]
+
+    def __init__(
+        self, of: Callable[[float, list[float], list[float]], float], numbers: Sequence[float], states: int
+    ) -> None:
+        super().__init__()
+        self.of = of
+        self.numbers = [float(number) for number in numbers]
+        self.state = [0.0] * states
+
+    @torch.jit.export
+    def reset(self) -> None:
+        for i in range(len(self.state)):
+            self.state[i] = 0.0
+
+    @torch.jit.export
+    def step(self, x: float) -> float:
+        return self.of(x, self.numbers, self.state)

@@ -23,6 +23,7 @@ import torch
 from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 
+from torchpi.operators.base import StepStream
 from torchpi.stage.effects.effect import DataRange, Effect, Parameters, parameter
 
 EDGES = 1.5
@@ -46,6 +47,12 @@ def slew(u: float, v: float, step: float, knee: float) -> float:
     else:
         left = math.asinh(0.5 * (math.exp(z - p) - math.exp(-z - p)))
     return u - left * knee if u > v else u + left * knee
+
+
+def slew_step(x: float, n: list[float], s: list[float]) -> float:
+    """`slew` as a stream takes it: n holds the step and the knee, s the voltage."""
+    s[0] = slew(x, s[0], n[0], n[1])
+    return s[0]
 
 
 class SlewLimit(Effect):
@@ -88,7 +95,7 @@ class SlewLimit(Effect):
         return v, v[:, -1:]
 
     def stream(self) -> nn.Module:
-        return SlewStream(self.sample_period_s * self.rate_v_per_s.item(), self.knee_v.item())
+        return StepStream(slew_step, [self.sample_period_s * self.rate_v_per_s.item(), self.knee_v.item()], 1)
 
     def tangent(self, x: Tensor, dx: Tensor) -> Tensor:
         step, dx = self.sample_period_s * self.rate_v_per_s.item(), dx.detach().contiguous()
@@ -105,25 +112,6 @@ class SlewLimit(Effect):
         hard = [{"rate_v_per_s": rate} for rate in rates if rate > slowest]
         knees = [{"knee_v": share * seen.span_v} for share in KNEES if seen.span_v > 0]
         return hard + [start | knee for start in hard for knee in knees]
-
-
-class SlewStream(nn.Module):
-    """The limit, one sample at a time."""
-
-    def __init__(self, step_v: float, knee_v: float) -> None:
-        super().__init__()
-        self.step_v = step_v
-        self.knee_v = knee_v
-        self.v = 0.0
-
-    @torch.jit.export
-    def reset(self) -> None:
-        self.v = 0.0
-
-    @torch.jit.export
-    def step(self, x: float) -> float:
-        self.v = slew(x, self.v, self.step_v, self.knee_v)
-        return self.v
 
 
 class _Slew(torch.autograd.Function):
