@@ -68,11 +68,15 @@ class StaticStream(nn.Module):
         return
 
 
+Step = Callable[[float, list[float], list[float]], float]
+"""y(x, numbers, state), which leaves the state after it in its list."""
+
+
 class StepStream(nn.Module):
-    """One sample at a time by a scalar function, which reads its numbers and leaves its state in a list.
+    """A scalar function, one sample at a time.
 
     Args:
-        of: y(x, numbers, state), a plain function that TorchScript compiles.
+        of: A plain function, which TorchScript compiles.
         numbers: What it reads.
         states: How many numbers the state has, all 0 at rest.
     """
@@ -80,9 +84,7 @@ class StepStream(nn.Module):
     numbers: list[float]
     state: list[float]
 
-    def __init__(
-        self, of: Callable[[float, list[float], list[float]], float], numbers: Sequence[float], states: int
-    ) -> None:
+    def __init__(self, of: Step, numbers: Sequence[float], states: int = 0) -> None:
         super().__init__()
         self.of = of
         self.numbers = [float(number) for number in numbers]

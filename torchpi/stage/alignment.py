@@ -3,7 +3,7 @@
 import torch
 from torch import Tensor, nn
 
-from torchpi.operators.base import Operator, Static, StaticStream
+from torchpi.operators.base import Operator, Static, StepStream
 from torchpi.operators.delay import DelayLineStream
 
 
@@ -44,16 +44,9 @@ class Zero(Static):
         return x + self.zero_um
 
     def stream(self) -> nn.Module:
-        return ZeroStream(self.zero_um)
+        return StepStream(zero_step, [self.zero_um])
 
 
-class ZeroStream(StaticStream):
-    """The zero, one sample at a time."""
-
-    def __init__(self, zero_um: float) -> None:
-        super().__init__()
-        self.zero_um = zero_um
-
-    @torch.jit.export
-    def step(self, x: float) -> float:
-        return x + self.zero_um
+def zero_step(x: float, n: list[float], s: list[float]) -> float:
+    """`Zero` as a stream takes it."""
+    return x + n[0]

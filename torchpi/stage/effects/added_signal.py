@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from torchpi.stage.effects.effect import Effect
@@ -31,28 +31,6 @@ class InTime(Effect):
     @classmethod
     def extrapolates(cls, values: Mapping[str, float]) -> bool:
         return "knot_spacing_s" not in values  # a random walk goes on as it likes
-
-
-class InTimeStream(nn.Module):
-    """The same, one sample at a time."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.elapsed = 0.0
-
-    @torch.jit.export
-    def reset(self) -> None:
-        self.elapsed = 0.0
-
-    @torch.jit.export
-    def step(self, x: float) -> float:
-        y = self.at(x, self.elapsed)
-        self.elapsed += 1.0
-        return y
-
-    def at(self, x: float, elapsed: float) -> float:
-        """The output, so many samples after the first."""
-        raise NotImplementedError
 
 
 class AddedSignal(InTime):
