@@ -4,7 +4,7 @@ import torch
 from torch import Tensor, nn
 
 from torchpi.operators.base import Operator, Static, StepStream
-from torchpi.operators.delay import DelayLineStream
+from torchpi.operators.delay import delay_stream
 
 
 class OneSampleLate(Operator):
@@ -23,7 +23,7 @@ class OneSampleLate(Operator):
         return both[:, :-1], both[:, -1:].to(held.dtype)
 
     def stream(self) -> nn.Module:
-        return DelayLineStream(1, 1.0, 0.0)
+        return delay_stream(1, 1.0, 0.0)
 
 
 class OneSampleEarly(Static):
