@@ -1,6 +1,7 @@
 """The contract that every operator keeps."""
 
 from collections.abc import Callable, Sequence
+from typing import ClassVar
 
 import torch
 from torch import Tensor, nn
@@ -17,9 +18,12 @@ class Operator(nn.Module):
     the record in one piece. `torchpi.operators.conformance` is the test of it.
     """
 
+    state_size: ClassVar[int] = 0
+    """How many numbers there are in the state of a row, where `initial_state` says no other."""
+
     def initial_state(self, batch: int) -> Tensor:
         """State of the de-energised operator. Shape: (batch, states)."""
-        return torch.zeros(batch, 0, dtype=torch.float64)
+        return torch.zeros(batch, self.state_size, dtype=torch.float64)
 
     def forward(
         self,

@@ -10,8 +10,7 @@ from torchpi.operators.delay import delay_stream
 class OneSampleLate(Operator):
     """Alignment 1: the command of the tick before. Before the first it is 0 V."""
 
-    def initial_state(self, batch: int) -> Tensor:
-        return torch.zeros(batch, 1, dtype=torch.float64)
+    state_size = 1
 
     def forward(
         self,

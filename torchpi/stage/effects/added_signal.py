@@ -25,8 +25,7 @@ def sampled(
 class InTime(Effect):
     """What depends on the time. The state: samples since the first."""
 
-    def initial_state(self, batch: int) -> Tensor:
-        return torch.zeros(batch, 1, dtype=torch.float64)
+    state_size = 1
 
     @classmethod
     def extrapolates(cls, values: Mapping[str, float]) -> bool:

@@ -44,15 +44,13 @@ class Unknown(Effect):
     block = "sensor"
     equation = "y = x + Σ a_j ξ_j + Σ b_j ξ_j x / L"
     signature = "none that is known"
+    state_size = TIMES
     length_um: nn.Parameter = parameter("µm", at_least=1e-9, at_most=1e9, identity=1.0)
     shortest_s: nn.Parameter = parameter("s", at_least=1e-7, at_most=1e7, identity=1e-3)
     longest_s: nn.Parameter = parameter("s", at_least=1e-7, at_most=1e7, identity=10.0)
     quantities: ClassVar[dict[str, Quantity]] = dict.fromkeys(
         [f"{letter}{j}" for letter in "ab" for j in range(TIMES)], Quantity("", at_least=-1e3, at_most=1e3)
     )
-
-    def initial_state(self, batch: int) -> Tensor:
-        return torch.zeros(batch, TIMES, dtype=torch.float64)
 
     def decay(self) -> Tensor:
         """e^{-T/τ_j}, (times,)."""

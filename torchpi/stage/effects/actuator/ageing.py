@@ -51,9 +51,7 @@ class Ageing(Effect):
     degenerate_with = ("gain_modulation",)
     loss_per_s: nn.Parameter = parameter("1/s", at_least=0, at_most=10)
     loss_per_mm: nn.Parameter = parameter("1/mm", at_least=0, at_most=1e6)
-
-    def initial_state(self, batch: int) -> Tensor:
-        return torch.zeros(batch, 3, dtype=torch.float64)
+    state_size = 3
 
     def forward(
         self,

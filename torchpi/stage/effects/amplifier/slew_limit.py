@@ -69,6 +69,7 @@ class SlewLimit(Effect):
     forms = ("hard", "soft")
     rate_v_per_s: nn.Parameter = parameter("V/s", at_least=1e-3, at_most=1e9, identity=math.inf)
     knee_v: nn.Parameter = parameter("V", at_least=0.0, at_most=1e4)
+    state_size = 1
 
     @classmethod
     def form(cls, values: Mapping[str, float]) -> str:
@@ -81,9 +82,6 @@ class SlewLimit(Effect):
     def reached(cls, values: Mapping[str, float], seen: DataRange) -> bool:
         # Far below its rate, a soft limit is a lag of the time V / S.
         return values["rate_v_per_s"] <= seen.peak_rate_v_s
-
-    def initial_state(self, batch: int) -> Tensor:
-        return torch.zeros(batch, 1, dtype=torch.float64)
 
     def forward(
         self,

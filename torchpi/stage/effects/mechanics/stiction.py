@@ -60,6 +60,7 @@ class Stiction(Effect):
     forms = ("breakaway", "stick-slip")
     jumps = ("breakaway_um",)
     kinds = ("rests",)
+    state_size = 3
 
     @classmethod
     def form(cls, values: Mapping[str, float]) -> str:
@@ -75,9 +76,6 @@ class Stiction(Effect):
     def friction(self) -> Tensor:
         """d, no larger than J."""
         return torch.minimum(self.sliding_um, self.breakaway_um)
-
-    def initial_state(self, batch: int) -> Tensor:
-        return torch.zeros(batch, 3, dtype=torch.float64)
 
     def forward(
         self,
