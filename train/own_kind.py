@@ -3,21 +3,16 @@
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import yaml
 
 from torchpi.errors import ArtifactError, ConfigError
 from torchpi.files import check_output_folder, config_file, write_text
+from torchpi.stage.file import SavedStage
 from torchpi.stage.settings import read_yaml
 
 USAGE = "expected python -m train fit --config configs/NAME.yaml [--output FOLDER]"
-
-
-class Saved(Protocol):
-    """A stage that writes itself."""
-
-    def save(self, path: Path) -> None: ...
 
 
 def config_with(section: str, arguments: Sequence[str]) -> Path | None:
@@ -81,7 +76,7 @@ def whole_number(config: Path, name: str, found: object) -> int:
     raise ConfigError(f"{config}: {name}: found {found!r}, expected a whole number from 1 on")
 
 
-def leave(folder: Path, stage: Saved, metrics: Mapping[str, Any], content: Mapping[str, Any]) -> None:
+def leave(folder: Path, stage: SavedStage, metrics: Mapping[str, Any], content: Mapping[str, Any]) -> None:
     """Write stage.pt, metrics.json and config.yaml."""
     stage.save(folder / "stage.pt")
     for name, text in (

@@ -5,7 +5,6 @@ import fcntl
 import os
 import shutil
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 from torchpi.control.direct_inverse import DirectInverse
@@ -16,65 +15,29 @@ from torchpi.files import check_output_folder
 RUNS = Path("runs")
 
 
-@dataclass(frozen=True)
 class RunFolder:
-    """The files of a run, by what they are. Making one creates nothing."""
+    """The files of a run, by what they are. Making one creates nothing.
 
-    path: Path
+    Args:
+        path: Of the folder.
+    """
 
-    @property
-    def config(self) -> Path:
-        return self.path / "config.yaml"
-
-    @property
-    def facts(self) -> Path:
-        """Seed, hashes of the data, versions."""
-        return self.path / "run.json"
-
-    @property
-    def lock(self) -> Path:
-        """Held by the process that trains here."""
-        return self.path / ".lock"
-
-    @property
-    def checkpoints(self) -> Path:
-        return self.path / "checkpoints"
-
-    @property
-    def best(self) -> Path:
-        return self.checkpoints / "best.ckpt"
-
-    @property
-    def last(self) -> Path:
-        return self.checkpoints / "last.ckpt"
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.config = path / "config.yaml"
+        self.facts = path / "run.json"  # seed, hashes of the data, versions
+        self.lock = path / ".lock"  # held by the process that trains here
+        self.checkpoints = path / "checkpoints"
+        self.best, self.last = self.checkpoints / "best.ckpt", self.checkpoints / "last.ckpt"
+        self.metrics, self.report = path / "metrics.json", path / "report.html"
+        self.compensator = path / "compensator.pt"  # TorchScript; the JSON of its numbers stands beside it
+        self.baseline = path / "baseline.pt"  # two-stage least squares, TorchScript
+        self.stage = path / "stage.pt"  # identified from the recordings
 
     @property
     def events(self) -> list[Path]:
         """Files of TensorBoard, which names a run by the folder that they are in."""
         return sorted(self.path.glob("events.out.tfevents.*"))
-
-    @property
-    def metrics(self) -> Path:
-        return self.path / "metrics.json"
-
-    @property
-    def compensator(self) -> Path:
-        """TorchScript; the JSON of its numbers stands beside it."""
-        return self.path / "compensator.pt"
-
-    @property
-    def baseline(self) -> Path:
-        """The two-stage least-squares baseline, TorchScript."""
-        return self.path / "baseline.pt"
-
-    @property
-    def stage(self) -> Path:
-        """The stage identified from the recordings."""
-        return self.path / "stage.pt"
-
-    @property
-    def report(self) -> Path:
-        return self.path / "report.html"
 
 
 def new_run(output: str | None, name: str, checkpoint: str | None) -> RunFolder:

@@ -1,5 +1,7 @@
 """Generalised plays: other envelopes and thresholds up than down."""
 
+from typing import Any
+
 import pytest
 import torch
 from torch import Tensor, nn
@@ -11,8 +13,6 @@ from torchpi.operators.generalised_play import (
     GeneralisedPlayBank,
     clamp_bank,
 )
-from torchpi.operators.motion import BackwardMotionStream
-from torchpi.operators.rate_dependent_pi import RateDependentPIStream, WeightedPlaysStream
 
 W = torch.tensor([1.0, -0.4, 0.3], dtype=torch.float64)
 
@@ -43,8 +43,28 @@ class Weighted(Operator):
         return weighted_sum(h, torch.ones_like(x)[..., None], W[:, None].to(x.dtype)), state
 
     def stream(self) -> nn.Module:
-        law = WeightedPlaysStream(self.plays.stream(), W, torch.zeros_like(W))
-        return RateDependentPIStream(law, BackwardMotionStream(1.0))
+        return WeightedStream(self.plays.stream())
+
+
+class WeightedStream(nn.Module):
+    w: list[float]
+
+    def __init__(self, plays: Any) -> None:
+        super().__init__()
+        self.plays = plays
+        self.w = W.tolist()
+
+    @torch.jit.export
+    def reset(self) -> None:
+        self.plays.reset()
+
+    @torch.jit.export
+    def step(self, x: float) -> float:
+        h: list[float] = self.plays.step(x)
+        total = 0.0
+        for i in range(len(h)):
+            total += self.w[i] * h[i]
+        return total
 
 
 class TestWeighted(HysteresisLaws):

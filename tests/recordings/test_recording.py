@@ -89,7 +89,7 @@ class TestFile:
         path = tmp_path / "a.csv"
         write_recording(path, multisine_record)
         before = path.read_bytes()
-        monkeypatch.setattr("torchpi.recordings.recording.islice", lambda *_: 1 / 0)
+        monkeypatch.setattr("torchpi.files.islice", lambda *_: 1 / 0)
         with pytest.raises(ZeroDivisionError):
             write_recording(path, multisine_record)
         assert path.read_bytes() == before

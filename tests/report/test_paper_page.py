@@ -13,7 +13,7 @@ from torchpi.paper.items import ITEMS
 from torchpi.paper.result import Row
 from torchpi.report import paper_page, words
 from torchpi.report.paper_figures import FIGURES
-from torchpi.report.paper_texts import TEXTS
+from torchpi.report.paper_page import TEXTS
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +41,7 @@ def test_identifiers_are_unique_and_references_resolve(html: str) -> None:
 def test_sections_come_in_the_paper_s_order_each_with_title_and_figures(html: str) -> None:
     assert re.findall(r'<section id="([^"]+)"', html) == list(ITEMS)
     for name in ITEMS:
-        assert TEXTS[name].title.replace("'", "&#39;") in html
+        assert TEXTS[name]["title"].replace("'", "&#39;") in html
     assert html.count('<svg class="figure"') == 1 + sum(len(drawn) for drawn in FIGURES.values())
 
 

@@ -150,21 +150,11 @@ class GuardedStep(nn.Module):
         self.enough = CONFIRMATIONS
         self.start_um = min(max(0.0, limits.accepted_um[0]), limits.accepted_um[1])
         self.start_v = min(max(0.0, limits.min_voltage_v), limits.max_voltage_v)
-        self.started = False
-        self.confirmed = CONFIRMATIONS
-        self.smooth = 4
-        self.last_sample = self.start_um
-        self.last_change_um = 0.0
-        self.last_input = self.start_um
         self.start_trained_um = min(max(self.start_um, self.least_trained_um), self.largest_trained_um)
-        self.lowest_um = self.start_trained_um  # um, least input so far within the trained range
-        self.highest_um = self.start_trained_um  # um, largest
-        self.last_voltage = self.start_v
-        self.held_inputs = 0
-        self.outside_range = 0
-        self.limited_outputs = 0
+        self.reset_guard()
 
     def reset_guard(self) -> None:
+        """To rest; `lowest_um` and `highest_um` are the ends of the inputs so far in the trained range."""
         self.started = False
         self.confirmed = self.enough
         self.smooth = 4

@@ -1,6 +1,5 @@
 """Excitations as files to play: `time_s,input_v` as CSV, and the instructions beside them."""
 
-from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -8,18 +7,14 @@ import numpy as np
 from torchpi.excitation.limits import DriveLimits
 from torchpi.excitation.sets import diagnostic_excitations
 from torchpi.excitation.signals import Samples
-from torchpi.files import check_output_folder, write_atomically, write_text
+from torchpi.files import check_output_folder, write_columns, write_text
 
 INSTRUCTIONS = "WHAT_TO_DO.txt"
 
 
 def write_excitation(path: str | Path, t: np.ndarray, u: np.ndarray) -> None:
     """Write `time_s,input_v` as CSV: t (time,), s, and u (time,), V, every double survives."""
-    rows = map("%r,%r".__mod__, zip(t.tolist(), u.tolist(), strict=True))
-    with write_atomically(path) as temporary, open(temporary, "w", encoding="utf-8", newline="\n") as file:
-        file.write("time_s,input_v\n")
-        while chunk := list(islice(rows, 100_000)):
-            file.write("\n".join(chunk) + "\n")
+    write_columns(path, ("time_s", "input_v"), (t.tolist(), u.tolist()))
 
 
 def write_diagnostic_set(folder: Path, limits: DriveLimits, seed: int = 0) -> str:

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
+from importlib import import_module
 from pathlib import Path
 
 from torchpi.errors import ConfigError
@@ -12,7 +13,12 @@ from torchpi.operators.reference_filter import ReferenceFilter
 
 Files = dict[Path, Callable[[Path], object]]  # what writes each file's content to a path
 SUFFIXES = (".pt", ".c", ".h", ".fmu", ".pt2", ".json", ".html")
-FORMATS = ("torchscript", "c", "fmu", "pt2", "json", "page")
+MODULES = {
+    "torchscript": "torchscript", "c": "c_source", "fmu": "fmu", "pt2": "pt2", "json": "numbers",
+    "page": "page",
+}  # fmt: skip
+"""Where each format is made."""
+FORMATS = tuple(MODULES)
 
 
 def export_files(
@@ -102,20 +108,7 @@ def _made(
     load: Load | None,
 ) -> Files:
     # Imported when asked for, because torch.export is slow to import.
-    if name == "torchscript":
-        from torchpi.export.torchscript import torchscript_files as files
-    elif name == "json":
-        from torchpi.export.numbers import json_files
-
-        return json_files(compensator, output, reference_filter, load)
-    elif name == "page":
-        from torchpi.export.page import page_files
-
-        return page_files(compensator, output, reference_filter, load)
-    elif name == "c":
-        from torchpi.export.c_source import c_files as files
-    elif name == "fmu":
-        from torchpi.export.fmu import fmu_files as files
-    else:
-        from torchpi.export.pt2 import pt2_files as files
-    return files(compensator, output, reference_filter)
+    module = import_module(f"torchpi.export.{MODULES[name]}")
+    card = (load,) if name in ("json", "page") else ()
+    files: Files = getattr(module, f"{name}_files")(compensator, output, reference_filter, *card)
+    return files

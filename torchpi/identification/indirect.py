@@ -9,13 +9,14 @@ S is taken from the slow record alone, as the paper does with its polynomial; wh
 the fast ones.
 """
 
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Callable, Sequence
+from typing import Any, TypeVar
 
 import numpy as np
 import scipy.optimize
 import torch
 
+from torchpi.control.indirect.base import IndirectInverse
 from torchpi.control.indirect.cascade import CascadedInverse
 from torchpi.control.indirect.conventional import ConventionalInverse
 from torchpi.control.indirect.generalised_direct import GeneralisedDirectInverse
@@ -27,6 +28,7 @@ from torchpi.operators.dead_zone import DeadZones
 from torchpi.operators.generalised_play import GeneralisedPlayBank, clamp_bank
 from torchpi.operators.play import PlayBank
 
+Model = TypeVar("Model", bound=IndirectInverse)
 LEAST_WEIGHT = 1e-3  # of the first play, of the record's µm per V: an inverse needs it above 0
 
 
@@ -114,30 +116,36 @@ class Records:
         found = scipy.optimize.lsq_linear(triangle, q.T @ b, (low, np.inf), tol=1e-12, max_iter=500)
         return np.asarray(found.x / size)
 
+    def rate_weights(
+        self,
+        states: Callable[[InversePair], np.ndarray],  # (time, plays)
+        target: Sequence[np.ndarray],  # (time,) of each fast record
+        bounded: int = 0,
+    ) -> tuple[list[float], list[float]]:
+        """b and k of Σ_i (b_i + k_i ẏ) h_i, from the fast records."""
+        columns = []
+        for pair in self.fast:
+            h = states(pair)
+            columns.append(np.concatenate([h, h * pair.motion.yd_dot[0].numpy()[:, None]], 1))
+        b, k = np.split(self.solve(columns, target, self.fast, bounded), 2)
+        return b.tolist(), k.tolist()
+
+    def inverse(self, kind: type[Model], weights: list[float], **more: list[float]) -> Model:
+        """A compensator of this kind, with the thresholds and the saturation that all have."""
+        given: dict[str, Any] = {"saturation": self.saturation, **more, **self.deployment}
+        return kind(self.period_s, self.r, weights, **given)
+
 
 def fit_conventional(records: Records) -> ConventionalInverse:
     """A rate-independent model of the slow record."""
-    return ConventionalInverse(
-        records.period_s, records.r, records.w, saturation=records.saturation, **records.deployment
-    )
+    return records.inverse(ConventionalInverse, records.w)
 
 
 def fit_rate_dependent(records: Records) -> RateDependentInverse:
     """Weights k ẏ + b from the fast records: Σ_i (b_i + k_i ẏ) H_ri[u] = S⁻¹(y)."""
-    columns = []
-    for pair in records.fast:
-        h = records.plays(pair)
-        columns.append(np.concatenate([h, h * pair.motion.yd_dot[0].numpy()[:, None]], 1))
     target = [records.straightened(pair) for pair in records.fast]
-    b, k = np.split(records.solve(columns, target, records.fast, bounded=len(records.r)), 2)
-    return RateDependentInverse(
-        records.period_s,
-        records.r,
-        b.tolist(),
-        weight_slopes=k.tolist(),
-        saturation=records.saturation,
-        **records.deployment,
-    )
+    b, k = records.rate_weights(records.plays, target, bounded=len(records.r))
+    return records.inverse(RateDependentInverse, b, weight_slopes=k)
 
 
 def fit_time_varying_thresholds(records: Records) -> TimeVaryingThresholdInverse:
@@ -167,14 +175,7 @@ def fit_time_varying_thresholds(records: Records) -> TimeVaryingThresholdInverse
     most = 0.5 * records.r[-1] / top_rate
     rho = float(scipy.optimize.minimize_scalar(left, bounds=(0.0, most), method="bounded").x)
     w = records.solve(columns(rho), target, records.fast, bounded=len(r))
-    return TimeVaryingThresholdInverse(
-        records.period_s,
-        records.r,
-        w.tolist(),
-        threshold_slopes=(rho * moving).tolist(),
-        saturation=records.saturation,
-        **records.deployment,
-    )
+    return records.inverse(TimeVaryingThresholdInverse, w.tolist(), threshold_slopes=(rho * moving).tolist())
 
 
 def fit_cascade(records: Records, order: int = 2) -> CascadedInverse:
@@ -188,14 +189,7 @@ def fit_cascade(records: Records, order: int = 2) -> CascadedInverse:
             statically, _ = records.saturation(plays[None])
         target.append(statically[0].numpy() - pair.motion.yd[0].numpy())
     lead = records.solve(columns, target, records.fast)
-    return CascadedInverse(
-        records.period_s,
-        records.r,
-        records.w,
-        lead=lead.tolist(),
-        saturation=records.saturation,
-        **records.deployment,
-    )
+    return records.inverse(CascadedInverse, records.w, lead=lead.tolist())
 
 
 def fit_generalised_direct(
@@ -231,10 +225,7 @@ def fit_generalised_direct(
         return np.asarray(found.x)
 
     plays = bank(search(np.tile(search(np.eye(degree)[0]), 2)))
-    columns, target = [], []
-    for pair in records.fast:
-        h = states(plays, pair)
-        columns.append(np.concatenate([h, h * pair.motion.yd_dot[0].numpy()[:, None]], 1))
-        target.append(pair.u[0].numpy())
-    b, k = np.split(records.solve(columns, target, records.fast), 2)
-    return GeneralisedDirectInverse(records.period_s, plays, k.tolist(), b.tolist(), **records.deployment)
+    b, k = records.rate_weights(
+        lambda pair: states(plays, pair), [pair.u[0].numpy() for pair in records.fast]
+    )
+    return GeneralisedDirectInverse(records.period_s, plays, k, b, **records.deployment)

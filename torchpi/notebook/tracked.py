@@ -7,12 +7,7 @@ from torchpi.loop.result import LoopResult, Signal
 from torchpi.report import loop_figures
 from torchpi.report.notebook import Plot, tracked_html
 
-FIGURES = {
-    "trajectory": loop_figures.trajectory_figure,
-    "linearity": loop_figures.linearity_figure,
-    "error": loop_figures.error_figure,
-    "voltage": loop_figures.voltage_figure,
-}
+FIGURES = {name: draw for name, draw in loop_figures.FIGURES.items() if name != "latency"}
 
 
 class Tracked(LoopResult):

@@ -1,5 +1,8 @@
 """The contract that every operator keeps."""
 
+from collections.abc import Callable, Sequence
+from typing import ClassVar
+
 import torch
 from torch import Tensor, nn
 
@@ -15,9 +18,12 @@ class Operator(nn.Module):
     the record in one piece. `torchpi.operators.conformance` is the test of it.
     """
 
+    state_size: ClassVar[int] = 0
+    """How many numbers there are in the state of a row, where `initial_state` says no other."""
+
     def initial_state(self, batch: int) -> Tensor:
         """State of the de-energised operator. Shape: (batch, states)."""
-        return torch.zeros(batch, 0, dtype=torch.float64)
+        return torch.zeros(batch, self.state_size, dtype=torch.float64)
 
     def forward(
         self,
@@ -64,3 +70,35 @@ class StaticStream(nn.Module):
     @torch.jit.export
     def reset(self) -> None:
         return
+
+
+Step = Callable[[float, list[float], list[float]], float]
+"""y(x, numbers, state), which leaves the state after it in its list."""
+
+
+class StepStream(nn.Module):
+    """A scalar function, one sample at a time.
+
+    Args:
+        of: A plain function, which TorchScript compiles.
+        numbers: What it reads.
+        states: How many numbers the state has, all 0 at rest.
+    """
+
+    numbers: list[float]
+    state: list[float]
+
+    def __init__(self, of: Step, numbers: Sequence[float], states: int = 0) -> None:
+        super().__init__()
+        self.of = of
+        self.numbers = [float(number) for number in numbers]
+        self.state = [0.0] * states
+
+    @torch.jit.export
+    def reset(self) -> None:
+        for i in range(len(self.state)):
+            self.state[i] = 0.0
+
+    @torch.jit.export
+    def step(self, x: float) -> float:
+        return self.of(x, self.numbers, self.state)

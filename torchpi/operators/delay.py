@@ -5,7 +5,9 @@ between samples. `torchpi.stage.effects.amplifier.delay` has both cases.
 """
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
+
+from torchpi.operators.base import StepStream
 
 
 def two_taps(newer: float, older: float, p: float, q: float) -> float:
@@ -28,29 +30,17 @@ def delay_line(
     return y.to(x.dtype), past[:, time:]
 
 
-class DelayLineStream(nn.Module):
-    """The line, one sample at a time: a ring of the last inputs."""
+def delay_step(x: float, n: list[float], s: list[float]) -> float:
+    """The line as a stream takes it: n holds m, p and q, s a ring of the last inputs and where it stands."""
+    size, whole = len(s) - 1, int(n[0])
+    at = int(s[size])
+    s[at] = x
+    newer = s[(at + size - whole) % size]
+    older = s[(at + size - whole - 1) % size]
+    s[size] = float((at + 1) % size)
+    return two_taps(newer, older, n[1], n[2])
 
-    ring: list[float]
 
-    def __init__(self, whole: int, p: float, q: float) -> None:
-        super().__init__()
-        self.whole = whole
-        self.p = p
-        self.q = q
-        self.ring = [0.0] * (whole + 2)
-        self.at = 0
-
-    @torch.jit.export
-    def reset(self) -> None:
-        for i in range(len(self.ring)):
-            self.ring[i] = 0.0
-
-    @torch.jit.export
-    def step(self, u: float) -> float:
-        size = len(self.ring)
-        self.ring[self.at] = u
-        newer = self.ring[(self.at + size - self.whole) % size]
-        older = self.ring[(self.at + size - self.whole - 1) % size]
-        self.at = (self.at + 1) % size
-        return two_taps(newer, older, self.p, self.q)
+def delay_stream(whole: int, p: float, q: float) -> StepStream:
+    """The line, one sample at a time."""
+    return StepStream(delay_step, [whole, p, q], whole + 3)

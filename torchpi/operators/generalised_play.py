@@ -19,6 +19,7 @@ from torch.autograd.function import once_differentiable
 
 from torchpi.errors import ConfigError
 from torchpi.operators.base import Operator
+from torchpi.operators.play import threshold_parameter
 from torchpi.operators.polynomial import Polynomial, PolynomialStream
 
 
@@ -57,8 +58,8 @@ class GeneralisedPlayBank(Operator):
             raise ConfigError(
                 f"thresholds_down: found {len(thresholds_down)}, expected {len(thresholds_up)}, as many as up"
             )
-        self.raw_up = _thresholds("thresholds_up", thresholds_up, trainable_thresholds)
-        self.raw_down = _thresholds("thresholds_down", thresholds_down, trainable_thresholds)
+        self.raw_up = threshold_parameter("thresholds_up", list(thresholds_up), trainable_thresholds)
+        self.raw_down = threshold_parameter("thresholds_down", list(thresholds_down), trainable_thresholds)
         self.up = Polynomial(envelope_up, scale)
         self.down = Polynomial(envelope_down, scale)
 
@@ -205,10 +206,3 @@ def _backward(
                     ghigh[batch, t, i] = carried
                     carried = low.dtype.type(0)
             gh0[batch, i] = carried
-
-
-def _thresholds(name: str, values: list[float], trainable: bool) -> nn.Parameter:
-    r = torch.as_tensor(values, dtype=torch.float64)
-    if r.ndim != 1 or len(r) == 0 or not bool(torch.isfinite(r).all()) or bool((r < 0).any()):
-        raise ConfigError(f"{name}: found {list(values)}, expected at least one finite number, none negative")
-    return nn.Parameter(r.clone(), requires_grad=trainable)

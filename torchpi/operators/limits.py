@@ -16,8 +16,6 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from torchpi.operators.base import StaticStream
-
 
 def clip(x: float, low: float, high: float, knee: float = 0.0) -> float:
     """max{low, min{high, x}}, with corners of the width `knee`."""
@@ -28,18 +26,9 @@ def clip(x: float, low: float, high: float, knee: float = 0.0) -> float:
     return max(low, below)
 
 
-class ClipStream(StaticStream):
-    """Saturation, one sample at a time."""
-
-    def __init__(self, low: float, high: float, knee: float = 0.0) -> None:
-        super().__init__()
-        self.low = low
-        self.high = high
-        self.knee = knee
-
-    @torch.jit.export
-    def step(self, x: float) -> float:
-        return clip(x, self.low, self.high, self.knee)
+def clip_step(x: float, n: list[float], s: list[float]) -> float:
+    """`clip` as a stream takes it: n holds both ends and the knee."""
+    return clip(x, n[0], n[1], n[2])
 
 
 def clipped(

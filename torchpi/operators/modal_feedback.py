@@ -37,20 +37,37 @@ class Shapes(NamedTuple):
     input_plays: int
 
 
+class Parameters(NamedTuple):
+    """The parameters, or slopes for them, in the order in which a fit has them."""
+
+    poles: np.ndarray  # (modes, 2)
+    drive: np.ndarray  # (modes, 2, inputs)
+    force: np.ndarray  # (modes, 2, elements)
+    sensed: np.ndarray  # (elements, modes, 2)
+    through: np.ndarray  # (elements, inputs)
+    weights: np.ndarray  # (elements, functions)
+    play_weights: np.ndarray  # (inputs, input plays)
+    seen: np.ndarray  # (outputs, modes, 2)
+    direct: np.ndarray  # (outputs, inputs)
+
+
+class Constants(NamedTuple):
+    """What the functions of the elements are made of."""
+
+    zones: np.ndarray  # (dead zones,), thresholds
+    thresholds: np.ndarray  # (plays,)
+    kept: np.ndarray  # (plays,), what a sample leaves of small motions
+    shares: np.ndarray  # (means,), of a sample in its mean
+
+
 def parameter_shapes(shapes: Shapes) -> dict[str, tuple[int, ...]]:
-    """The parameters by name, in the order in which the kernel and its tangents have them."""
+    """The parameters by name, in the order of `Parameters`."""
     m, p, modes, n, functions, plays = shapes
-    return {
-        "poles": (modes, 2),
-        "drive": (modes, 2, m),
-        "force": (modes, 2, n),
-        "sensed": (n, modes, 2),
-        "through": (n, m),
-        "weights": (n, functions),
-        "play_weights": (m, plays),
-        "seen": (p, modes, 2),
-        "direct": (p, m),
-    }
+    each = (
+        (modes, 2), (modes, 2, m), (modes, 2, n), (n, modes, 2), (n, m), (n, functions), (m, plays),
+        (p, modes, 2), (p, m),
+    )  # fmt: skip
+    return dict(zip(Parameters._fields, each, strict=True))
 
 
 @njit
@@ -80,19 +97,8 @@ def record_width(shapes: Shapes, plays: int, means: int) -> int:
 def modal_feedback(
     u: np.ndarray,  # (time, inputs)
     k: np.ndarray,  # (time, inputs, input plays)
-    poles: np.ndarray,  # (modes, 2)
-    drive: np.ndarray,  # (modes, 2, inputs)
-    force: np.ndarray,  # (modes, 2, elements)
-    sensed: np.ndarray,  # (elements, modes, 2)
-    through: np.ndarray,  # (elements, inputs)
-    weights: np.ndarray,  # (elements, functions)
-    play_weights: np.ndarray,  # (inputs, input plays)
-    seen: np.ndarray,  # (outputs, modes, 2)
-    direct: np.ndarray,  # (outputs, inputs)
-    zones: np.ndarray,  # (dead zones,), thresholds
-    thresholds: np.ndarray,  # (plays,)
-    kept: np.ndarray,  # (plays,), what a sample leaves of small motions
-    shares: np.ndarray,  # (means,), of a sample in its mean
+    parameters: Parameters,
+    constants: Constants,
     x: np.ndarray,  # (modes, 2), state; left as after the last sample, like those below
     h: np.ndarray,  # (elements, plays)
     means: np.ndarray,  # (elements, means)
@@ -101,6 +107,8 @@ def modal_feedback(
     record: np.ndarray,  # (rows, record width), written: of the last samples, what tangents need
 ) -> bool:
     """Fill `y`; False where the states leave all bounds."""
+    poles, drive, force, sensed, through, weights, play_weights, seen, direct = parameters
+    zones, thresholds, kept, shares = constants
     samples, inputs = u.shape
     modes, elements, functions = len(poles), len(weights), weights.shape[1]
     outputs, plays, input_plays = len(seen), len(thresholds), k.shape[2]

@@ -8,7 +8,7 @@ simulations.
 import numpy as np
 
 from torchpi.operators.compiled import njit, njit_sum
-from torchpi.operators.modal_feedback import record_places
+from torchpi.operators.modal_feedback import Constants, Parameters, record_places
 
 
 @njit
@@ -44,19 +44,8 @@ def _add_rows(into: np.ndarray, rows: np.ndarray, factors: np.ndarray) -> None:
 def modal_tangents(
     record: np.ndarray,  # (time, record width), of the samples from the first whose tangents are carried
     k: np.ndarray,  # (time, inputs, input plays), of the same
-    poles: np.ndarray,  # (modes, 2), and the other parameters as `modal_feedback` takes them
-    drive: np.ndarray,
-    force: np.ndarray,
-    sensed: np.ndarray,
-    through: np.ndarray,
-    weights: np.ndarray,
-    play_weights: np.ndarray,
-    seen: np.ndarray,
-    direct: np.ndarray,
-    zones: np.ndarray,
-    thresholds: np.ndarray,
-    kept: np.ndarray,
-    shares: np.ndarray,
+    parameters: Parameters,
+    constants: Constants,
     past: int,  # samples before these
     counted: int,  # samples, the last, whose slopes count
     stride: int,  # every how many samples a row of slopes is kept
@@ -68,6 +57,8 @@ def modal_tangents(
     A few tangents at a time are quicker than many: their states then stay in the nearest cache. They are
     in single precision, of which twice as many fit.
     """
+    poles, drive, force, sensed, through, weights, _, seen, direct = parameters
+    zones, thresholds, _, shares = constants
     inputs, modes, elements, functions = drive.shape[2], len(poles), len(weights), weights.shape[1]
     outputs, plays, input_plays, averages = len(seen), len(thresholds), k.shape[2], len(shares)
     after_zones, after_means = len(zones), functions - 1
@@ -186,32 +177,15 @@ def modal_tangents(
 def modal_gradient(
     record: np.ndarray,  # (time, record width), of the samples that the error is traced back through
     k: np.ndarray,  # (time, inputs, input plays), of the same
-    poles: np.ndarray,  # (modes, 2), and the other parameters as `modal_feedback` takes them
-    drive: np.ndarray,
-    force: np.ndarray,
-    sensed: np.ndarray,
-    through: np.ndarray,
-    weights: np.ndarray,
-    play_weights: np.ndarray,
-    seen: np.ndarray,
-    direct: np.ndarray,
-    zones: np.ndarray,
-    thresholds: np.ndarray,
-    kept: np.ndarray,
-    shares: np.ndarray,
+    parameters: Parameters,
+    constants: Constants,
     past: int,  # samples before these
     error: np.ndarray,  # (counted, outputs), of the last samples
-    d_poles: np.ndarray,  # added to, like those below, of the parameters' shapes
-    d_drive: np.ndarray,
-    d_force: np.ndarray,
-    d_sensed: np.ndarray,
-    d_through: np.ndarray,
-    d_weights: np.ndarray,
-    d_play_weights: np.ndarray,
-    d_seen: np.ndarray,
-    d_direct: np.ndarray,
+    d: Parameters,  # slopes, added to
 ) -> None:
     """Σ error · ∂y/∂parameter, by the adjoint recursion."""
+    poles, drive, force, sensed, through, weights, _, seen, direct = parameters
+    zones, thresholds, _, shares = constants
     inputs, modes, elements, functions = drive.shape[2], len(poles), len(weights), weights.shape[1]
     outputs, plays, input_plays, averages = len(seen), len(thresholds), k.shape[2], len(shares)
     after_zones, after_means = len(zones), functions - 1
@@ -233,12 +207,12 @@ def modal_gradient(
                 a = ax[m, c]
                 for i in range(inputs):
                     av[i] += drive[m, c, i] * a
-                    d_drive[m, c, i] += a * v[i]
+                    d.drive[m, c, i] += a * v[i]
                 for n in range(elements):
                     aw[n] += force[m, c, n] * a
-                    d_force[m, c, n] += a * w[n]
-            d_poles[m, 0] += ax[m, 0] * x[m, 0] + ax[m, 1] * x[m, 1]
-            d_poles[m, 1] += ax[m, 1] * x[m, 0] - ax[m, 0] * x[m, 1]
+                    d.force[m, c, n] += a * w[n]
+            d.poles[m, 0] += ax[m, 0] * x[m, 0] + ax[m, 1] * x[m, 1]
+            d.poles[m, 1] += ax[m, 1] * x[m, 0] - ax[m, 0] * x[m, 1]
             re, im, a0, a1 = poles[m, 0], poles[m, 1], ax[m, 0], ax[m, 1]
             ax[m, 0], ax[m, 1] = re * a0 + im * a1, re * a1 - im * a0
         for n in range(elements):
@@ -255,25 +229,25 @@ def modal_gradient(
                 am[n, q] = (1.0 - share) * a
             az[n] = sum_
             for q in range(functions):
-                d_weights[n, q] += aw[n] * phi[n, q]
+                d.weights[n, q] += aw[n] * phi[n, q]
             av[n % inputs] += weights[n, after_means] * z[n] * aw[n]
             for m in range(modes):
                 for c in range(2):
                     ax[m, c] += sensed[n, m, c] * sum_
-                    d_sensed[n, m, c] += sum_ * x[m, c]
+                    d.sensed[n, m, c] += sum_ * x[m, c]
             for i in range(inputs):
                 av[i] += through[n, i] * sum_
-                d_through[n, i] += sum_ * v[i]
+                d.through[n, i] += sum_ * v[i]
         if t >= silent:
             for o in range(outputs):
                 e = error[t - silent, o]
                 for m in range(modes):
                     for c in range(2):
                         ax[m, c] += seen[o, m, c] * e
-                        d_seen[o, m, c] += e * x[m, c]
+                        d.seen[o, m, c] += e * x[m, c]
                 for i in range(inputs):
                     av[i] += direct[o, i] * e
-                    d_direct[o, i] += e * v[i]
+                    d.direct[o, i] += e * v[i]
         for i in range(inputs):
             for r in range(input_plays):
-                d_play_weights[i, r] += av[i] * k[t, i, r]
+                d.play_weights[i, r] += av[i] * k[t, i, r]

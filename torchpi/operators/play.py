@@ -34,14 +34,7 @@ class PlayBank(Operator):
 
     def __init__(self, thresholds: list[float], trainable: bool = False) -> None:
         super().__init__()
-        expected = f"thresholds: found {thresholds}, expected at least one finite number, none negative"
-        try:
-            r = torch.as_tensor(thresholds, dtype=torch.float64)
-        except (TypeError, ValueError, RuntimeError):  # words, nothing, ragged lists
-            raise ConfigError(expected) from None
-        if r.ndim != 1 or len(r) == 0 or not bool(torch.isfinite(r).all()) or bool((r < 0).any()):
-            raise ConfigError(expected)
-        self.raw_thresholds = nn.Parameter(r.clone(), requires_grad=trainable)
+        self.raw_thresholds = threshold_parameter("thresholds", thresholds, trainable)
 
     @property
     def r(self) -> Tensor:
@@ -68,6 +61,22 @@ class PlayBank(Operator):
     def extra_repr(self) -> str:
         r = self.r.tolist()
         return f"plays={len(r)}, thresholds {min(r):.4g} … {max(r):.4g}"
+
+
+def threshold_parameter(name: str, values: list[float], trainable: bool) -> nn.Parameter:
+    """Thresholds, (plays,).
+
+    Raises:
+        ConfigError: None, or one that is negative or not finite.
+    """
+    expected = f"{name}: found {values}, expected at least one finite number, none negative"
+    try:
+        r = torch.as_tensor(values, dtype=torch.float64)
+    except (TypeError, ValueError, RuntimeError):  # words, nothing, ragged lists
+        raise ConfigError(expected) from None
+    if r.ndim != 1 or len(r) == 0 or not bool(torch.isfinite(r).all()) or bool((r < 0).any()):
+        raise ConfigError(expected)
+    return nn.Parameter(r.clone(), requires_grad=trainable)
 
 
 class PlayStream(nn.Module):

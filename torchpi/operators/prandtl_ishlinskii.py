@@ -4,9 +4,18 @@ import torch
 from torch import Tensor, nn
 
 from torchpi.errors import ConfigError
-from torchpi.operators.base import Operator
-from torchpi.operators.play import PlayBank, PlayStream
-from torchpi.operators.weighted_sum import weight, weighted_sum
+from torchpi.operators.base import Operator, StepStream
+from torchpi.operators.play import PlayBank, play
+from torchpi.operators.weighted_sum import weighted_sum
+
+
+def sum_step(x: float, n: list[float], s: list[float]) -> float:
+    """The sum as a stream takes it: n holds r and w, s the plays."""
+    total = 0.0
+    for i in range(len(s)):
+        s[i] = play(x, n[i], s[i])
+        total += n[len(s) + i] * s[i]
+    return total
 
 
 class PrandtlIshlinskii(Operator):
@@ -45,30 +54,5 @@ class PrandtlIshlinskii(Operator):
         h, state = self.plays(x, state)
         return weighted_sum(h, torch.ones_like(x)[..., None], self.w.to(x.dtype)[:, None]), state
 
-    def stream(self) -> "PrandtlIshlinskiiStream":
-        return PrandtlIshlinskiiStream(self.plays.stream(), self.w.tolist())
-
-
-class PrandtlIshlinskiiStream(nn.Module):
-    """The sum, one sample at a time."""
-
-    w: list[float]
-    one: list[float]
-
-    def __init__(self, plays: PlayStream, w: list[float]) -> None:
-        super().__init__()
-        self.plays = plays
-        self.w = w
-        self.one = [1.0]
-
-    @torch.jit.export
-    def reset(self) -> None:
-        self.plays.reset()
-
-    @torch.jit.export
-    def step(self, x: float) -> float:
-        h = self.plays.step(x)
-        total = 0.0
-        for i in range(len(h)):
-            total += weight(self.w, self.one, i) * h[i]
-        return total
+    def stream(self) -> nn.Module:
+        return StepStream(sum_step, [*self.plays.r.tolist(), *self.w.tolist()], len(self.w))

@@ -11,7 +11,7 @@ from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 
 from torchpi.errors import StageError
-from torchpi.operators.base import Static, StaticStream
+from torchpi.operators.base import Static, StepStream
 from torchpi.operators.limits import clip
 from torchpi.operators.quantity import Quantity
 
@@ -41,19 +41,9 @@ class Quantize(torch.autograd.Function):
         return gradients[0] * inside, torch.zeros_like(offset), torch.zeros_like(step), None, None
 
 
-class QuantizationStream(StaticStream):
-    """The rounding, one sample at a time."""
-
-    def __init__(self, offset: float, step: float, first: float = -math.inf, last: float = math.inf) -> None:
-        super().__init__()
-        self.offset = offset
-        self.step_size = step
-        self.first = first
-        self.last = last
-
-    @torch.jit.export
-    def step(self, x: float) -> float:
-        return quantize(x, self.offset, self.step_size, self.first, self.last)
+def quantize_step(x: float, n: list[float], s: list[float]) -> float:
+    """`quantize` as a stream takes it: n holds its other arguments."""
+    return quantize(x, n[0], n[1], n[2], n[3])
 
 
 class Converter(Static):
@@ -92,7 +82,7 @@ class Converter(Static):
         return cast(Tensor, Quantize.apply(x, offset, step, 0.0, self.last_code))
 
     def stream(self) -> nn.Module:
-        return QuantizationStream(self.low, self.step_size, 0.0, self.last_code)
+        return StepStream(quantize_step, [self.low, self.step_size, 0.0, self.last_code])
 
     def settings(self) -> dict[str, float]:
         """The constructor's arguments."""

@@ -7,16 +7,15 @@ Ang, Garmón, Khosla and Riviere, IROS 2003; Ang, Khosla and Riviere, IEEE/ASME 
 """
 
 import math
-from typing import Any
 
 import torch
 from torch import Tensor, nn
 
 from torchpi.errors import ConfigError
-from torchpi.operators.base import Operator
-from torchpi.operators.motion import BackwardMotionStream, backward_rate
-from torchpi.operators.play import PlayBank
-from torchpi.operators.weighted_sum import weight, weighted_sum
+from torchpi.operators.base import Operator, StepStream
+from torchpi.operators.motion import backward_rate
+from torchpi.operators.play import PlayBank, play
+from torchpi.operators.weighted_sum import weighted_sum
 
 RATE_STATES = 3  # the two last inputs, and whether there was one
 
@@ -84,63 +83,35 @@ class RateDependentPI(Operator):
         basis = torch.stack([torch.ones_like(rate), rate], -1)
         return weighted_sum(h, basis, torch.stack([self.b, self.k], 1).to(x.dtype)), state
 
-    def stream(self) -> "RateDependentPIStream":
-        law = WeightedPlaysStream(self.plays.stream(), self.b, self.k)
-        return RateDependentPIStream(law, BackwardMotionStream(self.sample_period_s))
+    def stream(self) -> StepStream:
+        numbers = torch.cat([self.plays.r, self.b, self.k]).tolist()
+        return StepStream(rate_dependent_step, [self.sample_period_s, *numbers], len(self.k) + RATE_STATES)
 
     def extra_repr(self) -> str:
         return f"T = {self.sample_period_s:g} s"
 
 
-class WeightedPlaysStream(nn.Module):
-    """Σ_i (b_i + k_i ẋ) h_i over any bank of plays, one sample at a time, at a rate that is given.
-
-    Args:
-        plays: Stream of the bank, whose `step(x)` returns the list of its states.
-        b: Weights at rest, one a play.
-        k: Change of the weights with the rate.
-    """
-
-    theta: list[float]
-    basis: list[float]
-
-    def __init__(self, plays: Any, b: Tensor, k: Tensor) -> None:
-        super().__init__()
-        self.plays = plays
-        self.theta = torch.stack([b, k], 1).flatten().tolist()
-        self.basis = [1.0, 0.0]
-
-    @torch.jit.export
-    def reset(self) -> None:
-        self.plays.reset()
-
-    @torch.jit.export
-    def step(self, x: float, rate: float, acceleration: float) -> float:
-        self.basis[1] = rate
-        h: list[float] = self.plays.step(x)
-        total = 0.0
-        for i in range(len(h)):
-            total += weight(self.theta, self.basis, i) * h[i]
-        return total
+def rate_dependent_step(x: float, n: list[float], s: list[float]) -> float:
+    """The operator as a stream takes it: n holds T, r, b and k, s the state."""
+    rate = own_rate_step(x, n[0], s)
+    plays, total = len(s) - 3, 0.0
+    for i in range(plays):
+        s[i] = play(x, n[1 + i], s[i])
+        total += (n[1 + plays + i] + n[1 + 2 * plays + i] * rate) * s[i]
+    return total
 
 
-class RateDependentPIStream(nn.Module):
-    """The operator, one sample at a time."""
-
-    def __init__(self, law: WeightedPlaysStream, motion: BackwardMotionStream) -> None:
-        super().__init__()
-        self.law = law
-        self.motion = motion
-
-    @torch.jit.export
-    def reset(self) -> None:
-        self.law.reset()
-        self.motion.reset()
-
-    @torch.jit.export
-    def step(self, x: float) -> float:
-        _, rate, _ = self.motion.step(x)
-        return self.law.step(x, rate, 0.0)
+def own_rate_step(x: float, sample_period_s: float, s: list[float]) -> float:
+    """`own_rate` of one sample, its memory being the last of `s`."""
+    at = len(s) - 3
+    if s[at + 2] == 0.0:
+        s[at] = x
+        s[at + 1] = x
+        s[at + 2] = 1.0
+    rate = backward_rate(x, s[at], s[at + 1], sample_period_s)
+    s[at + 1] = s[at]
+    s[at] = x
+    return rate
 
 
 def own_rate(

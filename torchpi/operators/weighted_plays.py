@@ -101,20 +101,16 @@ _weighted_plays_backward = torch.library.custom_op(
 
 @_weighted_plays.register_fake
 def _(
-    x: Tensor, rate: Tensor, h0: Tensor, c: Tensor, r: Tensor, theta: Tensor, knots: Tensor, psi: Tensor,
-    offset: Tensor, rate_scale: float, state_scale: float,
-) -> tuple[Tensor, Tensor, Tensor, Tensor]:  # fmt: skip
+    x: Tensor, rate: Tensor, h0: Tensor, c: Tensor, r: Tensor, *others: Any
+) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     return _empty(x, h0, r)
 
 
 @_weighted_plays_backward.register_fake
-def _(
-    x: Tensor, rate: Tensor, c: Tensor, r: Tensor, theta: Tensor, knots: Tensor, psi: Tensor, offset: Tensor,
-    rate_scale: float, state_scale: float, folded: Tensor, checkpoints: Tensor, gu: Tensor, gfinal: Tensor,
-    with_rate: bool, with_r: bool,
-) -> tuple[Tensor, Tensor, Tensor, Tensor]:  # fmt: skip
+def _(x: Tensor, rate: Tensor, *others: Any) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    parameters, (gfinal, with_rate, _) = others[:6], others[-3:]
     grate = rate if with_rate else rate[:, :0]
-    sums = c.new_empty(sum(part.numel() for part in (c, r, theta, knots, psi, offset)))
+    sums = x.new_empty(sum(part.numel() for part in parameters))
     return x.new_empty(x.shape), grate.new_empty(grate.shape), gfinal.new_empty(gfinal.shape), sums
 
 

@@ -13,7 +13,8 @@ import torch
 from torch import Tensor
 
 from torchpi.errors import StageError
-from torchpi.operators.rate_dependent_pi import RateDependentPI, RateDependentPIStream
+from torchpi.operators.base import StepStream
+from torchpi.operators.rate_dependent_pi import RateDependentPI
 
 SAMPLE_PERIOD_S = 1e-4  # of the paper's rig
 THRESHOLDS = [0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 4.5]  # r, V
@@ -77,7 +78,7 @@ class Fig7Plant:
 class Fig7Stream:
     """The plant, one sample at a time."""
 
-    def __init__(self, operator: RateDependentPIStream) -> None:
+    def __init__(self, operator: StepStream) -> None:
         self.operator = operator
 
     def reset(self, seed: int = 0) -> None:

@@ -5,13 +5,12 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import islice
 from pathlib import Path
 
 import numpy as np
 
 from torchpi.errors import RecordingError, RecordingWarning
-from torchpi.files import write_atomically
+from torchpi.files import write_columns
 from torchpi.recordings.options import TIME_COLUMN, RecordingOptions
 from torchpi.recordings.readers import open_source
 from torchpi.recordings.readers.npz import NpzSource
@@ -201,9 +200,5 @@ def write_multi_axis(path: str | Path, recording: MultiAxisRecording) -> None:
     names = [f"input_{i + 1}_v" for i in range(recording.u.shape[1])]
     names += [f"output_{i + 1}_um" for i in range(recording.y.shape[1])]
     t = np.arange(len(recording.u))[:, None] / recording.fs_hz
-    table = np.concatenate([t, recording.u, recording.y], axis=1).tolist()
-    rows = (",".join(map(repr, row)) for row in table)
-    with write_atomically(path) as temporary, open(temporary, "w", encoding="utf-8", newline="\n") as file:
-        file.write(",".join([TIME_COLUMN, *names]) + "\n")
-        while chunk := list(islice(rows, 100_000)):
-            file.write("\n".join(chunk) + "\n")
+    table = np.concatenate([t, recording.u, recording.y], axis=1)
+    write_columns(path, [TIME_COLUMN, *names], table.T.tolist())

@@ -6,7 +6,6 @@ Inside, the voltage is in V, the displacement in µm, the time in s, and the sam
 import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from itertools import islice
 from pathlib import Path
 from typing import Any, Literal
 
@@ -14,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from torchpi.errors import ConfigError, RecordingError, kind_of
-from torchpi.files import write_atomically
+from torchpi.files import write_columns
 from torchpi.recordings.checks import MIN_SAMPLES, check_length, check_recording
 from torchpi.recordings.options import (
     INPUT_COLUMN,
@@ -422,13 +421,8 @@ def write_recording(path: str | Path, recording: Recording, input_column: str = 
     if recording.simulated is not None:
         others = {SIMULATED_COLUMN: recording.simulated, **others}
     columns = [recording.t, recording.u, recording.y, *others.values()]
-    header = ",".join([TIME_COLUMN, input_column, OUTPUT_COLUMN, *others])
-    row = ",".join(["%r"] * len(columns))  # repr: the shortest digits that give the same double back
-    rows = map(row.__mod__, zip(*(np.asarray(c, dtype=np.float64).tolist() for c in columns), strict=True))
-    with write_atomically(path) as temporary, open(temporary, "w", encoding="utf-8", newline="\n") as file:
-        file.write(header + "\n")
-        while chunk := list(islice(rows, 100_000)):
-            file.write("\n".join(chunk) + "\n")
+    names = [TIME_COLUMN, input_column, OUTPUT_COLUMN, *others]
+    write_columns(path, names, (np.asarray(c, dtype=np.float64).tolist() for c in columns))
 
 
 def _options(options: RecordingOptions | None, changes: dict[str, Any]) -> RecordingOptions:

@@ -1,5 +1,6 @@
 """Figures of a loop result: each function takes the result and returns a matplotlib Figure."""
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -9,7 +10,7 @@ from matplotlib.ticker import FuncFormatter
 
 from torchpi.loop.result import COMPENSATED, WITHOUT, WITHOUT_LOOK_AHEAD, LoopResult
 from torchpi.report import style
-from torchpi.report.style import canvas
+from torchpi.report.style import canvas, legend_above
 from torchpi.report.traces import envelope, readable, thinned
 
 
@@ -29,7 +30,7 @@ def trajectory_figure(result: LoopResult) -> Figure:
         error.set(ylabel="error $y - y_d$ (µm)", xlabel="time (s)", xlim=(t[0], t[-1]))
         for axes in (motion, error):
             _shade_loading(axes, result)
-            _legend_above(axes)
+            legend_above(axes, 4, handlelength=2.2)
     return figure
 
 
@@ -51,7 +52,7 @@ def linearity_figure(result: LoopResult) -> Figure:
                 line = {**line_of(result, key), "linewidth": 0.8}
                 axes.plot(*thinned(result.yd[n:], error_nm[n:]), label=drive.label, **line)
             axes.set(xlabel="reference $y_d$ (µm)", ylabel="error $y - y_d$ (nm)")
-            axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, borderaxespad=0.2)
+            legend_above(axes, 3)
     return figure
 
 
@@ -79,7 +80,7 @@ def error_figure(result: LoopResult) -> Figure:
         )
         for axes in (whole, zoom):
             axes.set_ylabel("error (nm)")
-        _legend_above(whole)
+        legend_above(whole, 4, handlelength=2.2)
     return figure
 
 
@@ -96,7 +97,7 @@ def voltage_figure(result: LoopResult) -> Figure:
             xlim=(0.0, result.t[-1]), xlabel="time (s)", ylabel="voltage $u$ (V)", title="voltage applied"
         )
         _shade_loading(axes, result)
-        _legend_above(axes)
+        legend_above(axes, 4, handlelength=2.2)
     return figure
 
 
@@ -133,8 +134,18 @@ def latency_figure(result: LoopResult) -> Figure:
         for axis in (axes.xaxis, axes.yaxis):
             axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.6g}"))
         axes.set(xlabel="time of one step (µs)", ylabel="steps")
-        _legend_above(axes)
+        legend_above(axes, 4, handlelength=2.2)
     return figure
+
+
+FIGURES: dict[str, Callable[[LoopResult], Figure]] = {
+    "trajectory": trajectory_figure,
+    "linearity": linearity_figure,
+    "error": error_figure,
+    "voltage": voltage_figure,
+    "latency": latency_figure,
+}
+"""By name, in the order of a page."""
 
 
 def line_of(result: LoopResult, key: str) -> dict[str, Any]:
@@ -169,10 +180,6 @@ def _shade_loading(axes: Axes, result: LoopResult) -> None:
             color="#555555",
             annotation_clip=True,
         )
-
-
-def _legend_above(axes: Axes) -> None:
-    axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=4, borderaxespad=0.2, handlelength=2.2)
 
 
 def _worst_window(result: LoopResult) -> tuple[int, int]:

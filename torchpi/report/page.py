@@ -110,29 +110,15 @@ class _Picture:
 
 
 def _loop_figures(result: LoopResult) -> list[_Picture]:
-    return [
-        _Picture(
-            "trajectory",
-            loop_figures.trajectory_figure(result),
-            "True displacement against the reference; below, the error of every drive.",
-        ),
-        _Picture(
-            "linearity",
-            loop_figures.linearity_figure(result),
-            words.loops(result),
-        ),
-        _Picture(
-            "error",
-            loop_figures.error_figure(result),
-            "Errors with compensation, on their own scale, and a zoom on the largest after loading.",
-        ),
-        _Picture("voltage", loop_figures.voltage_figure(result), "Voltage written to the stage."),
-        _Picture(
-            "latency",
-            loop_figures.latency_figure(result),
-            "Time of each step of the compensator, called from Python, the reading of the clock included.",
-        ),
-    ]
+    captions = {
+        "trajectory": "True displacement against the reference; below, the error of every drive.",
+        "linearity": words.loops(result),
+        "error": "Errors with compensation, on their own scale, and a zoom on the largest after loading.",
+        "voltage": "Voltage written to the stage.",
+        "latency": "Time of each step of the compensator, called from Python, the reading of the clock "
+        "included.",
+    }
+    return [_Picture(name, loop_figures.FIGURES[name](result), text) for name, text in captions.items()]
 
 
 def _training_figures(report: TrainingReport) -> list[_Picture]:

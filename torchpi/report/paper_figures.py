@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
 from torchpi.report import style
-from torchpi.report.style import canvas
+from torchpi.report.style import canvas, legend_above
 from torchpi.report.traces import envelope, thinned
 
 if TYPE_CHECKING:
@@ -121,7 +121,7 @@ def fig8_errors(result: "items_model.Fig8Result") -> Figure:
             axes.set_xlabel("cycle (–)")
         for axes in figure.axes[::2]:
             axes.set_ylabel("error (% of 9 µm)")
-        figure.axes[1].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, borderaxespad=0.2)
+        legend_above(figure.axes[1], 2)
     return figure
 
 
@@ -138,7 +138,7 @@ def fig10(result: "items_stage.Fig10Result") -> Figure:
         time.plot(*envelope(of.t[short], of.u[short]), label="ideal inversion (measured)", **MEASURED)
         time.plot(*envelope(of.t[short], of.u_model[short]), label="identified model", **PAPER)
         time.set(title="(b) time plot", xlim=(0, of.t[short][-1]))
-        time.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.2)
+        legend_above(time, 1)
         error.plot(*envelope(of.t, of.u_model - of.u), **{**PAPER, "linewidth": 0.8})
         error.axvspan(0, of.loading_s, **style.SHADE)
         error.set(xlim=(0, of.t[-1]), title="model − measured (initial loading shaded)")
@@ -176,7 +176,7 @@ def fig12(result: "items_stage.Fig12Result") -> Figure:
                 ylabel="error (µm)",
                 title=f"(c) tracking error, {name} (initial loading shaded)",
             )
-        axes[0].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, borderaxespad=0.2)
+        legend_above(axes[0], 3)
         for one in axes:
             one.set_xlabel("time (s)")
     return figure
@@ -246,7 +246,7 @@ def unseen(result: "items_stage.UnseenResult") -> Figure:
         axes.set(xlabel="trajectory (–)", ylabel="error (% of peak to peak)")
         axes.yaxis.set_major_locator(FixedLocator([0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 20]))
         axes.yaxis.set_minor_locator(NullLocator())
-        axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=4, borderaxespad=0.2)
+        legend_above(axes, 4)
     return figure
 
 
@@ -261,7 +261,7 @@ def fast_trajectory(result: "items_stage.Fig12Result") -> Figure:
             motion.plot(*envelope(panel.t, y), label=label, **line)
             error.plot(*envelope(panel.t, y - panel.yd), **{**line, "linewidth": 0.8})
         motion.set_ylabel("displacement (µm)")
-        motion.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, borderaxespad=0.2)
+        legend_above(motion, 3)
         error.set(xlabel="time (s)", ylabel="error (µm)", xlim=(0, panel.t[-1]))
     return figure
 

@@ -1,11 +1,12 @@
 """The page of the whole paper: figures, the paper's numbers beside ours, and what was settled how."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import jinja2
+import yaml
 from markupsafe import Markup
 
 from torchpi.files import write_text
@@ -13,9 +14,8 @@ from torchpi.report import words
 from torchpi.report.linked import linked_markup
 from torchpi.report.linked_traces import paper_traces
 from torchpi.report.paper_figures import FIGURES, fast_trajectory
-from torchpi.report.paper_texts import TEXTS
 from torchpi.report.png import write_png
-from torchpi.report.rendering import environment
+from torchpi.report.rendering import FOLDER, environment
 from torchpi.report.svg import inline_svg
 from torchpi.report.what_was_run import Provenance
 
@@ -23,6 +23,10 @@ if TYPE_CHECKING:
     from torchpi.paper.result import Row
 
 TITLE = "The paper, reproduced and beaten"
+TEXTS: dict[str, dict[str, Any]] = yaml.safe_load(
+    (FOLDER / "templates" / "paper_texts.yaml").read_text(encoding="utf-8")
+)
+"""What the page says of each section in words."""
 
 
 @dataclass(frozen=True)
@@ -99,7 +103,6 @@ class _Extra:
     tables: Sequence[_Table] = ()
     paragraphs: Sequence[str] = ()
     says: str = ""
-    settled: Sequence[str] = field(default_factory=list)
 
 
 def _section(section: Section, figures: Path | None) -> dict[str, Any]:
@@ -115,14 +118,14 @@ def _section(section: Section, figures: Path | None) -> dict[str, Any]:
         )
     return {
         "name": section.name,
-        "title": text.title,
-        "says": extra.says or text.says,
+        "title": text["title"],
+        "says": extra.says or text.get("says", ""),
         "verdict": extra.verdict,
         "figures": drawn,
         "rows": section.rows,
         "tables": extra.tables,
-        "paragraphs": [*text.explains, *extra.paragraphs],
-        "settled": text.settled,
+        "paragraphs": [*text.get("explains", ()), *extra.paragraphs],
+        "settled": text.get("settled", ()),
         "seconds": section.seconds,
     }
 

@@ -6,6 +6,7 @@ from contextlib import contextmanager
 from typing import Any
 
 import matplotlib
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 # Okabe and Ito (2008). Lightness, dashes and width differ as well, so that grey print keeps them apart.
@@ -80,3 +81,8 @@ def canvas(height_in: float, width_in: float = WIDTH_IN) -> Iterator[Figure]:
             except UserWarning:  # what stands beside the axes leaves them no room
                 figure.set_size_inches(figure.get_figwidth(), 1.25 * figure.get_figheight())
         figure.set_layout_engine("none")
+
+
+def legend_above(axes: Axes, columns: int, **look: Any) -> None:
+    """The legend over the right end of the picture."""
+    axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=columns, borderaxespad=0.2, **look)

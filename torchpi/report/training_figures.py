@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from torchpi.report import style
-from torchpi.report.style import canvas
+from torchpi.report.style import canvas, legend_above
 from torchpi.report.traces import Signal, envelope, thinned
 from torchpi.report.training import RecordFit, Saturation, WeightsAgainstRate
 
@@ -35,7 +35,7 @@ def traces_figure(record: RecordFit) -> Figure:
         voltage.plot(*envelope(record.t, record.u), label="recorded", **RECORDED)
         voltage.plot(*envelope(record.t, record.u_hat), label="predicted", **PREDICTED)
         voltage.set(ylabel="voltage $u$ (V)", title=f"{record.name}, {record.role}")
-        voltage.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, borderaxespad=0.2)
+        legend_above(voltage, 2)
         residual.plot(*envelope(record.t, 1e3 * (record.u_hat - record.u)), color="#0072B2", linewidth=0.8)
         residual.axhline(0.0, color="#000000", linewidth=0.6)
         residual.set(
@@ -65,7 +65,7 @@ def spectrum_figure(record: RecordFit) -> Figure:
             ylabel="V per √Hz",
             title=f"spectrum, {record.name}, {record.role}",
         )
-        axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, borderaxespad=0.2)
+        legend_above(axes, 2)
     return figure
 
 

@@ -3,15 +3,14 @@
 import torch
 from torch import Tensor, nn
 
-from torchpi.operators.base import Operator, Static, StaticStream
-from torchpi.operators.delay import DelayLineStream
+from torchpi.operators.base import Operator, Static, StepStream
+from torchpi.operators.delay import delay_stream
 
 
 class OneSampleLate(Operator):
     """Alignment 1: the command of the tick before. Before the first it is 0 V."""
 
-    def initial_state(self, batch: int) -> Tensor:
-        return torch.zeros(batch, 1, dtype=torch.float64)
+    state_size = 1
 
     def forward(
         self,
@@ -23,7 +22,7 @@ class OneSampleLate(Operator):
         return both[:, :-1], both[:, -1:].to(held.dtype)
 
     def stream(self) -> nn.Module:
-        return DelayLineStream(1, 1.0, 0.0)
+        return delay_stream(1, 1.0, 0.0)
 
 
 class OneSampleEarly(Static):
@@ -44,16 +43,9 @@ class Zero(Static):
         return x + self.zero_um
 
     def stream(self) -> nn.Module:
-        return ZeroStream(self.zero_um)
+        return StepStream(zero_step, [self.zero_um])
 
 
-class ZeroStream(StaticStream):
-    """The zero, one sample at a time."""
-
-    def __init__(self, zero_um: float) -> None:
-        super().__init__()
-        self.zero_um = zero_um
-
-    @torch.jit.export
-    def step(self, x: float) -> float:
-        return x + self.zero_um
+def zero_step(x: float, n: list[float], s: list[float]) -> float:
+    """`Zero` as a stream takes it."""
+    return x + n[0]

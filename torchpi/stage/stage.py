@@ -19,9 +19,9 @@ from torch import Tensor, nn
 
 from torchpi.errors import ArtifactError, ConfigError, StageError, kind_of
 from torchpi.files import config_file, write_atomically
-from torchpi.operators.base import Operator
+from torchpi.operators.base import Operator, StepStream
 from torchpi.operators.chain import Chain, ChainStream
-from torchpi.operators.limits import ClipStream
+from torchpi.operators.limits import clip_step
 from torchpi.operators.noise import white_noise
 from torchpi.operators.quantity import Quantity, check_order
 from torchpi.operators.quantization import Converter
@@ -389,7 +389,8 @@ class Stage(Operator):
         Args:
             compiled: Whether TorchScript compiles the step: about a second once, then the faster way.
         """
-        limits = [ClipStream(self.min_voltage_v, self.max_voltage_v)] if self.saturates else []
+        ends = [self.min_voltage_v, self.max_voltage_v, 0.0]
+        limits = [StepStream(clip_step, ends)] if self.saturates else []
         command, reading = (
             [] if one is None else [one.stream()] for one in (self.command_converter, self.reading_converter)
         )

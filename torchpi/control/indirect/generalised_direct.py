@@ -7,7 +7,7 @@ II-A, name these plays as a way to model more complex loops; Al Janaideh, Rakhej
 forward model, and its inverse in closed form needs equal envelopes up and down, which this does not.
 """
 
-from typing import cast
+from typing import Any, cast
 
 import torch
 from torch import Tensor, nn
@@ -17,9 +17,8 @@ from torchpi.control.step import CompensatorStream
 from torchpi.errors import ConfigError
 from torchpi.operators.generalised_play import GeneralisedPlayBank
 from torchpi.operators.motion import Motion
-from torchpi.operators.rate_dependent_pi import WeightedPlaysStream
 from torchpi.operators.reference_filter import ReferenceFilter
-from torchpi.operators.weighted_sum import weighted_sum
+from torchpi.operators.weighted_sum import weight, weighted_sum
 
 
 class GeneralisedDirectInverse(Inverse):
@@ -71,3 +70,35 @@ class GeneralisedDirectInverse(Inverse):
         """One sample at a time, scriptable: `u = step(y_d at t + preview)`. Same bits as `forward`."""
         law = WeightedPlaysStream(self.plays.stream(), self.b, self.k)
         return cast(CompensatorStream, Deployed(law, self, reference_filter))
+
+
+class WeightedPlaysStream(nn.Module):
+    """Σ_i (b_i + k_i ẋ) h_i over any bank of plays, one sample at a time, at a rate that is given.
+
+    Args:
+        plays: Stream of the bank, whose `step(x)` returns the list of its states.
+        b: Weights at rest, one a play.
+        k: Change of the weights with the rate.
+    """
+
+    theta: list[float]
+    basis: list[float]
+
+    def __init__(self, plays: Any, b: Tensor, k: Tensor) -> None:
+        super().__init__()
+        self.plays = plays
+        self.theta = torch.stack([b, k], 1).flatten().tolist()
+        self.basis = [1.0, 0.0]
+
+    @torch.jit.export
+    def reset(self) -> None:
+        self.plays.reset()
+
+    @torch.jit.export
+    def step(self, x: float, rate: float, acceleration: float) -> float:
+        self.basis[1] = rate
+        h: list[float] = self.plays.step(x)
+        total = 0.0
+        for i in range(len(h)):
+            total += weight(self.theta, self.basis, i) * h[i]
+        return total

@@ -26,11 +26,11 @@ from torch import Tensor, nn
 
 from torchpi.control.indirect.base import IndirectInverse
 from torchpi.errors import ConfigError
-from torchpi.operators.base import Operator
+from torchpi.operators.base import Operator, StepStream
 from torchpi.operators.generalised_play import clamp_bank, clamp_play
-from torchpi.operators.motion import BackwardMotionStream, Motion
-from torchpi.operators.rate_dependent_pi import RATE_STATES, own_rate
-from torchpi.operators.weighted_sum import weight, weighted_sum
+from torchpi.operators.motion import Motion
+from torchpi.operators.rate_dependent_pi import RATE_STATES, own_rate, own_rate_step
+from torchpi.operators.weighted_sum import weighted_sum
 
 ROUNDING = 1e-12  # of the largest threshold: a distance that shrinks by less than this has not
 
@@ -92,6 +92,17 @@ def dilation(
         largest_shrinkage=float(shrinkage[at, pair]),
         plays=(first_play + pair, first_play + pair + 1),
     )
+
+
+def moving_step(x: float, n: list[float], s: list[float]) -> float:
+    """The forward operator as a stream takes it: n holds T, r, ρ and w, s the state."""
+    size = abs(own_rate_step(x, n[0], s))
+    plays, total = len(s) - 3, 0.0
+    for i in range(plays):
+        r = n[1 + i] + n[1 + plays + i] * size
+        s[i] = clamp_play(x - r, x + r, s[i])
+        total += n[1 + 2 * plays + i] * s[i]
+    return total
 
 
 class TimeVaryingThresholdPI(Operator):
@@ -157,48 +168,9 @@ class TimeVaryingThresholdPI(Operator):
         h = clamp_bank(x[..., None] - r, x[..., None] + r, h0)
         return weighted_sum(h, torch.ones_like(x)[..., None], self.w.to(x.dtype)[:, None]), h[:, -1]
 
-    def stream(self) -> "TimeVaryingThresholdStream":
-        return TimeVaryingThresholdStream(
-            self.r.tolist(), self.rho.tolist(), self.w.tolist(), BackwardMotionStream(self.sample_period_s)
-        )
-
-
-class TimeVaryingThresholdStream(nn.Module):
-    """The forward operator, one sample at a time."""
-
-    r: list[float]
-    rho: list[float]
-    w: list[float]
-    one: list[float]
-    h: list[float]
-
-    def __init__(
-        self, r: list[float], rho: list[float], w: list[float], motion: BackwardMotionStream
-    ) -> None:
-        super().__init__()
-        self.r = r
-        self.rho = rho
-        self.w = w
-        self.one = [1.0]
-        self.h = [0.0] * len(r)
-        self.motion = motion
-
-    @torch.jit.export
-    def reset(self) -> None:
-        self.motion.reset()
-        for i in range(len(self.h)):
-            self.h[i] = 0.0
-
-    @torch.jit.export
-    def step(self, x: float) -> float:
-        _, rate, _ = self.motion.step(x)
-        size = abs(rate)
-        total = 0.0
-        for i in range(len(self.h)):
-            r = self.r[i] + self.rho[i] * size
-            self.h[i] = clamp_play(x - r, x + r, self.h[i])
-            total += weight(self.w, self.one, i) * self.h[i]
-        return total
+    def stream(self) -> StepStream:
+        numbers = torch.cat([self.r, self.rho, self.w]).tolist()
+        return StepStream(moving_step, [self.sample_period_s, *numbers], len(self.r) + RATE_STATES)
 
 
 class TimeVaryingThresholdInverse(IndirectInverse):

@@ -80,23 +80,30 @@ def _context(exported: MultiAxisStage | MultiAxisInverse, name: str) -> dict[str
         "summary": summary,
         "accepts": accepts,
         "state_kib": max(1, round(doubles * BYTES / 1024)),
-        "scale": scale.tolist(),
+        "scale": scale,
         "every": EVERY,
-        "recorded": recorded(exported, scale).tolist(),
+        "recorded": recorded(exported, scale),
     }
 
 
 def of_stage(stage: MultiAxisStage) -> dict[str, Any]:
-    """The numbers of a stage, in the order in which the step in C meets them."""
-    a = stage.arrays()
-    zones, thresholds, kept, shares = stage.thresholds_of_kernel()
-    inputs = stage.input_stream()
+    """The numbers of a stage: parameters, constants and inputs by their own names."""
+    inputs, constants = stage.input_stream(), stage.thresholds_of_kernel()
     blocks = len(TAPS) // FACTOR
     padded = np.zeros(FACTOR * (blocks + 1))
     padded[: len(TAPS)] = FACTOR * TAPS
     # What a block of samples at the higher rate leaves for one of those to come, its first sample first.
     low = [[float(TAPS[FACTOR * (k + 1) - q]) for k in range(blocks)] for q in range(FACTOR)]
+    arrays = stage.arrays()
+    pairs = {"poles": 1, "drive": 1, "force": 1, "sensed": 2, "seen": 2}  # and their axis of two
+    halves = {
+        f"{name}_{part}": arrays[name].take(k, axis).T
+        for name, axis in pairs.items()
+        for k, part in enumerate(("re", "im"))
+    }
     return {
+        **arrays,
+        **halves,
         "m": stage.inputs,
         "p": stage.outputs,
         "n": stage.shapes.elements,
@@ -106,41 +113,20 @@ def of_stage(stage: MultiAxisStage) -> dict[str, Any]:
         "period_s": 1 / stage.sample_rate_hz,
         "factor": FACTOR,
         "blocks": blocks,
-        "interpolation": padded.tolist(),
-        "newest": float(TAPS[0]),
+        "interpolation": padded,
+        "newest": TAPS[0],
         "decimation": low,
         "diverged": repr(DIVERGED),
         "smallest_mean": repr(SMALLEST_MEAN),
+        "of_inputs": inputs,
         "plays": len(inputs.thresholds),
-        "play_r": inputs.thresholds.tolist(),
-        "play_kept": inputs.kept.tolist(),
         "widths": len(inputs.widths),
-        "width": inputs.widths.tolist(),
-        "omega": inputs.omega,
-        **dict(zip(("b0", "b1", "a1"), inputs.high_pass.tolist(), strict=True)),
         "added": inputs.columns,
-        "play_weights": a["play_weights"].tolist(),
-        "pole_re": a["poles"][:, 0].tolist(),
-        "pole_im": a["poles"][:, 1].tolist(),
-        "drive_re": a["drive"][:, 0].T.tolist(),
-        "drive_im": a["drive"][:, 1].T.tolist(),
-        "force_re": a["force"][:, 0].T.tolist(),
-        "force_im": a["force"][:, 1].T.tolist(),
-        "sensed_re": a["sensed"][:, :, 0].T.tolist(),
-        "sensed_im": a["sensed"][:, :, 1].T.tolist(),
-        "through": a["through"].T.tolist(),
-        "weights": a["weights"].T.tolist(),
-        "seen_re": a["seen"][:, :, 0].T.tolist(),
-        "seen_im": a["seen"][:, :, 1].T.tolist(),
-        "direct": a["direct"].T.tolist(),
-        "offset": stage.offset().tolist(),
-        "zones": len(zones),
-        "zone": zones.tolist(),
-        "element_plays": len(thresholds),
-        "r": thresholds.tolist(),
-        "kept": kept.tolist(),
-        "means": len(shares),
-        "share": shares.tolist(),
+        "offset": stage.offset(),
+        "of_elements": constants,
+        "zones": len(constants.zones),
+        "element_plays": len(constants.thresholds),
+        "means": len(constants.shares),
     }
 
 
@@ -150,11 +136,10 @@ def _of_inverse(inverse: MultiAxisInverse) -> dict[str, Any]:
         "length": len(inverse.first),
         "preview": inverse.preview,
         "wait": inverse.half + inverse.stage.delay_samples,
-        "first": [inverse.first[:, :, o].ravel().tolist() for o in outputs],
-        "corrections": [inverse.corrections[:, :, o].ravel().tolist() for o in outputs],
-        "lowest": inverse.limits_v[:, 0].tolist(),
-        "highest": inverse.limits_v[:, 1].tolist(),
-        "accepted": inverse.accepted_um.tolist(),
+        "first": [inverse.first[:, :, o].ravel() for o in outputs],
+        "corrections": [inverse.corrections[:, :, o].ravel() for o in outputs],
+        "limits": inverse.limits_v,
+        "accepted": inverse.accepted_um,
     }
 
 

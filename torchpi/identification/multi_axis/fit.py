@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from torchpi.operators.compiled import in_threads
-from torchpi.operators.modal_feedback import DIVERGED, modal_feedback, record_width
+from torchpi.operators.modal_feedback import DIVERGED, Constants, Parameters, modal_feedback, record_width
 from torchpi.operators.modal_tangents import modal_gradient, modal_tangents
 from torchpi.stage.multi_axis.stage import MultiAxisStage
 
@@ -58,6 +58,10 @@ class PeriodicFit:
         self.twice = [np.concatenate([one.u if one.before is None else one.before, one.u]) for one in periods]
         self.excess = [stage.excess(u) for u in self.twice]
         self.damping, self.run_in, self.in_matrix = FIRST_DAMPING, RUN_IN, IN_MATRIX
+
+    def numbers(self) -> tuple[Parameters, Constants]:
+        """Those of the stage, as kernels take them."""
+        return Parameters(**self.stage.arrays()), self.stage.thresholds_of_kernel()
 
     def vector(self) -> np.ndarray:
         """All numbers of the stage."""
@@ -157,19 +161,17 @@ class PeriodicFit:
 
     def gradient(self, errors: Sequence[np.ndarray]) -> np.ndarray:
         """Of half the cost, its sign turned, for all numbers of the stage."""
-        slopes = [{name: np.zeros_like(value) for name, value in self.stage.arrays().items()} for _ in errors]
+        numbers = self.numbers()
+        slopes = [Parameters(*map(np.zeros_like, numbers[0])) for _ in errors]
 
         def run(first: int, last: int) -> None:
             for i in range(first, last):
                 record, began = self._record(i)
                 error = errors[i] * (self.periods[i].weight ** 2 / errors[i].size / len(errors))
-                modal_gradient(
-                    record, self.excess[i][began:], *self.stage.arrays().values(),
-                    *self.stage.thresholds_of_kernel(), began, error, *slopes[i].values(),
-                )  # fmt: skip
+                modal_gradient(record, self.excess[i][began:], *numbers, began, error, slopes[i])
 
         in_threads(run, len(errors))
-        each = [np.concatenate([value.ravel() for value in one.values()]) for one in slopes]
+        each = [np.concatenate([value.ravel() for value in one]) for one in slopes]
         return np.asarray(np.sum(each, axis=0))
 
     def _normal_matrix(self, index: np.ndarray, start: int, stride: int) -> np.ndarray:
@@ -180,19 +182,18 @@ class PeriodicFit:
         blocks = [block for block in blocks if len(block)]
         chosen = range(start, len(self.periods), stride)
         grams: list[np.ndarray] = [np.zeros(0)] * len(chosen)
+        numbers = self.numbers()
 
         def run(first: int, last: int) -> None:
             for at, i in enumerate(chosen[first:last], first):
                 samples, outputs = self.periods[i].y.shape
                 record, began = self._record(i)
+                given = record, self.excess[i][began:], *numbers, began, samples, STRIDE
                 every, done = np.zeros((samples // STRIDE, outputs, len(index))), 0
                 for block in blocks:
                     here = slice(done, done := done + len(block))
                     slopes = np.zeros((samples // STRIDE, outputs, int(block[-1] - block[0]) + 1), np.float32)
-                    modal_tangents(
-                        record, self.excess[i][began:], *self.stage.arrays().values(),
-                        *self.stage.thresholds_of_kernel(), began, samples, STRIDE, int(block[0]), slopes,
-                    )  # fmt: skip
+                    modal_tangents(*given, int(block[0]), slopes)
                     every[:, :, here] = (slopes - slopes.mean(0))[:, :, block - block[0]]
                 rows = every.reshape(-1, len(index))
                 grams[at] = rows.T @ rows * (self.periods[i].weight ** 2 / len(rows))
@@ -215,7 +216,7 @@ class PeriodicFit:
         state = stage.initial_state(1)
         y = np.zeros((len(u), stage.outputs))
         bounded = modal_feedback(
-            u, self.excess[i], *stage.arrays().values(), *stage.thresholds_of_kernel(), state.x[0],
-            state.h[0], state.means[0], 0, y, np.zeros((0, 0)) if record is None else record,
+            u, self.excess[i], *self.numbers(), state.x[0], state.h[0], state.means[0], 0, y,
+            np.zeros((0, 0)) if record is None else record,
         )  # fmt: skip
         return y if bounded and np.abs(y).max() < DIVERGED else None

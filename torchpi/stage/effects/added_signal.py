@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from torchpi.stage.effects.effect import Effect
@@ -25,34 +25,11 @@ def sampled(
 class InTime(Effect):
     """What depends on the time. The state: samples since the first."""
 
-    def initial_state(self, batch: int) -> Tensor:
-        return torch.zeros(batch, 1, dtype=torch.float64)
+    state_size = 1
 
     @classmethod
     def extrapolates(cls, values: Mapping[str, float]) -> bool:
         return "knot_spacing_s" not in values  # a random walk goes on as it likes
-
-
-class InTimeStream(nn.Module):
-    """The same, one sample at a time."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.elapsed = 0.0
-
-    @torch.jit.export
-    def reset(self) -> None:
-        self.elapsed = 0.0
-
-    @torch.jit.export
-    def step(self, x: float) -> float:
-        y = self.at(x, self.elapsed)
-        self.elapsed += 1.0
-        return y
-
-    def at(self, x: float, elapsed: float) -> float:
-        """The output, so many samples after the first."""
-        raise NotImplementedError
 
 
 class AddedSignal(InTime):

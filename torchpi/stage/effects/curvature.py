@@ -4,7 +4,7 @@ from torch import Tensor, nn
 
 from torchpi.operators.base import Static
 from torchpi.operators.polynomial import PolynomialStream, polynomial
-from torchpi.stage.effects.effect import Effect
+from torchpi.stage.effects.effect import DataRange, Effect, Parameters
 
 
 class Curvature(Static, Effect):
@@ -21,3 +21,12 @@ class Curvature(Static, Effect):
     def tangent(self, x: Tensor, dx: Tensor) -> Tensor:
         c2, c3 = self.values().values()
         return (1 + (2 * c2 + 3 * c3 * x.detach()) * x.detach()) * dx
+
+    @classmethod
+    def starts(cls, seen: DataRange) -> list[Parameters]:
+        span = seen.span_v if cls.before_hysteresis else seen.span_um
+        if span == 0:
+            return []
+        # One per cent at the end of the range.
+        square, cube = ({name: 0.01 / span**power} for power, name in enumerate(cls.quantities, 1))
+        return [square, cube, square | cube]

@@ -9,7 +9,7 @@ import math
 from typing import Any
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from torchpi.operators.quantity import Quantity
 from torchpi.stage.effects.effect import DataRange
@@ -54,19 +54,10 @@ def walk_start(seen: DataRange, size: float, unit: str) -> list[dict[str, float]
     return [{"knot_spacing_s": seen.duration_s / KNOTS, **dict.fromkeys(knot_names(unit), size)}]
 
 
-class KnotsStream(nn.Module):
-    """The line, one sample at a time."""
-
-    values: list[float]
-
-    def __init__(self, period_s: float, spacing_s: float, knots: list[float]) -> None:
-        super().__init__()
-        self.period_s = period_s
-        self.spacing_s = spacing_s
-        self.values = [0.0, *knots]
-
-    def at(self, elapsed: float) -> float:
-        """The line at so many samples after the first."""
-        place = elapsed * self.period_s / self.spacing_s
-        before = min(math.floor(place), len(self.values) - 2)
-        return between(self.values[before], self.values[before + 1], min(place - before, 1.0))
+def walk_at(elapsed: float, n: list[float], first: int) -> float:
+    """The line at so many samples after the first: n begins with the period, and from `first` on it holds the
+    spacing and the knots."""
+    place = elapsed * n[0] / n[first]
+    before = min(math.floor(place), len(n) - first - 2)
+    left = n[first + before] if before > 0 else 0.0
+    return between(left, n[first + before + 1], min(place - before, 1.0))

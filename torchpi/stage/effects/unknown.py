@@ -13,11 +13,28 @@ from typing import ClassVar
 import torch
 from torch import Tensor, nn
 
+from torchpi.operators.base import StepStream
 from torchpi.operators.quantity import Quantity
 from torchpi.operators.relaxations import relaxations
 from torchpi.stage.effects.effect import DataRange, Effect, Parameters, parameter
 
 TIMES = 8
+
+
+def remainder_step(x: float, n: list[float], s: list[float]) -> float:
+    """x and the remainder: n holds the decays, a, b and L, s is ξ."""
+    times = len(s)
+    linear = n[times] * s[0]
+    bilinear = n[2 * times] * s[0]
+    for j in range(1, times):
+        linear = linear + n[times + j] * s[j]
+        bilinear = bilinear + n[2 * times + j] * s[j]
+    # The batch form adds 0 · x last, which is what `observe` does with D = 0.
+    linear = linear + 0.0 * x
+    bilinear = bilinear + 0.0 * x
+    for j in range(times):
+        s[j] = n[j] * s[j] + (1.0 - n[j]) * x
+    return x + linear + bilinear * x / n[3 * times]
 
 
 class Unknown(Effect):
@@ -27,15 +44,13 @@ class Unknown(Effect):
     block = "sensor"
     equation = "y = x + Σ a_j ξ_j + Σ b_j ξ_j x / L"
     signature = "none that is known"
+    state_size = TIMES
     length_um: nn.Parameter = parameter("µm", at_least=1e-9, at_most=1e9, identity=1.0)
     shortest_s: nn.Parameter = parameter("s", at_least=1e-7, at_most=1e7, identity=1e-3)
     longest_s: nn.Parameter = parameter("s", at_least=1e-7, at_most=1e7, identity=10.0)
     quantities: ClassVar[dict[str, Quantity]] = dict.fromkeys(
         [f"{letter}{j}" for letter in "ab" for j in range(TIMES)], Quantity("", at_least=-1e3, at_most=1e3)
     )
-
-    def initial_state(self, batch: int) -> Tensor:
-        return torch.zeros(batch, TIMES, dtype=torch.float64)
 
     def decay(self) -> Tensor:
         """e^{-T/τ_j}, (times,)."""
@@ -80,49 +95,9 @@ class Unknown(Effect):
             return moved + (along * x + state * dx) / self.length_um
 
     def stream(self) -> nn.Module:
-        return UnknownStream(
-            self.decay().tolist(), self.weights("a").tolist(), self.weights("b").tolist(),
-            self.length_um.item(),
-        )  # fmt: skip
+        times = torch.cat([self.decay(), self.weights("a"), self.weights("b")])
+        return StepStream(remainder_step, [*times.tolist(), self.length_um.item()], TIMES)
 
     @classmethod
     def starts(cls, seen: DataRange) -> list[Parameters]:
         return []
-
-
-class UnknownStream(nn.Module):
-    """The remainder, one sample at a time."""
-
-    decay: list[float]
-    fresh: list[float]
-    a: list[float]
-    b: list[float]
-    xi: list[float]
-
-    def __init__(self, decay: list[float], a: list[float], b: list[float], length_um: float) -> None:
-        super().__init__()
-        self.decay = decay
-        self.fresh = [1.0 - d for d in decay]
-        self.a = a
-        self.b = b
-        self.length_um = length_um
-        self.xi = [0.0] * len(decay)
-
-    @torch.jit.export
-    def reset(self) -> None:
-        for j in range(len(self.xi)):
-            self.xi[j] = 0.0
-
-    @torch.jit.export
-    def step(self, x: float) -> float:
-        linear = self.a[0] * self.xi[0]
-        bilinear = self.b[0] * self.xi[0]
-        for j in range(1, len(self.xi)):
-            linear = linear + self.a[j] * self.xi[j]
-            bilinear = bilinear + self.b[j] * self.xi[j]
-        # The batch form adds 0 · x last, which is what `observe` does with D = 0.
-        linear = linear + 0.0 * x
-        bilinear = bilinear + 0.0 * x
-        for j in range(len(self.xi)):
-            self.xi[j] = self.decay[j] * self.xi[j] + self.fresh[j] * x
-        return x + linear + bilinear * x / self.length_um

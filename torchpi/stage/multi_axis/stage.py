@@ -16,7 +16,7 @@ from torch import Tensor, nn
 
 from torchpi.errors import StageError
 from torchpi.operators.compiled import in_threads
-from torchpi.operators.modal_feedback import Shapes, modal_feedback, parameter_shapes
+from torchpi.operators.modal_feedback import Constants, Parameters, Shapes, modal_feedback, parameter_shapes
 from torchpi.operators.oversampled_inputs import LOOKAHEAD, OversampledInputs
 from torchpi.stage.file import SavedStage
 
@@ -157,11 +157,13 @@ class MultiAxisStage(SavedStage):
         named = dict(self.named_parameters())
         return {name: named[name].detach().contiguous().numpy() for name in parameter_shapes(self.shapes)}
 
-    def thresholds_of_kernel(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    def thresholds_of_kernel(self) -> Constants:
         """Dead zones, thresholds, what a sample leaves of small motions, and its share in each mean."""
         kept = np.exp(-2 * np.pi * np.asarray(self.rates_hz, dtype=np.float64) / self.sample_rate_hz)
         shares = 1 / (np.asarray(self.times_s, dtype=np.float64) * self.sample_rate_hz)
-        return np.asarray(self.dead_zones), np.asarray(self.thresholds), kept, np.minimum(shares, 1.0)
+        return Constants(
+            np.asarray(self.dead_zones), np.asarray(self.thresholds), kept, np.minimum(shares, 1.0)
+        )
 
     @property
     def delay_samples(self) -> int:
@@ -236,15 +238,15 @@ class MultiAxisStage(SavedStage):
         Raises:
             StageError: States without bounds.
         """
-        arrays, constants = self.arrays(), self.thresholds_of_kernel()
-        arrays["play_weights"] = np.zeros((self.inputs, 0))  # they are in `driven`
+        in_driven = {"play_weights": np.zeros((self.inputs, 0))}
+        parameters, constants = Parameters(**self.arrays() | in_driven), self.thresholds_of_kernel()
         nothing = np.zeros((driven.shape[1], self.inputs, 0))
         bounded = np.zeros(len(driven), dtype=bool)
 
         def run(first: int, last: int) -> None:
             for i in range(first, last):
                 bounded[i] = modal_feedback(
-                    driven[i], nothing, *arrays.values(), *constants, state.x[i], state.h[i], state.means[i],
+                    driven[i], nothing, parameters, constants, state.x[i], state.h[i], state.means[i],
                     state.past, y[i], np.zeros((0, 0)),
                 )  # fmt: skip
 

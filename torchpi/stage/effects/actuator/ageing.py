@@ -13,6 +13,7 @@ import torch
 from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 
+from torchpi.operators.base import StepStream
 from torchpi.stage.effects.effect import SHORTEST_SLOW_S, DataRange, Effect, Needs, Parameters, parameter
 
 
@@ -24,6 +25,15 @@ def travelled(travel_mm: float, x: float, before: float) -> float:
 def aged(x: float, t_s: float, travel_mm: float, loss_per_s: float, loss_per_mm: float) -> float:
     """x e^{-(λt + μs)}."""
     return x * math.exp(-(loss_per_s * t_s + loss_per_mm * travel_mm))
+
+
+def age_step(x: float, n: list[float], s: list[float]) -> float:
+    """Both as a stream takes them: n holds T, λ and μ, s the state of `Ageing`."""
+    s[1] = travelled(s[1], x, s[2])
+    y = aged(x, s[0] * n[0], s[1], n[1], n[2])
+    s[0] += 1.0
+    s[2] = x
+    return y
 
 
 class Ageing(Effect):
@@ -41,9 +51,7 @@ class Ageing(Effect):
     degenerate_with = ("gain_modulation",)
     loss_per_s: nn.Parameter = parameter("1/s", at_least=0, at_most=10)
     loss_per_mm: nn.Parameter = parameter("1/mm", at_least=0, at_most=1e6)
-
-    def initial_state(self, batch: int) -> Tensor:
-        return torch.zeros(batch, 3, dtype=torch.float64)
+    state_size = 3
 
     def forward(
         self,
@@ -57,7 +65,8 @@ class Ageing(Effect):
         return y.to(x), after
 
     def stream(self) -> nn.Module:
-        return AgeingStream(self.sample_period_s, self.loss_per_s.item(), self.loss_per_mm.item())
+        numbers = [self.sample_period_s, self.loss_per_s.item(), self.loss_per_mm.item()]
+        return StepStream(age_step, numbers, 3)
 
     def tangent(self, x: Tensor, dx: Tensor) -> Tensor:
         """Exact: δy = (δx - μ x δs) e^{-(λt + μs)}; δs sums ±Δδx by the direction of each move."""
@@ -76,31 +85,6 @@ class Ageing(Effect):
         fastest_um_s = seen.max_rate_v_s * seen.span_um / seen.span_v
         travel_mm = 1e-3 * max(fastest_um_s / 4 * seen.duration_s, seen.span_um)
         return [{"loss_per_s": 0.01 / seen.duration_s}, {"loss_per_mm": 0.01 / travel_mm}]
-
-
-class AgeingStream(nn.Module):
-    """The loss of gain, one sample at a time."""
-
-    def __init__(self, period_s: float, loss_per_s: float, loss_per_mm: float) -> None:
-        super().__init__()
-        self.period_s = period_s
-        self.loss_per_s = loss_per_s
-        self.loss_per_mm = loss_per_mm
-        self.reset()
-
-    @torch.jit.export
-    def reset(self) -> None:
-        self.elapsed = 0.0
-        self.travel_mm = 0.0
-        self.before = 0.0
-
-    @torch.jit.export
-    def step(self, x: float) -> float:
-        self.travel_mm = travelled(self.travel_mm, x, self.before)
-        y = aged(x, self.elapsed * self.period_s, self.travel_mm, self.loss_per_s, self.loss_per_mm)
-        self.elapsed += 1.0
-        self.before = x
-        return y
 
 
 class _Ageing(torch.autograd.Function):

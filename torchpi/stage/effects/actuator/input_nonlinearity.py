@@ -3,7 +3,7 @@
 from torch import nn
 
 from torchpi.stage.effects.curvature import Curvature
-from torchpi.stage.effects.effect import DataRange, Parameters, parameter
+from torchpi.stage.effects.effect import parameter
 
 
 class InputNonlinearity(Curvature):
@@ -18,11 +18,3 @@ class InputNonlinearity(Curvature):
     degenerate_with = ("sensor_nonlinearity",)
     c2_per_v: nn.Parameter = parameter("1/V", at_least=-1e3, at_most=1e3)
     c3_per_v2: nn.Parameter = parameter("1/V²", at_least=-1e6, at_most=1e6)
-
-    @classmethod
-    def starts(cls, seen: DataRange) -> list[Parameters]:
-        if seen.span_v == 0:
-            return []
-        # One per cent at full voltage.
-        square, cube = {"c2_per_v": 0.01 / seen.span_v}, {"c3_per_v2": 0.01 / seen.span_v**2}
-        return [square, cube, square | cube]

@@ -17,7 +17,7 @@ import torch
 from torch import Tensor, nn
 
 from torchpi.errors import StageError
-from torchpi.operators.delay import DelayLineStream, delay_line
+from torchpi.operators.delay import delay_line, delay_stream
 from torchpi.operators.quantity import Quantity
 from torchpi.stage.effects.effect import DataRange, LinearEffect, Parameters, parameter
 
@@ -87,7 +87,7 @@ class Delay(LinearEffect):
     def stream(self) -> nn.Module:
         whole, fraction = self.split()
         p, q = self.taps(fraction)
-        return DelayLineStream(whole, p.item(), q.item())
+        return delay_stream(whole, p.item(), q.item())
 
     @classmethod
     def later(cls, values: Parameters, by_s: float) -> Parameters | None:

@@ -23,6 +23,7 @@ import torch
 from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 
+from torchpi.operators.base import StepStream
 from torchpi.stage.effects.effect import DataRange, Effect, Parameters, parameter
 
 EDGES = 1.5
@@ -48,6 +49,12 @@ def slew(u: float, v: float, step: float, knee: float) -> float:
     return u - left * knee if u > v else u + left * knee
 
 
+def slew_step(x: float, n: list[float], s: list[float]) -> float:
+    """`slew` as a stream takes it: n holds the step and the knee, s the voltage."""
+    s[0] = slew(x, s[0], n[0], n[1])
+    return s[0]
+
+
 class SlewLimit(Effect):
     """A voltage that follows its command no faster than a rate. The state is the voltage."""
 
@@ -62,6 +69,7 @@ class SlewLimit(Effect):
     forms = ("hard", "soft")
     rate_v_per_s: nn.Parameter = parameter("V/s", at_least=1e-3, at_most=1e9, identity=math.inf)
     knee_v: nn.Parameter = parameter("V", at_least=0.0, at_most=1e4)
+    state_size = 1
 
     @classmethod
     def form(cls, values: Mapping[str, float]) -> str:
@@ -75,9 +83,6 @@ class SlewLimit(Effect):
         # Far below its rate, a soft limit is a lag of the time V / S.
         return values["rate_v_per_s"] <= seen.peak_rate_v_s
 
-    def initial_state(self, batch: int) -> Tensor:
-        return torch.zeros(batch, 1, dtype=torch.float64)
-
     def forward(
         self,
         x: Tensor,  # (batch, time), V
@@ -88,7 +93,7 @@ class SlewLimit(Effect):
         return v, v[:, -1:]
 
     def stream(self) -> nn.Module:
-        return SlewStream(self.sample_period_s * self.rate_v_per_s.item(), self.knee_v.item())
+        return StepStream(slew_step, [self.sample_period_s * self.rate_v_per_s.item(), self.knee_v.item()], 1)
 
     def tangent(self, x: Tensor, dx: Tensor) -> Tensor:
         step, dx = self.sample_period_s * self.rate_v_per_s.item(), dx.detach().contiguous()
@@ -105,25 +110,6 @@ class SlewLimit(Effect):
         hard = [{"rate_v_per_s": rate} for rate in rates if rate > slowest]
         knees = [{"knee_v": share * seen.span_v} for share in KNEES if seen.span_v > 0]
         return hard + [start | knee for start in hard for knee in knees]
-
-
-class SlewStream(nn.Module):
-    """The limit, one sample at a time."""
-
-    def __init__(self, step_v: float, knee_v: float) -> None:
-        super().__init__()
-        self.step_v = step_v
-        self.knee_v = knee_v
-        self.v = 0.0
-
-    @torch.jit.export
-    def reset(self) -> None:
-        self.v = 0.0
-
-    @torch.jit.export
-    def step(self, x: float) -> float:
-        self.v = slew(x, self.v, self.step_v, self.knee_v)
-        return self.v
 
 
 class _Slew(torch.autograd.Function):

@@ -10,8 +10,8 @@ from collections.abc import Mapping
 import torch
 from torch import Tensor, nn
 
-from torchpi.operators.base import Static
-from torchpi.operators.limits import ClipStream, clip_slope, clipped
+from torchpi.operators.base import Static, StepStream
+from torchpi.operators.limits import clip_slope, clip_step, clipped
 from torchpi.operators.quantity import check_order
 from torchpi.stage.effects.effect import DataRange, Effect, Parameters, parameter
 
@@ -60,7 +60,7 @@ class VoltageSaturation(Static, Effect):
         return clipped(x, self.low_v, self.high_v, self.knee_v)
 
     def stream(self) -> nn.Module:
-        return ClipStream(self.low_v.item(), self.high_v.item(), self.knee_v.item())
+        return StepStream(clip_step, [self.low_v.item(), self.high_v.item(), self.knee_v.item()])
 
     def tangent(self, x: Tensor, dx: Tensor) -> Tensor:
         numbers = (self.low_v.item(), self.high_v.item(), self.knee_v.item())

@@ -13,10 +13,17 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from torchpi.operators.base import StepStream
 from torchpi.operators.play import play, play_bank
 from torchpi.operators.selection import NO_SOURCE, gather
 from torchpi.stage.effects.effect import DataRange, Effect, Needs, Parameters, parameter
-from torchpi.stage.effects.mechanics.presliding import Slide, slide, slide_tangent
+from torchpi.stage.effects.mechanics.presliding import Slide, slide_step, slide_tangent
+
+
+def play_step(x: float, n: list[float], s: list[float]) -> float:
+    """`play` as a stream takes it: n holds the threshold, s the state."""
+    s[0] = play(x, n[0], s[0])
+    return s[0]
 
 
 class Backlash(Effect):
@@ -63,8 +70,8 @@ class Backlash(Effect):
 
     def stream(self) -> nn.Module:
         if self.is_round():
-            return SlideStream(self.width_um.item() / 2, self.presliding_um.item())
-        return BacklashStream(self.width_um.item() / 2)
+            return StepStream(slide_step, [self.width_um.item() / 2, self.presliding_um.item()], 2)
+        return StepStream(play_step, [self.width_um.item() / 2], 1)
 
     def tangent(self, x: Tensor, dx: Tensor) -> Tensor:
         if self.is_round():
@@ -76,46 +83,6 @@ class Backlash(Effect):
         shares = (0.001, 0.002, 0.004, 0.008, 0.02)
         sharp = [{"width_um": share * seen.span_um} for share in shares if seen.span_um > 0]
         return sharp + [{**start, "presliding_um": start["width_um"]} for start in sharp]
-
-
-class BacklashStream(nn.Module):
-    """The play, one sample at a time."""
-
-    def __init__(self, r: float) -> None:
-        super().__init__()
-        self.r = r
-        self.y = 0.0
-
-    @torch.jit.export
-    def reset(self) -> None:
-        self.y = 0.0
-
-    @torch.jit.export
-    def step(self, x: float) -> float:
-        self.y = play(x, self.r, self.y)
-        return self.y
-
-
-class SlideStream(nn.Module):
-    """The round play, one sample at a time."""
-
-    def __init__(self, r: float, rho: float) -> None:
-        super().__init__()
-        self.r = r
-        self.rho = rho
-        self.y = 0.0
-        self.before = 0.0
-
-    @torch.jit.export
-    def reset(self) -> None:
-        self.y = 0.0
-        self.before = 0.0
-
-    @torch.jit.export
-    def step(self, x: float) -> float:
-        self.y = slide(x, self.before, self.y, self.r, self.rho)
-        self.before = x
-        return self.y
 
 
 _play: Any = numba.njit(play)

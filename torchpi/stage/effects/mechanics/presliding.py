@@ -40,6 +40,13 @@ def slide(x: float, before: float, y: float, r: float, rho: float) -> float:
     return x - side * (r - c * math.exp(-b / rho))
 
 
+def slide_step(x: float, n: list[float], s: list[float]) -> float:
+    """`slide` as a stream takes it: n holds r and ρ, s holds y and x of the sample before."""
+    s[0] = slide(x, s[1], s[0], n[0], n[1])
+    s[1] = x
+    return s[0]
+
+
 class Slide(torch.autograd.Function):
     """`slide` over whole records; the state is y and x of the sample before."""
 

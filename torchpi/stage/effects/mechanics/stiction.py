@@ -16,6 +16,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from torchpi.operators.base import StepStream
 from torchpi.operators.selection import NO_SOURCE, Selection, gather, select
 from torchpi.stage.effects.effect import DataRange, Effect, Needs, Parameters, parameter
 
@@ -31,6 +32,11 @@ def stick(x: float, breakaway: float, sliding: float, rests: bool, s: list[float
         s[2] = 1.0 if x > s[0] else -1.0
     s[0] = x - sliding * s[2]
     return s[0]
+
+
+def stick_step(x: float, n: list[float], s: list[float]) -> float:
+    """`stick` as a stream takes it: n holds J, whether it rests, and d."""
+    return stick(x, n[0], n[2], n[1] != 0.0, s)
 
 
 class Stiction(Effect):
@@ -54,6 +60,7 @@ class Stiction(Effect):
     forms = ("breakaway", "stick-slip")
     jumps = ("breakaway_um",)
     kinds = ("rests",)
+    state_size = 3
 
     @classmethod
     def form(cls, values: Mapping[str, float]) -> str:
@@ -70,9 +77,6 @@ class Stiction(Effect):
         """d, no larger than J."""
         return torch.minimum(self.sliding_um, self.breakaway_um)
 
-    def initial_state(self, batch: int) -> Tensor:
-        return torch.zeros(batch, 3, dtype=torch.float64)
-
     def forward(
         self,
         x: Tensor,  # (batch, time), µm
@@ -82,7 +86,7 @@ class Stiction(Effect):
         return Selection.apply(_run, x, self.friction(), self._numbers(), before)  # type: ignore
 
     def stream(self) -> nn.Module:
-        return StictionStream(self.breakaway_um.item(), self.friction().item(), self.at_rest())
+        return StepStream(stick_step, [*self._numbers(), self.friction().item()], 3)
 
     def tangent(self, x: Tensor, dx: Tensor) -> Tensor:
         found = select(_run, x, self.friction().item(), self._numbers(), self.initial_state(1))
@@ -106,28 +110,6 @@ class Stiction(Effect):
             for part in (0.1, 0.5)
             for rests in (0.0, 1.0)
         ]
-
-
-class StictionStream(nn.Module):
-    """The breakaway, one sample at a time."""
-
-    s: list[float]
-
-    def __init__(self, breakaway: float, sliding: float, rests: bool) -> None:
-        super().__init__()
-        self.breakaway = breakaway
-        self.sliding = sliding
-        self.rests = rests
-        self.s = [0.0, 0.0, 0.0]
-
-    @torch.jit.export
-    def reset(self) -> None:
-        for i in range(3):
-            self.s[i] = 0.0
-
-    @torch.jit.export
-    def step(self, x: float) -> float:
-        return stick(x, self.breakaway, self.sliding, self.rests, self.s)
 
 
 _stick: Any = numba.njit(stick)

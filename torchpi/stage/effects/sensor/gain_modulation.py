@@ -13,16 +13,26 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from torchpi.operators.base import StepStream
 from torchpi.operators.quantity import Quantity
-from torchpi.stage.effects.added_signal import InTime, InTimeStream
+from torchpi.stage.effects.added_signal import InTime
 from torchpi.stage.effects.effect import SHORTEST_SLOW_S, DataRange, Needs, Parameters, parameter
-from torchpi.stage.effects.knots import SPACING, KnotsStream, knot_names, through_knots, walk_start
+from torchpi.stage.effects.knots import SPACING, knot_names, through_knots, walk_at, walk_start
 from torchpi.stage.effects.oscillation import oscillation, oscillations
 
 KNOT_NAMES = knot_names("")
 STARTS_HZ = (0.02, 0.06, 0.2, 0.6, 2.0, 6.0, 20.0)
 FEWEST_PERIODS = 2.0
 """Of a line in the longest recording; fewer are a drift, or a gain that differs between recordings."""
+
+
+def modulation_step(x: float, n: list[float], s: list[float]) -> float:
+    """x, modulated: n holds T, f, both sizes of the gain's line and of the zero's, the knots' spacing and the
+    knots, s the samples so far."""
+    t_s = s[0] * n[0]
+    gain = 1.0 + oscillation(t_s, n[1], n[2], n[3]) + walk_at(s[0], n, 6)
+    s[0] += 1.0
+    return x * gain + oscillation(t_s, n[1], n[4], n[5])
 
 
 class GainModulation(InTime):
@@ -76,13 +86,9 @@ class GainModulation(InTime):
         return x * self.gain(elapsed, time).to(x) + added.to(x), elapsed + time
 
     def stream(self) -> nn.Module:
-        return GainModulationStream(
-            self.sample_period_s,
-            self.frequency_hz.item(),
-            (self.cos.item(), self.sin.item()),
-            (self.cos_um.item(), self.sin_um.item()),
-            KnotsStream(self.sample_period_s, self.knot_spacing_s.item(), self.knots().tolist()),
-        )
+        lines = (self.frequency_hz, self.cos, self.sin, self.cos_um, self.sin_um)
+        numbers = [one.item() for one in (*lines, self.knot_spacing_s)]
+        return StepStream(modulation_step, [self.sample_period_s, *numbers, *self.knots().tolist()], 1)
 
     @torch.no_grad()
     def tangent(self, x: Tensor, dx: Tensor) -> Tensor:
@@ -150,29 +156,3 @@ def modulation_hz(
     inside = (f >= FEWEST_PERIODS * fs_hz / len(product)) & (f <= STARTS_HZ[-1])
     found, _ = scipy.signal.find_peaks(np.where(inside, explained, 0.0), distance=4)
     return f[found[np.argsort(-explained[found])][:count]].tolist()  # type: ignore[no-any-return]
-
-
-class GainModulationStream(InTimeStream):
-    """The modulation, one sample at a time."""
-
-    def __init__(
-        self,
-        period_s: float,
-        frequency_hz: float,
-        gain: tuple[float, float],
-        added_um: tuple[float, float],
-        walk: KnotsStream,
-    ) -> None:
-        super().__init__()
-        self.period_s = period_s
-        self.frequency_hz = frequency_hz
-        self.cos, self.sin = gain
-        self.cos_um, self.sin_um = added_um
-        self.walk = walk
-
-    def at(self, x: float, elapsed: float) -> float:
-        """x, modulated."""
-        t_s = elapsed * self.period_s
-        gain = 1.0 + oscillation(t_s, self.frequency_hz, self.cos, self.sin)
-        gain = gain + self.walk.at(elapsed)
-        return x * gain + oscillation(t_s, self.frequency_hz, self.cos_um, self.sin_um)

@@ -7,8 +7,9 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from torchpi.operators.base import StepStream
 from torchpi.operators.quantity import Quantity
-from torchpi.stage.effects.added_signal import AddedSignal, InTimeStream
+from torchpi.stage.effects.added_signal import AddedSignal
 from torchpi.stage.effects.effect import DataRange, Parameters, parameter
 from torchpi.stage.effects.oscillation import oscillation, oscillations
 
@@ -17,6 +18,15 @@ SIZES = ("cos_um", "sin_um", "cos2_um", "sin2_um", "cos3_um", "sin3_um")
 MAINS_HZ = (50.0, 60.0, 100.0, 120.0, 150.0, 180.0)
 STANDS_OUT = 3.0
 """Times the median amplitude around it, from which a line is worth a start."""
+
+
+def hum_step(x: float, n: list[float], s: list[float]) -> float:
+    """x and the lines: n holds T, f and the sizes, s the samples since the first."""
+    t_s, added = s[0] * n[0], 0.0
+    for k in range(len(n) // 2 - 1):
+        added += oscillation(t_s, (k + 1) * n[1], n[2 * k + 2], n[2 * k + 3])
+    s[0] += 1.0
+    return x + added
 
 
 class Hum(AddedSignal):
@@ -51,10 +61,9 @@ class Hum(AddedSignal):
         sizes = [getattr(self, name) for name in SIZES]
         return list(zip(sizes[::2], sizes[1::2], strict=True))
 
-    def stream(self) -> "HumStream":
-        lines = self.lines()
-        cos, sin = ([line[part].item() for line in lines] for part in range(2))
-        return HumStream(self.sample_period_s, self.frequency_hz.item(), cos, sin)
+    def stream(self) -> nn.Module:
+        sizes = (getattr(self, name).item() for name in SIZES)
+        return StepStream(hum_step, [self.sample_period_s, self.frequency_hz.item(), *sizes], 1)
 
     @classmethod
     def line_hz(cls, values: Mapping[str, float]) -> float | None:
@@ -90,18 +99,3 @@ class Hum(AddedSignal):
                 line = float(f[near][power[near].argmax()])
                 starts += cls.starts_at(line, size, fs_hz)
         return starts
-
-
-class HumStream(InTimeStream):
-    """The lines, one sample at a time."""
-
-    def __init__(self, period_s: float, frequency_hz: float, cos: list[float], sin: list[float]) -> None:
-        super().__init__()
-        self.period_s, self.frequency_hz, self.cos, self.sin = period_s, frequency_hz, cos, sin
-
-    def at(self, x: float, elapsed: float) -> float:
-        """x and the lines."""
-        t_s, added = elapsed * self.period_s, 0.0
-        for k in range(len(self.cos)):
-            added += oscillation(t_s, (k + 1) * self.frequency_hz, self.cos[k], self.sin[k])
-        return x + added

@@ -6,9 +6,9 @@ from typing import cast
 import numpy as np
 from torch import Tensor, nn
 
-from torchpi.operators.base import Static
+from torchpi.operators.base import Static, StepStream
 from torchpi.operators.chain import ChainStream
-from torchpi.operators.quantization import QuantizationStream, Quantize
+from torchpi.operators.quantization import Quantize, quantize_step
 from torchpi.stage.effects.effect import DataRange, Effect, Parameters, parameter
 
 FEWEST_READINGS = 8  # that differ; fewer lie on some lattice by chance
@@ -43,7 +43,7 @@ class Quantization(Static, Effect):
     def stream(self) -> nn.Module:
         if self.lsb_um.item() == 0.0:
             return ChainStream([])
-        return QuantizationStream(self.offset_um.item(), self.lsb_um.item())
+        return StepStream(quantize_step, [self.offset_um.item(), self.lsb_um.item(), -math.inf, math.inf])
 
     def tangent(self, x: Tensor, dx: Tensor) -> Tensor:
         return dx

@@ -7,7 +7,7 @@ Actuators A 190, 2013: the mapping error of a sensor as a polynomial of its inpu
 from torch import nn
 
 from torchpi.stage.effects.curvature import Curvature
-from torchpi.stage.effects.effect import DataRange, Parameters, parameter
+from torchpi.stage.effects.effect import parameter
 
 
 class SensorNonlinearity(Curvature):
@@ -21,11 +21,3 @@ class SensorNonlinearity(Curvature):
     degenerate_with = ("input_nonlinearity",)
     a2_per_um: nn.Parameter = parameter("1/µm", at_least=-1e3, at_most=1e3)
     a3_per_um2: nn.Parameter = parameter("1/µm²", at_least=-1e6, at_most=1e6)
-
-    @classmethod
-    def starts(cls, seen: DataRange) -> list[Parameters]:
-        if seen.span_um == 0:
-            return []
-        # One per cent at full range.
-        square, cube = {"a2_per_um": 0.01 / seen.span_um}, {"a3_per_um2": 0.01 / seen.span_um**2}
-        return [square, cube, square | cube]

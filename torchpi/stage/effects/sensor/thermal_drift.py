@@ -13,10 +13,11 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from torchpi.operators.base import StepStream
 from torchpi.operators.quantity import Quantity
-from torchpi.stage.effects.added_signal import AddedSignal, InTimeStream, sampled
+from torchpi.stage.effects.added_signal import AddedSignal, sampled
 from torchpi.stage.effects.effect import SHORTEST_SLOW_S, DataRange, Needs, Parameters, parameter
-from torchpi.stage.effects.knots import SPACING, KnotsStream, knot_names, through_knots, walk_start
+from torchpi.stage.effects.knots import SPACING, knot_names, through_knots, walk_at, walk_start
 
 KNOT_NAMES = knot_names("_um")
 SLOWEST_DYNAMICS_S = 0.5
@@ -26,6 +27,13 @@ SLOWEST_DYNAMICS_S = 0.5
 def drift(t_s: float, amplitude_um: float, time_constant_s: float, rate_um_per_s: float) -> float:
     """A (1 - e^{-t/τ}) + ρ t."""
     return amplitude_um * (1.0 - math.exp(-t_s / time_constant_s)) + rate_um_per_s * t_s
+
+
+def drift_step(x: float, n: list[float], s: list[float]) -> float:
+    """x and the drift: n holds T, A, τ, ρ, the knots' spacing and the knots, s the samples so far."""
+    added = drift(s[0] * n[0], n[1], n[2], n[3]) + walk_at(s[0], n, 4)
+    s[0] += 1.0
+    return x + added
 
 
 _drift: Any = numba.njit(drift)
@@ -82,9 +90,9 @@ class ThermalDrift(AddedSignal):
         return settling + walk
 
     def stream(self) -> nn.Module:
-        walk = KnotsStream(self.sample_period_s, self.knot_spacing_s.item(), self.knots().tolist())
-        numbers = (self.amplitude_um.item(), self.time_constant_s.item(), self.rate_um_per_s.item())
-        return ThermalDriftStream(self.sample_period_s, *numbers, walk)
+        settling = (self.amplitude_um, self.time_constant_s, self.rate_um_per_s)
+        numbers = [one.item() for one in (*settling, self.knot_spacing_s)]
+        return StepStream(drift_step, [self.sample_period_s, *numbers, *self.knots().tolist()], 1)
 
     @staticmethod
     def of_tensors(t_s: Tensor, a: Tensor, b: Tensor, c: Tensor) -> Tensor:
@@ -102,26 +110,3 @@ class ThermalDrift(AddedSignal):
             {"amplitude_um": size, "time_constant_s": max(duration_s, SLOWEST_DYNAMICS_S)},
             *walk_start(seen, size, "_um"),
         ]
-
-
-class ThermalDriftStream(InTimeStream):
-    """The drift, one sample at a time."""
-
-    def __init__(
-        self,
-        period_s: float,
-        amplitude_um: float,
-        time_constant_s: float,
-        rate_um_per_s: float,
-        walk: KnotsStream,
-    ) -> None:
-        super().__init__()
-        self.period_s = period_s
-        self.amplitude_um, self.time_constant_s = amplitude_um, time_constant_s
-        self.rate_um_per_s = rate_um_per_s
-        self.walk = walk
-
-    def at(self, x: float, elapsed: float) -> float:
-        """x and where the drift is."""
-        settling = drift(elapsed * self.period_s, self.amplitude_um, self.time_constant_s, self.rate_um_per_s)
-        return x + (settling + self.walk.at(elapsed))
