@@ -135,9 +135,10 @@ class Search(Growth):
         return retuned, now, history
 
     def on_its_rows(self, now: Fit) -> Fit:
-        """The fit on many rows, where that predicts no worse: there the prior holds all of a hysteresis, not
+        """The fit on many rows, where that predicts as well: there the prior holds all of a hysteresis, not
         only what was added to it last, and may bend a stage whose travel is many times the noise."""
-        return max(refitted(self.chain, now), now, key=self.score)
+        again = refitted(self.chain, now)
+        return again if self.as_well(again, now) else now
 
     def simplest(self, tried: Sequence[Tried], now: Fit) -> Tried | None:
         """The best of what earns its place. An effect where a larger hysteresis is no clearer; the larger
