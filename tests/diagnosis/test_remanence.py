@@ -119,17 +119,23 @@ def test_a_hold_remembers_for_ever_and_divides_by_nothing() -> None:
     assert np.array_equal(excursions(np.full(50, 3.0)), np.ones((COLUMNS, 50)))
 
 
+def bouc_wen_states(u: np.ndarray, start: float, sigma_v: float, beta: float, exponent: float) -> np.ndarray:
+    """(time,), z behind a voltage, (time,), V, straight between samples, in twenty Euler steps each."""
+    v = np.interp(np.arange(len(u) * 20) / 20, np.arange(len(u)), u)
+    z, states = start, np.empty(len(v))
+    for k, dv in enumerate(np.diff(v, prepend=0.0)):
+        z += dv / sigma_v * (1 - abs(z) ** exponent * (1 - beta + beta * np.sign(z * dv)))
+        states[k] = z
+    return states[::20]
+
+
 @pytest.mark.parametrize("sigma_v", [15.0, 60.0, 100.0])
 def test_a_bouc_wen_stage_with_a_history_is_explained_down_to_the_noise(sigma_v: float) -> None:
     """At ±80 V, far from the unit of its state, which starts where the last recording left it."""
     time, noise_um = np.arange(6000) / 120.0, 0.0015
     u = np.where(time > 3, -80 * np.exp(-time / 40) * np.sin(1.6 * (time - 3)), 0.0)
-    v = np.interp(np.arange(6000 * 20) / 20, np.arange(6000), u)
-    z, states = -0.17, np.empty(len(v))
-    for k, dv in enumerate(np.diff(v, prepend=0.0)):
-        z += dv / sigma_v * (1 - abs(z) ** 1.2 * (-0.5 + 1.5 * np.sign(z * dv)))
-        states[k] = z
-    y = -0.33 * u + 4.2 * states[::20] + np.random.default_rng(0).normal(0, noise_um, 6000)
+    y = -0.33 * u + 4.2 * bouc_wen_states(u, -0.17, sigma_v, 1.5, 1.2)
+    y += np.random.default_rng(0).normal(0, noise_um, 6000)
     found = diagnose([Recording("decaying", time, u, y, 120.0)])
     assert [effect.name for effect in found.effects] == ["hysteresis_operator"]
     assert found.effects[0].parameters[0].value == "bouc_wen"
@@ -145,12 +151,7 @@ def test_a_bouc_wen_stage_is_found_beneath_a_hundred_plays_that_all_but_follow_i
         t = np.arange(5000) / fs_hz
         wave = np.sin(2 * np.pi * (3 + 2 * k) * t + 3 * np.sin(2.2 * t))
         u = 70 * np.minimum(t / 0.2, 1) * (1 + 0.99 * wave)
-        fine = np.interp(np.arange(5000 * 20) / 20, np.arange(5000), u)
-        z, states = start, np.empty(len(fine))
-        for j, dv in enumerate(np.diff(fine, prepend=0.0)):
-            z += dv / 159.0 * (1 - abs(z) ** 1.34 * (1 - 1.265 + 1.265 * np.sign(z * dv)))
-            states[j] = z
-        y = 0.103 * u - 6.7 * states[::20] + rng.normal(0, noise_um, 5000)
+        y = 0.103 * u - 6.7 * bouc_wen_states(u, start, 159.0, 1.265, 1.34) + rng.normal(0, noise_um, 5000)
         recordings.append(Recording(str(k), t, u, y, fs_hz))
     found = diagnose(recordings, effects=[])
     family, sigma, beta, *_ = found.effects[0].parameters

@@ -95,14 +95,19 @@ class HysteresisModel:
     def remembers(self) -> int:
         """Columns of what a recording may remember from before it began: a line remembers nothing, and where
         a Bouc–Wen state starts is a number."""
-        return COLUMNS * bool(self.simulation or self.thresholds_v.any()) + self.duhem
+        return COLUMNS * self.wipes_out + self.duhem
 
     def remembered(self, v: np.ndarray) -> np.ndarray:
-        """(remembers, time) for a voltage, (time,)."""
-        columns = [excursions(v)] if self.simulation or self.thresholds_v.any() else []
+        """(remembers, time) for a voltage, (time,), where it remembers anything."""
+        columns = [excursions(v)] if self.wipes_out else []
         if self.duhem:
             columns.append(fading(v, self.shape["alpha_per_v"])[None])
-        return np.concatenate([np.zeros((0, len(v))), *columns])
+        return np.concatenate(columns)
+
+    @property
+    def wipes_out(self) -> bool:
+        """Whether it has what larger excursions wipe out: plays that are more than a line; a simulation."""
+        return bool(self.simulation or self.thresholds_v.any())
 
     def with_shape(self, values: dict[str, float]) -> "HysteresisModel":
         return replace(self, shape={**self.shape, **values})

@@ -14,6 +14,7 @@ from typing import Any
 
 import numba
 import numpy as np
+from numba.extending import register_jitable
 
 from torchpi.operators.generalised_play import clamp_play
 
@@ -63,20 +64,12 @@ def bouc_wen(z: float, dv: float, sigma: float, beta: float, n: float) -> float:
 
 
 def duhem(z: float, v: float, before: float, alpha: float, power: int) -> float:
-    """z after a straight move from `before` to v, z e^{-A} + ∫ e^{-(A - s)} f(v(s)) ds with A = α|dv|.
-
-    In up to 64 pieces, shorter than a twenty-fifth of the memory, and than an eighth of the voltages, where f
-    is curved; in each by f at Gauss's two points, with the weights that are exact for a straight f.
-    """
+    """z after a straight move from `before` to v, z e^{-A} + ∫ e^{-(A - s)} f(v(s)) ds with A = α|dv|."""
     whole = alpha * abs(v - before)
     if whole == 0.0:
         return z
-    pieces = int(min(whole * 25.0 + 8.0 * abs(v - before) / (abs(v) + abs(before)), 63.0)) + 1
-    move, part = (v - before) / pieces, whole / pieces
-    gap = math.sqrt(3.0) / 3.0
-    kept, share = math.exp(-part), -math.expm1(-part)
-    second = (1.0 - share / part - 0.5 * (1.0 - gap) * share) / gap
-    first = share - second
+    pieces, gap, kept, first, second = duhem_pieces(v, before, whole)
+    move = (v - before) / pieces
     for piece in range(pieces):
         early = before + move * (piece + 0.5 * (1.0 - gap))
         late = before + move * (piece + 0.5 * (1.0 + gap))
@@ -85,6 +78,21 @@ def duhem(z: float, v: float, before: float, alpha: float, power: int) -> float:
             f_early, f_late = f_early * early, f_late * late
         z = kept * z + first * f_early + second * f_late
     return z
+
+
+@register_jitable
+def duhem_pieces(v: float, before: float, whole: float) -> tuple[int, float, float, float, float]:
+    """How a move of A = `whole`, which is not 0, is integrated: in how many pieces, how far apart Gauss's two
+    points are in each, what is kept of z, and the weights of f at both, exact for a straight f.
+
+    The pieces are up to 64, shorter than a twenty-fifth of the memory, and than an eighth of the voltages,
+    where f is curved.
+    """
+    pieces = int(min(whole * 25.0 + 8.0 * abs(v - before) / (abs(v) + abs(before)), 63.0)) + 1
+    part, gap = whole / pieces, math.sqrt(3.0) / 3.0
+    share = -math.expm1(-part)
+    second = (1.0 - share / part - 0.5 * (1.0 - gap) * share) / gap
+    return pieces, gap, math.exp(-part), share - second, second
 
 
 _bouc_wen: Any = numba.njit(bouc_wen)

@@ -8,7 +8,7 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from torchpi.operators.compiled import as_array, njit
-from torchpi.operators.hysteresis_rows import bouc_wen, duhem
+from torchpi.operators.hysteresis_rows import bouc_wen, duhem, duhem_pieces
 
 
 class CarriedState(torch.autograd.Function):
@@ -140,13 +140,9 @@ def _duhem_slopes(
     whole = alpha * abs(v - before)
     if whole == 0.0:
         return 1.0, 0.0, 0.0
-    pieces = int(min(whole * 25.0 + 8.0 * abs(v - before) / (abs(v) + abs(before)), 63.0)) + 1
+    pieces, gap, kept, first, second = duhem_pieces(v, before, whole)
     move, part, part_by_v = (v - before) / pieces, whole / pieces, alpha * np.sign(v - before) / pieces
-    gap = np.sqrt(3.0) / 3.0
-    kept, share = np.exp(-part), -np.expm1(-part)
-    second = (1.0 - share / part - 0.5 * (1.0 - gap) * share) / gap
-    first = share - second
-    second_by_part = ((share / part - kept) / part - 0.5 * (1.0 - gap) * kept) / gap
+    second_by_part = (((first + second) / part - kept) / part - 0.5 * (1.0 - gap) * kept) / gap
     first_by_part = kept - second_by_part
     by_z, by_v, by_before = 1.0, 0.0, 0.0
     for piece in range(pieces):
