@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 from tests.diagnosis.plants import multisine, record, triangles
 from tests.diagnosis.prepared import prepared
 from torchpi.diagnosis.chain import Chain
-from torchpi.diagnosis.fit import fit, left_out, prior_of, solve, with_prior
+from torchpi.diagnosis.coefficients import STRETCHES
+from torchpi.diagnosis.fit import WITHHELD, fit, left_out, prior_of, solve, with_prior
 from torchpi.diagnosis.hypothesis import Fit, Hypothesis
 from torchpi.diagnosis.hysteresis_model import plain
 from torchpi.diagnosis.records import Record, seen
@@ -119,7 +120,7 @@ def linear() -> tuple[Chain, Fit]:
     return chain, fit(chain, Hypothesis(plain(seen(chain.records))))
 
 
-def test_leave_one_out_is_what_refits_without_each_coefficient_predict() -> None:
+def test_a_stretch_is_predicted_as_by_a_refit_to_the_others() -> None:
     chain, now = linear()
     nothing = np.zeros(len(now.weights))
     parts = [jacobian(chain, now.hypothesis, nothing, (), np.zeros(0), i)[1] for i in range(2)]
@@ -134,16 +135,15 @@ def test_leave_one_out_is_what_refits_without_each_coefficient_predict() -> None
     weights = solve(*with_prior(j @ j.T, j @ y, prior, nothing), len(nothing), 0.0)
     residuals = [r.y - chain.output(now.hypothesis, weights, i) for i, r in enumerate(chain.records)]
     shortcut = left_out(chain, residuals, parts, prior)
+    of = [record_.coefficients for record_ in chain.records]
+    stretch = np.concatenate([of[0].stretch, STRETCHES + of[1].stretch])
     predicted = np.empty(len(y))
-    for k in range(len(y)):
-        kept = np.arange(len(y)) != k
-        without = solve(
-            *with_prior(j[:, kept] @ j[:, kept].T, j[:, kept] @ y[kept], prior, nothing), len(nothing), 0.0
-        )
-        predicted[k] = y[k] - without @ j[:, k]
+    for one in range(2 * STRETCHES):
+        weight = np.where(stretch == one, 1.0 - WITHHELD, 1.0)
+        refit = solve(*with_prior(j * weight @ j.T, j @ (weight * y), prior, nothing), len(nothing), 0.0)
+        predicted[stretch == one] = (y - refit @ j)[stretch == one]
     inverse_sd = np.concatenate(chain.weighting.inverse_sd)
-    first = np.cumsum([0, chain.records[0].coefficients.cells])
-    cell = np.concatenate([r.coefficients.cell + f for r, f in zip(chain.records, first, strict=True)])
+    cell = np.concatenate([of[0].cell, of[0].cells + of[1].cell])
     explicit = np.bincount(cell, (predicted / inverse_sd) ** 2) / np.bincount(cell)
     assert shortcut == pytest.approx(explicit, rel=1e-3)
 

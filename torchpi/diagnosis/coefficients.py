@@ -1,12 +1,15 @@
 """The Haar coefficients of one recording that a fit sums over, and the cell that each is in."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from torchpi.diagnosis.haar import Haar
 from torchpi.diagnosis.repeats import PLAIN, Repeats
 
+STRETCHES = 12
+"""Of time, into which a recording is cut: each is predicted by the fit to the others."""
 CHUNK = 16
 """Rows of which what does not repeat is taken at a time."""
 
@@ -61,6 +64,11 @@ class Coefficients:
             np.concatenate([haar.level_of_cell for _, haar in pieces]),
             np.repeat(kinds, [haar.cells for _, haar in pieces]),
         )
+
+    @cached_property
+    def stretch(self) -> np.ndarray:
+        """(kept,): the stretch of time in which each lies, 0 to `STRETCHES` - 1."""
+        return self.at * STRETCHES // self.samples
 
     @property
     def kept(self) -> int:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from torchpi.diagnosis.chain import Chain
+from torchpi.diagnosis.coefficients import STRETCHES
 from torchpi.diagnosis.free_parameters import (
     at_bound,
     free_parameters_of,
@@ -40,8 +41,9 @@ FINE, ROUGH = 1e-4, 3e-3
 """Relative gain of a step below which a fit ends: to report, and to compare."""
 KEPT_PROMISE = 0.5
 """Share of the predicted decrease that a step must keep."""
-LEVERAGE = 0.9
-"""Of one coefficient on its own prediction, at most: one that alone determines a number predicts nothing."""
+WITHHELD = 0.9
+"""Of the weight of a stretch of time in the fit that predicts it: with none of its weight, what it alone
+determines would be predicted at random."""
 REMANENCE = 0.1
 """Of the span: the width of the prior of what the stage remembers from before a recording."""
 
@@ -141,7 +143,11 @@ def fit(
 def left_out(
     chain: Chain, residuals: Sequence[np.ndarray], parts: Sequence[Sensitivity], prior: np.ndarray
 ) -> np.ndarray:
-    """(cells,), µm²: mean square of each cell's residual, each coefficient predicted by the fit without it.
+    """(cells,), µm²: mean square of each cell's residual, each stretch of time predicted by the fit to the
+    others, all of its scales at once.
+
+    With Q the sensitivities made orthonormal and e the residual of a stretch, whitened, that is
+    e + c Qᵀ (1 - c Q Qᵀ)⁻¹ Q e, c being `WITHHELD`.
 
     Args:
         chain: With the recordings.
@@ -150,11 +156,16 @@ def left_out(
         prior: (weights, weights), the inverse covariance of their prior.
     """
     root, means = whitener(parts, prior), []
-    for record, residual, part in zip(chain.records, residuals, parts, strict=True):
-        leverage = np.minimum((root[:, part.places] @ part.rows) ** 2, 1e6).sum(0)
-        e = record.coefficients(residual[None])[0] / (1 - np.minimum(leverage, LEVERAGE))
-        cell = record.coefficients.cell
-        means.append(np.bincount(cell, e**2) / np.bincount(cell))
+    for i, (record, residual, part) in enumerate(zip(chain.records, residuals, parts, strict=True)):
+        of, q = record.coefficients, root[:, part.places] @ part.rows
+        e = chain.whitened(i, residual[None])[0]
+        for stretch in range(STRETCHES):
+            there = of.stretch == stretch
+            mine = q[:, there]
+            others = np.eye(len(q)) - WITHHELD * mine @ mine.T
+            e[there] += WITHHELD * mine.T @ np.linalg.solve(others, mine @ e[there])
+        e /= chain.weighting.inverse_sd[i]
+        means.append(np.bincount(of.cell, e**2) / np.bincount(of.cell))
     return np.concatenate(means)
 
 

@@ -126,7 +126,7 @@ class Fit:
     on_a_bound: tuple[FreeParameter, ...]
     """Those of the slots that ended there."""
     left_out_um2: np.ndarray
-    """(cells,): mean square of each cell, each coefficient predicted by the fit without it."""
+    """(cells,): mean square of each cell, each stretch of time predicted by the fit to the others."""
 
     @property
     def bounded(self) -> tuple[str, ...]:

@@ -88,7 +88,9 @@ def posterior(
     chance = averaged(density, priors, weighting.strata)
     found, together, h = [], [], models[0].fit.hypothesis
     for name in dict.fromkeys(model.without for model in models if model.without):
-        less = next(m for m in models if m.without == name and not m.instead)
+        # A timing convention is no cause: whatever it explains needs none.
+        bare = [m for m in models if m.without == name and m.instead in ("", CONVENTION)]
+        less = max(bare, key=lambda model: search.score(model.fit))
         rivals, alternatives = [], []
         names = {*names_of(name)}
         held = sum(

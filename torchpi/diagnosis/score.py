@@ -1,9 +1,12 @@
 """One score: how well a hypothesis predicts Haar coefficients that it was not fitted to.
 
-Each coefficient is predicted by the fit without it (leave-one-out, exact where the model is linear: Allen,
-*Technometrics* 16(1), 1974). The coefficients of one cell, a stretch of time on one scale, share a variance
-that is unknown but for what is known of the noise there, with `KNOWN` degrees of freedom: integrated out, the
-log density of a cell is that of a multivariate Student t,
+Each stretch of time is predicted by the fit to the others, all scales of it at once (cross-validation in one
+step of the full fit, exact where the model is linear: Stone, *J. Royal Statistical Society* B 36(2), 1974;
+blocks for what depends on the past: Burman, Chow and Nolan, *Biometrika* 81(2), 1994). Single coefficients
+left out would be told by their neighbours, and a hysteresis of many numbers would pass for one that predicts.
+The coefficients of one cell, a stretch of time on one scale, share a variance that is unknown but for what is
+known of the noise there, with `KNOWN` degrees of freedom: integrated out, the log density of a cell is that
+of a multivariate Student t,
 
     ℓ_c = -½ (ν + n_c) ln(1 + n_c q_c / ν),    q_c = mean square over the noise's.
 
