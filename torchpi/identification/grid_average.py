@@ -4,9 +4,9 @@ The direct inverse is linear in its weights, and its plays start without memory,
 
     φ(s) = Σ_i w_i max(s - r_i, 0)
 
-has all that they do after it. The mean of several fits with one S has the mean of their curves. It has the
-thresholds of all of them; interpolated at those of one grid it costs no more than one fit, and its slopes, the
-sums of the weights, are means of theirs: it cannot run backwards where they cannot.
+has all that they do after it. The mean of several fits with one S has the mean of their curves, and the
+thresholds of all of them. Interpolated at those of one grid it costs a controller no more than one fit, and
+its slopes, the sums of the weights, are means of theirs: it cannot run backwards where they cannot.
 """
 
 from collections.abc import Sequence
@@ -16,6 +16,9 @@ import torch
 
 from torchpi.control.direct_inverse import DirectInverse
 from torchpi.identification.monotone_problem import MonotoneProblem
+from torchpi.identification.pair import InversePair
+
+AT_REST = 0.1  # share of the range: displacement of a record that begins de-energised
 
 
 def average_over_grids(problems: Sequence[MonotoneProblem], alphas: Sequence[np.ndarray]) -> DirectInverse:
@@ -38,6 +41,19 @@ def average_over_grids(problems: Sequence[MonotoneProblem], alphas: Sequence[np.
         averaged.weights.theta.copy_(torch.from_numpy(np.diff(sums, axis=0, prepend=0.0)))
         averaged.offset.copy_(torch.stack([fit.offset for fit in fits]).mean(0))
     return averaged
+
+
+def shows_first_loading(pair: InversePair, widest: float) -> bool:
+    """Whether a record begins de-energised, and wide plays have not moved before its first counted sample.
+
+    Args:
+        pair: The record.
+        widest: Their threshold, as a share of the range.
+    """
+    y = pair.motion.yd[0]
+    span = float(y[pair.counted].max() - y[pair.counted].min())
+    before = y[: (pair.counted.start or 0) + 1].abs()
+    return float(before[0]) <= AT_REST * span and float(before.max()) <= widest * span
 
 
 def _loading(

@@ -17,9 +17,10 @@ turns round (`reversals`): errors over its blocks cannot tell it. Nor can they t
 plays are symmetric about a point, so that one loop shows the even part of S, while plays of other thresholds
 stand in for the odd one. They show whether S bends at all. Where it does, the even part alone would be wrong
 about every other loop: S has the highest degree, and a ridge on all that bends it. Its widest plays move in
-the first loading alone, a small part of it: where their thresholds lie changes what the inverse misses on other
-loops by half and more, either way, and no fold tells. The last fit is the mean over several grids, which misses
-less than any one of them on the whole (model averaging; Breiman 1996).
+the first loading alone, a small part of it: where their thresholds lie changes what the inverse misses on
+other loops by half and more, either way, and no fold tells. The last fit is the mean over two grids, which on
+the whole misses less than either (model averaging; Breiman 1996). Where the first loading is not among what
+counts, thresholds beyond half of the range fit nothing but the offset, and one grid without them is taken.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -32,7 +33,7 @@ import torch
 
 from torchpi.control.direct_inverse import DirectInverse
 from torchpi.identification.folds import BLOCKS, Fold, make_folds
-from torchpi.identification.grid_average import average_over_grids
+from torchpi.identification.grid_average import average_over_grids, shows_first_loading
 from torchpi.identification.levenberg_marquardt import levenberg_marquardt
 from torchpi.identification.monotone_problem import MonotoneProblem
 from torchpi.identification.pair import InversePair
@@ -319,10 +320,12 @@ class _Search:
     def fitted(self, form: Form) -> tuple[Form, DirectInverse]:
         """A compensator of this form, fitted to all records, and the form that it has.
 
-        Of a single record it is the mean over `GRIDS`, with the thresholds of the widest.
+        Of a single record that shows its first loading it is the mean over `GRIDS`, with the thresholds of
+        the widest.
         """
         pairs, _ = self.at(form.preview)
-        if not self.single or len(self.richest.spreads) == 1:
+        given = len(self.richest.spreads) == 1
+        if not self.single or given or not shows_first_loading(pairs[0], min(GRIDS)):
             compensator = self.build(form, pairs)
             _fit(compensator, pairs, None, ROWS_AT_LAST, self.stiffness)
             return form, compensator
