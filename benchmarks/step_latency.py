@@ -1,19 +1,22 @@
 """One compensator step: TorchScript and C, called from Python and from C or C++, in one run.
 
-    python benchmarks/step_latency.py [exports/NAME.pt] [--steps 20000]
+    python benchmarks/step_latency.py [exports/NAME.pt] [--steps 20000] [--older CHECKOUT]
 
-What is called from Python is called in turn, so that a busy machine slows all of it; so are the generated C
-and the one written by hand, which holds inputs that are not finite and has no other guard: "C: generated over
-C: by hand" is what the guard costs. What needs a C or C++ compiler is left out, with a word, where there is
-none.
+What is called from Python is called in turn, so that a busy machine slows all of it; so are the generated
+C and the one written by hand, which holds inputs that are not finite and has no other guard: "C:
+generated over C: by hand" is what the guard costs. With a checkout of an older version beside this one,
+its step of the same model is timed in the same loop, as it was generated then: "C: generated over C:
+older". What needs a C or C++ compiler is left out, with a word, where there is none.
 """
 
 import argparse
 import ctypes
 import math
+import os
 import re
 import shutil
 import subprocess
+import sys
 import tempfile
 import time
 import warnings
@@ -46,11 +49,12 @@ def main() -> None:
     )
     parser.add_argument("compensator", type=Path, nargs="?", help="an exported file to time as well")
     parser.add_argument("--steps", type=int, default=20_000)
+    parser.add_argument("--older", type=Path, help="folder of another version, whose C step is timed as well")
     options = parser.parse_args()
     torch.set_num_threads(1)
     warnings.filterwarnings("ignore", message=".*torch.jit.*deprecated.*")
     with tempfile.TemporaryDirectory() as folder:
-        rows = measure(Path(folder), options.compensator, options.steps)
+        rows = measure(Path(folder), options.compensator, options.steps, options.older)
     print(f"{'one step, µs':44}{'median':>10}{'p99.9':>10}")
     for name, median, p999 in rows:
         print(f"{name:44}{median:10.4g}{p999:10.4g}")
@@ -62,12 +66,13 @@ def main() -> None:
         ("C++: TorchScript", "C++: TorchScript, state in tensors"),
         ("C++: TorchScript", "C: generated"),
         ("C: generated", "C: by hand"),
+        ("C: generated", "C: older"),
     ):
         if {over, under} <= medians.keys():
             print(f"{over} over {under}: {medians[over] / medians[under]:.3g} ×")
 
 
-def measure(folder: Path, other: Path | None, steps: int) -> list[Row]:
+def measure(folder: Path, other: Path | None, steps: int, older: Path | None) -> list[Row]:
     compensator = paper_compensator()
     export_files(compensator, folder / "generated", ("torchscript", "c"))
     frozen(TensorState()).save(str(folder / "tensors.pt"))
@@ -84,7 +89,7 @@ def measure(folder: Path, other: Path | None, steps: int) -> list[Row]:
         print(f"C is called from Python through {way}.")
     rows = from_python(called, steps)
     if has_c:
-        rows += from_c(folder, steps)
+        rows += from_c(folder, steps, older)
     else:
         print("Without C: there is no cc.")
     if shutil.which("cmake") and shutil.which("c++"):
@@ -134,13 +139,16 @@ def from_shared_library(folder: Path) -> tuple[Callable[[float], float], str]:
     return lambda yd: float(opened.generated_step(held, yd)), "cffi"
 
 
-def from_c(folder: Path, steps: int) -> list[Row]:
+def from_c(folder: Path, steps: int, older: Path | None) -> list[Row]:
     program = folder / "time_c_steps"
     sources = [folder / "generated.c", HERE / "hand_written_step.c", HERE / "time_c_steps.c"]
-    subprocess.run(
-        ["cc", *C_FLAGS, f"-I{folder}", f"-I{HERE}", *map(str, sources), "-lm", "-o", str(program)],
-        check=True,
-    )
+    flags, names = [*C_FLAGS, f"-I{folder}", f"-I{HERE}"], ["C: generated", "C: by hand"]
+    if older:
+        export_older(older, folder / "older")
+        sources.append(folder / "older.c")
+        flags.append("-DOLDER")
+        names.append("C: older")
+    subprocess.run(["cc", *flags, *map(str, sources), "-lm", "-o", str(program)], check=True)
     lines: list[str] = []
     for _ in range(5):  # anew each time, because where the states lie in memory counts
         done = subprocess.run([str(program), str(max(steps // 5, 1000))], capture_output=True, text=True)
@@ -148,7 +156,22 @@ def from_c(folder: Path, steps: int) -> list[Row]:
             raise SystemExit(done.stdout)
         lines += done.stdout.splitlines()
     times = np.array([line.split() for line in lines], dtype=float) / 1e3
-    return [(name, *_percentiles(t)) for name, t in zip(("C: generated", "C: by hand"), times.T, strict=True)]
+    return [(name, *_percentiles(t)) for name, t in zip(names, times.T, strict=True)]
+
+
+def export_older(checkout: Path, output: Path) -> None:
+    """The C of the same model as the version in `checkout` writes it, by its own copy of this file."""
+    program = (
+        "import pathlib, sys; sys.path.insert(0, 'benchmarks'); import step_latency; "
+        "from torchpi.export import export_files; "
+        "export_files(step_latency.paper_compensator(), pathlib.Path(sys.argv[1]), ('c',))"
+    )
+    subprocess.run(
+        [sys.executable, "-c", program, str(output)],
+        cwd=checkout,
+        env={**os.environ, "PYTHONPATH": str(checkout.resolve())},
+        check=True,
+    )
 
 
 def from_cpp(folder: Path, steps: int) -> list[Row]:

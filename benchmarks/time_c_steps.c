@@ -1,9 +1,13 @@
 /* Generated and hand-written steps in one C loop, in turn: time_c_steps BLOCKS. Prints, for each, the time of a
- * step in every block of 100 steps, in ns, one a line; or where the two differ, and exit code 1. */
+ * step in every block of 100 steps, in ns, one a line; or where the two differ, and exit code 1. Compiled with
+ * -DOLDER, the step of an older version as well. */
 #define _POSIX_C_SOURCE 199309L
 
 #include "generated.h"
 #include "hand_written_step.h"
+#ifdef OLDER
+#include "older.h"
+#endif
 
 #include <math.h>
 #include <stdio.h>
@@ -27,6 +31,11 @@ int main(int argc, char **argv)
     hand_state hand;
     generated_reset(&generated);
     hand_reset(&hand);
+#ifdef OLDER
+    static double of_older[STEPS];
+    older_state older;
+    older_reset(&older);
+#endif
     for (long block = 0; block < blocks; block++) {
         for (int i = 0; i < STEPS; i++) {
             const double k = (double)(block * STEPS + i);
@@ -41,6 +50,12 @@ int main(int argc, char **argv)
             of_hand[i] = hand_step(&hand, yd[i]);
         }
         const double end = now_ns();
+#ifdef OLDER
+        for (int i = 0; i < STEPS; i++) {
+            of_older[i] = older_step(&older, yd[i]);
+        }
+        const double end_of_older = now_ns();
+#endif
         for (int i = 0; i < STEPS; i++) {
             if (of_generated[i] != of_hand[i]) {
                 printf("sample %ld: generated %.17g V, by hand %.17g V\n", block * STEPS + i, of_generated[i],
@@ -48,7 +63,11 @@ int main(int argc, char **argv)
                 return 1;
             }
         }
-        printf("%.4f %.4f\n", (between - start) / STEPS, (end - between) / STEPS);
+        printf("%.4f %.4f", (between - start) / STEPS, (end - between) / STEPS);
+#ifdef OLDER
+        printf(" %.4f", (end_of_older - end) / STEPS);
+#endif
+        printf("\n");
     }
     return 0;
 }

@@ -16,7 +16,11 @@ weights that follow the rate then fit the shape of its loops, and miss others. I
 turns round (`reversals`): errors over its blocks cannot tell it. Nor can they tell how S bends: the loops of
 plays are symmetric about a point, so that one loop shows the even part of S, while plays of other thresholds
 stand in for the odd one. They show whether S bends at all. Where it does, the even part alone would be wrong
-about every other loop: S has the highest degree, and a ridge on all that bends it.
+about every other loop: S has the highest degree, and a ridge on all that bends it. Its widest plays move in
+the first loading alone, a small part of it: where their thresholds lie changes what the inverse misses on
+other loops by half and more, either way, and no fold tells. The last fit is the mean over two grids, which on
+the whole misses less than either (model averaging; Breiman 1996). Where the first loading is not among what
+counts, thresholds beyond half of the range fit nothing but the offset, and one grid without them is taken.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -29,9 +33,11 @@ import torch
 
 from torchpi.control.direct_inverse import DirectInverse
 from torchpi.identification.folds import BLOCKS, Fold, make_folds
+from torchpi.identification.grid_average import average_over_grids, shows_first_loading
 from torchpi.identification.levenberg_marquardt import levenberg_marquardt
 from torchpi.identification.monotone_problem import MonotoneProblem
 from torchpi.identification.pair import InversePair
+from torchpi.identification.projected_problem import Solved
 from torchpi.identification.repetitions import weighted_by_repetitions
 from torchpi.identification.reversals import lag_at_reversals
 
@@ -39,6 +45,7 @@ LEAST = 0.02  # share of the error
 # The widest threshold as a share of the range: one of half of it would only move in the first loading. The
 # first is that of the start.
 SPREADS = (0.45, 0.3)
+GRIDS = (0.45, 0.6)  # over which the last fit to a single record is averaged
 MOST_STEPS = 8
 ROWS, ROWS_AT_LAST = 4_000, 20_000  # of a fit to a fold, and of the last fit
 EVALUATIONS = 30
@@ -116,7 +123,10 @@ class Step:
 
 @dataclass(frozen=True)
 class Selection:
-    """The selected compensator, fitted to all records, and how it came about: the start first."""
+    """The selected compensator, fitted to all records, and how it came about: the start first.
+
+    The form of the last step is that of the compensator.
+    """
 
     compensator: DirectInverse
     steps: tuple[Step, ...]
@@ -167,8 +177,10 @@ def select_form(
     # Blocks of a single record cannot judge a look-ahead that its reversals show.
     if search.lag is None and current.left.mean() > start.left.mean():
         steps = [start]
-    compensator = search.fitted(steps[-1].form)
-    return Selection(compensator, tuple(Step(one.form, float(one.left.mean() ** 0.5)) for one in steps))
+    form, compensator = search.fitted(steps[-1].form)
+    forms = [*(one.form for one in steps[:-1]), form]
+    left = [float(one.left.mean() ** 0.5) for one in steps]
+    return Selection(compensator, tuple(Step(*one) for one in zip(forms, left, strict=True)))
 
 
 class _Search:
@@ -305,12 +317,23 @@ class _Search:
         moved = torch.cat([pair.motion.yd[0, pair.counted] for pair in pairs]).std()
         return all(float((one.lead[1] * added / moved).detach()) > LEAST_INERTIA for one in trial.fitted)
 
-    def fitted(self, form: Form) -> DirectInverse:
-        """A compensator of this form, fitted to all records."""
+    def fitted(self, form: Form) -> tuple[Form, DirectInverse]:
+        """A compensator of this form, fitted to all records, and the form that it has.
+
+        Of a single record that shows its first loading it is the mean over `GRIDS`, with the thresholds of
+        the widest.
+        """
         pairs, _ = self.at(form.preview)
-        compensator = self.build(form, pairs)
-        _fit(compensator, pairs, None, ROWS_AT_LAST, self.stiffness)
-        return compensator
+        given = len(self.richest.spreads) == 1
+        if not self.single or given or not shows_first_loading(pairs[0], min(GRIDS)):
+            compensator = self.build(form, pairs)
+            _fit(compensator, pairs, None, ROWS_AT_LAST, self.stiffness)
+            return form, compensator
+        forms = [replace(form, spread=spread) for spread in GRIDS]
+        problems = [
+            _problem(self.build(one, pairs), pairs, None, ROWS_AT_LAST, self.stiffness) for one in forms
+        ]
+        return forms[-1], average_over_grids(problems, [_solved(problem)[0] for problem in problems])
 
 
 def _fit(
@@ -320,9 +343,23 @@ def _fit(
     most: int,
     stiffness: float,
 ) -> None:
-    problem = MonotoneProblem(compensator, pairs, rows).thinned(most).stiffened(stiffness)
-    alpha, solved = levenberg_marquardt(problem, problem.alpha, EVALUATIONS, TOLERANCE)
+    problem = _problem(compensator, pairs, rows, most, stiffness)
+    alpha, solved = _solved(problem)
     problem.put(alpha, solved.beta)
+
+
+def _problem(
+    compensator: DirectInverse,
+    pairs: Sequence[InversePair],
+    rows: Sequence[np.ndarray] | None,
+    most: int,
+    stiffness: float,
+) -> MonotoneProblem:
+    return MonotoneProblem(compensator, pairs, rows).thinned(most).stiffened(stiffness)
+
+
+def _solved(problem: MonotoneProblem) -> tuple[np.ndarray, Solved]:
+    return levenberg_marquardt(problem, problem.alpha, EVALUATIONS, TOLERANCE)
 
 
 def _begin_from(compensator: DirectInverse, other: DirectInverse) -> None:

@@ -1,0 +1,66 @@
+"""The mean of fits that differ in their thresholds, where the records do not tell which grid is right.
+
+The direct inverse is linear in its weights, and its plays start without memory, so that the loading curve
+
+    φ(s) = Σ_i w_i max(s - r_i, 0)
+
+has all that they do after it. The mean of several fits with one S has the mean of their curves, and the
+thresholds of all of them. Interpolated at those of one grid it costs a controller no more than one fit, and
+its slopes, the sums of the weights, are means of theirs: it cannot run backwards where they cannot.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+
+from torchpi.control.direct_inverse import DirectInverse
+from torchpi.identification.monotone_problem import MonotoneProblem
+from torchpi.identification.pair import InversePair
+
+AT_REST = 0.1  # share of the range: displacement of a record that begins de-energised
+
+
+def average_over_grids(problems: Sequence[MonotoneProblem], alphas: Sequence[np.ndarray]) -> DirectInverse:
+    """The mean of these fits, written into the compensator of the last problem, whose thresholds it has.
+
+    Args:
+        problems: Of one form and the same records; their thresholds rise.
+        alphas: What was found for each. Their mean is taken, and the weights are solved for there.
+    """
+    alpha = np.mean(alphas, axis=0)  # S' is linear in it: where all of them rise, so does this
+    for problem in problems:
+        problem.put(alpha, problem.solve(alpha).beta)
+    fits = [problem.compensator for problem in problems]
+    averaged = fits[-1]
+    r = averaged.plays.r.detach().numpy()
+    loading = np.mean([_loading(fit, r) for fit in fits], axis=0)
+    beyond = np.mean([fit.weights.theta.detach().numpy().sum(0) for fit in fits], axis=0)
+    sums = np.vstack([np.diff(loading, axis=0) / np.diff(r)[:, None], beyond])
+    with torch.no_grad():
+        averaged.weights.theta.copy_(torch.from_numpy(np.diff(sums, axis=0, prepend=0.0)))
+        averaged.offset.copy_(torch.stack([fit.offset for fit in fits]).mean(0))
+    return averaged
+
+
+def shows_first_loading(pair: InversePair, widest: float) -> bool:
+    """Whether a record begins de-energised, and wide plays have not moved before its first counted sample.
+
+    Args:
+        pair: The record.
+        widest: Their threshold, as a share of the range.
+    """
+    y = pair.motion.yd[0]
+    span = float(y[pair.counted].max() - y[pair.counted].min())
+    before = y[: (pair.counted.start or 0) + 1].abs()
+    return float(before[0]) <= AT_REST * span and float(before.max()) <= widest * span
+
+
+def _loading(
+    compensator: DirectInverse,
+    s: np.ndarray,  # (positions,)
+) -> np.ndarray:  # (positions, functions of the rate)
+    """φ, for each function of the rate."""
+    r, theta = compensator.plays.r.detach().numpy(), compensator.weights.theta.detach().numpy()
+    curve: np.ndarray = np.maximum(s[:, None] - r, 0.0) @ theta
+    return curve
