@@ -123,7 +123,7 @@ KEPT_APART = {
     "drawn, of one long recording": (42_435, 2, 36),
     "drawn, nothing found": (99_000, 1, 21),
 }
-"""The same of recordings to which they are not fitted: another real one, and drawn stages of `benchmarks/proof`."""
+"""The same of recordings to which they are not fitted: another real one, and stages drawn by the proof."""
 
 
 @pytest.mark.parametrize(("samples", "rounds", "measured_s"), [*MEASURED.values(), *KEPT_APART.values()])
