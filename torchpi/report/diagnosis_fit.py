@@ -50,7 +50,7 @@ def errors_figure(diagnosis: Diagnosis) -> Figure:
         axes.invert_yaxis()
         axes.grid(False, axis="y")
         log_if_wide(axes, [*values, unit.per_um * (diagnosis.noise_floor_um or 0.0)])
-        axes.set(xlabel=f"held-out error, rms ({unit.name})", title="three stages on the same held-out data")
+        axes.set(xlabel=f"held-out error, rms ({unit.name})", title="three stages, the same data")
         if diagnosis.noise_floor_um is not None:
             axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.2)
     return figure
