@@ -30,6 +30,8 @@ TEXTS = (".csv", ".txt", ".dat", ".tsv", ".asc", ".lvm")
 PAPER_S = {"slow": 2.0, "fast": 1.0}
 """Of the paper's trajectories."""
 SEVERAL_AXES_S = 480.0
+AXES_S = 25.0
+"""Of a diagnosis of several axes, besides its last fit."""
 GROUPS = ("data", "model", "trainer")
 USUAL_HZ = 10_000.0
 """Of the built-in stages; that of others is not known before torch is there."""
@@ -83,11 +85,11 @@ def announce_diagnose(recordings: Iterable[str | Path]) -> None:
 
 def announce_axes(recordings: Iterable[str | Path], seconds: float) -> None:
     """Before `torchpi diagnose` of several axes, whose last fit has a given time."""
-    work_s = DIAGNOSIS_S + 5e-4 * sum(_samples_in(recordings))
+    work_s = AXES_S + 5e-4 * sum(_samples_in(recordings))
     _announce(seconds + measured(min(available_cores(), 2)).seconds(work_s))
 
 
-def search_s(rounds: float, samples: int) -> float:
+def search_s(rounds: int, samples: int) -> float:
     """Of so many rounds over so many samples, with the decision."""
     seconds: float = (ROUND_S + SAMPLE_S * samples) * rounds**GROWTH
     return seconds
