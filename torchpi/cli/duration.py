@@ -47,6 +47,8 @@ GROWTH = 1.3
 """The power of the number of rounds by which a search grows: each has more to fit again."""
 DECISION = 0.1
 """The decision, over the search."""
+SERIAL = 0.3
+"""Of a search, what this process does alone, while its workers have nothing to do."""
 
 
 def announce_check(files: Iterable[str | Path]) -> None:
@@ -74,9 +76,8 @@ def announce_diagnose(recordings: Iterable[str | Path]) -> None:
     compile_s = 0.0 if _compiled("diagnosis") else 60.0
     machine = measured(min(available_cores(), 1 + MOST_WORKERS))
     alone = DIAGNOSIS_S + compile_s
-    nothing, least, most = (
-        machine.seconds(alone, search_s(n, samples)) for n in (1, FEWEST_ROUNDS, MOST_ROUNDS)
-    )
+    work = [search_s(n, samples) for n in (1, FEWEST_ROUNDS, MOST_ROUNDS)]
+    nothing, least, most = (machine.seconds(alone + SERIAL * s, (1 - SERIAL) * s) for s in work)
     usual = math.sqrt(least * most)
     limits = f", {_spoken(nothing)} where nothing is missing, {_spoken(most)} where much is"
     note = _compiles(compile_s, alone + search_s(USUAL_ROUNDS, samples))
