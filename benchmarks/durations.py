@@ -5,9 +5,9 @@
 Runs the README's commands that estimate their time, in a temporary folder, and prints for each what it had
 said, what it took, and the ratio of the two, which should lie between a half and two. With `--rounds` it then
 diagnoses several sets of the README's recordings, and fits to their processor time, over the samples and the
-rounds of each, the constants of `torchpi/cli/duration.py`, printed again after each set from the second on:
+rounds of each, the constants of `torchpi/cli/duration.py`, printed again after each set from the third on:
 
-    processor s = DIAGNOSIS_S + WORK_S · samples · share_of_rounds(rounds)
+    processor s = DIAGNOSIS_S + (ROUND_S + SAMPLE_S · samples) · rounds^GROWTH
 
 Every line is printed when it is known: what has been measured holds if this program is ended early.
 """
@@ -34,7 +34,10 @@ from torchpi.cli.machine import measured
 
 README = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
 MARKS = {"check": "torchpi check", "fit": "train fit", "run": "torchpi run", "diagnose": "torchpi diagnose"}
-SETS = (("slow",), ("slow", "judge"), ("slow", "triangles", "judge"), ("slow", "fast", "triangles", "judge"))
+SETS = (
+    ("slow",), ("fast",), ("slow", "judge"), ("triangles", "judge"), ("slow", "triangles", "judge"),
+    ("slow", "fast", "triangles", "judge"),
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -120,16 +123,18 @@ def print_constants(folder: Path) -> None:
         files = [folder / "recordings" / f"{name}.csv" for name in recordings]
         ran = run(["torchpi", "diagnose", *map(str, files), "--output", str(folder / "again")], folder)
         samples = sum(file.read_bytes().count(b"\n") - 1 for file in files)
-        rows.append([1.0, samples * duration.share_of_rounds(ran.rounds)])
+        growth = ran.rounds**duration.GROWTH
+        rows.append([1.0, growth, samples * growth])
         spent.append(ran.processor_s)
         print(
             f"{' '.join(recordings)}: {samples:,} samples, {ran.rounds} rounds, {ran.processor_s:.0f} s",
             flush=True,
         )
         if len(rows) >= len(rows[0]):
-            constants, _ = nnls(np.array(rows), np.array(spent))
-            misses = np.array(rows) @ constants / spent
-            print("DIAGNOSIS_S = {:.1f}, WORK_S = {:.2e}".format(*constants))
+            relative = np.array(rows) / np.array(spent)[:, None]
+            constants, _ = nnls(relative, np.ones(len(rows)))
+            misses = relative @ constants
+            print("DIAGNOSIS_S = {:.1f}, ROUND_S = {:.2f}, SAMPLE_S = {:.2e}".format(*constants))
             print(
                 f"they give {', '.join(f'{ratio:.2f}' for ratio in misses)} of what was measured", flush=True
             )

@@ -4,12 +4,31 @@ Every error is one line: what was wrong, where, the value found, the value expec
 The commands print that line without a traceback and exit with code 2.
 """
 
+import math
+from numbers import Integral, Real
+from typing import TypeGuard
+
 
 def kind_of(value: object) -> str:
     """What a value is, for an error: the name of its type, and the shape if it has one."""
     shape = getattr(value, "shape", None)
     name = type(value).__name__
     return f"{name} of {'×'.join(map(str, shape))}" if isinstance(shape, tuple) else name
+
+
+def is_number(value: object) -> TypeGuard[float]:
+    """Whether a value is one real number, of Python or of NumPy; True and False are none."""
+    return isinstance(value, Real) and not isinstance(value, bool)
+
+
+def is_positive(value: object) -> TypeGuard[float]:
+    """Whether a value is a positive, finite number."""
+    return is_number(value) and 0 < value < math.inf
+
+
+def is_whole(value: object) -> TypeGuard[int]:
+    """Whether a value is one whole number, of Python or of NumPy; True and False are none."""
+    return isinstance(value, Integral) and not isinstance(value, bool)
 
 
 class TorchpiError(ValueError):
@@ -22,6 +41,16 @@ class RecordingError(TorchpiError):
 
 class ConfigError(TorchpiError):
     """A configuration with an unknown key or an impossible value: names the key."""
+
+
+def check_positive(name: str, value: object, unit: str) -> None:
+    """Whether an argument is a positive, finite number.
+
+    Raises:
+        ConfigError: It is not; names the argument, what was found, and the unit expected.
+    """
+    if not is_positive(value):
+        raise ConfigError(f"{name}: found {value!r}, expected a positive number of {unit}")
 
 
 class StageError(TorchpiError):

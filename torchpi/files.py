@@ -17,7 +17,7 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from torchpi.errors import ArtifactError, ConfigError
+from torchpi.errors import ArtifactError, ConfigError, kind_of
 
 PACKAGE = Path(__file__).parent
 # A wheel carries `configs/` inside the package; in a checkout it stands beside it.
@@ -36,7 +36,9 @@ def config_file(given: str | Path, folder: str = "") -> Path:
 
     Raises:
         ConfigError: A word that is neither a name nor a file.
+        ArtifactError: No path.
     """
+    as_path(given)
     own = CONFIGS / folder / f"{given}.yaml"
     if is_own_config(given, folder):
         return own
@@ -44,6 +46,17 @@ def config_file(given: str | Path, folder: str = "") -> Path:
         names = ", ".join(sorted(path.stem for path in own.parent.glob("*.yaml")))
         raise ConfigError(f"{given}: no such file or name, expected a path or one of {names}")
     return Path(given)
+
+
+def as_path(path: object) -> Path:
+    """An argument that names a file or a folder.
+
+    Raises:
+        ArtifactError: It is something else.
+    """
+    if not isinstance(path, str | os.PathLike):
+        raise ArtifactError(f"path: found {kind_of(path)}, expected the path of a file or a folder")
+    return Path(path)
 
 
 def is_own_config(given: str | Path, folder: str = "") -> bool:
@@ -63,7 +76,7 @@ def write_atomically(path: str | Path) -> Iterator[Path]:
         ArtifactError: A folder or a device stands at `path`, or the system does not let it be written.
     """
     try:
-        target = _regular(Path(path))
+        target = _regular(as_path(path))
         target.parent.mkdir(parents=True, exist_ok=True)
         handle, temporary = _temporary(target)
         try:

@@ -106,9 +106,27 @@ def test_a_diagnosis_has_limits_by_how_much_it_finds(
     assert least < usual < most
 
 
-@pytest.mark.parametrize(
-    ("samples", "rounds", "measured_s"), [(10_000, 4, 43), (21_000, 6, 67), (31_000, 6, 89), (41_000, 6, 132)]
-)
+MEASURED = {
+    "slow": (10_000, 4, 31),
+    "slow, judge": (21_000, 6, 62),
+    "slow, triangles, judge": (31_000, 6, 87),
+    "slow, fast, triangles, judge": (41_000, 6, 131),
+    "a piezo stack": (8_027, 7, 54),
+    "nothing missing": (99_000, 1, 33),
+}
+"""The recordings, and the samples, the rounds and the processor seconds of their diagnosis, to which the
+constants are fitted: of the README (`benchmarks/durations.py --rounds`), of a real stage, of a drawn one."""
+KEPT_APART = {
+    "a motor": (20_000, 3, 45),
+    "drawn, of 4 short recordings": (15_300, 6, 61),
+    "drawn, of 3 recordings": (30_069, 7, 100),
+    "drawn, of one long recording": (42_435, 2, 36),
+    "drawn, nothing found": (99_000, 1, 21),
+}
+"""The same of recordings to which they are not fitted: another real one, and stages drawn by the proof."""
+
+
+@pytest.mark.parametrize(("samples", "rounds", "measured_s"), [*MEASURED.values(), *KEPT_APART.values()])
 def test_a_diagnosis_is_announced_within_a_factor_of_two_of_what_it_took(
     samples: int,
     rounds: int,
@@ -117,15 +135,16 @@ def test_a_diagnosis_is_announced_within_a_factor_of_two_of_what_it_took(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """Processor seconds that sets of the README's recordings took (`benchmarks/durations.py --rounds`)."""
     monkeypatch.setattr(duration, "measured", lambda processes: Machine(1.0, 1.0, 1.0))
-    assert duration.DIAGNOSIS_S + duration.search_s(rounds, samples) == pytest.approx(measured_s, rel=0.2)
+    modelled_s = duration.DIAGNOSIS_S + duration.search_s(rounds, samples)
+    assert modelled_s == pytest.approx(measured_s, rel=0.3 if measured_s > 30 else 0.6)
     duration.announce_diagnose([recording(tmp_path / "a.csv", samples)])
-    assert 0.5 < said(capsys.readouterr().out) / measured_s < 2
+    usual, nothing, _ = re.findall(r"\d+ (?:s|min)", capsys.readouterr().out)
+    assert 0.5 < said(nothing if rounds == 1 else usual) / measured_s <= 2
 
 
 def test_what_is_left_of_a_diagnosis_follows_its_rounds() -> None:
-    quick, slow = duration.Countdown(30_000), duration.Countdown(30_000)
+    quick, slow = duration.Countdown(), duration.Countdown()
     for countdown, times in ((quick, 1.0), (slow, 3.0)):
         assert countdown.left("nominal: the simulation as it is", times) == ""
         assert countdown.left("retuned, 100 plays: 59.612 nm", 10.0 * times) == ""

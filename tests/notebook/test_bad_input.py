@@ -116,7 +116,7 @@ def test_a_stage_may_be_given_by_its_name_and_a_path_is_a_path(compensator: Comp
         ArtifactError, match="stage: found ndarray without 'sample_period_s', expected a stage"
     ):
         compensator.track(Y, Y)  # type: ignore[arg-type]
-    with pytest.raises(ArtifactError, match="path: found int, expected the path of a folder or a checkpoint"):
+    with pytest.raises(ArtifactError, match="path: found int, expected the path of a file or a folder"):
         Compensator.load(4)  # type: ignore[arg-type]
 
 

@@ -111,7 +111,7 @@ HOLE = np.where(np.arange(len(Y)) == 17, np.nan, Y)
         ((T, U.astype(str), Y), {}, "arrays: 'u' holds <U32, expected numbers"),
         ((T, U + 0j, Y), {}, "arrays: 'u' holds complex128, expected numbers"),
         ((T, U, [[1.0], [2.0, 3.0]]), {}, "arrays: 'y': found list, expected an array of numbers"),
-        ((T, U, torch.tensor(Y, requires_grad=True)), {}, "arrays: 'y': found Tensor, expected an array"),
+        ((T, U, torch.tensor(Y, requires_grad=True)), {}, "arrays: 'y': found Tensor of 2000, expected"),
         ((T, U, HOLE), {}, "arrays: index 17: column 'y': found nan, expected a finite number"),
         ((T, np.ma.masked_equal(U, U[9]), Y), {}, "arrays: index 9: column 'u': found nan"),
         ((SWAPPED, U, Y), {}, "arrays: index 6: time goes from 0.009 s to 0.006 s, expected an increase"),

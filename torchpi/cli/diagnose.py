@@ -50,7 +50,7 @@ def diagnose_files(
     recordings = [
         read_recording(path, options, allow_constant_input=True, simulated=given == COLUMN) for path in paths
     ]
-    started, countdown = time.monotonic(), Countdown(sum(map(len, recordings)))
+    started, countdown = time.monotonic(), Countdown()
 
     def log(sentence: str) -> None:
         elapsed_s = time.monotonic() - started

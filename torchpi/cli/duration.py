@@ -8,6 +8,7 @@ left after each round.
 
 import contextlib
 import itertools
+import math
 import os
 import re
 from collections.abc import Iterable, Sequence
@@ -29,18 +30,25 @@ TEXTS = (".csv", ".txt", ".dat", ".tsv", ".asc", ".lvm")
 PAPER_S = {"slow": 2.0, "fast": 1.0}
 """Of the paper's trajectories."""
 SEVERAL_AXES_S = 480.0
+AXES_S = 25.0
+"""Of a diagnosis of several axes, besides its last fit."""
 GROUPS = ("data", "model", "trainer")
 USUAL_HZ = 10_000.0
 """Of the built-in stages; that of others is not known before torch is there."""
 MOST_SAMPLES = 200_000
 """That a diagnosis works on; longer recordings are taken at a lower rate."""
-MOST_ROUNDS, USUAL_ROUNDS = 7, 5
-DIAGNOSIS_S, DRAWING_S = 25.0, 6.0
+FEWEST_ROUNDS, USUAL_ROUNDS, MOST_ROUNDS = 2, 5, 7
+"""Of a search that finds anything; one that finds nothing has a single round."""
+DIAGNOSIS_S, DRAWING_S = 10.5, 8.0
 """Of a diagnosis in all and at its end, whatever the recordings: libraries are imported, figures drawn."""
-WORK_S = 3.1e-3
-"""Of a sample, in a search through all the rounds that there may be, with its share of the decision."""
-DECISION = 0.25
+ROUND_S, SAMPLE_S = 1.45, 2.05e-4
+"""Of the first round of a search, in all and of a sample, with its share of the decision."""
+GROWTH = 1.3
+"""The power of the number of rounds by which a search grows: each has more to fit again."""
+DECISION = 0.1
 """The decision, over the search."""
+SERIAL = 0.3
+"""Of a search, what this process does alone, while its workers have nothing to do."""
 
 
 def announce_check(files: Iterable[str | Path]) -> None:
@@ -58,39 +66,40 @@ def announce_run(trajectories: str | Sequence[str], compared: int) -> None:
 
 
 def announce_diagnose(recordings: Iterable[str | Path]) -> None:
-    """Before `torchpi diagnose`: where some effects are missing, and between which limits it lies."""
+    """Before `torchpi diagnose`: where some effects are missing, and between which limits it lies.
+
+    How many rounds the search will have, nobody knows before. Announced is the geometric middle between the
+    fewest and the most where anything is missing, which is within a factor of two of what any number of them
+    takes, up to some 50,000 samples.
+    """
     samples = min(sum(_samples_in(recordings)), MOST_SAMPLES)
     compile_s = 0.0 if _compiled("diagnosis") else 60.0
     machine = measured(min(available_cores(), 1 + MOST_WORKERS))
     alone = DIAGNOSIS_S + compile_s
-    work = {n: search_s(n, samples) for n in (1, USUAL_ROUNDS, MOST_ROUNDS)}
-    least, usual, most = (machine.seconds(alone, shared) for shared in work.values())
-    limits = f", {_spoken(least)} where nothing is missing, {_spoken(most)} where much is"
-    note = _compiles(compile_s, alone + work[USUAL_ROUNDS])
-    _announce(usual, ("" if _spoken(least) == _spoken(most) else limits) + note)
+    work = [search_s(n, samples) for n in (1, FEWEST_ROUNDS, MOST_ROUNDS)]
+    nothing, least, most = (machine.seconds(alone + SERIAL * s, (1 - SERIAL) * s) for s in work)
+    usual = math.sqrt(least * most)
+    limits = f", {_spoken(nothing)} where nothing is missing, {_spoken(most)} where much is"
+    note = _compiles(compile_s, alone + search_s(USUAL_ROUNDS, samples))
+    _announce(usual, ("" if _spoken(nothing) == _spoken(most) else limits) + note)
 
 
 def announce_axes(recordings: Iterable[str | Path], seconds: float) -> None:
     """Before `torchpi diagnose` of several axes, whose last fit has a given time."""
-    work_s = DIAGNOSIS_S + 5e-4 * sum(_samples_in(recordings))
+    work_s = AXES_S + 5e-4 * sum(_samples_in(recordings))
     _announce(seconds + measured(min(available_cores(), 2)).seconds(work_s))
 
 
 def search_s(rounds: int, samples: int) -> float:
     """Of so many rounds over so many samples, with the decision."""
-    return WORK_S * samples * share_of_rounds(rounds)
-
-
-def share_of_rounds(rounds: int) -> float:
-    """How much of what all the rounds take by the samples so many of them do: each has more to fit again."""
-    return 0.05 + 0.95 * (rounds / MOST_ROUNDS) ** 2
+    seconds: float = (ROUND_S + SAMPLE_S * samples) * rounds**GROWTH
+    return seconds
 
 
 class Countdown:
-    """What is left of a diagnosis of so many samples, by what its rounds took so far."""
+    """What is left of a diagnosis, by what its rounds took so far."""
 
-    def __init__(self, samples: int) -> None:
-        self.samples = min(samples, MOST_SAMPLES)
+    def __init__(self) -> None:
         self.retuned_s, self.rounds = 0.0, 0
 
     def left(self, sentence: str, elapsed_s: float) -> str:
@@ -103,9 +112,9 @@ class Countdown:
         if sentence.startswith("decide"):
             return self._said(DECISION * searched_s)
         if sentence.startswith("  with ") and self.rounds < MOST_ROUNDS:
-            # As if another round found something, and the one after it nothing.
-            last = min(self.rounds + 2, MOST_ROUNDS)
-            ahead = search_s(last, self.samples) / search_s(self.rounds, self.samples)
+            # At least as if another round found something, and the one after it nothing.
+            last = min(max(self.rounds + 2, USUAL_ROUNDS), MOST_ROUNDS)
+            ahead = (last / self.rounds) ** GROWTH
             return self._said(((1.0 + DECISION) * ahead - 1.0) * searched_s)
         return ""
 

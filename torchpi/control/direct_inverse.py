@@ -19,9 +19,9 @@ from torchpi.control.reach import Reach, reach
 from torchpi.control.step import CompensatorStream
 from torchpi.control.step_guard import GuardedStep, StepLimits, step_limits
 from torchpi.control.trained_motions import TrainedMotions
-from torchpi.errors import ArtifactError, ConfigError
+from torchpi.errors import ArtifactError, ConfigError, check_positive, is_number, is_whole
 from torchpi.operators.compiled import HAS_COMPILER
-from torchpi.operators.motion import Motion
+from torchpi.operators.motion import Motion, check_motion
 from torchpi.operators.play import PlayBank, play
 from torchpi.operators.polynomial import Polynomial
 from torchpi.operators.rate_weights import RateHead, RateWeights, squash
@@ -95,37 +95,34 @@ class DirectInverse(nn.Module):
         }
         self.trained = None if trained is None else TrainedMotions.from_plain(trained)
         self.hyper_parameters["trained"] = None if self.trained is None else self.trained.plain()
-        if not 0 < sample_period_s < math.inf:
-            raise ConfigError(f"sample_period_s: found {sample_period_s}, expected a positive number of s")
+        check_positive("sample_period_s", sample_period_s, "s")
         for name, power in (("degree", degree), ("output_degree", output_degree)):
-            if not 1 <= power <= HIGHEST_DEGREE:
+            if not (is_whole(power) and 1 <= power <= HIGHEST_DEGREE):
                 raise ConfigError(f"{name}: found {power}, expected 1 to {HIGHEST_DEGREE}")
+        plays = PlayBank(thresholds, train_thresholds)
         counts = (
             ("thresholds", len(thresholds), MOST_PLAYS),
+            ("thresholds", max(thresholds), LARGEST_THRESHOLD),
             ("creep_time_constants_s", len(creep_time_constants_s), MOST_RELAXATIONS),
             ("hidden", hidden, MOST_HIDDEN),
         )
         for name, count, most in counts:
             if count > most:
-                raise ConfigError(f"{name}: found {count}, expected at most {most}")
-        if any(abs(r) > LARGEST_THRESHOLD for r in thresholds):
-            raise ConfigError(
-                f"thresholds: found {max(thresholds):g}, expected at most {LARGEST_THRESHOLD:g}"
-            )
-        if preview < 0:
+                raise ConfigError(f"{name}: found {count:g}, expected at most {most:g}")
+        if not (is_whole(preview) and preview >= 0):
             raise ConfigError(f"preview: found {preview}, expected a number of samples that is not negative")
         if lead not in (0, 1, 2):
             raise ConfigError(f"lead: found {lead}, expected 0, 1 or 2")
         for value in creep_time_constants_s:
-            if not 0 < value < math.inf:
-                raise ConfigError(f"creep_time_constants_s: found {value}, expected positive numbers of s")
-        if not -math.inf < min_voltage_v < max_voltage_v < math.inf:
-            raise ConfigError(
-                f"min_voltage_v: found {min_voltage_v} V, expected a number below max_voltage_v, "
-                f"{max_voltage_v}"
-            )
-        if max_slew_v_s is not None and not 0 < max_slew_v_s < math.inf:
-            raise ConfigError(f"max_slew_v_s: found {max_slew_v_s}, expected a positive number of V/s")
+            check_positive("creep_time_constants_s", value, "s")
+        for name, limit in (("min_voltage_v", min_voltage_v), ("max_voltage_v", max_voltage_v)):
+            if not (is_number(limit) and math.isfinite(limit)):
+                raise ConfigError(f"{name}: found {limit!r}, expected a voltage in V")
+        if not min_voltage_v < max_voltage_v:
+            found = f"found {min_voltage_v} V, expected a number below max_voltage_v, {max_voltage_v}"
+            raise ConfigError(f"min_voltage_v: {found}")
+        if max_slew_v_s is not None:
+            check_positive("max_slew_v_s", max_slew_v_s, "V/s")
         if recordings_sha256 is not None and not is_sha256(recordings_sha256):
             found = f"found {recordings_sha256!r}, expected 64 hexadecimal digits"
             raise ConfigError(f"recordings_sha256: {found}")
@@ -141,7 +138,7 @@ class DirectInverse(nn.Module):
         periods = sample_period_s / torch.tensor(list(creep_time_constants_s), dtype=torch.float64)
         self.register_buffer("creep_decay", torch.exp(-periods), persistent=False)
         self.saturation = Polynomial([1.0] + [0.0] * (degree - 1), scale=range_um)
-        self.plays = PlayBank(list(thresholds), train_thresholds)
+        self.plays = plays
         self.weights = RateWeights([0.0] * len(thresholds), rate, rate_scale_um_s, hidden)
         self.psi = nn.Parameter(torch.zeros(len(thresholds), output_degree - 1, dtype=torch.float64))
         self.range_um = range_um
@@ -153,6 +150,7 @@ class DirectInverse(nn.Module):
         Shapes: (batch, time) in µm, µm/s, µm/s² to (batch, time) in V. Sample t of the motion is the
         one `preview` periods ahead of sample t of the voltage.
         """
+        check_motion(motion)
         return self.voltage(motion)[0].clamp(self.min_voltage_v, self.max_voltage_v)
 
     def voltage(

@@ -1,6 +1,6 @@
 """Everything that a compensator is exported to, together or not at all."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import ExitStack
 from importlib import import_module
 from pathlib import Path
@@ -8,7 +8,7 @@ from pathlib import Path
 from torchpi.errors import ConfigError
 from torchpi.export.deployable import Deployable
 from torchpi.export.safety_card import Load
-from torchpi.files import to_disk, write_atomically
+from torchpi.files import as_path, to_disk, write_atomically
 from torchpi.operators.reference_filter import ReferenceFilter
 
 Files = dict[Path, Callable[[Path], object]]  # what writes each file's content to a path
@@ -65,8 +65,8 @@ def made_files(
         ArtifactError: The compensator has a part that one of the formats has no form for, or a number that
             is not finite, or its name cannot be one in C. Nothing is written then.
     """
-    formats = [formats] if isinstance(formats, str) else formats
-    unknown = [name for name in formats if name not in FORMATS]
+    formats = [formats] if isinstance(formats, str) or not isinstance(formats, Iterable) else list(formats)
+    unknown = [str(name) for name in formats if name not in FORMATS]
     if unknown or not formats:
         raise ConfigError(f"to: found '{','.join(unknown)}', expected one or more of {','.join(FORMATS)}")
     files: Files = {}
@@ -77,7 +77,7 @@ def made_files(
 
 def without_suffix(output: str | Path) -> Path:
     """`mine` of `mine.pt`, by whichever of its files an export is named; other dots stay."""
-    path = Path(output)
+    path = as_path(output)
     return path.with_suffix("") if path.suffix in SUFFIXES else path
 
 

@@ -5,12 +5,10 @@ the same recordings, both judged on the last one, which is held out.
 """
 
 import math
-import os
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from numbers import Real
 from pathlib import Path
 from typing import Any, cast
 
@@ -24,11 +22,19 @@ from torchpi.control.reach import check_reached
 from torchpi.control.step import CompensatorStream
 from torchpi.control.trained import load_compensator, to_checkpoint
 from torchpi.diagnosis.forward_stage import identify_stage
-from torchpi.errors import ArtifactError, ConfigError, RecordingError, RecordingWarning, kind_of
+from torchpi.errors import (
+    ArtifactError,
+    ConfigError,
+    RecordingError,
+    RecordingWarning,
+    is_number,
+    is_whole,
+    kind_of,
+)
 from torchpi.export import made_files, safety_card, write_together
 from torchpi.export.formats import Files, without_suffix
 from torchpi.export.torchscript import script, warm
-from torchpi.files import save_tensors
+from torchpi.files import as_path, save_tensors
 from torchpi.identification import InverseErrors, inverse_errors, inverse_pair
 from torchpi.identification.recipe import RECORDED
 from torchpi.identification.selection import Form
@@ -128,10 +134,12 @@ class Compensator:
                 compensator that is fitted already.
         """
         RecordingOptions(skip_s=skip_s)  # raises, as for a file
-        if preview is not None and not (isinstance(preview, int) and preview >= 0):
-            raise ConfigError(f"preview: found {preview}, expected a number of samples that is not negative")
+        if preview is not None and not (is_whole(preview) and preview >= 0):
+            raise ConfigError(
+                f"preview: found {preview!r}, expected a number of samples that is not negative"
+            )
         for key, value in (("min_voltage_v", min_voltage_v), ("max_voltage_v", max_voltage_v)):
-            if not isinstance(value, Real | None):
+            if value is not None and not (is_number(value) and math.isfinite(value)):
                 raise ConfigError(f"{key}: found {value!r}, expected a voltage in V")
         checked = [_checked(recording) for recording in given_recordings(recordings)]
         check_together(checked)
@@ -154,9 +162,7 @@ class Compensator:
         Raises:
             ArtifactError: No compensator there, or not as it was written.
         """
-        if not isinstance(path, str | os.PathLike):
-            raise ArtifactError(f"path: found {kind_of(path)}, expected the path of a folder or a checkpoint")
-        stage = Path(path) / STAGE
+        stage = as_path(path) / STAGE
         inverse = load_compensator(path).requires_grad_(False)
         return cls(inverse, Stage.load(stage) if stage.is_file() else None)
 
@@ -168,7 +174,7 @@ class Compensator:
             >>> bool((Compensator.load("mine").predict(reference) == compensator.predict(reference)).all())
             True
         """
-        checkpoint = Path(folder) / "checkpoints" / "best.ckpt"
+        checkpoint = as_path(folder) / "checkpoints" / "best.ckpt"
         files: Files = {checkpoint: partial(save_tensors, to_checkpoint(self.inverse))}
         if self.stage is not None:
             files[Path(folder) / STAGE] = self.stage.write
@@ -275,9 +281,14 @@ class Compensator:
         """Errors of the voltage over a recording, offline, in V, µm and per cent.
 
         Raises:
-            RecordingError: A recording that no model can be judged on, or of another sample rate.
+            RecordingError: Not one recording, one that no model can be judged on, or of another sample rate.
+            ConfigError: A start-up transient that is negative.
         """
-        checked = _checked(*given_recordings(recording))
+        RecordingOptions(skip_s=skip_s)  # raises, as for a file
+        given = given_recordings(recording)
+        if len(given) != 1:
+            raise RecordingError(f"recording: found {len(given)} recordings, expected one")
+        checked = _checked(given[0])
         if not math.isclose(checked.fs_hz, self.sample_rate_hz, rel_tol=1e-6):
             raise RecordingError(
                 f"{checked.source or checked.name}: sampled at {checked.fs_hz:g} Hz, "
@@ -296,8 +307,8 @@ class Compensator:
 
         Raises:
             ConfigError: An unknown format.
-            ArtifactError: A compensator that lowers the voltage to raise the stage, or a file that cannot be
-                written.
+            ArtifactError: A compensator that lowers the voltage to raise the stage, no path, or a file that
+                cannot be written.
 
         Example:
             >>> [file.name for file in compensator.export("exports/mine", to=("torchscript", "json"))]

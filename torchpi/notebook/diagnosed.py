@@ -6,11 +6,13 @@ from concurrent.futures import Executor
 from torchpi.diagnosis import Diagnosis
 from torchpi.diagnosis import diagnose as diagnosis_of
 from torchpi.diagnosis.simulation import Simulation
-from torchpi.errors import ConfigError
+from torchpi.errors import ConfigError, SimulationError, kind_of
 from torchpi.notebook.given import given_recordings
 from torchpi.recordings.recording import Recording
 from torchpi.report.diagnosis_figures import diagnosis_figures
 from torchpi.report.notebook import Plot, diagnosed_html
+from torchpi.simulators import COLUMN
+from torchpi.stage import Stage
 
 
 class Diagnosed(Diagnosis):
@@ -64,6 +66,7 @@ def diagnose(
     Raises:
         RecordingError: No recordings, or some that no diagnosis can be made of.
         SimulationError: A simulation that fails, or returns what is no displacement.
+        ConfigError: An executor that takes no work.
 
     Example:
         >>> import torchpi
@@ -72,5 +75,10 @@ def diagnose(
         True
         >>> figure = found.plot("errors")
     """
+    if not (simulation is None or isinstance(simulation, str | Stage) or callable(simulation)):
+        found = kind_of(simulation)
+        raise SimulationError(f"simulation: found {found}, expected a stage, a function or '{COLUMN}'")
+    if executor is not None and not hasattr(executor, "submit"):
+        raise ConfigError(f"executor: found {kind_of(executor)}, expected a concurrent.futures.Executor")
     found = diagnosis_of(given_recordings(recordings), simulation, executor=executor)
     return Diagnosed(**vars(found))

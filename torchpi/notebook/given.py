@@ -15,7 +15,7 @@ def given_recordings(recordings: Recording | Iterable[Recording]) -> list[Record
     expected = "expected a Recording: Recording.from_arrays(t, u, y) makes one"
     if isinstance(recordings, Recording):
         return [recordings]
-    if not isinstance(recordings, Iterable) or isinstance(recordings, str):
+    if not isinstance(recordings, Iterable) or isinstance(recordings, str) or hasattr(recordings, "shape"):
         raise RecordingError(f"recordings: found {kind_of(recordings)}, {expected}")
     given = list(recordings)
     for k, recording in enumerate(given):

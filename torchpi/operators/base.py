@@ -38,18 +38,18 @@ class Operator(nn.Module):
         raise TypeError(f"{type(self).__name__} must define stream()")
 
 
-def check_records(x: object) -> None:
-    """Whether this is a tensor (batch, time) of floating-point numbers.
+def check_records(x: object, name: str = "x") -> None:
+    """Whether an argument is a tensor (batch, time) of floating-point numbers.
 
     Raises:
-        ConfigError: It is not.
+        ConfigError: It is not; begins with the argument's name.
     """
     if not isinstance(x, Tensor):
-        raise ConfigError(f"x: found {type(x).__name__}, expected a tensor (batch, time)")
+        raise ConfigError(f"{name}: found {type(x).__name__}, expected a tensor (batch, time)")
     if x.ndim != 2:
-        raise ConfigError(f"x: found shape {tuple(x.shape)}, expected (batch, time)")
+        raise ConfigError(f"{name}: found shape {tuple(x.shape)}, expected (batch, time)")
     if not x.is_floating_point():
-        raise ConfigError(f"x: found {x.dtype}, expected floating-point numbers: x.double() has them")
+        raise ConfigError(f"{name}: found {x.dtype}, expected floating-point numbers: x.double() has them")
 
 
 class Static(Operator):

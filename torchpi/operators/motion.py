@@ -5,6 +5,9 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
+from torchpi.errors import ConfigError, kind_of
+from torchpi.operators.base import check_records
+
 
 class Motion(NamedTuple):
     """A reference trajectory with its rate and acceleration.
@@ -25,6 +28,20 @@ class Motion(NamedTuple):
     yd: Tensor
     yd_dot: Tensor
     yd_ddot: Tensor
+
+
+def check_motion(motion: object) -> None:
+    """Whether an argument is a motion of tensors.
+
+    Raises:
+        ConfigError: It is not.
+    """
+    if not isinstance(motion, Motion):
+        raise ConfigError(
+            f"motion: found {kind_of(motion)}, expected a Motion, as a ReferenceFilter gives it"
+        )
+    for name, part in zip(motion._fields, motion, strict=True):
+        check_records(part, name)
 
 
 def backward_motion(

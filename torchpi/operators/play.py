@@ -1,5 +1,6 @@
 """The play (backlash) operator, Qin et al. (2013), eq. 1 and 2: the elementary hysteresis."""
 
+from collections.abc import Sequence
 from typing import Any, cast
 
 import torch
@@ -32,7 +33,7 @@ class PlayBank(Operator):
         [0.0, 0.5, 1.5, 1.5, 0.5]
     """
 
-    def __init__(self, thresholds: list[float], trainable: bool = False) -> None:
+    def __init__(self, thresholds: Sequence[float], trainable: bool = False) -> None:
         super().__init__()
         self.raw_thresholds = threshold_parameter("thresholds", thresholds, trainable)
 
@@ -63,7 +64,7 @@ class PlayBank(Operator):
         return f"plays={len(r)}, thresholds {min(r):.4g} … {max(r):.4g}"
 
 
-def threshold_parameter(name: str, values: list[float], trainable: bool) -> nn.Parameter:
+def threshold_parameter(name: str, values: Sequence[float], trainable: bool) -> nn.Parameter:
     """Thresholds, (plays,).
 
     Raises:

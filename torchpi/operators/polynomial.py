@@ -3,7 +3,7 @@
 import torch
 from torch import Tensor, nn
 
-from torchpi.errors import ConfigError
+from torchpi.errors import ConfigError, is_number
 from torchpi.operators.base import Static, StaticStream
 
 
@@ -53,11 +53,14 @@ class Polynomial(Static):
 
     def __init__(self, coefficients: list[float], scale: float = 1.0) -> None:
         super().__init__()
-        c = torch.as_tensor(coefficients, dtype=torch.float64)
+        try:
+            c = torch.as_tensor(coefficients, dtype=torch.float64)
+        except (TypeError, ValueError, RuntimeError):
+            c = torch.zeros(0, dtype=torch.float64)
         if c.ndim != 1 or len(c) == 0 or not bool(torch.isfinite(c).all()):
-            raise ConfigError(f"coefficients: found {list(coefficients)}, expected at least one, all finite")
-        if not 0 < scale < float("inf"):
-            raise ConfigError(f"scale: found {scale}, expected a positive number")
+            raise ConfigError(f"coefficients: found {coefficients!r}, expected at least one, all finite")
+        if not (is_number(scale) and 0 < scale < float("inf")):
+            raise ConfigError(f"scale: found {scale!r}, expected a positive number")
         self.powers: Tensor
         self.register_buffer("powers", scale ** torch.arange(len(c), dtype=torch.float64))
         self.scaled = nn.Parameter(c * self.powers)

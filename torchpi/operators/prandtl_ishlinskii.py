@@ -3,7 +3,7 @@
 import torch
 from torch import Tensor, nn
 
-from torchpi.errors import ConfigError
+from torchpi.errors import ConfigError, is_number
 from torchpi.operators.base import Operator, StepStream
 from torchpi.operators.play import PlayBank, play
 from torchpi.operators.weighted_sum import weighted_sum
@@ -43,6 +43,8 @@ class PrandtlIshlinskii(Operator):
     ) -> None:
         super().__init__()
         self.plays = PlayBank(thresholds, trainable_thresholds)
+        if not all(is_number(weight) for weight in weights):
+            raise ConfigError(f"weights: found {weights!r}, expected numbers")
         if len(weights) != len(thresholds):
             raise ConfigError(f"weights: found {len(weights)}, expected {len(thresholds)}, one a play")
         self.w = nn.Parameter(torch.as_tensor(weights, dtype=torch.float64).clone())

@@ -11,7 +11,8 @@ import math
 import torch
 from torch import Tensor, nn
 
-from torchpi.errors import ConfigError
+from torchpi.errors import ConfigError, check_positive, is_number
+from torchpi.operators.base import check_records
 from torchpi.operators.motion import BackwardMotionStream, Motion
 
 
@@ -47,10 +48,11 @@ class ReferenceFilter:
             ("sample_period_s", sample_period_s, "s"),
             ("natural_frequency_rad_s", natural_frequency_rad_s, "rad/s"),
         ):
-            if not 0 < value < math.inf:
-                raise ConfigError(f"{name}: found {value}, expected a positive number of {unit}")
-        if not 0 <= damping_ratio < math.inf:
-            raise ConfigError(f"damping_ratio: found {damping_ratio}, expected a number that is not negative")
+            check_positive(name, value, unit)
+        if not (is_number(damping_ratio) and 0 <= damping_ratio < math.inf):
+            raise ConfigError(
+                f"damping_ratio: found {damping_ratio!r}, expected a number that is not negative"
+            )
         self.sample_period_s = sample_period_s
         self.natural_frequency_rad_s = natural_frequency_rad_s
         self.damping_ratio = damping_ratio
@@ -64,7 +66,11 @@ class ReferenceFilter:
         """Filter a reference; derivatives that are not given come from its samples.
 
         A reference given by samples has its initial rate from its first two.
+
+        Raises:
+            ConfigError: No tensor (batch, time) of floating-point numbers.
         """
+        check_records(yr, "yr")
         if yr_dot is None or yr_ddot is None:
             stream = self.stream()
             rows = []

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, fields, replace
 from typing import Any, Literal
 
-from torchpi.errors import ConfigError
+from torchpi.errors import ConfigError, is_number
 
 TIME_COLUMN, INPUT_COLUMN, OUTPUT_COLUMN = "time_s", "input_v", "output_um"
 SIMULATED_COLUMN = "simulated_um"
@@ -60,8 +60,8 @@ class RecordingOptions:
             raise ConfigError(f"resample: found {self.resample!r}, expected true or false")
         if self.zero not in ("recorded", "first"):
             raise ConfigError(f"zero: found '{self.zero}', expected recorded or first")
-        if not (isinstance(self.skip_s, int | float) and 0 <= self.skip_s < float("inf")):
-            raise ConfigError(f"skip_s: found {self.skip_s}, expected a time in s that is not negative")
+        if not (is_number(self.skip_s) and 0 <= self.skip_s < float("inf")):
+            raise ConfigError(f"skip_s: found {self.skip_s!r}, expected a time in s that is not negative")
 
     def with_changes(self, **changes: Any) -> "RecordingOptions":
         """The same options but for these.

@@ -12,7 +12,7 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from torchpi.errors import ConfigError, RecordingError, kind_of
+from torchpi.errors import ConfigError, RecordingError, is_number, is_positive, kind_of
 from torchpi.files import write_columns
 from torchpi.recordings.checks import MIN_SAMPLES, check_length, check_recording
 from torchpi.recordings.options import (
@@ -78,6 +78,8 @@ class Recording(Shown):
     """(time,), µm: what a simulator makes of this voltage; None where nothing was simulated."""
 
     def __post_init__(self) -> None:
+        self._expect(is_positive(self.fs_hz), "fs_hz", self.fs_hz, "a rate over 0 Hz")
+        self._expect(isinstance(self.aux, Mapping), "aux", self.aux, "signals by their names")
         for name, signal in (("t", self.t), *self._signals().items()):
             if not (isinstance(signal, np.ndarray) and signal.ndim == 1):
                 raise RecordingError(
@@ -185,6 +187,8 @@ class Recording(Shown):
 
     def slice(self, start_s: float, stop_s: float) -> "Recording":
         """The samples with start_s ≤ t < stop_s, by the file's own time stamps, which they keep."""
+        for name, time_s in (("start_s", start_s), ("stop_s", stop_s)):
+            self._expect(is_number(time_s), name, time_s, "a time in s")
         edge = 1e-3 / self.fs_hz  # a stamp that should equal the edge may lie just beside it
         first, last = np.searchsorted(self.t, [start_s - edge, stop_s - edge])
         if first >= last:
@@ -196,6 +200,7 @@ class Recording(Shown):
 
     def split_tail(self, fraction: float) -> tuple["Recording", "Recording"]:
         """(the head, the last `fraction` of the samples). Random samples would leak: neighbours are alike."""
+        self._expect(is_number(fraction), "fraction", fraction, "a number between 0 and 1")
         tail = round(len(self) * fraction)
         if not 0 < tail < len(self):
             raise RecordingError(
@@ -214,10 +219,7 @@ class Recording(Shown):
         Signals are taken as band-limited below half of the lower rate. That includes the voltage, which a
         converter holds: the half sample of delay that holding adds belongs to the rate it was recorded at.
         """
-        if not (np.isfinite(fs_hz) and fs_hz > 0):
-            raise RecordingError(
-                f"{self.source or self.name}: cannot resample to {fs_hz:g} Hz, expected a rate over 0"
-            )
+        self._expect(is_positive(fs_hz), "fs_hz", fs_hz, "a rate over 0 Hz")
         if not 1 / MOST_RESAMPLED <= fs_hz / self.fs_hz <= MOST_RESAMPLED:
             raise RecordingError(
                 f"{self.source or self.name}: cannot resample from {self.fs_hz:g} Hz to {fs_hz:g} Hz, "
@@ -232,6 +234,10 @@ class Recording(Shown):
         u, y, simulated = convert.pop("u"), convert.pop("y"), convert.pop("simulated", None)
         t = self.t[0] + np.arange(samples) / fs_hz
         return replace(self, t=t, u=u, y=y, fs_hz=float(fs_hz), aux=convert, simulated=simulated)
+
+    def _expect(self, holds: bool, name: str, found: object, expected: str) -> None:
+        if not holds:
+            raise RecordingError(f"{self.source or self.name}: {name}: found {found!r}, expected {expected}")
 
     def _signals(self) -> dict[str, np.ndarray]:
         simulated = {} if self.simulated is None else {"simulated": self.simulated}

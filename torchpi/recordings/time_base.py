@@ -111,8 +111,8 @@ def scale_of(
     if known in UNITS[role]:
         return UNITS[role][known]
     try:
-        factor = float(unit)
-    except ValueError:
+        factor = 0.0 if isinstance(unit, bool) else float(unit)
+    except (TypeError, ValueError):
         factor = 0.0
     if factor == 0 or not 1e-12 <= abs(factor) <= 1e12 or (role == "time" and factor < 0):
         raise RecordingError(
@@ -134,7 +134,7 @@ def rate_of(source: Source, fs_hz: float | str | None) -> float | None:
         return None
     try:
         rate = float(fs_hz)
-    except ValueError:
+    except (TypeError, ValueError):
         stored = source.scalar(str(fs_hz))
         if stored is None:
             raise RecordingError(

@@ -19,11 +19,13 @@ from torchpi.report.diagnosis_style import (
     shortened,
     unit_of,
 )
-from torchpi.report.style import canvas
+from torchpi.report.style import WIDTH_IN, canvas
 from torchpi.report.traces import Signal, envelope, stretches, thinned
 
 HELDOUT_TRACES = 4
 """Recordings of which the traces are drawn."""
+TELEPHONE_IN = 0.7 * WIDTH_IN
+"""Of a figure that fits a telephone with its words at the size that others have there."""
 
 
 def errors_figure(diagnosis: Diagnosis) -> Figure:
@@ -34,7 +36,7 @@ def errors_figure(diagnosis: Diagnosis) -> Figure:
         "with what was missing": diagnosis.augmented,
     }
     unit = unit_of(max(fit.heldout_rms_um for fit in fits.values()))
-    with canvas(1.75) as figure:
+    with canvas(1.75, TELEPHONE_IN) as figure:
         axes = figure.subplots()
         fills = (("#cccccc", "//"), (BEFORE["color"], ""), (AFTER["color"], ""))
         values = [unit.per_um * fit.heldout_rms_um for fit in fits.values()]
@@ -48,7 +50,7 @@ def errors_figure(diagnosis: Diagnosis) -> Figure:
         axes.invert_yaxis()
         axes.grid(False, axis="y")
         log_if_wide(axes, [*values, unit.per_um * (diagnosis.noise_floor_um or 0.0)])
-        axes.set(xlabel=f"held-out error, rms ({unit.name})", title="three stages on the same held-out data")
+        axes.set(xlabel=f"held-out error, rms ({unit.name})", title="three stages, the same data")
         if diagnosis.noise_floor_um is not None:
             axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.2)
     return figure

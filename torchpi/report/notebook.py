@@ -12,7 +12,7 @@ from torchpi.control.direct_inverse import DirectInverse
 from torchpi.diagnosis.diagnosis import Diagnosis, Parameter
 from torchpi.diagnosis.say import percent, spoken, spoken_parameter
 from torchpi.errors import ConfigError
-from torchpi.files import write_atomically
+from torchpi.files import as_path, write_atomically
 from torchpi.identification import InverseErrors
 from torchpi.identification.selection import Form
 from torchpi.loop.result import LoopResult
@@ -45,7 +45,7 @@ class Plot:
             ConfigError: Another suffix.
         """
         known = self.figure.canvas.get_supported_filetypes()
-        if Path(path).suffix.removeprefix(".").lower() not in known:
+        if as_path(path).suffix.removeprefix(".").lower() not in known:
             raise ConfigError(
                 f"{path}: found '{Path(path).suffix}', expected one of .{', .'.join(sorted(known))}"
             )

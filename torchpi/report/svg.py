@@ -30,9 +30,10 @@ def inline_svg(figure: Figure, name: str, describes: str) -> str:
     text = _renamed(text, name)
     text = re.sub(r'<path [^>]*?\bd="[^"]*"', _shorter_numbers, text, flags=re.DOTALL)
     width, height = re.search(r'viewBox="0 0 (\S+) (\S+)"', text).groups()  # type: ignore[union-attr]
-    share = min(100.0, 100.0 * float(width) / (72.0 * WIDTH_IN))
+    share = min(1.0, float(width) / (72.0 * WIDTH_IN))
     head = (
-        f'<svg class="figure" style="width: {share:.3g}%" viewBox="0 0 {width} {height}" '
+        f'<svg class="figure" style="width: {100 * share:.3g}%; --share: {share:.3g}" '
+        f'viewBox="0 0 {width} {height}" '
         f'role="img" aria-label="{_escaped(describes)}">'
     )
     return head + re.sub(r"\n\s*", "\n", text[text.index(">") + 1 :]).strip()

@@ -252,7 +252,9 @@ def build(
     """
     prefix = f"{section}." if section else ""
     if settings is not None and not isinstance(settings, Mapping):
-        raise ConfigError(f"{section}: found {settings!r}, expected a section of keys with values")
+        raise ConfigError(
+            f"{section or 'settings'}: found {settings!r}, expected a section of keys with values"
+        )
     parameters = inspect.signature(make).parameters
     arguments = {}
     for key, value in (settings or {}).items():

@@ -17,7 +17,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor, nn
 
-from torchpi.errors import ArtifactError, ConfigError, StageError, kind_of
+from torchpi.errors import ArtifactError, ConfigError, StageError, is_whole, kind_of
 from torchpi.files import config_file, write_atomically
 from torchpi.operators.base import Operator, StepStream
 from torchpi.operators.chain import Chain, ChainStream
@@ -176,7 +176,8 @@ class Stage(Operator):
             StageError: An unphysical value.
         """
         try:
-            return build(cls, settings if "hysteresis" in settings else build(of_sections, settings))
+            whole = isinstance(settings, Mapping) and "hysteresis" in settings
+            return build(cls, settings if whole else build(of_sections, settings))
         except (ConfigError, StageError) as error:
             raise type(error)(f"{source}: {error}") from error
         except (AttributeError, TypeError, ValueError) as error:  # inside effects, hysteresis, converters
@@ -369,6 +370,8 @@ class Stage(Operator):
                 y, reading = self.simulate(_as_tensor(u), seed)
             return y.numpy(), reading.numpy()
         self._check_command(u)
+        if seed is not None and not (is_whole(seed) and seed >= 0):
+            raise StageError(f"seed: found {seed!r}, expected a whole number that is not negative")
         if self.simulation == COLUMN:
             raise StageError("simulation: found a voltage alone, expected the simulator's output beside it")
         command = u.to(torch.float64)
@@ -403,6 +406,8 @@ class Stage(Operator):
             raise StageError(f"u: found {kind_of(u)}, expected a tensor or a NumPy array (batch, time)")
         if u.ndim != 2:
             raise StageError(f"u: found shape {tuple(u.shape)}, expected (batch, time)")
+        if not u.numel():
+            raise StageError(f"u: found shape {tuple(u.shape)}, expected at least one sample")
         finite = torch.isfinite(u)
         if not bool(finite.all()):
             row, sample = torch.nonzero(~finite)[0].tolist()

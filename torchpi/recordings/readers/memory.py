@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from torchpi.errors import RecordingError
+from torchpi.errors import RecordingError, kind_of
 from torchpi.recordings.readers.iso_time import is_stamp, seconds_of
 from torchpi.recordings.readers.source import ArraySource
 
@@ -34,9 +34,14 @@ class MemorySource(ArraySource):
                 return np.ma.filled(values.astype(np.float64), np.nan)
             found = np.asarray(values).copy()
         except Exception as error:  # ragged lists, tensors that need a gradient: every library has its own
+            reason = str(error).partition("\n")[0]
             raise RecordingError(
-                f"{self.path}: '{name}': found {type(values).__name__}, expected an array of numbers"
+                f"{self.path}: '{name}': found {kind_of(values)}, expected an array of numbers ({reason})"
             ) from error
+        if found.ndim == 0 and found.dtype.kind == "O":
+            raise RecordingError(
+                f"{self.path}: '{name}': found {kind_of(values)}, expected an array of numbers"
+            )
         if found.dtype.kind in "mM" and len(found):
             return np.asarray((found - found[0]) / np.timedelta64(1, "ns") * 1e-9)
         return found
