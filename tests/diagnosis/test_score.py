@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from tests.diagnosis.plants import multisine, record, triangles
 from tests.diagnosis.prepared import prepared
 from torchpi.diagnosis.chain import Chain
-from torchpi.diagnosis.coefficients import STRETCHES
 from torchpi.diagnosis.fit import WITHHELD, fit, left_out, prior_of, solve, with_prior
+from torchpi.diagnosis.haar import CELLS
 from torchpi.diagnosis.hypothesis import Fit, Hypothesis
 from torchpi.diagnosis.hysteresis_model import plain
 from torchpi.diagnosis.records import Record, seen
@@ -136,9 +136,9 @@ def test_a_stretch_is_predicted_as_by_a_refit_to_the_others() -> None:
     residuals = [r.y - chain.output(now.hypothesis, weights, i) for i, r in enumerate(chain.records)]
     shortcut = left_out(chain, residuals, parts, prior)
     of = [record_.coefficients for record_ in chain.records]
-    stretch = np.concatenate([of[0].stretch, STRETCHES + of[1].stretch])
+    stretch = np.concatenate([of[0].stretch, CELLS + of[1].stretch])
     predicted = np.empty(len(y))
-    for one in range(2 * STRETCHES):
+    for one in range(2 * CELLS):
         weight = np.where(stretch == one, 1.0 - WITHHELD, 1.0)
         refit = solve(*with_prior(j * weight @ j.T, j @ (weight * y), prior, nothing), len(nothing), 0.0)
         predicted[stretch == one] = (y - refit @ j)[stretch == one]

@@ -5,11 +5,9 @@ from functools import cached_property
 
 import numpy as np
 
-from torchpi.diagnosis.haar import Haar
+from torchpi.diagnosis.haar import CELLS, Haar
 from torchpi.diagnosis.repeats import PLAIN, Repeats
 
-STRETCHES = 12
-"""Of time, into which a recording is cut: each is predicted by the fit to the others."""
 CHUNK = 16
 """Rows of which what does not repeat is taken at a time."""
 
@@ -67,8 +65,8 @@ class Coefficients:
 
     @cached_property
     def stretch(self) -> np.ndarray:
-        """(kept,): the stretch of time in which each lies, 0 to `STRETCHES` - 1."""
-        return self.at * STRETCHES // self.samples
+        """(kept,): the stretch of time in which each lies, as many as the cells of one scale."""
+        return self.at * CELLS // self.samples
 
     @property
     def kept(self) -> int:

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from torchpi.diagnosis.chain import Chain
-from torchpi.diagnosis.coefficients import STRETCHES
 from torchpi.diagnosis.free_parameters import (
     at_bound,
     free_parameters_of,
@@ -14,6 +13,7 @@ from torchpi.diagnosis.free_parameters import (
     value_at,
     with_theta,
 )
+from torchpi.diagnosis.haar import CELLS
 from torchpi.diagnosis.hypothesis import Fit, Hypothesis
 from torchpi.diagnosis.records import Record
 from torchpi.diagnosis.sensitivity import (
@@ -159,7 +159,7 @@ def left_out(
     for i, (record, residual, part) in enumerate(zip(chain.records, residuals, parts, strict=True)):
         of, q = record.coefficients, root[:, part.places] @ part.rows
         e = chain.whitened(i, residual[None])[0]
-        for stretch in range(STRETCHES):
+        for stretch in range(CELLS):
             there = of.stretch == stretch
             mine = q[:, there]
             others = np.eye(len(q)) - WITHHELD * mine @ mine.T

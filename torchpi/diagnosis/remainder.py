@@ -47,11 +47,17 @@ def with_remainder(chain: Chain, now: Fit, ridge: float | None = None) -> tuple[
         columns.append(chain.whitened(i, module.columns(torch.from_numpy(y)[None]).detach().numpy()))
         tangents.append(tangent)
         errors.append(chain.whitened(i, residual[None])[0])
+    with np.errstate(over="ignore", invalid="ignore"):
+        squares = np.sum([c @ c.T for c in columns], 0)
+    if not np.isfinite(squares).all():  # of readings that do not move: nothing is left to explain
+        return None
     inner = np.sum([t @ t.T for t in tangents], 0)
-    inner = inner + 1e-9 * np.diag(np.diag(inner)) + 1e-300 * np.eye(len(inner))
+    # A weight that moves no reading has no unit, and takes nothing.
+    unit = 1 / np.sqrt(np.maximum(np.diag(inner), 1e-150))
+    inner = inner * unit * unit[:, None] + 1e-9 * np.eye(len(inner))
     across = np.sum([t @ c.T for t, c in zip(tangents, columns, strict=True)], 0)
-    removed = np.linalg.solve(inner, across)
-    gram = np.sum([c @ c.T for c in columns], 0) - across.T @ removed
+    removed = unit[:, None] * np.linalg.solve(inner, unit[:, None] * across)
+    gram = squares - across.T @ removed
     right = np.sum([c @ e for c, e in zip(columns, errors, strict=True)], 0)
     right -= removed.T @ np.sum([t @ e for t, e in zip(tangents, errors, strict=True)], 0)
     size = np.sqrt(np.maximum(np.diag(gram), 1e-300))
