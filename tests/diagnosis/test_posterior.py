@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,10 +15,12 @@ from torchpi.diagnosis.chain import Chain
 from torchpi.diagnosis.hypothesis import EffectTerm, Hypothesis
 from torchpi.diagnosis.hysteresis_model import HysteresisModel, plain
 from torchpi.diagnosis.posterior import (
+    CONVENTION,
     FORM_ERROR,
     HALF,
     OPERATOR_NAME,
     Believed,
+    Model,
     apart,
     as_one,
     averaged,
@@ -26,6 +29,7 @@ from torchpi.diagnosis.posterior import (
     names_of,
     rivals,
     trust,
+    without_cause,
 )
 from torchpi.diagnosis.records import seen
 from torchpi.stage.effects import EFFECTS
@@ -143,6 +147,19 @@ def test_only_a_recorded_signal_that_the_voltage_does_not_tell_is_one_of_its_own
     search = SimpleNamespace(chain=chain)
     assert has_a_recorded_signal(search, SimpleNamespace(hypothesis=coupled), "cross_coupling") is independent
     assert not has_a_recorded_signal(search, SimpleNamespace(hypothesis=h), "cross_coupling")
+
+
+def test_a_delay_explains_only_what_no_timing_convention_does() -> None:
+    scores: dict[Any, float] = {"alone": -100.0, "one tick": -5.0, "a lag": -1.0, "another effect": 0.0}
+    alone, tick, lag, other = scores
+    models = [
+        Model("delay", "", alone),
+        Model("delay", CONVENTION, tick),
+        Model("delay", "amplifier_lag", lag),
+    ]
+    models.append(Model("creep", CONVENTION, other))
+    assert without_cause(models, "delay", scores.__getitem__).fit == tick
+    assert without_cause(models[:1], "delay", scores.__getitem__).fit == alone
 
 
 def test_of_effects_that_stand_in_for_each_other_the_strongest_is_as_likely_as_any() -> None:

@@ -12,7 +12,7 @@ nothing else. And what another effect leaves because its equation is not quite t
 kin.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import sqrt
 
@@ -88,9 +88,7 @@ def posterior(
     chance = averaged(density, priors, weighting.strata)
     found, together, h = [], [], models[0].fit.hypothesis
     for name in dict.fromkeys(model.without for model in models if model.without):
-        # A timing convention is no cause: whatever it explains needs none.
-        bare = [m for m in models if m.without == name and m.instead in ("", CONVENTION)]
-        less = max(bare, key=lambda model: search.score(model.fit))
+        less = without_cause(models, name, search.score)
         rivals, alternatives = [], []
         names = {*names_of(name)}
         held = sum(
@@ -124,6 +122,13 @@ def posterior(
     return final, [
         replace(one, probability=round(one.probability * apart(one, found, terms), 4)) for one in found
     ]
+
+
+def without_cause(models: Sequence[Model], name: str, score: Callable[[Fit], float]) -> Model:
+    """What predicts best without an effect, and with no other cause in its place: a timing convention is
+    none, so that an effect explains only what no convention does."""
+    bare = [model for model in models if model.without == name and model.instead in ("", CONVENTION)]
+    return max(bare, key=lambda model: score(model.fit))
 
 
 def as_one(one: Believed, found: Sequence[Believed], together: Sequence[Believed]) -> Believed:
