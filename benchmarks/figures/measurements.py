@@ -252,14 +252,14 @@ def other_simulation() -> dict[str, float]:
     column = diagnose([replace(one, simulated=simulate(one.u, one.fs_hz)) for one in recordings], "column")
     return {
         "simulation_calls": len(calls) - len(recordings),
-        **corrections("called", called, "amplifier_lag", {"resonance"}),
+        **corrections("called", called, "amplifier_lag", {"resonance", "creep"}),
         **corrections("column", column, "sensor_lag", set()),
     }
 
 
-def corrections(how: str, found: Diagnosis, lag: str, mode: set[str]) -> dict[str, float]:
-    """Parameters and errors of one answer to `other_simulation`, which names a mode or does not."""
-    expected = {lag, "creep"} | mode
+def corrections(how: str, found: Diagnosis, lag: str, others: set[str]) -> dict[str, float]:
+    """Parameters and errors of one answer to `other_simulation`, which names these effects."""
+    expected = {lag} | others
     named = {effect.name for effect in found.effects}
     if named != expected:
         raise ValueError(
@@ -268,10 +268,17 @@ def corrections(how: str, found: Diagnosis, lag: str, mode: set[str]) -> dict[st
     values = {
         effect.name: {one.name: float(one.value) for one in effect.parameters} for effect in found.effects
     }
-    of_modes = {"mode_hz": "frequency_hz", "replaced_hz": "replaced_frequency_hz"}
-    return {f"simulation_{how}_{key}": values[name][of] for name in mode for key, of in of_modes.items()} | {
-        f"simulation_{how}_lag_hz": values[lag]["cutoff_hz"],
-        f"simulation_{how}_creep_percent": 100 * values["creep"]["per_decade"],
+    told = {
+        "lag_hz": (lag, "cutoff_hz", 1.0),
+        "creep_percent": ("creep", "per_decade", 100.0),
+        "mode_hz": ("resonance", "frequency_hz", 1.0),
+        "replaced_hz": ("resonance", "replaced_frequency_hz", 1.0),
+    }
+    return {
+        f"simulation_{how}_{key}": scale * values[name][number]
+        for key, (name, number, scale) in told.items()
+        if name in named
+    } | {
         f"simulation_{how}_given_nm": NM * found.nominal.heldout_rms_um,
         f"simulation_{how}_retuned_nm": NM * found.retuned.heldout_rms_um,
         f"simulation_{how}_augmented_nm": NM * found.augmented.heldout_rms_um,
