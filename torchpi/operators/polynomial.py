@@ -3,7 +3,7 @@
 import torch
 from torch import Tensor, nn
 
-from torchpi.errors import ConfigError, is_number
+from torchpi.errors import ConfigError, is_positive
 from torchpi.operators.base import Static, StaticStream
 
 
@@ -59,7 +59,7 @@ class Polynomial(Static):
             c = torch.zeros(0, dtype=torch.float64)
         if c.ndim != 1 or len(c) == 0 or not bool(torch.isfinite(c).all()):
             raise ConfigError(f"coefficients: found {coefficients!r}, expected at least one, all finite")
-        if not (is_number(scale) and 0 < scale < float("inf")):
+        if not is_positive(scale):
             raise ConfigError(f"scale: found {scale!r}, expected a positive number")
         self.powers: Tensor
         self.register_buffer("powers", scale ** torch.arange(len(c), dtype=torch.float64))
