@@ -45,6 +45,13 @@ def test_the_noise_of_stairs_is_that_of_their_holds_though_the_stage_creeps(nois
     assert found.rms_um == pytest.approx(noise_um, rel=0.05) and found.source.startswith("holds")
 
 
+def test_a_reading_of_a_hold_that_lies_behind_the_next_step_is_no_noise() -> None:
+    u = stairs(8000)
+    late = read(u, 0.01 * white(8000))
+    late.y[:-1] += 0.4 * np.diff(u)
+    assert measured(late).rms_um == pytest.approx(0.01, rel=0.1)
+
+
 def test_a_monitored_voltage_that_is_noisy_holds_as_well() -> None:
     u = stairs(8000)
     noisy = u + 2e-3 * white(8000, 5)

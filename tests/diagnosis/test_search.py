@@ -5,6 +5,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from tests.diagnosis.plants import FS_HZ, multisine, record
+from tests.diagnosis.prepared import prepared
+from torchpi.diagnosis import growth
+from torchpi.diagnosis.chain import Chain
 from torchpi.diagnosis.hypothesis import EffectTerm
 from torchpi.diagnosis.search import Search
 from torchpi.stage.effects.actuator.creep import Creep
@@ -56,3 +60,40 @@ def test_what_was_taken_before_bars_no_addition_but_a_limit_that_nothing_reaches
     assert search.inside(fitted(soft, creep, bounded=0), now)
     assert not search.inside(fitted(soft, creep, bounded=1), now)
     assert not search.inside(fitted(soft, bounded=0), now)
+
+
+@pytest.mark.parametrize(("member", "dropped"), [(2, False), (-1, True)])
+def test_a_larger_hysteresis_goes_where_its_own_numbers_ran_into_a_bound_not_those_of_an_effect(
+    member: int, dropped: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fitted(family: str, train_rms: float) -> SimpleNamespace:
+        nominal = SimpleNamespace(family=family)
+        return SimpleNamespace(
+            hypothesis=SimpleNamespace(nominal=nominal, names=("creep",), on=lambda other: other),
+            train_rms=train_rms, on_a_bound=[SimpleNamespace(name="a number", member=member)],
+        )  # fmt: skip
+
+    larger, plain = fitted("bouc_wen", 0.03), fitted("prandtl_ishlinskii", 0.3)
+    search = object.__new__(Search)
+    search.nominal, search.given, search.rejected_families = plain.hypothesis.nominal, set(), set()
+    search.fits, search.at_its_own_weights = lambda jobs: [plain], lambda fit: fit
+    search.as_well, search.log, search.chain = lambda one, best: False, lambda text: None, None
+    monkeypatch.setattr(growth, "refitted", lambda chain, fit: fit)
+    assert search.no_larger(larger) is (plain if dropped else larger)
+
+
+def test_a_mode_behind_a_held_voltage_is_tried_as_that() -> None:
+    def mode(x: np.ndarray, fs_hz: float) -> np.ndarray:
+        """Of 840 Hz, under a voltage that is held and that comes a sample late, in finer steps."""
+        fine, moved, rate = np.repeat(np.append(0.0, x[:-1]), 64), np.empty(64 * len(x)), 0.0
+        w, dt, at = 2 * np.pi * 840.0, 1 / fs_hz / 64, 0.0
+        for k, pulled in enumerate(fine):
+            rate += dt * (w * w * (pulled - at) - 0.04 * w * rate)
+            at += dt * rate
+            moved[k] = at
+        return moved[63::64]
+
+    u = multisine(2000, high_hz=0.45 * FS_HZ)
+    search = Search(Chain(prepared([record(u, after=mode)])), lambda sentence: None)
+    tried = search.at_other_conventions(search.retuned(), search.starts)
+    assert tried["resonance"].held

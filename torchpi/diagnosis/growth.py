@@ -177,7 +177,7 @@ class Growth(Exchange):
             return now
         plain = refitted(self.chain, self.fits([(h.on(self.nominal), None, STEPS, ROUGH)])[0])
         plain = self.at_its_own_weights(plain)
-        if set(now.bounded) <= set(plain.bounded) and not self.as_well(plain, now):
+        if all(slot.member >= 0 for slot in now.on_a_bound) and not self.as_well(plain, now):
             return now
         self.log(f"  without a larger hysteresis: {rms_of(plain)}")
         self.rejected_families.add(h.nominal.family)

@@ -14,6 +14,9 @@ from torchpi.diagnosis.repeats import SAME
 
 LEAST_HOLD = 200
 """Samples of a hold from which a level is taken."""
+BEFORE_A_STEP = 2
+"""Samples at the end of a hold that are none of it: where samples were resampled, or read late, a reading
+may lie behind the step that ends it."""
 STILL, SMALL = (0.5, 1.5), 0.005
 """Von Neumann's ratio of a monitored voltage that holds: half the mean squared successive difference over the
 variance is 1 for white noise, and small where it moves; and its standard deviation, of the span."""
@@ -134,7 +137,7 @@ def spectrum_of(pieces: Sequence[np.ndarray]) -> tuple[float, np.ndarray]:
 def of_holds(record: Record, records: Sequence[Record]) -> Iterator[np.ndarray]:
     """The second half of each hold, less a cubic that takes creep out of it and less its lines."""
     for hold in holds(record.u):
-        half = record.y[(hold.start + hold.stop) // 2 : hold.stop]
+        half = record.y[(hold.start + hold.stop) // 2 : hold.stop - BEFORE_A_STEP]
         x = np.linspace(-1, 1, len(half))
         smooth = np.polynomial.polynomial.polyval(x, np.polynomial.polynomial.polyfit(x, half, 3))
         yield without_lines((half - smooth) * np.sqrt(len(half) / (len(half) - 4)))

@@ -251,10 +251,11 @@ class Search(Growth):
         ]
         names = [name for name, _ in chosen]
         jobs: list[Job] = [(now.hypothesis.plus(c.member), now.weights, HEAT, ROUGH) for _, c in chosen]
-        # What delays is taken for the convention of timing until it is fitted.
-        late = self.at_the_other_timing(now, starts)
-        names += late
-        jobs += [(h, now.weights, HEAT, ROUGH) for h in late.values()]
+        # What delays is taken for the convention of timing until it is fitted; and a mode that a held command
+        # drives is not found where the command is taken to move.
+        otherwise = self.at_other_conventions(now, starts)
+        names += otherwise
+        jobs += [(h, now.weights, HEAT, ROUGH) for h in otherwise.values()]
         joint = self.axes_through_a_mode(now)
         names += [AXES] * len(joint)
         jobs += joint
@@ -281,16 +282,26 @@ class Search(Growth):
             return fits
         return [*fits, *driven_modes(self.chain, now, [one for _, one in fits], ROUGH)]
 
-    def at_the_other_timing(self, now: Fit, starts: Sequence[EffectTerm]) -> dict[str, Hypothesis]:
-        """For what delays the best start of all under the other convention, where it is worth a fit."""
-        a = now.hypothesis.alignment
-        other = replace(now.hypothesis, alignment=a - 1 if a - 1 in self.alignments else a + 1)
-        (moved,) = self.fits([(other, now.weights, 2, ROUGH)])
-        slow = [member for member in starts if member.effect.delays]
-        (screened,) = screen_all(self.chain, [(moved, slow)], self.executor)
-        lost = self.score(now) - self.score(moved)
-        worth = [c for c in screened if c.gain > lost - PRIOR]
-        return {c.member.effect.name: other.plus(c.member) for c in sorted(worth, key=lambda c: c.gain)}
+    def at_other_conventions(self, now: Fit, starts: Sequence[EffectTerm]) -> dict[str, Hypothesis]:
+        """For what delays, or answers a held command otherwise than a moving one, the best start of all under
+        another convention of timing, where it is worth a fit."""
+        h, best = now.hypothesis, dict[str, tuple[float, Hypothesis]]()
+        other = h.alignment - 1 if h.alignment - 1 in self.alignments else h.alignment + 1
+        (moved,) = self.fits([(replace(h, alignment=other), now.weights, 2, ROUGH)])
+        dynamic = [member for member in starts if member.effect.hold]
+        screens = [(moved, [m for m in starts if m.effect.delays or m.effect.hold])]
+        if not any(member.effect.hold for member in h.members):  # else what is there has to be fitted anew
+            for one in (now, moved):
+                held = replace(one.hypothesis, held=not h.held)
+                screens.append((replace(one, hypothesis=held), dynamic))
+        screened = screen_all(self.chain, screens, self.executor)
+        for (one, _), candidates in zip(screens, screened, strict=True):
+            lost = self.score(now) - self.score(one)
+            for c in candidates:
+                name, gained = c.member.effect.name, c.gain - lost
+                if gained > max(-PRIOR, best[name][0] if name in best else 0.0):
+                    best[name] = gained, one.hypothesis.plus(c.member)
+        return {name: hypothesis for name, (_, hypothesis) in best.items()}
 
     def axes_through_a_mode(self, now: Fit) -> list[Job]:
         """Every other axis and a resonance at once: each alone may explain little of a stage that rings."""
