@@ -228,6 +228,18 @@ def recipe_seed_2() -> dict[str, float]:
     }
 
 
+def recipe_single() -> dict[str, float]:
+    """The same on single records alone."""
+    rows = recipe("--first_seed", "601", "--seeds", "8", "--only", "one sine,two sines")
+    ratios = [row["ratio"] for row in rows]
+    return {
+        "recipe_single_cases": len(ratios),
+        "recipe_single_worse": sum(ratio > 1 for ratio in ratios),
+        "recipe_single_median": float(np.median(ratios)),
+        "recipe_single_largest": max(ratios),
+    }
+
+
 def peers() -> dict[str, float]:
     """Held-out errors of the peers that need nothing beyond what torchpi needs."""
     printed = run("benchmarks/peers/compare.py", "--only", "torchpi,lstsq")

@@ -181,6 +181,18 @@ MEASUREMENTS = (
         measurements.recipe_seed_2,
         about_s=90,
     ),
+    Measurement(
+        "recipe_single",
+        "python benchmarks/recipe.py --first_seed 601 --seeds 8 --only 'one sine,two sines'",
+        (
+            Figure("recipe_single_cases", "1", 64, 64, ".0f"),
+            Figure("recipe_single_worse", "1", 0, 0, ".0f"),
+            Figure("recipe_single_median", "1", 0, 0.7, ".2f"),
+            Figure("recipe_single_largest", "1", 0, 1, ".2f"),
+        ),
+        measurements.recipe_single,
+        about_s=130,
+    ),
 )
 
 FIGURES = {figure.name: figure for one in MEASUREMENTS for figure in one.figures}

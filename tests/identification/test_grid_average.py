@@ -1,4 +1,4 @@
-"""The mean of fits on two grids is one bank of plays, no larger, that cannot run backwards."""
+"""The mean of fits on several grids is one bank of plays, no larger, that cannot run backwards."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ from torchpi.identification.grid_average import average_over_grids, shows_first_
 from torchpi.identification.monotone import monotone
 from torchpi.identification.monotone_problem import MonotoneProblem
 from torchpi.identification.recipe import spread_thresholds
-from torchpi.identification.selection import Form, Richest, select_form
+from torchpi.identification.selection import Form, Richest, _Search, _Trial, select_form
 from torchpi.operators.motion import Motion
 
 GRIDS = (0.45, 0.6)
@@ -19,6 +19,11 @@ GRIDS = (0.45, 0.6)
 
 def inverse(thresholds: list[float]) -> DirectInverse:
     return DirectInverse(PERIOD, thresholds, degree=2, range_um=4.0, offset=True)
+
+
+def build(form: Form, _: object) -> DirectInverse:
+    grid = spread_thresholds(5, 4.0, form.spread)
+    return DirectInverse(PERIOD, grid, degree=form.degree, range_um=4.0, offset=True)
 
 
 def problems_on(grids: list[list[float]], record: InversePair) -> list[MonotoneProblem]:
@@ -55,6 +60,20 @@ def test_it_has_the_mean_polynomial_and_does_not_run_backwards() -> None:
     assert monotone(averaged, (min(0.0, float(y.min())), float(y.max())), (-1.0, 1.0))
 
 
+def test_a_polynomial_of_lower_degree_has_no_other_coefficients_in_the_mean() -> None:
+    [record] = pairs(truth(), (1500,), noise_v=0.05)
+    problems = problems_on([spread_thresholds(9, 4.0, spread) for spread in GRIDS], record)
+    straight, half = (
+        average_over_grids(problems, alphas).saturation.c.tolist()
+        for alphas in ([np.zeros(0)] * 2, [np.zeros(0), np.array([0.06])])
+    )
+    other = problems[0]
+    other.put(np.array([0.03]), other.solve(np.array([0.03])).beta)
+    assert straight == pytest.approx([1.0, 0.0]) and half == pytest.approx(
+        other.compensator.saturation.c.tolist()
+    )
+
+
 def from_rest(samples: int) -> InversePair:
     """One sine from the de-energised state, five periods."""
     t = np.arange(samples) * PERIOD
@@ -82,12 +101,46 @@ def test_a_record_that_begins_within_its_loops_does_not_show_its_first_loading()
 def test_a_single_record_is_averaged_where_it_shows_its_first_loading(
     start: int, spreads: tuple[float, ...], averaged: bool
 ) -> None:
-    def build(form: Form, _: object) -> DirectInverse:
-        return inverse(spread_thresholds(5, 4.0, form.spread))
-
     record = from_rest(1500)._replace(counted=slice(start, None))
     richest = Richest(range(1), degree=1, lead=0, creep_time_constants_s=(), rate=False, spreads=spreads)
     selected = select_form(build, lambda _: [record], richest)
-    spread = 0.6 if averaged else 0.45
+    spread = 0.7 if averaged else 0.45
     assert selected.steps[-1].form.spread == spread
     assert selected.compensator.plays.r.tolist() == spread_thresholds(5, 4.0, spread)
+
+
+BENT = Richest(range(1), degree=2, lead=0, creep_time_constants_s=(), rate=False)
+
+
+def test_where_the_blocks_contradict_all_folds_s_has_half_of_the_bend(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    search = _Search(build, lambda _: [from_rest(1500)], BENT)
+
+    def fitted(degree: int, of_blocks: int) -> tuple[float, float]:
+        monkeypatch.setattr(search, "degree_of_blocks", lambda _: of_blocks)
+        form, compensator = search.fitted(Form(degree=degree))
+        c = compensator.saturation.c.tolist()
+        return form.spread, c[1] if form.degree == 2 else 0.0
+
+    whole = fitted(2, 2)
+    assert abs(whole[1]) > 1e-3 and fitted(1, 1) == (0.7, 0.0)
+    assert fitted(1, 2) == fitted(2, 1) == pytest.approx((0.6, 0.5 * whole[1]))
+
+
+@pytest.mark.parametrize(
+    ("ratios", "degree"),
+    [([0.9, 0.91, 0.89, 0.9, 0.9], 2), ([0.99, 0.7, 0.95, 0.9, 1.0], 1), ([1.0] * 5, 1)],
+    ids=["all lower", "within two standard errors", "equal"],
+)
+def test_blocks_alone_judge_a_bend_by_two_standard_errors(
+    ratios: list[float], degree: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    search = _Search(build, lambda _: [from_rest(1500)], BENT)
+
+    def tried(form: Form, start: _Trial | None = None) -> _Trial:
+        slow_and_fast = [2.0, 2.0]  # would say the contrary
+        return _Trial(form, [], np.array([*ratios, *slow_and_fast]) ** 2 if form.degree == 2 else np.ones(7))
+
+    monkeypatch.setattr(search, "tried", tried)
+    assert search.degree_of_blocks(Form()) == degree

@@ -26,9 +26,12 @@ def average_over_grids(problems: Sequence[MonotoneProblem], alphas: Sequence[np.
 
     Args:
         problems: Of one form and the same records; their thresholds rise.
-        alphas: What was found for each. Their mean is taken, and the weights are solved for there.
+        alphas: What was found for them, and with polynomials of lower degree, whose other coefficients are 0.
+            Their mean is taken, and the weights are solved for there.
     """
-    alpha = np.mean(alphas, axis=0)  # S' is linear in it: where all of them rise, so does this
+    most = len(problems[-1].alpha)
+    # S' is linear in it: where all of them rise, so does this.
+    alpha = np.mean([np.pad(one, (0, most - len(one))) for one in alphas], axis=0)
     for problem in problems:
         problem.put(alpha, problem.solve(alpha).beta)
     fits = [problem.compensator for problem in problems]

@@ -18,9 +18,15 @@ plays are symmetric about a point, so that one loop shows the even part of S, wh
 stand in for the odd one. They show whether S bends at all. Where it does, the even part alone would be wrong
 about every other loop: S has the highest degree, and a ridge on all that bends it. Its widest plays move in
 the first loading alone, a small part of it: where their thresholds lie changes what the inverse misses on
-other loops by half and more, either way, and no fold tells. The last fit is the mean over two grids, which on
-the whole misses less than either (model averaging; Breiman 1996). Where the first loading is not among what
-counts, thresholds beyond half of the range fit nothing but the offset, and one grid without them is taken.
+other loops by half and more, either way, and no fold tells. The last fit is the mean over several grids,
+which on the whole misses less than one of them (model averaging; Breiman 1996). Where the first loading is
+not among what counts, thresholds beyond half of the range fit nothing but the offset, and one grid without
+them is taken.
+
+The same mean is taken where it is not clear whether S bends. Left out, the slow or the fast samples leave
+plays undetermined that move there alone, and any smooth S bridges the gap; the blocks leave none, but are
+much alike. Where the blocks by themselves, asked for two standard errors, contradict what was selected, half
+of the mean is straight and half is bent.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -45,7 +51,9 @@ LEAST = 0.02  # share of the error
 # The widest threshold as a share of the range: one of half of it would only move in the first loading. The
 # first is that of the start.
 SPREADS = (0.45, 0.3)
-GRIDS = (0.45, 0.6)  # over which the last fit to a single record is averaged
+# Over which the last fit to a single record is averaged. On a grid that is too narrow a polynomial bends in
+# place of the wide plays.
+GRIDS = {"straight": (0.3, 0.4, 0.5, 0.6, 0.7), "bent": (0.45, 0.6)}
 MOST_STEPS = 8
 ROWS, ROWS_AT_LAST = 4_000, 20_000  # of a fit to a fold, and of the last fit
 EVALUATIONS = 30
@@ -56,6 +64,7 @@ BENT = 2  # the least degree of a polynomial that bends
 # Of the rms displacement, what the acceleration must add to it: below that a single record does not reach the
 # mode, and τ_2 would fit the curvature of their loops.
 LEAST_INERTIA = 0.2
+ALL = slice(None)
 PREVIEW_RISING = 3  # samples beyond the best: the error has one valley over the look-ahead
 
 Pairs = Callable[[int], Sequence[InversePair]]
@@ -140,14 +149,15 @@ class _Trial:
     fitted: list[DirectInverse]
     left: np.ndarray  # (folds,)
 
-    def beats(self, other: "_Trial") -> float | None:
-        """Mean of log(error ratio) where it is lower by more than chance; None where it is not."""
-        if self.left.mean() >= other.left.mean():
+    def beats(self, other: "_Trial", judges: slice = ALL, standard_errors: float = 1.0) -> float | None:
+        """Mean of log(error ratio) over these folds where it is lower by more than chance; else None."""
+        mine, theirs = self.left[judges], other.left[judges]
+        if mine.mean() >= theirs.mean():
             return None
-        ratios = 0.5 * np.log(self.left / other.left)
+        ratios = 0.5 * np.log(mine / theirs)
         standard_error = float(ratios.std(ddof=1)) / np.sqrt(len(ratios))
         mean = float(ratios.mean())
-        return mean if mean + standard_error < np.log1p(-LEAST) else None
+        return mean if mean + standard_errors * standard_error < np.log1p(-LEAST) else None
 
 
 def select_form(
@@ -321,19 +331,27 @@ class _Search:
         """A compensator of this form, fitted to all records, and the form that it has.
 
         Of a single record that shows its first loading it is the mean over `GRIDS`, with the thresholds of
-        the widest.
+        the widest, and where it is not clear whether S bends, of the two.
         """
         pairs, _ = self.at(form.preview)
         given = len(self.richest.spreads) == 1
-        if not self.single or given or not shows_first_loading(pairs[0], min(GRIDS)):
+        if not self.single or given or not shows_first_loading(pairs[0], form.spread):
             compensator = self.build(form, pairs)
             _fit(compensator, pairs, None, ROWS_AT_LAST, self.stiffness)
             return form, compensator
-        forms = [replace(form, spread=spread) for spread in GRIDS]
+        degrees = sorted({form.degree, self.degree_of_blocks(form)})
+        grids = GRIDS["straight" if degrees == [1] else "bent"]
+        forms = [replace(form, degree=degree, spread=spread) for degree in degrees for spread in grids]
         problems = [
             _problem(self.build(one, pairs), pairs, None, ROWS_AT_LAST, self.stiffness) for one in forms
         ]
-        return forms[-1], average_over_grids(problems, [_solved(problem)[0] for problem in problems])
+        alphas = [_solved(problem)[0] for problem in problems]
+        return forms[-1], average_over_grids(problems[-len(grids) :], alphas)
+
+    def degree_of_blocks(self, form: Form) -> int:
+        """Of S, as the blocks of the single record have it."""
+        straight, bent = (self.tried(replace(form, degree=degree)) for degree in (1, self.richest.degree))
+        return 1 if bent.beats(straight, slice(BLOCKS), 2.0) is None else self.richest.degree
 
 
 def _fit(
