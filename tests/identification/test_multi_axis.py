@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from tests.stage.two_axes import multisine, recordings, two_axes
+from tests.stage.two_axes import RATE_HZ, multisine, recordings, two_axes
 from torchpi.identification.multi_axis import MultiAxisOptions, identify
 from torchpi.identification.multi_axis.fit import Period, PeriodicFit
 from torchpi.identification.multi_axis.identify import linear_stage, periods, silence, slow_motion
@@ -55,6 +55,25 @@ def test_the_normal_matrix_is_that_of_finite_differences(monkeypatch: pytest.Mon
     scale = np.sqrt(np.diag(expected))
     found = fit._normal_matrix(np.arange(len(vector)), 0, 1)
     assert np.abs((found - expected) / scale / scale[:, None]).max() < 1e-3
+
+
+def test_band_limited_voltages_are_known_between_the_samples() -> None:
+    """A mode in continuous time, driven by a voltage with content up to 0.94 of the Nyquist frequency."""
+    random, samples, found = np.random.default_rng(0), 1024, {}
+    hertz = np.fft.rfftfreq(samples, 1 / RATE_HZ)
+    s = 2j * np.pi * hertz
+    every, response = [], np.zeros(len(s), complex)
+    for omega in 2 * np.pi * np.array([60.0, 300.0]):
+        response += omega**2 / (s**2 + 0.02 * omega * s + omega**2)
+    for run in range(3):
+        spectrum = np.where((hertz > 0) & (hertz < 470), np.exp(2j * np.pi * random.random(len(s))), 0)
+        u, y = (np.tile(np.fft.irfft(x)[:, None], (2, 1)) for x in (spectrum, spectrum * response))
+        every.append(MultiAxisRecording(str(run), 10 * u, 10 * y, RATE_HZ, 2))
+    for ahead in (0, 8):
+        stage, _, _ = linear_stage(every, 3, ahead)
+        PeriodicFit(stage, periods(every)).descend(list(stage.arrays()), 20)
+        found[ahead] = rms(stage, every)
+    assert found[8] < 0.4 * found[0]
 
 
 def test_an_identified_stage_predicts_realisations_that_it_was_not_fitted_to() -> None:

@@ -61,7 +61,7 @@ class PeriodicFit:
 
     def numbers(self) -> tuple[Parameters, Constants]:
         """Those of the stage, as kernels take them."""
-        return Parameters(**self.stage.arrays()), self.stage.thresholds_of_kernel()
+        return self.stage.kernel_parameters(), self.stage.thresholds_of_kernel()
 
     def vector(self) -> np.ndarray:
         """All numbers of the stage."""
@@ -171,13 +171,18 @@ class PeriodicFit:
                 modal_gradient(record, self.excess[i][began:], *numbers, began, error, slopes[i])
 
         in_threads(run, len(errors))
-        each = [np.concatenate([value.ravel() for value in one]) for one in slopes]
+        each = []
+        for i, (of_kernel, error) in enumerate(zip(slopes, errors, strict=True)):
+            share = self.periods[i].weight ** 2 / error.size / len(errors)
+            of_ahead = share * np.einsum("to,tij->oij", error, self._to_come(i))
+            each.append(np.concatenate([value.ravel() for value in (*of_kernel, of_ahead)]))
         return np.asarray(np.sum(each, axis=0))
 
     def _normal_matrix(self, index: np.ndarray, start: int, stride: int) -> np.ndarray:
         """The weighted normal matrix for the parameters at these indices, of every so manieth period."""
-        # Slopes of `seen` and `direct` need no tangents of the states.
-        sides = np.split(index, [np.searchsorted(index, self.where(("seen", "direct"))[0])])
+        # Slopes of `seen` and `direct` need no tangents of the states, those of `ahead` none at all.
+        at_seen, at_ahead = self.where(["seen"])[0], len(self.vector()) - self.where(["ahead"]).size
+        *sides, of_ahead = np.split(index, np.searchsorted(index, (at_seen, at_ahead)))
         blocks = [part for side in sides for part in np.split(side, range(BLOCK, len(side), BLOCK))]
         blocks = [block for block in blocks if len(block)]
         chosen = range(start, len(self.periods), stride)
@@ -195,6 +200,12 @@ class PeriodicFit:
                     slopes = np.zeros((samples // STRIDE, outputs, int(block[-1] - block[0]) + 1), np.float32)
                     modal_tangents(*given, int(block[0]), slopes)
                     every[:, :, here] = (slopes - slopes.mean(0))[:, :, block - block[0]]
+                to_come = self._to_come(i).reshape(samples, -1)
+                slopes = np.zeros((samples // STRIDE, outputs, outputs, to_come.shape[1]))
+                for o in range(outputs):
+                    slopes[:, o, o] = to_come[o % STRIDE :: STRIDE][: samples // STRIDE]
+                slopes = slopes.reshape(len(slopes), outputs, -1)
+                every[:, :, done:] = (slopes - slopes.mean(0))[:, :, of_ahead - at_ahead]
                 rows = every.reshape(-1, len(index))
                 grams[at] = rows.T @ rows * (self.periods[i].weight ** 2 / len(rows))
 
@@ -219,4 +230,15 @@ class PeriodicFit:
             u, self.excess[i], *self.numbers(), state.x[0], state.h[0], state.means[0], 0, y,
             np.zeros((0, 0)) if record is None else record,
         )  # fmt: skip
+        y += stage.foreseen(self._padded(i))
         return y if bounded and np.abs(y).max() < DIVERGED else None
+
+    def _padded(self, i: int) -> np.ndarray:
+        """Voltages of both periods and as many zeros behind as `ahead` needs."""
+        return np.pad(self.twice[i], ((0, self.stage.shapes.ahead), (0, 0)))
+
+    def _to_come(self, i: int) -> np.ndarray:
+        """Voltages after each sample of the counted period, (samples, inputs, ahead)."""
+        u, samples = self._padded(i), len(self.periods[i].u)
+        after = samples + np.arange(samples)[:, None] + np.arange(1, self.stage.shapes.ahead + 1)
+        return np.asarray(u[after].swapaxes(1, 2))

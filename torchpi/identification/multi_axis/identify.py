@@ -38,6 +38,8 @@ ALIKE = 1.25
 QUASI_STATIC = 0.02
 """Share of the lines, the lowest, whose mean response is the static gain."""
 FIRST_WEIGHT = 0.01
+AHEAD = 8
+"""Samples to come of which a displacement knows."""
 LINEAR_STEPS, WEIGHT_STEPS, MODE_STEPS, STEPS = 25, 4, 4, 1000
 ZONES = (0.0, 1.5, 4.0, -1.5, -4.0)
 PLAYS = ((0.1, 1.0), (0.2, 1.0), (0.4, 1.0), (0.3, 30.0), (1.0, 30.0))
@@ -151,7 +153,7 @@ def identify(
     log(f"linear, {options.modes} modes: weighted error {np.sqrt(cost):.3g}")
     gain = static_gain(z, response)
     stage = with_elements(linear, gain, recordings, options)
-    weights = ["weights", "play_weights", "seen", "direct"]
+    weights = ["weights", "play_weights", "seen", "direct", "ahead"]
 
     def goes_on(cost: float) -> bool:
         passed = time.monotonic() - started
@@ -231,12 +233,14 @@ def silence(recording: MultiAxisRecording) -> Period:
 
 
 def linear_stage(
-    level: Sequence[MultiAxisRecording], modes: int
+    level: Sequence[MultiAxisRecording], modes: int, ahead: int = AHEAD
 ) -> tuple[MultiAxisStage, np.ndarray, np.ndarray]:
     """Modes alone, from the realisations of one amplitude, and the response that they were fitted to."""
     z, response = response_of(level)
     found = modes_of(z, response, fitted_poles(z, response, modes))
-    shapes = Shapes(response.shape[1], response.shape[2], modes, elements=0, functions=1, input_plays=0)
+    shapes = Shapes(
+        response.shape[1], response.shape[2], modes, elements=0, functions=1, input_plays=0, ahead=ahead
+    )
     arrays = {name: found.get(name, np.zeros(shape)) for name, shape in parameter_shapes(shapes).items()}
     return MultiAxisStage(level[0].fs_hz, arrays), z, response
 
@@ -280,7 +284,7 @@ def with_elements(
     functions = at_means + len(times_s) + 1
     shapes = linear.shapes._replace(elements=elements, functions=functions, input_plays=excess)
     arrays = {name: np.zeros(shape) for name, shape in parameter_shapes(shapes).items()}
-    arrays |= {name: old[name].copy() for name in ("poles", "drive", "seen", "direct")}
+    arrays |= {name: old[name].copy() for name in ("poles", "drive", "seen", "direct", "ahead")}
     if physics.feedback:
         put_elements(arrays, gain, options.seed, extra, at_means)
     return MultiAxisStage(
