@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 import torch
+from scipy.linalg import cho_factor
 
 from tests.stage.two_axes import RATE_HZ, multisine, recordings, two_axes
 from torchpi.identification.multi_axis import MultiAxisOptions, identify
-from torchpi.identification.multi_axis.fit import Period, PeriodicFit
+from torchpi.identification.multi_axis.fit import Period, PeriodicFit, quasi_newton
 from torchpi.identification.multi_axis.identify import linear_stage, periods, silence, slow_motion
 from torchpi.identification.multi_axis.properties import static_gain_of
 from torchpi.recordings.multi_axis import MultiAxisRecording
@@ -55,6 +56,31 @@ def test_the_normal_matrix_is_that_of_finite_differences(monkeypatch: pytest.Mon
     scale = np.sqrt(np.diag(expected))
     found = fit._normal_matrix(np.arange(len(vector)), 0, 1)
     assert np.abs((found - expected) / scale / scale[:, None]).max() < 1e-3
+
+
+def test_a_quasi_newton_step_knows_how_the_slope_changed_along_the_last_step() -> None:
+    random = np.random.default_rng(0)
+    steps = random.standard_normal((2, 5))
+    hessian = np.diag([1.0, 2.0, 3.0, 4.0, 5.0])
+    pairs = [(step, hessian @ step) for step in steps]
+    begun = cho_factor(4 * np.eye(5)), np.ones(5)
+    np.testing.assert_allclose(quasi_newton(hessian @ steps[-1], pairs, *begun), steps[-1])
+    np.testing.assert_allclose(quasi_newton(steps[0], [], *begun), steps[0] / 4)
+
+
+def test_every_step_along_the_bent_valley_lowers_the_cost() -> None:
+    every = recordings(two_axes(), (0.3, 0.6), 3)
+    stage = two_axes(force=0.01)
+    stage.arrays()["poles"][:] *= 0.995
+    fit = PeriodicFit(stage, periods(every))
+    costs = [fit.descend(list(stage.arrays()), 8)]
+
+    def goes_on(cost: float) -> bool:
+        costs.append(cost)
+        return len(costs) < 40
+
+    fit.descend_bent(goes_on)
+    assert (np.diff(costs) < 0).all()
 
 
 def test_band_limited_voltages_are_known_between_the_samples() -> None:

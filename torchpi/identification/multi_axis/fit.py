@@ -1,9 +1,12 @@
 """Damped Gauss–Newton over all numbers of a stage of several axes, by exact tangents of its simulation."""
 
+import itertools
+from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import cho_factor, cho_solve
 
 from torchpi.operators.compiled import in_threads
 from torchpi.operators.modal_feedback import DIVERGED, Constants, Parameters, modal_feedback, record_width
@@ -23,10 +26,18 @@ REMEMBERED = 4
 FIRST_DAMPING, LEAST_DAMPING = 1e-3, 1e-9
 LESS, MORE = 8.0, 5.0
 TRIALS = 8
+PAIRS, RENEWED, BENT_DAMPING, SHORTER = 30, 30, 0.3, 0.3
+"""Of the quasi-Newton descent: pairs that it remembers, steps after which the normal matrix is made again,
+damping of that, and by what a step that does not fall is shortened."""
+FALL = 1e-4
+"""Share of the fall along the slope that a step must reach."""
 LARGEST_RADIUS, SMALLEST = 0.9995, 1e-12
 """Of a pole."""
 UNMOVED = 1e-9
 """Of the largest slope: a number with less moves nothing."""
+
+Pair = tuple[np.ndarray, np.ndarray]
+"""A step of all numbers, and the change of the slope along it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,9 +148,7 @@ class PeriodicFit:
             groups = -(-len(self.periods) // self.in_matrix)
             remembered = min(step + 1, REMEMBERED if groups > 1 else 1)
             gram += (self._normal_matrix(index, step % groups, groups) - gram) / remembered
-            scale = np.sqrt(np.diag(gram))
-            scale = np.maximum(scale, UNMOVED * scale.max())
-            unit = gram / scale / scale[:, None]
+            unit, scale = _scaled(gram)
             before, fell = cost, False
             for _ in range(TRIALS):
                 damped = unit + self.damping * np.eye(len(index))
@@ -157,6 +166,51 @@ class PeriodicFit:
             if not fell or before - cost < tolerance * before or not goes_on(cost):
                 break
         self.damping = min(max(self.damping, LEAST_DAMPING), 1e-2)
+        return cost
+
+    def descend_bent(self, goes_on: Callable[[float], bool]) -> float:
+        """Move all numbers downhill until no step falls; returns the cost.
+
+        The valley of the cost bends: long Gauss–Newton steps leave it, and short ones take their time. So the
+        damped normal matrix is only what L-BFGS begins with (Nocedal and Wright, Numerical Optimization,
+        2006, algorithm 7.4), which learns the bend from gradients, each far quicker than a matrix.
+
+        Args:
+            goes_on: Called with the cost after each step; False ends it.
+        """
+        vector, errors = self.vector(), self.errors()
+        if errors is None:
+            return np.inf
+        cost, right, pairs = self.cost(errors), self.gradient(errors), deque[Pair](maxlen=PAIRS)
+        every, groups = np.arange(len(vector)), -(-len(self.periods) // self.in_matrix)
+        gram = np.zeros((len(vector), len(vector)))
+        for step in itertools.count():
+            if step % RENEWED == 0:
+                renewed = step // RENEWED
+                made = self._normal_matrix(every, renewed % groups, groups)
+                gram += (made - gram) / min(renewed + 1, REMEMBERED)
+                unit, scale = _scaled(gram)
+                factor = cho_factor(unit + BENT_DAMPING * np.eye(len(vector)))
+            way = quasi_newton(right, pairs, factor, scale)
+            length, fell = 1.0, False
+            for _ in range(TRIALS):
+                self.put(vector + length * way)
+                trial = self.errors()
+                if fell := self.cost(trial) < cost - 2 * FALL * length * float(right @ way):
+                    break
+                length *= SHORTER
+            if trial is None or not fell:
+                self.put(vector)
+                if not pairs:
+                    break
+                pairs.clear()
+                continue
+            moved, slope = self.vector(), self.gradient(trial)
+            if (moved - vector) @ (right - slope) > 0:
+                pairs.append((moved - vector, right - slope))
+            vector, right, cost = moved, slope, self.cost(trial)
+            if not goes_on(cost):
+                break
         return cost
 
     def gradient(self, errors: Sequence[np.ndarray]) -> np.ndarray:
@@ -242,3 +296,31 @@ class PeriodicFit:
         u, samples = self._padded(i), len(self.periods[i].u)
         after = samples + np.arange(samples)[:, None] + np.arange(1, self.stage.shapes.ahead + 1)
         return np.asarray(u[after].swapaxes(1, 2))
+
+
+def quasi_newton(
+    right: np.ndarray, pairs: Sequence[Pair], factor: tuple[np.ndarray, bool], scale: np.ndarray
+) -> np.ndarray:
+    """The step of L-BFGS from what is downhill, the newest pair last.
+
+    Args:
+        right: The slope, its sign turned.
+        pairs: Of steps before.
+        factor: Cholesky factor, from `cho_factor`, of the matrix that it begins with.
+        scale: What that matrix is still to be multiplied by on either side.
+    """
+    way, shares = right.copy(), []
+    for moved, change in reversed(pairs):
+        shares.append((moved @ way) / (moved @ change))
+        way -= shares[-1] * change
+    way = cho_solve(factor, way / scale) / scale
+    for (moved, change), share in zip(pairs, reversed(shares), strict=True):
+        way += moved * (share - (change @ way) / (moved @ change))
+    return np.asarray(way)
+
+
+def _scaled(gram: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """A normal matrix of diagonal 1, and the numbers by which it was divided on either side."""
+    scale = np.sqrt(np.diag(gram))
+    scale = np.maximum(scale, UNMOVED * scale.max())
+    return np.asarray(gram / scale / scale[:, None]), scale

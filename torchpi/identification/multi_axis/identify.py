@@ -25,7 +25,7 @@ from torchpi.recordings.multi_axis import MultiAxisRecording, usable
 from torchpi.stage.multi_axis import MultiAxisStage
 
 RELATIVE_ERROR = 0.0125
-"""Of the geometric mean of a recording's rms and the largest: below it, noise alone counts in the weight."""
+"""Of the largest rms of a recording: an error that counts as much as noise."""
 NOISE = 1.5
 """Noise of the mean period, in its weight."""
 FAINT, SLOW, SILENT = 0.05, 1.5, 0.1
@@ -40,7 +40,7 @@ QUASI_STATIC = 0.02
 FIRST_WEIGHT = 0.01
 AHEAD = 8
 """Samples to come of which a displacement knows."""
-LINEAR_STEPS, WEIGHT_STEPS, MODE_STEPS, STEPS = 25, 4, 4, 1000
+LINEAR_STEPS, WEIGHT_STEPS, MODE_STEPS, STEPS = 25, 4, 4, 8
 ZONES = (0.0, 1.5, 4.0, -1.5, -4.0)
 PLAYS = ((0.1, 1.0), (0.2, 1.0), (0.4, 1.0), (0.3, 30.0), (1.0, 30.0))
 INPUT_PLAYS = ((0.1, 1.0), (0.3, 1.0), (1.0, 1.0), (0.1, 30.0), (0.3, 30.0), (1.0, 30.0))
@@ -165,6 +165,7 @@ def identify(
     fit.descend(weights, WEIGHT_STEPS)
     fit.descend([*weights, "poles", "drive"], MODE_STEPS)
     fit.descend(names, STEPS, tolerance=0.0, goes_on=goes_on)
+    fit.descend_bent(goes_on)
     return stage
 
 
@@ -180,15 +181,14 @@ def by_amplitude(recordings: Sequence[MultiAxisRecording]) -> list[list[MultiAxi
 
 
 def periods(recordings: Sequence[MultiAxisRecording]) -> list[Period]:
-    """The mean period of each, or the pieces of one without periods, weighted by noise and amplitude.
+    """The mean period of each, or the pieces of one without periods, those of much noise with less weight.
 
-    Errors grow less than the amplitude: weights in proportion would let the smallest count most.
+    A nonlinearity that is not of the class leaves most at the largest amplitude, which is to weigh most.
     """
     largest, found = max(float(one.y.std()) for one in recordings), []
     for one in recordings:
         mean_u, mean_y, noise = one.period
-        size = RELATIVE_ERROR * np.sqrt(float(mean_y.std()) * largest)
-        weight = 1.0 / float(np.hypot(size, NOISE * noise))
+        weight = 1.0 / float(np.hypot(RELATIVE_ERROR * largest, NOISE * noise))
         if one.periods > 1:
             found.append(Period(mean_u, mean_y, weight))
             continue
