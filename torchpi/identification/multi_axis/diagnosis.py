@@ -251,7 +251,7 @@ def candidate(
     stage: MultiAxisStage, fitted: Sequence[MultiAxisRecording], gain: np.ndarray
 ) -> MultiAxisStage:
     """The stage after a few steps."""
-    fit = PeriodicFit(stage, [*periods(fitted), *guards(fitted, gain)])
+    fit = PeriodicFit(stage, periods(fitted), guards(fitted, gain))
     weights = ["weights", "play_weights", "seen", "direct", "ahead"]
     fit.descend(weights, WEIGHT_STEPS)
     fit.descend([*weights, "poles", "drive"], MODE_STEPS)

@@ -1,6 +1,5 @@
 """Damped Gauss–Newton over all numbers of a stage of several axes, by exact tangents of its simulation."""
 
-import itertools
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -26,9 +25,9 @@ REMEMBERED = 4
 FIRST_DAMPING, LEAST_DAMPING = 1e-3, 1e-9
 LESS, MORE = 8.0, 5.0
 TRIALS = 8
-PAIRS, RENEWED, BENT_DAMPING, SHORTER = 30, 30, 0.3, 0.3
+PAIRS, RENEWED, BENT_DAMPING, MOST_DAMPING, SHORTER = 30, 30, 0.3, 1e4, 0.3
 """Of the quasi-Newton descent: pairs that it remembers, steps after which the normal matrix is made again,
-damping of that, and by what a step that does not fall is shortened."""
+least and most damping of that, and by what a step that does not fall is shortened."""
 FALL = 1e-4
 """Share of the fall along the slope that a step must reach."""
 LARGEST_RADIUS, SMALLEST = 0.9995, 1e-12
@@ -64,9 +63,13 @@ class PeriodicFit:
     after which a period has no bounded answer.
     """
 
-    def __init__(self, stage: MultiAxisStage, periods: Sequence[Period]) -> None:
-        self.stage, self.periods = stage, list(periods)
-        self.twice = [np.concatenate([one.u if one.before is None else one.before, one.u]) for one in periods]
+    def __init__(
+        self, stage: MultiAxisStage, periods: Sequence[Period], guards: Sequence[Period] = ()
+    ) -> None:
+        self.stage, self.periods, self.recorded = stage, [*periods, *guards], len(periods)
+        self.twice = [
+            np.concatenate([one.u if one.before is None else one.before, one.u]) for one in self.periods
+        ]
         self.excess = [stage.excess(u) for u in self.twice]
         self.damping, self.run_in, self.in_matrix = FIRST_DAMPING, RUN_IN, IN_MATRIX
 
@@ -144,8 +147,7 @@ class PeriodicFit:
             if errors is None:
                 break
             right = self.gradient(errors)[index]
-            # Strided: periods of one amplitude are beside each other.
-            groups = -(-len(self.periods) // self.in_matrix)
+            groups = self._groups()
             remembered = min(step + 1, REMEMBERED if groups > 1 else 1)
             gram += (self._normal_matrix(index, step % groups, groups) - gram) / remembered
             unit, scale = _scaled(gram)
@@ -182,15 +184,16 @@ class PeriodicFit:
         if errors is None:
             return np.inf
         cost, right, pairs = self.cost(errors), self.gradient(errors), deque[Pair](maxlen=PAIRS)
-        every, groups = np.arange(len(vector)), -(-len(self.periods) // self.in_matrix)
-        gram = np.zeros((len(vector), len(vector)))
-        for step in itertools.count():
-            if step % RENEWED == 0:
-                renewed = step // RENEWED
-                made = self._normal_matrix(every, renewed % groups, groups)
-                gram += (made - gram) / min(renewed + 1, REMEMBERED)
+        every, groups = np.arange(len(vector)), self._groups()
+        gram, damping = np.zeros((len(vector), len(vector))), BENT_DAMPING
+        renewed, age = 0, RENEWED
+        while damping < MOST_DAMPING:
+            if age == RENEWED:
+                made, age = self._normal_matrix(every, renewed % groups, groups), 0
+                renewed += 1
+                gram += (made - gram) / min(renewed, REMEMBERED)
                 unit, scale = _scaled(gram)
-                factor = cho_factor(unit + BENT_DAMPING * np.eye(len(vector)))
+                factor = cho_factor(unit + damping * np.eye(len(vector)))
             way = quasi_newton(right, pairs, factor, scale)
             length, fell = 1.0, False
             for _ in range(TRIALS):
@@ -200,15 +203,17 @@ class PeriodicFit:
                     break
                 length *= SHORTER
             if trial is None or not fell:
+                # Near a stage that rings by itself the cost rises within less than any step remembered.
                 self.put(vector)
-                if not pairs:
-                    break
+                damping *= 1.0 if pairs else MORE
                 pairs.clear()
+                age = RENEWED
                 continue
             moved, slope = self.vector(), self.gradient(trial)
             if (moved - vector) @ (right - slope) > 0:
                 pairs.append((moved - vector, right - slope))
-            vector, right, cost = moved, slope, self.cost(trial)
+            vector, right, cost, age = moved, slope, self.cost(trial), age + 1
+            damping = max(damping / LESS, BENT_DAMPING) if age == RENEWED else damping
             if not goes_on(cost):
                 break
         return cost
@@ -232,14 +237,22 @@ class PeriodicFit:
             each.append(np.concatenate([value.ravel() for value in (*of_kernel, of_ahead)]))
         return np.asarray(np.sum(each, axis=0))
 
+    def _groups(self) -> int:
+        """Of how many strides the periods are; those of one amplitude are beside each other."""
+        return -(-self.recorded // self.in_matrix)
+
     def _normal_matrix(self, index: np.ndarray, start: int, stride: int) -> np.ndarray:
-        """The weighted normal matrix for the parameters at these indices, of every so manieth period."""
+        """The weighted normal matrix for the parameters at these indices, of every so manieth period.
+
+        All guards are in it: where a stage begins to ring, their errors grow beyond all others within a step.
+        """
         # Slopes of `seen` and `direct` need no tangents of the states, those of `ahead` none at all.
         at_seen, at_ahead = self.where(["seen"])[0], len(self.vector()) - self.where(["ahead"]).size
         *sides, of_ahead = np.split(index, np.searchsorted(index, (at_seen, at_ahead)))
         blocks = [part for side in sides for part in np.split(side, range(BLOCK, len(side), BLOCK))]
         blocks = [block for block in blocks if len(block)]
-        chosen = range(start, len(self.periods), stride)
+        drawn = range(start, self.recorded, stride)
+        chosen = [*drawn, *range(self.recorded, len(self.periods))]
         grams: list[np.ndarray] = [np.zeros(0)] * len(chosen)
         numbers = self.numbers()
 
@@ -264,7 +277,9 @@ class PeriodicFit:
                 grams[at] = rows.T @ rows * (self.periods[i].weight ** 2 / len(rows))
 
         in_threads(run, len(chosen))
-        return np.asarray(np.mean(grams, axis=0))
+        guarded = np.sum(grams[len(drawn) :], axis=0)
+        whole = self.recorded * np.mean(grams[: len(drawn)], axis=0) + guarded
+        return np.asarray(whole / len(self.periods))
 
     def _record(self, i: int) -> tuple[np.ndarray, int]:
         """What slopes need, from a sample in the period before on, and that sample."""

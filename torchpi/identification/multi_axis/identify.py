@@ -161,7 +161,7 @@ def identify(
         return passed < options.seconds
 
     every = periods([one for level in levels for one in level])
-    fit = PeriodicFit(stage, [*every, *guards(recordings, gain)])
+    fit = PeriodicFit(stage, every, guards(recordings, gain))
     fit.descend(weights, WEIGHT_STEPS)
     fit.descend([*weights, "poles", "drive"], MODE_STEPS)
     fit.descend(names, STEPS, tolerance=0.0, goes_on=goes_on)
