@@ -32,6 +32,8 @@ FALL = 1e-4
 """Share of the fall along the slope that a step must reach."""
 LARGEST_RADIUS, SMALLEST = 0.9995, 1e-12
 """Of a pole."""
+STIFFEST = 1e6
+"""Of a guard in the scaled normal matrix: beyond it the rest would be lost to rounding."""
 UNMOVED = 1e-9
 """Of the largest slope: a number with less moves nothing."""
 
@@ -149,8 +151,9 @@ class PeriodicFit:
             right = self.gradient(errors)[index]
             groups = self._groups()
             remembered = min(step + 1, REMEMBERED if groups > 1 else 1)
-            gram += (self._normal_matrix(index, step % groups, groups) - gram) / remembered
-            unit, scale = _scaled(gram)
+            made, guarded = self._normal_matrices(index, step % groups, groups)
+            gram += (made - gram) / remembered
+            unit, scale = _scaled(gram, guarded)
             before, fell = cost, False
             for _ in range(TRIALS):
                 damped = unit + self.damping * np.eye(len(index))
@@ -189,10 +192,10 @@ class PeriodicFit:
         renewed, age = 0, RENEWED
         while damping < MOST_DAMPING:
             if age == RENEWED:
-                made, age = self._normal_matrix(every, renewed % groups, groups), 0
-                renewed += 1
+                made, guarded = self._normal_matrices(every, renewed % groups, groups)
+                renewed, age = renewed + 1, 0
                 gram += (made - gram) / min(renewed, REMEMBERED)
-                unit, scale = _scaled(gram)
+                unit, scale = _scaled(gram, guarded)
                 factor = cho_factor(unit + damping * np.eye(len(vector)))
             way = quasi_newton(right, pairs, factor, scale)
             length, fell = 1.0, False
@@ -241,10 +244,11 @@ class PeriodicFit:
         """Of how many strides the periods are; those of one amplitude are beside each other."""
         return -(-self.recorded // self.in_matrix)
 
-    def _normal_matrix(self, index: np.ndarray, start: int, stride: int) -> np.ndarray:
-        """The weighted normal matrix for the parameters at these indices, of every so manieth period.
+    def _normal_matrices(self, index: np.ndarray, start: int, stride: int) -> tuple[np.ndarray, np.ndarray]:
+        """Weighted normal matrices for these parameters, of every so manieth period and of guards.
 
-        All guards are in it: where a stage begins to ring, their errors grow beyond all others within a step.
+        Their sum is that of the cost. Where a stage begins to ring, the errors of guards grow beyond all
+        others within a step: so all guards are always there, and by themselves.
         """
         # Slopes of `seen` and `direct` need no tangents of the states, those of `ahead` none at all.
         at_seen, at_ahead = self.where(["seen"])[0], len(self.vector()) - self.where(["ahead"]).size
@@ -277,9 +281,9 @@ class PeriodicFit:
                 grams[at] = rows.T @ rows * (self.periods[i].weight ** 2 / len(rows))
 
         in_threads(run, len(chosen))
-        guarded = np.sum(grams[len(drawn) :], axis=0)
-        whole = self.recorded * np.mean(grams[: len(drawn)], axis=0) + guarded
-        return np.asarray(whole / len(self.periods))
+        recorded = np.mean(grams[: len(drawn)], axis=0) * (self.recorded / len(self.periods))
+        guarded = np.sum([np.zeros_like(recorded), *grams[len(drawn) :]], axis=0) / len(self.periods)
+        return np.asarray(recorded), np.asarray(guarded)
 
     def _record(self, i: int) -> tuple[np.ndarray, int]:
         """What slopes need, from a sample in the period before on, and that sample."""
@@ -334,8 +338,13 @@ def quasi_newton(
     return np.asarray(way)
 
 
-def _scaled(gram: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """A normal matrix of diagonal 1, and the numbers by which it was divided on either side."""
+def _scaled(gram: np.ndarray, guarded: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The sum of two normal matrices, and the numbers by which it was divided on either side.
+
+    Those make the diagonal of the first 1: damping is in proportion to it, whatever a guard's slopes are.
+    """
     scale = np.sqrt(np.diag(gram))
     scale = np.maximum(scale, UNMOVED * scale.max())
-    return np.asarray(gram / scale / scale[:, None]), scale
+    stiff = guarded / scale / scale[:, None]
+    stiff *= min(1.0, STIFFEST / max(float(np.diag(stiff).max()), 1.0))
+    return np.asarray(gram / scale / scale[:, None] + stiff), scale
