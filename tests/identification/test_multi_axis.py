@@ -7,7 +7,7 @@ from scipy.linalg import cho_factor
 
 from tests.stage.two_axes import RATE_HZ, multisine, recordings, two_axes
 from torchpi.identification.multi_axis import MultiAxisOptions, identify
-from torchpi.identification.multi_axis.fit import Period, PeriodicFit, quasi_newton
+from torchpi.identification.multi_axis.fit import Period, PeriodicFit, quasi_newton, scaled
 from torchpi.identification.multi_axis.identify import linear_stage, periods, silence, slow_motion
 from torchpi.identification.multi_axis.properties import static_gain_of
 from torchpi.recordings.multi_axis import MultiAxisRecording
@@ -67,6 +67,16 @@ def test_a_quasi_newton_step_knows_how_the_slope_changed_along_the_last_step() -
     begun = cho_factor(4 * np.eye(5)), np.ones(5)
     np.testing.assert_allclose(quasi_newton(hessian @ steps[-1], pairs, *begun), steps[-1])
     np.testing.assert_allclose(quasi_newton(steps[0], [], *begun), steps[0] / 4)
+
+
+def test_damping_is_in_proportion_to_the_slopes_of_recordings_alone() -> None:
+    gram, ringing = np.diag([4.0, 9.0, 16.0]), np.array([1e12, 0.0, 1e12])
+    unit, scale = scaled(gram, np.outer(ringing, ringing))
+    np.testing.assert_array_equal(scale, [2.0, 3.0, 4.0])
+    # What a guard does not see moves as if there were none, what it sees does not.
+    step = np.linalg.solve(unit + 0.1 * np.eye(3), np.ones(3))
+    assert step[1] == pytest.approx(1 / 1.1)
+    assert abs(ringing / scale @ step) < 1e-4 * np.abs(ringing).max()
 
 
 def test_every_step_along_the_bent_valley_lowers_the_cost() -> None:

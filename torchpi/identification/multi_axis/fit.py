@@ -153,7 +153,7 @@ class PeriodicFit:
             remembered = min(step + 1, REMEMBERED if groups > 1 else 1)
             made, guarded = self._normal_matrices(index, step % groups, groups)
             gram += (made - gram) / remembered
-            unit, scale = _scaled(gram, guarded)
+            unit, scale = scaled(gram, guarded)
             before, fell = cost, False
             for _ in range(TRIALS):
                 damped = unit + self.damping * np.eye(len(index))
@@ -195,7 +195,7 @@ class PeriodicFit:
                 made, guarded = self._normal_matrices(every, renewed % groups, groups)
                 renewed, age = renewed + 1, 0
                 gram += (made - gram) / min(renewed, REMEMBERED)
-                unit, scale = _scaled(gram, guarded)
+                unit, scale = scaled(gram, guarded)
                 factor = cho_factor(unit + damping * np.eye(len(vector)))
             way = quasi_newton(right, pairs, factor, scale)
             length, fell = 1.0, False
@@ -338,7 +338,7 @@ def quasi_newton(
     return np.asarray(way)
 
 
-def _scaled(gram: np.ndarray, guarded: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def scaled(gram: np.ndarray, guarded: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The sum of two normal matrices, and the numbers by which it was divided on either side.
 
     Those make the diagonal of the first 1: damping is in proportion to it, whatever a guard's slopes are.
