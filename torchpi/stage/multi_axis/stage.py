@@ -199,7 +199,7 @@ class MultiAxisStage(SavedStage):
         """What voltages to come add to the displacements, (time, outputs), µm.
 
         Args:
-            u: (time + `shapes.ahead`, inputs), V.
+            u: (time, inputs), V, with `shapes.ahead` more samples behind those that are answered.
         """
         return foreseen(u, self.arrays()["ahead"])
 
