@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 import torch
+from scipy.linalg import cho_factor
 
-from tests.stage.two_axes import multisine, recordings, two_axes
+from tests.stage.two_axes import RATE_HZ, multisine, recordings, two_axes
 from torchpi.identification.multi_axis import MultiAxisOptions, identify
-from torchpi.identification.multi_axis.fit import Period, PeriodicFit
+from torchpi.identification.multi_axis.fit import Period, PeriodicFit, quasi_newton, scaled
 from torchpi.identification.multi_axis.identify import linear_stage, periods, silence, slow_motion
 from torchpi.identification.multi_axis.properties import static_gain_of
 from torchpi.recordings.multi_axis import MultiAxisRecording
@@ -53,8 +54,63 @@ def test_the_normal_matrix_is_that_of_finite_differences(monkeypatch: pytest.Mon
     fit.put(vector)
     expected = 4.0 * np.array(rows) @ np.array(rows).T / (256 * 2)
     scale = np.sqrt(np.diag(expected))
-    found = fit._normal_matrix(np.arange(len(vector)), 0, 1)
+    found, guarded = fit._normal_matrices(np.arange(len(vector)), 0, 1)
+    assert not guarded.any()
     assert np.abs((found - expected) / scale / scale[:, None]).max() < 1e-3
+
+
+def test_a_quasi_newton_step_knows_how_the_slope_changed_along_the_last_step() -> None:
+    random = np.random.default_rng(0)
+    steps = random.standard_normal((2, 5))
+    hessian = np.diag([1.0, 2.0, 3.0, 4.0, 5.0])
+    pairs = [(step, hessian @ step) for step in steps]
+    begun = cho_factor(4 * np.eye(5)), np.ones(5)
+    np.testing.assert_allclose(quasi_newton(hessian @ steps[-1], pairs, *begun), steps[-1])
+    np.testing.assert_allclose(quasi_newton(steps[0], [], *begun), steps[0] / 4)
+
+
+def test_damping_is_in_proportion_to_the_slopes_of_recordings_alone() -> None:
+    gram, ringing = np.diag([4.0, 9.0, 16.0]), np.array([1e12, 0.0, 1e12])
+    unit, scale = scaled(gram, np.outer(ringing, ringing))
+    np.testing.assert_array_equal(scale, [2.0, 3.0, 4.0])
+    # What a guard does not see moves as if there were none, what it sees does not.
+    step = np.linalg.solve(unit + 0.1 * np.eye(3), np.ones(3))
+    assert step[1] == pytest.approx(1 / 1.1)
+    assert abs(ringing / scale @ step) < 1e-4 * np.abs(ringing).max()
+
+
+def test_every_step_along_the_bent_valley_lowers_the_cost() -> None:
+    every = recordings(two_axes(), (0.3, 0.6), 3)
+    stage = two_axes(force=0.01)
+    stage.arrays()["poles"][:] *= 0.995
+    fit = PeriodicFit(stage, periods(every))
+    costs = [fit.descend(list(stage.arrays()), 8)]
+
+    def goes_on(cost: float) -> bool:
+        costs.append(cost)
+        return len(costs) < 40
+
+    fit.descend_bent(goes_on)
+    assert (np.diff(costs) < 0).all()
+
+
+def test_band_limited_voltages_are_known_between_the_samples() -> None:
+    """A mode in continuous time, driven by a voltage with content up to 0.94 of the Nyquist frequency."""
+    random, samples, found = np.random.default_rng(0), 1024, {}
+    hertz = np.fft.rfftfreq(samples, 1 / RATE_HZ)
+    s = 2j * np.pi * hertz
+    every, response = [], np.zeros(len(s), complex)
+    for omega in 2 * np.pi * np.array([60.0, 300.0]):
+        response += omega**2 / (s**2 + 0.02 * omega * s + omega**2)
+    for run in range(3):
+        spectrum = np.where((hertz > 0) & (hertz < 470), np.exp(2j * np.pi * random.random(len(s))), 0)
+        u, y = (np.tile(np.fft.irfft(x)[:, None], (2, 1)) for x in (spectrum, spectrum * response))
+        every.append(MultiAxisRecording(str(run), 10 * u, 10 * y, RATE_HZ, 2))
+    for ahead in (0, 8):
+        stage, _, _ = linear_stage(every, 3, ahead)
+        PeriodicFit(stage, periods(every)).descend(list(stage.arrays()), 20)
+        found[ahead] = rms(stage, every)
+    assert found[8] < 0.4 * found[0]
 
 
 def test_an_identified_stage_predicts_realisations_that_it_was_not_fitted_to() -> None:

@@ -20,7 +20,8 @@ def test_windows_with_the_state_carried_over_give_the_bits_of_the_whole() -> Non
         y = np.zeros((1, len(part), 2))
         stage.advance(driven[None, part], state, y)
         parts.append(y[0])
-    np.testing.assert_array_equal(np.concatenate(parts), whole)
+    to_come = stage.foreseen(np.pad(u, ((0, stage.shapes.ahead), (0, 0))))
+    np.testing.assert_array_equal(np.concatenate(parts) + to_come, whole)
 
 
 def test_samples_one_by_one_give_the_bits_of_the_whole_some_samples_late() -> None:
@@ -53,6 +54,22 @@ def test_without_force_it_is_linear_in_the_voltages() -> None:
         stage.play_weights.zero_()
     u = torch.from_numpy(multisine(np.random.default_rng(0), 512, 1.0))[None]
     torch.testing.assert_close(3 * stage.simulate(u), stage.simulate(3 * u))
+
+
+def test_a_displacement_begins_as_many_samples_before_a_voltage_as_it_foresees() -> None:
+    stage, u = two_axes(force=0.0), np.zeros((100, 2))
+    u[60, 1] = 1.0
+    with torch.no_grad():
+        stage.play_weights.zero_()
+    y = stage.simulate(torch.from_numpy(u)[None])[0].numpy()
+    np.testing.assert_array_equal(y[:57], 0.0)
+    np.testing.assert_array_equal(y[57:60][::-1].T, stage.arrays()["ahead"][:, 1])
+
+
+def test_more_samples_to_come_than_a_step_waits_for_are_refused() -> None:
+    arrays = {**two_axes().arrays(), "ahead": np.zeros((2, 2, 81))}
+    with pytest.raises(StageError, match="ahead: found 81 samples, expected 80 at most"):
+        MultiAxisStage(1000.0, arrays, [0.1, 0.3], [5.0, 20.0], [0.0], [0.1, 0.5], [5.0, 20.0], [0.05])
 
 
 def test_a_saved_stage_comes_back_with_its_bits(tmp_path: Path) -> None:

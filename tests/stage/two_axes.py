@@ -12,7 +12,7 @@ RATE_HZ = 1000.0
 
 def two_axes(force: float = 0.02) -> MultiAxisStage:
     """Two coupled modes at 60 and 110 Hz, a nonlinear element at each."""
-    shapes = Shapes(2, 2, 2, 2, 1 + 2 + 1 + 1, 2)
+    shapes = Shapes(2, 2, 2, 2, 1 + 2 + 1 + 1, 2, ahead=3)
     arrays = {name: np.zeros(shape) for name, shape in parameter_shapes(shapes).items()}
     for m, (frequency, damping) in enumerate(((60.0, 0.03), (110.0, 0.02))):
         pole = np.exp(2 * np.pi * frequency / RATE_HZ * (-damping + 1j))
@@ -22,6 +22,7 @@ def two_axes(force: float = 0.02) -> MultiAxisStage:
     arrays["direct"][:] = [[0.1, 0.0], [0.0, 0.1]]
     arrays["weights"][:] = force * np.array([1.0, 1.0, 1.0, 0.5, 0.5])
     arrays["play_weights"][:] = 0.1
+    arrays["ahead"][:] = [0.05, -0.02, 0.01]
     return MultiAxisStage(RATE_HZ, arrays, [0.1, 0.3], [5.0, 20.0], [0.0], [0.1, 0.5], [5.0, 20.0], [0.05])
 
 

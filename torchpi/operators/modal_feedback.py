@@ -4,13 +4,18 @@
     z_n  = Σ_m a_nm · x_m + Σ_i f_ni v_i          what the nonlinear element n senses of modes and inputs
     w_n  = Σ_j θ_nj φ_nj(z_n)                     its force
     x_m⁺ = Λ_m x_m + Σ_i b_mi v_i + Σ_n e_mn w_n  modes, pairs of real states, Λ = [[α, -β], [β, α]]
-    y_o  = Σ_m c_om · x_m + Σ_i d_oi v_i
+    y_o  = Σ_m c_om · x_m + Σ_i d_oi v_i + Σ_ij a_oij u_i(t + j)
 
 The functions φ of an element, in this order: dead zones, max(z - r, 0) for r ≥ 0 and min(z - r, 0) for r < 0;
 relaxing plays less their input, h - z; z √s_τ, with s_τ the mean of |z| over a time τ, a stiffness that
 follows the amplitude slowly; and z v_i for its own input (i = n mod m), a stiffness that follows the voltage.
 Plays and dead zones in superposition: Kuhnen, European J. Control 9(4), 2003; the linear part with feedback
 around it: Paduart et al., Automatica 46(4), 2010.
+
+The last sum, j from 1, is what band-limited voltages do between samples: these modes answer as if a voltage
+were held from one sample to the next, while one without content beyond the Nyquist frequency depends there on
+the samples on either side (Pintelon and Schoukens, System Identification, 2012, ch. 13). What differs is
+smooth over the band, and so a short filter that is not causal. `foreseen` has it, the kernel the rest.
 """
 
 from typing import NamedTuple
@@ -18,6 +23,7 @@ from typing import NamedTuple
 import numpy as np
 
 from torchpi.operators.compiled import njit
+from torchpi.operators.filters import filter_matrix
 from torchpi.operators.relaxing_play import relaxing_play, relaxing_play_slope
 
 SMALLEST_MEAN = 1e-4
@@ -35,10 +41,11 @@ class Shapes(NamedTuple):
     elements: int
     functions: int
     input_plays: int
+    ahead: int = 0
 
 
 class Parameters(NamedTuple):
-    """The parameters, or slopes for them, in the order in which a fit has them."""
+    """The kernel's parameters, or slopes for them, in the order in which a fit has them."""
 
     poles: np.ndarray  # (modes, 2)
     drive: np.ndarray  # (modes, 2, inputs)
@@ -61,13 +68,20 @@ class Constants(NamedTuple):
 
 
 def parameter_shapes(shapes: Shapes) -> dict[str, tuple[int, ...]]:
-    """The parameters by name, in the order of `Parameters`."""
-    m, p, modes, n, functions, plays = shapes
+    """All parameters by name: those of `Parameters` in its order, and a."""
+    m, p, modes, n, functions, plays, ahead = shapes
     each = (
         (modes, 2), (modes, 2, m), (modes, 2, n), (n, modes, 2), (n, m), (n, functions), (m, plays),
-        (p, modes, 2), (p, m),
+        (p, modes, 2), (p, m), (p, m, ahead),
     )  # fmt: skip
-    return dict(zip(Parameters._fields, each, strict=True))
+    return dict(zip((*Parameters._fields, "ahead"), each, strict=True))
+
+
+def foreseen(u: np.ndarray, ahead: np.ndarray) -> np.ndarray:
+    """Σ_ij a_oij u_i(t + j), (time, outputs), of voltages (time + as many as there are j, inputs)."""
+    found = np.empty((len(u) - ahead.shape[2], len(ahead)))
+    filter_matrix(u[1:], np.ascontiguousarray(ahead.transpose(2, 0, 1)[::-1]), found)
+    return found
 
 
 @njit

@@ -79,8 +79,8 @@ def of_stage(stage: MultiAxisStage) -> dict[str, Any]:
             "smallest": SMALLEST_MEAN,
         },
         "modes": {
-            "equation": "y_o = sum_m c_om . x_m + sum_i d_oi v_i + offset_o; then "
-            "x_m <- [[p, -q], [q, p]] x_m + sum_i b_mi v_i + sum_n e_mn w_n",
+            "equation": "y_o = sum_m c_om . x_m + sum_i d_oi v_i + offset_o + sum_ij a_oij u_i, j from 1 on "
+            "samples later; then x_m <- [[p, -q], [q, p]] x_m + sum_i b_mi v_i + sum_n e_mn w_n",
             "p_q": a["poles"],
             "b": a["drive"],
             "e": a["force"],
@@ -88,6 +88,7 @@ def of_stage(stage: MultiAxisStage) -> dict[str, Any]:
             "c_unit": "um",
             "d": a["direct"],
             "d_unit": "um/V",
+            "a": a["ahead"],
             "offset_um": stage.offset().tolist(),
         },
     }

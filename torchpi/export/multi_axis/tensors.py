@@ -63,6 +63,7 @@ class StageTensors(nn.Module):
         self.sensed, self.through = tensor(arrays["sensed"]), tensor(arrays["through"])
         self.weights, self.play_weights = tensor(arrays["weights"]), tensor(arrays["play_weights"])
         self.seen, self.direct = tensor(arrays["seen"]), tensor(arrays["direct"])
+        self.ahead = tensor(arrays["ahead"].transpose(0, 2, 1))  # (outputs, ahead, inputs)
         self.offset, self.own_input = tensor(stage.offset()), tensor(own_input)
         self.interpolation = tensor(padded.reshape(-1, FACTOR, 1))
         self.low_pass = tensor(low_pass[..., None])
@@ -155,6 +156,10 @@ class StageTensors(nn.Module):
             drive = torch.cat([drive, self.force * w], 2)
         of_modes = self.seen[:, :, 0] * x[:, 0] + self.seen[:, :, 1] * x[:, 1]
         y = in_order(torch.cat([of_modes, self.direct * v], 1), 1) + self.offset
+        taps = self.ahead.shape[1]
+        if taps > 0:
+            to_come = torch.cat([self.late[self.at :], self.late[: self.at]])[:taps]
+            y = y + in_order((self.ahead * to_come).flatten(1), 1)
         re, im = self.poles[:, 0], self.poles[:, 1]
         f = in_order(drive, 2)
         first = re * x[:, 0] - im * x[:, 1] + f[:, 0]

@@ -232,7 +232,7 @@ def linear_part(stage: MultiAxisStage) -> MultiAxisStage:
     """The modes of a stage alone."""
     shapes = stage.shapes._replace(elements=0, functions=1, input_plays=0)
     arrays = {name: np.zeros(shape) for name, shape in parameter_shapes(shapes).items()}
-    arrays |= {name: stage.arrays()[name] for name in ("poles", "drive", "seen", "direct")}
+    arrays |= {name: stage.arrays()[name] for name in ("poles", "drive", "seen", "direct", "ahead")}
     return MultiAxisStage(stage.sample_rate_hz, arrays, offset_um=stage.offset().tolist())
 
 
@@ -251,9 +251,10 @@ def candidate(
     stage: MultiAxisStage, fitted: Sequence[MultiAxisRecording], gain: np.ndarray
 ) -> MultiAxisStage:
     """The stage after a few steps."""
-    fit = PeriodicFit(stage, [*periods(fitted), *guards(fitted, gain)])
-    fit.descend(["weights", "play_weights", "seen", "direct"], WEIGHT_STEPS)
-    fit.descend(["weights", "play_weights", "seen", "direct", "poles", "drive"], MODE_STEPS)
+    fit = PeriodicFit(stage, periods(fitted), guards(fitted, gain))
+    weights = ["weights", "play_weights", "seen", "direct", "ahead"]
+    fit.descend(weights, WEIGHT_STEPS)
+    fit.descend([*weights, "poles", "drive"], MODE_STEPS)
     fit.descend(list(stage.arrays()), CANDIDATE_STEPS)
     return stage
 

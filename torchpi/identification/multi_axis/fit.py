@@ -1,9 +1,11 @@
 """Damped Gauss–Newton over all numbers of a stage of several axes, by exact tangents of its simulation."""
 
+from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import cho_factor, cho_solve
 
 from torchpi.operators.compiled import in_threads
 from torchpi.operators.modal_feedback import DIVERGED, Constants, Parameters, modal_feedback, record_width
@@ -23,10 +25,20 @@ REMEMBERED = 4
 FIRST_DAMPING, LEAST_DAMPING = 1e-3, 1e-9
 LESS, MORE = 8.0, 5.0
 TRIALS = 8
+PAIRS, RENEWED, BENT_DAMPING, MOST_DAMPING, SHORTER = 30, 30, 0.3, 1e4, 0.3
+"""Of the quasi-Newton descent: pairs that it remembers, steps after which the normal matrix is made again,
+least and most damping of that, and by what a step that does not fall is shortened."""
+FALL = 1e-4
+"""Share of the fall along the slope that a step must reach."""
 LARGEST_RADIUS, SMALLEST = 0.9995, 1e-12
 """Of a pole."""
+STIFFEST = 1e6
+"""Of a guard in the scaled normal matrix: beyond it the rest would be lost to rounding."""
 UNMOVED = 1e-9
 """Of the largest slope: a number with less moves nothing."""
+
+Pair = tuple[np.ndarray, np.ndarray]
+"""A step of all numbers, and the change of the slope along it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,15 +65,19 @@ class PeriodicFit:
     after which a period has no bounded answer.
     """
 
-    def __init__(self, stage: MultiAxisStage, periods: Sequence[Period]) -> None:
-        self.stage, self.periods = stage, list(periods)
-        self.twice = [np.concatenate([one.u if one.before is None else one.before, one.u]) for one in periods]
+    def __init__(
+        self, stage: MultiAxisStage, periods: Sequence[Period], guards: Sequence[Period] = ()
+    ) -> None:
+        self.stage, self.periods, self.recorded = stage, [*periods, *guards], len(periods)
+        self.twice = [
+            np.concatenate([one.u if one.before is None else one.before, one.u]) for one in self.periods
+        ]
         self.excess = [stage.excess(u) for u in self.twice]
         self.damping, self.run_in, self.in_matrix = FIRST_DAMPING, RUN_IN, IN_MATRIX
 
     def numbers(self) -> tuple[Parameters, Constants]:
         """Those of the stage, as kernels take them."""
-        return Parameters(**self.stage.arrays()), self.stage.thresholds_of_kernel()
+        return self.stage.kernel_parameters(), self.stage.thresholds_of_kernel()
 
     def vector(self) -> np.ndarray:
         """All numbers of the stage."""
@@ -133,13 +149,11 @@ class PeriodicFit:
             if errors is None:
                 break
             right = self.gradient(errors)[index]
-            # Strided: periods of one amplitude are beside each other.
-            groups = -(-len(self.periods) // self.in_matrix)
+            groups = self._groups()
             remembered = min(step + 1, REMEMBERED if groups > 1 else 1)
-            gram += (self._normal_matrix(index, step % groups, groups) - gram) / remembered
-            scale = np.sqrt(np.diag(gram))
-            scale = np.maximum(scale, UNMOVED * scale.max())
-            unit = gram / scale / scale[:, None]
+            made, guarded = self._normal_matrices(index, step % groups, groups)
+            gram += (made - gram) / remembered
+            unit, scale = scaled(gram, guarded)
             before, fell = cost, False
             for _ in range(TRIALS):
                 damped = unit + self.damping * np.eye(len(index))
@@ -159,6 +173,54 @@ class PeriodicFit:
         self.damping = min(max(self.damping, LEAST_DAMPING), 1e-2)
         return cost
 
+    def descend_bent(self, goes_on: Callable[[float], bool]) -> float:
+        """Move all numbers downhill until no step falls; returns the cost.
+
+        The valley of the cost bends: long Gauss–Newton steps leave it, and short ones take their time. So the
+        damped normal matrix is only what L-BFGS begins with (Nocedal and Wright, Numerical Optimization,
+        2006, algorithm 7.4), which learns the bend from gradients, each far quicker than a matrix.
+
+        Args:
+            goes_on: Called with the cost after each step; False ends it.
+        """
+        vector, errors = self.vector(), self.errors()
+        if errors is None:
+            return np.inf
+        cost, right, pairs = self.cost(errors), self.gradient(errors), deque[Pair](maxlen=PAIRS)
+        every, groups = np.arange(len(vector)), self._groups()
+        gram, damping = np.zeros((len(vector), len(vector))), BENT_DAMPING
+        renewed, age = 0, RENEWED
+        while damping < MOST_DAMPING:
+            if age == RENEWED:
+                made, guarded = self._normal_matrices(every, renewed % groups, groups)
+                renewed, age = renewed + 1, 0
+                gram += (made - gram) / min(renewed, REMEMBERED)
+                unit, scale = scaled(gram, guarded)
+                factor = cho_factor(unit + damping * np.eye(len(vector)))
+            way = quasi_newton(right, pairs, factor, scale)
+            length, fell = 1.0, False
+            for _ in range(TRIALS):
+                self.put(vector + length * way)
+                trial = self.errors()
+                if fell := self.cost(trial) < cost - 2 * FALL * length * float(right @ way):
+                    break
+                length *= SHORTER
+            if trial is None or not fell:
+                # Near a stage that rings by itself the cost rises within less than any step remembered.
+                self.put(vector)
+                damping *= 1.0 if pairs else MORE
+                pairs.clear()
+                age = RENEWED
+                continue
+            moved, slope = self.vector(), self.gradient(trial)
+            if (moved - vector) @ (right - slope) > 0:
+                pairs.append((moved - vector, right - slope))
+            vector, right, cost, age = moved, slope, self.cost(trial), age + 1
+            damping = max(damping / LESS, BENT_DAMPING) if age == RENEWED else damping
+            if not goes_on(cost):
+                break
+        return cost
+
     def gradient(self, errors: Sequence[np.ndarray]) -> np.ndarray:
         """Of half the cost, its sign turned, for all numbers of the stage."""
         numbers = self.numbers()
@@ -171,16 +233,30 @@ class PeriodicFit:
                 modal_gradient(record, self.excess[i][began:], *numbers, began, error, slopes[i])
 
         in_threads(run, len(errors))
-        each = [np.concatenate([value.ravel() for value in one]) for one in slopes]
+        each = []
+        for i, (of_kernel, error) in enumerate(zip(slopes, errors, strict=True)):
+            share = self.periods[i].weight ** 2 / error.size / len(errors)
+            of_ahead = share * np.einsum("to,tij->oij", error, self._to_come(i))
+            each.append(np.concatenate([value.ravel() for value in (*of_kernel, of_ahead)]))
         return np.asarray(np.sum(each, axis=0))
 
-    def _normal_matrix(self, index: np.ndarray, start: int, stride: int) -> np.ndarray:
-        """The weighted normal matrix for the parameters at these indices, of every so manieth period."""
-        # Slopes of `seen` and `direct` need no tangents of the states.
-        sides = np.split(index, [np.searchsorted(index, self.where(("seen", "direct"))[0])])
+    def _groups(self) -> int:
+        """Of how many strides the periods are; those of one amplitude are beside each other."""
+        return -(-self.recorded // self.in_matrix)
+
+    def _normal_matrices(self, index: np.ndarray, start: int, stride: int) -> tuple[np.ndarray, np.ndarray]:
+        """Weighted normal matrices for these parameters, of every so manieth period and of guards.
+
+        Their sum is that of the cost. Where a stage begins to ring, the errors of guards grow beyond all
+        others within a step: so all guards are always there, and by themselves.
+        """
+        # Slopes of `seen` and `direct` need no tangents of the states, those of `ahead` none at all.
+        at_seen, at_ahead = self.where(["seen"])[0], len(self.vector()) - self.where(["ahead"]).size
+        *sides, of_ahead = np.split(index, np.searchsorted(index, (at_seen, at_ahead)))
         blocks = [part for side in sides for part in np.split(side, range(BLOCK, len(side), BLOCK))]
         blocks = [block for block in blocks if len(block)]
-        chosen = range(start, len(self.periods), stride)
+        drawn = range(start, self.recorded, stride)
+        chosen = [*drawn, *range(self.recorded, len(self.periods))]
         grams: list[np.ndarray] = [np.zeros(0)] * len(chosen)
         numbers = self.numbers()
 
@@ -195,11 +271,19 @@ class PeriodicFit:
                     slopes = np.zeros((samples // STRIDE, outputs, int(block[-1] - block[0]) + 1), np.float32)
                     modal_tangents(*given, int(block[0]), slopes)
                     every[:, :, here] = (slopes - slopes.mean(0))[:, :, block - block[0]]
+                to_come = self._to_come(i).reshape(samples, -1)
+                slopes = np.zeros((samples // STRIDE, outputs, outputs, to_come.shape[1]))
+                for o in range(outputs):
+                    slopes[:, o, o] = to_come[o % STRIDE :: STRIDE][: samples // STRIDE]
+                slopes = slopes.reshape(len(slopes), outputs, -1)
+                every[:, :, done:] = (slopes - slopes.mean(0))[:, :, of_ahead - at_ahead]
                 rows = every.reshape(-1, len(index))
                 grams[at] = rows.T @ rows * (self.periods[i].weight ** 2 / len(rows))
 
         in_threads(run, len(chosen))
-        return np.asarray(np.mean(grams, axis=0))
+        recorded = np.mean(grams[: len(drawn)], axis=0) * (self.recorded / len(self.periods))
+        guarded = np.sum([np.zeros_like(recorded), *grams[len(drawn) :]], axis=0) / len(self.periods)
+        return np.asarray(recorded), np.asarray(guarded)
 
     def _record(self, i: int) -> tuple[np.ndarray, int]:
         """What slopes need, from a sample in the period before on, and that sample."""
@@ -219,4 +303,48 @@ class PeriodicFit:
             u, self.excess[i], *self.numbers(), state.x[0], state.h[0], state.means[0], 0, y,
             np.zeros((0, 0)) if record is None else record,
         )  # fmt: skip
+        y += stage.foreseen(self._padded(i))
         return y if bounded and np.abs(y).max() < DIVERGED else None
+
+    def _padded(self, i: int) -> np.ndarray:
+        """Voltages of both periods and as many zeros behind as `ahead` needs."""
+        return np.pad(self.twice[i], ((0, self.stage.shapes.ahead), (0, 0)))
+
+    def _to_come(self, i: int) -> np.ndarray:
+        """Voltages after each sample of the counted period, (samples, inputs, ahead)."""
+        u, samples = self._padded(i), len(self.periods[i].u)
+        after = samples + np.arange(samples)[:, None] + np.arange(1, self.stage.shapes.ahead + 1)
+        return np.asarray(u[after].swapaxes(1, 2))
+
+
+def quasi_newton(
+    right: np.ndarray, pairs: Sequence[Pair], factor: tuple[np.ndarray, bool], scale: np.ndarray
+) -> np.ndarray:
+    """The step of L-BFGS from what is downhill, the newest pair last.
+
+    Args:
+        right: The slope, its sign turned.
+        pairs: Of steps before.
+        factor: Cholesky factor, from `cho_factor`, of the matrix that it begins with.
+        scale: What that matrix is still to be multiplied by on either side.
+    """
+    way, shares = right.copy(), []
+    for moved, change in reversed(pairs):
+        shares.append((moved @ way) / (moved @ change))
+        way -= shares[-1] * change
+    way = cho_solve(factor, way / scale) / scale
+    for (moved, change), share in zip(pairs, reversed(shares), strict=True):
+        way += moved * (share - (change @ way) / (moved @ change))
+    return np.asarray(way)
+
+
+def scaled(gram: np.ndarray, guarded: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The sum of two normal matrices, and the numbers by which it was divided on either side.
+
+    Those make the diagonal of the first 1: damping is in proportion to it, whatever a guard's slopes are.
+    """
+    scale = np.sqrt(np.diag(gram))
+    scale = np.maximum(scale, UNMOVED * scale.max())
+    stiff = guarded / scale / scale[:, None]
+    stiff *= min(1.0, STIFFEST / max(float(np.diag(stiff).max()), 1.0))
+    return np.asarray(gram / scale / scale[:, None] + stiff), scale

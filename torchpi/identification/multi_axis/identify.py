@@ -25,7 +25,7 @@ from torchpi.recordings.multi_axis import MultiAxisRecording, usable
 from torchpi.stage.multi_axis import MultiAxisStage
 
 RELATIVE_ERROR = 0.0125
-"""Of the geometric mean of a recording's rms and the largest: below it, noise alone counts in the weight."""
+"""Of the largest rms of a recording: an error that counts as much as noise."""
 NOISE = 1.5
 """Noise of the mean period, in its weight."""
 FAINT, SLOW, SILENT = 0.05, 1.5, 0.1
@@ -38,7 +38,9 @@ ALIKE = 1.25
 QUASI_STATIC = 0.02
 """Share of the lines, the lowest, whose mean response is the static gain."""
 FIRST_WEIGHT = 0.01
-LINEAR_STEPS, WEIGHT_STEPS, MODE_STEPS, STEPS = 25, 4, 4, 1000
+AHEAD = 8
+"""Samples to come of which a displacement knows."""
+LINEAR_STEPS, WEIGHT_STEPS, MODE_STEPS, STEPS = 25, 4, 4, 8
 ZONES = (0.0, 1.5, 4.0, -1.5, -4.0)
 PLAYS = ((0.1, 1.0), (0.2, 1.0), (0.4, 1.0), (0.3, 30.0), (1.0, 30.0))
 INPUT_PLAYS = ((0.1, 1.0), (0.3, 1.0), (1.0, 1.0), (0.1, 30.0), (0.3, 30.0), (1.0, 30.0))
@@ -151,7 +153,7 @@ def identify(
     log(f"linear, {options.modes} modes: weighted error {np.sqrt(cost):.3g}")
     gain = static_gain(z, response)
     stage = with_elements(linear, gain, recordings, options)
-    weights = ["weights", "play_weights", "seen", "direct"]
+    weights = ["weights", "play_weights", "seen", "direct", "ahead"]
 
     def goes_on(cost: float) -> bool:
         passed = time.monotonic() - started
@@ -159,10 +161,11 @@ def identify(
         return passed < options.seconds
 
     every = periods([one for level in levels for one in level])
-    fit = PeriodicFit(stage, [*every, *guards(recordings, gain)])
+    fit = PeriodicFit(stage, every, guards(recordings, gain))
     fit.descend(weights, WEIGHT_STEPS)
     fit.descend([*weights, "poles", "drive"], MODE_STEPS)
     fit.descend(names, STEPS, tolerance=0.0, goes_on=goes_on)
+    fit.descend_bent(goes_on)
     return stage
 
 
@@ -178,15 +181,14 @@ def by_amplitude(recordings: Sequence[MultiAxisRecording]) -> list[list[MultiAxi
 
 
 def periods(recordings: Sequence[MultiAxisRecording]) -> list[Period]:
-    """The mean period of each, or the pieces of one without periods, weighted by noise and amplitude.
+    """The mean period of each, or the pieces of one without periods, those of much noise with less weight.
 
-    Errors grow less than the amplitude: weights in proportion would let the smallest count most.
+    A nonlinearity that is not of the class leaves most at the largest amplitude, which is to weigh most.
     """
     largest, found = max(float(one.y.std()) for one in recordings), []
     for one in recordings:
         mean_u, mean_y, noise = one.period
-        size = RELATIVE_ERROR * np.sqrt(float(mean_y.std()) * largest)
-        weight = 1.0 / float(np.hypot(size, NOISE * noise))
+        weight = 1.0 / float(np.hypot(RELATIVE_ERROR * largest, NOISE * noise))
         if one.periods > 1:
             found.append(Period(mean_u, mean_y, weight))
             continue
@@ -231,12 +233,14 @@ def silence(recording: MultiAxisRecording) -> Period:
 
 
 def linear_stage(
-    level: Sequence[MultiAxisRecording], modes: int
+    level: Sequence[MultiAxisRecording], modes: int, ahead: int = AHEAD
 ) -> tuple[MultiAxisStage, np.ndarray, np.ndarray]:
     """Modes alone, from the realisations of one amplitude, and the response that they were fitted to."""
     z, response = response_of(level)
     found = modes_of(z, response, fitted_poles(z, response, modes))
-    shapes = Shapes(response.shape[1], response.shape[2], modes, elements=0, functions=1, input_plays=0)
+    shapes = Shapes(
+        response.shape[1], response.shape[2], modes, elements=0, functions=1, input_plays=0, ahead=ahead
+    )
     arrays = {name: found.get(name, np.zeros(shape)) for name, shape in parameter_shapes(shapes).items()}
     return MultiAxisStage(level[0].fs_hz, arrays), z, response
 
@@ -280,7 +284,7 @@ def with_elements(
     functions = at_means + len(times_s) + 1
     shapes = linear.shapes._replace(elements=elements, functions=functions, input_plays=excess)
     arrays = {name: np.zeros(shape) for name, shape in parameter_shapes(shapes).items()}
-    arrays |= {name: old[name].copy() for name in ("poles", "drive", "seen", "direct")}
+    arrays |= {name: old[name].copy() for name in ("poles", "drive", "seen", "direct", "ahead")}
     if physics.feedback:
         put_elements(arrays, gain, options.seed, extra, at_means)
     return MultiAxisStage(

@@ -16,7 +16,14 @@ from torch import Tensor, nn
 
 from torchpi.errors import StageError
 from torchpi.operators.compiled import in_threads
-from torchpi.operators.modal_feedback import Constants, Parameters, Shapes, modal_feedback, parameter_shapes
+from torchpi.operators.modal_feedback import (
+    Constants,
+    Parameters,
+    Shapes,
+    foreseen,
+    modal_feedback,
+    parameter_shapes,
+)
 from torchpi.operators.oversampled_inputs import LOOKAHEAD, OversampledInputs
 from torchpi.stage.file import SavedStage
 
@@ -52,7 +59,7 @@ class MultiAxisStage(SavedStage):
     Args:
         sample_rate_hz: Of voltages and displacements; the modes are those of samples at this rate.
         parameters: Arrays by name: `poles`, `drive`, `force`, `sensed`, `through`, `weights`, `play_weights`,
-            `seen`, `direct`, with the shapes of `parameter_shapes`.
+            `seen`, `direct`, `ahead`, with the shapes of `parameter_shapes`.
         input_thresholds_v: Of the relaxing plays of each input, V.
         input_rates_hz: Of the same plays, at small motions.
         dead_zones: Thresholds of the elements' dead zones, in units of what the elements sense.
@@ -68,7 +75,7 @@ class MultiAxisStage(SavedStage):
             circle.
     """
 
-    SCHEMA, VERSION, KIND = "torchpi multi-axis stage", 4, "a stage of several axes"
+    SCHEMA, VERSION, KIND = "torchpi multi-axis stage", 5, "a stage of several axes"
 
     def __init__(
         self,
@@ -124,12 +131,16 @@ class MultiAxisStage(SavedStage):
         names = list(parameter_shapes(Shapes(0, 0, 0, 0, 0, 0)))
         if set(arrays) != set(names):
             raise StageError(f"parameters: found {sorted(arrays)}, expected {', '.join(names)}")
-        if arrays["direct"].ndim != 2 or arrays["weights"].ndim != 2:
-            raise StageError("direct, weights: found arrays of other dimensions, expected two")
+        for name, expected in (("direct", 2), ("weights", 2), ("ahead", 3)):
+            if arrays[name].ndim != expected:
+                raise StageError(f"{name}: found {arrays[name].ndim} dimensions, expected {expected}")
+        ahead = arrays["ahead"].shape[2]
+        if ahead > LOOKAHEAD:
+            raise StageError(f"ahead: found {ahead} samples, expected {LOOKAHEAD} at most")
         outputs, inputs = arrays["direct"].shape
         excess = len(self.input_thresholds_v) + 2 * len(self.crossover_v_per_s)
         functions = len(self.dead_zones) + len(self.thresholds) + len(self.times_s) + 1
-        return Shapes(inputs, outputs, len(arrays["poles"]), len(arrays["weights"]), functions, excess)
+        return Shapes(inputs, outputs, len(arrays["poles"]), len(arrays["weights"]), functions, excess, ahead)
 
     @property
     def inputs(self) -> int:
@@ -153,9 +164,14 @@ class MultiAxisStage(SavedStage):
         return np.asarray(self.get_buffer("offset_um"))
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """The parameters by name, in the kernel's order, as it takes them."""
+        """The parameters by name, in the order of a fit."""
         named = dict(self.named_parameters())
         return {name: named[name].detach().contiguous().numpy() for name in parameter_shapes(self.shapes)}
+
+    def kernel_parameters(self) -> Parameters:
+        """The parameters as the kernel takes them."""
+        arrays = self.arrays()
+        return Parameters(*(arrays[name] for name in Parameters._fields))
 
     def thresholds_of_kernel(self) -> Constants:
         """Dead zones, thresholds, what a sample leaves of small motions, and its share in each mean."""
@@ -178,6 +194,14 @@ class MultiAxisStage(SavedStage):
         """Voltages (time, inputs), V, with all that plays and amplifiers add: v of `modal_feedback`."""
         added = self.input_stream().advance(_padded(u))[LOOKAHEAD:]
         return np.asarray(u + added[:, :, 0])
+
+    def foreseen(self, u: np.ndarray) -> np.ndarray:
+        """What voltages to come add to the displacements, (time, outputs), µm.
+
+        Args:
+            u: (time, inputs), V, with `shapes.ahead` more samples behind those that are answered.
+        """
+        return foreseen(u, self.arrays()["ahead"])
 
     def input_stream(self) -> OversampledInputs:
         """What is added in `driven`, window after window, `LOOKAHEAD` samples late."""
@@ -225,10 +249,14 @@ class MultiAxisStage(SavedStage):
         in_threads(run, len(volts))
         state, y = self.initial_state(len(volts)), np.zeros((*volts.shape[:2], self.outputs))
         self.advance(driven, state, y)
+        for given, found in zip(volts, y, strict=True):
+            found += self.foreseen(_padded(given, self.shapes.ahead))
         return torch.from_numpy(y)
 
     def advance(self, driven: np.ndarray, state: MultiAxisState, y: np.ndarray) -> None:
-        """Fill `y` and leave the state after the last sample: windows give the bits of the whole.
+        """Fill `y`, but for what `foreseen` adds, and leave the state after the last sample.
+
+        Windows give the bits of the whole.
 
         Args:
             driven: (batch, time, inputs), V, from `driven`.
@@ -238,8 +266,9 @@ class MultiAxisStage(SavedStage):
         Raises:
             StageError: States without bounds.
         """
-        in_driven = {"play_weights": np.zeros((self.inputs, 0))}
-        parameters, constants = Parameters(**self.arrays() | in_driven), self.thresholds_of_kernel()
+        in_driven = np.zeros((self.inputs, 0))
+        parameters, constants = self.kernel_parameters(), self.thresholds_of_kernel()
+        parameters = parameters._replace(play_weights=in_driven)
         nothing = np.zeros((driven.shape[1], self.inputs, 0))
         bounded = np.zeros(len(driven), dtype=bool)
 
@@ -269,6 +298,6 @@ def _numbers(name: str, values: Sequence[float], positive: bool = False) -> list
     return numbers
 
 
-def _padded(u: np.ndarray) -> np.ndarray:
+def _padded(u: np.ndarray, samples: int = LOOKAHEAD) -> np.ndarray:
     """Voltages with the samples behind their end that the look-ahead needs, all 0."""
-    return np.pad(u, ((0, LOOKAHEAD), (0, 0)))
+    return np.pad(u, ((0, samples), (0, 0)))

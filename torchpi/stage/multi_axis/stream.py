@@ -55,4 +55,5 @@ class MultiAxisStream:
         y = np.empty((1, len(u), self.stage.outputs))
         y[0, :first] = self.stage.offset()
         self.stage.advance(driven[None, first:], self._state, y[:, first:])
+        y[0, first:] += self.stage.foreseen(known[first : len(u) + self.stage.shapes.ahead])
         return np.asarray(y[0])
