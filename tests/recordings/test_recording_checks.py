@@ -231,6 +231,13 @@ class TestWhichIsWhich:
         )
         assert not any("comes before" in line for line in said(record(u, -y)))
 
+    @given(st.floats(1e-3, 1e3), st.floats(-1e3, 1e3), st.integers(500, 3000))
+    def test_a_ramp_falls_nowhere_though_less_its_line_it_is_rounding(
+        self, gain: float, start: float, samples: int
+    ):
+        u = 1e-3 * np.arange(samples)
+        assert not any("falls where" in line for line in said(record(u, gain * u + start)))
+
     def test_a_narrow_loop_shows_swapped_columns_in_few_samples(self):
         u = SIGNALS["multisine of eq. 13"][1]
         y = 0.7 * u + 0.3 * stage(u) * (np.ptp(u) / np.ptp(stage(u)))

@@ -7,6 +7,8 @@ MOTION_FACTOR = 4.0
 FALSE_ALARM = 1e-3
 """The chance that noise alone makes a dropout anywhere in a record."""
 LEAST_LEAD = 0.02  # about one degree of a sine
+ROUNDING = 1e-9
+"""Of the largest value of a signal."""
 
 
 def noise_estimate(y: np.ndarray) -> float:
@@ -71,15 +73,18 @@ def dropouts(y: np.ndarray) -> np.ndarray:
 def least_step(x: np.ndarray) -> float:
     """The smallest difference between values of x that is more than rounding: the sensor's step."""
     gaps = np.diff(np.unique(x))
-    gaps = gaps[gaps > 1e-9 * np.abs(x).max()]
+    gaps = gaps[gaps > ROUNDING * np.abs(x).max()]
     return float(gaps.min()) if len(gaps) else 0.0
 
 
 def in_phase_correlation(u: np.ndarray, y: np.ndarray) -> float:
-    """Correlation of u and y at the same instant, a linear drift of y left out: its sign is the gain's."""
-    u, y = u - u.mean(), without_line(y) if len(y) > 2 else y - y.mean()
+    """Correlation of u and y at the same instant, a linear drift of y left out: its sign is the gain's.
+
+    0 where nothing else is left of y but rounding.
+    """
+    size, u, y = np.abs(y).max(), u - u.mean(), without_line(y) if len(y) > 2 else y - y.mean()
     scale = np.sqrt(float(u @ u) * float(y @ y))
-    return float(u @ y) / scale if scale > 0 else 0.0
+    return float(u @ y) / scale if scale > 0 and np.abs(y).max() > ROUNDING * size else 0.0
 
 
 def lead_of_output(u: np.ndarray, y: np.ndarray) -> float:
