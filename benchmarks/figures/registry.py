@@ -48,9 +48,9 @@ MEASUREMENTS = (
         "torchpi export, torchpi run and benchmarks/multi_axis_steps.py",
         (
             Figure("mirror_fit_s", "s", 0, 700, ".0f"),
-            Figure("mirror_100_um", "µm", 0, 0.05, ".3f"),
-            Figure("mirror_200_um", "µm", 0, 0.08, ".3f"),
-            Figure("mirror_300_um", "µm", 0, 0.13, ".3f"),
+            Figure("mirror_100_um", "µm", 0, 0.045, ".3f"),
+            Figure("mirror_200_um", "µm", 0, 0.07, ".3f"),
+            Figure("mirror_300_um", "µm", 0, 0.1, ".3f"),
             Figure("mirror_100_noise_um", "µm", 0.011, 0.012, ".3f"),
             Figure("mirror_200_noise_um", "µm", 0.0095, 0.0105, ".3f"),
             Figure("mirror_300_noise_um", "µm", 0.017, 0.019, ".3f"),

@@ -19,11 +19,14 @@ def rms(stage, every) -> float:
     return float(np.sqrt(np.mean(np.square(errors))))
 
 
-def test_the_gradient_is_that_of_finite_differences() -> None:
+@pytest.mark.parametrize("guard", [False, True])
+def test_the_gradient_is_that_of_finite_differences(guard: bool) -> None:
     random = np.random.default_rng(0)
     stage = two_axes()
-    fit = PeriodicFit(stage, [Period(multisine(random, 256, 0.5), random.standard_normal((256, 2)), 1.0)])
-    fit.run_in = 1.0  # all of the period before
+    period = Period(multisine(random, 256, 0.5), random.standard_normal((256, 2)), 1.0)
+    fit = PeriodicFit(stage, [], [period]) if guard else PeriodicFit(stage, [period])
+    if not guard:  # those of a guard begin where the period before does
+        fit.run_in = 1.0
     vector, errors = fit.vector(), fit.errors()
     assert errors is not None
     right = fit.gradient(errors)

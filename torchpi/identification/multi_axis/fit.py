@@ -61,8 +61,8 @@ class Period:
 class PeriodicFit:
     """Weighted mean squared error of a stage's steady state over periods, and its descent.
 
-    The stage runs through the period before, from rest; tangents begin in it, at `run_in`. No step is taken
-    after which a period has no bounded answer.
+    The stage runs through the period before, from rest; tangents begin in it, at `run_in`, those of guards
+    where it begins. No step is taken after which a period has no bounded answer.
     """
 
     def __init__(
@@ -288,7 +288,8 @@ class PeriodicFit:
     def _record(self, i: int) -> tuple[np.ndarray, int]:
         """What slopes need, from a sample in the period before on, and that sample."""
         samples = len(self.periods[i].u)
-        began = samples - int(self.run_in * samples)
+        # In a guard a stage may ring on from the whole of the period before.
+        began = samples - int((self.run_in if i < self.recorded else 1.0) * samples)
         width = record_width(self.stage.shapes, len(self.stage.thresholds), len(self.stage.times_s))
         record = np.empty((2 * samples - began, width))
         self._simulated(i, record)
