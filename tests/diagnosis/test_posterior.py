@@ -29,6 +29,7 @@ from torchpi.diagnosis.posterior import (
     names_of,
     rivals,
     trust,
+    unlisted_hysteresis,
     without_cause,
 )
 from torchpi.diagnosis.records import seen
@@ -189,3 +190,11 @@ def test_what_cannot_be_split_is_said_of_both() -> None:
     effects = {effect.name: effect for effect in EFFECTS}
     for name, effect in effects.items():
         assert all(name in effects[other].degenerate_with for other in effect.degenerate_with), name
+
+
+def test_lost_motion_may_be_a_hysteresis_that_is_not_on_the_list_unless_a_larger_one_was_taken() -> None:
+    plain = Hypothesis(HysteresisModel(np.linspace(0, 1, 9)))
+    taken = plain.plus(EffectTerm(Backlash, {"width_um": 0.01})).plus(EffectTerm(Creep, {"per_decade": 0.01}))
+    larger = taken.on(HysteresisModel(np.linspace(0, 1, 9), degree=5))
+    assert unlisted_hysteresis(taken, plain, "backlash") == [OPERATOR_NAME]
+    assert unlisted_hysteresis(taken, plain, "creep") == unlisted_hysteresis(larger, plain, "backlash") == []

@@ -112,6 +112,7 @@ def posterior(
             together.append(Believed(name, held * trust(known), (), rise, ()))
             continue
         rivals.sort(key=lambda rival: rival.loses_nats)
+        alternatives += unlisted_hysteresis(h, retuned.hypothesis, name)
         found.append(
             Believed(name, round(min(held, 1.0) * trust(known), 4), tuple(dict.fromkeys(alternatives)), rise,
                      tuple(rivals))
@@ -129,6 +130,13 @@ def without_cause(models: Sequence[Model], name: str, score: Callable[[Fit], flo
     none, so that an effect explains only what no convention does."""
     bare = [model for model in models if model.without == name and model.instead in ("", CONVENTION)]
     return max(bare, key=lambda model: score(model.fit))
+
+
+def unlisted_hysteresis(h: Hypothesis, before: Hypothesis, name: str) -> list[str]:
+    """The hysteresis operator, beside an effect that is a hysteresis itself, where none was taken: a play
+    behind plays is plays, and a family that is not on the list may do as much."""
+    itself = any(member.effect.sticks for member in h.members if member.effect.name == name)
+    return [OPERATOR_NAME] if itself and h.nominal.family == before.nominal.family else []
 
 
 def as_one(one: Believed, found: Sequence[Believed], together: Sequence[Believed]) -> Believed:
