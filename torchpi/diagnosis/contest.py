@@ -155,9 +155,8 @@ class Contest:
         return all(member.effect.reached(member.shared, self.seen) for member in members)
 
     def needs_no_history(self, now: Fit, less: Fit) -> bool:
-        """Whether recordings that start de-energised are predicted as well, or all but as well: a history
-        shows in few cells, so that what it gains is not asked to be many standard errors."""
-        return explains_less(now, less, FAINT * less.train_rms) or self.over(now, less).nats < -PRIOR
+        """Whether recordings that start de-energised are predicted as well, or all but as well."""
+        return explains_less(now, less, FAINT * less.train_rms) or self.over(now, less).probability < ACCEPTED
 
 
 def explains_less(more: Fit, less: Fit, rms_um: float) -> bool:
