@@ -54,7 +54,8 @@ nitpick_ignore_regex = [
     (r"py:class", r"torchpi\.(loop\.result\.Ratios|report\.notebook\.Plot|identification\.selection\.Form)"),
     (
         r"py:class",
-        r"torchpi\.(operators\.(quantity\.Quantity|dead_zone\.DeadZones|modal_feedback\.Constants)"
+        r"torchpi\.(operators\.(quantity\.Quantity|dead_zone\.DeadZones"
+        r"|modal_feedback\.(Constants|Parameters))"
         r"|control\.trained_motions\.Pair)",
     ),
     (r"py:class", r"torchpi\.operators\.(generalised_play\.Generalised|oversampled_inputs\.Over)\w+"),
