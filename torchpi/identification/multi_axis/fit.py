@@ -73,6 +73,8 @@ class PeriodicFit:
             np.concatenate([one.u if one.before is None else one.before, one.u]) for one in self.periods
         ]
         self.excess = [stage.excess(u) for u in self.twice]
+        # As many zeros behind as the displacements know of voltages to come.
+        self.padded = [np.pad(u, ((0, stage.shapes.ahead), (0, 0))) for u in self.twice]
         self.damping, self.run_in, self.in_matrix = FIRST_DAMPING, RUN_IN, IN_MATRIX
 
     def numbers(self) -> tuple[Parameters, Constants]:
@@ -304,16 +306,12 @@ class PeriodicFit:
             u, self.excess[i], *self.numbers(), state.x[0], state.h[0], state.means[0], 0, y,
             np.zeros((0, 0)) if record is None else record,
         )  # fmt: skip
-        y += stage.foreseen(self._padded(i))
+        y += stage.foreseen(self.padded[i])
         return y if bounded and np.abs(y).max() < DIVERGED else None
-
-    def _padded(self, i: int) -> np.ndarray:
-        """Voltages of both periods and as many zeros behind as `ahead` needs."""
-        return np.pad(self.twice[i], ((0, self.stage.shapes.ahead), (0, 0)))
 
     def _to_come(self, i: int) -> np.ndarray:
         """Voltages after each sample of the counted period, (samples, inputs, ahead)."""
-        u, samples = self._padded(i), len(self.periods[i].u)
+        u, samples = self.padded[i], len(self.periods[i].u)
         after = samples + np.arange(samples)[:, None] + np.arange(1, self.stage.shapes.ahead + 1)
         return np.asarray(u[after].swapaxes(1, 2))
 
