@@ -25,7 +25,7 @@ from torchpi.diagnosis.free_parameters import with_theta
 from torchpi.diagnosis.hypothesis import EffectTerm, Fit, Hypothesis
 from torchpi.diagnosis.hysteresis_model import bouc_wen, many_plays, preisach
 from torchpi.diagnosis.records import seen
-from torchpi.diagnosis.reduced_basis import reduced, refitted
+from torchpi.diagnosis.reduced_basis import MANY, basis, reduced, refitted
 from torchpi.diagnosis.sensitivity import Near, jacobian
 from torchpi.diagnosis.timing import lateness_s
 from torchpi.recordings.recording import Recording
@@ -144,7 +144,7 @@ def test_a_coupling_comes_back_with_its_sign_and_its_column() -> None:
     assert found.hypothesis.members[0].shared["coupling_um_per_v"] == pytest.approx(-0.03, rel=0.01)
 
 
-@pytest.mark.parametrize("nominal", [many_plays, lambda s: preisach(s, 3), lambda s: bouc_wen(s, 0.1)])
+@pytest.mark.parametrize("nominal", [many_plays, lambda s: preisach(s, 6), lambda s: bouc_wen(s, 0.1)])
 def test_derivatives_equal_finite_differences(nominal: object) -> None:
     """Of the weights, and of every slot, those of each recording among them, away from kinks."""
     chain = Chain(prepared(pair(800)))
@@ -207,7 +207,7 @@ def test_a_little_beyond_the_recorded_range_a_large_hysteresis_still_moves_as_it
     u = 0.7 * multisine(6000)
     records = prepared([record(u), record(0.7 * triangles(6000), name="b")])
     chain = Chain(records)
-    larger = fit(chain, Hypothesis(preisach(seen(records), 15, 35, 7)))
+    larger = fit(chain, *basis(chain, Hypothesis(preisach(seen(records))), None, MANY))
     nominal = larger.hypothesis.nominal
     beyond = nominal.output(1.3 * u, records[0].period_s, larger.weights[: nominal.kept])
     beyond += chain.zero(larger.weights, 0)

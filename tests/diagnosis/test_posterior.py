@@ -195,6 +195,6 @@ def test_what_cannot_be_split_is_said_of_both() -> None:
 def test_lost_motion_may_be_a_hysteresis_that_is_not_on_the_list_unless_a_larger_one_was_taken() -> None:
     plain = Hypothesis(HysteresisModel(np.linspace(0, 1, 9)))
     taken = plain.plus(EffectTerm(Backlash, {"width_um": 0.01})).plus(EffectTerm(Creep, {"per_decade": 0.01}))
-    larger = taken.on(HysteresisModel(np.linspace(0, 1, 9), degree=5))
+    larger = taken.on(HysteresisModel(np.linspace(0, 1, 9), pieces=5))
     assert unlisted_hysteresis(taken, plain, "backlash") == [OPERATOR_NAME]
     assert unlisted_hysteresis(taken, plain, "creep") == unlisted_hysteresis(larger, plain, "backlash") == []

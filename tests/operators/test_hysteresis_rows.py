@@ -6,7 +6,15 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.integrate import quad
 
-from torchpi.operators.hysteresis_rows import DUHEM_POWERS, duhem, play_sum, sums_of_plain_plays
+from torchpi.operators.hysteresis_rows import (
+    DUHEM_POWERS,
+    duhem,
+    offsets_of,
+    piece_of,
+    play_sum,
+    sums_of_plain_plays,
+    sums_of_plays,
+)
 
 VOLTS = st.floats(-10, 10, allow_subnormal=False)
 
@@ -15,20 +23,39 @@ VOLTS = st.floats(-10, 10, allow_subnormal=False)
 @given(
     v=arrays(np.float64, st.integers(1, 60), elements=VOLTS),
     thresholds=arrays(np.float64, st.integers(1, 8), elements=st.floats(0, 10, allow_subnormal=False)),
-    degree=st.integers(1, 5),
+    pieces=st.integers(1, 9),
     seed=st.integers(0, 99),
 )
-def test_sums_of_plain_plays_are_those_of_one_play_after_another(
-    v: np.ndarray, thresholds: np.ndarray, degree: int, seed: int
+def test_sums_of_plays_are_those_of_one_play_after_another(
+    v: np.ndarray, thresholds: np.ndarray, pieces: int, seed: int
 ) -> None:
     r = np.unique(thresholds)
-    weights = np.random.default_rng(seed).standard_normal((degree, len(r), 3))
+    low, piece = -7.0, 12.5 / pieces
+    slopes = np.random.default_rng(seed).standard_normal((pieces, len(r), 3))
+    offsets = np.array(offsets_of(slopes, low, piece))
     one, none = np.ones(len(v)), np.zeros(len(v))
-    sums = np.empty((3, len(v)))
-    sums_of_plain_plays(v, r, 10.0, weights, sums)
+    plain, sums = np.empty((3, len(v))), np.empty((len(v), 3))
+    inside = v, v, v, one, one, one, none, r, low, piece
+    sums_of_plain_plays(v, r, low, piece, slopes, offsets, plain)
+    sums_of_plays(*inside, slopes, offsets, np.zeros(len(r)), sums)
     for k in range(3):
-        expected = play_sum(v, v, v, r, one, one, one, none, 10.0, weights[:, :, k].copy())
-        np.testing.assert_allclose(sums[k], expected, rtol=0, atol=1e-11)
+        expected = play_sum(*inside, slopes[:, :, k].copy(), offsets[:, :, k].copy())
+        np.testing.assert_allclose(plain[k], expected, rtol=0, atol=1e-11)
+        np.testing.assert_allclose(sums[:, k], expected, rtol=0, atol=1e-11)
+
+
+@given(x=st.floats(-30, 30), pieces=st.integers(1, 9), seed=st.integers(0, 99))
+def test_an_output_function_is_the_integral_of_its_slopes_from_0(x: float, pieces: int, seed: int) -> None:
+    low, piece = -7.0, 12.5 / pieces
+    slopes = np.random.default_rng(seed).standard_normal(pieces)
+    k = piece_of(x, low, piece, pieces)
+    found = slopes[k] * x + offsets_of(slopes, low, piece)[k]
+    edges = [-np.inf, *(low + piece * np.arange(1, pieces)), np.inf]
+    wanted = sum(
+        slope * (np.clip(x, a, b) - np.clip(0.0, a, b))
+        for slope, a, b in zip(slopes, edges[:-1], edges[1:], strict=True)
+    )
+    assert abs(found - wanted) < 1e-10
 
 
 @settings(max_examples=100, deadline=None)

@@ -15,6 +15,7 @@ from torchpi.stage.hysteresis import IDENTITY, Hysteresis
 
 PERIOD_S = 0.1
 THRESHOLDS_V = [0.0, 0.11, 0.43, 0.9]
+RANGE_V = (-1.1, 0.9)
 INSIDE_IT = {
     "asymmetry_per_v": 0.03,
     "incongruence_per_v": 0.05,
@@ -29,12 +30,13 @@ INSIDE_IT = {
 FAMILIES = {"sigma_v": 0.31, "beta": 0.6, "exponent": 1.7, "alpha_per_v": 0.5}
 
 
-def hysteresis(degree: int = 1, bouc_wen: bool = False, duhem: bool = False, **shape: float) -> Hysteresis:
-    count = len(THRESHOLDS_V) * degree + bouc_wen + len(DUHEM_POWERS) * duhem + 1
+def hysteresis(pieces: int = 1, bouc_wen: bool = False, duhem: bool = False, **shape: float) -> Hysteresis:
+    count = len(THRESHOLDS_V) * pieces + bouc_wen + len(DUHEM_POWERS) * duhem + 1
     weights = torch.linspace(0.9, 0.1, count, dtype=torch.float64)
     needed = {"sigma_v": bouc_wen, "beta": bouc_wen, "exponent": bouc_wen, "alpha_per_v": duhem}
     own = {name: FAMILIES[name] for name, there in needed.items() if there}
-    made = Hysteresis(PERIOD_S, THRESHOLDS_V, weights, degree, 2.0, bouc_wen, duhem, {**own, **shape})
+    shape = {**own, **shape}
+    made = Hysteresis(PERIOD_S, THRESHOLDS_V, weights, pieces, RANGE_V, 2.0, bouc_wen, duhem, shape)
     # At 0 the asymmetry has a kink: to one side of it the play with r = 0 has memory.
     made.asymmetry_per_v.requires_grad_("asymmetry_per_v" in shape)
     return made
@@ -47,17 +49,17 @@ class TestPlays(HysteresisLaws):
 
 class TestPlaysThroughOutputFunctions(OperatorLaws):
     def operator(self) -> Hysteresis:
-        return hysteresis(degree=3)
+        return hysteresis(pieces=3)
 
 
 class TestEffectsInside(OperatorLaws):
     def operator(self) -> Hysteresis:
-        return hysteresis(degree=2, **INSIDE_IT)
+        return hysteresis(pieces=2, **INSIDE_IT)
 
 
 class TestRelaxingPlays(OperatorLaws):
     def operator(self) -> Hysteresis:
-        return hysteresis(degree=2, **INSIDE_IT, relaxation_s=0.07)
+        return hysteresis(pieces=2, **INSIDE_IT, relaxation_s=0.07)
 
 
 class TestBoucWen(OperatorLaws):
@@ -71,16 +73,16 @@ class TestDuhem(OperatorLaws):
 
 
 @given(
-    degree=st.integers(1, 4), bouc_wen=st.booleans(), duhem=st.booleans(), inside=st.booleans(),
+    pieces=st.integers(1, 4), bouc_wen=st.booleans(), duhem=st.booleans(), inside=st.booleans(),
     seed=st.integers(0, 99),
 )  # fmt: skip
 @settings(max_examples=20, deadline=None)
 def test_it_is_the_nominal_that_the_search_fitted(
-    degree: int, bouc_wen: bool, duhem: bool, inside: bool, seed: int
+    pieces: int, bouc_wen: bool, duhem: bool, inside: bool, seed: int
 ) -> None:
-    operator = hysteresis(degree, bouc_wen, duhem, **(INSIDE_IT if inside else {}))
+    operator = hysteresis(pieces, bouc_wen, duhem, **(INSIDE_IT if inside else {}))
     nominal = HysteresisModel(
-        np.array(THRESHOLDS_V), degree, 2.0, bouc_wen, duhem, {**IDENTITY, **operator.shape()}
+        np.array(THRESHOLDS_V), pieces, RANGE_V, 2.0, bouc_wen, duhem, {**IDENTITY, **operator.shape()}
     )
     v = wandering(1, 300, seed)
     weights = operator.weights.detach().numpy().copy()
@@ -95,7 +97,7 @@ def test_without_effects_inside_it_has_their_identities() -> None:
 
 
 def test_gradients_hold_over_a_record_of_many_tiles() -> None:
-    operator, v = hysteresis(degree=2, **INSIDE_IT), wandering(2, 1000).requires_grad_()
+    operator, v = hysteresis(pieces=2, **INSIDE_IT), wandering(2, 1000).requires_grad_()
     direction = wandering(2, 1000, seed=5)
     (gradient,) = torch.autograd.grad(operator(v)[0].square().sum(), v)
     with torch.no_grad():
@@ -105,7 +107,7 @@ def test_gradients_hold_over_a_record_of_many_tiles() -> None:
 
 
 def test_one_thread_or_several_give_the_same_bits() -> None:
-    operator, v = hysteresis(degree=2, **INSIDE_IT), wandering(4, 700)
+    operator, v = hysteresis(pieces=2, **INSIDE_IT), wandering(4, 700)
     before, found = torch.get_num_threads(), []
     for threads in (1, 3):
         torch.set_num_threads(threads)
@@ -151,6 +153,8 @@ def test_settings_build_it_again() -> None:
 def test_what_does_not_fit_is_refused() -> None:
     with pytest.raises(StageError, match="weights: found 2, expected 3"):
         Hysteresis(PERIOD_S, [0.0, 1.0], [1.0, 0.0])
+    with pytest.raises(StageError, match="pieces: found 0 between -1 and 1 V"):
+        Hysteresis(PERIOD_S, [0.0], [0.0], 0)
     with pytest.raises(StageError, match="sigma_v: found none"):
         Hysteresis(PERIOD_S, [0.0], [1.0, 0.5, 0.0], bouc_wen=True)
     with pytest.raises(StageError, match="alpha_per_v: found 1"):
@@ -174,13 +178,13 @@ def test_a_relaxing_play_solves_its_differential_equation_for_a_held_voltage() -
 
 def test_plays_that_relax_at_once_are_plays() -> None:
     x = wandering(2, 300)
-    plain, late = (hysteresis(degree=3, **INSIDE_IT, **more)(x)[0] for more in ({}, {"relaxation_s": 1e-4}))
+    plain, late = (hysteresis(pieces=3, **INSIDE_IT, **more)(x)[0] for more in ({}, {"relaxation_s": 1e-4}))
     torch.testing.assert_close(late, plain, rtol=0, atol=1e-13)
 
 
 def test_relaxing_plays_are_one_physics_at_two_sample_rates() -> None:
     held = wandering(1, 200)
     slow = hysteresis(relaxation_s=0.25)
-    fast = Hysteresis(PERIOD_S / 10, THRESHOLDS_V, slow.weights.detach(), 1, 2.0, shape=slow.shape())
+    fast = Hysteresis(PERIOD_S / 10, THRESHOLDS_V, slow.weights.detach(), 1, RANGE_V, 2.0, shape=slow.shape())
     fine = fast(held.repeat_interleave(10, 1))[0][:, 9::10]
     torch.testing.assert_close(fine, slow(held)[0], rtol=0, atol=1e-12)

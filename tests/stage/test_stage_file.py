@@ -58,7 +58,7 @@ def test_the_file_is_plain_and_of_this_version(tmp_path: Path) -> None:
     one = chain(effects=[HUM, RATE, COUPLING, LAG])
     one.save(tmp_path / "stage.pt")
     plain = torch.load(tmp_path / "stage.pt", weights_only=True)
-    assert (plain["schema"], plain["version"]) == ("torchpi stage", 2)
+    assert (plain["schema"], plain["version"]) == ("torchpi stage", 3)
     assert json.loads(json.dumps(plain, allow_nan=False)) == plain
     again = Stage.load(tmp_path / "stage.pt")
     assert (again.min_voltage_v, again.max_voltage_v, again.noise_um) == (0.0, 10.0, 0.003)
@@ -82,9 +82,9 @@ def test_another_file_is_refused_in_one_line(tmp_path: Path) -> None:
     with pytest.raises(ArtifactError, match="something else"):
         Stage.load(tmp_path / "other.pt")
     torch.save({"schema": "torchpi augmented stage", "version": 1, "alignment": 1}, tmp_path / "older.pt")
-    with pytest.raises(ArtifactError, match="found version 1, expected 2: identify the stage again"):
+    with pytest.raises(ArtifactError, match="found version 1, expected 3: identify the stage again"):
         Stage.load(tmp_path / "older.pt")
-    plain = {"schema": "torchpi stage", "version": 2}
+    plain = {"schema": "torchpi stage", "version": 3}
     damaged = [{}, {"sample_rate_hz": RATE_HZ, "hysteresis": {"plays": 3}}]
     damaged += [chain().to_dict() | {"effects": [{"name": "hums"}]}, chain().to_dict() | {"seed": -1}]
     for content in damaged:

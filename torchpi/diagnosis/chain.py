@@ -97,6 +97,11 @@ class Chain:
         """The largest travel of a reading."""
         return max(float(np.ptp(record.y)) for record in self.records) or 1e-9
 
+    @property
+    def gain_um_per_v(self) -> float:
+        """Of the largest travels."""
+        return self.span_um / (self.span_v or 1.0)
+
     def numbers(self, hypothesis: Hypothesis) -> int:
         """How many weights there are: of the rows, of the history of each recording, of its zero."""
         return hypothesis.nominal.kept + len(self.records) * (1 + hypothesis.history)

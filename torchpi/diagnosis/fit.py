@@ -15,6 +15,7 @@ from torchpi.diagnosis.free_parameters import (
 )
 from torchpi.diagnosis.haar import CELLS
 from torchpi.diagnosis.hypothesis import Fit, Hypothesis
+from torchpi.diagnosis.hysteresis_model import HysteresisModel
 from torchpi.diagnosis.records import Record
 from torchpi.diagnosis.sensitivity import (
     Near,
@@ -34,8 +35,8 @@ PRIOR, PRIOR_SHARE = 3e-7, 1e-2
 """Of the hysteresis's weights about 0. The first is over what the samples know of each: without it hundreds
 of rows that are nearly one another, half of whose samples lie in a few holds, bend away from what was not
 fitted. The second says that a weight as large as the gain of the stage costs as much as one reading that is
-wrong by this share of the travel: without it powers of plays that hardly moved explode just beyond the
-recorded range."""
+wrong by this share of the travel: without it plays that hardly moved explode just beyond the recorded
+range."""
 ITERATIONS = 12
 FINE, ROUGH = 1e-4, 3e-3
 """Relative gain of a step below which a fit ends: to report, and to compare."""
@@ -200,9 +201,7 @@ def prior_of(chain: Chain, hypothesis: Hypothesis, gram: np.ndarray) -> np.ndarr
     nominal, zeros = hypothesis.nominal, len(chain.records)
     kept = nominal.kept
     prior = np.diag(PRIOR * np.diag(gram))
-    each = weight_prior(chain)
-    of_rows = np.eye(kept) if nominal.reduction is None else nominal.reduction @ nominal.reduction.T
-    prior[:kept, :kept] += each * of_rows
+    prior[:kept, :kept] += nominal.inverse_covariance(weight_prior(chain), chain.gain_um_per_v)
     history = np.arange(kept, len(prior) - zeros)
     prior[history, history] += 1.0 / (REMANENCE * chain.span_um) ** 2
     # The line, or the fitted sum, and the zeros; and a Bouc–Wen state, of which there is but one.
@@ -217,6 +216,11 @@ def prior_of(chain: Chain, hypothesis: Hypothesis, gram: np.ndarray) -> np.ndarr
 def weight_prior(chain: Chain) -> float:
     """The inverse variance of one weight of the hysteresis, before any recording."""
     return (PRIOR_SHARE * chain.span_v / chain.weighting.geometric_mean_rms_um) ** 2
+
+
+def prior_of_one(chain: Chain, nominal: HysteresisModel) -> float:
+    """The same of one of the rows in which the hysteresis has not been reduced."""
+    return float(nominal.unreduced.inverse_covariance(weight_prior(chain), chain.gain_um_per_v)[0, 0])
 
 
 def with_prior(

@@ -18,7 +18,7 @@ import torch
 from torchpi.diagnosis.chain import Chain
 from torchpi.diagnosis.fit import fit
 from torchpi.diagnosis.hypothesis import EffectTerm, Fit, Hypothesis
-from torchpi.diagnosis.hysteresis_model import HysteresisModel, many_plays, reach_v, thresholds
+from torchpi.diagnosis.hysteresis_model import many_plays, plays_of, thresholds
 from torchpi.diagnosis.model import augmented_stage
 from torchpi.diagnosis.records import prepare, seen, whole
 from torchpi.errors import RecordingError
@@ -141,7 +141,7 @@ class _Search:
 
     def run(self) -> Fit:
         """The form that predicts unseen samples best, fitted to the others."""
-        few = HysteresisModel(thresholds(self.seen, FINE, EVEN), 1, reach_v(self.seen))
+        few = plays_of(self.seen, thresholds(self.seen, FINE, EVEN))
         self.log(f"hysteresis, {few.size} plays")
         now = self.taken(fit(self.chain, Hypothesis(few)))
         # Twice: what was hidden behind the others the first time may show once they are there.

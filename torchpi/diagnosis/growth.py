@@ -19,8 +19,6 @@ from torchpi.stage.hysteresis import OF_BOUC_WEN, OF_DUHEM
 
 OPERATOR = "hysteresis_operator: "
 """How a larger hysteresis is called among the explanations, before its family."""
-PREISACH = ((20, 60, 5), (20, 60, 9))
-"""Plays spread in the logarithm, plays spread evenly, degree: what a Preisach operator may grow to."""
 ALL = 300
 """Combinations of its rows, at most: with eighty of four hundred, two to three times the noise is left."""
 SAMPLES_A_PLAY = 10
@@ -109,7 +107,7 @@ class Growth(Exchange):
         shared = self.chain.weighting
         self.weigh(best)
         plays = preisach(self.seen) if nominal.duhem else self.plays()
-        nominal = replace(nominal, thresholds_v=plays.thresholds_v)
+        nominal = replace(nominal, thresholds_v=plays.thresholds_v, pieces=plays.pieces, reduction=None)
         more, _ = basis(self.chain, replace(best.hypothesis, nominal=nominal), None, MANY)
         # Once effects are there, only what keeps up with them is fitted to the end.
         heat = HEAT if self.added(now) else TO_THE_END
@@ -133,15 +131,10 @@ class Growth(Exchange):
         h = now.hypothesis
         if h.shape:
             now = self.followed(now)
-        if h.nominal.degree == 1 or not h.nominal.thresholds_v.any():
+        if h.nominal.pieces == 1 or not h.nominal.thresholds_v.any():
             return now
-        sizes = [preisach(self.seen, *size) for size in PREISACH]
-        of_now = replace(now.hypothesis.nominal, reduction=None)
-        larger = [replace(of_now, thresholds_v=one.thresholds_v, degree=one.degree) for one in sizes]
-        jobs: list[Job] = [
-            (*basis(self.chain, replace(now.hypothesis, nominal=one), None, ALL), 2, FINE) for one in larger
-        ]
-        return max([now, *map(self.at_its_own_weights, self.fits(jobs))], key=self.score)
+        (more,) = self.fits([(*basis(self.chain, now.hypothesis, None, ALL), 2, FINE)])
+        return max(now, self.at_its_own_weights(more), key=self.score)
 
     def followed(self, now: Fit) -> Fit:
         """A state with the numbers at which it ends: they move along a valley each time that the weighting

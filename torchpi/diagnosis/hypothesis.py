@@ -88,7 +88,8 @@ class Hypothesis:
         self, nominal: HysteresisModel, shape: tuple[str, ...] = (), starts: tuple[float, ...] = ()
     ) -> "Hypothesis":
         """The same effects on another hysteresis, beside the same simulation."""
-        nominal = replace(nominal, simulation=self.nominal.simulation)
+        if nominal.simulation is not self.nominal.simulation:
+            nominal = replace(nominal, simulation=self.nominal.simulation).unreduced
         return replace(self, nominal=nominal, shape=shape, starts=starts)
 
     def without(self, name: str, aux: str | None = None) -> "Hypothesis":

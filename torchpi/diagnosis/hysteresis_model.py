@@ -6,20 +6,24 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from torchpi.diagnosis.outside import Outside, shifted
 from torchpi.diagnosis.remanence import COLUMNS, excursions, fading
+from torchpi.diagnosis.smooth_density import SMOOTH, roughness, terms
 from torchpi.operators.hysteresis_rows import (
     DUHEM_POWERS,
     bend,
     bouc_wen_row,
     duhem_row,
     gain_inside,
+    offsets_of,
     play_states,
     play_sum,
     smooth,
     straight_gain,
     sums_of_plain_plays,
+    sums_of_plays,
     threshold_widening,
 )
 from torchpi.stage.effects.effect import DataRange
@@ -29,8 +33,12 @@ BLOCK = 256
 """Samples whose states are mixed at a time: they stay in the cache, however many plays there are."""
 CHANGING = ("asymmetry_per_v", "incongruence_per_v", "weight_s_per_v", "threshold_s_per_v", "loop_per_e")
 """Numbers of the shape that change what a play does; the others only say how."""
-DEGREE = 5
-"""Of output functions."""
+GRID = 48
+"""Plays of a Preisach operator, and pieces of each output function."""
+DENSER = 1.5
+"""Power that makes its thresholds denser near 0, where small loops are."""
+CURVE = 200
+"""Pieces of a curve."""
 FIRM = 30.0
 """Times that a simulation's row is larger: a correction beside it costs more than its own gain."""
 
@@ -39,12 +47,13 @@ FIRM = 30.0
 class HysteresisModel:
     """A hysteresis without its weights.
 
-    The rows are h_i of the plays, their powers up to `degree` (output functions), then the states of the
+    The rows are those of the plays, one for each piece of their output functions, then the states of the
     other families; all of them in volts.
     """
 
     thresholds_v: np.ndarray
-    degree: int = 1
+    pieces: int = 1
+    range_v: tuple[float, float] = (-1.0, 1.0)
     scale_v: float = 1.0
     bouc_wen: bool = False
     duhem: bool = False
@@ -53,7 +62,8 @@ class HysteresisModel:
     start: float = 0.0
     """Of z before a recording."""
     reduction: np.ndarray | None = None
-    """(kept rows, rows): combinations that the data can tell apart; None keeps all."""
+    """(kept rows, rows): combinations that the data can tell apart; None keeps all. There is one where output
+    functions have several pieces."""
     simulation: Outside | None = None
     """A simulation that is not torchpi's, the last of the rows: what else there is corrects it."""
     called: Callable[[np.ndarray], np.ndarray] | None = None
@@ -69,7 +79,7 @@ class HysteresisModel:
             return "bouc_wen"
         if self.duhem:
             return "duhem"
-        if self.degree > 1:
+        if self.pieces > 1:
             return "preisach"
         return "prandtl_ishlinskii" if len(self.thresholds_v) else "simulation"
 
@@ -79,17 +89,22 @@ class HysteresisModel:
         return self.bouc_wen or self.duhem
 
     @property
+    def of_plays(self) -> int:
+        """How many of the numbers are slopes of output functions."""
+        return len(self.thresholds_v) * self.pieces
+
+    @property
     def size(self) -> int:
         """Numbers in it, before any reduction."""
         others = self.bouc_wen + len(DUHEM_POWERS) * self.duhem + (self.simulation is not None)
-        return len(self.thresholds_v) * self.degree + others
+        return self.of_plays + others
 
     @cached_property
     def structure(self) -> tuple[object, ...]:
         """What tells two sets of rows apart, beside the shape."""
         mixed = None if self.reduction is None else self.reduction.tobytes()
         outside = self.simulation.token if self.simulation else ""
-        return (self.thresholds_v.tobytes(), self.degree, self.bouc_wen, self.duhem, hash(mixed), outside)
+        return (self.thresholds_v.tobytes(), self.pieces, self.bouc_wen, self.duhem, hash(mixed), outside)
 
     @property
     def remembers(self) -> int:
@@ -117,49 +132,73 @@ class HysteresisModel:
         """Rows that are left after reduction."""
         return self.size if self.reduction is None else len(self.reduction)
 
+    @property
+    def unreduced(self) -> "HysteresisModel":
+        """On all rows of plays, or on the slow terms of a density."""
+        if self.pieces == 1:
+            return replace(self, reduction=None)
+        of_plays = terms(self.pieces, len(self.thresholds_v))
+        return replace(self, reduction=block_diag(of_plays, np.eye(self.size - self.of_plays)))
+
+    def inverse_covariance(self, of_one: float, gain_um_per_v: float) -> np.ndarray:
+        """(kept, kept): of the prior of the rows' weights, `of_one` being that of a single one."""
+        rows = np.eye(self.size) if self.reduction is None else self.reduction
+        if self.pieces == 1:
+            return of_one * rows @ rows.T
+        of_plays, others = np.split(rows, [self.of_plays], axis=1)
+        rough = roughness(of_plays.reshape(len(rows), self.pieces, -1))
+        both: np.ndarray = of_one * (others @ others.T) + SMOOTH / gain_um_per_v**2 * (rough @ rough.T)
+        return both
+
     def fill(self, v: np.ndarray, period_s: float, rows: np.ndarray) -> None:
         """Into `rows`, (kept, time), for a voltage (time,) from the de-energised state."""
         outside, v = self.of_simulation(v), shifted(v, self.late)
         inside = self.inside(v, period_s)
         others = np.array(self.other_rows(v, inside[-3], inside[-1]) + outside).reshape(-1, len(v))
-        plays = len(self.thresholds_v) * self.degree
-        if self.plain and self.reduction is not None:
-            self.plain_sums(v, self.reduction[:, :plays], rows)
-            if len(others):
-                rows += self.reduction[:, plays:] @ others
+        self.fill_plays(v, inside, rows)
+        if self.reduction is None:
+            rows[self.of_plays :] = others
+        elif len(others):
+            rows += self.reduction[:, self.of_plays :] @ others
+
+    def fill_plays(self, v: np.ndarray, inside: tuple[np.ndarray, ...], rows: np.ndarray) -> None:
+        """The same for the plays alone."""
+        r, h, plays = self.thresholds_v, np.zeros(len(self.thresholds_v)), self.of_plays
+        mixed = None if self.reduction is None else self.reduction[:, :plays]
+        if mixed is not None and self.plain:
+            self.plain_sums(v, mixed, rows)
             return
-        h = np.zeros(len(self.thresholds_v))
-        states = np.empty((BLOCK, self.degree, len(h)))
+        functions = () if mixed is None or self.pieces == 1 else self.output_functions(mixed)
         for first in range(0, len(v), BLOCK):
             part = slice(first, min(first + BLOCK, len(v)))
-            x = states[: part.stop - first]
-            chord, up, down, widening, gain, straight, loop = (one[part] for one in inside)
-            play_states(
-                chord, up, down, self.thresholds_v, widening, gain, straight, loop, self.scale_v, h, x
-            )
-            of_plays = x.reshape(len(x), plays).T
-            if self.reduction is None:
-                rows[:plays, part], rows[plays:, part] = of_plays, others[:, part]
+            now, samples = [one[part] for one in inside], len(v[part])
+            if functions:
+                sums: tuple[Any, ...] = (*now, r, *functions, h, np.empty((samples, len(rows))))
+                sums_of_plays(*sums)
+                rows[:, part] = sums[-1].T
+                continue
+            states: tuple[Any, ...] = (*now, r, h, np.empty((samples, plays)))
+            play_states(*states)
+            if mixed is None:
+                rows[:plays, part] = states[-1].T
             else:
-                rows[:, part] = (
-                    self.reduction[:, :plays] @ of_plays + self.reduction[:, plays:] @ others[:, part]
-                )
+                rows[:, part] = mixed @ states[-1].T
 
     def output(self, v: np.ndarray, period_s: float, weights: np.ndarray) -> np.ndarray:
         """(time,): weights @ rows, without the rows of the plays."""
         full = weights if self.reduction is None else self.reduction.T @ weights
         outside, v = self.of_simulation(v), shifted(v, self.late)
-        plays = len(self.thresholds_v) * self.degree
-        chord, up, down, widening, gain, straight, loop = self.inside(v, period_s)
+        plays, inside = self.of_plays, self.inside(v, period_s)
         y = np.empty(len(v))
         if self.plain:
             self.plain_sums(v, full[None, :plays], y[None])
         else:
-            y = play_sum(
-                chord, up, down, self.thresholds_v, widening, gain, straight, loop, self.scale_v,
-                full[:plays].reshape(self.degree, -1).copy(),
-            )  # fmt: skip
-        for weight, row in zip(full[plays:], self.other_rows(v, gain, loop) + outside, strict=True):
+            low_v, piece_v, slopes, offsets = self.output_functions(full[None, :plays])
+            functions: tuple[Any, ...] = (low_v, piece_v, slopes[..., 0].copy(), offsets[..., 0].copy())
+            arguments: tuple[Any, ...] = (*inside, self.thresholds_v, *functions)
+            y = play_sum(*arguments)
+        others = self.other_rows(v, inside[-3], inside[-1]) + outside
+        for weight, row in zip(full[plays:], others, strict=True):
             y += weight * row
         return y
 
@@ -167,7 +206,7 @@ class HysteresisModel:
         """Weights of the rows as a stage has them, (size,), whose Bouc–Wen state has no unit."""
         full = weights.copy() if self.reduction is None else self.reduction.T @ weights
         if self.bouc_wen:
-            full[len(self.thresholds_v) * self.degree] *= self.scale_v
+            full[self.of_plays] *= self.scale_v
         return full
 
     @property
@@ -176,9 +215,18 @@ class HysteresisModel:
         return not any(self.shape[name] for name in CHANGING)
 
     def plain_sums(self, v: np.ndarray, weights: np.ndarray, y: np.ndarray) -> None:
-        """Into `y`, (sums, time): the plays with these weights, (sums, powers of plays)."""
-        each = weights.reshape(len(weights), self.degree, -1).transpose(1, 2, 0)
-        sums_of_plain_plays(v, self.thresholds_v, self.scale_v, np.ascontiguousarray(each), y)
+        """Into `y`, (sums, time): the plays with these weights, (sums, pieces × plays)."""
+        sums_of_plain_plays(v, self.thresholds_v, *self.output_functions(weights), y)
+
+    def output_functions(self, weights: np.ndarray) -> tuple[float, float, np.ndarray, np.ndarray]:
+        """Where their first piece begins, how long each is, and slopes and offsets, (pieces, plays, sums).
+
+        The weights are (sums, pieces × plays).
+        """
+        low_v, high_v = self.range_v
+        piece_v = (high_v - low_v) / self.pieces
+        slopes = weights.reshape(len(weights), self.pieces, -1).transpose(1, 2, 0)
+        return low_v, piece_v, np.ascontiguousarray(slopes), np.array(offsets_of(slopes, low_v, piece_v))
 
     def inside(self, v: np.ndarray, period_s: float) -> tuple[np.ndarray, ...]:
         """The chord, envelopes up and down, widening of the thresholds, gains, widening of the loop."""
@@ -223,28 +271,33 @@ def reach_v(seen: DataRange) -> float:
     return max(abs(seen.low_v), abs(seen.high_v), seen.span_v / 2)
 
 
+def plays_of(seen: DataRange, r: np.ndarray, pieces: int = 1, **states: Any) -> HysteresisModel:
+    """Plays over what the recordings span, and from where they begin."""
+    return HysteresisModel(r, pieces, (min(seen.low_v, 0.0), max(seen.high_v, 0.0)), reach_v(seen), **states)
+
+
 def plain(seen: DataRange) -> HysteresisModel:
     """Ten plays: the plain stage of the paper's kind."""
-    return HysteresisModel(thresholds(seen, 0, 9), 1, reach_v(seen))
+    return plays_of(seen, thresholds(seen, 0, 9))
 
 
 def many_plays(seen: DataRange) -> HysteresisModel:
     """A hundred plays: any Prandtl–Ishlinskii operator, down to the noise."""
-    return HysteresisModel(thresholds(seen, 20, 80), 1, reach_v(seen))
+    return plays_of(seen, thresholds(seen, 20, 80))
 
 
-def preisach(seen: DataRange, fine: int = 10, even: int = 20, degree: int = DEGREE) -> HysteresisModel:
+def preisach(seen: DataRange, grid: int = GRID) -> HysteresisModel:
     """Plays through output functions: a Preisach operator in play form."""
-    return HysteresisModel(thresholds(seen, fine, even), degree, reach_v(seen))
+    return plays_of(seen, 0.97 * reach_v(seen) * np.linspace(0, 1, grid) ** DENSER, grid).unreduced
 
 
 def bouc_wen(seen: DataRange, sigma: float) -> HysteresisModel:
     """A Bouc–Wen state on a line."""
     shape = {**IDENTITY, "sigma_v": sigma * reach_v(seen), "beta": 0.6, "exponent": 1.2}
-    return HysteresisModel(np.zeros(1), 1, reach_v(seen), bouc_wen=True, shape=shape)
+    return plays_of(seen, np.zeros(1), bouc_wen=True, shape=shape)
 
 
 def duhem(seen: DataRange) -> HysteresisModel:
     """A bank of Duhem states on a curve: also what does not close its loops."""
     shape = {**IDENTITY, "alpha_per_v": 1.0 / reach_v(seen)}
-    return HysteresisModel(np.zeros(1), DUHEM_POWERS[-1], reach_v(seen), duhem=True, shape=shape)
+    return plays_of(seen, np.zeros(1), CURVE, duhem=True, shape=shape).unreduced

@@ -29,7 +29,8 @@ def augmented_stage(now: Fit, recordings: int, seen: DataRange, noise_um: float)
     hysteresis = {
         "thresholds_v": r.tolist(),
         "weights": np.append(weights, 0.0),
-        "degree": nominal.degree,
+        "pieces": nominal.pieces,
+        "range_v": list(nominal.range_v),
         "scale_v": nominal.scale_v,
         "bouc_wen": nominal.bouc_wen,
         "duhem": nominal.duhem,

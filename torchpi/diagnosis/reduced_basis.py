@@ -6,7 +6,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from torchpi.diagnosis.chain import Chain
-from torchpi.diagnosis.fit import ITERATIONS, fit, weight_prior
+from torchpi.diagnosis.fit import ITERATIONS, fit, prior_of_one
 from torchpi.diagnosis.hypothesis import Fit, Hypothesis
 
 FEW, MANY = 48, 160
@@ -30,29 +30,32 @@ def basis(
         kept: Principal combinations.
     """
     nominal = hypothesis.nominal
-    full = replace(nominal, reduction=None)
-    size = len(full.thresholds_v) * full.degree
+    full = nominal.unreduced
+    others = full.size - full.of_plays
+    size = full.kept - others
     bare, gram = replace(hypothesis, nominal=full), np.zeros((size, size))
-    first, others = weights, np.zeros(0)
+    first, beside = weights, np.zeros(0)
     if weights is not None:
-        first, others = np.split(weights, [nominal.kept])
+        first, beside = np.split(weights, [nominal.kept])
         first = first if nominal.reduction is None else nominal.reduction.T @ first
-    if size <= kept + 1:
-        return bare, None if first is None else np.concatenate([first, others])
+    if full.reduction is None and size <= kept + 1:
+        return bare, None if first is None else np.concatenate([first, beside])
     for i, record in enumerate(chain.records):
         rows = np.empty((full.kept, len(record.u)))
         chain.nominal(bare, i).fill(chain.voltage(bare, i), record.period_s, rows)
         part = np.ascontiguousarray(chain.whitened(i, rows[:size])[:, ::THINNED])
         gram += part @ part.T
     values, vectors = np.linalg.eigh(gram * THINNED)
-    informed = int((values > INFORMED * weight_prior(chain)).sum())
+    informed = int((values > INFORMED * prior_of_one(chain, full)).sum())
     of_plays = vectors[:, ::-1][:, : max(1, min(kept, informed))].T
     # What a state adds to its plays may be little where it begins, and much where its numbers lead.
-    reduction = block_diag(of_plays, np.eye(full.kept - size))
+    reduction = block_diag(of_plays, np.eye(others))
+    if full.reduction is not None:
+        reduction = reduction @ full.reduction
     if first is None:
         return replace(hypothesis, nominal=replace(full, reduction=reduction)), None
     mixed = replace(full, reduction=np.concatenate([first[None], reduction]))
-    started = np.concatenate([[1.0], np.zeros(len(reduction)), others])
+    started = np.concatenate([[1.0], np.zeros(len(reduction)), beside])
     return replace(hypothesis, nominal=mixed), started
 
 

@@ -63,6 +63,30 @@ def bouc_wen(z: float, dv: float, sigma: float, beta: float, n: float) -> float:
     return z
 
 
+def piece_of(x: float, low: float, piece: float, pieces: int) -> int:
+    """Which of so many pieces of this length x is on, from `low`; the first and the last go on beyond.
+    TorchScript passes as well."""
+    if pieces == 1:
+        return 0
+    place = (x - low) / piece
+    if place >= pieces:
+        return pieces - 1
+    if place > 0.0:
+        return int(place)
+    return 0
+
+
+def offsets_of(slopes: Any, low: float, piece: float) -> list[Any]:
+    """Of a function that is piecewise linear and 0 at 0, slope x + offset, its slopes being (pieces, …);
+    of tensors or arrays."""
+    offsets, left = [], 0.0
+    for k in range(len(slopes)):
+        offsets.append(left - slopes[k] * (low + k * piece))
+        left = left + slopes[k] * piece
+    at_rest = piece_of(0.0, low, piece, len(slopes))
+    return [offset - offsets[at_rest] for offset in offsets]
+
+
 def duhem(z: float, v: float, before: float, alpha: float, power: int) -> float:
     """z after a straight move from `before` to v, z e^{-A} + ∫ e^{-(A - s)} f(v(s)) ds with A = α|dv|."""
     whole = alpha * abs(v - before)
@@ -96,122 +120,132 @@ def duhem_pieces(v: float, before: float, whole: float) -> tuple[int, float, flo
 
 
 _bouc_wen: Any = numba.njit(bouc_wen)
+_piece_of: Any = numba.njit(piece_of, error_model="numpy")
 _duhem: Any = numba.njit(duhem)
 
 
 @numba.njit(cache=True, error_model="numpy")
 def play_states(
-    chord: np.ndarray, up: np.ndarray, down: np.ndarray, r: np.ndarray, widening: np.ndarray,
-    gain: np.ndarray, straight: np.ndarray, loop: np.ndarray, scale: float, h: np.ndarray, x: np.ndarray,
+    chord: np.ndarray, up: np.ndarray, down: np.ndarray, widening: np.ndarray, gain: np.ndarray,
+    straight: np.ndarray, loop: np.ndarray, r: np.ndarray, h: np.ndarray, x: np.ndarray,
 ) -> None:  # fmt: skip
-    """Into `x`, (time, degree, plays): the states h of max{up - r w, min{down + r w, h}}, h (h / scale)^p.
+    """Into `x`, (time, plays): the states h of max{up - r w, min{down + r w, h}}.
 
     States with memory take the gain, v itself `straight`, all the widening of the loop about its chord; all
     are (time,). `h`, (plays,), is where they start and where they end.
     """
     for t in range(len(up)):
-        rising, falling, width = up[t], down[t], widening[t]
-        grown, kept, looped, middle = gain[t], straight[t], loop[t], chord[t]
+        _move(up[t], down[t], widening[t], r, h)
         for i in range(len(r)):
-            h[i] = _clamp_play(rising - r[i] * width, falling + r[i] * width, h[i])
-        first = x[t, 0]
+            x[t, i] = _inner(h[i], gain[t] if r[i] > 0.0 else straight[t], chord[t], loop[t])
+
+
+@numba.njit(cache=True, error_model="numpy")
+def sums_of_plays(
+    chord: np.ndarray, up: np.ndarray, down: np.ndarray, widening: np.ndarray, gain: np.ndarray,
+    straight: np.ndarray, loop: np.ndarray, r: np.ndarray, low: float, piece: float,
+    slopes: np.ndarray, offsets: np.ndarray, h: np.ndarray, y: np.ndarray,
+) -> None:  # fmt: skip
+    """Into `y`, (time, sums): Σ_i F_is(x_i); the slopes and offsets of F are (pieces, plays, sums).
+
+    `h`, (plays,), is where the plays start and where they end.
+    """
+    pieces, _, sums = slopes.shape
+    for t in range(len(up)):
+        _move(up[t], down[t], widening[t], r, h)
+        total = y[t]
+        total[:] = 0.0
         for i in range(len(r)):
-            state = h[i] * (grown if r[i] > 0.0 else kept)
-            first[i] = state + (state - middle) * looped
-        for p in range(1, x.shape[1]):
-            power, below = x[t, p], x[t, p - 1]
-            for i in range(len(r)):
-                power[i] = below[i] * (first[i] / scale)
+            x = _inner(h[i], gain[t] if r[i] > 0.0 else straight[t], chord[t], loop[t])
+            k = _piece_of(x, low, piece, pieces)
+            slope, offset = slopes[k, i], offsets[k, i]
+            for s in range(sums):
+                total[s] += offset[s] + slope[s] * x
 
 
 @numba.njit(cache=True, fastmath={"reassoc"}, error_model="numpy")
 def play_sum(
-    chord: np.ndarray, up: np.ndarray, down: np.ndarray, r: np.ndarray, widening: np.ndarray,
-    gain: np.ndarray, straight: np.ndarray, loop: np.ndarray, scale: float, weights: np.ndarray,
+    chord: np.ndarray, up: np.ndarray, down: np.ndarray, widening: np.ndarray, gain: np.ndarray,
+    straight: np.ndarray, loop: np.ndarray, r: np.ndarray, low: float, piece: float,
+    slopes: np.ndarray, offsets: np.ndarray,
 ) -> np.ndarray:  # fmt: skip
-    """(time,): Σ_p Σ_i w_pi h_i (h_i / scale)^p without the rows; weights are (degree, plays).
+    """(time,): Σ_i F_i(x_i) without the rows; slopes and offsets are (pieces, plays).
 
-    Seven times as fast as one play after another: the loop over plays runs in vector registers, and sums in
-    any order.
+    Seven times as fast as one play after another where F is straight: the loop over plays runs in vector
+    registers, and sums in any order.
     """
-    y, h, degree = np.empty(len(up)), np.zeros(len(r)), weights.shape[0]
-    x, term, per_scale = np.empty(len(r)), np.empty(len(r)), 1.0 / scale
+    y, h, pieces = np.empty(len(up)), np.zeros(len(r)), len(slopes)
     for t in range(len(up)):
-        rising, falling, width = up[t], down[t], widening[t]
-        for i in range(len(r)):
-            h[i] = _clamp_play(rising - r[i] * width, falling + r[i] * width, h[i])
-        grown, kept, looped, middle, total = gain[t], straight[t], loop[t], chord[t], 0.0
-        for i in range(len(r)):
-            state = h[i] * (grown if r[i] > 0.0 else kept)
-            x[i] = state + (state - middle) * looped
-            term[i] = weights[degree - 1, i]
-        for p in range(degree - 2, -1, -1):
+        _move(up[t], down[t], widening[t], r, h)
+        grown, kept, total = gain[t], straight[t], 0.0
+        if pieces == 1:
             for i in range(len(r)):
-                term[i] = term[i] * (x[i] * per_scale) + weights[p, i]
-        for i in range(len(r)):
-            total += term[i] * x[i]
+                total += slopes[0, i] * _inner(h[i], grown if r[i] > 0.0 else kept, chord[t], loop[t])
+        else:
+            for i in range(len(r)):
+                x = _inner(h[i], grown if r[i] > 0.0 else kept, chord[t], loop[t])
+                k = _piece_of(x, low, piece, pieces)
+                total += offsets[k, i] + slopes[k, i] * x
         y[t] = total
     return y
 
 
 @numba.njit(cache=True, error_model="numpy")
 def sums_of_plain_plays(
-    v: np.ndarray, r: np.ndarray, scale: float, weights: np.ndarray, y: np.ndarray
-) -> None:
-    """Into `y`, (sums, time): Σ_p Σ_i w_pis h_i (h_i / scale)^p of plays max{v - r, min{v + r, h}} from 0.
+    v: np.ndarray, r: np.ndarray, low: float, piece: float, slopes: np.ndarray, offsets: np.ndarray,
+    y: np.ndarray,
+) -> None:  # fmt: skip
+    """Into `y`, (sums, time): Σ_i F_is(h_i) of plays max{v - r, min{v + r, h}} from 0.
 
-    The plays that move with v are those of the smallest thresholds, and they move alike: their share is a
-    polynomial in v, whose coefficients are sums over all smaller thresholds, tabulated beforehand. A step
-    costs as much as the plays that it newly moves, not as much as there are plays.
+    The plays that move with v are those of the smallest thresholds, and they move alike: their share is
+    straight in v until one of them comes to its next piece. A step costs as much as the plays that it newly
+    moves or brings to another piece, not as much as there are plays.
 
     Args:
         v: (time,).
         r: (plays,), ascending.
-        scale: Of the powers.
-        weights: (degree, plays, sums).
+        low: Where the first piece of F begins.
+        piece: The length of each.
+        slopes: (pieces, plays, sums).
+        offsets: Of F, likewise.
         y: What is written.
     """
-    degree, plays, sums = weights.shape
-    u, thresholds = v / scale, r / scale
-    tables = np.zeros((2, plays + 1, degree + 1, sums))
-    for which in range(2):
-        for i in range(plays):
-            shift = -thresholds[i] if which == 0 else thresholds[i]
-            for p in range(degree):
-                # (u + shift)^(p + 1) by the binomial theorem, the highest power of u first.
-                factor = scale
-                for j in range(p + 1, -1, -1):
-                    for s in range(sums):
-                        tables[which, i + 1, j, s] += weights[p, i, s] * factor
-                    factor *= shift * j / (p + 2 - j)
-            for j in range(degree + 1):
-                for s in range(sums):
-                    tables[which, i + 1, j, s] += tables[which, i, j, s]
-    h, still = np.zeros(plays), np.zeros(sums)
-    block, total = np.empty((TOGETHER, sums)), np.empty(sums)
+    pieces, plays, sums = slopes.shape
+    h, at = np.zeros(plays), np.empty(plays, np.int64)
+    slope, offset, block = np.zeros(sums), np.zeros(sums), np.empty((TOGETHER, sums))
+    for i in range(plays):
+        at[i] = _piece_of(0.0, low, piece, pieces)
+        for s in range(sums):
+            offset[s] += offsets[at[i], i, s]
     moving, sign, before = 0, 1.0, 0.0
-    for first in range(0, len(u), TOGETHER):
-        stop = min(first + TOGETHER, len(u))
+    for first in range(0, len(v), TOGETHER):
+        stop = min(first + TOGETHER, len(v))
         for t in range(first, stop):
-            now = u[t]
+            now = v[t]
             if (now - before) * sign < 0.0:
                 for i in range(moving):
-                    h[i] = before - sign * thresholds[i]
-                _polynomials(before, tables[0 if sign > 0.0 else 1, moving], total)
+                    h[i] = before - sign * r[i]
                 for s in range(sums):
-                    still[s] += total[s]
+                    offset[s] += slope[s] * before
+                    slope[s] = 0.0
                 moving, sign = 0, -sign
-            while moving < plays and sign * (now - h[moving]) > thresholds[moving]:
-                state, power = h[moving], scale
-                for p in range(degree):
-                    power *= state
-                    for s in range(sums):
-                        still[s] -= weights[p, moving, s] * power
+            while moving < plays and sign * (now - h[moving]) > r[moving]:
+                left = h[moving] + sign * r[moving]
+                for s in range(sums):
+                    slope[s] += slopes[at[moving], moving, s]
+                    offset[s] -= slopes[at[moving], moving, s] * left
                 moving += 1
-            at = block[t - first]
-            _polynomials(now, tables[0 if sign > 0.0 else 1, moving], at)
+            if pieces > 1:
+                for i in range(moving):
+                    k, old = _piece_of(now - sign * r[i], low, piece, pieces), at[i]
+                    if k != old:
+                        for s in range(sums):
+                            more = slopes[k, i, s] - slopes[old, i, s]
+                            slope[s] += more
+                            offset[s] += offsets[k, i, s] - offsets[old, i, s] - more * sign * r[i]
+                        at[i] = k
             for s in range(sums):
-                at[s] += still[s]
+                block[t - first, s] = offset[s] + slope[s] * now
             before = now
         for s in range(sums):
             for t in range(first, stop):
@@ -219,14 +253,15 @@ def sums_of_plain_plays(
 
 
 @numba.njit(cache=True, inline="always")
-def _polynomials(x: float, coefficients: np.ndarray, y: np.ndarray) -> None:
-    """Into y, (sums,): polynomials in x, of coefficients (powers, sums), the lowest power first."""
-    highest = len(coefficients) - 1
-    for s in range(len(y)):
-        y[s] = coefficients[highest, s]
-    for j in range(highest - 1, -1, -1):
-        for s in range(len(y)):
-            y[s] = y[s] * x + coefficients[j, s]
+def _move(rising: float, falling: float, width: float, r: np.ndarray, h: np.ndarray) -> None:
+    for i in range(len(r)):
+        h[i] = _clamp_play(rising - r[i] * width, falling + r[i] * width, h[i])
+
+
+@numba.njit(cache=True, inline="always")
+def _inner(h: float, gain: float, chord: float, loop: float) -> float:
+    state = h * gain
+    return state + (state - chord) * loop
 
 
 @numba.njit(cache=True)

@@ -9,7 +9,7 @@ from torch import nn
 from torchpi.errors import ArtifactError, StageError
 from torchpi.files import content_sha256, load_tensors, save_tensors, write_atomically
 
-SCHEMA, VERSION = "torchpi stage", 2
+SCHEMA, VERSION = "torchpi stage", 3
 OLDER_SCHEMA = "torchpi augmented stage"
 HASH = "sha256"
 LARGEST_BYTES = 2**28

@@ -1,10 +1,13 @@
 """The hysteresis of a diagnosis as one operator: plays through output functions, Bouc–Wen, Duhem.
 
-    y = Σ_p Σ_i w_pi x_i (x_i / s)^p + w z + Σ_k w_k d_k / s^(k-1) + w_0
+    y = Σ_i F_i(x_i) + w z + Σ_k w_k d_k / s^(k-1) + w_0
 
     h_i = max{v + a v² - r_i β(v̇), min{v - a v² + r_i β(v̇), h_i}},    β = 1 + b |v̇|
     x_i = c v + (h_i g_i - c v) (1 + l),    l = γ ln(1 + |v̇| / v̇₀)
     g_i = g = (1 + κ v)(1 + k v̇) where r_i > 0, and 1 - q (g - 1) where r_i = 0
+
+F_i is piecewise linear, 0 at 0, with a slope w_ki on each of as many pieces of equal length: the density of a
+Preisach operator in play form, a cell each (Krejčí, 1996). One piece is a weighted sum.
 
 With `relaxation_s` each play of r_i > 0 relaxes to where h_i would stand:
 `torchpi.stage.effects.actuator.relaxing_plays`.
@@ -32,6 +35,8 @@ from torchpi.operators.hysteresis_rows import (
     duhem,
     gain_inside,
     loop_widening,
+    offsets_of,
+    piece_of,
     straight_gain,
     threshold_widening,
 )
@@ -71,9 +76,10 @@ class Hysteresis(Operator):
     Args:
         sample_period_s: T.
         thresholds_v: r, none negative.
-        weights: w, as many as plays × `degree` (all of one power, then the next), then those of z, of the
+        weights: w, as many as plays × `pieces` (all of one piece, then the next), then those of z, of the
             d_k, and the constant.
-        degree: Of the output functions; 1 is a weighted sum.
+        pieces: Of the output functions; 1 is a weighted sum.
+        range_v: Where the first piece begins and the last one ends; beyond, both go on.
         scale_v: s.
         bouc_wen: Whether z is there.
         duhem: Whether d is there.
@@ -93,7 +99,8 @@ class Hysteresis(Operator):
         sample_period_s: float,
         thresholds_v: Sequence[float] | Tensor | np.ndarray,
         weights: Sequence[float] | Tensor | np.ndarray,
-        degree: int = 1,
+        pieces: int = 1,
+        range_v: Sequence[float] = (-1.0, 1.0),
         scale_v: float = 1.0,
         bouc_wen: bool = False,
         duhem: bool = False,
@@ -101,16 +108,20 @@ class Hysteresis(Operator):
     ) -> None:
         super().__init__()
         self.sample_period_s = sample_period_s
-        self.degree, self.scale_v = int(degree), float(scale_v)
+        self.pieces, self.scale_v = int(pieces), float(scale_v)
+        self.low_v, self.high_v = map(float, range_v)
+        if self.pieces < 1 or (self.pieces > 1 and not self.low_v < self.high_v):
+            between = f"{pieces} between {self.low_v:g} and {self.high_v:g} V"
+            raise StageError(f"pieces: found {between}, expected one, or more of a range")
         self.bouc_wen, self.duhem = bool(bouc_wen), bool(duhem)
         self.register_buffer("thresholds_v", torch.as_tensor(thresholds_v, dtype=torch.float64).clone())
         self.weights = nn.Parameter(torch.as_tensor(weights, dtype=torch.float64).clone())
         if len(self.thresholds_v) > MOST_PLAYS:
             raise StageError(f"thresholds_v: found {len(self.thresholds_v)}, expected at most {MOST_PLAYS}")
-        expected = len(self.thresholds_v) * degree + self.others + 1
+        expected = len(self.thresholds_v) * self.pieces + self.others + 1
         if self.weights.shape != (expected,):
             count = self.weights.numel()
-            raise StageError(f"weights: found {count}, expected {expected}: plays × degree and more")
+            raise StageError(f"weights: found {count}, expected {expected}: plays × pieces and more")
         needed = (*IDENTITY, *(OF_BOUC_WEN if bouc_wen else ()), *(OF_DUHEM if duhem else ()))
         values = {**IDENTITY, **(shape or {})}
         for name in (*needed, *values):
@@ -136,7 +147,8 @@ class Hysteresis(Operator):
         return {
             "thresholds_v": self.thresholds_v.tolist(),
             "weights": self.weights.tolist(),
-            "degree": self.degree,
+            "pieces": self.pieces,
+            "range_v": [self.low_v, self.high_v],
             "scale_v": self.scale_v,
             "bouc_wen": self.bouc_wen,
             "duhem": self.duhem,
@@ -169,14 +181,14 @@ class Hysteresis(Operator):
             straight_gain(gain, shape["straight_share"]),
             loop,
         )
-        of_plays = weights[: plays * self.degree].reshape(self.degree, plays)
+        slopes, offsets = self._output_functions()
         if self.relaxation_s.item() > 0.0:
-            y, h = self._relaxing(signals, of_plays, h)
+            y, h = self._relaxing(signals, slopes, offsets, h)
         else:
-            y, h = PlaySum.apply(*signals, of_plays, h, self.thresholds_v, self.scale_v)
+            y, h = PlaySum.apply(*signals, slopes, offsets, h, self.thresholds_v, self.low_v, self.piece_v)
         ends = []
         for weight, z0, (kernels, numbers, scale) in zip(
-            weights[plays * self.degree : -1], others.unbind(1), self._families(), strict=True
+            weights[plays * self.pieces : -1], others.unbind(1), self._families(), strict=True
         ):
             z = CarriedState.apply(v, before[:, 0], z0, kernels, numbers)
             ends.append(z[:, -1:])
@@ -195,7 +207,20 @@ class Hysteresis(Operator):
             return torch.exp(-self.sample_period_s / self.relaxation_s)
         return torch.zeros_like(self.relaxation_s)
 
-    def _relaxing(self, signals: tuple[Tensor, ...], weights: Tensor, h0: Tensor) -> tuple[Tensor, Tensor]:
+    @property
+    def piece_v(self) -> float:
+        """The length of a piece."""
+        return (self.high_v - self.low_v) / self.pieces
+
+    def _output_functions(self) -> tuple[Tensor, Tensor]:
+        """Slopes and offsets of the F_i, (pieces, plays) each."""
+        plays = len(self.thresholds_v)
+        slopes = self.weights[: plays * self.pieces].reshape(self.pieces, plays)
+        return slopes, torch.stack(offsets_of(slopes, self.low_v, self.piece_v))
+
+    def _relaxing(
+        self, signals: tuple[Tensor, ...], slopes: Tensor, offsets: Tensor, h0: Tensor
+    ) -> tuple[Tensor, Tensor]:
         """The sum of plays that relax, and their last states: `PlaySum` of each state, which so follows."""
         chord, up, down, width, gain, straight, loop = signals
         states = RelaxingPlays.apply(up, down, width, self.late(), h0, self.thresholds_v)
@@ -203,8 +228,9 @@ class Hysteresis(Operator):
         for i, r in enumerate(self.thresholds_v.tolist()):
             h, grown = states[..., i], gain if r > 0.0 else straight
             part, _ = PlaySum.apply(
-                chord, h, h, width, grown, grown, loop, weights[:, i : i + 1], start, none, self.scale_v
-            )
+                chord, h, h, width, grown, grown, loop, slopes[:, i : i + 1], offsets[:, i : i + 1],
+                start, none, self.low_v, self.piece_v,
+            )  # fmt: skip
             y = y + part
         return y, states[:, -1]
 
@@ -238,6 +264,8 @@ class HysteresisStream(nn.Module):
 
     r: list[float]
     w: list[float]
+    c: list[float]
+    others: list[float]
     h: list[float]
     d: list[float]
     alpha: float
@@ -250,9 +278,13 @@ class HysteresisStream(nn.Module):
         self.period_s = hysteresis.sample_period_s
         self.kept = hysteresis._kept()
         self.late = hysteresis.late().item()
-        self.degree, self.scale = hysteresis.degree, hysteresis.scale_v
+        self.pieces, self.low, self.piece = hysteresis.pieces, hysteresis.low_v, hysteresis.piece_v
+        self.scale = hysteresis.scale_v
         self.has_bouc_wen, self.has_duhem = hysteresis.bouc_wen, hysteresis.duhem
-        self.r, self.w = hysteresis.thresholds_v.tolist(), hysteresis.weights.tolist()
+        self.r = hysteresis.thresholds_v.tolist()
+        slopes, offsets = hysteresis._output_functions()
+        self.w, self.c = slopes.flatten().tolist(), offsets.flatten().tolist()
+        self.others = hysteresis.weights.tolist()[len(self.w) :]
         self.asymmetry, self.incongruence = shape["asymmetry_per_v"], shape["incongruence_per_v"]
         self.by_rate, self.threshold_by_rate = shape["weight_s_per_v"], shape["threshold_s_per_v"]
         self.loop, self.reference = shape["loop_per_e"], shape["reference_rate_v_s"]
@@ -291,20 +323,18 @@ class HysteresisStream(nn.Module):
             self.h[i] = towards(bound, self.h[i], self.late if self.r[i] > 0.0 else 0.0)
             inner = self.h[i] * (gain if self.r[i] > 0.0 else straight)
             inner = inner + (inner - chord) * loop
-            term = self.w[(self.degree - 1) * plays + i]
-            for p in range(self.degree - 2, -1, -1):
-                term = term * (inner / self.scale) + self.w[p * plays + i]
-            y = y + term * inner
-        place = plays * self.degree
+            place = piece_of(inner, self.low, self.piece, self.pieces) * plays + i
+            y = y + (self.c[place] + self.w[place] * inner)
+        place = 0
         if self.has_bouc_wen:
             self.z = bouc_wen(self.z, x - self.before, self.sigma, self.beta, self.exponent)
             z = self.z * gain
-            y = y + self.w[place] * (z + z * loop)
+            y = y + self.others[place] * (z + z * loop)
             place += 1
         if self.has_duhem:
             for k in range(len(self.d)):
                 self.d[k] = duhem(self.d[k], x, self.before, self.alpha, self.power[k])
-                y = y + self.w[place] * (self.d[k] / self.scales[k])
+                y = y + self.others[place] * (self.d[k] / self.scales[k])
                 place += 1
         self.before = x
-        return y + self.w[place]
+        return y + self.others[place]

@@ -9,6 +9,7 @@ from torch.autograd.function import once_differentiable
 
 from torchpi.operators.compiled import as_array, in_threads, njit
 from torchpi.operators.generalised_play import clamp_play
+from torchpi.operators.hysteresis_rows import piece_of
 
 TILE = 256
 """Samples from one set of stored states to the next."""
@@ -19,43 +20,45 @@ class PlaySum(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, *inputs: Any) -> tuple[Tensor, Tensor]:
-        *tensors, scale = inputs
-        signals, (weights, h0, r) = tensors[:7], tensors[7:]
+        *tensors, low_v, piece_v = inputs
+        signals, (slopes, offsets, h0, r) = tensors[:7], tensors[7:]
         up = signals[1]
         y, h = torch.empty_like(up), h0.detach().clone()
         stored = up.new_empty(len(up), -(-up.shape[1] // TILE), len(r))
         arrays = [as_array(signal) for signal in signals]
         in_threads(
-            _plays_forward, len(up), *arrays, as_array(weights), as_array(r), scale,
-            h.numpy(), stored.numpy(), y.numpy(),
+            _plays_forward, len(up), *arrays, as_array(slopes), as_array(offsets), as_array(r),
+            low_v, piece_v, h.numpy(), stored.numpy(), y.numpy(),
         )  # fmt: skip
-        ctx.scale = scale
-        ctx.save_for_backward(*signals, weights, r, stored)
+        ctx.pieces = low_v, piece_v
+        ctx.save_for_backward(*signals, slopes, r, stored)
         return y, h
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
-        *signals, weights, r, stored = ctx.saved_tensors
+        *signals, slopes, r, stored = ctx.saved_tensors
         by = [torch.zeros_like(signal) for signal in signals]
         by_h = gradients[1].clone(memory_format=torch.contiguous_format)
-        by_weights = weights.new_zeros(len(by_h), *weights.shape)
+        by_slopes = slopes.new_zeros(len(by_h), *slopes.shape)
+        by_offsets = torch.zeros_like(by_slopes)
         in_threads(
-            _plays_backward, len(by_h), *(as_array(signal) for signal in signals), as_array(weights),
-            as_array(r), ctx.scale, as_array(stored), as_array(gradients[0]),
-            *(part.numpy() for part in by), by_weights.numpy(), by_h.numpy(),
+            _plays_backward, len(by_h), *(as_array(signal) for signal in signals), as_array(slopes),
+            as_array(r), *ctx.pieces, as_array(stored), as_array(gradients[0]),
+            *(part.numpy() for part in by), by_slopes.numpy(), by_offsets.numpy(), by_h.numpy(),
         )  # fmt: skip
-        return *by, by_weights.sum(0), by_h, None, None
+        return *by, by_slopes.sum(0), by_offsets.sum(0), by_h, None, None, None
 
 
 _clamp_play = njit(clamp_play)
+_piece_of = njit(piece_of)
 
 
 @njit
 def _plays_forward(
     first: int, last: int, chord: np.ndarray, up: np.ndarray, down: np.ndarray, width: np.ndarray,
-    gain: np.ndarray, straight: np.ndarray, loop: np.ndarray, w: np.ndarray, r: np.ndarray, scale: float,
-    h: np.ndarray, stored: np.ndarray, y: np.ndarray,
+    gain: np.ndarray, straight: np.ndarray, loop: np.ndarray, w: np.ndarray, c: np.ndarray, r: np.ndarray,
+    low_v: float, piece_v: float, h: np.ndarray, stored: np.ndarray, y: np.ndarray,
 ) -> None:  # fmt: skip
     part = np.empty(len(r))
     for row in range(first, last):
@@ -68,10 +71,8 @@ def _plays_forward(
             for i in range(len(r)):
                 x = now[i] * (grown if r[i] > 0.0 else kept)
                 x = x + (x - middle) * looped
-                term = w[len(w) - 1, i]
-                for p in range(len(w) - 2, -1, -1):
-                    term = term * (x / scale) + w[p, i]
-                part[i] = term * x
+                k = _piece_of(x, low_v, piece_v, len(w))
+                part[i] = c[k, i] + w[k, i] * x
             total = 0.0
             for i in range(len(r)):
                 total = total + part[i]
@@ -87,10 +88,10 @@ def _advance(rising: float, falling: float, width: float, r: np.ndarray, h: np.n
 @njit
 def _plays_backward(
     first: int, last: int, chord: np.ndarray, up: np.ndarray, down: np.ndarray, width: np.ndarray,
-    gain: np.ndarray, straight: np.ndarray, loop: np.ndarray, w: np.ndarray, r: np.ndarray, scale: float,
-    stored: np.ndarray, gy: np.ndarray, gchord: np.ndarray, gup: np.ndarray, gdown: np.ndarray,
-    gwidth: np.ndarray, ggain: np.ndarray, gstraight: np.ndarray, gloop: np.ndarray, gw: np.ndarray,
-    gh: np.ndarray,
+    gain: np.ndarray, straight: np.ndarray, loop: np.ndarray, w: np.ndarray, r: np.ndarray, low_v: float,
+    piece_v: float, stored: np.ndarray, gy: np.ndarray, gchord: np.ndarray, gup: np.ndarray,
+    gdown: np.ndarray, gwidth: np.ndarray, ggain: np.ndarray, gstraight: np.ndarray, gloop: np.ndarray,
+    gw: np.ndarray, gc: np.ndarray, gh: np.ndarray,
 ) -> None:  # fmt: skip
     # A state is one end of its play at the last sample that pushed it: the gradient waits in gh until then.
     tile = np.empty((TILE + 1, len(r)))
@@ -111,13 +112,10 @@ def _plays_backward(
                     grown = gain[row, t] if r[i] > 0.0 else straight[row, t]
                     inner = now[i] * grown
                     x = inner + (inner - middle) * looped
-                    slope, power = 0.0, x
-                    for p in range(len(w)):
-                        gw[row, p, i] += g * power
-                        power = power * (x / scale)
-                    for p in range(len(w) - 1, -1, -1):
-                        slope = slope * (x / scale) + (p + 1) * w[p, i]
-                    by_x = g * slope
+                    k = _piece_of(x, low_v, piece_v, len(w))
+                    gw[row, k, i] += g * x
+                    gc[row, k, i] += g
+                    by_x = g * w[k, i]
                     by_inner = by_x * (1.0 + looped)
                     by_chord -= by_x * looped
                     by_loop += by_x * (inner - middle)

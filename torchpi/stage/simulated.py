@@ -1,6 +1,6 @@
 """A simulation of someone else's in the place of the hysteresis, corrected.
 
-    y = g F(v) + Σ_p Σ_i w_pi x_i (x_i / s)^p + …
+    y = g F(v) + Σ_i F_i(x_i) + …
 
 F is the simulation: called with the voltage v, or its recorded output. g corrects its gain, the sum its
 static hysteresis; both beside it, because nothing inside it is known.

@@ -1,0 +1,31 @@
+"""The prior of a Preisach operator's density, and its slow terms."""
+
+import numpy as np
+import pytest
+
+from torchpi.diagnosis.smooth_density import cosines, roughness, terms
+
+
+@pytest.mark.parametrize(("pieces", "plays"), [(5, 7), (12, 4), (200, 1), (3, 2)])
+def test_terms_are_the_principal_components_of_the_prior(pieces: int, plays: int) -> None:
+    rows = terms(pieces, plays)
+    rough = roughness(rows.reshape(len(rows), pieces, plays))
+    np.testing.assert_allclose(rough @ rough.T, np.eye(len(rows)), atol=1e-9)
+    if pieces * plays < 100:
+        assert np.linalg.matrix_rank(rows) == pieces * plays
+
+
+def test_a_density_means_the_same_on_a_finer_grid() -> None:
+    def cost(cells: int) -> float:
+        along = np.linspace(0, 3, cells)[:, None]
+        of = 0.5 + np.sin(along) * np.cos(np.linspace(0, 2, cells))
+        slopes = np.concatenate([np.cos(along), of / cells], 1)[None]
+        return float(np.sum(roughness(slopes) ** 2))
+
+    assert cost(200) == pytest.approx(cost(50), rel=0.1)
+
+
+def test_cosines_are_those_of_least_difference() -> None:
+    rows, costs = cosines(9)
+    np.testing.assert_allclose(np.sum(np.diff(rows, axis=1) ** 2, 1), costs, atol=1e-12)
+    np.testing.assert_allclose(rows @ rows.T, np.eye(9), atol=1e-12)

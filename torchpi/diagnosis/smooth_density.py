@@ -1,0 +1,60 @@
+"""The density of a Preisach operator in play form: cells of plays and pieces, smooth before any recording.
+
+With μ the slopes w_ki of the output functions, in units of the stage's gain over the number of plays, a
+density costs
+
+    ½ `SMOOTH` [Σ (differences between neighbours)² + mean of μ²],
+
+a Gaussian field (thin membrane: Rue and Held, *Gaussian Markov Random Fields*, 2005, 3.2.2) that means the
+same on every grid. The play with r = 0 is a curve, and no neighbour of the others. The field's principal
+components on a grid are cosines: the slow ones stand for all.
+"""
+
+import numpy as np
+
+SMOOTH = 10.0
+"""About one over the square of a third: a density that changes by so much of the gain over the plane costs
+as much as a standard deviation of noise."""
+TERMS, OF_CURVE = 400, 48
+"""Cosines of the density, and of the curve, at most."""
+
+
+def roughness(slopes: np.ndarray) -> np.ndarray:
+    """(sums, …) of (sums, pieces, plays): its inner products are the inverse covariance of the sums, but for
+    `SMOOTH` and the gain."""
+    sums, pieces, plays = slopes.shape
+    curve, density = slopes[..., :1], (plays - 1) * slopes[..., 1:]
+    parts = [
+        np.sqrt(pieces) * np.diff(curve, axis=1),
+        np.diff(density, axis=1),
+        np.diff(density, axis=2),
+        curve / np.sqrt(pieces),
+        density / np.sqrt(pieces * max(plays - 1, 1)),
+    ]
+    return np.concatenate([part.reshape(sums, -1) for part in parts], 1)
+
+
+def terms(pieces: int, plays: int) -> np.ndarray:
+    """(terms, pieces × plays): cosines of the curve and of the density, each of unit roughness."""
+    of_curve = np.zeros((min(pieces, OF_CURVE), pieces, plays))
+    along, costs = cosines(pieces)
+    of_curve[:, :, 0] = (along / np.sqrt(pieces * costs + 1 / pieces)[:, None])[: len(of_curve)]
+    if plays == 1:
+        return of_curve.reshape(len(of_curve), -1)
+    across, prices = cosines(plays - 1)
+    both = np.add.outer(costs, prices)
+    slow = np.argsort(both, axis=None, kind="stable")[:TERMS]
+    k, i = np.unravel_index(slow, both.shape)
+    density = np.zeros((len(slow), pieces, plays))
+    density[:, :, 1:] = along[k][:, :, None] * across[i][:, None, :]
+    density /= ((plays - 1) * np.sqrt(both.flat[slow] + 1 / (pieces * (plays - 1))))[:, None, None]
+    return np.concatenate([of_curve, density]).reshape(len(of_curve) + len(density), -1)
+
+
+def cosines(cells: int) -> tuple[np.ndarray, np.ndarray]:
+    """(cells, cells), an orthonormal cosine each, the slowest first, and the sums of the squares of their
+    differences from cell to cell."""
+    waves = np.arange(cells)
+    rows = np.sqrt(2 / cells) * np.cos(np.pi / cells * np.outer(waves, waves + 0.5))
+    rows[0] = np.sqrt(1 / cells)
+    return rows, 2 - 2 * np.cos(np.pi / cells * waves)
