@@ -160,6 +160,21 @@ class TestSingleDropouts:
         found = dropouts(y)
         assert set(found) <= set(lost) and len(found) >= 0.98 * len(lost)
 
+    def test_the_overshoots_behind_steps_of_the_input_are_none_and_a_zero_among_them_is_one(self):
+        u = np.repeat(np.random.default_rng(3).uniform(0, 10, 60), 20)
+        steps = np.flatnonzero(np.diff(u)) + 1
+        y = u + 0.001 * np.random.default_rng(4).standard_normal(len(u))
+        y[steps] += 0.05 * (u[steps] - u[steps - 1])
+        assert len(dropouts(y)) > 50 and not len(dropouts(y, u))
+        y[[333, 707]] = 0.0
+        assert dropouts(y, u).tolist() == [333, 707]
+
+    def test_zeros_are_found_where_the_input_always_steps(self):
+        u = np.random.default_rng(3).uniform(5, 10, 500)
+        y = np.convolve(u, np.ones(9) / 9, "same")
+        y[[101, 250, 311, 402]] = -20.0
+        assert dropouts(y, u).tolist() == [101, 250, 311, 402]
+
     def test_noise_alone_makes_none(self):
         false = sum(len(dropouts(np.random.default_rng(k).standard_normal(3000))) > 0 for k in range(100))
         assert false <= 1  # one in a thousand records is allowed for

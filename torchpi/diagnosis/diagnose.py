@@ -85,7 +85,7 @@ def diagnose(
     """
     check(recordings)
     given_recordings = recordings
-    recordings, wrong, long = at_a_lower_rate(recordings, [dropouts(each.y) for each in recordings])
+    recordings, wrong, long = at_a_lower_rate(recordings, [dropouts(each.y, each.u) for each in recordings])
     records = prepare(recordings, wrong)
     called = outside(simulation)
     given = simulation if isinstance(simulation, Stage) else None

@@ -2,8 +2,10 @@
 
 import math
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
+import scipy.linalg
 
 from torchpi.diagnosis.chain import Chain
 from torchpi.diagnosis.free_parameters import (
@@ -147,8 +149,8 @@ def left_out(
     """(cells,), µm²: mean square of each cell's residual, each stretch of time predicted by the fit to the
     others, all of its scales at once.
 
-    With Q the sensitivities made orthonormal and e the residual of a stretch, whitened, that is
-    e + c Qᵀ (1 - c Q Qᵀ)⁻¹ Q e, c being `WITHHELD`.
+    With H the sensitivities' inner products, and those of the prior, J the rows of a stretch and e its
+    residual, whitened, that is e + c Jᵀ (H - c J Jᵀ)⁻¹ J e, c being `WITHHELD`.
 
     Args:
         chain: With the recordings.
@@ -156,24 +158,37 @@ def left_out(
         parts: The sensitivity of each recording.
         prior: (weights, weights), the inverse covariance of their prior.
     """
-    root, means = whitener(parts, prior), []
+    count = max(int(part.places.max()) for part in parts) + 1
+    whole, of_stretches = np.zeros((count, count)), []
+    whole[: len(prior), : len(prior)] = prior
+    for record, part in zip(chain.records, parts, strict=True):
+        order = np.argsort(record.coefficients.stretch, kind="stable")
+        ends = np.searchsorted(record.coefficients.stretch[order], np.arange(CELLS + 1))
+        stretches = [order[first:last] for first, last in pairwise(ends)]
+        rows = [part.rows[:, there] for there in stretches]
+        grams = [one @ one.T for one in rows]
+        whole[np.ix_(part.places, part.places)] += sum(grams)
+        of_stretches.append((stretches, rows, grams))
+    scale = 1 / np.sqrt(np.maximum(np.diag(whole), 1e-300))
+    means = []
     for i, (record, residual, part) in enumerate(zip(chain.records, residuals, parts, strict=True)):
-        of, q = record.coefficients, root[:, part.places] @ part.rows
-        e = chain.whitened(i, residual[None])[0]
-        for stretch in range(CELLS):
-            there = of.stretch == stretch
-            mine = q[:, there]
-            others = np.eye(len(q)) - WITHHELD * mine @ mine.T
-            e[there] += WITHHELD * mine.T @ np.linalg.solve(others, mine @ e[there])
+        e, there, size = chain.whitened(i, residual[None])[0], part.places, scale[part.places]
+        for stretch, of_it, gram in zip(*of_stretches[i], strict=True):
+            others, moved = whole * scale * scale[:, None], np.zeros(len(scale))
+            others[np.ix_(there, there)] -= WITHHELD * gram * size * size[:, None]
+            others[np.diag_indices_from(others)] += RIDGE
+            moved[there] = of_it @ e[stretch] * size
+            moved = scipy.linalg.solve(others, moved, assume_a="pos")[there] * size
+            e[stretch] += WITHHELD * moved @ of_it
         e /= chain.weighting.inverse_sd[i]
+        of = record.coefficients
         means.append(np.bincount(of.cell, e**2) / np.bincount(of.cell))
     return np.concatenate(means)
 
 
-def whitener(parts: Sequence[Sensitivity], prior: np.ndarray) -> np.ndarray:
-    """The inverse Cholesky factor of J Jᵀ and the prior: it makes the rows of J orthonormal."""
+def whitener(parts: Sequence[Sensitivity]) -> np.ndarray:
+    """The inverse Cholesky factor of J Jᵀ: it makes the rows of J orthonormal."""
     gram = gram_of(parts, max(int(part.places.max()) for part in parts) + 1)
-    gram[: len(prior), : len(prior)] += prior
     scale = 1 / np.sqrt(np.maximum(np.diag(gram), 1e-300))
     unit = gram * scale * scale[:, None]
     unit[np.diag_indices_from(unit)] += RIDGE

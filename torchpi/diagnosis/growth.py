@@ -7,6 +7,8 @@ shows itself.
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from torchpi.diagnosis.contest import ACCEPTED, FAINT, HEAT, PRIOR, STEPS, Tried, explains_less
 from torchpi.diagnosis.exchange import Exchange, rms_of
 from torchpi.diagnosis.fit import FINE, ROUGH
@@ -19,8 +21,6 @@ from torchpi.stage.hysteresis import OF_BOUC_WEN, OF_DUHEM
 
 OPERATOR = "hysteresis_operator: "
 """How a larger hysteresis is called among the explanations, before its family."""
-ALL = 300
-"""Combinations of its rows, at most: with eighty of four hundred, two to three times the noise is left."""
 SAMPLES_A_PLAY = 10
 """Shorter recordings than so many samples for each of a hundred plays get ten plays."""
 REVERSALS = (0.2, 0.6, 2.0)
@@ -126,19 +126,12 @@ class Growth(Exchange):
         return h.on(nominal)
 
     def sized(self, now: Fit) -> Fit:
-        """Plays through output functions with as many numbers as predict best, a state with those at which it
-        ends."""
-        h = now.hypothesis
-        if h.shape:
-            now = self.followed(now)
-        if h.nominal.pieces == 1 or not h.nominal.thresholds_v.any():
-            return now
-        (more,) = self.fits([(*basis(self.chain, now.hypothesis, None, ALL), 2, FINE)])
-        return max(now, self.at_its_own_weights(more), key=self.score)
+        """A larger hysteresis as it ends: a state's numbers move along a valley each time that the weighting
+        follows them."""
+        return self.followed(now) if now.hypothesis.shape else self.at_its_own_weights(now)
 
     def followed(self, now: Fit) -> Fit:
-        """A state with the numbers at which it ends: they move along a valley each time that the weighting
-        follows them."""
+        """A fit with the weights at which it ends."""
         for _ in range(FOLLOWED):
             before, now = now, self.at_its_own_weights(now)
             if now.train_rms > FOLLOWS * before.train_rms:
@@ -152,7 +145,11 @@ class Growth(Exchange):
         for _ in range(REWEIGHTED):
             self.weigh(now)
             tolerance = FINE if now.hypothesis.shape else ROUGH
-            (now,) = self.fits_here([(now.hypothesis, now.weights, 8, tolerance)])
+            job: tuple[Hypothesis, np.ndarray | None] = (now.hypothesis, now.weights)
+            if now.hypothesis.nominal.pieces > 1:
+                # Which combinations of a density can be told apart depends on how much counts as noise.
+                job = basis(self.chain, now.hypothesis, now.weights, MANY)
+            (now,) = self.fits_here([(*job, 8, tolerance)])
             ahead = shared.log_density(now).sum() > shared.log_density(best).sum()
             if ahead and now.train_rms <= best.train_rms and self.inside(now, best):
                 best = now

@@ -9,7 +9,7 @@ from torchpi.diagnosis.chain import Chain
 from torchpi.diagnosis.fit import ITERATIONS, fit, prior_of_one
 from torchpi.diagnosis.hypothesis import Fit, Hypothesis
 
-FEW, MANY = 48, 160
+FEW, MANY = 48, 200
 """Principal combinations for a search, and to report. With 24 a lag may leave ten times as much as with all
 of them, and something else is accepted in its place."""
 INFORMED = 0.1

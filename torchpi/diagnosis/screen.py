@@ -47,7 +47,7 @@ class Screen:
             y, part = jacobian(self.chain, now.hypothesis, now.weights, now.slots, now.theta, i)
             self.bases.append(y)
             parts.append(part)
-        root = whitener(parts, np.zeros((0, 0)))
+        root = whitener(parts)
         self.tangent = np.concatenate([root[:, part.places] @ part.rows for part in parts], axis=1)
         """(numbers, coefficients), orthonormal."""
         self.residual = np.concatenate([chain.whitened(i, e[None])[0] for i, e in enumerate(now.residuals)])

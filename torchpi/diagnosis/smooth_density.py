@@ -12,9 +12,9 @@ components on a grid are cosines: the slow ones stand for all.
 
 import numpy as np
 
-SMOOTH = 10.0
-"""About one over the square of a third: a density that changes by so much of the gain over the plane costs
-as much as a standard deviation of noise."""
+SMOOTH = 3.0
+"""A density that changes by 0.6 of the gain over the plane costs as much as one standard deviation of
+noise."""
 TERMS, OF_CURVE = 400, 48
 """Cosines of the density, and of the curve, at most."""
 

@@ -260,7 +260,7 @@ def _frozen_output(recording: "Recording") -> str | None:
 
 def _single_dropouts(recording: "Recording", place: Callable[[int], str]) -> str | None:
     """Readings that neither noise nor motion explains, one at a time."""
-    found = dropouts(recording.y)
+    found = dropouts(recording.y, recording.u)
     if not len(found):
         return None
     first = int(found[0])

@@ -6,6 +6,9 @@ MOTION_FACTOR = 4.0
 """A reading stands apart by so many times the samples' usual step; a triangle's corner does by one."""
 FALSE_ALARM = 1e-3
 """The chance that noise alone makes a dropout anywhere in a record."""
+STEP, ANSWERS = 0.02, 2
+"""Of its range, a move of the input from one sample to the next that is a step; samples in which the stage
+answers it."""
 LEAST_LEAD = 0.02  # about one degree of a sine
 ROUNDING = 1e-9
 """Of the largest value of a signal."""
@@ -27,7 +30,7 @@ def noise_estimate(y: np.ndarray) -> float:
     return float(1.4826 * np.median(np.abs(residual)) / np.sqrt(35 / 18))
 
 
-def dropouts(y: np.ndarray) -> np.ndarray:
+def dropouts(y: np.ndarray, u: np.ndarray | None = None) -> np.ndarray:
     """Indices of isolated wrong readings, such as one zero among readings of 5 µm.
 
     A reading is wrong where it lies beyond both its neighbours, on the same side, by more than noise and by
@@ -39,10 +42,12 @@ def dropouts(y: np.ndarray) -> np.ndarray:
     - 3 steps of the sensor, because rounding makes lone steps of one.
 
     The first and last sample, which have one neighbour, are never among them; nor are two wrong readings in a
-    row.
+    row. Nor are those behind steps of the input, where more of them are than anywhere else: an overshoot of a
+    sample or two is the stage's answer.
 
     Args:
         y: (time,), any unit, finite.
+        u: (time,), the input, where it is known.
 
     Returns:
         (dropouts,), int, increasing.
@@ -67,7 +72,22 @@ def dropouts(y: np.ndarray) -> np.ndarray:
     inside = (around >= 0) & (around < len(steps))
     near = np.where(inside, np.abs(steps[np.clip(around, 0, len(steps) - 1)]), np.nan)
     motion = np.nanmedian(near, axis=1) if len(found) else np.empty(0)
-    return np.asarray(found[apart[found - 1] > MOTION_FACTOR * motion])
+    found = np.asarray(found[apart[found - 1] > MOTION_FACTOR * motion])
+    return found if u is None or not len(found) else found[~_answers(found, u)]
+
+
+def _answers(readings: np.ndarray, u: np.ndarray) -> np.ndarray:
+    """(readings,), bool: which lie behind a step of u, if so many are no chance."""
+    from scipy.special import bdtrc
+
+    moves = np.abs(np.diff(u))
+    stepped = np.flatnonzero(moves > STEP * np.ptp(u))
+    behind = np.zeros(len(u) + ANSWERS, dtype=bool)
+    for later in range(1, ANSWERS + 1):
+        behind[stepped + later] = True
+    there, share = behind[readings], float(behind[: len(u)].mean())
+    by_chance = float(bdtrc(there.sum() - 1, len(readings), share)) if there.any() else 1.0
+    return np.asarray(there & (by_chance < FALSE_ALARM))
 
 
 def least_step(x: np.ndarray) -> float:

@@ -151,7 +151,7 @@ def summary_of(
         gain_um_per_v=float((u - u.mean()) @ (y - y.mean())) / power if power else 0.0,
         correlation=in_phase_correlation(u, y),
         comes_back_um=comes_back(u, y),
-        dropouts=dropouts(y),
+        dropouts=dropouts(y, u),
         warnings=list(warnings),
     )
 

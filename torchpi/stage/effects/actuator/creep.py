@@ -92,6 +92,7 @@ class Creep(StateSpaceEffect):
     time_scale = "slow"
     needs = Needs(duration_s=SHORTEST_SLOW_S)
     degenerate_with = ("thermal_drift",)
+    left_by = ("leakage",)
     per_decade: nn.Parameter = parameter("", at_least=0, at_most=0.5)
     gain: nn.Parameter = parameter("", at_least=0, at_most=LARGEST)
     time_constant_s: nn.Parameter = parameter("s", at_least=FASTEST_S, at_most=1e4, identity=1.0)

@@ -33,6 +33,7 @@ class Leakage(StateSpaceEffect):
     time_scale = "slow"
     needs = Needs(duration_s=SHORTEST_SLOW_S)
     degenerate_with = ("thermal_drift",)
+    left_by = ("creep",)
     corner_hz: nn.Parameter = parameter("Hz", at_least=0, at_most=10)
     order = 1
 
