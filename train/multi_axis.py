@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from torchpi.errors import ConfigError
+from torchpi.errors import ConfigError, is_positive
 from torchpi.identification.multi_axis import MultiAxisOptions, identify
 from torchpi.identification.multi_axis.fit import PeriodicFit
 from torchpi.identification.multi_axis.identify import by_amplitude, periods
@@ -69,7 +69,7 @@ def recordings(settings: Mapping[str, Any], config: Path) -> list[MultiAxisRecor
     if isinstance(named, str) and named.endswith(".npz"):
         numbers = (settings.get("fs_hz"), settings.get("um_per_unit", 1.0))
         for name, number in zip(("fs_hz", "um_per_unit"), numbers, strict=True):
-            if isinstance(number, bool) or not isinstance(number, int | float) or not number > 0:
+            if not is_positive(number):
                 raise ConfigError(f"{config}: {name}: found {number!r}, expected a positive number")
         return read_realisations(named, float(numbers[0]), float(numbers[1]))  # type: ignore[arg-type]
     files = files_named(config, named, "an archive or ")

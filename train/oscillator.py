@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from torchpi.errors import ConfigError, RecordingError
+from torchpi.errors import ConfigError, RecordingError, is_number
 from torchpi.identification.bouc_wen_oscillator import (
     IdentifiedOscillator,
     OscillatorOptions,
@@ -39,7 +39,7 @@ def fit(arguments: Sequence[str], config: Path) -> None:
     settings, folder = settings_of(arguments, config, SECTION, [*READING, *known])
     named = files_named(config, settings.get("recordings"))
     periods, share = whole_number(config, "periods", settings.get("periods", 1)), settings.get("heldout", 0.0)
-    if isinstance(share, bool) or not isinstance(share, int | float) or not 0 <= share < 1:
+    if not is_number(share) or not 0 <= share < 1:
         raise ConfigError(f"{config}: heldout: found {share!r}, expected a number from 0 on, below 1")
     options = OscillatorOptions(**{name: settings[name] for name in known if name in settings})
     reading = RecordingOptions(

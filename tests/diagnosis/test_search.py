@@ -27,7 +27,7 @@ def test_a_refit_is_taken_where_it_leaves_less_and_runs_into_no_bound(
             bounded=each,
             on_a_bound=[SimpleNamespace(name=name, member=-1) for name in each],
             train_rms=size,
-            hypothesis=SimpleNamespace(members=(), shape=()),
+            hypothesis=SimpleNamespace(members=(), shape=(), nominal=SimpleNamespace(pieces=1)),
             weights=None,
         )
         for each, size in (((), 1.0), (bounded, rms))

@@ -20,7 +20,7 @@ import torch
 from scipy.optimize import OptimizeResult, least_squares
 from scipy.signal import csd, welch
 
-from torchpi.errors import ConfigError, RecordingError, StageError
+from torchpi.errors import ConfigError, RecordingError, StageError, is_number
 from torchpi.operators.bouc_wen_oscillator import BETWEEN_SAMPLES, BoucWenParameters
 from torchpi.recordings.recording import Recording
 from torchpi.stage.bouc_wen_oscillator import STEPS, UM_PER_M, BoucWenOscillator
@@ -69,8 +69,7 @@ class OscillatorOptions:
                 f"between: found {self.between!r}, expected one of {', '.join(BETWEEN_SAMPLES)}"
             )
         exponent, low, high = self.exponent, LEAST_EXPONENT, LARGEST_EXPONENT
-        wrong = isinstance(exponent, bool) or not isinstance(exponent, int | float)
-        if exponent is not None and (wrong or not low <= exponent <= high):
+        if exponent is not None and not (is_number(exponent) and low <= exponent <= high):
             raise ConfigError(f"exponent: found {exponent!r}, expected a number from {low:g} to {high:g}")
 
 

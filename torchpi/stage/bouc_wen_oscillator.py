@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from torchpi.errors import StageError
+from torchpi.errors import StageError, is_positive, is_whole
 from torchpi.operators.bouc_wen_oscillator import (
     BETWEEN_SAMPLES,
     BetweenSamples,
@@ -73,11 +73,11 @@ class BoucWenOscillator(SavedStage):
         offset_um: float = 0.0,
     ) -> None:
         super().__init__()
-        if not (math.isfinite(sample_rate_hz) and sample_rate_hz > 0):
+        if not is_positive(sample_rate_hz):
             raise StageError(f"sample_rate_hz: found {sample_rate_hz}, expected a positive number")
         if between not in BETWEEN_SAMPLES:
             raise StageError(f"between: found {between!r}, expected one of {', '.join(BETWEEN_SAMPLES)}")
-        if isinstance(steps, bool) or not isinstance(steps, int) or not 1 <= steps <= MOST_STEPS:
+        if not is_whole(steps) or not 1 <= steps <= MOST_STEPS:
             raise StageError(f"steps: found {steps!r}, expected a whole number from 1 to {MOST_STEPS}")
         if not math.isfinite(offset_um):
             raise StageError(f"offset_um: found {offset_um}, expected a finite number")

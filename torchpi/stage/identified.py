@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass, fields
 from itertools import combinations
 from typing import Any
 
-from torchpi.errors import StageError
+from torchpi.errors import StageError, is_number
 from torchpi.recordings.identity import combined_sha256, each_sha256, is_sha256
 from torchpi.recordings.recording import Recording
 
@@ -67,7 +67,7 @@ class Identified:
             raise StageError(f"identified.heldout: found {values['heldout']!r}, expected a name")
         for name in ("heldout_rms_um", "heldout_max_um"):
             value = values[name]
-            if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value < math.inf:
+            if not is_number(value) or not 0 <= value < math.inf:
                 raise StageError(f"identified.{name}: found {value!r}, expected a non-negative number")
         each = values.get("each_sha256", ())
         if not isinstance(each, list | tuple) or len(each) > MOST_EACH or not all(map(is_sha256, each)):

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from torchpi.errors import ConfigError, RecordingError
+from torchpi.errors import ConfigError, RecordingError, is_number, is_positive, is_whole
 from torchpi.identification.multi_axis.fit import Period, PeriodicFit
 from torchpi.identification.multi_axis.linear import (
     best_linear_approximation,
@@ -98,20 +98,14 @@ class MultiAxisOptions:
     def __post_init__(self) -> None:
         for name, least in (("modes", 1), ("extra_elements", 0), ("seed", 0)):
             value = getattr(self, name)
-            if isinstance(value, bool) or not isinstance(value, int) or value < least:
+            if not is_whole(value) or value < least:
                 raise ConfigError(f"{name}: found {value!r}, expected a whole number from {least} on")
-        if (
-            isinstance(self.seconds, bool)
-            or not isinstance(self.seconds, int | float)
-            or not self.seconds >= 0
-        ):
+        if not is_number(self.seconds) or not self.seconds >= 0:
             raise ConfigError(f"seconds: found {self.seconds!r}, expected a number that is not negative")
         hertz = self.amplifier_hz
-        if hertz is not None and not (
-            isinstance(hertz, int | float) and not isinstance(hertz, bool) and hertz > 0
-        ):
+        if hertz is not None and not is_positive(hertz):
             raise ConfigError(f"amplifier_hz: found {hertz!r}, expected a positive number")
-        if not all(isinstance(one, int | float) and one > 0 for one in self.times_s):
+        if not all(map(is_positive, self.times_s)):
             raise ConfigError(f"times_s: found {list(self.times_s)!r}, expected positive numbers")
 
 
