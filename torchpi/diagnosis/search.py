@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from torchpi.diagnosis.chain import Chain
-from torchpi.diagnosis.contest import ACCEPTED, HEAT, PRIOR, STEPS, Tried, explains_less
+from torchpi.diagnosis.contest import ACCEPTED, ADEQUATE, HEAT, PRIOR, STEPS, Tried, explains_less
 from torchpi.diagnosis.coverage import reason_to_leave_out
 from torchpi.diagnosis.exchange import rms_of
 from torchpi.diagnosis.fit import FINE, ROUGH
@@ -149,6 +149,7 @@ class Search(Growth):
             if one.gain.probability > ACCEPTED
             and not self.faint(one.fit, now)
             and self.adequate(one.fit, now)
+            and not (one.name.startswith(OPERATOR) and self.bends_to_all(one.fit, now))
         ]
         if not earned:
             return None
@@ -168,6 +169,11 @@ class Search(Growth):
             if self.as_well(full, known):
                 return replace(one, fit=full)
         return best
+
+    def bends_to_all(self, larger: Fit, now: Fit) -> bool:
+        """Whether a larger hysteresis, with hundreds of numbers that act everywhere, explains a little of
+        everything, which is no hysteresis."""
+        return self.chain.weighting.explained_of_all(larger, now) <= ADEQUATE
 
     def sticks(self, one: Tried) -> bool:
         """Whether an effect among what was tried is a hysteresis itself."""
