@@ -265,7 +265,7 @@ def other_simulation() -> dict[str, float]:
     return {
         "simulation_calls": len(calls) - len(recordings),
         **corrections("called", called, "amplifier_lag", {"resonance", "creep"}),
-        **corrections("column", column, "sensor_lag", set()),
+        **corrections("column", column, "sensor_lag", {"creep"}),
     }
 
 
