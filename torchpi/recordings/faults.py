@@ -47,7 +47,7 @@ def dropouts(y: np.ndarray, u: np.ndarray | None = None) -> np.ndarray:
 
     Args:
         y: (time,), any unit, finite.
-        u: (time,), the input, where it is known.
+        u: (time,), the input, any unit, where it is known.
 
     Returns:
         (dropouts,), int, increasing.
