@@ -30,6 +30,7 @@ from torchpi.diagnosis.sensitivity import (
     slopes_of,
     tangent_of,
 )
+from torchpi.diagnosis.smooth_density import SMOOTH
 from torchpi.errors import StageError
 
 RIDGE = 1e-9
@@ -234,8 +235,9 @@ def weight_prior(chain: Chain) -> float:
 
 
 def prior_of_one(chain: Chain, nominal: HysteresisModel) -> float:
-    """The same of one of the rows in which the hysteresis has not been reduced."""
-    return float(nominal.unreduced.inverse_covariance(weight_prior(chain), chain.gain_um_per_v)[0, 0])
+    """The same of one of the rows in which the hysteresis has not been reduced: the terms of a density have
+    unit roughness."""
+    return weight_prior(chain) if nominal.pieces == 1 else SMOOTH / chain.gain_um_per_v**2
 
 
 def with_prior(
