@@ -101,6 +101,13 @@ def test_numbers_have_three_digits_and_counts_none(value: float, text: str) -> N
     assert paper_page._shown(value) == text
 
 
+@pytest.mark.parametrize(
+    ("value", "text"), [(0.333, "+0.33 %"), (-0.0934, "−0.093 %"), (-71.4, "−71 %"), (123.4, "+123 %")]
+)
+def test_a_small_difference_is_not_rounded_to_nothing(value: float, text: str) -> None:
+    assert paper_page._signed_percent(value) == text
+
+
 def test_a_row_that_is_met_or_missed_says_so() -> None:
     rows = [Row("a", 0.4, at_most=0.5), Row("b", 0.6, at_most=0.5)]
     section = paper_page.Section("learning", None, rows, 1.0)

@@ -115,11 +115,10 @@ def facts_of(summary: Summary) -> list[tuple[str, str]]:
     how = "without noise: the command itself"
     if summary.input_is_noisy:
         how = f"noise about {summary.input_noise_v:.2g} V: a monitored voltage, or a fast one"
-    held = (
-        f"{holds.count} holds, {100 * holds.share:.2g} % of the time, the longest {holds.longest_s:.3g} s"
-        if holds.count
-        else "no holds, so the noise can only be estimated from sample to sample"
-    )
+    held = "no holds, so the noise can only be estimated from sample to sample"
+    if holds.count:
+        held = f"{holds.count} hold{'s' if holds.count > 1 else ''}, {100 * holds.share:.2g} % of the time"
+        held += f", the longest {holds.longest_s:.3g} s"
     return [
         ("columns", roles),
         ("sampling", sampling),

@@ -367,7 +367,7 @@ def _signed(value: float) -> str:
 
 
 def _signed_percent(value: float) -> str:
-    return f"{value:+.0f} %".replace("-", "−")
+    return f"{'+' if value > 0 else ''}{words.figure(value, 2)} %"
 
 
 def _environment() -> jinja2.Environment:
