@@ -135,9 +135,9 @@ def play_states(
     are (time,). `h`, (plays,), is where they start and where they end.
     """
     for t in range(len(up)):
-        move_plays(up[t], down[t], widening[t], r, h)
+        _move(up[t], down[t], widening[t], r, h)
         for i in range(len(r)):
-            x[t, i] = state_inside(h[i], gain[t] if r[i] > 0.0 else straight[t], chord[t], loop[t])
+            x[t, i] = _inner(h[i], gain[t] if r[i] > 0.0 else straight[t], chord[t], loop[t])
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -152,11 +152,11 @@ def sums_of_plays(
     """
     pieces, _, sums = slopes.shape
     for t in range(len(up)):
-        move_plays(up[t], down[t], widening[t], r, h)
+        _move(up[t], down[t], widening[t], r, h)
         total = y[t]
         total[:] = 0.0
         for i in range(len(r)):
-            x = state_inside(h[i], gain[t] if r[i] > 0.0 else straight[t], chord[t], loop[t])
+            x = _inner(h[i], gain[t] if r[i] > 0.0 else straight[t], chord[t], loop[t])
             k = _piece_of(x, low, piece, pieces)
             slope, offset = slopes[k, i], offsets[k, i]
             for s in range(sums):
@@ -176,14 +176,14 @@ def play_sum(
     """
     y, h, pieces = np.empty(len(up)), np.zeros(len(r)), len(slopes)
     for t in range(len(up)):
-        move_plays(up[t], down[t], widening[t], r, h)
+        _move(up[t], down[t], widening[t], r, h)
         grown, kept, total = gain[t], straight[t], 0.0
         if pieces == 1:
             for i in range(len(r)):
-                total += slopes[0, i] * state_inside(h[i], grown if r[i] > 0.0 else kept, chord[t], loop[t])
+                total += slopes[0, i] * _inner(h[i], grown if r[i] > 0.0 else kept, chord[t], loop[t])
         else:
             for i in range(len(r)):
-                x = state_inside(h[i], grown if r[i] > 0.0 else kept, chord[t], loop[t])
+                x = _inner(h[i], grown if r[i] > 0.0 else kept, chord[t], loop[t])
                 k = _piece_of(x, low, piece, pieces)
                 total += offsets[k, i] + slopes[k, i] * x
         y[t] = total
@@ -253,15 +253,13 @@ def sums_of_plain_plays(
 
 
 @numba.njit(cache=True, inline="always")
-def move_plays(rising: float, falling: float, width: float, r: np.ndarray, h: np.ndarray) -> None:
-    """The plays, (plays,), one sample on, in place."""
+def _move(rising: float, falling: float, width: float, r: np.ndarray, h: np.ndarray) -> None:
     for i in range(len(r)):
         h[i] = _clamp_play(rising - r[i] * width, falling + r[i] * width, h[i])
 
 
 @numba.njit(cache=True, inline="always")
-def state_inside(h: float, gain: float, chord: float, loop: float) -> float:
-    """What goes into an output function: the state's gain, and its loop widened about the chord."""
+def _inner(h: float, gain: float, chord: float, loop: float) -> float:
     state = h * gain
     return state + (state - chord) * loop
 

@@ -8,7 +8,8 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from torchpi.operators.compiled import as_array, in_threads, njit
-from torchpi.operators.hysteresis_rows import move_plays, piece_of, state_inside
+from torchpi.operators.generalised_play import clamp_play
+from torchpi.operators.hysteresis_rows import piece_of
 
 TILE = 256
 """Samples from one set of stored states to the next."""
@@ -49,6 +50,7 @@ class PlaySum(torch.autograd.Function):
         return *by, by_slopes.sum(0), by_offsets.sum(0), by_h, None, None, None
 
 
+_clamp_play = njit(clamp_play)
 _piece_of = njit(piece_of)
 
 
@@ -64,16 +66,23 @@ def _plays_forward(
         for t in range(up.shape[1]):
             if t % TILE == 0:
                 stored[row, t // TILE] = now
-            move_plays(up[row, t], down[row, t], width[row, t], r, now)
+            _advance(up[row, t], down[row, t], width[row, t], r, now)
             grown, kept, looped, middle = gain[row, t], straight[row, t], loop[row, t], chord[row, t]
             for i in range(len(r)):
-                x = state_inside(now[i], grown if r[i] > 0.0 else kept, middle, looped)
+                x = now[i] * (grown if r[i] > 0.0 else kept)
+                x = x + (x - middle) * looped
                 k = _piece_of(x, low_v, piece_v, len(w))
                 part[i] = c[k, i] + w[k, i] * x
             total = 0.0
             for i in range(len(r)):
                 total = total + part[i]
             y[row, t] = total
+
+
+@njit
+def _advance(rising: float, falling: float, width: float, r: np.ndarray, h: np.ndarray) -> None:
+    for i in range(len(r)):
+        h[i] = _clamp_play(rising - r[i] * width, falling + r[i] * width, h[i])
 
 
 @njit
@@ -93,7 +102,7 @@ def _plays_backward(
             tile[0] = stored[row, index]
             for t in range(begin, end):
                 tile[t - begin + 1] = tile[t - begin]
-                move_plays(up[row, t], down[row, t], width[row, t], r, tile[t - begin + 1])
+                _advance(up[row, t], down[row, t], width[row, t], r, tile[t - begin + 1])
             for t in range(end - 1, begin - 1, -1):
                 before, now = tile[t - begin], tile[t - begin + 1]
                 looped, middle, g = loop[row, t], chord[row, t], gy[row, t]
