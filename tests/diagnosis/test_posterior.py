@@ -9,15 +9,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.diagnosis.plants import pair
+from tests.diagnosis.plants import FS_HZ, pair
 from tests.diagnosis.prepared import prepared
 from torchpi.diagnosis.chain import Chain
 from torchpi.diagnosis.hypothesis import EffectTerm, Hypothesis
 from torchpi.diagnosis.hysteresis_model import HysteresisModel, plain
+from torchpi.diagnosis.lines import STANDS_OUT
 from torchpi.diagnosis.posterior import (
     CONVENTION,
     FORM_ERROR,
     HALF,
+    HYSTERESIS_ERROR,
     OPERATOR_NAME,
     Believed,
     Model,
@@ -28,6 +30,7 @@ from torchpi.diagnosis.posterior import (
     has_a_recorded_signal,
     names_of,
     rivals,
+    stands_out,
     trust,
     unlisted_hysteresis,
     without_cause,
@@ -40,6 +43,7 @@ from torchpi.stage.effects.amplifier.delay import Delay
 from torchpi.stage.effects.amplifier.slew_limit import SlewLimit
 from torchpi.stage.effects.mechanics.backlash import Backlash
 from torchpi.stage.effects.mechanics.cross_coupling import CrossCoupling
+from torchpi.stage.effects.sensor.hum import Hum
 from torchpi.stage.effects.sensor.thermal_drift import ThermalDrift
 
 
@@ -127,7 +131,40 @@ def test_what_an_effect_leaves_by_its_form_is_not_named_after_its_kin(share: flo
     terms["backlash"] = EffectTerm(Backlash, {"width_um": 0.01})
     lost, larger = Believed("backlash", 1.0, (), share, ()), Believed(OPERATOR_NAME, 1.0, (), 1.0, ())
     assert apart(lost, [lost, larger], terms) == apart(late, found, terms)
-    assert apart(slow, [slow, larger], terms) == 1.0
+
+
+@given(st.floats(1e-6, 1.0))
+def test_a_small_share_of_a_larger_hysteresis_is_its_error_but_for_a_line_or_a_second_input(
+    share: float,
+) -> None:
+    terms = {
+        "creep": EffectTerm(Creep, {"per_decade": 0.01}),
+        "hum": EffectTerm(Hum, {"frequency_hz": 50.0}),
+        "cross_coupling": EffectTerm(CrossCoupling, {"coupling_um_per_v": 0.1}, aux="aux_v"),
+    }
+    larger = Believed(OPERATOR_NAME, 1.0, (), 1.0, ())
+    slow, *others = (Believed(name, 1.0, (), share, ()) for name in terms)
+    assert apart(slow, [slow, larger], terms) == pytest.approx(1 / (1 + (HYSTERESIS_ERROR / share) ** 2))
+    assert [apart(one, [one, larger], terms) for one in others] == [1.0, 1.0]
+
+
+@pytest.mark.parametrize(
+    ("line_hz", "commanded_hz", "named"), [(50, 0, True), (49, 0, False), (50, 50, False)]
+)
+def test_a_line_counts_by_how_far_it_stands_out_whatever_else_is_left(
+    line_hz: float, commanded_hz: float, named: bool
+) -> None:
+    rig = pair(4000)
+    t = np.arange(4000) / FS_HZ
+    if commanded_hz:
+        clock = np.floor(t * commanded_hz)
+        rig = [replace(one, u=np.random.default_rng(2).uniform(0, 5, 4000)[clock.astype(int)]) for one in rig]
+    records = prepared(rig)
+    left = [1e-3 * np.sin(2 * np.pi * line_hz * t) + 0.1 * np.exp(-t) for _ in records]
+    hum = Hypothesis(plain(seen(records))).plus(EffectTerm(Hum, {"frequency_hz": 50.0}))
+    more, less = SimpleNamespace(hypothesis=hum), SimpleNamespace(residuals=left)
+    assert (stands_out(records, more, less, "hum") > STANDS_OUT) is named
+    assert stands_out(records, more, less, "creep") == 0.0
 
 
 def test_a_name_has_to_explain_as_much_as_stays_unexplained() -> None:

@@ -7,6 +7,8 @@ STANDS_OUT = 35.0
 """Times the median of its surroundings: exponential noise gets there once in 10¹⁰ frequencies."""
 AROUND = 101
 """Frequencies that are the surroundings of one."""
+BESIDE = (3, 9)
+"""Frequencies away from one, from where a line ends to where its nearest surroundings do."""
 AT_MOST = 10
 """Lines."""
 
@@ -26,6 +28,20 @@ def without_lines(e: np.ndarray) -> np.ndarray:
         columns = np.stack([wave.real, wave.imag])
         e = e - np.linalg.lstsq(columns.T, e, rcond=None)[0] @ columns
     return e
+
+
+def above_surroundings(x: np.ndarray, cycles: float) -> float:
+    """How many times its surroundings the power of a signal, (time,), is at so many cycles in all of it.
+
+    The nearest frequencies count for themselves: a mode that rings is as loud there, a line is not.
+    """
+    power, place = periodogram(x - x.mean()), round(cycles)
+    if not BESIDE[1] <= place < len(power) - BESIDE[1]:
+        return 0.0
+    near = np.concatenate([power[place + way * np.arange(*BESIDE)] for way in (-1, 1)])
+    around = power[max(place - AROUND // 2, 0) : place + AROUND // 2 + 1]
+    least = np.finfo(float).tiny + np.finfo(float).eps * power.max()
+    return float(power[place - 1 : place + 2].max() / max(near.mean(), np.median(around), least))
 
 
 def periodogram(x: np.ndarray, padded: int | None = None) -> np.ndarray:

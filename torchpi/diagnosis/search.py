@@ -27,7 +27,7 @@ from torchpi.diagnosis.reduced_basis import MANY, basis, refitted
 from torchpi.diagnosis.screen import Candidate, Screen, candidates_of
 from torchpi.diagnosis.stick_slip import Jump, Slips, jump, slips
 from torchpi.stage.effects import EFFECTS
-from torchpi.stage.effects.effect import Effect, Parameters
+from torchpi.stage.effects.effect import Described, Effect, Parameters
 from torchpi.stage.effects.inside import InsideEffect
 from torchpi.stage.effects.mechanics.cross_coupling import CrossCoupling
 from torchpi.stage.effects.mechanics.resonance import Resonance
@@ -112,8 +112,9 @@ class Search(Growth):
                 now = self.backward(self.swapped(late))
                 self.log(f"  with {', '.join(now.hypothesis.names)}, and no other timing: {rms_of(now)}")
                 continue
-            if chosen is None:
-                # What has no wiping-out can do much that is physics of another kind: it comes last.
+            if chosen is None or is_slow(chosen):
+                # What has no wiping-out can do much that is physics of another kind: it comes last. Its loops
+                # drift to where they close, which looks slow.
                 last = self.growth(small, small, [duhem(self.seen)])
                 tried += [one for one in last if self.inside(one.fit, small)]
                 chosen = self.simplest(tried, small)
@@ -157,8 +158,8 @@ class Search(Growth):
         effects = [one for one in earned if one not in larger]
         best = earned[0]
         if best in larger:
-            rivals = [one for one in effects if not self.sticks(one)]
-        elif self.sticks(best):
+            rivals = [one for one in effects if not sticks(one)]
+        elif sticks(best) or is_slow(best):
             rivals = larger
         else:
             return best
@@ -174,11 +175,6 @@ class Search(Growth):
         """Whether a larger hysteresis, with hundreds of numbers that act everywhere, explains a little of
         everything, which is no hysteresis."""
         return self.chain.weighting.explained_of_all(larger, now) <= ADEQUATE
-
-    def sticks(self, one: Tried) -> bool:
-        """Whether an effect among what was tried is a hysteresis itself."""
-        there = {member.effect.name: member.effect for member in one.fit.hypothesis.members}
-        return any(there[name].sticks for name in one.name.split(" + ") if name in there)
 
     def retuned(self) -> Fit:
         """The nominal hysteresis, with the timing and the start that suit it better."""
@@ -367,3 +363,19 @@ class Search(Growth):
 
 def describe(one: Tried) -> str:
     return f"{one.gain.nats:.0f} ± {one.gain.sd:.0f} nats, {rms_of(one.fit)}"
+
+
+def sticks(one: Tried) -> bool:
+    """Whether an effect among what was tried is a hysteresis itself."""
+    return any(effect.sticks for effect in effects_in(one))
+
+
+def is_slow(one: Tried) -> bool:
+    """Whether an effect among what was tried acts over seconds and more."""
+    return any(effect.time_scale == "slow" for effect in effects_in(one))
+
+
+def effects_in(one: Tried) -> list[type[Described]]:
+    """The effects in the name of what was tried; none of a larger hysteresis."""
+    there = {member.effect.name: member.effect for member in one.fit.hypothesis.members}
+    return [there[name] for name in one.name.split(" + ") if name in there]
