@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from tests.diagnosis.plants import FS_HZ, pair
 from tests.diagnosis.prepared import prepared
+from torchpi.diagnosis import posterior
 from torchpi.diagnosis.chain import Chain
 from torchpi.diagnosis.hypothesis import EffectTerm, Hypothesis
 from torchpi.diagnosis.hysteresis_model import HysteresisModel, plain
@@ -30,12 +31,14 @@ from torchpi.diagnosis.posterior import (
     has_a_recorded_signal,
     names_of,
     rivals,
+    settled,
     stands_out,
     trust,
     unlisted_hysteresis,
     without_cause,
 )
 from torchpi.diagnosis.records import seen
+from torchpi.diagnosis.score import Gain
 from torchpi.stage.effects import EFFECTS
 from torchpi.stage.effects.actuator.creep import Creep
 from torchpi.stage.effects.amplifier.amplifier_lag import AmplifierLag
@@ -198,6 +201,31 @@ def test_a_delay_explains_only_what_no_timing_convention_does() -> None:
     models.append(Model("creep", CONVENTION, other))
     assert without_cause(models, "delay", scores.__getitem__).fit == tick
     assert without_cause(models[:1], "delay", scores.__getitem__).fit == alone
+
+
+@pytest.mark.parametrize("bends", [True, False])
+def test_a_larger_hysteresis_that_explains_a_little_of_everything_takes_no_effects_place(
+    bends: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drift, plain, larger = (
+        SimpleNamespace(
+            name=name, slots=(), train_rms=1.0, hypothesis=Hypothesis(HysteresisModel(np.zeros(0)))
+        )
+        for name in ("drift", "plain", "larger")
+    )
+    models = [
+        Model("", "", drift), Model("thermal_drift", "", plain), Model("thermal_drift", OPERATOR_NAME, larger)
+    ]  # fmt: skip
+    monkeypatch.setattr(posterior, "around", lambda *given: models)
+    monkeypatch.setattr(posterior, "reduced", lambda chain, fit: fit)
+    monkeypatch.setattr(posterior, "prior", lambda *given: 0.0)
+    search = SimpleNamespace(
+        chain=None, slips=None, weigh=lambda fit: None, log=lambda text: None, on_its_rows=lambda fit: fit,
+        as_well=lambda one, best: False, faint=lambda more, less: less is larger,
+        over=lambda better, worse, prior: Gain(20.0, 1.0), bends_to_all=lambda one, now: bends,
+    )  # fmt: skip
+    final, _ = settled(search, plain, drift, [])
+    assert final is (drift if bends else larger)
 
 
 def test_of_effects_that_stand_in_for_each_other_the_strongest_is_as_likely_as_any() -> None:

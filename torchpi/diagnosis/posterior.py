@@ -265,10 +265,12 @@ def settled(search: Search, retuned: Fit, final: Fit, history: Sequence[Round]) 
         search.weigh(final)
         models = around(search, retuned, reduced(search.chain, final), history)
         now = models[0].fit
+        bare = {model.without: model.fit for model in models if not model.instead}
         better = [
             (search.over(one.fit, now, prior(search, retuned, one.fit) - prior(search, retuned, now)), one)
             for one in models[1:]
             if search.faint(now, one.fit)
+            and not (one.instead == OPERATOR_NAME and search.bends_to_all(one.fit, bare[one.without]))
         ]
         # Of what predicts as well, that of fewer numbers.
         plainer = [
