@@ -50,8 +50,8 @@ FORM_ERROR, FALL = 0.1, 2.0
 error of its form, and how fast that changes. Set on the same cases: 0.009 to 0.07 in four wrong names, 0.66
 in a right one."""
 HYSTERESIS_ERROR = 0.01
-"""The same of a larger hysteresis and any effect. Set on fifteen further cases: 10⁻⁵ to 0.006 in three wrong
-names, 0.03 to 0.1 in four right ones."""
+"""The same of a larger hysteresis and any effect. Set on fifteen further cases: 0.0015 and 0.006 in two wrong
+names, 0.03 to 0.1 in three right ones."""
 HARMONICS = 3
 """Of a line, that may stand out."""
 TOLD = 0.5
