@@ -207,12 +207,8 @@ def test_a_delay_explains_only_what_no_timing_convention_does() -> None:
 def test_a_larger_hysteresis_that_explains_a_little_of_everything_takes_no_effects_place(
     bends: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    drift, plain, larger = (
-        SimpleNamespace(
-            name=name, slots=(), train_rms=1.0, hypothesis=Hypothesis(HysteresisModel(np.zeros(0)))
-        )
-        for name in ("drift", "plain", "larger")
-    )
+    h = Hypothesis(HysteresisModel(np.zeros(0)))
+    drift, plain, larger = (SimpleNamespace(slots=(), train_rms=1.0, hypothesis=h) for _ in range(3))
     models = [
         Model("", "", drift), Model("thermal_drift", "", plain), Model("thermal_drift", OPERATOR_NAME, larger)
     ]  # fmt: skip

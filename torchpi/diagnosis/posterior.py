@@ -212,11 +212,11 @@ def stands_out(records: Sequence[Record], more: Fit, less: Fit, name: str) -> fl
         if member.effect.name != name or line_hz is None or not issubclass(member.effect, AddedSignal):
             continue
         for record, e in zip(records, less.residuals, strict=True):
+            left, commanded = bridged(e, record), np.abs(np.diff(record.u, prepend=record.u[:1]))
             for harmonic in range(1, HARMONICS + 1):
                 cycles = harmonic * line_hz * len(e) / record.fs_hz
-                commanded = np.abs(np.diff(record.u, prepend=record.u[:1]))
                 if above_surroundings(commanded, cycles) < STANDS_OUT:
-                    found = max(found, above_surroundings(bridged(e, record), cycles))
+                    found = max(found, above_surroundings(left, cycles))
     return found
 
 
@@ -253,8 +253,10 @@ def form_error(one: EffectTerm | None, other: EffectTerm | None) -> float:
     """
     if one is None:
         return FORM_ERROR
+    if other is None and one.effect.sticks:
+        return FORM_ERROR
     if other is None:
-        return FORM_ERROR if one.effect.sticks else 0.0 if brings_a_signal(one) else HYSTERESIS_ERROR
+        return 0.0 if brings_a_signal(one) else HYSTERESIS_ERROR
     kin = one.effect is not other.effect and (alike(one, other) or other.effect.name in one.effect.left_by)
     return FORM_ERROR if kin else 0.0
 
