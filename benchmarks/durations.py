@@ -3,9 +3,10 @@
     python benchmarks/durations.py [--only check,fit,run,diagnose] [--rounds]
 
 Runs the README's commands that estimate their time, in a temporary folder, and prints for each what it had
-said, what it took, and the ratio of the two, which should lie between a half and two. With `--rounds` it then
-diagnoses several sets of the README's recordings, and fits to their processor time, over the samples and the
-rounds of each, the constants of `torchpi/cli/duration.py`, printed again after each set from the third on:
+said, what it took, and the ratio of the two, which should lie between a half and two; then the same of
+diagnoses in which nothing is missing. With `--rounds` it then diagnoses several sets of the README's
+recordings, and fits to their processor time, over the samples and the rounds of each, the constants of
+`torchpi/cli/duration.py`, printed again after each set from the fourth on:
 
     processor s = DIAGNOSIS_S + (ROUND_S + SAMPLE_S · samples) · rounds^GROWTH
 
@@ -29,10 +30,14 @@ from scipy.optimize import nnls
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from torchpi.cli import duration
 from torchpi.cli.machine import measured
 
 README = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
+NULLS = tuple(
+    f"torchpi diagnose {files} --simulation default --output nothing"
+    for files in ("recordings/slow.csv", "recordings/slow.csv recordings/judge.csv", "recordings/*.csv")
+)
+"""Diagnoses of recordings of the very stage that they are compared with."""
 MARKS = {"check": "torchpi check", "fit": "train fit", "run": "torchpi run", "diagnose": "torchpi diagnose"}
 SETS = (
     ("slow",), ("fast",), ("slow", "judge"), ("triangles", "judge"), ("slow", "triangles", "judge"),
@@ -47,7 +52,7 @@ class Ran:
     Attributes:
         seconds: From its start.
         processor_s: Of it and of its processes, on the machine on which the constants were counted.
-        estimated_s: What it said at first; NaN where it said nothing.
+        estimated_s: What it said at first, of a diagnosis for what it then found; NaN where it said nothing.
         rounds: Of its search, where it is a diagnosis.
     """
 
@@ -67,9 +72,9 @@ def main() -> int:
     compared = [MARKS[name] for name in options.only.split(",") if name]
     with tempfile.TemporaryDirectory() as temporary:
         folder, wrong = Path(temporary), 0
-        for command in commands():
+        for command in [*commands(), *NULLS]:
             if any(mark in command for mark in compared):
-                ran = run(shlex.split(command), folder)
+                ran = run(words(command, folder), folder)
                 ratio = ran.estimated_s / ran.seconds
                 wrong += not 0.5 <= ratio <= 2
                 print(
@@ -78,7 +83,7 @@ def main() -> int:
                     flush=True,
                 )
             elif any(mark in command for mark in needed(compared)):
-                run(shlex.split(command), folder)
+                run(words(command, folder), folder)
         if options.rounds:
             print_constants(folder)
     return 1 if wrong else 0
@@ -89,6 +94,12 @@ def commands() -> list[str]:
     return [
         line for block in re.findall(r"```sh\n(.*?)```", README, re.DOTALL) for line in block.splitlines()
     ]
+
+
+def words(command: str, folder: Path) -> list[str]:
+    """Of a command, as the shell would split it in a folder."""
+    files = (sorted(folder.glob(word)) if "*" in word else [word] for word in shlex.split(command))
+    return [str(word) for part in files for word in part]
 
 
 def needed(compared: Sequence[str]) -> tuple[str, ...]:
@@ -106,9 +117,11 @@ def run(command: Sequence[str], folder: Path) -> Ran:
     seconds = time.perf_counter() - started
     if done.returncode:
         raise SystemExit(f"{shlex.join(command)}: exit {done.returncode}: {done.stderr.strip()[-500:]}")
-    said = re.search(r"This will take about (\d+) (s|min)", done.stdout)
-    estimated = float(said[1]) * (60.0 if said[2] == "min" else 1.0) if said else float("nan")
     rounds = max((int(number) for number in re.findall(r"round (\d+):", done.stdout)), default=0)
+    line = re.search(r"This will take about .*", done.stdout)
+    said = re.findall(r"(\d+) (s|min)", line[0]) if line else [("nan", "s")]
+    number, unit = said[1 if rounds > 1 and len(said) > 1 else 0]
+    estimated = float(number) * (60.0 if unit == "min" else 1.0)
     return Ran(seconds, (processor_s() - before) * measured(1).speed, estimated, rounds)
 
 
@@ -118,26 +131,30 @@ def processor_s() -> float:
 
 
 def print_constants(folder: Path) -> None:
-    rows, spent = [], []
-    for recordings in SETS:
-        files = [folder / "recordings" / f"{name}.csv" for name in recordings]
-        ran = run(["torchpi", "diagnose", *map(str, files), "--output", str(folder / "again")], folder)
+    sets = [" ".join(f"recordings/{name}.csv" for name in names) for names in SETS]
+    measured_here = []
+    for command in [*(f"torchpi diagnose {files} --output again" for files in sets), *NULLS]:
+        ran = run(words(command, folder), folder)
+        files = (folder / word for word in words(command, folder) if word.endswith(".csv"))
         samples = sum(file.read_bytes().count(b"\n") - 1 for file in files)
-        growth = ran.rounds**duration.GROWTH
-        rows.append([1.0, growth, samples * growth])
-        spent.append(ran.processor_s)
-        print(
-            f"{' '.join(recordings)}: {samples:,} samples, {ran.rounds} rounds, {ran.processor_s:.0f} s",
-            flush=True,
-        )
-        if len(rows) >= len(rows[0]):
-            relative = np.array(rows) / np.array(spent)[:, None]
-            constants, _ = nnls(relative, np.ones(len(rows)))
-            misses = relative @ constants
-            print("DIAGNOSIS_S = {:.1f}, ROUND_S = {:.2f}, SAMPLE_S = {:.2e}".format(*constants))
-            print(
-                f"they give {', '.join(f'{ratio:.2f}' for ratio in misses)} of what was measured", flush=True
-            )
+        print(f"{samples:,} samples, {ran.rounds} rounds, {ran.processor_s:.0f} s: {command}", flush=True)
+        measured_here.append((samples, ran.rounds, ran.processor_s))
+        if len(measured_here) > 3:
+            print_fit(*np.array(measured_here).T)
+
+
+def print_fit(samples: np.ndarray, rounds: np.ndarray, spent: np.ndarray) -> None:
+    """The constants, whose relative misses have the least sum of squares."""
+    fits = []
+    for growth in np.arange(0.4, 1.6, 0.05):
+        grown = rounds**growth
+        relative = np.stack([np.ones(len(grown)), grown, samples * grown], 1) / spent[:, None]
+        constants, missed = nnls(relative, np.ones(len(grown)))
+        fits.append((missed, growth, constants, relative @ constants))
+    _, growth, constants, ratios = min(fits, key=lambda fit: fit[0])
+    values = "DIAGNOSIS_S = {:.1f}, ROUND_S = {:.2f}, SAMPLE_S = {:.2e}".format(*constants)
+    print(f"{values}, GROWTH = {growth:.2f}; they give", end=" ")
+    print(f"{', '.join(f'{ratio:.2f}' for ratio in ratios)} of what was measured", flush=True)
 
 
 if __name__ == "__main__":

@@ -135,8 +135,8 @@ class Tracking:
         """y - y_d, each motion from the de-energised state."""
         u = functional_call(compensator, parameters, (self._asked(compensator, yd),))
         at_rest = {name: torch.zeros_like(u) for name in self.stage.aux_names}
-        y, _ = self.stage(u, None, at_rest)
-        return y - yd  # type: ignore[no-any-return]
+        y: Tensor = self.stage(u, None, at_rest)[0]
+        return y - yd
 
     def _asked(self, compensator: DirectInverse, yd: Tensor) -> Motion:
         """The motions as the deployed compensator forms them; the last value is held past the end."""

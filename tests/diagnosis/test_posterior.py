@@ -29,6 +29,7 @@ from torchpi.diagnosis.posterior import (
     averaged,
     groups,
     has_a_recorded_signal,
+    has_a_signal_of_its_own,
     names_of,
     rivals,
     settled,
@@ -46,6 +47,7 @@ from torchpi.stage.effects.amplifier.delay import Delay
 from torchpi.stage.effects.amplifier.slew_limit import SlewLimit
 from torchpi.stage.effects.mechanics.backlash import Backlash
 from torchpi.stage.effects.mechanics.cross_coupling import CrossCoupling
+from torchpi.stage.effects.sensor.gain_modulation import GainModulation
 from torchpi.stage.effects.sensor.hum import Hum
 from torchpi.stage.effects.sensor.thermal_drift import ThermalDrift
 
@@ -137,18 +139,32 @@ def test_what_an_effect_leaves_by_its_form_is_not_named_after_its_kin(share: flo
 
 
 @given(st.floats(1e-6, 1.0))
-def test_a_small_share_of_a_larger_hysteresis_is_its_error_but_for_a_line_or_a_second_input(
-    share: float,
+def test_a_small_share_of_a_larger_hysteresis_is_its_error_but_for_a_signal_of_its_own(share: float) -> None:
+    terms = {"hum": EffectTerm(Hum, {"frequency_hz": 50.0})}
+    larger, hum = Believed(OPERATOR_NAME, 1.0, (), 1.0, ()), Believed("hum", 1.0, (), share, ())
+    assert apart(hum, [hum, larger], terms) == pytest.approx(1 / (1 + (HYSTERESIS_ERROR / share) ** 2))
+    assert apart(hum, [hum, larger], terms, {"hum"}) == 1.0
+
+
+@pytest.mark.parametrize(
+    ("term", "commanded_hz", "own"),
+    [
+        (EffectTerm(Creep, {"per_decade": 0.01}), 0, False),
+        (EffectTerm(CrossCoupling, {"coupling_um_per_v": 0.1}, aux="aux_v"), 0, True),
+        (EffectTerm(GainModulation, {"frequency_hz": 20.0}), 0, True),
+        (EffectTerm(GainModulation, {"frequency_hz": 20.0}), 20, False),
+        (EffectTerm(GainModulation, {"frequency_hz": 20.0}), 31, True),
+    ],
+)
+def test_a_line_that_the_command_has_is_no_signal_of_its_own(
+    term: EffectTerm, commanded_hz: int, own: bool
 ) -> None:
-    terms = {
-        "creep": EffectTerm(Creep, {"per_decade": 0.01}),
-        "hum": EffectTerm(Hum, {"frequency_hz": 50.0}),
-        "cross_coupling": EffectTerm(CrossCoupling, {"coupling_um_per_v": 0.1}, aux="aux_v"),
-    }
-    larger = Believed(OPERATOR_NAME, 1.0, (), 1.0, ())
-    slow, *others = (Believed(name, 1.0, (), share, ()) for name in terms)
-    assert apart(slow, [slow, larger], terms) == pytest.approx(1 / (1 + (HYSTERESIS_ERROR / share) ** 2))
-    assert [apart(one, [one, larger], terms) for one in others] == [1.0, 1.0]
+    t = np.arange(4000) / FS_HZ
+    sine, swells = np.sin(2 * np.pi * commanded_hz * t), 1 + 0.3 * np.sin(2 * np.pi * 0.6 * t)
+    records = prepared([replace(one, u=2.5 + 2 * sine * swells) for one in pair(4000)])
+    h = Hypothesis(plain(seen(records))).plus(term)
+    assert has_a_signal_of_its_own(records, h, term.effect.name) is own
+    assert not has_a_signal_of_its_own(records, h, "another")
 
 
 @pytest.mark.parametrize(

@@ -66,11 +66,11 @@ def announce_run(trajectories: str | Sequence[str], compared: int) -> None:
 
 
 def announce_diagnose(recordings: Iterable[str | Path]) -> None:
-    """Before `torchpi diagnose`: where some effects are missing, and between which limits it lies.
+    """Before `torchpi diagnose`: what it takes where nothing is missing, where something is, where much is.
 
-    How many rounds the search will have, nobody knows before. Announced is the geometric middle between the
-    fewest and the most where anything is missing, which is within a factor of two of what any number of them
-    takes, up to some 50,000 samples.
+    How many rounds the search will have, nobody knows before. For something, the geometric middle between the
+    fewest rounds and the most where anything is missing is announced, which is within a factor of two of what
+    any number of them takes, up to some 50,000 samples.
     """
     samples = min(sum(_samples_in(recordings)), MOST_SAMPLES)
     compile_s = 0.0 if _compiled("diagnosis") else 60.0
@@ -78,10 +78,11 @@ def announce_diagnose(recordings: Iterable[str | Path]) -> None:
     alone = DIAGNOSIS_S + compile_s
     work = [search_s(n, samples) for n in (1, FEWEST_ROUNDS, MOST_ROUNDS)]
     nothing, least, most = (machine.seconds(alone + SERIAL * s, (1 - SERIAL) * s) for s in work)
-    usual = math.sqrt(least * most)
-    limits = f", {_spoken(nothing)} where nothing is missing, {_spoken(most)} where much is"
+    usual = _spoken(math.sqrt(least * most))
     note = _compiles(compile_s, alone + search_s(USUAL_ROUNDS, samples))
-    _announce(usual, ("" if _spoken(nothing) == _spoken(most) else limits) + note)
+    if _spoken(nothing) != usual:
+        note = f" where nothing is missing, {usual} where something is, {_spoken(most)} where much is" + note
+    _announce(nothing, note)
 
 
 def announce_axes(recordings: Iterable[str | Path], seconds: float) -> None:

@@ -13,4 +13,5 @@ def train_cli() -> ModuleType:
 
 def parsers() -> Mapping[str, Any]:
     """Of its subcommands, for a shell's completions."""
-    return train_cli().Options().parsers()  # type: ignore[no-any-return]
+    of_subcommands: Mapping[str, Any] = train_cli().Options().parsers()
+    return of_subcommands

@@ -46,12 +46,11 @@ class Placed(NamedTuple):
     """Of an effect of a few states."""
 
     def __call__(self, x: Tensor) -> Tensor:
-        # Only an effect that takes a second signal accepts one.
-        if self.aux is not None:
-            return self.effect(x, None, self.aux)[0]  # type: ignore[no-any-return]
-        if isinstance(self.effect, LinearEffect):
+        if self.aux is None and isinstance(self.effect, LinearEffect):
             return self.of_deviation(x)
-        return self.effect(x)[0]  # type: ignore[no-any-return]
+        # Only an effect that takes a second signal accepts one.
+        y: Tensor = (self.effect(x) if self.aux is None else self.effect(x, None, self.aux))[0]
+        return y
 
     def tangent(self, x: Tensor, dx: Tensor) -> Tensor:
         """How the output moves along each direction, (directions, time)."""
@@ -62,8 +61,10 @@ class Placed(NamedTuple):
     def of_deviation(self, x: Tensor) -> Tensor:
         """What a linear effect makes of rows, (rows, time), at rest at their first sample."""
         first = x[:, :1]
-        moved = self.effect(x - first) if self.matrices is None else run(x - first, self.matrices)
-        return moved[0].add_(first)  # type: ignore[no-any-return]
+        moved: Tensor = (self.effect(x - first) if self.matrices is None else run(x - first, self.matrices))[
+            0
+        ]
+        return moved.add_(first)
 
 
 class Chain:
@@ -239,7 +240,8 @@ class Chain:
         with torch.no_grad():
             for placed in self.before(hypothesis, index):
                 v = placed(v)
-        return v[0].numpy()  # type: ignore[no-any-return]
+        reached: np.ndarray = v[0].numpy()
+        return reached
 
     def key(self, hypothesis: Hypothesis, index: int) -> tuple[object, ...]:
         """What the states depend on."""

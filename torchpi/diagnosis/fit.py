@@ -171,11 +171,11 @@ def left_out(
         whole[np.ix_(part.places, part.places)] += sum(grams)
         of_stretches.append((stretches, rows, grams))
     scale = 1 / np.sqrt(np.maximum(np.diag(whole), 1e-300))
-    means = []
+    unit, means = whole * scale * scale[:, None], []
     for i, (record, residual, part) in enumerate(zip(chain.records, residuals, parts, strict=True)):
         e, there, size = chain.whitened(i, residual[None])[0], part.places, scale[part.places]
         for stretch, of_it, gram in zip(*of_stretches[i], strict=True):
-            others, moved = whole * scale * scale[:, None], np.zeros(len(scale))
+            others, moved = unit.copy(), np.zeros(len(scale))
             others[np.ix_(there, there)] -= WITHHELD * gram * size * size[:, None]
             others[np.diag_indices_from(others)] += RIDGE
             moved[there] = of_it @ e[stretch] * size
@@ -193,7 +193,8 @@ def whitener(parts: Sequence[Sensitivity]) -> np.ndarray:
     scale = 1 / np.sqrt(np.maximum(np.diag(gram), 1e-300))
     unit = gram * scale * scale[:, None]
     unit[np.diag_indices_from(unit)] += RIDGE
-    return np.linalg.inv(np.linalg.cholesky(unit)) * scale  # type: ignore[no-any-return]
+    whitening: np.ndarray = np.linalg.inv(np.linalg.cholesky(unit)) * scale
+    return whitening
 
 
 def with_weights_solved(

@@ -100,6 +100,8 @@ class Growth(Exchange):
         """
         jobs: list[Job] = [(self.on(now.hypothesis, one), None, TO_THE_END, ROUGH) for one in starts]
         begun = min(self.fits(jobs), key=lambda one: (bool(one.bounded), one.train_rms))
+        if begun.train_rms > REJECTED * now.train_rms:
+            return begun
         best = self.followed(begun)
         nominal = best.hypothesis.nominal
         if nominal.bouc_wen and not best.bounded:

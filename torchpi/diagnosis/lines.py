@@ -46,4 +46,5 @@ def above_surroundings(x: np.ndarray, cycles: float) -> float:
 
 def periodogram(x: np.ndarray, padded: int | None = None) -> np.ndarray:
     """|X(f)|² with a Hann window, of as many samples as there are or padded with zeros to more."""
-    return np.abs(np.fft.rfft(x * np.hanning(len(x)), padded)) ** 2  # type: ignore[no-any-return]
+    power: np.ndarray = np.abs(np.fft.rfft(x * np.hanning(len(x)), padded)) ** 2
+    return power

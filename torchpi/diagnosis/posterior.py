@@ -12,7 +12,7 @@ nothing else. And what another effect leaves because its equation is not quite t
 kin.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import sqrt
 
@@ -95,6 +95,7 @@ def posterior(
     priors = np.array([prior(search, retuned, model.fit) for model in models])
     chance = averaged(density, priors, weighting.strata)
     found, together, h = [], [], models[0].fit.hypothesis
+    signals = {name for name in h.names if has_a_signal_of_its_own(search.chain.records, h, name)}
     for name in dict.fromkeys(model.without for model in models if model.without):
         less = without_cause(models, name, search.score)
         rivals, alternatives = [], []
@@ -112,7 +113,7 @@ def posterior(
                 alternatives.append(model.instead)
                 held += float(c)
         # What a hysteresis, driven by the voltage alone, predicts as well need not have a signal.
-        own = has_a_signal_of_its_own(models[0].fit, name) and OPERATOR_NAME not in alternatives
+        own = name in signals and OPERATOR_NAME not in alternatives
         reached = search.within_reach([m for m in h.members if m.effect.name == name])
         known = share_explained(search, models[0].fit, less.fit, name, own) if reached else 0.0
         rise = less.fit.train_rms**2 - models[0].fit.train_rms ** 2
@@ -129,7 +130,8 @@ def posterior(
     found.sort(key=lambda one: -one.explained_um2)
     terms = {member.effect.name: member for member in final.hypothesis.members}
     return final, [
-        replace(one, probability=round(one.probability * apart(one, found, terms), 4)) for one in found
+        replace(one, probability=round(one.probability * apart(one, found, terms, signals), 4))
+        for one in found
     ]
 
 
@@ -212,28 +214,41 @@ def stands_out(records: Sequence[Record], more: Fit, less: Fit, name: str) -> fl
         if member.effect.name != name or line_hz is None or not issubclass(member.effect, AddedSignal):
             continue
         for record, e in zip(records, less.residuals, strict=True):
-            left, commanded = bridged(e, record), np.abs(np.diff(record.u, prepend=record.u[:1]))
+            left = bridged(e, record)
             for harmonic in range(1, HARMONICS + 1):
-                cycles = harmonic * line_hz * len(e) / record.fs_hz
-                if above_surroundings(commanded, cycles) < STANDS_OUT:
+                if not has_line(record, harmonic * line_hz):
+                    cycles = harmonic * line_hz * len(e) / record.fs_hz
                     found = max(found, above_surroundings(left, cycles))
     return found
 
 
-def has_a_signal_of_its_own(final: Fit, name: str) -> bool:
+def has_a_signal_of_its_own(records: Sequence[Record], h: Hypothesis, name: str) -> bool:
     """Whether an effect brings in what neither the voltage nor the clock has: a second input, or a line."""
-    return any(brings_a_signal(m) for m in final.hypothesis.members if m.effect.name == name)
+    for member in h.members:
+        if member.effect.name == name:
+            line_hz = member.effect.line_hz(member.shared)
+            if line_hz is not None and not any(has_line(record, line_hz) for record in records):
+                return True
+            if member.effect.takes_aux:
+                return True
+    return False
 
 
-def brings_a_signal(member: EffectTerm) -> bool:
-    return member.effect.takes_aux or member.effect.line_hz(member.shared) is not None
+def has_line(record: Record, line_hz: float) -> bool:
+    """Whether a line stands out of a recording's voltage, or of how fast that moves."""
+    cycles = line_hz * len(record.u) / record.fs_hz
+    moves = np.abs(np.diff(record.u, prepend=record.u[:1]))
+    return any(above_surroundings(signal, cycles) >= STANDS_OUT for signal in (record.u, moves))
 
 
-def apart(one: Believed, found: Sequence[Believed], terms: Mapping[str, EffectTerm]) -> float:
-    """How likely an effect is another cause, and not what another one leaves by its form."""
+def apart(
+    one: Believed, found: Sequence[Believed], terms: Mapping[str, EffectTerm], signals: Collection[str] = ()
+) -> float:
+    """How likely an effect is another cause, and not what another one leaves by its form; `signals` are the
+    effects that bring in one of their own."""
     left_um2 = max(
         (
-            other.explained_um2 * form_error(terms.get(one.name), terms.get(other.name))
+            other.explained_um2 * form_error(terms.get(one.name), terms.get(other.name), one.name in signals)
             for other in found
             if other.name != one.name
         ),
@@ -244,7 +259,7 @@ def apart(one: Believed, found: Sequence[Believed], terms: Mapping[str, EffectTe
     return float(1 / (1 + (left_um2 / one.explained_um2) ** FALL))
 
 
-def form_error(one: EffectTerm | None, other: EffectTerm | None) -> float:
+def form_error(one: EffectTerm | None, other: EffectTerm | None, own_signal: bool) -> float:
     """Of what another cause explains, the share that looks like an effect where the other's form is not quite
     the rig's.
 
@@ -256,7 +271,7 @@ def form_error(one: EffectTerm | None, other: EffectTerm | None) -> float:
     if other is None and one.effect.sticks:
         return FORM_ERROR
     if other is None:
-        return 0.0 if brings_a_signal(one) else HYSTERESIS_ERROR
+        return 0.0 if own_signal else HYSTERESIS_ERROR
     kin = one.effect is not other.effect and (alike(one, other) or other.effect.name in one.effect.left_by)
     return FORM_ERROR if kin else 0.0
 

@@ -53,7 +53,8 @@ def simulated_output(simulation: Stage | Outside, record: Record) -> np.ndarray:
     aux = {name: torch.from_numpy(signal)[None] for name, signal in record.aux.items()}
     with torch.no_grad():
         y, _ = stage(torch.from_numpy(record.u)[None], None, aux)
-        return stage.sensor(y)[0][0].numpy()  # type: ignore[no-any-return]
+        reading_um: np.ndarray = stage.sensor(y)[0][0].numpy()
+    return reading_um
 
 
 def given_members(simulation: Stage | None) -> tuple[EffectTerm, ...]:

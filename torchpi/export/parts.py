@@ -89,14 +89,14 @@ class Part:
         Raises:
             ArtifactError: It is neither a number nor a list of floats, or not finite.
         """
-        value: Any = getattr(self.module, name, None)
+        value: Value = getattr(self.module, name, [])
         numbers = value if isinstance(value, list) else [value]
         kinds = [float] if isinstance(value, list) else [float, int, bool]
         if not numbers or not all(type(number) in kinds for number in numbers):
             self.refuse(f"self.{name} is neither a number nor a list of floats")
         if not all(math.isfinite(number) for number in numbers):
             raise ArtifactError(f"{self}: {name}: found {value}, expected finite numbers")
-        return value  # type: ignore[no-any-return]
+        return value
 
     @cached_property
     def states(self) -> tuple[str, ...]:

@@ -100,9 +100,9 @@ class OperatorLaws:
         state = operator.initial_state(2).detach().clone().add_(0.01).requires_grad_()
 
         def output(x: Tensor, state: Tensor, *values: Tensor) -> tuple[Tensor, Tensor]:
-            return torch.func.functional_call(  # type: ignore[no-any-return]
-                operator, dict(zip(names, values, strict=True)), (x, state)
-            )
+            given = dict(zip(names, values, strict=True))
+            y, last = torch.func.functional_call(operator, given, (x, state))
+            return y, last
 
         inputs = (x, state, *(p.detach().clone().requires_grad_(p.requires_grad) for p in parameters))
         assert torch.autograd.gradcheck(output, inputs, eps=1e-7, atol=1e-5)

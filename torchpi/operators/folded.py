@@ -145,11 +145,11 @@ def threshold_gradient(
     gh: np.ndarray, x: np.ndarray, h: np.ndarray, waiting: np.ndarray, count: int
 ) -> float:
     """What `land` has landed: + where the upper edge pushed, - where the lower one did."""
-    total = x.dtype.type(0)
+    total: float = x.dtype.type(0)
     for q in range(count):
         landed = gh[q] + waiting[q + LANES] - waiting[q]
         total += landed if h[q] > x[q] else -landed
-    return total  # type: ignore[no-any-return]
+    return total
 
 
 @njit
@@ -212,10 +212,10 @@ def accumulate(factor: float, a: np.ndarray, count: int, out: np.ndarray) -> Non
 
 @njit_sum
 def dot(a: np.ndarray, b: np.ndarray, count: int) -> float:
-    total = a.dtype.type(0)
+    total: float = a.dtype.type(0)
     for q in range(count):
         total += a[q] * b[q]
-    return total  # type: ignore[no-any-return]
+    return total
 
 
 @njit_sum

@@ -223,7 +223,8 @@ def backward(
     )  # fmt: skip
     hand_over(left, latest, length, gx, sums[:, 0, degree : degree + plays], gh)
     in_threads(_through_polynomial, batch * groups, x, length, p.c, gx, sums)
-    return sums.sum((0, 1))  # type: ignore[no-any-return]
+    gradients: np.ndarray = sums.sum((0, 1))
+    return gradients
 
 
 @njit

@@ -255,7 +255,8 @@ class LinearEffect(Effect):
 
     @torch.no_grad()
     def tangent(self, x: Tensor, dx: Tensor) -> Tensor:
-        return self(dx)[0]  # type: ignore[no-any-return]
+        dy: Tensor = self(dx)[0]
+        return dy
 
 
 class StateSpaceEffect(LinearEffect):

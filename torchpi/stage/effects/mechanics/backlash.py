@@ -64,7 +64,8 @@ class Backlash(Effect):
     ) -> tuple[Tensor, Tensor]:
         h0 = (self.initial_state(len(x)) if state is None else state).to(x.dtype)
         if self.is_round():
-            return Slide.apply(x, self.width_um / 2, self.presliding_um, h0)  # type: ignore[no-any-return]
+            slid, last = Slide.apply(x, self.width_um / 2, self.presliding_um, h0)
+            return slid, last
         y = play_bank(x, (self.width_um / 2).reshape(1).to(x.dtype), h0)
         return y[..., 0], y[:, -1]
 

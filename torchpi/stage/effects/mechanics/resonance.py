@@ -159,5 +159,5 @@ def peaks_hz(
     level = np.interp(centres, f, np.log(power + np.finfo(float).tiny))
     excess = level - scipy.ndimage.median_filter(level, BINS_PER_OCTAVE + 1, mode="nearest")
     found, _ = scipy.signal.find_peaks(excess, distance=BINS_PER_OCTAVE // 3)
-    best = found[np.argsort(-excess[found])][:count]
-    return centres[best].tolist()  # type: ignore[no-any-return]
+    peaks_hz: list[float] = centres[found[np.argsort(-excess[found])][:count]].tolist()
+    return peaks_hz

@@ -155,4 +155,5 @@ def modulation_hz(
     explained, f = np.abs(np.fft.rfft(product, size)), np.fft.rfftfreq(size, 1 / fs_hz)
     inside = (f >= FEWEST_PERIODS * fs_hz / len(product)) & (f <= STARTS_HZ[-1])
     found, _ = scipy.signal.find_peaks(np.where(inside, explained, 0.0), distance=4)
-    return f[found[np.argsort(-explained[found])][:count]].tolist()  # type: ignore[no-any-return]
+    lines_hz: list[float] = f[found[np.argsort(-explained[found])][:count]].tolist()
+    return lines_hz
