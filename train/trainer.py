@@ -70,12 +70,17 @@ def make_trainer(options: TrainerOptions, folder: RunFolder) -> Trainer:
             TensorBoardFigures(options.figures_every),
             EarlyStopping(CHOSEN_BY, patience=options.patience, check_finite=True),
             ModelCheckpoint(
-                folder.checkpoints, folder.best.stem, CHOSEN_BY,
-                enable_version_counter=False, save_on_train_epoch_end=True,
+                folder.checkpoints,
+                folder.best.stem,
+                CHOSEN_BY,
+                enable_version_counter=False,
+                save_on_train_epoch_end=True,
             ),
             ModelCheckpoint(
-                folder.checkpoints, folder.last.stem,
-                enable_version_counter=False, save_on_train_epoch_end=True,
+                folder.checkpoints,
+                folder.last.stem,
+                enable_version_counter=False,
+                save_on_train_epoch_end=True,
             ),
         ],
         plugins=[WholeCheckpoints()],
@@ -84,7 +89,7 @@ def make_trainer(options: TrainerOptions, folder: RunFolder) -> Trainer:
         enable_model_summary=False,
         num_sanity_val_steps=0,
         log_every_n_steps=1,
-    )  # fmt: skip
+    )
     try:
         return Trainer(**settings | (options.lightning or {}))
     except (MisconfigurationException, TypeError, ValueError) as error:

@@ -93,9 +93,11 @@ def row_of(column: Column) -> tuple[str, str, str, str]:
     x = column.values[np.isfinite(column.values)]
     spread = f"{x.min():.6g} … {x.max():.6g}" if len(x) else "no finite number"
     return (
-        column.name, column.unit or "not stated", spread,
+        column.name,
+        column.unit or "not stated",
+        spread,
         ", ".join(f"{value:.6g}" for value in column.values[:PREVIEWED]),
-    )  # fmt: skip
+    )
 
 
 def facts_of(summary: Summary) -> list[tuple[str, str]]:

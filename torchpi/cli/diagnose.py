@@ -73,9 +73,11 @@ def diagnose_files(
     log("done")
     print(f"\n{found.says}\n")
     for what, path in (
-        ("the page", page), ("the same in numbers", numbers), ("the augmented stage", output / "stage.pt"),
+        ("the page", page),
+        ("the same in numbers", numbers),
+        ("the augmented stage", output / "stage.pt"),
         ("what to record next", output / "next_excitation.csv"),
-    ):  # fmt: skip
+    ):
         print(f"{path}: {what}")
     return found
 

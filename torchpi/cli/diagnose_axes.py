@@ -63,8 +63,9 @@ def diagnose_axes_files(
     found.stage.save(output / "stage.pt")
     print(f"\n{found.summary}\n")
     for what, file in (
-        ("the page", page), ("the same in numbers", output / "diagnosis.json"),
+        ("the page", page),
+        ("the same in numbers", output / "diagnosis.json"),
         ("the augmented stage", output / "stage.pt"),
-    ):  # fmt: skip
+    ):
         print(f"{file}: {what}")
     return found

@@ -106,11 +106,14 @@ def table(tracked: AxesTracking) -> str:
     for k, desired in enumerate(tracked.desired_um):
         rows.append(
             (
-                str(k + 1), f"{desired:.4g} µm", f"{tracked.error_percent[k]:.3g} %",
-                f"{max(tracked.coupling_percent[k]):.3g} %", f"{tracked.linear_error_percent[k]:.3g} %",
+                str(k + 1),
+                f"{desired:.4g} µm",
+                f"{tracked.error_percent[k]:.3g} %",
+                f"{max(tracked.coupling_percent[k]):.3g} %",
+                f"{tracked.linear_error_percent[k]:.3g} %",
                 f"{max(tracked.linear_coupling_percent[k]):.3g} %",
             )
-        )  # fmt: skip
+        )
     lines = ["  " + "  ".join(cell.rjust(14) for cell in row) for row in rows]
     counted = f"  held inputs {tracked.held_inputs}, voltages at a limit {tracked.limited_outputs}"
     return "\n".join([*lines, counted])

@@ -274,8 +274,11 @@ class Chain:
         modal = [m for m in hypothesis.members if issubclass(m.effect, ModalEffect)]
         for member in hypothesis.members:
             key: tuple[object, ...] = (
-                member.effect, record.period_s, member.aux, *member.values(index).items()
-            )  # fmt: skip
+                member.effect,
+                record.period_s,
+                member.aux,
+                *member.values(index).items(),
+            )
             if issubclass(member.effect, Effect):
                 if key not in self.made:
                     if len(self.made) >= MADE:

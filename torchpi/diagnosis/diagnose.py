@@ -146,15 +146,21 @@ def diagnose(
         open_names, what, unexplained=decision.verdict in ("unexplained", "partly_explained")
     )
     notes = (
-        *long, *cannot_be_decided(records), *untried_note(called, untried), *lattice_note,
+        *long,
+        *cannot_be_decided(records),
+        *untried_note(called, untried),
+        *lattice_note,
         *monitored_notes(records),
-        *conventions(search, final), *history_notes(search, final),
-        *slip_notes(search, final, augmented), *conflict(traces, floor_um),
-    )  # fmt: skip
+        *conventions(search, final),
+        *history_notes(search, final),
+        *slip_notes(search, final, augmented),
+        *conflict(traces, floor_um),
+    )
     errors = (
-        errors_of(records, first), errors_of(records, retuned.residuals),
+        errors_of(records, first),
+        errors_of(records, retuned.residuals),
         errors_of(records, augmented.residuals),
-    )  # fmt: skip
+    )
     last_errors = errors[-1]
     stage.identified = Identified.of(
         given_recordings, HELD_OUT, last_errors.heldout_rms_um, last_errors.heldout_max_um
@@ -243,11 +249,16 @@ def with_read_off(decision: Decision, effect: NamedEffect) -> Decision:
 def of_converter(lsb_um: float, retuned: Fit) -> NamedEffect:
     """The sensor's converter: its lattice is seen."""
     return NamedEffect(
-        Quantization.name, Quantization.block, (), READ_OFF,
+        Quantization.name,
+        Quantization.block,
+        (),
+        READ_OFF,
         (Parameter("lsb_um", lsb_um, "µm", (lsb_um * (1 - 1e-6), lsb_um * (1 + 1e-6))),),
-        min(1.0, lsb_um**2 / 12 / max(retuned.train_rms**2, 1e-300)), Quantization.equation,
-        Quantization.signature, (),
-    )  # fmt: skip
+        min(1.0, lsb_um**2 / 12 / max(retuned.train_rms**2, 1e-300)),
+        Quantization.equation,
+        Quantization.signature,
+        (),
+    )
 
 
 def errors_of(records: Sequence[Record], residuals: Sequence[np.ndarray]) -> Errors:
@@ -257,9 +268,14 @@ def errors_of(records: Sequence[Record], residuals: Sequence[np.ndarray]) -> Err
 
 
 def traces_of(
-    recordings: Sequence[Recording], records: Sequence[Record], retuned: Fit, augmented: Fit, final: Fit,
-    chain: Chain, decision: Decision,
-) -> tuple[Trace, ...]:  # fmt: skip
+    recordings: Sequence[Recording],
+    records: Sequence[Record],
+    retuned: Fit,
+    augmented: Fit,
+    final: Fit,
+    chain: Chain,
+    decision: Decision,
+) -> tuple[Trace, ...]:
     """Each recording before and after, and what each named effect adds."""
     names = {effect.name for effect in decision.effects}
     added = [name for name in dict.fromkeys(final.hypothesis.names) if name in names]
@@ -271,11 +287,17 @@ def traces_of(
         }
         traces.append(
             Trace(
-                recording.name, recording.fs_hz, recording.t, record.u, record.y,
+                recording.name,
+                recording.fs_hz,
+                recording.t,
+                record.u,
+                record.y,
                 np.arange(len(record.u)) >= record.coefficients.samples,
-                retuned.residuals[r], augmented.residuals[r], signatures,
+                retuned.residuals[r],
+                augmented.residuals[r],
+                signatures,
             )
-        )  # fmt: skip
+        )
     return tuple(traces)
 
 

@@ -137,11 +137,16 @@ def fit(
     residuals = residuals_of(chain, current, weights)
     records = chain.records
     return Fit(
-        current, weights, slots, theta, residuals,
-        rms(records, residuals, True), rms(records, residuals, False),
+        current,
+        weights,
+        slots,
+        theta,
+        residuals,
+        rms(records, residuals, True),
+        rms(records, residuals, False),
         tuple(s for s, t in zip(slots, theta, strict=True) if at_bound(s, t)),
         left_out(chain, residuals, parts, prior),
-    )  # fmt: skip
+    )
 
 
 def left_out(

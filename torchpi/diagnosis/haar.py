@@ -84,9 +84,11 @@ class Haar:
     def places(self, level: int) -> tuple[int, int]:
         """Where the coefficients of a level begin and end in the full transform."""
         coarsest = -(-self.samples // 2**self.levels)
-        return (0, coarsest) if level > self.levels else (
-            coarsest * 2 ** (self.levels - level), coarsest * 2 ** (self.levels - level + 1)
-        )  # fmt: skip
+        return (
+            (0, coarsest)
+            if level > self.levels
+            else (coarsest * 2 ** (self.levels - level), coarsest * 2 ** (self.levels - level + 1))
+        )
 
     def __call__(self, rows: np.ndarray) -> np.ndarray:
         """(rows, kept) of rows, (rows, time)."""

@@ -41,9 +41,12 @@ def leftovers(records: Sequence[Record], residuals: Sequence[np.ndarray]) -> tup
         if each[place] > LOUD**2 * typical:
             width = len(e) / len(parts) / record.fs_hz
             found.append(
-                (each[place], f"{record.name} from {place * width:.3g} s to {(place + 1) * width:.3g} s, "
-                 f"{np.sqrt(each[place] / typical):.0f} times the rest")
-            )  # fmt: skip
+                (
+                    each[place],
+                    f"{record.name} from {place * width:.3g} s to {(place + 1) * width:.3g} s, "
+                    f"{np.sqrt(each[place] / typical):.0f} times the rest",
+                )
+            )
         power = periodogram(e - e.mean())
         if len(power) <= AROUND:
             continue

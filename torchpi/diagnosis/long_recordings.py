@@ -95,7 +95,11 @@ def _of_each(recording: Recording, fs_hz: float, of: Callable[[np.ndarray], np.n
     """The same with a function of each of its columns."""
     simulated = recording.simulated
     return replace(
-        recording, t=of(recording.t), u=of(recording.u), y=of(recording.y), fs_hz=fs_hz,
+        recording,
+        t=of(recording.t),
+        u=of(recording.u),
+        y=of(recording.y),
+        fs_hz=fs_hz,
         aux={name: of(x) for name, x in recording.aux.items()},
         simulated=None if simulated is None else of(simulated),
-    )  # fmt: skip
+    )

@@ -36,9 +36,10 @@ def fit_all(
         return [fit(chain, *job, near) for job in jobs]
     key, packed = chain.packed
     return shared_out(
-        executor, [(_fit_elsewhere, key, packed, chain.weighting, job, near) for job in jobs],
+        executor,
+        [(_fit_elsewhere, key, packed, chain.weighting, job, near) for job in jobs],
         [partial(fit, chain, *job, near) for job in jobs],
-    )  # fmt: skip
+    )
 
 
 def shared_out(

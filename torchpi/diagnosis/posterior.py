@@ -123,9 +123,14 @@ def posterior(
         rivals.sort(key=lambda rival: rival.loses_nats)
         alternatives += unlisted_hysteresis(h, retuned.hypothesis, name)
         found.append(
-            Believed(name, round(min(held, 1.0) * trust(known), 4), tuple(dict.fromkeys(alternatives)), rise,
-                     tuple(rivals))
-        )  # fmt: skip
+            Believed(
+                name,
+                round(min(held, 1.0) * trust(known), 4),
+                tuple(dict.fromkeys(alternatives)),
+                rise,
+                tuple(rivals),
+            )
+        )
     found = [as_one(one, found, together) for one in found]
     found.sort(key=lambda one: -one.explained_um2)
     terms = {member.effect.name: member for member in final.hypothesis.members}
@@ -158,9 +163,11 @@ def as_one(one: Believed, found: Sequence[Believed], together: Sequence[Believed
         if one is strongest and one.probability < group.probability:
             others = (*one.alternatives, *(name for name in names if name != one.name))
             return replace(
-                one, probability=round(group.probability, 4), alternatives=tuple(dict.fromkeys(others)),
+                one,
+                probability=round(group.probability, 4),
+                alternatives=tuple(dict.fromkeys(others)),
                 explained_um2=max(one.explained_um2, group.explained_um2),
-            )  # fmt: skip
+            )
     return one
 
 

@@ -99,10 +99,17 @@ def _record(recording: Recording, samples: int, wrong: np.ndarray, recordings: i
     activity = np.diff(y, 2, prepend=y[:1], append=y[-1:])
     at_most = max(200, int(AT_MOST / recordings / LEVELS) * 2)
     return Record(
-        recording.name, u, y, recording.fs_hz, recording.aux, fitted & valid, ~fitted & valid,
+        recording.name,
+        u,
+        y,
+        recording.fs_hz,
+        recording.aux,
+        fitted & valid,
+        ~fitted & valid,
         Coefficients.of(u, activity, samples, fitted & valid, at_most),
-        simulated=recording.simulated, driving=without_noise(u),
-    )  # fmt: skip
+        simulated=recording.simulated,
+        driving=without_noise(u),
+    )
 
 
 def seen(records: Sequence[Record]) -> DataRange:

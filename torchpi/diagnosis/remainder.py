@@ -78,10 +78,14 @@ def with_remainder(chain: Chain, now: Fit, ridge: float | None = None) -> tuple[
         residuals = tuple(record.y - chain.output(hypothesis, weights, i) for i, record in enumerate(records))
         prior = np.diag(np.concatenate([np.zeros(len(inner)), one_ridge * size**2]))
         one = replace(
-            now, hypothesis=hypothesis, weights=weights, residuals=residuals,
-            train_rms=rms(records, residuals, True), heldout_rms=rms(records, residuals, False),
+            now,
+            hypothesis=hypothesis,
+            weights=weights,
+            residuals=residuals,
+            train_rms=rms(records, residuals, True),
+            heldout_rms=rms(records, residuals, False),
             left_out_um2=left_out(chain, residuals, parts, prior),
-        )  # fmt: skip
+        )
         if best is None or density(one).sum() > density(best[0]).sum():
             best = one, one_ridge
     if best is None:

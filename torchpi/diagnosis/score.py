@@ -91,9 +91,13 @@ class Weighting:
             counts.append(n)
         counted = np.concatenate(counts).astype(float)
         return cls(
-            tuple(scales), np.concatenate(levels), counted, np.concatenate(floors), strata_of(records),
+            tuple(scales),
+            np.concatenate(levels),
+            counted,
+            np.concatenate(floors),
+            strata_of(records),
             kinds_of(records),
-        )  # fmt: skip
+        )
 
     @classmethod
     def flat(cls, records: Sequence[Record]) -> "Weighting":

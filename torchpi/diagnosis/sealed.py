@@ -13,9 +13,14 @@ from torchpi.diagnosis.records import Record
 
 
 def confirmed(
-    known: float, records: Sequence[Record], more: Fit, less: Fit, noise_um2: float, alone: bool,
+    known: float,
+    records: Sequence[Record],
+    more: Fit,
+    less: Fit,
+    noise_um2: float,
+    alone: bool,
     apart: float = 0.0,
-) -> float:  # fmt: skip
+) -> float:
     """The share that an effect explains of what is to be explained, 0–1, if the sealed samples agree; else
     theirs. They count as much as the effect acts there, beside what it does where it was fitted.
 

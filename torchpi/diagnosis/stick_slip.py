@@ -149,9 +149,12 @@ def slipping_freely(chain: Chain, one: Fit, jump_um: float) -> Fit:
     hypothesis = one.hypothesis.without(Stiction.name).plus(mount)
     residuals = tuple(r.y - chain.output(hypothesis, one.weights, i) for i, r in enumerate(chain.records))
     return replace(
-        one, hypothesis=hypothesis, residuals=residuals,
-        train_rms=rms(chain.records, residuals, True), heldout_rms=rms(chain.records, residuals, False),
-    )  # fmt: skip
+        one,
+        hypothesis=hypothesis,
+        residuals=residuals,
+        train_rms=rms(chain.records, residuals, True),
+        heldout_rms=rms(chain.records, residuals, False),
+    )
 
 
 @numba.njit(cache=True)

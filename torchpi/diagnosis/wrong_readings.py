@@ -99,7 +99,13 @@ def of_dropouts(records: Sequence[Record], wrong: Sequence[np.ndarray], final: F
     squares = float(np.square(np.concatenate(off)).sum())
     rest = sum(float(e @ e) for e in final.residuals)
     return NamedEffect(
-        Dropouts.name, Dropouts.block, (), READ_OFF,
-        (Parameter("share", count / samples, "", None),), squares / max(rest, 1e-300), Dropouts.equation,
-        Dropouts.signature, (),
-    )  # fmt: skip
+        Dropouts.name,
+        Dropouts.block,
+        (),
+        READ_OFF,
+        (Parameter("share", count / samples, "", None),),
+        squares / max(rest, 1e-300),
+        Dropouts.equation,
+        Dropouts.signature,
+        (),
+    )

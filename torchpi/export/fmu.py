@@ -118,8 +118,12 @@ def compiled(content: dict[str, bytes], name: str) -> dict[str, bytes]:
         try:
             done = subprocess.run(
                 [*command, f"{name}.c", f"{name}_fmi3.c", "-o", library],
-                cwd=folder, capture_output=True, text=True, errors="replace", timeout=COMPILE_S,
-            )  # fmt: skip
+                cwd=folder,
+                capture_output=True,
+                text=True,
+                errors="replace",
+                timeout=COMPILE_S,
+            )
             failed = next(iter(done.stderr.splitlines()), f"exit code {done.returncode}")
         except (OSError, subprocess.TimeoutExpired) as error:
             raise ExportWarning(f"{name}.fmu: {compiler[0]} failed ({error}), so {without}") from error

@@ -14,9 +14,13 @@ from torchpi.operators.reference_filter import ReferenceFilter
 Files = dict[Path, Callable[[Path], object]]  # what writes each file's content to a path
 SUFFIXES = (".pt", ".c", ".h", ".fmu", ".pt2", ".json", ".html")
 MODULES = {
-    "torchscript": "torchscript", "c": "c_source", "fmu": "fmu", "pt2": "pt2", "json": "numbers",
+    "torchscript": "torchscript",
+    "c": "c_source",
+    "fmu": "fmu",
+    "pt2": "pt2",
+    "json": "numbers",
     "page": "page",
-}  # fmt: skip
+}
 """Where each format is made."""
 FORMATS = tuple(MODULES)
 

@@ -83,8 +83,10 @@ _SCHEMAS = frozenset(
     aten::Float.Tensor(Tensor a) -> float
     aten::select.int(Tensor(a) self, int dim, SymInt index) -> Tensor(a)
     aten::fill_.Scalar(Tensor(a!) self, Scalar value) -> Tensor(a!)
-    """.strip().replace("    ", "").splitlines()
-)  # fmt: skip
+    """.strip()
+    .replace("    ", "")
+    .splitlines()
+)
 _ON_LISTS = ("aten::__getitem__.t(", "aten::_set_item.t(")
 _ON_TENSORS = ("aten::empty_like(",)
 _STRUCTURE = frozenset(

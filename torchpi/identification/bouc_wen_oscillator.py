@@ -201,9 +201,13 @@ def identify_oscillator(
     exponent = 1.0 if options.exponent is None else options.exponent
     short, short_counted = _head(recordings[largest], counted[largest])
     search = OutputError(
-        [short], [short_counted], Scale(mass, damping, stiffness, force),
-        options.between or "band_limited", SEARCH_STEPS, exponent,
-    )  # fmt: skip
+        [short],
+        [short_counted],
+        Scale(mass, damping, stiffness, force),
+        options.between or "band_limited",
+        SEARCH_STEPS,
+        exponent,
+    )
     theta = best_start(search, log)
     rms_um = {}
     for between in BETWEEN_SAMPLES if options.between is None else (options.between,):

@@ -65,9 +65,15 @@ def extent(x: np.ndarray, least: np.ndarray, most: np.ndarray) -> None:
 
 @njit
 def compose(
-    x: np.ndarray, r: float, least: np.ndarray, most: np.ndarray, low: np.ndarray, high: np.ndarray,
-    lows: np.ndarray, highs: np.ndarray,
-) -> None:  # fmt: skip
+    x: np.ndarray,
+    r: float,
+    least: np.ndarray,
+    most: np.ndarray,
+    low: np.ndarray,
+    high: np.ndarray,
+    lows: np.ndarray,
+    highs: np.ndarray,
+) -> None:
     """The clamp that a play makes of its state over a whole stretch, for each lane: [low, high].
 
     Where the stretch is narrower than the play, all its clamps overlap, and compose to what they share.
@@ -131,9 +137,15 @@ def advance_sum(x: np.ndarray, r: float, h: np.ndarray, w: np.ndarray, count: in
 
 @njit
 def advance_linear_sum(
-    x: np.ndarray, r: float, h: np.ndarray, a: float, b: float, rate: np.ndarray, count: int,
+    x: np.ndarray,
+    r: float,
+    h: np.ndarray,
+    a: float,
+    b: float,
+    rate: np.ndarray,
+    count: int,
     total: np.ndarray,
-) -> None:  # fmt: skip
+) -> None:
     """`advance_sum` with the weights a + b ẏ of eq. 7, which then need no pass of their own."""
     for q in range(count):
         h[q + LANES] = _play(x[q], r, h[q])

@@ -168,9 +168,15 @@ class _ClampBank(torch.autograd.Function):
         low, high, h0, h = (saved.detach() for saved in ctx.saved_tensors)
         glow, ghigh, gh0 = torch.zeros_like(low), torch.zeros_like(high), torch.zeros_like(h0)
         _backward(
-            low.numpy(), high.numpy(), h0.numpy(), h.numpy(), gradients[0].contiguous().numpy(),
-            glow.numpy(), ghigh.numpy(), gh0.numpy(),
-        )  # fmt: skip
+            low.numpy(),
+            high.numpy(),
+            h0.numpy(),
+            h.numpy(),
+            gradients[0].contiguous().numpy(),
+            glow.numpy(),
+            ghigh.numpy(),
+            gh0.numpy(),
+        )
         return glow, ghigh, gh0
 
 
@@ -189,9 +195,15 @@ def _forward(low: np.ndarray, high: np.ndarray, h0: np.ndarray, h: np.ndarray) -
 
 @numba.njit(cache=True)
 def _backward(
-    low: np.ndarray, high: np.ndarray, h0: np.ndarray, h: np.ndarray, gh: np.ndarray,
-    glow: np.ndarray, ghigh: np.ndarray, gh0: np.ndarray,
-) -> None:  # fmt: skip
+    low: np.ndarray,
+    high: np.ndarray,
+    h0: np.ndarray,
+    h: np.ndarray,
+    gh: np.ndarray,
+    glow: np.ndarray,
+    ghigh: np.ndarray,
+    gh0: np.ndarray,
+) -> None:
     # As in play.py: the gradient waits while the play rests, and lands on the end that last pushed it.
     for batch in range(low.shape[0]):
         for i in range(low.shape[2]):

@@ -192,9 +192,14 @@ def play_sum(
 
 @numba.njit(cache=True, error_model="numpy")
 def sums_of_plain_plays(
-    v: np.ndarray, r: np.ndarray, low: float, piece: float, slopes: np.ndarray, offsets: np.ndarray,
+    v: np.ndarray,
+    r: np.ndarray,
+    low: float,
+    piece: float,
+    slopes: np.ndarray,
+    offsets: np.ndarray,
     y: np.ndarray,
-) -> None:  # fmt: skip
+) -> None:
     """Into `y`, (sums, time): Σ_i F_is(h_i) of plays max{v - r, min{v + r, h}} from 0.
 
     The plays that move with v are those of the smallest thresholds, and they move alike: their share is

@@ -86,9 +86,11 @@ def _slopes(x: np.ndarray, low: float, high: float, knee: float) -> tuple[np.nda
     under, of_low = _corner(low - below, knee)
     by_below = 1.0 - under
     return (
-        by_below * (1.0 - above), under, by_below * above,
+        by_below * (1.0 - above),
+        under,
+        by_below * above,
         of_low[1] - by_below * of_high[1],
-    )  # fmt: skip
+    )
 
 
 def _corner(beyond: np.ndarray, knee: float) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:

@@ -181,9 +181,15 @@ FEWEST_FOR_LANES = 3
 
 @numba.njit(cache=True)
 def _forward(
-    u: np.ndarray, a: np.ndarray, b: np.ndarray, c: np.ndarray, d: float,
-    x: np.ndarray, y: np.ndarray, states: np.ndarray,
-) -> None:  # fmt: skip
+    u: np.ndarray,
+    a: np.ndarray,
+    b: np.ndarray,
+    c: np.ndarray,
+    d: float,
+    x: np.ndarray,
+    y: np.ndarray,
+    states: np.ndarray,
+) -> None:
     if len(b) == 2 and states.shape[1] == 0:
         fours = u.shape[0] // 4 * 4
         for first in range(0, fours, 4):
@@ -214,9 +220,15 @@ def _second_order(
 
 @numba.njit(cache=True)
 def _four_of_second_order(
-    first: int, u: np.ndarray, a: np.ndarray, b: np.ndarray, c: np.ndarray, d: float,
-    x: np.ndarray, y: np.ndarray,
-) -> None:  # fmt: skip
+    first: int,
+    u: np.ndarray,
+    a: np.ndarray,
+    b: np.ndarray,
+    c: np.ndarray,
+    d: float,
+    x: np.ndarray,
+    y: np.ndarray,
+) -> None:
     # The same for four rows side by side: one waits for its own last sum, four keep the processor busy.
     a0, a1, a2, a3, b0, b1, c0, c1 = a[0], a[1], a[2], a[3], b[0], b[1], c[0], c[1]
     u0, u1, u2, u3 = u[first], u[first + 1], u[first + 2], u[first + 3]

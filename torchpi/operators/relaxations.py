@@ -51,9 +51,15 @@ TILE = 512
 
 @numba.njit(cache=True)
 def _forward(
-    u: np.ndarray, a: np.ndarray, b: np.ndarray, c: np.ndarray, d: float,
-    x: np.ndarray, y: np.ndarray, states: np.ndarray,
-) -> None:  # fmt: skip
+    u: np.ndarray,
+    a: np.ndarray,
+    b: np.ndarray,
+    c: np.ndarray,
+    d: float,
+    x: np.ndarray,
+    y: np.ndarray,
+    states: np.ndarray,
+) -> None:
     for batch in range(u.shape[0]):
         if states.shape[1] > 0:
             _keeping_states(u[batch], a, b, c, d, x[batch], y[batch], states[batch])
@@ -64,9 +70,15 @@ def _forward(
 
 @numba.njit(cache=True)
 def _keeping_states(
-    u: np.ndarray, a: np.ndarray, b: np.ndarray, c: np.ndarray, d: float,
-    x: np.ndarray, y: np.ndarray, states: np.ndarray,
-) -> None:  # fmt: skip
+    u: np.ndarray,
+    a: np.ndarray,
+    b: np.ndarray,
+    c: np.ndarray,
+    d: float,
+    x: np.ndarray,
+    y: np.ndarray,
+    states: np.ndarray,
+) -> None:
     for t in range(len(u)):
         for i in range(len(a)):
             states[t, i] = x[i]
@@ -76,9 +88,16 @@ def _keeping_states(
 
 @numba.njit(cache=True)
 def _tile(
-    first: int, stop: int, u: np.ndarray, a: np.ndarray, b: np.ndarray, c: np.ndarray, d: float,
-    x: np.ndarray, y: np.ndarray,
-) -> None:  # fmt: skip
+    first: int,
+    stop: int,
+    u: np.ndarray,
+    a: np.ndarray,
+    b: np.ndarray,
+    c: np.ndarray,
+    d: float,
+    x: np.ndarray,
+    y: np.ndarray,
+) -> None:
     # `observe` and `relax`, their sums in the same order: the same bits. A recursion waits for its own last
     # sum, four beside each other do not.
     n, i = len(a), 0

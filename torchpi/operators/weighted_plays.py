@@ -52,10 +52,15 @@ def _forward(
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:  # fmt: skip
     u, final, folded, checkpoints = _empty(x, h0, r)
     forward(
-        as_array(x), as_array(rate), as_array(h0),
+        as_array(x),
+        as_array(rate),
+        as_array(h0),
         _parameters(c, r, theta, knots, psi, offset, rate_scale, state_scale),
-        u.numpy(), final.numpy(), folded.numpy(), checkpoints.numpy(),
-    )  # fmt: skip
+        u.numpy(),
+        final.numpy(),
+        folded.numpy(),
+        checkpoints.numpy(),
+    )
     return u, final, folded, checkpoints
 
 
@@ -76,14 +81,25 @@ def _backward(
 
 
 def _parameters(
-    c: Tensor, r: Tensor, theta: Tensor, knots: Tensor, psi: Tensor, offset: Tensor,
-    rate_scale: float, state_scale: float,
-) -> Parameters:  # fmt: skip
+    c: Tensor,
+    r: Tensor,
+    theta: Tensor,
+    knots: Tensor,
+    psi: Tensor,
+    offset: Tensor,
+    rate_scale: float,
+    state_scale: float,
+) -> Parameters:
     scales = np.array([rate_scale, state_scale], as_array(c).dtype)
     return Parameters(
-        as_array(c), as_array(r), as_array(theta), as_array(knots), as_array(psi),
-        as_array(offset.reshape(1)), scales,
-    )  # fmt: skip
+        as_array(c),
+        as_array(r),
+        as_array(theta),
+        as_array(knots),
+        as_array(psi),
+        as_array(offset.reshape(1)),
+        scales,
+    )
 
 
 def _empty(x: Tensor, h0: Tensor, r: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:

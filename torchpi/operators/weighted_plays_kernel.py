@@ -62,9 +62,15 @@ class Parameters(NamedTuple):
 
 
 def forward(
-    x: np.ndarray, rate: np.ndarray, h0: np.ndarray, p: Parameters,
-    u: np.ndarray, final: np.ndarray, folded: np.ndarray, checkpoints: np.ndarray,
-) -> None:  # fmt: skip
+    x: np.ndarray,
+    rate: np.ndarray,
+    h0: np.ndarray,
+    p: Parameters,
+    u: np.ndarray,
+    final: np.ndarray,
+    folded: np.ndarray,
+    checkpoints: np.ndarray,
+) -> None:
     """Fill the last four; backward needs `folded` and `checkpoints`, shaped as `saved_shapes` says."""
     groups, length = fold_shape(x.shape[1])
     low, high, starts = np.empty((3, len(x), groups, len(p.r), LANES), x.dtype)
@@ -80,9 +86,15 @@ def saved_shapes(batch: int, samples: int, plays: int) -> tuple[tuple[int, ...],
 
 @njit
 def _prepare(
-    first: int, last: int, x: np.ndarray, length: int, p: Parameters,
-    folded: np.ndarray, low: np.ndarray, high: np.ndarray,
-) -> None:  # fmt: skip
+    first: int,
+    last: int,
+    x: np.ndarray,
+    length: int,
+    p: Parameters,
+    folded: np.ndarray,
+    low: np.ndarray,
+    high: np.ndarray,
+) -> None:
     """S(x), folded, and what every stretch does to the states."""
     tile = np.empty(TILE, x.dtype)
     lows, highs = np.empty(TILE + LANES, x.dtype), np.empty(TILE + LANES, x.dtype)
@@ -236,9 +248,13 @@ def _gradients(sums: np.ndarray, p: Parameters) -> Gradients:
     psi = knots + p.knots.size
     offset = psi + p.psi.size
     return Gradients(
-        sums[:r], sums[r:theta], sums[theta:knots].reshape(p.theta.shape),
-        sums[knots:psi].reshape(p.knots.shape), sums[psi:offset].reshape(p.psi.shape), sums[offset:],
-    )  # fmt: skip
+        sums[:r],
+        sums[r:theta],
+        sums[theta:knots].reshape(p.theta.shape),
+        sums[knots:psi].reshape(p.knots.shape),
+        sums[psi:offset].reshape(p.psi.shape),
+        sums[offset:],
+    )
 
 
 @njit
@@ -319,9 +335,15 @@ def _clear_padding(g: np.ndarray, group: int, begin: int, end: int, length: int,
 
 @njit
 def _own_gradients(
-    p: Parameters, i: int, g: np.ndarray, h: np.ndarray, count: int, power: np.ndarray,
-    gh: np.ndarray, gpsi: np.ndarray,
-) -> None:  # fmt: skip
+    p: Parameters,
+    i: int,
+    g: np.ndarray,
+    h: np.ndarray,
+    count: int,
+    power: np.ndarray,
+    gh: np.ndarray,
+    gpsi: np.ndarray,
+) -> None:
     """Of ψ_q z^q h, z = h / scale: z^q h, and by h (q + 1) ψ_q z^q."""
     scale = p.scales[1]
     power[:count] = g[:count]

@@ -71,9 +71,14 @@ class _WeightedSum(torch.autograd.Function):
         h, basis, theta, psi = (part.detach().contiguous() for part in (h, basis, theta, psi))
         y = torch.empty(h.shape[:2], dtype=h.dtype)
         _forward(
-            h.numpy(), basis.numpy(), theta.flatten().numpy(), psi.flatten().numpy(), psi.shape[1], scale,
+            h.numpy(),
+            basis.numpy(),
+            theta.flatten().numpy(),
+            psi.flatten().numpy(),
+            psi.shape[1],
+            scale,
             y.numpy(),
-        )  # fmt: skip
+        )
         ctx.scale = scale
         ctx.save_for_backward(h, basis, theta, psi)
         return y
@@ -98,9 +103,14 @@ _own_weight: Any = njit(own_weight)
 
 @njit
 def _forward(
-    h: np.ndarray, basis: np.ndarray, theta: np.ndarray, psi: np.ndarray, degree: int, scale: float,
+    h: np.ndarray,
+    basis: np.ndarray,
+    theta: np.ndarray,
+    psi: np.ndarray,
+    degree: int,
+    scale: float,
     y: np.ndarray,
-) -> None:  # fmt: skip
+) -> None:
     for batch in range(h.shape[0]):
         for t in range(h.shape[1]):
             total = 0.0

@@ -68,12 +68,14 @@ def heldout_figure(diagnosis: Diagnosis) -> Figure:
             motion.tick_params(labelbottom=False)
             residual.plot(
                 *envelope(trace.t, unit.per_um * trace.residual_retuned),
-                label="before: retuned", **{**BEFORE, "linewidth": 0.7},
-            )  # fmt: skip
+                label="before: retuned",
+                **{**BEFORE, "linewidth": 0.7},
+            )
             residual.plot(
                 *envelope(trace.t, unit.per_um * trace.residual_augmented),
-                label="after: augmented", **{**AFTER, "linewidth": 0.7},
-            )  # fmt: skip
+                label="after: augmented",
+                **{**AFTER, "linewidth": 0.7},
+            )
             floors = () if diagnosis.noise_floor_um is None else (-1, 1)
             for sign in floors:
                 residual.axhline(
@@ -160,13 +162,22 @@ def remains_figure(diagnosis: Diagnosis) -> Figure:
         for at, (name, share) in enumerate(shares.items()):
             rest = name == "unexplained"
             axes.barh(
-                at, 100 * share, height=0.66, edgecolor="#333333", linewidth=0.6,
-                color="#eeeeee" if rest else STRONG, hatch="xx" if rest else "",
-            )  # fmt: skip
+                at,
+                100 * share,
+                height=0.66,
+                edgecolor="#333333",
+                linewidth=0.6,
+                color="#eeeeee" if rest else STRONG,
+                hatch="xx" if rest else "",
+            )
             axes.annotate(
-                f"{100 * share:.3g} %", (100 * share, at), (4, 0),
-                textcoords="offset points", va="center", fontsize=8,
-            )  # fmt: skip
+                f"{100 * share:.3g} %",
+                (100 * share, at),
+                (4, 0),
+                textcoords="offset points",
+                va="center",
+                fontsize=8,
+            )
         axes.set_yticks(range(len(shares)), list(shares))
         axes.invert_yaxis()
         axes.set_xlim(0, 108)

@@ -43,9 +43,13 @@ def rivals_figure(effect: NamedEffect) -> Figure:
             for axes, value in ((density, lost[at]), (probability, chances[at])):
                 axes.barh(at, value, **look)
                 axes.annotate(
-                    words.figure(value, 2), (max(value, 0.0), at), (3, 0),
-                    textcoords="offset points", va="center", fontsize=8,
-                )  # fmt: skip
+                    words.figure(value, 2),
+                    (max(value, 0.0), at),
+                    (3, 0),
+                    textcoords="offset points",
+                    va="center",
+                    fontsize=8,
+                )
         density.set_yticks(range(len(names)), names)
         density.invert_yaxis()
         density.set(xlabel="log predictive density lost (nats)", title="loss with it in the effect's place")

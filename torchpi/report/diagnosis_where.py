@@ -102,9 +102,13 @@ def multisine_figure(parts: Parts) -> Figure:
             title=f"{shortened(parts.recording)}, from {parts.start_s:.3g} s: lines of the period",
         )
         axes.legend(
-            loc="upper center", bbox_to_anchor=(0.5, -0.17), ncols=5, handletextpad=0.3, columnspacing=1.2,
+            loc="upper center",
+            bbox_to_anchor=(0.5, -0.17),
+            ncols=5,
+            handletextpad=0.3,
+            columnspacing=1.2,
             markerscale=1.4,
-        )  # fmt: skip
+        )
     return figure
 
 
@@ -132,16 +136,26 @@ def _heat_strips(axes: Axes, strips: dict[str, list[Where]]) -> None:
             low, high = cell.range[0] - first, cell.range[1] - first
             longest = max(longest, high)
             axes.barh(
-                at, high - low, left=low, height=0.8, color=colours(cell.share / most),
-                edgecolor="#777777", linewidth=0.5,
-            )  # fmt: skip
+                at,
+                high - low,
+                left=low,
+                height=0.8,
+                color=colours(cell.share / most),
+                edgecolor="#777777",
+                linewidth=0.5,
+            )
             if cell.share >= 0.01:
                 dark = cell.share > 0.55 * most
                 axes.text(
-                    (low + high) / 2, at, f"{100 * cell.share:.0f}", ha="center", va="center", fontsize=8,
+                    (low + high) / 2,
+                    at,
+                    f"{100 * cell.share:.0f}",
+                    ha="center",
+                    va="center",
+                    fontsize=8,
                     color="#ffffff" if dark else "#000000",
                     fontweight="bold" if cell.significance > SIGNIFICANT else "normal",
-                )  # fmt: skip
+                )
     axes.set_yticks(range(len(strips)), [shortened(name) for name in strips])
     axes.set_xlim(0, longest or 1.0)
     axes.invert_yaxis()

@@ -67,9 +67,15 @@ class Fmu:
         held[self.input] = np.append(u_v, u_v[-1:])
         # A step ends where the next voltage begins: the output of its end answers it.
         result = fmpy.simulate_fmu(
-            self.path, start_time=0.0, stop_time=samples / fs_hz, step_size=1 / fs_hz,
-            output_interval=1 / fs_hz, input=held, output=[self.output], fmi_type="CoSimulation",
-        )  # fmt: skip
+            self.path,
+            start_time=0.0,
+            stop_time=samples / fs_hz,
+            step_size=1 / fs_hz,
+            output_interval=1 / fs_hz,
+            input=held,
+            output=[self.output],
+            fmi_type="CoSimulation",
+        )
         y: np.ndarray = np.asarray(result[self.output], dtype=np.float64)[1:]
         return y
 

@@ -186,9 +186,15 @@ class BoucWenOscillator(SavedStage):
         Windows give the bits of the whole.
         """
         bounded: bool = bouc_wen_oscillator(
-            u, self._taps, np.array(self.values), 1 / (self.sample_rate_hz * self.steps), state.past,
-            state.before, state.motion, y,
-        )  # fmt: skip
+            u,
+            self._taps,
+            np.array(self.values),
+            1 / (self.sample_rate_hz * self.steps),
+            state.past,
+            state.before,
+            state.motion,
+            y,
+        )
         state.past += len(u)
         y *= UM_PER_M
         y += self.get_buffer("offset_um").item()

@@ -31,9 +31,14 @@ class CarriedState(torch.autograd.Function):
         v, before, z0, z = ctx.saved_tensors
         by_v, by_before, by_z0 = torch.zeros_like(v), torch.zeros_like(before), torch.zeros_like(z0)
         ctx.kernel(
-            *(as_array(part) for part in (v, before, z0)), *ctx.numbers, as_array(z), as_array(gradients[0]),
-            by_v.numpy(), by_before.numpy(), by_z0.numpy(),
-        )  # fmt: skip
+            *(as_array(part) for part in (v, before, z0)),
+            *ctx.numbers,
+            as_array(z),
+            as_array(gradients[0]),
+            by_v.numpy(),
+            by_before.numpy(),
+            by_z0.numpy(),
+        )
         return by_v, by_before, by_z0, None, None
 
 

@@ -150,9 +150,16 @@ class IndirectStream(nn.Module):
 
     def __init__(
         self,
-        r: list[float], rho: list[float], b: list[float], k: list[float],
-        lead: list[float], d: list[float], v: list[float], slowest: float, fastest: float,
-    ) -> None:  # fmt: skip
+        r: list[float],
+        rho: list[float],
+        b: list[float],
+        k: list[float],
+        lead: list[float],
+        d: list[float],
+        v: list[float],
+        slowest: float,
+        fastest: float,
+    ) -> None:
         super().__init__()
         self.r = r
         self.rho = rho
@@ -196,8 +203,11 @@ def _run(
     h: np.ndarray, u: np.ndarray,
 ) -> None:  # fmt: skip
     r_now, w_now, r_inverse, w_inverse = (
-        np.empty(len(r)), np.empty(len(r)), np.empty(len(r)), np.empty(len(r)),
-    )  # fmt: skip
+        np.empty(len(r)),
+        np.empty(len(r)),
+        np.empty(len(r)),
+        np.empty(len(r)),
+    )
     for batch in range(yd.shape[0]):
         for t in range(yd.shape[1]):
             u[batch, t] = _indirect_step(

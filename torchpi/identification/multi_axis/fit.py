@@ -303,9 +303,16 @@ class PeriodicFit:
         state = stage.initial_state(1)
         y = np.zeros((len(u), stage.outputs))
         bounded = modal_feedback(
-            u, self.excess[i], *self.numbers(), state.x[0], state.h[0], state.means[0], 0, y,
+            u,
+            self.excess[i],
+            *self.numbers(),
+            state.x[0],
+            state.h[0],
+            state.means[0],
+            0,
+            y,
             np.zeros((0, 0)) if record is None else record,
-        )  # fmt: skip
+        )
         y += stage.foreseen(self.padded[i])
         return y if bounded and np.abs(y).max() < DIVERGED else None
 

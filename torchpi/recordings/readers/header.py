@@ -17,10 +17,15 @@ UNITS: dict[Role, dict[str, tuple[float, float]]] = {
     "time": {"s": (1, 1), "ms": (1, 1000), "us": (1, 1_000_000), "ns": (1, 1_000_000_000), "min": (60, 1)},
     "input": {"V": (1, 1), "mV": (1, 1000), "kV": (1000, 1), "uV": (1, 1_000_000)},
     "output": {
-        "um": (1, 1), "nm": (1, 1000), "mm": (1000, 1), "m": (1_000_000, 1), "pm": (1, 1_000_000),
-        "cm": (10_000, 1), "angstrom": (1, 10_000),
+        "um": (1, 1),
+        "nm": (1, 1000),
+        "mm": (1000, 1),
+        "m": (1_000_000, 1),
+        "pm": (1, 1_000_000),
+        "cm": (10_000, 1),
+        "angstrom": (1, 10_000),
     },
-}  # fmt: skip
+}
 ALIASES = {
     "v": "V", "volt": "V", "volts": "V", "mv": "mV", "kv": "kV", "uv": "uV", "micron": "um", "microns": "um",
     "sec": "s", "second": "s", "seconds": "s", "minutes": "min", "msec": "ms", "usec": "us",

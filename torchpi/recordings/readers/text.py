@@ -214,9 +214,11 @@ class TextSource(Source):
             elif cells:
                 stated = {name: known_unit(_bare(unit)) for name, unit in zip(cells, units, strict=False)}
                 return cells, stated | {
-                    name: unit for name in cells if name not in stated or not stated[name]
+                    name: unit
+                    for name in cells
+                    if name not in stated or not stated[name]
                     if (unit := stem_and_unit(name)[1])
-                }  # fmt: skip
+                }
         return [], {}
 
     def _names_in(self, line: str) -> list[str]:

@@ -124,9 +124,14 @@ _aged: Any = numba.njit(aged)
 
 @numba.njit(cache=True)
 def _forward(
-    x: np.ndarray, period_s: float, loss_per_s: float, loss_per_mm: float,
-    state: np.ndarray, travel: np.ndarray, y: np.ndarray,
-) -> None:  # fmt: skip
+    x: np.ndarray,
+    period_s: float,
+    loss_per_s: float,
+    loss_per_mm: float,
+    state: np.ndarray,
+    travel: np.ndarray,
+    y: np.ndarray,
+) -> None:
     for batch in range(x.shape[0]):
         elapsed, travel_mm, before = state[batch, 0], state[batch, 1], state[batch, 2]
         for k in range(x.shape[1]):

@@ -145,9 +145,13 @@ class Creep(StateSpaceEffect):
         rate = 1 / torch.stack([self.time_constant_s, self.slow_time_constant_s])
         own = torch.stack([self.gain, self.slow_gain])
         a, b, c, d = discretise(
-            -rate[:, None, None], rate[:, None], own[:, None], torch.zeros_like(own), self.sample_period_s,
+            -rate[:, None, None],
+            rate[:, None],
+            own[:, None],
+            torch.zeros_like(own),
+            self.sample_period_s,
             "first",
-        )  # fmt: skip
+        )
         return (
             torch.cat([poles.a, a[:, 0, 0]]),
             torch.cat([poles.b, b[:, 0]]),

@@ -57,9 +57,14 @@ _towards = njit(towards)
 
 @njit
 def _forward(
-    up: np.ndarray, down: np.ndarray, width: np.ndarray, kept: float, h0: np.ndarray, r: np.ndarray,
+    up: np.ndarray,
+    down: np.ndarray,
+    width: np.ndarray,
+    kept: float,
+    h0: np.ndarray,
+    r: np.ndarray,
     h: np.ndarray,
-) -> None:  # fmt: skip
+) -> None:
     for row in range(up.shape[0]):
         now = h0[row].copy()
         for t in range(up.shape[1]):

@@ -158,9 +158,15 @@ def _forward(u: np.ndarray, step: float, knee: float, v0: np.ndarray, v: np.ndar
 
 @numba.njit(cache=True)
 def _backward(
-    u: np.ndarray, step: float, knee: float, v0: np.ndarray, v: np.ndarray, gv: np.ndarray, gu: np.ndarray,
+    u: np.ndarray,
+    step: float,
+    knee: float,
+    v0: np.ndarray,
+    v: np.ndarray,
+    gv: np.ndarray,
+    gu: np.ndarray,
     gv0: np.ndarray,
-) -> tuple[float, float]:  # fmt: skip
+) -> tuple[float, float]:
     gstep, gknee = 0.0, 0.0
     for batch in range(u.shape[0]):
         carried = 0.0

@@ -64,9 +64,15 @@ class Slide(torch.autograd.Function):
         x, r, rho, state, y = ctx.saved_tensors
         gx, gstate = torch.zeros_like(x), gradients[1].clone()
         gr, grho = _backward(
-            x.numpy(), r.item(), rho.item(), state.detach().numpy(), y.numpy(),
-            gradients[0].contiguous().numpy(), gx.numpy(), gstate.numpy(),
-        )  # fmt: skip
+            x.numpy(),
+            r.item(),
+            rho.item(),
+            state.detach().numpy(),
+            y.numpy(),
+            gradients[0].contiguous().numpy(),
+            gx.numpy(),
+            gstate.numpy(),
+        )
         return gx, torch.tensor(gr, dtype=r.dtype), torch.tensor(grho, dtype=rho.dtype), gstate
 
 
@@ -115,9 +121,15 @@ def _forward(x: np.ndarray, r: float, rho: float, state: np.ndarray, y: np.ndarr
 
 @numba.njit(cache=True)
 def _backward(
-    x: np.ndarray, r: float, rho: float, state: np.ndarray, y: np.ndarray, gy: np.ndarray, gx: np.ndarray,
+    x: np.ndarray,
+    r: float,
+    rho: float,
+    state: np.ndarray,
+    y: np.ndarray,
+    gy: np.ndarray,
+    gx: np.ndarray,
     gstate: np.ndarray,
-) -> tuple[float, float]:  # fmt: skip
+) -> tuple[float, float]:
     gr, grho = 0.0, 0.0
     for batch in range(x.shape[0]):
         carried, by_last = gstate[batch, 0], gstate[batch, 1]

@@ -117,9 +117,15 @@ _stick: Any = numba.njit(stick)
 
 @numba.njit(cache=True)
 def _run(
-    x: np.ndarray, sliding: float, breakaway: float, rests: bool, state: np.ndarray, y: np.ndarray,
-    source: np.ndarray, steps: np.ndarray,
-) -> None:  # fmt: skip
+    x: np.ndarray,
+    sliding: float,
+    breakaway: float,
+    rests: bool,
+    state: np.ndarray,
+    y: np.ndarray,
+    source: np.ndarray,
+    steps: np.ndarray,
+) -> None:
     # Where it slid the output is x - d sgn(ẋ) of the last sliding sample; elsewhere what it began with.
     for batch in range(x.shape[0]):
         last, side = NO_SOURCE, 0.0

@@ -41,9 +41,13 @@ _drift: Any = numba.njit(drift)
 
 @numba.njit(cache=True)
 def _moved(
-    elapsed: np.ndarray, period_s: float,
-    amplitude_um: float, time_constant_s: float, rate_um_per_s: float, moved: np.ndarray,
-) -> None:  # fmt: skip
+    elapsed: np.ndarray,
+    period_s: float,
+    amplitude_um: float,
+    time_constant_s: float,
+    rate_um_per_s: float,
+    moved: np.ndarray,
+) -> None:
     for batch in range(moved.shape[0]):
         for k in range(moved.shape[1]):
             t_s = (elapsed[batch] + k) * period_s
