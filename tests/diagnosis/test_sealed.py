@@ -15,7 +15,8 @@ NOISE_UM2 = 1e-4
 
 def record() -> SimpleNamespace:
     held_out = np.arange(TRAIN + SEALED) >= TRAIN
-    return SimpleNamespace(held_out=held_out, train=~held_out)
+    u = 5 + 5 * np.sin(np.arange(TRAIN + SEALED) / 7)
+    return SimpleNamespace(held_out=held_out, train=~held_out, u=u)
 
 
 def fits(here: float, there: float, records: int = 1) -> tuple[SimpleNamespace, SimpleNamespace]:
@@ -62,8 +63,21 @@ def test_a_recording_that_misses_by_far_counts_as_one() -> None:
 
 def test_a_recording_of_which_nothing_was_sealed_says_nothing() -> None:
     more, less = fits(0.1, 0.1)
-    whole = SimpleNamespace(held_out=np.zeros(TRAIN + SEALED, bool), train=np.ones(TRAIN + SEALED, bool))
+    whole = record()
+    whole.held_out, whole.train = np.zeros(TRAIN + SEALED, bool), np.ones(TRAIN + SEALED, bool)
     assert confirmed(0.9, [whole], more, less, NOISE_UM2, False) == 0.9
+
+
+@pytest.mark.parametrize(("beyond_v", "judged"), [(0.0, True), (2.0, False), (-12.0, False)])
+def test_voltages_that_no_fitted_sample_reached_do_not_judge(beyond_v: float, judged: bool) -> None:
+    more, less = fits(0.1, 0.1)
+    far = record()
+    for e, without in zip(more.residuals, less.residuals, strict=True):
+        for residual in (e, without):
+            residual[TRAIN + 50 :] += 0.5
+    far.u[TRAIN + 50 :] = 5 + 5 * np.sign(beyond_v) + beyond_v if beyond_v else 5.0
+    share = confirmed(0.9, [far], more, less, NOISE_UM2, False)
+    assert share < 0.3 if judged else share == pytest.approx(0.9, abs=0.02)
 
 
 @given(st.floats(0, 1), st.floats(-1, 1), st.floats(1e-3, 1), st.booleans())

@@ -1,7 +1,8 @@
 """What the sealed end of each recording says of an effect: it was in no fit, and in no choice of one.
 
 An effect that only resembles what is missing has bent to the samples that it was fitted to. On others it
-explains less, or spoils.
+explains less, or spoils. Where the voltage lies beyond all that was fitted, what is left is what a hysteresis
+of many weights makes of voltages that it never saw, whatever else is missing: those samples do not judge.
 """
 
 from collections.abc import Sequence
@@ -34,13 +35,16 @@ def confirmed(
             a signal of its own, or cannot be extrapolated.
         apart: How much of what it gains lies in what does not repeat with the voltage, 0–1.
     """
-    share = known
+    share, reached = known, [record.u[record.train] for record in records]
+    lowest_v, highest_v = min(u.min() for u in reached), max(u.max() for u in reached)
     for part, split in ((1.0 - apart, as_they_are), (apart, what_does_not_repeat)):
         if part == 0.0:
             continue
         gained = changed = left = here = there = 0.0
         for record, e, without in zip(records, more.residuals, less.residuals, strict=True):
-            (e_held, e_train), (without_held, without_train) = split(record, e), split(record, without)
+            judging = record.held_out & (record.u >= lowest_v) & (record.u <= highest_v)
+            e_held, e_train = split(record, e, judging)
+            without_held, without_train = split(record, without, judging)
             if not len(e_held):
                 continue
             after, before = mean_square(e_held), mean_square(without_held)
@@ -56,16 +60,16 @@ def confirmed(
     return share
 
 
-def as_they_are(record: Record, e: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The residuals that were held out, and those that were not."""
-    return e[record.held_out], e[record.train]
+def as_they_are(record: Record, e: np.ndarray, judging: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The residuals that judge, and those that were fitted."""
+    return e[judging], e[record.train]
 
 
-def what_does_not_repeat(record: Record, e: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def what_does_not_repeat(record: Record, e: np.ndarray, judging: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The same, less what repeats with the voltage; none where it does not repeat."""
     repeats = record.coefficients.repeats
     sealed = repeats.beyond(e)
-    told = np.isfinite(sealed) & record.held_out[repeats.samples :]
+    told = np.isfinite(sealed) & judging[repeats.samples :]
     return sealed[told], repeats(e[None])[0][repeats.apart]
 
 
