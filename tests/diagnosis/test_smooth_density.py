@@ -1,18 +1,38 @@
 """The prior of a Preisach operator's density, and its slow terms."""
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 
+from tests.diagnosis.plants import pair
+from tests.diagnosis.prepared import prepared
+from torchpi.diagnosis.hysteresis_model import HysteresisModel, duhem, many_plays, preisach
+from torchpi.diagnosis.records import seen
 from torchpi.diagnosis.smooth_density import cosines, roughness, terms
+from torchpi.stage.effects.effect import DataRange
 
 
 @pytest.mark.parametrize(("pieces", "plays"), [(5, 7), (12, 4), (200, 1), (3, 2)])
 def test_terms_are_the_principal_components_of_the_prior(pieces: int, plays: int) -> None:
     rows = terms(pieces, plays)
-    rough = roughness(rows.reshape(len(rows), pieces, plays))
-    np.testing.assert_allclose(rough @ rough.T, np.eye(len(rows)), atol=1e-9)
+    slopes = rows.reshape(len(rows), pieces, plays)
+    lines, bent = slopes[:plays], slopes[plays:]
+    rough = roughness(bent)
+    np.testing.assert_allclose(rough @ rough.T, np.eye(len(bent)), atol=1e-9)
+    np.testing.assert_allclose(bent.sum(1), 0.0, atol=1e-9)
+    assert (lines == np.eye(plays)[:, None]).all() and not roughness(lines).any()
     if pieces * plays < 100:
         assert np.linalg.matrix_rank(rows) == pieces * plays
+
+
+@pytest.mark.parametrize("larger", [many_plays, lambda s: preisach(s, 6), duhem])
+def test_unreduced_rows_are_independent_before_any_recording(
+    larger: Callable[[DataRange], HysteresisModel],
+) -> None:
+    nominal = larger(seen(prepared(pair(2000))))
+    variances = nominal.inverse_variances(3.0, 2.0)
+    np.testing.assert_allclose(nominal.inverse_covariance(3.0, 2.0), np.diag(variances), atol=1e-9)
 
 
 def test_a_density_means_the_same_on_a_finer_grid() -> None:

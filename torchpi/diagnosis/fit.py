@@ -17,7 +17,6 @@ from torchpi.diagnosis.free_parameters import (
 )
 from torchpi.diagnosis.haar import CELLS
 from torchpi.diagnosis.hypothesis import Fit, Hypothesis
-from torchpi.diagnosis.hysteresis_model import HysteresisModel
 from torchpi.diagnosis.records import Record
 from torchpi.diagnosis.sensitivity import (
     Near,
@@ -30,7 +29,6 @@ from torchpi.diagnosis.sensitivity import (
     slopes_of,
     tangent_of,
 )
-from torchpi.diagnosis.smooth_density import SMOOTH
 from torchpi.errors import StageError
 
 RIDGE = 1e-9
@@ -238,12 +236,6 @@ def prior_of(chain: Chain, hypothesis: Hypothesis, gram: np.ndarray) -> np.ndarr
 def weight_prior(chain: Chain) -> float:
     """The inverse variance of one weight of the hysteresis, before any recording."""
     return (PRIOR_SHARE * chain.span_v / chain.weighting.geometric_mean_rms_um) ** 2
-
-
-def prior_of_one(chain: Chain, nominal: HysteresisModel) -> float:
-    """The same of one of the rows in which the hysteresis has not been reduced: the terms of a density have
-    unit roughness."""
-    return weight_prior(chain) if nominal.pieces == 1 else SMOOTH / chain.gain_um_per_v**2
 
 
 def with_prior(

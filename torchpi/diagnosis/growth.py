@@ -16,7 +16,7 @@ from torchpi.diagnosis.hypothesis import Fit, Hypothesis
 from torchpi.diagnosis.hysteresis_model import HysteresisModel, many_plays, plain, preisach
 from torchpi.diagnosis.outside import Outside
 from torchpi.diagnosis.parallel import Job
-from torchpi.diagnosis.reduced_basis import MANY, basis, refitted
+from torchpi.diagnosis.reduced_basis import MANY, basis, grown, refitted
 from torchpi.stage.hysteresis import OF_BOUC_WEN, OF_DUHEM
 
 OPERATOR = "hysteresis_operator: "
@@ -69,7 +69,7 @@ class Growth(Exchange):
         h, found = now.hypothesis, list[tuple[str, Fit]]()
         larger = [one for one in larger if one.family not in {*self.rejected_families, h.nominal.family}]
         jobs: list[Job] = [
-            (*basis(self.chain, self.on(h, one), None, MANY), 2, ROUGH)
+            (*grown(self.chain, self.on(h, one), self.of_its_plays(one, now), MANY), 2, ROUGH)
             for one in larger
             if not one.has_states
         ]
@@ -89,6 +89,13 @@ class Growth(Exchange):
         if any(self.over(one, now).probability > ACCEPTED for _, one in found):
             now = max(now, self.at_its_own_weights(refitted(self.chain, now)), key=self.score)
         return [Tried(name, one, self.over(one, now, PRIOR)) for name, one in found]
+
+    def of_its_plays(self, larger: HysteresisModel, now: Fit) -> Fit:
+        """A fit with the plays that a larger hysteresis has, each a straight line."""
+        if larger.pieces == 1 or np.array_equal(larger.thresholds_v, now.hypothesis.nominal.thresholds_v):
+            return now
+        (one,) = self.fits([(self.on(now.hypothesis, many_plays(self.seen)), None, 2, ROUGH)])
+        return one
 
     def of_states(self, now: Fit, starts: Sequence[HysteresisModel]) -> Fit:
         """States of one family that are not linear in their numbers, alone, or beside plays where that
@@ -110,7 +117,8 @@ class Growth(Exchange):
         self.weigh(best)
         plays = preisach(self.seen) if nominal.duhem else self.plays()
         nominal = replace(nominal, thresholds_v=plays.thresholds_v, pieces=plays.pieces, reduction=None)
-        more, _ = basis(self.chain, replace(best.hypothesis, nominal=nominal), None, MANY)
+        of_its_plays = self.of_its_plays(nominal, now)
+        more, _ = grown(self.chain, replace(best.hypothesis, nominal=nominal), of_its_plays, MANY)
         # Once effects are there, only what keeps up with them is fitted to the end.
         heat = HEAT if self.added(now) else TO_THE_END
         (one,) = self.raced([(more, None, TO_THE_END, ROUGH)], now, heat)

@@ -33,10 +33,8 @@ BLOCK = 256
 """Samples whose states are mixed at a time: they stay in the cache, however many plays there are."""
 CHANGING = ("asymmetry_per_v", "incongruence_per_v", "weight_s_per_v", "threshold_s_per_v", "loop_per_e")
 """Numbers of the shape that change what a play does; the others only say how."""
-GRID = 48
-"""Plays of a Preisach operator, and pieces of each output function."""
-DENSER = 1.5
-"""Power that makes its thresholds denser near 0, where small loops are."""
+PIECES = 48
+"""Of each output function of a Preisach operator."""
 CURVE = 200
 """Pieces of a curve."""
 FIRM = 30.0
@@ -140,14 +138,23 @@ class HysteresisModel:
         of_plays = terms(self.pieces, len(self.thresholds_v))
         return replace(self, reduction=block_diag(of_plays, np.eye(self.size - self.of_plays)))
 
+    def inverse_variances(self, of_one: float, gain_um_per_v: float) -> np.ndarray:
+        """(kept,): of the prior of the rows' weights, unreduced, `of_one` being that of a single one."""
+        found = np.full(self.kept, of_one)
+        if self.pieces > 1:
+            bent = slice(len(self.thresholds_v), self.kept - self.size + self.of_plays)
+            found[bent] = SMOOTH / gain_um_per_v**2
+        return found
+
     def inverse_covariance(self, of_one: float, gain_um_per_v: float) -> np.ndarray:
         """(kept, kept): of the prior of the rows' weights, `of_one` being that of a single one."""
         rows = np.eye(self.size) if self.reduction is None else self.reduction
         if self.pieces == 1:
             return of_one * rows @ rows.T
         of_plays, others = np.split(rows, [self.of_plays], axis=1)
-        rough = roughness(of_plays.reshape(len(rows), self.pieces, -1))
-        both: np.ndarray = of_one * (others @ others.T) + SMOOTH / gain_um_per_v**2 * (rough @ rough.T)
+        slopes = of_plays.reshape(len(rows), self.pieces, -1)
+        rough, lines = roughness(slopes), np.concatenate([slopes.mean(1), others], 1)
+        both: np.ndarray = of_one * (lines @ lines.T) + SMOOTH / gain_um_per_v**2 * (rough @ rough.T)
         return both
 
     def fill(self, v: np.ndarray, period_s: float, rows: np.ndarray) -> None:
@@ -286,9 +293,9 @@ def many_plays(seen: DataRange) -> HysteresisModel:
     return plays_of(seen, thresholds(seen, 20, 80))
 
 
-def preisach(seen: DataRange, grid: int = GRID) -> HysteresisModel:
-    """Plays through output functions: a Preisach operator in play form."""
-    return plays_of(seen, 0.97 * reach_v(seen) * np.linspace(0, 1, grid) ** DENSER, grid).unreduced
+def preisach(seen: DataRange, pieces: int = PIECES) -> HysteresisModel:
+    """The same plays through output functions: a Preisach operator in play form."""
+    return replace(many_plays(seen), pieces=pieces).unreduced
 
 
 def bouc_wen(seen: DataRange, sigma: float) -> HysteresisModel:

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from torchpi.diagnosis.chain import Chain
-from torchpi.diagnosis.fit import ITERATIONS, fit, prior_of_one
+from torchpi.diagnosis.fit import ITERATIONS, fit, weight_prior
 from torchpi.diagnosis.hypothesis import Fit, Hypothesis
 
 FEW, MANY = 48, 200
@@ -45,9 +45,12 @@ def basis(
         chain.nominal(bare, i).fill(chain.voltage(bare, i), record.period_s, rows)
         part = np.ascontiguousarray(chain.whitened(i, rows[:size])[:, ::THINNED])
         gram += part @ part.T
-    values, vectors = np.linalg.eigh(gram * THINNED)
-    informed = int((values > INFORMED * prior_of_one(chain, full)).sum())
-    of_plays = vectors[:, ::-1][:, : max(1, min(kept, informed))].T
+    # The prior holds a straight line less than what bends it.
+    prior = full.inverse_variances(weight_prior(chain), chain.gain_um_per_v)[:size]
+    unit = np.sqrt(prior[-1] / prior)
+    values, vectors = np.linalg.eigh(gram * THINNED * unit * unit[:, None])
+    informed = int((values > INFORMED * prior[-1]).sum())
+    of_plays = vectors[:, ::-1][:, : max(1, min(kept, informed))].T * unit
     # What a state adds to its plays may be little where it begins, and much where its numbers lead.
     reduction = block_diag(of_plays, np.eye(others))
     if full.reduction is not None:
@@ -57,6 +60,20 @@ def basis(
     mixed = replace(full, reduction=np.concatenate([first[None], reduction]))
     started = np.concatenate([[1.0], np.zeros(len(reduction)), beside])
     return replace(hypothesis, nominal=mixed), started
+
+
+def grown(chain: Chain, hypothesis: Hypothesis, now: Fit, kept: int) -> tuple[Hypothesis, np.ndarray | None]:
+    """The same of a hypothesis with more rows than a fit, whose solution is the first row where the plays are
+    the same: a density that is smooth has no sharp thresholds, and would lose what the plays know of them."""
+    larger, before = hypothesis.nominal, now.hypothesis.nominal
+    if larger.pieces % before.pieces or not np.array_equal(larger.thresholds_v, before.thresholds_v):
+        return basis(chain, hypothesis, None, kept)
+    known = now.weights[: before.kept]
+    full = known if before.reduction is None else before.reduction.T @ known
+    slopes = np.tile(full[: before.of_plays], larger.pieces // before.pieces)
+    weights = np.zeros(larger.size + len(chain.records) * (1 + hypothesis.history))
+    weights[: len(slopes)] = slopes
+    return basis(chain, replace(hypothesis, nominal=replace(larger, reduction=None)), weights, kept)
 
 
 def reduced(chain: Chain, now: Fit, kept: int = FEW) -> Fit:

@@ -1,7 +1,8 @@
 """The density of a Preisach operator in play form: cells of plays and pieces, smooth before any recording.
 
-With μ the slopes w_ki of the output functions, in units of the stage's gain over the number of plays, a
-density costs
+The mean slope of each play's output function, a straight line, has the prior of a weight of plays alone: what
+is sharp in its threshold stays sharp. With μ what the slopes w_ki are beyond these means, in units of the
+stage's gain over the number of plays, a density costs
 
     ½ `SMOOTH` [Σ (differences between neighbours)² + mean of μ²],
 
@@ -9,6 +10,8 @@ a Gaussian field (thin membrane: Rue and Held, *Gaussian Markov Random Fields*, 
 same on every grid. The play with r = 0 is a curve, and no neighbour of the others. The field's principal
 components on a grid are cosines: the slow ones stand for all.
 """
+
+from functools import cache
 
 import numpy as np
 
@@ -23,6 +26,7 @@ def roughness(slopes: np.ndarray) -> np.ndarray:
     """(sums, …) of (sums, pieces, plays): its inner products are the inverse covariance of the sums, but for
     `SMOOTH` and the gain."""
     sums, pieces, plays = slopes.shape
+    slopes = slopes - slopes.mean(1, keepdims=True)
     curve, density = slopes[..., :1], (plays - 1) * slopes[..., 1:]
     parts = [
         np.sqrt(pieces) * np.diff(curve, axis=1),
@@ -34,13 +38,18 @@ def roughness(slopes: np.ndarray) -> np.ndarray:
     return np.concatenate([part.reshape(sums, -1) for part in parts], 1)
 
 
+@cache
 def terms(pieces: int, plays: int) -> np.ndarray:
-    """(terms, pieces × plays): cosines of the curve and of the density, each of unit roughness."""
-    of_curve = np.zeros((min(pieces, OF_CURVE), pieces, plays))
+    """(terms, pieces × plays): a straight line for each play, then cosines of the curve and of the density
+    that sum to nothing over a play's pieces, each of unit roughness."""
+    lines = np.zeros((plays, pieces, plays))
+    lines[np.arange(plays), :, np.arange(plays)] = 1.0
     along, costs = cosines(pieces)
+    along, costs = along[1:], costs[1:]
+    of_curve = np.zeros((min(pieces - 1, OF_CURVE), pieces, plays))
     of_curve[:, :, 0] = (along / np.sqrt(pieces * costs + 1 / pieces)[:, None])[: len(of_curve)]
     if plays == 1:
-        return of_curve.reshape(len(of_curve), -1)
+        return np.concatenate([lines, of_curve]).reshape(1 + len(of_curve), -1)
     across, prices = cosines(plays - 1)
     both = np.add.outer(costs, prices)
     slow = np.argsort(both, axis=None, kind="stable")[:TERMS]
@@ -48,7 +57,8 @@ def terms(pieces: int, plays: int) -> np.ndarray:
     density = np.zeros((len(slow), pieces, plays))
     density[:, :, 1:] = along[k][:, :, None] * across[i][:, None, :]
     density /= ((plays - 1) * np.sqrt(both.flat[slow] + 1 / (pieces * (plays - 1))))[:, None, None]
-    return np.concatenate([of_curve, density]).reshape(len(of_curve) + len(density), -1)
+    all_of_them = np.concatenate([lines, of_curve, density])
+    return all_of_them.reshape(len(all_of_them), -1)
 
 
 def cosines(cells: int) -> tuple[np.ndarray, np.ndarray]:

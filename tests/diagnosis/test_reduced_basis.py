@@ -1,0 +1,74 @@
+"""A larger hysteresis keeps what the plays know."""
+
+import numpy as np
+import pytest
+
+from tests.diagnosis.plants import FS_HZ, NOISE_UM, multisine, triangles
+from tests.diagnosis.prepared import prepared
+from torchpi.diagnosis.chain import Chain
+from torchpi.diagnosis.fit import fit
+from torchpi.diagnosis.hypothesis import Fit, Hypothesis
+from torchpi.diagnosis.hysteresis_model import many_plays, plain, preisach
+from torchpi.diagnosis.records import seen
+from torchpi.diagnosis.reduced_basis import MANY, basis, grown, reduced
+from torchpi.diagnosis.score import Weighting
+from torchpi.recordings.recording import Recording
+
+
+def sharp(bend: float) -> list[Recording]:
+    """Four plays with sharp corners, the widest two through a curve of this size over their range."""
+    rng, t, made = np.random.default_rng(1), np.arange(6000) / FS_HZ, []
+    r, weights = np.array([0.0, 0.7, 2.3, 4.1]), np.array([0.5, 0.3, 0.2, 0.2])
+    for name, u in (("a", multisine(6000, high_hz=60.0)), ("b", triangles(6000))):
+        y, h = np.empty(len(u)), np.zeros(len(r))
+        for k, v in enumerate(u):
+            h = np.maximum(v - r, np.minimum(v + r, h))
+            y[k] = weights @ h + bend * (h[2] ** 2 + h[3] ** 2) / 100
+        made.append(Recording(name, t, u, y + rng.normal(0, NOISE_UM, len(u)), FS_HZ))
+    return made
+
+
+def best_of_plays(chain: Chain) -> Fit:
+    now = fit(chain, *basis(chain, Hypothesis(many_plays(seen(chain.records))), None, MANY))
+    chain.weighting = Weighting.of(chain.records, now.residuals, None)
+    return fit(chain, now.hypothesis, now.weights)
+
+
+@pytest.mark.parametrize("few", [True, False])
+def test_plays_through_output_functions_begin_where_the_plays_alone_ended(few: bool) -> None:
+    chain = Chain(prepared(sharp(0.8)))
+    now = best_of_plays(chain)
+    now = reduced(chain, now) if few else now
+    larger, weights = grown(chain, Hypothesis(preisach(seen(chain.records))), now, MANY)
+    assert weights is not None and larger.nominal.kept <= MANY + 1
+    for record in chain.records:
+        as_before = [
+            nominal.output(record.u, record.period_s, w[: nominal.kept])
+            for nominal, w in ((larger.nominal, weights), (now.hypothesis.nominal, now.weights))
+        ]
+        np.testing.assert_allclose(*as_before, atol=1e-9)
+
+
+def test_sharp_thresholds_stay_sharp_where_output_functions_bend() -> None:
+    """A smooth density alone has none, and predicts worse than plays that lack the bend."""
+    chain = Chain(prepared(sharp(0.8)))
+    now = best_of_plays(chain)
+    assert now.train_rms > 3 * NOISE_UM
+    one = fit(chain, *grown(chain, Hypothesis(preisach(seen(chain.records))), now, MANY))
+    assert one.train_rms < 1.3 * NOISE_UM
+    density = chain.weighting.log_density
+    assert density(one).sum() > density(now).sum() + 100
+
+
+def test_where_nothing_bends_output_functions_predict_as_well_as_plays() -> None:
+    chain = Chain(prepared(sharp(0.0)))
+    now = best_of_plays(chain)
+    one = fit(chain, *grown(chain, Hypothesis(preisach(seen(chain.records))), now, MANY))
+    assert one.left_out_um2.mean() < 1.1 * now.left_out_um2.mean()
+
+
+def test_other_plays_are_begun_from_nothing() -> None:
+    chain = Chain(prepared(sharp(0.0)))
+    now = fit(chain, Hypothesis(plain(seen(chain.records))))
+    _, weights = grown(chain, Hypothesis(preisach(seen(chain.records))), now, MANY)
+    assert weights is None
