@@ -25,7 +25,7 @@ from torchpi.diagnosis.outside import Outside, untried_note
 from torchpi.diagnosis.posterior import posterior
 from torchpi.diagnosis.records import Record, prepare, seen, whole
 from torchpi.diagnosis.reduced_basis import reduced
-from torchpi.diagnosis.remainder import with_remainder
+from torchpi.diagnosis.remainder import unless_unknown, with_remainder
 from torchpi.diagnosis.say import nm, paragraph
 from torchpi.diagnosis.score import Weighting
 from torchpi.diagnosis.search import Search
@@ -111,6 +111,7 @@ def diagnose(
     search.noise = left_unexplained(search, final)
     log("decide: every effect against its rivals")
     final, believed = posterior(search, retuned, final, history)
+    final, believed = unless_unknown(search, retuned, final, believed)
     noise = left_unexplained(search, final)
     believed = believed if called is None else with_untried(believed, tried, untried)
     modelled = augmented = free_run(chain, final, search.jump.value_um) if search.jump else final

@@ -6,16 +6,23 @@ import numpy as np
 import torch
 
 from torchpi.diagnosis.chain import Chain
-from torchpi.diagnosis.fit import left_out, rms
+from torchpi.diagnosis.contest import STEPS
+from torchpi.diagnosis.exchange import rms_of
+from torchpi.diagnosis.fit import ROUGH, left_out, rms
 from torchpi.diagnosis.hypothesis import EffectTerm, Fit
+from torchpi.diagnosis.posterior import OPERATOR_NAME, Believed
 from torchpi.diagnosis.records import seen
+from torchpi.diagnosis.reduced_basis import reduced
 from torchpi.diagnosis.score import gain
+from torchpi.diagnosis.search import Search
 from torchpi.diagnosis.sensitivity import Sensitivity, jacobian
 from torchpi.stage.effects.unknown import TIMES, Unknown
 
 RIDGES = (1e-1, 1e-2, 1e-3, 1e-4)
 EARNS = 0.95
 """Probability that the recordings are predicted better with the remainder than without."""
+HALF = 0.5
+"""Probability from which what is on no list takes the place of a larger hysteresis."""
 FAINT = 0.3
 """Of the rms that is left."""
 LARGEST = Unknown.quantities["a0"].at_most
@@ -96,3 +103,26 @@ def with_remainder(chain: Chain, now: Fit, ridge: float | None = None) -> tuple[
     if ridge is None and (faint or gained.probability < EARNS):
         return None
     return best
+
+
+def unless_unknown(
+    search: Search, retuned: Fit, final: Fit, believed: list[Believed]
+) -> tuple[Fit, list[Believed]]:
+    """The best hypothesis, and its effects, with what is on no list as a rival of a larger hysteresis, whose
+    hundreds of numbers act everywhere and bend to anything: without it where the rival predicts better."""
+    h, before = final.hypothesis, retuned.hypothesis.nominal
+    if search.jump or h.nominal.family == before.family:
+        return final, believed
+    chain = search.chain
+    (plain,) = search.fits([(h.on(before), None, STEPS, ROUGH)])
+    beside, instead = (with_remainder(chain, reduced(chain, one)) for one in (final, plain))
+    if instead is None:
+        return final, believed
+    lost = search.over(instead[0], beside[0] if beside else final).probability
+    if lost > HALF:
+        search.log(f"  what is on no list in the place of a larger hysteresis: {rms_of(instead[0])}")
+        return plain, [one for one in believed if one.name != OPERATOR_NAME]
+    return final, [
+        replace(one, probability=round(one.probability * (1 - lost), 4)) if one.name == OPERATOR_NAME else one
+        for one in believed
+    ]
