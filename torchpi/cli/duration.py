@@ -39,12 +39,12 @@ MOST_SAMPLES = 200_000
 """That a diagnosis works on; longer recordings are taken at a lower rate."""
 FEWEST_ROUNDS, USUAL_ROUNDS, MOST_ROUNDS = 2, 5, 7
 """Of a search that finds anything; one that finds nothing has a single round."""
-DIAGNOSIS_S, DRAWING_S = 10.5, 8.0
+DIAGNOSIS_S, DRAWING_S = 2.0, 8.0
 """Of a diagnosis in all and at its end, whatever the recordings: libraries are imported, figures drawn."""
-ROUND_S, SAMPLE_S = 1.45, 2.05e-4
+ROUND_S, SAMPLE_S = 7.8, 3.2e-4
 """Of the first round of a search, in all and of a sample, with its share of the decision."""
-GROWTH = 1.3
-"""The power of the number of rounds by which a search grows: each has more to fit again."""
+GROWTH = 0.9
+"""The power of the number of rounds by which a search grows."""
 DECISION = 0.1
 """The decision, over the search."""
 SERIAL = 0.3

@@ -61,9 +61,8 @@ class Placed(NamedTuple):
     def of_deviation(self, x: Tensor) -> Tensor:
         """What a linear effect makes of rows, (rows, time), at rest at their first sample."""
         first = x[:, :1]
-        moved: Tensor = (self.effect(x - first) if self.matrices is None else run(x - first, self.matrices))[
-            0
-        ]
+        response = self.effect(x - first) if self.matrices is None else run(x - first, self.matrices)
+        moved: Tensor = response[0]
         return moved.add_(first)
 
 
