@@ -40,7 +40,8 @@ MOST_SAMPLES = 200_000
 FEWEST_ROUNDS, USUAL_ROUNDS, MOST_ROUNDS = 2, 5, 7
 """Of a search that finds anything; one that finds nothing has a single round."""
 DIAGNOSIS_S, DRAWING_S = 2.0, 8.0
-"""Of a diagnosis in all and at its end, whatever the recordings: libraries are imported, figures drawn."""
+"""Of a diagnosis, what is counted with no round, and what is left after the decision, when figures are drawn;
+a search has a first round always, which most of that is counted with."""
 ROUND_S, SAMPLE_S = 7.8, 3.2e-4
 """Of the first round of a search, in all and of a sample, with its share of the decision."""
 GROWTH = 0.9
