@@ -1,5 +1,7 @@
 """A larger hysteresis keeps what the plays know."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -72,3 +74,16 @@ def test_other_plays_are_begun_from_nothing() -> None:
     now = fit(chain, Hypothesis(plain(seen(chain.records))))
     _, weights = grown(chain, Hypothesis(preisach(seen(chain.records))), now, MANY)
     assert weights is None
+
+
+@pytest.mark.parametrize("samples_a_period", [5, 2000])
+def test_combinations_are_sums_of_plays_however_fast_the_voltage_moves(samples_a_period: int) -> None:
+    """The two ways of making them agree."""
+    rng = np.random.default_rng(2)
+    v = 5.0 + 4.9 * np.sin(2 * np.pi * np.arange(4000) / samples_a_period) + rng.normal(0, 0.01, 4000)
+    every = many_plays(seen(prepared(sharp(0.0))))
+    combinations = rng.normal(size=(7, every.size))
+    states, sums = np.empty((every.size, len(v))), np.empty((7, len(v)))
+    every.fill(v, 1 / FS_HZ, states)
+    replace(every, reduction=combinations).fill(v, 1 / FS_HZ, sums)
+    np.testing.assert_allclose(sums, combinations @ states, atol=1e-9)

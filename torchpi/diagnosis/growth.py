@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from torchpi.diagnosis.contest import ACCEPTED, FAINT, HEAT, PRIOR, STEPS, Tried, explains_less
+from torchpi.diagnosis.contest import ACCEPTED, ADEQUATE, FAINT, HEAT, PRIOR, STEPS, Tried, explains_less
 from torchpi.diagnosis.exchange import Exchange, rms_of
 from torchpi.diagnosis.fit import FINE, ROUGH
 from torchpi.diagnosis.hypothesis import Fit, Hypothesis
@@ -45,6 +45,7 @@ class Growth(Exchange):
     rejected_families: set[str]
     states: list[HysteresisModel]
     """Where a Bouc–Wen state begins: anywhere, then where it ended before."""
+    many_rows: tuple[tuple[int, str], Fit, Fit] | None = None
 
     def plays(self) -> HysteresisModel:
         """As many plays as the samples carry."""
@@ -80,15 +81,24 @@ class Growth(Exchange):
             family = one.hypothesis.nominal.family
             # A correction beside a given simulation takes what the effects leave: it is not weighed anew.
             # What an effect beats by far waits for the next round.
-            earned = self.over(one, now).probability > ACCEPTED and self.near(one, leader)
-            if earned and not self.simulation:
+            if self.earns(one, now) and self.near(one, leader) and not self.simulation:
                 one = self.at_its_own_weights(one)
             found.append((OPERATOR + family, one))
             if one.train_rms > REJECTED * now.train_rms:
                 self.rejected_families.add(family)
-        if any(self.over(one, now).probability > ACCEPTED for _, one in found):
-            now = max(now, self.at_its_own_weights(refitted(self.chain, now)), key=self.score)
-        return [Tried(name, one, self.over(one, now, PRIOR)) for name, one in found]
+        full = now
+        if any(self.earns(one, now) for _, one in found):
+            full = max(now, self.on_many_rows(now), key=self.score)
+        return [Tried(name, one, self.over(one, full, PRIOR)) for name, one in found]
+
+    def earns(self, larger: Fit, now: Fit) -> bool:
+        """Whether a larger hysteresis may take the place of the present one."""
+        return self.over(larger, now).probability > ACCEPTED and not self.bends_to_all(larger, now)
+
+    def bends_to_all(self, larger: Fit, now: Fit) -> bool:
+        """Whether a larger hysteresis, with hundreds of numbers that act everywhere, explains a little of
+        everything, which is no hysteresis."""
+        return self.chain.weighting.explained_of_all(larger, now) <= ADEQUATE
 
     def of_its_plays(self, larger: HysteresisModel, now: Fit) -> Fit:
         """A fit with the plays that a larger hysteresis has, each a straight line."""
@@ -167,7 +177,12 @@ class Growth(Exchange):
         return best
 
     def on_many_rows(self, one: Fit) -> Fit:
-        return self.at_its_own_weights(refitted(self.chain, one, STEPS))
+        """What a larger hysteresis is compared with; the last one is kept, since families come one after
+        another."""
+        key = (id(one), self.chain.weighting.token)
+        if self.many_rows is None or self.many_rows[0] != key:
+            self.many_rows = key, one, self.at_its_own_weights(refitted(self.chain, one, STEPS))
+        return self.many_rows[2]
 
     def no_larger(self, now: Fit) -> Fit:
         """With the hysteresis of the simulation again, where effects make a larger one needless, or have

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from torchpi.diagnosis.chain import Chain
-from torchpi.diagnosis.contest import ACCEPTED, ADEQUATE, HEAT, PRIOR, STEPS, Tried, explains_less
+from torchpi.diagnosis.contest import ACCEPTED, HEAT, PRIOR, STEPS, Tried, explains_less
 from torchpi.diagnosis.coverage import reason_to_leave_out
 from torchpi.diagnosis.exchange import rms_of
 from torchpi.diagnosis.fit import FINE, ROUGH
@@ -170,11 +170,6 @@ class Search(Growth):
             if self.as_well(full, known):
                 return replace(one, fit=full)
         return best
-
-    def bends_to_all(self, larger: Fit, now: Fit) -> bool:
-        """Whether a larger hysteresis, with hundreds of numbers that act everywhere, explains a little of
-        everything, which is no hysteresis."""
-        return self.chain.weighting.explained_of_all(larger, now) <= ADEQUATE
 
     def retuned(self) -> Fit:
         """The nominal hysteresis, with the timing and the start that suit it better."""
