@@ -6,6 +6,7 @@ of many weights makes of voltages that it never saw, whatever else is missing: t
 """
 
 from collections.abc import Sequence
+from math import log
 
 import numpy as np
 
@@ -47,12 +48,12 @@ def confirmed(
             without_held, without_train = split(record, without, judging)
             if not len(e_held):
                 continue
-            after, before = mean_square(e_held), mean_square(without_held)
-            # Of a recording that misses by far no more counts than of another.
-            scale = (after + before) / 2 + 1e-300
-            gained += (before - after) / scale
-            changed += abs(before - after) / scale
-            left += 0.0 if alone else max(after - noise_um2, 0.0) / scale
+            after, before = mean_square(e_held) + 1e-300, mean_square(without_held) + 1e-300
+            # Of a recording that misses by far no more counts than of another: what is gained is a ratio, and
+            # a hundredfold gain in one is not undone by a twofold loss in another.
+            gained += log(before / after)
+            changed += abs(log(before / after))
+            left += 0.0 if alone else max(after - noise_um2, 0.0) / ((after + before) / 2)
             here += mean_square(without_held - e_held)
             there += mean_square(without_train - e_train)
         sealed, weight = max(gained, 0.0) / max(changed + left, 1e-300), min(here / max(there, 1e-300), 1.0)
