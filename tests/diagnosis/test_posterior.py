@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ from tests.diagnosis.plants import FS_HZ, pair
 from tests.diagnosis.prepared import prepared
 from torchpi.diagnosis import posterior
 from torchpi.diagnosis.chain import Chain
-from torchpi.diagnosis.hypothesis import EffectTerm, Hypothesis
+from torchpi.diagnosis.hypothesis import EffectTerm, Fit, Hypothesis
 from torchpi.diagnosis.hysteresis_model import HysteresisModel, plain
 from torchpi.diagnosis.lines import STANDS_OUT
 from torchpi.diagnosis.posterior import (
@@ -206,17 +206,30 @@ def test_only_a_recorded_signal_that_the_voltage_does_not_tell_is_one_of_its_own
     assert not has_a_recorded_signal(search, SimpleNamespace(hypothesis=h), "cross_coupling")
 
 
-def test_a_delay_explains_only_what_no_timing_convention_does() -> None:
-    scores: dict[Any, float] = {"alone": -100.0, "one tick": -5.0, "a lag": -1.0, "another effect": 0.0}
-    alone, tick, lag, other = scores
-    models = [
-        Model("delay", "", alone),
-        Model("delay", CONVENTION, tick),
-        Model("delay", "amplifier_lag", lag),
+@pytest.mark.parametrize("taken", [0, 1])
+@pytest.mark.parametrize("share", [0.2, 0.8])
+def test_a_delay_explains_only_what_no_timing_convention_does_but_where_that_leaves_most(
+    share: float, taken: int
+) -> None:
+    final, alone, tick, lag, other = (
+        SimpleNamespace(hypothesis=SimpleNamespace(alignment=k), score=score)
+        for k, score in ((taken, 1.0), (0, -100.0), (1, -5.0), (taken, -1.0), (1, 0.0))
+    )
+    models: list[Any] = [
+        Model("", "", cast(Fit, final)),
+        Model("delay", CONVENTION if taken else "", cast(Fit, alone)),
+        Model("delay", "" if taken else CONVENTION, cast(Fit, tick)),
+        Model("delay", "amplifier_lag", cast(Fit, lag)),
+        Model("creep", CONVENTION, cast(Fit, other)),
     ]
-    models.append(Model("creep", CONVENTION, other))
-    assert without_cause(models, "delay", scores.__getitem__).fit == tick
-    assert without_cause(models[:1], "delay", scores.__getitem__).fit == alone
+
+    def explained(more: Any, less: Any) -> float:
+        assert (more, less) == (final, tick)
+        return share
+
+    less = without_cause(models, "delay", lambda one: cast(Any, one).score, explained)
+    assert less.fit == (alone if share > 0.5 else tick)
+    assert without_cause(models[:2], "delay", lambda one: cast(Any, one).score, explained).fit == alone
 
 
 @pytest.mark.parametrize("bends", [True, False])

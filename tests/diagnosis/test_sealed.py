@@ -55,12 +55,14 @@ def test_what_else_is_left_counts_but_for_a_signal_of_its_own() -> None:
 
 
 @pytest.mark.parametrize(
-    ("gained", "spoilt", "low", "high"), [(0.1, -10.0, 0.0, 0.1), (1.0, -0.02, 0.7, 0.9)]
+    ("gained", "spoilt", "low", "high"),
+    [(0.1, -10.0, 0.0, 0.1), (1.0, -0.1, 0.5, 0.7), (1.0, -0.01, 0.85, 1.0)],
 )
 def test_what_one_recording_loses_counts_against_what_others_gain_as_a_ratio(
     gained: float, spoilt: float, low: float, high: float
 ) -> None:
-    """A recording that is missed by far in both counts no more than another."""
+    """A recording that is missed by far in both counts no more than another, and one in which the effect
+    hardly acts hardly counts."""
     more, less = fits(gained, gained, 3)
     one, other = fits(0.1, spoilt)
     more.residuals[0], less.residuals[0] = one.residuals[0], other.residuals[0]

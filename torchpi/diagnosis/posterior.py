@@ -52,6 +52,8 @@ in a right one."""
 HYSTERESIS_ERROR = 0.003
 """The same of a larger hysteresis and any effect. Set on 24 further cases: below 0.0003 in four wrong names,
 0.0024 in another, 0.0054 in a right one."""
+MOST = 0.5
+"""Of what a timing convention leaves where a delay acts, what a delay has to explain to be no convention."""
 HARMONICS = 3
 """Of a line, that may stand out."""
 TOLD = 0.5
@@ -97,7 +99,7 @@ def posterior(
     found, together, h = [], [], models[0].fit.hypothesis
     signals = {name for name in h.names if has_a_signal_of_its_own(search.chain.records, h, name)}
     for name in dict.fromkeys(model.without for model in models if model.without):
-        less = without_cause(models, name, search.score)
+        less = without_cause(models, name, search.score, weighting.explained_where_it_acts)
         rivals, alternatives = [], []
         names = {*names_of(name)}
         held = sum(
@@ -140,11 +142,23 @@ def posterior(
     ]
 
 
-def without_cause(models: Sequence[Model], name: str, score: Callable[[Fit], float]) -> Model:
-    """What predicts best without an effect, and with no other cause in its place: a timing convention is
-    none, so that an effect explains only what no convention does."""
+def without_cause(
+    models: Sequence[Model],
+    name: str,
+    score: Callable[[Fit], float],
+    explained: Callable[[Fit, Fit], float],
+) -> Model:
+    """What predicts best without an effect, and with no other cause in its place.
+
+    A timing convention is none, so that an effect explains only what no convention does; unless the effect
+    explains most of what the best convention leaves where it acts. Then whole samples are not what is late,
+    and all of it is the effect's.
+    """
     bare = [model for model in models if model.without == name and model.instead in ("", CONVENTION)]
-    return max(bare, key=lambda model: score(model.fit))
+    best = max(bare, key=lambda model: score(model.fit))
+    first = min(bare, key=lambda model: model.fit.hypothesis.alignment)
+    later = best.fit.hypothesis.alignment > first.fit.hypothesis.alignment
+    return first if later and explained(models[0].fit, best.fit) > MOST else best
 
 
 def unlisted_hysteresis(h: Hypothesis, before: Hypothesis, name: str) -> list[str]:
@@ -417,8 +431,9 @@ def rivals(
                     more = more.plus(member)
             found.append((label, more, small.weights))
     mine = next((effect for effect in search.effects_tried if effect.name == name), None)
-    if mine and mine.commutes:
-        others = (a for a in search.alignments if a != less.alignment)
+    if mine and mine.delays:
+        # A lag is no whole samples, but may have been found beside a convention that is a part of it.
+        others = (a for a in search.alignments if a < less.alignment or (mine.commutes and a > less.alignment))
         found += [(CONVENTION, replace(less, alignment=a), small.weights) for a in others]
     for effect in search.effects_tried if mine else ():
         if mine and effect.name in mine.degenerate_with and effect.name not in seen | there:

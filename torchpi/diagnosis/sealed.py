@@ -24,7 +24,8 @@ def confirmed(
     apart: float = 0.0,
 ) -> float:
     """The share that an effect explains of what is to be explained, 0–1, if the sealed samples agree; else
-    theirs. They count as much as the effect acts there, beside what it does where it was fitted.
+    theirs. Those of each recording, and all of them, count as much as the effect acts there, beside what it
+    does where it was fitted.
 
     Args:
         known: The share on the samples of the fit.
@@ -51,11 +52,12 @@ def confirmed(
             after, before = mean_square(e_held) + 1e-300, mean_square(without_held) + 1e-300
             # Of a recording that misses by far no more counts than of another: what is gained is a ratio, and
             # a hundredfold gain in one is not undone by a twofold loss in another.
-            gained += log(before / after)
-            changed += abs(log(before / after))
-            left += 0.0 if alone else max(after - noise_um2, 0.0) / ((after + before) / 2)
-            here += mean_square(without_held - e_held)
-            there += mean_square(without_train - e_train)
+            acts, acted = mean_square(without_held - e_held), mean_square(without_train - e_train)
+            votes = min(acts / max(acted, 1e-300), 1.0)
+            gained += votes * log(before / after)
+            changed += votes * abs(log(before / after))
+            left += 0.0 if alone else votes * max(after - noise_um2, 0.0) / ((after + before) / 2)
+            here, there = here + acts, there + acted
         sealed, weight = max(gained, 0.0) / max(changed + left, 1e-300), min(here / max(there, 1e-300), 1.0)
         share += part * weight * (min(known, sealed) - known)
     return share

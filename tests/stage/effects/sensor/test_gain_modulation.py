@@ -9,7 +9,7 @@ import torch
 from tests.stage.effects.actuator.laws import PERIOD_S, EffectLaws
 from torchpi.operators.conformance import wandering
 from torchpi.stage.effects.effect import DataRange
-from torchpi.stage.effects.sensor.gain_modulation import KNOT_NAMES, GainModulation, modulation_hz
+from torchpi.stage.effects.sensor.gain_modulation import KNOT_NAMES, GainModulation, lines_hz, modulation_hz
 
 SEEN = DataRange(1e3, 20.0, 0, 1, 1, 0, 20, {})
 
@@ -63,8 +63,8 @@ def test_a_search_starts_at_lines_of_two_periods_and_more_below_half_of_the_samp
 
 
 def test_starts_at_given_lines_leave_out_what_is_no_slow_line():
-    found = {s["frequency_hz"] for s in GainModulation.starts_at(SEEN, [1e-3, 3.1, 50.0])}
-    assert found == {3.1}
+    found = {s["frequency_hz"] for s in GainModulation.starts_at(SEEN, [1e-3, 3.1, 50.0], [7.0])}
+    assert found == {3.1, 7.0}
 
 
 @pytest.mark.parametrize("frequency_hz", [0.31, 3.07, 17.3])
@@ -76,3 +76,13 @@ def test_the_line_of_a_modulation_is_read_off_the_residual(frequency_hz):
     lines = modulation_hz(e, x, 1e3)
     assert lines[0] == pytest.approx(frequency_hz, abs=0.25 / 10)
     assert len(lines) <= 4 and len(modulation_hz(e, x, 1e3, count=2)) <= 2
+
+
+def test_a_line_is_read_off_the_residual_between_larger_ones_that_the_command_has():
+    t = np.arange(12_000) / 1e3
+    rng = np.random.default_rng(0)
+    phase, lines = rng.uniform(0, 6, 20), np.arange(1, 21) * 11 / 12
+    x = np.sum([np.cos(2 * np.pi * f * t + p) for f, p in zip(lines, phase, strict=True)], axis=0)
+    e = 0.1 * np.roll(x, 30) + 0.03 * np.cos(2 * np.pi * 0.37 * t) + rng.normal(0, 0.02, len(t))
+    assert lines_hz(e, x, 1e3)[0] == pytest.approx(0.37, abs=0.25 / 12)
+    assert len(lines_hz(e, x, 1e3, count=1)) == 1

@@ -6,7 +6,7 @@ Fleming, *A review of nanometer-resolution position sensors: operation and perfo
 A 190, 2013: drift of gain and of offset.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
 import numpy as np
@@ -22,6 +22,10 @@ from torchpi.stage.effects.oscillation import oscillation, oscillations
 
 KNOT_NAMES = knot_names("")
 STARTS_HZ = (0.02, 0.06, 0.2, 0.6, 2.0, 6.0, 20.0)
+STANDS_OUT, AROUND = 6.0, 101
+"""Times the median amplitude of so many frequencies, from which a displacement has a line of its own."""
+DENSE = 4
+"""Times as many frequencies as a record resolves: the best line lies within an eighth of 1/duration."""
 FEWEST_PERIODS = 2.0
 """Of a line in the longest recording; fewer are a drift, or a gain that differs between recordings."""
 
@@ -102,32 +106,30 @@ class GainModulation(InTime):
     def starts(cls, seen: DataRange) -> list[Parameters]:
         if seen.span_um == 0 or seen.duration_s < SHORTEST_SLOW_S:
             return []
-        return [*cls.starts_at(seen, list(STARTS_HZ)), *walk_start(seen, 0.01, "")]
+        return [*cls.starts_at(seen, STARTS_HZ, STARTS_HZ), *walk_start(seen, 0.01, "")]
 
     @classmethod
-    def starts_at(cls, seen: DataRange, frequencies_hz: list[float]) -> list[Parameters]:
-        """As `starts`, at frequencies of one's own, such as `modulation_hz` of a residual.
+    def starts_at(
+        cls, seen: DataRange, modulating_hz: Sequence[float], added_hz: Sequence[float]
+    ) -> list[Parameters]:
+        """As `starts`, at frequencies of one's own, such as `modulation_hz` and `lines_hz` of a residual.
 
         In a record of D seconds a fit finds a frequency from about 1/D away: a grid is too coarse for a line
         of many periods.
         """
-        size = 0.01 * seen.span_um
-        bounds = cls.quantities["frequency_hz"]
-        there = [
-            f
-            for f in frequencies_hz
-            if bounds.at_least <= f <= bounds.at_most
-            and FEWEST_PERIODS / seen.duration_s < f < seen.fs_hz / 2
-        ]
-        return [{"frequency_hz": f, "cos": 0.01, "sin": 0.01} for f in there] + [
-            {"frequency_hz": f, "cos_um": size, "sin_um": size} for f in there if size > 0
-        ]
+        size, bounds = 0.01 * seen.span_um, cls.quantities["frequency_hz"]
+        low_hz = max(bounds.at_least, FEWEST_PERIODS / seen.duration_s)
+        high_hz = min(bounds.at_most, seen.fs_hz / 2)
+        lines = [("cos", "sin", 0.01, f) for f in modulating_hz]
+        lines += [("cos_um", "sin_um", size, f) for f in added_hz if size > 0]
+        return [{"frequency_hz": f, cos: one, sin: one} for cos, sin, one, f in lines if low_hz < f < high_hz]
 
     @classmethod
     def starts_from(
         cls, seen: DataRange, residual: np.ndarray, output: np.ndarray, fs_hz: float
     ) -> list[Parameters]:
-        return cls.starts_at(seen, modulation_hz(residual, output, fs_hz, 2))
+        modulating_hz = modulation_hz(residual, output, fs_hz, 2)
+        return cls.starts_at(seen, modulating_hz, lines_hz(residual, output - residual, fs_hz, 2))
 
 
 def modulation_hz(
@@ -150,10 +152,32 @@ def modulation_hz(
     # What is in proportion to the displacement itself is a gain, not a modulation.
     power = displacement**2
     product = product - power * (product.sum() / max(power.sum(), np.finfo(float).tiny))
-    # Four times as dense as the record resolves: the best line lies within an eighth of 1/D.
-    size = scipy.fft.next_fast_len(4 * len(product), real=True)
+    size = scipy.fft.next_fast_len(DENSE * len(product), real=True)
     explained, f = np.abs(np.fft.rfft(product, size)), np.fft.rfftfreq(size, 1 / fs_hz)
     inside = (f >= FEWEST_PERIODS * fs_hz / len(product)) & (f <= STARTS_HZ[-1])
-    found, _ = scipy.signal.find_peaks(np.where(inside, explained, 0.0), distance=4)
-    lines_hz: list[float] = f[found[np.argsort(-explained[found])][:count]].tolist()
-    return lines_hz
+    found, _ = scipy.signal.find_peaks(np.where(inside, explained, 0.0), distance=DENSE)
+    largest_hz: list[float] = f[found[np.argsort(-explained[found])][:count]].tolist()
+    return largest_hz
+
+
+def lines_hz(
+    residual: np.ndarray,  # (time,), µm
+    displacement: np.ndarray,  # (time,), µm, the model's
+    fs_hz: float,
+    count: int = 4,
+) -> list[float]:
+    """The largest lines of a residual where the displacement has none: what is left of a command that is a
+    sum of sines may be larger. Fewer than `count` where there are no more, of two periods in the record to
+    20 Hz."""
+    import scipy.fft
+    import scipy.ndimage
+    import scipy.signal
+
+    window, size = np.hanning(len(residual)), scipy.fft.next_fast_len(DENSE * len(residual), real=True)
+    left, moved = (np.abs(np.fft.rfft((x - x.mean()) * window, size)) for x in (residual, displacement))
+    f = np.fft.rfftfreq(size, 1 / fs_hz)
+    quiet = moved <= STANDS_OUT * scipy.ndimage.median_filter(moved, DENSE * AROUND, mode="reflect")
+    inside = (f >= FEWEST_PERIODS * fs_hz / len(residual)) & (f <= STARTS_HZ[-1])
+    found, _ = scipy.signal.find_peaks(np.where(quiet & inside, left, 0.0), distance=4 * DENSE)
+    largest_hz: list[float] = f[found[np.argsort(-left[found])][:count]].tolist()
+    return largest_hz
