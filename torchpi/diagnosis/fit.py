@@ -5,7 +5,6 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
-import scipy.linalg
 
 from torchpi.diagnosis.chain import Chain
 from torchpi.diagnosis.free_parameters import (
@@ -177,13 +176,16 @@ def left_out(
     unit, means = whole * scale * scale[:, None], []
     for i, (record, residual, part) in enumerate(zip(chain.records, residuals, parts, strict=True)):
         e, there, size = chain.whitened(i, residual[None])[0], part.places, scale[part.places]
-        for stretch, of_it, gram in zip(*of_stretches[i], strict=True):
-            others, moved = unit.copy(), np.zeros(len(scale))
-            others[np.ix_(there, there)] -= WITHHELD * gram * size * size[:, None]
-            others[np.diag_indices_from(others)] += RIDGE
-            moved[there] = of_it @ e[stretch] * size
-            moved = scipy.linalg.solve(others, moved, assume_a="pos")[there] * size
-            e[stretch] += WITHHELD * moved @ of_it
+        stretches, rows, grams = of_stretches[i]
+        # All stretches in one call: the matrices are small, and there are two dozen of them in every fit.
+        others = np.repeat(unit[None], len(stretches), 0)
+        others[:, there[:, None], there] -= WITHHELD * np.array(grams) * size * size[:, None]
+        others[:, np.arange(len(scale)), np.arange(len(scale))] += RIDGE
+        right = np.zeros((len(stretches), len(scale)))
+        right[:, there] = [of_it @ e[stretch] * size for stretch, of_it in zip(stretches, rows, strict=True)]
+        moved = np.linalg.solve(others, right[..., None])[:, there, 0] * size
+        for stretch, of_it, by in zip(stretches, rows, moved, strict=True):
+            e[stretch] += WITHHELD * by @ of_it
         e /= chain.weighting.inverse_sd[i]
         of = record.coefficients
         means.append(np.bincount(of.cell, e**2) / np.bincount(of.cell))
