@@ -45,6 +45,7 @@ from torchpi.stage.effects.actuator.creep import Creep
 from torchpi.stage.effects.amplifier.amplifier_lag import AmplifierLag
 from torchpi.stage.effects.amplifier.delay import Delay
 from torchpi.stage.effects.amplifier.slew_limit import SlewLimit
+from torchpi.stage.effects.effect import Effect
 from torchpi.stage.effects.mechanics.backlash import Backlash
 from torchpi.stage.effects.mechanics.cross_coupling import CrossCoupling
 from torchpi.stage.effects.sensor.gain_modulation import GainModulation
@@ -110,6 +111,20 @@ def test_what_came_by_exchange_competes_with_what_it_replaced() -> None:
     found = rivals(search, [taken], "slew_limit", less, small)
     assert [label for label, _, _ in found] == ["amplifier_lag"]
     assert found[0][1].names == ("amplifier_lag",)
+
+
+@pytest.mark.parametrize(
+    ("effect", "alignment", "rivals_at"),
+    [(Delay, 0, [1]), (Delay, 1, [0]), (AmplifierLag, 0, []), (AmplifierLag, 1, [0]), (Creep, 1, [])],
+)
+def test_a_delay_competes_with_conventions_and_a_lag_with_the_one_that_it_was_found_beside(
+    effect: type[Effect], alignment: int, rivals_at: list[int]
+) -> None:
+    less = Hypothesis(HysteresisModel(np.zeros(1)), alignment=alignment)
+    search = SimpleNamespace(effects_tried=[effect], alignments=(0, 1), by_form=list)
+    small = SimpleNamespace(hypothesis=less.plus(EffectTerm(effect, {})), weights=np.zeros(1))
+    found = rivals(search, [], effect.name, less, small)
+    assert [h.alignment for label, h, _ in found if label == CONVENTION] == rivals_at
 
 
 @given(st.floats(1e-6, 1.0))

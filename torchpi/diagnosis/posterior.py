@@ -433,7 +433,9 @@ def rivals(
     mine = next((effect for effect in search.effects_tried if effect.name == name), None)
     if mine and mine.delays:
         # A lag is no whole samples, but may have been found beside a convention that is a part of it.
-        others = (a for a in search.alignments if a < less.alignment or (mine.commutes and a > less.alignment))
+        others = (
+            a for a in search.alignments if a < less.alignment or (mine.commutes and a > less.alignment)
+        )
         found += [(CONVENTION, replace(less, alignment=a), small.weights) for a in others]
     for effect in search.effects_tried if mine else ():
         if mine and effect.name in mine.degenerate_with and effect.name not in seen | there:
