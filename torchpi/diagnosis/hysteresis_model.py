@@ -32,7 +32,7 @@ from torchpi.stage.hysteresis import IDENTITY
 BLOCK = 256
 """Samples whose states are mixed at a time: they stay in the cache, however many plays there are."""
 CALM = 0.05
-"""Of the largest threshold, what a voltage moves from sample to sample where sums are made event by event: of
+"""Of the reach, what a voltage moves from sample to sample where sums are made event by event: of
 faster ones a product of all states with all weights takes less."""
 CHANGING = ("asymmetry_per_v", "incongruence_per_v", "weight_s_per_v", "threshold_s_per_v", "loop_per_e")
 """Numbers of the shape that change what a play does; the others only say how."""
@@ -175,7 +175,7 @@ class HysteresisModel:
         """The same for the plays alone."""
         r, h, plays = self.thresholds_v, np.zeros(len(self.thresholds_v)), self.of_plays
         mixed = None if self.reduction is None else self.reduction[:, :plays]
-        calm = np.abs(np.diff(v)).sum() < CALM * len(v) * r[-1]
+        calm = np.abs(np.diff(v)).sum() < CALM * len(v) * self.scale_v
         if mixed is not None and self.plain and (calm or self.pieces > 1):
             self.plain_sums(v, mixed, rows)
             return
