@@ -45,7 +45,8 @@ class Growth(Exchange):
     rejected_families: set[str]
     states: list[HysteresisModel]
     """Where a Bouc–Wen state begins: anywhere, then where it ended before."""
-    many_rows: tuple[tuple[int, str], Fit, Fit] | None = None
+    many_rows: tuple[Fit, str, Fit] | None = None
+    """A fit, the weights of cells, and the fit on many rows."""
 
     def plays(self) -> HysteresisModel:
         """As many plays as the samples carry."""
@@ -179,10 +180,10 @@ class Growth(Exchange):
     def on_many_rows(self, one: Fit) -> Fit:
         """What a larger hysteresis is compared with; the last one is kept, since families come one after
         another."""
-        key = (id(one), self.chain.weighting.token)
-        if self.many_rows is None or self.many_rows[0] != key:
-            self.many_rows = key, one, self.at_its_own_weights(refitted(self.chain, one, STEPS))
-        return self.many_rows[2]
+        token, kept = self.chain.weighting.token, self.many_rows
+        if kept is None or kept[0] is not one or kept[1] != token:
+            kept = self.many_rows = one, token, self.at_its_own_weights(refitted(self.chain, one, STEPS))
+        return kept[2]
 
     def no_larger(self, now: Fit) -> Fit:
         """With the hysteresis of the simulation again, where effects make a larger one needless, or have

@@ -174,8 +174,10 @@ def lines_hz(
     import scipy.signal
 
     window, size = np.hanning(len(residual)), scipy.fft.next_fast_len(DENSE * len(residual), real=True)
-    left, moved = (np.abs(np.fft.rfft((x - x.mean()) * window, size)) for x in (residual, displacement))
     f = np.fft.rfftfreq(size, 1 / fs_hz)
+    slow = f <= 2 * STARTS_HZ[-1]
+    left, moved = (np.abs(np.fft.rfft((x - x.mean()) * window, size))[slow] for x in (residual, displacement))
+    f = f[slow]
     quiet = moved <= STANDS_OUT * scipy.ndimage.median_filter(moved, DENSE * AROUND, mode="reflect")
     inside = (f >= FEWEST_PERIODS * fs_hz / len(residual)) & (f <= STARTS_HZ[-1])
     found, _ = scipy.signal.find_peaks(np.where(quiet & inside, left, 0.0), distance=4 * DENSE)
