@@ -10,6 +10,7 @@ from tests.diagnosis.prepared import prepared
 from torchpi.diagnosis import growth
 from torchpi.diagnosis.chain import Chain
 from torchpi.diagnosis.hypothesis import EffectTerm
+from torchpi.diagnosis.score import Gain
 from torchpi.diagnosis.search import Search
 from torchpi.stage.effects.actuator.creep import Creep
 from torchpi.stage.effects.amplifier.slew_limit import SlewLimit
@@ -97,3 +98,30 @@ def test_a_mode_behind_a_held_voltage_is_tried_as_that() -> None:
     search = Search(Chain(prepared([record(u, after=mode)])), lambda sentence: None)
     tried = search.at_other_conventions(search.retuned(), search.starts)
     assert tried["resonance"].held
+
+
+@pytest.mark.parametrize(("share", "refitted"), [(0.9, 1), (0.1, 0)])
+def test_a_larger_hysteresis_that_explains_a_little_of_everything_is_not_weighed_anew(
+    share: float, refitted: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It is not taken, whatever its own weights say; nor are the plays that it would have to beat fitted."""
+    nominal = SimpleNamespace(family="plays", has_states=False)
+    now, larger = (SimpleNamespace(hypothesis=SimpleNamespace(nominal=nominal), train_rms=1.0) for _ in "ab")
+    weighed, search = list[object](), object.__new__(Search)
+    weighting = SimpleNamespace(explained_of_all=lambda more, less: share, token="")
+    search.chain, search.simulation, search.rejected_families = (
+        SimpleNamespace(weighting=weighting),
+        None,
+        set(),
+    )
+    search.on, search.of_its_plays = lambda h, one: h, lambda one, fit: fit
+    search.raced, search.near = lambda jobs, fit: [larger], lambda one, fit: True
+    search.over = lambda better, worse, prior=0.0: Gain(100.0, 1.0)
+    search.score = lambda fit: 0.0
+    search.at_its_own_weights = lambda fit: weighed.append(fit) or fit
+    monkeypatch.setattr(growth, "grown", lambda chain, h, fit, kept: (h, None))
+    monkeypatch.setattr(growth, "refitted", lambda chain, fit, steps: fit)
+    for _ in range(2):  # families come one after another: the plays are fitted once
+        search.growth(now, now, [SimpleNamespace(family="preisach", has_states=False)])
+    assert sum(one is larger for one in weighed) == 2 * refitted
+    assert sum(one is now for one in weighed) == refitted

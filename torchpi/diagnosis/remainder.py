@@ -21,7 +21,7 @@ from torchpi.stage.effects.unknown import TIMES, Unknown
 RIDGES = (1e-1, 1e-2, 1e-3, 1e-4)
 EARNS = 0.95
 """Probability that the recordings are predicted better with the remainder than without."""
-HALF = 0.5
+REPLACES = 0.5
 """Probability from which what is on no list takes the place of a larger hysteresis."""
 FAINT = 0.3
 """Of the rms that is left."""
@@ -119,7 +119,7 @@ def unless_unknown(
     if instead is None:
         return final, believed
     lost = search.over(instead[0], beside[0] if beside else final).probability
-    if lost > HALF:
+    if lost > REPLACES:
         search.log(f"  what is on no list in the place of a larger hysteresis: {rms_of(instead[0])}")
         return plain, [one for one in believed if one.name != OPERATOR_NAME]
     return final, [
