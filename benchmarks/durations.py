@@ -120,8 +120,9 @@ def run(command: Sequence[str], folder: Path) -> Ran:
     rounds = max((int(number) for number in re.findall(r"round (\d+):", done.stdout)), default=0)
     line = re.search(r"This will take about .*", done.stdout)
     said = re.findall(r"(\d+) (s|min)", line[0]) if line else [("nan", "s")]
-    number, unit = said[1 if rounds > 1 and len(said) > 1 else 0]
-    estimated = float(number) * (60.0 if unit == "min" else 1.0)
+    each = [float(number) * (60.0 if unit == "min" else 1.0) for number, unit in said]
+    # Of a diagnosis that finds something, what is nearest between the two ends that it said.
+    estimated = each[0] if rounds < 2 else float(np.clip(seconds, *each[1:3]))
     return Ran(seconds, (processor_s() - before) * measured(1).speed, estimated, rounds)
 
 

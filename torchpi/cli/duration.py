@@ -8,7 +8,6 @@ left after each round.
 
 import contextlib
 import itertools
-import math
 import os
 import re
 from collections.abc import Iterable, Sequence
@@ -67,11 +66,9 @@ def announce_run(trajectories: str | Sequence[str], compared: int) -> None:
 
 
 def announce_diagnose(recordings: Iterable[str | Path]) -> None:
-    """Before `torchpi diagnose`: what it takes where nothing is missing, where something is, where much is.
+    """Before `torchpi diagnose`: what it takes where nothing is missing, and where little or much is.
 
-    How many rounds the search will have, nobody knows before. For something, the geometric middle between the
-    fewest rounds and the most where anything is missing is announced, which is within a factor of two of what
-    any number of them takes, up to some 50,000 samples.
+    How many rounds the search will have, nobody knows before.
     """
     samples = min(sum(_samples_in(recordings)), MOST_SAMPLES)
     compile_s = 0.0 if _compiled("diagnosis") else 60.0
@@ -79,11 +76,8 @@ def announce_diagnose(recordings: Iterable[str | Path]) -> None:
     alone = DIAGNOSIS_S + compile_s
     work = [search_s(n, samples) for n in (1, FEWEST_ROUNDS, MOST_ROUNDS)]
     nothing, least, most = (machine.seconds(alone + SERIAL * s, (1 - SERIAL) * s) for s in work)
-    usual = _spoken(math.sqrt(least * most))
-    note = _compiles(compile_s, alone + search_s(USUAL_ROUNDS, samples))
-    if _spoken(nothing) != usual:
-        note = f" where nothing is missing, {usual} where something is, {_spoken(most)} where much is" + note
-    _announce(nothing, note)
+    note = f" where nothing is missing, {_spoken(least)} to {_spoken(most)} where something is"
+    _announce(nothing, note + _compiles(compile_s, alone + search_s(USUAL_ROUNDS, samples)))
 
 
 def announce_axes(recordings: Iterable[str | Path], seconds: float) -> None:
