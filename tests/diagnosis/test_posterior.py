@@ -16,6 +16,7 @@ from torchpi.diagnosis.chain import Chain
 from torchpi.diagnosis.hypothesis import EffectTerm, Fit, Hypothesis
 from torchpi.diagnosis.hysteresis_model import HysteresisModel, plain
 from torchpi.diagnosis.lines import STANDS_OUT
+from torchpi.diagnosis.own_signal import has_a_recorded_signal, has_a_signal_of_its_own, stands_out
 from torchpi.diagnosis.posterior import (
     CONVENTION,
     FORM_ERROR,
@@ -28,12 +29,9 @@ from torchpi.diagnosis.posterior import (
     as_one,
     averaged,
     groups,
-    has_a_recorded_signal,
-    has_a_signal_of_its_own,
     names_of,
     rivals,
     settled,
-    stands_out,
     trust,
     unlisted_hysteresis,
     without_cause,

@@ -109,11 +109,8 @@ def test_a_larger_hysteresis_that_explains_a_little_of_everything_is_not_weighed
     now, larger = (SimpleNamespace(hypothesis=SimpleNamespace(nominal=nominal), train_rms=1.0) for _ in "ab")
     weighed, search = list[object](), object.__new__(Search)
     weighting = SimpleNamespace(explained_of_all=lambda more, less: share, token="")
-    search.chain, search.simulation, search.rejected_families = (
-        SimpleNamespace(weighting=weighting),
-        None,
-        set(),
-    )
+    search.chain, search.simulation = SimpleNamespace(weighting=weighting), None
+    search.rejected_families = set()
     search.on, search.of_its_plays = lambda h, one: h, lambda one, fit: fit
     search.raced, search.near = lambda jobs, fit: [larger], lambda one, fit: True
     search.over = lambda better, worse, prior=0.0: Gain(100.0, 1.0)

@@ -32,8 +32,8 @@ from torchpi.stage.hysteresis import IDENTITY
 BLOCK = 256
 """Samples whose states are mixed at a time: they stay in the cache, however many plays there are."""
 CALM = 0.05
-"""Of the reach, what a voltage moves from sample to sample where sums are made event by event: of
-faster ones a product of all states with all weights takes less."""
+"""Of the reach, what a voltage moves from sample to sample where sums are made event by event: of faster ones
+a product of all states with all weights takes less."""
 CHANGING = ("asymmetry_per_v", "incongruence_per_v", "weight_s_per_v", "threshold_s_per_v", "loop_per_e")
 """Numbers of the shape that change what a play does; the others only say how."""
 PIECES = 48
@@ -175,8 +175,7 @@ class HysteresisModel:
         """The same for the plays alone."""
         r, h, plays = self.thresholds_v, np.zeros(len(self.thresholds_v)), self.of_plays
         mixed = None if self.reduction is None else self.reduction[:, :plays]
-        calm = np.abs(np.diff(v)).sum() < CALM * len(v) * self.scale_v
-        if mixed is not None and self.plain and (calm or self.pieces > 1):
+        if mixed is not None and self.plain and (self.pieces > 1 or self.is_calm(v)):
             self.plain_sums(v, mixed, rows)
             return
         functions = () if mixed is None or self.pieces == 1 else self.output_functions(mixed)
@@ -224,6 +223,10 @@ class HysteresisModel:
     def plain(self) -> bool:
         """Whether nothing inside the hysteresis changes its plays."""
         return not any(self.shape[name] for name in CHANGING)
+
+    def is_calm(self, v: np.ndarray) -> bool:
+        """Whether a voltage, (time,), moves few plays from sample to sample."""
+        return bool(np.abs(np.diff(v)).sum() < CALM * len(v) * self.scale_v)
 
     def plain_sums(self, v: np.ndarray, weights: np.ndarray, y: np.ndarray) -> None:
         """Into `y`, (sums, time): the plays with these weights, (sums, pieces × plays)."""

@@ -24,16 +24,14 @@ from torchpi.diagnosis.exchange import alike, rms_of
 from torchpi.diagnosis.fit import ROUGH
 from torchpi.diagnosis.growth import OPERATOR
 from torchpi.diagnosis.hypothesis import EffectTerm, Fit, Hypothesis
-from torchpi.diagnosis.lines import STANDS_OUT, above_surroundings
-from torchpi.diagnosis.noise import bridged
+from torchpi.diagnosis.lines import STANDS_OUT
+from torchpi.diagnosis.own_signal import has_a_recorded_signal, has_a_signal_of_its_own, stands_out
 from torchpi.diagnosis.parallel import Job
-from torchpi.diagnosis.records import Record
 from torchpi.diagnosis.reduced_basis import reduced
 from torchpi.diagnosis.repeats import APART, STARTING
 from torchpi.diagnosis.score import ALIKE
 from torchpi.diagnosis.sealed import confirmed
 from torchpi.diagnosis.search import Round, Search
-from torchpi.stage.effects.added_signal import AddedSignal
 
 DRAWS = 400
 RIVALS = 4
@@ -54,10 +52,6 @@ HYSTERESIS_ERROR = 0.003
 0.0024 in another, 0.0054 in a right one."""
 MOST = 0.5
 """Of what a timing convention leaves where a delay acts, what a delay has to explain to be no convention."""
-HARMONICS = 3
-"""Of a line, that may stand out."""
-TOLD = 0.5
-"""Of the variance of a recorded signal, what the voltage may tell of it for it to be one of its own."""
 LAPSE = 0.02
 """Of names for which everything speaks, those that are wrong all the same: 0 of some eighty were, which
 leaves up to 0.037 at 95 %."""
@@ -203,63 +197,6 @@ def share_explained(search: Search, more: Fit, less: Fit, name: str, own_signal:
     terms = [member for member in more.hypothesis.members if member.effect.name == name]
     alone = own_signal or not all(member.effect.extrapolates(member.shared) for member in terms)
     return confirmed(known, search.chain.records, more, less, weighting.mean_floor_um2, alone, apart)
-
-
-def has_a_recorded_signal(search: Search, final: Fit, name: str) -> bool:
-    """Whether an effect brings in a recorded signal that the voltage does not tell: what else the model has
-    wrong follows the voltage, and does not look like it."""
-    chain, h = search.chain, final.hypothesis
-    signals = {m.aux for m in h.members if m.effect.name == name and m.effect.takes_aux}
-    for signal in signals:
-        told = whole = 0.0
-        for i, record in enumerate(chain.records):
-            aux = record.aux[signal][record.train]
-            aux = aux - aux.mean()
-            rows = chain.rows(h, i)[:, record.train]
-            rows = np.concatenate([rows, np.gradient(record.commanded(0))[None, record.train]])
-            rows = rows - rows.mean(1, keepdims=True)
-            weights = np.linalg.lstsq(rows.T, aux, rcond=1e-6)[0]
-            told += float(((weights @ rows) ** 2).sum())
-            whole += float(aux @ aux)
-        if told > TOLD * whole:
-            return False
-    return bool(signals)
-
-
-def stands_out(records: Sequence[Record], more: Fit, less: Fit, name: str) -> float:
-    """How many times its surroundings an added line is in what is left without it; 0 for what is no such
-    line, and for one that the command has as well."""
-    found = 0.0
-    for member in more.hypothesis.members:
-        line_hz = member.effect.line_hz(member.shared)
-        if member.effect.name != name or line_hz is None or not issubclass(member.effect, AddedSignal):
-            continue
-        for record, e in zip(records, less.residuals, strict=True):
-            left = bridged(e, record)
-            for harmonic in range(1, HARMONICS + 1):
-                if not has_line(record, harmonic * line_hz):
-                    cycles = harmonic * line_hz * len(e) / record.fs_hz
-                    found = max(found, above_surroundings(left, cycles))
-    return found
-
-
-def has_a_signal_of_its_own(records: Sequence[Record], h: Hypothesis, name: str) -> bool:
-    """Whether an effect brings in what neither the voltage nor the clock has: a second input, or a line."""
-    for member in h.members:
-        if member.effect.name == name:
-            line_hz = member.effect.line_hz(member.shared)
-            if line_hz is not None and not any(has_line(record, line_hz) for record in records):
-                return True
-            if member.effect.takes_aux:
-                return True
-    return False
-
-
-def has_line(record: Record, line_hz: float) -> bool:
-    """Whether a line stands out of a recording's voltage, or of how fast that moves."""
-    cycles = line_hz * len(record.u) / record.fs_hz
-    moves = np.abs(np.diff(record.u, prepend=record.u[:1]))
-    return any(above_surroundings(signal, cycles) >= STANDS_OUT for signal in (record.u, moves))
 
 
 def apart(

@@ -146,7 +146,6 @@ def modulation_hz(
     """
     # Not at the top: half a second of import that a stage does not need.
     import scipy.fft
-    import scipy.signal
 
     product = residual * displacement
     # What is in proportion to the displacement itself is a gain, not a modulation.
@@ -154,10 +153,7 @@ def modulation_hz(
     product = product - power * (product.sum() / max(power.sum(), np.finfo(float).tiny))
     size = scipy.fft.next_fast_len(DENSE * len(product), real=True)
     explained, f = np.abs(np.fft.rfft(product, size)), np.fft.rfftfreq(size, 1 / fs_hz)
-    inside = (f >= FEWEST_PERIODS * fs_hz / len(product)) & (f <= STARTS_HZ[-1])
-    found, _ = scipy.signal.find_peaks(np.where(inside, explained, 0.0), distance=DENSE)
-    largest_hz: list[float] = f[found[np.argsort(-explained[found])][:count]].tolist()
-    return largest_hz
+    return highest_peaks(explained, f, FEWEST_PERIODS * fs_hz / len(product), DENSE, count)
 
 
 def lines_hz(
@@ -171,7 +167,6 @@ def lines_hz(
     20 Hz."""
     import scipy.fft
     import scipy.ndimage
-    import scipy.signal
 
     window, size = np.hanning(len(residual)), scipy.fft.next_fast_len(DENSE * len(residual), real=True)
     f = np.fft.rfftfreq(size, 1 / fs_hz)
@@ -179,7 +174,20 @@ def lines_hz(
     left, moved = (np.abs(np.fft.rfft((x - x.mean()) * window, size))[slow] for x in (residual, displacement))
     f = f[slow]
     quiet = moved <= STANDS_OUT * scipy.ndimage.median_filter(moved, DENSE * AROUND, mode="reflect")
-    inside = (f >= FEWEST_PERIODS * fs_hz / len(residual)) & (f <= STARTS_HZ[-1])
-    found, _ = scipy.signal.find_peaks(np.where(quiet & inside, left, 0.0), distance=4 * DENSE)
-    largest_hz: list[float] = f[found[np.argsort(-left[found])][:count]].tolist()
-    return largest_hz
+    return highest_peaks(left * quiet, f, FEWEST_PERIODS * fs_hz / len(residual), 4 * DENSE, count)
+
+
+def highest_peaks(
+    height: np.ndarray,  # (frequencies,)
+    f: np.ndarray,  # (frequencies,), Hz
+    low_hz: float,
+    apart: int,
+    count: int,
+) -> list[float]:
+    """The frequencies of the highest peaks from `low_hz` to 20 Hz, at least so many frequencies apart."""
+    import scipy.signal
+
+    height = np.where((f >= low_hz) & (f <= STARTS_HZ[-1]), height, 0.0)
+    found, _ = scipy.signal.find_peaks(height, distance=apart)
+    highest: list[float] = f[found[np.argsort(-height[found])][:count]].tolist()
+    return highest
