@@ -32,6 +32,7 @@ GUARDS = {  # each module, and the tests that have to notice
         )
         for name in ("grade", "summary", "calibration", "proportions")
     },
+    "torchpi.diagnosis.own_signal": ("diagnosis/test_posterior.py",),
     "torchpi.diagnosis.posterior": ("diagnosis/test_posterior.py",),
     "torchpi.diagnosis.decide": ("diagnosis/test_decide.py",),
     "torchpi.diagnosis.intervals": ("diagnosis/test_intervals.py",),
