@@ -158,14 +158,15 @@ def test_every_page_is_linked_from_the_first_one_and_in_its_contents() -> None:
 @pytest.mark.parametrize("page", ["mismatch.md", "csv_to_controller.md"])
 def test_the_commands_of_a_tutorial_are_those_of_the_readme_which_are_run(page: str) -> None:
     def commands(page: Path) -> list[str]:
+        """Whatever the length of a recording: a tutorial takes less than two minutes."""
         return [
-            line
+            re.sub(r" --duration_s \S+", "", line)
             for block in re.findall(r"```sh\n(.*?)```", text_of(page), re.DOTALL)
             for line in block.splitlines()
         ]
 
     tutorial = commands(DOCS / page)
-    assert len(tutorial) >= 8
+    assert len(tutorial) >= 7
     assert [line for line in tutorial if line not in commands(ROOT / "README.md")] == []
 
 

@@ -16,7 +16,7 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
-TUTORIAL = (ROOT / "docs" / "mismatch.md").read_text(encoding="utf-8")  # has commands of the README only
+TUTORIAL = (ROOT / "docs" / "mismatch.md").read_text(encoding="utf-8")  # its Python is run too
 FROM_WHEEL = "import torchpi, warnings; assert {!r} in torchpi.__file__; warnings.simplefilter('ignore')"
 
 

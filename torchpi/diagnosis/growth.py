@@ -172,8 +172,9 @@ class Growth(Exchange):
                 job = basis(self.chain, now.hypothesis, now.weights, MANY)
             (now,) = self.fits_here([(*job, 8, tolerance)])
             ahead = shared.log_density(now).sum() > shared.log_density(best).sum()
-            if ahead and now.train_rms <= best.train_rms and self.inside(now, best):
-                best = now
+            if not ahead or now.train_rms > best.train_rms or not self.inside(now, best):
+                break
+            best = now
         self.chain.weighting = shared
         return best
 
