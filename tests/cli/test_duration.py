@@ -107,19 +107,19 @@ def test_a_diagnosis_has_limits_by_how_much_it_finds(
 
 
 MEASURED = {
-    "slow": (10_000, 4, 35),
-    "fast": (10_000, 7, 58),
-    "slow, judge": (21_000, 6, 62),
-    "nothing missing, slow": (10_000, 1, 13),
-    "nothing missing, slow, judge": (21_000, 1, 17),
-    "nothing missing, all four": (41_000, 1, 23),
+    "slow": (10_000, 4, (35, 60)),
+    "fast": (10_000, 7, (58, 98)),
+    "slow, judge": (21_000, 6, (62, 97)),
+    "nothing missing, slow": (10_000, 1, (13, 24)),
+    "nothing missing, slow, judge": (21_000, 1, (17, 33)),
+    "nothing missing, all four": (41_000, 1, (23, 46)),
 }
-"""The recordings, and the samples, the rounds and the processor seconds of their diagnosis, to which the
-constants are fitted: those of the README (`benchmarks/durations.py --rounds`)."""
+"""The recordings, and the samples, the rounds and the processor seconds of their diagnosis on two machines,
+between which the constants are: those of the README (`benchmarks/durations.py --rounds`)."""
 KEPT_APART = {
-    "a motor": (30_000, 3, 110),
-    "a piezo stack": (9_417, 6, 75),
-    "drawn, nothing found": (33_884, 1, 21),
+    "a motor": (30_000, 3, (110,)),
+    "a piezo stack": (9_417, 6, (75,)),
+    "drawn, nothing found": (33_884, 1, (21,)),
 }
 """The same of recordings to which they are not fitted: real ones, and of a stage drawn by the proof."""
 
@@ -128,7 +128,7 @@ KEPT_APART = {
 def test_a_diagnosis_is_announced_within_a_factor_of_two_of_what_it_took(
     samples: int,
     rounds: int,
-    measured_s: float,
+    measured_s: tuple[float, ...],
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
@@ -136,11 +136,11 @@ def test_a_diagnosis_is_announced_within_a_factor_of_two_of_what_it_took(
     monkeypatch.setattr(duration, "measured", lambda processes: Machine(1.0, 1.0, 1.0))
     modelled_s = duration.DIAGNOSIS_S + duration.search_s(rounds, samples)
     if (samples, rounds, measured_s) in MEASURED.values():
-        assert modelled_s == pytest.approx(measured_s, rel=0.3)
+        assert min(measured_s) < modelled_s < max(measured_s)
     duration.announce_diagnose([recording(tmp_path / "a.csv", samples)])
     nothing, little, much = (said(one) for one in re.findall(r"\d+ (?:s|min)", capsys.readouterr().out))
     low, high = (nothing, nothing) if rounds == 1 else (little, much)
-    assert 0.5 * low < measured_s < 2 * high
+    assert 0.5 * low < min(measured_s) <= max(measured_s) < 2 * high
 
 
 def test_what_is_left_of_a_diagnosis_follows_its_rounds() -> None:
