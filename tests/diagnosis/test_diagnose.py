@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -30,7 +31,7 @@ from torchpi.diagnosis.hypothesis import Hypothesis
 from torchpi.diagnosis.hysteresis_model import many_plays
 from torchpi.diagnosis.reduced_basis import reduced
 from torchpi.diagnosis.search import Search
-from torchpi.diagnosis.wrong_readings import error_about, expected_beyond, off_all_around
+from torchpi.diagnosis.wrong_readings import error_about, expected_beyond, off_all_around, wrong_readings
 from torchpi.recordings.identity import recordings_sha256
 from torchpi.recordings.recording import Recording
 from torchpi.stage import Stage
@@ -211,6 +212,21 @@ def test_wrong_readings_stand_beside_what_the_model_has_wrong_for_a_while() -> N
     rig = [record(multisine(8000), name="a", after=lambda x, fs_hz: x + bump(len(x)))]
     rig[0].y[[300, 900, 2700, 4100]] += 20.0
     assert "dropouts" in [effect.name for effect in diagnose(rig, effects=[]).effects]
+
+
+@pytest.mark.parametrize("heavy", [False, True])
+def test_a_recording_that_is_louder_than_another_is_no_tail_of_the_noise(heavy: bool) -> None:
+    """One reading off by twenty times what fast motion leaves there; none, where a sensor has such tails."""
+    rng, n = np.random.default_rng(3), 20_000
+    quiet, loud = 1e-3 * rng.normal(size=n), 0.1 * np.sin(1.7 * np.arange(n)) * rng.normal(1.0, 0.1, n)
+    if heavy:
+        quiet, loud = 1e-3 * rng.standard_t(1.0, n), 1e-3 * rng.standard_t(1.0, n)
+    loud[7000] = 2.0
+    motion = 0.1 * np.sin(np.arange(n) / 500)
+    records = [SimpleNamespace(y=motion + quiet), SimpleNamespace(y=motion + loud)]
+    final = SimpleNamespace(residuals=[quiet, loud], train_rms=0.05)
+    found = wrong_readings(records, [np.zeros(0, dtype=int), np.array([7000])], final)
+    assert [each.tolist() for each in found] == [[], [] if heavy else [7000]]
 
 
 def bump(samples: int) -> np.ndarray:

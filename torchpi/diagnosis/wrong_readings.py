@@ -16,8 +16,8 @@ LOST = 10.0
 """Times the rms of what is left, by which a single reading is off."""
 ABOUT = 5
 """Samples before and after a reading that it is compared with."""
-ALONE = 5
-"""Samples about a reading whose median it is compared with."""
+OTHERS = np.array([1, 1, 1, 0, 1, 1, 1])
+"""The samples about a reading, without itself, whose median it is compared with."""
 BESIDE = 32
 """Samples on either side of a reading from which the error of the model there is taken."""
 FALSE_ALARM = 1e-3
@@ -38,26 +38,35 @@ def wrong_readings(records: Sequence[Record], apart: Sequence[np.ndarray], final
         apart: The readings that stand apart from their neighbours.
         final: What is left by it.
     """
-    lost, off_um = [], []
+    lost, off_by, rest = [], list[float](), []
     for record, e, k in zip(records, final.residuals, apart, strict=True):
         off = off_all_around(record.y, e, k)
         there = off > LOST * np.maximum(error_about(e, k), final.train_rms)
+        # What the model has wrong is slow beside a single reading: it is no tail of the noise.
+        alone = np.abs(e - median_filter(e, footprint=OTHERS))
+        usual = usual_about(alone)
         lost.append(k[there])
-        off_um += off[there].tolist()
-    # What the model has wrong is slow beside a single reading: it is no tail of the noise.
-    alone = [e - median_filter(e, ALONE) for e in final.residuals]
-    rest = np.concatenate([np.delete(e, k) for e, k in zip(alone, lost, strict=True)])
-    if off_um and pdtrc(len(off_um) - 1, expected_beyond(min(off_um), np.abs(rest))) < FALSE_ALARM:
+        off_by += (off[there] / usual[k[there]]).tolist()
+        rest.append(np.delete(alone / usual, k[there]))
+    if off_by and pdtrc(len(off_by) - 1, expected_beyond(min(off_by), np.concatenate(rest))) < FALSE_ALARM:
         return lost
     return [k[:0] for k in lost]
 
 
-def expected_beyond(limit_um: float, error_um: np.ndarray) -> float:
-    """How many of these errors, (samples,), µm, a Student t of their body and tail has beyond a limit.
+def usual_about(alone_um: np.ndarray) -> np.ndarray:
+    """(samples,), µm: the median about each sample of these magnitudes, (samples,), µm, or of all of them if
+    that is larger: what is louder in one recording, or for a while, is no tail either."""
+    usual = max(float(np.median(alone_um)), 1e-300)
+    about: np.ndarray = np.maximum(median_filter(alone_um, 2 * BESIDE + 1), usual)
+    return about
+
+
+def expected_beyond(limit: float, errors: np.ndarray) -> float:
+    """How many of these errors, (samples,), a Student t of their body and tail has beyond a limit.
 
     Sensors whose noise has heavy tails are no rarity: a few readings at ten times its rms are then noise.
     """
-    body, tail = np.quantile(error_um, [BODY, TAIL])
+    body, tail = np.quantile(errors, [BODY, TAIL])
     if not 0 < body < tail:
         return 0.0
 
@@ -68,8 +77,8 @@ def expected_beyond(limit_um: float, error_um: np.ndarray) -> float:
     freedom = (
         LIGHTEST if ratio(LIGHTEST) > 0 else 1.0 if ratio(1.0) < 0 else float(brentq(ratio, 1.0, LIGHTEST))
     )
-    scale_um = body / stdtrit(freedom, 0.5 + BODY / 2)
-    return float(2 * len(error_um) * stdtr(freedom, -limit_um / scale_um))
+    scale = body / stdtrit(freedom, 0.5 + BODY / 2)
+    return float(2 * len(errors) * stdtr(freedom, -limit / scale))
 
 
 def off_all_around(y: np.ndarray, residual: np.ndarray, readings: np.ndarray) -> np.ndarray:
