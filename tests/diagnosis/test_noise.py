@@ -175,12 +175,14 @@ def test_the_step_of_a_converter_is_read_off_the_readings(noise_um: float) -> No
     assert notes == ("All readings lie on a lattice of 12.3 nm.",)
 
 
-def test_uneven_codes_of_a_converter_are_read_off_as_well() -> None:
-    places = 0.2 * np.random.default_rng(0).uniform(0.75, 1.25, 60).cumsum()
+@pytest.mark.parametrize("other", [multisine(3000, seed=1), np.repeat([1.0, 4.0, 7.0, 3.0], 750)])
+def test_uneven_codes_of_a_converter_are_read_off_as_well(other: np.ndarray) -> None:
+    """A stair passes a few of them alone."""
+    places = 0.2 * np.random.default_rng(0).uniform(0.75, 1.25, 120).cumsum() - 4.0
     recordings = []
-    for seed in (0, 1):
-        one = record(multisine(3000, seed=seed), noise_um=0.03, name=str(seed))
-        y = places[np.abs((one.y - one.y.min())[:, None] - places).argmin(1)]
+    for name, u in (("a", multisine(3000)), ("b", other)):
+        one = record(u, noise_um=0.03, name=name)
+        y = places[np.abs(one.y[:, None] - places).argmin(1)]
         recordings.append(replace(one, y=y))
     step, (note,) = converter(recordings)
     assert step == pytest.approx(0.2, rel=0.25)

@@ -117,6 +117,17 @@ def test_the_typical_step_of_a_converter_with_uneven_codes_is_read_off(seed, cod
     assert uneven_codes(x, u) is None
 
 
+@pytest.mark.parametrize(("skipped", "found"), [([20], True), (range(0, 60, 3), False)])
+def test_a_converter_may_have_a_code_or_two_that_no_reading_has(skipped, found):
+    places = np.cumsum(np.random.default_rng(0).uniform(0.7, 1.3, 60))
+    u = np.sin(np.linspace(0, 60, 6000)) + 1e-3 * np.random.default_rng(1).standard_normal(6000)
+    x = (u + 1.1) / 2.2 * (places[-1] - places[0]) + places[0]
+    y = places[np.abs(x[:, None] - places).argmin(1)]
+    there = ~np.isin(y, places[list(skipped)])
+    step = uneven_codes(y[there], u)
+    assert step == pytest.approx(1.0, rel=0.25) if found else step is None
+
+
 def test_a_command_of_few_values_or_a_file_of_few_decimals_is_no_converter():
     levels = np.random.default_rng(0).uniform(0.8, 1.2, 20).cumsum()
     at = np.repeat(np.arange(20), 100)

@@ -17,6 +17,7 @@ FLOAT32_STEP = 2.0**-23
 OFTEN = 20  # readings of a code, on average; noise or motion that is not quantised hardly repeats a value
 EVEN = 1.01  # the widest step over the narrowest, of what is spaced evenly
 NARROWEST, WIDEST = 0.5, 1.5  # code widths over the median: of a converter with a code for every input
+SKIPPED = 0.05  # of the gaps, beside which there is a code that no reading has: near the ends of the travel
 
 
 class Quantization(Static, Effect):
@@ -95,7 +96,8 @@ def uneven_codes(
     step = float(np.median(gaps))
     # Evenly spaced values are those of a file with few decimals, or of a lattice.
     uneven = gaps.max() > EVEN * gaps.min()
-    return step if uneven and gaps.min() >= NARROWEST * step and gaps.max() <= WIDEST * step else None
+    whole = gaps.min() >= NARROWEST * step and (gaps > WIDEST * step).mean() <= SKIPPED
+    return step if uneven and whole else None
 
 
 def _refined(gaps: np.ndarray, step: float) -> float:
