@@ -56,6 +56,16 @@ def test_noise_that_was_not_measured_is_said_not_to_be() -> None:
     assert "the noise was not measured" in unknown and "4 nm" not in unknown
 
 
+def test_an_error_that_does_not_fall_is_not_said_to() -> None:
+    better = paragraph(decided("explained", lag(0.9)), ERRORS, NOISE, NEXT)
+    worse = paragraph(decided("explained", lag(0.9)), [ERRORS[0], ERRORS[1], ERRORS[0]], NOISE, NEXT)
+    assert "With that the error falls to 4.2 nm." in better
+    assert (
+        "On the held-out samples that is no gain: the error is 50 nm with it." in worse
+        and "falls" not in worse
+    )
+
+
 def test_what_is_left_is_said_with_its_size_and_its_places() -> None:
     text = paragraph(decided("partly_explained", lag(0.9)), ERRORS, NOISE, NEXT, ("620 Hz", "the first 2 s"))
     assert "20 % of the squared residual stays unexplained" in text

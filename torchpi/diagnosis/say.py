@@ -39,7 +39,13 @@ def paragraph(
         parts.append("Nothing is missing: what is left is noise, as far as these recordings show.")
     parts += [sentence(effect) for effect in decision.effects]
     if decision.effects:
-        parts.append(f"With that the error falls to {nm(augmented.heldout_rms_um)}.")
+        left = nm(augmented.heldout_rms_um)
+        falls = augmented.heldout_rms_um < retuned.heldout_rms_um
+        parts.append(
+            f"With that the error falls to {left}."
+            if falls
+            else f"On the held-out samples that is no gain: the error is {left} with it."
+        )
     for one in decision.open:
         if POSSIBLE < one.probability < LIKELY:
             text = f"with a probability of {percent(one.probability)} it is too uncertain to be named"
