@@ -16,7 +16,7 @@ from torchpi.diagnosis.contest import ACCEPTED, HEAT, PRIOR, STEPS, Tried, expla
 from torchpi.diagnosis.coverage import reason_to_leave_out
 from torchpi.diagnosis.exchange import rms_of
 from torchpi.diagnosis.fit import FINE, ROUGH
-from torchpi.diagnosis.growth import OPERATOR, REVERSALS, REWEIGHTED, Growth
+from torchpi.diagnosis.growth import OPERATOR, REVERSALS, Growth
 from torchpi.diagnosis.hypothesis import EffectTerm, Fit, Hypothesis
 from torchpi.diagnosis.hysteresis_model import HysteresisModel, bouc_wen, duhem
 from torchpi.diagnosis.modal import driven_modes
@@ -179,11 +179,11 @@ class Search(Growth):
         h, _ = basis(self.chain, Hypothesis(nominal, self.start, remanent=True), None, MANY)
         each = [replace(h, alignment=a) for a in self.alignments]
         now = max(self.fits_here([(one, None, 0, FINE) for one in each]), key=self.score)
-        for _ in range(REWEIGHTED):
+        for tolerance in (ROUGH, ROUGH, FINE):  # each with the weights that the last fit shows
             self.weigh(now)
             h, _ = basis(self.chain, now.hypothesis, None, MANY)
             others = [replace(h, alignment=a) for a in self.alignments if a != h.alignment]
-            now = max(self.fits_here([(one, None, 8, FINE) for one in (h, *others)]), key=self.score)
+            now = max(self.fits_here([(one, None, 8, tolerance) for one in (h, *others)]), key=self.score)
         (less,) = self.fits_here([(replace(now.hypothesis, remanent=False), None, 8, FINE)])
         if self.needs_no_history(now, less):
             now = less
