@@ -22,6 +22,7 @@ from torchpi.diagnosis.posterior import (
     FORM_ERROR,
     HALF,
     HYSTERESIS_ERROR,
+    OF_MODES,
     OPERATOR_NAME,
     Believed,
     Model,
@@ -40,14 +41,20 @@ from torchpi.diagnosis.records import seen
 from torchpi.diagnosis.score import Gain
 from torchpi.stage.effects import EFFECTS
 from torchpi.stage.effects.actuator.creep import Creep
+from torchpi.stage.effects.actuator.hysteresis_asymmetry import HysteresisAsymmetry
 from torchpi.stage.effects.amplifier.amplifier_lag import AmplifierLag
 from torchpi.stage.effects.amplifier.delay import Delay
 from torchpi.stage.effects.amplifier.slew_limit import SlewLimit
 from torchpi.stage.effects.effect import Effect
 from torchpi.stage.effects.mechanics.backlash import Backlash
 from torchpi.stage.effects.mechanics.cross_coupling import CrossCoupling
+from torchpi.stage.effects.mechanics.load_change import LoadChange
+from torchpi.stage.effects.mechanics.modal import ModalSecondMode
+from torchpi.stage.effects.mechanics.resonance import Resonance
+from torchpi.stage.effects.mechanics.second_mode import SecondMode
 from torchpi.stage.effects.sensor.gain_modulation import GainModulation
 from torchpi.stage.effects.sensor.hum import Hum
+from torchpi.stage.effects.sensor.sensor_nonlinearity import SensorNonlinearity
 from torchpi.stage.effects.sensor.thermal_drift import ThermalDrift
 
 
@@ -159,6 +166,15 @@ def test_a_small_share_of_a_larger_hysteresis_is_its_error_but_for_a_signal_of_i
     assert apart(hum, [hum, larger], terms, {"hum"}) == 1.0
 
 
+@pytest.mark.parametrize("effect", [Resonance, SecondMode, ModalSecondMode])
+def test_what_a_larger_hysteresis_leaves_by_its_form_hardly_rings(effect: type[Effect]) -> None:
+    mode = Believed(effect.name, 1.0, (), 1e-3, ())
+    larger = Believed(OPERATOR_NAME, 1.0, (), 1.0, ())
+    terms = {effect.name: EffectTerm(effect, {"frequency_hz": 50.0})}
+    assert apart(mode, [mode, larger], terms) == pytest.approx(1 / (1 + (OF_MODES / 1e-3) ** 2))
+    assert apart(mode, [mode, larger], terms) > 0.9
+
+
 @pytest.mark.parametrize(
     ("term", "commanded_hz", "own"),
     [
@@ -221,8 +237,9 @@ def test_only_a_recorded_signal_that_the_voltage_does_not_tell_is_one_of_its_own
 
 @pytest.mark.parametrize("taken", [0, 1])
 @pytest.mark.parametrize("share", [0.2, 0.8])
+@pytest.mark.parametrize("whole", [True, False])
 def test_a_delay_explains_only_what_no_timing_convention_does_but_where_that_leaves_most(
-    share: float, taken: int
+    share: float, taken: int, whole: bool
 ) -> None:
     final, alone, tick, lag, other = (
         SimpleNamespace(hypothesis=SimpleNamespace(alignment=k), score=score)
@@ -240,9 +257,12 @@ def test_a_delay_explains_only_what_no_timing_convention_does_but_where_that_lea
         assert (more, less) == (final, tick)
         return share
 
-    less = without_cause(models, "delay", lambda one: cast(Any, one).score, explained)
-    assert less.fit == (alone if share > 0.5 else tick)
-    assert without_cause(models[:2], "delay", lambda one: cast(Any, one).score, explained).fit == alone
+    def score(one: Any) -> float:
+        return float(one.score)
+
+    less = without_cause(models, "delay", score, explained, whole)
+    assert less.fit == (alone if share > 0.5 and not whole else tick)
+    assert without_cause(models[:2], "delay", score, explained, whole).fit == alone
 
 
 @pytest.mark.parametrize("bends", [True, False])
@@ -276,15 +296,27 @@ def test_of_effects_that_stand_in_for_each_other_the_strongest_is_as_likely_as_a
     assert as_one(sure, [sure, late, slow], together) == sure
 
 
-def test_effects_that_voltage_and_displacement_cannot_split_are_one_group() -> None:
-    h = Hypothesis(HysteresisModel(np.zeros(0)))
-    for effect in (AmplifierLag, Creep, Delay, ThermalDrift, Backlash):
+@pytest.mark.parametrize("grown", [True, False])
+def test_effects_that_may_stand_in_each_other_s_place_are_one_group(grown: bool) -> None:
+    """A larger hysteresis takes the part of what has no dynamics, but not of what one recording has alone."""
+    plain = Hypothesis(HysteresisModel(np.linspace(0, 1, 9)))
+    h = replace(plain, nominal=replace(plain.nominal, pieces=5)) if grown else plain
+    for effect in (
+        AmplifierLag,
+        Creep,
+        Delay,
+        ThermalDrift,
+        SensorNonlinearity,
+        LoadChange,
+        HysteresisAsymmetry,
+    ):
         h = h.plus(EffectTerm(effect, {}))
-    fit = SimpleNamespace(hypothesis=h)
+    fit, before = SimpleNamespace(hypothesis=h), SimpleNamespace(hypothesis=plain)
     search = SimpleNamespace(added=lambda one: list(one.hypothesis.names))
-    assert {frozenset(group) for group in groups(search, fit)} == {
+    assert {frozenset(group) for group in groups(search, fit, before)} == {
         frozenset({"amplifier_lag", "delay"}),
         frozenset({"creep", "thermal_drift"}),
+        frozenset({"sensor_nonlinearity", "hysteresis_asymmetry", *([OPERATOR_NAME] if grown else [])}),
     }
 
 

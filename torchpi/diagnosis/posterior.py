@@ -32,6 +32,9 @@ from torchpi.diagnosis.repeats import APART, STARTING
 from torchpi.diagnosis.score import ALIKE
 from torchpi.diagnosis.sealed import confirmed
 from torchpi.diagnosis.search import Round, Search
+from torchpi.diagnosis.timing import is_whole
+from torchpi.stage.effects.mechanics.modal import ModalResonance
+from torchpi.stage.effects.mechanics.resonance import Resonance
 
 DRAWS = 400
 RIVALS = 4
@@ -47,9 +50,9 @@ FORM_ERROR, FALL = 0.1, 2.0
 """Of what an effect explains, the share that its kin has to explain to be as likely another cause as the
 error of its form, and how fast that changes. Set on the same cases: 0.009 to 0.07 in four wrong names, 0.66
 in a right one."""
-HYSTERESIS_ERROR = 0.003
+HYSTERESIS_ERROR, OF_MODES = 0.003, 0.0003
 """The same of a larger hysteresis and any effect. Set on 24 further cases: below 0.0003 in four wrong names,
-0.0024 in another, 0.0054 in a right one."""
+0.0024 in another, 0.0054 in a right one. Nothing that depends on no rate rings: of modes much less."""
 MOST = 0.5
 """Of what a timing convention leaves where a delay acts, what a delay has to explain to be no convention."""
 LAPSE = 0.02
@@ -92,8 +95,9 @@ def posterior(
     chance = averaged(density, priors, weighting.strata)
     found, together, h = [], [], models[0].fit.hypothesis
     signals = {name for name in h.names if has_a_signal_of_its_own(search.chain.records, h, name)}
+    whole = is_whole(search.chain, models[0].fit)
     for name in dict.fromkeys(model.without for model in models if model.without):
-        less = without_cause(models, name, search.score, weighting.explained_where_it_acts)
+        less = without_cause(models, name, search.score, weighting.explained_where_it_acts, whole)
         rivals, alternatives = [], []
         names = {*names_of(name)}
         held = sum(
@@ -141,18 +145,19 @@ def without_cause(
     name: str,
     score: Callable[[Fit], float],
     explained: Callable[[Fit, Fit], float],
+    whole: bool,
 ) -> Model:
     """What predicts best without an effect, and with no other cause in its place.
 
     A timing convention is none, so that an effect explains only what no convention does; unless the effect
-    explains most of what the best convention leaves where it acts. Then whole samples are not what is late,
-    and all of it is the effect's.
+    explains most of what the best convention leaves where it acts, and the readings do not come whole samples
+    late. Then whole samples are not what is late, and all of it is the effect's.
     """
     bare = [model for model in models if model.without == name and model.instead in ("", CONVENTION)]
     best = max(bare, key=lambda model: score(model.fit))
     first = min(bare, key=lambda model: model.fit.hypothesis.alignment)
     later = best.fit.hypothesis.alignment > first.fit.hypothesis.alignment
-    return first if later and explained(models[0].fit, best.fit) > MOST else best
+    return first if later and not whole and explained(models[0].fit, best.fit) > MOST else best
 
 
 def unlisted_hysteresis(h: Hypothesis, before: Hypothesis, name: str) -> list[str]:
@@ -228,6 +233,8 @@ def form_error(one: EffectTerm | None, other: EffectTerm | None, own_signal: boo
         return FORM_ERROR
     if other is None and one.effect.sticks:
         return FORM_ERROR
+    if other is None and issubclass(one.effect, (Resonance, ModalResonance)):
+        return OF_MODES
     if other is None:
         return 0.0 if own_signal else HYSTERESIS_ERROR
     kin = one.effect is not other.effect and (alike(one, other) or other.effect.name in one.effect.left_by)
@@ -311,32 +318,43 @@ def around(search: Search, retuned: Fit, small: Fit, history: Sequence[Round]) -
             (OPERATOR_NAME, label, one, None)
             for label, one, _ in rivals(search, history, OPERATOR_NAME, plain, small)
         ]
-    for group in groups(search, small):
-        less = h
+    for group in groups(search, small, retuned):
+        larger = OPERATOR_NAME in group
+        less = h.on(retuned.hypothesis.nominal) if larger else h
         for name in group:
             less = less.without(name)
-        wanted.append((" + ".join(group), "", less, small.weights))
+        wanted.append((" + ".join(group), "", less, None if larger else small.weights))
     jobs: list[Job] = [(one, w, 8, ROUGH) for _, _, one, w in wanted]
     (best,) = search.fits(jobs[:1])
     fits = [best, *search.raced(jobs[1:], best)]
     return [
         Model(name, instead, one)
         for (name, instead, _, _), one in zip(wanted, fits, strict=True)
-        if not instead or search.inside(one, small)
+        if instead in ("", CONVENTION) or search.inside(one, small)  # neither is another cause
     ]
 
 
-def groups(search: Search, small: Fit) -> list[tuple[str, ...]]:
-    """The added effects that may stand in each other's place, where there are two or more of them."""
+def groups(search: Search, small: Fit, retuned: Fit) -> list[tuple[str, ...]]:
+    """What was added that may stand in each other's place, where there are two or more of it."""
     terms = {member.effect.name: member for member in small.hypothesis.members}
     left, found = search.added(small), []
+    if small.hypothesis.nominal.family != retuned.hypothesis.nominal.family:
+        left = [OPERATOR_NAME, *left]
     while left:
         group, left = [left[0]], left[1:]
-        while kin := [n for n in left if any(alike(terms[n], terms[g]) for g in group)]:
+        while kin := [n for n in left if any(same_place(terms.get(n), terms.get(g)) for g in group)]:
             group, left = [*group, *kin], [name for name in left if name not in kin]
         if len(group) > 1:
             found.append(tuple(group))
     return found
+
+
+def same_place(one: EffectTerm | None, other: EffectTerm | None) -> bool:
+    """Whether two effects, or a larger hysteresis, None, may each stand for a part of the other: alone each
+    is then left out with little loss."""
+    if one is not None and other is not None and alike(one, other):
+        return True
+    return all(t is None or (t.effect.time_scale == "static" and not t.effect.relative) for t in (one, other))
 
 
 def rivals(

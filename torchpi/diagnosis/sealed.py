@@ -56,7 +56,9 @@ def confirmed(
             votes = min(acts / max(acted, 1e-300), 1.0)
             gained += votes * log(before / after)
             changed += votes * abs(log(before / after))
-            left += 0.0 if alone else votes * max(after - noise_um2, 0.0) / ((after + before) / 2)
+            # What is left here alone is of a hysteresis that extrapolates badly, with the effect or without.
+            rest = max(min(after, mean_square(e_train)) - noise_um2, 0.0)
+            left += 0.0 if alone else votes * rest / ((after + before) / 2)
             here, there = here + acts, there + acted
         sealed, weight = max(gained, 0.0) / max(changed + left, 1e-300), min(here / max(there, 1e-300), 1.0)
         share += part * weight * (min(known, sealed) - known)

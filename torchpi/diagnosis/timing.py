@@ -19,6 +19,8 @@ RAMP = 20_000
 """Samples of a ramp, after which what delays follows it at its constant distance."""
 TIMED = 12
 """Of a fit whose timing is another."""
+WHOLE = 0.05
+"""Of a sample: a lateness as near to a whole number of samples is a convention."""
 
 
 class Timing(Contest):
@@ -76,7 +78,8 @@ class Timing(Contest):
         return max([best, *(one for one in raced if not one.bounded)], key=self.worth)
 
     def delayed(self, now: Fit) -> Fit:
-        """With a delay in the place of a timing convention, which is whole samples, where that is clear."""
+        """With a delay in the place of a timing convention, where that is clear, and all lateness no whole
+        samples."""
         h = now.hypothesis
         if h.alignment - 1 not in self.alignments:
             return now
@@ -87,9 +90,17 @@ class Timing(Contest):
             if later := effect.later(there.get(effect, {}), sample_s):
                 one = h.without(effect.name).plus(replace(member, shared=later))
                 jobs.append((replace(one, alignment=h.alignment - 1), now.weights, TIMED, ROUGH))
-        fits = [one for one in self.raced(jobs, now) if self.inside(one, now)]
+        fits = [
+            one for one in self.raced(jobs, now) if self.inside(one, now) and not is_whole(self.chain, one)
+        ]
         clear = [one for one in fits if self.over(one, now, self.prior(now, one)).probability > ACCEPTED]
         return max([now, *clear], key=self.worth)
+
+
+def is_whole(chain: Chain, one: Fit) -> bool:
+    """Whether the readings come whole samples behind a slow command."""
+    late = lateness_s(chain, one) / chain.records[0].period_s
+    return abs(late - round(late)) < WHOLE
 
 
 def lateness_s(chain: Chain, one: Fit) -> float:
