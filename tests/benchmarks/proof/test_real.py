@@ -1,11 +1,12 @@
 """Effects put into real recordings: exactly what the label says."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from concealed.cases import write_case
-from concealed.real import effects
+from concealed.real import case, effects
 from concealed.real.case import EVERYWHERE, PLANS, SEVERITIES, draw_case, untouched_recordings
 from concealed.real.sources import Record, draw_residual, noise_of_periods
 from concealed.tracks import DATA
@@ -124,3 +125,10 @@ def _record(y: np.ndarray) -> Record:
 def _index(seed: int, source: str, kind: str) -> int:
     order = np.random.default_rng([seed, 1]).permutation(len(PLANS))
     return order.tolist().index(PLANS.index((source, kind)))
+
+
+def test_a_delay_of_one_sample_is_taken_where_even_that_is_severe(monkeypatch):
+    """A cut of a motor's record, of which a sample of delay is 62 times the noise, stopped a whole run."""
+    monkeypatch.setattr(case, "severity", lambda injection, strength, source: 62.0 * strength)
+    samples = SimpleNamespace(low=1, high=5, whole=True)
+    assert case._strength(samples, SimpleNamespace(), 4.0) == 1.0

@@ -13,7 +13,7 @@ from concealed.real.effects import Injection
 from concealed.real.sources import SOURCES, Array, Record, Source, second_axis
 
 SEVERITIES = (2.0, 20.0)
-FAINTEST_DELAY = 60.0  # one sample of delay may be this severe; that of the mirror is more
+FAINTEST_DELAY = 60.0  # one sample of delay may be this severe, or more where none is less
 STACKS, MIRRORS, MOTORS = (
     tuple(name for name in SOURCES if name.startswith(kind)) for kind in ("stack", "mirror", "motor")
 )
@@ -111,7 +111,7 @@ def _strength(injection: Injection, source: Source, wanted: float) -> float:
     if injection.whole:
         counts = np.arange(injection.low, injection.high + 1)
         sizes = np.array([severity(injection, float(count), source) for count in counts])
-        allowed = max(SEVERITIES[1], min(float(sizes[0]), FAINTEST_DELAY))
+        allowed = max(SEVERITIES[1], min(float(sizes[0]), FAINTEST_DELAY), float(sizes.min()))
         counts, sizes = counts[sizes <= allowed], sizes[sizes <= allowed]
         return float(counts[np.argmin(np.abs(np.log(sizes / wanted)))])
     strength, _ = strength_for(
