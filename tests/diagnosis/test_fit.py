@@ -27,7 +27,7 @@ from torchpi.diagnosis.hysteresis_model import bouc_wen, many_plays, preisach
 from torchpi.diagnosis.records import seen
 from torchpi.diagnosis.reduced_basis import MANY, basis, reduced, refitted
 from torchpi.diagnosis.sensitivity import Near, jacobian
-from torchpi.diagnosis.timing import lateness_s
+from torchpi.diagnosis.timing import is_whole, lateness_s
 from torchpi.recordings.recording import Recording
 from torchpi.stage.effects.actuator.creep import Creep
 from torchpi.stage.effects.actuator.hysteresis_asymmetry import HysteresisAsymmetry
@@ -248,6 +248,28 @@ def test_lateness_is_that_of_every_lag_and_delay_and_of_the_tick() -> None:
     one = fit(chain, late, iterations=0)
     expected_s = 1 / (2 * np.pi * 50.0) + 3e-3 + 1 / FS_HZ
     assert lateness_s(chain, one) == pytest.approx(expected_s, abs=0.6 / FS_HZ)  # what a hold makes of a ramp
+
+
+@pytest.mark.parametrize(
+    ("alignment", "delay_samples", "lag_hz", "expected"),
+    [
+        (1, 0.0, 0.0, True),
+        (0, 1.002, 0.0, True),
+        (1, 2.0, 0.0, True),
+        (0, 1.2, 0.0, False),
+        (0, 1.0, 50.0, False),
+    ],
+)
+def test_delays_alone_may_make_whole_samples(
+    alignment: int, delay_samples: float, lag_hz: float, expected: bool
+) -> None:
+    chain = Chain(prepared([record(multisine(3000))]))
+    h = replace(Hypothesis(many_plays(seen(chain.records))), alignment=alignment)
+    if delay_samples:
+        h = h.plus(EffectTerm(Delay, {"delay_s": delay_samples / FS_HZ}))
+    if lag_hz:
+        h = h.plus(EffectTerm(AmplifierLag, {"cutoff_hz": lag_hz}))
+    assert is_whole(chain, fit(chain, h, iterations=0)) is expected
 
 
 def test_a_fit_behind_lost_motion_begins_with_weights_that_move() -> None:

@@ -98,9 +98,10 @@ class Timing(Contest):
 
 
 def is_whole(chain: Chain, one: Fit) -> bool:
-    """Whether the readings come whole samples behind a slow command."""
+    """Whether the readings come whole samples behind the command, by nothing that smooths it as well."""
+    smooths = any(m.effect.delays and not m.effect.commutes for m in one.hypothesis.members)
     late = lateness_s(chain, one) / chain.records[0].period_s
-    return abs(late - round(late)) < WHOLE
+    return not smooths and abs(late - round(late)) < WHOLE
 
 
 def lateness_s(chain: Chain, one: Fit) -> float:
