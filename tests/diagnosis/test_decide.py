@@ -4,6 +4,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from torchpi.diagnosis.decide import NAMED, OPERATORS, Decision, decide, structure, verdict
 from torchpi.diagnosis.hypothesis import EffectTerm, Hypothesis
@@ -89,6 +91,14 @@ class TestUnexplained:
         assert decided(believed("sensor_lag", 80.0, 0.1), final=8.0).unexplained_share == 1.0
         louder = decided(believed("creep", 48.0), final=5.0, noise=SimpleNamespace(rms_um=3.0))
         assert louder.unexplained_share == pytest.approx(16.0 / 91.0)
+
+    @given(st.floats(0, 300), st.floats(0, 300), st.floats(0, 20), st.sampled_from([0.1, 0.9]))
+    def test_with_the_shares_of_the_names_it_is_no_more_than_all(
+        self, slow: float, late: float, final: float, probability: float
+    ) -> None:
+        """Where the data cannot split two, or the fit leaves more than what was retuned, too."""
+        found = decided(believed("creep", slow), believed("sensor_lag", late, probability), final=final)
+        assert sum(one.share for one in found.effects) + found.unexplained_share <= 1 + 1e-12
 
     def test_a_fit_below_the_noise_takes_nothing_off_what_is_open(self) -> None:
         found = decided(believed("creep", 48.0), believed("sensor_lag", 24.0, 0.1), final=1.0)

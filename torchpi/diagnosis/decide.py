@@ -62,8 +62,10 @@ def decide(
     """
     floor_um = noise.rms_um if noise is not None else 0.0
     faint = (FAINT * (floor_um or final.train_rms)) ** 2
-    total = retuned.train_rms**2 - floor_um**2
-    total = max(total, sum(one.explained_um2 for one in believed), 1e-300)
+    above = max(final.train_rms**2 - floor_um**2, 0.0) if noise is not None else 0.0
+    # What each explains beside the others, and what is left, may be more than was there before.
+    parts = above + sum(max(one.explained_um2, 0.0) for one in believed)
+    total = max(retuned.train_rms**2 - floor_um**2, parts, 1e-300)
     spans = intervals_90(search.chain, final)
     known = {effect.name: effect for effect in search.effects_tried}
     named = []
@@ -93,7 +95,6 @@ def decide(
     named.sort(key=lambda effect: -effect.share)
     kept = {effect.name for effect in named}
     left = tuple(one for one in believed if one.name not in kept and one.explained_um2 >= faint)
-    above = max(final.train_rms**2 - floor_um**2, 0.0) if noise is not None else 0.0
     above += sum(max(one.explained_um2, 0.0) for one in left)
     found = verdict(named, bool(left) or loud, final, noise, structured)
     share = 0.0 if found == "nothing_missing" else min(1.0, above / total)
