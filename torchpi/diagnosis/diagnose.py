@@ -229,9 +229,8 @@ def converter(recordings: Sequence[Recording]) -> tuple[float, tuple[str, ...]]:
     if step := agreed(even, EVEN):
         return step, (f"All readings lie on a lattice of {step * 1e3:.4g} nm.",)
     # One converter has the same values in all recordings, a few of which a stair alone passes.
-    y, u = (np.concatenate([getattr(one, signal) for one in recordings]) for signal in ("y", "u"))
-    uneven = [uneven_codes(recording.y, recording.u) for recording in recordings]
-    if step := uneven_codes(y, u) or agreed(uneven, WIDEST):
+    y, u = np.concatenate([one.y for one in recordings]), np.concatenate([one.u for one in recordings])
+    if step := uneven_codes(y, u) or agreed([uneven_codes(one.y, one.u) for one in recordings], WIDEST):
         return step, (f"All readings lie on few values, unevenly spaced, {step * 1e3:.4g} nm on the median.",)
     return 0.0, ()
 

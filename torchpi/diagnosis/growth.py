@@ -33,7 +33,7 @@ FOLLOWED, FOLLOWS = 8, 0.97
 REJECTED = 3.0
 """A family of hysteresis that fits this many times worse than another is not tried again."""
 REWEIGHTED = 3
-"""Times that the nominal is fitted, each with the weights that the last fit shows."""
+"""Times that a fit is made again, at most, each with the weights that the last one shows."""
 
 
 class Growth(Exchange):

@@ -33,8 +33,6 @@ from torchpi.diagnosis.score import ALIKE
 from torchpi.diagnosis.sealed import confirmed
 from torchpi.diagnosis.search import Round, Search
 from torchpi.diagnosis.timing import is_whole
-from torchpi.stage.effects.mechanics.modal import ModalResonance
-from torchpi.stage.effects.mechanics.resonance import Resonance
 
 DRAWS = 400
 RIVALS = 4
@@ -233,7 +231,7 @@ def form_error(one: EffectTerm | None, other: EffectTerm | None, own_signal: boo
         return FORM_ERROR
     if other is None and one.effect.sticks:
         return FORM_ERROR
-    if other is None and issubclass(one.effect, (Resonance, ModalResonance)):
+    if other is None and one.effect.rings:
         return OF_MODES
     if other is None:
         return 0.0 if own_signal else HYSTERESIS_ERROR

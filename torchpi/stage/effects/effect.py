@@ -127,6 +127,8 @@ class Described:
     """Whether it does the same before and behind anything that does not change with time."""
     delays: ClassVar[bool] = False
     """Whether it makes the output late by about one time: a convention of timing looks the same."""
+    rings: ClassVar[bool] = False
+    """Whether it has a mode of its own."""
     smooths: ClassVar[bool] = False
     """Whether it leaves no steps in a held voltage."""
     read_off: ClassVar[bool] = False

@@ -28,6 +28,7 @@ class ModalResonance(ModalEffect):
     equation = "y = x + Σ s (M(x) - x) + Σ v Ṁ(x)/ω₀, over the modes M"
     signature = "rings at one frequency, phase climbs towards it"
     time_scale = "fast"
+    rings = True
     quantities: ClassVar[dict[str, Quantity]] = {**OF_A_MODE, "share": _SHARE, "rate_share": _SHARE}
 
 

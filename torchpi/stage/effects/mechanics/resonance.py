@@ -42,6 +42,7 @@ class Resonance(StateSpaceEffect):
     equation = "ẍ + 2ζω₀ẋ + ω₀²x = ω₀²x_in"
     signature = "rings at one frequency, phase climbs towards it"
     time_scale = "fast"
+    rings = True
     quantities: ClassVar[dict[str, Quantity]] = {
         **OF_A_MODE,
         "frequency_hz": FREQUENCY,
