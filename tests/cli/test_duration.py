@@ -106,6 +106,14 @@ def test_a_diagnosis_has_limits_by_how_much_it_finds(
     assert nothing < little < much
 
 
+def test_limits_that_read_alike_are_one(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(duration, "search_s", lambda rounds, samples: 20.0)
+    duration.announce_diagnose(["none.csv"])
+    assert " to " not in capsys.readouterr().out
+
+
 MEASURED = {
     "slow": (10_000, 4, (35, 60)),
     "fast": (10_000, 7, (58, 98)),

@@ -100,6 +100,17 @@ class TestUnexplained:
         found = decided(believed("creep", slow), believed("sensor_lag", late, probability), final=final)
         assert sum(one.share for one in found.effects) + found.unexplained_share <= 1 + 1e-12
 
+    @given(st.floats(1, 40), st.floats(1, 40), st.floats(0, 4))
+    def test_the_shares_add_up_to_all(self, slow: float, late: float, final: float) -> None:
+        """What several explain together is the rest: without either the other stands in for part of it."""
+        found = decided(believed("creep", slow), believed("sensor_lag", late), final=final)
+        shares = sum(one.share for one in found.effects)
+        assert found.joint_share >= 0
+        assert shares + found.joint_share + found.unexplained_share == pytest.approx(1.0)
+
+    def test_without_a_second_name_nothing_is_explained_together(self) -> None:
+        assert decided(believed("creep", 48.0), final=2.0).joint_share == 0.0
+
     def test_a_fit_below_the_noise_takes_nothing_off_what_is_open(self) -> None:
         found = decided(believed("creep", 48.0), believed("sensor_lag", 24.0, 0.1), final=1.0)
         assert found.unexplained_share == pytest.approx(24.0 / 96.0)

@@ -25,9 +25,10 @@ def lag(probability: float, alternatives: tuple[str, ...] = ()) -> NamedEffect:
 
 
 def decided(
-    verdict: Verdict, *effects: NamedEffect, still_open: tuple[Believed, ...] = (), unexplained: float = 0.2
-) -> Decision:
-    return Decision(verdict, effects, still_open, unexplained, 0.004)
+    verdict: Verdict, *effects: NamedEffect, still_open: tuple[Believed, ...] = (), unexplained: float = 0.2,
+    joint: float = 0.0,
+) -> Decision:  # fmt: skip
+    return Decision(verdict, effects, still_open, unexplained, joint, 0.004)
 
 
 @pytest.mark.parametrize(
@@ -47,6 +48,18 @@ def test_the_verb_follows_the_probability(probability: float, words: str) -> Non
 
 def test_the_form_of_an_effect_is_said() -> None:
     assert "amplifier lag (two poles; cutoff 412 Hz)" in sentence(replace(lag(0.9), form="two poles"))
+
+
+def test_a_hysteresis_goes_by_the_names_of_its_authors() -> None:
+    family = (Parameter("family", "bouc_wen", "", None),)
+    named = replace(lag(0.9), name="hysteresis_operator", block="actuator", parameters=family)
+    assert "lacks hysteresis operator in the actuator (Bouc–Wen): 71 %" in sentence(named)
+
+
+def test_what_only_several_explain_together_is_said() -> None:
+    text = paragraph(decided("explained", lag(0.9), joint=0.45), ERRORS, NOISE, NEXT)
+    assert "45 % is explained by several of them together, and by none beside the others." in text
+    assert "together" not in paragraph(decided("explained", lag(0.9)), ERRORS, NOISE, NEXT)
 
 
 def test_noise_that_was_not_measured_is_said_not_to_be() -> None:

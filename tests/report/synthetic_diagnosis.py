@@ -89,6 +89,7 @@ def diagnosis() -> Diagnosis:
         noise_floor_um=NOISE_UM,
         heldout="the last 15 % of each recording",
         unexplained_share=0.01,
+        joint_share=0.0,
         next_recording=NextRecording(
             "A lag before the hysteresis and one after it differ only in how the loop's corners are rounded.",
             "a sine of 0 … 10 V at 300 Hz and at 600 Hz, 2 s each (next_excitation.csv)",

@@ -17,14 +17,16 @@ from matplotlib.text import Text
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from tests.report.synthetic_diagnosis import NOISE_UM, diagnosis
-from torchpi.diagnosis.diagnosis import Diagnosis, Errors, NextRecording, Trace
+from torchpi.diagnosis.diagnosis import Diagnosis, Errors, NextRecording, Rival, Trace
 from torchpi.diagnosis.locate import locate
+from torchpi.diagnosis.say import spoken
 from torchpi.report import diagnosis_page
 from torchpi.report.diagnosis_events import write_tensorboard
 from torchpi.report.diagnosis_figures import diagnosis_figures
+from torchpi.report.diagnosis_fit import remains_figure
 from torchpi.report.diagnosis_json import diagnosis_json
 from torchpi.report.diagnosis_page import write_diagnosis
-from torchpi.report.diagnosis_words import headline, in_prose, likelihood
+from torchpi.report.diagnosis_words import headline, in_prose, likelihood, spoken_rivals
 from torchpi.report.what_was_run import Provenance
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
@@ -110,7 +112,26 @@ def test_the_json_keeps_its_contract(folder: Path, found: Diagnosis) -> None:
     for stage in ("nominal", "retuned", "augmented"):
         assert set(content["fit"][stage]) == {"train_rms_um", "heldout_rms_um", "heldout_max_um"}
     assert set(content["next_recording"]) == {"why", "excitation"}
+    assert content["joint_share"] == 0.0
     assert content["unexplained_share"] == 0.01 and content["says"] == found.says
+
+
+def test_what_only_several_explain_has_a_bar_of_its_own(found: Diagnosis) -> None:
+    def bars(diagnosis: Diagnosis) -> list[str]:
+        return [tick.get_text() for tick in remains_figure(diagnosis).axes[0].get_yticklabels()]
+
+    shared = dataclasses.replace(found, joint_share=0.2)
+    names = [spoken(one.name) for one in found.effects]
+    assert bars(shared) == [*names, "several together", "unexplained"]
+    assert bars(found) == [*names, "unexplained"]
+
+
+def test_rivals_of_one_name_are_told_apart_by_their_form() -> None:
+    drifts = [Rival("thermal_drift", 0.01, 3.0, 0.1, form) for form in ("linear", "exponential")]
+    creep = Rival("creep", 0.01, 3.0, 0.1, "logarithm")
+    assert spoken_rivals([*drifts, creep]) == [
+        "thermal drift (linear)", "thermal drift (exponential)", "creep"
+    ]  # fmt: skip
 
 
 def test_numbers_that_are_not_finite_are_null(found: Diagnosis, provenance: Provenance) -> None:

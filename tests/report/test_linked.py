@@ -12,6 +12,7 @@ import pytest
 from markupsafe import Markup
 
 from torchpi.loop.result import LoopResult
+from torchpi.report import page
 from torchpi.report.linked import MOST_NUMBERS, Curve, Linked, Panel, linked_markup
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
@@ -200,3 +201,13 @@ def test_without_a_script_the_figure_is_shown(pages: dict[str, str]) -> None:
             html.count('<div class="linked">'),
         )
         assert stills == linked and bool(linked) == (name in TRACED)
+
+
+def test_what_is_scrolled_on_a_screen_is_whole_on_paper() -> None:
+    """A printed scrollbar lies across the numbers."""
+    style = (Path(page.__file__).parent / "templates" / "base.html.j2").read_text(encoding="utf-8")
+    paper = style[style.index("@media print") :]
+    scrolled = set(re.findall(r"^([\w.]+) {[^}]*overflow-x: auto", style, re.MULTILINE))
+    assert scrolled == {".wide", "figure"}
+    shown = re.search(r"([\w., ]+) { overflow: visible; }", paper)
+    assert shown and set(shown[1].strip().split(", ")) == scrolled

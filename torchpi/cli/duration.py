@@ -77,7 +77,8 @@ def announce_diagnose(recordings: Iterable[str | Path]) -> None:
     alone = DIAGNOSIS_S + compile_s
     work = [search_s(n, samples) for n in (1, FEWEST_ROUNDS, MOST_ROUNDS)]
     nothing, least, most = (machine.seconds(alone + SERIAL * s, (1 - SERIAL) * s) for s in work)
-    note = f" where nothing is missing, {_spoken(least)} to {_spoken(most)} where something is"
+    range_said = " to ".join(dict.fromkeys((_spoken(least), _spoken(most))))
+    note = f" where nothing is missing, {range_said} where something is"
     _announce(nothing, note + _compiles(compile_s, alone + search_s(USUAL_ROUNDS, samples)))
 
 

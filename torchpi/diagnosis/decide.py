@@ -36,6 +36,8 @@ class Decision:
     open: tuple[Believed, ...]
     """What the final hypothesis has and is too uncertain to be named."""
     unexplained_share: float
+    joint_share: float
+    """Of the squared residual: what several names explain together, and none of them beside the others."""
     noise_um: float | None
     """Of a reading, where it was measured."""
 
@@ -65,6 +67,7 @@ def decide(
     above = max(final.train_rms**2 - floor_um**2, 0.0) if noise is not None else 0.0
     # What each explains beside the others, and what is left, may be more than was there before.
     parts = above + sum(max(one.explained_um2, 0.0) for one in believed)
+    joint = retuned.train_rms**2 - max(final.train_rms, floor_um) ** 2 - (parts - above)
     total = max(retuned.train_rms**2 - floor_um**2, parts, 1e-300)
     spans = intervals_90(search.chain, final)
     known = {effect.name: effect for effect in search.effects_tried}
@@ -98,7 +101,10 @@ def decide(
     above += sum(max(one.explained_um2, 0.0) for one in left)
     found = verdict(named, bool(left) or loud, final, noise, structured)
     share = 0.0 if found == "nothing_missing" else min(1.0, above / total)
-    return Decision(found, tuple(named), left, share, noise.rms_um if noise is not None else None)
+    return Decision(
+        found, tuple(named), left, share, max(joint, 0.0) / total if len(named) > 1 else 0.0,
+        noise.rms_um if noise is not None else None,
+    )  # fmt: skip
 
 
 def verdict(

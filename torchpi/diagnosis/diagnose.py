@@ -170,8 +170,8 @@ def diagnose(
         verdict=decision.verdict, effects=decision.effects, where=where,
         nominal=errors[0], retuned=errors[1], augmented=errors[2],
         noise_floor_um=noise.rms_um if noise is not None else None,
-        heldout=HELD_OUT, unexplained_share=decision.unexplained_share, next_recording=next_one,
-        next_excitation=excitation, notes=notes, traces=traces, stage=stage,
+        heldout=HELD_OUT, unexplained_share=decision.unexplained_share, joint_share=decision.joint_share,
+        next_recording=next_one, next_excitation=excitation, notes=notes, traces=traces, stage=stage,
         says=paragraph(decision, errors, noise, next_one, loud),
     )  # fmt: skip
 

@@ -33,6 +33,8 @@ class Rival:
     loses_nats: float
     """Log predictive density that is lost with it in the place of the effect."""
     probability: float
+    form: str = ""
+    """Which equation of its kind, where there are several."""
 
 
 @dataclass(frozen=True)
@@ -128,6 +130,8 @@ class Diagnosis:
     heldout: str
     """How it was held out."""
     unexplained_share: float
+    joint_share: float
+    """What several effects explain together, and none of them beside the others."""
     next_recording: NextRecording
     next_excitation: tuple[np.ndarray, np.ndarray]
     """Its voltage, ready to play: t (time,), s, and u (time,), V."""

@@ -104,9 +104,10 @@ def posterior(
         for model, c, own in zip(models, chance, density, strict=True):
             if model.without != name or not model.instead:
                 continue
-            rivals.append(
-                Rival(model.instead, model.fit.train_rms, float((density[0] - own).sum()), float(c))
-            )
+            forms = [m.effect.form(m.values(0)) for m in model.fit.hypothesis.members
+                     if m.effect.name == model.instead]  # fmt: skip
+            lost = float((density[0] - own).sum())
+            rivals.append(Rival(model.instead, model.fit.train_rms, lost, float(c), *forms[:1]))
             if model.instead != CONVENTION and search.as_well(model.fit, models[0].fit):
                 alternatives.append(model.instead)
                 held += float(c)

@@ -11,6 +11,15 @@ CERTAIN, LIKELY, POSSIBLE = 0.9, 0.5, 0.1
 """Probabilities from which an effect is missing without qualification, probably, and perhaps."""
 REMAINDER_HELPS = 0.97
 """Of the error without it: below this the unknown remainder is worth a sentence."""
+WORTH_A_SENTENCE = 0.01
+"""Of the squared residual."""
+FAMILIES = {
+    "prandtl_ishlinskii": "Prandtl–Ishlinskii",
+    "preisach": "Preisach",
+    "bouc_wen": "Bouc–Wen",
+    "duhem": "Duhem",
+}
+"""Of hysteresis, by the names of their authors."""
 UNIT_SUFFIX = re.compile(r"_(hz|v|um|s|v_s|(?:(?:v|um|s)_)?per_(?:v2|v|um2|um|s|mm))$")
 
 
@@ -38,6 +47,11 @@ def paragraph(
     if decision.verdict == "nothing_missing":
         parts.append("Nothing is missing: what is left is noise, as far as these recordings show.")
     parts += [sentence(effect) for effect in decision.effects]
+    if decision.joint_share >= WORTH_A_SENTENCE:
+        parts.append(
+            f"{percent(decision.joint_share)} is explained by several of them together, "
+            "and by none beside the others."
+        )
     if decision.effects:
         left = nm(augmented.heldout_rms_um)
         falls = augmented.heldout_rms_um < retuned.heldout_rms_um
@@ -103,8 +117,8 @@ def lacks(probability: float) -> str:
 
 
 def spoken(name: str) -> str:
-    """The name of an effect in prose."""
-    return name.replace("_", " ")
+    """The name of an effect, or of a family of hysteresis, in prose."""
+    return FAMILIES.get(name) or name.replace("_", " ")
 
 
 def spoken_parameter(name: str) -> str:

@@ -4,7 +4,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from torchpi.diagnosis.diagnosis import Diagnosis, Trace
-from torchpi.diagnosis.say import spoken
+from torchpi.diagnosis.say import WORTH_A_SENTENCE, spoken
 from torchpi.report import style
 from torchpi.report.diagnosis_style import (
     AFTER,
@@ -24,6 +24,7 @@ from torchpi.report.traces import Signal, envelope, stretches, thinned
 
 HELDOUT_TRACES = 4
 """Recordings of which the traces are drawn."""
+TOGETHER = "several together"
 TELEPHONE_IN = 0.7 * WIDTH_IN
 """Of a figure that fits a telephone with its words at the size that others have there."""
 
@@ -153,14 +154,16 @@ def spectrum_figure(diagnosis: Diagnosis) -> Figure:
 
 
 def remains_figure(diagnosis: Diagnosis) -> Figure:
-    """The mismatch over the noise, shared out: each effect's, and what nothing explains."""
+    """The mismatch over the noise, shared out: of each effect, of several together, and of none."""
     shares = {spoken(effect.name): effect.share for effect in diagnosis.effects}
+    if diagnosis.joint_share >= WORTH_A_SENTENCE:
+        shares[TOGETHER] = diagnosis.joint_share
     if diagnosis.noise_floor_um is not None or not shares:
         shares["unexplained"] = diagnosis.unexplained_share
     with canvas(0.75 + 0.27 * len(shares)) as figure:
         axes = figure.subplots()
         for at, (name, share) in enumerate(shares.items()):
-            rest = name == "unexplained"
+            rest, joint = name == "unexplained", name == TOGETHER
             axes.barh(
                 at,
                 100 * share,
@@ -168,7 +171,7 @@ def remains_figure(diagnosis: Diagnosis) -> Figure:
                 edgecolor="#333333",
                 linewidth=0.6,
                 color="#eeeeee" if rest else STRONG,
-                hatch="xx" if rest else "",
+                hatch="xx" if rest else "//" if joint else "",
             )
             axes.annotate(
                 f"{100 * share:.3g} %",

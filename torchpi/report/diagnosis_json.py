@@ -24,6 +24,7 @@ def diagnosis_json(diagnosis: Diagnosis, provenance: Provenance) -> str:
             "noise_floor_um": diagnosis.noise_floor_um,
             "heldout": diagnosis.heldout,
         },
+        "joint_share": diagnosis.joint_share,
         "unexplained_share": diagnosis.unexplained_share,
         "next_recording": {
             "why": diagnosis.next_recording.why,

@@ -19,7 +19,7 @@ from torchpi.report.diagnosis_figures import diagnosis_figures
 from torchpi.report.diagnosis_fit import HELDOUT_TRACES
 from torchpi.report.diagnosis_json import diagnosis_json
 from torchpi.report.diagnosis_style import Unit, unit_of
-from torchpi.report.diagnosis_words import headline, in_prose, likelihood
+from torchpi.report.diagnosis_words import headline, in_prose, likelihood, spoken_rivals
 from torchpi.report.linked import MOST_NUMBERS, linked_markup
 from torchpi.report.linked_traces import diagnosis_traces
 from torchpi.report.png import write_png
@@ -86,6 +86,7 @@ def _page(diagnosis: Diagnosis, provenance: Provenance, drawn: Mapping[str, Mapp
         figure=_shown,
         spoken=spoken,
         spoken_parameter=spoken_parameter,
+        spoken_rivals=spoken_rivals,
         in_prose=in_prose,
         likelihood=likelihood,
     )

@@ -19,6 +19,7 @@ from torchpi.report.diagnosis_style import (
     shortened,
     unit_of,
 )
+from torchpi.report.diagnosis_words import spoken_rivals
 from torchpi.report.style import canvas
 from torchpi.report.traces import Signal, envelope
 
@@ -26,7 +27,7 @@ from torchpi.report.traces import Signal, envelope
 def rivals_figure(effect: NamedEffect) -> Figure:
     """Log predictive density lost with each rival in the place of the effect, and the probabilities."""
     rivals = effect.rivals[:8]
-    names = [spoken(effect.name), *(spoken(rival.name) for rival in rivals)]
+    names = [spoken(effect.name), *spoken_rivals(rivals)]
     lost = [0.0, *(rival.loses_nats for rival in rivals)]
     chances = [100 * effect.probability, *(100 * rival.probability for rival in rivals)]
     with canvas(1.15 + 0.24 * len(names)) as figure:

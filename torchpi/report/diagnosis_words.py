@@ -1,8 +1,9 @@
 """What the page of a diagnosis says in words: the verdict with its number, and names without underscores."""
 
 import re
+from collections.abc import Sequence
 
-from torchpi.diagnosis.diagnosis import Diagnosis
+from torchpi.diagnosis.diagnosis import Diagnosis, Rival
 from torchpi.diagnosis.say import CERTAIN, LIKELY, nm, percent, spoken
 from torchpi.report import words
 from torchpi.stage.effects import EFFECTS
@@ -43,6 +44,15 @@ def likelihood(probability: float) -> str:
     if probability >= CERTAIN:
         return "missing"
     return "probably missing" if probability >= LIKELY else "may be missing"
+
+
+def spoken_rivals(rivals: Sequence[Rival]) -> list[str]:
+    """Their names in prose, with the form where a name stands twice."""
+    names = [rival.name for rival in rivals]
+    return [
+        spoken(rival.name) + (f" ({rival.form})" if rival.form and names.count(rival.name) > 1 else "")
+        for rival in rivals
+    ]
 
 
 def in_prose(text: str) -> str:
