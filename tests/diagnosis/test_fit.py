@@ -39,6 +39,7 @@ from torchpi.stage.effects.mechanics.backlash import Backlash
 from torchpi.stage.effects.mechanics.cross_coupling import CrossCoupling
 from torchpi.stage.effects.mechanics.resonance import Resonance
 from torchpi.stage.effects.sensor.hum import Hum
+from torchpi.stage.effects.sensor.sensor_nonlinearity import SensorNonlinearity
 
 
 def fitted(recordings: list[Recording], *members: EffectTerm) -> Fit:
@@ -225,6 +226,17 @@ def test_a_limit_that_clips_the_highest_tops_is_found_from_beside_it() -> None:
         )
         one = refitted(chain, few)
         assert one.hypothesis.members[0].shared["high_v"] == pytest.approx(limit_v, abs=5e-3)
+
+
+def test_a_curvature_of_a_third_of_the_travel_is_found_from_one_per_cent() -> None:
+    """Each step changes it many times over, and the weights of the plays with it, which it makes
+    nonlinear."""
+    chain = Chain(prepared(pair(4000, after=lambda x, fs_hz: x + 0.03 * x**2 + 0.001 * x**3)))
+    bent = reduced(chain, fit(chain, Hypothesis(many_plays(seen(chain.records)))))
+    start = SensorNonlinearity.starts(seen(chain.records))[-1]
+    found = fit(chain, bent.hypothesis.plus(EffectTerm(SensorNonlinearity, start)), bent.weights, 8, ROUGH)
+    assert found.train_rms < 1.1 * NOISE_UM < bent.train_rms
+    assert [*found.hypothesis.members[0].shared.values()] == pytest.approx([0.03, 0.001], rel=0.1)
 
 
 def test_a_round_corner_fits_a_limit_of_another_form_where_a_hard_one_does_not() -> None:

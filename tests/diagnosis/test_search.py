@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from tests.diagnosis.plants import FS_HZ, multisine, record
+from tests.diagnosis.plants import FS_HZ, NOISE_UM, Signal, multisine, record, stairs, triangles
 from tests.diagnosis.prepared import prepared
 from torchpi.diagnosis import growth
 from torchpi.diagnosis.chain import Chain
@@ -15,6 +15,7 @@ from torchpi.diagnosis.search import Search
 from torchpi.stage.effects.actuator.creep import Creep
 from torchpi.stage.effects.amplifier.slew_limit import SlewLimit
 from torchpi.stage.effects.effect import DataRange
+from torchpi.stage.effects.sensor.sensor_nonlinearity import SensorNonlinearity
 
 
 @pytest.mark.parametrize(
@@ -98,6 +99,18 @@ def test_a_mode_behind_a_held_voltage_is_tried_as_that() -> None:
     search = Search(Chain(prepared([record(u, after=mode)])), lambda sentence: None)
     tried = search.at_other_conventions(search.retuned(), search.starts)
     assert tried["resonance"].held
+
+
+def test_a_curvature_that_was_taken_for_a_history_is_tried_without_one() -> None:
+    def bent(x: Signal, fs_hz: float) -> Signal:
+        return x / (1 - 0.03 * x)
+
+    recordings = [record(triangles(4000), seed=1, after=bent), record(stairs(4000), seed=2, after=bent)]
+    search = Search(Chain(prepared(recordings)), lambda sentence: None, effects=[SensorNonlinearity])
+    now = search.reweighted(search.retuned())
+    ((_, found),) = search.effects(now)
+    assert now.hypothesis.remanent and not found.hypothesis.remanent
+    assert found.train_rms < 2 * NOISE_UM < 0.1 * now.train_rms
 
 
 @pytest.mark.parametrize(("share", "refitted"), [(0.9, 1), (0.1, 0)])

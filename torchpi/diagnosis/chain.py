@@ -258,6 +258,10 @@ class Chain:
         """What follows the hysteresis."""
         return [p for p in self.placed(hypothesis, index) if not hypothesis.precedes(type(p.effect))]
 
+    def bends(self, hypothesis: Hypothesis) -> bool:
+        """Whether what follows the hysteresis is not linear, nor are the readings in the weights."""
+        return any(not isinstance(one.effect, LinearEffect | Modes) for one in self.after(hypothesis, 0))
+
     def placed(self, hypothesis: Hypothesis, index: int) -> list[Placed]:
         """Every effect outside the hysteresis, in the order of the chain."""
         if (hypothesis, index) not in self.placements:

@@ -42,6 +42,11 @@ FINE, ROUGH = 1e-4, 3e-3
 """Relative gain of a step below which a fit ends: to report, and to compare."""
 KEPT_PROMISE = 0.5
 """Share of the predicted decrease that a step must keep."""
+LONGEST_STEP, MANY_TIMES = 1.5, 6.0
+"""Of the logarithm of a number; of one that may have either sign, over what it is or began as, in which the
+readings are nearly linear."""
+SOLVED, MORE_THAN_LINEAR = 4, 1.1
+"""Times that weights are solved for behind a curvature, and how much more than expected is left till then."""
 WITHHELD = 0.9
 """Of the weight of a stretch of time in the fit that predicts it: with none of its weight, what it alone
 determines would be predicted at random."""
@@ -79,6 +84,7 @@ def fit(
     theta = np.array([to_inner(slot, value_at(hypothesis, slot)) for slot in slots])
     low = np.array([to_inner(s, s.low) for s in slots])
     high = np.array([to_inner(s, s.high) for s in slots])
+    log = np.array([s.log for s in slots], bool)
     tangent: Tangent | None = None
     slopes: Slopes | None = None
     fresh_weights = weights is None
@@ -106,7 +112,8 @@ def fit(
         accepted = False
         for _ in range(6):
             step = solve(gram, right, n, damping)
-            trial_theta = np.clip(theta + np.clip(step[n:], -1.5, 1.5), low, high)
+            reach = np.where(log, LONGEST_STEP, MANY_TIMES * np.maximum(np.abs(theta), 1.0))
+            trial_theta = np.clip(theta + np.clip(step[n:], -reach, reach), low, high)
             trial, trial_weights = with_theta(hypothesis, slots, trial_theta), weights + step[:n]
             trial_ss = sum_of_squares(chain, trial, trial_weights)
             trial_ss += float(trial_weights @ prior @ trial_weights)
@@ -206,15 +213,26 @@ def with_weights_solved(
     chain: Chain, hypothesis: Hypothesis, weights: np.ndarray, prior: np.ndarray
 ) -> tuple[np.ndarray, float, Tangent | None]:
     """The best weights of a hypothesis, what they leave, and the tangent; infinite where the chain cannot
-    be."""
-    try:
-        tangent = tangent_of(chain, hypothesis, weights)
-        gram, right, _, _ = normal_equations(chain, hypothesis, weights, tangent)
-    except StageError:
-        return weights, math.inf, None
-    gram, right = with_prior(gram, right, prior, weights)
-    solved = weights + solve(gram, right, len(weights), 0.0)
-    return solved, sum_of_squares(chain, hypothesis, solved) + float(solved @ prior @ solved), tangent
+    be. Behind a curvature they are not linear: they are solved for again while more is left than a linear
+    step would leave."""
+    left, tangent = math.inf, None
+    for _ in range(SOLVED):
+        try:
+            last = tangent_of(chain, hypothesis, weights)
+            gram, right, before, _ = normal_equations(chain, hypothesis, weights, last)
+        except StageError:
+            break
+        before += float(weights @ prior @ weights)
+        gram, right = with_prior(gram, right, prior, weights)
+        step = solve(gram, right, len(weights), 0.0)
+        solved = weights + step
+        ss = sum_of_squares(chain, hypothesis, solved) + float(solved @ prior @ solved)
+        if not ss < left:
+            break
+        weights, left, tangent = solved, ss, last
+        if ss < MORE_THAN_LINEAR * (before - float(2 * step @ right - step @ gram @ step)):
+            break
+    return weights, left, tangent
 
 
 def prior_of(chain: Chain, hypothesis: Hypothesis, gram: np.ndarray) -> np.ndarray:

@@ -20,6 +20,8 @@ FAMILIES = {
     "duhem": "Duhem",
 }
 """Of hysteresis, by the names of their authors."""
+KNOT = "knot"
+"""How the numbers of a random walk are called."""
 UNIT_SUFFIX = re.compile(r"_(hz|v|um|s|v_s|(?:(?:v|um|s)_)?per_(?:v2|v|um2|um|s|mm))$")
 
 
@@ -95,7 +97,8 @@ def sentence(effect: NamedEffect) -> str:
         if isinstance(p.value, float)
         else spoken(p.value)
         for p in effect.parameters[:3]
-        if p.value != 0.0  # what differs between recordings has no common value
+        # What differs between recordings has no common value; of a walk no single number says anything.
+        if p.value != 0.0 and not p.name.startswith(KNOT)
     )
     inside = "; ".join(filter(None, (effect.form, numbers)))
     name = spoken(effect.name)
