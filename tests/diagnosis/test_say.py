@@ -41,9 +41,9 @@ def decided(
 )
 def test_the_verb_follows_the_probability(probability: float, words: str) -> None:
     text = sentence(lag(probability, ("sensor_lag", "delay")))
-    assert text.startswith(f"{words} amplifier lag (cutoff 412 Hz): 71 % of the squared")
+    assert text.startswith(f"{words} an amplifier lag (cutoff 412 Hz): 71 % of the squared")
     assert f"probability {100 * probability:.0f} %" in text
-    assert text.endswith("these recordings cannot distinguish it from sensor lag or delay.")
+    assert text.endswith("these recordings cannot distinguish it from a sensor lag or a delay.")
 
 
 def test_the_form_of_an_effect_is_said() -> None:
@@ -53,7 +53,7 @@ def test_the_form_of_an_effect_is_said() -> None:
 def test_a_hysteresis_goes_by_the_names_of_its_authors() -> None:
     family = (Parameter("family", "bouc_wen", "", None),)
     named = replace(lag(0.9), name="hysteresis_operator", block="actuator", parameters=family)
-    assert "lacks hysteresis operator in the actuator (Bouc–Wen): 71 %" in sentence(named)
+    assert "lacks another hysteresis operator in the actuator (Bouc–Wen): 71 %" in sentence(named)
 
 
 def test_what_only_several_explain_together_is_said() -> None:
@@ -103,7 +103,7 @@ def test_an_unnamed_remainder_is_said_where_it_helps_and_only_there() -> None:
 def test_what_is_too_uncertain_to_be_named_is_said() -> None:
     doubtful = Believed("sensor_lag", 0.31, (), 1e-4, ())
     text = paragraph(decided("unexplained", still_open=(doubtful,)), ERRORS, NOISE, NEXT)
-    assert "There may also be sensor lag: with a probability of 31 % it is too uncertain to be named" in text
+    assert "There may also be a sensor lag: with a probability of 31 % it is too uncertain to be" in text
 
 
 def test_the_paragraph_has_no_identifiers() -> None:

@@ -20,6 +20,13 @@ FAMILIES = {
     "duhem": "Duhem",
 }
 """Of hysteresis, by the names of their authors."""
+ARTICLES = {
+    "hysteresis_operator": "another",
+    **dict.fromkeys(("amplifier_lag", "input_nonlinearity"), "an"),
+    **dict.fromkeys(("delay", "load_change", "resonance", "second_mode"), "a"),
+    **dict.fromkeys(("sensor_lag", "sensor_nonlinearity", "slew_limit"), "a"),
+}
+"""Of effects that are counted: a resonance, but creep."""
 KNOT = "knot"
 """How the numbers of a random walk are called."""
 UNIT_SUFFIX = re.compile(r"_(hz|v|um|s|v_s|(?:(?:v|um|s)_)?per_(?:v2|v|um2|um|s|mm))$")
@@ -65,7 +72,7 @@ def paragraph(
     for one in decision.open:
         if POSSIBLE < one.probability < LIKELY:
             text = f"with a probability of {percent(one.probability)} it is too uncertain to be named"
-            parts.append(f"There may also be {spoken(one.name)}: {text}.")
+            parts.append(f"There may also be {counted(one.name)}: {text}.")
     if decision.verdict == "partly_explained":
         # Without the noise it is not known how much of what is left is noise.
         much = "Part" if noise is None else percent(decision.unexplained_share)
@@ -101,15 +108,14 @@ def sentence(effect: NamedEffect) -> str:
         if p.value != 0.0 and not p.name.startswith(KNOT)
     )
     inside = "; ".join(filter(None, (effect.form, numbers)))
-    name = spoken(effect.name)
-    where = "" if effect.block in name else f" in the {effect.block}"
+    where = "" if effect.block in effect.name else f" in the {effect.block}"
     text = (
-        f"The simulation {lacks(effect.probability)} {name}{where}"
+        f"The simulation {lacks(effect.probability)} {counted(effect.name)}{where}"
         f"{f' ({inside})' if inside else ''}: {percent(effect.share)} of the squared residual, "
         f"probability {percent(effect.probability)}"
     )
     if effect.alternatives:
-        others = " or ".join(spoken(name) for name in effect.alternatives)
+        others = " or ".join(map(counted, effect.alternatives))
         text += f"; these recordings cannot distinguish it from {others}"
     return text + "."
 
@@ -117,6 +123,11 @@ def sentence(effect: NamedEffect) -> str:
 def lacks(probability: float) -> str:
     """The verb that goes with a probability."""
     return "lacks" if probability >= CERTAIN else "probably lacks" if probability >= LIKELY else "may lack"
+
+
+def counted(name: str) -> str:
+    """The name of an effect in a sentence, with its article if it takes one."""
+    return f"{ARTICLES.get(name, '')} {spoken(name)}".strip()
 
 
 def spoken(name: str) -> str:
