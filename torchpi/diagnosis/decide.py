@@ -11,7 +11,7 @@ from torchpi.diagnosis.hypothesis import Fit
 from torchpi.diagnosis.intervals import intervals_90
 from torchpi.diagnosis.noise import Noise
 from torchpi.diagnosis.parameters import parameters_of, shape_parameters
-from torchpi.diagnosis.posterior import OPERATOR_NAME, Believed
+from torchpi.diagnosis.posterior import OPERATOR_NAME, Believed, form_of
 from torchpi.diagnosis.search import Search
 from torchpi.stage.effects.mechanics.backlash import Backlash
 
@@ -89,11 +89,10 @@ def decide(
             )  # fmt: skip
             continue
         effect = known[one.name]
-        values = [m.values(0) for m in final.hypothesis.members if m.effect.name == one.name]
         named.append(
             NamedEffect(one.name, effect.block, one.alternatives, one.probability,
                         parameters_of(search, final, spans, one.name), share, effect.equation,
-                        effect.signature, one.rivals, effect.form(values[0]))
+                        effect.signature, one.rivals, form_of(final, one.name))
         )  # fmt: skip
     named.sort(key=lambda effect: -effect.share)
     kept = {effect.name for effect in named}

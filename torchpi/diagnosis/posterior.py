@@ -104,10 +104,8 @@ def posterior(
         for model, c, own in zip(models, chance, density, strict=True):
             if model.without != name or not model.instead:
                 continue
-            forms = [m.effect.form(m.values(0)) for m in model.fit.hypothesis.members
-                     if m.effect.name == model.instead]  # fmt: skip
-            lost = float((density[0] - own).sum())
-            rivals.append(Rival(model.instead, model.fit.train_rms, lost, float(c), *forms[:1]))
+            lost, form = float((density[0] - own).sum()), form_of(model.fit, model.instead)
+            rivals.append(Rival(model.instead, model.fit.train_rms, lost, float(c), form))
             if model.instead != CONVENTION and search.as_well(model.fit, models[0].fit):
                 alternatives.append(model.instead)
                 held += float(c)
@@ -137,6 +135,12 @@ def posterior(
         replace(one, probability=round(one.probability * apart(one, found, terms, signals), 4))
         for one in found
     ]
+
+
+def form_of(one: Fit, name: str) -> str:
+    """Which equation of its kind an effect has there; empty where it has but one, or is not there."""
+    members = one.hypothesis.members
+    return next((m.effect.form(m.values(0)) for m in members if m.effect.name == name), "")
 
 
 def without_cause(
