@@ -1,0 +1,45 @@
+"""What a linear correction of one amplitude leaves of a stage's errors."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from benchmarks.mirror_folds import level_of, not_linear
+from torchpi.recordings.multi_axis import MultiAxisRecording
+
+SAMPLES, REALISATIONS, INPUTS, OUTPUTS = 512, 6, 3, 2
+
+
+def level() -> list[MultiAxisRecording]:
+    random = np.random.default_rng(0)
+    return [
+        MultiAxisRecording(
+            f"100mV_train {k}", np.tile(random.normal(size=(SAMPLES, INPUTS)), (2, 1)),
+            np.zeros((2 * SAMPLES, OUTPUTS)), 1e3, 2,
+        )
+        for k in range(REALISATIONS)
+    ]  # fmt: skip
+
+
+def errors(of: Callable[[np.ndarray], np.ndarray], noise: float) -> list[np.ndarray]:
+    random = np.random.default_rng(1)
+    return [of(one.period[0]) + noise * random.normal(size=(SAMPLES, OUTPUTS)) for one in level()]
+
+
+def delayed(u: np.ndarray) -> np.ndarray:
+    return np.roll(u, 3, axis=0) @ np.array([[1.0, 0.5], [0.2, -1.0], [0.7, 0.1]])
+
+
+def test_a_linear_error_is_taken_away_and_noise_counts_for_what_it_is() -> None:
+    assert not_linear(level(), errors(delayed, 0.0)) < 1e-9
+    assert not_linear(level(), errors(delayed, 0.1)) == pytest.approx(0.1, rel=0.03)
+
+
+def test_an_error_that_is_not_linear_stays() -> None:
+    even = [e - e.mean(0) for e in errors(lambda u: delayed(u) ** 2, 0.0)]
+    assert not_linear(level(), even) == pytest.approx(np.sqrt(np.mean(np.square(even))), rel=0.05)
+
+
+def test_the_level_is_in_the_name() -> None:
+    assert level_of(level()[0]) == "100mV"
