@@ -8,6 +8,7 @@ import shutil
 import subprocess
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -148,6 +149,8 @@ def test_figures_lie_beside_the_page_and_those_of_before_are_gone(
 ) -> None:
     names = {path.name for path in (folder / "figures").iterdir()}
     assert names == {f"{name}.{kind}" for name in figures for kind in ("png", "svg")}
+    for drawn in (folder / "figures").glob("*.svg"):
+        assert ElementTree.parse(drawn).getroot().tag == "{http://www.w3.org/2000/svg}svg"
     assert {"where", "errors", "signature_resonance", "rivals_amplifier_lag", "multisine_1"} <= set(figures)
     (tmp_path / "figures").mkdir()
     (tmp_path / "figures" / "signature_creep.png").write_bytes(b"old")

@@ -236,8 +236,8 @@ def _drawn(name: str, figure: Figure) -> dict[str, str]:
 
 
 def _alone(svg: str) -> str:
-    """An inline figure as a file: it needs its namespace there."""
-    return svg.replace("<svg ", '<svg xmlns="http://www.w3.org/2000/svg" ', 1) + "\n"
+    """An inline figure as a file: it needs its namespace there, and markup would escape that."""
+    return str(svg).replace("<svg ", '<svg xmlns="http://www.w3.org/2000/svg" ', 1) + "\n"
 
 
 def _shown(value: float | str | None, digits: int = 3) -> str:
