@@ -43,8 +43,8 @@ FINE, ROUGH = 1e-4, 3e-3
 KEPT_PROMISE = 0.5
 """Share of the predicted decrease that a step must keep."""
 LONGEST_STEP, MANY_TIMES = 1.5, 6.0
-"""Of the logarithm of a number; of one that may have either sign, over what it is or began as, in which the
-readings are nearly linear."""
+"""Of a number's logarithm, or of a recording's own over its start; of a shared one that may have either sign,
+over what it is or began as, in which the readings are nearly linear."""
 SOLVED, MORE_THAN_LINEAR = 4, 1.1
 """Times that weights are solved for behind a curvature, and how much more than expected is left till then."""
 WITHHELD = 0.9
@@ -84,7 +84,7 @@ def fit(
     theta = np.array([to_inner(slot, value_at(hypothesis, slot)) for slot in slots])
     low = np.array([to_inner(s, s.low) for s in slots])
     high = np.array([to_inner(s, s.high) for s in slots])
-    log = np.array([s.log for s in slots], bool)
+    shared = np.array([not s.log and s.record is None for s in slots], bool)
     tangent: Tangent | None = None
     slopes: Slopes | None = None
     fresh_weights = weights is None
@@ -112,7 +112,7 @@ def fit(
         accepted = False
         for _ in range(6):
             step = solve(gram, right, n, damping)
-            reach = np.where(log, LONGEST_STEP, MANY_TIMES * np.maximum(np.abs(theta), 1.0))
+            reach = np.where(shared, MANY_TIMES * np.maximum(np.abs(theta), 1.0), LONGEST_STEP)
             trial_theta = np.clip(theta + np.clip(step[n:], -reach, reach), low, high)
             trial, trial_weights = with_theta(hypothesis, slots, trial_theta), weights + step[:n]
             trial_ss = sum_of_squares(chain, trial, trial_weights)
