@@ -97,8 +97,8 @@ def measured(
             )
             pairs = [(one, e) for one, e in zip(level, errors, strict=True) if e is not None]
             into.not_linear_um.append(not_linear(*zip(*pairs, strict=True)))
-            worst, noise = into.left_out[-1]
-            log(f"fold {fold}, {level_of(level[0])}: {worst:.4f} µm, of which noise {noise:.4f} µm")
+            last, noise = into.left_out[-1]
+            log(f"fold {fold}, {level_of(level[0])}: {last:.4f} µm, of which noise {noise:.4f} µm")
     return found
 
 

@@ -70,12 +70,10 @@ MEASUREMENTS = (
     Measurement(
         "mirror_folds",
         "python benchmarks/mirror_folds.py",
-        (
-            *(
-                Figure(f"mirror_{kind}_{level}_um", "µm", 0, at_most, ".3f")
-                for kind in ("median", "worst", "worst_noise")
-                for level, at_most in ((100, 0.07), (200, 0.08), (300, 0.1))
-            ),
+        tuple(
+            Figure(f"mirror_{kind}_{level}_um", "µm", 0, at_most, ".3f")
+            for kind in ("median", "worst", "worst_noise")
+            for level, at_most in ((100, 0.07), (200, 0.08), (300, 0.1))
         ),
         measurements.mirror_folds,
         about_s=3600,

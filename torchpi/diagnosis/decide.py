@@ -66,9 +66,9 @@ def decide(
     faint = (FAINT * (floor_um or final.train_rms)) ** 2
     above = max(final.train_rms**2 - floor_um**2, 0.0) if noise is not None else 0.0
     # What each explains beside the others, and what is left, may be more than was there before.
-    parts = above + sum(max(one.explained_um2, 0.0) for one in believed)
-    joint = retuned.train_rms**2 - max(final.train_rms, floor_um) ** 2 - (parts - above)
-    total = max(retuned.train_rms**2 - floor_um**2, parts, 1e-300)
+    explained = sum(max(one.explained_um2, 0.0) for one in believed)
+    joint = retuned.train_rms**2 - max(final.train_rms, floor_um) ** 2 - explained
+    total = max(retuned.train_rms**2 - floor_um**2, above + explained, 1e-300)
     spans = intervals_90(search.chain, final)
     known = {effect.name: effect for effect in search.effects_tried}
     named = []

@@ -250,10 +250,11 @@ class Search(Growth):
         jobs: list[Job] = [(now.hypothesis.plus(c.member), now.weights, HEAT, ROUGH) for _, c in chosen]
         # A history takes the place of a curvature behind it, and leaves the fit of both no way to the end.
         if now.hypothesis.remanent:
-            forgets = [replace(now.hypothesis.plus(c.member), remanent=False) for _, c in chosen]
-            bent = [(name, h) for (name, _), h in zip(chosen, forgets, strict=True) if self.chain.bends(h)]
-            names += [name for name, _ in bent]
-            jobs += [(h, None, STEPS, ROUGH) for _, h in bent]
+            for name, c in chosen:
+                forgets = replace(now.hypothesis.plus(c.member), remanent=False)
+                if self.chain.bends(forgets):
+                    names.append(name)
+                    jobs.append((forgets, None, STEPS, ROUGH))
         # What delays is taken for the convention of timing until it is fitted; and a mode that a held command
         # drives is not found where the command is taken to move.
         otherwise = self.at_other_conventions(now, starts)
