@@ -8,7 +8,14 @@ from scipy.linalg import cho_factor
 from tests.stage.two_axes import RATE_HZ, multisine, recordings, two_axes
 from torchpi.identification.multi_axis import MultiAxisOptions, identify
 from torchpi.identification.multi_axis.fit import Period, PeriodicFit, quasi_newton, scaled
-from torchpi.identification.multi_axis.identify import linear_stage, periods, silence, slow_motion
+from torchpi.identification.multi_axis.identify import (
+    by_amplitude,
+    linear_stage,
+    other_amplitudes,
+    periods,
+    silence,
+    slow_motion,
+)
 from torchpi.identification.multi_axis.properties import static_gain_of
 from torchpi.recordings.multi_axis import MultiAxisRecording
 
@@ -188,3 +195,19 @@ def test_a_stage_that_a_slow_voltage_drives_without_bounds_is_no_step_of_a_fit()
         fit = PeriodicFit(stage, [slow_motion(every, gain)])
         costs.append(fit.cost(fit.errors()))
     assert costs[0] < 1.0 and costs[1] == np.inf
+
+
+@pytest.mark.parametrize(("stiffness", "bounded"), [(0.09, [True, True]), (0.14, [True, False])])
+def test_a_stage_that_rings_between_the_recorded_amplitudes_or_beyond_them_costs(
+    stiffness: float, bounded: list[bool]
+) -> None:
+    levels = by_amplitude(recordings(two_axes(), (0.1, 0.2), 2))
+    guards = other_amplitudes(levels)
+    np.testing.assert_allclose([one.u.std() for one in guards], [0.1 * 2**0.5, 0.25])
+    stage = two_axes()
+    calm = PeriodicFit(stage, guards)
+    assert calm.cost(calm.errors()) < 0.01
+    stage.arrays()["weights"][:, 3] = stiffness  # of the mean amplitude, and the more the larger that is
+    assert [PeriodicFit(stage, periods(level)).errors() is not None for level in levels] == bounded
+    driven = PeriodicFit(stage, guards)
+    assert driven.cost(driven.errors()) > 10

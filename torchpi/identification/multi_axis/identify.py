@@ -31,6 +31,9 @@ NOISE = 1.5
 FAINT, SLOW, SILENT = 0.05, 1.5, 0.1
 """Size of a motion near rest, as a share of the smallest recording's, of a slow one, as a multiple of the
 largest rms, and weight of what is left in either."""
+BEYOND, LOOSE = 1.25, 1.0
+"""The largest amplitude at which a stage must stay calm, as a multiple of the largest recording's, and the
+weight there, and between amplitudes, of an error as large as the motion."""
 PIECE = 8192
 """Samples of a record without periods that are simulated on their own, at most."""
 ALIKE = 1.25
@@ -195,8 +198,12 @@ def periods(recordings: Sequence[MultiAxisRecording]) -> list[Period]:
 
 
 def guards(recordings: Sequence[MultiAxisRecording], gain: np.ndarray) -> list[Period]:
-    """Periods that nobody recorded, at rest and in slow motion, through which a stage must stay calm."""
-    return [silence(by_amplitude(recordings)[0][0]), slow_motion(recordings, gain)]
+    """Periods that nobody recorded, through which a stage must stay calm.
+
+    They are at rest, in slow motion, and at amplitudes between those of the recordings and beyond.
+    """
+    levels = by_amplitude(recordings)
+    return [silence(levels[0][0]), slow_motion(recordings, gain), *other_amplitudes(levels)]
 
 
 def slow_motion(recordings: Sequence[MultiAxisRecording], gain: np.ndarray) -> Period:
@@ -212,6 +219,22 @@ def slow_motion(recordings: Sequence[MultiAxisRecording], gain: np.ndarray) -> P
     u = SLOW * float(largest.u.std()) * np.sin(2 * np.pi * np.outer(np.arange(samples) / samples, cycles))
     y = u @ gain
     return Period(u, y - y.mean(0), SILENT / (RELATIVE_ERROR * float(y.std())))
+
+
+def other_amplitudes(levels: Sequence[Sequence[MultiAxisRecording]]) -> list[Period]:
+    """A recording of each level, scaled to the geometric mean with the next one or, of the last, beyond it.
+
+    Feedback that is stable at the amplitudes of the recordings may not be so at others. The displacements
+    there are not known: what is left of them, as if the stage were linear, weighs only where it rings.
+    """
+    sizes = [float(level[0].u.std()) for level in levels]
+    found = []
+    for level, size, larger in zip(levels, sizes, [*sizes[1:], BEYOND**2 * sizes[-1]], strict=True):
+        one, factor = periods(level[:1])[0], float(np.sqrt(larger / size))
+        before = None if one.before is None else factor * one.before
+        y = factor * one.y
+        found.append(Period(factor * one.u, y, LOOSE / float(y.std()), before))
+    return found
 
 
 def silence(recording: MultiAxisRecording) -> Period:
