@@ -33,8 +33,6 @@ def reason_to_leave_out(
     needs = effect.needs
     if effect.takes_aux and not seen.aux:
         return "no other signal was recorded"
-    if seen.duration_s < needs.duration_s:
-        return f"{seen.duration_s:.2g} s is too short for it"
     if needs.reversals and not any(turns(record) for record in records):
         return "the voltage never turns round"
     if needs.reversals > LEVELS and (found := levels(records)) < needs.reversals:

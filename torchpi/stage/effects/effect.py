@@ -15,8 +15,6 @@ from torchpi.operators.quantity import Quantity
 from torchpi.operators.relaxations import RelaxationsStream, relaxations
 
 Block = Literal["amplifier", "actuator", "mechanics", "sensor"]
-SHORTEST_SLOW_S = 0.3
-"""A recording shorter than this shows nothing of what takes seconds."""
 TimeScale = Literal["fast", "slow", "static", "any"]
 Parameters = dict[str, float]
 
@@ -58,8 +56,6 @@ class DataRange:
 class Needs:
     """What recordings must have before they can show an effect at all."""
 
-    duration_s: float = 0.0
-    """A recording of at least this length."""
     reversals: int = 0
     """A voltage that goes up and comes down: levels at which it turns round."""
     recordings: int = 1

@@ -14,7 +14,7 @@ from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 
 from torchpi.operators.base import StepStream
-from torchpi.stage.effects.effect import SHORTEST_SLOW_S, DataRange, Effect, Needs, Parameters, parameter
+from torchpi.stage.effects.effect import DataRange, Effect, Parameters, parameter
 
 
 def travelled(travel_mm: float, x: float, before: float) -> float:
@@ -47,7 +47,6 @@ class Ageing(Effect):
     equation = "y = x e^{-(λt + μs)}, s = ∫|dx|"
     signature = "the same move becomes smaller, in proportion to its size, as time or travel adds up"
     time_scale = "slow"
-    needs = Needs(duration_s=SHORTEST_SLOW_S)
     degenerate_with = ("gain_modulation",)
     loss_per_s: nn.Parameter = parameter("1/s", at_least=0, at_most=10)
     loss_per_mm: nn.Parameter = parameter("1/mm", at_least=0, at_most=1e6)
@@ -78,8 +77,7 @@ class Ageing(Effect):
 
     @classmethod
     def starts(cls, seen: DataRange) -> list[Parameters]:
-        # What ages within a tenth of a second is not the gain.
-        if seen.span_um == 0 or seen.span_v == 0 or seen.duration_s < 0.1:
+        if seen.span_um == 0 or seen.span_v == 0:
             return []
         # In the mean a stage goes perhaps a quarter as fast as at most; it travels one span at least.
         fastest_um_s = seen.max_rate_v_s * seen.span_um / seen.span_v

@@ -29,14 +29,7 @@ from torch import Tensor, nn
 
 from torchpi.operators.linear import Matrices, discretise
 from torchpi.operators.quantity import Quantity, check_order
-from torchpi.stage.effects.effect import (
-    SHORTEST_SLOW_S,
-    DataRange,
-    Needs,
-    Parameters,
-    StateSpaceEffect,
-    parameter,
-)
+from torchpi.stage.effects.effect import DataRange, Parameters, StateSpaceEffect, parameter
 
 REFERENCE_S = 0.1
 """After a step the displacement at this time is y₀, whatever γ and p."""
@@ -90,7 +83,6 @@ class Creep(StateSpaceEffect):
     equation = "y = y₀ [1 + γ log₁₀(t/0.1 s)], or y = x + Σ g r, τ ṙ = x - r, or y₀ [1 + p (t/0.1 s)^α …]"
     signature = "slow, follows the sign of the last move, grows with the time of a hold"
     time_scale = "slow"
-    needs = Needs(duration_s=SHORTEST_SLOW_S)
     degenerate_with = ("thermal_drift",)
     left_by = ("leakage",)
     per_decade: nn.Parameter = parameter("", at_least=0, at_most=0.5)

@@ -10,14 +10,11 @@ import torch
 from torch import nn
 
 from torchpi.operators.linear import Matrices, discretise
-from torchpi.stage.effects.effect import (
-    SHORTEST_SLOW_S,
-    DataRange,
-    Needs,
-    Parameters,
-    StateSpaceEffect,
-    parameter,
-)
+from torchpi.stage.effects.effect import DataRange, Parameters, StateSpaceEffect, parameter
+
+LEAST_LOST, FASTEST_HZ, APART = 0.03, 0.3, 3.0
+"""Where a search begins: the share of a hold that the slowest leak loses in a record, the fastest leak unless
+the record is over sooner, and the ratio of one to the next."""
 
 
 class Leakage(StateSpaceEffect):
@@ -31,7 +28,6 @@ class Leakage(StateSpaceEffect):
     equation = "ẏ = ẋ - 2πf_c y"
     signature = "a hold decays towards zero: slow, of the opposite sign to creep"
     time_scale = "slow"
-    needs = Needs(duration_s=SHORTEST_SLOW_S)
     degenerate_with = ("thermal_drift",)
     left_by = ("creep",)
     corner_hz: nn.Parameter = parameter("Hz", at_least=0, at_most=10)
@@ -45,6 +41,9 @@ class Leakage(StateSpaceEffect):
 
     @classmethod
     def starts(cls, seen: DataRange) -> list[Parameters]:
-        # In a record of D seconds a hold loses 2πf_c D of itself: under 0.2 % is not to be seen.
-        corners = (0.003, 0.01, 0.03, 0.1, 0.3)
-        return [{"corner_hz": f} for f in corners if 2e-3 < 2 * math.pi * f * seen.duration_s]
+        # In a record of D seconds a hold loses 2πf_c D of itself.
+        low_hz = LEAST_LOST / (2 * math.pi * seen.duration_s)
+        high_hz = max(FASTEST_HZ, 1 / seen.duration_s)
+        count = 1 + math.floor(max(math.log(high_hz / low_hz) / math.log(APART), 0.0))
+        bounds = cls.quantities["corner_hz"]
+        return [{"corner_hz": f} for k in range(count) if (f := low_hz * APART**k) < bounds.at_most]

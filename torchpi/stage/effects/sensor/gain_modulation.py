@@ -16,7 +16,7 @@ from torch import Tensor, nn
 from torchpi.operators.base import StepStream
 from torchpi.operators.quantity import Quantity
 from torchpi.stage.effects.added_signal import InTime
-from torchpi.stage.effects.effect import SHORTEST_SLOW_S, DataRange, Needs, Parameters, parameter
+from torchpi.stage.effects.effect import DataRange, Parameters, parameter
 from torchpi.stage.effects.knots import SPACING, knot_names, through_knots, walk_at, walk_start
 from torchpi.stage.effects.oscillation import oscillation, oscillations
 
@@ -49,7 +49,6 @@ class GainModulation(InTime):
         "an error in proportion to the displacement, by a slow signal that does not follow the voltage"
     )
     time_scale = "slow"
-    needs = Needs(duration_s=SHORTEST_SLOW_S)
     degenerate_with = ("ageing",)
     frequency_hz: nn.Parameter = parameter("Hz", at_least=1e-3, at_most=45.0, identity=1.0)
     cos: nn.Parameter = parameter("", at_least=-0.9, at_most=0.9)
@@ -104,7 +103,7 @@ class GainModulation(InTime):
 
     @classmethod
     def starts(cls, seen: DataRange) -> list[Parameters]:
-        if seen.span_um == 0 or seen.duration_s < SHORTEST_SLOW_S:
+        if seen.span_um == 0:
             return []
         return [*cls.starts_at(seen, STARTS_HZ, STARTS_HZ), *walk_start(seen, 0.01, "")]
 

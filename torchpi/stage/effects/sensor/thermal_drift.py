@@ -16,7 +16,7 @@ from torch import Tensor, nn
 from torchpi.operators.base import StepStream
 from torchpi.operators.quantity import Quantity
 from torchpi.stage.effects.added_signal import AddedSignal, sampled
-from torchpi.stage.effects.effect import SHORTEST_SLOW_S, DataRange, Needs, Parameters, parameter
+from torchpi.stage.effects.effect import DataRange, Parameters, parameter
 from torchpi.stage.effects.knots import SPACING, knot_names, through_knots, walk_at, walk_start
 
 KNOT_NAMES = knot_names("_um")
@@ -65,7 +65,6 @@ class ThermalDrift(AddedSignal):
     equation = "y = x + A (1 - e^{-t/τ}), or + ρ t, or + a random walk"
     signature = "slow, in absolute time: does not follow the last move"
     time_scale = "slow"
-    needs = Needs(duration_s=SHORTEST_SLOW_S)
     degenerate_with = ("leakage", "creep")
     amplitude_um: nn.Parameter = parameter("µm", at_least=-1e4, at_most=1e4)
     time_constant_s: nn.Parameter = parameter("s", at_least=SLOWEST_DYNAMICS_S, at_most=1e6, identity=60.0)
@@ -105,11 +104,10 @@ class ThermalDrift(AddedSignal):
     @classmethod
     def starts(cls, seen: DataRange) -> list[Parameters]:
         size, duration_s = 0.01 * seen.span_um, seen.duration_s
-        # Nothing warms up by itself within a tenth of a second.
-        if size == 0 or duration_s < 0.1:
+        if size == 0:
             return []
         return [
-            {"rate_um_per_s": size / duration_s},
+            {"rate_um_per_s": min(size / duration_s, cls.quantities["rate_um_per_s"].at_most)},
             {"amplitude_um": size, "time_constant_s": max(duration_s / 5, SLOWEST_DYNAMICS_S)},
             {"amplitude_um": size, "time_constant_s": max(duration_s, SLOWEST_DYNAMICS_S)},
             *walk_start(seen, size, "_um"),
