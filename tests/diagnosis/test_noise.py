@@ -221,3 +221,12 @@ def test_the_error_of_a_converter_is_known_on_every_scale() -> None:
     for k in range(6, level.max() + 1):
         mean_times = times[level == k].mean()
         assert 0.3 < measured_um2[level == k].mean() / (lsb**2 / 12 * mean_times) < 3.0
+
+
+def test_the_step_of_a_converter_is_read_off_the_readings_and_not_off_what_lies_between_them() -> None:
+    one = read_by(0.0123, record(multisine(3000), noise_um=0.002))
+    share = np.random.default_rng(0).uniform(size=len(one.y) - 1)
+    between = share * one.y[:-1] + (1 - share) * one.y[1:]
+    interpolated = replace(one, t=one.t[1:], u=one.u[1:], y=between)
+    assert converter([interpolated]) == (0.0, ())
+    assert converter([replace(interpolated, as_read=one.y)])[0] == pytest.approx(0.0123, rel=1e-6)

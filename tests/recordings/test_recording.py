@@ -165,7 +165,12 @@ class TestTime:
         path = self.rows(tmp_path, t)
         with pytest.raises(RecordingError, match=r"row 3: .*resample"):
             read_recording(path)
-        assert read_recording(path, resample=True).fs_hz == pytest.approx(FS_HZ, rel=1e-3)
+        read = read_recording(path, resample=True)
+        assert read.fs_hz == pytest.approx(FS_HZ, rel=1e-3)
+        rows = np.loadtxt(path, delimiter=",", skiprows=1)[:, 2]
+        assert not np.isin(read.y[1:-1], rows).all()
+        np.testing.assert_array_equal(read.readings, rows)
+        np.testing.assert_array_equal(read.resampled(FS_HZ / 2).readings, rows)
 
     @pytest.mark.parametrize("resample", [False, True])
     @pytest.mark.parametrize("step", [0, -3])

@@ -51,7 +51,8 @@ from torchpi.stage.effects.sensor.quantization import EVEN, WIDEST, Quantization
 from torchpi.stage.identified import Identified
 
 COARSE = 0.5
-"""A converter is named where its step, as noise, is this share of all that is left."""
+"""A converter is named where its step, as noise, is this share of all noise; of all that is left, where that
+is less, or the noise was not measured."""
 UNCERTAIN = 0.9
 """An effect less probable than this is worth another recording."""
 LEAST_SAMPLES = 100
@@ -124,7 +125,8 @@ def diagnose(
     loud = leftovers(records, augmented.residuals)
     structured = remainder is not None or structure(left)
     decision = decide(search, retuned, final, believed, noise, structured, bool(loud))
-    if lsb_um > 0 and lsb_um / np.sqrt(12) > COARSE * final.train_rms:
+    loudest_um = final.train_rms if noise is None else min(noise.rms_um, final.train_rms)
+    if lsb_um > 0 and lsb_um / np.sqrt(12) > COARSE * loudest_um:
         decision = with_read_off(decision, of_converter(lsb_um, retuned))
     lost = wrong_readings(records, wrong, final)
     if any(len(each) for each in lost):
@@ -225,12 +227,13 @@ def left_unexplained(search: Search, final: Fit) -> Noise | None:
 
 def converter(recordings: Sequence[Recording]) -> tuple[float, tuple[str, ...]]:
     """The step of the values on which all readings lie, µm, and a note; 0 where they lie on none."""
-    even = [Quantization.lattice(recording.y) for recording in recordings]
+    even = [Quantization.lattice(recording.readings) for recording in recordings]
     if step := agreed(even, EVEN):
         return step, (f"All readings lie on a lattice of {step * 1e3:.4g} nm.",)
     # One converter has the same values in all recordings, a few of which a stair alone passes.
-    y, u = np.concatenate([one.y for one in recordings]), np.concatenate([one.u for one in recordings])
-    if step := uneven_codes(y, u) or agreed([uneven_codes(one.y, one.u) for one in recordings], WIDEST):
+    each = [(one.readings, one.u) for one in recordings]
+    y, u = map(np.concatenate, zip(*each, strict=True))
+    if step := uneven_codes(y, u) or agreed([uneven_codes(*one) for one in each], WIDEST):
         return step, (f"All readings lie on few values, unevenly spaced, {step * 1e3:.4g} nm on the median.",)
     return 0.0, ()
 

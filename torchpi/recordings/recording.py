@@ -76,6 +76,8 @@ class Recording(Shown):
     """Of the file's bytes."""
     simulated: np.ndarray | None = None
     """(time,), µm: what a simulator makes of this voltage; None where nothing was simulated."""
+    as_read: np.ndarray | None = None
+    """(readings,), µm: the displacement as it was read, where `y` was interpolated from it."""
 
     def __post_init__(self) -> None:
         self._expect(is_positive(self.fs_hz), "fs_hz", self.fs_hz, "a rate over 0 Hz")
@@ -213,6 +215,11 @@ class Recording(Shown):
         """The displacement from its first sample on (`first`): a sensor's own zero is often arbitrary."""
         return replace(self, y=self.y - self.y[0]) if zero == "first" else self
 
+    @property
+    def readings(self) -> np.ndarray:
+        """(readings,), µm: the values that the sensor gave, whatever the samples are now."""
+        return self.y if self.as_read is None else self.as_read
+
     def resampled(self, fs_hz: float) -> "Recording":
         """The same signals at another rate, without aliasing, and all with the same (no) delay.
 
@@ -233,7 +240,8 @@ class Recording(Shown):
         }
         u, y, simulated = convert.pop("u"), convert.pop("y"), convert.pop("simulated", None)
         t = self.t[0] + np.arange(samples) / fs_hz
-        return replace(self, t=t, u=u, y=y, fs_hz=float(fs_hz), aux=convert, simulated=simulated)
+        changed = {"t": t, "u": u, "y": y, "fs_hz": float(fs_hz), "aux": convert, "simulated": simulated}
+        return replace(self, **changed, as_read=self.readings)
 
     def _expect(self, holds: bool, name: str, found: object, expected: str) -> None:
         if not holds:
@@ -348,6 +356,7 @@ def _recording_of(
         fs_hz=read.fs_hz,
         aux=dict(zip(aux_names, others, strict=True)),
         simulated=of_simulator,
+        as_read=None if read.rows is None else converted(read.rows[1], scale_y),
         source=source.path,
         sha256=sha256 or samples_sha256(u, y),
     ).with_zero(options.zero)
@@ -359,7 +368,7 @@ def _recording_of(
         min_samples=min_samples,
         allow_constant_input=allow_constant_input,
         check_start=options.skip_s == 0,
-        place=None if read.interpolated else lambda index: source.place(index + first),
+        place=None if read.rows else lambda index: source.place(index + first),
     )
     wanted_hz = rate_of(source, options.fs_hz)
     return recording.resampled(wanted_hz) if wanted_hz and wanted_hz != read.fs_hz else recording

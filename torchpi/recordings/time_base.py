@@ -41,8 +41,8 @@ class Uniform(NamedTuple):
     t: np.ndarray  # (time,), s
     fs_hz: float
     signals: list[np.ndarray]  # (time,) each, in the file's own units
-    interpolated: bool
-    """The samples are no longer the rows of the file."""
+    rows: list[np.ndarray] | None = None
+    """The signals as the rows of the file have them, where the samples lie between those."""
 
 
 NUMBERED = re.compile(r"(input|output)_\d+(_|$)")
@@ -179,7 +179,7 @@ def read_uniform(source: Source, names: list[str], options: RecordingOptions, mi
                 f"{source.path}: no time stamps and no sample rate; "
                 "give the rate (fs_hz) or a time column (time_column)"
             )
-        return Uniform(np.arange(len(signals[0])) / rate, rate, signals, False)
+        return Uniform(np.arange(len(signals[0])) / rate, rate, signals)
     _check_extent(source, t)
     grid = uniform_grid(t)
     if grid.odd_sample is not None:
@@ -193,14 +193,14 @@ def read_uniform(source: Source, names: list[str], options: RecordingOptions, mi
             f"expected {100 * RATE_TOLERANCE:g} %; print more digits or give the rate (fs_hz)"
         )
     if rate is None or abs(grid.fs_hz / rate - 1) <= RATE_AGREEMENT + grid.rate_uncertainty:
-        return Uniform(t, rate or grid.fs_hz, signals, False)
+        return Uniform(t, rate or grid.fs_hz, signals)
     if not options.resample:
         raise RecordingError(
             f"{source.path}: the time stamps make {grid.fs_hz:.9g} Hz, but fs_hz is {rate:.9g} Hz; "
             "leave out fs_hz, bring the recording to it with the option resample (true), "
             f"or leave out the stamps with time_column null"
         )
-    return Uniform(t, grid.fs_hz, signals, False)
+    return Uniform(t, grid.fs_hz, signals)
 
 
 def _time_name(source: Source, column: Column | None, rate: float | None) -> str | None:
@@ -291,4 +291,4 @@ def _interpolated(source: Source, grid: Grid, t: np.ndarray, signals: list[np.nd
             stacklevel=4,
         )
     uniform = t[0] + np.arange(samples) / rate
-    return Uniform(uniform, rate, [np.interp(uniform, t, signal) for signal in signals], True)
+    return Uniform(uniform, rate, [np.interp(uniform, t, signal) for signal in signals], signals)
