@@ -7,7 +7,9 @@ Prints the rms error of the realisations that were left out, µm, infinite witho
 noise of their mean period, which is part of it; then the median and the worst of each amplitude. `--without`
 leaves all realisations of an amplitude out of every fit. *Not linear* is what no linear correction takes away
 of the errors of all realisations of an amplitude: at each frequency, what is left by least squares on the
-three voltages, over the freedom that this leaves. A fold takes four to nine minutes on two idle cores; on one
+three voltages, over the freedom that this leaves. Of a level that is left out, *model-free* is what the
+response lacks if its dynamic stiffness lies between its neighbours' as the root of the amplitude does: a
+resonance moves about in proportion to that root. A fold takes four to nine minutes on two idle cores; on one
 it needs twice the `--seconds` of the config. One that has its `metrics.json` is not fitted again.
 """
 
@@ -17,17 +19,20 @@ import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import yaml
 
 from torchpi.identification.multi_axis.fit import PeriodicFit
-from torchpi.identification.multi_axis.identify import by_amplitude, periods
+from torchpi.identification.multi_axis.identify import by_amplitude, periods, response_of
 from torchpi.recordings.multi_axis import MultiAxisRecording, read_realisations
 from torchpi.stage.multi_axis import MultiAxisStage
 
 ROOT = Path(__file__).parents[1]
 CONFIG = ROOT / "configs" / "mirror.yaml"
+MOVED_HZ = (2260, 2350)
+"""Where two resonances do not move as the others do between the amplitudes."""
 FOLDS = ("1", "2", "3", "4", "5", "6")
 
 
@@ -54,6 +59,28 @@ class Level:
         return max(self.left_out)
 
 
+@dataclass(frozen=True)
+class Between:
+    """What the response at one amplitude lacks if its dynamic stiffness lies between those of its neighbours.
+
+    Attributes:
+        missed_um: Its rms, µm, noise and what is not linear taken away.
+        share: Of its square, what lies within `MOVED_HZ`, 0–1.
+    """
+
+    missed_um: float
+    share: float
+
+    @classmethod
+    def of(cls, every: Sequence[MultiAxisRecording], name: str) -> "Between":
+        """At the amplitude of this name."""
+        levels = by_amplitude(every)
+        at = [level_of(level[0]) for level in levels].index(name)
+        hertz, missed = missed_between(*levels[at - 1 : at + 2])
+        there = (hertz > MOVED_HZ[0]) & (hertz < MOVED_HZ[1])
+        return cls(float(np.sqrt(missed.sum())), float(missed[there].sum() / missed.sum()))
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -70,6 +97,12 @@ def main() -> None:
             f"{name}: median {level.median_um:.4f} µm, worst {worst:.4f} µm, of which noise {noise:.4f} µm, "
             f"of {len(level.left_out)}; not linear {np.median(level.not_linear_um):.4f} µm"
         )
+    if options.without:
+        found_between = Between.of(recorded(), options.without)
+        low, high = MOVED_HZ
+        print(
+            f"model-free: {found_between.missed_um:.4f} µm, {found_between.share:.0%} from {low} to {high} Hz"
+        )
 
 
 def measured(
@@ -80,10 +113,9 @@ def measured(
     log: Callable[[str], None] = lambda text: None,
 ) -> dict[str, Level]:
     """The levels by their names, the lowest first, after a fit for each fold."""
-    settings = yaml.safe_load(CONFIG.read_text(encoding="utf-8"))["multi_axis"]
-    settings["recordings"] = str((ROOT / settings["recordings"]).resolve())
+    settings = configured()
     settings["seconds"] = seconds or settings["seconds"]
-    every = read_realisations(settings["recordings"], settings["fs_hz"], settings["um_per_unit"])
+    every = recorded()
     found: dict[str, Level] = {}
     for fold in folds:
         names = [one.name for one in every if one.name.endswith(f" {fold}") or level_of(one) == without]
@@ -100,6 +132,18 @@ def measured(
             last, noise = into.left_out[-1]
             log(f"fold {fold}, {level_of(level[0])}: {last:.4f} µm, of which noise {noise:.4f} µm")
     return found
+
+
+def configured() -> dict[str, Any]:
+    """The settings of the config."""
+    settings: dict[str, Any] = yaml.safe_load(CONFIG.read_text(encoding="utf-8"))["multi_axis"]
+    return {**settings, "recordings": str((ROOT / settings["recordings"]).resolve())}
+
+
+def recorded() -> list[MultiAxisRecording]:
+    """All realisations."""
+    settings = configured()
+    return read_realisations(settings["recordings"], settings["fs_hz"], settings["um_per_unit"])
 
 
 def level_of(one: MultiAxisRecording) -> str:
@@ -126,8 +170,7 @@ def errors_of(stage: MultiAxisStage, level: Sequence[MultiAxisRecording]) -> lis
 
 def not_linear(level: Sequence[MultiAxisRecording], errors: Sequence[np.ndarray]) -> float:
     """The rms of what a linear correction of this amplitude leaves, µm."""
-    u = np.stack([np.fft.rfft(one.period[0], axis=0)[1:-1] for one in level], 1)
-    e = np.stack([np.fft.rfft(one, axis=0)[1:-1] for one in errors], 1)  # (lines, realisations, outputs)
+    u, e = spectra([one.period[0] for one in level]), spectra(errors)
     power = np.square(np.abs(u)).sum((1, 2))
     excited = power > 1e-4 * power.max()
     u, seen = u[excited], e[excited]
@@ -135,6 +178,29 @@ def not_linear(level: Sequence[MultiAxisRecording], errors: Sequence[np.ndarray]
     free = 1 - u.shape[2] / len(level)
     square = np.square(np.abs(e[~excited])).sum() + np.square(np.abs(left)).sum() / free
     return float(np.sqrt(2 * square / (len(level) * e.shape[2] * len(errors[0]) ** 2)))
+
+
+def missed_between(
+    lower: Sequence[MultiAxisRecording],
+    level: Sequence[MultiAxisRecording],
+    upper: Sequence[MultiAxisRecording],
+) -> tuple[np.ndarray, np.ndarray]:
+    """Frequencies of the lines, Hz, and mean squares there, µm², of which some are noise below 0."""
+    roots = [np.sqrt(np.mean([one.u.std() for one in each])) for each in (lower, level, upper)]
+    share = (roots[1] - roots[0]) / (roots[2] - roots[0])
+    (_, below), (z, response), (_, above) = map(response_of, (lower, level, upper))
+    between = np.linalg.inv((1 - share) * np.linalg.inv(below) + share * np.linalg.inv(above))
+    samples, lines = len(level[0].period[0]), np.angle(z) / (2 * np.pi)
+    at = np.rint(samples * lines).astype(int) - 1
+    u, y = spectra([one.period[0] for one in level])[at], spectra([one.period[1] for one in level])[at]
+    rest = np.square(np.abs(y - u @ response)).sum((1, 2)) / (len(level) - u.shape[2])
+    missed = np.square(np.abs(u @ (response - between))).sum((1, 2)) - u.shape[2] * rest
+    return level[0].fs_hz * lines, 2 * missed / (len(level) * y.shape[2] * samples**2)
+
+
+def spectra(signals: Sequence[np.ndarray]) -> np.ndarray:
+    """(lines, signals, channels) of (samples, channels) each."""
+    return np.stack([np.fft.rfft(one, axis=0)[1:-1] for one in signals], 1)
 
 
 if __name__ == "__main__":

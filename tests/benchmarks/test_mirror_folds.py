@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from benchmarks.mirror_folds import level_of, not_linear
+from benchmarks.mirror_folds import level_of, missed_between, not_linear
 from torchpi.recordings.multi_axis import MultiAxisRecording
 
 SAMPLES, REALISATIONS, INPUTS, OUTPUTS = 512, 6, 3, 2
@@ -43,3 +43,27 @@ def test_an_error_that_is_not_linear_stays() -> None:
 
 def test_the_level_is_in_the_name() -> None:
     assert level_of(level()[0]) == "100mV"
+
+
+def test_a_response_between_its_neighbours_misses_nothing_and_one_that_moved_does() -> None:
+    """A mode each, whose stiffness goes with the root of the amplitude."""
+    random, lines = np.random.default_rng(2), np.arange(SAMPLES // 2 + 1)
+
+    def recordings(rms: float, moved: float) -> list[MultiAxisRecording]:
+        stiffness = 100.0**2 * (1 - 0.1 * np.sqrt(rms) + moved)
+        mode = 100.0**2 / (stiffness - lines**2 + 2j * lines)
+        found = []
+        for k in range(REALISATIONS):
+            u = random.normal(size=(SAMPLES, 2))
+            u *= rms / u.std()
+            y = np.fft.irfft(
+                mode[:, None] * np.fft.rfft(u, axis=0) @ np.array([[1.0, 0.3], [0.2, -1.0]]), axis=0
+            )
+            found.append(MultiAxisRecording(f"{rms} {k}", np.tile(u, (2, 1)), np.tile(y, (2, 1)), 1e3, 2))
+        return found
+
+    lower, upper = recordings(0.1, 0.0), recordings(0.3, 0.0)
+    for moved, least, most in ((0.0, 0.0, 1e-3), (0.02, 0.1, 1.0)):
+        level = recordings(0.2, moved)
+        _, missed = missed_between(lower, level, upper)
+        assert least <= np.sqrt(missed.sum()) / np.std([one.y for one in level]) <= most
