@@ -104,6 +104,14 @@ class TestClipping:
             u, y = np.round(u / step) * step, np.round(y / step) * step
         assert said(record(u, y)) == []
 
+    @pytest.mark.parametrize("name", ["sine", "triangles", "random phases"])
+    def test_nor_one_whose_coarse_readings_are_interpolated(self, name):
+        t, u = SIGNALS[name]
+        step, late = 0.1, 0.3 * np.random.default_rng(0).random(len(t)) / FS_HZ
+        y = np.round(np.interp(t + late, t, stage(u, 0.003)) / step) * step
+        read = Recording.from_arrays(t + late, np.interp(t + late, t, u), y, resample=True)
+        assert said(read) == []
+
     def test_nor_a_trapezoid_or_a_square_wave(self):
         t = np.arange(20_000) / FS_HZ
         triangle = 2 * np.abs(2 * (t % 1) - 1) - 1

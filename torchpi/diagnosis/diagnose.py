@@ -86,7 +86,8 @@ def diagnose(
     """
     check(recordings)
     given_recordings = recordings
-    recordings, wrong, long = at_a_lower_rate(recordings, [dropouts(each.y, each.u) for each in recordings])
+    wrong = [dropouts(each.y, each.u, each.output_step_um) for each in recordings]
+    recordings, wrong, long = at_a_lower_rate(recordings, wrong)
     records = prepare(recordings, wrong)
     called = outside(simulation)
     given = simulation if isinstance(simulation, Stage) else None

@@ -94,7 +94,7 @@ def identify_stage(
     if not train or all(np.ptp(recording.u) == 0 for recording in train):
         raise RecordingError("recordings: found none in which the voltage moves, expected at least one")
     used = _beginnings(train)
-    wrong = [dropouts(one.y, one.u) for one in used]
+    wrong = [dropouts(one.y, one.u, one.output_step_um) for one in used]
     search = _Search(Chain(prepare(used, wrong, skip_s)), log)
     best = search.run()
     log("everything refitted to all samples")

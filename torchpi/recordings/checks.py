@@ -14,7 +14,6 @@ from torchpi.recordings.faults import (
     dropouts,
     in_phase_correlation,
     lead_of_output,
-    least_step,
     without_line,
 )
 
@@ -220,7 +219,7 @@ def _clipped_output(recording: "Recording") -> str | None:
     u, y = recording.u, recording.y
     start, length = _runs(y)
     direction = np.sign(without_line(u) @ without_line(y)) or 1.0
-    one_step_u = least_step(y) / np.ptp(y) * np.ptp(u)
+    one_step_u = recording.output_step_um / np.ptp(y) * np.ptp(u)
     outward = max(1e-3 * np.ptp(u), 3 * one_step_u)
     inner = (start > 0) & (start + length < len(y)) & (length >= LONG_RUN)
     clipped = np.zeros(len(start), dtype=bool)
@@ -246,7 +245,7 @@ def _frozen_output(recording: "Recording") -> str | None:
     step_um = np.abs(u[after] - u[start]) / length * (np.ptp(y) / np.ptp(u))  # expected of one sample
     jump_um = np.abs(y[after] - y[after - 1])
     inside = (y[start] != y.max()) & (y[start] != y.min())  # those are clipping's
-    frozen = (length >= 3) & inside & (step_um > 5 * least_step(y)) & (jump_um > 1.5 * step_um)
+    frozen = (length >= 3) & inside & (step_um > 5 * recording.output_step_um) & (jump_um > 1.5 * step_um)
     repeated = int((length[frozen] - 1).sum())
     if not frozen.any() or (length[frozen].max() < 10 and repeated < 0.02 * len(y)):
         return None
@@ -260,7 +259,7 @@ def _frozen_output(recording: "Recording") -> str | None:
 
 def _single_dropouts(recording: "Recording", place: Callable[[int], str]) -> str | None:
     """Readings that neither noise nor motion explains, one at a time."""
-    found = dropouts(recording.y, recording.u)
+    found = dropouts(recording.y, recording.u, recording.output_step_um)
     if not len(found):
         return None
     first = int(found[0])

@@ -30,7 +30,7 @@ def noise_estimate(y: np.ndarray) -> float:
     return float(1.4826 * np.median(np.abs(residual)) / np.sqrt(35 / 18))
 
 
-def dropouts(y: np.ndarray, u: np.ndarray | None = None) -> np.ndarray:
+def dropouts(y: np.ndarray, u: np.ndarray | None = None, sensor_step: float | None = None) -> np.ndarray:
     """Indices of isolated wrong readings, such as one zero among readings of 5 µm.
 
     A reading is wrong where it lies beyond both its neighbours, on the same side, by more than noise and by
@@ -48,6 +48,8 @@ def dropouts(y: np.ndarray, u: np.ndarray | None = None) -> np.ndarray:
     Args:
         y: (time,), any unit, finite.
         u: (time,), the input, any unit, where it is known.
+        sensor_step: Of the sensor, in the unit of y; None takes the smallest between values of y, which is
+            none where y was interpolated.
 
     Returns:
         (dropouts,), int, increasing.
@@ -67,7 +69,8 @@ def dropouts(y: np.ndarray, u: np.ndarray | None = None) -> np.ndarray:
     steps = np.diff(y)
     apart = np.where(steps[:-1] * steps[1:] < 0, np.minimum(np.abs(steps[:-1]), np.abs(steps[1:])), 0.0)
     of_noise = np.sqrt(1.5) * noise_estimate(y) * -ndtri(FALSE_ALARM / (2 * len(y)))
-    found = np.flatnonzero(apart > max(of_noise, 3 * least_step(y))) + 1
+    step = least_step(y) if sensor_step is None else sensor_step
+    found = np.flatnonzero(apart > max(of_noise, 3 * step)) + 1
     around = found[:, None] + np.array([-5, -4, -3, -2, 1, 2, 3, 4])
     inside = (around >= 0) & (around < len(steps))
     near = np.where(inside, np.abs(steps[np.clip(around, 0, len(steps) - 1)]), np.nan)

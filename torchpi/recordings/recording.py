@@ -15,6 +15,7 @@ import numpy.typing as npt
 from torchpi.errors import ConfigError, RecordingError, is_number, is_positive, kind_of
 from torchpi.files import write_columns
 from torchpi.recordings.checks import MIN_SAMPLES, check_length, check_recording
+from torchpi.recordings.faults import least_step
 from torchpi.recordings.options import (
     INPUT_COLUMN,
     OUTPUT_COLUMN,
@@ -214,6 +215,11 @@ class Recording(Shown):
     def with_zero(self, zero: Literal["recorded", "first"]) -> "Recording":
         """The displacement from its first sample on (`first`): a sensor's own zero is often arbitrary."""
         return replace(self, y=self.y - self.y[0]) if zero == "first" else self
+
+    @property
+    def output_step_um(self) -> float:
+        """The smallest difference between readings that is more than rounding: the sensor's step."""
+        return least_step(self.readings)
 
     @property
     def readings(self) -> np.ndarray:

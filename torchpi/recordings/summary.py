@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from torchpi.errors import RecordingError, RecordingWarning
-from torchpi.recordings.faults import dropouts, in_phase_correlation, least_step, noise_estimate
+from torchpi.recordings.faults import dropouts, in_phase_correlation, noise_estimate
 from torchpi.recordings.options import RecordingOptions
 from torchpi.recordings.readers import Source, open_source
 from torchpi.recordings.readers.header import Role
@@ -147,11 +147,11 @@ def summary_of(
         holds=holds_of(u, recording.fs_hz, input_noise),
         input_noise_v=input_noise,
         output_noise_um=noise_estimate(y),
-        output_step_um=least_step(y),
+        output_step_um=recording.output_step_um,
         gain_um_per_v=float((u - u.mean()) @ (y - y.mean())) / power if power else 0.0,
         correlation=in_phase_correlation(u, y),
         comes_back_um=comes_back(u, y),
-        dropouts=dropouts(y, u),
+        dropouts=dropouts(y, u, recording.output_step_um),
         warnings=list(warnings),
     )
 
