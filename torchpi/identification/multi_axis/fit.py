@@ -62,13 +62,19 @@ class PeriodicFit:
     """Weighted mean squared error of a stage's steady state over periods, and its descent.
 
     The stage runs through the period before, from rest; tangents begin in it, at `run_in`, those of guards
-    where it begins. No step is taken after which a period has no bounded answer.
+    where it begins. No step is taken after which a period has no bounded answer. Of `others`, which weigh next
+    to nothing until a stage rings, there is no normal matrix.
     """
 
     def __init__(
-        self, stage: MultiAxisStage, periods: Sequence[Period], guards: Sequence[Period] = ()
+        self,
+        stage: MultiAxisStage,
+        periods: Sequence[Period],
+        guards: Sequence[Period] = (),
+        others: Sequence[Period] = (),
     ) -> None:
-        self.stage, self.periods, self.recorded = stage, [*periods, *guards], len(periods)
+        self.stage, self.periods = stage, [*periods, *guards, *others]
+        self.recorded, self.guards = len(periods), range(len(periods), len(periods) + len(guards))
         self.twice = [
             np.concatenate([one.u if one.before is None else one.before, one.u]) for one in self.periods
         ]
@@ -258,7 +264,7 @@ class PeriodicFit:
         blocks = [part for side in sides for part in np.split(side, range(BLOCK, len(side), BLOCK))]
         blocks = [block for block in blocks if len(block)]
         drawn = range(start, self.recorded, stride)
-        chosen = [*drawn, *range(self.recorded, len(self.periods))]
+        chosen = [*drawn, *self.guards]
         grams: list[np.ndarray] = [np.zeros(0)] * len(chosen)
         numbers = self.numbers()
 
@@ -291,7 +297,7 @@ class PeriodicFit:
         """What slopes need, from a sample in the period before on, and that sample."""
         samples = len(self.periods[i].u)
         # In a guard a stage may ring on from the whole of the period before.
-        began = samples - int((self.run_in if i < self.recorded else 1.0) * samples)
+        began = samples - int((1.0 if i in self.guards else self.run_in) * samples)
         width = record_width(self.stage.shapes, len(self.stage.thresholds), len(self.stage.times_s))
         record = np.empty((2 * samples - began, width))
         self._simulated(i, record)

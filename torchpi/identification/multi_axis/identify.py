@@ -158,7 +158,7 @@ def identify(
         return passed < options.seconds
 
     every = periods([one for level in levels for one in level])
-    fit = PeriodicFit(stage, every, guards(recordings, gain))
+    fit = PeriodicFit(stage, every, guards(recordings, gain), other_amplitudes(levels))
     fit.descend(weights, WEIGHT_STEPS)
     fit.descend([*weights, "poles", "drive"], MODE_STEPS)
     fit.descend(names, STEPS, tolerance=0.0, goes_on=goes_on)
@@ -198,12 +198,8 @@ def periods(recordings: Sequence[MultiAxisRecording]) -> list[Period]:
 
 
 def guards(recordings: Sequence[MultiAxisRecording], gain: np.ndarray) -> list[Period]:
-    """Periods that nobody recorded, through which a stage must stay calm.
-
-    They are at rest, in slow motion, and at amplitudes between those of the recordings and beyond.
-    """
-    levels = by_amplitude(recordings)
-    return [silence(levels[0][0]), slow_motion(recordings, gain), *other_amplitudes(levels)]
+    """Periods that nobody recorded, at rest and in slow motion, through which a stage must stay calm."""
+    return [silence(by_amplitude(recordings)[0][0]), slow_motion(recordings, gain)]
 
 
 def slow_motion(recordings: Sequence[MultiAxisRecording], gain: np.ndarray) -> Period:
