@@ -214,6 +214,19 @@ def test_wrong_readings_stand_beside_what_the_model_has_wrong_for_a_while() -> N
     assert "dropouts" in [effect.name for effect in diagnose(rig, effects=[]).effects]
 
 
+def test_zeros_in_a_motion_as_fast_as_the_samples_are_wrong_readings() -> None:
+    """Each lies between its neighbours: it is told by that the same value comes again."""
+    rig = [record(np.random.default_rng(0).uniform(0, 9, 4000), name="a")]
+    clean = diagnose(rig, effects=[])
+    lost = np.arange(50, 4000, 60)
+    rig[0].y[lost] = 0.0
+    found = diagnose(rig, effects=[])
+    (effect,) = found.effects
+    assert effect.name == "dropouts"
+    assert effect.parameters[0].value == pytest.approx(len(lost) / 4000, rel=0.02)
+    assert found.retuned.train_rms_um < 2 * clean.retuned.train_rms_um
+
+
 @pytest.mark.parametrize("heavy", [False, True])
 def test_a_recording_that_is_louder_than_another_is_no_tail_of_the_noise(heavy: bool) -> None:
     """One reading off by twenty times what fast motion leaves there; none, where a sensor has such tails."""
@@ -223,7 +236,7 @@ def test_a_recording_that_is_louder_than_another_is_no_tail_of_the_noise(heavy: 
         quiet, loud = 1e-3 * rng.standard_t(1.0, n), 1e-3 * rng.standard_t(1.0, n)
     loud[7000] = 2.0
     motion = 0.1 * np.sin(np.arange(n) / 500)
-    records = [SimpleNamespace(y=motion + quiet), SimpleNamespace(y=motion + loud)]
+    records = [SimpleNamespace(u=motion, y=motion + each) for each in (quiet, loud)]
     final = SimpleNamespace(residuals=[quiet, loud], train_rms=0.05)
     found = wrong_readings(records, [np.zeros(0, dtype=int), np.array([7000])], final)
     assert [each.tolist() for each in found] == [[], [] if heavy else [7000]]

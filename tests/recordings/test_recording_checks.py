@@ -168,6 +168,21 @@ class TestSingleDropouts:
         found = dropouts(y)
         assert set(found) <= set(lost) and len(found) >= 0.98 * len(lost)
 
+    @pytest.mark.parametrize("step", [1e-6, 1e-2])
+    def test_zeros_are_found_where_the_stage_moves_as_fast_as_it_is_sampled(self, step):
+        rng = np.random.default_rng(0)
+        u = rng.normal(size=8000)
+        y = np.round(3 * u / step) * step
+        assert not len(dropouts(y, u))
+        lost = 10 + 50 * np.arange(100)
+        y[lost] = 0.0
+        assert set(lost) <= set(dropouts(y, u)) <= set(np.flatnonzero(y == 0))
+
+    def test_a_place_to_which_the_stage_is_sent_again_and_again_is_none(self):
+        u = np.random.default_rng(0).uniform(1, 5, 8000)
+        u[::20] = 0.0
+        assert not len(dropouts(0.8 * u, u))
+
     def test_the_overshoots_behind_steps_of_the_input_are_none_and_a_zero_among_them_is_one(self):
         u = np.repeat(np.random.default_rng(3).uniform(0, 10, 60), 20)
         steps = np.flatnonzero(np.diff(u)) + 1

@@ -10,6 +10,7 @@ from scipy.special import pdtrc, stdtr, stdtrit
 from torchpi.diagnosis.diagnosis import NamedEffect, Parameter
 from torchpi.diagnosis.hypothesis import Fit
 from torchpi.diagnosis.records import Record
+from torchpi.recordings.faults import least_step, repeated_value
 from torchpi.stage.effects.sensor.dropouts import Dropouts
 
 LOST = 10.0
@@ -38,19 +39,21 @@ def wrong_readings(records: Sequence[Record], apart: Sequence[np.ndarray], final
         apart: The readings that stand apart from their neighbours.
         final: What is left by it.
     """
-    lost, off_by, rest = [], list[float](), []
+    lost, certain, off_by, rest = [], [], list[float](), []
     for record, e, k in zip(records, final.residuals, apart, strict=True):
         off = off_all_around(record.y, e, k)
+        same = np.isin(k, repeated_value(record.y, record.u, least_step(record.y)))
         there = off > LOST * np.maximum(error_about(e, k), final.train_rms)
         # What the model has wrong is slow beside a single reading: it is no tail of the noise.
         alone = np.abs(e - median_filter(e, footprint=OTHERS))
         usual = usual_about(alone)
-        lost.append(k[there])
+        lost.append(k[there | same])
+        certain.append(k[same])
         off_by += (off[there] / usual[k[there]]).tolist()
-        rest.append(np.delete(alone / usual, k[there]))
+        rest.append(np.delete(alone / usual, k[there | same]))
     if off_by and pdtrc(len(off_by) - 1, expected_beyond(min(off_by), np.concatenate(rest))) < FALSE_ALARM:
         return lost
-    return [k[:0] for k in lost]
+    return certain
 
 
 def usual_about(alone_um: np.ndarray) -> np.ndarray:

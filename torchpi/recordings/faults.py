@@ -6,6 +6,9 @@ MOTION_FACTOR = 4.0
 """A reading stands apart by so many times the samples' usual step; a triangle's corner does by one."""
 FALSE_ALARM = 1e-3
 """The chance that noise alone makes a dropout anywhere in a record."""
+DENSER, OFTENER, SPREAD = 3.0, 5.0, 0.5
+"""Times the mean density of readings, that of a value that a stage passes often; times that other values come
+again, from where one comes again too often; of the scatter of the input, what it has where it does."""
 STEP, ANSWERS = 0.02, 2
 """Of its range, a move of the input from one sample to the next that is a step; samples in which the stage
 answers it."""
@@ -40,6 +43,9 @@ def dropouts(y: np.ndarray, u: np.ndarray | None = None, sensor_step: float | No
       probability α = 0.001 at most: the mean of the two differences has variance 1.5 σ²;
     - 4 times the median of the eight nearest other steps, of which a corner of a triangle reaches one;
     - 3 steps of the sensor, because rounding makes lone steps of one.
+
+    In fast motion a zero may lie between its neighbours: so are the readings of a value that comes again too
+    often, see `repeated_value`.
 
     The first and last sample, which have one neighbour, are never among them; nor are two wrong readings in a
     row. Nor are those behind steps of the input, where more of them are than anywhere else: an overshoot of a
@@ -76,7 +82,39 @@ def dropouts(y: np.ndarray, u: np.ndarray | None = None, sensor_step: float | No
     near = np.where(inside, np.abs(steps[np.clip(around, 0, len(steps) - 1)]), np.nan)
     motion = np.nanmedian(near, axis=1) if len(found) else np.empty(0)
     found = np.asarray(found[apart[found - 1] > MOTION_FACTOR * motion])
-    return found if u is None or not len(found) else found[~_answers(found, u)]
+    if u is None:
+        return found
+    return np.union1d(found[~_answers(found, u)] if len(found) else found, repeated_value(y, u, step))
+
+
+def repeated_value(y: np.ndarray, u: np.ndarray, sensor_step: float) -> np.ndarray:
+    """Indices of single readings of one value, such as zero, that comes again far more often than others do.
+
+    Readings with an equal neighbour are left out: a stage at rest repeats itself. So is a value to which the
+    input sends the stage again and again.
+
+    Args:
+        y: (time,), any unit, finite.
+        u: (time,), the input, any unit.
+        sensor_step: In the unit of y, more than 0.
+
+    Returns:
+        (readings,), int, increasing.
+    """
+    from scipy.special import pdtrc
+
+    none = np.empty(0, dtype=int)
+    moves = np.diff(y)
+    single = np.flatnonzero((moves[:-1] != 0) & (moves[1:] != 0)) + 1
+    if not len(single) or not sensor_step > 0:
+        return none
+    values, place, counts = np.unique(y[single], return_inverse=True, return_counts=True)
+    often, most = int(counts.argmax()), int(counts.max())
+    by_chance = DENSER * len(y) * sensor_step / np.ptp(y)
+    if most <= OFTENER * np.quantile(counts, 0.99) or len(values) * pdtrc(most - 1, by_chance) > FALSE_ALARM:
+        return none
+    found = single[place == often]
+    return found if u[found].std() > SPREAD * u.std() else none
 
 
 def _answers(readings: np.ndarray, u: np.ndarray) -> np.ndarray:

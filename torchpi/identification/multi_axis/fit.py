@@ -62,8 +62,8 @@ class PeriodicFit:
     """Weighted mean squared error of a stage's steady state over periods, and its descent.
 
     The stage runs through the period before, from rest; tangents begin in it, at `run_in`, those of guards
-    where it begins. No step is taken after which a period has no bounded answer. Of `others`, which weigh next
-    to nothing until a stage rings, there is no normal matrix.
+    where it begins. No step is taken after which a period has no bounded answer. Of `others`, which weigh
+    next to nothing until a stage rings, there is no normal matrix.
     """
 
     def __init__(
