@@ -154,11 +154,26 @@ def mirror_figures(folder: Path) -> dict[str, float]:
         number = name.removesuffix("mV")
         found[f"mirror_median_{number}_um"] = level.median_um
         found[f"mirror_worst_{number}_um"], found[f"mirror_worst_noise_{number}_um"] = level.worst
-    without = folds.measured(folder, folds.FOLDS[3:4], "200mV")["200mV"]
-    found |= {"mirror_without_um": without.median_um, "mirror_without_worst_um": without.worst[0]}
-    found["mirror_without_not_linear_um"] = without.not_linear_um[0]
+    return found
+
+
+def mirror_without() -> dict[str, float]:
+    """The mirror fitted without its middle amplitude, and what no interpolation knows of that."""
+    with tempfile.TemporaryDirectory() as temporary:
+        return without_figures(Path(temporary))
+
+
+def without_figures(folder: Path) -> dict[str, float]:
+    """The same of the fit that is there, or is still to be made."""
+    level = folds.measured(folder, folds.FOLDS[3:4], "200mV")["200mV"]
     between = folds.Between.of(folds.recorded(), "200mV")
-    return {**found, "mirror_between_um": between.missed_um, "mirror_between_percent": 100 * between.share}
+    return {
+        "mirror_without_um": level.median_um,
+        "mirror_without_worst_um": level.worst[0],
+        "mirror_without_not_linear_um": level.not_linear_um[0],
+        "mirror_between_um": between.missed_um,
+        "mirror_between_percent": 100 * between.share,
+    }
 
 
 def commissioning() -> dict[str, float]:
