@@ -230,3 +230,17 @@ def test_the_step_of_a_converter_is_read_off_the_readings_and_not_off_what_lies_
     interpolated = replace(one, t=one.t[1:], u=one.u[1:], y=between)
     assert converter([interpolated]) == (0.0, ())
     assert converter([replace(interpolated, as_read=one.y)])[0] == pytest.approx(0.0123, rel=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_random_walk_between_periods_is_no_noise_and_coloured_noise_is(seed: int) -> None:
+    rng, n, periods = np.random.default_rng(seed), 2048, 12
+    u = np.tile(np.sin(2 * np.pi * np.arange(n) / n), periods)
+    white = rng.normal(size=len(u))
+    f = np.fft.rfftfreq(len(u))
+    pink = np.fft.irfft(np.fft.rfft(white) / np.sqrt(np.maximum(f, 1 / len(u)) / 0.1), len(u))
+    low_passed = np.fft.irfft(np.fft.rfft(white) / (1 + 2j * np.pi * f / 0.2), len(u))
+    walk = 0.4 * rng.normal(size=len(u)).cumsum()
+    for noise, rms in ((pink, pink.std()), (low_passed, low_passed.std()), (white + walk, 1.0)):
+        found = measured_noise(prepared([read(u, 0.01 * noise)]))
+        assert found is not None and found.rms_um == pytest.approx(0.01 * rms, rel=0.5)

@@ -26,6 +26,9 @@ LEAST_COEFFICIENTS = 8
 """Of a scale from which its variance is taken; the next slower ones are extrapolated."""
 STEEPEST = 1.5
 """Slope of an extrapolated spectrum, as 1/f to this power."""
+STEEPER, WANDERS = 2.0, 3
+"""By which the variance grows from one scale to the next slower one in noise of 1/f; steps of more, up to the
+slowest scale, that are no noise any more."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,7 +103,9 @@ def measured_noise(records: Sequence[Record], residuals: Sequence[np.ndarray] | 
         used = [part for record, parts in found if record.fs_hz == longest for part in parts]
         if used:
             assert longest is not None
-            rms_um, variance = spectrum_of(used)
+            found_here = spectrum_of(used)
+            # A hold has been freed of what moves slowly.
+            rms_um, variance = found_here if pieces is of_holds else without_wander(*found_here)
             if rms_um > 0:
                 return Noise(rms_um, variance, longest, source)
     return None
@@ -132,6 +137,22 @@ def spectrum_of(pieces: Sequence[np.ndarray]) -> tuple[float, np.ndarray]:
     variance = squares[known] / counts[known]
     # Readings on a lattice differ by nothing at all for long.
     return rms_um, np.maximum(variance, 1e-4 * rms_um**2)
+
+
+def without_wander(rms_um: float, variance: np.ndarray) -> tuple[float, np.ndarray]:
+    """The same without what grows faster than 1/f towards the slowest scales, as a random walk does.
+
+    That is drift, and no noise: on the scales of it noise stays as it is on the fastest of them. A sensor's
+    low-pass makes noise grow as well, but on the fast scales.
+    """
+    steep = variance[1:] > STEEPER * variance[:-1]
+    still = np.flatnonzero(~steep)
+    first = int(still[-1]) + 1 if len(still) else len(steep)  # the scale from which it grows to the end
+    if len(steep) - first < WANDERS:
+        return rms_um, variance
+    less = np.minimum(variance, np.where(np.arange(len(variance)) > first, variance[first], np.inf))
+    share = 0.5 ** np.arange(1, len(less) + 1)
+    return float(np.sqrt(less @ share + less[-1] * share[-1])), less
 
 
 def of_holds(record: Record, records: Sequence[Record]) -> Iterator[np.ndarray]:

@@ -12,7 +12,7 @@ from torchpi.stage.effects.effect import DataRange
 
 class TestLaws(EffectLaws):
     def operator(self) -> Ageing:
-        return Ageing(PERIOD_S, loss_per_s=0.02, loss_per_mm=30.0)
+        return Ageing(PERIOD_S, loss_per_s=0.02, loss_per_mm=30.0, exponent=1.3)
 
 
 def test_the_gain_falls_with_time_whatever_the_stage_does():
@@ -30,6 +30,14 @@ def test_the_gain_falls_with_travel_and_a_hold_costs_nothing():
 
 
 def test_ageing_starts_from_one_per_cent_over_the_record():
-    by_time, by_travel = Ageing.starts(DataRange(1e4, 20.0, 0.0, 10.0, 100.0, 0.0, 50.0, {}))
+    by_time, bent, by_travel = Ageing.starts(DataRange(1e4, 20.0, 0.0, 10.0, 100.0, 0.0, 50.0, {}))
     assert by_time == {"loss_per_s": 0.01 / 20}
+    assert bent == {"loss_per_s": 0.01 / 20, "exponent": 1.0}
     assert by_travel == {"loss_per_mm": pytest.approx(0.01 / 2.5)}  # 500 µm/s at most, 125 in the mean
+
+
+def test_with_an_exponent_the_loss_is_fast_at_first_or_ever_faster():
+    t = torch.arange(1001, dtype=torch.float64) * 0.1
+    for exponent in (0.5, 2.0):
+        y = Ageing(0.1, loss_per_s=0.01, exponent=exponent)(3 * step(1001))[0][0]
+        torch.testing.assert_close(y, 3 * torch.exp(-((0.01 * t) ** exponent)), rtol=1e-12, atol=0)
