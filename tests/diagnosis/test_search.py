@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from tests.diagnosis.plants import FS_HZ, NOISE_UM, Signal, multisine, record, stairs, triangles
+from tests.diagnosis.plants import FS_HZ, NOISE_UM, Signal, lag, multisine, record, stairs, triangles
 from tests.diagnosis.prepared import prepared
 from torchpi.diagnosis import growth
 from torchpi.diagnosis.chain import Chain
@@ -13,6 +13,8 @@ from torchpi.diagnosis.hypothesis import EffectTerm
 from torchpi.diagnosis.score import Gain
 from torchpi.diagnosis.search import Search
 from torchpi.stage.effects.actuator.creep import Creep
+from torchpi.stage.effects.amplifier.amplifier_lag import AmplifierLag
+from torchpi.stage.effects.amplifier.delay import Delay
 from torchpi.stage.effects.amplifier.slew_limit import SlewLimit
 from torchpi.stage.effects.effect import DataRange
 from torchpi.stage.effects.sensor.sensor_nonlinearity import SensorNonlinearity
@@ -111,6 +113,23 @@ def test_a_curvature_that_was_taken_for_a_history_is_tried_without_one() -> None
     ((_, found),) = search.effects(now)
     assert now.hypothesis.remanent and not found.hypothesis.remanent
     assert found.train_rms < 2 * NOISE_UM < 0.1 * now.train_rms
+
+
+def test_a_lag_and_a_delay_are_tried_together_where_a_lag_of_two_poles_stands_for_both() -> None:
+    def late(x: Signal, fs_hz: float) -> Signal:
+        k = np.arange(len(x))
+        return np.interp(k - 1.8, k, x)
+
+    u = multisine(4000, high_hz=0.4 * FS_HZ)
+    recordings = [record(u, before=lambda v, fs_hz: lag(v, fs_hz, 300.0), after=late)]
+    search = Search(Chain(prepared(recordings)), lambda sentence: None, effects=[AmplifierLag, Delay])
+    now = search.reweighted(search.retuned())
+    found = dict(search.effects(now))
+    alone = min(one.train_rms for name, one in found.items() if "+" not in name)
+    (together,) = (one for name, one in found.items() if "+" in name)
+    assert together.train_rms < 0.5 * alone
+    lagged, _ = sorted(together.hypothesis.members, key=lambda member: member.effect.name)
+    assert lagged.shared == {"cutoff_hz": pytest.approx(300.0, rel=0.05)}
 
 
 @pytest.mark.parametrize(("share", "refitted"), [(0.9, 1), (0.1, 0)])

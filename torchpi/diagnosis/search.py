@@ -27,7 +27,7 @@ from torchpi.diagnosis.reduced_basis import MANY, basis, refitted
 from torchpi.diagnosis.screen import Candidate, Screen, candidates_of
 from torchpi.diagnosis.stick_slip import Jump, Slips, jump, slips
 from torchpi.stage.effects import EFFECTS
-from torchpi.stage.effects.effect import Described, Effect, Parameters
+from torchpi.stage.effects.effect import Described, Effect, LinearEffect, Parameters
 from torchpi.stage.effects.inside import InsideEffect
 from torchpi.stage.effects.mechanics.cross_coupling import CrossCoupling
 from torchpi.stage.effects.mechanics.resonance import Resonance
@@ -263,6 +263,9 @@ class Search(Growth):
         joint = self.axes_through_a_mode(now)
         names += [AXES] * len(joint)
         jobs += joint
+        for name, h in self.lags_with_a_delay(now, screened):
+            names.append(name)
+            jobs.append((h, None, STEPS, ROUGH))
         by_name: dict[str, list[Fit]] = {}
         for name, one in zip(names, self.fits(jobs, now), strict=True):
             by_name.setdefault(name, []).append(one)
@@ -306,6 +309,28 @@ class Search(Growth):
                 if gained > max(-PRIOR, best[name][0] if name in best else 0.0):
                     best[name] = gained, one.hypothesis.plus(c.member)
         return {name: hypothesis for name, (_, hypothesis) in best.items()}
+
+    def lags_with_a_delay(self, now: Fit, screened: Sequence[Candidate]) -> list[tuple[str, Hypothesis]]:
+        """A lag of one number and a delay at once, under every convention of timing: each alone, or a lag of
+        more numbers, takes the place of both, and no fit of what is added to it leads to the two."""
+        h, best = now.hypothesis, dict[type[Described], EffectTerm]()
+        for c in sorted(screened, key=lambda c: -c.gain):
+            if c.member.effect.delays and len(c.member.shared) == 1 and c.gain > -PRIOR:
+                best.setdefault(c.member.effect, c.member)
+        for member in h.members:
+            simplest = min((s.shared for s in self.starts if s.effect is member.effect), key=len, default={})
+            if member.effect.delays and len(simplest) == 1 and member.effect.name not in self.given:
+                best[member.effect] = replace(member, shared={name: member.shared[name] for name in simplest})
+        found = []
+        linear = [member for effect, member in best.items() if issubclass(effect, LinearEffect)]
+        for lag in (member for member in linear if not member.effect.commutes):
+            for delay in (member for member in linear if member.effect.commutes):
+                two = h.without(lag.effect.name).without(delay.effect.name).plus(lag).plus(delay)
+                added = [m.effect.name for m in (lag, delay) if m.effect.name not in h.names]
+                if added:
+                    name = " + ".join(added)
+                    found += [(name, replace(two, alignment=a)) for a in self.alignments]
+        return found
 
     def axes_through_a_mode(self, now: Fit) -> list[Job]:
         """Every other axis and a resonance at once: each alone may explain little of a stage that rings."""
