@@ -311,16 +311,18 @@ class Search(Growth):
         return {name: hypothesis for name, (_, hypothesis) in best.items()}
 
     def lags_with_a_delay(self, now: Fit, screened: Sequence[Candidate]) -> list[tuple[str, Hypothesis]]:
-        """A lag of one number and a delay at once, under every convention of timing: each alone, or a lag of
-        more numbers, takes the place of both, and no fit of what is added to it leads to the two."""
+        """A lag of one number and a delay at once, under every convention of timing. Each alone, or a lag of
+        more numbers, takes the place of both, and from there no addition leads to the two."""
         h, best = now.hypothesis, dict[type[Described], EffectTerm]()
         for c in sorted(screened, key=lambda c: -c.gain):
             if c.member.effect.delays and len(c.member.shared) == 1 and c.gain > -PRIOR:
                 best.setdefault(c.member.effect, c.member)
         for member in h.members:
-            simplest = min((s.shared for s in self.starts if s.effect is member.effect), key=len, default={})
-            if member.effect.delays and len(simplest) == 1 and member.effect.name not in self.given:
-                best[member.effect] = replace(member, shared={name: member.shared[name] for name in simplest})
+            effect, mine = member.effect, member.shared
+            starts = [s.shared for s in self.starts if s.effect is effect and s.shared.keys() <= mine.keys()]
+            simplest = min(starts, key=len, default={})
+            if effect.delays and len(simplest) == 1 and effect.name not in self.given:
+                best[effect] = replace(member, shared={name: mine[name] for name in simplest})
         found = []
         linear = [member for effect, member in best.items() if issubclass(effect, LinearEffect)]
         for lag in (member for member in linear if not member.effect.commutes):
