@@ -129,11 +129,13 @@ def test_a_hold_among_others_serves_for_what_it_shows() -> None:
     assert found.noise_floor_um == pytest.approx(0.01, rel=0.25)
 
 
-def test_what_a_short_record_cannot_show_is_left_out_and_said() -> None:
+def test_what_one_record_cannot_show_is_left_out_and_said_and_nothing_slow_for_its_length() -> None:
     found = diagnose([record(multisine(400))])
     left_out = {note.split(":")[0] for note in found.notes if ": left out, " in note}
-    assert {"creep", "leakage", "thermal_drift", "ageing", "load_change", "cross_coupling"} <= left_out
-    assert {effect.name for effect in found.effects}.isdisjoint(left_out)
+    assert {"load_change", "cross_coupling"} <= left_out
+    assert left_out.isdisjoint({"creep", "leakage", "thermal_drift", "ageing"})
+    # Of 400 samples the plays of the simulation are few, and the rig has 60.
+    assert {effect.name for effect in found.effects} <= {"hysteresis_operator"}
 
 
 def test_long_stairs_leave_nothing_slow_out() -> None:
