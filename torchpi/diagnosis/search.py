@@ -312,7 +312,10 @@ class Search(Growth):
 
     def lags_with_a_delay(self, now: Fit, screened: Sequence[Candidate]) -> list[tuple[str, Hypothesis]]:
         """A lag of one number and a delay at once, under every convention of timing. Each alone, or a lag of
-        more numbers, takes the place of both, and from there no addition leads to the two."""
+        more numbers, takes the place of both, and from there no addition leads to the two. What a simulation
+        that is only called lacks inside looks like either: there they are tried one by one."""
+        if self.simulation:
+            return []
         h, best = now.hypothesis, dict[type[Described], EffectTerm]()
         for c in sorted(screened, key=lambda c: -c.gain):
             if c.member.effect.delays and len(c.member.shared) == 1 and c.gain > -PRIOR:
