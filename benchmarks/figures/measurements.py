@@ -144,13 +144,9 @@ def mirror() -> dict[str, float]:
 def mirror_folds() -> dict[str, float]:
     """Every realisation of the mirror left out in turn."""
     with tempfile.TemporaryDirectory() as temporary:
-        return mirror_figures(Path(temporary))
-
-
-def mirror_figures(folder: Path) -> dict[str, float]:
-    """The same of the folds that were fitted there, and of those that are still to be fitted."""
+        levels = folds.measured(Path(temporary))
     found: dict[str, float] = {}
-    for name, level in folds.measured(folder).items():
+    for name, level in levels.items():
         number = name.removesuffix("mV")
         found[f"mirror_median_{number}_um"] = level.median_um
         found[f"mirror_worst_{number}_um"], found[f"mirror_worst_noise_{number}_um"] = level.worst
@@ -160,12 +156,7 @@ def mirror_figures(folder: Path) -> dict[str, float]:
 def mirror_without() -> dict[str, float]:
     """The mirror fitted without its middle amplitude, and what no interpolation knows of that."""
     with tempfile.TemporaryDirectory() as temporary:
-        return without_figures(Path(temporary))
-
-
-def without_figures(folder: Path) -> dict[str, float]:
-    """The same of the fit that is there, or is still to be made."""
-    level = folds.measured(folder, folds.FOLDS[3:4], "200mV")["200mV"]
+        level = folds.measured(Path(temporary), folds.FOLDS[3:4], "200mV")["200mV"]
     between = folds.Between.of(folds.recorded(), "200mV")
     return {
         "mirror_without_um": level.median_um,

@@ -364,7 +364,7 @@ def slip_notes(search: Search, one_step: Fit, modelled: Fit) -> tuple[str, ...]:
 
 
 def history_notes(search: Search, final: Fit) -> tuple[str, ...]:
-    """What was retuned, what ended on a bound, what these recordings are too short for."""
+    """What was retuned, what ended on a bound, what these recordings cannot show."""
     notes = [
         f"Retuned: {member.effect.name} {name} {before:.4g} → {member.shared[name]:.4g}."
         for given in search.start

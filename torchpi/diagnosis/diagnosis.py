@@ -137,6 +137,6 @@ class Diagnosis:
     """Its voltage, ready to play: t (time,), s, and u (time,), V."""
     says: str
     notes: tuple[str, ...]
-    """What was set aside: conflicts, conventions, candidates that these recordings are too short for."""
+    """What was set aside: conflicts, conventions, candidates that these recordings cannot show."""
     traces: tuple[Trace, ...]
     stage: Stage
