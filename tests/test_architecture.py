@@ -45,3 +45,9 @@ def test_no_layer_imports_one_above_it(layer: str) -> None:
         names = imported(file) - ASKED_FOR.get(str(file.relative_to(ROOT)), set())
         wrong += [name for name in names if ".".join(name.split(".")[:2]) in above]
         assert not wrong, f"{file.relative_to(ROOT)} imports {sorted(wrong)}"
+
+
+@pytest.mark.parametrize("part", ["torchpi", "train"])
+def test_no_file_outgrows_one_idea(part: str) -> None:
+    lines = {str(file): len(file.read_text().splitlines()) for file in (ROOT / part).rglob("*.py")}
+    assert {file: count for file, count in lines.items() if count > 450} == {}

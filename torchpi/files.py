@@ -314,6 +314,12 @@ def load_tensors(path: Path, largest_bytes: int, wrong: str) -> Any:
     return content
 
 
+def file_sha256(path: str | Path) -> str:
+    """Hash of a file's bytes."""
+    with open(path, "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
 def content_sha256(content: Any) -> str:
     """Hash of plain values and tensors, in whatever mappings and sequences: what a saved model carries.
 

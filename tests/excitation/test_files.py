@@ -10,7 +10,7 @@ from torchpi.cli import commands
 from torchpi.excitation.files import INSTRUCTIONS
 from torchpi.excitation.limits import DriveLimits
 from torchpi.excitation.sets import diagnostic_excitations
-from torchpi.recordings.recording import read_signal
+from torchpi.recordings.signal import read_signal
 
 LIMITS = ["--max_voltage_v", "7.5", "--min_voltage_v", "-1", "--max_rate_v_s", "1500"]
 LIMITS += ["--sample_rate_hz", "1000", "--high_hz", "100", "--seed", "3"]

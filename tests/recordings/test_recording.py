@@ -19,9 +19,9 @@ from torchpi.recordings.recording import (
     Recording,
     check_recording,
     read_recording,
-    read_signal,
     write_recording,
 )
+from torchpi.recordings.signal import read_signal
 
 DATA = Path(__file__).parents[2].parent / "shared" / "data"
 FS_HZ = 10_000.0

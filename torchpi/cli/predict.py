@@ -11,7 +11,8 @@ from torchpi.recordings.force import with_force
 from torchpi.recordings.multi_axis import MultiAxisRecording, read_multi_axis, write_multi_axis
 from torchpi.recordings.options import FORCE_COLUMN, INPUT_COLUMN, SIMULATED_COLUMN
 from torchpi.recordings.readers import open_source
-from torchpi.recordings.recording import Recording, RecordingOptions, read_signal, write_recording
+from torchpi.recordings.recording import Recording, RecordingOptions, write_recording
+from torchpi.recordings.signal import read_signal
 from torchpi.recordings.time_base import simulated_column
 from torchpi.simulators import COLUMN, load_simulator
 from torchpi.stage import Stage

@@ -15,7 +15,7 @@ from torchpi.loop.axes import AxesTracking, random_axes, track_axes
 from torchpi.recordings.multi_axis import DESIRED, columns
 from torchpi.recordings.options import RecordingOptions
 from torchpi.recordings.readers import open_source
-from torchpi.recordings.recording import read_signal
+from torchpi.recordings.signal import read_signal
 from torchpi.stage.beside import exported_stage
 from torchpi.stage.kinds import load_axes
 from torchpi.stage.multi_axis import MultiAxisStage

@@ -10,7 +10,7 @@ import torch
 from torchpi.errors import RecordingError
 from torchpi.excitation.signals import fast_trajectory, slow_trajectory
 from torchpi.operators.reference_filter import ReferenceFilter
-from torchpi.recordings.recording import read_signal
+from torchpi.recordings.signal import read_signal
 
 Signal = npt.NDArray[np.float64]  # shape: (time,)
 

@@ -15,7 +15,7 @@ from torchpi.recordings.options import TIME_COLUMN, RecordingOptions
 from torchpi.recordings.readers import open_source
 from torchpi.recordings.readers.npz import NpzSource
 from torchpi.recordings.readers.source import Source
-from torchpi.recordings.recording import read_signal
+from torchpi.recordings.signal import read_signal
 
 INPUT, OUTPUT = re.compile(r"input_(\d+)(_v|\b)"), re.compile(r"output_(\d+)(_um|\b)")
 DESIRED = re.compile(r"yd_(\d+)(_um|\b)")

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, fields, replace
 from typing import Any, Literal
 
-from torchpi.errors import ConfigError, is_number
+from torchpi.errors import ConfigError, is_number, kind_of
 
 TIME_COLUMN, INPUT_COLUMN, OUTPUT_COLUMN = "time_s", "input_v", "output_um"
 SIMULATED_COLUMN = "simulated_um"
@@ -62,6 +62,20 @@ class RecordingOptions:
             raise ConfigError(f"zero: found '{self.zero}', expected recorded or first")
         if not (is_number(self.skip_s) and 0 <= self.skip_s < float("inf")):
             raise ConfigError(f"skip_s: found {self.skip_s!r}, expected a time in s that is not negative")
+
+    @classmethod
+    def of(cls, options: "RecordingOptions | None", changes: dict[str, Any]) -> "RecordingOptions":
+        """The given options, by default all at their defaults, but for single ones.
+
+        Raises:
+            ConfigError: No options, or a single one that there is not.
+        """
+        if not isinstance(options, RecordingOptions | None):
+            raise ConfigError(
+                f"options: found {kind_of(options)}, expected RecordingOptions; single options go by their "
+                "names, such as fs_hz=1000"
+            )
+        return (options or cls()).with_changes(**changes)
 
     def with_changes(self, **changes: Any) -> "RecordingOptions":
         """The same options but for these.

@@ -12,9 +12,9 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from torchpi.errors import ConfigError, RecordingError, is_number, is_positive, kind_of
-from torchpi.files import write_columns
-from torchpi.recordings.checks import MIN_SAMPLES, check_length, check_recording
+from torchpi.errors import RecordingError, is_number, is_positive, kind_of
+from torchpi.files import file_sha256, write_columns
+from torchpi.recordings.checks import MIN_SAMPLES, check_recording
 from torchpi.recordings.faults import least_step
 from torchpi.recordings.options import (
     INPUT_COLUMN,
@@ -24,9 +24,7 @@ from torchpi.recordings.options import (
     RecordingOptions,
 )
 from torchpi.recordings.readers import Source, open_source
-from torchpi.recordings.readers.header import UNITS, Role
 from torchpi.recordings.readers.memory import MemorySource, frame_columns
-from torchpi.recordings.readers.source import Column
 from torchpi.recordings.resampling import to_rate
 from torchpi.recordings.shown import Shown
 from torchpi.recordings.time_base import (
@@ -41,10 +39,8 @@ from torchpi.recordings.time_base import (
 __all__ = [
     "Recording",
     "RecordingOptions",
-    "Signal",
     "check_recording",
     "read_recording",
-    "read_signal",
     "write_recording",
 ]
 
@@ -264,20 +260,6 @@ class Recording(Shown):
         return replace(self, t=self.t[cut], u=self.u[cut], y=self.y[cut], aux=aux, simulated=simulated)
 
 
-@dataclass(frozen=True, eq=False)
-class Signal:
-    """One uniformly sampled signal of a file: a trajectory to follow, a voltage to play."""
-
-    name: str
-    t: np.ndarray
-    """(time,), s."""
-    x: np.ndarray
-    """(time,), µm or V."""
-    fs_hz: float
-    source: str
-    sha256: str
-
-
 def read_recording(
     path: str | Path,
     options: RecordingOptions | None = None,
@@ -314,12 +296,12 @@ def read_recording(
         >>> read_recording("slow.csv")
         Recording('slow', 200 samples at 100 Hz, 2 s, u 0…10 V, y 0…8 µm)
     """
-    options = _options(options, changes)
+    options = RecordingOptions.of(options, changes)
     return _recording_of(
         open_source(path),
         options,
         Path(path).stem,
-        sha256=_sha256(path),
+        sha256=file_sha256(path),
         min_samples=min_samples,
         allow_constant_input=allow_constant_input,
         simulated=simulated,
@@ -337,9 +319,8 @@ def _recording_of(
     simulated: bool = False,
 ) -> Recording:
     """What `read_recording` makes of an open file, or of signals in memory."""
-    names = [
-        column_of(source, options.input_column, "input"), column_of(source, options.output_column, "output")
-    ]  # fmt: skip
+    names = [column_of(source, options.input_column, "input")]
+    names.append(column_of(source, options.output_column, "output"))
     if names[0] == names[1]:
         raise RecordingError(
             f"{source.path}: input and output are the same column '{names[0]}', expected two; "
@@ -380,46 +361,6 @@ def _recording_of(
     return recording.resampled(wanted_hz) if wanted_hz and wanted_hz != read.fs_hz else recording
 
 
-def read_signal(
-    path: str | Path,
-    column: Column,
-    *,
-    option: str = "column",
-    options: RecordingOptions | None = None,
-    unit: float | str | None = None,
-    min_samples: int = 2,
-    **changes: Any,
-) -> Signal:
-    """Read one signal, uniformly sampled, from a file of any kind that `read_recording` reads.
-
-    Args:
-        path: the file.
-        column: name or number (from 1).
-        option: what the user calls `column`, for the error messages.
-        options, changes: as in `read_recording`; of the options those of the time, and `fs_hz` never changes
-            the rate.
-        unit: V, mV, kV, um, nm, mm, m …; by default as the column states, else ours. The signal is returned
-            in V or µm.
-        min_samples: the fewest that are of use.
-
-    Raises:
-        RecordingError: in one line, what is wrong and what to do.
-    """
-    options = _options(options, changes)
-    source = open_source(path)
-    is_input = option == "input_column"
-    name = column_of(source, column, "input") if is_input else source.find(column, option)
-    read = read_uniform(source, [name], options, min_samples)
-    if options.skip_s > 0:
-        first = int(np.searchsorted(read.t, read.t[0] + options.skip_s))
-        read = read._replace(t=read.t[first:], signals=[read.signals[0][first:]])
-        check_length(str(path), len(read.t), min_samples)
-    known = unit if unit is not None else source.unit(name)
-    role: Role = "input" if is_input or known in UNITS["input"] else "output"
-    x = converted(read.signals[0], scale_of(source, name, role, unit, "unit"))
-    return Signal(Path(path).stem, read.t, x, read.fs_hz, str(path), _sha256(path))
-
-
 def write_recording(path: str | Path, recording: Recording, input_column: str = INPUT_COLUMN) -> None:
     """Write `time_s,input_v,output_um[,simulated_um][,aux_…]` as CSV, every double exact, whole or not at
     all.
@@ -446,20 +387,6 @@ def write_recording(path: str | Path, recording: Recording, input_column: str = 
     write_columns(path, names, (np.asarray(c, dtype=np.float64).tolist() for c in columns))
 
 
-def _options(options: RecordingOptions | None, changes: dict[str, Any]) -> RecordingOptions:
-    if not isinstance(options, RecordingOptions | None):
-        raise ConfigError(
-            f"options: found {kind_of(options)}, expected RecordingOptions; single options go by their "
-            "names, such as fs_hz=1000"
-        )
-    return (options or RecordingOptions()).with_changes(**changes)
-
-
 def samples_sha256(u: np.ndarray, y: np.ndarray) -> str:
     """Hash of a voltage and a displacement that were not read from a file."""
     return hashlib.sha256(u.tobytes() + y.tobytes()).hexdigest()
-
-
-def _sha256(path: str | Path) -> str:
-    with open(path, "rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
