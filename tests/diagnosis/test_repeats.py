@@ -137,7 +137,7 @@ def ripples(drift_um: float, seed: int = 0) -> Recording:
     return record(u, fs_hz=250.0, after=lambda x, fs_hz: x + error)
 
 
-@pytest.mark.parametrize("drift_um", [0.0, 0.02])
+@pytest.mark.parametrize("drift_um", [0.0, 0.02, 0.8])
 def test_a_drift_is_seen_beneath_what_repeats_and_no_model_has(drift_um: float) -> None:
     found = diagnose([ripples(drift_um)])
     slow = {"thermal_drift", "gain_modulation", "ageing", "creep", "leakage"}

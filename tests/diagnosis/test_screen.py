@@ -1,8 +1,9 @@
 """The screen: what a start could explain to first order, and of what size it does."""
 
+import numpy as np
 import pytest
 
-from tests.diagnosis.plants import creep, lag, pair
+from tests.diagnosis.plants import creep, lag, pair, record
 from tests.diagnosis.prepared import prepared
 from torchpi.diagnosis.chain import Chain
 from torchpi.diagnosis.fit import fit
@@ -10,11 +11,12 @@ from torchpi.diagnosis.hypothesis import EffectTerm, Hypothesis
 from torchpi.diagnosis.hysteresis_model import many_plays
 from torchpi.diagnosis.records import seen
 from torchpi.diagnosis.score import Weighting
-from torchpi.diagnosis.screen import Screen, sizes_of
+from torchpi.diagnosis.screen import Screen, candidates_of, sizes_of
 from torchpi.stage.effects.actuator.creep import Creep
 from torchpi.stage.effects.amplifier.amplifier_lag import AmplifierLag
 from torchpi.stage.effects.amplifier.slew_limit import SlewLimit
 from torchpi.stage.effects.sensor.sensor_nonlinearity import SensorNonlinearity
+from torchpi.stage.effects.sensor.thermal_drift import KNOT_NAMES, ThermalDrift
 
 
 @pytest.mark.parametrize("per_decade", [0.001, 0.01, 0.02])
@@ -39,6 +41,25 @@ def test_a_start_gains_at_once_only_near_its_place() -> None:
     )
     assert far.gain > 0 > far.at_once
     assert 0 < near.at_once <= near.gain
+
+
+def test_a_walk_begins_at_the_knots_that_it_has() -> None:
+    """From a hundredth of the range, a fit of a few steps does not reach them."""
+    walk = np.array([3.0, -2.0, 1.0, 4.0, -1.0, 2.0, 0.5, -3.0])
+    u = np.tile(np.append(np.arange(50), np.arange(50)[::-1]) / 5.0, 90)
+    t = np.arange(len(u)) / (0.85 * len(u))  # the sealed end begins at 1
+    drift = np.interp(t, np.arange(9) / 8, [0.0, *walk])
+    chain = Chain(prepared([record(u, after=lambda x, fs_hz: x + drift)]))
+    what = seen(chain.records)
+    now = fit(chain, Hypothesis(many_plays(what)))
+    chain.weighting = Weighting.of(chain.records, now.residuals, None)
+    (start,) = (
+        member
+        for member in candidates_of(ThermalDrift, chain.records, ThermalDrift.starts(what), [])
+        if not ThermalDrift.extrapolates(member.shared)
+    )
+    (found,) = Screen(chain, now).solved(start).own
+    assert np.allclose([found[name] for name in KNOT_NAMES], walk, atol=0.3)
 
 
 def test_what_is_no_size_stays_as_it_starts() -> None:

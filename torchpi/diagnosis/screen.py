@@ -5,7 +5,7 @@ present hypothesis, so that what refitting would absorb does not count, it says 
 would be predicted at most: one pass of the chain a start.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -93,6 +93,13 @@ class Screen:
             },
         )
 
+    def solved(self, member: EffectTerm) -> EffectTerm:
+        """A member with as much of each signed number as explains most, to first order in all of them."""
+        off_tangent = self.off_tangent(self.directions(member))
+        alive, factors = np.any(off_tangent != 0.0, axis=1), np.zeros(len(off_tangent))
+        factors[alive] = self.coefficients(off_tangent[alive])
+        return scaled(member, dict(zip(signed_numbers(member), factors.tolist(), strict=True)))
+
     def off_tangent(self, directions: np.ndarray) -> np.ndarray:
         """What refitting cannot absorb of directions, (directions, coefficients); 0 for rounding."""
         left: np.ndarray = directions - (directions @ self.tangent.T) @ self.tangent
@@ -105,17 +112,19 @@ class Screen:
 
         A single one-sided direction counts only with a positive factor.
         """
-        gram, right = off_tangent @ off_tangent.T, off_tangent @ self.left
-        alive = np.diag(gram) > 0
-        if not alive.any():
-            return 0.0
-        gram, right = gram[np.ix_(alive, alive)], right[alive]
-        spread = np.sqrt(np.diag(gram))
-        unit = gram / spread / spread[:, None] + 1e-9 * np.eye(len(spread))
-        coefficients = np.linalg.solve(unit, right / spread) / spread
-        if one_sided and coefficients[0] < 0:
+        alive = np.any(off_tangent != 0.0, axis=1)
+        coefficients = self.coefficients(off_tangent[alive])
+        if one_sided and len(coefficients) and coefficients[0] < 0:
             return 0.0
         return self.gained(self.left - coefficients @ off_tangent[alive])
+
+    def coefficients(self, off_tangent: np.ndarray) -> np.ndarray:
+        """(directions,): how much of each, (directions, coefficients), explains most; none is all zeros."""
+        gram, right = off_tangent @ off_tangent.T, off_tangent @ self.left
+        spread = np.sqrt(np.diag(gram))
+        unit = gram / spread / spread[:, None] + 1e-9 * np.eye(len(spread))
+        found: np.ndarray = np.linalg.solve(unit, right / spread) / spread
+        return found
 
     def gained(self, whitened: np.ndarray) -> float:
         """Nats that a whitened residual, (coefficients,), is ahead of the present one."""
@@ -167,34 +176,32 @@ def all_names(member: EffectTerm) -> set[str]:
 
 def separate(member: EffectTerm) -> list[EffectTerm]:
     """One member for each signed parameter, the other signed ones at their identity."""
+    free = signed_numbers(member)
+    return [scaled(member, {one: float(one == which) for one in free}) for which in free] or [member]
+
+
+def signed_numbers(member: EffectTerm) -> list[tuple[str, int | None]]:
+    """Its parameters that may take either sign: their names, and the recordings whose own they are."""
+    quantities = member.effect.quantities
+    each = [(None, member.shared), *enumerate(member.own)]
+    return [(name, record) for record, own in each for name in own if quantities[name].at_least < 0]
+
+
+def scaled(member: EffectTerm, factors: Mapping[tuple[str, int | None], float]) -> EffectTerm:
+    """A member with these numbers so many times as large, within their bounds; of 0 at their identity."""
     quantities, identity = member.effect.quantities, member.effect.identity
-    free: list[tuple[str, int | None]] = [
-        (name, None) for name in member.shared if quantities[name].at_least < 0
-    ]
-    free += [
-        (name, record)
-        for record, own in enumerate(member.own)
-        for name in own
-        if quantities[name].at_least < 0
-    ]
-    if not free:
-        return [member]
 
-    def only(which: tuple[str, int | None]) -> EffectTerm:
-        shared = {
-            name: value if (name, None) == which or quantities[name].at_least >= 0 else identity[name]
-            for name, value in member.shared.items()
-        }
-        own = tuple(
-            {
-                name: value if (name, record) == which or quantities[name].at_least >= 0 else identity[name]
-                for name, value in values.items()
-            }
-            for record, values in enumerate(member.own)
-        )
-        return EffectTerm(member.effect, shared, own, member.aux)
+    def of(values: Parameters, record: int | None) -> Parameters:
+        found = dict(values)
+        for name in values:
+            if (name, record) in factors:
+                factor, bounds = factors[name, record], quantities[name]
+                moved = min(max(factor * values[name], bounds.at_least), bounds.at_most)
+                found[name] = moved if factor else identity[name]
+        return found
 
-    return [only(which) for which in free]
+    own = tuple(of(values, record) for record, values in enumerate(member.own))
+    return replace(member, shared=of(member.shared, None), own=own)
 
 
 def candidates_of(

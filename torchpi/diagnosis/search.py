@@ -116,6 +116,7 @@ class Search(Growth):
                 # What has no wiping-out can do much that is physics of another kind: it comes last. Its loops
                 # drift to where they close, which looks slow.
                 last = self.growth(small, small, [duhem(self.seen)])
+                last += self.walks(small) if chosen is None else []
                 tried += [one for one in last if self.inside(one.fit, small)]
                 chosen = self.simplest(tried, small)
             history.append(Round(now, tuple(tried), chosen.name if chosen else None))
@@ -224,14 +225,12 @@ class Search(Growth):
         barred = {*self.needless, *(name for name, _ in self.left_out)}
         # Of an effect with a signal of its own there may be one for each signal.
         there = {(member.effect.name, member.aux) for member in now.hypothesis.members}
-        # A walk has many numbers: it is looked at where there is something that only it can explain.
-        wanders = self.chain.weighting.above_noise_apart(now)
         starts = [
             member
             for member in [*self.starts, *self.from_residual(now)]
             if member.effect.name not in barred
             and (member.effect.name, member.aux) not in there
-            and (wanders or member.effect.extrapolates(member.shared))
+            and member.effect.extrapolates(member.shared)
         ]
         (screened,) = screen_all(self.chain, [(now, starts)], self.executor)
         best: dict[str, dict[tuple[str, ...], Candidate]] = {}
@@ -356,6 +355,26 @@ class Search(Growth):
                     hypothesis = hypothesis.plus(coupling)
                 jobs.append((hypothesis, now.weights, STEPS, ROUGH))
         return jobs
+
+    def walks(self, now: Fit) -> list[Tried]:
+        """Random walks, which take the place of anything slow and come last: where something is left that
+        does not repeat with the voltage, each from the knots that explain most of it."""
+        there = {*now.hypothesis.names, *self.needless, *(name for name, _ in self.left_out)}
+        starts = [
+            member
+            for member in self.starts
+            if member.effect.name not in there and not member.effect.extrapolates(member.shared)
+        ]
+        if not starts or not self.chain.weighting.above_noise_apart(now):
+            return []
+        screen = Screen(self.chain, now)
+        begun = [now.hypothesis.plus(screen.solved(member)) for member in starts]
+        fits = self.fits([(h, now.weights, STEPS, ROUGH) for h in begun], now)
+        tried = [
+            Tried(member.effect.name, one, self.over(one, now, self.prior(now, one)))
+            for member, one in zip(starts, fits, strict=True)
+        ]
+        return sorted(tried, key=lambda one: -one.gain.nats)
 
     def from_residual(self, now: Fit) -> list[EffectTerm]:
         """Starts that no grid has: where the residual of the loudest recording, or the first, stands out."""
