@@ -7,12 +7,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from torchpi.diagnosis.decide import NAMED, OPERATORS, Decision, decide, structure, verdict
+from torchpi.diagnosis.decide import NAMED, OPERATORS, Decision, decide, structure, told_from_none, verdict
+from torchpi.diagnosis.free_parameters import slot
 from torchpi.diagnosis.hypothesis import EffectTerm, Hypothesis
 from torchpi.diagnosis.hysteresis_model import HysteresisModel
 from torchpi.diagnosis.posterior import OPERATOR_NAME, Believed
 from torchpi.stage.effects.actuator.creep import Creep
 from torchpi.stage.effects.mechanics.backlash import Backlash
+from torchpi.stage.effects.mechanics.load_change import LoadChange
 from torchpi.stage.effects.sensor.sensor_lag import SensorLag
 
 NOISE = SimpleNamespace(rms_um=2.0)
@@ -33,7 +35,11 @@ def left(train: float, heldout: float | None = None) -> SimpleNamespace:
     for term in TERMS:
         hypothesis = hypothesis.plus(term)
     return SimpleNamespace(
-        train_rms=train, heldout_rms=train if heldout is None else heldout, slots=(), hypothesis=hypothesis
+        train_rms=train,
+        heldout_rms=train if heldout is None else heldout,
+        slots=(),
+        theta=(),
+        hypothesis=hypothesis,
     )
 
 
@@ -60,6 +66,20 @@ class TestNames:
     def test_without_a_measured_noise_what_is_left_stands_for_it(self) -> None:
         assert decided(believed("creep", 0.68), final=4.0, noise=None).effects
         assert not decided(believed("creep", 0.6), final=4.0, noise=None).effects
+
+    @pytest.mark.parametrize(("half", "probability"), [(0.03, 0.0), (0.01, 0.45), (0.0025, 0.9)])
+    def test_a_name_beside_a_number_that_may_be_zero_is_no_answer(
+        self, half: float, probability: float
+    ) -> None:
+        """Even odds where the interval just reaches 0."""
+        quantity = LoadChange.quantities["stiffness_ratio"]
+        one = slot(0, "stiffness_ratio", None, 0.01, quantity, 1e-4)
+        hypothesis = Hypothesis(HysteresisModel(np.zeros(1))).plus(
+            EffectTerm(LoadChange, {"stiffness_ratio": 0.01})
+        )
+        fit = SimpleNamespace(slots=(one,), theta=(1.0,), hypothesis=hypothesis)
+        found = told_from_none(believed("load_change", 48.0, 0.9), fit, [(0.01 - half, 0.01 + half)])
+        assert found.probability == pytest.approx(probability, abs=2e-3)
 
     def test_a_jump_takes_the_place_of_lost_motion(self) -> None:
         assert [one.form for one in decided(believed("backlash", 48.0)).effects] == ["play"]

@@ -1,5 +1,7 @@
 """Ninety per cent intervals cover ninety per cent, in white noise and in coloured."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from scipy.signal import lfilter
@@ -8,13 +10,16 @@ from tests.diagnosis.plants import FS_HZ, hysteresis, lag, multisine, resonance,
 from tests.diagnosis.prepared import prepared
 from torchpi.diagnosis.chain import Chain
 from torchpi.diagnosis.fit import fit
+from torchpi.diagnosis.free_parameters import slot, to_inner
 from torchpi.diagnosis.hypothesis import EffectTerm, Hypothesis
-from torchpi.diagnosis.hysteresis_model import many_plays
-from torchpi.diagnosis.intervals import intervals_90, scatter
+from torchpi.diagnosis.hysteresis_model import HysteresisModel, many_plays
+from torchpi.diagnosis.intervals import distance_from_none, intervals_90, scatter
 from torchpi.diagnosis.records import seen
 from torchpi.recordings.recording import Recording
 from torchpi.stage.effects.amplifier.amplifier_lag import AmplifierLag
 from torchpi.stage.effects.mechanics.resonance import Resonance
+from torchpi.stage.effects.sensor.sensor_nonlinearity import SensorNonlinearity
+from torchpi.stage.effects.sensor.thermal_drift import ThermalDrift
 
 TRUTH = (130.0, 310.0, 0.03)
 
@@ -45,6 +50,42 @@ def test_a_part_that_alone_tells_a_parameter_says_nothing_of_its_scatter() -> No
     found = scatter(alone[0] + other[0], [alone, other], 2)
     assert found[0] > 0
     assert found[1] == 0  # what is left without the first part cannot be compared with it
+
+
+def fitted(
+    term: EffectTerm, *values: tuple[str, float, float]
+) -> tuple[SimpleNamespace, list[tuple[float, float]]]:
+    """A fit of one effect with these numbers, and their intervals: name, value, half-width."""
+    hypothesis = Hypothesis(HysteresisModel(np.zeros(1))).plus(term)
+    slots = tuple(slot(0, name, None, value, term.effect.quantities[name], 1e-4) for name, value, _ in values)
+    spans = [(value - half, value + half) for _, value, half in values]
+    theta = np.array([to_inner(one, value) for one, (_, value, _) in zip(slots, values, strict=True)])
+    return SimpleNamespace(slots=slots, theta=theta, hypothesis=hypothesis), spans
+
+
+def test_numbers_are_as_far_from_none_as_their_intervals_say() -> None:
+    term = EffectTerm(SensorNonlinearity, {"a2_per_um": -0.02, "a3_per_um2": 0.001})
+    fit, spans = fitted(term, ("a2_per_um", -0.02, 0.01), ("a3_per_um2", 0.001, 0.0005))
+    assert distance_from_none(fit, spans, term.effect.name) == pytest.approx(2.0)
+    fit, spans = fitted(term, ("a2_per_um", -0.02, 0.02), ("a3_per_um2", 0.0, 0.0005))
+    assert distance_from_none(fit, spans, term.effect.name) == pytest.approx(np.sqrt(0.5))
+    assert distance_from_none(fit, spans, "creep") == np.inf
+
+
+@pytest.mark.parametrize(
+    ("term", "value"),
+    [
+        # No cutoff is that of no lag.
+        (EffectTerm(AmplifierLag, {"cutoff_hz": 100.0}), ("cutoff_hz", 100.0, 50.0)),
+        # The exponent of what is hardly there may be anything.
+        (EffectTerm(ThermalDrift, {"time_constant_s": 10.0}), ("time_constant_s", 10.0, 9.5)),
+        (EffectTerm(ThermalDrift, {"knot_spacing_s": 1.0}), ("knot1_um", 0.1, 1.0)),
+    ],
+    ids=["no size", "no linear step", "a walk"],
+)
+def test_other_intervals_do_not_say_how_far(term: EffectTerm, value: tuple[str, float, float]) -> None:
+    fit, spans = fitted(term, value)
+    assert distance_from_none(fit, spans, term.effect.name) == np.inf
 
 
 RUNS = 36

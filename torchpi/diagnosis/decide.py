@@ -1,17 +1,17 @@
 """Decide: which names stand, and what that leaves."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from torchpi.diagnosis.contest import FAINT
 from torchpi.diagnosis.diagnosis import NamedEffect, Parameter, Verdict
 from torchpi.diagnosis.hypothesis import Fit
-from torchpi.diagnosis.intervals import intervals_90
+from torchpi.diagnosis.intervals import distance_from_none, intervals_90
 from torchpi.diagnosis.noise import Noise
 from torchpi.diagnosis.parameters import parameters_of, shape_parameters
-from torchpi.diagnosis.posterior import OPERATOR_NAME, Believed, form_of
+from torchpi.diagnosis.posterior import OPERATOR_NAME, STEEPNESS, Believed, form_of
 from torchpi.diagnosis.search import Search
 from torchpi.stage.effects.mechanics.backlash import Backlash
 
@@ -70,6 +70,7 @@ def decide(
     joint = retuned.train_rms**2 - max(final.train_rms, floor_um) ** 2 - explained
     total = max(retuned.train_rms**2 - floor_um**2, above + explained, 1e-300)
     spans = intervals_90(search.chain, final)
+    believed = [told_from_none(one, final, spans) for one in believed]
     known = {effect.name: effect for effect in search.effects_tried}
     named = []
     for one in believed:
@@ -104,6 +105,14 @@ def decide(
         found, tuple(named), left, share, max(joint, 0.0) / total if len(named) > 1 else 0.0,
         noise.rms_um if noise is not None else None,
     )  # fmt: skip
+
+
+def told_from_none(one: Believed, final: Fit, spans: Sequence[tuple[float, float]]) -> Believed:
+    """As likely as not, at most, where the intervals of an effect's numbers just reach those of none of it: a
+    name beside a number that may as well be 0 is no answer."""
+    distance = distance_from_none(final, spans, one.name)
+    clear = 1.0 / (1.0 + distance**-STEEPNESS) if distance > 0 else 0.0
+    return replace(one, probability=round(one.probability * clear, 4))
 
 
 def verdict(

@@ -1,11 +1,14 @@
 """Intervals of the fitted parameters that hold for a coloured residual, and for a model that is not exact."""
 
+from collections.abc import Sequence
+from math import inf, sqrt
+
 import numpy as np
 from scipy.special import stdtrit
 
 from torchpi.diagnosis.chain import Chain
 from torchpi.diagnosis.fit import PRIOR
-from torchpi.diagnosis.free_parameters import to_outer
+from torchpi.diagnosis.free_parameters import to_inner, to_outer
 from torchpi.diagnosis.hypothesis import Fit
 from torchpi.diagnosis.sensitivity import jacobian
 
@@ -13,6 +16,8 @@ BLOCKS = 30
 """Contiguous pieces of all recordings together; their scores are taken as independent."""
 ONE_SIDED = 0.95
 """Of Student's t, with a degree of freedom less than there are blocks, or recordings: 90 % two-sided."""
+LINEAR = 1.0
+"""Half-width of a logarithm's interval, beyond which linear steps do not say how wide it is."""
 TELLS = 0.1
 """Of what all samples know of a parameter; what is left after less cannot say how it scatters."""
 
@@ -46,6 +51,32 @@ def intervals_90(chain: Chain, now: Fit) -> list[tuple[float, float]]:
         (to_outer(slot, float(t - half)), to_outer(slot, float(t + half)))
         for slot, t, half in zip(now.slots, now.theta, np.sqrt(squares), strict=True)
     ]
+
+
+def distance_from_none(now: Fit, spans: Sequence[tuple[float, float]], name: str) -> float:
+    """How far the numbers of an effect lie from those of none of it, in half-widths of their 90 % intervals,
+    in the mean square over those that are 0 without it.
+
+    Infinite where the intervals cannot say: a number whose logarithm is uncertain by more than a linear step
+    can tell, and a walk, whose knots are bound to one another.
+
+    Args:
+        now: The fit.
+        spans: Of its slots, as `intervals_90` gives them.
+        name: Of the effect.
+    """
+    squares = []
+    for slot, span, value in zip(now.slots, spans, now.theta, strict=True):
+        if slot.member < 0 or now.hypothesis.names[slot.member] != name:
+            continue
+        term = now.hypothesis.members[slot.member]
+        low, high = (to_inner(slot, end) for end in span)
+        half = (high - low) / 2
+        if not term.effect.extrapolates(term.shared) or (slot.log and half > LINEAR):
+            return inf
+        if term.effect.identity[slot.name] == 0.0 and half > 0:
+            squares.append(((1.0 if slot.log else value) / half) ** 2)
+    return sqrt(np.mean(squares)) if squares else inf
 
 
 def quantile(parts: int) -> float:
