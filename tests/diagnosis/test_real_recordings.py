@@ -1,0 +1,46 @@
+"""What is known of recordings that nobody here made is in the answer, and what cannot be known is not.
+
+`../shared/data` has them beside a checkout, with their licences.
+"""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from torchpi import RecordingOptions, read_recording
+from torchpi.diagnosis.diagnose import diagnose
+from torchpi.diagnosis.diagnosis import Diagnosis
+from torchpi.recordings.recording import Recording
+
+DATA = Path(__file__).parents[2].parent / "shared" / "data"
+STATIC = {"hysteresis_operator", "rate_dependent_hysteresis", "backlash", "stiction"}
+NAMED_SLOWNESS = {"amplifier_lag", "sensor_lag", "delay"}
+
+needs_data = pytest.mark.skipif(not DATA.is_dir(), reason="the real recordings are not beside this checkout")
+
+
+def groups(found: Diagnosis) -> list[set[str]]:
+    return [{effect.name, *effect.alternatives} for effect in found.effects]
+
+
+@needs_data
+def test_a_current_loop_is_late_and_has_no_hysteresis() -> None:
+    """From commanded to measured current, A as V and µm: some 0.48 ms late, 0.86 of the gain at 250 Hz."""
+    bench = np.load(DATA / "motor_bench" / "type_a.npz")
+    fs_hz, period = float(bench["fs_hz"]), int(bench["period"])
+    u, y = (bench[name].ravel()[period : 4 * period].astype(float) for name in ("iq_ref_a", "iq_a"))
+    found = diagnose([Recording("type_a", np.arange(len(u)) / fs_hz, u, y, fs_hz)])
+    assert any(NAMED_SLOWNESS & group for group in groups(found))
+    assert not STATIC & {effect.name for effect in found.effects}
+
+
+@needs_data
+def test_a_stack_under_one_frequency_is_slow_and_its_rate_is_left_open() -> None:
+    """The authors' piezo stack, a sine of 1 Hz: it creeps, or drifts, by half a micrometre."""
+    columns = RecordingOptions(None, 1, 5, fs_hz=200, zero="first")
+    whole = read_recording(DATA / "piezo_stack" / "Model_Vi_Do.dat", columns)
+    found = diagnose([whole])
+    assert any({"creep", "thermal_drift"} & group for group in groups(found))
+    assert "rate_dependent_hysteresis" not in {effect.name for effect in found.effects}
+    assert found.augmented.heldout_rms_um < 0.1 < 0.3 < found.retuned.heldout_rms_um
