@@ -96,7 +96,7 @@ class Screen:
     def solved(self, member: EffectTerm) -> EffectTerm:
         """A member with as much of each signed number as explains most, to first order in all of them."""
         off_tangent = self.off_tangent(self.directions(member))
-        alive, factors = np.any(off_tangent != 0.0, axis=1), np.zeros(len(off_tangent))
+        alive, factors = np.linalg.norm(off_tangent, axis=1) > 0.0, np.zeros(len(off_tangent))
         factors[alive] = self.coefficients(off_tangent[alive])
         return scaled(member, dict(zip(signed_numbers(member), factors.tolist(), strict=True)))
 
@@ -112,7 +112,7 @@ class Screen:
 
         A single one-sided direction counts only with a positive factor.
         """
-        alive = np.any(off_tangent != 0.0, axis=1)
+        alive = np.linalg.norm(off_tangent, axis=1) > 0.0
         coefficients = self.coefficients(off_tangent[alive])
         if one_sided and len(coefficients) and coefficients[0] < 0:
             return 0.0
