@@ -15,7 +15,7 @@ from torchpi.recordings.recording import Recording
 
 DATA = Path(__file__).parents[2].parent / "shared" / "data"
 STATIC = {"hysteresis_operator", "rate_dependent_hysteresis", "backlash", "stiction"}
-NAMED_SLOWNESS = {"amplifier_lag", "sensor_lag", "delay"}
+LATE = {"amplifier_lag", "sensor_lag", "delay"}
 
 needs_data = pytest.mark.skipif(not DATA.is_dir(), reason="the real recordings are not beside this checkout")
 
@@ -31,7 +31,7 @@ def test_a_current_loop_is_late_and_has_no_hysteresis() -> None:
     fs_hz, period = float(bench["fs_hz"]), int(bench["period"])
     u, y = (bench[name].ravel()[period : 4 * period].astype(float) for name in ("iq_ref_a", "iq_a"))
     found = diagnose([Recording("type_a", np.arange(len(u)) / fs_hz, u, y, fs_hz)])
-    assert any(NAMED_SLOWNESS & group for group in groups(found))
+    assert any(LATE & group for group in groups(found))
     assert not STATIC & {effect.name for effect in found.effects}
 
 

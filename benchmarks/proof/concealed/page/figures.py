@@ -73,7 +73,7 @@ def reliability(results: dict, path: Path) -> None:
             np.array([b[k] for b in rows]) for k in ("probability", "share", "at_least", "at_most")
         )
         top.errorbar(x, y, [y - low, high - y], fmt=marker, capsize=3, markersize=5, label=label)
-        top.legend(loc="lower right", fontsize=8)
+        top.legend(loc="upper left", fontsize=8)
     top.set(ylabel="share that is right", ylim=(-0.03, 1.03), title=f"{found['names']} names")
     counts = found["by_itself"]["bins"]
     bottom.bar([b["from"] + 0.5 / BINS for b in counts], [b["of"] for b in counts], 0.9 / BINS, color="0.6")
