@@ -102,6 +102,18 @@ class TestNames:
         assert found.equation == OPERATORS["prandtl_ishlinskii"]
 
 
+class TestOpen:
+    def test_what_is_likely_enough_to_be_said_is_left_open_and_not_named(self) -> None:
+        found = decided(
+            believed("creep", 48.0),
+            believed("sensor_lag", 24.0, 0.3),
+            believed("delay", 20.0, 0.05),
+            believed("hum", 0.01, 0.4),
+        )
+        assert [one.name for one in found.effects] == ["creep"]
+        assert [(one.name, one.probability) for one in found.causes_left_open] == [("sensor_lag", 0.3)]
+
+
 class TestUnexplained:
     def test_it_is_what_stays_above_the_noise_and_what_is_open(self) -> None:
         found = decided(believed("creep", 48.0), final=np.sqrt(28.0))

@@ -10,6 +10,7 @@ from torchpi.diagnosis.diagnosis import (
     Errors,
     NamedEffect,
     NextRecording,
+    OpenCause,
     Parameter,
     Rival,
     Trace,
@@ -82,6 +83,7 @@ def diagnosis() -> Diagnosis:
     return Diagnosis(
         verdict="explained",
         effects=(lag, mode, operator),
+        open=(OpenCause("thermal_drift", 0.23, ("creep",)),),
         where=locate(traces, NOISE_UM),
         nominal=Errors(2.1 * rms["residual_retuned"], 2.2 * rms["residual_retuned"], 2.2 * most),
         retuned=Errors(0.97 * rms["residual_retuned"], rms["residual_retuned"], most),

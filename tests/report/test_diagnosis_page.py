@@ -104,6 +104,7 @@ def test_the_json_keeps_its_contract(folder: Path, found: Diagnosis) -> None:
     }  # fmt: skip
     family = content["effects"][2]["parameters"]["family"]
     assert family == {"value": "preisach", "unit": "", "interval_90": None}
+    assert content["open"] == [{"name": "thermal_drift", "alternatives": ["creep"], "probability": 0.23}]
     assert len(content["where"]) == len(found.where)
     assert {cell["domain"] for cell in content["where"]} == {
         "time", "frequency", "displacement", "rate", "direction", "since_reversal", "amplitude", "recording"

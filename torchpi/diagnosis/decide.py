@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from torchpi.diagnosis.contest import FAINT
-from torchpi.diagnosis.diagnosis import NamedEffect, Parameter, Verdict
+from torchpi.diagnosis.diagnosis import NamedEffect, OpenCause, Parameter, Verdict
 from torchpi.diagnosis.hypothesis import Fit
 from torchpi.diagnosis.intervals import distance_from_none, intervals_90
 from torchpi.diagnosis.noise import Noise
@@ -17,6 +17,8 @@ from torchpi.stage.effects.mechanics.backlash import Backlash
 
 NAMED = 0.5
 """Probability from which a name is given: more likely right than wrong."""
+POSSIBLE = 0.1
+"""Probability from which what cannot be named is said to be open."""
 DONE, EXPLAINED = 1.15, 1.5
 """Times the measured noise: an error within this leaves nothing to explain, or little beside the names."""
 OPERATORS = {
@@ -40,6 +42,15 @@ class Decision:
     """Of the squared residual: what several names explain together, and none of them beside the others."""
     noise_um: float | None
     """Of a reading, where it was measured."""
+
+    @property
+    def causes_left_open(self) -> tuple[OpenCause, ...]:
+        """What of it is likely enough to be said."""
+        return tuple(
+            OpenCause(one.name, one.probability, one.alternatives)
+            for one in self.open
+            if POSSIBLE < one.probability < NAMED
+        )
 
 
 def decide(

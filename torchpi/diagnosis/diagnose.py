@@ -23,7 +23,7 @@ from torchpi.diagnosis.next_recording import next_recording
 from torchpi.diagnosis.noise import Noise, measured_noise
 from torchpi.diagnosis.outside import Outside, untried_note
 from torchpi.diagnosis.posterior import posterior
-from torchpi.diagnosis.records import Record, prepare, seen, whole
+from torchpi.diagnosis.records import Record, prepare, seen, whole, without_start
 from torchpi.diagnosis.reduced_basis import reduced
 from torchpi.diagnosis.remainder import unless_unknown, with_remainder
 from torchpi.diagnosis.say import nm, paragraph
@@ -110,6 +110,8 @@ def diagnose(
     )
     search = Search(chain, log, start, noise, executor, lsb_um, tried, called)
     retuned, final, history = search.run()
+    records = without_start(records, search.unsettled)
+    chain = Chain(records, search.chain.weighting)  # where a mount sticks, without its rests
     search.noise = left_unexplained(search, final)
     log("decide: every effect against its rivals")
     final, believed = posterior(search, retuned, final, history)
@@ -133,7 +135,7 @@ def diagnose(
     if any(len(each) for each in lost):
         decision = with_read_off(decision, of_dropouts(records, lost, final))
     log("model: everything refitted to all samples")
-    complete = whole(recordings, wrong)
+    complete = without_start(whole(recordings, wrong), search.unsettled)
     everything = Chain(complete, Weighting.of(complete, modelled.residuals, noise))
     # A mount that sticks decides at each slip where the next one begins: no gradient leads through that.
     last = modelled if search.jump else fit(everything, modelled.hypothesis, modelled.weights, 4)
@@ -155,6 +157,7 @@ def diagnose(
         *untried_note(called, untried),
         *lattice_note,
         *monitored_notes(records),
+        *start_notes(records, search.unsettled),
         *conventions(search, final),
         *history_notes(search, final),
         *slip_notes(search, final, augmented),
@@ -170,7 +173,7 @@ def diagnose(
         given_recordings, HELD_OUT, last_errors.heldout_rms_um, last_errors.heldout_max_um
     )
     return Diagnosis(
-        verdict=decision.verdict, effects=decision.effects, where=where,
+        verdict=decision.verdict, effects=decision.effects, open=decision.causes_left_open, where=where,
         nominal=errors[0], retuned=errors[1], augmented=errors[2],
         noise_floor_um=noise.rms_um if noise is not None else None,
         heldout=HELD_OUT, unexplained_share=decision.unexplained_share, joint_share=decision.joint_share,
@@ -312,7 +315,8 @@ def open_between(decision: Decision) -> list[str]:
     for effect in sorted(decision.effects, key=lambda effect: effect.probability):
         if effect.alternatives:
             return [effect.name, *effect.alternatives]
-    return [effect.name for effect in decision.effects if effect.probability < UNCERTAIN]
+    uncertain = [effect.name for effect in decision.effects if effect.probability < UNCERTAIN]
+    return uncertain or [one.name for one in decision.causes_left_open[:1]]
 
 
 def monitored_notes(records: Sequence[Record]) -> tuple[str, ...]:
@@ -322,6 +326,16 @@ def monitored_notes(records: Sequence[Record]) -> tuple[str, ...]:
         (f"The voltage has noise of its own, taken out before it drives: {', '.join(noisy)}.",)
         if noisy
         else ()
+    )
+
+
+def start_notes(records: Sequence[Record], unsettled: Sequence[int]) -> tuple[str, ...]:
+    """A sentence for each recording whose start does not count."""
+    return tuple(
+        f"{record.name}: the first {first} readings, {1e3 * first / record.fs_hz:.3g} ms, do not count: the "
+        "stage was still settling from what came before the recording."
+        for record, first in zip(records, unsettled, strict=True)
+        if first
     )
 
 

@@ -58,6 +58,16 @@ class NamedEffect:
 
 
 @dataclass(frozen=True)
+class OpenCause:
+    """A piece of physics that the simulation may lack, too uncertain to be named."""
+
+    name: str
+    probability: float
+    alternatives: tuple[str, ...]
+    """Names that these data cannot tell from it."""
+
+
+@dataclass(frozen=True)
 class Where:
     """Where the mismatch lives: one cell of one domain."""
 
@@ -118,6 +128,8 @@ class Diagnosis:
     verdict: Verdict
     effects: tuple[NamedEffect, ...]
     """Strongest first."""
+    open: tuple[OpenCause, ...]
+    """What may be missing too, strongest first."""
     where: tuple[Where, ...]
     nominal: Errors
     """The simulation as it was given; without one, a plain stage of ten plays."""

@@ -28,6 +28,8 @@ def leftovers(records: Sequence[Record], residuals: Sequence[np.ndarray]) -> tup
         residuals: (time,) each, µm.
     """
     found: list[tuple[float, str]] = []
+    # What does not count, wrong readings and an unsettled start, is said elsewhere.
+    residuals = [np.where(r.train | r.held_out, e, 0.0) for r, e in zip(records, residuals, strict=True)]
     squares = [float(np.mean(e**2)) for e in residuals]
     for record, e, own in zip(records, residuals, squares, strict=True):
         others = [square for other, square in zip(records, squares, strict=True) if other is not record]

@@ -1,7 +1,7 @@
 """What the search works on: the recordings, and which of their samples it may see."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -42,9 +42,9 @@ class Record:
     fs_hz: float
     aux: dict[str, np.ndarray]
     train: np.ndarray
-    """(time,), bool: neither in the sealed end, nor start-up that is skipped, nor a dropout."""
+    """(time,), bool: neither in the sealed end, nor start-up that is skipped, nor what does not count."""
     held_out: np.ndarray
-    """(time,), bool: what is not trained on, but for the dropouts."""
+    """(time,), bool: what is not trained on, but for what does not count: dropouts, an unsettled start."""
     coefficients: Coefficients
     """Those that a fit sums over."""
     rests: Rests | None = None
@@ -90,14 +90,32 @@ def whole(
     ]
 
 
+def without_start(records: Sequence[Record], readings: Sequence[int]) -> list[Record]:
+    """The records without so many of their first readings, neither fitted nor held out."""
+    found = []
+    for record, first in zip(records, readings, strict=True):
+        counts = np.arange(len(record.u)) >= first
+        train = record.train & counts
+        found.append(
+            replace(
+                record,
+                train=train,
+                held_out=record.held_out & counts,
+                coefficients=_coefficients(
+                    record.u, record.y, record.coefficients.samples, train, len(records)
+                ),
+            )
+            if first
+            else record
+        )
+    return found
+
+
 def _record(recording: Recording, samples: int, wrong: np.ndarray, recordings: int, skip_s: float) -> Record:
     u, y = recording.u.astype(np.float64), recording.y.astype(np.float64)
     valid, fitted = np.ones(len(u), dtype=bool), np.arange(len(u)) < samples
     valid[wrong] = False
     fitted[: min(round(skip_s * recording.fs_hz), len(u) // 2)] = False
-    # What the command does at once, and what the readings do: edges, and rings after them.
-    activity = np.diff(y, 2, prepend=y[:1], append=y[-1:])
-    at_most = max(200, int(AT_MOST / recordings / LEVELS) * 2)
     return Record(
         recording.name,
         u,
@@ -106,10 +124,19 @@ def _record(recording: Recording, samples: int, wrong: np.ndarray, recordings: i
         recording.aux,
         fitted & valid,
         ~fitted & valid,
-        Coefficients.of(u, activity, samples, fitted & valid, at_most),
+        _coefficients(u, y, samples, fitted & valid, recordings),
         simulated=recording.simulated,
         driving=without_noise(u),
     )
+
+
+def _coefficients(
+    u: np.ndarray, y: np.ndarray, samples: int, valid: np.ndarray, recordings: int
+) -> Coefficients:
+    # What the command does at once, and what the readings do: edges, and rings after them.
+    activity = np.diff(y, 2, prepend=y[:1], append=y[-1:])
+    at_most = max(200, int(AT_MOST / recordings / LEVELS) * 2)
+    return Coefficients.of(u, activity, samples, valid, at_most)
 
 
 def seen(records: Sequence[Record]) -> DataRange:

@@ -7,8 +7,8 @@ from torchpi.diagnosis.decide import Decision
 from torchpi.diagnosis.diagnosis import Errors, NamedEffect, NextRecording
 from torchpi.diagnosis.noise import Noise
 
-CERTAIN, LIKELY, POSSIBLE = 0.9, 0.5, 0.1
-"""Probabilities from which an effect is missing without qualification, probably, and perhaps."""
+CERTAIN, LIKELY = 0.9, 0.5
+"""Probabilities from which an effect is missing without qualification, and probably."""
 REMAINDER_HELPS = 0.97
 """Of the error without it: below this the unknown remainder is worth a sentence."""
 WORTH_A_SENTENCE = 0.01
@@ -69,10 +69,9 @@ def paragraph(
             if falls
             else f"On the held-out samples that is no gain: the error is {left} with it."
         )
-    for one in decision.open:
-        if POSSIBLE < one.probability < LIKELY:
-            text = f"with a probability of {percent(one.probability)} it is too uncertain to be named"
-            parts.append(f"There may also be {counted(one.name)}: {text}.")
+    for one in decision.causes_left_open:
+        text = f"with a probability of {percent(one.probability)} it is too uncertain to be named"
+        parts.append(f"There may also be {counted(one.name)}: {text}.")
     if decision.verdict == "partly_explained":
         # Without the noise it is not known how much of what is left is noise.
         much = "Part" if noise is None else percent(decision.unexplained_share)

@@ -16,6 +16,10 @@ def diagnosis_json(diagnosis: Diagnosis, provenance: Provenance) -> str:
     content = {
         "verdict": diagnosis.verdict,
         "effects": [_effect(effect) for effect in diagnosis.effects],
+        "open": [
+            {"name": one.name, "alternatives": list(one.alternatives), "probability": one.probability}
+            for one in diagnosis.open
+        ],
         "where": [_where(cell) for cell in diagnosis.where],
         "fit": {
             "nominal": _errors(diagnosis.nominal),
