@@ -75,7 +75,10 @@ class Screen:
         """A start whose directions these are, (directions, coefficients)."""
         first, factor = off_tangent[0], 1.0
         gain = self.gain(off_tangent, not (signed(member) or member.effect.hold))
-        if (sizes := sizes_of(member)) and first.any():
+        if member.own and signed(member):
+            # The output is linear in them: from less, other numbers run away before these are large enough.
+            member = self.with_solved(member, off_tangent)
+        elif (sizes := sizes_of(member)) and first.any():
             factor = float(np.clip((first @ self.left) / (first @ first), *RESIZED))
             member = self.resized(member, sizes, factor)
         return Candidate(member, gain, gain if signed(member) else self.gained(self.left - factor * first))
@@ -95,7 +98,10 @@ class Screen:
 
     def solved(self, member: EffectTerm) -> EffectTerm:
         """A member with as much of each signed number as explains most, to first order in all of them."""
-        off_tangent = self.off_tangent(self.directions(member))
+        return self.with_solved(member, self.off_tangent(self.directions(member)))
+
+    def with_solved(self, member: EffectTerm, off_tangent: np.ndarray) -> EffectTerm:
+        """The same where its directions, (directions, coefficients), are known."""
         alive, factors = np.linalg.norm(off_tangent, axis=1) > 0.0, np.zeros(len(off_tangent))
         factors[alive] = self.coefficients(off_tangent[alive])
         return scaled(member, dict(zip(signed_numbers(member), factors.tolist(), strict=True)))
