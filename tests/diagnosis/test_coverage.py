@@ -5,7 +5,7 @@ import pytest
 
 from tests.diagnosis.plants import FS_HZ, multisine, record, triangles
 from tests.diagnosis.prepared import prepared
-from torchpi.diagnosis.coverage import follows_command, levels, repeats
+from torchpi.diagnosis.coverage import follows_command, levels, repeats, untested
 from torchpi.diagnosis.diagnose import diagnose
 
 T_S = np.arange(8000) / FS_HZ
@@ -31,6 +31,13 @@ def test_low_harmonics_of_a_command_that_repeats_are_its_own(line_hz: float, fol
 def test_a_command_that_never_repeats_has_no_harmonics() -> None:
     assert repeats(prepared([record(multisine(4000))])) == []
     assert not follows_command(2.0, [])
+
+
+def test_a_prediction_is_tested_where_the_held_out_samples_lie_and_no_further() -> None:
+    assert untested(prepared([record(multisine(8000))])) == ()
+    assert untested(prepared([record(SINE_V)])) == ("loops between two levels", "strokes of one rate")
+    (voltages, *rest) = untested(prepared([record(np.linspace(0.0, 10.0, 4000))]))
+    assert voltages == "voltages from 8.5 to 10 V of the recorded 0 to 10 V" and not rest
 
 
 def test_a_curved_sensor_under_a_sine_is_no_modulation() -> None:

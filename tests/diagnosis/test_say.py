@@ -100,6 +100,14 @@ def test_an_unnamed_remainder_is_said_where_it_helps_and_only_there() -> None:
     assert "remainder" not in useless and "well enough to be named." in useless
 
 
+def test_a_closed_verdict_says_on_what_it_was_tested() -> None:
+    alike = ("voltages from 1 to 3 V", "loops between two levels", "strokes of one rate")
+    closed = paragraph(decided("explained", lag(0.9)), ERRORS, NOISE, NEXT, (), alike)
+    assert "tested only on voltages from 1 to 3 V, loops between two levels and strokes of one rate" in closed
+    for verdict, phrases in (("explained", ()), ("partly_explained", alike)):
+        assert "tested" not in paragraph(decided(verdict, lag(0.9)), ERRORS, NOISE, NEXT, (), phrases)
+
+
 def test_what_is_too_uncertain_to_be_named_is_said() -> None:
     doubtful = Believed("sensor_lag", 0.31, (), 1e-4, ())
     text = paragraph(decided("unexplained", still_open=(doubtful,)), ERRORS, NOISE, NEXT)

@@ -13,6 +13,10 @@ LEAST_STROKE = 0.1
 """Of the travel: what moves less is no stroke, and levels that differ by less are one."""
 LEVELS = 2
 """At which whatever goes up and comes down turns round."""
+TESTED = 0.8
+"""Of the recorded voltage, that samples have to span to test a prediction of all of it."""
+PACE = 1.5
+"""Times as long as the fast strokes that the slow ones take at least where there are several rates."""
 HARMONICS = 10
 """Of a command that repeats, that a static curve or a loop has."""
 RESOLVED = 0.25
@@ -65,6 +69,22 @@ def cannot_be_decided(records: Sequence[Record]) -> tuple[str, ...]:
     if constant:
         notes.append(f"Nothing moves in {', '.join(constant)}: whether it couples cannot be seen.")
     return tuple(notes)
+
+
+def untested(records: Sequence[Record]) -> tuple[str, ...]:
+    """A phrase for each way in which the held-out samples are too alike to test a prediction of others."""
+    found = []
+    low_v, high_v = (end(float(end(record.u)) for record in records) for end in (min, max))
+    held = np.concatenate([record.u[record.held_out] for record in records])
+    if len(held) and np.ptp(held) < TESTED * (high_v - low_v):
+        inside, all_of_it = f"{held.min():.3g} to {held.max():.3g}", f"{low_v:.3g} to {high_v:.3g}"
+        found.append(f"voltages from {inside} V of the recorded {all_of_it} V")
+    if any(turns(record) for record in records):
+        if levels(records) <= LEVELS:
+            found.append("loops between two levels")
+        if pace(records) < PACE:
+            found.append("strokes of one rate")
+    return tuple(found)
 
 
 def turns(record: Record) -> bool:

@@ -8,7 +8,7 @@ import numpy as np
 
 from torchpi.diagnosis.chain import Chain
 from torchpi.diagnosis.conflict import conflict
-from torchpi.diagnosis.coverage import cannot_be_decided
+from torchpi.diagnosis.coverage import cannot_be_decided, untested
 from torchpi.diagnosis.decide import Decision, decide, structure
 from torchpi.diagnosis.diagnosis import Diagnosis, Errors, NamedEffect, Parameter, Trace, Verdict
 from torchpi.diagnosis.fit import fit, rms
@@ -178,7 +178,7 @@ def diagnose(
         noise_floor_um=noise.rms_um if noise is not None else None,
         heldout=HELD_OUT, unexplained_share=decision.unexplained_share, joint_share=decision.joint_share,
         next_recording=next_one, next_excitation=excitation, notes=notes, traces=traces, stage=stage,
-        says=paragraph(decision, errors, noise, next_one, loud),
+        says=paragraph(decision, errors, noise, next_one, loud, untested(records)),
     )  # fmt: skip
 
 

@@ -38,6 +38,7 @@ def paragraph(
     noise: Noise | None,
     next_one: NextRecording,
     leftovers: Sequence[str] = (),
+    untested: Sequence[str] = (),
 ) -> str:
     """What was found, how probable it is, what it buys, what remains, and what to record next.
 
@@ -47,6 +48,7 @@ def paragraph(
         noise: What was measured of it; None where nothing measures it.
         next_one: The next recording.
         leftovers: Where the residual of the augmented simulation stands out, one phrase each.
+        untested: In what the held-out samples are alike, one phrase each.
     """
     nominal, retuned, augmented = errors
     parts = [
@@ -68,6 +70,10 @@ def paragraph(
             f"With that the error falls to {left}."
             if falls
             else f"On the held-out samples that is no gain: the error is {left} with it."
+        )
+    if untested and decision.verdict in ("nothing_missing", "explained"):
+        parts.append(
+            f"This was tested only on {listed(untested)}: what is predicted of other motions is extrapolated."
         )
     for one in decision.causes_left_open:
         text = f"with a probability of {percent(one.probability)} it is too uncertain to be named"
@@ -122,6 +128,12 @@ def sentence(effect: NamedEffect) -> str:
 def lacks(probability: float) -> str:
     """The verb that goes with a probability."""
     return "lacks" if probability >= CERTAIN else "probably lacks" if probability >= LIKELY else "may lack"
+
+
+def listed(phrases: Sequence[str]) -> str:
+    """Several as one: a, b and c."""
+    *first, last = phrases
+    return f"{', '.join(first)} and {last}" if first else last
 
 
 def counted(name: str) -> str:
