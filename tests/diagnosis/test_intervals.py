@@ -12,9 +12,11 @@ from torchpi.diagnosis.chain import Chain
 from torchpi.diagnosis.fit import fit
 from torchpi.diagnosis.free_parameters import slot, to_inner
 from torchpi.diagnosis.hypothesis import EffectTerm, Hypothesis
-from torchpi.diagnosis.hysteresis_model import HysteresisModel, many_plays
+from torchpi.diagnosis.hysteresis_model import HysteresisModel, many_plays, preisach
 from torchpi.diagnosis.intervals import distance_from_none, intervals_90, scatter
 from torchpi.diagnosis.records import seen
+from torchpi.diagnosis.reduced_basis import MANY, basis
+from torchpi.diagnosis.score import Weighting
 from torchpi.recordings.recording import Recording
 from torchpi.stage.effects.amplifier.amplifier_lag import AmplifierLag
 from torchpi.stage.effects.mechanics.resonance import Resonance
@@ -133,3 +135,18 @@ def test_twice_the_noise_makes_them_twice_as_wide() -> None:
         ((low, high),) = intervals_90(chain, fit(chain, Hypothesis(many_plays(seen(chain.records)), members)))
         widths.append(high - low)
     assert widths[1] / widths[0] == pytest.approx(2.0, rel=0.3)
+
+
+def test_hundreds_of_weights_that_only_their_smoothness_tells_apart_leave_an_interval_narrow() -> None:
+    u = triangles(3000)
+    y = hysteresis(lag(u, FS_HZ, 130.0)) + 0.02 * np.random.default_rng(0).standard_normal(len(u))
+    chain = Chain(prepared([Recording("a", np.arange(len(u)) / FS_HZ, u, y, FS_HZ)]))
+    larger = Hypothesis(
+        preisach(seen(chain.records)), (EffectTerm(AmplifierLag, {"cutoff_hz": 130.0}),), remanent=True
+    )
+    one = fit(chain, *basis(chain, larger, None, MANY))
+    chain.weighting = Weighting.of(chain.records, one.residuals, None)
+    one = fit(chain, *basis(chain, one.hypothesis, one.weights, MANY))
+    ((low, high),) = intervals_90(chain, one)
+    assert len(one.weights) > 100
+    assert high < 1.3 * low

@@ -33,6 +33,7 @@ from torchpi.diagnosis.posterior import (
     names_of,
     rivals,
     settled,
+    stands_as_well,
     trust,
     unlisted_hysteresis,
     without_cause,
@@ -284,6 +285,29 @@ def test_a_larger_hysteresis_that_explains_a_little_of_everything_takes_no_effec
     )  # fmt: skip
     final, _ = settled(search, plain, drift, [])
     assert final is (drift if bends else larger)
+
+
+@pytest.mark.parametrize(
+    ("name", "bends", "well", "alike"),
+    [
+        (OPERATOR_NAME, True, False, True),
+        (OPERATOR_NAME, False, False, False),
+        ("thermal_drift", True, False, False),
+        ("thermal_drift", False, True, True),
+    ],
+)
+def test_a_curve_stands_in_the_place_of_a_larger_hysteresis_that_bends_to_the_rest(
+    name: str, bends: bool, well: bool, alike: bool
+) -> None:
+    final, rival = SimpleNamespace(), SimpleNamespace()
+
+    def beyond(larger: Any, effect: Any) -> bool:
+        return (larger, effect) == (final, rival) and bends
+
+    search = SimpleNamespace(
+        bends_to_all=beyond, as_well=lambda one, best: (one, best) == (rival, final) and well
+    )
+    assert stands_as_well(search, name, rival, final) is alike
 
 
 def test_of_effects_that_stand_in_for_each_other_the_strongest_is_as_likely_as_any() -> None:

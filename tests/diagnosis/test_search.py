@@ -10,6 +10,7 @@ from tests.diagnosis.prepared import prepared
 from torchpi.diagnosis import growth
 from torchpi.diagnosis.chain import Chain
 from torchpi.diagnosis.hypothesis import EffectTerm
+from torchpi.diagnosis.noise import measured_noise
 from torchpi.diagnosis.score import Gain
 from torchpi.diagnosis.search import Search
 from torchpi.stage.effects.actuator.creep import Creep
@@ -17,6 +18,8 @@ from torchpi.stage.effects.amplifier.amplifier_lag import AmplifierLag
 from torchpi.stage.effects.amplifier.delay import Delay
 from torchpi.stage.effects.amplifier.slew_limit import SlewLimit
 from torchpi.stage.effects.effect import DataRange
+from torchpi.stage.effects.mechanics.cross_coupling import CrossCoupling
+from torchpi.stage.effects.sensor.gain_modulation import GainModulation
 from torchpi.stage.effects.sensor.sensor_nonlinearity import SensorNonlinearity
 
 
@@ -154,3 +157,25 @@ def test_a_larger_hysteresis_that_explains_a_little_of_everything_is_not_weighed
         search.growth(now, now, [SimpleNamespace(family="preisach", has_states=False)])
     assert sum(one is larger for one in weighed) == 2 * refitted
     assert sum(one is now for one in weighed) == refitted
+
+
+def test_a_gain_that_moves_by_a_fifth_is_found_from_where_the_screen_saw_it() -> None:
+    t = np.arange(4000) / FS_HZ
+    recordings = [record(multisine(4000), after=lambda x, fs_hz: x * (1 + 0.2 * np.cos(2 * np.pi * 3.3 * t)))]
+    search = Search(Chain(prepared(recordings)), lambda sentence: None, effects=[GainModulation])
+    now = search.reweighted(search.retuned())
+    ((_, found),) = search.effects(now)
+    assert found.train_rms < 5 * NOISE_UM < 0.1 * now.train_rms
+
+
+def test_what_another_axis_does_in_a_hold_is_no_noise_once_it_is_explained() -> None:
+    u, other = stairs(4000), np.cumsum(np.random.default_rng(5).standard_normal(4000))
+    recordings = [record(u, after=lambda x, fs_hz: x + 0.02 * other, aux={"aux_other_v": other})]
+    chain = Chain(prepared(recordings))
+    search = Search(
+        chain, lambda sentence: None, noise=measured_noise(chain.records), effects=[CrossCoupling]
+    )
+    loud = search.noise
+    _, final, _ = search.run()
+    assert final.hypothesis.names == ("cross_coupling",)
+    assert loud and search.noise and search.noise.rms_um < 1.3 * NOISE_UM < 0.2 * loud.rms_um

@@ -20,7 +20,7 @@ from torchpi.diagnosis.long_recordings import at_a_lower_rate
 from torchpi.diagnosis.model import augmented_stage
 from torchpi.diagnosis.monitored import noise_of
 from torchpi.diagnosis.next_recording import next_recording
-from torchpi.diagnosis.noise import Noise, measured_noise
+from torchpi.diagnosis.noise import measured_noise
 from torchpi.diagnosis.outside import Outside, untried_note
 from torchpi.diagnosis.posterior import posterior
 from torchpi.diagnosis.records import Record, prepare, seen, whole, without_start
@@ -112,11 +112,11 @@ def diagnose(
     retuned, final, history = search.run()
     records = without_start(records, search.unsettled)
     chain = Chain(records, search.chain.weighting)  # where a mount sticks, without its rests
-    search.noise = left_unexplained(search, final)
+    search.noise = search.noise_left(final)
     log("decide: every effect against its rivals")
     final, believed = posterior(search, retuned, final, history)
     final, believed = unless_unknown(search, retuned, final, believed)
-    noise = left_unexplained(search, final)
+    noise = search.noise_left(final)
     believed = believed if called is None else with_untried(believed, tried, untried)
     modelled = augmented = free_run(chain, final, search.jump.value_um) if search.jump else final
     chain.weighting = search.chain.weighting
@@ -217,16 +217,6 @@ def check_units(records: Sequence[Record], simulation: Stage | Outside) -> None:
             f"simulation: moves {np.ptp(y):.4g} µm where {largest.name} moves {np.ptp(largest.y):.4g} µm; "
             "expected both in V and µm"
         )
-
-
-def left_unexplained(search: Search, final: Fit) -> Noise | None:
-    """The noise that a fit leaves: what a hold shows of hum, or of a drift, is none once it has been
-    explained."""
-    noise, records = search.noise, search.chain.records
-    if noise is None or search.slips:
-        return noise
-    left = measured_noise(records, final.residuals)
-    return left.with_converter(search.lsb_um) if left and left.rms_um < noise.rms_um else noise
 
 
 def converter(recordings: Sequence[Recording]) -> tuple[float, tuple[str, ...]]:

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.special import stdtrit
 
 from torchpi.diagnosis.chain import Chain
-from torchpi.diagnosis.fit import PRIOR
+from torchpi.diagnosis.fit import PRIOR, prior_of
 from torchpi.diagnosis.free_parameters import to_inner, to_outer
 from torchpi.diagnosis.hypothesis import Fit
 from torchpi.diagnosis.sensitivity import jacobian
@@ -45,7 +45,9 @@ def intervals_90(chain: Chain, now: Fit) -> list[tuple[float, float]]:
         block = record.coefficients.at * pieces // record.coefficients.samples
         for inside in (block == b for b in range(pieces)):
             blocks.append((part[:, inside] @ part[:, inside].T, part[:, inside] @ error[inside]))
-    whole = np.sum([gram for gram, _ in recordings], 0)
+    whole, n = np.sum([gram for gram, _ in recordings], 0), len(now.weights)
+    # Hundreds of weights of a density are known by its smoothness too, with any part left out.
+    whole[:n, :n] += prior_of(chain, now.hypothesis, whole[:n, :n])
     squares = sum(quantile(len(p)) ** 2 * scatter(whole, p, len(now.slots)) for p in (blocks, recordings))
     return [
         (to_outer(slot, float(t - half)), to_outer(slot, float(t + half)))

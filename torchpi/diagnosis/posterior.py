@@ -106,7 +106,7 @@ def posterior(
                 continue
             lost, form = float((density[0] - own).sum()), form_of(model.fit, model.instead)
             rivals.append(Rival(model.instead, model.fit.train_rms, lost, float(c), form))
-            if model.instead != CONVENTION and search.as_well(model.fit, models[0].fit):
+            if model.instead != CONVENTION and stands_as_well(search, name, model.fit, models[0].fit):
                 alternatives.append(model.instead)
                 held += float(c)
         # What a hysteresis, driven by the voltage alone, predicts as well need not have a signal.
@@ -135,6 +135,13 @@ def posterior(
         replace(one, probability=round(one.probability * apart(one, found, terms, signals), 4))
         for one in found
     ]
+
+
+def stands_as_well(search: Search, name: str, rival: Fit, final: Fit) -> bool:
+    """Whether nothing here tells an effect, or a larger hysteresis, from what stands in its place: the rival
+    predicts as well, or what the larger hysteresis explains beyond it is a little of everything."""
+    bends = name == OPERATOR_NAME and search.bends_to_all(final, rival)
+    return bends or search.as_well(rival, final)
 
 
 def form_of(one: Fit, name: str) -> str:
@@ -255,7 +262,10 @@ def settled(search: Search, retuned: Fit, final: Fit, history: Sequence[Round]) 
             (search.over(one.fit, now, prior(search, retuned, one.fit) - prior(search, retuned, now)), one)
             for one in models[1:]
             if search.faint(now, one.fit)
-            and not (one.instead == OPERATOR_NAME and search.bends_to_all(one.fit, bare[one.without]))
+            and not (
+                one.instead == OPERATOR_NAME
+                and any(search.bends_to_all(one.fit, less) for less in (bare[one.without], now))
+            )
         ]
         # Of what predicts as well, that of fewer numbers.
         plainer = [

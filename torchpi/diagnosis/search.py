@@ -97,6 +97,7 @@ class Search(Proposals):
                 retuned = before if now is retuned else retuned
                 now = found.fit
             retuned, now = self.settled(retuned, now)
+            self.noise = self.noise_left(now)
             small = self.reweighted(now)
             tried = self.round(small)
             best = f"; best {tried[0].name}, {describe(tried[0])}" if tried else ""
@@ -193,6 +194,14 @@ class Search(Proposals):
         size = "gain and zero" if self.simulation else f"{nominal.size} plays"
         self.log(f"retuned, {size}: {rms_of(now)}")
         return now
+
+    def noise_left(self, now: Fit) -> Noise | None:
+        """The noise that a fit leaves: what a hold shows of hum, a drift or another axis is none once it
+        has been explained."""
+        if self.noise is None or self.slips:
+            return self.noise
+        left = measured_noise(self.chain.records, now.residuals)
+        return left.with_converter(self.lsb_um) if left and left.rms_um < self.noise.rms_um else self.noise
 
     def settled(self, retuned: Fit, now: Fit) -> tuple[Fit, Fit]:
         """Both without the readings in which a stage still settles from before a recording, if the better one
