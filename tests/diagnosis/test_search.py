@@ -9,6 +9,7 @@ from tests.diagnosis.plants import FS_HZ, NOISE_UM, Signal, lag, multisine, reco
 from tests.diagnosis.prepared import prepared
 from torchpi.diagnosis import growth
 from torchpi.diagnosis.chain import Chain
+from torchpi.diagnosis.contest import ACCEPTED
 from torchpi.diagnosis.hypothesis import EffectTerm
 from torchpi.diagnosis.noise import measured_noise
 from torchpi.diagnosis.score import Gain
@@ -179,3 +180,20 @@ def test_what_another_axis_does_in_a_hold_is_no_noise_once_it_is_explained() -> 
     _, final, _ = search.run()
     assert final.hypothesis.names == ("cross_coupling",)
     assert loud and search.noise and search.noise.rms_um < 1.3 * NOISE_UM < 0.2 * loud.rms_um
+
+
+@pytest.mark.parametrize(
+    ("nats", "rms", "needless"), [(12.0, 0.5, False), (0.5, 0.5, True), (12.0, 0.999, True)]
+)
+def test_a_history_is_judged_by_where_a_recording_begins(nats: float, rms: float, needless: bool) -> None:
+    """It gains in the first cell of each scale: by their scatter that would be chance."""
+    began, apart = (SimpleNamespace(train_rms=size) for size in (rms, 1.0))
+    strata = np.repeat(np.arange(5), 24)
+    gained = np.where(np.arange(120) % 24 == 0, nats, 0.0)
+    density = {id(began): gained, id(apart): np.zeros(120)}
+    search = object.__new__(Search)
+    search.chain = SimpleNamespace(
+        weighting=SimpleNamespace(log_density=lambda fit: density[id(fit)], strata=strata), records=[None]
+    )
+    assert search.over(began, apart).probability < ACCEPTED
+    assert search.needs_no_history(began, apart) is needless

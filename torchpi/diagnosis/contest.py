@@ -155,8 +155,13 @@ class Contest:
         return all(member.effect.reached(member.shared, self.seen) for member in members)
 
     def needs_no_history(self, now: Fit, less: Fit) -> bool:
-        """Whether recordings that start de-energised are predicted as well, or all but as well."""
-        return explains_less(now, less, FAINT * less.train_rms) or self.over(now, less).probability < ACCEPTED
+        """Whether recordings that start de-energised are predicted as well, or all but as well.
+
+        What a history explains lies where a recording begins: the scatter of the cells says nothing of it.
+        That of each recording is as unlikely beforehand as an effect.
+        """
+        prior = PRIOR * len(self.chain.records)
+        return explains_less(now, less, FAINT * less.train_rms) or self.over(now, less, prior).nats < 0
 
 
 def explains_less(more: Fit, less: Fit, rms_um: float) -> bool:
