@@ -287,6 +287,24 @@ def test_a_larger_hysteresis_that_explains_a_little_of_everything_takes_no_effec
     assert final is (drift if bends else larger)
 
 
+@pytest.mark.parametrize(("nats", "swapped"), [(-70.0, False), (-30.0, True), (-1.0, True)])
+def test_of_fewer_numbers_is_what_predicts_as_well_and_not_much_worse(
+    nats: float, swapped: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    h = Hypothesis(HysteresisModel(np.zeros(0)))
+    hum, plain, ageing = (SimpleNamespace(slots=(0,) * k, train_rms=1.0, hypothesis=h) for k in (5, 0, 2))
+    models = [Model("", "", hum), Model("hum", "", plain), Model("hum", "ageing", ageing)]
+    monkeypatch.setattr(posterior, "around", lambda *given: models)
+    monkeypatch.setattr(posterior, "reduced", lambda chain, fit: fit)
+    monkeypatch.setattr(posterior, "prior", lambda *given: 0.0)
+    search = SimpleNamespace(
+        chain=None, slips=None, weigh=lambda fit: None, log=lambda text: None, on_its_rows=lambda fit: fit,
+        faint=lambda more, less: less is ageing, over=lambda better, worse, prior: Gain(nats, 36.0),
+    )  # fmt: skip
+    final, _ = settled(search, plain, hum, [])
+    assert final is (ageing if swapped else hum)
+
+
 @pytest.mark.parametrize(
     ("name", "bends", "well", "alike"),
     [

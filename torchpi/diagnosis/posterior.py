@@ -267,13 +267,13 @@ def settled(search: Search, retuned: Fit, final: Fit, history: Sequence[Round]) 
                 and any(search.bends_to_all(one.fit, less) for less in (bare[one.without], now))
             )
         ]
-        # Of what predicts as well, that of fewer numbers.
+        # Of what predicts as well, that of fewer numbers; two standard errors behind may be much worse.
         plainer = [
             (ahead, one)
             for ahead, one in better
             if one.instead not in ("", OPERATOR_NAME)
             and (len(one.fit.slots), -ahead.nats) < (len(now.slots), 0.0)
-            and search.as_well(one.fit, now)
+            and ahead.nats > -max(ahead.sd, -PRIOR)
         ]
         ahead, best = max(better, key=lambda pair: pair[0].nats, default=(None, models[0]))
         if ahead is None or last or search.slips:
