@@ -8,11 +8,15 @@ from hypothesis import strategies as st
 from tests.diagnosis.plants import record
 from tests.diagnosis.prepared import prepared
 from torchpi.diagnosis import diagnose
+from torchpi.diagnosis.chain import Chain
 from torchpi.diagnosis.noise import measured_noise
 from torchpi.diagnosis.repeats import APART, PLAIN, STARTING, Repeats, Stretch, periodic_stretches
 from torchpi.diagnosis.score import Weighting
+from torchpi.diagnosis.search import Search
 from torchpi.excitation.signals import multisine as random_phase
 from torchpi.recordings.recording import Recording
+from torchpi.stage.effects.actuator.creep import Creep
+from torchpi.stage.effects.sensor.thermal_drift import ThermalDrift
 
 FS_HZ = 5_000.0
 _, U = random_phase(8.0, FS_HZ, 0, 10, 1, 200, 2, odd_lines=True, detection_lines=True, seed=2)
@@ -137,8 +141,27 @@ def ripples(drift_um: float, seed: int = 0) -> Recording:
     return record(u, fs_hz=250.0, after=lambda x, fs_hz: x + error)
 
 
-@pytest.mark.parametrize("drift_um", [0.0, 0.02, 0.8])
+@pytest.mark.parametrize("drift_um", [0.0, 0.02])
 def test_a_drift_is_seen_beneath_what_repeats_and_no_model_has(drift_um: float) -> None:
     found = diagnose([ripples(drift_um)])
     slow = {"thermal_drift", "gain_modulation", "ageing", "creep", "leakage"}
     assert slow & {effect.name for effect in found.effects} == ({"thermal_drift"} if drift_um else set())
+
+
+def test_a_walk_of_many_times_what_repeats_is_found_from_the_knots_that_explain_most() -> None:
+    chain = Chain(prepared([ripples(2.0)]))
+    noise = measured_noise(chain.records)
+    search = Search(chain, lambda sentence: None, noise=noise, effects=[ThermalDrift])
+    now = search.reweighted(search.retuned())
+    (found,) = search.walks(now)
+    assert found.name == "thermal_drift" and found.fit.train_rms < 0.35 * now.train_rms
+
+
+def test_a_walk_is_tried_once_nothing_else_explains_what_is_left() -> None:
+    chain = Chain(prepared([ripples(0.8)]))
+    search = Search(
+        chain, lambda sentence: None, noise=measured_noise(chain.records), effects=[Creep, ThermalDrift]
+    )
+    _, final, _ = search.run()
+    (drift,) = (member for member in final.hypothesis.members if member.effect is ThermalDrift)
+    assert drift.effect.form(drift.values(0)) == "random walk"
