@@ -51,4 +51,6 @@ def test_a_step_before_the_recording_does_not_hide_a_lag_and_is_said() -> None:
     names = {name for effect in found.effects for name in (effect.name, *effect.alternatives)}
     assert names & {"amplifier_lag", "sensor_lag"}
     assert found.verdict == "explained" and found.augmented.train_rms_um < 1.2 * PLANT_NOISE_UM
+    begun = next(cell for cell in found.where if cell.domain == "time" and cell.range[0] == 0.0)
+    assert begun.share < 0.3
     assert any("settling from what came before" in note for note in found.notes)

@@ -146,7 +146,7 @@ def diagnose(
     stage = augmented_stage(last, len(recordings), what, floor_um or augmented.heldout_rms)
     traces = traces_of(recordings, records, retuned, augmented, final, search.chain, decision)
     log("locate: where the residual lives")
-    where = locate(traces, floor_um)
+    where = locate(settled(traces, search.unsettled), floor_um)
     open_names = open_between(decision)
     next_one, excitation = next_recording(
         open_names, what, unexplained=decision.verdict in ("unexplained", "partly_explained")
@@ -298,6 +298,14 @@ def traces_of(
             )
         )
     return tuple(traces)
+
+
+def settled(traces: Sequence[Trace], unsettled: Sequence[int]) -> list[Trace]:
+    """The traces with nothing left in readings that do not count."""
+    return [
+        replace(one, residual_retuned=np.where(np.arange(len(one.t)) < first, 0.0, one.residual_retuned))
+        for one, first in zip(traces, unsettled, strict=True)
+    ]
 
 
 def open_between(decision: Decision) -> list[str]:
