@@ -37,10 +37,13 @@ def test_a_current_loop_is_late_and_has_no_hysteresis() -> None:
 
 @needs_data
 def test_a_stack_under_one_frequency_is_slow_and_its_rate_is_left_open() -> None:
-    """The authors' piezo stack, a sine of 1 Hz: it creeps, or drifts, by half a micrometre."""
+    """The authors' piezo stack, a sine of 1 Hz: it creeps, or drifts, by half a micrometre, and is late. Its
+    generator was switched on just before the first sample."""
     columns = RecordingOptions(None, 1, 5, fs_hz=200, zero="first")
     whole = read_recording(DATA / "piezo_stack" / "Model_Vi_Do.dat", columns)
     found = diagnose([whole])
     assert any({"creep", "thermal_drift"} & group for group in groups(found))
+    assert LATE & {one.name for one in (*found.effects, *found.open)}
+    assert any("the first 18 readings" in note for note in found.notes)
     assert "rate_dependent_hysteresis" not in {effect.name for effect in found.effects}
     assert found.augmented.heldout_rms_um < 0.1 < 0.3 < found.retuned.heldout_rms_um
