@@ -7,6 +7,7 @@ from tests.diagnosis.plants import FS_HZ, multisine, record, triangles
 from tests.diagnosis.prepared import prepared
 from torchpi.diagnosis.coverage import follows_command, levels, repeats, untested
 from torchpi.diagnosis.diagnose import diagnose
+from torchpi.diagnosis.records import seen
 
 T_S = np.arange(8000) / FS_HZ
 SINE_V = 5 - 5 * np.cos(2 * np.pi * T_S)
@@ -34,9 +35,15 @@ def test_a_command_that_never_repeats_has_no_harmonics() -> None:
 
 
 def test_a_prediction_is_tested_where_the_held_out_samples_lie_and_no_further() -> None:
-    assert untested(prepared([record(multisine(8000))])) == ()
-    assert untested(prepared([record(SINE_V)])) == ("loops between two levels", "strokes of one rate")
-    (voltages, *rest) = untested(prepared([record(np.linspace(0.0, 10.0, 4000))]))
+    varied, sine, ramp = (
+        untested(records, seen(records))
+        for records in (
+            prepared([record(u)]) for u in (multisine(8000), SINE_V, np.linspace(0.0, 10.0, 4000))
+        )
+    )
+    assert varied == ()
+    assert sine == ("loops between two levels", "strokes of one rate")
+    (voltages, *rest) = ramp
     assert voltages == "voltages from 8.5 to 10 V of the recorded 0 to 10 V" and not rest
 
 

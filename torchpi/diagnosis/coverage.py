@@ -71,13 +71,17 @@ def cannot_be_decided(records: Sequence[Record]) -> tuple[str, ...]:
     return tuple(notes)
 
 
-def untested(records: Sequence[Record]) -> tuple[str, ...]:
-    """A phrase for each way in which the held-out samples are too alike to test a prediction of others."""
+def untested(records: Sequence[Record], seen: DataRange) -> tuple[str, ...]:
+    """A phrase for each way in which the held-out samples are too alike to test a prediction of others.
+
+    Args:
+        records: The recordings.
+        seen: What they span.
+    """
     found = []
-    low_v, high_v = (end(float(end(record.u)) for record in records) for end in (min, max))
     held = np.concatenate([record.u[record.held_out] for record in records])
-    if len(held) and np.ptp(held) < TESTED * (high_v - low_v):
-        inside, all_of_it = f"{held.min():.3g} to {held.max():.3g}", f"{low_v:.3g} to {high_v:.3g}"
+    if len(held) and np.ptp(held) < TESTED * (seen.high_v - seen.low_v):
+        inside, all_of_it = f"{held.min():.3g} to {held.max():.3g}", f"{seen.low_v:.3g} to {seen.high_v:.3g}"
         found.append(f"voltages from {inside} V of the recorded {all_of_it} V")
     if any(turns(record) for record in records):
         if levels(records) <= LEVELS:

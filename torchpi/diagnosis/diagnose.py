@@ -37,7 +37,7 @@ from torchpi.diagnosis.simulation import (
     simulated_output,
     with_untried,
 )
-from torchpi.diagnosis.stick_slip import free_run
+from torchpi.diagnosis.stick_slip import free_run, without_rests
 from torchpi.diagnosis.timing import lateness_s
 from torchpi.diagnosis.wrong_readings import READ_OFF, of_dropouts, wrong_readings
 from torchpi.errors import RecordingError
@@ -110,16 +110,15 @@ def diagnose(
     )
     search = Search(chain, log, start, noise, executor, lsb_um, tried, called)
     retuned, final, history = search.run()
-    records = without_start(records, search.unsettled)
-    chain = Chain(records, search.chain.weighting)  # where a mount sticks, without its rests
     search.noise = search.noise_left(final)
     log("decide: every effect against its rivals")
     final, believed = posterior(search, retuned, final, history)
     final, believed = unless_unknown(search, retuned, final, believed)
     noise = search.noise_left(final)
     believed = believed if called is None else with_untried(believed, tried, untried)
+    chain = without_rests(search.chain) if search.slips else search.chain
+    records = list(chain.records)
     modelled = augmented = free_run(chain, final, search.jump.value_um) if search.jump else final
-    chain.weighting = search.chain.weighting
     log("what no effect explains")
     remainder = with_remainder(chain, reduced(chain, modelled))
     if remainder is not None:
@@ -146,7 +145,7 @@ def diagnose(
     stage = augmented_stage(last, len(recordings), what, floor_um or augmented.heldout_rms)
     traces = traces_of(recordings, records, retuned, augmented, final, search.chain, decision)
     log("locate: where the residual lives")
-    where = locate(settled(traces, search.unsettled), floor_um)
+    where = locate(from_settled(traces, search.unsettled), floor_um)
     open_names = open_between(decision)
     next_one, excitation = next_recording(
         open_names, what, unexplained=decision.verdict in ("unexplained", "partly_explained")
@@ -178,7 +177,7 @@ def diagnose(
         noise_floor_um=noise.rms_um if noise is not None else None,
         heldout=HELD_OUT, unexplained_share=decision.unexplained_share, joint_share=decision.joint_share,
         next_recording=next_one, next_excitation=excitation, notes=notes, traces=traces, stage=stage,
-        says=paragraph(decision, errors, noise, next_one, loud, untested(records)),
+        says=paragraph(decision, errors, noise, next_one, loud, untested(records, what)),
     )  # fmt: skip
 
 
@@ -300,7 +299,7 @@ def traces_of(
     return tuple(traces)
 
 
-def settled(traces: Sequence[Trace], unsettled: Sequence[int]) -> list[Trace]:
+def from_settled(traces: Sequence[Trace], unsettled: Sequence[int]) -> list[Trace]:
     """The traces with nothing left in readings that do not count."""
     return [
         replace(one, residual_retuned=np.where(np.arange(len(one.t)) < first, 0.0, one.residual_retuned))

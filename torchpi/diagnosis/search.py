@@ -96,7 +96,7 @@ class Search(Proposals):
                 history.append(Round(before, (found,), found.name))
                 retuned = before if now is retuned else retuned
                 now = found.fit
-            retuned, now = self.settled(retuned, now)
+            retuned, now = self.from_settled(retuned, now)
             self.noise = self.noise_left(now)
             small = self.reweighted(now)
             tried = self.round(small)
@@ -203,7 +203,7 @@ class Search(Proposals):
         left = measured_noise(self.chain.records, now.residuals)
         return left.with_converter(self.lsb_um) if left and left.rms_um < self.noise.rms_um else self.noise
 
-    def settled(self, retuned: Fit, now: Fit) -> tuple[Fit, Fit]:
+    def from_settled(self, retuned: Fit, now: Fit) -> tuple[Fit, Fit]:
         """Both without the readings in which a stage still settles from before a recording, if the better one
         shows any."""
         found = unsettled(self.chain.records, now.residuals)

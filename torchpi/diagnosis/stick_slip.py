@@ -111,7 +111,7 @@ def jump(found: Slips, last: Fit) -> Jump:
     Its interval, 90 %, is a jackknife over blocks, and holds both.
     """
     records = found.chain.records
-    free = Chain([replace(record, rests=None) for record in records], found.chain.weighting)
+    free = without_rests(found.chain)
     far = [distance(found.chain, last, i) for i in range(len(records))]
     threshold_um = slip_threshold(records, far)
     tried = [threshold_um * (1 + float(share)) for share in NEAR]
@@ -121,6 +121,11 @@ def jump(found: Slips, last: Fit) -> Jump:
         np.sqrt((BLOCKS - 1) / BLOCKS * np.sum((without - without.mean()) ** 2))
     )
     return Jump(value, (min(value, threshold_um) - spread, max(value, threshold_um) + spread))
+
+
+def without_rests(chain: Chain) -> Chain:
+    """The same, in which a mount slips by itself."""
+    return Chain([replace(record, rests=None) for record in chain.records], chain.weighting)
 
 
 def with_rests(records: Sequence[Record], least_um: float) -> list[Record]:
