@@ -3,12 +3,12 @@
 import re
 from collections.abc import Sequence
 
-from torchpi.diagnosis.decide import Decision
+from torchpi.diagnosis.decide import NAMED, Decision
 from torchpi.diagnosis.diagnosis import Errors, NamedEffect, NextRecording
 from torchpi.diagnosis.noise import Noise
 
-CERTAIN, LIKELY = 0.9, 0.5
-"""Probabilities from which an effect is missing without qualification, and probably."""
+CERTAIN = 0.9
+"""Probability from which an effect is missing without qualification."""
 REMAINDER_HELPS = 0.97
 """Of the error without it: below this the unknown remainder is worth a sentence."""
 WORTH_A_SENTENCE = 0.01
@@ -127,7 +127,7 @@ def sentence(effect: NamedEffect) -> str:
 
 def lacks(probability: float) -> str:
     """The verb that goes with a probability."""
-    return "lacks" if probability >= CERTAIN else "probably lacks" if probability >= LIKELY else "may lack"
+    return "lacks" if probability >= CERTAIN else "probably lacks" if probability >= NAMED else "may lack"
 
 
 def listed(phrases: Sequence[str]) -> str:

@@ -3,8 +3,9 @@
 import re
 from collections.abc import Sequence
 
+from torchpi.diagnosis.decide import NAMED
 from torchpi.diagnosis.diagnosis import Diagnosis, Rival
-from torchpi.diagnosis.say import CERTAIN, LIKELY, nm, percent, spoken
+from torchpi.diagnosis.say import CERTAIN, nm, percent, spoken
 from torchpi.report import words
 from torchpi.stage.effects import EFFECTS
 
@@ -43,7 +44,7 @@ def likelihood(probability: float) -> str:
     """What a probability is in words."""
     if probability >= CERTAIN:
         return "missing"
-    return "probably missing" if probability >= LIKELY else "may be missing"
+    return "probably missing" if probability >= NAMED else "may be missing"
 
 
 def spoken_rivals(rivals: Sequence[Rival]) -> list[str]:
