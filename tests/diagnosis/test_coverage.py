@@ -26,12 +26,25 @@ def test_a_sine_turns_round_at_two_levels_and_minor_loops_at_more() -> None:
 def test_low_harmonics_of_a_command_that_repeats_are_its_own(line_hz: float, follows: bool) -> None:
     repeating = repeats(prepared([record(SINE_V)]))
     assert repeating == [pytest.approx((1.0, 4.0))]
-    assert follows_command(line_hz, repeating) is follows
+    assert follows_command(line_hz, [1.0], repeating) is follows
+
+
+@pytest.mark.parametrize("fade", [0.0, 0.3])
+def test_a_period_need_be_no_whole_number_of_samples(fade: float) -> None:
+    triangle = np.abs(np.mod(2.2437 * T_S, 2) - 1) * np.exp(-fade * T_S)
+    ((period_s, _),) = repeats(prepared([record(10 * triangle)]))
+    assert period_s == pytest.approx(2 / 2.2437, rel=1e-3)
 
 
 def test_a_command_that_never_repeats_has_no_harmonics() -> None:
-    assert repeats(prepared([record(multisine(4000))])) == []
-    assert not follows_command(2.0, [])
+    assert repeats(prepared([record(multisine(4000)), record(T_S)])) == [None, None]
+    assert not follows_command(2.0, [1.0], [None])
+
+
+def test_a_line_that_another_recording_has_too_is_not_the_command_s() -> None:
+    repeating = repeats(prepared([record(SINE_V), record(multisine(8000))]))
+    assert follows_command(10.0, [1.0, 0.01], repeating)
+    assert not follows_command(10.0, [1.0, 0.5], repeating)
 
 
 def test_a_prediction_is_tested_where_the_held_out_samples_lie_and_no_further() -> None:

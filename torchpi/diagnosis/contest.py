@@ -143,12 +143,17 @@ class Contest:
         return (
             set(told) <= set(now.bounded)
             and self.within_reach(asked)
-            and not any(
-                follows_command(line_hz, self.repeating)
-                for member in asked
-                if (line_hz := member.effect.line_hz(member.shared)) is not None
-            )
+            and not any(self.follows_command(member) for member in asked)
         )
+
+    def follows_command(self, member: EffectTerm) -> bool:
+        """Whether an effect has a line, and stands in no recording but where the command has it as well."""
+        line_hz = member.effect.line_hz(member.shared)
+        if line_hz is None:
+            return False
+        power = [sum(size**2 for size in own.values()) for own in member.own]
+        power = power or [1.0] * len(self.repeating)  # the same in each
+        return follows_command(line_hz, power, self.repeating)
 
     def within_reach(self, members: Sequence[EffectTerm]) -> bool:
         """Whether the command asks for what each limit among these allows, and more."""

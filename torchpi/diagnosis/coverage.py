@@ -21,6 +21,10 @@ HARMONICS = 10
 """Of a command that repeats, that a static curve or a loop has."""
 RESOLVED = 0.25
 """Of one over the length of a record: nearer to one another two lines are one."""
+LEAST_PERIODS, IRREGULAR = 3, 0.01
+"""From so many periods of nearly the same length on, a voltage turns round at regular times."""
+ELSEWHERE = 0.1
+"""Of a line's power where the command has one as well, that it has to have in another recording."""
 
 
 def reason_to_leave_out(
@@ -97,28 +101,52 @@ def turns(record: Record) -> bool:
     return bool((moved > 0).any() and (moved < 0).any())
 
 
-def repeats(records: Sequence[Record]) -> list[tuple[float, float]]:
-    """(period, length), s, of each recording throughout which the command repeats."""
+def repeats(records: Sequence[Record]) -> list[tuple[float, float] | None]:
+    """(period, length) of each recording, s, where its command repeats: exactly, sample by sample, or turning
+    round at regular times; None where it does not."""
     found = []
     for record in records:
+        length_s, period_s = len(record.u) * record.period_s, _time_between_turns_s(record)
         for stretch in record.coefficients.repeats.periodic[:1]:
             if 2 * stretch.period * stretch.periods > len(record.u):
-                found.append((stretch.period * record.period_s, len(record.u) * record.period_s))
+                period_s = stretch.period * record.period_s
+        found.append((period_s, length_s) if period_s > 0 else None)
     return found
 
 
-def follows_command(line_hz: float, repeating: Sequence[tuple[float, float]]) -> bool:
+def _time_between_turns_s(record: Record) -> float:
+    """From one maximum of the voltage to the next, where that is always the same, to within a sample; else
+    0. Periods are rarely a whole number of samples, and fewer than three are no rule."""
+    strokes = _strokes(record.u, LEAST_STROKE * float(np.ptp(record.u)), record.period_s)
+    seconds = np.array([stroke[0] for stroke in strokes[1:]])
+    periods = seconds[: len(seconds) // 2 * 2].reshape(-1, 2).sum(1)
+    if len(periods) < LEAST_PERIODS or np.ptp(periods) > 2.01 * record.period_s + IRREGULAR * periods.mean():
+        return 0.0
+    return float(periods.mean())
+
+
+def follows_command(
+    line_hz: float, power: Sequence[float], repeating: Sequence[tuple[float, float] | None]
+) -> bool:
     """Whether a line cannot be told from what a curve makes of a command.
 
     Args:
         line_hz: Its frequency.
-        repeating: (period, length), s, of recordings whose command repeats.
+        power: Of the line in each recording.
+        repeating: (period, length), s, of each recording whose command repeats.
     """
-    for period_s, length_s in repeating:
-        order = line_hz * period_s
-        if order < HARMONICS + 0.5 and abs(order - round(order)) * length_s < RESOLVED * period_s:
-            return True
-    return False
+    as_the_command = elsewhere = 0.0
+    for of_line, one in zip(power, repeating, strict=True):
+        if one is not None and _is_harmonic(line_hz, *one):
+            as_the_command = max(as_the_command, of_line)
+        else:
+            elsewhere = max(elsewhere, of_line)
+    return as_the_command > 0 and elsewhere < ELSEWHERE * as_the_command
+
+
+def _is_harmonic(line_hz: float, period_s: float, length_s: float) -> bool:
+    order = line_hz * period_s
+    return order < HARMONICS + 0.5 and abs(order - round(order)) * length_s < RESOLVED * period_s
 
 
 def levels(records: Sequence[Record]) -> int:

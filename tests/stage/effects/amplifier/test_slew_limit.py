@@ -65,6 +65,14 @@ def test_a_search_also_starts_between_the_usual_rates_and_those_of_edges() -> No
     assert len(added) >= 4
 
 
+def test_where_edges_are_the_usual_rates_a_search_starts_far_below_them_too() -> None:
+    """A raster and stairs at 500 Hz over 20 V, whose limit was at 200 V/s: nothing led there from 1,200."""
+    seen = DataRange(500.0, 5.0, -10, 10, 6000.0, 0, 1, {}, peak_rate_v_s=8000.0)
+    rates = np.array([start["rate_v_per_s"] for start in SlewLimit.starts(seen) if "knee_v" not in start])
+    for limit_v_s in (50.0, 200.0, 800.0, 5000.0):
+        assert np.abs(np.log(rates / limit_v_s)).min() < np.log(1.5)
+
+
 class TestSoftLaws(EffectLaws):
     def operator(self) -> SlewLimit:
         return SlewLimit(PERIOD_S, rate_v_per_s=0.9, knee_v=0.13)

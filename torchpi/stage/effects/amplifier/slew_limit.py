@@ -28,8 +28,9 @@ from torchpi.stage.effects.effect import DataRange, Effect, Parameters, paramete
 
 EDGES = 1.5
 """Times the usual rates: what moves so much faster is an edge, and a limit between shows in it alone."""
-
-
+EDGE, TRAVERSES = 0.1, 10
+"""Of the span, in one sample: where usual rates are such edges, a limit may lie anywhere below; and how often
+the voltage could still cross its span."""
 KNEES = (0.02, 0.2)
 """Shares of the voltage's span at which a soft limit begins to saturate, where a fit begins."""
 
@@ -107,6 +108,9 @@ class SlewLimit(Effect):
         rates = [share * seen.max_rate_v_s for share in (0.2, 0.35, 0.5, 0.65, 0.8, 0.9)]
         if seen.peak_rate_v_s > EDGES * seen.max_rate_v_s:
             rates += [float(rate) for rate in np.geomspace(seen.max_rate_v_s, 0.9 * seen.peak_rate_v_s, 5)]
+        slow = TRAVERSES * seen.span_v / seen.duration_s
+        if seen.max_rate_v_s > EDGE * seen.span_v * seen.fs_hz and 0 < slow < rates[0]:
+            rates = [*np.geomspace(slow, rates[0], 6)[:-1].tolist(), *rates]
         hard = [{"rate_v_per_s": rate} for rate in rates if rate > slowest]
         knees = [{"knee_v": share * seen.span_v} for share in KNEES if seen.span_v > 0]
         return hard + [start | knee for start in hard for knee in knees]
