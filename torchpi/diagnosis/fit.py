@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from torchpi.diagnosis.chain import Chain
 from torchpi.diagnosis.free_parameters import (
@@ -28,6 +29,7 @@ from torchpi.diagnosis.sensitivity import (
     slopes_of,
     tangent_of,
 )
+from torchpi.diagnosis.walk_prior import walk_prior
 from torchpi.errors import StageError
 
 RIDGE = 1e-9
@@ -101,26 +103,29 @@ def fit(
         iterations = 0 if fresh_weights else 1
     damping, current = 1e-3, with_theta(hypothesis, slots, theta)
     n, prior, parts = len(weights), np.zeros((0, 0)), None
+    walks = walk_prior(hypothesis, slots, theta)
     for _ in range(iterations):
         if tangent is None:
             tangent = tangent_of(chain, current, weights)
         slopes = slopes_of(chain, current, weights, slots, theta, slopes if tolerance > FINE else None)
-        prior = prior if len(prior) else prior_of(chain, hypothesis, tangent.gram)
+        prior = prior if len(prior) else block_diag(prior_of(chain, hypothesis, tangent.gram), walks)
+        numbers = np.concatenate([weights, theta])
         gram, right, ss, parts = normal_equations(chain, current, weights, tangent, slopes)
-        ss += float(weights @ prior @ weights)
-        gram, right = with_prior(gram, right, prior, weights)
+        ss += float(numbers @ prior @ numbers)
+        gram, right = with_prior(gram, right, prior, numbers)
         accepted = False
         for _ in range(6):
             step = solve(gram, right, n, damping)
             reach = np.where(shared, MANY_TIMES * np.maximum(np.abs(theta), 1.0), LONGEST_STEP)
             trial_theta = np.clip(theta + np.clip(step[n:], -reach, reach), low, high)
             trial, trial_weights = with_theta(hypothesis, slots, trial_theta), weights + step[:n]
-            trial_ss = sum_of_squares(chain, trial, trial_weights)
-            trial_ss += float(trial_weights @ prior @ trial_weights)
+            numbers = np.concatenate([trial_weights, trial_theta])
+            trial_ss = sum_of_squares(chain, trial, trial_weights) + float(numbers @ prior @ numbers)
             promised = float(2 * step @ right - step @ gram @ step)
             at_trial: Tangent | None = tangent
             if slots and promised > 1e-4 * ss and ss - trial_ss < KEPT_PROMISE * promised:
-                solved, solved_ss, fresh_tangent = with_weights_solved(chain, trial, weights, prior)
+                solved, solved_ss, fresh_tangent = with_weights_solved(chain, trial, weights, prior[:n, :n])
+                solved_ss += float(trial_theta @ walks @ trial_theta)
                 if solved_ss < trial_ss:
                     trial_weights, trial_ss, at_trial = solved, solved_ss, fresh_tangent
             if trial_ss < ss:
@@ -137,7 +142,7 @@ def fit(
         tangent = tangent or tangent_of(chain, current, weights)
         slopes = slopes_of(chain, current, weights, slots, theta)
         parts = normal_equations(chain, current, weights, tangent, slopes)[3]
-        prior = prior_of(chain, hypothesis, tangent.gram)
+        prior = block_diag(prior_of(chain, hypothesis, tangent.gram), walks)
     residuals = residuals_of(chain, current, weights)
     records = chain.records
     return Fit(
@@ -166,9 +171,9 @@ def left_out(
         chain: With the recordings.
         residuals: (time,) each, µm.
         parts: The sensitivity of each recording.
-        prior: (weights, weights), the inverse covariance of their prior.
+        prior: The inverse covariance of their prior: (weights, weights), or of slots as well.
     """
-    count = max(int(part.places.max()) for part in parts) + 1
+    count = max(len(prior), *(int(part.places.max()) + 1 for part in parts))
     whole, of_stretches = np.zeros((count, count)), []
     whole[: len(prior), : len(prior)] = prior
     for record, part in zip(chain.records, parts, strict=True):
@@ -259,12 +264,12 @@ def weight_prior(chain: Chain) -> float:
 
 
 def with_prior(
-    gram: np.ndarray, right: np.ndarray, prior: np.ndarray, weights: np.ndarray
+    gram: np.ndarray, right: np.ndarray, prior: np.ndarray, numbers: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The normal equations of the fit and of the prior together."""
+    """The normal equations of the fit, and of the prior of its first numbers."""
     gram, right, n = gram.copy(), right.copy(), len(prior)
     gram[:n, :n] += prior
-    right[:n] -= prior @ weights
+    right[:n] -= prior @ numbers
     return gram, right
 
 

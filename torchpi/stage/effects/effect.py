@@ -106,6 +106,8 @@ class Described:
     """Whether nothing small moves it: at rest its output has no slope."""
     kinds: ClassVar[tuple[str, ...]] = ()
     """Parameters that choose between kinds of the effect: a start sets them, and they are not fitted."""
+    walk: ClassVar[tuple[str, ...]] = ()
+    """Numbers of a recording that are places on a random walk, one after another."""
     hold: Hold | None = None
     """For a dynamic block what its input does between samples; None for an effect that need not know."""
     time_scale: ClassVar[TimeScale] = "any"

@@ -67,6 +67,7 @@ class GainModulation(InTime):
     }
     per_recording = ("cos", "sin", "cos_um", "sin_um", *KNOT_NAMES)
     kinds = ("knot_spacing_s",)
+    walk = KNOT_NAMES
 
     def knots(self) -> Tensor:
         """The walk of the gain at each knot, (KNOTS,)."""

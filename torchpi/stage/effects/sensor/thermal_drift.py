@@ -81,6 +81,7 @@ class ThermalDrift(AddedSignal):
     }
     per_recording = ("amplitude_um", "rate_um_per_s", *KNOT_NAMES)
     kinds = ("knot_spacing_s",)
+    walk = KNOT_NAMES
 
     def knots(self) -> Tensor:
         """Where the walk is at each knot, (KNOTS,), µm."""

@@ -1,0 +1,54 @@
+"""The prior of a random walk: its increments have one size, also where no reading tells where it is.
+
+Knots behind the last reading that is fitted, and between recordings of different lengths, are determined by
+nothing else: without the prior a walk ends anywhere. The size is that of the increments with which a fit
+begins (empirical Bayes: Efron and Morris, *J. American Statistical Association* 68, 1973).
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from torchpi.diagnosis.hypothesis import FreeParameter, Hypothesis
+
+OF_MEDIAN = 0.6745
+"""The median of |x| over the standard deviation of a Gaussian x."""
+
+
+def walk_prior(hypothesis: Hypothesis, slots: Sequence[FreeParameter], theta: np.ndarray) -> np.ndarray:
+    """(slots, slots): the inverse covariance of the slots, 0 for all that are not on a walk.
+
+    Args:
+        hypothesis: With the effects.
+        slots: Its free parameters.
+        theta: (slots,), their values on the scale that they are fitted on.
+    """
+    found = np.zeros((len(slots), len(slots)))
+    for k, member in enumerate(hypothesis.members):
+        steps = [
+            _increments(slots, [(k, name, record) for name in member.effect.walk])
+            for record in range(len(member.own))
+        ]
+        every = np.concatenate([np.zeros((0, len(slots))), *steps])
+        size = _size(every @ theta)
+        if size > 0:
+            found += every.T @ every / size**2
+    return found
+
+
+def _increments(slots: Sequence[FreeParameter], names: Sequence[tuple[int, str, int]]) -> np.ndarray:
+    """(knots, slots): the increments of one walk, from 0 on, as combinations of the slots."""
+    at = {(s.member, s.name, s.record): j for j, s in enumerate(slots)}
+    there = [at[name] for name in names if name in at]
+    values = np.zeros((len(there) + 1, len(slots)))
+    for row, j in enumerate(there, 1):
+        values[row, j] = slots[j].scale
+    return np.diff(values, axis=0)
+
+
+def _size(increments: np.ndarray) -> float:
+    """The standard deviation of increments of which some are told by nothing, and may be anything."""
+    if not len(increments):
+        return 0.0
+    usual = float(np.median(np.abs(increments))) / OF_MEDIAN
+    return usual if usual > 0 else float(np.sqrt(np.mean(increments**2)))
