@@ -42,7 +42,7 @@ def test_a_refit_is_taken_where_it_leaves_less_and_runs_into_no_bound(
     )
     search = object.__new__(Search)
     weighting = SimpleNamespace(log_density=lambda fit: np.array([0.0 if fit is after else -1.0]))
-    search.chain, search.repeating = SimpleNamespace(weighting=weighting), ()
+    search.chain, search.repeating = SimpleNamespace(weighting=weighting), []
     search.weigh, search.fits_here = lambda fit: None, lambda jobs: [after]
     assert search.at_its_own_weights(before) is (after if taken else before)
     assert search.chain.weighting is weighting
@@ -53,7 +53,7 @@ def test_what_was_taken_before_bars_no_addition_but_a_limit_that_nothing_reaches
     creep = EffectTerm(Creep, {"per_decade": 0.01})
     search = object.__new__(Search)
     search.seen = DataRange(1e3, 1.0, 0.0, 10.0, 100.0, 0, 1, {}, peak_rate_v_s=500.0)
-    search.repeating = ()
+    search.repeating = []
 
     def fitted(*members: EffectTerm, bounded: int | None = None) -> SimpleNamespace:
         slots = [] if bounded is None else [SimpleNamespace(name="a number", member=bounded)]

@@ -106,22 +106,27 @@ def repeats(records: Sequence[Record]) -> list[tuple[float, float] | None]:
     round at regular times; None where it does not."""
     found = []
     for record in records:
-        length_s, period_s = len(record.u) * record.period_s, _time_between_turns_s(record)
-        for stretch in record.coefficients.repeats.periodic[:1]:
-            if 2 * stretch.period * stretch.periods > len(record.u):
-                period_s = stretch.period * record.period_s
-        found.append((period_s, length_s) if period_s > 0 else None)
+        period_s = _exact_period_s(record) or _time_between_turns_s(record)
+        found.append((period_s, len(record.u) * record.period_s) if period_s else None)
     return found
 
 
-def _time_between_turns_s(record: Record) -> float:
-    """From one maximum of the voltage to the next, where that is always the same, to within a sample; else
-    0. Periods are rarely a whole number of samples, and fewer than three are no rule."""
+def _exact_period_s(record: Record) -> float | None:
+    """Of a voltage that repeats sample by sample over most of the recording."""
+    for stretch in record.coefficients.repeats.periodic[:1]:
+        if 2 * stretch.period * stretch.periods > len(record.u):
+            return stretch.period * record.period_s
+    return None
+
+
+def _time_between_turns_s(record: Record) -> float | None:
+    """From one maximum of the voltage to the next, where that is always the same, to within a sample. Periods
+    are rarely a whole number of samples, and fewer than three are no rule."""
     strokes = _strokes(record.u, LEAST_STROKE * float(np.ptp(record.u)), record.period_s)
     seconds = np.array([stroke[0] for stroke in strokes[1:]])
     periods = seconds[: len(seconds) // 2 * 2].reshape(-1, 2).sum(1)
     if len(periods) < LEAST_PERIODS or np.ptp(periods) > 2.01 * record.period_s + IRREGULAR * periods.mean():
-        return 0.0
+        return None
     return float(periods.mean())
 
 

@@ -23,25 +23,26 @@ def walk_prior(hypothesis: Hypothesis, slots: Sequence[FreeParameter], theta: np
         slots: Its free parameters.
         theta: (slots,), their values on the scale that they are fitted on.
     """
+    at = {(slot.member, slot.name, slot.record): j for j, slot in enumerate(slots)}
     found = np.zeros((len(slots), len(slots)))
     for k, member in enumerate(hypothesis.members):
-        steps = [
-            _increments(slots, [(k, name, record) for name in member.effect.walk])
+        if not member.effect.walk:
+            continue
+        walks = [
+            [at[key] for name in member.effect.walk if (key := (k, name, record)) in at]
             for record in range(len(member.own))
         ]
-        every = np.concatenate([np.zeros((0, len(slots))), *steps])
-        size = _size(every @ theta)
+        steps = np.concatenate([found[:0], *(_increments(slots, knots) for knots in walks)])
+        size = _size(steps @ theta)
         if size > 0:
-            found += every.T @ every / size**2
+            found += steps.T @ steps / size**2
     return found
 
 
-def _increments(slots: Sequence[FreeParameter], names: Sequence[tuple[int, str, int]]) -> np.ndarray:
+def _increments(slots: Sequence[FreeParameter], knots: Sequence[int]) -> np.ndarray:
     """(knots, slots): the increments of one walk, from 0 on, as combinations of the slots."""
-    at = {(s.member, s.name, s.record): j for j, s in enumerate(slots)}
-    there = [at[name] for name in names if name in at]
-    values = np.zeros((len(there) + 1, len(slots)))
-    for row, j in enumerate(there, 1):
+    values = np.zeros((len(knots) + 1, len(slots)))
+    for row, j in enumerate(knots, 1):
         values[row, j] = slots[j].scale
     return np.diff(values, axis=0)
 

@@ -28,9 +28,9 @@ from torchpi.stage.effects.effect import DataRange, Effect, Parameters, paramete
 
 EDGES = 1.5
 """Times the usual rates: what moves so much faster is an edge, and a limit between shows in it alone."""
-EDGE, TRAVERSES = 0.1, 10
-"""Of the span, in one sample: where usual rates are such edges, a limit may lie anywhere below; and how often
-the voltage could still cross its span."""
+IN_ONE_SAMPLE, TRAVERSES = 0.1, 10
+"""Of the span: where the usual rates go so far in one sample they are those of edges, and a limit may lie
+anywhere below, down to where the voltage could cross its span so often in a recording."""
 KNEES = (0.02, 0.2)
 """Shares of the voltage's span at which a soft limit begins to saturate, where a fit begins."""
 
@@ -107,9 +107,9 @@ class SlewLimit(Effect):
         slowest = cls.quantities["rate_v_per_s"].at_least
         rates = [share * seen.max_rate_v_s for share in (0.2, 0.35, 0.5, 0.65, 0.8, 0.9)]
         if seen.peak_rate_v_s > EDGES * seen.max_rate_v_s:
-            rates += [float(rate) for rate in np.geomspace(seen.max_rate_v_s, 0.9 * seen.peak_rate_v_s, 5)]
+            rates += np.geomspace(seen.max_rate_v_s, 0.9 * seen.peak_rate_v_s, 5).tolist()
         slow = TRAVERSES * seen.span_v / seen.duration_s
-        if seen.max_rate_v_s > EDGE * seen.span_v * seen.fs_hz and 0 < slow < rates[0]:
+        if seen.max_rate_v_s > IN_ONE_SAMPLE * seen.span_v * seen.fs_hz and 0 < slow < rates[0]:
             rates = [*np.geomspace(slow, rates[0], 6)[:-1].tolist(), *rates]
         hard = [{"rate_v_per_s": rate} for rate in rates if rate > slowest]
         knees = [{"knee_v": share * seen.span_v} for share in KNEES if seen.span_v > 0]
