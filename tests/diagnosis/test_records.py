@@ -51,3 +51,10 @@ def test_what_recordings_span_is_that_of_all_of_them() -> None:
     assert what.fs_hz == 8e3 and what.duration_s == pytest.approx((1 - SEALED) * 0.5)
     # The voltage is what was commanded: of it nothing is sealed.
     assert (what.low_v, what.high_v) == (slow.u.min(), slow.u.max())
+
+
+def test_how_quickly_a_voltage_moves_is_the_inverse_of_its_angular_frequency() -> None:
+    t = np.arange(4000) / 1e4
+    slow, quick = (record(5 - 5 * np.cos(2 * np.pi * f * t), fs_hz=1e4) for f in (5.0, 50.0))
+    assert seen(prepared([slow])).quickest_s == pytest.approx(1 / (2 * np.pi * 5), rel=1e-3)
+    assert seen(prepared([slow, quick])).quickest_s == pytest.approx(1 / (2 * np.pi * 50), rel=1e-3)

@@ -155,4 +155,11 @@ def seen(records: Sequence[Record]) -> DataRange:
         aux={n: max(float(r.aux[n].std()) for r in records if n in r.aux) for n in sorted(names)},
         peak_rate_v_s=float(rates.max()),
         repeats=all(record.coefficients.repeats.apart.mean() > REPEATS for record in records),
+        quickest_s=min(_time_to_move_s(record.commanded(0), record.fs_hz) for record in records),
     )
+
+
+def _time_to_move_s(u: np.ndarray, fs_hz: float) -> float:
+    """σ_u/σ_u̇: that of a sine is 1/ω."""
+    rate = float(np.diff(u).std()) * fs_hz
+    return float(u.std()) / rate if rate else np.inf

@@ -42,6 +42,8 @@ class DataRange:
     with other parameters."""
     repeats: bool = False
     """Whether the voltage of every recording repeats: what does not repeat with it stands apart."""
+    quickest_s: float = 0.0
+    """σ_u/σ_u̇, where the voltage moves quickest: what is over sooner looks late."""
 
     @property
     def span_v(self) -> float:
@@ -178,8 +180,13 @@ class Described:
         return None
 
     @classmethod
+    def added_line_hz(cls, values: Mapping[str, float]) -> float | None:
+        """The same where the output has that line, however the stage moves."""
+        return cls.line_hz(values)
+
+    @classmethod
     def reached(cls, values: Mapping[str, float], seen: DataRange) -> bool:
-        """Whether recordings drive it as far as what it limits: beyond that, it is something else."""
+        """Whether recordings drive it as far, or as quickly, as it takes to tell it from something else."""
         return True
 
     @classmethod

@@ -11,6 +11,7 @@ from tests.stage.effects.actuator.laws import PERIOD_S, EffectLaws, step
 from torchpi.errors import StageError
 from torchpi.operators.conformance import wandering
 from torchpi.stage.effects.actuator.creep import FROM_S, TO_S, Creep, bank
+from torchpi.stage.effects.effect import DataRange
 
 
 class TestLaws(EffectLaws):
@@ -147,9 +148,11 @@ def test_either_pole_is_the_same_pole():
     )
 
 
-@pytest.mark.parametrize("values", [{"gain": 0.3}, {"time_constant_s": 0.035}])
-def test_a_file_may_hold_a_pole_that_a_fit_would_take_for_a_lag(values):
-    Creep(PERIOD_S, **{"gain": 0.1, "time_constant_s": 1.0, **values})
-    ((name, value),) = values.items()
-    bounds = Creep.quantities[name]
-    assert not bounds.at_least <= value <= bounds.at_most
+def test_a_pole_that_is_over_before_the_voltage_moves_is_a_lag():
+    """On a sine of 1 Hz a pole of 35 ms is late, whatever share of the travel it is; jumps show the share."""
+    sine, jumps = (DataRange(1e4, 10.0, 0, 10, 1, 0, 10, {}, quickest_s=one) for one in (0.16, 1e-3))
+    quick, slow = ({"gain": 0.4, "time_constant_s": tau} for tau in (0.035, 0.2))
+    assert not Creep.reached(quick, sine) and Creep.reached(slow, sine) and Creep.reached(quick, jumps)
+    assert not Creep.reached({**slow, "slow_gain": 0.1, "slow_time_constant_s": 0.035}, sine)
+    assert Creep.reached({"per_decade": 0.01}, sine)
+    assert all(Creep.reached(start, sine) for start in Creep.starts(sine))

@@ -33,11 +33,11 @@ from torchpi.stage.effects.effect import DataRange, Parameters, StateSpaceEffect
 
 REFERENCE_S = 0.1
 """After a step the displacement at this time is y₀, whatever γ and p."""
-FASTEST_S = REFERENCE_S / math.log(4)
-"""Of a single pole that a fit may find: a quarter of its rise is still to come when y₀ is read. What is
-faster is an electrical or mechanical lag."""
-LARGEST = 0.25
-"""Of the travel, a single pole: 1 to 20 % over minutes are usual (Jung and Gweon, 2000)."""
+FASTEST_S, LARGEST = 1e-3, 0.5
+"""Of a single pole: its time constant, and its gain as a share of the travel. 1 to 20 % over minutes are
+usual (Jung and Gweon, 2000); a fit's pole stands for several that its recordings do not tell apart."""
+STARTS_S = (0.003, 0.01, 0.03, 0.1, 0.3, 3.0, 30.0)
+"""Time constants from which a search begins."""
 POLES_PER_DECADE = 2  # they follow the logarithm to 0.3 %, one would to 11 %
 # Poles from 1 ms to 1000 s, so that any record lies within them.
 FROM_S, TO_S = 1e-3 * math.sqrt(10), 100.0
@@ -95,13 +95,7 @@ class Creep(StateSpaceEffect):
     # Each decade has its poles: between these times there are 40.
     from_s: nn.Parameter = parameter("s", at_least=1e-9, at_most=1e9, identity=FROM_S)
     to_s: nn.Parameter = parameter("s", at_least=1e-9, at_most=1e9, identity=TO_S)
-    accepted: ClassVar[dict[str, Quantity]] = {
-        "per_decade": Quantity("", at_least=-0.5, at_most=0.5),
-        **dict.fromkeys(("gain", "slow_gain"), Quantity("", at_least=0, at_most=0.5)),
-        **dict.fromkeys(
-            ("time_constant_s", "slow_time_constant_s"), Quantity("s", at_least=1e-3, at_most=1e4)
-        ),
-    }
+    accepted: ClassVar[dict[str, Quantity]] = {"per_decade": Quantity("", at_least=-0.5, at_most=0.5)}
     forms = ("logarithm", "pole", "two poles", "power law")
     form_of: ClassVar[dict[str, str]] = {
         "per_decade": "logarithm",
@@ -119,6 +113,11 @@ class Creep(StateSpaceEffect):
         gains = [values.get(name, 0.0) for name in ("gain", "slow_gain")]
         named = super().form({**values, "gain": max(gains)})
         return named.replace("pole", "two poles") if all(gains) else named
+
+    @classmethod
+    def reached(cls, values: Mapping[str, float], seen: DataRange) -> bool:
+        poles = [values[name] for name in ("time_constant_s", "slow_time_constant_s") if name in values]
+        return not poles or min(poles) >= seen.quickest_s
 
     def bank(self) -> Bank:
         """The poles of the logarithm and the power law."""
@@ -157,7 +156,7 @@ class Creep(StateSpaceEffect):
     @classmethod
     def starts(cls, seen: DataRange) -> list[Parameters]:
         # A pole slower than the record is a ramp, one of a few samples a change of gain.
-        taus = [tau for tau in (0.1, 0.3, 3.0, 30.0) if 10 / seen.fs_hz < tau < 2 * seen.duration_s]
+        taus = [tau for tau in STARTS_S if max(10 / seen.fs_hz, seen.quickest_s) < tau < 2 * seen.duration_s]
         power = {"power_per_decade": 0.01, "exponent": 0.2}
         pole = [{"gain": 0.01, "time_constant_s": tau} for tau in taus]
         two = [

@@ -30,7 +30,7 @@ class Leakage(StateSpaceEffect):
     time_scale = "slow"
     degenerate_with = ("thermal_drift",)
     left_by = ("creep",)
-    corner_hz: nn.Parameter = parameter("Hz", at_least=0, at_most=10)
+    corner_hz: nn.Parameter = parameter("Hz", at_least=0, at_most=100)
     order = 1
 
     def matrices(self) -> Matrices:
