@@ -13,7 +13,7 @@ from tests.diagnosis.simulations import FS_HZ, NOISE_UM, recorded, stage
 from torchpi.cli.predict import predict
 from torchpi.diagnosis.diagnose import diagnose
 from torchpi.diagnosis.diagnosis import Diagnosis
-from torchpi.diagnosis.posterior import Believed
+from torchpi.diagnosis.posterior import HALF, Believed
 from torchpi.diagnosis.simulation import with_untried
 from torchpi.errors import RecordingError, SimulationError
 from torchpi.recordings.recording import Recording
@@ -205,7 +205,7 @@ def test_an_output_with_holes_is_refused() -> None:
 
 def test_what_a_lag_leaves_behind_a_column_counts_as_one_with_it() -> None:
     def believed(name: str, explained_um2: float) -> Believed:
-        return Believed(name, 0.9, (), explained_um2, ())
+        return Believed(name, 0.9, (), explained_um2, (), HALF)
 
     found = with_untried(
         [believed("hysteresis_operator", 3.0), believed("sensor_lag", 2.0), believed("creep", 1.0)],

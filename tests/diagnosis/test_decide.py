@@ -11,7 +11,7 @@ from torchpi.diagnosis.decide import NAMED, OPERATORS, Decision, decide, structu
 from torchpi.diagnosis.free_parameters import slot
 from torchpi.diagnosis.hypothesis import EffectTerm, Hypothesis
 from torchpi.diagnosis.hysteresis_model import HysteresisModel
-from torchpi.diagnosis.posterior import OPERATOR_NAME, Believed
+from torchpi.diagnosis.posterior import HALF, OPERATOR_NAME, Believed
 from torchpi.stage.effects.actuator.creep import Creep
 from torchpi.stage.effects.mechanics.backlash import Backlash
 from torchpi.stage.effects.mechanics.load_change import LoadChange
@@ -26,7 +26,7 @@ TERMS = (
 
 
 def believed(name: str, explained_um2: float, probability: float = 0.9, *alternatives: str) -> Believed:
-    return Believed(name, probability, alternatives, explained_um2, ())
+    return Believed(name, probability, alternatives, explained_um2, (), HALF)
 
 
 def left(train: float, heldout: float | None = None) -> SimpleNamespace:

@@ -41,6 +41,7 @@ from torchpi.diagnosis.posterior import (
 from torchpi.diagnosis.records import seen
 from torchpi.diagnosis.score import Gain
 from torchpi.stage.effects import EFFECTS
+from torchpi.stage.effects.actuator.ageing import Ageing
 from torchpi.stage.effects.actuator.creep import Creep
 from torchpi.stage.effects.actuator.hysteresis_asymmetry import HysteresisAsymmetry
 from torchpi.stage.effects.amplifier.amplifier_lag import AmplifierLag
@@ -141,36 +142,52 @@ def test_what_an_effect_leaves_by_its_form_is_not_named_after_its_kin(share: flo
         "creep": EffectTerm(Creep, {"per_decade": 0.01}),
     }
     lag, late, slow = (
-        Believed(name, 1.0, (), size, ()) for name, size in zip(terms, (1.0, share, share), strict=True)
+        Believed(name, 1.0, (), size, (), HALF) for name, size in zip(terms, (1.0, share, share), strict=True)
     )
     found = [lag, late, slow]
     assert apart(slow, found, terms) == 1.0
     assert apart(late, found, terms) == pytest.approx(1 / (1 + (FORM_ERROR / share) ** 2))
     assert apart(lag, found, terms) > 0.98
     # What the two signals cannot split in general is kin as well: a drift is what a creep's form leaves.
-    drift = Believed("thermal_drift", 1.0, (), share**2, ())
+    drift = Believed("thermal_drift", 1.0, (), share**2, (), HALF)
     terms["thermal_drift"] = EffectTerm(ThermalDrift, {}, ({"rate_um_per_s": 0.01},))
     assert apart(drift, [*found, drift], terms) == pytest.approx(apart(late, found, terms))
-    operator = Believed(OPERATOR_NAME, 1.0, (), share, ())
+    operator = Believed(OPERATOR_NAME, 1.0, (), share, (), HALF)
     assert apart(operator, [*found, operator], terms) == apart(late, found, terms)
     # A play behind plays is plays: what a hysteresis of the wrong family leaves looks like lost motion.
     terms["backlash"] = EffectTerm(Backlash, {"width_um": 0.01})
-    lost, larger = Believed("backlash", 1.0, (), share, ()), Believed(OPERATOR_NAME, 1.0, (), 1.0, ())
+    lost, larger = (
+        Believed("backlash", 1.0, (), share, (), HALF),
+        Believed(OPERATOR_NAME, 1.0, (), 1.0, (), HALF),
+    )
     assert apart(lost, [lost, larger], terms) == apart(late, found, terms)
 
 
 @given(st.floats(1e-6, 1.0))
 def test_a_small_share_of_a_larger_hysteresis_is_its_error_but_for_a_signal_of_its_own(share: float) -> None:
     terms = {"hum": EffectTerm(Hum, {"frequency_hz": 50.0})}
-    larger, hum = Believed(OPERATOR_NAME, 1.0, (), 1.0, ()), Believed("hum", 1.0, (), share, ())
+    larger, hum = Believed(OPERATOR_NAME, 1.0, (), 1.0, (), HALF), Believed("hum", 1.0, (), share, (), HALF)
     assert apart(hum, [hum, larger], terms) == pytest.approx(1 / (1 + (HYSTERESIS_ERROR / share) ** 2))
     assert apart(hum, [hum, larger], terms, {"hum"}) == 1.0
 
 
+def test_what_explains_nearly_all_that_a_larger_hysteresis_leaves_is_not_its_error() -> None:
+    terms = {"ageing": EffectTerm(Ageing, {"loss_per_mm": 1e-3}), "backlash": EffectTerm(Backlash, {})}
+    larger = Believed(OPERATOR_NAME, 1.0, (), 1.0, (), 0.99)
+
+    def chance(name: str, known: float) -> float:
+        one = Believed(name, 1.0, (), 2e-4, (), known)
+        return apart(one, [one, larger], terms)
+
+    assert chance("ageing", HALF) < 0.01 and chance("ageing", 0.98) > 0.6 and chance("ageing", 0.99) > 0.8
+    # What is a hysteresis itself may be what another family leaves, all of it.
+    assert chance("backlash", 0.99) == chance("backlash", HALF) < 0.01
+
+
 @pytest.mark.parametrize("effect", [Resonance, SecondMode, ModalSecondMode])
 def test_what_a_larger_hysteresis_leaves_by_its_form_hardly_rings(effect: type[Effect]) -> None:
-    mode = Believed(effect.name, 1.0, (), 1e-3, ())
-    larger = Believed(OPERATOR_NAME, 1.0, (), 1.0, ())
+    mode = Believed(effect.name, 1.0, (), 1e-3, (), HALF)
+    larger = Believed(OPERATOR_NAME, 1.0, (), 1.0, (), HALF)
     terms = {effect.name: EffectTerm(effect, {"frequency_hz": 50.0})}
     assert apart(mode, [mode, larger], terms) == pytest.approx(1 / (1 + (OF_MODES / 1e-3) ** 2))
     assert apart(mode, [mode, larger], terms) > 0.9
@@ -181,9 +198,10 @@ def test_what_a_larger_hysteresis_leaves_by_its_form_hardly_rings(effect: type[E
     [
         (EffectTerm(Creep, {"per_decade": 0.01}), 0, False),
         (EffectTerm(CrossCoupling, {"coupling_um_per_v": 0.1}, aux="aux_v"), 0, True),
-        (EffectTerm(GainModulation, {"frequency_hz": 20.0}), 0, True),
-        (EffectTerm(GainModulation, {"frequency_hz": 20.0}), 20, False),
-        (EffectTerm(GainModulation, {"frequency_hz": 20.0}), 31, True),
+        (EffectTerm(GainModulation, {"frequency_hz": 20.0}, ({"cos_um": 0.1},)), 0, True),
+        (EffectTerm(GainModulation, {"frequency_hz": 20.0}, ({"cos_um": 0.1},)), 20, False),
+        (EffectTerm(GainModulation, {"frequency_hz": 20.0}, ({"cos_um": 0.1},)), 31, True),
+        (EffectTerm(GainModulation, {"frequency_hz": 20.0}, ({"cos": 0.1},)), 0, False),
     ],
 )
 def test_a_line_that_the_command_has_is_no_signal_of_its_own(
@@ -329,9 +347,9 @@ def test_a_curve_stands_in_the_place_of_a_larger_hysteresis_that_bends_to_the_re
 
 
 def test_of_effects_that_stand_in_for_each_other_the_strongest_is_as_likely_as_any() -> None:
-    lag, late = Believed("amplifier_lag", 0.1, (), 2.0, ()), Believed("delay", 0.2, (), 1.0, ())
-    slow = Believed("creep", 0.3, (), 5.0, ())
-    together = [Believed("amplifier_lag + delay", 0.9, (), 7.0, ())]
+    lag, late = Believed("amplifier_lag", 0.1, (), 2.0, (), HALF), Believed("delay", 0.2, (), 1.0, (), HALF)
+    slow = Believed("creep", 0.3, (), 5.0, (), HALF)
+    together = [Believed("amplifier_lag + delay", 0.9, (), 7.0, (), HALF)]
     found = [as_one(one, [lag, late, slow], together) for one in (lag, late, slow)]
     assert found == [replace(lag, probability=0.9, alternatives=("delay",), explained_um2=7.0), late, slow]
     sure = replace(lag, probability=0.95)

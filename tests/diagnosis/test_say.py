@@ -9,7 +9,7 @@ import pytest
 from torchpi.diagnosis.decide import Decision
 from torchpi.diagnosis.diagnosis import Errors, NamedEffect, NextRecording, Parameter, Verdict
 from torchpi.diagnosis.noise import Noise
-from torchpi.diagnosis.posterior import Believed
+from torchpi.diagnosis.posterior import HALF, Believed
 from torchpi.diagnosis.say import paragraph, percent, sentence, spoken_parameter
 
 ERRORS = [Errors(one, one, one) for one in (0.05, 0.04, 0.0042)]
@@ -109,7 +109,7 @@ def test_a_closed_verdict_says_on_what_it_was_tested() -> None:
 
 
 def test_what_is_too_uncertain_to_be_named_is_said() -> None:
-    doubtful = Believed("sensor_lag", 0.31, (), 1e-4, ())
+    doubtful = Believed("sensor_lag", 0.31, (), 1e-4, (), HALF)
     text = paragraph(decided("unexplained", still_open=(doubtful,)), ERRORS, NOISE, NEXT)
     assert "There may also be a sensor lag: with a probability of 31 % it is too uncertain to be" in text
 

@@ -69,6 +69,8 @@ class Believed:
     explained_um2: float
     """By how much the mean square of the residual rises without it."""
     rivals: tuple[Rival, ...]
+    known: float
+    """The share of what is to be explained that it explains, as far as the sealed samples confirm it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,7 +117,7 @@ def posterior(
         known = share_explained(search, models[0].fit, less.fit, name, own) if reached else 0.0
         rise = less.fit.train_rms**2 - models[0].fit.train_rms ** 2
         if len(names) > 1:
-            together.append(Believed(name, held * trust(known), (), rise, ()))
+            together.append(Believed(name, held * trust(known), (), rise, (), known))
             continue
         rivals.sort(key=lambda rival: rival.loses_nats)
         alternatives += unlisted_hysteresis(h, retuned.hypothesis, name)
@@ -126,6 +128,7 @@ def posterior(
                 tuple(dict.fromkeys(alternatives)),
                 rise,
                 tuple(rivals),
+                known,
             )
         )
     found = [as_one(one, found, together) for one in found]
@@ -221,7 +224,8 @@ def apart(
     effects that bring in one of their own."""
     left_um2 = max(
         (
-            other.explained_um2 * form_error(terms.get(one.name), terms.get(other.name), one.name in signals)
+            other.explained_um2
+            * form_error(terms.get(one.name), terms.get(other.name), one.name in signals, one.known)
             for other in found
             if other.name != one.name
         ),
@@ -232,21 +236,22 @@ def apart(
     return float(1 / (1 + (left_um2 / one.explained_um2) ** FALL))
 
 
-def form_error(one: EffectTerm | None, other: EffectTerm | None, own_signal: bool) -> float:
+def form_error(one: EffectTerm | None, other: EffectTerm | None, own_signal: bool, known: float) -> float:
     """Of what another cause explains, the share that looks like an effect where the other's form is not quite
     the rig's.
 
     A larger hysteresis, None, takes a part of whatever follows the voltage, and what it leaves may look like
-    anything that does; most like an effect that is a hysteresis itself.
+    anything that does; most like an effect that is a hysteresis itself. It looks the less like one of another
+    kind the larger the share `known` is that this explains of it.
     """
     if one is None:
         return FORM_ERROR
     if other is None and one.effect.sticks:
         return FORM_ERROR
-    if other is None and one.effect.rings:
-        return OF_MODES
+    if other is None and own_signal and not one.effect.rings:
+        return 0.0
     if other is None:
-        return 0.0 if own_signal else HYSTERESIS_ERROR
+        return (OF_MODES if one.effect.rings else HYSTERESIS_ERROR) / against_half(known)
     kin = one.effect is not other.effect and (alike(one, other) or other.effect.name in one.effect.left_by)
     return FORM_ERROR if kin else 0.0
 
@@ -312,8 +317,13 @@ def prior(search: Search, retuned: Fit, one: Fit) -> float:
 def trust(known: float) -> float:
     """How likely a name is right that explains this share of what is to be explained where it acts; never
     certain."""
-    odds = (known / max(1 - known, 1e-9)) / (HALF / (1 - HALF))
+    odds = against_half(known)
     return float((1 - LAPSE) * odds**STEEPNESS / (1 + odds**STEEPNESS))
+
+
+def against_half(known: float) -> float:
+    """The odds of a share that is explained, by those of the share from which a name is more likely right."""
+    return max(known, 1e-9) / max(1 - known, 1e-9) * (1 - HALF) / HALF
 
 
 def around(search: Search, retuned: Fit, small: Fit, history: Sequence[Round]) -> list[Model]:
