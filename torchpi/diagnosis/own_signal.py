@@ -21,7 +21,8 @@ def has_a_signal_of_its_own(records: Sequence[Record], h: Hypothesis, name: str)
     """Whether an effect brings in what neither the voltage nor the clock has: a second input, or a line."""
     for member in h.members:
         if member.effect.name == name:
-            line_hz = member.effect.line_hz(member.shared)
+            # What moves a gain goes with the displacement, as any error of the model does.
+            line_hz = member.effect.added_line_hz(member.values(0))
             if line_hz is not None and not any(has_line(record, line_hz) for record in records):
                 return True
             if member.effect.takes_aux:

@@ -103,6 +103,10 @@ class GainModulation(InTime):
         return values.get("frequency_hz")  # a random walk has none
 
     @classmethod
+    def added_line_hz(cls, values: Mapping[str, float]) -> float | None:
+        return values.get("frequency_hz") if {"cos_um", "sin_um"} & values.keys() else None
+
+    @classmethod
     def starts(cls, seen: DataRange) -> list[Parameters]:
         if seen.span_um == 0:
             return []
