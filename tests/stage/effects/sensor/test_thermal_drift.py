@@ -55,10 +55,16 @@ def test_the_forms_in_use_are_named():
     assert ThermalDrift.form({"amplitude_um": 1.0, "knot3_um": 0.2}) == "exponential + random walk"
 
 
-def test_a_search_tries_a_ramp_and_two_time_constants_and_no_walk():
+def test_a_search_tries_a_ramp_and_time_constants_of_the_recording_and_no_walk():
     starts = ThermalDrift.starts(DataRange(1e3, 50.0, 0, 1, 1, 0, 20, {}))
     assert starts[0] == {"rate_um_per_s": pytest.approx(0.2 / 50)}
-    assert [start["time_constant_s"] for start in starts[1:3]] == [10.0, 50.0]
-    assert [ThermalDrift.form(start) for start in starts] == [
-        "linear", "exponential", "exponential",
-    ]  # fmt: skip
+    assert [start["time_constant_s"] for start in starts[1:]] == [2.5, 10.0, 50.0]
+    assert [ThermalDrift.form(start) for start in starts] == ["linear", *["exponential"] * 3]
+
+
+@pytest.mark.parametrize("duration_s", [0.05, 50.0])
+def test_what_settles_within_a_hundredth_of_a_recording_is_no_drift(duration_s: float):
+    seen = DataRange(1e3, duration_s, 0, 1, 1, 0, 20, {})
+    assert not ThermalDrift.reached({"time_constant_s": 0.009 * duration_s}, seen)
+    assert ThermalDrift.reached({"rate_um_per_s": 1.0}, seen)
+    assert all(ThermalDrift.reached(start, seen) for start in ThermalDrift.starts(seen))

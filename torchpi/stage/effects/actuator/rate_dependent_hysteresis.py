@@ -28,8 +28,8 @@ class RateDependentHysteresis(InsideEffect):
     loop_per_e: float = parameter("", at_least=-1.0, at_most=1.0)
     chord_share: float = parameter("", at_least=0.2, at_most=2.0, identity=1.0)
     reference_rate_v_s: float = parameter("V/s", at_least=1e-3, at_most=1e6, identity=1.0)
-    rate_filter_s: float = parameter("s", at_least=0.0, at_most=0.1)
-    relaxation_s: float = parameter("s", at_least=0.0, at_most=1.0)
+    rate_filter_s: float = parameter("s", at_least=0.0, at_most=1e3)
+    relaxation_s: float = parameter("s", at_least=0.0, at_most=1e3)
     forms = ("weights", "thresholds", "loop width", "relaxing plays")
     form_of: ClassVar[dict[str, str]] = {
         "weight_s_per_v": "weights",

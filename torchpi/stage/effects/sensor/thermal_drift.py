@@ -6,6 +6,7 @@ from where it settles (ρ), or that of a room, which wanders: a random walk, thr
 """
 
 import math
+from collections.abc import Mapping
 from typing import Any, ClassVar
 
 import numba
@@ -20,8 +21,8 @@ from torchpi.stage.effects.effect import DataRange, Parameters, parameter
 from torchpi.stage.effects.knots import SPACING, knot_names, through_knots, walk_at, walk_start
 
 KNOT_NAMES = knot_names("_um")
-SLOWEST_DYNAMICS_S = 0.5
-"""What settles faster is no drift of temperature."""
+QUICKEST = 0.01
+"""Of a recording: what settles sooner came before it, and does not count (`torchpi.diagnosis.start_up`)."""
 
 
 def drift(t_s: float, amplitude_um: float, time_constant_s: float, rate_um_per_s: float) -> float:
@@ -67,7 +68,7 @@ class ThermalDrift(AddedSignal):
     time_scale = "slow"
     degenerate_with = ("leakage", "creep")
     amplitude_um: nn.Parameter = parameter("µm", at_least=-1e4, at_most=1e4)
-    time_constant_s: nn.Parameter = parameter("s", at_least=SLOWEST_DYNAMICS_S, at_most=1e6, identity=60.0)
+    time_constant_s: nn.Parameter = parameter("s", at_least=1e-5, at_most=1e6, identity=60.0)
     rate_um_per_s: nn.Parameter = parameter("µm/s", at_least=-1e3, at_most=1e3)
     knot_spacing_s: nn.Parameter = SPACING
     quantities: ClassVar[dict[str, Quantity]] = dict.fromkeys(
@@ -103,13 +104,16 @@ class ThermalDrift(AddedSignal):
         return a * (1 - torch.exp(-t_s / b)) + c * t_s
 
     @classmethod
+    def reached(cls, values: Mapping[str, float], seen: DataRange) -> bool:
+        return values.get("time_constant_s", math.inf) >= QUICKEST * seen.duration_s
+
+    @classmethod
     def starts(cls, seen: DataRange) -> list[Parameters]:
         size, duration_s = 0.01 * seen.span_um, seen.duration_s
         if size == 0:
             return []
         return [
             {"rate_um_per_s": min(size / duration_s, cls.quantities["rate_um_per_s"].at_most)},
-            {"amplitude_um": size, "time_constant_s": max(duration_s / 5, SLOWEST_DYNAMICS_S)},
-            {"amplitude_um": size, "time_constant_s": max(duration_s, SLOWEST_DYNAMICS_S)},
+            *({"amplitude_um": size, "time_constant_s": part * duration_s} for part in (0.05, 0.2, 1.0)),
             *walk_start(seen, size, "_um"),
         ]
