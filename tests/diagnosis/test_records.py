@@ -1,5 +1,7 @@
 """What a search may see of recordings: all but their sealed ends and their dropouts."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -7,7 +9,7 @@ from hypothesis import strategies as st
 
 from tests.diagnosis.plants import multisine, record
 from tests.diagnosis.prepared import prepared
-from torchpi.diagnosis.records import AT_MOST, SEALED, prepare, seen, whole
+from torchpi.diagnosis.records import AT_MOST, SEALED, not_counting, prepare, seen, whole
 
 
 @given(st.integers(100, 3000))
@@ -58,3 +60,14 @@ def test_how_quickly_a_voltage_moves_is_the_inverse_of_its_angular_frequency() -
     slow, quick = (record(5 - 5 * np.cos(2 * np.pi * f * t), fs_hz=1e4) for f in (5.0, 50.0))
     assert seen(prepared([slow])).quickest_s == pytest.approx(1 / (2 * np.pi * 5), rel=1e-3)
     assert seen(prepared([slow, quick])).quickest_s == pytest.approx(1 / (2 * np.pi * 50), rel=1e-3)
+
+
+def test_samples_that_were_filled_in_do_not_count() -> None:
+    filled = np.zeros(1000, dtype=bool)
+    filled[[200, 201, 990]] = True
+    (one,) = prepare(
+        [recording := replace(record(multisine(1000)), filled=filled)], [not_counting(recording)]
+    )
+    out = [200, 201, 202, 990, 991]
+    assert not one.train[out].any() and not one.held_out[out].any()
+    assert (one.train | one.held_out).sum() == 1000 - len(out)

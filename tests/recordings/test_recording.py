@@ -154,6 +154,9 @@ class TestTime:
         read = read_recording(path, resample=True)
         assert (len(read), read.fs_hz) == (2000, FS_HZ)
         np.testing.assert_allclose(read.u, 5 - 5 * np.cos(2 * np.pi * 5 * read.t), atol=1e-4)
+        assert read.not_read.tolist() == [700, 701, 702]  # the last answers a voltage that was filled in
+        assert read.slice(0.0650, 0.08).not_read.tolist() == [50, 51, 52]
+        assert set(read.resampled(FS_HZ / 2).not_read) >= {350, 351}
 
     def test_a_long_gap_is_filled_but_said(self, tmp_path):
         path = self.rows(tmp_path, np.delete(np.arange(2000) / FS_HZ, np.arange(700, 760)))
@@ -171,6 +174,7 @@ class TestTime:
         assert not np.isin(read.y[1:-1], rows).all()
         np.testing.assert_array_equal(read.readings, rows)
         np.testing.assert_array_equal(read.resampled(FS_HZ / 2).readings, rows)
+        assert read.not_read.tolist() == []
 
     @pytest.mark.parametrize("resample", [False, True])
     @pytest.mark.parametrize("step", [0, -3])

@@ -23,7 +23,7 @@ from torchpi.diagnosis.next_recording import next_recording
 from torchpi.diagnosis.noise import measured_noise
 from torchpi.diagnosis.outside import Outside, untried_note
 from torchpi.diagnosis.posterior import posterior
-from torchpi.diagnosis.records import Record, prepare, seen, whole, without_start
+from torchpi.diagnosis.records import Record, not_counting, prepare, seen, whole, without_start
 from torchpi.diagnosis.reduced_basis import reduced
 from torchpi.diagnosis.remainder import unless_unknown, with_remainder
 from torchpi.diagnosis.say import nm, paragraph
@@ -41,7 +41,6 @@ from torchpi.diagnosis.stick_slip import free_run, without_rests
 from torchpi.diagnosis.timing import lateness_s
 from torchpi.diagnosis.wrong_readings import READ_OFF, of_dropouts, wrong_readings
 from torchpi.errors import RecordingError
-from torchpi.recordings.faults import dropouts
 from torchpi.recordings.recording import Recording
 from torchpi.stage import Stage
 from torchpi.stage.effects import EFFECTS
@@ -86,9 +85,9 @@ def diagnose(
     """
     check(recordings)
     given_recordings = recordings
-    wrong = [dropouts(each.y, each.u, each.output_step_um) for each in recordings]
-    recordings, wrong, long = at_a_lower_rate(recordings, wrong)
-    records = prepare(recordings, wrong)
+    out = [not_counting(each) for each in recordings]
+    recordings, out, long = at_a_lower_rate(recordings, out)
+    records = prepare(recordings, out)
     called = outside(simulation)
     given = simulation if isinstance(simulation, Stage) else None
     if called is not None:
@@ -130,11 +129,12 @@ def diagnose(
     loudest_um = final.train_rms if noise is None else min(noise.rms_um, final.train_rms)
     if lsb_um > 0 and lsb_um / np.sqrt(12) > COARSE * loudest_um:
         decision = with_read_off(decision, of_converter(lsb_um, retuned))
+    wrong = [np.setdiff1d(each, one.not_read) for each, one in zip(out, recordings, strict=True)]
     lost = wrong_readings(records, wrong, final)
     if any(len(each) for each in lost):
         decision = with_read_off(decision, of_dropouts(records, lost, final))
     log("model: everything refitted to all samples")
-    complete = without_start(whole(recordings, wrong), search.unsettled)
+    complete = without_start(whole(recordings, out), search.unsettled)
     everything = Chain(complete, Weighting.of(complete, modelled.residuals, noise))
     # A mount that sticks decides at each slip where the next one begins: no gradient leads through that.
     last = modelled if search.jump else fit(everything, modelled.hypothesis, modelled.weights, 4)

@@ -20,9 +20,9 @@ from torchpi.diagnosis.fit import fit
 from torchpi.diagnosis.hypothesis import EffectTerm, Fit, Hypothesis
 from torchpi.diagnosis.hysteresis_model import many_plays, plays_of, thresholds
 from torchpi.diagnosis.model import augmented_stage
-from torchpi.diagnosis.records import prepare, seen, whole
+from torchpi.diagnosis.records import not_counting, prepare, seen, whole
 from torchpi.errors import RecordingError
-from torchpi.recordings.faults import dropouts, noise_estimate
+from torchpi.recordings.faults import noise_estimate
 from torchpi.recordings.identity import recordings_sha256
 from torchpi.recordings.recording import Recording
 from torchpi.stage import Stage
@@ -94,7 +94,7 @@ def identify_stage(
     if not train or all(np.ptp(recording.u) == 0 for recording in train):
         raise RecordingError("recordings: found none in which the voltage moves, expected at least one")
     used = _beginnings(train)
-    wrong = [dropouts(one.y, one.u, one.output_step_um) for one in used]
+    wrong = [not_counting(one) for one in used]
     search = _Search(Chain(prepare(used, wrong, skip_s)), log)
     best = search.run()
     log("everything refitted to all samples")

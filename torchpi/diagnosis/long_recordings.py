@@ -1,7 +1,7 @@
 """Long recordings at a lower rate, or their beginning: a search works on what fits in about a minute."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -45,7 +45,7 @@ def at_a_lower_rate(
             kept.append(recording)
             left.append(wrong)
         elif fast(recording.u, factor):
-            kept.append(_first(recording, count))
+            kept.append(recording.slice(recording.t[0], recording.t[count]))
             left.append(wrong[wrong < count])
             notes.append(
                 f"{recording.name}: the first {count / recording.fs_hz:.4g} s of "
@@ -75,31 +75,22 @@ def fast(u: np.ndarray, factor: int) -> bool:
     return bool(within.std() > FAST * blocks.std())
 
 
-def _first(recording: Recording, count: int) -> Recording:
-    """So many samples from its beginning, where the history is known."""
-    return _of_each(recording, recording.fs_hz, lambda x: x[:count])
-
-
 def _means(recording: Recording, factor: int) -> Recording:
     """Over blocks of samples; what does not fill the last one is left out."""
 
-    def means(x: np.ndarray) -> np.ndarray:
+    def of(x: np.ndarray) -> np.ndarray:
         whole = len(x) // factor * factor
         found: np.ndarray = x[:whole].astype(np.float64).reshape(-1, factor).mean(1)
         return found
 
-    return _of_each(recording, recording.fs_hz / factor, means)
-
-
-def _of_each(recording: Recording, fs_hz: float, of: Callable[[np.ndarray], np.ndarray]) -> Recording:
-    """The same with a function of each of its columns."""
     simulated = recording.simulated
     return replace(
         recording,
         t=of(recording.t),
         u=of(recording.u),
         y=of(recording.y),
-        fs_hz=fs_hz,
+        fs_hz=recording.fs_hz / factor,
         aux={name: of(x) for name, x in recording.aux.items()},
         simulated=None if simulated is None else of(simulated),
+        filled=None,
     )

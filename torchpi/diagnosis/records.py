@@ -7,6 +7,7 @@ import numpy as np
 
 from torchpi.diagnosis.coefficients import Coefficients
 from torchpi.diagnosis.monitored import without_noise
+from torchpi.recordings.faults import dropouts
 from torchpi.recordings.recording import Recording
 from torchpi.stage.effects.effect import DataRange
 
@@ -62,6 +63,12 @@ class Record:
     @property
     def period_s(self) -> float:
         return 1.0 / self.fs_hz
+
+
+def not_counting(recording: Recording) -> np.ndarray:
+    """Indices of the samples of a recording that say nothing of the stage: wrong readings, or none."""
+    wrong = dropouts(recording.y, recording.u, recording.output_step_um)
+    return np.union1d(wrong, recording.not_read).astype(int)
 
 
 def prepare(

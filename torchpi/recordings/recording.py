@@ -75,6 +75,8 @@ class Recording(Shown):
     """(time,), µm: what a simulator makes of this voltage; None where nothing was simulated."""
     as_read: np.ndarray | None = None
     """(readings,), µm: the displacement as it was read, where `y` was interpolated from it."""
+    filled: np.ndarray | None = None
+    """(time,), bool: samples that were filled in where readings are missing; None where none are."""
 
     def __post_init__(self) -> None:
         self._expect(is_positive(self.fs_hz), "fs_hz", self.fs_hz, "a rate over 0 Hz")
@@ -89,6 +91,8 @@ class Recording(Shown):
         lengths |= {name: len(signal) for name, signal in self.aux.items()}
         if self.simulated is not None:
             lengths["simulated"] = len(self.simulated)
+        if self.filled is not None:
+            lengths["filled"] = len(self.filled)
         if len(set(lengths.values())) > 1:
             found = ", ".join(f"{name} {length}" for name, length in lengths.items())
             raise RecordingError(
@@ -222,6 +226,14 @@ class Recording(Shown):
         """(readings,), µm: the values that the sensor gave, whatever the samples are now."""
         return self.y if self.as_read is None else self.as_read
 
+    @property
+    def not_read(self) -> np.ndarray:
+        """Indices of samples that were filled in, and of those behind them, which answer such a voltage."""
+        if self.filled is None:
+            return np.zeros(0, dtype=int)
+        behind = np.concatenate([[False], self.filled[:-1]])
+        return np.flatnonzero(self.filled | behind)
+
     def resampled(self, fs_hz: float) -> "Recording":
         """The same signals at another rate, without aliasing, and all with the same (no) delay.
 
@@ -243,6 +255,8 @@ class Recording(Shown):
         u, y, simulated = convert.pop("u"), convert.pop("y"), convert.pop("simulated", None)
         t = self.t[0] + np.arange(samples) / fs_hz
         changed = {"t": t, "u": u, "y": y, "fs_hz": float(fs_hz), "aux": convert, "simulated": simulated}
+        if self.filled is not None:
+            changed["filled"] = np.interp(t, self.t, self.filled) > 0
         return replace(self, **changed, as_read=self.readings)
 
     def _expect(self, holds: bool, name: str, found: object, expected: str) -> None:
@@ -257,7 +271,10 @@ class Recording(Shown):
         cut = slice(first, last)
         aux = {name: signal[cut] for name, signal in self.aux.items()}
         simulated = None if self.simulated is None else self.simulated[cut]
-        return replace(self, t=self.t[cut], u=self.u[cut], y=self.y[cut], aux=aux, simulated=simulated)
+        filled = None if self.filled is None else self.filled[cut]
+        return replace(
+            self, t=self.t[cut], u=self.u[cut], y=self.y[cut], aux=aux, simulated=simulated, filled=filled
+        )
 
 
 def read_recording(
@@ -344,6 +361,7 @@ def _recording_of(
         aux=dict(zip(aux_names, others, strict=True)),
         simulated=of_simulator,
         as_read=None if read.rows is None else converted(read.rows[1], scale_y),
+        filled=read.filled if read.filled is not None and read.filled.any() else None,
         source=source.path,
         sha256=sha256 or samples_sha256(u, y),
     ).with_zero(options.zero)

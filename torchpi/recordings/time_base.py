@@ -43,6 +43,8 @@ class Uniform(NamedTuple):
     signals: list[np.ndarray]  # (time,) each, in the file's own units
     rows: list[np.ndarray] | None = None
     """The signals as the rows of the file have them, where the samples lie between those."""
+    filled: np.ndarray | None = None
+    """(time,), whether no row lies within half a sample."""
 
 
 NUMBERED = re.compile(r"(input|output)_\d+(_|$)")
@@ -291,4 +293,7 @@ def _interpolated(source: Source, grid: Grid, t: np.ndarray, signals: list[np.nd
             stacklevel=4,
         )
     uniform = t[0] + np.arange(samples) / rate
-    return Uniform(uniform, rate, [np.interp(uniform, t, signal) for signal in signals], signals)
+    after = np.clip(np.searchsorted(t, uniform), 1, len(t) - 1)
+    filled = np.minimum(np.abs(t[after] - uniform), np.abs(t[after - 1] - uniform)) > 0.5 / rate
+    interpolated = [np.interp(uniform, t, signal) for signal in signals]
+    return Uniform(uniform, rate, interpolated, signals, filled)
