@@ -220,8 +220,9 @@ STAYING = (
     "hysteresis.relaxation_s",
     "after.1.replaced_frequency_hz",
     "after.1.replaced_damping_ratio",
+    "sensor.sensor_lag_0.damping_ratio",
 )
-"""Parameters without a gradient: a lag has one pole, plays do not relax, a mode replaces no other."""
+"""Parameters without a gradient: lags have one pole, plays do not relax, a mode replaces no other."""
 
 
 def test_gradients_to_every_physical_parameter_are_those_of_finite_differences() -> None:

@@ -22,7 +22,7 @@ class CascadedInverse(IndirectInverse):
 
 
 def lead_of(dynamics: SensorLag | Resonance) -> list[float]:
-    """τ_1 and, for a mode, τ_2: what undoes these dynamics exactly, on a trajectory that is smooth.
+    """τ_1 and, of two poles, τ_2: what undoes these dynamics exactly, on a trajectory that is smooth.
 
     Args:
         dynamics: A lag, or a mode, between the hysteresis and the reading.
@@ -35,6 +35,8 @@ def lead_of(dynamics: SensorLag | Resonance) -> list[float]:
     """
     with torch.no_grad():
         if isinstance(dynamics, SensorLag):
-            return [1 / (2 * math.pi * dynamics.cutoff_hz.item())]
+            lag_s = 1 / (2 * math.pi * dynamics.cutoff_hz.item())
+            first, second = lag_s, (lag_s / (2 * dynamics.damping_ratio.item())) ** 2
+            return [first] if dynamics.poles() == 1 else [first, second]
         omega = 2 * math.pi * dynamics.frequency_hz.item()
         return [2 * dynamics.damping_ratio.item() / omega, 1 / omega**2]

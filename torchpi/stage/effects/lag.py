@@ -1,21 +1,31 @@
-"""The first-order lag ẏ = 2πf_c (x - y), of a voltage or of a reading."""
+"""The lag ẏ = 2πf_c (x - y), of a voltage or of a reading, and one of two poles.
+
+The second form has an integrator of unity gain at f_c and another pole at f_2 behind it:
+
+    ẇ = 2πf_c (x - y),    ẏ = 2πf_2 (w - y),    f_2 = 4ζ² f_c
+
+so that Y/X = 1 / (1 + s/ω_c + s²/ω_cω_2), of damping ratio ζ = ½ √(f_2/f_c). ζ → ∞ is the one pole again.
+"""
 
 import math
+from collections.abc import Mapping
 from typing import ClassVar
 
 import torch
-from torch import nn
+from torch import Tensor, nn
 
-from torchpi.operators.linear import Hold, Matrices
+from torchpi.operators.linear import Hold, Matrices, discretise
 from torchpi.operators.quantity import Quantity
-from torchpi.stage.effects.effect import DataRange, StateSpaceEffect, parameter
+from torchpi.stage.effects.effect import DataRange, Parameters, StateSpaceEffect, parameter
 
 APART = 3.6
 """Times that one start of a search lies below the last: a fit finds its way from a factor of two."""
+FLATTEST = 0.5**0.5
+"""The damping ratio of the flattest gain, where a fit of two poles begins."""
 
 
-class FirstOrderLag(StateSpaceEffect):
-    """In closed form, which an infinite cutoff leaves exact: a = e^{-ωT}, ω = 2πf_c, Γ₀ = 1 - a.
+class Lag(StateSpaceEffect):
+    """One pole in closed form, which an infinite cutoff leaves exact: a = e^{-ωT}, ω = 2πf_c, Γ₀ = 1 - a.
 
     Of an input that is held in the sample that ends at tick k,
 
@@ -24,18 +34,39 @@ class FirstOrderLag(StateSpaceEffect):
     and of one that runs straight from sample to sample, with Γ₁ = 1 - Γ₀ / ωT,
 
         y(k) = z(k) + Γ₁ x(k),   z(k+1) = a z(k) + (Γ₀ - Γ₁ + a Γ₁) x(k)
+
+    With a finite `damping_ratio` there are two poles, and two states; below its bound the lag rings, which is
+    a mode.
     """
 
-    equation = "ẏ = 2πf_c (x - y)"
+    equation = "ẏ = 2πf_c (x - y), or y + ẏ/ω_c + ÿ/(4ζ²ω_c²) = x"
     signature = "phase grows in proportion to frequency, the gain rolls off"
     time_scale = "fast"
     delays = True
+    forms = ("one pole", "two poles")
     cutoff_hz: nn.Parameter = parameter("Hz", at_least=1e-3, at_most=1e6, identity=math.inf)
+    damping_ratio: nn.Parameter = parameter("", at_least=0.35, at_most=10.0, identity=math.inf)
     accepted: ClassVar[dict[str, Quantity]] = {"cutoff_hz": Quantity("Hz", at_least=0, positive=True)}
-    order = 1
+
+    @classmethod
+    def form(cls, values: Mapping[str, float]) -> str:
+        of = {**cls.identity, **values}
+        if math.isinf(of["cutoff_hz"]):
+            return ""
+        return "one pole" if math.isinf(of["damping_ratio"]) else "two poles"
+
+    def is_ideal(self) -> bool:
+        """Whether there is no lag at all."""
+        return math.isinf(self.cutoff_hz.item())
+
+    def poles(self) -> int:
+        """How many poles, and states, there are."""
+        return 1 if self.is_ideal() or math.isinf(self.damping_ratio.item()) else 2
 
     def discrete(self, hold: Hold) -> Matrices:
         """The block for this kind of input, "end" or "first"."""
+        if self.poles() == 2:
+            return discretise(*self.continuous(), self.sample_period_s, hold)
         omega_t = (2 * math.pi * self.sample_period_s * self.cutoff_hz).reshape(1)
         a, gamma0 = torch.exp(-omega_t), -torch.expm1(-omega_t)
         if hold == "end":
@@ -43,8 +74,20 @@ class FirstOrderLag(StateSpaceEffect):
         gamma1 = 1 - gamma0 / omega_t
         return a, gamma0 - gamma1 + a * gamma1, torch.ones_like(a), gamma1[0]
 
+    def continuous(self) -> Matrices:
+        """A, B, C, D of the two poles; the states are y and w."""
+        omega = 2 * math.pi * self.cutoff_hz
+        second, zero = 4 * self.damping_ratio**2 * omega, torch.zeros_like(omega)
+        a = torch.stack([-second, second, -omega, zero]).reshape(2, 2)
+        return a, torch.stack([zero, omega]), torch.stack([torch.ones_like(omega), zero]), zero
+
+    def initial_state(self, batch: int) -> Tensor:
+        return torch.zeros(batch, self.poles(), dtype=torch.float64)
+
     @staticmethod
-    def cutoffs_hz(seen: DataRange, highest_hz: float) -> list[float]:
-        """Where a search may begin: from a cutoff downward, as long as the lag ends within a recording."""
+    def starts_below(seen: DataRange, highest_hz: float) -> list[Parameters]:
+        """Where a search may begin: from a cutoff downward, as long as the lag ends within a recording, with
+        one pole and with two."""
         count = 1 + math.floor(max(math.log(highest_hz * seen.duration_s) / math.log(APART), 0.0))
-        return [highest_hz / APART**k for k in range(count)]
+        one = [{"cutoff_hz": highest_hz / APART**k} for k in range(count)]
+        return one + [{**start, "damping_ratio": FLATTEST} for start in one]

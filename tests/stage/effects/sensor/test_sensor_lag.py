@@ -1,4 +1,4 @@
-"""Sensor lag: a first-order lag of a signal that runs straight from sample to sample."""
+"""Sensor lag: of one pole or two, of a signal that runs straight from sample to sample."""
 
 import math
 
@@ -9,16 +9,21 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.stage.effects.actuator.laws import PERIOD_S, EffectLaws
+from tests.stage.effects.actuator.laws import PERIOD_S, EffectLaws, fixed
 from torchpi.operators.conformance import wandering
 from torchpi.operators.linear import discretise
 from torchpi.stage.effects.effect import DataRange
 from torchpi.stage.effects.sensor.sensor_lag import SensorLag
 
 
-class TestLaws(EffectLaws):
+class TestOnePoleLaws(EffectLaws):
     def operator(self) -> SensorLag:
-        return SensorLag(PERIOD_S, cutoff_hz=1.3)
+        return fixed(SensorLag(PERIOD_S, cutoff_hz=1.3), "damping_ratio")
+
+
+class TestTwoPolesLaws(EffectLaws):
+    def operator(self) -> SensorLag:
+        return SensorLag(PERIOD_S, cutoff_hz=1.3, damping_ratio=0.6)
 
 
 def test_gain_at_the_cutoff_is_three_decibels_down_and_phase_an_eighth_of_a_turn():
@@ -50,6 +55,15 @@ def test_it_is_the_low_pass_that_scipy_simulates(cutoff_hz):
     _, wanted, _ = scipy.signal.lsim(([omega], [1.0, omega]), x[0].numpy(), period_s * np.arange(200))
     y = SensorLag(period_s, cutoff_hz=cutoff_hz)(x)[0][0].detach().numpy()
     np.testing.assert_allclose(y, wanted, rtol=0, atol=1e-11)
+
+
+@given(cutoff_hz=st.floats(1.0, 100.0), damping_ratio=st.floats(0.35, 3.0))
+def test_two_poles_are_the_low_pass_that_scipy_simulates(cutoff_hz, damping_ratio):
+    period_s, x, omega = 0.01, wandering(1, 200), 2 * math.pi * cutoff_hz
+    transfer = ([1.0], [1 / (2 * damping_ratio * omega) ** 2, 1 / omega, 1.0])
+    _, expected, _ = scipy.signal.lsim(transfer, x[0].numpy(), period_s * np.arange(200))
+    y = SensorLag(period_s, cutoff_hz=cutoff_hz, damping_ratio=damping_ratio)(x)[0][0].detach().numpy()
+    np.testing.assert_allclose(y, expected, rtol=0, atol=1e-9)
 
 
 @pytest.mark.parametrize("cutoff_hz", [60.0, 1e3, 1e6])

@@ -1,11 +1,15 @@
-"""The low-pass of a sensor and its electronics: ẏ = 2πf_c (x - y)."""
+"""The low-pass of a sensor and its electronics: of one pole, or of two, as filters behind demodulators have.
+
+Fleming, *A review of nanometer-resolution position sensors: operation and performance*, Sensors and Actuators
+A 190, 2013.
+"""
 
 from torchpi.operators.linear import Hold, Matrices
 from torchpi.stage.effects.effect import DataRange, Parameters
-from torchpi.stage.effects.lag import FirstOrderLag
+from torchpi.stage.effects.lag import Lag
 
 
-class SensorLag(FirstOrderLag):
+class SensorLag(Lag):
     """A lag of a displacement, which runs straight from sample to sample, or is held as the command is."""
 
     name = "sensor_lag"
@@ -19,4 +23,4 @@ class SensorLag(FirstOrderLag):
     @classmethod
     def starts(cls, seen: DataRange) -> list[Parameters]:
         # Near half of the sample rate a lag is little more than a change of gain.
-        return [{"cutoff_hz": f} for f in cls.cutoffs_hz(seen, 0.45 * seen.fs_hz)]
+        return cls.starts_below(seen, 0.45 * seen.fs_hz)
