@@ -192,6 +192,12 @@ class TestSingleDropouts:
         y[[333, 707]] = 0.0
         assert dropouts(y, u).tolist() == [333, 707]
 
+    def test_what_a_filter_without_phase_makes_of_steps_is_none(self):
+        u = np.repeat(np.random.default_rng(0).uniform([0, 6], [4, 10], (20, 2)).ravel(), 50)
+        y = u + np.random.default_rng(1).normal(0, 1e-3, len(u))
+        y[:-1] -= 0.06 * np.diff(u)  # the reading before each step goes the other way
+        assert len(dropouts(y)) > 20 and len(dropouts(y, u)) == 0
+
     def test_zeros_are_found_where_the_input_always_steps(self):
         u = np.random.default_rng(3).uniform(5, 10, 500)
         y = np.convolve(u, np.ones(9) / 9, "same")

@@ -10,8 +10,8 @@ DENSER, OFTENER, SPREAD = 3.0, 5.0, 0.5
 """Times the mean density of readings, that of a value that a stage passes often; times that other values come
 again, from where one comes again too often; of the scatter of the input, what it has where it does."""
 STEP, ANSWERS = 0.02, 2
-"""Of its range, a move of the input from one sample to the next that is a step; samples in which the stage
-answers it."""
+"""Of its range, a move of the input from one sample to the next that is a step; samples before and after it
+in which filters ring."""
 LEAST_LEAD = 0.02  # about one degree of a sine
 ROUNDING = 1e-9
 """Of the largest value of a signal."""
@@ -48,8 +48,8 @@ def dropouts(y: np.ndarray, u: np.ndarray | None = None, sensor_step: float | No
     often, see `repeated_value`.
 
     The first and last sample, which have one neighbour, are never among them; nor are two wrong readings in a
-    row. Nor are those behind steps of the input, where more of them are than anywhere else: an overshoot of a
-    sample or two is the stage's answer.
+    row. Nor are those beside steps of the input, where more of them are than anywhere else: an overshoot of a
+    sample or two is the stage's answer, or a filter's without phase.
 
     Args:
         y: (time,), any unit, finite.
@@ -118,15 +118,15 @@ def repeated_value(y: np.ndarray, u: np.ndarray, sensor_step: float) -> np.ndarr
 
 
 def _answers(readings: np.ndarray, u: np.ndarray) -> np.ndarray:
-    """(readings,), bool: which lie behind a step of u, if so many are no chance."""
+    """(readings,), bool: which lie beside a step of u, if so many are no chance."""
     from scipy.special import bdtrc
 
     moves = np.abs(np.diff(u))
     stepped = np.flatnonzero(moves > STEP * np.ptp(u))
-    behind = np.zeros(len(u) + ANSWERS, dtype=bool)
-    for later in range(1, ANSWERS + 1):
-        behind[stepped + later] = True
-    there, share = behind[readings], float(behind[: len(u)].mean())
+    beside = np.zeros(len(u), dtype=bool)
+    for later in range(1 - ANSWERS, ANSWERS + 1):
+        beside[np.clip(stepped + later, 0, len(u) - 1)] = True
+    there, share = beside[readings], float(beside.mean())
     by_chance = float(bdtrc(there.sum() - 1, len(readings), share)) if there.any() else 1.0
     return np.asarray(there & (by_chance < FALSE_ALARM))
 
