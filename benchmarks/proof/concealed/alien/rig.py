@@ -90,7 +90,7 @@ class Drawn:
 class Form:
     """One equation of an effect, from literature.
 
-    `foreign` where torchpi had no such form on the day it was written here; `foreseeable` where the command
+    `foreign` where torchpi has no such form; `foreseeable` where the command
     determines what it does; `near` are names on the list that are truly in it.
     """
 

@@ -29,7 +29,7 @@ def _fraction(rng, rig, runs):
     return Drawn(act, 1.7, 12.0, 2.5, lambda s: {"delay_s": (s / rig.fs_hz, "s")})
 
 
-@LISTED.add("sensor_lag", "second_order_demodulator", "Fleming 2013", "sensor", "delay")
+@LISTED.add("sensor_lag", "second_order_demodulator", "Fleming 2013", "sensor", "delay", foreign=False)
 def _demodulator(rng, rig, runs):
     zeta = rng.uniform(0.6, 0.9)
 
