@@ -31,8 +31,10 @@ from torchpi.diagnosis.posterior import (
     averaged,
     groups,
     names_of,
+    nearly_all,
     rivals,
     settled,
+    slow_kin,
     stands_as_well,
     trust,
     unlisted_hysteresis,
@@ -344,6 +346,15 @@ def test_a_curve_stands_in_the_place_of_a_larger_hysteresis_that_bends_to_the_re
         bends_to_all=beyond, as_well=lambda one, best: (one, best) == (rival, final) and well
     )
     assert stands_as_well(search, name, rival, final) is alike
+
+
+def test_a_slow_rival_that_leaves_little_more_may_have_another_law() -> None:
+    """A drift that settles explains 283 nm but for 25, a leakage but for 35: that of another law, perhaps."""
+    search = SimpleNamespace(effects_tried=EFFECTS)
+    assert slow_kin(search, "thermal_drift", "leakage") and slow_kin(search, "leakage", "thermal_drift")
+    assert not slow_kin(search, "amplifier_lag", "sensor_lag") and not slow_kin(search, "creep", "ageing")
+    less, leakage, creep, final = (SimpleNamespace(train_rms=nm) for nm in (282.9, 34.8, 136.2, 24.5))
+    assert nearly_all(leakage, less, final) and not nearly_all(creep, less, final)
 
 
 def test_of_effects_that_stand_in_for_each_other_the_strongest_is_as_likely_as_any() -> None:

@@ -48,6 +48,8 @@ FORM_ERROR, FALL = 0.1, 2.0
 """Of what an effect explains, the share that its kin has to explain to be as likely another cause as the
 error of its form, and how fast that changes. Set on the same cases: 0.009 to 0.07 in four wrong names, 0.66
 in a right one."""
+SLOW_FORM_ERROR = 0.02
+"""Of what a slow effect explains, what another law of the same cause may leave: a seventh of its size."""
 HYSTERESIS_ERROR, OF_MODES = 0.003, 0.0003
 """The same of a larger hysteresis and any effect. Set on 24 further cases: below 0.0003 in four wrong names,
 0.0024 in another, 0.0054 in a right one. Nothing that depends on no rate rings: of modes much less."""
@@ -108,7 +110,11 @@ def posterior(
                 continue
             lost, form = float((density[0] - own).sum()), form_of(model.fit, model.instead)
             rivals.append(Rival(model.instead, model.fit.train_rms, lost, float(c), form))
-            if model.instead != CONVENTION and stands_as_well(search, name, model.fit, models[0].fit):
+            alike_but_slow = slow_kin(search, name, model.instead) and nearly_all(
+                model.fit, less.fit, models[0].fit
+            )
+            stands = stands_as_well(search, name, model.fit, models[0].fit)
+            if model.instead != CONVENTION and (stands or alike_but_slow):
                 alternatives.append(model.instead)
                 held += float(c)
         # What a hysteresis, driven by the voltage alone, predicts as well need not have a signal.
@@ -145,6 +151,19 @@ def stands_as_well(search: Search, name: str, rival: Fit, final: Fit) -> bool:
     predicts as well, or what the larger hysteresis explains beyond it is a little of everything."""
     bends = name == OPERATOR_NAME and search.bends_to_all(final, rival)
     return bends or search.as_well(rival, final)
+
+
+def slow_kin(search: Search, name: str, rival: str) -> bool:
+    """Whether two slow effects, whose laws differ from rig to rig, look alike."""
+    slow = {effect.name: effect for effect in search.effects_tried if effect.time_scale == "slow"}
+    one, other = slow.get(name), slow.get(rival)
+    return bool(one and other and (rival in one.degenerate_with or name in other.degenerate_with))
+
+
+def nearly_all(rival: Fit, less: Fit, final: Fit) -> bool:
+    """Whether a rival explains all of what an effect explains but what another law of its own might."""
+    left = rival.train_rms**2 - final.train_rms**2
+    return left < SLOW_FORM_ERROR * (less.train_rms**2 - final.train_rms**2)
 
 
 def form_of(one: Fit, name: str) -> str:
