@@ -361,10 +361,14 @@ def test_of_effects_that_stand_in_for_each_other_the_strongest_is_as_likely_as_a
     lag, late = Believed("amplifier_lag", 0.1, (), 2.0, (), HALF), Believed("delay", 0.2, (), 1.0, (), HALF)
     slow = Believed("creep", 0.3, (), 5.0, (), HALF)
     together = [Believed("amplifier_lag + delay", 0.9, (), 7.0, (), HALF)]
-    found = [as_one(one, [lag, late, slow], together) for one in (lag, late, slow)]
+    left_um = {"amplifier_lag": 1.5, "delay": 1.2, "creep": 2.0}
+    found = [as_one(one, [lag, late, slow], together, left_um) for one in (lag, late, slow)]
     assert found == [replace(lag, probability=0.9, alternatives=("delay",), explained_um2=7.0), late, slow]
     sure = replace(lag, probability=0.95)
-    assert as_one(sure, [sure, late, slow], together) == sure
+    assert as_one(sure, [sure, late, slow], together, left_um) == sure
+    # All of the lateness counts for a delay, a timing convention's part too: that makes it no stronger.
+    larger = replace(late, explained_um2=3.0)
+    assert as_one(larger, [lag, larger, slow], together, left_um) == larger
 
 
 @pytest.mark.parametrize("grown", [True, False])

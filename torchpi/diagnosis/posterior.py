@@ -110,11 +110,10 @@ def posterior(
                 continue
             lost, form = float((density[0] - own).sum()), form_of(model.fit, model.instead)
             rivals.append(Rival(model.instead, model.fit.train_rms, lost, float(c), form))
-            alike_but_slow = slow_kin(search, name, model.instead) and nearly_all(
-                model.fit, less.fit, models[0].fit
+            stands = stands_as_well(search, name, model.fit, models[0].fit) or (
+                slow_kin(search, name, model.instead) and nearly_all(model.fit, less.fit, models[0].fit)
             )
-            stands = stands_as_well(search, name, model.fit, models[0].fit)
-            if model.instead != CONVENTION and (stands or alike_but_slow):
+            if model.instead != CONVENTION and stands:
                 alternatives.append(model.instead)
                 held += float(c)
         # What a hysteresis, driven by the voltage alone, predicts as well need not have a signal.
@@ -137,7 +136,8 @@ def posterior(
                 known,
             )
         )
-    found = [as_one(one, found, together) for one in found]
+    left_um = {model.without: model.fit.train_rms for model in models if not model.instead}
+    found = [as_one(one, found, together, left_um) for one in found]
     found.sort(key=lambda one: -one.explained_um2)
     terms = {member.effect.name: member for member in final.hypothesis.members}
     return final, [
@@ -199,12 +199,14 @@ def unlisted_hysteresis(h: Hypothesis, before: Hypothesis, name: str) -> list[st
     return [OPERATOR_NAME] if itself and h.nominal.family == before.nominal.family else []
 
 
-def as_one(one: Believed, found: Sequence[Believed], together: Sequence[Believed]) -> Believed:
-    """The strongest of effects that may stand in each other's place, as likely as that any of them is
-    missing: without one the others stand in for it, and little is lost."""
+def as_one(
+    one: Believed, found: Sequence[Believed], together: Sequence[Believed], left_um: Mapping[str, float]
+) -> Believed:
+    """The strongest of effects that may stand in each other's place, that without which most is left, as
+    likely as that any of them is missing: without one the others stand in for it, and little is lost."""
     for group in together:
         names = names_of(group.name)
-        strongest = max((each for each in found if each.name in names), key=lambda each: each.explained_um2)
+        strongest = max((each for each in found if each.name in names), key=lambda each: left_um[each.name])
         if one is strongest and one.probability < group.probability:
             others = (*one.alternatives, *(name for name in names if name != one.name))
             return replace(
