@@ -10,13 +10,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from torchpi.diagnosis.records import Record
+from torchpi.stage.effects.sensor.thermal_drift import QUICKEST
 
 LOUD, SETTLED = 10.0, 3.0
 """Times the usual error, by which the first reading is off, and within which the stage has settled."""
 IN_A_ROW = 8
 """Readings that lie within that before the stage counts as settled."""
-LONGEST = 0.01
-"""Of a recording: what takes longer is creep, a drift or a wrong history, and has an effect of its own."""
 
 
 def unsettled(records: Sequence[Record], residuals: Sequence[np.ndarray]) -> tuple[int, ...]:
@@ -38,7 +37,7 @@ def _unsettled(e: np.ndarray, counts: np.ndarray) -> int:
     usual = float(np.median(size[counts])) / 0.6745
     if not size[0] > LOUD * usual:
         return 0
-    most = int(LONGEST * len(e) / 2)
+    most = int(QUICKEST * len(e) / 2)  # what takes longer is a drift, creep or a wrong history
     within = size[: most + IN_A_ROW] < SETTLED * usual
     for k in range(1, most + 1):
         if within[k : k + IN_A_ROW].all():

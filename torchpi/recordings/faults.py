@@ -9,7 +9,7 @@ FALSE_ALARM = 1e-3
 DENSER, OFTENER, SPREAD = 3.0, 5.0, 0.5
 """Times the mean density of readings, that of a value that a stage passes often; times that other values come
 again, from where one comes again too often; of the scatter of the input, what it has where it does."""
-STEP, ANSWERS = 0.02, 2
+STEP, RINGING = 0.02, 2
 """Of its range, a move of the input from one sample to the next that is a step; samples before and after it
 in which filters ring."""
 LEAST_LEAD = 0.02  # about one degree of a sine
@@ -84,7 +84,7 @@ def dropouts(y: np.ndarray, u: np.ndarray | None = None, sensor_step: float | No
     found = np.asarray(found[apart[found - 1] > MOTION_FACTOR * motion])
     if u is None:
         return found
-    return np.union1d(found[~_answers(found, u)] if len(found) else found, repeated_value(y, u, step))
+    return np.union1d(found[~_beside_steps(found, u)] if len(found) else found, repeated_value(y, u, step))
 
 
 def repeated_value(y: np.ndarray, u: np.ndarray, sensor_step: float) -> np.ndarray:
@@ -117,14 +117,14 @@ def repeated_value(y: np.ndarray, u: np.ndarray, sensor_step: float) -> np.ndarr
     return found if u[found].std() > SPREAD * u.std() else none
 
 
-def _answers(readings: np.ndarray, u: np.ndarray) -> np.ndarray:
+def _beside_steps(readings: np.ndarray, u: np.ndarray) -> np.ndarray:
     """(readings,), bool: which lie beside a step of u, if so many are no chance."""
     from scipy.special import bdtrc
 
     moves = np.abs(np.diff(u))
     stepped = np.flatnonzero(moves > STEP * np.ptp(u))
     beside = np.zeros(len(u), dtype=bool)
-    for later in range(1 - ANSWERS, ANSWERS + 1):
+    for later in range(1 - RINGING, RINGING + 1):
         beside[np.clip(stepped + later, 0, len(u) - 1)] = True
     there, share = beside[readings], float(beside.mean())
     by_chance = float(bdtrc(there.sum() - 1, len(readings), share)) if there.any() else 1.0

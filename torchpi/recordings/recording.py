@@ -361,7 +361,7 @@ def _recording_of(
         aux=dict(zip(aux_names, others, strict=True)),
         simulated=of_simulator,
         as_read=None if read.rows is None else converted(read.rows[1], scale_y),
-        filled=read.filled if read.filled is not None and read.filled.any() else None,
+        filled=read.filled,
         source=source.path,
         sha256=sha256 or samples_sha256(u, y),
     ).with_zero(options.zero)

@@ -44,7 +44,7 @@ class Uniform(NamedTuple):
     rows: list[np.ndarray] | None = None
     """The signals as the rows of the file have them, where the samples lie between those."""
     filled: np.ndarray | None = None
-    """(time,), whether no row lies within half a sample."""
+    """(time,), whether no row lies within half a sample; None where one always does."""
 
 
 NUMBERED = re.compile(r"(input|output)_\d+(_|$)")
@@ -296,4 +296,4 @@ def _interpolated(source: Source, grid: Grid, t: np.ndarray, signals: list[np.nd
     after = np.clip(np.searchsorted(t, uniform), 1, len(t) - 1)
     filled = np.minimum(np.abs(t[after] - uniform), np.abs(t[after - 1] - uniform)) > 0.5 / rate
     interpolated = [np.interp(uniform, t, signal) for signal in signals]
-    return Uniform(uniform, rate, interpolated, signals, filled)
+    return Uniform(uniform, rate, interpolated, signals, filled if filled.any() else None)

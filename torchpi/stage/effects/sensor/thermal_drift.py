@@ -22,7 +22,7 @@ from torchpi.stage.effects.knots import SPACING, knot_names, through_knots, walk
 
 KNOT_NAMES = knot_names("_um")
 QUICKEST = 0.01
-"""Of a recording: what settles sooner came before it, and does not count (`torchpi.diagnosis.start_up`)."""
+"""Of a recording: what settles sooner came before it, and is not counted (`torchpi.diagnosis.start_up`)."""
 
 
 def drift(t_s: float, amplitude_um: float, time_constant_s: float, rate_um_per_s: float) -> float:
