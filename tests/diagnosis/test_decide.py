@@ -7,7 +7,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from torchpi.diagnosis.decide import NAMED, OPERATORS, Decision, decide, structure, told_from_none, verdict
+from torchpi.diagnosis.decide import (
+    NAMED,
+    OPERATORS,
+    Decision,
+    decide,
+    if_it_carries_over,
+    structure,
+    told_from_none,
+    verdict,
+)
+from torchpi.diagnosis.diagnosis import AcrossRecordings
 from torchpi.diagnosis.free_parameters import slot
 from torchpi.diagnosis.hypothesis import EffectTerm, Hypothesis
 from torchpi.diagnosis.hysteresis_model import HysteresisModel
@@ -153,6 +163,12 @@ class TestUnexplained:
 
     def test_the_noise_is_there_where_it_was_measured(self) -> None:
         assert decided().noise_um == 2.0 and decided(noise=None).noise_um is None
+
+    @pytest.mark.parametrize(("rms_um", "found"), [(4.0, "explained"), (4.1, "partly_explained")])
+    def test_what_the_others_do_not_predict_is_not_explained(self, rms_um: float, found: str) -> None:
+        across = (AcrossRecordings("a", 2.0, 2.0), AcrossRecordings("b", rms_um, 2.0))
+        assert if_it_carries_over(decided(believed("creep", 48.0)), across).verdict == found
+        assert if_it_carries_over(decided(), across).verdict == "nothing_missing"
 
     def test_what_is_open_or_stands_out_leaves_the_verdict_open(self) -> None:
         assert decided(believed("creep", 48.0)).verdict == "explained"

@@ -7,7 +7,14 @@ import numpy as np
 import pytest
 
 from torchpi.diagnosis.decide import Decision
-from torchpi.diagnosis.diagnosis import Errors, NamedEffect, NextRecording, Parameter, Verdict
+from torchpi.diagnosis.diagnosis import (
+    AcrossRecordings,
+    Errors,
+    NamedEffect,
+    NextRecording,
+    Parameter,
+    Verdict,
+)
 from torchpi.diagnosis.noise import Noise
 from torchpi.diagnosis.posterior import HALF, Believed
 from torchpi.diagnosis.say import paragraph, percent, sentence, spoken_parameter
@@ -54,6 +61,15 @@ def test_a_hysteresis_goes_by_the_names_of_its_authors() -> None:
     family = (Parameter("family", "bouc_wen", "", None),)
     named = replace(lag(0.9), name="hysteresis_operator", block="actuator", parameters=family)
     assert "lacks another hysteresis operator in the actuator (Bouc–Wen): 71 %" in sentence(named)
+
+
+def test_what_the_recordings_know_of_one_another_is_said_in_the_place_of_what_no_effect_explains() -> None:
+    each = (AcrossRecordings("slow", 0.004, 0.004), AcrossRecordings("fast", 0.04, 0.005))
+    text = paragraph(decided("partly_explained", lag(0.9)), ERRORS, NOISE, NEXT, across=each)
+    assert "predicts fast with an error of 40 nm, against 5 nm with all." in text
+    assert "stays unexplained" not in text
+    text = paragraph(decided("explained", lag(0.9)), ERRORS, NOISE, NEXT, across=each[:1])
+    assert "Each recording is predicted as well by a hysteresis that was fitted to the others alone." in text
 
 
 def test_what_only_several_explain_together_is_said() -> None:

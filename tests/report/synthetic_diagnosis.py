@@ -6,6 +6,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from torchpi.diagnosis.diagnosis import (
+    AcrossRecordings,
     Diagnosis,
     Errors,
     NamedEffect,
@@ -88,6 +89,7 @@ def diagnosis() -> Diagnosis:
         nominal=Errors(2.1 * rms["residual_retuned"], 2.2 * rms["residual_retuned"], 2.2 * most),
         retuned=Errors(0.97 * rms["residual_retuned"], rms["residual_retuned"], most),
         augmented=Errors(rms["residual_augmented"], rms["residual_augmented"], 5 * rms["residual_augmented"]),
+        across=(AcrossRecordings(traces[0].name, 0.0051, 0.0047),),
         noise_floor_um=NOISE_UM,
         heldout="the last 15 % of each recording",
         unexplained_share=0.01,

@@ -114,8 +114,22 @@ def test_the_json_keeps_its_contract(folder: Path, found: Diagnosis) -> None:
     for stage in ("nominal", "retuned", "augmented"):
         assert set(content["fit"][stage]) == {"train_rms_um", "heldout_rms_um", "heldout_max_um"}
     assert set(content["next_recording"]) == {"why", "excitation"}
+    (across,) = content["across_recordings"]
+    assert set(across) == {"recording", "rms_um", "fitted_rms_um"} and across["rms_um"] == 0.0051
     assert content["joint_share"] == 0.0
     assert content["unexplained_share"] == 0.01 and content["says"] == found.says
+
+
+def test_a_recording_that_the_others_do_not_predict_is_in_the_headline_and_the_table(
+    found: Diagnosis, html: str, provenance: Provenance
+) -> None:
+    assert 'data-signal="across"' in html
+    missed = dataclasses.replace(found.across[0], rms_um=0.05)
+    partly = dataclasses.replace(found, verdict="partly_explained", across=(missed,))
+    assert headline(partly).startswith("Explained, but not for other motions: held-out error")
+    alone = dataclasses.replace(partly, across=())
+    assert headline(alone).startswith("Partly explained")
+    assert 'data-signal="across"' not in diagnosis_page.diagnosis_page(alone, provenance)
 
 
 def test_what_only_several_explain_has_a_bar_of_its_own(found: Diagnosis) -> None:

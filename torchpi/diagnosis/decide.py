@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from torchpi.diagnosis.contest import FAINT
-from torchpi.diagnosis.diagnosis import NamedEffect, OpenCause, Parameter, Verdict
+from torchpi.diagnosis.diagnosis import AcrossRecordings, NamedEffect, OpenCause, Parameter, Verdict
 from torchpi.diagnosis.hypothesis import Fit
 from torchpi.diagnosis.intervals import distance_from_none, intervals_90
 from torchpi.diagnosis.noise import Noise
@@ -19,6 +19,8 @@ NAMED = 0.5
 """Probability from which a name is given: more likely right than wrong."""
 POSSIBLE = 0.1
 """Probability from which what cannot be named is said to be open."""
+CLOSED: tuple[Verdict, ...] = ("nothing_missing", "explained")
+"""Verdicts that leave nothing to look for."""
 DONE, EXPLAINED = 1.15, 1.5
 """Times the measured noise: an error within this leaves nothing to explain, or little beside the names."""
 OPERATORS = {
@@ -116,6 +118,14 @@ def decide(
         found, tuple(named), left, share, max(joint, 0.0) / total if len(named) > 1 else 0.0,
         noise.rms_um if noise is not None else None,
     )  # fmt: skip
+
+
+def if_it_carries_over(decision: Decision, across: Sequence[AcrossRecordings]) -> Decision:
+    """The same, and explained in part only where the others do not predict each recording: what fits these
+    motions is then not known to fit the next."""
+    if decision.verdict == "explained" and not all(one.predicted for one in across):
+        return replace(decision, verdict="partly_explained")
+    return decision
 
 
 def told_from_none(one: Believed, final: Fit, spans: Sequence[tuple[float, float]]) -> Believed:

@@ -6,11 +6,20 @@ from dataclasses import replace
 
 import numpy as np
 
+from torchpi.diagnosis.across_recordings import across_recordings
 from torchpi.diagnosis.chain import Chain
 from torchpi.diagnosis.conflict import conflict
 from torchpi.diagnosis.coverage import cannot_be_decided, untested
-from torchpi.diagnosis.decide import Decision, decide, structure
-from torchpi.diagnosis.diagnosis import Diagnosis, Errors, NamedEffect, Parameter, Trace, Verdict
+from torchpi.diagnosis.decide import CLOSED, Decision, decide, if_it_carries_over, structure
+from torchpi.diagnosis.diagnosis import (
+    AcrossRecordings,
+    Diagnosis,
+    Errors,
+    NamedEffect,
+    Parameter,
+    Trace,
+    Verdict,
+)
 from torchpi.diagnosis.fit import fit, rms
 from torchpi.diagnosis.hypothesis import Fit, Hypothesis
 from torchpi.diagnosis.hysteresis_model import plain
@@ -22,7 +31,7 @@ from torchpi.diagnosis.monitored import noise_of
 from torchpi.diagnosis.next_recording import next_recording
 from torchpi.diagnosis.noise import measured_noise
 from torchpi.diagnosis.outside import Outside, untried_note
-from torchpi.diagnosis.posterior import posterior
+from torchpi.diagnosis.posterior import OPERATOR_NAME, posterior
 from torchpi.diagnosis.records import Record, not_counting, prepare, seen, whole, without_start
 from torchpi.diagnosis.reduced_basis import reduced
 from torchpi.diagnosis.remainder import unless_unknown, with_remainder
@@ -133,6 +142,11 @@ def diagnose(
     lost = wrong_readings(records, wrong, final)
     if any(len(each) for each in lost):
         decision = with_read_off(decision, of_dropouts(records, lost, final))
+    across: tuple[AcrossRecordings, ...] = ()
+    if decision.verdict in CLOSED and not search.slips:
+        log("whether the recordings predict one another")
+        across = across_recordings(search.chain, final)
+        decision = if_it_carries_over(decision, across)
     log("model: everything refitted to all samples")
     complete = without_start(whole(recordings, out), search.unsettled)
     everything = Chain(complete, Weighting.of(complete, modelled.residuals, noise))
@@ -146,7 +160,7 @@ def diagnose(
     traces = traces_of(recordings, records, retuned, augmented, final, search.chain, decision)
     log("locate: where the residual lives")
     where = locate(from_settled(traces, search.unsettled), floor_um)
-    open_names = open_between(decision)
+    open_names = open_between(decision) if all(one.predicted for one in across) else [OPERATOR_NAME]
     next_one, excitation = next_recording(
         open_names, what, unexplained=decision.verdict in ("unexplained", "partly_explained")
     )
@@ -174,10 +188,10 @@ def diagnose(
     return Diagnosis(
         verdict=decision.verdict, effects=decision.effects, open=decision.causes_left_open, where=where,
         nominal=errors[0], retuned=errors[1], augmented=errors[2],
-        noise_floor_um=noise.rms_um if noise is not None else None,
+        across=across, noise_floor_um=noise.rms_um if noise is not None else None,
         heldout=HELD_OUT, unexplained_share=decision.unexplained_share, joint_share=decision.joint_share,
         next_recording=next_one, next_excitation=excitation, notes=notes, traces=traces, stage=stage,
-        says=paragraph(decision, errors, noise, next_one, loud, untested(records, what)),
+        says=paragraph(decision, errors, noise, next_one, loud, untested(records, what), across),
     )  # fmt: skip
 
 

@@ -8,6 +8,9 @@ import numpy as np
 from torchpi.stage import Stage
 
 Verdict = Literal["nothing_missing", "explained", "partly_explained", "unexplained"]
+PREDICTED = 2.0
+"""Times what the fit to all leaves of a recording, up to which the others predict it: three quarters of a
+larger squared error are extrapolation."""
 Domain = Literal[
     "time", "frequency", "displacement", "rate", "direction", "since_reversal", "amplitude", "recording"
 ]
@@ -92,6 +95,21 @@ class Errors:
 
 
 @dataclass(frozen=True)
+class AcrossRecordings:
+    """One recording, predicted with a hysteresis that was fitted to the others alone."""
+
+    recording: str
+    rms_um: float
+    fitted_rms_um: float
+    """With a hysteresis that was fitted to it as well."""
+
+    @property
+    def predicted(self) -> bool:
+        """Whether the others predict it."""
+        return self.rms_um <= PREDICTED * self.fitted_rms_um
+
+
+@dataclass(frozen=True)
 class NextRecording:
     """The recording that would decide what is open."""
 
@@ -137,6 +155,8 @@ class Diagnosis:
     """The same class of stage, refitted and grown inside itself."""
     augmented: Errors
     """With the named effects, and the unknown remainder if there is one."""
+    across: tuple[AcrossRecordings, ...]
+    """Each recording, predicted by the others; none where there is one, or the names leave much anyway."""
     noise_floor_um: float | None
     """Of a reading; None where nothing in the recordings measures it."""
     heldout: str

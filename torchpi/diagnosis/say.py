@@ -3,8 +3,8 @@
 import re
 from collections.abc import Sequence
 
-from torchpi.diagnosis.decide import NAMED, Decision
-from torchpi.diagnosis.diagnosis import Errors, NamedEffect, NextRecording
+from torchpi.diagnosis.decide import CLOSED, NAMED, Decision
+from torchpi.diagnosis.diagnosis import AcrossRecordings, Errors, NamedEffect, NextRecording
 from torchpi.diagnosis.noise import Noise
 
 CERTAIN = 0.9
@@ -39,6 +39,7 @@ def paragraph(
     next_one: NextRecording,
     leftovers: Sequence[str] = (),
     untested: Sequence[str] = (),
+    across: Sequence[AcrossRecordings] = (),
 ) -> str:
     """What was found, how probable it is, what it buys, what remains, and what to record next.
 
@@ -49,6 +50,7 @@ def paragraph(
         next_one: The next recording.
         leftovers: Where the residual of the augmented simulation stands out, one phrase each.
         untested: In what the held-out samples are alike, one phrase each.
+        across: Each recording, predicted by the others.
     """
     nominal, retuned, augmented = errors
     parts = [
@@ -71,14 +73,15 @@ def paragraph(
             if falls
             else f"On the held-out samples that is no gain: the error is {left} with it."
         )
-    if untested and decision.verdict in ("nothing_missing", "explained"):
+    if untested and decision.verdict in CLOSED:
         parts.append(
             f"This was tested only on {listed(untested)}: what is predicted of other motions is extrapolated."
         )
+    parts += carried_over(across)
     for one in decision.causes_left_open:
         text = f"with a probability of {percent(one.probability)} it is too uncertain to be named"
         parts.append(f"There may also be {counted(one.name)}: {text}.")
-    if decision.verdict == "partly_explained":
+    if decision.verdict == "partly_explained" and all(one.predicted for one in across):
         # Without the noise it is not known how much of what is left is noise.
         much = "Part" if noise is None else percent(decision.unexplained_share)
         parts.append(
@@ -93,6 +96,20 @@ def paragraph(
         parts.append(f"What is left stands out in {'; '.join(leftovers)}.")
     parts.append(f"Next: {next_one.why}")
     return " ".join(parts)
+
+
+def carried_over(across: Sequence[AcrossRecordings]) -> list[str]:
+    """How far a model that explains these recordings holds for others; nothing where that was not asked."""
+    if not across:
+        return []
+    worst = max(across, key=lambda one: one.rms_um / max(one.fitted_rms_um, 1e-300))
+    if worst.predicted:
+        return ["Each recording is predicted as well by a hysteresis that was fitted to the others alone."]
+    return [
+        "These recordings do not determine the hysteresis for other motions: fitted to the others alone, it "
+        f"predicts {worst.recording} with an error of {nm(worst.rms_um)}, against {nm(worst.fitted_rms_um)} "
+        "with all."
+    ]
 
 
 def noise_clause(noise: Noise | None) -> str:

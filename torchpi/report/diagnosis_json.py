@@ -28,6 +28,10 @@ def diagnosis_json(diagnosis: Diagnosis, provenance: Provenance) -> str:
             "noise_floor_um": diagnosis.noise_floor_um,
             "heldout": diagnosis.heldout,
         },
+        "across_recordings": [
+            {"recording": one.recording, "rms_um": one.rms_um, "fitted_rms_um": one.fitted_rms_um}
+            for one in diagnosis.across
+        ],
         "joint_share": diagnosis.joint_share,
         "unexplained_share": diagnosis.unexplained_share,
         "next_recording": {

@@ -1,0 +1,85 @@
+"""How well each recording is predicted by the others: cross-validation over recordings.
+
+A hysteresis of hundreds of weights may fit every recording down to the noise, its sealed end included, and
+be wrong about the next motion: steps say little of the minor loops of a decaying sine. What the others know
+of a recording tells (Stone, *J. Royal Statistical Society B* 36(2), 1974).
+"""
+
+from collections.abc import Sequence
+from math import sqrt
+
+import numpy as np
+
+from torchpi.diagnosis.chain import Chain
+from torchpi.diagnosis.diagnosis import AcrossRecordings
+from torchpi.diagnosis.fit import prior_of, solve, start_weights, with_weights_solved
+from torchpi.diagnosis.hypothesis import Fit, Hypothesis
+from torchpi.diagnosis.records import Record
+from torchpi.diagnosis.reduced_basis import MANY, basis
+from torchpi.diagnosis.sealed import mean_square
+from torchpi.diagnosis.sensitivity import tangent_of
+
+REACHED = 0.9
+"""Of the span of a recording's voltage, what the others have to reach."""
+
+
+def across_recordings(chain: Chain, final: Fit) -> tuple[AcrossRecordings, ...]:
+    """Each recording whose voltages the others reach, predicted by them.
+
+    The effects keep their numbers, few as they are: a mode that only one recording excites is no reason to
+    doubt it. The weights of the hysteresis are fitted to the others; the recording's own are its history
+    and its zero.
+
+    Args:
+        chain: The recordings, with the weighting of the final fit.
+        final: The fit that is tested.
+    """
+    reached = [reached_by_others(chain.records, i) for i in range(len(chain.records))]
+    if not any(reached):
+        return ()
+    hypothesis, _ = basis(chain, final.hypothesis, None, MANY)
+    start, _ = start_weights(chain, hypothesis)
+    tangent = tangent_of(chain, hypothesis, start)
+    prior = prior_of(chain, hypothesis, tangent.gram)
+    weights, _, found = with_weights_solved(chain, hypothesis, start, prior)
+    tangent = found or tangent
+    right, own_right = -prior @ weights, []
+    for i, part in enumerate(tangent.parts):
+        error = chain.whitened(i, (chain.records[i].y - chain.output(hypothesis, weights, i))[None])[0]
+        own_right.append(part.rows @ error)
+        right[part.places] += own_right[i]
+    across = []
+    for i, (record, part) in enumerate(zip(chain.records, tangent.parts, strict=True)):
+        if not reached[i]:
+            continue
+        gram, less = tangent.gram + prior, right.copy()
+        gram[np.ix_(part.places, part.places)] -= part.rows @ part.rows.T
+        less[part.places] -= own_right[i]
+        shared = np.setdiff1d(np.arange(len(weights)), part.places[part.places >= hypothesis.nominal.kept])
+        of_others = weights.copy()
+        of_others[shared] += solve(gram[np.ix_(shared, shared)], less[shared], len(shared), 0.0)
+        counts = record.train | record.held_out
+        left = beside_its_own(chain, hypothesis, of_others, i)[counts]
+        fitted = final.residuals[i][counts]
+        across.append(AcrossRecordings(record.name, *(sqrt(mean_square(e)) for e in (left, fitted))))
+    return tuple(across)
+
+
+def reached_by_others(records: Sequence[Record], index: int) -> bool:
+    """Whether the other recordings move over the voltages of one: what lies beyond them they cannot know."""
+    u, others = records[index].u, [record.u for k, record in enumerate(records) if k != index]
+    if not others:
+        return False
+    low_v, high_v = min(one.min() for one in others), max(one.max() for one in others)
+    return bool(min(high_v, u.max()) - max(low_v, u.min()) >= REACHED * np.ptp(u) > 0)
+
+
+def beside_its_own(chain: Chain, hypothesis: Hypothesis, weights: np.ndarray, index: int) -> np.ndarray:
+    """(time,), µm: what is left of a recording once its history and its zero have been fitted to it."""
+    record = chain.records[index]
+    y, used, directions = chain.output_and_directions(hypothesis, weights, index)
+    counts, left = record.train | record.held_out, record.y - y
+    rows = np.concatenate([directions[used >= hypothesis.nominal.kept], np.ones((1, len(y)))])
+    own = np.linalg.lstsq(rows[:, counts].T, left[counts], rcond=None)[0]
+    remaining: np.ndarray = left - own @ rows
+    return remaining
