@@ -21,7 +21,8 @@ from torchpi.diagnosis.diagnosis import AcrossRecordings
 from torchpi.diagnosis.free_parameters import slot
 from torchpi.diagnosis.hypothesis import EffectTerm, Hypothesis
 from torchpi.diagnosis.hysteresis_model import HysteresisModel
-from torchpi.diagnosis.posterior import HALF, OPERATOR_NAME, Believed
+from torchpi.diagnosis.posterior import HALF, Believed
+from torchpi.diagnosis.rival_models import OPERATOR_NAME
 from torchpi.stage.effects.actuator.creep import Creep
 from torchpi.stage.effects.mechanics.backlash import Backlash
 from torchpi.stage.effects.mechanics.load_change import LoadChange

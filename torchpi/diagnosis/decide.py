@@ -11,7 +11,8 @@ from torchpi.diagnosis.hypothesis import Fit
 from torchpi.diagnosis.intervals import distance_from_none, intervals_90
 from torchpi.diagnosis.noise import Noise
 from torchpi.diagnosis.parameters import parameters_of, shape_parameters
-from torchpi.diagnosis.posterior import OPERATOR_NAME, STEEPNESS, Believed, form_of
+from torchpi.diagnosis.posterior import STEEPNESS, Believed, form_of
+from torchpi.diagnosis.rival_models import OPERATOR_NAME
 from torchpi.diagnosis.search import Search
 from torchpi.stage.effects.mechanics.backlash import Backlash
 

@@ -31,10 +31,11 @@ from torchpi.diagnosis.monitored import noise_of
 from torchpi.diagnosis.next_recording import next_recording
 from torchpi.diagnosis.noise import measured_noise
 from torchpi.diagnosis.outside import Outside, untried_note
-from torchpi.diagnosis.posterior import OPERATOR_NAME, posterior
+from torchpi.diagnosis.posterior import posterior
 from torchpi.diagnosis.records import Record, not_counting, prepare, seen, whole, without_start
 from torchpi.diagnosis.reduced_basis import reduced
 from torchpi.diagnosis.remainder import unless_unknown, with_remainder
+from torchpi.diagnosis.rival_models import OPERATOR_NAME
 from torchpi.diagnosis.say import nm, paragraph
 from torchpi.diagnosis.score import Weighting
 from torchpi.diagnosis.search import Search

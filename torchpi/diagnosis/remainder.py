@@ -10,9 +10,10 @@ from torchpi.diagnosis.contest import STEPS
 from torchpi.diagnosis.exchange import rms_of
 from torchpi.diagnosis.fit import ROUGH, left_out, rms
 from torchpi.diagnosis.hypothesis import EffectTerm, Fit
-from torchpi.diagnosis.posterior import OPERATOR_NAME, Believed
+from torchpi.diagnosis.posterior import Believed
 from torchpi.diagnosis.records import seen
 from torchpi.diagnosis.reduced_basis import reduced
+from torchpi.diagnosis.rival_models import OPERATOR_NAME
 from torchpi.diagnosis.score import gain
 from torchpi.diagnosis.search import Search
 from torchpi.diagnosis.sensitivity import Sensitivity, jacobian

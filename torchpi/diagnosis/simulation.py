@@ -9,8 +9,9 @@ import torch
 
 from torchpi.diagnosis.hypothesis import EffectTerm
 from torchpi.diagnosis.outside import Effects, Outside
-from torchpi.diagnosis.posterior import OPERATOR_NAME, Believed
+from torchpi.diagnosis.posterior import Believed
 from torchpi.diagnosis.records import Record
+from torchpi.diagnosis.rival_models import OPERATOR_NAME
 from torchpi.errors import SimulationError
 from torchpi.simulators import COLUMN, Simulate, Simulator
 from torchpi.stage import EffectSettings, Stage

@@ -1,0 +1,120 @@
+"""What stands around a final hypothesis: what was tried in the place of each effect, and what may be."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from torchpi.diagnosis import rival_models
+from torchpi.diagnosis.hypothesis import EffectTerm, Hypothesis
+from torchpi.diagnosis.hysteresis_model import HysteresisModel
+from torchpi.diagnosis.rival_models import CONVENTION, OPERATOR_NAME, Model, groups, names_of, rivals, settled
+from torchpi.diagnosis.score import Gain
+from torchpi.stage.effects.actuator.creep import Creep
+from torchpi.stage.effects.actuator.hysteresis_asymmetry import HysteresisAsymmetry
+from torchpi.stage.effects.amplifier.amplifier_lag import AmplifierLag
+from torchpi.stage.effects.amplifier.delay import Delay
+from torchpi.stage.effects.amplifier.slew_limit import SlewLimit
+from torchpi.stage.effects.effect import Effect
+from torchpi.stage.effects.mechanics.load_change import LoadChange
+from torchpi.stage.effects.sensor.sensor_nonlinearity import SensorNonlinearity
+from torchpi.stage.effects.sensor.thermal_drift import ThermalDrift
+
+
+def test_the_names_in_an_explanation() -> None:
+    assert names_of("resonance + cross_coupling") == ["resonance", "cross_coupling"]
+    assert names_of("hysteresis_operator: preisach") == ["hysteresis_operator"]
+    assert names_of(None) == []
+
+
+def test_what_came_by_exchange_competes_with_what_it_replaced() -> None:
+    """A slew limit that is soft enough is a lag: it was exchanged for the one that had been taken."""
+    lag, slew = EffectTerm(AmplifierLag, {"cutoff_hz": 250.0}), EffectTerm(SlewLimit, {"rate_v_per_s": 7e3})
+    less = Hypothesis(HysteresisModel(np.zeros(1)))
+    fitted = SimpleNamespace(hypothesis=less.plus(lag))
+    taken = SimpleNamespace(
+        accepted="amplifier_lag", tried=(SimpleNamespace(name="amplifier_lag", fit=fitted),)
+    )
+    search = SimpleNamespace(effects_tried=[], alignments=(0, 1))
+    small = SimpleNamespace(hypothesis=less.plus(slew), weights=np.zeros(1))
+    found = rivals(search, [taken], "slew_limit", less, small)
+    assert [label for label, _, _ in found] == ["amplifier_lag"]
+    assert found[0][1].names == ("amplifier_lag",)
+
+
+@pytest.mark.parametrize(
+    ("effect", "alignment", "rivals_at"),
+    [(Delay, 0, [1]), (Delay, 1, [0]), (AmplifierLag, 0, []), (AmplifierLag, 1, [0]), (Creep, 1, [])],
+)
+def test_a_delay_competes_with_conventions_and_a_lag_with_the_one_that_it_was_found_beside(
+    effect: type[Effect], alignment: int, rivals_at: list[int]
+) -> None:
+    less = Hypothesis(HysteresisModel(np.zeros(1)), alignment=alignment)
+    search = SimpleNamespace(effects_tried=[effect], alignments=(0, 1), by_form=list)
+    small = SimpleNamespace(hypothesis=less.plus(EffectTerm(effect, {})), weights=np.zeros(1))
+    found = rivals(search, [], effect.name, less, small)
+    assert [h.alignment for label, h, _ in found if label == CONVENTION] == rivals_at
+
+
+@pytest.mark.parametrize("bends", [True, False])
+def test_a_larger_hysteresis_that_explains_a_little_of_everything_takes_no_effects_place(
+    bends: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    h = Hypothesis(HysteresisModel(np.zeros(0)))
+    drift, plain, larger = (SimpleNamespace(slots=(), train_rms=1.0, hypothesis=h) for _ in range(3))
+    models = [
+        Model("", "", drift), Model("thermal_drift", "", plain), Model("thermal_drift", OPERATOR_NAME, larger)
+    ]  # fmt: skip
+    monkeypatch.setattr(rival_models, "around", lambda *given: models)
+    monkeypatch.setattr(rival_models, "reduced", lambda chain, fit: fit)
+    monkeypatch.setattr(rival_models, "prior", lambda *given: 0.0)
+    search = SimpleNamespace(
+        chain=None, slips=None, weigh=lambda fit: None, log=lambda text: None, on_its_rows=lambda fit: fit,
+        as_well=lambda one, best: False, faint=lambda more, less: less is larger,
+        over=lambda better, worse, prior: Gain(20.0, 1.0), bends_to_all=lambda one, now: bends,
+    )  # fmt: skip
+    final, _ = settled(search, plain, drift, [])
+    assert final is (drift if bends else larger)
+
+
+@pytest.mark.parametrize(("nats", "swapped"), [(-70.0, False), (-30.0, True), (-1.0, True)])
+def test_of_fewer_numbers_is_what_predicts_as_well_and_not_much_worse(
+    nats: float, swapped: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    h = Hypothesis(HysteresisModel(np.zeros(0)))
+    hum, plain, ageing = (SimpleNamespace(slots=(0,) * k, train_rms=1.0, hypothesis=h) for k in (5, 0, 2))
+    models = [Model("", "", hum), Model("hum", "", plain), Model("hum", "ageing", ageing)]
+    monkeypatch.setattr(rival_models, "around", lambda *given: models)
+    monkeypatch.setattr(rival_models, "reduced", lambda chain, fit: fit)
+    monkeypatch.setattr(rival_models, "prior", lambda *given: 0.0)
+    search = SimpleNamespace(
+        chain=None, slips=None, weigh=lambda fit: None, log=lambda text: None, on_its_rows=lambda fit: fit,
+        faint=lambda more, less: less is ageing, over=lambda better, worse, prior: Gain(nats, 36.0),
+    )  # fmt: skip
+    final, _ = settled(search, plain, hum, [])
+    assert final is (ageing if swapped else hum)
+
+
+@pytest.mark.parametrize("grown", [True, False])
+def test_effects_that_may_stand_in_each_other_s_place_are_one_group(grown: bool) -> None:
+    """A larger hysteresis takes the part of what has no dynamics, but not of what one recording has alone."""
+    plain = Hypothesis(HysteresisModel(np.linspace(0, 1, 9)))
+    h = replace(plain, nominal=replace(plain.nominal, pieces=5)) if grown else plain
+    for effect in (
+        AmplifierLag,
+        Creep,
+        Delay,
+        ThermalDrift,
+        SensorNonlinearity,
+        LoadChange,
+        HysteresisAsymmetry,
+    ):
+        h = h.plus(EffectTerm(effect, {}))
+    fit, before = SimpleNamespace(hypothesis=h), SimpleNamespace(hypothesis=plain)
+    search = SimpleNamespace(added=lambda one: list(one.hypothesis.names))
+    assert {frozenset(group) for group in groups(search, fit, before)} == {
+        frozenset({"amplifier_lag", "delay"}),
+        frozenset({"creep", "thermal_drift"}),
+        frozenset({"sensor_nonlinearity", "hysteresis_asymmetry", *([OPERATOR_NAME] if grown else [])}),
+    }

@@ -1,0 +1,177 @@
+"""The hypotheses around the final one: without one of its effects, and with a rival in its place."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from torchpi.diagnosis.contest import ACCEPTED, PRIOR
+from torchpi.diagnosis.exchange import alike, rms_of
+from torchpi.diagnosis.fit import ROUGH
+from torchpi.diagnosis.growth import OPERATOR
+from torchpi.diagnosis.hypothesis import EffectTerm, Fit, Hypothesis
+from torchpi.diagnosis.parallel import Job
+from torchpi.diagnosis.reduced_basis import reduced
+from torchpi.diagnosis.search import Round, Search
+
+RIVALS = 4
+"""Of an effect, that are fitted in its place."""
+OPERATOR_NAME = "hysteresis_operator"
+CONVENTION = "timing_convention"
+"""A rival of what delays: whole samples, by the convention of whoever recorded."""
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """A hypothesis around the final one."""
+
+    without: str
+    """The effect that it lacks; empty for the final one."""
+    instead: str
+    """What stands in its place."""
+    fit: Fit
+
+
+def settled(search: Search, retuned: Fit, final: Fit, history: Sequence[Round]) -> tuple[Fit, list[Model]]:
+    """The hypothesis that none around it predicts better than, and those around it."""
+    for last in (False, True):
+        search.weigh(final)
+        models = around(search, retuned, reduced(search.chain, final), history)
+        now = models[0].fit
+        bare = {model.without: model.fit for model in models if not model.instead}
+        better = [
+            (search.over(one.fit, now, prior(search, retuned, one.fit) - prior(search, retuned, now)), one)
+            for one in models[1:]
+            if search.faint(now, one.fit)
+            and not (
+                one.instead == OPERATOR_NAME
+                and any(search.bends_to_all(one.fit, less) for less in (bare[one.without], now))
+            )
+        ]
+        # Of what predicts as well, that of fewer numbers; two standard errors behind may be much worse.
+        plainer = [
+            (ahead, one)
+            for ahead, one in better
+            if one.instead not in ("", OPERATOR_NAME)
+            and (len(one.fit.slots), -ahead.nats) < (len(now.slots), 0.0)
+            and ahead.nats > -max(ahead.sd, -PRIOR)
+        ]
+        ahead, best = max(better, key=lambda pair: pair[0].nats, default=(None, models[0]))
+        if ahead is None or last or search.slips:
+            break
+        if ahead.probability < ACCEPTED:
+            if not plainer:
+                break
+            best = max(plainer, key=lambda pair: pair[0].nats)[1]
+        search.log(f"  {best.instead or 'nothing'} in the place of {best.without}: {rms_of(best.fit)}")
+        final = search.on_its_rows(best.fit)
+    return final, models
+
+
+def prior(search: Search, retuned: Fit, one: Fit) -> float:
+    """Log odds of what a hypothesis adds to the retuned simulation."""
+    grown = one.hypothesis.nominal.family != retuned.hypothesis.nominal.family
+    return PRIOR * (len(search.added(one)) + grown)
+
+
+def around(search: Search, retuned: Fit, small: Fit, history: Sequence[Round]) -> list[Model]:
+    """The final hypothesis, those without one effect, and those with a rival in its place, all fitted."""
+    h = small.hypothesis
+    wanted: list[tuple[str, str, Hypothesis, np.ndarray | None]] = [("", "", h, small.weights)]
+    for name in search.added(small):
+        less = h.without(name)
+        wanted.append((name, "", less, small.weights))
+        wanted += [(name, label, one, w) for label, one, w in rivals(search, history, name, less, small)]
+    if h.nominal.family != retuned.hypothesis.nominal.family:
+        plain = h.on(retuned.hypothesis.nominal)
+        wanted.append((OPERATOR_NAME, "", plain, None))
+        wanted += [
+            (OPERATOR_NAME, label, one, None)
+            for label, one, _ in rivals(search, history, OPERATOR_NAME, plain, small)
+        ]
+    for group in groups(search, small, retuned):
+        larger = OPERATOR_NAME in group
+        less = h.on(retuned.hypothesis.nominal) if larger else h
+        for name in group:
+            less = less.without(name)
+        wanted.append((" + ".join(group), "", less, None if larger else small.weights))
+    jobs: list[Job] = [(one, w, 8, ROUGH) for _, _, one, w in wanted]
+    (best,) = search.fits(jobs[:1])
+    fits = [best, *search.raced(jobs[1:], best)]
+    return [
+        Model(name, instead, one)
+        for (name, instead, _, _), one in zip(wanted, fits, strict=True)
+        if instead in ("", CONVENTION) or search.inside(one, small)  # neither is another cause
+    ]
+
+
+def groups(search: Search, small: Fit, retuned: Fit) -> list[tuple[str, ...]]:
+    """What was added that may stand in each other's place, where there are two or more of it."""
+    terms = {member.effect.name: member for member in small.hypothesis.members}
+    left, found = search.added(small), []
+    if small.hypothesis.nominal.family != retuned.hypothesis.nominal.family:
+        left = [OPERATOR_NAME, *left]
+    while left:
+        group, left = [left[0]], left[1:]
+        while kin := [n for n in left if any(same_place(terms.get(n), terms.get(g)) for g in group)]:
+            group, left = [*group, *kin], [name for name in left if name not in kin]
+        if len(group) > 1:
+            found.append(tuple(group))
+    return found
+
+
+def same_place(one: EffectTerm | None, other: EffectTerm | None) -> bool:
+    """Whether two effects, or a larger hysteresis, None, may each stand for a part of the other: alone each
+    is then left out with little loss."""
+    if one is not None and other is not None and alike(one, other):
+        return True
+    return all(t is None or (t.effect.time_scale == "static" and not t.effect.relative) for t in (one, other))
+
+
+def rivals(
+    search: Search, history: Sequence[Round], name: str, less: Hypothesis, small: Fit
+) -> list[tuple[str, Hypothesis, np.ndarray | None]]:
+    """What may stand in the place of an effect: what was tried when it was taken, and what is alike."""
+    found: list[tuple[str, Hypothesis, np.ndarray | None]] = []
+    there = set(small.hypothesis.names)
+    seen: set[str] = set()
+    taken = [round for round in history if name in names_of(round.accepted)]
+    # What came by exchange stands in the place of what was taken then.
+    kept = there | {OPERATOR_NAME}
+    taken = taken or [one for one in history if one.accepted and not kept & {*names_of(one.accepted)}]
+    considered = [round for round in history if any(name in names_of(one.name) for one in round.tried)]
+    for round in reversed(taken or considered[-1:]):
+        for one in round.tried:
+            label = OPERATOR_NAME if one.name.startswith(OPERATOR) else one.name
+            parts = names_of(one.name)
+            if label in seen or label == name or name in parts or there & set(parts) or len(seen) >= RIVALS:
+                continue
+            seen.add(label)
+            if label == OPERATOR_NAME:
+                larger = one.fit.hypothesis
+                found.append((label, less.on(larger.nominal, larger.shape, larger.starts), None))
+                continue
+            more = less
+            for member in one.fit.hypothesis.members:
+                if member.effect.name in parts:
+                    more = more.plus(member)
+            found.append((label, more, small.weights))
+    mine = next((effect for effect in search.effects_tried if effect.name == name), None)
+    if mine and mine.delays:
+        # A lag is no whole samples, but may have been found beside a convention that is a part of it.
+        others = (
+            a for a in search.alignments if a < less.alignment or (mine.commutes and a > less.alignment)
+        )
+        found += [(CONVENTION, replace(less, alignment=a), small.weights) for a in others]
+    for effect in search.effects_tried if mine else ():
+        if mine and effect.name in mine.degenerate_with and effect.name not in seen | there:
+            forms = [each for each in search.by_form() if each[0].effect is effect]
+            found += [(effect.name, less.plus(each[len(each) // 2]), small.weights) for each in forms]
+    return found
+
+
+def names_of(label: str | None) -> list[str]:
+    """The effects in the name of an explanation."""
+    if not label:
+        return []
+    return [OPERATOR_NAME] if label.startswith(OPERATOR) else label.split(" + ")
