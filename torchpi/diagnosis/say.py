@@ -104,7 +104,11 @@ def carried_over(across: Sequence[AcrossRecordings]) -> list[str]:
         return []
     worst = max(across, key=lambda one: one.rms_um / max(one.fitted_rms_um, 1e-300))
     if worst.predicted:
-        return ["Each recording is predicted as well by a hysteresis that was fitted to the others alone."]
+        times = max(worst.rms_um / max(worst.fitted_rms_um, 1e-300), 1.0)
+        return [
+            f"Fitted to the others alone, the hysteresis predicts each recording with {times:.2g} times the "
+            "error, at most."
+        ]
     return [
         "These recordings do not determine the hysteresis for other motions: fitted to the others alone, it "
         f"predicts {worst.recording} with an error of {nm(worst.rms_um)}, against {nm(worst.fitted_rms_um)} "
