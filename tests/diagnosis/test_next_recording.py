@@ -53,6 +53,13 @@ def test_it_stays_within_what_the_recordings_have_shown(seen, names, unexplained
     assert np.abs(np.diff(u)).max() * fs_hz <= bears_v_s * (1 + 1e-6)
 
 
+def test_what_determines_the_hysteresis_comes_before_what_is_open():
+    said, (_, u) = next_recording(["hum"], USUAL, determined=False)
+    assert said.why.startswith("Minor loops")
+    turning = np.flatnonzero(np.diff(np.sign(np.diff(u[np.diff(u, prepend=np.nan) != 0]))))
+    assert len(turning) > 10
+
+
 @pytest.mark.parametrize("pair", list(combinations(NAMES, 2)))
 def test_every_pair_has_its_reason_whichever_is_the_likelier(pair):
     one, other = _decision(pair, False), _decision(pair[::-1], False)

@@ -126,7 +126,7 @@ def test_a_recording_that_the_others_do_not_predict_is_in_the_headline_and_the_t
     assert 'data-signal="across"' in html
     missed = dataclasses.replace(found.across[0], rms_um=0.05)
     partly = dataclasses.replace(found, verdict="partly_explained", across=(missed,))
-    assert headline(partly).startswith("Explained, but not for other motions: held-out error")
+    assert headline(partly).startswith("Explained for these motions only: held-out error")
     alone = dataclasses.replace(partly, across=())
     assert headline(alone).startswith("Partly explained")
     assert 'data-signal="across"' not in diagnosis_page.diagnosis_page(alone, provenance)

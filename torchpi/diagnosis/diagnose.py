@@ -35,7 +35,6 @@ from torchpi.diagnosis.posterior import posterior
 from torchpi.diagnosis.records import Record, not_counting, prepare, seen, whole, without_start
 from torchpi.diagnosis.reduced_basis import reduced
 from torchpi.diagnosis.remainder import unless_unknown, with_remainder
-from torchpi.diagnosis.rival_models import OPERATOR_NAME
 from torchpi.diagnosis.say import nm, paragraph
 from torchpi.diagnosis.score import Weighting
 from torchpi.diagnosis.search import Search
@@ -161,9 +160,11 @@ def diagnose(
     traces = traces_of(recordings, records, retuned, augmented, final, search.chain, decision)
     log("locate: where the residual lives")
     where = locate(from_settled(traces, search.unsettled), floor_um)
-    open_names = open_between(decision) if all(one.predicted for one in across) else [OPERATOR_NAME]
     next_one, excitation = next_recording(
-        open_names, what, unexplained=decision.verdict in ("unexplained", "partly_explained")
+        open_between(decision),
+        what,
+        determined=all(one.predicted for one in across),
+        unexplained=decision.verdict not in CLOSED,
     )
     notes = (
         *long,

@@ -9,7 +9,7 @@ import numpy as np
 
 from torchpi.diagnosis.deciding_excitation import Movement, stretch
 from torchpi.diagnosis.diagnosis import NextRecording
-from torchpi.diagnosis.splits import CONFIRM, NAMELESS, SHOWS, SPLITS, Decision
+from torchpi.diagnosis.splits import CONFIRM, DETERMINE, NAMELESS, SHOWS, SPLITS, Decision
 from torchpi.excitation.limits import DriveLimits, recorded
 from torchpi.excitation.signals import Samples
 from torchpi.stage.effects.effect import DataRange
@@ -19,7 +19,12 @@ LEAST_RATE = 2.0  # ranges per second: what any stage that has crossed its range
 
 
 def next_recording(
-    open_names: Sequence[str], seen: DataRange, *, unexplained: bool = False, seed: int = 1
+    open_names: Sequence[str],
+    seen: DataRange,
+    *,
+    determined: bool = True,
+    unexplained: bool = False,
+    seed: int = 1,
 ) -> tuple[NextRecording, Samples]:
     """The recording that opens the angle between the leading candidates, and the voltage to play for it.
 
@@ -28,6 +33,7 @@ def next_recording(
             one name if it is only uncertain; none if nothing is open.
         seen: What the recordings span. The voltage stays within their range, and within their rate where
             that crosses the range twice a second or faster.
+        determined: Whether the hysteresis is known for other motions; what would determine it comes first.
         unexplained: Whether a part has no name yet; counts where no name is open.
         seed: Of random phases; not that of `torchpi excite`, so that the recordings are independent.
 
@@ -35,7 +41,7 @@ def next_recording(
         Why and what, in words; and t (time,), s, and u (time,), V, from 0 V and back to it, at the
         recordings' sample rate, halved as often as it takes where that would be more than MOST_SAMPLES.
     """
-    decision = _decision(open_names, unexplained)
+    decision = _decision(open_names, unexplained) if determined else DETERMINE
     if seen.low_v == seen.high_v == 0:
         why = "The voltage never left 0 V in these recordings, so they do not show what the stage bears."
         what = (

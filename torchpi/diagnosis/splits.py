@@ -242,6 +242,11 @@ CONFIRM = Decision(
     "no fit has seen.",
     play.MULTISINES,
 )
+DETERMINE = Decision(
+    "Minor loops at several biases, and inside one another, determine a hysteresis for other motions.",
+    play.LOOPS,
+)
+"""Where it is not determined by what was recorded."""
 NAMELESS = Decision(
     "A part has no name yet. Even lines would say that it is asymmetric, odd lines left out that it is a "
     "symmetric bend, and what differs between the periods that it does not follow the voltage at all.",

@@ -25,7 +25,7 @@ def headline(diagnosis: Diagnosis) -> str:
     else:
         against = "no noise"
     if diagnosis.verdict == "partly_explained" and not all(one.predicted for one in diagnosis.across):
-        return f"Explained, but not for other motions: held-out error {error}, {against}"
+        return f"Explained for these motions only: held-out error {error}, {against}"
     return {
         "nothing_missing": f"Nothing is missing: held-out error {error}, {against}",
         "explained": f"Explained: held-out error {error}, {against}",
