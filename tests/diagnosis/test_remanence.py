@@ -11,9 +11,9 @@ from torchpi.diagnosis.chain import Chain
 from torchpi.diagnosis.diagnose import diagnose
 from torchpi.diagnosis.fit import fit
 from torchpi.diagnosis.hypothesis import EffectTerm, Hypothesis
-from torchpi.diagnosis.hysteresis_model import many_plays
+from torchpi.diagnosis.hysteresis_model import many_plays, preisach
 from torchpi.diagnosis.records import seen
-from torchpi.diagnosis.reduced_basis import refitted
+from torchpi.diagnosis.reduced_basis import MANY, basis, refitted
 from torchpi.diagnosis.remanence import COLUMNS, EITHER, excursions, fading
 from torchpi.diagnosis.search import Search
 from torchpi.operators.hysteresis_rows import duhem
@@ -63,6 +63,27 @@ def test_a_history_is_decided_again_once_an_effect_is_known(remembers: bool) -> 
     now = refitted(chain, fit(chain, before))
     search.weigh(now)
     assert search.realigned(now).hypothesis.remanent == remembers
+
+
+@pytest.mark.parametrize("remembers", [True, False])
+def test_a_larger_hysteresis_has_a_history_only_where_there_is_one(remembers: bool) -> None:
+    """One that has none is predicted better from the de-energised state: its first loading is known."""
+    thresholds, made = np.array([0.0, 0.7, 2.3, 4.1]), []
+    for seed in (1, 2):
+        rng, v = np.random.default_rng(seed), multisine(6000, high_hz=40.0, seed=seed)
+        state, y = thresholds * rng.uniform(-1, 1, 4) * remembers, np.empty(len(v))
+        for k, one in enumerate(v):
+            state = np.maximum(one - thresholds, np.minimum(one + thresholds, state))
+            y[k] = state @ (0.5, 0.3, 0.2, 0.2) + (state[2] ** 2 + state[3] ** 2) / 125
+        y += NOISE_UM * rng.standard_normal(len(v))
+        made.append(Recording(str(seed), np.arange(len(v)) / 2e3, v, y, 2e3))
+    chain = Chain(prepared(made))
+    search = Search(chain, lambda sentence: None)
+    remanent = Hypothesis(preisach(seen(chain.records)), remanent=True)
+    now = fit(chain, *basis(chain, remanent, None, MANY))
+    search.weigh(now)
+    assert now.train_rms < 1.1 * NOISE_UM
+    assert search.without_history(now).hypothesis.remanent == remembers
 
 
 @given(st.integers(0, 999), st.integers(2, 400))

@@ -130,7 +130,7 @@ class Search(Proposals):
         if self.slips:
             self.jump = jump(self.slips, now)
         else:
-            now = self.on_its_rows(self.at_the_tick(now))
+            now = self.without_history(self.on_its_rows(self.at_the_tick(now)))
         return retuned, now, history
 
     def on_its_rows(self, now: Fit) -> Fit:
@@ -138,6 +138,18 @@ class Search(Proposals):
         only what was added to it last, and may bend a stage whose travel is many times the noise."""
         again = refitted(self.chain, now)
         return again if self.as_well(again, now) else now
+
+    def without_history(self, now: Fit) -> Fit:
+        """The fit to recordings that start de-energised, where that predicts as well: a history takes the
+        place of the first loading curve, which many rows know and few do not."""
+        if not now.hypothesis.remanent or self.slips:
+            return now
+        h, _ = basis(self.chain, replace(now.hypothesis, remanent=False), None, MANY)
+        (less,) = self.fits_here([(h, None, STEPS, FINE)])
+        if not self.needs_no_history(now, less):
+            return now
+        self.log(f"  from the de-energised state: {rms_of(less)}")
+        return less
 
     def simplest(self, tried: Sequence[Tried], now: Fit) -> Tried | None:
         """The best of what earns its place. An effect where a larger hysteresis is no clearer; the larger
