@@ -38,8 +38,8 @@ def across_recordings(chain: Chain, final: Fit) -> tuple[AcrossRecordings, ...]:
     if not any(reached):
         return ()
     hypothesis, _ = basis(chain, final.hypothesis, None, MANY)
-    start, _ = start_weights(chain, hypothesis)
-    tangent = tangent_of(chain, hypothesis, start)
+    start, tangent = start_weights(chain, hypothesis)
+    tangent = tangent or tangent_of(chain, hypothesis, start)
     prior = prior_of(chain, hypothesis, tangent.gram)
     weights, _, found = with_weights_solved(chain, hypothesis, start, prior)
     tangent = found or tangent

@@ -104,9 +104,14 @@ class AcrossRecordings:
     """With a hysteresis that was fitted to it as well."""
 
     @property
+    def times(self) -> float:
+        """The first error over the second."""
+        return self.rms_um / max(self.fitted_rms_um, 1e-300)
+
+    @property
     def predicted(self) -> bool:
         """Whether the others predict it."""
-        return self.rms_um <= PREDICTED * self.fitted_rms_um
+        return self.times <= PREDICTED
 
 
 @dataclass(frozen=True)
@@ -156,7 +161,8 @@ class Diagnosis:
     augmented: Errors
     """With the named effects, and the unknown remainder if there is one."""
     across: tuple[AcrossRecordings, ...]
-    """Each recording, predicted by the others; none where there is one, or the names leave much anyway."""
+    """Each recording whose voltages the others reach, predicted by them; none where the names leave more to
+    explain, or a mount sticks."""
     noise_floor_um: float | None
     """Of a reading; None where nothing in the recordings measures it."""
     heldout: str

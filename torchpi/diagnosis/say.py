@@ -102,12 +102,11 @@ def carried_over(across: Sequence[AcrossRecordings]) -> list[str]:
     """How far a model that explains these recordings holds for others; nothing where that was not asked."""
     if not across:
         return []
-    worst = max(across, key=lambda one: one.rms_um / max(one.fitted_rms_um, 1e-300))
+    worst = max(across, key=lambda one: one.times)
     if worst.predicted:
-        times = max(worst.rms_um / max(worst.fitted_rms_um, 1e-300), 1.0)
         return [
-            f"Fitted to the others alone, the hysteresis predicts each recording with {times:.2g} times the "
-            "error, at most."
+            "Fitted to the others alone, the hysteresis predicts each recording with "
+            f"{max(worst.times, 1.0):.2g} times the error, at most."
         ]
     return [
         "These recordings do not determine the hysteresis for other motions: fitted to the others alone, it "

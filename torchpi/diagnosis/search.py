@@ -142,7 +142,7 @@ class Search(Proposals):
     def without_history(self, now: Fit) -> Fit:
         """The fit to recordings that start de-energised, where that predicts as well: a history takes the
         place of the first loading curve, which many rows know and few do not."""
-        if not now.hypothesis.remanent or self.slips:
+        if not now.hypothesis.remanent:
             return now
         h, _ = basis(self.chain, replace(now.hypothesis, remanent=False), None, MANY)
         (less,) = self.fits_here([(h, None, STEPS, FINE)])
