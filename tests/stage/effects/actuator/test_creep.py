@@ -25,6 +25,7 @@ class TestLaws(EffectLaws):
             slow_time_constant_s=6.0,
             power_per_decade=0.02,
             exponent=0.3,
+            from_s=0.004,  # by default one more pole comes in at any smaller time
         )
 
 
@@ -58,21 +59,24 @@ def test_the_logarithm_is_followed_between_decades_too():
 
 
 def test_its_poles_run_from_a_millisecond_to_a_thousand_seconds_by_default():
-    taus = -1e-3 / bank(1e-3, FROM_S, TO_S).a.log()
+    taus = -1e-3 / bank(1e-3, torch.tensor(FROM_S, dtype=torch.float64), TO_S).a.log()
     assert taus[0].item() == pytest.approx(1e-3) and taus[-1].item() == pytest.approx(1e3, rel=1e-6)
-    taus = -1e-3 / bank(1e-3, 0.1, 10.0).a.log()
+    taus = -1e-3 / bank(1e-3, torch.tensor(0.1, dtype=torch.float64), 10.0).a.log()
     assert taus[0].item() == pytest.approx(0.1 / 10**0.5) and taus[-1].item() == pytest.approx(
         100.0, rel=1e-6
     )
 
 
-def test_a_bank_made_in_inference_mode_serves_training():
-    bank.cache_clear()
-    with torch.inference_mode():
-        Creep(1e-3, per_decade=0.02)(wandering(1, 50))
-    effect = Creep(1e-3, per_decade=0.02)
-    effect(wandering(1, 50))[0].sum().backward()
-    assert effect.per_decade.grad.item() != 0
+def test_a_pole_that_comes_in_at_the_far_end_is_no_jump():
+    def moved(from_s):
+        return Creep(1e-3, per_decade=0.03, from_s=from_s)(wandering(1, 200))[0].square().sum().item()
+
+    effect = Creep(1e-3, per_decade=0.03, from_s=0.01)
+    effect(wandering(1, 200))[0].square().sum().backward()
+    slopes = (moved(0.01) - moved(0.01 - 1e-7)) / 1e-7, (moved(0.01 + 1e-7) - moved(0.01)) / 1e-7
+    assert len(Creep(1e-3, from_s=0.01 - 1e-7).bank().a) == len(effect.bank().a) + 1
+    assert slopes == pytest.approx([effect.from_s.grad.item()] * 2, rel=0.01)
+    assert effect.to_s.grad is None
 
 
 @pytest.mark.parametrize(

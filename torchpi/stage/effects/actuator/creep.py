@@ -20,7 +20,6 @@ growing as τ^α.
 
 import math
 from collections.abc import Mapping
-from functools import lru_cache
 from itertools import pairwise
 from typing import ClassVar, NamedTuple
 
@@ -52,22 +51,23 @@ class Bank(NamedTuple):
     b: Tensor
     at_once: Tensor
     """d_i: what is relaxed within the sample, less what will be after 0.1 s."""
+    share: Tensor
+    """Of a whole pole: 1, and less of the last, so that the sum moves smoothly with the two times."""
 
 
-@lru_cache(maxsize=256)
-def bank(sample_period_s: float, from_s: float, to_s: float) -> Bank:
+def bank(sample_period_s: float, from_s: Tensor, to_s: float) -> Bank:
     """The poles of a logarithm, or a power law, that holds from one time to another.
 
     Poles reach half a decade below the first time and one decade beyond the second, which keeps the rise
     within 5 % of γ there as well.
     """
-    with torch.inference_mode(False):  # what is kept is for training as well
-        decades = math.log10(to_s / from_s) + 1.5
-        steps = torch.arange(math.ceil(decades * POLES_PER_DECADE) + 1, dtype=torch.float64)
-        tau = from_s * 10 ** (steps / POLES_PER_DECADE - 0.5)
-        rate, one = (1 / tau)[:, None], torch.ones_like(tau)
-        a, b, _, d = discretise(-rate[..., None], rate, one[:, None], 0 * one, sample_period_s, "first")
-        return Bank(tau, a[:, 0, 0], b[:, 0], d + torch.expm1(-REFERENCE_S / tau))
+    last = POLES_PER_DECADE * (torch.log10(to_s / from_s) + 1.5)
+    steps = torch.arange(math.ceil(last.item()) + 1, dtype=torch.float64)
+    tau = from_s * 10 ** (steps / POLES_PER_DECADE - 0.5)
+    rate, one = (1 / tau)[:, None], torch.ones_like(tau)
+    a, b, _, d = discretise(-rate[..., None], rate, one[:, None], 0 * one, sample_period_s, "first")
+    share = torch.clamp(last + 1 - steps, max=1.0)
+    return Bank(tau, a[:, 0, 0], b[:, 0], d + torch.expm1(-REFERENCE_S / tau), share)
 
 
 class Creep(StateSpaceEffect):
@@ -75,7 +75,7 @@ class Creep(StateSpaceEffect):
     samples.
 
     The gain at once is such that γ and p leave the displacement 0.1 s after a step as it is; g adds to it.
-    The logarithm and the power law hold from `from_s` to `to_s`.
+    The logarithm and the power law hold from `from_s`, which may be fitted, to `to_s`.
     """
 
     name = "creep"
@@ -102,7 +102,7 @@ class Creep(StateSpaceEffect):
         "gain": "pole",
         "power_per_decade": "power law",
     }
-    kinds = ("from_s", "to_s")
+    kinds = ("to_s",)
 
     def __init__(self, sample_period_s: float, **values: float) -> None:
         super().__init__(sample_period_s, **values)
@@ -121,18 +121,18 @@ class Creep(StateSpaceEffect):
 
     def bank(self) -> Bank:
         """The poles of the logarithm and the power law."""
-        return bank(self.sample_period_s, self.from_s.item(), self.to_s.item())
+        return bank(self.sample_period_s, self.from_s, self.to_s.item())
 
-    def spectrum(self, tau: Tensor) -> Tensor:
-        """The gain of the pole at each time constant of the bank, (poles,)."""
-        grown = (tau / REFERENCE_S) ** self.exponent
+    def spectrum(self, poles: Bank) -> Tensor:
+        """The gain of each pole of the bank, (poles,)."""
+        grown = (poles.tau / REFERENCE_S) ** self.exponent
         power = self.power_per_decade * torch.exp(-torch.lgamma(1 - self.exponent)) * grown
-        return (self.per_decade + power) / POLES_PER_DECADE
+        return (self.per_decade + power) * poles.share / POLES_PER_DECADE
 
     def matrices(self) -> Matrices:
         # The two single poles are the last.
         poles = self.bank()
-        gains = self.spectrum(poles.tau)
+        gains = self.spectrum(poles)
         rate = 1 / torch.stack([self.time_constant_s, self.slow_time_constant_s])
         own = torch.stack([self.gain, self.slow_gain])
         a, b, c, d = discretise(
@@ -163,4 +163,5 @@ class Creep(StateSpaceEffect):
             {**one, "slow_gain": 0.01, "slow_time_constant_s": later["time_constant_s"]}
             for one, later in pairwise(pole)
         ]
-        return [{"per_decade": 0.01}, power, *pole, *two]
+        begins = [{"per_decade": 0.01, "from_s": tau} for tau in taus]
+        return [{"per_decade": 0.01}, *begins, power, *pole, *two]
