@@ -1,5 +1,6 @@
 """The search: which of two fits it goes on with."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,10 +11,12 @@ from tests.diagnosis.prepared import prepared
 from torchpi.diagnosis import growth
 from torchpi.diagnosis.chain import Chain
 from torchpi.diagnosis.contest import ACCEPTED
+from torchpi.diagnosis.fit import FINE, ROUGH
 from torchpi.diagnosis.hypothesis import EffectTerm
 from torchpi.diagnosis.noise import measured_noise
 from torchpi.diagnosis.score import Gain
 from torchpi.diagnosis.search import Search
+from torchpi.diagnosis.timing import lateness_s
 from torchpi.stage.effects.actuator.creep import Creep
 from torchpi.stage.effects.amplifier.amplifier_lag import AmplifierLag
 from torchpi.stage.effects.amplifier.delay import Delay
@@ -21,6 +24,7 @@ from torchpi.stage.effects.amplifier.slew_limit import SlewLimit
 from torchpi.stage.effects.effect import DataRange
 from torchpi.stage.effects.mechanics.cross_coupling import CrossCoupling
 from torchpi.stage.effects.sensor.gain_modulation import GainModulation
+from torchpi.stage.effects.sensor.sensor_lag import SensorLag
 from torchpi.stage.effects.sensor.sensor_nonlinearity import SensorNonlinearity
 
 
@@ -117,6 +121,32 @@ def test_a_curvature_that_was_taken_for_a_history_is_tried_without_one() -> None
     ((_, found),) = search.effects(now)
     assert now.hypothesis.remanent and not found.hypothesis.remanent
     assert found.train_rms < 2 * NOISE_UM < 0.1 * now.train_rms
+
+
+def test_two_lags_that_stand_for_a_lag_and_a_delay_are_exchanged_for_both() -> None:
+    """No exchange of one effect for another leads there."""
+
+    def late(v: Signal, fs_hz: float) -> Signal:
+        k = np.arange(len(v))
+        return np.interp(k - 5.5, k, lag(v, fs_hz, 120.0))
+
+    recordings = [
+        record(u, seed=seed, before=late) for seed, u in enumerate((multisine(4000), triangles(4000)))
+    ]
+    tried = [AmplifierLag, SensorLag, Delay]
+    search = Search(Chain(prepared(recordings)), lambda sentence: None, effects=tried)
+    h = replace(search.retuned().hypothesis, alignment=0)
+    for effect, cutoff_hz in ((AmplifierLag, 150.0), (SensorLag, 200.0)):
+        h = h.plus(EffectTerm(effect, {"cutoff_hz": cutoff_hz, "damping_ratio": 0.7}))
+    (two,) = search.fits([(h, None, 12, ROUGH)])
+    exchanged = search.swapped(two)
+    (found,) = search.fits([(exchanged.hypothesis, exchanged.weights, 20, FINE)])
+    (values,) = ({**m.shared} for m in found.hypothesis.members if m.effect is AmplifierLag)
+    assert found.hypothesis.names == ("amplifier_lag", "delay")
+    assert values["cutoff_hz"] == pytest.approx(120.0, rel=0.05)
+    assert found.train_rms < 0.5 * two.train_rms
+    for one in search.as_a_lag_and_a_delay(two.hypothesis):
+        assert lateness_s(search.chain, one) == pytest.approx(lateness_s(search.chain, two.hypothesis))
 
 
 def test_a_lag_and_a_delay_are_tried_together_where_a_lag_of_two_poles_stands_for_both() -> None:

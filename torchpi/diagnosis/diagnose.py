@@ -355,7 +355,7 @@ def start_notes(records: Sequence[Record], unsettled: Sequence[int]) -> tuple[st
 def conventions(search: Search, final: Fit) -> tuple[str, ...]:
     """Timing that is a convention of who recorded, not physics; and how late the readings are in all."""
     if any(m.effect.delays and m.effect.name not in search.given for m in final.hypothesis.members):
-        ms = 1e3 * lateness_s(search.chain, final)
+        ms = 1e3 * lateness_s(search.chain, final.hypothesis)
         text = (
             f"In all, the readings come {ms:.3g} ms behind a slow command: every lag and delay of the model."
         )

@@ -46,6 +46,7 @@ class Exchange(Timing):
         for less, screened in zip(without, screen_all(self.chain, screens, self.executor), strict=True):
             best = {c.member.kind: c.member for c in sorted(screened, key=lambda c: c.gain)}
             jobs += [(less.plus(member), now.weights, STEPS, ROUGH) for member in best.values()]
+        jobs += [(one, now.weights, STEPS, ROUGH) for one in self.as_a_lag_and_a_delay(h)]
         fits = self.raced(jobs, now, 2 * HEAT)
         others = [one for one in fits if self.inside(one, now)]
         chosen = max([now, *others], key=self.worth)

@@ -10,10 +10,11 @@ import torch
 from torchpi.diagnosis.chain import Chain
 from torchpi.diagnosis.contest import ACCEPTED, Contest
 from torchpi.diagnosis.fit import ROUGH
-from torchpi.diagnosis.hypothesis import EffectTerm, Fit
+from torchpi.diagnosis.hypothesis import EffectTerm, Fit, Hypothesis
 from torchpi.diagnosis.noise import Noise
 from torchpi.diagnosis.parallel import Job
 from torchpi.diagnosis.reduced_basis import reduced
+from torchpi.stage.effects.effect import LinearEffect
 
 RAMP = 20_000
 """Samples of a ramp, after which what delays follows it at its constant distance."""
@@ -77,6 +78,26 @@ class Timing(Contest):
         raced = self.raced([(h, best.weights, 3, ROUGH) for h in others], best)
         return max([best, *(one for one in raced if not one.bounded)], key=self.worth)
 
+    def as_a_lag_and_a_delay(self, h: Hypothesis) -> list[Hypothesis]:
+        """A lag of one number and a delay in the place of all that was added that delays, as late in all:
+        from two lags, or a lag of more numbers, no exchange of one effect for another leads there."""
+        late = [m for m in h.members if m.effect.delays and m.effect.name not in self.given]
+        starts = [m for m in self.starts if m.effect.delays and issubclass(m.effect, LinearEffect)]
+        pure = {m.effect for m in starts if m.effect.commutes} - {m.effect for m in late}
+        if max([len(late), *(len(m.shared) for m in late)]) < 2:
+            return []
+        bare, in_all_s = h, lateness_s(self.chain, h)
+        for member in late:
+            bare = bare.without(member.effect.name)
+        found = []
+        for start in (m for m in starts if not m.effect.commutes and len(m.shared) == 1):
+            for alignment in self.alignments:
+                one = replace(bare.plus(start), alignment=alignment)
+                rest_s = in_all_s - lateness_s(self.chain, one)
+                for delay in pure if rest_s > 0 else ():
+                    found.append(one.plus(EffectTerm(delay, delay.later({}, rest_s) or {})))
+        return found
+
     def delayed(self, now: Fit) -> Fit:
         """With a delay in the place of a timing convention, where that is clear, and all lateness no whole
         samples."""
@@ -100,13 +121,13 @@ class Timing(Contest):
 def is_whole(chain: Chain, one: Fit) -> bool:
     """Whether the readings come whole samples behind the command, by nothing that smooths it as well."""
     smooths = any(m.effect.delays and not m.effect.commutes for m in one.hypothesis.members)
-    late = lateness_s(chain, one) / chain.records[0].period_s
+    late = lateness_s(chain, one.hypothesis) / chain.records[0].period_s
     return not smooths and abs(late - round(late)) < WHOLE
 
 
-def lateness_s(chain: Chain, one: Fit) -> float:
-    """How far the readings come behind a slow command, s: the sum of all in a fit that delays."""
-    record, h = chain.records[0], one.hypothesis
+def lateness_s(chain: Chain, h: Hypothesis) -> float:
+    """How far the readings come behind a slow command, s: the sum of all in a hypothesis that delays."""
+    record = chain.records[0]
     slope = 1e-6 * chain.span_v  # a sample: below any limit of a rate
     ramp = slope * torch.arange(RAMP, dtype=torch.float64)[None]
     with torch.no_grad():
