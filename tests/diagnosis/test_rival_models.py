@@ -17,6 +17,7 @@ from torchpi.stage.effects.amplifier.amplifier_lag import AmplifierLag
 from torchpi.stage.effects.amplifier.delay import Delay
 from torchpi.stage.effects.amplifier.slew_limit import SlewLimit
 from torchpi.stage.effects.effect import Effect
+from torchpi.stage.effects.mechanics.backlash import Backlash
 from torchpi.stage.effects.mechanics.load_change import LoadChange
 from torchpi.stage.effects.sensor.sensor_nonlinearity import SensorNonlinearity
 from torchpi.stage.effects.sensor.thermal_drift import ThermalDrift
@@ -118,3 +119,24 @@ def test_effects_that_may_stand_in_each_other_s_place_are_one_group(grown: bool)
         frozenset({"creep", "thermal_drift"}),
         frozenset({"sensor_nonlinearity", "hysteresis_asymmetry", *([OPERATOR_NAME] if grown else [])}),
     }
+
+
+@pytest.mark.parametrize(("effect", "given_way"), [(SensorNonlinearity, True), (Backlash, False)])
+def test_a_larger_hysteresis_gives_way_to_what_predicts_as_well_and_is_none_itself(
+    effect: type[Effect], given_way: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    h = Hypothesis(HysteresisModel(np.zeros(0)))
+    larger, plain = (SimpleNamespace(slots=(), train_rms=1.0, hypothesis=h) for _ in range(2))
+    bent = SimpleNamespace(slots=(1, 2), train_rms=1.0, hypothesis=h.plus(EffectTerm(effect, {})))
+    models = [
+        Model("", "", larger), Model(OPERATOR_NAME, "", plain), Model(OPERATOR_NAME, effect.name, bent)
+    ]  # fmt: skip
+    monkeypatch.setattr(rival_models, "around", lambda *given: models)
+    monkeypatch.setattr(rival_models, "reduced", lambda chain, fit: fit)
+    monkeypatch.setattr(rival_models, "prior", lambda *given: 0.0)
+    search = SimpleNamespace(
+        chain=None, slips=None, weigh=lambda fit: None, log=lambda text: None, on_its_rows=lambda fit: fit,
+        faint=lambda more, less: less is bent, over=lambda better, worse, prior: Gain(-10.0, 20.0),
+    )  # fmt: skip
+    final, _ = settled(search, plain, larger, [])
+    assert final is (bent if given_way else larger)

@@ -53,7 +53,7 @@ def settled(search: Search, retuned: Fit, final: Fit, history: Sequence[Round]) 
             (ahead, one)
             for ahead, one in better
             if one.instead not in ("", OPERATOR_NAME)
-            and (len(one.fit.slots), -ahead.nats) < (len(now.slots), 0.0)
+            and (gives_way(one) or (len(one.fit.slots), -ahead.nats) < (len(now.slots), 0.0))
             and ahead.nats > -max(ahead.sd, -PRIOR)
         ]
         ahead, best = max(better, key=lambda pair: pair[0].nats, default=(None, models[0]))
@@ -66,6 +66,14 @@ def settled(search: Search, retuned: Fit, final: Fit, history: Sequence[Round]) 
         search.log(f"  {best.instead or 'nothing'} in the place of {best.without}: {rms_of(best.fit)}")
         final = search.on_its_rows(best.fit)
     return final, models
+
+
+def gives_way(one: Model) -> bool:
+    """Whether a larger hysteresis, of hundreds of numbers, gives way to an effect, which is none itself."""
+    names = names_of(one.instead)
+    return one.without == OPERATOR_NAME and not any(
+        member.effect.sticks for member in one.fit.hypothesis.members if member.effect.name in names
+    )
 
 
 def prior(search: Search, retuned: Fit, one: Fit) -> float:
@@ -96,8 +104,12 @@ def around(search: Search, retuned: Fit, small: Fit, history: Sequence[Round]) -
             less = less.without(name)
         wanted.append((" + ".join(group), "", less, None if larger else small.weights))
     jobs: list[Job] = [(one, w, 8, ROUGH) for _, _, one, w in wanted]
-    (best,) = search.fits(jobs[:1])
-    fits = [best, *search.raced(jobs[1:], best)]
+    # Beside another hysteresis all numbers have far to go: after a few steps nothing is known of the end.
+    far = [k for k, job in enumerate(jobs) if k == 0 or job[0].nominal.family != h.nominal.family]
+    found = dict(zip(far, search.fits([jobs[k] for k in far]), strict=True))
+    near = [k for k in range(len(jobs)) if k not in found]
+    found |= zip(near, search.raced([jobs[k] for k in near], found[0]), strict=True)
+    fits = [found[k] for k in range(len(jobs))]
     return [
         Model(name, instead, one)
         for (name, instead, _, _), one in zip(wanted, fits, strict=True)
