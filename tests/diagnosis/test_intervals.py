@@ -13,7 +13,7 @@ from torchpi.diagnosis.fit import fit
 from torchpi.diagnosis.free_parameters import slot, to_inner
 from torchpi.diagnosis.hypothesis import EffectTerm, Hypothesis
 from torchpi.diagnosis.hysteresis_model import HysteresisModel, many_plays, preisach
-from torchpi.diagnosis.intervals import distance_from_none, intervals_90, scatter
+from torchpi.diagnosis.intervals import covariance_90, distance_from_none, intervals_90, scatter
 from torchpi.diagnosis.records import seen
 from torchpi.diagnosis.reduced_basis import MANY, basis
 from torchpi.diagnosis.score import Weighting
@@ -37,41 +37,58 @@ def test_the_scatter_is_that_of_fits_without_one_part_each() -> None:
         kept = [i for i in range(7) if i != k]
         part, reading = np.hstack([parts[i] for i in kept]), np.hstack([readings[i] for i in kept])
         without.append(np.linalg.lstsq(part.T, reading, rcond=None)[0])
-    jackknife = 6 / 7 * ((np.array(without) - everything) ** 2).sum(0)
+    steps = np.array(without) - everything
+    jackknife = 6 / 7 * steps.T @ steps
     grams = [
         (part @ part.T, part @ (reading - everything @ part))
         for part, reading in zip(parts, readings, strict=True)
     ]
     whole = np.sum([gram for gram, _ in grams], 0)
-    assert scatter(whole, grams, 2) == pytest.approx(jackknife[2:], rel=1e-5)
+    assert scatter(whole, grams, 2) == pytest.approx(jackknife[2:, 2:], rel=1e-5)
 
 
 def test_a_part_that_alone_tells_a_parameter_says_nothing_of_its_scatter() -> None:
     alone = np.diag([1.0, 100.0]), np.array([0.1, 5.0])
     other = np.diag([1.0, 0.1]), np.array([-0.1, 0.01])
     found = scatter(alone[0] + other[0], [alone, other], 2)
-    assert found[0] > 0
-    assert found[1] == 0  # what is left without the first part cannot be compared with it
+    assert found[0, 0] > 0
+    assert found[1, 1] == 0  # what is left without the first part cannot be compared with it
 
 
 def fitted(
-    term: EffectTerm, *values: tuple[str, float, float]
-) -> tuple[SimpleNamespace, list[tuple[float, float]]]:
-    """A fit of one effect with these numbers, and their intervals: name, value, half-width."""
+    term: EffectTerm, *values: tuple[str, float, float], correlation: float = 0.0
+) -> tuple[SimpleNamespace, np.ndarray]:
+    """A fit of one effect with these numbers, and how they scatter: name, value, half-width."""
     hypothesis = Hypothesis(HysteresisModel(np.zeros(1))).plus(term)
     slots = tuple(slot(0, name, None, value, term.effect.quantities[name], 1e-4) for name, value, _ in values)
-    spans = [(value - half, value + half) for _, value, half in values]
+    ends = [
+        (to_inner(one, v - h), to_inner(one, v + h)) for one, (_, v, h) in zip(slots, values, strict=True)
+    ]
+    halves = np.diff(ends)[:, 0] / 2
+    covariance = np.outer(halves, halves) * (correlation + (1 - correlation) * np.eye(len(values)))
     theta = np.array([to_inner(one, value) for one, (_, value, _) in zip(slots, values, strict=True)])
-    return SimpleNamespace(slots=slots, theta=theta, hypothesis=hypothesis), spans
+    return SimpleNamespace(slots=slots, theta=theta, hypothesis=hypothesis), covariance
 
 
 def test_numbers_are_as_far_from_none_as_their_intervals_say() -> None:
     term = EffectTerm(SensorNonlinearity, {"a2_per_um": -0.02, "a3_per_um2": 0.001})
-    fit, spans = fitted(term, ("a2_per_um", -0.02, 0.01), ("a3_per_um2", 0.001, 0.0005))
-    assert distance_from_none(fit, spans, term.effect.name) == pytest.approx(2.0)
-    fit, spans = fitted(term, ("a2_per_um", -0.02, 0.02), ("a3_per_um2", 0.0, 0.0005))
-    assert distance_from_none(fit, spans, term.effect.name) == pytest.approx(np.sqrt(0.5))
-    assert distance_from_none(fit, spans, "creep") == np.inf
+    fit, spread = fitted(term, ("a2_per_um", -0.02, 0.01), ("a3_per_um2", 0.001, 0.0005))
+    assert distance_from_none(fit, spread, term.effect.name) == pytest.approx(2.0, rel=1e-5)
+    fit, spread = fitted(term, ("a2_per_um", -0.02, 0.02), ("a3_per_um2", 0.0, 0.0005))
+    assert distance_from_none(fit, spread, term.effect.name) == pytest.approx(np.sqrt(0.5), rel=1e-5)
+    assert distance_from_none(fit, spread, "creep") == np.inf
+
+
+def test_numbers_that_are_uncertain_one_by_one_may_be_far_from_none_together() -> None:
+    """A square and a cube of a voltage that is never negative do much the same: only their difference is
+    uncertain."""
+    term = EffectTerm(SensorNonlinearity, {"a2_per_um": 0.02, "a3_per_um2": 0.001})
+    both = ("a2_per_um", 0.02, 0.02), ("a3_per_um2", 0.001, 0.001)
+    name = term.effect.name
+    assert distance_from_none(*fitted(term, *both), name) == pytest.approx(1.0, rel=1e-5)
+    # Of θ = (1, 1) half-widths, whose correlation is r: θᵀ R⁻¹ θ = 2 / (1 + r).
+    far = distance_from_none(*fitted(term, *both, correlation=-0.99), name)
+    assert far == pytest.approx(10.0, rel=1e-3)
 
 
 @pytest.mark.parametrize(
@@ -86,8 +103,7 @@ def test_numbers_are_as_far_from_none_as_their_intervals_say() -> None:
     ids=["no size", "no linear step", "a walk"],
 )
 def test_other_intervals_do_not_say_how_far(term: EffectTerm, value: tuple[str, float, float]) -> None:
-    fit, spans = fitted(term, value)
-    assert distance_from_none(fit, spans, term.effect.name) == np.inf
+    assert distance_from_none(*fitted(term, value), term.effect.name) == np.inf
 
 
 RUNS = 36
@@ -117,7 +133,7 @@ def test_intervals_cover(pole: float) -> None:
             assert values == pytest.approx(truth, rel=0.02)
             truth = values
             continue
-        spans = np.array(intervals_90(chain, one))
+        spans = np.array(intervals_90(one, covariance_90(chain, one)))
         assert (spans[:, 0] < values).all() and (values < spans[:, 1]).all()
         covered += (spans[:, 0] <= truth) & (truth <= spans[:, 1])
     # Two and a half standard deviations of 36 draws are 12 %.
@@ -132,7 +148,8 @@ def test_twice_the_noise_makes_them_twice_as_wide() -> None:
         y = hysteresis(lag(u, FS_HZ, 130.0)) + e
         chain = Chain(prepared([Recording("a", np.arange(len(u)) / FS_HZ, u, y, FS_HZ)]))
         members = (EffectTerm(AmplifierLag, {"cutoff_hz": 130.0}),)
-        ((low, high),) = intervals_90(chain, fit(chain, Hypothesis(many_plays(seen(chain.records)), members)))
+        one = fit(chain, Hypothesis(many_plays(seen(chain.records)), members))
+        ((low, high),) = intervals_90(one, covariance_90(chain, one))
         widths.append(high - low)
     assert widths[1] / widths[0] == pytest.approx(2.0, rel=0.3)
 
@@ -147,6 +164,6 @@ def test_hundreds_of_weights_that_only_their_smoothness_tells_apart_leave_an_int
     one = fit(chain, *basis(chain, larger, None, MANY))
     chain.weighting = Weighting.of(chain.records, one.residuals, None)
     one = fit(chain, *basis(chain, one.hypothesis, one.weights, MANY))
-    ((low, high),) = intervals_90(chain, one)
+    ((low, high),) = intervals_90(one, covariance_90(chain, one))
     assert len(one.weights) > 100
     assert high < 1.3 * low

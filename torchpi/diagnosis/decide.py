@@ -8,7 +8,7 @@ import numpy as np
 from torchpi.diagnosis.contest import FAINT
 from torchpi.diagnosis.diagnosis import AcrossRecordings, NamedEffect, OpenCause, Parameter, Verdict
 from torchpi.diagnosis.hypothesis import Fit
-from torchpi.diagnosis.intervals import distance_from_none, intervals_90
+from torchpi.diagnosis.intervals import covariance_90, distance_from_none, intervals_90
 from torchpi.diagnosis.noise import Noise
 from torchpi.diagnosis.parameters import parameters_of, shape_parameters
 from torchpi.diagnosis.posterior import STEEPNESS, Believed, form_of
@@ -83,8 +83,9 @@ def decide(
     explained = sum(max(one.explained_um2, 0.0) for one in believed)
     joint = retuned.train_rms**2 - max(final.train_rms, floor_um) ** 2 - explained
     total = max(retuned.train_rms**2 - floor_um**2, above + explained, 1e-300)
-    spans = intervals_90(search.chain, final)
-    believed = [told_from_none(one, final, spans) for one in believed]
+    covariance = covariance_90(search.chain, final)
+    spans = intervals_90(final, covariance)
+    believed = [told_from_none(one, final, covariance) for one in believed]
     known = {effect.name: effect for effect in search.effects_tried}
     named = []
     for one in believed:
@@ -129,10 +130,10 @@ def if_it_carries_over(decision: Decision, across: Sequence[AcrossRecordings]) -
     return decision
 
 
-def told_from_none(one: Believed, final: Fit, spans: Sequence[tuple[float, float]]) -> Believed:
+def told_from_none(one: Believed, final: Fit, covariance: np.ndarray) -> Believed:
     """As likely as not, at most, where the intervals of an effect's numbers just reach those of none of it: a
     name beside a number that may as well be 0 is no answer."""
-    distance = distance_from_none(final, spans, one.name)
+    distance = distance_from_none(final, covariance, one.name)
     clear = 1.0 / (1.0 + distance**-STEEPNESS) if distance > 0 else 0.0
     return replace(one, probability=round(one.probability * clear, 4))
 

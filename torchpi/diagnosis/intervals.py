@@ -1,6 +1,5 @@
 """Intervals of the fitted parameters that hold for a coloured residual, and for a model that is not exact."""
 
-from collections.abc import Sequence
 from math import inf, sqrt
 
 import numpy as np
@@ -8,7 +7,7 @@ from scipy.special import stdtrit
 
 from torchpi.diagnosis.chain import Chain
 from torchpi.diagnosis.fit import PRIOR, prior_of
-from torchpi.diagnosis.free_parameters import to_inner, to_outer
+from torchpi.diagnosis.free_parameters import to_outer
 from torchpi.diagnosis.hypothesis import Fit
 from torchpi.diagnosis.sensitivity import jacobian
 
@@ -22,16 +21,26 @@ TELLS = 0.1
 """Of what all samples know of a parameter; what is left after less cannot say how it scatters."""
 
 
-def intervals_90(chain: Chain, now: Fit) -> list[tuple[float, float]]:
-    """For each slot of the fit its 90 % interval, by two jackknives.
+def intervals_90(now: Fit, covariance: np.ndarray) -> list[tuple[float, float]]:
+    """For each slot of the fit its 90 % interval, from `covariance_90`."""
+    return [
+        (to_outer(slot, float(t - half)), to_outer(slot, float(t + half)))
+        for slot, t, half in zip(now.slots, now.theta, np.sqrt(np.diag(covariance)), strict=True)
+    ]
+
+
+def covariance_90(chain: Chain, now: Fit) -> np.ndarray:
+    """(slots, slots): how the fitted numbers scatter together, by two jackknives; the roots of its diagonal
+    are half the widths of their 90 % intervals.
 
     One leaves out a block at a time, and sees the noise with its colour; the other a recording at a time, and
     sees what the model has wrong, which shows differently in each excitation; of a few recordings Student's t
-    says how little their scatter is known. The squares of both half-widths add. Both move the fit by one
-    Gauss–Newton step, which is exact where the model is linear: CR3 of Bell and McCaffrey (2002).
+    says how little their scatter is known. Their covariances, each times the square of its quantile, add.
+    Both move the fit by one Gauss–Newton step, which is exact where the model is linear: CR3 of Bell and
+    McCaffrey (2002).
     """
     if not now.slots:
-        return []
+        return np.zeros((0, 0))
     total = sum(record.coefficients.samples for record in chain.records)
     blocks: list[tuple[np.ndarray, np.ndarray]] = []
     recordings: list[tuple[np.ndarray, np.ndarray]] = []
@@ -48,37 +57,38 @@ def intervals_90(chain: Chain, now: Fit) -> list[tuple[float, float]]:
     whole, n = np.sum([gram for gram, _ in recordings], 0), len(now.weights)
     # Hundreds of weights of a density are known by its smoothness too, with any part left out.
     whole[:n, :n] += prior_of(chain, now.hypothesis, whole[:n, :n])
-    squares = sum(quantile(len(p)) ** 2 * scatter(whole, p, len(now.slots)) for p in (blocks, recordings))
-    return [
-        (to_outer(slot, float(t - half)), to_outer(slot, float(t + half)))
-        for slot, t, half in zip(now.slots, now.theta, np.sqrt(squares), strict=True)
-    ]
+    scattered = [quantile(len(p)) ** 2 * scatter(whole, p, len(now.slots)) for p in (blocks, recordings)]
+    return scattered[0] + scattered[1]
 
 
-def distance_from_none(now: Fit, spans: Sequence[tuple[float, float]], name: str) -> float:
-    """How far the numbers of an effect lie from those of none of it, in half-widths of their 90 % intervals,
-    in the mean square over those that are 0 without it.
+def distance_from_none(now: Fit, covariance: np.ndarray, name: str) -> float:
+    """How far the numbers of an effect lie together from those of none of it, in half-widths of 90 %: the
+    Mahalanobis distance of those that are 0 without it, by the root of how many they are.
 
-    Infinite where the intervals cannot say: a number whose logarithm is uncertain by more than a linear step
+    Infinite where their scatter cannot say: a number whose logarithm is uncertain by more than a linear step
     can tell, and a walk, whose knots are bound to one another.
 
     Args:
         now: The fit.
-        spans: Of its slots, as `intervals_90` gives them.
+        covariance: Of its slots, as `covariance_90` gives it.
         name: Of the effect.
     """
-    squares = []
-    for slot, span, value in zip(now.slots, spans, now.theta, strict=True):
+    far, places = list[float](), list[int]()
+    for place, (slot, value) in enumerate(zip(now.slots, now.theta, strict=True)):
         if slot.member < 0 or now.hypothesis.names[slot.member] != name:
             continue
-        term = now.hypothesis.members[slot.member]
-        low, high = (to_inner(slot, end) for end in span)
-        half = (high - low) / 2
+        term, half = now.hypothesis.members[slot.member], sqrt(covariance[place, place])
         if not term.effect.extrapolates(term.shared) or (slot.log and half > LINEAR):
             return inf
         if term.effect.identity[slot.name] == 0.0 and half > 0:
-            squares.append(((1.0 if slot.log else value) / half) ** 2)
-    return sqrt(np.mean(squares)) if squares else inf
+            far.append((1.0 if slot.log else float(value)) / half)
+            places.append(place)
+    if not far:
+        return inf
+    halves = np.sqrt(np.diag(covariance)[places])
+    correlation = covariance[np.ix_(places, places)] / np.outer(halves, halves)
+    correlation[np.diag_indices_from(correlation)] += PRIOR
+    return sqrt(float(np.array(far) @ np.linalg.solve(correlation, far)) / len(far))
 
 
 def quantile(parts: int) -> float:
@@ -87,18 +97,19 @@ def quantile(parts: int) -> float:
 
 
 def scatter(whole: np.ndarray, parts: list[tuple[np.ndarray, np.ndarray]], slots: int) -> np.ndarray:
-    """(slots,): jackknife variance of the last numbers of a fit, from J Jᵀ and J e of its parts.
+    """(slots, slots): jackknife covariance of the last numbers of a fit, from J Jᵀ and J e of its parts.
 
     Where one part alone tells a parameter, the fit without it does not count for that parameter.
     """
     least = solved(whole, np.zeros(len(whole)), slots)[1]
-    total, count = np.zeros(slots), np.zeros(slots)
-    for gram, score in parts:
+    steps, count = np.zeros((len(parts), slots)), np.zeros(slots)
+    for kept, (gram, score) in zip(steps, parts, strict=True):
         step, uncertainty = solved(whole - gram, score, slots)
         told = (uncertainty > 0) & (TELLS * uncertainty < least)
-        total += np.where(told, step**2, 0.0)
+        kept[told] = step[told]
         count += told
-    return total * np.maximum(count - 1, 0) / np.maximum(count, 1)
+    steps *= np.sqrt(np.maximum(count - 1, 0) / np.maximum(count, 1))
+    return steps.T @ steps
 
 
 def solved(gram: np.ndarray, score: np.ndarray, slots: int) -> tuple[np.ndarray, np.ndarray]:
