@@ -85,8 +85,16 @@ def test_commands_and_python_run_in_their_order_from_the_wheel(
         diagnosis = json.loads((tmp_path / "diagnosis" / "diagnosis.json").read_text(encoding="utf-8"))
         names = {effect["name"] for effect in diagnosis["effects"]}
         assert diagnosis["verdict"] != "nothing_missing"
-        assert {"resonance", "creep"} <= names
         assert names & {"amplifier_lag", "sensor_lag", "delay"}
+        found = {
+            (effect["name"], name): one["value"]
+            for effect in diagnosis["effects"]
+            for name, one in effect["parameters"].items()
+        }
+        # What the stage's file says.
+        assert found["resonance", "frequency_hz"] == pytest.approx(620, rel=0.01)
+        assert found["creep", "per_decade"] == pytest.approx(0.015, rel=0.05)
+        assert found["input_nonlinearity", "c2_per_v"] == pytest.approx(0.02, rel=0.1)
     if part == "train":
         assert (tmp_path / "runs" / "mine" / "report.html").is_file()
         assert (tmp_path / "exports" / "mine" / "loop.html").is_file()

@@ -31,7 +31,13 @@ from torchpi.diagnosis.hypothesis import Hypothesis
 from torchpi.diagnosis.hysteresis_model import many_plays
 from torchpi.diagnosis.reduced_basis import reduced
 from torchpi.diagnosis.search import Search
-from torchpi.diagnosis.wrong_readings import error_about, expected_beyond, off_all_around, wrong_readings
+from torchpi.diagnosis.wrong_readings import (
+    error_about,
+    expected_beyond,
+    no_tail,
+    off_all_around,
+    wrong_readings,
+)
 from torchpi.recordings.identity import recordings_sha256
 from torchpi.recordings.recording import Recording
 from torchpi.stage import Stage
@@ -240,6 +246,16 @@ def test_a_recording_that_is_louder_than_another_is_no_tail_of_the_noise(heavy: 
     final = SimpleNamespace(residuals=[quiet, loud], train_rms=0.05)
     found = wrong_readings(records, [np.zeros(0, dtype=int), np.array([7000])], final)
     assert [each.tolist() for each in found] == [[], [] if heavy else [7000]]
+
+
+def test_one_reading_far_beyond_a_heavy_tail_is_wrong_and_the_tail_is_not() -> None:
+    """All of a tail that stand out together are noise: the one that is no part of it is not lost in them."""
+    rest = np.abs(np.random.default_rng(1).standard_t(3.0, 40_000))
+    tail = np.sort(rest)[-30:]
+    assert no_tail(tail, rest) == np.inf
+    assert no_tail(np.append(tail, 3000.0), rest) == 3000.0
+    assert no_tail(np.append(tail, [2000.0, 3000.0]), rest) == 2000.0
+    assert no_tail(np.zeros(3), rest) == np.inf
 
 
 def bump(samples: int) -> np.ndarray:

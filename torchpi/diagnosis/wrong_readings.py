@@ -39,7 +39,7 @@ def wrong_readings(records: Sequence[Record], apart: Sequence[np.ndarray], final
         apart: The readings that stand apart from their neighbours.
         final: What is left by it.
     """
-    lost, certain, off_by, rest = [], [], list[float](), []
+    each, rest = list[tuple[np.ndarray, np.ndarray, np.ndarray]](), []
     for record, e, k in zip(records, final.residuals, apart, strict=True):
         off = off_all_around(record.y, e, k)
         same = np.isin(k, repeated_value(record.y, record.u, least_step(record.y)))
@@ -47,13 +47,23 @@ def wrong_readings(records: Sequence[Record], apart: Sequence[np.ndarray], final
         # What the model has wrong is slow beside a single reading: it is no tail of the noise.
         alone = np.abs(e - median_filter(e, footprint=OTHERS))
         usual = usual_about(alone)
-        lost.append(k[there | same])
-        certain.append(k[same])
-        off_by += (off[there] / usual[k[there]]).tolist()
+        each.append((k, same, np.where(there, off / usual[k], 0.0)))
         rest.append(np.delete(alone / usual, k[there | same]))
-    if off_by and pdtrc(len(off_by) - 1, expected_beyond(min(off_by), np.concatenate(rest))) < FALSE_ALARM:
-        return lost
-    return certain
+    beyond = no_tail(np.concatenate([far for _, _, far in each]), np.concatenate(rest))
+    return [k[same | (far >= beyond)] for k, same, far in each]
+
+
+def no_tail(far: np.ndarray, rest: np.ndarray) -> float:
+    """From which size on readings are no part of the noise: the smallest that it has so often by chance only.
+
+    Args:
+        far: (readings,) that may be wrong, in units of what is usual about each.
+        rest: (samples,) of the others.
+    """
+    largest = np.sort(far[far > 0])[::-1]
+    chances = [pdtrc(count, expected_beyond(size, rest)) for count, size in enumerate(largest)]
+    unlikely = np.flatnonzero(np.array(chances) < FALSE_ALARM / max(len(chances), 1))
+    return float(largest[unlikely[-1]]) if len(unlikely) else np.inf
 
 
 def usual_about(alone_um: np.ndarray) -> np.ndarray:
