@@ -159,4 +159,6 @@ def test_a_pole_that_is_over_before_the_voltage_moves_is_a_lag():
     assert not Creep.reached(quick, sine) and Creep.reached(slow, sine) and Creep.reached(quick, jumps)
     assert not Creep.reached({**slow, "slow_gain": 0.1, "slow_time_constant_s": 0.035}, sine)
     assert Creep.reached({"per_decade": 0.01}, sine)
+    begins = {"per_decade": 0.01, "from_s": 0.035}
+    assert not Creep.reached(begins, sine) and Creep.reached(begins, jumps)
     assert all(Creep.reached(start, sine) for start in Creep.starts(sine))

@@ -116,8 +116,8 @@ class Creep(StateSpaceEffect):
 
     @classmethod
     def reached(cls, values: Mapping[str, float], seen: DataRange) -> bool:
-        poles = [values[name] for name in ("time_constant_s", "slow_time_constant_s") if name in values]
-        return not poles or min(poles) >= seen.quickest_s
+        times = ("time_constant_s", "slow_time_constant_s", "from_s")
+        return min((values[name] for name in times if name in values), default=math.inf) >= seen.quickest_s
 
     def bank(self) -> Bank:
         """The poles of the logarithm and the power law."""
