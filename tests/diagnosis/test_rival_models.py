@@ -121,6 +121,18 @@ def test_effects_that_may_stand_in_each_other_s_place_are_one_group(grown: bool)
     }
 
 
+def test_an_effect_in_a_form_of_more_numbers_is_a_rival_of_a_larger_hysteresis_too() -> None:
+    one, two = ({"a3_per_um2": 1e-3}, {"a2_per_um": 1e-2, "a3_per_um2": 1e-3})
+    less = Hypothesis(HysteresisModel(np.zeros(1)))
+    few, more = (less.plus(EffectTerm(SensorNonlinearity, each)) for each in (one, two))
+    bent = SimpleNamespace(name="sensor_nonlinearity", fit=SimpleNamespace(hypothesis=few))
+    taken = SimpleNamespace(accepted="hysteresis_operator: preisach", name="", tried=(bent,))
+    search = SimpleNamespace(effects_tried=[], alignments=(0, 1), richer=lambda h, name: more)
+    small = SimpleNamespace(hypothesis=less, weights=np.zeros(1))
+    found = rivals(search, [taken], OPERATOR_NAME, less, small)
+    assert [h.members[0].shared for _, h, _ in found] == [one, two]
+
+
 @pytest.mark.parametrize(("effect", "given_way"), [(SensorNonlinearity, True), (Backlash, False)])
 def test_a_larger_hysteresis_gives_way_to_what_predicts_as_well_and_is_none_itself(
     effect: type[Effect], given_way: bool, monkeypatch: pytest.MonkeyPatch

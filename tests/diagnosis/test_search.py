@@ -18,6 +18,7 @@ from torchpi.diagnosis.score import Gain
 from torchpi.diagnosis.search import Search
 from torchpi.diagnosis.timing import lateness_s
 from torchpi.stage.effects.actuator.creep import Creep
+from torchpi.stage.effects.actuator.input_nonlinearity import InputNonlinearity
 from torchpi.stage.effects.amplifier.amplifier_lag import AmplifierLag
 from torchpi.stage.effects.amplifier.delay import Delay
 from torchpi.stage.effects.amplifier.slew_limit import SlewLimit
@@ -147,6 +148,30 @@ def test_two_lags_that_stand_for_a_lag_and_a_delay_are_exchanged_for_both() -> N
     assert found.train_rms < 0.5 * two.train_rms
     for one in search.as_a_lag_and_a_delay(two.hypothesis):
         assert lateness_s(search.chain, one) == pytest.approx(lateness_s(search.chain, two.hypothesis))
+
+
+def test_a_curve_of_more_numbers_is_found_from_where_one_of_fewer_ends() -> None:
+    """A hundred plays bend with it: a fit of both numbers from anywhere is behind that of one at first."""
+
+    def bent(v: Signal, fs_hz: float) -> Signal:
+        return v + 0.01 * v**2 - 0.001 * v**3
+
+    recordings = [record(u, seed=k, before=bent) for k, u in enumerate((triangles(3000), stairs(3000)))]
+    search = Search(Chain(prepared(recordings)), lambda sentence: None, effects=[InputNonlinearity])
+    now = search.reweighted(search.retuned())
+    ((_, found),) = search.effects(now)
+    assert {*found.hypothesis.members[0].shared} == {"c2_per_v", "c3_per_v2"}
+    assert found.train_rms < 0.3 * now.train_rms
+
+
+def test_a_form_of_more_numbers_begins_where_one_of_fewer_is() -> None:
+    search = Search(Chain(prepared([record(multisine(3000))])), lambda sentence: None)
+    h = search.retuned().hypothesis.plus(EffectTerm(InputNonlinearity, {"c3_per_v2": 1e-3}))
+    more = search.richer(h, "input_nonlinearity")
+    assert more is not None and more.members[0].shared["c3_per_v2"] == 1e-3
+    assert len(more.members[0].shared) == 2
+    assert search.richer(more, "input_nonlinearity") is None
+    assert search.richer(h, "creep") is None
 
 
 def test_a_lag_and_a_delay_are_tried_together_where_a_lag_of_two_poles_stands_for_both() -> None:

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 from torchpi.diagnosis.contest import HEAT, STEPS
 from torchpi.diagnosis.fit import ROUGH
-from torchpi.diagnosis.hypothesis import EffectTerm, Fit
+from torchpi.diagnosis.hypothesis import EffectTerm, Fit, Hypothesis
 from torchpi.diagnosis.parallel import Job, screen_all
 from torchpi.diagnosis.timing import Timing
 from torchpi.stage.effects.mechanics.modal import ModalEffect
@@ -29,12 +29,12 @@ class Exchange(Timing):
             if issubclass(member.effect, ModalEffect):
                 continue
             beside = [j for j in added if j != k and shared_out_among(h.members[j], member)]
-            for other in self.starts:
-                if other.effect is member.effect and other.aux == member.aux and other.form != member.form:
-                    for gone in (frozenset({k}), *(frozenset({k, j}) for j in beside)):
-                        instead.setdefault(gone, []).append(other)
-                elif alike(other, member) and other.effect.name not in h.names:
-                    instead.setdefault(frozenset({k}), []).append(other)
+            if forms := self.other_forms(member):
+                for gone in (frozenset({k}), *(frozenset({k, j}) for j in beside)):
+                    instead.setdefault(gone, []).extend(forms)
+            alikes = [one for one in self.starts if alike(one, member) and one.effect.name not in h.names]
+            if alikes:
+                instead.setdefault(frozenset({k}), []).extend(alikes)
         without = []
         for gone in instead:
             less = h
@@ -78,6 +78,33 @@ class Exchange(Timing):
             for less in [h.without(added.effect.name, added.aux).without(simple.effect.name)]
             for alignment in self.alignments
         ]
+
+    def other_forms(self, member: EffectTerm) -> list[EffectTerm]:
+        """The starts of an effect's other forms; of one that has all of its numbers, or some and no other,
+        where the effect is."""
+        found: dict[object, EffectTerm] = {}
+        for place, other in enumerate(self.starts):
+            if (other.effect, other.aux) == (member.effect, member.aux) and other.form != member.form:
+                mine, its = set(member.shared), set(other.shared)
+                nested = mine < its or its < mine
+                found[other.kind if nested else place] = other.from_where(member) if nested else other
+        return list(found.values())
+
+    def richer(self, h: Hypothesis, name: str) -> Hypothesis | None:
+        """A hypothesis with an effect in the form of most numbers that has those of its own, from where it
+        is; None where there is none."""
+        member = next((m for m in h.members if m.effect.name == name and not m.own), None)
+        if member is None:
+            return None
+        more = [
+            start
+            for start in self.starts
+            if (start.effect, start.aux) == (member.effect, member.aux) and {*member.shared} < {*start.shared}
+        ]
+        if not more:
+            return None
+        richest = max(more, key=lambda start: len(start.shared))
+        return h.without(name, member.aux).plus(richest.from_where(member))
 
     def by_form(self) -> list[list[EffectTerm]]:
         """The starts of each form of each effect."""

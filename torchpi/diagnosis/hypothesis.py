@@ -35,6 +35,10 @@ class EffectTerm:
     def values(self, record: int) -> Parameters:
         return {**self.shared, **(self.own[record] if self.own else {})}
 
+    def from_where(self, other: "EffectTerm") -> "EffectTerm":
+        """This form of an effect, with the numbers of another form that it has too."""
+        return replace(self, shared={name: other.shared.get(name, v) for name, v in self.shared.items()})
+
 
 @dataclass(frozen=True)
 class FreeParameter:

@@ -26,6 +26,8 @@ FORMS, STARTS = 3, 2
 """From how many forms an effect is fitted, and all axes through a mode."""
 TRIED, FINISHED = 6, 4
 """How many effects are fitted in a round, the best of the screen; how many of these to the end."""
+RICHER = 2
+"""How many of them in a form of more numbers as well."""
 AXES = "resonance + cross_coupling"
 
 
@@ -101,6 +103,13 @@ class Proposals(Growth):
             found.update(zip(unclear, self.fits(rest, now), strict=True))
             # A form of more numbers may run into a bound where it becomes a simpler one.
             unclear = [n for n in unclear if not self.inside(found[n], now) and len(forms[n]) > place + 1]
+        # Of a form with fewer numbers, fitted to the end, one with more is found where it leads.
+        ahead = sorted(finished, key=lambda name: -self.score(found[name]))[:RICHER]
+        grown = {name: more for name in ahead if (more := self.richer(found[name].hypothesis, name))}
+        again: list[Job] = [(more, found[name].weights, STEPS, ROUGH) for name, more in grown.items()]
+        for name, one in zip(grown, self.fits(again, now), strict=True):
+            if self.inside(one, now) and self.worth(one) > self.worth(found[name]):
+                found[name] = one
         fits = [(name, found[name]) for name in finished]
         if {effect.name for effect in (CrossCoupling, Resonance, SecondMode)} & (barred | self.given):
             return fits

@@ -168,6 +168,8 @@ def rivals(
                 if member.effect.name in parts:
                     more = more.plus(member)
             found.append((label, more, small.weights))
+            if name == OPERATOR_NAME and (richer := search.richer(more, label)):
+                found.append((label, richer, small.weights))
     mine = next((effect for effect in search.effects_tried if effect.name == name), None)
     if mine and mine.delays:
         # A lag is no whole samples, but may have been found beside a convention that is a part of it.
