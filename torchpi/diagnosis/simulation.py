@@ -66,11 +66,13 @@ def given_members(simulation: Stage | None) -> tuple[EffectTerm, ...]:
 
 
 def _member(one: EffectSettings) -> EffectTerm:
-    """Within the bounds of a fit: a mode that hardly rings is fitted as one that just does."""
+    """Within the bounds of a fit: a mode that hardly rings is fitted as one that just does. What is as it
+    would be without a value is not fitted."""
     bounds = one.kind.quantities
     values = {
         name: min(max(value, bounds[name].at_least), bounds[name].at_most)
         for name, value in one.values.items()
+        if value != one.kind.identity[name]
     }
     return EffectTerm(one.kind, values, aux=one.aux)
 
