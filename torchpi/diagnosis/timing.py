@@ -84,7 +84,7 @@ class Timing(Contest):
         late = [m for m in h.members if m.effect.delays and m.effect.name not in self.given]
         starts = [m for m in self.starts if m.effect.delays and issubclass(m.effect, LinearEffect)]
         pure = {m.effect for m in starts if m.effect.commutes} - {m.effect for m in late}
-        if max([len(late), *(len(m.shared) for m in late)]) < 2:
+        if not pure or max([len(late), *(len(m.shared) for m in late)]) < 2:
             return []
         bare, in_all_s = h, lateness_s(self.chain, h)
         for member in late:
@@ -94,8 +94,8 @@ class Timing(Contest):
             for alignment in self.alignments:
                 one = replace(bare.plus(start), alignment=alignment)
                 rest_s = in_all_s - lateness_s(self.chain, one)
-                for delay in pure if rest_s > 0 else ():
-                    found.append(one.plus(EffectTerm(delay, delay.later({}, rest_s) or {})))
+                if rest_s > 0:
+                    found += [one.plus(EffectTerm(each, each.later({}, rest_s) or {})) for each in pure]
         return found
 
     def delayed(self, now: Fit) -> Fit:

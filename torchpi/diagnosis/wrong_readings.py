@@ -61,8 +61,10 @@ def no_tail(far: np.ndarray, rest: np.ndarray) -> float:
         rest: (samples,) of the others.
     """
     largest = np.sort(far[far > 0])[::-1]
-    chances = [pdtrc(count, expected_beyond(size, rest)) for count, size in enumerate(largest)]
-    unlikely = np.flatnonzero(np.array(chances) < FALSE_ALARM / max(len(chances), 1))
+    if not len(largest):
+        return np.inf
+    chances = pdtrc(np.arange(len(largest)), expected_beyond(largest, rest))
+    unlikely = np.flatnonzero(chances < FALSE_ALARM / len(chances))
     return float(largest[unlikely[-1]]) if len(unlikely) else np.inf
 
 
@@ -74,14 +76,14 @@ def usual_about(alone_um: np.ndarray) -> np.ndarray:
     return about
 
 
-def expected_beyond(limit: float, errors: np.ndarray) -> float:
-    """How many of these errors, (samples,), a Student t of their body and tail has beyond a limit.
+def expected_beyond(limits: np.ndarray, errors: np.ndarray) -> np.ndarray:
+    """How many of these errors, (samples,), a Student t of their body and tail has beyond each limit.
 
     Sensors whose noise has heavy tails are no rarity: a few readings at ten times its rms are then noise.
     """
     body, tail = np.quantile(errors, [BODY, TAIL])
     if not 0 < body < tail:
-        return 0.0
+        return np.zeros(len(limits))
 
     def ratio(freedom: float) -> float:
         inner, outer = stdtrit(freedom, [0.5 + BODY / 2, 0.5 + TAIL / 2])
@@ -91,7 +93,8 @@ def expected_beyond(limit: float, errors: np.ndarray) -> float:
         LIGHTEST if ratio(LIGHTEST) > 0 else 1.0 if ratio(1.0) < 0 else float(brentq(ratio, 1.0, LIGHTEST))
     )
     scale = body / stdtrit(freedom, 0.5 + BODY / 2)
-    return float(2 * len(errors) * stdtr(freedom, -limit / scale))
+    beyond: np.ndarray = 2 * len(errors) * stdtr(freedom, -limits / scale)
+    return beyond
 
 
 def off_all_around(y: np.ndarray, residual: np.ndarray, readings: np.ndarray) -> np.ndarray:
