@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -58,6 +59,21 @@ def test_a_delay_competes_with_conventions_and_a_lag_with_the_one_that_it_was_fo
     assert [h.alignment for label, h, _ in found if label == CONVENTION] == rivals_at
 
 
+def settled_among(
+    models: list[Model], ahead: Gain, monkeypatch: pytest.MonkeyPatch, **asked: Any
+) -> SimpleNamespace:
+    """What is chosen among the final fit, one that is bare, and a rival of as little left, so far ahead."""
+    final, bare, rival = (model.fit for model in models)
+    monkeypatch.setattr(rival_models, "around", lambda *given: models)
+    monkeypatch.setattr(rival_models, "reduced", lambda chain, fit: fit)
+    monkeypatch.setattr(rival_models, "prior", lambda *given: 0.0)
+    search = SimpleNamespace(
+        chain=None, slips=None, weigh=lambda fit: None, log=lambda text: None, on_its_rows=lambda fit: fit,
+        faint=lambda more, less: less is rival, over=lambda better, worse, prior: ahead, **asked,
+    )  # fmt: skip
+    return settled(search, bare, final, [])[0]
+
+
 @pytest.mark.parametrize("bends", [True, False])
 def test_a_larger_hysteresis_that_explains_a_little_of_everything_takes_no_effects_place(
     bends: bool, monkeypatch: pytest.MonkeyPatch
@@ -67,15 +83,7 @@ def test_a_larger_hysteresis_that_explains_a_little_of_everything_takes_no_effec
     models = [
         Model("", "", drift), Model("thermal_drift", "", plain), Model("thermal_drift", OPERATOR_NAME, larger)
     ]  # fmt: skip
-    monkeypatch.setattr(rival_models, "around", lambda *given: models)
-    monkeypatch.setattr(rival_models, "reduced", lambda chain, fit: fit)
-    monkeypatch.setattr(rival_models, "prior", lambda *given: 0.0)
-    search = SimpleNamespace(
-        chain=None, slips=None, weigh=lambda fit: None, log=lambda text: None, on_its_rows=lambda fit: fit,
-        as_well=lambda one, best: False, faint=lambda more, less: less is larger,
-        over=lambda better, worse, prior: Gain(20.0, 1.0), bends_to_all=lambda one, now: bends,
-    )  # fmt: skip
-    final, _ = settled(search, plain, drift, [])
+    final = settled_among(models, Gain(20.0, 1.0), monkeypatch, bends_to_all=lambda one, now: bends)
     assert final is (drift if bends else larger)
 
 
@@ -86,14 +94,7 @@ def test_of_fewer_numbers_is_what_predicts_as_well_and_not_much_worse(
     h = Hypothesis(HysteresisModel(np.zeros(0)))
     hum, plain, ageing = (SimpleNamespace(slots=(0,) * k, train_rms=1.0, hypothesis=h) for k in (5, 0, 2))
     models = [Model("", "", hum), Model("hum", "", plain), Model("hum", "ageing", ageing)]
-    monkeypatch.setattr(rival_models, "around", lambda *given: models)
-    monkeypatch.setattr(rival_models, "reduced", lambda chain, fit: fit)
-    monkeypatch.setattr(rival_models, "prior", lambda *given: 0.0)
-    search = SimpleNamespace(
-        chain=None, slips=None, weigh=lambda fit: None, log=lambda text: None, on_its_rows=lambda fit: fit,
-        faint=lambda more, less: less is ageing, over=lambda better, worse, prior: Gain(nats, 36.0),
-    )  # fmt: skip
-    final, _ = settled(search, plain, hum, [])
+    final = settled_among(models, Gain(nats, 36.0), monkeypatch)
     assert final is (ageing if swapped else hum)
 
 
@@ -143,12 +144,5 @@ def test_a_larger_hysteresis_gives_way_to_what_predicts_as_well_and_is_none_itse
     models = [
         Model("", "", larger), Model(OPERATOR_NAME, "", plain), Model(OPERATOR_NAME, effect.name, bent)
     ]  # fmt: skip
-    monkeypatch.setattr(rival_models, "around", lambda *given: models)
-    monkeypatch.setattr(rival_models, "reduced", lambda chain, fit: fit)
-    monkeypatch.setattr(rival_models, "prior", lambda *given: 0.0)
-    search = SimpleNamespace(
-        chain=None, slips=None, weigh=lambda fit: None, log=lambda text: None, on_its_rows=lambda fit: fit,
-        faint=lambda more, less: less is bent, over=lambda better, worse, prior: Gain(-10.0, 20.0),
-    )  # fmt: skip
-    final, _ = settled(search, plain, larger, [])
+    final = settled_among(models, Gain(-10.0, 20.0), monkeypatch)
     assert final is (bent if given_way else larger)

@@ -56,18 +56,22 @@ class Bank(NamedTuple):
 
 
 def bank(sample_period_s: float, from_s: Tensor, to_s: float) -> Bank:
-    """The poles of a logarithm, or a power law, that holds from one time to another.
+    """The poles of a logarithm, or a power law, that holds from one time to another."""
+    tau, share = time_constants(from_s, to_s)
+    rate, one = (1 / tau)[:, None], torch.ones_like(tau)
+    a, b, _, d = discretise(-rate[..., None], rate, one[:, None], 0 * one, sample_period_s, "first")
+    return Bank(tau, a[:, 0, 0], b[:, 0], d + torch.expm1(-REFERENCE_S / tau), share)
+
+
+def time_constants(from_s: Tensor, to_s: float) -> tuple[Tensor, Tensor]:
+    """τ_i and the share of a whole pole, (poles,) each.
 
     Poles reach half a decade below the first time and one decade beyond the second, which keeps the rise
     within 5 % of γ there as well.
     """
     last = POLES_PER_DECADE * (torch.log10(to_s / from_s) + 1.5)
     steps = torch.arange(math.ceil(last.item()) + 1, dtype=torch.float64)
-    tau = from_s * 10 ** (steps / POLES_PER_DECADE - 0.5)
-    rate, one = (1 / tau)[:, None], torch.ones_like(tau)
-    a, b, _, d = discretise(-rate[..., None], rate, one[:, None], 0 * one, sample_period_s, "first")
-    share = torch.clamp(last + 1 - steps, max=1.0)
-    return Bank(tau, a[:, 0, 0], b[:, 0], d + torch.expm1(-REFERENCE_S / tau), share)
+    return from_s * 10 ** (steps / POLES_PER_DECADE - 0.5), torch.clamp(last + 1 - steps, max=1.0)
 
 
 class Creep(StateSpaceEffect):
@@ -151,7 +155,8 @@ class Creep(StateSpaceEffect):
         )
 
     def initial_state(self, batch: int) -> Tensor:
-        return torch.zeros(batch, len(self.bank().a) + 2, dtype=torch.float64)
+        poles, _ = time_constants(self.from_s, self.to_s.item())
+        return torch.zeros(batch, len(poles) + 2, dtype=torch.float64)
 
     @classmethod
     def starts(cls, seen: DataRange) -> list[Parameters]:
