@@ -1,5 +1,6 @@
 """The decision by hand-made beliefs: each rule with one that passes it and one that does not."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -134,6 +135,16 @@ class TestUnexplained:
         assert decided(believed("sensor_lag", 80.0, 0.1), final=8.0).unexplained_share == 1.0
         louder = decided(believed("creep", 48.0), final=5.0, noise=SimpleNamespace(rms_um=3.0))
         assert louder.unexplained_share == pytest.approx(16.0 / 91.0)
+
+    def test_what_a_named_effect_leaves_by_its_form_is_its_own(self) -> None:
+        form = replace(believed("sensor_lag", 4.0, 0.0), form_of="creep")
+        found = decided(believed("creep", 92.0), form)
+        assert found.verdict == "explained" and not found.open
+        assert found.unexplained_share == 0.0 and found.effects[0].share == pytest.approx(1.0)
+        # Not where without it the error would be more than an explained one, or nothing is named.
+        assert decided(believed("creep", 90.0), replace(form, explained_um2=6.0)).open
+        assert decided(believed("creep", 92.0, 0.1), form).verdict == "unexplained"
+        assert decided(believed("creep", 92.0), replace(form, form_of="delay")).open
 
     @given(st.floats(0, 300), st.floats(0, 300), st.floats(0, 20), st.sampled_from([0.1, 0.9]))
     def test_with_the_shares_of_the_names_it_is_no_more_than_all(

@@ -1,5 +1,6 @@
 """Probabilities: weights of hypotheses that are compared by cells."""
 
+from collections.abc import Collection
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any, cast
@@ -89,6 +90,13 @@ def test_the_same_densities_have_the_same_weights() -> None:
     assert np.array_equal(averaged(density, np.zeros(4)), averaged(density.copy(), np.zeros(4)))
 
 
+def chance(
+    one: Believed, found: list[Believed], terms: dict[str, EffectTerm], own: Collection[str] = ()
+) -> float:
+    """Of a name that is certain otherwise."""
+    return apart(one, found, terms, own).probability
+
+
 @given(st.floats(1e-6, 1.0))
 def test_what_an_effect_leaves_by_its_form_is_not_named_after_its_kin(share: float) -> None:
     terms = {
@@ -100,43 +108,45 @@ def test_what_an_effect_leaves_by_its_form_is_not_named_after_its_kin(share: flo
         Believed(name, 1.0, (), size, (), HALF) for name, size in zip(terms, (1.0, share, share), strict=True)
     )
     found = [lag, late, slow]
-    assert apart(slow, found, terms) == 1.0
-    assert apart(late, found, terms) == pytest.approx(1 / (1 + (FORM_ERROR / share) ** 2))
-    assert apart(lag, found, terms) > 0.98
+    assert chance(slow, found, terms) == 1.0
+    assert chance(late, found, terms) == pytest.approx(1 / (1 + (FORM_ERROR / share) ** 2))
+    assert chance(lag, found, terms) > 0.98
+    assert apart(late, found, terms).form_of == ("amplifier_lag" if share < FORM_ERROR else "")
+    assert apart(lag, found, terms).form_of == apart(slow, found, terms).form_of == ""
     # What the two signals cannot split in general is kin as well: a drift is what a creep's form leaves.
     drift = Believed("thermal_drift", 1.0, (), share**2, (), HALF)
     terms["thermal_drift"] = EffectTerm(ThermalDrift, {}, ({"rate_um_per_s": 0.01},))
-    assert apart(drift, [*found, drift], terms) == pytest.approx(apart(late, found, terms))
+    assert chance(drift, [*found, drift], terms) == pytest.approx(chance(late, found, terms))
     operator = Believed(OPERATOR_NAME, 1.0, (), share, (), HALF)
-    assert apart(operator, [*found, operator], terms) == apart(late, found, terms)
+    assert chance(operator, [*found, operator], terms) == chance(late, found, terms)
     # A play behind plays is plays: what a hysteresis of the wrong family leaves looks like lost motion.
     terms["backlash"] = EffectTerm(Backlash, {"width_um": 0.01})
     lost, larger = (
         Believed("backlash", 1.0, (), share, (), HALF),
         Believed(OPERATOR_NAME, 1.0, (), 1.0, (), HALF),
     )
-    assert apart(lost, [lost, larger], terms) == apart(late, found, terms)
+    assert chance(lost, [lost, larger], terms) == chance(late, found, terms)
 
 
 @given(st.floats(1e-6, 1.0))
 def test_a_small_share_of_a_larger_hysteresis_is_its_error_but_for_a_signal_of_its_own(share: float) -> None:
     terms = {"hum": EffectTerm(Hum, {"frequency_hz": 50.0})}
     larger, hum = Believed(OPERATOR_NAME, 1.0, (), 1.0, (), HALF), Believed("hum", 1.0, (), share, (), HALF)
-    assert apart(hum, [hum, larger], terms) == pytest.approx(1 / (1 + (HYSTERESIS_ERROR / share) ** 2))
-    assert apart(hum, [hum, larger], terms, {"hum"}) == 1.0
+    assert chance(hum, [hum, larger], terms) == pytest.approx(1 / (1 + (HYSTERESIS_ERROR / share) ** 2))
+    assert chance(hum, [hum, larger], terms, {"hum"}) == 1.0
 
 
 def test_what_explains_nearly_all_that_a_larger_hysteresis_leaves_is_not_its_error() -> None:
     terms = {"ageing": EffectTerm(Ageing, {"loss_per_mm": 1e-3}), "backlash": EffectTerm(Backlash, {})}
     larger = Believed(OPERATOR_NAME, 1.0, (), 1.0, (), 0.99)
 
-    def chance(name: str, known: float) -> float:
+    def of(name: str, known: float) -> float:
         one = Believed(name, 1.0, (), 2e-4, (), known)
-        return apart(one, [one, larger], terms)
+        return apart(one, [one, larger], terms).probability
 
-    assert chance("ageing", HALF) < 0.01 and chance("ageing", 0.98) > 0.6 and chance("ageing", 0.99) > 0.8
+    assert of("ageing", HALF) < 0.01 and of("ageing", 0.98) > 0.6 and of("ageing", 0.99) > 0.8
     # What is a hysteresis itself may be what another family leaves, all of it.
-    assert chance("backlash", 0.99) == chance("backlash", HALF) < 0.01
+    assert of("backlash", 0.99) == of("backlash", HALF) < 0.01
 
 
 @pytest.mark.parametrize("effect", [Resonance, SecondMode, ModalSecondMode])
@@ -144,8 +154,8 @@ def test_what_a_larger_hysteresis_leaves_by_its_form_hardly_rings(effect: type[E
     mode = Believed(effect.name, 1.0, (), 1e-3, (), HALF)
     larger = Believed(OPERATOR_NAME, 1.0, (), 1.0, (), HALF)
     terms = {effect.name: EffectTerm(effect, {"frequency_hz": 50.0})}
-    assert apart(mode, [mode, larger], terms) == pytest.approx(1 / (1 + (OF_MODES / 1e-3) ** 2))
-    assert apart(mode, [mode, larger], terms) > 0.9
+    assert chance(mode, [mode, larger], terms) == pytest.approx(1 / (1 + (OF_MODES / 1e-3) ** 2))
+    assert chance(mode, [mode, larger], terms) > 0.9
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,6 @@
 """Decide: which names stand, and what that leaves."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -78,22 +78,26 @@ def decide(
     """
     floor_um = noise.rms_um if noise is not None else 0.0
     faint = (FAINT * (floor_um or final.train_rms)) ** 2
+    covariance = covariance_90(search.chain, final)
+    spans = intervals_90(final, covariance)
+    believed = [told_from_none(one, final, covariance) for one in believed]
+    names = {
+        one.name
+        for one in believed
+        if one.probability >= NAMED
+        and one.explained_um2 >= faint
+        and not (search.jump and one.name == Backlash.name)
+    }
+    believed = without_forms(believed, names, final, floor_um)
     above = max(final.train_rms**2 - floor_um**2, 0.0) if noise is not None else 0.0
     # What each explains beside the others, and what is left, may be more than was there before.
     explained = sum(max(one.explained_um2, 0.0) for one in believed)
     joint = retuned.train_rms**2 - max(final.train_rms, floor_um) ** 2 - explained
     total = max(retuned.train_rms**2 - floor_um**2, above + explained, 1e-300)
-    covariance = covariance_90(search.chain, final)
-    spans = intervals_90(final, covariance)
-    believed = [told_from_none(one, final, covariance) for one in believed]
     known = {effect.name: effect for effect in search.effects_tried}
     named = []
     for one in believed:
-        if (
-            one.probability < NAMED
-            or one.explained_um2 < faint
-            or (search.jump and one.name == Backlash.name)
-        ):
+        if one.name not in names:
             continue
         share = min(1.0, max(0.0, one.explained_um2 / total))
         if one.name == OPERATOR_NAME:
@@ -111,8 +115,7 @@ def decide(
                         effect.signature, one.rivals, form_of(final, one.name))
         )  # fmt: skip
     named.sort(key=lambda effect: -effect.share)
-    kept = {effect.name for effect in named}
-    left = tuple(one for one in believed if one.name not in kept and one.explained_um2 >= faint)
+    left = tuple(one for one in believed if one.name not in names and one.explained_um2 >= faint)
     above += sum(max(one.explained_um2, 0.0) for one in left)
     found = verdict(named, bool(left) or loud, final, noise, structured)
     share = 0.0 if found == "nothing_missing" else min(1.0, above / total)
@@ -120,6 +123,29 @@ def decide(
         found, tuple(named), left, share, max(joint, 0.0) / total if len(named) > 1 else 0.0,
         noise.rms_um if noise is not None else None,
     )  # fmt: skip
+
+
+def without_forms(
+    believed: Sequence[Believed], names: Collection[str], final: Fit, floor_um: float
+) -> list[Believed]:
+    """Without what named effects leave by their form, which counts as theirs: no cause of its own is left
+    open by it, where without it the error would still be an explained one."""
+    forms = [
+        one
+        for one in believed
+        if one.name not in names
+        and one.form_of in names
+        and final.train_rms**2 + one.explained_um2 < (EXPLAINED * floor_um) ** 2
+    ]
+    return [
+        replace(
+            one,
+            explained_um2=one.explained_um2
+            + sum(max(form.explained_um2, 0.0) for form in forms if form.form_of == one.name),
+        )
+        for one in believed
+        if one not in forms
+    ]
 
 
 def if_it_carries_over(decision: Decision, across: Sequence[AcrossRecordings]) -> Decision:

@@ -65,6 +65,9 @@ class Believed:
     rivals: tuple[Rival, ...]
     known: float
     """The share of what is to be explained that it explains, as far as the sealed samples confirm it."""
+    form_of: str = ""
+    """The effect whose form, not quite the rig's, more likely than not leaves it; empty where it is another
+    cause."""
 
 
 def posterior(
@@ -121,10 +124,8 @@ def posterior(
     found = [as_one(one, found, together, left_um) for one in found]
     found.sort(key=lambda one: -one.explained_um2)
     terms = {member.effect.name: member for member in final.hypothesis.members}
-    return final, [
-        replace(one, probability=round(one.probability * apart(one, found, terms, signals), 4))
-        for one in found
-    ]
+    found = [apart(one, found, terms, signals) for one in found]
+    return final, [replace(one, probability=round(one.probability, 4)) for one in found]
 
 
 def stands_as_well(search: Search, name: str, rival: Fit, final: Fit) -> bool:
@@ -221,21 +222,26 @@ def share_explained(search: Search, more: Fit, less: Fit, name: str, own_signal:
 
 def apart(
     one: Believed, found: Sequence[Believed], terms: Mapping[str, EffectTerm], signals: Collection[str] = ()
-) -> float:
-    """How likely an effect is another cause, and not what another one leaves by its form; `signals` are the
-    effects that bring in one of their own."""
-    left_um2 = max(
+) -> Believed:
+    """As likely as that an effect is another cause, and not what another one leaves by its form; `signals`
+    are the effects that bring in one of their own."""
+    left_um2, by = max(
         (
-            other.explained_um2
-            * form_error(terms.get(one.name), terms.get(other.name), one.name in signals, one.known)
+            (
+                other.explained_um2
+                * form_error(terms.get(one.name), terms.get(other.name), one.name in signals, one.known),
+                other.name,
+            )
             for other in found
             if other.name != one.name
         ),
-        default=0.0,
+        default=(0.0, ""),
     )
     if left_um2 == 0.0 or one.explained_um2 <= 0:
-        return 1.0
-    return float(1 / (1 + (left_um2 / one.explained_um2) ** FALL))
+        return one
+    another = float(1 / (1 + (left_um2 / one.explained_um2) ** FALL))
+    form_of = by if left_um2 > one.explained_um2 else ""
+    return replace(one, probability=one.probability * another, form_of=form_of)
 
 
 def form_error(one: EffectTerm | None, other: EffectTerm | None, own_signal: bool, known: float) -> float:
