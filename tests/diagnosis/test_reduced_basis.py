@@ -62,6 +62,21 @@ def test_sharp_thresholds_stay_sharp_where_output_functions_bend() -> None:
     assert density(one).sum() > density(now).sum() + 100
 
 
+def test_a_curve_goes_on_beyond_the_recorded_range_as_it_ended() -> None:
+    """There nothing is recorded, and the prior decides."""
+    t = np.arange(6000) / FS_HZ
+    u = np.where(t < 2.56, 4.0, 5.0) * (1 - np.cos(6 * np.pi * t)) * (1 - 0.3 * np.cos(np.pi * t))
+    y = u + 0.2 * np.logaddexp(0.0, 2 * (u - 4.0)) + np.random.default_rng(3).normal(0, NOISE_UM, len(u))
+    chain = Chain(prepared([Recording("a", t, u, y, FS_HZ)]))
+    assert u[: chain.records[0].coefficients.samples].max() < 0.85 * u.max()
+    one = best_of_plays(chain)
+    for _ in range(2):
+        one = fit(chain, *basis(chain, Hypothesis(preisach(seen(chain.records))), None, MANY))
+        chain.weighting = Weighting.of(chain.records, one.residuals, None)
+    assert one.train_rms < 1.1 * NOISE_UM
+    assert one.heldout_rms < 8 * NOISE_UM
+
+
 def test_where_nothing_bends_output_functions_predict_as_well_as_plays() -> None:
     chain = Chain(prepared(sharp(0.0)))
     now = best_of_plays(chain)

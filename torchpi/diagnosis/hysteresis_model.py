@@ -142,21 +142,33 @@ class HysteresisModel:
         return replace(self, reduction=block_diag(of_plays, np.eye(self.size - self.of_plays)))
 
     def inverse_variances(self, of_one: float, gain_um_per_v: float) -> np.ndarray:
-        """(kept,): of the prior of the rows' weights, unreduced, `of_one` being that of a single one."""
+        """(kept,): of the prior of the rows' weights, unreduced, `of_one` being that of a single one.
+
+        The line may be as large as the gain: held closer, what bends it in the recorded range would be taken
+        back beyond.
+        """
         found = np.full(self.kept, of_one)
+        found[0] = 1.0 / gain_um_per_v**2
         if self.pieces > 1:
             bent = slice(len(self.thresholds_v), self.kept - self.size + self.of_plays)
             found[bent] = SMOOTH / gain_um_per_v**2
         return found
 
     def inverse_covariance(self, of_one: float, gain_um_per_v: float) -> np.ndarray:
-        """(kept, kept): of the prior of the rows' weights, `of_one` being that of a single one."""
-        rows = np.eye(self.size) if self.reduction is None else self.reduction
+        """(kept, kept): of the prior of the rows' weights, `of_one` being that of a single one.
+
+        What has the gain of the stage, the line or all that there is, has none; nor has a Bouc–Wen state, of
+        which there is but one.
+        """
+        rows = np.eye(self.size) if self.reduction is None else self.reduction.copy()
+        if self.bouc_wen:
+            rows[:, self.of_plays] = 0.0
         if self.pieces == 1:
+            rows[:, 0] = 0.0
             return of_one * rows @ rows.T
         of_plays, others = np.split(rows, [self.of_plays], axis=1)
         slopes = of_plays.reshape(len(rows), self.pieces, -1)
-        rough, lines = roughness(slopes), np.concatenate([slopes.mean(1), others], 1)
+        rough, lines = roughness(slopes), np.concatenate([slopes.mean(1)[:, 1:], others], 1)
         both: np.ndarray = of_one * (lines @ lines.T) + SMOOTH / gain_um_per_v**2 * (rough @ rough.T)
         return both
 
