@@ -119,7 +119,7 @@ class TestOpen:
         found = decided(
             believed("creep", 48.0),
             believed("sensor_lag", 24.0, 0.3),
-            believed("delay", 20.0, 0.05),
+            believed("delay", 20.0, 0.04),
             believed("hum", 0.01, 0.4),
         )
         assert [one.name for one in found.effects] == ["creep"]

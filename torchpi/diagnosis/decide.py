@@ -2,10 +2,11 @@
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
+from math import exp
 
 import numpy as np
 
-from torchpi.diagnosis.contest import FAINT
+from torchpi.diagnosis.contest import FAINT, PRIOR
 from torchpi.diagnosis.diagnosis import AcrossRecordings, NamedEffect, OpenCause, Parameter, Verdict
 from torchpi.diagnosis.hypothesis import Fit
 from torchpi.diagnosis.intervals import covariance_90, distance_from_none, intervals_90
@@ -18,8 +19,8 @@ from torchpi.stage.effects.mechanics.backlash import Backlash
 
 NAMED = 0.5
 """Probability from which a name is given: more likely right than wrong."""
-POSSIBLE = 0.1
-"""Probability from which what cannot be named is said to be open."""
+POSSIBLE = 1.0 / (1.0 + exp(-PRIOR))
+"""Probability from which what cannot be named is said to be open: no less than before the recordings."""
 CLOSED: tuple[Verdict, ...] = ("nothing_missing", "explained")
 """Verdicts that leave nothing to look for."""
 DONE, EXPLAINED = 1.15, 1.5
