@@ -33,7 +33,7 @@ def test_a_walk_costs_the_sum_of_its_squared_increments_over_that_of_a_usual_one
     slots = free_parameters_of(hypothesis)
     theta = np.array([to_inner(slot, value_at(hypothesis, slot)) for slot in slots])
     increments = np.concatenate([np.diff([0.0, *a]), np.diff([0.0, *b])])
-    usual = np.median(np.abs(increments)) / 0.6745
+    usual = np.median(np.abs(increments)) * 1.4826
     prior = walk_prior(hypothesis, slots, theta)
     if usual > 0:
         assert theta @ prior @ theta == pytest.approx((increments**2).sum() / usual**2)

@@ -7,6 +7,7 @@ import numpy as np
 
 from torchpi.diagnosis.diagnosis import Trace
 from torchpi.diagnosis.locate import SIGNIFICANT
+from torchpi.recordings.faults import robust_sd
 
 BLOCKS = 20
 """Stretches of a recording that count as independent, as long as they can be."""
@@ -103,5 +104,5 @@ def _pooled(values: Sequence[tuple[float, float]]) -> tuple[float, float]:
     """The median, and the spread of the values where it is larger than their own uncertainty."""
     middle = float(np.median([value for value, _ in values]))
     own = float(np.median([sd for _, sd in values])) / np.sqrt(len(values))
-    spread = float(np.median([abs(value - middle) for value, _ in values])) * 1.4826 / np.sqrt(len(values))
+    spread = float(robust_sd(np.array([value - middle for value, _ in values]))) / np.sqrt(len(values))
     return middle, float(np.hypot(own, spread))

@@ -7,6 +7,8 @@ the noise (errors in variables: Söderström, *Errors-in-Variables Methods in Sy
 import numpy as np
 from scipy.signal import savgol_filter
 
+from torchpi.recordings.faults import robust_sd
+
 SMALLEST, LARGEST = 1e-6, 0.005
 """Of the span: what scatters less is the rounding of a file, what scatters more is a command."""
 OF_WHITE = (-0.8, 0.4)
@@ -52,7 +54,7 @@ def noise_of(u: np.ndarray) -> float:
     bent = np.diff(u, 4)
     if len(bent) < max(WINDOWS) or span == 0.0:
         return 0.0
-    scatter = 1.4826 * float(np.median(np.abs(bent)))
+    scatter = float(robust_sd(bent))
     sd = scatter / np.sqrt(70.0)  # the sum of the squares of 1, 4, 6, 4, 1
     if not SMALLEST * span < sd < LARGEST * span:
         return 0.0

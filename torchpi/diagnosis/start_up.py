@@ -10,6 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from torchpi.diagnosis.records import Record
+from torchpi.recordings.faults import robust_sd
 from torchpi.stage.effects.sensor.thermal_drift import QUICKEST
 
 LOUD, SETTLED = 10.0, 3.0
@@ -34,7 +35,7 @@ def _unsettled(e: np.ndarray, counts: np.ndarray) -> int:
     if not counts[0]:
         return 0
     size = np.abs(e - np.median(e[counts]))
-    usual = float(np.median(size[counts])) / 0.6745
+    usual = float(robust_sd(size[counts]))
     if not size[0] > LOUD * usual:
         return 0
     most = int(QUICKEST * len(e) / 2)  # what takes longer is a drift, creep or a wrong history

@@ -10,9 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from torchpi.diagnosis.hypothesis import FreeParameter, Hypothesis
-
-OF_MEDIAN = 0.6745
-"""The median of |x| over the standard deviation of a Gaussian x."""
+from torchpi.recordings.faults import robust_sd
 
 
 def walk_prior(hypothesis: Hypothesis, slots: Sequence[FreeParameter], theta: np.ndarray) -> np.ndarray:
@@ -51,5 +49,5 @@ def _size(increments: np.ndarray) -> float:
     """The standard deviation of increments of which some are told by nothing, and may be anything."""
     if not len(increments):
         return 0.0
-    usual = float(np.median(np.abs(increments))) / OF_MEDIAN
+    usual = float(robust_sd(increments))
     return usual if usual > 0 else float(np.sqrt(np.mean(increments**2)))

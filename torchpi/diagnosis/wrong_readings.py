@@ -10,7 +10,7 @@ from scipy.special import pdtrc, stdtr, stdtrit
 from torchpi.diagnosis.diagnosis import NamedEffect, Parameter
 from torchpi.diagnosis.hypothesis import Fit
 from torchpi.diagnosis.records import Record
-from torchpi.recordings.faults import least_step, repeated_value
+from torchpi.recordings.faults import least_step, repeated_value, robust_sd
 from torchpi.stage.effects.sensor.dropouts import Dropouts
 
 LOST = 10.0
@@ -112,8 +112,8 @@ def error_about(residual: np.ndarray, readings: np.ndarray) -> np.ndarray:
     standard deviation. Where the model misses a ring, its first swing is no wrong reading."""
     places = readings[:, None] + np.arange(2, BESIDE + 2)
     sides = (places, 2 * readings[:, None] - places)
-    medians = [np.median(np.abs(residual[np.clip(side, 0, len(residual) - 1)]), axis=1) for side in sides]
-    found: np.ndarray = 1.4826 * np.maximum(*medians)
+    before, after = (robust_sd(residual[np.clip(side, 0, len(residual) - 1)], axis=1) for side in sides)
+    found: np.ndarray = np.maximum(before, after)
     return found
 
 

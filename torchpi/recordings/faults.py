@@ -30,7 +30,20 @@ def noise_estimate(y: np.ndarray) -> float:
     if len(y) < 5:
         return 0.0
     residual = y[2:-2] - (4 * (y[1:-3] + y[3:-1]) - y[:-4] - y[4:]) / 6
-    return float(1.4826 * np.median(np.abs(residual)) / np.sqrt(35 / 18))
+    return float(robust_sd(residual) / np.sqrt(35 / 18))
+
+
+def robust_sd(x: np.ndarray, axis: int | None = None) -> np.ndarray:
+    """The standard deviation of Gaussian values about 0, whatever a few of them are, in their unit.
+
+    From the median of their sizes (Hampel, *J. American Statistical Association* 69, 1974).
+
+    Args:
+        x: (…, time).
+        axis: Along which; None is over all.
+    """
+    sd: np.ndarray = 1.4826 * np.median(np.abs(x), axis=axis)
+    return sd
 
 
 def dropouts(y: np.ndarray, u: np.ndarray | None = None, sensor_step: float | None = None) -> np.ndarray:
