@@ -57,6 +57,12 @@ def test_the_form_of_an_effect_is_said() -> None:
     assert "amplifier lag (two poles; cutoff 412 Hz)" in sentence(replace(lag(0.9), form="two poles"))
 
 
+def test_a_number_that_recordings_do_not_agree_on_may_be_a_whole_one() -> None:
+    """What is without the effect, 1, stands for a recording that was not made yet."""
+    ageing = replace(lag(0.9), parameters=(Parameter("exponent", 1, "", (0.4, 1.3)),))
+    assert "(exponent 1)" in sentence(ageing)
+
+
 def test_a_hysteresis_goes_by_the_names_of_its_authors() -> None:
     family = (Parameter("family", "bouc_wen", "", None),)
     named = replace(lag(0.9), name="hysteresis_operator", block="actuator", parameters=family)

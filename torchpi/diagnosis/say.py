@@ -125,9 +125,9 @@ def noise_clause(noise: Noise | None) -> str:
 def sentence(effect: NamedEffect) -> str:
     """One effect, its parameters, its share and its probability."""
     numbers = ", ".join(
-        f"{spoken_parameter(p.name)} {p.value:.4g} {p.unit}".strip()
-        if isinstance(p.value, float)
-        else spoken(p.value)
+        spoken(p.value)
+        if isinstance(p.value, str)
+        else f"{spoken_parameter(p.name)} {p.value:.4g} {p.unit}".strip()
         for p in effect.parameters[:3]
         # What differs between recordings has no common value; of a walk no single number says anything.
         if p.value != 0.0 and not p.name.startswith(KNOT)
