@@ -9,6 +9,7 @@ from scipy.integrate import quad
 from torchpi.operators.hysteresis_rows import (
     DUHEM_POWERS,
     duhem,
+    duhem_row,
     offsets_of,
     piece_of,
     play_sum,
@@ -78,6 +79,13 @@ def test_a_duhem_state_takes_a_step_of_any_size_as_its_differential_equation_doe
 
     expected = z * np.exp(-alpha * path) + quad(pulled, 0, path, epsabs=1e-12, epsrel=1e-10)[0]
     assert abs(duhem(z, v, before, alpha, power) - expected) < 1e-4
+
+
+def test_a_duhem_state_stays_where_a_voltage_dies_away() -> None:
+    """A lag in front of it leaves voltages of 1e-320 V long after the command is 0."""
+    v: np.ndarray = np.append(np.geomspace(1.0, 1e-300, 700), [1e-320, 5e-324, 0.0])
+    rows = np.stack([duhem_row(v, 0.3, power) for power in (1, 8)])
+    assert np.isfinite(rows).all() and (rows[:, -3:] == rows[:, -4:-3]).all()
 
 
 def test_a_duhem_state_without_memory_follows_its_function() -> None:

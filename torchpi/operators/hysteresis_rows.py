@@ -90,7 +90,7 @@ def offsets_of(slopes: Any, low: float, piece: float) -> list[Any]:
 def duhem(z: float, v: float, before: float, alpha: float, power: int) -> float:
     """z after a straight move from `before` to v, z e^{-A} + ∫ e^{-(A - s)} f(v(s)) ds with A = α|dv|."""
     whole = alpha * abs(v - before)
-    if whole == 0.0:
+    if whole < 1e-30:  # a voltage that dies away: the pieces may be too short for a number
         return z
     pieces, gap, kept, first, second = duhem_pieces(v, before, whole)
     move = (v - before) / pieces
@@ -106,7 +106,7 @@ def duhem(z: float, v: float, before: float, alpha: float, power: int) -> float:
 
 @register_jitable
 def duhem_pieces(v: float, before: float, whole: float) -> tuple[int, float, float, float, float]:
-    """How a move of A = `whole`, which is not 0, is integrated: in how many pieces, how far apart Gauss's two
+    """How a move of A = `whole`, at least 1e-30, is integrated: in how many pieces, how far apart Gauss's two
     points are in each, what is kept of z, and the weights of f at both, exact for a straight f.
 
     The pieces are up to 64, shorter than a twenty-fifth of the memory, and than an eighth of the voltages,

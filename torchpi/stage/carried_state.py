@@ -143,7 +143,7 @@ def _duhem_slopes(
     """How the state after a move changes with that before it, and with the end and the beginning of the move:
     the derivative of `duhem`, line by line."""
     whole = alpha * abs(v - before)
-    if whole == 0.0:
+    if whole < 1e-30:
         return 1.0, 0.0, 0.0
     pieces, gap, kept, first, second = duhem_pieces(v, before, whole)
     move, part, part_by_v = (v - before) / pieces, whole / pieces, alpha * np.sign(v - before) / pieces
