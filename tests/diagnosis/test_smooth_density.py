@@ -1,6 +1,7 @@
 """The prior of a Preisach operator's density, and its slow terms."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ import pytest
 from tests.diagnosis.plants import pair
 from tests.diagnosis.prepared import prepared
 from torchpi.diagnosis.hysteresis_model import HysteresisModel, duhem, many_plays, preisach
+from torchpi.diagnosis.outside import Outside
 from torchpi.diagnosis.records import seen
 from torchpi.diagnosis.smooth_density import cosines, roughness, terms
 from torchpi.stage.effects.effect import DataRange
@@ -34,6 +36,17 @@ def test_unreduced_rows_are_independent_before_any_recording(
     variances = nominal.inverse_variances(3.0, 2.0)
     variances[0] = 0.0  # the line
     np.testing.assert_allclose(nominal.inverse_covariance(3.0, 2.0), np.diag(variances), atol=1e-9)
+
+
+@pytest.mark.parametrize("pieces", [1, 6])
+def test_what_has_the_gain_of_the_stage_has_no_prior(pieces: int) -> None:
+    """The line; beside a simulation that one, and not a line that corrects it."""
+    what = seen(prepared(pair(2000)))
+    alone = replace(many_plays(what), pieces=pieces).unreduced
+    beside = replace(alone, simulation=Outside(None)).unreduced
+    assert alone.inverse_covariance(3.0, 2.0)[0, 0] == 0.0
+    assert beside.inverse_covariance(3.0, 2.0)[0, 0] == pytest.approx(3.0)
+    assert beside.inverse_covariance(3.0, 2.0)[-1, -1] == 0.0
 
 
 def test_a_density_means_the_same_on_a_finer_grid() -> None:

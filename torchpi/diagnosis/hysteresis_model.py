@@ -148,7 +148,8 @@ class HysteresisModel:
         back beyond.
         """
         found = np.full(self.kept, of_one)
-        found[0] = 1.0 / gain_um_per_v**2
+        if self.simulation is None:
+            found[0] = 1.0 / gain_um_per_v**2
         if self.pieces > 1:
             bent = slice(len(self.thresholds_v), self.kept - self.size + self.of_plays)
             found[bent] = SMOOTH / gain_um_per_v**2
@@ -157,20 +158,21 @@ class HysteresisModel:
     def inverse_covariance(self, of_one: float, gain_um_per_v: float) -> np.ndarray:
         """(kept, kept): of the prior of the rows' weights, `of_one` being that of a single one.
 
-        What has the gain of the stage, the line or all that there is, has none; nor has a Bouc–Wen state, of
-        which there is but one.
+        What has the gain of the stage, the line or a simulation, has none; nor has a Bouc–Wen state, of which
+        there is but one.
         """
-        rows = np.eye(self.size) if self.reduction is None else self.reduction.copy()
-        if self.bouc_wen:
-            rows[:, self.of_plays] = 0.0
-        if self.pieces == 1:
-            rows[:, 0] = 0.0
-            return of_one * rows @ rows.T
+        rows = np.eye(self.size) if self.reduction is None else self.reduction
         of_plays, others = np.split(rows, [self.of_plays], axis=1)
         slopes = of_plays.reshape(len(rows), self.pieces, -1)
-        rough, lines = roughness(slopes), np.concatenate([slopes.mean(1)[:, 1:], others], 1)
-        both: np.ndarray = of_one * (lines @ lines.T) + SMOOTH / gain_um_per_v**2 * (rough @ rough.T)
-        return both
+        lines = np.concatenate([slopes.mean(1), others], 1)
+        lines[:, -1 if self.simulation else 0] = 0.0
+        if self.bouc_wen:
+            lines[:, len(self.thresholds_v)] = 0.0
+        found: np.ndarray = of_one * (lines @ lines.T)
+        if self.pieces > 1:
+            rough = roughness(slopes)
+            found += SMOOTH / gain_um_per_v**2 * (rough @ rough.T)
+        return found
 
     def fill(self, v: np.ndarray, period_s: float, rows: np.ndarray) -> None:
         """Into `rows`, (kept, time), for a voltage (time,) from the de-energised state."""
