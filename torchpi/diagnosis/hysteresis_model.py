@@ -144,35 +144,30 @@ class HysteresisModel:
     def inverse_variances(self, of_one: float, gain_um_per_v: float) -> np.ndarray:
         """(kept,): of the prior of the rows' weights, unreduced, `of_one` being that of a single one.
 
-        The line may be as large as the gain: held closer, what bends it in the recorded range would be taken
-        back beyond.
+        The line of a curve may be as large as the gain: held closer, what bends the curve in the recorded
+        range would be taken back beyond.
         """
         found = np.full(self.kept, of_one)
-        if self.simulation is None:
-            found[0] = 1.0 / gain_um_per_v**2
         if self.pieces > 1:
+            if self.simulation is None:
+                found[0] = 1.0 / gain_um_per_v**2
             bent = slice(len(self.thresholds_v), self.kept - self.size + self.of_plays)
             found[bent] = SMOOTH / gain_um_per_v**2
         return found
 
     def inverse_covariance(self, of_one: float, gain_um_per_v: float) -> np.ndarray:
-        """(kept, kept): of the prior of the rows' weights, `of_one` being that of a single one.
-
-        What has the gain of the stage, the line or a simulation, has none; nor has a Bouc–Wen state, of which
-        there is but one.
-        """
+        """(kept, kept): of the prior of the rows' weights, `of_one` being that of a single one; the line of a
+        curve, which has the gain of the stage unless a simulation has it, has none."""
         rows = np.eye(self.size) if self.reduction is None else self.reduction
+        if self.pieces == 1:
+            return of_one * rows @ rows.T
         of_plays, others = np.split(rows, [self.of_plays], axis=1)
         slopes = of_plays.reshape(len(rows), self.pieces, -1)
-        lines = np.concatenate([slopes.mean(1), others], 1)
-        lines[:, -1 if self.simulation else 0] = 0.0
-        if self.bouc_wen:
-            lines[:, len(self.thresholds_v)] = 0.0
-        found: np.ndarray = of_one * (lines @ lines.T)
-        if self.pieces > 1:
-            rough = roughness(slopes)
-            found += SMOOTH / gain_um_per_v**2 * (rough @ rough.T)
-        return found
+        rough, lines = roughness(slopes), np.concatenate([slopes.mean(1), others], 1)
+        if self.simulation is None:
+            lines[:, 0] = 0.0
+        both: np.ndarray = of_one * (lines @ lines.T) + SMOOTH / gain_um_per_v**2 * (rough @ rough.T)
+        return both
 
     def fill(self, v: np.ndarray, period_s: float, rows: np.ndarray) -> None:
         """Into `rows`, (kept, time), for a voltage (time,) from the de-energised state."""
