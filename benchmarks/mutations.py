@@ -66,7 +66,7 @@ class Mutated(SourceFileLoader):
 
 
 def variants(node: ast.AST) -> Iterator[tuple[str, ast.AST]]:
-    """What might stand in the place of an expression or a statement, each with the name of the change."""
+    """What might stand in place of an expression or a statement, each with the name of the change."""
     match node:
         case ast.Constant(value=bool() as value):
             yield "constant", ast.Constant(not value)

@@ -69,7 +69,7 @@ def test_a_mode_at_another_frequency_takes_the_place_of_the_simulations(how: str
     found = compared(how, recorded(stage()), simulations.wrong_mode)
     assert names(found) == ["resonance"] and found.verdict == "explained"
     values = {one.name: one.value for one in found.effects[0].parameters}
-    assert found.effects[0].form == "in the place of the simulation's"
+    assert found.effects[0].form == "in place of the simulation's"
     assert values["frequency_hz"] == pytest.approx(300.0, rel=0.01)
     assert values["replaced_frequency_hz"] == pytest.approx(270.0, rel=0.05)
 

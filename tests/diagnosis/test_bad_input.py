@@ -96,7 +96,7 @@ def test_recordings_of_different_stages_are_said_to_conflict(gain: float, compar
     first, second = pair(2000)
     third = record(multisine(2000, seed=5), name="third", seed=5)
     found = diagnose([first, second, replace(third, y=gain * third.y + 0.5)])
-    assert any(note.startswith(f"Recording third asks for a {comparison} gain") for note in found.notes)
+    assert any(note.startswith(f"Recording third needs a {comparison} gain") for note in found.notes)
     assert [effect.name for effect in found.effects] == ["load_change"]
     assert found.effects[0].parameters[0].value == pytest.approx(1 / gain - 1, rel=0.02)
 
@@ -105,7 +105,7 @@ def test_recordings_that_no_load_explains_are_said_to_be_of_another_stage() -> N
     first, second = pair(2000)
     third = record(multisine(2000, seed=5), name="third", seed=5)
     found = diagnose([first, second, replace(third, y=2.5 * third.y)])
-    conflict = next(note for note in found.notes if note.startswith("Recording third asks for"))
+    conflict = next(note for note in found.notes if note.startswith("Recording third needs"))
     # A gain of its own that wanders is what the list has for it.
     assert "another stage" in conflict or "gain_modulation" in {effect.name for effect in found.effects}
 

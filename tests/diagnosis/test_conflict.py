@@ -1,11 +1,11 @@
-"""Conflict: recordings that ask for different stages are named, noise and shared misfit are not."""
+"""Conflict: recordings that need different stages are named, noise and shared misfit are not."""
 
 import dataclasses
 
 import numpy as np
 import pytest
 
-from torchpi.diagnosis.conflict import conflict, wanted
+from torchpi.diagnosis.conflict import conflict, gain_and_offset
 from torchpi.diagnosis.diagnosis import Trace
 
 FS_HZ, NOISE_UM, N = 10_000.0, 0.004, 20_000
@@ -32,7 +32,7 @@ def test_one_recording_conflicts_with_none() -> None:
 def test_another_gain_is_said_with_its_size() -> None:
     traces = [recording("a", -0.005, seed=1), recording("b", -0.005, seed=2), recording("c", 0.01, seed=3)]
     (line,) = conflict(traces, NOISE_UM)
-    assert line.startswith("Recording c asks for a larger gain than the others do (+1.5 ± ")
+    assert line.startswith("Recording c needs a larger gain than the others (+1.5 ± ")
     assert "another stage, load or sensor setting" in line
 
 
@@ -44,7 +44,7 @@ def test_of_two_recordings_one_sentence_is_enough() -> None:
 def test_another_offset_is_said_in_nanometres() -> None:
     traces = [recording(name, 0.0, -0.01, i) for i, name in enumerate("ab")] + [recording("c", 0.0, 0.02, 9)]
     (line,) = conflict(traces, NOISE_UM)
-    assert line.startswith("Recording c asks for another offset than the others do (+30")
+    assert line.startswith("Recording c needs another offset than the others (+30")
 
 
 def test_what_the_named_effects_settle_is_said_to_be_settled() -> None:
@@ -65,14 +65,14 @@ def test_a_slow_residual_counts_as_few_numbers() -> None:
     base = recording("a", 0.0)
     scores = []
     for one in slow[:50]:
-        found = wanted(base, one + noise, NOISE_UM)
+        found = gain_and_offset(base, one + noise, NOISE_UM)
         scores.append(found.gain / found.gain_sd)
     assert np.abs(scores).max() < 4
 
 
 def test_the_uncertainty_of_a_gain_covers_it() -> None:
-    gains = [wanted(recording("a", 0.003, seed=seed), recording("a", 0.003, seed=seed).residual_retuned, 0.0)
-             for seed in range(60)]  # fmt: skip
+    traces = [recording("a", 0.003, seed=seed) for seed in range(60)]
+    gains = [gain_and_offset(trace, trace.residual_retuned, 0.0) for trace in traces]
     z = np.array([(one.gain - 0.003 / 1.0) / one.gain_sd for one in gains])
     assert np.std([one.gain for one in gains]) == pytest.approx(
         np.mean([one.gain_sd for one in gains]), rel=0.3

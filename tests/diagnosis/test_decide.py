@@ -12,10 +12,10 @@ from torchpi.diagnosis.decide import (
     NAMED,
     OPERATORS,
     Decision,
+    clear_of_none,
     decide,
     if_it_carries_over,
     structure,
-    told_from_none,
     verdict,
 )
 from torchpi.diagnosis.diagnosis import AcrossRecordings
@@ -90,7 +90,7 @@ class TestNames:
             EffectTerm(LoadChange, {"stiffness_ratio": 0.01})
         )
         fit = SimpleNamespace(slots=(one,), theta=(1.0,), hypothesis=hypothesis)
-        found = told_from_none(believed("load_change", 48.0, 0.9), fit, np.array([[(half / 0.01) ** 2]]))
+        found = clear_of_none(believed("load_change", 48.0, 0.9), fit, np.array([[(half / 0.01) ** 2]]))
         assert found.probability == pytest.approx(probability, abs=2e-3)
 
     def test_a_jump_takes_the_place_of_lost_motion(self) -> None:

@@ -1,4 +1,4 @@
-"""What stands around a final hypothesis: what was tried in the place of each effect, and what may be."""
+"""What stands around a final hypothesis: what was tried in place of each effect, and what may be."""
 
 from dataclasses import replace
 from types import SimpleNamespace

@@ -31,7 +31,7 @@ from torchpi.operators import ReferenceFilter
 from torchpi.operators.motion import backward_motion
 
 # Stray samples just beyond the turning point of the motion, which wide plays remembered; short of it, with a
-# lead that went beyond; and in the place of the first sample.
+# lead that went beyond; and in place of the first sample.
 LATE_ONCE = (
     1465,
     1946,

@@ -1,4 +1,4 @@
-"""Whether one nominal stage fits all recordings, or they ask for different ones."""
+"""Whether one nominal stage fits all recordings, or they need different ones."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,8 +16,8 @@ LEAST_SHARE = 0.2
 
 
 @dataclass(frozen=True)
-class Wanted:
-    """What one recording asks for, given the stage that was fitted to all."""
+class GainAndOffset:
+    """What the residual of one recording calls for, given the stage that was fitted to all."""
 
     recording: str
     gain: float
@@ -30,7 +30,7 @@ class Wanted:
 
 
 def conflict(traces: Sequence[Trace], noise_floor_um: float) -> tuple[str, ...]:
-    """A sentence for each recording that asks for another gain or offset than the rest; () if they agree.
+    """A sentence for each recording that needs another gain or offset than the rest; () if they agree.
 
     Each recording's residual is fitted by a gain and an offset of its own. A recording is in conflict where
     one of them differs from that of the other recordings by more than `SIGNIFICANT` standard deviations, and
@@ -44,11 +44,11 @@ def conflict(traces: Sequence[Trace], noise_floor_um: float) -> tuple[str, ...]:
     """
     if len(traces) < 2:
         return ()
-    before = [wanted(trace, trace.residual_retuned, noise_floor_um) for trace in traces]
-    after = [wanted(trace, trace.residual_augmented, noise_floor_um) for trace in traces]
+    before = [gain_and_offset(trace, trace.residual_retuned, noise_floor_um) for trace in traces]
+    after = [gain_and_offset(trace, trace.residual_augmented, noise_floor_um) for trace in traces]
     remains = {i for i, _, _, _ in _apart(after)}
     return tuple(
-        f"Recording {before[i].recording} asks for {what} the others do ({difference}): "
+        f"Recording {before[i].recording} needs {what} the others ({difference}): "
         + (
             "another stage, load or sensor setting, or physics that the named effects do not cover."
             if i in remains
@@ -58,8 +58,8 @@ def conflict(traces: Sequence[Trace], noise_floor_um: float) -> tuple[str, ...]:
     )
 
 
-def wanted(trace: Trace, residual: np.ndarray, noise_floor_um: float) -> Wanted:
-    """Gain and offset that a recording asks for, with their standard deviations."""
+def gain_and_offset(trace: Trace, residual: np.ndarray, noise_floor_um: float) -> GainAndOffset:
+    """Gain and offset of the residual of a recording, with their standard deviations."""
     modelled = trace.y - residual
     rows = np.stack([modelled - modelled.mean(), np.ones_like(modelled)])
     size = np.maximum((rows**2).sum(1), 1e-150)  # its square is not to vanish
@@ -72,10 +72,10 @@ def wanted(trace: Trace, residual: np.ndarray, noise_floor_um: float) -> Wanted:
     mismatch = float((residual**2).sum()) - len(residual) * noise_floor_um**2
     gained = float((residual**2).sum() - (left**2).sum())
     share = min(gained / mismatch, 1.0) if mismatch > 0 else 0.0
-    return Wanted(trace.name, float(value[0]), float(sd[0]), float(value[1]), float(sd[1]), share)
+    return GainAndOffset(trace.name, float(value[0]), float(sd[0]), float(value[1]), float(sd[1]), share)
 
 
-def _apart(found: Sequence[Wanted]) -> list[tuple[int, float, str, str]]:
+def _apart(found: Sequence[GainAndOffset]) -> list[tuple[int, float, str, str]]:
     """Index, significance, and words, of the recordings apart from the rest."""
     apart = []
     for i, own in enumerate(found):

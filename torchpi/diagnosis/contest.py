@@ -137,13 +137,13 @@ class Contest:
         members = one.hypothesis.members
         there = {member.kind for member in now.hypothesis.members}
         new = {k for k, member in enumerate(members) if member.kind not in there}
-        # What an addition makes of a number that was there before is for a backward step to judge.
-        told = [slot.name for slot in one.on_a_bound if not new or slot.member in {-1, *new}]
-        asked = [member for k, member in enumerate(members) if not new or k in new]
+        # What an addition makes of a number that was there before is for the backward step to judge.
+        bounded = [slot.name for slot in one.on_a_bound if not new or slot.member in {-1, *new}]
+        added = [member for k, member in enumerate(members) if not new or k in new]
         return (
-            set(told) <= set(now.bounded)
-            and self.within_reach(asked)
-            and not any(self.follows_command(member) for member in asked)
+            set(bounded) <= set(now.bounded)
+            and self.within_reach(added)
+            and not any(self.follows_command(member) for member in added)
         )
 
     def follows_command(self, member: EffectTerm) -> bool:

@@ -81,7 +81,7 @@ def decide(
     faint = (FAINT * (floor_um or final.train_rms)) ** 2
     covariance = covariance_90(search.chain, final)
     spans = intervals_90(final, covariance)
-    believed = [told_from_none(one, final, covariance) for one in believed]
+    believed = [clear_of_none(one, final, covariance) for one in believed]
     names = {
         one.name
         for one in believed
@@ -157,7 +157,7 @@ def if_it_carries_over(decision: Decision, across: Sequence[AcrossRecordings]) -
     return decision
 
 
-def told_from_none(one: Believed, final: Fit, covariance: np.ndarray) -> Believed:
+def clear_of_none(one: Believed, final: Fit, covariance: np.ndarray) -> Believed:
     """As likely as not, at most, where the intervals of an effect's numbers just reach those of none of it: a
     name beside a number that may as well be 0 is no answer."""
     distance = distance_from_none(final, covariance, one.name)

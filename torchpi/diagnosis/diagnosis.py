@@ -29,12 +29,12 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Rival:
-    """What was tried in the place of a named effect."""
+    """What was tried in place of a named effect."""
 
     name: str
     train_rms_um: float
     loses_nats: float
-    """Log predictive density that is lost with it in the place of the effect."""
+    """Log predictive density that is lost with it in place of the effect."""
     probability: float
     form: str = ""
     """Which equation of its kind, where there are several."""

@@ -12,7 +12,7 @@ from torchpi.stage.effects.mechanics.modal import ModalEffect
 
 
 class Exchange(Timing):
-    """Fits on given records, in which one effect may stand in the place of another."""
+    """Fits on given records, in which one effect may stand in place of another."""
 
     log: Callable[[str], None]
 
@@ -59,7 +59,7 @@ class Exchange(Timing):
         return chosen
 
     def of_a_simpler_kind(self, now: Fit) -> list[Job]:
-        """An effect that has fewer of the same numbers in the place of an added one: a single mode in the
+        """An effect that has fewer of the same numbers in place of an added one: a single mode in the
         place of a second one, for which the simulation's own gives way where it has one.
 
         The simulation's numbers may be so wrong that a fit, or the timing, could not find the way.

@@ -64,7 +64,7 @@ class Growth(Exchange):
         return [self.plays(), *found] if self.simulation else found
 
     def growth(self, now: Fit, leader: Fit, larger: Sequence[HysteresisModel]) -> list[Tried]:
-        """A larger hysteresis in the place of the present one, fitted to the end where it may beat a fit.
+        """A larger hysteresis in place of the present one, fitted to the end where it may beat a fit.
 
         What is larger has to beat the present one on the same terms.
         """

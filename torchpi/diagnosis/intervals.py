@@ -105,9 +105,9 @@ def scatter(whole: np.ndarray, parts: list[tuple[np.ndarray, np.ndarray]], slots
     steps, count = np.zeros((len(parts), slots)), np.zeros(slots)
     for kept, (gram, score) in zip(steps, parts, strict=True):
         step, uncertainty = solved(whole - gram, score, slots)
-        told = (uncertainty > 0) & (TELLS * uncertainty < least)
-        kept[told] = step[told]
-        count += told
+        determined = (uncertainty > 0) & (TELLS * uncertainty < least)
+        kept[determined] = step[determined]
+        count += determined
     steps *= np.sqrt(np.maximum(count - 1, 0) / np.maximum(count, 1))
     return steps.T @ steps
 

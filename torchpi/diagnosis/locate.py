@@ -158,10 +158,10 @@ def _design_effect(n_of: np.ndarray, sum_of: np.ndarray) -> float:
     n, visits = n_of.sum(0), (n_of > 0).sum(0)
     mean = sum_of.sum(0) / np.maximum(n, 1)
     variance = ((sum_of - mean * n_of) ** 2).sum(0) / np.maximum(n, 1) * visits / np.maximum(visits - 1, 1)
-    told = (visits >= 3) & (mean > 0)
-    if not told.any():
+    revisited = (visits >= 3) & (mean > 0)
+    if not revisited.any():
         return 2.0
-    effects = np.sort(variance[told] / mean[told] ** 2)
+    effects = np.sort(variance[revisited] / mean[revisited] ** 2)
     kept = len(effects) - max(1, len(effects) // 10) if len(effects) > 1 else 1
     return max(2.0, float(effects[:kept].mean()))
 

@@ -87,7 +87,7 @@ def measured_noise(records: Sequence[Record], residuals: Sequence[np.ndarray] | 
 
     Args:
         records: The recordings.
-        residuals: (time,) each: of a simulation, in the place of the readings. They have the noise of a
+        residuals: (time,) each: of a simulation, in place of the readings. They have the noise of a
             monitored voltage as well.
     """
     readings = residuals or [record.y for record in records]

@@ -13,8 +13,8 @@ from torchpi.stage.effects.added_signal import AddedSignal
 
 HARMONICS = 3
 """Of a line, that may stand out."""
-TOLD = 0.5
-"""Of the variance of a recorded signal, what the voltage may tell of it for it to be one of its own."""
+PREDICTED = 0.5
+"""Of the variance of a recorded signal, what the voltage may predict of it for it to be one of its own."""
 
 
 def has_a_signal_of_its_own(records: Sequence[Record], h: Hypothesis, name: str) -> bool:
@@ -31,12 +31,12 @@ def has_a_signal_of_its_own(records: Sequence[Record], h: Hypothesis, name: str)
 
 
 def has_a_recorded_signal(search: Search, final: Fit, name: str) -> bool:
-    """Whether an effect brings in a recorded signal that the voltage does not tell: what else the model has
-    wrong follows the voltage, and does not look like it."""
+    """Whether an effect brings in a recorded signal that the voltage does not predict: whatever else the
+    model has wrong follows the voltage, and does not look like it."""
     chain, h = search.chain, final.hypothesis
     signals = {m.aux for m in h.members if m.effect.name == name and m.effect.takes_aux}
     for signal in signals:
-        told = whole = 0.0
+        predicted = whole = 0.0
         for i, record in enumerate(chain.records):
             aux = record.aux[signal][record.train]
             aux = aux - aux.mean()
@@ -44,9 +44,9 @@ def has_a_recorded_signal(search: Search, final: Fit, name: str) -> bool:
             rows = np.concatenate([rows, np.gradient(record.commanded(0))[None, record.train]])
             rows = rows - rows.mean(1, keepdims=True)
             weights = np.linalg.lstsq(rows.T, aux, rcond=1e-6)[0]
-            told += float(((weights @ rows) ** 2).sum())
+            predicted += float(((weights @ rows) ** 2).sum())
             whole += float(aux @ aux)
-        if told > TOLD * whole:
+        if predicted > PREDICTED * whole:
             return False
     return bool(signals)
 

@@ -121,7 +121,7 @@ def unless_unknown(
         return final, believed
     lost = search.over(instead[0], beside[0] if beside else final).probability
     if lost > REPLACES:
-        search.log(f"  what is on no list in the place of a larger hysteresis: {rms_of(instead[0])}")
+        search.log(f"  what is on no list in place of a larger hysteresis: {rms_of(instead[0])}")
         return plain, [one for one in believed if one.name != OPERATOR_NAME]
     return final, [
         replace(one, probability=round(one.probability * (1 - lost), 4)) if one.name == OPERATOR_NAME else one

@@ -63,7 +63,7 @@ def settled(search: Search, retuned: Fit, final: Fit, history: Sequence[Round]) 
             if not plainer:
                 break
             best = max(plainer, key=lambda pair: pair[0].nats)[1]
-        search.log(f"  {best.instead or 'nothing'} in the place of {best.without}: {rms_of(best.fit)}")
+        search.log(f"  {best.instead or 'nothing'} in place of {best.without}: {rms_of(best.fit)}")
         final = search.on_its_rows(best.fit)
     return final, models
 
@@ -85,15 +85,15 @@ def prior(search: Search, retuned: Fit, one: Fit) -> float:
 def around(search: Search, retuned: Fit, small: Fit, history: Sequence[Round]) -> list[Model]:
     """The final hypothesis, those without one effect, and those with a rival in its place, all fitted."""
     h = small.hypothesis
-    wanted: list[tuple[str, str, Hypothesis, np.ndarray | None]] = [("", "", h, small.weights)]
+    hypotheses: list[tuple[str, str, Hypothesis, np.ndarray | None]] = [("", "", h, small.weights)]
     for name in search.added(small):
         less = h.without(name)
-        wanted.append((name, "", less, small.weights))
-        wanted += [(name, label, one, w) for label, one, w in rivals(search, history, name, less, small)]
+        hypotheses.append((name, "", less, small.weights))
+        hypotheses += [(name, label, one, w) for label, one, w in rivals(search, history, name, less, small)]
     if h.nominal.family != retuned.hypothesis.nominal.family:
         plain = h.on(retuned.hypothesis.nominal)
-        wanted.append((OPERATOR_NAME, "", plain, None))
-        wanted += [
+        hypotheses.append((OPERATOR_NAME, "", plain, None))
+        hypotheses += [
             (OPERATOR_NAME, label, one, None)
             for label, one, _ in rivals(search, history, OPERATOR_NAME, plain, small)
         ]
@@ -102,8 +102,8 @@ def around(search: Search, retuned: Fit, small: Fit, history: Sequence[Round]) -
         less = h.on(retuned.hypothesis.nominal) if larger else h
         for name in group:
             less = less.without(name)
-        wanted.append((" + ".join(group), "", less, None if larger else small.weights))
-    jobs: list[Job] = [(one, w, 8, ROUGH) for _, _, one, w in wanted]
+        hypotheses.append((" + ".join(group), "", less, None if larger else small.weights))
+    jobs: list[Job] = [(one, w, 8, ROUGH) for _, _, one, w in hypotheses]
     # Beside another hysteresis all numbers have far to go: after a few steps nothing is known of the end.
     far = [k for k, job in enumerate(jobs) if k == 0 or job[0].nominal.family != h.nominal.family]
     found = dict(zip(far, search.fits([jobs[k] for k in far]), strict=True))
@@ -112,7 +112,7 @@ def around(search: Search, retuned: Fit, small: Fit, history: Sequence[Round]) -
     fits = [found[k] for k in range(len(jobs))]
     return [
         Model(name, instead, one)
-        for (name, instead, _, _), one in zip(wanted, fits, strict=True)
+        for (name, instead, _, _), one in zip(hypotheses, fits, strict=True)
         if instead in ("", CONVENTION) or search.inside(one, small)  # neither is another cause
     ]
 
@@ -143,12 +143,12 @@ def same_place(one: EffectTerm | None, other: EffectTerm | None) -> bool:
 def rivals(
     search: Search, history: Sequence[Round], name: str, less: Hypothesis, small: Fit
 ) -> list[tuple[str, Hypothesis, np.ndarray | None]]:
-    """What may stand in the place of an effect: what was tried when it was taken, and what is alike."""
+    """What may stand in place of an effect: what was tried when it was taken, and what is alike."""
     found: list[tuple[str, Hypothesis, np.ndarray | None]] = []
     there = set(small.hypothesis.names)
     seen: set[str] = set()
     taken = [round for round in history if name in names_of(round.accepted)]
-    # What came by exchange stands in the place of what was taken then.
+    # What came by exchange stands in place of what was taken then.
     kept = there | {OPERATOR_NAME}
     taken = taken or [one for one in history if one.accepted and not kept & {*names_of(one.accepted)}]
     considered = [round for round in history if any(name in names_of(one.name) for one in round.tried)]

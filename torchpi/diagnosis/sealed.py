@@ -74,8 +74,8 @@ def what_does_not_repeat(record: Record, e: np.ndarray, judging: np.ndarray) -> 
     """The same, less what repeats with the voltage; none where it does not repeat."""
     repeats = record.coefficients.repeats
     sealed = repeats.beyond(e)
-    told = np.isfinite(sealed) & judging[repeats.samples :]
-    return sealed[told], repeats(e[None])[0][repeats.apart]
+    defined = np.isfinite(sealed) & judging[repeats.samples :]
+    return sealed[defined], repeats(e[None])[0][repeats.apart]
 
 
 def mean_square(e: np.ndarray) -> float:

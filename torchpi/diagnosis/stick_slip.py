@@ -93,16 +93,16 @@ def slips(chain: Chain, now: Fit, floor_um: float, lsb_um: float = 0.0) -> Slips
 
 def cut(chain: Chain, now: Fit, least_um: float, rival_um: float) -> Slips | None:
     """The fit where readings jump by so much, and what it gains on the rival; None where too few do."""
-    told = Chain(with_rests(chain.records, least_um), chain.weighting)
-    rests = [record.rests.stuck for record in told.records if record.rests]
-    slipped = sum(int((r.train & ~r.rests.stuck).sum()) for r in told.records if r.rests)
+    resting = Chain(with_rests(chain.records, least_um), chain.weighting)
+    rests = [record.rests.stuck for record in resting.records if record.rests]
+    slipped = sum(int((r.train & ~r.rests.stuck).sum()) for r in resting.records if r.rests)
     if np.mean(np.concatenate(rests)) < LEAST_STUCK or slipped < SLIPS_A_WEIGHT * len(now.weights):
         return None
-    one = fit(told, now.hypothesis.plus(EffectTerm(Stiction, {})), now.weights, 3, ROUGH)
-    far = [distance(told, one, i) for i in range(len(told.records))]
-    jump_um = slip_threshold(told.records, far)
-    gain = 1.0 - rms(told.records, one_step(told, one, far, jump_um), True) / rival_um
-    return Slips(told, one, least_um, gain)
+    one = fit(resting, now.hypothesis.plus(EffectTerm(Stiction, {})), now.weights, 3, ROUGH)
+    far = [distance(resting, one, i) for i in range(len(resting.records))]
+    jump_um = slip_threshold(resting.records, far)
+    gain = 1.0 - rms(resting.records, one_step(resting, one, far, jump_um), True) / rival_um
+    return Slips(resting, one, least_um, gain)
 
 
 def jump(found: Slips, last: Fit) -> Jump:

@@ -79,7 +79,7 @@ class Timing(Contest):
         return max([best, *(one for one in raced if not one.bounded)], key=self.worth)
 
     def as_a_lag_and_a_delay(self, h: Hypothesis) -> list[Hypothesis]:
-        """A lag of one number and a delay in the place of all that was added that delays, as late in all:
+        """A lag of one number and a delay in place of all that was added that delays, as late in all:
         from two lags, or a lag of more numbers, no exchange of one effect for another leads there."""
         late = [m for m in h.members if m.effect.delays and m.effect.name not in self.given]
         starts = [m for m in self.starts if m.effect.delays and issubclass(m.effect, LinearEffect)]
@@ -99,7 +99,7 @@ class Timing(Contest):
         return found
 
     def delayed(self, now: Fit) -> Fit:
-        """With a delay in the place of a timing convention, where that is clear, and all lateness no whole
+        """With a delay in place of a timing convention, where that is clear, and all lateness no whole
         samples."""
         h = now.hypothesis
         if h.alignment - 1 not in self.alignments:

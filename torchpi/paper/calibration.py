@@ -66,7 +66,7 @@ EFFECTS_OF = {
 
 
 def without(stage: Stage, part: str) -> Stage:
-    """The stage with an ideal part in the place of one of `PARTS`. Its travel stays as it is.
+    """The stage with an ideal part in place of one of `PARTS`. Its travel stays as it is.
 
     "lag" is that of the amplifier and of the sensor. For curvature there stands a straight line through the
     same end point, for hysteresis a plain gain that takes the first rise as far.

@@ -16,7 +16,7 @@ def with_force(path: str | Path, options: RecordingOptions) -> RecordingOptions:
 
 
 def read_force_recording(path: str | Path, options: RecordingOptions) -> Recording:
-    """Read force, N, in the place of the voltage, and displacement, µm.
+    """Read force, N, in place of the voltage, and displacement, µm.
 
     Raises:
         RecordingError: As `read_recording`.

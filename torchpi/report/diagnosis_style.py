@@ -15,7 +15,7 @@ RECORDED: dict[str, Any] = {"color": "#000000", "linewidth": 1.2}
 ADDED: dict[str, Any] = {"color": "#D55E00", "linestyle": (0, (4, 1.5)), "linewidth": 1.6}
 HELD_OUT: dict[str, Any] = {"color": "#000000", "alpha": 0.08, "linewidth": 0}
 SILENT_NM = 1e-6
-"""Drawn in the place of nothing, which no logarithm shows."""
+"""Drawn in place of nothing, which no logarithm shows."""
 FAINT, STRONG = "#b9d3e6", "#0072B2"
 
 

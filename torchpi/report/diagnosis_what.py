@@ -25,7 +25,7 @@ from torchpi.report.traces import Signal, envelope
 
 
 def rivals_figure(effect: NamedEffect) -> Figure:
-    """Log predictive density lost with each rival in the place of the effect, and the probabilities."""
+    """Log predictive density lost with each rival in place of the effect, and the probabilities."""
     rivals = effect.rivals[:8]
     names = [spoken(effect.name), *spoken_rivals(rivals)]
     lost = [0.0, *(rival.loses_nats for rival in rivals)]

@@ -1,4 +1,4 @@
-"""A simulation of someone else's in the place of the hysteresis, corrected.
+"""A simulation of someone else's in place of the hysteresis, corrected.
 
     y = g F(v) + Σ_i F_i(x_i) + …
 

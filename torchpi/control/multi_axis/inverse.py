@@ -241,7 +241,7 @@ class MultiAxisInverse:
         return [float(u) for u in self.block(np.asarray(yd, dtype=np.float64).reshape(1, -1))[0]]
 
     def _held(self, yd: np.ndarray) -> np.ndarray:
-        """The trajectories, the last accepted sample in the place of those that are not."""
+        """The trajectories, the last accepted sample in place of those that are not."""
         desired = yd.astype(np.float64)
         # A comparison with NaN is false.
         for t in np.flatnonzero(~(np.abs(desired) <= self.accepted_um).all(1)):

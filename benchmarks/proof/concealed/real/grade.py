@@ -21,7 +21,7 @@ def grade_injected(
     A name is right where it is accepted, or has an accepted one among its alternatives (these being no more
     than a group that u and y cannot split), and the untouched answer does not have it or has less of it. A
     name is wrong where it is not right, and in the untouched answer neither a name nor an alternative. A name
-    in the place of another of its group, which u and y cannot split, is not new. Without an answer to the
+    in place of another of its group, which u and y cannot split, is not new. Without an answer to the
     untouched recording nothing can be graded: the case counts as failed.
     """
     failed = next(

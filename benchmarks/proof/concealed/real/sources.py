@@ -108,7 +108,7 @@ def _mirror(data: Path, rng: np.random.Generator, level_mv: int) -> Source:
 
 
 def _motor(data: Path, rng: np.random.Generator, types: str) -> Source:
-    """Commanded to measured current of a motor: amperes in the place of V and µm."""
+    """Commanded to measured current of a motor: amperes in place of V and µm."""
     records, noises = [], []
     for letter in types:
         with np.load(data / "motor_bench" / f"type_{letter}.npz") as file:

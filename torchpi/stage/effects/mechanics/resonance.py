@@ -53,7 +53,7 @@ class Resonance(StateSpaceEffect):
         "frequency_hz": Quantity("Hz", at_least=0, positive=True),
         "damping_ratio": Quantity("", at_least=0),
     }
-    forms: ClassVar[tuple[str, ...]] = ("one mode", "in the place of the simulation's")
+    forms: ClassVar[tuple[str, ...]] = ("one mode", "in place of the simulation's")
     frequency_hz: nn.Parameter
     damping_ratio: nn.Parameter
     replaced_frequency_hz: nn.Parameter
@@ -120,7 +120,7 @@ class Resonance(StateSpaceEffect):
 
     @classmethod
     def starts_in_place(cls, frequencies_hz: list[float]) -> list[Parameters]:
-        """A mode in the place of another: a residual shows both, or one peak where they are close."""
+        """A mode in place of another: a residual shows both, or one peak where they are close."""
         pairs = [
             (a, b) for a in frequencies_hz for b in frequencies_hz if a != b and 1 / CLOSE < a / b < CLOSE
         ]

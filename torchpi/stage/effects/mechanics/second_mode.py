@@ -26,7 +26,7 @@ class SecondMode(Resonance):
         **OF_A_MODE,
     }
     forms: ClassVar[tuple[str, ...]] = ()
-    alike_inside = ("resonance",)  # in the place of another
+    alike_inside = ("resonance",)  # in place of another
     share: nn.Parameter
 
     def matrices(self) -> Matrices:
