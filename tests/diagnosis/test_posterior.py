@@ -38,8 +38,10 @@ from torchpi.diagnosis.rival_models import CONVENTION, OPERATOR_NAME, Model
 from torchpi.stage.effects import EFFECTS
 from torchpi.stage.effects.actuator.ageing import Ageing
 from torchpi.stage.effects.actuator.creep import Creep
+from torchpi.stage.effects.actuator.rate_dependent_hysteresis import RateDependentHysteresis
 from torchpi.stage.effects.amplifier.amplifier_lag import AmplifierLag
 from torchpi.stage.effects.amplifier.delay import Delay
+from torchpi.stage.effects.amplifier.slew_limit import SlewLimit
 from torchpi.stage.effects.effect import Effect
 from torchpi.stage.effects.mechanics.backlash import Backlash
 from torchpi.stage.effects.mechanics.cross_coupling import CrossCoupling
@@ -48,6 +50,7 @@ from torchpi.stage.effects.mechanics.resonance import Resonance
 from torchpi.stage.effects.mechanics.second_mode import SecondMode
 from torchpi.stage.effects.sensor.gain_modulation import GainModulation
 from torchpi.stage.effects.sensor.hum import Hum
+from torchpi.stage.effects.sensor.sensor_lag import SensorLag
 from torchpi.stage.effects.sensor.thermal_drift import ThermalDrift
 
 
@@ -126,6 +129,17 @@ def test_what_an_effect_leaves_by_its_form_is_not_named_after_its_kin(share: flo
         Believed(OPERATOR_NAME, 1.0, (), 1.0, (), HALF),
     )
     assert chance(lost, [lost, larger], terms) == chance(late, found, terms)
+
+
+@pytest.mark.parametrize("cause", [Resonance, SecondMode, AmplifierLag, SensorLag, Delay, SlewLimit])
+def test_what_a_dynamic_effect_leaves_by_its_form_is_no_rate_dependence(cause: type[Effect]) -> None:
+    terms = {one.name: EffectTerm(one, {}) for one in (cause, RateDependentHysteresis)}
+    strong, weak = (
+        Believed(name, 1.0, (), size, (), HALF) for name, size in zip(terms, (1.0, 0.03), strict=True)
+    )
+    assert apart(weak, [strong, weak], terms).form_of == cause.name
+    assert chance(weak, [strong, weak], terms) < 0.1
+    assert chance(strong, [strong, weak], terms) == 1.0
 
 
 @given(st.floats(1e-6, 1.0))

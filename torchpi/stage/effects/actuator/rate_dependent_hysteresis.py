@@ -21,6 +21,8 @@ class RateDependentHysteresis(InsideEffect):
 
     name = "rate_dependent_hysteresis"
     needs = Needs(reversals=2, pace=1.5)
+    # Whatever depends on the rate and has not quite the rig's equation leaves a residual that does.
+    left_by = ("resonance", "second_mode", "amplifier_lag", "sensor_lag", "delay", "slew_limit")
     equation = "w_i (1 + k v̇), or r_i (1 + β |v̇|), or loop · [1 + γ ln(1 + |v̇|/v̇₀)], or τ ḣ_i = p_i - h_i"
     signature = "like a delay in amplitude and frequency, and unlike one at reversals"
     weight_s_per_v: float = parameter("s/V", at_least=-1.0, at_most=1.0)
