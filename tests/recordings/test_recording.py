@@ -163,18 +163,39 @@ class TestTime:
         with pytest.warns(RecordingWarning, match="row 702: a gap of 0.0061 s"):
             read_recording(path, resample=True)
 
-    def test_jitter_is_refused_and_resampled(self, tmp_path):
+    @pytest.mark.parametrize("missing", [[], [700]])
+    def test_jitter_is_refused_and_resampled_row_for_row(self, tmp_path, missing):
         t = (np.arange(2000) + 0.2 * np.random.default_rng(0).random(2000)) / FS_HZ
-        path = self.rows(tmp_path, t)
+        path = self.rows(tmp_path, np.delete(t, missing))
         with pytest.raises(RecordingError, match=r"row 3: .*resample"):
             read_recording(path)
         read = read_recording(path, resample=True)
         assert read.fs_hz == pytest.approx(FS_HZ, rel=1e-3)
         rows = np.loadtxt(path, delimiter=",", skiprows=1)[:, 2]
+        assert len(read) == 2000
+        np.testing.assert_array_equal(np.delete(read.y, missing), rows)
+        np.testing.assert_array_equal(read.readings, rows)
+        assert read.not_read.tolist() == ([700, 701] if missing else [])
+
+    def test_rows_far_from_any_tick_are_interpolated(self, tmp_path):
+        t = (np.arange(2000) + 0.6 * np.random.default_rng(0).random(2000)) / FS_HZ
+        path = self.rows(tmp_path, t)
+        read = read_recording(path, resample=True)
+        rows = np.loadtxt(path, delimiter=",", skiprows=1)[:, 2]
         assert not np.isin(read.y[1:-1], rows).all()
         np.testing.assert_array_equal(read.readings, rows)
         np.testing.assert_array_equal(read.resampled(FS_HZ / 2).readings, rows)
         assert read.not_read.tolist() == []
+
+    def test_what_is_fast_is_not_smoothed_by_a_clock_that_is_not_a_round_one(self, tmp_path):
+        t = np.cumsum(1 + 0.02 * np.random.default_rng(0).standard_normal(4000)) / 1000.4
+        u = 4 - 4 * np.cos(2 * np.pi * 240 * (t - t[0]))
+        path = tmp_path / "a.csv"
+        header = "time_s,input_v,output_um"
+        np.savetxt(path, np.stack((t, u, 0.8 * u), 1), "%.9g", ",", header=header, comments="")
+        read = read_recording(path, resample=True)
+        assert (read.fs_hz, len(read)) == (1000.0, 4000)
+        assert np.std(read.u) == pytest.approx(np.std(u), rel=1e-6)
 
     @pytest.mark.parametrize("resample", [False, True])
     @pytest.mark.parametrize("step", [0, -3])

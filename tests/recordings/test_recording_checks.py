@@ -107,7 +107,7 @@ class TestClipping:
     @pytest.mark.parametrize("name", ["sine", "triangles", "random phases"])
     def test_nor_one_whose_coarse_readings_are_interpolated(self, name):
         t, u = SIGNALS[name]
-        step, late = 0.1, 0.3 * np.random.default_rng(0).random(len(t)) / FS_HZ
+        step, late = 0.1, 0.6 * np.random.default_rng(0).random(len(t)) / FS_HZ
         y = np.round(np.interp(t + late, t, stage(u, 0.003)) / step) * step
         read = Recording.from_arrays(t + late, np.interp(t + late, t, u), y, resample=True)
         assert said(read) == []

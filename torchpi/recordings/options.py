@@ -23,7 +23,8 @@ class RecordingOptions:
             struct.field.
         output_column: Column of the displacement.
         fs_hz: Sample rate, Hz, or the name of the number in the file that holds it; for files without time.
-        resample: Interpolate recordings that are not sampled uniformly, or at another rate than fs_hz.
+        resample: Take recordings that are not sampled uniformly, or at another rate than fs_hz: jittered rows
+            as the ticks of a loop, others interpolated.
         time_unit: s, ms, us, ns or min; by default as the column states, else s.
         input_unit: V, mV, kV or uV, or how many volts 1 in the file stands for; by default as the column
             states, else V.

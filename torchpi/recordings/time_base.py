@@ -31,6 +31,7 @@ from torchpi.recordings.readers.time_stamps import Grid, round_rate, uniform_gri
 RATE_TOLERANCE = 5e-3  # what coarse time stamps may leave open of the sample rate
 RATE_AGREEMENT = 1e-4  # between the stamps and a rate that the user gives
 LEAST_STEP_S, LONGEST_S = 1e-12, 1e12
+SAME_TICK = 0.25  # of the period: rows this near to whole periods apart are one row for each tick of a loop
 MOST_FILLED = 100  # interpolating makes at most so many times the samples that there are
 DEFAULTS: dict[Role, str] = {"time": TIME_COLUMN, "input": INPUT_COLUMN, "output": OUTPUT_COLUMN}
 
@@ -292,8 +293,25 @@ def _interpolated(source: Source, grid: Grid, t: np.ndarray, signals: list[np.nd
             RecordingWarning,
             stacklevel=4,
         )
+    whole = np.rint(steps / grid.median_step_s)
+    near = np.abs(steps / grid.median_step_s - whole).max() < SAME_TICK
+    if len(signals) > 1 and near and whole.min() > 0:
+        return _at_ticks(t[0], rate, np.concatenate([[0], np.cumsum(whole).astype(int)]), signals)
     uniform = t[0] + np.arange(samples) / rate
     after = np.clip(np.searchsorted(t, uniform), 1, len(t) - 1)
     filled = np.minimum(np.abs(t[after] - uniform), np.abs(t[after - 1] - uniform)) > 0.5 / rate
     interpolated = [np.interp(uniform, t, signal) for signal in signals]
     return Uniform(uniform, rate, interpolated, signals, filled if filled.any() else None)
+
+
+def _at_ticks(start_s: float, rate: float, ticks: np.ndarray, signals: list[np.ndarray]) -> Uniform:
+    """The rows as they are, one for each tick of a loop whose clock jitters; ticks without a row are filled.
+
+    To interpolate would smooth what is fast, by as much as the instants lie beside the rows, now more, now
+    less. Signals that were sampled at one instant keep their relation; of a single one, time is all there is.
+    """
+    every = np.arange(ticks[-1] + 1)
+    missing = ~np.isin(every, ticks)
+    placed = [np.interp(every, ticks, signal) for signal in signals]
+    rows, filled = (signals, missing) if missing.any() else (None, None)
+    return Uniform(start_s + every / rate, rate, placed, rows, filled)
