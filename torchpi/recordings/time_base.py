@@ -43,7 +43,7 @@ class Uniform(NamedTuple):
     fs_hz: float
     signals: list[np.ndarray]  # (time,) each, in the file's own units
     rows: list[np.ndarray] | None = None
-    """The signals as the rows of the file have them, where the samples lie between those."""
+    """The signals as the rows of the file have them, where samples lie between those or were filled in."""
     filled: np.ndarray | None = None
     """(time,), whether no row lies within half a sample; None where one always does."""
 
@@ -266,7 +266,7 @@ def _not_uniform(source: Source, grid: Grid, t: np.ndarray) -> RecordingError:
             f"or give the sample rate (fs_hz) with time_column null"
         )
     return RecordingError(
-        f"{found}, expected uniform sampling; the option resample (true) interpolates to a uniform grid"
+        f"{found}, expected uniform sampling; the option resample (true) brings it to a uniform grid"
     )
 
 
