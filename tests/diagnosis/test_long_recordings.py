@@ -2,8 +2,9 @@
 
 import numpy as np
 
-from torchpi.diagnosis import long_recordings
+from torchpi.diagnosis import diagnose, long_recordings
 from torchpi.diagnosis.long_recordings import at_a_lower_rate
+from torchpi.diagnosis.records import prepare
 from torchpi.recordings.recording import Recording
 
 
@@ -60,3 +61,29 @@ def test_a_fast_voltage_is_cut_short_where_its_means_would_turn_elsewhere(monkey
     assert first.fs_hz == 1e4 and np.array_equal(first.u, chirp.u[:10_000]) and left.tolist() == [7]
     assert first.aux["aux_v"].shape == first.simulated.shape == first.u.shape
     assert "the first 1 s of 2 s" in cut and "too fast" in cut
+
+
+def test_the_command_of_the_tick_before_is_that_of_the_controller_and_not_of_a_mean(monkeypatch):
+    monkeypatch.setattr(long_recordings, "AT_MOST", 10_000)
+    one = recording(40_001)
+    kept, left, _ = at_a_lower_rate([one], [np.zeros(0, int)])
+    (record,) = prepare(kept, left, as_recorded=[one])
+    assert record.tick_s == 1e-4 and record.period_s == 5e-4 and len(record.u) == 8000
+    np.testing.assert_allclose(record.commanded(1)[7], one.u[34:39].mean(), rtol=1e-12)
+    np.testing.assert_allclose(record.commanded(0)[7], one.u[35:40].mean(), rtol=1e-12)
+    np.testing.assert_allclose(record.simulated[-1][7], one.simulated[36:41].mean(), rtol=1e-12)
+
+
+def test_a_long_recording_that_reads_before_it_writes_has_no_lag(monkeypatch):
+    """Of means of five, the tick before lies a fifth of a sample back: no convention of whole samples."""
+    monkeypatch.setattr(long_recordings, "AT_MOST", 6_000)
+    rng = np.random.default_rng(3)
+    t = np.arange(30_000) / 1e4
+    u = 4 - 4 * np.cos(2 * np.pi * 4 * t) + np.sin(2 * np.pi * 23 * t)
+    u[:1000] = u[-1000:] = 0.0
+    before = np.append(u[0], u[:-1])
+    one = Recording("late", t, u, 0.8 * before + 1e-3 * rng.standard_normal(len(t)), 1e4)
+    found = diagnose([one])
+    assert [effect.name for effect in found.effects] == [] and found.verdict == "nothing_missing"
+    assert found.stage.alignment == 1 and any("tick before" in note for note in found.notes)
+    assert found.augmented.heldout_rms_um < 0.6e-3

@@ -234,13 +234,20 @@ class Chain:
 
     def voltage(self, hypothesis: Hypothesis, index: int) -> np.ndarray:
         """What drives the hysteresis, (time,), V."""
-        late = 0 if hypothesis.nominal.simulation else hypothesis.alignment
-        v = torch.from_numpy(self.records[index].commanded(late))[None]
+        before = hypothesis.alignment - self.late(hypothesis, index)
+        v = torch.from_numpy(self.records[index].commanded(before))[None]
         with torch.no_grad():
             for placed in self.before(hypothesis, index):
                 v = placed(v)
         reached: np.ndarray = v[0].numpy()
         return reached
+
+    def late(self, hypothesis: Hypothesis, index: int) -> int:
+        """By how many samples all that is driven is shifted, in place of the voltage: a simulation that does
+        not change with time need not be called again for a tick that is a sample."""
+        record = self.records[index]
+        at_ticks = record.tick_s == record.period_s
+        return hypothesis.alignment if hypothesis.nominal.simulation and at_ticks else 0
 
     def key(self, hypothesis: Hypothesis, index: int) -> tuple[object, ...]:
         """What the states depend on."""
@@ -324,6 +331,7 @@ class Chain:
         if hypothesis.remanent and hypothesis.starts:
             nominal = replace(nominal, start=hypothesis.starts[index])
         if nominal.simulation:
-            called = partial(nominal.simulation.output, self.records[index])
-            nominal = replace(nominal, called=called, late=hypothesis.alignment)
+            late = self.late(hypothesis, index)
+            called = partial(nominal.simulation.output, self.records[index], hypothesis.alignment - late)
+            nominal = replace(nominal, called=called, late=late)
         return nominal

@@ -96,7 +96,7 @@ def diagnose(
     given_recordings = recordings
     out = [not_counting(each) for each in recordings]
     recordings, out, long = at_a_lower_rate(recordings, out)
-    records = prepare(recordings, out)
+    records = prepare(recordings, out, as_recorded=given_recordings)
     called = outside(simulation)
     given = simulation if isinstance(simulation, Stage) else None
     if called is not None:
@@ -148,7 +148,7 @@ def diagnose(
         across = across_recordings(search.chain, final)
         decision = if_it_carries_over(decision, across)
     log("model: everything refitted to all samples")
-    complete = without_start(whole(recordings, out), search.unsettled)
+    complete = without_start(whole(recordings, out, as_recorded=given_recordings), search.unsettled)
     everything = Chain(complete, Weighting.of(complete, modelled.residuals, noise))
     # A mount that sticks decides at each slip where the next one begins: no gradient leads through that.
     last = modelled if search.jump else fit(everything, modelled.hypothesis, modelled.weights, 4)
@@ -334,7 +334,7 @@ def open_between(decision: Decision) -> list[str]:
 
 def monitored_notes(records: Sequence[Record]) -> tuple[str, ...]:
     """The noise of each voltage that was monitored and not commanded."""
-    noisy = [f"{noise_of(r.u):.2g} V in {r.name}" for r in records if r.driving is not r.u]
+    noisy = [f"{noise_of(r.u):.2g} V in {r.name}" for r in records if r.monitored]
     return (
         (f"The voltage has noise of its own, taken out before it drives: {', '.join(noisy)}.",)
         if noisy

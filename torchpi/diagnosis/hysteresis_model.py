@@ -70,8 +70,7 @@ class HysteresisModel:
     called: Callable[[np.ndarray], np.ndarray] | None = None
     """The same on one recording: (time,), µm, for a voltage, (time,), V."""
     late: int = 0
-    """Samples by which all of it is late, or early: a simulation that does not change with time need not be
-    called again for that."""
+    """Samples by which all of it is shifted."""
 
     @property
     def family(self) -> str:
@@ -173,12 +172,12 @@ class HysteresisModel:
         """Into `rows`, (kept, time), for a voltage (time,) from the de-energised state."""
         outside, v = self.of_simulation(v), shifted(v, self.late)
         inside = self.inside(v, period_s)
-        others = np.array(self.other_rows(v, inside[-3], inside[-1]) + outside).reshape(-1, len(v))
+        others = self.other_rows(v, inside[-3], inside[-1]) + outside
         self.fill_plays(v, inside, rows)
         if self.reduction is None:
-            rows[self.of_plays :] = others
-        elif len(others):
-            rows += self.reduction[:, self.of_plays :] @ others
+            rows[self.of_plays :] = np.reshape(others, (-1, len(v)))
+        elif others:
+            rows += self.reduction[:, self.of_plays :] @ np.array(others)
 
     def fill_plays(self, v: np.ndarray, inside: tuple[np.ndarray, ...], rows: np.ndarray) -> None:
         """The same for the plays alone."""

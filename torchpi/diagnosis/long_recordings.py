@@ -55,7 +55,7 @@ def at_a_lower_rate(
             good = np.ones(len(recording), dtype=bool)
             good[wrong] = False
             last = np.maximum.accumulate(np.where(good, np.arange(len(recording)), 0))
-            kept.append(_means(replace(recording, y=recording.y[last]), factor))
+            kept.append(_of_means(replace(recording, y=recording.y[last]), factor))
             left.append(np.zeros(0, dtype=int))
             averaged.append(kept[-1])
     if averaged:
@@ -75,22 +75,21 @@ def fast(u: np.ndarray, factor: int) -> bool:
     return bool(within.std() > FAST * blocks.std())
 
 
-def _means(recording: Recording, factor: int) -> Recording:
-    """Over blocks of samples; what does not fill the last one is left out."""
+def means(x: np.ndarray, factor: int) -> np.ndarray:
+    """Of a signal, (time,), over blocks of so many samples; what does not fill the last one is left out."""
+    whole = len(x) // factor * factor
+    found: np.ndarray = x[:whole].astype(np.float64).reshape(-1, factor).mean(1)
+    return found
 
-    def of(x: np.ndarray) -> np.ndarray:
-        whole = len(x) // factor * factor
-        found: np.ndarray = x[:whole].astype(np.float64).reshape(-1, factor).mean(1)
-        return found
 
-    simulated = recording.simulated
+def _of_means(recording: Recording, factor: int) -> Recording:
     return replace(
         recording,
-        t=of(recording.t),
-        u=of(recording.u),
-        y=of(recording.y),
+        t=means(recording.t, factor),
+        u=means(recording.u, factor),
+        y=means(recording.y, factor),
         fs_hz=recording.fs_hz / factor,
-        aux={name: of(x) for name, x in recording.aux.items()},
-        simulated=None if simulated is None else of(simulated),
+        aux={name: means(x, factor) for name, x in recording.aux.items()},
+        simulated=None if recording.simulated is None else means(recording.simulated, factor),
         filled=None,
     )

@@ -38,11 +38,10 @@ class Outside:
         recordings' convention has it."""
         return (-1, 0, 1)
 
-    def output(self, record: Record, v: np.ndarray) -> np.ndarray:
-        """(time,), µm, of one recording, for what drives it, (time,), V."""
-        y = self.simulator(v, record.fs_hz) if self.simulator else record.simulated
-        assert y is not None
-        return y
+    def output(self, record: Record, before: int, v: np.ndarray) -> np.ndarray:
+        """(time,), µm, of one recording, for what drives it, (time,), V; where it is recorded, of so
+        many ticks before."""
+        return self.simulator(v, record.fs_hz) if self.simulator else record.simulated[before]
 
     def precedes(self, effect: type[Described]) -> bool:
         """Whether an effect acts on what drives the simulation."""
@@ -66,14 +65,15 @@ class Outside:
             self.simulator.check_repeatable(shortest.u, shortest.fs_hz)
             return
         for record in records:
-            if record.simulated is None:
+            if not record.simulated:
                 raise RecordingError(
                     f"{record.name}: found no simulated output, expected a column {SIMULATED_COLUMN}"
                 )
-            if not np.isfinite(record.simulated).all():
-                sample = int(np.flatnonzero(~np.isfinite(record.simulated))[0])
+            y = record.simulated[0]
+            if not np.isfinite(y).all():
+                sample = int(np.flatnonzero(~np.isfinite(y))[0])
                 raise RecordingError(
-                    f"{record.name}: {SIMULATED_COLUMN}: found {record.simulated[sample]} at sample "
+                    f"{record.name}: {SIMULATED_COLUMN}: found {y[sample]} at sample "
                     f"{sample}, expected finite numbers"
                 )
 

@@ -1,11 +1,12 @@
 """What the search works on: the recordings, and which of their samples it may see."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from torchpi.diagnosis.coefficients import Coefficients
+from torchpi.diagnosis.long_recordings import means
 from torchpi.diagnosis.monitored import without_noise
 from torchpi.recordings.faults import dropouts
 from torchpi.recordings.recording import Recording
@@ -48,21 +49,28 @@ class Record:
     """(time,), bool: what is not trained on, but for what does not count: dropouts, an unsettled start."""
     coefficients: Coefficients
     """Those that a fit sums over."""
+    tick_s: float
+    """Of the controller: shorter than a sample where samples are means."""
+    commands: Mapping[int, np.ndarray]
+    """(time,), V each: the voltage of tick k, and of how many ticks before; a monitored one without the noise
+    of the monitor."""
+    simulated: Mapping[int, np.ndarray]
+    """(time,), µm each, under the same numbers: a simulator's output; empty where the recording has none."""
     rests: Rests | None = None
     """None where no mount that sticks was seen."""
-    simulated: np.ndarray | None = None
-    """(time,), µm: a simulator's output, where the recording has it."""
-    driving: np.ndarray | None = None
-    """(time,), V: a monitored voltage without the noise of the monitor; None is `u`."""
 
     def commanded(self, alignment: int) -> np.ndarray:
         """The command that y(k) answers: that of tick k, or of `alignment` ticks before."""
-        u = self.u if self.driving is None else self.driving
-        return u if alignment == 0 else np.concatenate([np.full(alignment, u[0]), u[:-alignment]])
+        return self.commands[alignment]
 
     @property
     def period_s(self) -> float:
         return 1.0 / self.fs_hz
+
+    @property
+    def monitored(self) -> bool:
+        """Whether the voltage was monitored, with noise of its own."""
+        return self.commands[0] is not self.u
 
 
 def not_counting(recording: Recording) -> np.ndarray:
@@ -72,7 +80,10 @@ def not_counting(recording: Recording) -> np.ndarray:
 
 
 def prepare(
-    recordings: Sequence[Recording], dropouts: Sequence[np.ndarray], skip_s: float = 0.0
+    recordings: Sequence[Recording],
+    dropouts: Sequence[np.ndarray],
+    skip_s: float = 0.0,
+    as_recorded: Sequence[Recording] | None = None,
 ) -> list[Record]:
     """The recordings with their ends sealed.
 
@@ -80,20 +91,24 @@ def prepare(
         recordings: One or more.
         dropouts: For each the indices of readings that do not count.
         skip_s: Start-up of each, half of it at most, that is held out as its end is, s.
+        as_recorded: The same at the rate of the controller, where some are means.
     """
     return [
-        _record(recording, int((1 - SEALED) * len(recording.u)), wrong, len(recordings), skip_s)
-        for recording, wrong in zip(recordings, dropouts, strict=True)
+        _record(recording, int((1 - SEALED) * len(recording.u)), wrong, len(recordings), skip_s, given)
+        for recording, wrong, given in zip(recordings, dropouts, as_recorded or recordings, strict=True)
     ]
 
 
 def whole(
-    recordings: Sequence[Recording], dropouts: Sequence[np.ndarray], skip_s: float = 0.0
+    recordings: Sequence[Recording],
+    dropouts: Sequence[np.ndarray],
+    skip_s: float = 0.0,
+    as_recorded: Sequence[Recording] | None = None,
 ) -> list[Record]:
     """The same with no end sealed: what the model that is left behind is fitted to."""
     return [
-        _record(recording, len(recording.u), wrong, len(recordings), skip_s)
-        for recording, wrong in zip(recordings, dropouts, strict=True)
+        _record(recording, len(recording.u), wrong, len(recordings), skip_s, given)
+        for recording, wrong, given in zip(recordings, dropouts, as_recorded or recordings, strict=True)
     ]
 
 
@@ -118,11 +133,21 @@ def without_start(records: Sequence[Record], readings: Sequence[int]) -> list[Re
     return found
 
 
-def _record(recording: Recording, samples: int, wrong: np.ndarray, recordings: int, skip_s: float) -> Record:
+def _record(
+    recording: Recording,
+    samples: int,
+    wrong: np.ndarray,
+    recordings: int,
+    skip_s: float,
+    given: Recording,
+) -> Record:
     u, y = recording.u.astype(np.float64), recording.y.astype(np.float64)
     valid, fitted = np.ones(len(u), dtype=bool), np.arange(len(u)) < samples
     valid[wrong] = False
     fitted[: min(round(skip_s * recording.fs_hz), len(u) // 2)] = False
+    ticks, simulated = round(given.fs_hz / recording.fs_hz), {}
+    if recording.simulated is not None and given.simulated is not None:
+        simulated = _early_and_late(recording.simulated, given.simulated, ticks)
     return Record(
         recording.name,
         u,
@@ -132,9 +157,23 @@ def _record(recording: Recording, samples: int, wrong: np.ndarray, recordings: i
         fitted & valid,
         ~fitted & valid,
         _coefficients(u, y, samples, fitted & valid, recordings),
-        simulated=recording.simulated,
-        driving=without_noise(u),
+        tick_s=1.0 / given.fs_hz,
+        commands={late: without_noise(one) for late, one in _early_and_late(u, given.u, ticks).items()},
+        simulated=simulated,
     )
+
+
+def _early_and_late(x: np.ndarray, at_ticks: np.ndarray, ticks: int) -> dict[int, np.ndarray]:
+    """A signal (time,), the same a tick of the controller earlier, and a tick later, under -1, 0 and 1; the
+    ends are held.
+
+    Args:
+        x: The signal.
+        at_ticks: (ticks,), what its samples are means of.
+        ticks: Of each mean.
+    """
+    earlier, later = np.append(at_ticks[1:], at_ticks[-1]), np.append(at_ticks[0], at_ticks[:-1])
+    return {-1: means(earlier, ticks)[: len(x)], 0: x, 1: means(later, ticks)[: len(x)]}
 
 
 def _coefficients(

@@ -49,7 +49,7 @@ def simulated(simulation: Stage | Outside, records: Sequence[Record]) -> tuple[n
 def simulated_output(simulation: Stage | Outside, record: Record) -> np.ndarray:
     """What the simulation's sensor would read, without noise, (time,), µm."""
     if isinstance(simulation, Outside):
-        return simulation.output(record, record.u)
+        return simulation.output(record, 0, record.u)
     stage = simulation.at_sample_rate(record.fs_hz)
     aux = {name: torch.from_numpy(signal)[None] for name, signal in record.aux.items()}
     with torch.no_grad():

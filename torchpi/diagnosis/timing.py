@@ -1,4 +1,4 @@
-"""Timing: whole samples by convention, a matter of who recorded, and the delays that stand against them."""
+"""Timing: whole ticks by convention, a matter of who recorded, and the delays that stand against them."""
 
 from collections.abc import Sequence
 from concurrent.futures import Executor
@@ -21,7 +21,7 @@ RAMP = 20_000
 TIMED = 12
 """Of a fit whose timing is another."""
 WHOLE = 0.05
-"""Of a sample: a lateness as near to a whole number of samples is a convention."""
+"""Of a tick: a lateness as near to a whole number of ticks is a convention."""
 
 
 class Timing(Contest):
@@ -31,7 +31,7 @@ class Timing(Contest):
         chain: The recordings, and what each coefficient counts.
         noise: What was measured of it, if anything.
         executor: Where independent fits run; None is this process.
-        alignments: The conventions, in samples that y(k) comes behind the command of its own tick.
+        alignments: The conventions, in ticks that y(k) comes behind the command of its own tick.
         given: The names of what the simulation has already.
     """
 
@@ -66,7 +66,7 @@ class Timing(Contest):
         more, less = (small, other) if remembers else (other, small)
         # What an effect has explained since may have been taken for a history, or have covered one.
         best = less if self.needs_no_history(more, less) else more
-        # A delay of whole samples may be the convention itself.
+        # A delay of whole ticks may be the convention itself.
         late = [m.effect.name for m in now.hypothesis.members if m.effect.commutes]
         others = [
             replace(h, alignment=alignment, held=held)
@@ -100,15 +100,15 @@ class Timing(Contest):
 
     def delayed(self, now: Fit) -> Fit:
         """With a delay in place of a timing convention, where that is clear, and all lateness no whole
-        samples."""
+        ticks."""
         h = now.hypothesis
         if h.alignment - 1 not in self.alignments:
             return now
-        sample_s = float(np.median([1 / record.fs_hz for record in self.chain.records]))
+        tick_s = float(np.median([record.tick_s for record in self.chain.records]))
         there = {member.effect: member.shared for member in h.members}
         jobs: list[Job] = []
         for effect, member in {member.effect: member for member in self.starts}.items():
-            if later := effect.later(there.get(effect, {}), sample_s):
+            if later := effect.later(there.get(effect, {}), tick_s):
                 one = h.without(effect.name).plus(replace(member, shared=later))
                 jobs.append((replace(one, alignment=h.alignment - 1), now.weights, TIMED, ROUGH))
         fits = [
@@ -119,9 +119,9 @@ class Timing(Contest):
 
 
 def is_whole(chain: Chain, one: Fit) -> bool:
-    """Whether the readings come whole samples behind the command, by nothing that smooths it as well."""
+    """Whether the readings come whole ticks behind the command, by nothing that smooths it as well."""
     smooths = any(m.effect.delays and not m.effect.commutes for m in one.hypothesis.members)
-    late = lateness_s(chain, one.hypothesis) / chain.records[0].period_s
+    late = lateness_s(chain, one.hypothesis) / chain.records[0].tick_s
     return not smooths and abs(late - round(late)) < WHOLE
 
 
@@ -132,4 +132,4 @@ def lateness_s(chain: Chain, h: Hypothesis) -> float:
     ramp = slope * torch.arange(RAMP, dtype=torch.float64)[None]
     with torch.no_grad():
         behind = [float((ramp - p(ramp))[0, -1]) for p in chain.placed(h, 0) if p.effect.delays]
-    return (sum(behind) / slope + h.alignment) * record.period_s
+    return sum(behind) / slope * record.period_s + h.alignment * record.tick_s
