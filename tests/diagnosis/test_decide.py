@@ -18,6 +18,7 @@ from torchpi.diagnosis.decide import (
     structure,
     verdict,
 )
+from torchpi.diagnosis.diagnose import with_read_off
 from torchpi.diagnosis.diagnosis import AcrossRecordings
 from torchpi.diagnosis.free_parameters import slot
 from torchpi.diagnosis.hypothesis import EffectTerm, Hypothesis
@@ -161,6 +162,13 @@ class TestUnexplained:
         shares = sum(one.share for one in found.effects)
         assert found.joint_share >= 0
         assert shares + found.joint_share + found.unexplained_share == pytest.approx(1.0)
+
+    def test_beside_what_the_readings_show_the_shares_still_add_up_to_all(self) -> None:
+        before = decided(believed("creep", 48.0), believed("sensor_lag", 24.0), final=3.0)
+        found = with_read_off(before, replace(before.effects[0], name="quantization", share=0.4))
+        shares = [one.share for one in found.effects]
+        assert shares == pytest.approx([0.6 * 0.5, 0.6 * 0.25, 0.4])
+        assert sum(shares) + found.joint_share + found.unexplained_share == pytest.approx(1.0)
 
     def test_without_a_second_name_nothing_is_explained_together(self) -> None:
         assert decided(believed("creep", 48.0), final=2.0).joint_share == 0.0

@@ -175,6 +175,13 @@ def test_the_step_of_a_converter_is_read_off_the_readings(noise_um: float) -> No
     assert notes == ("All readings lie on a lattice of 12.3 nm.",)
 
 
+def test_one_step_is_read_off_all_recordings_though_one_passes_few_of_its_values() -> None:
+    stair = record(np.repeat([1.0, 4.0, 7.0, 3.0], 750), noise_um=0.0, name="stair")
+    recordings = [read_by(0.2, one) for one in (stair, record(multisine(3000)))]
+    assert len(np.unique(recordings[0].y)) < 8
+    assert converter(recordings)[0] == pytest.approx(0.2, rel=1e-6)
+
+
 @pytest.mark.parametrize("other", [multisine(3000, seed=1), np.repeat([1.0, 4.0, 7.0, 3.0], 750)])
 def test_uneven_codes_of_a_converter_are_read_off_as_well(other: np.ndarray) -> None:
     """A stair passes a few of them alone."""

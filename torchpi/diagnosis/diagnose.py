@@ -237,11 +237,11 @@ def check_units(records: Sequence[Record], simulation: Stage | Outside) -> None:
 def converter(recordings: Sequence[Recording]) -> tuple[float, tuple[str, ...]]:
     """The step of the values on which all readings lie, µm, and a note; 0 where they lie on none."""
     even = [Quantization.lattice(recording.readings) for recording in recordings]
-    if step := agreed(even, EVEN):
-        return step, (f"All readings lie on a lattice of {step * 1e3:.4g} nm.",)
     # One converter has the same values in all recordings, a few of which a stair alone passes.
     each = [(one.readings, one.u) for one in recordings]
     y, u = map(np.concatenate, zip(*each, strict=True))
+    if step := agreed(even, EVEN) or Quantization.lattice(y):
+        return step, (f"All readings lie on a lattice of {step * 1e3:.4g} nm.",)
     if step := uneven_codes(y, u) or agreed([uneven_codes(*one) for one in each], WIDEST):
         return step, (f"All readings lie on few values, unevenly spaced, {step * 1e3:.4g} nm on the median.",)
     return 0.0, ()
@@ -254,10 +254,17 @@ def agreed(steps: Sequence[float | None], ratio: float) -> float:
 
 
 def with_read_off(decision: Decision, effect: NamedEffect) -> Decision:
-    """The same with an effect that the readings show, and no fit."""
+    """The same with an effect that the readings show, and no fit: the other shares are of what it leaves."""
     now_named: dict[Verdict, Verdict] = {"nothing_missing": "explained", "unexplained": "partly_explained"}
-    verdict = now_named.get(decision.verdict, decision.verdict)
-    return replace(decision, verdict=verdict, effects=(*decision.effects, effect))
+    rest = 1.0 - effect.share
+    others = [replace(other, share=rest * other.share) for other in decision.effects]
+    return replace(
+        decision,
+        verdict=now_named.get(decision.verdict, decision.verdict),
+        effects=(*others, effect),
+        unexplained_share=rest * decision.unexplained_share,
+        joint_share=rest * decision.joint_share,
+    )
 
 
 def of_converter(lsb_um: float, retuned: Fit) -> NamedEffect:
