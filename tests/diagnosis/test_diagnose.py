@@ -273,6 +273,15 @@ def test_the_step_of_a_converter_is_that_of_the_readings_not_of_their_means(
     assert found.parameters[0].value == pytest.approx(lsb_um, rel=1e-6)
 
 
+@pytest.mark.parametrize(("share", "names"), [(0.3, ["quantization"]), (0.12, [])])
+def test_a_converter_is_named_from_a_fifth_of_the_noise_on(share: float, names: list[str]) -> None:
+    lsb_um = share * np.sqrt(12) * NOISE_UM
+    read = [replace(one, y=lsb_um * np.round(one.y / lsb_um)) for one in pair(4000)]
+    found = diagnose(read, effects=[])
+    assert [effect.name for effect in found.effects] == names
+    assert any("lattice" in note for note in found.notes)
+
+
 def test_a_tone_that_is_left_is_not_called_noise() -> None:
     """Above the lines of the mains, where no effect of the list can take it."""
 

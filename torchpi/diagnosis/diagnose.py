@@ -9,6 +9,7 @@ import numpy as np
 from torchpi.diagnosis.across_recordings import across_recordings
 from torchpi.diagnosis.chain import Chain
 from torchpi.diagnosis.conflict import conflict
+from torchpi.diagnosis.contest import FAINT
 from torchpi.diagnosis.coverage import cannot_be_decided, untested
 from torchpi.diagnosis.decide import CLOSED, Decision, decide, if_it_carries_over, structure
 from torchpi.diagnosis.diagnosis import (
@@ -58,9 +59,6 @@ from torchpi.stage.effects.inside import InsideEffect
 from torchpi.stage.effects.sensor.quantization import EVEN, WIDEST, Quantization, uneven_codes
 from torchpi.stage.identified import Identified
 
-COARSE = 0.5
-"""A converter is named where its step, as noise, is this share of all noise; of all that is left, where that
-is less, or the noise was not measured."""
 UNCERTAIN = 0.9
 """An effect less probable than this is worth another recording."""
 LEAST_SAMPLES = 100
@@ -107,7 +105,9 @@ def diagnose(
     tried = [effect for effect in effects if called is None or called.can_try(effect)]
     untried = [effect for effect in effects if effect not in tried]
     chain, what = Chain(records), seen(records)
-    lsb_um, lattice_note = converter(given_recordings)
+    step_um, lattice_note = converter(given_recordings)
+    # Of a mean, one converter errs less, as any noise does.
+    lsb_um = step_um * float(np.sqrt(np.median([one.tick_s / one.period_s for one in records])))
     noise = measured_noise(records)
     if noise is not None:
         noise = noise.with_converter(lsb_um)
@@ -136,8 +136,8 @@ def diagnose(
     structured = remainder is not None or structure(left)
     decision = decide(search, retuned, final, believed, noise, structured, bool(loud))
     loudest_um = final.train_rms if noise is None else min(noise.rms_um, final.train_rms)
-    if lsb_um > 0 and lsb_um / np.sqrt(12) > COARSE * loudest_um:
-        decision = with_read_off(decision, of_converter(lsb_um, retuned))
+    if lsb_um > 0 and lsb_um / np.sqrt(12) > FAINT * loudest_um:
+        decision = with_read_off(decision, of_converter(step_um, lsb_um, retuned))
     wrong = [np.setdiff1d(each, one.not_read) for each, one in zip(out, recordings, strict=True)]
     lost = wrong_readings(records, wrong, final)
     if any(len(each) for each in lost):
@@ -267,14 +267,14 @@ def with_read_off(decision: Decision, effect: NamedEffect) -> Decision:
     )
 
 
-def of_converter(lsb_um: float, retuned: Fit) -> NamedEffect:
-    """The sensor's converter: its lattice is seen."""
+def of_converter(step_um: float, lsb_um: float, retuned: Fit) -> NamedEffect:
+    """The sensor's converter: its lattice is seen. Its error is that of a step of `lsb_um`."""
     return NamedEffect(
         Quantization.name,
         Quantization.block,
         (),
         READ_OFF,
-        (Parameter("lsb_um", lsb_um, "µm", (lsb_um * (1 - 1e-6), lsb_um * (1 + 1e-6))),),
+        (Parameter("lsb_um", step_um, "µm", (step_um * (1 - 1e-6), step_um * (1 + 1e-6))),),
         min(1.0, lsb_um**2 / 12 / max(retuned.train_rms**2, 1e-300)),
         Quantization.equation,
         Quantization.signature,
