@@ -77,9 +77,11 @@ def reached_by_others(records: Sequence[Record], index: int) -> bool:
 def beside_its_own(chain: Chain, hypothesis: Hypothesis, weights: np.ndarray, index: int) -> np.ndarray:
     """(time,), µm: what is left of a recording once its history and its zero have been fitted to it."""
     record = chain.records[index]
-    y, used, directions = chain.output_and_directions(hypothesis, weights, index)
-    counts, left = record.train | record.held_out, record.y - y
-    rows = np.concatenate([directions[used >= hypothesis.nominal.kept], np.ones((1, len(y)))])
+    signals = chain.behind_each(hypothesis, weights, index)
+    left = record.y - chain.output_of(hypothesis, weights, index, signals)
+    past = chain.rows(hypothesis, index)[hypothesis.nominal.kept :]
+    rows = np.concatenate([chain.directions(hypothesis, past, index, signals), np.ones((1, len(left)))])
+    counts = record.train | record.held_out
     own = np.linalg.lstsq(rows[:, counts].T, left[counts], rcond=None)[0]
     remaining: np.ndarray = left - own @ rows
     return remaining

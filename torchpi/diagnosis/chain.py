@@ -164,22 +164,31 @@ class Chain:
         """Where the mount is seen to stick, if the hypothesis has it stick."""
         return self.records[index].rests if Stiction.name in hypothesis.names else None
 
-    def output_and_directions(
-        self, hypothesis: Hypothesis, weights: np.ndarray, index: int
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Output, (time,), the weights that move it, and how it moves with each of these, (used, time)."""
-        rows, used = self.rows(hypothesis, index), self.used(hypothesis, index)
-        directions = torch.from_numpy(rows)
-        x = torch.from_numpy(weights[used] @ rows)[None]
+    def behind_each(self, hypothesis: Hypothesis, weights: np.ndarray, index: int) -> list[Tensor]:
+        """(1, time) each: the sum over the hysteresis, and what each effect behind it makes of it."""
+        used = self.used(hypothesis, index)
+        found = [torch.from_numpy(weights[used] @ self.rows(hypothesis, index))[None]]
         with torch.no_grad():
             for placed in self.after(hypothesis, index):
-                directions = placed.tangent(x, directions)
-                x = placed(x)
-        moves = directions.numpy()
+                found.append(placed(found[-1]))
+        return found
+
+    def output_of(
+        self, hypothesis: Hypothesis, weights: np.ndarray, index: int, signals: Sequence[Tensor]
+    ) -> np.ndarray:
+        """(time,), µm: the output, of the signals behind each effect."""
+        return self.where_stuck(hypothesis, index, signals[-1][0].numpy() + self.zero(weights, index))
+
+    def directions(
+        self, hypothesis: Hypothesis, rows: np.ndarray, index: int, signals: Sequence[Tensor]
+    ) -> np.ndarray:
+        """(rows, time): how the output moves along rows of the hysteresis, (rows, time), at these signals."""
+        found = torch.from_numpy(rows)
+        with torch.no_grad():
+            for placed, x in zip(self.after(hypothesis, index), signals[:-1], strict=True):
+                found = placed.tangent(x, found)
         rests = self.rests(hypothesis, index)
-        if rests is not None:
-            moves = np.where(rests.stuck, 0.0, moves)
-        return self.where_stuck(hypothesis, index, x[0].numpy() + self.zero(weights, index)), used, moves
+        return found.numpy() if rests is None else np.where(rests.stuck, 0.0, found)
 
     def used(self, hypothesis: Hypothesis, index: int) -> np.ndarray:
         """Which weights belong to the rows of a recording."""

@@ -8,12 +8,15 @@ from scipy.linalg import block_diag
 from torchpi.diagnosis.chain import Chain
 from torchpi.diagnosis.fit import ITERATIONS, fit, weight_prior
 from torchpi.diagnosis.hypothesis import Fit, Hypothesis
+from torchpi.diagnosis.hysteresis_model import HysteresisModel
 
 FEW, MANY = 48, 300
 """Principal combinations for a search, and to report. With 24 a lag may leave ten times as much as with all
 of them, and something else is accepted in its place; a hundred are the straight lines of plays."""
 INFORMED = 0.1
 """What the samples know of a combination, over what the prior does, from which it is kept."""
+BLOCK = 128
+"""Rows that are there at once."""
 THINNED = 3
 """One coefficient in so many tells the principal combinations."""
 
@@ -41,9 +44,12 @@ def basis(
     if full.reduction is None and size <= kept + 1:
         return bare, None if first is None else np.concatenate([first, beside])
     for i, record in enumerate(chain.records):
-        rows = np.empty((full.kept, len(record.u)))
-        chain.nominal(bare, i).fill(chain.voltage(bare, i), record.period_s, rows)
-        part = np.ascontiguousarray(chain.whitened(i, rows[:size])[:, ::THINNED])
+        v, parts = chain.voltage(bare, i), []
+        for some in in_blocks(full):
+            rows = np.empty((some.kept, len(v)))
+            chain.nominal(replace(hypothesis, nominal=some), i).fill(v, record.period_s, rows)
+            parts.append(np.ascontiguousarray(chain.whitened(i, rows)[:, ::THINNED]))
+        part = np.concatenate(parts)[:size]
         gram += part @ part.T
     # The prior holds a straight line less than what bends it.
     prior = full.inverse_variances(weight_prior(chain), chain.gain_um_per_v)[:size]
@@ -60,6 +66,14 @@ def basis(
     mixed = replace(full, reduction=np.concatenate([first[None], reduction]))
     started = np.concatenate([[1.0], np.zeros(len(reduction)), beside])
     return replace(hypothesis, nominal=mixed), started
+
+
+def in_blocks(full: HysteresisModel) -> list[HysteresisModel]:
+    """A hysteresis with a few of its rows each: those of a density over time are some hundred megabytes."""
+    if full.reduction is None:
+        return [full]
+    blocks = [full.reduction[first : first + BLOCK] for first in range(0, full.kept, BLOCK)]
+    return [replace(full, reduction=block) for block in blocks]
 
 
 def grown(chain: Chain, hypothesis: Hypothesis, now: Fit, kept: int) -> tuple[Hypothesis, np.ndarray | None]:

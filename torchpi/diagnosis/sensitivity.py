@@ -11,6 +11,8 @@ from torchpi.diagnosis.hypothesis import FreeParameter, Hypothesis
 from torchpi.stage.effects.mechanics.modal import ModalEffect
 from torchpi.stage.effects.mechanics.stiction import Stiction
 
+BLOCK = 64
+"""Rows over time that are there at once: all of a large hysteresis are some hundred megabytes."""
 MOVED = 0.03
 """Of a logarithm, or of the value at the start: what a slot has moved from which its slope is taken anew.
 Those of a block behind the hysteresis cost one filter, and are taken anew at once: a mode's change as soon as
@@ -87,12 +89,19 @@ def of_weights(
     chain: Chain, hypothesis: Hypothesis, weights: np.ndarray, index: int
 ) -> tuple[np.ndarray, Sensitivity]:
     """Output of one recording, (time,), and its sensitivity to each weight."""
-    y, used, directions = chain.output_and_directions(hypothesis, weights, index)
+    signals, rows = chain.behind_each(hypothesis, weights, index), chain.rows(hypothesis, index)
+    y = chain.output_of(hypothesis, weights, index, signals)
     stuck = chain.rests(hypothesis, index)
     one = np.ones((1, len(y))) if stuck is None else np.where(stuck.stuck, 0.0, 1.0)[None]
-    places = np.concatenate([used, [len(weights) - len(chain.records) + index]])
-    whitened = [chain.whitened(index, part) for part in (directions, one)]
-    return y, Sensitivity(places, np.concatenate(whitened))
+    whitened = np.empty((len(rows) + 1, chain.records[index].coefficients.kept))
+    for first in range(0, len(rows), BLOCK):
+        some = rows[first : first + BLOCK]
+        whitened[first : first + len(some)] = chain.whitened(
+            index, chain.directions(hypothesis, some, index, signals)
+        )
+    whitened[-1] = chain.whitened(index, one)[0]
+    used = chain.used(hypothesis, index)
+    return y, Sensitivity(np.append(used, len(weights) - len(chain.records) + index), whitened)
 
 
 def of_slots(
