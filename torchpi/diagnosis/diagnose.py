@@ -156,7 +156,9 @@ def diagnose(
         again = with_remainder(everything, reduced(everything, last), remainder[1])
         last = again[0] if again else last
     floor_um = noise.rms_um if noise is not None else 0.0
-    stage = augmented_stage(last, len(recordings), what, floor_um or augmented.heldout_rms)
+    # A sample of the stage is one of the controller's, where the records are means too.
+    at_ticks = replace(what, fs_hz=max(1 / record.tick_s for record in records))
+    stage = augmented_stage(last, len(recordings), at_ticks, floor_um or augmented.heldout_rms)
     traces = traces_of(recordings, records, retuned, augmented, final, search.chain, decision)
     log("locate: where the residual lives")
     where = locate(from_settled(traces, search.unsettled), floor_um)

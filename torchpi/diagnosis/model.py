@@ -12,7 +12,7 @@ from torchpi.stage.effects.mechanics.modal import ModalEffect
 
 
 def augmented_stage(now: Fit, recordings: int, seen: DataRange, noise_um: float) -> Stage:
-    """The fitted chain at the highest sample rate of the recordings.
+    """The fitted chain at the sample rate of what was seen.
 
     A parameter that each recording has for itself becomes their mean where all agree in sign, and its
     identity where they do not: the phase of the mains, for one, is another in the next recording.
