@@ -28,6 +28,8 @@ SIGNALS = 60
 """Signals inside the chain that are kept."""
 MADE = 2000
 """Effects with their numbers that are kept."""
+AT_ONCE = 128
+"""Rows over time that are worked on at once: all of a large hysteresis are some hundred megabytes."""
 REMEMBERED = 600_000_000
 """Bytes of rows that are kept: one candidate after another acts behind the same hysteresis."""
 

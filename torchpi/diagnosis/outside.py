@@ -78,15 +78,6 @@ class Outside:
                 )
 
 
-def shifted(
-    x: np.ndarray,  # (time,)
-    samples: int,
-) -> np.ndarray:  # (time,)
-    """The same so many samples later, or earlier where that is negative; its ends are held."""
-    places = np.arange(len(x)) - samples
-    return x[np.clip(places, 0, len(x) - 1)]
-
-
 def untried_note(simulation: Outside | None, untried: Effects) -> tuple[str, ...]:
     """Which effects cannot be tried around a simulation, and what would decide."""
     names = ", ".join(effect.name for effect in untried)

@@ -164,16 +164,23 @@ def _record(
 
 
 def _early_and_late(x: np.ndarray, at_ticks: np.ndarray, ticks: int) -> dict[int, np.ndarray]:
-    """A signal (time,), the same a tick of the controller earlier, and a tick later, under -1, 0 and 1; the
-    ends are held.
+    """A signal (time,), the same a tick of the controller earlier, and a tick later, under 0, -1 and 1.
 
     Args:
         x: The signal.
         at_ticks: (ticks,), what its samples are means of.
         ticks: Of each mean.
     """
-    earlier, later = np.append(at_ticks[1:], at_ticks[-1]), np.append(at_ticks[0], at_ticks[:-1])
-    return {-1: means(earlier, ticks)[: len(x)], 0: x, 1: means(later, ticks)[: len(x)]}
+    return {0: x, **{late: means(shifted(at_ticks, late), ticks)[: len(x)] for late in (-1, 1)}}
+
+
+def shifted(
+    x: np.ndarray,  # (time,)
+    samples: int,
+) -> np.ndarray:  # (time,)
+    """The same so many samples later, or earlier where that is negative; its ends are held."""
+    places = np.arange(len(x)) - samples
+    return x[np.clip(places, 0, len(x) - 1)]
 
 
 def _coefficients(

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.linalg import block_diag
 
-from torchpi.diagnosis.chain import Chain
+from torchpi.diagnosis.chain import AT_ONCE, Chain
 from torchpi.diagnosis.fit import ITERATIONS, fit, weight_prior
 from torchpi.diagnosis.hypothesis import Fit, Hypothesis
 from torchpi.diagnosis.hysteresis_model import HysteresisModel
@@ -15,8 +15,6 @@ FEW, MANY = 48, 300
 of them, and something else is accepted in its place; a hundred are the straight lines of plays."""
 INFORMED = 0.1
 """What the samples know of a combination, over what the prior does, from which it is kept."""
-BLOCK = 128
-"""Rows that are there at once."""
 THINNED = 3
 """One coefficient in so many tells the principal combinations."""
 
@@ -69,10 +67,10 @@ def basis(
 
 
 def in_blocks(full: HysteresisModel) -> list[HysteresisModel]:
-    """A hysteresis with a few of its rows each: those of a density over time are some hundred megabytes."""
+    """A hysteresis with some of its rows each."""
     if full.reduction is None:
         return [full]
-    blocks = [full.reduction[first : first + BLOCK] for first in range(0, full.kept, BLOCK)]
+    blocks = [full.reduction[first : first + AT_ONCE] for first in range(0, full.kept, AT_ONCE)]
     return [replace(full, reduction=block) for block in blocks]
 
 

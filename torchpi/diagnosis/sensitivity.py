@@ -5,14 +5,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from torchpi.diagnosis.chain import Chain
+from torchpi.diagnosis.chain import AT_ONCE, Chain
 from torchpi.diagnosis.free_parameters import free_parameters_of, to_inner, to_outer, value_at, with_theta
 from torchpi.diagnosis.hypothesis import FreeParameter, Hypothesis
 from torchpi.stage.effects.mechanics.modal import ModalEffect
 from torchpi.stage.effects.mechanics.stiction import Stiction
 
-BLOCK = 64
-"""Rows over time that are there at once: all of a large hysteresis are some hundred megabytes."""
 MOVED = 0.03
 """Of a logarithm, or of the value at the start: what a slot has moved from which its slope is taken anew.
 Those of a block behind the hysteresis cost one filter, and are taken anew at once: a mode's change as soon as
@@ -94,8 +92,8 @@ def of_weights(
     stuck = chain.rests(hypothesis, index)
     one = np.ones((1, len(y))) if stuck is None else np.where(stuck.stuck, 0.0, 1.0)[None]
     whitened = np.empty((len(rows) + 1, chain.records[index].coefficients.kept))
-    for first in range(0, len(rows), BLOCK):
-        some = rows[first : first + BLOCK]
+    for first in range(0, len(rows), AT_ONCE):
+        some = rows[first : first + AT_ONCE]
         whitened[first : first + len(some)] = chain.whitened(
             index, chain.directions(hypothesis, some, index, signals)
         )
