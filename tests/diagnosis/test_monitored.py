@@ -6,8 +6,12 @@ import numpy as np
 import pytest
 
 from tests.diagnosis.plants import NOISE_UM, multisine, record, triangles
+from tests.diagnosis.prepared import prepared
 from torchpi.diagnosis.diagnose import diagnose
-from torchpi.diagnosis.monitored import noise_of, without_noise
+from torchpi.diagnosis.monitored import monitor_noise, without_noise
+from torchpi.diagnosis.noise import Noise
+from torchpi.diagnosis.score import Weighting
+from torchpi.operators.hysteresis_rows import bouc_wen_row
 
 T = np.arange(20_000) / 1e3
 RNG = np.random.default_rng(0)
@@ -19,36 +23,110 @@ COMMANDS = {
     "telegraph": 10.0 * (RNG.random(len(T)) > 0.5),
     "rest": np.full(len(T), 3.0),
 }
+SD = 0.02
+
+
+def monitored(u: np.ndarray, seed: int = 1, sd: float = SD) -> np.ndarray:
+    return u + np.random.default_rng(seed).normal(0, sd, len(u))
+
+
+def random_between_holds() -> np.ndarray:
+    """A random voltage between two holds of 300 samples, 10 V rms."""
+    u = np.random.default_rng(4).normal(0, 10.0, 6000)
+    u[:300], u[-300:] = 0.0, 5.0
+    return u
 
 
 @pytest.mark.parametrize("name", COMMANDS)
 def test_a_command_stays_as_it_is(name: str) -> None:
     u = COMMANDS[name]
-    assert noise_of(u) == 0.0 and without_noise(u) is u
+    assert monitor_noise([u]) == [0.0] and without_noise(u, 0.0)[0] is u
 
 
 @pytest.mark.parametrize("name", ["sine", "triangles", "stairs"])
 def test_noise_goes_and_corners_stay(name: str) -> None:
-    u, sd = COMMANDS[name], 0.02
-    seen = u + np.random.default_rng(1).normal(0, sd, len(u))
-    left = without_noise(seen) - u
-    assert noise_of(seen) == pytest.approx(sd, rel=0.05)
-    assert left.std() < 0.4 * sd and np.abs(left).max() < 8 * sd
+    u = COMMANDS[name]
+    seen = monitored(u)
+    (sd,) = monitor_noise([seen])
+    left = without_noise(seen, sd)[0] - u
+    assert sd == pytest.approx(SD, rel=0.05)
+    assert left.std() < 0.4 * SD and np.abs(left).max() < 8 * SD
+
+
+def test_noise_is_seen_between_steps_that_come_often() -> None:
+    u = np.repeat(np.random.default_rng(7).uniform(0, 100, 40), 60)
+    assert monitor_noise([monitored(u)])[0] == pytest.approx(SD, rel=0.15)
+
+
+def test_noise_of_a_random_voltage_is_seen_in_its_holds() -> None:
+    u = random_between_holds()
+    seen = monitored(u)
+    (sd,) = monitor_noise([seen])
+    left = without_noise(seen, sd)[0] - u
+    assert sd == pytest.approx(SD, rel=0.15)
+    assert left[:300].std() < 0.4 * SD
+    np.testing.assert_allclose(left[300:-300], seen[300:-300] - u[300:-300], atol=8 * SD)
+
+
+def test_one_monitor_has_read_all_recordings() -> None:
+    """One that never rests does not show the noise; one that is quieter has none."""
+    never_rests = np.random.default_rng(4).normal(0, 10.0, 6000)
+    slow = COMMANDS["sine"]
+    both = monitor_noise([monitored(slow), monitored(never_rests)])
+    assert both[0] == both[1] == pytest.approx(SD, rel=0.05)
+    assert monitor_noise([monitored(slow), slow, never_rests])[1] == 0.0
+    quieter = monitor_noise([monitored(slow), monitored(slow, sd=0.1 * SD)])
+    assert quieter == pytest.approx([SD, 0.1 * SD], rel=0.05)
 
 
 def test_what_scatters_as_much_as_it_moves_is_a_command() -> None:
     u = np.random.default_rng(2).normal(0, 1, 5000)
-    assert noise_of(u) == 0.0
+    assert monitor_noise([u]) == [0.0]
 
 
 def test_the_rounding_of_a_file_is_no_noise() -> None:
-    u = np.round(COMMANDS["sine"], 6)
-    assert without_noise(u) is u
+    assert monitor_noise([np.round(COMMANDS["sine"], 6)]) == [0.0]
 
 
 def test_a_record_too_short_to_tell_stays_as_it_is() -> None:
-    u = COMMANDS["sine"][:200] + np.random.default_rng(3).normal(0, 0.02, 200)
-    assert without_noise(u) is u
+    assert monitor_noise([monitored(COMMANDS["sine"][:200], 3)]) == [0.0]
+
+
+def test_a_state_that_forgets_does_not_drift_in_a_hold_of_a_random_voltage() -> None:
+    """A Bouc–Wen state moves with every turn of the voltage, those of noise too."""
+    u = random_between_holds()
+    u[-3000:] = 5.0
+    seen = monitored(u)
+    smooth, _ = without_noise(seen, *monitor_noise([seen]))
+    true, raw, found = (bouc_wen_row(v, 5.0, 0.8, 1.0, 0.0)[-1] for v in (u, seen, smooth))
+    assert abs(found - true) < 0.1 * abs(raw - true)
+
+
+def test_what_is_left_of_its_noise_is_known_sample_by_sample() -> None:
+    u = random_between_holds()
+    seen = monitored(u)
+    smooth, left = without_noise(seen, SD)
+    error = smooth - u
+    assert (left[400:-400] == SD).mean() > 0.9 and left[50:250].max() < 0.4 * SD
+    assert error[left == SD].std() == pytest.approx(SD, rel=0.1)
+
+
+def test_what_it_makes_of_a_prediction_counts_as_noise() -> None:
+    random, slow = random_between_holds(), COMMANDS["sine"][:6000]
+    records = prepared([record(monitored(random)), record(monitored(slow), name="b")])
+    only_read = Noise(0.001, np.full(12, 1e-6), records[0].fs_hz, "holds of the voltage")
+    noise = only_read.with_monitor(records, 0.5)
+    assert noise.rms_um == pytest.approx(0.5 * SD / np.sqrt(2), rel=0.1)
+    floors = Weighting.of(records, [one.y for one in records], noise).floor_um2
+    fast = floors[: records[0].coefficients.cell.max() + 1]
+    assert np.median(fast) == pytest.approx((0.5 * SD) ** 2, rel=0.2)
+    assert np.median(floors[len(fast) :]) < 0.2 * np.median(fast)
+
+
+def test_a_command_adds_nothing_to_the_noise() -> None:
+    records = prepared([record(COMMANDS["sine"][:6000])])
+    noise = Noise(0.001, np.full(12, 1e-6), records[0].fs_hz, "holds of the voltage")
+    assert noise.with_monitor(records, 0.5) is noise
 
 
 def test_noise_of_a_monitored_voltage_is_no_lag() -> None:

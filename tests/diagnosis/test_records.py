@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from tests.diagnosis.plants import multisine, record
 from tests.diagnosis.prepared import prepared
-from torchpi.diagnosis.records import AT_MOST, SEALED, not_counting, prepare, seen, whole
+from torchpi.diagnosis.records import AT_MOST, SEALED, not_counting, prepare, seen
 
 
 @given(st.integers(100, 3000))
@@ -19,7 +19,7 @@ def test_the_last_part_of_each_recording_is_sealed_and_no_coefficient_sees_it(sa
     assert one.train[:first].all() and not one.train[first:].any()
     other = np.where(one.train, one.y, 1e6)
     assert np.array_equal(one.coefficients(one.y[None, :first]), one.coefficients(other[None]))
-    (everything,) = whole([record(multisine(samples))], [np.arange(0)])
+    (everything,) = prepare([record(multisine(samples))], [np.arange(0)], sealed=0.0)
     assert everything.train.all()
 
 

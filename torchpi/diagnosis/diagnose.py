@@ -28,12 +28,11 @@ from torchpi.diagnosis.leftovers import leftovers
 from torchpi.diagnosis.locate import locate
 from torchpi.diagnosis.long_recordings import at_a_lower_rate
 from torchpi.diagnosis.model import augmented_stage
-from torchpi.diagnosis.monitored import noise_of
 from torchpi.diagnosis.next_recording import next_recording
 from torchpi.diagnosis.noise import measured_noise
 from torchpi.diagnosis.outside import Outside, untried_note
 from torchpi.diagnosis.posterior import posterior
-from torchpi.diagnosis.records import Record, not_counting, prepare, seen, whole, without_start
+from torchpi.diagnosis.records import Record, not_counting, prepare, seen, without_start
 from torchpi.diagnosis.reduced_basis import reduced
 from torchpi.diagnosis.remainder import unless_unknown, with_remainder
 from torchpi.diagnosis.say import nm, paragraph
@@ -110,7 +109,7 @@ def diagnose(
     lsb_um = step_um * float(np.sqrt(np.median([one.tick_s / one.period_s for one in records])))
     noise = measured_noise(records)
     if noise is not None:
-        noise = noise.with_converter(lsb_um)
+        noise = noise.with_converter(lsb_um).with_monitor(records, chain.gain_um_per_v)
     log("nominal: the simulation as it is, then refitted with as many plays as the data carry")
     start = given_members(given)
     first = (
@@ -148,7 +147,9 @@ def diagnose(
         across = across_recordings(search.chain, final)
         decision = if_it_carries_over(decision, across)
     log("model: everything refitted to all samples")
-    complete = without_start(whole(recordings, out, as_recorded=given_recordings), search.unsettled)
+    complete = without_start(
+        prepare(recordings, out, as_recorded=given_recordings, sealed=0.0), search.unsettled
+    )
     everything = Chain(complete, Weighting.of(complete, modelled.residuals, noise))
     # A mount that sticks decides at each slip where the next one begins: no gradient leads through that.
     last = modelled if search.jump else fit(everything, modelled.hypothesis, modelled.weights, 4)
@@ -343,7 +344,7 @@ def open_between(decision: Decision) -> list[str]:
 
 def monitored_notes(records: Sequence[Record]) -> tuple[str, ...]:
     """The noise of each voltage that was monitored and not commanded."""
-    noisy = [f"{noise_of(r.u):.2g} V in {r.name}" for r in records if r.monitored]
+    noisy = [f"{r.monitor_noise_v:.2g} V in {r.name}" for r in records if r.monitored]
     return (
         (f"The voltage has noise of its own, taken out before it drives: {', '.join(noisy)}.",)
         if noisy

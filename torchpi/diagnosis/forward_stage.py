@@ -20,7 +20,7 @@ from torchpi.diagnosis.fit import fit
 from torchpi.diagnosis.hypothesis import EffectTerm, Fit, Hypothesis
 from torchpi.diagnosis.hysteresis_model import many_plays, plays_of, thresholds
 from torchpi.diagnosis.model import augmented_stage
-from torchpi.diagnosis.records import not_counting, prepare, seen, whole
+from torchpi.diagnosis.records import not_counting, prepare, seen
 from torchpi.errors import RecordingError
 from torchpi.recordings.faults import noise_estimate
 from torchpi.recordings.identity import recordings_sha256
@@ -98,7 +98,7 @@ def identify_stage(
     search = _Search(Chain(prepare(used, wrong, skip_s)), log)
     best = search.run()
     log("everything refitted to all samples")
-    last = fit(Chain(whole(used, wrong, skip_s)), best.hypothesis, best.weights)
+    last = fit(Chain(prepare(used, wrong, skip_s, sealed=0.0)), best.hypothesis, best.weights)
     noise_um = float(np.median([noise_estimate(one.y) for one in used]))
     stage = augmented_stage(last, len(used), search.seen, noise_um)
     error = free_run_error(stage, heldout)[judged or slice(round(skip_s * heldout.fs_hz), None)]

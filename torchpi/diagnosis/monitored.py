@@ -4,34 +4,85 @@ Left there, it is a reason for any lag in front of the hysteresis: a filter of t
 the noise (errors in variables: Söderström, *Errors-in-Variables Methods in System Identification*, 2018).
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 from scipy.signal import savgol_filter
 
-from torchpi.recordings.faults import robust_sd
-
 SMALLEST, LARGEST = 1e-6, 0.005
 """Of the span: what scatters less is the rounding of a file, what scatters more is a command."""
+BENT = 70.0
+"""The sum of the squares of 1, 4, 6, 4, 1: the variance of fourth differences of white noise."""
 OF_WHITE = (-0.8, 0.4)
-"""Autocorrelations of the fourth differences of white noise, at one and two samples."""
+"""Their autocorrelations at one and two samples."""
 WITHIN = 0.03
 """Of these: those of integrated white noise, -0.75 and 0.3, are farther away."""
-WINDOWS = tuple(2**k + 1 for k in range(2, 9))
+SCATTER = (0.5, 1.2)
+"""Times 1/√samples: standard deviations of the two autocorrelations, by simulation."""
+BLOCK, LEAST = 32, 8
+"""Samples among which a voltage is quiet or is not, and how many such blocks show noise."""
+QUIET = 1.5
+"""Times the noise, which no block of it alone scatters."""
+WINDOWS = tuple(2**k + 1 for k in range(2, 11))
 """Samples of a local parabola."""
-SURE = 2.5
+SURE = 3.0
 """Standard deviations of a local estimate within which those of smaller windows lie."""
 
 
-def without_noise(u: np.ndarray) -> np.ndarray:
-    """(time,), V: each sample on the longest local parabola that no shorter one contradicts.
+def monitor_noise(voltages: Sequence[np.ndarray]) -> list[float]:
+    """Of each voltage, (time,), V: the standard deviation of its monitor's white noise, V; 0 for a command.
 
-    A command comes back as it is.
+    The noise shows where a voltage rests or moves slowly, which a random one does not between its holds. One
+    monitor has read all voltages: one that shows no noise has that of the others, unless it is quieter.
+    """
+    quiet = [_quietest(u) for u in voltages]
+    own = [sd for (sd, white), u in zip(quiet, voltages, strict=True) if white and _is_noise(sd, u)]
+    if not own:
+        return [0.0] * len(quiet)
+    common = float(np.median(own))
+    return [
+        sd if white and _is_noise(sd, u) else common * (sd * QUIET > common)
+        for (sd, white), u in zip(quiet, voltages, strict=True)
+    ]
+
+
+def _is_noise(sd: float, u: np.ndarray) -> bool:
+    return SMALLEST < sd / max(float(np.ptp(u)), 1e-300) < LARGEST
+
+
+def _quietest(u: np.ndarray) -> tuple[float, bool]:
+    """What a voltage, (time,), scatters about local cubics where it scatters least, V, and whether that is
+    white noise."""
+    bent = np.diff(u, 4)
+    blocks = bent[: len(bent) // BLOCK * BLOCK].reshape(-1, BLOCK)
+    if len(blocks) < LEAST:
+        return 0.0, False
+    scatter = np.sqrt((blocks**2).mean(axis=1) / BENT)
+    sd = QUIET * float(np.partition(scatter, LEAST - 1)[LEAST - 1])
+    for _ in range(10):
+        calm = blocks[scatter <= QUIET * sd]
+        sd = float(np.sqrt((calm**2).mean() / BENT))
+    for k, (expected, error) in enumerate(zip(OF_WHITE, SCATTER, strict=True), 1):
+        found = float((calm[:, k:] * calm[:, :-k]).mean() / max(float((calm**2).mean()), 1e-300))
+        if abs(found - expected) > WITHIN + 2 * error / np.sqrt(calm.size):
+            return sd, False
+    return sd, True
+
+
+def without_noise(u: np.ndarray, sd: float) -> tuple[np.ndarray, np.ndarray]:
+    """(time,), V: each sample on the longest local parabola that no shorter one contradicts; and the standard
+    deviation of what is left of its noise, (time,), V.
 
     The windows are chosen by intersection of confidence intervals (Goldenshluger and Nemirovski,
     *Mathematical Methods of Statistics* 6, 1997): edges and corners stay where they are.
+
+    Args:
+        u: (time,), V.
+        sd: Of its noise, V; 0 for a command, which comes back as it is.
     """
-    sd = noise_of(u)
+    left = np.full(len(u), sd)
     if sd == 0.0:
-        return u
+        return u, left
     smooth, going = u.copy(), np.ones(len(u), dtype=bool)
     low, high = u - SURE * sd, u + SURE * sd
     for window in WINDOWS:
@@ -40,27 +91,10 @@ def without_noise(u: np.ndarray) -> np.ndarray:
         impulse = np.zeros(window)
         impulse[window // 2] = 1.0
         kernel = savgol_filter(impulse, window, 2)
-        half = SURE * sd * float(np.sqrt(kernel @ kernel))
+        of_estimate = sd * float(np.sqrt(kernel @ kernel))
         estimate = savgol_filter(u, window, 2)
-        low, high = np.maximum(low, estimate - half), np.minimum(high, estimate + half)
+        low = np.maximum(low, estimate - SURE * of_estimate)
+        high = np.minimum(high, estimate + SURE * of_estimate)
         going &= low <= high
-        smooth[going] = estimate[going]
-    return smooth
-
-
-def noise_of(u: np.ndarray) -> float:
-    """Standard deviation of the white noise of a monitored voltage, (time,), V; 0 for a command."""
-    span = float(np.ptp(u))
-    bent = np.diff(u, 4)
-    if len(bent) < max(WINDOWS) or span == 0.0:
-        return 0.0
-    scatter = float(robust_sd(bent))
-    sd = scatter / np.sqrt(70.0)  # the sum of the squares of 1, 4, 6, 4, 1
-    if not SMALLEST * span < sd < LARGEST * span:
-        return 0.0
-    bent = np.clip(bent, -5 * scatter, 5 * scatter)
-    size = float(bent @ bent)
-    for k, expected in enumerate(OF_WHITE, 1):
-        if abs(float(bent[k:] @ bent[:-k]) / size - expected) > WITHIN:
-            return 0.0
-    return float(sd)
+        smooth[going], left[going] = estimate[going], of_estimate
+    return smooth, left

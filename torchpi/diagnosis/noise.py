@@ -45,6 +45,8 @@ class Noise:
     """What it was measured from."""
     lsb_um: float = 0.0
     """The step of the lattice on which the readings lie, where there is one."""
+    monitor_um_per_v: float = 0.0
+    """What the noise of the voltage's monitor makes of a prediction, where it was monitored."""
 
     def level_um2(self, level: int) -> float:
         """The variance on a scale, 1 for differences of neighbours."""
@@ -59,7 +61,18 @@ class Noise:
         """The same where readings lie on a lattice: a hold may stay on one line of it."""
         own = lsb_um**2 / 12
         rms_um = float(np.hypot(self.rms_um, np.sqrt(own)))
-        return Noise(rms_um, self.variance_um2 + own, self.fs_hz, self.source, lsb_um)
+        return replace(self, rms_um=rms_um, variance_um2=self.variance_um2 + own, lsb_um=lsb_um)
+
+    def with_monitor(self, records: Sequence[Record], um_per_v: float) -> "Noise":
+        """The same where a voltage was monitored: where it moves too fast to tell its noise from it, a
+        prediction has that noise, times the gain, which no model of the stage explains."""
+        left_v = [record.monitor_noise_left_v[record.train] for record in records]
+        own_um = um_per_v * float(np.sqrt((np.concatenate(left_v) ** 2).mean()))
+        if own_um == 0.0:
+            return self
+        source = f"{self.source} and in the monitored voltage"
+        rms_um = float(np.hypot(self.rms_um, own_um))
+        return replace(self, rms_um=rms_um, source=source, monitor_um_per_v=um_per_v)
 
 
 def held_error(y: np.ndarray, of: Coefficients) -> np.ndarray:

@@ -7,7 +7,7 @@ import numpy as np
 
 from torchpi.diagnosis.coefficients import Coefficients
 from torchpi.diagnosis.long_recordings import means
-from torchpi.diagnosis.monitored import without_noise
+from torchpi.diagnosis.monitored import monitor_noise, without_noise
 from torchpi.recordings.faults import dropouts
 from torchpi.recordings.recording import Recording
 from torchpi.stage.effects.effect import DataRange
@@ -56,6 +56,10 @@ class Record:
     of the monitor."""
     simulated: Mapping[int, np.ndarray]
     """(time,), µm each, under the same numbers: a simulator's output; empty where the recording has none."""
+    monitor_noise_v: float
+    """Standard deviation of the noise that the monitor of the voltage adds, V; 0 for a command."""
+    monitor_noise_left_v: np.ndarray
+    """(time,): of what is left of it in the voltage that drives."""
     rests: Rests | None = None
     """None where no mount that sticks was seen."""
 
@@ -70,7 +74,7 @@ class Record:
     @property
     def monitored(self) -> bool:
         """Whether the voltage was monitored, with noise of its own."""
-        return self.commands[0] is not self.u
+        return self.monitor_noise_v > 0
 
 
 def not_counting(recording: Recording) -> np.ndarray:
@@ -84,6 +88,7 @@ def prepare(
     dropouts: Sequence[np.ndarray],
     skip_s: float = 0.0,
     as_recorded: Sequence[Recording] | None = None,
+    sealed: float = SEALED,
 ) -> list[Record]:
     """The recordings with their ends sealed.
 
@@ -92,23 +97,13 @@ def prepare(
         dropouts: For each the indices of readings that do not count.
         skip_s: Start-up of each, half of it at most, that is held out as its end is, s.
         as_recorded: The same at the rate of the controller, where some are means.
+        sealed: Share of each that is sealed; none is for what the model that is left behind is fitted to.
     """
+    noise_v = monitor_noise([recording.u for recording in recordings])
+    given = as_recorded or recordings
     return [
-        _record(recording, int((1 - SEALED) * len(recording.u)), wrong, len(recordings), skip_s, given)
-        for recording, wrong, given in zip(recordings, dropouts, as_recorded or recordings, strict=True)
-    ]
-
-
-def whole(
-    recordings: Sequence[Recording],
-    dropouts: Sequence[np.ndarray],
-    skip_s: float = 0.0,
-    as_recorded: Sequence[Recording] | None = None,
-) -> list[Record]:
-    """The same with no end sealed: what the model that is left behind is fitted to."""
-    return [
-        _record(recording, len(recording.u), wrong, len(recordings), skip_s, given)
-        for recording, wrong, given in zip(recordings, dropouts, as_recorded or recordings, strict=True)
+        _record(one, int((1 - sealed) * len(one.u)), wrong, len(recordings), skip_s, at_ticks, sd)
+        for one, wrong, at_ticks, sd in zip(recordings, dropouts, given, noise_v, strict=True)
     ]
 
 
@@ -140,12 +135,16 @@ def _record(
     recordings: int,
     skip_s: float,
     given: Recording,
+    monitor_noise_v: float,
 ) -> Record:
     u, y = recording.u.astype(np.float64), recording.y.astype(np.float64)
     valid, fitted = np.ones(len(u), dtype=bool), np.arange(len(u)) < samples
     valid[wrong] = False
     fitted[: min(round(skip_s * recording.fs_hz), len(u) // 2)] = False
     ticks, simulated = round(given.fs_hz / recording.fs_hz), {}
+    driving = {
+        late: without_noise(one, monitor_noise_v) for late, one in _early_and_late(u, given.u, ticks).items()
+    }
     if recording.simulated is not None and given.simulated is not None:
         simulated = _early_and_late(recording.simulated, given.simulated, ticks)
     return Record(
@@ -158,8 +157,10 @@ def _record(
         ~fitted & valid,
         _coefficients(u, y, samples, fitted & valid, recordings),
         tick_s=1.0 / given.fs_hz,
-        commands={late: without_noise(one) for late, one in _early_and_late(u, given.u, ticks).items()},
+        commands={late: one for late, (one, _) in driving.items()},
         simulated=simulated,
+        monitor_noise_v=monitor_noise_v,
+        monitor_noise_left_v=driving[0][1],
     )
 
 

@@ -77,6 +77,9 @@ class Weighting:
                     noise_um2[there] = np.median(mean[there])
             if noise is not None and noise.lsb_um > 0:
                 noise_um2 += noise.lsb_um**2 / 12 * (held_error(record.y, of) - 1)
+            if noise is not None and measured and noise.monitor_um_per_v > 0:
+                left_um = noise.monitor_um_per_v * record.monitor_noise_left_v[of.at]
+                noise_um2 += np.bincount(of.cell, left_um**2) / n
             noise_um2 = np.maximum(noise_um2, smallest)
             # A typical residual is no noise: what a model has wrong everywhere would count as explained.
             finest_um2 = noise_um2[own == own.min()].min()

@@ -199,9 +199,7 @@ class Search(Proposals):
             now = less
         if self.noise is not None:
             # The noise of a monitored voltage is in what the simulation makes of a hold.
-            noise = measured_noise(self.chain.records, now.residuals)
-            if noise is not None:
-                self.noise = noise.with_converter(self.lsb_um)
+            self.noise = self.noise_in(now) or self.noise
         self.weigh(now)
         size = "gain and zero" if self.simulation else f"{nominal.size} plays"
         self.log(f"retuned, {size}: {rms_of(now)}")
@@ -212,8 +210,13 @@ class Search(Proposals):
         has been explained."""
         if self.noise is None or self.slips:
             return self.noise
-        left = measured_noise(self.chain.records, now.residuals)
-        return left.with_converter(self.lsb_um) if left and left.rms_um < self.noise.rms_um else self.noise
+        left = self.noise_in(now)
+        return left if left and left.rms_um < self.noise.rms_um else self.noise
+
+    def noise_in(self, now: Fit) -> Noise | None:
+        """What the residuals show of it."""
+        found, chain = measured_noise(self.chain.records, now.residuals), self.chain
+        return found and found.with_converter(self.lsb_um).with_monitor(chain.records, chain.gain_um_per_v)
 
     def from_settled(self, retuned: Fit, now: Fit) -> tuple[Fit, Fit]:
         """Both without the readings in which a stage still settles from before a recording, if the better one
