@@ -111,6 +111,22 @@ def test_what_is_left_of_its_noise_is_known_sample_by_sample() -> None:
     assert error[left == SD].std() == pytest.approx(SD, rel=0.1)
 
 
+@pytest.mark.parametrize("high_hz", [100.0, 200.0, 400.0])
+def test_of_a_fast_voltage_no_more_is_taken_out_than_noise(high_hz: float) -> None:
+    """A long window would follow it no better than the noise, and say that it does."""
+    u = multisine(20_000, high_hz=high_hz)
+    smooth, left = without_noise(monitored(u, sd=0.01), 0.01)
+    assert (smooth - u).std() == pytest.approx(np.sqrt((left**2).mean()), rel=0.25)
+    assert (smooth - u).std() < 0.01
+
+
+@pytest.mark.parametrize("samples", [260, 600, 1200])
+def test_a_short_record_is_smoothed_too(samples: int) -> None:
+    u = COMMANDS["sine"][:samples]
+    smooth, _ = without_noise(monitored(u), SD)
+    assert (smooth - u).std() < 0.5 * SD
+
+
 def test_what_it_makes_of_a_prediction_counts_as_noise() -> None:
     random, slow = random_between_holds(), COMMANDS["sine"][:6000]
     records = prepared([record(monitored(random)), record(monitored(slow), name="b")])

@@ -7,6 +7,7 @@ the noise (errors in variables: Söderström, *Errors-in-Variables Methods in Sy
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.ndimage import uniform_filter1d
 from scipy.signal import savgol_filter
 
 SMALLEST, LARGEST = 1e-6, 0.005
@@ -27,6 +28,10 @@ WINDOWS = tuple(2**k + 1 for k in range(2, 11))
 """Samples of a local parabola."""
 SURE = 3.0
 """Standard deviations of a local estimate within which those of smaller windows lie."""
+AROUND, SPARE = 1025, 1.06
+"""Samples before or after one whose mean square about their parabolas may be that of the noise, within `SURE`
+standard deviations and what the noise itself is uncertain by: a few samples alone do not tell a turn of the
+command from noise of its size."""
 
 
 def monitor_noise(voltages: Sequence[np.ndarray]) -> list[float]:
@@ -74,7 +79,8 @@ def without_noise(u: np.ndarray, sd: float) -> tuple[np.ndarray, np.ndarray]:
     deviation of what is left of its noise, (time,), V.
 
     The windows are chosen by intersection of confidence intervals (Goldenshluger and Nemirovski,
-    *Mathematical Methods of Statistics* 6, 1997): edges and corners stay where they are.
+    *Mathematical Methods of Statistics* 6, 1997): edges and corners stay where they are. Nor may a window
+    take out more than noise of the samples before or after one that no window contradicted.
 
     Args:
         u: (time,), V.
@@ -91,10 +97,31 @@ def without_noise(u: np.ndarray, sd: float) -> tuple[np.ndarray, np.ndarray]:
         impulse = np.zeros(window)
         impulse[window // 2] = 1.0
         kernel = savgol_filter(impulse, window, 2)
-        of_estimate = sd * float(np.sqrt(kernel @ kernel))
+        kept = float(kernel @ kernel)
+        of_estimate = sd * float(np.sqrt(kept))
         estimate = savgol_filter(u, window, 2)
         low = np.maximum(low, estimate - SURE * of_estimate)
         high = np.minimum(high, estimate + SURE * of_estimate)
         going &= low <= high
+        going &= ~(_too_much(going, u - estimate, kept, sd, -1) & _too_much(going, u - estimate, kept, sd, 1))
         smooth[going], left[going] = estimate[going], of_estimate
     return smooth, left
+
+
+def _too_much(going: np.ndarray, taken: np.ndarray, kept: float, sd: float, side: int) -> np.ndarray:
+    """(time,), bool: whether more than noise was taken out of the samples on one side.
+
+    Args:
+        going: (time,), bool: the samples that count.
+        taken: (time,), V, out of each.
+        kept: Of the variance of the noise, what a window keeps.
+        sd: Of the noise, V.
+        side: -1 for those before, 1 for those after.
+    """
+    counted, mean = (
+        uniform_filter1d(x, AROUND, origin=-side * (AROUND // 2))
+        for x in (going.astype(float), np.where(going, taken**2, 0.0))
+    )
+    most = SPARE + SURE * np.sqrt(2 / np.maximum((1 - kept) * AROUND * counted, 1.0))
+    found: np.ndarray = mean > (1 - kept) * sd**2 * most * counted
+    return found
