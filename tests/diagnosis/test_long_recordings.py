@@ -1,9 +1,10 @@
 """Long recordings are worked on as means of their samples, and the report says so."""
 
 import numpy as np
+import pytest
 
 from torchpi.diagnosis import diagnose, long_recordings
-from torchpi.diagnosis.long_recordings import at_a_lower_rate
+from torchpi.diagnosis.long_recordings import at_a_lower_rate, rings_above
 from torchpi.diagnosis.records import prepare
 from torchpi.recordings.recording import Recording
 
@@ -61,6 +62,35 @@ def test_a_fast_voltage_is_cut_short_where_its_means_would_turn_elsewhere(monkey
     assert first.fs_hz == 1e4 and np.array_equal(first.u, chirp.u[:10_000]) and left.tolist() == [7]
     assert first.aux["aux_v"].shape == first.simulated.shape == first.u.shape
     assert "the first 1 s of 2 s" in cut and "too fast" in cut
+
+
+def stairs(samples: int, rings: float, noise_um: float = 1e-3) -> Recording:
+    """Steps of 1 V up and down, in 1 s each, after which a mode of 3.1 kHz rings by this share of a step."""
+    one, step = recording(samples), np.arange(samples) // 10_000
+    one.u[:] = np.where(step % 4 < 2, step % 4, 4 - step % 4)
+    since = np.arange(samples) % 10_000
+    one.y[:] = 0.8 * one.u + np.random.default_rng(0).normal(0, noise_um, samples)
+    sign = np.sign(np.diff(one.u, prepend=0.0))[step * 10_000]
+    one.y[:] -= rings * 0.8 * sign * np.exp(-since / 100) * np.cos(2 * np.pi * 0.31 * since)
+    return one
+
+
+@pytest.mark.parametrize(("rings", "cut"), [(0.0, False), (0.001, False), (0.3, True)])
+def test_one_that_rings_faster_than_means_show_is_cut_short(monkeypatch, rings, cut):
+    monkeypatch.setattr(long_recordings, "AT_MOST", 30_000)
+    one = stairs(60_000, rings)
+    (kept,), _, (note,) = at_a_lower_rate([one], [np.zeros(0, int)])
+    assert kept.fs_hz == (1e4 if cut else 5e3) and len(kept) == 30_000
+    assert ("rings too fast" in note) == cut
+
+
+@pytest.mark.parametrize("colour", ["1/f", "1/f²"])
+def test_slow_noise_does_not_ring(colour):
+    one = stairs(60_000, 0.0)
+    white = np.random.default_rng(1).normal(0, 0.01, 60_000)
+    spectrum = np.fft.rfft(white) / np.maximum(np.arange(30_001), 1) ** (1.0 if colour == "1/f²" else 0.5)
+    one.y[:] += np.fft.irfft(spectrum) * 100
+    assert not any(rings_above(one, factor) for factor in (2, 5, 15))
 
 
 def test_the_command_of_the_tick_before_is_that_of_the_controller_and_not_of_a_mean(monkeypatch):

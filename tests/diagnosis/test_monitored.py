@@ -77,6 +77,8 @@ def test_one_monitor_has_read_all_recordings() -> None:
     assert monitor_noise([monitored(slow), slow, never_rests])[1] == 0.0
     quieter = monitor_noise([monitored(slow), monitored(slow, sd=0.1 * SD)])
     assert quieter == pytest.approx([SD, 0.1 * SD], rel=0.05)
+    alike = monitor_noise([monitored(slow), monitored(slow, sd=1.4 * SD), monitored(slow, seed=2)])
+    assert alike == [alike[0]] * 3 == pytest.approx([SD] * 3, rel=0.05)
 
 
 def test_what_scatters_as_much_as_it_moves_is_a_command() -> None:

@@ -38,17 +38,15 @@ def monitor_noise(voltages: Sequence[np.ndarray]) -> list[float]:
     """Of each voltage, (time,), V: the standard deviation of its monitor's white noise, V; 0 for a command.
 
     The noise shows where a voltage rests or moves slowly, which a random one does not between its holds. One
-    monitor has read all voltages: one that shows no noise has that of the others, unless it is quieter.
+    monitor has read all voltages, with the median of their noise: those that show none too, unless they are
+    quieter. One that shows more than twice the least has been read by another.
     """
     quiet = [_quietest(u) for u in voltages]
-    own = [sd for (sd, white), u in zip(quiet, voltages, strict=True) if white and _is_noise(sd, u)]
-    if not own:
-        return [0.0] * len(quiet)
-    common = float(np.median(own))
-    return [
-        sd if white and _is_noise(sd, u) else common * (sd * QUIET > common)
-        for (sd, white), u in zip(quiet, voltages, strict=True)
-    ]
+    own = [sd if white and _is_noise(sd, u) else 0.0 for (sd, white), u in zip(quiet, voltages, strict=True)]
+    same = 2 * min(filter(None, own), default=0.0)
+    common = float(np.median([one for one in own if 0 < one <= same] or [0.0]))
+    shown = [one or (common if QUIET * sd > common else 0.0) for one, (sd, _) in zip(own, quiet, strict=True)]
+    return [common if 0 < one <= same else one for one in shown]
 
 
 def _is_noise(sd: float, u: np.ndarray) -> bool:
