@@ -7,18 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.diagnosis.plants import NOISE_UM as READ_NOISE_UM
-from tests.diagnosis.plants import record as recorded
-from tests.diagnosis.prepared import prepared
-from torchpi.diagnosis.chain import Chain
-from torchpi.diagnosis.fit import fit, prior_of
-from torchpi.diagnosis.hypothesis import Fit, Hypothesis
-from torchpi.diagnosis.hysteresis_model import many_plays
-from torchpi.diagnosis.noise import measured_noise
-from torchpi.diagnosis.records import seen
-from torchpi.diagnosis.score import Weighting
-from torchpi.diagnosis.sealed import confirmed, determined_by
-from torchpi.diagnosis.sensitivity import at_samples, tangent_of
+from torchpi.diagnosis.sealed import confirmed
 
 TRAIN, SEALED = 850, 150
 NOISE_UM2 = 1e-4
@@ -110,47 +99,3 @@ def test_voltages_that_no_fitted_sample_reached_do_not_judge(beyond_v: float, ju
 def test_no_share_becomes_larger(known: float, there: float, here: float, alone: bool) -> None:
     more, less = fits(here, there)
     assert 0 <= confirmed(known, [record()], more, less, NOISE_UM2, alone) <= known
-
-
-def fitted(u: np.ndarray) -> tuple[Chain, Fit]:
-    """A hundred plays fitted to a recording of the plants' rig."""
-    chain = Chain(prepared([recorded(u)]))
-    now = fit(chain, Hypothesis(many_plays(seen(chain.records))))
-    chain.weighting = Weighting.of(chain.records, now.residuals, measured_noise(chain.records))
-    return chain, fit(chain, now.hypothesis)
-
-
-def levels(count: int, seed: int) -> np.ndarray:
-    """Random levels in the range of 0 to 10 V, held for a tenth of a second each, after 0 V and the top."""
-    of_each = np.random.default_rng(seed).uniform(0, 10, count)
-    return np.repeat(np.concatenate([[0.0, 10.0], of_each]), 200)
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_what_few_levels_have_not_determined_of_a_hysteresis_does_not_judge(seed: int) -> None:
-    """Errors drawn from the covariance of the weights, many times the noise."""
-    chain, now = fitted(levels(8, 0))
-    (record,) = chain.records
-    known = tangent_of(chain, now.hypothesis, now.weights).gram
-    known = known + prior_of(chain, now.hypothesis, known)
-    scale = 1 / np.sqrt(np.diag(known))
-    drawn = np.random.default_rng(seed).standard_normal(len(known))
-    unit = known * scale * scale[:, None] + 1e-9 * np.eye(len(known))
-    step = np.linalg.solve(np.linalg.cholesky(unit).T, drawn) * scale
-    places, rows = at_samples(chain, now.hypothesis, now.weights, 0, record.held_out)
-    error = step[places] @ rows
-    judging = determined_by(chain, now)(0, record.held_out, error)
-    assert np.sqrt(np.mean(error**2)) > 2 * READ_NOISE_UM
-    assert np.sqrt(np.mean(judging**2)) < 0.3 * READ_NOISE_UM
-
-
-def test_what_many_levels_have_determined_judges() -> None:
-    """Nor is an error of the hysteresis's own kind passed over where every level was seen before."""
-    once = levels(8, 0)
-    chain, now = fitted(np.concatenate([once, once, once]))
-    (record,) = chain.records
-    determined = determined_by(chain, now)
-    error = now.residuals[0][record.held_out]
-    assert np.linalg.norm(determined(0, record.held_out, error) - error) < 0.5 * np.linalg.norm(error)
-    wrong = 0.05 * record.u[record.held_out]
-    assert np.linalg.norm(determined(0, record.held_out, wrong)) > 0.05 * np.linalg.norm(wrong)

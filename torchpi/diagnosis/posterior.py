@@ -27,7 +27,7 @@ from torchpi.diagnosis.own_signal import has_a_recorded_signal, has_a_signal_of_
 from torchpi.diagnosis.repeats import APART, STARTING
 from torchpi.diagnosis.rival_models import CONVENTION, OPERATOR_NAME, Model, names_of, prior, settled
 from torchpi.diagnosis.score import ALIKE
-from torchpi.diagnosis.sealed import confirmed, determined_by
+from torchpi.diagnosis.sealed import confirmed
 from torchpi.diagnosis.search import Round, Search
 from torchpi.diagnosis.timing import is_whole
 
@@ -217,10 +217,7 @@ def share_explained(search: Search, more: Fit, less: Fit, name: str, own_signal:
     apart = float(nats[[STARTING, APART]].sum() / max(float(nats.sum()), 1e-300))
     terms = [member for member in more.hypothesis.members if member.effect.name == name]
     alone = own_signal or not all(member.effect.extrapolates(member.shared) for member in terms)
-    determined = determined_by(search.chain, more)
-    return confirmed(
-        known, search.chain.records, more, less, weighting.mean_floor_um2, alone, apart, determined
-    )
+    return confirmed(known, search.chain.records, more, less, weighting.mean_floor_um2, alone, apart)
 
 
 def apart(

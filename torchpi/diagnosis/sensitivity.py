@@ -1,11 +1,9 @@
 """How the readings move with each number of a fit: with the weights, and with the parameters of effects."""
 
-from collections.abc import Callable, Iterable, Sequence
-from functools import partial
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from torch import Tensor
 
 from torchpi.diagnosis.chain import AT_ONCE, Chain
 from torchpi.diagnosis.free_parameters import free_parameters_of, to_inner, to_outer, value_at, with_theta
@@ -20,7 +18,7 @@ its frequency moves by a share of its width."""
 
 
 class Sensitivity(NamedTuple):
-    """How the whitened coefficients, or readings, of one recording move with the numbers of a fit."""
+    """How the whitened coefficients of one recording move with the numbers of a fit."""
 
     places: np.ndarray
     """Of the numbers that move them."""
@@ -89,38 +87,19 @@ def of_weights(
     chain: Chain, hypothesis: Hypothesis, weights: np.ndarray, index: int
 ) -> tuple[np.ndarray, Sensitivity]:
     """Output of one recording, (time,), and its sensitivity to each weight."""
-    signals = chain.behind_each(hypothesis, weights, index)
-    found = _to_weights(chain, hypothesis, weights, index, signals, partial(chain.whitened, index))
-    return chain.output_of(hypothesis, weights, index, signals), found
-
-
-def at_samples(
-    chain: Chain, hypothesis: Hypothesis, weights: np.ndarray, index: int, samples: np.ndarray
-) -> Sensitivity:
-    """How some readings of one recording, (time,) bool, move with each weight, µm."""
-    signals = chain.behind_each(hypothesis, weights, index)
-    return _to_weights(chain, hypothesis, weights, index, signals, lambda rows: rows[:, samples])
-
-
-def _to_weights(
-    chain: Chain,
-    hypothesis: Hypothesis,
-    weights: np.ndarray,
-    index: int,
-    signals: Sequence[Tensor],
-    taken: Callable[[np.ndarray], np.ndarray],
-) -> Sensitivity:
-    """The sensitivity to each weight of what is taken of the readings: (rows, time) to (rows, kept)."""
-    rows, stuck = chain.rows(hypothesis, index), chain.rests(hypothesis, index)
-    time = rows.shape[1]
-    zero = taken(np.ones((1, time)) if stuck is None else np.where(stuck.stuck, 0.0, 1.0)[None])
-    found = np.empty((len(rows) + 1, zero.shape[1]))
+    signals, rows = chain.behind_each(hypothesis, weights, index), chain.rows(hypothesis, index)
+    y = chain.output_of(hypothesis, weights, index, signals)
+    stuck = chain.rests(hypothesis, index)
+    one = np.ones((1, len(y))) if stuck is None else np.where(stuck.stuck, 0.0, 1.0)[None]
+    whitened = np.empty((len(rows) + 1, chain.records[index].coefficients.kept))
     for first in range(0, len(rows), AT_ONCE):
         some = rows[first : first + AT_ONCE]
-        found[first : first + len(some)] = taken(chain.directions(hypothesis, some, index, signals))
-    found[-1] = zero[0]
+        whitened[first : first + len(some)] = chain.whitened(
+            index, chain.directions(hypothesis, some, index, signals)
+        )
+    whitened[-1] = chain.whitened(index, one)[0]
     used = chain.used(hypothesis, index)
-    return Sensitivity(np.append(used, len(weights) - len(chain.records) + index), found)
+    return y, Sensitivity(np.append(used, len(weights) - len(chain.records) + index), whitened)
 
 
 def of_slots(
