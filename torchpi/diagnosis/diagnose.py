@@ -29,7 +29,7 @@ from torchpi.diagnosis.locate import locate
 from torchpi.diagnosis.long_recordings import at_a_lower_rate
 from torchpi.diagnosis.model import augmented_stage
 from torchpi.diagnosis.next_recording import next_recording
-from torchpi.diagnosis.noise import measured_noise
+from torchpi.diagnosis.noise import noise_of_prediction
 from torchpi.diagnosis.outside import Outside, untried_note
 from torchpi.diagnosis.posterior import posterior
 from torchpi.diagnosis.records import Record, not_counting, prepare, seen, without_start
@@ -107,9 +107,7 @@ def diagnose(
     step_um, lattice_note = converter(given_recordings)
     # Of a mean, one converter errs less, as any noise does.
     lsb_um = step_um * float(np.sqrt(np.median([one.tick_s / one.period_s for one in records])))
-    noise = measured_noise(records)
-    if noise is not None:
-        noise = noise.with_converter(lsb_um).with_monitor(records, chain.gain_um_per_v)
+    noise = noise_of_prediction(records, lsb_um, chain.gain_um_per_v)
     log("nominal: the simulation as it is, then refitted with as many plays as the data carry")
     start = given_members(given)
     first = (
@@ -344,7 +342,7 @@ def open_between(decision: Decision) -> list[str]:
 
 def monitored_notes(records: Sequence[Record]) -> tuple[str, ...]:
     """The noise of each voltage that was monitored and not commanded."""
-    noisy = [f"{r.monitor_noise_v:.2g} V in {r.name}" for r in records if r.monitored]
+    noisy = [f"{r.monitor_noise_v:.2g} V in {r.name}" for r in records if r.monitor_noise_v]
     return (
         (f"The voltage has noise of its own, taken out before it drives: {', '.join(noisy)}.",)
         if noisy

@@ -56,8 +56,8 @@ def at_a_lower_rate(
         good[wrong] = False
         last = np.maximum.accumulate(np.where(good, np.arange(len(recording)), 0))
         bridged = replace(recording, y=recording.y[last])
-        moves, rings = fast(recording.u, factor), rings_above(bridged, factor)
-        if moves or rings:
+        moves = fast(recording.u, factor)
+        if moves or rings_above(bridged, factor):
             kept.append(recording.slice(recording.t[0], recording.t[count]))
             left.append(wrong[wrong < count])
             why = "its voltage is too fast" if moves else "it rings too fast"

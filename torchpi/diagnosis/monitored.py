@@ -101,7 +101,9 @@ def without_noise(u: np.ndarray, sd: float) -> tuple[np.ndarray, np.ndarray]:
         low = np.maximum(low, estimate - SURE * of_estimate)
         high = np.minimum(high, estimate + SURE * of_estimate)
         going &= low <= high
-        going &= ~(_too_much(going, u - estimate, kept, sd, -1) & _too_much(going, u - estimate, kept, sd, 1))
+        taken = u - estimate
+        before, after = (_too_much(going, taken, kept, sd, side) for side in (-1, 1))
+        going &= ~(before & after)
         smooth[going], left[going] = estimate[going], of_estimate
     return smooth, left
 

@@ -94,6 +94,24 @@ def held_error(y: np.ndarray, of: Coefficients) -> np.ndarray:
     return found
 
 
+def noise_of_prediction(
+    records: Sequence[Record],
+    lsb_um: float,
+    um_per_v: float,
+    residuals: Sequence[np.ndarray] | None = None,
+) -> Noise | None:
+    """What was measured, with the error of a converter and what the monitor of the voltage adds.
+
+    Args:
+        records: The recordings.
+        lsb_um: The step of the lattice on which the readings lie; 0 where there is none.
+        um_per_v: The gain.
+        residuals: (time,) each: of a simulation, in place of the readings.
+    """
+    found = measured_noise(records, residuals)
+    return found and found.with_converter(lsb_um).with_monitor(records, um_per_v)
+
+
 def measured_noise(records: Sequence[Record], residuals: Sequence[np.ndarray] | None = None) -> Noise | None:
     """From holds of the command where there are any, else from repeats of it, within a recording or from one
     to another; None without all three.

@@ -71,11 +71,6 @@ class Record:
     def period_s(self) -> float:
         return 1.0 / self.fs_hz
 
-    @property
-    def monitored(self) -> bool:
-        """Whether the voltage was monitored, with noise of its own."""
-        return self.monitor_noise_v > 0
-
 
 def not_counting(recording: Recording) -> np.ndarray:
     """Indices of the samples of a recording that say nothing of the stage: wrong readings, or none."""

@@ -19,7 +19,7 @@ from torchpi.diagnosis.fit import FINE, ROUGH
 from torchpi.diagnosis.growth import OPERATOR, REVERSALS
 from torchpi.diagnosis.hypothesis import EffectTerm, Fit, Hypothesis
 from torchpi.diagnosis.hysteresis_model import HysteresisModel, bouc_wen, duhem
-from torchpi.diagnosis.noise import Noise, measured_noise
+from torchpi.diagnosis.noise import Noise, noise_of_prediction
 from torchpi.diagnosis.outside import Outside
 from torchpi.diagnosis.proposals import Proposals
 from torchpi.diagnosis.records import without_start
@@ -215,8 +215,8 @@ class Search(Proposals):
 
     def noise_in(self, now: Fit) -> Noise | None:
         """What the residuals show of it."""
-        found, chain = measured_noise(self.chain.records, now.residuals), self.chain
-        return found and found.with_converter(self.lsb_um).with_monitor(chain.records, chain.gain_um_per_v)
+        chain = self.chain
+        return noise_of_prediction(chain.records, self.lsb_um, chain.gain_um_per_v, now.residuals)
 
     def from_settled(self, retuned: Fit, now: Fit) -> tuple[Fit, Fit]:
         """Both without the readings in which a stage still settles from before a recording, if the better one
