@@ -9,8 +9,9 @@ from tests.diagnosis.plants import NOISE_UM, hysteresis, lag, multisine
 from tests.diagnosis.prepared import prepared
 from torchpi.diagnosis.chain import Chain
 from torchpi.diagnosis.diagnose import diagnose
-from torchpi.diagnosis.fit import fit
+from torchpi.diagnosis.fit import ROUGH, fit
 from torchpi.diagnosis.hypothesis import EffectTerm, Hypothesis
+from torchpi.diagnosis.hysteresis_model import duhem as duhem_states
 from torchpi.diagnosis.hysteresis_model import many_plays, preisach
 from torchpi.diagnosis.records import seen
 from torchpi.diagnosis.reduced_basis import MANY, basis, refitted
@@ -19,6 +20,7 @@ from torchpi.diagnosis.search import Search
 from torchpi.operators.hysteresis_rows import duhem
 from torchpi.recordings.recording import Recording
 from torchpi.stage.effects.sensor.sensor_lag import SensorLag
+from torchpi.stage.effects.sensor.sensor_nonlinearity import SensorNonlinearity
 
 
 def remembered(v: np.ndarray, seed: int) -> np.ndarray:
@@ -116,7 +118,7 @@ def test_the_start_of_a_state_without_wiping_out_fades_as_its_column_does(
     assert np.allclose(apart, apart[0] * fading(v, alpha), atol=1e-12 * size, rtol=1e-6)
 
 
-def test_a_hysteresis_whose_loops_move_is_fitted_by_what_has_no_wiping_out() -> None:
+def drifting_loops() -> list[Recording]:
     """Minor loops of a Duhem state drift towards the middle as they are repeated; those of plays never do."""
     t = np.arange(8000) / 2e3
     recordings = []
@@ -130,10 +132,30 @@ def test_a_hysteresis_whose_loops_move_is_fitted_by_what_has_no_wiping_out() -> 
             states[k] = z
         y = v + 3.0 * states + NOISE_UM * np.random.default_rng(seed).standard_normal(len(v))
         recordings.append(Recording(str(seed), t, v, y, 2e3))
-    found = diagnose(recordings, effects=[])
+    return recordings
+
+
+def test_a_hysteresis_whose_loops_move_is_fitted_by_what_has_no_wiping_out() -> None:
+    """At once, not after plays through output functions: an effect could take what those leave."""
+    log: list[str] = []
+    found = diagnose(drifting_loops(), effects=[], log=log.append)
     assert [effect.name for effect in found.effects] == ["hysteresis_operator"]
     assert found.effects[0].parameters[0].value == "duhem"
     assert found.augmented.heldout_rms_um < 2 * NOISE_UM < 0.2 * found.retuned.heldout_rms_um
+    assert not any("with hysteresis_operator: preisach" in line for line in log)
+
+
+def test_the_only_effect_goes_where_a_larger_hysteresis_makes_it_needless() -> None:
+    chain = Chain(prepared(drifting_loops()))
+    search = Search(chain, lambda sentence: None, effects=[SensorNonlinearity])
+    retuned = search.retuned()
+    search.nominal = retuned.hypothesis.nominal
+    curved = next(start for start in search.starts if len(start.shared) == 2)
+    (bent,) = search.fits([(retuned.hypothesis.plus(curved), None, 8, ROUGH)])
+    assert search.backward(bent).hypothesis.names == (SensorNonlinearity.name,)
+    larger = search.growth(bent, bent, [duhem_states(search.seen)])[0].fit
+    assert larger.hypothesis.names == (SensorNonlinearity.name,)
+    assert search.backward(larger).hypothesis.names == ()
 
 
 def test_a_hold_remembers_for_ever_and_divides_by_nothing() -> None:

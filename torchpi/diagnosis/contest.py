@@ -5,6 +5,8 @@ from concurrent.futures import Executor
 from dataclasses import dataclass
 from math import log
 
+import numpy as np
+
 from torchpi.diagnosis.chain import Chain
 from torchpi.diagnosis.coverage import follows_command, repeats
 from torchpi.diagnosis.fit import ROUGH
@@ -124,6 +126,10 @@ class Contest:
         """Whether what a fit explains beyond another is of no use to anyone: no name of it could stand."""
         rms_um = self.noise.rms_um if self.noise is not None else more.train_rms
         return explains_less(more, less, FAINT * rms_um)
+
+    def is_noise(self, one: Fit) -> bool:
+        """Whether a fit leaves nothing but the noise, where that was measured."""
+        return self.noise is not None and one.train_rms < float(np.hypot(1.0, FAINT)) * self.noise.rms_um
 
     def adequate(self, more: Fit, less: Fit) -> bool:
         """Whether what a fit explains beyond another is a share worth a name of what is to be explained where

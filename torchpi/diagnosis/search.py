@@ -109,18 +109,21 @@ class Search(Proposals):
                 now = self.backward(self.swapped(late))
                 self.log(f"  with {', '.join(now.hypothesis.names)}, and no other timing: {rms_of(now)}")
                 continue
-            if chosen is None or is_slow(chosen):
+            if chosen is None or is_slow(chosen) or (is_larger(chosen) and not self.is_noise(chosen.fit)):
                 # What has no wiping-out can do much that is physics of another kind: it comes last. Its loops
                 # drift to where they close, which looks slow.
                 last = self.growth(small, small, [duhem(self.seen)])
                 last += self.walks(small) if chosen is None else []
+                if chosen and is_larger(chosen):
+                    last = [one for one in last if not self.bends_to_all(one.fit, chosen.fit)]
                 tried += [one for one in last if self.inside(one.fit, small)]
+                if chosen and is_larger(chosen):
+                    tried.sort(key=lambda one: -one.gain.nats)
                 chosen = self.simplest(tried, small)
             history.append(Round(now, tuple(tried), chosen.name if chosen else None))
             if chosen is None:
                 break
-            larger = chosen.name.startswith(OPERATOR)
-            grown = self.sized(chosen.fit) if larger else self.at_its_own_weights(chosen.fit)
+            grown = self.sized(chosen.fit) if is_larger(chosen) else self.at_its_own_weights(chosen.fit)
             # What explains less than the noise changes nothing of what was taken before.
             considerable = self.noise is None or not explains_less(grown, small, self.noise.rms_um)
             now = self.backward(self.swapped(self.realigned(grown)) if considerable else grown)
@@ -160,11 +163,11 @@ class Search(Proposals):
             if one.gain.probability > ACCEPTED
             and not self.faint(one.fit, now)
             and self.adequate(one.fit, now)
-            and not (one.name.startswith(OPERATOR) and self.bends_to_all(one.fit, now))
+            and not (is_larger(one) and self.bends_to_all(one.fit, now))
         ]
         if not earned:
             return None
-        larger = [one for one in earned if one.name.startswith(OPERATOR)]
+        larger = [one for one in earned if is_larger(one)]
         effects = [one for one in earned if one not in larger]
         best = earned[0]
         if best in larger:
@@ -256,8 +259,9 @@ class Search(Proposals):
         return sorted([t for t in tried if self.inside(t.fit, now)], key=lambda t: -t.gain.nats)
 
     def backward(self, now: Fit) -> Fit:
-        """Without the effects that the others have made needless."""
-        while len(parts := self.parts(now)) > 1:
+        """Without the effects that the others, or a larger hysteresis, have made needless."""
+        grown = now.hypothesis.nominal.family != self.nominal.family
+        while len(parts := self.parts(now)) > (0 if grown else 1):
             small = self.reweighted(now)
             fits = self.without_each(small, parts)
             gains = [self.over(small, less, self.prior(less, small)) for less in fits]
@@ -276,6 +280,11 @@ class Search(Proposals):
         """The added effects, and what each auxiliary signal does apart: names and signals."""
         members = now.hypothesis.members
         return list(dict.fromkeys((m.effect.name, m.aux) for m in members if m.effect.name not in self.given))
+
+
+def is_larger(one: Tried) -> bool:
+    """Whether a larger hysteresis was tried."""
+    return one.name.startswith(OPERATOR)
 
 
 def describe(one: Tried) -> str:
