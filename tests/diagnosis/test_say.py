@@ -75,10 +75,10 @@ def test_what_the_recordings_know_of_one_another_is_said_in_the_place_of_what_no
     assert "predicts fast with an error of 40 nm, against 5 nm with all." in text
     assert "stays unexplained" not in text
     text = paragraph(decided("explained", lag(0.9)), ERRORS, NOISE, NEXT, across=each[:1])
-    assert "the hysteresis predicts each recording with 1 times the error, at most." in text
+    assert "the hysteresis predicts each recording as well." in text
     each = (*each[:1], AcrossRecordings("fast", 0.0088, 0.005))
     text = paragraph(decided("explained", lag(0.9)), ERRORS, NOISE, NEXT, across=each)
-    assert "the hysteresis predicts each recording with 1.8 times the error, at most." in text
+    assert "the hysteresis predicts each recording with an error at most 1.8 times as large." in text
 
 
 def test_what_only_several_explain_together_is_said() -> None:

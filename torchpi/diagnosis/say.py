@@ -104,10 +104,8 @@ def carried_over(across: Sequence[AcrossRecordings]) -> list[str]:
         return []
     worst = max(across, key=lambda one: one.times)
     if worst.predicted:
-        return [
-            "Fitted to the others alone, the hysteresis predicts each recording with "
-            f"{max(worst.times, 1.0):.2g} times the error, at most."
-        ]
+        how = f"with an error at most {worst.times:.2g} times as large" if worst.times > 1.05 else "as well"
+        return [f"Fitted to the others alone, the hysteresis predicts each recording {how}."]
     return [
         "These recordings do not determine the hysteresis for other motions: fitted to the others alone, it "
         f"predicts {worst.recording} with an error of {nm(worst.rms_um)}, against {nm(worst.fitted_rms_um)} "
