@@ -1,4 +1,4 @@
-"""Files appear whole or not at all, and are read only if they are what was written."""
+"""Reading and writing files: written whole or not at all, and read only if they are what was written."""
 
 import atexit
 import contextlib
@@ -20,23 +20,23 @@ from typing import Any
 from torchpi.errors import ArtifactError, ConfigError, kind_of
 
 PACKAGE = Path(__file__).parent
-# A wheel carries `configs/` inside the package; in a checkout it stands beside it.
+# A wheel contains `configs/` inside the package; in a checkout it lies beside the package.
 CONFIGS = next((path for path in (PACKAGE / "configs", PACKAGE.parent / "configs") if path.is_dir()), PACKAGE)
-NAME = r"[\w-]+"  # of one of them; anything else is a path
-LARGEST_YAML_BYTES = 2**20  # a hundred times the longest recipe
+NAME = r"[\w-]+"  # name of a config in CONFIGS; anything else is a path
+LARGEST_YAML_BYTES = 2**20  # a hundred times the size of the longest recipe
 MOST_YAML_VALUES = 100_000
 
 
 def config_file(given: str | Path, folder: str = "") -> Path:
-    """The file of a config or a stage: one of torchpi's own by its name (`default`), or any by its path.
+    """Return the file of a config or a stage: one of torchpi's own by name (`default`), or any by path.
 
     Args:
-        given: A single word is a name; anything else is a path and returned as it is.
-        folder: Part of `configs/` in which names are looked up, such as `stage`.
+        given: A single word is a name; anything else is a path, which is returned unchanged.
+        folder: Subfolder of `configs/` in which names are looked up, such as `stage`.
 
     Raises:
-        ConfigError: A word that is neither a name nor a file.
-        ArtifactError: No path.
+        ConfigError: If a word is neither a name nor a file.
+        ArtifactError: If `given` is not a path.
     """
     as_path(given)
     own = CONFIGS / folder / f"{given}.yaml"
@@ -49,10 +49,10 @@ def config_file(given: str | Path, folder: str = "") -> Path:
 
 
 def as_path(path: object) -> Path:
-    """An argument that names a file or a folder.
+    """Return an argument that names a file or a folder as a `Path`.
 
     Raises:
-        ArtifactError: It is something else.
+        ArtifactError: If it is anything else.
     """
     if not isinstance(path, str | os.PathLike):
         raise ArtifactError(f"path: found {kind_of(path)}, expected the path of a file or a folder")
@@ -60,7 +60,7 @@ def as_path(path: object) -> Path:
 
 
 def is_own_config(given: str | Path, folder: str = "") -> bool:
-    """Whether this is the name of one of torchpi's own, as in `config_file`."""
+    """Whether this is the name of one of torchpi's own configs, as in `config_file`."""
     return bool(re.fullmatch(NAME, str(given))) and (CONFIGS / folder / f"{given}.yaml").is_file()
 
 
@@ -68,12 +68,12 @@ def is_own_config(given: str | Path, folder: str = "") -> bool:
 def write_atomically(path: str | Path) -> Iterator[Path]:
     """Yield a temporary path beside `path`; on success it replaces `path` in one step.
 
-    If the block raises, or the process is killed, whatever stood at `path` before is still there, whole. A
-    link is followed: what it points to is replaced. The temporary name keeps the suffix, because some
-    writers choose their format by it; temporary files of processes that were killed are removed.
+    If the block raises, or the process is killed, the previous file at `path` remains intact. A link is
+    followed: the file it points to is replaced. The temporary name keeps the suffix, because some writers
+    choose their format by it; temporary files left by processes that were killed are removed.
 
     Raises:
-        ArtifactError: A folder or a device stands at `path`, or the system does not let it be written.
+        ArtifactError: If `path` is a folder or a device, or the system does not allow writing there.
     """
     try:
         target = _regular(as_path(path))
@@ -92,7 +92,7 @@ def write_atomically(path: str | Path) -> Iterator[Path]:
 
 
 def write_text(path: str | Path, text: str) -> None:
-    """Write a file of text, as `write_atomically` does.
+    """Write a text file with `write_atomically`.
 
     Raises:
         ArtifactError: As `write_atomically`.
@@ -102,12 +102,12 @@ def write_text(path: str | Path, text: str) -> None:
 
 
 def write_columns(path: str | Path, names: Sequence[str], columns: Iterable[Sequence[float]]) -> None:
-    """Write numbers as CSV below their names, every double exact, as `write_atomically` does.
+    """Write columns of numbers as CSV with a header of names, every double exact, with `write_atomically`.
 
     Raises:
         ArtifactError: As `write_atomically`.
     """
-    row = ",".join(["%r"] * len(names))  # repr: the shortest digits that give the same double back
+    row = ",".join(["%r"] * len(names))  # repr gives the fewest digits that read back as the same double
     rows = map(row.__mod__, zip(*columns, strict=True))
     with write_atomically(path) as temporary, open(temporary, "w", encoding="utf-8", newline="\n") as file:
         file.write(",".join(names) + "\n")
@@ -116,16 +116,16 @@ def write_columns(path: str | Path, names: Sequence[str], columns: Iterable[Sequ
 
 
 def to_disk(path: Path) -> None:
-    """Wait until a file is on its disk: some file systems find out only then that there is no room."""
+    """Wait until a file is on its disk: some file systems report a full disk only then."""
     with open(path, "rb") as written:
         os.fsync(written.fileno())
 
 
 def read_yaml_text(path: str | os.PathLike[str], most_values: int = MOST_YAML_VALUES) -> str:
-    """The text of a YAML file that is small enough to be settings.
+    """Return the text of a YAML file, which must be small enough to be settings.
 
     Raises:
-        ConfigError: It is not, or not a file; names the file.
+        ConfigError: If it is too large or not a file; the message names the file.
     """
     try:
         if Path(path).exists() and not Path(path).is_file():
@@ -147,18 +147,18 @@ def read_yaml_text(path: str | os.PathLike[str], most_values: int = MOST_YAML_VA
 
 
 def check_yaml(text: str, most_values: int = MOST_YAML_VALUES) -> None:
-    """Whether settings stay small when their aliases are followed, as everything that walks them does: nine
-    lists of nine aliases, each of the list before, stand for 10⁹ values.
+    """Check that settings stay small once their aliases are expanded, as any code that walks them does. Nine
+    lists of nine aliases, each to the previous list, stand for 10⁹ values.
 
-    Text that is no YAML passes: loading it raises.
+    Text that is not YAML passes here; loading it raises.
 
     Raises:
-        ConfigError: They do not; begins with the line.
+        ConfigError: If they do not; the message begins with the line.
     """
     import yaml
 
-    sizes: dict[str, int] = {}  # values behind an anchor
-    opened: list[tuple[str | None, int]] = [(None, 0)]  # collections being read: anchor, values so far
+    sizes: dict[str, int] = {}  # number of values that each anchor stands for
+    opened: list[tuple[str | None, int]] = [(None, 0)]  # open collections: anchor, values so far
     try:
         for event in yaml.parse(text, Loader=yaml_loader()):
             match event:
@@ -168,7 +168,7 @@ def check_yaml(text: str, most_values: int = MOST_YAML_VALUES) -> None:
                 case yaml.CollectionEndEvent():
                     anchor, size = opened.pop()
                 case yaml.AliasEvent(anchor=str() as alias):
-                    # One inside what it stands for is as good as endless.
+                    # An alias inside the collection that it stands for never ends.
                     anchor, size = None, sizes.get(alias, most_values)
                 case yaml.ScalarEvent():
                     anchor, size = event.anchor, 1
@@ -192,17 +192,17 @@ def _line(event: Any) -> int:
 
 
 def yaml_loader() -> Any:
-    """The loader of plain values, the compiled one where there is one: the other needs ten times as long."""
+    """Return the YAML loader of plain values, compiled if available: pure Python is ten times slower."""
     import yaml
 
     return getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
 
 def check_output_folder(path: Path) -> None:
-    """Whether results can be written into this folder, which need not exist yet: before they are computed.
+    """Check, before results are computed, that they can be written into this folder; it need not exist yet.
 
     Raises:
-        ArtifactError: They cannot.
+        ArtifactError: If they cannot.
     """
     try:
         existing = next(one for one in (path, *path.absolute().parents) if one.exists() or one.is_symlink())
@@ -215,8 +215,8 @@ def check_output_folder(path: Path) -> None:
 
 
 def provide_cache_folders() -> None:
-    """Where neither the package nor the home can be written, let Numba and Matplotlib cache in a temporary
-    folder: Numba refuses to compile without one. Processes that are started from here share it."""
+    """Let Numba and Matplotlib cache in a temporary folder if neither the package nor the home is writable.
+    Numba refuses to compile without a cache folder. Processes started from here share it."""
     home = Path(os.path.expanduser("~"))
     caches = Path(os.environ.get("XDG_CACHE_HOME", home / ".cache"))
     configs = Path(os.environ.get("XDG_CONFIG_HOME", home / ".config"))
@@ -227,20 +227,20 @@ def provide_cache_folders() -> None:
     if "MPLCONFIGDIR" not in os.environ and not _holds_files(configs / "matplotlib"):
         missing.append("MPLCONFIGDIR")
     if missing:
-        # A new folder of this user's own: what Numba reads back from it runs.
+        # The folder is new and belongs to this user alone, because Numba executes what it reads from it.
         folder = tempfile.mkdtemp(prefix="torchpi-")
         os.environ.update(dict.fromkeys(missing, folder))
         owner = os.getpid()
 
         def remove() -> None:
-            if os.getpid() == owner:  # and not a fork of it
+            if os.getpid() == owner:  # not in a forked child
                 shutil.rmtree(folder, ignore_errors=True)
 
         atexit.register(remove)
 
 
 def _holds_files(folder: Path) -> bool:
-    """Whether a file can be made there, in folders that are made if need be."""
+    """Whether a file can be created there, creating missing folders if necessary."""
     if not folder.is_absolute():
         return False
     existing = next(one for one in (folder, *folder.parents) if os.path.lexists(one))
@@ -248,12 +248,12 @@ def _holds_files(folder: Path) -> bool:
 
 
 def reason(error: OSError) -> str:
-    """The system's own text of an error, such as "no space left on device"."""
+    """Return the operating system's text for an error, such as "no space left on device"."""
     return (error.strerror or str(error) or type(error).__name__).lower()
 
 
 def _regular(path: Path) -> Path:
-    """The path, links followed, where a file may be written or replaced."""
+    """Return the path with links resolved, after checking that a file may be written or replaced there."""
     target = Path(os.path.realpath(path))
     if target.is_symlink():
         raise ArtifactError(f"{path}: found a link that leads to itself, expected a file or a new name")
@@ -265,29 +265,29 @@ def _regular(path: Path) -> Path:
 
 
 def _temporary(target: Path) -> tuple[int, Path]:
-    """A new file beside `target`, locked as long as its handle is open."""
-    # Names have limits in bytes; a part of a long one will do.
+    """Create a file beside `target`; it is locked as long as its handle is open."""
+    # File names are limited in bytes; the first part of a long name is enough.
     prefix = f".{target.stem[:40]}-"
     for stale in target.parent.glob(f"{glob.escape(prefix)}????????{glob.escape(target.suffix)}"):
         with contextlib.suppress(OSError):
             handle = os.open(stale, os.O_RDWR | os.O_NOFOLLOW)
             try:
                 fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                stale.unlink()  # nobody writes it: its process was killed
+                stale.unlink()  # unlocked, so the process that wrote it was killed
             finally:
                 os.close(handle)
     while True:
         handle, name = tempfile.mkstemp(prefix=prefix, suffix=target.suffix, dir=target.parent)
-        with contextlib.suppress(OSError):  # a file system without locks
+        with contextlib.suppress(OSError):  # the file system may not support locks
             fcntl.flock(handle, fcntl.LOCK_EX)
-        if os.fstat(handle).st_nlink:  # else another process took it for a stale one before it was locked
+        if os.fstat(handle).st_nlink:  # else another process removed it as stale before it was locked
             return handle, Path(name)
         os.close(handle)
 
 
 def save_tensors(content: Any, path: Path) -> None:
-    """`torch.save`, in equal bytes for equal content: given a path, torch leaves its name inside, and answers
-    a full disk with an error of its own kind."""
+    """Save with `torch.save`, giving equal bytes for equal content. Given a path, torch would store the file
+    name inside, and report a full disk with an error type of its own."""
     import torch
 
     buffer = io.BytesIO()
@@ -296,35 +296,35 @@ def save_tensors(content: Any, path: Path) -> None:
 
 
 def load_tensors(path: Path, largest_bytes: int, wrong: str) -> Any:
-    """What `save_tensors` or torch wrote: plain values and tensors alone, nothing that runs.
+    """Load what `save_tensors` or torch wrote: only plain values and tensors, nothing executable.
 
     Raises:
-        ArtifactError: Anything else, which is called `wrong`, or a broken archive.
+        ArtifactError: If the file is anything else (the message is `wrong`) or a broken archive.
     """
     import torch
 
     try:
         with warnings.catch_warnings():
-            # torch warns before it refuses a TorchScript file; ours is the error that follows.
+            # torch warns before it refuses a TorchScript file; the error raised below says enough.
             warnings.filterwarnings("ignore", message=".*TorchScript archive.*")
             content = torch.load(path, map_location="cpu", weights_only=True)
-    except Exception as error:  # bytes of anything make the unpickler raise anything
+    except Exception as error:  # arbitrary bytes can make the unpickler raise any exception
         raise ArtifactError(f"{path}: {wrong}") from error
     check_archive(path, largest_bytes)
     return content
 
 
 def file_sha256(path: str | Path) -> str:
-    """Hash of a file's bytes."""
+    """Return the SHA-256 hash of a file's bytes."""
     with open(path, "rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def content_sha256(content: Any) -> str:
-    """Hash of plain values and tensors, in whatever mappings and sequences: what a saved model carries.
+    """Return the SHA-256 hash of plain values and tensors in nested mappings and sequences (a saved model).
 
     Raises:
-        ArtifactError: A value of another type.
+        ArtifactError: If a value is of another type.
     """
     digest = hashlib.sha256()
     _digest(digest, content)
@@ -332,7 +332,7 @@ def content_sha256(content: Any) -> str:
 
 
 def _digest(digest: Any, content: Any) -> None:
-    import torch  # slow to import, and files that hold no tensor do not need it
+    import torch  # slow to import, and not needed for files without tensors
     from torch import Tensor
 
     match content:
@@ -356,12 +356,12 @@ def _digest(digest: Any, content: Any) -> None:
 
 
 def check_archive(path: Path, largest_bytes: int) -> None:
-    """Whether a file is a zip archive whose parts are whole, and no larger in all than `largest_bytes`.
+    """Check that a file is an undamaged zip archive with at most `largest_bytes` of content in total.
 
-    torch does not look at the checksums of the archives that it reads.
+    torch does not verify the checksums of the archives that it reads.
 
     Raises:
-        ArtifactError: It is not.
+        ArtifactError: If it is not.
     """
     try:
         with zipfile.ZipFile(path) as archive:
@@ -373,7 +373,7 @@ def check_archive(path: Path, largest_bytes: int) -> None:
             damaged = archive.testzip()
     except ArtifactError:
         raise
-    except Exception as error:  # bytes of anything make the readers of archives raise anything
+    except Exception as error:  # arbitrary bytes can make the archive reader raise any exception
         raise ArtifactError(
             f"{path}: not an archive, or a damaged one; expected one as torch saves"
         ) from error

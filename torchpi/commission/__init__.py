@@ -1,1 +1,1 @@
-"""Recordings in; a compensator, a stage and a page out: `torchpi commission`."""
+"""`torchpi commission`: make a compensator, a stage and a page from recordings."""

@@ -1,7 +1,7 @@
-"""From recordings to a compensator that has been tried: check, fit, stage, loop, export, page.
+"""Make a tested compensator from recordings: check, fit, stage, loop, export, page.
 
-The last recording is held out. Nothing is written before everything has been computed, and then all files
-are put in place together.
+The last recording is held out. Nothing is written until everything has been computed; then all files are put
+in place together.
 """
 
 import json
@@ -39,7 +39,7 @@ from torchpi.stage import Stage
 NAME = "compensator"
 FORMATS = ("torchscript", "c", "json", "page")
 MOST_LOOP_SAMPLES = 50_000
-"""Of the held-out motion, from its beginning, which are followed in the loop."""
+"""Maximum number of samples of the held-out motion, from its beginning, that are followed in the loop."""
 
 
 def commission(
@@ -50,25 +50,25 @@ def commission(
     max_slew_v_s: float | None = None,
     log: Callable[[str], None] = print,
 ) -> Outcome:
-    """Make a compensator from recordings, identify the stage, and try the one on the other.
+    """Make a compensator from recordings, identify the stage, and test the compensator on it.
 
     Args:
         paths: Two recordings or more, all at one sample rate; the last one is held out.
         output: Folder for the files.
         options: How the recordings are read.
-        command: What was typed, for the page.
-        max_slew_v_s: Rate of the voltage that the amplifier bears, V/s.
+        command: The command line as typed, for the page.
+        max_slew_v_s: Highest rate of the voltage that the amplifier bears, V/s.
         log: Called with each line of the report, ten at most.
 
     Raises:
-        RecordingError: A file that cannot be used, fewer than two, two that are the same, or different rates.
+        RecordingError: A file is unusable, there are fewer than two, two are the same, or rates differ.
         ArtifactError: `output` cannot be a folder.
     """
     check_output_folder(output)
     recordings = read(paths, options)
     *train, heldout = recordings
     samples, looped = sum(map(len, train)), min(len(heldout), MOST_LOOP_SAMPLES)
-    # Seconds on two cores of 2020; printed as an order of magnitude.
+    # Estimated seconds on two cores of 2020, printed as an order of magnitude.
     fit_s, stage_s = 3 + 1.5e-4 * min(samples, 200_000), 3 + 3e-4 * min(samples, 400_000)
     loop_s, files_s = 3 + 1.2e-4 * looped, 8.0
     log(
@@ -105,10 +105,10 @@ def commission(
 
 
 def read(paths: Sequence[Path], options: RecordingOptions) -> list[Recording]:
-    """The recordings, whole: what is not counted sets the state.
+    """Read the recordings whole: samples that are not counted set the state.
 
     Raises:
-        RecordingError: As `commission`.
+        RecordingError: As for `commission`.
     """
     recordings = [read_recording(path, options.with_changes(skip_s=0.0)) for path in paths]
     check_together(recordings)
@@ -116,7 +116,7 @@ def read(paths: Sequence[Path], options: RecordingOptions) -> list[Recording]:
 
 
 def check_together(recordings: Sequence[Recording]) -> None:
-    """Raise `RecordingError` unless a compensator can be made of all but the last, and judged on that."""
+    """Raise `RecordingError` unless a compensator can be made from all but the last, and judged on that."""
     if len(recordings) < 2:
         raise RecordingError(
             f"recordings: found {len(recordings)}, expected two or more: the last one is held out and judges"
@@ -139,7 +139,7 @@ def selected(
     min_voltage_v: float | None = None,  # by default the lowest that was recorded
     max_voltage_v: float | None = None,
 ) -> Selection:
-    """The inverse of the form that generalises best, of all recordings but the last."""
+    """Fit the inverse of the form that generalises best to all recordings but the last."""
     u = [recording.u for recording in recordings]
     recipe = Recipe(
         pairs[:-1],
@@ -157,7 +157,7 @@ def followed(
     pair: InversePair,
     max_slew_v_s: float | None,
 ) -> LoopResult:
-    """The motion of the held-out recording, without its noise, followed on the stage."""
+    """Follow the motion of the held-out recording, without its noise, on the stage."""
     deployed = script(compensator)
     warm(deployed)
     return run_loop(
@@ -172,7 +172,7 @@ def followed(
 
 
 def made(outcome: Outcome, output: Path, command: str, options: RecordingOptions) -> Files:
-    """Everything that is left, by path."""
+    """Return everything that is to be written, by path."""
     recordings = {f"trained on: {r.source}": r.sha256 for r in outcome.train}
     recordings[f"held out: {outcome.heldout.source}"] = outcome.heldout.sha256
     run = replace(provenance(command, {}), files=recordings)
@@ -189,7 +189,7 @@ def made(outcome: Outcome, output: Path, command: str, options: RecordingOptions
 
 @contextmanager
 def _timed(what: str, about_s: float) -> Iterator[Callable[[], str]]:
-    """Show what is done, and for about how long; yields what formats the seconds that it took."""
+    """Show the present task and its estimated duration; yield a function that formats the seconds taken."""
     start = time.perf_counter()
     with Console(stderr=True).status(f"{what}, about {about_s:.0f} s"):
         yield lambda: f"{time.perf_counter() - start:.0f} s"

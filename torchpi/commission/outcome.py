@@ -1,4 +1,4 @@
-"""What a commissioning gives, as named fields and as JSON."""
+"""Results of a commissioning, as named fields and as JSON."""
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -16,7 +16,7 @@ from torchpi.stage.identified import Identified
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """A compensator and a stage from the same recordings, and the one tried on the other."""
+    """A compensator and a stage from the same recordings, and a test of the compensator on the stage."""
 
     train: Sequence[Recording]
     heldout: Recording
@@ -24,12 +24,12 @@ class Outcome:
     form: Sequence[Step]
     """How the form of the compensator was selected, with cross-validated errors."""
     errors: InverseErrors
-    """Of the voltage on the held-out recording, offline."""
+    """Errors of the voltage on the held-out recording, offline."""
     forward: ForwardStage
     loop: LoopResult
     """The held-out recording's motion, followed on the identified stage."""
     looped_s: float
-    """How much of that motion, from its beginning."""
+    """Duration of the followed part of that motion, from its beginning."""
 
     @property
     def stage(self) -> Stage:
@@ -37,7 +37,7 @@ class Outcome:
 
     @property
     def identified(self) -> Identified:
-        """Where the stage comes from, and its own error."""
+        """Origin of the stage, and its own error."""
         assert self.stage.identified is not None
         return self.stage.identified
 
@@ -57,11 +57,11 @@ class Outcome:
 
     @property
     def trusted(self) -> bool:
-        """Whether the stage itself is known better than it is said to be followed."""
+        """Whether the stage's own error is no larger than the tracking error simulated on it."""
         return self.identified.heldout_rms_um <= self.with_um
 
     def as_json(self) -> dict[str, Any]:
-        """Plain keys with units."""
+        """Return the results under plain keys with units."""
         return {
             "version": 1,
             "tracking": {

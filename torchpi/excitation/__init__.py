@@ -1,4 +1,4 @@
-"""Voltages to record a stage with, within what it bears, and trajectories to follow."""
+"""Voltages for recording a stage within its drive limits, and trajectories to follow."""
 
 from torchpi.excitation.limits import DriveLimits
 from torchpi.excitation.sets import diagnostic_excitations

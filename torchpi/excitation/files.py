@@ -1,4 +1,4 @@
-"""Excitations as files to play: `time_s,input_v` as CSV, and the instructions beside them."""
+"""Excitations written to files for playing, `time_s,input_v` as CSV, with instructions beside them."""
 
 from pathlib import Path
 
@@ -13,15 +13,15 @@ INSTRUCTIONS = "WHAT_TO_DO.txt"
 
 
 def write_excitation(path: str | Path, t: np.ndarray, u: np.ndarray) -> None:
-    """Write `time_s,input_v` as CSV: t (time,), s, and u (time,), V, every double survives."""
+    """Write `time_s,input_v` as CSV, t (time,), s, and u (time,), V, every double exact."""
     write_columns(path, ("time_s", "input_v"), (t.tolist(), u.tolist()))
 
 
 def write_diagnostic_set(folder: Path, limits: DriveLimits, seed: int = 0) -> str:
-    """Write the set for a diagnosis, numbered in the order of playing, and return what to do with it.
+    """Write the set for a diagnosis, numbered in the order of playing, and return the instructions.
 
     Raises:
-        ConfigError: limits that the set cannot respect. Nothing is written then.
+        ConfigError: the set cannot respect the limits. Nothing is written then.
         ArtifactError: the folder cannot be written to.
     """
     check_output_folder(folder)
@@ -35,7 +35,7 @@ def write_diagnostic_set(folder: Path, limits: DriveLimits, seed: int = 0) -> st
 
 
 def instructions(folder: Path, files: dict[str, Samples], limits: DriveLimits) -> str:
-    """What a colleague has to do with these files."""
+    """Return the instructions for whoever plays and records these files."""
     fs_hz = limits.sample_rate_hz
     seconds = sum(len(u) for _, u in files.values()) / fs_hz
     rows = "\n".join(

@@ -1,7 +1,7 @@
-"""What a stage and its amplifier bear, and movements of the voltage that stay within it.
+"""Drive limits of a stage and its amplifier, and movements of the voltage within these limits.
 
-Movements are arrays (time,), V, at the limits' sample rate. Every step and every corner is eased, so that
-little of it lies beyond `high_hz`.
+Movements are arrays (time,), V, at the limits' sample rate. Steps and corners are eased, so that little of
+their spectrum lies beyond `high_hz`.
 """
 
 import math
@@ -14,11 +14,11 @@ from scipy.ndimage import uniform_filter1d
 from torchpi.errors import ConfigError
 from torchpi.excitation.signals import Samples, ease, multisine, samples_in
 
-REST_S = 0.1  # at 0 V before a recording moves: its zero
-STEEPEST_EASE = 15 / 8  # largest rate of `ease`, in distances over its time
-FADE = 0.1  # share of the largest rate that fading a vibration in and out may take
-LONGEST_S = 30.0  # of a movement, at any rate
-CORNERS = 40  # of a multisine's spectrum, tried from the flattest down
+REST_S = 0.1  # at 0 V before the voltage moves; sets the recording's zero
+STEEPEST_EASE = 15 / 8  # largest rate of `ease`, relative to distance / time
+FADE = 0.1  # share of the largest rate reserved for fading a vibration in and out
+LONGEST_S = 30.0  # duration of a movement
+CORNERS = 40  # number of corner frequencies tried for a multisine, from the flattest spectrum down
 
 
 @dataclass(frozen=True)
@@ -26,7 +26,7 @@ class DriveLimits:
     """Range, rate and band of the voltage.
 
     Raises:
-        ConfigError: limits that exclude each other; names the one, its value and the value expected.
+        ConfigError: limits exclude each other; the message names one, its value and the value expected.
 
     Example:
         >>> from torchpi.excitation import DriveLimits
@@ -55,7 +55,7 @@ class DriveLimits:
                 f"{name} is {low if low > 0 else high:g} V, expected {expected}: "
                 "a recording starts de-energised at 0 V"
             )
-        # Of movements through the range the set has a few.
+        # The set has several movements through the range, so each must fit into memory.
         samples_in(LONGEST_S, self.sample_rate_hz, "sample_rate_hz")
         samples_in(STEEPEST_EASE * (high - low) / self.max_rate_v_s, self.sample_rate_hz, "max_rate_v_s")
         samples_in(2 / self.high_hz, self.sample_rate_hz, "high_hz")
@@ -74,26 +74,26 @@ class DriveLimits:
         return (self.max_voltage_v + self.min_voltage_v) / 2
 
     def level_v(self, fraction: float) -> float:
-        """The voltage at this fraction of the range."""
+        """Return the voltage at this fraction of the range."""
         return self.min_voltage_v + fraction * self.span_v
 
 
 def recorded(limits: DriveLimits, u: np.ndarray) -> Samples:
-    """The movement `u` from a rest at 0 V and back to 0 V, with its times from 0 on."""
+    """Return times from 0 on and the movement `u`, with a rest at 0 V before and a return to 0 V after it."""
     rest = np.zeros(math.ceil(REST_S * limits.sample_rate_hz))
     u = np.concatenate((rest, moved(limits, 0.0, u[0]), u, moved(limits, u[-1], 0.0), [0.0]))
     return np.arange(len(u)) / limits.sample_rate_hz, u
 
 
 def moved(limits: DriveLimits, from_v: float, to_v: float) -> np.ndarray:
-    """An eased step, without its last sample, as quick as rate and band allow."""
+    """Return an eased step, without its last sample, as fast as rate and band allow."""
     seconds = max(STEEPEST_EASE * abs(to_v - from_v) / limits.max_rate_v_s, 2 / limits.high_hz)
     samples = math.ceil(seconds * limits.sample_rate_hz)
     return np.asarray(from_v + (to_v - from_v) * ease(np.arange(samples) / samples))
 
 
 def staircase(limits: DriveLimits, fractions: Sequence[float], holds_s: Sequence[float]) -> np.ndarray:
-    """Levels of the range, one after another from 0 V, each held for its time after the step has ended."""
+    """Return steps from 0 V through levels of the range; each level is held for its time after its step."""
     parts, before = [], 0.0
     for fraction, hold_s in zip(fractions, holds_s, strict=True):
         level = limits.level_v(fraction)
@@ -106,7 +106,7 @@ def staircase(limits: DriveLimits, fractions: Sequence[float], holds_s: Sequence
 
 
 def straight_lines(limits: DriveLimits, fractions: Sequence[float], seconds: Sequence[float]) -> np.ndarray:
-    """Straight lines between corners, fractions of the range at these times, the corners rounded."""
+    """Return straight lines between corners (fractions of the range at these times), with rounded corners."""
     t = np.arange(math.ceil(seconds[-1] * limits.sample_rate_hz) + 1) / limits.sample_rate_hz
     u = limits.level_v(0.0) + limits.span_v * np.interp(t, seconds, fractions)
     window = math.ceil(limits.sample_rate_hz / limits.high_hz / 2)
@@ -116,9 +116,9 @@ def straight_lines(limits: DriveLimits, fractions: Sequence[float], seconds: Seq
 
 
 def vibration(limits: DriveLimits, swing: np.ndarray, periods: int) -> np.ndarray:
-    """Whole periods of a swing (one period, V about the middle), faded in before and out after them.
+    """Return whole periods of a swing (one period, V about the middle), faded in before and out after them.
 
-    The swing itself must leave the share FADE of the largest rate.
+    The swing itself must leave the share FADE of the largest rate unused.
     """
     seconds = max(STEEPEST_EASE * np.abs(swing).max() / (FADE * limits.max_rate_v_s), 2 / limits.high_hz)
     samples = math.ceil(seconds * limits.sample_rate_hz)
@@ -129,11 +129,11 @@ def vibration(limits: DriveLimits, swing: np.ndarray, periods: int) -> np.ndarra
 
 
 def multisine_swing(limits: DriveLimits, period_s: float, seed: int) -> np.ndarray:
-    """One period of the odd random-phase multisine that fills the range, V about its middle.
+    """Return one period of the odd random-phase multisine that fills the range, V about its middle.
 
-    One odd line in four is left out, and none lies on the mains. The spectrum is flat up to a corner and
+    One odd line in four is left out, and no line lies on the mains. The spectrum is flat up to a corner and
     falls as 1/f beyond; the corner is as high as the rate allows. Even with the lowest corner the rate may
-    be too large: see `largest_rate_v_s`.
+    be too large, so check it with `largest_rate_v_s`.
     """
     samples = round(period_s * limits.sample_rate_hz)
     for corner_hz in np.geomspace(limits.high_hz, 1 / period_s, CORNERS):
@@ -158,5 +158,5 @@ def multisine_swing(limits: DriveLimits, period_s: float, seed: int) -> np.ndarr
 
 
 def largest_rate_v_s(limits: DriveLimits, swing: np.ndarray) -> float:
-    """From sample to sample of one period, the step to the next period among them."""
+    """Return the largest rate between samples of one period, including the step to the next period."""
     return float(np.abs(np.diff(swing, append=swing[0])).max() * limits.sample_rate_hz)

@@ -1,9 +1,9 @@
-"""The shortest set of voltages whose recordings tell the effects of a stage apart: about a minute in all.
+"""The shortest set of voltages whose recordings distinguish the effects of a stage: about a minute in all.
 
-A hold shows noise, hum and drift. The odd multisine splits what is linear from what bends, even from odd,
-and what does not repeat; at two amplitudes a lag from a slew limit; again after ten minutes, ageing and slow
-drift. Stairs up and down split creep from drift. Triangles show backlash, stiction and rate dependence, and
-their minor loops whether loops at two biases are congruent.
+A hold shows noise, hum and drift. The odd multisine separates linear response, even and odd nonlinearity, and
+non-periodic parts; two amplitudes of it separate a lag from a slew limit, and repeating it after ten minutes
+shows ageing and slow drift. Stairs up and down separate creep from drift. Triangles show backlash, stiction
+and rate dependence; their minor loops show whether loops at two biases are congruent.
 """
 
 import numpy as np
@@ -21,28 +21,28 @@ from torchpi.excitation.limits import (
 )
 from torchpi.excitation.signals import Samples, triangle_corners
 
-HOLD_S, HOLD_AT = 5.0, 0.7  # of the way to the limit farther from 0 V
+HOLD_S, HOLD_AT = 5.0, 0.7  # level as a fraction of the limit farther from 0 V
 PERIOD_S, PERIODS = 2.0, 3
 SMALL = 0.3  # the second amplitude of the multisine, as a share of the first
 STAIRS = (0.25, 0.5, 0.75, 1.0, 0.75, 0.5, 0.25, 0.0)
 STAIR_HOLDS_S = (1.0, 4.0, 1.0, 8.0, 1.0, 4.0, 1.0, 2.0)
 AMPLITUDES, MINOR_BIASES, MINOR_AMPLITUDE, MINOR_LOOPS = (1.0, 0.6, 0.3), (0.3, 0.7), 0.2, 2
 LEAST_HIGH_HZ = 20.0
-LEAST_RATE = 2.0  # ranges per second: three rates that differ, within a minute
+LEAST_RATE = 2.0  # ranges per second; allows three different rates within a minute
 
 
 def diagnostic_excitations(limits: DriveLimits, seed: int = 0) -> dict[str, Samples]:
-    """The set, by name, in the order in which to play it; each t (time,), s, and u (time,), V.
+    """Return the set by name, in the order in which to play it; each t (time,), s, and u (time,), V.
 
-    Every one starts at 0 V, comes back to 0 V, and stays within the limits; `multisine_again` is a
-    copy of the large multisine, to be played ten minutes later.
+    Each excitation starts at 0 V, returns to 0 V, and stays within the limits; `multisine_again` is a copy
+    of the large multisine, to be played ten minutes later.
 
     Args:
-        limits: What the stage and its amplifier bear.
-        seed: Of the phases, and of the lines that the multisine leaves out.
+        limits: Drive limits of the stage and its amplifier.
+        seed: Seed of the phases, and of the lines that the multisine leaves out.
 
     Raises:
-        ConfigError: a rate or a band too small for the range.
+        ConfigError: the rate or the band is too small for the range.
 
     Example:
         >>> from torchpi.excitation import DriveLimits, diagnostic_excitations
@@ -74,14 +74,14 @@ def diagnostic_excitations(limits: DriveLimits, seed: int = 0) -> dict[str, Samp
 
 
 def hold_off_zero(limits: DriveLimits) -> np.ndarray:
-    """One level for HOLD_S, (time,), V: not the middle of the range, which may be 0 V."""
+    """Return one level for HOLD_S, (time,), V; not the middle of the range, which may be 0 V."""
     farther_v = max(limits.min_voltage_v, limits.max_voltage_v, key=abs)
     return staircase(limits, [(HOLD_AT * farther_v - limits.min_voltage_v) / limits.span_v], [HOLD_S])
 
 
 def triangles_with_minor_loops(limits: DriveLimits) -> np.ndarray:
-    """Three rates, three amplitudes at each, and minor loops at two biases, (time,), V."""
-    # Of the smallest loop the third harmonic is to lie within the band.
+    """Return triangles of three rates and amplitudes, and minor loops at two biases, (time,), V."""
+    # The third harmonic of the smallest loop must lie within the band.
     fastest = min(limits.high_hz / 10, limits.max_rate_v_s / limits.span_v)
     slowest = float(np.clip(fastest / 16, 0.5, 1.0))
     fractions, seconds = triangle_corners(

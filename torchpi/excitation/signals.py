@@ -1,8 +1,8 @@
-"""Voltages to record a stage with, and trajectories to follow.
+"""Voltages for recording a stage, and trajectories to follow.
 
 Every function takes the duration (s) and the sample rate (Hz) first and returns `t, x`, both (time,) float64:
-an excitation in V, a trajectory in µm. Where a signal does not begin at 0 V, `ramp_in_s` puts an eased
-approach from 0 V before it, so that a de-energised stage is not hit by a step; it adds to the duration.
+an excitation in V, a trajectory in µm. If a signal does not begin at 0 V, `ramp_in_s` adds an eased approach
+from 0 V before it, so that a de-energised stage does not receive a step; the ramp adds to the duration.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -25,7 +25,7 @@ def sine_5hz(
 ) -> Samples:
     """The slow record of stage 1 (eq. 10): a 5 Hz sine, 0…10 V, from its lowest point.
 
-    Slow enough to show the hysteresis without its rate dependence: weights and polynomial are fitted on it.
+    It is slow enough to show hysteresis without rate dependence; weights and polynomial are fitted to it.
     """
     t = _times(duration_s, fs_hz)
     return t, _between(_sine(5, t), low_v, high_v)
@@ -34,8 +34,8 @@ def sine_5hz(
 def paper_multisine(duration_s: float = 1.0, fs_hz: float = 10_000.0) -> Samples:
     """Eq. 13, V: u = 5 + sin(40πt − π/2) + 2 sin(100πt − π/2) + 2 sin(160πt − π/2); 20, 50, 80 Hz.
 
-    0…9.632 V, period 0.1 s, at most 1,740 V/s, from 0 V at rest. For the rate-dependent weights (eq. 11); the
-    paper asks for 5,000 points or more.
+    0…9.632 V, period 0.1 s, at most 1,740 V/s, from 0 V at rest. Used to fit the rate-dependent weights
+    (eq. 11); the paper asks for 5,000 points or more.
     """
     t = _times(duration_s, fs_hz)
     return t, 5 + _sine(20, t) + 2 * _sine(50, t) + 2 * _sine(80, t)
@@ -57,29 +57,28 @@ def multisine(
     ramp_in_s: float = 0.1,
     corner_hz: float | None = None,
 ) -> Samples:
-    """Random-phase multisine with a flat spectrum: all of a band and many reversals in one record.
+    """Random-phase multisine with a flat spectrum: covers a band, with many reversals, in one record.
 
-    With `odd_lines` and `detection_lines` (odd multiples of the period's frequency only, and of four
-    neighbours a random one left out) nonlinear distortion shows at the lines that were not excited: even ones
-    for what is asymmetric, odd ones for what is symmetric; what differs between the periods is noise, drift
-    and hum.
+    With `odd_lines` and `detection_lines` (only odd multiples of the period's frequency, and one random line
+    in four left out), nonlinear distortion appears at lines that were not excited: at even lines if it is
+    asymmetric, at odd lines if it is symmetric. Differences between periods are noise, drift and hum.
 
     Args:
-        duration_s: of all periods together, without the ramp.
+        duration_s: duration of all periods together, without the ramp.
         fs_hz: sample rate.
         low_v, high_v: range, filled unless `rms_v` is given.
         low_hz, high_hz: band of the lines.
         periods: repetitions of the same period. The lines are `periods / duration_s` apart.
         odd_lines: only odd multiples.
         detection_lines: one line in four left out.
-        mains_hz: no line on these, nor on their multiples.
+        mains_hz: no line lies on these frequencies or their multiples.
         rms_v: rms about the middle of the range, instead of filling the range.
-        seed: of the phases and of the lines left out.
-        ramp_in_s: eased approach before the first period, which it leaves complete.
+        seed: seed of the phases and of the lines left out.
+        ramp_in_s: time of an eased approach before the first period, which remains complete.
         corner_hz: lines above it fall as 1/f, so that all of them move the stage at one rate.
 
     Raises:
-        ConfigError: no line in the band, or an rms that leaves the range.
+        ConfigError: no line lies in the band, or the rms leaves the range.
     """
     _check_band(low_hz, high_hz, fs_hz)
     if periods < 1:
@@ -117,18 +116,18 @@ def triangles(
 ) -> Samples:
     """Triangles of several amplitudes and rates, each followed by minor loops at several biases.
 
-    Constant rates separate what depends on the rate from what depends on the path, and straight lines show
-    every bend of the stage. Minor loops show whether loops at different biases are congruent.
+    Constant rates separate rate dependence from path dependence, and straight lines show every curvature of
+    the stage's response. Minor loops show whether loops at different biases are congruent.
 
     Args:
-        duration_s: of the whole; the rates are stretched to it.
+        duration_s: total duration; the rates are scaled to it.
         fs_hz: sample rate.
         low_v, high_v: range. The first ramp begins at 0 V if the range does.
         amplitudes: heights above low_v, as fractions of the range.
         rates: slopes relative to each other.
         minor_biases: middles of the minor loops, as fractions of the range.
-        minor_amplitude: their peak to peak, as a fraction of the range.
-        minor_loops: how many at each bias.
+        minor_amplitude: their peak-to-peak amplitude, as a fraction of the range.
+        minor_loops: number of loops at each bias.
     """
     _check_range(low_v, high_v)
     levels, seconds = triangle_corners(amplitudes, rates, minor_biases, minor_amplitude, minor_loops)
@@ -143,7 +142,7 @@ def triangle_corners(
     minor_amplitude: float,
     minor_loops: int,
 ) -> tuple[list[float], list[float]]:
-    """Where `triangles` turn, as fractions of the range, and when, in s if the rates are ranges per second.
+    """Return where `triangles` turn, as fractions of the range, and when, s for rates in ranges per second.
 
     Raises:
         ConfigError: levels outside the range, or none.
@@ -184,15 +183,15 @@ def stairs(
 ) -> Samples:
     """A staircase up and down again, resting on every level for the same time.
 
-    The rests show creep, and tell it from drift: creep follows the direction of the last step, drift the
-    clock. The steps show ringing and delay, unless `rise_s` eases them.
+    The rests show creep and distinguish it from drift: creep follows the direction of the last step, while
+    drift depends on time alone. The steps show ringing and delay, unless `rise_s` eases them.
 
     Args:
-        duration_s: of the whole; each of the 2·steps + 1 levels has an equal part of it.
+        duration_s: total duration; each of the 2·steps + 1 levels takes an equal part of it.
         fs_hz: sample rate.
         low_v, high_v: range.
-        steps: from low_v to high_v.
-        rise_s: time of each step, eased; 0 jumps.
+        steps: number of steps from low_v to high_v.
+        rise_s: time of each eased step; 0 jumps.
     """
     _check_range(low_v, high_v)
     t = _times(duration_s, fs_hz)
@@ -212,7 +211,7 @@ def stairs(
 def hold(
     duration_s: float = 5.0, fs_hz: float = 10_000.0, level_v: float = 5.0, ramp_in_s: float = 0.05
 ) -> Samples:
-    """A rest at one voltage, after an eased approach from 0 V: creep, drift, hum and the sensor's noise."""
+    """A rest at one voltage after an eased approach from 0 V; shows creep, drift, hum and sensor noise."""
     samples = len(_times(duration_s, fs_hz))
     return _ramped_in(np.full(samples, float(level_v)), np.full(samples, float(level_v)), fs_hz, ramp_in_s)
 
@@ -245,9 +244,9 @@ def random_trajectory(
     seed: int = 0,
     ease_s: float = 0.05,
 ) -> Samples:
-    """A trajectory that nobody has tuned for, µm: random phases over a band, filling low_um…high_um.
+    """A trajectory that nothing was tuned for, µm: random phases over a band, filling low_um…high_um.
 
-    It begins at low_um at rest, as eq. 15 and 16 do, and reaches the band's full range after `ease_s`.
+    It begins at rest at low_um, as eq. 15 and 16 do, and reaches its full amplitude after `ease_s`.
     """
     _check_band(low_hz, high_hz, fs_hz)
     t = _times(duration_s, fs_hz)
@@ -257,7 +256,7 @@ def random_trajectory(
 
 
 def ease(s: np.ndarray) -> np.ndarray:
-    """0 to 1 over s = 0…1, with no jump in position, rate (at most 15/8) or acceleration."""
+    """Rise from 0 to 1 over s = 0…1, with no jump in position, rate (at most 15/8) or acceleration."""
     s = np.clip(s, 0, 1)
     return np.asarray(s**3 * (10 - 15 * s + 6 * s**2))
 
@@ -270,7 +269,7 @@ EXCITATIONS: dict[str, Callable[..., Samples]] = {
     "stairs": stairs,
     "hold": hold,
 }
-"""By the name that a command takes; V."""
+"""Excitations by the name that a command takes; V."""
 
 TRAJECTORIES: dict[str, Callable[..., Samples]] = {
     "sine": sine_trajectory,
@@ -278,7 +277,7 @@ TRAJECTORIES: dict[str, Callable[..., Samples]] = {
     "fast": fast_trajectory,
     "random": random_trajectory,
 }
-"""By the name that a command takes; µm."""
+"""Trajectories by the name that a command takes; µm."""
 
 
 def make_excitation(
@@ -288,17 +287,17 @@ def make_excitation(
     seed: int = 0,
     options: Mapping[str, Any] | None = None,
 ) -> Samples:
-    """An excitation by its name, as commands and configs ask for it.
+    """Make an excitation by its name, as commands and configs do.
 
     Args:
         name: one of EXCITATIONS.
         fs_hz: sample rate.
-        duration_s: None: the excitation's own.
-        seed: of random phases; the other excitations have none.
-        options: any other argument of the excitation.
+        duration_s: duration, s; None takes the excitation's default.
+        seed: seed of random phases; excitations without random phases ignore it.
+        options: any other arguments of the excitation.
 
     Raises:
-        ConfigError: an unknown name or option, with the nearest right one, or a value that does not fit.
+        ConfigError: an unknown name or option (the message suggests the nearest), or an unsuitable value.
 
     Example:
         >>> from torchpi.excitation import make_excitation
@@ -346,10 +345,10 @@ def _times(duration_s: float, fs_hz: float) -> np.ndarray:
 
 
 def samples_in(seconds: float, fs_hz: float, name: str) -> int:
-    """Samples of a signal of this length.
+    """Return the number of samples of a signal of this length.
 
     Raises:
-        ConfigError: More than MOST_SAMPLES, which memory may not hold; begins with `name`.
+        ConfigError: More than MOST_SAMPLES, which may exceed memory; the message begins with `name`.
     """
     if not abs(seconds) * fs_hz <= MOST_SAMPLES:
         raise ConfigError(
@@ -359,7 +358,7 @@ def samples_in(seconds: float, fs_hz: float, name: str) -> int:
 
 
 def _sine(frequency_hz: float, t: np.ndarray) -> np.ndarray:
-    """sin(2πft − π/2): −1 at t = 0, at rest."""
+    """Return sin(2πft − π/2), which starts at −1, at rest, at t = 0."""
     return np.asarray(np.sin(2 * np.pi * frequency_hz * t - np.pi / 2))
 
 
@@ -371,7 +370,7 @@ def _between(x: np.ndarray, low: float, high: float) -> np.ndarray:
 def _lines(
     samples: int, fs_hz: float, low_hz: float, high_hz: float, odd: bool, mains_hz: Sequence[float]
 ) -> np.ndarray:
-    """Multiples of fs/samples inside the band, none on the mains."""
+    """Return the multiples of fs/samples inside the band, except those on the mains."""
     spacing = fs_hz / samples
     lines = np.arange(max(1, int(np.ceil(low_hz / spacing - 1e-9))), int(high_hz / spacing + 1e-9) + 1)
     if odd:
@@ -393,7 +392,7 @@ def _groups(lines: np.ndarray, size: int) -> list[np.ndarray]:
 
 
 def _falling(lines: np.ndarray, spacing_hz: float, corner_hz: float | None) -> np.ndarray:
-    """Relative amplitudes: 1 up to the corner, 1/f beyond."""
+    """Return relative amplitudes: 1 up to the corner, falling as 1/f beyond."""
     if corner_hz is None:
         return np.ones(len(lines))
     return np.asarray(np.minimum(1, corner_hz / (lines * spacing_hz)))
@@ -408,7 +407,7 @@ def _random_phases(
 
 
 def _ramped_in(x: np.ndarray, period: np.ndarray, fs_hz: float, ramp_in_s: float) -> Samples:
-    """Before x comes the end of its own period, eased up from 0 V: no step or kink where x begins."""
+    """Prepend the end of x's own period, eased up from 0 V, so that x begins without a step or kink."""
     if not (np.isfinite(ramp_in_s) and ramp_in_s >= 0):
         raise ConfigError(f"ramp_in_s is {ramp_in_s:g}, expected 0 or more")
     ramp = samples_in(ramp_in_s, fs_hz, "ramp_in_s")

@@ -1,4 +1,4 @@
-"""Motions to follow: the paper's, through its reference filter, or one from a file."""
+"""Trajectories to follow: the paper's, passed through its reference filter, or one from a file."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,14 +17,14 @@ Signal = npt.NDArray[np.float64]  # shape: (time,)
 
 @dataclass(frozen=True)
 class Trajectory:
-    """A reference trajectory: y_d, and y_r, what it was before the reference filter."""
+    """A reference trajectory: y_d, and y_r before the reference filter."""
 
     name: str
     title: str
     fs_hz: float
     yd: Signal  # (time,), µm
     yr: Signal  # (time,), µm
-    sha256: str | None  # of the file, if it came from one
+    sha256: str | None  # hash of the file, None if it did not come from one
 
 
 def load_trajectory(
@@ -34,17 +34,17 @@ def load_trajectory(
     resample: bool = False,
     through_reference_filter: bool = False,
 ) -> Trajectory:
-    """The paper's slow or fast trajectory, or one from a file.
+    """Return the paper's slow or fast trajectory, or one from a file.
 
-    The paper's are eq. 15 for 2 s and eq. 16 for 1 s, and go through the reference filter (eq. 14), from
-    rest. A file holds the columns `time_s` and `yd_um` (or `output_um`, so that a recording's motion can be
-    followed), sampled uniformly.
+    The paper's trajectories are eq. 15 for 2 s and eq. 16 for 1 s, passed through the reference filter
+    (eq. 14) from rest. A file holds the columns `time_s` and `yd_um` (or `output_um`, so that the motion of a
+    recording can be followed), sampled uniformly.
 
     Args:
         which: 'slow', 'fast', or the path of a file.
         fs_hz: sample rate of the result.
-        resample: bring a file of another sample rate, or of uneven sampling, to `fs_hz`.
-        through_reference_filter: take a file's motion as y_r and filter it: for a compensator that holds
+        resample: resample a file of another sample rate, or of uneven sampling, to `fs_hz`.
+        through_reference_filter: take a file's motion as y_r and filter it, for a compensator that contains
             the reference filter.
 
     Raises:
@@ -72,7 +72,7 @@ _PAPER = {"slow": (slow_trajectory, "eq. 15 (slow)", 2.0), "fast": (fast_traject
 
 
 def _read_motion(path: Path, fs_hz: float, resample: bool) -> tuple[Signal, str]:
-    """The file's motion at `fs_hz`, µm, and its hash."""
+    """Return the file's motion at `fs_hz`, µm, and its hash."""
     try:
         motion = read_signal(path, "yd_um", resample=resample, min_samples=10)
     except RecordingError as error:
@@ -87,7 +87,7 @@ def _read_motion(path: Path, fs_hz: float, resample: bool) -> tuple[Signal, str]
             f"{path}: sampled at {motion.fs_hz:.6g} Hz; expected {fs_hz:.6g} Hz, the compensator's rate: "
             "--resample true interpolates"
         )
-    # Monotone between samples, so that a resampled motion never goes beyond the given one.
+    # Monotone interpolation, so that the resampled motion never goes beyond the given one.
     from scipy.interpolate import PchipInterpolator
 
     t = np.arange(len(motion.x)) / motion.fs_hz

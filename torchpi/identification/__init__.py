@@ -1,4 +1,4 @@
-"""Identification of the direct inverse from recordings: the paper's two stages, and what a fit is worth."""
+"""Identification of the direct inverse from recordings: the paper's two stages, and the errors of a fit."""
 
 from torchpi.identification.inverse_errors import InverseErrors, inverse_errors, local_slope
 from torchpi.identification.joint import fit_joint, searched_parameters

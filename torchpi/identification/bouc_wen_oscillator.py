@@ -1,12 +1,12 @@
-"""From recordings of force and displacement to an oscillator with Bouc–Wen hysteresis.
+"""Identify an oscillator with Bouc–Wen hysteresis from recordings of force and displacement.
 
-Mass, damping and stiffness come from the frequency response, the best linear approximation (Pintelon and
-Schoukens, System Identification, 2012). Hysteresis is first given several shares of that stiffness and
-several forms of loop. Each start is fitted for a few steps to the beginning of one recording, and the best of
-them to all samples of all recordings, simulated from rest: nonlinear least squares of the output error. The
-residuals decide how the force is interpolated between its samples, and whether the exponent differs from one.
-For black-box models of the same oscillator: Noël, Esfahani, Kerschen and Schoukens, Mech. Syst. Signal
-Process. 84, 2017.
+Mass, damping and stiffness are estimated from the frequency response, the best linear approximation (Pintelon
+and Schoukens, System Identification, 2012). The search for the hysteresis starts from several shares of that
+stiffness and several loop shapes. Each start is fitted for a few steps to the beginning of one recording, and
+the best to all samples of all recordings, simulated from rest, by nonlinear least squares of the output
+error. The residuals decide how the force is interpolated between its samples, and whether the exponent
+differs from one. For black-box models of the same oscillator: Noël, Esfahani, Kerschen and Schoukens, Mech.
+Syst. Signal Process. 84, 2017.
 """
 
 import itertools
@@ -26,38 +26,38 @@ from torchpi.recordings.recording import Recording
 from torchpi.stage.bouc_wen_oscillator import STEPS, UM_PER_M, BoucWenOscillator
 
 SEARCHED = 4096
-"""Samples that the search for a start simulates."""
+"""Number of samples that are simulated in the search for a start."""
 SEARCH_STEPS = 6
-"""Of the integration in a sample, in that search."""
+"""Integration steps per sample in that search."""
 SEARCH_TRIALS, BETTER, TRIALS = 6, 3, 60
 OPEN = tuple(
     (1 - share, share, wide, bent)
     for share, wide, bent in itertools.product((0.3, 0.6), (0.4, 1.2), (-1.0, 0.0, 0.5))
 )
-"""Starts: elastic and hysteretic stiffness over the linear one, g z / α for its rms force z, and d / g."""
+"""Starts: elastic and hysteretic stiffness over the linear one, g z / α at its rms force z, and d / g."""
 SATURATED = tuple((0.95, 0.3, wide, 0.0) for wide in (6.0, 30.0))
-"""Starts of a hysteretic force that saturates well below that, as dry friction does."""
+"""Starts with a hysteretic force that saturates well below that, as dry friction does."""
 LEAST_SAMPLES = 256
 LEAST_COHERENCE = 0.2
 MOST_LEFT = 0.9
-"""Of the rms of a recording: an oscillator that leaves more explains nothing."""
+"""Largest residual, as a share of a recording's rms: an oscillator that leaves more explains nothing."""
 DIFFERENCE = 1e-6
-"""Relative step of the differences that stand for slopes."""
+"""Relative step of the finite differences that approximate derivatives."""
 DIVERGED = 10.0
-"""Error of a diverged solution, in units of the recording."""
+"""Error assigned to a diverged solution, as a multiple of the recorded displacement."""
 INTERVAL = 1.96
-"""Standard deviations on either side of a 95 % interval."""
+"""Half-width of a 95 % interval, in standard deviations."""
 LEAST_EXPONENT, LARGEST_EXPONENT = 0.5, 6.0
 
 
 @dataclass(frozen=True)
 class OscillatorOptions:
-    """What is identified.
+    """Options of the identification.
 
     Args:
-        between: How the force goes on between its samples: `band_limited`, `linear`, `held`; null: whichever
-            leaves the least.
-        exponent: ν; null: one, unless another one explains more than its chance (Schwarz, 1978).
+        between: Interpolation of the force between its samples: `band_limited`, `linear` or `held`; null
+            takes the one with the smallest residual.
+        exponent: ν; null means one, unless Schwarz's criterion (1978) favours fitting it.
     """
 
     between: str | None = None
@@ -75,12 +75,12 @@ class OscillatorOptions:
 
 @dataclass(frozen=True)
 class IdentifiedOscillator:
-    """What the recordings yield.
+    """Result of the identification.
 
     Attributes:
         oscillator: The identified stage.
-        half_widths: Of the 95 % intervals of its parameters, for white noise; None where one was not fitted.
-        rms_um: Of the output error, by how the force goes on between its samples, on the searched stretch.
+        half_widths: Half of the 95 % interval of each parameter, for white noise; None if it was not fitted.
+        rms_um: Rms output error on the searched stretch, by interpolation of the force between its samples.
     """
 
     oscillator: BoucWenOscillator
@@ -89,7 +89,7 @@ class IdentifiedOscillator:
 
 
 class Scale(NamedTuple):
-    """What the fitted numbers are relative to."""
+    """Reference values that the fitted parameters are relative to."""
 
     mass_kg: float
     damping_n_s_m: float
@@ -99,17 +99,17 @@ class Scale(NamedTuple):
 
 @dataclass(frozen=True)
 class OutputError:
-    """Recorded less simulated displacement, each recording from rest, about its mean: what is minimised.
+    """Residual to minimise: recorded minus simulated displacement, each from rest, with its mean removed.
 
-    θ = (log m, c, log k, log α, g z^ν / α, d z^ν / α[, ν]), relative to the scale, of which z is the force.
+    θ = (log m, c, log k, log α, g z^ν / α, d z^ν / α[, ν]), relative to the scale, whose force is z.
 
     Attributes:
         recordings: Force and displacement.
-        counted: Samples that count, (time,) each.
-        scale: Of θ.
-        between: How the force goes on between its samples.
-        steps: Of the integration in a sample.
-        exponent: ν where it is not fitted.
+        counted: Masks of the samples that count, (time,) each.
+        scale: Reference values of θ.
+        between: Interpolation of the force between its samples.
+        steps: Integration steps per sample.
+        exponent: ν if it is not fitted.
     """
 
     recordings: Sequence[Recording]
@@ -138,7 +138,7 @@ class OutputError:
         return BoucWenOscillator(self.recordings[0].fs_hz, values, self.between, self.steps, offset_um)
 
     def raw(self, theta: np.ndarray) -> np.ndarray:
-        """(counted samples of all,), µm."""
+        """Return the error before its mean is subtracted, (counted samples of all,), µm."""
         oscillator, errors = self.oscillator(theta), []
         for one, counted in zip(self.recordings, self.counted, strict=True):
             try:
@@ -154,13 +154,13 @@ class OutputError:
         return error
 
     def slopes(self, theta: np.ndarray) -> np.ndarray:
-        """(counted samples of all, parameters), by differences: the parameters are few and of order one."""
+        """Return the Jacobian, (counted samples of all, parameters), by differences: θ is of order one."""
         error = self(theta)
         steps = DIFFERENCE * np.eye(len(theta))
         return np.stack([(self(theta + step) - error) / DIFFERENCE for step in steps], 1)
 
     def descend(self, theta: np.ndarray, trials: int) -> OptimizeResult:
-        """Trust region reflective least squares (Branch, Coleman and Li, 1999) from θ on."""
+        """Run trust-region reflective least squares (Branch, Coleman and Li, 1999) from θ."""
         low = [-5.0, 0.0, -12.0, -12.0, 0.0, -np.inf, LEAST_EXPONENT][: len(theta)]
         high = [5.0, np.inf, 5.0, 5.0, np.inf, np.inf, LARGEST_EXPONENT][: len(theta)]
         return least_squares(
@@ -168,7 +168,7 @@ class OutputError:
         )
 
     def rms(self, theta: np.ndarray) -> float:
-        """Of the error, µm."""
+        """Return the rms error, µm."""
         return float(np.sqrt(np.mean(np.square(self(theta)))))
 
 
@@ -178,16 +178,16 @@ def identify_oscillator(
     options: OscillatorOptions | None = None,
     log: Callable[[str], None] = lambda text: None,
 ) -> IdentifiedOscillator:
-    """One oscillator for all recordings.
+    """Identify one oscillator for all recordings.
 
     Args:
-        recordings: Of force, N, and displacement, µm, at one sample rate, each from rest.
-        counted: Samples of each whose displacement is fitted, (time,), bool; by default all.
-        options: What is identified.
-        log: Called with a line of progress.
+        recordings: Force, N, and displacement, µm, at one sample rate, each from rest.
+        counted: Samples of each recording whose displacement is fitted, (time,), bool; by default all.
+        options: Options of the identification.
+        log: Called with each line of progress.
 
     Raises:
-        RecordingError: Recordings of different rates, too short, or without a mode.
+        RecordingError: The recordings differ in sample rate, are too short, or show no mode.
     """
     options = options or OscillatorOptions()
     counted = [np.ones(len(one), dtype=bool) for one in recordings] if counted is None else counted
@@ -230,10 +230,10 @@ def identify_oscillator(
 
 
 def best_start(search: OutputError, log: Callable[[str], None]) -> np.ndarray:
-    """θ at the best of several starts.
+    """Return the best θ found from several starts.
 
     Raises:
-        RecordingError: It explains nothing.
+        RecordingError: Even the best start explains nothing.
     """
     found = []
     for elastic, hysteretic, wide, bent in (*OPEN, *SATURATED):
@@ -254,13 +254,13 @@ def best_start(search: OutputError, log: Callable[[str], None]) -> np.ndarray:
 def linear_oscillator(
     recordings: Sequence[Recording], counted: Sequence[np.ndarray]
 ) -> tuple[float, float, float]:
-    """Mass, kg, damping, N s/m, and stiffness, N/m, of the best linear approximation.
+    """Return mass, kg, damping, N s/m, and stiffness, N/m, of the best linear approximation.
 
-    Its frequency response H is estimated from averaged spectra, and |1 - H (k - m ω² + i c ω)|² is minimised
-    over k, m and c where force and displacement cohere.
+    The frequency response H is estimated from averaged spectra, and |1 - H (k - m ω² + i c ω)|² is minimised
+    over k, m and c at the frequencies where force and displacement are coherent.
 
     Raises:
-        RecordingError: It is that of no mode.
+        RecordingError: The response shows no mode.
     """
     stretches = [
         (one.u[part], one.y[part] / UM_PER_M)
@@ -270,7 +270,7 @@ def linear_oscillator(
     longest = max(len(u) for u, _ in stretches)
     length = 2 * max(LEAST_SAMPLES // 2, longest // 8)
     fs_hz = recordings[0].fs_hz
-    spectra = np.zeros((3, length // 2 - 1), dtype=complex)  # of the force, of both, of the displacement
+    spectra = np.zeros((3, length // 2 - 1), dtype=complex)  # force, cross-spectrum, displacement
     for u, y in stretches:
         if len(u) >= length:
             each = (
@@ -300,7 +300,7 @@ def linear_oscillator(
 
 
 def _half_widths(problem: OutputError, found: OptimizeResult) -> dict[str, float | None]:
-    """Of 95 % intervals, from the slopes at the solution and the rms of the error."""
+    """Return half-widths of 95 % intervals, from the Jacobian at the solution and the rms error."""
     theta, samples = found.x, len(found.fun)
     values = np.array(problem.parameters(theta))
     steps = DIFFERENCE * np.eye(len(theta))
@@ -308,7 +308,7 @@ def _half_widths(problem: OutputError, found: OptimizeResult) -> dict[str, float
     slopes = problem.slopes(theta)
     scale = np.maximum(np.linalg.norm(slopes, axis=0), np.finfo(float).tiny)
     _, strength, axes = np.linalg.svd(slopes / scale, full_matrices=False)
-    # What the recording does not determine keeps a wide interval.
+    # A direction that the recording does not determine keeps a wide interval.
     strength = np.maximum(strength, np.finfo(float).eps * strength[0])
     root = moved @ (axes.T / strength / scale[:, None])
     variance = 2 * float(found.cost) / max(samples - len(theta) - 1, 1)
@@ -338,7 +338,7 @@ def _check(recordings: Sequence[Recording], counted: Sequence[np.ndarray]) -> No
 
 
 def _runs(counts: np.ndarray) -> list[slice]:
-    """The stretches in which all samples count."""
+    """Return the stretches in which all samples count."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], counts, [False]]).astype(int)))
     return [slice(int(first), int(last)) for first, last in edges.reshape(-1, 2)]
 

@@ -1,4 +1,4 @@
-"""Filters of a corrected inverse, by least squares on the model's own answers to recorded voltages."""
+"""Fit the filters of a corrected inverse by least squares on the model's responses to recorded voltages."""
 
 from collections.abc import Sequence
 
@@ -9,7 +9,7 @@ from torchpi.control.corrected import CorrectedInverse, delayed
 from torchpi.control.direct_inverse import DirectInverse
 from torchpi.operators.motion import Motion, backward_motion
 
-# Share of the columns' mean square: errors seen ahead are smooth, so their taps are nearly collinear.
+# Share of the columns' mean square: future errors are smooth, so their taps are nearly collinear.
 RIDGE = 1e-9
 SKIPPED = 300  # samples at the start of each record
 
@@ -24,18 +24,18 @@ def fit_corrections(
     min_voltage_v: float = 0.0,
     max_voltage_v: float = 10.0,
 ) -> CorrectedInverse:
-    """A corrected inverse whose filters turn the model's answers back into the voltages that made them.
+    """Fit a corrected inverse whose filters turn the model's responses back into the voltages behind them.
 
-    The answers are the model's, free of the sensor's noise. Each pass has a filter of its own, fitted to
-    what the passes before it left: one filter for all diverges on motions that it was not fitted to.
+    The responses are free of the sensor's noise. Each pass has its own filter, fitted to the error left by
+    the passes before it: one filter for all passes diverges on motions that it was not fitted to.
 
     Args:
         start: The direct inverse, fitted.
         model: The forward model, fitted.
         voltages: Recorded excitations.
-        passes: How many corrections.
-        before: Past errors that a filter sees.
-        ahead: Errors ahead that it sees; each pass adds as many samples of look-ahead.
+        passes: Number of corrections.
+        before: Number of past errors that a filter sees.
+        ahead: Number of future errors that it sees; each pass adds as many samples of look-ahead.
         min_voltage_v: Lower output limit.
         max_voltage_v: Upper output limit.
     """
@@ -57,7 +57,7 @@ def fit_corrections(
 
 
 def _problem(compensator: CorrectedInverse, motion: Motion, target: Tensor, p: int) -> tuple[Tensor, Tensor]:
-    """Errors that the filter of pass p sees, (samples, taps), and the voltage that it should add."""
+    """Return errors that the filter of pass p sees, (samples, taps), and the voltage that it should add."""
     v, e = compensator.passes(motion, p)
     taps = compensator.filters.shape[1]
     errors = torch.stack([delayed(e, i)[0, SKIPPED:] for i in range(taps)], 1)

@@ -1,12 +1,12 @@
-"""The methods of this package, each fitted to the same recordings.
+"""Fit each of the compensators in `torchpi.control.indirect` to the same recordings.
 
-Forward models are fitted from voltage to displacement. What stands on their other side of the saturation is
-linear in it as well (Kuhnen 2003), so that plays and dead zones come from one bounded least squares:
+Forward models are fitted from voltage to displacement. The inverse saturation S⁻¹ is linear in its parameters
+too (Kuhnen 2003), so plays and dead zones come from one bounded least-squares problem:
 
     Σ_i w_i H_ri[u] = S⁻¹(y) = y + Σ_j v_j S_dj(y),   w_i ≥ 0
 
-S is taken from the slow record alone, as the paper does with its polynomial; what follows the rate comes from
-the fast ones.
+S is fitted to the slow record alone, as the paper does with its polynomial; rate-dependent parameters are
+fitted to the fast records.
 """
 
 from collections.abc import Callable, Sequence
@@ -29,18 +29,18 @@ from torchpi.operators.generalised_play import GeneralisedPlayBank, clamp_bank
 from torchpi.operators.play import PlayBank
 
 Model = TypeVar("Model", bound=IndirectInverse)
-LEAST_WEIGHT = 1e-3  # of the first play, of the record's µm per V: an inverse needs it above 0
+LEAST_WEIGHT = 1e-3  # least first weight, relative to the record's µm per V: an inverse needs it above 0
 
 
 class Records:
-    """One slow record and faster ones, and what every fit shares.
+    """A slow record, faster records, and what all fits share.
 
     Args:
-        slow: For what does not follow the rate.
-        fast: For what does; the slow one if there is none.
+        slow: Record for the rate-independent parameters.
+        fast: Records for the rate-dependent parameters; the slow record if there are none.
         thresholds: r of the forward models, V, rising from 0.
-        dead_zones: Thresholds d of the saturation, µm, one of them 0; [0] is none.
-        preview: What the pairs were made with; the compensators get it.
+        dead_zones: Thresholds d of the saturation, µm, one of them 0; [0] means no saturation.
+        preview: Look-ahead with which the pairs were made, samples; passed on to the compensators.
         min_voltage_v: Lower output limit of the compensators.
         max_voltage_v: Upper output limit.
 
@@ -87,12 +87,12 @@ class Records:
             raise ConfigError(f"{slow.name}: {error}; take fewer dead zones") from error
 
     def plays(self, pair: InversePair) -> np.ndarray:  # (time, plays)
-        """H_r[u]."""
+        """Return the play states H_r[u]."""
         with torch.no_grad():
             return np.asarray(PlayBank(self.r)(pair.u)[0][0].numpy())
 
     def straightened(self, pair: InversePair) -> np.ndarray:  # (time,), µm
-        """S⁻¹(y)."""
+        """Return S⁻¹(y)."""
         with torch.no_grad():
             return np.asarray(self.unsaturated(pair.motion.yd)[0][0].numpy())
 
@@ -103,7 +103,7 @@ class Records:
         pairs: Sequence[InversePair],
         bounded: int = 0,  # how many of the first coefficients must not be negative
     ) -> np.ndarray:
-        """Least squares over the counted samples of the records, columns scaled to like size."""
+        """Solve least squares over the counted samples of the records, with columns scaled to equal norm."""
         a = np.concatenate([part[pair.counted] for part, pair in zip(columns, pairs, strict=True)])
         b = np.concatenate([part[pair.counted] for part, pair in zip(target, pairs, strict=True)])
         size = np.linalg.norm(a, axis=0)
@@ -111,7 +111,7 @@ class Records:
         low = np.full(a.shape[1], -np.inf)
         low[:bounded] = 0.0
         low[:1] = self.floor * size[0] if bounded else -np.inf
-        # The normal equations' factor stands for the record: a hundred rows instead of a hundred thousand.
+        # The R factor replaces the record in the solver: a hundred rows instead of a hundred thousand.
         q, triangle = np.linalg.qr(a / size)
         found = scipy.optimize.lsq_linear(triangle, q.T @ b, (low, np.inf), tol=1e-12, max_iter=500)
         return np.asarray(found.x / size)
@@ -122,7 +122,7 @@ class Records:
         target: Sequence[np.ndarray],  # (time,) of each fast record
         bounded: int = 0,
     ) -> tuple[list[float], list[float]]:
-        """b and k of Σ_i (b_i + k_i ẏ) h_i, from the fast records."""
+        """Fit b and k of Σ_i (b_i + k_i ẏ) h_i to the fast records."""
         columns = []
         for pair in self.fast:
             h = states(pair)
@@ -131,25 +131,25 @@ class Records:
         return b.tolist(), k.tolist()
 
     def inverse(self, kind: type[Model], weights: list[float], **more: list[float]) -> Model:
-        """A compensator of this kind, with the thresholds and the saturation that all have."""
+        """Return a compensator of this kind, with the thresholds and the saturation that all share."""
         given: dict[str, Any] = {"saturation": self.saturation, **more, **self.deployment}
         return kind(self.period_s, self.r, weights, **given)
 
 
 def fit_conventional(records: Records) -> ConventionalInverse:
-    """A rate-independent model of the slow record."""
+    """Fit a rate-independent model to the slow record."""
     return records.inverse(ConventionalInverse, records.w)
 
 
 def fit_rate_dependent(records: Records) -> RateDependentInverse:
-    """Weights k ẏ + b from the fast records: Σ_i (b_i + k_i ẏ) H_ri[u] = S⁻¹(y)."""
+    """Fit weights k ẏ + b to the fast records: Σ_i (b_i + k_i ẏ) H_ri[u] = S⁻¹(y)."""
     target = [records.straightened(pair) for pair in records.fast]
     b, k = records.rate_weights(records.plays, target, bounded=len(records.r))
     return records.inverse(RateDependentInverse, b, weight_slopes=k)
 
 
 def fit_time_varying_thresholds(records: Records) -> TimeVaryingThresholdInverse:
-    """Thresholds r_i + ρ|ẏ| from the fast records, one ρ for all but the first: they dilate as one."""
+    """Fit thresholds r_i + ρ|ẏ| to the fast records, with one ρ for all but the first, which is constant."""
     r = torch.tensor(records.r, dtype=torch.float64)
     moving = (torch.arange(len(r)) > 0).to(torch.float64)
     target = [records.straightened(pair) for pair in records.fast]
@@ -171,7 +171,7 @@ def fit_time_varying_thresholds(records: Records) -> TimeVaryingThresholdInverse
             for bank, y, pair in zip(banks, target, records.fast, strict=True)
         )
 
-    # Up to thresholds that have grown by half of the largest one at the fastest motion.
+    # Upper bound of ρ: at the fastest motion, thresholds grow by half of the largest one.
     most = 0.5 * records.r[-1] / top_rate
     rho = float(scipy.optimize.minimize_scalar(left, bounds=(0.0, most), method="bounded").x)
     w = records.solve(columns(rho), target, records.fast, bounded=len(r))
@@ -179,7 +179,7 @@ def fit_time_varying_thresholds(records: Records) -> TimeVaryingThresholdInverse
 
 
 def fit_cascade(records: Records, order: int = 2) -> CascadedInverse:
-    """The hysteresis of the slow record, and τ from the fast ones: y + τ_1 ẏ + τ_2 ÿ = S(Σ_i w_i H_ri[u])."""
+    """Fit τ to the fast records, the hysteresis to the slow one: y + τ_1 ẏ + τ_2 ÿ = S(Σ_i w_i H_ri[u])."""
     columns, target = [], []
     for pair in records.fast:
         derivatives = [part[0].numpy() for part in pair.motion[1 : 1 + order]]
@@ -197,10 +197,10 @@ def fit_generalised_direct(
     thresholds: Sequence[float],  # r of the inverse's plays, µm
     degree: int = 3,
 ) -> GeneralisedDirectInverse:
-    """Envelopes from the slow record, by variable projection; then k and b from the fast ones.
+    """Fit envelopes to the slow record by variable projection, then k and b to the fast records.
 
-    One envelope for both ways is searched first, which is the paper's stage 1; two start from there, so that
-    the fit to the slow record is at least as good.
+    A single envelope for both directions is searched first, which is the paper's stage 1. The search for two
+    envelopes starts from it, so its fit to the slow record is at least as good.
     """
     size = float(records.slow.motion.yd.max())
     powers = size ** np.arange(degree)

@@ -1,4 +1,4 @@
-"""What the voltage is linear in, and how it moves with the rest: the columns Φ, and d(Φβ)/dα.
+"""Columns Φ of the parameters β that the voltage is linear in, and d(Φβ)/dα for the other parameters α.
 
 u = Σ_i (Σ_m θ_im φ_m(ẏ) + Σ_q ψ_iq z_i^q) h_i + u_0,   z_i = h_i / range,   β = (θ, ψ, u_0)
 """
@@ -11,13 +11,13 @@ from torchpi.operators.rate_weights import squash
 
 
 class RateFunctions:
-    """φ and what it is made of, at each row: all (functions, rows).
+    """Rate functions φ and their intermediate values at each row: all (functions, rows).
 
     Args:
         yd_dot: µm/s, (rows,).
-        part: Its slopes and shifts are those of the neural head.
+        part: Nonlinear parameters, with the slopes and shifts of the neural head.
         scale_um_s: ẏ_scale.
-        functions: How many; beyond 1 and ẏ they are the head's.
+        functions: Number of functions; those beyond 1 and ẏ are the head's.
     """
 
     def __init__(self, yd_dot: np.ndarray, part: Nonlinear, scale_um_s: float, functions: int) -> None:
@@ -34,9 +34,9 @@ class InverseColumns:
     """Columns of a compensator, in the order of `projection.linear_columns`.
 
     Args:
-        compensator: Whose.
-        functions: How many functions of the rate the weights have: the first few, or all.
-        own_degree: Columns of each play's own output function beyond the weighted sum.
+        compensator: The compensator.
+        functions: Number of rate functions that the weights have: the first few, or all.
+        own_degree: Number of columns of each play's own output function beyond the weighted sum.
     """
 
     def __init__(self, compensator: DirectInverse, functions: int, own_degree: int) -> None:
@@ -48,7 +48,7 @@ class InverseColumns:
         self.count = self.of_plays + self.has_offset
 
     def weights(self, beta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """θ, (plays, functions), and ψ, (plays, own degree)."""
+        """Return θ, (plays, functions), and ψ, (plays, own degree)."""
         theta, psi = beta[: self.of_rate], beta[self.of_rate : self.of_plays]
         return theta.reshape(self.plays, self.functions), psi.reshape(self.plays, self.own_degree)
 
@@ -68,9 +68,9 @@ class InverseColumns:
         block: Block,
         rate: RateFunctions,
         beta: np.ndarray,
-        searched: np.ndarray,  # which numbers of α
+        searched: np.ndarray,  # indices into α
     ) -> np.ndarray:  # (rows, searched)
-        """d(Φβ)/dα with β held."""
+        """Return d(Φβ)/dα with β held fixed."""
         theta, psi = self.weights(beta)
         slopes = rate.phi.T @ theta.T
         for q in range(self.own_degree):
@@ -83,7 +83,7 @@ class InverseColumns:
         return np.concatenate(every, 1)[:, searched]
 
     def size_slopes(self, block: Block, rate: RateFunctions, numbers: int) -> np.ndarray:
-        """Φ_jᵀ ∂Φ_j/∂α_k over the rows of the block: (columns, numbers of α)."""
+        """Return Φ_jᵀ ∂Φ_j/∂α_k over the rows of the block: (columns, numbers of α)."""
         slopes = np.zeros((self.count, numbers))
         weights = [(self._of_function(m), phi[:, None] ** 2 * block.h) for m, phi in enumerate(rate.phi)]
         for q in range(self.own_degree):
@@ -101,9 +101,9 @@ class InverseColumns:
         return slopes
 
     def _of_function(self, m: int) -> slice:
-        """Columns φ_m h_i of all plays."""
+        """Return the slice of the columns φ_m h_i of all plays."""
         return slice(m, self.of_rate, self.functions)
 
     def _of_power(self, q: int) -> slice:
-        """Columns z_i^(q+1) h_i of all plays."""
+        """Return the slice of the columns z_i^(q+1) h_i of all plays."""
         return slice(self.of_rate + q, self.of_plays, self.own_degree)

@@ -1,4 +1,4 @@
-"""What an inverse is worth on a record: its voltage error, and the same in µm and per cent."""
+"""Accuracy of an inverse on records: its voltage error, also expressed in µm and per cent."""
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -14,8 +14,8 @@ from torchpi.identification.pair import InversePair
 class InverseErrors:
     """Errors of the predicted voltage over the counted samples of some records.
 
-    `_um` is the voltage error through the local slope of the measured loop: the displacement by which
-    the stage would miss. Per cent is `rms_um` and `max_um` of the records' peak to peak.
+    `_um` is the voltage error times the local slope of the measured loop: the displacement by which the stage
+    would miss. `_percent` is `rms_um` and `max_um` as a percentage of the records' peak to peak.
     """
 
     rms_v: float
@@ -35,14 +35,14 @@ def inverse_errors(
     loading_excluded: bool = False,
     zeros_um: Sequence[float] | None = None,
 ) -> InverseErrors:
-    """Errors of `compensator` over the records, each from the de-energised state.
+    """Return the errors of `compensator` over the records, each started from the de-energised state.
 
     Args:
-        compensator: What is judged; its output limits apply.
+        compensator: The inverse to judge; its output limits apply.
         pairs: Records, made with the compensator's preview.
-        loading_excluded: Whether to leave out what comes before a record first reaches its largest
-            displacement: until then the loop remembers how it was started.
-        zeros_um: Zero of the sensor of each record, taken off its displacement.
+        loading_excluded: Whether to leave out the samples before a record first reaches its largest
+            displacement: until then the loop depends on its initial state.
+        zeros_um: Sensor zero of each record, subtracted from its displacement.
     """
     volts, microns, span = [], [], 0.0
     for pair, zero_um in zip(pairs, zeros_um or [0.0] * len(pairs), strict=True):
@@ -62,9 +62,9 @@ def inverse_errors(
 
 
 def loading_end(y: Tensor) -> int:
-    """First sample within 2 % of the record's largest displacement; shape (time,).
+    """Return the first sample within 2 % of the record's largest displacement; shape of y: (time,).
 
-    Wide enough for creep, which carries later peaks of the same voltage a little further.
+    The tolerance allows for creep, which carries later peaks of the same voltage a little further.
     """
     threshold = y.max() - 0.02 * (y.max() - y.min())
     return int(torch.nonzero(y >= threshold)[0])
@@ -74,11 +74,11 @@ def local_slope(
     y: Tensor,  # (time,), µm
     u: Tensor,  # (time,), V
 ) -> Tensor:  # (time,), µm/V
-    """Slope of the measured loop about each sample.
+    """Return the slope of the measured loop around each sample.
 
-    Least squares of the steps of y on the steps of u, over as many samples as u takes to move by a
-    twentieth of its range. Where u rests the slope of the whole loop stands in; about a reversal,
-    where a lag turns the sign, a quarter of it is the least.
+    The steps of y are regressed on the steps of u, over as many samples as u takes to move by a twentieth of
+    its range. Where u rests, the slope of the whole loop is used. Near a reversal, where a lag can flip the
+    sign, the slope is at least a quarter of that of the whole loop.
 
     Example:
         >>> import torch

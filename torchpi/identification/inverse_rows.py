@@ -1,8 +1,8 @@
 """Play states of a direct inverse over a record, block by block, with their exact derivative.
 
-A play rests on the last sample p that pushed it, h_i(t) = S(x(p)) ∓ r_i, so its derivative is a selection:
-that of S(x) at the sample p, and ∓1 for r_i. Nothing is stored but a block, so that a record of any length
-is fitted in the memory of one.
+A play rests on the last sample p that pushed it, h_i(t) = S(x(p)) ∓ r_i, so its derivative is that of S(x) at
+the sample p, and ∓1 with respect to r_i. Only one block is stored at a time, so a record of any length is
+fitted in the memory of one block.
 """
 
 from collections.abc import Iterator, Sequence
@@ -17,11 +17,11 @@ from torchpi.operators.play_equation import play
 from torchpi.operators.polynomial import horner
 from torchpi.operators.relaxations import relax
 
-SAMPLES = 2000  # of a block: what a core's cache holds
+SAMPLES = 2000  # samples of a block, which fits in a core's cache
 
 
 class Nonlinear(NamedTuple):
-    """α: what the voltage is not linear in, in physical units."""
+    """α: the parameters that the voltage is not linear in, in physical units."""
 
     lead: np.ndarray  # τ_1 in s, τ_2 in s²: (order,)
     gains: np.ndarray  # g of the relaxations: (relaxations,)
@@ -32,18 +32,18 @@ class Nonlinear(NamedTuple):
 
 
 class Record(NamedTuple):
-    """One record, and the samples of it that are rows."""
+    """One record, and those of its samples that are rows of the least-squares problem."""
 
     yd: np.ndarray  # (time,), µm
     yd_dot: np.ndarray
     yd_ddot: np.ndarray
     u: np.ndarray  # V
-    counted: np.ndarray  # rising indices: (rows,)
-    weight: float = 1.0  # of its squared errors
+    counted: np.ndarray  # ascending indices: (rows,)
+    weight: float = 1.0  # weight of its squared errors
 
     @classmethod
     def of(cls, pair: InversePair) -> "Record":
-        """The samples up to the last that counts."""
+        """Take the samples up to the last that counts."""
         counted = np.arange(pair.u.shape[1])[pair.counted]
         yd, yd_dot, yd_ddot, u = (
             np.ascontiguousarray(part[0, : counted[-1] + 1].numpy(), dtype=np.float64)
@@ -52,18 +52,18 @@ class Record(NamedTuple):
         return cls(yd, yd_dot, yd_ddot, u, counted, pair.weight)
 
     def with_rows(self, rows: np.ndarray) -> "Record":
-        """These samples as rows, in place of those that count; what comes after them is left out."""
+        """Take these samples as rows, in place of those that count, and drop all samples after them."""
         yd, yd_dot, yd_ddot, u = (signal[: rows[-1] + 1] for signal in self[:4])
         return Record(yd, yd_dot, yd_ddot, u, rows, self.weight)
 
     def fewer_rows(self, step: int) -> "Record":
-        """Every `step`-th row."""
+        """Keep every `step`-th row."""
         return self._replace(counted=self.counted[::step])
 
     def fewer_samples(self, step: int, lead: np.ndarray) -> "Record":
-        """Every `step`-th row without the samples between them, but for the turning points.
+        """Keep every `step`-th row and drop the samples between them, except the turning points.
 
-        Plays with an input that does not creep have the same states: they depend on its turning points alone.
+        If the input does not creep, the states of the plays are the same: they depend only on turning points.
         """
         x = self.yd.copy()
         for tau, derivative in zip(lead, self[1:3], strict=False):
@@ -76,7 +76,7 @@ class Record(NamedTuple):
         return Record(yd, yd_dot, yd_ddot, u, np.searchsorted(kept, rows), self.weight)
 
     def stretches(self) -> list["Stretch"]:
-        """The record cut into parts that a core's cache holds."""
+        """Cut the record into parts that fit in a core's cache."""
         edges = range(0, len(self.yd) + SAMPLES, SAMPLES)
         rows = np.searchsorted(self.counted, edges)
         cut = []
@@ -88,18 +88,18 @@ class Record(NamedTuple):
 
 
 class Stretch(NamedTuple):
-    """Some samples of a record, and what is needed at the rows among them."""
+    """Consecutive samples of a record, with the rate and the voltage at the rows among them."""
 
     yd: np.ndarray  # (samples,)
     yd_dot: np.ndarray
     yd_ddot: np.ndarray
     rows: np.ndarray  # which samples: (rows,)
-    rate: np.ndarray  # ẏ there
-    u: np.ndarray  # and the voltage
+    rate: np.ndarray  # ẏ at the rows
+    u: np.ndarray  # voltage at the rows
 
 
 class Block(NamedTuple):
-    """The plays at the rows of one stretch."""
+    """States of the plays, and their derivatives, at the rows of one stretch."""
 
     h: np.ndarray  # (rows, plays)
     pushed: np.ndarray  # row of `ds` that each state rests on: (rows, plays)
@@ -110,13 +110,13 @@ class Block(NamedTuple):
 def blocks(
     record: Sequence[Stretch], alpha: Nonlinear, decay: np.ndarray, derivative: bool
 ) -> Iterator[Block]:
-    """Run through the record from the de-energised state. What is in a block is overwritten by the next.
+    """Run through the record from the de-energised state. Each block is overwritten by the next.
 
     Without `derivative`, `pushed`, `edge` and `ds` are empty.
     """
     plays, order, relaxations = len(alpha.r), len(alpha.lead), len(alpha.gains)
     samples = len(record[0].yd)
-    # A play that no sample of the block has pushed rests on an earlier one: `ds` begins with theirs.
+    # A play that this block has not pushed rests on an earlier sample; `ds` begins with their derivatives.
     width = order + relaxations + len(alpha.c) if derivative else 0
     ds = np.empty((plays + samples if derivative else 0, width))
     h = np.empty((samples, plays))
@@ -143,14 +143,14 @@ def _run(
     yd: np.ndarray, yd_dot: np.ndarray, yd_ddot: np.ndarray, rows: np.ndarray,
     lead: np.ndarray, gains: np.ndarray, decay: np.ndarray, take_in: np.ndarray, c: np.ndarray, r: np.ndarray,
     relaxed: np.ndarray,  # ξ driven by x_0, and by each derivative in the lead: (1 + order, relaxations)
-    # Of the plays after the last sample: (plays,), (plays,), (plays, numbers that act through S).
+    # State of the plays after the last sample: (plays,), (plays,), (plays, numbers that act through S).
     states: np.ndarray, signs: np.ndarray, resting: np.ndarray,
     rests_on: np.ndarray,  # row of `ds`: (plays,)
     h: np.ndarray, pushed: np.ndarray, edge: np.ndarray, ds: np.ndarray,
 ) -> None:  # fmt: skip
     order, relaxations, degree, plays = len(lead), len(gains), len(c), len(r)
     derivative = len(ds) > 0
-    # Loops in place of operations on whole arrays: those take Numba seconds to compile.
+    # Loops replace operations on whole arrays, which take Numba seconds to compile.
     if derivative:
         for i in range(plays):
             rests_on[i] = i
@@ -220,10 +220,10 @@ def through_plays(
     pushed: np.ndarray,
     ds: np.ndarray,
 ) -> np.ndarray:  # (rows, numbers that act through S)
-    """Σ_i weights_i dh_i/dα at each row."""
+    """Return Σ_i weights_i dh_i/dα at each row."""
     out = np.zeros((len(weights), ds.shape[1]))
     for t in range(len(weights)):
-        # Plays that move rest on the same sample: their weights are added first.
+        # Moving plays rest on the same sample, so their weights are added first.
         moving = pushed[t, 0]
         together = 0.0
         for i in range(weights.shape[1]):
@@ -244,7 +244,7 @@ def over_rows(
     pushed: np.ndarray,
     ds: np.ndarray,
 ) -> np.ndarray:  # (plays, numbers that act through S)
-    """Σ_t weights_i(t) dh_i(t)/dα of each play."""
+    """Return Σ_t weights_i(t) dh_i(t)/dα of each play."""
     out = np.zeros((weights.shape[1], ds.shape[1]))
     for t in range(len(weights)):
         for i in range(weights.shape[1]):

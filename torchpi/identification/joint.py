@@ -1,4 +1,4 @@
-"""Everything at once: the weights solved for, the rest searched by damped Gauss–Newton."""
+"""Fit all parameters jointly: the weights are solved for, the rest searched by damped Gauss–Newton."""
 
 from collections.abc import Sequence
 
@@ -12,15 +12,15 @@ from torchpi.identification.search import search
 
 
 def fit_joint(compensator: DirectInverse, pairs: Sequence[InversePair], evaluations: int = 150) -> float:
-    """Improve `compensator` in place over whole records, from where it stands; returns the rms error, V.
+    """Improve `compensator` in place over whole records, from its current state; return the rms error, V.
 
-    Descends from there and from several scales of the polynomial. `torchpi train fit` does the same with
-    validation, checkpoints and pictures.
+    The search descends from that state and from several scales of the polynomial. `torchpi train fit` does
+    the same with validation, checkpoints and pictures.
 
     Args:
         compensator: Changed in place.
         pairs: Records, made with the compensator's preview.
-        evaluations: Trials of each descent, at most; one costs two or three passes over the records.
+        evaluations: Maximum number of trials of each descent; one costs two or three passes over the records.
     """
     problem = joint_problem(compensator, pairs)
     alpha, solved = search(problem, evaluations, thorough=True)
@@ -29,7 +29,7 @@ def fit_joint(compensator: DirectInverse, pairs: Sequence[InversePair], evaluati
 
 
 def joint_problem(compensator: DirectInverse, pairs: Sequence[InversePair]) -> ProjectedProblem:
-    """The search for lead, creep gains, polynomial, thresholds and neural rate head, as far as trainable.
+    """Return the problem in lead, creep gains, polynomial, thresholds and neural head, as far as trainable.
 
     The weights are solved for at each trial.
     """
@@ -52,10 +52,10 @@ def joint_problem(compensator: DirectInverse, pairs: Sequence[InversePair]) -> P
 
 
 def searched_parameters(compensator: DirectInverse, weights_are_solved: bool) -> list[nn.Parameter]:
-    """What an optimiser moves: all that is trainable, without what least squares gives at each trial.
+    """Return the trainable parameters, without those that least squares solves for at each trial.
 
     Args:
-        compensator: What is trained.
+        compensator: The compensator to train.
         weights_are_solved: Whether each trial solves for the weights by least squares.
     """
     solved = {id(part) for part in linear_parameters(compensator)} if weights_are_solved else set()

@@ -8,23 +8,23 @@ from torchpi.identification.projected_problem import ProjectedProblem, Solved
 from torchpi.identification.thin_qr import solve_triangle, triangle_of
 
 FIRST_DAMPING = 1e-3
-PATIENCE = 6  # trials
-ROOM = 10.0  # how much further than the linearisation knows a descent may lead
+PATIENCE = 6  # trials over which convergence is judged
+ROOM = 10.0  # factor by which a descent may exceed the decrease that the linearisation predicts
 
 
 def levenberg_marquardt(
     problem: ProjectedProblem, alpha: np.ndarray, evaluations: int, tolerance: float, best: float = np.inf
 ) -> tuple[np.ndarray, Solved]:
-    """α from `alpha` on, and the weights there; the objective never rises.
+    """Minimise from `alpha`; return α and the weights there. The objective never rises.
 
     Args:
-        problem: What is minimised.
-        alpha: Where the search begins.
-        evaluations: The most trials.
-        tolerance: Where the objective falls by less than this share of it in some trials, it has arrived.
-            Where a play just begins to move the objective has kinks, along which it creeps without end.
-        best: Objective that another descent has reached. This one gives up where it will hardly come below:
-            where `ROOM` times all that the linearisation can take away is too little.
+        problem: The problem to minimise.
+        alpha: Starting point.
+        evaluations: Maximum number of trials.
+        tolerance: Stop when the objective has fallen by less than this share over `PATIENCE` trials: at its
+            kinks, where a play just begins to move, a descent would creep on without end.
+        best: Objective that another descent has reached. This one gives up if it is unlikely to fall below
+            it: if even `ROOM` times the decrease that the linearisation predicts at most is too little.
     """
     solved = problem.solve(alpha)
     scale = np.zeros(len(alpha))
@@ -35,7 +35,7 @@ def levenberg_marquardt(
         if linearised is None:
             linearised = problem.linearise(alpha, solved.beta)
             scale = np.maximum(scale, np.sqrt(np.square(linearised.slopes).sum(0)))
-            scale[scale == 0] = 1.0  # a number that moves nothing
+            scale[scale == 0] = 1.0  # a parameter without effect
             reachable = float(linearised.error @ linearised.error)
             if solved.objective - ROOM * reachable > (1 - tolerance) * best:
                 break
@@ -62,7 +62,7 @@ def levenberg_marquardt(
 
 
 def _damped_step(slopes: np.ndarray, error: np.ndarray, damping: float) -> np.ndarray:
-    """argmin |slopes · δ - error|² + damping |δ|²."""
+    """Return argmin |slopes · δ - error|² + damping |δ|²."""
     n = len(error)
     both = np.zeros((2 * n + 1, n + 1))
     both[:n, :n], both[:n, n] = slopes, error

@@ -1,4 +1,4 @@
-"""Whether an inverse may run backwards: a compensator must raise the voltage to raise the stage."""
+"""Check that an inverse cannot run backwards: a compensator must raise the voltage to raise the stage."""
 
 from dataclasses import dataclass
 
@@ -10,17 +10,17 @@ from torchpi.control.direct_inverse import DirectInverse
 
 @dataclass(frozen=True)
 class Monotone:
-    """The least slopes of an inverse over the motions it is meant for; negative ones run backwards.
+    """Smallest slopes of an inverse over the motions it is meant for; negative ones mean running backwards.
 
     A run in one direction moves the plays one after another, the smallest threshold first, so the slope
     of the voltage against S(y) passes through the sums Σ_{i≤j} dg_i/dh_i over the plays sorted by
     threshold; without own output functions these are the sums of the weights w_i(ẏ).
 
     Attributes:
-        least_weight_sum: The least of them over all j and all rates, V/µm.
-        at_rate_um_s: The rate at which it occurs.
-        least_saturation_slope: The least S'(y) over the range.
-        at_um: Where.
+        least_weight_sum: The smallest of these sums over all j and all rates, V/µm.
+        at_rate_um_s: The rate at which it occurs, µm/s.
+        least_saturation_slope: The smallest S'(y) over the range.
+        at_um: The displacement at which it occurs, µm.
     """
 
     least_weight_sum: float
@@ -77,7 +77,7 @@ def monotone(
 
 
 def _own_slopes(compensator: DirectInverse, range_um: tuple[float, float]) -> Tensor:
-    """d(Σ_q ψ_iq z^q h)/dh over the range that the plays can be in. Shape: (positions, plays)."""
+    """Return d(Σ_q ψ_iq z^q h)/dh over the range that the plays can reach. Shape: (positions, plays)."""
     ends, _ = compensator.saturation(torch.tensor([range_um], dtype=torch.float64))
     z = torch.linspace(float(ends.min()), float(ends.max()), 21, dtype=torch.float64) / compensator.range_um
     slopes = torch.zeros(len(z), len(compensator.plays.r), dtype=torch.float64)

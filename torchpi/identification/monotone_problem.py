@@ -1,13 +1,13 @@
-"""The same least-squares problem for inverses that cannot run backwards, whatever the records show.
+"""The projected least-squares problem, restricted to inverses that cannot run backwards.
 
-The weights are written in sums over the plays sorted by threshold, at either end of the recorded rates,
+The weights are expressed by sums over the plays sorted by threshold, at either end of the recorded rates,
 
     W_j(ẏ) = Σ_{i≤j} w_i(ẏ),   u = Σ_j W_j(ẏ) (h_j - h_{j+1}) + u_0,   W_j(ẏ_low), W_j(ẏ_high) ≥ W_least > 0
 
-so that what is solved for at each α is a non-negative least-squares problem (Lawson and Hanson, 1974); in
-between W_j is linear in ẏ and positive as well. S keeps S' ≥ S'_least over the recorded range, and rises by
-as much as y over it: the thresholds alone fix its scale, and are chosen for S(y) ≈ y. Non-negativity also
-does what a ridge does for neighbouring plays that are nearly collinear.
+so that a non-negative least-squares problem (Lawson and Hanson, 1974) is solved at each α. Between these
+rates, W_j is linear in ẏ and thus positive as well. S keeps S' ≥ S'_least over the recorded range, and rises
+over it by as much as y, because only the thresholds fix its scale, and they are chosen for S(y) ≈ y.
+Non-negativity also acts as a ridge would on neighbouring plays that are nearly collinear.
 """
 
 import copy
@@ -24,16 +24,16 @@ from torchpi.identification.projected_problem import Linearised, ProjectedProble
 from torchpi.identification.projection import RIDGE
 from torchpi.identification.thin_qr import triangle_of
 
-LEAST_SLOPE = 1e-2  # of the sums, as a share of the records' volts per µm
-LEAST_S_SLOPE = 0.1  # of S', which is about 1
+LEAST_SLOPE = 1e-2  # least value of the sums, as a share of the records' volts per µm
+LEAST_S_SLOPE = 0.1  # least value of S', which is about 1
 
 
 class MonotoneProblem(ProjectedProblem):
-    """What the selection of a form minimises: lead, creep gains and polynomial, the weights solved for.
+    """The problem of form selection: lead, creep gains and polynomial are searched, the weights solved for.
 
     Args:
-        compensator: It is read here, and written by `put` alone; without output functions of the plays, with
-            a rate head that is `none` or `linear`.
+        compensator: Read here, and written only by `put`; without output functions of the plays, and with a
+            rate head that is `none` or `linear`.
         pairs: Records, of any lengths.
         rows: As for `ProjectedProblem`.
     """
@@ -71,13 +71,13 @@ class MonotoneProblem(ProjectedProblem):
         self.to_searched = np.delete(self.to_searched, first, 1)
         self.at_zero = np.zeros(len(self.searched))
         self.at_zero[first] = 1.0
-        self.bending = np.zeros(len(self.searched) - 1)  # V, what each of α adds to the error
+        self.bending = np.zeros(len(self.searched) - 1)  # V, contribution of each number of α to the error
 
     def _of_sums(self, low: float, high: float) -> np.ndarray:
-        """θ of sums W_j at one or both ends of the rates: (columns, sums)."""
+        """Return the map from sums W_j at one or both ends of the rates to θ: (columns, sums)."""
         plays, functions = self.columns.plays, self.columns.functions
         order = np.argsort(self.compensator.plays.r.detach().numpy())
-        differences = np.zeros((plays, plays))  # w of W
+        differences = np.zeros((plays, plays))  # from W to w
         differences[order] = np.eye(plays) - np.eye(plays, k=-1)
         if functions == 1:
             return np.pad(differences, ((0, int(self.columns.has_offset)), (0, 0)))
@@ -89,10 +89,10 @@ class MonotoneProblem(ProjectedProblem):
         return matrix
 
     def stiffened(self, stiffness: float) -> Self:
-        """The same with a ridge on the bend of S, Σ_{m≥2} (c_m range^(m-1))².
+        """Return the same problem with a ridge on the bend of S, Σ_{m≥2} (c_m range^(m-1))².
 
         Args:
-            stiffness: What a sum of 1 costs, as a share of the mean square error that S = y leaves.
+            stiffness: Penalty of a sum of 1, as a share of the mean square error with S = y.
         """
         stiff = copy.copy(self)
         bends = np.delete(self.is_polynomial, int(np.argmax(self.at_zero)))
@@ -104,15 +104,15 @@ class MonotoneProblem(ProjectedProblem):
 
     @property
     def alpha(self) -> np.ndarray:
-        """Where the compensator stands, without c_1. Shape: (searched - 1,)."""
+        """Starting α, that of the compensator, without c_1. Shape: (searched - 1,)."""
         return np.delete(super().alpha, int(np.argmax(self.at_zero)))
 
     def moved(self, alpha: np.ndarray, step: np.ndarray) -> np.ndarray:
-        """`alpha + step`."""
+        """Return `alpha + step`."""
         return np.asarray(alpha + step)
 
     def solve(self, alpha: np.ndarray) -> Solved:
-        """The best weights at α; an infinite objective where S is too flat somewhere, or falls."""
+        """Return the best weights at α; the objective is infinite if S is too flat somewhere, or falls."""
         searched = self._searched_at(alpha)
         if not self._rises(searched):
             return Solved(np.inf, np.inf, np.zeros(self.columns.count))
@@ -126,7 +126,7 @@ class MonotoneProblem(ProjectedProblem):
         return Solved(objective, float(error @ error) / self.samples, beta)
 
     def linearise(self, alpha: np.ndarray, beta: np.ndarray) -> Linearised:
-        """How the projected error moves with α while the sums that are at their bound stay there."""
+        """Linearise the projected error in α while the sums that are at their bound stay there."""
         triangle, _ = self._factor(self._searched_at(alpha), beta)
         rows = self._with_rows_of_ridge(triangle)
         columns, left, sums = self._non_negative(rows)
@@ -143,7 +143,7 @@ class MonotoneProblem(ProjectedProblem):
         super().put(self._searched_at(alpha), beta)
 
     def _searched_at(self, alpha: np.ndarray) -> np.ndarray:
-        """With c_1, so that S(high) - S(low) = high - low. Shape: (searched,)."""
+        """Add c_1 such that S(high) - S(low) = high - low. Shape: (searched,)."""
         return np.asarray(self.at_zero + self.to_searched @ alpha)
 
     def _rises(self, searched: np.ndarray) -> bool:
@@ -154,7 +154,7 @@ class MonotoneProblem(ProjectedProblem):
         return bool(slope(at).min() >= LEAST_S_SLOPE)
 
     def _with_rows_of_ridge(self, triangle: np.ndarray) -> np.ndarray:
-        """√ridge · size_j · β_j as rows of their own."""
+        """Append the rows √ridge · size_j · β_j."""
         p = self.columns.count
         size = np.sqrt(np.square(triangle[:, :p]).sum(0))
         rows = np.zeros((len(triangle) + p, triangle.shape[1]))
@@ -163,11 +163,11 @@ class MonotoneProblem(ProjectedProblem):
         return rows
 
     def _non_negative(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Columns of the sums beyond their least and of ± offset; what they fit; the best sums."""
+        """Return columns of the sums beyond their least and of ± offset, their target, and the best sums."""
         p = self.columns.count
         columns = rows[:, :p] @ np.hstack([self.to_weights, self.offset_columns])
         left = rows[:, -1] - LEAST_SLOPE * (rows[:, :p] @ self.to_weights.sum(1))
         size = np.linalg.norm(columns, axis=0)
-        size[size == 0] = 1.0  # a play that nothing moved
+        size[size == 0] = 1.0  # a play that never moved
         sums, _ = nnls(columns / size, left, maxiter=20 * len(size))
         return columns, left, sums / size

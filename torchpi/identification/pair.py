@@ -12,16 +12,16 @@ from torchpi.recordings.recording import Recording
 
 
 class InversePair(NamedTuple):
-    """One record to fit or to judge an inverse on.
+    """One record on which an inverse is fitted or judged.
 
     Attributes:
-        name: Of the recording.
-        motion: Smoothed displacement, its rate and acceleration, (1, time); sample t of it is the one
-            `preview` periods ahead of sample t of the voltage.
+        name: Name of the recording.
+        motion: Smoothed displacement, its rate and acceleration, (1, time); its sample t lies `preview`
+            periods ahead of sample t of the voltage.
         u: Voltage, (1, time), V.
         counted: Slice of the samples that count in a loss or an error; the others only set the state.
         sample_period_s: T.
-        weight: Of its squared errors in a fit.
+        weight: Weight of its squared errors in a fit.
     """
 
     name: str
@@ -33,7 +33,7 @@ class InversePair(NamedTuple):
 
     @property
     def rate_um_s(self) -> float:
-        """rms of ẏ."""
+        """Rms of ẏ, µm/s."""
         return float(self.motion.yd_dot[0, self.counted].square().mean().sqrt())
 
 
@@ -43,16 +43,16 @@ def inverse_pair(
     bandwidth_hz: float | None = None,
     skip_s: float = 0.0,
 ) -> InversePair:
-    """Turn a recording round: its displacement, `preview` samples ahead, is the input.
+    """Swap input and output of a recording: its displacement, `preview` samples ahead, becomes the input.
 
     Args:
         recording: Voltage and displacement.
         preview: Samples of look-ahead.
-        bandwidth_hz: Of the zero-phase differentiator that gives the rates; chosen from the record if None.
+        bandwidth_hz: Bandwidth of the zero-phase differentiator; chosen from the record if None.
         skip_s: Start-up transient, which sets the state but is not counted.
 
     Raises:
-        RecordingError: Nothing is left to count.
+        RecordingError: Fewer than 100 samples are left to count.
 
     Example:
         >>> import numpy as np
@@ -78,15 +78,15 @@ def inverse_pair(
 
 
 def seen_ahead(pair: InversePair, preview: int, source: str = "") -> InversePair:
-    """The same record with so many more samples of look-ahead, which are cut off its end.
+    """Return the record with `preview` more samples of look-ahead, which are cut off its end.
 
     Args:
         pair: A whole record.
         preview: Samples.
-        source: The file's path, for the error.
+        source: Path of the file, for the error message.
 
     Raises:
-        RecordingError: Nothing is left to count.
+        RecordingError: Fewer than 100 samples are left to count.
     """
     samples, start = pair.u.shape[1] - preview, pair.counted.start
     if samples - start < 100:

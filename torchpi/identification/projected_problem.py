@@ -1,10 +1,10 @@
-"""Variable projection: the least-squares problem that is left when the weights are solved for.
+"""Variable projection: the least-squares problem that remains once the weights are solved for.
 
-Golub and Pereyra (1973); of their derivative the part that Kaufman (1975) keeps. For every α the voltage is
-linear in β, so min_β |Φ(α) β - u|² is a function of α alone, and its linearisation is P (u - D δ) with
-D = d(Φβ)/dα at the best β and P the projector off the columns of Φ. One QR factorisation of (Φ, D, u) has
-all of it: R = ((R_11, R_12, r_13), (0, R_22, r_23), (0, 0, ρ)) gives β = R_11⁻¹ r_13, the step
-δ = argmin |R_22 δ - r_23|, and the least |Φβ - u|² = |r_23|² + ρ².
+Golub and Pereyra (1973), with the part of their derivative that Kaufman (1975) keeps. For every α the voltage
+is linear in β, so min_β |Φ(α) β - u|² is a function of α alone, and its linearisation is P (u - D δ) with
+D = d(Φβ)/dα at the best β and P the projector orthogonal to the columns of Φ. One QR factorisation of
+(Φ, D, u) gives all of it: R = ((R_11, R_12, r_13), (0, R_22, r_23), (0, 0, ρ)) yields β = R_11⁻¹ r_13, the
+step δ = argmin |R_22 δ - r_23|, and the least |Φβ - u|² = |r_23|² + ρ².
 """
 
 import copy
@@ -20,42 +20,42 @@ from torchpi.identification.inverse_rows import Nonlinear, Record, Stretch, bloc
 from torchpi.identification.pair import InversePair
 from torchpi.identification.thin_qr import ThinQR, solve_triangle, triangle_of
 
-# A play of threshold r moves over the range of S less 2 r, and stands still on the rest. One that stands on
-# more than this share of the range is an offset that the first loading sets, and sets anew in another record.
+# A play of threshold r moves over the range of S less 2 r, and stands still on the rest. One that stands
+# still on more than this share of the range is an offset, which the first loading sets anew in each record.
 STANDS_AT_MOST = 0.6
-POSITIONS = 65  # over the recorded range, where S is looked at
-# Without a ridge, keeps the triangle invertible where a play that nothing moved leaves a column of zeros.
+POSITIONS = 65  # over the recorded range, at which S is evaluated
+# Without a ridge, this keeps the triangle invertible where a play that never moved leaves a zero column.
 FLOOR = 1e-10
 
 
 class Solved(NamedTuple):
     """The best weights at one α."""
 
-    objective: float  # V²: mean square with the ridge, what is minimised
+    objective: float  # V²: mean square with the ridge, the quantity minimised
     mean_square: float  # V²: of the voltage error alone
     beta: np.ndarray  # (columns,)
 
 
 class Linearised(NamedTuple):
-    """The projected problem about one α: |slopes · δ - error|² per sample, and what no δ reaches."""
+    """The projected problem linearised at one α: |slopes · δ - error|² per sample, plus what no δ reduces."""
 
     slopes: np.ndarray  # R_22: (searched, searched)
     error: np.ndarray  # r_23: (searched,)
 
 
 class ProjectedProblem:
-    """What every fit of a direct inverse minimises over α, from where `compensator` stands.
+    """The problem that fits of a direct inverse minimise over α, from the state of `compensator`.
 
     Args:
-        compensator: It is read here, and written by `put` alone.
+        compensator: Read here, and written only by `put`.
         pairs: Records, of any lengths.
         searched: Names of the parts of α that are searched, as in `Nonlinear`; a threshold of 0 never is.
-        functions: How many functions of the rate the weights have: the first few, or all.
-        own_degree: Columns of each play's own output function beyond the weighted sum.
-        ridge: Share of the columns' mean square that is added to the diagonal, against weights without bound
-            in directions that no record shows.
-        rows: Of each record, rising, the samples that are fitted; by default those that count. The others
-            only set the states. A record without any is left out.
+        functions: Number of rate functions that the weights have: the first few, or all.
+        own_degree: Number of columns of each play's own output function beyond the weighted sum.
+        ridge: Share of the columns' mean square that is added to the diagonal, to keep the weights bounded in
+            directions that no record determines.
+        rows: Ascending indices of the samples of each record that are fitted; by default those that count.
+            The others only set the states. A record without any is left out.
     """
 
     def __init__(
@@ -81,7 +81,7 @@ class ProjectedProblem:
         self.numbers = np.concatenate(start)
         self.lead = start.lead
         names = np.repeat(start._fields, lengths)
-        # A threshold of 0 copies the input, and stays that.
+        # A play with threshold 0 copies its input, and is not searched.
         free = [
             name in searched and (name != "r" or r > 0) for name, r in zip(names, self.numbers, strict=True)
         ]
@@ -90,7 +90,7 @@ class ProjectedProblem:
         self.is_threshold = names == "r"
         self.is_polynomial = names == "c"
         self.moves_rate = "slope" in names or "shift" in names
-        # Where the lead is searched, so are the turning points.
+        # If the lead is searched, the turning points of the input change with it.
         self.needs_every_sample = bool(start.gains.any()) or "gains" in names or "lead" in names
         counted = torch.cat([pair.motion.yd[0, pair.counted] for pair in pairs])
         self.y = np.linspace(float(counted.min()), float(counted.max()), POSITIONS)
@@ -101,7 +101,7 @@ class ProjectedProblem:
         self._take(every)
 
     def _stands(self, part: Nonlinear) -> float:
-        """Share of the range of S on which the widest play stands still."""
+        """Return the share of the range of S on which the widest play stands still."""
         s = np.polynomial.polynomial.polyval(self.y, np.append(0.0, part.c))
         return float(2 * part.r.max() / max(np.ptp(s), np.finfo(float).tiny))
 
@@ -111,18 +111,18 @@ class ProjectedProblem:
         self.stretches = [record.stretches() for record in records]
         self.most_rows = max(len(part.rows) for record in self.stretches for part in record)
         start = self._nonlinear_at(self.numbers[self.searched])
-        # Unless the neural head is searched, these stay.
+        # These are constant unless the neural head is searched.
         self.rates = [[self._rate(part, start) for part in record] for record in self.stretches]
 
     @property
     def alpha(self) -> np.ndarray:
-        """Where the compensator stands. Shape: (searched,)."""
+        """Starting α, that of the compensator. Shape: (searched,)."""
         return self.numbers[self.searched]
 
     def bounded(self) -> "ProjectedProblem":
-        """The same without the scales of S at which the widest play hardly moves.
+        """Return the same problem without the scales of S at which the widest play hardly moves.
 
-        Thresholds that a user has chosen wider may stay so, and a little wider yet; free ones go anywhere.
+        Wider thresholds that a user has chosen stay allowed, with a small margin; free ones are not bounded.
         """
         own = np.inf if self.is_threshold.any() else 1.05 * self._stands(self._nonlinear_at(self.alpha))
         bounded = copy.copy(self)
@@ -130,7 +130,7 @@ class ProjectedProblem:
         return bounded
 
     def thinned(self, rows: int) -> Self:
-        """The same with about as many rows, evenly spread, or with all of them if they are fewer."""
+        """Return the same problem with about this many rows, evenly spread, or with all if they are fewer."""
         step = self.samples // rows
         if step < 2:
             return self
@@ -144,12 +144,12 @@ class ProjectedProblem:
         return thinned
 
     def moved(self, alpha: np.ndarray, step: np.ndarray) -> np.ndarray:
-        """`alpha + step`, but thresholds stay positive: no step takes one below a tenth of itself."""
+        """Return `alpha + step` with positive thresholds: no step reduces one below a tenth of its value."""
         trial: np.ndarray = np.where(self.is_threshold, np.maximum(alpha + step, 0.1 * alpha), alpha + step)
         return trial
 
     def solve(self, alpha: np.ndarray) -> Solved:
-        """The best weights at α; an infinite objective where a bounded problem has no candidate."""
+        """Return the best weights at α; the objective is infinite where a bounded problem excludes α."""
         if self._stands(self._nonlinear_at(alpha)) > self.stands_at_most:
             return Solved(np.inf, np.inf, np.zeros(self.columns.count))
         triangle, _ = self._factor(alpha, None)
@@ -163,7 +163,7 @@ class ProjectedProblem:
         return Solved(float(reduced[p, p] ** 2) / samples, float(left @ left) / samples, beta)
 
     def linearise(self, alpha: np.ndarray, beta: np.ndarray) -> Linearised:
-        """How the projected error moves with α; `beta` is the best there."""
+        """Linearise the projected error in α; `beta` is the best there."""
         triangle, products = self._factor(alpha, beta)
         if products is not None:
             triangle, _ = self._with_ridge(triangle, products)
@@ -195,7 +195,7 @@ class ProjectedProblem:
         alpha: np.ndarray,
         beta: np.ndarray | None,  # (columns,)
     ) -> tuple[np.ndarray, np.ndarray | None]:
-        """R of (Φ, D, u), or of (Φ, u) without β; and for a ridge β_j Φ_jᵀ ∂Φ_j/∂α_k, (columns, searched)."""
+        """R of (Φ, D, u), or (Φ, u) without β; for a ridge also β_j Φ_jᵀ ∂Φ_j/∂α_k, (columns, searched)."""
         part, columns = self._nonlinear_at(alpha), self.columns
         p = columns.count
         factor = ThinQR(p + 1 + (0 if beta is None else len(self.searched)), self.most_rows)
@@ -223,10 +223,10 @@ class ProjectedProblem:
         return RateFunctions(part.rate, at, self.rate_scale_um_s, self.columns.functions)
 
     def _with_ridge(self, triangle: np.ndarray, products: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
-        """R with √ridge · size_j · β_j as rows of their own, columns scaled to size 1; and their sizes."""
+        """Return R with extra rows √ridge · size_j · β_j, its columns scaled to size 1, and their sizes."""
         p, every = self.columns.count, len(triangle)
         size = np.sqrt(np.square(triangle[:, :p]).sum(0) / self.samples)
-        size[size == 0] = 1.0  # a play that nothing moved
+        size[size == 0] = 1.0  # a play that never moved
         weight = np.sqrt(self.ridge * self.samples)
         both = np.zeros((every + p, every))
         both[:every] = triangle
@@ -243,7 +243,7 @@ class ProjectedProblem:
 
 
 def nonlinear(compensator: DirectInverse) -> Nonlinear:
-    """α of a compensator as it stands."""
+    """Return the current α of a compensator."""
     parts = (
         compensator.lead,
         compensator.creep_gains,

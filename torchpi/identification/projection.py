@@ -1,8 +1,8 @@
-"""The weights that are best for given nonlinear parameters: variable projection (Golub and Pereyra, 1973).
+"""Solve for the best weights at given nonlinear parameters: variable projection (Golub and Pereyra, 1973).
 
-The voltage is linear in θ, ψ and the offset, so for every trial of the other parameters they are solved for
-instead of searched. At that solution the loss is flat in them, so the gradient of the loss with them held is
-the gradient of the projected loss.
+The voltage is linear in θ, ψ and the offset, so they are solved for at every trial of the other parameters
+instead of being searched. At that solution the loss is stationary in them, so its gradient with them held
+fixed is the gradient of the projected loss.
 """
 
 from collections.abc import Sequence
@@ -26,7 +26,7 @@ def projected_loss(
     voltages: Sequence[Tensor],  # of each record, (1, time), V
     counted: Sequence[slice],  # samples of each that count
 ) -> Tensor:
-    """Mean squared error, V², at the weights that are best for the other parameters, which are set."""
+    """Set the weights that are best for the other parameters, and return the mean squared error, V²."""
     h, basis, target = [], [], []
     for motion, u, part in zip(motions, voltages, counted, strict=True):
         states, _ = compensator.play_states(motion)
@@ -53,7 +53,7 @@ def solve_weights(
     with torch.no_grad():
         columns = linear_columns(compensator, h, basis, compensator.psi.shape[1])
         size = columns.square().mean(0).sqrt()
-        size[size == 0] = 1.0  # a play that nothing moved
+        size[size == 0] = 1.0  # a play that never moved
         columns /= size
         gram = columns.T @ columns / len(columns)
         gram.diagonal().add_(RIDGE)
@@ -66,7 +66,7 @@ def solve_weights(
 
 
 def linear_parameters(compensator: DirectInverse) -> list[nn.Parameter]:
-    """What the voltage is linear in, in the order of the columns."""
+    """Return the parameters that the voltage is linear in, in the order of the columns."""
     offset = [compensator.offset] if compensator.offset.requires_grad else []
     return [compensator.weights.theta, compensator.psi, *offset]
 
@@ -75,15 +75,15 @@ def linear_columns(
     compensator: DirectInverse,
     h: Sequence[Tensor],  # of each record, (samples, plays)
     basis: Sequence[Tensor],  # of each record, (samples, functions)
-    own_degree: int,  # of the output functions beyond the weighted sum
+    own_degree: int,  # degree of the plays' own output functions beyond the weighted sum
 ) -> Tensor:  # (samples of all, columns)
-    """What those parameters multiply: φ_m h_i, z_i^q h_i, and 1 for the offset."""
+    """Return the columns that those parameters multiply: φ_m h_i, z_i^q h_i, and 1 for the offset."""
     plays, functions = h[0].shape[1], basis[0].shape[1]
     parts = [plays * functions, plays * own_degree, int(compensator.offset.requires_grad)]
     columns = h[0].new_empty(sum(len(a) for a in h), sum(parts))
     for rows, a, b in zip(columns.split([len(a) for a in h]), h, basis, strict=True):
         of_rate, own, offset = rows.split(parts, 1)
-        # Written where they stay: they are tens of megabytes, and each copy costs as much as making them.
+        # The columns are written in place: they take tens of megabytes, and a copy costs as much as they do.
         of_rate.unflatten(1, (plays, functions)).copy_(a[:, :, None] * b[:, None, :])
         for q in range(own_degree):
             own[:, q::own_degree] = (a / compensator.range_um) ** (q + 1) * a

@@ -1,4 +1,4 @@
-"""How often a record repeats one motion: an inverse that is wrong about it is wrong each time anew."""
+"""Count how often a record repeats one motion: a model error recurs in every repetition."""
 
 from collections.abc import Sequence
 
@@ -8,17 +8,17 @@ from scipy.signal import correlate
 from torchpi.identification.pair import InversePair
 
 REPEATED = 0.1  # share of the displacement's rms by which repetitions may differ
-MOST_SAMPLES = 10_000  # among which they are sought
+MOST_SAMPLES = 10_000  # about how many samples of a record are searched for them
 
 
 def weighted_by_repetitions(pairs: Sequence[InversePair]) -> list[InversePair]:
-    """The same records; of several, the slowest with the weight of one of its repetitions.
+    """Return the same records, with the slowest of several weighted as one of its repetitions.
 
-    The paper fits S alone to its slow record, and the weights of the plays to all others (Section III). Here
-    one fit takes them all, and a slow loop, over and over, would be learned by heart at the cost of motions
-    of many turning points. What is wrong with the form comes back in every repetition, so that they are one
-    observation: with errors of correlation ρ → 1, n of them weigh n / (1 + (n - 1) ρ) → 1 (the design effect,
-    Kish 1965). Faster records keep their weight: they resemble the motions that the inverse is for.
+    The paper fits S to its slow record alone, and the weights of the plays to all others (Section III). Here
+    one fit uses all records, and a slow loop repeated many times would dominate it at the expense of motions
+    with many turning points. A model error recurs in every repetition, so they count as one observation: with
+    errors of correlation ρ → 1, n of them weigh n / (1 + (n - 1) ρ) → 1 (the design effect, Kish 1965).
+    Faster records keep their weight: they resemble the motions that the inverse is for.
     """
     weighted = list(pairs)
     if len(pairs) > 1:
@@ -30,7 +30,7 @@ def weighted_by_repetitions(pairs: Sequence[InversePair]) -> list[InversePair]:
 
 
 def repetitions(y: np.ndarray) -> float:
-    """The length of a record over its period; 1 where it does not repeat one motion to its end.
+    """Return the length of a record over its period, or 1 if it does not repeat one motion to its end.
 
     Args:
         y: (time,), displacement.
@@ -41,7 +41,7 @@ def repetitions(y: np.ndarray) -> float:
     squares = np.append(0.0, np.cumsum(y**2))
     both = squares[len(y) - lags] + squares[-1] - squares[lags]
     unlike = 1 - 2 * correlate(y, y, "full")[len(y) - 1 :] / np.maximum(both, np.finfo(float).tiny)
-    first = int(np.argmax(unlike > 0.5))  # beyond it, the record is no longer near to itself
+    first = int(np.argmax(unlike > 0.5))  # first lag at which the record no longer resembles itself
     like = np.flatnonzero(unlike[first : len(y) // 2 + 1] < REPEATED**2)
     if unlike[first] <= 0.5 or not len(like):
         return 1.0

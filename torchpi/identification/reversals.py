@@ -1,14 +1,14 @@
-"""How late a stage turns round: the lag that a single record shows, whatever its loops are.
+"""Estimate the lag of a stage at the reversals of a single record, whatever the shape of its loops.
 
-A hysteresis that does not follow the rate turns exactly where its input does, and next to a turning point the
-displacement is one smooth function of the voltage before it, and another after it,
+A rate-independent hysteresis reverses exactly where its input does. Near a turning point, the displacement is
+one smooth function of the voltage before it, and another after it,
 
     y(t + d) = y_0 + Σ_{k ≤ 3} a_k (u(t) - u_0)^k   before,   y_0 + Σ_{k ≤ 3} b_k (u(t) - u_0)^k   after,
 
-so that d is read at each turning point by itself. Creep goes on after a turning point and only ever adds to
-d, not equally at both ends of the loops: the end where it is smaller is believed. The error of a fit to whole
-loops cannot tell a lag: where all loops are equally large and fast, the width that it adds is that of plays
-of other thresholds.
+so d can be estimated at each turning point by itself. Creep continues after a turning point and only ever
+adds to d, by different amounts at the two ends of the loops; the end where d is smaller is trusted. The error
+of a fit to whole loops cannot reveal a lag: if all loops are equally large and fast, the width that a lag
+adds is that of plays with other thresholds.
 """
 
 from collections.abc import Sequence
@@ -20,39 +20,39 @@ from scipy.optimize import minimize_scalar
 from torchpi.diagnosis.locate import turning_points
 from torchpi.identification.pair import InversePair
 
-LEAST_TURN = 0.1  # share of the voltage's span: of a reversal, and what is read on either side of it
+LEAST_TURN = 0.1  # share of the voltage's span: depth of a reversal, and of the part used on either side
 DEGREE = 3
 LEAST_SAMPLES = 4 * DEGREE  # on either side
-MOST_SAMPLES = 200  # on either side, evenly over it
-LEAST_TURNS, MOST_TURNS = 2, 60  # at each end
-EARLIEST = -4  # samples: so that noise about a lag of none is not cut off
-APART = 3  # samples: a single reversal is read about the lag that fits all of them best
+MOST_SAMPLES = 200  # on either side, evenly spread
+LEAST_TURNS, MOST_TURNS = 2, 60  # reversals at each end of the loops
+EARLIEST = -4  # samples: negative, so that noise around a lag of zero is not cut off
+APART = 3  # samples: range of a single reversal's lag around the lag that fits all of them best
 
 
 class Lag(NamedTuple):
-    """Of the displacement behind the voltage, samples: its mean over the reversals at that end of the loops
-    where it is smaller, and the standard error of this mean."""
+    """Lag of the displacement behind the voltage, samples: its mean over the reversals at that end of the
+    loops where it is smaller, and the standard error of this mean."""
 
     mean: float
     standard_error: float
 
 
 class _Reversal(NamedTuple):
-    """The samples next to a turning point, and an orthonormal basis of what the displacement may be there."""
+    """The samples next to a turning point, and an orthonormal basis of the possible displacements there."""
 
     rows: np.ndarray
     basis: np.ndarray
-    latest: int  # samples: with a larger lag one side alone would be read as both
+    latest: int  # samples: at a larger lag, one side alone would be taken for both
     upper: bool  # whether the voltage turns down
 
     def left(self, y: np.ndarray, lag: float) -> float:
-        """The sum of squares that no function of the voltage explains at this lag."""
+        """Return the sum of squares that no function of the voltage explains at this lag."""
         late = np.interp(self.rows + lag, np.arange(len(y)), y)
         return float(np.square(late - self.basis @ (self.basis.T @ late)).sum())
 
 
 def lag_at_reversals(pair: InversePair, most: int) -> Lag | None:
-    """The lag of a record, up to `most` samples; None where either end has fewer than two to read."""
+    """Return the lag, up to `most` samples; None if either end has fewer than two usable reversals."""
     u, y = pair.u[0].numpy(), pair.motion.yd[0].numpy()
     depth = LEAST_TURN * float(np.ptp(u))
     turns = [int(turn) for turn in turning_points(u, depth)[1:] if turn >= pair.counted.start]
@@ -75,7 +75,7 @@ def _mean(end: Sequence[_Reversal], y: np.ndarray, about: int) -> Lag:
 
 
 def _reversal(u: np.ndarray, turn: int, depth: float, most: int) -> _Reversal | None:
-    """What is next to a turning point; None where it is too short, or too near an end of the record."""
+    """Return the samples next to a turning point; None if too few, or too near an end of the record."""
     away = np.abs(u - u[turn]) > depth
     before, after = np.flatnonzero(away[:turn]), turn + np.flatnonzero(away[turn:])
     if len(before) == 0 or len(after) == 0:

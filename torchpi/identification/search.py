@@ -1,9 +1,9 @@
-"""The search for α: rough first, from several scales of the polynomial, then on every row.
+"""Search for α: coarsely from several scales of the polynomial first, then on every row.
 
-The thresholds alone fix the scale of S against the weights. As it grows one play after the other begins to
-move, and each leaves a kink in the objective: there are several minima, of which a descent finds the next.
-The deepest may lie where the widest plays hardly move, which fits one loop a little better and every other
-loop worse (`projected_problem.STANDS_AT_MOST`): such scales are no candidates.
+Only the thresholds fix the scale of S relative to the weights. As that scale grows, one play after another
+begins to move, and each leaves a kink in the objective. There are therefore several minima, and a descent
+finds the nearest. The deepest may lie where the widest plays hardly move, which fits one loop a little better
+and every other loop worse (`projected_problem.STANDS_AT_MOST`): such scales are excluded.
 """
 
 import numpy as np
@@ -12,25 +12,25 @@ from torchpi.identification.levenberg_marquardt import levenberg_marquardt
 from torchpi.identification.projected_problem import ProjectedProblem, Solved
 
 ROWS_PER_NUMBER = 20  # enough to tell minima apart
-FACTORS = 2.0 ** (np.arange(-16, 17) / 8)  # of the scale of S
+FACTORS = 2.0 ** (np.arange(-16, 17) / 8)  # trial factors on the scale of S
 STARTS = 3
-FEW = 12  # trials of a start
-FINALISTS = 3  # of a thorough search
+FEW = 12  # most trials of a descent from another scale
+FINALISTS = 3  # rough minima that a thorough search refines
 ROUGH, FINE = 1e-2, 1e-4  # tolerances
 
 
-Found = tuple[np.ndarray, Solved]  # α, and the weights there
+Found = tuple[np.ndarray, Solved]  # α, and the best weights there
 
 
 def search(problem: ProjectedProblem, evaluations: int, thorough: bool = False) -> Found:
-    """The best α that was found, and the weights there.
+    """Return the best α found, and the weights there.
 
     Args:
-        problem: What is minimised, from where its compensator stands.
-        evaluations: The most trials of one descent.
-        thorough: Descend on every row from several of the rough minima, and from the start itself where its
-            own rough minimum is not the deepest: where much is searched, what is best on some rows need not
-            be on all.
+        problem: The problem to minimise, starting from the state of its compensator.
+        evaluations: Maximum number of trials of one descent.
+        thorough: Descend on every row from several of the rough minima, and from the start itself if its own
+            rough minimum is not the deepest: with many searched parameters, the best α on some rows need not
+            be the best on all.
     """
     problem = problem.bounded()
     rough = problem.thinned(ROWS_PER_NUMBER * (problem.columns.count + len(problem.searched)))
@@ -53,7 +53,7 @@ def search(problem: ProjectedProblem, evaluations: int, thorough: bool = False) 
 
 
 def descend(problem: ProjectedProblem, evaluations: int) -> Found:
-    """The minimum below the start."""
+    """Descend from the start to the nearest minimum."""
     return levenberg_marquardt(problem, problem.alpha, evaluations, FINE)
 
 
@@ -62,7 +62,7 @@ def _objective(found: Found) -> float:
 
 
 def _starts(problem: ProjectedProblem, alpha: np.ndarray) -> list[np.ndarray]:
-    """The deepest minima along the scale of S, without the one that `alpha` is in."""
+    """Return the deepest minima along the scale of S, except the one around `alpha`."""
     scaled = [np.where(problem.is_polynomial, factor * alpha, alpha) for factor in FACTORS]
     height = np.array([problem.solve(each).objective for each in scaled])
     around = np.concatenate([[np.inf], height, [np.inf]])

@@ -1,32 +1,32 @@
-"""Which form of the direct inverse the records can carry: chosen by cross-validation, simple unless proved.
+"""Select by cross-validation the form of the direct inverse that the records support, simple by default.
 
-The start is least squares on play features: S(y) = y, weights that do not follow the rate, an offset. One
-extension after the other is tried, and the best one is taken as long as it lowers the error of what each fit
-has left out: by more than one standard error over the folds in the mean of log(error), by more than `LEAST`,
-and in the pooled error too. Where nothing does, the start stays.
+The start is a least-squares fit on play features: S(y) = y, rate-independent weights, an offset. Extensions
+are tried one after another, and the best is accepted as long as it lowers the error on what each fit has left
+out: the mean of log(error) over the folds by more than `LEAST` plus one standard error, and the pooled error
+too. If no extension does, the start is kept.
 
-Creep, the degree of S and the width of the plays can stand in for each other, so that each alone may lower
-nothing: they are also tried together.
+Creep, the degree of S and the width of the plays can compensate for one another, so that each alone may lower
+nothing: they are also tried in combination.
 
-The slowest of several records, where it repeats itself, has the weight of one repetition (`repetitions`),
-also where it judges a look-ahead: its loops hardly tell a lag from what creep and wider plays do to them.
+If the slowest of several records repeats itself, it has the weight of one repetition (`repetitions`), also
+when it judges a look-ahead: its loops hardly distinguish a lag from the effect of creep and wider plays.
 
-What a record cannot show is not tried on it. A single one has no other motion to be judged on: creep and
-weights that follow the rate then fit the shape of its loops, and miss others. Its look-ahead is read where it
-turns round (`reversals`): errors over its blocks cannot tell it. Nor can they tell how S bends: the loops of
-plays are symmetric about a point, so that one loop shows the even part of S, while plays of other thresholds
-stand in for the odd one. They show whether S bends at all. Where it does, the even part alone would be wrong
-about every other loop: S has the highest degree, and a ridge on all that bends it. Its widest plays move in
-the first loading alone, a small part of it: where their thresholds lie changes what the inverse misses on
-other loops by half and more, either way, and no fold tells. The last fit is the mean over several grids,
-which on the whole misses less than one of them (model averaging; Breiman 1996). Where the first loading is
-not among what counts, thresholds beyond half of the range fit nothing but the offset, and one grid without
-them is taken.
+An extension that the records cannot judge is not tried. A single record has no other motion to be judged on:
+creep and rate-dependent weights would fit the shape of its loops and fail on others. Its look-ahead is
+determined at its reversals (`reversals`), because errors over its blocks do not reveal it. Nor do they reveal
+how S bends: the loops of plays are point-symmetric, so one loop shows the even part of S, while plays with
+other thresholds can imitate the odd part. The blocks do show whether S bends at all. If it does, the even
+part alone would be wrong for every other loop, so S gets the highest degree and a ridge on all its bending
+coefficients. The widest plays move only in the first loading, a small part of the record: the position of
+their thresholds changes the error on other loops by half and more, in either direction, and no fold reveals
+it. The last fit is therefore the mean over several grids, whose error is on the whole smaller than that of
+one (model averaging; Breiman 1996). If the first loading is not among the counted samples, thresholds beyond
+half of the range fit only the offset, and one grid without them is used.
 
-The same mean is taken where it is not clear whether S bends. Left out, the slow or the fast samples leave
-plays undetermined that move there alone, and any smooth S bridges the gap; the blocks leave none, but are
-much alike. Where the blocks by themselves, asked for two standard errors, contradict what was selected, half
-of the mean is straight and half is bent.
+The mean also covers the case in which it is not clear whether S bends. Without the slow or the fast samples,
+plays that move only there are undetermined, and any smooth S bridges the gap; the blocks leave no gap, but
+are much alike. If the blocks by themselves, at two standard errors, contradict the selection, half of the
+mean is straight and half is bent.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -47,25 +47,25 @@ from torchpi.identification.projected_problem import Solved
 from torchpi.identification.repetitions import weighted_by_repetitions
 from torchpi.identification.reversals import lag_at_reversals
 
-LEAST = 0.02  # share of the error
-# The widest threshold as a share of the range: one of half of it would only move in the first loading. The
-# first is that of the start.
+LEAST = 0.02  # least relative reduction of the error
+# Widest threshold as a share of the range; at half of the range, it would only move in the first loading. The
+# start has the first value.
 SPREADS = (0.45, 0.3)
-# Over which the last fit to a single record is averaged. On a grid that is too narrow a polynomial bends in
-# place of the wide plays.
+# Widest thresholds of the grids over which the last fit to a single record is averaged. On a grid that is too
+# narrow, a polynomial bends in place of the wide plays.
 GRIDS = {"straight": (0.3, 0.4, 0.5, 0.6, 0.7), "bent": (0.45, 0.6)}
 MOST_STEPS = 8
-ROWS, ROWS_AT_LAST = 4_000, 20_000  # of a fit to a fold, and of the last fit
+ROWS, ROWS_AT_LAST = 4_000, 20_000  # rows of a fit to a fold, and of the last fit
 EVALUATIONS = 30
 TOLERANCE = 1e-3
-# Of S in a single record: coefficients that bend it by as much as it rises must explain a third of the error.
+# In a single record, coefficients that bend S by as much as it rises must explain a third of the error.
 STIFFNESS = 0.3
-BENT = 2  # the least degree of a polynomial that bends
-# Of the rms displacement, what the acceleration must add to it: below that a single record does not reach the
-# mode, and τ_2 would fit the curvature of their loops.
+BENT = 2  # lowest degree of a polynomial that bends
+# Least contribution of the acceleration, as a share of the rms displacement: below it a single record does
+# not reach the mode, and τ_2 would fit the curvature of its loops.
 LEAST_INERTIA = 0.2
 ALL = slice(None)
-PREVIEW_RISING = 3  # samples beyond the best: the error has one valley over the look-ahead
+PREVIEW_RISING = 3  # samples beyond the best to try: the error has a single minimum over the look-ahead
 
 Pairs = Callable[[int], Sequence[InversePair]]
 
@@ -77,10 +77,10 @@ class Form:
     Attributes:
         preview: Samples of look-ahead.
         spread: The largest threshold, as a share of the displacement between its 1 % and 99 % quantiles.
-        degree: Of S.
-        lead: Its order.
-        creep_time_constants_s: Of the relaxations.
-        rate: Whether the weights follow the rate.
+        degree: Degree of S.
+        lead: Order of the lead.
+        creep_time_constants_s: Time constants of the relaxations.
+        rate: Whether the weights depend on the rate.
         offset: Whether a constant voltage is learned.
     """
 
@@ -103,15 +103,15 @@ class Form:
 
 @dataclass(frozen=True)
 class Richest:
-    """What may be selected at most.
+    """Limits of the forms that may be selected.
 
     Attributes:
-        previews: Samples of look-ahead, rising.
-        degree: The highest.
-        lead: The highest order.
-        creep_time_constants_s: Those longer than half of the longest record are left out.
-        rate: Whether the weights may follow the rate.
-        spreads: The first is that of the start.
+        previews: Samples of look-ahead, ascending.
+        degree: Highest degree of S.
+        lead: Highest order of the lead.
+        creep_time_constants_s: Time constants; those longer than half of the longest record are left out.
+        rate: Whether the weights may depend on the rate.
+        spreads: Values of `Form.spread`; the start has the first.
     """
 
     previews: range
@@ -124,7 +124,7 @@ class Richest:
 
 @dataclass(frozen=True)
 class Step:
-    """One form on the way, with its cross-validated error, V rms."""
+    """One form accepted on the way, with its cross-validated error, V rms."""
 
     form: Form
     rms_v: float
@@ -132,7 +132,7 @@ class Step:
 
 @dataclass(frozen=True)
 class Selection:
-    """The selected compensator, fitted to all records, and how it came about: the start first.
+    """The selected compensator, fitted to all records, and the steps of the selection, the start first.
 
     The form of the last step is that of the compensator.
     """
@@ -143,14 +143,14 @@ class Selection:
 
 @dataclass(frozen=True)
 class _Trial:
-    """A form fitted to each fold: the mean square of what was left out, V²."""
+    """A form fitted to each fold, with the mean square error on what the fold left out, V²."""
 
     form: Form
     fitted: list[DirectInverse]
     left: np.ndarray  # (folds,)
 
     def beats(self, other: "_Trial", judges: slice = ALL, standard_errors: float = 1.0) -> float | None:
-        """Mean of log(error ratio) over these folds where it is lower by more than chance; else None."""
+        """Return the mean log(error ratio) over these folds if it is significantly negative, else None."""
         mine, theirs = self.left[judges], other.left[judges]
         if mine.mean() >= theirs.mean():
             return None
@@ -165,16 +165,16 @@ def select_form(
     pairs_seen_ahead: Pairs,
     richest: Richest,
 ) -> Selection:
-    """The form that generalises best over the records, fitted to all of them; it cannot run backwards.
+    """Select the form that generalises best over the records and fit it to all; it cannot run backwards.
 
     Args:
-        build: A compensator of a form, not yet fitted.
-        pairs_seen_ahead: The records to fit, for a number of samples of look-ahead.
-        richest: What may be selected at most.
+        build: Function that returns an unfitted compensator of a form.
+        pairs_seen_ahead: Function that returns the records to fit for a number of samples of look-ahead.
+        richest: Limits of the forms that may be selected.
     """
     search = _Search(build, pairs_seen_ahead, richest)
     start = search.tried(Form(richest.previews[0], richest.spreads[0]))
-    # A bent loop moves the apparent lag: it is sought with a polynomial that can bend.
+    # A bent loop shifts the apparent lag, so the look-ahead is sought with a polynomial that can bend.
     bent = replace(start.form, degree=min(richest.degree, BENT))
     current = search.tried(replace(start.form, preview=search.preview(bent)))
     steps = [start, current] if current.form != start.form else [start]
@@ -184,7 +184,7 @@ def select_form(
             break
         current = better
         steps.append(current)
-    # Blocks of a single record cannot judge a look-ahead that its reversals show.
+    # The blocks of a single record cannot judge a look-ahead that was found at its reversals.
     if search.lag is None and current.left.mean() > start.left.mean():
         steps = [start]
     form, compensator = search.fitted(steps[-1].form)
@@ -215,14 +215,14 @@ class _Search:
         )
 
     def at(self, preview: int) -> tuple[Sequence[InversePair], list[Fold]]:
-        """The records seen so far ahead, and their folds."""
+        """Return the records with this look-ahead, and their folds."""
         if preview not in self.records:
             pairs = weighted_by_repetitions(self.pairs_seen_ahead(preview))
             self.records[preview] = pairs, make_folds(pairs)
         return self.records[preview]
 
     def tried(self, form: Form, start: "_Trial | None" = None) -> _Trial:
-        """The form on every fold, each from where `start` stands on it."""
+        """Fit the form on every fold, each time from the fit of `start` to the same fold."""
         pairs, folds = self.at(form.preview)
         fitted, left = [], []
         for i, fold in enumerate(folds):
@@ -235,12 +235,12 @@ class _Search:
         return _Trial(form, fitted, np.array(left))
 
     def preview(self, form: Form) -> int:
-        """The look-ahead with which this form generalises best.
+        """Return the look-ahead with which this form generalises best.
 
-        A single record hardly tells a lag from its loops. There its reversals show it: creep only adds to it,
-        and less to what moves faster, so that the whole samples below the mean less its standard error are
-        taken. With too few reversals it is the shortest look-ahead within one standard error of the best. Its
-        slow and its fast samples are no folds here, because a lag shows where they are together.
+        The loops of a single record hardly reveal a lag, but its reversals do. Creep only adds to the lag
+        there, and less in faster motion, so the result is the mean less its standard error, rounded down to
+        samples. With too few reversals, it is the shortest look-ahead within one standard error of the best.
+        The slow and the fast samples are no folds here, because a lag shows where both are together.
         """
         if self.lag is not None:
             whole = int(self.lag.mean - self.lag.standard_error)
@@ -265,7 +265,7 @@ class _Search:
         return best
 
     def weights(self, preview: int) -> list[float]:
-        """Of the folds: those of the records that they judge."""
+        """Return the weights of the folds: those of the records that they judge."""
         pairs, folds = self.at(preview)
         return [
             sum(pair.weight for pair, judged in zip(pairs, fold.judged, strict=True) if len(judged) > 0)
@@ -273,7 +273,7 @@ class _Search:
         ]
 
     def best_beyond(self, current: _Trial) -> _Trial | None:
-        """The form beside the current one that beats it by most."""
+        """Return the neighbouring form that beats the current one by most, or None."""
         best, gained = None, 0.0
         for form in chain(self.neighbours(current.form), self.together(current.form)):
             trial = self.tried(form, current)
@@ -285,7 +285,7 @@ class _Search:
         return best
 
     def neighbours(self, form: Form) -> Iterator[Form]:
-        """Forms that differ in one respect, and that these records can judge."""
+        """Yield forms that differ in one respect and that these records can judge."""
         if not self.single or form.degree == 1:
             degrees = range(1, self.richest.degree + 1)
             yield from (replace(form, degree=d) for d in degrees if d != form.degree)
@@ -308,7 +308,7 @@ class _Search:
         yield from (replace(form, spread=s) for s in self.richest.spreads if s != form.spread)
 
     def together(self, form: Form) -> Iterator[Form]:
-        """Forms that differ in more than one respect: each alone may show nothing."""
+        """Yield forms that differ in more than one respect: each change alone may show no effect."""
         if self.single:
             return
         degrees = dict.fromkeys((form.degree, self.richest.degree))
@@ -319,7 +319,7 @@ class _Search:
                 yield replace(form, degree=degree, creep_time_constants_s=creep, spread=spread)
 
     def reaches_the_mode(self, trial: _Trial) -> bool:
-        """Whether a lead of order 2 is one that the only record shows; several judge it themselves."""
+        """Whether a single record supports a lead of order 2; with several records, the folds decide."""
         if trial.form.lead < 2 or not self.single:
             return True
         pairs, _ = self.at(trial.form.preview)
@@ -328,10 +328,10 @@ class _Search:
         return all(float((one.lead[1] * added / moved).detach()) > LEAST_INERTIA for one in trial.fitted)
 
     def fitted(self, form: Form) -> tuple[Form, DirectInverse]:
-        """A compensator of this form, fitted to all records, and the form that it has.
+        """Fit a compensator of this form to all records; return the form that it has in the end, and it.
 
-        Of a single record that shows its first loading it is the mean over `GRIDS`, with the thresholds of
-        the widest, and where it is not clear whether S bends, of the two.
+        For a single record that shows its first loading, it is the mean over `GRIDS`, with the thresholds of
+        the widest grid; where it is not clear whether S bends, it is the mean over straight and bent fits.
         """
         pairs, _ = self.at(form.preview)
         given = len(self.richest.spreads) == 1
@@ -349,7 +349,7 @@ class _Search:
         return forms[-1], average_over_grids(problems[-len(grids) :], alphas)
 
     def degree_of_blocks(self, form: Form) -> int:
-        """Of S, as the blocks of the single record have it."""
+        """Return the degree of S that the blocks of the single record favour by themselves."""
         straight, bent = (self.tried(replace(form, degree=degree)) for degree in (1, self.richest.degree))
         return 1 if bent.beats(straight, slice(BLOCKS), 2.0) is None else self.richest.degree
 
@@ -381,7 +381,7 @@ def _solved(problem: MonotoneProblem) -> tuple[np.ndarray, Solved]:
 
 
 def _begin_from(compensator: DirectInverse, other: DirectInverse) -> None:
-    """Take over lead, creep gains and polynomial, as far as both have them."""
+    """Copy lead, creep gains and polynomial from `other`, as far as both have them."""
     with torch.no_grad():
         for name in ("scaled_lead", "saturation.scaled"):
             mine, theirs = compensator.get_parameter(name), other.get_parameter(name)
@@ -396,7 +396,7 @@ def _begin_from(compensator: DirectInverse, other: DirectInverse) -> None:
 def _mean_square(
     compensator: DirectInverse, pairs: Sequence[InversePair], judged: Sequence[np.ndarray]
 ) -> float:
-    """Of the error over these samples, V², before the output limits."""
+    """Return the mean square error over these samples, V², before the output limits."""
     errors = []
     for pair, rows in zip(pairs, judged, strict=True):
         if len(rows) > 0:

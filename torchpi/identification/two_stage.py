@@ -1,10 +1,10 @@
 """The paper's identification in two stages, Qin et al. (2013), Section III, eq. 10 and 11.
 
-Stage 1 fits the saturation polynomial c with constant weights to a slow record. The weights enter
-linearly, so they are solved for within each trial of c (variable projection, Golub and Pereyra 1973)
-and only the m coefficients are searched, by damped Gauss–Newton on the exact derivative, from several
-scales or, as in the paper, once. Stage 2 keeps c and fits slopes k and offsets b of the weights to faster
-records: linear least squares.
+Stage 1 fits the saturation polynomial c with constant weights to a slow record. The weights enter linearly,
+so they are solved for within each trial of c (variable projection, Golub and Pereyra 1973) and only the m
+coefficients are searched, by damped Gauss–Newton with the exact derivative, from several scales or, as in the
+paper, from one start. Stage 2 keeps c and fits slopes k and offsets b of the weights to faster records by
+linear least squares.
 """
 
 from collections.abc import Iterator, Sequence
@@ -23,21 +23,21 @@ from torchpi.operators.motion import Motion
 
 EVALUATIONS = 100  # of stage 1, at most
 BLOCK = 10_000  # samples of stage 2 at a time
-DEPENDENT = 1e-10  # share of the largest singular value below which a direction counts as none
+DEPENDENT = 1e-10  # singular values below this share of the largest count as zero
 
 
 @dataclass(frozen=True)
 class TwoStageResult:
-    """How the two stages went; the compensator holds what they found.
+    """Errors of the two stages; the compensator holds the parameters that they found.
 
     Attributes:
         slow: Name of the record of stage 1.
         fast: Names of the records of stage 2.
-        slow_rms_v: Error that stage 1 left, V.
-        fast_rms_v: Error that stage 2 left, V.
-        condition_number: Of the linear problem of stage 2, columns scaled to like size. Neighbouring
-            plays are nearly collinear: a large number means that single weights are not determined,
-            though the loop is.
+        slow_rms_v: Rms error of stage 1, V.
+        fast_rms_v: Rms error of stage 2, V.
+        condition_number: Condition number of the linear problem of stage 2, with columns scaled to equal
+            norm. Neighbouring plays are nearly collinear: a large number means that single weights are not
+            determined, though the loop is.
     """
 
     slow: str
@@ -54,13 +54,13 @@ def fit_two_stage(
 ) -> TwoStageResult:
     """Fit `compensator` in place: stage 1 on the slowest record, stage 2 on the others.
 
-    A single record serves both. Lead and creep stay as they are. Of a neural rate head, the linear
+    A single record serves for both. Lead and creep stay as they are. Of a neural rate head, only the linear
     part is fitted.
 
     Args:
         compensator: Changed in place.
         pairs: Records, made with the compensator's preview.
-        several_starts: False descends in stage 1 from where c stands alone, as the paper does: to the next
+        several_starts: If False, stage 1 descends only from the current c, as in the paper, to the nearest
             minimum, which need not be the deepest.
 
     Example:
@@ -88,7 +88,7 @@ def fit_saturation(
     pairs: Sequence[InversePair],
     several_starts: bool = True,
 ) -> float:
-    """Stage 1 (eq. 10) in place: c, with weights that do not follow the rate; returns the rms error, V."""
+    """Fit c with rate-independent weights in place, as stage 1 (eq. 10); return the rms error, V."""
     problem = ProjectedProblem(compensator, pairs, ["c"], functions=1, own_degree=0)
     alpha, solved = (search if several_starts else descend)(problem, EVALUATIONS)
     problem.put(alpha, solved.beta)
@@ -96,7 +96,7 @@ def fit_saturation(
 
 
 def fit_weights(compensator: DirectInverse, pairs: Sequence[InversePair]) -> tuple[float, float]:
-    """Stage 2 (eq. 11) in place: k and b, c kept; returns the rms error, V, and the condition number.
+    """Fit k and b at fixed c in place, as stage 2 (eq. 11); return the rms error, V, and condition number.
 
     A play that no record moves gets the weight 0.
     """
@@ -128,7 +128,7 @@ def fit_weights(compensator: DirectInverse, pairs: Sequence[InversePair]) -> tup
 def _blocks(
     compensator: DirectInverse, pairs: Sequence[InversePair]
 ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Play states, (rows, plays), functions of the rate, (functions, rows), and voltage, block by block."""
+    """Yield play states, (rows, plays), rate functions, (functions, rows), and voltage, block by block."""
     for pair in pairs:
         state = None
         begin, stop, step = pair.counted.indices(pair.u.shape[1])

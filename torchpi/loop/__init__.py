@@ -1,4 +1,4 @@
-"""The control loop: a compensator's step against a stage, sample by sample."""
+"""The control loop: step a compensator against a stage, sample by sample."""
 
 from torchpi.loop.loop import run_loop
 from torchpi.loop.result import LoopResult

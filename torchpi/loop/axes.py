@@ -1,4 +1,4 @@
-"""Several axes along trajectories: how far off each is, and how much one moves the others."""
+"""Track trajectories with several axes: the error of each axis, and how much one moves the others."""
 
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -11,25 +11,25 @@ from torchpi.errors import StageError
 from torchpi.stage.multi_axis import MultiAxisStage
 
 RUN_IN_S = 0.3
-"""At the beginning, in which the error is not counted."""
+"""Duration at the beginning in which the error is not counted."""
 EASE_S = 0.1
 WITHIN = 0.8
-"""Of the voltage limits, what a random trajectory needs."""
+"""Share of the voltage limits that a random trajectory needs."""
 
 
 @dataclass(frozen=True)
 class AxesTracking:
-    """Rms over the trajectory but its beginning, in percent.
+    """Rms values over the trajectory without its beginning, in percent.
 
     Attributes:
         desired_um: Rms of each desired displacement, µm.
-        error_percent: Of each axis, of its desired displacement.
-        coupling_percent: [moving][other]: of each axis that is to stand, while one alone moves, of that one's
-            motion; 0 on the diagonal.
-        linear_error_percent: As `error_percent` with the best linear inverse.
-        linear_coupling_percent: As `coupling_percent` with that.
-        held_inputs: Samples that the inverse held.
-        limited_outputs: Samples that the voltage limits changed.
+        error_percent: Error of each axis, relative to its desired displacement.
+        coupling_percent: [moving][other]: motion of each axis that should stand while one alone moves,
+            relative to that one's motion; 0 on the diagonal.
+        linear_error_percent: As `error_percent`, with the best linear inverse.
+        linear_coupling_percent: As `coupling_percent`, with the best linear inverse.
+        held_inputs: Number of samples that the inverse held.
+        limited_outputs: Number of samples that the voltage limits changed.
     """
 
     desired_um: list[float]
@@ -41,20 +41,20 @@ class AxesTracking:
     limited_outputs: int
 
     def as_json(self) -> dict[str, Any]:
-        """Plain numbers by name."""
+        """Return plain numbers by name."""
         return asdict(self)
 
 
 def track_axes(inverse: MultiAxisInverse, plant: MultiAxisStage, yd: np.ndarray) -> AxesTracking:
-    """Drive a stage by an inverse along desired displacements, all axes together and each alone.
+    """Drive a stage with an inverse along desired displacements, all axes together and each alone.
 
     Args:
-        inverse: What drives; the stage in it need not be the plant.
-        plant: What is driven.
+        inverse: The inverse that drives; the stage in it need not be the plant.
+        plant: The stage that is driven.
         yd: (time, outputs), µm.
 
     Raises:
-        StageError: A plant with other axes or another sample rate, or a trajectory that is too short.
+        StageError: The plant has other axes or another sample rate, or the trajectory is too short.
     """
     model = inverse.stage
     if found := model.mismatch(plant.inputs, plant.outputs, plant.sample_rate_hz):
@@ -93,7 +93,7 @@ def track_axes(inverse: MultiAxisInverse, plant: MultiAxisStage, yd: np.ndarray)
 
 
 def random_axes(inverse: MultiAxisInverse, seconds: float, band_hz: float, seed: int = 0) -> np.ndarray:
-    """(time, outputs), µm: random motions up to a frequency, as large as `WITHIN` of the voltages allow."""
+    """Return random motions, (time, outputs), µm, up to a frequency, as large as `WITHIN` allows."""
     random, rate = np.random.default_rng(seed), inverse.stage.sample_rate_hz
     samples, outputs = int(seconds * rate), inverse.stage.outputs
     spectrum = np.zeros((samples // 2 + 1, outputs), complex)

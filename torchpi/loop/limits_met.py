@@ -1,4 +1,4 @@
-"""Where a drive meets the limits of the voltage or of its rate."""
+"""Find where a drive meets the limits of the voltage or of its rate."""
 
 import math
 from collections.abc import Iterator
@@ -10,9 +10,9 @@ import numpy.typing as npt
 from torchpi.loop.result import LimitMet, Signal
 
 ANSWERS = 3
-"""Samples after a voltage in which its displacement is read."""
+"""Number of samples after a voltage in which its displacement is read."""
 SLACK = 1e-9
-"""Relative: a rate that the step has limited differs from its limit by rounding."""
+"""Relative tolerance: a rate that the compensator has limited differs from its limit by rounding."""
 
 
 def limits_met(
@@ -25,17 +25,16 @@ def limits_met(
     max_slew_v_s: float,
     period_s: float,
 ) -> tuple[LimitMet, ...]:
-    """The limits that a drive met: of the voltage, low and high, and of its rate.
+    """Return the limits that a drive met: of the voltage, low and high, and of its rate.
 
-    A voltage that lies on a limit, but was not changed by it, has not met it. Without `limited`, every
-    voltage on a limit has. Nor has one met it that the limit changes by next to nothing, as where a motion
-    begins at 0 V: while it lies there, the stage has to be off, away from the limit, by more than the rms
-    error of the motion.
+    A voltage on a limit has met it only if the limit changed it; without `limited`, every voltage on a limit
+    has. A change by next to nothing, as where a motion begins at 0 V, does not count: while the voltage lies
+    on the limit, the stage has to be off, away from the limit, by more than the rms error of the motion.
 
     Args:
         u: Voltage written.
         yd: Desired displacement.
-        error_um: By how much the stage lies above it; positive while a lower limit cuts the voltage.
+        error_um: Displacement less y_d; positive while a lower limit cuts the voltage.
         limited: Where a limit inside the compensator changed the voltage; None where that is not counted.
         low_v, high_v: Limits of the voltage.
         max_slew_v_s: Limit of its rate, from sample to sample; infinite where none is known.
@@ -45,7 +44,7 @@ def limits_met(
     at_low, at_high = u <= low_v, u >= high_v
     too_fast = rate >= max_slew_v_s * (1 - SLACK)
     if limited is not None:
-        # What changed a voltage that lies on no limit is the slew limit inside.
+        # A changed voltage that lies on no limit was changed by the slew limit inside the compensator.
         too_fast |= limited & ~at_low & ~at_high
         at_low, at_high = at_low & limited, at_high & limited
     at_low, at_high = _cut(at_low, error_um), _cut(at_high, -error_um)
@@ -63,7 +62,7 @@ def limits_met(
 
 
 def _cut(where: npt.NDArray[np.bool_], away_um: Signal) -> npt.NDArray[np.bool_]:
-    """The stretches in which, or ANSWERS samples after which, the stage is off by more than its rms."""
+    """Keep stretches in which, or `ANSWERS` samples after which, the error exceeds its rms."""
     rms_um = float(np.sqrt(np.mean(away_um**2)))
     kept = np.zeros_like(where)
     for first, stop in _stretches(where):
@@ -95,7 +94,7 @@ def _met(
 
 
 def _stretches(where: npt.NDArray[np.bool_]) -> Iterator[tuple[int, int]]:
-    """First and past-the-end sample of each run of True."""
+    """Yield the first and the past-the-end sample of each run of True."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], where, [False]]).astype(np.int8)))
     for first, stop in edges.reshape(-1, 2):
         yield int(first), int(stop)

@@ -39,11 +39,11 @@ from torchpi.loop.result import (
 STEPS = ("sample_period_s", "preview", "reset", "step")
 MOVES = ("sample_period_s", "min_voltage_v", "max_voltage_v", "seed", "stream")
 COUNTERS = ("limited_outputs", "outside_range", "held_inputs")
-"""Voltages that its limits changed, samples beyond the trained range or rates, samples that it held."""
+"""Counts of voltages that its limits changed, samples beyond the trained range or rates, and held samples."""
 
 
 class Compensator(Protocol):
-    """What the loop needs of a compensator; an exported TorchScript file has it.
+    """Interface that the loop needs of a compensator; an exported TorchScript file has it.
 
     Optional attributes: `has_reference_filter: bool` (`step` then takes the raw reference y_r),
     `min_voltage_v` and `max_voltage_v` (its own output limits), and the counters since `reset`, `COUNTERS`.
@@ -64,7 +64,7 @@ class PlantStream(Protocol):
 
 
 class Plant(Protocol):
-    """What the loop needs of a stage; `torchpi.stage.Stage` has it.
+    """Interface that the loop needs of a stage; `torchpi.stage.Stage` has it.
 
     Optional: `max_slew_v_s: float`, the slew limit of its amplifier.
     """
@@ -95,12 +95,12 @@ def run_loop(
     clock: Callable[[], int] = time.perf_counter_ns,
     on_drive: Callable[[str], None] = lambda label: None,
 ) -> LoopResult:
-    """Run a trajectory through the stage with a compensator, without one, and with others beside it.
+    """Run a trajectory through the stage with a compensator, without one, and with others to compare.
 
     "Without" is u = y_d / gain, the gain being the straight line through the origin fitted by least squares
-    to the stage's own slow loop (5 Hz sine over the full voltage range, sensor reading). Where the
-    compensator looks ahead, the same straight line with the same look-ahead is run too, to show how much of
-    the improvement is only that. Every run starts de-energised and meets the same noise.
+    to the stage's own slow loop (5 Hz sine over the full voltage range, sensor reading). If the compensator
+    looks ahead, the same straight line is also run with the same look-ahead, to show how much of the
+    improvement is due to look-ahead alone. Every run starts de-energised and meets the same noise.
 
     Args:
         compensator: the one to judge; `export.torchscript.load_torchscript` reads it from an exported file.
@@ -111,15 +111,15 @@ def run_loop(
         title: its name in a sentence; `name` if left out.
         yr: the reference before the filter of eq. 14, for compensators that hold the filter.
         compare: other compensators, by name.
-        seed: of the stage's noise; None is the stage's own.
-        max_slew_v_s: rate of the voltage that the amplifier bears; the stage's own slew limit counts as well.
+        seed: seed of the stage's noise; None takes the stage's own.
+        max_slew_v_s: limit of the voltage's rate in the amplifier; the stage's own slew limit counts as well.
         on_drive: called with the label of each run as it starts.
         clock: nanoseconds; reads the time before and after each `step`.
 
     Raises:
         StageError: if the stage has no voltage limits.
         ArtifactError: if sample periods differ, a compensator returns a voltage that is not finite, or
-            `compensator` or `stage` is something else.
+            `compensator` or `stage` lacks what the loop needs.
         RecordingError: if the trajectory is not finite, constant, or outside the stage's range.
         ConfigError: if `fs_hz` or `max_slew_v_s` is no positive number.
 
@@ -194,7 +194,7 @@ def run_loop(
 
 
 class _Rig:
-    """A stage and a trajectory: drives the one along the other, and measures every drive by the same rule."""
+    """Drive a stage along a trajectory, and measure every drive by the same rule."""
 
     def __init__(
         self,
@@ -253,7 +253,7 @@ class _Rig:
 
     def _tracking(self, y: Signal) -> Tracking:
         e = y - self.yd
-        # A trajectory that starts at its maximum has no loading: its error is that of nothing, zero.
+        # A trajectory that starts at its maximum has no loading part; the error of that part is then zero.
         return Tracking(
             loading=self._error(e[: self.loading_samples]),
             steady=self._error(e[self.loading_samples :]),
@@ -281,8 +281,8 @@ def _step_through(
     seed: int,
     clock: Callable[[], int],
 ) -> tuple[Signal, Signal, Signal, npt.NDArray[np.int64], npt.NDArray[np.int64] | None]:
-    """The loop itself. Returns u, y_true, y_sensor, the nanoseconds of each step, and after each the counters
-    `COUNTERS`, (time, 3), if the compensator has them."""
+    """Run the loop. Return u, y_true, y_sensor, the nanoseconds of each step, and the counters `COUNTERS`
+    after each step, (time, 3), if the compensator has them."""
     u, y_true, y_sensor = (np.empty(len(feed)) for _ in range(3))
     step_ns = np.empty(len(feed), dtype=np.int64)
     step, move = compensator.step, plant.step
@@ -308,7 +308,7 @@ def _step_through(
 
 @contextmanager
 def _garbage_collection_held() -> Iterator[None]:
-    """A collection inside a step would be counted as the compensator's own time."""
+    """Suspend garbage collection, which inside a step would be counted as the compensator's own time."""
     was_enabled = gc.isenabled()
     gc.collect()
     gc.freeze()
@@ -322,7 +322,7 @@ def _garbage_collection_held() -> Iterator[None]:
 
 
 def _ahead(reference: Signal, preview: int) -> list[float]:
-    """`reference[k + preview]` for every k, the last value held past the end."""
+    """Return `reference[k + preview]` for every k, with the last value held past the end."""
     k = np.minimum(np.arange(len(reference)) + preview, len(reference) - 1)
     return [float(value) for value in reference[k]]
 
@@ -377,7 +377,7 @@ class _SlowLoop:
 
 
 def _slow_full_range_loop(stage: Plant, plant: PlantStream, seed: int) -> _SlowLoop:
-    """Two periods of a 5 Hz sine over the full voltage range; the second gives gain and range."""
+    """Run two periods of a 5 Hz sine over the full voltage range; the second gives gain and range."""
     limits_v = (stage.min_voltage_v, stage.max_voltage_v)
     if not all(map(math.isfinite, limits_v)):
         raise StageError(
@@ -400,7 +400,7 @@ def _slow_full_range_loop(stage: Plant, plant: PlantStream, seed: int) -> _SlowL
 
 
 class _StraightLine:
-    """u = y_d / gain within the voltage limits: what one does without a compensator."""
+    """u = y_d / gain within the voltage limits: the drive without a compensator."""
 
     def __init__(self, stage: Plant, slow_loop: _SlowLoop, preview: int) -> None:
         self.sample_period_s = stage.sample_period_s
@@ -409,7 +409,7 @@ class _StraightLine:
         self._low_v, self._high_v = stage.min_voltage_v, stage.max_voltage_v
 
     def reset(self) -> None:
-        """It has no memory."""
+        """Do nothing: a straight line has no memory."""
 
     def step(self, yd: float) -> float:
         return min(max(yd / self._gain_um_per_v, self._low_v), self._high_v)

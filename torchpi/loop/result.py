@@ -1,4 +1,4 @@
-"""What a run of the control loop gives: motions, errors, times, as named fields."""
+"""Results of a run of the control loop: motions, errors and times, as named fields."""
 
 import dataclasses
 import math
@@ -13,7 +13,7 @@ Signal = npt.NDArray[np.float64]  # shape: (time,)
 
 @dataclass(frozen=True)
 class Error:
-    """Size of a tracking error, with both denominators that are in use."""
+    """Size of a tracking error, also relative to the trajectory's peak to peak and to the stage's range."""
 
     max_um: float
     rms_um: float
@@ -25,7 +25,7 @@ class Error:
 
 @dataclass(frozen=True)
 class Tracking:
-    """Tracking error before and after the stage has forgotten its start, and in all.
+    """Tracking error before and after the stage has forgotten its initial state, and over the whole record.
 
     Loading ends where y_d first comes within 0.1 % (of peak to peak) of its global maximum: from there on,
     by the wiping-out property, the hysteresis no longer depends on how the record began.
@@ -54,13 +54,13 @@ class Latency:
 
 @dataclass(frozen=True)
 class LimitMet:
-    """A limit that the drive met, and where it stayed there longest."""
+    """A limit that the drive met, and the longest stretch on it."""
 
     quantity: Literal["voltage", "slew"]
     limit: float  # V, or V/s
     value: float  # V, or V/s: the largest that was written while the limit was met
     share: float  # of the samples
-    stretches: int  # in which it was met
+    stretches: int  # number of stretches in which it was met
     time_s: float  # where the longest of them begins
     duration_s: float  # of the longest
     yd_um: float  # desired displacement at `time_s`
@@ -68,7 +68,7 @@ class LimitMet:
 
 @dataclass(frozen=True)
 class Drive:
-    """One way of driving the stage along the trajectory, and what came of it."""
+    """One way of driving the stage along the trajectory, and its results."""
 
     label: str
     preview: int
@@ -79,10 +79,10 @@ class Drive:
     on_sensor: Tracking
     loop_width_um: float  # of y against y_d, steady part
     loop_width_percent: float  # of peak to peak
-    saturated_share: float  # of the samples, u at a voltage limit
+    saturated_share: float  # share of the samples with u at a voltage limit
     latency: Latency
     limits_met: tuple[LimitMet, ...] = ()
-    beyond_trained_share: float | None = None  # of the samples; None where that is not counted
+    beyond_trained_share: float | None = None  # share of the samples; None where that is not counted
 
 
 @dataclass(frozen=True)
@@ -99,7 +99,7 @@ class Ratios:
 
 @dataclass(frozen=True)
 class LoopResult:
-    """A trajectory, run without compensation, with every compensator to compare, and with the compensator."""
+    """A trajectory run without compensation, with each compensator to compare, and with the compensator."""
 
     name: str
     title: str
@@ -133,7 +133,7 @@ COMPENSATED = "torchpi"
 
 
 def latency_of(step_ns: npt.NDArray[np.int64], period_s: float) -> Latency:
-    """Of the nanoseconds of each step, (steps,), against the sample period."""
+    """Summarise the nanoseconds of each step, (steps,), against the sample period."""
     step_us = step_ns / 1e3
     period_us = period_s * 1e6
     median, p99, p999 = np.percentile(step_us, [50.0, 99.0, 99.9])
@@ -158,12 +158,12 @@ def latency_of(step_ns: npt.NDArray[np.int64], period_s: float) -> Latency:
 
 
 def loading_samples(yd: Signal) -> int:
-    """Samples before y_d first comes within 0.1 % of its largest: until then the start is remembered."""
+    """Count the samples before y_d first comes within 0.1 % of its maximum; until then the start matters."""
     return int(np.argmax(yd >= yd.max() - 1e-3 * np.ptp(yd)))
 
 
 def loop_width(yd: Signal, y: Signal) -> float:
-    """Widest spread of y at one y_d: y_d in 100 bins, the spread of y − y_d in each, the largest."""
+    """Return the widest spread of y at one y_d: the largest spread of y − y_d in any of 100 bins of y_d."""
     e = y - yd
     bins = np.minimum((100 * (yd - yd.min()) / max(np.ptp(yd), 1e-12)).astype(int), 99)
     high, low = np.full(100, -np.inf), np.full(100, np.inf)
@@ -173,7 +173,7 @@ def loop_width(yd: Signal, y: Signal) -> float:
 
 
 def as_json(result: LoopResult) -> dict[str, Any]:
-    """The result's numbers as plain keys with units; the traces stay out. Ratios over zero become null."""
+    """Return the numbers, without the traces, under plain keys with units. Ratios over zero become null."""
     drives = {}
     for key, drive in result.drives.items():
         latency = drive.latency

@@ -1,6 +1,6 @@
-"""Is this recording fit for a model? What cannot be used raises; what its owner should know warns.
+"""Checks whether a recording is fit for a model: unusable ones raise, questionable ones cause a warning.
 
-Every line names the file, the value found, the value expected and the remedy.
+Every message names the file, the value found, the value expected and the remedy.
 """
 
 import warnings
@@ -21,14 +21,14 @@ if TYPE_CHECKING:
     from torchpi.recordings.recording import Recording
 
 MIN_SAMPLES = 10
-RELATED = 0.1  # correlation at the best lag; 1 % of the output explained
-LONG_RUN = 4  # equal samples in a row that noise or a sharp peak does not make
+RELATED = 0.1  # correlation at the best lag; 0.1 means that 1 % of the output is explained
+LONG_RUN = 4  # equal samples in a row; more than noise or a sharp peak produces
 LEAST_STROKE_UM, LARGEST_STROKE_UM = 0.02, 1000.0
-LEAST_RATE_HZ, LARGEST_RATE_HZ = 50.0, 5e6  # 1 to 50 kHz are 1 to 50 Hz where stamps in ms count as s
+LEAST_RATE_HZ, LARGEST_RATE_HZ = 50.0, 5e6  # 1 to 50 kHz become 1 to 50 Hz if stamps in ms are read as s
 LEAST_VOLTAGE_V, LARGEST_VOLTAGE_V = 0.005, 1500.0
-LARGEST, LEAST_RANGE = 1e12, 1e-12  # of any unit: beyond them products of four lose their digits
-CLEAR_GAIN = 0.5  # in-phase correlation that leaves no doubt of the gain and its sign
-AWAY_FROM_ZERO = 0.2  # of the range: more than the last run leaves of a stage that is de-energised
+LARGEST, LEAST_RANGE = 1e12, 1e-12  # in any unit; beyond them products of four values lose digits
+CLEAR_GAIN = 0.5  # in-phase correlation above which the gain and its sign are not in doubt
+AWAY_FROM_ZERO = 0.2  # share of the range; a de-energised stage keeps less than this from its last run
 
 
 def check_recording(
@@ -39,22 +39,22 @@ def check_recording(
     place: Callable[[int], str] | None = None,
     check_start: bool = True,
 ) -> None:
-    """Refuse a recording that no model can be made from, and warn of what would spoil one.
+    """Refuse a recording that no model can be identified from, and warn of defects that would spoil one.
 
     Args:
-        recording: what was read, V and µm.
-        min_samples: the fewest that the model needs.
+        recording: the recording, V and µm.
+        min_samples: the fewest samples that the model needs.
         allow_constant_input: accept a hold, which shows creep, drift and noise but no hysteresis.
-        place: where the sample of an index stands, for the messages; by default `sample N`.
-        check_start: the first sample is where the recording began, not one within it.
+        place: describes, for the messages, where the sample of an index stands; by default `sample N`.
+        check_start: whether the first sample is the start of the recording; False if the start was cut off.
 
     Raises:
         RecordingError: too short; NaN, infinity or an impossible magnitude; constant input; a flat or
             unplugged sensor.
 
     Warns:
-        RecordingWarning: clipping, dropouts, a falling output, an output that comes before its input, a start
-            away from zero, or a range or a sample rate that suggests other units.
+        RecordingWarning: clipping, dropouts, an output that falls as the input rises or leads the input, a
+            start away from zero, or a range or sample rate that suggests other units.
     """
     place = place or (lambda index: f"sample {index + 1}")
     name = recording.source or recording.name
@@ -95,7 +95,7 @@ def check_recording(
 
 
 def check_length(name: str, samples: int, min_samples: int) -> None:
-    """Raises RecordingError if there are fewer samples than the model needs."""
+    """Raise RecordingError if there are fewer samples than the model needs."""
     if samples < min_samples:
         raise RecordingError(
             f"{name}: {samples} samples, expected at least {min_samples} (min_samples); record for longer"
@@ -103,12 +103,12 @@ def check_length(name: str, samples: int, min_samples: int) -> None:
 
 
 def check_values(name: str, columns: list[tuple[str, np.ndarray]], place: Callable[[int], str]) -> None:
-    """Raises RecordingError if a number is NaN, infinite, or of a size that no rig records.
+    """Raise RecordingError if a number is NaN, infinite, or larger than any rig records.
 
     Args:
-        name: of the file.
-        columns: name and (time,) of each, all of one length.
-        place: where the sample of an index stands.
+        name: name of the file.
+        columns: name and values (time,) of each column, all of one length.
+        place: describes where the sample of an index stands.
     """
     bad = [~(np.abs(signal) <= LARGEST) for _, signal in columns]
     rows = np.any(bad, axis=0)
@@ -138,7 +138,7 @@ def _check_sensor(name: str, recording: "Recording") -> None:
             f"{name}: the output takes only {levels} values, {np.ptp(y):g} µm apart, while the input moves "
             f"by {np.ptp(u):g} V, expected a range of many sensor steps; {remedy}"
         )
-    # By chance alone the best lag of n samples of noise reaches a few 1/√n.
+    # By chance alone, n samples of noise reach a correlation of a few 1/√n at the best lag.
     least = min(0.35, max(RELATED, 3.5 / np.sqrt(len(u))))
     found = _correlation(u, y)
     if found < least:
@@ -149,7 +149,7 @@ def _check_sensor(name: str, recording: "Recording") -> None:
 
 
 def _correlation(u: np.ndarray, y: np.ndarray) -> float:
-    """The largest at any lag up to an eighth of the record; a linear drift does not count."""
+    """Return the largest correlation at any lag up to an eighth of the record, with linear drift removed."""
     line_free = without_line(u)
     if line_free @ line_free > 0.01 * np.var(u) * len(u):
         u, y = line_free, without_line(y)
@@ -165,10 +165,10 @@ def _correlation(u: np.ndarray, y: np.ndarray) -> float:
 
 
 def _clipped_input(recording: "Recording") -> str | None:
-    """Flat tops that cut off a curve: longer than any hold elsewhere, met with a corner.
+    """Warn of flat tops that cut off a curve: longer than any hold elsewhere, and reached with a corner.
 
-    Stairs hold other levels too, a trapezoid comes along a straight line, a hold is met smoothly or by a
-    jump.
+    Stairs also hold other levels, a trapezoid reaches its top along a straight line, and a deliberate hold is
+    reached smoothly or by a jump.
     """
     u = recording.u
     start, length = _runs(u)
@@ -179,7 +179,7 @@ def _clipped_input(recording: "Recording") -> str | None:
     if not clipped.any():
         return None
     corners = [_is_cut_curve(u, int(i), int(n)) for i, n in zip(start[clipped], length[clipped], strict=True)]
-    if np.mean(corners) < 0.3:  # of a designed signal none
+    if np.mean(corners) < 0.3:  # a designed signal has none
         return None
     first = int(start[clipped][0])
     return (
@@ -189,20 +189,20 @@ def _clipped_input(recording: "Recording") -> str | None:
 
 
 def _is_cut_curve(u: np.ndarray, start: int, length: int) -> bool:
-    """Does a curve run into the flat top with a corner?"""
+    """Whether a curve runs into the flat top with a corner."""
     piece = max(2, length // 4)
     if start < 2 * piece:
         return False
     near = abs(u[start] - u[start - piece])
     far = abs(u[start - piece] - u[start - 2 * piece])
     if near <= 0.5 * far or near == 0:
-        return False  # a smooth arrival: a parabola makes 1/3, a cut sine 0.7
+        return False  # a smooth arrival: near/far is 1/3 for a parabola, 0.7 for a cut sine
     window = u[max(0, start - 100 * length) : start + 1]
     return any(_bends(window, part * np.ptp(u), 0.005 * np.ptp(u)) for part in (0.5, 0.9))
 
 
 def _bends(window: np.ndarray, height: float, tolerance: float) -> bool:
-    """Does the last climb of this height, to the end of the window, leave its chord?"""
+    """Whether the last climb of this height, up to the end of the window, deviates from its chord."""
     below = np.flatnonzero(np.abs(window - window[-1]) > height)
     climb = window[below[-1] :] if len(below) else window[:0]
     if len(climb) < 4:
@@ -211,10 +211,10 @@ def _bends(window: np.ndarray, height: float, tolerance: float) -> bool:
 
 
 def _clipped_output(recording: "Recording") -> str | None:
-    """Constant stretches at the output's largest or smallest value that begin before the input has turned.
+    """Warn of constant stretches at the output's extreme values that begin before the input reverses.
 
-    A play stands still after the turn; a rounded peak for no more than the input needs to cross one sensor
-    step.
+    A play stands still only after the reversal; a rounded peak stands still only while the input crosses one
+    sensor step.
     """
     u, y = recording.u, recording.y
     start, length = _runs(y)
@@ -237,14 +237,14 @@ def _clipped_output(recording: "Recording") -> str | None:
 
 
 def _frozen_output(recording: "Recording") -> str | None:
-    """Constant stretches of the output, then a jump, while the input moves by many sensor steps a sample."""
+    """Warn if the output is constant, then jumps, while the input moves by many sensor steps per sample."""
     u, y = recording.u, recording.y
     start, length = _runs(y)
-    start, length = start[:-1], length[:-1]  # nothing is known of what follows the last
+    start, length = start[:-1], length[:-1]  # what follows the last run is unknown
     after = start + length
-    step_um = np.abs(u[after] - u[start]) / length * (np.ptp(y) / np.ptp(u))  # expected of one sample
+    step_um = np.abs(u[after] - u[start]) / length * (np.ptp(y) / np.ptp(u))  # expected change per sample
     jump_um = np.abs(y[after] - y[after - 1])
-    inside = (y[start] != y.max()) & (y[start] != y.min())  # those are clipping's
+    inside = (y[start] != y.max()) & (y[start] != y.min())  # the extremes are left to the check for clipping
     frozen = (length >= 3) & inside & (step_um > 5 * recording.output_step_um) & (jump_um > 1.5 * step_um)
     repeated = int((length[frozen] - 1).sum())
     if not frozen.any() or (length[frozen].max() < 10 and repeated < 0.02 * len(y)):
@@ -258,7 +258,7 @@ def _frozen_output(recording: "Recording") -> str | None:
 
 
 def _single_dropouts(recording: "Recording", place: Callable[[int], str]) -> str | None:
-    """Readings that neither noise nor motion explains, one at a time."""
+    """Warn of single readings that neither noise nor motion explains."""
     found = dropouts(recording.y, recording.u, recording.output_step_um)
     if not len(found):
         return None
@@ -286,7 +286,7 @@ def _falling_output(recording: "Recording") -> str | None:
 
 def _early_output(recording: "Recording") -> str | None:
     lead = lead_of_output(recording.u, recording.y)
-    # Above its resonances, or driven by other inputs as well, a stage may seem to lead.
+    # A stage may seem to lead above its resonances, or if other inputs drive it as well.
     if not lead or abs(in_phase_correlation(recording.u, recording.y)) < CLEAR_GAIN:
         return None
     degrees = np.degrees(np.arcsin(min(1.0, lead / 1.11)))
@@ -331,7 +331,7 @@ def _suspicious_units(recording: "Recording") -> list[str]:
 
 
 def _runs(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Start and length of every run of equal samples."""
+    """Return the start and length of every run of equal samples."""
     start = np.concatenate(([0], np.flatnonzero(x[1:] != x[:-1]) + 1))
     return start, np.diff(np.append(start, len(x)))
 

@@ -1,40 +1,40 @@
-"""Rate and acceleration of a measured displacement, without phase.
+"""Rate and acceleration of a measured displacement, without phase shift.
 
-Identification needs ẏ of the record at the very sample it belongs to (eq. 7, 11): a backward difference comes
-half a sample late and multiplies the sensor's noise by the sample rate. Here a stated bandwidth decides what
-is motion.
+Identification needs ẏ at exactly the sample to which it belongs (eq. 7, 11). A backward difference lags by
+half a sample and multiplies the sensor's noise by the sample rate. Here, everything up to a stated bandwidth
+counts as motion.
 """
 
 import numpy as np
 
 from torchpi.errors import ConfigError, RecordingError
 
-ROLL_OFF = 1.5  # the gain falls from one at the bandwidth to zero at 1.5 times it
-EDGE_PERIODS = 0.6  # of the bandwidth: what the curvature at either end is fitted on
+ROLL_OFF = 1.5  # the gain falls from one at the bandwidth to zero at 1.5 times the bandwidth
+EDGE_PERIODS = 0.6  # window, in periods of the bandwidth, on which the curvature at either end is fitted
 LEAST_SAMPLES = 8
 
 
 def zero_phase_motion(
     y: np.ndarray, fs_hz: float, bandwidth_hz: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Smoothed displacement, rate and acceleration of a record, all in phase with it.
+    """Return the smoothed displacement, rate and acceleration of a record, all in phase with it.
 
-    A filter in the frequency domain: exact up to `bandwidth_hz`, nothing above 1.5 times it, a raised cosine
-    between. White noise of σ leaves less than 2π·B·σ·√(2B / 3fs) of rate, with B 1.5 times the bandwidth.
-    Both ends are continued by point reflection, after a cubic has taken out their value and curvature, so a
-    record may begin and end anywhere, at rest or in motion; the acceleration is rough within one period of
-    the bandwidth of them.
+    The filter acts in the frequency domain: gain one up to `bandwidth_hz`, zero above 1.5 times that, and a
+    raised cosine between. White noise of σ causes less than 2π·B·σ·√(2B / 3fs) in the rate, where B is 1.5
+    times the bandwidth. Both ends are extended by point reflection, after a cubic has removed their value and
+    curvature, so a record may begin and end anywhere, at rest or in motion. Within one period of the
+    bandwidth of either end, the acceleration is only approximate.
 
     Args:
         y: (…, time), µm.
         fs_hz: sample rate.
-        bandwidth_hz: of the motion; see `motion_bandwidth`.
+        bandwidth_hz: bandwidth of the motion; see `motion_bandwidth`.
 
     Returns:
         y_smooth, y_dot, y_ddot: (…, time), µm, µm/s, µm/s².
 
     Raises:
-        ConfigError: the bandwidth is not between 0 and half of the sample rate.
+        ConfigError: the bandwidth is not between 0 and half the sample rate.
         RecordingError: fewer than 8 samples.
     """
     if not 0 < bandwidth_hz < fs_hz / 2:
@@ -64,13 +64,13 @@ def zero_phase_motion(
 
 
 def motion_bandwidth(y: np.ndarray, fs_hz: float) -> float:
-    """The bandwidth that makes the rate of this record most exact, Hz.
+    """Return the bandwidth that makes the rate of this record most accurate, Hz.
 
     The noise floor N is the median of the spectrum's upper half, where a stage does not move. A bandwidth B
     passes the noise ω²N below it and loses the motion ω²(P − N) above it; their sum is least where the
-    running sum of ω²(P − 2N) is greatest. So a weak line far above the rest counts only if it outweighs the
-    noise on the way to it. At most a quarter of the sample rate, and a fifth more than the last line counted,
-    so that it is passed whole.
+    running sum of ω²(P − 2N) is greatest. A weak line far above the rest therefore counts only if it
+    outweighs the noise below it. The result lies a fifth above the last line counted, so that this line
+    passes unattenuated, and is at most a quarter of the sample rate.
 
     Args:
         y: (time,), µm.
@@ -84,7 +84,7 @@ def motion_bandwidth(y: np.ndarray, fs_hz: float) -> float:
     y = np.asarray(y, dtype=np.float64)
     samples = len(y)
     _check_samples(samples)
-    # A quarter of the record: fine enough that a line does not spill far, and seven of them to average.
+    # Segments of a quarter of the record leak little from a line, and seven of them are averaged.
     frequency, power = welch(y, fs_hz, nperseg=min(samples, max(256, samples // 4)))
     floor = np.median(power[frequency >= fs_hz / 4])
     gained = np.cumsum(frequency**2 * (power - 2 * floor))
@@ -101,9 +101,9 @@ def _gain(frequency: np.ndarray, fs_hz: float, bandwidth_hz: float) -> np.ndarra
 def _edge_cubic(
     y: np.ndarray, t: np.ndarray, fs_hz: float, bandwidth_hz: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The cubic with the value and the curvature that y has at its two ends, and its two derivatives.
+    """Return the cubic with the value and curvature of y at its two ends, and its two derivatives.
 
-    What is left of y has neither there, so its point reflection is smooth to the third derivative.
+    The remainder of y has neither at the ends, so its point reflection is smooth to the third derivative.
     """
     samples = y.shape[-1]
     window = min(samples, max(6, round(EDGE_PERIODS * fs_hz / bandwidth_hz)))

@@ -1,28 +1,28 @@
-"""What a recorded signal shows of itself: its noise, single wrong readings, and which of two comes first."""
+"""Properties of recorded signals: noise, single wrong readings, and which of two signals leads."""
 
 import numpy as np
 
 MOTION_FACTOR = 4.0
-"""A reading stands apart by so many times the samples' usual step; a triangle's corner does by one."""
+"""A wrong reading stands apart by more than this many usual steps; a triangle's corner by one."""
 FALSE_ALARM = 1e-3
-"""The chance that noise alone makes a dropout anywhere in a record."""
+"""Probability that noise alone produces a dropout anywhere in a record."""
 DENSER, OFTENER, SPREAD = 3.0, 5.0, 0.5
-"""Times the mean density of readings, that of a value that a stage passes often; times that other values come
-again, from where one comes again too often; of the scatter of the input, what it has where it does."""
+"""Density at a value that a stage passes often, in mean densities of readings; how many times as often as
+others a suspect value recurs; least share of the input's scatter that the input has at its readings."""
 STEP, RINGING = 0.02, 2
-"""Of its range, a move of the input from one sample to the next that is a step; samples before and after it
-in which filters ring."""
+"""Change of the input between samples that counts as a step, as a share of its range; number of samples
+before and after a step in which filters ring."""
 LEAST_LEAD = 0.02  # about one degree of a sine
 ROUNDING = 1e-9
-"""Of the largest value of a signal."""
+"""Differences below this share of a signal's largest value are rounding."""
 
 
 def noise_estimate(y: np.ndarray) -> float:
-    """Standard deviation of what changes from sample to sample without pattern, in the signal's unit.
+    """Return the standard deviation of the random change from sample to sample, in the signal's unit.
 
-    The median of |y(k) − cubic through its four neighbours|: white noise σ leaves √(35/18)·σ of it, motion
-    that is slow against the sample rate nothing. Where motion is fast it is an upper bound; where a converter
-    rounds all noise away it is zero.
+    It is estimated from the median of |y(k) − cubic through its four neighbours|. White noise σ gives this
+    difference a standard deviation of √(35/18)·σ; slow motion contributes nothing. For fast motion the
+    estimate is an upper bound; if a converter rounds all noise away, it is zero.
 
     Args:
         y: (time,).
@@ -34,13 +34,13 @@ def noise_estimate(y: np.ndarray) -> float:
 
 
 def robust_sd(x: np.ndarray, axis: int | None = None) -> np.ndarray:
-    """The standard deviation of Gaussian values about 0, whatever a few of them are, in their unit.
+    """Return the standard deviation of Gaussian values about 0, robust against a few outliers, in their unit.
 
-    From the median of their sizes (Hampel, *J. American Statistical Association* 69, 1974).
+    From the median of their absolute values (Hampel, *J. American Statistical Association* 69, 1974).
 
     Args:
         x: (…, time).
-        axis: Along which; None is over all.
+        axis: Axis of the median; None takes all values.
     """
     sd: np.ndarray = 1.4826 * np.median(np.abs(x), axis=axis)
     return sd
@@ -49,26 +49,26 @@ def robust_sd(x: np.ndarray, axis: int | None = None) -> np.ndarray:
 def dropouts(y: np.ndarray, u: np.ndarray | None = None, sensor_step: float | None = None) -> np.ndarray:
     """Indices of isolated wrong readings, such as one zero among readings of 5 µm.
 
-    A reading is wrong where it lies beyond both its neighbours, on the same side, by more than noise and by
-    more than motion: the lesser of |y(k) − y(k−1)| and |y(k) − y(k+1)| exceeds
+    A reading is wrong if it lies beyond both its neighbours, on the same side, by more than noise and motion
+    explain: the lesser of |y(k) − y(k−1)| and |y(k) − y(k+1)| exceeds
 
     - √1.5·σ·Φ⁻¹(1 − α/2n), which white noise of σ (`noise_estimate`) exceeds anywhere in n samples with
-      probability α = 0.001 at most: the mean of the two differences has variance 1.5 σ²;
-    - 4 times the median of the eight nearest other steps, of which a corner of a triangle reaches one;
-    - 3 steps of the sensor, because rounding makes lone steps of one.
+      probability at most α = 0.001: the mean of the two differences has variance 1.5 σ²;
+    - 4 times the median of the eight nearest other steps; a corner of a triangle reaches one such step;
+    - 3 steps of the sensor, because rounding causes isolated changes of one step.
 
-    In fast motion a zero may lie between its neighbours: so are the readings of a value that comes again too
-    often, see `repeated_value`.
+    In fast motion a wrong zero may lie between its neighbours, so readings of a value that recurs too often
+    count as wrong too; see `repeated_value`.
 
-    The first and last sample, which have one neighbour, are never among them; nor are two wrong readings in a
-    row. Nor are those beside steps of the input, where more of them are than anywhere else: an overshoot of a
-    sample or two is the stage's answer, or a filter's without phase.
+    The first and last sample, which have only one neighbour, are never returned, nor are two wrong readings
+    in a row. Readings beside steps of the input are left out if they cluster there: an overshoot of a sample
+    or two is the response of the stage, or of a zero-phase filter.
 
     Args:
         y: (time,), any unit, finite.
-        u: (time,), the input, any unit, where it is known.
-        sensor_step: Of the sensor, in the unit of y; None takes the smallest between values of y, which is
-            none where y was interpolated.
+        u: (time,), the input, any unit, if known.
+        sensor_step: Step of the sensor, in the unit of y; None takes the smallest difference between values
+            of y, which is not the sensor's step if y was interpolated.
 
     Returns:
         (dropouts,), int, increasing.
@@ -101,15 +101,15 @@ def dropouts(y: np.ndarray, u: np.ndarray | None = None, sensor_step: float | No
 
 
 def repeated_value(y: np.ndarray, u: np.ndarray, sensor_step: float) -> np.ndarray:
-    """Indices of single readings of one value, such as zero, that comes again far more often than others do.
+    """Return indices of single readings of one value, such as zero, that recurs far more often than others.
 
-    Readings with an equal neighbour are left out: a stage at rest repeats itself. So is a value to which the
-    input sends the stage again and again.
+    Readings with an equal neighbour are left out, because a stage at rest repeats its reading. A value to
+    which the input repeatedly drives the stage is left out too.
 
     Args:
         y: (time,), any unit, finite.
         u: (time,), the input, any unit.
-        sensor_step: In the unit of y, more than 0.
+        sensor_step: Step of the sensor, in the unit of y, more than 0.
 
     Returns:
         (readings,), int, increasing.
@@ -131,7 +131,7 @@ def repeated_value(y: np.ndarray, u: np.ndarray, sensor_step: float) -> np.ndarr
 
 
 def _beside_steps(readings: np.ndarray, u: np.ndarray) -> np.ndarray:
-    """(readings,), bool: which lie beside a step of u, if so many are no chance."""
+    """Return (readings,), bool: which lie beside a step of u, if there are more than by chance."""
     from scipy.special import bdtrc
 
     moves = np.abs(np.diff(u))
@@ -145,16 +145,16 @@ def _beside_steps(readings: np.ndarray, u: np.ndarray) -> np.ndarray:
 
 
 def least_step(x: np.ndarray) -> float:
-    """The smallest difference between values of x that is more than rounding: the sensor's step."""
+    """Return the smallest difference between values of x that exceeds rounding: the sensor's step."""
     gaps = np.diff(np.unique(x))
     gaps = gaps[gaps > ROUNDING * np.abs(x).max()]
     return float(gaps.min()) if len(gaps) else 0.0
 
 
 def in_phase_correlation(u: np.ndarray, y: np.ndarray) -> float:
-    """Correlation of u and y at the same instant, a linear drift of y left out: its sign is the gain's.
+    """Return the correlation of u and y at the same instant, y without linear drift; its sign is the gain's.
 
-    0 where nothing else is left of y but rounding.
+    It is 0 if only rounding is left of y.
     """
     size, u, y = np.abs(y).max(), u - u.mean(), without_line(y) if len(y) > 2 else y - y.mean()
     scale = np.sqrt(float(u @ u) * float(y @ y))
@@ -162,24 +162,24 @@ def in_phase_correlation(u: np.ndarray, y: np.ndarray) -> float:
 
 
 def lead_of_output(u: np.ndarray, y: np.ndarray) -> float:
-    """How far y runs ahead of u: the signed area of the loop, Σ y Δu, over Σ|Δu|·std(y).
+    """Return how far y leads u: the signed area of the loop, Σ y Δu, over Σ|Δu|·std(y).
 
-    Hysteresis, lag, delay and creep make it negative, whatever the gain's sign: for a sine that lags by δ it
-    is −1.11 sin δ. Positive, the output comes first; of n samples, what is not in phase with u makes up to
-    5σ/(√n std(y)) by chance, where σ is its standard deviation.
+    Hysteresis, lag, delay and creep make it negative, whatever the sign of the gain: for a sine that lags by
+    δ it is −1.11 sin δ. If it is positive, the output leads. By chance, the part of y that is not in phase
+    with u, of standard deviation σ, gives up to 5σ/(√n std(y)) for n samples.
 
     Args:
         u, y: (time,).
 
     Returns:
-        The lead where it is beyond chance and beyond a degree, else 0.
+        The lead if it exceeds both chance and one degree, else 0.
     """
     centred = y - y.mean()
     power, path = float((u - u.mean()) @ (u - u.mean())), float(np.abs(np.diff(u)).sum())
     if power == 0 or path == 0:
         return 0.0
     gain = float((u - u.mean()) @ centred) / power
-    beside = centred - gain * (u - u.mean())  # what is in phase encloses no area, but an open path counts it
+    beside = centred - gain * (u - u.mean())  # in-phase motion encloses no area, but adds to an open path
     lead = float((beside[1:] + beside[:-1]) @ np.diff(u)) / 2 / (path * float(y.std()) or np.inf)
     lead *= np.sign(gain) or 1.0
     chance = 5 * float(beside.std()) / (np.sqrt(len(y)) * float(y.std()) or np.inf)
@@ -187,7 +187,7 @@ def lead_of_output(u: np.ndarray, y: np.ndarray) -> float:
 
 
 def without_line(x: np.ndarray) -> np.ndarray:
-    """x without its mean and its linear drift."""
+    """Return x without its mean and its linear drift."""
     index = np.arange(len(x)) - (len(x) - 1) / 2
     centred = x - x.mean()
     return np.asarray(centred - index * (index @ centred / (index @ index)))

@@ -10,19 +10,19 @@ from torchpi.recordings.recording import Recording, read_recording
 
 
 def with_force(path: str | Path, options: RecordingOptions) -> RecordingOptions:
-    """The options with `force_n` for the input, where the file has it and no other column is named."""
+    """Return the options with `force_n` as the input, if the file has it and no other column is named."""
     has_force = options.input_column == INPUT_COLUMN and FORCE_COLUMN in open_source(path).names
     return options.with_changes(input_column=FORCE_COLUMN) if has_force else options
 
 
 def read_force_recording(path: str | Path, options: RecordingOptions) -> Recording:
-    """Read force, N, in place of the voltage, and displacement, µm.
+    """Read a recording of force, N, in place of the voltage, and displacement, µm.
 
     Raises:
         RecordingError: As `read_recording`.
 
     Warns:
-        RecordingWarning: As `read_recording`, but not of units, which are not those of a piezo.
+        RecordingWarning: As `read_recording`, except about units, since they are not those of a piezo.
     """
     with warnings.catch_warnings():
         warnings.filterwarnings(

@@ -1,4 +1,4 @@
-"""Recordings of several axes: `time_s,input_1_v,input_2_v,…[,output_1_um,…]`, or arrays of a benchmark."""
+"""Recordings of several axes: `time_s,input_1_v,input_2_v,…[,output_1_um,…]`, or a benchmark's arrays."""
 
 import re
 import warnings
@@ -20,9 +20,9 @@ from torchpi.recordings.signal import read_signal
 INPUT, OUTPUT = re.compile(r"input_(\d+)(_v|\b)"), re.compile(r"output_(\d+)(_um|\b)")
 DESIRED = re.compile(r"yd_(\d+)(_um|\b)")
 MOST_PERIODS, REPEATED = 32, 0.01
-"""How often an excitation may repeat itself, and by how much of its rms it may differ then, monitored."""
+"""Most periods of a repeated excitation; share of its rms by which periods of a monitored one may differ."""
 PARALLEL = 1e-6
-"""Least singular value of the inputs' correlation, beside the largest: below it they move as one."""
+"""Ratio of the least to the largest eigenvalue of the inputs' correlation below which they move together."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,11 +30,11 @@ class MultiAxisRecording:
     """Voltages and displacements of one run, uniformly sampled.
 
     Attributes:
-        name: Of the file, and of the run in it.
+        name: Name of the file and of the run in it.
         u: (time, inputs), V.
-        y: (time, outputs), µm; without columns where none were recorded.
+        y: (time, outputs), µm; has no columns if none were recorded.
         fs_hz: Sample rate, Hz.
-        periods: How many periods of one periodic excitation it holds, in steady state; 1 for any other.
+        periods: Number of periods of a periodic excitation, in steady state; 1 for any other recording.
     """
 
     name: str
@@ -45,8 +45,8 @@ class MultiAxisRecording:
 
     @cached_property
     def period(self) -> tuple[np.ndarray, np.ndarray, float]:
-        """Voltages and displacements of the mean period, about the sensors' zero, and the rms of what differs
-        from period to period in that mean, µm."""
+        """Return the mean period of voltages and displacements (displacements about their mean), and the rms
+        of the noise in that mean, estimated from the differences between periods, µm."""
         length = len(self.u) // self.periods
         u = self.u[: length * self.periods].reshape(self.periods, length, -1)
         y = self.y[: length * self.periods].reshape(self.periods, length, -1)
@@ -62,12 +62,12 @@ def read_multi_axis(
     """Read a file whose columns are named `input_1_v`, `input_2_v`, … and `output_1_um`, ….
 
     Args:
-        path: CSV, or any other kind with named columns.
+        path: CSV, or any other kind of file with named columns.
         options: Time column and sample rate.
-        periods: How many periods of a periodic excitation the file holds; None finds them.
+        periods: Number of periods of a periodic excitation in the file; None detects it.
 
     Raises:
-        RecordingError: No such columns, one that is missing in the row, or a file that cannot be read.
+        RecordingError: No such columns, a gap in their numbers, or a file that cannot be read.
     """
     options = options or RecordingOptions()
     source = open_source(path)
@@ -85,12 +85,12 @@ def read_multi_axis(
 
 
 def has_axes(source: Source) -> bool:
-    """Whether a file has numbered inputs, and is of several axes then."""
+    """Whether a file has numbered inputs, and so is a recording of several axes."""
     return any(INPUT.match(name) for name in source.names)
 
 
 def whole_periods(u: np.ndarray) -> int:
-    """How many times inputs (time, inputs) repeat themselves from the first sample to the last."""
+    """Return how many whole periods the inputs (time, inputs) contain from the first sample to the last."""
     size = float(u.std())
     for periods in range(MOST_PERIODS, 1, -1):
         length, left = divmod(len(u), periods)
@@ -100,15 +100,15 @@ def whole_periods(u: np.ndarray) -> int:
 
 
 def columns(source: Source, kind: re.Pattern[str], first: str) -> list[str]:
-    """The numbered columns of a kind, in order.
+    """Return the names of the numbered columns of a kind, in order.
 
     Args:
         source: An open file.
         kind: `INPUT` or `OUTPUT`.
-        first: What one at least is called; empty where none is needed.
+        first: Name of the first column, for the error message; empty if none is required.
 
     Raises:
-        RecordingError: A number that is missing.
+        RecordingError: If a number is missing.
     """
     found = {int(match[1]): name for name in source.names if (match := kind.match(name))}
     if not found and first:
@@ -150,13 +150,13 @@ def read_realisations(path: str | Path, fs_hz: float, um_per_unit: float = 1.0) 
 
 
 def usable(recordings: Sequence[MultiAxisRecording]) -> list[MultiAxisRecording]:
-    """The recordings of one stage, if they show what each of its inputs does.
+    """Return the recordings of one stage, checked that they show the effect of each input.
 
-    Warns (`RecordingWarning`) of an input that never moves, which is left out.
+    An input that never moves is left out with a `RecordingWarning`.
 
     Raises:
-        RecordingError: Numbers of inputs, outputs or sample rates that differ, a value that is not finite,
-            inputs none of which moves, or that always move in proportion.
+        RecordingError: If numbers of inputs, numbers of outputs or sample rates differ, a value is not
+            finite, no input moves, or inputs always move in proportion.
     """
     first = recordings[0]
     for one in recordings:
@@ -196,7 +196,7 @@ def usable(recordings: Sequence[MultiAxisRecording]) -> list[MultiAxisRecording]
 
 
 def write_multi_axis(path: str | Path, recording: MultiAxisRecording) -> None:
-    """Write `time_s,input_1_v,…,output_1_um,…` as CSV, whole or not at all; every double survives."""
+    """Write `time_s,input_1_v,…,output_1_um,…` as CSV, whole or not at all, every double exact."""
     names = [f"input_{i + 1}_v" for i in range(recording.u.shape[1])]
     names += [f"output_{i + 1}_um" for i in range(recording.y.shape[1])]
     t = np.arange(len(recording.u))[:, None] / recording.fs_hz

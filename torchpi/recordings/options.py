@@ -1,4 +1,4 @@
-"""How a file becomes a recording: the same options in every command, and from Python."""
+"""Options for reading a recording from a file, the same in every command and in Python."""
 
 from dataclasses import dataclass, fields, replace
 from typing import Any, Literal
@@ -14,8 +14,8 @@ FORCE_COLUMN = "force_n"
 class RecordingOptions:
     """Which columns of a file are read, in which units, and from where they count.
 
-    A column of another name is found where only one can be meant (`u [mV]`, `time_ms`, `output (nm)`),
-    and its unit is read from the header.
+    A column of another name is found if only one column fits (`u [mV]`, `time_ms`, `output (nm)`), and its
+    unit is read from the header.
 
     Args:
         time_column: Column of the time stamps, name or number from 1; null: leave them out.
@@ -66,10 +66,10 @@ class RecordingOptions:
 
     @classmethod
     def of(cls, options: "RecordingOptions | None", changes: dict[str, Any]) -> "RecordingOptions":
-        """The given options, by default all at their defaults, but for single ones.
+        """Return the given options, or the defaults if None, with single options changed.
 
         Raises:
-            ConfigError: No options, or a single one that there is not.
+            ConfigError: `options` has another type, or an option in `changes` does not exist.
         """
         if not isinstance(options, RecordingOptions | None):
             raise ConfigError(
@@ -79,10 +79,10 @@ class RecordingOptions:
         return (options or cls()).with_changes(**changes)
 
     def with_changes(self, **changes: Any) -> "RecordingOptions":
-        """The same options but for these.
+        """Return the same options with these changes.
 
         Raises:
-            ConfigError: An option that there is not.
+            ConfigError: An option that does not exist.
         """
         known = [field.name for field in fields(self)]
         if unknown := [name for name in changes if name not in known]:
@@ -90,7 +90,7 @@ class RecordingOptions:
         return replace(self, **changes)
 
     def as_arguments(self, prefix: str = "--") -> list[str]:
-        """What to write on a command line: the options that are not at their defaults."""
+        """Return the command-line arguments of the options that differ from their defaults."""
         arguments = []
         for field in fields(self):
             value = getattr(self, field.name)

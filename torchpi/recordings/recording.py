@@ -1,6 +1,6 @@
-"""Recorded voltage and displacement: read from a file, checked, cut, resampled, written.
+"""Recorded voltage and displacement: reading from a file, checking, cutting, resampling and writing.
 
-Inside, the voltage is in V, the displacement in µm, the time in s, and the sampling is uniform.
+A recording holds the voltage in V, the displacement in µm and the time in s, and is uniformly sampled.
 """
 
 import hashlib
@@ -44,16 +44,16 @@ __all__ = [
     "write_recording",
 ]
 
-MOST_RESAMPLED = 1000  # times the samples that there are, in either direction
+MOST_RESAMPLED = 1000  # largest ratio of sample rates, up or down
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Recording(Shown):
-    """Voltage and displacement of one run of a stage, uniformly sampled, as `read_recording` leaves them.
+    """Voltage and displacement of one run of a stage, uniformly sampled, as `read_recording` returns them.
 
     Raises:
-        RecordingError: Signals that are no arrays of one length; in use, an interval or a fraction without
-            samples, or a rate that they cannot be brought to.
+        RecordingError: If signals are not arrays of one length; from the methods, if an interval or fraction
+            holds no samples, or the signals cannot be resampled to a rate.
     """
 
     name: str
@@ -61,22 +61,22 @@ class Recording(Shown):
     t: np.ndarray
     """(time,), s."""
     u: np.ndarray
-    """(time,), V, the controller's voltage, held between samples."""
+    """(time,), V: the controller's voltage, held between samples."""
     y: np.ndarray
     """(time,), µm."""
     fs_hz: float
     aux: dict[str, np.ndarray] = field(default_factory=dict)
-    """Other recorded signals, (time,), each in its own unit, under their column names, `aux_…`."""
+    """Other recorded signals, (time,), each in its own unit, by column name, `aux_…`."""
     source: str = ""
     """The path as it was given."""
     sha256: str = ""
-    """Of the file's bytes."""
+    """SHA-256 hash of the file's bytes."""
     simulated: np.ndarray | None = None
-    """(time,), µm: what a simulator makes of this voltage; None where nothing was simulated."""
+    """(time,), µm: displacement simulated from this voltage; None if nothing was simulated."""
     as_read: np.ndarray | None = None
-    """(readings,), µm: the displacement as it was read, where `y` was interpolated from it."""
+    """(readings,), µm: the displacement as read, if `y` was interpolated from it."""
     filled: np.ndarray | None = None
-    """(time,), bool: samples that were filled in where readings are missing; None where none are."""
+    """(time,), bool: samples filled in because readings are missing; None if none are missing."""
 
     def __post_init__(self) -> None:
         self._expect(is_positive(self.fs_hz), "fs_hz", self.fs_hz, "a rate over 0 Hz")
@@ -111,21 +111,21 @@ class Recording(Shown):
         allow_constant_input: bool = False,
         **changes: Any,
     ) -> "Recording":
-        """Voltage and displacement from memory, with the checks and the options that a file has.
+        """Make a recording of voltage and displacement in memory, with the same checks and options as a file.
 
         Args:
-            t: Time stamps, uniform; None where `fs_hz` gives the sample rate. What is given is copied.
+            t: Time stamps, uniform; None if `fs_hz` gives the sample rate. All arrays are copied.
             u: Voltage of the controller.
             y: Displacement.
-            name: What errors and reports call the recording.
+            name: Name of the recording in errors and reports.
             aux: Other signals (time,), by names that begin with `aux_`.
             allow_constant_input: Accept a hold.
             changes: Single options of `RecordingOptions`: `fs_hz`, `input_unit`, `output_unit`, `time_unit`,
                 `resample`, `zero`, `skip_s`.
 
         Raises:
-            RecordingError: In one line, what is wrong, at which index, and what to do.
-            ConfigError: An option that there is not.
+            RecordingError: States in one line what is wrong, at which index, and what to do.
+            ConfigError: An option that does not exist.
 
         Warns:
             RecordingWarning: See `check_recording`.
@@ -157,12 +157,12 @@ class Recording(Shown):
     def from_frame(
         cls, frame: Any, *, name: str = "frame", allow_constant_input: bool = False, **changes: Any
     ) -> "Recording":
-        """The columns of a pandas frame, found by their names and units as those of a file are.
+        """Make a recording of columns of a pandas frame, found by name and unit like those of a file.
 
         Args:
             frame: Anything with `columns` and `index`, such as a `pandas.DataFrame`. The index counts as a
-                column where it has a name or holds dates.
-            name: What errors and reports call the recording.
+                column if it has a name or holds dates.
+            name: Name of the recording in errors and reports.
             allow_constant_input: Accept a hold.
             changes: Single options of `RecordingOptions`, such as `input_column="Command [mV]"`.
 
@@ -189,10 +189,10 @@ class Recording(Shown):
         return len(self.u) / self.fs_hz
 
     def slice(self, start_s: float, stop_s: float) -> "Recording":
-        """The samples with start_s ≤ t < stop_s, by the file's own time stamps, which they keep."""
+        """Return the samples with start_s ≤ t < stop_s by the file's time stamps, which they keep."""
         for name, time_s in (("start_s", start_s), ("stop_s", stop_s)):
             self._expect(is_number(time_s), name, time_s, "a time in s")
-        edge = 1e-3 / self.fs_hz  # a stamp that should equal the edge may lie just beside it
+        edge = 1e-3 / self.fs_hz  # rounding may put a stamp that should equal the edge just beside it
         first, last = np.searchsorted(self.t, [start_s - edge, stop_s - edge])
         if first >= last:
             raise RecordingError(
@@ -202,7 +202,7 @@ class Recording(Shown):
         return self._cut(int(first), int(last))
 
     def split_tail(self, fraction: float) -> tuple["Recording", "Recording"]:
-        """(the head, the last `fraction` of the samples). Random samples would leak: neighbours are alike."""
+        """Split off the last `fraction` as (head, tail). Random samples would leak: neighbours are alike."""
         self._expect(is_number(fraction), "fraction", fraction, "a number between 0 and 1")
         tail = round(len(self) * fraction)
         if not 0 < tail < len(self):
@@ -213,32 +213,32 @@ class Recording(Shown):
         return self._cut(0, len(self) - tail), self._cut(len(self) - tail, len(self))
 
     def with_zero(self, zero: Literal["recorded", "first"]) -> "Recording":
-        """The displacement from its first sample on (`first`): a sensor's own zero is often arbitrary."""
+        """Count the displacement from its first sample (`first`): a sensor's own zero is often arbitrary."""
         return replace(self, y=self.y - self.y[0]) if zero == "first" else self
 
     @property
     def output_step_um(self) -> float:
-        """The smallest difference between readings that is more than rounding: the sensor's step."""
+        """The smallest difference between readings that exceeds rounding: the sensor's step."""
         return least_step(self.readings)
 
     @property
     def readings(self) -> np.ndarray:
-        """(readings,), µm: the values that the sensor gave, whatever the samples are now."""
+        """(readings,), µm: the values from the sensor, before any interpolation."""
         return self.y if self.as_read is None else self.as_read
 
     @property
     def not_read(self) -> np.ndarray:
-        """Indices of samples that were filled in, and of those behind them, which answer such a voltage."""
+        """Indices of samples that were filled in, and of the next, which respond to a filled-in voltage."""
         if self.filled is None:
             return np.zeros(0, dtype=int)
         behind = np.concatenate([[False], self.filled[:-1]])
         return np.flatnonzero(self.filled | behind)
 
     def resampled(self, fs_hz: float) -> "Recording":
-        """The same signals at another rate, without aliasing, and all with the same (no) delay.
+        """Return the same signals at another rate, without aliasing and without delay.
 
-        Signals are taken as band-limited below half of the lower rate. That includes the voltage, which a
-        converter holds: the half sample of delay that holding adds belongs to the rate it was recorded at.
+        Signals are treated as band-limited below half the lower rate, including the voltage, which a
+        converter holds: the half sample of delay that the hold adds belongs to the rate of recording.
         """
         self._expect(is_positive(fs_hz), "fs_hz", fs_hz, "a rate over 0 Hz")
         if not 1 / MOST_RESAMPLED <= fs_hz / self.fs_hz <= MOST_RESAMPLED:
@@ -288,20 +288,20 @@ def read_recording(
 ) -> Recording:
     """Read voltage and displacement from a file and check them.
 
-    The suffix says the kind: text (.csv .txt .dat .tsv .asc .lvm), .npy, .npz, .mat, and with the extra
-    `torchpi[io]` .h5 .hdf5 .tdms .mf4 .mdf and the .mat of version 7.3. Columns named `aux_…` come along.
+    The suffix gives the kind: text (.csv .txt .dat .tsv .asc .lvm), .npy, .npz, .mat, and with the extra
+    `torchpi[io]` .h5 .hdf5 .tdms .mf4 .mdf and the .mat of version 7.3. Columns `aux_…` are read too.
 
     Args:
         path: the file.
         options: which columns, in which units; by default `time_s,input_v,output_um`.
-        min_samples: the fewest that the model needs.
+        min_samples: the fewest samples that the model needs.
         allow_constant_input: accept a hold.
         simulated: read the column `simulated_um` as well.
         changes: single options of `RecordingOptions`, such as `input_column="u"`.
 
     Raises:
-        RecordingError: in one line, what is wrong, in which row and column, and what to do.
-        ConfigError: an option that there is not.
+        RecordingError: states in one line what is wrong, in which row and column, and what to do.
+        ConfigError: an option that does not exist.
 
     Warns:
         RecordingWarning: see `check_recording`.
@@ -330,12 +330,12 @@ def _recording_of(
     options: RecordingOptions,
     name: str,
     *,
-    sha256: str | None = None,  # by default that of the samples
+    sha256: str | None = None,  # by default the hash of the samples
     min_samples: int = MIN_SAMPLES,
     allow_constant_input: bool = False,
     simulated: bool = False,
 ) -> Recording:
-    """What `read_recording` makes of an open file, or of signals in memory."""
+    """Make a recording, as `read_recording` does, of an open file or of signals in memory."""
     names = [column_of(source, options.input_column, "input")]
     names.append(column_of(source, options.output_column, "output"))
     if names[0] == names[1]:
@@ -380,17 +380,16 @@ def _recording_of(
 
 
 def write_recording(path: str | Path, recording: Recording, input_column: str = INPUT_COLUMN) -> None:
-    """Write `time_s,input_v,output_um[,simulated_um][,aux_…]` as CSV, every double exact, whole or not at
-    all.
+    """Write `time_s,input_v,output_um[,simulated_um][,aux_…]` as CSV, every double exact.
 
     Args:
-        path: The file; what was there is replaced.
+        path: The file; an existing one is replaced. It is written whole or not at all.
         recording: What is written.
         input_column: Name of the column of the voltage.
 
     Raises:
-        RecordingError: No `Recording`.
-        ArtifactError: The path cannot be written.
+        RecordingError: If `recording` is not a `Recording`.
+        ArtifactError: If the path cannot be written.
     """
     if not isinstance(recording, Recording):
         raise RecordingError(
@@ -406,5 +405,5 @@ def write_recording(path: str | Path, recording: Recording, input_column: str = 
 
 
 def samples_sha256(u: np.ndarray, y: np.ndarray) -> str:
-    """Hash of a voltage and a displacement that were not read from a file."""
+    """Return the hash of a voltage and a displacement that were not read from a file."""
     return hashlib.sha256(u.tobytes() + y.tobytes()).hexdigest()

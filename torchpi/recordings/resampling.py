@@ -1,4 +1,4 @@
-"""A signal at another sample rate, without aliasing and without delay."""
+"""Resampling of a signal to another rate, without aliasing and without delay."""
 
 from fractions import Fraction
 
@@ -6,9 +6,9 @@ import numpy as np
 
 
 def to_rate(x: np.ndarray, from_hz: float, to_hz: float, samples: int) -> np.ndarray:
-    """Polyphase where the ratio is one of moderate integers, else low-pass and a cubic spline.
+    """Resample by a polyphase filter if the ratio has small integers, else by low-pass and cubic spline.
 
-    Both ends are continued by point reflection, so that an offset or a slope leaves no transient there.
+    Both ends are extended by point reflection, so that an offset or a slope causes no transient there.
     """
     from scipy.signal import resample_poly
 
@@ -18,7 +18,7 @@ def to_rate(x: np.ndarray, from_hz: float, to_hz: float, samples: int) -> np.nda
         return _resample_any(x, from_hz, to_hz, samples, margin)
     up, down = ratio.numerator, ratio.denominator
     margin = min(len(x) - 1, -(-margin // down) * down)
-    margin -= margin % down  # the first sample stays on the new grid
+    margin -= margin % down  # keeps the first sample on the new grid
     extended = _reflected(x, margin)
     first = margin * up // down
     converted = resample_poly(extended, up, down, padtype="line", window=("kaiser", 10.0))

@@ -1,4 +1,4 @@
-"""A recording in a notebook. What draws it stands above the recordings, and is loaded when asked for."""
+"""Display of a recording in a notebook; the drawing code, in a higher package, is imported on demand."""
 
 from typing import TYPE_CHECKING, cast
 
@@ -8,10 +8,10 @@ if TYPE_CHECKING:
 
 
 class Shown:
-    """What draws and shows itself as a recording does."""
+    """Base of classes that a notebook plots and shows as a recording."""
 
     def plot(self) -> "Plot":
-        """A figure: voltage and displacement over time, wrong readings marked, and the one over the other.
+        """Plot voltage and displacement over time, with wrong readings marked, and displacement over voltage.
 
         A notebook shows it as the last line of a cell; `.savefig(path)` saves it, `.figure` is matplotlib's.
         """

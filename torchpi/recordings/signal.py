@@ -1,4 +1,4 @@
-"""One signal of a file: a trajectory to follow, a voltage to play."""
+"""Reading one signal from a file: a trajectory to follow or a voltage to play."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,7 +17,7 @@ from torchpi.recordings.time_base import column_of, converted, read_uniform, sca
 
 @dataclass(frozen=True, eq=False)
 class Signal:
-    """One uniformly sampled signal of a file, as `read_signal` leaves it."""
+    """One uniformly sampled signal of a file, as `read_signal` returns it."""
 
     name: str
     t: np.ndarray
@@ -44,15 +44,15 @@ def read_signal(
     Args:
         path: the file.
         column: name or number (from 1).
-        option: what the user calls `column`, for the error messages.
-        options, changes: as in `read_recording`; of the options those of the time, and `fs_hz` never changes
+        option: name under which the user gave `column`, for the error messages.
+        options, changes: as in `read_recording`; only the options for time apply, and `fs_hz` never changes
             the rate.
-        unit: V, mV, kV, um, nm, mm, m …; by default as the column states, else ours. The signal is returned
-            in V or µm.
-        min_samples: the fewest that are of use.
+        unit: V, mV, kV, um, nm, mm, m …; by default as the column states, else V or µm. The signal is
+            returned in V or µm.
+        min_samples: the fewest samples that are of use.
 
     Raises:
-        RecordingError: in one line, what is wrong and what to do.
+        RecordingError: states in one line what is wrong and what to do.
     """
     options = RecordingOptions.of(options, changes)
     source = open_source(path)

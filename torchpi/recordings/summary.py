@@ -1,4 +1,4 @@
-"""What a file of signals holds, and what its recording shows before any model: for `torchpi check`."""
+"""Contents of a file of signals and what its recording shows without a model, for `torchpi check`."""
 
 import warnings
 from collections.abc import Sequence
@@ -16,10 +16,10 @@ from torchpi.recordings.readers.time_stamps import uniform_grid
 from torchpi.recordings.recording import Recording, read_recording
 from torchpi.recordings.time_base import column_of, time_stamps
 
-MOST_COLUMNS = 40  # of a file of many arrays the first
+MOST_COLUMNS = 40  # of a file of many arrays, only the first are listed
 PREVIEWED = 5
-HOLD_SAMPLES = 16  # a hold lasts for at least so many
-HOLD_SPREAD = 7.0  # standard deviations: 16 samples of noise keep within them but once in ten thousand
+HOLD_SAMPLES = 16  # least length of a hold
+HOLD_SPREAD = 7.0  # standard deviations; 16 samples of noise exceed this range once in ten thousand
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,59 +28,59 @@ class Column:
 
     name: str
     unit: str | None
-    """As the file states it."""
+    """Unit as the file states it."""
     values: np.ndarray | None
-    """(time,), in the file's own unit; None where there are no numbers to show."""
+    """(time,), in the file's own unit; None if there are no numbers to show."""
     problem: str = ""
-    """Why there are none."""
+    """Why there are no numbers."""
 
 
 @dataclass(frozen=True)
 class Holds:
-    """Where the input stands still, within its own noise."""
+    """Stretches in which the input stands still, within its own noise."""
 
     count: int
     longest_s: float
     share: float
-    """Of all samples, 0…1."""
+    """Share of all samples that lie in holds, 0…1."""
 
 
 @dataclass(frozen=True, eq=False)
 class Summary:
-    """What one recording shows of itself."""
+    """What can be seen of one recording without a model."""
 
     recording: Recording
     options: RecordingOptions
-    """With those that this file needs."""
+    """The given options, with those added that this file needs."""
     columns: dict[Role, str]
-    """Which column of the file was read as what; no time where the stamps are not used."""
+    """Column of the file by role; without time if the stamps are not used."""
     guessed: bool
-    """The columns were identified by their content, not by name."""
+    """Whether the columns were identified by their content, not by name."""
     jitter: float | None
-    """Largest distance of a time stamp from its place, in sample periods; None without stamps."""
+    """Largest deviation of a time stamp from the uniform grid, in sample periods; None without stamps."""
     holds: Holds
     input_noise_v: float
     output_noise_um: float
-    """From sample to sample; an upper bound where the motion is fast."""
+    """Noise from sample to sample; an upper bound if the motion is fast."""
     output_step_um: float
     gain_um_per_v: float
     correlation: float
-    """Of input and output at the same instant: its sign is the gain's."""
+    """Correlation of input and output at the same instant; its sign is the gain's."""
     comes_back_um: float | None
-    """How much higher the output stands when the input is back where it began; None where it never is."""
+    """How much higher the output stands once the input returns to its first value; None if it never does."""
     dropouts: np.ndarray
     """Indices of single wrong readings."""
     warnings: list[str]
-    """Of `check_recording`, without the file's name."""
+    """Warnings of `check_recording`, without the file's name."""
 
     @property
     def input_is_noisy(self) -> bool:
-        """A monitored voltage, or a fast one: more than rounding from sample to sample."""
+        """Whether the input changes by more than rounding: a monitored voltage, or a fast one."""
         return self.input_noise_v > 1e-6 * float(np.ptp(self.recording.u))
 
 
 def columns_in(source: Source) -> list[Column]:
-    """The columns of a file, with their numbers where they have any."""
+    """Return the columns of a file, with their values if they are numeric."""
     names = [name for name in source.names if name][:MOST_COLUMNS]
     try:
         values = source.read([name for name in names if source.holds_numbers(name)])
@@ -97,11 +97,11 @@ def summarise(path: str | Path, options: RecordingOptions | None = None) -> Summ
 
     Args:
         path: a file of any kind that `read_recording` reads.
-        options: as for every command. What this file needs beside them is added: columns that can be
-            identified by their content, and `resample` where the sampling is not uniform.
+        options: as for every command. Options that this file needs are added: columns that can be identified
+            by their content, and `resample` if the sampling is not uniform.
 
     Raises:
-        RecordingError: what is wrong with the file.
+        RecordingError: states what is wrong with the file.
     """
     source = open_source(path)
     options, guessed = _with_guesses(source, options or RecordingOptions())
@@ -134,7 +134,7 @@ def summary_of(
     jitter: float | None = None,
     warnings: Sequence[str] = (),
 ) -> Summary:
-    """What can be seen of a recording without a model; of its file what is given."""
+    """Measure what can be seen of a recording without a model; facts about its file are passed in."""
     u, y = recording.u, recording.y
     input_noise = noise_estimate(u)
     power = float((u - u.mean()) @ (u - u.mean()))
@@ -157,19 +157,19 @@ def summary_of(
 
 
 def holds_of(u: np.ndarray, fs_hz: float, noise: float) -> Holds:
-    """Where the input stands still for 16 samples or more: within 7 standard deviations of its noise.
+    """Find where the input stands still, within 7 standard deviations of its noise, for 16 samples or more.
 
     Args:
         u: (time,), V.
         fs_hz: sample rate.
-        noise: standard deviation of a monitored voltage; 0 for one that is commanded.
+        noise: standard deviation of the noise of a monitored voltage; 0 for a command.
     """
     blocks = len(u) // HOLD_SAMPLES
     if not blocks:
         return Holds(0, 0.0, 0.0)
     table = u[: blocks * HOLD_SAMPLES].reshape(blocks, HOLD_SAMPLES)
     still = np.ptp(table, axis=1) <= HOLD_SPREAD * noise
-    # Two still blocks are one hold where their levels agree: an error of the mean of 16 is σ/4.
+    # Adjacent still blocks form one hold if their means agree; the mean of 16 samples has an error of σ/4.
     same = np.abs(np.diff(table.mean(axis=1))) <= HOLD_SPREAD * noise / 2
     begins = still & ~np.concatenate(([False], still[:-1] & same))
     if not still.any():
@@ -179,13 +179,13 @@ def holds_of(u: np.ndarray, fs_hz: float, noise: float) -> Holds:
 
 
 def comes_back(u: np.ndarray, y: np.ndarray) -> float | None:
-    """How much higher y stands, in the mean, when u is back where it began, after it has been away.
+    """Return how much higher y stands on average once u has left its first value and returned to it.
 
-    A stage that starts de-energised comes back to its first voltage with its remanence on top; one that
-    starts on its loop comes back to where it was.
+    A stage that starts de-energised returns to its first voltage with its remanence added; one that starts
+    on its loop returns to where it was.
 
     Returns:
-        µm; None where u never leaves its first value by a fifth of its range, or never comes back.
+        µm; None if u never leaves its first value by a fifth of its range, or never returns to it.
     """
     away = np.flatnonzero(np.abs(u - u[0]) > 0.2 * np.ptp(u))
     if np.ptp(u) == 0 or not len(away):
@@ -203,9 +203,9 @@ def _column(source: Source, name: str) -> Column:
 
 
 def _with_guesses(source: Source, options: RecordingOptions) -> tuple[RecordingOptions, bool]:
-    """The options, with columns identified by their content where their names are unknown.
+    """Return the options, with columns identified by their content if their names are unknown.
 
-    Time is what rises steadily; of two other columns that move, the input is the first.
+    The time is a column that rises steadily; of two other columns that move, the first is the input.
     """
     try:
         column_of(source, options.input_column, "input")

@@ -1,4 +1,4 @@
-"""Signals of a file on one uniform time base, checked: what `read_recording` and `read_signal` begin with."""
+"""Checked signals of a file on one uniform time base: first step of `read_recording` and `read_signal`."""
 
 import re
 import warnings
@@ -28,35 +28,35 @@ from torchpi.recordings.readers.header import (
 from torchpi.recordings.readers.source import Column, shortened
 from torchpi.recordings.readers.time_stamps import Grid, round_rate, uniform_grid
 
-RATE_TOLERANCE = 5e-3  # what coarse time stamps may leave open of the sample rate
-RATE_AGREEMENT = 1e-4  # between the stamps and a rate that the user gives
+RATE_TOLERANCE = 5e-3  # largest relative uncertainty of the sample rate from coarse time stamps
+RATE_AGREEMENT = 1e-4  # relative, between the stamps and a rate that the user gives
 LEAST_STEP_S, LONGEST_S = 1e-12, 1e12
-SAME_TICK = 0.25  # of the period: rows this near to whole periods apart are one row for each tick of a loop
-MOST_FILLED = 100  # interpolating makes at most so many times the samples that there are
+SAME_TICK = 0.25  # of the period: rows whose spacing is this close to whole periods are one row per tick
+MOST_FILLED = 100  # largest factor by which interpolation may increase the number of samples
 DEFAULTS: dict[Role, str] = {"time": TIME_COLUMN, "input": INPUT_COLUMN, "output": OUTPUT_COLUMN}
 
 
 class Uniform(NamedTuple):
-    """Signals of one time base."""
+    """Signals on one uniform time base."""
 
     t: np.ndarray  # (time,), s
     fs_hz: float
     signals: list[np.ndarray]  # (time,) each, in the file's own units
     rows: list[np.ndarray] | None = None
-    """The signals as the rows of the file have them, where samples lie between those or were filled in."""
+    """The signals as in the rows of the file, if samples were interpolated between rows or filled in."""
     filled: np.ndarray | None = None
-    """(time,), whether no row lies within half a sample; None where one always does."""
+    """(time,), whether no row lies within half a sample; None if every sample has one."""
 
 
 NUMBERED = re.compile(r"(input|output)_\d+(_|$)")
-"""Columns of several axes."""
+"""Names of the columns of a recording of several axes."""
 
 
 def column_of(source: Source, column: Column, role: Role) -> str:
-    """The name in the file of this column; of the default's, any that alone can be meant.
+    """Return the name of this column in the file; for a default name, the only column that fits the role.
 
     Raises:
-        RecordingError: there is none, or several columns may be meant.
+        RecordingError: there is none, or several columns fit.
     """
     if column == DEFAULTS[role] and column not in source.names:
         found = columns_for(role, ((name, source.unit(name)) for name in source.names))
@@ -77,7 +77,7 @@ def column_of(source: Source, column: Column, role: Role) -> str:
 
 
 def simulated_column(source: Source) -> str:
-    """The name in the file of the column with a simulator's output, `simulated_um` or in another unit.
+    """Return the name of the column with a simulator's output, `simulated_um` or in another unit.
 
     Raises:
         RecordingError: there is none.
@@ -96,10 +96,10 @@ def simulated_column(source: Source) -> str:
 def scale_of(
     source: Source, name: str, role: Role, unit: float | str | None, option: str | None = None
 ) -> tuple[float, float]:
-    """(times, by): ours = theirs · times / by, for the unit given, else stated in the file, else our own.
+    """Return the scale (times, by), ours = theirs · times / by, of the unit given, else stated, else our own.
 
     Raises:
-        RecordingError: an unknown unit, or a column that states a unit of something else.
+        RecordingError: an unknown unit, or a column whose stated unit is of another quantity.
     """
     option = option or f"{role}_unit"
     stated = source.unit(name)
@@ -126,13 +126,13 @@ def scale_of(
 
 
 def converted(x: np.ndarray, scale: tuple[float, float]) -> np.ndarray:
-    """x in our unit."""
+    """Return x in our unit."""
     times, by = scale
     return x if times == by else x * times / by
 
 
 def rate_of(source: Source, fs_hz: float | str | None) -> float | None:
-    """The sample rate that the user gave, Hz: a number, or the name of one in the file."""
+    """Return the sample rate that the user gave, Hz, as a number or as the name of one in the file."""
     if fs_hz is None:
         return None
     try:
@@ -150,7 +150,7 @@ def rate_of(source: Source, fs_hz: float | str | None) -> float | None:
 
 
 def time_stamps(source: Source, options: RecordingOptions) -> tuple[str, np.ndarray] | None:
-    """(name, (time,) in s) of the column of time stamps, None where the options or the file have none."""
+    """Return (name, (time,) in s) of the column of time stamps; None if the options or the file have none."""
     name = _time_name(source, options.time_column, rate_of(source, options.fs_hz))
     if name is None:
         return None
@@ -159,10 +159,10 @@ def time_stamps(source: Source, options: RecordingOptions) -> tuple[str, np.ndar
 
 
 def read_uniform(source: Source, names: list[str], options: RecordingOptions, min_samples: int) -> Uniform:
-    """Time, sample rate and the signals of these names: finite, of one length, uniformly sampled.
+    """Read time, sample rate and the signals of these names: finite, of one length, uniformly sampled.
 
     Raises:
-        RecordingError: in one line, what is wrong, in which row and column, and what to do.
+        RecordingError: states in one line what is wrong, in which row and column, and what to do.
     """
     rate = rate_of(source, options.fs_hz)
     time_name = _time_name(source, options.time_column, rate)
@@ -220,7 +220,7 @@ def _time_name(source: Source, column: Column | None, rate: float | None) -> str
 
 
 def _own_times(source: Source, names: list[str]) -> np.ndarray | None:
-    """The format's time base of the first signal, which the others must share."""
+    """Return the time base that the format stores for the first signal; the other signals must share it."""
     first = source.times(names[0])
     for name in names[1:]:
         other = source.times(name)
@@ -243,7 +243,7 @@ def _check_lengths(source: Source, names: list[str], signals: list[np.ndarray]) 
 
 
 def _check_extent(source: Source, t: np.ndarray) -> None:
-    """Time steps that no rig has would overflow, or make no rate, further on."""
+    """Refuse time steps that no rig has: they would overflow, or give no sample rate, later on."""
     steps = np.diff(t)
     short = (steps > 0) & (steps < LEAST_STEP_S)
     if short.any():
@@ -305,10 +305,10 @@ def _interpolated(source: Source, grid: Grid, t: np.ndarray, signals: list[np.nd
 
 
 def _at_ticks(start_s: float, rate: float, ticks: np.ndarray, signals: list[np.ndarray]) -> Uniform:
-    """The rows as they are, one for each tick of a loop whose clock jitters; ticks without a row are filled.
+    """Assign the rows unchanged to the ticks of a loop whose clock jitters; fill ticks without a row.
 
-    To interpolate would smooth what is fast, by as much as the instants lie beside the rows, now more, now
-    less. Signals that were sampled at one instant keep their relation; of a single one, time is all there is.
+    Interpolating would smooth fast signals by a varying amount, depending on how far each instant lies from
+    the rows. This keeps the relation of signals sampled together; a single signal has only its times.
     """
     every = np.arange(ticks[-1] + 1)
     missing = ~np.isin(every, ticks)

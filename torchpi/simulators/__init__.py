@@ -1,4 +1,4 @@
-"""Simulations that are not torchpi's: functions, and Functional Mock-up Units (FMUs)."""
+"""External simulations: functions, and Functional Mock-up Units (FMUs)."""
 
 from torchpi.simulators.loading import COLUMN, load_simulator
 from torchpi.simulators.simulator import Simulate, Simulator

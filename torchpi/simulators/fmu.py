@@ -2,7 +2,7 @@
 
     u(k) is held from t(k-1) to t(k); y(k) is the output at t(k)
 
-which is the convention of the recordings: the first reading already answers the first voltage.
+which is the convention of the recordings: the first reading already responds to the first voltage.
 """
 
 import importlib
@@ -27,7 +27,7 @@ class Fmu:
 
     @classmethod
     def of(cls, path: str) -> "Fmu":
-        """Look into a file.
+        """Read the description of an FMU file.
 
         Raises:
             SimulationError: No such file, no FMU for co-simulation, another number of inputs or outputs, or
@@ -38,7 +38,7 @@ class Fmu:
             raise SimulationError(f"simulation {path}: no such file, expected an FMU")
         try:
             described = fmpy.read_model_description(path)
-        except Exception as error:  # whatever is wrong with an archive or its XML
+        except Exception as error:  # an archive or its XML may be wrong in any way
             text = f"{type(error).__name__}: {error}".splitlines()[0]
             raise SimulationError(f"simulation {path}: found {text}, expected an FMU") from error
         version = str(described.fmiVersion)
@@ -60,12 +60,12 @@ class Fmu:
         return cls(path, names["input"][0], names["output"][0])
 
     def __call__(self, u_v: np.ndarray, fs_hz: float) -> np.ndarray:
-        """(time,) V in, (time,) µm out, from the initial state of the FMU."""
+        """Simulate from the initial state of the FMU: (time,) V in, (time,) µm out."""
         fmpy, samples = _fmpy(self.path), len(u_v)
         held = np.empty(samples + 1, dtype=[("time", np.float64), (self.input, np.float64)])
         held["time"] = np.arange(samples + 1) / fs_hz
         held[self.input] = np.append(u_v, u_v[-1:])
-        # A step ends where the next voltage begins: the output of its end answers it.
+        # A step ends where the next voltage begins, so its final output responds to its own voltage.
         result = fmpy.simulate_fmu(
             self.path,
             start_time=0.0,

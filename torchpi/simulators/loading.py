@@ -1,4 +1,4 @@
-"""A simulation from what a user writes: `package.module:function`, `file.py:function` or `model.fmu`."""
+"""Load a simulation from its reference: `package.module:function`, `file.py:function` or `model.fmu`."""
 
 import importlib
 import sys
@@ -9,20 +9,20 @@ from torchpi.errors import SimulationError
 from torchpi.simulators.simulator import Simulator
 
 COLUMN: Final = "column"
-"""In the place of a simulation: its output stands in the recordings."""
+"""Used in place of a simulation whose output is in the recordings."""
 EXPECTED = "expected a stage (file or name), model.fmu, package.module:function, file.py:function or column"
 
 
 def load_simulator(reference: str) -> Simulator:
-    """The simulation that a reference names; this imports its module, or loads the FMU's binary.
+    """Load the simulation that a reference names: import its module, or load the FMU's binary.
 
-    Modules are looked for in the current folder too.
+    Modules are also looked for in the current folder.
 
     Args:
         reference: `file.py:function`, `package.module:function`, or the path of an `.fmu`.
 
     Raises:
-        SimulationError: There is none, or it cannot be called.
+        SimulationError: There is no such simulation, or it cannot be called.
 
     Example:
         >>> from pathlib import Path
@@ -48,7 +48,7 @@ def load_simulator(reference: str) -> Simulator:
     importlib.invalidate_caches()
     try:
         found: object = importlib.import_module(path.stem if path.suffix == ".py" else module)
-    except Exception as error:  # a module of someone's own raises anything
+    except Exception as error:  # a user's module may raise anything
         text = f"{type(error).__name__}: {error}".splitlines()[0]
         raise SimulationError(f"simulation {reference}: found {text}, expected to import it") from error
     for part in name.split("."):

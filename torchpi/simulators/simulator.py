@@ -1,4 +1,4 @@
-"""A simulation that is only called: a voltage in, a displacement out, a whole record at a time."""
+"""Black-box simulations: a call maps the voltage of a whole record to its displacement."""
 
 import inspect
 import pickle
@@ -20,7 +20,7 @@ Simulate = Callable[[np.ndarray, float], np.ndarray]
 de-energised state. The same voltage always gives the same displacement, without noise."""
 
 KEPT_BYTES = 300_000_000
-"""Of outputs in each process: a call may take seconds."""
+"""Most bytes of outputs that each process keeps, because a call may take seconds."""
 
 _outputs: OrderedDict[tuple[str, bytes, float], np.ndarray] = OrderedDict()
 _one_at_a_time = RLock()
@@ -28,15 +28,15 @@ _one_at_a_time = RLock()
 
 @dataclass(frozen=True, eq=False)
 class Simulator:
-    """A simulation of someone's own. Calling it checks what it returns, and never repeats a call.
+    """A user's simulation. Calling it checks the output, and reuses the outputs of earlier calls.
 
     Args:
         function: See `Simulate`.
         reference: How it is named in files and messages, such as `package.module:function`.
 
     Raises:
-        SimulationError: In use: it fails, its output has another shape or is not finite, or a second call
-            returns something else.
+        SimulationError: When called: it fails, its output has another shape or is not finite, or a second
+            call returns a different output.
 
     Example:
         >>> import numpy as np
@@ -49,11 +49,11 @@ class Simulator:
     function: Simulate
     reference: str
     token: str = field(default_factory=lambda: uuid4().hex)
-    """What distinguishes it from another, in any process."""
+    """Distinguishes it from other simulations, in any process."""
 
     @classmethod
     def of(cls, function: Simulate) -> "Simulator":
-        """Of any function, named by its module and its own name."""
+        """Wrap any function, named by its module and its own name."""
         kind = type(function)
         name = getattr(function, "__qualname__", kind.__qualname__)
         return cls(function, f"{getattr(function, '__module__', None) or kind.__module__}:{name}")
@@ -63,10 +63,10 @@ class Simulator:
         u_v: np.ndarray,  # (time,), V
         fs_hz: float,
     ) -> np.ndarray:  # (time,), µm
-        """The displacement; what was called before is remembered.
+        """Return the displacement; outputs of earlier calls are kept.
 
         Raises:
-            SimulationError: It fails, or returns another shape or numbers that are not finite.
+            SimulationError: The call fails, or returns another shape or numbers that are not finite.
         """
         key = self.token, sha256(u_v.tobytes()).digest(), fs_hz
         with _one_at_a_time:
@@ -84,14 +84,14 @@ class Simulator:
         u_v: np.ndarray,  # (time,), V
         fs_hz: float,
     ) -> np.ndarray:  # (time,), µm
-        """The same, called in any case."""
+        """Call the function, even if an output is kept, and check what it returns."""
         where = f"simulation {self.reference}"
         try:
             returned = self.function(u_v.copy(), fs_hz)
             y = np.array(returned, dtype=np.float64)
         except SimulationError:
             raise
-        except Exception as error:  # a function of someone's own raises anything
+        except Exception as error:  # a user's function may raise anything
             text = f"{type(error).__name__}: {error}".splitlines()[0]
             raise SimulationError(
                 f"{where}: found {text}, with {len(u_v):,} samples at {fs_hz:g} Hz from {u_v.min():.4g} V to "
@@ -110,7 +110,7 @@ class Simulator:
         u_v: np.ndarray,  # (time,), V
         fs_hz: float,
     ) -> None:
-        """Raise `SimulationError` if a second call returns something else: a fit compares calls."""
+        """Raise `SimulationError` if a second call differs, because a fit compares calls."""
         first, second = self(u_v, fs_hz), self.called(u_v, fs_hz)
         if not np.array_equal(first, second):
             raise SimulationError(
@@ -121,10 +121,10 @@ class Simulator:
 
     @property
     def source(self) -> str:
-        """The file that it comes from; empty where there is none."""
+        """The file that it comes from; empty if there is none."""
         path = getattr(self.function, "path", None)
         if path is None:
-            with suppress(TypeError, OSError):  # what was not written in a file
+            with suppress(TypeError, OSError):  # functions that were not written in a file
                 path = inspect.getsourcefile(self.function)
         return str(path) if path and Path(path).is_file() else ""
 
@@ -132,6 +132,6 @@ class Simulator:
     def travels(self) -> bool:
         """Whether another process can call it too."""
         try:
-            return b"__main__" not in pickle.dumps(self)  # which is another module there
-        except Exception:  # whatever a function drags along may refuse in its own way
+            return b"__main__" not in pickle.dumps(self)  # `__main__` is another module there
+        except Exception:  # objects that a function refers to may refuse in their own way
             return False

@@ -1,7 +1,7 @@
-"""What a simulation of several axes has left out, by amplitude, and a stage that has it.
+"""Diagnose what a simulation of several axes lacks, by amplitude, and identify a stage that has it.
 
-The simulation is a linear stage, or one is made of the recordings. What may have been left out is put into it
-and fitted, one after another, each with as many steps; realisations that none was fitted to decide.
+The simulation is a linear stage; by default one is identified from the recordings. Possible effects are added
+and fitted one after another, each with as many steps; realisations that no fit has seen decide.
 """
 
 from collections.abc import Callable, Sequence
@@ -43,30 +43,30 @@ CANDIDATES = {
     "hysteresis in the actuators": Physics(zones=(), crossover=False),
 }
 CROSSOVER = "hysteresis in the actuators, crossover distortion of the amplifiers"
-"""Tried where hysteresis in the actuators has won."""
+"""Tried if hysteresis in the actuators was the best candidate."""
 AMPLIFIER = 0.28
-"""Of the sample rate: the amplifiers' bandwidth where none is given."""
+"""Bandwidth of the amplifiers if none is given, as a share of the sample rate."""
 LINEAR, HYSTERESIS = "other numbers of the linear model", "hysteresis in the actuators"
 CANDIDATE_STEPS = 3
-"""Of all numbers."""
+"""Steps of a candidate over all parameters."""
 MOVED = 0.003
-"""Share by which a resonance moves that is worth a word."""
+"""Relative shift of a resonance from which the summary mentions it."""
 GAINED = 0.1
-"""Share by which the held-out error of what is named is smaller than the linear model's."""
+"""Least relative reduction of the held-out error, against the linear model, for an effect to be named."""
 
 
 @dataclass(frozen=True, eq=False)
 class Level:
-    """What one amplitude shows.
+    """Results at one amplitude.
 
     Attributes:
-        input_rms_v: Of the voltages.
-        motion_um: The displacements' rms in the realisation that is held out.
-        noise_um: Of its mean period; 0 where there is only one.
-        errors_um: By name, held out: the simulation, each candidate, and the stage at the end.
-        resonance_hz: Where the response at this amplitude is largest; None without a response.
-        loop_widths: Of each actuator under a sine as high as this rms, as a share of its stroke; None where
-            the stage has no bounded answer.
+        input_rms_v: Rms of the voltages.
+        motion_um: Rms of the displacements in the realisation that is held out.
+        noise_um: Noise of its mean period; 0 if there is only one period.
+        errors_um: Held-out errors by name: the simulation, each candidate, and the final stage.
+        resonance_hz: Frequency of the largest response at this amplitude; None without a response.
+        loop_widths: Loop width of each actuator under a sine whose amplitude is this rms, as a share of its
+            stroke; None if the stage has no bounded response.
     """
 
     input_rms_v: float
@@ -79,14 +79,14 @@ class Level:
 
 @dataclass(frozen=True, eq=False)
 class AxesDiagnosis:
-    """The answer.
+    """Result of the diagnosis.
 
     Attributes:
-        levels: The lowest amplitude first.
-        named: What was left out; None where nothing lowers the held-out error.
-        summary: In a few sentences.
-        stage: That has it.
-        loops: Of each actuator at the highest amplitude.
+        levels: Results by amplitude, the lowest first.
+        named: The missing effect; None if no effect lowers the held-out error enough.
+        summary: The answer in a few sentences.
+        stage: The stage that has this effect.
+        loops: Loop of each actuator at the highest amplitude.
         heldout: Names of the realisations that decided.
     """
 
@@ -98,7 +98,7 @@ class AxesDiagnosis:
     heldout: list[str]
 
     def as_json(self) -> dict[str, Any]:
-        """Plain numbers by name."""
+        """Return plain numbers by name."""
         return {
             "named": self.named,
             "summary": self.summary,
@@ -119,18 +119,18 @@ def diagnose_axes(
     options: MultiAxisOptions | None = None,
     log: Callable[[str], None] = lambda text: None,
 ) -> AxesDiagnosis:
-    """Name what the simulation leaves out, and identify a stage that has it.
+    """Name the effect that the simulation lacks, and identify a stage that has it.
 
     Args:
-        recordings: At one amplitude or several, more realisations than inputs at one of them.
-        simulation: A stage of as many inputs and outputs; without one a linear stage of the recordings.
-        options: Of the stage that is identified at the end; crossover distortion is tried without a
-            bandwidth as well.
-        log: Called with a line of progress.
+        recordings: Recordings at one amplitude or several, with more realisations than inputs at one of them.
+        simulation: A stage of as many inputs and outputs; None identifies a linear one.
+        options: Options of the stage that is identified at the end; crossover distortion is tried even if no
+            bandwidth is given.
+        log: Called with each line of progress.
 
     Raises:
-        RecordingError: Recordings that are not of one stage, too few to hold one out, or not the
-            simulation's.
+        RecordingError: Recordings are not of one stage, too few to hold one out, or do not match the
+            simulation.
     """
     options = options or MultiAxisOptions()
     recordings = usable(recordings)
@@ -195,10 +195,10 @@ def diagnose_axes(
 def split(
     recordings: Sequence[MultiAxisRecording],
 ) -> tuple[list[MultiAxisRecording], list[MultiAxisRecording]]:
-    """What is fitted, and the last realisation of each amplitude, which is held out.
+    """Return the recordings to fit, and the last realisation of each amplitude, which is held out.
 
     Raises:
-        RecordingError: An amplitude with one alone, or none with more realisations than inputs.
+        RecordingError: An amplitude has only one realisation, or none has more realisations than inputs.
     """
     levels, inputs = by_amplitude(recordings), recordings[0].u.shape[1]
     most = max(map(len, levels))
@@ -219,17 +219,17 @@ def split(
 
 
 def check_of(simulation: MultiAxisStage, first: MultiAxisRecording) -> None:
-    """Whether a simulation is one of the recordings' stage.
+    """Check that a simulation matches the stage of the recordings.
 
     Raises:
-        RecordingError: Other numbers of inputs or outputs, or another sample rate.
+        RecordingError: The number of inputs or outputs, or the sample rate, differs.
     """
     if found := simulation.mismatch(first.u.shape[1], first.y.shape[1], first.fs_hz):
         raise RecordingError(f"{first.name}: {found} the simulation")
 
 
 def linear_part(stage: MultiAxisStage) -> MultiAxisStage:
-    """The modes of a stage alone."""
+    """Return a stage with only the modes of this one."""
     shapes = stage.shapes._replace(elements=0, functions=1, input_plays=0)
     arrays = {name: np.zeros(shape) for name, shape in parameter_shapes(shapes).items()}
     arrays |= {name: stage.arrays()[name] for name in ("poles", "drive", "seen", "direct", "ahead")}
@@ -239,7 +239,7 @@ def linear_part(stage: MultiAxisStage) -> MultiAxisStage:
 def with_crossover(
     stage: MultiAxisStage, fitted: Sequence[MultiAxisRecording], options: MultiAxisOptions
 ) -> MultiAxisStage:
-    """The stage with crossover distortion of its amplifiers, none of it yet."""
+    """Return the stage with crossover distortion of its amplifiers, initially with zero weights."""
     arrays, widths = stage.arrays(), crossover_widths(fitted)
     more = np.zeros((stage.inputs, 2 * len(widths)))
     arrays["play_weights"] = np.concatenate([arrays["play_weights"], more], 1)
@@ -250,7 +250,7 @@ def with_crossover(
 def candidate(
     stage: MultiAxisStage, fitted: Sequence[MultiAxisRecording], gain: np.ndarray
 ) -> MultiAxisStage:
-    """The stage after a few steps."""
+    """Fit the stage for a few steps, and return it."""
     fit = PeriodicFit(stage, periods(fitted), guards(fitted, gain))
     weights = ["weights", "play_weights", "seen", "direct", "ahead"]
     fit.descend(weights, WEIGHT_STEPS)
@@ -260,7 +260,7 @@ def candidate(
 
 
 def rms_of(stage: MultiAxisStage, every: Sequence[MultiAxisRecording]) -> list[float]:
-    """Of each recording's error, µm; infinite without a bounded answer."""
+    """Return the rms error of each recording, µm; infinite without a bounded response."""
     found = []
     for one in every:
         errors = PeriodicFit(stage, periods([one])).errors()
@@ -270,7 +270,7 @@ def rms_of(stage: MultiAxisStage, every: Sequence[MultiAxisRecording]) -> list[f
 
 
 def loops_of(stage: MultiAxisStage, amplitude_v: float) -> list[Loop | None]:
-    """Of each actuator; None where a slow motion has no bounded answer."""
+    """Return the loop of each actuator; None if a slow motion has no bounded response."""
     found: list[Loop | None] = []
     for number in range(1, stage.inputs + 1):
         try:
@@ -281,7 +281,7 @@ def loops_of(stage: MultiAxisStage, amplitude_v: float) -> list[Loop | None]:
 
 
 def resonance(level: Sequence[MultiAxisRecording]) -> float | None:
-    """Hz; None of fewer realisations than inputs."""
+    """Return the frequency of the largest response, Hz; None with fewer realisations than inputs."""
     if len(level) < level[0].u.shape[1]:
         return None
     z, response = response_of(level)
@@ -291,7 +291,7 @@ def resonance(level: Sequence[MultiAxisRecording]) -> float | None:
 
 
 def summary_of(levels: Sequence[Level], named: str | None) -> str:
-    """The answer in words."""
+    """Return the answer in words."""
     first, last = levels[0], levels[-1]
     if named is None:
         return (

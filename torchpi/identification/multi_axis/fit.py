@@ -1,4 +1,4 @@
-"""Damped Gauss–Newton over all numbers of a stage of several axes, by exact tangents of its simulation."""
+"""Damped Gauss–Newton over all parameters of a multi-axis stage, with exact tangents of its simulation."""
 
 from collections import deque
 from collections.abc import Callable, Sequence
@@ -13,43 +13,43 @@ from torchpi.operators.modal_tangents import modal_gradient, modal_tangents
 from torchpi.stage.multi_axis.stage import MultiAxisStage
 
 STRIDE = 16
-"""Every how many samples a row of slopes goes into the normal matrix; the gradient is of all."""
+"""Samples per row of slopes that enters the normal matrix; the gradient uses all samples."""
 BLOCK = 192
-"""Tangents that are carried together."""
+"""Number of tangents that are propagated together."""
 RUN_IN = 0.25
-"""Share of a period before the counted one from which slopes are followed: what modes remember, and more."""
+"""Share of the preceding period over which slopes are propagated: longer than the memory of the modes."""
 IN_MATRIX = 3
-"""Periods of which a step's normal matrix is made, others in the next one's; the gradient is of all."""
+"""Periods in the normal matrix of a step; the next step takes others. The gradient uses all periods."""
 REMEMBERED = 4
-"""Steps over which the matrices are averaged."""
+"""Number of steps over which the normal matrices are averaged."""
 FIRST_DAMPING, LEAST_DAMPING = 1e-3, 1e-9
 LESS, MORE = 8.0, 5.0
 TRIALS = 8
 PAIRS, RENEWED, BENT_DAMPING, MOST_DAMPING, SHORTER = 30, 30, 0.3, 1e4, 0.3
-"""Of the quasi-Newton descent: pairs that it remembers, steps after which the normal matrix is made again,
-least and most damping of that, and by what a step that does not fall is shortened."""
+"""Quasi-Newton descent: number of pairs that it stores, steps after which the normal matrix is computed anew,
+least and most damping of that matrix, and factor that shortens a step which does not lower the cost."""
 FALL = 1e-4
-"""Share of the fall along the slope that a step must reach."""
+"""Share of the decrease predicted by the slope that a step must reach."""
 LARGEST_RADIUS, SMALLEST = 0.9995, 1e-12
-"""Of a pole."""
+"""Largest radius of a pole, and the smallest by which one is divided."""
 STIFFEST = 1e6
-"""Of a guard in the scaled normal matrix: beyond it the rest would be lost to rounding."""
+"""Largest diagonal entry of a guard in the scaled normal matrix: beyond it, rounding would lose the rest."""
 UNMOVED = 1e-9
-"""Of the largest slope: a number with less moves nothing."""
+"""Share of the largest slope below which a parameter counts as without effect."""
 
 Pair = tuple[np.ndarray, np.ndarray]
-"""A step of all numbers, and the change of the slope along it."""
+"""A step of all parameters, and the change of the gradient along it."""
 
 
 @dataclass(frozen=True, eq=False)
 class Period:
-    """One period of a periodic excitation in steady state, the mean of those recorded.
+    """One period of a periodic excitation in steady state, averaged over the recorded periods.
 
     Attributes:
         u: (samples, inputs), V.
         y: (samples, outputs), µm, about its mean.
-        weight: Of its errors, 1/µm.
-        before: Voltages of the period before, where they were others.
+        weight: Weight of its errors, 1/µm.
+        before: Voltages of the preceding period, if they differ from `u`.
     """
 
     u: np.ndarray
@@ -59,11 +59,11 @@ class Period:
 
 
 class PeriodicFit:
-    """Weighted mean squared error of a stage's steady state over periods, and its descent.
+    """Weighted mean squared error of a stage's steady state over periods, and its minimisation.
 
-    The stage runs through the period before, from rest; tangents begin in it, at `run_in`, those of guards
-    where it begins. No step is taken after which a period has no bounded answer. Of `others`, which weigh
-    next to nothing until a stage rings, there is no normal matrix.
+    The stage is simulated from rest through the preceding period. Tangents start in that period, `run_in`
+    before its end, and those of guards at its beginning. A step after which a period has no bounded response
+    is not taken. `others`, which weigh next to nothing until a stage rings, do not enter the normal matrix.
     """
 
     def __init__(
@@ -79,22 +79,22 @@ class PeriodicFit:
             np.concatenate([one.u if one.before is None else one.before, one.u]) for one in self.periods
         ]
         self.excess = [stage.excess(u) for u in self.twice]
-        # As many zeros behind as the displacements know of voltages to come.
+        # Zeros are appended for the future voltages on which the last displacements depend.
         self.padded = [np.pad(u, ((0, stage.shapes.ahead), (0, 0))) for u in self.twice]
         self.damping, self.run_in, self.in_matrix = FIRST_DAMPING, RUN_IN, IN_MATRIX
 
     def numbers(self) -> tuple[Parameters, Constants]:
-        """Those of the stage, as kernels take them."""
+        """Return the parameters and constants of the stage, as kernels take them."""
         return self.stage.kernel_parameters(), self.stage.thresholds_of_kernel()
 
     def vector(self) -> np.ndarray:
-        """All numbers of the stage."""
+        """Return all parameters of the stage."""
         return np.concatenate([value.ravel() for value in self.stage.arrays().values()])
 
     def put(self, vector: np.ndarray) -> None:
-        """Give the stage these numbers, poles outside the unit circle brought back into it.
+        """Set the parameters of the stage, with poles outside the unit circle moved back into it.
 
-        A mode that only its elements keep stable would ring by itself near rest, where they have no force.
+        A mode that only its elements keep stable would ring by itself near rest, where they exert no force.
         """
         first = 0
         for value in self.stage.arrays().values():
@@ -104,7 +104,7 @@ class PeriodicFit:
         poles *= np.minimum(1, LARGEST_RADIUS / np.maximum(np.hypot(*poles.T), SMALLEST))[:, None]
 
     def where(self, names: Sequence[str]) -> np.ndarray:
-        """Indices in the vector of the parameters of these names."""
+        """Return the indices, in `vector`, of the parameters with these names."""
         found, first = [], 0
         for name, value in self.stage.arrays().items():
             if name in names:
@@ -113,7 +113,7 @@ class PeriodicFit:
         return np.concatenate(found)
 
     def errors(self) -> list[np.ndarray] | None:
-        """(samples, outputs) for each period, µm; None where a state leaves all bounds."""
+        """Return the error of each period, (samples, outputs), µm; None if a state diverges."""
         errors: list[np.ndarray | None] = [None] * len(self.periods)
 
         def run(first: int, last: int) -> None:
@@ -128,7 +128,7 @@ class PeriodicFit:
         return found if len(found) == len(errors) else None
 
     def cost(self, errors: Sequence[np.ndarray] | None) -> float:
-        """Weighted mean squared error."""
+        """Return the weighted mean squared error."""
         if errors is None:
             return np.inf
         weighted = [(one.weight * e) ** 2 for one, e in zip(self.periods, errors, strict=True)]
@@ -141,13 +141,13 @@ class PeriodicFit:
         tolerance: float = 4e-4,
         goes_on: Callable[[float], bool] = lambda cost: True,
     ) -> float:
-        """Move the parameters of these names downhill; returns the cost. Every step lowers it.
+        """Minimise the cost over the parameters with these names, and return it. Every step lowers it.
 
         Args:
-            names: Of the parameters.
-            steps: At most.
-            tolerance: Relative fall of a step that ends it.
-            goes_on: Called with the cost after each step; False ends it.
+            names: Names of the parameters.
+            steps: Maximum number of steps.
+            tolerance: Stop when a step lowers the cost by less than this share.
+            goes_on: Called with the cost after each step; False stops the descent.
         """
         index, vector = self.where(names), self.vector()
         errors = self.errors()
@@ -182,14 +182,14 @@ class PeriodicFit:
         return cost
 
     def descend_bent(self, goes_on: Callable[[float], bool]) -> float:
-        """Move all numbers downhill until no step falls; returns the cost.
+        """Minimise the cost over all parameters until no step lowers it, and return it.
 
-        The valley of the cost bends: long Gauss–Newton steps leave it, and short ones take their time. So the
-        damped normal matrix is only what L-BFGS begins with (Nocedal and Wright, Numerical Optimization,
-        2006, algorithm 7.4), which learns the bend from gradients, each far quicker than a matrix.
+        The valley of the cost is curved: long Gauss–Newton steps leave it, and short ones are slow. So the
+            damped normal matrix only starts L-BFGS (Nocedal and Wright, Numerical Optimization, 2006,
+            algorithm 7.4), which learns the curvature from gradients, each far quicker than a matrix.
 
         Args:
-            goes_on: Called with the cost after each step; False ends it.
+            goes_on: Called with the cost after each step; False stops the descent.
         """
         vector, errors = self.vector(), self.errors()
         if errors is None:
@@ -214,7 +214,7 @@ class PeriodicFit:
                     break
                 length *= SHORTER
             if trial is None or not fell:
-                # Near a stage that rings by itself the cost rises within less than any step remembered.
+                # Close to a stage that rings by itself, the cost rises within less than any remembered step.
                 self.put(vector)
                 damping *= 1.0 if pairs else MORE
                 pairs.clear()
@@ -230,7 +230,7 @@ class PeriodicFit:
         return cost
 
     def gradient(self, errors: Sequence[np.ndarray]) -> np.ndarray:
-        """Of half the cost, its sign turned, for all numbers of the stage."""
+        """Return the negative gradient of half the cost, for all parameters of the stage."""
         numbers = self.numbers()
         slopes = [Parameters(*map(np.zeros_like, numbers[0])) for _ in errors]
 
@@ -249,14 +249,14 @@ class PeriodicFit:
         return np.asarray(np.sum(each, axis=0))
 
     def _groups(self) -> int:
-        """Of how many strides the periods are; those of one amplitude are beside each other."""
+        """Return the number of groups of periods, taken by strides: periods of one amplitude are adjacent."""
         return -(-self.recorded // self.in_matrix)
 
     def _normal_matrices(self, index: np.ndarray, start: int, stride: int) -> tuple[np.ndarray, np.ndarray]:
-        """Weighted normal matrices for these parameters, of every so manieth period and of guards.
+        """Return weighted normal matrices for these parameters: of every `stride`-th period, and of guards.
 
-        Their sum is that of the cost. Where a stage begins to ring, the errors of guards grow beyond all
-        others within a step: so all guards are always there, and by themselves.
+        Their sum is that of the cost. Where a stage begins to ring, the errors of guards outgrow all others
+        within a step, so all guards are included in every step, in a matrix of their own.
         """
         # Slopes of `seen` and `direct` need no tangents of the states, those of `ahead` none at all.
         at_seen, at_ahead = self.where(["seen"])[0], len(self.vector()) - self.where(["ahead"]).size
@@ -294,9 +294,9 @@ class PeriodicFit:
         return np.asarray(recorded), np.asarray(guarded)
 
     def _record(self, i: int) -> tuple[np.ndarray, int]:
-        """What slopes need, from a sample in the period before on, and that sample."""
+        """Return the states that slopes need, from a sample of the preceding period on, and that sample."""
         samples = len(self.periods[i].u)
-        # In a guard a stage may ring on from the whole of the period before.
+        # In a guard, ringing may persist from any part of the preceding period.
         began = samples - int((1.0 if i in self.guards else self.run_in) * samples)
         width = record_width(self.stage.shapes, len(self.stage.thresholds), len(self.stage.times_s))
         record = np.empty((2 * samples - began, width))
@@ -304,7 +304,7 @@ class PeriodicFit:
         return record, began
 
     def _simulated(self, i: int, record: np.ndarray | None = None) -> np.ndarray | None:
-        """Both periods, (time, outputs); None where a state leaves all bounds."""
+        """Simulate both periods, (time, outputs); None if a state diverges."""
         stage, u = self.stage, self.twice[i]
         state = stage.initial_state(1)
         y = np.zeros((len(u), stage.outputs))
@@ -323,7 +323,7 @@ class PeriodicFit:
         return y if bounded and np.abs(y).max() < DIVERGED else None
 
     def _to_come(self, i: int) -> np.ndarray:
-        """Voltages after each sample of the counted period, (samples, inputs, ahead)."""
+        """Return the voltages after each sample of the counted period, (samples, inputs, ahead)."""
         u, samples = self.padded[i], len(self.periods[i].u)
         after = samples + np.arange(samples)[:, None] + np.arange(1, self.stage.shapes.ahead + 1)
         return np.asarray(u[after].swapaxes(1, 2))
@@ -332,13 +332,13 @@ class PeriodicFit:
 def quasi_newton(
     right: np.ndarray, pairs: Sequence[Pair], factor: tuple[np.ndarray, bool], scale: np.ndarray
 ) -> np.ndarray:
-    """The step of L-BFGS from what is downhill, the newest pair last.
+    """Return the step of L-BFGS for a negative gradient.
 
     Args:
-        right: The slope, its sign turned.
-        pairs: Of steps before.
-        factor: Cholesky factor, from `cho_factor`, of the matrix that it begins with.
-        scale: What that matrix is still to be multiplied by on either side.
+        right: The negative gradient.
+        pairs: Pairs of previous steps, the newest last.
+        factor: Cholesky factor, from `cho_factor`, of the initial matrix.
+        scale: Vector by which that matrix is still to be multiplied on either side.
     """
     way, shares = right.copy(), []
     for moved, change in reversed(pairs):
@@ -351,9 +351,9 @@ def quasi_newton(
 
 
 def scaled(gram: np.ndarray, guarded: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The sum of two normal matrices, and the numbers by which it was divided on either side.
+    """Return the sum of two normal matrices, scaled, and the vector that divides it on either side.
 
-    Those make the diagonal of the first 1: damping is in proportion to it, whatever a guard's slopes are.
+    The scaling makes the diagonal of the first 1, so damping is relative to it, whatever a guard's slopes.
     """
     scale = np.sqrt(np.diag(gram))
     scale = np.maximum(scale, UNMOVED * scale.max())

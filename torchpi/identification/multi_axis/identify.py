@@ -1,9 +1,9 @@
-"""From recordings at several amplitudes to one stage of several axes.
+"""Identify one stage of several axes from recordings at several amplitudes.
 
-The modes come from the best linear approximation at the middle amplitude. Then elements are put into the
-feedback, sensing what each actuator's elongation exceeds its voltage by; first their weights are fitted,
-at last every number. Dead zones make loops asymmetric, relaxing plays make them lag, a stiffness that follows
-the mean amplitude moves the resonances without distortion, and elements that sense the rate damp them.
+The modes come from the best linear approximation at the middle amplitude. Then the feedback gets elements
+that sense by how much each actuator's elongation exceeds its voltage. First their weights are fitted, finally
+all parameters. Dead zones make loops asymmetric, relaxing plays make them lag, a stiffness that follows the
+mean amplitude moves the resonances without distortion, and rate-sensing elements damp them.
 """
 
 import time
@@ -25,45 +25,45 @@ from torchpi.recordings.multi_axis import MultiAxisRecording, usable
 from torchpi.stage.multi_axis import MultiAxisStage
 
 RELATIVE_ERROR = 0.0125
-"""Of the largest rms of a recording: an error that counts as much as noise."""
+"""Share of the largest rms of a recording: an error of this size counts as much as noise."""
 NOISE = 1.5
-"""Noise of the mean period, in its weight."""
+"""Factor on the noise of the mean period, in its weight."""
 FAINT, SLOW, SILENT = 0.05, 1.5, 0.1
-"""Size of a motion near rest, as a share of the smallest recording's, of a slow one, as a multiple of the
-largest rms, and weight of what is left in either."""
+"""Size of a motion near rest, as a share of the smallest recording's; size of a slow motion, as a multiple of
+the largest rms; weight of the error in either."""
 BEYOND, LOOSE = 1.25, 1.0
-"""The largest amplitude at which a stage must stay calm, as a multiple of the largest recording's, and the
-weight there, and between amplitudes, of an error as large as the motion."""
+"""The largest amplitude at which a stage must not ring, as a multiple of the largest recording's, and the
+weight, there and between amplitudes, of an error as large as the motion."""
 PIECE = 8192
-"""Samples of a record without periods that are simulated on their own, at most."""
+"""Maximum number of samples in a piece of a record without periods."""
 ALIKE = 1.25
-"""Amplitudes within this ratio are one level."""
+"""Amplitudes within this ratio count as one level."""
 QUASI_STATIC = 0.02
-"""Share of the lines, the lowest, whose mean response is the static gain."""
+"""Share of the spectral lines, the lowest, whose mean response is the static gain."""
 FIRST_WEIGHT = 0.01
 AHEAD = 8
-"""Samples to come of which a displacement knows."""
+"""Number of future samples of the voltage on which a displacement depends."""
 LINEAR_STEPS, WEIGHT_STEPS, MODE_STEPS, STEPS = 25, 4, 4, 8
 ZONES = (0.0, 1.5, 4.0, -1.5, -4.0)
 PLAYS = ((0.1, 1.0), (0.2, 1.0), (0.4, 1.0), (0.3, 30.0), (1.0, 30.0))
 INPUT_PLAYS = ((0.1, 1.0), (0.3, 1.0), (1.0, 1.0), (0.1, 30.0), (0.3, 30.0), (1.0, 30.0))
 """Thresholds, in units of the rms of the largest input at the highest amplitude, and rates, Hz."""
 SHARP = 0.2
-"""Damping below which a mode has a part in the rate of the elastic part."""
+"""Damping ratio below which a mode contributes to the rate of the elastic part."""
 CROSSOVER = (0.1, 0.3)
 """Widths, in units of the rms slope of that input."""
 
 
 @dataclass(frozen=True)
 class Physics:
-    """What is put into the feedback of the modes and at the inputs.
+    """Effects that are put into the feedback of the modes and at the inputs.
 
     Args:
         zones: Thresholds of the elements' dead zones: asymmetry without memory.
         plays: Thresholds and rates of their relaxing plays: hysteresis that the motion drives.
         follows_amplitude: Whether stiffness and damping follow the mean amplitude.
         input_plays: Thresholds and rates of the plays of the voltages.
-        crossover: Whether amplifiers have crossover distortion, where their bandwidth is known.
+        crossover: Whether amplifiers have crossover distortion, if their bandwidth is known.
         feedback: Whether there are elements in the feedback at all.
     """
 
@@ -80,15 +80,15 @@ ALL = Physics()
 
 @dataclass(frozen=True)
 class MultiAxisOptions:
-    """What is identified, and for how long.
+    """Options of the identification, and its time limit.
 
     Args:
-        modes: Pairs of states, those that stand for what lies beyond the band included.
-        extra_elements: Nonlinear elements beside one at each input.
-        times_s: Times over which stiffness follows the amplitude, s.
-        amplifier_hz: Bandwidth of the amplifiers, whose crossover distortion is then identified, Hz.
-        seconds: Time for the fit; a step that has begun is finished.
-        seed: Of the directions in which the extra elements begin.
+        modes: Number of pairs of states, including those that represent dynamics beyond the band.
+        extra_elements: Number of nonlinear elements in addition to those of each input.
+        times_s: Averaging times of the amplitude that the stiffness follows, s.
+        amplifier_hz: Bandwidth of the amplifiers, Hz; if given, their crossover distortion is identified.
+        seconds: Time limit of the fit; a step that has begun is finished.
+        seed: Seed of the initial directions of the extra elements.
     """
 
     modes: int = 24
@@ -117,18 +117,18 @@ def identify(
     options: MultiAxisOptions | None = None,
     log: Callable[[str], None] = lambda text: None,
 ) -> MultiAxisStage:
-    """One stage for all recordings.
+    """Identify one stage for all recordings.
 
-    Periodic ones are of whole periods in steady state. Others take the time-domain path: they are cut into
-    pieces, each simulated from rest through the piece before, of which the first is left out.
+    Periodic recordings have whole periods in steady state. Others take the time-domain path: they are cut
+    into pieces, each simulated from rest through the preceding one, so the first piece is not fitted.
 
     Args:
-        recordings: At one amplitude or several, as many realisations as inputs at one of them.
-        options: What is identified, and for how long.
-        log: Called with a line of progress.
+        recordings: At one amplitude or several, with at least as many realisations as inputs at one of them.
+        options: Options of the identification, and its time limit.
+        log: Called with each line of progress.
 
     Raises:
-        RecordingError: Recordings that are not of one stage, or do not show what each input does.
+        RecordingError: The recordings are not of one stage, or do not show what each input does.
     """
     options = options or MultiAxisOptions()
     recordings = usable(recordings)
@@ -167,7 +167,7 @@ def identify(
 
 
 def by_amplitude(recordings: Sequence[MultiAxisRecording]) -> list[list[MultiAxisRecording]]:
-    """Recordings of one amplitude together, the lowest first."""
+    """Group the recordings by amplitude, the lowest first."""
     levels: list[list[MultiAxisRecording]] = []
     for one in sorted(recordings, key=lambda recording: float(recording.u.std())):
         if levels and one.u.std() < ALIKE * levels[-1][0].u.std():
@@ -178,9 +178,9 @@ def by_amplitude(recordings: Sequence[MultiAxisRecording]) -> list[list[MultiAxi
 
 
 def periods(recordings: Sequence[MultiAxisRecording]) -> list[Period]:
-    """The mean period of each, or the pieces of one without periods, those of much noise with less weight.
+    """Return the mean period of each, or the pieces of one without periods; noisy ones weigh less.
 
-    A nonlinearity that is not of the class leaves most at the largest amplitude, which is to weigh most.
+    A nonlinearity outside the model class leaves most at the largest amplitude, which is to weigh most.
     """
     largest, found = max(float(one.y.std()) for one in recordings), []
     for one in recordings:
@@ -198,15 +198,15 @@ def periods(recordings: Sequence[MultiAxisRecording]) -> list[Period]:
 
 
 def guards(recordings: Sequence[MultiAxisRecording], gain: np.ndarray) -> list[Period]:
-    """Periods that nobody recorded, at rest and in slow motion, through which a stage must stay calm."""
+    """Return artificial periods, at rest and in slow motion, through which a stage must not ring."""
     return [silence(by_amplitude(recordings)[0][0]), slow_motion(recordings, gain)]
 
 
 def slow_motion(recordings: Sequence[MultiAxisRecording], gain: np.ndarray) -> Period:
-    """Slow sines of all inputs, which the displacements follow but for the hysteresis.
+    """Return slow sines of all inputs, which the displacements follow apart from the hysteresis.
 
-    A stiffness or damping that follows the voltage averages out in recordings of fast voltages; held for
-    long, the same voltage may drive a mode without bounds.
+    A stiffness or damping that follows the voltage averages out in recordings of fast voltages; if it is held
+    for long, the same voltage may drive a mode without bounds.
     """
     largest = max(recordings, key=lambda one: float(one.u.std()))
     mean = largest.period[0]
@@ -218,10 +218,10 @@ def slow_motion(recordings: Sequence[MultiAxisRecording], gain: np.ndarray) -> P
 
 
 def other_amplitudes(levels: Sequence[Sequence[MultiAxisRecording]]) -> list[Period]:
-    """A recording of each level, scaled to the geometric mean with the next one or, of the last, beyond it.
+    """Return a recording of each level, scaled to the geometric mean with the next, or the last beyond it.
 
-    Feedback that is stable at the amplitudes of the recordings may not be so at others. The displacements
-    there are not known: what is left of them, as if the stage were linear, weighs only where it rings.
+    Feedback that is stable at the recorded amplitudes may be unstable at others. The displacements there are
+    not known: they are scaled as if the stage were linear, and their errors weigh only where it rings.
     """
     sizes = [float(level[0].u.std()) for level in levels]
     found = []
@@ -234,9 +234,9 @@ def other_amplitudes(levels: Sequence[Sequence[MultiAxisRecording]]) -> list[Per
 
 
 def silence(recording: MultiAxisRecording) -> Period:
-    """A period at rest after a small motion, in which a stage must not ring by itself.
+    """Return a period at rest after a small motion, in which a stage must not ring by itself.
 
-    Feedback that is stable at the amplitudes of the recordings may not be so near rest, where none was made.
+    Feedback that is stable at the recorded amplitudes may be unstable near rest, where nothing was recorded.
     """
     u, y, _ = recording.period
     before = FAINT * u
@@ -248,7 +248,7 @@ def silence(recording: MultiAxisRecording) -> Period:
 def linear_stage(
     level: Sequence[MultiAxisRecording], modes: int, ahead: int = AHEAD
 ) -> tuple[MultiAxisStage, np.ndarray, np.ndarray]:
-    """Modes alone, from the realisations of one amplitude, and the response that they were fitted to."""
+    """Fit modes alone to the realisations of one amplitude; return the stage, z and the fitted response."""
     z, response = response_of(level)
     found = modes_of(z, response, fitted_poles(z, response, modes))
     shapes = Shapes(
@@ -259,7 +259,7 @@ def linear_stage(
 
 
 def response_of(level: Sequence[MultiAxisRecording]) -> tuple[np.ndarray, np.ndarray]:
-    """The best linear approximation at one amplitude: z of its lines, and (lines, inputs, outputs)."""
+    """Return the best linear approximation at one amplitude: z of its lines, and (lines, inputs, outputs)."""
     if all(one.periods > 1 for one in level):
         means = [one.period for one in level]
         return best_linear_approximation([u for u, _, _ in means], [y for _, y, _ in means])
@@ -267,7 +267,7 @@ def response_of(level: Sequence[MultiAxisRecording]) -> tuple[np.ndarray, np.nda
 
 
 def static_gain(z: np.ndarray, response: np.ndarray) -> np.ndarray:
-    """(inputs, outputs), µm/V, of the lowest lines."""
+    """Return the static gain, (inputs, outputs), µm/V, from the lowest lines."""
     lowest = np.argsort(np.angle(z))[: max(int(QUASI_STATIC * len(z)), 4)]
     gain: np.ndarray = response[lowest].mean(0).real
     return gain
@@ -280,10 +280,10 @@ def with_elements(
     options: MultiAxisOptions,
     physics: Physics = ALL,
 ) -> MultiAxisStage:
-    """The stage with elements at the inputs, and more in random directions, all nearly without force.
+    """Return the stage with elements at the inputs, and more in random directions, all with almost no force.
 
-    An element of each input senses the elastic part of its actuator's elongation, which is hysteresis and
-    stiffness, a second one the rate of that, which is damping.
+    One element of each input senses the elastic part of its actuator's elongation and represents hysteresis
+    and stiffness; a second one senses the rate of that part and represents damping.
     """
     old = linear.arrays()
     inputs = linear.inputs
@@ -317,7 +317,7 @@ def with_elements(
 def put_elements(
     arrays: dict[str, np.ndarray], gain: np.ndarray, seed: int, extra: int, at_means: int
 ) -> None:
-    """Fill what elements sense, where they act, and how strongly they begin; modes and gain are given."""
+    """Fill in what elements sense, where they act, and their initial strength; modes and gain are given."""
     modes, inputs = arrays["drive"].shape[0], arrays["drive"].shape[2]
     elements = 2 * inputs + extra
     random = np.random.default_rng(seed)
@@ -340,7 +340,7 @@ def put_elements(
 
 
 def rate_of(seen: np.ndarray, poles: np.ndarray) -> np.ndarray:
-    """What senses the rate of what `seen` (…, modes, 2) senses, over a frequency that leaves its size."""
+    """Return what senses the rate of what `seen` (…, modes, 2) senses, scaled to the same size."""
     slopes = np.log(poles @ np.array([1, 1j]))
     sharp = np.abs(slopes.real) < SHARP * np.abs(slopes)
     turned = (seen @ np.array([1, -1j])) * np.where(sharp, slopes, 0)
@@ -349,7 +349,7 @@ def rate_of(seen: np.ndarray, poles: np.ndarray) -> np.ndarray:
 
 
 def crossover_widths(recordings: Sequence[MultiAxisRecording]) -> list[float]:
-    """V/s, from the largest rms slope of an input."""
+    """Return the widths, V/s, from the largest rms slope of an input."""
     slopes = []
     for one in recordings:
         u = one.period[0]

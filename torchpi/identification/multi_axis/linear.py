@@ -1,8 +1,8 @@
 """The best linear approximation of a stage of several axes, and modes fitted to it.
 
-The frequency response at one amplitude: Pintelon and Schoukens, System Identification, 2012, ch. 3. Its
-poles: vector fitting (Gustavsen and Semlyen, IEEE Trans. Power Delivery 14(3), 1999), here in z, so that what
-happens between samples is part of the fit.
+Frequency response at one amplitude: Pintelon and Schoukens, System Identification, 2012, ch. 3. Its poles:
+vector fitting (Gustavsen and Semlyen, IEEE Trans. Power Delivery 14(3), 1999), here in z, so that the
+behaviour between samples is part of the fit.
 """
 
 from collections.abc import Sequence
@@ -11,19 +11,19 @@ import numpy as np
 
 ITERATIONS = 20
 LEAST_DAMPING = 0.003
-"""Of a mode; what is sharper is noise of single lines."""
+"""Least damping ratio of a mode; sharper ones would fit the noise of single lines."""
 BROAD = ((1.0, 0.03), (0.6, 1.0), (0.005, 3.0), (0.3, 0.2), (0.5, 0.2))
 """Broad poles: frequency as a share of the highest, and damping."""
 WINDOW = 4096
-"""Samples, at most."""
+"""Maximum length of a window, samples."""
 RIDGE = 1e-12
-"""Of each column's square."""
+"""Ridge as a share of each column's square."""
 
 
 def windowed(u: Sequence[np.ndarray], y: Sequence[np.ndarray]) -> tuple[list[np.ndarray], list[np.ndarray]]:
-    """Records without periods as windows of one length, half over each other: (samples, channels) each.
+    """Cut records without periods into half-overlapping windows of one length: (samples, channels) each.
 
-    A Hann window leaves little of what a mode remembers from before it (Pintelon and Schoukens, ch. 2).
+    A Hann window leaves little of the transient of a mode from before it (Pintelon and Schoukens, ch. 2).
     """
     length = min(WINDOW, 2 * (min(map(len, u)) // (u[0].shape[1] + 1)))
     shape = np.hanning(length + 1)[:length, None]
@@ -41,10 +41,10 @@ def windowed(u: Sequence[np.ndarray], y: Sequence[np.ndarray]) -> tuple[list[np.
 def best_linear_approximation(
     u: Sequence[np.ndarray], y: Sequence[np.ndarray]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Frequency response over the realisations of one amplitude.
+    """Estimate the frequency response from the realisations of one amplitude.
 
     Args:
-        u: (samples, inputs) each, whole periods; as many realisations as inputs at least.
+        u: (samples, inputs) each, whole periods; at least as many realisations as inputs.
         y: (samples, outputs) each.
 
     Returns:
@@ -62,10 +62,10 @@ def best_linear_approximation(
 
 
 def fitted_poles(z: np.ndarray, response: np.ndarray, pairs: int) -> np.ndarray:
-    """(pairs,), complex, of positive imaginary part: common poles of all channels of a response.
+    """Return common poles of all channels of a response, (pairs,), complex, of positive imaginary part.
 
-    Vector fitting finds the modes in the band. A few broad ones are put beside them where there are many:
-    they stand for the modes beyond it, for amplifiers and delays, and a fit to the recordings moves them.
+    Vector fitting finds the modes in the band. If many poles are wanted, a few broad ones are added: they
+    represent modes beyond the band, amplifiers and delays, and a fit to the recordings adjusts them.
     """
     channels = response.reshape(len(z), -1)
     last = float(np.angle(z).max())
@@ -99,7 +99,7 @@ def _relocated(z: np.ndarray, channels: np.ndarray, poles: np.ndarray) -> np.nda
     zeros *= np.minimum(1, limit / np.maximum(np.abs(zeros), 1e-9))
     pairs = zeros[zeros.imag > 1e-9]
     real = np.sort(zeros[np.abs(zeros.imag) <= 1e-9].real)
-    # Two real poles make a pair of states as well; kept apart by a little.
+    # Two real poles also make a pair of states; they are kept slightly apart.
     twos = zip(real[::2], real[1::2], strict=True)
     joined = [complex(np.mean(two), 1e-3 + np.ptp(two) / 2) for two in twos]
     every = np.concatenate([pairs, np.array(joined, dtype=complex)])
@@ -107,13 +107,13 @@ def _relocated(z: np.ndarray, channels: np.ndarray, poles: np.ndarray) -> np.nda
 
 
 def partial_fractions(z: np.ndarray, poles: np.ndarray) -> np.ndarray:
-    """(lines, 2 pairs): each pair of poles with a residue of 1, and of j."""
+    """Return (lines, 2 pairs): the response of each pair of poles with a residue of 1, and of j."""
     direct, mirrored = 1 / (z[:, None] - poles), 1 / (z[:, None] - poles.conj())
     return np.stack([direct + mirrored, 1j * (direct - mirrored)], 2).reshape(len(z), -1)
 
 
 def modes_of(z: np.ndarray, response: np.ndarray, poles: np.ndarray) -> dict[str, np.ndarray]:
-    """`poles`, `drive`, `seen` and `direct` of modes, each with the residue of rank one that is nearest."""
+    """Return `poles`, `drive`, `seen` and `direct` of modes, each with the nearest residue of rank one."""
     lines, inputs, outputs = response.shape
     columns = np.concatenate([partial_fractions(z, poles), np.ones((lines, 1))], 1)
     matrix, right = _real(columns), _real(response.reshape(lines, -1))

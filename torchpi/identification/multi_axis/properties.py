@@ -1,4 +1,4 @@
-"""What a stage of several axes says of itself: loops of its actuators, modes, coupling."""
+"""Properties of a stage of several axes: loops of its actuators, modes, coupling."""
 
 from dataclasses import dataclass
 
@@ -8,9 +8,9 @@ import torch
 from torchpi.stage.multi_axis import MultiAxisStage
 
 LOOP_S, CYCLES = 1.0, 2
-"""Period of the sine that draws loops, and how many of them, of which the last counts."""
+"""Period of the sine that draws loops, and number of its periods, of which the last counts."""
 SHARPEST = 0.3
-"""Damping of what counts as a mode; broader ones stand for what lies beyond the band."""
+"""Largest damping ratio of a mode; broader ones represent dynamics beyond the band."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -18,10 +18,10 @@ class Loop:
     """One actuator's slow loop, at the output that it moves most.
 
     Attributes:
-        input: From 1 on.
-        output: From 1 on.
+        input: Number of the input, from 1.
+        output: Number of the output, from 1.
         u: (time,), V.
-        y: (time,), µm, about its middle.
+        y: (time,), µm, centred about its middle.
     """
 
     input: int
@@ -31,7 +31,7 @@ class Loop:
 
     @property
     def width(self) -> float:
-        """Of the loop at half its height, as a share of its stroke."""
+        """Width of the loop at the middle of the voltage, as a share of its stroke."""
         middle = np.abs(self.u) < 0.05 * np.abs(self.u).max()
         rises = np.gradient(self.u) > 0
         apart = self.y[middle & ~rises].mean() - self.y[middle & rises].mean()
@@ -39,7 +39,7 @@ class Loop:
 
 
 def loop_of(stage: MultiAxisStage, number: int, amplitude_v: float) -> Loop:
-    """The loop of an input, counted from 1, under a slow sine, the others at rest."""
+    """Simulate the loop of an input, counted from 1, under a slow sine, with the others at rest."""
     samples = int(LOOP_S * stage.sample_rate_hz)
     u = np.zeros((CYCLES * samples, stage.inputs))
     u[:, number - 1] = amplitude_v * np.sin(2 * np.pi * np.arange(len(u)) / samples)
@@ -50,7 +50,7 @@ def loop_of(stage: MultiAxisStage, number: int, amplitude_v: float) -> Loop:
 
 
 def modes_of_stage(stage: MultiAxisStage) -> list[tuple[float, float]]:
-    """Frequency, Hz, and damping ratio of each mode without its feedback, the lowest first."""
+    """Return frequency, Hz, and damping ratio of each mode without its feedback, the lowest first."""
     poles = stage.arrays()["poles"] @ np.array([1, 1j])
     rates = np.log(poles)
     damping = -rates.real / np.abs(rates)
@@ -59,7 +59,7 @@ def modes_of_stage(stage: MultiAxisStage) -> list[tuple[float, float]]:
 
 
 def static_gain_of(stage: MultiAxisStage, amplitude_v: float) -> np.ndarray:
-    """(outputs, inputs), µm/V: of each input alone, held until the modes have settled."""
+    """Return the static gain, (outputs, inputs), µm/V, of each input alone, held until the modes settle."""
     samples = int(LOOP_S * stage.sample_rate_hz)
     u = np.zeros((2 * stage.inputs, samples, stage.inputs))
     for i in range(stage.inputs):

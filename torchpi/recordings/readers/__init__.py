@@ -1,4 +1,4 @@
-"""Files of measured signals, one format a file. `open_source` picks the reader by the file's suffix."""
+"""Readers of files of measured signals, one module per format; `open_source` chooses by suffix."""
 
 import importlib
 import os
@@ -11,7 +11,7 @@ __all__ = ["Source", "open_source"]
 
 
 def open_source(path: str | Path) -> Source:
-    """Open a file of signals and list what it holds; the numbers are read when they are asked for.
+    """Open a file of signals and list its columns; the numbers are read on demand.
 
     Raises RecordingError if the file is missing, empty, of an unknown kind, or its reader is not installed.
     """

@@ -1,4 +1,4 @@
-"""HDF5: datasets by path (`group/u`). Also MATLAB's version 7.3, whose axes are stored in reverse order."""
+"""Reader of HDF5: datasets by path (`group/u`); also MATLAB 7.3 files, whose axes are in reverse order."""
 
 from typing import Any
 
@@ -13,7 +13,7 @@ def open_file(path: str) -> "Hdf5Source":
 
 
 class Hdf5Source(ArraySource):
-    """Data sets by path."""
+    """Datasets by path."""
 
     def __init__(self, path: str, matlab: bool) -> None:
         h5py = self.h5py = import_extra(path, "h5py")
@@ -31,7 +31,7 @@ class Hdf5Source(ArraySource):
         try:
             with h5py.File(path, "r") as file:
                 file.visititems(note)
-        except Exception as error:  # h5py raises whatever its parser met: OSError, RuntimeError, KeyError …
+        except Exception as error:  # h5py lets any parser error through: OSError, RuntimeError, KeyError …
             raise RecordingError(
                 f"{path}: is not an HDF5 file ({reason_of(error)}); export it again"
             ) from None

@@ -1,10 +1,10 @@
-"""Time stamps of ISO 8601, `2024-05-01T12:00:00.0001Z`, or the time of day alone, in s from the first."""
+"""Time stamps of ISO 8601, `2024-05-01T12:00:00.0001Z` or the time of day alone, in s from the first."""
 
 import re
 
 import numpy as np
 
-# Years 1700 to 2199, which nanoseconds in 64 bits can hold.
+# Years 1700 to 2199, which fit into 64-bit nanoseconds.
 _STAMP = re.compile(
     r"(?:(?P<date>(?:1[7-9]|2[01])\d\d-\d\d-\d\d)[T ])?(?P<time>\d\d:\d\d:\d\d(?:[.,]\d{1,9})?)"
     r"\s*(?P<zone>Z|[+-]\d\d:?\d\d)?"
@@ -12,7 +12,7 @@ _STAMP = re.compile(
 
 
 def is_stamp(cell: str) -> bool:
-    """Is this cell a time stamp of ISO 8601, of a day and time that there are?"""
+    """Whether this cell is an ISO 8601 time stamp of an existing date and time."""
     try:
         _moment(cell)
     except ValueError:
@@ -21,10 +21,10 @@ def is_stamp(cell: str) -> bool:
 
 
 def seconds_of(cells: np.ndarray) -> np.ndarray:
-    """Seconds from the first stamp (time,), exact to a nanosecond.
+    """Return seconds from the first stamp (time,), exact to a nanosecond.
 
     Raises:
-        ValueError: a cell is no time stamp, or one of a day that no calendar has.
+        ValueError: a cell is not a time stamp, or its date does not exist.
     """
     moments = np.array([_moment(str(cell)) for cell in cells], dtype="datetime64[ns]")
     return np.asarray((moments - moments[0]) / np.timedelta64(1, "s"), dtype=np.float64)

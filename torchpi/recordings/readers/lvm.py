@@ -1,4 +1,4 @@
-"""LabVIEW's measurement text (.lvm): a table below headers that keep the sample period and the units."""
+"""Reader of LabVIEW measurement text (.lvm): a table below headers with the sample period and the units."""
 
 from itertools import islice
 

@@ -1,4 +1,4 @@
-"""MATLAB files: variables by name, fields of a struct as `struct.field`. Version 7.3 is HDF5 inside."""
+"""Reader of MATLAB files: variables by name, struct fields as `struct.field`. Version 7.3 is HDF5 inside."""
 
 from typing import Any
 
@@ -26,9 +26,7 @@ class MatSource(ArraySource):
 
         try:
             stored = loadmat(path, simplify_cells=True)
-        except (
-            Exception
-        ) as error:  # scipy raises whatever its parser met: ValueError, TypeError, zlib.error …
+        except Exception as error:  # scipy lets any parser error through: ValueError, TypeError, zlib.error …
             raise RecordingError(
                 f"{path}: is not a MATLAB file ({reason_of(error)}); save it again with -v7"
             ) from None

@@ -1,4 +1,4 @@
-"""Signals that are in memory already: arrays, or the columns of a frame, under the same checks as a file."""
+"""Reader of signals in memory, arrays or the columns of a frame, with the same checks as a file."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -14,9 +14,9 @@ class MemorySource(ArraySource):
     """Copies of arrays by name. Dates and time differences become seconds from the first.
 
     Args:
-        name: What errors call it.
-        arrays: What NumPy makes an array of, by name.
-        position: How its owner counts samples, from 0: `index`, or `iloc` of a frame.
+        name: Name in error messages.
+        arrays: Anything that NumPy can convert to an array, by name.
+        position: Word for the position of a sample, counted from 0: `index`, or `iloc` for a frame.
     """
 
     def __init__(self, name: str, arrays: Mapping[str, Any], position: str = "index") -> None:
@@ -33,7 +33,7 @@ class MemorySource(ArraySource):
             if isinstance(values, np.ma.MaskedArray):
                 return np.ma.filled(values.astype(np.float64), np.nan)
             found = np.asarray(values).copy()
-        except Exception as error:  # ragged lists, tensors that need a gradient: every library has its own
+        except Exception as error:  # ragged lists, tensors that need a gradient: each library has its own
             reason = str(error).partition("\n")[0]
             raise RecordingError(
                 f"{self.path}: '{name}': found {kind_of(values)}, expected an array of numbers ({reason})"
@@ -48,10 +48,10 @@ class MemorySource(ArraySource):
 
 
 def frame_columns(name: str, frame: Any) -> dict[str, Any]:
-    """The columns of a pandas frame by name, with its index where that has a name or holds dates.
+    """Return the columns of a pandas frame by name, with its index if that has a name or holds dates.
 
     Raises:
-        RecordingError: No frame.
+        RecordingError: If it is not a frame.
     """
     if not (hasattr(frame, "columns") and hasattr(frame, "index") and hasattr(frame, "__getitem__")):
         raise RecordingError(
@@ -65,8 +65,8 @@ def frame_columns(name: str, frame: Any) -> dict[str, Any]:
 
 
 def _as_numbers(values: Any) -> Any:
-    """A column as a text reader would take it: dates, time stamps and decimal commas are numbers too."""
-    if _kind(values) == "M":  # dates with a time zone are objects to NumPy
+    """Convert a column as the text reader would: dates, time stamps and decimal commas become numbers."""
+    if _kind(values) == "M":  # NumPy would convert dates with a time zone to objects
         return values.to_numpy("datetime64[ns]")
     cells = np.asarray(values)
     if cells.dtype.kind not in "OUT" or any(isinstance(cell, bool) for cell in cells.flat):
@@ -77,10 +77,10 @@ def _as_numbers(values: Any) -> Any:
             return seconds_of(cells)
         plain = [cell.replace(",", ".") if isinstance(cell, str) else cell for cell in cells.flat]
         return np.array([np.nan if cell is None else float(cell) for cell in plain])
-    except (TypeError, ValueError):  # words: refused by whoever needs numbers
+    except (TypeError, ValueError):  # words are refused later, if numbers are needed
         return values
 
 
 def _kind(values: Any) -> str:
-    """NumPy's letter for the type of an array or a column; of anything else none."""
+    """Return NumPy's kind letter for the type of an array or a column; empty for anything else."""
     return getattr(getattr(values, "dtype", None), "kind", "")

@@ -1,4 +1,4 @@
-"""MF4 (ASAM MDF): channels by name, each with the time stamps of its group."""
+"""Reader of MF4 (ASAM MDF): channels by name, each with the time stamps of its group."""
 
 import gc
 import sys
@@ -22,15 +22,15 @@ class Mf4Source(Source):
     def __init__(self, path: str) -> None:
         asammdf = import_extra(path, "asammdf")
         problem = None
-        # The object of a file that cannot be read is half made, and raises once more while it is deleted.
+        # If a file cannot be read, the half-constructed object raises once more when it is deleted.
         before, sys.unraisablehook = sys.unraisablehook, lambda _: None
         try:
             self.file = asammdf.MDF(path)
-        except Exception as error:  # asammdf raises whatever its parser met
+        except Exception as error:  # asammdf lets any parser error through
             problem = reason_of(error)
         finally:
             if problem is not None:
-                gc.collect()  # it stands in a circle of references
+                gc.collect()  # it is part of a reference cycle
             sys.unraisablehook = before
         if problem is not None:
             raise RecordingError(f"{path}: is not an MDF file ({problem}); export it again")
@@ -46,7 +46,7 @@ class Mf4Source(Source):
             raise RecordingError(
                 f"{self.path}: {' or '.join(names)} holds no numbers; choose another"
             ) from None
-        except Exception as error:  # of a damaged block
+        except Exception as error:  # from a damaged block
             raise RecordingError(
                 f"{self.path}: cannot be read ({reason_of(error)}); export it again"
             ) from None

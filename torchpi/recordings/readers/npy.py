@@ -1,4 +1,4 @@
-"""One NumPy array (`numpy.save`): its columns by number, or by name where the array is structured."""
+"""Reader of one NumPy array (`numpy.save`): columns by number, or by name if the array is structured."""
 
 import numpy as np
 
@@ -21,7 +21,7 @@ class NpySource(ArraySource):
             raise
         except (
             Exception
-        ) as error:  # numpy raises whatever its parser met: ValueError, TokenError, MemoryError …
+        ) as error:  # numpy lets any parser error through: ValueError, TokenError, MemoryError …
             raise RecordingError(
                 f"{path}: is not a NumPy array ({reason_of(error)}); save it again"
             ) from None

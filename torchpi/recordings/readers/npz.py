@@ -1,4 +1,4 @@
-"""NumPy archives: arrays by name, with an index where one has several axes (`u_100mV[:,0,0,0]`)."""
+"""Reader of NumPy archives: arrays by name, with an index if one has several axes (`u_100mV[:,0,0,0]`)."""
 
 import zipfile
 
@@ -21,7 +21,7 @@ class NpzSource(ArraySource):
         try:
             with open(path, "rb") as file, np.load(file, allow_pickle=False) as archive:
                 names = archive.files
-        except Exception as error:  # numpy raises whatever its parser met: BadZipFile, ValueError, KeyError …
+        except Exception as error:  # numpy lets any parser error through: BadZipFile, ValueError, KeyError …
             raise RecordingError(
                 f"{path}: is not a NumPy archive ({reason_of(error)}); save it again"
             ) from None
@@ -31,7 +31,7 @@ class NpzSource(ArraySource):
         try:
             with open(self.path, "rb") as file, np.load(file, allow_pickle=False) as archive:
                 return np.asarray(archive[name])
-        except Exception as error:  # the same, and zlib.error, NotImplementedError, MemoryError …
+        except Exception as error:  # as above, and zlib.error, NotImplementedError, MemoryError …
             raise RecordingError(
                 f"{self.path}: '{name}' cannot be read ({reason_of(error)}); save it again"
             ) from None

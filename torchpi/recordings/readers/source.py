@@ -1,4 +1,4 @@
-"""What every reader offers: the names in the file, the numbers under a name, and where a number stands."""
+"""Interface of all readers: the names in a file, the numbers under a name, and the place of a sample."""
 
 import difflib
 import re
@@ -19,35 +19,35 @@ class Source(ABC):
     """An open file of signals."""
 
     has_times = False
-    """Does the format keep time stamps beside its signals? Then `times` gives them."""
+    """Whether the format stores time stamps beside its signals; if so, `times` returns them."""
 
     def __init__(self, path: str, names: list[str]) -> None:
         self.path = path
         self.names = names
         self.units: dict[str, str] = {}
-        """Units that the file states beside the names of its columns."""
+        """Units that the file states separately from the column names."""
 
     @abstractmethod
     def read(self, names: list[str]) -> list[np.ndarray]:
-        """The signals under these names (each one given by `find`), (time,) float64."""
+        """Return the signals under these names (each from `find`), (time,) float64."""
 
     def place(self, index: int) -> str:
-        """Where sample `index` stands, as the user counts it."""
+        """Describe where sample `index` stands, as the user counts it."""
         return f"sample {index + 1}"
 
     def unit(self, name: str) -> str | None:
-        """The unit that the file states for this column, in its name or beside it; None where it has none."""
+        """Return the unit stated for this column, in its name or separately; None if there is none."""
         indexed = INDEXED.fullmatch(name)
         return self.units.get(name) or stem_and_unit(indexed["name"] if indexed else name)[1]
 
     def holds_numbers(self, name: str) -> bool:
-        """Is this column worth reading? A text's column of words is not."""
+        """Whether this column can be read as numbers; a text column cannot."""
         return True
 
     def find(self, column: Column, option: str) -> str:
-        """The name in the file that `column` means.
+        """Return the name in the file that `column` refers to.
 
-        Raises RecordingError, with the nearest name and the list of all, if there is none.
+        Raises RecordingError, with the nearest name and a list of all, if there is none.
         """
         name = str(column)
         if name in self.names:
@@ -67,11 +67,11 @@ class Source(ABC):
         )
 
     def scalar(self, name: str) -> float | None:
-        """A single number stored under this name, None where the format or the file has none."""
+        """Return the single number stored under this name; None if the format or the file has none."""
         return None
 
     def times(self, name: str) -> np.ndarray | None:
-        """The time stamps that the format keeps for this signal (time,), s; None where it keeps none."""
+        """Return the time stamps that the format stores for this signal (time,), s, or None."""
         return None
 
     def _offers(self, name: str) -> bool:
@@ -79,11 +79,11 @@ class Source(ABC):
 
 
 class ArraySource(Source):
-    """A file of named arrays. A name may carry an index, `u[:,0,0]`, that makes one signal of many."""
+    """A file of named arrays; a name may have an index, `u[:,0,0]`, that selects one signal."""
 
     @abstractmethod
     def array(self, name: str) -> Any:
-        """What is stored under this name, as it is."""
+        """Return what is stored under this name, unchanged."""
 
     def read(self, names: list[str]) -> list[np.ndarray]:
         return [self._signal(name) for name in names]
@@ -128,20 +128,20 @@ INDEXED = re.compile(r"(?P<name>.+)\[(?P<index>[-\d:,\s]+)\]")
 
 
 def _without_unit(name: str) -> str:
-    """`Command` of `Command [mV]`, as it is spelled."""
+    """Return the name without its unit, spelling kept: `Command` for `Command [mV]`."""
     match = re.fullmatch(r"(.{1,200}?)\s*[\[(][^\])]*[\])]\s*", name)
     return match[1] if match and stated_unit(name[match.end(1) :].strip(" []()")) else name
 
 
 def nearest(name: str, names: Iterable[str]) -> str | None:
-    """The name that a misspelled one probably means, whatever its case."""
+    """Return the name that a misspelled one probably means, ignoring case."""
     by_lower = {other.lower(): other for other in names if len(other) <= LONGEST_NAME}
     found = difflib.get_close_matches(name[:LONGEST_NAME].lower(), by_lower, n=1, cutoff=0.5)
     return by_lower[found[0]] if found else None
 
 
 def shortened(names: list[str], most: int = 20) -> str:
-    """The names on one line; of a long list the first ones, and how many more there are."""
+    """Return the names on one line; of a long list, the first ones and the number of the rest."""
     rest = f", and {len(names) - most} more" if len(names) > most else ""
     return (
         ", ".join(name if len(name) <= 60 else f"{name[:57]}…" for name in names[:most]) + rest
@@ -149,18 +149,18 @@ def shortened(names: list[str], most: int = 20) -> str:
 
 
 def stated_units(pairs: Iterable[tuple[str, str]]) -> dict[str, str]:
-    """Units by column, of pairs of a name and what the file writes as its unit."""
+    """Return units by column, from pairs of a column name and the text that the file gives as its unit."""
     stated = ((name, stated_unit(text)) for name, text in pairs)
     return {name: unit for name, unit in stated if unit is not None}
 
 
 def reason_of(error: Exception) -> str:
-    """A library's error message, short and on one line."""
+    """Return a library's error message, shortened to one line."""
     return " ".join(str(error).split())[:200] or type(error).__name__
 
 
 def import_extra(path: str, module: str) -> Any:
-    """The module that reads this format; where it is missing, RecordingError with the line to install it."""
+    """Import the module that reads this format; raise RecordingError with the install command if missing."""
     try:
         return import_module(module)
     except ImportError:
@@ -179,6 +179,6 @@ def _index(text: str) -> tuple[int | slice, ...]:
 
 
 def _example(shape: tuple[int, ...]) -> str:
-    """An index that takes one signal along the longest axis."""
+    """Return an example index that selects one signal along the longest axis."""
     time = int(np.argmax(shape)) if shape else 0
     return ",".join(":" if axis == time else "0" for axis in range(max(1, len(shape))))

@@ -1,4 +1,4 @@
-"""TDMS of LabVIEW: channels as `group/channel`, or by the channel's name where only one group has it."""
+"""Reader of LabVIEW TDMS: channels as `group/channel`, or by channel name if only one group has it."""
 
 import logging
 import warnings
@@ -17,9 +17,9 @@ def open_file(path: str) -> "TdmsSource":
 
 @contextmanager
 def _as_one_warning(path: str) -> Iterator[None]:
-    """Turn what npTDMS logs, such as a truncated recording, into one warning."""
+    """Turn messages that npTDMS logs, for example about a truncated recording, into one warning."""
     records: list[logging.LogRecord] = []
-    # Each of its modules has a handler of its own, which prints.
+    # Each of its modules has its own handler, which prints.
     names = [name for name in logging.root.manager.loggerDict if name.startswith("nptdms.")]
     handlers = {name: logging.getLogger(name).handlers for name in names}
     for name in names:
@@ -56,7 +56,7 @@ class TdmsSource(Source):
         try:
             with _as_one_warning(path):
                 file = nptdms.TdmsFile.read(path)
-        except Exception as error:  # npTDMS raises whatever its parser met
+        except Exception as error:  # npTDMS lets any parser error through
             raise RecordingError(
                 f"{path}: is not a TDMS file ({reason_of(error)}); export it again"
             ) from None
@@ -84,5 +84,5 @@ class TdmsSource(Source):
         step = self.channels[name].properties.get("wf_increment")
         if not step:
             return None
-        # From the increment itself: time_track() would need a start offset beside it.
+        # Computed from the increment, because time_track() also needs a start offset.
         return np.arange(len(self.channels[name])) * float(step)

@@ -1,8 +1,8 @@
-"""Text: CSV with a header row, or columns of numbers without one.
+"""Reader of text: CSV with a header row, or columns of numbers without one.
 
 The delimiter (comma, semicolon, tab or white space), a decimal comma, lines before the header and a row of
-units below it are recognised from the first rows. Blank lines, and lines that begin with `#`, are passed
-over, but counted in the row numbers of messages. A column may hold time stamps of ISO 8601.
+units below it are recognised from the first rows. Blank lines and lines that begin with `#` are skipped, but
+they count in the row numbers of messages. A column may hold time stamps of ISO 8601.
 """
 
 import csv
@@ -20,7 +20,7 @@ from torchpi.recordings.readers.iso_time import is_stamp, seconds_of
 from torchpi.recordings.readers.source import Source, shortened
 
 SNIFFED_LINES = 400
-SEPARATOR = re.compile(r'"?sep=(.)"?')  # the line that spreadsheets write first
+SEPARATOR = re.compile(r'"?sep=(.)"?')  # optional first line that spreadsheets write
 
 
 def open_file(path: str) -> "TextSource":
@@ -29,7 +29,7 @@ def open_file(path: str) -> "TextSource":
 
 @dataclass(frozen=True)
 class Dialect:
-    """How a line becomes cells, and a cell a number."""
+    """How a line is split into cells, and how a cell is read as a number."""
 
     delimiter: str | None
     decimal_comma: bool
@@ -73,11 +73,11 @@ class TextSource(Source):
         above = [line for line in lines[skip_lines : number - 1] if line.strip()]
         names, units = self._header(above)
         self.has_header = bool(names)
-        # Counted in lines of the file, for numpy and for the row numbers of messages.
+        # Line numbers in the file, used by numpy and for the row numbers of messages.
         self.skipped_lines = number - 1
         if not self.has_header and first_row is not None:
             names = [str(k) for k in range(1, len(self.kinds) + 1)]
-        elif not self.has_header:  # nothing is a number: the first row can only be a header
+        elif not self.has_header:  # no cell is a number, so the first row must be a header
             names, self.has_header, self.skipped_lines = self.dialect.cells(head[0][1]), True, head[0][0]
         super().__init__(path, names)
         self.units = {name: unit for name, unit in units.items() if unit is not None}
@@ -115,7 +115,7 @@ class TextSource(Source):
         return f"row {line[0]}" if line else f"sample {index + 1}"
 
     def numbered(self) -> Iterator[tuple[int, str]]:
-        """(line number in the file, line) of every row of numbers; a decimal comma is made a point."""
+        """Yield (line number in the file, line) of every row of numbers, with decimal commas made points."""
         with open(self.path, encoding=self.encoding, errors="replace") as lines:
             for number, line in enumerate(lines, start=1):
                 if number > self.skipped_lines and not _is_passed_over(line):
@@ -140,9 +140,9 @@ class TextSource(Source):
         )
 
     def _check_widths(self, rows: int) -> None:
-        """Raises RecordingError for a row with more cells than the others: a decimal comma would shift them.
+        """Raise RecordingError for a row with more cells than the others: a decimal comma would shift them.
 
-        Counting the delimiters of the whole file costs little; the rows are looked at only where it differs.
+        Counting the delimiters of the whole file is cheap; rows are examined only if the count differs.
         """
         delimiter = self.dialect.delimiter
         if delimiter is None or not rows:
@@ -173,14 +173,14 @@ class TextSource(Source):
         return False
 
     def _first_row(self, head: list[tuple[int, str]]) -> tuple[int | None, int]:
-        """(place in `head`, line number) of the first row of numbers; lines before the header are none."""
+        """Return (index in `head`, line number) of the first row of numbers, past lines before the header."""
         rows = [self.dialect.cells(line) for _, line in head]
         good = [self._holds_numbers(cells) for cells in rows]
         following = [*good[1:], True]
         first = next((k for k, both in enumerate(zip(good, following, strict=True)) if all(both)), None)
         if first is None:
             return None, head[0][0] + 1
-        # A row with a fault above it is still one of the table: it is named when the numbers are read.
+        # A faulty row just above belongs to the table too; reading the numbers will report it.
         while (
             first > 0 and head[first - 1][0] == head[first][0] - 1 and self._holds_a_number(rows[first - 1])
         ):
@@ -203,7 +203,7 @@ class TextSource(Source):
         return is_stamp(cell) if kind == "stamp" else self.dialect.is_number(cell)
 
     def _header(self, above: list[str]) -> tuple[list[str], dict[str, str | None]]:
-        """Names, and the units of a row of units, from the lines above the numbers, comments included."""
+        """Return names and the units of a row of units, from lines above the numbers, comments included."""
         plain = [line for line in above if not line.startswith("#")]
         commented = [line.lstrip("#%/ ") for line in reversed(above) if line.startswith(("#", "%", "//"))]
         units: list[str] = []
@@ -222,17 +222,17 @@ class TextSource(Source):
         return [], {}
 
     def _names_in(self, line: str) -> list[str]:
-        """The cells of a line that could be a header of these columns, nothing where it could not."""
+        """Return the cells of a line that could be a header of these columns, else an empty list."""
         cells, width = self.dialect.cells(line), len(self.kinds)
         if self.dialect.delimiter is None and len(cells) != width:
             cells = re.split(r"\s{2,}", line.strip())
-        trailing = len(cells) - width in (0, 1)  # a column of comments that the rows do not fill
+        trailing = len(cells) - width in (0, 1)  # or one more, for comments that the rows leave out
         if not trailing or any(self.dialect.is_number(cell) for cell in cells) or not any(cells):
             return []
         return cells[:width]
 
     def _first_fault(self, chosen: list[int]) -> RecordingError | None:
-        """The slow way through the file, once it is known that a cell is no number."""
+        """Find the first cell that is not a number: a slow search, made only once reading has failed."""
         for row, line in self.numbered():
             cells = self.dialect.cells(line)
             for column in chosen:
@@ -254,7 +254,7 @@ class TextSource(Source):
 
 
 def text_encoding(path: str) -> str:
-    """UTF-8, UTF-16 by its mark, or Latin-1 where an instrument wrote a µ; judged by the head of the file."""
+    """Detect the encoding from the head of the file: UTF-16 by its mark, UTF-8, else Latin-1 (for a µ)."""
     with open(path, "rb") as file:
         head = file.read(1 << 16)
     if head.startswith((b"\xff\xfe", b"\xfe\xff")):
@@ -271,9 +271,9 @@ def text_encoding(path: str) -> str:
 
 
 def _recognised(bulk: list[str], stated: str | None) -> tuple[Dialect, list[str]]:
-    """The dialect in which most of these rows are numbers, and the kind of each column.
+    """Return the dialect in which most columns of these rows are numbers, and the kind of each column.
 
-    `bulk` is taken from the middle of the file's head, below its header. A kind is number, stamp or text.
+    `bulk` is the second half of the first lines, below the header. A kind is number, stamp or text.
     """
     best: tuple[float, int, int] = (-1.0, 0, 0)
     found: tuple[Dialect, list[str]] = (Dialect(stated, False), ["text"])
@@ -291,7 +291,7 @@ def _recognised(bulk: list[str], stated: str | None) -> tuple[Dialect, list[str]
 def _kinds(dialect: Dialect, rows: list[list[str]]) -> list[str]:
     width = Counter(len(cells) for cells in rows).most_common(1)[0][0]
     rows = [cells for cells in rows if len(cells) == width]
-    if width > 1 and not any(cells[-1] for cells in rows):  # a delimiter ends every row
+    if width > 1 and not any(cells[-1] for cells in rows):  # every row ends with a delimiter
         width -= 1
     kinds = []
     for k in range(width):

@@ -1,8 +1,8 @@
-"""From time stamps to one sample rate, or to the row where the sampling is not uniform.
+"""Sample rate from time stamps, or the row where the sampling is not uniform.
 
-A stamp is printed with so many digits, or stored as float32, so it lies off the true instant by up to half of
-its resolution, which can be more than a sample period (`%.6g` after 100 s at 10 kHz prints ten equal stamps
-in a row). Stamps are accepted when some uniform grid explains every one of them within its own resolution.
+A stamp is printed with a finite number of digits, or stored as float32, so it deviates from the true instant
+by up to half its resolution. That can exceed a sample period (`%.6g` after 100 s at 10 kHz prints ten equal
+stamps in a row). Stamps are accepted if a uniform grid explains each of them within its own resolution.
 """
 
 from dataclasses import dataclass
@@ -10,16 +10,16 @@ from dataclasses import dataclass
 import numpy as np
 
 STEP_TOLERANCE = 0.01  # of the sample period: 1 µs at 10 kHz, a nanometre at 1 mm/s
-DRIFT_TOLERANCE = 0.5  # of the sample period: every sample stands nearest to its own place
+DRIFT_TOLERANCE = 0.5  # of the sample period: every sample is nearest to its own grid point
 
 
 @dataclass(frozen=True)
 class Grid:
-    """What the stamps give: a rate, and the first sample that does not stand on the grid (None: all do)."""
+    """Sample rate from the stamps, and the first sample that does not lie on the grid (None: all do)."""
 
     fs_hz: float
     odd_sample: int | None
-    """The sample whose step from the one before differs; or which lies furthest off the grid."""
+    """The sample whose step from the previous one differs, or that lies furthest off the grid."""
     step_s: float
     """The step that leads to that sample."""
     median_step_s: float
@@ -28,7 +28,7 @@ class Grid:
 
 
 def uniform_grid(t: np.ndarray) -> Grid:
-    """Sample rate of stamps `t` (time,), s, at least two of them and finite.
+    """Return the grid of the stamps `t` (time,), s, at least two of them and finite.
 
     The rate is the roundest number within the resolution of the stamps: 10000.0 for steps of 0.1 ms.
     """
@@ -39,8 +39,8 @@ def uniform_grid(t: np.ndarray) -> Grid:
         odd_sample = int(np.argmax(steps <= 0)) + 1
         return Grid(np.nan, odd_sample, float(steps[odd_sample - 1]), median, 0.0)
     resolution = print_resolution(t)
-    floor = float(4 * np.spacing(np.abs(t).max()))  # of the subtraction, for stamps of full precision
-    # Steps that are all the same were not rounded: a grid of 0.1 ms has 4 decimals, however many are printed.
+    floor = float(4 * np.spacing(np.abs(t).max()))  # rounding of the subtraction, at full precision
+    # Equal steps were not rounded: a grid of 0.1 ms has 4 decimals, however many are printed.
     rounded = float(np.ptp(steps)) > floor
     uncertainty = float(resolution[0] + resolution[-1]) / 2 / abs(period * len(steps)) if rounded else 0.0
 
@@ -53,7 +53,7 @@ def uniform_grid(t: np.ndarray) -> Grid:
     odd = np.abs(steps - median) > STEP_TOLERANCE * abs(median) + floor
     off_grid = _off_grid(t, resolution + STEP_TOLERANCE * period)
     if not odd.any():
-        # Steps may all be near the median and still add up: a rate that wanders.
+        # Even if all steps are near the median, deviations may add up when the rate wanders.
         worst = int(np.argmax(off_grid))
         return verdict(worst if off_grid[worst] > DRIFT_TOLERANCE * period + resolution[worst] else None)
     if _rounding_explains(odd, off_grid, resolution, period):
@@ -63,9 +63,9 @@ def uniform_grid(t: np.ndarray) -> Grid:
 
 
 def print_resolution(t: np.ndarray) -> np.ndarray:
-    """The step between neighbouring printable (or storable) numbers at each stamp (time,), s.
+    """Return the step between neighbouring printable (or storable) numbers at each stamp (time,), s.
 
-    The coarser of two readings that fit every stamp: so many decimals (`%.6f`), so many digits (`%.6g`).
+    The coarser of two formats that fit all stamps: fixed decimals (`%.6f`), significant digits (`%.6g`).
     """
     spacing = np.spacing(np.abs(t))
     if np.array_equal(t, t.astype(np.float32)):
@@ -83,7 +83,7 @@ def print_resolution(t: np.ndarray) -> np.ndarray:
 
 
 def round_rate(period_s: float, uncertainty: float) -> float:
-    """The rate of fewest digits that agrees with the period, or the rate of such a period."""
+    """Return the rate with fewest digits that agrees with the period, or the rate of a period with fewest."""
     band = max(uncertainty, 1e-9)
     for digits in range(1, 16):
         rate = float(f"{1 / period_s:.{digits - 1}e}")
@@ -96,7 +96,7 @@ def round_rate(period_s: float, uncertainty: float) -> float:
 
 
 def _off_grid(t: np.ndarray, tolerance: np.ndarray) -> np.ndarray:
-    """Distance of each stamp from the straight line that fits all best, fine stamps before coarse ones."""
+    """Return the distance of each stamp from the best straight line, in which finer stamps weigh more."""
     weight = 1 / tolerance**2
     weight /= weight.sum()
     index = np.arange(len(t), dtype=np.float64)
@@ -107,11 +107,10 @@ def _off_grid(t: np.ndarray, tolerance: np.ndarray) -> np.ndarray:
 
 
 def _rounding_explains(odd: np.ndarray, off_grid: np.ndarray, resolution: np.ndarray, period: float) -> bool:
-    """Rounding makes many odd steps, in a pattern that never leaves the line; a lost sample makes one or two.
+    """Whether rounding explains the odd steps: it causes many, all near the line; a lost sample, one or two.
 
-    One lost row in stamps that are otherwise exact could be a slightly lower rate, rounded. It is taken as
-    lost.
+    A lost row in otherwise exact stamps could also be a slightly lower rate, rounded. It is treated as lost.
     """
     alone = odd.sum() <= 2 and not np.any(resolution[1:][odd] > period * (1 + STEP_TOLERANCE))
-    # 1.2: the least-squares line lies a little off the middle of the roundings.
+    # 1.2 because the least-squares line lies slightly off the middle of the rounding intervals.
     return not alone and bool(np.all(off_grid <= 0.5 * 1.2 * resolution + STEP_TOLERANCE * period))
