@@ -1,1 +1,1 @@
-"""Training with Lightning: recordings in, a trained direct inverse out. See `torchpi train fit --help`."""
+"""Train a direct inverse on recordings with Lightning; see `torchpi train fit --help`."""

@@ -7,7 +7,7 @@ from torchpi.cli.duration import announce_fit
 
 
 def fit() -> None:
-    """Importing Lightning takes seconds."""
+    """Print the estimated duration before importing Lightning, which takes seconds."""
     announce_fit(sys.argv[1:])
     from .cli import fit
 

@@ -1,4 +1,4 @@
-"""What one sees while training: a line of progress, and figures in TensorBoard."""
+"""Display during training: a line of progress, and figures in TensorBoard."""
 
 from collections.abc import Callable, Mapping
 from typing import Any, cast
@@ -13,7 +13,7 @@ from .pictures import record_fits, weights_against_rate
 
 
 class EpochProgress(Callback):
-    """One bar over all epochs, with the errors as they stand."""
+    """One progress bar over all epochs, with the current errors."""
 
     def __init__(self, epochs: int) -> None:
         self.epochs = epochs
@@ -57,9 +57,9 @@ class EpochProgress(Callback):
 
 
 class RunEvents(TensorBoardLogger):
-    """Events in the run's own folder, by whose name TensorBoard calls it.
+    """Events in the folder of the run, after which TensorBoard names it.
 
-    Neither the epoch nor what chooses it has a chart.
+    The epoch and the quantity that selects it get no chart.
     """
 
     def log_metrics(self, metrics: Mapping[str, float], step: int | None = None) -> None:
@@ -67,7 +67,7 @@ class RunEvents(TensorBoardLogger):
         super().log_metrics(charted, step)
 
     def save(self) -> None:
-        self.experiment.flush()  # without hparams.yaml: config.yaml has them
+        self.experiment.flush()  # writes no hparams.yaml, because config.yaml has the settings
 
 
 class TensorBoardFigures(Callback):
@@ -100,7 +100,7 @@ class TensorBoardFigures(Callback):
             self.draw(trainer, pl_module)
 
     def draw(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        # Matplotlib costs half a second to import, and only this needs it.
+        # Imported here, because Matplotlib takes half a second to import and is needed only here.
         from torchpi.report import training_figures
 
         model = cast(InverseTraining, pl_module)

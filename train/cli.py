@@ -1,7 +1,7 @@
-"""`torchpi train fit`: a LightningCLI that creates nothing before the recordings have been checked.
+"""`torchpi train fit`: a LightningCLI that creates no files before the recordings have been checked.
 
-In a checkout `python -m train fit` is the same. A wheel carries this package as `torchpi.train`, so its
-modules import one another relatively.
+In a checkout `python -m train fit` is the same. A wheel contains this package as `torchpi.train`, so its
+modules use relative imports.
 """
 
 import argparse
@@ -49,7 +49,7 @@ PROGRAM = "python -m train"
 def main(
     arguments: Sequence[str] | None = None,  # by default those of this process
 ) -> int:
-    """Run the command; returns the exit code, 2 for an error of the input."""
+    """Run the command and return its exit code, which is 2 for invalid input."""
     return run_command(lambda: fit(arguments), "torchpi")
 
 
@@ -69,26 +69,26 @@ def fit(
 
 
 def quieten() -> None:
-    """Keep back what Lightning and torch say of themselves, each for a reason; everything else is heard."""
-    # Devices that are not used, the seed (it is in run.json), and advertisements: all at level INFO.
+    """Suppress selected messages of Lightning and torch, each for the given reason; all others are shown."""
+    # Unused devices, the seed (it is in run.json) and advertisements are all reported at level INFO.
     for name in ("lightning.pytorch.utilities.rank_zero", "lightning.fabric.utilities.seed"):
         logging.getLogger(name).setLevel(logging.WARNING)
     for message in (
-        # The data are a list in memory: workers would copy it to no gain.
+        # The data are a list in memory, which workers would copy without benefit.
         ".*does not have many workers.*",
-        # One batch an epoch is what full-batch training is; we log by epoch.
+        # Full-batch training has one batch per epoch, and we log by epoch.
         ".*The number of training batches.*is smaller than the logging interval.*",
-        # Going on from last.ckpt was requested.
+        # The user asked to continue from last.ckpt.
         ".*Checkpoint directory .* exists and is not empty.*",
-        # Where a machine has an accelerator, the CPU is still the quickest for these kernels.
+        # Even on a machine with an accelerator, the CPU is fastest for these kernels.
         ".*GPU available but not used.*",
-        # Lightning's own use of a torch function that torch renames.
+        # Lightning itself uses a torch function that torch renames.
         ".*isinstance.treespec, LeafSpec.. is deprecated.*",
-        # `torchpi train` passes on what follows it.
+        # `torchpi train` passes its arguments on.
         ".*LightningCLI's args parameter is intended to run from within Python.*",
-        # What is wrong with such a checkpoint is in the error that follows.
+        # The error that follows states what is wrong with the checkpoint.
         ".*received a zip file that looks like a TorchScript archive.*",
-        # TorchScript is the deployment contract, deprecated or not.
+        # Exports are TorchScript, although it is deprecated.
         ".*torch.jit.*is deprecated.*",
     ):
         warnings.filterwarnings("ignore", message=message)
@@ -96,7 +96,7 @@ def quieten() -> None:
 
 @contextmanager
 def _settings_in_one_line() -> Iterator[None]:
-    """Values that parsers, Lightning and NumPy refuse in their own ways become one line."""
+    """Turn the errors that parsers, Lightning and NumPy raise for invalid values into one line."""
     try:
         yield
     except (TorchpiError, OSError, RecursionError):
@@ -166,7 +166,7 @@ class FitCLI(LightningCLI):
     def parse_arguments(self, parser: LightningArgumentParser, args: Any) -> None:
         with _settings_in_one_line():
             super().parse_arguments(parser, args)
-        # Taken out, because Lightning would let the checkpoint's settings overrule those given.
+        # Removed, because Lightning would let the settings of the checkpoint overrule the given ones.
         self.checkpoint: str | None = self.config.fit.pop("ckpt_path", None)
 
     def before_instantiate_classes(self) -> None:
@@ -190,7 +190,7 @@ class FitCLI(LightningCLI):
         return make_trainer(options, self.folder)
 
     def fit(self, model: InverseTraining, datamodule: RecordingsData) -> None:
-        """Read, fit, judge, write. Nothing is created before the recordings have been read and checked."""
+        """Read, fit, judge and write; no file is created before the recordings have been checked."""
         config = self.config.fit
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always", RecordingWarning)
@@ -215,7 +215,7 @@ class FitCLI(LightningCLI):
             try:
                 self.trainer.fit(model, datamodule=datamodule, ckpt_path=resumed, weights_only=True)
             except SystemExit as ended:
-                # Lightning turns an interrupt, and SIGTERM, into exit code 1.
+                # Lightning turns an interrupt or SIGTERM into exit code 1.
                 console.show_interrupted(self.folder)
                 cause = ended.__context__
                 raise (cause if isinstance(cause, KeyboardInterrupt) else KeyboardInterrupt()) from None
@@ -224,7 +224,7 @@ class FitCLI(LightningCLI):
 
 
 class _Made(Exception):
-    """There is a parser, and nothing to parse."""
+    """Raised once the parser exists, because there is nothing to parse."""
 
 
 class Options(FitCLI):
@@ -239,5 +239,5 @@ class Options(FitCLI):
         raise _Made
 
     def parsers(self) -> dict[str, LightningArgumentParser]:
-        """Of each subcommand."""
+        """Return the parser of each subcommand."""
         return dict(self._subcommand_parsers)

@@ -1,4 +1,4 @@
-"""What the user reads in the terminal."""
+"""Output of a training run in the terminal."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -19,7 +19,7 @@ CONSOLE = Console(highlight=False, soft_wrap=True)
 
 
 def show_data(data: RecordingsData, folder: RunFolder, warnings: Sequence[str]) -> None:
-    """What is trained on, what is held out, what is odd about it."""
+    """Print the training and held-out recordings, and warnings about them."""
     records = data.load()
     for warning in warnings:
         CONSOLE.print(f"torchpi: warning: {warning}", markup=False, style="yellow")
@@ -33,7 +33,7 @@ def show_data(data: RecordingsData, folder: RunFolder, warnings: Sequence[str]) 
 
 
 def show_start(model: InverseTraining) -> None:
-    """The paper's two stages: where training starts, and what it must beat."""
+    """Print the two-stage fit of the paper, from which training starts and which it must beat."""
     start = model.start
     errors = model.baseline_errors()
     CONSOLE.print(
@@ -50,13 +50,13 @@ def show_start(model: InverseTraining) -> None:
 
 
 def show_interrupted(folder: RunFolder) -> None:
-    """How to go on."""
+    """Print how to continue an interrupted run."""
     if folder.last.is_file():
         CONSOLE.print(f"Go on with --output {folder.path} --ckpt_path last", markup=False)
 
 
 def show_results(metrics: Mapping[str, Any], folder: RunFolder) -> None:
-    """The table, and where things are."""
+    """Print the table of errors and the paths of the files."""
     table = Table(box=None, pad_edge=False, header_style="bold")
     table.add_column("error of the voltage")
     for heading in ("rms V", "max V", "rms µm", "max µm", "rms %", "max %"):

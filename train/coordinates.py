@@ -1,8 +1,8 @@
-"""Coordinates in which every direction moves the voltage by as much.
+"""Coordinates in which every direction changes the voltage by the same amount.
 
-Neighbouring plays are nearly collinear: in its own parameters a compensator has directions that differ by a
-factor of 10⁵ in what they do, and a descent creeps. The stage is nearly a gain, so what whitens the voltage
-whitens the motion, and a quasi-Newton step from there is nearly one of Gauss–Newton.
+Neighbouring plays are nearly collinear: the effects of directions in the compensator's own parameters differ
+by a factor of 10⁵, and a descent converges slowly. The stage is nearly a gain, so coordinates that whiten the
+voltage also whiten the motion, and a quasi-Newton step in them is nearly a Gauss–Newton step.
 """
 
 import torch
@@ -13,18 +13,18 @@ from torchpi.control.direct_inverse import DirectInverse
 from torchpi.operators.motion import Motion
 
 RIDGE = 1e-6
-"""Share of a parameter's own effect below which a direction counts as none: it keeps steps along it small."""
+"""Regularisation: keeps steps small along directions whose share of a parameter's effect is below this."""
 STEP = 1e-6
-"""Relative, of a forward difference; parameters are of size one."""
+"""Relative step of a forward difference; parameters are of order one."""
 
 
 class Coordinates:
-    """θ = θ_0 + M z over all trained parameters of a compensator, θ_0 being where it stands now.
+    """θ = θ_0 + M z over all trained parameters of a compensator; θ_0 are its current parameters.
 
     Args:
-        compensator: The compensator; it stays as it is.
-        motion: What the voltage is taken on, (batch, time).
-        unit_v: Rms change of that voltage for a step of length one.
+        compensator: The compensator; it is not modified.
+        motion: Motion for which the voltage is computed, (batch, time).
+        unit_v: RMS change of that voltage for a step of length one.
     """
 
     def __init__(self, compensator: DirectInverse, motion: Motion, unit_v: float) -> None:
@@ -38,7 +38,7 @@ class Coordinates:
         self.origin = torch.cat([value.flatten() for value in trained.values()])
         moved = self._voltage_changes(motion)
         size = moved.square().mean(1).sqrt()
-        size[size == 0] = 1.0  # a play that nothing moves
+        size[size == 0] = 1.0  # parameter without effect, such as a play that never moves
         moved = moved / size[:, None]
         gram = moved @ moved.T / moved.shape[1]
         gram.diagonal().add_(RIDGE)
@@ -51,11 +51,11 @@ class Coordinates:
         self,
         z: Tensor,  # (parameters,)
     ) -> dict[str, Tensor]:
-        """The compensator's parameters there, differentiable in `z`."""
+        """Return the parameters of the compensator at `z`, differentiable in `z`."""
         return self._named(self.origin + self.reduction @ z)
 
     def put(self, z: Tensor) -> None:
-        """Set the compensator's parameters to those there."""
+        """Set the parameters of the compensator to those at `z`."""
         with torch.no_grad():
             for name, value in self.parameters(z).items():
                 self.compensator.get_parameter(name).copy_(value)
@@ -66,7 +66,7 @@ class Coordinates:
 
     @torch.no_grad()
     def _voltage_changes(self, motion: Motion) -> Tensor:
-        """How the voltage moves with each parameter, (parameters, samples)."""
+        """Return the derivatives of the voltage by each parameter, (parameters, samples)."""
         at_origin = functional_call(self.compensator, self._named(self.origin), (motion,))
         rows = []
         for i, value in enumerate(self.origin.tolist()):

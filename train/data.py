@@ -1,4 +1,4 @@
-"""What is trained on, and what is held out: recordings from files, or of the simulated stage."""
+"""Training and held-out data: recordings from files, or of the simulated stage."""
 
 import copy
 import warnings
@@ -24,12 +24,12 @@ HELDOUT_SHARE = 0.3
 
 
 class Split(NamedTuple):
-    """Records turned round for an inverse.
+    """Records with input and output exchanged, for an inverse.
 
     Attributes:
-        train: Fitted.
-        heldout: Only judged; `counted` is what is judged.
-        zero: The held-out records again; `counted` is where the zero of the sensor is fitted. Or empty.
+        train: Records that are fitted.
+        heldout: Records that are only judged, on the samples of `counted`.
+        zero: The held-out records with `counted` where the zero of the sensor is fitted; may be empty.
     """
 
     train: list[InversePair]
@@ -82,7 +82,7 @@ class RecordingsData(LightningDataModule):
         if window_samples is not None and window_samples < 1:
             raise ConfigError(f"data.window_samples: found {window_samples}, expected at least 1, or null")
         self.paths, self.heldout_paths, self.simulation = _paths(recordings), _paths(heldout), simulate
-        # The skipped start sets the state, so it is read, and left out of what is counted.
+        # The skipped start sets the state, so it is read but not counted.
         self.reading, self.skip_s = options.with_changes(skip_s=0.0), options.skip_s
         self.bandwidth_hz = bandwidth_hz
         self.evaluate_s = evaluate_s
@@ -90,8 +90,8 @@ class RecordingsData(LightningDataModule):
         self.window_samples = window_samples
         self.follow = follow or Follow()
         self.follow.check()
-        self.stage: Stage | None = None  # the model's, which is then the one that is simulated
-        self.preview = 0  # the model's, once it is built
+        self.stage: Stage | None = None  # stage of the model; if there is one, it is simulated
+        self.preview = 0  # look-ahead of the model, once it is built
         self.records: Records | None = None
         self.whole: dict[Recording, InversePair] = {}  # without look-ahead
 
@@ -108,13 +108,13 @@ class RecordingsData(LightningDataModule):
         return self.records
 
     def of_stage(self, stage: Stage) -> "RecordingsData":
-        """The same excitations, simulated with another stage."""
+        """Return a copy with the same excitations, simulated with another stage."""
         other = copy.copy(self)
         other.stage, other.records = stage, None
         return other
 
     def split(self, preview: int) -> Split:
-        """The records for an inverse with this preview."""
+        """Return the records for an inverse with this preview."""
         records = self.load()
         if records.heldout:
             train = [self._pair(recording, preview) for recording in records.train]
@@ -132,12 +132,12 @@ class RecordingsData(LightningDataModule):
         )
 
     def train_dataloader(self) -> DataLoader[list[Window]]:
-        """All records in one batch; or each window a batch, in order."""
+        """Return all records in one batch, or each window as a batch, in order."""
         each = list(windows(self.split(self.preview).train, self.window_samples))
         return _batches([each] if self.window_samples is None else [[window] for window in each])
 
     def val_dataloader(self) -> DataLoader[Split]:
-        """Everything in one batch."""
+        """Return everything in one batch."""
         return _batches([self.split(self.preview)])
 
     def _read(self) -> tuple[list[Recording], list[Recording]]:
@@ -164,13 +164,13 @@ class RecordingsData(LightningDataModule):
         return train, heldout
 
     def _pair(self, recording: Recording, preview: int) -> InversePair:
-        # The rates of a long record take longer than many fits to it, and are the same for every look-ahead.
+        # Cached: the rates of a long record take longer than many fits to it, and no look-ahead changes them.
         if recording not in self.whole:
             self.whole[recording] = inverse_pair(recording, 0, self.bandwidth_hz, self.skip_s)
         return seen_ahead(self.whole[recording], preview, recording.source)
 
     def _stretch(self, pair: InversePair, seconds: tuple[float, float] | None, option: str) -> InversePair:
-        """The record up to the end of a stretch, the stretch counted."""
+        """Return the record up to the end of a stretch, with only the stretch counted."""
         if seconds is None:
             return _until(pair)
         first, last = (round(second / pair.sample_period_s) for second in seconds)
@@ -185,7 +185,7 @@ class RecordingsData(LightningDataModule):
 
 @dataclass(frozen=True)
 class Records:
-    """What was read: recordings trained on, and held out (empty: a tail of the only one)."""
+    """Training and held-out recordings; if `heldout` is empty, the tail of the only one is held out."""
 
     train: list[Recording]
     heldout: list[Recording] = field(default_factory=list)
@@ -196,7 +196,7 @@ def _paths(given: list[str] | str | None) -> list[str]:
 
 
 def _batches(ready: list[Any]) -> DataLoader[Any]:
-    """Each item as it is a batch, in order."""
+    """Return a loader that gives each item unchanged as a batch, in order."""
     return DataLoader(ready, batch_size=None, collate_fn=_as_it_is)  # type: ignore[arg-type]
 
 
@@ -205,7 +205,7 @@ def _as_it_is(batch: Any) -> Any:
 
 
 def _until(pair: InversePair) -> InversePair:
-    """The record without what comes after its last counted sample."""
+    """Return the record up to its last counted sample."""
     stop = pair.counted.stop
     motion = Motion(*(signal[:, :stop] for signal in pair.motion))
     return pair._replace(motion=motion, u=pair.u[:, :stop])

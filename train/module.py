@@ -1,4 +1,4 @@
-"""What is trained: a direct inverse compensator, by backpropagation through time over recordings."""
+"""The trained model: a direct inverse compensator, by backpropagation through time over recordings."""
 
 import math
 from collections.abc import Sequence
@@ -36,28 +36,28 @@ from .tracking import Tracking, TrackingErrors
 from .windows import Window, windows
 
 CHOSEN_BY = "chosen_by"
-"""What chooses the epoch: one of the errors, or one of a stretch apart. It has no chart of its own."""
+"""Logged error that selects the epoch, on a separate stretch if there is one. It has no chart."""
 TAGS = {
     "error_um": "rms_um",
     "error_v": "rms_v",
     "largest_error_um": "max_um",
     "largest_error_v": "max_v",
 }
-"""Errors by their names in TensorBoard, which shows the first by name first."""
+"""Errors by their names in TensorBoard, which sorts them by name."""
 TRACKING_TAG = "error_tracking_um"
 
 
 class Start(NamedTuple):
-    """What training starts from, and what it must beat.
+    """Starting point of training, and the baselines that it must beat.
 
     Attributes:
-        compensator: At the optimum of two-stage least squares, or as selected.
-        baseline: The paper's own form of it.
+        compensator: Compensator at the optimum of two-stage least squares, or as selected.
+        baseline: The same in the form of the paper.
         plays: Plain least squares on plays of the displacement, with an offset.
-        two_stage: How the baseline's fit went.
-        split: The records, for the compensator's look-ahead.
+        two_stage: Result of the fit of the baseline.
+        split: The records for the look-ahead of the compensator.
         paper_split: The records without look-ahead.
-        selection: How the form was selected, if it was.
+        selection: Steps by which the form was selected, if it was.
     """
 
     compensator: DirectInverse
@@ -147,7 +147,7 @@ class InverseTraining(LightningModule):
             if rate == "neural":
                 raise ConfigError("model.rate: found neural with model.select, expected none or linear")
         self.selects = select
-        # What has been selected is fitted.
+        # A selected form is already fitted.
         self.automatic_optimization = not select
         self.stage_file = stage
         self.thresholds = thresholds
@@ -175,14 +175,14 @@ class InverseTraining(LightningModule):
         self.split: Split
         self.paper_split: Split
         self.tracking: Tracking | None = None
-        self.untrained: dict[str, TrackingErrors] = {}  # tracking on what is held out, before training
-        self.coordinates: Coordinates  # of training through a stage
+        self.untrained: dict[str, TrackingErrors] = {}  # tracking of held-out motions before training
+        self.coordinates: Coordinates  # used in training through a stage
         self.step_taken: torch.nn.Parameter
         self.scale = 1.0
         self.carried: Tensor | None = None
 
     def setup(self, stage: str) -> None:
-        """Build the compensator and the baseline for the recordings at hand, once."""
+        """Build the compensator and the baseline for the recordings, once."""
         if not hasattr(self, "compensator"):
             self.build(self.recordings_data())
 
@@ -190,11 +190,11 @@ class InverseTraining(LightningModule):
         return cast(RecordingsData, self.trainer.datamodule)  # type: ignore[attr-defined]
 
     def load_stage(self) -> Stage | None:
-        """The stage to train through, if there is one."""
+        """Load the stage to train through, if there is one."""
         return Stage.load(self.stage_file) if self.stage_file else None
 
     def build(self, data: RecordingsData) -> None:
-        """The compensator at the paper's optimum, and the paper's own form of it to compare with."""
+        """Build the compensator at the optimum of the paper, and the paper's form of it for comparison."""
         if self.optimizer_name == "lbfgs" and data.window_samples is not None:
             raise ConfigError(
                 f"data.window_samples: found {data.window_samples} with model.optimizer lbfgs, "
@@ -211,7 +211,7 @@ class InverseTraining(LightningModule):
             self.build_tracking(data, data.stage)
 
     def build_tracking(self, data: RecordingsData, stage: Stage) -> None:
-        """The motions to follow; the start identified in full, and beside it one on the plain stage."""
+        """Build the motions to follow; fit the start jointly, and another compensator on the plain stage."""
         recorded = torch.cat([pair.motion.yd[0, pair.counted] for pair in self.paper_split.train])
         rated = stage.at_sample_rate(1 / self.compensator.sample_period_s)
         self.tracking = Tracking(rated, data.follow, (float(recorded.min()), float(recorded.max())))
@@ -227,7 +227,7 @@ class InverseTraining(LightningModule):
         self.step_taken = torch.nn.Parameter(torch.zeros(len(self.coordinates), dtype=torch.float64))
 
     def start_on(self, data: RecordingsData) -> Start:
-        """Two-stage least squares on these records."""
+        """Return the start: two-stage least squares on these records, the baselines, and any selection."""
         paper_split = data.split(0)
         recipe = Recipe(
             paper_split.train,
@@ -257,7 +257,7 @@ class InverseTraining(LightningModule):
         return Start(compensator, baseline, plays, two_stage, split, paper_split, selection)
 
     def selected(self, data: RecordingsData, recipe: Recipe) -> Selection:
-        """The form that generalises best over these records, within what the options allow."""
+        """Select the form that generalises best over these records within the options."""
         preview = self.extensions["preview"]
         richest = Richest(
             previews=range(MOST_PREVIEW + 1) if preview == "auto" else range(preview, preview + 1),
@@ -269,7 +269,7 @@ class InverseTraining(LightningModule):
         return recipe.select(lambda ahead: data.split(ahead).train, richest)
 
     def limits(self, data: RecordingsData) -> dict[str, float]:
-        """Of the controller's output, V."""
+        """Return the limits of the controller's output, V: given, of the stage, or of the recordings."""
         stage, records = data.stage, data.load()
         known = (stage.min_voltage_v, stage.max_voltage_v) if stage else (-math.inf, math.inf)
         voltages = [recording.u for recording in (*records.train, *records.heldout)]
@@ -281,7 +281,7 @@ class InverseTraining(LightningModule):
 
     def training_step(self, batch: Sequence[Window], batch_idx: int) -> Tensor | None:
         if self.selects:
-            # Fitted already. Lightning counts the steps of optimisers, and keeps a checkpoint only after one.
+            # Already fitted, but Lightning keeps a checkpoint only after a step of an optimiser.
             cast(LightningOptimizer, self.optimizers()).step()
             return None
         if self.tracking:
@@ -296,7 +296,7 @@ class InverseTraining(LightningModule):
             self.carried = state.detach()
             if window.counted.stop > window.counted.start:
                 losses.append((u - window.u)[:, window.counted].square().sum())
-        # A window of start-up transient only sets the state.
+        # A window that lies in the start-up transient only sets the state.
         return torch.stack(losses).sum() / (counted * self.scale) if losses else None
 
     def on_train_epoch_end(self) -> None:
@@ -307,14 +307,14 @@ class InverseTraining(LightningModule):
         if self.tracking:
             self.coordinates.put(self.step_taken)
         if self.solves and not self.selects:
-            # The last trial of the line search need not be the point that the optimiser chose.
+            # The last trial of the line search may differ from the point that the optimiser chose.
             with torch.no_grad():
                 self._projected_loss(batch)
 
     def validation_step(self, batch: Split, batch_idx: int) -> None:
         train, heldout = self.errors(batch)
-        # Where the zero of the sensor is fitted on a stretch apart, that stretch also chooses the epoch,
-        # so that nothing at all is chosen by what is judged.
+        # If the zero of the sensor is fitted on a separate stretch, that stretch also selects the epoch,
+        # so that the judged samples select nothing.
         chosen_by = heldout
         if batch.zero:
             zeros = fit_zeros(self.compensator, batch.zero)
@@ -333,14 +333,14 @@ class InverseTraining(LightningModule):
             self.log(f"loss/{name}", square / self.scale, batch_size=1)
 
     def errors(self, split: Split) -> tuple[InverseErrors, InverseErrors]:
-        """Of the compensator as it stands, on what it trains on and on what is held out."""
+        """Return the errors of the current compensator on the training and on the held-out records."""
         return (
             inverse_errors(self.compensator, split.train),
             inverse_errors(self.compensator, split.heldout, zeros_um=fit_zeros(self.compensator, split.zero)),
         )
 
     def baseline_errors(self, baseline: DirectInverse | None = None) -> InverseErrors:
-        """Of the two-stage least-squares baseline, or of another, on what is held out."""
+        """Return the errors of the two-stage baseline, or of another, on the held-out records."""
         baseline = baseline or self.baseline
         zeros = fit_zeros(baseline, self.paper_split.zero)
         return inverse_errors(baseline, self.paper_split.heldout, zeros_um=zeros)
@@ -368,13 +368,13 @@ class InverseTraining(LightningModule):
         checkpoint.update(to_checkpoint(self.compensator))
 
     def _projected_loss(self, batch: Sequence[Window]) -> Tensor:
-        """The loss at the weights that are best for the other parameters."""
+        """Return the loss at the weights that are optimal for the other parameters."""
         motions, voltages = [window.motion for window in batch], [window.u for window in batch]
         counted = [window.counted for window in batch]
         return projected_loss(self.compensator, motions, voltages, counted) / self.scale
 
     def _mean_square(self) -> float:
-        """Mean squared error of the start, V², before the output limits, as in the loss."""
+        """Return the mean squared error of the start, V², before the output limits, as in the loss."""
         with torch.no_grad():
             errors = [
                 (self.compensator.voltage(window.motion)[0] - window.u)[:, window.counted]

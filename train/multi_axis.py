@@ -1,4 +1,4 @@
-"""`python -m train fit --config …` of a stage of several axes: one stage.pt for all recordings."""
+"""`python -m train fit --config …` for a stage of several axes: one stage.pt for all recordings."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
@@ -27,11 +27,11 @@ READING = ("recordings", "fs_hz", "um_per_unit", "periods", "heldout")
 
 
 def fit(arguments: Sequence[str], config: Path) -> None:
-    """Identify the stage, judge it on what was held out, and write stage.pt and metrics.json.
+    """Identify the stage, judge it on the held-out recordings, and write stage.pt and metrics.json.
 
     Raises:
-        ConfigError: An option or a key that there is not, or a value of another kind.
-        RecordingError: Recordings that cannot be used.
+        ConfigError: An option or a key is unknown, or a value has another type.
+        RecordingError: A recording cannot be used.
         ArtifactError: The output folder is in use or cannot be written to.
     """
     known = [field.name for field in fields(MultiAxisOptions)]
@@ -59,7 +59,7 @@ def fit(arguments: Sequence[str], config: Path) -> None:
 
 
 def recordings(settings: Mapping[str, Any], config: Path) -> list[MultiAxisRecording]:
-    """What the config names: an archive of realisations, or files with numbered columns.
+    """Read the recordings named in the config: an archive of realisations, or files with numbered columns.
 
     Raises:
         ConfigError: Neither is named, or a number is missing.
@@ -80,9 +80,9 @@ def recordings(settings: Mapping[str, Any], config: Path) -> list[MultiAxisRecor
 
 
 def judged(stage: MultiAxisStage, every: Sequence[MultiAxisRecording]) -> list[dict[str, Any]]:
-    """The rms of the steady state's error over all outputs, µm, beside noise and motion, level by level.
+    """Return the rms error of the steady state over all outputs, µm, with noise and motion, level by level.
 
-    It is None where the stage has no bounded answer.
+    The error is None if the response of the stage is unbounded.
     """
     found = []
     for one in (one for level in by_amplitude(every) for one in level):
@@ -103,12 +103,12 @@ def judged(stage: MultiAxisStage, every: Sequence[MultiAxisRecording]) -> list[d
 
 
 def ranges(x: np.ndarray) -> list[list[float]]:
-    """Least and largest of each channel."""
+    """Return the minimum and maximum of each channel."""
     return [[float(one.min()), float(one.max())] for one in x.T]
 
 
 def show(metrics: Mapping[str, Sequence[Mapping[str, Any]]]) -> None:
-    """One line for each recording."""
+    """Print one line for each recording."""
     for part, every in metrics.items():
         for one in every:
             error = "no bounded answer" if one["rms_um"] is None else f"{one['rms_um']:.4f} µm rms"

@@ -1,4 +1,4 @@
-"""`python -m train fit --config …` of an oscillator with hysteresis: one stage.pt for all recordings."""
+"""`python -m train fit --config …` for an oscillator with hysteresis: one stage.pt for all recordings."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
@@ -24,15 +24,15 @@ from .own_kind import files_named, leave, settings_of, whole_number
 SECTION = "oscillator"
 OWN = ("recordings", "periods", "heldout")
 READING = (*OWN, *(field.name for field in fields(RecordingOptions) if field.name != "skip_s"))
-"""Nothing is skipped: a recording begins at rest."""
+"""`skip_s` is left out, because every recording begins at rest."""
 
 
 def fit(arguments: Sequence[str], config: Path) -> None:
-    """Identify the oscillator, judge it on what was held out, and write stage.pt and metrics.json.
+    """Identify the oscillator, judge it on the held-out samples, and write stage.pt and metrics.json.
 
     Raises:
-        ConfigError: An option or a key that there is not, or a value of another kind.
-        RecordingError: Recordings that cannot be used.
+        ConfigError: An option or a key is unknown, or a value has another type.
+        RecordingError: A recording cannot be used.
         ArtifactError: The output folder is in use or cannot be written to.
     """
     known = [field.name for field in fields(OscillatorOptions)]
@@ -62,7 +62,7 @@ def fit(arguments: Sequence[str], config: Path) -> None:
 
 
 def counted(recording: Recording, periods: int, share: float) -> np.ndarray:
-    """(time,), bool: the samples that are fitted, all but the last share of each period.
+    """Return which samples are fitted, (time,), bool: all but the last share of each period.
 
     Raises:
         RecordingError: The recording does not hold whole periods.
@@ -78,10 +78,10 @@ def counted(recording: Recording, periods: int, share: float) -> np.ndarray:
 def judged(
     oscillator: BoucWenOscillator, recordings: Sequence[Recording], counts: Sequence[np.ndarray], periods: int
 ) -> list[dict[str, Any]]:
-    """The rms of the error from rest, µm, over the samples that count, beside the motion.
+    """Return the rms error from rest, µm, and that of the motion over the samples that count.
 
-    With three periods and more there is the noise, from what differs between all but the first, and the error
-    of their mean beside its noise.
+    With three or more periods, the noise is estimated from the differences between all periods but the first,
+    and the error of their mean is given beside its noise.
     """
     found = []
     for one, those in zip(recordings, counts, strict=True):
@@ -100,7 +100,7 @@ def judged(
 
 
 def parameters(found: IdentifiedOscillator) -> dict[str, dict[str, float | None]]:
-    """Values with half the widths of their 95 % intervals."""
+    """Return the parameters with half the widths of their 95 % intervals."""
     return {
         name: {"value": value, "half_width_95": found.half_widths[name]}
         for name, value in found.oscillator.values._asdict().items()
@@ -108,7 +108,7 @@ def parameters(found: IdentifiedOscillator) -> dict[str, dict[str, float | None]
 
 
 def show(metrics: Mapping[str, Any]) -> None:
-    """One line for each parameter and each recording."""
+    """Print one line for each parameter and each recording."""
     for name, one in metrics["parameters"].items():
         width = one["half_width_95"]
         interval = "not fitted" if width is None else f"± {width:.2g} (95 %)"

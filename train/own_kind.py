@@ -1,4 +1,4 @@
-"""Configs of stages that Lightning does not train: one section, and what its fit leaves."""
+"""Configs of stages that Lightning does not train: their single section and the files of their fit."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -16,7 +16,7 @@ USAGE = "expected python -m train fit --config configs/NAME.yaml [--output FOLDE
 
 
 def config_with(section: str, arguments: Sequence[str]) -> Path | None:
-    """The config of a command line, where it has this section; None for any other."""
+    """Return the config of a command line if it has this section, else None."""
     named = _options(arguments).get("config")
     if named is None or list(arguments[:1]) != ["fit"]:
         return None
@@ -24,16 +24,16 @@ def config_with(section: str, arguments: Sequence[str]) -> Path | None:
         config = config_file(named)
         return config if section in read_yaml(config) else None
     except ConfigError:
-        return None  # the other command has the error
+        return None  # the other command reports the error
 
 
 def settings_of(
     arguments: Sequence[str], config: Path, section: str, known: Sequence[str]
 ) -> tuple[dict[str, Any], Path]:
-    """The settings of the section, all of known names, and the folder for the results, new or empty.
+    """Return the checked settings of the section, and the folder for the results, new or empty.
 
     Raises:
-        ConfigError: An option or a key that there is not.
+        ConfigError: An option or a key is unknown.
         ArtifactError: The folder is in use or cannot be written to.
     """
     options = _options(arguments)
@@ -55,10 +55,10 @@ def settings_of(
 
 
 def files_named(config: Path, found: object, otherwise: str = "") -> list[str]:
-    """The recordings of a config.
+    """Return the recording files of a config.
 
     Raises:
-        ConfigError: No list of files.
+        ConfigError: The value is not a list of files.
     """
     if isinstance(found, list) and found and all(isinstance(one, str) for one in found):
         return found
@@ -66,10 +66,10 @@ def files_named(config: Path, found: object, otherwise: str = "") -> list[str]:
 
 
 def whole_number(config: Path, name: str, found: object) -> int:
-    """A number of periods, or the like.
+    """Return a checked count, such as a number of periods.
 
     Raises:
-        ConfigError: No whole number from 1 on.
+        ConfigError: The value is not a whole number from 1 on.
     """
     if isinstance(found, int) and not isinstance(found, bool) and found >= 1:
         return found
@@ -87,7 +87,7 @@ def leave(folder: Path, stage: SavedStage, metrics: Mapping[str, Any], content: 
 
 
 def _options(arguments: Sequence[str]) -> dict[str, str]:
-    """--NAME VALUE and --NAME=VALUE."""
+    """Parse options of the forms --NAME VALUE and --NAME=VALUE."""
     found: dict[str, str] = {}
     rest = list(arguments)
     while rest:

@@ -1,4 +1,4 @@
-"""Lightning's parser with torchpi's errors: one line, what was found, what was expected."""
+"""Lightning's parser with torchpi's errors: one line with what was found and what was expected."""
 
 import re
 from typing import Any, NoReturn
@@ -22,11 +22,11 @@ class TrainParser(Parser, LightningArgumentParser):
     """The parser of `torchpi train`."""
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
-        # An option that is merely the beginning of a right one is a mistake, and is named.
+        # An abbreviated option is treated as a mistake and reported.
         super().__init__(*args, allow_abbrev=False, **kwargs)
 
     def add_argument(self, *args: Any, **kwargs: Any) -> Any:
-        """As its base has it; `--config` takes names too."""
+        """Add an argument as the base class does; `--config` also takes names."""
         if kwargs.get("action") is ActionConfigFile:
             kwargs["action"] = NamedConfig
         return super().add_argument(*args, **kwargs)

@@ -1,4 +1,4 @@
-"""The numbers behind the figures of a run."""
+"""Data of the figures of a run."""
 
 from collections.abc import Sequence
 
@@ -16,7 +16,7 @@ POINTS = 201
 
 
 def record_fits(model: InverseTraining) -> tuple[RecordFit, ...]:
-    """All records with the voltage predicted for them, the held-out ones first."""
+    """Return all records with their predicted voltages, the held-out ones first."""
     split, compensator = model.split, model.compensator
     zeros = fit_zeros(compensator, split.zero) or [0.0] * len(split.heldout)
     heldout = [
@@ -26,7 +26,7 @@ def record_fits(model: InverseTraining) -> tuple[RecordFit, ...]:
 
 
 def weights_against_rate(model: InverseTraining) -> WeightsAgainstRate | None:
-    """w_i over the rates that occur in training; None where they do not follow the rate."""
+    """Return w_i over the rates of the training records; None if the weights ignore the rate."""
     weights = model.compensator.weights
     if weights.kind == "none":
         return None
@@ -38,7 +38,7 @@ def weights_against_rate(model: InverseTraining) -> WeightsAgainstRate | None:
 
 
 def saturation(model: InverseTraining) -> Saturation:
-    """S over the displacements that occur in training."""
+    """Return S over the displacements of the training records."""
     low, high = _range(model.split.train, "yd")
     y = torch.linspace(low, high, POINTS, dtype=torch.float64)
     with torch.no_grad():
@@ -47,7 +47,7 @@ def saturation(model: InverseTraining) -> Saturation:
 
 
 def _fit(compensator: DirectInverse, pair: InversePair, role: str, zero_um: float) -> RecordFit:
-    """The counted stretch of a record."""
+    """Return the counted stretch of a record with its prediction."""
     counted = pair.counted
     with torch.no_grad():
         u_hat = compensator(pair.motion._replace(yd=pair.motion.yd - zero_um))

@@ -1,4 +1,4 @@
-"""How many samples a stage answers late, seen from the recordings: the look-ahead that undoes it."""
+"""Find the look-ahead that compensates the delay of a stage, in samples, from recordings."""
 
 import copy
 from collections.abc import Callable, Sequence
@@ -8,7 +8,7 @@ from torchpi.identification import InversePair
 from torchpi.identification.recipe import MOST_PREVIEW
 from torchpi.identification.two_stage import fit_weights
 
-# The error has one valley over the look-ahead: so many samples of rise beyond its bottom are enough.
+# The error has one minimum over the look-ahead, so the search ends after this many samples of rise.
 RISING = 3
 
 
@@ -16,11 +16,11 @@ def find_preview(
     compensator: DirectInverse,
     pairs_seen_ahead: Callable[[int], Sequence[InversePair]],
 ) -> int:
-    """The look-ahead with which the weights (eq. 11) fit best, the polynomial being that of `compensator`.
+    """Return the look-ahead with which the weights (eq. 11) fit best, with the polynomial of `compensator`.
 
     Args:
-        compensator: Of the paper's form, fitted without look-ahead; it stays as it is.
-        pairs_seen_ahead: The records to fit, for a number of samples of look-ahead.
+        compensator: Compensator of the paper's form, fitted without look-ahead; it is not modified.
+        pairs_seen_ahead: Returns the records to fit for a number of samples of look-ahead.
     """
     trial = copy.deepcopy(compensator)
     best, least = 0, float("inf")

@@ -1,4 +1,4 @@
-"""What a run leaves: settings before training, figures and exports after it. Every file appears whole."""
+"""Files of a run: settings before training, figures and exports after it, each written as a whole."""
 
 import importlib.metadata
 import json
@@ -35,7 +35,7 @@ PACKAGES = ("torchpi", "torch", "lightning", "numpy", "scipy", "numba")
 def write_settings(
     folder: RunFolder, command: str, config: str, data: RecordingsData, seed: int, stage_file: str | None
 ) -> None:
-    """config.yaml and run.json: enough to run it again and to see whether it is the same."""
+    """Write config.yaml and run.json, which suffice to repeat the run and to check that it is the same."""
     records = data.load()
     stage = (
         {stage_file: sha256(config_file(stage_file, "stage").read_bytes()).hexdigest()} if stage_file else {}
@@ -57,7 +57,7 @@ def write_settings(
 def write_results(
     folder: RunFolder, trainer: Trainer, model: InverseTraining, data: RecordingsData
 ) -> dict[str, Any]:
-    """Judge the best checkpoint and write everything; returns the metrics."""
+    """Judge the best checkpoint, write all files, and return the metrics."""
     best = torch.load(folder.best, map_location="cpu", weights_only=True)
     model.cpu().compensator.load_state_dict(best[STATE])
     metrics: dict[str, Any] = judge(model, data) | judge_tracking(model)
@@ -70,13 +70,13 @@ def write_results(
     export_files(model.baseline, folder.baseline.with_suffix(""), ["torchscript"])
     _write_report(folder, model, metrics)
     _log_hyper_parameters(trainer, model, metrics)
-    # Last, so that a run folder with metrics is a complete one.
+    # Written last, so that a run folder with metrics is complete.
     write_text(folder.metrics, json.dumps(metrics, indent=2, ensure_ascii=False) + "\n")
     return metrics
 
 
 def judge(model: InverseTraining, data: RecordingsData) -> dict[str, dict[str, float]]:
-    """The errors by the contract of metrics.json."""
+    """Return the errors under the keys of metrics.json."""
     train, heldout = model.errors(model.split)
     zeros = fit_zeros(model.compensator, model.split.zero)
     loaded = inverse_errors(model.compensator, model.split.heldout, loading_excluded=True, zeros_um=zeros)
@@ -90,7 +90,7 @@ def judge(model: InverseTraining, data: RecordingsData) -> dict[str, dict[str, f
 
 
 def forward_stage(data: RecordingsData) -> ForwardStage:
-    """The stage of the recordings that were trained on, judged where the compensator is judged."""
+    """Identify the stage from the training recordings, judged on the same samples as the compensator."""
     records, split = data.load(), data.split(0)
     heldout, counted = (records.heldout or records.train)[0], split.heldout[0].counted
     train = records.train if records.heldout else [heldout.split_tail(1 - counted.start / len(heldout))[0]]
@@ -99,7 +99,7 @@ def forward_stage(data: RecordingsData) -> ForwardStage:
 
 
 def stage_metrics(identified: ForwardStage) -> dict[str, Any]:
-    """Its effects, and its error on what is held out."""
+    """Return the effects of the identified stage and its error on the held-out samples."""
     stage = identified.stage
     assert stage.identified is not None
     return {
@@ -111,8 +111,8 @@ def stage_metrics(identified: ForwardStage) -> dict[str, Any]:
 
 
 def judge_tracking(model: InverseTraining) -> dict[str, Any]:
-    """Errors of the held-out motions through the stage: of a compensator identified on its plain hysteresis
-    (`plain`), of one identified on the stage itself (`before`), of that trained through it (`after`)."""
+    """Return errors of the held-out motions through the stage, for a compensator identified on its plain
+    hysteresis (`plain`), on the stage itself (`before`), and for the one trained through it (`after`)."""
     if model.tracking is None:
         return {}
     after = model.tracking.errors(model.compensator)["heldout"]
@@ -120,7 +120,7 @@ def judge_tracking(model: InverseTraining) -> dict[str, Any]:
 
 
 def how(model: InverseTraining, data: RecordingsData, best_epoch: int, epochs: int) -> dict[str, Any]:
-    """What the numbers were taken on."""
+    """Return the conditions under which the metrics were obtained."""
     records = data.load()
     return {
         "heldout": [recording.source for recording in records.heldout]
@@ -148,7 +148,7 @@ def how(model: InverseTraining, data: RecordingsData, best_epoch: int, epochs: i
 
 
 def at_their_bound(model: InverseTraining) -> list[str]:
-    """Fitted numbers that stand where the search for them ended, in words."""
+    """List in words the fitted numbers that lie at a bound of their search."""
     found = []
     fitted = (
         ("compensator", model.compensator, model.split.zero),
@@ -168,7 +168,7 @@ def at_their_bound(model: InverseTraining) -> list[str]:
 
 
 def chosen_by(model: InverseTraining, data: RecordingsData) -> str:
-    """What chose the epoch, in words."""
+    """State in words which error selected the epoch."""
     if model.tracking:
         return "tracking of the held-out motions of data.follow"
     if model.selection:
@@ -177,7 +177,7 @@ def chosen_by(model: InverseTraining, data: RecordingsData) -> str:
 
 
 def check_monotone(model: InverseTraining) -> Monotone:
-    """Whether the compensator may run backwards over what it was trained on."""
+    """Check whether the compensator is monotone over the displacements and rates of the training."""
     yd = torch.cat([pair.motion.yd[0, pair.counted] for pair in model.split.train])
     rate = torch.cat([pair.motion.yd_dot[0, pair.counted] for pair in model.split.train])
     return monotone(
@@ -204,7 +204,7 @@ def _write_report(folder: RunFolder, model: InverseTraining, metrics: dict[str, 
 
 
 def notes(how: dict[str, Any]) -> tuple[str, ...]:
-    """What a reader of the page must know of the numbers."""
+    """Return the notes that a reader of the page needs to interpret the numbers."""
     remarks = [f"Held out: {', '.join(how['heldout'])}."]
     remarks += [f"Careful: {text}." for text in how["on_bound"]]
     if how["selected"]:
@@ -225,7 +225,7 @@ def notes(how: dict[str, Any]) -> tuple[str, ...]:
 
 
 def stage_notes(metrics: Mapping[str, Any]) -> tuple[str, ...]:
-    """The stage that was identified, in a sentence, if one was."""
+    """Describe the identified stage in a sentence, if there is one."""
     if "stage" not in metrics:
         return ()
     found = metrics["stage"]

@@ -1,4 +1,4 @@
-"""Where a run leaves its files, and whether it may."""
+"""The folder of a run: its files, and whether a run may use it."""
 
 import contextlib
 import fcntl
@@ -26,22 +26,22 @@ class RunFolder:
         self.path = path
         self.config = path / "config.yaml"
         self.facts = path / "run.json"  # seed, hashes of the data, versions
-        self.lock = path / ".lock"  # held by the process that trains here
+        self.lock = path / ".lock"  # held by the process that trains in this folder
         self.checkpoints = path / "checkpoints"
         self.best, self.last = self.checkpoints / "best.ckpt", self.checkpoints / "last.ckpt"
         self.metrics, self.report = path / "metrics.json", path / "report.html"
-        self.compensator = path / "compensator.pt"  # TorchScript; the JSON of its numbers stands beside it
+        self.compensator = path / "compensator.pt"  # TorchScript; its numbers are in the JSON beside it
         self.baseline = path / "baseline.pt"  # two-stage least squares, TorchScript
         self.stage = path / "stage.pt"  # identified from the recordings
 
     @property
     def events(self) -> list[Path]:
-        """Files of TensorBoard, which names a run by the folder that they are in."""
+        """TensorBoard event files; TensorBoard names a run after the folder they are in."""
         return sorted(self.path.glob("events.out.tfevents.*"))
 
 
 def new_run(output: str | None, name: str, checkpoint: str | None) -> RunFolder:
-    """The folder of a new run: `output`, or the next free one of that name.
+    """Return the folder of a new run: `output`, or the next free folder with this name.
 
     Raises:
         ArtifactError: `output` is a file, is in use or cannot be written to; the checkpoint to start from is
@@ -60,10 +60,10 @@ def new_run(output: str | None, name: str, checkpoint: str | None) -> RunFolder:
 
 
 def run_to_continue(output: str | None, name: str) -> RunFolder:
-    """The folder of the run to go on with: `output`, or the latest of that name.
+    """Return the folder of the run to continue: `output`, or the latest with this name.
 
     Raises:
-        ArtifactError: There is none, or it has no checkpoint yet.
+        ArtifactError: There is no such run, or it has no checkpoint yet.
     """
     if output is not None:
         folder = RunFolder(Path(output))
@@ -84,12 +84,12 @@ def run_to_continue(output: str | None, name: str) -> RunFolder:
 
 @contextlib.contextmanager
 def claim(folder: RunFolder, goes_on: bool) -> Iterator[None]:
-    """Make the folder, if need be, and hold it as long as this process trains there.
+    """Create the folder if necessary, and lock it while this process trains in it.
 
-    What a run left that was killed before its first checkpoint is cleared away, unless this one goes on.
+    Files of a run that was killed before its first checkpoint are removed, unless this run continues it.
 
     Raises:
-        ArtifactError: Another process holds it, or has begun a run in it since it was chosen.
+        ArtifactError: Another process holds the folder, or has started a run in it since it was chosen.
     """
     folder.path.mkdir(parents=True, exist_ok=True)
     handle = os.open(folder.lock, os.O_RDWR | os.O_CREAT, 0o644)
@@ -101,7 +101,7 @@ def claim(folder: RunFolder, goes_on: bool) -> Iterator[None]:
                 f"{folder.path}: another process trains into it, expected a folder of its own for each run"
             ) from None
         except OSError:
-            pass  # a file system without locks
+            pass  # the file system has no locks
         if not goes_on:
             if any(entry != folder.lock for entry in folder.path.iterdir()) and not _ended_early(folder):
                 raise ArtifactError(f"{folder.path}: {_contents(folder)}")
@@ -114,11 +114,11 @@ def claim(folder: RunFolder, goes_on: bool) -> Iterator[None]:
 
 
 def check_continues(checkpoint: Path, compensator: DirectInverse) -> None:
-    """Whether a checkpoint is one of the same training.
+    """Check that a checkpoint belongs to the same training.
 
     Raises:
-        ArtifactError: Not a checkpoint, or one of something else.
-        ConfigError: Of a compensator with other hyper-parameters.
+        ArtifactError: The file is not a checkpoint of a compensator.
+        ConfigError: The compensator of the checkpoint has other hyper-parameters.
     """
     found, given = load_compensator(checkpoint).hyper_parameters, compensator.hyper_parameters
     for name in given:
@@ -136,7 +136,7 @@ def _free(name: str) -> Path:
 
 
 def _numbered(name: str) -> list[Path]:
-    """runs/NAME, runs/NAME-2, … as far as they exist."""
+    """List runs/NAME, runs/NAME-2, … as far as they exist."""
     paths: list[Path] = []
     while (path := RUNS / (f"{name}-{len(paths) + 1}" if paths else name)).exists():
         paths.append(path)
@@ -144,7 +144,7 @@ def _numbered(name: str) -> list[Path]:
 
 
 def _ended_early(folder: RunFolder) -> bool:
-    """Whether the folder holds nothing but the beginnings of a run that has no checkpoint to go on with."""
+    """Whether the folder holds only the first files of a run that has no checkpoint to continue from."""
     own = {folder.lock, folder.config, folder.facts, *folder.events, folder.checkpoints}
     entries = set(folder.path.iterdir())
     temporary = {one for one in entries if one.name.startswith((".config-", ".run-"))}

@@ -1,4 +1,4 @@
-"""Recordings of the simulated stage, made on the spot."""
+"""Generate recordings of the simulated stage."""
 
 import hashlib
 import inspect
@@ -47,12 +47,12 @@ class Simulation:
 
 def simulate(
     simulation: Simulation,
-    stage: Stage | None = None,  # an identified one, instead of the file of the simulation
+    stage: Stage | None = None,  # an identified stage, instead of the file of the simulation
 ) -> tuple[list[Recording], list[Recording]]:
-    """The recordings to train on, and those held out; the same ones for the same settings.
+    """Return the recordings to train on and those held out; equal settings give equal recordings.
 
     Raises:
-        TorchpiError: A stage or an excitation that is not one.
+        TorchpiError: The stage or an excitation is invalid.
     """
     played = stage or Stage.from_yaml(simulation.stage)
     return (
@@ -68,7 +68,7 @@ def _record(stage: Stage, simulated: Simulated, identified: bool) -> Recording:
     )
     with torch.no_grad():
         y_true, reading = stage.simulate(torch.from_numpy(u)[None], seed=simulated.seed)
-    # Of a stage that was identified nothing is gained by blurring it with noise.
+    # Adding noise to the response of an identified stage would gain nothing.
     y = y_true if identified else reading
     name = f"{simulated.excitation}-{simulated.seed}"
     recording = Recording(
@@ -85,7 +85,7 @@ def _record(stage: Stage, simulated: Simulated, identified: bool) -> Recording:
 
 
 def _range(stage: Stage, excitation: str) -> dict[str, float]:
-    """The voltages that an identified stage stands for, as options of an excitation that takes them."""
+    """Return the voltage range of an identified stage as options of an excitation that takes them."""
     limits = {"low_v": stage.min_voltage_v, "high_v": stage.max_voltage_v}
     if not all(map(math.isfinite, limits.values())):
         return {}

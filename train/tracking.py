@@ -1,7 +1,7 @@
-"""Training through the stage: reference motion → compensator → stage, the error being that of the motion.
+"""Training through the stage: reference motion → compensator → stage, with the error of the motion as loss.
 
-Direct learning: nothing is fitted to a recorded voltage, so neither the noise of a recorded displacement nor
-the difference between recorded and desired motions biases what comes out.
+This is direct learning: no recorded voltage is fitted, so neither the noise of a recorded displacement nor
+the difference between recorded and desired motions biases the result.
 """
 
 from collections.abc import Mapping
@@ -65,7 +65,7 @@ class Follow:
     high: float = 0.86
 
     def check(self) -> None:
-        """Raise `ConfigError` where there is nothing to follow, or no room for it."""
+        """Raise `ConfigError` if there is no motion to follow, or its range is empty."""
         if not 0 <= self.low < self.high <= 1:
             raise ConfigError(
                 f"data.follow.low: found {self.low:g} with high {self.high:g}, expected 0 ≤ low < high ≤ 1"
@@ -77,7 +77,7 @@ class Follow:
 
 @dataclass(frozen=True)
 class TrackingErrors:
-    """How far motions were missed; per cent is of the largest peak to peak."""
+    """Errors of the motions; per cent refers to the largest peak to peak."""
 
     rms_um: float
     max_um: float
@@ -89,7 +89,7 @@ class Tracking:
     """A stage, and motions that a compensator makes it follow.
 
     Args:
-        stage: What is trained through; its parameters get no gradient.
+        stage: The stage to train through; its parameters get no gradient.
         follow: The motions.
         stroke_um: Lowest and highest displacement of the recordings.
     """
@@ -104,7 +104,7 @@ class Tracking:
         )
 
     def coordinates(self, compensator: DirectInverse) -> Coordinates:
-        """What to train in; a step of length one moves the motions by their present rms error."""
+        """Return training coordinates; a step of length one moves the motions by their present rms error."""
         with torch.no_grad():
             motion = self._asked(compensator, self.train)
             steps_v, steps_um = (torch.diff(x).std() for x in (compensator(motion), self.train))
@@ -112,11 +112,11 @@ class Tracking:
         return Coordinates(compensator, motion, float(rms_um * steps_v / steps_um))
 
     def loss(self, compensator: DirectInverse, parameters: dict[str, Tensor]) -> Tensor:
-        """Mean squared error of the motions trained on, µm²; `parameters` stand in for the compensator's."""
+        """Return the mean squared error of the training motions, µm², for a compensator with `parameters`."""
         return self._missed(compensator, self.train, parameters).square().mean()
 
     def errors(self, compensator: DirectInverse) -> dict[str, TrackingErrors]:
-        """Of the motions trained on, and of those held out."""
+        """Return the errors of the training and of the held-out motions."""
         found = {}
         for name, yd in (("train", self.train), ("heldout", self.heldout)):
             with torch.no_grad():
@@ -132,20 +132,20 @@ class Tracking:
         yd: Tensor,  # (motions, time), µm
         parameters: dict[str, Tensor],
     ) -> Tensor:  # (motions, time), µm
-        """y - y_d, each motion from the de-energised state."""
+        """Return y - y_d, each motion starting from the de-energised state."""
         u = functional_call(compensator, parameters, (self._asked(compensator, yd),))
         at_rest = {name: torch.zeros_like(u) for name in self.stage.aux_names}
         y: Tensor = self.stage(u, None, at_rest)[0]
         return y - yd
 
     def _asked(self, compensator: DirectInverse, yd: Tensor) -> Motion:
-        """The motions as the deployed compensator forms them; the last value is held past the end."""
+        """Form the motions as the deployed compensator does; the last value is held past the end."""
         last = yd[:, -1:].expand(-1, compensator.preview)
         ahead = torch.cat([yd, last], 1)[:, compensator.preview :]
         return backward_motion(ahead, compensator.sample_period_s)
 
     def _motion(self, reference: Reference, duration_s: float, low: float, high: float) -> Tensor:
-        """(1, time), µm."""
+        """Return the filtered motion of a reference, (1, time), µm."""
         make = TRAJECTORIES[reference.trajectory]
         random: dict[str, Any] = {"seed": reference.seed} if reference.trajectory == "random" else {}
         try:
@@ -159,7 +159,7 @@ class Tracking:
 
 
 def tracking_notes(metrics: Mapping[str, Any]) -> tuple[str, ...]:
-    """The tracking errors of `metrics.json` in a sentence, if it has any."""
+    """Describe the tracking errors of `metrics.json` in a sentence, if there are any."""
     if "tracking" not in metrics:
         return ()
     rows = [

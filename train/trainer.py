@@ -1,4 +1,4 @@
-"""The Lightning trainer of a run: few options, early stop, best and last checkpoint, both always whole."""
+"""The Lightning trainer of a run: few options, early stopping, complete best and last checkpoints."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,7 +19,7 @@ from .run_folder import RunFolder
 
 MOST_NODES = 1000
 OWN = ("callbacks", "logger", "plugins")
-"""Arguments of lightning.Trainer that are objects, and that a run cannot do without."""
+"""Arguments of lightning.Trainer that are objects and that every run sets itself."""
 
 
 @dataclass
@@ -47,14 +47,14 @@ class TrainerOptions:
 
 
 def make_trainer(options: TrainerOptions, folder: RunFolder) -> Trainer:
-    """A trainer that writes into `folder`, which need not exist yet."""
+    """Return a trainer that writes into `folder`, which need not exist yet."""
     for name in OWN:
         if name in (options.lightning or {}):
             raise ConfigError(f"trainer.lightning.{name}: found a value, expected none: a run has its own")
     if (device := (options.lightning or {}).get("accelerator", "cpu")) != "cpu":
         why = "recordings and compiled kernels stay on the CPU, where sequences in float64 are quickest"
         raise ConfigError(f"trainer.lightning.accelerator: found {device!r}, expected 'cpu': {why}")
-    for name, most in (("devices", available_cores()), ("num_nodes", MOST_NODES)):  # one process each
+    for name, most in (("devices", available_cores()), ("num_nodes", MOST_NODES)):  # each is a process
         given = (options.lightning or {}).get(name, 1)
         count = len(given) if isinstance(given, list) else given
         if str(count).isdigit() and int(count) > most:
@@ -84,7 +84,7 @@ def make_trainer(options: TrainerOptions, folder: RunFolder) -> Trainer:
             ),
         ],
         plugins=[WholeCheckpoints()],
-        # The records are few and in memory; ours is the one line of progress.
+        # The records are few and in memory, and `EpochProgress` is the only line of progress.
         enable_progress_bar=False,
         enable_model_summary=False,
         num_sanity_val_steps=0,
@@ -97,7 +97,7 @@ def make_trainer(options: TrainerOptions, folder: RunFolder) -> Trainer:
 
 
 class WholeCheckpoints(TorchCheckpointIO):
-    """Checkpoints that replace the previous one in one step: a kill leaves one of the two, whole."""
+    """Replaces the previous checkpoint atomically, so that a kill leaves one complete checkpoint."""
 
     def save_checkpoint(self, checkpoint: dict[str, Any], path: Any, storage_options: Any = None) -> None:
         with write_atomically(Path(path)) as temporary:

@@ -1,4 +1,4 @@
-"""Records cut into windows, in order; the state of the compensator is carried from one to the next."""
+"""Cut records into consecutive windows; the compensator state is carried from one to the next."""
 
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
@@ -15,7 +15,7 @@ class Window(NamedTuple):
     Attributes:
         motion: (1, time), µm, µm/s, µm/s².
         u: (1, time), V.
-        counted: Slice of the samples that count in the loss; may be empty.
+        counted: Slice of the samples that count in the loss; it may be empty.
         begins: Whether the record begins here, from the de-energised state.
     """
 
@@ -26,7 +26,7 @@ class Window(NamedTuple):
 
 
 def windows(pairs: Sequence[InversePair], samples: int | None) -> Iterator[Window]:
-    """The records one after the other, each in windows of so many samples, or whole."""
+    """Yield the records one after another, each whole or in windows of `samples` samples."""
     for pair in pairs:
         stop = pair.u.shape[1]
         length = samples or stop

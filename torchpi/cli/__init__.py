@@ -1,8 +1,8 @@
-"""The command line. Nothing is imported before it is called: a worker process imports this package too."""
+"""The command line. Imports wait until it is called, because worker processes import this package too."""
 
 
 def main() -> None:
-    """Entry point."""
+    """Run the command line; the entry point."""
     from torchpi.cli.commands import main
 
     main()

@@ -1,4 +1,4 @@
-"""What commands need to know of several axes, without loading what works on them."""
+"""Helpers of commands for several axes that avoid loading the modules for them."""
 
 import json
 from pathlib import Path
@@ -10,7 +10,7 @@ LARGEST_BYTES = 1 << 28
 
 
 def numbers_of_axes(compensator: Path) -> Path | None:
-    """NAME.json of an inverse of several axes, for NAME.json or NAME.pt; None for any other compensator."""
+    """Return NAME.json of an inverse of several axes for NAME.json or NAME.pt, None for any other."""
     path = compensator.with_suffix(".json")
     if compensator.suffix not in (".pt", ".json") or not path.is_file():
         return None
@@ -25,13 +25,13 @@ def numbers_of_axes(compensator: Path) -> Path | None:
 
 
 def refuse(**options: object) -> None:
-    """What several axes do not have.
+    """Refuse options that do not exist for several axes.
 
     Args:
-        options: As given; None where it was not.
+        options: The options by name; None for those not given.
 
     Raises:
-        ConfigError: One that was given.
+        ConfigError: One of the options was given.
     """
     for option, found in options.items():
         if found is not None:

@@ -1,4 +1,4 @@
-"""A check of recordings, from files to what is printed and to one page: `torchpi check`."""
+"""Check recording files, print the findings and write one page: `torchpi check`."""
 
 import json
 import shlex
@@ -21,20 +21,20 @@ OUR_UNITS = {"time": "s", "input": "V", "output": "µm"}
 def check_files(
     paths: Sequence[Path], output: Path, options: RecordingOptions, command: str
 ) -> list[Summary]:
-    """Print what each file holds and how to go on with it, and write `check.html`.
+    """Print the contents of each file and the commands to continue with, and write `check.html`.
 
-    A file that cannot be used is named on a line of its own, the others are still described; the page is
-    written for those that can be.
+    Each unusable file is reported on its own line, and the others are still described; the page covers
+    the usable files.
 
     Args:
-        paths: the recordings.
+        paths: the recording files.
         output: folder for the page.
-        options: how they are read.
-        command: what was typed.
+        options: how the files are read.
+        command: the command line as typed.
 
     Raises:
-        RecordingError: the last of the files that cannot be used.
-        ArtifactError: an output that cannot be written to.
+        RecordingError: the last error, if any file cannot be used.
+        ArtifactError: the output cannot be written to.
     """
     from torchpi.report.check_page import Checked, write_check
     from torchpi.report.what_was_run import provenance
@@ -77,7 +77,7 @@ def check_files(
 
 
 def table_of(columns: Sequence[Column]) -> str:
-    """Name, unit, range and first values of each column, in lines of text."""
+    """Format name, unit, range and first values of each column as lines of text."""
     rows = [("column", "unit", "range", "first values"), *(row_of(column) for column in columns)]
     widths = [max(len(row[k]) for row in rows) for k in range(3)]
     return "\n".join(
@@ -87,7 +87,7 @@ def table_of(columns: Sequence[Column]) -> str:
 
 
 def row_of(column: Column) -> tuple[str, str, str, str]:
-    """(name, unit, range, first values) of a column, as text."""
+    """Return (name, unit, range, first values) of a column as text."""
     if column.values is None or not len(column.values):
         return column.name, column.unit or "", "", column.problem or "empty"
     x = column.values[np.isfinite(column.values)]
@@ -101,7 +101,7 @@ def row_of(column: Column) -> tuple[str, str, str, str]:
 
 
 def facts_of(summary: Summary) -> list[tuple[str, str]]:
-    """What the recording shows of itself: (what, how it is) in plain words."""
+    """Describe the properties of a recording in plain words: (property, description)."""
     recording, holds = summary.recording, summary.holds
     u, y = recording.u, recording.y
     roles = ", ".join(f"{role} '{name}' ({OUR_UNITS[role]})" for role, name in summary.columns.items())
@@ -137,9 +137,9 @@ def facts_of(summary: Summary) -> list[tuple[str, str]]:
 
 
 def commands_for(summaries: Sequence[Summary]) -> list[str]:
-    """The lines to paste: `fit` and `diagnose` with the options that these files need.
+    """Return command lines to paste: `fit` and `diagnose` with the options that these files need.
 
-    Files that need different options stand on lines of their own: a command reads all its files alike.
+    Files that need different options get separate lines, because a command reads all its files alike.
     """
     groups: dict[RecordingOptions, list[str]] = {}
     for summary in summaries:
@@ -173,7 +173,7 @@ def _start(summary: Summary) -> str:
         return f"{text}; the input never comes back there, so remanence cannot be seen"
     if abs(u[0]) > AWAY_FROM_ZERO * np.ptp(u):
         return f"{text}; a voltage was applied already: the state at the start is not known"
-    falls = summary.correlation < 0.0  # a sensor mounted the other way round
+    falls = summary.correlation < 0.0  # the sensor is mounted the other way round
     if (-back if falls else back) > max(0.005 * stroke, 3 * summary.output_noise_um):
         where = f"{abs(back):.3g} µm {'lower' if falls else 'higher'}"
         return (

@@ -1,4 +1,4 @@
-"""A check of recordings of several axes, from files to what is printed and to one page: `torchpi check`."""
+"""Check recording files of several axes, print the findings and write one page: `torchpi check`."""
 
 import shlex
 import warnings
@@ -20,17 +20,17 @@ from torchpi.recordings.summary import columns_in
 def check_axes_files(
     paths: Sequence[Path], output: Path, options: RecordingOptions, command: str
 ) -> list[MultiAxisRecording]:
-    """Print what each file holds and how to go on, and write `check.html`.
+    """Print the contents of each file and the command to continue with, and write `check.html`.
 
     Args:
-        paths: Of one stage.
+        paths: Recording files of one stage.
         output: Folder for the page.
-        options: How they are read.
-        command: What was typed.
+        options: How the files are read.
+        command: The command line as typed.
 
     Raises:
-        RecordingError: A file that cannot be used, or files that are not of one stage.
-        ArtifactError: An output that cannot be written to.
+        RecordingError: A file cannot be used, or the files are not of one stage.
+        ArtifactError: The output cannot be written to.
     """
     from torchpi.report.check_page import axes_section, write_sections
     from torchpi.report.what_was_run import provenance
@@ -64,7 +64,7 @@ def check_axes_files(
 
 
 def facts_of(one: MultiAxisRecording) -> list[tuple[str, str]]:
-    """What a recording shows of itself: (what, how it is) in plain words."""
+    """Describe the properties of a recording in plain words: (property, description)."""
     inputs, outputs = one.u.shape[1], one.y.shape[1]
     facts = [
         ("columns", f"{inputs} inputs (V), {outputs} outputs (µm)"),

@@ -1,4 +1,4 @@
-"""How torchpi's commands meet their user: typed functions for options, one line for an error, exit code 2."""
+"""User interface of torchpi's commands: typed functions give options; an error is one line, exit code 2."""
 
 import argparse
 import atexit
@@ -25,8 +25,8 @@ from torchpi.errors import ConfigError, ExportWarning, RecordingWarning, Torchpi
 from torchpi.files import check_yaml, read_yaml_text, reason
 
 UNSAFE = ("importlib._bootstrap", "llvmlite.binding")
-"""Modules at work while a library starts, or LLVM compiles: both call back into Python, and an exception from
-there may end them with a segmentation fault."""
+"""Modules that are active while a library loads or LLVM compiles. Both call back into Python, where an
+exception may end in a segmentation fault."""
 ENDED = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated"}
 INTERRUPTED, TERMINATED = 130, 143  # exit codes: 128 and the number of the signal
 
@@ -40,16 +40,16 @@ def run_chosen(
 ) -> None:
     """Parse the command line and call the function that it names.
 
-    A command's options are its signature, its help is its docstring, its name that of the function without a
-    last underscore. One that parses the rest itself has `parsers_below`, which a shell's completions need.
+    The signature of a command gives its options, the docstring its help, and the function its name, without a
+    trailing underscore. `parsers_below` serves shell completion of commands that parse their own arguments.
     """
-    # Progress appears as it happens, into a pipe as well; there may be no output at all.
+    # Line buffering shows progress at once, also through a pipe; stdout may be missing.
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(line_buffering=True)
     completion = any(word.startswith("--print_completion") for word in sys.argv[1:])
     if completion and find_spec("shtab") is None:
         raise ConfigError("--print_completion needs shtab; run: pip install 'torchpi[completion]'")
-    jsonargparse.set_parsing_settings(add_print_completion_argument=True)  # where shtab is installed
+    jsonargparse.set_parsing_settings(add_print_completion_argument=True)  # needs shtab installed
     parser = Parser(prog=program, description=description, version=version, formatter_class=_Formatter)
     subcommands = parser.add_subcommands(title="commands", description=None)
     functions = {command.__name__.removesuffix("_"): command for command in commands}
@@ -67,34 +67,34 @@ def run_chosen(
 
 
 class _Formatter(argparse.RawDescriptionHelpFormatter, jsonargparse.DefaultHelpFormatter):
-    """Keeps the line breaks of descriptions."""
+    """Formats help with the line breaks of descriptions kept."""
 
 
 def _load_yaml(text: str) -> Any:
-    """As jsonargparse loads files and values, but nothing that its aliases make too large to walk."""
+    """Load YAML as jsonargparse does, but refuse documents that aliases make too large to walk."""
     check_yaml(text, MOST_VALUES)
     return LOAD_YAML(text)
 
 
-MOST_VALUES = 1000  # jsonargparse copies a list once for each of its values
+MOST_VALUES = 1000  # limited, because jsonargparse copies a list once for each of its values
 LOAD_YAML = jsonargparse.get_loader("yaml")
 jsonargparse.set_loader("yaml", _load_yaml, (yaml.YAMLError,))
 
 
 class Parser(jsonargparse.ArgumentParser):
-    """A parser whose errors are one line that names the nearest right option."""
+    """A parser that reports errors in one line and suggests the nearest valid option."""
 
     def parse_path(self, cfg_path: str | os.PathLike[str], *args: Any, **kwargs: Any) -> Any:
-        """As jsonargparse has it, of a file that is small enough to be settings."""
+        """Parse a file as jsonargparse does, after checking that it is small enough for settings."""
         if str(cfg_path) != "-":  # standard input
             read_yaml_text(cfg_path, MOST_VALUES)
         return super().parse_path(cfg_path, *args, **kwargs)
 
     def add_argument(self, *args: Any, **kwargs: Any) -> Any:
-        """As argparse has it, but for two things.
+        """Add an argument as argparse does, with two differences.
 
-        `for_`, the parameter named by a word of Python's own, becomes `--for`; and a positional list takes
-        one word after another, as a shell's wildcard gives them.
+        `for_`, named so because `for` is a Python keyword, becomes `--for`; and a positional list takes one
+        word after another, as a shell expands a wildcard.
         """
         action = super().add_argument(*args, **kwargs)
         kind = getattr(action, "_typehint", None)
@@ -110,7 +110,7 @@ class Parser(jsonargparse.ArgumentParser):
     def error(self, message: str, ex: Exception | None = None) -> NoReturn:
         cause: BaseException | None = ex
         while cause is not None:
-            # An error of ours, raised while a value was being made, already says all that is needed.
+            # A torchpi error raised while a value was constructed already has the complete message.
             if isinstance(cause, TorchpiError):
                 raise cause
             cause = cause.__cause__ or cause.__context__
@@ -121,7 +121,7 @@ class Parser(jsonargparse.ArgumentParser):
         raise ConfigError(re.sub(r'Parser key "([\w.]+)"', r"\1", text)) from ex
 
     def expected(self, key: str) -> str:
-        """The type of an option, as its help names it."""
+        """Return the type of an option as its help names it."""
         for action in self._actions:
             choices = getattr(action, "_name_parser_map", None) or {}
             for name, parser in choices.items():
@@ -137,8 +137,8 @@ class Parser(jsonargparse.ArgumentParser):
 
 
 def run_command(command: Callable[[], Any], program: str) -> int:
-    """Run `command`; an error of the user's input becomes one line on stderr, and so does a warning of a
-    recording. Returns the exit code."""
+    """Run `command` and return the exit code. Errors in the user's input and warnings about recordings become
+    one line each on stderr."""
     try:
         with warnings.catch_warnings(), _signals_as_exceptions(program), _silent_writers():
             _show_in_one_line(program)
@@ -163,7 +163,7 @@ def run_command(command: Callable[[], Any], program: str) -> int:
     except RecursionError:
         return _failed(program, "a value is nested too deeply")
     except RuntimeError as error:
-        if "can't allocate memory" not in str(error):  # torch's form of a MemoryError
+        if "can't allocate memory" not in str(error):  # torch raises this in place of a MemoryError
             raise
         return _failed(program, f"not enough memory ({str(error).rpartition(': ')[2]})")
     return 0
@@ -171,7 +171,7 @@ def run_command(command: Callable[[], Any], program: str) -> int:
 
 @contextmanager
 def _silent_writers() -> Iterator[None]:
-    """No traceback of a thread that cannot write, as TensorBoard's: what writes through it next raises."""
+    """Suppress tracebacks of threads that cannot write, such as TensorBoard's; the next write raises."""
     before = threading.excepthook
 
     def hook(args: threading.ExceptHookArgs) -> None:
@@ -188,28 +188,28 @@ def _silent_writers() -> Iterator[None]:
 def run_program(command: Callable[[], Any], program: str) -> NoReturn:
     """Run `command` and end this process with its exit code.
 
-    What takes seconds to import belongs into `command`: an interrupt meanwhile is one line as well.
+    Slow imports belong inside `command`, so that an interrupt during them is also reported in one line.
     """
     code = run_command(command, program)
     if code in (INTERRUPTED, TERMINATED):
         _exit_at_once(code)
-    # All is written; an interrupt while Python ends would only add a traceback.
+    # All files are written; an interrupt while Python exits would only add a traceback.
     for number in (signal.SIGINT, signal.SIGTERM):
         atexit.register(signal.signal, number, signal.SIG_IGN)
     sys.exit(code)
 
 
 def _exit_at_once(code: int) -> NoReturn:
-    """End this process after an interrupt. Python's own exit would wait for the threads of a pool whose
-    workers were killed, and what they wait for may never come."""
+    """End this process after an interrupt. Python's normal exit would wait for the threads of a pool whose
+    workers were killed, possibly for ever."""
     for stream in (sys.stdout, sys.stderr):
         with contextlib.suppress(OSError, ValueError, AttributeError):
             stream.flush()
-    # A worker that still starts would miss the semaphores that are removed next, and say so.
+    # A worker that is still starting would report the semaphores removed next as missing.
     for worker in getattr(sys.modules.get("multiprocessing"), "active_children", list)():
         worker.kill()
     if finalizers := getattr(sys.modules.get("multiprocessing.util"), "_run_finalizers", None):
-        finalizers(0)  # removes semaphores, joins nothing
+        finalizers(0)  # removes semaphores without joining threads
     os._exit(code)
 
 
@@ -225,7 +225,7 @@ def _failed(program: str, text: str) -> int:
 
 
 def _discard_output() -> None:
-    """What is still buffered for an output that cannot be written would fail once more at exit."""
+    """Redirect stdout to null, because text still buffered for an unwritable output would fail at exit."""
     if sys.stdout is not None:
         with contextlib.suppress(OSError, ValueError):
             nowhere = os.open(os.devnull, os.O_WRONLY)
@@ -234,14 +234,14 @@ def _discard_output() -> None:
 
 
 class Terminated(KeyboardInterrupt):
-    """SIGTERM came: what runs ends as after an interrupt."""
+    """Raised on SIGTERM, so that the command ends as after an interrupt."""
 
 
 @contextmanager
 def _signals_as_exceptions(program: str) -> Iterator[None]:
-    """Raise `Terminated` where a process would end without a word, and its workers go on; and raise again
-    what came in a place, a weak reference's callback for one, from which Python lets no exception out. Where
-    no exception is safe, end at once: workers end with this process."""
+    """Turn SIGTERM into `Terminated`; otherwise the process would end silently and its workers go on.
+    A signal is sent again if its exception was lost where Python lets none out, such as in the callback of a
+    weak reference. Where no exception is safe, the process ends at once, and its workers with it."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -270,7 +270,7 @@ def _signals_as_exceptions(program: str) -> Iterator[None]:
 
 
 def _unsafe(frame: FrameType | None) -> bool:
-    """Whether a library starts, or LLVM compiles."""
+    """Whether a library is being loaded, or LLVM is compiling."""
     while frame is not None:
         if frame.f_globals.get("__name__", "").startswith(UNSAFE):
             return True
@@ -279,7 +279,7 @@ def _unsafe(frame: FrameType | None) -> bool:
 
 
 def _show_in_one_line(program: str) -> None:
-    """Print a warning of ours without the line of code that gave it; others as Python does."""
+    """Print torchpi's own warnings without their line of source code, and others as Python does."""
     usual = warnings.showwarning
 
     def show(
@@ -295,11 +295,11 @@ def _show_in_one_line(program: str) -> None:
         else:
             usual(message, category, filename, lineno, file, line)
 
-    warnings.showwarning = show  # catch_warnings puts the usual one back
+    warnings.showwarning = show  # catch_warnings restores the usual one
 
 
 def option_names(parser: jsonargparse.ArgumentParser) -> Iterator[str]:
-    """Dotted names of all options of a parser and its subcommands."""
+    """Yield the dotted names of all options of a parser and its subcommands."""
     for action in parser._actions:
         choices = getattr(action, "_name_parser_map", None) or {}
         for name, subparser in choices.items():
@@ -309,7 +309,7 @@ def option_names(parser: jsonargparse.ArgumentParser) -> Iterator[str]:
 
 
 def one_line(message: str, known: list[str]) -> str:
-    """The message without its line breaks and lists, with the nearest right name where a name was wrong."""
+    """Return the message in one line without lists, with the nearest valid name if a name was wrong."""
     text = re.sub(r"\s+", " ", message).strip()
     wrong = re.search(
         r"(?:[Uu]nrecognized arguments: --|Key '|[Nn]ested key '|Option '|No action for key \"?)([\w.\-]+)",
@@ -317,7 +317,7 @@ def one_line(message: str, known: list[str]) -> str:
     )
     if wrong:
         name = wrong.group(1)
-        # A nested key is reported without its parents: its last part is compared as well.
+        # A nested key is reported without its parents, so the last part of each name is compared as well.
         candidates = {option: option for option in known} | {
             option.split(".")[-1]: option for option in known
         }

@@ -1,6 +1,6 @@
-"""The `torchpi` command. Each function is a command: its signature the options, its docstring the help.
+"""The `torchpi` command. Each function is a command: its signature gives the options, its docstring the help.
 
-Nothing heavy is imported here at module level, so that `torchpi --help` answers at once.
+Nothing heavy is imported at module level, so that `torchpi --help` responds at once.
 """
 
 import os
@@ -37,16 +37,16 @@ DESCRIPTION = """Makes piezo stages go where they are told.
 """
 DEFAULT_STAGE = Path("default")
 IN_ONE_THREAD = ("commission", "diagnose")
-"""Commands of small matrices, or of fits side by side: more threads would only wait for each other."""
+"""Commands with small matrices or parallel fits, where more threads would only wait for each other."""
 
 
 def main() -> None:
-    """Entry point."""
+    """Run the command given in `sys.argv`; the entry point."""
     if sys.argv[1:2] and sys.argv[1] in IN_ONE_THREAD:
-        for name in THREADS:  # now, because parsing already loads such a library
+        for name in THREADS:  # set here, because parsing already loads such a library
             os.environ.setdefault(name, "1")
     if sys.argv[1:2] == ["train"]:
-        run_program(train, "torchpi")  # Lightning parses what follows
+        run_program(train, "torchpi")  # Lightning parses the rest
     below = {"train": parsers_of_train}
     run_program(lambda: run_chosen(COMMANDS, "torchpi", DESCRIPTION, __version__, below), "torchpi")
 
@@ -266,7 +266,7 @@ def run(
         run_axes(numbers, stage, trajectory, output or compensator.with_suffix(""))
         return
     trajectory = trajectory or "slow"
-    if compensator.is_file():  # else there is nothing to estimate, but an error at once
+    if compensator.is_file():  # otherwise an error follows at once
         duration.announce_run(trajectory, len(compare or {}))
     from torchpi.cli.run import run_files
 
@@ -317,7 +317,7 @@ def check(files: list[Path], output: Path = Path("check"), **reading: Any) -> No
         reading: How the files are read.
     """
     options = RecordingOptions(**reading)
-    if all(file.is_file() for file in files):  # else there is nothing to estimate, but an error at once
+    if all(file.is_file() for file in files):  # otherwise an error follows at once
         duration.announce_check(files)
     from torchpi.cli.check import check_files
     from torchpi.cli.check_axes import check_axes_files
@@ -332,7 +332,7 @@ def check(files: list[Path], output: Path = Path("check"), **reading: Any) -> No
         check_files(files, output, options, command)
 
 
-def diagnose_(  # the parser looks names up in torchpi, and would load its own `diagnose` with torch
+def diagnose_(  # the parser looks names up in torchpi, and would load its `diagnose` with torch
     recordings: list[Path],
     output: Path = Path("diagnosis"),
     simulation: str | None = None,
@@ -380,7 +380,7 @@ def diagnose_(  # the parser looks names up in torchpi, and would load its own `
         return
     if seconds is not None:
         raise ConfigError(f"--seconds: found {seconds:g}, expected none for a stage of one axis")
-    if all(file.is_file() for file in recordings):  # else there is nothing to estimate, but an error at once
+    if all(file.is_file() for file in recordings):  # otherwise an error follows at once
         duration.announce_diagnose(recordings)
     from torchpi.cli.diagnose import diagnose_files
 

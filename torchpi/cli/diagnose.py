@@ -1,4 +1,4 @@
-"""A diagnosis from files to files."""
+"""A diagnosis that reads recording files and writes result files."""
 
 import shutil
 import time
@@ -29,16 +29,15 @@ def diagnose_files(
 ) -> Diagnosis:
     """Read, diagnose, and write the report, the JSON, the stage, the next excitation and the figures.
 
-    Arguments are those of `torchpi diagnose`; `command` is what was typed, `options` has
-    how the files are read. Nothing is written before all is
-    known.
+    Arguments are those of `torchpi diagnose`; `command` is the command line as typed, and `options` states
+    how the files are read. Nothing is written before all results are known.
 
     Raises:
-        ConfigError: An unknown executor.
-        ArtifactError: An output that cannot be written to.
-        RecordingError: What is wrong with a recording.
+        ConfigError: The executor is unknown.
+        ArtifactError: The output cannot be written to.
+        RecordingError: A recording cannot be used; the message states why.
     """
-    # Drawing comes with matplotlib, which a diagnosis from Python does without.
+    # Imported here, because drawing needs matplotlib and a diagnosis from Python does not.
     from torchpi.report.diagnosis_events import write_tensorboard
     from torchpi.report.diagnosis_page import write_diagnosis
     from torchpi.report.what_was_run import provenance
@@ -83,7 +82,7 @@ def diagnose_files(
 
 
 def load_simulation(text: str) -> Simulation:
-    """What `--simulation` names: a stage by its file or name, an FMU, a function, or "column"."""
+    """Load what `--simulation` names: a stage by its file or name, an FMU, a function, or "column"."""
     if text == COLUMN:
         return COLUMN
     if Path(text).suffix.lower() in (".yaml", ".yml", ".pt") or is_own_config(text, "stage"):

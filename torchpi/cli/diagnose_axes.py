@@ -1,4 +1,4 @@
-"""A diagnosis of several axes, from files to files."""
+"""A diagnosis of several axes that reads recording files and writes result files."""
 
 import json
 import time
@@ -28,9 +28,9 @@ def diagnose_axes_files(
     """Read, diagnose, and write report.html, diagnosis.json and stage.pt.
 
     Raises:
-        ArtifactError: An output that cannot be written to.
-        RecordingError: What is wrong with a recording.
-        SimulationError: A simulation that is no stage of several axes.
+        ArtifactError: The output cannot be written to.
+        RecordingError: A recording cannot be used; the message states why.
+        SimulationError: The simulation is not a stage of several axes.
     """
     from torchpi.report.axes_page import write_axes_diagnosis
     from torchpi.report.what_was_run import provenance
@@ -52,7 +52,7 @@ def diagnose_axes_files(
         held = f"{one.periods} periods" if one.periods > 1 else "no periods"
         log(f"{path}: {len(one.u):,} samples at {one.fs_hz:g} Hz, {held}, {one.u.std():.3g} V rms")
     modes = MultiAxisOptions.modes if given is None else given.shapes.modes
-    torch.set_num_threads(available_cores())  # of the fits; those of linear algebra stay single
+    torch.set_num_threads(available_cores())  # for the fits; linear algebra stays at one thread
     found = diagnose_axes(recordings, given, MultiAxisOptions(modes=modes, seconds=seconds), log)
     files = {f"recording {one.name}": str(path) for path, one in zip(paths, recordings, strict=True)}
     if simulation is not None:

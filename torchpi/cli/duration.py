@@ -1,9 +1,9 @@
-"""How long a command will take: from the size of its files, and from what this machine gives it right now.
+"""Estimate the duration of a command from the size of its files and the current speed of this machine.
 
-Printed before anything heavy is imported, so that it stands there within two seconds. The work of each
-command is counted in processor seconds, those of one core of an AMD EPYC; `machine.py` measures how many of
-them a second brings here and now. How long a diagnosis goes on depends on how much it finds: it says what is
-left after each round.
+The estimate is printed before anything heavy is imported, so that it appears within two seconds. The work of
+each command is counted in processor seconds of one core of an AMD EPYC; `machine.py` measures how many of
+them this machine currently delivers per second. The duration of a diagnosis depends on how much it finds, so
+the remaining time is printed after each round.
 """
 
 import contextlib
@@ -22,44 +22,44 @@ from torchpi.errors import ConfigError
 from torchpi.files import PACKAGE, config_file
 
 FIRST_LINES = 1 << 16
-"""Bytes of a text by which the length of its lines is judged."""
+"""Bytes of a text file from which the length of its lines is estimated."""
 BINARY_SAMPLE = 24
-"""Bytes of a sample of three doubles."""
+"""Bytes of one sample with three doubles."""
 TEXTS = (".csv", ".txt", ".dat", ".tsv", ".asc", ".lvm")
 PAPER_S = {"slow": 2.0, "fast": 1.0}
-"""Of the paper's trajectories."""
+"""Durations of the paper's trajectories."""
 SEVERAL_AXES_S = 480.0
 AXES_S = 25.0
-"""Of a diagnosis of several axes, besides its last fit."""
+"""Duration of a diagnosis of several axes without its final fit."""
 GROUPS = ("data", "model", "trainer")
 USUAL_HZ = 10_000.0
-"""Of the built-in stages; that of others is not known before torch is there."""
+"""Sample rate of the built-in stages; that of others is unknown before torch is imported."""
 MOST_SAMPLES = 200_000
-"""That a diagnosis works on; longer recordings are taken at a lower rate."""
+"""Most samples that a diagnosis works on; longer recordings are taken at a lower rate."""
 FEWEST_ROUNDS, USUAL_ROUNDS, MOST_ROUNDS = 2, 5, 7
-"""Of a search that finds anything; one that finds nothing has a single round."""
+"""Numbers of rounds of a search that finds effects; one that finds none has a single round."""
 DIAGNOSIS_S, DRAWING_S = 4.5, 8.0
-"""Of a diagnosis, what is counted with no round, and what is left after the decision, when figures are drawn;
-a search has a first round always, which most of that is counted with."""
+"""Duration of a diagnosis without its rounds, and of the drawing of figures after the decision. Every search
+has a first round, in which most of the drawing time is counted."""
 ROUND_S, SAMPLE_S = 8.5, 5.2e-4
-"""Of the first round of a search, in all and of a sample, with its share of the decision. Between what two
-machines took that run a loop of Python equally fast, one of them 1.7 times as long for a diagnosis."""
+"""Duration of the first round of a search, fixed and per sample, with its share of the decision. It lies
+between those of two machines equally fast in a Python loop, one 1.7 times as slow in a diagnosis."""
 GROWTH = 0.75
-"""The power of the number of rounds by which a search grows."""
+"""Exponent with which the duration of a search grows with the number of rounds."""
 DECISION = 0.1
-"""The decision, over the search."""
+"""Duration of the decision relative to that of the search."""
 SERIAL = 0.6
-"""Of a search, what this process does alone, while its workers have nothing to do."""
+"""Fraction of a search that this process does alone while its workers are idle."""
 
 
 def announce_check(files: Iterable[str | Path]) -> None:
-    """Before `torchpi check`."""
+    """Print the estimate for `torchpi check`."""
     sizes = _samples_in(files)
     _announce_work(3.2 + 0.25 * len(sizes) + 8e-6 * sum(sizes))
 
 
 def announce_run(trajectories: str | Sequence[str], compared: int) -> None:
-    """Before `torchpi run`, with so many compensators to compare."""
+    """Print the estimate for `torchpi run` with this number of compensators to compare."""
     names = [trajectories] if isinstance(trajectories, str) else trajectories
     own = _samples_in(name for name in names if name not in PAPER_S)
     samples = sum(own) + sum(USUAL_HZ * PAPER_S.get(name, 0.0) for name in names)
@@ -67,9 +67,9 @@ def announce_run(trajectories: str | Sequence[str], compared: int) -> None:
 
 
 def announce_diagnose(recordings: Iterable[str | Path]) -> None:
-    """Before `torchpi diagnose`: what it takes where nothing is missing, and where little or much is.
+    """Print the estimates for `torchpi diagnose` if nothing is missing, and if little or much is.
 
-    How many rounds the search will have, nobody knows before.
+    The number of rounds of the search is not known in advance.
     """
     samples = min(sum(_samples_in(recordings)), MOST_SAMPLES)
     compile_s = 0.0 if _compiled("diagnosis") else 60.0
@@ -83,25 +83,25 @@ def announce_diagnose(recordings: Iterable[str | Path]) -> None:
 
 
 def announce_axes(recordings: Iterable[str | Path], seconds: float) -> None:
-    """Before `torchpi diagnose` of several axes, whose last fit has a given time."""
+    """Print the estimate for `torchpi diagnose` of several axes, whose final fit has a given time."""
     work_s = AXES_S + 5e-4 * sum(_samples_in(recordings))
     _announce(seconds + measured(min(available_cores(), 2)).seconds(work_s))
 
 
 def search_s(rounds: int, samples: int) -> float:
-    """Of so many rounds over so many samples, with the decision."""
+    """Return the duration of a search with its decision for this number of rounds and samples."""
     seconds: float = (ROUND_S + SAMPLE_S * samples) * rounds**GROWTH
     return seconds
 
 
 class Countdown:
-    """What is left of a diagnosis, by what its rounds took so far."""
+    """Estimates the remaining time of a diagnosis from the duration of its rounds so far."""
 
     def __init__(self) -> None:
         self.retuned_s, self.rounds = 0.0, 0
 
     def left(self, sentence: str, elapsed_s: float) -> str:
-        """What to add to a sentence of its progress: where a round found something, and at the decision."""
+        """Return the text to append to a progress message after a successful round and at the decision."""
         if sentence.startswith("retuned"):
             self.retuned_s = elapsed_s
         elif found := re.match(r"round (\d+):", sentence):
@@ -110,7 +110,7 @@ class Countdown:
         if sentence.startswith("decide"):
             return self._said(DECISION * searched_s)
         if sentence.startswith("  with ") and self.rounds < MOST_ROUNDS:
-            # At least as if another round found something, and the one after it nothing.
+            # Assume at least one more round that finds something and a last one that finds nothing.
             last = min(max(self.rounds + 2, USUAL_ROUNDS), MOST_ROUNDS)
             ahead = (last / self.rounds) ** GROWTH
             return self._said(((1.0 + DECISION) * ahead - 1.0) * searched_s)
@@ -121,19 +121,19 @@ class Countdown:
 
 
 def announce_fit(arguments: Sequence[str]) -> None:
-    """Before `torchpi train`, by what follows it; silent where nothing is trained."""
+    """Print the estimate for `torchpi train` with these arguments, unless nothing is trained."""
     if arguments[:1] != ["fit"] or any(word.startswith(("-h", "--help", "--print")) for word in arguments):
         return
     with contextlib.suppress(ConfigError, OSError, yaml.YAMLError, AttributeError, TypeError, ValueError):
         data, model, trainer, several, oscillator = _settings(arguments)
         if several:
-            # A stage of several axes is fitted for a given time, however quick the machine.
+            # A stage of several axes is fitted for a given time, independent of the machine.
             print(
                 f"This will take up to {_spoken(float(several.get('seconds', SEVERAL_AXES_S)))}.", flush=True
             )
             return
         if oscillator:
-            # 130 simulations of all samples, after a search of fixed length.
+            # The fit takes 130 simulations of all samples after a search of fixed length.
             _announce_work(
                 15.0 + 2e-4 * sum(_samples_in(oscillator.get("recordings") or ())), "operators", 10.0
             )
@@ -151,7 +151,7 @@ def announce_fit(arguments: Sequence[str]) -> None:
 
 
 def _settings(arguments: Sequence[str]) -> tuple[dict[str, Any], ...]:
-    """Sections of the config, with the options after it, as far as they tell of time."""
+    """Return the config sections that determine the duration, updated with the command-line options."""
     words = [part for word in arguments[1:] for part in (word.split("=", 1) if word[:2] == "--" else [word])]
     given = dict(itertools.pairwise(words))
     config = given.get("--config") or given.get("-c")
@@ -169,12 +169,12 @@ def _announce(seconds: float, note: str = "") -> None:
 
 
 def _announce_work(processor_s: float, compiles: str = "", compile_s: float = 0.0) -> None:
-    """Print about how long it will take.
+    """Print the estimated duration of an amount of work.
 
     Args:
-        processor_s: Of one processor, with compiled kernels there.
-        compiles: The part of the package whose kernels are needed.
-        compile_s: What compiling them takes, at the first use of an installation.
+        processor_s: Seconds of one processor with kernels already compiled.
+        compiles: Part of the package whose kernels are needed.
+        compile_s: Seconds to compile these kernels at the first use of an installation.
     """
     first_s = compile_s if compiles and not _compiled(compiles) else 0.0
     seconds = measured(1).seconds(processor_s + first_s)
@@ -186,14 +186,14 @@ def _compiles(first_s: float, all_s: float) -> str:
 
 
 def _spoken(seconds: float) -> str:
-    """`8 s`, `40 s`, `3 min`: the digits that an estimate has."""
+    """Format a duration with the precision of an estimate: `8 s`, `40 s`, `3 min`."""
     if seconds < 10:
         return f"{max(1, round(seconds))} s"
     return f"{10 * round(seconds / 10)} s" if seconds < 95 else f"{round(seconds / 60)} min"
 
 
 def _samples_in(paths: Iterable[str | Path]) -> list[int]:
-    """About how many samples each of these files holds; one that cannot be read counts none."""
+    """Estimate the number of samples in each file; unreadable files count as 0."""
     return [_samples(Path(path)) for path in paths]
 
 
@@ -210,7 +210,7 @@ def _samples(path: Path) -> int:
 
 
 def _compiled(part: str) -> bool:
-    """Whether kernels of this part of the package have been compiled before."""
+    """Whether the kernels of this part of the package have been compiled before."""
     elsewhere = os.environ.get("NUMBA_CACHE_DIR")
     beside = (PACKAGE / part / "__pycache__").glob("*.nbi")
     return any(beside) or bool(elsewhere and any(Path(elsewhere).glob(f"{part}_*/*.nbi")))

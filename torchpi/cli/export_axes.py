@@ -1,4 +1,4 @@
-"""A stage of several axes and its inverse, from a training run to files: `torchpi export`."""
+"""Export a stage of several axes and its inverse from a training run: `torchpi export`."""
 
 import json
 from collections.abc import Sequence
@@ -15,9 +15,9 @@ from torchpi.stage.beside import exported_stage
 from torchpi.stage.multi_axis import MultiAxisStage
 
 BAND = 0.05
-"""Of the sample rate: the band of trajectories where none is given."""
+"""Default band of the trajectories, as a fraction of the sample rate."""
 BEYOND = 1.5
-"""Desired displacements are accepted up to so many times the largest that was recorded."""
+"""Ratio of the largest accepted desired displacement to the largest recorded one."""
 
 
 def export_axes(
@@ -25,19 +25,19 @@ def export_axes(
 ) -> list[Path]:
     """Write the inverse as NAME, the stage as a step as NAME_forward, and the stage as NAME_stage.pt.
 
-    A stage with another number of outputs than of inputs has no inverse: it is left out, and said.
+    If the numbers of outputs and inputs differ there is no inverse; it is left out, with a message.
 
     Args:
-        stage: Of the run.
-        run: Its folder.
+        stage: The stage of the run.
+        run: Folder of the run.
         output: Path without suffix.
-        formats: Of `FORMATS`; all of them by default.
-        band_hz: Of the trajectories; `BAND` of the sample rate by default.
+        formats: Some of `FORMATS`; all of them by default.
+        band_hz: Band of the trajectories; `BAND` times the sample rate by default.
 
     Raises:
-        ArtifactError: A run without what was recorded, or a name that C does not have.
-        ConfigError: Another format.
-        StageError: A band beyond that of the filters.
+        ArtifactError: The run lacks the ranges of its recordings, or the name cannot be used in C.
+        ConfigError: A format is unknown.
+        StageError: The band exceeds that of the filters.
     """
     formats = FORMATS if formats is None else formats
     files = multi_axis_files(stage, output.with_name(f"{output.name}_forward"), formats)
@@ -55,7 +55,7 @@ def export_axes(
 
 
 def inverse_of(stage: MultiAxisStage, run: Path, band_hz: float | None) -> MultiAxisInverse:
-    """The inverse at the middle amplitude that was recorded, within the voltages that were."""
+    """Return the inverse at the middle recorded amplitude, limited to the recorded voltages."""
     every = recorded(run / "metrics.json")
     levels = sorted(float(one["input_rms_v"]) for one in every)
     volts = np.array([one["input_range_v"] for one in every])
@@ -70,10 +70,10 @@ def inverse_of(stage: MultiAxisStage, run: Path, band_hz: float | None) -> Multi
 
 
 def recorded(path: Path) -> list[dict[str, Any]]:
-    """What a run has of each recording.
+    """Read the metrics of each recording of a run.
 
     Raises:
-        ArtifactError: No such file, or not what `train fit` writes.
+        ArtifactError: The file is missing, or is not what `train fit` writes.
     """
     try:
         metrics = json.loads(path.read_text(encoding="utf-8"))

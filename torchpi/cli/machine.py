@@ -1,6 +1,6 @@
-"""How quick this machine is right now: its processors, and what other processes leave of them.
+"""Current speed of this machine: its processors, and the share that other processes leave.
 
-Nothing heavy is imported here: it is measured before torch is there, within a second.
+Nothing heavy is imported here, because the measurement runs within a second, before torch is imported.
 """
 
 import hashlib
@@ -13,25 +13,25 @@ from statistics import median
 from torchpi.cli.workers import available_cores
 
 LOOPS, LOOPS_S = 300_000, 0.024
-"""A loop of plain Python, and its processor time where the work of the commands was measured."""
+"""Iterations of a plain Python loop, and its processor time on the reference machine of `duration.py`."""
 TIMES = 9
-"""That it runs: a processor that was idle is slow at first, one that shares its core by moments."""
+"""Number of runs of the loop: an idle processor starts slowly, and one that shares its core varies."""
 WINDOW_S = 0.3
-"""Of watching what one thread is given, and what several are: longer than a scheduler takes to be fair."""
+"""Time over which the share of one and of several threads is measured, longer than a scheduler's fairness."""
 BLOCK = bytes(1 << 18)
-"""What the threads hash meanwhile; Python's lock is free then."""
+"""Data that the threads hash meanwhile, which releases Python's global lock."""
 FAIR = 0.6
-"""Of an equal share of the processors, at least taken to be given: less is a moment that passes."""
+"""Least assumed fraction of an equal share of the processors; less is taken to be temporary."""
 
 
 @dataclass(frozen=True)
 class Machine:
-    """What a process gets of it.
+    """Computing power available to a process.
 
     Attributes:
-        speed: Of a processor, over that on which the work was measured.
-        alone: Processors that one thread is given, at most 1.
-        together: Processors that as many processes are given as a command starts, in all.
+        speed: Speed of a processor relative to the reference machine.
+        alone: Processors available to one thread, at most 1.
+        together: Processors available in total to the processes that a command starts.
     """
 
     speed: float
@@ -39,13 +39,13 @@ class Machine:
     together: float
 
     def seconds(self, alone: float, shared: float = 0.0) -> float:
-        """How long work takes that needs so many processor seconds, in one thread and shared out."""
+        """Return the duration of work in processor seconds: `alone` in one thread, `shared` by several."""
         return (alone / self.alone + shared / self.together) / self.speed
 
 
 @cache
 def measured(processes: int) -> Machine:
-    """This machine, now, for a command of so many processes."""
+    """Measure this machine for a command with this number of processes."""
     alone = _processors(1)
     return Machine(_speed(), alone, max(alone, _processors(processes)) if processes > 1 else alone)
 
@@ -61,7 +61,7 @@ def _speed() -> float:
 
 
 def _processors(threads: int) -> float:
-    """Processor time a second that so many busy threads get together."""
+    """Measure the processor time per second that busy threads get in total."""
     wall, processor = time.perf_counter(), time.process_time()
     busy = [threading.Thread(target=_work, args=(wall + WINDOW_S,)) for _ in range(threads)]
     for thread in busy:
@@ -76,7 +76,7 @@ def _processors(threads: int) -> float:
 
 
 def _runnable() -> int:
-    """Processes and threads that run or could, with those of this one; 0 where the system does not say."""
+    """Return the number of runnable processes and threads, including ours; 0 if the system does not tell."""
     try:
         with open("/proc/loadavg") as file:
             return int(file.read().split()[3].partition("/")[0])

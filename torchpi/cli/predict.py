@@ -1,4 +1,4 @@
-"""What a stage does with a voltage in a file: `torchpi predict`."""
+"""Predict the response of a stage to a voltage from a file: `torchpi predict`."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -22,7 +22,7 @@ from torchpi.stage.multi_axis import MultiAxisStage
 from torchpi.stage.multi_axis.stage import RATE_TOLERANCE
 
 AT_A_TIME = 1 << 16
-"""Samples that are predicted at a time: memory beside the signals themselves does not grow with the file."""
+"""Number of samples predicted at a time, so that memory beyond the signals does not grow with the file."""
 
 
 def predict_file(
@@ -33,26 +33,26 @@ def predict_file(
     simulation: str | None = None,
     periodic: bool = False,
 ) -> Recording | MultiAxisRecording:
-    """Read time_s,input_v[,aux_…], write the same with output_um: `predict` over a file.
+    """Read time_s,input_v[,aux_…] and write the same with output_um: `predict` over a file.
 
-    With the stage of several axes, time_s,input_1_v,input_2_v,…, and output_1_um,output_2_um,… beside them;
-    with an oscillator, time_s,force_n or, a newton for a volt, time_s,input_v.
+    For a stage of several axes the columns are time_s,input_1_v,input_2_v,… and output_1_um,output_2_um,…;
+    for an oscillator they are time_s,force_n or, with one newton per volt, time_s,input_v.
 
     Args:
-        stage: the file that a diagnosis left.
-        recording: a file of any kind that `read_recording` reads.
+        stage: the stage file of a diagnosis.
+        recording: a file in any format that `read_recording` reads.
         output: CSV to write.
-        options: which column is the voltage, in which unit; those of the displacement are of no use here.
-        simulation: what a stage calls that corrects a simulation: a file only names it, and loads no code.
-        periodic: the file is one period of many before, and the prediction that of the steady state; of an
-            oscillator alone.
+        options: which column is the voltage, and its unit; options of the displacement have no effect.
+        simulation: the simulation that a correcting stage calls; its file only names it and loads no code.
+        periodic: the file is one period of a periodic input, and the steady state is predicted; for an
+            oscillator only.
 
     Raises:
-        ArtifactError: `stage` is no stage file.
-        ConfigError: Another stage than an oscillator is to predict a steady state.
+        ArtifactError: `stage` is not a stage file.
+        ConfigError: A steady state is requested of a stage other than an oscillator.
         RecordingError: A column is missing, or is not as expected.
         SimulationError: The stage corrects a simulation that was not given, or that fails.
-        StageError: The stage has no meaning at the file's sample rate.
+        StageError: The stage is not valid at the sample rate of the file.
     """
     own = load_own_kind(stage)
     if isinstance(own, BoucWenOscillator):
@@ -94,12 +94,12 @@ def predict_multi_axis(
     options: RecordingOptions | None,
     simulation: str | None,
 ) -> MultiAxisRecording:
-    """Read time_s,input_1_v,input_2_v,…, write the same with output_1_um,output_2_um,…, from rest.
+    """Read time_s,input_1_v,input_2_v,… and write the same with output_1_um,output_2_um,…, from rest.
 
-    For the steady state of a periodic input the file carries a period before those that count.
+    For the steady state of a periodic input, the file must include one additional period at its start.
 
     Raises:
-        RecordingError: Another number of inputs, or another sample rate.
+        RecordingError: The number of inputs or the sample rate differs.
         SimulationError: A simulation was given, which such a stage does not call.
     """
     if simulation is not None:
@@ -124,17 +124,17 @@ def predict_oscillator(
     options: RecordingOptions,
     periodic: bool,
 ) -> Recording:
-    """Read time_s,force_n or time_s,input_v, write the same with output_um.
+    """Read time_s,force_n or time_s,input_v and write the same with output_um.
 
     Raises:
         RecordingError: A column is missing, or is not as expected.
-        StageError: The oscillator has no meaning at the file's sample rate, or diverges.
+        StageError: The oscillator is not valid at the sample rate of the file, or diverges.
     """
     options = with_force(recording, options)
     u = read_signal(
         recording, options.input_column, option="input_column", options=options, unit=options.input_unit
     )
-    # Stamps of few digits leave the rate open; a resonance does not.
+    # Time stamps with few digits give the rate only roughly, but a resonance needs it exactly.
     same = abs(u.fs_hz - oscillator.sample_rate_hz) <= RATE_TOLERANCE * oscillator.sample_rate_hz
     at_rate = oscillator if same else oscillator.at_sample_rate(u.fs_hz)
     y = at_rate.simulate(torch.from_numpy(u.x)[None], periodic)[0].numpy()
@@ -144,15 +144,15 @@ def predict_oscillator(
 
 
 def with_simulation(stage: Stage, path: str, simulation: str | None) -> Stage:
-    """The stage with what it calls, if it calls anything.
+    """Return the stage with the simulation that it calls, if it calls one.
 
     Args:
-        stage: As its file has it.
-        path: Of its file.
-        simulation: What was given to be called.
+        stage: The stage as in its file.
+        path: Path of the file.
+        simulation: The given simulation.
 
     Raises:
-        SimulationError: The one is there without the other.
+        SimulationError: The stage needs a simulation and none is given, or vice versa.
     """
     calls = stage.simulation if stage.simulation != COLUMN else ""
     if simulation in (None, COLUMN) and calls:
@@ -168,7 +168,7 @@ def with_simulation(stage: Stage, path: str, simulation: str | None) -> Stage:
 
 
 def calls_nothing(path: str, simulation: str | None) -> SimulationError:
-    """The error where a simulation is given to a stage that has no use for it."""
+    """Return the error for a simulation given to a stage that calls none."""
     return SimulationError(f"{path}: found a stage that calls nothing, expected no simulation {simulation}")
 
 
@@ -177,7 +177,7 @@ def predict(
     u: np.ndarray,  # (time,), V
     aux: dict[str, np.ndarray],  # (time,) each
 ) -> np.ndarray:  # (time,), µm
-    """The reading from the de-energised state, at the stage's own rate, without noise or converters."""
+    """Return the reading from the de-energised state at the stage's own rate, without noise or converters."""
     y, state, of_sensor = np.empty(len(u)), None, None
     at_a_time = len(u) if stage.simulation else AT_A_TIME  # a simulation is called with whole records
     with torch.no_grad():

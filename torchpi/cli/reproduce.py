@@ -1,4 +1,4 @@
-"""Run the whole paper, or parts of it: every result stored as soon as it is there, one page at the end."""
+"""Reproduce the whole paper or parts of it: each result is stored at once, one page is written at the end."""
 
 import hashlib
 import json
@@ -30,7 +30,7 @@ from torchpi.report.what_was_run import provenance
 from torchpi.stage import Stage
 
 DEFAULT_STAGE = Path("qin2013")
-# What results do not depend on: a page drawn otherwise needs nothing computed again.
+# Packages that results do not depend on, so that a change of the page needs no new computation.
 NOT_COMPUTING = ("report", "export", "cli", "loop", "commission")
 
 
@@ -41,24 +41,24 @@ def reproduce(
     size: Size = FULL,
     recipe: Recipe = RECIPE,
 ) -> Path:
-    """Compute what is not there yet, and write `paper.html` and `results.json` into `output`.
+    """Compute the missing results, and write `paper.html` and `results.json` into `output`.
 
-    Every result is kept in `output/items` under a hash of what it was computed from, so that an interrupted
-    run goes on where it stopped. The page shows all that is there, in the paper's order.
+    Every result is kept in `output/items` under a hash of its inputs, so that an interrupted run continues
+    where it stopped. The page shows all available results in the order of the paper.
 
     Args:
-        output: Folder; made if need be.
-        only: Names of figures and experiments to compute, and what they need; None is all.
+        output: Folder, created if necessary.
+        only: Names of figures and experiments to compute with their prerequisites; None for all.
         stage: Stage file of the simulated rig.
-        size: How much of each; the whole by default.
+        size: Extent of the computation; the whole by default.
         recipe: How torchpi's compensators are learned.
 
     Returns:
-        The page.
+        Path of the page.
 
     Raises:
-        ConfigError: An unknown name; the text lists the known ones. Or a stage file that is none.
-        StageError: A stage with an unphysical value.
+        ConfigError: A name is unknown (the message lists the known ones), or the stage file is invalid.
+        StageError: The stage has an unphysical value.
         ArtifactError: `output` cannot be written to.
     """
     names = chosen(only)
@@ -70,7 +70,7 @@ def reproduce(
     seconds: dict[str, float] = {}
 
     def take(name: str) -> bool:
-        """Whether the result was there."""
+        """Restore a stored result; return whether there was one."""
         found: tuple[Any, float] | None = restore(ITEMS[name].result, keys[name], _file(output, name))
         if found is not None:
             done[name], seconds[name] = found
@@ -89,7 +89,7 @@ def reproduce(
                 progress.console.print(f"{name:12} {seconds[name]:6.1f} s")
             progress.advance(task)
         progress.update(task, description="page")
-        # What an earlier run has computed of the same stage stands on the page as well.
+        # The page also shows results that an earlier run computed for the same stage.
         for name in ITEMS:
             if name not in done:
                 take(name)
@@ -97,10 +97,10 @@ def reproduce(
 
 
 def chosen(only: Iterable[str] | None) -> list[str]:
-    """The names, checked; all of them for None.
+    """Return the checked names, or all names for None.
 
     Raises:
-        ConfigError: A name that is none.
+        ConfigError: A name is unknown.
     """
     names = list(ITEMS) if only is None else list(only)
     for name in names:
@@ -114,7 +114,7 @@ def chosen(only: Iterable[str] | None) -> list[str]:
 
 
 def _with_needs(names: list[str]) -> Iterator[str]:
-    """The names and what they need, needs first, each once."""
+    """Yield the names and their prerequisites, prerequisites first, each once."""
     seen: set[str] = set()
 
     def visit(name: str) -> Iterator[str]:
@@ -129,7 +129,7 @@ def _with_needs(names: list[str]) -> Iterator[str]:
 
 
 def _keys(plant: Stage, size: Size, recipe: Recipe) -> dict[str, str]:
-    """A hash for each item, of everything that its result depends on."""
+    """Return a hash for each item of everything that its result depends on."""
     code = _code_hash()
     learned = [f"{one.__module__}.{one.__qualname__}" for one in (recipe.fig7, recipe.stage)]
     settings = plant.to_dict()
@@ -147,7 +147,7 @@ def _any_needs_the_stage(item: Item) -> bool:
 
 
 def _code_hash() -> str:
-    """Of the package's own source, without what only reads or draws."""
+    """Hash the source of the package without the parts that do not affect results."""
     root = Path(torchpi.__file__).parent
     digest = hashlib.sha256()
     for path in sorted(root.rglob("*.py")):
@@ -169,7 +169,7 @@ def _progress() -> Progress:
         MofNCompleteColumn(),
         TimeElapsedColumn(),
         console=Console(stderr=True),
-        disable=not sys.stderr.isatty(),  # where errors stand alone
+        disable=not sys.stderr.isatty(),  # a log file then holds only errors
     )
 
 

@@ -1,4 +1,4 @@
-"""An exported compensator in a control loop against a simulated stage: `torchpi run`."""
+"""Run an exported compensator in a control loop against a simulated stage: `torchpi run`."""
 
 import math
 import warnings
@@ -30,13 +30,13 @@ def run_files(
     seed: int | None,
     command: str,
 ) -> None:
-    """Run along each trajectory, print what is left, and write loop.html and loop.json.
+    """Run along each trajectory, print the remaining error, and write loop.html and loop.json.
 
-    Arguments are those of `torchpi run`; `command` is what was typed.
+    Arguments are those of `torchpi run`; `command` is the command line as typed.
 
     Raises:
-        ArtifactError: A compensator or a stage that cannot be used.
-        RecordingError: A trajectory that cannot be used.
+        ArtifactError: A compensator or a stage cannot be used.
+        RecordingError: A trajectory cannot be used.
     """
     loaded = load_torchscript(compensator)
     if stage is None:

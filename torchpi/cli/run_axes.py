@@ -1,4 +1,4 @@
-"""An exported inverse of several axes against a simulated stage: `torchpi run`."""
+"""Run an exported inverse of several axes against a simulated stage: `torchpi run`."""
 
 import json
 from collections.abc import Sequence
@@ -26,21 +26,21 @@ RANDOM, RANDOM_S = "random", 3.0
 def run_axes(
     numbers: Path, stage: Path | None, trajectory: str | Sequence[str] | None, output: Path
 ) -> list[AxesTracking]:
-    """Drive the stage along each trajectory, print what is left, and write loop.json.
+    """Drive the stage along each trajectory, print the remaining error, and write loop.json.
 
-    The numbers of NAME.json are what runs: the steps of NAME.pt and NAME.c have their bits.
+    The numbers of NAME.json are run; the steps of NAME.pt and NAME.c give the same bits.
 
     Args:
         numbers: NAME.json, with NAME_stage.pt beside it.
-        stage: The plant; by default NAME_stage.pt.
+        stage: File of the plant; by default NAME_stage.pt.
         trajectory: CSVs with columns time_s,yd_1_um,yd_2_um,…, or random.
-        output: Folder.
+        output: Folder for loop.json.
 
     Raises:
-        ArtifactError: Files that are damaged, or do not belong together.
-        ConfigError: A trajectory that there is not.
-        RecordingError: A trajectory that cannot be used.
-        StageError: A stage with other axes.
+        ArtifactError: Files are damaged, or do not belong together.
+        ConfigError: A trajectory does not exist.
+        RecordingError: A trajectory cannot be used.
+        StageError: The stage has other axes.
     """
     check_output_folder(output)
     inverse = read_inverse(numbers, axes_stage(exported_stage(numbers.with_suffix(""))))
@@ -61,10 +61,10 @@ def run_axes(
 
 
 def axes_stage(path: Path) -> MultiAxisStage:
-    """The stage of several axes in a file.
+    """Load the stage of several axes from a file.
 
     Raises:
-        ArtifactError: There is none.
+        ArtifactError: The file has none.
     """
     found = load_axes(path)
     if found is None:
@@ -75,11 +75,11 @@ def axes_stage(path: Path) -> MultiAxisStage:
 
 
 def trajectory_of(name: str, inverse: MultiAxisInverse) -> np.ndarray:
-    """(time, outputs), µm.
+    """Return the desired displacements of a trajectory, (time, outputs), µm.
 
     Raises:
-        ConfigError: No such trajectory.
-        RecordingError: Another number of axes, or another sample rate.
+        ConfigError: The trajectory does not exist.
+        RecordingError: The number of axes or the sample rate differs.
     """
     rate, outputs = inverse.stage.sample_rate_hz, inverse.stage.outputs
     if name == RANDOM:
@@ -101,7 +101,7 @@ def trajectory_of(name: str, inverse: MultiAxisInverse) -> np.ndarray:
 
 
 def table(tracked: AxesTracking) -> str:
-    """Errors and coupling of each axis, in lines of text."""
+    """Format the errors and coupling of each axis as lines of text."""
     rows = [("axis", "desired rms", "error", "moves others", "linear inverse", "moves others")]
     for k, desired in enumerate(tracked.desired_um):
         rows.append(

@@ -1,4 +1,4 @@
-"""A recording of a simulated stage of several axes: `torchpi simulate`."""
+"""Record a simulated stage of several axes: `torchpi simulate`."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -13,9 +13,9 @@ from torchpi.excitation.signals import make_excitation
 from torchpi.recordings.multi_axis import MultiAxisRecording, write_multi_axis
 
 PEAK = 3.0
-"""Of the voltages, in units of the widest threshold of the inputs' plays, which is their rms in a fit."""
+"""Peak voltage in units of the widest threshold of the input plays, which is the rms voltage of a fit."""
 BAND = 0.4
-"""Of the sample rate, that is excited."""
+"""Excited band as a fraction of the sample rate."""
 
 
 def simulate_axes(
@@ -26,20 +26,20 @@ def simulate_axes(
     seed: int,
     options: Mapping[str, Any],
 ) -> MultiAxisRecording:
-    """Play an excitation of random phases on every input, and write what the stage does, without noise.
+    """Apply an excitation with random phases to every input, and write the noise-free response of the stage.
 
     Args:
-        path: Of a stage of several axes.
-        excitation: One that has random phases: others move all inputs in proportion.
+        path: File of a stage of several axes.
+        excitation: One with random phases, because others move all inputs in proportion.
         output: CSV to write.
-        duration_s: As for one axis.
-        seed: Of the first input; the next has the next.
-        options: Of the excitation; its voltages are those that were fitted, by default.
+        duration_s: Length of the recording, s, with the default for one axis.
+        seed: Seed of the first input; each further input has the next one.
+        options: Options of the excitation; by default its voltages are those of the fit.
 
     Raises:
-        ArtifactError: A file with another stage.
-        ConfigError: An excitation without random phases, or an option that it does not have.
-        StageError: Voltages without a bounded answer.
+        ArtifactError: The file has another stage.
+        ConfigError: The excitation has no random phases, or not this option.
+        StageError: The response to the voltages is unbounded.
     """
     stage = axes_stage(path)
     if excitation != "multisine":

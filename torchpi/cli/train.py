@@ -1,4 +1,4 @@
-"""`torchpi train`: a command line of Lightning's, in a package that stands above torchpi and imports it."""
+"""`torchpi train`: a Lightning command line in a separate package that imports torchpi."""
 
 from collections.abc import Mapping
 from importlib import import_module, util
@@ -7,11 +7,11 @@ from typing import Any
 
 
 def train_cli() -> ModuleType:
-    """In a wheel it lies inside torchpi, in a checkout beside it."""
+    """Import the package, which lies inside torchpi in a wheel and beside it in a checkout."""
     return import_module("torchpi.train.cli" if util.find_spec("torchpi.train") else "train.cli")
 
 
 def parsers() -> Mapping[str, Any]:
-    """Of its subcommands, for a shell's completions."""
+    """Return the parsers of its subcommands, for shell completion."""
     of_subcommands: Mapping[str, Any] = train_cli().Options().parsers()
     return of_subcommands

@@ -1,6 +1,6 @@
-"""Worker processes that end with the process that started them, however it ended.
+"""Worker processes that end with the process that started them, however that process ends.
 
-Nothing heavy is imported here: a worker has to watch its parent before it spends seconds on importing torch.
+Nothing heavy is imported here, because a worker must watch its parent before it spends seconds on torch.
 """
 
 import os
@@ -15,24 +15,24 @@ from multiprocessing import get_context
 
 MOST_WORKERS = 3
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-"""What libraries of linear algebra read, once, as they are imported."""
+"""Environment variables that linear-algebra libraries read once, when they are imported."""
 WATCH_S = 0.2
 LEFT_SEMAPHORES = "ignore::UserWarning:multiprocessing.resource_tracker"
 
 
 def available_cores() -> int:
-    """Cores that this process may use."""
+    """Return the number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 @contextmanager
 def worker_pool(get_ready: Callable[[], object]) -> Iterator[Executor | None]:
-    """Processes for all cores but the one that this process has, or None where there is only one.
+    """Start processes for all cores but the one of this process, at most `MOST_WORKERS`; None for one core.
 
-    An error in the block, an interrupt above all, kills them at once.
+    An error in the block, in particular an interrupt, kills the workers at once.
 
     Args:
-        get_ready: Called in each worker while the block has begun, so that it imports what it will need.
+        get_ready: Called in each worker as the block begins, so that the worker imports what it needs.
     """
     workers = min(available_cores() - 1, MOST_WORKERS)
     if workers == 0:
@@ -42,7 +42,7 @@ def worker_pool(get_ready: Callable[[], object]) -> Iterator[Executor | None]:
     with _one_thread_each(), _quiet_tracker():
         pool = ProcessPoolExecutor(workers, get_context("spawn"), end_with_parent, (os.getpid(),))
         try:
-            with _signals_after():  # between its start and its entry in the pool nobody could end a worker
+            with _signals_after():  # a worker could not be ended between its start and its entry in the pool
                 for _ in range(workers):
                     pool.submit(get_ready)
             yield pool
@@ -53,20 +53,20 @@ def worker_pool(get_ready: Callable[[], object]) -> Iterator[Executor | None]:
 
 
 def _kill(pool: ProcessPoolExecutor) -> None:
-    """Kill the workers; the pool, broken, then gives up what is pending."""
+    """Kill the workers; the broken pool then gives up its pending tasks."""
     for process in list((pool._processes or {}).values()):
         process.kill()
-    # What is on its way to the workers has no reader any more, and would be waited for at exit.
+    # Data queued for the workers has no reader any more; without this, exit would wait for it.
     if (queue := getattr(pool, "_call_queue", None)) is not None:
         queue.cancel_join_thread()
     pool.shutdown(wait=False)
 
 
 def end_with_parent(parent: int) -> None:
-    """In a worker: leave an interrupt to the parent, and end when the parent is gone.
+    """Make a worker leave interrupts to its parent and end when the parent is gone.
 
     Args:
-        parent: Its process id.
+        parent: Process id of the parent.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
@@ -80,7 +80,7 @@ def end_with_parent(parent: int) -> None:
 
 @contextmanager
 def _signals_after() -> Iterator[None]:
-    """Interrupts and terminations wait for the end of the block."""
+    """Defer interrupts and terminations to the end of the block."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -98,9 +98,9 @@ def _signals_after() -> Iterator[None]:
 
 @contextmanager
 def _quiet_tracker() -> Iterator[None]:
-    """Python's tracker of semaphores, if it starts meanwhile, will not warn of those that this process leaves
-    when it is killed: it removes them."""
-    sys.warnoptions.append(LEFT_SEMAPHORES)  # inherited by what starts
+    """Keep Python's semaphore tracker, if it starts meanwhile, from warning about semaphores that this
+    process leaves when killed; the tracker removes them."""
+    sys.warnoptions.append(LEFT_SEMAPHORES)  # inherited by processes started meanwhile
     try:
         yield
     finally:
@@ -109,8 +109,8 @@ def _quiet_tracker() -> Iterator[None]:
 
 @contextmanager
 def _one_thread_each() -> Iterator[None]:
-    """Processes that start meanwhile multiply matrices in one thread: as many as cores for each of as many
-    processes take three times as long."""
+    """Limit processes started meanwhile to one thread for linear algebra. As many threads as cores in each of
+    as many processes take three times as long."""
     before = {name: os.environ.get(name) for name in THREADS}
     os.environ.update(dict.fromkeys(THREADS, "1"))
     try:

@@ -1,1 +1,1 @@
-"""Compensators, their step in a control loop, and what keeps them within what the stage bears."""
+"""Compensators, their step in a control loop, and the guard that keeps them within what the stage bears."""

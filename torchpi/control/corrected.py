@@ -1,13 +1,13 @@
-"""A direct inverse corrected by a model of the stage, which shows ahead of time what the inverse misses.
+"""A direct inverse corrected by a model of the stage, which predicts the error that the inverse leaves.
 
     u_0 = the direct inverse of y_d                                     eq. 8
     e_p = y_d - F[u_p]                                                  F: eq. 8 read forwards, from u to y
     u_{p+1}(k) = u_p(k) + Σ_j L_p(j) e_p(k + j),   j = -before … ahead
 
-A stage that answers with its input's own rate has no stable causal inverse of the form of eq. 8; a few
-passes with a look-ahead come as near to it as needed (iterative learning control, Arimoto 1984, run
-ahead of time on a model instead of from trial to trial on the stage). Everything is identified from
-recordings; with no pass it is the paper's compensator.
+A stage that responds to the rate of its own input has no stable causal inverse of the form of eq. 8; a few
+passes with a look-ahead approximate the inverse as closely as needed (iterative learning control, Arimoto
+1984, run ahead of time on a model instead of from trial to trial on the stage). Everything is identified
+from recordings; without passes it is the paper's compensator.
 """
 
 from dataclasses import replace
@@ -28,11 +28,11 @@ class CorrectedInverse(nn.Module):
     """A direct inverse, and passes of correction by a forward model.
 
     Args:
-        start: u_0; its output limits should be wide, those here count.
+        start: u_0; its output limits should be wide, because those given here apply.
         model: F, the same operator identified from voltage to displacement, from samples of u up to the
             present one.
         filters: L_p of each pass, (passes, before + 1 + ahead), V/µm, from j = ahead down to j = -before:
-            the newest error first, as the step meets them.
+            the newest error first, in the order the step needs.
         ahead: How many samples a filter looks ahead.
         min_voltage_v: Lower output limit.
         max_voltage_v: Upper output limit.
@@ -74,7 +74,7 @@ class CorrectedInverse(nn.Module):
         self.max_voltage_v = max_voltage_v
 
     def forward(self, motion: Motion) -> Tensor:
-        """The voltage for a desired motion from the de-energised state, within the output limits.
+        """Return the voltage for a desired motion from the de-energised state, within the output limits.
 
         Shapes: (batch, time) in µm, µm/s, µm/s² to (batch, time) in V. Sample t of the motion is the one
         `preview` periods ahead of sample t of the voltage.
@@ -83,7 +83,7 @@ class CorrectedInverse(nn.Module):
         return v.clamp(self.min_voltage_v, self.max_voltage_v)
 
     def passes(self, motion: Motion, count: int) -> tuple[Tensor, Tensor]:
-        """u_p after `count` passes, and its error e_p, both as late as the look-ahead spent so far."""
+        """Return u_p after `count` passes and its error e_p, both delayed by the look-ahead used so far."""
         v, _ = self.inverse.voltage(motion)
         late = self.inverse.preview
         e = self.miss(motion.yd, v, late)
@@ -102,12 +102,12 @@ class CorrectedInverse(nn.Module):
         v: Tensor,  # (batch, time), V
         late: int,
     ) -> Tensor:  # (batch, time), µm
-        """e = y_d - F[u], y_d being `late` samples old when its voltage comes out."""
+        """Return e = y_d - F[u], where y_d is `late` samples old when its voltage is output."""
         answer, _ = self.model.voltage(backward_motion(v, self.sample_period_s))
         return delayed(yd, late) - answer
 
     def stream(self, reference_filter: ReferenceFilter | None = None) -> CompensatorStream:
-        """The compensator one sample at a time, scriptable, by the contract of every compensator."""
+        """Return the compensator as a scriptable stream with the interface of every compensator."""
         return CorrectedStream(self, reference_filter)
 
 
@@ -180,7 +180,7 @@ class PassStream(nn.Module):
 
     @torch.jit.export
     def reset_at(self, yd: float, v: float) -> float:
-        """As after a long rest at yd under v; returns the voltage corrected."""
+        """Set the state as after a long rest at yd under v; return the corrected voltage."""
         answer: float = self.model.reset_at(v)
         self.desired.reset_at(yd)
         self.voltage.reset_at(v)
@@ -228,7 +228,7 @@ class Line(nn.Module):
 
     @torch.jit.export
     def past(self, samples: int) -> float:
-        """The sample that came so many before the newest."""
+        """Return the sample that came so many samples before the newest."""
         return self.kept[(self.newest + len(self.kept) - samples) % len(self.kept)]
 
 
@@ -257,7 +257,7 @@ class Reference(nn.Module):
 
 
 def delayed(x: Tensor, samples: int) -> Tensor:
-    """x a number of samples ago, zero before its first. Shape: (batch, time)."""
+    """Return x delayed by a number of samples, zero before its first. Shape: (batch, time)."""
     if samples == 0:
         return x
     return nn.functional.pad(x, (samples, 0))[:, : x.shape[1]]

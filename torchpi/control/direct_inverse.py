@@ -34,8 +34,8 @@ from torchpi.recordings.identity import is_sha256
 MOST_PLAYS = 200  # ten times the usual; the step is written out play by play
 MOST_RELAXATIONS = 30
 MOST_HIDDEN = 200
-LARGEST_THRESHOLD = 1e12  # as of the values of a recording
-HIGHEST_DEGREE = 30  # far above what any loop needs; a file may ask for anything
+LARGEST_THRESHOLD = 1e12  # as for the values of a recording
+HIGHEST_DEGREE = 30  # far above what any loop needs; files could ask for more
 
 
 class DirectInverse(nn.Module):
@@ -45,22 +45,22 @@ class DirectInverse(nn.Module):
         sample_period_s: T of the control loop and of the recordings.
         thresholds: r of the plays, in the unit of S(y), about µm; the first one 0 as in the paper.
         degree: m, degree of the saturation polynomial (eq. 4).
-        rate: How the weights follow the rate: `none` (eq. 6), `linear` (eq. 7) or `neural`.
+        rate: How the weights depend on the rate: `none` (eq. 6), `linear` (eq. 7) or `neural`.
         output_degree: Degree of the plays' own output functions; 1 is the paper's weighted sum, 2 or 3 fit
             loops that are asymmetric or differ with the bias.
-        preview: How many samples the desired trajectory is seen ahead; 0 is the paper's case.
+        preview: How many samples ahead the desired trajectory is seen; 0 is the paper's case.
         lead: Order of the lead that undoes the stage's linear dynamics, 0 (the paper), 1 or 2.
         creep_time_constants_s: T_j of the relaxations that undo creep; none is the paper.
         offset: Whether a constant voltage u_0 is learned, for recordings with an arbitrary zero.
         min_voltage_v: Lower output limit.
         max_voltage_v: Upper output limit.
-        range_um: A typical displacement, which scales the trained numbers to like size.
+        range_um: A typical displacement, which scales the trained numbers to similar size.
         rate_scale_um_s: A typical rate, likewise.
         hidden: Size of the neural rate head.
         train_thresholds: Whether gradients reach the thresholds.
-        trained: Ranges of what it was trained on, `TrainedMotions.plain()`; None where that is not known.
+        trained: Ranges of what it was trained on, `TrainedMotions.plain()`; None if that is not known.
         max_slew_v_s: Largest rate of the deployed step's voltage, V/s; None for any.
-        recordings_sha256: `recordings_sha256` of what it was trained on; None where that is not known.
+        recordings_sha256: `recordings_sha256` of what it was trained on; None if that is not known.
 
     Raises:
         ConfigError: A value out of its range; the text names it.
@@ -145,7 +145,7 @@ class DirectInverse(nn.Module):
         self.offset = nn.Parameter(torch.zeros((), dtype=torch.float64), requires_grad=offset)
 
     def forward(self, motion: Motion) -> Tensor:
-        """The voltage for a desired motion from the de-energised state, within the output limits.
+        """Return the voltage for a desired motion from the de-energised state, within the output limits.
 
         Shapes: (batch, time) in µm, µm/s, µm/s² to (batch, time) in V. Sample t of the motion is the
         one `preview` periods ahead of sample t of the voltage.
@@ -158,7 +158,7 @@ class DirectInverse(nn.Module):
         motion: Motion,
         state: Tensor | None = None,  # (batch, relaxations + plays), in the units of y_d and of S(y)
     ) -> tuple[Tensor, Tensor]:
-        """Eq. 8 before the output limits, and the state after it: what identification and training fit."""
+        """Return eq. 8 without the limits, which identification and training fit, and the state after it."""
         if motion.yd.device.type != "cpu" or not HAS_COMPILER:
             h, state = self.play_states(motion, state)
             return self.weighted(h, self.weights.basis(motion.yd_dot)), state
@@ -179,7 +179,7 @@ class DirectInverse(nn.Module):
             weights.rate_scale_um_s,
             self.range_um,
         )
-        # Joining has its cost, in a pass of some milliseconds, even where one part is empty.
+        # In a pass of some milliseconds, concatenation has a noticeable cost even if one part is empty.
         return u, torch.cat([creep, plays], 1) if len(self.creep_gains) > 0 else plays.to(creep.dtype)
 
     def weighted(
@@ -187,19 +187,19 @@ class DirectInverse(nn.Module):
         h: Tensor,  # (batch, time, plays), in the unit of S(y)
         basis: Tensor,  # (batch, time, functions of the rate), without unit
     ) -> Tensor:  # (batch, time), V
-        """What is linear in the weights: Σ_i w_i h_i + u_0."""
+        """Return what is linear in the weights: Σ_i w_i h_i + u_0."""
         theta, psi, offset = (part.to(h.dtype) for part in (self.weights.theta, self.psi, self.offset))
         return weighted_sum(h, basis, theta, psi, self.range_um) + offset
 
     def play_states(self, motion: Motion, state: Tensor | None = None) -> tuple[Tensor, Tensor]:
-        """H_r[S(x)], (batch, time, plays), and the state after it, in the units of `voltage`."""
+        """Return H_r[S(x)], (batch, time, plays), and the state after it, in the units of `voltage`."""
         x, creep, plays = self._compensated(motion, state)
         s, _ = self.saturation(x)
         h, plays = self.plays(s, plays)
         return h, torch.cat([creep, plays], 1)
 
     def _compensated(self, motion: Motion, state: Tensor | None) -> tuple[Tensor, Tensor, Tensor]:
-        """x, which undoes delay and creep; the state of the relaxations after it, of the plays before."""
+        """Return x, which undoes delay and creep, the relaxations' state after it and the plays' before."""
         if state is None:
             state = self.initial_state(len(motion.yd))
         creep, plays = state.split([len(self.creep_gains), len(self.psi)], 1)
@@ -213,13 +213,13 @@ class DirectInverse(nn.Module):
         return x, creep, plays
 
     def initial_state(self, batch: int) -> Tensor:
-        """The de-energised state. Shape: (batch, relaxations + plays)."""
+        """Return the de-energised state. Shape: (batch, relaxations + plays)."""
         return self.offset.detach().new_zeros(batch, len(self.creep_gains) + len(self.psi))
 
     @property
     def lead(self) -> Tensor:
         """τ_1 in s, τ_2 in s², as many as the order of the lead."""
-        # Trained in units of the sample period, which are of size one.
+        # Trained in units of the sample period, in which it is of order one.
         powers = torch.arange(1, len(self.scaled_lead) + 1, dtype=torch.float64)
         return self.scaled_lead * self.sample_period_s**powers
 
@@ -228,21 +228,21 @@ class DirectInverse(nn.Module):
         x: Tensor,  # (time,), µm
         rate_um_s: float = 0.0,
     ) -> Tensor:  # (time,), V
-        """Eq. 8 along x from the de-energised state at a constant rate, before lead, creep and limits."""
+        """Return eq. 8 along x from the de-energised state at a constant rate; no lead, creep or limits."""
         h, _ = self.plays(self.saturation(x[None])[0])
         return self.weighted(h, self.weights.basis(torch.full_like(x, rate_um_s)[None]))[0]
 
     def reach(self, rate_um_s: float = 0.0) -> Reach:
-        """The displacements at which the voltage of a motion at this rate meets the output limits."""
+        """Return the displacements at which the voltage of a motion at this rate meets the output limits."""
         with torch.no_grad():
             return reach(lambda x: self.at_rate(x, rate_um_s), self.min_voltage_v, self.max_voltage_v)
 
     def step_limits(self) -> StepLimits:
-        """What the deployed step accepts, from the training and the reach of the output limits."""
+        """Return what the deployed step accepts, from the training and the reach of the output limits."""
         at_rest = self.reach()
         rates = (0.0, *self.trained.rates_um_s) if self.trained else (0.0,)
         found = [self.reach(rate) for rate in rates]
-        # Creep carries the stage further than the voltage of a moment does.
+        # Creep carries the stage further than the immediate response to the voltage.
         further = 1 + float(self.creep_gains.detach().abs().sum())
         reached = Reach(
             further * min(one.low_um for one in found),
@@ -259,9 +259,9 @@ class DirectInverse(nn.Module):
         )
 
     def stream(self, reference_filter: ReferenceFilter | None = None) -> CompensatorStream:
-        """The compensator one sample at a time, scriptable: `u = step(y_d at t + preview)`.
+        """Return the compensator as a scriptable stream: `u = step(y_d at t + preview)`.
 
-        With a reference filter inside, `step` takes the reference y_r and has the exact rate.
+        With a reference filter inside, `step` takes the reference y_r and uses the exact rate.
         """
         return DirectInverseStream(self, reference_filter)
 

@@ -1,4 +1,4 @@
-"""Which displacements a compensator reaches within its output limits."""
+"""Displacements that a compensator reaches within its output limits."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -12,7 +12,7 @@ from torchpi.errors import RecordingError
 
 POINTS = 4000
 BEYOND = 0.05
-"""Of the reach. Creep and noise carry a long record a few percent further: it may be asked for again."""
+"""Share of the reach allowed beyond it: creep and noise take replayed long records a few percent on."""
 
 Law = Callable[[Tensor], Tensor]  # desired displacement (time,), µm, from the de-energised state, to V
 
@@ -35,13 +35,13 @@ class Reach(NamedTuple):
 def reach(law: Law, min_voltage_v: float, max_voltage_v: float) -> Reach:
     """Follow the loop of a slow motion to its ends: up and down from the de-energised state, and back.
 
-    An end that is not met within 10 mm, or a limit that is not finite, leaves that end at 10 mm.
+    If a limit is not met within 10 mm, or is not finite, that end is set to 10 mm.
     """
     steps = torch.cat(
         [torch.zeros(1, dtype=torch.float64), torch.logspace(-3, 4, POINTS, dtype=torch.float64)]
     )
     high = _end(steps, law(steps), min_voltage_v, max_voltage_v)
-    # Downwards it is the same question with both signs turned.
+    # Downwards it is the same problem with both signs reversed.
     low = 0.0 - _end(steps, -law(-steps), -max_voltage_v, -min_voltage_v)
     up = torch.linspace(0.0, high, POINTS, dtype=torch.float64)
     back = torch.linspace(high, min(low, -high), 2 * POINTS, dtype=torch.float64)
@@ -56,16 +56,16 @@ def check_reached(
     ends_um: tuple[float, float],
     of: str,
 ) -> None:
-    """Whether a desired displacement stays within what is reached, or `BEYOND` it.
+    """Check that a desired displacement stays within what is reached, with the tolerance `BEYOND`.
 
     Args:
-        name: What the error calls it.
+        name: Its name in the error message.
         yd: The desired displacement.
         ends_um: The lowest and the highest displacement that are reached.
         of: What reaches them, `stage` or `compensator`.
 
     Raises:
-        RecordingError: It does not; names the sample that is furthest beyond.
+        RecordingError: It does not; the message names the sample that is furthest beyond.
     """
     low, high = ends_um
     tolerance = BEYOND * (high - low)
@@ -78,8 +78,8 @@ def check_reached(
 
 
 def _end(y: Tensor, u: Tensor, limit_behind_v: float, limit_ahead_v: float) -> float:
-    """Where the voltage first meets the limit ahead, or runs away backwards; the last place if nowhere."""
-    # The start may lie below the limits, which begin further out.
+    """Return where the voltage first meets the limit ahead or runs away backwards, else the last place."""
+    # The start may lie below the limits, which then begin further out.
     away = min(limit_behind_v, float(u[0])) - (limit_ahead_v - limit_behind_v)
     met = (u >= limit_ahead_v) | (u <= away) | ~torch.isfinite(u)
     k = int(met.int().argmax()) if bool(met.any()) else len(u) - 1

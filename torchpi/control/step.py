@@ -1,4 +1,4 @@
-"""The contract of a compensator as it is deployed: one sample a call, plain floats, no tensor."""
+"""The interface of a deployed compensator: one sample per call, plain floats, no tensor."""
 
 from typing import Protocol
 
@@ -6,12 +6,12 @@ from torch import Tensor
 
 
 class CompensatorStream(Protocol):
-    """What an exported compensator offers; `torch.jit.script` compiles it.
+    """Interface of an exported compensator, which `torch.jit.script` compiles.
 
     `step` takes the desired displacement at t + preview, in µm, and returns the voltage at t. `block`
-    takes as many samples as it is given, and leaves the same state. `reset_at` starts from a
-    measured displacement, `reset_at_voltage` from a measured voltage. The guard of every step, and what the
-    counters count, is in `torchpi.control.step_guard`.
+    takes any number of samples and leaves the same state as so many steps. `reset_at` starts from a
+    measured displacement, `reset_at_voltage` from a measured voltage. `torchpi.control.step_guard` describes
+    the guard of every step and what the counters count.
     """
 
     sample_period_s: float

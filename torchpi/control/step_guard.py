@@ -1,33 +1,33 @@
-"""What stands before and behind every deployed step: no input may harm the stage or the state.
+"""The guard before and after every deployed step: no input may harm the stage or the state.
 
-Before it, `accept` decides what is taken for the desired displacement:
+Before the equations, `accept` decides which desired displacement is used:
 
-    inside the trained range, and no faster than trained       taken as it is
-    inside the accepted range, in a step that is not too long   taken, counted in `outside_range`
+    inside the trained range, and no faster than trained       used as it is
+    inside the accepted range, in a step that is not too long   used, counted in `outside_range`
     a jump                                      held until four more samples confirm it, then followed at the
                                                 largest accepted rate and counted in `outside_range`
-    outside the accepted range, inf, NaN        the last accepted one stands in, counted in `held_inputs`
-    a sudden step, longer than the one before   taken as far as the turning points so far, and counted in
+    outside the accepted range, inf, NaN        replaced by the last accepted one, counted in `held_inputs`
+    a sudden step, longer than the one before   used as far as the turning points so far, and counted in
     by more than a trained one, and what        `held_inputs` where it lies beyond them, until four samples in
     follows it                                  a row have made no such step
-    a sharp step, longer than the one before    taken beyond the turning points so far by no more than that,
+    a sharp step, longer than the one before    used beyond the turning points so far by no more than that,
     by more than 4 trained accelerations make   and counted in `held_inputs`
     it, or 1 % of the trained range
     a first sample outside the trained range    held until four more samples confirm it
 
-Wide plays remember the outermost turning points of a motion until they are reset, and with them any stray
-sample beyond: only what agrees with its neighbours may set a new one. Thus whatever the equations see is
-finite, bounded, and of bounded rate, and what is held leaves nothing in the memory of hysteresis and creep.
-The derivatives of a lead are formed of four samples, and would carry a jump, or the step after a sample that
-was held, into the plays at many times its size: `smooth` counts the samples since the last one that was
-held, or moved faster than trained, and leads wait for four of them. Meanwhile the plays' input stays where it
-was, as far as the lead of the trained rates and accelerations can explain: with no lead it could pass the
-turning points of the motion, which wide plays never forget. Nor does a lead set a turning point where the
-acceleration is beyond the trained one.
+Wide plays remember the outermost turning points of a motion until they are reset, including any stray sample
+beyond them: only samples that agree with their neighbours may set a new one. Thus every input of the
+equations is finite, bounded, and of bounded rate, and held samples leave no trace in the memory of hysteresis
+and creep. The derivatives of a lead are formed from four samples and would amplify a jump, or the step after
+a held sample, many times before it reaches the plays. Therefore `smooth` counts the samples since the last
+one that was held or moved faster than trained, and leads wait for four of them. Meanwhile the plays' input
+keeps its value, as far as the lead of the trained rates and accelerations allows: without a lead it could
+pass the turning points of the motion, which wide plays never forget. Likewise, a lead sets no turning point
+where the acceleration exceeds the trained one.
 
-Behind the equations, `emit` limits the voltage, and its change on request, and counts in
-`limited_outputs`. States do not wind up: beyond the trained range, but for one per cent, nothing is accepted
-that the voltage limits do not reach, so there is no saturated stretch for them to integrate.
+After the equations, `emit` limits the voltage and, on request, its change, and counts this in
+`limited_outputs`. States do not wind up: beyond the trained range, except for one per cent, only what the
+voltage limits can reach is accepted, so that there is no saturated stretch for the states to integrate.
 """
 
 from dataclasses import dataclass
@@ -39,12 +39,12 @@ from torchpi.control.reach import Reach
 from torchpi.control.trained_motions import TrainedMotions
 
 BEYOND_RANGE = 0.25  # of the trained range, accepted on either side of it: 1.5 times the trained range
-BEYOND_RATE = 4.0  # times the largest trained rate, accepted; and acceleration, beyond the turning points
-NOISE = 0.01  # of the trained range, accepted beyond it whatever is reached, and from sample to sample
+BEYOND_RATE = 4.0  # accepted multiple of the largest trained rate and, beyond turning points, acceleration
+NOISE = 0.01  # of the trained range, accepted beyond it whatever the reach, and from sample to sample
 CONFIRMATIONS = 4  # samples that lie within an accepted step of the one before
-BEYOND_REACH = 2.0  # times the largest displacement within reach, accepted where the training is not known
+BEYOND_REACH = 2.0  # accepted multiple of the largest displacement within reach if the training is not known
 
-# Numbers that stay double in C compiled for float: comparisons must come out alike in both.
+# Numbers that stay double in C compiled for float, so that comparisons come out alike in both.
 IN_DOUBLE = frozenset(
     "yd aim_v last_input last_sample start_trained_um lowest_um highest_um change_um last_change_um "
     "taken_um longest_um further_um sharp_um step_um start_um least_accepted_um largest_accepted_um "
@@ -53,18 +53,18 @@ IN_DOUBLE = frozenset(
     "least_v largest_v least_trained_um_s2 largest_trained_um_s2".split()
 )
 
-# Called for few samples: in C no part of the step, which compilers would otherwise take to be a large one.
+# Called for few samples, so kept out of line in C: compilers would otherwise take the step to be large.
 OUT_OF_LINE = frozenset(["accept_beyond", "within_turning_points"])
 
 
 @dataclass(frozen=True)
 class StepLimits:
-    """The numbers of the guard.
+    """Limits that the guard applies.
 
     Attributes:
         accepted_um: Least and largest desired displacement that is accepted, µm.
         largest_step_um: Longest step from one accepted sample to the next, µm.
-        trained_um: Trained range, µm; the accepted one where the training is not known.
+        trained_um: Trained range, µm; the accepted one if the training is not known.
         trained_step_um: Longest step from sample to sample at the trained rates, µm.
         sharp_um: Longest accepted change from one step to the next where the next sets a turning point, µm.
         min_voltage_v: Lower output limit.
@@ -90,14 +90,14 @@ def step_limits(
     trained: TrainedMotions | None = None,
     max_slew_v_s: float | None = None,
 ) -> StepLimits:
-    """What a step with this training, or none that is known, accepts.
+    """Return the limits of a step for this training, or for an unknown one.
 
     Args:
         sample_period_s: T.
         voltages_v: Output limits.
-        reach: What is reached within them.
-        typical_um: A displacement that occurs, where the training is not known.
-        trained: What it was trained on.
+        reach: Displacements that are reached within them.
+        typical_um: A typical displacement, used if the training is not known.
+        trained: Ranges of the training; None if they are not known.
         max_slew_v_s: Largest rate of the output voltage, V/s; None for any.
     """
     change = None if max_slew_v_s is None else max_slew_v_s * sample_period_s
@@ -131,7 +131,7 @@ def step_limits(
 class GuardedStep(nn.Module):
     """The guard of a deployed step, and what every one of them offers.
 
-    A subclass has `motion` or the like, `reset`, `step`, and `at_rest`.
+    A subclass provides `motion` or an equivalent, `reset`, `step`, and `at_rest`.
     """
 
     def __init__(self, limits: StepLimits) -> None:
@@ -154,7 +154,7 @@ class GuardedStep(nn.Module):
         self.reset_guard()
 
     def reset_guard(self) -> None:
-        """To rest; `lowest_um` and `highest_um` are the ends of the inputs so far in the trained range."""
+        """Reset to rest; `lowest_um`, `highest_um` are the extremes so far of inputs in the trained range."""
         self.started = False
         self.confirmed = self.enough
         self.smooth = 4
@@ -169,7 +169,7 @@ class GuardedStep(nn.Module):
         self.limited_outputs = 0
 
     def accept(self, yd: float) -> None:
-        """Leave in `last_input` what is taken for the desired displacement."""
+        """Store the desired displacement that is used in `last_input`."""
         step_um = yd - self.last_input
         # Every comparison with NaN is false: NaN is not taken here, and held below.
         if (
@@ -186,7 +186,7 @@ class GuardedStep(nn.Module):
             self.accept_beyond(yd)
 
     def accept_beyond(self, yd: float) -> None:
-        """What lies beyond the turning points so far or the trained rates, or comes soon after."""
+        """Accept a sample beyond the turning points so far or the trained rates, or one soon after."""
         if self.smooth >= 4:
             self.last_sample = self.last_input
         if yd >= self.least_accepted_um and yd <= self.largest_accepted_um:
@@ -222,7 +222,7 @@ class GuardedStep(nn.Module):
             self.smooth = 0
 
     def take(self, yd: float, step_um: float, change_um: float) -> None:
-        """What is accepted; a sudden sample no further beyond the turning points so far than trained."""
+        """Use a sample, but a sudden one no further beyond the turning points so far than trained."""
         taken_um = yd
         further_um = abs(self.last_change_um) + self.sharp_um
         if self.confirmed < self.enough or abs(change_um) > further_um:
@@ -249,7 +249,7 @@ class GuardedStep(nn.Module):
         self.last_input = taken_um
 
     def emit(self, u: float) -> None:
-        """Leave in `last_voltage` the voltage within the limits."""
+        """Store the voltage in `last_voltage`, kept within the limits."""
         least_v = self.min_voltage_v
         largest_v = self.max_voltage_v
         if self.limits_change:
@@ -266,10 +266,10 @@ class GuardedStep(nn.Module):
 
     @torch.jit.export
     def reset_at(self, yd: float) -> float:
-        """Start from a stage that stands at `yd`: returns the voltage that keeps it there.
+        """Start from a stage that rests at `yd`; return the voltage that keeps it there.
 
-        It is taken to have come there from the de-energised state, and to have stood there until its creep
-        was over. A `yd` that is not accepted leaves the de-energised state, and counts in `held_inputs`.
+        The stage is taken to have come there from the de-energised state, and to have rested until its creep
+        was over. A `yd` that is not accepted keeps the state de-energised, and counts in `held_inputs`.
         """
         self.reset()  # type: ignore[operator]
         if yd >= self.least_accepted_um and yd <= self.largest_accepted_um:
@@ -283,9 +283,9 @@ class GuardedStep(nn.Module):
 
     @torch.jit.export
     def reset_at_voltage(self, voltage_v: float) -> float:
-        """Start from a stage that stands under `voltage_v`: returns the displacement at which it stands.
+        """Start from a stage that rests under `voltage_v`; return the displacement at which it rests.
 
-        As `reset_at`; a voltage outside the limits leaves the de-energised state, and counts.
+        As in `reset_at`; a voltage outside the limits keeps the state de-energised, and counts likewise.
         """
         within = voltage_v >= self.min_voltage_v and voltage_v <= self.max_voltage_v
         aim_v = voltage_v if within else self.start_v

@@ -1,4 +1,4 @@
-"""A trained compensator, from its run folder or checkpoint."""
+"""Loading a trained compensator from its run folder or checkpoint."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -15,19 +15,19 @@ LARGEST_BYTES = 2**30
 
 
 def to_checkpoint(compensator: DirectInverse) -> dict[str, Any]:
-    """What a checkpoint keeps of a compensator: plain hyper-parameters, tensors, and a hash of both."""
+    """Return a compensator as a checkpoint stores it: plain hyper-parameters, tensors, and a hash of both."""
     kept = {HYPER_PARAMETERS: compensator.hyper_parameters, STATE: compensator.state_dict()}
     return {**kept, HASH: content_sha256(kept)}
 
 
 def load_compensator(path: str | Path) -> DirectInverse:
-    """The compensator of a run folder's best checkpoint, or of a checkpoint file.
+    """Load the compensator of a run folder's best checkpoint, or of a checkpoint file.
 
     Args:
         path: The folder or the file.
 
     Raises:
-        ArtifactError: Nothing there, something else, or not as it was written.
+        ArtifactError: No file, a file of another kind, or one that changed since it was written.
     """
     path = Path(path)
     file = path / "checkpoints" / "best.ckpt" if path.is_dir() else path
@@ -55,7 +55,7 @@ def load_compensator(path: str | Path) -> DirectInverse:
 
 
 def with_slew_limit(compensator: DirectInverse, max_slew_v_s: float) -> DirectInverse:
-    """The same compensator, its deployed step limited to this rate of the voltage.
+    """Return the same compensator with its deployed step limited to this rate of the voltage.
 
     Raises:
         ConfigError: A rate that is not positive.

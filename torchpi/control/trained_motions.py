@@ -14,7 +14,7 @@ Interval = tuple[float, float]
 
 
 class Pair(Protocol):
-    """A record turned round for an inverse, `identification.InversePair` for one."""
+    """A record from displacement to voltage, as an inverse needs it, such as `identification.InversePair`."""
 
     @property
     def motion(self) -> Motion: ...  # (1, time)
@@ -46,7 +46,7 @@ class TrainedMotions:
 
     @classmethod
     def of(cls, pairs: Iterable[Pair]) -> "TrainedMotions":
-        """Those of the records that a compensator is trained on."""
+        """Return the ranges of the records that a compensator is trained on."""
         y, rates, u, changes, accelerations = [], [], [], [], []
         for pair in pairs:
             y.append(pair.motion.yd[0, pair.counted])
@@ -58,10 +58,10 @@ class TrainedMotions:
 
     @classmethod
     def from_plain(cls, values: Mapping[str, Sequence[float] | None]) -> "TrainedMotions":
-        """The inverse of `plain`.
+        """Rebuild an instance from the result of `plain`.
 
         Raises:
-            ConfigError: Another key, or no interval of finite numbers.
+            ConfigError: An unexpected key, or a value that is no interval of finite numbers.
         """
         names = set(cls.__dataclass_fields__)
         if not isinstance(values, Mapping) or set(values) | {"accelerations_um_s2"} != names:
@@ -79,13 +79,13 @@ class TrainedMotions:
         return cls(**intervals)
 
     def lead_limits(self, lead: Sequence[float]) -> Interval | None:
-        """Least and largest τ_1 ẏ + τ_2 ÿ of these rates and accelerations, or of none, µm.
+        """Return the least and largest τ_1 ẏ + τ_2 ÿ, µm, for these rates and accelerations or zero ones.
 
         Args:
             lead: τ_1 in s, τ_2 in s².
 
         Returns:
-            None where the accelerations are not known.
+            None if the accelerations are not known.
         """
         if self.accelerations_um_s2 is None:
             return None
@@ -96,7 +96,7 @@ class TrainedMotions:
         return least, largest
 
     def plain(self) -> dict[str, Any]:
-        """Lists of numbers by name, as hyper-parameters and JSON keep them."""
+        """Return lists of numbers by name, as hyper-parameters and JSON store them."""
         return {name: None if value is None else list(value) for name, value in asdict(self).items()}
 
 

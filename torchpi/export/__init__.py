@@ -1,4 +1,4 @@
-"""Exports: the compensator as TorchScript, C99, `.pt2`, and its bare numbers as JSON."""
+"""Export of the compensator as TorchScript, C99 or `.pt2`, and of its numbers as JSON."""
 
 from torchpi.export.formats import FORMATS, export_files, made_files, write_together
 from torchpi.export.safety_card import Load, SafetyCard, safety_card

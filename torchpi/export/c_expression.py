@@ -1,6 +1,6 @@
-"""Expressions of a deployed step in C: text, how tightly it binds, and type.
+"""Expressions of a deployed step in C: text, operator precedence and type.
 
-Numbers are of type `real`, double or float as the file is compiled, but for those of `in_double`.
+Numbers have type `real` (double or float, chosen when the file is compiled), except those of `in_double`.
 """
 
 import ast
@@ -11,7 +11,7 @@ from torchpi.export.parts import Function, Part, own_attribute
 from torchpi.operators.motion import BackwardMotionStream
 from torchpi.operators.reference_filter import ReferenceFilterStream
 
-# Functions of the header that are methods of the step; `reset` is written from the states, `block` by hand.
+# Header functions translated from methods; `reset` is generated from the states, `block` is written by hand.
 PUBLIC_METHODS = ("step", "reset_at", "reset_at_voltage")
 REAL, DOUBLE, INTEGER, BOOLEAN = "real", "double", "unsigned long", "bool"
 
@@ -25,16 +25,16 @@ KEYWORDS = frozenset(
 def in_double(part: Part, name: str | None = None) -> bool:
     """Whether a number stays double in a float build.
 
-    What forms the rate does, and samples of the trajectory on their way there: in float32 the difference
-    of two samples is off by 3e-5 of the peak rate. So does what the guard compares, for its decisions to be
-    the same, and the output to stay within limits that float32 would round.
+    The numbers that form the rate, and the trajectory samples that lead to them, stay double: in float32 the
+    difference of two samples is off by 3e-5 of the peak rate. The numbers that the guard compares stay double
+    so that its decisions are the same, and the output so that it keeps to limits that float32 would round.
     """
     forms_the_rate = isinstance(part.module, (BackwardMotionStream, ReferenceFilterStream))
     return forms_the_rate or name in IN_DOUBLE
 
 
 def type_of(part: Part, attribute: str) -> str:
-    """C type of an attribute, or of a list's elements."""
+    """Return the C type of an attribute, or of the elements of a list."""
     value = part.value(attribute)
     if isinstance(value, bool):
         return BOOLEAN
@@ -44,11 +44,11 @@ def type_of(part: Part, attribute: str) -> str:
 
 
 def literal(value: float, kind: str) -> str:
-    """A number that C reads back to the last bit."""
+    """Return a literal that C reads back to the last bit."""
     return repr(value) if kind == DOUBLE else f"(real){value!r}"
 
 
-# C's operators by Python's, and how tightly they bind.
+# C operators and their precedence (higher binds tighter), by the Python operators.
 _OPERATORS: dict[type, tuple[str, int]] = {
     ast.Add: ("+", 12), ast.Sub: ("-", 12), ast.Mult: ("*", 13), ast.Div: ("/", 13), ast.Mod: ("%", 13),
     ast.Lt: ("<", 10), ast.LtE: ("<=", 10), ast.Gt: (">", 10), ast.GtE: (">=", 10),
@@ -59,7 +59,7 @@ _HELPERS = {"max": "larger", "min": "smaller", "abs": "magnitude"}
 
 
 class Names(Protocol):
-    """The names in C of what expressions are made of."""
+    """Supplies the C names of the operands of expressions."""
 
     def method(self, part: Part, name: str) -> tuple[str, list[str]]: ...
     def plain(self, part: Part, caller: Function, name: str, number: str) -> tuple[str, list[str]]: ...
@@ -69,7 +69,7 @@ class Names(Protocol):
 
 
 class Expressions:
-    """The expressions of one function, and the types of its names."""
+    """Translates the expressions of one function and tracks the types of its names."""
 
     def __init__(self, step: Names, part: Part, function: Function, number: str, *, method: bool) -> None:
         self.names, self.part, self.function = step, part, function
@@ -97,7 +97,7 @@ class Expressions:
                 part.refuse(f"{name} is a word of C")
 
     def _as(self, node: ast.expr, kind: str) -> str:
-        """The expression as a number of this type, ready to be assigned or passed."""
+        """Return the expression converted to type `kind`, ready to be assigned or passed."""
         text, binding, found = self._expression(node, kind)
         if found != kind and {found, kind} & {INTEGER, BOOLEAN}:
             self.part.refuse(f"'{ast.unparse(node)}' is {found} where {kind} belongs")
@@ -107,8 +107,8 @@ class Expressions:
         return self._expression(node, self.number)[2]
 
     def _expression(self, node: ast.expr, target: str) -> tuple[str, int, str]:
-        """Text, how tightly it binds, type. A bare number takes the type `target`."""
-        # Asked for its type and for its text, at every level of an expression: answered once.
+        """Return text, precedence and type of an expression; a literal takes the type `target`."""
+        # Cached, because every level of an expression asks for the type and the text of its operands.
         key = ast.dump(node), target, *(part.path for part in self.bound.values())
         if key not in self.known:
             self.known[key] = self._translated(node, target)
@@ -171,7 +171,7 @@ class Expressions:
                 return name, ATOM, kind
 
     def _pair(self, left: ast.expr, right: ast.expr, binding: int, target: str) -> tuple[str, str, str]:
-        """Both sides as numbers of the wider of their types; C groups from the left as Python does."""
+        """Convert both sides to the wider of their types; C groups from the left as Python does."""
         self._keep_order([left, right])
         sides = left, right
         bare = [isinstance(_unsigned(side), ast.Constant) for side in sides]
@@ -190,8 +190,8 @@ class Expressions:
         return kind, texts[0], texts[1]
 
     def _keep_order(self, sides: list[ast.expr]) -> None:
-        """Refuse what depends on which side comes first, which C leaves open: a part's step beside another
-        step, or beside a state."""
+        """Refuse operands whose evaluation order matters, because C leaves it unspecified: the step of a part
+        beside another step or beside a state."""
         moving = [side for side in sides if any(_is_method_call(node) for node in ast.walk(side))]
         still = [side for side in sides if side not in moving]
         if len(moving) > 1 or (moving and any(self._reads_state(n) for s in still for n in ast.walk(s))):
@@ -244,7 +244,7 @@ class Expressions:
                 self._refuse(within)
 
     def _place(self, node: ast.expr) -> tuple[str, str]:
-        """The C name and type of an attribute of a part, or of an element of one."""
+        """Return the C name and type of an attribute of a part, or of an element of one."""
         match node:
             case ast.Attribute(value=owner, attr=name):
                 part = self._part(owner, node)

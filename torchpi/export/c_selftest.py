@@ -1,4 +1,4 @@
-"""What the C of a compensator is tested with on its target: a motion, and the numbers of the Python step."""
+"""Data of the self-test that exported C runs on its target: a motion and the answers of the Python step."""
 
 import math
 from typing import Any
@@ -6,11 +6,11 @@ from typing import Any
 from torchpi.control.step import CompensatorStream
 
 SAMPLES = 600
-NOT_FINITE = (250, 251, 420)  # samples at which the input is not a number
+NOT_FINITE = (250, 251, 420)  # samples at which the input is NaN
 
 
 def recorded(stream: CompensatorStream) -> dict[str, Any]:
-    """What NAME_selftest.c is made of: samples, those of them that it makes not finite, and the answers."""
+    """Return the data of NAME_selftest.c: input samples, the indices of those set to NaN, and the answers."""
     yd = inputs(stream)
     stream.reset()
     u = [stream.step(math.nan if k in NOT_FINITE else sample) for k, sample in enumerate(yd)]
@@ -18,9 +18,9 @@ def recorded(stream: CompensatorStream) -> dict[str, Any]:
 
 
 def inputs(stream: CompensatorStream) -> list[float]:
-    """Samples in µm that take the output through its range: large and small loops, slow, fast, and rest."""
+    """Return inputs in µm that drive the output through its range: large, small, slow, fast loops, rest."""
     amplitude_um = 2.0**-10
-    # Doubled until the limits are met, or nothing on the way to them is (a weight may be zero).
+    # Doubled until the voltage limit is reached; bounded, because it may never be (a weight may be zero).
     while amplitude_um < 2.0**20 and not _at_a_limit(stream, amplitude_um):
         amplitude_um *= 2.0
     return _motion(amplitude_um)

@@ -1,8 +1,8 @@
 """The compensator as C99: a header, a source, and a program that tests them on the target.
 
-No heap, no library, and states in a struct, so that several run side by side. The equations are those of
-the deployed step, translated (`c_step.py`); what stands around them are the templates in `c/`. In a float
-build only what forms the rate stays double.
+The C code uses neither heap nor library and keeps its states in a struct, so that several instances can run
+side by side. The equations are translated from the deployed step (`c_step.py`); the templates in `c/` supply
+the surrounding code. In a float build, only the numbers that form the rate stay double.
 """
 
 import re
@@ -32,10 +32,10 @@ _STANDARD_HEADERS = frozenset(
 
 
 def c_files(compensator: Deployable, output: Path, reference_filter: ReferenceFilter | None = None) -> Files:
-    """NAME.h, NAME.c and NAME_selftest.c, NAME being the last part of `output`.
+    """Return NAME.h, NAME.c and NAME_selftest.c, where NAME is the last part of `output`.
 
     Raises:
-        ArtifactError: NAME is not free to use in C, a part has no C form, or a number is not finite.
+        ArtifactError: NAME cannot be used in C, a part has no C form, or a number is not finite.
     """
     texts = c_source(compensator, output.name, reference_filter)
     return {output.parent / file: written(text) for file, text in texts.items()}
@@ -44,7 +44,7 @@ def c_files(compensator: Deployable, output: Path, reference_filter: ReferenceFi
 def c_source(
     compensator: Deployable, name: str, reference_filter: ReferenceFilter | None = None
 ) -> dict[str, str]:
-    """The three files, by their names.
+    """Return the text of the three files by their names.
 
     Raises:
         ArtifactError: As `c_files`.
@@ -80,10 +80,10 @@ def c_source(
 
 
 def check_name(name: str) -> None:
-    """Whether names in C may begin with it.
+    """Check that names in C may begin with `name`.
 
     Raises:
-        ArtifactError: They may not.
+        ArtifactError: Names in C may not begin with `name`, or it is a keyword or a standard header.
     """
     if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name, re.ASCII) or name in KEYWORDS | _STANDARD_HEADERS:
         raise ArtifactError(
@@ -95,7 +95,7 @@ def check_name(name: str) -> None:
 def _members(step: StepInC) -> str:
     lines: list[str] = []
     open_: tuple[str, ...] = ()
-    # Members of one part stand together, in one struct.
+    # Sorted so that the members of one part stand together in one struct.
     for path, (kind, value) in sorted(step.states.items(), key=lambda item: item[0][:-1]):
         owner = path[:-1]
         shared = 0
@@ -117,7 +117,7 @@ def _constants(step: StepInC) -> str:
     lines: list[str] = []
     part: Part | None = None
     met = list(dict.fromkeys(constant.part.path for constant in step.constants.values()))
-    # Part by part, and in the order of its `__init__`.
+    # Sorted by part and, within a part, in the order of its `__init__`.
     constants = sorted(
         step.constants.items(),
         key=lambda item: (met.index(item[1].part.path), item[1].part.place(item[1].attribute)),

@@ -1,8 +1,8 @@
-"""A deployed step in C: the Python of its parts, method by method, as C functions and a struct of states.
+"""Translate a deployed step to C: each Python method of its parts to a C function, its states to a struct.
 
-A translator of what a step is made of and no more: assignments, `if`, loops over a range or a list of
-parts, calls among parts and plain functions, and + - * / with comparisons, `max`, `min` and `abs`. What it
-does not know it refuses by the part's name. Operations keep their order, so the bits are those of Python.
+The translator covers only what a step needs: assignments, `if`, loops over a range or a list of parts, calls
+among parts and plain functions, and + - * / with comparisons, `max`, `min` and `abs`. It refuses anything
+else and names the part. Operations keep their order, so the results equal those of Python to the last bit.
 """
 
 import ast
@@ -31,7 +31,7 @@ from torchpi.export.parts import Function, Part, Value, own_attribute
 
 @dataclass(frozen=True)
 class Constant:
-    """A number of the step, and its comment in `__init__`."""
+    """A constant of the step, and its comment in `__init__`."""
 
     part: Part
     attribute: str
@@ -47,19 +47,19 @@ class Constant:
 
 
 class StepInC:
-    """The step `part`, translated.
+    """The translation of the step `part`.
 
     Args:
         part: The step.
-        name: What its names in C begin with.
-        public: Names of the header, which nothing within may have.
+        name: Prefix of its names in C.
+        public: Names in the header, which no name inside the code may repeat.
 
     Attributes:
-        functions: C text of each function by its name, callees first.
-        constants: By their names in C, in the order in which the step meets them.
-        states: Members of the struct, as paths, with type and value after a reset.
+        functions: C text of each function by name, callees first.
+        constants: Constants by their names in C, in the order in which the step uses them.
+        states: Members of the struct, by path, with type and value after a reset.
         helpers: Types for which `larger`, `smaller` and `magnitude` are called, by name.
-        results: Types of several numbers that functions return: name, and type of each.
+        results: Structs for functions that return several numbers: name, and the type of each number.
 
     Raises:
         ArtifactError: A part has no C form, a number is not finite, or a name is taken.
@@ -79,7 +79,7 @@ class StepInC:
             self.method(part, name_)
 
     def method(self, part: Part, name: str) -> tuple[str, list[str]]:
-        """The C name of a part's method, and the types it returns."""
+        """Return the C name of a method of a part, and the types it returns."""
         if (part.path, name) in self._returns:
             return self._returns[part.path, name]
         function = part.method(name)
@@ -93,7 +93,7 @@ class StepInC:
         return self._function((part.path, name), part, function, c_name, number, method=True)
 
     def plain(self, part: Part, caller: Function, name: str, number: str) -> tuple[str, list[str]]:
-        """The C name of a plain function for numbers of one type, and the types it returns."""
+        """Return the C name of a plain function for numbers of one type, and the types it returns."""
         function = part.called(caller, name)
         key = id(function.tree), number
         c_name = name if self._keys.get(name, key) == key else f"{name}_{number}"
@@ -148,23 +148,23 @@ class StepInC:
 
 
 def member_path(path: Sequence[str]) -> tuple[str, ...]:
-    """Names of the struct's members; an element of a list is a member of its own."""
+    """Return the names of the members of the struct; each element of a list is a separate member."""
     return tuple(re.sub(r"\.(\d+)", r"_\1", ".".join(path)).split(".")) if path else ()
 
 
 def ascii_only(comment: str) -> str:
-    """A comment that any compiler reads."""
+    """Return a comment in ASCII, which any compiler reads."""
     return comment.replace("µ", "u").replace("*/", "").encode("ascii", "replace").decode()
 
 
 def wrapped(line: str) -> str:
-    """The line in lines of a width to read."""
+    """Wrap a line to a readable width."""
     indent = " " * (len(line) - len(line.lstrip(" ")) + 8)
     return "\n".join(textwrap.wrap(line, 110, subsequent_indent=indent, break_long_words=False)) or line
 
 
 class _Translation(Expressions):
-    """One function: its lines."""
+    """Translates one function into lines of C."""
 
     def __init__(
         self, step: StepInC, part: Part, function: Function, c_name: str, number: str, *, method: bool
@@ -185,7 +185,7 @@ class _Translation(Expressions):
         kind = self.returned[0] if len(self.returned) == 1 else "void"
         if len(self.returned) > 1:
             kind = self.step.result(self.returned)
-        # inline: several are called from `reset_at` as well, and the step is what must be fast.
+        # Inline, because several are also called from `reset_at`, and the step must be fast.
         inline = "" if self.function.tree.name in OUT_OF_LINE else "inline "
         static = "" if self.is_public else f"static {inline}"
         head = f"{static}{kind} {self.c_name}({', '.join(arguments)})"
@@ -245,7 +245,7 @@ class _Translation(Expressions):
         return f"{name} = {self._as(value, kind)};"
 
     def _local(self, name: str, found: str, outermost: bool) -> tuple[str, str]:
-        """A local name as the left side of an assignment, declared where it is new, and its type."""
+        """Return a local name as the left side of an assignment, declared if it is new, and its type."""
         kind = found if found in (INTEGER, BOOLEAN) else self._number(name)
         if self.types.setdefault(name, kind) != kind:
             self.part.refuse(f"{name} is {self.types[name]} and {kind}")

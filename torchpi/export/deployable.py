@@ -1,4 +1,4 @@
-"""What can be exported."""
+"""The interface of everything that can be exported."""
 
 from typing import Protocol
 
@@ -7,6 +7,6 @@ from torchpi.operators.reference_filter import ReferenceFilter
 
 
 class Deployable(Protocol):
-    """A direct inverse, a corrected one, or any method that the paper compares with."""
+    """A direct inverse, a corrected direct inverse, or any method that the paper compares with."""
 
     def stream(self, reference_filter: ReferenceFilter | None = None) -> CompensatorStream: ...

@@ -1,7 +1,7 @@
-"""The compensator as an FMU for co-simulation, FMI 3.0: the C of `c_source.py` with the interface around it.
+"""The compensator as an FMU for co-simulation (FMI 3.0): the C of `c_source.py` wrapped in the FMI interface.
 
-The sources are inside, so that it builds anywhere with a C compiler only; where there is one now, so is the
-library for this platform. `fmi3/` has the interface as templates, and the standard's own headers.
+The FMU holds its sources, so that it builds anywhere with only a C compiler. If a compiler is available at
+export, it also holds the library for this platform. `fmi3/` has the interface templates and standard headers.
 """
 
 import hashlib
@@ -29,7 +29,7 @@ from torchpi.operators.reference_filter import ReferenceFilter
 
 FMI3 = Path(__file__).parent / "fmi3"
 HEADERS = ("fmi3Functions.h", "fmi3FunctionTypes.h", "fmi3PlatformTypes.h")
-TEMPLATES = {  # and where in the archive they stand
+TEMPLATES = {  # and their paths in the archive
     "modelDescription.xml": "modelDescription.xml",
     "buildDescription.xml": "sources/buildDescription.xml",
     "fmi3.c": "sources/{}_fmi3.c",
@@ -44,9 +44,9 @@ MACHINES = {"amd64": "x86_64", "arm64": "aarch64", "i386": "x86", "i686": "x86"}
 def fmu_files(
     compensator: Deployable, output: Path, reference_filter: ReferenceFilter | None = None
 ) -> Files:
-    """NAME.fmu, NAME being the last part of `output`.
+    """Return NAME.fmu, where NAME is the last part of `output`.
 
-    Warns (`ExportWarning`) where no C compiler is found, or it fails: the FMU holds only sources then.
+    Warns (`ExportWarning`) if there is no C compiler or it fails; the FMU then holds only sources.
 
     Raises:
         ArtifactError: As `c_files`.
@@ -63,7 +63,7 @@ def fmu_files(
 def fmu_sources(
     compensator: Deployable, name: str, reference_filter: ReferenceFilter | None = None
 ) -> dict[str, bytes]:
-    """What the archive holds, by name, but for the library.
+    """Return the contents of the archive by name, without the compiled library.
 
     Raises:
         ArtifactError: As `c_files`.
@@ -86,7 +86,7 @@ def fmu_sources(
         "options": " ".join(OPTIONS),
         "not_offered": _not_offered(),
     }
-    # One token for one model: of all that decides what it computes and how it is called.
+    # The token identifies the model: a hash of all that determines what it computes and how it is called.
     tokenless = [rendered(f"fmi3/{file}.j2", {**context, "token": ""}) for file in TEMPLATES]
     context["token"] = hashlib.sha256("".join([*texts.values(), *tokenless]).encode()).hexdigest()[:32]
     content = {f"sources/{file}": text for file, text in texts.items()}
@@ -96,10 +96,10 @@ def fmu_sources(
 
 
 def compiled(content: dict[str, bytes], name: str) -> dict[str, bytes]:
-    """The library for this platform, by its place in the archive.
+    """Return the compiled library for this platform, by its path in the archive.
 
     Raises:
-        ExportWarning: There is no compiler, or it does not compile the sources.
+        ExportWarning: There is no compiler, or it fails to compile the sources.
     """
     without = "the FMU holds no library, only sources"
     compiler = shlex.split(os.environ.get("CC", "cc"))
@@ -134,7 +134,7 @@ def compiled(content: dict[str, bytes], name: str) -> dict[str, bytes]:
 
 
 def _not_offered() -> list[tuple[str, str]]:
-    """Functions of FMI that the template does not define, with their parameters."""
+    """List the FMI functions that the template does not define, with their parameters."""
     declared = (FMI3 / "fmi3FunctionTypes.h").read_text(encoding="ascii")
     found = re.findall(r"typedef\s+fmi3Status\s+(\w+)TYPE\s*\(([^;]*)\);", declared)
     own = (FMI3 / "fmi3.c.j2").read_text(encoding="utf-8")
@@ -146,7 +146,7 @@ def _not_offered() -> list[tuple[str, str]]:
 
 
 def _write(content: dict[str, bytes], path: Path) -> None:
-    """Equal bytes for equal content: entries in order, without the time of writing."""
+    """Write the archive so that equal content gives equal bytes: sorted entries, no time stamps."""
     with zipfile.ZipFile(path, "w") as archive:
         for name in sorted(content):
             entry = zipfile.ZipInfo(name)

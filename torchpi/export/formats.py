@@ -1,4 +1,4 @@
-"""Everything that a compensator is exported to, together or not at all."""
+"""The formats of an export, whose files are written all together or not at all."""
 
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import ExitStack
@@ -11,7 +11,7 @@ from torchpi.export.safety_card import Load
 from torchpi.files import as_path, to_disk, write_atomically
 from torchpi.operators.reference_filter import ReferenceFilter
 
-Files = dict[Path, Callable[[Path], object]]  # what writes each file's content to a path
+Files = dict[Path, Callable[[Path], object]]  # path of each file, and the function that writes its content
 SUFFIXES = (".pt", ".c", ".h", ".fmu", ".pt2", ".json", ".html")
 MODULES = {
     "torchscript": "torchscript",
@@ -21,7 +21,7 @@ MODULES = {
     "json": "numbers",
     "page": "page",
 }
-"""Where each format is made."""
+"""Module that makes each format."""
 FORMATS = tuple(MODULES)
 
 
@@ -32,9 +32,9 @@ def export_files(
     reference_filter: ReferenceFilter | None = None,
     load: Load | None = None,
 ) -> list[Path]:
-    """Write `output` with the suffixes of the formats; returns the files.
+    """Write `output` with the suffixes of the formats and return the paths of the files.
 
-    All are made before the first is put in place. Arguments and errors are those of `made_files`.
+    All files are made before the first is put in place. Arguments and errors are those of `made_files`.
 
     Example:
         >>> from torchpi import DirectInverse
@@ -55,19 +55,19 @@ def made_files(
     reference_filter: ReferenceFilter | None = None,
     load: Load | None = None,
 ) -> Files:
-    """What an export writes, by path, for `write_together`.
+    """Return the files of an export by path, for `write_together`.
 
     Args:
-        compensator: What is exported.
+        compensator: The compensator to export.
         output: Path without suffix.
-        formats: Of `FORMATS`; one, or several.
-        reference_filter: Put before the compensator, inside the files.
-        load: What the amplifier drives, for the safety card of json and page.
+        formats: One or several of `FORMATS`.
+        reference_filter: Filter placed before the compensator, inside the files.
+        load: What the amplifier drives, for the safety card in the formats json and page.
 
     Raises:
-        ConfigError: An unknown format.
-        ArtifactError: The compensator has a part that one of the formats has no form for, or a number that
-            is not finite, or its name cannot be one in C. Nothing is written then.
+        ConfigError: A format is unknown.
+        ArtifactError: The compensator has a part that one of the formats cannot represent or a number that
+            is not finite, or the name cannot be used in C. Nothing is written then.
     """
     formats = [formats] if isinstance(formats, str) or not isinstance(formats, Iterable) else list(formats)
     unknown = [str(name) for name in formats if name not in FORMATS]
@@ -80,22 +80,22 @@ def made_files(
 
 
 def without_suffix(output: str | Path) -> Path:
-    """`mine` of `mine.pt`, by whichever of its files an export is named; other dots stay."""
+    """Remove the suffix of an exported file (`mine` for `mine.pt`); other dots stay."""
     path = as_path(output)
     return path.with_suffix("") if path.suffix in SUFFIXES else path
 
 
 def written(content: str | bytes) -> Callable[[Path], object]:
-    """What writes this content to a path; lines end alike on every system."""
+    """Return a function that writes this content to a path, with the same line endings on every system."""
     encoded = content.encode() if isinstance(content, str) else content
     return lambda path: path.write_bytes(encoded)
 
 
 def write_together(files: Files) -> None:
-    """Write every file beside its place; when all are there, put them in place.
+    """Write every file to a temporary path beside its own; when all are written, put them in place.
 
     Args:
-        files: What writes each file, by its path, from `made_files`.
+        files: Functions that write the files, by path, from `made_files`.
     """
     with ExitStack() as placed:
         for path, write in files.items():
@@ -111,7 +111,7 @@ def _made(
     reference_filter: ReferenceFilter | None,
     load: Load | None,
 ) -> Files:
-    # Imported when asked for, because torch.export is slow to import.
+    # Imported only when needed, because torch.export is slow to import.
     module = import_module(f"torchpi.export.{MODULES[name]}")
     card = (load,) if name in ("json", "page") else ()
     files: Files = getattr(module, f"{name}_files")(compensator, output, reference_filter, *card)

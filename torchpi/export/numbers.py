@@ -1,4 +1,4 @@
-"""The bare numbers of a compensator as JSON, with units: enough to write the step by hand."""
+"""The numbers of a compensator as JSON, with units: enough to implement the step by hand."""
 
 import json
 from pathlib import Path
@@ -22,10 +22,10 @@ def json_files(
     reference_filter: ReferenceFilter | None = None,
     load: Load | None = None,
 ) -> Files:
-    """NAME.json.
+    """Return NAME.json.
 
     Raises:
-        ArtifactError: The compensator is no direct inverse, or has a number that is not finite.
+        ArtifactError: The compensator is not a direct inverse, or has a number that is not finite.
     """
     if not isinstance(compensator, DirectInverse):
         raise ArtifactError(
@@ -44,7 +44,7 @@ def numbers(
     reference_filter: ReferenceFilter | None = None,
     load: Load | None = None,
 ) -> dict[str, Any]:
-    """The compensator as plain numbers, in the order in which a step uses them, and its safety card."""
+    """Return the numbers of the compensator in the order in which a step uses them, and its safety card."""
     weights, limits = compensator.weights, compensator.step_limits()
     rate_um_s = f"rate in units of {weights.rate_scale_um_s:g} µm/s"
     return {

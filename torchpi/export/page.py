@@ -1,4 +1,4 @@
-"""The safety card as a page beside the exported files."""
+"""The safety card as an HTML page beside the exported files."""
 
 import shlex
 import sys
@@ -18,10 +18,10 @@ def page_files(
     reference_filter: ReferenceFilter | None = None,
     load: Load | None = None,
 ) -> Files:
-    """NAME.html.
+    """Return NAME.html, the page of the safety card.
 
     Raises:
-        ArtifactError: The compensator is no direct inverse.
+        ArtifactError: The compensator is not a direct inverse.
     """
     # Drawing libraries are slow to import, and only the page needs them.
     from torchpi.report.safety_page import safety_page

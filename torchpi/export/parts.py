@@ -1,7 +1,7 @@
-"""A deployed step taken apart: its parts, their constants and states, and the text of their methods.
+"""Decompose a deployed step into parts, with their constants, states and the source of their methods.
 
-The C and the `.pt2` exporters read the Python of the step that runs, as TorchScript does; so each
-equation is written once. A part is a stream (a module with `reset` and `step`) or one within it.
+The C and `.pt2` exporters read the Python source of the step itself, as TorchScript does, so that each
+equation is written only once. A part is a stream (a module with `reset` and `step`) or a stream inside one.
 """
 
 import ast
@@ -26,7 +26,7 @@ Value = Number | list[float]
 
 @dataclass(frozen=True)
 class Function:
-    """A method, or a plain function that one calls: its syntax tree, its comments by line, its names."""
+    """A method, or a plain function called by one: its syntax tree, its comments by line, and its globals."""
 
     tree: ast.FunctionDef
     comments: dict[int, str]
@@ -47,9 +47,9 @@ class Part:
     """One stream of a step.
 
     Attributes:
-        path: Names of the attributes that lead to it; () is the step itself.
+        path: Names of the attributes that lead to this part; () is the step itself.
         module: The stream, de-energised.
-        form: What it is to become, for errors: 'C' or '.pt2'.
+        form: Target format, named in error messages: 'C' or '.pt2'.
     """
 
     path: tuple[str, ...]
@@ -62,7 +62,7 @@ class Part:
         return f"part '{'.'.join(self.path)}' ({name})" if self.path else f"the step ({name})"
 
     def refuse(self, found: str) -> NoReturn:
-        """Say what of this part has no form.
+        """Report which construct of this part cannot be exported.
 
         Raises:
             ArtifactError: Always.
@@ -70,24 +70,24 @@ class Part:
         raise ArtifactError(f"{self} has no {self.form} form: {found}; use --to torchscript for this model")
 
     def child(self, name: str) -> "Part | None":
-        """The part that this attribute holds, if it holds one."""
+        """Return the part that this attribute holds, or None if it holds none."""
         if not isinstance(getattr(self.module, name, None), nn.Module):
             return None
         module = getattr(self.module, name)
         return self._children.setdefault(name, Part((*self.path, name), module, self.form))
 
     def children(self, name: str) -> "list[Part] | None":
-        """The parts that this attribute holds, if it holds a list of them."""
+        """Return the parts that this attribute holds, or None if it holds no list of parts."""
         listed = self.child(name)
         if listed is None or not isinstance(listed.module, nn.ModuleList):
             return None
         return [listed.child(str(i)) or self.refuse(name) for i in range(len(listed.module))]
 
     def value(self, name: str) -> Value:
-        """A constant, or a state's value after `reset()`.
+        """Return a constant, or the value of a state after `reset()`.
 
         Raises:
-            ArtifactError: It is neither a number nor a list of floats, or not finite.
+            ArtifactError: The value is neither a number nor a list of floats, or it is not finite.
         """
         value: Value = getattr(self.module, name, [])
         numbers = value if isinstance(value, list) else [value]
@@ -100,22 +100,22 @@ class Part:
 
     @cached_property
     def states(self) -> tuple[str, ...]:
-        """Names of the attributes that its methods assign, in the order of `__init__`; no empty lists."""
+        """Names of attributes that methods of this part assign, in `__init__` order, without empty lists."""
         assigned = {name for method in self._methods.values() for name in _assigned(read(method).tree)}
         held = {name for name, value in vars(self.module).items() if value != []}
         return tuple(name for name in vars(self.module) if name in assigned & held - set(self.scratch))
 
     @property
     def scratch(self) -> tuple[str, ...]:
-        """Lists that a step fills before it reads them."""
+        """Names of lists that each step fills before reading, so that they carry no state."""
         return getattr(self.module, "scratch", ())
 
     def remark(self, name: str) -> str:
-        """The comment behind an attribute's assignment in `__init__`."""
+        """Return the comment that follows the assignment of an attribute in `__init__`."""
         return self._remarks.get(name, "")
 
     def place(self, name: str) -> int:
-        """Where an attribute stands in `__init__`."""
+        """Return the position of an attribute in the order of `__init__`."""
         return list(vars(self.module)).index(name)
 
     @cached_property
@@ -132,11 +132,11 @@ class Part:
 
     @property
     def summary(self) -> str:
-        """The first line of its docstring."""
+        """The first line of the docstring of its class."""
         return (type(self.module).__doc__ or "").partition("\n")[0]
 
     def method(self, name: str) -> Function:
-        """A method without the branches that a constant decides, its scratch lists as local numbers."""
+        """Return a method without branches that a constant excludes, with scratch lists as local numbers."""
         if name not in self._methods:
             self.refuse(f"no method '{name}' written in Python")
         function = read(self._methods[name])
@@ -145,7 +145,7 @@ class Part:
         return replace(function, tree=ast.fix_missing_locations(tree), comments=decide.comments)
 
     def called(self, function: Function, name: str) -> Function:
-        """The plain function that goes by this name in `function`."""
+        """Return the plain function that `function` refers to by this name."""
         found = function.names.get(name)
         if not inspect.isfunction(found):
             self.refuse(f"{name}(…) is no plain Python function")
@@ -158,7 +158,7 @@ class Part:
 
     @cached_property
     def _classes(self) -> list[type]:
-        """Its class after those that it derives from, without torch's own."""
+        """Base classes first, then the class of the module; torch's own classes are left out."""
         classes = reversed(type(self.module).__mro__)
         return [cls for cls in classes if cls is not object and not cls.__module__.startswith("torch.")]
 
@@ -173,14 +173,14 @@ class Part:
 
 
 class WriteOut(ast.NodeTransformer):
-    """Writes out, turn by turn, the loops that a subclass chooses."""
+    """Unrolls the loops that a subclass selects."""
 
     def __init__(self, module: nn.Module) -> None:
         self.module = module
         self.turns: dict[str, int] = {}
 
     def chooses(self, variable: str, loop: ast.For) -> bool:
-        """Whether this loop is written out."""
+        """Whether this loop is unrolled."""
         raise NotImplementedError
 
     def visit_For(self, node: ast.For) -> Any:
@@ -195,7 +195,7 @@ class WriteOut(ast.NodeTransformer):
         return self.generic_visit(node)
 
     def block(self, statements: list[ast.stmt]) -> list[ast.stmt]:
-        """The statements, each visited."""
+        """Visit every statement and return the resulting list."""
         module = ast.Module(statements, [])
         self.generic_visit(module)
         return module.body
@@ -204,13 +204,13 @@ class WriteOut(ast.NodeTransformer):
         return ast.Constant(self.turns[node.id]) if node.id in self.turns else node
 
     def number(self, node: ast.expr) -> int:
-        """A count or a place, from the lengths of lists and the turns of loops."""
+        """Evaluate a count or an index from the lengths of lists and the current loop variables."""
         code = compile(ast.Expression(node), "<index>", "eval")
         return int(eval(code, {"len": len, "self": self.module, **self.turns}))
 
 
 class _Decide(WriteOut):
-    """Takes out what a constant switch leaves out, with its comments; scratch lists become local numbers."""
+    """Removes branches that a constant excludes, with their comments; scratch lists become local numbers."""
 
     def __init__(self, part: Part, comments: dict[int, str]) -> None:
         super().__init__(part.module)
@@ -241,10 +241,10 @@ class _Decide(WriteOut):
 
 
 def take_apart(stream: Any, form: str) -> Part:
-    """The whole step as a part, de-energised.
+    """Return the whole step as a part in the de-energised state.
 
     Raises:
-        ArtifactError: It is no stream, or its sample period is not a positive number.
+        ArtifactError: `stream` is not a stream, or its sample period is not a positive number.
     """
     if not isinstance(stream, nn.Module):
         raise ArtifactError(
@@ -260,7 +260,7 @@ def take_apart(stream: Any, form: str) -> Part:
 
 @lru_cache(maxsize=256)
 def read(function: Callable[..., Any]) -> Function:
-    """The text of a Python function, parsed."""
+    """Parse the source of a Python function."""
     text = textwrap.dedent(inspect.getsource(function))
     tree = ast.parse(text).body[0]
     assert isinstance(tree, ast.FunctionDef)
@@ -273,7 +273,7 @@ def read(function: Callable[..., Any]) -> Function:
 
 
 def own_attribute(node: ast.AST) -> str | None:
-    """The name of `self.name`, else None."""
+    """Return `name` if the node is `self.name`, else None."""
     if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id == "self":
         return node.attr
     return None

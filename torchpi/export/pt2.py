@@ -1,8 +1,8 @@
-"""The step as a `.pt2` program of torch.export: functional, with its state going in and coming out.
+"""The step as a `.pt2` program of torch.export, a pure function that takes and returns its state.
 
-`program(yd, state)` gives `(u, state)`: yd () float64 in µm, u () float64 in V, state (S,) float64, from
-`initial_state` on. The graph is the Python of the deployed step, followed with tensors in place of floats:
-both ways of an `if` are computed, and `where` selects.
+`program(yd, state)` returns `(u, state)`: yd () float64 in µm, u () float64 in V, state (S,) float64, from
+`initial_state` on. The graph follows the Python source of the deployed step with tensors in place of floats:
+both branches of an `if` are computed, and `where` selects between them.
 """
 
 import ast
@@ -28,7 +28,7 @@ CONTRACT = "contract.json"
 def pt2_files(
     compensator: Deployable, output: Path, reference_filter: ReferenceFilter | None = None
 ) -> Files:
-    """NAME.pt2.
+    """Return NAME.pt2.
 
     Raises:
         ArtifactError: A part has no .pt2 form, or a number is not finite.
@@ -37,7 +37,7 @@ def pt2_files(
     extra = {CONTRACT: json.dumps(contract)}
 
     def write(path: Path) -> None:
-        # Through a buffer: a full disk is then an OSError.
+        # Saved through a buffer, so that a full disk raises an OSError.
         buffer = io.BytesIO()
         torch.export.save(program, buffer, extra_files=dict(extra))
         path.write_bytes(buffer.getvalue())
@@ -48,7 +48,7 @@ def pt2_files(
 def exported(
     compensator: Deployable, reference_filter: ReferenceFilter | None = None
 ) -> tuple[torch.export.ExportedProgram, dict[str, Any]]:
-    """The program, and what a loop must know of it; its `initial_state` is among its buffers."""
+    """Return the program, with `initial_state` as a buffer, and the constants that a control loop needs."""
     part = take_apart(compensator.stream(reference_filter), ".pt2")
     step = FunctionalStep(part)
     example = torch.zeros((), dtype=torch.float64), step.initial_state.clone()
@@ -65,7 +65,7 @@ class FunctionalStep(nn.Module):
 
     Attributes:
         initial_state: The de-energised state, (S,).
-        names: What stands where in the state; a list takes as many places as it has elements.
+        names: Names of the states in the order of `state`; a list occupies one place per element.
     """
 
     def __init__(self, part: Part) -> None:
@@ -112,18 +112,18 @@ _OPERATIONS: dict[type, Callable[[Any, Any], Any]] = {
 
 
 class _Run:
-    """One function, followed from its arguments to what it returns."""
+    """Evaluates one function from its arguments to its return value."""
 
     def __init__(self, part: Part, function: Function, names: dict[str, Any], states: States) -> None:
         self.part, self.function = part, function
         self.names, self.states = names, states
 
     def outcome(self) -> tuple[Any, States]:
-        """What it returns, and the states after it."""
+        """Return the value of the function and the states after it."""
         return self._block(self.function.body), self.states
 
     def _block(self, statements: list[ast.stmt]) -> Any:
-        """Run statements up to a return; what that gives, or None."""
+        """Run statements up to a return; give the returned value, or None."""
         for i, statement in enumerate(statements):
             match statement:
                 case ast.If(test=test, body=body, orelse=orelse):
@@ -235,7 +235,7 @@ class _Run:
                 self._refuse(node)
 
     def _both_ways(self, nodes: list[ast.expr]) -> list[Any]:
-        """Values of which Python would have made only some."""
+        """Evaluate all operands, although Python would evaluate only some; refuse changes of state."""
         before = dict(self.states)
         values = [self._value(node) for node in nodes]
         if any(self.states[key] is not before[key] for key in before):
@@ -298,7 +298,7 @@ def _where(decided: Any, yes: Any, no: Any) -> Any:
 
 
 def _tensor(value: Any) -> Tensor:
-    # A Python number alone would become float32 beside another one.
+    # `torch.where` of two plain Python numbers would give float32.
     return value if isinstance(value, Tensor) else torch.full((), value, dtype=_dtype(value))
 
 

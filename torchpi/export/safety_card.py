@@ -1,4 +1,4 @@
-"""What to know before a compensator drives a stage: its reach, rates, current, and which way it runs."""
+"""What to know before a compensator drives a stage: its reach, rates, current and monotonicity."""
 
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -14,11 +14,11 @@ class Load:
     """What the amplifier drives.
 
     Args:
-        capacitance_uf: Of the piezo, µF; None where it is not known.
-        amplifier_gain: Voltage at the piezo per volt of the controller.
+        capacitance_uf: Capacitance of the piezo, µF; None if unknown.
+        amplifier_gain: Voltage at the piezo per volt from the controller.
 
     Raises:
-        ConfigError: One that is not positive.
+        ConfigError: A value is not positive.
 
     Example:
         >>> from torchpi.export import Load
@@ -35,7 +35,7 @@ class Load:
                 raise ConfigError(f"{name}: found {value}, expected a positive number")
 
     def current_ma(self, rate_v_s: float) -> float | None:
-        """i = C du/dt at the piezo, mA, for a rate of the controller's voltage."""
+        """Return i = C du/dt at the piezo, mA, for a rate of the controller's voltage, V/s."""
         if self.capacitance_uf is None:
             return None
         return 1e-3 * self.capacitance_uf * self.amplifier_gain * rate_v_s
@@ -43,29 +43,29 @@ class Load:
 
 @dataclass(frozen=True)
 class SafetyCard:
-    """The card; None where something is not known.
+    """The safety card; unknown entries are None.
 
     Attributes:
         sample_period_s: The period at which the step must be called.
-        preview: Samples that the desired displacement is given ahead.
+        preview: Number of samples by which the desired displacement is given ahead.
         reachable_um: Displacements of slow motions within the output limits, from the de-energised state.
         remanence_um: The lowest displacement after a full excursion, without de-energising.
-        reachable_from_remanence_um: Displacements of slow motions from there on.
+        reachable_from_remanence_um: Displacements of slow motions starting from that remanence.
         output_limits_v: Voltage limits, inside the step.
         max_slew_v_s: Limit on the rate of the output, inside the step.
-        trained_range_um: Displacements trained on.
-        trained_rates_um_s: Signed rates trained on.
-        trained_accelerations_um_s2: Accelerations trained on.
+        trained_range_um: Displacements of the training data.
+        trained_rates_um_s: Signed rates of the training data.
+        trained_accelerations_um_s2: Accelerations of the training data.
         trained_voltages_v: Voltages of the trained motions.
         trained_voltage_rates_v_s: Rates of these voltages, from sample to sample.
-        capacitance_uf: Of the load, as given.
-        amplifier_gain: As given.
+        capacitance_uf: Capacitance of the load, as given.
+        amplifier_gain: Gain of the amplifier, as given.
         current_ma: Peak current of the trained motions into the given capacitance.
         current_at_slew_limit_ma: Current at `max_slew_v_s`.
         monotone: Whether the inverse rises everywhere over the trained range and rates.
-        monotone_summary: The same in a sentence.
-        accepted_um: Inputs beyond are held.
-        accepted_rate_um_s: Jumps beyond are held, then followed at this rate.
+        monotone_summary: The same result as a sentence.
+        accepted_um: Inputs outside this interval are replaced by the last accepted input.
+        accepted_rate_um_s: Faster jumps are held first, then followed at this rate.
     """
 
     sample_period_s: float
@@ -90,18 +90,18 @@ class SafetyCard:
     accepted_rate_um_s: float
 
     def as_json(self) -> dict[str, Any]:
-        """Lists and numbers by name, units in the names."""
+        """Return lists and numbers by name; the names include the units."""
         return {
             name: list(value) if isinstance(value, tuple) else value for name, value in asdict(self).items()
         }
 
 
 def safety_card(compensator: DirectInverse, load: Load | None = None) -> SafetyCard:
-    """The card of a compensator, for a load if it is known.
+    """Return the safety card of a compensator, for a load if it is known.
 
     Args:
-        compensator: Trained; of one that is not, less is known.
-        load: What the amplifier drives; without it no current is stated.
+        compensator: The trained compensator; for an untrained one some entries are None.
+        load: What the amplifier drives; without its capacitance no current is stated.
 
     Example:
         >>> from torchpi import DirectInverse

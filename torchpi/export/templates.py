@@ -1,4 +1,4 @@
-"""Text of exported files from the templates that stand beside the code."""
+"""Render the text of exported files from the templates in this folder."""
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -10,7 +10,7 @@ HERE = Path(__file__).parent
 
 
 def rendered(template: str, context: Mapping[str, Any], **filters: Callable[..., str]) -> str:
-    """A template, by its path in this folder, with what stands in it; a name that is missing is an error."""
+    """Render a template, given by its path in this folder, with `context`; a missing name is an error."""
     folder, _, name = template.rpartition("/")
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(HERE / folder),

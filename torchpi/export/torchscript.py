@@ -1,7 +1,7 @@
 """The compensator as a TorchScript file: `reset`, `step`, `block`, and its attributes.
 
-TorchScript is deprecated in torch 2.13, and works; it is the contract here because the file loads in
-Python and in C++ without torchpi.
+TorchScript is deprecated in torch 2.13 but still works. It is used here because the file loads in Python and
+in C++ without torchpi.
 """
 
 import math
@@ -37,11 +37,11 @@ _ATTRIBUTES: dict[str, type] = {
 def torchscript_files(
     compensator: Deployable, output: Path, reference_filter: ReferenceFilter | None = None
 ) -> Files:
-    """NAME.pt, the frozen step of `compensator`; a reference filter goes inside on request."""
+    """Return NAME.pt, the frozen step of `compensator`, with the reference filter inside if one is given."""
     scripted = script(compensator, reference_filter)
     known = getattr(compensator, "recordings_sha256", None)
     extra = {} if known is None else {RECORDINGS_PART.removeprefix("extra/"): known}
-    # From a buffer, because a path leaves its name inside, and this one is temporary.
+    # Saved to a buffer, because saving to a path stores its name in the file, and the path is temporary.
     content = scripted.save_to_buffer(_extra_files=extra)
     return {output.with_name(output.name + ".pt"): written(content)}
 
@@ -49,7 +49,7 @@ def torchscript_files(
 def script(
     compensator: Deployable, reference_filter: ReferenceFilter | None = None
 ) -> torch.jit.ScriptModule:
-    """The compensator's stream, compiled and frozen: constants inside, state kept."""
+    """Compile and freeze the stream of the compensator: constants are inlined, state is kept."""
     stream = written_out(cast(nn.Module, compensator.stream(reference_filter))).eval()
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message=".*torch.jit.*deprecated.*")
@@ -58,14 +58,14 @@ def script(
 
 
 def load_torchscript(path: str | Path) -> CompensatorStream:
-    """Load an exported compensator, warm and reset. Nothing of a file runs that torchpi does not write.
+    """Load an exported compensator, warmed up and reset; only code that torchpi itself writes is run.
 
     Args:
-        path: A `.pt` of `export_files` or `torchpi export`.
+        path: A `.pt` file of `export_files` or `torchpi export`.
 
     Raises:
-        ArtifactError: There is no such file, or it is not a compensator, or it is damaged, or it holds an
-            operator or a number that no compensator has.
+        ArtifactError: The file does not exist, is not a compensator, is damaged, or holds an operator or a
+            number that no compensator has.
 
     Example:
         >>> from torchpi import DirectInverse
@@ -102,7 +102,7 @@ def load_torchscript(path: str | Path) -> CompensatorStream:
 
 
 def trained_recordings(path: str | Path) -> str | None:
-    """`recordings_sha256` of what an exported compensator was trained on; None where it is not known.
+    """Return `recordings_sha256` of the training data of an exported compensator, or None if unknown.
 
     Args:
         path: A file that `load_torchscript` has accepted.
@@ -132,7 +132,7 @@ def _check_attributes(path: Path, loaded: torch.jit.ScriptModule) -> None:
 
 
 def warm(loaded: CompensatorStream) -> None:
-    """Run the first calls, which compile and cost milliseconds, and return to the de-energised state."""
+    """Run the first calls, which take milliseconds for compilation, then reset to the de-energised state."""
     for _ in range(20):
         loaded.step(0.0)
     loaded.reset()

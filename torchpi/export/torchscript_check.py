@@ -1,10 +1,10 @@
-"""Whether a TorchScript file holds nothing but what torchpi writes: checked before any of its code runs.
+"""Check, before any of its code runs, that a TorchScript file holds only what torchpi writes.
 
 TorchScript is a programming language whose operators read and write files, and a file may run code while it
-is loaded (`__setstate__`). So a file is taken in two steps. Its archive is read as text, without torch: only
-the parts, methods, statements and calls that torchpi's writer emits pass. Then torch compiles it, which runs
-nothing of what passed, and the compiled graph is held against the list of operators with their types: on
-numbers, on lists of numbers, and the few on tensors that `block` needs.
+is loaded (`__setstate__`). So a file is checked in two steps. First its archive is read as text, without
+torch; only the parts, methods, statements and calls that torchpi writes pass. Then torch compiles it, which
+runs none of the accepted code, and the compiled graph is compared with a list of permitted typed operators:
+on numbers, on lists of numbers, and the few on tensors that `block` needs.
 """
 
 import ast
@@ -22,10 +22,10 @@ from torchpi.recordings.identity import is_sha256
 
 LARGEST_BYTES = 2**26
 RECORDINGS_PART = "extra/recordings_sha256"
-"""The part of the archive that names what a compensator was trained on."""
-LONGEST_LOOP = 1024  # turns of a loop over constants
+"""The part of the archive that identifies the recordings a compensator was trained on."""
+LONGEST_LOOP = 1024  # iterations of a loop with a constant count
 LONGEST_LIST = 4096
-DEEPEST_LOOPS = {"reset": 2, "step": 2}  # within each other; these two run while a file is loaded
+DEEPEST_LOOPS = {"reset": 2, "step": 2}  # nested loops; these two run while a file is loaded
 METHODS = ("reset", "reset_at", "reset_at_voltage", "step", "block")
 
 _PARTS = re.compile(
@@ -97,10 +97,10 @@ _NUMBERS = frozenset(("float", "int", "bool", "List[float]", "List[int]"))
 
 
 def check_file(path: Path) -> None:
-    """Read the archive as text.
+    """Check the archive as text.
 
     Raises:
-        ArtifactError: Damaged, or with anything that torchpi's writer does not emit.
+        ArtifactError: The archive is damaged, or holds something that torchpi does not write.
     """
     check_archive(path, LARGEST_BYTES)
     with zipfile.ZipFile(path) as archive:
@@ -124,10 +124,10 @@ def check_file(path: Path) -> None:
 
 
 def check_graph(path: Path, loaded: Any) -> None:
-    """Hold the compiled methods against the list of operators.
+    """Compare the compiled methods with the list of permitted operators.
 
     Raises:
-        ArtifactError: An operator, a type or a loop that torchpi's writer does not emit.
+        ArtifactError: A method contains an operator, a type or a loop that torchpi does not write.
     """
     module = loaded._c
     names = set(module._method_names())
@@ -161,7 +161,7 @@ def _check_code(path: Path, content: bytes) -> None:
 
 
 def _check_pickle(path: Path, content: bytes) -> None:
-    """Plain values, and lists of numbers that are finite and not long."""
+    """Check that a pickle holds only plain values and lists of finite numbers of bounded length."""
     elements = 0
     try:
         for opcode, argument, _ in pickletools.genops(content):
@@ -178,7 +178,7 @@ def _check_pickle(path: Path, content: bytes) -> None:
                 _refuse(path, f"a list of more than {LONGEST_LIST} numbers")
     except ArtifactError:
         raise
-    except Exception as error:  # bytes of anything make the reader of opcodes raise anything
+    except Exception as error:  # arbitrary bytes can make pickletools raise any exception
         raise ArtifactError(f"{path}: found a damaged pickle, expected a whole file") from error
 
 
@@ -211,7 +211,7 @@ def _is_known(type_: str, kind: str, has_tensors: bool) -> bool:
 
 
 def _is_short(loop: Any) -> bool:
-    """Whether it runs over a constant number of turns, or over a list or a tensor, and to its end."""
+    """Whether the loop runs to its end over a constant number of iterations, a list or a tensor."""
     turns, condition = itertools.islice(loop.inputs(), 2)
     goes_on = next(next(loop.blocks()).outputs())
     return _constant(condition) == 1 and _constant(goes_on) == 1 and _is_bounded(turns)

@@ -1,12 +1,12 @@
-"""A step written out: lists number by number, loops turn by turn, no branch that a constant decides.
+"""Unroll a step: lists become single numbers, loops are unrolled, and branches on constants disappear.
 
     for i in range(len(self.r)):                  h = play(s, self.r_0, self.h_0)
         h = play(s, self.r[i], self.h[i])         self.h_0 = h
         self.h[i] = h                             h = play(s, self.r_1, self.h_1)
                                                   self.h_1 = h
 
-TorchScript reads it in a third of the time (`benchmarks/step_latency.py`): constants are in its code, and
-what a compensator does not have costs nothing. The operations, and their order, are the same.
+TorchScript reads the unrolled step in a third of the time (`benchmarks/step_latency.py`): constants are in
+the code, and features that a compensator lacks cost nothing. The operations and their order are the same.
 """
 
 import ast
@@ -22,14 +22,14 @@ from torchpi.export.parts import Part, WriteOut, own_attribute
 
 
 def written_out(stream: nn.Module) -> nn.Module:
-    """The stream with every direct inverse in it written out; it is changed itself."""
+    """Unroll every direct inverse inside the stream, which is modified in place, and return the result."""
     for name, child in stream.named_children():
         setattr(stream, name, written_out(child))
     return _module(stream) if isinstance(stream, DirectInverseStream) else stream
 
 
 def _module(stream: DirectInverseStream) -> nn.Module:
-    """A module of a class of its own, with the attributes of the stream; its text stays readable."""
+    """Return a module of a generated class with the attributes of the stream; its source stays readable."""
     base = type(stream).__mro__[1]
     methods = [name for name, one in vars(type(stream)).items() if callable(one) and name != "__init__"]
     part, write_out = Part((), stream, "TorchScript"), _Numbers(stream)
@@ -38,9 +38,9 @@ def _module(stream: DirectInverseStream) -> nn.Module:
     source = f"class WrittenOut({base.__name__}):\n\n" + "\n".join(
         "    " + line for line in bodies.splitlines()
     )
-    # By its content, so that equal compensators leave equal files.
+    # Named by a hash of the source, so that equal compensators give equal files.
     filename = f"<compensator step {hashlib.sha256(source.encode()).hexdigest()[:16]}>"
-    # TorchScript reads a function's text through linecache, as tracebacks and debuggers do.
+    # TorchScript reads the source of a function through linecache, as tracebacks and debuggers do.
     linecache.cache[filename] = (len(source), None, source.splitlines(True), filename)
     known = vars(sys.modules[type(stream).__module__])
     namespace = {name: value for name, value in known.items() if not name.startswith("__")}
@@ -53,7 +53,7 @@ def _module(stream: DirectInverseStream) -> nn.Module:
 
 
 class _Numbers(WriteOut):
-    """Every loop turn by turn, every list number by number."""
+    """Unrolls every loop and replaces every list element by a single number."""
 
     def chooses(self, variable: str, loop: ast.For) -> bool:
         return True

@@ -1,1 +1,1 @@
-"""torchpi in a notebook: NumPy in, NumPy out, results that draw and show themselves."""
+"""torchpi for notebooks: NumPy arrays as inputs and outputs, and results that display and plot themselves."""

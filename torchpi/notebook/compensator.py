@@ -1,7 +1,7 @@
 """A compensator from recordings in memory: fit, predict, track, export, in the manner of scikit-learn.
 
-The recipe is that of `torchpi commission`: the form of the inverse by cross-validation, a forward stage from
-the same recordings, both judged on the last one, which is held out.
+The procedure is that of `torchpi commission`: cross-validation selects the form of the inverse, a forward
+stage is identified from the same recordings, and both are judged on the last recording, which is held out.
 """
 
 import math
@@ -52,7 +52,7 @@ from torchpi.stage.beside import exported_stage
 
 Signal = npt.NDArray[np.float64]  # shape: (time,)
 LEAST_MOTION = 2e-3
-"""Of the reach: whatever moves less than that may be in another unit."""
+"""Fraction of the reach; a smaller motion may be given in another unit."""
 
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
@@ -61,12 +61,12 @@ class Compensator:
 
     Attributes:
         inverse: The direct inverse, a `torch.nn.Module`.
-        stage: The forward stage that was identified from the same recordings; None where there is none.
-        errors: Of the inverse on the held-out recording; None for one that was loaded.
-        form: What cross-validation selected; None for one that was loaded.
+        stage: The forward stage identified from the same recordings; None if there is none.
+        errors: Errors of the inverse on the held-out recording; None if it was loaded.
+        form: Form selected by cross-validation; None if it was loaded.
 
     Raises:
-        ConfigError: No inverse, or settings of a fit; `fit` and `load` make a compensator.
+        ConfigError: There is no inverse, or settings of a fit are given; `fit` and `load` make a compensator.
 
     Example:
         >>> import numpy as np
@@ -96,7 +96,7 @@ class Compensator:
         form: Form | None = None,
         **settings: Any,
     ) -> None:
-        """Around an inverse that there is already; `fit` and `load` make one."""
+        """Wrap an existing inverse; `fit` and `load` make one."""
         if settings or not isinstance(inverse, DirectInverse):
             found = ", ".join(settings) if settings else kind_of(inverse)
             raise ConfigError(
@@ -104,7 +104,7 @@ class Compensator:
                 "makes a compensator from recordings, Compensator.load(path) reads one"
             )
         vars(self).update(inverse=inverse, stage=stage, errors=errors, form=form)
-        # It stays as it is: a fit on it would give another, and leave the one that was meant.
+        # `fit` on an instance would return another one and leave this one unchanged, so it is refused.
         vars(self)["fit"] = _refuse_to_refit
 
     @classmethod
@@ -117,23 +117,23 @@ class Compensator:
         min_voltage_v: float | None = None,
         max_voltage_v: float | None = None,
     ) -> "Compensator":
-        """Identify the inverse and a forward stage. Takes some seconds for 10,000 samples.
+        """Identify the inverse and a forward stage, which takes some seconds for 10,000 samples.
 
         Args:
             recordings: Two or more of one stage, at the sample rate of the control loop. The last one is held
-                out and judges.
-            preview: Most samples that the trajectory is known ahead; 0 where it is not. By default as many as
-                the recordings show the stage to be late.
-            skip_s: Start-up transient of each recording, s, that sets the state and is not counted.
+                out for validation.
+            preview: Largest number of samples by which the trajectory is known ahead; 0 if it is not. By
+                default as many as the delay of the stage in the recordings.
+            skip_s: Start-up transient of each recording, s, that sets the state but is not fitted.
             min_voltage_v, max_voltage_v: Limits of the voltage; by default those of the recordings.
 
         Raises:
-            RecordingError: Fewer than two recordings, two that are the same, different sample rates, or one
-                that no model can be made from.
-            ConfigError: Limits that are none, a number of samples or seconds that is negative, or a call on a
-                compensator that is fitted already.
+            RecordingError: There are fewer than two recordings, two are the same, sample rates differ, or one
+                allows no model.
+            ConfigError: A limit is not a finite voltage, a number of samples or seconds is negative, or the
+                method is called on a fitted compensator.
         """
-        RecordingOptions(skip_s=skip_s)  # raises, as for a file
+        RecordingOptions(skip_s=skip_s)  # raises the same errors as for a file
         if preview is not None and not (is_whole(preview) and preview >= 0):
             raise ConfigError(
                 f"preview: found {preview!r}, expected a number of samples that is not negative"
@@ -157,10 +157,10 @@ class Compensator:
 
     @classmethod
     def load(cls, path: str | Path) -> "Compensator":
-        """What `save` wrote, or the folder of `torchpi train fit` or `torchpi commission`.
+        """Load a folder written by `save`, `torchpi train fit` or `torchpi commission`.
 
         Raises:
-            ArtifactError: No compensator there, or not as it was written.
+            ArtifactError: The folder has no compensator, or it is not as it was written.
         """
         stage = as_path(path) / STAGE
         inverse = load_compensator(path).requires_grad_(False)
@@ -182,29 +182,29 @@ class Compensator:
 
     @property
     def sample_rate_hz(self) -> float:
-        """Of the recordings, of `predict`, and of the control loop."""
+        """Sample rate of the recordings, of `predict`, and of the control loop."""
         return 1.0 / self.inverse.sample_period_s
 
     @property
     def preview(self) -> int:
-        """How many samples the desired trajectory is seen ahead."""
+        """Number of samples by which the desired trajectory is seen ahead."""
         return self.inverse.preview
 
     def predict(
         self,
         reference_um: npt.ArrayLike,  # (time,), µm
     ) -> Signal:  # (time,), V
-        """The voltage at each sample for a desired displacement, from the de-energised state.
+        """Return the voltage at each sample for a desired displacement, from the de-energised state.
 
-        These are the numbers of the exported file, sample by sample: it looks `preview` samples ahead, where
-        the last value holds beyond the end, and stays within its voltage limits.
+        The exported file gives the same numbers, sample by sample. It looks `preview` samples ahead, with the
+        last value held beyond the end, and stays within its voltage limits.
 
         Raises:
-            RecordingError: Another shape or type, not finite, or beyond what is reached within the voltage
-                limits.
+            RecordingError: The shape or type is wrong, a value is not finite, or the displacement cannot be
+                reached within the voltage limits.
 
         Warns:
-            RecordingWarning: Samples beyond the displacements or rates of the recordings, or a motion so
+            RecordingWarning: Samples exceed the displacements or rates of the recordings, or the motion is so
                 small that it may be in another unit.
 
         Example:
@@ -246,16 +246,16 @@ class Compensator:
         """Follow a desired displacement in a simulated control loop, with and without compensation.
 
         Args:
-            reference_um: At the compensator's sample rate.
-            stage: What is moved, or its file, or the name of one of torchpi's own, `default`; by default the
-                stage identified from the same recordings.
-            name: Of the trajectory, in figures.
-            max_slew_v_s: Rate of the voltage that the amplifier bears: the result names where it is met.
+            reference_um: Desired displacement at the sample rate of the compensator.
+            stage: The stage to drive, its file, or the name of one of torchpi's own, `default`; by default
+                the stage identified from the same recordings.
+            name: Name of the trajectory in figures.
+            max_slew_v_s: Slew-rate limit of the amplifier, V/s; the result names where it is reached.
 
         Raises:
-            RecordingError: Another shape or type, not finite, constant, or beyond the stage's range.
-            ArtifactError: No stage, or one of another sample rate.
-            ConfigError: A name that no stage has, or a slew rate that is not positive.
+            RecordingError: The reference has another shape or type, is not finite, constant or out of range.
+            ArtifactError: There is no stage, or its sample rate differs.
+            ConfigError: No stage has this name, or the slew rate is not positive.
 
         Example:
             >>> result = compensator.track(reference)
@@ -278,13 +278,13 @@ class Compensator:
         return Tracked(**vars(result))
 
     def errors_on(self, recording: Recording, skip_s: float = 0.0) -> InverseErrors:
-        """Errors of the voltage over a recording, offline, in V, µm and per cent.
+        """Compute the errors of the voltage over a recording, offline, in V, µm and per cent.
 
         Raises:
             RecordingError: Not one recording, one that no model can be judged on, or of another sample rate.
-            ConfigError: A start-up transient that is negative.
+            ConfigError: The start-up transient is negative.
         """
-        RecordingOptions(skip_s=skip_s)  # raises, as for a file
+        RecordingOptions(skip_s=skip_s)  # raises the same errors as for a file
         given = given_recordings(recording)
         if len(given) != 1:
             raise RecordingError(f"recording: found {len(given)} recordings, expected one")
@@ -299,15 +299,15 @@ class Compensator:
     def export(
         self, path: str | Path, to: str | Sequence[str] = ("torchscript", "c", "json", "page")
     ) -> list[Path]:
-        """Write files for a controller, and the stage beside them: all, or none. Returns their paths.
+        """Write the files for a controller and the stage beside them, all or none; return their paths.
 
         Args:
-            path: Without suffix, or with that of one of the files; the formats add theirs.
+            path: Path without suffix, or with that of one of the files; the formats add theirs.
             to: Formats of `torchpi export`, one or several: torchscript, c, fmu, pt2, json, page.
 
         Raises:
-            ConfigError: An unknown format.
-            ArtifactError: A compensator that lowers the voltage to raise the stage, no path, or a file that
+            ConfigError: A format is unknown.
+            ArtifactError: The compensator lowers the voltage to raise the stage, the path is none, or a file
                 cannot be written.
 
         Example:
@@ -337,14 +337,14 @@ class Compensator:
 
     @cached_property
     def _reached_um(self) -> tuple[float, float]:
-        """The ends of what is reached within the voltage limits, or was in the recordings."""
+        """Range, µm, of displacements reachable within the voltage limits or present in the recordings."""
         reached, trained = self.inverse.reach(), self.inverse.trained
         low, high = (0.0, 0.0) if trained is None else trained.range_um
         return min(low, reached.low_um), max(high, reached.high_um)
 
     @cached_property
     def _step(self) -> CompensatorStream:
-        """What is exported, compiled; its state is that at rest between calls."""
+        """The compiled step as it is exported; between calls it is in the rest state."""
         step = cast(CompensatorStream, script(self.inverse))
         warm(step)
         return step
@@ -363,7 +363,7 @@ def _refuse_to_refit(*_: object, **__: object) -> None:
 
 def _checked(recording: Recording) -> Recording:
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RecordingWarning)  # they were shown when it was made
+        warnings.simplefilter("ignore", RecordingWarning)  # they were shown when the recording was made
         check_recording(recording)
     return recording
 

@@ -1,4 +1,4 @@
-"""`torchpi.diagnose`: a diagnosis of recordings in memory that draws and shows itself."""
+"""`torchpi.diagnose`: a diagnosis of recordings in memory that displays and plots itself."""
 
 from collections.abc import Sequence
 from concurrent.futures import Executor
@@ -16,7 +16,7 @@ from torchpi.stage import Stage
 
 
 class Diagnosed(Diagnosis):
-    """What `torchpi.diagnose` gives: verdict, effects with parameters and alternatives, errors, fitted stage.
+    """Result of `torchpi.diagnose`: verdict, effects with parameters and alternatives, errors, fitted stage.
 
     The fields are those of `Diagnosis`.
 
@@ -27,12 +27,12 @@ class Diagnosed(Diagnosis):
     """
 
     def plot(self, what: str = "heldout") -> Plot:
-        """A figure by its name: heldout, loop, spectrum, errors, where, remains, next_excitation, ….
+        """Return a figure by its name: heldout, loop, spectrum, errors, where, remains, next_excitation, ….
 
         A notebook shows it as the last line of a cell; `.savefig(path)` saves it, `.figure` is matplotlib's.
 
         Raises:
-            ConfigError: Another name; the text lists all.
+            ConfigError: The name is unknown; the message lists all names.
         """
         figures = diagnosis_figures(self)
         if what not in figures:
@@ -53,20 +53,20 @@ def diagnose(
     *,
     executor: Executor | None = None,
 ) -> Diagnosed:
-    """Where a simulation and recordings differ, and what physics was left out of it. Takes a minute or more.
+    """Find where a simulation differs from recordings, and which physics it lacks; takes a minute or more.
 
     Args:
-        recordings: One or more of the same stage.
-        simulation: What they are compared with: a `Stage`, a function simulate(u_v, fs_hz) -> y_um, or
+        recordings: One or more recordings of the same stage.
+        simulation: Simulation to compare with: a `Stage`, a function simulate(u_v, fs_hz) -> y_um, or
             "column", the `simulated` of each recording. By default a plain stage: symmetric,
             rate-independent Prandtl–Ishlinskii hysteresis, everything else ideal.
-        executor: Where independent fits run, such as a `concurrent.futures.ProcessPoolExecutor`; by default
-            in this process.
+        executor: Runs independent fits, such as a `concurrent.futures.ProcessPoolExecutor`; by default they
+            run in this process.
 
     Raises:
-        RecordingError: No recordings, or some that no diagnosis can be made of.
-        SimulationError: A simulation that fails, or returns what is no displacement.
-        ConfigError: An executor that takes no work.
+        RecordingError: There are no recordings, or some that cannot be diagnosed.
+        SimulationError: The simulation fails, or returns something other than a displacement.
+        ConfigError: The executor accepts no work.
 
     Example:
         >>> import torchpi

@@ -1,4 +1,4 @@
-"""Recordings as a notebook gives them: one, or several in whatever holds them."""
+"""Recordings given in a notebook: a single one, or several in any iterable."""
 
 from collections.abc import Iterable
 
@@ -7,10 +7,10 @@ from torchpi.recordings.recording import Recording
 
 
 def given_recordings(recordings: Recording | Iterable[Recording]) -> list[Recording]:
-    """All of them.
+    """Return the given recordings as a list.
 
     Raises:
-        RecordingError: Something else; names what was found, and at which index.
+        RecordingError: Something else was given; the message names its type and index.
     """
     expected = "expected a Recording: Recording.from_arrays(t, u, y) makes one"
     if isinstance(recordings, Recording):

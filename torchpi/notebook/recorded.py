@@ -1,4 +1,4 @@
-"""A recording as a notebook shows it: the figure of `torchpi check`, and what it shows before any model."""
+"""Display of a recording in a notebook: the figure of `torchpi check`, and properties that need no model."""
 
 from markupsafe import Markup
 
@@ -10,13 +10,13 @@ from torchpi.report.words import figure
 
 
 def recording_plot(recording: Recording) -> Plot:
-    """Voltage and displacement over time, and the one over the other."""
+    """Plot voltage and displacement over time, and displacement over voltage."""
     drawn = recording_figure(summary_of(recording))
     return Plot(drawn, f"{recording.name}: input and output over time, and output over input")
 
 
 def recording_html(recording: Recording) -> str:
-    """Rate, length, ranges and noise as a table, and the figure."""
+    """Return rate, length, ranges and noise as a table, followed by the figure."""
     if not len(recording):
         return str(Markup("<b>{}</b>: empty").format(recording.name))
     found = summary_of(recording)

@@ -1,4 +1,4 @@
-"""A tracked trajectory that draws and shows itself."""
+"""A tracked trajectory that displays and plots itself."""
 
 from typing import Literal
 
@@ -11,10 +11,10 @@ FIGURES = {name: draw for name, draw in loop_figures.FIGURES.items() if name != 
 
 
 class Tracked(LoopResult):
-    """What `Compensator.track` gives: motions without and with compensation, their errors, and limits met.
+    """Result of `Compensator.track`: motions without and with compensation, their errors, and limits reached.
 
     The fields are those of `LoopResult`; each of `drives` has its voltage `u`, its motion `y_true` and its
-    errors. What most want of the compensated drive has names of its own.
+    errors. The properties below give the most common results of the compensated drive.
 
     Example:
         >>> bool(result.rms_um < result.max_um)
@@ -26,37 +26,37 @@ class Tracked(LoopResult):
 
     @property
     def u_v(self) -> Signal:
-        """(time,), V: the voltage applied."""
+        """Applied voltage, (time,), V."""
         return self.compensated.u
 
     @property
     def y_um(self) -> Signal:
-        """(time,), µm: where the stage was."""
+        """True displacement of the stage, (time,), µm."""
         return self.compensated.y_true
 
     @property
     def error_um(self) -> Signal:
-        """(time,), µm: where it was less where it should have been."""
+        """True minus desired displacement, (time,), µm."""
         error: Signal = self.y_um - self.yd
         return error
 
     @property
     def rms_um(self) -> float:
-        """Of the tracking error with compensation."""
+        """RMS of the tracking error with compensation, µm."""
         return self.compensated.on_true.whole.rms_um
 
     @property
     def max_um(self) -> float:
-        """Of the tracking error with compensation."""
+        """Maximum of the tracking error with compensation, µm."""
         return self.compensated.on_true.whole.max_um
 
     def plot(self, what: Literal["trajectory", "linearity", "error", "voltage"] = "trajectory") -> Plot:
-        """A figure: the motion with its error, the motion over the reference, the error, or the voltage.
+        """Plot the motion with its error, the motion over the reference, the error, or the voltage.
 
         A notebook shows it as the last line of a cell; `.savefig(path)` saves it, `.figure` is matplotlib's.
 
         Raises:
-            ConfigError: Another name.
+            ConfigError: The name is unknown.
         """
         if what not in FIGURES:
             raise ConfigError(f"what: found '{what}', expected one of {', '.join(FIGURES)}")

@@ -1,4 +1,4 @@
-"""Operators, one a file: a pure function with explicit state, a module on top, a stream."""
+"""Operators, one per file: a pure function with explicit state, a module on top of it, and a stream."""
 
 from torchpi.operators.base import Operator
 from torchpi.operators.chain import Chain

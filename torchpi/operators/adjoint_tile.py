@@ -1,7 +1,7 @@
-"""The loops of the way back over one tile of a folded record, for one play.
+"""Loops of the backward pass over one tile of a folded record, for one play.
 
-All their numbers lie in one array `work`, each quantity at a place of its own. The places are constants: the
-compiler knows that they do not overlap, and need not ask before every loop.
+All their values lie in one array `work`, each quantity at its own constant offset. The compiler thus knows
+that the quantities do not overlap and need not check this before every loop.
 """
 
 import numpy as np
@@ -15,9 +15,9 @@ _play = njit(play)
 _PLACE = TILE + LANES
 S = 0  # the input of the plays
 GS = 1 * _PLACE  # its gradient
-H = 2 * _PLACE  # the states: LANES from before the tile, then those after each of its numbers
+H = 2 * _PLACE  # the states: LANES from before the tile, then those after each of its samples
 GH = 3 * _PLACE  # the gradient of the latter
-WAITING = 4 * _PLACE  # what of it waits for a push: that left for earlier tiles comes first
+WAITING = 4 * _PLACE  # the part of GH that waits for a push; what is left for earlier tiles comes first
 GAMMA = 5 * _PLACE  # γ_m = φ_m g of every function of the rate; first the gradient g of u itself
 
 
@@ -28,7 +28,7 @@ def work_size(functions: int) -> int:
 
 @njit_sum
 def advance_dots(work: np.ndarray, r: float, count: int) -> tuple[float, float]:
-    """States over a tile of `count` numbers, and their products with γ_0 and with γ_1."""
+    """Compute the states over a tile of `count` samples; return their dot products with γ_0 and γ_1."""
     first, second = work.dtype.type(0), work.dtype.type(0)
     for q in range(count):
         h = _play(work[S + q], r, work[H + q])
@@ -43,7 +43,7 @@ def land(work: np.ndarray, r: float, count: int) -> None:
     """Carry the gradient of the states back over a tile, to the samples that pushed.
 
     Every state is x_s - r or x_s + r of the last sample s that pushed it, or the initial state: the gradient
-    waits while the play rests, and lands on the sample that pushed.
+    waits while the play rests, and is added at the sample that pushed.
     """
     for step in range(STEPS - 1, -1, -1):
         for lane in range(LANES if step * LANES < count else 0):
@@ -53,7 +53,7 @@ def land(work: np.ndarray, r: float, count: int) -> None:
 
 @njit
 def land_linear(work: np.ndarray, r: float, a: float, b: float, count: int) -> None:
-    """`land` of a γ_0 + b γ_1, which then needs no pass of its own."""
+    """`land` for the gradient a γ_0 + b γ_1, which then needs no pass of its own."""
     for step in range(STEPS - 1, -1, -1):
         for lane in range(LANES if step * LANES < count else 0):
             q = step * LANES + lane

@@ -1,4 +1,4 @@
-"""The contract that every operator keeps."""
+"""The interface that every operator implements."""
 
 from collections.abc import Callable, Sequence
 from typing import ClassVar
@@ -12,17 +12,17 @@ from torchpi.errors import ConfigError
 class Operator(nn.Module):
     """A causal map of one sampled signal to another, its state explicit.
 
-    Three uses, one equation: `forward` maps whole records and carries gradients, `stream` makes a
-    module that takes one sample at a time, and exports are made from that. In float64 all agree to
-    the last bit, and a record cut into windows, with the state carried over, gives the same bits as
-    the record in one piece. `torchpi.operators.conformance` is the test of it.
+    One equation serves three uses: `forward` maps whole records and carries gradients, `stream` returns a
+    module that takes one sample at a time, and exports are made from that module. In float64 all three
+    agree bit for bit, and a record processed in windows, with the state carried over, gives the same bits
+    as the record in one piece. `torchpi.operators.conformance` tests this.
     """
 
     state_size: ClassVar[int] = 0
-    """How many numbers there are in the state of a row, where `initial_state` says no other."""
+    """Number of states per row, unless `initial_state` is overridden."""
 
     def initial_state(self, batch: int) -> Tensor:
-        """State of the de-energised operator. Shape: (batch, states)."""
+        """Return the state of the de-energised operator. Shape: (batch, states)."""
         return torch.zeros(batch, self.state_size, dtype=torch.float64)
 
     def forward(
@@ -34,15 +34,15 @@ class Operator(nn.Module):
         raise TypeError(f"{type(self).__name__} must define forward(x, state)")
 
     def stream(self) -> nn.Module:
-        """A scriptable module of plain floats with `reset()` and `step(x: float) -> float`."""
+        """Return a scriptable module on plain floats with `reset()` and `step(x: float) -> float`."""
         raise TypeError(f"{type(self).__name__} must define stream()")
 
 
 def check_records(x: object, name: str = "x") -> None:
-    """Whether an argument is a tensor (batch, time) of floating-point numbers.
+    """Check that an argument is a floating-point tensor of shape (batch, time).
 
     Raises:
-        ConfigError: It is not; begins with the argument's name.
+        ConfigError: It is not; the message begins with the argument's name.
     """
     if not isinstance(x, Tensor):
         raise ConfigError(f"{name}: found {type(x).__name__}, expected a tensor (batch, time)")
@@ -56,7 +56,7 @@ class Static(Operator):
     """An operator without memory, which `of` defines."""
 
     def of(self, x: Tensor) -> Tensor:
-        """The output, (batch, time)."""
+        """Return the output, (batch, time)."""
         raise TypeError(f"{type(self).__name__} must define of(x)")
 
     def forward(self, x: Tensor, state: Tensor | None = None) -> tuple[Tensor, Tensor]:
@@ -73,7 +73,7 @@ class StaticStream(nn.Module):
 
 
 Step = Callable[[float, list[float], list[float]], float]
-"""y(x, numbers, state), which leaves the state after it in its list."""
+"""Scalar function y(x, numbers, state) that updates the list `state` in place."""
 
 
 class StepStream(nn.Module):
@@ -81,8 +81,8 @@ class StepStream(nn.Module):
 
     Args:
         of: A plain function, which TorchScript compiles.
-        numbers: What it reads.
-        states: How many numbers the state has, all 0 at rest.
+        numbers: Its parameters.
+        states: Number of states, all 0 at rest.
     """
 
     numbers: list[float]

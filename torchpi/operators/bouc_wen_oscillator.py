@@ -7,8 +7,8 @@ Bouc 1967; Wen, J. Engineering Mechanics 102(2), 1976. The letters are those of 
 "Hysteretic benchmark with a dynamic nonlinearity", 2016, with g = βγ and d = βδ: only these products of β, γ
 and δ enter. Properties of the model: Ikhouane and Rodellar, Systems with Hysteresis, 2007.
 
-Integrated by the classical Runge–Kutta method of order 4, in a number of equal steps for each sample; between
-the samples the force is interpolated with `interpolation_taps`.
+The classical Runge–Kutta method of order 4 integrates the equations in a number of equal steps per sample;
+between samples the force is interpolated with `interpolation_taps`.
 """
 
 from typing import Literal, NamedTuple, get_args
@@ -20,15 +20,15 @@ from torchpi.operators.compiled import njit
 BetweenSamples = Literal["band_limited", "linear", "held"]
 BETWEEN_SAMPLES: tuple[str, ...] = get_args(BetweenSamples)
 HALF_WIDTH = 16
-"""Samples on either side from which a band-limited force is interpolated: to 1e-5 up to 0.8 of the Nyquist
-frequency."""
+"""Samples on either side from which a band-limited force is interpolated, accurate to 1e-5 up to 0.8 of the
+Nyquist frequency."""
 KAISER = 10.0
 LARGEST_M, LARGEST_N = 1e3, 1e12
 """Displacement and force beyond which a solution has diverged."""
 
 
 class BoucWenParameters(NamedTuple):
-    """What the equations have, in SI units and in the kernel's order."""
+    """Parameters of the equations, in SI units and in the kernel's order."""
 
     mass_kg: float
     """m."""
@@ -39,15 +39,15 @@ class BoucWenParameters(NamedTuple):
     hysteretic_stiffness_n_m: float
     """α, of the hysteretic part about z = 0."""
     dissipation: float
-    """g = βγ, which makes the loop wide; N^(1-ν)/m."""
+    """g = βγ, which widens the loop; N^(1-ν)/m."""
     hardening: float
-    """d = βδ, which bends it: the slope of z rises along the loop where d < -g; N^(1-ν)/m."""
+    """d = βδ, which bends the loop: the slope of z rises along the loop where d < -g; N^(1-ν)/m."""
     exponent: float
     """ν."""
 
 
 def half_width(between: BetweenSamples) -> int:
-    """Samples needed on either side of an interval between two; a step is one less than that late."""
+    """Return how many samples either side of a sampling interval needs; a step lags by one less than that."""
     return HALF_WIDTH if between == "band_limited" else 1
 
 
@@ -55,8 +55,8 @@ def interpolation_taps(between: BetweenSamples, steps: int) -> np.ndarray:
     """Weights of the samples around an interval, (2 steps + 1, 2 half widths), at equal fractions of it.
 
     Args:
-        between: `band_limited`, a sine cardinal in a Kaiser window; `linear`; or `held`, zero-order hold.
-        steps: Of the integration in an interval; the method needs the middle of each as well.
+        between: `band_limited`, a sinc in a Kaiser window; `linear`; or `held`, zero-order hold.
+        steps: Integration steps per interval; the method needs the midpoint of each as well.
     """
     half = half_width(between)
     fraction = np.arange(2 * steps + 1)[:, None] / (2 * steps)
@@ -73,7 +73,7 @@ def interpolation_taps(between: BetweenSamples, steps: int) -> np.ndarray:
 
 @njit
 def hysteretic_slope(z: float, v: float, alpha: float, g: float, d: float, nu: float) -> float:
-    """ż."""
+    """Return ż."""
     size = abs(z)
     power = size if nu == 1.0 else size**nu
     signed = power if z >= 0.0 else -power
@@ -85,13 +85,13 @@ def bouc_wen_oscillator(
     u: np.ndarray,  # (time,), N
     taps: np.ndarray,  # (2 steps + 1, width)
     parameters: np.ndarray,  # (7,), in the order of BoucWenParameters
-    step_s: float,  # of the integration
+    step_s: float,  # integration step
     past: int,  # samples of u before these
-    before: np.ndarray,  # (width,), the last of them; left as after the last sample, like the state
+    before: np.ndarray,  # (width,), the last of those; updated in place, like the state
     state: np.ndarray,  # (3,): y in m, ẏ in m/s, z in N
     y: np.ndarray,  # (time,), m, written: y[n] belongs to the sample width/2 - 1 before u[n]
 ) -> bool:
-    """Fill `y`; False where the solution diverges. Before its first sample the force is as in that."""
+    """Fill `y`; return False if it diverges. Before its first sample the force has its first value."""
     m, c, k, alpha, g, d, nu = parameters
     width, steps = len(before), len(taps) // 2
     half, sixth = step_s / 2.0, step_s / 6.0
@@ -102,7 +102,7 @@ def bouc_wen_oscillator(
         for i in range(width - 1):
             before[i] = before[i + 1]
         before[width - 1] = u[n]
-        if past + n >= width // 2:  # the interval's first sample is one of the force's
+        if past + n >= width // 2:  # the interval begins at a given sample of the force
             f2 = 0.0
             for i in range(width):
                 f2 += taps[0, i] * before[i]

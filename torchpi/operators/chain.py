@@ -1,4 +1,4 @@
-"""Operators one after another; none at all is the identity."""
+"""A series of operators; an empty series is the identity."""
 
 from typing import Any
 
@@ -12,8 +12,8 @@ class Chain(Operator):
     """A series of operators with one state, theirs side by side.
 
     Args:
-        operators: First to last, each from (batch, time) to (batch, time), under the name that it will
-            have here; None leaves its place empty.
+        operators: First to last, each from (batch, time) to (batch, time), under the name of its
+            submodule; None leaves its place empty.
 
     Example:
         >>> import torch
@@ -32,7 +32,7 @@ class Chain(Operator):
         self.order = [name for name, operator in operators.items() if operator is not None]
 
     def series(self) -> list[Operator]:
-        """The operators that are there, first to last."""
+        """Return the operators that are present, first to last."""
         return [self.get_submodule(name) for name in self.order]  # type: ignore[misc]
 
     def initial_state(self, batch: int) -> Tensor:

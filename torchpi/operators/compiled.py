@@ -1,4 +1,4 @@
-"""How kernels over NumPy arrays are compiled, and how their tasks are spread over threads."""
+"""Compilation of kernels over NumPy arrays, and distribution of their tasks over threads."""
 
 import itertools
 import os
@@ -19,9 +19,9 @@ else:
 
 
 def njit(function: Callable[..., Any]) -> Any:
-    """Compile for speed that changes no bit: no fast mathematics, no fused multiply-add.
+    """Compile with Numba without changing any bit: no fast mathematics, no fused multiply-add.
 
-    Without Numba the function comes back as it is.
+    Without Numba, return the function unchanged.
     """
     if not HAS_COMPILER:
         return function
@@ -29,9 +29,9 @@ def njit(function: Callable[..., Any]) -> Any:
 
 
 def njit_sum(function: Callable[..., Any]) -> Any:
-    """`njit` for a sum whose order is the compiler's to choose, as many beside each other as it likes.
+    """Like `njit`, but the compiler may choose the order of sums, so that it can vectorise them.
 
-    For gradients alone: the order is one for all inputs and threads, yet not on every machine.
+    For gradients only: the order is the same for all inputs and threads, but may differ between machines.
     """
     if not HAS_COMPILER:
         return function
@@ -39,11 +39,11 @@ def njit_sum(function: Callable[..., Any]) -> Any:
 
 
 def in_threads(kernel: Callable[..., None], tasks: int, *arguments: object) -> None:
-    """Call `kernel(first, last, *arguments)` for ranges that together are all tasks.
+    """Call `kernel(first, last, *arguments)` for ranges that together cover all tasks.
 
-    As many ranges as torch may use threads. They are plain Python threads, since compiled kernels let
-    go of the interpreter: no threading layer to clash with torch's own, and safe in DDP processes, in
-    data loader workers and after a fork.
+    There are as many ranges as torch may use threads. They run in plain Python threads, because compiled
+    kernels release the interpreter: there is no threading layer that could clash with torch's own, and
+    it is safe in DDP processes, in data loader workers and after a fork.
     """
     threads = min(torch.get_num_threads(), tasks)
     if threads <= 1:
@@ -58,7 +58,7 @@ def in_threads(kernel: Callable[..., None], tasks: int, *arguments: object) -> N
 
 
 def as_array(tensor: Tensor) -> np.ndarray:
-    """The tensor as kernels take it: its own memory where that is contiguous, else a copy."""
+    """Return the tensor as an array for kernels: its own memory if that is contiguous, else a copy."""
     return tensor.detach().contiguous().numpy()
 
 

@@ -1,6 +1,6 @@
-"""The laws that every operator keeps, as tests to inherit.
+"""Laws that every operator obeys, as test classes to inherit from.
 
-A test class defines how its operator is built; the laws come with it:
+A test class defines how its operator is built and inherits the tests of the laws:
 
     class TestPrandtlIshlinskii(HysteresisLaws):
         def operator(self):
@@ -22,7 +22,7 @@ from torchpi.operators.base import Operator
 
 
 def wandering(batch: int, time: int, seed: int = 0) -> Tensor:
-    """Smooth random inputs that reverse often and start at 0; shape (batch, time)."""
+    """Return smooth random inputs that reverse often and start at 0; shape (batch, time)."""
     generator = torch.Generator().manual_seed(seed)
     steps = torch.randn(batch, time, dtype=torch.float64, generator=generator)
     kernel = torch.hann_window(15, dtype=torch.float64)[None, None]
@@ -32,12 +32,12 @@ def wandering(batch: int, time: int, seed: int = 0) -> Tensor:
 
 
 class OperatorLaws:
-    """What holds for every operator."""
+    """Laws that hold for every operator."""
 
     differentiable = True
 
     def operator(self) -> Operator:
-        """Build the operator under test, its parameters away from special values."""
+        """Build the operator under test, with its parameters away from special values."""
         raise TypeError(f"{type(self).__name__} must define operator()")
 
     def test_output_has_the_shape_and_type_of_the_input(self) -> None:
@@ -109,7 +109,7 @@ class OperatorLaws:
 
 
 class HysteresisLaws(OperatorLaws):
-    """What holds for every rate-independent hysteresis of Prandtl–Ishlinskii type, in addition."""
+    """Additional laws for every rate-independent hysteresis of Prandtl–Ishlinskii type."""
 
     def test_rate_does_not_matter(self) -> None:
         operator, x = self.operator(), wandering(1, 200)
@@ -130,7 +130,7 @@ class HysteresisLaws(OperatorLaws):
 
     def test_minor_loops_between_equal_ends_are_congruent(self) -> None:
         operator = self.operator()
-        ends = (-0.5, 0.5, -0.5, 0.5, -0.5)  # once round to close the loop, once to look at it
+        ends = (-0.5, 0.5, -0.5, 0.5, -0.5)  # once round to close the loop, once to compare it
         below = operator(_path(0.0, -3.0, *ends))[0][:, -201:]
         above = operator(_path(0.0, 3.0, *ends))[0][:, -201:]
         assert torch.allclose(below - below[:, :1], above - above[:, :1], rtol=0, atol=1e-12)
@@ -148,7 +148,7 @@ def streamed(stream: Any, x: Tensor) -> Tensor:
 
 
 def _path(*corners: float) -> Tensor:
-    """Straight runs of 100 steps from corner to corner; shape (1, time)."""
+    """Return straight runs of 100 steps from corner to corner; shape (1, time)."""
     runs = [
         torch.linspace(start, stop, 101, dtype=torch.float64)[(0 if i == 0 else 1) :]
         for i, (start, stop) in enumerate(itertools.pairwise(corners))

@@ -17,7 +17,7 @@ from torchpi.operators.weighted_sum import weighted_sum
 
 
 def dead_zone(x: float, d: float) -> float:
-    """S_d(x): nothing until x is beyond the threshold `d`, on its own side of zero only."""
+    """Return S_d(x), which is 0 until x is beyond the threshold `d`, on the side of zero where d lies."""
     if d > 0.0:
         return max(x - d, 0.0)
     if d < 0.0:
@@ -26,7 +26,7 @@ def dead_zone(x: float, d: float) -> float:
 
 
 def dead_zones(x: float, d: list[float], w: list[float]) -> float:
-    """Σ_i w_i S_di(x), summed left to right. The streams and the kernels of the inverses compile this."""
+    """Return Σ_i w_i S_di(x), summed left to right. Streams and kernels of the inverses compile this."""
     total = 0.0
     for i in range(len(d)):
         total += w[i] * dead_zone(x, d[i])
@@ -37,13 +37,13 @@ class DeadZones(Static):
     """A weighted sum of one-sided dead zones: piecewise linear through the origin, memoryless.
 
     Args:
-        thresholds: d, unit of the input, strictly rising; one of them must be 0. None negative is the
-            operator of Ang et al., both signs is that of Kuhnen.
-        weights: w, one a threshold, output per input; w of d = 0 is the slope at the origin.
+        thresholds: d, unit of the input, strictly rising; one of them must be 0. Without negative
+            ones it is the operator of Ang et al., with both signs that of Kuhnen.
+        weights: w, one per threshold, output per input; w of d = 0 is the slope at the origin.
 
     Raises:
-        ConfigError: Thresholds that do not rise, none that is 0, a number that is not finite, or another
-            number of weights than of thresholds.
+        ConfigError: Thresholds that do not rise, none that is 0, a number that is not finite, or not
+            as many weights as thresholds.
     """
 
     def __init__(self, thresholds: list[float], weights: list[float]) -> None:
@@ -76,7 +76,7 @@ class DeadZones(Static):
         self,
         x: Tensor,  # (batch, time)
     ) -> Tensor:  # (batch, time, zones)
-        """S_di(x): what the weights multiply, the columns of their least-squares problem."""
+        """Return S_di(x), which the weights multiply: the columns of their least-squares problem."""
         shifted = x[..., None] - self.d.to(x.dtype)
         return torch.where(
             self.d > 0,
@@ -88,7 +88,7 @@ class DeadZones(Static):
         return weighted_sum(self.pieces(x), torch.ones_like(x)[..., None], self.w.to(x.dtype)[:, None])
 
     def inverse(self) -> "DeadZones":
-        """The operator that undoes this one, of the same kind (Kuhnen 2003).
+        """Return the inverse of this operator, which is of the same kind (Kuhnen 2003).
 
             d'_i = S(d_i),   w'_0 = 1 / w_0,   w'_i = 1 / A_i - 1 / A_(i-1)
 
@@ -138,10 +138,10 @@ def fit_dead_zones(
     s: Tensor,  # (samples,)
     thresholds: list[float],
 ) -> DeadZones:
-    """The weights that follow `s` best over `x` in least squares, for given thresholds.
+    """Fit the weights to `s` over `x` by least squares, for given thresholds.
 
     Raises:
-        ConfigError: Thresholds as `DeadZones` refuses them.
+        ConfigError: Thresholds that `DeadZones` refuses.
     """
     zones = DeadZones(thresholds, [1.0] * len(thresholds))
     columns = zones.pieces(x[None])[0]

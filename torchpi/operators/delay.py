@@ -1,7 +1,7 @@
-"""A line of past inputs that is read between two of them: p u(k-m) + q u(k-m-1).
+"""A delay line that is read between two past inputs: p u(k-m) + q u(k-m-1).
 
-A delay of (m + f) T, 0 ≤ f < 1, reads m samples back; what p and q are depends on what the signal does
-between samples. `torchpi.stage.effects.amplifier.delay` has both cases.
+A delay of (m + f) T, 0 ≤ f < 1, reads m samples back; p and q depend on how the signal behaves between
+samples. `torchpi.stage.effects.amplifier.delay` covers both cases.
 """
 
 import torch
@@ -11,7 +11,7 @@ from torchpi.operators.base import StepStream
 
 
 def two_taps(newer: float, older: float, p: float, q: float) -> float:
-    """p u(k-m) + q u(k-m-1). Tensors pass as well."""
+    """Return p u(k-m) + q u(k-m-1). Also for tensors."""
     return p * newer + q * older
 
 
@@ -22,7 +22,7 @@ def delay_line(
     p: Tensor,  # ()
     q: Tensor,  # ()
 ) -> tuple[Tensor, Tensor]:  # (batch, time), and the line after the last sample
-    """Whole records through the line; differentiable in everything but m."""
+    """Pass whole records through the line; differentiable in everything but m."""
     past = torch.cat([line, x.to(line.dtype)], 1)
     newest, time = line.shape[1] - whole, x.shape[1]
     newer, older = past[:, newest : newest + time], past[:, newest - 1 : newest - 1 + time]
@@ -31,7 +31,7 @@ def delay_line(
 
 
 def delay_step(x: float, n: list[float], s: list[float]) -> float:
-    """The line as a stream takes it: n holds m, p and q, s a ring of the last inputs and where it stands."""
+    """One step in the form a stream calls: n holds m, p, q; s a ring of the last inputs and its position."""
     size, whole = len(s) - 1, int(n[0])
     at = int(s[size])
     s[at] = x
@@ -42,5 +42,5 @@ def delay_step(x: float, n: list[float], s: list[float]) -> float:
 
 
 def delay_stream(whole: int, p: float, q: float) -> StepStream:
-    """The line, one sample at a time."""
+    """Return the line as a stream, one sample at a time."""
     return StepStream(delay_step, [whole, p, q], whole + 3)

@@ -1,6 +1,6 @@
-"""Filters of finite response over windows, compiled: each sum from the oldest sample to the newest.
+"""Compiled FIR filters over windows; each sum runs from the oldest sample to the newest.
 
-That is also the order of the transposed form, in which an exported step has them: the same bits.
+The transposed form of an exported step sums in the same order and thus gives the same bits.
 """
 
 import numpy as np
@@ -14,7 +14,7 @@ def filter_matrix(
     taps: np.ndarray,  # (taps, outputs, inputs), that of the newest sample first
     y: np.ndarray,  # (time, outputs), written
 ) -> None:
-    """y(t) = Σ_j H_j x(t - j), a matrix of filters."""
+    """Compute y(t) = Σ_j H_j x(t - j), a matrix of filters."""
     length, outputs, inputs = taps.shape
     for t in range(len(y)):
         for o in range(outputs):
@@ -32,7 +32,7 @@ def interpolate(
     factor: int,
     y: np.ndarray,  # (factor time, channels), written
 ) -> None:
-    """Samples with zeros between them, through a low-pass at `factor` times the rate."""
+    """Insert zeros between samples and apply a low-pass at `factor` times the rate."""
     before = (len(taps) - 1) // factor
     for n in range(len(y)):
         phase, newest = n % factor, before + n // factor
@@ -51,7 +51,7 @@ def decimate(
     factor: int,
     y: np.ndarray,  # (time, channels), written
 ) -> None:
-    """The first of every `factor` samples of what a low-pass leaves."""
+    """Apply a low-pass and keep the first of every `factor` samples."""
     last = len(taps) - 1
     for t in range(len(y)):
         for c in range(x.shape[1]):

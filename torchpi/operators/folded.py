@@ -1,17 +1,17 @@
 """A record folded into lanes, so that one record fills the vector unit and all threads.
 
-A play needs its last state, so a record looks sequential. But a play is a clamp of its state, and clamps
+A play needs its previous state, so a record seems sequential. But a play is a clamp of its state, and clamps
 compose to clamps: looking back from any sample, the composed clamp [low, high] soon closes, and then the
-state there is known without what came before. So every record is cut into stretches of equal length, the
-state at the start of each is found first, and then all stretches advance beside each other.
+state there is known without the earlier samples. Every record is therefore cut into stretches of equal
+length, the state at the start of each is found first, and then all stretches advance in parallel.
 
-`LANES` stretches make a group, which is what a thread works on. In a group the stretches lie interleaved:
-sample s of lane l is number s LANES + l, and the last state of a play is LANES places back. All loops are
-thus flat loops over such numbers, which the compiler vectorises. `STEPS` samples of all lanes make a tile,
+`LANES` stretches form a group, the unit of work of a thread. Within a group the stretches are interleaved:
+sample s of lane l has index s LANES + l, and the previous state of a play is LANES places back. All loops are
+thus flat loops over such indices, which the compiler vectorises. `STEPS` samples of all lanes form a tile,
 which stays in the first-level cache.
 
-Stretches that reach beyond the record repeat its last sample, which leaves every state as it is. How a record
-is cut depends on its length alone: results are the same bits for any number of threads.
+Stretches that reach beyond the record repeat its last sample, which leaves every state unchanged. How a
+record is cut depends on its length alone, so that results have the same bits for any number of threads.
 """
 
 import numpy as np
@@ -27,14 +27,14 @@ _play = njit(play)
 
 
 def fold_shape(samples: int) -> tuple[int, int]:
-    """Groups of lanes that a record of so many samples makes, and the samples of one lane."""
+    """Return the number of groups of a record with so many samples, and the samples per lane."""
     groups = min(max(samples // (48 * TILE), 1), 64)
     return groups, -(-samples // (groups * LANES))
 
 
 @njit
 def fold(x: np.ndarray, group: int, first: int, last: int, length: int, folded: np.ndarray) -> None:
-    """Steps `first` to `last` of every lane, out of a record (time,)."""
+    """Copy steps `first` to `last` of every lane out of a record (time,)."""
     for step in range(first, last):
         for lane in range(LANES):
             t = (group * LANES + lane) * length + step
@@ -53,7 +53,7 @@ def unfold(folded: np.ndarray, group: int, first: int, last: int, length: int, x
 
 @njit
 def extent(x: np.ndarray, least: np.ndarray, most: np.ndarray) -> None:
-    """Least and greatest value in the stretch of each lane."""
+    """Find the least and greatest value in the stretch of each lane."""
     least[:] = np.inf
     most[:] = -np.inf
     for start in range(0, len(x), LANES):
@@ -74,11 +74,11 @@ def compose(
     lows: np.ndarray,
     highs: np.ndarray,
 ) -> None:
-    """The clamp that a play makes of its state over a whole stretch, for each lane: [low, high].
+    """Compute the clamp that a play applies to its state over a whole stretch, for each lane: [low, high].
 
-    Where the stretch is narrower than the play, all its clamps overlap, and compose to what they share.
-    Elsewhere walk back from the end until the clamp closes: low = high is the state at the end.
-    `least` and `most` are the `extent`; `lows` and `highs` are for scratch.
+    Where x varies less than the width of the play, all clamps overlap and compose to their intersection.
+    Elsewhere, walk back from the end until the clamp closes: low = high is then the state at the end.
+    `least` and `most` come from `extent`; `lows` and `highs` are scratch space.
     """
     lows[:LANES] = -np.inf
     highs[:LANES] = np.inf
@@ -105,7 +105,7 @@ def compose(
 
 @njit
 def chain(low: np.ndarray, high: np.ndarray, h0: np.ndarray, starts: np.ndarray, final: np.ndarray) -> None:
-    """States at the start of every stretch, and after the last one, from the composed clamps.
+    """Compute the states at the start of every stretch, and after the last one, from the composed clamps.
 
     `low`, `high` and `starts` are (batch, groups, plays, lanes), `h0` and `final` (batch, plays).
     """
@@ -122,14 +122,14 @@ def chain(low: np.ndarray, high: np.ndarray, h0: np.ndarray, starts: np.ndarray,
 
 @njit
 def advance(x: np.ndarray, r: float, h: np.ndarray, count: int) -> None:
-    """States of one play over a tile of `count` numbers; `h` begins with those before the tile."""
+    """Compute the states of one play over a tile of `count` samples; `h` begins with those before it."""
     for q in range(count):
         h[q + LANES] = _play(x[q], r, h[q])
 
 
 @njit
 def advance_sum(x: np.ndarray, r: float, h: np.ndarray, w: np.ndarray, count: int, total: np.ndarray) -> None:
-    """`advance`, and add the states with weights `w` to `total`: one pass over the tile in place of two."""
+    """Like `advance`, but also add the states weighted by `w` to `total`, in one pass over the tile."""
     for q in range(count):
         h[q + LANES] = _play(x[q], r, h[q])
         total[q] += w[q] * h[q + LANES]
@@ -156,7 +156,7 @@ def advance_linear_sum(
 def threshold_gradient(
     gh: np.ndarray, x: np.ndarray, h: np.ndarray, waiting: np.ndarray, count: int
 ) -> float:
-    """What `land` has landed: + where the upper edge pushed, - where the lower one did."""
+    """Sum what `land` assigned to pushing samples: + where the upper edge pushed, - where the lower did."""
     total: float = x.dtype.type(0)
     for q in range(count):
         landed = gh[q] + waiting[q + LANES] - waiting[q]
@@ -166,7 +166,7 @@ def threshold_gradient(
 
 @njit
 def expect_pushes(r: float, h: np.ndarray, least: np.ndarray, most: np.ndarray, latest: np.ndarray) -> None:
-    """Mark in `latest` the lanes where some sample pushes the play, which comes in with the states `h`."""
+    """Mark in `latest` the lanes where some sample pushes the play, which enters with the states `h`."""
     for lane in range(LANES):
         rests = most[lane] - r < h[lane] and h[lane] < least[lane] + r
         latest[lane] = 0 if rests else np.inf
@@ -174,14 +174,14 @@ def expect_pushes(r: float, h: np.ndarray, least: np.ndarray, most: np.ndarray, 
 
 @njit
 def note_latest(x: np.ndarray, r: float, h: np.ndarray, count: int, begin: int, latest: np.ndarray) -> None:
-    """Note the last push in each lane that is marked: its step + 1, negative where the lower edge pushed.
+    """Note the last push in each marked lane: its step + 1, negative if the lower edge pushed.
 
-    For tiles from the last to the first; `begin` is the step a tile begins with.
+    To be called for tiles from the last to the first; `begin` is the first step of the tile.
     """
     for lane in range(LANES):
         if latest[lane] != np.inf:
             continue
-        # Lane by lane: most find theirs after a few steps, where all lanes together take as many as the last.
+        # Lane by lane: most lanes stop after a few steps, but a joint loop would run until the last one does.
         for q in range(count - LANES + lane, -1, -LANES):
             if not (x[q] - r < h[q] < x[q] + r):
                 step = begin + q // LANES + 1
@@ -193,11 +193,11 @@ def note_latest(x: np.ndarray, r: float, h: np.ndarray, count: int, begin: int, 
 def hand_over(
     left: np.ndarray, latest: np.ndarray, length: int, gx: np.ndarray, gr: np.ndarray, gh: np.ndarray
 ) -> None:
-    """What a stretch leaves at its start lands on the last push of the stretches before it.
+    """Add the gradient that a stretch leaves at its start to the last push of the stretches before it.
 
     `left` and `latest` are (batch, groups, plays, lanes), the latter as `note_latest` counts; `gx` is
-    (batch, time), `gr` (batch, plays), both added to. `gh` (batch, plays) comes as the gradient of the
-    states after the record and goes as that of the states before it.
+    (batch, time), `gr` (batch, plays), both added to. `gh` (batch, plays) is the gradient of the
+    states after the record on entry and that of the states before it on return.
     """
     batch, groups, plays, lanes = left.shape
     samples = gx.shape[1]
@@ -234,9 +234,9 @@ def dot(a: np.ndarray, b: np.ndarray, count: int) -> float:
 def raise_powers(
     power: np.ndarray, a: np.ndarray, factor: float, next_factor: float, total: np.ndarray
 ) -> tuple[float, float]:
-    """Add `factor` times the power to `total`, make it the next one of `a` and sum that; then once more.
+    """Add `factor` times `power` to `total`, raise `power` by one factor `a` and sum it; then do so again.
 
-    Two at a time, because one passes over memory longer than it counts.
+    It does two powers at a time, because with one the pass over memory would take longer than the arithmetic.
     """
     summed, next_summed = a.dtype.type(0), a.dtype.type(0)
     for q in range(len(a)):

@@ -1,12 +1,12 @@
-"""The generalised play: other envelopes and thresholds up than down, for loops that are not symmetric.
+"""The generalised play: different envelopes and thresholds up and down, for asymmetric loops.
 
     h(t) = max{γ_up(x(t)) - r_up, min{γ_down(x(t)) + r_down, h(t - T)}}
 
 Krasnosel'skii and Pokrovskii, *Systems with Hysteresis*, 1989; Brokate and Sprekels, *Hysteresis and Phase
 Transitions*, 1996; Al Janaideh, Rakheja and Su, *A generalized Prandtl–Ishlinskii model for characterizing
-the hysteresis and saturation nonlinearities of smart actuators*, Smart Mater. Struct. 18, 2009. With both
-envelopes the identity and equal thresholds it is the play of eq. 1; with both of them S, the play behind
-the polynomial of eq. 6. The paper names it (Section II-A) as what its direct approach may take in.
+the hysteresis and saturation nonlinearities of smart actuators*, Smart Mater. Struct. 18, 2009. If both
+envelopes are the identity and the thresholds are equal, it is the play of eq. 1; if both are S, the play
+behind the polynomial of eq. 6. The paper (Section II-A) names it as one that its direct approach can use.
 """
 
 from typing import Any, cast
@@ -24,7 +24,7 @@ from torchpi.operators.polynomial import Polynomial, PolynomialStream
 
 
 def clamp_play(low: float, high: float, h: float) -> float:
-    """max{low, min{high, h}}: what every play does with its last state, whatever moves its two ends."""
+    """Return max{low, min{high, h}}: every play clamps its last state so, whatever moves its two ends."""
     return max(low, min(high, h))
 
 
@@ -36,7 +36,7 @@ class GeneralisedPlayBank(Operator):
         thresholds_down: r_down, likewise, as many.
         envelope_up: c_1 … c_m of γ_up, a polynomial without constant term, rising over the range in use.
         envelope_down: c_1 … c_m of γ_down.
-        scale: A typical size of the input, which scales the trained numbers to like size.
+        scale: A typical size of the input, which scales the trained numbers to similar size.
         trainable_thresholds: Whether gradients reach the thresholds.
 
     Raises:
@@ -77,9 +77,9 @@ class GeneralisedPlayBank(Operator):
         self,
         x: Tensor,  # (samples,)
     ) -> Tensor:
-        """How far apart the two ends of the narrowest play are at each `x`, (samples,).
+        """Return the distance between the two ends of the narrowest play at each `x`, (samples,).
 
-        A play is one only where this is not negative: elsewhere the rising end wins, and the play has no
+        The operator is a play only where this is not negative: elsewhere the rising end wins, and there is no
         memory. The envelopes must rise as well.
         """
         narrowest = (self.r_up + self.r_down).min()
@@ -144,10 +144,10 @@ def clamp_bank(
     high: Tensor,  # (batch, time, plays)
     h0: Tensor,  # (batch, plays)
 ) -> Tensor:  # (batch, time, plays)
-    """States of plays whose two ends move as given, differentiable in all three arguments.
+    """Return the states of plays whose two ends move as given, differentiable in all three arguments.
 
-    The play of eq. 1 has low = x - r and high = x + r; here thresholds may differ up and down, or move in
-    time. A state on an end takes its gradient from that end, as in `play_bank`.
+    The play of eq. 1 has low = x - r and high = x + r; here thresholds may differ up and down, or vary
+    in time. A state on an end passes its gradient to that end, as in `play_bank`.
     """
     device = low.device
     return cast(Tensor, _ClampBank.apply(low.cpu(), high.cpu(), h0.cpu())).to(device)
@@ -204,7 +204,7 @@ def _backward(
     ghigh: np.ndarray,
     gh0: np.ndarray,
 ) -> None:
-    # As in play.py: the gradient waits while the play rests, and lands on the end that last pushed it.
+    # As in play.py: the gradient waits while the play rests, and is added to the end that last pushed it.
     for batch in range(low.shape[0]):
         for i in range(low.shape[2]):
             carried = low.dtype.type(0)

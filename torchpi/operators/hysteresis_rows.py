@@ -1,12 +1,12 @@
-"""Elementary hysteresis states as rows, (states, time): what a search over nominal hysteresis needs fast.
+"""Fast elementary hysteresis states as rows, (states, time), for a search over nominal hysteresis.
 
-Three families, each linear in its weights once the rows stand:
+Three families, each linear in its weights once the rows are computed:
 
 - generalised plays (Prandtl–Ishlinskii, and Preisach in play form through output functions),
   h = max{v_up - r, min{v_down + r, h}};
 - Bouc–Wen, dz/dv = 1/σ [1 - |z|ⁿ (γ + β sgn(z dv))], β + γ = 1 (Ikhouane and Rodellar, 2007, normalised);
-- a bank of Duhem states after Coleman and Hodgdon (1986), dz = α|dv| (f(v) - z), a power of v each for f:
-  loops that move as they are repeated, which plays never do.
+- a bank of Duhem states after Coleman and Hodgdon (1986), dz = α|dv| (f(v) - z), each with a power of v
+  as f: their loops drift as they are repeated, which the loops of plays never do.
 """
 
 import math
@@ -20,38 +20,38 @@ from torchpi.operators.generalised_play import clamp_play
 
 _clamp_play: Any = numba.njit(clamp_play)
 TOGETHER = 128
-"""Samples of many sums that are written at a time: they stay in the cache."""
+"""Samples per block when many sums are written, so that a block stays in the cache."""
 DUHEM_POWERS = tuple(range(1, 9))
-"""The power of v of each state of a bank: any smooth f is all but a sum of these."""
+"""Power of v that each state of a bank has as f: any smooth f is nearly a sum of these."""
 
 
 def bend(v: float, asymmetry_per_v: float) -> float:
-    """How far the envelope up lies above v, and that down below it: a v². Tensors pass as well."""
+    """Return a v²: the rising envelope is above v by it, the falling one below. Also for tensors."""
     return asymmetry_per_v * v * v
 
 
 def gain_inside(v: float, rate: float, incongruence_per_v: float, weight_s_per_v: float) -> float:
-    """(1 + κ v)(1 + k v̇): what multiplies the states that have memory. Tensors pass as well."""
+    """Return (1 + κ v)(1 + k v̇), the factor on the states that have memory. Also for tensors."""
     return (1.0 + incongruence_per_v * v) * (1.0 + weight_s_per_v * rate)
 
 
 def straight_gain(gain: float, straight_share: float) -> float:
-    """1 - q (g - 1): what multiplies v itself, which so keeps the chord of the loop. Tensors pass as well."""
+    """Return 1 - q (g - 1), the factor on v itself, which keeps the loop's chord. Also for tensors."""
     return 1.0 - straight_share * (gain - 1.0)
 
 
 def threshold_widening(rate: float, threshold_s_per_v: float) -> float:
-    """1 + β |v̇|: what multiplies the thresholds. Tensors pass as well."""
+    """Return 1 + β |v̇|, the factor on the thresholds. Also for tensors."""
     return 1.0 + threshold_s_per_v * abs(rate)
 
 
 def loop_widening(rate: float, loop_per_e: float, reference_rate_v_s: float) -> float:
-    """γ ln(1 + |v̇| / v̇₀): the share by which a state moves away from c v, the chord of the loop."""
+    """Return γ ln(1 + |v̇| / v̇₀), the relative growth of a state's distance from c v, the loop's chord."""
     return loop_per_e * math.log1p(abs(rate) / reference_rate_v_s)
 
 
 def bouc_wen(z: float, dv: float, sigma: float, beta: float, n: float) -> float:
-    """z after a straight move of dv, by the midpoint rule in pieces of σ/20 at most."""
+    """Return z after v moves linearly by dv, by the midpoint rule in steps of at most σ/20."""
     pieces = int(abs(dv) / sigma * 20.0) + 1
     move = dv / pieces
     for _ in range(pieces):
@@ -64,8 +64,8 @@ def bouc_wen(z: float, dv: float, sigma: float, beta: float, n: float) -> float:
 
 
 def piece_of(x: float, low: float, piece: float, pieces: int) -> int:
-    """Which of so many pieces of this length x is on, from `low`; the first and the last go on beyond.
-    TorchScript passes as well."""
+    """Return the index of the piece that contains x, of `pieces` pieces of length `piece` from `low` on; the
+    first and the last extend beyond. TorchScript compiles it as well."""
     if pieces == 1:
         return 0
     place = (x - low) / piece
@@ -77,8 +77,8 @@ def piece_of(x: float, low: float, piece: float, pieces: int) -> int:
 
 
 def offsets_of(slopes: Any, low: float, piece: float) -> list[Any]:
-    """Of a function that is piecewise linear and 0 at 0, slope x + offset, its slopes being (pieces, …);
-    of tensors or arrays."""
+    """Return the offsets of a piecewise linear function, slope x + offset, that is 0 at 0, from its slopes,
+    (pieces, …), as tensors or arrays."""
     offsets, left = [], 0.0
     for k in range(len(slopes)):
         offsets.append(left - slopes[k] * (low + k * piece))
@@ -88,9 +88,9 @@ def offsets_of(slopes: Any, low: float, piece: float) -> list[Any]:
 
 
 def duhem(z: float, v: float, before: float, alpha: float, power: int) -> float:
-    """z after a straight move from `before` to v, z e^{-A} + ∫ e^{-(A - s)} f(v(s)) ds with A = α|dv|."""
+    """Return z after a linear move from `before` to v, z e^{-A} + ∫ e^{-(A - s)} f(v(s)) ds, A = α|dv|."""
     whole = alpha * abs(v - before)
-    if whole < 1e-30:  # a voltage that dies away: the pieces may be too short for a number
+    if whole < 1e-30:  # a decaying voltage: the pieces may be too short to be represented
         return z
     pieces, gap, kept, first, second = duhem_pieces(v, before, whole)
     move = (v - before) / pieces
@@ -106,11 +106,11 @@ def duhem(z: float, v: float, before: float, alpha: float, power: int) -> float:
 
 @register_jitable
 def duhem_pieces(v: float, before: float, whole: float) -> tuple[int, float, float, float, float]:
-    """How a move of A = `whole`, at least 1e-30, is integrated: in how many pieces, how far apart Gauss's two
-    points are in each, what is kept of z, and the weights of f at both, exact for a straight f.
+    """Return how a move of A = `whole`, at least 1e-30, is integrated: the number of pieces, the distance of
+    the two Gauss points in each, the factor on z, and the weights of f at both points, exact for a linear f.
 
-    The pieces are up to 64, shorter than a twenty-fifth of the memory, and than an eighth of the voltages,
-    where f is curved.
+    There are up to 64 pieces, each shorter than a twenty-fifth of the memory and, because f is curved,
+    than an eighth of the voltages.
     """
     pieces = int(min(whole * 25.0 + 8.0 * abs(v - before) / (abs(v) + abs(before)), 63.0)) + 1
     part, gap = whole / pieces, math.sqrt(3.0) / 3.0
@@ -129,10 +129,10 @@ def play_states(
     chord: np.ndarray, up: np.ndarray, down: np.ndarray, widening: np.ndarray, gain: np.ndarray,
     straight: np.ndarray, loop: np.ndarray, r: np.ndarray, h: np.ndarray, x: np.ndarray,
 ) -> None:  # fmt: skip
-    """Into `x`, (time, plays): the states h of max{up - r w, min{down + r w, h}}.
+    """Write the states h of max{up - r w, min{down + r w, h}} into `x`, (time, plays).
 
-    States with memory take the gain, v itself `straight`, all the widening of the loop about its chord; all
-    are (time,). `h`, (plays,), is where they start and where they end.
+    `gain` multiplies the states with memory, `straight` v itself, and `loop` widens all about the chord; all
+    are (time,). `h`, (plays,), holds the initial states and receives the final ones.
     """
     for t in range(len(up)):
         _move(up[t], down[t], widening[t], r, h)
@@ -146,9 +146,9 @@ def sums_of_plays(
     straight: np.ndarray, loop: np.ndarray, r: np.ndarray, low: float, piece: float,
     slopes: np.ndarray, offsets: np.ndarray, h: np.ndarray, y: np.ndarray,
 ) -> None:  # fmt: skip
-    """Into `y`, (time, sums): Σ_i F_is(x_i); the slopes and offsets of F are (pieces, plays, sums).
+    """Write Σ_i F_is(x_i) into `y`, (time, sums); the slopes and offsets of F are (pieces, plays, sums).
 
-    `h`, (plays,), is where the plays start and where they end.
+    `h`, (plays,), holds the initial states of the plays and receives the final ones.
     """
     pieces, _, sums = slopes.shape
     for t in range(len(up)):
@@ -169,10 +169,10 @@ def play_sum(
     straight: np.ndarray, loop: np.ndarray, r: np.ndarray, low: float, piece: float,
     slopes: np.ndarray, offsets: np.ndarray,
 ) -> np.ndarray:  # fmt: skip
-    """(time,): Σ_i F_i(x_i) without the rows; slopes and offsets are (pieces, plays).
+    """Return Σ_i F_i(x_i), (time,), without storing the rows; slopes and offsets are (pieces, plays).
 
-    Seven times as fast as one play after another where F is straight: the loop over plays runs in vector
-    registers, and sums in any order.
+    Where F is linear, this is seven times as fast as one play after another: the loop over plays runs in
+    vector registers and sums in any order.
     """
     y, h, pieces = np.empty(len(up)), np.zeros(len(r)), len(slopes)
     for t in range(len(up)):
@@ -200,20 +200,20 @@ def sums_of_plain_plays(
     offsets: np.ndarray,
     y: np.ndarray,
 ) -> None:
-    """Into `y`, (sums, time): Σ_i F_is(h_i) of plays max{v - r, min{v + r, h}} from 0.
+    """Write Σ_i F_is(h_i) into `y`, (sums, time), for plays max{v - r, min{v + r, h}} that start from 0.
 
-    The plays that move with v are those of the smallest thresholds, and they move alike: their share is
-    straight in v until one of them comes to its next piece. A step costs as much as the plays that it newly
-    moves or brings to another piece, not as much as there are plays.
+    The plays that move with v are those with the smallest thresholds, and they move in parallel: their sum is
+    linear in v until one of them enters its next piece. The cost of a step depends on how many plays start
+    to move or change piece, not on how many there are.
 
     Args:
         v: (time,).
         r: (plays,), ascending.
-        low: Where the first piece of F begins.
-        piece: The length of each.
+        low: Start of the first piece of F.
+        piece: Length of each piece.
         slopes: (pieces, plays, sums).
-        offsets: Of F, likewise.
-        y: What is written.
+        offsets: Offsets of F, of the same shape.
+        y: Output, written.
     """
     pieces, plays, sums = slopes.shape
     h, at = np.zeros(plays), np.empty(plays, np.int64)
@@ -271,7 +271,7 @@ def _inner(h: float, gain: float, chord: float, loop: float) -> float:
 
 @numba.njit(cache=True)
 def bouc_wen_row(v: np.ndarray, sigma: float, beta: float, n: float, start: float) -> np.ndarray:
-    """(time,), z from v = 0, where it was `start`."""
+    """Return z, (time,), of a Bouc–Wen state that has the value `start` at v = 0."""
     row = np.empty(len(v))
     z, before = start, 0.0
     for t in range(len(v)):
@@ -283,7 +283,7 @@ def bouc_wen_row(v: np.ndarray, sigma: float, beta: float, n: float, start: floa
 
 @numba.njit(cache=True)
 def duhem_row(v: np.ndarray, alpha: float, power: int) -> np.ndarray:
-    """(time,), z from v = 0, where it was 0."""
+    """Return z, (time,), of a Duhem state that is 0 at v = 0."""
     row = np.empty(len(v))
     z, before = 0.0, 0.0
     for t in range(len(v)):
@@ -295,7 +295,7 @@ def duhem_row(v: np.ndarray, alpha: float, power: int) -> np.ndarray:
 
 @numba.njit(cache=True)
 def smooth(x: np.ndarray, decay: float) -> np.ndarray:
-    """(time,) through a first-order low-pass from rest."""
+    """Return x, (time,), through a first-order low-pass that starts from rest."""
     y = np.empty(len(x))
     state = 0.0
     for t in range(len(x)):

@@ -1,10 +1,10 @@
-"""A voltage that cannot leave its range: max{low, min{high, u}}, with corners that may be round.
+"""Limiting a voltage to its range: max{low, min{high, u}}, with corners that may be rounded.
 
-The round corner is the smooth maximum of Chen and Mangasarian (*Mathematical Programming* 71, 1995),
+The rounded corner is the smooth maximum of Chen and Mangasarian (*Mathematical Programming* 71, 1995),
 
     max{x, a} → a + K ln(1 + e^{(x - a)/K}),
 
-which has half the slope at the limit and no more than K ln 2 less there.
+whose slope at the limit is one half, and which departs from the sharp corner by at most K ln 2.
 """
 
 import math
@@ -18,7 +18,7 @@ from torch.autograd.function import once_differentiable
 
 
 def clip(x: float, low: float, high: float, knee: float = 0.0) -> float:
-    """max{low, min{high, x}}, with corners of the width `knee`."""
+    """Return max{low, min{high, x}}, with corners of width `knee`."""
     below = min(high, x)
     if knee > 0.0:
         below -= knee * math.log1p(math.exp(-abs(x - high) / knee))
@@ -27,7 +27,7 @@ def clip(x: float, low: float, high: float, knee: float = 0.0) -> float:
 
 
 def clip_step(x: float, n: list[float], s: list[float]) -> float:
-    """`clip` as a stream takes it: n holds both ends and the knee."""
+    """`clip` in the form a stream calls: n holds both ends and the knee."""
     return clip(x, n[0], n[1], n[2])
 
 
@@ -37,13 +37,13 @@ def clipped(
     high: Tensor,
     knee: Tensor,
 ) -> Tensor:  # (batch, time)
-    """`clip` of every sample, with the gradients of all four."""
+    """Apply `clip` to every sample, differentiable in all four arguments."""
     y: Tensor = _Clip.apply(x, low, high, knee)  # type: ignore[no-untyped-call]
     return y
 
 
 def clip_slope(x: np.ndarray, low: float, high: float, knee: float) -> np.ndarray:
-    """(time,): the derivative of `clip` by x, (time,)."""
+    """Return the derivative, (time,), of `clip` with respect to x, (time,)."""
     by_x: np.ndarray = _slopes(x, low, high, knee)[0]
     return by_x
 
@@ -77,7 +77,7 @@ def _fill(x: np.ndarray, low: float, high: float, knee: float, v: np.ndarray) ->
 
 
 def _slopes(x: np.ndarray, low: float, high: float, knee: float) -> tuple[np.ndarray, ...]:
-    """(time,) each: the derivatives of `clip` by x, low, high and the knee."""
+    """Return the derivatives of `clip` with respect to x, low, high and the knee, (time,) each."""
     if knee == 0.0:
         inside = (x >= low) & (x <= high)
         return inside.astype(float), (x < low).astype(float), (x > high).astype(float), np.zeros(len(x))
@@ -94,8 +94,8 @@ def _slopes(x: np.ndarray, low: float, high: float, knee: float) -> tuple[np.nda
 
 
 def _corner(beyond: np.ndarray, knee: float) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
-    """The share of a limit in the slope, (time,), so far beyond it; by how much the corner is rounded, and
-    the derivative of that by the knee."""
+    """Return the weight of a limit in the slope, (time,), at the distance `beyond` it, and the rounding of
+    the corner with its derivative with respect to the knee."""
     z = np.abs(beyond) / knee
     e = np.exp(-z)
     share = np.where(beyond > 0, 1.0, e) / (1.0 + e)

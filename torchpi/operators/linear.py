@@ -1,9 +1,9 @@
-"""Linear blocks: physics in continuous time, exact at the sample instants for any sample rate.
+"""Linear blocks: physics in continuous time, exact at the sampling instants for any sample rate.
 
     ẋ = A x + B u,  y = C x + D u        →        x⁺ = A x + B u,  y = C x + D u
 
-The matrix exponential makes a continuous block discrete, one compiled kernel runs it over whole records with
-an exact adjoint, and a stream runs the same two lines one sample at a time.
+The matrix exponential discretises a continuous block, one compiled kernel runs it over whole records with
+an exact adjoint, and a stream runs the same two equations one sample at a time.
 """
 
 from typing import Any, Literal
@@ -19,10 +19,10 @@ Matrices = tuple[Tensor, Tensor, Tensor, Tensor]
 
 
 def advance(a: list[float], b: list[float], x: list[float], u: float, x_next: list[float]) -> None:
-    """x⁺ = A x + B u, written into `x_next`; `a` is flat, row by row.
+    """Write x⁺ = A x + B u into `x_next`; `a` is flat, row by row.
 
-    Sums run left to right. This source and `observe` are what the batch kernel, the stream and the
-    exports compile.
+    Sums run left to right. The batch kernel, the stream and the exports compile this function and
+    `observe`.
     """
     n = len(x)
     for i in range(n):
@@ -33,7 +33,7 @@ def advance(a: list[float], b: list[float], x: list[float], u: float, x_next: li
 
 
 def observe(c: list[float], d: float, x: list[float], u: float) -> float:
-    """y = C x + D u."""
+    """Return y = C x + D u."""
     total = c[0] * x[0]
     for j in range(1, len(x)):
         total = total + c[j] * x[j]
@@ -48,14 +48,14 @@ def discretise(
     sample_period_s: float,
     hold: Hold,
 ) -> Matrices:
-    """The discrete block that agrees with the continuous one at every sample, for its kind of input.
+    """Return the discrete block that agrees with the continuous one at every sample, for the given hold.
 
     Args:
-        a, b, c, d: The continuous block, one input and one output; leading dimensions are several.
+        a, b, c, d: The continuous block, one input and one output; leading dimensions hold several.
         sample_period_s: T.
-        hold: "zero" for an input held from tick k to tick k+1, as a converter does; "end" for the input as it
-            was held during the sample that ends at tick k; "first" for an input that runs straight from
-            sample to sample, as a signal inside the chain nearly does.
+        hold: "zero" for an input held from tick k to tick k+1, as a converter does; "end" for an input
+            held during the sample that ends at tick k; "first" for an input that is linear from sample to
+            sample, as a signal inside the chain nearly is.
 
     With "first", x(k+1) = e^{AT} x(k) + (Γ₀ - Γ₁) u(k) + Γ₁ u(k+1) (Franklin, Powell and Workman,
     *Digital Control of Dynamic Systems*, triangle hold); the state z = x - Γ₁ u brings it back to the
@@ -70,7 +70,7 @@ def discretise(
     a_d, gamma0, gamma1 = exponential[..., :n, :n], exponential[..., :n, n], exponential[..., :n, n + 1]
     if hold == "zero":
         return a_d, gamma0, c, d
-    if hold == "end":  # the state z(k) = A x(k-1), so that y(k) has the whole answer to u(k)
+    if hold == "end":  # the state z(k) = A x(k-1), so that y(k) contains the whole response to u(k)
         return a_d, (a_d * gamma0[..., None, :]).sum(-1), c, d + (c * gamma0).sum(-1)
     b_d = gamma0 - gamma1 + (a_d * gamma1[..., None, :]).sum(-1)
     return a_d, b_d, c, d + (c * gamma1).sum(-1)
@@ -116,9 +116,9 @@ def state_space(
     d: Tensor,  # ()
     x0: Tensor,  # (batch, n)
 ) -> tuple[Tensor, Tensor]:  # (batch, time), (batch, n)
-    """Output, and the state after the last sample; differentiable in all six arguments.
+    """Return the output and the state after the last sample; differentiable in all six arguments.
 
-    Computed in float64 on the CPU whatever comes in; what goes out has the device and type of `u`,
+    Computed in float64 on the CPU whatever the inputs are; the output has the device and type of `u`,
     the state those of `x0`.
     """
     return recursion(_forward, _backward, u, a, b, c, d, x0)
@@ -127,7 +127,7 @@ def state_space(
 def recursion(
     forward: Any, backward: Any, u: Tensor, a: Tensor, b: Tensor, c: Tensor, d: Tensor, x0: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """A pair of compiled kernels as one differentiable function; `a` may be a matrix or a diagonal."""
+    """Run a pair of compiled kernels as one differentiable function; `a` may be a matrix or a diagonal."""
     wide = [part.to("cpu", torch.float64) for part in (u, a, b, c, d, x0)]
     if torch.is_grad_enabled():
         y, x = _Recursion.apply(forward, backward, *wide)
@@ -174,7 +174,7 @@ _advance: Any = numba.njit(advance)
 _observe: Any = numba.njit(observe)
 
 
-# One row waits for its own last sum; eight rows beside each other keep the processor busy.
+# A single row waits for its previous sum; eight rows in parallel keep the processor busy.
 LANES = 8
 FEWEST_FOR_LANES = 3
 
@@ -209,7 +209,7 @@ def _forward(
 def _second_order(
     u: np.ndarray, a: np.ndarray, b: np.ndarray, c: np.ndarray, d: float, x: np.ndarray, y: np.ndarray
 ) -> None:
-    # `observe` and `advance` of two states, their sums in the same order: the same bits, in registers.
+    # Same as `observe` and `advance` for two states, in registers; sums in the same order, hence equal bits.
     p, q = x[0], x[1]
     for t in range(len(u)):
         now = u[t]
@@ -229,7 +229,7 @@ def _four_of_second_order(
     x: np.ndarray,
     y: np.ndarray,
 ) -> None:
-    # The same for four rows side by side: one waits for its own last sum, four keep the processor busy.
+    # The same for four rows in parallel, because a single one would wait for its previous sum.
     a0, a1, a2, a3, b0, b1, c0, c1 = a[0], a[1], a[2], a[3], b[0], b[1], c[0], c[1]
     u0, u1, u2, u3 = u[first], u[first + 1], u[first + 2], u[first + 3]
     y0, y1, y2, y3 = y[first], y[first + 1], y[first + 2], y[first + 3]
@@ -273,7 +273,7 @@ def _forward_lanes(
     first: int, rows: int, u: np.ndarray, a: np.ndarray, b: np.ndarray, c: np.ndarray, d: float,
     x: np.ndarray, y: np.ndarray, states: np.ndarray,
 ) -> None:  # fmt: skip
-    # `observe` and `advance`, their sums in the same order, with the rows innermost: the same bits.
+    # Same as `observe` and `advance`, with the rows innermost; sums in the same order, hence the same bits.
     n = len(b)
     now, after = np.zeros((n, LANES)), np.zeros((n, LANES))
     sample, output = np.zeros(LANES), np.zeros(LANES)

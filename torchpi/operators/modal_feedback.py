@@ -1,21 +1,21 @@
 """Modes with hysteretic feedback, m inputs and p outputs, sampled: the compiled step.
 
-    v_i  = u_i + Σ_r g_ir k_ir                    k_ir, what plays and amplifiers add to the inputs, given
-    z_n  = Σ_m a_nm · x_m + Σ_i f_ni v_i          what the nonlinear element n senses of modes and inputs
+    v_i  = u_i + Σ_r g_ir k_ir                    k_ir, given, added to the inputs by plays and amplifiers
+    z_n  = Σ_m a_nm · x_m + Σ_i f_ni v_i          sensed by the nonlinear element n
     w_n  = Σ_j θ_nj φ_nj(z_n)                     its force
     x_m⁺ = Λ_m x_m + Σ_i b_mi v_i + Σ_n e_mn w_n  modes, pairs of real states, Λ = [[α, -β], [β, α]]
     y_o  = Σ_m c_om · x_m + Σ_i d_oi v_i + Σ_ij a_oij u_i(t + j)
 
 The functions φ of an element, in this order: dead zones, max(z - r, 0) for r ≥ 0 and min(z - r, 0) for r < 0;
-relaxing plays less their input, h - z; z √s_τ, with s_τ the mean of |z| over a time τ, a stiffness that
+relaxing plays minus their input, h - z; z √s_τ, with s_τ the mean of |z| over a time τ, a stiffness that
 follows the amplitude slowly; and z v_i for its own input (i = n mod m), a stiffness that follows the voltage.
 Plays and dead zones in superposition: Kuhnen, European J. Control 9(4), 2003; the linear part with feedback
 around it: Paduart et al., Automatica 46(4), 2010.
 
-The last sum, j from 1, is what band-limited voltages do between samples: these modes answer as if a voltage
-were held from one sample to the next, while one without content beyond the Nyquist frequency depends there on
-the samples on either side (Pintelon and Schoukens, System Identification, 2012, ch. 13). What differs is
-smooth over the band, and so a short filter that is not causal. `foreseen` has it, the kernel the rest.
+The last sum, j from 1, accounts for band-limited voltages: the modes respond as if voltages were held between
+samples, whereas a voltage without content beyond the Nyquist frequency depends there on the samples on either
+side (Pintelon and Schoukens, System Identification, 2012, ch. 13). The difference is smooth over the band, so
+that a short non-causal filter describes it. `foreseen` computes this sum, the kernel the rest.
 """
 
 from typing import NamedTuple
@@ -27,13 +27,13 @@ from torchpi.operators.filters import filter_matrix
 from torchpi.operators.relaxing_play import relaxing_play, relaxing_play_slope
 
 SMALLEST_MEAN = 1e-4
-"""Added to the mean of |z| under the root, whose slope has no bound at 0."""
+"""Added to the mean of |z| under the root, because the slope of the root is unbounded at 0."""
 DIVERGED = 1e6
 _play, _play_slope = njit(relaxing_play), njit(relaxing_play_slope)
 
 
 class Shapes(NamedTuple):
-    """How many there are of each."""
+    """Numbers that set the shapes of the parameters."""
 
     inputs: int
     outputs: int
@@ -45,7 +45,7 @@ class Shapes(NamedTuple):
 
 
 class Parameters(NamedTuple):
-    """The kernel's parameters, or slopes for them, in the order in which a fit has them."""
+    """The kernel's parameters, or derivatives with respect to them, in the order that a fit uses."""
 
     poles: np.ndarray  # (modes, 2)
     drive: np.ndarray  # (modes, 2, inputs)
@@ -59,16 +59,16 @@ class Parameters(NamedTuple):
 
 
 class Constants(NamedTuple):
-    """What the functions of the elements are made of."""
+    """Constants of the functions φ of the elements."""
 
     zones: np.ndarray  # (dead zones,), thresholds
     thresholds: np.ndarray  # (plays,)
-    kept: np.ndarray  # (plays,), what a sample leaves of small motions
-    shares: np.ndarray  # (means,), of a sample in its mean
+    kept: np.ndarray  # (plays,), factor by which small deviations decay in a sample
+    shares: np.ndarray  # (means,), weight of a sample in its mean
 
 
 def parameter_shapes(shapes: Shapes) -> dict[str, tuple[int, ...]]:
-    """All parameters by name: those of `Parameters` in its order, and a."""
+    """Return the shapes of all parameters by name: those of `Parameters` in its order, then a."""
     m, p, modes, n, functions, plays, ahead = shapes
     each = (
         (modes, 2), (modes, 2, m), (modes, 2, n), (n, modes, 2), (n, m), (n, functions), (m, plays),
@@ -78,7 +78,7 @@ def parameter_shapes(shapes: Shapes) -> dict[str, tuple[int, ...]]:
 
 
 def foreseen(u: np.ndarray, ahead: np.ndarray) -> np.ndarray:
-    """Σ_ij a_oij u_i(t + j), (time, outputs), of voltages (time + as many as there are j, inputs)."""
+    """Return Σ_ij a_oij u_i(t + j), (time, outputs), for voltages (time + number of j, inputs)."""
     found = np.empty((len(u) - ahead.shape[2], len(ahead)))
     filter_matrix(u[1:], np.ascontiguousarray(ahead.transpose(2, 0, 1)[::-1]), found)
     return found
@@ -88,9 +88,9 @@ def foreseen(u: np.ndarray, ahead: np.ndarray) -> np.ndarray:
 def record_places(
     inputs: int, modes: int, elements: int, functions: int, plays: int, means: int
 ) -> tuple[int, int, int, int, int, int, int, int]:
-    """Where the parts of a sample begin in a record, of which `modal_tangents` makes slopes, and its width.
+    """Return where the parts of a sample begin in a record, which `modal_tangents` reads, and its width.
 
-    After v they are x, φ, z, the force's slope but for plays and means, the slopes of these, and w.
+    After v they are x, φ, z, the slope of the force without plays and means, the slopes of these, and w.
     """
     at_phi = inputs + 2 * modes
     at_z = at_phi + elements * functions
@@ -102,7 +102,7 @@ def record_places(
 
 
 def record_width(shapes: Shapes, plays: int, means: int) -> int:
-    """Numbers of a sample in a record."""
+    """Return how many numbers a record holds per sample."""
     inputs, modes, elements, functions = shapes.inputs, shapes.modes, shapes.elements, shapes.functions
     return int(record_places(inputs, modes, elements, functions, plays, means)[-1])
 
@@ -113,14 +113,14 @@ def modal_feedback(
     k: np.ndarray,  # (time, inputs, input plays)
     parameters: Parameters,
     constants: Constants,
-    x: np.ndarray,  # (modes, 2), state; left as after the last sample, like those below
+    x: np.ndarray,  # (modes, 2), state; updated in place, like those below
     h: np.ndarray,  # (elements, plays)
     means: np.ndarray,  # (elements, means)
     past: int,  # samples before these
     y: np.ndarray,  # (time, outputs), written
-    record: np.ndarray,  # (rows, record width), written: of the last samples, what tangents need
+    record: np.ndarray,  # (rows, record width), written: what tangents need of the last samples
 ) -> bool:
-    """Fill `y`; False where the states leave all bounds."""
+    """Fill `y`; return False if the states diverge."""
     poles, drive, force, sensed, through, weights, play_weights, seen, direct = parameters
     zones, thresholds, kept, shares = constants
     samples, inputs = u.shape

@@ -1,8 +1,8 @@
-"""Exact slopes of `modal_feedback` for its parameters, from a record of its states.
+"""Exact derivatives of `modal_feedback` with respect to its parameters, from a record of its states.
 
-Backwards in time for the gradient of an error, forwards for the slopes of the outputs themselves, of which a
-normal matrix is made: those cost in proportion to the number of parameters, the gradient as much as a few
-simulations.
+The gradient of an error is computed backwards in time and costs as much as a few simulations. The slopes of
+the outputs, from which a normal matrix is formed, are computed forwards in time and cost in proportion to
+the number of parameters.
 """
 
 import numpy as np
@@ -13,7 +13,7 @@ from torchpi.operators.modal_feedback import Constants, Parameters, record_place
 
 @njit
 def _put(tangents: np.ndarray, at: int, value: float) -> None:
-    """Add the direct part of a slope, where the parameter is among those carried."""
+    """Add the direct part of a slope if its parameter is among those carried."""
     if 0 <= at < len(tangents):
         tangents[at] += value
 
@@ -25,7 +25,7 @@ def _single(rows: int, size: int) -> np.ndarray:
 
 @njit_sum
 def _add_rows(into: np.ndarray, rows: np.ndarray, factors: np.ndarray) -> None:
-    """into += factors @ rows, four rows at a time: what is added to is fetched less often."""
+    """Compute into += factors @ rows, four rows at a time, so that `into` is fetched less often."""
     size, k = len(into), 0
     while k + 4 <= len(factors):
         a, b, c, d = factors[k], factors[k + 1], factors[k + 2], factors[k + 3]
@@ -42,27 +42,27 @@ def _add_rows(into: np.ndarray, rows: np.ndarray, factors: np.ndarray) -> None:
 
 @njit
 def modal_tangents(
-    record: np.ndarray,  # (time, record width), of the samples from the first whose tangents are carried
+    record: np.ndarray,  # (time, record width), from the first sample whose tangents are carried
     k: np.ndarray,  # (time, inputs, input plays), of the same
     parameters: Parameters,
     constants: Constants,
     past: int,  # samples before these
-    counted: int,  # samples, the last, whose slopes count
-    stride: int,  # every how many samples a row of slopes is kept
+    counted: int,  # number of samples at the end whose slopes count
+    stride: int,  # samples from one row of slopes to the next
     low: int,  # first parameter whose tangent is carried
     slopes: np.ndarray,  # (rows, outputs, tangents), written
 ) -> None:
-    """Rows of slopes for the normal matrix.
+    """Compute the rows of slopes for the normal matrix.
 
-    A few tangents at a time are quicker than many: their states then stay in the nearest cache. They are
-    in single precision, of which twice as many fit.
+    A few tangents at a time are faster than many, because their states then stay in the nearest cache. They
+    are in single precision, so that twice as many fit.
     """
     poles, drive, force, sensed, through, weights, _, seen, direct = parameters
     zones, thresholds, _, shares = constants
     inputs, modes, elements, functions = drive.shape[2], len(poles), len(weights), weights.shape[1]
     outputs, plays, input_plays, averages = len(seen), len(thresholds), k.shape[2], len(shares)
     after_zones, after_means = len(zones), functions - 1
-    # Where the parameters of each name begin, and which of them are carried.
+    # Indices at which the parameters of each name begin, and which of them are carried.
     at_drive = 2 * modes
     at_force = at_drive + 2 * modes * inputs
     at_sensed = at_force + 2 * modes * elements
@@ -175,7 +175,7 @@ def modal_tangents(
 
 @njit
 def modal_gradient(
-    record: np.ndarray,  # (time, record width), of the samples that the error is traced back through
+    record: np.ndarray,  # (time, record width), of the samples through which the error is traced back
     k: np.ndarray,  # (time, inputs, input plays), of the same
     parameters: Parameters,
     constants: Constants,
@@ -183,7 +183,7 @@ def modal_gradient(
     error: np.ndarray,  # (counted, outputs), of the last samples
     d: Parameters,  # slopes, added to
 ) -> None:
-    """Σ error · ∂y/∂parameter, by the adjoint recursion."""
+    """Add Σ error · ∂y/∂parameter to `d`, by the adjoint recursion."""
     poles, drive, force, sensed, through, weights, _, seen, direct = parameters
     zones, thresholds, _, shares = constants
     inputs, modes, elements, functions = drive.shape[2], len(poles), len(weights), weights.shape[1]
@@ -192,7 +192,7 @@ def modal_gradient(
     at_x, at_phi, at_z, at_slope, at_play_slopes, at_mean_slopes, at_w, _ = record_places(
         inputs, modes, elements, functions, plays, averages
     )
-    # Adjoints of the states after a sample, of what is sensed, of the forces and of the inputs.
+    # Adjoints of the states after a sample, of the sensed signals, of the forces and of the inputs.
     ax, ah, am = np.zeros((modes, 2)), np.zeros((elements, plays)), np.zeros((elements, averages))
     az, aw, av = np.zeros(elements), np.zeros(elements), np.zeros(inputs)
     silent = len(record) - len(error)

@@ -31,7 +31,7 @@ class Motion(NamedTuple):
 
 
 def check_motion(motion: object) -> None:
-    """Whether an argument is a motion of tensors.
+    """Check that an argument is a motion of tensors.
 
     Raises:
         ConfigError: It is not.
@@ -48,12 +48,12 @@ def backward_motion(
     yd: Tensor,  # (batch, time), µm
     sample_period_s: float,
 ) -> Motion:
-    """Rate and acceleration from past samples only, as a compensator that is fed samples forms them.
+    """Form rate and acceleration from past samples only, as a compensator does that receives samples.
 
-    Second order, so the rate does not lag by half a sample as a plain backward difference does.
-    Before the first sample the trajectory is taken to have rested there.
+    The differences are of second order, so the rate does not lag by half a sample as a plain backward
+    difference does. Before the first sample the trajectory is taken to have rested there.
     """
-    # The three samples before each one: the first sample repeated stands for the rest before it.
+    # The three samples before each one; the repeated first sample represents standstill before it.
     held = torch.cat([yd[:, :1].expand(-1, 3), yd], 1)
     y1, y2, y3 = held[:, 2:-1], held[:, 1:-2], held[:, :-3]
     return Motion(
@@ -66,13 +66,13 @@ def backward_motion(
 def backward_rate(y0: float, y1: float, y2: float, sample_period_s: float) -> float:
     """Three-point backward difference, (3 y0 - 4 y1 + y2) / 2T; `y1` is one sample before `y0`.
 
-    Written in differences, which are exactly zero at rest. Tensors pass as well.
+    It is written in differences, which are exactly zero at rest. Also for tensors.
     """
     return (3.0 * (y0 - y1) - (y1 - y2)) / (2.0 * sample_period_s)
 
 
 def backward_acceleration(y0: float, y1: float, y2: float, y3: float, sample_period_s: float) -> float:
-    """Four-point backward second difference, (2 y0 - 5 y1 + 4 y2 - y3) / T². Tensors pass as well."""
+    """Four-point backward second difference, (2 y0 - 5 y1 + 4 y2 - y3) / T². Also for tensors."""
     return (2.0 * (y0 - y1) - 3.0 * (y1 - y2) + (y2 - y3)) / (sample_period_s * sample_period_s)
 
 
@@ -93,7 +93,7 @@ class BackwardMotionStream(nn.Module):
 
     @torch.jit.export
     def reset_at(self, yd: float) -> None:
-        """A trajectory that has rested at `yd`."""
+        """Start from a trajectory that has rested at `yd`."""
         self.started = True
         self.y1 = yd
         self.y2 = yd

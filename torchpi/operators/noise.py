@@ -1,4 +1,4 @@
-"""White noise whose numbers do not depend on how they are drawn: in one piece, or one by one."""
+"""White noise whose numbers are the same whether drawn in one piece or one by one."""
 
 import numpy as np
 import torch
@@ -6,7 +6,7 @@ from torch import Tensor
 
 
 def white_noise(seed: int, batch: int, time: int) -> Tensor:
-    """Standard normal numbers, (batch, time), float64; every row has its own sequence, whatever the batch."""
+    """Return standard normal numbers, (batch, time), float64; each row has its own sequence for any batch."""
     return torch.from_numpy(np.stack([_generator(seed, row).standard_normal(time) for row in range(batch)]))
 
 
@@ -21,14 +21,14 @@ class NoiseStream:
         self.reset(seed)
 
     def reset(self, seed: int) -> None:
-        """Begin the sequence of this seed."""
+        """Start the sequence of this seed."""
         self.generator = _generator(seed, 0)
         self.ahead: list[float] = []
 
     def step(self) -> float:
-        """The next number."""
+        """Return the next number."""
         if not self.ahead:
-            # One call a number would cost more than the number; numpy's sequence is the same either way.
+            # One call per number would cost more than the number; numpy's sequence is the same either way.
             self.ahead = self.generator.standard_normal(1024)[::-1].tolist()
         return self.ahead.pop()
 

@@ -1,9 +1,9 @@
-"""What an amplifier and an actuator add to a band-limited voltage, taken between its samples.
+"""Contributions of an amplifier and an actuator to a band-limited voltage, computed between its samples.
 
-Sampled at little more than twice its highest frequency, a signal turns between samples: plays of the
-samples alone miss how far it went. So the input is interpolated, what it causes is taken at the higher rate,
-and low-passed back to the rate of the samples. Both filters are of linear phase: the result knows
-`LOOKAHEAD` samples to come.
+A signal sampled at little more than twice its highest frequency reverses between samples, and plays of the
+samples alone miss its extremes. The input is therefore interpolated, the contributions are computed at the
+higher rate, and a low-pass brings them back to the sample rate. Both filters are of linear phase, so that
+the result depends on `LOOKAHEAD` future samples.
 """
 
 import math
@@ -18,31 +18,31 @@ from torchpi.operators.relaxing_play import relaxing_play
 
 FACTOR = 4
 HALF_LENGTH = 40
-"""Of the filter, in samples of the input: at 0.94 of the Nyquist frequency it still passes."""
+"""Half length of the filter, in samples of the input: it still passes 0.94 of the Nyquist frequency."""
 LOOKAHEAD = 2 * HALF_LENGTH
 TAPS = firwin(2 * FACTOR * HALF_LENGTH + 1, 1.0 / FACTOR, window=("kaiser", 6.0))
 _play = njit(relaxing_play)
 
 
 class OversampledInputs:
-    """What plays and amplifiers add to voltages, window after window.
+    """Contributions of plays and amplifiers to voltages, window after window.
 
-    Relaxing plays add h - u. The current into a piezo actuator follows the slope of its voltage v. An output
-    stage of class B loses some of its voltage where the current changes sign, and the amplifier's loop takes
-    back what of that lies below its bandwidth ω (Self, Audio Power Amplifier Design, 2013, ch. 9):
+    Relaxing plays add h - u. The current into a piezo actuator follows the slope of its voltage v. A class-B
+    output stage loses some of its voltage where the current changes sign, and the amplifier's loop corrects
+    the part of that loss below its bandwidth ω (Self, Audio Power Amplifier Design, 2013, ch. 9):
 
         v̇ = ω (u - v),   e = s/(s + ω) σ(v̇/w),   σ(s) = s/√(1 + s²)
 
-    Where the signs change at another current than zero, there is some of σ² as well.
+    If the loss occurs at a current other than zero, there is a contribution of σ² as well.
 
     Args:
-        inputs: How many voltages.
+        inputs: Number of voltages.
         rate_hz: Sample rate, Hz.
         thresholds: r of the plays, V.
         rates_hz: ω / 2π of the plays, Hz.
         widths: w, V/s.
         corner_hz: ω / 2π of the amplifiers, Hz.
-        weights: (inputs, all of them), V, in which they are added up; without any each is kept.
+        weights: (inputs, contributions), V, of their sum; without weights each contribution is kept.
     """
 
     def __init__(
@@ -72,9 +72,9 @@ class OversampledInputs:
         self.fine = np.zeros((2 * FACTOR * HALF_LENGTH, inputs * kept))
 
     def advance(self, u: np.ndarray) -> np.ndarray:
-        """(time, inputs, plays, then σ of each width, then σ²), of `LOOKAHEAD` samples before u's.
+        """Return (time, inputs, plays, then σ of each width, then σ²), `LOOKAHEAD` samples behind u.
 
-        With weights their sum, (time, inputs, 1).
+        With weights, return the weighted sum, (time, inputs, 1).
         """
         known, inputs = np.concatenate([self.u, u]), u.shape[1]
         x, low = np.empty((FACTOR * len(u), inputs)), np.empty((len(u), self.fine.shape[1]))
@@ -98,16 +98,16 @@ class OversampledInputs:
 def at_higher_rate(
     x: np.ndarray,  # (time, inputs), V
     thresholds: np.ndarray,  # (plays,)
-    kept: np.ndarray,  # (plays,), what a sample leaves of small motions
+    kept: np.ndarray,  # (plays,), factor by which small deviations decay in a sample
     widths: np.ndarray,  # (widths,), V/s
-    omega: float,  # of the amplifiers, 1/s
+    omega: float,  # bandwidth of the amplifiers, 1/s
     high_pass: np.ndarray,  # (3,), s/(s + ω): b_0, b_1 and a_1 of its difference equation
-    h: np.ndarray,  # (inputs, plays), state; left as after the last sample, like those below
-    slope: np.ndarray,  # (inputs,), of the filter that gives the current
-    lost: np.ndarray,  # (inputs, 2 widths), of those behind the crossover
+    h: np.ndarray,  # (inputs, plays), state; updated in place, like those below
+    slope: np.ndarray,  # (inputs,), state of the filter that gives the current
+    lost: np.ndarray,  # (inputs, 2 widths), state of the filters behind the crossover
     added: np.ndarray,  # (time, inputs, plays + 2 widths), written
 ) -> None:
-    """What `OversampledInputs` adds, sample by sample at the higher rate."""
+    """Compute the contributions of `OversampledInputs`, sample by sample at the higher rate."""
     plays, many = len(thresholds), len(widths)
     b0, b1, a1 = high_pass
     for t in range(x.shape[0]):
@@ -131,7 +131,7 @@ def at_higher_rate(
 
 @njit
 def weighted_sum(added: np.ndarray, weights: np.ndarray, total: np.ndarray) -> None:
-    """Σ_r g_ir e_ir, (time, inputs, 1), from the first to the last."""
+    """Compute Σ_r g_ir e_ir, (time, inputs, 1), summed from the first to the last."""
     for t in range(added.shape[0]):
         for i in range(added.shape[1]):
             sum_ = 0.0

@@ -22,7 +22,7 @@ class PlayBank(Operator):
         trainable: Whether gradients reach the thresholds. A threshold of exactly 0 stays 0.
 
     Raises:
-        ConfigError: No threshold, or one that is negative or not finite; in use, no tensor of records.
+        ConfigError: No threshold, or one that is negative or not finite; when called, no tensor of records.
 
     Example:
         >>> import torch
@@ -40,7 +40,7 @@ class PlayBank(Operator):
     @property
     def r(self) -> Tensor:
         """Thresholds, (plays,), in the unit of the input."""
-        # relu, not clamp: its gradient at 0 is 0, so the play that copies the input stays that.
+        # relu, not clamp: its gradient at 0 is 0, so that a play that copies the input remains one.
         return torch.relu(self.raw_thresholds)
 
     def initial_state(self, batch: int) -> Tensor:
@@ -65,10 +65,10 @@ class PlayBank(Operator):
 
 
 def threshold_parameter(name: str, values: Sequence[float], trainable: bool) -> nn.Parameter:
-    """Thresholds, (plays,).
+    """Return the thresholds as a parameter, (plays,).
 
     Raises:
-        ConfigError: None, or one that is negative or not finite.
+        ConfigError: No threshold, or one that is negative or not finite.
     """
     expected = f"{name}: found {values}, expected at least one finite number, none negative"
     try:
@@ -108,14 +108,14 @@ def play_bank(
     r: Tensor,  # (plays,), the unit of x
     h0: Tensor,  # (batch, plays), the unit of x
 ) -> Tensor:  # (batch, time, plays), the unit of x
-    """States of all plays over a whole record, differentiable in `x`, `r` and `h0`.
+    """Return the states of all plays over a whole record, differentiable in `x`, `r` and `h0`.
 
-    On the CPU a compiled sequential kernel, elsewhere or without Numba an associative scan: the same
+    The CPU runs a compiled sequential kernel; elsewhere or without Numba an associative scan gives the same
     bits, because both only select among x - r, x + r and h0. Where the previous state lies on the edge
     of the play or beyond, the sample pushes it and takes the gradient; r = 0 thus passes gradient 1.
 
-    Memory: the result, which backward keeps, and nothing else of its size. Where the states themselves
-    are not wanted, `weighted_plays` makes none of them last.
+    Memory: the result, which backward keeps, and nothing else of its size. If the states themselves are not
+    needed, `weighted_plays` avoids storing them.
 
     Example:
         >>> import torch
@@ -126,7 +126,7 @@ def play_bank(
     """
     if x.device.type == "cpu" and HAS_COMPILER:
         differentiable = torch.is_grad_enabled() and any(part.requires_grad for part in (x, r, h0))
-        # Calling a registered operation imports torch's compiler, seconds that a bare pass does without.
+        # Calling a registered operation imports torch's compiler, which takes seconds; a bare pass avoids it.
         plain = not differentiable and not torch.compiler.is_compiling()
         return _states(x, r, h0) if plain else cast(Tensor, _play_bank(x, r, h0))
     return play_scan(x, r, h0)

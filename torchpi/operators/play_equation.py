@@ -4,13 +4,13 @@
 def play(x: float, r: float, h: float) -> float:
     """One step of a play: h(t) = max{x(t) - r, min{x(t) + r, h(t - T)}}.
 
-    This is eq. 1. At the first sample `h` is the initial state h0, which makes it eq. 2. This one function
-    is what the kernels, the stream and the exports compile.
+    This is eq. 1. At the first sample `h` is the initial state h0, which makes it eq. 2. The kernels,
+    the stream and the exports all compile this one function.
 
     Args:
         x: Input, in any unit.
         r: Threshold, in the unit of x.
-        h: State after the sample before, likewise.
+        h: State after the previous sample, in the unit of x.
 
     Example:
         >>> from torchpi.operators import play

@@ -1,6 +1,6 @@
 """The compiled play bank: states of all plays over whole records, and the exact adjoint.
 
-Threads share out records and plays on the way forward, records and stretches of them on the way back.
+Threads divide records and plays among them in the forward pass, records and stretches in the backward pass.
 """
 
 import numpy as np
@@ -15,8 +15,8 @@ _play = njit(play)
 
 def play_bank_forward(x: np.ndarray, r: np.ndarray, h0: np.ndarray, h: np.ndarray) -> None:
     """Fill `h`, (batch, time, plays)."""
-    # Few plays share the lines of memory that they write, and many blocks walk over all its pages each:
-    # as many as the records leave threads without work.
+    # Blocks of few plays would share the cache lines that they write, and every block walks over all pages:
+    # only as many blocks as occupy the threads that the records leave without work.
     blocks = max(min(torch.get_num_threads() // len(x), len(r) // 32), 1)
     in_threads(_forward, len(x) * blocks, x, r, h0, blocks, h)
 
@@ -24,9 +24,9 @@ def play_bank_forward(x: np.ndarray, r: np.ndarray, h0: np.ndarray, h: np.ndarra
 def play_bank_backward(
     x: np.ndarray, r: np.ndarray, h0: np.ndarray, h: np.ndarray, gh: np.ndarray, gx: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Fill `gx` for the gradient `gh` of the states; return those of `r` and of `h0`."""
+    """Fill `gx` from the gradient `gh` of the states; return the gradients of `r` and of `h0`."""
     batch, samples = x.shape
-    # Cut by the shape alone, so that sums have one order for any number of threads.
+    # The cut depends on the shape alone, so that sums have the same order for any number of threads.
     stretches, length = _cut(samples, len(r))
     left = np.zeros((batch, stretches, len(r), 1), x.dtype)
     latest = np.zeros((batch, stretches, len(r), 1), np.int64)
@@ -38,7 +38,7 @@ def play_bank_backward(
 
 
 def _cut(samples: int, plays: int) -> tuple[int, int]:
-    """Stretches of a record, and the samples of one."""
+    """Return the number of stretches of a record, and the samples per stretch."""
     count = min(max(samples * plays // 2**17, 1), 64, samples)
     length = -(-samples // count)
     return -(-samples // length), length
@@ -64,7 +64,7 @@ def _backward(
     gh: np.ndarray, gx: np.ndarray, gr: np.ndarray, left: np.ndarray, latest: np.ndarray,
 ) -> None:  # fmt: skip
     # Every state is x_s - r or x_s + r of the last sample s that pushed it, or h0: the gradient waits
-    # in `carried` while the play rests, and lands on the sample that pushed.
+    # in `carried` while the play rests, and is added at the sample that pushed.
     rests = x.dtype.type(0)
     carried, landed, gr_here = np.empty_like(r), np.empty_like(r), np.empty_like(r)
     for task in range(first, last):

@@ -1,8 +1,8 @@
-"""The play bank as an associative scan, in plain torch: the form for an accelerator.
+"""The play bank as an associative scan in plain torch, for accelerators.
 
 A play clamps its previous state to [x - r, x + r]. Clamps compose to clamps, so the map from the
 initial state to any later state is one clamp again, (low, high), and a doubling scan gives all of
-them in log2(time) passes. Only selections happen, so the bits are those of the sequential form.
+them in log2(time) passes. It only selects among values, so the bits are those of the sequential form.
 """
 
 from typing import Any, cast
@@ -17,7 +17,7 @@ def play_scan(
     r: Tensor,  # (plays,)
     h0: Tensor,  # (batch, plays)
 ) -> Tensor:  # (batch, time, plays)
-    """States of all plays (eq. 1, 2), differentiable in all three arguments, on any device."""
+    """Return the states of all plays (eq. 1, 2), differentiable in all three arguments, on any device."""
     return cast(Tensor, _PlayScan.apply(x, r, h0))
 
 
@@ -27,7 +27,7 @@ class _PlayScan(torch.autograd.Function):
         low, high = x[..., None] - r, x[..., None] + r
         span = 1
         while span < x.shape[1]:
-            # Later clamp after earlier clamp: both ends of the earlier one pass through the later.
+            # Compose each clamp with an earlier one: both ends of the earlier pass through the later.
             after_low, after_high = low[:, span:], high[:, span:]
             low, high = (
                 torch.cat(

@@ -8,9 +8,9 @@ from torchpi.operators.base import Static, StaticStream
 
 
 def polynomial(x: float, c: list[float]) -> float:
-    """S(x) = c_m x^m + … + c_1 x, by Horner's rule; `c` is c_1 first. No constant term.
+    """Return S(x) = c_m x^m + … + c_1 x by Horner's rule; `c` is c_1 first. There is no constant term.
 
-    This is eq. 4. Tensors pass as well: batch and stream run this one function.
+    This is eq. 4. It also accepts tensors: batch and stream run this one function.
 
     Args:
         x: Input, in any unit.
@@ -28,7 +28,7 @@ def polynomial(x: float, c: list[float]) -> float:
 
 
 def horner(s: float, c: float, x: float) -> float:
-    """One step of Horner's rule; what the kernels compile."""
+    """One step of Horner's rule, which the kernels compile."""
     return (s + c) * x
 
 
@@ -38,7 +38,7 @@ class Polynomial(Static):
     Args:
         coefficients: c_1 first, c_m last.
         scale: A typical size of the input. The trained numbers are c_i scale^(i-1), which are then of
-            like size for all i; `c` gives the coefficients themselves.
+            similar size for all i; `c` gives the coefficients themselves.
 
     Raises:
         ConfigError: No coefficient, one that is not finite, or a scale that is not positive.

@@ -10,7 +10,7 @@ from torchpi.operators.weighted_sum import weighted_sum
 
 
 def sum_step(x: float, n: list[float], s: list[float]) -> float:
-    """The sum as a stream takes it: n holds r and w, s the plays."""
+    """One step in the form a stream calls: n holds r and w, s the plays."""
     total = 0.0
     for i in range(len(s)):
         s[i] = play(x, n[i], s[i])
@@ -23,11 +23,11 @@ class PrandtlIshlinskii(Operator):
 
     Args:
         thresholds: r, unit of the input.
-        weights: w, one a threshold, output per input; may be negative.
+        weights: w, one per threshold, output per input; may be negative.
         trainable_thresholds: Whether gradients reach the thresholds.
 
     Raises:
-        ConfigError: Bad thresholds, or another number of weights than of thresholds.
+        ConfigError: Invalid thresholds, or not as many weights as thresholds.
 
     Example:
         >>> import torch

@@ -1,4 +1,4 @@
-"""What a physical number may be: its unit and its limits, checked where the number enters."""
+"""Unit and limits of a physical parameter, checked where its value enters."""
 
 import math
 from dataclasses import dataclass
@@ -11,11 +11,11 @@ class Quantity:
     """A physical parameter.
 
     Args:
-        unit: As it is written, "" for a ratio.
+        unit: The unit as written, "" for a ratio.
         at_least: Smallest value allowed.
         at_most: Largest value allowed.
         positive: Whether 0 itself is not allowed, `at_least` being 0.
-        identity: The value at which what it is a parameter of is not there; it may lie beyond the limits.
+        identity: The value at which the effect of the parameter is absent; it may lie beyond the limits.
     """
 
     unit: str
@@ -28,7 +28,7 @@ class Quantity:
         """Return `value` as a float.
 
         Raises:
-            StageError: It is no finite number, or outside the limits; names parameter, unit, found, expected.
+            StageError: It is not finite or outside the limits; names the parameter, unit, found, expected.
         """
         inside = self.at_least <= value <= self.at_most and not (self.positive and value <= 0)
         if not (math.isfinite(value) and inside):
@@ -37,7 +37,7 @@ class Quantity:
         return float(value)
 
     def expected(self) -> str:
-        """The limits in words."""
+        """Return the limits in words."""
         if self.positive and math.isfinite(self.at_most):
             return f"more than 0 and at most {self.at_most:g}"
         if self.positive:

@@ -17,15 +17,15 @@ from torchpi.operators.quantity import Quantity
 
 
 def quantize(x: float, offset: float, step: float, first: float, last: float) -> float:
-    """offset + step · code, the code being the nearest of first … last; halves round up."""
+    """Return offset + step · code, with the nearest code of first … last; halves round up."""
     return offset + step * clip(float(math.floor((x - offset) / step + 0.5)), first, last)
 
 
 class Quantize(torch.autograd.Function):
     """`quantize` over whole records.
 
-    Straight-through: the gradient in x is 1 inside the range and 0 beyond, as if there were no steps; those
-    in offset and step are 0.
+    Straight-through estimator: the gradient for x is 1 inside the range and 0 beyond, as if there were no
+    steps; those for offset and step are 0.
     """
 
     @staticmethod
@@ -42,7 +42,7 @@ class Quantize(torch.autograd.Function):
 
 
 def quantize_step(x: float, n: list[float], s: list[float]) -> float:
-    """`quantize` as a stream takes it: n holds its other arguments."""
+    """`quantize` in the form a stream calls: n holds its other arguments."""
     return quantize(x, n[0], n[1], n[2], n[3])
 
 
@@ -85,7 +85,7 @@ class Converter(Static):
         return StepStream(quantize_step, [self.low, self.step_size, 0.0, self.last_code])
 
     def settings(self) -> dict[str, float]:
-        """The constructor's arguments."""
+        """Return the constructor's arguments."""
         return {"bits": self.bits, "low": self.low, "high": self.high}
 
     def extra_repr(self) -> str:

@@ -17,23 +17,23 @@ from torchpi.operators.motion import backward_rate
 from torchpi.operators.play import PlayBank, play
 from torchpi.operators.weighted_sum import weighted_sum
 
-RATE_STATES = 3  # the two last inputs, and whether there was one
+RATE_STATES = 3  # the last two inputs, and whether there was any
 
 
 class RateDependentPI(Operator):
     """A forward hysteresis whose weights are linear in the signed rate of its input.
 
-    The rate is the three-point backward difference, as of a signal that rested at its first value before the
-    record. State: the plays, then the memory of the rate.
+    The rate is the three-point backward difference; before the record the input is taken to have rested at
+    its first value. The state consists of the plays, then the memory of the rate.
 
     Args:
         sample_period_s: T.
         thresholds: r, unit of the input, none negative.
-        slopes: k, one a threshold, change of the weight per unit of rate.
+        slopes: k, one per threshold, change of the weight per unit of rate.
         offsets: b, the weights at rest.
 
     Raises:
-        ConfigError: Bad thresholds, a number that is not finite, another number of slopes or offsets than of
+        ConfigError: Invalid thresholds, a number that is not finite, not as many slopes or offsets as
             thresholds, or a period that is not positive.
     """
 
@@ -78,7 +78,7 @@ class RateDependentPI(Operator):
         rate: Tensor,  # (batch, time), unit of x per s
         state: Tensor | None = None,  # (batch, plays)
     ) -> tuple[Tensor, Tensor]:
-        """The same with a rate that is known, of an input that is a formula for instance."""
+        """Apply the operator with a known rate, for instance of an input given by a formula."""
         h, state = self.plays(x, state)
         basis = torch.stack([torch.ones_like(rate), rate], -1)
         return weighted_sum(h, basis, torch.stack([self.b, self.k], 1).to(x.dtype)), state
@@ -92,7 +92,7 @@ class RateDependentPI(Operator):
 
 
 def rate_dependent_step(x: float, n: list[float], s: list[float]) -> float:
-    """The operator as a stream takes it: n holds T, r, b and k, s the state."""
+    """One step in the form a stream calls: n holds T, r, b and k; s holds the state."""
     rate = own_rate_step(x, n[0], s)
     plays, total = len(s) - 3, 0.0
     for i in range(plays):
@@ -102,7 +102,7 @@ def rate_dependent_step(x: float, n: list[float], s: list[float]) -> float:
 
 
 def own_rate_step(x: float, sample_period_s: float, s: list[float]) -> float:
-    """`own_rate` of one sample, its memory being the last of `s`."""
+    """`own_rate` for one sample, with its memory in the last entries of `s`."""
     at = len(s) - 3
     if s[at + 2] == 0.0:
         s[at] = x
@@ -119,7 +119,7 @@ def own_rate(
     memory: Tensor,  # (batch, RATE_STATES): x one sample ago, x two samples ago, 1 once there was a sample
     sample_period_s: float,
 ) -> tuple[Tensor, Tensor]:  # (batch, time), (batch, RATE_STATES)
-    """The causal rate of a signal, and the memory of it after the last sample."""
+    """Return the causal rate of a signal, and the rate memory after the last sample."""
     started = memory[:, 2:] > 0.5
     first = x[:, :1]
     y1 = torch.where(started, memory[:, :1].to(x.dtype), first)

@@ -13,22 +13,22 @@ LARGEST_HEAD = 1000
 
 
 def squash(z: float) -> float:
-    """z / (1 + |z|): a smooth step made only of operations that IEEE 754 rounds exactly, so that batch,
-    stream and C agree to the last bit. A tanh or sqrt differs between libraries. Tensors pass as well."""
+    """Return z / (1 + |z|), a smooth step made only of operations that IEEE 754 rounds exactly, so that
+    batch, stream and C agree to the last bit. A tanh or sqrt differs between libraries. Also for tensors."""
     return z / (1.0 + abs(z))
 
 
 class RateWeights(nn.Module):
     """w(ẏ) = k ẏ + b, signed rate; as `neural`, + Σ_j W_j squash(a_j ẏ/ẏ_scale + c_j).
 
-    The first is eq. 7.
+    The first form is eq. 7.
 
     All kinds are linear in θ = (b, k, W) over a basis φ(ẏ) = (1, ẏ/ẏ_scale, squash_1, …), so least
-    squares can find θ for a fixed basis. At W = 0 the neural head is the linear one, at k = 0 that
-    is eq. 3.
+    squares can find θ for a fixed basis. At W = 0 the neural head reduces to the linear one, and at
+    k = 0 that reduces to eq. 3.
 
     Args:
-        weights: b, one a play, output per unit of the play's input; may be negative.
+        weights: b, one per play, output per unit of the play's input; may be negative.
         kind: `none` (b alone), `linear` or `neural`.
         rate_scale_um_s: A typical size of the rate, ẏ_scale.
         hidden: Number of squashed functions of the rate in the neural head.
@@ -64,13 +64,13 @@ class RateWeights(nn.Module):
         theta = torch.zeros(len(weights), functions, dtype=torch.float64)
         theta[:, 0] = torch.as_tensor(weights, dtype=torch.float64)
         self.theta = nn.Parameter(theta)
-        # Steps spread over the rates in use: both signs, fast and slow.
+        # The steps are spread over the rates in use: both signs, fast and slow.
         knots = hidden if kind == "neural" else 0
         self.slope = nn.Parameter(torch.full((knots,), 3.0, dtype=torch.float64))
         self.shift = nn.Parameter(torch.linspace(-2.0, 2.0, knots, dtype=torch.float64))
 
     def basis(self, yd_dot: Tensor) -> Tensor:
-        """φ(ẏ). Shape: (batch, time) µm/s to (batch, time, functions)."""
+        """Return φ(ẏ). Shape: (batch, time) µm/s to (batch, time, functions)."""
         z = yd_dot / self.rate_scale_um_s
         functions = [torch.ones_like(z)]
         if self.kind != "none":
@@ -80,7 +80,7 @@ class RateWeights(nn.Module):
         return torch.stack(functions, -1)
 
     def forward(self, yd_dot: Tensor) -> Tensor:
-        """Weights at each rate. Shape: (batch, time) µm/s to (batch, time, plays)."""
+        """Return the weights at each rate. Shape: (batch, time) µm/s to (batch, time, plays)."""
         return self.basis(yd_dot) @ self.theta.T
 
     @property

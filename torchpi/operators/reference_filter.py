@@ -17,7 +17,7 @@ from torchpi.operators.motion import BackwardMotionStream, Motion
 
 
 class ReferenceFilter:
-    """The paper's filter of the reference trajectory, of second order, exact in discrete time.
+    """The paper's second-order filter of the reference trajectory, exact in discrete time.
 
     It is eq. 14.
 
@@ -63,12 +63,12 @@ class ReferenceFilter:
         yr_dot: Tensor | None = None,  # (batch, time), µm/s
         yr_ddot: Tensor | None = None,  # (batch, time), µm/s²
     ) -> Motion:
-        """Filter a reference; derivatives that are not given come from its samples.
+        """Filter a reference; derivatives that are not given are formed from its samples.
 
-        A reference given by samples has its initial rate from its first two.
+        In that case the initial rate comes from the first two samples.
 
         Raises:
-            ConfigError: No tensor (batch, time) of floating-point numbers.
+            ConfigError: `yr` is not a tensor (batch, time) of floating-point numbers.
         """
         check_records(yr, "yr")
         if yr_dot is None or yr_ddot is None:
@@ -86,7 +86,7 @@ class ReferenceFilter:
         return Motion(yr + e, yr_dot + e_dot, yr_ddot + self._e_ddot(e, e_dot))
 
     def stream(self) -> "ReferenceFilterStream":
-        """`step(y_r)` returns (y_d, its rate, its acceleration); scriptable."""
+        """Return a scriptable stream whose `step(y_r)` returns (y_d, its rate, its acceleration)."""
         decay = torch.linalg.matrix_exp(self._dynamics() * self.sample_period_s)
         return ReferenceFilterStream(
             self.sample_period_s, decay.flatten().tolist(), self.natural_frequency_rad_s, self.damping_ratio
@@ -101,7 +101,7 @@ class ReferenceFilter:
 
 
 def decay_acceleration(e: float, e_dot: float, omega: float, zeta: float) -> float:
-    """ë = -ω² e - 2ζω ė. Tensors pass as well."""
+    """Return ë = -ω² e - 2ζω ė. Also for tensors."""
     return -(omega * omega) * e - (2.0 * zeta * omega) * e_dot
 
 
@@ -128,7 +128,7 @@ class ReferenceFilterStream(nn.Module):
 
     @torch.jit.export
     def reset_at(self, yr: float) -> None:
-        """A reference that has rested at `yr` until y_d has come to it."""
+        """Start from a reference that has rested at `yr` until y_d reached it."""
         self.reference.reset_at(yr)
         self.samples_seen = 2
         self.e = 0.0
@@ -161,5 +161,5 @@ class ReferenceFilterStream(nn.Module):
 def motion_stream(
     sample_period_s: float, reference_filter: ReferenceFilter | None
 ) -> "BackwardMotionStream | ReferenceFilterStream":
-    """`step` gives (y_d, its rate, its acceleration): of the filter, or without one of past samples alone."""
+    """Return a stream of (y_d, its rate, its acceleration), from the filter, else from past samples alone."""
     return BackwardMotionStream(sample_period_s) if reference_filter is None else reference_filter.stream()

@@ -1,4 +1,4 @@
-"""First-order blocks beside each other: a linear block with a diagonal A, at a cost of n, not n².
+"""Parallel first-order blocks: a linear block with a diagonal A, at a cost of n, not n².
 
 x_i⁺ = a_i x_i + b_i u,    y = Σ_i c_i x_i + d u
 """
@@ -14,7 +14,7 @@ from torchpi.operators.linear import LinearStream, observe, recursion
 
 
 def relax(a: list[float], b: list[float], x: list[float], u: float) -> None:
-    """x_i⁺ = a_i x_i + b_i u, in place. What the kernel, the stream and the exports compile."""
+    """Compute x_i⁺ = a_i x_i + b_i u in place. The kernel, the stream and the exports compile this."""
     for i in range(len(x)):
         x[i] = a[i] * x[i] + b[i] * u
 
@@ -37,7 +37,7 @@ def relaxations(
     d: Tensor,  # ()
     x0: Tensor,  # (batch, n)
 ) -> tuple[Tensor, Tensor]:  # (batch, time), (batch, n)
-    """As `state_space`, with the diagonal of A."""
+    """Like `state_space`, but with `a` the diagonal of A."""
     return recursion(_forward, _backward, u, a, b, c, d, x0)
 
 
@@ -45,7 +45,7 @@ _relax: Any = numba.njit(relax)
 _observe: Any = numba.njit(observe)
 
 
-# A tile of the output stays in the cache while four poles after four are added to it.
+# A tile of the output stays in the cache while the poles are added to it, four at a time.
 TILE = 512
 
 
@@ -98,8 +98,8 @@ def _tile(
     x: np.ndarray,
     y: np.ndarray,
 ) -> None:
-    # `observe` and `relax`, their sums in the same order: the same bits. A recursion waits for its own last
-    # sum, four beside each other do not.
+    # Same as `observe` and `relax`, with sums in the same order, hence the same bits. A single recursion
+    # waits for its previous sum; four in parallel keep the processor busy.
     n, i = len(a), 0
     while i + 4 <= n:
         a0, a1, a2, a3 = a[i], a[i + 1], a[i + 2], a[i + 3]

@@ -1,8 +1,8 @@
-"""Operators whose every output is one earlier input plus a constant: a play, a breakaway.
+"""Operators each of whose outputs is one earlier input plus a constant: a play, a breakaway.
 
     y(k) = x(source(k)) + n(k) p,    or y(-1) + n(k) p before there is a source
 
-Their Jacobian is a selection: y(k) moves as x(source(k)) moves. The tangent gathers along it, the adjoint
+Their Jacobian is a selection: y(k) changes as x(source(k)) does. The tangent gathers along it, the adjoint
 scatters along it.
 """
 
@@ -18,11 +18,11 @@ NO_SOURCE = -1
 
 
 class Selected(NamedTuple):
-    """What a kernel has found."""
+    """Results of a kernel."""
 
     y: Tensor  # (batch, time)
     after: Tensor  # (batch, states): the last y first, then the last x if it is kept
-    source: Tensor  # (batch, time), of the sample that each output follows, or NO_SOURCE
+    source: Tensor  # (batch, time), index of the sample that each output follows, or NO_SOURCE
     steps: Tensor  # (batch, time), n
 
 
@@ -61,9 +61,9 @@ class Selection(torch.autograd.Function):
 
 def gather(
     dx: Tensor,  # (directions, time)
-    source: np.ndarray,  # (time,), of the sample that each output follows; NO_SOURCE: none of them
+    source: np.ndarray,  # (time,), index of the sample that each output follows, or NO_SOURCE
 ) -> Tensor:  # (directions, time)
-    """dy(k) = dx(source(k)), and 0 where the output still stands where it began."""
+    """Return dy(k) = dx(source(k)), or 0 while the output still has its initial value."""
     dx = dx.detach().contiguous()
     dy = torch.empty_like(dx)
     _gather(dx.numpy(), source, dy.numpy())

@@ -1,6 +1,6 @@
-"""Modes side by side over whole records, compiled: their sum, and the states that a fit of modes needs.
+"""Compiled parallel modes over whole records: their sum, and the states that a fit of modes needs.
 
-No gradients are kept: `state_space` has them, one mode at a time, with the same bits.
+There are no gradients: `state_space` provides them, one mode at a time, with the same bits.
 """
 
 import numpy as np
@@ -8,7 +8,7 @@ import numpy as np
 from torchpi.operators.compiled import njit
 
 LANES = 8
-"""Rows that are carried beside each other."""
+"""Rows that are processed in parallel."""
 
 
 @njit
@@ -20,10 +20,10 @@ def superposed(
     d: np.ndarray,  # (modes, inputs)
     direct: np.ndarray,  # (inputs,)
     inputs: np.ndarray,  # (rows,), integer: which input a row is
-    x: np.ndarray,  # (rows, modes, 2), the states before; left as those after
+    x: np.ndarray,  # (rows, modes, 2), the initial states; replaced by the final ones
     y: np.ndarray,  # (rows, time), written
 ) -> None:
-    """y = direct u + Σ_m (C_m x_m + D_m u), with x_m⁺ = A_m x_m + B_m u, for each row by itself."""
+    """Compute y = direct u + Σ_m (C_m x_m + D_m u), x_m⁺ = A_m x_m + B_m u, for each row separately."""
     modes = len(b)
     residue, through, past = np.zeros((modes, 2, LANES)), np.zeros((modes, LANES)), np.zeros(LANES)
     first_state, second_state = np.zeros((modes, LANES)), np.zeros((modes, LANES))
@@ -64,7 +64,7 @@ def mode_states(
     d: np.ndarray,  # (modes, 2)
     states: np.ndarray,  # (inputs, modes, 2, time), written: x + d u, with x⁺ = A x + B u from rest
 ) -> None:
-    """Both states of each mode for each input."""
+    """Compute both states of each mode for each input."""
     for k in range(u.shape[0]):
         for m in range(a.shape[0]):
             a00, a01, a10, a11 = a[m, 0, 0], a[m, 0, 1], a[m, 1, 0], a[m, 1, 1]

@@ -2,8 +2,8 @@
 
     u(t) = Σ_i w_i(ẏ(t), h_i(t)) h_i(t) + u_0,   h_i = H_ri[S(x)]
 
-with the weights of `weighted_sum` over the basis of `RateWeights`. The same bits as the operators one after
-the other, in float64; in float32 the kernel counts in float32 throughout.
+with the weights of `weighted_sum` over the basis of `RateWeights`. In float64 the bits are those of the
+operators applied one after the other; in float32 the kernel computes in float32 throughout.
 """
 
 from collections.abc import Callable
@@ -18,27 +18,27 @@ from torchpi.operators.weighted_plays_kernel import Parameters, backward, forwar
 
 
 def weighted_plays(
-    x: Tensor,  # (batch, time): what the polynomial takes
+    x: Tensor,  # (batch, time): input of the polynomial
     rate: Tensor,  # (batch, time): ẏ
     h0: Tensor,  # (batch, plays)
     c: Tensor,  # (degree,): c_1 first
     r: Tensor,  # (plays,)
-    theta: Tensor,  # θ: (plays, functions); 1 function is no rate, 2 a linear one, more are squashed
+    theta: Tensor,  # θ: (plays, functions); 1 function for no rate, 2 for a linear one, more if squashed
     knots: Tensor,  # (functions - 2, 2): slope and shift of the squashed functions, (0, 2) without any
     psi: Tensor,  # ψ: (plays, degree of the output functions - 1)
     offset: Tensor,  # (): u_0
     rate_scale: float = 1.0,
     state_scale: float = 1.0,
 ) -> tuple[Tensor, Tensor]:  # (batch, time), (batch, plays)
-    """u, and the states after the last sample; differentiable in all tensors. On the CPU, with Numba.
+    """Return u and the states after the last sample, differentiable in all tensors. Needs CPU and Numba.
 
-    Memory: no tensor of (batch, time, plays). Kept for backward are the inputs, S(x), and the states
-    before every 32nd sample of each of some dozens of stretches, which is a 32nd of such a tensor;
-    backward finds the states in between again, a tile at a time. The working memory of a thread is
+    Memory: no tensor of (batch, time, plays) is formed. Kept for backward are the inputs, S(x), and the
+    states before every 32nd sample of each of some dozens of stretches, which is a 32nd of such a tensor;
+    backward recomputes the states in between, a tile at a time. The working memory of a thread is
     some hundred kilobytes. A record of 10⁷ samples and 10 plays, itself 0.16 GB, thus keeps 0.1 GB, where
-    its states would be 0.8 GB.
+    its states would take 0.8 GB.
 
-    The bits, gradients too, are the same for any number of threads. At a kink the gradient is that of
+    Results and gradients have the same bits for any number of threads. At a kink the gradient is that of
     `play_bank`.
     """
     inputs = (x, rate, h0, c, r, theta, knots, psi, offset, rate_scale, state_scale)
@@ -70,7 +70,7 @@ def _backward(
     with_rate: bool, with_r: bool,
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:  # fmt: skip
     gx, gh0 = x.new_empty(x.shape), gfinal.clone()
-    # Zeros, because without a function of the rate the kernel leaves it.
+    # Zeros, because the kernel does not write it if there is no function of the rate.
     grate = rate.new_zeros(rate.shape if with_rate else (len(rate), 0))
     sums = backward(
         as_array(x), as_array(rate), _parameters(c, r, theta, knots, psi, offset, rate_scale, state_scale),
@@ -161,7 +161,7 @@ _weighted_plays.register_autograd(_differentiate, setup_context=_keep)
 
 
 class _Eager(torch.autograd.Function):
-    """The same operation without the dispatcher, which costs a fifth of a pass over some thousand samples."""
+    """The same operation without the dispatcher, which takes a fifth of a pass over some thousand samples."""
 
     @staticmethod
     def forward(ctx: Any, *inputs: Any) -> tuple[Tensor, Tensor]:

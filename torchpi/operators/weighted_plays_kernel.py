@@ -1,7 +1,7 @@
 """The compiled form of `weighted_plays`: polynomial, plays and weights over whole records, and the adjoint.
 
-One tile at a time, one play at a time: no array is as large as (time, plays) but the states before each
-tile, a part of 1/STEPS of it, from which backward finds the states in between again.
+The kernels work on one tile and one play at a time, so that no array has the size (time, plays). Only the
+states before each tile are kept, 1/STEPS of it, from which backward recomputes the states in between.
 """
 
 from typing import NamedTuple
@@ -50,7 +50,7 @@ _squash = njit(squash)
 
 
 class Parameters(NamedTuple):
-    """What eq. 8 is made of, all of one floating type."""
+    """Parameters of eq. 8, all of one floating type."""
 
     c: np.ndarray  # (degree,)
     r: np.ndarray  # (plays,)
@@ -71,7 +71,7 @@ def forward(
     folded: np.ndarray,
     checkpoints: np.ndarray,
 ) -> None:
-    """Fill the last four; backward needs `folded` and `checkpoints`, shaped as `saved_shapes` says."""
+    """Fill the last four arguments; backward needs `folded` and `checkpoints`, of the `saved_shapes`."""
     groups, length = fold_shape(x.shape[1])
     low, high, starts = np.empty((3, len(x), groups, len(p.r), LANES), x.dtype)
     in_threads(_prepare, len(x) * groups, x, length, p, folded, low, high)
@@ -95,7 +95,7 @@ def _prepare(
     low: np.ndarray,
     high: np.ndarray,
 ) -> None:
-    """S(x), folded, and what every stretch does to the states."""
+    """Compute S(x), folded, and the clamp that every stretch applies to the states."""
     tile = np.empty(TILE, x.dtype)
     lows, highs = np.empty(TILE + LANES, x.dtype), np.empty(TILE + LANES, x.dtype)
     least, most = np.empty(LANES, x.dtype), np.empty(LANES, x.dtype)
@@ -160,7 +160,7 @@ def _forward(
 def _basis(
     rate: np.ndarray, group: int, begin: int, end: int, length: int, p: Parameters, phi: np.ndarray
 ) -> None:
-    """φ_1, φ_2, … of eq. 7 and beyond, over a tile; φ_0 is 1."""
+    """Compute φ_1, φ_2, … of eq. 7 and its extensions over a tile; φ_0 is 1."""
     count = (end - begin) * LANES
     if len(phi) == 1:
         return
@@ -189,7 +189,7 @@ def _add_own_weight(p: Parameters, i: int, h: np.ndarray, count: int, own: np.nd
 
 @njit
 def _combine(theta: np.ndarray, phi: np.ndarray, count: int, out: np.ndarray) -> None:
-    """θ_0 φ_0 + θ_1 φ_1 + …, left to right."""
+    """Compute θ_0 φ_0 + θ_1 φ_1 + …, summed left to right."""
     first, theta_0 = phi[0], theta[0]
     if len(phi) == 1:
         for q in range(count):
@@ -205,7 +205,7 @@ def _combine(theta: np.ndarray, phi: np.ndarray, count: int, out: np.ndarray) ->
 
 
 class Gradients(NamedTuple):
-    """Of each of the parameters."""
+    """Gradients with respect to each of the parameters."""
 
     c: np.ndarray  # (degree,)
     r: np.ndarray  # (plays,)
@@ -222,12 +222,12 @@ def backward(
     """Fill `gx` and, if `with_rate`, `grate`; return the gradients of c, r, θ, the knots, ψ and the offset,
     one after the other.
 
-    `gh` (batch, plays) comes as the gradient of the last states and goes as that of the first.
+    `gh` (batch, plays) is the gradient of the last states on entry and that of the first on return.
     """
     batch, groups, _, plays, _ = checkpoints.shape
     length, degree = folded.shape[2] // LANES, len(p.c)
     left, latest = np.zeros((2, batch, groups, plays, LANES), x.dtype)
-    # For every group by itself, that their sum has one order.
+    # One row per group, so that the final sum always has the same order.
     sums = np.zeros((batch, groups, sum(part.size for part in p[:6])), x.dtype)
     in_threads(
         _backward, batch * groups, rate, length, p, folded, checkpoints, gu, with_rate, with_r,
@@ -241,7 +241,7 @@ def backward(
 
 @njit
 def _gradients(sums: np.ndarray, p: Parameters) -> Gradients:
-    """Their places in the sums of one group."""
+    """Return views of the gradients in the sums of one group."""
     r = len(p.c)
     theta = r + p.r.size
     knots = theta + p.theta.size
@@ -326,7 +326,7 @@ def _backward(
 
 @njit
 def _clear_padding(g: np.ndarray, group: int, begin: int, end: int, length: int, samples: int) -> None:
-    """Steps beyond the record carry no gradient."""
+    """Set the gradient of steps beyond the record to 0."""
     for lane in range(LANES):
         inside = max(samples - (group * LANES + lane) * length, begin)
         for step in range(inside, end):
@@ -344,7 +344,7 @@ def _own_gradients(
     gh: np.ndarray,
     gpsi: np.ndarray,
 ) -> None:
-    """Of ψ_q z^q h, z = h / scale: z^q h, and by h (q + 1) ψ_q z^q."""
+    """Add the gradients of ψ_q z^q h, z = h / scale: z^q h for ψ_q and (q + 1) ψ_q z^q for h."""
     scale = p.scales[1]
     power[:count] = g[:count]
     for j in range(len(gpsi)):
@@ -359,7 +359,7 @@ def _own_gradients(
 def _rate_gradient(
     p: Parameters, phi: np.ndarray, v: np.ndarray, g: np.ndarray, count: int, gknots: np.ndarray
 ) -> None:
-    """By the slopes and shifts of the squashed functions, and by ẏ, left in `v[1]`."""
+    """Add the gradients of slopes and shifts of the squashed functions; leave that of ẏ in `v[1]`."""
     z, gz = phi[1], v[1]
     for q in range(count):
         gz[q] *= g[q]
@@ -382,7 +382,7 @@ def _rate_gradient(
 def _through_polynomial(
     first: int, last: int, x: np.ndarray, length: int, c: np.ndarray, gx: np.ndarray, sums: np.ndarray
 ) -> None:
-    """From the gradient of S(x) to that of x, in place, and that of c: the adjoint of eq. 4."""
+    """Turn the gradient of S(x) into that of x, in place, and add that of c: the adjoint of eq. 4."""
     power = np.empty(TILE, x.dtype)
     nothing = x.dtype.type(0)
     for task in range(first, last):

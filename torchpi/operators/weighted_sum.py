@@ -3,8 +3,8 @@
     y = Σ_i w_i h_i,   w_i = Σ_m θ_im φ_m(ẏ) + Σ_q ψ_iq z_i^q,   z_i = h_i / scale,  q = 1, 2, …
 
 The basis (1) gives eq. 3, (1, ẏ) gives eq. 7 and 8, and more functions of the rate give the neural head.
-With ψ every play has an output function of its own, g_i(h_i) = w_i h_i, which makes the sum a Preisach
-operator in play form (extension; no ψ is the paper): loops may then be asymmetric, and differ with the bias.
+With ψ every play has its own output function, g_i(h_i) = w_i h_i, which makes the sum a Preisach operator in
+play form (extension; the paper has no ψ): loops may then be asymmetric and depend on the bias.
 """
 
 from typing import Any, cast
@@ -22,11 +22,11 @@ def weighted_sum(
     basis: Tensor,  # φ: (batch, time, functions), without unit
     theta: Tensor,  # θ: (plays, functions), units of the result per unit of h
     psi: Tensor | None = None,  # ψ: (plays, degree of the output functions - 1), the unit of θ
-    scale: float = 1.0,  # of the play states in their output functions
+    scale: float = 1.0,  # scale of the play states in their output functions
 ) -> Tensor:  # (batch, time)
-    """Σ_i w_i h_i, summed left to right, differentiable in all tensors.
+    """Return Σ_i w_i h_i, summed left to right, differentiable in all tensors.
 
-    On the CPU a compiled kernel, elsewhere or without Numba plain torch, with the same bits.
+    The CPU runs a compiled kernel; elsewhere or without Numba, plain torch gives the same bits.
 
     Example:
         >>> import torch
@@ -50,7 +50,7 @@ def weighted_sum(
 
 
 def weight(theta: list[float], basis: list[float], i: int) -> float:
-    """Σ_m θ_im φ_m; `theta` is flat, play by play. The kernel and the streams compile this."""
+    """Return Σ_m θ_im φ_m; `theta` is flat, play by play. The kernel and the streams compile this."""
     w = 0.0
     for m in range(len(basis)):
         w += theta[i * len(basis) + m] * basis[m]
@@ -58,7 +58,7 @@ def weight(theta: list[float], basis: list[float], i: int) -> float:
 
 
 def own_weight(psi: list[float], degree: int, z: float, i: int) -> float:
-    """Σ_q ψ_iq z^q by Horner's rule, q = 1 … `degree`; `psi` is flat, play by play."""
+    """Return Σ_q ψ_iq z^q by Horner's rule, q = 1 … `degree`; `psi` is flat, play by play."""
     w = 0.0
     for q in range(degree - 1, -1, -1):
         w = (w + psi[i * degree + q]) * z

@@ -1,1 +1,1 @@
-"""The constants and the simulations of Qin et al. (2013), one a file; numbers and curves, nothing drawn."""
+"""Constants and simulations of Qin et al. (2013), one per file; they return numbers and curves, no plots."""

@@ -1,4 +1,4 @@
-"""What each part of torchpi's compensator buys: the same recordings, one part more or less at a time."""
+"""Contribution of each part of torchpi's compensator: same recordings, one part more or less at a time."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ from torchpi.paper.tracking import InOnePass, TrackingError
 from torchpi.stage import Stage
 
 PAPER = {"output_degree": 1, "preview": 0, "lead": 0, "creep_time_constants_s": []}
-# In the order of the table: first the parts one after another, then the whole with one part changed.
+# In the order of the table: first the parts added one by one, then the full form with one part changed.
 VARIANTS: dict[str, dict[str, Any]] = {
     "two stages, the paper's form": {"form": PAPER, "evaluations": 0},
     "trained jointly": {"form": PAPER},
@@ -32,7 +32,7 @@ PASSES = (0, 1, 2, 4)
 
 @dataclass(frozen=True)
 class Spread:
-    """One figure over the seeds."""
+    """Statistics of one number over the seeds."""
 
     mean: float
     least: float
@@ -41,12 +41,12 @@ class Spread:
 
 @dataclass(frozen=True)
 class Ablation:
-    """Errors of every variant over seeds of phases and noise.
+    """Errors of every variant, over seeds of the phases and of the noise.
 
     Attributes:
         stage: Per cent of peak to peak, by variant and by `slow_max`, `slow_rms`, `fast_max`, `fast_rms`.
-        fig7: Max error in % of 9 µm, by number of passes and frequency, of the corrected inverse.
-        seeds: How many.
+        fig7: Max error of the corrected inverse in % of 9 µm, by number of passes and frequency.
+        seeds: Number of seeds.
     """
 
     stage: dict[str, dict[str, Spread]]
@@ -61,7 +61,7 @@ def ablation(
     passes: Sequence[int] = PASSES,
     log: Callable[[str], None] = lambda text: None,
 ) -> Ablation:
-    """Train every variant on the same recordings, for every seed, and let it track eq. 15 and 16."""
+    """For every seed, train every variant on the same recordings and let it track eq. 15 and 16."""
     found: dict[str, list[dict[str, TrackingError]]] = {name: [] for name in variants}
     for seed in range(seeds):
         recordings = stage_recordings(stage, seed)

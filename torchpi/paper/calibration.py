@@ -1,8 +1,8 @@
-"""How hard a stage is: what the paper's own method makes of it, Qin et al. (2013), Section III and IV.
+"""How hard a stage is to control: errors of the paper's method on it, Qin et al. (2013), Section III and IV.
 
 The method is fitted to recordings, as on the rig: sensor readings of five periods of a 5 Hz sine (stage 1,
-eq. 10) and of five periods of eq. 13 (stage 2, eq. 11, 5,000 samples, the least that the paper asks for),
-each from the de-energised state. It is then judged by three figures, which the paper gives for its rig:
+eq. 10) and of five periods of eq. 13 (stage 2, eq. 11, 5,000 samples, the minimum that the paper requires),
+each from the de-energised state. It is then judged by three errors, which the paper gives for its rig:
 
     modelling error on eq. 13, past the initial loading      0.21 µm  (Fig. 10)
     tracking error on eq. 15 (slow), loading included        0.22 µm  (Fig. 12)
@@ -21,31 +21,31 @@ from torchpi.stage import Stage
 from torchpi.stage.effects.actuator.input_nonlinearity import InputNonlinearity
 
 PAPER_MAX_UM = {"model": 0.21, "slow": 0.22, "fast": 0.23}
-"""The paper's figures, µm."""
+"""Maximum errors stated in the paper, µm."""
 
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """The paper's method on one stage: its model, and what it tracks."""
+    """Results of the paper's method on one stage: the identified model and the tracking."""
 
     model: Fig10
     panels: dict[str, fig12.Panel]  # slow, fast; tracked: paper
 
     @property
     def max_um(self) -> dict[str, float]:
-        """The three figures under the keys of `PAPER_MAX_UM`."""
+        """The three errors, µm, under the keys of `PAPER_MAX_UM`."""
         tracked = {name: panel.tracked["paper"].error.max_um for name, panel in self.panels.items()}
         return {"model": self.model.after_loading.max_um, **tracked}
 
 
 def calibrate_paper_method(
     stage: Stage,
-    seed: int | None = None,  # of the noise; the stage's own by default
+    seed: int | None = None,  # of the noise; by default that of the stage
 ) -> Calibration:
     """Record the stage, fit the paper's compensator to the recordings, and let it drive the stage.
 
     Raises:
-        RecordingError, StageError: A stage that cannot be recorded or driven so.
+        RecordingError, StageError: The stage cannot be recorded or driven in this way.
     """
     identified = identify(stage, seed)
     compensator = {"paper": identified.compensator.stream()}
@@ -54,7 +54,7 @@ def calibrate_paper_method(
 
 
 PARTS = ("noise", "quantisation", "delay", "lag", "mode", "creep", "curvature", "hysteresis")
-"""Of the physics, each of which `without` can take away."""
+"""Parts of the physics that `without` can remove."""
 EFFECTS_OF = {
     "delay": ("delay",),
     "lag": ("amplifier_lag", "sensor_lag"),
@@ -62,19 +62,19 @@ EFFECTS_OF = {
     "creep": ("creep",),
     "curvature": ("input_nonlinearity",),
 }
-"""The effects that a part of the physics is."""
+"""Names of the effects that make up a part of the physics."""
 
 
 def without(stage: Stage, part: str) -> Stage:
-    """The stage with an ideal part in place of one of `PARTS`. Its travel stays as it is.
+    """Return the stage with one of `PARTS` made ideal and its travel unchanged.
 
-    "lag" is that of the amplifier and of the sensor. For curvature there stands a straight line through the
-    same end point, for hysteresis a plain gain that takes the first rise as far.
+    "lag" is that of the amplifier and of the sensor. Curvature is replaced by a straight line through the
+    same end point, hysteresis by a plain gain with the same displacement after the first rise.
 
-    Shares of parts do not add up: maxima fall on different samples, and the fit makes up for what it can.
+    Shares of parts do not add up: maxima fall on different samples, and the fit compensates what it can.
 
     Raises:
-        ConfigError: An unknown part.
+        ConfigError: The part is unknown.
     """
     if part not in PARTS:
         raise ConfigError(f"part: found {part!r}, expected one of {', '.join(PARTS)}")
@@ -89,7 +89,7 @@ def without(stage: Stage, part: str) -> Stage:
     elif part == "quantisation":
         settings["command_converter"] = settings["reading_converter"] = None
     elif part == "curvature":
-        # Plays of a voltage that is stretched by a gain: thresholds and weights take it.
+        # The straight line is a gain on the voltage, which thresholds and weights absorb.
         gain = bent_v / top_v
         hysteresis["thresholds_v"] = [r / gain for r in hysteresis["thresholds_v"]]
         hysteresis["weights"] = [*(w * gain for w in hysteresis["weights"][:-1]), hysteresis["weights"][-1]]
@@ -102,7 +102,7 @@ def without(stage: Stage, part: str) -> Stage:
 
 
 def _bent(stage: Stage, v: float) -> float:
-    """The voltage that the plays see of `v`, at rest."""
+    """Return the voltage that the plays receive at rest for the command `v`."""
     bent = torch.tensor([[v]], dtype=torch.float64)
     for effect in stage.before:
         if isinstance(effect, InputNonlinearity):

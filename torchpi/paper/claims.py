@@ -1,8 +1,8 @@
-"""What Qin et al. (2013) say in words, run as experiments on the simulated stage.
+"""Verbal statements of Qin et al. (2013), tested by experiments on the simulated stage.
 
-Each gives variants with the same columns, and whether the paper's statement holds here. All compensators have
-the paper's form (n = 10, m = 4, no look-ahead) and see recordings of the stage only. Stage 1 starts once, as
-the paper's does.
+Each gives variants with the same columns and whether the statement holds here. All compensators have the
+paper's form (n = 10, m = 4, no look-ahead) and see only recordings of the stage. The fit of stage 1 has one
+starting point, as in the paper.
 """
 
 import copy
@@ -27,24 +27,24 @@ from torchpi.paper.fig10 import Identified, paper_form
 from torchpi.paper.tracking import Deployed, InOnePass, Plant, follow, record, tracking_error
 
 HELD_OUT_SEED = 41
-HOURS_AGAINST_MINUTES = 9  # three hours, the least that are several, over 20 minutes
-ZONES = 6  # of Fig. 4: six weights and five thresholds
+HOURS_AGAINST_MINUTES = 9  # ratio of three hours, the least for "several hours", to 20 minutes
+ZONES = 6  # as in Fig. 4: six weights and five thresholds
 ABOVE_HZ = (80, 100, 120, 160, 200)
-SMALL_UM = (3.0, 5.0)  # of the sines above 80 Hz: the amplifier of a rig drives no more
+SMALL_UM = (3.0, 5.0)  # range of the sines above 80 Hz: the amplifier of a rig drives no more
 
 
 @dataclass(frozen=True)
 class Claim:
-    """A statement, and the experiment on it."""
+    """A statement of the paper and the result of its experiment."""
 
     statement: str
     holds: bool
-    found: str  # in a sentence
+    found: str  # the result as a sentence
     variants: dict[str, dict[str, float]]  # by name, then by column with its unit
 
 
 def multisine_against_sine(plant: Plant, identified: Identified) -> Claim:
-    """Stage 2 from eq. 13, or from one 60 Hz sine over the full voltage range; c of stage 1 in both."""
+    """Fit stage 2 to eq. 13, or to one 60 Hz sine over the full voltage range; c of stage 1 in both."""
     duration_s = identified.fast.duration_s
     rate_hz = plant.sample_rate_hz
     t = np.arange(round(duration_s * rate_hz)) / rate_hz
@@ -66,7 +66,7 @@ def multisine_against_sine(plant: Plant, identified: Identified) -> Claim:
 
 
 def two_sets_against_one(plant: Plant, identified: Identified) -> Claim:
-    """Stage 1 and 2 from different recordings, or both from the same one."""
+    """Compare stages 1 and 2 fitted to different recordings with both fitted to the same one."""
     slow, fast = identified.pairs
     variants = {}
     for name, first, second in (
@@ -89,10 +89,10 @@ def two_sets_against_one(plant: Plant, identified: Identified) -> Claim:
 
 
 def jointly_against_two_stages(plant: Plant, identified: Identified, evaluations: int = 40) -> Claim:
-    """All 24 unknowns at once, on both recordings, against the two stages.
+    """Compare a fit of all 24 unknowns at once to both recordings with the two stages.
 
-    Searched blindly, by finite differences as the paper's `lsqcurvefit` does; and with the 20 weights solved
-    for at each trial and the gradient exact.
+    The joint fit is run with finite differences, as in the paper's `lsqcurvefit`, and with an exact gradient
+    where the 20 weights are solved for at each trial.
     """
     pairs = identified.pairs
 
@@ -128,7 +128,7 @@ def jointly_against_two_stages(plant: Plant, identified: Identified, evaluations
 
 
 def polynomial_against_dead_zones(plant: Plant, identified: Identified) -> Claim:
-    """Stage 1 with the polynomial of degree 4, or with six one-sided dead zones in its place."""
+    """Compare stage 1 with the polynomial of degree 4 and with six one-sided dead zones in its place."""
     slow, fast = identified.pairs
     polynomial = paper_form(identified.pairs, plant.sample_period_s)
     polynomial_slow_v = fit_saturation(polynomial, [slow], several_starts=False)
@@ -159,7 +159,7 @@ def polynomial_against_dead_zones(plant: Plant, identified: Identified) -> Claim
 def above_80_hz(
     plant: Plant, compensators: dict[str, Deployed], frequencies_hz: Sequence[int] = ABOVE_HZ
 ) -> Claim:
-    """Sines of 2 µm beyond the band of the identification, through the reference filter."""
+    """Track sines of 2 µm above the band of the identification, passed through the reference filter."""
     rate_hz = plant.sample_rate_hz
     samples = round(0.3 * rate_hz)
     middle, half = sum(SMALL_UM) / 2, (SMALL_UM[1] - SMALL_UM[0]) / 2
@@ -192,7 +192,7 @@ SLOW_RECORD = "5 Hz record, rms V"
 
 
 def _worth(compensator: DirectInverse, plant: Plant) -> dict[str, float]:
-    """The voltage on a multisine of its own, 1 to 80 Hz, and the tracking of eq. 15 and 16."""
+    """Return errors: voltage on a held-out multisine, 1 to 80 Hz, and tracking of eq. 15 and 16."""
     rate_hz = plant.sample_rate_hz
     samples = multisine(1.0, rate_hz, low_hz=1.0, high_hz=80.0, periods=1, seed=HELD_OUT_SEED)
     held_out = inverse_pair(record(plant, "held out", samples, plant.seed + HELD_OUT_SEED))
@@ -209,7 +209,7 @@ def _share(one: dict[str, float], other: dict[str, float], column: str) -> str:
 
 
 def _blind(compensator: DirectInverse, pairs: Sequence[InversePair], evaluations: int) -> None:
-    """c, k and b by nonlinear least squares with finite differences, from S(x) = x and b = (gain, 0, …)."""
+    """Fit c, k, b by nonlinear least squares with finite differences, from S(x) = x and b = (gain, 0, …)."""
     scaled, theta = compensator.saturation.scaled, compensator.weights.theta
     gain = max(float(pair.u.max()) for pair in pairs) / max(float(pair.motion.yd.max()) for pair in pairs)
     start = np.zeros(scaled.numel() + theta.numel())
@@ -229,7 +229,7 @@ def _blind(compensator: DirectInverse, pairs: Sequence[InversePair], evaluations
 
 
 def _fit_dead_zones(compensator: DirectInverse, slow: InversePair) -> float:
-    """Stage 1 with dead zones for S, in place: five thresholds and six weights; the rms error, V."""
+    """Fit stage 1 in place with dead zones for S (five thresholds, six weights); return the rms error, V."""
     top = float(slow.motion.yd.max())
     start = np.concatenate([top * np.arange(1, ZONES) / ZONES, np.eye(ZONES)[0]])
 

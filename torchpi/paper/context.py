@@ -1,4 +1,4 @@
-"""What an item of the reproduction is, and what it may use."""
+"""Items of the reproduction, and the context in which they are computed."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ from torchpi.stage import Stage
 
 @dataclass(frozen=True)
 class Size:
-    """How much is run: the whole, or a short form for tests."""
+    """Extent of the computation: the whole, or a short form for tests."""
 
     fig13_hz: tuple[int, ...] = fig13.FREQUENCIES_HZ
     above_hz: tuple[int, ...] = claims.ABOVE_HZ
@@ -36,10 +36,10 @@ SHORT = Size((5, 80), (80, 160), 2, 0.3, 15, ("delay",), tuple(VARIANTS)[:1], 1,
 
 @dataclass(frozen=True)
 class Recipe:
-    """How torchpi learns, from recordings alone."""
+    """Functions by which torchpi learns compensators from recordings alone."""
 
-    fig7: Callable[[], CorrectedInverse | DirectInverse]  # of the plant of Fig. 7
-    stage: Callable[[Stage], DirectInverse]  # of the stage
+    fig7: Callable[[], CorrectedInverse | DirectInverse]  # for the plant of Fig. 7
+    stage: Callable[[Stage], DirectInverse]  # for the stage
 
 
 RECIPE = Recipe(recipe.fig7_compensator, recipe.stage_compensator)
@@ -47,29 +47,29 @@ RECIPE = Recipe(recipe.fig7_compensator, recipe.stage_compensator)
 
 @dataclass(frozen=True)
 class Context:
-    """What an item may use."""
+    """Inputs available to an item."""
 
     stage: Stage
     recipe: Recipe
     size: Size
-    done: dict[str, Any]  # results of the items it needs, by name
+    done: dict[str, Any]  # results of the items that the item needs, by name
 
     @cached_property
     def identified(self) -> Identified:
-        """The paper's compensator of the stage."""
+        """The paper's compensator, identified on the stage."""
         return identify(self.stage)
 
     @cached_property
     def compensators(self) -> dict[str, DirectInverse]:
-        """The paper's and torchpi's, of the stage."""
+        """The paper's and torchpi's compensator for the stage."""
         return {"paper": self.identified.compensator, "torchpi": self.done["learning"].compensator()}
 
     def streams(self) -> dict[str, Deployed]:
-        """The same as they are exported, sample by sample."""
+        """Return both compensators as exported, which run sample by sample."""
         return {name: one.stream() for name, one in self.compensators.items()}
 
     def in_one_pass(self) -> dict[str, Deployed]:
-        """The same over a whole motion at once: for many motions."""
+        """Return both compensators for a whole motion at once, which is faster for many motions."""
         return {name: InOnePass(one) for name, one in self.compensators.items()}
 
 
@@ -78,9 +78,9 @@ class Item:
     """One part of the paper.
 
     Attributes:
-        name: As `--only` takes it, and the key of its section.
-        result: What it computes, a frozen dataclass with `numbers` and `rows`.
-        compute: Computes it.
+        name: Name for `--only`, and the key of its section.
+        result: Type of its result, a frozen dataclass with `numbers` and `rows`.
+        compute: Computes the result.
         needs: Items whose results it uses.
         of_the_stage: Whether it depends on the stage file.
     """

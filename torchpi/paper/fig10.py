@@ -1,7 +1,7 @@
 """Fig. 10 and Table I, Qin et al. (2013): the direct inverse, identified in two stages from two recordings.
 
-The paper quotes the error of a voltage, 0.21, in µm. Here it stands in V, and in µm through the local slope
-of the measured loop: the displacement by which the stage would miss.
+The paper quotes an error of the voltage, 0.21, in µm. Here it is given in V, and converted to µm with the
+local slope of the measured loop: the displacement by which the stage would miss.
 """
 
 import time
@@ -17,17 +17,17 @@ from torchpi.paper.tracking import Plant, record
 from torchpi.recordings.recording import Recording
 
 THRESHOLDS = (0.0, 0.05, 0.1, 0.2, 0.3, 0.5, 1.0, 1.5, 2.0, 3.0)
-"""r of the paper's compensator, in the unit of S(y)."""
+"""Thresholds r of the paper's compensator, in the unit of S(y)."""
 DEGREE = 4
-"""m, of its saturation polynomial."""
-# Five periods of each; 5,000 samples of eq. 13, the least that the paper asks for.
+"""Degree m of its saturation polynomial."""
+# Five periods of each; for eq. 13 these are 5,000 samples, the minimum that the paper requires.
 SINE_S, MULTISINE_S = 1.0, 0.5
 EQ_12 = [1.40, -7.62e-2, 1.45e-2, -7.53e-4]  # c_1 … c_4, as identified on the paper's rig
 
 
 @dataclass(frozen=True)
 class Identified:
-    """The paper's compensator, and what it was identified from."""
+    """The paper's compensator, and the recordings it was identified from."""
 
     compensator: DirectInverse
     slow: Recording
@@ -39,7 +39,7 @@ class Identified:
 
 @dataclass(frozen=True)
 class ModelError:
-    """What the identified model misses of the measured voltage."""
+    """Error of the identified model relative to the measured voltage."""
 
     max_v: float
     rms_v: float
@@ -52,10 +52,10 @@ class Fig10:
     """The record of eq. 13, measured and predicted."""
 
     t: np.ndarray  # (time,), s
-    y: np.ndarray  # (time,), µm, as the model sees it
+    y: np.ndarray  # (time,), µm, input of the model
     u: np.ndarray  # (time,), V, measured: the ideal inversion
     u_model: np.ndarray  # (time,), V
-    loading_s: float  # until the voltage first is at its largest: nothing of the start is left in the plays
+    loading_s: float  # until the voltage first reaches its maximum, which erases the start from the plays
     whole: ModelError
     after_loading: ModelError
     stages: TwoStageResult
@@ -67,11 +67,11 @@ class Fig10:
 
 def identify(
     plant: Plant,
-    seed: int | None = None,  # of the noise; the plant's own by default
+    seed: int | None = None,  # of the noise; by default that of the plant
 ) -> Identified:
-    """The two recordings, and the two stages on them (eq. 10, 11): nothing else of the plant is known."""
+    """Fit the two stages (eq. 10, 11) to the two recordings, with no other knowledge of the plant."""
     period_s, rate_hz = plant.sample_period_s, plant.sample_rate_hz
-    # Neighbouring seeds: the noise of one record is not that of another.
+    # The seeds are spaced so that no two records share their noise.
     first = 4 * (plant.seed if seed is None else seed)
     slow = record(plant, "5 Hz sine", sine_5hz(SINE_S, rate_hz), first)
     fast = record(plant, "eq. 13", paper_multisine(MULTISINE_S, rate_hz), first + 1)
@@ -83,7 +83,7 @@ def identify(
 
 
 def paper_form(pairs: tuple[InversePair, ...], period_s: float, preview: int = 0) -> DirectInverse:
-    """n = 10 plays at the paper's thresholds, m = 4, weights linear in the rate; nothing fitted yet."""
+    """Return the unfitted form: n = 10 plays at the paper's thresholds, m = 4, weights linear in the rate."""
     return DirectInverse(
         period_s,
         THRESHOLDS,
@@ -95,7 +95,7 @@ def paper_form(pairs: tuple[InversePair, ...], period_s: float, preview: int = 0
 
 
 def fig10(identified: Identified) -> Fig10:
-    """The identified model on its own second record, as in the paper."""
+    """Evaluate the identified model on its own second record, as in the paper."""
     pair, compensator = identified.pairs[1], identified.compensator
     y, u = pair.motion.yd[0], pair.u[0].numpy()
     with torch.no_grad():
@@ -122,7 +122,7 @@ def fig10(identified: Identified) -> Fig10:
 
 
 def saturation(c: list[float], x: np.ndarray) -> np.ndarray:
-    """S(x) of eq. 4, c_1 first."""
+    """Return S(x) of eq. 4; `c` has c_1 first."""
     return np.asarray(np.polyval([*c[::-1], 0.0], x))
 
 

@@ -1,7 +1,7 @@
-"""Fig. 12, Qin et al. (2013): the slow (eq. 15) and the fast (eq. 16) trajectory, tracked.
+"""Fig. 12, Qin et al. (2013): tracking of the slow (eq. 15) and the fast (eq. 16) trajectory.
 
 Both pass the reference filter (eq. 14) and start from rest on a de-energised stage. The error is that of the
-true displacement; what the sensor reads stands beside it.
+true displacement; the error of the sensor reading is given beside it.
 """
 
 from collections.abc import Mapping
@@ -19,28 +19,28 @@ TRAJECTORIES = ("slow", "fast")
 
 @dataclass(frozen=True)
 class Tracked:
-    """One compensator on one trajectory."""
+    """Result of one compensator on one trajectory."""
 
     u: np.ndarray  # (time,), V
     y: np.ndarray  # (time,), µm
     error: TrackingError
     on_sensor: TrackingError
-    samples_at_limit: int  # of the voltage
+    samples_at_limit: int  # number of samples with the voltage at a limit
 
 
 @dataclass(frozen=True)
 class Panel:
-    """One trajectory."""
+    """Results on one trajectory."""
 
     t: np.ndarray  # (time,), s
     yd: np.ndarray  # (time,), µm
     peak_to_peak_um: float  # of y_r: 6 and 6.83 µm
     loading_s: float
-    tracked: dict[str, Tracked]  # by the method's name
+    tracked: dict[str, Tracked]  # by the name of the method
 
 
 def panel(plant: Plant, trajectory: str, compensators: Mapping[str, Deployed]) -> Panel:
-    """Run each compensator along `trajectory`, slow or fast, every run from the de-energised state."""
+    """Run each compensator along `trajectory`, slow or fast, each from the de-energised state."""
     reference = _reference(trajectory, plant.sample_rate_hz)
     peak_to_peak_um = float(np.ptp(reference.yr))
     tracked = {}

@@ -1,4 +1,4 @@
-"""Fig. 13, Qin et al. (2013), as numbers: how wide and how bent the loop of y over y_d is, by frequency."""
+"""Fig. 13, Qin et al. (2013), as numbers: width and nonlinearity of the loop of y over y_d, by frequency."""
 
 from dataclasses import dataclass
 
@@ -10,7 +10,7 @@ from torchpi.paper.tracking import Deployed, Plant, follow
 
 FREQUENCIES_HZ = (1, 2, 5, 10, 20, 40, 60, 80)
 LOW_UM, HIGH_UM = 1.0, 7.0  # as eq. 15
-SETTLED_S = 0.1  # of the reference filter, before the cycles that count
+SETTLED_S = 0.1  # settling time of the reference filter before the evaluated cycles
 LEVELS = 401
 
 
@@ -21,17 +21,17 @@ class Loop:
     frequency_hz: float
     yd: np.ndarray  # (time,), µm, one cycle or a few
     y: np.ndarray  # (time,), µm
-    width_percent: float  # widest distance of its two branches, of the range
-    nonlinearity_percent: float  # largest deviation of its middle from a straight line, of the range
-    max_percent: float  # largest |y − y_d|, of the range
+    width_percent: float  # largest distance of its two branches, % of the range
+    nonlinearity_percent: float  # largest deviation of its mean branch from a line, % of the range
+    max_percent: float  # largest |y − y_d|, % of the range
 
 
 def loop(compensator: Deployed, plant: Plant, frequency_hz: float) -> Loop:
-    """A sine over 1 … 7 µm through the reference filter; judged once its start is forgotten."""
+    """Track a sine over 1 … 7 µm, passed through the reference filter, and evaluate its steady state."""
     rate_hz = plant.sample_rate_hz
     cycle = rate_hz / frequency_hz
     counted = _whole_cycles(cycle)
-    # One cycle at least passes the maximum before the ones that count.
+    # At least one cycle passes the maximum before the evaluated cycles.
     before = int(np.ceil(max(1, SETTLED_S * frequency_hz)) * cycle)
     samples = before + counted + 1
     phase = 2 * np.pi * frequency_hz * np.arange(samples + compensator.preview) / rate_hz
@@ -55,7 +55,7 @@ def width_and_bend(
     yd: np.ndarray,  # (time,), up and down at least once
     y: np.ndarray,  # (time,)
 ) -> tuple[float, float]:
-    """The widest distance of the branches up and down, and how far their middle leaves a straight line."""
+    """Return the largest distance of rising and falling branch, and of their mean from a straight line."""
     rising = np.gradient(yd) > 0
     levels = np.linspace(yd.min(), yd.max(), LEVELS)[4:-4]
     up, down = (_branch(yd[part], y[part], levels) for part in (rising, ~rising))
@@ -70,7 +70,7 @@ def _branch(yd: np.ndarray, y: np.ndarray, levels: np.ndarray) -> np.ndarray:
 
 
 def _whole_cycles(cycle: float) -> int:
-    """The fewest cycles that are a whole number of samples, ten at most; in samples."""
+    """Return the length in samples of the fewest cycles, at most ten, that span a whole number of samples."""
     for cycles in range(1, 11):
         if abs(cycles * cycle - round(cycles * cycle)) < 1e-6:
             return round(cycles * cycle)

@@ -1,4 +1,4 @@
-"""Fig. 3, Qin et al. (2013): plays with negative weights make the loop of an inverse."""
+"""Fig. 3, Qin et al. (2013): plays with negative weights give the loop of an inverse."""
 
 import torch
 
@@ -10,19 +10,19 @@ WEIGHTS = [10.0, -5.0, -5 / 3, -5 / 6, -0.5]
 
 
 def inverse() -> PrandtlIshlinskii:
-    """The operator of Fig. 3."""
+    """Return the operator of Fig. 3."""
     return PrandtlIshlinskii(THRESHOLDS, WEIGHTS)
 
 
 def forward() -> PrandtlIshlinskii:
-    """What it is the conventional inverse of: r = [0 1 2 3 4], every weight 0.1."""
+    """Return the operator whose conventional inverse Fig. 3 shows: r = [0 1 2 3 4], every weight 0.1."""
     return PrandtlIshlinskii([0.0, 1.0, 2.0, 3.0, 4.0], [0.1] * 5)
 
 
 def round_trip(samples: int = 20_000) -> float:
-    """Largest error of Fig. 3 after its forward operator, and the other way round, on ±5 with minor loops.
+    """Return the largest error of Fig. 3 and its forward operator in series, in both orders, on ±5.
 
-    The operator of Fig. 3 is inverted in closed form as well, which has to give the forward one.
+    The input has minor loops. Inverting Fig. 3 in closed form must also give the forward operator.
     """
     t = torch.linspace(0, 1, samples, dtype=torch.float64)[None]
     x = 3.5 * torch.sin(6 * torch.pi * t) + 1.5 * torch.sin(46 * torch.pi * t)

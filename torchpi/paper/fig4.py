@@ -1,7 +1,7 @@
-"""Fig. 4, Qin et al. (2013): a cubic against six one-sided dead zones, 3 coefficients against 11.
+"""Fig. 4, Qin et al. (2013): a cubic compared with six one-sided dead zones, 3 coefficients with 11.
 
-The paper gives no coefficients. Here the cubic is the part of eq. 12's kind that a stage needs: it has to be
-followed over 0 … 8.1 µm, by six zones whose five thresholds are evenly spaced and whose weights are fitted.
+The paper gives no coefficients. Here the cubic resembles eq. 12 as a stage needs it. Six zones approximate it
+over 0 … 8.1 µm; their five thresholds are evenly spaced, and their weights are fitted.
 """
 
 from dataclasses import dataclass
@@ -19,14 +19,14 @@ ZONES = 6
 
 @dataclass(frozen=True)
 class Fig4:
-    """Both curves over the range, and how far they are apart."""
+    """Both curves over the range, and the distance between them."""
 
     x: np.ndarray  # (points,), µm
     cubic: np.ndarray  # (points,)
     dead_zones: np.ndarray  # (points,)
     cubic_numbers: int
     dead_zone_numbers: int  # weights, and the thresholds other than 0
-    max_percent: float  # of the cubic's own range
+    max_percent: float  # of the range of the cubic
     slope_jump_percent: float  # largest jump of the slope at a threshold, of the mean slope
 
 

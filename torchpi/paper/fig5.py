@@ -1,4 +1,4 @@
-"""Fig. 5, Qin et al. (2013): what the polynomial of eq. 5 does to the loop of an inverse model."""
+"""Fig. 5, Qin et al. (2013): effect of the polynomial of eq. 5 on the loop of an inverse model."""
 
 import numpy as np
 import torch
@@ -17,7 +17,7 @@ def loop(
     with_polynomial: bool = True,
     samples: int = 4_000,  # of one period
 ) -> tuple[np.ndarray, np.ndarray]:  # input (samples + 1,), output
-    """The closed loop of the inverse model, eq. 6, over ±amplitude: the second period of a sine."""
+    """Return the closed loop of the inverse model, eq. 6: the second period of a sine over ±amplitude."""
     phase = 2 * torch.pi * torch.arange(2 * samples + 1, dtype=torch.float64)[None] / samples
     x = amplitude * torch.sin(phase)
     with torch.no_grad():
@@ -27,7 +27,7 @@ def loop(
 
 
 def end_slope_ratio() -> float:
-    """How much steeper the loop's upper end is than its middle, on the way up: near-vertical ends."""
+    """Return the slope of the rising branch at its upper end relative to its middle: near-vertical ends."""
     x, u = loop()
     samples = len(x) - 1
     up = np.r_[x[3 * samples // 4 :], x[1 : samples // 4 + 1]]

@@ -2,8 +2,8 @@
 
     y(t) = Σ_i (k_i u̇ + b_i) H_ri[u](t),   r_i = 0.5 (i - 1),  i = 1 … 10
 
-Settled: the rate is signed (only that makes the loops of Fig. 7), and "an amplitude of ten" means 0 … 10. The
-plant answers at once: y(t) depends on u(t), without converter, delay, noise or limits.
+Assumptions: the rate is signed (only that gives the loops of Fig. 7), and "an amplitude of ten" means
+0 … 10. The plant responds at once: y(t) depends on u(t), without converter, delay, noise or limits.
 """
 
 from math import isfinite
@@ -24,21 +24,21 @@ FREQUENCIES_HZ = (1, 5, 10, 50, 100)
 
 
 class Fig7Plant:
-    """The plant as a stage: `simulate` for records, `stream` for a control loop; the same bits.
+    """The plant as a stage: `simulate` for records, `stream` for a control loop, with identical results.
 
-    The rate is the three-point backward difference of the voltages, as of a plant that rested at the first.
+    The rate is the three-point backward difference of the voltages, for a plant at rest before the first.
 
     Args:
-        sample_period_s: T.
+        sample_period_s: Sample period T.
 
     Raises:
-        ConfigError: A period that is not positive.
+        ConfigError: The period is not positive.
     """
 
-    # The plant itself has no limits, and answers any voltage; the loop takes its range from here, and an
+    # The plant itself has no limits and accepts any voltage. The loop takes its range from here, and an
     # inverse needs less than 0 V to come down to 1 µm (eq. 9).
     min_voltage_v, max_voltage_v = -2.0, 12.0
-    seed = 0  # for the contract of a stage; there is no noise
+    seed = 0  # required by the interface of a stage; there is no noise
 
     def __init__(self, sample_period_s: float = SAMPLE_PERIOD_S) -> None:
         self.operator = RateDependentPI(sample_period_s, THRESHOLDS, SLOPES, OFFSETS)
@@ -51,10 +51,10 @@ class Fig7Plant:
         u: Tensor,  # (batch, time), V
         seed: int | None = None,  # without effect
     ) -> tuple[Tensor, Tensor]:  # (batch, time), µm, twice
-        """Displacement, and the sensor's reading, which is the same; differentiable in `u`.
+        """Return the displacement and the identical sensor reading; differentiable in `u`.
 
         Raises:
-            StageError: Another shape than (batch, time), or a command that is not finite.
+            StageError: The shape is not (batch, time), or a command is not finite.
         """
         if u.ndim != 2 or not bool(torch.isfinite(u).all()):
             raise StageError(f"u: found shape {tuple(u.shape)}, expected (batch, time), all numbers finite")
@@ -66,12 +66,12 @@ class Fig7Plant:
         u: Tensor,  # (batch, time), V
         u_dot: Tensor,  # (batch, time), V/s
     ) -> Tensor:  # (batch, time), µm
-        """The displacement where u̇ is known exactly, as for a sine."""
+        """Return the displacement for an exactly known u̇, as for a sine."""
         y, _ = self.operator.at_rate(u, u_dot)
         return y
 
     def stream(self) -> "Fig7Stream":
-        """The plant sample by sample: `reset(seed)`, `step(u)` → (y, reading)."""
+        """Return the plant sample by sample: `reset(seed)`, `step(u)` → (y, reading)."""
         return Fig7Stream(self.operator.stream())
 
 
@@ -82,14 +82,14 @@ class Fig7Stream:
         self.operator = operator
 
     def reset(self, seed: int = 0) -> None:
-        """Back to the de-energised state."""
+        """Return to the de-energised state."""
         self.operator.reset()
 
     def step(self, u: float) -> tuple[float, float]:
-        """Displacement and reading, µm, with `u` applied, V.
+        """Apply `u`, V, and return displacement and reading, µm.
 
         Raises:
-            StageError: A command that is not finite. The state stays as it was.
+            StageError: The command is not finite. The state stays as it was.
         """
         if not isfinite(u):
             raise StageError(f"u: found {u} V, expected a finite number")
@@ -101,7 +101,7 @@ def loop(
     frequency_hz: float,
     samples: int = 20_000,  # of one period
 ) -> tuple[np.ndarray, np.ndarray]:  # u (samples + 1,), V; y, µm
-    """The closed loop of Fig. 7: a sine over 0 … 10 V, its rate exact, the second period."""
+    """Return the closed loop of Fig. 7: the second period of a sine over 0 … 10 V, with its exact rate."""
     phase = 2 * torch.pi * torch.arange(2 * samples + 1, dtype=torch.float64)[None] / samples
     u = 5 - 5 * torch.cos(phase)
     y = Fig7Plant().at_rate(u, 10 * torch.pi * frequency_hz * torch.sin(phase))
@@ -109,6 +109,6 @@ def loop(
 
 
 def loop_area(frequency_hz: float) -> float:
-    """What the loop of Fig. 7 encloses, V µm."""
+    """Return the area enclosed by the loop of Fig. 7, V µm."""
     u, y = loop(frequency_hz)
     return float(abs(np.trapezoid(y, u)))

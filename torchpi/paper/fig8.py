@@ -1,6 +1,6 @@
-"""Fig. 8, Qin et al. (2013): the plant of Fig. 7 behind an inverse, on the sines of eq. 9.
+"""Fig. 8, Qin et al. (2013): the plant of Fig. 7 driven by an inverse, for the sines of eq. 9.
 
-The paper runs the indirect approach. Here the direct one stands beside it, on the same plant.
+The paper uses the indirect approach. Here the direct one is run beside it, on the same plant.
 """
 
 from dataclasses import dataclass
@@ -19,14 +19,14 @@ PEAK_TO_PEAK_UM = 9.0
 
 @dataclass(frozen=True)
 class Fig8:
-    """One panel: the last cycle, which is the steady state, and the start apart."""
+    """One panel: the last cycle, which is the steady state, and the error before it."""
 
     frequency_hz: float
     yd: np.ndarray  # (cycle,), µm
     y: np.ndarray  # (cycle,), µm
     max_percent: float  # of 9 µm
     rms_percent: float
-    start_max_percent: float  # of all cycles before
+    start_max_percent: float  # of all earlier cycles
 
 
 def indirect(
@@ -34,9 +34,9 @@ def indirect(
     cycles: int = 5,
     sample_period_s: float = SAMPLE_PERIOD_S,
 ) -> Fig8:
-    """The conventional inversion with k ẏ_d + b put in, then the plant with k u̇ + b.
+    """Run the conventional inversion with weights k ẏ_d + b, then the plant with weights k u̇ + b.
 
-    ẏ_d is exact, from eq. 9; u̇ is the plant's own difference of the voltages that it is given.
+    ẏ_d is exact, from eq. 9; u̇ is the difference that the plant forms from its input voltages.
     """
     samples = round(1 / (frequency_hz * sample_period_s))
     motion = _eq_9(frequency_hz, sample_period_s, cycles * samples + 1)
@@ -45,7 +45,7 @@ def indirect(
 
 
 def fig8_inverse(sample_period_s: float = SAMPLE_PERIOD_S) -> RateDependentInverse:
-    """The paper's indirect compensator for the plant, with the plant's own numbers and without limits."""
+    """Return the paper's indirect compensator with the plant's own parameters and without limits."""
     return RateDependentInverse(
         sample_period_s,
         THRESHOLDS,
@@ -57,7 +57,7 @@ def fig8_inverse(sample_period_s: float = SAMPLE_PERIOD_S) -> RateDependentInver
 
 
 def deployed(compensator: Deployed, frequency_hz: float, cycles: int = 5) -> Fig8:
-    """Any compensator as it is exported, y_d sample by sample, then the plant."""
+    """Run any compensator as exported, y_d sample by sample, then the plant."""
     period_s = compensator.sample_period_s
     samples = round(1 / (frequency_hz * period_s))
     length = cycles * samples + 1
@@ -67,7 +67,7 @@ def deployed(compensator: Deployed, frequency_hz: float, cycles: int = 5) -> Fig
 
 
 def _eq_9(frequency_hz: float, sample_period_s: float, samples: int) -> Motion:
-    """y_d = 5.5 + 4.5 sin(2πft − π/2), µm, with its derivatives."""
+    """Return y_d = 5.5 + 4.5 sin(2πft − π/2), µm, with its derivatives."""
     omega = 2 * torch.pi * frequency_hz
     phase = omega * sample_period_s * torch.arange(samples, dtype=torch.float64)[None]
     return Motion(

@@ -1,4 +1,4 @@
-"""Everything of Qin et al. (2013) that is reproduced, in the paper's order."""
+"""All reproduced items of Qin et al. (2013), in the order of the paper."""
 
 from torchpi.paper import fig4, items_model, items_stage
 from torchpi.paper.context import Item

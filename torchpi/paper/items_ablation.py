@@ -1,4 +1,4 @@
-"""What each part of torchpi's compensator buys, as an item of the reproduction."""
+"""Contribution of each part of torchpi's compensator, as an item of the reproduction."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -10,7 +10,7 @@ from torchpi.paper.result import Result
 
 @dataclass(frozen=True)
 class AblationResult(Result):
-    """The table, over seeds of phases and noise."""
+    """The table of the ablation, over seeds of the phases and of the noise."""
 
     table: Ablation
 

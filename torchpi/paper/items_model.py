@@ -1,4 +1,4 @@
-"""Section II of Qin et al. (2013): the operators, and the plant of Fig. 7 and 8; no stage is needed."""
+"""Section II of Qin et al. (2013): the operators and the plant of Fig. 7 and 8, without a stage."""
 
 import time
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ from torchpi.paper.result import Result, Row
 
 @dataclass(frozen=True)
 class Fig3Result(Result):
-    """Plays with negative weights, each alone and summed."""
+    """Plays with negative weights, individually and summed."""
 
     x: np.ndarray  # (time,)
     parts: np.ndarray  # (plays, time), weighted
@@ -51,7 +51,7 @@ def compute_fig3(context: Context) -> Fig3Result:
 
 @dataclass(frozen=True)
 class Fig4Result(Result):
-    """A cubic against six dead zones."""
+    """A cubic compared with six dead zones."""
 
     curves: fig4.Fig4
 
@@ -73,7 +73,7 @@ class Fig4Result(Result):
 
 @dataclass(frozen=True)
 class Fig5Result(Result):
-    """What the polynomial does to the loop of an inverse."""
+    """Effect of the polynomial on the loop of an inverse."""
 
     x: np.ndarray  # (time,)
     u: np.ndarray  # (time,), with the polynomial
@@ -100,7 +100,7 @@ def compute_fig5(context: Context) -> Fig5Result:
 
 @dataclass(frozen=True)
 class LoopOfFig7:
-    """One frequency."""
+    """The loop at one frequency."""
 
     u: np.ndarray  # (time,), V
     y: np.ndarray  # (time,), µm
@@ -118,7 +118,7 @@ FIG7_AREAS = {
 
 @dataclass(frozen=True)
 class Fig7Result(Result):
-    """The loop grows with the frequency."""
+    """Loops of the plant, which grow with the frequency."""
 
     loops: dict[str, LoopOfFig7]
 
@@ -147,12 +147,12 @@ DIRECT_AT_MOST_PERCENT = {"5": 0.3, "10": 0.3, "50": 0.5, "100": 1.0}
 
 @dataclass(frozen=True)
 class Fig8Result(Result):
-    """The plant of Fig. 7 behind the indirect inverse, and behind one direct compensator."""
+    """The plant of Fig. 7 driven by the indirect inverse, and by one direct compensator."""
 
     indirect: dict[str, fig8.Fig8]
     direct: dict[str, fig8.Fig8]
     preview: int
-    seconds: float  # of learning
+    seconds: float  # taken to learn the direct compensator
 
     def numbers(self) -> dict[str, Any]:
         return {

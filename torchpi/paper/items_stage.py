@@ -20,11 +20,11 @@ from torchpi.paper.tracking import Deployed, StraightLine, TrackingError
 
 @dataclass(frozen=True)
 class MethodsResult(Result):
-    """By method, in the order of `methods.LABELS`."""
+    """Errors by method, in the order of `methods.LABELS`."""
 
     fig7: dict[str, dict[str, float]]  # % of 9 µm, by frequency
-    stage: dict[str, dict[str, TrackingError]]  # by trajectory; without look-ahead, but for torchpi
-    ahead: dict[str, dict[str, TrackingError]]  # the same, all with torchpi's look-ahead
+    stage: dict[str, dict[str, TrackingError]]  # by trajectory; without look-ahead, except torchpi
+    ahead: dict[str, dict[str, TrackingError]]  # likewise, all with torchpi's look-ahead
     preview: int
     dilation: str
 
@@ -64,10 +64,10 @@ def compute_methods(context: Context) -> MethodsResult:
 
 @dataclass(frozen=True)
 class CalibrationResult(Result):
-    """The paper's method on the stage, and on the stage without one part of its physics."""
+    """Errors of the paper's method on the stage, and on the stage without one part of its physics."""
 
     max_um: dict[str, float]  # model, slow, fast
-    shares: dict[str, dict[str, float]]  # the same without a part, by its name
+    shares: dict[str, dict[str, float]]  # likewise without one part, by the name of the part
 
     def numbers(self) -> dict[str, Any]:
         return {
@@ -96,7 +96,7 @@ def compute_calibration(context: Context) -> CalibrationResult:
 
 @dataclass(frozen=True)
 class Fig10Result(Result):
-    """The identified model beside the ideal inversion."""
+    """The identified model compared with the ideal inversion."""
 
     figure: identification.Fig10
 
@@ -150,7 +150,7 @@ class Fig10Result(Result):
 
 @dataclass(frozen=True)
 class Table1Result(Result):
-    """k and b."""
+    """Identified k and b of Table I."""
 
     k: list[float]  # V/µm per µm/s
     b: list[float]  # V/µm
@@ -166,7 +166,7 @@ def compute_table1(context: Context) -> Table1Result:
 
 @dataclass(frozen=True)
 class Learning(Result):
-    """What torchpi learned from recordings of the stage."""
+    """The compensator that torchpi learned from recordings of the stage."""
 
     hyper_parameters: dict[str, Any]
     state: dict[str, np.ndarray]
@@ -206,7 +206,7 @@ AT_MOST_PERCENT, AT_MOST_RMS_PERCENT = 0.5, 0.15
 
 @dataclass(frozen=True)
 class Fig12Result(Result):
-    """The slow and the fast trajectory, the paper's method and torchpi's."""
+    """The slow and the fast trajectory, tracked with the paper's method and with torchpi's."""
 
     panels: dict[str, fig12.Panel]
 
@@ -283,7 +283,7 @@ def compute_fig12(context: Context) -> Fig12Result:
 
 @dataclass(frozen=True)
 class Fig13Result(Result):
-    """Loops before and after: the two trajectories, and sines by frequency."""
+    """Loops before and after compensation: sines by frequency, and the two trajectories."""
 
     before: dict[str, fig13.Loop]  # by frequency
     after: dict[str, fig13.Loop]
@@ -318,7 +318,7 @@ def compute_fig13(context: Context) -> Fig13Result:
 
 @dataclass(frozen=True)
 class UnseenResult(Result):
-    """Random trajectories, the paper's method and torchpi's."""
+    """Random trajectories, tracked with the paper's method and with torchpi's."""
 
     trials: dict[str, list[unseen.Trial]]
 
@@ -362,7 +362,7 @@ def compute_unseen(context: Context) -> UnseenResult:
 
 @dataclass(frozen=True)
 class ClaimResult(Result):
-    """A statement of the paper, tried."""
+    """The test of a statement of the paper."""
 
     name: str
     claim: claims.Claim

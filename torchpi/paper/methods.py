@@ -1,7 +1,7 @@
-"""Every method that the paper names, fitted to the same recordings, on the same motions: one table.
+"""A table of all methods that the paper names, fitted to the same recordings and run on the same motions.
 
-The recordings are the paper's two, 5 Hz sine and eq. 13. A method sees them and nothing else of the plant, so
-that its row shows what its form is worth, not what is known of the plant.
+The recordings are the paper's two, 5 Hz sine and eq. 13. A method sees nothing else of the plant, so that its
+row shows the merit of its form, independent of any knowledge of the plant.
 """
 
 from collections.abc import Callable
@@ -25,7 +25,7 @@ from torchpi.paper.fig7_plant import Fig7Plant
 from torchpi.paper.fig10 import THRESHOLDS, identify, paper_form
 from torchpi.paper.tracking import Deployed, InOnePass, Plant, StraightLine, TrackingError
 
-# On the stage: r of the forward models, V, denser where reversals are; dead zones of their saturation, µm.
+# For the stage: r of the forward models, V, denser near reversals, and dead zones of their saturation, µm.
 STAGE_THRESHOLDS_V = [0.0, 0.05, 0.1, 0.2, 0.35, 0.6, 1.0, 1.5, 2.0, 3.0, 4.0]
 STAGE_DEAD_ZONES_UM = [0.0, 2.0, 4.0, 6.0]
 
@@ -50,7 +50,7 @@ LABELS = {
 
 
 def fitted_to_fig7() -> dict[str, Deployed]:
-    """From the two recordings of the Fig. 7 plant: every method, the straight line and the paper's."""
+    """Fit every method, the straight line and the paper's to the two recordings of the Fig. 7 plant."""
     plant = Fig7Plant()
     identified = identify(plant)
     limits: dict[str, Any] = {"min_voltage_v": plant.min_voltage_v, "max_voltage_v": plant.max_voltage_v}
@@ -67,12 +67,12 @@ def fitted_to_fig7() -> dict[str, Deployed]:
 
 
 def on_fig7(compensator: Deployed) -> dict[str, float]:
-    """Steady errors on the sines of eq. 9, % of 9 µm, by frequency."""
+    """Return the steady-state errors on the sines of eq. 9, % of 9 µm, by frequency."""
     return {str(hz): fig8.deployed(compensator, hz).max_percent for hz in fig8.FREQUENCIES_HZ}
 
 
 def fitted_to_stage(plant: Plant, preview: int) -> dict[str, Deployed]:
-    """The same of the stage, its recordings seen `preview` samples ahead."""
+    """Fit the same methods to the stage, with its recordings seen `preview` samples ahead."""
     identified = identify(plant)
     slow, fast = (inverse_pair(recording, preview) for recording in (identified.slow, identified.fast))
     records = Records(slow, [fast], STAGE_THRESHOLDS_V, STAGE_DEAD_ZONES_UM, preview)
@@ -86,7 +86,7 @@ def fitted_to_stage(plant: Plant, preview: int) -> dict[str, Deployed]:
 
 
 def tracked(plant: Plant, compensators: dict[str, Deployed]) -> dict[str, dict[str, TrackingError]]:
-    """Eq. 15 and 16: by method, then by trajectory."""
+    """Return the errors of tracking eq. 15 and 16, by method, then by trajectory."""
     panels = {name: fig12.panel(plant, name, compensators) for name in fig12.TRAJECTORIES}
     return {
         method: {name: panel.tracked[method].error for name, panel in panels.items()}
@@ -95,7 +95,7 @@ def tracked(plant: Plant, compensators: dict[str, Deployed]) -> dict[str, dict[s
 
 
 def dilation_on_fast(plant: Plant) -> str:
-    """Whether the thresholds that eq. 16 makes keep the condition under which the formula is exact."""
+    """State whether the thresholds on eq. 16 meet the condition under which the formula is exact."""
     identified = identify(plant)
     slow, fast = identified.pairs
     inverse = fit_time_varying_thresholds(Records(slow, [fast], STAGE_THRESHOLDS_V, STAGE_DEAD_ZONES_UM))

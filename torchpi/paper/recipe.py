@@ -1,4 +1,4 @@
-"""The compensators that the reproduction compares with the paper's: learned from recordings alone."""
+"""The compensators compared with the paper's in the reproduction: all are learned from recordings alone."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -17,11 +17,11 @@ from torchpi.paper.fig7_plant import Fig7Plant
 from torchpi.recordings.recording import Recording
 from torchpi.stage import Stage
 
-# Models and starts are not deployed by themselves: the limits that count are those of what holds them.
+# Forward models and starting points are not deployed; the limits of the compensator built from them count.
 LOW_V, HIGH_V = -1e3, 1e3
 SENSOR_NOISE_UM = 0.005
-# The stage answers some two samples late; rates count up to above its first mode, below what the
-# converter's steps make of them.
+# The stage responds about two samples late. The bandwidth of rates lies above the first mode and below the
+# range where the steps of the converter dominate.
 FORM: dict[str, Any] = {
     "output_degree": 2,
     "preview": 2,
@@ -33,11 +33,11 @@ PASSES = 4
 
 
 def fig7_compensator(passes: int = PASSES) -> CorrectedInverse:
-    """For the plant of Fig. 7, from noisy recordings of it, none at a frequency that it is judged at.
+    """Fit the compensator for the plant of Fig. 7 to noisy recordings, none at a frequency of the evaluation.
 
-    The forward model has the plant's form, plays with weights linear in the rate, and none of its
-    numbers: thresholds start on a wrong grid and are fitted. The output may go below 0 V, because the
-    exact inverse does: the plant cannot come down to 1 µm without.
+    The forward model has the form of the plant, plays with weights linear in the rate, but none of its
+    numbers: thresholds start on a wrong grid and are fitted. The output may go below 0 V, as that of the
+    exact inverse does, because the plant cannot come down to 1 µm otherwise.
     """
     plant = Fig7Plant()
     period, fs_hz = plant.sample_period_s, plant.sample_rate_hz
@@ -69,11 +69,11 @@ def fig7_compensator(passes: int = PASSES) -> CorrectedInverse:
         min_voltage_v=LOW_V,
         max_voltage_v=HIGH_V,
     )
-    model.saturation.requires_grad_(False)  # 1: thresholds and weights already have its freedom
+    model.saturation.requires_grad_(False)  # fixed at 1: thresholds and weights already span its scale
     fit_weights(model, forwards)
     fit_joint(model, forwards, evaluations=80)
 
-    # The model's own answers to the same voltages are free of noise.
+    # The responses of the model to the same voltages are free of noise.
     with torch.no_grad():
         answers = [model.voltage(pair.motion)[0] for pair in forwards]
     backwards = _pairs(answers, voltages, period)
@@ -98,7 +98,7 @@ def fig7_compensator(passes: int = PASSES) -> CorrectedInverse:
 
 
 def stage_compensator(stage: Stage) -> DirectInverse:
-    """For a simulated stage, from recordings of its sensor: `configs/demo.yaml` with more records."""
+    """Fit the compensator for a simulated stage as in `configs/demo.yaml`, to more sensor recordings."""
     return learn(stage_recordings(stage), stage.min_voltage_v, stage.max_voltage_v)
 
 
@@ -110,12 +110,12 @@ def learn(
     evaluations: int = 200,
     bandwidth_hz: float = BANDWIDTH_HZ,
 ) -> DirectInverse:
-    """A direct inverse of this form, from the two stages on; with no evaluations they are all."""
+    """Fit a direct inverse of this form in two stages, then jointly unless `evaluations` is 0."""
     largest = max(float(np.ptp(recording.y)) for recording in recordings)
     pairs = [inverse_pair(recording, form["preview"], bandwidth_hz) for recording in recordings]
     compensator = DirectInverse(
         pairs[0].sample_period_s,
-        # Denser near 0, where reversals are; nearly the whole range, which the first loading explores.
+        # Denser near 0 for the reversals; up to nearly the whole range, which the initial loading covers.
         [0.92 * largest * (i / 13) ** 2 for i in range(14)],
         range_um=largest,
         rate_scale_um_s=_fastest(pairs),
@@ -124,7 +124,7 @@ def learn(
         **form,
     )
     fit_two_stage(compensator, pairs)
-    # States pass through every sample; of a band of 100 Hz at 10 kHz, every fifth error says it all.
+    # The states still use every sample; for a band of 100 Hz at 10 kHz, every fifth error is sufficient.
     thinned = [pair._replace(counted=slice(pair.counted.start, pair.counted.stop, 5)) for pair in pairs]
     if evaluations > 0:
         fit_joint(compensator, thinned, evaluations)
@@ -132,9 +132,9 @@ def learn(
 
 
 def stage_recordings(stage: Stage, seed: int = 0) -> list[Recording]:
-    """What a user would record: the paper's two, multisines of several ranges, triangles with minor loops.
+    """Simulate what a user would record: the paper's two records, multisines of several ranges, triangles.
 
-    Another `seed` has other phases and other noise.
+    The triangles have minor loops. Each `seed` gives other phases and other noise.
     """
     fs_hz = stage.sample_rate_hz
     played = {
@@ -156,7 +156,7 @@ def stage_recordings(stage: Stage, seed: int = 0) -> list[Recording]:
 def _pairs(
     inputs: Sequence[torch.Tensor], outputs: Sequence[torch.Tensor], period_s: float
 ) -> list[InversePair]:
-    """Records of an operator read in either direction, its rates formed as the deployed step forms them."""
+    """Pair input and output records in either direction, with rates formed as in the deployed step."""
     return [
         InversePair(str(i), backward_motion(x, period_s), y, slice(200, x.shape[1]), period_s)
         for i, (x, y) in enumerate(zip(inputs, outputs, strict=True))

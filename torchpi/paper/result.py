@@ -1,4 +1,4 @@
-"""What every item of the reproduction gives: its part of results.json, and rows beside the paper's."""
+"""Result of an item of the reproduction: its part of results.json, and rows compared with the paper."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -6,16 +6,16 @@ from typing import Any
 
 @dataclass(frozen=True)
 class Row:
-    """One number beside the paper's.
+    """One number compared with the paper's.
 
     Attributes:
-        what: In words.
-        ours: What came out.
-        unit: Of both; empty for a bare number.
-        paper: The paper's number, or the one recomputed from its text; None if it gives none.
-        at_most: What `ours` must not exceed, if it has such a bound.
-        within_percent: How far `ours` may be from `paper`, if it has such a bound.
-        note: What a reader needs to compare the two.
+        what: Description of the number.
+        ours: The number obtained here.
+        unit: Unit of both numbers; empty for a dimensionless number.
+        paper: Number of the paper, or recomputed from its text; None if the paper gives none.
+        at_most: Upper bound of `ours`, if there is one.
+        within_percent: Permitted deviation of `ours` from `paper`, if there is such a bound.
+        note: Remark that a reader needs to compare the two.
     """
 
     what: str
@@ -28,17 +28,17 @@ class Row:
 
     @property
     def difference(self) -> float | None:
-        """Ours less the paper's."""
+        """Our number minus the paper's."""
         return None if self.paper is None else self.ours - self.paper
 
     @property
     def difference_percent(self) -> float | None:
-        """The same, of the paper's."""
+        """The difference in per cent of the paper's number."""
         return None if not self.paper else 100 * (self.ours - self.paper) / abs(self.paper)
 
     @property
     def met(self) -> bool | None:
-        """Whether the bounds are kept; None without any."""
+        """Whether the bounds are met; None if there are none."""
         kept = []
         if self.at_most is not None:
             kept.append(self.ours <= self.at_most)
@@ -48,12 +48,12 @@ class Row:
 
 
 class Result:
-    """What an item found: a frozen dataclass."""
+    """Base class of the results of items, which are frozen dataclasses."""
 
     def numbers(self) -> dict[str, Any]:
-        """Its part of results.json: nested, every key a string."""
+        """Return the part of results.json: nested dictionaries, every key a string."""
         raise NotImplementedError
 
     def rows(self) -> list[Row]:
-        """Its table."""
+        """Return the rows of the table."""
         return []

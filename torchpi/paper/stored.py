@@ -1,4 +1,4 @@
-"""Frozen dataclasses of numbers and arrays, to a file and back: one .npz, its tree as JSON inside it."""
+"""Store frozen dataclasses of numbers and arrays in one .npz, with their tree as JSON, and restore them."""
 
 import dataclasses
 import json
@@ -17,7 +17,7 @@ _TREE, _KEY, _SECONDS = "tree", "key", "seconds"
 
 
 def store(result: Any, key: str, seconds: float, path: Path) -> None:
-    """Write `result`, which took `seconds`, under `key`; whole or not at all."""
+    """Write `result`, which took `seconds` to compute, under `key`, as a whole or not at all."""
     arrays: dict[str, np.ndarray] = {}
     tree = json.dumps(_plain(result, arrays), allow_nan=True)
     with write_atomically(path) as temporary:
@@ -26,7 +26,7 @@ def store(result: Any, key: str, seconds: float, path: Path) -> None:
 
 
 def restore(kind: type[T], key: str, path: Path) -> tuple[T, float] | None:
-    """The `kind` at `path` under this key, and its seconds; None if it is not there, or cannot be read."""
+    """Read the `kind` stored at `path` under this key, and its seconds; None if missing or unreadable."""
     try:
         with path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
             if str(file[_KEY]) != key:
@@ -34,12 +34,12 @@ def restore(kind: type[T], key: str, path: Path) -> tuple[T, float] | None:
             result = _typed(kind, json.loads(str(file[_TREE])), file)
             return typing.cast(T, result), float(file[_SECONDS])
     except (OSError, KeyError, ValueError, TypeError, EOFError, zipfile.BadZipFile):
-        # Cut short, of another version, or not ours: it is computed again.
+        # The file is truncated, of another version or foreign, so the result is computed again.
         return None
 
 
 def _plain(value: Any, arrays: dict[str, np.ndarray]) -> Any:
-    """The value as JSON can hold it, its arrays put aside."""
+    """Convert the value for JSON and move its arrays into `arrays`."""
     if isinstance(value, np.ndarray):
         name = f"a{len(arrays)}"
         arrays[name] = value
@@ -54,9 +54,9 @@ def _plain(value: Any, arrays: dict[str, np.ndarray]) -> Any:
 
 
 def _typed(kind: Any, value: Any, arrays: Any) -> Any:
-    """The value as its annotation says it was."""
+    """Convert a value from JSON back to the type of its annotation."""
     origin, inside = typing.get_origin(kind), typing.get_args(kind)
-    if origin in (types.UnionType, typing.Union):  # of a type and None
+    if origin in (types.UnionType, typing.Union):  # a type or None
         (some,) = (one for one in inside if one is not type(None))
         return None if value is None else _typed(some, value, arrays)
     if kind is np.ndarray or origin is np.ndarray:

@@ -1,4 +1,4 @@
-"""Recordings of a plant, motions through it, and their errors: the rules that all experiments share."""
+"""Recording a plant, driving it along motions, and computing errors, in the same way for all experiments."""
 
 from dataclasses import dataclass
 from typing import Protocol
@@ -29,7 +29,7 @@ class Plant(Protocol):
 
 
 class Deployed(Protocol):
-    """What is exported: one sample in, one voltage out; `block` takes many."""
+    """An exported compensator: one voltage per sample; `block` takes many samples."""
 
     sample_period_s: float
     preview: int
@@ -39,7 +39,7 @@ class Deployed(Protocol):
 
 
 class Compensator(Protocol):
-    """What is trained or fitted, before it is exported."""
+    """A compensator that is trained or fitted, before it is exported."""
 
     sample_period_s: float
     preview: int
@@ -49,7 +49,7 @@ class Compensator(Protocol):
 
 @dataclass(frozen=True)
 class Followed:
-    """A motion through the plant."""
+    """Signals of one motion of the plant."""
 
     u: np.ndarray  # (time,), V
     y: np.ndarray  # (time,), µm, true displacement
@@ -58,18 +58,18 @@ class Followed:
 
 @dataclass(frozen=True)
 class TrackingError:
-    """Its size, over the whole motion and after the initial loading; % of the reference's peak to peak."""
+    """Error over the whole motion and after the initial loading; % of the reference's peak to peak."""
 
     max_um: float
     rms_um: float
     max_percent: float
     rms_percent: float
-    max_percent_of_travel: float  # of the 8.1 µm
+    max_percent_of_travel: float  # % of the 8.1 µm
     max_um_after_loading: float
     rms_um_after_loading: float
     max_percent_after_loading: float
-    extreme_um: float  # the largest one with its sign
-    mean_um_after_loading: float  # a drift, if there is one
+    extreme_um: float  # the largest error with its sign
+    mean_um_after_loading: float  # shows a drift, if there is one
 
 
 def record(
@@ -78,7 +78,7 @@ def record(
     samples: tuple[np.ndarray, np.ndarray],  # t (time,), s; u (time,), V
     seed: int,
 ) -> Recording:
-    """What the sensor reads while the plant is driven with `samples`."""
+    """Record the sensor reading while the plant is driven with `samples`."""
     t, u = samples
     with torch.no_grad():
         _, y = plant.simulate(torch.from_numpy(u)[None], seed)
@@ -89,9 +89,9 @@ def follow(
     compensator: Deployed,
     plant: Plant,
     yd: np.ndarray,  # (time,), µm
-    beyond: np.ndarray | None = None,  # how the motion goes on, for compensators that look ahead
+    beyond: np.ndarray | None = None,  # continuation of the motion, for compensators that look ahead
 ) -> Followed:
-    """Drive the plant along `yd` from the de-energised state. Beyond its end it rests, if not given."""
+    """Drive the plant along `yd` from the de-energised state; without `beyond`, the motion ends at rest."""
     beyond = np.full(compensator.preview, yd[-1]) if beyond is None else beyond
     ahead = np.concatenate([yd, beyond])[compensator.preview :][: len(yd)]
     with torch.no_grad():
@@ -104,9 +104,9 @@ def follow(
 def tracking_error(
     y: np.ndarray,  # (time,), µm
     yd: np.ndarray,  # (time,), µm
-    peak_to_peak_um: float,  # of the reference y_r: the rise of y_d from rest is not counted in
+    peak_to_peak_um: float,  # of the reference y_r, so that the rise of y_d from rest does not count
 ) -> TrackingError:
-    """y − y_d."""
+    """Return the error y − y_d in all its measures."""
     error = y - yd
     after = error[loading_samples(yd) :]
     max_um, max_after_um = float(np.abs(error).max()), float(np.abs(after).max())
@@ -125,7 +125,7 @@ def tracking_error(
 
 
 class InOnePass:
-    """A compensator over a whole motion at once: the same bits as its stream, a hundred times as fast."""
+    """A compensator run over a whole motion at once: the same bits as its stream, a hundred times as fast."""
 
     def __init__(self, compensator: Compensator) -> None:
         self.compensator = compensator
@@ -133,14 +133,14 @@ class InOnePass:
         self.preview = compensator.preview
 
     def reset(self) -> None:
-        """Every motion starts de-energised."""
+        """Do nothing, because every motion starts de-energised."""
 
     def block(self, yd: Tensor) -> Tensor:
         return self.compensator(backward_motion(yd[None], self.sample_period_s))[0]
 
 
 class StraightLine:
-    """u = y_d / gain within the limits: no compensation. The gain is fitted to a recording, through 0."""
+    """No compensation: u = y_d / gain within the limits, with the gain fitted to a recording through 0."""
 
     def __init__(self, slow: Recording, preview: int = 0, low_v: float = 0.0, high_v: float = 10.0) -> None:
         self.sample_period_s = 1 / slow.fs_hz
@@ -149,7 +149,7 @@ class StraightLine:
         self.low_v, self.high_v = low_v, high_v
 
     def reset(self) -> None:
-        """It has no memory."""
+        """Do nothing, because there is no memory."""
 
     def block(self, yd: Tensor) -> Tensor:
         return (yd / self.gain_um_per_v).clamp(self.low_v, self.high_v)

@@ -1,4 +1,4 @@
-"""Trajectories that nobody has tuned for: random phases over the band of eq. 15 and 16."""
+"""Unseen trajectories, for which nothing was tuned: random phases over the band of eq. 15 and 16."""
 
 from dataclasses import dataclass
 
@@ -17,7 +17,7 @@ FIRST_SEED = 100
 
 @dataclass(frozen=True)
 class Trial:
-    """One of them."""
+    """Result on one random trajectory."""
 
     seed: int
     top_rate_um_s: float
@@ -26,7 +26,7 @@ class Trial:
 
 
 def trial(compensator: Deployed, plant: Plant, seed: int, duration_s: float = 2.0) -> Trial:
-    """A random trajectory, through the reference filter as the paper's are."""
+    """Track a random trajectory, passed through the reference filter as in the paper."""
     rate_hz = plant.sample_rate_hz
     _, yr = random_trajectory(duration_s, rate_hz, *RANGE_UM, *BAND_HZ, seed=seed)
     motion = ReferenceFilter(1 / rate_hz)(torch.from_numpy(yr)[None])
@@ -41,6 +41,6 @@ def trial(compensator: Deployed, plant: Plant, seed: int, duration_s: float = 2.
 
 
 def median_and_worst(trials: list[Trial], attribute: str) -> tuple[float, float]:
-    """Of one attribute of the error on the true displacement."""
+    """Return median and maximum of one attribute of the errors on the true displacement."""
     values = [getattr(one.error, attribute) for one in trials]
     return float(np.median(values)), float(np.max(values))

@@ -1,7 +1,7 @@
-"""What the direct inverse is compared with, one method a file: models of the stage, inverted.
+"""Methods that the direct inverse is compared with, one per file: inverted models of the stage.
 
 All but the last identify a forward hysteresis, voltage to displacement, and invert it in closed form; the
-generalised direct inverse is a direct one with richer plays. Every one is deployed as `DirectInverse` is:
+generalised direct inverse is a direct one with richer plays. All are deployed like `DirectInverse`:
 `inverse(motion)` for records, `inverse.stream()` for a control loop.
 """
 

@@ -1,10 +1,10 @@
-"""What every indirect inverse shares: the law, compiled once for records and once for control loops.
+"""The law that all indirect inverses share, compiled once for records and once for control loops.
 
     x = S⁻¹(y_d + τ_1 ẏ_d + τ_2 ÿ_d)          undoes linear dynamics and saturation, if the model has them
     r_i(ẏ_d) = r_i + ρ_i |ẏ_d|,  w_i(ẏ_d) = b_i + k_i ẏ_d       of the forward model, at this sample
     u = Σ_i w'_i H_r'i[x]                     r', w' from r, w by the closed form of `inversion_law`
 
-Each method has some of ρ, k and τ; its file explains where that comes from and when it is exact.
+Each method uses some of ρ, k and τ; its file explains where they come from and when the inverse is exact.
 """
 
 import math
@@ -26,7 +26,7 @@ from torchpi.operators.motion import Motion
 from torchpi.operators.play import play
 from torchpi.operators.reference_filter import ReferenceFilter
 
-LEAST_SLOPE = 0.05  # of that at rest: rates beyond which a slope of the model is less are held there
+LEAST_SLOPE = 0.05  # of the slope at rest: the rate is limited so that no slope of the model falls below it
 
 
 class IndirectInverse(Inverse):
@@ -36,10 +36,10 @@ class IndirectInverse(Inverse):
         sample_period_s: T of the control loop.
         thresholds: r of the forward model at rest, V, rising from 0.
         weights: b of the forward model at rest, µm/V.
-        threshold_slopes: ρ, V per µm/s; none is constant thresholds.
-        weight_slopes: k, µm/V per µm/s; none is constant weights.
-        lead: τ_1 in s and τ_2 in s², at most; none is no dynamics.
-        saturation: The forward model's dead zones, displacement of the plays to displacement; None is none.
+        threshold_slopes: ρ, V per µm/s; none for constant thresholds.
+        weight_slopes: k, µm/V per µm/s; none for constant weights.
+        lead: At most τ_1 in s and τ_2 in s²; none for no dynamics.
+        saturation: The forward model's dead zones, displacement of the plays to displacement; None for none.
         preview: How many samples ahead the desired trajectory is seen.
         min_voltage_v: Lower output limit; -inf for none.
         max_voltage_v: Upper output limit; inf for none.
@@ -86,7 +86,7 @@ class IndirectInverse(Inverse):
         motion: Motion,
         state: Tensor | None = None,  # (batch, plays)
     ) -> tuple[Tensor, Tensor]:
-        """The voltage before the output limits, and the state after it. Carries no gradient."""
+        """Return the voltage before the output limits, and the state after it, without gradients."""
         h = self.initial_state(len(motion.yd)) if state is None else state.clone()
         yd, rate, acceleration = (part.detach().to(torch.float64).contiguous().numpy() for part in motion)
         u = np.empty_like(yd)
@@ -95,7 +95,7 @@ class IndirectInverse(Inverse):
         return torch.from_numpy(u), h
 
     def initial_state(self, batch: int) -> Tensor:
-        """The de-energised state. Shape: (batch, plays)."""
+        """Return the de-energised state. Shape: (batch, plays)."""
         return torch.zeros(batch, len(self.r), dtype=torch.float64)
 
     @property
@@ -104,7 +104,7 @@ class IndirectInverse(Inverse):
         return inverse_numbers(self.r, self.b)[1]
 
     def stream(self, reference_filter: ReferenceFilter | None = None) -> CompensatorStream:
-        """One sample at a time, scriptable: `u = step(y_d at t + preview)`. Same bits as `forward`."""
+        """Return a scriptable stream, `u = step(y_d at t + preview)`, with the same bits as `forward`."""
         law = IndirectStream(self.r, self.rho, self.b, self.k, self.lead, self.d, self.v, *self.rates_um_s)
         return cast(CompensatorStream, Deployed(law, self, reference_filter))
 
@@ -118,7 +118,7 @@ def indirect_step(
     lead: list[float], d: list[float], v: list[float], slowest: float, fastest: float,
     r_now: list[float], w_now: list[float], r_inverse: list[float], w_inverse: list[float], h: list[float],
 ) -> float:  # fmt: skip
-    """One sample of the law. The kernel and the stream compile this; the lists of `_now` are work space."""
+    """One sample of the law. The kernel and the stream compile this; the `_now` lists are work space."""
     x = dead_zones(yd + lead[0] * rate + lead[1] * acceleration, d, v)
     held = max(slowest, min(fastest, rate))
     for i in range(len(r)):
@@ -189,13 +189,13 @@ class IndirectStream(nn.Module):
         )  # fmt: skip
 
 
-# Each stays the plain function that TorchScript reads, and the kernel may call it as well.
+# Each remains a plain function, which TorchScript reads, and the kernel can call it as well.
 for _part in (play, dead_zone, dead_zones, invert):
     register_jitable(_part)
 _indirect_step: Any = numba.njit(indirect_step)
 
 
-@numba.njit  # not cached: numba would not see a change of the parts, which stand in other files
+@numba.njit  # not cached: numba would not notice changes of the functions it calls in other files
 def _run(
     yd: np.ndarray, rate: np.ndarray, acceleration: np.ndarray,
     r: np.ndarray, rho: np.ndarray, b: np.ndarray, k: np.ndarray,
@@ -217,7 +217,7 @@ def _run(
 
 
 def _numbers(name: str, values: Sequence[float], count: int) -> list[float]:
-    """`values` as floats; zeros if there are none."""
+    """Return `values` as floats, or zeros if there are none."""
     numbers = [float(value) for value in values] or [0.0] * count
     if len(numbers) != count or not all(map(math.isfinite, numbers)):
         raise ConfigError(f"{name}: found {list(values)}, expected {count} finite numbers")
@@ -225,7 +225,7 @@ def _numbers(name: str, values: Sequence[float], count: int) -> list[float]:
 
 
 def _rates(b: list[float], k: list[float]) -> tuple[float, float]:
-    """The rates, µm/s, between which every slope of the model keeps `LEAST_SLOPE` of that at rest."""
+    """Return the rates, µm/s, between which all slopes of the model keep `LEAST_SLOPE` of those at rest."""
     slowest, fastest = -math.inf, math.inf
     for at_rest, per_rate in zip(np.cumsum(b).tolist(), np.cumsum(k).tolist(), strict=True):
         if per_rate > 0:

@@ -4,8 +4,8 @@
 
 Croft, Shed and Devasia, *Creep, hysteresis, and vibration compensation for piezoactuators: atomic force
 microscopy application*, ASME J. Dyn. Syst. Meas. Control 123(1), 2001. The rate dependence is put into G, and
-the hysteresis stays rate-independent. The desired trajectory has to be smooth; the delay is undone by as many
-samples of preview. The forward model is `torchpi.operators.chain.Chain(hysteresis=…, dynamics=…)`.
+the hysteresis stays rate-independent. The desired trajectory must be smooth; as many samples of preview undo
+the delay. The forward model is `torchpi.operators.chain.Chain(hysteresis=…, dynamics=…)`.
 """
 
 import math
@@ -22,7 +22,7 @@ class CascadedInverse(IndirectInverse):
 
 
 def lead_of(dynamics: SensorLag | Resonance) -> list[float]:
-    """τ_1 and, of two poles, τ_2: what undoes these dynamics exactly, on a trajectory that is smooth.
+    """Return τ_1 and, for two poles, τ_2, which undo these dynamics exactly on a smooth trajectory.
 
     Args:
         dynamics: A lag, or a mode, between the hysteresis and the reading.

@@ -2,7 +2,7 @@
 
 Krejčí and Kuhnen, *Inverse control of systems with hysteresis and creep*, IEE Proc. Control Theory Appl.
 148(3), 2001; with dead zones before it, the inverse of the modified operator of Kuhnen, European J. Control
-9(4), 2003. Fig. 2 and 3 of Qin et al. (2013) are of this kind. It knows nothing of the rate.
+9(4), 2003. Fig. 2 and 3 of Qin et al. (2013) are of this kind. It ignores the rate.
 """
 
 from torchpi.control.indirect.base import IndirectInverse
@@ -11,10 +11,10 @@ from torchpi.operators.prandtl_ishlinskii import PrandtlIshlinskii
 
 
 def conventional_inverse(operator: PrandtlIshlinskii) -> PrandtlIshlinskii:
-    """The operator that undoes `operator`, of the same kind: thresholds and weights in closed form.
+    """Return the inverse of `operator`, which is of the same kind: thresholds and weights in closed form.
 
     Args:
-        operator: Thresholds in V and weights in µm/V, where it is a stage's hysteresis.
+        operator: Thresholds in V and weights in µm/V if it is the hysteresis of a stage.
 
     Raises:
         ConfigError: Thresholds that do not rise from 0, or a slope that is not positive.

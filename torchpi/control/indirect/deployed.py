@@ -1,4 +1,4 @@
-"""A law of inversion as a compensator in a control loop: motion before it, limits after it."""
+"""Deployment of an inversion law in a control loop: motion before it, limits after it."""
 
 import math
 from typing import Any
@@ -45,11 +45,11 @@ class Inverse(nn.Module):
         self.max_voltage_v = max_voltage_v
 
     def voltage(self, motion: Motion, state: Tensor | None = None) -> tuple[Tensor, Tensor]:
-        """The voltage before the output limits, (batch, time), V, and the state after it."""
+        """Return the voltage before the output limits, (batch, time), V, and the state after it."""
         raise NotImplementedError
 
     def forward(self, motion: Motion) -> Tensor:
-        """The voltage for a desired motion from the de-energised state, within the output limits.
+        """Return the voltage for a desired motion from the de-energised state, within the output limits.
 
         Shapes: (batch, time) in µm, µm/s, µm/s² to (batch, time) in V. Sample t of the motion is the one
         `preview` periods ahead of sample t of the voltage.
@@ -62,8 +62,8 @@ class Deployed(GuardedStep):
 
     Args:
         law: A scriptable module with `reset()` and `step(yd, rate, acceleration) -> float`.
-        how: Sample period, preview and limits.
-        reference_filter: Goes inside, and `step` takes y_r; None forms the rate from past samples.
+        how: The inverse, which has sample period, preview and limits.
+        reference_filter: Filter inside, so that `step` takes y_r; None forms the rate from past samples.
     """
 
     def __init__(self, law: Any, how: Inverse, reference_filter: ReferenceFilter | None) -> None:
@@ -96,7 +96,7 @@ class Deployed(GuardedStep):
 
 
 def _limits(how: Inverse) -> StepLimits:
-    """What it was made from is not known: the reach of the output limits decides what is accepted."""
+    """Return limits by the reach of the output limits, because the training of the law is not known."""
 
     def law(y: Tensor) -> Tensor:
         still = torch.zeros_like(y[None])

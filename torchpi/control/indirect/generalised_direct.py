@@ -1,10 +1,10 @@
-"""The direct inverse with generalised plays: other envelopes and thresholds up than down.
+"""The direct inverse with generalised plays: different envelopes and thresholds up and down.
 
     u = Σ_i (k_i ẏ_d + b_i) h_i[y_d]     (eq. 8, with h of `operators.generalised_play` for H_r[S])
 
-Direct, not indirect: it is fitted from displacement to voltage and never inverted. Qin et al. (2013), Section
-II-A, name these plays as a way to model more complex loops; Al Janaideh, Rakheja and Su (2009) have the
-forward model, and its inverse in closed form needs equal envelopes up and down, which this does not.
+It is direct, not indirect: fitted from displacement to voltage and never inverted. Qin et al. (2013), Section
+II-A, name these plays as a way to model more complex loops; Al Janaideh, Rakheja and Su (2009) give the
+forward model, whose inverse in closed form needs equal envelopes up and down, unlike this one.
 """
 
 from typing import Any, cast
@@ -27,14 +27,14 @@ class GeneralisedDirectInverse(Inverse):
     Args:
         sample_period_s: T of the control loop and of the recordings.
         plays: The bank over y_d, µm.
-        slopes: k, one a play.
-        offsets: b, one a play.
+        slopes: k, one per play.
+        offsets: b, one per play.
         preview: How many samples ahead the desired trajectory is seen.
         min_voltage_v: Lower output limit; -inf for none.
         max_voltage_v: Upper output limit; inf for none.
 
     Raises:
-        ConfigError: Another number of slopes or offsets than of plays, or a value out of its range.
+        ConfigError: Not as many slopes or offsets as plays, or a value out of its range.
     """
 
     def __init__(
@@ -61,13 +61,13 @@ class GeneralisedDirectInverse(Inverse):
         motion: Motion,
         state: Tensor | None = None,  # (batch, plays)
     ) -> tuple[Tensor, Tensor]:
-        """The voltage before the output limits, and the state after it."""
+        """Return the voltage before the output limits, and the state after it."""
         h, state = self.plays(motion.yd, state)
         basis = torch.stack([torch.ones_like(motion.yd_dot), motion.yd_dot], -1)
         return weighted_sum(h, basis, torch.stack([self.b, self.k], 1)), state
 
     def stream(self, reference_filter: ReferenceFilter | None = None) -> CompensatorStream:
-        """One sample at a time, scriptable: `u = step(y_d at t + preview)`. Same bits as `forward`."""
+        """Return a scriptable stream, `u = step(y_d at t + preview)`, with the same bits as `forward`."""
         law = WeightedPlaysStream(self.plays.stream(), self.b, self.k)
         return cast(CompensatorStream, Deployed(law, self, reference_filter))
 
@@ -77,7 +77,7 @@ class WeightedPlaysStream(nn.Module):
 
     Args:
         plays: Stream of the bank, whose `step(x)` returns the list of its states.
-        b: Weights at rest, one a play.
+        b: Weights at rest, one per play.
         k: Change of the weights with the rate.
     """
 

@@ -6,9 +6,9 @@ u = Σ_i w'_i H_r'i[y] with
     r'_i = Σ_{j≤i} w_j (r_i - r_j),   w'_0 = 1 / w_0,   w'_i = -w_i / (A_i A_(i-1))
 
 Krejčí and Kuhnen, *Inverse control of systems with hysteresis and creep*, IEE Proc. Control Theory Appl.
-148(3), 2001. For thresholds that move in time it still holds where their distances do not shrink (Al Janaideh
-and Krejčí, Physica B 406(8), 2011; see `time_varying_thresholds`). For weights that move it is what Ang and
-Tan put in, and no longer an inverse: Qin et al. (2013), Section II-C.
+148(3), 2001. For thresholds that vary in time it still holds where their distances do not shrink (Al Janaideh
+and Krejčí, Physica B 406(8), 2011; see `time_varying_thresholds`). Ang and Tan also use it for weights that
+vary in time, where it is no longer an inverse: Qin et al. (2013), Section II-C.
 """
 
 import math
@@ -30,10 +30,10 @@ def invert(r: list[float], w: list[float], r_inverse: list[float], w_inverse: li
 
 
 def inverse_numbers(r: Sequence[float], w: Sequence[float]) -> tuple[list[float], list[float]]:
-    """r' and w' of a rate-independent operator.
+    """Return r' and w' of a rate-independent operator.
 
     Raises:
-        ConfigError: As `check_invertible`.
+        ConfigError: As in `check_invertible`.
     """
     check_invertible(r, w)
     r_inverse, w_inverse = [0.0] * len(r), [0.0] * len(r)
@@ -42,10 +42,10 @@ def inverse_numbers(r: Sequence[float], w: Sequence[float]) -> tuple[list[float]
 
 
 def check_invertible(r: Sequence[float], w: Sequence[float]) -> None:
-    """Raise unless the closed form holds: thresholds from 0 upwards, a loop that only rises.
+    """Raise unless the closed form holds: thresholds rise from 0, and every slope is positive.
 
     Raises:
-        ConfigError: A number that is not finite, other counts, thresholds that do not rise from 0, or a
+        ConfigError: A number that is not finite, unequal counts, thresholds that do not rise from 0, or a
             slope w_0 + … + w_i that is not positive.
     """
     if len(r) == 0 or not all(map(math.isfinite, r)) or r[0] != 0 or any(b < a for a, b in pairwise(r)):

@@ -1,14 +1,14 @@
-"""The conventional inversion with rate-dependent terms put in: the paper's indirect approach.
+"""The conventional inversion with rate-dependent terms inserted: the paper's indirect approach.
 
     y = Σ_i (k_i u̇ + b_i) H_ri[u]   is taken to be undone by   u = Σ_i w'_i(ẏ_d) H_r'i(ẏ_d)[y_d]
 
-with r' and w' by the closed form at every sample, from weights k ẏ_d + b. So thresholds of the inverse move
-with the rate as well. Ang, Khosla and Riviere, *Feedforward controller with inverse rate-dependent model for
-piezoelectric actuators in trajectory-tracking applications*, IEEE/ASME Trans. Mechatronics 12(2), 2007; Tan,
-Latt, Shee, Riviere and Ang, 2009; Qin et al. (2013), Section II-C and Fig. 8.
+with r' and w' by the closed form at every sample, from weights k ẏ_d + b. The inverse's thresholds
+thus vary with the rate. Ang, Khosla and Riviere, *Feedforward controller with inverse rate-dependent model
+for piezoelectric actuators in trajectory-tracking applications*, IEEE/ASME Trans. Mechatronics 12(2), 2007;
+Tan, Latt, Shee, Riviere and Ang, 2009; Qin et al. (2013), Section II-C and Fig. 8.
 
-Not an inverse: the rate is that of the output where the model has that of the input, and plays whose
-thresholds move change the output even where the weights would not. The error vanishes with the rate.
+It is not an exact inverse: it uses the rate of the output where the model has that of the input, and plays
+with moving thresholds change the output even where the weights would not. The error vanishes with the rate.
 """
 
 from torchpi.control.indirect.base import IndirectInverse
@@ -17,6 +17,6 @@ from torchpi.control.indirect.base import IndirectInverse
 class RateDependentInverse(IndirectInverse):
     """Krejčí–Kuhnen inversion of the weights k ẏ_d + b, `weight_slopes` and `weights`, at every sample.
 
-    `rates_um_s` is where the model can be inverted: outside of it some w_0 + … + w_i comes down to a
-    twentieth of its value at rest, and the rate is held at that end.
+    `rates_um_s` is the range in which the model can be inverted: at its ends some w_0 + … + w_i is down to a
+    twentieth of its value at rest, and rates beyond are held at that end.
     """

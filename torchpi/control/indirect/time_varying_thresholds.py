@@ -11,11 +11,11 @@ The formula is exact, sample by sample, under the dilation condition: no distanc
 plays, i ≥ 1, shrinks in time (the first threshold itself may). A play with the larger threshold is then a
 play of the next smaller one's output, which is all that the closed form needs.
 
-The condition is sufficient, not necessary. It fails whenever the rate falls, if ρ grows with i. But these
-thresholds are least at each reversal of their own input: between two of them a play that is pushed stays
-pushed while its threshold falls, and no two plays come further apart than their thresholds. So the formula
-holds all the same, but for what the sampling of a reversal leaves. What it does need is thresholds that are
-known functions of time. A compensator has to form them from ẏ_d where the model has u̇: that is its error.
+The condition is sufficient, not necessary. If ρ grows with i, it fails whenever the rate falls. But these
+thresholds are smallest at each reversal of their own input: between two reversals a play that is pushed stays
+pushed while its threshold falls, and no two plays move further apart than their thresholds. The formula thus
+still holds, except for the effect of sampling a reversal. It does need thresholds that are known functions of
+time. A compensator has to form them from ẏ_d where the model has u̇, which is its error.
 """
 
 from collections.abc import Sequence
@@ -32,12 +32,12 @@ from torchpi.operators.motion import Motion
 from torchpi.operators.rate_dependent_pi import RATE_STATES, own_rate, own_rate_step
 from torchpi.operators.weighted_sum import weighted_sum
 
-ROUNDING = 1e-12  # of the largest threshold: a distance that shrinks by less than this has not
+ROUNDING = 1e-12  # of the largest threshold: a distance that shrinks by less counts as constant
 
 
 @dataclass(frozen=True)
 class Dilation:
-    """Whether thresholds keep the condition under which the inversion formula is exact, and where not."""
+    """Whether thresholds meet the condition under which the inversion formula is exact, and where not."""
 
     holds: bool
     samples: int
@@ -60,7 +60,7 @@ class Dilation:
 def dilation(
     r: Tensor,  # (time, plays), any unit, thresholds in the order of the plays
 ) -> Dilation:
-    """Check the dilation condition, and where it fails.
+    """Check whether the dilation condition holds, and where it fails.
 
     Raises:
         ConfigError: Thresholds that are out of order or not finite, so that there is nothing to check.
@@ -75,7 +75,7 @@ def dilation(
     """
     if r.ndim != 2 or not bool(torch.isfinite(r).all()) or bool((r.diff(dim=1) < 0).any()):
         raise ConfigError(f"r: found shape {tuple(r.shape)}, expected finite (time, plays) in rising order")
-    # The play with the first threshold is not one of another play's output: its own threshold may shrink.
+    # The play with the first threshold does not act on another play's output: its threshold may shrink.
     shrinkage = -r[:, 1:].diff(dim=1).diff(dim=0) if r[0, 0] == 0 else -r.diff(dim=1).diff(dim=0)
     first_play = 1 if r[0, 0] == 0 else 0
     if shrinkage.numel() == 0:
@@ -95,7 +95,7 @@ def dilation(
 
 
 def moving_step(x: float, n: list[float], s: list[float]) -> float:
-    """The forward operator as a stream takes it: n holds T, r, ρ and w, s the state."""
+    """One step of the forward operator in the form a stream calls: n holds T, r, ρ and w; s the state."""
     size = abs(own_rate_step(x, n[0], s))
     plays, total = len(s) - 3, 0.0
     for i in range(plays):
@@ -108,16 +108,16 @@ def moving_step(x: float, n: list[float], s: list[float]) -> float:
 class TimeVaryingThresholdPI(Operator):
     """The forward operator; the rate is that of its own input, by the three-point backward difference.
 
-    State: the plays, then the memory of the rate.
+    The state consists of the plays, then the memory of the rate.
 
     Args:
         sample_period_s: T.
         thresholds: r at rest, unit of the input, rising from 0.
-        weights: w, one a threshold.
-        threshold_slopes: ρ, growth with the rate's size; 0 first, none below the one before.
+        weights: w, one per threshold.
+        threshold_slopes: ρ, growth with the rate's magnitude; 0 first, none below the one before.
 
     Raises:
-        ConfigError: As `TimeVaryingThresholdInverse`: an operator without inverse is refused.
+        ConfigError: As for `TimeVaryingThresholdInverse`: an operator without inverse is refused.
     """
 
     def __init__(
@@ -154,7 +154,7 @@ class TimeVaryingThresholdPI(Operator):
         self,
         rate: Tensor,  # (batch, time), unit of the input per s
     ) -> Tensor:  # (batch, time, plays)
-        """r_i + ρ_i |rate|."""
+        """Return r_i + ρ_i |rate|."""
         return self.r + self.rho * rate.abs()[..., None]
 
     def at_thresholds(
@@ -163,7 +163,7 @@ class TimeVaryingThresholdPI(Operator):
         r: Tensor,  # (batch, time, plays), the unit of x
         state: Tensor | None = None,  # (batch, plays), the unit of x
     ) -> tuple[Tensor, Tensor]:
-        """The operator with thresholds that are known functions of time."""
+        """Apply the operator with thresholds that are known functions of time."""
         h0 = torch.zeros(len(x), len(self.r), dtype=x.dtype) if state is None else state
         h = clamp_bank(x[..., None] - r, x[..., None] + r, h0)
         return weighted_sum(h, torch.ones_like(x)[..., None], self.w.to(x.dtype)[:, None]), h[:, -1]
@@ -177,7 +177,7 @@ class TimeVaryingThresholdInverse(IndirectInverse):
     """The inversion formula, its thresholds formed from ẏ_d; exact where both rates agree and dilate."""
 
     def dilation(self, motion: Motion) -> Dilation:
-        """The condition, checked on the thresholds that this motion makes; the worst row of a batch."""
+        """Check the condition for the thresholds of this motion; return the worst row of a batch."""
         rate = motion.yd_dot.detach().abs()[..., None]
         r = torch.tensor(self.r, dtype=torch.float64) + torch.tensor(self.rho, dtype=torch.float64) * rate
         return max((dilation(row) for row in r), key=lambda report: report.violations)
@@ -187,7 +187,7 @@ class TimeVaryingThresholdInverse(IndirectInverse):
         y: Tensor,  # (batch, time), µm
         r: Tensor,  # (batch, time, plays), V, of the forward operator
     ) -> Tensor:  # (batch, time), V
-        """The inversion formula for thresholds that are known functions of time, from zero states."""
+        """Apply the inversion formula with thresholds that are known functions of time, from zero states."""
         slopes = torch.tensor(self.b, dtype=torch.float64).cumsum(0)[:-1]
         inverse = torch.cat([torch.zeros_like(r[..., :1]), (slopes * r.diff(dim=-1)).cumsum(-1)], -1)
         h = clamp_bank(y[..., None] - inverse, y[..., None] + inverse, torch.zeros(len(y), len(self.b)).to(y))

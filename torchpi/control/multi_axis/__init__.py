@@ -1,4 +1,4 @@
-"""Compensators of several axes: n trajectories in, n voltages out."""
+"""Multi-axis compensators: n trajectories in, n voltages out."""
 
 from torchpi.control.multi_axis.inverse import MultiAxisInverse, linear_inverses
 

@@ -1,15 +1,15 @@
-"""The inverse of an identified stage of several axes, with look-ahead.
+"""The inverse of an identified multi-axis stage, with look-ahead.
 
-The best linear inverse, a matrix of filters, makes a first voltage of the trajectories. Then the stage is
-simulated with that voltage, and filters of small motions turn what the displacements still lack into a
+The best linear inverse, a matrix of filters, turns the trajectories into a first voltage. Then the stage is
+simulated with that voltage, and filters for small motions turn the remaining displacement error into a
 correction, several times:
 
     u_0 = A * y_d,   u_j = u_{j-1} + B * (y_d - ŷ(u_{j-1}))
 
 It is model-inverse iterative learning (Bristow, Tharayil and Alleyne, IEEE Control Systems 26(3), 2006), here
-against the identified stage and in a pipeline: each pass runs its look-ahead behind the one before, so that
-all of them together are a causal filter of a trajectory known some samples ahead. It converges the faster,
-the smaller the hysteresis is beside the linear part. The stage itself is its only model.
+against the identified stage and in a pipeline: each pass lags the one before by its look-ahead, so that all
+of them together are a causal filter of a trajectory known some samples ahead. It converges faster the smaller
+the hysteresis is relative to the linear part. The identified stage is its only model.
 """
 
 from collections.abc import Sequence
@@ -21,38 +21,38 @@ from torchpi.operators.filters import filter_matrix
 from torchpi.stage.multi_axis import MultiAxisStage, MultiAxisStream
 
 LINES = 2048
-"""Frequencies at which the linear inverses are found, up to the Nyquist frequency."""
+"""Number of frequencies at which the linear inverses are computed, up to the Nyquist frequency."""
 FLAT, LAST = 0.17, 0.24
-"""Shares of the sample rate: up to the first the filters invert, from there they fade until the second."""
+"""Shares of the sample rate: up to the first the filters invert, and they fade out until the second."""
 HALF_LENGTH = 256
-"""Of the filters, samples."""
+"""Half length of the filters, samples."""
 PASSES = 3
 LARGEST = 1e9
-"""Of a voltage or a displacement where no limit is known."""
+"""Limit of a voltage or a displacement if none is known."""
 SMALL, MEANS = 0.02, 2
-"""Size of a small motion beside the trajectories', and how many trajectories responses are averaged over."""
+"""Size of a small motion relative to the trajectories', and number of trajectories in an average."""
 
 
 def linear_inverses(
     stage: MultiAxisStage, rms_v: float, band_hz: float, seed: int = 0
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Filters whose output, as voltages, moves the stage as their input does.
+    """Return filters that turn desired displacements into voltages that move the stage accordingly.
 
-    The first are those of the best linear approximation in the trajectories' band (Pintelon and Schoukens,
-    System Identification, 2012, ch. 3). The second are of small motions beside such trajectories, as
-    corrections are: hysteresis and a stiffness that follows the amplitude answer them differently.
+    The first invert the best linear approximation in the trajectories' band (Pintelon and Schoukens,
+    System Identification, 2012, ch. 3). The second are for small motions added to such trajectories, as
+    corrections are: hysteresis and a stiffness that follows the amplitude respond to them differently.
 
     Args:
-        stage: As many outputs as inputs.
-        rms_v: Of each input, V.
-        band_hz: Up to where trajectories have content, Hz.
-        seed: Of the phases.
+        stage: Identified stage, with as many outputs as inputs.
+        rms_v: RMS voltage of each input, V.
+        band_hz: Highest frequency at which trajectories have content, Hz.
+        seed: Seed of the random phases.
 
     Returns:
-        (2 `HALF_LENGTH` + 1, inputs, outputs) each, V/µm; the middle one acts at once.
+        (2 `HALF_LENGTH` + 1, inputs, outputs) each, V/µm; the middle tap acts without delay.
 
     Raises:
-        StageError: Another number of outputs than of inputs, or a band that is not within the filters'.
+        StageError: Not as many outputs as inputs, or a band that is not within that of the filters.
     """
     m, length, last = stage.inputs, 2 * LINES, int(2 * LINES * LAST)
     if stage.outputs != m:
@@ -75,7 +75,7 @@ def linear_inverses(
             beside = SMALL * rms_v * _multisines(random, m, last)
             differs = _steady(stage, base + beside) - _steady(stage, base)
             moved.append(_solved(np.fft.rfft(beside, axis=1), differs)[:last])
-    # The least squares of 1 - (small response)(inverse): cautious where the responses differ.
+    # The least-squares solution of (small response)(inverse) = 1 is cautious where the responses differ.
     back = [each.conj().swapaxes(1, 2) for each in moved]
     squares = np.sum([each @ other for each, other in zip(moved, back, strict=True)], axis=0)
     small = np.linalg.solve(squares.swapaxes(1, 2), np.sum(back, axis=0).swapaxes(1, 2)).swapaxes(1, 2)
@@ -84,7 +84,7 @@ def linear_inverses(
 
 
 def _multisines(random: np.random.Generator, m: int, last: int) -> np.ndarray:
-    """(runs, samples, inputs), of random phase and rms 1; as many runs as inputs, orthogonal."""
+    """Return orthogonal multisines, random phase, rms 1, (runs, samples, inputs); as many runs as inputs."""
     phases = np.exp(2j * np.pi * random.random((last, m)))
     turns = np.exp(2j * np.pi * np.outer(np.arange(m), np.arange(m)) / m)
     spectra = np.zeros((m, LINES + 1, m), complex)
@@ -94,7 +94,7 @@ def _multisines(random: np.random.Generator, m: int, last: int) -> np.ndarray:
 
 
 def _steady(stage: MultiAxisStage, u: np.ndarray) -> np.ndarray:
-    """Spectra of the displacements in steady state, (runs, lines, outputs), of periodic voltages."""
+    """Return spectra of the steady-state displacements, (runs, lines, outputs), for periodic voltages."""
     found = []
     for run in u:
         y = MultiAxisStream(stage).block(np.concatenate([run, run, run, run[: stage.delay_samples]]))
@@ -103,7 +103,7 @@ def _steady(stage: MultiAxisStage, u: np.ndarray) -> np.ndarray:
 
 
 def _solved(inputs: np.ndarray, answers: np.ndarray) -> np.ndarray:
-    """Responses (lines, inputs, outputs) without that at 0 Hz, from spectra of the runs."""
+    """Return responses (lines, inputs, outputs) without that at 0 Hz, from the spectra of the runs."""
     across = inputs.swapaxes(0, 1)[1:]
     usable = np.abs(across).max((1, 2)) > 1e-9 * np.abs(across).max()
     response = np.zeros((len(across), across.shape[2], answers.shape[2]), complex)
@@ -112,7 +112,7 @@ def _solved(inputs: np.ndarray, answers: np.ndarray) -> np.ndarray:
 
 
 def _filters(found: np.ndarray) -> np.ndarray:
-    """(taps, inputs, outputs) of inverses (lines, outputs, inputs) at the lines from the first on."""
+    """Return filters (taps, inputs, outputs) for inverses (lines, outputs, inputs) from the first line on."""
     last, m = len(found), found.shape[1]
     inverse = np.zeros((LINES + 1, m, m), complex)
     inverse[1 : last + 1] = found.swapaxes(1, 2)
@@ -124,7 +124,7 @@ def _filters(found: np.ndarray) -> np.ndarray:
 
 
 class FilterMatrix:
-    """Filters of several inputs and outputs, window after window, `HALF_LENGTH` samples late."""
+    """Filters of several inputs and outputs, window after window, delayed by `HALF_LENGTH` samples."""
 
     def __init__(self, taps: np.ndarray) -> None:
         self.taps = taps  # (taps, outputs, inputs)
@@ -139,7 +139,7 @@ class FilterMatrix:
 
 
 class Delay:
-    """The samples of some time before, window after window."""
+    """A delay by a number of samples, window after window."""
 
     def __init__(self, samples: int, channels: int) -> None:
         self.known = np.zeros((samples, channels))
@@ -151,23 +151,23 @@ class Delay:
 
 
 class MultiAxisInverse:
-    """Voltages that move a stage of several axes along desired trajectories.
+    """Compensator whose voltages move a multi-axis stage along desired trajectories.
 
     Args:
-        stage: Identified, with as many outputs as inputs.
+        stage: Identified stage, with as many outputs as inputs.
         first: Filters of the linear inverse, (taps, inputs, outputs), V/µm, from `linear_inverses`.
-        corrections: Those of small motions, of the same shape and unit, from the same.
-        passes: Corrections against the stage; without any it is the linear inverse.
-        limits_v: (inputs, 2), V, least and largest voltage of each; any by default.
-        accepted_um: (outputs,), µm, the desired displacements further from 0 that are held; none by default.
+        corrections: Filters for small motions, of the same shape and unit, also from `linear_inverses`.
+        passes: Number of corrections against the stage; with none it is the linear inverse.
+        limits_v: (inputs, 2), V, least and largest voltage of each; unlimited by default.
+        accepted_um: (outputs,), µm; displacements further from 0 are held; by default none are.
 
     Raises:
         StageError: Filters, limits or passes that do not fit the stage or each other.
 
     Attributes:
         preview: How many samples ahead `step` takes the trajectories.
-        held_inputs: Samples that were not finite or not accepted: the last accepted one stood in.
-        limited_outputs: Samples with a voltage that the limits changed.
+        held_inputs: Samples that were not finite or not accepted, each replaced by the last accepted one.
+        limited_outputs: Samples at which the limits changed a voltage.
     """
 
     def __init__(
@@ -203,10 +203,10 @@ class MultiAxisInverse:
         self.reset()
 
     def reset(self) -> None:
-        """To rest."""
+        """Reset to rest."""
         half, stage = self.half, self.stage
         self._first = FilterMatrix(self.first)
-        # Each pass is half a filter and the stage's look-ahead behind the one before.
+        # Each pass lags the one before by half a filter and the stage's look-ahead.
         self._desired = [Delay(half + stage.delay_samples, stage.outputs) for _ in range(self.passes)]
         self._stages = [MultiAxisStream(stage) for _ in range(self.passes)]
         self._filters = [FilterMatrix(self.corrections) for _ in range(self.passes)]
@@ -215,10 +215,10 @@ class MultiAxisInverse:
         self.held_inputs = self.limited_outputs = 0
 
     def block(self, yd: np.ndarray) -> np.ndarray:
-        """Voltages (time, inputs), V, for trajectories (time, outputs), µm, `preview` samples ahead.
+        """Return voltages (time, inputs), V, for trajectories (time, outputs), µm, `preview` samples ahead.
 
         Raises:
-            StageError: Another number of trajectories, or ones along which the stage has no bounded answer.
+            StageError: A wrong number of trajectories, or ones along which the stage has no bounded response.
         """
         if yd.ndim != 2 or yd.shape[1] != self.stage.outputs:
             raise StageError(
@@ -237,11 +237,11 @@ class MultiAxisInverse:
         return limited
 
     def step(self, yd: Sequence[float]) -> list[float]:
-        """Voltages, V, for desired displacements, µm, `preview` samples ahead."""
+        """Return voltages, V, for desired displacements, µm, `preview` samples ahead."""
         return [float(u) for u in self.block(np.asarray(yd, dtype=np.float64).reshape(1, -1))[0]]
 
     def _held(self, yd: np.ndarray) -> np.ndarray:
-        """The trajectories, the last accepted sample in place of those that are not."""
+        """Return the trajectories, with the last accepted sample in place of those that are not accepted."""
         desired = yd.astype(np.float64)
         # A comparison with NaN is false.
         for t in np.flatnonzero(~(np.abs(desired) <= self.accepted_um).all(1)):

@@ -1,4 +1,4 @@
-"""Exports of several axes: arrays in, arrays out, as TorchScript, C99 and JSON."""
+"""Exports of stages with several axes, from arrays to arrays, as TorchScript, C99 and JSON."""
 
 from torchpi.export.multi_axis.files import FORMATS, multi_axis_files
 

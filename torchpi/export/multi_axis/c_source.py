@@ -1,6 +1,6 @@
 """Several axes as C99: a header, a source, and a program that tests them on the target.
 
-The templates beside this file have the equations; each sum has the order of the Python step, and so its bits.
+The templates hold the equations. Every sum runs in the order of the Python step, so the bits are the same.
 """
 
 import textwrap
@@ -19,15 +19,15 @@ from torchpi.stage.multi_axis import MultiAxisStage, MultiAxisStream
 
 FLAGS = "-std=c99 -ffp-contract=off -fno-math-errno -O2"
 RECORDED, EVERY = 160, 16
-"""Rows of the self-test, and samples between two."""
+"""Number of rows of the self-test, and number of samples per row."""
 BYTES = 8
 
 
 def c_source(exported: MultiAxisStage | MultiAxisInverse, name: str) -> dict[str, str]:
-    """NAME.h, NAME.c and NAME_selftest.c.
+    """Return NAME.h, NAME.c and NAME_selftest.c.
 
     Raises:
-        ArtifactError: NAME is not free to use in C.
+        ArtifactError: NAME cannot be used in C.
     """
     check_name(name)
     context = _context(exported, name)
@@ -87,15 +87,15 @@ def _context(exported: MultiAxisStage | MultiAxisInverse, name: str) -> dict[str
 
 
 def of_stage(stage: MultiAxisStage) -> dict[str, Any]:
-    """The numbers of a stage: parameters, constants and inputs by their own names."""
+    """Return the numbers of a stage by name: parameters, constants and inputs."""
     inputs, constants = stage.input_stream(), stage.thresholds_of_kernel()
     blocks = len(TAPS) // FACTOR
     padded = np.zeros(FACTOR * (blocks + 1))
     padded[: len(TAPS)] = FACTOR * TAPS
-    # What a block of samples at the higher rate leaves for one of those to come, its first sample first.
+    # Contributions of a block of samples at the higher rate to each later output, its first sample first.
     low = [[float(TAPS[FACTOR * (k + 1) - q]) for k in range(blocks)] for q in range(FACTOR)]
     arrays = stage.arrays()
-    pairs = {"poles": 1, "drive": 1, "force": 1, "sensed": 2, "seen": 2}  # and their axis of two
+    pairs = {"poles": 1, "drive": 1, "force": 1, "sensed": 2, "seen": 2}  # axis of (re, im)
     halves = {
         f"{name}_{part}": arrays[name].take(k, axis).T
         for name, axis in pairs.items()
@@ -144,7 +144,7 @@ def _of_inverse(inverse: MultiAxisInverse) -> dict[str, Any]:
 
 
 def recorded(exported: MultiAxisStage | MultiAxisInverse, scale: np.ndarray) -> np.ndarray:
-    """What the step answers to the self-test's noise, the last of every `EVERY` samples."""
+    """Return the response of the step to the noise of the self-test, at the last of every `EVERY` samples."""
     seed, noise = 1, np.empty((RECORDED * EVERY, len(scale)))
     for sample in noise:
         for k in range(len(scale)):
@@ -164,7 +164,7 @@ def _number(value: float) -> str:
 
 
 def _numbers(values: Iterable[float]) -> str:
-    """Numbers in lines of a width to read."""
+    """Format numbers in lines of readable width."""
     return "\n    ".join(textwrap.wrap(", ".join(map(_number, values)), 106))
 
 

@@ -1,4 +1,4 @@
-"""The files of a stage of several axes and of its inverse, by format."""
+"""Exported files of a stage with several axes or of its inverse, by format."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -17,16 +17,16 @@ FORMATS = ("torchscript", "c", "json")
 def multi_axis_files(
     exported: MultiAxisStage | MultiAxisInverse, output: Path, formats: Sequence[str]
 ) -> Files:
-    """What an export writes, by path, for `write_together`.
+    """Return the files of an export by path, for `write_together`.
 
     Args:
         exported: The stage as a step from voltages to displacements, or its inverse.
         output: Path without suffix.
-        formats: Of `FORMATS`.
+        formats: One or several of `FORMATS`.
 
     Raises:
-        ConfigError: Another format.
-        ArtifactError: A name that is not free to use in C.
+        ConfigError: A format is not one of `FORMATS`.
+        ArtifactError: The name cannot be used in C.
     """
     other = [name for name in formats if name not in FORMATS]
     if other or not formats:

@@ -1,4 +1,4 @@
-"""The bare numbers of several axes as JSON, with units: enough to write the step by hand."""
+"""The numbers of a stage with several axes as JSON, with units: enough to implement the step by hand."""
 
 import json
 from pathlib import Path
@@ -17,13 +17,13 @@ STAGE_SCHEMA, INVERSE_SCHEMA = "torchpi.stage.multi_axis/1", "torchpi.control.mu
 
 
 def numbers(exported: MultiAxisStage | MultiAxisInverse) -> str:
-    """The text of the file."""
+    """Return the text of the file."""
     found = of_stage(exported) if isinstance(exported, MultiAxisStage) else of_inverse(exported)
     return json.dumps(found, indent=2, allow_nan=False) + "\n"
 
 
 def of_stage(stage: MultiAxisStage) -> dict[str, Any]:
-    """Equations in the order in which a step uses them, each with its numbers."""
+    """Return the equations in the order in which a step uses them, each with its numbers."""
     a = {name: value.tolist() for name, value in stage.arrays().items()}
     zones, thresholds, kept, shares = (one.tolist() for one in stage.thresholds_of_kernel())
     inputs = stage.input_stream()
@@ -95,14 +95,14 @@ def of_stage(stage: MultiAxisStage) -> dict[str, Any]:
 
 
 def read_inverse(path: Path, stage: MultiAxisStage) -> MultiAxisInverse:
-    """The inverse whose numbers a file has.
+    """Read an inverse from its JSON file.
 
     Args:
         path: NAME.json.
-        stage: What it was made for.
+        stage: The stage that the inverse was made for.
 
     Raises:
-        ArtifactError: Another kind of file, one that was changed, or another stage.
+        ArtifactError: The file is of another kind, was changed, or belongs to another stage.
     """
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
@@ -126,7 +126,7 @@ def read_inverse(path: Path, stage: MultiAxisStage) -> MultiAxisInverse:
 
 
 def of_inverse(inverse: MultiAxisInverse) -> dict[str, Any]:
-    """The filters, the limits, and the stage that they run against."""
+    """Return the filters, the limits and the stage that the filters run against."""
     return {
         "schema": INVERSE_SCHEMA,
         "torchpi_version": torchpi.__version__,

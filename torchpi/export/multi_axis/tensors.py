@@ -1,6 +1,6 @@
-"""Several axes as TorchScript: a step of tensors with the bits of the kernels.
+"""Several axes as TorchScript: a step on tensors whose results equal those of the kernels to the last bit.
 
-Every sum runs in the kernels' order: `cumsum` adds one by one, and filters are transposed.
+Every sum runs in the order of the kernels: `cumsum` adds term by term, and filters have the transposed form.
 """
 
 import warnings
@@ -17,7 +17,7 @@ from torchpi.stage.multi_axis import MultiAxisStage
 
 
 def scripted(exported: MultiAxisStage | MultiAxisInverse) -> torch.jit.ScriptModule:
-    """The step, compiled, at rest."""
+    """Return the compiled step in its rest state."""
     module = StageStep(exported) if isinstance(exported, MultiAxisStage) else InverseStep(exported)
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message=".*torch.jit.*deprecated.*")
@@ -25,22 +25,22 @@ def scripted(exported: MultiAxisStage | MultiAxisInverse) -> torch.jit.ScriptMod
 
 
 def in_order(terms: Tensor, dim: int) -> Tensor:
-    """A sum from the first to the last."""
+    """Sum the terms in order, from the first to the last."""
     return terms.cumsum(dim).select(dim, -1)
 
 
 def tensor(array: np.ndarray) -> Tensor:
-    """Of its own memory."""
+    """Copy an array into a tensor with its own memory."""
     return torch.from_numpy(np.array(array, order="C"))
 
 
 def root(x: Tensor) -> Tensor:
-    """√x to the last bit: of reals MKL's, which torch may call, is off by one in some of a hundred."""
+    """Return √x to the last bit; MKL's real root, which torch may call, errs by one in some of a hundred."""
     return x.to(torch.complex128).sqrt().real
 
 
 def exact(numbers: list[float]) -> Tensor:
-    """A tensor of them; in TorchScript `torch.tensor` rounds to single precision."""
+    """Return a float64 tensor of the numbers; in TorchScript `torch.tensor` rounds to single precision."""
     found = torch.empty(len(numbers), dtype=torch.float64)
     for i, number in enumerate(numbers):
         found[i].fill_(number)
@@ -94,7 +94,7 @@ class StageTensors(nn.Module):
         self.at = 0
 
     def added(self, u: Tensor) -> Tensor:
-        """What plays and amplifiers add, V, (inputs,)."""
+        """Return the contribution of plays and amplifiers to the voltages, V, (inputs,)."""
         rest = torch.zeros_like(self.up[:1])
         self.up = torch.cat([self.up[1:], rest]) + self.interpolation * u
         between = torch.jit.annotate(list[Tensor], [])
@@ -121,7 +121,7 @@ class StageTensors(nn.Module):
         return found
 
     def advance(self, u: Tensor) -> Tensor:
-        """Displacements, (outputs,), µm, for voltages, (inputs,), V."""
+        """Return displacements, (outputs,), µm, for voltages, (inputs,), V."""
         v = self.late[self.at] + self.added(u)
         self.late[self.at] = u
         self.at = (self.at + 1) % self.delay
@@ -168,7 +168,7 @@ class StageTensors(nn.Module):
 
 
 def relaxed(x: Tensor, r: Tensor, a: Tensor, h: Tensor) -> Tensor:
-    """`relaxing_play` of tensors."""
+    """Apply `relaxing_play` to tensors."""
     e = x - h
     s = e / r
     return x - a * e / root(1.0 + (1.0 - a * a) * s * s)
@@ -187,7 +187,7 @@ class FilterTensors(nn.Module):
         self.sums = torch.zeros_like(self.taps[0])
 
     def advance(self, x: Tensor) -> Tensor:
-        """(outputs,) for (inputs,)."""
+        """Return the filtered sample, (outputs,), for one sample, (inputs,)."""
         sums = torch.cat([self.sums[1:], torch.zeros_like(self.sums[:1])])
         for o in range(len(x)):
             sums = sums + self.taps[o] * x[o]
@@ -213,7 +213,7 @@ class PassTensors(nn.Module):
         self.at = 0
 
     def advance(self, yd: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
-        """Trajectories and voltages as they go on, late."""
+        """Return the delayed trajectory and the corrected, delayed voltages."""
         late, before = self.desired[self.at].clone(), self.voltages[self.at].clone()
         self.desired[self.at], self.voltages[self.at] = yd, u
         self.at = (self.at + 1) % self.wait
@@ -233,14 +233,14 @@ class Step(nn.Module):
 
     @torch.jit.export
     def step(self, x: list[float]) -> list[float]:
-        # On a name: TorchScript computes what stands before `tolist` three times.
+        # Assigned to a name, because TorchScript evaluates the expression before `tolist` three times.
         y: Tensor = self.forward(exact(x))
         numbers: list[float] = y.tolist()
         return numbers
 
     @torch.jit.export
     def block(self, x: Tensor) -> Tensor:
-        """(time, inputs) to (time, outputs)."""
+        """Apply the step to a block, from (time, inputs) to (time, outputs)."""
         y = torch.empty(len(x), self.gives, dtype=torch.float64)
         for t in range(len(x)):
             y[t] = self.forward(x[t])
@@ -265,7 +265,7 @@ class StageStep(Step):
         self.held_inputs = 0
 
     def forward(self, u: Tensor) -> Tensor:
-        """One sample: (inputs,), V, to (outputs,), µm."""
+        """Step one sample, from (inputs,), V, to (outputs,), µm."""
         if bool(torch.isfinite(u).all()):
             self.accepted = u
         else:
@@ -297,8 +297,8 @@ class InverseStep(Step):
         self.limited_outputs = 0
 
     def forward(self, yd: Tensor) -> Tensor:
-        """One sample: (outputs,), µm, to (inputs,), V."""
-        # A comparison with NaN is false.
+        """Step one sample, from (outputs,), µm, to (inputs,), V."""
+        # A comparison with NaN is false, so NaN is held as well.
         if bool((yd.abs() <= self.accepted_um).all()):
             self.accepted = yd
         else:
