@@ -116,7 +116,7 @@ def test_run_takes_the_stage_beside_the_compensator_and_says_so(
     assert torchpi(monkeypatch, "run", compensator, "--trajectory", wanted, *output) == 0
     done = capsys.readouterr()
     assert f"Stage: {folder / 'stage.pt'}, identified from your recordings" in done.out
-    assert "neither the voltage nor its rate meets a limit" in done.out
+    assert "neither the voltage nor its rate reaches a limit" in done.out
     assert done.err == ""
 
 
@@ -154,8 +154,10 @@ def test_run_says_at_which_motion_and_when_the_rate_meets_a_limit(
     arguments = ("--trajectory", f"[{slow}, {fast}]", "--max_slew_v_s", "80", "--output", tmp_path / "loop")
     assert torchpi(monkeypatch, "run", folder / "compensator.pt", *arguments) == 0
     text = capsys.readouterr().out
-    assert "On slow.csv neither the voltage nor its rate meets a limit" in text
-    assert re.search(r"On fast\.csv the rate of the voltage meets its limit of 80 V/s .* from 0\.\d+ s", text)
+    assert "On slow.csv neither the voltage nor its rate reaches a limit" in text
+    assert re.search(
+        r"On fast\.csv the rate of the voltage reaches its limit of 80 V/s .* from 0\.\d+ s", text
+    )
     loop = json.loads((tmp_path / "loop" / "loop.json").read_text())
     met = [one["drives"]["torchpi"]["limits_met"] for one in loop["trajectories"]]
     assert met[0] == [] and met[1][0]["quantity"] == "slew" and met[1][0]["value"] > 80

@@ -60,7 +60,7 @@ def test_a_hold_alone_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     files = written(tmp_path, record(np.full(400, 3.0), name="hold"))
-    assert "input never moves" in refused(monkeypatch, capsys, *files, "--output", tmp_path / "out")
+    assert "input never changes" in refused(monkeypatch, capsys, *files, "--output", tmp_path / "out")
 
 
 @pytest.mark.parametrize(
@@ -112,20 +112,20 @@ def test_recordings_that_no_load_explains_are_said_to_be_of_another_stage() -> N
 
 def test_one_recording_is_allowed_and_its_limits_are_said() -> None:
     found = diagnose([record(multisine(1500))])
-    assert any(note.startswith("One recording only") for note in found.notes)
+    assert any(note.startswith("There is only one recording") for note in found.notes)
     assert any(note.startswith("load_change: left out") for note in found.notes)
 
 
 def test_a_record_that_never_turns_round_is_allowed_and_its_limits_are_said() -> None:
     found = diagnose([record(np.linspace(0, 10, 1500))])
-    assert any("never turns round: hysteresis cannot be seen" in note for note in found.notes)
-    assert any(note.startswith("backlash: left out, the voltage never turns round") for note in found.notes)
+    assert any("never reverses: hysteresis cannot be seen" in note for note in found.notes)
+    assert any(note.startswith("backlash: left out, the voltage never reverses") for note in found.notes)
 
 
 def test_a_hold_among_others_serves_for_what_it_shows() -> None:
     resting = record(np.full(800, 3.0), name="resting", noise_um=0.01)
     found = diagnose([record(multisine(1500), noise_um=0.01), resting])
-    assert any(note.startswith("The voltage rests in resting") for note in found.notes)
+    assert any(note.startswith("The voltage is constant in resting") for note in found.notes)
     assert found.noise_floor_um == pytest.approx(0.01, rel=0.25)
 
 
@@ -147,5 +147,5 @@ def test_long_stairs_leave_nothing_slow_out() -> None:
 
 def test_a_column_in_which_nothing_moves_is_said() -> None:
     found = diagnose([record(multisine(1000), aux={"aux_still": np.zeros(1000)})])
-    assert any("Nothing moves in aux_still" in note for note in found.notes)
+    assert any("Constant in all recordings: aux_still" in note for note in found.notes)
     assert FS_HZ == found.traces[0].fs_hz

@@ -44,7 +44,7 @@ def test_of_two_recordings_one_sentence_is_enough() -> None:
 def test_another_offset_is_said_in_nanometres() -> None:
     traces = [recording(name, 0.0, -0.01, i) for i, name in enumerate("ab")] + [recording("c", 0.0, 0.02, 9)]
     (line,) = conflict(traces, NOISE_UM)
-    assert line.startswith("Recording c needs another offset than the others (+30")
+    assert line.startswith("Recording c needs a different offset from the others (+30")
 
 
 def test_what_the_named_effects_settle_is_said_to_be_settled() -> None:
@@ -55,7 +55,7 @@ def test_what_the_named_effects_settle_is_said_to_be_settled() -> None:
         dataclasses.replace(recording("c", 0.02, seed=3), residual_augmented=quiet),
     ]
     (line,) = conflict(traces, NOISE_UM)
-    assert line.endswith("with the named effects this is settled.")
+    assert line.endswith("the named effects account for this.")
 
 
 def test_a_slow_residual_counts_as_few_numbers() -> None:

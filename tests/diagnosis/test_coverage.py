@@ -55,7 +55,7 @@ def test_a_prediction_is_tested_where_the_held_out_samples_lie_and_no_further() 
         )
     )
     assert varied == ()
-    assert sine == ("loops between two levels", "strokes of one rate")
+    assert sine == ("loops between two levels", "strokes at one rate")
     (voltages, *rest) = ramp
     assert voltages == "voltages from 8.5 to 10 V of the recorded 0 to 10 V" and not rest
 

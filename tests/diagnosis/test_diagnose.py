@@ -279,7 +279,7 @@ def test_a_converter_is_named_from_a_fifth_of_the_noise_on(share: float, names: 
     read = [replace(one, y=lsb_um * np.round(one.y / lsb_um)) for one in pair(4000)]
     found = diagnose(read, effects=[])
     assert [effect.name for effect in found.effects] == names
-    assert any("lattice" in note for note in found.notes)
+    assert any("grid" in note for note in found.notes)
 
 
 def test_a_tone_that_is_left_is_not_called_noise() -> None:

@@ -115,7 +115,7 @@ def test_a_long_recording_that_reads_before_it_writes_has_no_lag(monkeypatch):
     one = Recording("late", t, u, 0.8 * before + 1e-3 * rng.standard_normal(len(t)), 1e4)
     found = diagnose([one])
     assert [effect.name for effect in found.effects] == [] and found.verdict == "nothing_missing"
-    assert found.stage.alignment == 1 and any("tick before" in note for note in found.notes)
+    assert found.stage.alignment == 1 and any("previous tick" in note for note in found.notes)
     assert found.augmented.heldout_rms_um < 0.6e-3
     assert found.stage.sample_rate_hz == 1e4
     left = one.y - found.stage.simulate(u[None])[0]

@@ -157,4 +157,4 @@ def test_noise_of_a_monitored_voltage_is_no_lag() -> None:
     found = diagnose([replace(one, u=one.u + rng.normal(0, 0.006, len(one.u))) for one in commanded])
     assert found.effects == ()
     assert found.augmented.heldout_rms_um < 1.5 * NOISE_UM
-    assert any("noise of its own" in note for note in found.notes)
+    assert any("measured voltage contains noise" in note for note in found.notes)

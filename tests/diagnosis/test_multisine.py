@@ -34,7 +34,7 @@ def test_noise_has_no_parts() -> None:
     assert scores.max() < SIGNIFICANT
     found = parts(0 * X)
     assert found.noise_um == pytest.approx(NOISE_UM, rel=0.03)
-    assert "nothing over the noise" in sentence(found)
+    assert "nothing above the noise" in sentence(found)
 
 
 def test_a_lag_is_linear() -> None:

@@ -77,7 +77,7 @@ def test_the_tables_know_the_names_of_the_contract_and_no_others():
 
 def test_the_pair_that_leads_decides():
     said, _ = next_recording(["creep", "thermal_drift", "amplifier_lag", "delay"], USUAL)
-    assert "drift follows the clock" in said.why
+    assert "drift depends on time alone" in said.why
 
 
 @pytest.mark.parametrize(
@@ -134,5 +134,5 @@ def test_recordings_at_rest_at_0_v_get_a_rest_and_are_sent_for_the_limits():
 
 
 def test_nothing_open_asks_for_a_confirmation_and_the_nameless_for_a_multisine():
-    assert "Nothing is open" in next_recording([], USUAL)[0].why
+    assert "No question is open" in next_recording([], USUAL)[0].why
     assert "no name" in next_recording([], USUAL, unexplained=True)[0].why

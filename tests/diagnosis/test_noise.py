@@ -172,7 +172,7 @@ def test_the_step_of_a_converter_is_read_off_the_readings(noise_um: float) -> No
     ]
     step, notes = converter(recordings)
     assert step == pytest.approx(0.0123, rel=1e-6)
-    assert notes == ("All readings lie on a lattice of 12.3 nm.",)
+    assert notes == ("All readings lie on a grid with a step of 12.3 nm.",)
 
 
 def test_one_step_is_read_off_all_recordings_though_one_passes_few_of_its_values() -> None:

@@ -21,7 +21,7 @@ from torchpi.diagnosis.say import paragraph, percent, sentence, spoken_parameter
 
 ERRORS = [Errors(one, one, one) for one in (0.05, 0.04, 0.0042)]
 NOISE = Noise(0.004, np.full(5, 1.6e-5), 2e3, "holds of the voltage")
-NEXT = NextRecording("Nothing is open.", "none")
+NEXT = NextRecording("No question is open.", "none")
 
 
 def lag(probability: float, alternatives: tuple[str, ...] = ()) -> NamedEffect:
@@ -72,10 +72,10 @@ def test_a_hysteresis_goes_by_the_names_of_its_authors() -> None:
 def test_what_the_recordings_know_of_one_another_is_said_in_the_place_of_what_no_effect_explains() -> None:
     each = (AcrossRecordings("slow", 0.004, 0.004), AcrossRecordings("fast", 0.04, 0.005))
     text = paragraph(decided("partly_explained", lag(0.9)), ERRORS, NOISE, NEXT, across=each)
-    assert "predicts fast with an error of 40 nm, against 5 nm with all." in text
-    assert "stays unexplained" not in text
+    assert "predicts fast with an error of 40 nm, against 5 nm when fitted to all." in text
+    assert "remains unexplained" not in text
     text = paragraph(decided("explained", lag(0.9)), ERRORS, NOISE, NEXT, across=each[:1])
-    assert "the hysteresis predicts each recording as well." in text
+    assert "the hysteresis predicts each recording equally well." in text
     each = (*each[:1], AcrossRecordings("fast", 0.0088, 0.005))
     text = paragraph(decided("explained", lag(0.9)), ERRORS, NOISE, NEXT, across=each)
     assert "the hysteresis predicts each recording with an error at most 1.8 times as large." in text
@@ -83,7 +83,7 @@ def test_what_the_recordings_know_of_one_another_is_said_in_the_place_of_what_no
 
 def test_what_only_several_explain_together_is_said() -> None:
     text = paragraph(decided("explained", lag(0.9), joint=0.45), ERRORS, NOISE, NEXT)
-    assert "45 % is explained by several of them together, and by none beside the others." in text
+    assert "45 % is explained by several of them together and cannot be attributed to any single one." in text
     assert "together" not in paragraph(decided("explained", lag(0.9)), ERRORS, NOISE, NEXT)
 
 
@@ -103,19 +103,19 @@ def test_noise_that_was_not_measured_is_said_not_to_be() -> None:
 def test_an_error_that_does_not_fall_is_not_said_to() -> None:
     better = paragraph(decided("explained", lag(0.9)), ERRORS, NOISE, NEXT)
     worse = paragraph(decided("explained", lag(0.9)), [ERRORS[0], ERRORS[1], ERRORS[0]], NOISE, NEXT)
-    assert "With that the error falls to 4.2 nm." in better
+    assert "With this included, the error falls to 4.2 nm." in better
     assert (
-        "On the held-out samples that is no gain: the error is 50 nm with it." in worse
+        "On the held-out samples this brings no improvement: the error is 50 nm with it." in worse
         and "falls" not in worse
     )
 
 
 def test_what_is_left_is_said_with_its_size_and_its_places() -> None:
     text = paragraph(decided("partly_explained", lag(0.9)), ERRORS, NOISE, NEXT, ("620 Hz", "the first 2 s"))
-    assert "20 % of the squared residual stays unexplained" in text
-    assert "What is left stands out in 620 Hz; the first 2 s." in text
+    assert "20 % of the squared residual remains unexplained" in text
+    assert "The remaining residual stands out in 620 Hz; the first 2 s." in text
     unknown = paragraph(decided("partly_explained", lag(0.9), unexplained=0.0), ERRORS, None, NEXT)
-    assert "Part of the squared residual stays unexplained" in unknown
+    assert "Part of the squared residual remains unexplained" in unknown
 
 
 def test_an_unnamed_remainder_is_said_where_it_helps_and_only_there() -> None:
@@ -126,9 +126,9 @@ def test_an_unnamed_remainder_is_said_where_it_helps_and_only_there() -> None:
 
 
 def test_a_closed_verdict_says_on_what_it_was_tested() -> None:
-    alike = ("voltages from 1 to 3 V", "loops between two levels", "strokes of one rate")
+    alike = ("voltages from 1 to 3 V", "loops between two levels", "strokes at one rate")
     closed = paragraph(decided("explained", lag(0.9)), ERRORS, NOISE, NEXT, (), alike)
-    assert "tested only on voltages from 1 to 3 V, loops between two levels and strokes of one rate" in closed
+    assert "tested only on voltages from 1 to 3 V, loops between two levels and strokes at one rate" in closed
     for verdict, phrases in (("explained", ()), ("partly_explained", alike)):
         assert "tested" not in paragraph(decided(verdict, lag(0.9)), ERRORS, NOISE, NEXT, (), phrases)
 

@@ -53,4 +53,4 @@ def test_a_step_before_the_recording_does_not_hide_a_lag_and_is_said() -> None:
     assert found.verdict == "explained" and found.augmented.train_rms_um < 1.2 * PLANT_NOISE_UM
     begun = next(cell for cell in found.where if cell.domain == "time" and cell.range[0] == 0.0)
     assert begun.share < 0.3
-    assert any("settling from what came before" in note for note in found.notes)
+    assert any("settling after a motion before the recording" in note for note in found.notes)

@@ -66,7 +66,7 @@ def test_a_mount_that_sticks_is_named_with_its_jump(stuck: tuple[list[Recording]
     assert numbers["jump_um"].value == pytest.approx(BREAKAWAY_UM - SLIDING_UM, rel=0.02)
     low, high = numbers["jump_um"].interval_90 or (0.0, 0.0)
     assert low < BREAKAWAY_UM - SLIDING_UM < high
-    assert any("sticks and slips" in note for note in found.notes)
+    assert any("stick-slip" in note for note in found.notes)
 
 
 def test_the_errors_of_such_a_diagnosis_are_those_of_the_stage_that_it_leaves(

@@ -242,7 +242,7 @@ def test_without_a_measured_noise_the_page_says_so_and_compares_with_none(
     page, numbers = write_diagnosis(unmeasured, provenance, tmp_path, drawn)
     html = page.read_text(encoding="utf-8")
     assert "noise not measured" in html and "The noise was not measured." in html
-    assert "is not known how much of what is left is unexplained" in html
+    assert "is not known how much of the remaining error is unexplained" in html
     half = dataclasses.replace(unmeasured, verdict="partly_explained")
     assert headline(half).startswith("Partly explained: held-out error")
     assert "times the noise" not in html and "held out over the noise" not in html and " ×</td>" not in html

@@ -143,8 +143,8 @@ def test_a_limit_that_was_met_is_said_once_and_what_went_beyond_it_too(results: 
         words.limits(with_limits(results[0], one))[0]
         for one in (met, replace(met, quantity="slew", limit=80.0, value=81.0))
     ]
-    assert "the voltage meets its limit of 10 V from 0.5 s for 1 ms" in sentences[0]
-    assert "meets its limit of 80 V/s (at most 81 V/s) from 0.5 s" in sentences[1]
+    assert "the voltage reaches its limit of 10 V from 0.5 s for 1 ms" in sentences[0]
+    assert "reaches its limit of 80 V/s (at most 81 V/s) from 0.5 s" in sentences[1]
 
 
 def with_limits(result: LoopResult, met: LimitMet) -> LoopResult:

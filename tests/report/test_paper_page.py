@@ -90,7 +90,7 @@ def test_text_in_figures_is_eight_points_or_more_and_axes_have_units(monkeypatch
 
 def test_what_is_missing_is_named_and_text_is_escaped() -> None:
     html = paper_page.paper_page([], ["fig3", "<b>"], _PROVENANCE)
-    assert "not computed yet: fig3, &lt;b&gt;" in html
+    assert "not been computed yet: fig3, &lt;b&gt;" in html
 
 
 @pytest.mark.parametrize(
@@ -113,7 +113,7 @@ def test_a_row_that_is_met_or_missed_says_so() -> None:
     section = paper_page.Section("learning", None, rows, 1.0)
     html = paper_page.paper_page([section], [], _PROVENANCE)
     assert '<tr class="met">' in html and '<tr class="missed">' in html
-    assert "Of 2 numbers that are asked for, 1 are" in html
+    assert "Of 2 required values, 1 are" in html
     assert "<strong>1 of 2</strong>" in html
 
 

@@ -1,4 +1,4 @@
-"""Missing physics: where simulation and recordings differ, why, and a better simulation."""
+"""Diagnosis of missing physics: where simulation and recordings differ, why, and a better simulation."""
 
 from torchpi.diagnosis.diagnose import diagnose
 from torchpi.diagnosis.diagnosis import Diagnosis

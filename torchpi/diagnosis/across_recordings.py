@@ -1,8 +1,8 @@
-"""How well each recording is predicted by the others: cross-validation over recordings.
+"""Cross-validation over recordings: how well each recording is predicted by the others.
 
-A hysteresis of hundreds of weights may fit every recording down to the noise, its sealed end included, and
-be wrong about the next motion: steps say little of the minor loops of a decaying sine. What the others know
-of a recording tells (Stone, *J. Royal Statistical Society B* 36(2), 1974).
+A hysteresis model with hundreds of weights may fit every recording, including its sealed end, down to the
+noise and still be wrong about the next motion: steps say little about the minor loops of a decaying sine.
+Predicting each recording from the others reveals this (Stone, *J. Royal Statistical Society B* 36(2), 1974).
 """
 
 from collections.abc import Sequence
@@ -20,19 +20,19 @@ from torchpi.diagnosis.sealed import mean_square
 from torchpi.diagnosis.sensitivity import tangent_of
 
 REACHED = 0.9
-"""Of the span of a recording's voltage, what the others have to reach."""
+"""Share of a recording's voltage span that the other recordings must cover."""
 
 
 def across_recordings(chain: Chain, final: Fit) -> tuple[AcrossRecordings, ...]:
-    """Each recording whose voltages the others reach, predicted by them.
+    """Predict each recording whose voltages the others cover from a fit to the others.
 
-    The effects keep their numbers, few as they are: a mode that only one recording excites is no reason to
-    doubt it. The weights of the hysteresis are fitted to the others; the recording's own are its history
-    and its zero.
+    The parameters of the effects are few and are not refitted: that a mode is excited in only one recording
+    is no reason to doubt it. The hysteresis weights are fitted to the other recordings; only history and zero
+    are fitted to the recording itself.
 
     Args:
         chain: The recordings, with the weighting of the final fit.
-        final: The fit that is tested.
+        final: The fit under test.
     """
     reached = [reached_by_others(chain.records, i) for i in range(len(chain.records))]
     if not any(reached):
@@ -66,7 +66,7 @@ def across_recordings(chain: Chain, final: Fit) -> tuple[AcrossRecordings, ...]:
 
 
 def reached_by_others(records: Sequence[Record], index: int) -> bool:
-    """Whether the other recordings move over the voltages of one: what lies beyond them they cannot know."""
+    """Whether the other recordings cover the voltages of one: beyond their range they cannot predict it."""
     u, others = records[index].u, [record.u for k, record in enumerate(records) if k != index]
     if not others:
         return False
@@ -75,7 +75,7 @@ def reached_by_others(records: Sequence[Record], index: int) -> bool:
 
 
 def beside_its_own(chain: Chain, hypothesis: Hypothesis, weights: np.ndarray, index: int) -> np.ndarray:
-    """(time,), µm: what is left of a recording once its history and its zero have been fitted to it."""
+    """(time,), µm: residual of a recording after its own history and zero have been fitted to it."""
     record = chain.records[index]
     signals = chain.behind_each(hypothesis, weights, index)
     left = record.y - chain.output_of(hypothesis, weights, index, signals)

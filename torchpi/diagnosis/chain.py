@@ -1,4 +1,4 @@
-"""A hypothesis on recordings: its displacement, and how that moves with every number in it."""
+"""Evaluation of hypotheses on recordings: displacement, and its derivatives along rows and parameters."""
 
 import pickle
 from collections.abc import Sequence
@@ -25,27 +25,27 @@ from torchpi.stage.effects.mechanics.modes import Modes, Part
 from torchpi.stage.effects.mechanics.stiction import Stiction
 
 SIGNALS = 60
-"""Signals inside the chain that are kept."""
+"""Maximum number of cached signals inside the chain."""
 MADE = 2000
-"""Effects with their numbers that are kept."""
+"""Maximum number of cached effects with given parameters; also of cached placements and matrices."""
 AT_ONCE = 128
-"""Rows over time that are worked on at once: all of a large hysteresis are some hundred megabytes."""
+"""Rows over time that are processed at once: all rows of a large hysteresis take some hundred megabytes."""
 REMEMBERED = 600_000_000
-"""Bytes of rows that are kept: one candidate after another acts behind the same hysteresis."""
+"""Maximum bytes of cached rows, kept because successive candidates act behind the same hysteresis."""
 
 
 class Placed(NamedTuple):
-    """An effect of one recording, and the auxiliary signal that it takes.
+    """An effect in the chain of one recording, with the auxiliary signal that it takes.
 
-    A linear one is at rest where the recording begins: it was there for long.
+    A linear effect starts at rest: its input is taken to have had its first value for a long time.
     """
 
     effect: Effect
     aux: Tensor | tuple[Tensor, ...] | None
     key: tuple[object, ...]
-    """What tells it from another."""
+    """Cache key that distinguishes it from other effects."""
     matrices: Matrices | None
-    """Of an effect of a few states."""
+    """State-space matrices, for an effect with few states."""
 
     def __call__(self, x: Tensor) -> Tensor:
         if self.aux is None and isinstance(self.effect, LinearEffect):
@@ -55,13 +55,13 @@ class Placed(NamedTuple):
         return y
 
     def tangent(self, x: Tensor, dx: Tensor) -> Tensor:
-        """How the output moves along each direction, (directions, time)."""
+        """Return the derivative of the output along each direction, (directions, time)."""
         if self.aux is None and isinstance(self.effect, LinearEffect):
             return self.of_deviation(dx)
         return self.effect.tangent(x, dx)
 
     def of_deviation(self, x: Tensor) -> Tensor:
-        """What a linear effect makes of rows, (rows, time), at rest at their first sample."""
+        """Return the response of a linear effect to rows, (rows, time), at rest at their first sample."""
         first = x[:, :1]
         response = self.effect(x - first) if self.matrices is None else run(x - first, self.matrices)
         moved: Tensor = response[0]
@@ -74,48 +74,48 @@ class Chain:
     def __init__(self, records: Sequence[Record], weighting: Weighting | None = None) -> None:
         self.records = records
         self.weighting = weighting or Weighting.flat(records)
-        """What each coefficient counts."""
+        """The weight of each coefficient."""
         self.remembered: dict[tuple[object, ...], np.ndarray] = {}
         self.signals: dict[tuple[object, ...], Tensor] = {}
         self.made: dict[tuple[object, ...], Effect] = {}
         self.matrices: dict[tuple[object, ...], Matrices] = {}
         self.linearised: Any = None
-        """The sensitivities that many fits begin with, and what they were taken of."""
+        """Sensitivities that many fits start from, with a key for the point at which they were taken."""
         self.placements: dict[tuple[Hypothesis, int], list[Placed]] = {}
 
     @cached_property
     def packed(self) -> tuple[str, bytes]:
-        """The recordings as they go to another process, and a key that tells them from others."""
+        """A key that identifies the recordings, and the recordings pickled for another process."""
         content = pickle.dumps(self.records)
         return sha256(content).hexdigest(), content
 
     @cached_property
     def span_v(self) -> float:
-        """The largest travel of the command."""
+        """The largest travel of the command in any recording, V."""
         return max(float(np.ptp(record.u)) for record in self.records)
 
     @cached_property
     def span_um(self) -> float:
-        """The largest travel of a reading."""
+        """The largest travel of the readings in any recording, µm."""
         return max(float(np.ptp(record.y)) for record in self.records) or 1e-9
 
     @property
     def gain_um_per_v(self) -> float:
-        """Of the largest travels."""
+        """Ratio of the largest travels."""
         return self.span_um / (self.span_v or 1.0)
 
     def numbers(self, hypothesis: Hypothesis) -> int:
-        """How many weights there are: of the rows, of the history of each recording, of its zero."""
+        """Number of weights: those of the rows, and the history and the zero of each recording."""
         return hypothesis.nominal.kept + len(self.records) * (1 + hypothesis.history)
 
     def whitened(self, index: int, rows: np.ndarray) -> np.ndarray:
-        """(rows, kept): Haar coefficients of rows, (rows, time), over what each may be off by."""
+        """(rows, kept): Haar coefficients of rows, (rows, time), each divided by its standard deviation."""
         found = self.records[index].coefficients(rows)
         found *= self.weighting.inverse_sd[index]
         return found
 
     def output(self, hypothesis: Hypothesis, weights: np.ndarray, index: int) -> np.ndarray:
-        """(time,), µm, for one recording. Its zero lies behind everything."""
+        """(time,), µm: the output for one recording. Its zero is added behind all effects."""
         key = (self.key(hypothesis, index), weights.tobytes())
         path: list[tuple[object, ...]] = [key]
         y = self.signals.get(tuple(path))
@@ -134,9 +134,9 @@ class Chain:
         return self.where_stuck(hypothesis, index, y[0].numpy() + self.zero(weights, index))
 
     def displacement(self, hypothesis: Hypothesis, weights: np.ndarray, index: int) -> np.ndarray:
-        """(time,), µm: the sum over the hysteresis."""
+        """(time,), µm: the weighted sum over the states of the hysteresis."""
         used = self.used(hypothesis, index)
-        # Which way is summed depends on the hypothesis alone, not on what is remembered: equal bits anywhere.
+        # The way of summing depends on the hypothesis alone, not on the cache, so results agree to the bit.
         if not any(hypothesis.precedes(member.effect) for member in hypothesis.members):
             x: np.ndarray = weights[used] @ self.rows(hypothesis, index)
             return x
@@ -148,7 +148,7 @@ class Chain:
         return remembered
 
     def remember(self, path: tuple[object, ...], signal: Tensor) -> None:
-        """Keep a signal inside the chain: one candidate after another acts behind the same ones."""
+        """Cache a signal inside the chain: successive candidates act behind the same signals."""
         if len(self.signals) >= SIGNALS:
             self.signals.clear()
         self.signals[path] = signal
@@ -158,16 +158,16 @@ class Chain:
         return float(weights[len(weights) - len(self.records) + index])
 
     def where_stuck(self, hypothesis: Hypothesis, index: int, y: np.ndarray) -> np.ndarray:
-        """An output, and where the mount is seen to stick the place at which it rests."""
+        """Replace the output by the rest position wherever the mount is seen to stick."""
         rests = self.rests(hypothesis, index)
         return y if rests is None else np.where(rests.stuck, rests.at_um, y)
 
     def rests(self, hypothesis: Hypothesis, index: int) -> Rests | None:
-        """Where the mount is seen to stick, if the hypothesis has it stick."""
+        """Where the mount is seen to stick, if the hypothesis includes stiction; else None."""
         return self.records[index].rests if Stiction.name in hypothesis.names else None
 
     def behind_each(self, hypothesis: Hypothesis, weights: np.ndarray, index: int) -> list[Tensor]:
-        """(1, time) each: the sum over the hysteresis, and what each effect behind it makes of it."""
+        """(1, time) each: the sum over the hysteresis, then the output of each effect behind it."""
         used = self.used(hypothesis, index)
         found = [torch.from_numpy(weights[used] @ self.rows(hypothesis, index))[None]]
         with torch.no_grad():
@@ -178,13 +178,13 @@ class Chain:
     def output_of(
         self, hypothesis: Hypothesis, weights: np.ndarray, index: int, signals: Sequence[Tensor]
     ) -> np.ndarray:
-        """(time,), µm: the output, of the signals behind each effect."""
+        """(time,), µm: the output, given the signals of `behind_each`."""
         return self.where_stuck(hypothesis, index, signals[-1][0].numpy() + self.zero(weights, index))
 
     def directions(
         self, hypothesis: Hypothesis, rows: np.ndarray, index: int, signals: Sequence[Tensor]
     ) -> np.ndarray:
-        """(rows, time): how the output moves along rows of the hysteresis, (rows, time), at these signals."""
+        """(rows, time): derivative of the output along hysteresis rows, (rows, time), at these signals."""
         found = torch.from_numpy(rows)
         with torch.no_grad():
             for placed, x in zip(self.after(hypothesis, index), signals[:-1], strict=True):
@@ -193,7 +193,7 @@ class Chain:
         return found.numpy() if rests is None else np.where(rests.stuck, 0.0, found)
 
     def used(self, hypothesis: Hypothesis, index: int) -> np.ndarray:
-        """Which weights belong to the rows of a recording."""
+        """Indices of the weights that belong to the rows of a recording."""
         kept = hypothesis.nominal.kept
         first = kept + hypothesis.history * index
         return np.concatenate([np.arange(kept), np.arange(first, first + hypothesis.history)])
@@ -201,8 +201,8 @@ class Chain:
     def slopes(
         self, hypothesis: Hypothesis, weights: np.ndarray, index: int
     ) -> dict[tuple[int, str], np.ndarray]:
-        """How the output moves with each number of its modes, (time,), in closed form; under the member's
-        place and the number's name."""
+        """Derivative of the output with respect to each modal parameter, (time,), in closed form, keyed by
+        the member's index and the parameter's name."""
         places = [k for k, m in enumerate(hypothesis.members) if issubclass(m.effect, ModalEffect)]
         if not places:
             return {}
@@ -219,7 +219,7 @@ class Chain:
         return {(places[part], name): row[0].numpy() for (part, name), row in found.items()}
 
     def moved(self, hypothesis: Hypothesis, rows: np.ndarray, index: int) -> np.ndarray:
-        """What the chain after the hysteresis makes of rows, (rows, time), about rest."""
+        """Propagate rows, (rows, time), through the chain behind the hysteresis, linearised about rest."""
         directions, x = torch.from_numpy(rows), torch.zeros(1, rows.shape[1], dtype=torch.float64)
         with torch.no_grad():
             for placed in self.after(hypothesis, index):
@@ -227,7 +227,7 @@ class Chain:
         return directions.numpy()
 
     def rows(self, hypothesis: Hypothesis, index: int) -> np.ndarray:
-        """The states of the hysteresis, then what the recording may remember, (rows, time)."""
+        """(rows, time): the states of the hysteresis, then the columns of the recording's history."""
         key = self.key(hypothesis, index)
         if key not in self.remembered:
             nominal = self.nominal(hypothesis, index)
@@ -244,7 +244,7 @@ class Chain:
         return self.remembered[key]
 
     def voltage(self, hypothesis: Hypothesis, index: int) -> np.ndarray:
-        """What drives the hysteresis, (time,), V."""
+        """(time,), V: the voltage that drives the hysteresis."""
         before = hypothesis.alignment - self.late(hypothesis, index)
         v = torch.from_numpy(self.records[index].commanded(before))[None]
         with torch.no_grad():
@@ -254,14 +254,14 @@ class Chain:
         return reached
 
     def late(self, hypothesis: Hypothesis, index: int) -> int:
-        """By how many samples all that is driven is shifted, in place of the voltage: a simulation that does
-        not change with time need not be called again for a tick that is a sample."""
+        """Number of samples by which the driven rows are shifted in place of the voltage. Where a tick is one
+        sample, a time-invariant simulation then need not be called again for another alignment."""
         record = self.records[index]
         at_ticks = record.tick_s == record.period_s
         return hypothesis.alignment if hypothesis.nominal.simulation and at_ticks else 0
 
     def key(self, hypothesis: Hypothesis, index: int) -> tuple[object, ...]:
-        """What the states depend on."""
+        """Cache key of the states: everything that they depend on."""
         nominal = self.nominal(hypothesis, index)
         before = tuple(placed.key for placed in self.before(hypothesis, index))
         shape = tuple(sorted(nominal.shape.items()))
@@ -269,15 +269,15 @@ class Chain:
         return (index, hypothesis.alignment, past, nominal.structure, shape, before)
 
     def before(self, hypothesis: Hypothesis, index: int) -> list[Placed]:
-        """What precedes the hysteresis."""
+        """The effects that precede the hysteresis."""
         return [p for p in self.placed(hypothesis, index) if hypothesis.precedes(type(p.effect))]
 
     def after(self, hypothesis: Hypothesis, index: int) -> list[Placed]:
-        """What follows the hysteresis."""
+        """The effects that follow the hysteresis."""
         return [p for p in self.placed(hypothesis, index) if not hypothesis.precedes(type(p.effect))]
 
     def bends(self, hypothesis: Hypothesis) -> bool:
-        """Whether what follows the hysteresis is not linear, nor are the readings in the weights."""
+        """Whether a nonlinear effect behind the hysteresis makes the readings nonlinear in the weights."""
         return any(not isinstance(one.effect, LinearEffect | Modes) for one in self.after(hypothesis, 0))
 
     def placed(self, hypothesis: Hypothesis, index: int) -> list[Placed]:
@@ -289,7 +289,7 @@ class Chain:
         return self.placements[hypothesis, index]
 
     def place(self, hypothesis: Hypothesis, index: int) -> list[Placed]:
-        """The same, made."""
+        """Make the effects that `placed` returns."""
         record = self.records[index]
         parts: list[tuple[Effect, tuple[object, ...], str]] = []
         modal = [m for m in hypothesis.members if issubclass(m.effect, ModalEffect)]
@@ -305,7 +305,7 @@ class Chain:
                     if len(self.made) >= MADE:
                         self.made.clear()
                     self.made[key] = member.effect(record.period_s, **member.values(index))
-                # A copy, because what its input does between samples is set by the blocks before it.
+                # Copied, because the blocks before it determine what its input does between samples.
                 parts.append((copy(self.made[key]), key, member.aux))
             elif modal and member is modal[-1]:
                 each = [Part(m.effect, m.values(index), m.aux) for m in modal]  # type: ignore[arg-type]
@@ -323,7 +323,7 @@ class Chain:
         return found
 
     def discrete(self, effect: Effect, key: tuple[object, ...]) -> Matrices | None:
-        """The matrices of an effect of a few states: to make them takes longer than to use them."""
+        """Cached matrices of an effect with few states: computing them takes longer than using them."""
         if not isinstance(effect, StateSpaceEffect):
             return None
         if key not in self.matrices:
@@ -334,7 +334,7 @@ class Chain:
         return self.matrices[key]
 
     def nominal(self, hypothesis: Hypothesis, index: int) -> HysteresisModel:
-        """The hysteresis with the effects inside it."""
+        """The hysteresis, including the effects that act inside it."""
         nominal = hypothesis.nominal
         for member in hypothesis.members:
             if issubclass(member.effect, InsideEffect):

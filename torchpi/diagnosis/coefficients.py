@@ -1,4 +1,4 @@
-"""The Haar coefficients of one recording that a fit sums over, and the cell that each is in."""
+"""The Haar coefficients of one recording over which a fit sums, and the cell that each belongs to."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -9,39 +9,39 @@ from torchpi.diagnosis.haar import CELLS, Haar
 from torchpi.diagnosis.repeats import PLAIN, Repeats
 
 CHUNK = 16
-"""Rows of which what does not repeat is taken at a time."""
+"""Number of rows whose non-repeating part is computed at a time."""
 
 
 @dataclass(frozen=True, eq=False)
 class Coefficients:
-    """Of a recording's readings and, where its input repeats, of what does not repeat of them.
+    """Coefficients of a recording's readings and, where its input repeats, of their non-repeating part.
 
-    What follows the voltage counts once; what does not counts once more, without what hides it.
+    The part that follows the voltage counts once; the part that does not counts again, free of what masks it.
     """
 
     samples: int
-    """That are transformed: those before the sealed block."""
+    """Number of samples that are transformed: those before the sealed block."""
     repeats: Repeats
     pieces: tuple[tuple[int, Haar], ...]
-    """Each with its first sample; the first has the readings as they are."""
-    scale: np.ndarray  # shape: (kept,), samples that each spans
+    """First sample and transform of each piece; the first piece has the readings as they are."""
+    scale: np.ndarray  # shape: (kept,), number of samples that each spans
     cell: np.ndarray  # shape: (kept,), numbered within the recording
     at: np.ndarray  # shape: (kept,), the sample in the middle of each
     level_of_cell: np.ndarray  # shape: (cells,), 1 for differences of neighbours
-    kind_of_cell: np.ndarray  # shape: (cells,), of the piece
+    kind_of_cell: np.ndarray  # shape: (cells,), the kind of its piece
 
     @classmethod
     def of(
         cls, u: np.ndarray, activity: np.ndarray, samples: int, valid: np.ndarray, at_most: int
     ) -> "Coefficients":
-        """Those of a recording.
+        """Choose the coefficients of a recording.
 
         Args:
             u: (time,), its voltage.
             activity: (time,), a signal whose larger coefficients are kept first where not all can be.
             samples: How many samples, from the first, are transformed.
             valid: (time,), bool: readings that count.
-            at_most: Coefficients of one scale of a piece that are kept.
+            at_most: Maximum number of coefficients kept on one scale of a piece.
         """
         repeats = Repeats.of(u, samples, valid)
         active = repeats(activity[None])[0]
@@ -65,7 +65,7 @@ class Coefficients:
 
     @cached_property
     def stretch(self) -> np.ndarray:
-        """(kept,): the stretch of time in which each lies, as many as the cells of one scale."""
+        """(kept,): the stretch of time in which each lies; there are as many as cells on one scale."""
         return self.at * CELLS // self.samples
 
     @property
@@ -77,7 +77,7 @@ class Coefficients:
         return len(self.level_of_cell)
 
     def __call__(self, rows: np.ndarray) -> np.ndarray:
-        """(rows, kept) of rows, (rows, time)."""
+        """(rows, kept): the coefficients of rows, (rows, time)."""
         (_, readings), *apart = self.pieces
         if not apart:
             return readings(rows)

@@ -1,4 +1,4 @@
-"""Whether one nominal stage fits all recordings, or they need different ones."""
+"""Whether one nominal stage fits all recordings, or some recordings need a different one."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,33 +10,33 @@ from torchpi.diagnosis.locate import SIGNIFICANT
 from torchpi.recordings.faults import robust_sd
 
 BLOCKS = 20
-"""Stretches of a recording that count as independent, as long as they can be."""
+"""Number of stretches of a recording, as long as possible, that count as independent."""
 LEAST_SHARE = 0.2
-"""Of a recording's mismatch over the floor that its own gain and offset must take away."""
+"""Least share of a recording's mismatch over the floor that its own gain and offset must remove."""
 
 
 @dataclass(frozen=True)
 class GainAndOffset:
-    """What the residual of one recording calls for, given the stage that was fitted to all."""
+    """Gain and offset that the residual of one recording calls for, given the stage fitted to all."""
 
     recording: str
     gain: float
-    """Relative to the stage's; 0 is the same."""
+    """Relative to the stage's gain; 0 means no difference."""
     gain_sd: float
     offset_um: float
     offset_sd_um: float
     share: float
-    """Of the recording's squared residual over the floor that both take away."""
+    """Share of the recording's squared residual over the floor that both together remove."""
 
 
 def conflict(traces: Sequence[Trace], noise_floor_um: float) -> tuple[str, ...]:
-    """A sentence for each recording that needs another gain or offset than the rest; () if they agree.
+    """Return a sentence for each recording that needs another gain or offset than the rest; () if they agree.
 
-    Each recording's residual is fitted by a gain and an offset of its own. A recording is in conflict where
-    one of them differs from that of the other recordings by more than `SIGNIFICANT` standard deviations, and
-    both together take away a fifth of its mismatch. The standard deviations come from the recording cut into
-    twenty stretches (a sandwich with stretches for clusters: Liang and Zeger 1986), so that a slow residual
-    counts as few numbers. The sentence says whether the named effects settle it.
+    A gain and an offset are fitted to each recording's residual. A recording is in conflict if one of them
+    differs from that of the other recordings by more than `SIGNIFICANT` standard deviations, and if both
+    together remove a fifth of its mismatch. The standard deviations come from cutting the recording into
+    twenty stretches (a sandwich estimator with stretches as clusters: Liang and Zeger 1986), so that a slow
+    residual counts as few observations. The sentence says whether the named effects resolve the conflict.
 
     Args:
         traces: The recordings.
@@ -52,17 +52,17 @@ def conflict(traces: Sequence[Trace], noise_floor_um: float) -> tuple[str, ...]:
         + (
             "another stage, load or sensor setting, or physics that the named effects do not cover."
             if i in remains
-            else "with the named effects this is settled."
+            else "the named effects account for this."
         )
         for i, _, what, difference in _apart(before)
     )
 
 
 def gain_and_offset(trace: Trace, residual: np.ndarray, noise_floor_um: float) -> GainAndOffset:
-    """Gain and offset of the residual of a recording, with their standard deviations."""
+    """Fit gain and offset to the residual of a recording, with their standard deviations."""
     modelled = trace.y - residual
     rows = np.stack([modelled - modelled.mean(), np.ones_like(modelled)])
-    size = np.maximum((rows**2).sum(1), 1e-150)  # its square is not to vanish
+    size = np.maximum((rows**2).sum(1), 1e-150)  # its square must not underflow
     value = rows @ residual / size
     left = residual - value @ rows
     starts = np.linspace(0, len(left), BLOCKS + 1).astype(int)[:-1]
@@ -76,7 +76,7 @@ def gain_and_offset(trace: Trace, residual: np.ndarray, noise_floor_um: float) -
 
 
 def _apart(found: Sequence[GainAndOffset]) -> list[tuple[int, float, str, str]]:
-    """Index, significance, and words, of the recordings apart from the rest."""
+    """Index, significance and wording for each recording that differs from the rest."""
     apart = []
     for i, own in enumerate(found):
         if own.share < LEAST_SHARE:
@@ -95,13 +95,13 @@ def _apart(found: Sequence[GainAndOffset]) -> list[tuple[int, float, str, str]]:
         else:
             difference, sd = 1e3 * (own.offset_um - offset), 1e3 * np.hypot(own.offset_sd_um, offset_sd)
             text = f"{difference:+.3g} ± {sd:.1g} nm".replace("-", "−")
-            apart.append((i, abs(by_offset), "another offset than", text))
-    # Of two recordings neither is the odd one out.
+            apart.append((i, abs(by_offset), "a different offset from", text))
+    # With two recordings neither is the odd one out: report only the more significant difference.
     return apart if len(found) > 2 else sorted(apart, key=lambda one: -one[1])[:1]
 
 
 def _pooled(values: Sequence[tuple[float, float]]) -> tuple[float, float]:
-    """The median, and the spread of the values where it is larger than their own uncertainty."""
+    """The median and its standard deviation, from the uncertainties of the values and from their spread."""
     middle = float(np.median([value for value, _ in values]))
     own = float(np.median([sd for _, sd in values])) / np.sqrt(len(values))
     spread = float(robust_sd(np.array([value - middle for value, _ in values]))) / np.sqrt(len(values))

@@ -1,4 +1,4 @@
-"""Fits against one another: what each is worth under the one score, and which is worth another step."""
+"""Comparison of fits: how each ranks under the one score, and which of them deserve further steps."""
 
 from collections.abc import Sequence
 from concurrent.futures import Executor
@@ -19,23 +19,23 @@ from torchpi.diagnosis.score import Gain, Weighting, gain
 from torchpi.diagnosis.sensitivity import Near
 
 PRIOR = log(1 / 20)
-"""Log odds that any one effect is missing before the recordings are seen: one or two of some twenty are."""
+"""Prior log odds that any one effect is missing: typically one or two of some twenty are."""
 ACCEPTED = 0.95
-"""Probability of predicting better from which the search goes on with an effect."""
+"""Probability of predicting better above which the search accepts an effect."""
 FAINT = 0.2
-"""Of the noise, or of the rms that is left: what explains less is of no use to a user, and a solver's error
-does as much."""
+"""Fraction of the noise, or of the remaining rms: an effect that explains less is of no use to a user, and a
+solver's error explains as much."""
 ADEQUATE = 0.25
-"""Share of what is to be explained where an effect acts from which a search goes on with it: as much as each
-of four that act in the same place."""
+"""Share that an effect must explain of what is to be explained where it acts, for the search to accept it: as
+much as each of four effects that act in the same place."""
 TOGETHER = 2.0
-"""Standard errors within which two hypotheses predict alike."""
+"""Standard errors within which two hypotheses count as predicting equally well."""
 CLEAR = 6.0
-"""Standard errors by which a fit that has not ended may lose and still go on."""
+"""Standard errors by which an unconverged fit may be behind and still be continued."""
 STEPS = 6
-"""Of a fit in the search."""
+"""Maximum number of Gauss–Newton steps of a fit during the search."""
 HEAT = 2
-"""Steps after which only what may still win goes on."""
+"""Gauss–Newton steps after which only fits that may still win are continued."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,16 +45,16 @@ class Tried:
     name: str
     fit: Fit
     gain: Gain
-    """Over the hypothesis before, the prior included."""
+    """Gain over the previous hypothesis, including the prior."""
 
 
 class Contest:
-    """Fits on given records.
+    """Fits on given records, and their comparison.
 
     Args:
-        chain: The recordings, and what each coefficient counts.
-        noise: What was measured of it, if anything.
-        executor: Where independent fits run; None is this process.
+        chain: The recordings, and the weight of each coefficient.
+        noise: The measured noise, if any.
+        executor: Runs independent fits; None runs them in this process.
     """
 
     def __init__(self, chain: Chain, noise: Noise | None, executor: Executor | None) -> None:
@@ -62,17 +62,17 @@ class Contest:
         self.repeating, self.seen = repeats(chain.records), seen(chain.records)
 
     def fits(self, jobs: Sequence[Job], around: Fit | None = None) -> list[Fit]:
-        """Each hypothesis fitted from its weights, in the executor if there is one, with the sensitivities of
-        the fit around which they are, if there is one."""
+        """Fit each hypothesis from its weights, in the executor if there is one. If `around` is given, the
+        fits start with the sensitivities of that fit."""
         near = Near(around.hypothesis, around.weights) if around is not None else None
         return fit_all(self.chain, jobs, self.executor, near)
 
     def fits_here(self, jobs: Sequence[Job]) -> list[Fit]:
-        """Each hypothesis fitted in this process, while others begin."""
+        """Fit each hypothesis in this process, while others begin."""
         return fit_all(self.chain, jobs, None)
 
     def raced(self, jobs: Sequence[Job], now: Fit, heat: int = HEAT) -> list[Fit]:
-        """Fitted for a few steps each, and to the end where the outcome against a fit is not yet clear."""
+        """Fit each for a few steps, and to the end only where its outcome against `now` is not yet clear."""
         fits = self.fits([(h, w, min(heat, steps), tolerance) for h, w, steps, tolerance in jobs], now)
         unclear = [k for k, one in enumerate(fits) if self.near(one, now)]
         rest: list[Job] = [(fits[k].hypothesis, fits[k].weights, jobs[k][2], jobs[k][3]) for k in unclear]
@@ -81,69 +81,69 @@ class Contest:
         return fits
 
     def near(self, one: Fit, now: Fit) -> bool:
-        """Whether a fit that has not ended may still be the better one."""
+        """Whether a fit that has not converged may still turn out better than `now`."""
         ahead = self.over(now, one)
         return ahead.nats < CLEAR * ahead.sd
 
     def weigh(self, now: Fit) -> None:
-        """Count every coefficient for what this fit leaves there, and for the noise."""
+        """Weight every coefficient according to the residual that this fit leaves there, and the noise."""
         self.chain.weighting = Weighting.of(self.chain.records, now.residuals, self.noise)
 
     def reweighted(self, now: Fit) -> Fit:
-        """The fit on few rows, under the weights that it shows itself."""
+        """The fit on a reduced basis of few rows, refitted under the weighting from its own residuals."""
         self.weigh(now)
         small = reduced(self.chain, now)
         (again,) = self.fits([(small.hypothesis, small.weights, 3, ROUGH)])
         return again
 
     def score(self, one: Fit) -> float:
-        """Its log density."""
+        """Log predictive density of a fit."""
         return float(self.chain.weighting.log_density(one).sum())
 
     def worth(self, one: Fit) -> float:
-        """Its log density, less what every number costs beside that: a form of fewer numbers is preferred,
-        and no delay of what is taken for early."""
+        """Log density with the prior's penalty for each fitted number and each tick of negative alignment: it
+        prefers forms with fewer numbers, and no delay that only undoes an early timing."""
         return self.score(one) + PRIOR * (len(one.slots) - min(one.hypothesis.alignment, 0))
 
     def over(self, better: Fit, worse: Fit, prior: float = 0.0) -> Gain:
-        """By how much one fit predicts better than another."""
+        """Difference in log predictive density between two fits."""
         w = self.chain.weighting
         return gain(w.log_density(better), w.log_density(worse), prior, w.strata)
 
     def prior(self, now: Fit, more: Fit) -> float:
-        """Log odds of what a hypothesis has beyond another."""
+        """Prior log odds of what one hypothesis has in addition to another."""
         new = len(set(more.hypothesis.names)) - len(set(now.hypothesis.names))
         grown = more.hypothesis.nominal.family != now.hypothesis.nominal.family
         return PRIOR * (new + grown)
 
     def as_well(self, one: Fit, best: Fit) -> bool:
-        """Whether a fit predicts as well as a better one, within the standard error: no recording here splits
-        the two."""
+        """Whether a fit predicts as well as a better one within the standard error, so that these recordings
+        do not discriminate between the two."""
         ahead = self.over(best, one)
         return not ahead.nats > max(TOGETHER * ahead.sd, -PRIOR)
 
     def faint(self, more: Fit, less: Fit) -> bool:
-        """Whether what a fit explains beyond another is of no use to anyone: no name of it could stand."""
+        """Whether what a fit explains beyond another is too little to be of use, or to be named."""
         rms_um = self.noise.rms_um if self.noise is not None else more.train_rms
         return explains_less(more, less, FAINT * rms_um)
 
     def is_noise(self, one: Fit) -> bool:
-        """Whether a fit leaves nothing but the noise, where that was measured."""
+        """Whether a fit leaves nothing but the noise, if the noise was measured."""
         return self.noise is not None and one.train_rms < float(np.hypot(1.0, FAINT)) * self.noise.rms_um
 
     def adequate(self, more: Fit, less: Fit) -> bool:
-        """Whether what a fit explains beyond another is a share worth a name of what is to be explained where
-        it acts: anything explains a little of what it only resembles."""
+        """Whether a fit explains, beyond another, a large enough share of what is to be explained where it
+        acts: any effect explains a little of something that it only resembles."""
         return self.chain.weighting.explained_where_it_acts(more, less) > ADEQUATE
 
     def inside(self, one: Fit, now: Fit) -> bool:
-        """Whether no number ended on a bound that did not before, no limit lies beyond what the command asks
-        for, and no line of its own is one that the command has: of what a fit has beyond another, if it has
-        more."""
+        """Whether a fit is admissible: no number newly ended on a bound, the command reaches every limit, and
+        no spectral line of an effect is one of the command. If the fit has effects beyond `now`, only these
+        are checked."""
         members = one.hypothesis.members
         there = {member.kind for member in now.hypothesis.members}
         new = {k for k, member in enumerate(members) if member.kind not in there}
-        # What an addition makes of a number that was there before is for the backward step to judge.
+        # How an addition changes a number that was there before is for the backward step to judge.
         bounded = [slot.name for slot in one.on_a_bound if not new or slot.member in {-1, *new}]
         added = [member for k, member in enumerate(members) if not new or k in new]
         return (
@@ -153,28 +153,28 @@ class Contest:
         )
 
     def follows_command(self, member: EffectTerm) -> bool:
-        """Whether an effect has a line, and stands in no recording but where the command has it as well."""
+        """Whether an effect has a spectral line, and has it only in recordings whose command has it too."""
         line_hz = member.effect.line_hz(member.shared)
         if line_hz is None:
             return False
         power = [sum(size**2 for size in own.values()) for own in member.own]
-        power = power or [1.0] * len(self.repeating)  # the same in each
+        power = power or [1.0] * len(self.repeating)  # no amplitudes per recording: take them as equal
         return follows_command(line_hz, power, self.repeating)
 
     def within_reach(self, members: Sequence[EffectTerm]) -> bool:
-        """Whether the command asks for what each limit among these allows, and more."""
+        """Whether the command reaches, and exceeds, every limit among these effects."""
         return all(member.effect.reached(member.shared, self.seen) for member in members)
 
     def needs_no_history(self, now: Fit, less: Fit) -> bool:
-        """Whether recordings that start de-energised are predicted as well, or all but as well.
+        """Whether the recordings are predicted as well, or almost as well, from a de-energised start.
 
-        What a history explains lies where a recording begins: the scatter of the cells says nothing of it.
-        That of each recording is as unlikely beforehand as an effect.
+        A history acts only where a recording begins, so the scatter over the cells says nothing about it.
+        The prior odds of a history are, for each recording, those of an effect.
         """
         prior = PRIOR * len(self.chain.records)
         return explains_less(now, less, FAINT * less.train_rms) or self.over(now, less, prior).nats < 0
 
 
 def explains_less(more: Fit, less: Fit, rms_um: float) -> bool:
-    """Whether what a fit explains beyond another has a smaller rms than this."""
+    """Whether what a fit explains beyond another has an rms below `rms_um`."""
     return less.train_rms**2 - more.train_rms**2 < rms_um**2

@@ -1,4 +1,4 @@
-"""What recordings cannot show, whatever is fitted: said before anything is decided."""
+"""What the recordings cannot show, whatever is fitted; determined before anything is decided."""
 
 from collections.abc import Sequence
 
@@ -10,21 +10,21 @@ from torchpi.stage.effects.effect import DataRange, Effect
 from torchpi.stage.effects.inside import InsideEffect
 
 LEAST_STROKE = 0.1
-"""Of the travel: what moves less is no stroke, and levels that differ by less are one."""
+"""Share of the travel: a smaller movement is no stroke, and levels that differ by less are one level."""
 LEVELS = 2
-"""At which whatever goes up and comes down turns round."""
+"""Number of levels at which any voltage turns round that goes up and comes down."""
 TESTED = 0.8
-"""Of the recorded voltage, that samples have to span to test a prediction of all of it."""
+"""Share of the recorded voltage range that samples must span to test a prediction over all of it."""
 PACE = 1.5
-"""Times as long as the fast strokes that the slow ones take at least where there are several rates."""
+"""Least ratio of the durations of slow and fast strokes for recordings to have several rates."""
 HARMONICS = 10
-"""Of a command that repeats, that a static curve or a loop has."""
+"""Number of harmonics of a repeating command that a static curve or a loop is taken to produce."""
 RESOLVED = 0.25
-"""Of one over the length of a record: nearer to one another two lines are one."""
+"""Frequency resolution, in units of 1 / (length of the record): lines closer than this are one line."""
 LEAST_PERIODS, IRREGULAR = 3, 0.01
-"""From so many periods of nearly the same length on, a voltage turns round at regular times."""
+"""Least number of periods, and their largest relative spread, for regular times of reversal."""
 ELSEWHERE = 0.1
-"""Of a line's power where the command has one as well, that it has to have in another recording."""
+"""Share of a line's power, where the command has that line too, that it must have in another recording."""
 
 
 def reason_to_leave_out(
@@ -33,54 +33,58 @@ def reason_to_leave_out(
     """Why an effect is no candidate on these recordings; None if it is one.
 
     Args:
-        effect: What is asked for.
+        effect: The effect in question.
         records: The recordings.
-        seen: What they span.
-        starts: How many starts it has there, within its bounds.
+        seen: What the recordings span.
+        starts: Number of starting points that the effect has there, within its bounds.
     """
     needs = effect.needs
     if effect.takes_aux and not seen.aux:
         return "no other signal was recorded"
     if needs.reversals and not any(turns(record) for record in records):
-        return "the voltage never turns round"
+        return "the voltage never reverses"
     if needs.reversals > LEVELS and (found := levels(records)) < needs.reversals:
-        return f"the voltage turns round at {found} levels, expected {needs.reversals}"
+        return f"the voltage reverses at {found} levels, expected {needs.reversals}"
     if needs.pace > 1.0 and (times := pace(records)) < needs.pace:
         return f"the slowest stroke takes {times:.2g} times as long as the fastest, expected {needs.pace:g}"
     if len(records) < needs.recordings:
-        return f"it takes {needs.recordings} recordings"
+        return f"it needs at least {needs.recordings} recordings"
     return effect.unseen if starts == 0 else None
 
 
 def cannot_be_decided(records: Sequence[Record]) -> tuple[str, ...]:
-    """A sentence for each question that these recordings leave open."""
+    """Return a sentence for each question that these recordings leave open."""
     notes = []
     if len(records) == 1:
         notes.append(
-            "One recording only: what another load, range or day would change cannot be said, and what was "
-            "held out is of the same run."
+            "There is only one recording: the effect of another load, range or day is unknown, and the "
+            "held-out samples come from the same run."
         )
     if not any(turns(record) for record in records):
         notes.append(
-            "The voltage never turns round: hysteresis cannot be seen, a curved characteristic fits as well."
+            "The voltage never reverses: hysteresis cannot be seen, because a curved characteristic fits "
+            "as well."
         )
     still = [record.name for record in records if np.ptp(record.u) == 0]
     if still:
         notes.append(
-            f"The voltage rests in {', '.join(still)}: noise, hum and drift show there, and no more."
+            f"The voltage is constant in {', '.join(still)}: only noise, hum and drift can be seen there."
         )
     constant = [name for name in records[0].aux if all(np.ptp(record.aux[name]) == 0 for record in records)]
     if constant:
-        notes.append(f"Nothing moves in {', '.join(constant)}: whether it couples cannot be seen.")
+        notes.append(
+            f"Constant in all recordings: {', '.join(constant)}; coupling from a constant signal cannot be "
+            "seen."
+        )
     return tuple(notes)
 
 
 def untested(records: Sequence[Record], seen: DataRange) -> tuple[str, ...]:
-    """A phrase for each way in which the held-out samples are too alike to test a prediction of others.
+    """Return a phrase for each way in which held-out samples are too uniform to test other predictions.
 
     Args:
         records: The recordings.
-        seen: What they span.
+        seen: What the recordings span.
     """
     found = []
     held = np.concatenate([record.u[record.held_out] for record in records])
@@ -91,19 +95,19 @@ def untested(records: Sequence[Record], seen: DataRange) -> tuple[str, ...]:
         if levels(records) <= LEVELS:
             found.append("loops between two levels")
         if pace(records) < PACE:
-            found.append("strokes of one rate")
+            found.append("strokes at one rate")
     return tuple(found)
 
 
 def turns(record: Record) -> bool:
-    """Whether the voltage goes up and down."""
+    """Whether the voltage goes both up and down."""
     moved = np.diff(record.u)
     return bool((moved > 0).any() and (moved < 0).any())
 
 
 def repeats(records: Sequence[Record]) -> list[tuple[float, float] | None]:
-    """(period, length) of each recording, s, where its command repeats: exactly, sample by sample, or turning
-    round at regular times; None where it does not."""
+    """Return (period, length) of each recording, s, or None if its command does not repeat. A command repeats
+    either exactly, sample by sample, or by turning round at regular times."""
     found = []
     for record in records:
         period_s = _exact_period_s(record) or _time_between_turns_s(record)
@@ -112,7 +116,7 @@ def repeats(records: Sequence[Record]) -> list[tuple[float, float] | None]:
 
 
 def _exact_period_s(record: Record) -> float | None:
-    """Of a voltage that repeats sample by sample over most of the recording."""
+    """The period of a voltage that repeats sample by sample over most of the recording; else None."""
     for stretch in record.coefficients.repeats.periodic[:1]:
         if 2 * stretch.period * stretch.periods > len(record.u):
             return stretch.period * record.period_s
@@ -120,8 +124,8 @@ def _exact_period_s(record: Record) -> float | None:
 
 
 def _time_between_turns_s(record: Record) -> float | None:
-    """From one maximum of the voltage to the next, where that is always the same, to within a sample. Periods
-    are rarely a whole number of samples, and fewer than three are no rule."""
+    """The time from one maximum of the voltage to the next, if it is always the same to within a sample.
+    Periods are rarely a whole number of samples, and fewer than three do not establish a rule."""
     strokes = _strokes(record.u, LEAST_STROKE * float(np.ptp(record.u)), record.period_s)
     seconds = np.array([stroke[0] for stroke in strokes[1:]])
     periods = seconds[: len(seconds) // 2 * 2].reshape(-1, 2).sum(1)
@@ -133,11 +137,11 @@ def _time_between_turns_s(record: Record) -> float | None:
 def follows_command(
     line_hz: float, power: Sequence[float], repeating: Sequence[tuple[float, float] | None]
 ) -> bool:
-    """Whether a line cannot be told from what a curve makes of a command.
+    """Whether a spectral line cannot be told from a harmonic that a curve makes of the command.
 
     Args:
-        line_hz: Its frequency.
-        power: Of the line in each recording.
+        line_hz: Frequency of the line.
+        power: Power of the line in each recording.
         repeating: (period, length), s, of each recording whose command repeats.
     """
     as_the_command = elsewhere = 0.0
@@ -155,7 +159,7 @@ def _is_harmonic(line_hz: float, period_s: float, length_s: float) -> bool:
 
 
 def levels(records: Sequence[Record]) -> int:
-    """At how many levels the voltage turns round."""
+    """Number of levels at which the voltage turns round."""
     span = max(float(np.ptp(record.u)) for record in records)
     ends = sorted(end for r in records for _, _, end in _strokes(r.u, LEAST_STROKE * span, r.period_s))
     found, last = 0, -np.inf
@@ -166,9 +170,9 @@ def levels(records: Sequence[Record]) -> int:
 
 
 def pace(records: Sequence[Record]) -> float:
-    """How many times as long the slow strokes of the voltage take as the fast ones.
+    """Ratio of the durations of the slow and the fast strokes of the voltage.
 
-    A stroke goes from one reversal to the next, over a tenth of the travel at least; the fastest and the
+    A stroke goes from one reversal to the next, over at least a tenth of the travel. The fastest and the
     slowest twentieth of all travel do not count.
     """
     span = max(float(np.ptp(record.u)) for record in records)
@@ -183,7 +187,7 @@ def pace(records: Sequence[Record]) -> float:
 
 @numba.njit(cache=True)
 def _strokes(u: np.ndarray, least: float, period_s: float) -> list[tuple[float, float, float]]:
-    """(seconds, travel, end) of each stroke of a voltage, (time,); smaller reversals are noise."""
+    """(seconds, travel, end) of each stroke of a voltage, (time,); reversals below `least` are noise."""
     found = []
     low = high = start = 0  # where the voltage was lowest, and highest, since the last reversal
     direction = 0

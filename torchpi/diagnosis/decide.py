@@ -1,4 +1,4 @@
-"""Decide: which names stand, and what that leaves."""
+"""Decide which effects are named, and what they leave unexplained."""
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
@@ -18,15 +18,15 @@ from torchpi.diagnosis.search import Search
 from torchpi.stage.effects.mechanics.backlash import Backlash
 
 NAMED = 0.5
-"""Probability from which a name is given: more likely right than wrong."""
+"""Probability from which an effect is named: the name is more likely right than wrong."""
 POSSIBLE = 1.0 / (1.0 + exp(-PRIOR))
-"""Probability from which what cannot be named is said to be open: no less than before the recordings."""
+"""Probability above which an effect that cannot be named is reported as open: the prior probability."""
 CLOSED: tuple[Verdict, ...] = ("nothing_missing", "explained")
 """Verdicts that leave nothing to look for."""
 DONE, EXPLAINED = 1.15, 1.5
-"""Times the measured noise: an error within this leaves nothing to explain, or little beside the names."""
+"""Multiples of the measured noise within which nothing, or little beside the names, is left to explain."""
 OPERATORS = {
-    "prandtl_ishlinskii": "y = F + Σ w_i h_i: plays beside the simulation F",
+    "prandtl_ishlinskii": "y = F + Σ w_i h_i: plays added to the simulation F",
     "preisach": "y = Σ g_i(h_i): a Preisach operator in play form",
     "bouc_wen": "dz/dv = 1/σ [1 - |z|ⁿ (1 - β + β sgn(z dv))]: Bouc–Wen",
     "duhem": "y = Σ g_i(h_i) + d, dd = α|dv| (f(v) - d): Preisach and Duhem",
@@ -35,21 +35,21 @@ OPERATORS = {
 
 @dataclass(frozen=True, eq=False)
 class Decision:
-    """The names, and what they leave."""
+    """The named effects, and what they leave."""
 
     verdict: Verdict
     effects: tuple[NamedEffect, ...]
     open: tuple[Believed, ...]
-    """What the final hypothesis has and is too uncertain to be named."""
+    """Effects of the final hypothesis that are too uncertain to be named."""
     unexplained_share: float
     joint_share: float
-    """Of the squared residual: what several names explain together, and none of them beside the others."""
+    """Share of the squared residual that several names explain jointly, and none of them given the others."""
     noise_um: float | None
-    """Of a reading, where it was measured."""
+    """Noise of a reading, if it was measured."""
 
     @property
     def causes_left_open(self) -> tuple[OpenCause, ...]:
-        """What of it is likely enough to be said."""
+        """The open effects that are likely enough to be reported."""
         return tuple(
             OpenCause(one.name, one.probability, one.alternatives)
             for one in self.open
@@ -66,16 +66,16 @@ def decide(
     structured: bool,
     loud: bool,
 ) -> Decision:
-    """Name what is more likely than not.
+    """Name the effects that are more likely missing than not.
 
     Args:
-        search: With the recordings.
+        search: The finished search, with the recordings.
         retuned: The simulation, retuned.
-        final: What the search ended with.
-        believed: Its effects with their probabilities.
-        noise: What was measured of it.
-        structured: Whether what is left can be predicted from the voltage, or is not white.
-        loud: Whether a recording, a stretch or a frequency stands out of it.
+        final: The fit with which the search ended.
+        believed: The effects of that fit, with their probabilities.
+        noise: The measured noise, if any.
+        structured: Whether the remaining residual can be predicted from the voltage, or is not white.
+        loud: Whether a recording, a stretch or a frequency stands out of the remaining residual.
     """
     floor_um = noise.rms_um if noise is not None else 0.0
     faint = (FAINT * (floor_um or final.train_rms)) ** 2
@@ -91,7 +91,7 @@ def decide(
     }
     believed = without_forms(believed, names, final, floor_um)
     above = max(final.train_rms**2 - floor_um**2, 0.0) if noise is not None else 0.0
-    # What each explains beside the others, and what is left, may be more than was there before.
+    # What each effect explains given the others, plus what is left, may exceed what was there before.
     explained = sum(max(one.explained_um2, 0.0) for one in believed)
     joint = retuned.train_rms**2 - max(final.train_rms, floor_um) ** 2 - explained
     total = max(retuned.train_rms**2 - floor_um**2, above + explained, 1e-300)
@@ -129,8 +129,8 @@ def decide(
 def without_forms(
     believed: Sequence[Believed], names: Collection[str], final: Fit, floor_um: float
 ) -> list[Believed]:
-    """Without what named effects leave by their form, which counts as theirs: no cause of its own is left
-    open by it, where without it the error would still be an explained one."""
+    """Merge remainders that are due to the inexact form of a named effect into that effect. Such a remainder
+    leaves no further cause open, provided that the error would count as explained without it."""
     forms = [
         one
         for one in believed
@@ -150,16 +150,16 @@ def without_forms(
 
 
 def if_it_carries_over(decision: Decision, across: Sequence[AcrossRecordings]) -> Decision:
-    """The same, and explained in part only where the others do not predict each recording: what fits these
-    motions is then not known to fit the next."""
+    """Downgrade "explained" to "partly_explained" unless each recording is predicted by the others: a model
+    that fits these motions is otherwise not known to fit the next."""
     if decision.verdict == "explained" and not all(one.predicted for one in across):
         return replace(decision, verdict="partly_explained")
     return decision
 
 
 def clear_of_none(one: Believed, final: Fit, covariance: np.ndarray) -> Believed:
-    """As likely as not, at most, where the intervals of an effect's numbers just reach those of none of it: a
-    name beside a number that may as well be 0 is no answer."""
+    """Lower the probability of an effect to at most one half where the intervals of its numbers just reach
+    those of no effect: a name beside a number that may as well be 0 is no answer."""
     distance = distance_from_none(final, covariance, one.name)
     clear = 1.0 / (1.0 + distance**-STEEPNESS) if distance > 0 else 0.0
     return replace(one, probability=round(one.probability * clear, 4))
@@ -168,7 +168,7 @@ def clear_of_none(one: Believed, final: Fit, covariance: np.ndarray) -> Believed
 def verdict(
     named: Sequence[NamedEffect], more: bool, final: Fit, noise: Noise | None, structured: bool
 ) -> Verdict:
-    """In one word what the names achieve."""
+    """Say in one word how much the named effects explain."""
     if noise is None:
         done = explained = not structured
     else:
@@ -180,7 +180,7 @@ def verdict(
 
 
 def structure(residuals: Sequence[np.ndarray], white: float = 0.3) -> bool:
-    """Whether a residual is not white: neighbours correlate in one of the recordings, (time,) each."""
+    """Whether a residual is not white: adjacent samples correlate in one of the recordings, (time,) each."""
     for e in residuals:
         centred = e - e.mean()
         if centred[1:] @ centred[:-1] > white * (centred @ centred):

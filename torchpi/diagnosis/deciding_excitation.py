@@ -1,8 +1,8 @@
-"""Excitations that each make some effects differ, within what the recordings have already shown.
+"""Excitations that each make some effects differ, within what the recordings have already covered.
 
 Every function takes the limits and a seed and returns the voltage (time,), V, which begins and ends inside
-the limits' range; the names in capitals say in words what is played, and about how long it takes. Below 50
-samples a second all times are stretched, so that a hold has samples.
+the limits' range. The constants in capitals describe in words what is played, and about how long it takes.
+Below 50 samples per second all times are stretched, so that every hold contains samples.
 """
 
 import math
@@ -22,16 +22,16 @@ from torchpi.excitation.limits import (
 )
 
 PERIOD_S, PERIODS = 2.0, 3
-STATIC_HZ = 50.0  # up to here the hysteresis and its curvature, not the dynamics, make the lines
+STATIC_HZ = 50.0  # up to here the lines come from the hysteresis and its curvature, not from the dynamics
 
 
 @dataclass(frozen=True)
 class Movement:
-    """A movement of the voltage, not yet fitted to any limits."""
+    """A movement of the voltage, not yet adapted to any limits."""
 
     words: str
     seconds: float
-    """About how long it takes."""
+    """Approximate duration."""
     make: Callable[[DriveLimits, int], np.ndarray]
 
 
@@ -57,7 +57,7 @@ def sines_of_three_amplitudes(limits: DriveLimits, seed: int) -> np.ndarray:
 
 
 def long_stairs(limits: DriveLimits, seed: int) -> np.ndarray:
-    """The same levels on the way up and on the way down, each held for long."""
+    """The same levels on the way up and on the way down, each held for a long time."""
     fractions = (1 / 3, 2 / 3, 1.0, 2 / 3, 1 / 3, 0.0)
     return staircase(limits, fractions, [15 * stretch(limits.sample_rate_hz)] * len(fractions))
 
@@ -70,7 +70,7 @@ def long_hold(limits: DriveLimits, seed: int) -> np.ndarray:
 
 
 def growing_triangles(limits: DriveLimits, seed: int) -> np.ndarray:
-    """Slow triangles from small to the whole range, a pair of each."""
+    """Slow triangles that grow from small to the whole range, two of each size."""
     corners = [level for height in np.linspace(0.1, 1.0, 10) for level in (height, 0.0, height, 0.0)]
     return _slow_lines(limits, corners, 1.0)
 
@@ -92,7 +92,7 @@ def loops_at_biases(limits: DriveLimits, seed: int) -> np.ndarray:
 
 
 def triangles_of_three_rates(limits: DriveLimits, seed: int) -> np.ndarray:
-    """The same triangle ever faster, up to the rate of the recordings."""
+    """The same triangle at increasing rates, up to the rate of the recordings."""
     fastest = limits.max_rate_v_s / limits.span_v
     corners, seconds = [0.0], [0.0]
     for rate in np.geomspace(max(fastest / 100, 0.2 / stretch(limits.sample_rate_hz)), fastest, 3):
@@ -111,7 +111,7 @@ def twice_with_a_rest(limits: DriveLimits, seed: int) -> np.ndarray:
 
 
 def rest_and_creeping_ramp(limits: DriveLimits, seed: int) -> np.ndarray:
-    """Rests at two levels, and between them a ramp so slow that single steps of a converter show."""
+    """Two rests, and between them a ramp so slow that single steps of a converter show."""
     hold = np.full(
         math.ceil(10 * stretch(limits.sample_rate_hz) * limits.sample_rate_hz), limits.level_v(0.5)
     )
@@ -124,12 +124,12 @@ def rest_and_creeping_ramp(limits: DriveLimits, seed: int) -> np.ndarray:
 
 
 def stretch(fs_hz: float) -> float:
-    """By how much all times are longer than they need be at a usual sample rate."""
+    """Factor by which all times are longer than needed at a usual sample rate."""
     return max(1.0, 50 / fs_hz)
 
 
 def _two_multisines(limits: DriveLimits, seed: int, shares: tuple[float, float]) -> np.ndarray:
-    # A smaller share of the range leaves more of the rate to the high frequencies.
+    # A smaller share of the range leaves more of the permitted rate to the high frequencies.
     faster = replace(limits, max_rate_v_s=limits.max_rate_v_s / shares[0])
     swing = multisine_swing(faster, PERIOD_S * stretch(limits.sample_rate_hz), seed)
     bearable = min(1.0, (1 - FADE) * faster.max_rate_v_s / largest_rate_v_s(limits, swing))
@@ -143,13 +143,13 @@ def _slow_lines(limits: DriveLimits, corners: list[float], ranges_per_s: float) 
 
 
 MULTISINES = Movement("an odd multisine over the whole band, at two amplitudes", 15, multisines)
-SLOW_MULTISINES = Movement("an odd multisine of low frequencies, at two amplitudes", 15, slow_multisines)
+SLOW_MULTISINES = Movement("a low-frequency odd multisine, at two amplitudes", 15, slow_multisines)
 SINES = Movement("a sine of one frequency at three amplitudes", 10, sines_of_three_amplitudes)
-LONG_STAIRS = Movement("stairs up and down over the same levels, with long holds", 95, long_stairs)
-LONG_HOLD = Movement("one step with a hold over three decades of time, and the way back", 130, long_hold)
-GROWING = Movement("slow triangles that grow to the whole range", 25, growing_triangles)
-SMALL_REVERSALS = Movement("slow reversals of growing size about three biases", 30, small_reversals)
-LOOPS = Movement("minor loops of one size at five biases", 30, loops_at_biases)
+LONG_STAIRS = Movement("a staircase up and down through the same levels, with long holds", 95, long_stairs)
+LONG_HOLD = Movement("one step, held over three decades of time, and the step back", 130, long_hold)
+GROWING = Movement("slow triangles of growing amplitude, up to the whole range", 25, growing_triangles)
+SMALL_REVERSALS = Movement("slow reversals of growing size about three bias voltages", 30, small_reversals)
+LOOPS = Movement("minor loops of one size at five bias voltages", 30, loops_at_biases)
 RATES = Movement("the same triangle at three rates", 35, triangles_of_three_rates)
 TWICE = Movement("the same triangles before and after a long rest", 60, twice_with_a_rest)
-REST = Movement("rests, and between them a very slow ramp", 40, rest_and_creeping_ramp)
+REST = Movement("two rests with a very slow ramp between them", 40, rest_and_creeping_ramp)

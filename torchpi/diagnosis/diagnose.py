@@ -1,4 +1,4 @@
-"""Recordings in, a diagnosis out: locate, name, model, and show the fit improve."""
+"""The diagnosis of recordings: locate what is missing, name and model it, and show the fit improve."""
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
@@ -59,9 +59,9 @@ from torchpi.stage.effects.sensor.quantization import EVEN, WIDEST, Quantization
 from torchpi.stage.identified import Identified
 
 UNCERTAIN = 0.9
-"""An effect less probable than this is worth another recording."""
+"""An effect with a lower probability than this is worth another recording."""
 LEAST_SAMPLES = 100
-HELD_OUT = "the last 15 % of each recording, sealed until the end; the state carries over"
+HELD_OUT = "the last 15 % of each recording, not used in any fit until the end; the state carries over"
 
 
 def diagnose(
@@ -72,22 +72,22 @@ def diagnose(
     log: Callable[[str], None] = lambda sentence: None,
     executor: Executor | None = None,
 ) -> Diagnosis:
-    """Where a simulation and recordings differ, and what was left out of it.
+    """Diagnose where a simulation and recordings differ, and which effects the simulation lacks.
 
     Args:
-        recordings: One or more of the same stage, at any sample rates.
+        recordings: One or more recordings of the same stage, at any sample rates.
         simulation: What they are compared with: a stage; any function simulate(u_v, fs_hz) -> y_um of whole
             records, without noise, from rest; "column", the `simulated` of each recording. None is the
             plain stage: symmetric, rate-independent Prandtl–Ishlinskii hysteresis, everything else ideal.
-        effects: What may be missing: the effects that are tried.
+        effects: The effects that are tried as missing physics.
         log: Called with a sentence at every step.
-        executor: Where independent fits run; None is this process, which alone calls a simulation that
-            cannot be pickled.
+        executor: Runs independent fits; None runs them in this process. A simulation that cannot be pickled
+            is called in this process only.
 
     Raises:
         RecordingError: No recordings; auxiliary columns that differ between them; a simulation in other
             units than the recordings.
-        SimulationError: A simulation that fails, or returns what is no displacement.
+        SimulationError: A simulation that fails, or that does not return a displacement.
     """
     check(recordings)
     given_recordings = recordings
@@ -105,10 +105,10 @@ def diagnose(
     untried = [effect for effect in effects if effect not in tried]
     chain, what = Chain(records), seen(records)
     step_um, lattice_note = converter(given_recordings)
-    # Of a mean, one converter errs less, as any noise does.
+    # Averaging over ticks reduces the error of a converter, as it does any noise.
     lsb_um = step_um * float(np.sqrt(np.median([one.tick_s / one.period_s for one in records])))
     noise = noise_of_prediction(records, lsb_um, chain.gain_um_per_v)
-    log("nominal: the simulation as it is, then refitted with as many plays as the data carry")
+    log("nominal: the simulation as it is, then refitted with as many plays as the data support")
     start = given_members(given)
     first = (
         fit(chain, Hypothesis(plain(what))).residuals if compared is None else simulated(compared, records)
@@ -124,7 +124,7 @@ def diagnose(
     chain = without_rests(search.chain) if search.slips else search.chain
     records = list(chain.records)
     modelled = augmented = free_run(chain, final, search.jump.value_um) if search.jump else final
-    log("what no effect explains")
+    log("remainder: what no effect explains")
     remainder = with_remainder(chain, reduced(chain, modelled))
     if remainder is not None:
         augmented = remainder[0]
@@ -141,7 +141,7 @@ def diagnose(
         decision = with_read_off(decision, of_dropouts(records, lost, final))
     across: tuple[AcrossRecordings, ...] = ()
     if decision.verdict in CLOSED and not search.slips:
-        log("whether the recordings predict one another")
+        log("across recordings: whether they predict one another")
         across = across_recordings(search.chain, final)
         decision = if_it_carries_over(decision, across)
     log("model: everything refitted to all samples")
@@ -149,13 +149,13 @@ def diagnose(
         prepare(recordings, out, as_recorded=given_recordings, sealed=0.0), search.unsettled
     )
     everything = Chain(complete, Weighting.of(complete, modelled.residuals, noise))
-    # A mount that sticks decides at each slip where the next one begins: no gradient leads through that.
+    # Each slip of a sticking mount decides where the next one begins: there is no gradient to follow.
     last = modelled if search.jump else fit(everything, modelled.hypothesis, modelled.weights, 4)
     if remainder is not None:
         again = with_remainder(everything, reduced(everything, last), remainder[1])
         last = again[0] if again else last
     floor_um = noise.rms_um if noise is not None else 0.0
-    # A sample of the stage is one of the controller's, where the records are means too.
+    # The stage runs at the controller's sample rate, even where the records are means over ticks.
     at_ticks = replace(what, fs_hz=max(1 / record.tick_s for record in records))
     stage = augmented_stage(last, len(recordings), at_ticks, floor_um or augmented.heldout_rms)
     traces = traces_of(recordings, records, retuned, augmented, final, search.chain, decision)
@@ -199,7 +199,7 @@ def diagnose(
 
 
 def check(recordings: Sequence[Recording]) -> None:
-    """Raise `RecordingError` for what no diagnosis can be made of."""
+    """Raise `RecordingError` for recordings that cannot be diagnosed."""
     if not recordings:
         raise RecordingError("recordings: found none, expected at least one")
     columns = {tuple(sorted(recording.aux)) for recording in recordings}
@@ -207,7 +207,7 @@ def check(recordings: Sequence[Recording]) -> None:
         first, other = sorted(columns)[:2]
         raise RecordingError(
             f"auxiliary columns differ between the recordings: found {list(first)} and {list(other)}, "
-            "expected the same in all; leave out the ones that not all have"
+            "expected the same in all; leave out those that some recordings lack"
         )
     for recording in recordings:
         name = recording.source or recording.name
@@ -220,42 +220,45 @@ def check(recordings: Sequence[Recording]) -> None:
                     f"{name}: {signal} is {values[row]} at sample {row}, expected finite numbers"
                 )
     if all(np.ptp(recording.u) == 0 for recording in recordings):
-        raise RecordingError("recordings: the input never moves, expected at least one in which it does")
+        raise RecordingError("recordings: the input never changes, expected at least one in which it does")
 
 
 def check_units(records: Sequence[Record], simulation: Stage | Outside) -> None:
-    """A simulation that moves a hundred times more, or less, than the stage is in other units."""
+    """Raise `RecordingError` if a simulation moves a hundred times more or less: its units are wrong."""
     largest = max(records, key=lambda record: float(np.ptp(record.y)))
     y = simulated_output(simulation, largest)
     ratio = np.ptp(y) / max(float(np.ptp(largest.y)), 1e-300)
     if not 1e-2 < ratio < 1e2:
         raise RecordingError(
-            f"simulation: moves {np.ptp(y):.4g} µm where {largest.name} moves {np.ptp(largest.y):.4g} µm; "
-            "expected both in V and µm"
+            f"simulation: it moves {np.ptp(y):.4g} µm where {largest.name} moves {np.ptp(largest.y):.4g} "
+            "µm; expected both in V and µm"
         )
 
 
 def converter(recordings: Sequence[Recording]) -> tuple[float, tuple[str, ...]]:
-    """The step of the values on which all readings lie, µm, and a note; 0 where they lie on none."""
+    """Return the step of the values on which all readings lie, µm, and a note; 0 if there are none."""
     even = [Quantization.lattice(recording.readings) for recording in recordings]
-    # One converter has the same values in all recordings, a few of which a stair alone passes.
+    # One converter has the same values in all recordings; a single staircase passes only a few of them.
     each = [(one.readings, one.u) for one in recordings]
     y, u = map(np.concatenate, zip(*each, strict=True))
     if step := agreed(even, EVEN) or Quantization.lattice(y):
-        return step, (f"All readings lie on a lattice of {step * 1e3:.4g} nm.",)
+        return step, (f"All readings lie on a grid with a step of {step * 1e3:.4g} nm.",)
     if step := uneven_codes(y, u) or agreed([uneven_codes(*one) for one in each], WIDEST):
-        return step, (f"All readings lie on few values, unevenly spaced, {step * 1e3:.4g} nm on the median.",)
+        return step, (
+            "The readings take only a few values, unevenly spaced, with a median spacing of "
+            f"{step * 1e3:.4g} nm.",
+        )
     return 0.0, ()
 
 
 def agreed(steps: Sequence[float | None], ratio: float) -> float:
-    """The median step of all recordings; 0 where one has none, or they differ by more than a ratio."""
+    """Return the median step of all recordings; 0 if one has none, or if they differ by more than `ratio`."""
     found = [step for step in steps if step is not None]
     return float(np.median(found)) if len(found) == len(steps) and max(found) <= ratio * min(found) else 0.0
 
 
 def with_read_off(decision: Decision, effect: NamedEffect) -> Decision:
-    """The same with an effect that the readings show, and no fit: the other shares are of what it leaves."""
+    """Add an effect that is read off the readings, not fitted; other shares are scaled to what it leaves."""
     now_named: dict[Verdict, Verdict] = {"nothing_missing": "explained", "unexplained": "partly_explained"}
     rest = 1.0 - effect.share
     others = [replace(other, share=rest * other.share) for other in decision.effects]
@@ -269,7 +272,7 @@ def with_read_off(decision: Decision, effect: NamedEffect) -> Decision:
 
 
 def of_converter(step_um: float, lsb_um: float, retuned: Fit) -> NamedEffect:
-    """The sensor's converter: its lattice is seen. Its error is that of a step of `lsb_um`."""
+    """The sensor's converter as a named effect, seen by its lattice; its error is that of a step `lsb_um`."""
     return NamedEffect(
         Quantization.name,
         Quantization.block,
@@ -284,7 +287,7 @@ def of_converter(step_um: float, lsb_um: float, retuned: Fit) -> NamedEffect:
 
 
 def errors_of(records: Sequence[Record], residuals: Sequence[np.ndarray]) -> Errors:
-    """Of these residuals, train and held out."""
+    """Errors of these residuals, on training and held-out samples."""
     held = np.concatenate([e[r.held_out] for r, e in zip(records, residuals, strict=True)])
     return Errors(rms(records, residuals, True), rms(records, residuals, False), float(np.abs(held).max()))
 
@@ -298,7 +301,7 @@ def traces_of(
     chain: Chain,
     decision: Decision,
 ) -> tuple[Trace, ...]:
-    """Each recording before and after, and what each named effect adds."""
+    """Each recording with its residuals before and after, and what each named effect adds."""
     names = {effect.name for effect in decision.effects}
     added = [name for name in dict.fromkeys(final.hypothesis.names) if name in names]
     traces = []
@@ -324,7 +327,7 @@ def traces_of(
 
 
 def from_settled(traces: Sequence[Trace], unsettled: Sequence[int]) -> list[Trace]:
-    """The traces with nothing left in readings that do not count."""
+    """The traces with a residual of 0 in readings at the start that do not count."""
     return [
         replace(one, residual_retuned=np.where(np.arange(len(one.t)) < first, 0.0, one.residual_retuned))
         for one, first in zip(traces, unsettled, strict=True)
@@ -332,7 +335,7 @@ def from_settled(traces: Sequence[Trace], unsettled: Sequence[int]) -> list[Trac
 
 
 def open_between(decision: Decision) -> list[str]:
-    """The names between which the choice is open, the least certain effect's first."""
+    """The names between which the choice is open: of the least certain effect with alternatives, if any."""
     for effect in sorted(decision.effects, key=lambda effect: effect.probability):
         if effect.alternatives:
             return [effect.name, *effect.alternatives]
@@ -341,10 +344,13 @@ def open_between(decision: Decision) -> list[str]:
 
 
 def monitored_notes(records: Sequence[Record]) -> tuple[str, ...]:
-    """The noise of each voltage that was monitored and not commanded."""
+    """A sentence on the noise of each voltage that was monitored rather than commanded."""
     noisy = [f"{r.monitor_noise_v:.2g} V in {r.name}" for r in records if r.monitor_noise_v]
     return (
-        (f"The voltage has noise of its own, taken out before it drives: {', '.join(noisy)}.",)
+        (
+            "The measured voltage contains noise, which is removed before the voltage drives the model: "
+            f"{', '.join(noisy)}.",
+        )
         if noisy
         else ()
     )
@@ -353,53 +359,55 @@ def monitored_notes(records: Sequence[Record]) -> tuple[str, ...]:
 def start_notes(records: Sequence[Record], unsettled: Sequence[int]) -> tuple[str, ...]:
     """A sentence for each recording whose start does not count."""
     return tuple(
-        f"{record.name}: the first {first} readings, {1e3 * first / record.fs_hz:.3g} ms, do not count: the "
-        "stage was still settling from what came before the recording."
+        f"{record.name}: the first {first} readings, {1e3 * first / record.fs_hz:.3g} ms, do not count: "
+        "the stage was still settling after a motion before the recording."
         for record, first in zip(records, unsettled, strict=True)
         if first
     )
 
 
 def conventions(search: Search, final: Fit) -> tuple[str, ...]:
-    """Timing that is a convention of who recorded, not physics; and how late the readings are in all."""
+    """Sentences on timing: the convention of the rig, which is not physics, and the total lateness."""
     if any(m.effect.delays and m.effect.name not in search.given for m in final.hypothesis.members):
         ms = 1e3 * lateness_s(search.chain, final.hypothesis)
         text = (
-            f"In all, the readings come {ms:.3g} ms behind a slow command: every lag and delay of the model."
+            f"In total, the readings lag a slow command by {ms:.3g} ms: the sum of all lags and delays of "
+            "the model."
         )
         return (*convention(final), text)
     return convention(final)
 
 
 def convention(final: Fit) -> tuple[str, ...]:
-    """Whose command y(k) answers."""
+    """A sentence that says which tick's command y(k) answers."""
     if final.hypothesis.alignment < 0:
         return (
-            "The simulation answers a sample later than y(k), taken as its convention: what it makes of "
-            "u(k+1) is compared with y(k).",
+            "The simulation responds one sample later than y(k), which is taken as its timing convention: "
+            "its output for u(k+1) is compared with y(k).",
         )
     if final.hypothesis.alignment == 0:
-        return ("y(k) answers the command of its own tick.",)
+        return ("y(k) responds to the command of the same tick.",)
     return (
-        "y(k) answers the command of the tick before: taken as the rig's convention; a delay of just one "
-        "sample cannot be told from it.",
+        "y(k) responds to the command of the previous tick, which is taken as the rig's timing "
+        "convention; a delay of exactly one sample cannot be told from it.",
     )
 
 
 def slip_notes(search: Search, one_step: Fit, modelled: Fit) -> tuple[str, ...]:
-    """What can be predicted of a mount that sticks, and what not."""
+    """A sentence on what can be predicted of a mount that sticks, and what cannot."""
     if search.jump is None:
         return ()
-    left = "" if "stiction" in modelled.hypothesis.names else ", no better than without a mount that sticks"
+    left = "" if "stiction" in modelled.hypothesis.names else ", no better than without stick-slip"
     return (
-        "The mount sticks and slips. From one reading to the next it is predicted to within "
-        f"{nm(one_step.heldout_rms)}; in free-run simulation to within {nm(modelled.heldout_rms)}{left}, "
-        "because each slip decides where the next one begins. The second is what the fit shows.",
+        "The mount shows stick-slip. Its one-step-ahead prediction has an error of "
+        f"{nm(one_step.heldout_rms)} rms, its free-run simulation one of {nm(modelled.heldout_rms)} "
+        f"rms{left}, because each slip decides where the next one begins. The report shows the free-run "
+        "error.",
     )
 
 
 def history_notes(search: Search, final: Fit) -> tuple[str, ...]:
-    """What was retuned, what ended on a bound, what these recordings cannot show."""
+    """Sentences on what was retuned, and on candidates that these recordings cannot show."""
     notes = [
         f"Retuned: {member.effect.name} {name} {before:.4g} → {member.shared[name]:.4g}."
         for given in search.start

@@ -1,4 +1,4 @@
-"""What a diagnosis says: named fields, no drawing."""
+"""The result of a diagnosis as named fields, without any plotting."""
 
 from dataclasses import dataclass, field
 from typing import Literal
@@ -9,8 +9,8 @@ from torchpi.stage import Stage
 
 Verdict = Literal["nothing_missing", "explained", "partly_explained", "unexplained"]
 PREDICTED = 2.0
-"""Times what the fit to all leaves of a recording, up to which the others predict it: three quarters of a
-larger squared error are extrapolation."""
+"""Largest ratio of a recording's error when predicted from the others to its error in the fit to all. Of a
+larger squared error, three quarters are extrapolation."""
 Domain = Literal[
     "time", "frequency", "displacement", "rate", "direction", "since_reversal", "amplitude", "recording"
 ]
@@ -22,22 +22,22 @@ class Parameter:
 
     name: str
     value: float | str
-    """A number; of a family of hysteresis its name."""
+    """A number, or the name of a hysteresis family."""
     unit: str
     interval_90: tuple[float, float] | None
 
 
 @dataclass(frozen=True)
 class Rival:
-    """What was tried in place of a named effect."""
+    """An explanation that was tried in place of a named effect."""
 
     name: str
     train_rms_um: float
     loses_nats: float
-    """Log predictive density that is lost with it in place of the effect."""
+    """Log predictive density that is lost when it replaces the effect."""
     probability: float
     form: str = ""
-    """Which equation of its kind, where there are several."""
+    """Which of the effect's equations is used, if it has several."""
 
 
 @dataclass(frozen=True)
@@ -47,17 +47,17 @@ class NamedEffect:
     name: str
     block: str
     alternatives: tuple[str, ...]
-    """Names that these data cannot tell from it."""
+    """Names that these data cannot distinguish from it."""
     probability: float
     parameters: tuple[Parameter, ...]
     share: float
-    """Of the mismatch over the floor, 0–1."""
+    """Share of the mismatch over the floor, 0–1."""
     equation: str
     signature: str
     rivals: tuple[Rival, ...]
-    """What else was tried in its place, the best first."""
+    """Explanations that were tried in its place, the best first."""
     form: str = ""
-    """Which equation of its kind, where there are several."""
+    """Which of the effect's equations is used, if it has several."""
 
 
 @dataclass(frozen=True)
@@ -67,27 +67,27 @@ class OpenCause:
     name: str
     probability: float
     alternatives: tuple[str, ...]
-    """Names that these data cannot tell from it."""
+    """Names that these data cannot distinguish from it."""
 
 
 @dataclass(frozen=True)
 class Where:
-    """Where the mismatch lives: one cell of one domain."""
+    """A place where the mismatch occurs: one cell of one domain."""
 
     domain: Domain
     range: tuple[float, float]
     unit: str
     share: float
-    """Of the squared residual of the nominal stage over the floor."""
+    """Share of the squared residual of the nominal stage over the floor."""
     significance: float
-    """Of this cell's excess, in standard deviations of the residual's own colour."""
+    """Significance of this cell's excess, in standard deviations for the residual's own colour."""
     label: str = ""
-    """In words, where a range says little: a recording's name, a direction."""
+    """Description in words where a range says little: a recording's name, a direction."""
 
 
 @dataclass(frozen=True)
 class Errors:
-    """Of one fit, µm."""
+    """The errors of one fit, µm."""
 
     train_rms_um: float
     heldout_rms_um: float
@@ -101,22 +101,22 @@ class AcrossRecordings:
     recording: str
     rms_um: float
     fitted_rms_um: float
-    """With a hysteresis that was fitted to it as well."""
+    """Error with a hysteresis that was fitted to this recording as well."""
 
     @property
     def times(self) -> float:
-        """The first error over the second."""
+        """Ratio of `rms_um` to `fitted_rms_um`."""
         return self.rms_um / max(self.fitted_rms_um, 1e-300)
 
     @property
     def predicted(self) -> bool:
-        """Whether the others predict it."""
+        """Whether the other recordings predict it."""
         return self.times <= PREDICTED
 
 
 @dataclass(frozen=True)
 class NextRecording:
-    """The recording that would decide what is open."""
+    """The recording that would decide the open question."""
 
     why: str
     excitation: str
@@ -124,7 +124,7 @@ class NextRecording:
 
 @dataclass(frozen=True, eq=False)
 class Trace:
-    """One recording, before and after."""
+    """One recording, with the residuals before and after the diagnosis."""
 
     name: str
     fs_hz: float
@@ -137,11 +137,11 @@ class Trace:
     heldout: np.ndarray
     """(time,), bool."""
     residual_retuned: np.ndarray
-    """(time,), µm: recorded less the plain stage, refitted."""
+    """(time,), µm: recorded minus the plain stage, refitted."""
     residual_augmented: np.ndarray
-    """(time,), µm: recorded less the augmented stage."""
+    """(time,), µm: recorded minus the augmented stage."""
     signatures: dict[str, np.ndarray] = field(default_factory=dict)
-    """For each named effect what it adds to the displacement, (time,), µm."""
+    """What each named effect adds to the displacement, (time,), µm."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,29 +152,29 @@ class Diagnosis:
     effects: tuple[NamedEffect, ...]
     """Strongest first."""
     open: tuple[OpenCause, ...]
-    """What may be missing too, strongest first."""
+    """Effects that may also be missing, strongest first."""
     where: tuple[Where, ...]
     nominal: Errors
     """The simulation as it was given; without one, a plain stage of ten plays."""
     retuned: Errors
-    """The same class of stage, refitted and grown inside itself."""
+    """The same class of stage, refitted and enlarged within that class."""
     augmented: Errors
-    """With the named effects, and the unknown remainder if there is one."""
+    """The stage with the named effects, and with the unknown remainder if there is one."""
     across: tuple[AcrossRecordings, ...]
-    """Each recording whose voltages the others reach, predicted by them; none where the names leave more to
-    explain, or a mount sticks."""
+    """Each recording whose voltages the others cover, predicted from them; empty if the names leave more to
+    explain, or if a mount sticks."""
     noise_floor_um: float | None
-    """Of a reading; None where nothing in the recordings measures it."""
+    """Noise of a reading; None if nothing in the recordings measures it."""
     heldout: str
-    """How it was held out."""
+    """Which samples were held out, in words."""
     unexplained_share: float
     joint_share: float
-    """What several effects explain together, and none of them beside the others."""
+    """Share that several effects explain jointly, and none of them given the others."""
     next_recording: NextRecording
     next_excitation: tuple[np.ndarray, np.ndarray]
-    """Its voltage, ready to play: t (time,), s, and u (time,), V."""
+    """Voltage of the next recording, ready to play: t (time,), s, and u (time,), V."""
     says: str
     notes: tuple[str, ...]
-    """What was set aside: conflicts, conventions, candidates that these recordings cannot show."""
+    """Remarks on what was set aside: conflicts, conventions, candidates that these recordings cannot show."""
     traces: tuple[Trace, ...]
     stage: Stage

@@ -1,4 +1,4 @@
-"""What came first was taken for all that was missing then: other forms of it, or others in its place."""
+"""Exchange of accepted effects for other forms of them, or for other effects in their place."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -12,14 +12,14 @@ from torchpi.stage.effects.mechanics.modal import ModalEffect
 
 
 class Exchange(Timing):
-    """Fits on given records, in which one effect may stand in place of another."""
+    """Fits on given records, in which one effect may replace another."""
 
     log: Callable[[str], None]
 
     def swapped(self, now: Fit) -> Fit:
-        """With other forms of its effects, or what is degenerate with them, where these predict better.
+        """Replace effects by other forms of them, or by effects degenerate with them, that predict better.
 
-        What came first was taken for all that was missing then.
+        The effect accepted first may have absorbed the contribution of effects that were still missing.
         """
         h, jobs = now.hypothesis, self.of_a_simpler_kind(now)
         added = [k for k, m in enumerate(h.members) if m.effect.name not in self.given]
@@ -50,7 +50,7 @@ class Exchange(Timing):
         fits = self.raced(jobs, now, 2 * HEAT)
         others = [one for one in fits if self.inside(one, now)]
         chosen = max([now, *others], key=self.worth)
-        if not self.within_reach(h.members):  # a limit that nothing reaches any more is something else
+        if not self.within_reach(h.members):  # a limit that is no longer reached stands for something else
             reached = (one for one in others if self.within_reach(one.hypothesis.members))
             chosen = max(reached, key=self.worth, default=now)
         if chosen is now:
@@ -59,10 +59,10 @@ class Exchange(Timing):
         return chosen
 
     def of_a_simpler_kind(self, now: Fit) -> list[Job]:
-        """An effect that has fewer of the same numbers in place of an added one: a single mode in the
-        place of a second one, for which the simulation's own gives way where it has one.
+        """Jobs that replace an added effect by one with a subset of its numbers, such as a second mode by
+        a single mode. The simulation's own effect of that simpler kind, if it has one, is removed.
 
-        The simulation's numbers may be so wrong that a fit, or the timing, could not find the way.
+        The simulation's numbers may be so wrong that no fit, and no choice of timing, could correct them.
         """
         h = now.hypothesis
         given = [member for member in h.members if member.effect.name in self.given]
@@ -80,8 +80,8 @@ class Exchange(Timing):
         ]
 
     def other_forms(self, member: EffectTerm) -> list[EffectTerm]:
-        """The starts of an effect's other forms; of one that has all of its numbers, or some and no other,
-        where the effect is."""
+        """The starts of an effect's other forms. A form whose numbers include those of the effect, or are
+        among them, starts from the effect's present values."""
         found: dict[object, EffectTerm] = {}
         for place, other in enumerate(self.starts):
             if (other.effect, other.aux) == (member.effect, member.aux) and other.form != member.form:
@@ -91,8 +91,8 @@ class Exchange(Timing):
         return list(found.values())
 
     def richer(self, h: Hypothesis, name: str) -> Hypothesis | None:
-        """A hypothesis with an effect in the form of most numbers that has those of its own, from where it
-        is; None where there is none."""
+        """The hypothesis with an effect in the largest form that includes the numbers of its present form,
+        starting from their present values; None if there is none."""
         member = next((m for m in h.members if m.effect.name == name and not m.own), None)
         if member is None:
             return None
@@ -107,7 +107,7 @@ class Exchange(Timing):
         return h.without(name, member.aux).plus(richest.from_where(member))
 
     def by_form(self) -> list[list[EffectTerm]]:
-        """The starts of each form of each effect."""
+        """The starts, grouped by effect and form."""
         found: dict[tuple[object, ...], list[EffectTerm]] = {}
         for member in self.starts:
             found.setdefault(member.kind, []).append(member)
@@ -115,12 +115,12 @@ class Exchange(Timing):
 
 
 def alike(one: EffectTerm, other: EffectTerm) -> bool:
-    """Whether an effect may be taken for another."""
+    """Whether one effect may be mistaken for another."""
     return one.effect.name in other.effect.degenerate_with or (one.effect.delays and other.effect.delays)
 
 
 def shared_out_among(one: EffectTerm, other: EffectTerm) -> bool:
-    """Whether two effects may share what one of them in another form explains alone."""
+    """Whether two effects may share what one of them, in another form, explains alone."""
     return alike(one, other) or one.effect.time_scale == other.effect.time_scale == "slow"
 
 

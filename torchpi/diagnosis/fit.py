@@ -1,4 +1,4 @@
-"""Gauss–Newton over everything at once: the weights, and the parameters of every effect in the chain."""
+"""Gauss–Newton fit of everything at once: the weights, and the parameters of every effect in the chain."""
 
 import math
 from collections.abc import Sequence
@@ -34,29 +34,30 @@ from torchpi.errors import StageError
 
 RIDGE = 1e-9
 PRIOR, PRIOR_SHARE = 3e-7, 1e-2
-"""Of the hysteresis's weights about 0. The first is over what the samples know of each: without it hundreds
-of rows that are nearly one another, half of whose samples lie in a few holds, bend away from what was not
-fitted. The second says that a weight as large as the gain of the stage costs as much as one reading that is
-wrong by this share of the travel: without it plays that hardly moved explode just beyond the recorded
-range."""
+"""Priors of the hysteresis weights about 0. The first is relative to what the samples know of each: without
+it, hundreds of nearly equal rows, half of whose samples lie in a few holds, deviate from data not fitted. The
+second makes a weight as large as the stage's gain cost as much as one reading that is wrong by this share of
+the travel: without it, plays that hardly moved explode just beyond the recorded range."""
 ITERATIONS = 12
 FINE, ROUGH = 1e-4, 3e-3
-"""Relative gain of a step below which a fit ends: to report, and to compare."""
+"""Relative gain of a step below which a fit ends: for results to report, and for comparisons."""
 KEPT_PROMISE = 0.5
-"""Share of the predicted decrease that a step must keep."""
+"""Share of the predicted decrease that a step must achieve."""
 LONGEST_STEP, MANY_TIMES = 1.5, 6.0
-"""Of a number's logarithm, or of a recording's own over its start; of a shared one that may have either sign,
-over what it is or began as, in which the readings are nearly linear."""
+"""Largest steps. The first limits a number's logarithm, or a recording's own number relative to its start.
+The second limits a shared number of either sign relative to its present or starting value: the readings are
+nearly linear in it."""
 SOLVED, MORE_THAN_LINEAR = 4, 1.1
-"""Times that weights are solved for behind a curvature, and how much more than expected is left till then."""
+"""Maximum number of solutions for the weights in a nonlinear chain, and the ratio of the misfit to its linear
+prediction below which no further one is needed."""
 WITHHELD = 0.9
-"""Of the weight of a stretch of time in the fit that predicts it: with none of its weight, what it alone
-determines would be predicted at random."""
+"""Share of a stretch's weight that is withheld from the fit that predicts it: with all of it withheld, what
+this stretch alone determines would be predicted at random."""
 REMANENCE = 0.1
-"""Of the span: the width of the prior of what the stage remembers from before a recording."""
+"""Prior width, as a share of the span, of the history that a stage remembers from before a recording."""
 
 
-# A step may lead to numbers with which a state grows without bound: that leaves an infinite error.
+# A step may lead to parameters for which a state grows without bound: the error is then infinite.
 @np.errstate(over="ignore", invalid="ignore")
 def fit(
     chain: Chain,
@@ -66,21 +67,21 @@ def fit(
     tolerance: float = FINE,
     near: Near | None = None,
 ) -> Fit:
-    """The hypothesis fitted to what is not sealed, weighted, until a step gains less than the tolerance.
+    """Fit the hypothesis to the unsealed samples, weighted, until a step gains less than the tolerance.
 
-    The tangent of the weights is most of the work, and moves little with the parameters: it is kept while
-    steps keep their promise (a chord method: Ortega and Rheinboldt 1970, 7.1), the slope of a slot while it
-    has moved little; not in a fine fit. Where a step does not keep its promise, the weights are
-    solved anew at the parameters that it leads to (variable projection: Golub and Pereyra 1973): a limit of
-    the voltage and a hundred plays that have bent round a wrong one move together or not at all.
+    The tangent of the weights is most of the work, and changes little with the parameters. Except in a fine
+    fit, it is kept while steps achieve their predicted decrease (a chord method: Ortega and Rheinboldt 1970,
+    7.1), and the slope of a slot while that slot has moved little. If a step falls short of its prediction,
+    the weights are solved for anew at its parameters (variable projection: Golub and Pereyra 1973): a voltage
+    limit and a hundred plays that have adapted to a wrong value of it move together or not at all.
 
     Args:
         chain: The recordings.
-        hypothesis: With the numbers from which the fit begins.
-        weights: From which it begins; None solves for them first.
-        iterations: At most.
-        tolerance: Of a step's relative gain.
-        near: Whose sensitivities the fit begins with, if it resembles the hypothesis.
+        hypothesis: The hypothesis, with the numbers from which the fit starts.
+        weights: Starting weights; None solves for them first.
+        iterations: Maximum number of Gauss–Newton steps.
+        tolerance: Relative gain of a step below which the fit ends.
+        near: Provides the first sensitivities, if it resembles the hypothesis.
     """
     slots = free_parameters_of(hypothesis)
     theta = np.array([to_inner(slot, value_at(hypothesis, slot)) for slot in slots])
@@ -95,11 +96,11 @@ def fit(
     elif weights is None:
         weights, tangent = start_weights(chain, hypothesis)
     elif slots and any(member.effect.hold for member in hypothesis.members):
-        # Weights found without a mode, or a lag, may be far from those that go with it.
+        # Weights found without a mode, or a lag, may be far from those of a chain that has it.
         fresh, at_fresh = start_weights(chain, hypothesis)
         if sum_of_squares(chain, hypothesis, fresh) < sum_of_squares(chain, hypothesis, weights):
             weights, tangent = fresh, at_fresh
-    if not slots:  # linear in the weights: done
+    if not slots:  # linear in the weights: one solution is enough
         iterations = 0 if fresh_weights else 1
     damping, current = 1e-3, with_theta(hypothesis, slots, theta)
     n, prior, parts = len(weights), np.zeros((0, 0)), None
@@ -161,17 +162,17 @@ def fit(
 def left_out(
     chain: Chain, residuals: Sequence[np.ndarray], parts: Sequence[Sensitivity], prior: np.ndarray
 ) -> np.ndarray:
-    """(cells,), µm²: mean square of each cell's residual, each stretch of time predicted by the fit to the
-    others, all of its scales at once.
+    """(cells,), µm²: mean square of each cell's residual when each stretch of time, with all its scales, is
+    predicted by the fit to the other stretches.
 
-    With H the sensitivities' inner products, and those of the prior, J the rows of a stretch and e its
-    residual, whitened, that is e + c Jᵀ (H - c J Jᵀ)⁻¹ J e, c being `WITHHELD`.
+    Let H be the inner products of the sensitivities plus those of the prior, J the rows of a stretch, and e
+    its residual, both whitened. The predicted residual is e + c Jᵀ (H - c J Jᵀ)⁻¹ J e, with c = `WITHHELD`.
 
     Args:
-        chain: With the recordings.
+        chain: The recordings, with their weighting.
         residuals: (time,) each, µm.
         parts: The sensitivity of each recording.
-        prior: The inverse covariance of their prior: (weights, weights), or of slots as well.
+        prior: Inverse covariance of the prior: (weights, weights), or of weights and slots.
     """
     count = max(len(prior), *(int(part.places.max()) + 1 for part in parts))
     whole, of_stretches = np.zeros((count, count)), []
@@ -217,9 +218,9 @@ def whitener(parts: Sequence[Sensitivity]) -> np.ndarray:
 def with_weights_solved(
     chain: Chain, hypothesis: Hypothesis, weights: np.ndarray, prior: np.ndarray
 ) -> tuple[np.ndarray, float, Tangent | None]:
-    """The best weights of a hypothesis, what they leave, and the tangent; infinite where the chain cannot
-    be. Behind a curvature they are not linear: they are solved for again while more is left than a linear
-    step would leave."""
+    """Solve for the best weights of a hypothesis: return them, their misfit (infinite if the chain cannot
+    exist) and the tangent. In a nonlinear chain they are solved for again while the misfit exceeds what a
+    linear step would leave."""
     left, tangent = math.inf, None
     for _ in range(SOLVED):
         try:
@@ -241,15 +242,14 @@ def with_weights_solved(
 
 
 def prior_of(chain: Chain, hypothesis: Hypothesis, gram: np.ndarray) -> np.ndarray:
-    """(weights, weights): the inverse covariance of the weights' prior; the line, or the fitted sum, and the
-    zeros have none."""
+    """(weights, weights): the inverse covariance of the weights' prior, 0 for weights that have none."""
     nominal, zeros = hypothesis.nominal, len(chain.records)
     kept = nominal.kept
     prior = np.diag(PRIOR * np.diag(gram))
     prior[:kept, :kept] += nominal.inverse_covariance(weight_prior(chain), chain.gain_um_per_v)
     history = np.arange(kept, len(prior) - zeros)
     prior[history, history] += 1.0 / (REMANENCE * chain.span_um) ** 2
-    # The line, or the fitted sum, and the zeros; and a Bouc–Wen state, of which there is but one.
+    # No prior on the line (or the fitted sum in its place), the zeros, or the single Bouc–Wen state.
     free = [0, *range(len(prior) - zeros, len(prior))]
     if nominal.bouc_wen:
         free.append(kept - 1 - bool(nominal.simulation))
@@ -259,14 +259,14 @@ def prior_of(chain: Chain, hypothesis: Hypothesis, gram: np.ndarray) -> np.ndarr
 
 
 def weight_prior(chain: Chain) -> float:
-    """The inverse variance of one weight of the hysteresis, before any recording."""
+    """The prior inverse variance of one weight of the hysteresis."""
     return (PRIOR_SHARE * chain.span_v / chain.weighting.geometric_mean_rms_um) ** 2
 
 
 def with_prior(
     gram: np.ndarray, right: np.ndarray, prior: np.ndarray, numbers: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The normal equations of the fit, and of the prior of its first numbers."""
+    """Add the prior of the first numbers to the normal equations of the fit."""
     gram, right, n = gram.copy(), right.copy(), len(prior)
     gram[:n, :n] += prior
     right[:n] -= prior @ numbers
@@ -302,7 +302,7 @@ def normal_equations(
 
 
 def residuals_of(chain: Chain, hypothesis: Hypothesis, weights: np.ndarray) -> tuple[np.ndarray, ...]:
-    """(time,) for each recording, µm."""
+    """The residual of each recording, (time,), µm."""
     return tuple(record.y - chain.output(hypothesis, weights, i) for i, record in enumerate(chain.records))
 
 
@@ -316,7 +316,7 @@ def solve(gram: np.ndarray, right: np.ndarray, n: int, damping: float) -> np.nda
 
 
 def sum_of_squares(chain: Chain, hypothesis: Hypothesis, weights: np.ndarray) -> float:
-    """Over the whitened coefficients; infinite where the chain cannot be."""
+    """Sum of squares over the whitened coefficients; infinite if the chain cannot exist."""
     ss = 0.0
     try:
         for i, residual in enumerate(residuals_of(chain, hypothesis, weights)):
@@ -328,8 +328,8 @@ def sum_of_squares(chain: Chain, hypothesis: Hypothesis, weights: np.ndarray) ->
 
 
 def start_weights(chain: Chain, hypothesis: Hypothesis) -> tuple[np.ndarray, Tangent | None]:
-    """Least squares on the rows as they come out of the chain, to first order in the weights; and the
-    tangent, unless it leaves something out: what sticks at rest has no slope there."""
+    """Return least-squares weights on the rows at the output of the chain, to first order in the weights, and
+    the tangent, or None if it leaves out an effect that sticks, which has no slope at rest."""
     moving = hypothesis
     for member in hypothesis.members:
         if member.effect.sticks:
@@ -342,7 +342,7 @@ def start_weights(chain: Chain, hypothesis: Hypothesis) -> tuple[np.ndarray, Tan
 
 
 def rms(records: Sequence[Record], residuals: Sequence[np.ndarray], train: bool) -> float:
-    """Of the training samples, or of those held out; 0 where there are none."""
+    """Rms of the training samples, or of the held-out samples; 0 if there are none."""
     joined = np.concatenate(
         [e[r.train if train else r.held_out] for r, e in zip(records, residuals, strict=True)]
     )

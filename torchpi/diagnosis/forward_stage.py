@@ -4,9 +4,9 @@
 
 with a zero y_0 for each recording (Kuhnen, *European Journal of Control* 9(4), 2003, for the plays). Delay,
 lag, curvature S of the input, creep C, mode M, and a history before the first sample are tried one after
-another; each is kept only where it better predicts what no fit has seen: the end of each recording, and its
-start-up.
-The last fit has as many plays as predict those best, and takes in all samples.
+another. Each is kept only if it improves the prediction of samples that no fit has seen: the end of each
+recording, and its start-up. The last fit uses the number of plays that predicts those samples best, and is
+made to all samples.
 """
 
 from collections.abc import Callable, Sequence
@@ -35,27 +35,27 @@ from torchpi.stage.effects.mechanics.resonance import Resonance
 from torchpi.stage.identified import Identified
 
 FINE, EVEN = 6, 20
-"""Plays of the search, spread in the logarithm and evenly."""
+"""Numbers of plays during the search: spaced logarithmically, and evenly."""
 LEAST = 0.02
-"""Share of the error on unseen samples by which an effect must lower it."""
+"""Share by which an effect must lower the error on unseen samples."""
 MOST_SAMPLES = 400_000
-"""Of all recordings together; from longer ones their beginnings are taken."""
+"""Maximum number of samples of all recordings together; of longer ones only the beginnings are used."""
 MODES = 2
-"""Frequencies from which a mode is fitted; other effects are fitted from their best start alone."""
+"""Number of frequencies from which a mode is fitted; other effects are fitted from their best start only."""
 ROUGH = 3e-3
 """Relative gain of a step below which a fit of the search ends."""
 START_AWAY = 0.02
-"""Of the command's span: a recording that begins with so much may have a history before it."""
+"""Share of the command's span: a recording that begins beyond it may have a history before its start."""
 DAMPING_RATIO = 0.02
-"""Of a mode where its fit begins: one that rings is not found from one that hardly does."""
+"""Damping ratio at which the fit of a mode starts: from a start that hardly rings, none is found."""
 
 
 @dataclass(frozen=True)
 class Step:
-    """One form on the way.
+    """One form of the stage on the way to the result.
 
     Attributes:
-        names: Of its effects.
+        names: Names of its effects.
         unseen_rms_um: Its error on the ends of the recordings, which were not fitted, µm.
     """
 
@@ -65,7 +65,7 @@ class Step:
 
 @dataclass(frozen=True)
 class ForwardStage:
-    """An identified stage, and how it came about: the plays alone first."""
+    """An identified stage and the steps that led to it, beginning with the plays alone."""
 
     stage: Stage
     steps: tuple[Step, ...]
@@ -79,14 +79,14 @@ def identify_stage(
     skip_s: float = 0.0,
     log: Callable[[str], None] = lambda text: None,
 ) -> ForwardStage:
-    """Identify a stage from recordings, all at one sample rate, and judge it on another one.
+    """Identify a stage from recordings, all at one sample rate, and judge it on another recording.
 
     Args:
         train: The recordings to fit; first sample de-energised, or fitted with a history.
-        heldout: What it is judged on; nothing is fitted or chosen by it.
+        heldout: The recording that the stage is judged on; nothing is fitted to it or chosen by it.
         judged: The samples of `heldout` that count; None for all after `skip_s`.
         skip_s: Start-up transient, s, that is not counted.
-        log: Called with what is tried.
+        log: Called with a description of each attempt.
 
     Raises:
         RecordingError: No recording, or none in which the voltage moves.
@@ -105,7 +105,7 @@ def identify_stage(
     identified = Identified(
         recordings_sha256(train), heldout.source or heldout.name, float(error.std()), _largest(error)
     )
-    # What it is judged on lies within what it stands for.
+    # The voltage range that the stage is valid for includes that of the recording it is judged on.
     limits = {
         "min_voltage_v": min(stage.min_voltage_v, float(heldout.u.min())),
         "max_voltage_v": max(stage.max_voltage_v, float(heldout.u.max())),
@@ -115,7 +115,7 @@ def identify_stage(
 
 
 def free_run_error(stage: Stage, recording: Recording) -> np.ndarray:
-    """Recorded less simulated from the de-energised state, (time,), µm; the sensor's zero is in it."""
+    """Recorded less simulated y from the de-energised state, (time,), µm; it contains the sensor's zero."""
     with torch.no_grad():
         y, _ = stage.at_sample_rate(recording.fs_hz)(torch.from_numpy(recording.u.astype(np.float64))[None])
     return np.asarray(recording.y - y[0].numpy())
@@ -126,7 +126,7 @@ def _largest(error: np.ndarray) -> float:
 
 
 def _beginnings(recordings: Sequence[Recording]) -> list[Recording]:
-    """The recordings, or as much of the beginning of each as together are `MOST_SAMPLES`."""
+    """Return the recordings, each cut to its equal share of `MOST_SAMPLES` if it is longer."""
     most = MOST_SAMPLES // len(recordings)
     return [
         one if len(one) <= most else one.split_tail((len(one) - most) / len(one))[0] for one in recordings
@@ -140,11 +140,11 @@ class _Search:
         self.steps: list[Step] = []
 
     def run(self) -> Fit:
-        """The form that predicts unseen samples best, fitted to the others."""
+        """Return the form that predicts unseen samples best, fitted to the other samples."""
         few = plays_of(self.seen, thresholds(self.seen, FINE, EVEN))
         self.log(f"hysteresis, {few.size} plays")
         now = self.taken(fit(self.chain, Hypothesis(few)))
-        # Twice: what was hidden behind the others the first time may show once they are there.
+        # Two passes: an effect that others hide in the first may show once they are in the model.
         tried: set[tuple[str, tuple[str, ...]]] = set()
         for _ in range(2):
             for attempt in (self.timing, self.curvature, self.creep, self.mode, self.history):
@@ -164,15 +164,15 @@ class _Search:
         return one
 
     def better(self, now: Fit, fits: Sequence[Fit], at_least: float = LEAST) -> Fit:
-        """The best of those within their bounds where it predicts unseen samples better; else `now`."""
+        """The best fit with nothing new on a bound if it predicts unseen samples better; else `now`."""
         inside = [one for one in fits if set(one.bounded) <= set(now.bounded)]
         best = min(inside, key=lambda one: one.heldout_rms, default=now)
         lower = best.heldout_rms < (1 - at_least) * now.heldout_rms and best.train_rms < now.train_rms
         return self.taken(best) if lower else now
 
     def without_the_needless(self, now: Fit) -> Fit:
-        """Without effects that others, found later, have made of no use."""
-        self.log("each effect left out")
+        """Remove effects that others, found later, have made redundant."""
+        self.log("each effect left out in turn")
         for name in now.hypothesis.names:
             less = fit(self.chain, now.hypothesis.without(name), now.weights, tolerance=ROUGH)
             if less.heldout_rms < (1 + LEAST) * now.heldout_rms:
@@ -180,7 +180,7 @@ class _Search:
         return now
 
     def timing(self, now: Fit) -> list[Fit]:
-        """A delay, and a lag, as far as they are not there."""
+        """Fit a delay, and a lag, unless they are already in the model."""
         lags = [start for start in AmplifierLag.starts(self.seen) if "damping_ratio" not in start]
         return [
             *self.with_effect(now, Delay, Delay.starts(self.seen)),
@@ -188,11 +188,11 @@ class _Search:
         ]
 
     def curvature(self, now: Fit) -> list[Fit]:
-        """A polynomial of the third degree before the plays."""
+        """Fit a polynomial of the third degree before the plays."""
         return self.with_effect(now, InputNonlinearity, InputNonlinearity.starts(self.seen)[-1:])
 
     def creep(self, now: Fit) -> list[Fit]:
-        """Logarithmic creep, and a single relaxation."""
+        """Fit logarithmic creep, and a single relaxation."""
         starts = [one for one in Creep.starts(self.seen) if not {"power_per_decade", "slow_gain"} & {*one}]
         logarithm = [one for one in starts if "per_decade" in one]
         return [
@@ -201,7 +201,7 @@ class _Search:
         ]
 
     def mode(self, now: Fit) -> list[Fit]:
-        """A resonance, which takes over part of a delay that stood for it."""
+        """Fit a resonance; a delay, which may have stood in for it, starts at half its value."""
         starts = [{**one, "damping_ratio": DAMPING_RATIO} for one in Resonance.starts(self.seen)]
         shared = [
             replace(member, shared={"delay_s": member.shared["delay_s"] / 2})
@@ -213,7 +213,7 @@ class _Search:
         return self.with_effect(now, Resonance, starts, base, MODES)
 
     def history(self, now: Fit) -> list[Fit]:
-        """A history of each recording before its first sample, if one begins with a voltage applied."""
+        """Fit a history before each recording, if any recording begins with a voltage applied."""
         away = START_AWAY * self.chain.span_v
         if now.hypothesis.remanent or all(abs(one.u[0]) <= away for one in self.chain.records):
             return []
@@ -228,7 +228,7 @@ class _Search:
         base: Hypothesis | None = None,
         most: int = 1,
     ) -> list[Fit]:
-        """Fits with one effect more, from as many starts, those at which it already explains most."""
+        """Fit one more effect, from the `most` starts that explain most before they are fitted."""
         base = base or now.hypothesis
         if not starts or kind.name in base.names:
             return []

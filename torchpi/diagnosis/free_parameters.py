@@ -1,4 +1,4 @@
-"""The fitted numbers of a hypothesis: where each lives, its bounds, and the scale that it is fitted on."""
+"""The fitted parameters of a hypothesis: where each is stored, its bounds, and the scale it is fitted on."""
 
 import math
 from collections.abc import Sequence
@@ -45,10 +45,10 @@ def shape_slot(name: str) -> FreeParameter:
 
 
 def difference(member: EffectTerm, name: str) -> float:
-    """The step of a finite difference.
+    """Return the step of the finite difference in a parameter.
 
-    The weights learn to move what a limit has clipped already: only a step that reaches further samples tells
-    whether the limit lies there.
+    The weights adapt to the samples that a limit already clips, so only a step large enough to reach further
+    samples shows whether the limit lies there.
     """
     if name in member.effect.jumps:
         return 0.04
@@ -84,7 +84,7 @@ def at_bound(slot: FreeParameter, inner: float) -> bool:
 
 
 def value_at(hypothesis: Hypothesis, slot: FreeParameter) -> float:
-    """The present number of a slot."""
+    """Return the present value of a slot."""
     if slot.member < 0:
         return hypothesis.nominal.shape[slot.name] if slot.record is None else hypothesis.starts[slot.record]
     member = hypothesis.members[slot.member]

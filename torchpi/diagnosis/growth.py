@@ -1,7 +1,7 @@
-"""Growth of the hysteresis: plays through output functions, a Bouc–Wen state, a bank of Duhem states.
+"""Enlarging the hysteresis: plays through output functions, a Bouc–Wen state, a bank of Duhem states.
 
-It is a candidate among the effects, and has to beat the present hysteresis with the weights of cells that it
-shows itself.
+A larger hysteresis is one candidate among the effects. It has to beat the present hysteresis, fitted with the
+cell weights that follow from its own residual.
 """
 
 from collections.abc import Sequence
@@ -20,53 +20,53 @@ from torchpi.diagnosis.reduced_basis import MANY, basis, grown, refitted
 from torchpi.stage.hysteresis import OF_BOUC_WEN, OF_DUHEM
 
 OPERATOR = "hysteresis_operator: "
-"""How a larger hysteresis is called among the explanations, before its family."""
+"""Prefix, before the family, of the name of a larger hysteresis among the explanations."""
 SAMPLES_A_PLAY = 10
-"""Shorter recordings than so many samples for each of a hundred plays get ten plays."""
+"""Fitted samples per play: recordings with fewer for each of a hundred plays get ten plays."""
 REVERSALS = (0.2, 0.6, 2.0)
-"""Of the reach, the voltage in which a state turns round: from the shortest alone, loops that do not close
-within the range were missed."""
+"""Voltages in which a state turns round, as shares of the reach, from which its fit starts: starting from the
+shortest alone missed loops that do not close within the range."""
 TO_THE_END = 20
-"""Steps in which the numbers of a state are found from far away."""
+"""Number of steps in which the parameters of a state are found from a distant start."""
 FOLLOWED, FOLLOWS = 8, 0.97
-"""Times that a state is fitted again under its own weights, while it leaves a smaller share of the error."""
+"""Maximum number of refits of a state under its own weights, and the rms ratio above which they stop."""
 REJECTED = 3.0
-"""A family of hysteresis that fits this many times worse than another is not tried again."""
+"""A hysteresis family whose rms is this many times that of the present fit is not tried again."""
 REWEIGHTED = 3
-"""Times that a fit is made again, at most, each with the weights that the last one shows."""
+"""Maximum number of refits, each with the weights that follow from the residual of the last."""
 
 
 class Growth(Exchange):
-    """Fits on given records, whose hysteresis may grow."""
+    """Fits over the given records with a hysteresis that may be enlarged."""
 
     simulation: Outside | None
-    """What is called for the hysteresis, or recorded; None for plays."""
+    """The given simulation, called or recorded, in place of plays; None for plays."""
     nominal: HysteresisModel
     rejected_families: set[str]
     states: list[HysteresisModel]
-    """Where a Bouc–Wen state begins: anywhere, then where it ended before."""
+    """Starting points of a Bouc–Wen state: a fixed grid at first, later its last fitted values."""
     many_rows: tuple[Fit, str, Fit] | None = None
-    """A fit, the weights of cells, and the fit on many rows."""
+    """The last result of `on_many_rows`: a fit, the token of its cell weights, and that fit on many rows."""
 
     def plays(self) -> HysteresisModel:
-        """As many plays as the samples carry."""
+        """Return as many plays as the number of samples supports."""
         nominal = many_plays(self.seen)
         samples = sum(record.train.sum() for record in self.chain.records)
         return plain(self.seen) if samples < SAMPLES_A_PLAY * nominal.size else nominal
 
     def added(self, now: Fit) -> list[str]:
-        """The effects that the simulation did not have."""
+        """Return the names of the effects that the given simulation lacks."""
         return [name for name in dict.fromkeys(now.hypothesis.names) if name not in self.given]
 
     def larger(self) -> list[HysteresisModel]:
-        """What the hysteresis may grow to."""
+        """Return the larger hysteresis models that may replace the present one."""
         found = [preisach(self.seen), *self.states]
         return [self.plays(), *found] if self.simulation else found
 
     def growth(self, now: Fit, leader: Fit, larger: Sequence[HysteresisModel]) -> list[Tried]:
-        """A larger hysteresis in place of the present one, fitted to the end where it may beat a fit.
+        """Fit each larger hysteresis in place of the present one, to convergence where it may beat `leader`.
 
-        What is larger has to beat the present one on the same terms.
+        For a fair comparison, the present hysteresis is refitted in the same way.
         """
         h, found = now.hypothesis, list[tuple[str, Fit]]()
         larger = [one for one in larger if one.family not in {*self.rejected_families, h.nominal.family}]
@@ -80,8 +80,8 @@ class Growth(Exchange):
             fits.append(self.of_states(now, starts))
         for one in fits:
             family = one.hypothesis.nominal.family
-            # A correction beside a given simulation takes what the effects leave: it is not weighed anew.
-            # What an effect beats by far waits for the next round.
+            # A correction beside a given simulation only absorbs what the effects leave: no reweighting.
+            # A family that another candidate beats by far waits for the next round.
             if self.earns(one, now) and self.near(one, leader) and not self.simulation:
                 one = self.at_its_own_weights(one)
             found.append((OPERATOR + family, one))
@@ -93,28 +93,28 @@ class Growth(Exchange):
         return [Tried(name, one, self.over(one, full, PRIOR)) for name, one in found]
 
     def earns(self, larger: Fit, now: Fit) -> bool:
-        """Whether a larger hysteresis may take the place of the present one."""
+        """Whether a larger hysteresis may replace the present one."""
         return self.over(larger, now).probability > ACCEPTED and not self.bends_to_all(larger, now)
 
     def bends_to_all(self, larger: Fit, now: Fit) -> bool:
-        """Whether a larger hysteresis, with hundreds of numbers that act everywhere, explains a little of
-        everything, which is no hysteresis."""
+        """Whether a larger hysteresis only explains a little of everything, its hundreds of parameters acting
+        everywhere: that is no hysteresis."""
         return self.chain.weighting.explained_of_all(larger, now) <= ADEQUATE
 
     def of_its_plays(self, larger: HysteresisModel, now: Fit) -> Fit:
-        """A fit with the plays that a larger hysteresis has, each a straight line."""
+        """Return a fit with the plays of a larger hysteresis, each with a linear output function."""
         if larger.pieces == 1 or np.array_equal(larger.thresholds_v, now.hypothesis.nominal.thresholds_v):
             return now
         (one,) = self.fits([(self.on(now.hypothesis, many_plays(self.seen)), None, 2, ROUGH)])
         return one
 
     def of_states(self, now: Fit, starts: Sequence[HysteresisModel]) -> Fit:
-        """States of one family that are not linear in their numbers, alone, or beside plays where that
+        """Fit states of one family that are nonlinear in their parameters: alone, or beside plays where that
         predicts better.
 
-        What the present hysteresis leaves everywhere weighs as if it were noise, and plays take most of what
-        a state with wrong numbers lacks: beside them, under those weights, it stays where it began. So it
-        begins without any, from each of its starts, and is weighted by what it leaves itself.
+        The present weights treat the residual of the present hysteresis as noise, and plays absorb most of
+        what a state with wrong parameters lacks, so beside plays a state would stay at its start. It is
+        therefore fitted without plays first, from each start, and then weighted by its own residual.
         """
         jobs: list[Job] = [(self.on(now.hypothesis, one), None, TO_THE_END, ROUGH) for one in starts]
         begun = min(self.fits(jobs), key=lambda one: (bool(one.bounded), one.train_rms))
@@ -130,7 +130,7 @@ class Growth(Exchange):
         nominal = replace(nominal, thresholds_v=plays.thresholds_v, pieces=plays.pieces, reduction=None)
         of_its_plays = self.of_its_plays(nominal, now)
         more, _ = grown(self.chain, replace(best.hypothesis, nominal=nominal), of_its_plays, MANY)
-        # Once effects are there, only what keeps up with them is fitted to the end.
+        # Once effects have been added, only a fit that keeps up with them is continued to convergence.
         heat = HEAT if self.added(now) else TO_THE_END
         (one,) = self.raced([(more, None, TO_THE_END, ROUGH)], now, heat)
         self.chain.weighting = shared
@@ -138,8 +138,8 @@ class Growth(Exchange):
         return best if enough else one
 
     def on(self, h: Hypothesis, nominal: HysteresisModel) -> Hypothesis:
-        """A hypothesis on another hysteresis. States that are no plays start anywhere: their history is of
-        another kind than one that proved needless."""
+        """Put a hypothesis on another hysteresis. Bouc–Wen and Duhem states start from an unknown history,
+        even where that of plays proved unnecessary: theirs is of another kind."""
         if nominal.duhem:
             return replace(h.on(nominal, OF_DUHEM), remanent=True)
         if nominal.bouc_wen:
@@ -147,12 +147,12 @@ class Growth(Exchange):
         return h.on(nominal)
 
     def sized(self, now: Fit) -> Fit:
-        """A larger hysteresis as it ends: a state's numbers move along a valley each time that the weighting
-        follows them."""
+        """Refit a larger hysteresis under its own weights, repeatedly if it has states: their parameters move
+        along a valley of the cost each time the weights are updated."""
         return self.followed(now) if now.hypothesis.shape else self.at_its_own_weights(now)
 
     def followed(self, now: Fit) -> Fit:
-        """A fit with the weights at which it ends."""
+        """Refit, and update the weights from each fit, until the residual hardly decreases."""
         for _ in range(FOLLOWED):
             before, now = now, self.at_its_own_weights(now)
             if now.train_rms > FOLLOWS * before.train_rms:
@@ -160,15 +160,15 @@ class Growth(Exchange):
         return now
 
     def at_its_own_weights(self, now: Fit) -> Fit:
-        """A fit with the weights that it shows itself, where that predicts better and leaves no more: those
-        before it make little of where it improves."""
+        """Refit under the weights that follow from the fit's own residual, as long as it predicts better and
+        the residual does not grow. Weights from an earlier fit give little credit where this one improves."""
         shared, best = self.chain.weighting, now
         for _ in range(REWEIGHTED):
             self.weigh(now)
             tolerance = FINE if now.hypothesis.shape else ROUGH
             job: tuple[Hypothesis, np.ndarray | None] = (now.hypothesis, now.weights)
             if now.hypothesis.nominal.pieces > 1:
-                # Which combinations of a density can be told apart depends on how much counts as noise.
+                # Which combinations of a density can be distinguished depends on how much counts as noise.
                 job = basis(self.chain, now.hypothesis, now.weights, MANY)
             (now,) = self.fits_here([(*job, 8, tolerance)])
             ahead = shared.log_density(now).sum() > shared.log_density(best).sum()
@@ -179,16 +179,16 @@ class Growth(Exchange):
         return best
 
     def on_many_rows(self, one: Fit) -> Fit:
-        """What a larger hysteresis is compared with; the last one is kept, since families come one after
-        another."""
+        """Refit on many rows, for the comparison with a larger hysteresis. The last result is cached, since
+        the families are tried one after another."""
         token, kept = self.chain.weighting.token, self.many_rows
         if kept is None or kept[0] is not one or kept[1] != token:
             kept = self.many_rows = one, token, self.at_its_own_weights(refitted(self.chain, one, STEPS))
         return kept[2]
 
     def no_larger(self, now: Fit) -> Fit:
-        """With the hysteresis of the simulation again, where effects make a larger one needless, or have
-        driven it to the bounds of its numbers."""
+        """Return to the hysteresis of the simulation where effects have made a larger one redundant, or have
+        driven its parameters to their bounds."""
         h = now.hypothesis
         if h.nominal.family == self.nominal.family or not self.added(now):
             return now

@@ -1,9 +1,9 @@
-"""Residuals and sensitivities as Haar coefficients: one level of noise for each time scale and time.
+"""Residuals and sensitivities as Haar coefficients: one noise level for each time scale and stretch of time.
 
-The coefficients of a noise of any colour from white to 1/f² are nearly independent, with a variance of their
-own on each scale (Wornell and Oppenheim, *Wavelet-based representations for a class of self-similar signals*,
-IEEE Trans. Information Theory 38(2), 1992). A ring of 40 ms and a creep over minutes each have coefficients
-of their own, so neither is outvoted by the other.
+The coefficients of noise of any colour from white to 1/f² are nearly independent, with a separate variance
+on each scale (Wornell and Oppenheim, *Wavelet-based representations for a class of self-similar signals*,
+IEEE Trans. Information Theory 38(2), 1992). Ringing over 40 ms and creep over minutes appear in different
+coefficients, so neither outweighs the other.
 """
 
 from dataclasses import dataclass
@@ -13,35 +13,35 @@ import numba
 import numpy as np
 
 COARSEST = 16
-"""Coefficients on the slowest scale, at least."""
+"""Minimum number of coefficients on the slowest scale."""
 CELLS = 24
-"""Cells in time into which one scale of one recording is cut, at most."""
+"""Maximum number of cells in time into which one scale of one recording is cut."""
 LEAST_IN_CELL = 4
-"""Coefficients that a cell holds, at least."""
+"""Minimum number of coefficients in a cell."""
 
 
 @dataclass(frozen=True, eq=False)
 class Haar:
-    """Which coefficients of one recording a fit sums over, and the cell that each is in."""
+    """The coefficients of one recording that a fit sums over, and the cell that each belongs to."""
 
     samples: int
-    """That are transformed: those before the sealed block."""
+    """Number of samples that are transformed: those before the sealed block."""
     levels: int
-    valid: np.ndarray  # shape: (samples,), 1.0, or 0.0 for a reading that does not count
+    valid: np.ndarray  # shape: (samples,), 1.0, or 0.0 for an excluded reading
     kept: np.ndarray  # shape: (kept,), places in the full transform
-    level: np.ndarray  # shape: (kept,), 1 for differences of neighbours; levels + 1 for what no level holds
+    level: np.ndarray  # shape: (kept,), 1 for differences of neighbours; levels + 1 for the remaining sums
     cell: np.ndarray  # shape: (kept,), numbered within the recording
     at: np.ndarray  # shape: (kept,), the sample in the middle of each
 
     @classmethod
     def of(cls, activity: np.ndarray, samples: int, valid: np.ndarray, at_most: int) -> "Haar":
-        """The transform of a recording.
+        """Set up the transform of a recording.
 
         Args:
-            activity: (time,), a signal whose larger coefficients are kept first where not all can be.
+            activity: (time,), a signal; where not all coefficients can be kept, its largest are preferred.
             samples: How many samples, from the first, are transformed.
             valid: (time,), bool: readings that count.
-            at_most: Coefficients of one scale that are kept.
+            at_most: Maximum number of coefficients kept on one scale.
         """
         levels = max(0, int(np.log2(max(samples // COARSEST, 1))))
         mask = valid[:samples].astype(np.float64)
@@ -76,13 +76,13 @@ class Haar:
 
     @property
     def level_of_cell(self) -> np.ndarray:
-        """(cells,): the level of each."""
+        """The level of each cell, (cells,)."""
         found = np.zeros(self.cells, dtype=int)
         found[self.cell] = self.level
         return found
 
     def places(self, level: int) -> tuple[int, int]:
-        """Where the coefficients of a level begin and end in the full transform."""
+        """Return where the coefficients of a level begin and end in the full transform."""
         coarsest = -(-self.samples // 2**self.levels)
         return (
             (0, coarsest)
@@ -91,20 +91,20 @@ class Haar:
         )
 
     def __call__(self, rows: np.ndarray) -> np.ndarray:
-        """(rows, kept) of rows, (rows, time)."""
+        """Return the kept coefficients, (rows, kept), of rows, (rows, time)."""
         out = np.empty((len(rows), len(self.kept)))
         _kept(rows, self.valid, self.levels, self.kept, out)
         return out
 
     def full(self, rows: np.ndarray) -> np.ndarray:
-        """(rows, coefficients): every coefficient, the slowest first, of rows, (rows, time)."""
+        """Return all coefficients, (rows, coefficients), the slowest first, of rows, (rows, time)."""
         size = -(-self.samples // 2**self.levels) * 2**self.levels
         out = np.empty((len(rows), size))
         _kept(rows, self.valid, self.levels, np.arange(size), out)
         return out
 
     def support(self) -> np.ndarray:
-        """(coefficients,): the share of valid samples under each."""
+        """Return the share of valid samples under each coefficient, (coefficients,)."""
         size = -(-self.samples // 2**self.levels) * 2**self.levels
         count = np.zeros(size)
         count[: self.samples] = self.valid

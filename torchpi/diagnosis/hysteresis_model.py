@@ -1,4 +1,4 @@
-"""The nominal hysteresis: rows of elementary states, linear in their weights."""
+"""The nominal hysteresis: rows of elementary states, in whose weights it is linear."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -31,26 +31,26 @@ from torchpi.stage.effects.effect import DataRange
 from torchpi.stage.hysteresis import IDENTITY
 
 BLOCK = 256
-"""Samples whose states are mixed at a time: they stay in the cache, however many plays there are."""
+"""Samples whose states are summed at a time, so that they fit into the cache for any number of plays."""
 CALM = 0.05
-"""Of the reach, what a voltage moves from sample to sample where sums are made event by event: of faster ones
-a product of all states with all weights takes less."""
+"""Mean step of a voltage from sample to sample, over the reach, below which sums are computed event by event;
+for a faster voltage, the product of all states with all weights takes less time."""
 CHANGING = ("asymmetry_per_v", "incongruence_per_v", "weight_s_per_v", "threshold_s_per_v", "loop_per_e")
-"""Numbers of the shape that change what a play does; the others only say how."""
+"""Shape parameters that change what a play does; the others only say how."""
 PIECES = 48
-"""Of each output function of a Preisach operator."""
+"""Number of pieces of each output function of a Preisach operator."""
 CURVE = 200
-"""Pieces of a curve."""
+"""Number of pieces of a curve."""
 FIRM = 30.0
-"""Times that a simulation's row is larger: a correction beside it costs more than its own gain."""
+"""Factor that enlarges a simulation's row, so that a correction beside it costs more than its own gain."""
 
 
 @dataclass(frozen=True, eq=False)
 class HysteresisModel:
     """A hysteresis without its weights.
 
-    The rows are those of the plays, one for each piece of their output functions, then the states of the
-    other families; all of them in volts.
+    The rows are first those of the plays, one for each piece of their output functions, then the states of
+    the other families, all in volts.
     """
 
     thresholds_v: np.ndarray
@@ -60,22 +60,22 @@ class HysteresisModel:
     bouc_wen: bool = False
     duhem: bool = False
     shape: dict[str, float] = field(default_factory=lambda: dict(IDENTITY))
-    """Parameters inside the hysteresis, the rest being 0; of Bouc–Wen and Duhem too."""
+    """Shape parameters, including those of Bouc–Wen and Duhem; those not set are as in `IDENTITY`."""
     start: float = 0.0
-    """Of z before a recording."""
+    """Initial value of z before a recording."""
     reduction: np.ndarray | None = None
-    """(kept rows, rows): combinations that the data can tell apart; None keeps all. There is one where output
-    functions have several pieces."""
+    """(kept rows, rows): combinations that the data can distinguish; None keeps all rows. Output functions
+    with several pieces always have a reduction."""
     simulation: Outside | None = None
-    """A simulation that is not torchpi's, the last of the rows: what else there is corrects it."""
+    """A simulation from outside torchpi, the last of the rows, which the other rows correct."""
     called: Callable[[np.ndarray], np.ndarray] | None = None
-    """The same on one recording: (time,), µm, for a voltage, (time,), V."""
+    """That simulation on one recording: maps a voltage, (time,), V, to a displacement, (time,), µm."""
     late: int = 0
-    """Samples by which all of it is shifted."""
+    """Number of samples by which all rows are shifted."""
 
     @property
     def family(self) -> str:
-        """As in `diagnosis.json`."""
+        """The name of the family as in `diagnosis.json`."""
         if self.bouc_wen:
             return "bouc_wen"
         if self.duhem:
@@ -86,35 +86,35 @@ class HysteresisModel:
 
     @property
     def has_states(self) -> bool:
-        """Whether it has states that are no plays."""
+        """Whether it has states other than plays."""
         return self.bouc_wen or self.duhem
 
     @property
     def of_plays(self) -> int:
-        """How many of the numbers are slopes of output functions."""
+        """Number of weights that are slopes of output functions."""
         return len(self.thresholds_v) * self.pieces
 
     @property
     def size(self) -> int:
-        """Numbers in it, before any reduction."""
+        """Number of weights, before any reduction."""
         others = self.bouc_wen + len(DUHEM_POWERS) * self.duhem + (self.simulation is not None)
         return self.of_plays + others
 
     @cached_property
     def structure(self) -> tuple[object, ...]:
-        """What tells two sets of rows apart, beside the shape."""
+        """A key that distinguishes two sets of rows, apart from the shape."""
         mixed = None if self.reduction is None else self.reduction.tobytes()
         outside = self.simulation.token if self.simulation else ""
         return (self.thresholds_v.tobytes(), self.pieces, self.bouc_wen, self.duhem, hash(mixed), outside)
 
     @property
     def remembers(self) -> int:
-        """Columns of what a recording may remember from before it began: a line remembers nothing, and where
-        a Bouc–Wen state starts is a number."""
+        """Number of columns for the unknown history before a recording. A straight line has no memory; the
+        initial state of Bouc–Wen is a fitted parameter instead."""
         return COLUMNS * self.wipes_out + self.duhem
 
     def remembered(self, v: np.ndarray) -> np.ndarray:
-        """(remembers, time) for a voltage, (time,), where it remembers anything."""
+        """Return the history columns, (remembers, time), for a voltage, (time,), if there are any."""
         columns = [excursions(v)] if self.wipes_out else []
         if self.duhem:
             columns.append(fading(v, self.shape["alpha_per_v"])[None])
@@ -122,7 +122,7 @@ class HysteresisModel:
 
     @property
     def wipes_out(self) -> bool:
-        """Whether it has what larger excursions wipe out: plays that are more than a line; a simulation."""
+        """Whether larger excursions wipe out its memory: it has plays beyond a line, or a simulation."""
         return bool(self.simulation or self.thresholds_v.any())
 
     def with_shape(self, values: dict[str, float]) -> "HysteresisModel":
@@ -130,22 +130,22 @@ class HysteresisModel:
 
     @property
     def kept(self) -> int:
-        """Rows that are left after reduction."""
+        """Number of rows left after reduction."""
         return self.size if self.reduction is None else len(self.reduction)
 
     @property
     def unreduced(self) -> "HysteresisModel":
-        """On all rows of plays, or on the slow terms of a density."""
+        """The same hysteresis on all rows of plays, or on the slowly varying terms of a density."""
         if self.pieces == 1:
             return replace(self, reduction=None)
         of_plays = terms(self.pieces, len(self.thresholds_v))
         return replace(self, reduction=block_diag(of_plays, np.eye(self.size - self.of_plays)))
 
     def inverse_variances(self, of_one: float, gain_um_per_v: float) -> np.ndarray:
-        """(kept,): of the prior of the rows' weights, unreduced, `of_one` being that of a single one.
+        """Return the inverse prior variances of unreduced rows' weights, (kept,); `of_one` is that of one.
 
-        The line of a curve may be as large as the gain: held closer, what bends the curve in the recorded
-        range would be taken back beyond.
+        The prior lets the line of a curve be as large as the gain. A tighter prior would undo, beyond the
+        recorded range, what bends the curve within it.
         """
         found = np.full(self.kept, of_one)
         if self.pieces > 1:
@@ -156,8 +156,8 @@ class HysteresisModel:
         return found
 
     def inverse_covariance(self, of_one: float, gain_um_per_v: float) -> np.ndarray:
-        """(kept, kept): of the prior of the rows' weights, `of_one` being that of a single one; the line of a
-        curve, which has the gain of the stage unless a simulation has it, has none."""
+        """Return the inverse prior covariance of the rows' weights, (kept, kept); `of_one` is that of one.
+        Unless a simulation carries the gain of the stage, the line of a curve does, and has no prior."""
         rows = np.eye(self.size) if self.reduction is None else self.reduction
         if self.pieces == 1:
             return of_one * rows @ rows.T
@@ -170,7 +170,7 @@ class HysteresisModel:
         return both
 
     def fill(self, v: np.ndarray, period_s: float, rows: np.ndarray) -> None:
-        """Into `rows`, (kept, time), for a voltage (time,) from the de-energised state."""
+        """Write the rows for a voltage (time,) from the de-energised state into `rows`, (kept, time)."""
         outside, v = self.of_simulation(v), shifted(v, self.late)
         inside = self.inside(v, period_s)
         others = self.other_rows(v, inside[-3], inside[-1]) + outside
@@ -181,7 +181,7 @@ class HysteresisModel:
             rows += self.reduction[:, self.of_plays :] @ np.array(others)
 
     def fill_plays(self, v: np.ndarray, inside: tuple[np.ndarray, ...], rows: np.ndarray) -> None:
-        """The same for the plays alone."""
+        """Write the rows of the plays alone, as `fill` does."""
         r, h, plays = self.thresholds_v, np.zeros(len(self.thresholds_v)), self.of_plays
         mixed = None if self.reduction is None else self.reduction[:, :plays]
         if mixed is not None and self.plain and (self.pieces > 1 or self.is_calm(v)):
@@ -204,7 +204,7 @@ class HysteresisModel:
                 rows[:, part] = mixed @ states[-1].T
 
     def output(self, v: np.ndarray, period_s: float, weights: np.ndarray) -> np.ndarray:
-        """(time,): weights @ rows, without the rows of the plays."""
+        """Return weights @ rows, (time,), without storing the rows of the plays."""
         full = weights if self.reduction is None else self.reduction.T @ weights
         outside, v = self.of_simulation(v), shifted(v, self.late)
         plays, inside = self.of_plays, self.inside(v, period_s)
@@ -222,7 +222,7 @@ class HysteresisModel:
         return y
 
     def of_stage(self, weights: np.ndarray) -> np.ndarray:
-        """Weights of the rows as a stage has them, (size,), whose Bouc–Wen state has no unit."""
+        """Return the weights as a stage has them, (size,): there the Bouc–Wen state is dimensionless."""
         full = weights.copy() if self.reduction is None else self.reduction.T @ weights
         if self.bouc_wen:
             full[self.of_plays] *= self.scale_v
@@ -234,15 +234,15 @@ class HysteresisModel:
         return not any(self.shape[name] for name in CHANGING)
 
     def is_calm(self, v: np.ndarray) -> bool:
-        """Whether a voltage, (time,), moves few plays from sample to sample."""
+        """Whether a voltage, (time,), moves only few plays from sample to sample."""
         return bool(np.abs(np.diff(v)).sum() < CALM * len(v) * self.scale_v)
 
     def plain_sums(self, v: np.ndarray, weights: np.ndarray, y: np.ndarray) -> None:
-        """Into `y`, (sums, time): the plays with these weights, (sums, pieces × plays)."""
+        """Write the sums of the plays with weights (sums, pieces × plays) into `y`, (sums, time)."""
         sums_of_plain_plays(v, self.thresholds_v, *self.output_functions(weights), y)
 
     def output_functions(self, weights: np.ndarray) -> tuple[float, float, np.ndarray, np.ndarray]:
-        """Where their first piece begins, how long each is, and slopes and offsets, (pieces, plays, sums).
+        """Return the start of the first piece, the length of each, slopes and offsets, (pieces, plays, sums).
 
         The weights are (sums, pieces × plays).
         """
@@ -252,7 +252,7 @@ class HysteresisModel:
         return low_v, piece_v, np.ascontiguousarray(slopes), np.array(offsets_of(slopes, low_v, piece_v))
 
     def inside(self, v: np.ndarray, period_s: float) -> tuple[np.ndarray, ...]:
-        """The chord, envelopes up and down, widening of the thresholds, gains, widening of the loop."""
+        """Chord, envelopes up and down, threshold widening, gain, straight gain, loop widening."""
         s = self.shape
         rate = np.diff(v, prepend=0.0) / period_s
         if s["rate_filter_s"] > 0.0:
@@ -265,12 +265,12 @@ class HysteresisModel:
         return s["chord_share"] * v, v + bent, v - bent, widening, gain, straight, loop
 
     def other_rows(self, v: np.ndarray, gain: np.ndarray, loop: np.ndarray) -> list[np.ndarray]:
-        """States of the other families."""
+        """Return the rows of Bouc–Wen and Duhem states."""
         rows = []
         if self.bouc_wen:
             numbers = (self.shape["sigma_v"], self.shape["beta"], self.shape["exponent"])
             z = bouc_wen_row(v, *numbers, self.start) * gain
-            # In the unit of the plays, whose weights have one prior.
+            # In the unit of the plays, because one prior serves all weights.
             rows.append(self.scale_v * (z + z * loop))
         if self.duhem:
             alpha = self.shape["alpha_per_v"]
@@ -278,34 +278,34 @@ class HysteresisModel:
         return rows
 
     def of_simulation(self, v: np.ndarray) -> list[np.ndarray]:
-        """What a simulation makes of a voltage, (time,)."""
+        """Return the row of a simulation, if there is one, for a voltage, (time,)."""
         return [FIRM * shifted(self.called(v), self.late)] if self.called else []
 
 
 def thresholds(seen: DataRange, fine: int, even: int) -> np.ndarray:
-    """0, then `fine` spread evenly in the logarithm and `even` evenly, up to where a play still moves."""
+    """Return 0, `fine` log-spaced and `even` evenly spaced thresholds, up to where a play still moves."""
     reach = reach_v(seen)
     r = [np.zeros(1), np.geomspace(0.003 * reach, 0.97 * reach, fine)]
     return np.unique(np.concatenate([*r, np.linspace(0, 0.97 * reach, even + 1)[1:]]))
 
 
 def reach_v(seen: DataRange) -> float:
-    """The largest threshold that a play passes from the de-energised state."""
+    """The largest threshold at which a play still moves from the de-energised state."""
     return max(abs(seen.low_v), abs(seen.high_v), seen.span_v / 2)
 
 
 def plays_of(seen: DataRange, r: np.ndarray, pieces: int = 1, **states: Any) -> HysteresisModel:
-    """Plays over what the recordings span, and from where they begin."""
+    """Plays over the voltage range of the recordings, extended to the de-energised state."""
     return HysteresisModel(r, pieces, (min(seen.low_v, 0.0), max(seen.high_v, 0.0)), reach_v(seen), **states)
 
 
 def plain(seen: DataRange) -> HysteresisModel:
-    """Ten plays: the plain stage of the paper's kind."""
+    """Ten plays: a plain stage of the paper's kind."""
     return plays_of(seen, thresholds(seen, 0, 9))
 
 
 def many_plays(seen: DataRange) -> HysteresisModel:
-    """A hundred plays: any Prandtl–Ishlinskii operator, down to the noise."""
+    """A hundred plays, which match any Prandtl–Ishlinskii operator down to the noise."""
     return plays_of(seen, thresholds(seen, 20, 80))
 
 
@@ -315,12 +315,12 @@ def preisach(seen: DataRange, pieces: int = PIECES) -> HysteresisModel:
 
 
 def bouc_wen(seen: DataRange, sigma: float) -> HysteresisModel:
-    """A Bouc–Wen state on a line."""
+    """A Bouc–Wen state added to a straight line."""
     shape = {**IDENTITY, "sigma_v": sigma * reach_v(seen), "beta": 0.6, "exponent": 1.2}
     return plays_of(seen, np.zeros(1), bouc_wen=True, shape=shape)
 
 
 def duhem(seen: DataRange) -> HysteresisModel:
-    """A bank of Duhem states on a curve: also what does not close its loops."""
+    """A bank of Duhem states added to a curve, which can also describe loops that do not close."""
     shape = {**IDENTITY, "alpha_per_v": 1.0 / reach_v(seen)}
     return plays_of(seen, np.zeros(1), CURVE, duhem=True, shape=shape).unreduced

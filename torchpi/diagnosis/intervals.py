@@ -1,4 +1,4 @@
-"""Intervals of the fitted parameters that hold for a coloured residual, and for a model that is not exact."""
+"""Intervals of the fitted parameters that remain valid for a coloured residual and an inexact model."""
 
 from math import inf, sqrt
 
@@ -12,17 +12,17 @@ from torchpi.diagnosis.hypothesis import Fit
 from torchpi.diagnosis.sensitivity import jacobian
 
 BLOCKS = 30
-"""Contiguous pieces of all recordings together; their scores are taken as independent."""
+"""Number of contiguous blocks in all recordings together; their scores are taken as independent."""
 ONE_SIDED = 0.95
-"""Of Student's t, with a degree of freedom less than there are blocks, or recordings: 90 % two-sided."""
+"""Level of Student's t with one degree of freedom less than blocks, or recordings: 90 % two-sided."""
 LINEAR = 1.0
-"""Half-width of a logarithm's interval, beyond which linear steps do not say how wide it is."""
+"""Half-width of an interval in the logarithm beyond which linear steps cannot tell its width."""
 TELLS = 0.1
-"""Of what all samples know of a parameter; what is left after less cannot say how it scatters."""
+"""Share of all information on a parameter that a jackknife fit must retain to count for its scatter."""
 
 
 def intervals_90(now: Fit, covariance: np.ndarray) -> list[tuple[float, float]]:
-    """For each slot of the fit its 90 % interval, from `covariance_90`."""
+    """Return the 90 % interval of each slot of the fit, from `covariance_90`."""
     return [
         (to_outer(slot, float(t - half)), to_outer(slot, float(t + half)))
         for slot, t, half in zip(now.slots, now.theta, np.sqrt(np.diag(covariance)), strict=True)
@@ -30,14 +30,14 @@ def intervals_90(now: Fit, covariance: np.ndarray) -> list[tuple[float, float]]:
 
 
 def covariance_90(chain: Chain, now: Fit) -> np.ndarray:
-    """(slots, slots): how the fitted numbers scatter together, by two jackknives; the roots of its diagonal
-    are half the widths of their 90 % intervals.
+    """Return the scaled covariance of the fitted parameters, (slots, slots), by two jackknives; the roots of
+    its diagonal are half the widths of their 90 % intervals.
 
-    One leaves out a block at a time, and sees the noise with its colour; the other a recording at a time, and
-    sees what the model has wrong, which shows differently in each excitation; of a few recordings Student's t
-    says how little their scatter is known. Their covariances, each times the square of its quantile, add.
-    Both move the fit by one Gauss–Newton step, which is exact where the model is linear: CR3 of Bell and
-    McCaffrey (2002).
+    One jackknife leaves out a block at a time and captures the noise with its colour. The other leaves out a
+    recording at a time and captures model errors, which differ from one excitation to another; for few
+    recordings, Student's t accounts for how little their scatter is known. The covariances, each times its
+    squared quantile, are added. Both move the fit by one Gauss–Newton step, exact for a linear model: CR3 of
+    Bell and McCaffrey (2002).
     """
     if not now.slots:
         return np.zeros((0, 0))
@@ -55,23 +55,23 @@ def covariance_90(chain: Chain, now: Fit) -> np.ndarray:
         for inside in (block == b for b in range(pieces)):
             blocks.append((part[:, inside] @ part[:, inside].T, part[:, inside] @ error[inside]))
     whole, n = np.sum([gram for gram, _ in recordings], 0), len(now.weights)
-    # Hundreds of weights of a density are known by its smoothness too, with any part left out.
+    # The smoothness of a density also informs its hundreds of weights, whichever part is left out.
     whole[:n, :n] += prior_of(chain, now.hypothesis, whole[:n, :n])
     scattered = [quantile(len(p)) ** 2 * scatter(whole, p, len(now.slots)) for p in (blocks, recordings)]
     return scattered[0] + scattered[1]
 
 
 def distance_from_none(now: Fit, covariance: np.ndarray, name: str) -> float:
-    """How far the numbers of an effect lie together from those of none of it, in half-widths of 90 %: the
-    Mahalanobis distance of those that are 0 without it, by the root of how many they are.
+    """Return the distance of an effect's parameters from no effect, in half-widths of 90 % intervals: the
+    Mahalanobis distance of the parameters that are 0 without it, over the root of their number.
 
-    Infinite where their scatter cannot say: a number whose logarithm is uncertain by more than a linear step
-    can tell, and a walk, whose knots are bound to one another.
+    It is infinite where the covariance cannot tell: if the logarithm of a parameter is too uncertain for a
+    linear step, or for a walk, whose knots are tied to one another.
 
     Args:
         now: The fit.
-        covariance: Of its slots, as `covariance_90` gives it.
-        name: Of the effect.
+        covariance: That of its slots, from `covariance_90`.
+        name: The name of the effect.
     """
     far, places = list[float](), list[int]()
     for place, (slot, value) in enumerate(zip(now.slots, now.theta, strict=True)):
@@ -92,14 +92,14 @@ def distance_from_none(now: Fit, covariance: np.ndarray, name: str) -> float:
 
 
 def quantile(parts: int) -> float:
-    """Of Student's t for the scatter of so many parts."""
+    """Return the quantile of Student's t for the scatter of so many parts."""
     return float(stdtrit(max(parts - 1, 1), ONE_SIDED))
 
 
 def scatter(whole: np.ndarray, parts: list[tuple[np.ndarray, np.ndarray]], slots: int) -> np.ndarray:
-    """(slots, slots): jackknife covariance of the last numbers of a fit, from J Jᵀ and J e of its parts.
+    """Return the jackknife covariance of a fit's last numbers, (slots, slots), from its parts' J Jᵀ and J e.
 
-    Where one part alone tells a parameter, the fit without it does not count for that parameter.
+    Where one part alone determines a parameter, the fit without that part does not count for it.
     """
     least = solved(whole, np.zeros(len(whole)), slots)[1]
     steps, count = np.zeros((len(parts), slots)), np.zeros(slots)
@@ -113,7 +113,7 @@ def scatter(whole: np.ndarray, parts: list[tuple[np.ndarray, np.ndarray]], slots
 
 
 def solved(gram: np.ndarray, score: np.ndarray, slots: int) -> tuple[np.ndarray, np.ndarray]:
-    """For the last numbers: the step that the score asks for, and the diagonal of the inverse or 0."""
+    """Return, for the last numbers, the step that solves for the score, and the inverse's diagonal or 0."""
     size = np.diag(gram)
     scale = np.where(size > 0, 1 / np.sqrt(np.maximum(size, 1e-300)), 0.0)
     unit = gram * scale * scale[:, None]

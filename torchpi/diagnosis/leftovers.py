@@ -1,4 +1,4 @@
-"""What stands out of the residual that is left, named or not: a stretch of time, a tone, a recording."""
+"""Features that stand out of the final residual, named or not: a stretch of time, a tone, a recording."""
 
 from collections.abc import Sequence
 
@@ -9,17 +9,17 @@ from torchpi.diagnosis.lines import AROUND, periodogram
 from torchpi.diagnosis.records import Record
 
 LOUD = 10.0
-"""Times the rms of the rest."""
+"""Multiple of the rms of the rest from which a feature stands out."""
 STRETCHES = 50
-"""Of a recording, among which one may stand out."""
+"""Number of stretches of a recording that are compared with one another."""
 TONE = 0.1
-"""Share of a recording's mean square that one frequency must have to be a tone."""
+"""Share of a recording's mean square that one frequency must hold to count as a tone."""
 AT_MOST = 3
-"""Phrases."""
+"""Maximum number of phrases."""
 
 
 def leftovers(records: Sequence[Record], residuals: Sequence[np.ndarray]) -> tuple[str, ...]:
-    """A phrase for each recording, stretch or frequency that stands out of what the modelled stage leaves.
+    """Return a phrase for each recording, stretch or frequency that stands out of the model's residual.
 
     The loudest comes first.
 
@@ -28,7 +28,7 @@ def leftovers(records: Sequence[Record], residuals: Sequence[np.ndarray]) -> tup
         residuals: (time,) each, µm.
     """
     found: list[tuple[float, str]] = []
-    # What does not count, wrong readings and an unsettled start, is said elsewhere.
+    # Wrong readings and an unsettled start do not count here; they are reported elsewhere.
     residuals = [np.where(r.train | r.held_out, e, 0.0) for r, e in zip(records, residuals, strict=True)]
     squares = [float(np.mean(e**2)) for e in residuals]
     for record, e, own in zip(records, residuals, squares, strict=True):
@@ -58,6 +58,6 @@ def leftovers(records: Sequence[Record], residuals: Sequence[np.ndarray]) -> tup
         if power[peak] > LOUD**2 * around[peak] and share > TONE:
             hz = peak * record.fs_hz / len(e)
             found.append(
-                (share * own, f"{record.name} at {hz:.3g} Hz, {100 * share:.0f} % of what is left there")
+                (share * own, f"{record.name} at {hz:.3g} Hz, {100 * share:.0f} % of the residual there")
             )
     return tuple(phrase for _, phrase in sorted(found, reverse=True)[:AT_MOST])

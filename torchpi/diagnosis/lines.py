@@ -1,20 +1,20 @@
-"""Lines in a stretch of noise: hum and other tones, which are no noise."""
+"""Spectral lines in a stretch of noise: hum and other tones, which are not noise."""
 
 import numpy as np
 from scipy.ndimage import median_filter
 
 STANDS_OUT = 35.0
-"""Times the median of its surroundings: exponential noise gets there once in 10¹⁰ frequencies."""
+"""Multiple of the median around it that makes a line: exponential noise gets there once in 10¹⁰ bins."""
 AROUND = 101
-"""Frequencies that are the surroundings of one."""
+"""Number of frequency bins that are the surroundings of one."""
 BESIDE = (3, 9)
-"""Frequencies away from one, from where a line ends to where its nearest surroundings do."""
+"""Distances in frequency bins from a line to where it ends, and to where its nearest surroundings end."""
 AT_MOST = 10
-"""Lines."""
+"""Maximum number of lines."""
 
 
 def without_lines(e: np.ndarray) -> np.ndarray:
-    """A stretch of noise, (time,), less each line that stands out of the spectrum around it beyond chance."""
+    """Subtract from a stretch of noise, (time,), the lines that stand out of the spectrum beyond chance."""
     for _ in range(AT_MOST):
         power = periodogram(e)
         around = median_filter(power, AROUND, mode="reflect") + np.finfo(float).tiny
@@ -31,9 +31,9 @@ def without_lines(e: np.ndarray) -> np.ndarray:
 
 
 def above_surroundings(x: np.ndarray, cycles: float) -> float:
-    """How many times its surroundings the power of a signal, (time,), is at so many cycles in all of it.
+    """Return the power of a signal, (time,), at `cycles` cycles in its length, relative to its surroundings.
 
-    The nearest frequencies count for themselves: a mode that rings is as loud there, a line is not.
+    The nearest frequencies are also compared separately: a ringing mode is as loud there, a line is not.
     """
     power, place = periodogram(x - x.mean()), round(cycles)
     if not BESIDE[1] <= place < len(power) - BESIDE[1]:
@@ -45,6 +45,6 @@ def above_surroundings(x: np.ndarray, cycles: float) -> float:
 
 
 def periodogram(x: np.ndarray, padded: int | None = None) -> np.ndarray:
-    """|X(f)|² with a Hann window, of as many samples as there are or padded with zeros to more."""
+    """Return |X(f)|² with a Hann window, of the signal as it is or padded with zeros to `padded` samples."""
     power: np.ndarray = np.abs(np.fft.rfft(x * np.hanning(len(x)), padded)) ** 2
     return power

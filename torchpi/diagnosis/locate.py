@@ -1,15 +1,15 @@
-"""Where the residual lives: maps over eight domains, before anything is named.
+"""Maps of the residual over eight domains, made before any effect is named.
 
-A map cuts all samples (or all frequencies) into cells and asks of each cell two things. Its *share*: how
-much of the squared residual over the noise floor it holds. Its *significance*: whether the residual is
-louder there than elsewhere by more than chance. Chance is judged by the residual's own colour: squares of
-correlated samples are fewer numbers than they seem. Each recording is cut into blocks four correlation
-times long; from the scatter of the blocks' sums within a cell follows how many independent squares a cell
-holds (Kish's design effect, with clusters for blocks; the cells' median, so that one burst does not hide
-itself, and never more than one to a sample). The ratio of two mean squares with so many degrees of freedom
-is an F ratio; its normal score (Paulson 1942) is the significance. White noise stays below `SIGNIFICANT` in
-all maps together in 98 of 100 diagnoses; of noise with only some hundred correlation times in the recordings
-one cell in 500 passes it.
+A map divides all samples (or all frequencies) into cells and gives each cell two numbers. Its *share* is the
+part of the squared residual above the noise floor that the cell holds. Its *significance* says whether the
+residual is larger there than elsewhere by more than chance. Chance is judged by the residual's own colour:
+squares of correlated samples count as fewer independent numbers. Each recording is cut into blocks four
+correlation times long; the scatter of the blocks' sums within a cell gives the number of independent squares
+in the cell (Kish's design effect, with blocks as clusters; the cells' median, so that one burst does not hide
+itself, and never more than one per sample). The ratio of two mean squares with these degrees of freedom is an
+F ratio; its normal score (Paulson 1942) is the significance. White noise stays below `SIGNIFICANT` in all
+maps together in 98 of 100 diagnoses; for noise with only about a hundred correlation times in the recordings,
+one cell in 500 exceeds it.
 """
 
 from collections.abc import Sequence
@@ -25,24 +25,24 @@ INDEPENDENT = 2 / 3
 """Share of the frequencies of a Hann-windowed spectrum that are independent (its noise bandwidth is 1.5)."""
 
 SIGNIFICANT = 4.0
-"""Standard deviations from which a cell is worth pointing at: the maps have a hundred cells."""
+"""Standard deviations above which a cell is worth reporting, as the maps have a hundred cells."""
 LEAST_REVERSAL = 0.005
-"""Of the input's span: a smaller way back is no reversal."""
+"""Share of the input's span: a smaller move back does not count as a reversal."""
 LEAST_REST = 10
-"""Samples without motion of the input that make a rest."""
+"""Minimum number of samples without motion of the input that count as a rest."""
 TIME_CELLS, LEVEL_CELLS, SWING_CELLS = 12, 12, 8
 BANDS_PER_DECADE = 6
 
 
 def locate(traces: Sequence[Trace], noise_floor_um: float) -> tuple[Where, ...]:
-    """Maps of the retuned stage's residual over the eight domains.
+    """Return maps of the retuned stage's residual over the eight domains.
 
-    Time has a map in seconds for each recording, and one over the recordings' relative time where there are
-    several. Rate has two maps: its size, and its sign and size. The other domains have one each; the shares
-    of a map add up to 1, or are all 0 where nothing stands over the floor. In frequency the floor is taken
-    as white, and a band is compared with the recording's median density, which one peak, or a slow drift,
-    does not raise. A rest is ten samples or more without any change of the input: on a measured, noisy
-    input there is none.
+    Time has a map in seconds for each recording, and one over relative time if there are several recordings.
+    Rate has two maps: its magnitude, and its sign and magnitude. The other domains have one each. The shares
+    of a map add up to 1, or are all 0 if nothing exceeds the floor. In frequency the floor is taken as white,
+    and a band is compared with the recording's median density, which neither one peak nor a slow drift
+    raises. A rest is ten samples or more without any change of the input, so a measured, noisy input has
+    none.
 
     Args:
         traces: The recordings.
@@ -71,7 +71,7 @@ def locate(traces: Sequence[Trace], noise_floor_um: float) -> tuple[Where, ...]:
 
 
 def normal_score(ratio: float, above: float, below: float) -> float:
-    """How many standard deviations an F ratio of `above` and `below` degrees of freedom lies from 1.
+    """Return how many standard deviations an F ratio with `above` and `below` degrees of freedom is from 1.
 
     Paulson, Ann. Math. Statist. 13 (1942): the cube root of F is nearly normal.
     """
@@ -81,7 +81,7 @@ def normal_score(ratio: float, above: float, below: float) -> float:
 
 @dataclass(frozen=True, eq=False)
 class _Cells:
-    """One map's cells, and which of them each sample is in."""
+    """The cells of one map, and the cell of each sample."""
 
     domain: Domain
     unit: str
@@ -92,10 +92,10 @@ class _Cells:
 
 @dataclass(frozen=True, eq=False)
 class _Samples:
-    """All recordings' squared residual, one after another."""
+    """The squared residuals of all recordings, concatenated."""
 
     squares: np.ndarray  # shape: (samples,), µm²
-    block: np.ndarray  # shape: (samples,), the block that a sample is in
+    block: np.ndarray  # shape: (samples,), the block of each sample
     blocks: int
 
     @classmethod
@@ -115,7 +115,7 @@ class _Samples:
         n, total = n_of.sum(0), sum_of.sum(0)
         excess = np.maximum(total - n * noise_floor_um**2, 0.0)
         share = excess / excess.sum() if excess.sum() > 0 else np.zeros(count)
-        each = 2 / _design_effect(n_of, sum_of)  # degrees of freedom of a sample
+        each = 2 / _design_effect(n_of, sum_of)  # degrees of freedom per sample
         found = []
         for c in np.flatnonzero(n).tolist():
             others, rest = n.sum() - n[c], total.sum() - total[c]
@@ -137,10 +137,10 @@ class _Samples:
 
 
 def _block_length(e: np.ndarray) -> int:
-    """Four correlation times of the squares, 16 samples at least, a fortieth of the recording at most.
+    """Return four correlation times of the squares, at least 16 samples, at most a fortieth of the recording.
 
-    The squares of Gaussian noise with autocorrelation ρ are correlated by ρ². The sum over ρ² ends where ρ
-    has sunk into its own noise for the first time.
+    The squares of Gaussian noise with autocorrelation ρ have the autocorrelation ρ². The sum over ρ² ends
+    where ρ first falls below its own noise.
     """
     size = 1 << (2 * len(e) - 1).bit_length()
     power = np.abs(np.fft.rfft(e - e.mean(), size)) ** 2
@@ -154,7 +154,7 @@ def _block_length(e: np.ndarray) -> int:
 
 
 def _design_effect(n_of: np.ndarray, sum_of: np.ndarray) -> float:
-    """Variance of a cell's mean square, times its samples, over the mean's square; 2 for white noise."""
+    """Return the variance of a cell's mean square, times its samples, over its square; 2 for white noise."""
     n, visits = n_of.sum(0), (n_of > 0).sum(0)
     mean = sum_of.sum(0) / np.maximum(n, 1)
     variance = ((sum_of - mean * n_of) ** 2).sum(0) / np.maximum(n, 1) * visits / np.maximum(visits - 1, 1)
@@ -203,7 +203,7 @@ def _frequency(traces: Sequence[Trace], noise_floor_um: float) -> list[Where]:
         floor += n * per_hz * bins * white
         own = n * per_hz * bins * reference
         expected += own
-        # Squared standard deviations of both: of a mean of exponential numbers, and of their median.
+        # Variances of the two: of a mean of exponentially distributed numbers, and of their median.
         above += own**2 / np.maximum(INDEPENDENT * bins, 1)
         below += own**2 / (INDEPENDENT * len(f) * np.log(2) ** 2)
     excess = np.maximum(power - floor, 0.0)
@@ -226,7 +226,7 @@ def _frequency(traces: Sequence[Trace], noise_floor_um: float) -> list[Where]:
 
 
 def _density(trace: Trace) -> tuple[np.ndarray, np.ndarray]:
-    """Frequencies, and the one-sided density of the residual, µm²/Hz, Hann window."""
+    """Return frequencies and the one-sided power density of the residual, µm²/Hz, with a Hann window."""
     e = trace.residual_retuned
     window = np.hanning(len(e) + 2)[1:-1]
     density = 2 * np.abs(np.fft.rfft(e * window)) ** 2 / ((window**2).sum() * trace.fs_hz)
@@ -242,10 +242,10 @@ def _displacement(traces: Sequence[Trace]) -> _Cells:
 class _Drive:
     """What the input does at each sample, (time,)."""
 
-    rate: np.ndarray  # V/s, over the sample that ends here
+    rate: np.ndarray  # V/s, since the previous sample
     direction: np.ndarray  # 1, −1, 0 at rest
-    since_s: np.ndarray  # since the input last turned round
-    swing_v: np.ndarray  # from the turn before to the turn after
+    since_s: np.ndarray  # since the last reversal of the input
+    swing_v: np.ndarray  # from the previous reversal to the next
 
     @classmethod
     def of(cls, trace: Trace) -> "_Drive":
@@ -262,7 +262,7 @@ class _Drive:
 
 @njit(cache=True)
 def turning_points(u: np.ndarray, least: float) -> np.ndarray:
-    """Indices where the input turns round by more than `least`; 0, the start, is the first."""
+    """Return the indices where the input reverses by more than `least`; the first is the start, 0."""
     turns = [0]
     low = high = 0
     heading = 0
@@ -283,7 +283,7 @@ def turning_points(u: np.ndarray, least: float) -> np.ndarray:
 
 
 def _rests(u: np.ndarray) -> np.ndarray:
-    """(time,), bool: within a run of equal values."""
+    """Whether each sample lies within a long enough run of equal values, (time,), bool."""
     moved = np.concatenate([[0], np.flatnonzero(np.diff(u) != 0) + 1, [len(u)]])
     lengths = np.diff(moved)
     return np.repeat(lengths >= LEAST_REST, lengths)
@@ -304,7 +304,7 @@ def _signed_rate(drives: Sequence[_Drive]) -> _Cells:
 
 
 def _rate_edges(size: np.ndarray) -> np.ndarray:
-    """0, then three cells a decade up to the largest."""
+    """Return the cell edges: 0, then about three cells per decade up to the largest rate."""
     moving = size[size > 0]
     if not len(moving):
         return np.array([0.0, 1.0])

@@ -1,4 +1,4 @@
-"""Long recordings at a lower rate, or their beginning: a search works on what fits in about a minute."""
+"""Reduce long recordings to a lower rate, or to their beginning, so that a search takes about a minute."""
 
 import math
 from collections.abc import Sequence
@@ -10,33 +10,33 @@ from scipy.signal import welch
 from torchpi.recordings.recording import Recording
 
 AT_MOST = 200_000
-"""Samples of all recordings together."""
+"""Maximum number of samples of all recordings together."""
 LEAST = 2_000
-"""Samples of a recording that stays as it is."""
+"""Recordings that would be reduced to fewer samples stay as they are."""
 FAST = 0.05
-"""Rms of a voltage within the samples of a mean, over its own, from which it is too fast for means: of a sine
-they lose some half of its square, here 0.1 %, at each turning point."""
+"""Ratio of a voltage's rms within the blocks of means to its own rms, above which it is too fast for means:
+of a sine they lose about half the ratio's square, here 0.1 %, at each turning point."""
 SEGMENT = 4096
-"""Samples of which a spectrum is made."""
+"""Number of samples per segment of a spectrum."""
 ABOVE = 3.0
-"""Times a spectrum, and what noise is in it, from which more is no scatter."""
+"""Multiple of the expected spectrum and its noise above which an excess is more than scatter."""
 LITTLE = 1e-4
-"""Of the travel: less than that is not looked for, whatever the noise."""
+"""Share of the travel below which nothing is looked for, whatever the noise."""
 
 
 def at_a_lower_rate(
     recordings: Sequence[Recording], dropouts: Sequence[np.ndarray]
 ) -> tuple[list[Recording], list[np.ndarray], tuple[str, ...]]:
-    """The recordings as means of so many samples at a time that together they are `AT_MOST`, those of a fast
-    voltage, and those that ring faster than means show, by as many of their first samples; and notes.
+    """Reduce the recordings to block means with about `AT_MOST` samples in all. Recordings of a fast voltage,
+    and those that ring faster than the means show, keep as many of their first samples instead.
 
-    A mean over a block has no overshoot at a step, so that no play sees a reversal that was none. But a play
-    sees every turning point, and means of a fast voltage have others.
+    A block mean does not overshoot at a step, so no play sees a false reversal. But a play responds to every
+    turning point, and the means of a fast voltage have different ones.
 
     Args:
         recordings: One or more.
-        dropouts: For each the indices of readings that do not count; where means are taken, they take the
-            value of the reading before.
+        dropouts: For each recording, the indices of readings that do not count; before means are taken,
+            these get the value of the last good reading.
 
     Returns:
         The recordings, the dropouts that are left in them, and sentences for the report on what changed.
@@ -60,10 +60,11 @@ def at_a_lower_rate(
         if moves or rings_above(bridged, factor):
             kept.append(recording.slice(recording.t[0], recording.t[count]))
             left.append(wrong[wrong < count])
-            why = "its voltage is too fast" if moves else "it rings too fast"
+            why = "its voltage changes too fast" if moves else "it rings too fast"
             notes.append(
-                f"{recording.name}: the first {count / recording.fs_hz:.4g} s of "
-                f"{len(recording) / recording.fs_hz:.4g} s; {why} for means of {factor}."
+                f"{recording.name}: only the first {count / recording.fs_hz:.4g} s of "
+                f"{len(recording) / recording.fs_hz:.4g} s are used; {why} to be averaged over {factor} "
+                "samples."
             )
         else:
             kept.append(_of_means(bridged, factor))
@@ -73,22 +74,22 @@ def at_a_lower_rate(
         fastest = max(recording.fs_hz for recording in averaged) / 2
         notes.insert(
             0,
-            f"{samples:,} samples: worked on as means of {factor} at a time; nothing faster than "
-            f"{fastest:.3g} Hz was looked for. An excerpt of a recording shows that.",
+            f"{samples:,} samples: averaged over {factor} at a time; nothing faster than {fastest:.3g} Hz "
+            "was looked for. To see that, diagnose an excerpt of a recording.",
         )
     return kept, left, tuple(notes)
 
 
 def fast(u: np.ndarray, factor: int) -> bool:
-    """Whether a voltage, (time,), moves much within so many samples."""
+    """Whether a voltage, (time,), moves too much within blocks of `factor` samples."""
     blocks = u[: len(u) // factor * factor].astype(np.float64).reshape(-1, factor)
     within = blocks - blocks.mean(1, keepdims=True)
     return bool(within.std() > FAST * blocks.std())
 
 
 def rings_above(recording: Recording, factor: int) -> bool:
-    """Whether the readings have more that is faster than means of so many samples show, beyond what the
-    voltage has there, than there is noise: a mode, which means would fold down to where there is none."""
+    """Whether the readings contain, above the band of block means, more power than the voltage explains, by
+    more than the noise: a mode, which means would alias to a frequency where there is none."""
     fs_hz, travel_um = recording.fs_hz, float(np.ptp(recording.y))
     f, of_u = welch(recording.u, fs_hz, nperseg=SEGMENT)
     _, of_y = welch(recording.y, fs_hz, nperseg=SEGMENT)
@@ -99,7 +100,7 @@ def rings_above(recording: Recording, factor: int) -> bool:
 
 
 def means(x: np.ndarray, factor: int) -> np.ndarray:
-    """Of a signal, (time,), over blocks of so many samples; what does not fill the last one is left out."""
+    """Return the means of a signal, (time,), over blocks of `factor` samples; a partial block is dropped."""
     whole = len(x) // factor * factor
     found: np.ndarray = x[:whole].astype(np.float64).reshape(-1, factor).mean(1)
     return found

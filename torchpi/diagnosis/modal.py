@@ -1,9 +1,9 @@
-"""Modes that every recorded input drives: a stage that rings as one, whichever axis is moved.
+"""Modes driven by every recorded input: a stage that rings as a whole, whichever axis is moved.
 
-No single resonance or coupling explains such a stage, and each alone explains little. So the poles, which all
-inputs share, are found together: one mode after another where the residual stands out, all poles refined
-after each, the residues of every input solved for at every step (variable projection: Golub and Pereyra 1973;
-common poles: Gustavsen and Semlyen, IEEE Trans. Power Delivery 14(3), 1999).
+No single resonance or coupling explains such a stage, and each alone explains little. The poles, which all
+inputs share, are therefore found together: modes are added one by one where the residual stands out, all
+poles are refined after each, and all residues are solved for at every step (variable projection: Golub and
+Pereyra 1973; common poles: Gustavsen and Semlyen, IEEE Trans. Power Delivery 14(3), 1999).
 """
 
 from collections.abc import Iterator, Sequence
@@ -30,40 +30,40 @@ from torchpi.stage.effects.mechanics.modes import RELATIVE_STEP, Modes
 from torchpi.stage.effects.mechanics.resonance import peaks_hz
 
 EARNS = 0.5
-"""Probability that the recordings are predicted better with a mode, or an input, than without: of all modes
-together the search demands more."""
+"""Probability that the recordings are predicted better with a mode, or an input, than without it. For all
+modes together, the search demands more."""
 LEAST_GAIN = 0.03
-"""By what share one more mode lowers the rms error."""
+"""Minimum share by which one more mode must lower the rms error."""
 PER_NUMBER = 1.0
-"""Nats that a fitted number gains from noise alone (Akaike, 1974): here nothing is left out of a fit."""
+"""Nats that each fitted number gains from noise alone (Akaike, 1974), as no samples are left out here."""
 DAMPINGS = (0.01, 0.05)
-"""Damping ratios at which a mode is looked for."""
+"""Damping ratios from which a mode is started."""
 APART = 0.01
-"""Of its frequency: where the twin of a mode is looked for."""
+"""Relative frequency offset at which a close second mode is looked for beside a mode."""
 TRIED = 3
-"""How many frequencies are tried before the rest is taken for no mode."""
+"""Number of frequencies tried before the residual is taken to contain no further mode."""
 STEPS, CLOSING = 3, 12
-"""Of the poles after each mode, and at the end."""
+"""Numbers of Gauss–Newton steps of the poles: after each mode, and at the end."""
 FASTEST, MOST_DAMPED = 0.75, 0.29
-"""Of the sample rate, and of the critical damping: a pole that goes there is no mode. One beyond the band may
-stand for all that lies there."""
+"""Shares of the sample rate and of critical damping: a pole that moves there is not a mode. A pole beyond the
+band may stand for everything beyond it."""
 AT_MOST = 12_000
-"""Samples that the poles are fitted to."""
+"""Maximum number of samples that the poles are fitted to."""
 PASSES = 2
-"""The first with modes that the voltage drives, then with those that the fitted hysteresis drives."""
+"""Number of passes: in the first the voltage drives the modes, then the fitted hysteresis does."""
 RIDGE = 1e-10
-"""Of each column's square."""
+"""Regularisation, as a share of each column's sum of squares."""
 CLOSED = 1e-3
-"""Relative gain of a step below which the poles stay."""
+"""Relative gain of a step below which the refinement of the poles ends."""
 LARGEST = 900.0
-"""Of a share of the static gain."""
+"""Upper limit of a mode's share of the static gain."""
 
 
 def driven_modes(chain: Chain, now: Fit, simpler: Sequence[Fit], tolerance: float) -> list[tuple[str, Fit]]:
-    """The modes and the inputs that drive them, fitted on top of this, with what they are called together.
+    """Return a fit with modes and the inputs that drive them added to `now`, and the joint name of these.
 
-    None where no other signal was recorded, where no mode is driven by one, or where an explanation with
-    fewer numbers, of `simpler`, does as well.
+    The list is empty if no auxiliary signal was recorded, if none drives a mode, or if `now`, or one of
+    `simpler` with fewer parameters, predicts better.
     """
     base = now.hypothesis
     aux = sorted({name for record in chain.records for name in record.aux if np.ptp(record.aux[name]) > 0})
@@ -71,7 +71,7 @@ def driven_modes(chain: Chain, now: Fit, simpler: Sequence[Fit], tolerance: floa
         return []
     for name in MODAL:
         base = base.without(name)
-    # Until the hysteresis is fitted with the modes behind it, the voltage is the better guide.
+    # Until the hysteresis is fitted with the modes behind it, the voltage is the better drive.
     drive = [chain.voltage(base, i) for i in range(len(chain.records))]
     modes = Superposition(chain, base, drive, aux)
     found: list[tuple[Solved, Fit]] = []
@@ -99,8 +99,8 @@ def driven_modes(chain: Chain, now: Fit, simpler: Sequence[Fit], tolerance: floa
 def timed(
     chain: Chain, base: Hypothesis, weights: np.ndarray, aux: Sequence[str], poles: np.ndarray
 ) -> "Superposition":
-    """Modes behind the fitted hysteresis, under the convention of timing that suits these poles better: a
-    sample too early or too late costs modes beyond the band."""
+    """Return modes behind the fitted hysteresis, under the timing convention that suits these poles better:
+    with an error of one sample, modes beyond the band are needed to make up for it."""
     found = []
     for alignment in (0, 1):
         other = replace(base, alignment=alignment)
@@ -114,17 +114,17 @@ def timed(
 
 @dataclass(frozen=True, eq=False)
 class Solved:
-    """Poles with the residues that go with them."""
+    """Poles and the residues solved for with them."""
 
     poles: np.ndarray
     """(modes, 2): frequency, Hz, and damping ratio."""
     aux: tuple[str, ...]
     coefficients: np.ndarray
-    """Of the static columns, then of both states of each mode for each input, mode by mode."""
+    """Coefficients of the static columns, then of both states of each mode per input, mode by mode."""
     columns: np.ndarray
     """(columns, fitted samples)."""
     inverse: np.ndarray
-    """Of the columns' Gram matrix."""
+    """Inverse of the columns' Gram matrix."""
     residual: np.ndarray
     """(fitted samples,), µm."""
 
@@ -134,12 +134,12 @@ class Solved:
 
 
 class Superposition:
-    """Modes driven by the voltage and by auxiliary signals, beside all that is static.
+    """Modes driven by the voltage and by auxiliary signals, beside the static columns.
 
     Args:
         chain: The recordings.
-        base: What stands before the modes.
-        drive: (time,) for each recording: what moves the modes from the stage's own axis.
+        base: The hypothesis that precedes the modes.
+        drive: (time,) for each recording: the signal of the stage's own axis that drives the modes.
         aux: The signals that may drive a mode.
     """
 
@@ -169,8 +169,8 @@ class Superposition:
         self.y = np.concatenate([record.y for record in self.records])
 
     def found(self, poles: np.ndarray) -> Solved | None:
-        """As many modes as earn their place, from these on, and the signals that drive them; None without
-        either."""
+        """Return as many modes as earn their place, starting from these poles, and the signals that drive
+        them; None if there are no modes or no such signals."""
         now = self.refined(self.solved(poles, self.aux), STEPS)
         while len(now.poles) < MOST_MODES:
             more = self.with_one_more(now)
@@ -185,23 +185,23 @@ class Superposition:
         return now if now.aux and len(now.poles) else None
 
     def with_one_more(self, now: Solved) -> Solved | None:
-        """The mode that the residual shows best; None where none earns its place."""
-        # Where two modes stand close together, one stands for both at first, and no peak is left.
+        """Add the mode that the residual shows best; return None if none earns its place."""
+        # Of two modes close together, a single one represents both at first and leaves no peak.
         twins = [float(f) for f in np.outer(now.poles[:, 0], [1 - APART, 1 + APART]).ravel()]
         starts = [(f, damping) for f in [*self.peaks_hz(now), *twins] for damping in DAMPINGS]
-        # At each frequency from the best of its damping ratios; the best frequency first.
+        # Each frequency starts with its best damping ratio, and the best frequency comes first.
         starts.sort(key=lambda pole: -self.reduction(now, *pole))
         best = dict(reversed(starts))
         for frequency in list(dict.fromkeys(frequency for frequency, _ in starts))[:TRIED]:
             poles = np.vstack([now.poles, [[frequency, best[frequency]]]])
             more = self.refined(self.solved(poles, now.aux), STEPS)
-            # To predict no quiet cell worse would be too much while loud modes are missing.
+            # While loud modes are missing, asking that no quiet cell be predicted worse is too strict.
             if self.seen(more).all() and more.squares < (1 - LEAST_GAIN) ** 2 * now.squares:
                 return more
         return None
 
     def reduction(self, now: Solved, frequency_hz: float, damping_ratio: float) -> float:
-        """By how much one more mode lowers the squared error, the poles that are there as they are."""
+        """Return by how much one more mode lowers the squared error with the present poles fixed."""
         columns = self.driven(np.array([[frequency_hz, damping_ratio]]), now.aux)
         across = now.columns @ columns.T
         gram = columns @ columns.T - across.T @ now.inverse @ across
@@ -210,13 +210,13 @@ class Superposition:
         return float(right @ np.linalg.solve(gram, right))
 
     def without_the_unseen(self, now: Solved) -> Solved:
-        """Without what went, beside the others, where no mode is."""
+        """Remove poles that moved to where these samples cannot show a mode, and refine the others."""
         while not (seen := self.seen(now)).all():
             now = self.refined(self.solved(now.poles[seen], now.aux), CLOSING)
         return now
 
     def without_the_needless(self, now: Solved) -> Solved:
-        """Without the modes whose work the others do."""
+        """Remove modes that are redundant given the others."""
         while len(now.poles):
             least = int(np.argmin(self.losses(now)))
             less = self.refined(self.solved(np.delete(now.poles, least, 0), now.aux), STEPS)
@@ -226,32 +226,32 @@ class Superposition:
         return now
 
     def losses(self, now: Solved) -> list[float]:
-        """The squared error without each of the modes, the other poles as they are."""
+        """Return the squared error without each of the modes, the other poles fixed."""
         every = range(len(now.poles))
         return [self.solved(np.delete(now.poles, m, 0), now.aux).squares for m in every]
 
     def seen(self, now: Solved) -> np.ndarray:
-        """(modes,), bool: whether each is one that these samples can show."""
+        """Whether each mode is one that these samples can show, (modes,), bool."""
         inside: np.ndarray = np.all(now.poles < 0.999 * self.limits(), axis=1)
         return inside
 
     def limits(self) -> np.ndarray:
-        """The highest frequency, and damping ratio."""
+        """Return the highest frequency, Hz, and the highest damping ratio."""
         return np.array([FASTEST * max(record.fs_hz for record in self.records), MOST_DAMPED])
 
     def peaks_hz(self, now: Solved) -> list[float]:
-        """Where the residual of the loudest recording stands out."""
+        """Return the frequencies at which the largest residual of a recording stands out."""
         parts = self.residuals(now)
         loudest = max(range(len(parts)), key=lambda i: float(np.mean(parts[i] ** 2)))
         return peaks_hz(torch.from_numpy(parts[loudest]), self.records[loudest].fs_hz)
 
     def earns(self, more: Solved, less: Solved) -> bool:
-        """Whether what is more earns its place."""
+        """Whether the additional modes or inputs of `more` earn their place."""
         numbers = len(more.coefficients) - len(less.coefficients) + 2 * (len(more.poles) - len(less.poles))
         return gain(self.density(more), self.density(less), -PER_NUMBER * numbers).probability > EARNS
 
     def density(self, now: Solved) -> np.ndarray:
-        """(cells,): its log density."""
+        """Return the log density of each cell, (cells,)."""
         squares = []
         for record, e in zip(self.records, self.residuals(now), strict=True):
             of = record.coefficients
@@ -259,7 +259,7 @@ class Superposition:
         return self.weighting.of_squares(np.concatenate(squares) / self.weighting.counts)
 
     def residuals(self, now: Solved) -> list[np.ndarray]:
-        """(time,) for each recording, µm."""
+        """Return the residual of each recording, (time,), µm."""
         kept, residues = self.kept(now.aux), self.residues(now)
         static, direct = np.split(now.coefficients[: -residues.size or None], [len(self.static)])
         left = self.y - static @ self.static - direct @ self.driving[kept[1:]]
@@ -271,7 +271,7 @@ class Superposition:
         ]
 
     def solved(self, poles: np.ndarray, aux: tuple[str, ...]) -> Solved:
-        """The residues of every input by least squares."""
+        """Solve for the residues of every input by least squares."""
         unmoved = [self.fitted_static, self.driving[self.kept(aux)[1:]][:, self.fitted]]
         columns = np.concatenate([*unmoved, self.driven(poles, aux)])
         gram = columns @ columns.T
@@ -283,7 +283,7 @@ class Superposition:
         return Solved(poles, aux, coefficients, columns, inverse, y - coefficients @ columns)
 
     def driven(self, poles: np.ndarray, aux: tuple[str, ...]) -> np.ndarray:
-        """(columns, fitted samples): both states of each mode for each input."""
+        """Return both states of each mode for each input, (columns, fitted samples)."""
         kept = self.kept(aux)
         parts = [
             states[..., at] for states, at in zip(self.responses(poles, kept), self.fitted_in, strict=True)
@@ -292,17 +292,17 @@ class Superposition:
         return joined
 
     def responses(self, poles: np.ndarray, kept: Sequence[int]) -> Iterator[np.ndarray]:
-        """(inputs, modes, 2, time) for each recording: each mode's displacement and rate for each input."""
+        """Yield each mode's displacement and rate for each input, (inputs, modes, 2, time), by recording."""
         frequency_hz, damping_ratio = torch.from_numpy(poles).T
         for record, inputs in zip(self.records, self.inputs, strict=True):
             yield Modes(record.period_s, []).responses(inputs[kept], frequency_hz, damping_ratio).numpy()
 
     def kept(self, aux: tuple[str, ...]) -> list[int]:
-        """Of the inputs, the stage's own first."""
+        """Return the indices of these inputs, that of the stage's own axis first."""
         return [0, *(1 + self.aux.index(name) for name in aux)]
 
     def refined(self, now: Solved, steps: int) -> Solved:
-        """Gauss–Newton over the logarithms of the poles, the residues solved for at each step."""
+        """Refine the logarithms of the poles by Gauss–Newton, solving for the residues at each step."""
         damping, moving = 1e-3, 2 * len(now.poles)
         for _ in range(steps if moving else 0):
             full = np.concatenate([self.slopes(now), now.columns])
@@ -326,7 +326,7 @@ class Superposition:
         return now
 
     def slopes(self, now: Solved) -> np.ndarray:
-        """(2 modes, fitted samples): how the output moves with the logarithm of each frequency, damping."""
+        """Sensitivity of the output to each log frequency and log damping, (2 modes, fitted samples)."""
         residues = self.residues(now).reshape(len(now.poles), -1)
         here = now.columns[-residues.size :]
         changes = [
@@ -337,14 +337,14 @@ class Superposition:
         return slopes.reshape(2 * len(residues), -1) / RELATIVE_STEP
 
     def residues(self, now: Solved) -> np.ndarray:
-        """(modes, inputs, 2)."""
+        """Return the residues, (modes, inputs, 2)."""
         first = len(self.static) + len(now.aux)
         return now.coefficients[first:].reshape(len(now.poles), 1 + len(now.aux), 2)
 
     def members(self, now: Solved) -> list[EffectTerm]:
-        """What was found, by name: the mode that it could do without least is the resonance.
+        """Return the result as named effects; the mode that it can least do without is the resonance.
 
-        Empty where the numbers are not those of a stage: recordings in extreme units ask for such.
+        The list is empty if the numbers are impossible for a stage, as recordings in extreme units may give.
         """
         residues = self.residues(now)
         own, direct, _ = np.split(now.coefficients, [len(self.static), len(self.static) + len(now.aux)])

@@ -1,4 +1,4 @@
-"""From a fit to the stage that simulates it."""
+"""Conversion of a fit into the stage that simulates it."""
 
 from collections.abc import Sequence
 
@@ -12,10 +12,10 @@ from torchpi.stage.effects.mechanics.modal import ModalEffect
 
 
 def augmented_stage(now: Fit, recordings: int, seen: DataRange, noise_um: float) -> Stage:
-    """The fitted chain at the sample rate of what was seen.
+    """Return the fitted chain as a stage at the sample rate of the data seen.
 
-    A parameter that each recording has for itself becomes their mean where all agree in sign, and its
-    identity where they do not: the phase of the mains, for one, is another in the next recording.
+    A parameter with a value for each recording becomes their mean if all lie on one side of its identity, and
+    the identity otherwise: the phase of the mains, for example, differs in the next recording.
     """
     nominal = now.hypothesis.nominal
     weights = nominal.of_stage(now.weights[: nominal.kept])
@@ -24,7 +24,7 @@ def augmented_stage(now: Fit, recordings: int, seen: DataRange, noise_um: float)
     if outside:
         simulation = {"reference": outside.reference, "gain": FIRM * float(weights[-1])}
         weights = weights[:-1]
-        if not len(r):  # a stage has a play at least
+        if not len(r):  # a stage has at least one play
             r, weights = np.zeros(1), np.zeros(1)
     hysteresis = {
         "thresholds_v": r.tolist(),
@@ -61,7 +61,7 @@ def augmented_stage(now: Fit, recordings: int, seen: DataRange, noise_um: float)
 
 
 def common_values(member: EffectTerm) -> dict[str, float]:
-    """The parameters for a recording that was not made yet."""
+    """Return the parameters for a future recording."""
     values = dict(member.shared)
     for name in {name for own in member.own for name in own}:
         each = [own.get(name, member.effect.identity[name]) for own in member.own]
@@ -70,6 +70,6 @@ def common_values(member: EffectTerm) -> dict[str, float]:
 
 
 def agreed(each: Sequence[float], identity: float) -> float:
-    """Their mean if all lie on one side of the identity."""
+    """Return the mean if all values lie on one side of the identity, else the identity."""
     signs = {np.sign(value - identity) for value in each}
     return float(np.mean(each)) if len(signs) == 1 else identity

@@ -1,7 +1,7 @@
-"""A voltage that was monitored has noise of its own, which never drove the stage.
+"""Removal of the noise that a monitor adds to the recorded voltage, which never drove the stage.
 
-Left there, it is a reason for any lag in front of the hysteresis: a filter of the noise predicts better than
-the noise (errors in variables: Söderström, *Errors-in-Variables Methods in System Identification*, 2018).
+If the noise is left in, it favours any lag before the hysteresis: filtered noise predicts better than noise
+itself (errors in variables: Söderström, *Errors-in-Variables Methods in System Identification*, 2018).
 """
 
 from collections.abc import Sequence
@@ -11,35 +11,35 @@ from scipy.ndimage import uniform_filter1d
 from scipy.signal import savgol_filter
 
 SMALLEST, LARGEST = 1e-6, 0.005
-"""Of the span: what scatters less is the rounding of a file, what scatters more is a command."""
+"""Shares of the span: less scatter is the rounding of a file, more scatter belongs to the command."""
 BENT = 70.0
-"""The sum of the squares of 1, 4, 6, 4, 1: the variance of fourth differences of white noise."""
+"""Sum of the squares of 1, 4, 6, 4, 1: the variance of fourth differences of unit white noise."""
 OF_WHITE = (-0.8, 0.4)
-"""Their autocorrelations at one and two samples."""
+"""Autocorrelations of these fourth differences at one and two samples."""
 WITHIN = 0.03
-"""Of these: those of integrated white noise, -0.75 and 0.3, are farther away."""
+"""Tolerance of these: those of integrated white noise, -0.75 and 0.3, are farther away."""
 SCATTER = (0.5, 1.2)
-"""Times 1/√samples: standard deviations of the two autocorrelations, by simulation."""
+"""Standard deviations of the two autocorrelations, times √samples, from simulation."""
 BLOCK, LEAST = 32, 8
-"""Samples among which a voltage is quiet or is not, and how many such blocks show noise."""
+"""Samples of a block that is judged quiet or not, and the number of blocks needed to show noise."""
 QUIET = 1.5
-"""Times the noise, which no block of it alone scatters."""
+"""Multiple of the noise that the scatter of a block of noise alone never reaches."""
 WINDOWS = tuple(2**k + 1 for k in range(2, 11))
-"""Samples of a local parabola."""
+"""Numbers of samples that a local parabola is fitted to."""
 SURE = 3.0
-"""Standard deviations of a local estimate within which those of smaller windows lie."""
+"""Standard deviations of a local estimate within which it must agree with those of smaller windows."""
 AROUND, SPARE = 1025, 1.06
-"""Samples before or after one whose mean square about their parabolas may be that of the noise, within `SURE`
-standard deviations and what the noise itself is uncertain by: a few samples alone do not tell a turn of the
-command from noise of its size."""
+"""Number of samples before or after a sample whose mean square about their parabolas is compared with the
+noise, and the allowance for the uncertainty of the noise, besides `SURE` standard deviations: a few samples
+alone cannot distinguish a turn of the command from noise of its size."""
 
 
 def monitor_noise(voltages: Sequence[np.ndarray]) -> list[float]:
-    """Of each voltage, (time,), V: the standard deviation of its monitor's white noise, V; 0 for a command.
+    """Return the standard deviation, V, of the monitor's noise in each voltage, (time,), V; 0 for a command.
 
-    The noise shows where a voltage rests or moves slowly, which a random one does not between its holds. One
-    monitor has read all voltages, with the median of their noise: those that show none too, unless they are
-    quieter. One that shows more than twice the least has been read by another.
+    The noise, which is white, shows where a voltage rests or moves slowly; a random voltage does so only in
+    its holds. All voltages are taken to come from one monitor with their median noise, including those that
+    show none unless they are quieter. A voltage with more than twice the least noise is another monitor's.
     """
     quiet = [_quietest(u) for u in voltages]
     own = [sd if white and _is_noise(sd, u) else 0.0 for (sd, white), u in zip(quiet, voltages, strict=True)]
@@ -54,7 +54,7 @@ def _is_noise(sd: float, u: np.ndarray) -> bool:
 
 
 def _quietest(u: np.ndarray) -> tuple[float, bool]:
-    """What a voltage, (time,), scatters about local cubics where it scatters least, V, and whether that is
+    """Return the scatter of a voltage, (time,), about local cubics where it is least, V, and whether it is
     white noise."""
     bent = np.diff(u, 4)
     blocks = bent[: len(bent) // BLOCK * BLOCK].reshape(-1, BLOCK)
@@ -73,16 +73,16 @@ def _quietest(u: np.ndarray) -> tuple[float, bool]:
 
 
 def without_noise(u: np.ndarray, sd: float) -> tuple[np.ndarray, np.ndarray]:
-    """(time,), V: each sample on the longest local parabola that no shorter one contradicts; and the standard
-    deviation of what is left of its noise, (time,), V.
+    """Return each sample on the longest local parabola that no shorter one contradicts, (time,), V, and the
+    standard deviation of the noise that is left in it, (time,), V.
 
     The windows are chosen by intersection of confidence intervals (Goldenshluger and Nemirovski,
-    *Mathematical Methods of Statistics* 6, 1997): edges and corners stay where they are. Nor may a window
-    take out more than noise of the samples before or after one that no window contradicted.
+    *Mathematical Methods of Statistics* 6, 1997), which keeps edges and corners in place. A window that
+    removes more than noise from the uncontradicted samples both before and after a sample is refused too.
 
     Args:
         u: (time,), V.
-        sd: Of its noise, V; 0 for a command, which comes back as it is.
+        sd: Standard deviation of its noise, V; 0 for a command, which is returned unchanged.
     """
     left = np.full(len(u), sd)
     if sd == 0.0:
@@ -109,14 +109,14 @@ def without_noise(u: np.ndarray, sd: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _too_much(going: np.ndarray, taken: np.ndarray, kept: float, sd: float, side: int) -> np.ndarray:
-    """(time,), bool: whether more than noise was taken out of the samples on one side.
+    """Whether more than noise was removed from the samples on one side of each, (time,), bool.
 
     Args:
         going: (time,), bool: the samples that count.
-        taken: (time,), V, out of each.
-        kept: Of the variance of the noise, what a window keeps.
-        sd: Of the noise, V.
-        side: -1 for those before, 1 for those after.
+        taken: (time,), V, removed from each.
+        kept: Share of the variance of the noise that a window keeps.
+        sd: Standard deviation of the noise, V.
+        side: -1 for the samples before, 1 for those after.
     """
     counted, mean = (
         uniform_filter1d(x, AROUND, origin=-side * (AROUND // 2))

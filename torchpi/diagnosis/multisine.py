@@ -1,9 +1,9 @@
-"""A residual under a periodic input: linear, even, odd, non-periodic and noise parts, before any model.
+"""Linear, even, odd, non-periodic and noise parts of a residual under a periodic input, without a model.
 
 Pintelon and Schoukens, System Identification: A Frequency Domain Approach (2nd ed. 2012), ch. 4: over whole
-periods, what a line of the input excites is the linear part and what distortion puts on it; unexcited even
-and odd lines hold distortion alone; between the lines of the period lies what does not repeat. There, the
-median is noise, and what stands over it is drift, hum or a transient.
+periods, the excited lines contain the linear part plus distortion that falls on them; unexcited even and odd
+lines contain distortion alone; between the lines of the period lies everything that does not repeat. There,
+the median is the noise, and whatever exceeds it is drift, hum or a transient.
 """
 
 from collections.abc import Sequence
@@ -20,55 +20,55 @@ from torchpi.diagnosis.repeats import Stretch, periodic_stretches
 Part = Literal["linear", "even", "odd", "non_periodic"]
 
 EXCITED = 1e-3
-"""Of the strongest line's amplitude."""
+"""Share of the strongest line's amplitude above which a line counts as excited."""
 BAND = 3
-"""Distortion is looked for up to three times the highest excited frequency."""
+"""Multiple of the highest excited frequency, three, up to which distortion is looked for."""
 MAINS_HZ, HARMONICS = (50.0, 60.0), 10
-"""Lines about these, where the input has none, are not taken for distortion."""
+"""Lines near these frequencies and their harmonics, if not excited, are not taken for distortion."""
 FINE_HZ = 1.0
-"""Of lines closer than this, those on the mains are hum's, and count as non-periodic."""
+"""Where lines are closer together than this, those on the mains are hum and count as non-periodic."""
 LEAKS = 2.5
-"""Times the noise, from which six lines about a line are more than noise."""
+"""Multiple of the noise above which the mean of six lines around a line is more than noise."""
 
 
 @dataclass(frozen=True, eq=False)
 class Parts:
-    """The residual of one periodic stretch, taken apart; None where no line can show a part."""
+    """The parts of the residual of one periodic stretch; a part is None if no line can show it."""
 
     recording: str
     start_s: float
     period_s: float
     periods: int
     linear_um: float
-    """rms on the excited lines, over the noise; odd and even distortion falls on them too."""
+    """rms above the noise on the excited lines, which also contain odd and even distortion."""
     even_um: float | None
-    """rms on the even lines that were not excited, over the noise."""
+    """rms above the noise on the even lines that were not excited."""
     odd_um: float | None
-    """rms on the odd lines that were not excited, over the noise; excited lines hold their like."""
+    """rms above the noise on the odd lines that were not excited; excited lines hold such distortion too."""
     non_periodic_um: float
-    """rms between the lines, over the noise."""
+    """rms above the noise between the lines."""
     noise_um: float
     """rms of the noise."""
     significance: dict[Part, float]
-    """Of each part, in standard deviations of the noise."""
-    hz: np.ndarray  # shape: (lines,), of the period, without 0
+    """Significance of each part, in standard deviations of the noise."""
+    hz: np.ndarray  # shape: (lines,), lines of the period, without 0
     amplitude_um: np.ndarray  # shape: (lines,), of the residual
-    noise_amplitude_um: np.ndarray  # shape: (lines,), to be expected from the noise alone
+    noise_amplitude_um: np.ndarray  # shape: (lines,), expected from the noise alone
     kind: np.ndarray  # shape: (lines,), 'linear', 'even', 'odd' or 'mains'
 
 
 def multisine(trace: Trace, residual: np.ndarray) -> tuple[Parts, ...]:
-    """The parts of the residual on every stretch of the recording whose input repeats twice or more.
+    """Return the parts of the residual on each stretch of the recording whose input repeats twice or more.
 
     Args:
         trace: The recording.
-        residual: (time,), µm, the trace's own residual before or after.
+        residual: (time,), µm, one of the trace's residuals: before or after effects are added.
     """
     return tuple(_parts(trace, residual, stretch) for stretch in periodic_stretches(trace.u))
 
 
 def sentence(parts: Parts) -> str:
-    """What the lines say, for a reader."""
+    """Return the findings on the lines as a sentence for the report."""
     sizes: dict[Part, float | None] = {
         "linear": parts.linear_um,
         "even": parts.even_um,
@@ -82,9 +82,9 @@ def sentence(parts: Parts) -> str:
     ]
     blind = [part for part in ("even", "odd") if sizes[part] is None]
     text = f"{parts.recording}, {parts.periods} periods of {parts.period_s:.4g} s: "
-    text += ", ".join(found) + " (rms) over the noise" if found else "nothing over the noise"
+    text += ", ".join(found) + " (rms) above the noise" if found else "nothing above the noise"
     if blind:
-        text += f"; no {' and no '.join(blind)} line was left unexcited to show such distortion"
+        text += f"; no {' and no '.join(blind)} line was left unexcited, so such distortion cannot be seen"
     return text + "."
 
 
@@ -115,10 +115,10 @@ def _parts(trace: Trace, residual: np.ndarray, stretch: Stretch) -> Parts:
     unrepeated = np.concatenate([between[: len(noise) * (m - 1)], power[hum]])
     of_noise = np.concatenate([np.repeat(noise, m - 1)[: len(between)], noise[hum]])
     size, significance["non_periodic"] = _over(unrepeated, of_noise, m)
-    # The mean over a period varies as the lowest lines do; the drift is the last less the first.
+    # The noise of a period's mean is that of the lowest lines; the drift is the last mean less the first.
     drifts = abs(a_period) * (m - 1) / np.sqrt(m * noise[0])
     significance["non_periodic"] = max(significance["non_periodic"], float(drifts))
-    # What repeats not at all lies on the lines of the period as well: one in m.
+    # The non-periodic part also falls on the lines of the period, which are one line in m.
     size = size * np.sqrt(m / (m - 1))
     return Parts(
         trace.name,
@@ -139,15 +139,15 @@ def _parts(trace: Trace, residual: np.ndarray, stretch: Stretch) -> Parts:
 
 
 def _drift_of_a_period(e: np.ndarray, period: int) -> float:
-    """µm by which the residual drifts in a period, told by what does not repeat.
+    """Return the drift of the residual per period, µm, from the difference between successive periods.
 
-    Left in, its steps at the ends would leak into all lines.
+    If the drift were left in, its steps at the ends would leak into all lines.
     """
     return float((e[period:] - e[:-period]).mean())
 
 
 def _on_mains(hz: np.ndarray, spacing_hz: float) -> np.ndarray:
-    """(lines,), bool: where hum that drifts by 0.1 % shows."""
+    """Whether hum whose frequency drifts by 0.1 % may show on each line, (lines,), bool."""
     mask = np.zeros(len(hz), dtype=bool)
     for mains_hz in MAINS_HZ:
         multiple = np.maximum(np.round(hz / mains_hz), 1) * mains_hz
@@ -158,15 +158,15 @@ def _on_mains(hz: np.ndarray, spacing_hz: float) -> np.ndarray:
 
 
 def _told(m: int) -> int:
-    """Lines between the period's lines from whose median the noise at one of them is taken."""
+    """Number of lines between the period's lines whose median gives the noise at a period's line."""
     return 40 * (m - 1)
 
 
 def _noise(between: np.ndarray, m: int, lines: int) -> tuple[np.ndarray, np.ndarray]:
-    """(lines,) each: mean square of the noise on a line of the period, and with what leaks there.
+    """Return the mean square noise on each line of the period, without and with leakage, (lines,) each.
 
-    The noise is the median of the lines between those of the period; where those close by stand out, what
-    does not repeat, such as hum, leaks into the line itself, as much as into them.
+    The noise is the median of the lines between those of the period. Where nearby ones stand out, a
+    non-periodic part such as hum leaks into the line itself as much as into them.
     """
     window = min(_told(m) + 1, len(between))
     typical = median_filter(between, size=window, mode="reflect") / (np.log(2) + 0.5 / window)
@@ -177,15 +177,15 @@ def _noise(between: np.ndarray, m: int, lines: int) -> tuple[np.ndarray, np.ndar
 
 
 def _over(power: np.ndarray, noise: np.ndarray, m: int) -> tuple[float, float]:
-    """rms over the noise, and its significance."""
+    """Return the rms above the noise, and its significance."""
     expected = float(noise.sum())
     above = 2 * expected**2 / float((noise**2).sum())
-    # A median of n exponential numbers is worth n ln² 2 of them; neighbouring medians share theirs.
+    # A median of n exponential numbers is worth n ln² 2 of them; neighbouring medians share numbers.
     below = 2 * np.log(2) ** 2 * max(_told(m), len(power))
     score = normal_score(float(power.sum()) / expected, above, below)
     return float(np.sqrt(max(float(power.sum()) - expected, 0.0))), score
 
 
 def all_parts(traces: Sequence[Trace]) -> tuple[Parts, ...]:
-    """Of the retuned stage's residual, for every recording."""
+    """Return the parts of the retuned stage's residual for every recording."""
     return tuple(parts for trace in traces for parts in multisine(trace, trace.residual_retuned))

@@ -15,7 +15,7 @@ from torchpi.excitation.signals import Samples
 from torchpi.stage.effects.effect import DataRange
 
 MOST_SAMPLES = 600_000
-LEAST_RATE = 2.0  # ranges per second: what any stage that has crossed its range is taken to bear
+LEAST_RATE = 2.0  # ranges per second: any stage that has crossed its range is assumed to tolerate this
 
 
 def next_recording(
@@ -26,26 +26,27 @@ def next_recording(
     unexplained: bool = False,
     seed: int = 1,
 ) -> tuple[NextRecording, Samples]:
-    """The recording that opens the angle between the leading candidates, and the voltage to play for it.
+    """Return the recording that best separates the leading candidates, and the voltage to play for it.
 
     Args:
-        open_names: The effects between which these recordings leave the choice open, the likeliest first;
-            one name if it is only uncertain; none if nothing is open.
-        seen: What the recordings span. The voltage stays within their range, and within their rate where
-            that crosses the range twice a second or faster.
-        determined: Whether the hysteresis is known for other motions; what would determine it comes first.
-        unexplained: Whether a part has no name yet; counts where no name is open.
-        seed: Of random phases; not that of `torchpi excite`, so that the recordings are independent.
+        open_names: The effects between which these recordings cannot decide, the likeliest first; a single
+            name if that effect is only uncertain; empty if nothing is open.
+        seen: What the recordings span. The voltage stays within their voltage range, and within their rate
+            if that rate crosses the range twice a second or faster.
+        determined: Whether the hysteresis is known for other motions; if not, determining it comes first.
+        unexplained: Whether part of the residual has no name yet; only counts if no name is open.
+        seed: Seed of the random phases; unlike that of `torchpi excite`, so that recordings are independent.
 
     Returns:
-        Why and what, in words; and t (time,), s, and u (time,), V, from 0 V and back to it, at the
-        recordings' sample rate, halved as often as it takes where that would be more than MOST_SAMPLES.
+        The reason and the movement, in words; and t (time,), s, and u (time,), V, from 0 V and back to 0 V,
+        at the recordings' sample rate, halved until there are no more than MOST_SAMPLES samples.
     """
     decision = _decision(open_names, unexplained) if determined else DETERMINE
     if seen.low_v == seen.high_v == 0:
-        why = "The voltage never left 0 V in these recordings, so they do not show what the stage bears."
+        why = "The voltage never left 0 V in these recordings, so they do not show what the stage tolerates."
         what = (
-            "torchpi excite --for diagnosis, with the limits of your stage; next_excitation.csv only rests."
+            "torchpi excite --for diagnosis, with the limits of your stage; next_excitation.csv only "
+            "holds 0 V."
         )
         samples = min(MOST_SAMPLES, math.ceil(5 * max(50.0, seen.fs_hz)))
         return NextRecording(why, what), (np.arange(samples) / seen.fs_hz, np.zeros(samples))
@@ -70,13 +71,13 @@ def _decision(open_names: Sequence[str], unexplained: bool) -> Decision:
 
 
 def _limits(seen: DataRange, movement: Movement) -> DriveLimits:
-    """What the recordings have shown that the stage bears."""
+    """Return the drive limits that, according to the recordings, the stage tolerates."""
     low_v, high_v = min(0.0, seen.low_v), max(0.0, seen.high_v)
     span_v, longer = high_v - low_v, stretch(seen.fs_hz)
     rate_v_s = max(seen.max_rate_v_s, LEAST_RATE * span_v / longer)
     halvings = max(0, math.ceil(math.log2(seen.fs_hz * longer * movement.seconds / MOST_SAMPLES)))
     fs_hz = seen.fs_hz / 2**halvings
-    # Far above the frequency of a triangle that fills the range at this rate only tremors are left.
+    # Far above the frequency of a full-range triangle at this rate, only tiny amplitudes are possible.
     high_hz = min(fs_hz / 5, 10 * rate_v_s / span_v)
     return DriveLimits(low_v, high_v, rate_v_s, fs_hz, high_hz)
 

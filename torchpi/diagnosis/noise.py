@@ -1,4 +1,4 @@
-"""The noise of a reading, from data in which nothing else happens; never from the residual of a fit."""
+"""Noise of a reading, estimated from data in which nothing else happens; never from the residual of a fit."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -13,43 +13,43 @@ from torchpi.diagnosis.records import Record
 from torchpi.diagnosis.repeats import SAME
 
 LEAST_HOLD = 200
-"""Samples of a hold from which a level is taken."""
+"""Minimum number of samples of a hold from which a noise level is estimated."""
 BEFORE_A_STEP = 2
-"""Samples at the end of a hold that are none of it: where samples were resampled, or read late, a reading
-may lie behind the step that ends it."""
+"""Samples at the end of a hold that are excluded from it: where samples were resampled, or read late, a
+reading may lie after the step that ends the hold."""
 STILL, SMALL = (0.5, 1.5), 0.005
-"""Von Neumann's ratio of a monitored voltage that holds: half the mean squared successive difference over the
-variance is 1 for white noise, and small where it moves; and its standard deviation, of the span."""
+"""Bounds for a monitored voltage to hold: on von Neumann's ratio, half the mean squared successive difference
+over the variance (1 for white noise, small where it moves), and on its standard deviation, of the span."""
 LEAST_PERIODS = 3
-"""Of an input that repeats: the first still has the transient of the start."""
+"""Minimum number of periods of a repeating input: the first still contains the transient of the start."""
 LEAST_COEFFICIENTS = 8
-"""Of a scale from which its variance is taken; the next slower ones are extrapolated."""
+"""Minimum number of coefficients to estimate the variance of a scale; slower scales are extrapolated."""
 STEEPEST = 1.5
-"""Slope of an extrapolated spectrum, as 1/f to this power."""
+"""Largest slope of an extrapolated spectrum, as 1/f to this power."""
 STEEPER, WANDERS = 2.0, 3
-"""By which the variance grows from one scale to the next slower one in noise of 1/f; steps of more, up to the
-slowest scale, that are no noise any more."""
+"""Factor by which the variance of 1/f noise grows from one scale to the next slower one; and the number of
+steeper steps, up to the slowest scale, from which the growth counts as drift instead of noise."""
 
 
 @dataclass(frozen=True, eq=False)
 class Noise:
-    """What was measured of the noise."""
+    """The measured noise of the readings."""
 
     rms_um: float
-    """Of one reading."""
+    """Rms noise of one reading."""
     variance_um2: np.ndarray
-    """(levels,): of a Haar coefficient on each scale, the fastest first; the last one's slope goes on."""
+    """(levels,): variance of a Haar coefficient on each scale, fastest first; its last slope goes on."""
     fs_hz: float
-    """Of the recordings that it was measured in."""
+    """Sample rate of the recordings in which it was measured."""
     source: str
-    """What it was measured from."""
+    """The kind of data from which it was measured."""
     lsb_um: float = 0.0
-    """The step of the lattice on which the readings lie, where there is one."""
+    """Quantisation step of the readings, if they are quantised."""
     monitor_um_per_v: float = 0.0
-    """What the noise of the voltage's monitor makes of a prediction, where it was monitored."""
+    """Gain with which the noise of the voltage monitor enters a prediction, if the voltage was monitored."""
 
     def level_um2(self, level: int) -> float:
-        """The variance on a scale, 1 for differences of neighbours."""
+        """Return the variance on a scale; level 1 stands for differences of neighbouring samples."""
         known = self.variance_um2
         if level <= len(known):
             return float(known[level - 1])
@@ -58,14 +58,14 @@ class Noise:
         return float(known[-1] * 2 ** (slope * (level - len(known))))
 
     def with_converter(self, lsb_um: float) -> "Noise":
-        """The same where readings lie on a lattice: a hold may stay on one line of it."""
+        """Return the noise with quantisation noise added, which a hold within one step may not show."""
         own = lsb_um**2 / 12
         rms_um = float(np.hypot(self.rms_um, np.sqrt(own)))
         return replace(self, rms_um=rms_um, variance_um2=self.variance_um2 + own, lsb_um=lsb_um)
 
     def with_monitor(self, records: Sequence[Record], um_per_v: float) -> "Noise":
-        """The same where a voltage was monitored: where it moves too fast to tell its noise from it, a
-        prediction has that noise, times the gain, which no model of the stage explains."""
+        """Return the noise with that of a monitored voltage added: where the voltage moves too fast for it to
+        be removed, a prediction contains it, times the gain, which no model of the stage explains."""
         left_v = [record.monitor_noise_left_v[record.train] for record in records]
         own_um = um_per_v * float(np.sqrt((np.concatenate(left_v) ** 2).mean()))
         if own_um == 0.0:
@@ -76,15 +76,15 @@ class Noise:
 
 
 def held_error(y: np.ndarray, of: Coefficients) -> np.ndarray:
-    """(cells,): the mean square of the coefficients that a converter's error has, over that of white error.
+    """(cells,): mean square of the coefficients of a quantisation error, over that of white error.
 
-    The error of readings that stay on one line of a lattice for R samples is one error, not R independent
-    ones. With the autocovariance 1 - |τ|/R of runs of R samples, a Haar coefficient on the scale of n samples
-    has n²/6R times the variance of white error where n is small against R, and R times where it is large.
+    Readings that stay on one quantisation level for R samples have one error, not R independent ones. With
+    the autocovariance 1 - |τ|/R of runs of R samples, a Haar coefficient on the scale of n samples has n²/6R
+    times the variance of white error where n is small against R, and R times where it is large.
 
     Args:
-        y: (time,), readings on a lattice.
-        of: The coefficients of them.
+        y: (time,), quantised readings.
+        of: Their coefficients.
     """
     edges = np.flatnonzero(np.diff(y[: of.samples])) + 1
     lengths = np.diff([0, *edges.tolist(), of.samples])
@@ -100,32 +100,32 @@ def noise_of_prediction(
     um_per_v: float,
     residuals: Sequence[np.ndarray] | None = None,
 ) -> Noise | None:
-    """What was measured, with the error of a converter and what the monitor of the voltage adds.
+    """Return the measured noise with quantisation noise and that of the voltage monitor added.
 
     Args:
         records: The recordings.
-        lsb_um: The step of the lattice on which the readings lie; 0 where there is none.
+        lsb_um: Quantisation step of the readings; 0 if they are not quantised.
         um_per_v: The gain.
-        residuals: (time,) each: of a simulation, in place of the readings.
+        residuals: (time,) each: residuals of a simulation, used in place of the readings.
     """
     found = measured_noise(records, residuals)
     return found and found.with_converter(lsb_um).with_monitor(records, um_per_v)
 
 
 def measured_noise(records: Sequence[Record], residuals: Sequence[np.ndarray] | None = None) -> Noise | None:
-    """From holds of the command where there are any, else from repeats of it, within a recording or from one
-    to another; None without all three.
+    """Measure the noise in holds of the command if there are any, else in its repeats, within a recording or
+    between recordings; None if there are none of these.
 
     Args:
         records: The recordings.
-        residuals: (time,) each: of a simulation, in place of the readings. They have the noise of a
-            monitored voltage as well.
+        residuals: (time,) each: residuals of a simulation, used in place of the readings. They also contain
+            the noise of a monitored voltage.
     """
     readings = residuals or [record.y for record in records]
     records = [replace(record, y=bridged(y, record)) for record, y in zip(records, readings, strict=True)]
     sources = (
         ("holds of the voltage", of_holds),
-        ("periods that repeat, the first left out", of_repeats),
+        ("repeated periods, the first left out", of_repeats),
         ("recordings of the same voltage", of_second_recordings),
     )
     for source, pieces in sources:
@@ -135,7 +135,7 @@ def measured_noise(records: Sequence[Record], residuals: Sequence[np.ndarray] | 
         if used:
             assert longest is not None
             found_here = spectrum_of(used)
-            # A hold has been freed of what moves slowly.
+            # Slow motion has already been removed from holds.
             rms_um, variance = found_here if pieces is of_holds else without_wander(*found_here)
             if rms_um > 0:
                 return Noise(rms_um, variance, longest, source)
@@ -143,21 +143,21 @@ def measured_noise(records: Sequence[Record], residuals: Sequence[np.ndarray] | 
 
 
 def bridged(y: np.ndarray, record: Record) -> np.ndarray:
-    """(time,): straight across the wrong readings of a recording, which are no noise."""
+    """(time,): the signal, interpolated across the wrong readings of a recording, which are not noise."""
     valid = record.train | record.held_out
     k = np.arange(len(y))
     return y if valid.all() else np.interp(k, k[valid], y[valid])
 
 
 def spectrum_of(pieces: Sequence[np.ndarray]) -> tuple[float, np.ndarray]:
-    """Rms, and (levels,) the variance of a Haar coefficient, of pieces of noise, (time,) each."""
+    """Return the rms of pieces of noise, (time,) each, and (levels,) the variance of a Haar coefficient."""
     squares, counts = np.zeros(40), np.zeros(40)
     for piece in pieces:
         haar = Haar.of(piece, len(piece), np.ones(len(piece), bool), len(piece))
         full = haar.full(piece[None])[0]
         for level in range(1, haar.levels + 1):
             first, stop = haar.places(level)
-            stop = first + len(piece) // 2**level  # beyond it, padding
+            stop = first + len(piece) // 2**level  # the rest is padding
             squares[level - 1] += float((full[first:stop] ** 2).sum())
             counts[level - 1] += stop - first
     known = counts >= LEAST_COEFFICIENTS
@@ -166,19 +166,19 @@ def spectrum_of(pieces: Sequence[np.ndarray]) -> tuple[float, np.ndarray]:
     if not known.any():
         return rms_um, np.array([rms_um**2])
     variance = squares[known] / counts[known]
-    # Readings on a lattice differ by nothing at all for long.
+    # Quantised readings may stay constant for long, so that a variance would be zero.
     return rms_um, np.maximum(variance, 1e-4 * rms_um**2)
 
 
 def without_wander(rms_um: float, variance: np.ndarray) -> tuple[float, np.ndarray]:
-    """The same without what grows faster than 1/f towards the slowest scales, as a random walk does.
+    """Remove from a spectrum what grows faster than 1/f towards the slowest scales, as a random walk does.
 
-    That is drift, and no noise: on the scales of it noise stays as it is on the fastest of them. A sensor's
-    low-pass makes noise grow as well, but on the fast scales.
+    Such growth is drift, not noise: on those scales the noise is kept at its value on the fastest of them.
+    A sensor's low-pass makes noise grow in the same way, but on the fast scales.
     """
     steep = variance[1:] > STEEPER * variance[:-1]
     still = np.flatnonzero(~steep)
-    first = int(still[-1]) + 1 if len(still) else len(steep)  # the scale from which it grows to the end
+    first = int(still[-1]) + 1 if len(still) else len(steep)  # from this scale on it grows to the end
     if len(steep) - first < WANDERS:
         return rms_um, variance
     less = np.minimum(variance, np.where(np.arange(len(variance)) > first, variance[first], np.inf))
@@ -187,7 +187,7 @@ def without_wander(rms_um: float, variance: np.ndarray) -> tuple[float, np.ndarr
 
 
 def of_holds(record: Record, records: Sequence[Record]) -> Iterator[np.ndarray]:
-    """The second half of each hold, less a cubic that takes creep out of it and less its lines."""
+    """Yield the second half of each hold, less a cubic that removes creep, and less its spectral lines."""
     for hold in holds(record.u):
         half = record.y[(hold.start + hold.stop) // 2 : hold.stop - BEFORE_A_STEP]
         x = np.linspace(-1, 1, len(half))
@@ -196,7 +196,7 @@ def of_holds(record: Record, records: Sequence[Record]) -> Iterator[np.ndarray]:
 
 
 def holds(u: np.ndarray) -> list[slice]:
-    """Where a voltage holds, `LEAST_HOLD` samples or more: commanded, or monitored with noise of its own."""
+    """Return where a voltage, commanded or monitored with noise, holds for `LEAST_HOLD` samples or more."""
     span = float(np.ptp(u))
     edges = np.flatnonzero(np.diff(u) != 0) + 1
     found = [
@@ -226,7 +226,7 @@ def _still(u: np.ndarray, span: float) -> bool:
 
 
 def of_repeats(record: Record, records: Sequence[Record]) -> Iterator[np.ndarray]:
-    """Differences of neighbouring periods, over root two, each less its own line."""
+    """Yield differences of neighbouring periods over root two, each less its own straight line."""
     for stretch in record.coefficients.repeats.periodic:
         if stretch.periods >= LEAST_PERIODS:
             periods = record.y[stretch.start : stretch.end].reshape(stretch.periods, stretch.period)
@@ -235,7 +235,7 @@ def of_repeats(record: Record, records: Sequence[Record]) -> Iterator[np.ndarray
 
 
 def of_second_recordings(record: Record, records: Sequence[Record]) -> Iterator[np.ndarray]:
-    """The difference to a later recording of the same voltage, its first half left out."""
+    """Yield the second half of the difference to each later recording of the same voltage, over root two."""
     place = next(i for i, one in enumerate(records) if one is record)
     for other in records[place + 1 :]:
         same = other.fs_hz == record.fs_hz and len(other.u) == len(record.u)
@@ -244,7 +244,7 @@ def of_second_recordings(record: Record, records: Sequence[Record]) -> Iterator[
 
 
 def _straightened(x: np.ndarray) -> np.ndarray:
-    """Less its mean and slope."""
+    """Return a signal less its mean and slope."""
     t = np.linspace(-1, 1, len(x))
     straight: np.ndarray = x - x.mean() - t * (t @ x) / (t @ t)
     return straight

@@ -1,4 +1,4 @@
-"""A simulation that is not torchpi's: what can be tried around it, and what cannot be decided then."""
+"""A simulation from outside torchpi: which effects can be tried around it, and what remains undecided."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,49 +17,49 @@ Effects = Sequence[type[Effect] | type[InsideEffect]]
 
 @dataclass(frozen=True, eq=False)
 class Outside:
-    """A simulation that is called with what drives it, or whose output stands in the recordings."""
+    """A simulation that is called with the voltage that drives it, or whose output is in the recordings."""
 
     simulator: Simulator | None
-    """None where its output is recorded."""
+    """None if its output is recorded."""
 
     @property
     def reference(self) -> str:
-        """As `stage.pt` names it."""
+        """Its name in `stage.pt`."""
         return self.simulator.reference if self.simulator else COLUMN
 
     @property
     def token(self) -> str:
-        """What tells it from another, in any process."""
+        """An identifier that distinguishes it from other simulations, in any process."""
         return self.simulator.token if self.simulator else COLUMN
 
     @property
     def alignments(self) -> tuple[int, ...]:
-        """By how many samples it may be late: many a discrete simulation answers a sample later than the
-        recordings' convention has it."""
+        """By how many samples it may be late: many discrete simulations respond one sample later than the
+        timing convention of the recordings says."""
         return (-1, 0, 1)
 
     def output(self, record: Record, before: int, v: np.ndarray) -> np.ndarray:
-        """(time,), µm, of one recording, for what drives it, (time,), V; where it is recorded, of so
-        many ticks before."""
+        """(time,), µm: the output for one recording, driven by v, (time,), V; a recorded output is that of
+        `before` ticks earlier."""
         return self.simulator(v, record.fs_hz) if self.simulator else record.simulated[before]
 
     def precedes(self, effect: type[Described]) -> bool:
-        """Whether an effect acts on what drives the simulation."""
+        """Whether an effect acts on the voltage that drives the simulation."""
         return effect.before_hysteresis and not effect.commutes
 
     def can_try(self, effect: type[Described]) -> bool:
-        """Whether an effect can act before or behind the simulation, as far as it is known."""
+        """Whether an effect can be tried before or behind the simulation, given what is known of it."""
         if self.simulator:
             return not issubclass(effect, InsideEffect)
         return not self.precedes(effect)
 
     @property
     def travels(self) -> bool:
-        """Whether another process can try it too."""
+        """Whether it can also be run in another process."""
         return self.simulator is None or self.simulator.travels
 
     def check(self, records: Sequence[Record]) -> None:
-        """Raise `TorchpiError` for an output that is missing or not finite, or that does not come again."""
+        """Raise `TorchpiError` for an output that is missing, not finite or not repeatable."""
         if self.simulator:
             shortest = min(records, key=lambda record: len(record.u))
             self.simulator.check_repeatable(shortest.u, shortest.fs_hz)
@@ -79,16 +79,16 @@ class Outside:
 
 
 def untried_note(simulation: Outside | None, untried: Effects) -> tuple[str, ...]:
-    """Which effects cannot be tried around a simulation, and what would decide."""
+    """Return a note on the effects that cannot be tried around a simulation, and on what would decide."""
     names = ", ".join(effect.name for effect in untried)
     if simulation is None or not names:
         return ()
     if simulation.simulator:
         return (
-            f"Not tried: {names}: they act inside the hysteresis of the simulation, which is only called; a "
-            "stage file would decide.",
+            f"Not tried: {names}. These effects act inside the hysteresis of the simulation, which can "
+            "only be called as a whole; with a stage file they could be tried.",
         )
     return (
-        f"Not tried: {names}: they act before the simulation, whose output alone is known; a simulation that "
-        "can be called would decide.",
+        f"Not tried: {names}. These effects act before the simulation, of which only the output is known; "
+        "with a simulation that can be called they could be tried.",
     )

@@ -1,4 +1,4 @@
-"""Signals that an effect brings in and neither the voltage nor the clock has: a second input, or a line."""
+"""Signals that an effect adds and that neither voltage nor clock contains: a second input, or a line."""
 
 from collections.abc import Sequence
 
@@ -12,16 +12,16 @@ from torchpi.diagnosis.search import Search
 from torchpi.stage.effects.added_signal import AddedSignal
 
 HARMONICS = 3
-"""Of a line, that may stand out."""
+"""Number of harmonics of a line that may stand out."""
 PREDICTED = 0.5
-"""Of the variance of a recorded signal, what the voltage may predict of it for it to be one of its own."""
+"""Share of a recorded signal's variance that the voltage may predict for it to be a signal of its own."""
 
 
 def has_a_signal_of_its_own(records: Sequence[Record], h: Hypothesis, name: str) -> bool:
-    """Whether an effect brings in what neither the voltage nor the clock has: a second input, or a line."""
+    """Whether an effect adds what neither the voltage nor the clock contains: a second input, or a line."""
     for member in h.members:
         if member.effect.name == name:
-            # What moves a gain goes with the displacement, as any error of the model does.
+            # A line that modulates a gain scales with the displacement, as any model error does.
             line_hz = member.effect.added_line_hz(member.values(0))
             if line_hz is not None and not any(has_line(record, line_hz) for record in records):
                 return True
@@ -31,8 +31,8 @@ def has_a_signal_of_its_own(records: Sequence[Record], h: Hypothesis, name: str)
 
 
 def has_a_recorded_signal(search: Search, final: Fit, name: str) -> bool:
-    """Whether an effect brings in a recorded signal that the voltage does not predict: whatever else the
-    model has wrong follows the voltage, and does not look like it."""
+    """Whether an effect takes a recorded signal that the voltage does not predict: all other errors of the
+    model follow the voltage, and do not look like such a signal."""
     chain, h = search.chain, final.hypothesis
     signals = {m.aux for m in h.members if m.effect.name == name and m.effect.takes_aux}
     for signal in signals:
@@ -52,8 +52,8 @@ def has_a_recorded_signal(search: Search, final: Fit, name: str) -> bool:
 
 
 def stands_out(records: Sequence[Record], more: Fit, less: Fit, name: str) -> float:
-    """How many times its surroundings an added line is in what is left without it; 0 for what is no such
-    line, and for one that the command has as well."""
+    """Return how many times its spectral surroundings an added line is in the residual of the fit without it;
+    0 for an effect that adds no line, and for a line that the command contains as well."""
     found = 0.0
     for member in more.hypothesis.members:
         line_hz = member.effect.line_hz(member.shared)
@@ -69,7 +69,7 @@ def stands_out(records: Sequence[Record], more: Fit, less: Fit, name: str) -> fl
 
 
 def has_line(record: Record, line_hz: float) -> bool:
-    """Whether a line stands out of a recording's voltage, or of how fast that moves."""
+    """Whether a line stands out in a recording's voltage, or in the speed of that voltage."""
     cycles = line_hz * len(record.u) / record.fs_hz
     moves = np.abs(np.diff(record.u, prepend=record.u[:1]))
     return any(above_surroundings(signal, cycles) >= STANDS_OUT for signal in (record.u, moves))

@@ -20,18 +20,18 @@ from torchpi.diagnosis.sensitivity import Near
 
 T = TypeVar("T")
 PIECES = 2
-"""In how many pieces a screen is shared out: each has to prepare the whole tangent."""
+"""Number of pieces into which a screen is divided; each piece has to prepare the whole tangent space."""
 TOGETHER = 16
-"""Members that are projected off the tangent at once, which is read once for them."""
+"""Members that are projected off the tangent space together, so that it is read only once for them."""
 
 Job = tuple[Hypothesis, np.ndarray | None, int, float]
-"""What is fitted, from which weights, in how many steps at most, and to which tolerance."""
+"""The hypothesis to fit, its initial weights, the maximum number of steps, and the tolerance."""
 
 
 def fit_all(
     chain: Chain, jobs: Sequence[Job], executor: Executor | None, near: Near | None = None
 ) -> list[Fit]:
-    """The fits of these jobs, in their order; the same numbers wherever they ran."""
+    """Return the fits of these jobs, in their order; the numbers do not depend on where they ran."""
     if executor is None:
         return [fit(chain, *job, near) for job in jobs]
     key, packed = chain.packed
@@ -45,12 +45,12 @@ def fit_all(
 def shared_out(
     executor: Executor, elsewhere: Sequence[tuple[Any, ...]], here: Sequence[Callable[[], T]]
 ) -> list[T]:
-    """The results of calls, in their order, that an executor and this process share out between them.
+    """Divide calls between an executor and this process, and return the results in the order of the calls.
 
     Args:
-        executor: What takes the first of them.
-        elsewhere: The function and its arguments, for each.
-        here: The same calls, made in this process, which takes the last, and those that nobody has begun.
+        executor: Takes the calls from the first on.
+        elsewhere: The function and its arguments, for each call.
+        here: The same calls for this process, which takes the last one, then those that no worker has begun.
     """
     futures = [executor.submit(*call) for call in elsewhere[:-1]]
     found = {len(here) - 1: here[-1]()} if here else {}
@@ -63,7 +63,7 @@ def shared_out(
 def screen_all(
     chain: Chain, screens: Sequence[tuple[Fit, Sequence[EffectTerm]]], executor: Executor | None
 ) -> list[list[Candidate]]:
-    """For each fit the candidates of these members on top of it, in their order."""
+    """Return, for each fit, the candidates that these members give when added to it, in their order."""
     pieces = []
     for now, members in screens:
         groups = [members[k : k + TOGETHER] for k in range(0, len(members), TOGETHER)]
@@ -83,11 +83,11 @@ def screen_all(
 
 
 def get_ready() -> None:
-    """Nothing, in a worker: it has then imported what it needs."""
+    """Do nothing: a worker that has run this has imported what it needs."""
 
 
 class _Kept(threading.local):
-    """The recordings that a worker saw last; each thread has its own: effects that are kept carry state."""
+    """The recordings that a worker saw last; each thread has its own, because cached effects carry state."""
 
     key = ""
     chain: Chain | None = None
@@ -112,7 +112,7 @@ def _candidates(chain: Chain, now: Fit, groups: Sequence[Sequence[EffectTerm]]) 
 
 
 def _chain(key: str, packed: bytes, weighting: Weighting) -> Chain:
-    """The recordings in a worker, which keeps those that it saw last."""
+    """Return the chain of the recordings in a worker, which keeps the one that it used last."""
     if _kept.chain is None or _kept.key != key:
         torch.set_num_threads(1)
         _kept.key, _kept.chain = key, Chain(pickle.loads(packed), weighting)

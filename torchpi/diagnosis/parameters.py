@@ -1,4 +1,4 @@
-"""The numbers of a named effect, with their intervals."""
+"""The fitted parameters of a named effect, with their intervals."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -16,10 +16,10 @@ from torchpi.stage.effects.mechanics.stiction import Stiction
 def parameters_of(
     search: Search, final: Fit, spans: Sequence[tuple[float, float]], name: str
 ) -> tuple[Parameter, ...]:
-    """Fitted parameters of one effect, with intervals.
+    """Return the fitted parameters of one effect, with intervals.
 
-    Where there are several of its kind, modes or other axes, each has its own, `name[axis 1]`: the
-    frequencies of all modes first, then what else they have.
+    If the effect occurs several times, as modes or for several other axes, each occurrence has its own,
+    `name[axis 1]`: first the frequencies of all modes, then their other parameters.
     """
     if search.jump and name == Stiction.name:
         return stiction_parameters(search.jump, final, spans)
@@ -37,7 +37,7 @@ def parameters_of(
 def stiction_parameters(
     jump: Jump, final: Fit, spans: Sequence[tuple[float, float]]
 ) -> tuple[Parameter, ...]:
-    """J - d, and d where the data tell it from plays: half of the motion that the slips alone do not lose."""
+    """Return J - d, and d if the data separate it from plays: half the lost motion not due to slips alone."""
     value_um, span = jump
     parameters = [Parameter("jump_um", value_um, "µm", span)]
     for slot, (low, high), inner in zip(final.slots, spans, final.theta, strict=True):
@@ -53,8 +53,8 @@ def stiction_parameters(
 def parameters_of_member(
     search: Search, final: Fit, spans: Sequence[tuple[float, float]], index: int
 ) -> tuple[Parameter, ...]:
-    """What each recording has for itself is given for each, `name[recording]`; under its bare name is what
-    the augmented stage takes."""
+    """Return the parameters of one member. Those that differ between recordings are listed for each one, as
+    `name[recording]`; the bare name then holds the value that the augmented stage uses."""
     found: list[tuple[int | None, Parameter]] = []
     own: list[tuple[int | None, Parameter]] = []
     member = final.hypothesis.members[index]
@@ -76,7 +76,7 @@ def parameters_of_member(
 
 
 def together(each: Sequence[Parameter], value: float) -> Parameter:
-    """The number for a recording that was not made yet; as wide as its kind scatters."""
+    """Return the parameter for a future recording; its interval covers those of all recordings."""
     spans = [one.interval_90 for one in each if one.interval_90]
     return Parameter(
         each[0].name, value, each[0].unit, (min(low for low, _ in spans), max(high for _, high in spans))
@@ -84,7 +84,7 @@ def together(each: Sequence[Parameter], value: float) -> Parameter:
 
 
 def shape_parameters(final: Fit, spans: Sequence[tuple[float, float]]) -> list[Parameter]:
-    """Numbers of the operator's own shape."""
+    """Return the shape parameters of the hysteresis operator."""
     units = {"sigma_v": "V"}
     return [
         Parameter(slot.name, value_at(final.hypothesis, slot), units.get(slot.name, ""), span)

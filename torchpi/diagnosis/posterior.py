@@ -1,15 +1,14 @@
-"""How probable each name is: weights of all hypotheses that matter, normalised together.
+"""Probability of each name: the weights of all relevant hypotheses, normalised together.
 
-Around the final hypothesis stand those without one of its effects, and those with a rival in its place. Their
+These are the final hypothesis, those without one of its effects, and those with a rival in its place. Their
 weights are those of Bayesian bootstrap model averaging, pseudo-BMA+ of Yao, Vehtari, Simpson and Gelman
 (*Bayesian Analysis* 13(3), 2018): a softmax of log predictive densities and prior, averaged over random
 weights of the cells, so that a difference counts in units of its own standard error.
 
-What a recording leaves unexplained may be what an effect only resembles: a name is the less probable the
-smaller the share is that it explains of all that is to be explained, in the very cells in which it acts and
-over all, and on the sealed samples as well; what has a signal of its own, a second input or a line, resembles
-nothing else. And what another effect leaves because its equation is not quite the rig's looks like one of its
-kin.
+An effect may only resemble the true cause. Its name is therefore less probable the smaller the share of the
+residual above the noise that it explains: in the cells in which it acts, over all cells, and on the sealed
+samples. An effect with a signal of its own, a second input or a line, resembles nothing else. Moreover, if
+the equation of one effect is not quite that of the rig, its remainder looks like one of its kin.
 """
 
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -33,23 +32,23 @@ from torchpi.diagnosis.timing import is_whole
 
 DRAWS = 400
 HALF, STEEPNESS = 0.72, 6.0
-"""The share of what is to be explained from which a name is more likely right than wrong, and how fast that
-changes. Set on the names of 88 development cases, 45 of them beyond a share of 0.4;
-`concealed/judging/calibration.py` measures what comes of it."""
+"""Share of the residual above the noise from which a name is more likely right than wrong, and steepness of
+this transition. Set on the names of 88 development cases, 45 of them beyond a share of 0.4;
+`concealed/judging/calibration.py` measures the resulting calibration."""
 FORM_ERROR, FALL = 0.1, 2.0
-"""Of what an effect explains, the share that its kin has to explain to be as likely another cause as the
-error of its form, and how fast that changes. Set on the same cases: 0.009 to 0.07 in four wrong names, 0.66
-in a right one."""
+"""Share, of what an effect explains, that its kin has to explain to be as likely a separate cause as an error
+in the form of that effect, and steepness of this transition. Set on the same cases: 0.009 to 0.07 in four
+wrong names, 0.66 in a right one."""
 SLOW_FORM_ERROR = 0.02
-"""Of what a slow effect explains, what another law of the same cause may leave: a seventh of its size."""
+"""Share, of what a slow effect explains, that another law of its cause may leave: a seventh of its size."""
 HYSTERESIS_ERROR, OF_MODES = 0.003, 0.0003
-"""The same of a larger hysteresis and any effect. Set on 24 further cases: below 0.0003 in four wrong names,
-0.0024 in another, 0.0054 in a right one. Nothing that depends on no rate rings: of modes much less."""
+"""FORM_ERROR of a larger hysteresis for any effect; much less for modes, as nothing rate-independent rings.
+Set on 24 further cases: below 0.0003 in four wrong names, 0.0024 in another, 0.0054 in a right one."""
 MOST = 0.5
-"""Of what a timing convention leaves where a delay acts, what a delay has to explain to be no convention."""
+"""Share, of what a timing convention leaves where a delay acts, that a delay must explain to be a cause."""
 LAPSE = 0.02
-"""Of names for which everything speaks, those that are wrong all the same: 0 of some eighty were, which
-leaves up to 0.037 at 95 %."""
+"""Share of names that are wrong although everything supports them: 0 of some eighty were, which allows up to
+0.037 at 95 %."""
 
 
 @dataclass(frozen=True)
@@ -58,22 +57,22 @@ class Believed:
 
     name: str
     probability: float
-    """That it, or one of the alternatives, is missing."""
+    """Probability that it, or one of the alternatives, is missing."""
     alternatives: tuple[str, ...]
     explained_um2: float
-    """By how much the mean square of the residual rises without it."""
+    """Increase of the mean square of the residual without it."""
     rivals: tuple[Rival, ...]
     known: float
-    """The share of what is to be explained that it explains, as far as the sealed samples confirm it."""
+    """Share of the residual above the noise that it explains, as far as the sealed samples confirm it."""
     form_of: str = ""
-    """The effect whose form, not quite the rig's, more likely than not leaves it; empty where it is another
-    cause."""
+    """The effect whose remainder this is more likely than not, because its form is not quite the rig's; empty
+    if this is a separate cause."""
 
 
 def posterior(
     search: Search, retuned: Fit, final: Fit, history: Sequence[Round]
 ) -> tuple[Fit, list[Believed]]:
-    """The best hypothesis, and each of its effects with its probability, the strongest first."""
+    """Return the best hypothesis, and each of its effects with its probability, the strongest first."""
     final, models = settled(search, retuned, final, history)
     weighting = search.chain.weighting
     density = np.array([weighting.log_density(model.fit) for model in models])
@@ -100,7 +99,7 @@ def posterior(
             if model.instead != CONVENTION and stands:
                 alternatives.append(model.instead)
                 held += float(c)
-        # What a hysteresis, driven by the voltage alone, predicts as well need not have a signal.
+        # An effect that a hysteresis, driven by the voltage alone, predicts as well may have no own signal.
         own = name in signals and OPERATOR_NAME not in alternatives
         reached = search.within_reach([m for m in h.members if m.effect.name == name])
         known = share_explained(search, models[0].fit, less.fit, name, own) if reached else 0.0
@@ -129,27 +128,27 @@ def posterior(
 
 
 def stands_as_well(search: Search, name: str, rival: Fit, final: Fit) -> bool:
-    """Whether nothing here tells an effect, or a larger hysteresis, from what stands in its place: the rival
-    predicts as well, or what the larger hysteresis explains beyond it is a little of everything."""
+    """Whether the data cannot tell an effect, or a larger hysteresis, from its rival: the rival predicts as
+    well, or the larger hysteresis only explains a little of everything beyond the rival."""
     bends = name == OPERATOR_NAME and search.bends_to_all(final, rival)
     return bends or search.as_well(rival, final)
 
 
 def slow_kin(search: Search, name: str, rival: str) -> bool:
-    """Whether two slow effects, whose laws differ from rig to rig, look alike."""
+    """Whether two effects look alike and are slow, so that their laws differ from rig to rig."""
     slow = {effect.name: effect for effect in search.effects_tried if effect.time_scale == "slow"}
     one, other = slow.get(name), slow.get(rival)
     return bool(one and other and (rival in one.degenerate_with or name in other.degenerate_with))
 
 
 def nearly_all(rival: Fit, less: Fit, final: Fit) -> bool:
-    """Whether a rival explains all of what an effect explains but what another law of its own might."""
+    """Whether a rival explains all that an effect explains, except what another law of the rival might."""
     left = rival.train_rms**2 - final.train_rms**2
     return left < SLOW_FORM_ERROR * (less.train_rms**2 - final.train_rms**2)
 
 
 def form_of(one: Fit, name: str) -> str:
-    """Which equation of its kind an effect has there; empty where it has but one, or is not there."""
+    """Return which equation of its kind an effect has in a fit; empty if it has only one, or is absent."""
     members = one.hypothesis.members
     return next((m.effect.form(m.values(0)) for m in members if m.effect.name == name), "")
 
@@ -161,11 +160,11 @@ def without_cause(
     explained: Callable[[Fit, Fit], float],
     whole: bool,
 ) -> Model:
-    """What predicts best without an effect, and with no other cause in its place.
+    """Return the model that predicts best without an effect and with no other cause in its place.
 
-    A timing convention is none, so that an effect explains only what no convention does; unless the effect
-    explains most of what the best convention leaves where it acts, and the readings do not come whole samples
-    late. Then whole samples are not what is late, and all of it is the effect's.
+    A timing convention is not a cause, so an effect only explains what no convention does. The exception is
+    an effect that explains most of what the best convention leaves where it acts, while the readings are not
+    late by whole samples: then the lateness is not a convention, and all of it is credited to the effect.
     """
     bare = [model for model in models if model.without == name and model.instead in ("", CONVENTION)]
     best = max(bare, key=lambda model: score(model.fit))
@@ -175,8 +174,8 @@ def without_cause(
 
 
 def unlisted_hysteresis(h: Hypothesis, before: Hypothesis, name: str) -> list[str]:
-    """The hysteresis operator, beside an effect that is a hysteresis itself, where none was taken: a play
-    behind plays is plays, and a family that is not on the list may do as much."""
+    """Return the hysteresis operator as alternative to an effect that is itself a hysteresis, if no larger
+    one was accepted: a play behind plays is again plays, and an unlisted family may explain as much."""
     itself = any(member.effect.sticks for member in h.members if member.effect.name == name)
     return [OPERATOR_NAME] if itself and h.nominal.family == before.nominal.family else []
 
@@ -184,8 +183,8 @@ def unlisted_hysteresis(h: Hypothesis, before: Hypothesis, name: str) -> list[st
 def as_one(
     one: Believed, found: Sequence[Believed], together: Sequence[Believed], left_um: Mapping[str, float]
 ) -> Believed:
-    """The strongest of effects that may stand in each other's place, that without which most is left, as
-    likely as that any of them is missing: without one the others stand in for it, and little is lost."""
+    """Give the strongest of mutually replaceable effects, the one without which most is left, the probability
+    that any of them is missing: if only one is left out, the others replace it, and little is lost."""
     for group in together:
         names = names_of(group.name)
         strongest = max((each for each in found if each.name in names), key=lambda each: left_um[each.name])
@@ -201,9 +200,9 @@ def as_one(
 
 
 def share_explained(search: Search, more: Fit, less: Fit, name: str, own_signal: bool) -> float:
-    """The share of what is to be explained that an effect explains, 0–1, as far as the sealed samples confirm
-    it. For a recorded signal that nothing else can look like, how likely it predicts better, whatever else
-    there may be."""
+    """Return the share of the residual above the noise that an effect explains, 0–1, as far as the sealed
+    samples confirm it. For a recorded signal, which nothing else resembles, the share is the probability that
+    it predicts better, whatever else is missing."""
     weighting = search.chain.weighting
     if own_signal and has_a_recorded_signal(search, more, name):
         known = search.over(more, less, PRIOR).probability
@@ -223,8 +222,8 @@ def share_explained(search: Search, more: Fit, less: Fit, name: str, own_signal:
 def apart(
     one: Believed, found: Sequence[Believed], terms: Mapping[str, EffectTerm], signals: Collection[str] = ()
 ) -> Believed:
-    """As likely as that an effect is another cause, and not what another one leaves by its form; `signals`
-    are the effects that bring in one of their own."""
+    """Return an effect, its probability multiplied by that of its being a separate cause, not an error in the
+    form of another effect; `signals` are the effects that add a signal of their own."""
     left_um2, by = max(
         (
             (
@@ -245,12 +244,12 @@ def apart(
 
 
 def form_error(one: EffectTerm | None, other: EffectTerm | None, own_signal: bool, known: float) -> float:
-    """Of what another cause explains, the share that looks like an effect where the other's form is not quite
-    the rig's.
+    """Return the share, of what another cause explains, that looks like an effect if the form of that cause
+    is not quite the rig's.
 
-    A larger hysteresis, None, takes a part of whatever follows the voltage, and what it leaves may look like
-    anything that does; most like an effect that is a hysteresis itself. It looks the less like one of another
-    kind the larger the share `known` is that this explains of it.
+    A larger hysteresis, passed as None, absorbs part of whatever follows the voltage, and its remainder may
+    look like anything that does, most of all like an effect that is itself a hysteresis. It looks less like
+    an effect of another kind the larger the share `known` that this effect explains of the residual.
     """
     if one is None:
         return FORM_ERROR
@@ -265,8 +264,8 @@ def form_error(one: EffectTerm | None, other: EffectTerm | None, own_signal: boo
 
 
 def averaged(density: np.ndarray, priors: np.ndarray, strata: np.ndarray | None = None) -> np.ndarray:
-    """(models,): pseudo-BMA+ weights from log densities, (models, cells), and log priors; the cells of each
-    stratum, (cells,), are drawn among themselves."""
+    """(models,): pseudo-BMA+ weights from log densities, (models, cells), and log priors; the random weights
+    of the cells are normalised within each stratum, (cells,)."""
     rng = np.random.default_rng(0)
     shape, total = 1 / ALIKE**2, np.zeros(len(density))
     relative = density - density[0]
@@ -281,12 +280,12 @@ def averaged(density: np.ndarray, priors: np.ndarray, strata: np.ndarray | None 
 
 
 def trust(known: float) -> float:
-    """How likely a name is right that explains this share of what is to be explained where it acts; never
-    certain."""
+    """Return the probability, never 1, that a name is right if its effect explains this share of the residual
+    above the noise where it acts."""
     odds = against_half(known)
     return float((1 - LAPSE) * odds**STEEPNESS / (1 + odds**STEEPNESS))
 
 
 def against_half(known: float) -> float:
-    """The odds of a share that is explained, by those of the share from which a name is more likely right."""
+    """Return the odds of an explained share over those of `HALF`, from which a name is more likely right."""
     return max(known, 1e-9) / max(1 - known, 1e-9) * (1 - HALF) / HALF

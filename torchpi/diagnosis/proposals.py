@@ -1,7 +1,7 @@
-"""What is tried on top of a hypothesis in a round of the search: every promising effect, from its best start.
+"""Proposals of a search round: every promising effect is added to a hypothesis, from its best start.
 
-Some explanations are only found together, or under another convention of timing: each alone, or the wrong
-one, takes the place of both.
+Some explanations are only found jointly, or under another timing convention: otherwise one effect alone, or
+the wrong convention, takes the place of both.
 """
 
 from collections.abc import Sequence
@@ -23,16 +23,16 @@ from torchpi.stage.effects.mechanics.resonance import Resonance
 from torchpi.stage.effects.mechanics.second_mode import SecondMode
 
 FORMS, STARTS = 3, 2
-"""From how many forms an effect is fitted, and all axes through a mode."""
+"""Number of forms from which an effect is fitted, and of modes through which all axes are fitted jointly."""
 TRIED, FINISHED = 6, 4
-"""How many effects are fitted in a round, the best of the screen; how many of these to the end."""
+"""Number of effects, the best of the screen, fitted in a round; and number of these fitted to the end."""
 RICHER = 2
-"""How many of them in a form of more numbers as well."""
+"""How many of them are also fitted in a form with more parameters."""
 AXES = "resonance + cross_coupling"
 
 
 class Proposals(Growth):
-    """Fits on given records of what a hypothesis may lack."""
+    """Fits, on given records, of effects that a hypothesis may lack."""
 
     left_out: list[tuple[str, str]]
     """Effects that these records cannot show, and why."""
@@ -41,9 +41,9 @@ class Proposals(Growth):
     effects_tried: list[type[Effect] | type[InsideEffect]]
 
     def effects(self, now: Fit) -> list[tuple[str, Fit]]:
-        """The most promising effects, each fitted from its best starts."""
+        """Return the most promising effects, each fitted from its best starts."""
         barred = {*self.needless, *(name for name, _ in self.left_out)}
-        # Of an effect with a signal of its own there may be one for each signal.
+        # An effect that takes an auxiliary signal may be present once for each signal.
         there = {(member.effect.name, member.aux) for member in now.hypothesis.members}
         starts = [
             member
@@ -56,26 +56,26 @@ class Proposals(Growth):
         best: dict[str, dict[tuple[str, ...], Candidate]] = {}
         for candidate in sorted(screened, key=lambda c: -c.gain):
             member = candidate.member
-            # What is seen only where it begins, as a limit is, may show nothing to first order.
+            # An effect that only acts beyond a threshold, as a limit does, may show nothing to first order.
             if candidate.gain > -PRIOR or (candidate.gain > 0 and member.effect.name not in best):
                 best.setdefault(member.effect.name, {}).setdefault(member.form, candidate)
         chosen = [(name, c) for name in list(best)[:TRIED] for c in list(best[name].values())[:FORMS]]
-        # What could gain most, if there were less or more of it, may be far from where it does gain.
+        # The start that would gain most after rescaling may be far from one that gains as it is.
         ready = {c.member.effect.name: c for c in sorted(screened, key=lambda c: c.at_once) if c.at_once > 0}
         chosen += [
             (name, c) for name in list(best)[:TRIED] if (c := ready.get(name)) and (name, c) not in chosen
         ]
         names = [name for name, _ in chosen]
         jobs: list[Job] = [(now.hypothesis.plus(c.member), now.weights, HEAT, ROUGH) for _, c in chosen]
-        # A history takes the place of a curvature behind it, and leaves the fit of both no way to the end.
+        # A history absorbs a curvature behind it, and from there the joint fit does not reach the optimum.
         if now.hypothesis.remanent:
             for name, c in chosen:
                 forgets = replace(now.hypothesis.plus(c.member), remanent=False)
                 if self.chain.bends(forgets):
                     names.append(name)
                     jobs.append((forgets, None, STEPS, ROUGH))
-        # What delays is taken for the convention of timing until it is fitted; and a mode that a held command
-        # drives is not found where the command is taken to move.
+        # An effect that delays is mistaken for a timing convention until it is fitted; and a mode driven by a
+        # held command is not found if the command is taken to move between samples.
         otherwise = self.at_other_conventions(now, starts)
         names += otherwise
         jobs += [(h, now.weights, HEAT, ROUGH) for h in otherwise.values()]
@@ -92,7 +92,7 @@ class Proposals(Growth):
         found = {name: each[0] for name, each in forms.items()}
         leader = max(found.values(), key=self.score, default=now)
         best_first = sorted(found, key=lambda name: -self.score(found[name]))
-        # Where other numbers have to move as well, two steps keep little of what the screen promised.
+        # If other parameters have to change too, two steps achieve little of what the screen promised.
         promised = [name for name, c in chosen if self.score(now) + c.at_once > self.score(leader)]
         finished = list(dict.fromkeys([*best_first[:FINISHED], *promised]))
         unclear = [name for name in finished if name in promised or self.near(found[name], leader)]
@@ -101,9 +101,9 @@ class Proposals(Growth):
                 (forms[n][place].hypothesis, forms[n][place].weights, STEPS, ROUGH) for n in unclear
             ]
             found.update(zip(unclear, self.fits(rest, now), strict=True))
-            # A form of more numbers may run into a bound where it becomes a simpler one.
+            # A form with more parameters may end on a bound at which it becomes a simpler one.
             unclear = [n for n in unclear if not self.inside(found[n], now) and len(forms[n]) > place + 1]
-        # Of a form with fewer numbers, fitted to the end, one with more is found where it leads.
+        # A form with more parameters is found by starting from a fully fitted form with fewer.
         ahead = sorted(finished, key=lambda name: -self.score(found[name]))[:RICHER]
         grown = {name: more for name in ahead if (more := self.richer(found[name].hypothesis, name))}
         again: list[Job] = [(more, found[name].weights, STEPS, ROUGH) for name, more in grown.items()]
@@ -116,14 +116,14 @@ class Proposals(Growth):
         return [*fits, *driven_modes(self.chain, now, [one for _, one in fits], ROUGH)]
 
     def at_other_conventions(self, now: Fit, starts: Sequence[EffectTerm]) -> dict[str, Hypothesis]:
-        """For what delays, or answers a held command otherwise than a moving one, the best start of all under
-        another convention of timing, where it is worth a fit."""
+        """Return, for each effect that delays or responds differently to a held and to a moving command, its
+        best start under another timing convention, if that is worth a fit."""
         h, best = now.hypothesis, dict[str, tuple[float, Hypothesis]]()
         other = h.alignment - 1 if h.alignment - 1 in self.alignments else h.alignment + 1
         (moved,) = self.fits([(replace(h, alignment=other), now.weights, 2, ROUGH)])
         dynamic = [member for member in starts if member.effect.hold]
         screens = [(moved, [m for m in starts if m.effect.delays or m.effect.hold])]
-        if not any(member.effect.hold for member in h.members):  # else what is there has to be fitted anew
+        if not any(member.effect.hold for member in h.members):  # else these would have to be refitted
             for one in (now, moved):
                 held = replace(one.hypothesis, held=not h.held)
                 screens.append((replace(one, hypothesis=held), dynamic))
@@ -137,9 +137,9 @@ class Proposals(Growth):
         return {name: hypothesis for name, (_, hypothesis) in best.items()}
 
     def lags_with_a_delay(self, now: Fit, screened: Sequence[Candidate]) -> list[tuple[str, Hypothesis]]:
-        """A lag of one number and a delay at once, under every convention of timing. Each alone, or a lag of
-        more numbers, takes the place of both, and from there no addition leads to the two. What a simulation
-        that is only called lacks inside looks like either: there they are tried one by one."""
+        """Return hypotheses with both a one-parameter lag and a delay, under every timing convention. Either
+        alone, or a lag with more parameters, takes the place of both, and no addition leads from there to the
+        pair. What an outside simulation lacks internally looks like either; there they are tried singly."""
         if self.simulation:
             return []
         h, best = now.hypothesis, dict[type[Described], EffectTerm]()
@@ -164,7 +164,7 @@ class Proposals(Growth):
         return found
 
     def axes_through_a_mode(self, now: Fit) -> list[Job]:
-        """Every other axis and a resonance at once: each alone may explain little of a stage that rings."""
+        """Return fits of all other axes with a mode: if a stage rings, each alone may explain little."""
         aux = list(self.seen.aux)
         if not aux or {"cross_coupling", "resonance"} & set(now.hypothesis.names):
             return []
@@ -184,8 +184,8 @@ class Proposals(Growth):
         return jobs
 
     def walks(self, now: Fit) -> list[Tried]:
-        """Random walks, which take the place of anything slow and come last: where something is left that
-        does not repeat with the voltage, each from the knots that explain most of it."""
+        """Return fits of random walks, each from the knots that explain most, if more than noise is left that
+        does not repeat with the voltage. They can imitate anything slow, so they are tried last."""
         there = {*now.hypothesis.names, *self.needless, *(name for name, _ in self.left_out)}
         starts = [
             member
@@ -204,7 +204,7 @@ class Proposals(Growth):
         return sorted(tried, key=lambda one: -one.gain.nats)
 
     def from_residual(self, now: Fit) -> list[EffectTerm]:
-        """Starts that no grid has: where the residual of the loudest recording, or the first, stands out."""
+        """Return starts that no grid contains, from the residuals of the loudest and the first recording."""
         records, found = self.chain.records, []
         residuals = [e[r.train] for e, r in zip(now.residuals, records, strict=True)]
         loudest = max(range(len(records)), key=lambda i: float(np.mean(residuals[i] ** 2)))

@@ -1,4 +1,4 @@
-"""What the search works on: the recordings, and which of their samples it may see."""
+"""The recordings prepared for the search, and which of their samples it may see."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -13,58 +13,58 @@ from torchpi.recordings.recording import Recording
 from torchpi.stage.effects.effect import DataRange
 
 SEALED = 0.15
-"""Share of each recording, its end, that neither a fit nor the choice between hypotheses sees."""
+"""Share of each recording, at its end, that neither a fit nor the choice between hypotheses sees."""
 AT_MOST = 30_000
-"""Coefficients that a search sums over, of all recordings."""
+"""Maximum number of coefficients that a search sums over, in all recordings together."""
 REPEATS = 0.25
-"""Share of a recording's coefficients that hold what does not repeat, where its voltage does: a third period
-again."""
+"""Share of a recording's samples that must come again for its voltage to count as repeating: a third of a
+period, repeated."""
 LEVELS = 8.0
-"""Scales among which they are shared out."""
+"""Number of scales among which these coefficients are divided."""
 
 
 @dataclass(frozen=True, eq=False)
 class Rests:
-    """Where a mount sticks, as the readings show it."""
+    """Where a mount sticks, according to the readings."""
 
     stuck: np.ndarray
     """(time,), bool: the reading did not jump."""
     at_um: np.ndarray
-    """(time,): the mean of the readings since the last jump, this one apart."""
+    """(time,): the mean of the readings since the last jump, without the present one."""
 
 
 @dataclass(frozen=True, eq=False)
 class Record:
-    """One recording, and what of it is fitted."""
+    """One recording, and which part of it is fitted."""
 
     name: str
     u: np.ndarray
-    """As it was recorded."""
+    """The voltage as it was recorded."""
     y: np.ndarray
     fs_hz: float
     aux: dict[str, np.ndarray]
     train: np.ndarray
-    """(time,), bool: neither in the sealed end, nor start-up that is skipped, nor what does not count."""
+    """(time,), bool: fitted samples, without sealed end, skipped start-up and samples that do not count."""
     held_out: np.ndarray
-    """(time,), bool: what is not trained on, but for what does not count: dropouts, an unsettled start."""
+    """(time,), bool: samples not trained on, except those that do not count: dropouts, an unsettled start."""
     coefficients: Coefficients
-    """Those that a fit sums over."""
+    """The coefficients that a fit sums over."""
     tick_s: float
-    """Of the controller: shorter than a sample where samples are means."""
+    """Period of the controller; shorter than a sample period where samples are means."""
     commands: Mapping[int, np.ndarray]
-    """(time,), V each: the voltage of tick k, and of how many ticks before; a monitored one without the noise
-    of the monitor."""
+    """(time,), V each, by number of ticks: the voltage of so many ticks before tick k; if monitored, without
+    the noise of the monitor."""
     simulated: Mapping[int, np.ndarray]
-    """(time,), µm each, under the same numbers: a simulator's output; empty where the recording has none."""
+    """(time,), µm each, under the same keys: a simulator's output; empty if the recording has none."""
     monitor_noise_v: float
     """Standard deviation of the noise that the monitor of the voltage adds, V; 0 for a command."""
     monitor_noise_left_v: np.ndarray
-    """(time,): of what is left of it in the voltage that drives."""
+    """(time,): standard deviation of what is left of it in the voltage that drives."""
     rests: Rests | None = None
-    """None where no mount that sticks was seen."""
+    """None where no sticking mount was seen."""
 
     def commanded(self, alignment: int) -> np.ndarray:
-        """The command that y(k) answers: that of tick k, or of `alignment` ticks before."""
+        """Return the command to which y(k) responds: that of tick k, or of `alignment` ticks before."""
         return self.commands[alignment]
 
     @property
@@ -73,7 +73,7 @@ class Record:
 
 
 def not_counting(recording: Recording) -> np.ndarray:
-    """Indices of the samples of a recording that say nothing of the stage: wrong readings, or none."""
+    """Return the indices of samples that say nothing about the stage: wrong or missing readings."""
     wrong = dropouts(recording.y, recording.u, recording.output_step_um)
     return np.union1d(wrong, recording.not_read).astype(int)
 
@@ -85,14 +85,14 @@ def prepare(
     as_recorded: Sequence[Recording] | None = None,
     sealed: float = SEALED,
 ) -> list[Record]:
-    """The recordings with their ends sealed.
+    """Prepare the recordings, with their ends sealed.
 
     Args:
         recordings: One or more.
         dropouts: For each the indices of readings that do not count.
-        skip_s: Start-up of each, half of it at most, that is held out as its end is, s.
-        as_recorded: The same at the rate of the controller, where some are means.
-        sealed: Share of each that is sealed; none is for what the model that is left behind is fitted to.
+        skip_s: Start-up of each recording, at most half of it, that is held out like its end, s.
+        as_recorded: The same recordings at the rate of the controller, where some are means.
+        sealed: Share of each recording that is sealed; 0 for the fit of the model that is delivered.
     """
     noise_v = monitor_noise([recording.u for recording in recordings])
     given = as_recorded or recordings
@@ -103,7 +103,7 @@ def prepare(
 
 
 def without_start(records: Sequence[Record], readings: Sequence[int]) -> list[Record]:
-    """The records without so many of their first readings, neither fitted nor held out."""
+    """Return the records with their first `readings` samples excluded: neither fitted nor held out."""
     found = []
     for record, first in zip(records, readings, strict=True):
         counts = np.arange(len(record.u)) >= first
@@ -160,12 +160,12 @@ def _record(
 
 
 def _early_and_late(x: np.ndarray, at_ticks: np.ndarray, ticks: int) -> dict[int, np.ndarray]:
-    """A signal (time,), the same a tick of the controller earlier, and a tick later, under 0, -1 and 1.
+    """Return a signal (time,), and the same one controller tick earlier and later, under keys 0, -1 and 1.
 
     Args:
         x: The signal.
-        at_ticks: (ticks,), what its samples are means of.
-        ticks: Of each mean.
+        at_ticks: (ticks,), the values of which its samples are means.
+        ticks: Number of ticks in each mean.
     """
     return {0: x, **{late: means(shifted(at_ticks, late), ticks)[: len(x)] for late in (-1, 1)}}
 
@@ -174,7 +174,7 @@ def shifted(
     x: np.ndarray,  # (time,)
     samples: int,
 ) -> np.ndarray:  # (time,)
-    """The same so many samples later, or earlier where that is negative; its ends are held."""
+    """Return the signal shifted later by so many samples, or earlier if negative; its ends are held."""
     places = np.arange(len(x)) - samples
     return x[np.clip(places, 0, len(x) - 1)]
 
@@ -182,14 +182,14 @@ def shifted(
 def _coefficients(
     u: np.ndarray, y: np.ndarray, samples: int, valid: np.ndarray, recordings: int
 ) -> Coefficients:
-    # What the command does at once, and what the readings do: edges, and rings after them.
+    # Second differences are large where something fast happens: at edges, and in the ringing after them.
     activity = np.diff(y, 2, prepend=y[:1], append=y[-1:])
     at_most = max(200, int(AT_MOST / recordings / LEVELS) * 2)
     return Coefficients.of(u, activity, samples, valid, at_most)
 
 
 def seen(records: Sequence[Record]) -> DataRange:
-    """What these recordings span."""
+    """Return the ranges that these recordings span."""
     rates = np.concatenate([np.abs(np.diff(record.u)) * record.fs_hz for record in records])
     names = {name for record in records for name in record.aux}
     return DataRange(
@@ -197,7 +197,7 @@ def seen(records: Sequence[Record]) -> DataRange:
         duration_s=max(record.coefficients.samples / record.fs_hz for record in records),
         low_v=min(float(record.u.min()) for record in records),
         high_v=max(float(record.u.max()) for record in records),
-        # Steps between long holds are too few for a percentile to see.
+        # Steps between long holds are too rare to show in a percentile.
         max_rate_v_s=float(np.quantile(rates, 0.999) or rates.max()),
         low_um=min(float(record.y.min()) for record in records),
         high_um=max(float(record.y.max()) for record in records),
@@ -209,6 +209,6 @@ def seen(records: Sequence[Record]) -> DataRange:
 
 
 def _time_to_move_s(u: np.ndarray, fs_hz: float) -> float:
-    """σ_u/σ_u̇: that of a sine is 1/ω."""
+    """Return σ_u/σ_u̇, s, which is 1/ω for a sine."""
     rate = float(np.diff(u).std()) * fs_hz
     return float(u.std()) / rate if rate else np.inf

@@ -1,4 +1,4 @@
-"""A large hysteresis on the combinations of its rows that the recordings can tell apart."""
+"""Reduction of a large hysteresis to the combinations of its rows that the recordings can distinguish."""
 
 from dataclasses import replace
 
@@ -11,24 +11,24 @@ from torchpi.diagnosis.hypothesis import Fit, Hypothesis
 from torchpi.diagnosis.hysteresis_model import HysteresisModel
 
 FEW, MANY = 48, 300
-"""Principal combinations for a search, and to report. With 24 a lag may leave ten times as much as with all
-of them, and something else is accepted in its place; a hundred are the straight lines of plays."""
+"""Number of principal combinations for a search, and for the report. With 24, a lag may leave ten times as
+much as with all, and another effect is accepted in its place; a hundred are the straight lines of plays."""
 INFORMED = 0.1
-"""What the samples know of a combination, over what the prior does, from which it is kept."""
+"""Minimum information of the samples on a combination, relative to that of the prior, for it to be kept."""
 THINNED = 3
-"""One coefficient in so many tells the principal combinations."""
+"""One coefficient in so many is used to determine the principal combinations."""
 
 
 def basis(
     chain: Chain, hypothesis: Hypothesis, weights: np.ndarray | None, kept: int
 ) -> tuple[Hypothesis, np.ndarray | None]:
-    """A hypothesis, and its weights, on the principal combinations of its rows.
+    """Return a hypothesis, and its weights, on the principal combinations of its rows.
 
     Args:
         chain: The recordings.
-        hypothesis: On whatever rows.
-        weights: Of those; their combination becomes the first row. None where there are none yet.
-        kept: Principal combinations.
+        hypothesis: On any rows.
+        weights: Weights of those rows; their combination becomes the first row. None if there are none yet.
+        kept: Number of principal combinations.
     """
     nominal = hypothesis.nominal
     full = nominal.unreduced
@@ -49,13 +49,13 @@ def basis(
             parts.append(np.ascontiguousarray(chain.whitened(i, rows)[:, ::THINNED]))
         part = np.concatenate(parts)[:size]
         gram += part @ part.T
-    # The prior holds a straight line less than what bends it.
+    # The prior constrains a straight line less than the terms that bend it.
     prior = full.inverse_variances(weight_prior(chain), chain.gain_um_per_v)[:size]
     unit = np.sqrt(prior[-1] / prior)
     values, vectors = np.linalg.eigh(gram * THINNED * unit * unit[:, None])
     informed = int((values > INFORMED * prior[-1]).sum())
     of_plays = vectors[:, ::-1][:, : max(1, min(kept, informed))].T * unit
-    # What a state adds to its plays may be little where it begins, and much where its numbers lead.
+    # A state may add little to its plays at its initial parameters, and much at its fitted ones.
     reduction = block_diag(of_plays, np.eye(others))
     if full.reduction is not None:
         reduction = reduction @ full.reduction
@@ -67,7 +67,7 @@ def basis(
 
 
 def in_blocks(full: HysteresisModel) -> list[HysteresisModel]:
-    """A hysteresis with some of its rows each."""
+    """Split a hysteresis into models that each have some of its rows."""
     if full.reduction is None:
         return [full]
     blocks = [full.reduction[first : first + AT_ONCE] for first in range(0, full.kept, AT_ONCE)]
@@ -75,8 +75,8 @@ def in_blocks(full: HysteresisModel) -> list[HysteresisModel]:
 
 
 def grown(chain: Chain, hypothesis: Hypothesis, now: Fit, kept: int) -> tuple[Hypothesis, np.ndarray | None]:
-    """The same of a hypothesis with more rows than a fit, whose solution is the first row where the plays are
-    the same: a density that is smooth has no sharp thresholds, and would lose what the plays know of them."""
+    """Do the same as `basis` for a hypothesis with more rows than a fit. If the plays are the same, the fit's
+    solution is the first row: a smooth density has no sharp thresholds, and would lose those of the plays."""
     larger, before = hypothesis.nominal, now.hypothesis.nominal
     if larger.pieces % before.pieces or not np.array_equal(larger.thresholds_v, before.thresholds_v):
         return basis(chain, hypothesis, None, kept)
@@ -89,12 +89,12 @@ def grown(chain: Chain, hypothesis: Hypothesis, now: Fit, kept: int) -> tuple[Hy
 
 
 def reduced(chain: Chain, now: Fit, kept: int = FEW) -> Fit:
-    """The same fit on few rows."""
+    """Return the same fit on few rows."""
     hypothesis, weights = basis(chain, now.hypothesis, now.weights, kept)
     assert weights is not None
     return replace(now, hypothesis=hypothesis, weights=weights)
 
 
 def refitted(chain: Chain, now: Fit, iterations: int = ITERATIONS) -> Fit:
-    """The fit on many rows."""
+    """Return the fit repeated on many rows."""
     return fit(chain, *basis(chain, now.hypothesis, now.weights, MANY), iterations)

@@ -1,4 +1,4 @@
-"""The unknown path: what every named effect leaves, by ridge regression on what a general memory shows."""
+"""The unknown remainder: ridge regression, on a general fading memory, of what all named effects leave."""
 
 from dataclasses import replace
 
@@ -21,20 +21,20 @@ from torchpi.stage.effects.unknown import TIMES, Unknown
 
 RIDGES = (1e-1, 1e-2, 1e-3, 1e-4)
 EARNS = 0.95
-"""Probability that the recordings are predicted better with the remainder than without."""
+"""Minimum probability that the recordings are predicted better with the remainder than without it."""
 REPLACES = 0.5
-"""Probability from which what is on no list takes the place of a larger hysteresis."""
+"""Probability from which the unknown remainder, which is on no list, replaces a larger hysteresis."""
 FAINT = 0.3
-"""Of the rms that is left."""
+"""Minimum share of the rms that is left which the remainder has to remove."""
 LARGEST = Unknown.quantities["a0"].at_most
 
 
 def with_remainder(chain: Chain, now: Fit, ridge: float | None = None) -> tuple[Fit, float] | None:
-    """The fit with the unknown remainder at the end of its chain, and its ridge.
+    """Return the fit with the unknown remainder at the end of its chain, and its ridge.
 
-    None if it predicts no better, or removes less than `FAINT` of the rms that is left. It is fitted to the
-    residual off the tangent of the weights: what retuning could do is not the remainder's. With a `ridge`
-    given, nothing is chosen or judged.
+    None if it predicts no better, or removes less than `FAINT` of the rms that is left. The remainder is
+    fitted off the tangent space of the weights, so that it takes nothing that retuning could explain. If a
+    `ridge` is given, nothing is chosen or judged.
     """
     records, what = chain.records, seen(chain.records)
     frame = {
@@ -57,10 +57,10 @@ def with_remainder(chain: Chain, now: Fit, ridge: float | None = None) -> tuple[
         errors.append(chain.whitened(i, residual[None])[0])
     with np.errstate(over="ignore", invalid="ignore"):
         squares = np.sum([c @ c.T for c in columns], 0)
-    if not np.isfinite(squares).all():  # of readings that do not move: nothing is left to explain
+    if not np.isfinite(squares).all():  # the readings do not move: nothing is left to explain
         return None
     inner = np.sum([t @ t.T for t in tangents], 0)
-    # A weight that moves no reading has no unit, and takes nothing.
+    # A weight that affects no reading has no natural scale, and must absorb nothing.
     unit = 1 / np.sqrt(np.maximum(np.diag(inner), 1e-150))
     inner = inner * unit * unit[:, None] + 1e-9 * np.eye(len(inner))
     across = np.sum([t @ c.T for t, c in zip(tangents, columns, strict=True)], 0)
@@ -109,8 +109,8 @@ def with_remainder(chain: Chain, now: Fit, ridge: float | None = None) -> tuple[
 def unless_unknown(
     search: Search, retuned: Fit, final: Fit, believed: list[Believed]
 ) -> tuple[Fit, list[Believed]]:
-    """The best hypothesis, and its effects, with what is on no list as a rival of a larger hysteresis, whose
-    hundreds of numbers act everywhere and bend to anything: without it where the rival predicts better."""
+    """Return the best hypothesis and its effects after trying the unknown remainder in place of a larger
+    hysteresis, whose hundreds of parameters fit anything: without it if the remainder predicts better."""
     h, before = final.hypothesis, retuned.hypothesis.nominal
     if search.jump or h.nominal.family == before.family:
         return final, believed
@@ -121,7 +121,7 @@ def unless_unknown(
         return final, believed
     lost = search.over(instead[0], beside[0] if beside else final).probability
     if lost > REPLACES:
-        search.log(f"  what is on no list in place of a larger hysteresis: {rms_of(instead[0])}")
+        search.log(f"  an unknown remainder in place of a larger hysteresis: {rms_of(instead[0])}")
         return plain, [one for one in believed if one.name != OPERATOR_NAME]
     return final, [
         replace(one, probability=round(one.probability * (1 - lost), 4)) if one.name == OPERATOR_NAME else one

@@ -1,24 +1,24 @@
-"""What a recording remembers from before its first sample, as columns that are linear in what is not known.
+"""Influence of the unknown history before the first sample, as columns whose weights enter linearly.
 
-By wiping-out (Mayergoyz, *Mathematical Models of Hysteresis and their Applications*, 2003) a hysteresis
-forgets its past where the input passes the extremes that it has stored: what a history adds to the
-displacement depends on the largest excursions since the first sample alone, and ends where they are largest.
-So it is a function of the running excursion, up or either way, here piecewise linear and 0 at its end.
+By the wiping-out property (Mayergoyz, *Mathematical Models of Hysteresis and their Applications*, 2003) a
+hysteresis forgets its past where the input passes the extremes that it has stored. The contribution of the
+history to the displacement thus depends only on the largest excursions since the first sample: it is a
+function of the running excursion, upward or either way, here piecewise linear and 0 at the largest one.
 
-A hysteresis without wiping-out forgets along the way instead: the start of dz = α|dv|(f(v) - z) fades as
-e^{-α s} with the path s = ∫|dv| (Duhem; Visintin, *Differential Models of Hysteresis*, 1994).
+A hysteresis without wiping-out forgets along its path instead: the initial state of dz = α|dv|(f(v) - z)
+fades as e^{-α s} with the path s = ∫|dv| (Duhem; Visintin, *Differential Models of Hysteresis*, 1994).
 """
 
 import numba
 import numpy as np
 
 EITHER, UP = np.linspace(0, 1, 15)[1:] ** 1.5, np.linspace(0, 1, 6)[1:]
-"""Excursions either way, and up, of the largest, at which one of the columns ends."""
+"""Excursions either way, and upward, at which one of the columns ends, as shares of the largest excursion."""
 COLUMNS = len(EITHER) + len(UP)
 
 
 def excursions(v: np.ndarray) -> np.ndarray:
-    """(columns, time) for a voltage, (time,): 1 at first, 0 once an excursion has passed its level."""
+    """(columns, time) for a voltage, (time,): each is 1 at first, 0 once an excursion passes its level."""
     columns = np.zeros((COLUMNS, len(v)))
     reach = max(float(np.abs(v - v[0]).max()), 1e-300)
     _fill(v, reach * EITHER, reach * UP, columns)

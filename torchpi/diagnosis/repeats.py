@@ -1,9 +1,9 @@
-"""Where an input repeats, and what of the readings does not repeat with it.
+"""Where an input repeats, and the part of the readings that does not repeat with it.
 
-A reading less the mean of all later readings at the same phase, in the proportion that keeps white noise
-white: Helmert's rotation (*Astronomische Nachrichten* 88, 1876) without its last row. Whatever the voltage
-alone brings about, once a transient is over, is gone from it, with all that a model has wrong of it; drift,
-hum, wrong readings and what other signals do stand there beside nothing but noise.
+This part is each reading less the mean of all later readings at the same phase, scaled so that white noise
+stays white: Helmert's rotation (*Astronomische Nachrichten* 88, 1876) without its last row. It contains
+nothing that the voltage alone causes once a transient is over, and none of a model's errors in that; drift,
+hum, wrong readings and the influence of other signals remain in it, beside nothing but noise.
 """
 
 from dataclasses import dataclass
@@ -13,18 +13,18 @@ import numpy as np
 
 PROBES, PROBE_SAMPLES = 32, 48
 LEAST_PERIOD = 32
-"""Samples."""
+"""Shortest period that is looked for, in samples."""
 SAME = 3e-4
-"""Of the span: two inputs that differ by less are the same; one that was measured has noise of its own."""
+"""Share of the span below which two inputs that differ count as the same; a measured one has noise."""
 LEAST_SWING = 0.01
-"""Of the recording's span, that a period must cover: a rest repeats as well."""
+"""Share of the recording's span that a period must cover, because a rest repeats as well."""
 AT_MOST = 4
-"""Stretches taken from one recording."""
+"""Maximum number of stretches taken from one recording."""
 LEAST_AGAIN = 64
-"""Samples that come again."""
+"""Minimum number of samples that come again in a stretch."""
 PLAIN, STARTING, APART = KINDS = range(3)
-"""Of what is compared: the readings as they are; what does not repeat of them, while a transient of the start
-may last, and after it."""
+"""Kinds of signal that are compared: the readings as they are; the part of them that does not repeat, while a
+transient of the start may last; and that part afterwards."""
 
 
 @dataclass(frozen=True)
@@ -41,11 +41,11 @@ class Stretch:
 
 
 def periodic_stretches(u: np.ndarray) -> tuple[Stretch, ...]:
-    """Where the input repeats exactly, twice or more, the longest stretch first; none overlaps another.
+    """Return where the input repeats exactly, twice or more, longest stretch first; none overlaps another.
 
-    Short probes of the input are looked up further on in the record; each distance at which one comes again
-    is tried as a period over the whole record. Of distances that fit the same stretch the shortest counts.
-    Periods that are no whole number of samples are found at their first whole multiple.
+    Short probes of the input are searched for further on in the record; each distance at which one recurs is
+    tried as a period over the whole record. Of distances that fit the same stretch, the shortest is taken.
+    Periods that are not a whole number of samples are found at their first whole multiple.
     """
     span = float(np.ptp(u))
     if span == 0 or len(u) < 2 * LEAST_PERIOD:
@@ -67,7 +67,7 @@ def periodic_stretches(u: np.ndarray) -> tuple[Stretch, ...]:
 
 
 def _lags(u: np.ndarray, tolerance: float) -> np.ndarray:
-    """Distances at which a moving piece of the input comes again."""
+    """Return the distances at which a moving piece of the input recurs."""
     lags: set[int] = set()
     for start in np.linspace(0, len(u) - PROBE_SAMPLES - 1, PROBES).astype(int):
         probe = u[start : start + PROBE_SAMPLES]
@@ -81,7 +81,7 @@ def _lags(u: np.ndarray, tolerance: float) -> np.ndarray:
 
 
 def _stretch(u: np.ndarray, free: np.ndarray, lag: int, span: float) -> Stretch | None:
-    """The longest stretch of whole periods of this length, at the end of where the input repeats."""
+    """Return the longest stretch of whole periods of this length, ending where the input stops repeating."""
     same = (np.abs(u[lag:] - u[:-lag]) <= SAME * span) & free[lag:] & free[:-lag]
     edges = np.flatnonzero(np.diff(np.concatenate([[False], same, [False]])))
     starts, stops = edges[::2], edges[1::2]
@@ -96,25 +96,25 @@ def _stretch(u: np.ndarray, free: np.ndarray, lag: int, span: float) -> Stretch 
 
 @dataclass(frozen=True, eq=False)
 class Repeats:
-    """What does not repeat of a recording's readings, on each stretch over which its input does."""
+    """The part of a recording's readings that does not repeat, on each stretch over which its input does."""
 
     periodic: tuple[Stretch, ...]
-    """Of the whole recording."""
+    """The stretches of the whole recording."""
     samples: int
-    """That are looked at, from the first."""
-    stretches: np.ndarray  # shape: (stretches, 3), int: first sample, the one behind the last, and the period
-    go_on: np.ndarray  # shape: (stretches,), int: up to which sample each goes on beyond those looked at
+    """Number of samples that are used, from the first."""
+    stretches: np.ndarray  # shape: (stretches, 3), int: first sample, one past the last, and the period
+    go_on: np.ndarray  # shape: (stretches,), int: the end of each, which may lie beyond the samples used
     valid: np.ndarray  # shape: (samples,), bool: readings that count
-    apart: np.ndarray  # shape: (samples,), bool: readings that come again and count
+    apart: np.ndarray  # shape: (samples,), bool: readings that count and come again
 
     @classmethod
     def of(cls, u: np.ndarray, samples: int, valid: np.ndarray) -> "Repeats":
-        """Of a recording's voltage, (time,), and the readings of it that count, (time,)."""
+        """Return those of a recording from its voltage, (time,), and which of its readings count, (time,)."""
         periodic = periodic_stretches(u)
         found = [
             (one.start, min(one.end, samples), one.period, one.end)
             for one in sorted(periodic, key=lambda one: one.start)
-            # A period again, or enough of it for a spectrum.
+            # A whole period has to come again, or enough of one for a spectrum.
             if min(one.end, samples) - one.start >= one.period + LEAST_AGAIN
         ]
         table = np.array(found, dtype=int).reshape(-1, 4)
@@ -125,8 +125,8 @@ class Repeats:
 
     @property
     def pieces(self) -> list[tuple[int, int, int]]:
-        """(first sample, the one behind the last, kind) of each: the first period of a stretch has the
-        transient of the start, of two periods the first half of it."""
+        """(first sample, one past the last, kind) of each piece. The first period of a stretch contains the
+        transient of the start; if there are at most two periods, the first half of the first one does."""
         found = []
         for start, stop, period in self.stretches.tolist():
             last = stop - period
@@ -135,7 +135,7 @@ class Repeats:
         return [one for one in found if one[1] > one[0]]
 
     def beyond(self, e: np.ndarray) -> np.ndarray:
-        """What does not repeat of what comes after the samples, (those after,), of a signal, (time,): NaN
+        """Return the non-repeating part of a signal, (time,), after the samples used, (those after,): NaN
         where the input does not go on repeating."""
         found = np.full(len(e) - self.samples, np.nan)
         for (start, stop, period), end in zip(self.stretches.tolist(), self.go_on.tolist(), strict=True):
@@ -149,7 +149,7 @@ class Repeats:
         return found
 
     def __call__(self, rows: np.ndarray) -> np.ndarray:
-        """(rows, samples) of rows, (rows, time): 0 where nothing comes again."""
+        """Return the non-repeating part, (rows, samples), of rows, (rows, time): 0 where nothing recurs."""
         out = np.zeros((len(rows), self.samples))
         _less_later(rows, self.valid, self.stretches, np.empty(self.samples, dtype=np.bool_), out)
         return out

@@ -1,4 +1,4 @@
-"""The hypotheses around the final one: without one of its effects, and with a rival in its place."""
+"""The hypotheses around the final one: each lacks one of its effects, or has a rival in its place."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -15,10 +15,10 @@ from torchpi.diagnosis.reduced_basis import reduced
 from torchpi.diagnosis.search import Round, Search
 
 RIVALS = 4
-"""Of an effect, that are fitted in its place."""
+"""Maximum number of rivals from the search history that are fitted in place of an effect."""
 OPERATOR_NAME = "hysteresis_operator"
 CONVENTION = "timing_convention"
-"""A rival of what delays: whole samples, by the convention of whoever recorded."""
+"""Rival of an effect that delays: a delay by whole samples, due to the convention of whoever recorded."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,14 +26,14 @@ class Model:
     """A hypothesis around the final one."""
 
     without: str
-    """The effect that it lacks; empty for the final one."""
+    """The effect that it lacks; empty for the final hypothesis."""
     instead: str
-    """What stands in its place."""
+    """What takes its place; empty if nothing does."""
     fit: Fit
 
 
 def settled(search: Search, retuned: Fit, final: Fit, history: Sequence[Round]) -> tuple[Fit, list[Model]]:
-    """The hypothesis that none around it predicts better than, and those around it."""
+    """Return the hypothesis that none of those around it outperforms, and the models around it."""
     for last in (False, True):
         search.weigh(final)
         models = around(search, retuned, reduced(search.chain, final), history)
@@ -48,7 +48,7 @@ def settled(search: Search, retuned: Fit, final: Fit, history: Sequence[Round]) 
                 and any(search.bends_to_all(one.fit, less) for less in (bare[one.without], now))
             )
         ]
-        # Of what predicts as well, that of fewer numbers; two standard errors behind may be much worse.
+        # Within one standard error, fewer parameters win; a model two behind may be much worse.
         plainer = [
             (ahead, one)
             for ahead, one in better
@@ -69,7 +69,7 @@ def settled(search: Search, retuned: Fit, final: Fit, history: Sequence[Round]) 
 
 
 def gives_way(one: Model) -> bool:
-    """Whether a larger hysteresis, of hundreds of numbers, gives way to an effect, which is none itself."""
+    """Whether a larger hysteresis, with hundreds of parameters, yields to an effect that is no hysteresis."""
     names = names_of(one.instead)
     return one.without == OPERATOR_NAME and not any(
         member.effect.sticks for member in one.fit.hypothesis.members if member.effect.name in names
@@ -77,13 +77,13 @@ def gives_way(one: Model) -> bool:
 
 
 def prior(search: Search, retuned: Fit, one: Fit) -> float:
-    """Log odds of what a hypothesis adds to the retuned simulation."""
+    """Return the log prior odds of what a hypothesis adds to the retuned simulation."""
     grown = one.hypothesis.nominal.family != retuned.hypothesis.nominal.family
     return PRIOR * (len(search.added(one)) + grown)
 
 
 def around(search: Search, retuned: Fit, small: Fit, history: Sequence[Round]) -> list[Model]:
-    """The final hypothesis, those without one effect, and those with a rival in its place, all fitted."""
+    """Fit the final hypothesis, those without one effect, and those with a rival in its place."""
     h = small.hypothesis
     hypotheses: list[tuple[str, str, Hypothesis, np.ndarray | None]] = [("", "", h, small.weights)]
     for name in search.added(small):
@@ -104,7 +104,7 @@ def around(search: Search, retuned: Fit, small: Fit, history: Sequence[Round]) -
             less = less.without(name)
         hypotheses.append((" + ".join(group), "", less, None if larger else small.weights))
     jobs: list[Job] = [(one, w, 8, ROUGH) for _, _, one, w in hypotheses]
-    # Beside another hysteresis all numbers have far to go: after a few steps nothing is known of the end.
+    # With another hysteresis all parameters have far to go: a few steps say nothing about the outcome.
     far = [k for k, job in enumerate(jobs) if k == 0 or job[0].nominal.family != h.nominal.family]
     found = dict(zip(far, search.fits([jobs[k] for k in far]), strict=True))
     near = [k for k in range(len(jobs)) if k not in found]
@@ -118,7 +118,7 @@ def around(search: Search, retuned: Fit, small: Fit, history: Sequence[Round]) -
 
 
 def groups(search: Search, small: Fit, retuned: Fit) -> list[tuple[str, ...]]:
-    """What was added that may stand in each other's place, where there are two or more of it."""
+    """Return the groups of two or more added effects that may stand in for each other."""
     terms = {member.effect.name: member for member in small.hypothesis.members}
     left, found = search.added(small), []
     if small.hypothesis.nominal.family != retuned.hypothesis.nominal.family:
@@ -133,7 +133,7 @@ def groups(search: Search, small: Fit, retuned: Fit) -> list[tuple[str, ...]]:
 
 
 def same_place(one: EffectTerm | None, other: EffectTerm | None) -> bool:
-    """Whether two effects, or a larger hysteresis, None, may each stand for a part of the other: alone each
+    """Whether two effects (None: a larger hysteresis) may each stand in for part of the other: either alone
     is then left out with little loss."""
     if one is not None and other is not None and alike(one, other):
         return True
@@ -143,12 +143,12 @@ def same_place(one: EffectTerm | None, other: EffectTerm | None) -> bool:
 def rivals(
     search: Search, history: Sequence[Round], name: str, less: Hypothesis, small: Fit
 ) -> list[tuple[str, Hypothesis, np.ndarray | None]]:
-    """What may stand in place of an effect: what was tried when it was taken, and what is alike."""
+    """Return what may replace an effect: what was tried when it was accepted, and effects that look alike."""
     found: list[tuple[str, Hypothesis, np.ndarray | None]] = []
     there = set(small.hypothesis.names)
     seen: set[str] = set()
     taken = [round for round in history if name in names_of(round.accepted)]
-    # What came by exchange stands in place of what was taken then.
+    # An effect that came in by exchange replaces one that was accepted in an earlier round.
     kept = there | {OPERATOR_NAME}
     taken = taken or [one for one in history if one.accepted and not kept & {*names_of(one.accepted)}]
     considered = [round for round in history if any(name in names_of(one.name) for one in round.tried)]
@@ -172,7 +172,7 @@ def rivals(
                 found.append((label, richer, small.weights))
     mine = next((effect for effect in search.effects_tried if effect.name == name), None)
     if mine and mine.delays:
-        # A lag is no whole samples, but may have been found beside a convention that is a part of it.
+        # A lag is not a shift by whole samples, but may have been found with a convention that absorbs part.
         others = (
             a for a in search.alignments if a < less.alignment or (mine.commutes and a > less.alignment)
         )
@@ -185,7 +185,7 @@ def rivals(
 
 
 def names_of(label: str | None) -> list[str]:
-    """The effects in the name of an explanation."""
+    """Return the effects in the name of an explanation."""
     if not label:
         return []
     return [OPERATOR_NAME] if label.startswith(OPERATOR) else label.split(" + ")

@@ -1,4 +1,4 @@
-"""The paragraph that a colleague understands."""
+"""Write the paragraph that summarises a diagnosis in plain words."""
 
 import re
 from collections.abc import Sequence
@@ -8,27 +8,27 @@ from torchpi.diagnosis.diagnosis import AcrossRecordings, Errors, NamedEffect, N
 from torchpi.diagnosis.noise import Noise
 
 CERTAIN = 0.9
-"""Probability from which an effect is missing without qualification."""
+"""Probability from which an effect is said to be missing without qualification."""
 REMAINDER_HELPS = 0.97
-"""Of the error without it: below this the unknown remainder is worth a sentence."""
+"""The unknown remainder is mentioned if it lowers the error below this fraction of the error without it."""
 WORTH_A_SENTENCE = 0.01
-"""Of the squared residual."""
+"""Share of the squared residual from which a joint explanation is mentioned."""
 FAMILIES = {
     "prandtl_ishlinskii": "Prandtl–Ishlinskii",
     "preisach": "Preisach",
     "bouc_wen": "Bouc–Wen",
     "duhem": "Duhem",
 }
-"""Of hysteresis, by the names of their authors."""
+"""Names of the hysteresis families, after their authors."""
 ARTICLES = {
     "hysteresis_operator": "another",
     **dict.fromkeys(("amplifier_lag", "input_nonlinearity"), "an"),
     **dict.fromkeys(("delay", "load_change", "resonance", "second_mode"), "a"),
     **dict.fromkeys(("sensor_lag", "sensor_nonlinearity", "slew_limit"), "a"),
 }
-"""Of effects that are counted: a resonance, but creep."""
+"""Articles of the effects whose names are countable: a resonance, but creep."""
 KNOT = "knot"
-"""How the numbers of a random walk are called."""
+"""Prefix of the parameter names of a random walk."""
 UNIT_SUFFIX = re.compile(r"_(hz|v|um|s|v_s|(?:(?:v|um|s)_)?per_(?:v2|v|um2|um|s|mm))$")
 
 
@@ -41,16 +41,16 @@ def paragraph(
     untested: Sequence[str] = (),
     across: Sequence[AcrossRecordings] = (),
 ) -> str:
-    """What was found, how probable it is, what it buys, what remains, and what to record next.
+    """State what was found, how probable it is, how far it lowers the error, what remains and what to record.
 
     Args:
-        decision: The named effects, and what they leave.
-        errors: Of the simulation as given, retuned and augmented.
-        noise: What was measured of it; None where nothing measures it.
-        next_one: The next recording.
+        decision: The named effects, and what they leave unexplained.
+        errors: Errors of the simulation as given, retuned and augmented.
+        noise: The measured noise; None where nothing measures it.
+        next_one: The next recording to make.
         leftovers: Where the residual of the augmented simulation stands out, one phrase each.
-        untested: In what the held-out samples are alike, one phrase each.
-        across: Each recording, predicted by the others.
+        untested: The respects in which the held-out samples are alike, one phrase each.
+        across: The prediction of each recording from the others.
     """
     nominal, retuned, augmented = errors
     parts = [
@@ -62,30 +62,30 @@ def paragraph(
     parts += [sentence(effect) for effect in decision.effects]
     if decision.joint_share >= WORTH_A_SENTENCE:
         parts.append(
-            f"{percent(decision.joint_share)} is explained by several of them together, "
-            "and by none beside the others."
+            f"{percent(decision.joint_share)} is explained by several of them together and cannot be "
+            "attributed to any single one."
         )
     if decision.effects:
         left = nm(augmented.heldout_rms_um)
         falls = augmented.heldout_rms_um < retuned.heldout_rms_um
         parts.append(
-            f"With that the error falls to {left}."
+            f"With this included, the error falls to {left}."
             if falls
-            else f"On the held-out samples that is no gain: the error is {left} with it."
+            else f"On the held-out samples this brings no improvement: the error is {left} with it."
         )
     if untested and decision.verdict in CLOSED:
         parts.append(
-            f"This was tested only on {listed(untested)}: what is predicted of other motions is extrapolated."
+            f"This was tested only on {listed(untested)}: predictions for other motions are extrapolations."
         )
     parts += carried_over(across)
     for one in decision.causes_left_open:
         text = f"with a probability of {percent(one.probability)} it is too uncertain to be named"
         parts.append(f"There may also be {counted(one.name)}: {text}.")
     if decision.verdict == "partly_explained" and all(one.predicted for one in across):
-        # Without the noise it is not known how much of what is left is noise.
+        # Without a measured noise, it is unknown how much of the remaining residual is noise.
         much = "Part" if noise is None else percent(decision.unexplained_share)
         parts.append(
-            f"{much} of the squared residual stays unexplained: none of the known effects accounts for it."
+            f"{much} of the squared residual remains unexplained: none of the known effects accounts for it."
         )
     if decision.verdict == "unexplained":
         text = "Something is missing, but none of the known effects explains it well enough to be named"
@@ -93,41 +93,48 @@ def paragraph(
             text += f"; an unnamed remainder lowers the error to {nm(augmented.heldout_rms_um)}"
         parts.append(text + ".")
     if leftovers:
-        parts.append(f"What is left stands out in {'; '.join(leftovers)}.")
+        parts.append(f"The remaining residual stands out in {'; '.join(leftovers)}.")
     parts.append(f"Next: {next_one.why}")
     return " ".join(parts)
 
 
 def carried_over(across: Sequence[AcrossRecordings]) -> list[str]:
-    """How far a model that explains these recordings holds for others; nothing where that was not asked."""
+    """Say how well the model carries over to other recordings; empty where that was not tested."""
     if not across:
         return []
     worst = max(across, key=lambda one: one.times)
     if worst.predicted:
-        how = f"with an error at most {worst.times:.2g} times as large" if worst.times > 1.05 else "as well"
-        return [f"Fitted to the others alone, the hysteresis predicts each recording {how}."]
+        how = (
+            f"with an error at most {worst.times:.2g} times as large"
+            if worst.times > 1.05
+            else "equally well"
+        )
+        return [f"Fitted only to the other recordings, the hysteresis predicts each recording {how}."]
     return [
-        "These recordings do not determine the hysteresis for other motions: fitted to the others alone, it "
-        f"predicts {worst.recording} with an error of {nm(worst.rms_um)}, against {nm(worst.fitted_rms_um)} "
-        "with all."
+        "These recordings do not determine the hysteresis for other motions: fitted only to the other "
+        f"recordings, it predicts {worst.recording} with an error of {nm(worst.rms_um)}, against "
+        f"{nm(worst.fitted_rms_um)} when fitted to all."
     ]
 
 
 def noise_clause(noise: Noise | None) -> str:
-    """How large the noise is and what measured it."""
+    """State how large the noise is and what measured it."""
     if noise is None:
-        return "the noise was not measured: these recordings have no hold, no repeated period and no repeat"
+        return (
+            "the noise was not measured: these recordings have no hold, no repeated period and no "
+            "repeated recording"
+        )
     return f"the noise, measured in {noise.source}, is {nm(noise.rms_um)}"
 
 
 def sentence(effect: NamedEffect) -> str:
-    """One effect, its parameters, its share and its probability."""
+    """Describe one effect with its parameters, its share and its probability."""
     numbers = ", ".join(
         spoken(p.value)
         if isinstance(p.value, str)
         else f"{spoken_parameter(p.name)} {p.value:.4g} {p.unit}".strip()
         for p in effect.parameters[:3]
-        # What differs between recordings has no common value; of a walk no single number says anything.
+        # Parameters that differ between recordings have no common value; one knot of a walk means little.
         if p.value != 0.0 and not p.name.startswith(KNOT)
     )
     inside = "; ".join(filter(None, (effect.form, numbers)))
@@ -144,39 +151,39 @@ def sentence(effect: NamedEffect) -> str:
 
 
 def lacks(probability: float) -> str:
-    """The verb that goes with a probability."""
+    """Return the verb that expresses a probability."""
     return "lacks" if probability >= CERTAIN else "probably lacks" if probability >= NAMED else "may lack"
 
 
 def listed(phrases: Sequence[str]) -> str:
-    """Several as one: a, b and c."""
+    """Join several phrases into one: a, b and c."""
     *first, last = phrases
     return f"{', '.join(first)} and {last}" if first else last
 
 
 def counted(name: str) -> str:
-    """The name of an effect in a sentence, with its article if it takes one."""
+    """Return the name of an effect for use in a sentence, with its article if it takes one."""
     return f"{ARTICLES.get(name, '')} {spoken(name)}".strip()
 
 
 def spoken(name: str) -> str:
-    """The name of an effect, or of a family of hysteresis, in prose."""
+    """Return the name of an effect, or of a hysteresis family, in prose."""
     return FAMILIES.get(name) or name.replace("_", " ")
 
 
 def spoken_parameter(name: str) -> str:
-    """The name of a parameter in prose, without its unit; of `frequency_hz[axis 1]`, "frequency [axis 1]"."""
+    """Return a parameter's name in prose without its unit: `frequency_hz[axis 1]` is "frequency [axis 1]"."""
     bare, bracket, label = name.partition("[")
     return spoken(UNIT_SUFFIX.sub("", bare)) + (f" {bracket}{label}" if bracket else "")
 
 
 def nm(length_um: float) -> str:
-    """A length in the unit in which it is read."""
+    """Format a length in µm, or in nm below 1 µm."""
     return f"{length_um:.3g} µm" if length_um >= 1 else f"{1e3 * length_um:.3g} nm"
 
 
 def percent(share: float) -> str:
-    """A share or a probability; never rounded up to certainty."""
+    """Format a share or a probability as a percentage, never rounded up to certainty."""
     if 0.995 <= share < 1.0:
         return "over 99 %"
     return f"{100 * share:.0f} %" if share > 0.01 else f"{100 * share:.2g} %"

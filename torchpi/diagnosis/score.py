@@ -1,18 +1,18 @@
 """One score: how well a hypothesis predicts Haar coefficients that it was not fitted to.
 
-Each stretch of time is predicted by the fit to the others, all scales of it at once (cross-validation in one
-step of the full fit, exact where the model is linear: Stone, *J. Royal Statistical Society* B 36(2), 1974;
-blocks for what depends on the past: Burman, Chow and Nolan, *Biometrika* 81(2), 1994). Single coefficients
-left out would be told by their neighbours, and a hysteresis of many numbers would pass for one that predicts.
-The coefficients of one cell, a stretch of time on one scale, share a variance that is unknown but for what is
-known of the noise there, with `KNOWN` degrees of freedom: integrated out, the log density of a cell is that
-of a multivariate Student t,
+Each stretch of time is predicted on all scales at once by the fit to the others (cross-validation in one step
+of the full fit, exact where the model is linear: Stone, *J. Royal Statistical Society* B 36(2), 1974; in
+blocks, because the data depend on the past: Burman, Chow and Nolan, *Biometrika* 81(2), 1994). If single
+coefficients were left out, their neighbours would determine them, and a hysteresis with many weights would
+seem to predict well. The coefficients of one cell, a stretch of time on one scale, share an unknown variance,
+whose prior is the noise known there with `KNOWN` degrees of freedom. With the variance integrated out, the
+log density of a cell is that of a multivariate Student t,
 
-    ℓ_c = -½ (ν + n_c) ln(1 + n_c q_c / ν),    q_c = mean square over the noise's.
+    ℓ_c = -½ (ν + n_c) ln(1 + n_c q_c / ν),    q_c = mean square over that of the noise.
 
-A cell counts as `AT_MOST` coefficients at most: what a model has wrong is correlated, and a wide quiet band
-is not to outvote everything slow. The difference of two hypotheses is a sum over cells, with a standard error
-from their scatter (Vehtari, Gelman and Gabry, *Statistics and Computing* 27, 2017).
+A cell counts as at most `AT_MOST` coefficients: model errors are correlated, and a wide quiet band must not
+outvote everything slow. The difference of two hypotheses is a sum over cells, with a standard error from
+their scatter (Vehtari, Gelman and Gabry, *Statistics and Computing* 27, 2017).
 """
 
 from collections.abc import Sequence
@@ -29,36 +29,36 @@ from torchpi.diagnosis.records import Record
 from torchpi.diagnosis.repeats import APART, KINDS, PLAIN, STARTING
 
 KNOWN = 4.0
-"""Degrees of freedom with which the noise of a cell is known beforehand: to a factor of about two."""
+"""Degrees of freedom of the prior on the noise of a cell: it is known to a factor of about two."""
 AT_MOST = 30.0
-"""Coefficients that a cell counts for."""
+"""Largest number of coefficients that one cell counts for."""
 ALIKE = 2.0
-"""By what the standard error is larger than that of independent cells: what a model has wrong comes again in
-every cycle and on neighbouring scales. Calibrated: `concealed/judging/calibration.py`."""
+"""Ratio of the standard error to that of independent cells: a model's errors recur in every cycle and on
+neighbouring scales. Calibrated: `concealed/judging/calibration.py`."""
 MORE = 1.04
-"""Times the noise's mean square that is more than noise: nothing is named that adds less than a fifth of its
-rms."""
+"""Multiple of the noise's mean square above which a residual is more than noise: nothing is named that adds
+less than a fifth of the noise's rms."""
 LEAST_IN_STRATUM = 4
-"""Cells whose differences tell a standard error."""
+"""Smallest number of cells from whose differences a standard error is estimated."""
 TINY = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
 class Weighting:
-    """What a coefficient may be off by, given the best fit so far."""
+    """Expected size of each coefficient's residual, given the best fit so far."""
 
     inverse_sd: tuple[np.ndarray, ...]  # shape: (kept,) for each recording, 1/µm
     level_um2: np.ndarray  # shape: (cells of all recordings,), the noise's mean square in each cell
-    counts: np.ndarray  # shape: (cells,), coefficients in each
-    floor_um2: np.ndarray  # shape: (cells,), what nothing explains of each: the noise, if it was measured
+    counts: np.ndarray  # shape: (cells,), number of coefficients in each
+    floor_um2: np.ndarray  # shape: (cells,), mean square that nothing explains: the noise, if measured
     strata: np.ndarray  # shape: (cells,), cells of one stratum have a recording, a kind and a scale in common
-    kinds: np.ndarray  # shape: (cells,), the readings, or what does not repeat of them
+    kinds: np.ndarray  # shape: (cells,), whether of the readings, or of their part that does not repeat
 
     @classmethod
     def of(
         cls, records: Sequence[Record], residuals: Sequence[np.ndarray], noise: Noise | None
     ) -> "Weighting":
-        """From the residuals of the best fit, (time,) each, µm, and the noise that was measured."""
+        """Return the weighting for residuals of the best fit, (time,) each, µm, and the measured noise."""
         scales, levels, floors, counts = [], [], [], []
         smallest = TINY * max(float(np.ptp(record.y)) for record in records) ** 2 + 1e-300
         for record, residual in zip(records, residuals, strict=True):
@@ -81,10 +81,10 @@ class Weighting:
                 left_um = noise.monitor_um_per_v * record.monitor_noise_left_v[of.at]
                 noise_um2 += np.bincount(of.cell, left_um**2) / n
             noise_um2 = np.maximum(noise_um2, smallest)
-            # A typical residual is no noise: what a model has wrong everywhere would count as explained.
+            # A typical residual is no noise floor: model errors found everywhere would count as explained.
             finest_um2 = noise_um2[own == own.min()].min()
             floors.append(noise_um2 if measured else np.minimum(noise_um2, finest_um2))
-            # What a model lacks of a stage's dynamics may ring while the stage starts: as loud as it repeats.
+            # Dynamics that the model lacks may ring in the start transient as loudly as they recur later.
             for level in np.unique(own[kind == STARTING]):
                 there = (own == level) & (kind == STARTING)
                 mean[there] = np.maximum(mean[there], mean[(own == level) & (kind == PLAIN)].mean())
@@ -104,7 +104,7 @@ class Weighting:
 
     @classmethod
     def flat(cls, records: Sequence[Record]) -> "Weighting":
-        """Every coefficient alike, before anything is known."""
+        """Return equal weights for all coefficients, for use before anything is known."""
         sd = 1e-3 * max(float(np.ptp(record.y)) for record in records) or 1e-9
         counts = np.concatenate([np.bincount(record.coefficients.cell) for record in records]).astype(float)
         scales = tuple(np.full(record.coefficients.kept, 1 / sd) for record in records)
@@ -113,17 +113,17 @@ class Weighting:
 
     @cached_property
     def token(self) -> str:
-        """What tells it from another."""
+        """Key that distinguishes this weighting from others."""
         return sha256(np.concatenate(self.inverse_sd).tobytes()).hexdigest()
 
     @property
     def geometric_mean_rms_um(self) -> float:
-        """The median of what a coefficient may be off by."""
+        """Median of the expected residual of a coefficient."""
         return float(1 / np.median(np.concatenate(self.inverse_sd)))
 
     @property
     def mean_floor_um2(self) -> float:
-        """The mean square that nothing explains of a reading."""
+        """Mean square of a reading that nothing explains."""
         return float(self.floor_um2 @ self.counts / self.counts.sum())
 
     def log_density(self, fit: Fit) -> np.ndarray:
@@ -131,8 +131,8 @@ class Weighting:
         return self.of_squares(fit.left_out_um2)
 
     def explained_where_it_acts(self, more: Fit, less: Fit) -> float:
-        """What a fit explains beyond another, 0–1, of all that is to be explained in the cells where it
-        does; each cell counts by the nats that it gains."""
+        """Return the share, 0–1, that a fit explains beyond another of all that is to be explained in the
+        cells where it gains; each cell is weighted by the nats gained there."""
         gained = np.maximum(less.left_out_um2 - more.left_out_um2, 0.0)
         left = np.maximum(more.left_out_um2 - self.floor_um2, 0.0)
         share = gained / np.maximum(gained + left, 1e-300)
@@ -140,10 +140,10 @@ class Weighting:
         return float((nats * share).sum() / max(float(nats.sum()), 1e-300))
 
     def explained_of_all(self, more: Fit, less: Fit) -> float:
-        """What a fit explains beyond another, 0–1, of that and of all that is left of the mean squares: of
-        the readings, and of what does not repeat of them, as the nats are shared between them."""
+        """Return the share, 0–1, that a fit explains beyond another, of that and all that it leaves: averaged
+        over the readings and their part that does not repeat, weighted by the nats gained in each."""
         gained = np.maximum(less.left_out_um2 - more.left_out_um2, 0.0) * self.counts
-        # Noise lies above its mean in half of the cells: all of a scale together tell what is left there.
+        # Noise exceeds its mean in half of the cells, so the excess is summed over a scale before clipping.
         above = (more.left_out_um2 - self.floor_um2) * self.counts
         kind_of_stratum = np.zeros(int(self.strata.max()) + 1, dtype=int)
         kind_of_stratum[self.strata] = self.kinds
@@ -155,21 +155,21 @@ class Weighting:
         return float(share @ nats / max(float(nats.sum()), 1e-300))
 
     def nats_of_kinds(self, more: Fit, less: Fit) -> np.ndarray:
-        """(kinds,): what a fit gains beyond another in the cells of each kind where it does; of the readings,
-        beyond what it gains in what does not repeat of them."""
+        """(kinds,): nats that a fit gains over another in those cells of each kind where it gains; for the
+        readings, only what exceeds the gain in their part that does not repeat."""
         nats = np.maximum(self.log_density(more) - self.log_density(less), 0.0)
         found: np.ndarray = np.bincount(self.kinds, nats, len(KINDS))
         found[PLAIN] = max(found[PLAIN] - found[[STARTING, APART]].sum(), 0.0)
         return found
 
     def above_noise_apart(self, fit: Fit) -> bool:
-        """Whether what does not repeat with the voltage is more than noise, once the start is over."""
+        """Whether the residual that does not repeat with the voltage exceeds the noise after the start."""
         apart = self.kinds == APART
         left = fit.left_out_um2[apart] @ self.counts[apart]
         return bool(left > MORE * (self.floor_um2[apart] @ self.counts[apart]))
 
     def of_squares(self, mean_um2: np.ndarray) -> np.ndarray:
-        """The same of the cells' mean squares, (cells,), µm²."""
+        """(cells,): ℓ_c for given mean squares of the cells, (cells,), µm²."""
         n = np.minimum(self.counts, AT_MOST)
         ratio = np.minimum(mean_um2 / self.level_um2, 1e30)
         density: np.ndarray = -0.5 * (KNOWN + n) * np.log1p(n / KNOWN * ratio)
@@ -178,28 +178,28 @@ class Weighting:
 
 @dataclass(frozen=True)
 class Gain:
-    """By how much one hypothesis predicts better than another."""
+    """Difference in log predictive density between two hypotheses, with its standard error."""
 
     nats: float
     sd: float
 
     @property
     def probability(self) -> float:
-        """That it does."""
+        """Probability that the first hypothesis predicts better."""
         return float(ndtr(self.nats / self.sd)) if self.sd > 0 else float(self.nats > 0)
 
 
 def gain(better: np.ndarray, worse: np.ndarray, prior: float = 0.0, strata: np.ndarray | None = None) -> Gain:
-    """How much better one hypothesis predicts, with the standard error of a stratified sum.
+    """Return how much better one hypothesis predicts, with the standard error of a stratified sum.
 
-    Every effect acts on scales of its own: that scales differ is no chance, that the cells of one scale
-    differ is (Cochran, *Sampling Techniques*, 1977, 5.3).
+    Every effect acts on its own scales, so differences between scales are not random; differences between the
+    cells of one scale are (Cochran, *Sampling Techniques*, 1977, 5.3).
 
     Args:
         better: (cells,), log densities.
-        worse: The same of the other.
+        worse: The same for the other hypothesis.
         prior: The log of the prior odds.
-        strata: (cells,), in which stratum each lies; None where all are in one.
+        strata: (cells,), the stratum of each cell; None where all are in one.
     """
     d = better - worse
     strata = np.zeros(len(d), dtype=int) if strata is None else strata
@@ -211,8 +211,8 @@ def gain(better: np.ndarray, worse: np.ndarray, prior: float = 0.0, strata: np.n
 
 
 def strata_of(records: Sequence[Record]) -> np.ndarray:
-    """(cells,): the cells of each recording by their kind and scale, scales of fewer than `LEAST_IN_STRATUM`
-    cells with the next finer one."""
+    """(cells,): the stratum of each cell, by recording, kind and scale; a scale of fewer than
+    `LEAST_IN_STRATUM` cells is merged with the next finer one."""
     found, first = [], 0
     for record in records:
         level, kind = record.coefficients.level_of_cell, record.coefficients.kind_of_cell
@@ -231,5 +231,5 @@ def strata_of(records: Sequence[Record]) -> np.ndarray:
 
 
 def kinds_of(records: Sequence[Record]) -> np.ndarray:
-    """(cells,): the kind of the piece that each lies in."""
+    """(cells,): the kind of the piece in which each cell lies."""
     return np.concatenate([record.coefficients.kind_of_cell for record in records])

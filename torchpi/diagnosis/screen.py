@@ -1,8 +1,8 @@
-"""Screen: how much of the residual each candidate could explain, before any refit.
+"""Screen: estimate how much of the residual each candidate could explain, before any refit.
 
-A candidate's direction is what it adds to the output from its start. Projected off the tangent of the
-present hypothesis, so that what refitting would absorb does not count, it says how much better the residual
-would be predicted at most: one pass of the chain a start.
+The direction of a candidate is what it adds to the output at its start values. Projected off the tangent of
+the present hypothesis, so that what refitting would absorb does not count, it bounds how much better the
+residual could be predicted. Each start costs one pass of the chain.
 """
 
 from collections.abc import Mapping, Sequence
@@ -20,25 +20,25 @@ from torchpi.stage.effects.inside import InsideEffect
 from torchpi.stage.effects.mechanics.modal import ModalEffect
 
 RESIZED = (0.02, 3.0)
-"""Times its size, at most, that a start becomes: to first order, no more is known."""
+"""Smallest and largest factor by which a start is resized: to first order, no more is known."""
 ROUNDING = 1e-7
-"""Of a squared direction: less than this off the tangent is rounding."""
+"""Fraction of a squared direction: a smaller part off the tangent is rounding error."""
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """A start of an effect."""
+    """A start of an effect, with its estimated gain."""
 
     member: EffectTerm
-    """With the size that explains most, to first order."""
+    """The effect with the size that explains most, to first order."""
     gain: float
     """Nats that it could gain, to first order."""
     at_once: float
-    """Those that it gains with the numbers that it has, to first order in the others."""
+    """Nats that it gains with its numbers as they are, to first order in all others."""
 
 
 class Screen:
-    """The present fit, made ready to project candidates off its tangent."""
+    """The present fit, prepared for projecting candidates off its tangent."""
 
     def __init__(self, chain: Chain, now: Fit) -> None:
         self.chain, self.now, self.records = chain, now, chain.records
@@ -65,18 +65,18 @@ class Screen:
         return means
 
     def candidates(self, members: Sequence[EffectTerm]) -> list[Candidate]:
-        """Their gains, 0 where one moves nothing."""
+        """Return candidates with their gains, 0 where one does not change the output."""
         directions = [self.directions(member) for member in members]
         left = self.off_tangent(np.concatenate(directions))
         parts = np.split(left, np.cumsum([len(each) for each in directions])[:-1])
         return [self.candidate(member, part) for member, part in zip(members, parts, strict=True)]
 
     def candidate(self, member: EffectTerm, off_tangent: np.ndarray) -> Candidate:
-        """A start whose directions these are, (directions, coefficients)."""
+        """Return the candidate for a start with these directions, (directions, coefficients)."""
         first, factor = off_tangent[0], 1.0
         gain = self.gain(off_tangent, not (signed(member) or member.effect.hold))
         if member.own and signed(member):
-            # The output is linear in them: from less, other numbers run away before these are large enough.
+            # The output is linear in them. From smaller values, others diverge before these have grown.
             member = self.with_solved(member, off_tangent)
         elif (sizes := sizes_of(member)) and first.any():
             factor = float(np.clip((first @ self.left) / (first @ first), *RESIZED))
@@ -84,7 +84,7 @@ class Screen:
         return Candidate(member, gain, gain if signed(member) else self.gained(self.left - factor * first))
 
     def resized(self, member: EffectTerm, sizes: Sequence[str], factor: float) -> EffectTerm:
-        """The member with the numbers that say how much there is of it, times a factor."""
+        """Scale the numbers that set the size of a member by a factor, within their bounds."""
         bounds = member.effect.quantities
         return replace(
             member,
@@ -97,24 +97,24 @@ class Screen:
         )
 
     def solved(self, member: EffectTerm) -> EffectTerm:
-        """A member with as much of each signed number as explains most, to first order in all of them."""
+        """Give each signed number of a member the value that explains most, to first order in all of them."""
         return self.with_solved(member, self.off_tangent(self.directions(member)))
 
     def with_solved(self, member: EffectTerm, off_tangent: np.ndarray) -> EffectTerm:
-        """The same where its directions, (directions, coefficients), are known."""
+        """Do the same where the directions of the member, (directions, coefficients), are known."""
         alive, factors = np.linalg.norm(off_tangent, axis=1) > 0.0, np.zeros(len(off_tangent))
         factors[alive] = self.coefficients(off_tangent[alive])
         return scaled(member, dict(zip(signed_numbers(member), factors.tolist(), strict=True)))
 
     def off_tangent(self, directions: np.ndarray) -> np.ndarray:
-        """What refitting cannot absorb of directions, (directions, coefficients); 0 for rounding."""
+        """Return directions, (directions, coefficients), less what refitting absorbs; 0 for rounding."""
         left: np.ndarray = directions - (directions @ self.tangent.T) @ self.tangent
         size, kept = (directions**2).sum(1), (left**2).sum(1)
         left[kept <= ROUNDING * size] = 0.0
         return left
 
     def gain(self, off_tangent: np.ndarray, one_sided: bool = False) -> float:
-        """Nats that these directions, (directions, coefficients), could gain, to first order.
+        """Return the nats that these directions, (directions, coefficients), could gain, to first order.
 
         A single one-sided direction counts only with a positive factor.
         """
@@ -125,7 +125,7 @@ class Screen:
         return self.gained(self.left - coefficients @ off_tangent[alive])
 
     def coefficients(self, off_tangent: np.ndarray) -> np.ndarray:
-        """(directions,): how much of each, (directions, coefficients), explains most; none is all zeros."""
+        """(directions,): best factors of directions, (directions, coefficients), none of them all zeros."""
         gram, right = off_tangent @ off_tangent.T, off_tangent @ self.left
         spread = np.sqrt(np.diag(gram))
         unit = gram / spread / spread[:, None] + 1e-9 * np.eye(len(spread))
@@ -133,11 +133,11 @@ class Screen:
         return found
 
     def gained(self, whitened: np.ndarray) -> float:
-        """Nats that a whitened residual, (coefficients,), is ahead of the present one."""
+        """Return the nats by which a whitened residual, (coefficients,), is better than the present one."""
         return float((self.chain.weighting.of_squares(self.squares(whitened)) - self.before).sum())
 
     def directions(self, member: EffectTerm) -> np.ndarray:
-        """What it adds from its start, (directions, coefficients)."""
+        """Return what a member adds to the output at its start values, (directions, coefficients)."""
         found = []
         for one in separate(member):
             hypothesis = self.now.hypothesis.plus(one)
@@ -147,15 +147,15 @@ class Screen:
                 parts.append(self.chain.whitened(i, np.nan_to_num(moved)[None])[0])
             found.append(np.concatenate(parts))
         if member.effect.hold:
-            # Where nothing static fits, the output is no guide.
+            # While no static model fits, the fitted output is no guide: the principal row is tried as well.
             found.append(self.of_inputs(member, ())[0])
         return np.array(found)
 
     def of_inputs(self, member: EffectTerm, aux: Sequence[str]) -> np.ndarray:
-        """What a dynamic block makes of the voltage and of auxiliary signals, (signals, coefficients)."""
+        """Return a dynamic block's response to voltage and auxiliary signals, (signals, coefficients)."""
         hypothesis, found = self.now.hypothesis.plus(member), []
         for i, record in enumerate(self.records):
-            # The fitted combination of a mixed hysteresis is its first row, the principal one its second.
+            # The first row of a mixed hysteresis is its fitted combination, the second the principal one.
             principal = self.chain.rows(hypothesis, i)[: min(2, hypothesis.nominal.kept)][-1]
             rows = np.stack([principal, *(record.aux[name] for name in aux)])
             found.append(self.chain.whitened(i, self.chain.moved(hypothesis, rows, i)))
@@ -163,7 +163,7 @@ class Screen:
 
 
 def sizes_of(member: EffectTerm) -> list[str]:
-    """Its numbers that say how much there is of it: nothing at 0, and no kink or jump in between."""
+    """Return the numbers that set a member's size: it vanishes at 0, with no kink or jump on the way."""
     effect = member.effect
     if signed(member) or member.own:
         return []
@@ -172,7 +172,7 @@ def sizes_of(member: EffectTerm) -> list[str]:
 
 
 def signed(member: EffectTerm) -> bool:
-    """Whether its parameters may take either sign."""
+    """Whether any parameter of a member may take either sign."""
     return any(member.effect.quantities[name].at_least < 0 for name in all_names(member))
 
 
@@ -181,20 +181,20 @@ def all_names(member: EffectTerm) -> set[str]:
 
 
 def separate(member: EffectTerm) -> list[EffectTerm]:
-    """One member for each signed parameter, the other signed ones at their identity."""
+    """Return one member for each signed parameter, with the other signed ones at their identity."""
     free = signed_numbers(member)
     return [scaled(member, {one: float(one == which) for one in free}) for which in free] or [member]
 
 
 def signed_numbers(member: EffectTerm) -> list[tuple[str, int | None]]:
-    """Its parameters that may take either sign: their names, and the recordings whose own they are."""
+    """Return the parameters that may take either sign: name, and recording if it is specific to one."""
     quantities = member.effect.quantities
     each = [(None, member.shared), *enumerate(member.own)]
     return [(name, record) for record, own in each for name in own if quantities[name].at_least < 0]
 
 
 def scaled(member: EffectTerm, factors: Mapping[tuple[str, int | None], float]) -> EffectTerm:
-    """A member with these numbers so many times as large, within their bounds; of 0 at their identity."""
+    """Multiply numbers of a member by factors, within their bounds; a factor of 0 gives the identity."""
     quantities, identity = member.effect.quantities, member.effect.identity
 
     def of(values: Parameters, record: int | None) -> Parameters:
@@ -216,9 +216,9 @@ def candidates_of(
     starts: Sequence[Parameters],
     aux: Sequence[str],
 ) -> list[EffectTerm]:
-    """The starts of an effect as members, its own parameters given to each recording.
+    """Return the starts of an effect as members, with separate per-recording parameters for each recording.
 
-    Starts out of its bounds are left out: recordings in extreme units, or at extreme rates, ask for them.
+    Starts outside the bounds are left out: they occur with recordings in extreme units or at extreme rates.
     """
     members = []
     for start in starts:

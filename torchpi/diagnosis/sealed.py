@@ -1,8 +1,8 @@
-"""What the sealed end of each recording says of an effect: it was in no fit, and in no choice of one.
+"""Test an effect on the sealed end of each recording, which was used in no fit and in no choice of one.
 
-An effect that only resembles what is missing has bent to the samples that it was fitted to. On others it
-explains less, or spoils. Where the voltage lies beyond all that was fitted, what is left is what a hysteresis
-of many weights makes of voltages that it never saw, whatever else is missing: those samples do not judge.
+An effect that only resembles what is missing has adapted to the samples that it was fitted to. On others it
+explains less, or makes the prediction worse. Where the voltage lies outside the fitted range, the residual is
+the extrapolation error of a hysteresis with many weights, whatever else is missing: such samples are ignored.
 """
 
 from collections.abc import Sequence
@@ -23,19 +23,19 @@ def confirmed(
     alone: bool,
     apart: float = 0.0,
 ) -> float:
-    """The share that an effect explains of what is to be explained, 0–1, if the sealed samples agree; else
-    theirs. Those of each recording, and all of them, count as much as the effect acts there, beside what it
-    does where it was fitted.
+    """Return the share, 0–1, that an effect explains of what is to be explained: `known` if the sealed
+    samples agree, else theirs. The sealed samples of each recording, and all together, are weighted by how
+    much the effect acts there relative to the fitted samples.
 
     Args:
-        known: The share on the samples of the fit.
+        known: The share on the fitted samples.
         records: The recordings.
-        more: With the effect.
-        less: Without it, everything else refitted.
+        more: The fit with the effect.
+        less: The fit without it, everything else refitted.
         noise_um2: Mean square that nothing explains.
-        alone: What else is left does not count, but only whether the effect improves every recording: it has
-            a signal of its own, or cannot be extrapolated.
-        apart: How much of what it gains lies in what does not repeat with the voltage, 0–1.
+        alone: Ignore the remaining residual and judge only whether the effect improves every recording,
+            because it has a signal of its own or cannot be extrapolated.
+        apart: Fraction of its gain that lies in the part that does not repeat with the voltage, 0–1.
     """
     share, reached = known, [record.u[record.train] for record in records]
     lowest_v, highest_v = min(u.min() for u in reached), max(u.max() for u in reached)
@@ -50,13 +50,13 @@ def confirmed(
             if not len(e_held):
                 continue
             after, before = mean_square(e_held) + 1e-300, mean_square(without_held) + 1e-300
-            # Of a recording that misses by far no more counts than of another: what is gained is a ratio, and
-            # a hundredfold gain in one is not undone by a twofold loss in another.
+            # A recording with a large error must not count more than another, so gains are ratios, and a
+            # hundredfold gain in one recording is not cancelled by a twofold loss in another.
             acts, acted = mean_square(without_held - e_held), mean_square(without_train - e_train)
             votes = min(acts / max(acted, 1e-300), 1.0)
             gained += votes * log(before / after)
             changed += votes * abs(log(before / after))
-            # What is left here alone is of a hysteresis that extrapolates badly, with the effect or without.
+            # A residual found only here is extrapolation error of the hysteresis, with or without the effect.
             rest = max(min(after, mean_square(e_train)) - noise_um2, 0.0)
             left += 0.0 if alone else votes * rest / ((after + before) / 2)
             here, there = here + acts, there + acted
@@ -66,12 +66,12 @@ def confirmed(
 
 
 def as_they_are(record: Record, e: np.ndarray, judging: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The residuals that judge, and those that were fitted."""
+    """Return the residuals of the judging samples, and those of the fitted samples."""
     return e[judging], e[record.train]
 
 
 def what_does_not_repeat(record: Record, e: np.ndarray, judging: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The same, less what repeats with the voltage; none where it does not repeat."""
+    """Return both without what repeats with the voltage; empty where the voltage does not repeat."""
     repeats = record.coefficients.repeats
     sealed = repeats.beyond(e)
     defined = np.isfinite(sealed) & judging[repeats.samples :]

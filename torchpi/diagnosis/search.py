@@ -1,8 +1,8 @@
-"""Search: the hysteresis first, then one effect after another, everything refitted each time.
+"""Forward search: the hysteresis first, then one effect after another, everything refitted each time.
 
-Growth of the hysteresis is a candidate among the others: what a larger hysteresis explains as well as an
-effect does is not evidence of that effect, and the other way round. One score decides throughout
-(`torchpi.diagnosis.score`); what is named, and how sure that is, is decided afterwards (`posterior`).
+Enlarging the hysteresis model is one candidate among the others: if it explains the residual as well as an
+effect does, the data are no evidence for that effect, and vice versa. One score decides throughout
+(`torchpi.diagnosis.score`); which effects are named, and how surely, is decided afterwards (`posterior`).
 """
 
 from collections.abc import Callable, Sequence
@@ -37,16 +37,16 @@ ROUNDS = 7
 
 @dataclass(frozen=True, eq=False)
 class Round:
-    """What was tried on top of one hypothesis, the best first."""
+    """The candidates fitted on top of one hypothesis, the best first."""
 
     before: Fit
     tried: tuple[Tried, ...]
     accepted: str | None
-    """The name of what was taken."""
+    """Name of the accepted candidate; None if none was accepted."""
 
 
 class Search(Proposals):
-    """A search on given records."""
+    """Forward search over the given records."""
 
     def __init__(
         self,
@@ -70,10 +70,10 @@ class Search(Proposals):
         self.left_out = []
         self.needless = set()
         self.unsettled = (0,) * len(chain.records)
-        """Of each recording, the first readings that were found not to count."""
+        """For each recording, how many of its first readings were found not to count."""
         self.slips: Slips | None = None
         self.jump: Jump | None = None
-        """Of the final fit, where a mount sticks."""
+        """Jump of the final fit, where a mount sticks."""
         self.effects_tried = []
         for effect in effects:
             if effect.read_off:
@@ -86,7 +86,7 @@ class Search(Proposals):
                 self.starts += starts
 
     def run(self) -> tuple[Fit, Fit, list[Round]]:
-        """The retuned nominal, the best hypothesis, and the rounds: forward, with a backward check."""
+        """Search forward with a backward check; return the retuned nominal, the best fit and the rounds."""
         retuned = now = self.retuned()
         self.nominal = retuned.hypothesis.nominal
         history: list[Round] = []
@@ -107,11 +107,13 @@ class Search(Proposals):
             if late is not now:
                 history.append(Round(now, tuple(tried), None))
                 now = self.backward(self.swapped(late))
-                self.log(f"  with {', '.join(now.hypothesis.names)}, and no other timing: {rms_of(now)}")
+                self.log(
+                    f"  with {', '.join(now.hypothesis.names)} in place of a timing convention: {rms_of(now)}"
+                )
                 continue
             if chosen is None or is_slow(chosen) or (is_larger(chosen) and not self.is_noise(chosen.fit)):
-                # What has no wiping-out can do much that is physics of another kind: it comes last. Its loops
-                # drift to where they close, which looks slow.
+                # Duhem states lack the wiping-out property and can imitate other physics, so they are tried
+                # last. Their loops drift until they close, which looks like a slow effect.
                 last = self.growth(small, small, [duhem(self.seen)])
                 last += self.walks(small) if chosen is None else []
                 if chosen and is_larger(chosen):
@@ -124,7 +126,7 @@ class Search(Proposals):
             if chosen is None:
                 break
             grown = self.sized(chosen.fit) if is_larger(chosen) else self.at_its_own_weights(chosen.fit)
-            # What explains less than the noise changes nothing of what was taken before.
+            # An addition that explains less than the noise is no reason to revise earlier choices.
             considerable = self.noise is None or not explains_less(grown, small, self.noise.rms_um)
             now = self.backward(self.swapped(self.realigned(grown)) if considerable else grown)
             self.needless |= set(chosen.fit.hypothesis.names) - set(now.hypothesis.names)
@@ -137,14 +139,14 @@ class Search(Proposals):
         return retuned, now, history
 
     def on_its_rows(self, now: Fit) -> Fit:
-        """The fit on many rows, where that predicts as well: there the prior holds all of a hysteresis, not
-        only what was added to it last, and may bend a stage whose travel is many times the noise."""
+        """Return the fit on many rows, if it predicts as well. There the prior acts on the whole hysteresis,
+        not only on what was added last, and may distort a stage whose travel is many times the noise."""
         again = refitted(self.chain, now)
         return again if self.as_well(again, now) else now
 
     def without_history(self, now: Fit) -> Fit:
-        """The fit to recordings that start de-energised, where that predicts as well: a history takes the
-        place of the first loading curve, which many rows know and few do not."""
+        """Return the fit with recordings that start de-energised, if it predicts as well. A history can stand
+        in for the first loading curve, which many rows describe and few rows do not."""
         if not now.hypothesis.remanent:
             return now
         h, _ = basis(self.chain, replace(now.hypothesis, remanent=False), None, MANY)
@@ -155,8 +157,9 @@ class Search(Proposals):
         return less
 
     def simplest(self, tried: Sequence[Tried], now: Fit) -> Tried | None:
-        """The best of what earns its place. An effect where a larger hysteresis is no clearer; the larger
-        hysteresis where the effect is one itself: a play behind plays is plays."""
+        """Return the best acceptable candidate, or a rival that predicts as well: an effect in place of a
+        larger hysteresis, or a larger hysteresis in place of an effect that is slow or itself a hysteresis,
+        because a play behind plays is again plays."""
         earned = [
             one
             for one in tried
@@ -176,7 +179,7 @@ class Search(Proposals):
             rivals = larger
         else:
             return best
-        # A larger hysteresis is fitted on many rows: so are its best rivals, before the two are compared.
+        # A larger hysteresis is fitted on many rows, so its best rivals are too, before the comparison.
         known = best.fit if best in larger else self.on_many_rows(best.fit)
         for one in rivals[:2]:
             full = self.on_many_rows(one.fit)
@@ -185,14 +188,14 @@ class Search(Proposals):
         return best
 
     def retuned(self) -> Fit:
-        """The nominal hysteresis, with the timing and the start that suit it better."""
+        """Fit the nominal hysteresis, with the timing convention and initial state that predict better."""
         alone = HysteresisModel(np.zeros(0), simulation=self.simulation)
         nominal = alone if self.simulation else self.plays()
-        # A given simulation is taken at its word first: only the weights are solved for.
+        # A given simulation is first taken as it is: only the weights are solved for.
         h, _ = basis(self.chain, Hypothesis(nominal, self.start, remanent=True), None, MANY)
         each = [replace(h, alignment=a) for a in self.alignments]
         now = max(self.fits_here([(one, None, 0, FINE) for one in each]), key=self.score)
-        for tolerance in (ROUGH, ROUGH, FINE):  # each with the weights that the last fit shows
+        for tolerance in (ROUGH, ROUGH, FINE):  # each with the weighting that follows from the last fit
             self.weigh(now)
             h, _ = basis(self.chain, now.hypothesis, None, MANY)
             others = [replace(h, alignment=a) for a in self.alignments if a != h.alignment]
@@ -201,15 +204,15 @@ class Search(Proposals):
         if self.needs_no_history(now, less):
             now = less
         if self.noise is not None:
-            # The noise of a monitored voltage is in what the simulation makes of a hold.
+            # The noise of a monitored voltage appears in the simulated response to a hold.
             self.noise = self.noise_in(now) or self.noise
         self.weigh(now)
-        size = "gain and zero" if self.simulation else f"{nominal.size} plays"
+        size = "gain and offset" if self.simulation else f"{nominal.size} plays"
         self.log(f"retuned, {size}: {rms_of(now)}")
         return now
 
     def noise_left(self, now: Fit) -> Noise | None:
-        """The noise that a fit leaves: what a hold shows of hum, a drift or another axis is none once it
+        """Return the noise that a fit leaves: hum, drift or another axis seen in a hold is not noise once it
         has been explained."""
         if self.noise is None or self.slips:
             return self.noise
@@ -217,13 +220,12 @@ class Search(Proposals):
         return left if left and left.rms_um < self.noise.rms_um else self.noise
 
     def noise_in(self, now: Fit) -> Noise | None:
-        """What the residuals show of it."""
+        """Return the noise estimated from the residuals of a fit."""
         chain = self.chain
         return noise_of_prediction(chain.records, self.lsb_um, chain.gain_um_per_v, now.residuals)
 
     def from_settled(self, retuned: Fit, now: Fit) -> tuple[Fit, Fit]:
-        """Both without the readings in which a stage still settles from before a recording, if the better one
-        shows any."""
+        """Refit both without the first readings, in which the stage still settles, if `now` shows any."""
         found = unsettled(self.chain.records, now.residuals)
         if self.slips or not any(found):
             return retuned, now
@@ -233,12 +235,12 @@ class Search(Proposals):
         for one in (retuned, now):
             self.weigh(one)
             both += self.fits_here([(one.hypothesis, one.weights, 8, ROUGH)])
-        self.log(f"a start that has not settled, left out: {rms_of(both[1])}")
+        self.log(f"without a start that has not settled: {rms_of(both[1])}")
         return both[0], both[1]
 
     def sticking(self, now: Fit) -> tuple[Fit, Tried] | None:
-        """Stiction, if the readings show it, and the fit before it without a history: from then on
-        everything is fitted where the mount slips."""
+        """Return the fit without a history, and stiction on top of it, if the readings show stiction. From
+        then on everything is fitted to the samples at which the mount slips."""
         if Stiction.name in now.hypothesis.names or self.noise is None:
             return None
         if now.hypothesis.remanent:  # a mount that has not slipped yet looks like a history
@@ -247,11 +249,11 @@ class Search(Proposals):
         if found is None:
             return None
         self.chain, self.slips = found.chain, found
-        self.log(f"readings that hold and jump, a mount that sticks: one step ahead {rms_of(found.fit)}")
+        self.log(f"the readings hold and jump, so the mount sticks: one step ahead {rms_of(found.fit)}")
         return now, Tried(Stiction.name, found.fit, self.over(found.fit, now))
 
     def round(self, now: Fit) -> list[Tried]:
-        """Every promising effect, and growth of the hysteresis, fitted on top of this, the best first."""
+        """Fit every promising effect and every larger hysteresis on top of this fit; the best comes first."""
         fits = self.effects(now)
         leader = max([now, *(one for _, one in fits)], key=self.score)
         tried = [Tried(name, one, self.over(one, now, self.prior(now, one))) for name, one in fits]
@@ -259,7 +261,7 @@ class Search(Proposals):
         return sorted([t for t in tried if self.inside(t.fit, now)], key=lambda t: -t.gain.nats)
 
     def backward(self, now: Fit) -> Fit:
-        """Without the effects that the others, or a larger hysteresis, have made needless."""
+        """Remove effects that have become redundant given the others, or given a larger hysteresis."""
         grown = now.hypothesis.nominal.family != self.nominal.family
         while len(parts := self.parts(now)) > (0 if grown else 1):
             small = self.reweighted(now)
@@ -273,17 +275,17 @@ class Search(Proposals):
         return self.no_larger(now)
 
     def without_each(self, now: Fit, parts: Sequence[tuple[str, str]]) -> list[Fit]:
-        """The fit without one of its parts, for each."""
+        """Return, for each part of a fit, the fit without it."""
         return self.raced([(now.hypothesis.without(*p), now.weights, STEPS, ROUGH) for p in parts], now)
 
     def parts(self, now: Fit) -> list[tuple[str, str]]:
-        """The added effects, and what each auxiliary signal does apart: names and signals."""
+        """Return the added effects as names and signals, with each auxiliary signal separate."""
         members = now.hypothesis.members
         return list(dict.fromkeys((m.effect.name, m.aux) for m in members if m.effect.name not in self.given))
 
 
 def is_larger(one: Tried) -> bool:
-    """Whether a larger hysteresis was tried."""
+    """Whether a candidate is a larger hysteresis."""
     return one.name.startswith(OPERATOR)
 
 
@@ -292,16 +294,16 @@ def describe(one: Tried) -> str:
 
 
 def sticks(one: Tried) -> bool:
-    """Whether an effect among what was tried is a hysteresis itself."""
+    """Whether a candidate contains an effect that is itself a hysteresis."""
     return any(effect.sticks for effect in effects_in(one))
 
 
 def is_slow(one: Tried) -> bool:
-    """Whether an effect among what was tried acts over seconds and more."""
+    """Whether a candidate contains an effect that acts over seconds or longer."""
     return any(effect.time_scale == "slow" for effect in effects_in(one))
 
 
 def effects_in(one: Tried) -> list[type[Described]]:
-    """The effects in the name of what was tried; none of a larger hysteresis."""
+    """Return the effects in the name of a candidate; none for a larger hysteresis."""
     there = {member.effect.name: member.effect for member in one.fit.hypothesis.members}
     return [there[name] for name in one.name.split(" + ") if name in there]

@@ -1,4 +1,4 @@
-"""How the readings move with each number of a fit: with the weights, and with the parameters of effects."""
+"""Sensitivity of the readings to each number of a fit: the weights, and the parameters of the effects."""
 
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
@@ -12,46 +12,46 @@ from torchpi.stage.effects.mechanics.modal import ModalEffect
 from torchpi.stage.effects.mechanics.stiction import Stiction
 
 MOVED = 0.03
-"""Of a logarithm, or of the value at the start: what a slot has moved from which its slope is taken anew.
-Those of a block behind the hysteresis cost one filter, and are taken anew at once: a mode's change as soon as
-its frequency moves by a share of its width."""
+"""Change of a slot, in its logarithm or relative to its start value, from which its slope is recomputed.
+The slopes of a block behind the hysteresis cost one filter and are recomputed after any change: those of a
+mode change as soon as its frequency moves by a fraction of its width."""
 
 
 class Sensitivity(NamedTuple):
-    """How the whitened coefficients of one recording move with the numbers of a fit."""
+    """Sensitivity of the whitened coefficients of one recording to the numbers of a fit."""
 
     places: np.ndarray
-    """Of the numbers that move them."""
+    """Indices of the numbers that affect them."""
     rows: np.ndarray
     """(places, kept)."""
 
 
 class Tangent(NamedTuple):
-    """How the whitened coefficients move with the weights, at given parameters of the effects."""
+    """Sensitivity of the whitened coefficients to the weights, at given parameters of the effects."""
 
     parts: list[Sensitivity]
-    """Of each recording."""
+    """One for each recording."""
     gram: np.ndarray
     """(weights, weights), J Jᵀ."""
 
 
 class Slopes(NamedTuple):
-    """How the whitened coefficients move with the slots, each where it was when its slope was last taken."""
+    """Sensitivity of the whitened coefficients to the slots, at the values where it was last computed."""
 
     parts: list[Sensitivity]
-    """Of each recording."""
+    """One for each recording."""
     theta: np.ndarray
-    """(slots,)."""
+    """(slots,), the value at which the slope of each was computed."""
 
 
 class Near(NamedTuple):
-    """A hypothesis at whose numbers a fit of one that resembles it may take its first sensitivities."""
+    """A hypothesis whose sensitivities may serve as the first ones of a fit of a similar hypothesis."""
 
     hypothesis: Hypothesis
     weights: np.ndarray
 
     def resembles(self, hypothesis: Hypothesis) -> bool:
-        """Whether a hypothesis has the same weights, and moves with them nearly alike."""
+        """Whether a hypothesis has the same weights and nearly the same sensitivity to them."""
         mine = self.hypothesis
         return (
             hypothesis.nominal.structure == mine.nominal.structure
@@ -70,14 +70,14 @@ def jacobian(
     theta: np.ndarray,
     index: int,
 ) -> tuple[np.ndarray, Sensitivity]:
-    """Output of one recording, (time,), and its sensitivity to each weight and slot."""
+    """Return the output of one recording, (time,), and its sensitivity to each weight and slot."""
     y, first = of_weights(chain, hypothesis, weights, index)
     every = range(len(slots))
     return y, joined(first, of_slots(chain, hypothesis, weights, slots, theta, index, every))
 
 
 def joined(first: Sensitivity, second: Sensitivity) -> Sensitivity:
-    """To the numbers of both."""
+    """Combine two sensitivities into one to the numbers of both."""
     if not len(second.places):
         return first
     return Sensitivity(*(np.concatenate(parts) for parts in zip(first, second, strict=True)))
@@ -86,7 +86,7 @@ def joined(first: Sensitivity, second: Sensitivity) -> Sensitivity:
 def of_weights(
     chain: Chain, hypothesis: Hypothesis, weights: np.ndarray, index: int
 ) -> tuple[np.ndarray, Sensitivity]:
-    """Output of one recording, (time,), and its sensitivity to each weight."""
+    """Return the output of one recording, (time,), and its sensitivity to each weight."""
     signals, rows = chain.behind_each(hypothesis, weights, index), chain.rows(hypothesis, index)
     y = chain.output_of(hypothesis, weights, index, signals)
     stuck = chain.rests(hypothesis, index)
@@ -111,7 +111,7 @@ def of_slots(
     index: int,
     chosen: Iterable[int],
 ) -> Sensitivity:
-    """The sensitivity of one recording to the chosen slots."""
+    """Return the sensitivity of one recording to the chosen slots."""
     own = [j for j in chosen if slots[j].record is None or slots[j].record == index]
     rows = np.zeros((len(own), len(chain.records[index].u)))
     of_modes = chain.slopes(hypothesis, weights, index) if own else {}
@@ -119,7 +119,7 @@ def of_slots(
     for j, row in zip(own, rows, strict=True):
         s = slots[j]
         if s.member >= 0 and issubclass(hypothesis.members[s.member].effect, ModalEffect):
-            if (s.member, s.name) in of_modes:  # else a coupling's number for a mode that was taken away
+            if (s.member, s.name) in of_modes:  # else a coupling's number for a mode that was removed
                 per_inner = to_outer(s, float(theta[j])) if s.log else s.scale
                 row[:] = of_modes[s.member, s.name] * per_inner
             continue
@@ -142,7 +142,7 @@ def slopes_of(
     theta: np.ndarray,
     before: Slopes | None = None,
 ) -> Slopes:
-    """The slope of every slot; of those that have moved little since `before`, as it was."""
+    """Return the slope of every slot; slots that have moved little since `before` keep the old one."""
     if before is None:
         new = np.full(len(slots), True)
         at = np.array(theta)
@@ -165,15 +165,15 @@ def slopes_of(
 def sensitivities_near(
     chain: Chain, near: Near, slots: Sequence[FreeParameter], hypothesis: Hypothesis
 ) -> tuple[Tangent, Slopes]:
-    """The tangent of what is near, and of its slopes those of the slots that a hypothesis shares with it.
+    """Return the tangent of `near`, and its slopes for the slots that a hypothesis shares with it.
 
-    Every candidate of a round is near the same fit, and adds a block that changes little of how the output
-    moves with anything else: these sensitivities are made once for all of them.
+    Every candidate of a round is near the same fit and adds a block that hardly changes the sensitivity of
+    the output to anything else, so these sensitivities are computed once for all of them.
 
     Args:
         chain: The recordings.
-        near: What the hypothesis resembles.
-        slots: Of the hypothesis.
+        near: What the hypothesis resembles, with its weights.
+        slots: The slots of the hypothesis.
         hypothesis: The one that is to be fitted.
     """
     mine = free_parameters_of(near.hypothesis)
@@ -201,7 +201,7 @@ def sensitivities_near(
 
 
 def identity(near: Near) -> tuple[object, ...]:
-    """What tells it from another."""
+    """Return a key that distinguishes it from others."""
     h = near.hypothesis
     members = tuple(
         (m.effect.name, m.aux, *m.shared.items(), *(tuple(own.items()) for own in m.own)) for m in h.members
@@ -212,7 +212,7 @@ def identity(near: Near) -> tuple[object, ...]:
 
 
 def place_of(hypothesis: Hypothesis, slot: FreeParameter) -> tuple[object, ...]:
-    """Where a slot lives, whatever else the hypothesis has."""
+    """Return where a slot belongs, independently of what else the hypothesis has."""
     if slot.member < 0:
         return (slot.name, slot.record)
     member = hypothesis.members[slot.member]
@@ -220,7 +220,7 @@ def place_of(hypothesis: Hypothesis, slot: FreeParameter) -> tuple[object, ...]:
 
 
 def tangent_of(chain: Chain, hypothesis: Hypothesis, weights: np.ndarray) -> Tangent:
-    """How the output moves with the weights."""
+    """Return the sensitivity of the output to the weights."""
     parts = [of_weights(chain, hypothesis, weights, i)[1] for i in range(len(chain.records))]
     return Tangent(parts, gram_of(parts, len(weights)))
 

@@ -1,4 +1,4 @@
-"""A given simulation: what it makes of the recordings, and the physics that it already has."""
+"""A given simulation: its output for the recordings, and the physics that it already has."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -17,14 +17,14 @@ from torchpi.simulators import COLUMN, Simulate, Simulator
 from torchpi.stage import EffectSettings, Stage
 
 Simulation = Stage | Simulator | Simulate | Literal["column"]
-"""A stage; any function `simulate(u_v, fs_hz) -> y_um`; "column", an output that stands in the recordings."""
+"""A stage; any function `simulate(u_v, fs_hz) -> y_um`; "column", an output stored in the recordings."""
 
 
 def outside(simulation: Simulation | None) -> Outside | None:
-    """A simulation that is not torchpi's own; None for a stage and for none.
+    """Wrap a simulation that is not torchpi's own; None for a stage, or where no simulation is given.
 
     Raises:
-        SimulationError: Something else, or a stage that itself corrects a simulation.
+        SimulationError: It is none of these, or is a stage that itself corrects a simulation.
     """
     if isinstance(simulation, Stage):
         if simulation.simulation:
@@ -42,12 +42,12 @@ def outside(simulation: Simulation | None) -> Outside | None:
 
 
 def simulated(simulation: Stage | Outside, records: Sequence[Record]) -> tuple[np.ndarray, ...]:
-    """Recorded less simulated, µm, for each recording, the simulation as it was given."""
+    """Return recorded less simulated, µm, for each recording, with the simulation as it was given."""
     return tuple(record.y - simulated_output(simulation, record) for record in records)
 
 
 def simulated_output(simulation: Stage | Outside, record: Record) -> np.ndarray:
-    """What the simulation's sensor would read, without noise, (time,), µm."""
+    """Return what the simulation's sensor would read, without noise, (time,), µm."""
     if isinstance(simulation, Outside):
         return simulation.output(record, 0, record.u)
     stage = simulation.at_sample_rate(record.fs_hz)
@@ -59,15 +59,15 @@ def simulated_output(simulation: Stage | Outside, record: Record) -> np.ndarray:
 
 
 def given_members(simulation: Stage | None) -> tuple[EffectTerm, ...]:
-    """The effects that a simulation has: they are refitted, and not reported as missing."""
+    """Return the effects that a simulation has: they are refitted, and not reported as missing."""
     if simulation is None:
         return ()
     return tuple(_member(one) for one in (*simulation.effects, *simulation.sensor_effects))
 
 
 def _member(one: EffectSettings) -> EffectTerm:
-    """Within the bounds of a fit: a mode that hardly rings is fitted as one that just does. What is as it
-    would be without a value is not fitted."""
+    """Convert settings to a member, with values within the bounds of a fit: a mode that hardly rings is
+    fitted as one that just does. Parameters at their identity are not fitted."""
     bounds = one.kind.quantities
     values = {
         name: min(max(value, bounds[name].at_least), bounds[name].at_most)
@@ -78,11 +78,11 @@ def _member(one: EffectSettings) -> EffectTerm:
 
 
 def with_untried(believed: Sequence[Believed], tried: Effects, untried: Effects) -> list[Believed]:
-    """The effects with the alternatives that a simulation hides, or that could not be tried around it.
+    """Add to the effects the alternatives that a simulation hides, or that could not be tried around it.
 
-    Another shape of the hysteresis may be any static effect, and what delays any other that does: several of
-    these may be a single one that could not be tried, and count as one; with them counts a loop, which a lag
-    in front of the hysteresis leaves when it is taken for one behind. The rest is declared by the effects.
+    Another hysteresis may be any untried static effect, and an effect that delays may be any untried one that
+    does. Several that delay may be a single untried one and count as one, together with another hysteresis,
+    since a lag before the hysteresis leaves a loop if fitted behind it. The effects declare the rest.
     """
     kinds = {effect.name: effect for effect in tried}
     slow = [effect.name for effect in untried if effect.delays]
@@ -105,5 +105,5 @@ def with_untried(believed: Sequence[Believed], tried: Effects, untried: Effects)
 
 
 def with_alternatives(one: Believed, more: Sequence[str]) -> Believed:
-    """The same with more effects that the data cannot tell from it."""
+    """Add to an effect others that the data cannot distinguish from it."""
     return replace(one, alternatives=tuple(dict.fromkeys([*one.alternatives, *more])))

@@ -1,14 +1,14 @@
-"""The density of a Preisach operator in play form: cells of plays and pieces, smooth before any recording.
+"""The density of a Preisach operator in play form: cells of plays and pieces, with a smooth prior.
 
-The mean slope of each play's output function, a straight line, has the prior of a weight of plays alone: what
-is sharp in its threshold stays sharp. With μ what the slopes w_ki are beyond these means, in units of the
-stage's gain over the number of plays, a density costs
+The mean slope of each play's output function, a straight line, has the same prior as a weight of plays alone,
+so that a sharp dependence on the threshold stays sharp. With μ the deviation of the slopes w_ki from these
+means, in units of the stage's gain over the number of plays, a density costs
 
     ½ `SMOOTH` [Σ (differences between neighbours)² + mean of μ²],
 
 a Gaussian field (thin membrane: Rue and Held, *Gaussian Markov Random Fields*, 2005, 3.2.2) that means the
-same on every grid. The play with r = 0 is a curve, and no neighbour of the others. The field's principal
-components on a grid are cosines: the slow ones stand for all.
+same on every grid. The play with r = 0 is a curve, and not a neighbour of the others. The field's principal
+components on a grid are cosines, of which only the slow ones are used.
 """
 
 from functools import cache
@@ -16,15 +16,15 @@ from functools import cache
 import numpy as np
 
 SMOOTH = 3.0
-"""A density that changes by 0.6 of the gain over the plane costs as much as one standard deviation of
-noise."""
+"""Weight of the prior: a density that changes by 0.6 of the gain over the plane costs as much as one standard
+deviation of noise."""
 TERMS, OF_CURVE = 400, 48
-"""Cosines of the density, and of the curve, at most."""
+"""Largest numbers of cosines of the density, and of the curve."""
 
 
 def roughness(slopes: np.ndarray) -> np.ndarray:
-    """(sums, …) of (sums, pieces, plays): its inner products are the inverse covariance of the sums, but for
-    `SMOOTH` and the gain."""
+    """Map slopes, (sums, pieces, plays), to (sums, …), whose inner products are the inverse covariance of
+    the sums, up to `SMOOTH` and the gain."""
     sums, pieces, plays = slopes.shape
     slopes = slopes - slopes.mean(1, keepdims=True)
     curve, density = slopes[..., :1], (plays - 1) * slopes[..., 1:]
@@ -41,7 +41,7 @@ def roughness(slopes: np.ndarray) -> np.ndarray:
 @cache
 def terms(pieces: int, plays: int) -> np.ndarray:
     """(terms, pieces × plays): a straight line for each play, then cosines of the curve and of the density
-    that sum to nothing over a play's pieces, each of unit roughness."""
+    that sum to zero over a play's pieces, each of unit roughness."""
     lines = np.zeros((plays, pieces, plays))
     lines[np.arange(plays), :, np.arange(plays)] = 1.0
     along, costs = cosines(pieces)
@@ -62,7 +62,7 @@ def terms(pieces: int, plays: int) -> np.ndarray:
 
 
 def cosines(cells: int) -> tuple[np.ndarray, np.ndarray]:
-    """(cells, cells), an orthonormal cosine each, the slowest first, and the sums of the squares of their
+    """Return orthonormal cosines, (cells, cells), the slowest first, and for each the sum of its squared
     differences from cell to cell."""
     waves = np.arange(cells)
     rows = np.sqrt(2 / cells) * np.cos(np.pi / cells * np.outer(waves, waves + 0.5))

@@ -1,19 +1,19 @@
-"""Slips: a mount that sticks shows in the readings, flat while the chain before it moves, then a jump.
+"""Stick-slip: while a mount sticks, the readings stay flat although the chain before it moves, then jump.
 
 With a command that a converter holds, the mount may come to rest in every sample, and each slip decides where
-the next one begins. Simulated freely, a chain that is right to a hundredth of a slip mistakes them all before
-long: no error of a free simulation says that it is right. The readings do. They are cut where they jump; in
-between the stage is stuck, and says nothing of what stands before the mount. What is left, the samples at
-which it has just slipped, is fitted as any other data.
+the next one begins. In a free-run simulation, even a chain that is right to a hundredth of a slip soon gets
+all slips wrong, so the free-run error cannot show that it is right. The readings can. They are cut where they
+jump; between jumps the stage is stuck, and its readings say nothing about what precedes the mount. The
+remaining samples, at which it has just slipped, are fitted like any other data.
 
-It is judged by one step: from where it rests (the mean of the readings since the last jump) it stays while
-|x - y| < J, and is at x otherwise. Its rival is the chain without it, whose error is predicted from the last
-readings and from how the chain moves, by an autoregression with an input (ARX; Ljung, *System
-Identification*, 1999, 4.2): neither a slow misfit, nor a coloured noise, nor what is late is evidence of
-slips.
+A sticking mount is judged by one-step-ahead prediction: from its rest (the mean of the readings since the
+last jump) it stays while |x - y| < J, and is at x otherwise. The rival is the chain without the mount, whose
+error is predicted from the last readings and the motion of the chain by an autoregression with an input (ARX;
+Ljung, *System Identification*, 1999, 4.2), so that a slow misfit, coloured noise or lateness are not evidence
+of slips.
 
-Friction d while it slides cannot be told from plays of the smallest thresholds, which lose the same at a
-reversal: what is found is J - d, the jump.
+Friction d while it slides cannot be distinguished from plays with the smallest thresholds, which lose the
+same at a reversal: what is found is J - d, the jump.
 """
 
 from collections.abc import Sequence
@@ -32,35 +32,35 @@ from torchpi.diagnosis.reduced_basis import reduced
 from torchpi.stage.effects.mechanics.stiction import Stiction
 
 JUMPS = (4.0, 8.0)
-"""Times the noise floor: what a reading must move by to count as a slip."""
+"""Multiples of the noise floor, each tried, by which a reading must move to count as a slip."""
 LINES = 1.5
-"""Steps of a converter that a slip must cross."""
+"""Smallest number of converter steps that a slip must cross."""
 LEAST_GAIN = 0.25
-"""By how much the error of one step must fall. On development seeds of the benchmark it rises where nothing
-sticks, or falls by up to 14 % behind a lag of second order, and falls by 41 to 66 % where a mount jumps by
-ten times the noise."""
+"""Smallest relative reduction of the one-step-ahead error. On development seeds of the benchmark the error
+rises where nothing sticks, or falls by up to 14 % behind a lag of second order, and falls by 41 to 66 % where
+a mount jumps by ten times the noise."""
 WORTH_A_FIT = -0.1
-"""The same with few rows of the hysteresis, from which it is worth a fit with all."""
+"""The same with few rows of the hysteresis, from which a fit with all rows is worthwhile."""
 LEAST_STUCK, SLIPS_A_WEIGHT = 0.05, 5.0
-"""Share of the samples that are stuck, and slips for each number of the hysteresis: fewer do not tell."""
+"""Least share of stuck samples, and least slips for each weight: fewer are not conclusive."""
 MEMORY = 4
-"""Order of the rival's autoregression, and moves of the chain that it takes."""
+"""Order of the rival's autoregression, and number of moves of the chain that it takes as input."""
 NEAR = np.linspace(-0.04, 0.04, 81)
-"""Of the jump: how far from what parts the samples it is looked for in a free simulation."""
+"""Relative offsets from the slip threshold at which the jump is sought in a free-run simulation."""
 
 
 @dataclass(frozen=True, eq=False)
 class Slips:
-    """A mount that sticks, found in the readings."""
+    """A sticking mount, found in the readings."""
 
     chain: Chain
-    """On the same records, with where they are stuck."""
+    """The chain on the same records, with the samples at which they are stuck."""
     fit: Fit
-    """The hypothesis before with stiction; its errors are those of one step."""
+    """The previous hypothesis with stiction added; its errors are one-step-ahead errors."""
     least_um: float
-    """What a reading moves by in a slip, at least."""
+    """Smallest move of a reading in a slip."""
     gain: float
-    """By how much the held-out error of one step falls."""
+    """Relative reduction of the one-step-ahead error on the training samples."""
 
 
 class Jump(NamedTuple):
@@ -71,13 +71,13 @@ class Jump(NamedTuple):
 
 
 def slips(chain: Chain, now: Fit, floor_um: float, lsb_um: float = 0.0) -> Slips | None:
-    """A mount that sticks behind this fit, if the readings show one.
+    """Return the sticking mount behind this fit, if the readings show one.
 
     Args:
-        chain: On records without rests.
-        now: What is fitted so far.
+        chain: The chain on records without rests.
+        now: The fit so far.
         floor_um: The noise of one reading.
-        lsb_um: The step of the converter: readings go from one line to the next without any slip.
+        lsb_um: The step of the converter, by which readings change without any slip.
     """
     rival = rms(chain.records, one_step_rival(chain.records, now.residuals), True)
     small = reduced(chain, now)
@@ -92,7 +92,7 @@ def slips(chain: Chain, now: Fit, floor_um: float, lsb_um: float = 0.0) -> Slips
 
 
 def cut(chain: Chain, now: Fit, least_um: float, rival_um: float) -> Slips | None:
-    """The fit where readings jump by so much, and what it gains on the rival; None where too few do."""
+    """Fit where readings jump by at least this, and compare with the rival; None if too few stick or jump."""
     resting = Chain(with_rests(chain.records, least_um), chain.weighting)
     rests = [record.rests.stuck for record in resting.records if record.rests]
     slipped = sum(int((r.train & ~r.rests.stuck).sum()) for r in resting.records if r.rests)
@@ -106,9 +106,9 @@ def cut(chain: Chain, now: Fit, least_um: float, rival_um: float) -> Slips | Non
 
 
 def jump(found: Slips, last: Fit) -> Jump:
-    """The jump, of the last fit: nearest to what parts stuck from slipped, what slips by itself as recorded.
+    """Return the jump of the last fit: the one near the slip threshold whose free-run simulation fits best.
 
-    Its interval, 90 %, is a jackknife over blocks, and holds both.
+    Its 90 % interval comes from a jackknife over blocks, and contains both the jump and the threshold.
     """
     records = found.chain.records
     free = without_rests(found.chain)
@@ -124,20 +124,20 @@ def jump(found: Slips, last: Fit) -> Jump:
 
 
 def without_rests(chain: Chain) -> Chain:
-    """The same, in which a mount slips by itself."""
+    """Return the chain without rests, in which the mount slips by itself."""
     return Chain([replace(record, rests=None) for record in chain.records], chain.weighting)
 
 
 def with_rests(records: Sequence[Record], least_um: float) -> list[Record]:
-    """The records with where they are stuck: there a chain moves nothing."""
+    """Return the records with the samples at which they are stuck: there a chain moves nothing."""
     return [replace(record, rests=Rests(*resting(record.y, least_um))) for record in records]
 
 
 def free_run(chain: Chain, last: Fit, jump_um: float) -> Fit:
-    """The last fit on the records without their rests: the mount slips by itself.
+    """Return the last fit on the records without their rests: the mount slips by itself.
 
-    Where that does not predict every recording better than no such mount, everything is fitted without one:
-    where one slip is predicted wrongly, all that follow are.
+    Where that does not predict every recording better than a model without such a mount, everything is fitted
+    without one: after one wrongly predicted slip, all that follow are wrong.
     """
     without = fit(chain, last.hypothesis.without(Stiction.name), last.weights)
     slipping = slipping_freely(chain, last, jump_um)
@@ -149,7 +149,7 @@ def free_run(chain: Chain, last: Fit, jump_um: float) -> Fit:
 
 
 def slipping_freely(chain: Chain, one: Fit, jump_um: float) -> Fit:
-    """The fit on records without rests, its mount slipping by itself."""
+    """Evaluate the fit on records without rests, with its mount slipping by itself."""
     mount = EffectTerm(Stiction, {"breakaway_um": jump_um, "rests": 1.0})
     hypothesis = one.hypothesis.without(Stiction.name).plus(mount)
     residuals = tuple(r.y - chain.output(hypothesis, one.weights, i) for i, r in enumerate(chain.records))
@@ -164,7 +164,7 @@ def slipping_freely(chain: Chain, one: Fit, jump_um: float) -> Fit:
 
 @numba.njit(cache=True)
 def resting(y: np.ndarray, least_um: float) -> tuple[np.ndarray, np.ndarray]:
-    """Whether each reading stays where it was, and the mean of those since the last jump, this one apart."""
+    """Whether each reading stays where it was, and the mean of those before it since the last jump."""
     stuck, at_um = np.zeros(len(y), np.bool_), np.empty(len(y))
     mean, count = y[0], 0
     for t in range(len(y)):
@@ -178,7 +178,7 @@ def resting(y: np.ndarray, least_um: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def distance(chain: Chain, one: Fit, index: int) -> np.ndarray:
-    """(time,), µm: from where the mount rests to where the chain before it has moved."""
+    """(time,), µm: distance from where the mount rests to where the chain before it has moved."""
     record = chain.records[index]
     assert record.rests is not None
     x = chain.output(one.hypothesis.without(Stiction.name), one.weights, index)
@@ -187,8 +187,8 @@ def distance(chain: Chain, one: Fit, index: int) -> np.ndarray:
 
 
 def slip_threshold(records: Sequence[Record], far: Sequence[np.ndarray], but: int = -1) -> float:
-    """The jump that parts the samples that are stuck from those that slipped with the fewest on the wrong
-    side, µm; the block `but` of `BLOCKS` is left out."""
+    """Return the jump, µm, that separates stuck samples from slipped ones with the fewest on the wrong side;
+    the block `but` of `BLOCKS` is left out."""
     size = np.concatenate([np.abs(d) for d in far])
     stuck = np.concatenate([record.rests.stuck for record in records if record.rests])
     if but >= 0:
@@ -200,7 +200,7 @@ def slip_threshold(records: Sequence[Record], far: Sequence[np.ndarray], but: in
 
 
 def one_step(chain: Chain, one: Fit, far: Sequence[np.ndarray], jump_um: float) -> list[np.ndarray]:
-    """(time,) for each record: reading less what the last hold and the chain predict, µm."""
+    """(time,) for each record: reading less its one-step-ahead prediction from last hold and chain, µm."""
     errors = []
     for record, d in zip(chain.records, far, strict=True):
         assert record.rests is not None
@@ -210,8 +210,8 @@ def one_step(chain: Chain, one: Fit, far: Sequence[np.ndarray], jump_um: float) 
 
 
 def one_step_rival(records: Sequence[Record], residuals: Sequence[np.ndarray]) -> list[np.ndarray]:
-    """What is left of residuals when each is predicted from the last ones of its recording, and from the last
-    moves of the chain, µm."""
+    """Return what remains of the residuals, µm, when each is predicted from the previous ones of its
+    recording and from the latest moves of the chain."""
     lagged = []
     for record, e in zip(records, residuals, strict=True):
         moves = np.diff(record.y - e, prepend=record.y[0] - e[0])

@@ -1,4 +1,4 @@
-"""Timing: whole ticks by convention, a matter of who recorded, and the delays that stand against them."""
+"""Timing: conventions of whole ticks, which depend on who recorded, and the delays that rival them."""
 
 from collections.abc import Sequence
 from concurrent.futures import Executor
@@ -17,22 +17,22 @@ from torchpi.diagnosis.reduced_basis import reduced
 from torchpi.stage.effects.effect import LinearEffect
 
 RAMP = 20_000
-"""Samples of a ramp, after which what delays follows it at its constant distance."""
+"""Samples of a ramp, after which a delayed output follows it at a constant distance."""
 TIMED = 12
-"""Of a fit whose timing is another."""
+"""Maximum number of Gauss–Newton steps of a fit with another timing."""
 WHOLE = 0.05
-"""Of a tick: a lateness as near to a whole number of ticks is a convention."""
+"""Fraction of a tick: a lateness this close to a whole number of ticks is a convention."""
 
 
 class Timing(Contest):
-    """Fits on given records, under one convention of timing or another.
+    """Fits on given records, under alternative conventions of timing.
 
     Args:
-        chain: The recordings, and what each coefficient counts.
-        noise: What was measured of it, if anything.
-        executor: Where independent fits run; None is this process.
-        alignments: The conventions, in ticks that y(k) comes behind the command of its own tick.
-        given: The names of what the simulation has already.
+        chain: The recordings, and the weight of each coefficient.
+        noise: The measured noise, if any.
+        executor: Where independent fits run; None for this process.
+        alignments: The conventions, in ticks by which y(k) lags the command of its own tick.
+        given: The names of the effects that the simulation already has.
     """
 
     def __init__(
@@ -46,10 +46,10 @@ class Timing(Contest):
         super().__init__(chain, noise, executor)
         self.alignments, self.given = alignments, given
         self.starts: list[EffectTerm] = []
-        """From which effects are fitted."""
+        """The starts from which effects are fitted."""
 
     def at_the_tick(self, now: Fit) -> Fit:
-        """With the timing of the simulation, where what delays is missing anyway and predicts as well so."""
+        """Return the fit at alignment 0 if an added effect delays and predicts as well with that timing."""
         h = now.hypothesis
         if h.alignment == 0 or not any(
             m.effect.delays and m.effect.name not in self.given for m in h.members
@@ -59,12 +59,12 @@ class Timing(Contest):
         return other if self.as_well(other, now) and self.inside(other, now) else now
 
     def realigned(self, now: Fit) -> Fit:
-        """Under the conventions of timing, and from the start, that predict best: they are no physics."""
+        """Choose the timing conventions and the initial state that predict best: neither is physics."""
         small = reduced(self.chain, now)
         remembers = small.hypothesis.remanent
         (other,) = self.fits([(replace(small.hypothesis, remanent=not remembers), None, TIMED, ROUGH)])
         more, less = (small, other) if remembers else (other, small)
-        # What an effect has explained since may have been taken for a history, or have covered one.
+        # What an effect now explains may have been mistaken for a history before, or may have hidden one.
         best = less if self.needs_no_history(more, less) else more
         # A delay of whole ticks may be the convention itself.
         late = [m.effect.name for m in now.hypothesis.members if m.effect.commutes]
@@ -79,8 +79,8 @@ class Timing(Contest):
         return max([best, *(one for one in raced if not one.bounded)], key=self.worth)
 
     def as_a_lag_and_a_delay(self, h: Hypothesis) -> list[Hypothesis]:
-        """A lag of one number and a delay in place of all that was added that delays, as late in all:
-        from two lags, or a lag of more numbers, no exchange of one effect for another leads there."""
+        """Replace all added effects that delay by a one-number lag and a delay of the same total lateness.
+        From two lags, or a lag with more numbers, no exchange of single effects leads there."""
         late = [m for m in h.members if m.effect.delays and m.effect.name not in self.given]
         starts = [m for m in self.starts if m.effect.delays and issubclass(m.effect, LinearEffect)]
         pure = {m.effect for m in starts if m.effect.commutes} - {m.effect for m in late}
@@ -99,8 +99,8 @@ class Timing(Contest):
         return found
 
     def delayed(self, now: Fit) -> Fit:
-        """With a delay in place of a timing convention, where that is clear, and all lateness no whole
-        ticks."""
+        """Replace a timing convention by a delay, if that is clearly better and the total lateness is not a
+        whole number of ticks."""
         h = now.hypothesis
         if h.alignment - 1 not in self.alignments:
             return now
@@ -119,16 +119,16 @@ class Timing(Contest):
 
 
 def is_whole(chain: Chain, one: Fit) -> bool:
-    """Whether the readings come whole ticks behind the command, by nothing that smooths it as well."""
+    """Whether the readings lag the command by whole ticks, with no effect that also smooths it."""
     smooths = any(m.effect.delays and not m.effect.commutes for m in one.hypothesis.members)
     late = lateness_s(chain, one.hypothesis) / chain.records[0].tick_s
     return not smooths and abs(late - round(late)) < WHOLE
 
 
 def lateness_s(chain: Chain, h: Hypothesis) -> float:
-    """How far the readings come behind a slow command, s: the sum of all in a hypothesis that delays."""
+    """Return how far the readings lag a slow command, s: the sum of all delays in a hypothesis."""
     record = chain.records[0]
-    slope = 1e-6 * chain.span_v  # a sample: below any limit of a rate
+    slope = 1e-6 * chain.span_v  # per sample: below any rate limit
     ramp = slope * torch.arange(RAMP, dtype=torch.float64)[None]
     with torch.no_grad():
         behind = [float((ramp - p(ramp))[0, -1]) for p in chain.placed(h, 0) if p.effect.delays]

@@ -1,8 +1,8 @@
-"""The prior of a random walk: its increments have one size, also where no reading tells where it is.
+"""The prior of a random walk: its increments have one size, even where no reading determines its place.
 
-Knots behind the last reading that is fitted, and between recordings of different lengths, are determined by
-nothing else: without the prior a walk ends anywhere. The size is that of the increments with which a fit
-begins (empirical Bayes: Efron and Morris, *J. American Statistical Association* 68, 1973).
+Knots after the last fitted reading, and between recordings of different lengths, are determined by nothing
+else: without the prior a walk could end anywhere. The size is that of the increments from which a fit begins
+(empirical Bayes: Efron and Morris, *J. American Statistical Association* 68, 1973).
 """
 
 from collections.abc import Sequence
@@ -14,12 +14,12 @@ from torchpi.recordings.faults import robust_sd
 
 
 def walk_prior(hypothesis: Hypothesis, slots: Sequence[FreeParameter], theta: np.ndarray) -> np.ndarray:
-    """(slots, slots): the inverse covariance of the slots, 0 for all that are not on a walk.
+    """Return the inverse covariance of the slots, (slots, slots), 0 for those that are not on a walk.
 
     Args:
-        hypothesis: With the effects.
+        hypothesis: The hypothesis with its effects.
         slots: Its free parameters.
-        theta: (slots,), their values on the scale that they are fitted on.
+        theta: (slots,), their values on the scale on which they are fitted.
     """
     at = {(slot.member, slot.name, slot.record): j for j, slot in enumerate(slots)}
     found = np.zeros((len(slots), len(slots)))
@@ -38,7 +38,7 @@ def walk_prior(hypothesis: Hypothesis, slots: Sequence[FreeParameter], theta: np
 
 
 def _increments(slots: Sequence[FreeParameter], knots: Sequence[int]) -> np.ndarray:
-    """(knots, slots): the increments of one walk, from 0 on, as combinations of the slots."""
+    """(knots, slots): the increments of one walk, starting from 0, as combinations of the slots."""
     values = np.zeros((len(knots) + 1, len(slots)))
     for row, j in enumerate(knots, 1):
         values[row, j] = slots[j].scale
@@ -46,7 +46,7 @@ def _increments(slots: Sequence[FreeParameter], knots: Sequence[int]) -> np.ndar
 
 
 def _size(increments: np.ndarray) -> float:
-    """The standard deviation of increments of which some are told by nothing, and may be anything."""
+    """Return the standard deviation of increments, robust to undetermined ones, which may be anything."""
     if not len(increments):
         return 0.0
     usual = float(robust_sd(increments))

@@ -1,4 +1,4 @@
-"""Single wrong readings: which of those that stand out are no part of the noise, however heavy its tails."""
+"""Single wrong readings: find which outliers do not belong to the noise, however heavy its tails."""
 
 from collections.abc import Sequence
 
@@ -14,37 +14,37 @@ from torchpi.recordings.faults import least_step, repeated_value, robust_sd
 from torchpi.stage.effects.sensor.dropouts import Dropouts
 
 LOST = 10.0
-"""Times the rms of what is left, by which a single reading is off."""
+"""Multiple of the residual's rms by which a single wrong reading is off."""
 ABOUT = 5
-"""Samples before and after a reading that it is compared with."""
+"""Number of samples before and after a reading with which it is compared."""
 OTHERS = np.array([1, 1, 1, 0, 1, 1, 1])
-"""The samples about a reading, without itself, whose median it is compared with."""
+"""The samples around a reading, without itself, with whose median it is compared."""
 BESIDE = 32
-"""Samples on either side of a reading from which the error of the model there is taken."""
+"""Number of samples on either side of a reading from which the local model error is estimated."""
 FALSE_ALARM = 1e-3
-"""The chance that the tail of the noise alone has so many readings so far out."""
+"""Probability that the tail of the noise alone contains so many readings so far out."""
 BODY, TAIL = 0.5, 0.99
-"""Quantiles of what is left, by whose ratio the tail of a Student t is known."""
+"""Quantiles of the residual, whose ratio determines the tail of a Student t."""
 HEAVIEST, LIGHTEST = 1.0, 100.0
-"""Degrees of freedom of a Student t; from the more on it is all but normal."""
+"""Bounds of the degrees of freedom of a Student t; at the upper one it is nearly normal."""
 READ_OFF = 0.99
-"""Probability of what the readings themselves show."""
+"""Probability assigned to what the readings themselves show."""
 
 
 def wrong_readings(records: Sequence[Record], apart: Sequence[np.ndarray], final: Fit) -> list[np.ndarray]:
-    """(readings,) of each recording that are off by more than the model, or the noise, is there.
+    """Return the wrong readings of each recording, (readings,): off by more than model error or noise there.
 
     Args:
         records: The recordings.
         apart: The readings that stand apart from their neighbours.
-        final: What is left by it.
+        final: The fit whose residuals are examined.
     """
     each, rest = list[tuple[np.ndarray, np.ndarray, np.ndarray]](), []
     for record, e, k in zip(records, final.residuals, apart, strict=True):
         off = off_all_around(record.y, e, k)
         same = np.isin(k, repeated_value(record.y, record.u, least_step(record.y)))
         there = off > LOST * np.maximum(error_about(e, k), final.train_rms)
-        # What the model has wrong is slow beside a single reading: it is no tail of the noise.
+        # A model error is slow compared with a single reading and is not part of the noise's tail.
         alone = np.abs(e - median_filter(e, footprint=OTHERS))
         usual = usual_about(alone)
         each.append((k, same, np.where(there, off / usual[k], 0.0)))
@@ -54,11 +54,11 @@ def wrong_readings(records: Sequence[Record], apart: Sequence[np.ndarray], final
 
 
 def no_tail(far: np.ndarray, rest: np.ndarray) -> float:
-    """From which size on readings are no part of the noise: the smallest that it has so often by chance only.
+    """Return the size from which readings are not noise, because so many of that size are improbable.
 
     Args:
-        far: (readings,) that may be wrong, in units of what is usual about each.
-        rest: (samples,) of the others.
+        far: (readings,) that may be wrong, in units of the usual size around each.
+        rest: (samples,), the same for the other readings.
     """
     largest = np.sort(far[far > 0])[::-1]
     if not len(largest):
@@ -69,17 +69,17 @@ def no_tail(far: np.ndarray, rest: np.ndarray) -> float:
 
 
 def usual_about(alone_um: np.ndarray) -> np.ndarray:
-    """(samples,), µm: the median about each sample of these magnitudes, (samples,), µm, or of all of them if
-    that is larger: what is louder in one recording, or for a while, is no tail either."""
+    """(samples,), µm: the median of these magnitudes, (samples,), µm, around each sample, or their overall
+    median if that is larger: what is louder in one recording, or for a while, is not a tail either."""
     usual = max(float(np.median(alone_um)), 1e-300)
     about: np.ndarray = np.maximum(median_filter(alone_um, 2 * BESIDE + 1), usual)
     return about
 
 
 def expected_beyond(limits: np.ndarray, errors: np.ndarray) -> np.ndarray:
-    """How many of these errors, (samples,), a Student t of their body and tail has beyond each limit.
+    """Return how many of these errors, (samples,), a Student t of their body and tail has beyond each limit.
 
-    Sensors whose noise has heavy tails are no rarity: a few readings at ten times its rms are then noise.
+    Sensor noise with heavy tails is not rare: a few readings at ten times its rms are then noise.
     """
     body, tail = np.quantile(errors, [BODY, TAIL])
     if not 0 < body < tail:
@@ -98,8 +98,8 @@ def expected_beyond(limits: np.ndarray, errors: np.ndarray) -> np.ndarray:
 
 
 def off_all_around(y: np.ndarray, residual: np.ndarray, readings: np.ndarray) -> np.ndarray:
-    """(readings,), µm: by how much each of these readings lies beyond everything that the model passes about
-    it. A clock that jitters takes a reading early or late, but nowhere that the stage has not been."""
+    """(readings,), µm: how far each of these readings lies outside the range that the model covers around
+    it. A jittering clock takes a reading early or late, but never where the stage has not been."""
     model = y - residual
     places = readings[:, None] + np.arange(-ABOUT, ABOUT + 1)
     passed = model[np.clip(places, 0, len(y) - 1)]
@@ -108,8 +108,8 @@ def off_all_around(y: np.ndarray, residual: np.ndarray, readings: np.ndarray) ->
 
 
 def error_about(residual: np.ndarray, readings: np.ndarray) -> np.ndarray:
-    """(readings,), µm: the error of the model before or after each of these readings, the larger, as a
-    standard deviation. Where the model misses a ring, its first swing is no wrong reading."""
+    """(readings,), µm: the model error before or after each of these readings, whichever is larger, as a
+    standard deviation. Where the model misses a ring, the first swing is not a wrong reading."""
     places = readings[:, None] + np.arange(2, BESIDE + 2)
     sides = (places, 2 * readings[:, None] - places)
     before, after = (robust_sd(residual[np.clip(side, 0, len(residual) - 1)], axis=1) for side in sides)
@@ -118,7 +118,7 @@ def error_about(residual: np.ndarray, readings: np.ndarray) -> np.ndarray:
 
 
 def of_dropouts(records: Sequence[Record], wrong: Sequence[np.ndarray], final: Fit) -> NamedEffect:
-    """Single wrong readings: each is seen, and none is fitted."""
+    """Report the single wrong readings as an effect: they are read off, not fitted."""
     off = [e[k] for e, k in zip(final.residuals, wrong, strict=True)]
     samples, count = sum(len(r.y) for r in records), sum(len(k) for k in wrong)
     squares = float(np.square(np.concatenate(off)).sum())

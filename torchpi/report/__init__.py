@@ -1,4 +1,4 @@
-"""Figures and pages. They read results and draw; every number on them was computed elsewhere."""
+"""Figures and pages. They only draw results; every number on them was computed elsewhere."""
 
 from torchpi.report.page import write_loop_report, write_training_report
 from torchpi.report.training import RecordFit, Saturation, TrainingReport, WeightsAgainstRate

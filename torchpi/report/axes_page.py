@@ -1,4 +1,4 @@
-"""The page of a diagnosis of several axes."""
+"""The report page of a diagnosis of several axes."""
 
 from pathlib import Path
 
@@ -18,7 +18,7 @@ CAPTION = "Slow loops of the actuators of the augmented stage, each at the outpu
 
 
 def write_axes_diagnosis(found: AxesDiagnosis, provenance: Provenance, path: Path) -> Path:
-    """Write the page; returns its path."""
+    """Write the page and return its path."""
     html = render(
         "axes.html.j2",
         title="Diagnosis of several axes",
@@ -36,12 +36,12 @@ def write_axes_diagnosis(found: AxesDiagnosis, provenance: Provenance, path: Pat
 
 
 def loops_figure(found: AxesDiagnosis) -> Figure:
-    """Displacement over voltage of each actuator, less the line through the ends of its loop."""
+    """Draw displacement over voltage of each actuator, less the line through the ends of its loop."""
     with canvas(2.6 if found.loops else 0.5) as figure:
         for place, loop in enumerate(found.loops, 1):
             axes = figure.add_subplot(1, len(found.loops), place)
             slope = loop.y[loop.u.argmax()] - loop.y[loop.u.argmin()]
             left = loop.y - slope / (loop.u.max() - loop.u.min()) * loop.u
             axes.plot(*thinned(loop.u, left), **style.TORCHPI)
-            axes.set(xlabel=f"input {loop.input} (V)", ylabel=f"output {loop.output} less its line (µm)")
+            axes.set(xlabel=f"input {loop.input} (V)", ylabel=f"output {loop.output} minus a line (µm)")
     return figure

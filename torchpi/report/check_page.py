@@ -1,4 +1,4 @@
-"""The page of `torchpi check`: what each recording holds, drawn, and the commands to go on with."""
+"""The page of `torchpi check`: figures and facts of each recording, and the commands to continue with."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -32,7 +32,7 @@ class Checked:
     summary: Summary
     columns: Sequence[Column]
     facts: Sequence[tuple[str, str]]
-    """(what, how it is)"""
+    """Pairs of a name and a description."""
 
 
 def write_check(
@@ -42,7 +42,7 @@ def write_check(
     provenance: Provenance,
     path: str | Path,
 ) -> Path:
-    """Write the page of the files that can be used, and why the others cannot; returns its path."""
+    """Write the page of the usable files, and why the others are refused; return its path."""
     title = "Check of " + ", ".join(each.summary.recording.name for each in checked)
     most = MOST_NUMBERS / len(checked)
     sections = [_section(number, each, most) for number, each in enumerate(checked, start=1)]
@@ -57,7 +57,7 @@ def write_sections(
     provenance: Provenance,
     path: str | Path,
 ) -> Path:
-    """Write the page of sections, one for each recording; returns its path."""
+    """Write the page from sections, one for each recording; return its path."""
     html = render(
         "check.html.j2",
         title=title,
@@ -72,7 +72,7 @@ def write_sections(
 
 
 def recording_figure(summary: Summary) -> Figure:
-    """Input and output over time, wrong readings marked, and the one over the other."""
+    """Draw input and output over time, with wrong readings marked, and output over input."""
     with canvas(4.4) as figure:
         grid = figure.add_gridspec(2, 2, width_ratios=(1.6, 1))
         upper = figure.add_subplot(grid[0, 0])
@@ -82,14 +82,14 @@ def recording_figure(summary: Summary) -> Figure:
 
 
 def time_figure(summary: Summary) -> Figure:
-    """Input and output over time, wrong readings marked."""
+    """Draw input and output over time, with wrong readings marked."""
     with canvas(3.8) as figure:
         _over_time(summary, *figure.subplots(2, 1, sharex=True))
     return figure
 
 
 def loop_figure(summary: Summary) -> Figure:
-    """Output over input, wrong readings marked."""
+    """Draw output over input, with wrong readings marked."""
     with canvas(3.4, 0.62 * style.WIDTH_IN) as figure:
         _loop(summary, figure.subplots())
     return figure
@@ -118,7 +118,7 @@ def axes_section(
     columns: Sequence[Column],
     facts: Sequence[tuple[str, str]],
 ) -> dict[str, Any]:
-    """The section of a recording of several axes."""
+    """Return the section of a recording of several axes."""
     caption = f"{source}: inputs and outputs over time."
     t = np.arange(len(recording.u)) / recording.fs_hz
     with canvas(4.4) as figure:
@@ -146,7 +146,7 @@ def _section(number: int, each: Checked, most: float) -> dict[str, Any]:
     recording = each.summary.recording
     crosses = " Crosses mark single wrong readings." if len(each.summary.dropouts) else ""
     over_time, loop = (
-        f"{recording.source}: {what}." for what in ("input and output over time", "the output over the input")
+        f"{recording.source}: {what}." for what in ("input and output over time", "output against input")
     )
     still = Markup(inline_svg(time_figure(each.summary), f"r{number}", over_time + crosses))
     return {
@@ -172,7 +172,7 @@ def _sampling(fs_hz: float, samples: int) -> str:
 
 
 def _answer(sections: Sequence[dict[str, Any]], refused: Sequence[str]) -> tuple[str, str]:
-    """Whether the files can be used, and the first warning."""
+    """Return whether the files can be used, and the first reason or warning."""
     files = len(sections) + len(refused)
     if refused:
         return f"{len(refused)} of {files} cannot be used", refused[0]

@@ -1,4 +1,4 @@
-"""The page of a commissioning, and its sentences. It formats an outcome, and computes nothing."""
+"""The page of a commissioning, and its sentences. It formats an outcome and computes nothing."""
 
 from typing import Protocol
 
@@ -20,7 +20,7 @@ from torchpi.stage.identified import Identified
 
 
 class Commissioned(Protocol):
-    """What the page reads of `commission.outcome.Outcome`."""
+    """The part of `commission.outcome.Outcome` that the page reads."""
 
     @property
     def heldout(self) -> Recording: ...
@@ -45,7 +45,7 @@ class Commissioned(Protocol):
 
 
 def headline(outcome: Commissioned) -> str:
-    """'434 nm → 29 nm rms on your stage, held out, 14 times better'."""
+    """Return the headline, e.g. '434 nm → 29 nm rms on your stage, held out, 14 times better'."""
     return (
         f"{nm(outcome.without_um)} → {nm(outcome.with_um)} rms on your stage, held out, "
         f"{words.times(outcome.times_better)}"
@@ -53,12 +53,12 @@ def headline(outcome: Commissioned) -> str:
 
 
 def nm(value_um: float) -> str:
-    """A distance in nm, or from 10 µm on in µm."""
+    """Format a distance in nm, or in µm from 10 µm on."""
     return f"{figure(value_um)} µm" if value_um >= 10 else f"{figure(1e3 * value_um)} nm"
 
 
 def stage_sentence(stage: Stage) -> str:
-    """What the stage is made of, and its own error."""
+    """Return a sentence on the components of the stage and its own error."""
     assert stage.identified is not None
     effects = []
     for one in stage.effects:
@@ -71,32 +71,36 @@ def stage_sentence(stage: Stage) -> str:
 
 
 def honest(outcome: Commissioned) -> str:
-    """What the figure is, and what it is not."""
+    """Return sentences on what the error means, and what it does not."""
     own = nm(outcome.identified.heldout_rms_um)
     text = (
-        f"Simulated: the compensator follows the motion of {outcome.heldout.name}, which was not trained on, "
-        "on a stage that was identified from the other recordings. That stage itself misses the measured "
-        f"displacement of {outcome.heldout.name} by {own} rms (free-run simulation, about its mean)"
+        f"Simulated: the compensator follows the motion of {outcome.heldout.name}, which was not used for "
+        "training, on a stage model identified from the other recordings. That model itself misses the "
+        f"measured displacement of {outcome.heldout.name} by {own} rms (free-run simulation, about its "
+        "mean)"
     )
     if outcome.trusted:
-        return f"{text}, less than the error with compensation. On your rig the two add up."
+        return f"{text}, less than the error with compensation. On your rig the two errors add up."
     return f"{text}, more than the error with compensation: expect {own} or more on your rig."
 
 
 def limits_sentence(outcome: Commissioned) -> str:
-    """Where voltage or rate meet their limits, in one line."""
+    """Return in one line where the voltage or its rate meets a limit."""
     return " ".join(words.limits(outcome.loop))
 
 
 def page(outcome: Commissioned, provenance: Provenance) -> str:
-    """The page as text."""
+    """Return the page as text."""
     drawn = (
         (
             loop_figures.trajectory_figure,
             "Reference and simulated motion; below, the tracking error without and with compensation.",
         ),
         (loop_figures.linearity_figure, words.loops(outcome.loop)),
-        (loop_figures.error_figure, "The error with compensation on its own scale, and its largest."),
+        (
+            loop_figures.error_figure,
+            "The error with compensation on its own scale, and a zoom on the largest steady error.",
+        ),
         (loop_figures.voltage_figure, "Voltage written to the stage, and its limits."),
     )
     pictures = [

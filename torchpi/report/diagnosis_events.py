@@ -11,10 +11,10 @@ def write_tensorboard(diagnosis: Diagnosis, output_dir: str | Path) -> Path:
     """Write events into `output_dir/tensorboard`; return that folder.
 
     Args:
-        diagnosis: What was found.
-        output_dir: The diagnosis's own folder, with the PNG figures that `write_diagnosis` left there.
+        diagnosis: The diagnosis to write.
+        output_dir: The folder of the diagnosis, with the PNG figures that `write_diagnosis` wrote there.
     """
-    # It takes a second to import, and every page imports this package.
+    # Imported here because it takes a second, and every page imports this package.
     from torch.utils.tensorboard import SummaryWriter
 
     folder = Path(output_dir) / "tensorboard"

@@ -1,4 +1,4 @@
-"""What a diagnosis buys: errors before and after in time, over the voltage, in frequency; what remains."""
+"""Figures of the gain from a diagnosis: errors before and after over time, voltage, frequency; the rest."""
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -23,14 +23,14 @@ from torchpi.report.style import WIDTH_IN, canvas
 from torchpi.report.traces import Signal, envelope, stretches, thinned
 
 HELDOUT_TRACES = 4
-"""Recordings of which the traces are drawn."""
+"""Number of recordings whose traces are drawn."""
 TOGETHER = "several together"
 TELEPHONE_IN = 0.7 * WIDTH_IN
-"""Of a figure that fits a telephone with its words at the size that others have there."""
+"""Width of a figure that fits a phone screen, with text as large as that of other figures there."""
 
 
 def errors_figure(diagnosis: Diagnosis) -> Figure:
-    """Errors of the three stages on held-out samples, and the noise floor, where it was measured."""
+    """Draw the held-out errors of the three stages, and the noise floor if it was measured."""
     fits = {
         "nominal, as given": diagnosis.nominal,
         "retuned": diagnosis.retuned,
@@ -58,7 +58,7 @@ def errors_figure(diagnosis: Diagnosis) -> Figure:
 
 
 def heldout_figure(diagnosis: Diagnosis) -> Figure:
-    """Every recording's motion, and its residual before and after; what was held out is shaded."""
+    """Draw the motion of each recording and its residual before and after; held-out samples are shaded."""
     traces = diagnosis.traces[:HELDOUT_TRACES]
     unit = unit_of(max(largest_um(trace) for trace in traces))
     with canvas(0.5 + 1.95 * len(traces)) as figure:
@@ -100,7 +100,7 @@ def heldout_figure(diagnosis: Diagnosis) -> Figure:
 
 
 def loop_figure(diagnosis: Diagnosis) -> Figure:
-    """The loop of the recording with the largest residual, opened, and the residual over the voltage."""
+    """Draw the recording with the largest residual: its loop less a line, and the residual over voltage."""
     trace = max(diagnosis.traces, key=lambda one: float((one.residual_retuned**2).mean()))
     unit = unit_of(largest_um(trace))
     with canvas(3.1) as figure:
@@ -110,7 +110,7 @@ def loop_figure(diagnosis: Diagnosis) -> Figure:
         bent_unit = unit_of(float(np.abs(bent).max()))
         loop.plot(*thinned(trace.u, bent_unit.per_um * bent), **{**RECORDED, "linewidth": 0.5})
         loop.set(
-            ylabel=f"$y$ less a straight line ({bent_unit.name})",
+            ylabel=f"$y$ minus a straight line ({bent_unit.name})",
             title=f"{shortened(trace.name)}: loop, recorded",
         )
         for e, label, look in (
@@ -122,7 +122,7 @@ def loop_figure(diagnosis: Diagnosis) -> Figure:
                 trace.u[k], unit.per_um * e[k], ls="", marker=".", ms=1.6, color=look["color"], label=label
             )
         residual.set_ylim(*(sign * unit.per_um * largest_um(trace) for sign in (-1, 1)))
-        residual.set(ylabel=f"residual ({unit.name})", title="residual over voltage")
+        residual.set(ylabel=f"residual ({unit.name})", title="residual against voltage")
         residual.legend(loc="best", markerscale=5, handletextpad=0.2)
         for axes in (loop, residual):
             axes.set_xlabel("voltage $u$ (V)")
@@ -130,7 +130,7 @@ def loop_figure(diagnosis: Diagnosis) -> Figure:
 
 
 def spectrum_figure(diagnosis: Diagnosis) -> Figure:
-    """Held-out residual over frequency, before and after, against white noise of the measured size."""
+    """Draw the held-out residual over frequency, before and after, and white noise of the measured size."""
     traces = diagnosis.traces[:4]
     columns, lines = min(len(traces), 2), -(-len(traces) // 2)
     with canvas(0.4 + 2.5 * lines) as figure:
@@ -154,7 +154,7 @@ def spectrum_figure(diagnosis: Diagnosis) -> Figure:
 
 
 def remains_figure(diagnosis: Diagnosis) -> Figure:
-    """The mismatch over the noise, shared out: of each effect, of several together, and of none."""
+    """Draw how the mismatch above the noise divides: each effect, several effects together, unexplained."""
     shares = {spoken(effect.name): effect.share for effect in diagnosis.effects}
     if diagnosis.joint_share >= WORTH_A_SENTENCE:
         shares[TOGETHER] = diagnosis.joint_share
@@ -185,25 +185,25 @@ def remains_figure(diagnosis: Diagnosis) -> Figure:
         axes.invert_yaxis()
         axes.set_xlim(0, 108)
         axes.grid(False, axis="y")
-        over = "" if diagnosis.noise_floor_um is None else " over the noise floor"
+        over = "" if diagnosis.noise_floor_um is None else " above the noise floor"
         axes.set_xlabel(f"share of the squared mismatch{over} (%)")
     return figure
 
 
 def next_figure(diagnosis: Diagnosis) -> Figure:
-    """The voltage to play next."""
+    """Draw the voltage to play next."""
     t, u = diagnosis.next_excitation
     with canvas(1.8) as figure:
         axes = figure.subplots()
         axes.plot(*envelope(t, u), **{**style.TORCHPI, "linewidth": 0.8})
-        axes.set(xlim=(t[0], t[-1]), xlabel="time (s)", ylabel="voltage $u$ (V)", title="to be played next")
+        axes.set(xlim=(t[0], t[-1]), xlabel="time (s)", ylabel="voltage $u$ (V)", title="next recording")
     return figure
 
 
 def largest_um(trace: Trace) -> float:
-    """What a drawing of the residual must hold: all that was held out, and all but a thousandth of the rest.
+    """Return the limit of a residual plot: the held-out maximum, or the 0.999 quantile of all if larger.
 
-    A start-up that no model has would else flatten everything.
+    A start-up transient, which no model describes, would otherwise flatten the rest.
     """
     both = np.abs([trace.residual_retuned, trace.residual_augmented])
     held = float(both[:, trace.heldout].max()) if trace.heldout.any() else 0.0
@@ -211,7 +211,7 @@ def largest_um(trace: Trace) -> float:
 
 
 def _heldout_density(trace: Trace, e: Signal) -> tuple[Signal, Signal]:
-    """Amplitude density of the held-out stretches, nm per √Hz, in fine logarithmic bands."""
+    """Return the amplitude density of held-out stretches, nm per √Hz, in fine logarithmic bands."""
     runs = stretches(trace.heldout) or [(0, len(e))]
     length = min(stop - start for start, stop in runs)
     window = np.hanning(length + 2)[1:-1]

@@ -1,4 +1,4 @@
-"""`diagnosis.json`: the diagnosis by its file contract, for other programs."""
+"""`diagnosis.json`: the diagnosis in a fixed file format, for other programs."""
 
 import json
 import math
@@ -11,8 +11,8 @@ SCHEMA = "torchpi diagnosis 1"
 
 
 def diagnosis_json(diagnosis: Diagnosis, provenance: Provenance) -> str:
-    """The diagnosis as strict JSON; a number that is not finite, or a noise that was
-    not measured, is null."""
+    """Return the diagnosis as strict JSON. A number that is not finite, or a noise
+    that was not measured, is null."""
     content = {
         "verdict": diagnosis.verdict,
         "effects": [_effect(effect) for effect in diagnosis.effects],
@@ -86,7 +86,7 @@ def _errors(errors: Errors) -> dict[str, float]:
 
 
 def _finite(value: Any) -> Any:
-    """The same in plain Python, NumPy's numbers too."""
+    """Return the value in plain Python types; NumPy numbers are converted, non-finite ones become None."""
     if isinstance(value, dict):
         return {key: _finite(one) for key, one in value.items()}
     if isinstance(value, list | tuple):

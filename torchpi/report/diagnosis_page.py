@@ -1,4 +1,4 @@
-"""The page of a diagnosis: what is missing, how probable that is, where it shows, and what is left."""
+"""The page of a diagnosis: what is missing, with what probability, where it shows, and what remains."""
 
 import math
 from collections.abc import Mapping
@@ -28,9 +28,9 @@ from torchpi.report.svg import inline_svg
 from torchpi.report.what_was_run import Provenance
 
 POINTED_AT = 6
-"""Cells that the text names."""
+"""Largest number of cells that the text names."""
 MOST = 0.6
-"""Share from which one direction is worth a sentence: with rests, both of them stand out."""
+"""Least share for a sentence on one direction: in a recording with rests, both directions stand out."""
 
 
 def write_diagnosis(
@@ -41,14 +41,14 @@ def write_diagnosis(
 ) -> tuple[Path, Path]:
     """Write `report.html`, `diagnosis.json`, `figures/` and `next_excitation.csv`; return the first two.
 
-    The figures lie there as SVG and as PNG; those of an earlier diagnosis go. The page is made before
+    The figures are written as SVG and PNG; those of an earlier diagnosis are removed. The page is made before
     anything is replaced, and each file is replaced whole, the page and the numbers last.
 
     Args:
-        diagnosis: What was found.
+        diagnosis: The diagnosis to write.
         provenance: What was run.
-        output_dir: Where to.
-        figures: `diagnosis_figures(diagnosis)`, where they are drawn already.
+        output_dir: Folder to write into.
+        figures: `diagnosis_figures(diagnosis)`, if they are drawn already.
     """
     directory = Path(output_dir)
     page, numbers, pictures = directory / "report.html", directory / "diagnosis.json", directory / "figures"
@@ -70,7 +70,7 @@ def write_diagnosis(
 
 
 def diagnosis_page(diagnosis: Diagnosis, provenance: Provenance) -> str:
-    """The page as text."""
+    """Return the page as text."""
     figures = diagnosis_figures(diagnosis)
     return _page(diagnosis, provenance, {name: _drawn(name, figure) for name, figure in figures.items()})
 
@@ -107,7 +107,7 @@ def _page(diagnosis: Diagnosis, provenance: Provenance, drawn: Mapping[str, Mapp
 
 
 def _answer(diagnosis: Diagnosis) -> str:
-    """The held-out error before and after, in one unit."""
+    """Return the held-out errors before and after, in one unit."""
     before, after = diagnosis.retuned.heldout_rms_um, diagnosis.augmented.heldout_rms_um
     unit = unit_of(max(before, after))
     return f"{words.figure(unit.per_um * before)} → {words.figure(unit.per_um * after)} {unit.name}"
@@ -135,7 +135,7 @@ def _fits(diagnosis: Diagnosis, unit: Unit) -> list[dict[str, Any]]:
 
 
 def _loudest(where: tuple[Where, ...]) -> list[str]:
-    """The strongest significant cell of each domain in words, the largest share first."""
+    """Describe the significant cell with the largest share in each domain, the largest share first."""
     best: dict[str, Where] = {}
     for cell in where:
         if cell.domain == "direction" and cell.share < MOST:
@@ -143,7 +143,7 @@ def _loudest(where: tuple[Where, ...]) -> list[str]:
         if cell.significance > SIGNIFICANT and cell.share > best.get(cell.domain, _NOWHERE).share:
             best[cell.domain] = cell
     ordered = sorted(best.values(), key=lambda cell: -cell.share)[:POINTED_AT]
-    return [f"{_cell(cell)} holds {100 * cell.share:.0f} % of it" for cell in ordered]
+    return [f"{_cell(cell)}: {100 * cell.share:.0f} %" for cell in ordered]
 
 
 _NOWHERE = Where("time", (0.0, 0.0), "s", 0.0, 0.0)
@@ -195,19 +195,20 @@ def _multisine_row(parts: Parts, unit: Unit) -> dict[str, Any]:
 
 
 _CAPTIONS = {
-    "errors": "Held-out error of three stages: as given, retuned without adding any physics, and with "
-    "what was missing. What retuning takes away was a wrong parameter, not missing physics.",
-    "where": "Where the retuned stage's residual lies: share of its square, less the noise where that "
-    "was measured. Strongly coloured cells (bold numbers in time) are louder than the rest by more than "
-    f"{SIGNIFICANT:g} standard deviations of the residual's own colour; pale ones may be chance. A bar's "
-    "height is the share of its cell, whatever the cell's width.",
-    "heldout": "Recorded motion, and what each stage leaves of it. Shaded stretches were held out: no stage "
-    "was fitted to them. Single readings farther off, such as a start-up, are cut off.",
-    "loop": "The recording with the largest residual: its loop, opened by taking off a straight line, and "
-    "the residual over the voltage. A residual that still forms a figure here is not yet modelled.",
-    "spectrum": "Spectrum of the held-out residual. Where the noise was measured it is drawn as white noise "
-    "of that size: where “after” reaches it, nothing is left to explain.",
-    "remains": "How the squared mismatch is shared out.",
+    "errors": "Held-out error of three stages: as given, retuned without adding any physics, and with what "
+    "was missing added. Error that retuning removes was due to wrong parameters, not to missing physics.",
+    "where": "Where the retuned stage's residual lies: share of the squared residual, minus the noise if it "
+    "was measured. Strongly coloured cells (bold numbers in time) exceed the rest by more than "
+    f"{SIGNIFICANT:g} standard deviations, which take the residual's own spectrum into account; pale "
+    "ones may be due to chance. The height of a bar is the share of its cell, whatever the cell's "
+    "width.",
+    "heldout": "Recorded motion, and the residual of each stage. Shaded stretches were held out: no stage "
+    "was fitted to them. Single readings beyond the scale, such as a start-up, are cut off.",
+    "loop": "The recording with the largest residual: its loop, opened by subtracting a straight line, and "
+    "the residual against the voltage. A residual that still forms a pattern here is not yet modelled.",
+    "spectrum": "Spectrum of the held-out residual. If the noise was measured, it is drawn as white noise "
+    "of that rms: where “after” reaches it, nothing is left to explain.",
+    "remains": "How the squared mismatch is divided among its causes.",
     "next_excitation": "The voltage of the next recording.",
 }
 
@@ -215,20 +216,20 @@ _CAPTIONS = {
 def _drawn(name: str, figure: Figure) -> dict[str, str]:
     if name.startswith("multisine_"):
         caption = (
-            "Lines of the residual under the periodic input: lines that were not excited hold nonlinear "
-            "distortion alone, even lines what is asymmetric, odd lines what is symmetric. Of many lines the "
-            "largest of each group is drawn."
+            "Spectral lines of the residual under the periodic input. Lines that were not excited contain "
+            "nonlinear distortion alone: even lines its asymmetric part, odd lines its symmetric part. If "
+            "there are many lines, only the largest of each group is drawn."
         )
     elif name.startswith("rivals_"):
         caption = (
-            "The named effect (solid), those that these recordings cannot distinguish from it (dotted), and "
-            "what else was tried in its place (hatched), each fitted with everything else. The effect's "
-            "probability includes that of the dotted ones."
+            "The named effect (solid), those that these recordings cannot distinguish from it (dotted), "
+            "and others that were tried in its place (hatched), each fitted together with everything "
+            "else. The effect's probability includes that of the dotted ones."
         )
     elif name.startswith("signature_"):
         caption = (
-            "What the effect adds to the displacement, on the stretch where it adds most, against what the "
-            "retuned stage leaves there."
+            "What the effect adds to the displacement, in the stretch where it adds most, compared with "
+            "the residual of the retuned stage there."
         )
     else:
         caption = _CAPTIONS[name]
@@ -236,12 +237,12 @@ def _drawn(name: str, figure: Figure) -> dict[str, str]:
 
 
 def _alone(svg: str) -> str:
-    """An inline figure as a file: it needs its namespace there, and markup would escape that."""
+    """Return an inline figure as a file, which needs its namespace; `Markup` would escape that."""
     return str(svg).replace("<svg ", '<svg xmlns="http://www.w3.org/2000/svg" ', 1) + "\n"
 
 
 def _shown(value: float | str | None, digits: int = 3) -> str:
-    """Three digits; very small and very large ones with an exponent, no number as a dash."""
+    """Format to three digits; very small and very large values with an exponent, a missing one as a dash."""
     if isinstance(value, str):
         return value
     if value is None or math.isnan(value):

@@ -1,4 +1,4 @@
-"""What the figures of a diagnosis share: units, colours, and how they write numbers."""
+"""Shared by the figures of a diagnosis: units, colours and the format of numbers."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,13 +15,13 @@ RECORDED: dict[str, Any] = {"color": "#000000", "linewidth": 1.2}
 ADDED: dict[str, Any] = {"color": "#D55E00", "linestyle": (0, (4, 1.5)), "linewidth": 1.6}
 HELD_OUT: dict[str, Any] = {"color": "#000000", "alpha": 0.08, "linewidth": 0}
 SILENT_NM = 1e-6
-"""Drawn in place of nothing, which no logarithm shows."""
+"""Least value drawn, in place of 0, which a logarithmic axis cannot show."""
 FAINT, STRONG = "#b9d3e6", "#0072B2"
 
 
 @dataclass(frozen=True)
 class Unit:
-    """Residuals in nm where they are small, in µm otherwise."""
+    """Unit of residuals: nm if they are small, µm otherwise."""
 
     name: str
     per_um: float
@@ -32,7 +32,7 @@ def unit_of(largest_um: float) -> Unit:
 
 
 def draw_floor(draw: Any, noise_floor_um: float | None, unit: Unit) -> None:
-    """A line at the noise, where it was measured."""
+    """Draw a line at the noise floor, if it was measured."""
     if noise_floor_um is None:
         return
     draw(
@@ -53,7 +53,7 @@ def log_if_wide(axes: Axes, values: Sequence[float]) -> None:
 
 
 def plain_numbers(axes: Axes, x: bool = True, y: bool = True) -> None:
-    """Powers of ten as numbers."""
+    """Label the axes with plain numbers instead of powers of ten."""
     for axis in ([axes.xaxis] if x else []) + ([axes.yaxis] if y else []):
         axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.6g}".replace("-", "−")))
         axis.set_minor_formatter(NullFormatter())

@@ -1,4 +1,4 @@
-"""What a diagnosis names: each effect beside its rivals, and what it adds to the motion."""
+"""Figures of the named effects: each effect beside its rivals, and what it adds to the motion."""
 
 from collections.abc import Sequence
 
@@ -25,7 +25,7 @@ from torchpi.report.traces import Signal, envelope
 
 
 def rivals_figure(effect: NamedEffect) -> Figure:
-    """Log predictive density lost with each rival in place of the effect, and the probabilities."""
+    """Draw the log predictive density lost with each rival in place of the effect, and the probabilities."""
     rivals = effect.rivals[:8]
     names = [spoken(effect.name), *spoken_rivals(rivals)]
     lost = [0.0, *(rival.loses_nats for rival in rivals)]
@@ -53,7 +53,7 @@ def rivals_figure(effect: NamedEffect) -> Figure:
                 )
         density.set_yticks(range(len(names)), names)
         density.invert_yaxis()
-        density.set(xlabel="log predictive density lost (nats)", title="loss with it in the effect's place")
+        density.set(xlabel="log predictive density lost (nats)", title="loss with each in the effect's place")
         probability.set(xlabel="probability (%)", xlim=(0, 118), title="probability")
         density.margins(x=0.16)
         density.xaxis.set_major_locator(MaxNLocator(4))
@@ -64,7 +64,7 @@ def rivals_figure(effect: NamedEffect) -> Figure:
 
 
 def signature_figure(effect: NamedEffect, diagnosis: Diagnosis) -> Figure:
-    """What the effect adds to the displacement, where it adds most, against what the retuned stage leaves."""
+    """Draw what the effect adds to the displacement, where it adds most, against the retuned residual."""
     trace, start, stop = _largest(effect.name, diagnosis.traces)
     inside = slice(start, stop)
     added, left = trace.signatures[effect.name][inside], trace.residual_retuned[inside]
@@ -88,7 +88,7 @@ def signature_figure(effect: NamedEffect, diagnosis: Diagnosis) -> Figure:
 
 
 def _largest(name: str, traces: Sequence[Trace]) -> tuple[Trace, int, int]:
-    """The recording and the stretch in which the effect adds most, a twelfth of the recording long."""
+    """Return the recording and the stretch, a twelfth of it long, in which the effect adds most."""
     found = []
     for trace in traces:
         if name in trace.signatures:

@@ -1,4 +1,4 @@
-"""Where the residual of a diagnosis lives: maps, and the lines of a periodic input."""
+"""Figures of where the residual of a diagnosis lies: maps, and the lines of a periodic input."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -24,7 +24,7 @@ from torchpi.report.traces import Signal
 
 
 def where_figure(where: Sequence[Where]) -> Figure:
-    """Share of each cell of the eight domains; cells that stand out from chance are dark."""
+    """Draw the share of each cell in the eight domains; significant cells are dark."""
     strips = _strips(where)
     with canvas(6.2 + 0.3 * len(strips)) as figure:
         grid = figure.add_gridspec(5, 2, height_ratios=(0.62 + 0.3 * len(strips), 1.5, 1.5, 1.5, 1.5))
@@ -41,12 +41,12 @@ def where_figure(where: Sequence[Where]) -> Figure:
         _bands(
             figure.add_subplot(grid[3, 0]),
             _map(where, "since_reversal"),
-            "time since the input turned round (s)",
+            "time since the input reversed (s)",
             "time since the last reversal",
             True,
         )
         size = [cell for cell in where if cell.domain == "rate" and cell.label == "either way"]
-        _bands(figure.add_subplot(grid[3, 1]), size, "size of the input's rate (V/s)", "rate", True)
+        _bands(figure.add_subplot(grid[3, 1]), size, "magnitude of the input's rate (V/s)", "rate", True)
         _bands(
             figure.add_subplot(grid[4, 0]),
             _map(where, "amplitude"),
@@ -60,13 +60,13 @@ def where_figure(where: Sequence[Where]) -> Figure:
 
 
 def multisine_figure(parts: Parts) -> Figure:
-    """The residual's lines by kind: excited, even, odd; and the noise to be expected on each."""
+    """Draw the residual's spectral lines by kind (excited, even, odd), and the noise expected on each."""
     unit = unit_of(float(parts.amplitude_um.max()))
     marks: dict[str, tuple[str, dict[str, Any]]] = {
         "linear": ("excited", {"color": "#999999", "marker": "."}),
         "even": ("even, not excited", {"color": "#0072B2", "marker": "^"}),
         "odd": ("odd, not excited", {"color": "#D55E00", "marker": "s"}),
-        "mains": ("on the mains, not excited", {"color": "#000000", "marker": "x"}),
+        "mains": ("near the mains, not excited", {"color": "#000000", "marker": "x"}),
     }
     highest = 3 * float(parts.hz[parts.kind == "linear"].max())
     shown = parts.hz <= highest
@@ -99,7 +99,7 @@ def multisine_figure(parts: Parts) -> Figure:
         axes.set(
             xlabel="frequency (Hz)",
             ylabel=f"amplitude of the residual ({unit.name})",
-            title=f"{shortened(parts.recording)}, from {parts.start_s:.3g} s: lines of the period",
+            title=f"{shortened(parts.recording)}, from {parts.start_s:.3g} s: spectral lines of the residual",
         )
         axes.legend(
             loc="upper center",
@@ -117,7 +117,7 @@ def _map(where: Sequence[Where], domain: str) -> list[Where]:
 
 
 def _strips(where: Sequence[Where]) -> dict[str, list[Where]]:
-    """Cells in seconds, recording by recording."""
+    """Return the cells over time, in s, by recording."""
     strips: dict[str, list[Where]] = {}
     for cell in where:
         if cell.domain == "time" and cell.unit == "s":
@@ -126,7 +126,7 @@ def _strips(where: Sequence[Where]) -> dict[str, list[Where]]:
 
 
 def _heat_strips(axes: Axes, strips: dict[str, list[Where]]) -> None:
-    """One strip a recording, as long as it lasted, dark where the residual lives."""
+    """Draw one strip per recording, as long as it lasted, dark where the residual is large."""
     most = max((cell.share for strip in strips.values() for cell in strip), default=0.0) or 1.0
     colours = matplotlib.colormaps["Blues"]
     longest = 0.0
@@ -164,10 +164,10 @@ def _heat_strips(axes: Axes, strips: dict[str, list[Where]]) -> None:
 
 
 def _bands(axes: Axes, cells: Sequence[Where], label: str, title: str, log: bool = False) -> None:
-    """Bars as wide as their cells."""
+    """Draw bars as wide as their cells."""
     lows, highs = [cell.range[0] for cell in cells], [cell.range[1] for cell in cells]
     if log and highs:
-        # The cell that begins at 0 is drawn as wide as the one beside it.
+        # On the logarithmic axis, the cell that begins at 0 is drawn as wide as its neighbour.
         smallest = min(highs) * (min(highs) / highs[1] if len(highs) > 1 else 0.5)
         lows = [low if low > 0 else smallest for low in lows]
         axes.set_xscale("log")
@@ -180,7 +180,7 @@ def _bands(axes: Axes, cells: Sequence[Where], label: str, title: str, log: bool
 
 
 def _signed_rate(axes: Axes, cells: Sequence[Where]) -> None:
-    """Bars of one width, each with the end of its cell that is farther from 0."""
+    """Draw bars of equal width, each labelled with the end of its cell that is farther from 0."""
     for at, cell in enumerate(cells):
         axes.bar(at, 100 * cell.share, width=0.9, **_look(cell))
     names = []
@@ -195,7 +195,7 @@ def _signed_rate(axes: Axes, cells: Sequence[Where]) -> None:
 
 
 def _names(axes: Axes, cells: Sequence[Where], title: str) -> None:
-    """Lying bars, each with its name."""
+    """Draw horizontal bars, each with its name."""
     for at, cell in enumerate(cells):
         axes.barh(at, 100 * cell.share, height=0.8, **_look(cell))
     axes.set_yticks(range(len(cells)), [shortened(cell.label, 16) for cell in cells])
@@ -219,7 +219,7 @@ def _look(cell: Where) -> dict[str, Any]:
 
 
 def _loudest(mask: Signal, size: Signal, at_most: int = 500) -> Signal:
-    """Of many lines the largest of each of 500 groups."""
+    """Thin out many lines: keep the largest of each of 500 groups."""
     k = np.flatnonzero(mask)
     if len(k) <= at_most:
         return mask

@@ -1,4 +1,4 @@
-"""What the page of a diagnosis says in words: the verdict with its number, and names without underscores."""
+"""Wording of the page of a diagnosis: the verdict with its number, and names without underscores."""
 
 import re
 from collections.abc import Sequence
@@ -15,7 +15,7 @@ NAMES = re.compile(
 
 
 def headline(diagnosis: Diagnosis) -> str:
-    """The verdict in one line with the number that it follows from."""
+    """Return the verdict in one line, with the number from which it follows."""
     error = nm(diagnosis.augmented.heldout_rms_um)
     if diagnosis.noise_floor_um is None:
         against = "noise not measured"
@@ -36,21 +36,21 @@ def headline(diagnosis: Diagnosis) -> str:
 
 
 def unexplained(diagnosis: Diagnosis) -> str:
-    """How much is not explained; nothing where it is not known how much of what is left is noise."""
+    """Say how much is unexplained; empty if the noise in the remaining error is unknown."""
     if diagnosis.noise_floor_um is None:
         return ""
     return f"{percent(diagnosis.unexplained_share)} of the squared mismatch is not; "
 
 
 def likelihood(probability: float) -> str:
-    """What a probability is in words."""
+    """Return a probability in words."""
     if probability >= CERTAIN:
         return "missing"
     return "probably missing" if probability >= NAMED else "may be missing"
 
 
 def spoken_rivals(rivals: Sequence[Rival]) -> list[str]:
-    """Their names in prose, with the form where a name stands twice."""
+    """Return the rivals' names in prose, with the form if a name occurs twice."""
     names = [rival.name for rival in rivals]
     return [
         spoken(rival.name) + (f" ({rival.form})" if rival.form and names.count(rival.name) > 1 else "")
@@ -59,5 +59,5 @@ def spoken_rivals(rivals: Sequence[Rival]) -> list[str]:
 
 
 def in_prose(text: str) -> str:
-    """A sentence in which effects go by their spoken names."""
+    """Return a sentence with effects called by their spoken names."""
     return NAMES.sub(lambda found: spoken(found[0]), text)

@@ -1,6 +1,6 @@
-"""Traces with one time axis, to zoom into and to read values from: the data that `linked.js` draws.
+"""Data for `linked.js`, which draws traces on a common time axis to zoom into and read values from.
 
-Without a script, and in print, the figure that stands in their place is shown.
+Without scripts, and in print, a static figure is shown in their place.
 """
 
 import json
@@ -15,16 +15,16 @@ from markupsafe import Markup
 from torchpi.report.traces import Signal, extremes
 
 MOST_NUMBERS = 150_000
-"""On a page, in all its linked traces: about 0.9 MB, beside figures of as much."""
+"""Limit for all linked traces of a page: about 0.9 MB, as much again as its figures."""
 COLUMNS = (60, 800)
-"""Least and most columns of a trace, of each of which the highest and the lowest sample stay."""
+"""Least and most columns of a trace; the highest and the lowest sample of each column are kept."""
 DIGITS = 5
-"""Of a value, counted from the range of its curve."""
+"""Digits of a value, relative to the range of its curve."""
 
 
 @dataclass(frozen=True)
 class Curve:
-    """A line in its look of Matplotlib; one that is not shown waits for a click on its name."""
+    """A line with its Matplotlib style; if `shown` is false, it appears after a click on its name."""
 
     label: str
     values: Signal  # (time,)
@@ -34,17 +34,17 @@ class Curve:
 
 @dataclass(frozen=True)
 class Panel:
-    """Curves over one axis."""
+    """Curves that share one vertical axis."""
 
     label: str
     unit: str
     curves: tuple[Curve, ...]
-    share: float = 1.0  # of the height
+    share: float = 1.0  # share of the height
 
 
 @dataclass(frozen=True)
 class Linked:
-    """Panels over one time axis, s; stretches of it are shaded and named."""
+    """Panels over a common time axis, s; stretches of it are shaded and named."""
 
     t: Signal  # (time,), s
     panels: tuple[Panel, ...]
@@ -52,7 +52,7 @@ class Linked:
     shade_label: str = ""
     title: str = ""
     view: tuple[float, float] | None = None
-    """The stretch that is shown first, s; None for the whole."""
+    """The stretch shown first, s; None for the whole."""
 
     @property
     def curves(self) -> list[Curve]:
@@ -60,19 +60,19 @@ class Linked:
 
 
 def linked_markup(traces: Sequence[Linked], figure: Markup, most: float = MOST_NUMBERS) -> Markup:
-    """The figure, and beside it what the script draws in its place.
+    """Return the markup of the figure, with the data that the script draws in its place.
 
     Args:
-        traces: What the figure shows.
-        figure: Its SVG.
-        most: Numbers that they may hold together.
+        traces: The traces that the figure shows.
+        figure: SVG of the figure.
+        most: Largest number of values in all traces together.
     """
     texts = [_script(one, most / len(traces)) for one in traces]
     return Markup(f'<div class="linked">{"".join(texts)}\n<div class="still">{figure}</div></div>')
 
 
 def _script(linked: Linked, most_numbers: float) -> str:
-    # Each curve keeps its own extremes, and has a value wherever another one does.
+    # Each curve keeps its own extremes, and also a sample wherever another curve keeps one.
     curves = linked.curves
     fewest, most = COLUMNS
     columns = int(most_numbers / (2 * len(curves) * (len(curves) + 1)))
@@ -103,7 +103,7 @@ def _script(linked: Linked, most_numbers: float) -> str:
             for panel in linked.panels
         ],
     }
-    # Nothing in a script may look like its end.
+    # Escaped, because nothing inside a script element may look like its end tag.
     text = json.dumps(content, ensure_ascii=False, allow_nan=False, separators=(",", ":")).replace(
         "<", "\\u003c"
     )
@@ -132,10 +132,11 @@ def _rounded(values: Signal, to: float) -> list[float]:
 
 def _note(linked: Linked, kept: int) -> str:
     parts = [
-        "Drag over a stretch to zoom in, double-click for the whole, click on a name to hide or show it."
+        "Drag across a stretch to zoom in, double-click to see the whole, click on a name to hide or show "
+        "its curve."
     ]
     if kept < len(linked.t):
-        parts.append(f"{kept:,} of {len(linked.t):,} samples are drawn; none of the peaks is left out.")
+        parts.append(f"{kept:,} of {len(linked.t):,} samples are drawn; all peaks are kept.")
     if linked.view is not None:
         begin_s, end_s = linked.view
         parts.append(f"Shown first: {end_s - begin_s:.2g} s of {linked.t[-1] - linked.t[0]:.3g} s.")

@@ -1,4 +1,4 @@
-"""What the linked traces of each page show."""
+"""The linked traces of each page."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -23,7 +23,7 @@ VOLTAGE = {**style.TORCHPI, "linewidth": 0.9}
 
 
 def loop_traces(result: LoopResult) -> Linked:
-    """Reference and motion, tracking error without and with compensation, voltage."""
+    """Return the reference and motion, the tracking error without and with compensation, and the voltage."""
     both = (WITHOUT, COMPENSATED)
     motions = [
         Curve(result.drives[key].label, result.drives[key].y_true, line_of(result, key)) for key in both
@@ -54,7 +54,7 @@ def loop_traces(result: LoopResult) -> Linked:
 
 
 def paper_traces(t: Signal, yd: Signal, paper: Signal, ours: Signal) -> Linked:
-    """A trajectory, followed with the paper's method and with torchpi, and both errors."""
+    """Return a trajectory, the motions of the paper's method and of torchpi, and both errors."""
     drawn = (("the paper's method", paper, style.WITHOUT), ("torchpi", ours, style.TORCHPI))
     return Linked(
         t,
@@ -69,13 +69,13 @@ def paper_traces(t: Signal, yd: Signal, paper: Signal, ours: Signal) -> Linked:
 
 
 def _first_view(t: Signal, y: Signal) -> tuple[float, float] | None:
-    """A stretch to be read, where the whole is none."""
+    """Return a readable stretch, or None if the whole trace is readable."""
     part = t[readable(y)]
     return (float(part[0]), float(part[-1])) if len(part) < len(t) else None
 
 
 def recording_traces(recording: Recording) -> Linked:
-    """Output and input of a recording."""
+    """Return the output and input of a recording."""
     return Linked(
         recording.t,
         (
@@ -87,7 +87,7 @@ def recording_traces(recording: Recording) -> Linked:
 
 
 def axes_traces(t: Signal, u: Signals, y: Signals) -> Linked:
-    """Outputs and inputs of a recording of several axes."""
+    """Return the outputs and inputs of a recording of several axes."""
     panels = (
         Panel(name + "s", unit, tuple(Curve(f"{name} {k}", x, look) for k, x, look in _numbered(signals)))
         for name, unit, signals in (("output", "µm", y), ("input", "V", u))
@@ -96,14 +96,14 @@ def axes_traces(t: Signal, u: Signals, y: Signals) -> Linked:
 
 
 def _numbered(signals: Signals) -> Iterator[tuple[int, Signal, dict[str, Any]]]:
-    """Columns with their numbers and looks."""
+    """Yield each column with its number and line style: (number, column, style)."""
     looks = (style.TORCHPI, style.WITHOUT, *style.OTHERS)
     for k, x in enumerate(signals.T):
         yield k + 1, x, looks[k % len(looks)]
 
 
 def record_traces(record: RecordFit) -> Linked:
-    """Displacement, voltage and what the prediction leaves of it."""
+    """Return the displacement, the recorded and predicted voltage, and the residual."""
     recorded = Curve("recorded", record.u, RECORDED_VOLTAGE)
     predicted = Curve("predicted", record.u_hat, PREDICTED)
     residual = Curve("predicted − recorded", 1e3 * (record.u_hat - record.u), VOLTAGE)
@@ -119,7 +119,7 @@ def record_traces(record: RecordFit) -> Linked:
 
 
 def diagnosis_traces(trace: Trace) -> Linked:
-    """Displacement and its simulation, residual before and after, voltage; what was held out is shaded."""
+    """Return displacement and simulation, residuals before and after, and voltage; held-out parts shaded."""
     unit = unit_of(float(np.abs([trace.residual_retuned, trace.residual_augmented]).max()))
     recorded = Curve("recorded", trace.y, RECORDED)
     simulated = Curve(

@@ -1,4 +1,4 @@
-"""Figures of a loop result: each function takes the result and returns a matplotlib Figure."""
+"""Figures of a loop result; each function takes the result and returns a matplotlib Figure."""
 
 from collections.abc import Callable
 from typing import Any
@@ -15,7 +15,7 @@ from torchpi.report.traces import envelope, readable, thinned
 
 
 def trajectory_figure(result: LoopResult) -> Figure:
-    """The motion against the reference, and the error of every drive below, over a stretch to be read."""
+    """Draw motion and reference, and below the error of every drive, over a stretch short enough to read."""
     part = readable(result.yd)
     t, yd = result.t[part], result.yd[part]
     with canvas(4.6) as figure:
@@ -35,7 +35,7 @@ def trajectory_figure(result: LoopResult) -> Figure:
 
 
 def linearity_figure(result: LoopResult) -> Figure:
-    """Tracking error over displacement, before and after on one scale, and after on its own."""
+    """Draw the tracking error over displacement: before and after on one scale, and after on its own."""
     with canvas(3.4) as figure:
         both, alone = figure.subplots(1, 2)
         n = result.loading_samples if loading_s(result) is not None else 0
@@ -57,7 +57,7 @@ def linearity_figure(result: LoopResult) -> Figure:
 
 
 def error_figure(result: LoopResult) -> Figure:
-    """The errors that the first figure's scale hides, and a zoom on the worst of them."""
+    """Draw the errors that the scale of the first figure hides, and a zoom on the largest of them."""
     with canvas(4.4) as figure:
         whole, zoom = figure.subplots(2, 1)
         start, stop = _worst_window(result)
@@ -85,7 +85,7 @@ def error_figure(result: LoopResult) -> Figure:
 
 
 def voltage_figure(result: LoopResult) -> Figure:
-    """The voltage written to the stage, and its limits."""
+    """Draw the voltage written to the stage, and its limits."""
     with canvas(2.7) as figure:
         axes = figure.subplots()
         for key in (WITHOUT, COMPENSATED):
@@ -102,7 +102,7 @@ def voltage_figure(result: LoopResult) -> Figure:
 
 
 def latency_figure(result: LoopResult) -> Figure:
-    """How long the compensator's steps took, the sample period marked."""
+    """Draw the distribution of the compensator's step times, with the sample period marked."""
     latency = result.compensated.latency
     with canvas(2.9) as figure:
         axes = figure.subplots()
@@ -145,11 +145,11 @@ FIGURES: dict[str, Callable[[LoopResult], Figure]] = {
     "voltage": voltage_figure,
     "latency": latency_figure,
 }
-"""By name, in the order of a page."""
+"""Figures by name, in the order of the page."""
 
 
 def line_of(result: LoopResult, key: str) -> dict[str, Any]:
-    """The look of a drive, the same in every figure."""
+    """Return the line style of a drive, the same in every figure."""
     if key == COMPENSATED:
         return {**style.TORCHPI, "zorder": 3}
     if key == WITHOUT:
@@ -159,7 +159,7 @@ def line_of(result: LoopResult, key: str) -> dict[str, Any]:
 
 
 def loading_s(result: LoopResult) -> float | None:
-    """Where to end the shade of the loading; none where it would lie over most of the picture."""
+    """Return the end of the shading of the loading, s; None if it would cover most of the picture."""
     if 0 < result.loading_samples <= len(result.t) / 2:
         return float(result.t[result.loading_samples])
     return None
@@ -183,7 +183,7 @@ def _shade_loading(axes: Axes, result: LoopResult) -> None:
 
 
 def _worst_window(result: LoopResult) -> tuple[int, int]:
-    """A twentieth of the record around the largest steady error of the compensator."""
+    """Return a twentieth of the record around the compensator's largest steady error, (start, stop)."""
     n, e = result.loading_samples, np.abs(result.compensated.y_true - result.yd)
     middle, half = n + int(np.argmax(e[n:])), max(len(e) // 40, 5)
     start = min(max(middle - half, 0), max(len(e) - 2 * half, 0))

@@ -1,4 +1,4 @@
-"""What a notebook shows of a compensator, a tracked trajectory and a diagnosis: HTML that stands alone."""
+"""Self-contained HTML that a notebook shows for a compensator, a tracked trajectory and a diagnosis."""
 
 import uuid
 from collections.abc import Iterable, Sequence
@@ -27,11 +27,11 @@ from torchpi.stage import Stage
 
 @dataclass(frozen=True)
 class Plot:
-    """A figure that a notebook shows, whatever backend matplotlib has there.
+    """A figure that a notebook shows with any matplotlib backend.
 
     Attributes:
         figure: The matplotlib figure, with its `axes`.
-        describes: What a reader who cannot see it should hear.
+        describes: Description for readers who cannot see the figure.
     """
 
     figure: Figure
@@ -42,7 +42,7 @@ class Plot:
 
         Raises:
             ArtifactError: The path cannot be written.
-            ConfigError: Another suffix.
+            ConfigError: The suffix is not supported.
         """
         known = self.figure.canvas.get_supported_filetypes()
         if as_path(path).suffix.removeprefix(".").lower() not in known:
@@ -53,14 +53,14 @@ class Plot:
             self.figure.savefig(temporary, dpi=150)
 
     def _repr_html_(self) -> str:
-        # A notebook is one page: the same figure may stand on it twice.
+        # Unique identifiers, because a notebook is one page and may show the same figure twice.
         return inline_svg(self.figure, f"torchpi-{uuid.uuid4().hex[:8]}", self.describes)
 
 
 def compensator_html(
     inverse: DirectInverse, form: Form | None, errors: InverseErrors | None, stage: Stage | None
 ) -> str:
-    """A table: rate, look-ahead, limits, form, and the errors on the held-out recording."""
+    """Return a table of rate, look-ahead, limits, form, and errors on the held-out recording."""
     rows = [
         ("sample rate", f"{1 / inverse.sample_period_s:g} Hz"),
         ("look-ahead", f"{inverse.preview} samples"),
@@ -88,7 +88,7 @@ def compensator_html(
 
 
 def tracked_html(result: LoopResult) -> str:
-    """The result in a sentence, the errors of every drive, and the motion."""
+    """Return the result in a sentence, the errors of every drive, and a figure of the motion."""
     rows = [
         (
             drive.label,
@@ -104,7 +104,7 @@ def tracked_html(result: LoopResult) -> str:
 
 
 def diagnosed_html(diagnosis: Diagnosis) -> str:
-    """The verdict, the named effects with their parameters, and the errors before and after."""
+    """Return the verdict, the named effects with their parameters, and the errors before and after."""
     rows = [
         (
             spoken(effect.name),
@@ -114,7 +114,7 @@ def diagnosed_html(diagnosis: Diagnosis) -> str:
         )
         for effect in diagnosis.effects
     ]
-    head = ("missing", "probability", "parameters", "cannot be told from")
+    head = ("missing", "probability", "parameters", "cannot be distinguished from")
     answer = Markup("<b>{}</b>").format(headline(diagnosis)) + _paragraphs([in_prose(diagnosis.says)])
     drawn = Markup(Plot(errors_figure(diagnosis), "held-out errors of three stages")._repr_html_())
     return str(answer + (_table(head, rows) if rows else "") + drawn)
@@ -136,5 +136,5 @@ def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> Markup:
 
 
 def _joined(pattern: str, parts: Iterable[str]) -> Markup:
-    """The parts, each in the pattern; text is escaped, Markup is not."""
+    """Join the parts, each formatted by the pattern; text is escaped, Markup is not."""
     return Markup("").join(Markup(pattern).format(part) for part in parts)

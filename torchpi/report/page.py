@@ -1,4 +1,4 @@
-"""Pages: one HTML file each, with its figures inside and nothing fetched from anywhere."""
+"""Report pages, each a single HTML file with its figures inside and no external resources."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -24,9 +24,9 @@ from torchpi.report.what_was_run import Provenance
 def write_loop_report(
     results: Sequence[LoopResult], provenance: Provenance, directory: str | Path
 ) -> tuple[Path, Path]:
-    """Write `loop.html` and `loop.json`, its numbers, into `directory`; return both paths.
+    """Write `loop.html` and its numbers, `loop.json`, into `directory`; return both paths.
 
-    The page holds its figures; for slides they lie in `figures/` as well, as PNG.
+    The page contains its figures; they are also written to `figures/` as PNG, for slides.
     """
     directory = Path(directory)
     page, numbers = directory / "loop.html", directory / "loop.json"
@@ -48,7 +48,7 @@ def write_training_report(report: TrainingReport, provenance: Provenance, path: 
 
 
 def loop_json(results: Sequence[LoopResult], provenance: Provenance) -> str:
-    """The numbers of the loop page, units in the keys."""
+    """Return the numbers of the loop page as JSON, with units in the keys."""
     content = {
         "version": 1,
         "trajectories": [as_json(result) for result in results],
@@ -82,7 +82,7 @@ def _loop_page(
 
 
 def training_page(report: TrainingReport, provenance: Provenance) -> str:
-    """The training page as text."""
+    """Return the training page as text."""
     return render(
         "training.html.j2",
         title=f"Training: {report.name}",
@@ -97,7 +97,7 @@ def training_page(report: TrainingReport, provenance: Provenance) -> str:
             "f",
             _training_figures(report),
             {f"traces {record.name}": [record_traces(record)] for record in report.records},
-            MOST_NUMBERS / 2,  # its figures are larger
+            MOST_NUMBERS / 2,  # half, because its figures are larger
         ),
     )
 
@@ -111,12 +111,12 @@ class _Picture:
 
 def _loop_figures(result: LoopResult) -> list[_Picture]:
     captions = {
-        "trajectory": "True displacement against the reference; below, the error of every drive.",
+        "trajectory": "True displacement and reference; below, the error of each drive.",
         "linearity": words.loops(result),
-        "error": "Errors with compensation, on their own scale, and a zoom on the largest after loading.",
+        "error": "Errors with compensation on their own scale, and a zoom on the largest after loading.",
         "voltage": "Voltage written to the stage.",
-        "latency": "Time of each step of the compensator, called from Python, the reading of the clock "
-        "included.",
+        "latency": "Time of each step of the compensator, called from Python, including the reading of "
+        "the clock.",
     }
     return [_Picture(name, loop_figures.FIGURES[name](result), text) for name, text in captions.items()]
 
@@ -139,7 +139,7 @@ def _training_figures(report: TrainingReport) -> list[_Picture]:
             _Picture(
                 "spectrum",
                 training_figures.spectrum_figure(record),
-                f"Spectrum of the residual of {of}, against the voltage's.",
+                f"Spectrum of the residual of {of}, compared with that of the voltage.",
             ),
         ]
     if report.weights is not None:
@@ -148,8 +148,8 @@ def _training_figures(report: TrainingReport) -> list[_Picture]:
                 "weights",
                 training_figures.weights_figure(report.weights),
                 "Weights of the plays against the signed rate, and their running sum over the thresholds: "
-                "above 0, the voltage never runs backwards. Neighbouring plays are nearly collinear: "
-                "read the sum rather than the single weight.",
+                "while it is above 0, the voltage never runs backwards. Neighbouring plays are nearly "
+                "collinear: read the sum rather than the single weights.",
             )
         )
     if report.saturation is not None:
@@ -157,7 +157,7 @@ def _training_figures(report: TrainingReport) -> list[_Picture]:
             _Picture(
                 "saturation",
                 training_figures.saturation_figure(report.saturation),
-                "The polynomial S and its slope: above 0, S is monotone.",
+                "The polynomial S and its slope: while the slope is above 0, S is monotone.",
             )
         )
     return pictures
@@ -169,10 +169,10 @@ def _inline(
     traces: Mapping[str, Sequence[Linked]],
     most: float,
 ) -> list[dict[str, Any]]:
-    """Pictures as they stand in the page: those of traces are drawn anew by a script, where one runs."""
+    """Return the pictures as embedded in the page; a script, if it runs, redraws those of traces."""
     inlined = []
     for number, picture in enumerate(pictures, start=1):
-        kind = picture.name.partition(" ")[0]  # names from outside stay outside of identifiers
+        kind = picture.name.partition(" ")[0]  # keeps names given by users out of identifiers
         svg = Markup(inline_svg(picture.figure, f"{prefix}-{kind}-{number}", picture.caption))
         if picture.name in traces:
             svg = linked_markup(traces[picture.name], svg, most / len(traces))
@@ -181,5 +181,5 @@ def _inline(
 
 
 def render(template: str, **values: Any) -> str:
-    """A page from its template and what stands in it."""
+    """Return a page from its template and values."""
     return environment(figure=words.figure, times=words.times).get_template(template).render(**values)

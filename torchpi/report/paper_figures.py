@@ -1,4 +1,4 @@
-"""The figures of Qin et al. (2013), drawn from results: same axes and panels, and what goes beyond them."""
+"""The figures of Qin et al. (2013), drawn from results with the same axes and panels, and further ones."""
 
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
@@ -22,7 +22,7 @@ PANELS = "abcd"
 
 
 def fig3(result: "items_model.Fig3Result") -> Figure:
-    """(a) every play with its weight, (b) their sum."""
+    """Draw (a) every play with its weight, (b) their sum."""
     with canvas(3.2) as figure:
         alone, total = figure.subplots(1, 2)
         weights = ("10", "−5", "−5/3", "−5/6", "−0.5")
@@ -39,7 +39,7 @@ def fig3(result: "items_model.Fig3Result") -> Figure:
 
 
 def fig4(result: "items_model.Fig4Result") -> Figure:
-    """The polynomial and the dead zones over the stage's travel, and how far they are apart."""
+    """Draw the polynomial and the dead zones over the stage's travel, and their difference."""
     of = result.curves
     with canvas(3.2) as figure:
         curves, apart = figure.subplots(1, 2, width_ratios=(1.2, 1))
@@ -56,7 +56,7 @@ def fig4(result: "items_model.Fig4Result") -> Figure:
 
 
 def fig5(result: "items_model.Fig5Result") -> Figure:
-    """The loop of the inverse without and with the polynomial of eq. 5."""
+    """Draw the loop of the inverse without and with the polynomial of eq. 5."""
     with canvas(3.2) as figure:
         plain, bent = figure.subplots(1, 2)
         plain.plot(result.x, result.u_plain, **style.WITHOUT)
@@ -70,7 +70,7 @@ def fig5(result: "items_model.Fig5Result") -> Figure:
 
 
 def fig7(result: "items_model.Fig7Result") -> Figure:
-    """Displacement over voltage, one loop a frequency."""
+    """Draw displacement over voltage, one loop per frequency."""
     with canvas(3.7, 0.62 * style.WIDTH_IN) as figure:
         axes = figure.subplots()
         for number, (hz, loop) in enumerate(result.loops.items()):
@@ -86,7 +86,7 @@ def fig7(result: "items_model.Fig7Result") -> Figure:
 
 
 def fig8(result: "items_model.Fig8Result") -> Figure:
-    """Four panels of y over y_d, indirect and direct, with the 45° line."""
+    """Draw four panels of y over y_d, indirect and direct, with the 45° line."""
     with canvas(6.8) as figure:
         panels = figure.subplots(2, 2, sharex=True, sharey=True).flat
         for letter, axes, hz in zip(PANELS, panels, result.indirect, strict=False):
@@ -106,7 +106,7 @@ def fig8(result: "items_model.Fig8Result") -> Figure:
 
 
 def fig8_errors(result: "items_model.Fig8Result") -> Figure:
-    """The same errors over one cycle, which the four panels hide."""
+    """Draw the errors over one cycle, which are too small to see in the four panels."""
     with canvas(4.2) as figure:
         panels = figure.subplots(2, 2, sharex=True).flat
         for axes, hz in zip(panels, result.indirect, strict=False):
@@ -126,7 +126,7 @@ def fig8_errors(result: "items_model.Fig8Result") -> Figure:
 
 
 def fig10(result: "items_stage.Fig10Result") -> Figure:
-    """(a) voltage over displacement, (b) over time, and the difference below."""
+    """Draw the voltage (a) over displacement and (b) over time, and the difference below."""
     of = result.figure
     with canvas(5.6) as figure:
         mosaic = figure.subplot_mosaic("ab;cc", width_ratios=(1, 1.35), height_ratios=(1.4, 1))
@@ -151,7 +151,7 @@ def fig10(result: "items_stage.Fig10Result") -> Figure:
 
 
 def fig12(result: "items_stage.Fig12Result") -> Figure:
-    """(a) slow, (b) fast: desired and actual over time; (c) the errors of both."""
+    """Draw desired and actual displacement over time, (a) slow and (b) fast; (c) the errors of both."""
     with canvas(7.6) as figure:
         axes = list(figure.subplots(4, 1, height_ratios=(1.1, 1.1, 1, 1)))
         for letter, (name, panel), motion, error in zip(
@@ -183,7 +183,7 @@ def fig12(result: "items_stage.Fig12Result") -> Figure:
 
 
 def fig13(result: "items_stage.Fig13Result") -> Figure:
-    """(a) slow, (b) fast: actual over desired displacement, before and after."""
+    """Draw actual over desired displacement, before and after, (a) slow and (b) fast."""
     with canvas(3.9) as figure:
         panels = figure.subplots(1, 2, sharex=True, sharey=True)
         for letter, axes, (name, panel) in zip(PANELS, panels, result.trajectories.items(), strict=False):
@@ -208,7 +208,7 @@ def fig13(result: "items_stage.Fig13Result") -> Figure:
 
 
 def fig13_by_frequency(result: "items_stage.Fig13Result") -> Figure:
-    """Width and nonlinearity over the frequency, logarithmic, before and after."""
+    """Draw loop width and nonlinearity over frequency, logarithmic, before and after."""
     with canvas(3.3) as figure:
         panels = figure.subplots(1, 2, sharex=True, sharey=True)
         for axes, key, title in zip(
@@ -230,7 +230,7 @@ def fig13_by_frequency(result: "items_stage.Fig13Result") -> Figure:
 
 
 def unseen(result: "items_stage.UnseenResult") -> Figure:
-    """Every random trajectory, its largest error with either method."""
+    """Draw the largest and rms error of either method for every random trajectory."""
     with canvas(3.0) as figure:
         axes = figure.subplots()
         for method, line, label in (("paper", PAPER, _OF_PAPER), ("torchpi", style.TORCHPI, "torchpi")):
@@ -251,7 +251,7 @@ def unseen(result: "items_stage.UnseenResult") -> Figure:
 
 
 def fast_trajectory(result: "items_stage.Fig12Result") -> Figure:
-    """The fast panel of Fig. 12 alone: motion and error of both methods."""
+    """Draw only the fast panel of Fig. 12: motion and error of both methods."""
     panel = result.panels["fast"]
     with canvas(3.8) as figure:
         motion, error = figure.subplots(2, 1, sharex=True)
@@ -281,9 +281,9 @@ FIGURES: Mapping[str, tuple[tuple[Callable[[Any], Figure], str], ...]] = {
         (fig13, "Fig. 13: actual over desired displacement after the initial loading, before and after."),
         (fig13_by_frequency, "Loop width and nonlinearity of sines over 1 … 7 µm."),
     ),
-    "unseen": ((unseen, "Largest and rms error on trajectories that nothing was tuned for."),),
+    "unseen": ((unseen, "Largest and rms errors on trajectories that were not used for tuning."),),
 }
-"""By item: how it is drawn, and what is written below."""
+"""Drawing functions and captions by item."""
 
 _OF_PAPER = "the paper's method"
 _RAMP = ("#56B4E9", "#0072B2", "#009E73", "#E69F00", "#D55E00")

@@ -1,4 +1,4 @@
-"""The page of the whole paper: figures, the paper's numbers beside ours, and what was settled how."""
+"""The page of the whole paper: figures, the paper's numbers beside ours, and how open points were settled."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -26,12 +26,12 @@ TITLE = "The paper, reproduced and beaten"
 TEXTS: dict[str, dict[str, Any]] = yaml.safe_load(
     (FOLDER / "templates" / "paper_texts.yaml").read_text(encoding="utf-8")
 )
-"""What the page says of each section in words."""
+"""Texts of the page by section."""
 
 
 @dataclass(frozen=True)
 class Section:
-    """One item of the reproduction, as it was computed."""
+    """One computed item of the reproduction."""
 
     name: str
     result: Any
@@ -46,9 +46,9 @@ def write_paper_page(
 
     Args:
         sections: What was computed, in the order of the page.
-        missing: Names of what was not.
+        missing: Names of items that were not computed.
         provenance: What was run.
-        directory: Where to.
+        directory: Folder to write into.
     """
     directory = Path(directory)
     html = paper_page(sections, missing, provenance, directory / "figures")
@@ -63,7 +63,7 @@ def paper_page(
     provenance: Provenance,
     figures: Path | None = None,
 ) -> str:
-    """The page as text; its figures also as PNG where `figures` says."""
+    """Return the page as text; if `figures` is given, also write the figures there as PNG."""
     asked = [row for section in sections for row in section.rows if row.met is not None]
     return (
         _environment()
@@ -97,7 +97,7 @@ class _Table:
 
 @dataclass(frozen=True)
 class _Extra:
-    """What a section has beside figures and rows."""
+    """Content of a section besides figures and rows."""
 
     verdict: str = ""
     tables: Sequence[_Table] = ()
@@ -131,7 +131,7 @@ def _section(section: Section, figures: Path | None) -> dict[str, Any]:
 
 
 def _answer(sections: Sequence[Section], asked: Sequence["Row"]) -> tuple[str, str] | None:
-    """The number that was asked for, and what it is; None where nothing was asked for."""
+    """Return the number that was asked for and its description; None if nothing was asked for."""
     for section in sections:
         if section.name == "fig12":
             tracked = section.result.panels["fast"].tracked
@@ -143,12 +143,12 @@ def _answer(sections: Sequence[Section], asked: Sequence["Row"]) -> tuple[str, s
             )
     if asked:
         met = sum(bool(row.met) for row in asked)
-        return f"{met} of {len(asked)}", "numbers that are asked for are reached"
+        return f"{met} of {len(asked)}", "required values are reached"
     return None
 
 
 def _lead(sections: Sequence[Section]) -> dict[str, Any] | None:
-    """The picture that the page begins with: the fast trajectory of Fig. 12, where it was computed."""
+    """Return the picture at the top of the page: the fast trajectory of Fig. 12, if it was computed."""
     for section in sections:
         if section.name == "fig12":
             caption = "The fast trajectory of Fig. 12, with the paper's method and with torchpi."
@@ -161,7 +161,7 @@ def _lead(sections: Sequence[Section]) -> dict[str, Any] | None:
 
 
 def _headlines(sections: Sequence[Section]) -> list[str]:
-    """The outcome in a sentence or two, of what is there."""
+    """Return the outcome in a sentence or two, for the sections that were computed."""
     results = {section.name: section.result for section in sections}
     lines = []
     if "fig12" in results:
@@ -172,18 +172,18 @@ def _headlines(sections: Sequence[Section]) -> list[str]:
         )
         better = min(a.max_um / b.max_um for a, b in zip(paper, ours, strict=True))
         lines.append(
-            f"torchpi tracks the paper's slow trajectory to {words.figure(ours[0].max_percent, 2)} % and its "
-            f"fast one to {words.figure(ours[1].max_percent, 2)} % of peak to peak at most, initial loading "
-            f"included, where the paper's method has {words.figure(paper[0].max_percent, 2)} % and "
-            f"{words.figure(paper[1].max_percent, 2)} %: {words.times(better)} or more."
+            f"torchpi tracks the paper's slow trajectory to {words.figure(ours[0].max_percent, 2)} % and "
+            f"its fast one to {words.figure(ours[1].max_percent, 2)} % of peak to peak at most, initial "
+            f"loading included, where the paper's method reaches {words.figure(paper[0].max_percent, 2)} % "
+            f"and {words.figure(paper[1].max_percent, 2)} %: {words.times(better)} or more."
         )
     if "fig8" in results:
         result = results["fig8"]
         worst = list(result.indirect)[-1]
         indirect, direct = result.indirect[worst].max_percent, result.direct[worst].max_percent
         lines.append(
-            f"On the plant of Fig. 7 at {worst} Hz one direct compensator has "
-            f"{words.figure(direct, 2)} % where the indirect approach has {words.figure(indirect, 3)} %."
+            f"On the plant of Fig. 7 at {worst} Hz, one direct compensator has an error of "
+            f"{words.figure(direct, 2)} %, the indirect approach one of {words.figure(indirect, 3)} %."
         )
     return lines
 
@@ -196,7 +196,7 @@ def _claim(result: Any) -> _Extra:
         says=claim.statement,
         tables=[
             _Table(
-                "Each fitted to recordings of the stage; held out is a multisine of 1 … 80 Hz."
+                "Each is fitted to recordings of the stage; a multisine of 1 … 80 Hz is held out."
                 if "held out, rms V" in columns
                 else "Steady state, true displacement.",
                 ["", *columns],
@@ -211,7 +211,7 @@ def _claim(result: Any) -> _Extra:
 
 def _calibration(result: Any) -> _Extra:
     keys = ("model", "slow", "fast")
-    lines = [_Line("all of the stage", [*[result.max_um[key] for key in keys], None, None, None], ours=True)]
+    lines = [_Line("the whole stage", [*[result.max_um[key] for key in keys], None, None, None], ours=True)]
     lines += [
         _Line(
             f"without {part}",
@@ -222,8 +222,9 @@ def _calibration(result: Any) -> _Extra:
     return _Extra(
         tables=[
             _Table(
-                "What each part of the stage costs the paper's method, µm at most: the whole less what is "
-                "left with that part taken out. Where parts make up for each other, a share is negative.",
+                "What each part of the stage adds to the largest error of the paper's method, µm: the "
+                "error on the whole stage minus that without the part. Where parts compensate for each "
+                "other, a share is negative.",
                 ["", *keys, *[f"share of {key}" for key in keys]],
                 lines,
             )
@@ -326,7 +327,7 @@ def _ablation(result: Any) -> _Extra:
         hz = list(next(iter(table.fig7.values())))
         tables.append(
             _Table(
-                "Largest error on the plant of Fig. 7, % of 9 µm, by passes of correction.",
+                "Largest error on the plant of Fig. 7, % of 9 µm, by number of correction passes.",
                 ["", *[f"{one} Hz" for one in hz]],
                 [_Line(f"{passes} passes", list(row.values())) for passes, row in table.fig7.items()],
             )
@@ -345,7 +346,7 @@ _EXTRAS = {
 
 
 def _shown(value: float) -> str:
-    """Three digits; small ones with an exponent, counts whole."""
+    """Format to three digits; small and large values with an exponent, counts as whole numbers."""
     if isinstance(value, int):
         return f"{value:,}".replace("-", "−")
     if value != 0 and (abs(value) < 1e-3 or abs(value) >= 1e6):
@@ -354,7 +355,7 @@ def _shown(value: float) -> str:
 
 
 def _plainly(value: float) -> str:
-    """As it was asked for: 0.5, 20."""
+    """Format a target as it was stated: 0.5, 20."""
     return f"{value:g}"
 
 

@@ -1,4 +1,4 @@
-"""Templates to pages, strict about what they are given; and the script of linked traces."""
+"""Rendering of page templates, strict about undefined values, and the script of the linked traces."""
 
 from functools import cache
 from pathlib import Path
@@ -11,7 +11,7 @@ FOLDER = Path(__file__).parent
 
 
 def environment(**filters: Any) -> jinja2.Environment:
-    """How all templates are read, with the filters of a page."""
+    """Return the environment in which all templates are read, with the filters of a page."""
     made = jinja2.Environment(
         loader=jinja2.PackageLoader("torchpi.report"),
         autoescape=True,
@@ -26,7 +26,7 @@ def environment(**filters: Any) -> jinja2.Environment:
 
 @cache
 def _linked_traces() -> Markup:
-    """Styles and scripts that draw what `linked.py` left in the page; uPlot's licence goes with it."""
+    """Return styles and scripts that draw the data from `linked.py`, with uPlot's licence."""
     uplot = FOLDER / "uplot"
     licence = (uplot / "LICENSE").read_text(encoding="utf-8").strip()
     parts = [

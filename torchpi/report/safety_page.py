@@ -1,4 +1,4 @@
-"""The page of an export: what to know before it drives a stage. It formats a card, and computes nothing."""
+"""The safety page of an export, to read before it drives a stage. It formats a card and computes nothing."""
 
 from collections.abc import Mapping
 from typing import Any, Protocol
@@ -26,7 +26,7 @@ _RANGES = (
 
 
 class Card(Protocol):
-    """What the page reads of `export.safety_card.SafetyCard`."""
+    """The part of `export.safety_card.SafetyCard` that the page reads."""
 
     @property
     def monotone(self) -> bool | None: ...
@@ -35,10 +35,10 @@ class Card(Protocol):
     def as_json(self) -> dict[str, Any]: ...
 
 
-# Label, key in the card, unit, and what stands where there is no value.
+# Label, key in the card, unit, and the text shown if there is no value.
 _ROWS = (
     ("called every", "sample_period_s", "s", NOT_KNOWN),
-    ("desired displacement, given ahead by", "preview", "samples", NOT_KNOWN),
+    ("look-ahead of the desired displacement", "preview", "samples", NOT_KNOWN),
     ("reachable from the de-energised state, slowly", "reachable_um", "µm", NOT_KNOWN),
     ("lowest displacement after a full excursion (remanence)", "remanence_um", "µm", NOT_KNOWN),
     ("reachable from there, until de-energised again", "reachable_from_remanence_um", "µm", NOT_KNOWN),
@@ -59,7 +59,7 @@ _ROWS = (
 
 
 def safety_page(name: str, card: Card, provenance: Provenance) -> str:
-    """The page as text."""
+    """Return the page as text."""
     values = card.as_json()
     return render(
         "safety.html.j2",
@@ -74,7 +74,7 @@ def safety_page(name: str, card: Card, provenance: Provenance) -> str:
 
 
 def ranges_figure(values: Mapping[str, Any]) -> Figure:
-    """Where the desired displacement may be, one bar for each answer."""
+    """Draw the ranges of the desired displacement, one bar for each known range."""
     known = [(label, values[key], color) for label, key, color in _RANGES if values[key] is not None]
     with canvas(0.6 + 0.35 * len(known)) as figure:
         axes = figure.subplots()

@@ -1,4 +1,4 @@
-"""One look for every figure: legible in print at column width, for colour-blind eyes, and in grey."""
+"""A common style for all figures: legible at column width, for colour-blind readers, and in grey."""
 
 import warnings
 from collections.abc import Iterator
@@ -9,7 +9,7 @@ import matplotlib
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-# Okabe and Ito (2008). Lightness, dashes and width differ as well, so that grey print keeps them apart.
+# Okabe and Ito (2008). Lightness, dashes and width differ too, so that lines are distinct in grey print.
 WANTED: dict[str, Any] = {"color": "#000000", "linestyle": (0, (1, 1.2)), "linewidth": 1.6}
 TORCHPI: dict[str, Any] = {"color": "#0072B2", "linestyle": "-", "linewidth": 1.3}
 WITHOUT: dict[str, Any] = {"color": "#E69F00", "linestyle": "-", "linewidth": 0.9}
@@ -22,7 +22,7 @@ OTHERS: tuple[dict[str, Any], ...] = (
 LIMIT: dict[str, Any] = {"color": "#555555", "linestyle": (0, (3, 2)), "linewidth": 0.9}
 SHADE: dict[str, Any] = {"color": "#000000", "alpha": 0.06, "linewidth": 0}
 
-WIDTH_IN = 7.2  # a page of A4 within its margins
+WIDTH_IN = 7.2  # width of an A4 page within its margins
 
 _RC: dict[Any, Any] = {
     "font.family": "sans-serif",
@@ -47,42 +47,42 @@ _RC: dict[Any, Any] = {
     "figure.constrained_layout.use": True,
     "path.simplify": True,
     "path.simplify_threshold": 0.2,
-    "svg.fonttype": "none",  # text stays text: small, searchable, read aloud
+    "svg.fonttype": "none",  # keeps text as text: small, searchable, readable by screen readers
     "svg.hashsalt": "torchpi",  # the same figure gives the same bytes
 }
 
 
 GROWS = 4
-"""Heights that are tried."""
+"""Number of heights that are tried."""
 
 
 @contextmanager
 def drawing() -> Iterator[None]:
-    """The style, for drawing and for saving alike; nothing outside is changed."""
+    """Apply the style while drawing or saving, without changing settings outside."""
     with matplotlib.rc_context(_RC):
         yield
 
 
 @contextmanager
 def canvas(height_in: float, width_in: float = WIDTH_IN) -> Iterator[Figure]:
-    """A figure, laid out at the end, higher where it must be: drawn twice, it is the same twice."""
+    """Yield a figure and lay it out at the end, made taller if necessary; its layout is then fixed."""
     with drawing():
         figure = Figure(figsize=(width_in, height_in))
         yield figure
         engine = figure.get_layout_engine()
-        assert engine is not None  # the style asks for one
+        assert engine is not None  # the style enables one
         for _ in range(GROWS):
             try:
                 with warnings.catch_warnings():
                     warnings.filterwarnings("error", message="constrained_layout not applied")
-                    # Drawing without a renderer lays out too, and costs the drawing as well.
+                    # Drawing without a renderer would also compute the layout, but costs the drawing too.
                     engine.execute(figure)
                 break
-            except UserWarning:  # what stands beside the axes leaves them no room
+            except UserWarning:  # labels and legends leave the axes no room
                 figure.set_size_inches(figure.get_figwidth(), 1.25 * figure.get_figheight())
         figure.set_layout_engine("none")
 
 
 def legend_above(axes: Axes, columns: int, **look: Any) -> None:
-    """The legend over the right end of the picture."""
+    """Place the legend above the right end of the axes."""
     axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=columns, borderaxespad=0.2, **look)

@@ -1,4 +1,4 @@
-"""A figure as SVG that can stand inside an HTML page beside others."""
+"""Figures as SVG that can be embedded in an HTML page beside others."""
 
 import io
 import re
@@ -9,12 +9,12 @@ from torchpi.report.style import WIDTH_IN, drawing
 
 
 def inline_svg(figure: Figure, name: str, describes: str) -> str:
-    """The figure's <svg> element, the same bytes for the same figure.
+    """Return the figure's <svg> element, the same bytes for the same figure.
 
     Args:
         figure: the figure.
         name: unique on the page; keeps the figure's identifiers apart from other figures'.
-        describes: what a reader who cannot see the figure should hear.
+        describes: description for readers who cannot see the figure.
     """
     buffer = io.StringIO()
     with drawing():
@@ -25,7 +25,7 @@ def inline_svg(figure: Figure, name: str, describes: str) -> str:
     text = text[text.index("<svg") :]
     text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
     text = re.sub(r"<!--.*?-->", "", text, flags=re.DOTALL)
-    # HTML knows the namespaces of inline SVG, and `href` without a prefix.
+    # In HTML, inline SVG needs no namespaces, and `href` needs no prefix.
     text = re.sub(r'\sxmlns(:\w+)?="[^"]*"', "", text).replace("xlink:href=", "href=")
     text = _renamed(text, name)
     text = re.sub(r'<path [^>]*?\bd="[^"]*"', _shorter_numbers, text, flags=re.DOTALL)
@@ -40,7 +40,7 @@ def inline_svg(figure: Figure, name: str, describes: str) -> str:
 
 
 def _renamed(text: str, name: str) -> str:
-    """Identifiers numbered in order: matplotlib makes some of them from addresses in memory."""
+    """Number identifiers in order, because matplotlib derives some of them from memory addresses."""
     referenced = set(re.findall(r'href="#([^"]+)"|url\(#([^)]+)\)', text))
     wanted = {first or second for first, second in referenced}
     found = [old for old in re.findall(r'\bid="([^"]*)"', text) if old in wanted]
@@ -51,7 +51,7 @@ def _renamed(text: str, name: str) -> str:
 
 
 def _shorter_numbers(match: re.Match[str]) -> str:
-    """A hundredth of a point is finer than any print."""
+    """Round numbers to a hundredth of a point, which is finer than any print."""
     return re.sub(r"-?\d+\.\d{3,}", lambda number: f"{float(number[0]):.2f}", match[0])
 
 

@@ -1,4 +1,4 @@
-"""Long traces made short for the eye: as many points as a picture can show, and no peak lost."""
+"""Reduction of long traces to as many points as a picture can show, without losing a peak."""
 
 from itertools import pairwise
 
@@ -9,13 +9,13 @@ Signal = npt.NDArray[np.float64]  # shape: (time,)
 
 
 def envelope(t: Signal, y: Signal, columns: int = 800) -> tuple[Signal, Signal]:
-    """The lowest and the highest sample of every column, in order of time; short traces pass whole."""
+    """Return the lowest and highest sample of every column, in order of time; short traces unchanged."""
     k = extremes(y, columns)
     return t[k], y[k]
 
 
 def extremes(y: Signal, columns: int) -> npt.NDArray[np.intp]:
-    """Where the lowest and the highest sample of every column lie, in order, and the first and the last."""
+    """Return sorted indices of the lowest and highest sample of every column, and of the trace's two ends."""
     if len(y) <= 2 * columns:
         return np.arange(len(y))
     starts = np.linspace(0, len(y), columns + 1).astype(int)
@@ -27,7 +27,7 @@ def extremes(y: Signal, columns: int) -> npt.NDArray[np.intp]:
 
 
 def readable(y: Signal, most: int = 24) -> slice:
-    """The stretch in the middle that swings so many times through its mean; the whole, where it does not.
+    """Return a middle stretch of `most` swings through the mean; the whole if there are at most 2·`most`.
 
     A swing goes from half a standard deviation above the mean to as much below it, or back.
     """
@@ -41,9 +41,9 @@ def readable(y: Signal, most: int = 24) -> slice:
 
 
 def thinned(x: Signal, y: Signal, resolution: float = 1 / 1500, most: int = 6_000) -> tuple[Signal, Signal]:
-    """A curve without the samples that fall on the dot of the one kept before; turning points stay.
+    """Return a curve without samples that fall on the same dot as the one before; turning points are kept.
 
-    Dots grow until at most `most` samples are left.
+    Dots are enlarged until at most `most` samples remain.
     """
     kept = _off_the_dot(x, y, resolution)
     while kept.sum() > most and resolution < 0.1:
@@ -62,6 +62,6 @@ def _off_the_dot(x: Signal, y: Signal, resolution: float) -> npt.NDArray[np.bool
 
 
 def stretches(mask: Signal) -> list[tuple[int, int]]:
-    """Where it is true: first samples, and those behind the last."""
+    """Return the stretches where the mask is true, as (first sample, sample after the last)."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]])))
     return [(int(start), int(stop)) for start, stop in zip(edges[::2], edges[1::2], strict=True)]

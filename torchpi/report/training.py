@@ -1,4 +1,4 @@
-"""What the training page shows: plain numbers and arrays, computed by whoever trained."""
+"""The content of the training page: plain numbers and arrays, computed by the training code."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -23,7 +23,7 @@ class RecordFit:
 
 @dataclass(frozen=True)
 class WeightsAgainstRate:
-    """w_i(ẏ) of every play, eq. 7, over the rates that occur."""
+    """Weights w_i(ẏ) of every play, eq. 7, over the rates that occur."""
 
     rate: Signal  # (rates,), µm/s, rising
     w: Signal  # (rates, plays), V per unit of the play's input
@@ -41,14 +41,14 @@ class Saturation:
 
 @dataclass(frozen=True)
 class TrainingReport:
-    """A run on recordings.
+    """A training run on recordings.
 
     Args:
-        name: of the run.
+        name: name of the run.
         metrics: `metrics.json`: 'train', 'heldout', 'baseline_lstsq', 'loading_excluded', each with rms_v,
             max_v, rms_um, max_um, rms_percent, max_percent. Further keys of the same form are shown too.
         records: recordings to draw, the held-out ones first.
-        weights: None where the weights do not follow the rate.
+        weights: weights against rate; None if they do not depend on the rate.
         saturation: the polynomial.
         notes: sentences for the reader.
     """

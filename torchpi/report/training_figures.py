@@ -1,4 +1,4 @@
-"""Figures of a training run: each function takes the result and returns a matplotlib Figure."""
+"""Figures of a training run; each function takes the result and returns a matplotlib Figure."""
 
 from typing import Any
 
@@ -16,7 +16,7 @@ PREDICTED: dict[str, Any] = {"color": "#E69F00", "linestyle": (0, (3, 1.2)), "li
 
 
 def loop_figure(record: RecordFit) -> Figure:
-    """Hysteresis: recorded voltage and predicted voltage against the recorded displacement."""
+    """Draw the hysteresis: recorded and predicted voltage against the recorded displacement."""
     with canvas(3.6, 0.62 * style.WIDTH_IN) as figure:
         axes = figure.subplots()
         axes.plot(*thinned(record.y, record.u), label="recorded", **RECORDED)
@@ -29,7 +29,7 @@ def loop_figure(record: RecordFit) -> Figure:
 
 
 def traces_figure(record: RecordFit) -> Figure:
-    """Voltage against time, and what the prediction leaves over."""
+    """Draw recorded and predicted voltage against time, and the residual."""
     with canvas(3.8) as figure:
         voltage, residual = figure.subplots(2, 1, sharex=True)
         voltage.plot(*envelope(record.t, record.u), label="recorded", **RECORDED)
@@ -48,7 +48,7 @@ def traces_figure(record: RecordFit) -> Figure:
 
 
 def spectrum_figure(record: RecordFit) -> Figure:
-    """Where in frequency the residual lies: lines that stand out from it are structure left over."""
+    """Draw the residual's spectrum; lines that stand out are structure that the model has not captured."""
     with canvas(2.9) as figure:
         axes = figure.subplots()
         dt_s = float(np.median(np.diff(record.t)))
@@ -70,7 +70,7 @@ def spectrum_figure(record: RecordFit) -> Figure:
 
 
 def weights_figure(weights: WeightsAgainstRate) -> Figure:
-    """Eq. 7: each play's weight against the rate, and their running sum, the slope of the loop."""
+    """Draw eq. 7: each play's weight against the rate, and their running sum, the slope of the loop."""
     with canvas(3.5) as figure:
         single, running = figure.subplots(1, 2)
         plays = len(weights.r)
@@ -120,7 +120,7 @@ def weights_figure(weights: WeightsAgainstRate) -> Figure:
 
 
 def saturation_figure(saturation: Saturation) -> Figure:
-    """Eq. 4: how S bends away from its own slope at zero, and the slope itself."""
+    """Draw eq. 4: S against the line of its slope at zero, and the slope of S."""
     with canvas(2.7) as figure:
         value, slope = figure.subplots(1, 2)
         value.plot(saturation.y, saturation.s, label="$S(y)$", **style.TORCHPI)
@@ -142,7 +142,7 @@ def _slope(saturation: Saturation) -> Signal:
 
 
 def _amplitude_density(x: Signal, dt_s: float) -> tuple[Signal, Signal]:
-    """Welch's estimate, half-overlapping Hann windows; of 150 columns a decade, the highest value each."""
+    """Welch's estimate with half-overlapping Hann windows, as the maximum in 150 columns per decade."""
     window = min(len(x), 8192)
     hann = np.hanning(window)
     starts = range(0, len(x) - window + 1, max(window // 2, 1))

@@ -1,4 +1,4 @@
-"""What was run: enough to run it again and to see whether it is the same thing."""
+"""Provenance: enough information to repeat a run and to check that it is the same."""
 
 import hashlib
 import platform
@@ -20,7 +20,7 @@ class Provenance:
     machine: str
 
     def as_json(self) -> dict[str, Any]:
-        """Plain keys."""
+        """Return the content as plain values for JSON."""
         return {
             "command": self.command,
             "seed": self.seed,
@@ -31,12 +31,12 @@ class Provenance:
 
 
 def provenance(command: str, files: Mapping[str, str | Path], seed: int | None = None) -> Provenance:
-    """Gather it.
+    """Gather the provenance of a run.
 
     Args:
-        command: as typed.
-        files: paths by what they are, e.g. {'compensator': 'exports/demo.pt'}.
-        seed: of everything random in the run.
+        command: command as typed.
+        files: paths by role, e.g. {'compensator': 'exports/demo.pt'}.
+        seed: seed of everything random in the run.
     """
     return Provenance(
         command=command,

@@ -1,4 +1,4 @@
-"""Numbers and sentences for readers."""
+"""Formatting of numbers and sentences for reports."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -12,11 +12,11 @@ METRICS = {
     "baseline_lstsq": "held out, two-stage least squares",
     "baseline_plays": "held out, least squares on plays",
 }
-"""What the errors of a training run are of, by their keys in metrics.json."""
+"""Descriptions of the errors of a training run, by their keys in metrics.json."""
 
 
 def headline(result: LoopResult) -> str:
-    """The result in one sentence."""
+    """Return the result in one sentence."""
     whole = result.compensated.on_true.whole
     latency = result.compensated.latency
     return (
@@ -30,7 +30,7 @@ def headline(result: LoopResult) -> str:
 
 
 def answer(result: LoopResult) -> tuple[str, str]:
-    """The number that was asked for, and what it is."""
+    """Return the main number, and what it is."""
     times_better = times(result.improvement[COMPENSATED].whole_rms)
     return (
         length(result.compensated.on_true.whole.rms_um),
@@ -39,7 +39,7 @@ def answer(result: LoopResult) -> tuple[str, str]:
 
 
 def limits(result: LoopResult) -> list[str]:
-    """Where the compensated drive met a limit of the voltage or of its rate, a sentence each."""
+    """Say where the compensated drive met a limit of the voltage or its rate, a sentence for each."""
     sentences = []
     for one in result.compensated.limits_met:
         unit, name = ("V", "voltage") if one.quantity == "voltage" else ("V/s", "rate of the voltage")
@@ -47,33 +47,34 @@ def limits(result: LoopResult) -> list[str]:
         beyond = "" if largest == f"{one.limit:.6g}" else f" (at most {largest} {unit})"
         longest = "" if one.stretches == 1 else f", the longest of {one.stretches:,} stretches"
         sentences.append(
-            f"On {result.title} the {name} meets its limit of {one.limit:.6g} {unit}{beyond} "
-            f"from {one.time_s:.6g} s for {1e3 * one.duration_s:.4g} ms"
-            f"{longest}, at y_d = {one.yd_um:.4g} µm; in all {figure(100 * one.share, 2)} % of the samples."
+            f"On {result.title} the {name} reaches its limit of {one.limit:.6g} {unit}{beyond} from "
+            f"{one.time_s:.6g} s for {1e3 * one.duration_s:.4g} ms{longest}, at y_d = {one.yd_um:.4g} µm; "
+            f"in total, {figure(100 * one.share, 2)} % of the samples."
         )
     if not sentences:
-        sentences = [f"On {result.title} neither the voltage nor its rate meets a limit."]
+        sentences = [f"On {result.title} neither the voltage nor its rate reaches a limit."]
     if share := result.compensated.beyond_trained_share:
         sentences.append(
-            f"{figure(100 * share, 2)} % of the samples lie beyond the trained range or rates, where it "
-            "extrapolates and leaves out its lead: train on a recording of such motions."
+            f"{figure(100 * share, 2)} % of the samples lie beyond the trained range or rates, where the "
+            "compensator extrapolates and leaves out its lead: train on a recording of such motions."
         )
     return sentences
 
 
 def loops(result: LoopResult) -> str:
-    """What the loops of the error show, and how far they are open."""
+    """Say what the loops of the error show, and how wide they are."""
     before, after = (
         f"{figure(drive.loop_width_percent, 2)} %" for drive in (result.without, result.compensated)
     )
     return (
-        "Tracking error over displacement, without and with compensation; on the right, with it on its own "
-        f"scale. The loop is {before} of peak to peak wide without compensation, {after} with it."
+        "Tracking error against displacement, without and with compensation; on the right, with "
+        f"compensation on its own scale. The loop is {before} of peak to peak wide without compensation, "
+        f"{after} with it."
     )
 
 
 def table(result: LoopResult) -> str:
-    """The true-displacement errors of every drive as plain text, for the terminal."""
+    """Return the true-displacement errors of every drive as a plain-text table for the terminal."""
     lines = [
         f"{result.title:28}{'loading, µm':^20}{'steady, µm':^20}{'whole, µm':^20}{'whole, %':^16}",
         f"{'':28}" + f"{'max':>9}{'rms':>9}  " * 3 + f"{'max':>7}{'rms':>7}",
@@ -90,13 +91,13 @@ def table(result: LoopResult) -> str:
 
 
 def training_answer(metrics: Mapping[str, Mapping[str, float]]) -> tuple[str, str]:
-    """The number that was asked for, and what it is."""
+    """Return the main number, and what it is."""
     part, where = ("heldout", "on held-out recordings") if "heldout" in metrics else ("train", "in training")
     return length(metrics[part]["rms_um"]), f"rms error of the predicted voltage {where}, as displacement"
 
 
 def training_headline(metrics: Mapping[str, Mapping[str, float]]) -> str:
-    """The outcome of a training in one sentence, on held-out recordings where there are any."""
+    """Return the outcome of a training in one sentence, on held-out recordings if there are any."""
     part, where = ("heldout", "on held-out recordings") if "heldout" in metrics else ("train", "in training")
     error = metrics[part]
     sentence = (
@@ -112,13 +113,13 @@ def training_headline(metrics: Mapping[str, Mapping[str, float]]) -> str:
 
 
 def length(value_um: float, digits: int = 3) -> str:
-    """A length in the unit that suits it: 21.3 nm, 4.10 µm."""
+    """Format a length in a suitable unit: 21.3 nm, 4.10 µm."""
     nm = abs(value_um) < 1.0
     return f"{figure((1e3 if nm else 1.0) * value_um, digits)} {'nm' if nm else 'µm'}"
 
 
 def figure(value: float, digits: int = 3) -> str:
-    """A number to so many significant digits, without an exponent: 0.0213, 4.10, 127."""
+    """Format a number to `digits` significant digits, without an exponent: 0.0213, 4.10, 127."""
     if not math.isfinite(value):
         return "∞" if value > 0 else "−∞" if value < 0 else "not a number"
     if value == 0.0:
@@ -128,7 +129,7 @@ def figure(value: float, digits: int = 3) -> str:
 
 
 def times(ratio: float) -> str:
-    """'14 times better'; rounded so that it never sounds better than it is."""
+    """Format a ratio as '14 times better', rounded so that it never sounds better than it is."""
     if ratio >= 1.0:
         return f"{_one_decimal_below_ten(ratio, math.floor)} times better"
     return f"{_one_decimal_below_ten(1.0 / ratio if ratio > 0.0 else math.inf, math.ceil)} times worse"

@@ -1,4 +1,4 @@
-"""The two ends of what a stage's chain maps: a command one sample late, and the zero of the reading."""
+"""The two ends of a stage's chain: the alignment of the command, and the zero of the reading."""
 
 import torch
 from torch import Tensor, nn
@@ -47,5 +47,5 @@ class Zero(Static):
 
 
 def zero_step(x: float, n: list[float], s: list[float]) -> float:
-    """`Zero` as a stream takes it."""
+    """`Zero` as the step of a stream."""
     return x + n[0]

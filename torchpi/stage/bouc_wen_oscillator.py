@@ -2,8 +2,8 @@
 
     force → mode ⇄ hysteresis of its own displacement → displacement
 
-`torchpi.operators.bouc_wen_oscillator` has the equations. The parameters are physical, and float64: one set
-serves any sample rate.
+`torchpi.operators.bouc_wen_oscillator` gives the equations. The parameters are physical quantities in
+float64, so one set serves any sample rate.
 """
 
 import math
@@ -28,11 +28,11 @@ from torchpi.operators.compiled import in_threads
 from torchpi.stage.file import SavedStage
 
 STEPS = 20
-"""Of the integration in a sample: of the nonlinear benchmark's oscillator at 750 Hz, to 2e-5 of its rms."""
+"""Integration steps per sample; error 2e-5 of the rms for the nonlinear benchmark's oscillator at 750 Hz."""
 MOST_STEPS = 10_000
 UM_PER_M = 1e6
 PERIODIC = 1e-9
-"""Of the largest displacement: periods that differ by less are in steady state."""
+"""Share of the largest displacement; successive periods that differ by less are in steady state."""
 MOST_PERIODS = 1000
 
 
@@ -51,12 +51,12 @@ class BoucWenOscillator(SavedStage):
     """A mode whose restoring force has Bouc–Wen hysteresis.
 
     Args:
-        sample_rate_hz: Of force and displacement.
-        parameters: By the names of `BoucWenParameters`, in SI units. Where the input is a voltage, newtons
-            stand for volts.
-        between: How the force goes on between its samples: `band_limited`, `linear`, or `held`.
-        steps: Of the integration in a sample.
-        offset_um: What the sensor reads at rest.
+        sample_rate_hz: Sample rate of force and displacement.
+        parameters: Values by the names of `BoucWenParameters`, in SI units. If the input is a voltage,
+            newtons stand for volts.
+        between: How the force varies between its samples: `band_limited`, `linear`, or `held`.
+        steps: Integration steps per sample.
+        offset_um: Reading of the sensor at rest.
 
     Raises:
         StageError: A parameter that is missing or has no physical meaning.
@@ -99,39 +99,39 @@ class BoucWenOscillator(SavedStage):
 
     @property
     def frequency_hz(self) -> float:
-        """Of the undamped mode at small amplitude."""
+        """Natural frequency of the undamped mode at small amplitude."""
         p = self.values
         return math.sqrt((p.stiffness_n_m + p.hysteretic_stiffness_n_m) / p.mass_kg) / (2 * math.pi)
 
     @property
     def damping_ratio(self) -> float:
-        """Of the mode at small amplitude, where the hysteresis dissipates nothing."""
+        """Damping ratio of the mode at small amplitude, where the hysteresis dissipates nothing."""
         p = self.values
         stiffness = p.stiffness_n_m + p.hysteretic_stiffness_n_m
         return p.damping_n_s_m / (2 * math.sqrt(stiffness * p.mass_kg))
 
     @property
     def delay_samples(self) -> int:
-        """How many samples a step is late: those to come that a band-limited force is interpolated from."""
+        """Delay of a step in samples: the later samples from which a band-limited force is interpolated."""
         return half_width(self.between) - 1
 
     def at_sample_rate(self, fs_hz: float) -> "BoucWenOscillator":
-        """The same oscillator for samples at another rate, integrated in steps that are no longer."""
+        """Return the same oscillator at another sample rate, integrated in steps that are no longer."""
         steps = math.ceil(self.steps * self.sample_rate_hz / fs_hz)
         return BoucWenOscillator(
             fs_hz, self.values._asdict(), self.between, max(steps, 1), self.get_buffer("offset_um").item()
         )
 
     def simulate(self, force: Tensor, periodic: bool = False) -> Tensor:
-        """Displacements, (batch, time), µm, for forces, (batch, time), N.
+        """Simulate displacements, (batch, time), µm, for forces, (batch, time), N.
 
         Args:
-            force: Before its first sample each is as in that; after its last, as in the last.
-            periodic: The force is one period of many before, and the displacement that of the steady state;
-                else it begins at rest.
+            force: Each row keeps its first value before the record and its last value after it.
+            periodic: Whether the force is one period of a periodic force and the displacement that of the
+                steady state; otherwise the oscillator starts at rest.
 
         Raises:
-            StageError: Another shape, a value that is not finite, a solution that diverges or never settles.
+            StageError: A wrong shape, a value that is not finite, a solution that diverges or never settles.
         """
         if force.ndim != 2 or force.shape[1] == 0:
             raise StageError(f"force: found an array of {tuple(force.shape)}, expected (batch, time)")
@@ -164,7 +164,7 @@ class BoucWenOscillator(SavedStage):
         return bounded
 
     def _settle(self, u: np.ndarray, y: np.ndarray) -> tuple[bool, bool]:
-        """Fill `y` with the period that repeats itself; whether it is bounded, and whether it does."""
+        """Fill `y` with the steady-state period; return whether it is bounded, and whether it was reached."""
         state = self.initial_state()
         found, last = np.zeros_like(u), np.full_like(u, np.inf)
         for _ in range(MOST_PERIODS):
@@ -177,13 +177,13 @@ class BoucWenOscillator(SavedStage):
         return True, False
 
     def initial_state(self) -> OscillatorState:
-        """At rest, before the first sample."""
+        """Return the state at rest, before the first sample."""
         return OscillatorState(np.zeros(2 * half_width(self.between)))
 
     def advance(self, u: np.ndarray, state: OscillatorState, y: np.ndarray) -> bool:
-        """Fill `y`, `delay_samples` late, and leave the state after the last sample; False where it diverges.
+        """Fill `y`, `delay_samples` late, and advance the state; return False if the solution diverges.
 
-        Windows give the bits of the whole.
+        A record that is processed in windows gives bit-identical results.
         """
         bounded: bool = bouc_wen_oscillator(
             u,
@@ -201,7 +201,7 @@ class BoucWenOscillator(SavedStage):
         return bounded
 
     def stream(self) -> "OscillatorStream":
-        """The oscillator one sample at a time."""
+        """Return a stream that runs the oscillator one sample at a time."""
         return OscillatorStream(self)
 
     def plain(self) -> dict[str, Any]:
@@ -215,10 +215,10 @@ class BoucWenOscillator(SavedStage):
 
 
 class OscillatorStream:
-    """An oscillator, one sample at a time: the bits of the whole.
+    """An oscillator that runs one sample at a time, bit-identical to a run over the whole record.
 
     Args:
-        oscillator: What is stepped.
+        oscillator: The oscillator that is stepped.
     """
 
     def __init__(self, oscillator: BoucWenOscillator) -> None:
@@ -227,14 +227,14 @@ class OscillatorStream:
         self._state = oscillator.initial_state()
 
     def reset(self) -> None:
-        """Back to rest."""
+        """Return to rest."""
         self._state = self._oscillator.initial_state()
 
     def step(self, u: float) -> float:
-        """Displacement, µm, `delay_samples` samples before this force, N; that at rest before the first.
+        """Return the displacement, µm, `delay_samples` samples before this force, N; until then that at rest.
 
         Raises:
-            StageError: A force that is not finite, which leaves the state as it was, or too large a one.
+            StageError: A force that is not finite, which leaves the state unchanged, or that is too large.
         """
         if not math.isfinite(u):
             raise StageError(f"u: found {u} N at sample {self._state.past}, expected a finite number")
@@ -245,7 +245,7 @@ class OscillatorStream:
 
 
 def _check(name: str, value: float) -> None:
-    """Whether a parameter has a physical meaning.
+    """Check that a parameter's value has a physical meaning.
 
     Raises:
         StageError: It has none.

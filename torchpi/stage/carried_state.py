@@ -1,4 +1,4 @@
-"""Hysteresis states that every move of the voltage carries on, over whole records: Bouc–Wen, Duhem."""
+"""Hysteresis states that are updated by every move of the voltage, over whole records: Bouc–Wen, Duhem."""
 
 from typing import Any
 
@@ -12,7 +12,7 @@ from torchpi.operators.hysteresis_rows import bouc_wen, duhem, duhem_pieces
 
 
 class CarriedState(torch.autograd.Function):
-    """A state that each move of v carries on: Bouc–Wen, Duhem."""
+    """A Bouc–Wen or Duhem state, which is updated by every move of v."""
 
     @staticmethod
     def forward(
@@ -94,8 +94,8 @@ def _bouc_wen_backward(
 
 @njit
 def _bouc_wen_slopes(z: float, dv: float, sigma: float, beta: float, n: float) -> tuple[float, float]:
-    """How the state after a move changes with that before it, and with the move: the derivative of
-    `bouc_wen`, line by line."""
+    """Return the derivatives of the state after a move by the state before it and by the move: `bouc_wen`,
+    differentiated line by line."""
     pieces = int(abs(dv) / sigma * 20.0) + 1
     move = dv / pieces
     by_z, by_move = 1.0, 0.0
@@ -140,8 +140,8 @@ def _duhem_backward(
 def _duhem_slopes(
     z: float, v: float, before: float, alpha: float, power: float
 ) -> tuple[float, float, float]:
-    """How the state after a move changes with that before it, and with the end and the beginning of the move:
-    the derivative of `duhem`, line by line."""
+    """Return the derivatives of the state after a move by the state before it and by the move's end and
+    beginning: `duhem`, differentiated line by line."""
     whole = alpha * abs(v - before)
     if whole < 1e-30:
         return 1.0, 0.0, 0.0

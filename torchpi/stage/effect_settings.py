@@ -21,12 +21,12 @@ class EffectSettings(NamedTuple):
     aux: str = ""
 
     def plain(self) -> dict[str, Any]:
-        """The effect as `Stage` takes it."""
+        """Return the effect as `Stage` takes it."""
         entry = {"name": self.kind.name, "values": self.values, "aux": self.aux}
         return entry | {"modal": True} if issubclass(self.kind, ModalEffect) else entry
 
     def present(self, operator: Effect) -> Parameters:
-        """The present parameters: those that were given, and those that training has moved."""
+        """Return the present parameters: those that were given, and those that training has changed."""
         return {
             name: value
             for name, value in operator.values().items()
@@ -35,7 +35,7 @@ class EffectSettings(NamedTuple):
 
 
 def in_order(entries: Sequence[Mapping[str, Any]]) -> list[EffectSettings]:
-    """Effects as `Stage` takes them, in the order of the chain.
+    """Return effects, given as `Stage` takes them, in the order of the chain.
 
     Raises:
         StageError: An unknown effect, or an auxiliary signal that is missing or not taken.

@@ -1,4 +1,4 @@
-"""A stage's file: plain settings with a hash of them, read only if they are what was written."""
+"""A stage's file: plain settings with their hash, accepted only if unchanged since they were written."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -30,16 +30,16 @@ def read_settings(
     version: int = VERSION,
     expected: str = EXPECTED,
 ) -> dict[str, Any]:
-    """The settings in a file that `write_settings` wrote.
+    """Return the settings in a file that `write_settings` wrote.
 
     Args:
-        path: Of the file.
-        schemas: The kinds of files that are read.
-        version: Of the kind, the one that is read.
-        expected: The end of errors about another kind of file.
+        path: Path of the file.
+        schemas: The kinds of files that are accepted.
+        version: The version that is accepted.
+        expected: The end of error messages about another kind of file.
 
     Raises:
-        ArtifactError: No such file, something else, of another version, or changed since it was written.
+        ArtifactError: The file is missing, of another kind or version, or changed since it was written.
     """
     if not path.is_file():
         raise ArtifactError(f"{path}: no such file, {expected}")
@@ -58,7 +58,7 @@ def read_settings(
 
 
 def schema_of(content: object) -> str | None:
-    """Which kind of stage the content of a file is, where it is that of one."""
+    """Return the kind of stage that the content of a file names, if any."""
     found = content.get("schema") if isinstance(content, dict) else None
     return found if isinstance(found, str) else None
 
@@ -67,9 +67,9 @@ class SavedStage(nn.Module):
     """A stage of a kind of its own, whose file holds the arguments that it is made of.
 
     Attributes:
-        SCHEMA: The kind, in its files.
-        VERSION: Of the kind, the one that is written and read.
-        KIND: The kind, in errors.
+        SCHEMA: Name of the kind in its files.
+        VERSION: Version of the kind that is written and read.
+        KIND: Name of the kind in error messages.
     """
 
     SCHEMA: ClassVar[str]
@@ -77,21 +77,21 @@ class SavedStage(nn.Module):
     KIND: ClassVar[str]
 
     def plain(self) -> dict[str, Any]:
-        """Settings and parameters, as its file keeps them: the arguments of the class."""
+        """Return settings and parameters as the file stores them: the arguments of the class."""
         raise NotImplementedError
 
     def save(self, path: str | Path) -> None:
-        """Write the stage, plain numbers with a hash of them, whole or not at all."""
+        """Write the stage atomically, as plain numbers with their hash."""
         with write_atomically(path) as temporary:
             write_settings(temporary, self.plain(), self.SCHEMA, self.VERSION)
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
-        """The stage in a file that `save` wrote.
+        """Return the stage in a file that `save` wrote.
 
         Raises:
-            ArtifactError: No such file, another kind of file, another version, or one that was changed.
-            StageError: A value without meaning.
+            ArtifactError: The file is missing, of another kind or version, or was changed.
+            StageError: An invalid value.
         """
         settings = read_settings(Path(path), [cls.SCHEMA], cls.VERSION, f"expected {cls.KIND}")
         try:

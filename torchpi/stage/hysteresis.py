@@ -1,4 +1,4 @@
-"""The hysteresis of a diagnosis as one operator: plays through output functions, Bouc–Wen, Duhem.
+"""The hysteresis of a diagnosis as one operator: plays with output functions, Bouc–Wen and Duhem states.
 
     y = Σ_i F_i(x_i) + w z + Σ_k w_k d_k / s^(k-1) + w_0
 
@@ -6,15 +6,15 @@
     x_i = c v + (h_i g_i - c v) (1 + l),    l = γ ln(1 + |v̇| / v̇₀)
     g_i = g = (1 + κ v)(1 + k v̇) where r_i > 0, and 1 - q (g - 1) where r_i = 0
 
-F_i is piecewise linear, 0 at 0, with a slope w_ki on each of as many pieces of equal length: the density of a
-Preisach operator in play form, a cell each (Krejčí, 1996). One piece is a weighted sum.
+F_i is piecewise linear with F_i(0) = 0 and a slope w_ki on each of its pieces of equal length: a Preisach
+operator in play form, with one cell of its density per piece (Krejčí, 1996). One piece is a weighted sum.
 
-With `relaxation_s` each play of r_i > 0 relaxes to where h_i would stand:
+With `relaxation_s` each play with r_i > 0 relaxes towards the h_i above, see
 `torchpi.stage.effects.actuator.relaxing_plays`.
 
-z is a Bouc–Wen state, d_k are those of a bank of Duhem states; `torchpi.operators.hysteresis_rows` has their
-equations, and the sources. v̇ is the difference to the sample before over T, through a low-pass of
-`rate_filter_s`: the sample rate enters nowhere else.
+z is a Bouc–Wen state and the d_k are a bank of Duhem states; `torchpi.operators.hysteresis_rows` gives their
+equations and the sources. v̇ is the backward difference over T, through a low-pass of time constant
+`rate_filter_s`; without relaxation the sample rate enters nowhere else.
 """
 
 import math
@@ -58,7 +58,7 @@ IDENTITY = {
     "rate_filter_s": 0.0,
     "relaxation_s": 0.0,
 }
-"""The shape of a hysteresis without effects inside it."""
+"""Shape parameters of a hysteresis without effects inside it."""
 OF_BOUC_WEN = ("sigma_v", "beta", "exponent")
 OF_DUHEM = ("alpha_per_v",)
 NOT_TRAINED = ("rate_filter_s", *OF_BOUC_WEN, *OF_DUHEM)
@@ -68,25 +68,25 @@ MOST_PLAYS = 10_000
 class Hysteresis(Operator):
     """A rate-independent hysteresis, and what effects inside it make of it.
 
-    The state: one h for each play, the last voltage, the filtered rate, then z and the d_k as far as they
-    are there. Weights and shape are trained, but for `rate_filter_s` and the shapes of z and d, which are
-    plain numbers. The derivative by the asymmetry at exactly 0 is that from above: below it, the play with
-    r = 0 has memory. At exactly 0 `relaxation_s` has no gradient.
+    The state holds h of each play, the last voltage, the filtered rate, then z and the d_k if they exist.
+    Weights and shape parameters are trained, except `rate_filter_s` and the shape parameters of z and d,
+    which are plain numbers. The derivative by the asymmetry at exactly 0 is taken from above, because below
+    0 the play with r = 0 has memory. `relaxation_s` has no gradient at exactly 0.
 
     Args:
         sample_period_s: T.
         thresholds_v: r, none negative.
-        weights: w, as many as plays × `pieces` (all of one piece, then the next), then those of z, of the
-            d_k, and the constant.
-        pieces: Of the output functions; 1 is a weighted sum.
-        range_v: Where the first piece begins and the last one ends; beyond, both go on.
+        weights: w, one for each play × `pieces` (all of one piece, then the next), then those of z and of the
+            d_k, then the constant.
+        pieces: Number of pieces of each output function; 1 is a weighted sum.
+        range_v: Where the first piece begins and the last one ends; both continue beyond.
         scale_v: s.
-        bouc_wen: Whether z is there.
-        duhem: Whether d is there.
-        shape: Parameters inside, as in `IDENTITY` where they are not named; those of z and d by need.
+        bouc_wen: Whether there is a z.
+        duhem: Whether there are d_k.
+        shape: Shape parameters; `IDENTITY` has the defaults. Those of z and d are required if these exist.
 
     Raises:
-        StageError: Another number of weights, or a shape parameter that is missing or unknown.
+        StageError: A wrong number of weights, or a shape parameter that is missing or unknown.
     """
 
     weights: nn.Parameter
@@ -135,15 +135,15 @@ class Hysteresis(Operator):
 
     @property
     def others(self) -> int:
-        """States that are no plays, as many as their weights."""
+        """Number of states other than plays, each of which has one weight."""
         return self.bouc_wen + len(DUHEM_POWERS) * self.duhem
 
     def shape(self) -> dict[str, float]:
-        """The present parameters inside."""
+        """Return the present shape parameters."""
         return {name: getattr(self, name).item() for name in self.trained} | self.fixed
 
     def settings(self) -> dict[str, Any]:
-        """The constructor's arguments, without the period, as they are now."""
+        """Return the present arguments of the constructor, without the period."""
         return {
             "thresholds_v": self.thresholds_v.tolist(),
             "weights": self.weights.tolist(),
@@ -202,18 +202,18 @@ class Hysteresis(Operator):
         return HysteresisStream(self)
 
     def late(self) -> Tensor:
-        """What a relaxing play keeps in one period of its distance to where it would stand, e^{-T/τ}."""
+        """Return e^{-T/τ}, the share of its distance to the target that a relaxing play keeps in a period."""
         if self.relaxation_s.item() > 0.0:
             return torch.exp(-self.sample_period_s / self.relaxation_s)
         return torch.zeros_like(self.relaxation_s)
 
     @property
     def piece_v(self) -> float:
-        """The length of a piece."""
+        """Length of a piece."""
         return (self.high_v - self.low_v) / self.pieces
 
     def _output_functions(self) -> tuple[Tensor, Tensor]:
-        """Slopes and offsets of the F_i, (pieces, plays) each."""
+        """Return slopes and offsets of the F_i, (pieces, plays) each."""
         plays = len(self.thresholds_v)
         slopes = self.weights[: plays * self.pieces].reshape(self.pieces, plays)
         return slopes, torch.stack(offsets_of(slopes, self.low_v, self.piece_v))
@@ -221,7 +221,7 @@ class Hysteresis(Operator):
     def _relaxing(
         self, signals: tuple[Tensor, ...], slopes: Tensor, offsets: Tensor, h0: Tensor
     ) -> tuple[Tensor, Tensor]:
-        """The sum of plays that relax, and their last states: `PlaySum` of each state, which so follows."""
+        """Return the sum of relaxing plays, each through a `PlaySum` of threshold 0, and the last states."""
         chord, up, down, width, gain, straight, loop = signals
         states = RelaxingPlays.apply(up, down, width, self.late(), h0, self.thresholds_v)
         y, none, start = torch.zeros_like(up), self.thresholds_v.new_zeros(1), torch.zeros_like(h0[:, :1])
@@ -235,19 +235,19 @@ class Hysteresis(Operator):
         return y, states[:, -1]
 
     def _rate(self, v: Tensor, before: Tensor, rate_before: Tensor) -> tuple[Tensor, Tensor]:
-        """v̇, (batch, time), V/s, and its last value, (batch, 1)."""
+        """Return v̇, (batch, time), V/s, and its last value, (batch, 1)."""
         rate = torch.diff(v, dim=1, prepend=before) / self.sample_period_s
         one = torch.ones(1, dtype=torch.float64)
         kept = self._kept() * one
         return relaxations(rate, kept, one - kept, kept, 1.0 - kept[0], rate_before)
 
     def _kept(self) -> float:
-        """What the filter of the rate keeps in one period."""
+        """Return the share of its value that the filter of the rate keeps over one period."""
         tau_s = self.fixed["rate_filter_s"]
         return math.exp(-self.sample_period_s / tau_s) if tau_s > 0.0 else 0.0
 
     def _families(self) -> list[tuple[Any, tuple[float, ...], float]]:
-        """For each state that is no play its kernels, its numbers, and what it is divided by."""
+        """Return kernels, parameters and divisor of each state that is not a play."""
         fixed, found = self.fixed, []
         if self.bouc_wen:
             numbers = tuple(fixed[name] for name in OF_BOUC_WEN)

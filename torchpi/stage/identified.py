@@ -1,4 +1,4 @@
-"""What a stage that was identified carries of its origin."""
+"""The record of its origin that an identified stage carries."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -10,21 +10,21 @@ from torchpi.errors import StageError, is_number
 from torchpi.recordings.identity import combined_sha256, each_sha256, is_sha256
 from torchpi.recordings.recording import Recording
 
-MOST_EACH = 50  # recordings of which all sets without one or two are compared
+MOST_EACH = 50  # most recordings for which all subsets without one or two are compared
 MOST_HELD_OUT = 2
 
 
 @dataclass(frozen=True)
 class Identified:
-    """The recordings that a stage was identified from, and its error on one that it was not.
+    """The recordings that a stage was identified from, and its error on a held-out one.
 
     Attributes:
         recordings_sha256: `recordings_sha256` of those recordings; a compensator of the same ones carries it.
-        heldout: The recording that it is judged on.
+        heldout: The held-out recording on which the stage is judged.
         heldout_rms_um: Rms of the free-run simulation's error there, about its mean (the sensor's zero), µm.
-        heldout_max_um: Its largest, µm.
-        each_sha256: Hash of each of those recordings, where a compensator may be trained on fewer of them: a
-            diagnosis takes all, and a training holds some out.
+        heldout_max_um: Largest error there, µm.
+        each_sha256: Hash of each of those recordings, because a compensator may be trained on fewer of them:
+            a diagnosis uses all, while a training holds some out.
     """
 
     recordings_sha256: str
@@ -37,7 +37,7 @@ class Identified:
     def of(
         cls, recordings: Sequence[Recording], heldout: str, heldout_rms_um: float, heldout_max_um: float
     ) -> "Identified":
-        """From recordings of which a part, described in `heldout`, was not fitted."""
+        """Create the record from recordings of which a part, described in `heldout`, was not fitted."""
         each = each_sha256(recordings)
         return cls(
             combined_sha256(each),
@@ -49,10 +49,10 @@ class Identified:
 
     @classmethod
     def from_plain(cls, values: Mapping[str, Any]) -> "Identified":
-        """The inverse of `plain`.
+        """Create the record from its fields: the inverse of `plain`.
 
         Raises:
-            StageError: Another field, or a value of another kind.
+            StageError: An unknown or missing field, or a value of the wrong kind.
         """
         names = [field.name for field in fields(cls)]
         if not isinstance(values, Mapping) or set(values) | {"each_sha256"} != set(names):
@@ -78,12 +78,12 @@ class Identified:
         return cls(**{**values, "each_sha256": tuple(each)})
 
     def plain(self) -> dict[str, Any]:
-        """Its fields, as files keep them."""
+        """Return the fields as files store them."""
         values = asdict(self) | {"each_sha256": list(self.each_sha256)}
         return values if self.each_sha256 else {k: v for k, v in values.items() if k != "each_sha256"}
 
     def has(self, sha256: str) -> bool:
-        """Whether this is the hash of its recordings or, where each is known, of all but one or two."""
+        """Whether this is the hash of its recordings or, if each hash is known, of all but one or two."""
         if sha256 == self.recordings_sha256:
             return True
         return any(

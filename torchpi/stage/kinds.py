@@ -1,4 +1,4 @@
-"""The stage in a file, where it is of a kind of its own."""
+"""Load stages that have a kind of file of their own: several axes, Bouc–Wen oscillator."""
 
 from pathlib import Path
 
@@ -10,21 +10,21 @@ from torchpi.stage.multi_axis import MultiAxisStage
 
 
 def load_axes(path: str | Path) -> MultiAxisStage | None:
-    """The stage of several axes in a file; None for any other file, or none.
+    """Return the stage of several axes in a file; None for any other or a missing file.
 
     Raises:
-        ArtifactError, StageError: As `load_own_kind`.
+        ArtifactError, StageError: As for `load_own_kind`.
     """
     found = load_own_kind(path) if Path(path).is_file() else None
     return found if isinstance(found, MultiAxisStage) else None
 
 
 def load_own_kind(path: str | Path) -> MultiAxisStage | BoucWenOscillator | None:
-    """A stage of several axes, or an oscillator; None for any other file, which `Stage.load` may read.
+    """Return a stage of several axes or an oscillator; None for any other file, which `Stage.load` may read.
 
     Raises:
         ArtifactError: Another version, or a file that was changed.
-        StageError: A value without meaning.
+        StageError: An invalid value.
     """
     try:
         schema = schema_of(load_tensors(Path(path), LARGEST_BYTES, "not a stage file"))

@@ -1,4 +1,4 @@
-"""By what share a loop is wider at a rate, over whole records."""
+"""Relative widening of the hysteresis loop with the rate, over whole records."""
 
 from typing import Any
 
@@ -12,7 +12,7 @@ from torchpi.operators.hysteresis_rows import loop_widening
 
 
 class LoopWidening(torch.autograd.Function):
-    """`loop_widening` sample by sample: torch's own logarithm has other bits than the stream's."""
+    """`loop_widening` sample by sample, because torch's logarithm is not bit-identical to the stream's."""
 
     @staticmethod
     def forward(ctx: Any, rate: Tensor, per_e: Tensor, reference: Tensor) -> Tensor:

@@ -12,7 +12,7 @@ from torchpi.operators.generalised_play import clamp_play
 from torchpi.operators.hysteresis_rows import piece_of
 
 TILE = 256
-"""Samples from one set of stored states to the next."""
+"""Number of samples from one set of stored states to the next."""
 
 
 class PlaySum(torch.autograd.Function):
@@ -93,7 +93,7 @@ def _plays_backward(
     gdown: np.ndarray, gwidth: np.ndarray, ggain: np.ndarray, gstraight: np.ndarray, gloop: np.ndarray,
     gw: np.ndarray, gc: np.ndarray, gh: np.ndarray,
 ) -> None:  # fmt: skip
-    # A state is one end of its play at the last sample that pushed it: the gradient waits in gh until then.
+    # A state is an end of its play at the last sample that pushed it; back to there, gh keeps the gradient.
     tile = np.empty((TILE + 1, len(r)))
     for row in range(first, last):
         carried = gh[row]

@@ -1,7 +1,7 @@
-"""From a stage's file to the arguments of `Stage`: the signature of a section is its schema.
+"""Convert a stage's file to the arguments of `Stage`; the signature of a section's function is its schema.
 
-A file has the sections `amplifier`, `actuator`, `mechanics` and `sensor`, each of a few physical numbers; or
-it has the arguments of `Stage` themselves, with any effects.
+A file has either the sections `amplifier`, `actuator`, `mechanics` and `sensor`, each with a few physical
+numbers, or the arguments of `Stage` themselves, with any effects.
 """
 
 import difflib
@@ -37,21 +37,21 @@ def of_sections(
     sensor: Mapping[str, Any] | None = None,
     seed: int = 0,
 ) -> Settings:
-    """The arguments of `Stage` for these sections; None, or an empty one, is ideal.
+    """Return the arguments of `Stage` for these sections; a section that is None or empty is ideal.
 
     At tick k the controller reads y(k), then writes u(k), which is held until tick k+1. So y(k) depends on u
     up to k-1.
 
     Args:
-        sample_rate_hz: Of commands and readings.
-        amplifier: Arguments of `amplifier_of`, which see.
+        sample_rate_hz: Sample rate of commands and readings.
+        amplifier: Arguments of `amplifier_of`.
         actuator: Arguments of `actuator_of`.
         mechanics: Arguments of `mechanics_of`.
         sensor: Arguments of `sensor_of`.
-        seed: Of the noise.
+        seed: Seed of the noise.
 
     Raises:
-        ConfigError: An unknown setting, with the nearest right one, or a value of the wrong kind.
+        ConfigError: An unknown setting (the message names the nearest one), or a value of the wrong kind.
         StageError: An unphysical value.
     """
     parts = (
@@ -75,15 +75,15 @@ def amplifier_of(
     converter_min_v: float = -10.0,
     converter_max_v: float = 10.0,
 ) -> Settings:
-    """D/A converter, saturation, then the held, lagged and delayed voltage. Given nothing, it only holds.
+    """Return the settings of an amplifier: D/A converter, saturation, hold, lag, delay; by default only hold.
 
     Voltages are those on the controller's side; the fixed gain of the amplifier is part of the actuator's.
 
     Args:
         min_voltage_v: Lower saturation; None is no limit.
         max_voltage_v: Upper saturation; None is no limit.
-        cutoff_hz: Of the first-order lag; None is no lag.
-        delay_s: Computation and converter together, beyond the hold itself.
+        cutoff_hz: Cutoff frequency of the first-order lag; None is no lag.
+        delay_s: Delay of computation and converter together, in addition to the hold.
         converter_bits: Resolution of the converter; None is ideal.
         converter_min_v: Lower end of its range.
         converter_max_v: Upper end of its range.
@@ -114,16 +114,16 @@ def actuator_of(
     creep_from_s: float = 0.1,
     creep_to_s: float = 100.0,
 ) -> Settings:
-    """Curvature of the input, Prandtl–Ishlinskii hysteresis, logarithmic creep. Given nothing, 1 µm/V.
+    """Return an actuator: input curvature, Prandtl–Ishlinskii hysteresis, log creep; by default 1 µm/V.
 
     Args:
         input_polynomial_v: Coefficients of v, v², v³ with v in V, the result in V; None is a straight line.
             Its curvature makes the loop asymmetric.
         thresholds_v: r of the plays, none negative.
-        weights_um_per_v: w of the plays, one a threshold. Their sum is the gain of a large swing.
+        weights_um_per_v: w of the plays, one for each threshold. Their sum is the gain of a large swing.
         creep_per_decade: Share of a step added in each decade of time; None is no creep.
-        creep_from_s: Where the logarithm begins to hold.
-        creep_to_s: Where it ends.
+        creep_from_s: Time from which the logarithm holds.
+        creep_to_s: Time up to which it holds.
     """
     check_plays(thresholds_v, weights_um_per_v)
     c = [1.0] if input_polynomial_v is None else list(input_polynomial_v)
@@ -149,11 +149,11 @@ def actuator_of(
 
 
 def mechanics_of(*, frequency_hz: float | None = None, damping_ratio: float | None = None) -> Settings:
-    """One lightly damped mode of unit static gain. Given nothing, rigid.
+    """Return the settings of one lightly damped mode of unit static gain; by default the stage is rigid.
 
     Args:
-        frequency_hz: Of the mode, undamped; None is rigid.
-        damping_ratio: Of the mode; stands with `frequency_hz`.
+        frequency_hz: Undamped natural frequency of the mode; None is rigid.
+        damping_ratio: Damping ratio of the mode; required together with `frequency_hz`.
     """
     if frequency_hz is None and damping_ratio is None:
         return {}
@@ -171,10 +171,10 @@ def sensor_of(
     converter_min_um: float = -50.0,
     converter_max_um: float = 50.0,
 ) -> Settings:
-    """A lag, white noise, and an A/D converter. Given nothing, it reads the displacement itself.
+    """Return the settings of a sensor: lag, white noise, A/D converter; by default it is ideal.
 
     Args:
-        cutoff_hz: Of the first-order lag; None is no lag.
+        cutoff_hz: Cutoff frequency of the first-order lag; None is no lag.
         noise_um: Standard deviation of the noise of one reading.
         converter_bits: Resolution of the converter; None is ideal.
         converter_min_um: Lower end of its range.
@@ -188,7 +188,7 @@ def sensor_of(
 
 
 def check_plays(thresholds_v: Sequence[float], weights_um_per_v: Sequence[float]) -> None:
-    """Raise `StageError` unless these can be the plays of an actuator that moves the right way."""
+    """Raise `StageError` unless thresholds and weights fit together and give a positive gain."""
     if len(thresholds_v) == 0 or not all(0 <= r < math.inf for r in thresholds_v):
         raise StageError(
             f"thresholds_v: found {list(thresholds_v)} V, expected one number or more, none negative"
@@ -204,12 +204,12 @@ def check_plays(thresholds_v: Sequence[float], weights_um_per_v: Sequence[float]
 
 
 def _entry(effect: type[Effect], **values: float) -> Settings:
-    """An effect as `Stage` takes it, its values checked here, where the section is known."""
+    """Return an effect as `Stage` takes it; its values are checked here, where the section is known."""
     return {"name": effect.name, "values": effect.checked(values)}
 
 
 def _converter(bits: int | None, unit: str, low: float, high: float) -> Settings | None:
-    """A converter as `Stage` takes it; errors name the setting as it stands in the file."""
+    """Return a converter as `Stage` takes it; errors name the setting as in the file."""
     if bits is None:
         return None
     Converter.quantities["bits"].check("converter_bits", bits)
@@ -218,12 +218,12 @@ def _converter(bits: int | None, unit: str, low: float, high: float) -> Settings
 
 
 def read_yaml(path: str | Path) -> dict[str, Any]:
-    """The settings in a YAML file.
+    """Return the settings in a YAML file.
 
     Raises:
-        ConfigError: No such file, no YAML, or no mapping of keys to values; names the file.
+        ConfigError: The file is missing, not YAML, or not a mapping of keys to values; names the file.
     """
-    import yaml  # not at the top: nothing else of a stage needs it
+    import yaml  # imported here, because nothing else of a stage needs it
 
     text = read_yaml_text(path)
     try:
@@ -247,8 +247,8 @@ def build(
     """Call `make` with a section's settings as its keyword arguments.
 
     Raises:
-        ConfigError: An unknown or missing key, with the nearest right one, or a value of the wrong kind.
-        StageError: What `make` finds unphysical. Both begin with the key in full.
+        ConfigError: An unknown key (with the nearest right one), a missing key, or a value of the wrong kind.
+        StageError: A value that `make` finds unphysical. Both messages begin with the full key.
     """
     prefix = f"{section}." if section else ""
     if settings is not None and not isinstance(settings, Mapping):
@@ -272,7 +272,7 @@ def build(
 
 
 def _of_kind(value: Any, kind: str, where: str) -> Any:
-    """The value as its annotation requires. YAML 1.1 takes 1e-4 for text: that is a number here."""
+    """Convert a value as its annotation requires. YAML 1.1 reads 1e-4 as text; here it is a number."""
     if "Mapping" in kind or (value is None and "None" in kind):
         return value
     if "bool" in kind:

@@ -1,9 +1,9 @@
-"""A simulation of someone else's in place of the hysteresis, corrected.
+"""An external simulation in place of the hysteresis, with corrections.
 
     y = g F(v) + Σ_i F_i(x_i) + …
 
-F is the simulation: called with the voltage v, or its recorded output. g corrects its gain, the sum its
-static hysteresis; both beside it, because nothing inside it is known.
+F is the simulation, called with the voltage v or given as recorded output. g corrects its gain, the sum its
+static hysteresis; both act outside the simulation, because nothing inside it is known.
 """
 
 from collections.abc import Mapping
@@ -20,11 +20,11 @@ from torchpi.stage.hysteresis import Hysteresis
 class SimulatedHysteresis(Hysteresis):
     """A `Hysteresis` beside a simulation that is called with whole records, or whose output is recorded.
 
-    Its last state counts the records that were begun: a call starts from rest, and cannot go on.
+    Its last state counts the records that were started, because a call starts from rest and cannot continue.
 
     Args:
         sample_period_s: T.
-        simulation: `reference`, what the simulation is called, or "column" where its output is recorded;
+        simulation: `reference`, the name of the simulation, or "column" if its output is recorded;
             `gain`, g.
         hysteresis: Arguments of `Hysteresis`.
     """
@@ -56,10 +56,10 @@ class SimulatedHysteresis(Hysteresis):
         return corrected + self.gain * y, torch.cat([after, state[:, -1:] + 1], 1)
 
     def called(self, x: Tensor, begun: Tensor) -> Tensor:
-        """F(v), (batch, time), µm.
+        """Return F(v), (batch, time), µm.
 
         Raises:
-            StageError: There is no simulation to call, or the call would have to go on or be differentiated.
+            StageError: There is no simulation to call, or it would have to be continued or differentiated.
         """
         what = f"simulation '{self.reference}'"
         if self.simulator is None:

@@ -1,10 +1,10 @@
-"""The stage: a hysteresis inside a chain of effects, from a file, from settings, or from a diagnosis.
+"""A stage: a hysteresis inside a chain of effects, from a file, from settings, or from a diagnosis.
 
     command → D/A → limits → alignment → effects before → hysteresis → effects after → displacement
             → sensor → noise → A/D → reading
 
-Effects stand in the order of `EFFECTS`. The stage simulates, it is differentiable in its physical parameters,
-and its file is plain data.
+The effects act in the order of `EFFECTS`. A stage simulates, is differentiable in its physical parameters,
+and is saved as plain data.
 """
 
 import math
@@ -51,35 +51,35 @@ SEED = Quantity("", at_least=0, at_most=2**63 - 1)
 class Stage(Operator):
     """A stage, differentiable in its physical parameters.
 
-    `forward` maps volts to the displacement, µm, without noise or converters: what training goes through.
-    `stage.sensor(y)` is what the sensor makes of that. `simulate` and `stream` are the whole rig. Physical
-    parameters are `parameters()`, float64, each in the unit of its name; they stay on the CPU wherever the
-    stage is moved, and a voltage from another device gives a displacement there.
+    `forward` maps volts to the displacement in µm, without noise or converters; training differentiates
+    through it. `stage.sensor(y)` is the sensor's response to that displacement. `simulate` and `stream` model
+    the whole rig. The physical parameters are `parameters()`, float64, each in the unit given in its name.
+    They stay on the CPU wherever the stage is moved; the displacement is on the device of the voltage.
 
     Args:
-        sample_rate_hz: Of commands and readings.
-        hysteresis: Arguments of `Hysteresis`, which see, beside the period.
-        effects: Each {`name`, `values`: its parameters, `aux`: name of the signal that it takes, if any};
-            `modal`: true for those that act together, as `Modes`.
-        sensor: Effects of the sensor that are not part of the displacement. A recording shows the reading
-            alone: a stage that was identified has them all in `effects`.
-        alignment: Whether y(k) answers the command of tick k (0) or that of the tick before (1). It is a
-            convention of who recorded: one sample stays one sample at any rate. A controller that reads, then
-            writes, has 1. Where a simulation is called, -1 stands for one that answers a sample late.
-        min_voltage_v: Lower end of the voltages that it stands for; None where none is known.
-        max_voltage_v: Upper end.
+        sample_rate_hz: Sample rate of commands and readings.
+        hysteresis: Arguments of `Hysteresis`, without the sample period.
+        effects: One mapping per effect: {`name`, `values`: its parameters, `aux`: name of the signal that it
+            takes, if any}; `modal`: true for effects that act together as `Modes`.
+        sensor: Sensor effects that change the reading but not the displacement. A recording contains only
+            the reading, so a stage that was identified has all its effects in `effects`.
+        alignment: Whether y(k) responds to the command of tick k (0) or of the tick before (1). It is the
+            recording's timing convention: one sample at any sample rate. A controller that reads, then
+            writes, has 1. For a simulation that is called, -1 means that it responds one sample late.
+        min_voltage_v: Lower end of the voltage range that the stage represents; None if unknown.
+        max_voltage_v: Upper end of that range.
         saturates: Whether the amplifier clips the voltage at these ends.
-        command_converter: Arguments of `Converter`, the D/A; None is ideal.
-        reading_converter: The A/D; None is ideal.
+        command_converter: Arguments of the D/A `Converter`; None is ideal.
+        reading_converter: Arguments of the A/D `Converter`; None is ideal.
         noise_um: Rms of the noise of one reading.
-        seed: Of the noise.
-        stepped: Whether the displacement of the ceramic is held through each sample, as the command is.
-        zero_um: What the sensor reads of the de-energised stage.
-        identified: Fields of `Identified`: the recordings that it was identified from, and how well it
-            predicts others; None for a stage that was written down.
+        seed: Seed of the noise.
+        stepped: Whether the displacement of the ceramic is held during each sample, as the command is.
+        zero_um: Reading of the sensor when the stage is de-energised.
+        identified: Fields of `Identified`: the recordings that the stage was identified from, and how well it
+            predicts others; None for a stage that was specified by hand.
 
     Raises:
-        StageError: An unknown effect, a value out of its bounds, or another alignment.
+        StageError: An unknown effect, a value out of its bounds, or an unsupported alignment.
 
     Example:
         >>> import numpy as np
@@ -142,7 +142,7 @@ class Stage(Operator):
             self.sample_period_s, **hysteresis
         )
         if simulated:
-            # What is late is so behind it: its output may be all that is known.
+            # Alignment and delays act behind a simulation, of which only the output may be known.
             before = [e for e in outside if e.before_hysteresis and not e.commutes]
             after = [*late, *(e for e in outside if e not in before)]
         if self.simulation == COLUMN:
@@ -156,10 +156,10 @@ class Stage(Operator):
 
     @classmethod
     def from_yaml(cls, path: str | Path) -> "Stage":
-        """The stage in a YAML file, or one of torchpi's own by its name: `default`, `qin2013`.
+        """Return the stage in a YAML file, or one that torchpi includes, by its name: `default`, `qin2013`.
 
         Raises:
-            ConfigError, StageError: No such file, or what is wrong in it.
+            ConfigError, StageError: The file does not exist, or has an invalid setting.
         """
         return cls.from_dict(read_yaml(config_file(path, "stage")), str(path))
 
@@ -167,12 +167,12 @@ class Stage(Operator):
     def from_dict(
         cls,
         settings: Mapping[str, Any],
-        source: str = "stage",  # what errors name
+        source: str = "stage",  # its name in error messages
     ) -> "Stage":
-        """The stage of these settings: sections, as in its file, or the arguments of `Stage`.
+        """Return the stage with these settings: sections as in its file, or the arguments of `Stage`.
 
         Raises:
-            ConfigError: An unknown setting, with the nearest right one, or a value of the wrong kind.
+            ConfigError: An unknown setting (the message names the nearest one), or a value of the wrong kind.
             StageError: An unphysical value.
         """
         try:
@@ -185,11 +185,11 @@ class Stage(Operator):
 
     @classmethod
     def load(cls, path: str | Path) -> "Stage":
-        """The stage in a file that `save` wrote, in a YAML file, or one of torchpi's own by its name.
+        """Return the stage in a file written by `save`, in a YAML file, or included in torchpi, by its name.
 
         Raises:
-            ArtifactError: No such file, or something else.
-            ConfigError: Neither a file nor a name, or what is wrong in a YAML file.
+            ArtifactError: The file does not exist, or is not a stage file.
+            ConfigError: Neither a file nor a known name, or an error in a YAML file.
         """
         path = config_file(path, "stage")
         if path.suffix in (".yaml", ".yml"):
@@ -201,16 +201,16 @@ class Stage(Operator):
             raise ArtifactError(f"{path}: damaged, {EXPECTED}: {error}") from error
 
     def save(self, path: str | Path) -> None:
-        """Write the file: plain numbers and a hash of them, which `torch.load` reads with weights only."""
+        """Write the file: plain numbers and their hash, which `torch.load` reads with weights only."""
         with write_atomically(path) as temporary:
             self.write(temporary)
 
     def write(self, path: Path) -> None:
-        """The same in place, for files that appear together."""
+        """Write the same file in place, for a caller that makes several files appear together."""
         write_settings(path, self.to_dict())
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain settings with the present values of the parameters: `from_dict` gives this stage again."""
+        """Return plain settings with the present parameters, from which `from_dict` rebuilds this stage."""
         converters = [
             None if one is None else one.settings()
             for one in (self.command_converter, self.reading_converter)
@@ -234,14 +234,14 @@ class Stage(Operator):
         }
 
     def at_sample_rate(self, sample_rate_hz: float) -> "Stage":
-        """The same physics at another rate. Parameters are copied."""
+        """Return a stage with the same physics at another sample rate. Parameters are copied."""
         found = self.from_dict({**self.to_dict(), "sample_rate_hz": sample_rate_hz})
         if isinstance(self.hysteresis, SimulatedHysteresis) and self.hysteresis.simulator:
             found = found.with_simulation(self.hysteresis.simulator)
         return found
 
     def plain(self) -> "Stage":
-        """Its hysteresis without any of the effects. Parameters are copied."""
+        """Return a stage with the same hysteresis and without effects. Parameters are copied."""
         settings = self.to_dict()
         hysteresis, inside = settings["hysteresis"], self._shape_inside()
         shape = {name: value for name, value in hysteresis["shape"].items() if name not in inside}
@@ -267,7 +267,7 @@ class Stage(Operator):
 
     @property
     def sensor_effects(self) -> tuple[EffectSettings, ...]:
-        """Those between the displacement and the reading."""
+        """The effects between the displacement and the reading, with their present parameters."""
         operators = cast(list[Effect], self.sensor.series())
         return tuple(
             one._replace(values=one.present(operator))
@@ -276,25 +276,25 @@ class Stage(Operator):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The effects in the displacement, in the order of the chain."""
+        """Names of the effects in the displacement, in the order of the chain."""
         return tuple(one.kind.name for one in self._named)
 
     @property
     def aux_names(self) -> tuple[str, ...]:
-        """The auxiliary signals that it takes; of a simulation whose output is recorded, that output."""
+        """Names of the auxiliary signals that the stage takes, including a simulation's recorded output."""
         simulated = [SIMULATED_COLUMN] if self.simulation == COLUMN else []
         return tuple(dict.fromkeys([*(one.aux for one in self._named if one.aux), *simulated]))
 
     @property
     def simulation(self) -> str:
-        """The simulation of someone else's that it corrects; empty where there is none."""
+        """Name of the external simulation that the stage corrects; empty if there is none."""
         return self.hysteresis.reference if isinstance(self.hysteresis, SimulatedHysteresis) else ""
 
     def with_simulation(self, simulator: Simulator | None) -> "Stage":
-        """The same stage, calling this: a file names its simulation, and never loads it.
+        """Return the same stage calling this simulator; a file only names its simulation, and never loads it.
 
         Raises:
-            StageError: It takes none.
+            StageError: The stage calls no simulation.
         """
         found = self.from_dict(self.to_dict())
         if not isinstance(found.hysteresis, SimulatedHysteresis) or self.simulation == COLUMN:
@@ -304,12 +304,12 @@ class Stage(Operator):
 
     @property
     def max_slew_v_s(self) -> float:
-        """The least of its amplifier's slew limits, V/s; infinite without any."""
+        """The lowest slew limit of the amplifier, V/s; infinite without one."""
         rates = (one.values.get("rate_v_per_s", math.inf) for one in self.effects if one.kind is SlewLimit)
         return min(rates, default=math.inf)
 
     def series(self) -> list[Operator]:
-        """Every operator from the limited command to the displacement, first to last."""
+        """Return every operator from the limited command to the displacement, first to last."""
         return [*self.before, self.hysteresis, *self.after]
 
     def initial_state(self, batch: int) -> Tensor:
@@ -343,7 +343,7 @@ class Stage(Operator):
         return x.to(outside.device), torch.cat(after, 1).to(outside.device)
 
     def _apply(self, fn: Any, recurse: bool = True) -> Self:
-        # The kernels of a stage are compiled for a CPU: its numbers stay there, whatever module has it.
+        # A stage's kernels are compiled for the CPU, so its parameters stay there if a parent module moves.
         super()._apply(lambda tensor: fn(tensor).cpu(), recurse)  # type: ignore[no-untyped-call]
         return self
 
@@ -356,14 +356,14 @@ class Stage(Operator):
         u: Tensor | Array,  # (batch, time), V
         seed: int | None = None,  # of the noise; the stage's own by default
     ) -> tuple[Tensor, Tensor] | tuple[Array, Array]:  # (batch, time), µm, twice
-        """Displacement, and what the sensor reads of it, from the de-energised state; other axes are at rest.
+        """Simulate displacement and reading from the de-energised state, with the other axes at rest.
 
-        Converters and noise are in. Each row has its own noise, the same in every call. A NumPy array gives
-        NumPy arrays, a tensor tensors, which carry gradients.
+        Converters and noise are included. Each row has its own noise, the same in every call. A NumPy array
+        gives NumPy arrays; a tensor gives tensors, which carry gradients.
 
         Raises:
-            StageError: Another shape than (batch, time), a command of other than finite numbers, or a delay
-                that is longer than the record.
+            StageError: A shape other than (batch, time), a command that is not finite, or a delay that is
+                longer than the record.
         """
         if isinstance(u, np.ndarray):
             with torch.no_grad():
@@ -385,12 +385,12 @@ class Stage(Operator):
         return y, reading
 
     def stream(self, compiled: bool = True) -> StageStream:  # type: ignore[override]
-        """The rig sample by sample, with the parameters of now: `reset(seed)`, `step(u)` → (y, reading).
+        """Return the rig one sample at a time, as it is now: `reset(seed)`, `step(u)` → (y, reading).
 
-        The same numbers as row 0 of `simulate`, to the last bit.
+        The stream equals row 0 of `simulate` to the last bit.
 
         Args:
-            compiled: Whether TorchScript compiles the step: about a second once, then the faster way.
+            compiled: Whether TorchScript compiles the step, which takes about a second and makes it faster.
         """
         ends = [self.min_voltage_v, self.max_voltage_v, 0.0]
         limits = [StepStream(clip_step, ends)] if self.saturates else []
@@ -419,7 +419,7 @@ class Stage(Operator):
             raise StageError(f"delay_s: found {delay_s:g} s, expected less than the record, {duration_s:g} s")
 
     def _shape_inside(self) -> Parameters:
-        """What the effects inside the hysteresis give as its shape."""
+        """Return the shape parameters that the effects inside the hysteresis set."""
         inside = [one for one in self._named if issubclass(one.kind, InsideEffect)]
         return {name: value for one in inside for name, value in one.kind.checked(one.values).items()}
 
@@ -427,7 +427,7 @@ class Stage(Operator):
         return cast(type[Effect], one.kind)(self.sample_period_s, **one.values)
 
     def _operators(self) -> tuple[list[Effect], dict[nn.Module, str | tuple[str, ...]]]:
-        """The effects outside the hysteresis, and the signals that each of them takes, if any."""
+        """Return the effects outside the hysteresis, and the signals that each of them takes, if any."""
         operators: list[Effect] = []
         signals: dict[nn.Module, str | tuple[str, ...]] = {}
         modal = [one for one in self._named if issubclass(one.kind, ModalEffect)]

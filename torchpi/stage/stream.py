@@ -1,4 +1,4 @@
-"""The stage as a rig that is stepped: command in, displacement and reading out."""
+"""Step a stage as a rig: command in, displacement and reading out."""
 
 import warnings
 from math import isfinite
@@ -13,18 +13,18 @@ from torchpi.operators.noise import NoiseStream
 
 
 class StageStream:
-    """A stage, one sample at a time.
+    """A stage that runs one sample at a time.
 
     Args:
-        rig: Its parts.
-        seed: Of the noise until `reset` gives another.
+        rig: The parts of the stage.
+        seed: Seed of the noise until `reset` sets another.
         compiled: Whether TorchScript compiles the step.
     """
 
     def __init__(self, rig: "RigStream", seed: int, compiled: bool) -> None:
         if compiled:
             with warnings.catch_warnings():
-                # TorchScript is what the compensator is deployed in, deprecated in torch 2.13 or not.
+                # The compensator is deployed in TorchScript, although torch 2.13 deprecates it.
                 warnings.filterwarnings("ignore", message=".*torch.jit.*deprecated.*")
                 self.rig: Any = torch.jit.script(rig)
         else:
@@ -34,16 +34,16 @@ class StageStream:
         self.sample = 0
 
     def reset(self, seed: int | None = None) -> None:
-        """Back to the de-energised state; noise begins anew, with this seed if one is given."""
+        """Return to the de-energised state and restart the noise, with this seed if one is given."""
         self.rig.reset()
         self.noise.reset(self.seed if seed is None else seed)
         self.sample = 0
 
     def step(self, u: float) -> tuple[float, float]:
-        """Read y(k), then write u(k), V: returns the displacement and the reading at tick k, µm.
+        """Read y(k), then write u(k), V; return the displacement and the reading at tick k, µm.
 
         Raises:
-            StageError: A command that is not finite. The state stays as it was.
+            StageError: A command that is not finite. The state is unchanged.
         """
         if not isfinite(u):
             raise StageError(f"u: found {u} V at sample {self.sample}, expected a finite number")

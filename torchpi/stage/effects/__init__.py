@@ -1,4 +1,4 @@
-"""Every effect that torchpi knows, in the order of the chain: adding one is a class, and a row here."""
+"""All effects that torchpi knows, in the order of the chain; a new effect needs a class and a row here."""
 
 from torchpi.stage.effects.actuator.ageing import Ageing
 from torchpi.stage.effects.actuator.creep import Creep

@@ -1,4 +1,4 @@
-"""Effects in absolute time, t from the first sample; most add a signal, y = x + s(t)."""
+"""Effects in absolute time, with t from the first sample; most add a signal, y = x + s(t)."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
@@ -13,12 +13,12 @@ from torchpi.stage.effects.effect import Effect
 def sampled(
     kernel: Any,  # compiled: (elapsed (batch,), period, *parameters, s (batch, time)) fills in s
     of_tensors: Callable[..., Tensor],  # s(t, *parameters)
-    elapsed: Tensor,  # (batch, 1), samples before the first of these
+    elapsed: Tensor,  # (batch, 1), samples elapsed before the first one
     time: int,
     period_s: float,
     parameters: Sequence[Tensor],  # () each
 ) -> Tensor:  # (batch, time)
-    """A signal at `time` samples; differentiable in the state and in all parameters."""
+    """Return a signal at `time` samples, differentiable in the state and in all parameters."""
     return _Sampled.apply(kernel, of_tensors, time, period_s, elapsed, *parameters)  # type: ignore
 
 
@@ -29,7 +29,7 @@ class InTime(Effect):
 
     @classmethod
     def extrapolates(cls, values: Mapping[str, float]) -> bool:
-        return "knot_spacing_s" not in values  # a random walk goes on as it likes
+        return "knot_spacing_s" not in values  # a random walk cannot be extrapolated
 
 
 class AddedSignal(InTime):
@@ -44,7 +44,7 @@ class AddedSignal(InTime):
         return x + self.added(elapsed, x.shape[1]).to(x), elapsed + x.shape[1]
 
     def added(self, elapsed: Tensor, time: int) -> Tensor:
-        """The signal, (batch, time), µm, from `elapsed` samples on, (batch, 1)."""
+        """Return the signal, (batch, time), µm, that begins after `elapsed` samples, (batch, 1)."""
         raise NotImplementedError
 
     def tangent(self, x: Tensor, dx: Tensor) -> Tensor:

@@ -1,4 +1,4 @@
-"""What every piece of physics that a stage may lack has in common."""
+"""Base classes of the physical effects that a stage may lack."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -21,12 +21,12 @@ Parameters = dict[str, float]
 
 @dataclass(frozen=True)
 class DataRange:
-    """What the recordings span: it sets where a search for an effect may begin."""
+    """Ranges that the recordings span, from which the starts of a search for an effect are derived."""
 
     fs_hz: float
     """The highest sample rate."""
     duration_s: float
-    """Of the longest recording."""
+    """Duration of the longest recording."""
     low_v: float
     high_v: float
     max_rate_v_s: float
@@ -36,14 +36,14 @@ class DataRange:
     aux: dict[str, float]
     """Standard deviation of each auxiliary signal."""
     peak_rate_v_s: float = 0.0
-    """The largest |u̇|, which only edges may reach."""
+    """The largest |u̇|, which possibly only edges reach."""
     simulated: bool = False
-    """Whether effects act on the output of a simulation whose inside is not known: it may have them already,
+    """Whether effects act on the output of a simulation of unknown structure, which may already have them
     with other parameters."""
     repeats: bool = False
-    """Whether the voltage of every recording repeats: what does not repeat with it stands apart."""
+    """Whether every recording's voltage repeats, so that signals that do not repeat can be separated."""
     quickest_s: float = 0.0
-    """σ_u/σ_u̇, where the voltage moves quickest: what is over sooner looks late."""
+    """The smallest σ_u/σ_u̇ of a recording; a relaxation that ends sooner looks like a delay."""
 
     @property
     def span_v(self) -> float:
@@ -56,93 +56,93 @@ class DataRange:
 
 @dataclass(frozen=True)
 class Needs:
-    """What recordings must have before they can show an effect at all."""
+    """What recordings must contain to be able to show an effect."""
 
     reversals: int = 0
-    """A voltage that goes up and comes down: levels at which it turns round."""
+    """Number of levels at which the voltage must reverse, in recordings that go up and come down."""
     recordings: int = 1
-    """So many recordings."""
+    """Minimum number of recordings."""
     pace: float = 1.0
-    """Strokes of which one takes so many times as long as another: with one frequency the rate is a function
-    of the voltage and of the amplitude."""
+    """Minimum ratio of the durations of the slowest and the fastest stroke: with a single frequency the rate
+    is a function of the voltage and of the amplitude."""
 
 
 def parameter(unit: str, at_least: float, at_most: float, identity: float = 0.0) -> Any:
-    """A physical parameter in the body of an effect's class: arguments are those of `Quantity`."""
+    """Declare a physical parameter in the body of an effect's class; arguments are those of `Quantity`."""
     return Quantity(unit, at_least, at_most, identity=identity)
 
 
 class Described:
-    """What the search, the report and the files need of a kind of effect, whatever it acts on.
+    """Description of a kind of effect for the search, the report and the files, whatever it acts on.
 
-    The parameters are the quantities in a class's body, and those of `quantities` beside them, where there
-    are many, or others than in the class that it is derived from.
+    The parameters are the quantities in the class body, together with those in `quantities`, which a class
+    defines if it has many parameters, or others than its base class.
     """
 
     name: ClassVar[str]
-    """As in `diagnosis.json`."""
+    """Name in `diagnosis.json`."""
     block: ClassVar[Block]
     equation: ClassVar[str]
-    """One line, with the letters of the literature."""
+    """Equation in one line, with the symbols of the literature."""
     signature: ClassVar[str]
-    """How the residual shows it, in one line."""
+    """How the residual shows the effect, in one line."""
     quantities: ClassVar[dict[str, Quantity]]
     """Unit, physical bounds and identity of each parameter."""
     accepted: ClassVar[dict[str, Quantity]] = {}
-    """Bounds of a given value, where they are wider than those that a fit stays in."""
+    """Bounds of values that a user gives, where they are wider than those of a fit."""
     identity: ClassVar[Parameters]
-    """The value of each parameter at which the effect is not there."""
+    """The value of each parameter at which the effect is absent."""
     per_recording: ClassVar[tuple[str, ...]] = ()
-    """Parameters that are another number in each recording, such as a phase."""
+    """Parameters that have a separate value in each recording, such as a phase."""
     relative: ClassVar[bool] = False
-    """Whether it shows as a difference alone: one recording has it, and the rest keep the identity."""
+    """Whether only differences between recordings show it: one has the effect, the rest keep the identity."""
     before_hysteresis: ClassVar[bool] = False
     """Whether it acts on the voltage, not on a displacement."""
     takes_aux: ClassVar[bool] = False
     """Whether it takes an auxiliary signal as a second input."""
     jumps: ClassVar[tuple[str, ...]] = ()
-    """Parameters in which the output jumps: only a finite step shows which way to go."""
+    """Parameters in which the output jumps, so that only a finite step shows the direction of descent."""
     kinks: ClassVar[tuple[str, ...]] = ()
-    """Parameters that decide which samples an effect touches: an infinitesimal step touches no others."""
+    """Parameters that decide which samples are affected; an infinitesimal step affects no others."""
     sticks: ClassVar[bool] = False
-    """Whether nothing small moves it: at rest its output has no slope."""
+    """Whether small changes of the input do not move the output at rest, so that it has no slope there."""
     kinds: ClassVar[tuple[str, ...]] = ()
-    """Parameters that choose between kinds of the effect: a start sets them, and they are not fitted."""
+    """Parameters that select a variant of the effect; a start sets them, and they are not fitted."""
     walk: ClassVar[tuple[str, ...]] = ()
-    """Numbers of a recording that are places on a random walk, one after another."""
+    """Per-recording parameters that are successive values of a random walk."""
     hold: Hold | None = None
-    """For a dynamic block what its input does between samples; None for an effect that need not know."""
+    """How the input of a dynamic block behaves between samples; None if the effect does not depend on it."""
     time_scale: ClassVar[TimeScale] = "any"
     """When it acts: "fast" with the rate of the input, "slow" over seconds and more, "static" at any rate."""
     needs: ClassVar[Needs] = Needs()
     unseen: ClassVar[str] = "these recordings show nothing within its bounds"
-    """Why it is left out where `starts` returns nothing."""
+    """Why the effect is left out if `starts` returns nothing."""
     degenerate_with: ClassVar[tuple[str, ...]] = ()
-    """Effects that voltage and displacement alone cannot split from it in general."""
+    """Effects that in general cannot be told apart from this one by voltage and displacement alone."""
     left_by: ClassVar[tuple[str, ...]] = ()
-    """Effects whose remainder looks like this one where their equation is not quite the rig's."""
+    """Effects that leave a residual like that of this one if their equation does not quite match the rig."""
     alike_inside: ClassVar[tuple[str, ...]] = ()
-    """Effects that look the same where a simulation whose inside is not known may have one of them."""
+    """Effects that look the same if a simulation of unknown structure may already have one of them."""
     commutes: ClassVar[bool] = False
-    """Whether it does the same before and behind anything that does not change with time."""
+    """Whether it has the same result before and behind any time-invariant block."""
     delays: ClassVar[bool] = False
-    """Whether it makes the output late by about one time: a convention of timing looks the same."""
+    """Whether it delays the output by a roughly constant time, which looks like a convention of timing."""
     rings: ClassVar[bool] = False
     """Whether it has a mode of its own."""
     smooths: ClassVar[bool] = False
-    """Whether it leaves no steps in a held voltage."""
+    """Whether it removes the steps of a held voltage."""
     read_off: ClassVar[bool] = False
-    """Whether it is read off the recorded readings, not fitted."""
+    """Whether it is determined directly from the recorded readings instead of being fitted."""
     forms: ClassVar[tuple[str, ...]] = ()
-    """Its equations, where the cause is known and the equation is not; empty for one equation only."""
+    """Its alternative equations, if the cause is known but the equation is not; empty for only one."""
     form_of: ClassVar[Mapping[str, str]] = {}
-    """The form that each parameter brings in when it leaves its identity."""
+    """The form that is in use when a parameter differs from its identity."""
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
         own = {name: value for name, value in vars(cls).items() if isinstance(value, Quantity)}
         for name in own:
-            delattr(cls, name)  # an instance has the number there
+            delattr(cls, name)  # an instance has its value under this name
         others = vars(cls).get("quantities")
         inherited = getattr(cls, "quantities", {}) if others is None else {}
         cls.quantities = {**inherited, **own, **(others or {})}
@@ -150,10 +150,10 @@ class Described:
 
     @classmethod
     def form(cls, values: Mapping[str, float]) -> str:
-        """The form in use, of `forms`, joined by " + " where there are several; "" where there is none.
+        """Return the form of `forms` that is in use; several are joined by " + ", and "" means none.
 
         Args:
-            values: Parameters, the rest as in the identity.
+            values: Parameters; the others are at their identity.
         """
         there = {cls.form_of[n] for n, v in values.items() if n in cls.form_of and v != cls.identity[n]}
         return " + ".join(form for form in cls.forms if form in there)
@@ -166,37 +166,37 @@ class Described:
         output: np.ndarray,  # (time,), µm, its readings
         fs_hz: float,
     ) -> list[Parameters]:
-        """Further starts, from what a fit has left: for effects that no coarse grid finds."""
+        """Return further starts, from the residual of a fit, for effects that a coarse grid misses."""
         return []
 
     @classmethod
     def extrapolates(cls, values: Mapping[str, float]) -> bool:
-        """Whether these numbers tell what comes after the samples that they were fitted to."""
+        """Whether these parameters predict the samples after those that they were fitted to."""
         return True
 
     @classmethod
     def line_hz(cls, values: Mapping[str, float]) -> float | None:
-        """The frequency of a line that it has of itself, whatever drives the stage, if it has one."""
+        """Return the frequency of the line that the effect generates whatever drives the stage, if any."""
         return None
 
     @classmethod
     def added_line_hz(cls, values: Mapping[str, float]) -> float | None:
-        """The same where the output has that line, however the stage moves."""
+        """Return the same frequency if the line is in the output however the stage moves, otherwise None."""
         return cls.line_hz(values)
 
     @classmethod
     def reached(cls, values: Mapping[str, float], seen: DataRange) -> bool:
-        """Whether recordings drive it as far, or as quickly, as it takes to tell it from something else."""
+        """Whether the recordings go far enough, or fast enough, to tell the effect from something else."""
         return True
 
     @classmethod
     def later(cls, values: Parameters, by_s: float) -> Parameters | None:
-        """Parameters with which the output is the same, so much later; None where no parameter does that."""
+        """Return parameters with which the output is delayed by `by_s`; None if no parameter does that."""
         return None
 
     @classmethod
     def checked(cls, values: Mapping[str, float]) -> Parameters:
-        """The values, each within its bounds.
+        """Return the values after checking that each is within its bounds.
 
         Raises:
             StageError: An unknown parameter, or a value out of bounds; names the parameter and its unit.
@@ -207,7 +207,7 @@ class Described:
                 raise StageError(
                     f"{cls.name}: found the unknown parameter '{name}', expected {', '.join(cls.quantities)}"
                 )
-            # The identity itself may be a limit, such as an infinite cutoff, that no measured value takes.
+            # The identity may be a limit that no measured value takes, such as an infinite cutoff.
             if value != cls.identity[name]:
                 bounds[name].check(name, value)
         return {name: float(value) for name, value in values.items()}
@@ -216,13 +216,13 @@ class Described:
 class Effect(Described, Operator):
     """One operator with a name, a place in the chain, and physical parameters.
 
-    Built without values it is the identity, to the last bit: a stage with the effect contains the stage
-    without it. Parameters are scalar, float64, trainable, each in the unit of its name; one at infinity has
-    no gradient.
+    Built without values, the effect is the identity to the last bit, so a stage with the effect includes the
+    stage without it as a special case. Parameters are scalar, float64 and trainable, each in the unit given
+    in its name; a parameter at infinity has no gradient.
 
     Args:
         sample_period_s: T.
-        values: Physical parameters, the rest as in the identity.
+        values: Physical parameters; the others are at their identity.
 
     Raises:
         StageError: An unknown parameter, or a value out of its bounds; names the parameter and its unit.
@@ -238,22 +238,22 @@ class Effect(Described, Operator):
 
     def tangent(
         self,
-        x: Tensor,  # (1, time), V or µm as the effect's input: where it is taken
+        x: Tensor,  # (1, time), V or µm as the effect's input: the point of linearisation
         dx: Tensor,  # (directions, time), likewise V or µm
     ) -> Tensor:  # (directions, time)
-        """How the output moves when the input moves along each direction, from the de-energised state."""
+        """Return the output's derivative along each direction of the input, from the de-energised state."""
         raise TypeError(f"{type(self).__name__} must define tangent(x, dx)")
 
     @classmethod
     def starts(cls, seen: DataRange) -> list[Parameters]:
-        """Where a fit may begin: a coarse grid over the typical range, all that these data could show.
+        """Return starting points of a fit: a coarse grid over the typical range that these data could show.
 
-        Only the parameters named in an entry are fitted from there; none is at its identity.
+        Only the parameters named in an entry are fitted from there; none of them is at its identity.
         """
         raise TypeError(f"{cls.__name__} must define starts(seen)")
 
     def values(self) -> Parameters:
-        """The present parameters."""
+        """Return the present parameters."""
         return {name: self.get_parameter(name).item() for name in self.quantities}
 
 
@@ -272,7 +272,7 @@ class StateSpaceEffect(LinearEffect):
     order: ClassVar[int]
 
     def matrices(self) -> Matrices:
-        """A (n, n), or (n,) where it is diagonal, B (n,), C (n,), D () at the present parameters."""
+        """Return A (n, n), or (n,) if it is diagonal, B (n,), C (n,), D () at the present parameters."""
         raise TypeError(f"{type(self).__name__} must define matrices()")
 
     def initial_state(self, batch: int) -> Tensor:
@@ -296,14 +296,14 @@ def run(
     matrices: Matrices,
     state: Tensor | None = None,  # (batch, n), zeros by default
 ) -> tuple[Tensor, Tensor]:
-    """Output and state of x⁺ = A x + B u, y = C x + D u, with A (n, n), or (n,) where it is diagonal."""
+    """Return output and state of x⁺ = A x + B u, y = C x + D u, with A (n, n), or (n,) if it is diagonal."""
     a, b, c, d = matrices
     state = b.new_zeros(len(x), len(b)) if state is None else state
     return (relaxations if a.ndim == 1 else state_space)(x, a, b, c, d, state)
 
 
 def without_idle_poles(matrices: Matrices) -> Matrices:
-    """The same output without the states of a diagonal A that it does not see; one stays."""
+    """Remove the states of a diagonal A that do not affect the output; the last state always stays."""
     a, b, c, d = matrices
     if a.ndim > 1:
         return matrices

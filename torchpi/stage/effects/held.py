@@ -1,4 +1,4 @@
-"""What the input of a block does between samples depends on the blocks before it."""
+"""How each block's input behaves between samples, which depends on the blocks before it."""
 
 from collections.abc import Sequence
 
@@ -8,13 +8,13 @@ from torchpi.stage.effects.effect import Effect
 
 
 def hold_first_block(effects: Sequence[Effect], held: bool) -> None:
-    """Set, for every effect of a chain that needs it, what its input does between samples.
+    """Set, for every effect of a chain that needs it, how its input behaves between samples.
 
-    If the command is held through each sample, so is the input of the first dynamic block. Behind it, and
-    behind an amplifier that is slow itself, a signal runs straight from sample to sample. A delay behind an
-    amplifier's lag of one pole takes the exponential from it.
+    If the command is held during each sample, so is the input of the first dynamic block. Behind that block,
+    and behind an amplifier with a lag or slew limit, a signal is linear between samples. A delay behind an
+    amplifier's lag of one pole uses the exponential of that lag.
 
-    Every effect is set, whatever another chain has made of it before.
+    Every effect is set anew, whatever another chain has set before.
     """
     lag = next((effect for effect in effects if isinstance(effect, AmplifierLag)), None)
     decay = None if lag is None or lag.is_ideal() or lag.poles() > 1 else lag.decay

@@ -1,10 +1,10 @@
-"""The lag ẏ = 2πf_c (x - y), of a voltage or of a reading, and one of two poles.
+"""The lag ẏ = 2πf_c (x - y) of a voltage or of a reading, and a lag of two poles.
 
 The second form has an integrator of unity gain at f_c and another pole at f_2 behind it:
 
     ẇ = 2πf_c (x - y),    ẏ = 2πf_2 (w - y),    f_2 = 4ζ² f_c
 
-so that Y/X = 1 / (1 + s/ω_c + s²/ω_cω_2), of damping ratio ζ = ½ √(f_2/f_c). ζ → ∞ is the one pole again.
+so that Y/X = 1 / (1 + s/ω_c + s²/ω_cω_2), with damping ratio ζ = ½ √(f_2/f_c). ζ → ∞ gives one pole again.
 """
 
 import math
@@ -19,23 +19,23 @@ from torchpi.operators.quantity import Quantity
 from torchpi.stage.effects.effect import DataRange, Parameters, StateSpaceEffect, parameter
 
 APART = 3.6
-"""Times that one start of a search lies below the last: a fit finds its way from a factor of two."""
+"""Ratio of successive starts of a search; a fit converges from a factor of two away."""
 FLATTEST = 0.5**0.5
-"""The damping ratio of the flattest gain, where a fit of two poles begins."""
+"""The damping ratio of the flattest gain, at which a fit of two poles starts."""
 
 
 class Lag(StateSpaceEffect):
     """One pole in closed form, which an infinite cutoff leaves exact: a = e^{-ωT}, ω = 2πf_c, Γ₀ = 1 - a.
 
-    Of an input that is held in the sample that ends at tick k,
+    For an input that is held during the sample that ends at tick k,
 
         y(k) = z(k) + Γ₀ x(k),   z(k+1) = a y(k)
 
-    and of one that runs straight from sample to sample, with Γ₁ = 1 - Γ₀ / ωT,
+    and for an input that is linear between samples, with Γ₁ = 1 - Γ₀ / ωT,
 
         y(k) = z(k) + Γ₁ x(k),   z(k+1) = a z(k) + (Γ₀ - Γ₁ + a Γ₁) x(k)
 
-    With a finite `damping_ratio` there are two poles, and two states; below its bound the lag rings, which is
+    With a finite `damping_ratio` there are two poles and two states; below its bound the lag would ring like
     a mode.
     """
 
@@ -60,11 +60,11 @@ class Lag(StateSpaceEffect):
         return math.isinf(self.cutoff_hz.item())
 
     def poles(self) -> int:
-        """How many poles, and states, there are."""
+        """Return the number of poles, which is also that of the states."""
         return 1 if self.is_ideal() or math.isinf(self.damping_ratio.item()) else 2
 
     def discrete(self, hold: Hold) -> Matrices:
-        """The block for this kind of input, "end" or "first"."""
+        """Return the discrete block for this hold of the input, "end" or "first"."""
         if self.poles() == 2:
             return discretise(*self.continuous(), self.sample_period_s, hold)
         omega_t = (2 * math.pi * self.sample_period_s * self.cutoff_hz).reshape(1)
@@ -75,7 +75,7 @@ class Lag(StateSpaceEffect):
         return a, gamma0 - gamma1 + a * gamma1, torch.ones_like(a), gamma1[0]
 
     def continuous(self) -> Matrices:
-        """A, B, C, D of the two poles; the states are y and w."""
+        """Return A, B, C, D of the two poles; the states are y and w."""
         omega = 2 * math.pi * self.cutoff_hz
         second, zero = 4 * self.damping_ratio**2 * omega, torch.zeros_like(omega)
         a = torch.stack([-second, second, -omega, zero]).reshape(2, 2)
@@ -86,8 +86,8 @@ class Lag(StateSpaceEffect):
 
     @staticmethod
     def starts_below(seen: DataRange, highest_hz: float) -> list[Parameters]:
-        """Where a search may begin: from a cutoff downward, as long as the lag ends within a recording, with
-        one pole and with two."""
+        """Return starts of a search, with one pole and with two: from `highest_hz` downward, as long as the
+        lag settles within a recording."""
         count = 1 + math.floor(max(math.log(highest_hz * seen.duration_s) / math.log(APART), 0.0))
         one = [{"cutoff_hz": highest_hz / APART**k} for k in range(count)]
         return one + [{**start, "damping_ratio": FLATTEST} for start in one]

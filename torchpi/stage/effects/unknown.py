@@ -1,11 +1,11 @@
-"""What no named effect explains: the smallest remainder that fits the data, without a name.
+"""The remainder that no named effect explains: the smallest one that fits the data.
 
     y = x + Σ_j a_j ξ_j + Σ_j b_j (ξ_j x) / L,    τ_j ξ̇_j = x - ξ_j
 
-Memory on every time scale from a sample to the length of a record, linear and bilinear: a truncated
+It has memory on every time scale from a sample to the length of a record, linear and bilinear: a truncated
 Volterra series on relaxations (Boyd and Chua, *Fading memory and the problem of approximating nonlinear
-operators with Volterra series*, IEEE Trans. Circuits and Systems 32(11), 1985). Linear in a and b, which a
-ridge keeps small.
+operators with Volterra series*, IEEE Trans. Circuits and Systems 32(11), 1985). It is linear in a and b,
+which ridge regularisation keeps small.
 """
 
 from typing import ClassVar
@@ -22,7 +22,7 @@ TIMES = 8
 
 
 def remainder_step(x: float, n: list[float], s: list[float]) -> float:
-    """x and the remainder: n holds the decays, a, b and L, s is ξ."""
+    """Return x plus the remainder; n holds the decays, a, b and L, and s is ξ."""
     times = len(s)
     linear = n[times] * s[0]
     bilinear = n[2 * times] * s[0]
@@ -53,13 +53,13 @@ class Unknown(Effect):
     )
 
     def decay(self) -> Tensor:
-        """e^{-T/τ_j}, (times,)."""
+        """Return e^{-T/τ_j}, (times,)."""
         share = torch.linspace(0, 1, TIMES, dtype=torch.float64)
         tau = self.shortest_s * (self.longest_s / self.shortest_s) ** share
         return torch.exp(-self.sample_period_s / tau)
 
     def weights(self, letter: str) -> Tensor:
-        """a or b, (times,)."""
+        """Return a or b, (times,)."""
         return torch.stack([self.get_parameter(f"{letter}{j}") for j in range(TIMES)])
 
     def forward(
@@ -77,7 +77,7 @@ class Unknown(Effect):
         self,
         x: Tensor,  # (1, time), µm
     ) -> Tensor:  # (2 times, time), µm
-        """What a_0 … a_7, b_0 … b_7 add to the output."""
+        """Return the signals that a_0 … a_7, b_0 … b_7 multiply in the output."""
         decay, zero, columns = self.decay(), torch.zeros((), dtype=torch.float64), []
         for one in torch.eye(TIMES, dtype=torch.float64):
             columns.append(relaxations(x, decay, 1 - decay, one, zero, self.initial_state(1))[0][0])

@@ -1,8 +1,8 @@
-"""The stage of several axes: m voltages in, p displacements out.
+"""A stage of several axes: m voltages in, p displacements out.
 
     voltages → amplifier and plays of each actuator → shared modes ⇄ nonlinear elements → displacements
 
-`torchpi.operators.modal_feedback` has the equations. The numbers are the stage's parameters, float64.
+`torchpi.operators.modal_feedback` gives the equations. Their numbers are the stage's parameters, float64.
 """
 
 import math
@@ -28,7 +28,7 @@ from torchpi.operators.oversampled_inputs import LOOKAHEAD, OversampledInputs
 from torchpi.stage.file import SavedStage
 
 RATE_TOLERANCE = 1e-3
-"""By which share a sample rate may differ."""
+"""Largest accepted relative deviation of a sample rate from the stage's."""
 
 SETTINGS = (
     "sample_rate_hz",
@@ -45,7 +45,7 @@ SETTINGS = (
 
 @dataclass
 class MultiAxisState:
-    """State of a batch after a sample: modes, plays, means, and how many samples they have seen."""
+    """State of a batch after a sample: modes, plays, means, and the number of samples processed."""
 
     x: np.ndarray  # (batch, modes, 2), the unit of `drive` times V
     h: np.ndarray  # (batch, elements, plays), the unit of `sensed` times x
@@ -57,21 +57,21 @@ class MultiAxisStage(SavedStage):
     """Modes that several inputs share, with hysteresis at each actuator and in the feedback.
 
     Args:
-        sample_rate_hz: Of voltages and displacements; the modes are those of samples at this rate.
+        sample_rate_hz: Sample rate of voltages and displacements; the modes are discrete at this rate.
         parameters: Arrays by name: `poles`, `drive`, `force`, `sensed`, `through`, `weights`, `play_weights`,
             `seen`, `direct`, `ahead`, with the shapes of `parameter_shapes`.
-        input_thresholds_v: Of the relaxing plays of each input, V.
-        input_rates_hz: Of the same plays, at small motions.
+        input_thresholds_v: Thresholds of the relaxing plays of each input, V.
+        input_rates_hz: Relaxation rates of these plays at small motions.
         dead_zones: Thresholds of the elements' dead zones, in units of what the elements sense.
-        thresholds: Of their relaxing plays, likewise.
-        rates_hz: Of the same plays, at small motions.
-        times_s: Over which they average.
+        thresholds: Thresholds of the elements' relaxing plays, in the same units.
+        rates_hz: Relaxation rates of these plays at small motions.
+        times_s: Averaging times of the elements' means.
         crossover_v_per_s: Widths of the crossover distortion of each amplifier, V/s.
         amplifier_hz: The amplifiers' bandwidth, Hz.
-        offset_um: What the sensors read at rest, (outputs,); zeros by default.
+        offset_um: Readings of the sensors at rest, (outputs,); zeros by default.
 
     Raises:
-        StageError: A parameter that is missing, of another shape, or not finite, or poles outside the unit
+        StageError: A parameter that is missing, of the wrong shape, or not finite, or poles outside the unit
             circle.
     """
 
@@ -151,7 +151,7 @@ class MultiAxisStage(SavedStage):
         return self.shapes.outputs
 
     def mismatch(self, inputs: int, outputs: int, fs_hz: float) -> str | None:
-        """What tells these axes and this sample rate from those of the stage; None where nothing does."""
+        """Describe how these axes or this sample rate differ from the stage's; None if they agree."""
         own = (self.inputs, self.outputs)
         if (inputs, outputs) != own:
             return f"found {inputs} inputs and {outputs} outputs, expected {own[0]} and {own[1]} as in"
@@ -160,21 +160,21 @@ class MultiAxisStage(SavedStage):
         return None
 
     def offset(self) -> np.ndarray:
-        """What the sensors read at rest, (outputs,), µm."""
+        """Return the readings of the sensors at rest, (outputs,), µm."""
         return np.asarray(self.get_buffer("offset_um"))
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """The parameters by name, in the order of a fit."""
+        """Return the parameters by name, in the order of a fit."""
         named = dict(self.named_parameters())
         return {name: named[name].detach().contiguous().numpy() for name in parameter_shapes(self.shapes)}
 
     def kernel_parameters(self) -> Parameters:
-        """The parameters as the kernel takes them."""
+        """Return the parameters as the kernel takes them."""
         arrays = self.arrays()
         return Parameters(*(arrays[name] for name in Parameters._fields))
 
     def thresholds_of_kernel(self) -> Constants:
-        """Dead zones, thresholds, what a sample leaves of small motions, and its share in each mean."""
+        """Return dead zones, thresholds, decay per sample at small motions, and share in each mean."""
         kept = np.exp(-2 * np.pi * np.asarray(self.rates_hz, dtype=np.float64) / self.sample_rate_hz)
         shares = 1 / (np.asarray(self.times_s, dtype=np.float64) * self.sample_rate_hz)
         return Constants(
@@ -183,28 +183,28 @@ class MultiAxisStage(SavedStage):
 
     @property
     def delay_samples(self) -> int:
-        """How many samples a step is late: those to come that the plays of the inputs need."""
+        """Delay of a step in samples: the look-ahead that the plays of the inputs need."""
         return LOOKAHEAD
 
     def excess(self, u: np.ndarray) -> np.ndarray:
-        """What plays and amplifiers add to voltages (time, inputs), V: (time, inputs, all of them)."""
+        """Return what plays and amplifiers add to voltages (time, inputs), V, as (time, inputs, terms)."""
         return self._inputs().advance(_padded(u))[LOOKAHEAD:]
 
     def driven(self, u: np.ndarray) -> np.ndarray:
-        """Voltages (time, inputs), V, with all that plays and amplifiers add: v of `modal_feedback`."""
+        """Add to voltages (time, inputs), V, all terms of plays and amplifiers: v of `modal_feedback`."""
         added = self.input_stream().advance(_padded(u))[LOOKAHEAD:]
         return np.asarray(u + added[:, :, 0])
 
     def foreseen(self, u: np.ndarray) -> np.ndarray:
-        """What voltages to come add to the displacements, (time, outputs), µm.
+        """Return what future voltages contribute to the displacements, (time, outputs), µm.
 
         Args:
-            u: (time, inputs), V, with `shapes.ahead` more samples behind those that are answered.
+            u: (time, inputs), V, with `shapes.ahead` more samples at the end than displacements.
         """
         return foreseen(u, self.arrays()["ahead"])
 
     def input_stream(self) -> OversampledInputs:
-        """What is added in `driven`, window after window, `LOOKAHEAD` samples late."""
+        """Return a stream of what `driven` adds, window by window, `LOOKAHEAD` samples late."""
         return self._inputs(self.arrays()["play_weights"].copy())
 
     def _inputs(self, weights: np.ndarray | None = None) -> OversampledInputs:
@@ -219,7 +219,7 @@ class MultiAxisStage(SavedStage):
         )
 
     def initial_state(self, batch: int) -> MultiAxisState:
-        """At rest."""
+        """Return the state at rest."""
         n = self.shapes.elements
         return MultiAxisState(
             np.zeros((batch, self.shapes.modes, 2)),
@@ -228,10 +228,10 @@ class MultiAxisStage(SavedStage):
         )
 
     def simulate(self, u: Tensor) -> Tensor:
-        """Displacements, (batch, time, outputs), µm, for voltages (batch, time, inputs), V, from rest.
+        """Return displacements, (batch, time, outputs), µm, from rest for voltages (batch, time, inputs), V.
 
         Raises:
-            StageError: Another number of inputs, a value that is not finite, or states without bounds.
+            StageError: A wrong number of inputs, a value that is not finite, or states that diverge.
         """
         if u.ndim != 3 or u.shape[2] != self.inputs:
             raise StageError(
@@ -254,17 +254,17 @@ class MultiAxisStage(SavedStage):
         return torch.from_numpy(y)
 
     def advance(self, driven: np.ndarray, state: MultiAxisState, y: np.ndarray) -> None:
-        """Fill `y`, but for what `foreseen` adds, and leave the state after the last sample.
+        """Fill `y`, except for what `foreseen` adds, and advance the state to after the last sample.
 
-        Windows give the bits of the whole.
+        A record that is processed in windows gives bit-identical results.
 
         Args:
             driven: (batch, time, inputs), V, from `driven`.
-            state: Of this batch.
+            state: State of this batch, updated.
             y: (batch, time, outputs), µm, written.
 
         Raises:
-            StageError: States without bounds.
+            StageError: The states diverge.
         """
         in_driven = np.zeros((self.inputs, 0))
         parameters, constants = self.kernel_parameters(), self.thresholds_of_kernel()
@@ -299,5 +299,5 @@ def _numbers(name: str, values: Sequence[float], positive: bool = False) -> list
 
 
 def _padded(u: np.ndarray, samples: int = LOOKAHEAD) -> np.ndarray:
-    """Voltages with the samples behind their end that the look-ahead needs, all 0."""
+    """Append to voltages the samples that the look-ahead needs, all 0."""
     return np.pad(u, ((0, samples), (0, 0)))

@@ -1,4 +1,4 @@
-"""The stage of several axes as a rig that is stepped: voltages in, displacements out."""
+"""Step a stage of several axes as a rig: voltages in, displacements out."""
 
 from collections.abc import Sequence
 
@@ -9,13 +9,13 @@ from torchpi.stage.multi_axis.stage import MultiAxisStage
 
 
 class MultiAxisStream:
-    """A stage of several axes, one sample or one window after another: the bits of the whole.
+    """A stage of several axes that runs by samples or windows, bit-identical to a run over the whole record.
 
     Args:
-        stage: What is stepped.
+        stage: The stage that is stepped.
 
     Attributes:
-        delay_samples: How many samples the displacements are late.
+        delay_samples: Delay of the displacements in samples.
     """
 
     def __init__(self, stage: MultiAxisStage) -> None:
@@ -23,24 +23,24 @@ class MultiAxisStream:
         self.reset()
 
     def reset(self) -> None:
-        """Back to rest."""
+        """Return to rest."""
         self._inputs, self._state = self.stage.input_stream(), self.stage.initial_state(1)
         self._late = np.zeros((self.delay_samples, self.stage.inputs))
         self._to_come = self.delay_samples
 
     def step(self, u: Sequence[float]) -> list[float]:
-        """Displacements, µm, `delay_samples` samples before these voltages, V; at rest before the first.
+        """Return displacements, µm, of `delay_samples` samples before these voltages, V; until then at rest.
 
         Raises:
-            StageError: Another number of voltages, one that is not finite, or states without bounds.
+            StageError: A wrong number of voltages, one that is not finite, or states that diverge.
         """
         return [float(y) for y in self.block(np.asarray(u, dtype=np.float64).reshape(1, -1))[0]]
 
     def block(self, u: np.ndarray) -> np.ndarray:
-        """(time, outputs), µm, for (time, inputs), V, as many samples late.
+        """Return displacements, (time, outputs), µm, for voltages, (time, inputs), V, with the same delay.
 
         Raises:
-            StageError: As `step`; the state stays as it was but where states have no bounds.
+            StageError: As for `step`; the state is unchanged unless it diverges.
         """
         if u.ndim != 2 or u.shape[1] != self.stage.inputs or not np.isfinite(u).all():
             raise StageError(
@@ -49,7 +49,7 @@ class MultiAxisStream:
         known = np.concatenate([self._late, u])
         driven, self._late = known[: len(u)], known[len(u) :]
         driven = driven + self._inputs.advance(u)[:, :, 0]
-        # It rests until the first sample, whatever the inputs' filters know of it before.
+        # The stage rests until the first sample, although the inputs' filters respond to it earlier.
         first = min(self._to_come, len(u))
         self._to_come -= first
         y = np.empty((1, len(u), self.stage.outputs))

@@ -1,9 +1,9 @@
 """A gain that falls with time, or with travel: y = x e^{-((λt)^β + μs)}, s = ∫|dx|, from the first sample.
 
-Depoling under drive goes with the cycles that the ceramic has made (Lupascu and Rödel, *Fatigue in bulk lead
-zirconate titanate actuator materials*, 2005); ageing after poling goes with time, fast at first (β < 1), as
-many relaxations do (Kohlrausch, *Annalen der Physik* 167, 1854), or ever faster (β > 1), as wear does
-(Weibull, *J. Applied Mechanics* 18, 1951).
+Depoling under drive depends on the cycles that the ceramic has made (Lupascu and Rödel, *Fatigue in bulk lead
+zirconate titanate actuator materials*, 2005). Ageing after poling depends on time, fast at first (β < 1) like
+many relaxations (Kohlrausch, *Annalen der Physik* 167, 1854), or ever faster (β > 1) like wear (Weibull,
+*J. Applied Mechanics* 18, 1951).
 """
 
 import math
@@ -20,14 +20,14 @@ from torchpi.stage.effects.effect import DataRange, Effect, Parameters, paramete
 
 
 def travelled(travel_mm: float, x: float, before: float) -> float:
-    """s after the move from `before` to `x`, µm. This and `aged` are what kernels and stream compile."""
+    """Return s after a move from `before` to `x`, µm. Kernels and stream compile this and `aged`."""
     return travel_mm + 1e-3 * abs(x - before)
 
 
 def aged(
     x: float, t_s: float, travel_mm: float, loss_per_s: float, loss_per_mm: float, exponent: float
 ) -> float:
-    """x e^{-((λt)^β + μs)}."""
+    """Return x e^{-((λt)^β + μs)}."""
     lost = loss_per_s * t_s
     if exponent != 1.0 and lost > 0.0:
         lost = math.exp(exponent * math.log(lost))
@@ -35,7 +35,7 @@ def aged(
 
 
 def age_step(x: float, n: list[float], s: list[float]) -> float:
-    """Both as a stream takes them: n holds T, λ, μ and β, s the state of `Ageing`."""
+    """Both as the step of a stream; n holds T, λ, μ and β, s the state of `Ageing`."""
     s[1] = travelled(s[1], x, s[2])
     y = aged(x, s[0] * n[0], s[1], n[1], n[2], n[3])
     s[0] += 1.0
@@ -46,13 +46,13 @@ def age_step(x: float, n: list[float], s: list[float]) -> float:
 class Ageing(Effect):
     """A slow loss of gain. The state: samples since the first, travel in mm, the last input in µm.
 
-    The de-energised actuator stands at 0: a first sample elsewhere has travelled that far.
+    The de-energised actuator is at 0, so the distance of the first sample from 0 counts as travel.
     """
 
     name = "ageing"
     block = "actuator"
     equation = "y = x e^{-((λt)^β + μs)}, s = ∫|dx|"
-    signature = "the same move becomes smaller, in proportion to its size, as time or travel adds up"
+    signature = "the same move becomes smaller, in proportion to its size, as time or travel accumulates"
     time_scale = "slow"
     degenerate_with = ("gain_modulation",)
     loss_per_s: nn.Parameter = parameter("1/s", at_least=0, at_most=10)
@@ -70,14 +70,14 @@ class Ageing(Effect):
         return y.to(x), after
 
     def numbers(self) -> tuple[nn.Parameter, ...]:
-        """λ, μ and β."""
+        """Return λ, μ and β."""
         return self.loss_per_s, self.loss_per_mm, self.exponent
 
     def stream(self) -> nn.Module:
         return StepStream(age_step, [self.sample_period_s, *(one.item() for one in self.numbers())], 3)
 
     def tangent(self, x: Tensor, dx: Tensor) -> Tensor:
-        """Exact: δy = (δx - μ x δs) e^{-((λt)^β + μs)}; δs sums ±Δδx by the direction of each move."""
+        """Exact: δy = (δx - μ x δs) e^{-((λt)^β + μs)}; δs sums Δδx with the sign of each move."""
         x, dx = x.detach().contiguous(), dx.detach().contiguous()
         moved = torch.empty_like(dx)
         loss_per_s, loss_per_mm, exponent = (one.item() for one in self.numbers())
@@ -89,7 +89,7 @@ class Ageing(Effect):
     def starts(cls, seen: DataRange) -> list[Parameters]:
         if seen.span_um == 0 or seen.span_v == 0:
             return []
-        # In the mean a stage goes perhaps a quarter as fast as at most; it travels one span at least.
+        # The mean speed of a stage is perhaps a quarter of its largest; it travels at least one span.
         fastest_um_s = seen.max_rate_v_s * seen.span_um / seen.span_v
         travel_mm = 1e-3 * max(fastest_um_s / 4 * seen.duration_s, seen.span_um)
         by_time = {"loss_per_s": 0.01 / seen.duration_s}
@@ -119,7 +119,7 @@ class _Ageing(torch.autograd.Function):
         by_loss = -by_y * y
         lost = loss_per_s * t
         under_way = lost > 0
-        # β (λt)^{β-1}, by which the loss grows with λt; where nothing is lost yet, only a plain one begins.
+        # β (λt)^{β-1}, the slope of the loss over λt; at λt = 0 it is taken as 1 for β = 1, otherwise as 0.
         log = torch.log(torch.where(under_way, lost, 1.0))
         grows = torch.where(under_way, exponent * torch.exp((exponent - 1) * log), (exponent == 1).to(x))
         # Travel at one sample is part of the travel at all later ones.

@@ -1,8 +1,8 @@
 """Creep of the ceramic: after a step, y(t) = y₀ [1 + γ log₁₀(t / 0.1 s)] (Jung and Gweon, 2000).
 
-The logarithm is a sum of relaxations spread evenly over log time (Janocha and Kuhnen, 2000): with n poles a
+The logarithm is a sum of relaxations spread evenly over log time (Janocha and Kuhnen, 2000): with n poles per
 decade, each of gain γ/n and time constant τ_i, the step response rises by γ in every decade that the poles
-span. Beside it stand two relaxations more, springs and dampers of the model of Croft, Shed and Devasia
+span. Two further relaxations act in parallel, the springs and dampers of the model of Croft, Shed and Devasia
 (2001):
 
     y = [x + γ log…(x)] + g₁ (x relaxed with τ₁) + g₂ (x relaxed with τ₂)
@@ -13,9 +13,9 @@ capacitor approach*, Smart Mater. Struct. 22, 2013),
 
     y(t) = y₀ {1 + p [(t / 0.1 s)^α - 1] / (α ln 10)},
 
-which grows by p in a decade at 0.1 s, and tends to the logarithm as α → 0. Its spectrum of relaxations is
-(t/t₀)^α = α/Γ(1-α) ∫ (1 - e^{-t/τ}) (τ/t₀)^α dτ/τ: the same poles as the logarithm's, their weights
-growing as τ^α.
+which grows by p per decade at 0.1 s, and tends to the logarithm as α → 0. Its spectrum of relaxations is
+(t/t₀)^α = α/Γ(1-α) ∫ (1 - e^{-t/τ}) (τ/t₀)^α dτ/τ, so it has the poles of the logarithm, with weights that
+grow as τ^α.
 """
 
 import math
@@ -33,11 +33,11 @@ from torchpi.stage.effects.effect import DataRange, Parameters, StateSpaceEffect
 REFERENCE_S = 0.1
 """After a step the displacement at this time is y₀, whatever γ and p."""
 FASTEST_S, LARGEST = 1e-3, 0.5
-"""Of a single pole: its time constant, and its gain as a share of the travel. 1 to 20 % over minutes are
-usual (Jung and Gweon, 2000); a fit's pole stands for several that its recordings do not tell apart."""
+"""Bounds of a single pole: its time constant, and its gain as a share of the travel. 1 to 20 % over minutes
+are usual (Jung and Gweon, 2000); a fitted pole stands for several that the recordings do not tell apart."""
 STARTS_S = (0.003, 0.01, 0.03, 0.1, 0.3, 3.0, 30.0)
 """Time constants from which a search begins."""
-POLES_PER_DECADE = 2  # they follow the logarithm to 0.3 %, one would to 11 %
+POLES_PER_DECADE = 2  # two follow the logarithm to 0.3 %, one to 11 %
 # Poles from 1 ms to 1000 s, so that any record lies within them.
 FROM_S, TO_S = 1e-3 * math.sqrt(10), 100.0
 
@@ -50,13 +50,13 @@ class Bank(NamedTuple):
     a: Tensor
     b: Tensor
     at_once: Tensor
-    """d_i: what is relaxed within the sample, less what will be after 0.1 s."""
+    """d_i: the part relaxed within the sample, minus the part relaxed after 0.1 s."""
     share: Tensor
-    """Of a whole pole: 1, and less of the last, so that the sum moves smoothly with the two times."""
+    """Share of a whole pole: 1, and less for the last, so that the sum varies smoothly with the two times."""
 
 
 def bank(sample_period_s: float, from_s: Tensor, to_s: float) -> Bank:
-    """The poles of a logarithm, or a power law, that holds from one time to another."""
+    """Return the poles of a logarithm, or a power law, that holds from one time to another."""
     tau, share = time_constants(from_s, to_s)
     rate, one = (1 / tau)[:, None], torch.ones_like(tau)
     a, b, _, d = discretise(-rate[..., None], rate, one[:, None], 0 * one, sample_period_s, "first")
@@ -64,10 +64,10 @@ def bank(sample_period_s: float, from_s: Tensor, to_s: float) -> Bank:
 
 
 def time_constants(from_s: Tensor, to_s: float) -> tuple[Tensor, Tensor]:
-    """τ_i and the share of a whole pole, (poles,) each.
+    """Return τ_i and the share of a whole pole, (poles,) each.
 
     Poles reach half a decade below the first time and one decade beyond the second, which keeps the rise
-    within 5 % of γ there as well.
+    within 5 % of γ at both ends as well.
     """
     last = POLES_PER_DECADE * (torch.log10(to_s / from_s) + 1.5)
     steps = torch.arange(math.ceil(last.item()) + 1, dtype=torch.float64)
@@ -78,14 +78,14 @@ class Creep(StateSpaceEffect):
     """Logarithmic creep, creep of one or two poles, of a power law, or all; the input runs straight between
     samples.
 
-    The gain at once is such that γ and p leave the displacement 0.1 s after a step as it is; g adds to it.
+    The immediate gain is such that γ and p do not change the displacement 0.1 s after a step; g adds to it.
     The logarithm and the power law hold from `from_s`, which may be fitted, to `to_s`.
     """
 
     name = "creep"
     block = "actuator"
     equation = "y = y₀ [1 + γ log₁₀(t/0.1 s)], or y = x + Σ g r, τ ṙ = x - r, or y₀ [1 + p (t/0.1 s)^α …]"
-    signature = "slow, follows the sign of the last move, grows with the time of a hold"
+    signature = "slow, follows the sign of the last move, grows with the duration of a hold"
     time_scale = "slow"
     degenerate_with = ("thermal_drift",)
     left_by = ("leakage",)
@@ -96,7 +96,7 @@ class Creep(StateSpaceEffect):
     slow_time_constant_s: nn.Parameter = parameter("s", at_least=FASTEST_S, at_most=1e4, identity=10.0)
     power_per_decade: nn.Parameter = parameter("", at_least=0, at_most=0.5)
     exponent: nn.Parameter = parameter("", at_least=0.02, at_most=0.5, identity=0.2)
-    # Each decade has its poles: between these times there are 40.
+    # Each decade has its poles; between these bounds there are 40.
     from_s: nn.Parameter = parameter("s", at_least=1e-9, at_most=1e9, identity=FROM_S)
     to_s: nn.Parameter = parameter("s", at_least=1e-9, at_most=1e9, identity=TO_S)
     accepted: ClassVar[dict[str, Quantity]] = {"per_decade": Quantity("", at_least=-0.5, at_most=0.5)}
@@ -124,11 +124,11 @@ class Creep(StateSpaceEffect):
         return min((values[name] for name in times if name in values), default=math.inf) >= seen.quickest_s
 
     def bank(self) -> Bank:
-        """The poles of the logarithm and the power law."""
+        """Return the poles of the logarithm and the power law."""
         return bank(self.sample_period_s, self.from_s, self.to_s.item())
 
     def spectrum(self, poles: Bank) -> Tensor:
-        """The gain of each pole of the bank, (poles,)."""
+        """Return the gain of each pole of the bank, (poles,)."""
         grown = (poles.tau / REFERENCE_S) ** self.exponent
         power = self.power_per_decade * torch.exp(-torch.lgamma(1 - self.exponent)) * grown
         return (self.per_decade + power) * poles.share / POLES_PER_DECADE
@@ -160,7 +160,7 @@ class Creep(StateSpaceEffect):
 
     @classmethod
     def starts(cls, seen: DataRange) -> list[Parameters]:
-        # A pole slower than the record is a ramp, one of a few samples a change of gain.
+        # A pole slower than the record looks like a ramp, one of a few samples like a change of gain.
         taus = [tau for tau in STARTS_S if max(10 / seen.fs_hz, seen.quickest_s) < tau < 2 * seen.duration_s]
         power = {"power_per_decade": 0.01, "exponent": 0.2}
         pole = [{"gain": 0.01, "time_constant_s": tau} for tau in taus]

@@ -1,4 +1,4 @@
-"""Envelopes that differ up and down: a generalised play (Brokate and Sprekels, 1996) in one parameter."""
+"""Different envelopes up and down: a generalised play (Brokate and Sprekels, 1996) with one parameter."""
 
 from torchpi.stage.effects.effect import DataRange, Needs, Parameters, parameter
 from torchpi.stage.effects.inside import InsideEffect
@@ -9,7 +9,7 @@ class HysteresisAsymmetry(InsideEffect):
 
     name = "hysteresis_asymmetry"
     equation = "h = max{v + a v² - r, min{v - a v² + r, h}}"
-    signature = "even lines of a multisine, another error going up than coming down"
+    signature = "even lines of a multisine; the error going up differs from that coming down"
     time_scale = "static"
     needs = Needs(reversals=2)
     asymmetry_per_v: float = parameter("1/V", at_least=-0.2, at_most=0.2)

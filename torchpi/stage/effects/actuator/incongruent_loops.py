@@ -7,7 +7,7 @@ from torchpi.stage.effects.inside import InsideEffect
 class IncongruentLoops(InsideEffect):
     """w_i(v) = w_i (1 + κ v) for every play that has memory, r_i > 0.
 
-    With q, the straight part turns the other way, w_0(v) = w_0 (1 - q κ v): the loop grows about its chord.
+    With q, the memoryless part changes oppositely, w_0(v) = w_0 (1 - q κ v): the loop grows about its chord.
     """
 
     name = "incongruent_loops"

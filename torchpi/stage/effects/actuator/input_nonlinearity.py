@@ -13,7 +13,7 @@ class InputNonlinearity(Curvature):
     block = "actuator"
     before_hysteresis = True
     equation = "w = v + c₂v² + c₃v³, then the plays"
-    signature = "even (c₂) and odd (c₃) harmonics that survive f → 0, and loops of unlike halves"
+    signature = "even (c₂) and odd (c₃) harmonics that persist as f → 0, and loops with unequal halves"
     time_scale = "static"
     degenerate_with = ("sensor_nonlinearity",)
     c2_per_v: nn.Parameter = parameter("1/V", at_least=-1e3, at_most=1e3)

@@ -13,14 +13,14 @@ from torchpi.operators.linear import Matrices, discretise
 from torchpi.stage.effects.effect import DataRange, Parameters, StateSpaceEffect, parameter
 
 LEAST_LOST, FASTEST_HZ, APART = 0.03, 0.3, 3.0
-"""Where a search begins: the share of a hold that the slowest leak loses in a record, the fastest leak unless
-the record is over sooner, and the ratio of one to the next."""
+"""Starts of a search: the share of a hold that the slowest leak loses in a record, the fastest leak unless
+the record is too short for it, and the ratio of successive starts."""
 
 
 class Leakage(StateSpaceEffect):
     """What is left of a displacement after its slow part, r with ṙ = 2πf_c (x - r), has leaked: y = x - r.
 
-    The input runs straight from sample to sample.
+    The input is linear between samples.
     """
 
     name = "leakage"
@@ -41,7 +41,7 @@ class Leakage(StateSpaceEffect):
 
     @classmethod
     def starts(cls, seen: DataRange) -> list[Parameters]:
-        # In a record of D seconds a hold loses 2πf_c D of itself.
+        # In a record of D seconds a hold loses the share 2πf_c D.
         low_hz = LEAST_LOST / (2 * math.pi * seen.duration_s)
         high_hz = max(FASTEST_HZ, 1 / seen.duration_s)
         count = 1 + math.floor(max(math.log(high_hz / low_hz) / math.log(APART), 0.0))

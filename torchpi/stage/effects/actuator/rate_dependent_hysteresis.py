@@ -1,10 +1,10 @@
-"""Hysteresis that follows the rate: weights (Ang et al., 2007) or thresholds (Al Janaideh et al., 2009).
+"""Hysteresis that depends on the rate: weights (Ang et al., 2007) or thresholds (Al Janaideh et al., 2009).
 
     w_i(v̇) = w_i (1 + k v̇),    r_i(v̇) = r_i (1 + β |v̇|),    h_i = c v + (h_i - c v) [1 + γ ln(1 + |v̇|/v̇₀)]
 
-The third widens the loop about its chord, of slope c, by γ for each factor e of rate, as loops of piezo
-ceramics do. In the fourth every play relaxes to where it would stand, with a time constant τ
-(`torchpi.stage.effects.actuator.relaxing_plays`).
+The third form widens the loop about its chord, of slope c, by γ for each factor e of the rate, as loops of
+piezo ceramics do. In the fourth every play relaxes, with a time constant τ, towards the position of the
+ordinary play (`torchpi.stage.effects.actuator.relaxing_plays`).
 """
 
 from typing import ClassVar
@@ -14,17 +14,17 @@ from torchpi.stage.effects.inside import InsideEffect
 
 
 class RateDependentHysteresis(InsideEffect):
-    """Weights, thresholds, the width of the loop or a delay, of every play that has memory, r_i > 0.
+    """Rate-dependent weights, thresholds, loop width or lag of every play that has memory, r_i > 0.
 
-    v̇ is the difference to the sample before, divided by T, through a low-pass of `rate_filter_s`.
+    v̇ is the backward difference divided by T, through a low-pass of time constant `rate_filter_s`.
     """
 
     name = "rate_dependent_hysteresis"
     needs = Needs(reversals=2, pace=1.5)
-    # Whatever depends on the rate and has not quite the rig's equation leaves a residual that does.
+    # A rate-dependent effect whose equation does not quite match the rig leaves a rate-dependent residual.
     left_by = ("resonance", "second_mode", "amplifier_lag", "sensor_lag", "delay", "slew_limit")
     equation = "w_i (1 + k v̇), or r_i (1 + β |v̇|), or loop · [1 + γ ln(1 + |v̇|/v̇₀)], or τ ḣ_i = p_i - h_i"
-    signature = "like a delay in amplitude and frequency, and unlike one at reversals"
+    signature = "resembles a delay in amplitude and frequency, but differs from one at reversals"
     weight_s_per_v: float = parameter("s/V", at_least=-1.0, at_most=1.0)
     threshold_s_per_v: float = parameter("s/V", at_least=-0.01, at_most=1.0)
     loop_per_e: float = parameter("", at_least=-1.0, at_most=1.0)
@@ -45,7 +45,7 @@ class RateDependentHysteresis(InsideEffect):
         return [
             {"weight_s_per_v": 0.01 / seen.max_rate_v_s},
             {"threshold_s_per_v": 0.02 / seen.max_rate_v_s},
-            # As late as a hundredth, and a tenth, of the span at the usual rates.
+            # Lags of a hundredth and of a tenth of the span at the usual rates.
             *({"relaxation_s": share * seen.span_v / seen.max_rate_v_s} for share in (0.01, 0.1)),
             *(
                 {

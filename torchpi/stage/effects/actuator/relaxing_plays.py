@@ -1,13 +1,13 @@
-"""Plays that follow their voltage late: each relaxes to where the play would stand.
+"""Plays that lag behind their voltage: each relaxes towards the position of the ordinary play.
 
     ḣ = (1/τ) max{v - h - r, min{v - h + r, 0}}
 
 The elementary creep operator of Krejčí and Kuhnen, *Inverse control of systems with hysteresis and creep*,
 IEE Proc. Control Theory and Applications 148(3), 2001; the dynamic Preisach model of Bertotti, *Dynamic
 generalization of the scalar Preisach model of hysteresis*, IEEE Trans. Magnetics 28(5), 1992, has switches
-that move so.
-For a voltage held through a sample, h(k) = p + e^{-T/τ} (h(k-1) - p), p being where the play would stand.
-τ → 0 is the play.
+that move in this way.
+For a voltage held during a sample, h(k) = p + e^{-T/τ} (h(k-1) - p), where p is the position to which the
+ordinary play would move from h(k-1). τ → 0 gives the ordinary play.
 """
 
 from typing import Any
@@ -22,7 +22,7 @@ from torchpi.operators.generalised_play import clamp_play
 
 
 def towards(bound: float, h: float, kept: float) -> float:
-    """p + e^{-T/τ} (h - p), `kept` being the exponential. Kernel and stream compile this."""
+    """Return p + e^{-T/τ} (h - p), where `kept` is the exponential. Kernel and stream compile this."""
     return bound + kept * (h - bound)
 
 

@@ -1,6 +1,6 @@
 """An output resistance that charges the stack: v̇ = 2πf_c (u - v), f_c = 1/(2πR_oC_L).
 
-In its second form a feedback amplifier with two poles in its loop, an integrator of unity gain at f_c and the
+The second form is a feedback amplifier with two poles in its loop: an integrator of unity gain at f_c and the
 load behind it (Gray and Meyer, *Analysis and Design of Analog Integrated Circuits*, the two-pole feedback
 amplifier).
 """
@@ -26,7 +26,7 @@ class AmplifierLag(Lag):
     degenerate_with = ("sensor_lag",)
 
     def decay(self, samples: Tensor) -> Tensor:
-        """e^{-ω · samples · T}: what is left of a voltage behind the one pole after that many samples."""
+        """Return e^{-ω · samples · T}, the share of a voltage left behind one pole after so many samples."""
         return torch.exp(-2 * math.pi * self.sample_period_s * self.cutoff_hz * samples)
 
     def matrices(self) -> Matrices:

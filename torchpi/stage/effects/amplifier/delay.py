@@ -1,12 +1,12 @@
 """A transport delay v(t) = u(t - τ): computation, converters, a slow bus.
 
-With τ = (m + f) T the output is p u(k-m) + q u(k-m-1). The signal runs straight from sample to sample, so
-that p = 1 - f, q = f: exact for a ramp, and τ has a gradient. Where the amplifier's lag, of angular cutoff ω,
-has made it from a held command, it is an exponential between samples:
+With τ = (m + f) T the output is p u(k-m) + q u(k-m-1). If the signal is linear between samples, p = 1 - f and
+q = f, which is exact for a ramp and gives τ a gradient. If the signal comes from a held command through the
+amplifier's lag, of angular cutoff ω, it is exponential between samples:
 
     p = (1 - e^{-ω(1-f)T}) / (1 - e^{-ωT}),    q = 1 - p
 
-Behind a lag of two poles, which leaves no corners, it is taken to run straight.
+Behind a lag of two poles, which leaves no corners, the signal is taken to be linear.
 """
 
 import math
@@ -21,15 +21,15 @@ from torchpi.operators.delay import delay_line, delay_stream
 from torchpi.operators.quantity import Quantity
 from torchpi.stage.effects.effect import DataRange, LinearEffect, Parameters, parameter
 
-LONGEST_S = 0.1  # in a fit
-USUAL_S = 0.01  # that a line holds of a shorter delay
-MOST_SAMPLES = 1_000_000  # that the line holds
+LONGEST_S = 0.1  # longest delay in a fit
+USUAL_S = 0.01  # length of the delay line for any shorter delay
+MOST_SAMPLES = 1_000_000  # largest length of the delay line
 
 
 class Delay(LinearEffect):
     """A delay, of up to 0.1 s in a fit. The state holds the last inputs, as many at any delay up to 10 ms.
 
-    With `after_lag` 1, and an amplifier's lag of one pole before it in the chain, the fraction of a sample is
+    With `after_lag` 1 and an amplifier's lag of one pole before it in the chain, fractions of a sample are
     exact for a held command.
     """
 
@@ -46,7 +46,7 @@ class Delay(LinearEffect):
     accepted: ClassVar[dict[str, Quantity]] = {"delay_s": Quantity("s", at_least=0.0)}
     kinds = ("after_lag",)
     decay: Callable[[Tensor], Tensor] | None = None
-    """What is left of the lagged voltage after so many samples, if a lag of one pole stands before it."""
+    """Share of the lagged voltage left after so many samples, if a lag of one pole precedes the delay."""
 
     def __init__(self, sample_period_s: float, **values: float) -> None:
         super().__init__(sample_period_s, **values)
@@ -57,7 +57,7 @@ class Delay(LinearEffect):
             )
 
     def split(self) -> tuple[int, Tensor]:
-        """Whole samples m, and the fraction f with its gradient to the delay."""
+        """Return the whole samples m and the fraction f, which has a gradient in the delay."""
         if not self.delay_s.item() >= 0:
             raise StageError(f"delay_s: found {self.delay_s.item():g} s, expected at least 0 s")
         samples = self.delay_s / self.sample_period_s
@@ -65,7 +65,7 @@ class Delay(LinearEffect):
         return whole, samples - whole
 
     def taps(self, fraction: Tensor) -> tuple[Tensor, Tensor]:
-        """p and q."""
+        """Return p and q."""
         if self.decay is None or self.after_lag.item() < 0.5:
             return 1 - fraction, fraction
         p = (1 - self.decay(1 - fraction)) / (1 - self.decay(torch.ones_like(fraction)))

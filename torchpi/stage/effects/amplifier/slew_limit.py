@@ -1,14 +1,14 @@
 """A current limit into the stack's capacitance: |v̇| ≤ S = I_max / C_L, hard or soft.
 
-Hard: at the sample instants v(k) = clip(u(k), v(k-1) ± S T), exact for a command held during a sample; the
+Hard: at the sampling instants v(k) = clip(u(k), v(k-1) ± S T), exact for a command held during a sample; the
 rate limiter of Åström and Murray, *Feedback Systems* (2008), with a follower of infinite gain.
 
-Soft: the current of a driver saturates as a differential pair's does, and the loop around it is slow,
+Soft: the current of a driver saturates like that of a differential pair, in a slow feedback loop,
 
     v̇ = S tanh((u - v) / V),    2πf_c = S / V for small differences
 
 (Solomon, *The monolithic op amp: a tutorial study*, IEEE J. Solid-State Circuits 9(6), 1974: slew rate and
-bandwidth of one integrator). For a held command, e = u - v, it is exact in closed form:
+bandwidth of one integrator). For a held command there is an exact closed form in e = u - v:
 
     sinh(e(k)/V) = sinh(e(k-1)/V) e^{-ST/V}
 """
@@ -27,19 +27,19 @@ from torchpi.operators.base import StepStream
 from torchpi.stage.effects.effect import DataRange, Effect, Parameters, parameter
 
 EDGES = 1.5
-"""Times the usual rates: what moves so much faster is an edge, and a limit between shows in it alone."""
+"""Multiple of the usual rates from which a motion is an edge; a limit in between shows only in edges."""
 IN_ONE_SAMPLE, TRAVERSES = 0.1, 10
-"""Of the span: where the usual rates go so far in one sample they are those of edges, and a limit may lie
-anywhere below, down to where the voltage could cross its span so often in a recording."""
+"""If the usual rates cover this share of the span in one sample, they are those of edges, and a limit may lie
+anywhere below, down to the rate at which the voltage could cross its span so often in a recording."""
 KNEES = (0.02, 0.2)
-"""Shares of the voltage's span at which a soft limit begins to saturate, where a fit begins."""
+"""Shares of the voltage's span at which a soft limit begins to saturate, as starting values of a fit."""
 
 
 def slew(u: float, v: float, step: float, knee: float) -> float:
-    """The voltage at the end of a sample from `v`, with step = ST, and V = `knee`, 0 for the hard limit."""
+    """Return the voltage one sample after `v`, with step = ST and V = `knee`, 0 for the hard limit."""
     if knee == 0.0:
         return max(v - step, min(v + step, u))
-    # Over V: the difference, how far it may come, and what is left, asinh(e^{-p} sinh z).
+    # In units of V: the difference, how far it may come, and what is left, asinh(e^{-p} sinh z).
     z, p = abs(u - v) / knee, step / knee
     if z - p > 20.0:  # where sinh is an exponential, to the last bit
         left = z - p
@@ -51,7 +51,7 @@ def slew(u: float, v: float, step: float, knee: float) -> float:
 
 
 def slew_step(x: float, n: list[float], s: list[float]) -> float:
-    """`slew` as a stream takes it: n holds the step and the knee, s the voltage."""
+    """`slew` as the step of a stream; n holds the step and the knee, s the voltage."""
     s[0] = slew(x, s[0], n[0], n[1])
     return s[0]
 
@@ -63,7 +63,7 @@ class SlewLimit(Effect):
     block = "amplifier"
     before_hysteresis = True
     equation = "|v̇| ≤ S = I_max / C_L, or v̇ = S tanh((u - v) / V)"
-    signature = "nothing below a product of amplitude and frequency, then steep: triangles, odd harmonics"
+    signature = "no effect below a product of amplitude and frequency, then steep: triangles, odd harmonics"
     time_scale = "fast"
     delays = True
     smooths = True
@@ -81,7 +81,7 @@ class SlewLimit(Effect):
 
     @classmethod
     def reached(cls, values: Mapping[str, float], seen: DataRange) -> bool:
-        # Far below its rate, a soft limit is a lag of the time V / S.
+        # Far below its rate, a soft limit acts as a lag with the time constant V / S.
         return values["rate_v_per_s"] <= seen.peak_rate_v_s
 
     def forward(
@@ -140,7 +140,7 @@ _slew: Any = numba.njit(slew)
 
 @numba.njit(cache=True)
 def _slopes(u: float, v: float, step: float, knee: float) -> tuple[float, float, float]:
-    """The derivatives of `slew` by v, by the step and by the knee; that by u is 1 less the first."""
+    """Return the derivatives of `slew` by v, by the step and by the knee; that by u is 1 minus the first."""
     side = 1.0 if u > v else -1.0
     if knee == 0.0:
         return (1.0, side, 0.0) if abs(u - v) > step else (0.0, 0.0, 0.0)

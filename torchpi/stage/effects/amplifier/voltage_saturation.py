@@ -16,22 +16,22 @@ from torchpi.operators.quantity import check_order
 from torchpi.stage.effects.effect import DataRange, Effect, Parameters, parameter
 
 KNEES, ROUNDEST = (0.01, 0.03), 0.05
-"""Shares of the voltage's span over which a corner is round, where a fit begins, and at most: a corner takes
-some six times that, and what has no straight part is a curvature of the input."""
+"""Shares of the voltage's span over which a corner is round: starting values of a fit, and the maximum. A
+corner takes some six times that, and a curve without a straight part is a curvature of the input."""
 
 
 class VoltageSaturation(Static, Effect):
     """A voltage that cannot leave its range; either limit may be missing.
 
     Raises:
-        StageError: Limits out of order, as well.
+        StageError: As for `Effect`, or if the limits are out of order.
     """
 
     name = "voltage_saturation"
     block = "amplifier"
     before_hysteresis = True
-    equation = "v = max{low, min{high, u}}, or with corners round over K"
-    signature = "nothing but beyond a level, where the tops are flat"
+    equation = "v = max{low, min{high, u}}, or with corners rounded over K"
+    signature = "no effect up to a level, flat peaks beyond it"
     time_scale = "static"
     forms = ("hard", "soft")
     low_v: nn.Parameter = parameter("V", at_least=-1500.0, at_most=1500.0, identity=-math.inf)

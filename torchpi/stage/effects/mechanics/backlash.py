@@ -1,8 +1,8 @@
-"""Lost motion in the mount: a play of half the width in series with the displacement, sharp or round.
+"""Lost motion in the mount: a play of half the width in series with the displacement, sharp or rounded.
 
 y(k) = max{x(k) - w/2, min{x(k) + w/2, y(k-1)}}: Qin et al. (2013), eq. 1, with r = w/2; Nordin and
-Gutman, *Controlling mechanical systems with backlash, a survey*, Automatica 38(10), 2002. The round one is
-friction of Dahl's kind behind a spring, `torchpi.stage.effects.mechanics.presliding`.
+Gutman, *Controlling mechanical systems with backlash, a survey*, Automatica 38(10), 2002. The rounded form is
+Dahl friction behind a spring, `torchpi.stage.effects.mechanics.presliding`.
 """
 
 from collections.abc import Mapping
@@ -21,7 +21,7 @@ from torchpi.stage.effects.mechanics.presliding import Slide, slide_step, slide_
 
 
 def play_step(x: float, n: list[float], s: list[float]) -> float:
-    """`play` as a stream takes it: n holds the threshold, s the state."""
+    """`play` as the step of a stream; n holds the threshold, s the state."""
     s[0] = play(x, n[0], s[0])
     return s[0]
 
@@ -29,7 +29,7 @@ def play_step(x: float, n: list[float], s: list[float]) -> float:
 class Backlash(Effect):
     """A play of full width w, its corners rounded over a presliding length ρ.
 
-    The state is the displacement behind it, and with ρ > 0 that before it as well.
+    The state is the displacement behind the play and, with ρ > 0, also the displacement before it.
     """
 
     name = "backlash"
@@ -51,7 +51,7 @@ class Backlash(Effect):
         return "Dahl" if of["presliding_um"] > 0 else "play"
 
     def is_round(self) -> bool:
-        """Whether it slides before it slips."""
+        """Whether the corners are rounded by presliding."""
         return self.presliding_um.item() > 0
 
     def initial_state(self, batch: int) -> Tensor:
@@ -91,7 +91,7 @@ _play: Any = numba.njit(play)
 
 @numba.njit(cache=True)
 def _source(x: np.ndarray, r: float) -> np.ndarray:
-    # As in the adjoint of the bank: a sample at the edge of the play or beyond pushes it.
+    # As in the adjoint of the bank, a sample at the edge of the play or beyond pushes it.
     source = np.empty(len(x), np.int64)
     y, last = 0.0, NO_SOURCE
     for t in range(len(x)):

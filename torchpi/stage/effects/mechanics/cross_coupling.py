@@ -1,4 +1,4 @@
-"""What another axis moves in this one: y = x + c a, a an auxiliary signal of the recording.
+"""Motion that another axis causes in this one: y = x + c a, where a is an auxiliary signal of the recording.
 
 Devasia, Eleftheriou and Moheimani, *A survey of control issues in nanopositioning*, IEEE Trans. Control
 Systems Technology 15(5), 2007.
@@ -37,7 +37,7 @@ class CrossCoupling(Effect):
 
     @classmethod
     def starts(cls, seen: DataRange) -> list[Parameters]:
-        # The output is linear in c: from anywhere, one step of a fit ends where it should.
+        # The output is linear in c, so one step of a fit converges from any start.
         strongest = max(seen.aux.values(), default=0.0)
         if strongest == 0 or seen.span_um == 0:
             return []

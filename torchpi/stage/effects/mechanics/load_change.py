@@ -13,13 +13,13 @@ from torchpi.stage.effects.effect import DataRange, LinearEffect, Needs, Paramet
 class LoadChange(Static, LinearEffect):
     """The static gain under a load spring of k_S = `stiffness_ratio` · k_A, another in each recording.
 
-    It counts from the load that the gain stands for: below zero where a load was taken away.
+    It is relative to the load for which the stage's gain holds, and negative if a load was removed.
     """
 
     name = "load_change"
     block = "mechanics"
     equation = "y = k_A / (k_A + k_S) x"
-    signature = "another gain in another recording, and a resonance higher by its root"
+    signature = "a different gain in another recording, and a resonance scaled by 1/√gain"
     time_scale = "static"
     left_by = ("resonance", "second_mode")
     needs = Needs(recordings=2)
@@ -28,7 +28,7 @@ class LoadChange(Static, LinearEffect):
     relative = True
 
     def gain(self) -> Tensor:
-        """k_A / (k_A + k_S). Shape ()."""
+        """Return k_A / (k_A + k_S). Shape ()."""
         return 1 / (1 + self.stiffness_ratio)
 
     def of(self, x: Tensor) -> Tensor:

@@ -1,4 +1,4 @@
-"""Names for what is found in a stage whose every input drives every mode: the parts of `Modes`."""
+"""Named effects of a stage in which every input drives every mode: the parts of `Modes`."""
 
 from collections.abc import Iterable
 from typing import ClassVar
@@ -9,13 +9,13 @@ from torchpi.stage.effects.effect import Block, Described
 from torchpi.stage.effects.mechanics.resonance import OF_A_MODE
 
 MOST_MODES = 16
-"""How many modes a stage may have."""
+"""Largest number of modes that a stage may have."""
 _SHARE = Quantity("", at_least=-1e3, at_most=1e3)
 _RESIDUE = Quantity("µm/V", at_least=-1e4, at_most=1e4)
 
 
 class ModalEffect(Described):
-    """What acts together with others of its kind, as one `Modes`; no operator of its own."""
+    """An effect that acts together with others of its kind as one `Modes`, without an operator of its own."""
 
     block: ClassVar[Block] = "mechanics"
     hold: Hold | None = "first"
@@ -26,7 +26,7 @@ class ModalResonance(ModalEffect):
 
     name = "resonance"
     equation = "y = x + Σ s (M(x) - x) + Σ v Ṁ(x)/ω₀, over the modes M"
-    signature = "rings at one frequency, phase climbs towards it"
+    signature = "rings at one frequency, phase lag grows towards it"
     time_scale = "fast"
     rings = True
     quantities: ClassVar[dict[str, Quantity]] = {**OF_A_MODE, "share": _SHARE, "rate_share": _SHARE}
@@ -40,8 +40,8 @@ class ModalSecondMode(ModalResonance):
 
 
 class ModalCoupling(ModalEffect):
-    """What another axis moves in this one, through the modes: mode 1 is the resonance, the second modes
-    follow in their order."""
+    """Motion that another axis causes in this one through the modes; mode 1 is the resonance, and the second
+    modes follow in their order."""
 
     name = "cross_coupling"
     equation = "y = x + c a + Σ r (M(a) - a) + Σ q Ṁ(a)/ω₀, over the modes M"
@@ -55,7 +55,7 @@ class ModalCoupling(ModalEffect):
 
     @classmethod
     def of_modes(cls, numbers: Iterable[int]) -> set[str]:
-        """The parameters where there are these modes."""
+        """Return the names of the parameters if there are these modes."""
         return {
             "coupling_um_per_v",
             *(n for k in numbers for n in (f"mode{k}_um_per_v", f"mode{k}_rate_um_per_v")),
@@ -63,7 +63,7 @@ class ModalCoupling(ModalEffect):
 
 
 def mode_numbers(effects: Iterable[type]) -> list[int]:
-    """Of each mode among the effects, its number in the couplings."""
+    """Return the number that each mode among the effects has in the couplings."""
     numbers: list[int] = []
     for effect in effects:
         if effect is ModalResonance:

@@ -3,11 +3,11 @@
     y = x + Σ_i c_i a_i + Σ_m [ s_m (M_m(x) - x) + v_m Ṁ_m(x)/ω_m ]
           + Σ_i Σ_m [ r_im (M_m(a_i) - a_i) + q_im Ṁ_m(a_i)/ω_m ]
 
-M_m is a mode of unit static gain, a_i an auxiliary signal: the poles are the structure's, the same from every
-input, and only the residues are an input's own (Ewins, *Modal Testing*, 2nd ed., 2000, ch. 2; Preumont,
-*Vibration Control of Active Structures*, ch. 2). The part in the rate makes a residue complex: damping that
-is not proportional, and what delays an input, need it. c_i is the static gain from an input, and that from
-x is 1.
+M_m is a mode of unit static gain, a_i an auxiliary signal. The poles belong to the structure and are the same
+for every input; only the residues depend on the input (Ewins, *Modal Testing*, 2nd ed., 2000, ch. 2;
+Preumont, *Vibration Control of Active Structures*, ch. 2). The part in the rate makes a residue complex, as
+non-proportional damping or the delay of an input requires. c_i is the static gain from an input, and that
+from x is 1.
 """
 
 import math
@@ -24,7 +24,7 @@ from torchpi.stage.effects.effect import LinearEffect, Parameters
 from torchpi.stage.effects.mechanics.modal import ModalCoupling, ModalEffect, ModalResonance, mode_numbers
 
 RELATIVE_STEP = 1e-6
-"""Of a finite difference in a frequency or a damping."""
+"""Relative step of a finite difference in a frequency or a damping ratio."""
 
 
 class Part(NamedTuple):
@@ -36,7 +36,7 @@ class Part(NamedTuple):
 
 
 class Place(NamedTuple):
-    """Where a number of a part stands in `Modes`."""
+    """The position of a part's parameter in the tensors of `Modes`."""
 
     part: int
     name: str
@@ -49,7 +49,7 @@ class Modes(LinearEffect):
 
     Args:
         sample_period_s: T.
-        parts: What it is made of: modes, and one coupling for each auxiliary signal.
+        parts: Its parts: modes, and one coupling for each auxiliary signal.
     """
 
     name = "modes"
@@ -83,7 +83,7 @@ class Modes(LinearEffect):
     coupling_um_per_v: nn.Parameter
 
     def part_values(self, part: int) -> Parameters:
-        """The present parameters of a part."""
+        """Return the present parameters of a part."""
         return {
             name: self.get_parameter(tensor)[at].item() for k, name, tensor, at in self.places if k == part
         }
@@ -95,7 +95,7 @@ class Modes(LinearEffect):
         self,
         x: Tensor,  # (batch, time), µm
         state: Tensor | None = None,  # (batch, 2 inputs modes), µm
-        aux: Sequence[Tensor] = (),  # (batch, time) each, V; none are at rest
+        aux: Sequence[Tensor] = (),  # (batch, time) each, V; without any they are at rest
     ) -> tuple[Tensor, Tensor]:
         state = self.initial_state(len(x)) if state is None else state
         if not torch.is_grad_enabled():
@@ -113,7 +113,7 @@ class Modes(LinearEffect):
         return y, torch.cat(after, 1)
 
     def superposed(self, inputs: Sequence[Tensor], state: Tensor) -> tuple[Tensor, Tensor]:
-        """`forward` without gradients, the same bits in a fraction of the time."""
+        """`forward` without gradients: bit-identical, in a fraction of the time."""
         a, b, c, d = (part.contiguous().numpy() for part in self.matrices())
         rows, modes = len(inputs[0]), len(a)
         u = torch.cat([one.to("cpu", torch.float64) for one in inputs]).numpy()
@@ -131,18 +131,18 @@ class Modes(LinearEffect):
         return total.to(inputs[0].device, inputs[0].dtype), state_after.to(state.device, state.dtype)
 
     def direct(self) -> Tensor:
-        """(inputs,): what goes past the modes, so that each input keeps its static gain."""
+        """Return the gain past the modes, (inputs,), with which each input keeps its static gain."""
         one = torch.ones(1, dtype=torch.float64)
         return torch.cat([one, self.coupling_um_per_v]) - self.share.sum(1)
 
     def matrices(self) -> Matrices:
-        """A (modes, 2, 2), B (modes, 2), C (inputs, modes, 2), D (inputs, modes) of the discrete modes."""
+        """Return A (modes, 2, 2), B (modes, 2), C (inputs, modes, 2), D (inputs, modes), discrete."""
         a, b, feedthrough = self.states(self.frequency_hz, self.damping_ratio)
         c = torch.stack([self.share, self.rate_share], -1)
         return a, b, c, (c * feedthrough).sum(-1)
 
     def states(self, frequency_hz: Tensor, damping_ratio: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """A (modes, 2, 2), B (modes, 2), and what of the input is in a state at once, (modes, 2).
+        """Return A (modes, 2, 2), B (modes, 2), and the feedthrough of the input to each state, (modes, 2).
 
         The states are M(u) and Ṁ(u)/ω₀.
         """
@@ -151,7 +151,7 @@ class Modes(LinearEffect):
         a = torch.stack([zero, omega, -omega, -2 * damping_ratio * omega], -1).reshape(-1, 2, 2)
         b = torch.stack([zero, omega], -1)
         both = torch.eye(2, dtype=torch.float64)[:, None].expand(2, len(omega), 2)
-        # One output for each state: what is added to D is then what the hold brings into it at once.
+        # With one output for each state, D is the feedthrough that the hold adds to that state.
         twice = (a.expand(2, -1, 2, 2), b.expand(2, -1, 2), both, zero.expand(2, -1))
         a_d, b_d, _, d = discretise(*twice, self.sample_period_s, self.hold)
         return a_d[0], b_d[0], d.T
@@ -162,7 +162,7 @@ class Modes(LinearEffect):
         x: Tensor,  # (1, time), µm
         aux: Sequence[Tensor],  # (1, time) each, V
     ) -> dict[tuple[int, str], Tensor]:  # (1, time) each
-        """How the output moves with each number of each part, from the de-energised state."""
+        """Return the derivative of the output by each parameter of each part, from the de-energised state."""
         inputs = torch.cat([x, *aux])
         now = self.responses(inputs, self.frequency_hz, self.damping_ratio)
         step = 1 + RELATIVE_STEP
@@ -183,7 +183,7 @@ class Modes(LinearEffect):
 
     @torch.no_grad()
     def responses(self, inputs: Tensor, frequency_hz: Tensor, damping_ratio: Tensor) -> Tensor:
-        """(inputs, modes, 2, time): both states of each mode, for each input."""
+        """Return both states of each mode for each input, (inputs, modes, 2, time)."""
         a, b, d = (part.contiguous().numpy() for part in self.states(frequency_hz, damping_ratio))
         out = np.empty((len(inputs), len(a), 2, inputs.shape[1]))
         mode_states(inputs.contiguous().numpy(), a, b, d, out)
@@ -220,7 +220,7 @@ class ModesStream(nn.Module):
 
 
 def places(parts: Sequence[Part]) -> list[Place]:
-    """Where each number of each part stands. What a coupling has of a mode that is not there is left out."""
+    """Return the place of each parameter of each part, except a coupling's parameters for absent modes."""
     found: list[Place] = []
     numbers = mode_numbers([part.effect for part in parts])
     modes = [k for k, part in enumerate(parts) if issubclass(part.effect, ModalResonance)]

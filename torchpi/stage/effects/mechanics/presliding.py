@@ -1,11 +1,11 @@
-"""Friction that slides a little before it slips, behind a spring: a play with round corners.
+"""Friction with presliding behind a spring: a play with rounded corners.
 
 Dahl, *A solid friction model*, Aerospace Corporation TOR-0158(3107-18)-1, 1968: the friction force F of a
 displacement y obeys dF/dy = σ [1 - (F/F_c) sgn(dy)]. Behind a spring k, which loses d = F/k of the motion x,
 
     y = x - d,    dd/dy = (r/ρ) [1 - (d/r) sgn(dy)],    r = F_c/k, ρ = F_c/σ
 
-A straight move of Δx = s a from (x, y) has a closed form but for one number, b = |Δy|, with c = r - s d:
+A straight move of Δx = s a from (x, y) has a closed form in one unknown, b = |Δy|, with c = r - s d:
 
     b + c (1 - e^{-b/ρ}) = a,    d⁺ = s (r - c e^{-b/ρ})
 
@@ -23,13 +23,13 @@ from torch.autograd.function import once_differentiable
 
 
 def slide(x: float, before: float, y: float, r: float, rho: float) -> float:
-    """y after the input went straight from `before` to x. What kernels and stream compile."""
+    """Return y after a straight move of the input from `before` to x. Kernels and stream compile this."""
     if rho <= 1e-6 * r:  # no corner that anyone could measure
         return max(x - r, min(x + r, y))
     side = 1.0 if x > before else -1.0
     a = abs(x - before)
     c = max(0.0, r - side * (before - y))
-    # The left side is concave in b, and the start is below the root: Newton's steps only rise towards it.
+    # The left side is concave in b, and the start is below the root, so Newton's steps only rise towards it.
     b = max(a - c, a * rho / (rho + c))
     for _ in range(60):
         gone = -math.expm1(-b / rho)
@@ -41,7 +41,7 @@ def slide(x: float, before: float, y: float, r: float, rho: float) -> float:
 
 
 def slide_step(x: float, n: list[float], s: list[float]) -> float:
-    """`slide` as a stream takes it: n holds r and ρ, s holds y and x of the sample before."""
+    """`slide` as the step of a stream; n holds r and ρ, s holds y and x of the sample before."""
     s[0] = slide(x, s[1], s[0], n[0], n[1])
     s[1] = x
     return s[0]
@@ -82,7 +82,7 @@ def slide_tangent(
     r: float,
     rho: float,
 ) -> Tensor:  # (directions, time)
-    """How y moves when x moves along each direction, from rest at 0."""
+    """Return the derivative of y along each direction of x, from rest at 0."""
     dx = dx.detach().contiguous()
     dy = torch.empty_like(dx)
     _tangent(x[0].detach().numpy(), dx.numpy(), r, rho, dy.numpy())
@@ -96,7 +96,7 @@ _slide: Any = numba.njit(slide)
 def _slopes(
     x: float, before: float, y: float, r: float, rho: float
 ) -> tuple[float, float, float, float, float]:
-    """The derivatives of `slide`, in the order of its arguments."""
+    """Return the derivatives of `slide`, in the order of its arguments."""
     side = 1.0 if x > before else -1.0
     after = _slide(x, before, y, r, rho)
     if rho <= 1e-6 * r:

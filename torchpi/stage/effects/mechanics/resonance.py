@@ -1,7 +1,7 @@
 """The first mode of the mechanics: ẍ + 2ζω₀ẋ + ω₀²x = ω₀²x_in, ω₀ = 2πf₀.
 
-Behind a simulation that has a mode already, with another frequency ω_r or damping ζ_r, it takes that one's
-place: the mode over the one that it replaces,
+Behind a simulation that already has a mode, with another frequency ω_r or damping ζ_r, it replaces that mode:
+its transfer function is divided by that of the mode that it replaces,
 
     Y/X = (1 + 2ζ_r s/ω_r + s²/ω_r²) / (1 + 2ζ s/ω₀ + s²/ω₀²)
 """
@@ -22,13 +22,13 @@ from torchpi.stage.effects.effect import DataRange, Parameters, StateSpaceEffect
 TYPICAL_DAMPING = 0.02
 BINS_PER_OCTAVE = 120
 CLOSE, NEAR = 2.0, (0.93, 0.98, 1.02, 1.07)
-"""The largest ratio of the frequencies of a mode and of the one that it replaces; ratios at which one is
-looked for where both make a single peak."""
+"""The largest ratio of the frequencies of a mode and of the one that it replaces; the ratios that are tried
+where both form a single peak."""
 GRID = 14
-"""Frequencies of a blind search: near enough for a fit to close in."""
+"""Number of frequencies of a blind search, close enough for a fit to converge."""
 OF_A_MODE = {
     "frequency_hz": Quantity("Hz", at_least=1.0, at_most=1e5, identity=1000.0),
-    # What is damped more is not seen to ring: a lag.
+    # A mode with more damping does not visibly ring: it is a lag.
     "damping_ratio": Quantity("", at_least=1e-4, at_most=0.3, identity=TYPICAL_DAMPING),
 }
 FREQUENCY = replace(OF_A_MODE["frequency_hz"], identity=math.inf)
@@ -40,7 +40,7 @@ class Resonance(StateSpaceEffect):
     name = "resonance"
     block = "mechanics"
     equation = "ẍ + 2ζω₀ẋ + ω₀²x = ω₀²x_in"
-    signature = "rings at one frequency, phase climbs towards it"
+    signature = "rings at one frequency, phase lag grows towards it"
     time_scale = "fast"
     rings = True
     quantities: ClassVar[dict[str, Quantity]] = {
@@ -74,13 +74,13 @@ class Resonance(StateSpaceEffect):
             return rest.new_zeros(2, 2), rest, rest, rest.new_ones(())
         omega = 2 * math.pi * self.frequency_hz
         zero = torch.zeros_like(omega)
-        # The second state is ẋ/ω₀: both are then of like size, which keeps the exponential accurate.
+        # The second state is ẋ/ω₀: both are then of similar size, which keeps the exponential accurate.
         a = torch.stack([zero, omega, -omega, -2 * self.damping_ratio * omega]).reshape(2, 2)
         c, d = self.observed()
         return discretise(a, torch.stack([zero, omega]), c, d, self.sample_period_s, self.hold)
 
     def observed(self) -> tuple[Tensor, Tensor]:
-        """C (2,) and D () of the mode, over the one that it replaces if there is one."""
+        """Return C (2,) and D () of the mode, divided by the one that it replaces if there is one."""
         zero = torch.zeros_like(self.frequency_hz)
         replaces = "replaced_frequency_hz" in self.quantities
         if not replaces or math.isinf(self.replaced_frequency_hz.item()):
@@ -102,8 +102,8 @@ class Resonance(StateSpaceEffect):
 
     @classmethod
     def starts_at(cls, seen: DataRange, frequencies_hz: list[float]) -> list[Parameters]:
-        """As `starts`, at frequencies of one's own, such as `peaks_hz` of a residual; a grid is too coarse
-        for a mode of little damping."""
+        """Return starts at the given frequencies, such as `peaks_hz` of a residual; a grid is too coarse for
+        a mode of little damping."""
         return [
             {"frequency_hz": f, "damping_ratio": TYPICAL_DAMPING}
             for f in frequencies_hz
@@ -120,7 +120,7 @@ class Resonance(StateSpaceEffect):
 
     @classmethod
     def starts_in_place(cls, frequencies_hz: list[float]) -> list[Parameters]:
-        """A mode in place of another: a residual shows both, or one peak where they are close."""
+        """Return starts of a mode in place of another; a residual shows both, or one peak for close ones."""
         pairs = [
             (a, b) for a in frequencies_hz for b in frequencies_hz if a != b and 1 / CLOSE < a / b < CLOSE
         ]
@@ -141,12 +141,12 @@ def peaks_hz(
     fs_hz: float,
     count: int = 4,
 ) -> list[float]:
-    """Where the spectrum of a residual stands out most from its surroundings, the most first.
+    """Return where the spectrum of a residual stands out most from its surroundings, largest first.
 
-    The surroundings are the median over an octave; peaks are a third of an octave apart at least, above
-    100 Hz or a fiftieth of `fs_hz`, whichever is lower. Fewer than `count` where there are no more.
+    The surroundings are the median over an octave; peaks are at least a third of an octave apart, above
+    100 Hz or a fiftieth of `fs_hz`, whichever is lower. Fewer than `count` if there are no more.
     """
-    # Not at the top: half a second of import that a stage does not need.
+    # Imported here, because the import takes half a second and a stage does not need it.
     import scipy.ndimage
     import scipy.signal
 

@@ -1,4 +1,4 @@
-"""A further mode beside the stiff path: y = (1 - s) x + s M(x), M a mode of unit static gain."""
+"""A further mode in parallel with the stiff path: y = (1 - s) x + s M(x), M a mode of unit static gain."""
 
 from typing import ClassVar
 
@@ -14,7 +14,7 @@ class SecondMode(Resonance):
     """A mode with a share s of the static gain; the rest goes straight through.
 
     Modal superposition: Preumont, *Vibration Control of Active Structures*, ch. 2. A negative share is a
-    mode whose shape has another sign at the sensor than at the actuator.
+    mode whose shape has opposite signs at the sensor and at the actuator.
     """
 
     name = "second_mode"
@@ -35,7 +35,7 @@ class SecondMode(Resonance):
 
     @classmethod
     def starts(cls, seen: DataRange) -> list[Parameters]:
-        # Half as many as for a resonance: where it is faint, the residual shows its frequency.
+        # Half as many as for a resonance: the residual shows the frequency of a faint mode.
         return super().starts(seen)[::2]
 
     @classmethod

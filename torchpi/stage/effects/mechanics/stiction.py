@@ -1,11 +1,11 @@
 """Breakaway in the mount: after each reversal the output sticks, until the input is too far from it.
 
 The one-parameter model of Stenman, Gustafsson and Forsman, *A segmentation-based method for detection of
-stiction in control valves*, Int. J. Adaptive Control and Signal Processing 17(7–9), 2003, with the rest that
+stiction in control valves*, Int. J. Adaptive Control and Signal Processing 17(7–9), 2003, with a rest that
 only a reversal begins, as in Choudhury, Thornhill and Shah, *Modelling valve stiction*, Control
 Engineering Practice 13(5), 2005: y stays while |x - y| < J, then jumps to x - d sgn(ẋ), and follows at that
-distance to the next reversal. With d = 0 it comes back to x; with d = J it is a play. Driven by a voltage
-that a converter holds, a mount may come to rest in every sample, and move in jumps: `rests`.
+distance until the next reversal. With d = 0 it returns to x; with d = J it is a play. Driven by a voltage
+that a converter holds, a mount may come to rest in every sample and move in jumps: `rests`.
 """
 
 from collections.abc import Mapping
@@ -35,7 +35,7 @@ def stick(x: float, breakaway: float, sliding: float, rests: bool, s: list[float
 
 
 def stick_step(x: float, n: list[float], s: list[float]) -> float:
-    """`stick` as a stream takes it: n holds J, whether it rests, and d."""
+    """`stick` as the step of a stream; n holds J, whether it rests, and d."""
     return stick(x, n[0], n[2], n[1] != 0.0, s)
 
 
@@ -44,8 +44,8 @@ class Stiction(Effect):
 
     The state is the displacement behind it, that before it, and the direction.
 
-    The output jumps, and it jumps at a sample: its derivative in `breakaway_um` is zero almost everywhere.
-    Fit it by steps of a size that moves the jumps.
+    The output jumps, always at a sampling instant, so its derivative in `breakaway_um` is zero almost
+    everywhere. Fit it with steps that are large enough to move the jumps.
     """
 
     name = "stiction"
@@ -74,7 +74,7 @@ class Stiction(Effect):
         return self.rests.item() > 0.5
 
     def friction(self) -> Tensor:
-        """d, no larger than J."""
+        """Return d, no larger than J."""
         return torch.minimum(self.sliding_um, self.breakaway_um)
 
     def forward(
@@ -126,7 +126,7 @@ def _run(
     source: np.ndarray,
     steps: np.ndarray,
 ) -> None:
-    # Where it slid the output is x - d sgn(ẋ) of the last sliding sample; elsewhere what it began with.
+    # After sliding, the output is x - d sgn(ẋ) of the last sliding sample; before, its initial value.
     for batch in range(x.shape[0]):
         last, side = NO_SOURCE, 0.0
         for t in range(x.shape[1]):

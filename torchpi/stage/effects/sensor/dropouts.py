@@ -1,4 +1,4 @@
-"""Single wrong readings: a lost sample read as 0, as the last one, or as anything.
+"""Single wrong readings: a lost sample that is read as 0, as the last value, or as any other value.
 
 They are additive outliers (Fox, *Outliers in time series*, J. Royal Statistical Society B 34(3), 1972), found
 in the readings by `torchpi.recordings.faults.dropouts`.
@@ -14,13 +14,13 @@ from torchpi.stage.effects.effect import DataRange, Effect, Parameters, paramete
 class Dropouts(Static, Effect):
     """Readings that are not of the stage. Nothing predicts them: the output is the input, whatever the share.
 
-    `share` is how many of the readings are wrong, for the report.
+    `share` is the fraction of wrong readings, for the report.
     """
 
     name = "dropouts"
     block = "sensor"
     equation = "y(k) = anything at a few k, else x(k)"
-    signature = "single readings far off both of their neighbours"
+    signature = "single readings far from both of their neighbours"
     read_off = True
     unseen = "no single reading lies far off its neighbours"
     share: nn.Parameter = parameter("", at_least=0.0, at_most=1.0)

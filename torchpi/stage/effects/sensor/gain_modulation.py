@@ -1,7 +1,7 @@
 """A slow signal that the voltage does not drive: y = x [1 + m(t)] + a(t), t from the first sample.
 
-The light source of an interferometer or a reference voltage breathes (m), or a mount sways (a): one line of
-0.02 to 20 Hz. Where it keeps no frequency, m is a random walk through knots (`torchpi.stage.effects.knots`).
+The light source of an interferometer or a reference voltage fluctuates (m), or a mount sways (a), with a line
+of 0.02 to 20 Hz. Without a fixed frequency, m is a random walk through knots (`torchpi.stage.effects.knots`).
 Fleming, *A review of nanometer-resolution position sensors: operation and performance*, Sensors and Actuators
 A 190, 2013: drift of gain and of offset.
 """
@@ -23,16 +23,16 @@ from torchpi.stage.effects.oscillation import oscillation, oscillations
 KNOT_NAMES = knot_names("")
 STARTS_HZ = (0.02, 0.06, 0.2, 0.6, 2.0, 6.0, 20.0)
 STANDS_OUT, AROUND = 6.0, 101
-"""Times the median amplitude of so many frequencies, from which a displacement has a line of its own."""
+"""A displacement has a line where its amplitude exceeds the median of so many frequencies by this factor."""
 DENSE = 4
-"""Times as many frequencies as a record resolves: the best line lies within an eighth of 1/duration."""
+"""Oversampling of the frequencies that a record resolves: a line lies within an eighth of 1/duration."""
 FEWEST_PERIODS = 2.0
-"""Of a line in the longest recording; fewer are a drift, or a gain that differs between recordings."""
+"""Least periods of a line in the longest recording; fewer are a drift or a gain that differs by recording."""
 
 
 def modulation_step(x: float, n: list[float], s: list[float]) -> float:
-    """x, modulated: n holds T, f, both sizes of the gain's line and of the zero's, the knots' spacing and the
-    knots, s the samples so far."""
+    """Return x modulated; n holds T, f, both amplitudes of the gain's line and of the zero's, the spacing of
+    the knots and the knots, and s the samples so far."""
     t_s = s[0] * n[0]
     gain = 1.0 + oscillation(t_s, n[1], n[2], n[3]) + walk_at(s[0], n, 6)
     s[0] += 1.0
@@ -46,7 +46,7 @@ class GainModulation(InTime):
     block = "sensor"
     equation = "y = x [1 + a cos 2πft + b sin 2πft], or x + a line, or x [1 + a random walk]"
     signature = (
-        "an error in proportion to the displacement, by a slow signal that does not follow the voltage"
+        "an error in proportion to the displacement and to a slow signal that does not follow the voltage"
     )
     time_scale = "slow"
     degenerate_with = ("ageing",)
@@ -70,11 +70,11 @@ class GainModulation(InTime):
     walk = KNOT_NAMES
 
     def knots(self) -> Tensor:
-        """The walk of the gain at each knot, (KNOTS,)."""
+        """Return the random walk of the gain at each knot, (KNOTS,)."""
         return torch.stack([getattr(self, name) for name in KNOT_NAMES])
 
     def gain(self, elapsed: Tensor, time: int) -> Tensor:
-        """1 + m, (batch, time)."""
+        """Return 1 + m, (batch, time)."""
         line = oscillations(elapsed, time, self.sample_period_s, self.frequency_hz, self.cos, self.sin)
         walk = through_knots(elapsed, time, self.sample_period_s, self.knot_spacing_s, self.knots())
         return 1 + line + walk
@@ -116,10 +116,10 @@ class GainModulation(InTime):
     def starts_at(
         cls, seen: DataRange, modulating_hz: Sequence[float], added_hz: Sequence[float]
     ) -> list[Parameters]:
-        """As `starts`, at frequencies of one's own, such as `modulation_hz` and `lines_hz` of a residual.
+        """Return starts at the given frequencies, such as `modulation_hz` and `lines_hz` of a residual.
 
-        In a record of D seconds a fit finds a frequency from about 1/D away: a grid is too coarse for a line
-        of many periods.
+        In a record of D seconds a fit converges to a frequency from about 1/D away, so a grid is too coarse
+        for a line of many periods.
         """
         size, bounds = 0.01 * seen.span_um, cls.quantities["frequency_hz"]
         low_hz = max(bounds.at_least, FEWEST_PERIODS / seen.duration_s)
@@ -142,17 +142,17 @@ def modulation_hz(
     fs_hz: float,
     count: int = 4,
 ) -> list[float]:
-    """The lines that explain most of a residual when they modulate the displacement, the most first.
+    """Return the lines that explain most of a residual when they modulate the displacement, best first.
 
-    The share is that of least squares by x cos and x sin, to the first order in 1/time (Lomb, *Least-squares
-    frequency analysis of unequally spaced data*, Astrophysics and Space Science 39, 1976, with x as weight).
-    Fewer than `count` where there are no more, of half a period in the record to 20 Hz.
+    The explained share is that of a least-squares fit of x cos and x sin, to first order in 1/time (Lomb,
+    *Least-squares frequency analysis of unequally spaced data*, Astrophysics and Space Science 39, 1976, with
+    x as weight). Fewer than `count` if there are no more from two periods in the record to 20 Hz.
     """
-    # Not at the top: half a second of import that a stage does not need.
+    # Imported here, because the import takes half a second and a stage does not need it.
     import scipy.fft
 
     product = residual * displacement
-    # What is in proportion to the displacement itself is a gain, not a modulation.
+    # A part in proportion to the displacement itself is a gain error, not a modulation.
     power = displacement**2
     product = product - power * (product.sum() / max(power.sum(), np.finfo(float).tiny))
     size = scipy.fft.next_fast_len(DENSE * len(product), real=True)
@@ -166,9 +166,9 @@ def lines_hz(
     fs_hz: float,
     count: int = 4,
 ) -> list[float]:
-    """The largest lines of a residual where the displacement has none: what is left of a command that is a
-    sum of sines may be larger. Fewer than `count` where there are no more, of two periods in the record to
-    20 Hz."""
+    """Return the largest lines of a residual where the displacement has none, since remainders of a command
+    that is a sum of sines may be larger. Fewer than `count` are returned if there are no more from two
+    periods in the record to 20 Hz."""
     import scipy.fft
     import scipy.ndimage
 
@@ -188,7 +188,7 @@ def highest_peaks(
     apart: int,
     count: int,
 ) -> list[float]:
-    """The frequencies of the highest peaks from `low_hz` to 20 Hz, at least so many frequencies apart."""
+    """Return the frequencies of the highest peaks from `low_hz` to 20 Hz, at least `apart` bins apart."""
     import scipy.signal
 
     height = np.where((f >= low_hz) & (f <= STARTS_HZ[-1]), height, 0.0)

@@ -17,11 +17,11 @@ SIZES = ("cos_um", "sin_um", "cos2_um", "sin2_um", "cos3_um", "sin3_um")
 """a_k and b_k, one harmonic after another."""
 MAINS_HZ = (50.0, 60.0, 100.0, 120.0, 150.0, 180.0)
 STANDS_OUT = 3.0
-"""Times the median amplitude around it, from which a line is worth a start."""
+"""A line gets a start if its amplitude exceeds the surrounding median by this factor."""
 
 
 def hum_step(x: float, n: list[float], s: list[float]) -> float:
-    """x and the lines: n holds T, f and the sizes, s the samples since the first."""
+    """Return x plus the lines; n holds T, f and the amplitudes, s the samples since the first."""
     t_s, added = s[0] * n[0], 0.0
     for k in range(len(n) // 2 - 1):
         added += oscillation(t_s, (k + 1) * n[1], n[2 * k + 2], n[2 * k + 3])
@@ -31,12 +31,12 @@ def hum_step(x: float, n: list[float], s: list[float]) -> float:
 
 class Hum(AddedSignal):
     """One line of the mains, or of a multiple of it, alone or with its second and third harmonic; their
-    phases are others in each recording."""
+    phases differ between recordings."""
 
     name = "hum"
     block = "sensor"
     equation = "y = x + Σ_k a_k cos 2πkft + b_k sin 2πkft, k = 1 or k = 1 … 3"
-    signature = "one exact line, not periodic with the input, of one size in motion and at rest"
+    signature = "one exact spectral line, unrelated to the input's period, as large at rest as in motion"
     frequency_hz: nn.Parameter = parameter("Hz", at_least=45, at_most=400, identity=50.0)
     quantities: ClassVar[dict[str, Quantity]] = dict.fromkeys(SIZES, Quantity("µm", -1e3, 1e3))
     per_recording = SIZES
@@ -57,7 +57,7 @@ class Hum(AddedSignal):
         return added
 
     def lines(self) -> list[tuple[Tensor, Tensor]]:
-        """a_k and b_k of each harmonic."""
+        """Return a_k and b_k of each harmonic."""
         sizes = [getattr(self, name) for name in SIZES]
         return list(zip(sizes[::2], sizes[1::2], strict=True))
 
@@ -71,14 +71,14 @@ class Hum(AddedSignal):
 
     @classmethod
     def starts(cls, seen: DataRange) -> list[Parameters]:
-        # Below a few periods a line is a drift; above half of the sample rate it shows as another one.
+        # With less than a few periods a line is a drift; above half the sample rate it is aliased.
         size = 1e-3 * seen.span_um
         seen_lines = [f for f in MAINS_HZ if 3 / seen.duration_s < f < seen.fs_hz / 2 and size > 0]
         return [start for f in seen_lines for start in cls.starts_at(f, size, seen.fs_hz)]
 
     @classmethod
     def starts_at(cls, frequency_hz: float, size_um: float, fs_hz: float) -> list[Parameters]:
-        """One line, and one with the harmonics that the sample rate shows."""
+        """Return one line and, if the sample rate resolves them, one with its harmonics."""
         one = {"frequency_hz": frequency_hz, **dict.fromkeys(SIZES[:2], size_um)}
         return [one, {**one, **dict.fromkeys(SIZES[2:], size_um)}] if 6 * frequency_hz < fs_hz else [one]
 
@@ -86,7 +86,7 @@ class Hum(AddedSignal):
     def starts_from(
         cls, seen: DataRange, residual: np.ndarray, output: np.ndarray, fs_hz: float
     ) -> list[Parameters]:
-        """At the strongest frequency of the residual within 1 % of each line that shows: the mains wander."""
+        """Start at the residual's strongest frequency within 1 % of each visible line: the mains wander."""
         size, count = 1e-3 * seen.span_um, 1 << (4 * len(residual)).bit_length()
         f = np.fft.rfftfreq(count, 1 / fs_hz)
         power = np.abs(np.fft.rfft(residual * np.hanning(len(residual)), count))

@@ -11,26 +11,26 @@ from torchpi.operators.chain import ChainStream
 from torchpi.operators.quantization import Quantize, quantize_step
 from torchpi.stage.effects.effect import DataRange, Effect, Parameters, parameter
 
-FEWEST_READINGS = 8  # that differ; fewer lie on some lattice by chance
-FARTHEST = 0.2  # of a step, from a reading to its place; by chance, 2 in 5 do not lie farther
+FEWEST_READINGS = 8  # distinct readings; fewer lie on some lattice by chance
+FARTHEST = 0.2  # largest distance from a reading to its place, in steps; by chance, 2 in 5 lie within
 FLOAT32_STEP = 2.0**-23
-OFTEN = 20  # readings of a code, on average; noise or motion that is not quantised hardly repeats a value
-EVEN = 1.01  # the widest step over the narrowest, of what is spaced evenly
-NARROWEST, WIDEST = 0.5, 1.5  # code widths over the median: of a converter with a code for every input
-SKIPPED = 0.05  # of the gaps, beside which there is a code that no reading has: near the ends of the travel
+OFTEN = 20  # mean number of readings per code; noise or motion without quantisation hardly repeats a value
+EVEN = 1.01  # largest ratio of the widest to the narrowest step of evenly spaced values
+NARROWEST, WIDEST = 0.5, 1.5  # code widths over the median, for a converter without missing codes
+SKIPPED = 0.05  # largest share of gaps over a code that no reading has, near the ends of the travel
 
 
 class Quantization(Static, Effect):
     """A converter of finite resolution and no end of range; `lsb_um` 0 has no steps.
 
     Straight-through: the gradient in x is 1, as if there were no steps, and that in the two parameters is 0.
-    The step is read off the recorded readings by `lattice`; no descent finds it.
+    `lattice` determines the step from the recorded readings, because gradient descent cannot find it.
     """
 
     name = "quantization"
     block = "sensor"
     equation = "y = o + q round((x - o) / q)"
-    signature = "readings on a lattice; an error spread evenly over one step"
+    signature = "readings on a grid of levels; an error uniformly distributed over one step"
     time_scale = "static"
     read_off = True
     lsb_um: nn.Parameter = parameter("µm", at_least=0, at_most=100)
@@ -58,11 +58,11 @@ class Quantization(Static, Effect):
         cls,
         readings: np.ndarray,  # (time,), µm
     ) -> float | None:
-        """The step, µm, of the lattice that all recorded readings lie on; None where they lie on none.
+        """Return the step, µm, of the lattice that all recorded readings lie on; None if there is none.
 
-        The step may be smaller than the noise, and the readings rounded since: to float32, or to decimals of
-        a tenth of a step. None also where fewer than 8 readings differ, and where the lattice is only that of
-        the file: steps of 10^-k with k ≥ 5, or so fine that float32 hardly resolves them.
+        The step may be smaller than the noise, and the readings may have been rounded to float32 or to
+        decimals of a tenth of a step. None also if fewer than 8 readings differ, or if the lattice is only
+        that of the file: steps of 10^-k with k ≥ 5, or so fine that float32 hardly resolves them.
         """
         y = np.unique(np.asarray(readings, dtype=np.float64))
         finest = 4 * FLOAT32_STEP * np.abs(y).max(initial=0.0)
@@ -70,7 +70,7 @@ class Quantization(Static, Effect):
         gaps = gaps[gaps > 1e-9 * (y[-1] - y[0])] if len(y) else gaps
         if len(gaps) + 1 < FEWEST_READINGS:
             return None
-        # Two readings one step apart are likely, but not sure, to be there: the smallest gap may be several.
+        # Two readings one step apart are likely, but not certain: the smallest gap may be several steps.
         for steps_in_smallest in range(1, 9):
             step = _refined(gaps, gaps.min() / steps_in_smallest)
             if step < finest:
@@ -84,27 +84,27 @@ def uneven_codes(
     readings: np.ndarray,  # (time,), µm
     commands: np.ndarray,  # (time,), V
 ) -> float | None:
-    """The typical step, µm, of readings that lie on few values, not evenly spaced; None where they do not.
+    """Return the typical step, µm, of readings that lie on a few unevenly spaced values; otherwise None.
 
-    A converter's code widths differ (differential nonlinearity: IEEE Std 1241-2010, 9.2). That values come
-    again in the readings and not in the command tells it from a stage that is sent to the same few places.
+    A converter's code widths differ (differential nonlinearity: IEEE Std 1241-2010, 9.2). Values that recur
+    in the readings but not in the command distinguish it from a stage that is sent to the same few places.
     """
     y = np.unique(readings)
     if len(y) < FEWEST_READINGS or len(readings) < OFTEN * len(y) or len(np.unique(commands)) < 4 * len(y):
         return None
     gaps = np.diff(y)
     step = float(np.median(gaps))
-    # Evenly spaced values are those of a file with few decimals, or of a lattice.
+    # Evenly spaced values come from a file with few decimals, or from a lattice.
     uneven = gaps.max() > EVEN * gaps.min()
     whole = gaps.min() >= NARROWEST * step and (gaps > WIDEST * step).mean() <= SKIPPED
     return step if uneven and whole else None
 
 
 def _refined(gaps: np.ndarray, step: float) -> float:
-    """The step for which the gaps are whole multiples, from a first guess.
+    """Refine a first guess of the step of which the gaps are whole multiples.
 
-    A wide gap gives the step more sharply, but only a guess that is sharp already gives how many steps that
-    gap holds: from the narrow gaps to the wide ones.
+    A wide gap determines the step more precisely, but counting its steps takes a guess that is already
+    precise, so the refinement proceeds from the narrow gaps to the wide ones.
     """
     reach = 1.5 * step
     while True:
@@ -114,25 +114,25 @@ def _refined(gaps: np.ndarray, step: float) -> float:
         if reach >= gaps.max():
             break
         reach *= 2
-    # Last, the places themselves: over their whole span the step is sharper than over any gap.
+    # Last, the places themselves: their whole span determines the step more precisely than any gap.
     codes, places = np.cumsum(np.round(gaps / step)), np.cumsum(gaps)
     codes, places = codes - codes.mean(), places - places.mean()
     return float((codes * places).sum() / (codes * codes).sum())
 
 
 def _misfit(y: np.ndarray, step: float) -> float:
-    """The largest distance of a reading from its place, in steps."""
+    """Return the largest distance of a reading from its place on the lattice, in steps."""
     from_place = (y - _offset(y, step)) / step
     return float(np.abs(from_place - np.round(from_place)).max())
 
 
 def _offset(y: np.ndarray, step: float) -> float:
-    """The mean of y modulo the step, on the circle."""
+    """Return the circular mean of y modulo the step."""
     turn = np.exp(2j * math.pi * (y / step)).mean()
     return float(step * (np.angle(turn) / (2 * math.pi) % 1.0))
 
 
 def _is_decimal(step: float) -> bool:
-    """Whether the step is 10^-k with k ≥ 5, which a text format has."""
+    """Whether the step is 10^-k with k ≥ 5, as in a text format."""
     decimals = -math.log10(step)
     return decimals > 4.5 and abs(decimals - round(decimals)) < 1e-4

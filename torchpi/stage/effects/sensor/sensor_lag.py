@@ -1,4 +1,4 @@
-"""The low-pass of a sensor and its electronics: of one pole, or of two, as filters behind demodulators have.
+"""The low-pass of a sensor and its electronics: one pole, or two as in filters behind demodulators.
 
 Fleming, *A review of nanometer-resolution position sensors: operation and performance*, Sensors and Actuators
 A 190, 2013.
@@ -22,5 +22,5 @@ class SensorLag(Lag):
 
     @classmethod
     def starts(cls, seen: DataRange) -> list[Parameters]:
-        # Near half of the sample rate a lag is little more than a change of gain.
+        # Near half the sample rate a lag is little more than a change of gain.
         return cls.starts_below(seen, 0.45 * seen.fs_hz)

@@ -1,8 +1,8 @@
 """Drift in absolute time, of a stage that warms up: y = x + A (1 - e^{-t/τ}) + ρ t, t from the first sample.
 
-ΔL = L₀ α ΔT, the temperature being that of one heat capacity behind one resistance (A, τ), or still far
-from where it settles (ρ), or that of a room, which wanders: a random walk, through knots in each recording
-(`torchpi.stage.effects.knots`).
+ΔL = L₀ α ΔT, where the temperature is that of one heat capacity behind one thermal resistance (A, τ), or is
+still far from settling (ρ), or is that of a room, which wanders: a random walk through knots in each
+recording (`torchpi.stage.effects.knots`).
 """
 
 import math
@@ -22,16 +22,16 @@ from torchpi.stage.effects.knots import SPACING, knot_names, through_knots, walk
 
 KNOT_NAMES = knot_names("_um")
 QUICKEST = 0.01
-"""Of a recording: what settles sooner came before it, and is not counted (`torchpi.diagnosis.start_up`)."""
+"""Share of a recording: faster settling began before it and is not counted (`torchpi.diagnosis.start_up`)."""
 
 
 def drift(t_s: float, amplitude_um: float, time_constant_s: float, rate_um_per_s: float) -> float:
-    """A (1 - e^{-t/τ}) + ρ t."""
+    """Return A (1 - e^{-t/τ}) + ρ t."""
     return amplitude_um * (1.0 - math.exp(-t_s / time_constant_s)) + rate_um_per_s * t_s
 
 
 def drift_step(x: float, n: list[float], s: list[float]) -> float:
-    """x and the drift: n holds T, A, τ, ρ, the knots' spacing and the knots, s the samples so far."""
+    """Return x plus the drift; n holds T, A, τ, ρ, the knots' spacing and the knots, s the samples so far."""
     added = drift(s[0] * n[0], n[1], n[2], n[3]) + walk_at(s[0], n, 4)
     s[0] += 1.0
     return x + added
@@ -58,13 +58,13 @@ def _moved(
 class ThermalDrift(AddedSignal):
     """A drift that settles, goes on, wanders, or all of it; how far is another number in each recording.
 
-    What wandered in one recording predicts nothing in the next: without its numbers the drift is not there.
+    The drift of one recording predicts nothing about the next, which has none without values of its own.
     """
 
     name = "thermal_drift"
     block = "sensor"
     equation = "y = x + A (1 - e^{-t/τ}), or + ρ t, or + a random walk"
-    signature = "slow, in absolute time: does not follow the last move"
+    signature = "slow, a function of absolute time: does not follow the last move"
     time_scale = "slow"
     degenerate_with = ("leakage", "creep")
     amplitude_um: nn.Parameter = parameter("µm", at_least=-1e4, at_most=1e4)
@@ -85,7 +85,7 @@ class ThermalDrift(AddedSignal):
     walk = KNOT_NAMES
 
     def knots(self) -> Tensor:
-        """Where the walk is at each knot, (KNOTS,), µm."""
+        """Return the random walk at each knot, (KNOTS,), µm."""
         return torch.stack([getattr(self, name) for name in KNOT_NAMES])
 
     def added(self, elapsed: Tensor, time: int) -> Tensor:
