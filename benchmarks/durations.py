@@ -1,16 +1,16 @@
-"""How right are the estimates that commands begin with? And the constants of a diagnosis's, measured again.
+"""Check the time estimates that commands print first, and refit the constants of a diagnosis's estimate.
 
     python benchmarks/durations.py [--only check,fit,run,diagnose] [--rounds]
 
-Runs the README's commands that estimate their time, in a temporary folder, and prints for each what it had
-said, what it took, and the ratio of the two, which should lie between a half and two; then the same of
+Runs the README's commands that estimate their time, in a temporary folder, and prints for each the estimate,
+the time taken, and the ratio of the two, which should lie between a half and two; then does the same for
 diagnoses in which nothing is missing. With `--rounds` it then diagnoses several sets of the README's
-recordings, and fits to their processor time, over the samples and the rounds of each, the constants of
-`torchpi/cli/duration.py`, printed again after each set from the fourth on:
+recordings and fits the constants of `torchpi/cli/duration.py` to their processor time as a function of
+samples and rounds. The constants are printed again after each set from the fourth on:
 
     processor s = DIAGNOSIS_S + (ROUND_S + SAMPLE_S · samples) · rounds^GROWTH
 
-Every line is printed when it is known: what has been measured holds if this program is ended early.
+Every line is printed as soon as it is known, so results remain valid if this program is stopped early.
 """
 
 import argparse
@@ -37,7 +37,7 @@ NULLS = tuple(
     f"torchpi diagnose {files} --simulation default --output nothing"
     for files in ("recordings/slow.csv", "recordings/slow.csv recordings/judge.csv", "recordings/*.csv")
 )
-"""Diagnoses of recordings of the very stage that they are compared with."""
+"""Diagnoses in which the recordings come from the same stage as the simulation."""
 MARKS = {"check": "torchpi check", "fit": "train fit", "run": "torchpi run", "diagnose": "torchpi diagnose"}
 SETS = (
     ("slow",), ("fast",), ("slow", "judge"), ("triangles", "judge"), ("slow", "triangles", "judge"),
@@ -50,10 +50,10 @@ class Ran:
     """A command that has ended.
 
     Attributes:
-        seconds: From its start.
-        processor_s: Of it and of its processes, on the machine on which the constants were counted.
-        estimated_s: What it said at first, of a diagnosis for what it then found; NaN where it said nothing.
-        rounds: Of its search, where it is a diagnosis.
+        seconds: Wall-clock time.
+        processor_s: Processor time with its child processes, scaled to the constants' reference machine.
+        estimated_s: The estimate (of a diagnosis, the one that suits its outcome); NaN if there was none.
+        rounds: Rounds of the search, if it is a diagnosis.
     """
 
     seconds: float
@@ -90,20 +90,20 @@ def main() -> int:
 
 
 def commands() -> list[str]:
-    """The README's lines of shell."""
+    """Return the README's shell lines."""
     return [
         line for block in re.findall(r"```sh\n(.*?)```", README, re.DOTALL) for line in block.splitlines()
     ]
 
 
 def words(command: str, folder: Path) -> list[str]:
-    """Of a command, as the shell would split it in a folder."""
+    """Split a command into words as the shell would in this folder."""
     files = (sorted(folder.glob(word)) if "*" in word else [word] for word in shlex.split(command))
     return [str(word) for part in files for word in part]
 
 
 def needed(compared: Sequence[str]) -> tuple[str, ...]:
-    """What else has to run: a run needs a fit, and the last fit a diagnosis."""
+    """Return the commands that others depend on: a run needs a fit, and the last fit a diagnosis."""
     fit = ("--config recorded", "torchpi export") if MARKS["run"] in compared else ()
     diagnosis = (MARKS["diagnose"],) if MARKS["fit"] in compared else ()
     return ("torchpi simulate", *fit, *diagnosis)
@@ -121,7 +121,7 @@ def run(command: Sequence[str], folder: Path) -> Ran:
     line = re.search(r"This will take about .*", done.stdout)
     said = re.findall(r"(\d+) (s|min)", line[0]) if line else [("nan", "s")]
     each = [float(number) * (60.0 if unit == "min" else 1.0) for number, unit in said]
-    # Of a diagnosis that finds something, what is nearest between the two ends that it said.
+    # For a diagnosis that finds something, the value within its stated range nearest to the time taken.
     estimated = each[0] if rounds < 2 else float(np.clip(seconds, *each[1:3]))
     return Ran(seconds, (processor_s() - before) * measured(1).speed, estimated, rounds)
 
@@ -145,7 +145,7 @@ def print_constants(folder: Path) -> None:
 
 
 def print_fit(samples: np.ndarray, rounds: np.ndarray, spent: np.ndarray) -> None:
-    """The constants, whose relative misses have the least sum of squares."""
+    """Print the constants that minimise the sum of squared relative errors."""
     fits = []
     for growth in np.arange(0.4, 1.6, 0.05):
         grown = rounds**growth

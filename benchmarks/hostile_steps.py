@@ -1,17 +1,17 @@
-"""Hostile sequences through an exported step: how many leave the limits, or more than 0.1 % a second later.
+"""Feed hostile sequences to an exported step; count those that leave the limits or do not recover.
 
     python benchmarks/hostile_steps.py [--sequences 10000] [--first_seed 0] [--whole_every 100]
         [--steady_steps 1000000000] [--sanitized_steps 10000000]
         [--only recovery,bits,drift,sanitizers] [--compensator parts,demo]
 
-`recovery`: C in double and float, each sequence to its end. `bits`: TorchScript and the Python stream beside
-C in double, every sample compared to the last bit until 60 samples after the last hostile one, and of every
-`whole_every`-th sequence all 1.5 s. What comes before the first hostile sample is the same motion in all: the
-slow forms step through it once, and begin each sequence with a copy of their state. It prints its counts at
-each tenth, and what was cut off goes on from there with `--first_seed`.
-
-`drift`: one period over and over, by how much its voltages ever differ from those of the first round after
-creep has settled. `sanitizers`: steps under the address and undefined-behaviour sanitizers.
+`recovery` runs every sequence to its end in C (double and float); one that is off by more than 0.1 % of the
+voltage range a second later has not recovered. `bits` compares TorchScript and the Python stream bit by bit
+with C in double: until 60 samples after the last hostile one, and for every `whole_every`-th sequence over
+all 1.5 s. The motion before the first hostile sample is the same in all sequences, so the two slow forms step
+through it once and start each sequence from a copy of that state. Counts are printed at each tenth; an
+interrupted run is continued from there with `--first_seed`. `drift` repeats one period and reports the
+largest deviation of its voltages from the first round after creep has settled. `sanitizers` runs steps under
+the address and undefined-behaviour sanitizers.
 """
 
 import argparse
@@ -127,13 +127,13 @@ def bits(made: DirectInverse, folder: Path, seeds: range, whole_every: int) -> N
 def with_other_bits(
     stream: CompensatorStream, c: Stepped, period_s: float, seeds: Collection[int], after: int = 60
 ) -> int:
-    """How many sequences differ until so many samples after their last hostile one.
+    """Count the sequences that differ in any bit until `after` samples after their last hostile one.
 
-    The motion before the first hostile sample is the same in all of them: it is stepped through once, and
-    each sequence begins with a copy of the state there.
+    All sequences share the motion before their first hostile sample: it is stepped through once, and each
+    sequence starts from a copy of the state reached there.
     """
     differing = 0
-    samples = round(0.25 / period_s) + 40 + after  # the latest, and the longest
+    samples = round(0.25 / period_s) + 40 + after  # the latest start, the longest sequence, the rest
     undisturbed = motion(samples, period_s)
     starts = {seed: disturbed(seed, samples, period_s)[1] - len(hostile(seed)) for seed in seeds}
     stream.reset()
@@ -171,14 +171,14 @@ def drift(made: DirectInverse, folder: Path, steps: int) -> None:
 
 
 def progress(done: int, of: int, started: float) -> None:
-    """A line at each tenth of what takes long, to the standard error."""
+    """Print a line to standard error at each tenth of a long loop."""
     lasted = time.monotonic() - started
     if tenth(done, of) and lasted > 5.0:
         print(f"  {100 * done // of} % after {lasted:.0f} s", file=sys.stderr, flush=True)
 
 
 def tenth(done: int, of: int) -> bool:
-    """Whether another tenth is done."""
+    """Whether the last step completed another tenth."""
     return done * 10 // of > (done - 1) * 10 // of
 
 

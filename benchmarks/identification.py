@@ -1,16 +1,16 @@
-"""The paper's two stages of identification, 5,000 points each: torchpi against what a user would write.
+"""Time the paper's two-stage identification, 5,000 points each: torchpi against scripts a user would write.
 
     python benchmarks/identification.py [--stage configs/stage/qin2013.yaml] [--repeats 9] [--joint]
 
-All fit the same numbers, 10 plays and a polynomial of degree 4, to the same records of the simulated stage:
-a 5 Hz sine for stage 1 (eq. 10) and the multisine of eq. 13 for stage 2 (eq. 11).
+All fit the same parameters, 10 plays and a polynomial of degree 4, to the same records of the simulated
+stage: a 5 Hz sine for stage 1 (eq. 10) and the multisine of eq. 13 for stage 2 (eq. 11).
 
-The plain script is NumPy, vectorised over the plays with a loop over samples, and scipy.optimize's
-least_squares over all 14 numbers of stage 1 with finite differences; its stage 2 is one linear least squares.
-It gets every method and scaling that SciPy has, with y in µm and with y scaled to 1. The stronger script
-solves for the weights at each trial of the 4 coefficients, still with finite differences.
+The plain script uses NumPy, vectorised over the plays with a loop over samples, and scipy.optimize's
+least_squares with finite differences over all 14 parameters of stage 1; its stage 2 is one linear
+least-squares problem. Every method and scaling of SciPy is tried, with y in µm and with y scaled to 1. The
+stronger script solves for the weights at each trial of the 4 coefficients, still with finite differences.
 
-`--joint` compares the fit of everything at once with L-BFGS on the same projected loss, half a minute more.
+`--joint` adds half a minute: the joint fit of all parameters against L-BFGS on the same projected loss.
 """
 
 import argparse
@@ -37,7 +37,7 @@ from torchpi.stage import Stage
 
 POINTS = 5_000
 DEGREE = 4
-R = np.array([0.0, 0.05, 0.1, 0.2, 0.3, 0.5, 1.0, 1.5, 2.0, 3.0])  # of the paper
+R = np.array([0.0, 0.05, 0.1, 0.2, 0.3, 0.5, 1.0, 1.5, 2.0, 3.0])  # the paper's thresholds
 
 
 class Fit(NamedTuple):
@@ -70,7 +70,7 @@ def main() -> None:
     ours = [_ours(slow, fast) for _ in range(options.repeats)]
 
     def beside_ours(fit: Callable[[], Fit]) -> Fit:
-        """Timed between runs of ours, so that a busy machine slows both."""
+        """Time a fit between runs of torchpi's, so that other load on the machine slows both."""
         before = ours[-options.repeats :]
         found = fit()
         ours.extend(_ours(slow, fast) for _ in range(options.repeats))
@@ -111,7 +111,7 @@ def main() -> None:
 
 
 def _joint(stage: Stage) -> None:
-    """Everything at once on six records: lead, creep with a pole of 1 ms, 14 and 20 plays."""
+    """Fit all parameters jointly to six records: lead, creep with a pole of 1 ms, 14 and 20 plays."""
     recordings = stage_recordings(stage)
     pairs = [inverse_pair(recording, 2, 1000.0) for recording in recordings]
     thinned = [pair._replace(counted=slice(0, pair.counted.stop, 5)) for pair in pairs]
@@ -193,7 +193,7 @@ def _plain(slow: InversePair, fast: InversePair, method: str, x_scale: float | s
     def residual(numbers: np.ndarray) -> np.ndarray:
         return _play_states(_saturation(numbers[:DEGREE], y)) @ numbers[DEGREE:] - u
 
-    # S(y) = y in µm, and all of the gain on the first play.
+    # Start from S(y) = y in µm, with all of the gain on the first play.
     guess = np.zeros(DEGREE + len(R))
     guess[0], guess[DEGREE] = scale, u.max() / (scale * y.max())
     found = scipy.optimize.least_squares(residual, guess, method=method, x_scale=x_scale)

@@ -1,14 +1,14 @@
-"""Commands killed at random moments: previous files whole, nothing left running, the next run succeeds.
+"""Kill commands during their run: previous files stay whole, nothing keeps running, the next run succeeds.
 
     python benchmarks/kills.py [--rounds 30] [--finish_every 6] [--seed 0]
         [--only fit,export,diagnose,reproduce,check,figures]
 
-Each command, with small inputs (`figures`: two of the measurements of `make figures`), is run once, and then
-killed until `rounds` of each of SIGTERM, SIGKILL and SIGINT have come before its end, at moments spread
-evenly over its run. After every kill the files must be whole and no process may go on. Every run begins with
-what the killed one before it left, and may not end by itself with an error; after every `finish_every`-th
-kill, and the last, it is run to its end, which must succeed and leave no temporary file. Counts are printed
-after each of these: what has been counted holds if this program is ended early.
+Each command is first run once with small inputs (`figures`: two of the measurements of `make figures`). It is
+then killed at moments spread evenly over its run, until `rounds` of each of SIGTERM, SIGKILL and SIGINT have
+arrived before its end. After every kill the files must be whole and no process may still be running. Every
+run starts from what the killed run before it left, and must not fail by itself. After every `finish_every`-th
+kill, and after the last, a run to the end must succeed and leave no temporary file. Counts are printed after
+each of these runs, so they remain valid if this program is stopped early.
 """
 
 import argparse

@@ -1,16 +1,16 @@
-"""The mirror, fitted once for each realisation, with that realisation of every amplitude left out.
+"""Cross-validate the mirror: one fit per realisation, with that realisation of every amplitude left out.
 
     python benchmarks/mirror_folds.py [--output runs/mirror_folds] [--folds 1,2,3,4,5,6] [--without 200mV]
         [--seconds 540]
 
-Prints the rms error of the realisations that were left out, µm, infinite without a bounded answer, and the
-noise of their mean period, which is part of it; then the median and the worst of each amplitude. `--without`
-leaves all realisations of an amplitude out of every fit. *Not linear* is what no linear correction takes away
-of the errors of all realisations of an amplitude: at each frequency, what is left by least squares on the
-three voltages, over the freedom that this leaves. Of a level that is left out, *model-free* is what the
-response lacks if its dynamic stiffness lies between its neighbours' as the root of the amplitude does: a
-resonance moves about in proportion to that root. A fold takes four to nine minutes on two idle cores; on one
-it needs twice the `--seconds` of the config. One that has its `metrics.json` is not fitted again.
+Prints the rms error of the left-out realisations (µm; infinite if the response is unbounded), which includes
+the noise of their mean period, and that noise; then the median and the worst of each amplitude. `--without`
+leaves all realisations of an amplitude out of every fit. *Not linear* is the part of the errors at an
+amplitude that no linear correction removes: the residual of least squares on the three voltages at each
+frequency, over the remaining degrees of freedom. For a left-out amplitude, *model-free* is the error of a
+response whose dynamic stiffness is interpolated linearly over the root of the amplitude, as a resonance
+shifts roughly in proportion to that root. A fold takes four to nine minutes on two idle cores; on one it
+needs twice the `--seconds` of the config. A fold that has its `metrics.json` is not fitted again.
 """
 
 import argparse
@@ -32,17 +32,17 @@ from torchpi.stage.multi_axis import MultiAxisStage
 ROOT = Path(__file__).parents[1]
 CONFIG = ROOT / "configs" / "mirror.yaml"
 MOVED_HZ = (2260, 2350)
-"""Where two resonances do not move as the others do between the amplitudes."""
+"""Band in which two resonances do not shift with the amplitude as the others do."""
 FOLDS = ("1", "2", "3", "4", "5", "6")
 
 
 @dataclass(frozen=True)
 class Level:
-    """What the stages of all folds make of one amplitude.
+    """Errors of the stages of all folds at one amplitude.
 
     Attributes:
-        left_out: The rms error of each realisation that was not fitted and the noise in it, µm.
-        not_linear_um: What a linear correction of this amplitude leaves, µm, for each fold.
+        left_out: The rms error of each left-out realisation and the noise in it, µm.
+        not_linear_um: The rms error after a linear correction at this amplitude, µm, for each fold.
     """
 
     left_out: list[tuple[float, float]] = field(default_factory=list)
@@ -50,7 +50,7 @@ class Level:
 
     @property
     def median_um(self) -> float:
-        """Of the errors."""
+        """The median error."""
         return float(np.median([rms for rms, _ in self.left_out]))
 
     @property
@@ -61,11 +61,11 @@ class Level:
 
 @dataclass(frozen=True)
 class Between:
-    """What the response at one amplitude lacks if its dynamic stiffness lies between those of its neighbours.
+    """Error of the response at one amplitude with its dynamic stiffness interpolated between its neighbours.
 
     Attributes:
-        missed_um: Its rms, µm, noise and what is not linear taken away.
-        share: Of its square, what lies within `MOVED_HZ`, 0–1.
+        missed_um: The rms error, µm, with noise and the nonlinear part subtracted.
+        share: Share of the squared error within `MOVED_HZ`, 0–1.
     """
 
     missed_um: float
@@ -73,7 +73,7 @@ class Between:
 
     @classmethod
     def of(cls, every: Sequence[MultiAxisRecording], name: str) -> "Between":
-        """At the amplitude of this name."""
+        """Evaluate it at the amplitude of this name."""
         levels = by_amplitude(every)
         at = [level_of(level[0]) for level in levels].index(name)
         hertz, missed = missed_between(*levels[at - 1 : at + 2])
@@ -112,7 +112,7 @@ def measured(
     seconds: float | None = None,
     log: Callable[[str], None] = lambda text: None,
 ) -> dict[str, Level]:
-    """The levels by their names, the lowest first, after a fit for each fold."""
+    """Fit every fold and return the levels by name, the lowest first."""
     settings = configured()
     settings["seconds"] = seconds or settings["seconds"]
     every = recorded()
@@ -135,24 +135,24 @@ def measured(
 
 
 def configured() -> dict[str, Any]:
-    """The settings of the config."""
+    """Return the settings of the config, with an absolute path of the recordings."""
     settings: dict[str, Any] = yaml.safe_load(CONFIG.read_text(encoding="utf-8"))["multi_axis"]
     return {**settings, "recordings": str((ROOT / settings["recordings"]).resolve())}
 
 
 def recorded() -> list[MultiAxisRecording]:
-    """All realisations."""
+    """Read all realisations."""
     settings = configured()
     return read_realisations(settings["recordings"], settings["fs_hz"], settings["um_per_unit"])
 
 
 def level_of(one: MultiAxisRecording) -> str:
-    """The amplitude, of its name."""
+    """Return the amplitude that the name of a realisation starts with."""
     return one.name.split("_")[0]
 
 
 def fitted(folder: Path, settings: dict[str, object], heldout: list[str]) -> MultiAxisStage:
-    """By the config's recipe without these realisations; read where it has been fitted before."""
+    """Fit by the config's recipe without these realisations, or read the stage if it was fitted before."""
     if not (folder / "metrics.json").is_file():
         folder.parent.mkdir(parents=True, exist_ok=True)
         config = folder.with_suffix(".yaml")
@@ -163,13 +163,13 @@ def fitted(folder: Path, settings: dict[str, object], heldout: list[str]) -> Mul
 
 
 def errors_of(stage: MultiAxisStage, level: Sequence[MultiAxisRecording]) -> list[np.ndarray | None]:
-    """Of the mean period of each, (samples, outputs), µm; None where the stage has no bounded answer."""
+    """Return the error of each mean period, (samples, outputs), µm; None where the response is unbounded."""
     each = [PeriodicFit(stage, periods([one])).errors() for one in level]
     return [None if one is None else one[0] for one in each]
 
 
 def not_linear(level: Sequence[MultiAxisRecording], errors: Sequence[np.ndarray]) -> float:
-    """The rms of what a linear correction of this amplitude leaves, µm."""
+    """Return the rms error that remains after a linear correction at this amplitude, µm."""
     u, e = spectra([one.period[0] for one in level]), spectra(errors)
     power = np.square(np.abs(u)).sum((1, 2))
     excited = power > 1e-4 * power.max()
@@ -185,7 +185,7 @@ def missed_between(
     level: Sequence[MultiAxisRecording],
     upper: Sequence[MultiAxisRecording],
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Frequencies of the lines, Hz, and mean squares there, µm², of which some are noise below 0."""
+    """Return the frequencies of the lines, Hz, and mean squared errors, µm²; noise makes some negative."""
     roots = [np.sqrt(np.mean([one.u.std() for one in each])) for each in (lower, level, upper)]
     share = (roots[1] - roots[0]) / (roots[2] - roots[0])
     (_, below), (z, response), (_, above) = map(response_of, (lower, level, upper))
@@ -199,7 +199,7 @@ def missed_between(
 
 
 def spectra(signals: Sequence[np.ndarray]) -> np.ndarray:
-    """(lines, signals, channels) of (samples, channels) each."""
+    """Return the spectra, (lines, signals, channels), of signals of shape (samples, channels) each."""
     return np.stack([np.fft.rfft(one, axis=0)[1:-1] for one in signals], 1)
 
 

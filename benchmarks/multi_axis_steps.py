@@ -1,8 +1,8 @@
-"""Steps of several axes in C, as `torchpi export` writes them, and a prediction: one run.
+"""Time the multi-axis steps in C that `torchpi export` writes, and a prediction in Python.
 
     python benchmarks/multi_axis_steps.py exports/mirror [--samples 1000]
 
-Blocks are timed, and the quickest counts: what else the machine does only adds.
+The fastest of several blocks counts, because other load on the machine can only add time.
 """
 
 import argparse
@@ -44,7 +44,7 @@ def main() -> None:
 
 
 def in_c(source: Path, samples: int, random: np.random.Generator) -> float:
-    """µs a step."""
+    """Return the time per step of the compiled source, µs."""
     header = dict(
         line.split()[1:3] for line in source.with_suffix(".h").read_text().splitlines() if "PUTS" in line
     )

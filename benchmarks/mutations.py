@@ -1,8 +1,8 @@
-"""Small errors put into the judge, the decision and the intervals, one at a time: which does no test notice?
+"""Mutation test of the judge, the decision and the intervals: which small errors does no test notice?
 
-A comparison is negated, or moved by its boundary; a constant is changed; a sign, an `and` or a condition is
-another, or is missing. Each mutant is a module in memory, in a process of its own that runs the tests that
-guard the file; the files stay as they are.
+One thing at a time is changed: a comparison is negated or its boundary included or excluded; a constant is
+changed; a sign, an `and` or a condition is replaced or dropped. Each mutant is a module in memory, in a
+process of its own that runs the tests guarding the file; the files themselves are not changed.
 """
 
 import argparse
@@ -19,13 +19,13 @@ from importlib.machinery import SourceFileLoader
 from pathlib import Path
 from types import CodeType
 
-# Loaded once, for all processes.
+# Imported here once for all forked processes.
 import hypothesis  # noqa: F401
 import pytest
 import torch  # noqa: F401
 
 ROOT = Path(__file__).parents[1]
-GUARDS = {  # each module, and the tests that have to notice
+GUARDS = {  # each module, and the tests that must notice its mutants
     **{
         f"concealed.judging.{name}": tuple(
             f"benchmarks/proof/test_{t}.py" for t in ("judge", "figures", "injected")
@@ -48,7 +48,7 @@ ARITHMETIC: dict[type, type[ast.operator]] = {
     ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult, ast.Pow: ast.Mult,
 }  # fmt: skip
 PYTEST = ("-x", "-q", "-p", "no:cacheprovider", "-o", "addopts=", "--assert=plain")
-LIMIT_S = 300.0  # a mutant that takes longer than its tests ever do is noticed
+LIMIT_S = 300.0  # a mutant whose tests take longer than they ever should counts as noticed
 
 
 class Mutated(SourceFileLoader):
@@ -66,7 +66,7 @@ class Mutated(SourceFileLoader):
 
 
 def variants(node: ast.AST) -> Iterator[tuple[str, ast.AST]]:
-    """What might stand in place of an expression or a statement, each with the name of the change."""
+    """Yield the variants of an expression or a statement, each with the name of the change."""
     match node:
         case ast.Constant(value=bool() as value):
             yield "constant", ast.Constant(not value)
@@ -101,7 +101,7 @@ def variants(node: ast.AST) -> Iterator[tuple[str, ast.AST]]:
 
 
 def places(node: ast.AST) -> Iterator[tuple[ast.AST, str, int | None]]:
-    """Where a variant may stand: its owner, the field, and the index in it. Not in types and in messages."""
+    """Yield the places for a variant: owner, field, and index in it. Types and messages are skipped."""
     for name, value in ast.iter_fields(node):
         if name in ("annotation", "returns", "type_params") or isinstance(node, ast.JoinedStr | ast.Raise):
             continue
@@ -112,7 +112,7 @@ def places(node: ast.AST) -> Iterator[tuple[ast.AST, str, int | None]]:
 
 
 def mutants(source: str) -> Iterator[tuple[str, ast.Module]]:
-    """Each mutant of a module, with its line, the change, and what stands there instead."""
+    """Yield each mutant of a module, described by its line, the change, and the code before and after it."""
     tree = ast.parse(source)
     for k, (owner, name, i) in enumerate(places(tree)):
         held = getattr(owner, name)
@@ -130,7 +130,7 @@ def mutants(source: str) -> Iterator[tuple[str, ast.Module]]:
 
 
 def noticed(module: str, path: str, tree: ast.Module | None, tests: Sequence[str]) -> bool:
-    """Whether a test fails, or never ends, in a process that has this tree as its module."""
+    """Whether a test fails, or never ends, in a process in which this tree is the module."""
     child = os.fork()
     if child == 0:
         with open(os.devnull, "w") as nowhere:
@@ -157,14 +157,14 @@ def noticed(module: str, path: str, tree: ast.Module | None, tests: Sequence[str
 
 
 def survivors(module: str, tests: Sequence[str]) -> Iterator[tuple[str, bool]]:
-    """Each mutant of a module, and whether no test noticed it.
+    """Yield each mutant of a module, and whether no test noticed it.
 
     Raises:
         SystemExit: A test fails without any change.
     """
     found = importlib.util.find_spec(module)
     assert found is not None and found.origin is not None
-    importlib.import_module(module)  # its libraries once, for all
+    importlib.import_module(module)  # loads its libraries once, for all forked processes
     if noticed(module, found.origin, None, tests):
         raise SystemExit(f"{module}: its tests fail as it stands")
     for what, tree in mutants(Path(found.origin).read_text()):
@@ -178,7 +178,7 @@ def main() -> None:
     given = parser.parse_args()
     sys.path[:0] = [str(ROOT), str(ROOT / "benchmarks" / "proof")]
     os.environ["PYTEST_DISABLE_PLUGIN_AUTOLOAD"] = (
-        "1"  # what no guard needs takes longer to load than it runs
+        "1"  # plugins that no guard needs would take longer to load than the tests run
     )
     for module, guards in GUARDS.items():
         if given.modules and not module.endswith(tuple(given.modules)):

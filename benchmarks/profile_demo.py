@@ -1,9 +1,9 @@
-"""What the time of `make demo` goes to, phase by phase.
+"""Show where the time of `make demo` goes, phase by phase.
 
     python benchmarks/profile_demo.py [--cold]
 
 Runs the demo's three commands, each in a process of its own, on one core, in a temporary folder. A phase is
-the time of the processor in some functions, without that of the phases they call. `--cold` begins with no
+the processor time spent in certain functions, excluding the phases that they call. `--cold` begins without
 compiled kernels, as a fresh checkout does.
 """
 
@@ -62,11 +62,11 @@ def profiled(folder: Path, cold: bool = False) -> dict[str, dict[str, float]]:
     """Run the demo into a folder, which keeps its files.
 
     Args:
-        folder: For the run, the exported files, and the loop in `demo/`.
+        folder: Receives the run, the exported files, and the loop in `demo/`.
         cold: Whether to begin with no compiled kernels.
 
     Returns:
-        Seconds of the processor by command and phase.
+        Processor seconds by command and phase.
     """
     run, model = f"{folder}/run", f"{folder}/demo"
     commands = {
@@ -90,7 +90,7 @@ def profiled(folder: Path, cold: bool = False) -> dict[str, dict[str, float]]:
 
 
 def profile(command: str, report: Path, arguments: list[str]) -> None:
-    """Run one command in this process, and write the seconds of its phases."""
+    """Run one command in this process, and write the processor seconds of its phases."""
     clock = Clock()
     program = importlib.import_module(PROGRAMS[command])
     for phase, function in PHASES[command].items():
@@ -113,14 +113,14 @@ def _wrap(owner: Any, path: str, timed: Callable[[Callable[..., Any]], Callable[
     original = getattr(owner, name)
     wrapped = timed(original)
     setattr(owner, name, wrapped)
-    # Under the names that other modules imported it by.
+    # Replace it also in the modules that imported it by name.
     for module in list(sys.modules.values()):
         if vars(module).get(name) is original:
             setattr(module, name, wrapped)
 
 
 class Clock:
-    """Seconds of the processor of each phase, without those of the phases within it."""
+    """Processor seconds of each phase, excluding the phases nested in it."""
 
     def __init__(self) -> None:
         self.spent: dict[str, float] = {}

@@ -1,11 +1,11 @@
-"""Is the answer to the README's own commands right? All subsets of its recordings, by its own lines.
+"""Check the diagnoses that the README's own commands give, for all subsets of its recordings.
 
     python benchmarks/readme_check.py [--keep answers]
 
 Runs the README's `torchpi simulate` lines in a temporary folder, and its `torchpi diagnose` line for every
-subset of these recordings. The built-in stage has a mode, creep, a lag and a delay, so that none may answer
+subset of these recordings. The built-in stage has a mode, creep, a lag and a delay, so no subset may yield
 "nothing is missing", and all recordings together must name the mode, creep, and a lag or a delay. Prints each
-verdict with its names, and exits with 1 where that does not hold.
+verdict with its names, and exits with 1 if one of these conditions is violated.
 """
 
 import argparse
@@ -21,7 +21,7 @@ from itertools import combinations
 from pathlib import Path
 
 README = Path(__file__).parents[1] / "README.md"
-# Each must be among the names of all recordings together, or among the alternatives of one.
+# With all recordings, one effect of each set must be named or be an alternative to a name.
 REQUIRED = (
     frozenset({"resonance", "second_mode"}),
     frozenset({"creep"}),
@@ -67,7 +67,7 @@ def main() -> int:
 
 
 def run(command: Sequence[str], folder: Path) -> None:
-    """Run a command in the folder; one that fails ends the check with what it printed."""
+    """Run a command in the folder; if it fails, end the check with its error output."""
     done = subprocess.run(command, cwd=folder, capture_output=True, text=True)
     if done.returncode:
         raise SystemExit(f"{shlex.join(command)}: exit {done.returncode}: {done.stderr.strip()[-500:]}")
@@ -87,7 +87,7 @@ def readme_lines(readme: str) -> tuple[list[list[str]], list[str]]:
 
 
 def with_recordings(diagnose: Sequence[str], recordings: Sequence[str], output: str) -> list[str]:
-    """The diagnose line for these recordings and this folder; its other options stay."""
+    """The diagnose line for these recordings and this output folder; its other options are kept."""
     words = [word for word in diagnose if not word.endswith(".csv")]
     words[words.index("--output") + 1] = output
     return [words[0], *recordings, *words[1:]]
@@ -104,7 +104,7 @@ def line(diagnosis: dict) -> str:
 
 
 def faults(diagnosis: dict, complete: bool) -> list[str]:
-    """What is wrong with the answer; `complete`: it had all recordings, and must have the required names."""
+    """Faults of an answer; `complete`: it was given all recordings, so it must have the required names."""
     out = []
     if diagnosis["verdict"] == "nothing_missing":
         out.append("found verdict nothing_missing, expected another, since physics is missing")

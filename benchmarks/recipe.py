@@ -1,17 +1,17 @@
-"""The default recipe beside its two baselines, on what neither has seen.
+"""Compare the default recipe with its two baselines on held-out recordings.
 
     python benchmarks/recipe.py [--only piezo_stack,preisach] [--seeds 1] [--first_seed 1]
         [--output recipe.json]
 
-The recipe is `configs/recorded.yaml`: the form of the inverse is selected by cross-validation over what is
-trained on. The baselines are the paper's two-stage least squares (eq. 10, 11), and least squares on plays of
-the displacement with an offset. A ratio is the recipe's held-out rms in V over the smaller one of theirs.
+The recipe is `configs/recorded.yaml`: the form of the inverse is selected by cross-validation over training
+data. The baselines are the paper's two-stage least squares (eq. 10, 11), and least squares on plays of the
+displacement with an offset. A ratio is the recipe's held-out rms in V over the smaller one of the baselines.
 
-Recordings: the piezo stack, each axis of the steering mirror by itself (the other two voltages are
-unknown to it), the Bouc–Wen benchmark as a stage, where `../shared/data` is at hand; and simulated stages
-of four families of hysteresis (those of the proof's published plant) with two samples of delay, creep,
-and a sensor with noise of 0.05 % and a drift of about 0.1 % of the range, after three excitations: one
-sum of two sines, judged on triangles; one sine, judged on a decaying one; a set of three records, judged
+The recordings are, if `../shared/data` is available, the piezo stack, each axis of the steering mirror by
+itself (without knowing the other two voltages) and the Bouc–Wen benchmark as a stage; and simulated stages of
+four hysteresis families (those of the proof's published plant) with two samples of delay, creep, and a
+sensor with noise of 0.05 % and a drift of about 0.1 % of the range, under three excitations: one sum of
+two sines, evaluated on triangles; one sine, evaluated on a decaying one; a set of three records, evaluated
 on others.
 """
 
@@ -47,7 +47,7 @@ Signal = np.ndarray
 
 @dataclass(frozen=True)
 class Row:
-    """Held-out errors of one case, V rms, and what was selected."""
+    """Held-out errors of one case, V rms, and the form that was selected."""
 
     case: str
     recipe_v: float
@@ -88,7 +88,7 @@ def main() -> None:
 
 
 def run(name: str, data: RecordingsData) -> Row:
-    """The recipe on one case."""
+    """Train by the recipe on one case and return its errors."""
     settings = yaml.safe_load(RECIPE.read_text(encoding="utf-8"))["model"]
     start = time.perf_counter()
     model = InverseTraining(**settings)
@@ -109,7 +109,7 @@ def run(name: str, data: RecordingsData) -> Row:
 
 
 def cases(seeds: int, first: int = 1) -> Iterator[tuple[str, Callable[[], RecordingsData]]]:
-    """Names, and what makes the recordings."""
+    """Yield the name of each case and a function that makes its recordings."""
     if DATA.is_dir():
         yield "piezo_stack", piezo_stack
         for axis in range(3):
@@ -125,14 +125,14 @@ def cases(seeds: int, first: int = 1) -> Iterator[tuple[str, Callable[[], Record
 
 
 def of_records(train: list[Recording], heldout: list[Recording], **options: object) -> RecordingsData:
-    """Recordings that are in memory, as the data of a training."""
+    """Wrap recordings held in memory as training data."""
     data = RecordingsData(recordings=[record.name for record in train], **options)
     data.records = Records(train, heldout)
     return data
 
 
 def piezo_stack() -> RecordingsData:
-    """As in configs/piezo_stack.yaml: one sine to train on, growing and shrinking amplitudes to judge on."""
+    """As in configs/piezo_stack.yaml: train on one sine, evaluate on growing and shrinking amplitudes."""
     read, folder = dict(input_column=1, output_column=5, fs_hz=200.0, zero="first"), DATA / "piezo_stack"
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RecordingWarning)
@@ -143,7 +143,7 @@ def piezo_stack() -> RecordingsData:
 
 
 def steering_mirror(axis: int) -> RecordingsData:
-    """Two realisations to train on, another one to judge on, each of two periods."""
+    """Train on two realisations and evaluate on another, each of two periods."""
     file = np.load(DATA / "steering_mirror" / "train.npz")
     u, y = (file[f"{signal}_200mV_train"][:, axis].astype(float) for signal in "uy")
     made = [
@@ -153,7 +153,7 @@ def steering_mirror(axis: int) -> RecordingsData:
 
 
 def bouc_wen() -> RecordingsData:
-    """The first 32 s train, the others judge; the force stands for the voltage."""
+    """Train on the first 32 s and evaluate on the rest; the force takes the place of the voltage."""
     import h5py
 
     with h5py.File(DATA / "bouc_wen" / "train.h5") as file:
@@ -172,7 +172,7 @@ def record(name: str, u: Signal, y: Signal, fs_hz: float) -> Recording:
 def simulated(
     family: str, play: Callable[[np.random.Generator], tuple[list[Signal], list[Signal]]], seed: int
 ) -> RecordingsData:
-    """A stage of this family, after one excitation."""
+    """Simulate a stage of this family under one excitation."""
     rng = np.random.default_rng([seed, FAMILIES.index(family)])
     hysteresis = draw_hysteresis(family, rng, SPAN_V, RANGE_UM)
     train, judge = play(np.random.default_rng([seed, 77]))
@@ -189,20 +189,20 @@ def simulated(
 
 
 def two_sines(rng: np.random.Generator) -> tuple[list[Signal], list[Signal]]:
-    """A sum of two sines; judged on triangles."""
+    """A sum of two sines; evaluated on triangles."""
     t = np.arange(SAMPLES) / FS_HZ
     wave = 1 - 0.7 * np.cos(2 * np.pi * t) - 0.3 * np.cos(2 * np.pi * 3.7 * t)
     return [np.clip(0.5 * SPAN_V * wave, 0.0, SPAN_V)], [_triangle(1.0, 0.95, SAMPLES), _minor_loops()]
 
 
 def one_sine(rng: np.random.Generator) -> tuple[list[Signal], list[Signal]]:
-    """One loop over the full range; judged on a decaying sine."""
+    """One loop over the full range; evaluated on a decaying sine."""
     t = np.arange(SAMPLES) / FS_HZ
     return [0.5 * SPAN_V * (1 - np.cos(np.pi * t))], [_decaying()]
 
 
 def three_records(rng: np.random.Generator) -> tuple[list[Signal], list[Signal]]:
-    """A sine, a multisine, triangles with minor loops; judged on a decaying sine, another multisine."""
+    """A sine, a multisine, triangles with minor loops; evaluated on a decaying sine, another multisine."""
     [sine], [decaying] = one_sine(rng)
     return [sine, _multisine(rng), _minor_loops()], [decaying, _multisine(rng)]
 

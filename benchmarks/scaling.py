@@ -1,9 +1,9 @@
-"""Time of one training pass against the length of the record and against the number of plays.
+"""Measure the time of a training pass against the length of the record and the number of plays.
 
     python benchmarks/scaling.py [--figure docs/scaling.png]
 
 Forward and backward, float64, one thread: the whole compensator in one kernel, which stores no states, and
-the play bank, which does. The slope is that of the logarithms: 1 is linear.
+the play bank, which does. The slope is that of the logarithms, so 1 means linear growth.
 """
 
 import argparse
@@ -49,8 +49,8 @@ def main() -> None:
 
 
 def _pass_ms(name: str, samples: int, plays: int) -> float:
-    """Least of some passes: whatever else the machine does only ever adds to it."""
-    # Strokes of many sizes, a hundred samples each, whatever the length.
+    """Return the least time of several passes: other load on the machine can only add to it."""
+    # Strokes of many sizes, a hundred samples each, whatever the length of the record.
     t = torch.arange(samples, dtype=torch.float64)
     x = (4 * torch.sin(0.06 * t) * torch.cos(0.0017 * t))[None].requires_grad_()
     r = torch.linspace(0, 3, plays, dtype=torch.float64)

@@ -1,12 +1,12 @@
-"""One compensator step: TorchScript and C, called from Python and from C or C++, in one run.
+"""Time one compensator step in TorchScript and C, called from Python and from C or C++.
 
     python benchmarks/step_latency.py [exports/NAME.pt] [--steps 20000] [--older CHECKOUT]
 
-What is called from Python is called in turn, so that a busy machine slows all of it; so are the generated
-C and the one written by hand, which holds inputs that are not finite and has no other guard: "C:
-generated over C: by hand" is what the guard costs. With a checkout of an older version beside this one,
-its step of the same model is timed in the same loop, as it was generated then: "C: generated over C:
-older". What needs a C or C++ compiler is left out, with a word, where there is none.
+The variants called from Python take turns, so that other load on the machine slows all of them. So do the
+generated C and a hand-written step, which replaces a non-finite input by the last finite one and has no other
+guard: "C: generated over C: by hand" is the cost of the guards. If a checkout of an older version is given,
+its generated step of the same model is timed in the same loop: "C: generated over C: older". Variants that
+need a missing C or C++ compiler are left out with a message.
 """
 
 import argparse
@@ -33,9 +33,9 @@ from torchpi.export import export_files, load_torchscript
 
 HERE = Path(__file__).parent
 C_FLAGS = ["-std=c99", "-ffp-contract=off", "-O2"]
-THRESHOLDS = [0.0, 0.05, 0.1, 0.2, 0.3, 0.5, 1.0, 1.5, 2.0, 3.0]  # of the paper
+THRESHOLDS = [0.0, 0.05, 0.1, 0.2, 0.3, 0.5, 1.0, 1.5, 2.0, 3.0]  # the paper's thresholds
 COEFFICIENTS = [1.40, -7.62e-2, 1.45e-2, -7.53e-4]  # eq. 12, c_1 first
-# Of hand_written_step.c.
+# As in hand_written_step.c.
 B = [1.10, -0.21, 0.04, -0.13, 0.02, -0.07, 0.03, -0.05, 0.01, -0.02]
 K = [0.012, -0.003, 0.004, 0.001, -0.002, 0.006, -0.001, 0.002, -0.004, 0.003]
 RATE_SCALE_UM_S = 800.0
@@ -115,12 +115,12 @@ def from_python(called: dict[str, Callable[[float], float]], steps: int) -> list
 
 
 def from_shared_library(folder: Path) -> tuple[Callable[[float], float], str]:
-    """The C step as Python calls it, and through what."""
+    """Return the C step as a Python callable, and the name of the interface."""
     library = folder / "generated.so"
     subprocess.run(
         ["cc", *C_FLAGS, "-shared", "-fPIC", str(folder / "generated.c"), "-o", str(library)], check=True
     )
-    # Larger than any state of ten plays.
+    # Larger than the state of any model with ten plays.
     state = (ctypes.c_double * 64)()
     try:
         import cffi
@@ -150,7 +150,7 @@ def from_c(folder: Path, steps: int, older: Path | None) -> list[Row]:
         names.append("C: older")
     subprocess.run(["cc", *flags, *map(str, sources), "-lm", "-o", str(program)], check=True)
     lines: list[str] = []
-    for _ in range(5):  # anew each time, because where the states lie in memory counts
+    for _ in range(5):  # a new process each time, because the memory location of the states matters
         done = subprocess.run([str(program), str(max(steps // 5, 1000))], capture_output=True, text=True)
         if done.returncode != 0:
             raise SystemExit(done.stdout)
@@ -160,7 +160,7 @@ def from_c(folder: Path, steps: int, older: Path | None) -> list[Row]:
 
 
 def export_older(checkout: Path, output: Path) -> None:
-    """The C of the same model as the version in `checkout` writes it, by its own copy of this file."""
+    """Export the same model as C with the version in `checkout`, using its own copy of this file."""
     program = (
         "import pathlib, sys; sys.path.insert(0, 'benchmarks'); import step_latency; "
         "from torchpi.export import export_files; "
@@ -175,7 +175,7 @@ def export_older(checkout: Path, output: Path) -> None:
 
 
 def from_cpp(folder: Path, steps: int) -> list[Row]:
-    """The loop of exports/cpp_loop, which prints the time of its steps."""
+    """Build and run the loop of exports/cpp_loop, which prints the time of its steps."""
     build, source = folder / "build", HERE.parent / "exports" / "cpp_loop"
     prefix = f"-DCMAKE_PREFIX_PATH={torch.utils.cmake_prefix_path}"
     for command in (["-S", str(source), "-B", str(build), prefix], ["--build", str(build)]):
@@ -202,7 +202,7 @@ def paper_compensator() -> DirectInverse:
 
 
 class TensorState(nn.Module):
-    """Eq. 8 as one would write it at first: the states of the plays in one tensor."""
+    """A straightforward version of eq. 8, with the states of the plays in one tensor."""
 
     def __init__(self) -> None:
         super().__init__()

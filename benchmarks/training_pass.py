@@ -1,9 +1,9 @@
-"""One training pass, forward and backward: the play bank, and the whole compensator in one kernel.
+"""Time a training pass, forward and backward: the play bank, and the whole compensator in one kernel.
 
     python benchmarks/training_pass.py [--samples 100000] [--plays 10] [--rounds 20]
 
-Over the floor, which is the least memory traffic at the bandwidth of a large copy; and over the eager loop
-over samples, which is timed over 10,000 samples (its time grows at least in proportion) and scaled up.
+Times are compared with a floor, the least memory traffic at the bandwidth of a large copy, and with the eager
+loop over samples, which is timed over 10,000 samples and scaled up (its time grows at least in proportion).
 """
 
 import argparse
@@ -21,10 +21,10 @@ from torchpi.operators.play_scan import play_scan
 
 PERIOD_S = 1e-4
 COPIED_BYTES = 2 * 2**27  # read and written; far beyond the caches of a core
-# What has to pass through memory, in numbers a sample. The bank reads x and writes h, reads the gradient of
-# h and writes that of x. The compensator, which need not store h, reads y_d and ẏ_d and writes u, and on
-# the way back reads these two and the gradient of u, and writes that of y_d.
-BANK_NUMBERS = 2  # and 2 more a play
+# Numbers per sample that must pass through memory. The bank reads x and writes h, reads the gradient of h and
+# writes that of x. The compensator, which need not store h, reads y_d and ẏ_d and writes u; in the backward
+# pass it reads these two and the gradient of u, and writes that of y_d.
+BANK_NUMBERS = 2  # plus 2 per play
 FUSED_NUMBERS = 7
 
 
@@ -119,7 +119,7 @@ def _eager_bank(x: Tensor, r: Tensor, h: Tensor) -> Tensor:
 
 
 def _eager_voltage(model: DirectInverse, motion: Motion) -> Tensor:
-    """Eq. 8 sample by sample, as a newcomer would write it; its sum runs left to right as well."""
+    """Eq. 8 sample by sample, as a newcomer would write it; it sums left to right, as the kernel does."""
     c, r, theta = list(model.saturation.c), model.plays.r, model.weights.theta
     h = torch.zeros_like(r)
     voltages = []
@@ -145,10 +145,10 @@ def _copy_once(source: Tensor, target: Tensor) -> None:
 
 
 def _least_ms(passes: list[Callable[[], None]], rounds: int, threads: int = 1) -> list[float]:
-    """The least time of each, taken in turns: whatever else the machine does only ever adds to it.
+    """Return the least time of each pass, taken in turns: other load on the machine can only add to it.
 
-    Every turn runs a pass three times, as an epoch does: after a large copy the first one reads even its
-    instructions from memory.
+    Every turn runs a pass three times, as an epoch does, because after a large copy the first one must read
+    even its instructions from memory.
     """
     torch.set_num_threads(threads)
     least = [float("inf")] * len(passes)
@@ -157,7 +157,7 @@ def _least_ms(passes: list[Callable[[], None]], rounds: int, threads: int = 1) -
             for _ in range(3):
                 start = time.perf_counter()
                 once()
-                if turn > 0:  # the first one compiles
+                if turn > 0:  # the first turn compiles
                     least[k] = min(least[k], 1e3 * (time.perf_counter() - start))
     torch.set_num_threads(1)
     return least

@@ -1,10 +1,10 @@
-"""How long does each tutorial take, run block by block as it stands, and does every block succeed?
+"""Run each tutorial block by block as written: how long does it take, and does every block succeed?
 
     python benchmarks/tutorials.py [--only mismatch,csv_to_controller,adding_an_effect,notebook]
 
-Each page has an empty folder of its own. Its shell blocks are run as they are; its Python blocks share their
-names, as in a notebook. Prints the seconds by the clock, and those of the processors, which others on the
-machine lengthen less. Exits with 1 where a block fails or a tutorial takes two minutes or more by the clock.
+Each page has an empty folder of its own. Its shell blocks are run as they are; its Python blocks share one
+namespace, as in a notebook. Prints wall-clock and processor seconds; the latter depend less on other load on
+the machine. Exits with 1 if a block fails or a tutorial takes two minutes or more by the clock.
 """
 
 import argparse
@@ -38,16 +38,16 @@ def main() -> int:
 
 
 def processor_s() -> float:
-    """Of all that has been run."""
+    """Return the processor time of all commands run so far, s."""
     used = resource.getrusage(resource.RUSAGE_CHILDREN)
     return used.ru_utime + used.ru_stime
 
 
 def seconds_of(page: str) -> float:
-    """Of all its blocks, one after the other.
+    """Run all blocks of a page and return the wall-clock time, s.
 
     Raises:
-        SystemExit: One of them failed.
+        SystemExit: A block failed.
     """
     started, before = time.perf_counter(), ""
     environment = {**os.environ, "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"}

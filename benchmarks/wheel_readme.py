@@ -1,11 +1,11 @@
-"""Does an installed torchpi do what the README says? Its commands and programs, in an empty environment.
+"""Run the README's commands and programs with an installed torchpi in an otherwise empty environment.
 
     python benchmarks/wheel_readme.py [--keep folder]
 
-Builds the wheel, makes an environment that has nothing but it and what it requires, and there, in an empty
-folder, runs each command and each program of the README. Then a file of each format that needs an extra: its
-error must be the line that installs it. Prints the seconds of each, with what the command itself had
-estimated, and ends with 1 at the first that fails.
+Builds the wheel, installs it with only its requirements in a new environment, and there, in an empty folder,
+runs each command and each program of the README. It then tries a file of each format that needs an extra: the
+error must contain the line that installs it. Prints the seconds that each took, with the command's own
+estimate, and exits with 1 at the first failure.
 """
 
 import argparse
@@ -56,7 +56,7 @@ def main() -> int:
 
 
 def installed(folder: Path) -> dict[str, str]:
-    """The variables of an environment in which the wheel of this checkout has been installed."""
+    """Install the wheel of this checkout in a new environment and return the variables that select it."""
     pip = ["-m", "pip", "--disable-pip-version-check", "--quiet"]
     build = [*pip, "wheel", "--no-deps", "--wheel-dir", str(folder), str(ROOT)]
     subprocess.run([sys.executable, *build], check=True)
@@ -70,7 +70,7 @@ def installed(folder: Path) -> dict[str, str]:
 
 
 def runs(command: list[str], folder: Path, environment: dict[str, str]) -> bool:
-    """Run it, print how long it took and how long it had said to, or what it complained of."""
+    """Run a command and print its time, its own estimate, and any error; return whether it succeeded."""
     started = time.perf_counter()
     done = run(command, folder, environment)
     seconds = time.perf_counter() - started
@@ -91,7 +91,7 @@ def blocks(readme: str, language: str) -> list[str]:
 
 
 def commands(readme: str) -> list[list[str]]:
-    """The README's lines of shell, without those of `make`, which are of a checkout."""
+    """Return the README's shell lines, without those of `make`, which need a checkout."""
     lines = [line for block in blocks(readme, "sh") for line in block.splitlines()]
     return [shlex.split(line) for line in lines if not line.startswith("make ")]
 

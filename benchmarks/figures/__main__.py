@@ -6,7 +6,7 @@ from torchpi.cli.command_line import run_program
 
 
 def figures() -> None:
-    """Importing torch takes seconds."""
+    """Run the command; it is imported only here, because importing torch takes seconds."""
     from benchmarks.figures.command import main
 
     sys.exit(main())

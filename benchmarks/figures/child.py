@@ -1,4 +1,4 @@
-"""Runs Python in a process that ends with the one that started it, however that ended.
+"""Run Python in a process that ends with the one that started it, however that one ends.
 
 python -m benchmarks.figures.child PARENT -m MODULE [ARGUMENTS]
 python -m benchmarks.figures.child PARENT FILE [ARGUMENTS]

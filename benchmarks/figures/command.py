@@ -2,10 +2,10 @@
 
     python -m benchmarks.figures [--only commission,demo] [--short] [--again] [--list]
 
-What was measured with the code as it is now is kept, so that an interrupted run goes on where it was. Each
+Measurements made with the current code are kept, so that an interrupted run continues where it stopped. Each
 measurement is recorded as soon as it is made. Numbers on the pages are then replaced by those measured. A
-figure that has left its bound is recorded too, and named at the end with exit code 1: the words around it may
-no longer be true.
+figure outside its bound is recorded too, but is named at the end, with exit code 1, because the words around
+it may no longer be true.
 """
 
 import argparse
@@ -59,12 +59,12 @@ def main() -> int:
 
 
 def measured(one: Measurement, found: record.Record, code: str) -> bool:
-    """Whether all its figures were measured with this code."""
+    """Whether all figures of a measurement were measured with this code."""
     return all(found.get(figure.name, {}).get("code_sha256") == code for figure in one.figures)
 
 
 def estimate(due: Sequence[Measurement]) -> str:
-    """How long these will take, in words."""
+    """Say in words how long these measurements will take."""
     seconds = sum(one.about_s for one in due)
     time_left = f"{seconds:.0f} s" if seconds < 120 else f"{seconds / 60:.0f} minutes"
     return f"{len(due)} to make, about {time_left}"
@@ -94,7 +94,7 @@ def measure(
         start = time.perf_counter()
         try:
             found = one.values()
-        except Exception as error:  # one that fails does not keep the others from being measured
+        except Exception as error:  # a failure must not keep the others from being measured
             failed.append(f"{one.name}: {' '.join(str(error).split())}")
             log(f"    failed: {failed[-1]}")
             continue
@@ -107,7 +107,7 @@ def measure(
 
 
 def renewed(figures: dict[str, Figure]) -> list[str]:
-    """Replace the numbers on all pages by those of the record; returns the pages that changed."""
+    """Replace the numbers on all pages by those of the record; return the pages that changed."""
     values, changed = record.values(record.read()), []
     for path in pages.pages():
         text = pages.renew(path, figures, values)
@@ -119,7 +119,7 @@ def renewed(figures: dict[str, Figure]) -> list[str]:
 
 
 def outside(figures: dict[str, Figure], values: dict[str, float]) -> list[str]:
-    """One line for each value out of its bound."""
+    """Return one line for each value outside its bound."""
     return [
         f"{name}: found {value:g}, expected {figures[name].bound}"
         for name, value in values.items()

@@ -1,10 +1,10 @@
-"""A figure that a page quotes, and the measurement that several of them come from."""
+"""A figure that a page quotes, and a measurement that yields several figures."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 SHORT_S = 20.0
-"""Measurements of less are made again by the tests."""
+"""The tests repeat measurements that take less time than this."""
 
 
 @dataclass(frozen=True)
@@ -12,7 +12,7 @@ class Figure:
     """A number, its bound, and how the pages print it.
 
     Attributes:
-        name: Unique among all figures; what a quotation on a page names.
+        name: Unique among all figures; a quotation on a page refers to it.
         unit: `1` for ratios and counts.
         at_least, at_most: The stated bound, in `unit`.
         digits: Format in which the pages quote it.
@@ -38,18 +38,18 @@ class Figure:
 
     @property
     def unit_behind(self) -> str:
-        """As it stands behind a number; nothing for ratios and counts."""
+        """The unit as printed behind a number; empty for ratios and counts."""
         return "" if self.unit == "1" else f" {self.unit}"
 
 
 @dataclass(frozen=True)
 class Measurement:
-    """One command, and the figures that are read off what it leaves.
+    """One command, and the figures that are read from its results.
 
     Attributes:
-        name: For `--only`.
+        name: Name for `--only`.
         command: What a person types to measure it.
-        figures: What comes of it.
+        figures: The figures it yields.
         measure: Runs the command; returns the values of the figures by their names.
         about_s: Seconds on one core of a server of 2020, kernels compiled.
         needs_recordings: Whether it reads the public recordings of real stages beside the checkout.
@@ -67,10 +67,10 @@ class Measurement:
         return self.about_s < SHORT_S
 
     def values(self) -> dict[str, float]:
-        """Measure.
+        """Run the measurement and return the values of its figures by name.
 
         Raises:
-            ValueError: Other figures came of it than were registered.
+            ValueError: It returned other figures than were registered.
         """
         found = dict(self.measure())
         expected = {figure.name for figure in self.figures}

@@ -1,4 +1,4 @@
-"""How each figure is measured: what is run, and how the values are read off what it leaves."""
+"""How each figure is measured: what is run, and how the values are read from its results."""
 
 import json
 import os
@@ -44,7 +44,7 @@ def default_stage() -> dict[str, float]:
     _, u = sine_5hz(0.6, stage.sample_rate_hz)
     y = stage(torch.tensor(u)[None])[0][0].numpy()
     period = round(stage.sample_rate_hz / 5)
-    # The last loop. A slow displacement is 1.85 samples later than its command.
+    # The last loop. At low frequency the displacement lags its command by 1.85 samples.
     u, y = u[2 * period - 2 : 3 * period - 2], y[2 * period :]
     at = np.linspace(0.1, 9.9, 200)
     up = np.interp(at, u[: period // 2], y[: period // 2])
@@ -53,14 +53,14 @@ def default_stage() -> dict[str, float]:
 
 
 def diagnostic_set() -> dict[str, float]:
-    """How long the excitations for a diagnosis last, by the limits in the README."""
+    """Total duration of the excitations for a diagnosis, with the limits in the README."""
     limits = DriveLimits(0.0, 10.0, 2000.0, 10_000.0, 200.0)
     samples = sum(len(u) for _, u in diagnostic_excitations(limits).values())
     return {"diagnostic_set_s": samples / limits.sample_rate_hz}
 
 
 def piezo_stack() -> dict[str, float]:
-    """The recipe of configs/piezo_stack.yaml and its two baselines, held out, offline."""
+    """Held-out errors of the recipe of configs/piezo_stack.yaml and of its two baselines, offline."""
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary) / "run"
         run("-m", "train", "fit", "--config", "configs/piezo_stack.yaml", "--output", str(folder),
@@ -83,7 +83,7 @@ def piezo_stack() -> dict[str, float]:
 
 
 def bouc_wen() -> dict[str, float]:
-    """The recipe of configs/bouc_wen.yaml: what is left of the held-out quarters, and the parameters."""
+    """Residual on the held-out quarters, and parameters, of the recipe of configs/bouc_wen.yaml."""
     with tempfile.TemporaryDirectory() as temporary:
         config, folder = Path(temporary) / "bouc_wen.yaml", Path(temporary) / "run"
         content = (ROOT / "configs" / "bouc_wen.yaml").read_text(encoding="utf-8")
@@ -107,7 +107,7 @@ def bouc_wen() -> dict[str, float]:
 
 
 def mirror() -> dict[str, float]:
-    """The recipe of configs/mirror.yaml, a realisation of each amplitude held out; its inverse and steps."""
+    """Run configs/mirror.yaml with a realisation of each amplitude held out; its inverse and steps too."""
     heldout = ["100mV_train 4", "200mV_train 4", "300mV_train 5"]
     with tempfile.TemporaryDirectory() as temporary:
         config, folder = Path(temporary) / "mirror.yaml", Path(temporary) / "mirror"
@@ -142,7 +142,7 @@ def mirror() -> dict[str, float]:
 
 
 def mirror_folds() -> dict[str, float]:
-    """Every realisation of the mirror left out in turn."""
+    """Errors of the mirror with every realisation left out in turn."""
     with tempfile.TemporaryDirectory() as temporary:
         levels = folds.measured(Path(temporary))
     found: dict[str, float] = {}
@@ -154,7 +154,7 @@ def mirror_folds() -> dict[str, float]:
 
 
 def mirror_without() -> dict[str, float]:
-    """The mirror fitted without its middle amplitude, and what no interpolation knows of that."""
+    """Errors of the mirror fitted without its middle amplitude, and of a model-free interpolation there."""
     with tempfile.TemporaryDirectory() as temporary:
         level = folds.measured(Path(temporary), folds.FOLDS[3:4], "200mV")["200mV"]
     between = folds.Between.of(folds.recorded(), "200mV")
@@ -199,7 +199,7 @@ def commissioning() -> dict[str, float]:
 
 
 def demo() -> dict[str, float]:
-    """The demo's three commands: tracking on the fast trajectory, and where the processor's time goes."""
+    """The demo's three commands: tracking on the fast trajectory, and where the processor time goes."""
     with tempfile.TemporaryDirectory() as temporary:
         spent = profile_demo.profiled(Path(temporary))
         loops = json.loads((Path(temporary) / "demo" / "loop.json").read_text(encoding="utf-8"))
@@ -226,7 +226,7 @@ def demo() -> dict[str, float]:
 
 
 def recipe(*options: str) -> list[dict[str, float]]:
-    """The rows of benchmarks/recipe.py."""
+    """Run benchmarks/recipe.py and return its rows."""
     with tempfile.TemporaryDirectory() as temporary:
         output = Path(temporary) / "recipe.json"
         run("benchmarks/recipe.py", *options, "--output", str(output))
@@ -235,7 +235,7 @@ def recipe(*options: str) -> list[dict[str, float]]:
 
 
 def recipe_seed_1() -> dict[str, float]:
-    """The recipe over its better baseline on real and simulated recordings."""
+    """Ratios of the recipe's error to its better baseline's on real and simulated recordings."""
     ratios = [row["ratio"] for row in recipe()]
     return {
         "recipe_cases": len(ratios),
@@ -245,7 +245,7 @@ def recipe_seed_1() -> dict[str, float]:
 
 
 def recipe_seed_2() -> dict[str, float]:
-    """The same on simulated stages that nothing was tuned on."""
+    """The same ratios on simulated stages that were not used for tuning."""
     ratios = sorted((row["ratio"] for row in recipe("--seeds", "2", "--only", "seed 2")), reverse=True)
     return {
         "recipe_other_cases": len(ratios),
@@ -256,7 +256,7 @@ def recipe_seed_2() -> dict[str, float]:
 
 
 def recipe_single() -> dict[str, float]:
-    """The same on single records alone."""
+    """The same ratios for training on single records."""
     rows = recipe("--first_seed", "601", "--seeds", "8", "--only", "one sine,two sines")
     ratios = [row["ratio"] for row in rows]
     return {
@@ -268,7 +268,7 @@ def recipe_single() -> dict[str, float]:
 
 
 def peers() -> dict[str, float]:
-    """Held-out errors of the peers that need nothing beyond what torchpi needs."""
+    """Held-out errors of the peers that need no package beyond those that torchpi needs."""
     printed = run("benchmarks/peers/compare.py", "--only", "torchpi,lstsq")
     rows = dict(re.findall(r"^\| ([^|]+) \|(?:[^|]*\|){2} ([\d.]+) \(", printed, re.MULTILINE))
     return {
@@ -279,7 +279,7 @@ def peers() -> dict[str, float]:
 
 
 def other_simulation() -> dict[str, float]:
-    """A diagnosis against a simulation that only is called, and against its recorded output."""
+    """Diagnoses against a simulation that can only be called, and against its recorded output."""
     recordings = simulations.recorded(simulations.stage(creep=True, cutoff_hz=100.0))
     calls = []
 
@@ -297,7 +297,7 @@ def other_simulation() -> dict[str, float]:
 
 
 def corrections(how: str, found: Diagnosis, lag: str, others: set[str]) -> dict[str, float]:
-    """Parameters and errors of one answer to `other_simulation`, which names these effects."""
+    """Parameters and errors of one diagnosis of `other_simulation`, which must name these effects."""
     expected = {lag} | others
     named = {effect.name for effect in found.effects}
     if named != expected:
@@ -326,7 +326,7 @@ def corrections(how: str, found: Diagnosis, lag: str, others: set[str]) -> dict[
 
 @contextmanager
 def readme_recordings() -> Iterator[list[Path]]:
-    """The recordings of the README's `torchpi simulate` lines, in a folder that is removed afterwards."""
+    """Make the recordings of the README's `torchpi simulate` lines in a folder that is removed afterwards."""
     lines, _ = readme_check.readme_lines((ROOT / "README.md").read_text(encoding="utf-8"))
     with tempfile.TemporaryDirectory() as temporary:
         paths = []
@@ -339,11 +339,11 @@ def readme_recordings() -> Iterator[list[Path]]:
 
 
 def run(*words: str) -> str:
-    """Run Python with these words in the checkout, in a process that ends with this one; returns what it
-    printed.
+    """Run Python with these arguments in the checkout, in a process that ends with this one; return its
+    output.
 
     Raises:
-        ChildProcessError: It failed; with the end of what it printed.
+        ChildProcessError: It failed; the message has the end of its output.
     """
     command = [sys.executable, "-m", "benchmarks.figures.child", str(os.getpid()), *words]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)

@@ -1,9 +1,9 @@
-"""Quotations of figures on pages: a number, and behind it a comment that names the figure.
+"""Quotations of figures on pages: a number, followed by a comment that names the figure.
 
     547 nm<!-- figure: commission_without_nm -->        the number before the comment is the figure
     about a minute<!-- in words: commission_s -->       the words stand for the figure's bound
 
-A comment is not seen where Markdown is shown.
+Rendered Markdown does not show the comments.
 """
 
 import re
@@ -14,7 +14,7 @@ from pathlib import Path
 from benchmarks.figures.figure import Figure
 
 ROOT = Path(__file__).parents[2]
-# A number, what stands between it and the comment (its unit; no other number), and the comment.
+# A number, the text between it and the comment (its unit; no other number), and the comment.
 NUMBER = re.compile(
     r"(?P<number>\d[\d,]*(?:\.\d+)?(?:e-?\d+)?)(?P<unit>[^\d<\n]{0,16})<!-- figure: (?P<name>\w+) -->"
 )
@@ -25,14 +25,14 @@ COMMENT = re.compile(r"<!-- (?P<kind>figure|in words): (?P<name>\w+) -->")
 STATED = re.compile(
     r"\d(?:[\d,.]*\d)?(?:e-?\d+)? ?(?:nm|µm/s|µm|ms|µs|s|V|kHz|Hz|%|×|times|GB|MB|minutes)(?!\w)"
 )
-"""A number with a unit, as a result is stated. Other numbers are names, counts and equations."""
+"""A number with a unit, as results are stated. Other numbers belong to names, counts and equations."""
 MEASURED_ON = re.compile(r"Measured on \d{4}-\d\d-\d\d at commit [0-9a-f]{7,}")
-"""What a page that a command writes whole states of its run."""
+"""The statement about its run on a page that is written entirely by a command."""
 
 
 @dataclass(frozen=True)
 class Quotation:
-    """Where a figure is quoted; `number` and `unit` are as printed, or None in words."""
+    """Where a figure is quoted; `number` and `unit` are as printed, or None if it is quoted in words."""
 
     page: str
     line: int
@@ -42,21 +42,21 @@ class Quotation:
 
 
 def pages() -> list[Path]:
-    """All that may quote: README, docs, and the READMEs of benchmarks and exports."""
+    """Return all pages that may quote figures: README, docs, and the READMEs of benchmarks and exports."""
     found = [ROOT / "README.md", *ROOT.glob("docs/*.md"), *ROOT.glob("benchmarks/**/README.md")]
     return sorted([*found, ROOT / "exports" / "README.md"])
 
 
 def page_name(path: Path) -> str:
-    """As it is called in messages: from the root of the checkout."""
+    """Return the name of a page in messages: its path from the root of the checkout."""
     return path.relative_to(ROOT).as_posix() if path.is_relative_to(ROOT) else path.name
 
 
 def quotations(paths: Iterable[Path]) -> Iterator[Quotation]:
-    """All of these pages.
+    """Yield all quotations on these pages.
 
     Raises:
-        ValueError: A comment without a number before it.
+        ValueError: A comment has no number before it.
     """
     for path in paths:
         page = page_name(path)
@@ -74,7 +74,7 @@ def quotations(paths: Iterable[Path]) -> Iterator[Quotation]:
 
 
 def faults(paths: Iterable[Path], figures: Mapping[str, Figure], values: Mapping[str, float]) -> list[str]:
-    """What is wrong with quotations, one line each: unknown, not measured, another number or unit, none."""
+    """Faults of quotations, one line each: unknown, not measured, wrong number or unit, or missing."""
     out, quoted = [], set()
     for one in quotations(paths):
         quoted.add(one.name)
@@ -113,7 +113,7 @@ def unregistered(paths: Iterable[Path], definitions: Mapping[str, frozenset[str]
 
 
 def renew(path: Path, figures: Mapping[str, Figure], values: Mapping[str, float]) -> str:
-    """The text of a page with every quoted number as it was measured; the words around it stay."""
+    """Return the text of a page with every quoted number as measured; the words around it are kept."""
 
     def number(match: re.Match[str]) -> str:
         name = match["name"]

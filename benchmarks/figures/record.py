@@ -24,7 +24,7 @@ CODE = (
     "tests/diagnosis/simulations.py",
     "tests/diagnosis/plants.py",
 )
-"""What a figure depends on. A commit of other files, such as the record itself, leaves it measured."""
+"""The files that figures depend on. A commit of others, such as the record, does not invalidate figures."""
 BOOKKEEPING = tuple(
     f"benchmarks/figures/{name}.py"
     for name in ("__main__", "child", "command", "figure", "pages", "record", "registry", "table")
@@ -35,7 +35,7 @@ Record = dict[str, dict[str, Any]]  # by the name of the figure
 
 
 def read(path: Path = RECORD) -> Record:
-    """What was measured; nothing where there is no file."""
+    """Read the recorded measurements; empty if there is no file."""
     if not path.is_file():
         return {}
     found: Record = json.loads(path.read_text(encoding="utf-8"))["figures"]
@@ -56,7 +56,7 @@ def values(record: Mapping[str, Mapping[str, Any]]) -> dict[str, float]:
 
 
 def registered(found: Record, figures: Mapping[str, Figure]) -> Record:
-    """The entries of these figures alone, with the bounds that they have now."""
+    """Return only the entries of these figures, with their current bounds."""
     return {
         name: entry | {"bound": [figures[name].at_least, figures[name].at_most]}
         for name, entry in found.items()
@@ -65,7 +65,7 @@ def registered(found: Record, figures: Mapping[str, Figure]) -> Record:
 
 
 def entries(measurement: Measurement, found: Mapping[str, float], code: str) -> Record:
-    """The entries of one measurement, made now."""
+    """Return the record entries of a measurement that was made just now."""
     about = {
         "command": measurement.command,
         "commit": commit(),
@@ -94,17 +94,17 @@ def code_sha256() -> str:
 
 
 def commit() -> str:
-    """The commit, with a word where the code differs from it."""
+    """Return the commit, with a note if the code differs from it."""
     status = git("status", "--porcelain", "--", *CODE).splitlines()
     changed = any(not line.endswith(NOT_CODE) for line in status)
     return git("rev-parse", "--short", "HEAD") + (" and changes" if changed else "")
 
 
 def git(*words: str) -> str:
-    """What git prints in the checkout.
+    """Return what git prints in the checkout.
 
     Raises:
-        ChildProcessError: This is no checkout, or there is no git.
+        ChildProcessError: This is not a git checkout, or git is missing.
     """
     try:
         done = subprocess.run(["git", *words], cwd=ROOT, capture_output=True, text=True, check=True)
@@ -114,7 +114,7 @@ def git(*words: str) -> str:
 
 
 def machine() -> str:
-    """Processor and versions in words; no name of a host."""
+    """Describe the processor and versions in words, without a host name."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     packages = ", ".join(f"{name} {version(name)}" for name in ("torch", "numba", "numpy"))
     python = f"Python {platform.python_version()}"

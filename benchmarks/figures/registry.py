@@ -1,7 +1,7 @@
 """Every figure that a page quotes: what it is, its bound, and the command that measures it again.
 
-A bound is what the page promises beyond the digits: another machine, another version of a library or an
-improvement may move a figure within it. Times have wide bounds, since machines differ and are shared.
+The text of a page relies on the bound, not on the digits: another machine, another version of a library or
+an improvement may move a figure within it. Times have wide bounds, since machines differ and are shared.
 """
 
 from benchmarks.figures import measurements
@@ -228,14 +228,14 @@ MEASURED_PAGES = {
     "docs/peers.md": "python benchmarks/peers/compare.py --write",
     "docs/proof.md": "python -m concealed page",
 }
-"""Pages that a command writes whole, with the date and the commit of the run in their text."""
+"""Pages that a command writes entirely, with the date and the commit of the run in their text."""
 
 DEFINITIONS = {
-    # Computed traffic of a pass; the stretches of configs/piezo_stack.yaml, and what its authors publish.
+    # Computed memory traffic of a pass; time spans in configs/piezo_stack.yaml; its authors' own results.
     "benchmarks/README.md": frozenset(
         {"256 MB", "17.6 MB", "5.6 MB", "56 s", "70.5 s", "1 s", "15 s", "0.58 µm", "1 %"}
     ),
-    # The built-in stage's mode; the stretch on which configs/piezo_stack.yaml is judged.
+    # The built-in stage's mode; the time span on which configs/piezo_stack.yaml is evaluated.
     "README.md": frozenset({"620 Hz", "56 s", "70.5 s"}),
     # Rules of the forward stage; the noise of configs/stage/default.yaml.
     "docs/commission.md": frozenset({"15 %", "2 %", "3 nm"}),
@@ -254,13 +254,13 @@ DEFINITIONS = {
         | {"2 kHz", "2 ×", "2 s", "4 nm", "100 Hz", "2 %", "300 Hz", "270 Hz"}  # the recordings of an example
         | {"2,540 Hz", "0.2 µm", "3.4 µm"}  # bounds of tests/diagnosis/test_modal.py
     ),
-    # A setting of configs/mirror.yaml, of the loops, and of benchmarks/mirror_folds.py.
+    # Settings of configs/mirror.yaml, of the loops, and of benchmarks/mirror_folds.py.
     "docs/mirror.md": frozenset({"540 s", "0.3 V", "2260 Hz", "2350 Hz"}),
-    # Of the intervals.
+    # Level of the intervals.
     "docs/bouc_wen.md": frozenset({"95 %"}),
     # An example of an option; a rule of the checks.
     "docs/recordings.md": frozenset({"0.5 µm", "100 times"}),
-    # Of the excitations; at rest before each run.
+    # Limits of the excitations; rest before each run.
     "docs/rigs.md": frozenset({"10 V", "0 V", "50 ms"}),
 }
 """Numbers with units that are not measured, by page: settings, rules, examples. All others are figures."""

@@ -20,7 +20,7 @@ for programs.
 
 
 def page(measurements: Iterable[Measurement], found: Mapping[str, Mapping[str, Any]]) -> str:
-    """The page as text: a table for each measurement, in the order of the registry."""
+    """Return the page as text: a table for each measurement, in the order of the registry."""
     parts = [INTRODUCTION]
     for one in measurements:
         entries = [(figure, found[figure.name]) for figure in one.figures if figure.name in found]

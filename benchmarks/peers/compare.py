@@ -1,15 +1,15 @@
-"""Peers side by side: one record fitted by each, others predicted, and the time of a streamed step.
+"""Compare peers: each fits one record and predicts others, and one streamed step is timed.
 
     python benchmarks/peers/compare.py [--write] [--only torchpi,jax]
 
-`--write` renews docs/peers.md and docs/peers.png. Peers are optional: benchmarks/peers/requirements.txt has
-them, and one that is missing is left out, with a line that says so. On one core this takes some four minutes.
+`--write` renews docs/peers.md and docs/peers.png. Peers are optional: benchmarks/peers/requirements.txt lists
+them, and one that is not installed is left out with a message. On one core this takes about four minutes.
 """
 
 import os
 import tempfile
 
-# Before numba, XLA and the rest read them: one core, and nothing compiled before.
+# Set before numba, XLA and the others read them: one core, and no kernels compiled earlier.
 os.environ.update(
     OMP_NUM_THREADS="1",
     NUMBA_CACHE_DIR=tempfile.mkdtemp(prefix="peers-"),

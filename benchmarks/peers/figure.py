@@ -12,7 +12,7 @@ from torchpi.report.style import canvas
 
 
 def error_against_time(rows: Sequence[Row]) -> Figure:
-    """One point a peer, at the time without compilation; a line to the time with it."""
+    """Plot one point per peer at its time without compilation, and a line to the time with it."""
     with canvas(4.2) as figure:
         axes = figure.subplots()
         axes.set_xscale("log")

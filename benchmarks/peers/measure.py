@@ -1,4 +1,4 @@
-"""Fit with every peer, and measure what it made: time, held-out error, time of a step."""
+"""Fit with every peer and measure the time, the held-out error and the time of a step."""
 
 import statistics
 import time
@@ -10,7 +10,7 @@ from task import Fitted, Peer, Task
 
 
 def compare(task: Task, peers: Sequence[Peer]) -> list[Row]:
-    """Fit with each, in rounds, so that a busy machine slows all of them; sorted by held-out error."""
+    """Fit with each peer, in rounds, so that other load slows all of them; sort by held-out error."""
     fits: dict[str, list[Fitted]] = {peer.name: [] for peer in peers}
     for round_ in range(max((peer.repeats for peer in peers), default=0)):
         for peer in peers:
@@ -37,7 +37,7 @@ def _row(task: Task, peer: Peer, fits: Sequence[Fitted]) -> Row:
 
 
 def _times(peer: Peer, fits: Sequence[Fitted]) -> tuple[float, float | None]:
-    """Median time to fit without compilation, and the compilation, s."""
+    """Return the median time to fit without compilation, and the time of compilation, s."""
     if peer.compiles:
         later = statistics.median(fit.fit_s for fit in fits[1:])
         return later, fits[0].fit_s - later

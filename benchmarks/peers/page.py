@@ -18,7 +18,7 @@ HEADINGS = (
 PACKAGES = ("torch", "numba", "numpy", "jax-sysid", "jax", "dynonet", "sysidentpy")
 
 
-# Those that need nothing to be installed are measured by `make figures` as well.
+# The peers that need no further package are measured by `make figures` as well.
 FIGURES = {
     "torchpi, joint": "peers_joint_v",
     "torchpi, two stages": "peers_two_stage_v",
@@ -27,11 +27,11 @@ FIGURES = {
 
 
 def table(rows: Sequence[Row], figures: Mapping[str, str] | None = None) -> str:
-    """One line a peer; a dash stands for what a peer does not have.
+    """Return the table with one line per peer; a dash stands for what a peer does not have.
 
     Args:
-        rows: What was measured.
-        figures: Name of the figure, for a comment behind the held-out rms error, by peer.
+        rows: Results of the peers.
+        figures: Figure names by peer, for a comment behind the held-out rms error.
     """
     cells = [_cells(row, (figures or {}).get(row.peer.name)) for row in rows]
     lines = [HEADINGS, ("---",) + ("---:",) * (len(HEADINGS) - 1), *cells]
@@ -39,7 +39,7 @@ def table(rows: Sequence[Row], figures: Mapping[str, str] | None = None) -> str:
 
 
 def page(rows: Sequence[Row], commit: str) -> str:
-    """The page, with the date of today and the commit."""
+    """Return the page, with today's date and the commit."""
     return f"""# Peers side by side
 
 Written by `python benchmarks/peers/compare.py --write`: do not edit.

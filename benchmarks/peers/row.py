@@ -7,16 +7,16 @@ from task import Peer
 
 @dataclass(frozen=True)
 class Row:
-    """What one peer achieved.
+    """Results of one peer.
 
     Attributes:
-        peer: Which.
-        samples: Of the record that was fitted.
-        fit_s: Median time of the processor to fit, without compilation.
-        compile_s: Compilation; None where nothing is compiled.
-        rms_v: Held-out error, V.
-        max_v: Likewise, the largest.
-        range_v: Of the held-out voltage.
+        peer: The peer.
+        samples: Number of samples of the record that was fitted.
+        fit_s: Median processor time to fit, without compilation.
+        compile_s: Time of compilation; None where nothing is compiled.
+        rms_v: Held-out rms error, V.
+        max_v: Largest held-out error, V.
+        range_v: Range of the held-out voltage.
         step_us: Median time of a streamed step from Python; None where there is none.
     """
 

@@ -1,7 +1,7 @@
-"""The task that every peer is given, and what it hands back.
+"""The task that every peer is given, and what a peer returns.
 
-The motion of a simulated stage goes in, the voltage that made it comes out: a direct inverse. One record is
-fitted. Others, with other motions of the same band, judge.
+The task is a direct inverse: the motion of a simulated stage goes in, and the voltage that caused it comes
+out. One record is fitted; others, with different motions in the same band, are held out.
 """
 
 from collections.abc import Callable
@@ -17,9 +17,9 @@ from torchpi.excitation.signals import multisine
 from torchpi.identification import InversePair, inverse_pair
 
 STAGE = Path(__file__).parents[2] / "configs" / "stage" / "qin2013.yaml"
-PREVIEW = 2  # samples: the stage answers some two samples late, so the motion two samples ahead goes in
+PREVIEW = 2  # samples: the stage responds about two samples late, so the motion two samples ahead is used
 BANDWIDTH_HZ = 1000.0
-EDGE = 100  # samples that are cut: the acceleration is rough at the ends of a record
+EDGE = 100  # samples cut off, because the acceleration is inaccurate at the ends of a record
 
 Signal = npt.NDArray[np.float64]
 
@@ -30,12 +30,12 @@ class Task:
 
     Attributes:
         train: The record to fit.
-        held_out: Records to judge by, each from the de-energised state.
+        held_out: Held-out records for evaluation, each from the de-energised state.
         sample_period_s: T.
         thresholds_um: r of the plays, denser near 0, where reversals are.
         creep_time_constants_s: T_j of the relaxations.
         degree: m of the polynomial.
-        high_v: The voltage runs from 0 to here.
+        high_v: Upper end of the voltage range, which begins at 0.
         scales: Largest displacement (µm), rate (µm/s) and acceleration (µm/s²) of the record to fit.
     """
 
@@ -49,7 +49,7 @@ class Task:
     scales: Signal
 
     def inputs(self, pair: InversePair) -> Signal:
-        """Displacement, rate and acceleration, each of size one. Shape: (time, 3)."""
+        """Displacement, rate and acceleration, each scaled by its largest value. Shape: (time, 3)."""
         return np.stack([part[0].numpy() for part in pair.motion], 1) / self.scales
 
     def clipped(self, voltage: Signal) -> Signal:
@@ -58,11 +58,11 @@ class Task:
 
 @dataclass(frozen=True)
 class Fitted:
-    """What a peer hands back.
+    """What a peer returns.
 
     Attributes:
-        voltage: Of a whole record from the de-energised state, (time,), V, before the output limits.
-        fit_s: Time of the processor to fit, compilation included.
+        voltage: Predicts a whole record from the de-energised state, (time,), V, before the output limits.
+        fit_s: Processor time to fit, compilation included.
         compile_s: The part of it that was compilation, if the peer can tell.
         step: One sample: displacement, rate, acceleration (µm, µm/s, µm/s²) in, V out; None where the
             library has no way to run sample by sample.
@@ -79,11 +79,11 @@ class Peer:
     """A way to do the task.
 
     Attributes:
-        name: In the table.
-        package: What must be importable.
+        name: Name in the table.
+        package: Package that must be importable.
         settings: What was fitted and how, for the page.
         purpose: What it is made for, for the page.
-        fit: Does the task.
+        fit: Performs the task.
         repeats: How many times it is fitted.
         compiles: Whether its first fit compiles what the later ones reuse.
     """

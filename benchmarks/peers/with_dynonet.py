@@ -1,4 +1,4 @@
-"""dynonet: linear dynamics, a static network, linear dynamics again, and a straight path beside them."""
+"""dynonet: linear dynamics, a static network, linear dynamics again, and a linear path in parallel."""
 
 import time
 
@@ -36,7 +36,7 @@ def fit(task: Task) -> Fitted:
 
 
 def _inputs(task: Task, pair: InversePair) -> Tensor:
-    """Displacement from -1 to 1, and the others of like size."""
+    """Return the displacement scaled to -1 to 1, and the other inputs scaled to a similar size."""
     sizes, middle = torch.tensor([2.0, 3.0, 3.0]), torch.tensor([1.0, 0.0, 0.0])
     return (torch.from_numpy(task.inputs(pair)).float() * sizes - middle)[None]
 

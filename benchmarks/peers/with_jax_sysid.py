@@ -28,7 +28,7 @@ def _fit(task: Task, adam_epochs: int) -> Fitted:
     jax.config.update("jax_enable_x64", True)
     r = task.thresholds_um / task.scales[0]
     decay = np.exp(-task.sample_period_s / np.array(task.creep_time_constants_s))
-    # Lead times in sample periods: of size one.
+    # Lead times in sample periods, so that they are of order one.
     periods = task.scales[1:] * task.sample_period_s ** np.array([1, 2]) / task.scales[0]
     relaxations, plays = len(decay), len(r)
 
@@ -64,7 +64,7 @@ def _fit(task: Task, adam_epochs: int) -> Fitted:
             model.fit(u, x)
         return model
 
-    # It compiles again in every fit: one that stops at once is compilation and little else.
+    # Every fit compiles again, so a fit that stops at once takes little more than the compilation.
     start = time.process_time()
     fit(min(adam_epochs, 1), 1)
     compiled = time.process_time()
@@ -90,7 +90,7 @@ def _fit(task: Task, adam_epochs: int) -> Fitted:
 
 
 def _least_squares_weights(x: Signal, u: Signal, r: Signal) -> tuple[Signal, Signal]:
-    """Where it starts: from b = 1/n, k = 0 it takes longer and ends at a larger error."""
+    """Return the starting weights: from b = 1/n, k = 0 the fit takes longer and ends at a larger error."""
     states = play_states(x[:, 0], r)
     w, *_ = np.linalg.lstsq(np.hstack([states, states * x[:, 1:2]]), u, rcond=1e-10)
     return w[: len(r)], w[len(r) :]

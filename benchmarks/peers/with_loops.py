@@ -1,7 +1,7 @@
-"""PyTorch as one would write it at first: a loop over samples and backpropagation through time.
+"""Straightforward PyTorch: a loop over samples and backpropagation through time.
 
-One evaluation (forward and backward over the record) is timed and scaled up by the number that the fit takes.
-The fit itself runs on torchpi's kernels, which give the same numbers, so that nobody waits for it.
+One evaluation (forward and backward over the record) is timed and multiplied by the number of evaluations of
+the fit. To save time the fit itself runs on torchpi's kernels, which give the same numbers.
 """
 
 import time
@@ -85,7 +85,7 @@ def _looped(compensator: DirectInverse, motion: Motion, states: Loop) -> Tensor:
 
 
 def _search(compensator: DirectInverse, pair: InversePair) -> int:
-    """L-BFGS over all parameters, in place; how often it evaluated loss and gradient."""
+    """Run L-BFGS over all parameters, in place; return how often it evaluated loss and gradient."""
     optimizer = torch.optim.LBFGS(
         [p for p in compensator.parameters() if p.requires_grad and p.numel() > 0],
         max_iter=500,
@@ -113,7 +113,7 @@ def _loss(u: Tensor, pair: InversePair) -> Tensor:
 
 
 class _Step(nn.Module):
-    """One sample with its state in tensors."""
+    """One step, with its state in tensors."""
 
     def __init__(self, compensator: DirectInverse) -> None:
         super().__init__()

@@ -11,7 +11,7 @@ from task import Fitted, Peer, Signal, Task
 
 from torchpi.identification import InversePair
 
-# At 10 kHz the last voltage says nearly all, and a model with lag 1 diverges when it runs freely: long lags.
+# Long lags: at 10 kHz the last voltage predicts nearly all, and a model with lag 1 diverges in free run.
 VOLTAGE_LAG, MOTION_LAGS, DEGREE, TERMS = 50, [1, 25, 50], 3, 50
 
 
@@ -37,7 +37,7 @@ def fit(task: Task) -> Fitted:
 
     def voltage(pair: InversePair) -> Signal:
         with _quiet():
-            # What comes before is the de-energised stage at rest.
+            # Before the record the stage is de-energised and at rest.
             rest = np.zeros((lag, 1))
             padded = np.concatenate([np.zeros((lag, x.shape[1])), _inputs(task, pair)])
             return task.high_v * np.asarray(model.predict(X=_early(padded), y=rest))[lag:, 0]
@@ -63,7 +63,7 @@ def _with_direction(x: Signal) -> Signal:
 
 
 def _early(x: Signal) -> Signal:
-    """By one sample, because the library's smallest lag is one."""
+    """Advance the signals by one sample, because the library's smallest lag is one."""
     return np.concatenate([x[1:], x[-1:]])
 
 

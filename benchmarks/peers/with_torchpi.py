@@ -10,7 +10,7 @@ from torchpi.identification import InversePair, fit_joint, fit_two_stage
 
 
 def inverse(task: Task) -> DirectInverse:
-    """The equations that all peers with plays fit, at their plain start: S(x) = x, no lead, no creep."""
+    """The equations that all peers with plays fit, at the plain start: S(x) = x, no lead, no creep."""
     range_um, rate_um_s, _ = task.scales.tolist()
     return DirectInverse(
         task.sample_period_s,
