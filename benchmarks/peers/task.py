@@ -49,7 +49,7 @@ class Task:
     scales: Signal
 
     def inputs(self, pair: InversePair) -> Signal:
-        """Displacement, rate and acceleration, each scaled by its largest value. Shape: (time, 3)."""
+        """Displacement, rate and acceleration, each divided by its entry of `scales`. Shape: (time, 3)."""
         return np.stack([part[0].numpy() for part in pair.motion], 1) / self.scales
 
     def clipped(self, voltage: Signal) -> Signal:

@@ -6,7 +6,7 @@
     concealed run seeds.json --entry torchpi --output runs/torchpi --executor processes:2
     concealed page runs/torchpi runs/baseline runs/sindy --output docs/proof.md
 
-`run` goes on where it was cut off. Another tool enters with --name, --diagnose and --predict.
+`run` continues an interrupted run. Another tool takes part with --name, --diagnose and --predict.
 """
 
 import argparse
@@ -94,7 +94,7 @@ def _generate(options: argparse.Namespace) -> None:
 
 
 def _generate_one(track: str, seed: int, number: int, output: Path, data: Path) -> str:
-    """What is returned gives nothing away."""
+    """Write one case and return its name, which reveals nothing of its content."""
     name = f"case_{number:04d}"
     write_case(draw(track, seed, number - 1, data), name, output)
     return f"{track}/{name}"
@@ -110,7 +110,7 @@ def _run(options: argparse.Namespace) -> None:
     entry = ENTRIES[options.entry]
     if options.diagnose:
         entry = Entry(options.name or "entry", options.diagnose, options.predict, options.timeout_s)
-    if options.executor.startswith("processes"):  # a cluster's workers have the tool, which may not be here
+    if options.executor.startswith("processes"):  # on a cluster only the workers need the tool
         entry.check_programs()
     with open_executor(options.executor) as executor:
         results = run(seeds, entry, options.output, executor, options.data, options.tracks, options.limit)

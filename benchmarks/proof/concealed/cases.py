@@ -14,7 +14,7 @@ Columns = dict[str, Array]
 class Case:
     """Recordings as columns (time_s, input_v, output_um[, aux…]), the sealed labels, the held-out recording.
 
-    A case on a real recording has that recording untouched instead of a held-out one.
+    A case on a real recording has the untouched recording in place of a held-out one.
     """
 
     recordings: list[Columns]
@@ -24,7 +24,7 @@ class Case:
 
 
 def write_given(case: Case, folder: Path) -> None:
-    """What a tool is given: FOLDER/a.csv to e.csv, and heldout_input.csv where it is to predict."""
+    """Write what a tool is given: FOLDER/a.csv to e.csv, and heldout_input.csv if it is to predict."""
     write_recordings(case.recordings, folder)
     if case.heldout is not None:
         given = {key: column for key, column in case.heldout.items() if key != "output_um"}
@@ -32,13 +32,13 @@ def write_given(case: Case, folder: Path) -> None:
 
 
 def write_recordings(recordings: list[Columns], folder: Path) -> None:
-    """FOLDER/a.csv, b.csv, …"""
+    """Write FOLDER/a.csv, b.csv, …"""
     for letter, columns in zip("abcde", recordings, strict=False):
         write_csv(folder / f"{letter}.csv", columns)
 
 
 def write_case(case: Case, name: str, output: Path) -> None:
-    """OUTPUT/NAME and OUTPUT/untouched_… are for the tool, OUTPUT/sealed is for the judge."""
+    """Write OUTPUT/NAME and OUTPUT/untouched_… for the tool, and OUTPUT/sealed for the judge."""
     write_given(case, output / name)
     if case.untouched:
         write_recordings(case.untouched, output / str(case.labels["untouched"]))
@@ -50,7 +50,7 @@ def write_case(case: Case, name: str, output: Path) -> None:
 
 
 def write_csv(path: Path, columns: Columns) -> None:
-    """A recording by the contract: header, then one line a sample; ten digits."""
+    """Write a recording in the agreed format: a header, then one line per sample, with ten digits."""
     path.parent.mkdir(parents=True, exist_ok=True)
     table = np.column_stack(list(columns.values()))
     line = ",".join("%.9f" if name == "time_s" else "%.10g" for name in columns) + "\n"
@@ -58,7 +58,7 @@ def write_csv(path: Path, columns: Columns) -> None:
 
 
 def read_column(path: Path, name: str) -> Array:
-    """One column of a recording."""
+    """Read one column of a recording."""
     with path.open() as file:
         index = file.readline().strip().split(",").index(name)
     return np.loadtxt(path, delimiter=",", skiprows=1, usecols=index)

@@ -1,4 +1,4 @@
-"""Tools that enter: two commands each, and how one case is put to them."""
+"""Tools that take part: two commands each, and how a case is submitted to them."""
 
 import json
 import os
@@ -21,7 +21,7 @@ class RunError(ValueError):
 
 @dataclass(frozen=True)
 class Entry:
-    """Templates with {recordings}, {out}, {input}, {prediction}; without `predict` nothing is predicted."""
+    """Command templates with {recordings}, {out}, {input}, {prediction}; without `predict` no prediction."""
 
     name: str
     diagnose: str
@@ -29,7 +29,7 @@ class Entry:
     timeout_s: float = 900.0
 
     def check_programs(self) -> None:
-        """Raises RunError where what its commands begin with is no program on PATH."""
+        """Raise RunError if a command's program is not on PATH."""
         for command in filter(None, (self.diagnose, self.predict)):
             program = shlex.split(command)[0].replace("{python}", sys.executable)
             if shutil.which(program) is None:
@@ -52,7 +52,7 @@ ENTRIES = {
     for entry in (
         Entry(
             "torchpi",
-            "torchpi diagnose {recordings} --resample true --output {out}",  # where samples are uneven
+            "torchpi diagnose {recordings} --resample true --output {out}",  # in case samples are uneven
             "torchpi predict {out}/stage.pt {input} --output {prediction}",
         ),
         _rival("baseline"),
@@ -66,7 +66,7 @@ ENTRIES = {
 
 @dataclass(frozen=True)
 class Answer:
-    """What a tool left: a diagnosis (None: failed), a prediction (empty: failed; None: not asked for)."""
+    """What a tool returned: a diagnosis (None: failed), a prediction (empty: failed; None: not requested)."""
 
     diagnosis: object
     predicted_um: Array | None
@@ -75,7 +75,7 @@ class Answer:
 
 
 def ask(entry: Entry, given: Path, out: Path) -> Answer:
-    """Run the commands on the recordings in `given`; a prediction where there is a held-out input."""
+    """Run the commands on the recordings in `given`, with a prediction if there is a held-out input."""
     out.mkdir(parents=True, exist_ok=True)
     words = {
         "python": shlex.quote(sys.executable),
@@ -104,7 +104,7 @@ def ask(entry: Entry, given: Path, out: Path) -> Answer:
 
 
 def _run(command: str, timeout_s: float) -> str:
-    """Why the command failed, or nothing. It is ended with all that it started when its time is over."""
+    """Return why the command failed, or ''. After the timeout it is killed with all that it started."""
     package = str(Path(__file__).parents[1])
     paths = os.pathsep.join(p for p in (package, os.environ.get("PYTHONPATH", "")) if p)
     environment = os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "PYTHONPATH": paths}

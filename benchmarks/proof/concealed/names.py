@@ -1,4 +1,4 @@
-"""The names that a diagnosis may give, and which of them voltage and displacement cannot split."""
+"""The names that a diagnosis may give, and which of them voltage and displacement cannot tell apart."""
 
 NAMES = (
     "amplifier_lag", "slew_limit", "voltage_saturation", "delay", "input_nonlinearity",
@@ -21,5 +21,5 @@ GROUPS = (STATIC, frozenset({"amplifier_lag", "sensor_lag"}), frozenset({"resona
 
 
 def group_of(name: str) -> frozenset[str]:
-    """The names that are right where `name` is true, as far as the group goes."""
+    """Return the names that count as the right group if `name` is true."""
     return next((group for group in GROUPS if name in group), frozenset({name}))

@@ -1,4 +1,4 @@
-"""The run: one frozen commit, one file of seeds, every case on record, whatever the executor."""
+"""The run: one frozen commit, one file of seeds, and every case recorded, whatever the executor."""
 
 import json
 import secrets
@@ -21,7 +21,7 @@ from concealed.real.grade import grade_injected
 from concealed.tracks import PROOF, draw
 
 HERE = Path(__file__).parent
-FIRST_SEED, SEEDS = 10_000, 2**31 - 20_000  # those below are for development
+FIRST_SEED, SEEDS = 10_000, 2**31 - 20_000  # lower seeds are for development
 
 
 @dataclass(frozen=True)
@@ -34,13 +34,13 @@ class Job:
     entry: Entry
     data: Path
     untouched: str = ""
-    """Not a case: the untouched recordings of this name."""
+    """If set, the job is not a case but the untouched recordings of this name."""
     before: object = None
     """The diagnosis of the untouched recordings."""
 
     @property
     def name(self) -> str:
-        """The file of its record."""
+        """Name of the file of its record."""
         return self.untouched or f"{self.track}_{self.number:04d}"
 
 
@@ -63,7 +63,7 @@ def draw_seeds(output: Path, counts: dict[str, int]) -> dict[str, object]:
 
 
 def development_seeds(seed: int, count: int) -> dict[str, object]:
-    """The same seed for every track, of a tree that may change: nothing to quote."""
+    """Return the same seed for every track, for a tree that may change; the results are not to be quoted."""
     if not 0 <= seed < FIRST_SEED:
         raise RunError(f"seed: found {seed}, expected 0 to {FIRST_SEED - 1}: the others are drawn")
     every = dict.fromkeys(PROOF, seed)
@@ -71,7 +71,7 @@ def development_seeds(seed: int, count: int) -> dict[str, object]:
 
 
 def check_frozen(seeds: dict, allowed: Sequence[Path]) -> None:
-    """Refuse a tree that differs from the commit of the seeds, but in the files of the run itself."""
+    """Refuse a tree that differs from the commit of the seeds, except in the files of the run itself."""
     changed = _changed(seeds["commit"], allowed)
     if changed:
         raise RunError(
@@ -95,7 +95,7 @@ def _git(*arguments: str) -> str:
 
 
 def open_executor(text: str) -> Executor:
-    """`processes:N` here, or `dask:ADDRESS` of a cluster whose workers have this package and the tool."""
+    """Open `processes:N` here, or `dask:ADDRESS`, a cluster whose workers have this package and the tool."""
     kind, _, where = text.partition(":")
     if kind == "processes":
         return ProcessPoolExecutor(int(where or 1))
@@ -115,9 +115,9 @@ def run(
     tracks: Sequence[str] = PROOF,
     limit: int | None = None,
 ) -> dict[str, object]:
-    """Put every case that has no record yet to the tool, then write OUTPUT/results.json.
+    """Submit every case that has no record yet to the tool, then write OUTPUT/results.json.
 
-    A run that was cut off goes on. Records of another commit, seed or command are refused.
+    An interrupted run is continued. Records of another commit, seed or command are refused.
     """
     counts = {track: min(seeds["counts"][track], limit or sys.maxsize) for track in tracks}
     jobs = [
@@ -149,7 +149,7 @@ def run(
 
 
 def _said(record: dict) -> str:
-    """A tool's answer in words, where it has any."""
+    """Return a tool's answer in words, or '' if there are none."""
     answer = record["diagnosis"]
     return str(answer.get("says", "")) if isinstance(answer, dict) else ""
 
@@ -170,7 +170,7 @@ def _with_before(job: Job, answers: dict[str, object]) -> Job:
 
 
 def _work(jobs: list[Job], output: Path, executor: Executor, stamp: dict) -> None:
-    """Do what has no record, and say how it goes and how long it may take."""
+    """Do the jobs that have no record, and print progress with the estimated time left."""
     folder = output / "records"
     folder.mkdir(parents=True, exist_ok=True)
     open_jobs = [job for job in jobs if _record(output, job.name, stamp) is None]
@@ -199,7 +199,7 @@ def _record(output: Path, name: str, stamp: dict) -> dict | None:
 
 
 def work(job: Job) -> dict[str, object]:
-    """Draw one case, put it to the tool, grade the answer. No label is written where the tool runs."""
+    """Draw one case, submit it to the tool and grade the answer. No label is written where the tool runs."""
     case = draw(job.track, job.seed, job.number - 1, job.data)
     with tempfile.TemporaryDirectory(prefix="concealed_") as name:
         folder = Path(name)

@@ -1,4 +1,4 @@
-"""The tracks: what is drawn for a track, a seed and an index."""
+"""The tracks: the case that belongs to a track, a seed and an index."""
 
 from pathlib import Path
 
@@ -17,14 +17,14 @@ DEVELOPMENT = tuple(track for track in PUBLISHED if track not in PROOF)
 
 
 APART, TRIES = 1_000_000, 5
-"""Between the index of a plant that diverged and of the one in its place; how many may."""
+"""Distance from the index of a diverging plant to that of its replacement; number of attempts."""
 
 
 def draw(track: str, seed: int, index: int, data: Path = DATA) -> Case:
-    """The same arguments give the same case. A plant that diverges is none: another is drawn in its place.
+    """Draw a case; the same arguments give the same case. A plant that diverges is replaced by another.
 
     Raises:
-        OverflowError: Plants that diverge, one after another.
+        OverflowError: The plants of all attempts diverge.
     """
     for attempt in range(TRIES):
         case = _draw(track, seed, index + attempt * APART, data)

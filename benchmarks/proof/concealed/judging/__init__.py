@@ -1,1 +1,1 @@
-"""The judge's parts: run the tool, grade its answers, add them up, show them. Knows the labels, no tool."""
+"""The judge: grades answers and adds the grades up. It knows the labels, but no tool."""

@@ -1,9 +1,9 @@
-"""Do the stated probabilities hold? Reliability, Brier score, calibration error.
+"""Calibration of the stated probabilities: reliability, Brier score, calibration error.
 
-Each name that an answer gives is taken with its probability. What a grader tolerates, or what the untouched
-recording has as well, is neither right nor wrong, and is left out. A name is right by itself where it is the
-truth, or one that u and y cannot split from it; it is right as a group where the truth is among its
-alternatives as well.
+Each name in an answer is taken with its probability. Names that the grader tolerates, or that the answer to
+the untouched recording has as well, are neither right nor wrong and are left out. A name is right by itself
+if it is the truth, or cannot be told apart from it by u and y; it is right as a group also if the truth is
+among its alternatives.
 """
 
 from collections.abc import Sequence
@@ -17,7 +17,7 @@ DRAWS = 2000  # of a perfectly calibrated tool that states the same probabilitie
 
 
 def calibration(cases: Sequence[dict]) -> dict[str, object]:
-    """Both reliabilities over graded cases, each with its `stated` names."""
+    """Return both reliabilities over graded cases, each with its `stated` names."""
     stated = [name for case in cases for name in case["stated"]]
     judged = [name for name in stated if name["right"] is not None]
     known = [name for name in judged if name["probability"] is not None]
@@ -35,7 +35,7 @@ def calibration(cases: Sequence[dict]) -> dict[str, object]:
 def reliability(probabilities: NDArray[np.float64], right: NDArray[np.bool_]) -> dict[str, object]:
     """Brier score, expected calibration error, and the share that is right in each bin of probability.
 
-    The calibration error of few names is above zero by chance alone: `by_chance` is its mean, and the value
+    With few names the calibration error exceeds zero by chance alone: `by_chance` is its mean, and the value
     that 95 % stay below, for a tool that is right as often as it states.
     """
     if probabilities.size == 0:

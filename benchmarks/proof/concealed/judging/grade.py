@@ -1,4 +1,4 @@
-"""One answer against one sealed label."""
+"""Grade one answer against one sealed label."""
 
 import math
 from dataclasses import asdict, dataclass, field
@@ -7,7 +7,7 @@ import numpy as np
 from concealed.names import GROUPS, STATIC
 from numpy.typing import NDArray
 
-UNITS = {  # to a common one
+UNITS = {  # each with its common unit and factor
     "s": ("s", 1.0),
     "ms": ("s", 1e-3),
     "us": ("s", 1e-6),
@@ -42,14 +42,14 @@ UNITS = {  # to a common one
 }
 LARGEST_GROUP = max(len(group) for group in GROUPS)
 HOLD_TICKS = 1.6
-"""A delay of fewer ticks may be the hold of the converter, where the reading is taken before the write."""
-USELESS = 1e9  # for the ratio of a prediction that is no prediction: finite, so that results.json is JSON
+"""If readings are taken before the write, a delay of fewer ticks may be the hold of the converter."""
+USELESS = 1e9  # error ratio of an unusable prediction: finite, so that results.json is valid JSON
 VERDICTS = ("nothing_missing", "explained", "partly_explained", "unexplained")
 
 
 @dataclass(frozen=True)
 class Grade:
-    """What one answer was worth. Names are those of the labels; `wrong` those that nothing excuses."""
+    """The grade of one answer. Names are those of the labels; `wrong` has those that nothing excuses."""
 
     track: str
     case: str
@@ -69,18 +69,18 @@ class Grade:
     foreign: list[str] = field(default_factory=list)
     """Truths in a form that the library lacked when it was written."""
     adequate: bool = True
-    """Whether the excitation could show every effect: loops, and a band of frequencies."""
+    """Whether the excitation could show every effect: it has loops, and a band of frequencies."""
     foreseeable: bool = True
     """Whether the command determines what an effect outside the list does."""
     beyond_plays: dict[str, float] = field(default_factory=dict)
     null: bool = False
     injected: bool = False
     named_before: bool = False
-    """The untouched recording has the name as well, with as much: in no count."""
+    """Whether the untouched recording yields the name just as strongly; the case is then in no count."""
     over_residual: float | None = None
-    """What was injected over what the answer to the untouched recording leaves."""
+    """Injected rms over the residual that the answer to the untouched recording leaves."""
     heldout_gain: float | None = None
-    """Of the augmented stage over the retuned nominal, by the tool's own account."""
+    """Gain of the augmented stage over the retuned nominal, by the tool's own account."""
     heldout_over_noise: float | None = None
     diagnose_s: float | None = None
     parameters: list[dict[str, object]] = field(default_factory=list)
@@ -89,12 +89,12 @@ class Grade:
     it is tolerated)."""
 
     def as_dict(self) -> dict[str, object]:
-        """For results.json."""
+        """Return the grade as a dictionary for results.json."""
         return asdict(self)
 
 
 def unreadable(diagnosis: object) -> str:
-    """Why an answer cannot be graded, or nothing. A tool that breaks the contract has not answered."""
+    """Return why an answer cannot be graded, or ''. One that breaks the contract counts as no answer."""
     if not isinstance(diagnosis, dict):
         return f"diagnosis.json: found {type(diagnosis).__name__}, expected an object"
     if diagnosis.get("verdict") not in VERDICTS:
@@ -134,8 +134,8 @@ def grade(
 ) -> Grade:
     """Grade a diagnosis (None: the tool failed). Each truth takes one name: its own, else one of its group.
 
-    A name is right for a truth of its group, or one among its own `alternatives` where these are no more than
-    the largest group that u and y cannot split. A tolerated name is neither right nor wrong.
+    A name is right for a truth of its group, or for one among its own `alternatives` if these are no more
+    than the largest group that u and y cannot tell apart. A tolerated name is neither right nor wrong.
     """
     failed = "no answer" if diagnosis is None else unreadable(diagnosis)
     diagnosis = {"verdict": "failed"} if failed else diagnosis
@@ -191,7 +191,7 @@ def _stated(effect: dict, taken: dict[str, dict], excused: bool) -> dict[str, ob
 
 
 def same_group(truth: str, effect: dict) -> bool:
-    """Whether u and y cannot split what is named from what is true."""
+    """Whether u and y cannot tell the named effect from the true one."""
     return any(truth in group and effect["name"] in group for group in GROUPS)
 
 
@@ -204,7 +204,7 @@ def _tolerated(effect: dict, labels: dict) -> bool:
     name = effect["name"]
     if name == "delay" and labels["timing"] == "before_write":
         seconds = [v for v, unit, _ in _values(effect.get("parameters", {})).values() if unit == "s"]
-        return bool(seconds) and max(seconds) < HOLD_TICKS / labels["fs_hz"]  # the hold, called a delay
+        return bool(seconds) and max(seconds) < HOLD_TICKS / labels["fs_hz"]  # the hold, named as a delay
     if name in STATIC and labels["family"] == "pi" and STATIC.intersection(labels["names"]):
         return True  # a second name for a static effect that is truly there
     return name in labels["tolerated"]
@@ -223,7 +223,7 @@ def _values(parameters: dict) -> dict[str, tuple[float, str, tuple[float, float]
 
 
 def compared_parameters(truth: dict, answer: dict) -> list[dict[str, object]]:
-    """Each true parameter beside the answer's of the same name, else the only one of its unit."""
+    """Compare each true parameter with the answer's of the same name, else with the only one of its unit."""
     true, said = _values(truth["parameters"]), _values(answer.get("parameters", {}))
     rows = []
     for name, (value, unit, _) in true.items():
@@ -253,7 +253,7 @@ def heldout_gain(diagnosis: dict) -> float | None:
 
 
 def heldout_rms_um(diagnosis: dict, fit: str) -> float | None:
-    """What a fit leaves held out, by the tool's account; None without one."""
+    """The held-out rms residual of a fit, by the tool's account; None if it gives none."""
     found = diagnosis.get("fit", {}).get(fit)
     rms = found.get("heldout_rms_um") if isinstance(found, dict) else None
     return rms if _is_number(rms) else None

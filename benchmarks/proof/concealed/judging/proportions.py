@@ -4,7 +4,7 @@ from scipy.stats import beta
 
 
 def share(count: int, of: int) -> dict[str, float | int | None]:
-    """`count` out of `of`, and the values that the true share exceeds, or stays below, with 95 %."""
+    """`count` out of `of`, and the one-sided bounds of the true share at 95 % confidence."""
     if of == 0:
         return {"count": 0, "of": 0, "share": None, "at_least": None, "at_most": None}
     return {

@@ -1,4 +1,4 @@
-"""Grades added up: every figure with its count and its one-sided 95 % bound."""
+"""Summary of the grades: every figure with its count and its one-sided 95 % bound."""
 
 from collections.abc import Callable, Iterable, Sequence
 from itertools import pairwise
@@ -10,9 +10,9 @@ from concealed.judging.proportions import share
 from concealed.names import GROUPS, NAMES
 
 CLEAR, FAINT, CLEAR_OF_RESIDUAL = 2.0, 0.7, 3.0
-"""Severities, in units of the noise, or of what the answer to the untouched recording leaves."""
+"""Severities, in units of the noise or, for the last, of the residual of the untouched recording's answer."""
 CLOSE, FAR = 1.5, 2.0  # held-out residual over noise
-GAIN = 0.005  # of the held-out error, that counts as an improvement
+GAIN = 0.005  # reduction of the held-out error that counts as an improvement
 BINS = (0.0, 1.0, 2.0, 5.0, 10.0, 20.0, 40.0, float("inf"))
 STILL_OPEN = ("unexplained", "partly_explained")
 CLOSED = ("explained", "nothing_missing")
@@ -22,7 +22,7 @@ Share = dict[str, float | int | None]
 
 
 def truths(grades: Grades, low: float = CLEAR, high: float = float("inf")) -> list[tuple[Grade, str]]:
-    """Each listed truth of a severity in [low, high) that the excitation could show."""
+    """Return each listed truth of a severity in [low, high) that the excitation could show."""
     return [
         (g, name)
         for g in grades
@@ -116,7 +116,7 @@ def _ratio_share(ratios: Sequence[float], test: Callable[[float], bool]) -> Shar
     return share(sum(map(test, ratios)), len(ratios))
 
 
-# Key, words, the figure of some grades, and whether more is better: which bound is quoted.
+# Key, words, function of the grades, and whether more is better, which decides the bound that is quoted.
 FIGURES: tuple[tuple[str, str, Callable[[Grades], Share | float | int | None], bool], ...] = (
     ("cases", "cases", len, True),
     ("failed", "no answer that can be graded", lambda g: _cases(g, lambda c: bool(c.failed)), False),
@@ -235,7 +235,7 @@ def summarise(grades: Grades) -> dict[str, object]:
 
 
 def stories(grades: Grades) -> list[str]:
-    """The cases to be told from beginning to end: the first of their kind, whatever came of them."""
+    """Return the cases to describe in full: the first of each kind, whatever the outcome."""
     alien = [g for g in grades if g.track == "alien"]
     kinds = (
         [g for g in alien if len(g.severities) == 1],
@@ -254,7 +254,7 @@ def _mean_of(tracks: dict[str, dict], key: str) -> float | None:
 
 
 def _by(grades: Grades, key: Callable[[Grade, str], str]) -> dict[str, dict[str, object]]:
-    """For each key of a case and its truth: cases, right group where clear, cases with a wrong name."""
+    """For each key of a case and its truth: cases, right groups among the clear, cases with a wrong name."""
     pairs = [(g, name) for g in grades for name in [*g.truth, *g.unknown] or ["nothing"]]
     rows = {}
     for row in sorted({key(g, name) for g, name in pairs}):
@@ -269,7 +269,7 @@ def _by(grades: Grades, key: Callable[[Grade, str], str]) -> dict[str, dict[str,
 
 
 def badness(g: Grade) -> tuple[int, bool, float, float]:
-    """Orders the worst cases: wrong names, no answer, clear misses, bad predictions of closed verdicts."""
+    """Sort key for badness: wrong names, no answer, clear misses, bad predictions with a closed verdict."""
     missed = max(
         (g.severities[n] for n in g.truth if n not in g.found and g.severities[n] >= CLEAR), default=0.0
     )
@@ -293,7 +293,7 @@ def answer_of(g: Grade) -> str:
 
 
 def confusion(grades: Grades) -> dict[str, object]:
-    """Truth against answer, of cases with at most one effect; "abstained" leaves it open without a name."""
+    """Count truth against answer in cases with at most one effect; "abstained": left open, nothing named."""
     rows = [*NAMES, "nothing", "unknown"]
     columns = [*rows[:-1], "abstained", "other", "failed"]
     matrix = np.zeros((len(rows), len(columns)), dtype=int)
@@ -307,7 +307,7 @@ def confusion(grades: Grades) -> dict[str, object]:
 
 
 def detection(grades: Grades) -> list[dict[str, object]]:
-    """Right group and wrong names of single effects, by severity and by what refitted plays leave of it."""
+    """Right groups and wrong names for single effects, by severity and by severity beyond refitted plays."""
     single = [g for g in grades if len(g.truth) == 1 and g.adequate and not g.named_before]
     rows = []
     for measure in ("severity", "severity_beyond_plays"):

@@ -1,1 +1,1 @@
-"""The page of a run, from its results and nothing else."""
+"""The page of a run, written from its results alone."""

@@ -1,4 +1,4 @@
-"""Single cases, drawn again from their seeds: what the tool was given, what it said, and what plays leave."""
+"""Single cases, drawn again from their seeds: recordings, the tool's answer, and the residual of plays."""
 
 from pathlib import Path
 
@@ -11,13 +11,13 @@ from concealed.tracks import draw
 
 
 def drawn(results: dict, name: str, data: Path) -> Case:
-    """The case `TRACK/case_0001` of a run."""
+    """Draw the case `TRACK/case_0001` of a run again."""
     track, _, case = name.partition("/")
     return draw(track, results["seeds"][track], int(case.removeprefix("case_")) - 1, data)
 
 
 def story(results: dict, name: str, case: Case, picture: str) -> str:
-    """What was recorded and concealed, what the tool said of it, and what that was worth."""
+    """Describe what was recorded and concealed, what the tool said, and how its answer was graded."""
     graded = next(c for c in results["cases"] if f"{c['track']}/{c['case']}" == name)
     runs = case.recordings
     rates = {f"{1 / float(np.median(np.diff(run['time_s']))):.6g}" for run in runs}
@@ -51,7 +51,7 @@ def _spoken(name: str) -> str:
 
 
 def picture(case: Case, name: str, path: Path) -> None:
-    """The first recording as a loop, and what forty plays leave of it."""
+    """Draw the first recording as a loop, and the residual of forty plays."""
     run, noise_um = case.recordings[0], float(case.labels["noise_rms_um"])
     plays = nominal(run, float(np.max(np.abs(run["input_v"]))) or 1.0)
     left = run["output_um"] - plays @ ridge(plays, run["output_um"])

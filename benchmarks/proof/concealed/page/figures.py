@@ -13,15 +13,15 @@ from matplotlib.figure import Figure
 
 
 def save(figure: Figure, path: Path) -> None:
-    """As SVG."""
-    # The same results give the same bytes.
+    """Save a figure as SVG."""
+    # With a fixed salt and no date, the same results give the same bytes.
     with plt.rc_context({"svg.hashsalt": "proof"}):
         figure.savefig(path, metadata={"Date": None})
     plt.close(figure)
 
 
 def confusion(results: dict, path: Path) -> None:
-    """Cases of each truth by answer; the shade is the share of the row."""
+    """Draw the cases of each truth by answer; the shade is the share of the row."""
     found = results["confusion"]
     matrix = np.array(found["matrix"])
     share = matrix / np.maximum(matrix.sum(axis=1, keepdims=True), 1)
@@ -37,7 +37,7 @@ def confusion(results: dict, path: Path) -> None:
 
 
 def detection(results: dict, path: Path) -> None:
-    """Shares of right groups and of wrong names against severity, with their bounds."""
+    """Draw the shares of right groups and of wrong names against severity, with their bounds."""
     figure, panels = plt.subplots(1, 2, figsize=(11, 4), sharey=True, layout="constrained")
     measures = (
         ("severity", "severity, × noise"),
@@ -58,7 +58,7 @@ def detection(results: dict, path: Path) -> None:
 
 
 def reliability(results: dict, path: Path) -> None:
-    """The share that is right against the probability stated, over a count of the names."""
+    """Draw the share that is right against the stated probability, above a histogram of the names."""
     found = results["calibration"]
     figure, (top, bottom) = plt.subplots(
         2, 1, figsize=(6, 7), height_ratios=(3, 1), sharex=True, layout="constrained"

@@ -9,7 +9,7 @@ from concealed.page import cases, figures
 
 BETTER_MORE = {key: more for key, _, _, more in FIGURES}
 WORDS = {key: words for key, words, _, _ in FIGURES}
-# What the run is to reach: the value, and that of the bound. Of the intervals both ends count.
+# Goals of the run: for the value, and for its bound. For the intervals both ends of COVERAGE count.
 COVERAGE = (0.86, 0.94)
 GOALS: dict[str, tuple[float, float | None]] = {
     "false_alarms": (0.01, 0.02),
@@ -35,7 +35,7 @@ Results = Mapping[str, dict]
 def write_page(results: Results, output: Path, data: Path | None = None) -> None:
     """Write OUTPUT and its pictures, from the results of the tool (first) and of its rivals.
 
-    The worst cases are drawn again where `data`, the folder of the real recordings, is given.
+    The worst cases are drawn again if `data`, the folder of the real recordings, is given.
     """
     tool, first = next(iter(results.items()))
     folder = output.parent / output.stem
@@ -105,7 +105,7 @@ def _about(results: dict) -> str:
 
 
 def figure_table(results: Results, *, tracks: bool = False, goals: bool = False) -> str:
-    """One row a figure; one column a tool, or a track and their mean."""
+    """Return a table with one row per figure and one column per tool, or per track with their mean."""
     if tracks:
         (only,) = results.values()
         columns = {**only["tracks"], "mean": only["mean_of_tracks"]}
@@ -123,7 +123,7 @@ def figure_table(results: Results, *, tracks: bool = False, goals: bool = False)
 
 
 def cell(value: object, key: str) -> str:
-    """A figure as the tables have it."""
+    """Format a figure for the tables."""
     if value is None:
         return "–"
     if isinstance(value, dict):
@@ -240,7 +240,7 @@ def _file(name: str) -> str:
 
 
 def _stories(results: dict, shown: Mapping[str, Case], pictures: Mapping[str, str]) -> list[str]:
-    """Some cases from beginning to end, whatever came of them."""
+    """Describe some cases in full, whatever the outcome."""
     told = [cases.story(results, n, shown[n], pictures[n]) for n in results["stories"] if n in shown]
     head = [
         "## Five cases told",

@@ -1,1 +1,1 @@
-"""The concealed rig, written apart from torchpi: a diagnosis cannot succeed by sharing its equations."""
+"""The concealed rig, written independently of torchpi, so that no diagnosis succeeds by shared equations."""

@@ -1,7 +1,7 @@
-"""The dynamic and memory blocks of the chain, on the fine time grid, each from rest.
+"""The dynamic and memory blocks of the chain, on the fine time grid, each starting from rest.
 
-Explicit fourth-order Runge–Kutta with the input held over a fine step: no matrix exponential anywhere, so
-that nothing agrees with another simulator by construction.
+Explicit fourth-order Runge–Kutta with the input held over a fine step, without any matrix exponential, so
+that no result agrees with another simulator's by construction.
 """
 
 import math
@@ -14,7 +14,7 @@ import numpy as np
 def lag(x, cutoff_hz, dt):
     """ẏ = 2πf_c (x - y)."""
     a = 2 * math.pi * cutoff_hz * dt
-    step = a - a**2 / 2 + a**3 / 6 - a**4 / 24  # what four Runge–Kutta stages make of it
+    step = a - a**2 / 2 + a**3 / 6 - a**4 / 24  # the result of the four Runge–Kutta stages
     y, out = 0.0, np.empty(x.size)
     for t in range(x.size):
         y += step * (x[t] - y)
@@ -68,7 +68,7 @@ def _mode_slope(x, v, force, omega, damping, cubic, soft):
 
 @numba.njit(cache=True)
 def mode(force, frequency_hz, damping, dt, cubic=0.0, soft=0.0):
-    """ẍ + 2ζω₀ẋ + ω₀²(e + k₃e³) = 0, e = x - x_in; ω₀ moves by `soft` a micrometre of x_in."""
+    """ẍ + 2ζω₀ẋ + ω₀²(e + k₃e³) = 0, e = x - x_in; ω₀ changes by `soft` per µm of x_in."""
     omega = 2 * math.pi * frequency_hz
     x, v, out = 0.0, 0.0, np.empty(force.size)
     for t in range(force.size):
@@ -95,7 +95,7 @@ def backlash(x, half_gap):
 
 @numba.njit(cache=True)
 def stick_slip(x, breakaway, sliding, rest_per_step):
-    """Stuck until the drive is `breakaway` ahead, then `sliding` behind it until it rests or turns."""
+    """Stick until the drive is `breakaway` ahead, then follow `sliding` behind until it rests or reverses."""
     y, stuck, sign, out = 0.0, True, 0.0, np.empty(x.size)
     for t in range(x.size):
         if not stuck:

@@ -50,7 +50,7 @@ CLASHING = (
 
 @dataclass(frozen=True)
 class Settings:
-    """What is not left to chance."""
+    """The choices of a case that are not drawn."""
 
     track: str
     seed: int
@@ -61,13 +61,13 @@ class Settings:
     only: tuple[str, ...] = ()
     severity: float | None = None
     conditions: Conditions = PLAIN
-    """Those of the track `nulls_conditions` are drawn instead."""
+    """Not used by the track `nulls_conditions`, which draws its conditions."""
 
 
 def draw_case(settings: Settings) -> Case:
     """The case of this track, seed and index; the same arguments give the same case."""
     rng = np.random.default_rng([settings.seed, TRACKS.index(settings.track), settings.index])
-    # The conditions have a generator of their own: with the plain ones a case is what it always was.
+    # The conditions have a generator of their own, so that cases under plain conditions remain the same.
     around = np.random.default_rng([settings.seed, TRACKS.index(settings.track), settings.index, 6])
     conditions = settings.conditions
     if settings.track == "nulls_conditions":
@@ -92,7 +92,7 @@ def draw_case(settings: Settings) -> Case:
         physics = _with(physics, change)
     labels = _labels(settings, rig, found, physics, runs, plain, conditions)
     entropy = [settings.seed, TRACKS.index(settings.track), settings.index, 5]
-    # Those of the first three recordings, of the judge's, and of a fourth.
+    # Noise seeds of the first three recordings, of the judge's, and of a fourth.
     seeds = np.random.SeedSequence(entropy).spawn(5)
     seeds_of_runs = [seeds[run.number if run.number < 3 else 4] for run in runs]
     recordings = [
@@ -100,7 +100,7 @@ def draw_case(settings: Settings) -> Case:
         for run, s in zip(runs, seeds_of_runs, strict=True)
     ]
     heldout = _record(rig, _knowable(physics), last, seeds[3])
-    # The judge's command is given as the monitor reads it on average, so that its noise is not predicted.
+    # The judge's command is what the monitor reads on average, so that its noise cannot spoil predictions.
     still = None if monitor is None else replace(monitor, noise_v=0.0)
     return Case(recordings, labels, _written(heldout, conditions, still, around))
 
@@ -113,14 +113,14 @@ def _under_conditions(
     reach: excitation.Reach,
     rng: np.random.Generator,
 ) -> list[Run]:
-    """As many runs as are recorded, each after its history, and with or without holds."""
+    """Return as many runs as are recorded, each after its history, and with or without holds."""
     if conditions.recordings > len(runs):
         aux = None if runs[0].aux is None else np.round(excitation.draw_aux(rng, reach), 6)
         fourth = np.round(excitation.draw_fourth(kind, rng, reach), 6)
         runs = [*runs, Run(fourth, aux, 4)]
     elif conditions.recordings < len(runs):
         chosen = set(rng.choice(len(runs), conditions.recordings, replace=False).tolist())
-        if "load_change" in names:  # it is only there in the third
+        if "load_change" in names:  # it is present only in the third
             chosen = {*sorted(chosen)[: conditions.recordings - 1], 2}
         runs = [run for run in runs if run.number in chosen]
     out = []
@@ -135,7 +135,7 @@ def _under_conditions(
 def _written(
     columns: dict[str, Array], conditions: Conditions, monitor: Monitor | None, rng: np.random.Generator
 ) -> dict[str, Array]:
-    """The columns as the files have them: the voltage as it is monitored, all in the files' units."""
+    """Return the columns as the files have them: with the monitored voltage, and in the files' units."""
     u = columns["input_v"]
     if monitor is not None:
         u = (1 + monitor.gain) * u + monitor.offset_v + monitor.noise_v * rng.standard_normal(u.size)
@@ -166,7 +166,7 @@ def _draw_rig(settings: Settings, rng: np.random.Generator) -> Rig:
     colour = str(rng.choice(["white", "ar", "flicker"]))
     timing = str(rng.choice(["end_of_hold", "end_of_hold", "end_of_hold", "before_write"]))
     oversampling = int(rng.integers(6, 11))
-    # A sensor of a longer range is a noisier one: 0.5e-4 to 5e-4 of it, within 1–10 nm.
+    # A sensor of longer range is noisier: 0.5e-4 to 5e-4 of the range, within 1–10 nm.
     share = float(np.exp(rng.uniform(np.log(0.5e-4), np.log(5e-4))))
     noise_um = min(max(share * reach_um, 1e-3), 1e-2)
     if settings.track in ("single_other", "nulls_other") and colour == "white":
@@ -189,7 +189,7 @@ def _draw_rig(settings: Settings, rng: np.random.Generator) -> Rig:
 
 
 def _commonplace(rng: np.random.Generator, span: float, reach_um: float) -> Plays:
-    """The plays that a tool would choose: ten, on an even grid. For the crime track only."""
+    """Draw the plays that a tool would choose: ten, on an even grid. For the crime track only."""
     r = np.linspace(0.0, 0.45, 10) * span
     weights = np.exp(-r / (0.2 * span)) * rng.uniform(0.7, 1.3, r.size)
     weights[0] *= 12
@@ -205,7 +205,7 @@ def _draw_names(settings: Settings, rng: np.random.Generator) -> tuple[str, ...]
         return (list(UNKNOWNS)[settings.index % len(UNKNOWNS)],)
     listed = [name for name in EFFECTS if track != "single_other" or name not in STATIC]
     if track in ("single_pi", "single_other", "crime"):
-        # Every name once before any comes twice; the family's cycle of five shares no factor with 18.
+        # Every name occurs once before any occurs twice; the cycle of 5 families shares no factor with 18.
         order = np.random.default_rng([settings.seed, 3]).permutation(len(listed))
         return (listed[order[settings.index % len(listed)]],)
     count = 2 if track == "pairs" else 3
@@ -235,9 +235,7 @@ def _one_effect(
         for key, (value, unit) in proposal.parameters(strength).items()
     }
     if name == "delay" and rig.timing == "before_write":
-        parameters["delay_s"]["or"] = (
-            parameters["delay_s"]["value"] + 1 / rig.fs_hz
-        )  # with the hold counted in
+        parameters["delay_s"]["or"] = parameters["delay_s"]["value"] + 1 / rig.fs_hz  # including the hold
     label = {
         "name": name,
         "listed": known,
@@ -257,14 +255,14 @@ def _one_effect(
 
 
 def _with(physics: Physics, change: dict[str, object]) -> Physics:
-    """With these fields changed. Shares of modes add up to one where a whole mode is there already."""
+    """Return the physics with these fields replaced; effects outside the list are added to those present."""
     if "outside" in change:
         change = {"outside": (*physics.outside, *change["outside"])}
     return replace(physics, **change)
 
 
 def _knowable(physics: Physics) -> Physics:
-    """Without what comes by itself and no input foretells: nobody could predict its phase on another day."""
+    """Remove effects that no input determines, because their phase on another day cannot be predicted."""
     outside = tuple(o for o in physics.outside if o.place != "sensor" or o.name == "sensor_memory")
     return replace(physics, hum_um=(), drift_um=0.0, outside=outside)
 

@@ -1,8 +1,8 @@
-"""The conditions of a recording: what went before it, how the stage is driven, what the files hold.
+"""The conditions of a recording: its history, how the stage is driven, and what the files contain.
 
-None of this is physics of the plant. The same rig is recorded as people record theirs: it is not always
-de-energised at the first sample, the command never rests, the voltage is a measured one, there are one to
-four files, and the numbers come in another unit.
+None of this is physics of the plant. The same rig is recorded as people record theirs: it may not be
+de-energised at the first sample, the command may never rest, the voltage may be a measured one, there are one
+to four files, and the numbers may be in another unit.
 """
 
 import math
@@ -13,8 +13,8 @@ import numpy as np
 from concealed.plant.excitation import Reach
 from concealed.plant.physics import Array
 
-SHORTEST_HOLD = 8  # samples of equal voltage; fewer are the edge of a step
-# The factor on a value that grows by v with each volt and by um with each micrometre.
+SHORTEST_HOLD = 8  # samples of equal voltage; fewer belong to the edge of a step
+# Exponents with which the scale factors of voltage and displacement act on a value of each unit.
 POWERS = {
     "V": (1, 0),
     "V/s": (1, 0),
@@ -36,7 +36,7 @@ class Conditions:
     holds: bool = True
     """Without holds, a small triangle stands in place of each stretch of equal voltage."""
     monitored: bool = False
-    """`input_v` is a measured voltage: noise, and a small error of gain and offset."""
+    """`input_v` is a measured voltage, with noise and small errors of gain and offset."""
     recordings: int = 3
     scale_v: float = 1.0
     """Factor on the voltages in the files, such as 10 for those behind the amplifier."""
@@ -44,7 +44,7 @@ class Conditions:
     """Factor on the displacements in the files, such as 1e-3 for millimetres."""
 
     def scaled(self, value: float, unit: str) -> float:
-        """A parameter of the plant in the units of the files."""
+        """Convert a parameter of the plant to the units of the files."""
         volts, micrometres = POWERS.get(unit, (0, 0))
         return value * self.scale_v**volts * self.scale_um**micrometres
 
@@ -62,7 +62,7 @@ class Monitor:
 
 
 def draw_conditions(index: int, rng: np.random.Generator) -> Conditions:
-    """Of `nulls_conditions`: a third remanent, a third without a hold, a third with a monitored voltage."""
+    """Draw those of `nulls_conditions`: a third each remanent, without holds, with a monitored voltage."""
     return Conditions(
         remanent=index % 3 == 0,
         holds=index % 3 != 1,
@@ -100,7 +100,7 @@ def without_holds(u: Array, reach: Reach, rng: np.random.Generator) -> Array:
 
 
 def draw_monitor(rng: np.random.Generator, reach: Reach) -> Monitor:
-    """A voltage divider and its converter: within 1 %, 0.2 % of the span, 2 to 30 parts in 100,000."""
+    """Draw a voltage divider: gain within 1 %, offset 0.2 % of the span, noise 2 to 30 parts in 100,000."""
     span = reach.upper_v - reach.lower_v
     noise = math.exp(rng.uniform(math.log(2e-5), math.log(3e-4)))
     return Monitor(rng.uniform(-0.01, 0.01), rng.uniform(-0.002, 0.002) * span, noise * span)

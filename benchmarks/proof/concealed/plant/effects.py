@@ -13,7 +13,7 @@ Quantity = tuple[float, str]
 
 @dataclass(frozen=True)
 class Proposal:
-    """An effect with everything drawn but its strength, which the severity will decide.
+    """An effect with everything drawn except its strength, which the severity determines.
 
     `change(strength)` gives the fields of `Physics`; `parameters(strength)` their true values with units.
     """
@@ -54,7 +54,7 @@ def _slew_limit(rng, rig, runs):
 
 def _voltage_saturation(rng, rig, runs):
     top = max(run.u.max() for run in runs)
-    # The strength is the share of the top that is cut, so that it grows from nothing.
+    # The strength is the share of the top that is cut off, so that it starts from zero.
     return Proposal(
         lambda s: {"upper_v": top * (1 - s)}, 1e-5, 0.3, 0.02, lambda s: {"upper_v": (top * (1 - s), "V")}
     )
@@ -125,7 +125,7 @@ def _creep(rng, rig, runs):
     else:
         taus = np.geomspace(max(shortest, 1e-3), max(longest, 100.0), 23)
         gains = np.ones(taus.size) if kind == "logarithmic" else taus ** rng.uniform(0.05, 0.2)
-    # Strength is γ: what a step gains between 0.1 and 1 of the recording's hold of a tenth of its length.
+    # The strength γ is the creep of a step between 0.1 and 1 of a hold that lasts a tenth of the recording.
     late, early = 0.1 * duration, 0.01 * duration
     per_decade = float(np.sum(gains * (np.exp(-early / taus) - np.exp(-late / taus))))
     gains = gains / per_decade

@@ -1,4 +1,4 @@
-"""What a user would record: commands in V for three recordings, and the judge's own fourth."""
+"""The commands, V, of three recordings that a user would make, and of the judge's own fourth."""
 
 import math
 from dataclasses import dataclass
@@ -9,7 +9,7 @@ from concealed.plant.physics import Array
 
 @dataclass(frozen=True)
 class Reach:
-    """What the commands may use: limits, V, and the sampling."""
+    """Limits of the commands, V, and their sampling."""
 
     lower_v: float
     upper_v: float
@@ -18,7 +18,7 @@ class Reach:
 
 
 def draw_recordings(kind: str, rng: np.random.Generator, reach: Reach) -> list[Array]:
-    """Three commands of `reach.samples` each, de-energised at the first sample.
+    """Draw three commands of `reach.samples` each, de-energised at the first sample.
 
     "rich" is the discriminating set (hold, odd multisine at two amplitudes, stairs up and down, triangles at
     three rates and amplitudes with minor loops); "paper" a 5 Hz sine, a sum of sines and triangles; "poor"
@@ -35,7 +35,7 @@ def draw_recordings(kind: str, rng: np.random.Generator, reach: Reach) -> list[A
 
 
 def draw_fourth(kind: str, rng: np.random.Generator, reach: Reach) -> Array:
-    """One more command for those who record four times: of another kind than the first three."""
+    """Draw one more command for cases with four recordings, of another kind than the first three."""
     parts = {
         "rich": lambda: _sum_of_sines(rng, reach),
         "paper": lambda: _stairs(rng, reach),
@@ -64,7 +64,7 @@ def draw_heldout(rng: np.random.Generator, reach: Reach) -> Array:
 
 
 def draw_aux(rng: np.random.Generator, reach: Reach) -> Array:
-    """A second axis that goes its own way: a slow sum of sines, V."""
+    """Draw the voltage of an independent second axis: a slow sum of sines, V."""
     t = np.arange(reach.samples) / reach.fs_hz
     frequencies = np.exp(rng.uniform(np.log(3 / t[-1]), np.log(reach.fs_hz / 60), 12))
     y = sum(np.sin(2 * math.pi * f * t + rng.uniform(0, 2 * math.pi)) / math.sqrt(f) for f in frequencies)
@@ -77,7 +77,7 @@ def _fit(u: Array, samples: int) -> Array:
 
 
 def _joined(parts: list[Array], reach: Reach) -> Array:
-    """The parts with half-cosine bridges where they do not meet."""
+    """Join the parts, with half-cosine bridges where their ends do not meet."""
     out = [parts[0]]
     count = max(reach.samples // 60, 8)
     bridge = 0.5 - 0.5 * np.cos(np.linspace(0, math.pi, count))
@@ -102,7 +102,7 @@ def _odd_multisine(rng: np.random.Generator, period: int, fs_hz: float, periods:
     lines = lines[keep]
     amplitude = 1 / np.maximum(1.0, lines / (period / 1000))
     best = None
-    for _ in range(12):  # the phases with the lowest crest of a dozen draws
+    for _ in range(12):  # take the phases with the lowest crest factor of a dozen draws
         spectrum = np.zeros(period // 2 + 1, dtype=complex)
         spectrum[lines] = amplitude * np.exp(1j * rng.uniform(0, 2 * math.pi, lines.size))
         y = np.fft.irfft(spectrum, period)
@@ -133,7 +133,7 @@ def _stairs(rng: np.random.Generator, reach: Reach) -> Array:
     start = n // 50
     hold = (n - start) // levels.size
     edge_s = 0.0 if rng.random() < 0.5 else float(np.exp(rng.uniform(np.log(1e-3), np.log(2e-2))))
-    edge = np.linspace(0, 1, max(int(edge_s * reach.fs_hz), 1) + 1)[1:]  # some amplifiers bear no abrupt step
+    edge = np.linspace(0, 1, max(int(edge_s * reach.fs_hz), 1) + 1)[1:]  # some amplifiers need gradual steps
     parts, last = [np.zeros(start)], 0.0
     for level in levels:
         parts += [last + (level - last) * edge, np.full(hold - edge.size, level)]

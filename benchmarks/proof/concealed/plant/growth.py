@@ -1,4 +1,4 @@
-"""What is left of an effect once the plain plant's plays are refitted: the part that needs new physics."""
+"""The part of an effect that remains after the plain plant's plays are refitted and needs new physics."""
 
 from collections.abc import Sequence
 
@@ -11,7 +11,7 @@ THRESHOLDS = np.concatenate([[0.0], np.geomspace(1e-3, 0.7, 39)])  # of the span
 
 
 def beyond_plays_um(difference: Array, runs: Sequence[Run], span_v: float) -> float:
-    """Rms of what forty linear plays and an offset cannot follow of `difference` (all runs end to end)."""
+    """Rms of the part of `difference` that forty linear plays and an offset cannot fit (runs end to end)."""
     columns = np.concatenate([_play_states(run.u, THRESHOLDS * span_v)[run.history :] for run in runs])
     columns = np.column_stack([columns, np.ones(len(columns))])
     gram = columns.T @ columns

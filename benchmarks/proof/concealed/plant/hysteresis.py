@@ -1,7 +1,7 @@
-"""Four hysteresis truths. Each takes a voltage from the de-energised state to a displacement, both arrays.
+"""Four true hystereses. Each maps an array of voltages, from the de-energised state, to displacements.
 
-All are rate-independent, so a stretch of constant input costs nothing and a monotone stretch may be crossed
-in one step; only the Bouc–Wen equation is integrated, by Runge–Kutta in the voltage.
+All are rate-independent, so constant input costs nothing and a monotone stretch may be crossed in one step;
+only the Bouc–Wen equation is integrated, by Runge–Kutta in the voltage.
 """
 
 import math
@@ -74,9 +74,9 @@ def _plays(v, reversible, r_up, r_down, w, span, up, down):
 
 @dataclass(frozen=True)
 class Preisach:
-    """y = a·v + ∬ μ(α, β) γ_αβ, the integral through Everett's function of the remembered extremes.
+    """y = a·v + ∬ μ(α, β) γ_αβ, with the integral from Everett's function of the remembered extremes.
 
-    `everett` is tabulated on `grid`; odd about its diagonal, so that a reversal starts without a step.
+    `everett` is tabulated on `grid` and odd about its diagonal, so that a reversal starts without a step.
     """
 
     family: str
@@ -108,7 +108,7 @@ def _everett(table, low, step, alpha, beta):
 
 @numba.njit(cache=True)
 def _preisach(v, table, low, step, strongest):
-    levels = 400  # of the alternating field that left the ceramic without memory
+    levels = 400  # of the alternating field that erased the memory of the ceramic
     high, deep, sums = np.empty(levels + v.size), np.empty(levels + v.size), np.empty(levels + v.size)
     n = 0
     for k in range(levels):
@@ -195,7 +195,7 @@ def _bouc_wen(v, alpha, beta, gamma, step):
 
 
 def draw_hysteresis(family: str, rng: np.random.Generator, span_v: float, range_um: float) -> Hysteresis:
-    """A truth of this family: a loop of 7–14 % at full swing, `range_um` at `span_v`."""
+    """Draw a hysteresis of this family with a loop of 7–14 % at full swing and `range_um` at `span_v`."""
     width = rng.uniform(0.07, 0.14)
     return {
         "pi": _draw_pi,
@@ -211,7 +211,7 @@ def _swing(span_v: float) -> Array:
 
 
 def _loop(y: Array) -> tuple[float, float]:
-    """Width of the settled loop and its range, both in the unit of y, from the answer to `_swing`."""
+    """Width of the settled loop and its range, both in the unit of y, from the response to `_swing`."""
     return float(np.max(y[600:][::-1] - y[400:600])), float(np.ptp(y[400:]))
 
 
@@ -277,7 +277,7 @@ def _draw_preisach(rng: np.random.Generator, span_v: float, range_um: float, wid
 def _draw_bouc_wen(rng: np.random.Generator, span_v: float, range_um: float, width: float) -> BoucWen:
     beta = rng.uniform(2.0, 8.0) / span_v
     gamma = rng.uniform(-0.4, 0.2) * beta
-    # With α and d of one scale, the loop of d·v - α·ζ(v) opens in proportion to α.
+    # With α in units of d, the loop of d·v - α·ζ(v) opens in proportion to α.
     zeta = _bouc_wen(_swing(span_v), 1.0, beta, gamma, span_v / 500)
     low, high = 0.0, 5.0
     for _ in range(40):

@@ -1,4 +1,4 @@
-"""What a rig may have beyond its hysteresis. The defaults are a plain plant: each of them does nothing."""
+"""Physics of a rig beyond its hysteresis. With the defaults nothing is added: they are a plain plant."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -28,7 +28,7 @@ class Creep:
 
 @dataclass(frozen=True)
 class Outside:
-    """Physics that is on nobody's list: where it acts and what it does there.
+    """Physics outside the list of effects: where it acts and what it does there.
 
     `act(x, dt_s, seed)` takes and returns an array: the commands ("converter"), the displacement on the fine
     grid ("mechanics"), or the readings ("sensor").

@@ -15,7 +15,7 @@ RATE_FILTER_S = 2e-3
 class Rig:
     """A plain plant and how it is sampled.
 
-    `timing` says which command the reading of tick k answers: "end_of_hold", u(k) after its whole hold;
+    `timing` says which command the reading of tick k responds to: "end_of_hold", u(k) after its whole hold;
     "before_write", u(k-1), since the controller reads before it writes.
     """
 
@@ -35,7 +35,7 @@ class Rig:
 
 @dataclass(frozen=True)
 class Run:
-    """One recording to be made: commands, second axis (or none), which one it is, whether a load is on."""
+    """One recording to be made: commands, second axis (or none), its number, and whether a load is on."""
 
     u: Array  # shape: (samples,), V
     aux: Array | None  # shape: (samples,), V
@@ -45,9 +45,9 @@ class Run:
 
 
 def simulate(rig: Rig, physics: Physics, run: Run, noise_um: Array | None = None) -> Array:
-    """The readings, µm, of one run from the de-energised state; without noise unless some is given.
+    """Return the readings, µm, of one run from the de-energised state; noise is added only if given.
 
-    A history is played first, and not read.
+    A history is played first and is not read.
     """
     fine = rig.oversampling
     dt = 1 / (rig.fs_hz * fine)
@@ -164,7 +164,7 @@ def _read(rig: Rig, x: Array) -> Array:
 
 
 def _autonomous(rig, physics, run, time):
-    """What comes by itself: the warming of a day that differs from run to run, and the mains."""
+    """Displacements that no command causes: warming, which differs from run to run, and mains hum."""
     rng = np.random.default_rng([rig.seed, 77, run.number])
     y = np.zeros(time.size)
     if physics.drift_um:

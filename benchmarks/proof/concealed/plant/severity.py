@@ -1,4 +1,4 @@
-"""How much an effect changes the recordings, and the strength at which it changes them as much as asked."""
+"""Severity: how much an effect changes the recordings; and the strength that reaches a wanted severity."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -20,7 +20,7 @@ def readings(rig: Rig, physics: Physics, runs: Sequence[Run]) -> Array:
 
 
 def misfit_um(with_effect: Array, without: Array) -> float:
-    """What gain and offset leave of the difference, rms."""
+    """Rms of the difference that remains after fitting a gain and an offset."""
     x = without - without.mean()
     y = with_effect - with_effect.mean()
     return float(np.sqrt(np.mean((y - x * (x @ y) / (x @ x)) ** 2)))
@@ -29,10 +29,10 @@ def misfit_um(with_effect: Array, without: Array) -> float:
 def strength_for(
     wanted: float, measure: Callable[[float], float], low: float, high: float, start: float
 ) -> tuple[float, float]:
-    """The strength in [low, high] with the wanted severity, and the severity reached.
+    """Return the strength in [low, high] with the wanted severity, and the severity reached.
 
-    Secant steps in the logarithms of both until two strengths enclose it, then interpolation and bisection in
-    turn; the nearest found if the bounds forbid it. Severity may grow or fall with strength.
+    Takes secant steps in the logarithms of both until two strengths enclose it, then interpolates and bisects
+    in turn; gives the nearest found if the bounds exclude it. Severity may grow or fall with strength.
     """
     goal = math.log(wanted)
     ends = [math.log(low), math.log(high)]

@@ -1,4 +1,4 @@
-"""Physics outside the list. `near` names what is on the list and truly in it: naming that is not wrong."""
+"""Physics outside the list. `near` holds the listed effects truly in it: naming those is not wrong."""
 
 import math
 from collections.abc import Callable
@@ -22,7 +22,7 @@ class Unknown:
     near: frozenset[str] = frozenset()
 
     def proposal(self, rng: np.random.Generator, rig: Rig) -> Proposal:
-        """The effect with all drawn but its strength."""
+        """Draw the effect with everything except its strength."""
         act, low, high, start = self.propose(rng, rig)
         return Proposal(
             lambda s: {"outside": (Outside(self.name, self.place, lambda x, dt, seed: act(x, dt, seed, s)),)},

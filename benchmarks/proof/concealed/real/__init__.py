@@ -1,1 +1,1 @@
-"""Known effects in real recordings."""
+"""Known effects injected into real recordings."""

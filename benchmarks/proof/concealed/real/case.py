@@ -1,4 +1,4 @@
-"""One case: real recordings, the same with an effect in them, and what was done."""
+"""One case: real recordings, the same with an effect injected, and the labels of the injection."""
 
 import math
 from collections.abc import Callable
@@ -13,7 +13,7 @@ from concealed.real.effects import Injection
 from concealed.real.sources import SOURCES, Array, Record, Source, second_axis
 
 SEVERITIES = (2.0, 20.0)
-FAINTEST_DELAY = 60.0  # one sample of delay may be this severe, or more where none is less
+FAINTEST_DELAY = 60.0  # one sample of delay may be this severe, or more if no delay is less severe
 STACKS, MIRRORS, MOTORS = (
     tuple(name for name in SOURCES if name.startswith(kind)) for kind in ("stack", "mirror", "motor")
 )
@@ -43,9 +43,9 @@ PLANS = [
 
 
 def draw_case(data: Path, seed: int, index: int) -> Case:
-    """The case of this seed and index.
+    """Draw the case of this seed and index.
 
-    The cut of a source is drawn once for a seed, so that few untouched recordings serve all its cases.
+    The cut of a source is drawn once per seed, so that few untouched recordings serve all its cases.
     """
     source_name, kind = plan(seed, index)
     number = list(SOURCES).index(source_name)
@@ -80,7 +80,7 @@ def draw_case(data: Path, seed: int, index: int) -> Case:
 
 
 def untouched_recordings(seed: int, index: int) -> tuple[str, bool]:
-    """Which recordings the case is compared with: those of this source, with or without a second axis.
+    """Return the source of the recordings that the case is compared with, and whether with a second axis.
 
     Cases of one seed with the same answer here have the same untouched recordings.
     """
@@ -89,13 +89,13 @@ def untouched_recordings(seed: int, index: int) -> tuple[str, bool]:
 
 
 def plan(seed: int, index: int) -> tuple[str, str]:
-    """Source and kind of the case: every pair once before any comes twice."""
+    """Return source and kind of the case; every pair occurs once before any occurs twice."""
     order = np.random.default_rng([seed, 1]).permutation(len(PLANS))
     return PLANS[order[index % len(PLANS)]]
 
 
 def severity(injection: Injection, strength: float, source: Source) -> float:
-    """Rms of what the effect changes after a best gain, each record's own mean left out, over the noise."""
+    """Rms change by the effect after a best gain, without each record's own mean, in units of the noise."""
     changed = (injection.late or injection.inject)(strength)
     return misfit_um(_displacement(changed), _displacement(source.records)) / source.noise_um
 
@@ -105,7 +105,7 @@ def _displacement(records: list[Record]) -> Array:
 
 
 def _strength(injection: Injection, source: Source, wanted: float) -> float:
-    """The strength of the wanted severity, as far as the bounds let it; whole where it counts samples."""
+    """Return the strength of the wanted severity within the bounds; an integer where it counts samples."""
     if injection.low == injection.high:
         return injection.low
     if injection.whole:

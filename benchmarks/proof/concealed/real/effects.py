@@ -1,7 +1,7 @@
-"""Effects that can be put into a recording exactly: behind the sensor, before the command, or beside both.
+"""Effects that can be injected into recordings exactly: after the sensor, before the command, or in parallel.
 
-Each is a function of its strength, made once with everything else drawn, so that the strength can be searched
-for the severity that a case is to have.
+Each is a function of its strength with everything else drawn before, so that the strength can be searched for
+the severity that a case is to have.
 """
 
 import math
@@ -19,9 +19,9 @@ Parameters = dict[str, tuple[float, str]]
 
 @dataclass(frozen=True)
 class Injection:
-    """An effect with all drawn but its strength.
+    """An effect with everything drawn except its strength.
 
-    `accepted` are the names that are right: its own, and those that u and y cannot split from it; none where
+    `accepted` are the right names: its own, and those that u and y cannot tell apart from it. It is empty if
     the only right answer is that something without a name is there.
     """
 
@@ -40,7 +40,7 @@ class Injection:
 
 
 def sensor_lag(rng: np.random.Generator, records: list[Record], noise_um: float) -> Injection:
-    """y' = 2 pi f_c (x - y): for readings that go straight from sample to sample, or exactly if periodic."""
+    """y' = 2 pi f_c (x - y): for readings that are linear between samples, or exactly if periodic."""
     fs = records[0].fs_hz
 
     def one(record: Record, cutoff_hz: float) -> Record:
@@ -58,7 +58,7 @@ def sensor_lag(rng: np.random.Generator, records: list[Record], noise_um: float)
         lagged, _ = lfilter([b, a], [1, -decay], x - x[0], zi=[0.0])
         return replace(record, y=(lagged + x[0])[before.size :])
 
-    # The strength is a time, so that it grows from nothing.
+    # The strength is a time, so that it starts from zero.
     return Injection(
         "sensor_lag",
         "one pole",
@@ -72,14 +72,14 @@ def sensor_lag(rng: np.random.Generator, records: list[Record], noise_um: float)
 
 
 def delay_of_the_sensor(rng: np.random.Generator, records: list[Record], noise_um: float) -> Injection:
-    """y(k - d): the readings come whole samples later."""
+    """y(k - d): the readings are delayed by whole samples."""
     fs = records[0].fs_hz
     late = _late(records)
     return _delay("sensor", fs, late, late)
 
 
 def delay_of_the_command(rng: np.random.Generator, records: list[Record], noise_um: float) -> Injection:
-    """u(k + d) in the file: the stage answers a command that was written whole samples earlier."""
+    """u(k + d) in the file: the stage responds to a command that was written whole samples earlier."""
     fs = records[0].fs_hz
 
     def one(record: Record, d: int) -> Record:
@@ -180,7 +180,7 @@ def hum(rng: np.random.Generator, records: list[Record], noise_um: float) -> Inj
 
 
 def drift(form: str) -> Callable[[np.random.Generator, list[Record], float], Injection]:
-    """Slow, added to the readings: "exponential", "linear" or "random walk"; its size differs by record."""
+    """Slow drift of the readings: "exponential", "linear" or "random walk"; its size differs by record."""
 
     def draw(rng: np.random.Generator, records: list[Record], noise_um: float) -> Injection:
         longest_s = max(r.y.size / r.fs_hz for r in records)
@@ -210,7 +210,7 @@ def drift(form: str) -> Callable[[np.random.Generator, list[Record], float], Inj
 
 
 def ageing(rng: np.random.Generator, records: list[Record], noise_um: float) -> Injection:
-    """y (1 - loss t / T): the gain falls in each recording; it is a slow change of gain as well."""
+    """y (1 - loss t / T): the gain falls in each recording, which is a slow gain modulation as well."""
 
     def one(record: Record, loss: float) -> Record:
         return replace(record, y=record.y * (1 - loss * np.linspace(0, 1, record.y.size)))
@@ -220,7 +220,7 @@ def ageing(rng: np.random.Generator, records: list[Record], noise_um: float) -> 
 
 
 def gain_modulation(form: str) -> Callable[[np.random.Generator, list[Record], float], Injection]:
-    """y (1 + m sin) or y + A sin, three cycles of a recording and more, 3 Hz and slower, not driven by u."""
+    """y (1 + m sin) or y + A sin, at least three cycles per recording, at most 3 Hz, not driven by u."""
 
     def draw(rng: np.random.Generator, records: list[Record], noise_um: float) -> Injection:
         shortest_s = min(r.y.size / r.fs_hz for r in records)
@@ -275,7 +275,7 @@ def dropouts(rng: np.random.Generator, records: list[Record], noise_um: float) -
 
 
 def cross_coupling(recorded: bool, second: list[Array]) -> Callable[..., Injection]:
-    """y + c w: a second axis that the files have, or that was not recorded and can only be missed."""
+    """y + c w: a second axis that the files have, or that was not recorded and so cannot be named."""
 
     def draw(rng: np.random.Generator, records: list[Record], noise_um: float) -> Injection:
         c = 1 / max(float(np.std(w)) for w in second) * float(rng.choice([-1, 1]))
@@ -294,7 +294,7 @@ def cross_coupling(recorded: bool, second: list[Array]) -> Callable[..., Injecti
 
 
 def withheld(rng: np.random.Generator, records: list[Record], noise_um: float) -> Injection:
-    """One of the recorded voltages is left out of the files: what it moves has no name any more."""
+    """Leave one of the recorded voltages out of the files: the motion that it causes then has no name."""
     out = str(rng.choice(sorted(records[0].aux)))
 
     def one(record: Record) -> Record:
@@ -321,7 +321,7 @@ def _sizes(noise_um: float) -> tuple[float, float, float]:
 
 
 def _between_the_lines(rng: np.random.Generator, records: list[Record], slowest_hz: float) -> float:
-    """A frequency up to 3 Hz that is no line of a periodic input, nor half way between two of them."""
+    """Draw a frequency up to 3 Hz that is neither a line of a periodic input nor half-way between two."""
     lines_hz = 1.0 if records[0].period is None else records[0].fs_hz / records[0].period
     while True:
         f = math.exp(rng.uniform(math.log(min(slowest_hz, 2.0)), math.log(3.0)))

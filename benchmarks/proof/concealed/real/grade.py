@@ -1,4 +1,4 @@
-"""One answer on a recording with a known effect in it, against that on the same recording without it."""
+"""Grade an answer on a recording with a known effect against that on the same recording without it."""
 
 from concealed.judging.grade import (
     LARGEST_GROUP,
@@ -10,19 +10,19 @@ from concealed.judging.grade import (
 )
 from concealed.names import group_of
 
-STRENGTHENED = 0.5  # of the injected variance must be in the growth of a name that was there before
+STRENGTHENED = 0.5  # share of the injected variance by which a name given before must have grown
 
 
 def grade_injected(
     labels: dict, answer: dict | None, untouched: dict | None, *, diagnose_s: float | None = None
 ) -> Grade:
-    """Grade a diagnosis of a real recording; None where the tool failed, which is an answer without names.
+    """Grade a diagnosis of a real recording; None means that the tool failed: an answer without names.
 
-    A name is right where it is accepted, or has an accepted one among its alternatives (these being no more
-    than a group that u and y cannot split), and the untouched answer does not have it or has less of it. A
-    name is wrong where it is not right, and in the untouched answer neither a name nor an alternative. A name
-    in place of another of its group, which u and y cannot split, is not new. Without an answer to the
-    untouched recording nothing can be graded: the case counts as failed.
+    A name is right if it is accepted, or has an accepted one among its alternatives (no more than a group
+    that u and y cannot tell apart), and the untouched answer lacks it or has less of it. A name is wrong if
+    it is not right and is neither a name nor an alternative in the untouched answer. A name that replaces
+    another of its group, which u and y cannot tell apart, is not new. Without an answer to the untouched
+    recording nothing can be graded, and the case counts as failed.
     """
     failed = next(
         (why for a in (answer, untouched) if (why := "no answer" if a is None else unreadable(a))), ""
@@ -63,7 +63,7 @@ def grade_injected(
         over_residual=None if failed else _over_residual(labels, untouched),
         heldout_gain=None if failed else heldout_gain(answer),
         diagnose_s=diagnose_s,
-        # A value that was there before is a sum of both.
+        # The parameters of a name given before are sums of both contributions.
         parameters=[p for e in new if e is taken and exact for p in compared_parameters(labels, e)],
         stated=[_stated(e, taken, accepted) for e in effects if e is taken or any(e is c for c in charged)],
     )
@@ -81,7 +81,7 @@ def _is_right(effect: dict, accepted: set[str]) -> bool:
 
 
 def _has_grown(effect: dict, labels: dict, answer: dict, untouched: dict) -> bool:
-    """Whether it explains more than before by half of what was injected, as variances."""
+    """Whether the variance it explains has grown by at least half of the injected variance."""
     injected = (labels["severity"] or 0.0) * labels["noise_rms_um"]
     earlier = next(e for e in untouched["effects"] if e["name"] == effect["name"])
     growth = _explained(effect, answer) - _explained(earlier, untouched)
@@ -89,14 +89,14 @@ def _has_grown(effect: dict, labels: dict, answer: dict, untouched: dict) -> boo
 
 
 def _explained(effect: dict, answer: dict) -> float:
-    """Variance, µm²: the effect's share of the mismatch over the floor; 0 without an account of it."""
+    """Variance, µm²: the effect's share of the mismatch above the floor; 0 if the answer does not say."""
     floor = answer.get("fit", {}).get("noise_floor_um") or 0.0
     mismatch = (heldout_rms_um(answer, "retuned") or 0.0) ** 2 - floor**2
     return effect.get("share", 0.0) * max(mismatch, 0.0)
 
 
 def _over_residual(labels: dict, untouched: dict) -> float | None:
-    """The injected rms over what the untouched answer leaves held out: what it has to be seen against."""
+    """Injected rms over the held-out residual of the untouched answer, against which it must be detected."""
     left = heldout_rms_um(untouched, "augmented")
     if not left or labels["severity"] is None:
         return None

@@ -1,7 +1,7 @@
 """Real recordings, cut as a case needs them, and the noise in them.
 
-The data lie beside the repository (`../shared/data`); their README says whose they are. Nothing in them is
-changed here but the unit, and the zero of the stack's displacement, which is arbitrary.
+The data lie beside the repository (`../shared/data`); their README states their owners. Only the unit is
+changed here, and the zero of the stack's displacement, which is arbitrary.
 """
 
 from collections.abc import Callable
@@ -23,8 +23,8 @@ OTHERS_MOVE_AT = 5200  # samples; the test record's other two actuators stand st
 class Record:
     """One real recording: `u` V, `y` µm, other signals, and what came before its first sample.
 
-    `period` is that of a stage in steady state under a periodic input, or None. Of any other, `before` holds
-    the readings that precede `y`, latest last; the first reading stands for all that came before them.
+    `period` is that of a stage in steady state under a periodic input, or None. Without a period, `before`
+    holds the readings that precede `y`, latest last, and the first reading stands for all earlier ones.
     """
 
     u: Array  # shape: (samples,), V
@@ -35,7 +35,7 @@ class Record:
     before: Array
 
     def read_late(self, samples: int) -> Array:
-        """The displacement of `samples` ago, µm, shape (samples,)."""
+        """Return the displacement delayed by `samples`, µm, shape (samples,)."""
         if self.period is not None:
             return _rolled(self.y, self.period, samples)
         return _later(self.y, self.before, samples)
@@ -51,7 +51,7 @@ class Source:
 
 
 def _rolled(signal: Array, period: int, samples: int) -> Array:
-    """A signal of whole periods, `samples` later; its first ones are those of a period after."""
+    """Delay a signal of whole periods by `samples`; its first samples are taken from one period later."""
     late = np.concatenate([signal[period - samples : period], signal[:-samples]])
     return late if samples else signal.copy()
 
@@ -62,7 +62,7 @@ def _later(signal: Array, before: Array, samples: int) -> Array:
 
 
 def noise_of_periods(y: Array, period: int) -> float:
-    """Rms of the deviation from the mean period, each period's own mean left out (that is drift)."""
+    """Rms of the deviation from the mean period, without each period's own mean, which is drift."""
     rows = y[: y.size // period * period].reshape(-1, period)
     rows = rows - rows.mean(axis=1, keepdims=True)
     deviation = rows - rows.mean(axis=0)
@@ -70,11 +70,11 @@ def noise_of_periods(y: Array, period: int) -> float:
 
 
 def _stack(data: Path, rng: np.random.Generator, both: bool) -> Source:
-    """The stack in its flexure: the 1 Hz sine, and for `both` the test record until others move."""
+    """The stack in its flexure: the 1 Hz sine, and for `both` the test record until other actuators move."""
     folder = data / "piezo_stack"
     sine = np.loadtxt(folder / "Model_Vi_Do.dat", usecols=(0, 4))
     zero = sine[0, 1]
-    # Neighbouring cycles, because the drift of 0.4 µm over all of them is no noise.
+    # Neighbouring cycles are compared, because the drift of 0.4 µm over all of them is not noise.
     cycles = sine[STACK_CYCLE : len(sine) // STACK_CYCLE * STACK_CYCLE, 1].reshape(-1, STACK_CYCLE)
     steps = np.diff(cycles - cycles.mean(axis=1, keepdims=True), axis=0)
     first = int(rng.choice([0, rng.integers(STACK_CYCLE, 5 * STACK_CYCLE)]))
@@ -137,10 +137,10 @@ SOURCES: dict[str, Callable[[Path, np.random.Generator], Source]] = {
 def draw_residual(
     data: Path, case: np.random.Generator
 ) -> Callable[[np.random.Generator, int, float], Array]:
-    """Noise that nobody simulated: what real recordings of one source, drawn here, do besides repeating.
+    """Return a source of real noise: how recordings of one source, drawn here, deviate from repeating.
 
-    The function takes a generator, a number of samples and an rms; pieces follow one another, sample for
-    sample, whatever the rates.
+    The function takes a generator, a number of samples and an rms; pieces follow one another sample for
+    sample, whatever the sample rates.
     """
     rows = _RESIDUALS[str(case.choice(sorted(_RESIDUALS)))](data)
     rows = rows / rows.std()
@@ -156,7 +156,7 @@ def draw_residual(
 
 
 def _deviations(y: Array, period: int) -> Array:
-    """Rows of what each period adds to the mean one; pieces of several periods, so that slow noise stays."""
+    """Deviations of all periods from the mean period, end to end, so that slow noise is kept."""
     rows = y[: y.size // period * period].reshape(-1, period)
     deviation = (rows - rows.mean(axis=0)).ravel() * np.sqrt(len(rows) / max(len(rows) - 1, 1))
     return deviation - deviation.mean()
@@ -193,9 +193,9 @@ _RESIDUALS: dict[str, Callable[[Path], Array]] = {
 
 
 def second_axis(data: Path, rng: np.random.Generator, records: list[Record]) -> list[Array]:
-    """A real signal for each record that has nothing to do with it: another voltage of the mirror, V.
+    """Return an unrelated real signal for each record: another voltage of the mirror, V.
 
-    Sample for sample, whatever the rates; it begins at a random place and repeats where it is too short.
+    It is taken sample for sample, whatever the rates, from a random place, and repeats if it is too short.
     """
     with np.load(data / "steering_mirror" / "train.npz") as file:
         voltage = file["u_300mV_train"][:, 2, int(rng.integers(6)), 0].astype(np.float64)

@@ -1,1 +1,1 @@
-"""What a diagnosis has to be better than."""
+"""Simple methods that a diagnosis has to outperform."""

@@ -3,8 +3,8 @@
     python -m concealed.rivals.baseline diagnose a.csv b.csv c.csv --output DIR
     python -m concealed.rivals.baseline predict DIR/stage.json heldout_input.csv --output prediction.csv
 
-The last 30 % of each recording is held out. An effect is named only where its column is the best in training
-and the best held out, and the held-out error falls by 3 %; its column stays and the search goes on, to three.
+The last 30 % of each recording is held out. An effect is named only if its column is the best in training and
+held out, and lowers the held-out error by 3 %; it is then kept, and the search continues up to three effects.
 """
 
 import math
@@ -33,19 +33,19 @@ PARAMETERS = {
 
 
 class Library(NamedTuple):
-    """What is fitted to: thinned rows of all recordings, one behind the other."""
+    """The data of the fit: thinned rows of all recordings, one after the other."""
 
     y: np.ndarray  # (rows,), µm
     input_v: np.ndarray  # (rows,)
     rate_v_s: np.ndarray  # (rows,)
-    place: np.ndarray  # (rows,): how far on in its recording, 0 to 1
+    place: np.ndarray  # (rows,): position in its recording, 0 to 1
     plays: np.ndarray  # (rows, plays + 1)
     weights: np.ndarray
-    """Of the plays, from the first of each recording."""
+    """Weights of the plays, fitted to the first part of each recording."""
     span: float
     grid: list[tuple[str, float]]
     columns: list[np.ndarray]
-    """Of each entry of the grid, (rows, columns)."""
+    """The columns of each entry of the grid, (rows, columns)."""
 
 
 def diagnose(runs: list[Run], output: Path) -> None:
@@ -70,7 +70,7 @@ def diagnose(runs: list[Run], output: Path) -> None:
 
 
 def library_of(runs: list[Run]) -> Library:
-    """Forty plays, and what each effect of the grid would add to them."""
+    """Compute forty plays, and what each effect of the grid would add to them."""
     every = max(sum(run["time_s"].size for run in runs) // MOST, 1)
 
     def rows(of_run: Callable[[Run], np.ndarray]) -> np.ndarray:
@@ -104,7 +104,7 @@ def write_answer(
     final: np.ndarray,
     errors: Sequence[Errors],
 ) -> None:
-    """Name what was found; `starts` are the places of its first weight among the final ones."""
+    """Write the effects found; `starts` are the indices of their first weights in `final`."""
     stage = {
         "span": library.span,
         "smooth": library.weights.tolist(),
@@ -116,7 +116,7 @@ def write_answer(
 
 
 def _signed(name: str, parameter: float, weight: float) -> tuple[str, float]:
-    """A slow pole that pulls back is a leak."""
+    """Rename creep to leakage if its weight is negative."""
     return ("leakage", parameter) if name == "creep" and weight < 0 else (name, parameter)
 
 
@@ -128,7 +128,7 @@ def _parameters(name: str, value: float) -> dict:
 
 
 def predict(stage: dict, run: Run) -> np.ndarray:
-    """The stage's answer to an input."""
+    """Return the stage's response to an input."""
     plays = nominal(run, stage["span"])
     smooth = plays @ np.array(stage["smooth"])
     columns = [column(name, p, run, smooth, -1) for name, p in stage["named"]]
@@ -163,7 +163,7 @@ def candidates(dt: float, span: float, steepest: float, reach_um: float, runs: i
 
 
 def column(name: str, p: float, run: dict, y: np.ndarray, index: int) -> np.ndarray:
-    """What the effect would add to the nominal's smooth output `y`: one column or several."""
+    """What the effect would add to the smooth output `y` of the nominal stage: one column or several."""
     dt, u, t, n = run["dt"], run["input_v"], run["time_s"] - run["time_s"][0], y.size
     loop = y - u * np.ptp(y) / max(np.ptp(u), 1e-12)
     if name == "delay":
@@ -205,7 +205,7 @@ def column(name: str, p: float, run: dict, y: np.ndarray, index: int) -> np.ndar
 
 
 def _own(index: int, columns: np.ndarray) -> np.ndarray:
-    """Columns that each recording has for itself; a new one (-1) has none."""
+    """Give each recording columns of its own, zero in all others; a new recording (-1) has none."""
     out = np.zeros((len(columns), RECORDINGS * columns.shape[1]))
     if 0 <= index < RECORDINGS:
         out[:, index * columns.shape[1] : (index + 1) * columns.shape[1]] = columns
@@ -213,7 +213,7 @@ def _own(index: int, columns: np.ndarray) -> np.ndarray:
 
 
 def ridge(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Least squares with a trace of damping, since neighbouring plays are nearly one."""
+    """Least squares with slight damping, since neighbouring plays are nearly collinear."""
     gram = x.T @ x
     scale = np.sqrt(np.diag(gram)) + 1e-12
     damped = gram / np.outer(scale, scale) + 1e-8 * np.eye(len(gram))

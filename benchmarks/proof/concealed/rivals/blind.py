@@ -1,10 +1,10 @@
-"""Two rivals that look at nothing: always the most frequent group, and a guess.
+"""Two rivals that ignore the recordings: always the most frequent group, and a guess.
 
     python -m concealed.rivals.blind most_frequent a.csv … --output DIR
     python -m concealed.rivals.blind guess a.csv … --output DIR
 
-Of the groups that u and y cannot split the static one has the most effects. A guess draws one name from the
-list, or nothing, by the bytes of the first recording.
+Of the groups that u and y cannot tell apart, the static one has the most effects. The guess is one name from
+the list, or none, drawn by a hash of the first recording's bytes.
 """
 
 import argparse
@@ -16,7 +16,7 @@ from concealed.rivals.contract import named, write_diagnosis
 
 
 def main() -> None:
-    """Answer without a look."""
+    """Answer without examining the recordings."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

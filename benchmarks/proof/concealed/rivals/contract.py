@@ -1,4 +1,4 @@
-"""The two commands of a tool, as far as every rival has them alike."""
+"""The parts of a tool's two commands that all rivals share."""
 
 import argparse
 import json
@@ -18,7 +18,7 @@ def command_line(
     diagnose: Callable[[list[Run], Path], None],
     predict: Callable[[dict, Run], NDArray],
 ) -> None:
-    """`diagnose a.csv … --output DIR` and `predict DIR/stage.json in.csv --output out.csv`."""
+    """Run `diagnose a.csv … --output DIR` or `predict DIR/stage.json in.csv --output out.csv`."""
     parser = argparse.ArgumentParser(
         description=description, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -36,7 +36,7 @@ def command_line(
 
 
 def read(path: Path) -> Run:
-    """The columns of a recording, and its sample period `dt`."""
+    """Read the columns of a recording, and its sample period `dt`."""
     with path.open() as file:
         names = file.readline().strip().split(",")
     table = np.loadtxt(path, delimiter=",", skiprows=1)
@@ -45,7 +45,7 @@ def read(path: Path) -> Run:
 
 
 def write_diagnosis(output: Path, effects: Sequence[dict], errors: Sequence[Errors], stage: dict) -> None:
-    """diagnosis.json by the contract, from the errors before and after the effects; and the stage."""
+    """Write the agreed diagnosis.json, with the errors before and after the effects, and the stage."""
     fits = [dict(zip(("train_rms_um", "heldout_rms_um", "heldout_max_um"), e, strict=True)) for e in errors]
     answer = {
         "verdict": "explained" if effects else "nothing_missing",
@@ -59,7 +59,7 @@ def write_diagnosis(output: Path, effects: Sequence[dict], errors: Sequence[Erro
 
 
 def named(name: str, of: int, parameters: dict | None = None, alternatives: Sequence[str] = ()) -> dict:
-    """One of `of` effects, certain as a rival is that has no probabilities."""
+    """One of `of` effects, with full certainty, because rivals have no probabilities."""
     return {
         "name": name,
         "alternatives": list(alternatives),

@@ -1,4 +1,4 @@
-"""Where the plays fail, the term that is missing there, and a test of it on samples that chose nothing.
+"""Find where the plays fail and which term is missing there, and test it on samples not used for the choice.
 
     python -m concealed.rivals.lisdd diagnose a.csv b.csv c.csv --output DIR
     python -m concealed.rivals.lisdd predict DIR/stage.json heldout_input.csv --output prediction.csv
@@ -6,12 +6,12 @@
 Wang, *Where Is My Physics Wrong? Localized and Identifiable Discovery of Model Discrepancy* (LISDD), arXiv
 2606.23215, 2026: the known physics is fitted where it holds; regimes in which its residual has too much
 energy are flagged; the missing term is the one of a library that predicts them best; an F-test on other
-samples confirms it. Of its paper the abstract and summaries were at hand. Chosen here is what they leave:
-regimes are quarters of the voltage's range by quarters of the rate's distribution; clean are the quarter of
-them with the least energy; the statistic is χ² against that energy, over every tenth row, because neighbours
-correlate; false discoveries are limited as by Benjamini and Hochberg (1995); the library is the baseline's.
-The first half of each recording fits, the next fifth chooses, the rest tests. Its error has to fall by 3 %
-as with the other rivals: with so many samples an F-test alone confirms anything.
+samples confirms it. Only the abstract and summaries of the paper were at hand; what they leave open is chosen
+here: regimes are quarters of the voltage's range by quarters of the rate's distribution; the quarter of them
+with the least energy is clean; the statistic is χ² against that energy, over every tenth row, because
+neighbours correlate; false discoveries are limited as by Benjamini and Hochberg (1995); the library is the
+baseline's. The first half of each recording is fitted, the next fifth selects, the rest tests. As with the
+other rivals the error has to fall by 3 %, since with so many samples an F-test alone confirms anything.
 """
 
 from pathlib import Path
@@ -22,14 +22,14 @@ from concealed.rivals.contract import Run, command_line
 from scipy.stats import chi2, f
 
 FIT = 0.5
-"""Of each recording; what follows to `HELD` chooses."""
+"""Share of each recording that is fitted; the samples from there to `HELD` select the term."""
 QUARTERS = np.array([0.25, 0.5, 0.75])
 CLEAN = 0.25
-"""Of the regimes, those with the least energy."""
+"""Share of the regimes taken as clean: those with the least energy."""
 INDEPENDENT = 10
-"""One row in so many."""
+"""One row in this many is taken as independent of the others."""
 DISCOVERIES = 0.05
-"""False ones among those that are made, at most."""
+"""Largest share of false discoveries among those made."""
 GAIN = 0.97
 TERMS = 3
 
@@ -62,13 +62,13 @@ def diagnose(runs: list[Run], output: Path) -> None:
 
 
 def regimes(input_v: np.ndarray, speed: np.ndarray) -> np.ndarray:
-    """The regime of each row, (rows,)."""
+    """Return the regime of each row, (rows,)."""
     level = np.searchsorted(np.min(input_v) + QUARTERS * np.ptp(input_v), input_v)
     return 4 * level + np.searchsorted(np.quantile(speed, QUARTERS), speed)
 
 
 def discrepant(base: np.ndarray, y: np.ndarray, fits: np.ndarray, regime: np.ndarray) -> np.ndarray:
-    """(rows,): whether a row lies in a regime in which what holds in the clean ones does not."""
+    """(rows,): whether a row lies in a regime in which the fit to the clean regimes fails."""
     clean = fits
     for _ in range(2):
         e = y - base @ ridge(base[clean], y[clean])
@@ -94,17 +94,17 @@ def discoveries(p: np.ndarray) -> np.ndarray:
 
 
 def held_out(x: np.ndarray, y: np.ndarray, fits: np.ndarray, there: np.ndarray) -> float:
-    """Rms over some rows of what other rows were fitted to."""
+    """Rms error in the rows `there` of a fit to the rows `fits`."""
     return float(np.sqrt(np.mean((y - x @ ridge(x[fits], y[fits]))[there] ** 2)))
 
 
 def confirmed(
     base: np.ndarray, longer: np.ndarray, y: np.ndarray, fits: np.ndarray, tests: np.ndarray
 ) -> bool:
-    """Whether an F-test on other samples, and their error, say that the last columns are there."""
+    """Whether an F-test on other samples, and the error in them, confirm the last columns."""
     if held_out(longer, y, fits, tests) > GAIN * held_out(base, y, fits, tests):
         return False
-    # Of what the fit without the columns leaves there: whether they explain a part of it.
+    # Test whether the columns explain a part of the residual that the fit without them leaves there.
     e = (y - base @ ridge(base[fits], y[fits]))[tests][::INDEPENDENT]
     added = longer[:, base.shape[1] :][tests][::INDEPENDENT]
     moves = added[:, added.any(axis=0)]

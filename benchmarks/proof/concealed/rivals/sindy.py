@@ -1,14 +1,14 @@
-"""A sparse discrepancy model: what forty plays leave, as few terms of a library as predict it.
+"""A sparse discrepancy model: the residual of forty plays, explained by as few library terms as possible.
 
     python -m concealed.rivals.sindy diagnose a.csv b.csv c.csv --output DIR
     python -m concealed.rivals.sindy predict DIR/stage.json heldout_input.csv --output prediction.csv
 
 Kaheman, Kaiser, Strom, Kutz and Brunton, *Learning discrepancy models from experimental data*, 2019:
 sequentially thresholded least squares (Brunton, Proctor and Kutz, *Discovering governing equations from
-data by sparse identification*, PNAS 113, 2016), the way pysindy's STLSQ has it, written here so that
-nothing is to be installed. Each term stands for the effect that it is the first order of. The threshold is
-the one of twelve that predicts the held-out 30 % of each recording best; an effect is named where its terms
-lower that error by 3 %.
+data by sparse identification*, PNAS 113, 2016), as in pysindy's STLSQ, but written here so that nothing has
+to be installed. Each term stands for the effect that it approximates to first order. The threshold is the one
+of twelve that predicts the held-out 30 % of each recording best; an effect is named if its terms lower that
+error by 3 %.
 """
 
 from pathlib import Path
@@ -18,12 +18,12 @@ from concealed.rivals.baseline import HELD, errors_of, nominal, ridge
 from concealed.rivals.contract import MOST, Run, command_line, named, write_diagnosis
 from scipy.signal import lfilter
 
-THRESHOLDS = np.geomspace(0.003, 0.5, 12)  # of the rms of what the plays leave
+THRESHOLDS = np.geomspace(0.003, 0.5, 12)  # in units of the rms residual of the plays
 GAIN = 0.97
 
 
 def terms(run: Run, y: np.ndarray) -> list[tuple[str, np.ndarray]]:
-    """The library: each term with the name of the effect that it is the first order of."""
+    """Return the library: each term with the name of the effect that it approximates to first order."""
     dt, u, t = float(run["dt"]), run["input_v"], run["time_s"] - run["time_s"][0]
     rate = np.gradient(u) / dt
     smooth = lfilter([0.2], [1, -0.8], rate)
@@ -98,7 +98,7 @@ def _sparse(x: np.ndarray, y: np.ndarray, train: np.ndarray, share: float) -> tu
 
 
 def predict(stage: dict, run: Run) -> np.ndarray:
-    """The stage's answer to an input; the mains of another day have no phase."""
+    """Return the stage's response to an input, without hum, whose phase on another day is unknown."""
     y = nominal(run, stage["span"]) @ np.array(stage["plays"])
     library = [0 * column if name == "hum" else column for name, column in terms(run, y)]
     return y + np.column_stack(library) @ np.array(stage["terms"])
