@@ -6,8 +6,8 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-# Libraries of linear algebra read it once, as they are imported. With more, threads wait for each other by
-# turning in circles: on two busy cores a diagnosis takes five times as long.
+# Linear-algebra libraries read these variables once, on import. With more than one thread, threads spin while
+# they wait for each other: on two busy cores a diagnosis takes five times as long.
 for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(name, "1")
 
@@ -44,7 +44,7 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder to import from, in which nothing but the wheel has been installed."""
+    """Return a folder to import from, in which nothing but the wheel is installed."""
     site = tmp_path_factory.mktemp("site")
     pip("install", "--no-deps", "--no-index", "--no-compile", "--target", str(site), str(wheel))
     return site

@@ -1,4 +1,4 @@
-"""What runs on a CPU runs on a GPU, with the same numbers."""
+"""Compensators and stages run on a GPU with the same results as on a CPU."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ pytestmark = pytest.mark.skipif(not torch.cuda.is_available(), reason="no GPU th
 
 
 @pytest.mark.parametrize("rate", ["none", "linear", "neural"])
-def test_a_compensator_on_a_gpu_has_the_voltages_and_gradients_of_a_cpu(rate: RateHead) -> None:
+def test_a_compensator_has_the_same_voltages_and_gradients_on_gpu_and_cpu(rate: RateHead) -> None:
     t = torch.arange(3000, dtype=torch.float64) * 1e-4
     yd = (4 - 4 * torch.cos(2 * torch.pi * 20 * t) * (1 + 0.3 * torch.sin(2 * torch.pi * 3 * t)))[None]
     torch.manual_seed(0)
@@ -40,7 +40,7 @@ def test_a_compensator_on_a_gpu_has_the_voltages_and_gradients_of_a_cpu(rate: Ra
         torch.testing.assert_close(gradients_on_gpu[name], gradient, rtol=1e-8, atol=1e-10)
 
 
-def test_a_stage_on_a_gpu_moves_as_on_a_cpu() -> None:
+def test_a_stage_has_the_same_displacement_on_gpu_and_cpu() -> None:
     u = torch.from_numpy(5 - 5 * np.cos(2 * np.pi * 30 * np.arange(2000) * 1e-4))[None]
     stage = Stage.load("default")
     expected, _ = stage(u)

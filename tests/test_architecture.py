@@ -1,4 +1,4 @@
-"""Imports run one way, from what computes to what shows it."""
+"""Layers import only from layers below them: computation never imports presentation."""
 
 import ast
 from pathlib import Path
@@ -9,19 +9,19 @@ ROOT = Path(__file__).parents[1]
 LAYERS = (
     "errors", "files", "operators", "recordings", "simulators", "excitation", "stage", "control", "diagnosis",
     "identification", "loop", "paper", "report", "export", "commission",
-    "notebook",  # fits by the commission's recipe, and its results draw themselves by report
+    "notebook",  # fits by the commission's recipe, and draws its results by report
     "cli",
 )  # fmt: skip
 
 
 ASKED_FOR = {
-    # A recording draws itself by what is above it, loaded only then.
+    # A recording is drawn by layers above it, imported only when it is drawn.
     "torchpi/recordings/shown.py": {"torchpi.notebook.recorded", "torchpi.report.notebook"},
 }
 
 
 def imported(file: Path) -> set[str]:
-    """Modules of torchpi that a file imports, wherever in it."""
+    """Return the modules of this repository that a file imports, anywhere in it."""
     names: set[str] = set()
     for node in ast.walk(ast.parse(file.read_text())):
         if isinstance(node, ast.ImportFrom) and node.module:
@@ -31,7 +31,7 @@ def imported(file: Path) -> set[str]:
     return {name for name in names if name.split(".")[0] in ("torchpi", "train", "tests", "benchmarks")}
 
 
-def test_every_part_of_the_package_has_its_layer() -> None:
+def test_every_part_of_the_package_belongs_to_a_layer() -> None:
     parts = {path.stem for path in (ROOT / "torchpi").iterdir() if path.suffix == ".py" or path.is_dir()}
     assert parts - {"__init__", "__main__", "__pycache__"} == set(LAYERS)
 
@@ -48,6 +48,6 @@ def test_no_layer_imports_one_above_it(layer: str) -> None:
 
 
 @pytest.mark.parametrize("part", ["torchpi", "train"])
-def test_no_file_outgrows_one_idea(part: str) -> None:
+def test_no_source_file_is_longer_than_450_lines(part: str) -> None:
     lines = {str(file): len(file.read_text().splitlines()) for file in (ROOT / part).rglob("*.py")}
     assert {file: count for file, count in lines.items() if count > 450} == {}

@@ -1,4 +1,4 @@
-"""The documentation: every public name is on the API page, every link leads somewhere, the tutorial runs."""
+"""The documentation: every public name is on the API page, every link leads somewhere, the examples run."""
 
 import ast
 import importlib
@@ -26,7 +26,7 @@ PAGES = sorted(
         *ROOT.glob("benchmarks/**/README.md"),
     ]
 )
-INTERNAL = ("torchpi.report", "torchpi.recordings.readers")  # what commands and recordings are made with
+INTERNAL = ("torchpi.report", "torchpi.recordings.readers")  # internal to commands and recordings
 COMPLETE = ["torchpi"] + [
     name
     for _, name, is_package in pkgutil.walk_packages(torchpi.__path__, "torchpi.")
@@ -40,12 +40,12 @@ def text_of(page: Path) -> str:
 
 
 def python_of(page: Path) -> list[str]:
-    """Its blocks of Python."""
+    """Return the Python blocks of a page."""
     return re.findall(r"^```python\n(.*?)^```", text_of(page), re.DOTALL | re.MULTILINE)
 
 
 def documented() -> dict[str, Any]:
-    """What the tables of the API page list, by full names."""
+    """Return the objects that the tables of the API page list, by full name."""
     found = {}
     for block in re.findall(r"```{eval-rst}\n(.*?)```", text_of(DOCS / "api.md"), re.DOTALL):
         (module,) = re.findall(r"^\.\. currentmodule:: (\S+)$", block, re.MULTILINE)
@@ -55,18 +55,18 @@ def documented() -> dict[str, Any]:
 
 
 def named(full_name: str) -> Any:
-    """An object by its module and name; a function may have the name of its module."""
+    """Return an object by its module and name; a function may have the name of its module."""
     module, _, name = full_name.rpartition(".")
     return getattr(importlib.import_module(module), name)
 
 
 def without_code(text: str) -> str:
-    """Nor equations: what is left has links."""
+    """Remove code and equations, so that only text with links remains."""
     return re.sub(r"^```.*?^```|`[^`\n]*`|\$[^$\n]*\$", "", text, flags=re.DOTALL | re.MULTILINE)
 
 
 def anchors(page: Path) -> set[str]:
-    """Of its headings, as code hosts and MyST make them."""
+    """Return the anchors of a page's headings, as code hosts and MyST make them."""
     text = re.sub(r"^```.*?^```", "", text_of(page), flags=re.DOTALL | re.MULTILINE)
     headings = re.findall(r"^#{1,3} (.+)$", text, re.MULTILINE)
     return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
@@ -86,14 +86,14 @@ def test_every_public_name_is_on_the_api_page(name: str) -> None:
     assert missing == []
 
 
-def test_every_name_on_the_api_page_exists_and_stands_there_once() -> None:
+def test_every_name_on_the_api_page_exists_and_is_listed_once() -> None:
     found = documented()
     assert len(found) > 80
     assert len({id(value) for value in found.values()}) == len(found)
 
 
 def test_every_public_name_has_an_example() -> None:
-    """In its docstring, or in a block of the page of examples that imports it, which the site then shows."""
+    """In its docstring, or in a block of the examples page that imports it, which the site then shows."""
     used: list[int] = []
     for block in python_of(DOCS / "examples.md"):
         tree = ast.parse(block)
@@ -112,7 +112,7 @@ def test_every_public_name_has_an_example() -> None:
 
 def test_the_examples_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "path", [*sys.path])  # a simulation of someone's own is imported from here
+    monkeypatch.setattr(sys, "path", [*sys.path])  # a user-defined simulation is imported from here
     names: dict[str, Any] = {}
     with warnings.catch_warnings():
         for block in re.findall(
@@ -126,13 +126,13 @@ def test_every_documented_name_has_a_docstring() -> None:
 
 
 def test_no_summary_on_the_api_page_ends_at_an_abbreviation() -> None:
-    """The site's tables show what stands before the first full stop that a space follows."""
+    """The site's tables show the text before the first full stop that is followed by a space."""
     summaries = {name: " ".join((value.__doc__ or "").split()) for name, value in documented().items()}
     assert [name for name, text in summaries.items() if re.match(r"[^.]*\b(eqs?|Figs?|cf)\. ", text)] == []
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
-def test_every_link_leads_to_a_file_and_a_heading_that_exist(page: Path) -> None:
+def test_every_link_leads_to_an_existing_file_and_heading(page: Path) -> None:
     broken = []
     for path, anchor in LINK.findall(without_code(text_of(page))):
         target = page.parent / path if path else page
@@ -141,7 +141,7 @@ def test_every_link_leads_to_a_file_and_a_heading_that_exist(page: Path) -> None
     assert broken == []
 
 
-def test_every_page_is_linked_from_the_first_one_and_in_its_contents() -> None:
+def test_every_page_is_linked_from_the_index_and_in_its_contents() -> None:
     text = text_of(DOCS / "index.md")
     contents = re.findall(r"^```{toctree}\n(.*?)```", text, re.DOTALL | re.MULTILINE)
     entries = {
@@ -156,9 +156,9 @@ def test_every_page_is_linked_from_the_first_one_and_in_its_contents() -> None:
 
 
 @pytest.mark.parametrize("page", ["mismatch.md", "csv_to_controller.md"])
-def test_the_commands_of_a_tutorial_are_those_of_the_readme_which_are_run(page: str) -> None:
+def test_the_commands_of_a_tutorial_are_those_of_the_readme(page: str) -> None:
     def commands(page: Path) -> list[str]:
-        """Whatever the length of a recording: a tutorial takes less than two minutes."""
+        """Ignore the lengths of recordings: those of a tutorial make it take less than two minutes."""
         return [
             re.sub(r" --duration_s \S+", "", line)
             for block in re.findall(r"```sh\n(.*?)```", text_of(page), re.DOTALL)
@@ -170,12 +170,12 @@ def test_the_commands_of_a_tutorial_are_those_of_the_readme_which_are_run(page: 
     assert [line for line in tutorial if line not in commands(ROOT / "README.md")] == []
 
 
-def test_the_program_at_the_end_of_the_path_from_csv_files_is_the_readme_s_which_is_run() -> None:
+def test_the_programs_of_the_csv_tutorial_are_those_of_the_readme() -> None:
     programs = python_of(DOCS / "csv_to_controller.md")
     assert programs and set(programs) <= set(python_of(ROOT / "README.md"))
 
 
-def test_a_page_that_is_executed_shows_what_its_expressions_give() -> None:
+def test_an_executed_page_shows_the_values_of_its_expressions() -> None:
     page = "a\n\n```python\nx = 2\nx * 3  # six\n\ny = x\nNone\n```\n\n```python\ny\n```\nb\n"
     assert with_outputs(page) == (
         "a\n\n```python\nx = 2\nx * 3  # six\n```\n```text\n6\n```\n```python\ny = x\nNone\n```\n\n"
@@ -187,7 +187,7 @@ def test_a_page_that_is_executed_shows_what_its_expressions_give() -> None:
 
 
 class TestSite:
-    """What the configuration adds to sphinx; `make docs` builds the whole, with warnings as errors."""
+    """Functions of the Sphinx configuration; `make docs` builds the site, with warnings as errors."""
 
     @pytest.fixture
     def conf(self, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
@@ -196,7 +196,7 @@ class TestSite:
         monkeypatch.syspath_prepend(str(DOCS))
         return importlib.import_module("conf")
 
-    def test_equations_of_docstrings_are_literal_blocks_and_sections_are_left_alone(
+    def test_docstring_equations_become_literal_blocks_and_sections_are_unchanged(
         self, conf: ModuleType
     ) -> None:
         found = conf.as_text(["u = |x_|, `x_`", "", "    y = |x|", "      + b", "", "Args:", "    x: |x_|."])

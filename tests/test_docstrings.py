@@ -25,7 +25,7 @@ UNIT = re.compile(r"µ[ms]|\bV\b|\bs\b|\bHz\b|\bunits?\b|bool|counts")
 
 
 def methods(of: Any) -> Iterator[tuple[str, Callable[..., Any]]]:
-    """Public functions of a class, of its own; what overrides has the text of what it overrides."""
+    """Yield public methods that a class adds; an override has the docstring of the method it overrides."""
     for name, value in vars(of).items():
         function = getattr(value, "__func__", value)
         overrides = any(name in vars(base) for base in of.__mro__[1:])
@@ -55,7 +55,7 @@ def parameters(of: Any) -> list[inspect.Parameter]:
 
 
 def raised(of: Any) -> set[str]:
-    """Errors of torchpi that the source of a function raises, or that of the constructor of a class."""
+    """Return the errors of torchpi raised in the source of a function or of a class's constructor."""
     functions = [of]
     if inspect.isclass(of):
         functions = [vars(of)[name] for name in ("__init__", "__post_init__") if name in vars(of)]
@@ -78,7 +78,7 @@ def test_every_parameter_is_described(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", CALLABLES)
-def test_every_array_has_its_shape_and_unit(name: str) -> None:
+def test_every_array_is_described_with_shape_and_unit(name: str) -> None:
     text = described(CALLABLES[name])
     whole = inspect.getdoc(CALLABLES[name]) or ""
     for one in parameters(CALLABLES[name]):
@@ -90,17 +90,17 @@ def test_every_array_has_its_shape_and_unit(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", CALLABLES)
-def test_every_error_that_is_raised_is_stated(name: str) -> None:
-    """By the function, or by its class."""
+def test_every_raised_error_is_documented(name: str) -> None:
+    """Errors may be documented by the method or by its class."""
     of_class = PUBLIC.get(name.rpartition(".")[0])
     stated = section(CALLABLES[name], "Raises") + (section(of_class, "Raises") if of_class else "")
     assert [error for error in sorted(raised(CALLABLES[name])) if error not in stated] == []
 
 
 def examples() -> dict[str, doctest.DocTest]:
-    """Of public names and of what is in them, each by itself."""
+    """Return the examples of public names and of their members, each to be run by itself."""
     finder, found = doctest.DocTestFinder(exclude_empty=True), {}
-    in_notebook = {one.__qualname__ for one in IN_NOTEBOOK}  # one after another, in a test there
+    in_notebook = {one.__qualname__ for one in IN_NOTEBOOK}  # run in sequence by a test there
     for name, value in PUBLIC.items():
         for one in finder.find(value, name, inspect.getmodule(value), globs={}):
             if one.name.removeprefix(f"{name.rpartition('.')[0]}.") not in in_notebook and one.examples:
@@ -112,11 +112,11 @@ EXAMPLES = examples()
 
 
 @pytest.mark.parametrize("name", EXAMPLES)
-def test_the_example_of_a_docstring_gives_what_it_states(
+def test_examples_in_docstrings_give_the_stated_results(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "path", [*sys.path])  # a simulation of someone's own is imported from here
+    monkeypatch.setattr(sys, "path", [*sys.path])  # a user-defined simulation is imported from here
     said: list[str] = []
     result = doctest.DocTestRunner().run(EXAMPLES[name], out=said.append)
     assert result.failed == 0, "".join(said)

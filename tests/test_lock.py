@@ -1,4 +1,4 @@
-"""The lock file of `make` has a version of each requirement, which the requirement admits."""
+"""The lock file of `make` pins each requirement to a version that the requirement admits."""
 
 import tomllib
 from pathlib import Path
@@ -20,7 +20,7 @@ GROUPS = {"core": PROJECT["dependencies"], **PROJECT["optional-dependencies"]}
 def test_every_requirement_but_torch_is_locked_within_its_bounds(group: str) -> None:
     for text in GROUPS[group]:
         required = Requirement(text)
-        if required.name in ("torch", "torchpi"):  # the Makefile has torch's version
+        if required.name in ("torch", "torchpi"):  # the Makefile pins torch
             continue
         found = [one for one in LOCKED if one.name.lower() == required.name.lower()]
         assert found, f"{required.name}: run make lock"
@@ -29,7 +29,7 @@ def test_every_requirement_but_torch_is_locked_within_its_bounds(group: str) -> 
             assert required.specifier.contains(version), f"{required} excludes {version}: run make lock"
 
 
-def test_torch_is_left_to_the_makefile() -> None:
+def test_torch_is_pinned_by_the_makefile_alone() -> None:
     makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
     version = makefile.partition("TORCH_VERSION := ")[2].partition("\n")[0]
     (torch,) = (one for one in map(Requirement, PROJECT["dependencies"]) if one.name == "torch")

@@ -26,7 +26,7 @@ PARTS = {
     "commission": ("torchpi check", "torchpi commission"),
     "reproduce": ("torchpi excite", "torchpi reproduce", "recordings/slow.csv"),
 }
-"""What the commands and programs of each part hold; a part needs nothing of the others but the recordings."""
+"""Texts that identify the commands and programs of each part; parts share only the recordings."""
 
 
 def blocks(language: str, page: str = README) -> list[str]:
@@ -42,13 +42,13 @@ def programs() -> list[str]:
 
 
 def part_of(text: str) -> str:
-    """The first of which it holds something."""
+    """Return the first part of which an identifying text occurs."""
     return next(part for part, marks in PARTS.items() if any(mark in text for mark in marks))
 
 
 @pytest.fixture(scope="session")
 def recordings(installed: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with the recordings that the README simulates."""
+    """Return a folder with the recordings that the README simulates."""
     folder = tmp_path_factory.mktemp("readme")
     for command in commands():
         if command.startswith("torchpi simulate"):
@@ -68,7 +68,7 @@ def run(command: list[str], folder: Path, installed: Path) -> None:
 
 @pytest.mark.long
 @pytest.mark.parametrize("part", PARTS)
-def test_commands_and_python_run_in_their_order_from_the_wheel(
+def test_commands_and_python_run_in_order_from_the_wheel(
     part: str, recordings: Path, installed: Path, tmp_path: Path
 ) -> None:
     shutil.copytree(recordings, tmp_path / "recordings")
@@ -91,7 +91,7 @@ def test_commands_and_python_run_in_their_order_from_the_wheel(
             for effect in diagnosis["effects"]
             for name, one in effect["parameters"].items()
         }
-        # What the stage's file says.
+        # Values in the stage's file.
         assert found["resonance", "frequency_hz"] == pytest.approx(620, rel=0.01)
         assert found["creep", "per_decade"] == pytest.approx(0.015, rel=0.05)
         assert found["input_nonlinearity", "c2_per_v"] == pytest.approx(0.02, rel=0.1)
@@ -107,7 +107,7 @@ def test_readme_make_targets_exist() -> None:
         assert re.search(rf"^{target}:", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)
 
 
-def test_readme_cpp_is_that_of_the_example_which_is_built() -> None:
+def test_readme_cpp_calls_appear_in_the_example_that_is_built() -> None:
     example = (ROOT / "exports" / "cpp_loop" / "main.cpp").read_text(encoding="utf-8")
     for line in "".join(blocks("cpp")).splitlines():
         call = re.sub(r"\(.*", "(", line.split("=", 1)[1].strip())

@@ -16,7 +16,7 @@ ROOT = Path(__file__).parents[1]
 
 
 def in_empty_folder(installed: Path, folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    """`python -m torchpi` of the installed wheel; plays in Python: nothing here is worth compiling."""
+    """Run `python -m torchpi` of the installed wheel; plays in Python: nothing here is worth compiling."""
     environment = {**os.environ, "PYTHONPATH": str(installed), "NUMBA_DISABLE_JIT": "1"}
     command = [sys.executable, "-m", "torchpi", *arguments]
     return subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True)
@@ -52,7 +52,7 @@ def test_an_installed_torchpi_works_in_an_empty_folder(installed: Path, tmp_path
     assert {path.name for path in tmp_path.iterdir()} == {"recordings"}
 
 
-def test_a_name_that_there_is_not_is_answered_with_those_that_there_are(
+def test_an_unknown_name_is_refused_with_a_list_of_valid_names(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -66,6 +66,6 @@ def test_a_name_that_there_is_not_is_answered_with_those_that_there_are(
     assert torchpi.files.config_file("own") == Path("own")
 
 
-def test_the_citation_is_of_this_version() -> None:
+def test_citation_and_changelog_state_this_version() -> None:
     for file in ("CITATION.cff", "CHANGELOG.md"):
         assert torchpi.__version__ in (ROOT / file).read_text(encoding="utf-8")

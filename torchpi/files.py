@@ -135,7 +135,7 @@ def read_yaml_text(path: str | os.PathLike[str], most_values: int = MOST_YAML_VA
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
     if len(content) > LARGEST_YAML_BYTES:
-        raise ConfigError(f"{path}: found more than {LARGEST_YAML_BYTES} bytes, expected settings")
+        raise ConfigError(f"{path}: found more than {LARGEST_YAML_BYTES} bytes, expected a file of settings")
     try:
         text = content.decode("utf-8-sig")
         check_yaml(text, most_values)
@@ -181,7 +181,7 @@ def check_yaml(text: str, most_values: int = MOST_YAML_VALUES) -> None:
             if before + size > most_values:
                 raise ConfigError(
                     f"line {_line(event)}: found more than {most_values} values, "
-                    "counting what aliases stand for, expected at most as many"
+                    "with aliases expanded, expected at most that many"
                 )
     except yaml.YAMLError:
         return
@@ -375,7 +375,7 @@ def check_archive(path: Path, largest_bytes: int) -> None:
         raise
     except Exception as error:  # arbitrary bytes can make the archive reader raise any exception
         raise ArtifactError(
-            f"{path}: not an archive, or a damaged one; expected one as torch saves"
+            f"{path}: not an archive, or a damaged one; expected one saved by torch"
         ) from error
     if damaged is not None:
         raise ArtifactError(f"{path}: damaged in '{damaged}'; expected the file as it was written")

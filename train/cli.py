@@ -36,10 +36,10 @@ Train a direct inverse compensator on recordings of a piezo stage: voltage in, d
   torchpi train fit --config recorded --data.recordings '[slow.csv, fast.csv, other.csv]'
   torchpi train fit --config recorded --output runs/recorded --ckpt_path last
 
-A config is a file, or the name of one of torchpi's own: demo, recorded, through_stage, piezo_stack.
-The last of several recordings is held out: it judges and is not fitted. The run folder holds
-compensator.pt and compensator.json to deploy, report.html to look at, metrics.json, the resolved
-config.yaml, checkpoints, and events for `tensorboard --logdir runs`.
+A config is a file, or the name of a built-in one: demo, recorded, through_stage, piezo_stack.
+The last of several recordings is held out for validation and not fitted. The run folder contains
+compensator.pt and compensator.json to deploy, report.html, metrics.json, the resolved config.yaml,
+checkpoints, and events for `tensorboard --logdir runs`.
 """
 
 
@@ -144,7 +144,7 @@ class FitCLI(LightningCLI):
         return {"fit": own}
 
     def add_default_arguments_to_parser(self, parser: LightningArgumentParser) -> None:
-        parser.add_argument("--seed_everything", type=int, default=0, help="Seed of everything random.")
+        parser.add_argument("--seed_everything", type=int, default=0, help="Seed of all random numbers.")
 
     def add_core_arguments_to_parser(self, parser: LightningArgumentParser) -> None:
         parser.add_lightning_class_args(RecordingsData, "data")
@@ -155,12 +155,12 @@ class FitCLI(LightningCLI):
         parser.add_argument(
             "--output",
             type=str | None,
-            help="New folder for the run; runs/NAME by default, or the next free runs/NAME-2 …",
+            help="New folder for the run; by default runs/NAME, or the next free one of runs/NAME-2, …",
         )
         parser.add_argument(
             "--ckpt_path",
             type=str | None,
-            help="Go on from a checkpoint: 'last' of the output folder, or a file.",
+            help="Continue from a checkpoint: 'last' for that of the output folder, or a file.",
         )
 
     def parse_arguments(self, parser: LightningArgumentParser, args: Any) -> None:

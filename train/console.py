@@ -52,7 +52,7 @@ def show_start(model: InverseTraining) -> None:
 def show_interrupted(folder: RunFolder) -> None:
     """Print how to continue an interrupted run."""
     if folder.last.is_file():
-        CONSOLE.print(f"Go on with --output {folder.path} --ckpt_path last", markup=False)
+        CONSOLE.print(f"Continue with --output {folder.path} --ckpt_path last", markup=False)
 
 
 def show_results(metrics: Mapping[str, Any], folder: RunFolder) -> None:
@@ -72,9 +72,9 @@ def show_results(metrics: Mapping[str, Any], folder: RunFolder) -> None:
     if not metrics["how"]["monotone"]:
         CONSOLE.print(f"Careful: {metrics['how']['monotone_summary']}.", markup=False, style="yellow")
     for path, what in (
-        (folder.compensator, "to deploy: TorchScript; the bare numbers in compensator.json"),
+        (folder.compensator, "to deploy: TorchScript; the numbers alone are in compensator.json"),
         (folder.report, "the page with all figures"),
-        (folder.metrics, "these numbers; % is of the recording's peak to peak"),
+        (folder.metrics, "these numbers; % is relative to the recording's peak-to-peak value"),
         (folder.path, f"tensorboard --logdir {folder.path}"),
     ):
         CONSOLE.print(f"{path}  {what}", markup=False)

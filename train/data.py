@@ -43,15 +43,15 @@ class RecordingsData(LightningDataModule):
     Args:
         recordings: Files to train on: CSV with columns time_s,input_v,output_um, or any kind and columns
             with the options below.
-        heldout: Files that only judge. By default the last of several recordings is held out; of a
-            single one the last 30 %.
-        simulate: Excitations of the simulated stage to use instead of files.
-        follow: Motions to follow, with model.stage.
-        bandwidth_hz: Of the motion, for its rates; found from each recording by default.
-        evaluate_s: [start, stop]: judge only this stretch of the held-out records, s.
-        zero_s: [start, stop]: fit the zero of the held-out records' sensor on this stretch, s.
-        window_samples: Train on windows of so many samples, state carried over, instead of whole
-            records at once (with model.optimizer adam).
+        heldout: Files used only for validation. By default the last of several recordings is held out,
+            or the last 30 % of a single one.
+        simulate: Excitations of a simulated stage to use instead of files.
+        follow: Motions to track in training, with model.stage.
+        bandwidth_hz: Bandwidth of the motion, for its rates; by default found from each recording.
+        evaluate_s: [start, stop]: evaluate only this stretch of the held-out records, s.
+        zero_s: [start, stop]: fit the sensor zero of the held-out records on this stretch, s.
+        window_samples: Train on windows of this many samples, with the state carried over, instead of
+            whole records at once (with model.optimizer adam).
         reading: How the files are read.
     """
 
@@ -150,14 +150,15 @@ class RecordingsData(LightningDataModule):
             same = [other.source for other in train if other.sha256 == recording.sha256]
             if same:
                 raise RecordingError(
-                    f"{recording.source}: held out, but the same file as {same[0]}, trained on; leave one out"
+                    f"{recording.source}: held out, but identical to {same[0]}, which is "
+                    "trained on; leave one out"
                 )
         if not heldout and len(train) > 1:
             heldout = [train.pop()]
         if not heldout:
             warnings.warn(
                 f"{train[0].source}: a single recording, its last {100 * HELDOUT_SHARE:.0f} % are held out; "
-                "another recording would say more about motions that differ (data.heldout)",
+                "a second recording would test the fit on a different motion (data.heldout)",
                 RecordingWarning,
                 stacklevel=2,
             )

@@ -72,38 +72,39 @@ class Start(NamedTuple):
 class InverseTraining(LightningModule):
     """A direct inverse: displacement in, voltage out (Qin et al. 2013, eq. 6 to 8, and extensions).
 
-    It starts from the paper's two-stage least squares. What is minimised is the mean squared error of
-    the voltage over the counted samples, over that of the start. With a stage to train through, that
-    identification is the start, and what is minimised is the error of the motion.
+    Training starts from the paper's two-stage least squares and minimises the mean squared error of the
+    voltage over the counted samples, relative to that of the start. With a stage to train through, it starts
+    from the identification on that stage and minimises the error of the motion.
 
     Args:
-        select: Select the form by cross-validation over what is trained on: the options below are then the
-            richest form that is considered, with or without an offset. It starts from least squares on plays
-            of the displacement, keeps that where nothing generalises better, and cannot run backwards over
-            the recorded range and rates. Nothing is left to train.
-        stage: Train through this stage, a stage.pt of `torchpi diagnose` or a stage file (YAML): the motions
-            of data.follow.
-        thresholds: r of the plays, in the unit of S(y), about µm, the first one 0. By default `plays` of
-            them, spread over the range of the recordings, denser near 0.
-        plays: How many thresholds to spread, if none are given.
+        select: Select the form by cross-validation over the training recordings: the options below then
+            describe the richest form considered, with or without an offset. The selection starts from least
+            squares on plays of the displacement and keeps that form if no other generalises better. It cannot
+            run backwards over the recorded range and rates. Nothing is left to train.
+        stage: Train through this stage, a stage.pt of `torchpi diagnose` or a stage file (YAML), on the
+            motions of data.follow.
+        thresholds: Thresholds r of the plays, in the unit of S(y), about µm; the first one is 0. By default
+            `plays` of them, spread over the range of the recordings, denser near 0.
+        plays: Number of thresholds, if none are given.
         degree: Degree of the saturation polynomial S (eq. 4).
-        output_degree: Degree of the plays' own output functions, for asymmetric loops; 1 is the paper.
-        rate: How the weights follow the rate: none (eq. 6), linear (eq. 7) or neural.
-        preview: Samples of the desired trajectory seen ahead; 0 is the paper's case. It undoes the delay of
-            converter, amplifier and sensor. `auto` finds as many as the recordings show the stage to be late.
-        lead: 0, 1 or 2. Undoes the stage's own lag (1) and also its first mode (2).
-        creep_time_constants_s: Relaxations that undo creep, s, such as [0.1, 1, 10]. None by default.
+        output_degree: Degree of the plays' own output functions, for asymmetric loops; 1 as in the paper.
+        rate: How the weights depend on the rate: none (eq. 6), linear (eq. 7) or neural.
+        preview: Number of samples by which the desired trajectory is known ahead; 0 as in the paper. It
+            compensates the delay of converter, amplifier and sensor. `auto` finds it from the recordings.
+        lead: 0, 1 or 2. Compensates the stage's own lag (1) and also its first mode (2).
+        creep_time_constants_s: Time constants of relaxations that compensate creep, s, such as [0.1, 1, 10].
+            None by default.
         offset: Learn a constant voltage as well, for a sensor whose zero is arbitrary.
         min_voltage_v: Lower limit of the controller's output; by default that of `stage`, or the lowest
             voltage of the recordings.
         max_voltage_v: Upper limit of the controller's output; by default that of `stage`, or the highest.
         hidden: Size of the neural rate head.
         train_thresholds: Train the thresholds too.
-        optimizer: lbfgs takes all records at once and is deterministic: best for few parameters.
-            adam takes a step a window (data.window_samples), for records too long for memory.
-        learning_rate: Of adam.
-        solve_weights: With lbfgs, solve for the weights by least squares at each trial of the others.
-        iterations: Of lbfgs in one epoch.
+        optimizer: lbfgs uses all records at once and is deterministic: best for few parameters.
+            adam takes one step per window (data.window_samples), for records too long for memory.
+        learning_rate: Learning rate of adam.
+        solve_weights: With lbfgs, solve for the weights by least squares for each trial of the others.
+        iterations: Number of lbfgs iterations per epoch.
     """
 
     def __init__(
@@ -198,7 +199,7 @@ class InverseTraining(LightningModule):
         if self.optimizer_name == "lbfgs" and data.window_samples is not None:
             raise ConfigError(
                 f"data.window_samples: found {data.window_samples} with model.optimizer lbfgs, "
-                "which takes whole records; expected null, or model.optimizer adam"
+                "which uses whole records; expected null, or model.optimizer adam"
             )
         start = self.start_on(data)
         data.preview = start.compensator.preview

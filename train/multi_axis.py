@@ -111,7 +111,7 @@ def show(metrics: Mapping[str, Sequence[Mapping[str, Any]]]) -> None:
     """Print one line for each recording."""
     for part, every in metrics.items():
         for one in every:
-            error = "no bounded answer" if one["rms_um"] is None else f"{one['rms_um']:.4f} µm rms"
+            error = "unbounded response" if one["rms_um"] is None else f"{one['rms_um']:.4f} µm rms"
             print(
                 f"{part:>8}  {one['name']:<24} {error}, "
                 f"noise {one['noise_rms_um']:.4f} µm, motion {one['motion_rms_um']:.3f} µm"

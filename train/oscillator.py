@@ -40,7 +40,7 @@ def fit(arguments: Sequence[str], config: Path) -> None:
     named = files_named(config, settings.get("recordings"))
     periods, share = whole_number(config, "periods", settings.get("periods", 1)), settings.get("heldout", 0.0)
     if not is_number(share) or not 0 <= share < 1:
-        raise ConfigError(f"{config}: heldout: found {share!r}, expected a number from 0 on, below 1")
+        raise ConfigError(f"{config}: heldout: found {share!r}, expected a number from 0 to below 1")
     options = OscillatorOptions(**{name: settings[name] for name in known if name in settings})
     reading = RecordingOptions(
         **{name: settings[name] for name in READING if name in settings and name not in OWN}

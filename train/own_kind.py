@@ -41,7 +41,7 @@ def settings_of(
         raise ConfigError(f"found the option --{unknown[0]}, {USAGE}")
     content = read_yaml(config)
     if other := sorted(set(content) - {section}):
-        raise ConfigError(f"{config}: found the key {other[0]}, expected {section} alone")
+        raise ConfigError(f"{config}: found the key {other[0]}, expected only {section}")
     settings = content[section]
     if not isinstance(settings, dict):
         raise ConfigError(f"{config}: {section}: found {settings!r}, expected keys with values")
@@ -73,7 +73,7 @@ def whole_number(config: Path, name: str, found: object) -> int:
     """
     if isinstance(found, int) and not isinstance(found, bool) and found >= 1:
         return found
-    raise ConfigError(f"{config}: {name}: found {found!r}, expected a whole number from 1 on")
+    raise ConfigError(f"{config}: {name}: found {found!r}, expected a whole number, 1 or more")
 
 
 def leave(folder: Path, stage: SavedStage, metrics: Mapping[str, Any], content: Mapping[str, Any]) -> None:

@@ -158,12 +158,13 @@ def at_their_bound(model: InverseTraining) -> list[str]:
     for name, compensator, stretches in fitted:
         zeros = fit_zeros(compensator, stretches) or []
         found += [
-            f"the zero of {stretch.name}, fitted for the {name}, is {zero_um:.4g} µm, the bound of its search"
+            f"the zero of {stretch.name}, fitted for the {name}, is {zero_um:.4g} µm, "
+            "at the bound of its search"
             for zero_um, stretch in zip(zeros, stretches, strict=True)
             if on_bound(zero_um, stretch)
         ]
     if model.extensions["preview"] == "auto" and model.compensator.preview == MOST_PREVIEW:
-        found.append(f"the look-ahead is {MOST_PREVIEW} samples, the most that is tried")
+        found.append(f"the look-ahead is {MOST_PREVIEW} samples, the largest number tried")
     return found
 
 
@@ -173,7 +174,7 @@ def chosen_by(model: InverseTraining, data: RecordingsData) -> str:
         return "tracking of the held-out motions of data.follow"
     if model.selection:
         return "none: fitted by least squares, its form selected on the training records alone"
-    return "held-out rms_v" + (" on zero_s, outside what is judged" if data.zero_s else "")
+    return "held-out rms_v" + (" on zero_s, outside the evaluated stretch" if data.zero_s else "")
 
 
 def check_monotone(model: InverseTraining) -> Monotone:
@@ -209,15 +210,15 @@ def notes(how: dict[str, Any]) -> tuple[str, ...]:
     remarks += [f"Careful: {text}." for text in how["on_bound"]]
     if how["selected"]:
         form = how["selected"][-1]["form"]
-        remarks.append(f"Selected by cross-validation over what is trained on: {form}.")
+        remarks.append(f"Form selected by cross-validation over the training recordings: {form}.")
     if not how["monotone"]:
         remarks.append(f"Careful: {how['monotone_summary']}.")
     if how["evaluate_s"]:
-        remarks.append("Judged from {:g} s to {:g} s of it.".format(*how["evaluate_s"]))
+        remarks.append("Evaluated from {:g} s to {:g} s of each held-out record.".format(*how["evaluate_s"]))
     if how["zero_s"]:
         remarks.append(
-            "The zero of its sensor is arbitrary: one number, fitted from {:g} s to {:g} s. The error is the "
-            "residual of the inverse on a recording, offline; no stage tracked a motion with it.".format(
+            "The zero of the sensor is arbitrary: one number, fitted from {:g} s to {:g} s. The error is the "
+            "offline residual of the inverse on a recording; no stage tracked a motion with it.".format(
                 *how["zero_s"]
             )
         )
@@ -231,8 +232,8 @@ def stage_notes(metrics: Mapping[str, Any]) -> tuple[str, ...]:
     found = metrics["stage"]
     effects = ", ".join(name.replace("_", " ") for name in found["effects"]) or "no dynamics"
     return (
-        f"stage.pt simulates your stage (hysteresis, {effects}): it misses {found['heldout']}, held out, by "
-        f"{1e3 * found['heldout_rms_um']:.3g} nm rms.",
+        f"stage.pt simulates your stage (hysteresis, {effects}): its error on {found['heldout']}, held out, "
+        f"is {1e3 * found['heldout_rms_um']:.3g} nm rms.",
     )
 
 

@@ -98,7 +98,7 @@ def claim(folder: RunFolder, goes_on: bool) -> Iterator[None]:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             raise ArtifactError(
-                f"{folder.path}: another process trains into it, expected a folder of its own for each run"
+                f"{folder.path}: another process is training in it, expected a separate folder for each run"
             ) from None
         except OSError:
             pass  # the file system has no locks
@@ -124,8 +124,8 @@ def check_continues(checkpoint: Path, compensator: DirectInverse) -> None:
     for name in given:
         if found[name] != given[name]:
             raise ConfigError(
-                f"{checkpoint}: trained with {name} {found[name]}, but these settings and recordings make it "
-                f"{given[name]}; go on with those it was started with, or start a new run"
+                f"{checkpoint}: trained with {name} {found[name]}, but these settings and recordings give "
+                f"{given[name]}; continue with those it was started with, or start a new run"
             )
 
 
@@ -154,6 +154,6 @@ def _ended_early(folder: RunFolder) -> bool:
 def _contents(folder: RunFolder) -> str:
     if folder.last.is_file():
         state = "a finished run" if folder.metrics.is_file() else "a run that was interrupted"
-        return f"holds {state}; go on with it by --ckpt_path last, or name another folder"
+        return f"holds {state}; continue it with --ckpt_path last, or name another folder"
     first = min(entry.name for entry in folder.path.iterdir() if entry != folder.lock)
     return f"is in use (it holds '{first}'), expected a new or empty folder"

@@ -19,8 +19,8 @@ class Simulated:
 
     Args:
         excitation: sine_5hz, paper_multisine (eq. 13), multisine, triangles, stairs or hold.
-        duration_s: Its length; each excitation has a default.
-        seed: Of the sensor's noise, and of random phases.
+        duration_s: Length of the recording, s; each excitation has its own default.
+        seed: Seed of the sensor noise and of random phases.
         options: Further options of the excitation.
     """
 
@@ -35,9 +35,9 @@ class Simulation:
     """Recordings of a simulated stage.
 
     Args:
-        train: What to train on.
-        heldout: What to judge on; as with files, the last one of `train` if there is none.
-        stage: Stage file, YAML, or the name of one of torchpi's own: default, qin2013.
+        train: Recordings to train on.
+        heldout: Recordings for validation; by default, as with files, the last one of `train`.
+        stage: Stage file (YAML), or the name of a built-in one: default, qin2013.
     """
 
     train: list[Simulated]

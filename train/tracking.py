@@ -25,11 +25,11 @@ from .coordinates import Coordinates
 
 @dataclass
 class Reference:
-    """One motion to follow.
+    """One motion to track.
 
     Args:
         trajectory: slow (eq. 15), fast (eq. 16), sine (eq. 9) or random (phases over a band).
-        seed: Of random phases.
+        seed: Seed of the random phases.
         options: Further options of the trajectory, such as {high_hz: 100}.
     """
 
@@ -40,12 +40,12 @@ class Reference:
 
 @dataclass
 class Follow:
-    """Motions to follow in training through a stage, all through the reference filter (eq. 14).
+    """Motions to track in training through a stage, all filtered by the reference filter (eq. 14).
 
     Args:
-        train: What to train on.
-        heldout: What judges: it stops the training and chooses its best epoch.
-        duration_s: Of each.
+        train: Motions to train on.
+        heldout: Motions for validation: they stop the training and select the best epoch.
+        duration_s: Duration of each motion, s.
         low: Lower end of every motion, as a share of the stroke that the recordings span.
         high: Upper end, likewise.
     """
@@ -167,7 +167,7 @@ def tracking_notes(metrics: Mapping[str, Any]) -> tuple[str, ...]:
         for key, label in TRACKING.items()
         if key in metrics["tracking"]
     ]
-    return (f"Held-out motions through the stage are missed by {', '.join(rows)}.",)
+    return (f"Tracking error of the held-out motions on the stage: {', '.join(rows)}.",)
 
 
 TRACKING = {

@@ -24,12 +24,12 @@ OWN = ("callbacks", "logger", "plugins")
 
 @dataclass
 class TrainerOptions:
-    """How long to train, and what to show of it.
+    """Duration and display of the training.
 
     Args:
-        max_epochs: Most epochs; with lbfgs one is `model.iterations` steps of it.
-        patience: Stop after so many epochs without a smaller held-out error.
-        figures_every: Epochs between figures in TensorBoard; the last epoch has them anyway.
+        max_epochs: Maximum number of epochs; with lbfgs one epoch is `model.iterations` iterations.
+        patience: Stop after this many epochs without a smaller held-out error.
+        figures_every: Number of epochs between figures in TensorBoard; the last epoch always has them.
         progress: Show a progress bar.
         lightning: Further options of lightning.Trainer, by name.
     """
@@ -50,9 +50,11 @@ def make_trainer(options: TrainerOptions, folder: RunFolder) -> Trainer:
     """Return a trainer that writes into `folder`, which need not exist yet."""
     for name in OWN:
         if name in (options.lightning or {}):
-            raise ConfigError(f"trainer.lightning.{name}: found a value, expected none: a run has its own")
+            raise ConfigError(
+                f"trainer.lightning.{name}: found a value, expected none: each run sets its own"
+            )
     if (device := (options.lightning or {}).get("accelerator", "cpu")) != "cpu":
-        why = "recordings and compiled kernels stay on the CPU, where sequences in float64 are quickest"
+        why = "recordings and compiled kernels stay on the CPU, where sequences in float64 are fastest"
         raise ConfigError(f"trainer.lightning.accelerator: found {device!r}, expected 'cpu': {why}")
     for name, most in (("devices", available_cores()), ("num_nodes", MOST_NODES)):  # each is a process
         given = (options.lightning or {}).get(name, 1)

@@ -1,4 +1,4 @@
-"""What a linear correction of one amplitude leaves of a stage's errors."""
+"""Errors of a stage that remain after a linear correction at one amplitude."""
 
 from collections.abc import Callable
 
@@ -31,22 +31,22 @@ def delayed(u: np.ndarray) -> np.ndarray:
     return np.roll(u, 3, axis=0) @ np.array([[1.0, 0.5], [0.2, -1.0], [0.7, 0.1]])
 
 
-def test_a_linear_error_is_taken_away_and_noise_counts_for_what_it_is() -> None:
+def test_a_linear_error_is_removed_and_noise_keeps_its_rms() -> None:
     assert not_linear(level(), errors(delayed, 0.0)) < 1e-9
     assert not_linear(level(), errors(delayed, 0.1)) == pytest.approx(0.1, rel=0.03)
 
 
-def test_an_error_that_is_not_linear_stays() -> None:
+def test_a_nonlinear_error_is_kept() -> None:
     even = [e - e.mean(0) for e in errors(lambda u: delayed(u) ** 2, 0.0)]
     assert not_linear(level(), even) == pytest.approx(np.sqrt(np.mean(np.square(even))), rel=0.05)
 
 
-def test_the_level_is_in_the_name() -> None:
+def test_the_level_is_read_from_the_name() -> None:
     assert level_of(level()[0]) == "100mV"
 
 
-def test_a_response_between_its_neighbours_misses_nothing_and_one_that_moved_does() -> None:
-    """A mode each, whose stiffness goes with the root of the amplitude."""
+def test_only_a_mode_that_moved_is_missed_between_neighbouring_levels() -> None:
+    """Each level has one mode, whose stiffness varies with the square root of the amplitude."""
     random, lines = np.random.default_rng(2), np.arange(SAMPLES // 2 + 1)
 
     def recordings(rms: float, moved: float) -> list[MultiAxisRecording]:

@@ -1,4 +1,4 @@
-"""The mutation check: what it changes, what it leaves alone, and that it tells noticed from unnoticed."""
+"""The mutation check: what it changes, what it leaves alone, and which mutants survive."""
 
 from pathlib import Path
 
@@ -15,7 +15,7 @@ def limited(x: float, most: float = 2.0) -> float:
 '''
 
 
-def test_each_kind_of_change_is_made_in_its_place_and_none_in_types_and_messages() -> None:
+def test_each_kind_of_mutation_is_made_but_none_in_types_or_messages() -> None:
     found = [what for what, _ in mutants(SOURCE)]
     assert found == [
         "2: constant: 2.0  ->  5.0",
@@ -32,14 +32,14 @@ def test_each_kind_of_change_is_made_in_its_place_and_none_in_types_and_messages
     ]
 
 
-def test_a_condition_among_several_may_be_missing_or_of_the_other_kind() -> None:
+def test_a_condition_among_several_is_dropped_or_its_operator_swapped() -> None:
     found = [what for what, _ in mutants("kept = [x for x in every if x and y]\n")]
     assert [what.partition(": ")[2].partition(":")[0] for what in found] == [
         "condition dropped", "and, or", "condition dropped", "condition dropped"
     ]  # fmt: skip
 
 
-def test_what_no_test_notices_survives(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_mutant_that_no_test_detects_survives(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "made_up.py").write_text("def doubled(x):\n    return 2 * x if x > 0 else 0\n")
     guard = tmp_path / "test_made_up.py"
     guard.write_text("from made_up import doubled\n\n\ndef test():\n    assert doubled(3) == 6\n")
@@ -54,5 +54,5 @@ def test_what_no_test_notices_survives(tmp_path: Path, monkeypatch: pytest.Monke
         next(survivors("made_up", [str(guard)]))
 
 
-def test_every_guard_is_there() -> None:
+def test_every_guarding_test_file_exists() -> None:
     assert all((ROOT / "tests" / guard).is_file() for guards in GUARDS.values() for guard in guards)

@@ -34,19 +34,19 @@ def cells(line: str) -> list[str]:
     return [cell.strip() for cell in line.strip("|").split("|")]
 
 
-def test_table_has_a_line_for_each_peer_and_per_cent_of_the_range() -> None:
+def test_the_table_has_a_line_per_peer_with_percentages_of_the_range() -> None:
     heading, _, line = table([a_row()]).splitlines()
     assert cells(heading) == list(HEADINGS)
     assert cells(line) == ["torchpi, joint", "0.123", "2.00", "0.0123 (0.12)", "0.250 (2.50)", "5.68"]
 
 
-def test_dash_stands_for_what_a_peer_does_not_have() -> None:
+def test_a_dash_stands_for_a_missing_value() -> None:
     line = table([a_row(compile_s=None, step_us=None, fit_s=1234.5)]).splitlines()[-1]
     assert cells(line)[1:3] == ["1,234", "–"]
     assert cells(line)[-1] == "–"
 
 
-def test_page_tells_ratios_with_and_without_compilation() -> None:
+def test_the_page_states_time_ratios_with_and_without_compilation() -> None:
     slow = a_row(peer=with_lstsq.PEER, fit_s=12.34, compile_s=None, rms_v=0.0246)
     text = page([a_row(), slow], "abc1234")
     assert "lstsq on play states: 100 × its time (5.81 × with compilation), 2.00 × its held-out" in text
@@ -54,7 +54,7 @@ def test_page_tells_ratios_with_and_without_compilation() -> None:
     assert "at commit abc1234" in text and "0.0246<!-- figure: peers_lstsq_v --> (0.25)" in text
 
 
-def test_torchpi_and_lstsq_are_fitted_and_judged_on_records_they_have_not_seen(task: Task) -> None:
+def test_torchpi_and_lstsq_are_compared_on_unseen_records(task: Task) -> None:
     rows = compare(task, [with_lstsq.PEER, with_torchpi.JOINT])
     assert [row.rms_v for row in rows] == sorted(row.rms_v for row in rows)
     for row in rows:
@@ -86,7 +86,7 @@ def test_streamed_steps_give_the_voltage_of_the_whole_record(task: Task) -> None
         np.testing.assert_allclose(streamed, fitted.voltage(held_out)[:300], rtol=0, atol=1e-9)
 
 
-def test_narx_streams_what_it_predicts_where_it_is_installed(task: Task) -> None:
+def test_streamed_narx_steps_equal_its_prediction(task: Task) -> None:
     pytest.importorskip("sysidentpy")
     fitted = with_sysidentpy.PEER.fit(task)
     assert fitted.step is not None

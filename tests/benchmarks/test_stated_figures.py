@@ -1,4 +1,4 @@
-"""Figures on pages: each is measured, lies in its bound, and is quoted as measured; the short ones again."""
+"""Figures on pages: each is measured, within its bounds and quoted as measured; short ones are repeated."""
 
 import json
 from collections.abc import Mapping
@@ -21,7 +21,7 @@ SHORT = [one for one in MEASUREMENTS if one.short]
 WEIGHT = Figure("weight_g", "g", 1.0, 2.0, ".1f")
 
 
-def test_every_registered_figure_is_recorded_with_its_command_and_nothing_else_is() -> None:
+def test_exactly_the_registered_figures_are_recorded_with_their_commands() -> None:
     found = record.read()
     assert found.keys() == FIGURES.keys()
     for one in MEASUREMENTS:
@@ -32,17 +32,17 @@ def test_every_registered_figure_is_recorded_with_its_command_and_nothing_else_i
             assert entry["commit"] and entry["date"] and "Python" in entry["machine"], figure.name
 
 
-def test_the_page_of_figures_is_that_of_the_record_and_names_each() -> None:
+def test_the_page_of_figures_matches_the_record_and_names_every_figure() -> None:
     text = table.PAGE.read_text(encoding="utf-8")
     assert text == table.page(MEASUREMENTS, record.read())
     assert [name for name in FIGURES if f"| `{name}` |" not in text] == []
 
 
-def test_every_recorded_figure_lies_in_its_bound() -> None:
+def test_every_recorded_figure_is_within_its_bounds() -> None:
     assert command.outside(FIGURES, record.values(record.read())) == []
 
 
-def test_pages_quote_what_was_measured_and_every_figure_is_quoted() -> None:
+def test_pages_quote_measured_values_and_every_figure_is_quoted() -> None:
     assert pages.faults(pages.pages(), FIGURES, record.values(record.read())) == []
 
 
@@ -53,7 +53,7 @@ def test_every_number_with_a_unit_is_a_figure_or_a_definition() -> None:
 
 
 @pytest.mark.parametrize("page", DEFINITIONS)
-def test_definitions_stand_on_their_pages(page: str) -> None:
+def test_definitions_appear_on_their_pages(page: str) -> None:
     text = (pages.ROOT / page).read_text(encoding="utf-8")
     assert [number for number in DEFINITIONS[page] if number not in text] == []
 
@@ -66,7 +66,7 @@ def test_names_of_measurements_and_figures_are_unique() -> None:
 
 @pytest.mark.long
 @pytest.mark.parametrize("one", SHORT, ids=[one.name for one in SHORT])
-def test_a_short_figure_measured_again_lies_in_its_bound(one: Measurement) -> None:
+def test_a_repeated_short_measurement_is_within_its_bounds(one: Measurement) -> None:
     if one.needs_recordings and not DATA.is_dir():
         pytest.skip("the recordings of real stages are not beside this checkout")
     found = one.values()
@@ -74,7 +74,7 @@ def test_a_short_figure_measured_again_lies_in_its_bound(one: Measurement) -> No
 
 
 @pytest.mark.parametrize("page", MEASURED_PAGES)
-def test_a_page_that_a_command_writes_has_the_command_the_date_and_the_commit(page: str) -> None:
+def test_a_generated_page_states_its_command_date_and_commit(page: str) -> None:
     text = (pages.ROOT / page).read_text(encoding="utf-8")
     assert MEASURED_PAGES[page] in text
     assert pages.MEASURED_ON.search(text)
@@ -99,7 +99,7 @@ class TestPages:
             ("1.5 g<!-- figure: weight_g -->", None, "found no value in docs/figures.json"),
         ],
     )
-    def test_faults_are_found(
+    def test_faults_in_quotations_are_found(
         self, tmp_path: Path, text: str, value: float | None, complaint: str | None
     ) -> None:
         page = tmp_path / "page.md"
@@ -126,7 +126,7 @@ class TestPages:
         (fault,) = pages.unregistered([page], {"page.md": frozenset({"10 V"})})
         assert fault.startswith("page.md:5: found 1,500 µm/s, expected the comment of a figure behind it")
 
-    def test_numbers_are_renewed_and_nothing_else(self, tmp_path: Path) -> None:
+    def test_only_quoted_numbers_are_renewed(self, tmp_path: Path) -> None:
         page = tmp_path / "page.md"
         page.write_text("1 of 1.4 g<!-- figure: weight_g -->, or 1.4 g.\n", encoding="utf-8")
         renewed = pages.renew(page, {"weight_g": WEIGHT}, {"weight_g": 1.52})
@@ -148,7 +148,7 @@ def interrupted() -> Mapping[str, float]:
 
 
 class TestRun:
-    def test_an_interrupted_run_goes_on_where_it_was(self, tmp_path: Path) -> None:
+    def test_an_interrupted_run_resumes_where_it_stopped(self, tmp_path: Path) -> None:
         path, calls = tmp_path / "figures.json", []
         first, last = weighing(1.5, "first", calls), weighing(1.6, "last", calls)
         stopped = Measurement("stop", "stop", last.figures, interrupted, about_s=1)
@@ -160,35 +160,33 @@ class TestRun:
         assert calls == ["first", "last"]
         assert record.values(record.read(path)) == {"first": 1.5, "last": 1.6}
 
-    def test_what_was_measured_with_other_code_is_measured_again(self, tmp_path: Path) -> None:
+    def test_a_figure_measured_with_other_code_is_measured_again(self, tmp_path: Path) -> None:
         path, one = tmp_path / "figures.json", weighing(1.5)
         command.measure([one], "code", print, path)
         assert command.measured(one, record.read(path), "code")
         assert not command.measured(one, record.read(path), "other code")
 
-    def test_one_that_fails_is_named_and_leaves_the_others(self, tmp_path: Path) -> None:
+    def test_a_failed_measurement_is_named_and_does_not_affect_the_others(self, tmp_path: Path) -> None:
         path = tmp_path / "figures.json"
         wrong = Measurement("wrong", "weigh", (WEIGHT,), lambda: {"height_m": 1.0}, about_s=1)
         failed = command.measure([wrong, weighing(1.5, "right")], "code", print, path)
         assert failed == ["wrong: wrong: found ['height_m'], expected ['weight_g']"]
         assert record.read(path).keys() == {"right"}
 
-    def test_a_value_out_of_its_bound_is_recorded_and_named(self, tmp_path: Path) -> None:
+    def test_a_value_outside_its_bounds_is_recorded_and_reported(self, tmp_path: Path) -> None:
         path, one = tmp_path / "figures.json", weighing(2.5)
         assert command.measure([one], "code", print, path) == []
         values = record.values(record.read(path))
         assert command.outside({"weight_g": WEIGHT}, values) == ["weight_g: found 2.5, expected 1 to 2 g"]
         assert command.outside({"weight_g": WEIGHT}, {"weight_g": float("nan")}) != []
 
-    def test_a_figure_that_is_no_longer_registered_is_dropped_and_a_bound_is_that_of_now(
-        self, tmp_path: Path
-    ) -> None:
+    def test_an_unregistered_figure_is_dropped_and_a_bound_is_updated(self, tmp_path: Path) -> None:
         path = tmp_path / "figures.json"
         command.measure([weighing(1.5), weighing(1.5, "height_m")], "code", print, path)
         kept = record.registered(record.read(path), {"weight_g": replace(WEIGHT, at_most=3.0)})
         assert kept.keys() == {"weight_g"} and kept["weight_g"]["bound"] == [1.0, 3.0]
 
-    def test_how_long_it_will_take_is_printed_before_and_while_it_runs(self, tmp_path: Path) -> None:
+    def test_the_estimated_duration_is_printed_before_and_during_the_run(self, tmp_path: Path) -> None:
         lines: list[str] = []
         due = [weighing(1.5, "first"), weighing(1.6, "last")]
         assert command.estimate(due) == "2 to make, about 2 s"

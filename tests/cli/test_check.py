@@ -1,4 +1,4 @@
-"""`torchpi check` describes a file before anything is fitted, and its commands can be pasted."""
+"""`torchpi check` describes a file before anything is fitted and prints commands ready to paste."""
 
 import re
 import shlex
@@ -34,7 +34,7 @@ def check(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
     return int(ended.value.code or 0)
 
 
-def test_what_a_file_holds_is_printed_and_drawn(
+def test_the_content_of_a_file_is_printed_and_drawn(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     y = Y.copy()
@@ -43,7 +43,7 @@ def test_what_a_file_holds_is_printed_and_drawn(
     assert check(monkeypatch, path, "--output", tmp_path / "out") == 0
     text = capsys.readouterr().out
     for found in (
-        "u [mV]", "mV", "1000 Hz, 2,000 samples, 2 s", "0 … 10 V", "sign positive", "without noise",
+        "u [mV]", "mV", "1000 Hz, 2,000 samples, 2 s", "0 … 10 V", "sign positive", "noise-free",
         "1 single wrong", "row 702: 0 µm", "time 'time_ms' (s)",
     ):  # fmt: skip
         assert found in text
@@ -57,7 +57,7 @@ def test_what_a_file_holds_is_printed_and_drawn(
     ("header", "scale"),
     [("time_s,input_v,output_um", (1, 1, 1)), ("t;my input;my output", (1, 1, 1)), ("a,b,c", (1, 1, 1))],
 )
-def test_the_commands_that_are_printed_read_the_file(
+def test_the_printed_commands_read_the_file(
     tmp_path: Path, header: str, scale: tuple[float, ...], monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:  # fmt: skip
@@ -78,7 +78,7 @@ def test_the_commands_that_are_printed_read_the_file(
     np.testing.assert_allclose(read_recording(path, options).y, Y, atol=1e-6)
 
 
-def test_files_that_need_other_options_get_commands_of_their_own(tmp_path: Path) -> None:
+def test_files_that_need_different_options_get_separate_commands(tmp_path: Path) -> None:
     first = summarise(write(tmp_path / "a.csv", "time_s,input_v,output_um", T, U, Y))
     second = summarise(write(tmp_path / "b.csv", "time_s,x1,x2", T, U, Y))
     assert len(commands_for([first, first])) == 2
@@ -87,7 +87,7 @@ def test_files_that_need_other_options_get_commands_of_their_own(tmp_path: Path)
     assert "column" not in fit + diagnose
 
 
-def test_a_bad_file_is_one_line_and_the_others_are_described(
+def test_a_bad_file_gives_one_error_line_and_the_others_are_described(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     good = write(tmp_path / "good.csv", "time_s,input_v,output_um", T, U, Y)
@@ -101,7 +101,7 @@ def test_a_bad_file_is_one_line_and_the_others_are_described(
     assert "<strong>2 of 3 cannot be used</strong>" in page and "missing.csv" in page
 
 
-def test_nothing_is_written_where_no_file_is_good(
+def test_nothing_is_written_if_no_file_is_usable(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "a.csv").write_text("what is this\n" * 30)
@@ -118,7 +118,7 @@ def test_an_output_that_is_a_file_is_refused(
     assert "is a file, expected a folder" in capsys.readouterr().err
 
 
-def test_uneven_sampling_is_measured_and_the_option_is_given(tmp_path: Path) -> None:
+def test_uneven_sampling_is_measured_and_the_resample_option_is_given(tmp_path: Path) -> None:
     t = T + 2e-4 * np.random.default_rng(0).random(len(T))
     summary = summarise(write(tmp_path / "a.csv", "time_s,input_v,output_um", t, U, Y))
     assert summary.options.resample and summary.jitter == pytest.approx(0.2, abs=0.03)
@@ -149,13 +149,13 @@ def test_holds_are_counted_in_commanded_and_monitored_voltages(noise_v: float) -
 
 @pytest.mark.parametrize("sigma", [1e-3, 0.02])
 @pytest.mark.parametrize("make", [sine_5hz, stairs, multisine])
-def test_the_noise_is_estimated_beside_the_motion(make: object, sigma: float) -> None:
+def test_the_noise_is_estimated_in_the_presence_of_motion(make: object, sigma: float) -> None:
     u = make(1.0)[1]
     y = 0.8 * u + sigma * np.random.default_rng(2).standard_normal(len(u))
     assert noise_estimate(y) == pytest.approx(sigma, rel=0.05)
 
 
-def test_remanence_at_the_start_differs_from_a_start_on_the_loop() -> None:
+def test_remanence_at_the_start_is_distinguished_from_a_start_on_the_loop() -> None:
     u = 5 - 5 * np.cos(2 * np.pi * 5 * np.arange(4000) / 4000)
     play = np.empty_like(u)
     state = 0.0
@@ -171,7 +171,7 @@ def test_remanence_at_the_start_differs_from_a_start_on_the_loop() -> None:
 @pytest.mark.parametrize(
     ("sign", "found"), [(1.0, "µm higher: the remanence"), (-1.0, "µm lower: the remanence")]
 )
-def test_remanence_is_seen_of_a_sensor_mounted_either_way_round(
+def test_remanence_is_reported_for_either_orientation_of_the_sensor(
     sign: float,
     found: str,
     tmp_path: Path,

@@ -19,7 +19,7 @@ def written(folder: Path, *every: MultiAxisRecording) -> list[Path]:
     return paths
 
 
-def test_columns_periods_and_how_to_go_on_are_shown(
+def test_columns_periods_and_the_next_command_are_shown(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     one = recordings(two_axes(), (0.3,), 1)[0]
@@ -28,21 +28,21 @@ def test_columns_periods_and_how_to_go_on_are_shown(
     check(paths, tmp_path / "check")
     printed = capsys.readouterr().out
     assert "input_2_v" in printed and "2 inputs (V), 2 outputs (µm)" in printed
-    assert "2 of 512 samples; to be taken in steady state" in printed
-    assert "the inputs do not repeat themselves: it takes the time-domain path" in printed
+    assert "2 of 512 samples; treated as the steady state" in printed
+    assert "the inputs are not periodic, so the recording is fitted in the time domain" in printed
     assert f"torchpi diagnose {paths[0]} {paths[1]}" in printed
     assert "output 2" in (tmp_path / "check" / "check.html").read_text()
 
 
-def test_an_input_that_never_moves_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_constant_input_is_reported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     one = recordings(two_axes(), (0.3,), 1)[0]
     check(written(tmp_path, replace(one, u=one.u * [1.0, 0.0])), tmp_path / "check")
     printed = capsys.readouterr().out
     assert "input 2     0 V throughout" in printed
-    assert "warning     input_2_v: found the same value throughout, and left out" in printed
+    assert "warning     input_2_v: found the same value throughout, so left out" in printed
 
 
-def test_files_that_are_not_of_one_stage_and_inputs_in_proportion_are_refused(tmp_path: Path) -> None:
+def test_files_of_different_stages_and_proportional_inputs_are_refused(tmp_path: Path) -> None:
     one = recordings(two_axes(), (0.3,), 1)[0]
     with pytest.raises(RecordingError, match=r"run1: found 1 inputs and 2 outputs .* expected 2, 2"):
         check(written(tmp_path, one, replace(one, u=one.u[:, :1])), tmp_path / "check")

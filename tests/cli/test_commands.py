@@ -1,4 +1,4 @@
-"""The `torchpi` command: it teaches, it answers at once, and bad input is one line and exit code 2."""
+"""The `torchpi` command: its help is instructive and fast; bad input gives one line and exit code 2."""
 
 import json
 import re
@@ -35,7 +35,7 @@ def torchpi(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:
 
 @pytest.fixture
 def run_folder(tmp_path: Path) -> Path:
-    """A run folder as training leaves it, as far as exporting looks."""
+    """A run folder as training writes it, limited to what the export reads."""
     made = compensator(rate="linear", lead=0, preview=0, creep_time_constants_s=[])
     (tmp_path / "run" / "checkpoints").mkdir(parents=True)
     torch.save(to_checkpoint(made), tmp_path / "run" / "checkpoints" / "best.ckpt")
@@ -43,14 +43,14 @@ def run_folder(tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize("command", ["check", "diagnose", "predict"])
-def test_options_are_parsed_without_torch(command: str) -> None:
+def test_help_of_a_command_is_shown_without_importing_torch(command: str) -> None:
     program = "import sys; from torchpi.cli.commands import main\ntry: main()\nexcept SystemExit: pass\n"
     program += "print([m for m in ('torch', 'matplotlib', 'numba') if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", program, command, "--help"], capture_output=True, text=True)
     assert "--input_column" in done.stdout and done.stdout.strip().endswith("[]")
 
 
-def test_help_lists_the_way_from_recordings_to_the_loop_without_torch() -> None:
+def test_help_lists_the_main_commands_without_importing_torch() -> None:
     program = "import sys; from torchpi.cli.commands import main\ntry: main()\nexcept SystemExit: pass\n"
     program += "heavy = ('torch', 'lightning', 'matplotlib', 'numba', 'scipy', 'numpy')\n"
     program += "print([m for m in heavy if m in sys.modules])"
@@ -61,7 +61,7 @@ def test_help_lists_the_way_from_recordings_to_the_loop_without_torch() -> None:
     assert done.stdout.strip().endswith("[]")
 
 
-def test_import_brings_neither_lightning_nor_matplotlib() -> None:
+def test_import_loads_neither_lightning_nor_matplotlib() -> None:
     program = "import sys, torchpi.control.direct_inverse, torchpi.stage, torchpi.loop, torchpi.export\n"
     program += "assert not {'lightning', 'matplotlib', 'pytorch_lightning'} & set(sys.modules)"
     subprocess.run([sys.executable, "-c", program], check=True)
@@ -96,7 +96,7 @@ def test_simulate_writes_a_recording_that_reads_back(
     assert path.read_bytes() == first
 
 
-def test_export_then_run_leaves_files_page_and_numbers(
+def test_export_and_run_write_files_a_page_and_numbers(
     run_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     output = tmp_path / "exports" / "c"
@@ -129,7 +129,7 @@ def test_export_then_run_leaves_files_page_and_numbers(
         (["reproduce", "--only", "fig99"], "fig8"),
     ],
 )
-def test_bad_input_is_one_line_and_exit_code_2(
+def test_bad_input_gives_one_line_and_exit_code_2(
     arguments: list[str],
     says: str,
     tmp_path: Path,
@@ -150,7 +150,7 @@ def test_bad_input_is_one_line_and_exit_code_2(
 @pytest.mark.parametrize(
     "arguments", [["check", "nowhere.csv"], ["diagnose", "nowhere.csv"], ["run", "nowhere.pt"]]
 )
-def test_no_time_is_estimated_for_a_file_that_is_not_there(
+def test_no_duration_is_announced_for_a_missing_file(
     arguments: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert torchpi(monkeypatch, *arguments) == 2
@@ -159,7 +159,7 @@ def test_no_time_is_estimated_for_a_file_that_is_not_there(
 
 
 @pytest.mark.parametrize("command", ["check", "commission", "diagnose", "predict", "fit"])
-def test_every_command_reads_recordings_by_the_same_options(
+def test_every_command_reads_recordings_with_the_same_options(
     command: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     if command == "fit":
@@ -175,7 +175,7 @@ def test_every_command_reads_recordings_by_the_same_options(
     assert {field.name for field in fields(RecordingOptions)} <= offered
 
 
-def test_a_warning_of_a_recording_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_recording_warning_is_printed_in_one_line(capsys: pytest.CaptureFixture[str]) -> None:
     def command() -> None:
         warnings.simplefilter("always", RecordingWarning)
         warnings.warn("a.csv: starts at 30 µm", RecordingWarning, stacklevel=2)
@@ -186,7 +186,7 @@ def test_a_warning_of_a_recording_is_one_line(capsys: pytest.CaptureFixture[str]
     assert warnings.showwarning is before
 
 
-def test_an_interrupt_in_a_callback_that_lets_no_exception_out_still_ends_the_command(
+def test_an_interrupt_in_a_callback_that_swallows_exceptions_still_ends_the_command(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     class Node:
@@ -200,7 +200,7 @@ def test_an_interrupt_in_a_callback_that_lets_no_exception_out_still_ends_the_co
         time.sleep(5.0)
 
     assert run_command(command, "torchpi") == 130
-    assert capsys.readouterr().err == "torchpi: interrupted; files already written are whole\n"
+    assert capsys.readouterr().err == "torchpi: interrupted; files already written are complete\n"
 
 
 @pytest.mark.parametrize("module", ["llvmlite.binding.executionengine", "importlib._bootstrap"])
@@ -225,10 +225,10 @@ run_command(command, "torchpi")
 """
     ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
     assert (ended.returncode, ended.stdout) == (128 + getattr(signal, number), "")
-    assert ended.stderr == f"torchpi: {word}; files already written are whole\n"
+    assert ended.stderr == f"torchpi: {word}; files already written are complete\n"
 
 
-def test_a_stage_with_an_unphysical_value_is_refused_by_name_and_unit(
+def test_a_stage_with_an_unphysical_value_is_refused_by_name_and_value(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     stage = tmp_path / "stage.yaml"
@@ -238,7 +238,7 @@ def test_a_stage_with_an_unphysical_value_is_refused_by_name_and_unit(
     assert not (tmp_path / "r.csv").exists()
 
 
-def test_completions_for_a_shell_name_the_commands(
+def test_shell_completions_contain_commands_and_options(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     pytest.importorskip("shtab", reason="needs shtab: pip install 'torchpi[completion]'")
@@ -249,7 +249,7 @@ def test_completions_for_a_shell_name_the_commands(
     assert of_fit and {"--config", "--data.recordings", "--output"} <= set(of_fit[1].split())
 
 
-def test_completions_without_their_library_name_the_line_that_installs_it(
+def test_completions_without_shtab_are_refused_with_its_install_command(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setitem(sys.modules, "shtab", None)

@@ -21,7 +21,7 @@ def files(folder: Path, levels: tuple[float, ...] = (0.3, 0.6)) -> list[Path]:
     return paths
 
 
-def test_from_a_linear_simulation_to_a_page_numbers_and_a_stage(
+def test_diagnosing_a_linear_simulation_writes_a_page_numbers_and_a_stage(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     linear().save(tmp_path / "linear.pt")
@@ -37,13 +37,13 @@ def test_from_a_linear_simulation_to_a_page_numbers_and_a_stage(
     predict_file(output / "stage.pt", paths[0], tmp_path / "predicted.csv")
 
 
-def test_what_is_no_simulation_of_several_axes_is_refused(tmp_path: Path) -> None:
+def test_unsuitable_simulations_recordings_and_options_are_refused(tmp_path: Path) -> None:
     paths = files(tmp_path, (0.3,))
     with pytest.raises(
         SimulationError, match=r"column: found no stage of several axes, expected the stage.pt"
     ):
         diagnose_(paths, tmp_path / "found", "column")
-    with pytest.raises(RecordingError, match="found 2 realisations at one amplitude, expected 3 at least"):
+    with pytest.raises(RecordingError, match="found 2 realisations at one amplitude, expected at least 3"):
         diagnose_(paths[:2], tmp_path / "found")
     one = tmp_path / "one.csv"
     one.write_text("time_s,input_v,output_um\n" + "".join(f"{k / 100},{k % 7},{k % 5}\n" for k in range(50)))

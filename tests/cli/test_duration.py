@@ -1,4 +1,4 @@
-"""Commands print how long they will take before they import anything heavy, from the size of their files."""
+"""Commands announce their duration, estimated from file sizes, before they import anything heavy."""
 
 import re
 import subprocess
@@ -35,17 +35,17 @@ def said(text: str) -> float:
 
 
 @pytest.mark.parametrize("samples", [50, 20_000])
-def test_samples_of_a_text_are_counted_by_its_first_lines(samples: int, tmp_path: Path) -> None:
+def test_samples_of_a_text_file_are_estimated_from_its_first_lines(samples: int, tmp_path: Path) -> None:
     (found,) = duration._samples_in([recording(tmp_path / "a.csv", samples)])
     assert found == pytest.approx(samples, rel=0.05)
 
 
-def test_a_file_that_cannot_be_read_counts_nothing(tmp_path: Path) -> None:
+def test_an_unreadable_file_counts_as_zero_samples(tmp_path: Path) -> None:
     (tmp_path / "empty.csv").touch()
     assert duration._samples_in([tmp_path / "none.csv", tmp_path / "empty.csv", tmp_path]) == [0, 0, 0]
 
 
-def test_more_to_do_takes_longer(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_longer_recordings_give_longer_estimates(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     short, long = recording(tmp_path / "short.csv", 1_000), recording(tmp_path / "long.csv", 200_000)
     calls = [
         lambda files: duration.announce_check(files * 8),
@@ -63,7 +63,7 @@ def test_more_to_do_takes_longer(tmp_path: Path, capsys: pytest.CaptureFixture[s
         assert printed[0] < printed[1]
 
 
-def test_epochs_and_simulated_recordings_of_a_config_count(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_estimate_of_a_fit_grows_with_the_number_of_epochs(capsys: pytest.CaptureFixture[str]) -> None:
     duration.announce_fit(["fit", "--config=demo", "--trainer.max_epochs=2"])
     few = seconds(capsys.readouterr().out)
     duration.announce_fit(["fit", "--config", "demo", "--trainer.max_epochs", "500"])
@@ -77,14 +77,14 @@ def test_epochs_and_simulated_recordings_of_a_config_count(capsys: pytest.Captur
         ["fit", "--config", "demo", "--data.recordings", "{"], ["fit", "--data.recordings", "5"],
     ],
 )  # fmt: skip
-def test_nothing_is_printed_where_nothing_is_trained_or_understood(
+def test_nothing_is_announced_if_nothing_is_trained_or_arguments_are_invalid(
     arguments: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
     duration.announce_fit(arguments)
     assert capsys.readouterr().out == ""
 
 
-def test_the_first_use_is_longer_and_a_slower_machine_too(
+def test_a_slow_machine_and_the_first_compilation_lengthen_the_estimate(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     duration.announce_diagnose(["none.csv"])
@@ -94,10 +94,10 @@ def test_the_first_use_is_longer_and_a_slower_machine_too(
     assert seconds(capsys.readouterr().out) == pytest.approx(usual / 0.3, rel=0.5)
     monkeypatch.setattr(duration, "_compiled", lambda part: False)
     duration.announce_diagnose(["none.csv"])
-    assert "most of it to compile, this once" in capsys.readouterr().out
+    assert "mostly for a one-time compilation" in capsys.readouterr().out
 
 
-def test_a_diagnosis_has_limits_by_how_much_it_finds(
+def test_the_estimate_of_a_diagnosis_grows_with_how_much_it_finds(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     duration.announce_diagnose([recording(tmp_path / "long.csv", 100_000)])
@@ -106,7 +106,7 @@ def test_a_diagnosis_has_limits_by_how_much_it_finds(
     assert nothing < little < much
 
 
-def test_limits_that_read_alike_are_one(
+def test_equal_limits_are_announced_as_one_duration(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(duration, "search_s", lambda rounds, samples: 20.0)
@@ -122,18 +122,18 @@ MEASURED = {
     "nothing missing, slow, judge": (21_000, 1, (17, 33)),
     "nothing missing, all four": (41_000, 1, (23, 46)),
 }
-"""The recordings, and the samples, the rounds and the processor seconds of their diagnosis on two machines,
-between which the constants are: those of the README (`benchmarks/durations.py --rounds`)."""
+"""Recordings of the README with samples, rounds and processor seconds of their diagnosis on two machines; the
+constants of the model lie between the two (`benchmarks/durations.py --rounds`)."""
 KEPT_APART = {
     "a motor": (30_000, 3, (110,)),
     "a piezo stack": (9_417, 6, (75,)),
     "drawn, nothing found": (33_884, 1, (21,)),
 }
-"""The same of recordings to which they are not fitted: real ones, and of a stage drawn by the proof."""
+"""The same for recordings to which the constants were not fitted: real ones, and one drawn by the proof."""
 
 
 @pytest.mark.parametrize(("samples", "rounds", "measured_s"), [*MEASURED.values(), *KEPT_APART.values()])
-def test_a_diagnosis_is_announced_within_a_factor_of_two_of_what_it_took(
+def test_the_announced_duration_of_a_diagnosis_is_right_within_a_factor_of_two(
     samples: int,
     rounds: int,
     measured_s: tuple[float, ...],
@@ -151,7 +151,7 @@ def test_a_diagnosis_is_announced_within_a_factor_of_two_of_what_it_took(
     assert 0.5 * low < min(measured_s) <= max(measured_s) < 2 * high
 
 
-def test_what_is_left_of_a_diagnosis_follows_its_rounds() -> None:
+def test_the_remaining_time_of_a_diagnosis_follows_its_rounds() -> None:
     quick, slow = duration.Countdown(), duration.Countdown()
     for countdown, times in ((quick, 1.0), (slow, 3.0)):
         assert countdown.left("nominal: the simulation as it is", times) == ""
@@ -165,13 +165,13 @@ def test_what_is_left_of_a_diagnosis_follows_its_rounds() -> None:
     assert said(quick.left("decide: every effect against its rivals", 50.0)) < said(left)
 
 
-def test_a_machine_that_gives_less_needs_longer() -> None:
+def test_a_slower_machine_needs_longer() -> None:
     quick, busy = Machine(1.0, 1.0, 2.0), Machine(0.5, 0.25, 0.5)
     assert quick.seconds(8.0, 4.0) == 10.0
     assert busy.seconds(8.0, 4.0) == 80.0
 
 
-def test_what_this_machine_gives_is_measured() -> None:
+def test_the_speed_of_this_machine_is_measured() -> None:
     machine.measured.cache_clear()
     found = machine.measured(2)
     assert found.speed > 0 and 0 < found.alone <= 1.1 and found.alone <= found.together <= 2.2
@@ -181,7 +181,7 @@ def test_what_this_machine_gives_is_measured() -> None:
     "command",
     [["check", "a.csv"], ["diagnose", "a.csv"], ["run", "a.pt"], ["train", "fit", "--config", "recorded"]],
 )
-def test_it_is_printed_before_torch_is_imported(command: list[str], tmp_path: Path) -> None:
+def test_the_duration_is_printed_before_torch_is_imported(command: list[str], tmp_path: Path) -> None:
     recording(tmp_path / "a.csv", 100)
     (tmp_path / "a.pt").touch()
     program = (

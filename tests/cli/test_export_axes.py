@@ -18,7 +18,7 @@ MADE = ("two.pt", "two_forward.pt", "two_stage.pt")
 
 
 def left(folder: Path, stage: MultiAxisStage) -> Path:
-    """A run folder."""
+    """Write a run folder with the stage and its metrics."""
     run = folder / "run"
     run.mkdir()
     stage.save(run / "stage.pt")
@@ -27,7 +27,7 @@ def left(folder: Path, stage: MultiAxisStage) -> Path:
     return run
 
 
-def test_a_run_leaves_its_inverse_its_stage_and_the_stage_as_a_step(tmp_path: Path) -> None:
+def test_export_writes_the_inverse_the_forward_model_and_the_stage(tmp_path: Path) -> None:
     run = left(tmp_path, two_axes())
     export(run, tmp_path / "two", to="torchscript", band_hz=30.0)
     assert sorted(path.name for path in tmp_path.glob("two*")) == sorted(MADE)
@@ -41,7 +41,7 @@ def test_a_run_leaves_its_inverse_its_stage_and_the_stage_as_a_step(tmp_path: Pa
     assert MultiAxisStage.load(tmp_path / "two_stage.pt").inputs == 2
 
 
-def test_a_stage_without_an_inverse_leaves_its_step(
+def test_a_stage_without_an_inverse_is_exported_as_forward_model_only(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     export(left(tmp_path, linear()), tmp_path / "two", to="json")
@@ -49,7 +49,7 @@ def test_a_stage_without_an_inverse_leaves_its_step(
     assert "no inverse: found 2 inputs and 1 outputs" in capsys.readouterr().out
 
 
-def test_what_several_axes_do_not_have_is_refused(tmp_path: Path) -> None:
+def test_a_slew_limit_and_missing_metrics_are_refused(tmp_path: Path) -> None:
     run = left(tmp_path, two_axes())
     with pytest.raises(ConfigError, match=r"--max_slew_v_s: found 3.0, expected none for several axes"):
         export(run, tmp_path / "two", max_slew_v_s=3.0)

@@ -1,4 +1,4 @@
-"""`torchpi predict`: a voltage in, what the stage does with it out."""
+"""`torchpi predict` computes the displacement of a stage from a file of voltages."""
 
 import sys
 from pathlib import Path
@@ -39,7 +39,7 @@ def torchpi(*arguments: str | Path, monkeypatch: pytest.MonkeyPatch) -> int:
     return int(ended.value.code or 0)
 
 
-def test_the_file_comes_back_with_the_displacement(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_output_file_contains_the_displacement(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     one = stage(tmp_path / "stage.pt", COUPLING, RESONANCE)
     u, x = wandering(2, 700).numpy()
     t = np.arange(len(u)) / RATE_HZ
@@ -58,7 +58,7 @@ def test_the_file_comes_back_with_the_displacement(tmp_path: Path, monkeypatch: 
     )
 
 
-def test_a_file_as_a_rig_writes_it_gives_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_other_units_and_names_give_the_same_result(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     stage(tmp_path / "stage.pt", RESONANCE)
     (u,) = wandering(1, 300).numpy()
     t = np.arange(len(u)) / RATE_HZ
@@ -95,7 +95,7 @@ def test_a_missing_column_is_named_in_one_line(
     assert said in error and "\n" not in error and not out.exists()
 
 
-def test_a_file_that_is_no_stage_is_refused(
+def test_a_file_that_is_not_a_stage_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     given = write(tmp_path / "in.csv", time_s=np.arange(20) / 100, input_v=np.zeros(20))
@@ -103,7 +103,7 @@ def test_a_file_that_is_no_stage_is_refused(
     assert "not a stage file" in capsys.readouterr().err
 
 
-def test_the_de_energised_stage_stands_where_its_offset_is(tmp_path: Path) -> None:
+def test_zero_voltage_gives_the_offset_of_the_stage(tmp_path: Path) -> None:
     one = stage(tmp_path / "stage.pt")
     np.testing.assert_array_equal(predict.predict(one, np.zeros(5), {}), 0.1)
 
@@ -114,7 +114,7 @@ CORRECTING = {
 OWN = "tests.simulators.own_model:simulate"
 
 
-def test_a_stage_that_corrects_a_simulation_calls_what_is_named_and_nothing_else(
+def test_a_stage_that_corrects_a_simulation_calls_only_the_explicitly_named_one(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     Stage(RATE_HZ, CORRECTING).save(tmp_path / "stage.pt")
@@ -133,7 +133,7 @@ def test_a_stage_that_corrects_a_simulation_calls_what_is_named_and_nothing_else
     )
 
 
-def test_a_stage_that_corrects_a_recorded_output_reads_it(
+def test_a_stage_that_corrects_a_recorded_simulation_reads_its_column(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     Stage(RATE_HZ, {**CORRECTING, "simulation": {"reference": "column", "gain": 2.0}}).save(tmp_path / "s.pt")
@@ -147,10 +147,10 @@ def test_a_stage_that_corrects_a_recorded_output_reads_it(
     assert "found 0 columns 'simulated…'" in capsys.readouterr().err
 
 
-def test_a_simulation_for_a_stage_that_calls_none_is_refused(
+def test_a_simulation_is_refused_for_a_stage_that_calls_none(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     stage(tmp_path / "stage.pt")
     given = write(tmp_path / "in.csv", time_s=np.arange(20) / 100, input_v=np.zeros(20))
     assert torchpi("predict", tmp_path / "stage.pt", given, "--simulation", OWN, monkeypatch=monkeypatch) == 2
-    assert "found a stage that calls nothing" in capsys.readouterr().err
+    assert "found a stage that calls no simulation" in capsys.readouterr().err

@@ -25,7 +25,7 @@ def given(path: Path, inputs: int = 2, fs_hz: float = RATE_HZ) -> np.ndarray:
     return u
 
 
-def test_the_file_comes_back_with_the_displacements(tmp_path: Path) -> None:
+def test_the_output_file_contains_the_predicted_displacements(tmp_path: Path) -> None:
     stage, path = two_axes(), tmp_path / "stage.pt"
     stage.save(path)
     u = given(tmp_path / "in.csv")
@@ -40,7 +40,7 @@ def test_the_file_comes_back_with_the_displacements(tmp_path: Path) -> None:
     ("inputs", "fs_hz", "message"),
     [(3, RATE_HZ, "found 3 inputs, expected 2 as in"), (2, 500.0, "found 500 Hz, expected 1000 Hz as in")],
 )
-def test_a_file_that_does_not_fit_the_stage_is_refused(
+def test_a_file_with_other_inputs_or_sample_rate_than_the_stage_is_refused(
     inputs: int, fs_hz: float, message: str, tmp_path: Path
 ) -> None:
     two_axes().save(tmp_path / "stage.pt")
@@ -60,7 +60,7 @@ def config(folder: Path, **settings: object) -> Path:
     return path
 
 
-def test_a_config_of_several_axes_leaves_a_stage_and_what_it_is_worth(tmp_path: Path) -> None:
+def test_fitting_several_axes_writes_a_stage_and_its_metrics(tmp_path: Path) -> None:
     path, output = config(tmp_path, heldout=["run2"]), tmp_path / "run"
     command = [sys.executable, "-m", "train", "fit", "--config", str(path), "--output", str(output)]
     ended = subprocess.run(command, capture_output=True, text=True, check=False)
@@ -79,7 +79,7 @@ def test_a_config_of_several_axes_leaves_a_stage_and_what_it_is_worth(tmp_path: 
         ({"recordings": 3}, "recordings: found 3, expected an archive or a list of files"),
     ],
 )
-def test_settings_without_meaning_are_named(settings: dict, message: str, tmp_path: Path) -> None:
+def test_invalid_settings_are_refused_by_name(settings: dict, message: str, tmp_path: Path) -> None:
     path = config(tmp_path, **settings)
     with pytest.raises(ConfigError, match=message):
         multi_axis.fit(["fit", "--config", str(path), "--output", str(tmp_path / "run")], path)

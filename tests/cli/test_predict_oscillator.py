@@ -19,7 +19,7 @@ from train.cli import main
 
 
 @pytest.mark.parametrize("column", ["force_n", "input_v"])
-def test_the_file_comes_back_with_the_displacement(
+def test_the_output_file_contains_the_input_and_the_predicted_displacement(
     column: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     one, u = an_oscillator(), multisine(500)
@@ -34,7 +34,7 @@ def test_the_file_comes_back_with_the_displacement(
         np.testing.assert_array_equal(np.loadtxt(out, delimiter=",", skiprows=1)[:, 1:], np.stack([u, y], 1))
 
 
-def test_a_file_of_another_rate_is_predicted_at_that(tmp_path: Path) -> None:
+def test_a_file_is_predicted_at_its_own_sample_rate(tmp_path: Path) -> None:
     an_oscillator().save(tmp_path / "stage.pt")
     u = multisine(500, factor=2)
     given = write(tmp_path / "in.csv", time_s=np.arange(1000) / (2 * RATE_HZ), force_n=u)
@@ -43,15 +43,15 @@ def test_a_file_of_another_rate_is_predicted_at_that(tmp_path: Path) -> None:
     np.testing.assert_allclose(predicted.y, y, rtol=1e-9)
 
 
-def test_what_does_not_fit_the_stage_is_refused(tmp_path: Path) -> None:
+def test_columns_and_options_that_do_not_fit_the_stage_are_refused(tmp_path: Path) -> None:
     an_oscillator().save(tmp_path / "stage.pt")
     two_axes().save(tmp_path / "two.pt")
     given = write(tmp_path / "in.csv", time_s=np.arange(9) / RATE_HZ, torque=np.ones(9))
     with pytest.raises(RecordingError, match="input_v"):
         predict_file(tmp_path / "stage.pt", given, tmp_path / "out.csv")
-    with pytest.raises(SimulationError, match="expected no simulation"):
+    with pytest.raises(SimulationError, match="expected no --simulation"):
         predict_file(tmp_path / "stage.pt", given, tmp_path / "out.csv", simulation="column")
-    with pytest.raises(ConfigError, match="expected an oscillator with periodic"):
+    with pytest.raises(ConfigError, match="expected an oscillator with --periodic"):
         predict_file(tmp_path / "two.pt", given, tmp_path / "out.csv", periodic=True)
     assert not (tmp_path / "out.csv").exists()
 
@@ -73,7 +73,7 @@ def config(folder: Path, **settings: object) -> Path:
     return path
 
 
-def test_a_config_of_an_oscillator_leaves_a_stage_and_what_it_is_worth(
+def test_fitting_an_oscillator_writes_its_stage_and_metrics(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     output = tmp_path / "run"
@@ -93,12 +93,12 @@ def test_a_config_of_an_oscillator_leaves_a_stage_and_what_it_is_worth(
         ({"plays": 3}, "found the key plays, expected one of recordings, periods"),
         ({"skip_s": 1}, "found the key skip_s, expected one of recordings, periods"),
         ({"recordings": "run.csv"}, "recordings: found 'run.csv', expected a list of files"),
-        ({"periods": 0}, "periods: found 0, expected a whole number from 1 on"),
+        ({"periods": 0}, "periods: found 0, expected a whole number, 1 or more"),
         ({"periods": 5}, "run: found 3072 samples, expected a multiple of 5 periods"),
-        ({"heldout": 1}, "heldout: found 1, expected a number from 0 on, below 1"),
+        ({"heldout": 1}, "heldout: found 1, expected a number from 0 to below 1"),
     ],
 )
-def test_settings_without_meaning_are_named(settings: dict, message: str, tmp_path: Path) -> None:
+def test_invalid_settings_are_refused_by_name(settings: dict, message: str, tmp_path: Path) -> None:
     path = config(tmp_path, **settings)
     with pytest.raises((ConfigError, RecordingError), match=message):
         oscillator.fit(["fit", "--config", str(path), "--output", str(tmp_path / "run")], path)

@@ -1,4 +1,4 @@
-"""The run: everything that is asked for comes out, names are checked, and an interrupted run goes on."""
+"""`torchpi reproduce` produces all promised results, checks names, and resumes an interrupted run."""
 
 import json
 import re
@@ -23,7 +23,7 @@ def results() -> dict[str, Any]:
     return json.loads((short_run() / "results.json").read_text(encoding="utf-8"))
 
 
-def test_results_have_every_key_that_is_promised(results: dict[str, Any]) -> None:
+def test_results_have_every_promised_key(results: dict[str, Any]) -> None:
     keys = ["fig3.round_trip"]
     keys += [f"fig7.area.{hz}" for hz in (1, 5, 10, 50, 100)]
     keys += [f"fig8.{way}_max_percent.{hz}" for way in ("indirect", "direct") for hz in (5, 10, 50, 100)]
@@ -40,12 +40,12 @@ def test_results_have_every_key_that_is_promised(results: dict[str, Any]) -> Non
         assert isinstance(value, float) and np.isfinite(value), key
 
 
-def test_the_whole_run_goes_from_1_to_80_hz_and_over_ten_trajectories() -> None:
+def test_the_full_run_covers_1_to_80_hz_and_ten_unseen_trajectories() -> None:
     assert (min(FULL.fig13_hz), max(FULL.fig13_hz)) == (1, 80) == (FREQUENCIES_HZ[0], FREQUENCIES_HZ[-1])
     assert FULL.unseen == 10
 
 
-def test_the_paper_s_numbers_come_out(results: dict[str, Any]) -> None:
+def test_the_numbers_of_the_paper_are_reproduced(results: dict[str, Any]) -> None:
     assert results["fig3"]["round_trip"] < 1e-12
     areas = list(results["fig7"]["area"].values())
     assert areas == sorted(areas)
@@ -67,7 +67,7 @@ def test_every_method_has_a_row_with_all_its_numbers(results: dict[str, Any]) ->
     assert conventional["max_percent"] < without["max_percent"]
 
 
-def test_an_unknown_name_is_refused_with_the_nearest_and_all_of_them() -> None:
+def test_an_unknown_name_is_refused_with_the_nearest_and_all_valid_names() -> None:
     with pytest.raises(ConfigError) as refused:
         chosen(["fig88"])
     message = str(refused.value)
@@ -77,7 +77,7 @@ def test_an_unknown_name_is_refused_with_the_nearest_and_all_of_them() -> None:
         chosen([])
 
 
-def test_a_stage_that_cannot_be_is_refused_before_anything_runs(tmp_path) -> None:
+def test_an_unphysical_stage_is_refused_before_anything_runs(tmp_path) -> None:
     bad = tmp_path / "bad.yaml"
     good = STAGE.read_text(encoding="utf-8")
     bad.write_text(re.sub(r"damping_ratio: [\d.]+", "damping_ratio: -0.02", good), encoding="utf-8")
@@ -88,7 +88,7 @@ def test_a_stage_that_cannot_be_is_refused_before_anything_runs(tmp_path) -> Non
 
 @dataclass(frozen=True)
 class Counted:
-    """What a test item computes."""
+    """The result of a test item."""
 
     value: float
     trace: np.ndarray
@@ -102,7 +102,7 @@ class Counted:
 
 @pytest.fixture
 def counted(monkeypatch) -> list[str]:
-    """Three items in place of all; the names of those that are computed, in order. The third is broken."""
+    """Replace all items by three and list the names of those computed, in order; the third is interrupted."""
     calls: list[str] = []
 
     def compute(name: str):
@@ -124,7 +124,7 @@ def counted(monkeypatch) -> list[str]:
     return calls
 
 
-def test_an_interrupted_run_goes_on_where_it_stopped(tmp_path, counted: list[str]) -> None:
+def test_an_interrupted_run_resumes_where_it_stopped(tmp_path, counted: list[str]) -> None:
     with pytest.raises(KeyboardInterrupt):
         reproduce(tmp_path, ["fig5"], STAGE, SHORT, QUICK)
     assert counted == ["table1", "jointly", "fig5"]
@@ -135,7 +135,7 @@ def test_an_interrupted_run_goes_on_where_it_stopped(tmp_path, counted: list[str
     assert len(counted) == 4
 
 
-def test_other_inputs_compute_anew_and_a_broken_file_too(tmp_path, counted: list[str]) -> None:
+def test_changed_inputs_and_broken_files_are_recomputed(tmp_path, counted: list[str]) -> None:
     reproduce(tmp_path, ["jointly"], STAGE, SHORT, QUICK)
     reproduce(tmp_path, ["jointly"], STAGE, replace(SHORT, unseen=3), QUICK)
     assert counted == ["table1", "jointly"] * 2
@@ -144,7 +144,7 @@ def test_other_inputs_compute_anew_and_a_broken_file_too(tmp_path, counted: list
     assert counted == ["table1", "jointly", "table1", "jointly", "jointly"]
 
 
-def test_only_computes_what_is_asked_and_what_that_needs(tmp_path, counted: list[str]) -> None:
+def test_only_requested_items_and_their_dependencies_are_computed(tmp_path, counted: list[str]) -> None:
     reproduce(tmp_path, ["table1"], STAGE, SHORT, QUICK)
     assert counted == ["table1"]
     assert json.loads((tmp_path / "results.json").read_text()) == {"fig4": {"value": 1.0}}
@@ -152,7 +152,7 @@ def test_only_computes_what_is_asked_and_what_that_needs(tmp_path, counted: list
 
 @dataclass(frozen=True)
 class Nested:
-    """Everything that a result may hold."""
+    """Every type of value that a result may hold."""
 
     counted: dict[str, list[Counted]]
     pair: tuple[float, ...]
@@ -161,7 +161,7 @@ class Nested:
     free: dict[str, Any]
 
 
-def test_a_result_comes_back_as_it_was_stored(tmp_path) -> None:
+def test_a_stored_result_is_restored_unchanged(tmp_path) -> None:
     held = Nested({"a": [Counted(0.1, np.array([1.0, np.pi]))]}, (1.0, 2.5), "ζ", None, {"list": [1, 2]})
     store(held, "key", 1.5, tmp_path / "a.npz")
     assert restore(Nested, "another key", tmp_path / "a.npz") is None
@@ -176,7 +176,7 @@ def test_a_result_comes_back_as_it_was_stored(tmp_path) -> None:
     np.testing.assert_array_equal(one.trace, held.counted["a"][0].trace)
 
 
-def test_a_row_says_how_far_it_is_off_and_whether_that_is_allowed() -> None:
+def test_a_row_states_its_deviation_and_whether_it_is_within_its_bound() -> None:
     row = Row("a", 1.1, paper=1.0, within_percent=20)
     assert row.difference == pytest.approx(0.1) and row.difference_percent == pytest.approx(10)
     assert row.met is True

@@ -24,7 +24,7 @@ def test_every_input_has_a_multisine_of_its_own(tmp_path: Path) -> None:
     np.testing.assert_array_equal(found.y, expected)
 
 
-def test_inputs_in_proportion_and_other_files_are_refused(tmp_path: Path) -> None:
+def test_proportional_inputs_and_files_that_are_not_a_stage_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "stage.pt"
     two_axes().save(path)
     with pytest.raises(

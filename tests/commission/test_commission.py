@@ -1,4 +1,4 @@
-"""`torchpi commission` from short recordings to a page, and `torchpi run` on the stage that it leaves."""
+"""`torchpi commission` from short recordings to a page, and `torchpi run` on the stage that it writes."""
 
 import json
 import re
@@ -36,7 +36,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
 
 @pytest.fixture(scope="module")
 def printed(files: list[str], tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
-    """The folder that a commissioning left, and what it printed."""
+    """The folder that a commissioning wrote, and the text that it printed."""
     folder = tmp_path_factory.mktemp("commissioned") / "mine"
     lines: list[str] = []
     paths = [Path(path) for path in files]
@@ -54,7 +54,7 @@ def numbers(folder: Path) -> dict:
     return found
 
 
-def test_ten_lines_with_an_estimate_at_first_and_the_number(printed: tuple[Path, str]) -> None:
+def test_at_most_ten_lines_state_the_estimated_duration_and_the_error(printed: tuple[Path, str]) -> None:
     folder, text = printed
     lines = text.splitlines()
     assert len(lines) <= 10
@@ -64,7 +64,7 @@ def test_ten_lines_with_an_estimate_at_first_and_the_number(printed: tuple[Path,
     assert tracking["with_rms_um"] < 0.2 * tracking["without_rms_um"]
 
 
-def test_it_leaves_what_export_writes_the_stage_a_page_and_numbers(folder: Path) -> None:
+def test_commissioning_writes_the_exports_the_stage_a_page_and_numbers(folder: Path) -> None:
     names = {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()}
     assert names == {
         "compensator.pt", "compensator.h", "compensator.c", "compensator_selftest.c", "compensator.json",
@@ -74,7 +74,7 @@ def test_it_leaves_what_export_writes_the_stage_a_page_and_numbers(folder: Path)
     assert load_compensator(folder).preview == load_torchscript(folder / "compensator.pt").preview
 
 
-def test_the_first_screen_of_the_page_says_the_number_and_what_it_is(folder: Path) -> None:
+def test_the_first_screen_of_the_page_states_the_error_and_its_origin(folder: Path) -> None:
     page = (folder / "commission.html").read_text(encoding="utf-8")
     first = page[page.index('<p class="answer"') : page.index("<section")]
     without, with_ = (1e3 * numbers(folder)["tracking"][f"{name}_rms_um"] for name in ("without", "with"))
@@ -108,7 +108,7 @@ def motion(path: Path, high_um: float) -> Path:
     return path
 
 
-def test_run_takes_the_stage_beside_the_compensator_and_says_so(
+def test_run_uses_the_stage_beside_the_compensator_and_says_so(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     compensator, wanted = folder / "compensator.pt", motion(tmp_path / "motion.csv", 3.0)
@@ -120,7 +120,7 @@ def test_run_takes_the_stage_beside_the_compensator_and_says_so(
     assert done.err == ""
 
 
-def test_an_export_brings_its_stage_along(
+def test_an_export_includes_its_stage(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert torchpi(monkeypatch, "export", folder, "--output", tmp_path / "x", "--to", "torchscript") == 0
@@ -132,7 +132,7 @@ def test_an_export_brings_its_stage_along(
 
 
 @pytest.mark.filterwarnings("default::torchpi.errors.RecordingWarning")
-def test_run_warns_in_one_line_where_the_stage_is_of_other_recordings(
+def test_run_warns_in_one_line_if_the_stage_is_from_other_recordings(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     own = Stage.load(folder / "stage.pt")
@@ -147,7 +147,7 @@ def test_run_warns_in_one_line_where_the_stage_is_of_other_recordings(
     assert error.count("\n") == 1
 
 
-def test_run_says_at_which_motion_and_when_the_rate_meets_a_limit(
+def test_run_states_for_which_motion_and_when_the_rate_reaches_a_limit(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     slow, fast = motion(tmp_path / "slow.csv", 1.0), motion(tmp_path / "fast.csv", 4.0)
@@ -177,7 +177,7 @@ def test_run_says_at_which_motion_and_when_the_rate_meets_a_limit(
         (lambda files, folder: [*files, "--zero", "last"], "zero"),
     ],
 )
-def test_bad_input_is_one_line_exit_code_2_and_leaves_what_was_there(
+def test_bad_input_gives_one_line_and_exit_code_2_and_leaves_existing_files(
     change, expected: str, files: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:  # fmt: skip
@@ -193,7 +193,7 @@ def test_bad_input_is_one_line_exit_code_2_and_leaves_what_was_there(
     assert (output / "stage.pt").read_bytes() == b"of before"
 
 
-def test_a_failure_at_the_last_file_leaves_the_previous_files_whole(
+def test_a_failure_at_the_last_file_leaves_the_previous_files_intact(
     files: list[str], folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from torchpi.errors import ArtifactError

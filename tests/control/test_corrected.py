@@ -1,4 +1,4 @@
-"""A corrected inverse: its step is its batch, and its passes take away what the inverse misses."""
+"""A corrected inverse: its step equals its batch, and each pass reduces the error of the inverse."""
 
 import itertools
 import math
@@ -28,7 +28,7 @@ def operator(weights: list[list[float]], preview: int = 0) -> DirectInverse:
     return made
 
 
-# A stage that leads its voltage by a rate term, and an inverse that knows nothing of it.
+# A stage that leads its voltage through a rate term, and an inverse that lacks this term.
 MODEL = [[0.8, -0.03], [0.1, 0.0], [0.1, 0.0]]
 START = [[1.2, 0.0], [-0.15, 0.0], [-0.1, 0.0]]
 
@@ -77,13 +77,13 @@ def test_the_exported_file_gives_the_same_numbers(tmp_path) -> None:
     assert torch.equal(loaded.block(yd), made(backward_motion(yd[None], PERIOD))[0].detach())
 
 
-def test_without_a_pass_it_is_the_inverse_it_starts_from() -> None:
+def test_without_passes_it_equals_the_initial_inverse() -> None:
     made = corrected(0)
     motion = backward_motion(voltage(5), PERIOD)
     assert torch.equal(made(motion), made.inverse(motion).clamp(0, 10))
 
 
-def test_every_pass_leaves_less_on_a_motion_that_was_not_fitted() -> None:
+def test_every_pass_reduces_the_error_on_a_motion_that_was_not_fitted() -> None:
     left = []
     for passes in range(4):
         made = corrected(passes)
@@ -95,7 +95,7 @@ def test_every_pass_leaves_less_on_a_motion_that_was_not_fitted() -> None:
     assert all(later < 0.7 * earlier for earlier, later in itertools.pairwise(left))
 
 
-def test_impossible_parts_are_refused_by_name() -> None:
+def test_invalid_parts_are_named_in_the_error() -> None:
     start, model = operator(START), operator(MODEL)
     with pytest.raises(ConfigError, match="filters: found shape"):
         CorrectedInverse(start, model, torch.zeros(2, 3), 3, 0.0, 10.0)

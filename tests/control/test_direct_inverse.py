@@ -61,7 +61,7 @@ def test_step_block_and_batch_agree_to_the_last_bit(
         stepped = torch.tensor([stream.step(sample) for sample in yd.tolist()], dtype=torch.float64)
         assert torch.equal(stepped, batch)
         stream.reset()
-        # A block, then steps, then a block: the state is the same one.
+        # A block, then steps, then a block: they share one state.
         parts = [stream.block(yd[:250])]
         parts += [torch.tensor([stream.step(s) for s in yd[250:300].tolist()], dtype=torch.float64)]
         parts += [stream.block(yd[300:])]
@@ -115,7 +115,7 @@ def test_gradients_reach_every_parameter_and_are_exact() -> None:
     assert torch.autograd.gradcheck(voltage, values, eps=1e-7, atol=1e-4)
 
 
-def test_reference_filter_inside_gives_what_it_gives_outside() -> None:
+def test_a_reference_filter_inside_the_stream_gives_the_same_bits_as_outside() -> None:
     made, filter_ = compensator(preview=0), ReferenceFilter(1e-4)
     yr = trajectory(400)
     inside = scripted(made.stream(filter_))
@@ -123,7 +123,7 @@ def test_reference_filter_inside_gives_what_it_gives_outside() -> None:
     assert torch.equal(inside.block(yr), made(filter_(yr[None]))[0].detach())
 
 
-def test_an_input_that_is_not_finite_holds_the_last_one_and_is_counted() -> None:
+def test_an_input_that_is_not_finite_is_replaced_by_the_last_one_and_counted() -> None:
     made = compensator(lead=0)
     for stream in (made.stream(), scripted(made.stream())):
         for sample in (0.1, 0.2):
@@ -140,7 +140,7 @@ def test_output_stays_within_its_limits() -> None:
     assert u.min() == 1.0 and u.max() == 2.0
 
 
-def test_hyper_parameters_are_plain_and_rebuild_it() -> None:
+def test_it_can_be_rebuilt_from_its_hyper_parameters() -> None:
     made = compensator()
     other = DirectInverse(**made.hyper_parameters)
     other.load_state_dict(made.state_dict())
@@ -168,6 +168,6 @@ def test_a_compensator_that_diverged_is_not_deployed() -> None:
         ({"min_voltage_v": -math.inf}, "min_voltage_v"),
     ],
 )
-def test_impossible_arguments_are_refused_by_name(changes: dict, named: str) -> None:
+def test_invalid_arguments_are_named_in_the_error(changes: dict, named: str) -> None:
     with pytest.raises(ConfigError, match=f"{named}: found"):
         compensator(**changes)

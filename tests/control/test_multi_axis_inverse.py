@@ -23,7 +23,7 @@ def filters(stage: MultiAxisStage) -> tuple[np.ndarray, np.ndarray]:
 
 
 def trajectory() -> np.ndarray:
-    """(time, 2), µm, twice the same, to `BAND_HZ`."""
+    """Return two equal periods of a motion up to `BAND_HZ`, (time, 2), µm."""
     spectrum = np.fft.rfft(multisine(np.random.default_rng(5), 2000, 1.0), axis=0)
     spectrum[int(BAND_HZ / 1000.0 * 2000) :] = 0
     yd = np.fft.irfft(spectrum, axis=0)
@@ -31,14 +31,14 @@ def trajectory() -> np.ndarray:
 
 
 def moved(stage: MultiAxisStage, inverse: MultiAxisInverse, yd: np.ndarray) -> np.ndarray:
-    """What the stage does in the second half."""
+    """Return the motion of the stage in the second half."""
     inverse.reset()
     u = inverse.block(np.concatenate([yd, yd[: inverse.preview]]))[inverse.preview :]
     y = stage.simulate(torch.from_numpy(u)[None])[0].numpy()
     return y[2200:-200]
 
 
-def test_corrections_leave_a_tenth_of_what_the_best_linear_inverse_leaves(
+def test_corrections_leave_a_tenth_of_the_error_of_the_best_linear_inverse(
     stage: MultiAxisStage, filters: tuple[np.ndarray, np.ndarray]
 ) -> None:
     yd = trajectory()
@@ -50,14 +50,14 @@ def test_corrections_leave_a_tenth_of_what_the_best_linear_inverse_leaves(
     assert (errors[1] < 0.1 * errors[0]).all()
 
 
-def test_an_axis_that_is_to_stand_stands(
+def test_an_axis_with_zero_reference_stays_at_rest(
     stage: MultiAxisStage, filters: tuple[np.ndarray, np.ndarray]
 ) -> None:
     yd = trajectory() * [1.0, 0.0]
     assert moved(stage, MultiAxisInverse(stage, *filters, 3), yd)[:, 1].std() < 0.005
 
 
-def test_samples_one_by_one_give_the_voltages_of_the_block(
+def test_steps_give_the_same_voltages_as_the_block(
     stage: MultiAxisStage, filters: tuple[np.ndarray, np.ndarray]
 ) -> None:
     inverse, yd = MultiAxisInverse(stage, *filters, 1), trajectory()[:700]
@@ -66,16 +66,16 @@ def test_samples_one_by_one_give_the_voltages_of_the_block(
     np.testing.assert_allclose([inverse.step(one) for one in yd], whole, atol=1e-12)
 
 
-def test_bands_and_arrays_without_meaning_are_named(
+def test_invalid_bands_and_arrays_are_named_in_the_error(
     stage: MultiAxisStage, filters: tuple[np.ndarray, np.ndarray]
 ) -> None:
     with pytest.raises(StageError, match="band_hz: found 400, expected a number up to 170"):
         linear_inverses(stage, RMS_V, 400.0)
-    with pytest.raises(StageError, match=r"corrections: found an array of \(3, 2, 2\)"):
+    with pytest.raises(StageError, match=r"corrections: found an array of shape \(3, 2, 2\)"):
         MultiAxisInverse(stage, filters[0], filters[1][:3])
     with pytest.raises(StageError, match="passes: found -1"):
         MultiAxisInverse(stage, *filters, -1)
-    with pytest.raises(StageError, match=r"array of \(1, 3\), expected \(time, 2\)"):
+    with pytest.raises(StageError, match=r"array of shape \(1, 3\), expected \(time, 2\)"):
         MultiAxisInverse(stage, *filters).step([1.0, 2.0, 3.0])
     with pytest.raises(StageError, match=r"limits_v: found .*, expected the least and the largest voltage"):
         MultiAxisInverse(stage, *filters, 1, np.array([[0.0, 1.0], [1.0, 1.0]]))
@@ -83,7 +83,7 @@ def test_bands_and_arrays_without_meaning_are_named(
         MultiAxisInverse(stage, *filters, 1, accepted_um=np.array([1.0, 0.0]))
 
 
-def test_a_sample_that_is_not_accepted_is_held_and_counted(
+def test_a_rejected_sample_is_replaced_by_the_last_one_and_counted(
     stage: MultiAxisStage, filters: tuple[np.ndarray, np.ndarray]
 ) -> None:
     yd = trajectory()[:400]

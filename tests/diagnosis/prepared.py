@@ -1,4 +1,4 @@
-"""Recordings made ready for a search, none of their readings a dropout."""
+"""Recordings prepared for a search, none of whose readings is a dropout."""
 
 from collections.abc import Sequence
 
@@ -9,5 +9,5 @@ from torchpi.recordings.recording import Recording
 
 
 def prepared(recordings: Sequence[Recording]) -> list[Record]:
-    """The recordings with their ends sealed."""
+    """Prepare the recordings, with their ends sealed."""
     return prepare(recordings, [np.arange(0)] * len(recordings))

@@ -1,4 +1,4 @@
-"""Simulations that share no line with torchpi: static plays in NumPy, a mode by python-control."""
+"""Simulations that share no code with torchpi: static plays in NumPy, a mode from python-control."""
 
 import control
 import numpy as np
@@ -15,7 +15,7 @@ CREEP = {"creep_per_decade": 0.02, "creep_from_s": 1e-3 * 10**0.5, "creep_to_s":
 
 
 def plays(u_v: np.ndarray, fs_hz: float, weights: tuple[float, ...] = WEIGHTS) -> np.ndarray:
-    """Static: nothing but hysteresis."""
+    """Simulate static hysteresis and nothing else."""
     y, h, r = np.empty(len(u_v)), np.zeros(len(THRESHOLDS_V)), np.array(THRESHOLDS_V)
     for k, v in enumerate(u_v):
         h = np.maximum(v - r, np.minimum(v + r, h))
@@ -24,7 +24,7 @@ def plays(u_v: np.ndarray, fs_hz: float, weights: tuple[float, ...] = WEIGHTS) -
 
 
 def with_mode(x: np.ndarray, fs_hz: float, frequency_hz: float, damping_ratio: float = 0.03) -> np.ndarray:
-    """A mode of unit static gain behind a displacement."""
+    """Pass a displacement through a mode of unit static gain."""
     w = 2 * np.pi * frequency_hz
     mode = control.tf([w * w], [1, 2 * damping_ratio * w, w * w])
     y: np.ndarray = control.forced_response(mode, np.arange(len(x)) / fs_hz, x).outputs
@@ -32,22 +32,22 @@ def with_mode(x: np.ndarray, fs_hz: float, frequency_hz: float, damping_ratio: f
 
 
 def right(u_v: np.ndarray, fs_hz: float) -> np.ndarray:
-    """The hysteresis and the mode of `stage`."""
+    """Simulate the hysteresis and the mode of `stage`."""
     return with_mode(plays(u_v, fs_hz), fs_hz, 300.0)
 
 
 def wrong_mode(u_v: np.ndarray, fs_hz: float) -> np.ndarray:
-    """Its mode has another frequency, and another damping."""
+    """Simulate a mode with another frequency and damping than that of `stage`."""
     return with_mode(plays(u_v, fs_hz), fs_hz, 270.0, 0.05)
 
 
 def wrong_hysteresis(u_v: np.ndarray, fs_hz: float) -> np.ndarray:
-    """Its plays have other weights."""
+    """Simulate plays with other weights than those of `stage`."""
     return plays(u_v, fs_hz, OTHER_WEIGHTS)
 
 
 def stage(creep: bool = False, cutoff_hz: float | None = None, mode: bool = True) -> Stage:
-    """The stage that is recorded."""
+    """Return the stage that is recorded."""
     hysteresis = {"thresholds_v": list(THRESHOLDS_V), "weights_um_per_v": list(WEIGHTS)}
     settings = {
         "sample_rate_hz": FS_HZ,
@@ -60,7 +60,7 @@ def stage(creep: bool = False, cutoff_hz: float | None = None, mode: bool = True
 
 
 def recorded(stage: Stage, samples: int = 4000) -> list[Recording]:
-    """A multisine and triangles on a stage."""
+    """Record a multisine and triangles on a stage."""
     found = []
     for seed, u in enumerate((multisine(samples, FS_HZ), triangles(samples, fs_hz=FS_HZ))):
         y = stage.simulate(torch.from_numpy(u)[None], seed)[1][0].detach().numpy()

@@ -1,4 +1,4 @@
-"""What a recording adds that the others do not know, against the same fit without it."""
+"""How well each recording is predicted by a fit without it, compared with the fit to all recordings."""
 
 from dataclasses import replace
 
@@ -23,7 +23,7 @@ STEPS = np.repeat(np.random.default_rng(3).choice([0.0, 10.0], SAMPLES // 500), 
 
 
 def recorded(*voltages: np.ndarray, bend: float = 0.8) -> list[Recording]:
-    """Of four plays, two of them through a curve, with an offset of its own in each recording."""
+    """Record four plays, two of them through a curve, with a separate offset in each recording."""
     rng, made = np.random.default_rng(1), []
     r, weights = np.array([0.0, 0.7, 2.3, 4.1]), np.array([0.5, 0.3, 0.2, 0.2])
     for k, u in enumerate(voltages):
@@ -49,7 +49,7 @@ def test_recordings_of_one_kind_predict_one_another() -> None:
     assert all(one.predicted and one.fitted_rms_um < 1.3 * NOISE_UM for one in found)
 
 
-def test_steps_between_two_levels_predict_no_minor_loops() -> None:
+def test_steps_between_two_levels_do_not_predict_minor_loops() -> None:
     chain = Chain(prepared(recorded(STEPS, multisine(SAMPLES, high_hz=40.0))))
     steps, loops = across_recordings(chain, fitted(chain, Hypothesis(preisach(seen(chain.records)))))
     assert loops.fitted_rms_um < 1.3 * NOISE_UM
@@ -58,8 +58,8 @@ def test_steps_between_two_levels_predict_no_minor_loops() -> None:
 
 
 @pytest.mark.parametrize("left_out", [0, 1])
-def test_it_is_the_error_of_a_fit_that_never_saw_the_recording(left_out: int) -> None:
-    """Fitted anew on the other one, its zero taken from the recording itself."""
+def test_the_reported_error_is_that_of_a_fit_without_the_recording(left_out: int) -> None:
+    """The fit uses the other recording only; the zero is taken from the left-out recording itself."""
     records = prepared(recorded(triangles(SAMPLES), multisine(SAMPLES, high_hz=40.0)))
     chain = Chain(records)
     final = fitted(chain, Hypothesis(many_plays(seen(records))))
@@ -75,8 +75,8 @@ def test_it_is_the_error_of_a_fit_that_never_saw_the_recording(left_out: int) ->
     assert across_recordings(chain, final)[left_out].rms_um == pytest.approx(expected, rel=0.02)
 
 
-def test_a_lag_that_one_recording_shows_is_no_reason_to_doubt_it() -> None:
-    """A ramp up and down says nothing of it: the numbers of effects are kept."""
+def test_a_recording_is_predicted_even_if_only_that_recording_reveals_a_lag() -> None:
+    """Triangles do not reveal a lag, so the parameters of effects are kept when a recording is left out."""
     made = [
         replace(one, y=lag(one.y, FS_HZ, 150.0))
         for one in recorded(triangles(SAMPLES), multisine(SAMPLES, high_hz=40.0), bend=0.0)
@@ -88,8 +88,8 @@ def test_a_lag_that_one_recording_shows_is_no_reason_to_doubt_it() -> None:
     assert all(one.predicted for one in across_recordings(chain, final))
 
 
-def test_only_a_recording_whose_voltages_the_others_reach_is_predicted() -> None:
-    """A rest that was recorded for its noise knows nothing of a motion."""
+def test_only_recordings_within_the_voltage_range_of_the_others_are_predicted() -> None:
+    """A rest recorded to measure the noise cannot predict a motion."""
     moves, rests = multisine(SAMPLES, high_hz=40.0), np.full(SAMPLES, 5.0)
     for voltages, expected in (
         ((moves,), []),

@@ -54,10 +54,10 @@ def recordings(draw: st.DrawFn) -> list[Recording]:
     return found
 
 
-# A failure is small enough as it is drawn: to shrink it would take minutes.
+# A failing example is small enough as drawn; shrinking it would take minutes.
 @settings(max_examples=12, phases=(Phase.explicit, Phase.generate))
 @given(recordings())
-def test_nothing_crashes(given: list[Recording]) -> None:
+def test_a_recording_is_diagnosed_with_finite_numbers_or_refused_in_one_line(given: list[Recording]) -> None:
     try:
         found = diagnose(given)
     except TorchpiError as error:
@@ -86,7 +86,7 @@ def leaves(value: object, path: str = "") -> list[tuple[str, object]]:
     return [(path, value)]
 
 
-def test_the_stage_of_an_odd_recording_is_saved_and_read(tmp_path: Path) -> None:
+def test_the_stage_of_an_odd_recording_can_be_saved_and_loaded(tmp_path: Path) -> None:
     u = signal("steps", 300, 1)
     found = diagnose([Recording("a", np.arange(300) / 1e3, u, signal("walk", 300, 2), 1e3)])
     found.stage.save(tmp_path / "stage.pt")

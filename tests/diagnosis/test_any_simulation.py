@@ -1,4 +1,4 @@
-"""A simulation of someone else's: named is what it lacks, where that can be told, and listed what cannot."""
+"""A third-party simulation: what it lacks is named if the data tell, and what they cannot tell is listed."""
 
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
@@ -32,12 +32,12 @@ SOME = (AmplifierLag, Delay, HysteresisAsymmetry, Creep, Resonance, SecondMode, 
 
 
 def with_column(recordings: list[Recording], simulate: Simulate) -> list[Recording]:
-    """The recordings with what a simulation makes of them."""
+    """Return the recordings with the output of a simulation as a column."""
     return [replace(one, simulated=simulate(one.u, one.fs_hz)) for one in recordings]
 
 
 def compared(how: str, recordings: list[Recording], simulate: Simulate, effects: tuple = SOME) -> Diagnosis:
-    """Given as a function, or as a column."""
+    """Diagnose with the simulation given as a function or as a column."""
     if how == "function":
         return diagnose(recordings, simulate, effects=effects)
     return diagnose(with_column(recordings, simulate), "column", effects=effects)
@@ -51,7 +51,7 @@ each_way = pytest.mark.parametrize("how", ["function", "column"])
 
 
 @each_way
-def test_a_true_simulation_lacks_nothing(how: str) -> None:
+def test_a_correct_simulation_lacks_nothing(how: str) -> None:
     found = compared(how, recorded(stage()), simulations.right)
     assert found.verdict == "nothing_missing" and found.effects == ()
     assert found.retuned.heldout_rms_um < 1.1 * NOISE_UM
@@ -65,7 +65,7 @@ def test_creep_that_a_simulation_lacks_is_found(how: str) -> None:
 
 
 @each_way
-def test_a_mode_at_another_frequency_takes_the_place_of_the_simulations(how: str) -> None:
+def test_a_mode_at_the_wrong_frequency_is_replaced_by_one_at_the_right_frequency(how: str) -> None:
     found = compared(how, recorded(stage()), simulations.wrong_mode)
     assert names(found) == ["resonance"] and found.verdict == "explained"
     values = {one.name: one.value for one in found.effects[0].parameters}
@@ -75,7 +75,7 @@ def test_a_mode_at_another_frequency_takes_the_place_of_the_simulations(how: str
 
 
 @each_way
-def test_hysteresis_of_other_weights_is_named_with_all_that_is_as_static(how: str) -> None:
+def test_hysteresis_with_wrong_weights_is_named_with_static_effects_as_alternatives(how: str) -> None:
     effects = (InputNonlinearity, *SOME)
     found = compared(how, recorded(stage(mode=False)), simulations.wrong_hysteresis, effects)
     assert names(found) == ["hysteresis_operator"] and found.verdict == "explained"
@@ -84,14 +84,14 @@ def test_hysteresis_of_other_weights_is_named_with_all_that_is_as_static(how: st
 
 
 @pytest.mark.long
-def test_a_lag_before_a_simulation_is_found_where_it_can_be_called() -> None:
+def test_a_lag_before_a_simulation_is_found_if_the_simulation_can_be_called() -> None:
     found = compared("function", recorded(stage(cutoff_hz=100.0)), simulations.right)
     assert names(found) == ["amplifier_lag"] and found.verdict == "explained"
     assert found.effects[0].parameters[0].value == pytest.approx(100.0, rel=0.02)
     assert found.augmented.heldout_rms_um < 1.1 * NOISE_UM
 
 
-def test_a_lag_before_a_recorded_output_is_an_alternative_to_the_one_behind() -> None:
+def test_a_lag_before_a_recorded_output_is_listed_as_an_alternative_to_one_behind_it() -> None:
     found = compared("column", recorded(stage(cutoff_hz=100.0)), simulations.right)
     lags = [effect for effect in found.effects if effect.name in ("sensor_lag", "delay")]
     assert len(lags) == 1 and "amplifier_lag" in lags[0].alternatives
@@ -100,11 +100,11 @@ def test_a_lag_before_a_recorded_output_is_an_alternative_to_the_one_behind() ->
     assert "amplifier_lag" in note and "only the output is known" in note
 
 
-def test_a_delay_is_found_behind_a_recorded_output_too() -> None:
+def test_a_delay_behind_a_recorded_output_is_found() -> None:
     late = [replace(one, y=np.r_[one.y[:3], one.y[:-3]]) for one in recorded(stage())]
     found = compared("column", late, simulations.right)
     assert names(found) == ["delay"] and found.stage.alignment in (0, 1)
-    # One sample of the four is the stage's own; the convention of timing may stand for one.
+    # One of the four samples is the stage's own delay; the timing convention may account for one.
     delay_s = 1 / FS_HZ * (4 - found.stage.alignment)
     assert found.effects[0].parameters[0].value == pytest.approx(delay_s, rel=0.02)
 
@@ -117,8 +117,8 @@ def counted(simulate: Simulate, calls: list[int]) -> Simulate:
     return count
 
 
-def test_effects_behind_a_simulation_need_no_call() -> None:
-    """Each recording whole, once, and one of them again to see whether the output repeats."""
+def test_effects_behind_a_simulation_need_no_further_calls() -> None:
+    """Each recording is simulated once, and one of them again to check that the output repeats."""
     calls: list[int] = []
     diagnose(
         recorded(stage(creep=True)),
@@ -128,7 +128,9 @@ def test_effects_behind_a_simulation_need_no_call() -> None:
     assert len(calls) == 3
 
 
-def test_other_processes_call_a_simulation_that_they_can_import(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_worker_processes_give_the_same_result_with_an_importable_simulation(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     recordings, some = recorded(stage(), 1000), (Creep, AmplifierLag, Resonance)
     here = diagnose(recordings, simulations.wrong_mode, effects=some)
     with ProcessPoolExecutor(1, get_context("spawn")) as pool:
@@ -136,11 +138,11 @@ def test_other_processes_call_a_simulation_that_they_can_import(monkeypatch: pyt
     assert here.effects == there.effects and here.augmented == there.augmented
 
 
-def test_what_cannot_be_pickled_runs_in_this_process() -> None:
+def test_only_a_simulation_that_can_be_pickled_is_sent_to_other_processes() -> None:
     assert Simulator.of(simulations.right).travels and not Simulator.of(lambda u, fs_hz: u).travels
 
 
-def test_the_stage_that_is_left_predicts_by_calling_the_same_simulation(tmp_path: object) -> None:
+def test_the_identified_stage_predicts_by_calling_the_same_simulation(tmp_path: object) -> None:
     recordings = recorded(stage(creep=True), 2000)
     found = diagnose(recordings, simulations.wrong_mode, effects=(Creep, Resonance, SensorLag))
     found.stage.save(f"{tmp_path}/stage.pt")
@@ -152,7 +154,7 @@ def test_the_stage_that_is_left_predicts_by_calling_the_same_simulation(tmp_path
     assert np.std(y - trace.y) < 1.3 * NOISE_UM
 
 
-def test_the_stage_that_is_left_predicts_from_a_recorded_output() -> None:
+def test_the_identified_stage_predicts_from_a_recorded_simulation_output() -> None:
     recordings = with_column(recorded(stage(creep=True), 2000), simulations.right)
     found = diagnose(recordings, "column", effects=(Creep, Resonance, SensorLag))
     assert found.stage.aux_names == ("simulated_um",)
@@ -187,7 +189,7 @@ def failing(u_v: np.ndarray, fs_hz: float) -> np.ndarray:
         ("column", RecordingError, "multisine: found no simulated output, expected a column simulated_um"),
     ],
 )
-def test_what_is_no_simulation_is_refused_in_one_line(
+def test_an_invalid_simulation_is_refused_in_one_line(
     simulate: Callable | str, error: type[Exception], text: str
 ) -> None:
     with pytest.raises(error, match=text) as raised:
@@ -195,7 +197,7 @@ def test_what_is_no_simulation_is_refused_in_one_line(
     assert "\n" not in str(raised.value)
 
 
-def test_an_output_with_holes_is_refused() -> None:
+def test_a_simulated_output_that_is_not_finite_is_refused() -> None:
     recordings = with_column(recorded(stage(), 400), simulations.right)
     assert recordings[1].simulated is not None
     recordings[1].simulated[7] = np.inf
@@ -203,7 +205,7 @@ def test_an_output_with_holes_is_refused() -> None:
         diagnose(recordings, "column")
 
 
-def test_what_a_lag_leaves_behind_a_column_counts_as_one_with_it() -> None:
+def test_a_hysteresis_beside_a_lag_behind_a_recorded_output_is_merged_into_the_lag() -> None:
     def believed(name: str, explained_um2: float) -> Believed:
         return Believed(name, 0.9, (), explained_um2, (), HALF)
 

@@ -1,4 +1,4 @@
-"""What is wrong with recordings is said in one line; what they cannot show is said beside what they show."""
+"""Invalid recordings are refused in one line; what valid ones cannot show is stated with the result."""
 
 import sys
 from dataclasses import replace
@@ -16,7 +16,7 @@ from torchpi.recordings.recording import Recording, write_recording
 
 
 def refused(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
-    """The one line with which the command refuses."""
+    """Return the single line with which the command refuses its arguments."""
     monkeypatch.setattr(sys, "argv", ["torchpi", "diagnose", *map(str, arguments)])
     with pytest.raises(SystemExit) as ended:
         commands.main()
@@ -56,7 +56,7 @@ def test_a_simulation_in_other_units_is_refused(
     assert "simulation" in line and "V and µm" in line
 
 
-def test_a_hold_alone_is_refused(
+def test_a_recording_at_constant_voltage_alone_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     files = written(tmp_path, record(np.full(400, 3.0), name="hold"))
@@ -71,7 +71,7 @@ def test_a_hold_alone_is_refused(
         ("--simulation", "no.yaml", "no.yaml"),
     ],
 )
-def test_options_that_cannot_be_are_refused(
+def test_invalid_options_are_refused(
     option: str, value: str, word: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:  # fmt: skip
@@ -79,7 +79,7 @@ def test_options_that_cannot_be_are_refused(
     assert word in refused(monkeypatch, capsys, *files, option, value, "--output", tmp_path / "out")
 
 
-def test_no_recordings_too_few_samples_and_holes_are_refused() -> None:
+def test_missing_recordings_too_few_samples_and_nan_are_refused() -> None:
     with pytest.raises(RecordingError, match="found none"):
         diagnose([])
     with pytest.raises(RecordingError, match="found 50 samples, expected at least 100"):
@@ -91,8 +91,8 @@ def test_no_recordings_too_few_samples_and_holes_are_refused() -> None:
 
 
 @pytest.mark.parametrize(("gain", "comparison"), [(0.8, "smaller"), (1.2, "larger")])
-def test_recordings_of_different_stages_are_said_to_conflict(gain: float, comparison: str) -> None:
-    """A stage of another gain may as well be the same one under a load, or without one: that is named."""
+def test_recordings_of_different_stages_are_reported_as_conflicting(gain: float, comparison: str) -> None:
+    """A different gain may also come from a changed load on the same stage, which is the effect named."""
     first, second = pair(2000)
     third = record(multisine(2000, seed=5), name="third", seed=5)
     found = diagnose([first, second, replace(third, y=gain * third.y + 0.5)])
@@ -101,51 +101,51 @@ def test_recordings_of_different_stages_are_said_to_conflict(gain: float, compar
     assert found.effects[0].parameters[0].value == pytest.approx(1 / gain - 1, rel=0.02)
 
 
-def test_recordings_that_no_load_explains_are_said_to_be_of_another_stage() -> None:
+def test_a_gain_that_no_load_explains_is_reported_as_another_stage_or_gain_modulation() -> None:
     first, second = pair(2000)
     third = record(multisine(2000, seed=5), name="third", seed=5)
     found = diagnose([first, second, replace(third, y=2.5 * third.y)])
     conflict = next(note for note in found.notes if note.startswith("Recording third needs"))
-    # A gain of its own that wanders is what the list has for it.
+    # The only effect on the list for this is a gain that wanders in each recording.
     assert "another stage" in conflict or "gain_modulation" in {effect.name for effect in found.effects}
 
 
-def test_one_recording_is_allowed_and_its_limits_are_said() -> None:
+def test_a_single_recording_is_allowed_and_its_limits_are_stated() -> None:
     found = diagnose([record(multisine(1500))])
     assert any(note.startswith("There is only one recording") for note in found.notes)
     assert any(note.startswith("load_change: left out") for note in found.notes)
 
 
-def test_a_record_that_never_turns_round_is_allowed_and_its_limits_are_said() -> None:
+def test_a_recording_without_reversals_is_allowed_and_its_limits_are_stated() -> None:
     found = diagnose([record(np.linspace(0, 10, 1500))])
     assert any("never reverses: hysteresis cannot be seen" in note for note in found.notes)
     assert any(note.startswith("backlash: left out, the voltage never reverses") for note in found.notes)
 
 
-def test_a_hold_among_others_serves_for_what_it_shows() -> None:
+def test_a_constant_voltage_among_other_recordings_is_noted_and_yields_the_noise_floor() -> None:
     resting = record(np.full(800, 3.0), name="resting", noise_um=0.01)
     found = diagnose([record(multisine(1500), noise_um=0.01), resting])
     assert any(note.startswith("The voltage is constant in resting") for note in found.notes)
     assert found.noise_floor_um == pytest.approx(0.01, rel=0.25)
 
 
-def test_what_one_record_cannot_show_is_left_out_and_said_and_nothing_slow_for_its_length() -> None:
+def test_effects_that_one_recording_cannot_show_are_left_out_but_slow_effects_are_not() -> None:
     found = diagnose([record(multisine(400))])
     left_out = {note.split(":")[0] for note in found.notes if ": left out, " in note}
     assert {"load_change", "cross_coupling"} <= left_out
     assert left_out.isdisjoint({"creep", "leakage", "thermal_drift", "ageing"})
-    # Of 400 samples the plays of the simulation are few, and the rig has 60.
+    # With 400 samples the fitted hysteresis has few plays, whereas the rig has 60.
     assert {effect.name for effect in found.effects} <= {"hysteresis_operator"}
 
 
-def test_long_stairs_leave_nothing_slow_out() -> None:
-    """Steps so rare that no percentile of the rate sees them, and holds of seconds."""
+def test_no_slow_effect_slew_limit_or_backlash_is_left_out_for_long_stairs() -> None:
+    """The steps are too rare to show in any percentile of the rate, and the holds between them are long."""
     found = diagnose([record(stairs(5000, 4))])
     left_out = {note.split(":")[0] for note in found.notes if ": left out, " in note}
     assert left_out.isdisjoint({"creep", "leakage", "thermal_drift", "slew_limit", "backlash"})
 
 
-def test_a_column_in_which_nothing_moves_is_said() -> None:
+def test_a_constant_column_is_reported() -> None:
     found = diagnose([record(multisine(1000), aux={"aux_still": np.zeros(1000)})])
     assert any("Constant in all recordings: aux_still" in note for note in found.notes)
     assert FS_HZ == found.traces[0].fs_hz

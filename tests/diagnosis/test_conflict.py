@@ -1,4 +1,4 @@
-"""Conflict: recordings that need different stages are named, noise and shared misfit are not."""
+"""Conflict: recordings that need different stages are reported; noise and a shared misfit are not."""
 
 import dataclasses
 
@@ -13,7 +13,7 @@ U = 5 - 5 * np.cos(2 * np.pi * 7 * np.arange(N) / FS_HZ)
 
 
 def recording(name: str, gain: float, offset_um: float = 0.0, seed: int = 0) -> Trace:
-    """A stage of 0.8 µm/V, the recording's own gain and offset in the residual."""
+    """Record a stage of 0.8 µm/V with the recording's own gain and offset in the residual."""
     noise = NOISE_UM * np.random.default_rng(seed).standard_normal(N)
     e = gain * 0.8 * (U - U.mean()) + offset_um + noise
     return Trace(name, FS_HZ, np.arange(N) / FS_HZ, U, 0.8 * U + e, np.zeros(N, bool), e, e)
@@ -25,29 +25,29 @@ def test_recordings_of_one_stage_agree() -> None:
         assert conflict(traces, NOISE_UM) == ()
 
 
-def test_one_recording_conflicts_with_none() -> None:
+def test_a_single_recording_has_no_conflict() -> None:
     assert conflict([recording("a", 0.05)], NOISE_UM) == ()
 
 
-def test_another_gain_is_said_with_its_size() -> None:
+def test_a_different_gain_is_reported_with_its_size() -> None:
     traces = [recording("a", -0.005, seed=1), recording("b", -0.005, seed=2), recording("c", 0.01, seed=3)]
     (line,) = conflict(traces, NOISE_UM)
     assert line.startswith("Recording c needs a larger gain than the others (+1.5 ± ")
     assert "another stage, load or sensor setting" in line
 
 
-def test_of_two_recordings_one_sentence_is_enough() -> None:
+def test_a_conflict_of_two_recordings_is_reported_in_one_sentence() -> None:
     (line,) = conflict([recording("a", -0.005, seed=1), recording("b", 0.005, seed=2)], NOISE_UM)
     assert "1" in line and "gain" in line
 
 
-def test_another_offset_is_said_in_nanometres() -> None:
+def test_a_different_offset_is_reported_in_nanometres() -> None:
     traces = [recording(name, 0.0, -0.01, i) for i, name in enumerate("ab")] + [recording("c", 0.0, 0.02, 9)]
     (line,) = conflict(traces, NOISE_UM)
     assert line.startswith("Recording c needs a different offset from the others (+30")
 
 
-def test_what_the_named_effects_settle_is_said_to_be_settled() -> None:
+def test_a_conflict_that_the_named_effects_resolve_is_reported_as_accounted_for() -> None:
     quiet = recording("c", 0.0, seed=5).residual_retuned
     traces = [
         recording("a", 0.0, seed=1),
@@ -58,8 +58,8 @@ def test_what_the_named_effects_settle_is_said_to_be_settled() -> None:
     assert line.endswith("the named effects account for this.")
 
 
-def test_a_slow_residual_counts_as_few_numbers() -> None:
-    """A drift that goes through half a period in the recording is no offset of many independent samples."""
+def test_a_slow_residual_counts_as_few_independent_samples() -> None:
+    """A drift of half a period over the recording must not count as an offset of many independent samples."""
     slow = 0.02 * np.cos(np.pi * np.arange(N) / N + np.random.default_rng(0).uniform(0, 6, (200, 1)))
     noise = NOISE_UM * np.random.default_rng(1).standard_normal(N)
     base = recording("a", 0.0)
@@ -70,7 +70,7 @@ def test_a_slow_residual_counts_as_few_numbers() -> None:
     assert np.abs(scores).max() < 4
 
 
-def test_the_uncertainty_of_a_gain_covers_it() -> None:
+def test_the_stated_uncertainty_of_a_gain_matches_its_scatter() -> None:
     traces = [recording("a", 0.003, seed=seed) for seed in range(60)]
     gains = [gain_and_offset(trace, trace.residual_retuned, 0.0) for trace in traces]
     z = np.array([(one.gain - 0.003 / 1.0) / one.gain_sd for one in gains])

@@ -1,4 +1,4 @@
-"""What recordings cannot show, whatever is fitted."""
+"""What recordings cannot show, whatever model is fitted."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ T_S = np.arange(8000) / FS_HZ
 SINE_V = 5 - 5 * np.cos(2 * np.pi * T_S)
 
 
-def test_a_sine_turns_round_at_two_levels_and_minor_loops_at_more() -> None:
+def test_a_sine_reverses_at_two_levels_and_minor_loops_at_more() -> None:
     assert levels(prepared([record(SINE_V)])) == 2
     assert levels(prepared([record(triangles(8000))])) == 3
     assert levels(prepared([record(multisine(8000))])) > 3
@@ -23,14 +23,14 @@ def test_a_sine_turns_round_at_two_levels_and_minor_loops_at_more() -> None:
     ("line_hz", "follows"),
     [(2.0, True), (2.02, True), (2.4, False), (1.7, False), (10.0, True), (50.0, False)],
 )
-def test_low_harmonics_of_a_command_that_repeats_are_its_own(line_hz: float, follows: bool) -> None:
+def test_low_harmonics_of_a_periodic_command_follow_the_command(line_hz: float, follows: bool) -> None:
     repeating = repeats(prepared([record(SINE_V)]))
     assert repeating == [pytest.approx((1.0, 4.0))]
     assert follows_command(line_hz, [1.0], repeating) is follows
 
 
 @pytest.mark.parametrize("fade", [0.0, 0.3])
-def test_a_period_need_be_no_whole_number_of_samples(fade: float) -> None:
+def test_a_period_need_not_be_a_whole_number_of_samples(fade: float) -> None:
     triangle = np.abs(np.mod(2.2437 * T_S, 2) - 1) * np.exp(-fade * T_S)
     ((period_s, _),) = repeats(prepared([record(10 * triangle)]))
     assert period_s == pytest.approx(2 / 2.2437, rel=1e-3)
@@ -41,13 +41,13 @@ def test_a_command_that_never_repeats_has_no_harmonics() -> None:
     assert not follows_command(2.0, [1.0], [None])
 
 
-def test_a_line_that_another_recording_has_too_is_not_the_command_s() -> None:
+def test_a_line_also_present_in_an_aperiodic_recording_does_not_follow_the_command() -> None:
     repeating = repeats(prepared([record(SINE_V), record(multisine(8000))]))
     assert follows_command(10.0, [1.0, 0.01], repeating)
     assert not follows_command(10.0, [1.0, 0.5], repeating)
 
 
-def test_a_prediction_is_tested_where_the_held_out_samples_lie_and_no_further() -> None:
+def test_a_narrow_range_of_held_out_voltages_loops_or_rates_is_reported() -> None:
     varied, sine, ramp = (
         untested(records, seen(records))
         for records in (
@@ -60,7 +60,7 @@ def test_a_prediction_is_tested_where_the_held_out_samples_lie_and_no_further() 
     assert voltages == "voltages from 8.5 to 10 V of the recorded 0 to 10 V" and not rest
 
 
-def test_a_curved_sensor_under_a_sine_is_no_modulation() -> None:
+def test_a_curved_sensor_under_a_sine_is_not_named_gain_modulation() -> None:
     def curved(x: np.ndarray, fs_hz: float) -> np.ndarray:
         return x - 4e-3 * (x - 4) ** 2
 

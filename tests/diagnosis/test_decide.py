@@ -1,4 +1,4 @@
-"""The decision by hand-made beliefs: each rule with one that passes it and one that does not."""
+"""The decision from hand-made beliefs: each rule with one case that passes and one that does not."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -43,7 +43,7 @@ def believed(name: str, explained_um2: float, probability: float = 0.9, *alterna
 
 
 def left(train: float, heldout: float | None = None) -> SimpleNamespace:
-    """A fit that leaves these rms, with nothing fitted that has an interval."""
+    """Return a fit with these rms residuals and no fitted parameter that has an interval."""
     hypothesis = Hypothesis(HysteresisModel(np.zeros(1)))
     for term in TERMS:
         hypothesis = hypothesis.plus(term)
@@ -66,25 +66,25 @@ def decided(*each: Believed, retuned: float = 10.0, final: float = 2.0, **more: 
 
 
 class TestNames:
-    def test_what_is_more_likely_than_not_is_named_and_the_rest_stays_open(self) -> None:
+    def test_effects_at_least_as_likely_as_not_are_named_and_the_others_stay_open(self) -> None:
         found = decided(believed("creep", 48.0, NAMED), believed("sensor_lag", 24.0, NAMED - 0.01))
         assert [one.name for one in found.effects] == ["creep"]
         assert [one.name for one in found.open] == ["sensor_lag"]
 
-    def test_what_explains_less_than_a_fifth_of_the_noise_is_neither_named_nor_open(self) -> None:
+    def test_an_effect_that_explains_less_than_a_fifth_of_the_noise_is_neither_named_nor_open(self) -> None:
         assert [one.name for one in decided(believed("creep", 0.164), final=6.0).effects] == ["creep"]
         faint = decided(believed("creep", 0.156), believed("sensor_lag", 0.156, 0.1), final=1.0)
         assert not faint.effects and not faint.open
 
-    def test_without_a_measured_noise_what_is_left_stands_for_it(self) -> None:
+    def test_without_measured_noise_the_remaining_residual_takes_its_place(self) -> None:
         assert decided(believed("creep", 0.68), final=4.0, noise=None).effects
         assert not decided(believed("creep", 0.6), final=4.0, noise=None).effects
 
     @pytest.mark.parametrize(("half", "probability"), [(0.03, 0.0), (0.01, 0.45), (0.0025, 0.9)])
-    def test_a_name_beside_a_number_that_may_be_zero_is_no_answer(
+    def test_an_effect_whose_interval_includes_zero_loses_its_probability(
         self, half: float, probability: float
     ) -> None:
-        """Even odds where the interval just reaches 0."""
+        """The probability is halved where the interval just reaches 0."""
         quantity = LoadChange.quantities["stiffness_ratio"]
         one = slot(0, "stiffness_ratio", None, 0.01, quantity, 1e-4)
         hypothesis = Hypothesis(HysteresisModel(np.zeros(1))).plus(
@@ -94,19 +94,19 @@ class TestNames:
         found = clear_of_none(believed("load_change", 48.0, 0.9), fit, np.array([[(half / 0.01) ** 2]]))
         assert found.probability == pytest.approx(probability, abs=2e-3)
 
-    def test_a_jump_takes_the_place_of_lost_motion(self) -> None:
+    def test_a_stick_slip_jump_takes_the_place_of_backlash(self) -> None:
         assert [one.form for one in decided(believed("backlash", 48.0)).effects] == ["play"]
         jump = (0.1, (0.05, 0.15))
         assert not decided(believed("backlash", 48.0), jump=jump).effects
         assert [one.name for one in decided(believed("creep", 48.0), jump=jump).effects] == ["creep"]
 
-    def test_they_stand_by_their_share_of_the_mismatch_over_the_noise(self) -> None:
+    def test_effects_are_ordered_by_their_share_of_the_residual_above_the_noise(self) -> None:
         found = decided(believed("creep", 24.0, 0.9, "leakage"), believed("sensor_lag", 48.0))
         assert [(one.name, one.share) for one in found.effects] == [("sensor_lag", 0.5), ("creep", 0.25)]
         assert found.effects[1].alternatives == ("leakage",) and found.effects[1].form == "logarithm"
         more = decided(
             believed("creep", 144.0), believed("sensor_lag", 48.0)
-        )  # than the 96 that retuning left
+        )  # together more than the 96 that retuning left
         assert [one.share for one in more.effects] == [0.75, 0.25]
 
     def test_the_hysteresis_is_named_with_its_family(self) -> None:
@@ -116,7 +116,7 @@ class TestNames:
 
 
 class TestOpen:
-    def test_what_is_likely_enough_to_be_said_is_left_open_and_not_named(self) -> None:
+    def test_only_effects_that_are_probable_and_large_enough_are_left_open(self) -> None:
         found = decided(
             believed("creep", 48.0),
             believed("sensor_lag", 24.0, 0.3),
@@ -128,7 +128,7 @@ class TestOpen:
 
 
 class TestUnexplained:
-    def test_it_is_what_stays_above_the_noise_and_what_is_open(self) -> None:
+    def test_the_unexplained_share_is_the_residual_above_the_noise_plus_that_of_open_effects(self) -> None:
         found = decided(believed("creep", 48.0), final=np.sqrt(28.0))
         assert found.unexplained_share == pytest.approx(24.0 / 96.0)
         open_too = decided(believed("creep", 48.0), believed("sensor_lag", 24.0, 0.1), final=np.sqrt(28.0))
@@ -137,60 +137,60 @@ class TestUnexplained:
         louder = decided(believed("creep", 48.0), final=5.0, noise=SimpleNamespace(rms_um=3.0))
         assert louder.unexplained_share == pytest.approx(16.0 / 91.0)
 
-    def test_what_a_named_effect_leaves_by_its_form_is_its_own(self) -> None:
+    def test_the_form_error_of_a_named_effect_is_attributed_to_that_effect(self) -> None:
         form = replace(believed("sensor_lag", 4.0, 0.0), form_of="creep")
         found = decided(believed("creep", 92.0), form)
         assert found.verdict == "explained" and not found.open
         assert found.unexplained_share == 0.0 and found.effects[0].share == pytest.approx(1.0)
-        # Not where without it the error would be more than an explained one, or nothing is named.
+        # Not if the error without it would exceed that of an explained verdict, or its effect is not named.
         assert decided(believed("creep", 90.0), replace(form, explained_um2=6.0)).open
         assert decided(believed("creep", 92.0, 0.1), form).verdict == "unexplained"
         assert decided(believed("creep", 92.0), replace(form, form_of="delay")).open
 
     @given(st.floats(0, 300), st.floats(0, 300), st.floats(0, 20), st.sampled_from([0.1, 0.9]))
-    def test_with_the_shares_of_the_names_it_is_no_more_than_all(
+    def test_the_named_and_the_unexplained_shares_sum_to_at_most_one(
         self, slow: float, late: float, final: float, probability: float
     ) -> None:
-        """Where the data cannot split two, or the fit leaves more than what was retuned, too."""
+        """Also if the data cannot separate two effects, or the final fit leaves more than the retuned one."""
         found = decided(believed("creep", slow), believed("sensor_lag", late, probability), final=final)
         assert sum(one.share for one in found.effects) + found.unexplained_share <= 1 + 1e-12
 
     @given(st.floats(1, 40), st.floats(1, 40), st.floats(0, 4))
-    def test_the_shares_add_up_to_all(self, slow: float, late: float, final: float) -> None:
-        """What several explain together is the rest: without either the other stands in for part of it."""
+    def test_the_shares_and_the_joint_share_sum_to_one(self, slow: float, late: float, final: float) -> None:
+        """The joint share is the rest: without either effect, the other stands in for part of it."""
         found = decided(believed("creep", slow), believed("sensor_lag", late), final=final)
         shares = sum(one.share for one in found.effects)
         assert found.joint_share >= 0
         assert shares + found.joint_share + found.unexplained_share == pytest.approx(1.0)
 
-    def test_beside_what_the_readings_show_the_shares_still_add_up_to_all(self) -> None:
+    def test_the_shares_still_sum_to_one_with_an_effect_read_off_the_readings(self) -> None:
         before = decided(believed("creep", 48.0), believed("sensor_lag", 24.0), final=3.0)
         found = with_read_off(before, replace(before.effects[0], name="quantization", share=0.4))
         shares = [one.share for one in found.effects]
         assert shares == pytest.approx([0.6 * 0.5, 0.6 * 0.25, 0.4])
         assert sum(shares) + found.joint_share + found.unexplained_share == pytest.approx(1.0)
 
-    def test_without_a_second_name_nothing_is_explained_together(self) -> None:
+    def test_a_single_named_effect_has_no_joint_share(self) -> None:
         assert decided(believed("creep", 48.0), final=2.0).joint_share == 0.0
 
-    def test_a_fit_below_the_noise_takes_nothing_off_what_is_open(self) -> None:
+    def test_a_residual_below_the_noise_does_not_reduce_the_share_of_open_effects(self) -> None:
         found = decided(believed("creep", 48.0), believed("sensor_lag", 24.0, 0.1), final=1.0)
         assert found.unexplained_share == pytest.approx(24.0 / 96.0)
 
-    def test_nothing_is_unexplained_where_nothing_is_missing_or_no_noise_is_known(self) -> None:
+    def test_the_unexplained_share_is_zero_if_nothing_is_missing_or_the_noise_is_unknown(self) -> None:
         assert decided(final=2.2).unexplained_share == 0.0
         assert decided(believed("creep", 48.0), final=6.0, noise=None).unexplained_share == 0.0
 
-    def test_the_noise_is_there_where_it_was_measured(self) -> None:
+    def test_the_noise_is_stated_only_if_it_was_measured(self) -> None:
         assert decided().noise_um == 2.0 and decided(noise=None).noise_um is None
 
     @pytest.mark.parametrize(("rms_um", "found"), [(4.0, "explained"), (4.1, "partly_explained")])
-    def test_what_the_others_do_not_predict_is_not_explained(self, rms_um: float, found: str) -> None:
+    def test_a_recording_the_others_do_not_predict_is_not_explained(self, rms_um: float, found: str) -> None:
         across = (AcrossRecordings("a", 2.0, 2.0), AcrossRecordings("b", rms_um, 2.0))
         assert if_it_carries_over(decided(believed("creep", 48.0)), across).verdict == found
         assert if_it_carries_over(decided(), across).verdict == "nothing_missing"
 
-    def test_what_is_open_or_stands_out_leaves_the_verdict_open(self) -> None:
+    def test_an_open_effect_or_a_conspicuous_residual_prevents_the_verdict_explained(self) -> None:
         assert decided(believed("creep", 48.0)).verdict == "explained"
         assert decided(believed("creep", 48.0), loud=True).verdict == "partly_explained"
         assert (
@@ -211,7 +211,7 @@ class TestVerdict:
             (["creep"], True, 1.14, "partly_explained"),
         ],
     )
-    def test_by_the_error_over_the_noise(self, named: list, more: bool, rms: float, expected: str) -> None:
+    def test_the_error_over_noise_decides(self, named: list, more: bool, rms: float, expected: str) -> None:
         for fit in (left(2 * rms), left(0.1, 2 * rms)):
             assert verdict(named, more, fit, SimpleNamespace(rms_um=2.0), True) == expected
 
@@ -224,11 +224,11 @@ class TestVerdict:
             (["creep"], True, "partly_explained"),
         ],
     )
-    def test_by_structure_where_no_noise_is_known(self, named: list, structured: bool, expected: str) -> None:
+    def test_structure_decides_for_unknown_noise(self, named: list, structured: bool, expected: str) -> None:
         assert verdict(named, False, left(9.0), None, structured) == expected
 
 
-def test_a_residual_has_structure_where_neighbours_correlate_about_their_mean() -> None:
+def test_a_residual_has_structure_if_neighbouring_samples_correlate_about_their_mean() -> None:
     white = np.random.default_rng(0).standard_normal(4000)
     assert not structure([white]) and not structure([white + 5.0]) and not structure([])
     smooth = white[1:] + 0.9 * white[:-1]

@@ -1,4 +1,4 @@
-"""From recordings to a diagnosis: what is there is named, what is not is not."""
+"""From recordings to a diagnosis: effects that are present are named, and no others."""
 
 import json
 from dataclasses import replace
@@ -68,7 +68,7 @@ def test_nothing_is_named_where_nothing_is_missing() -> None:
     assert "Nothing is missing" in found.says
 
 
-def test_a_mode_is_named_with_its_numbers(of_a_mode: tuple[list[Recording], Diagnosis]) -> None:
+def test_a_mode_is_named_with_its_frequency_and_damping(of_a_mode: tuple[list[Recording], Diagnosis]) -> None:
     _, found = of_a_mode
     assert found.verdict == "explained" and names(found) == ["resonance"]
     (effect,) = found.effects
@@ -83,7 +83,7 @@ def test_a_mode_is_named_with_its_numbers(of_a_mode: tuple[list[Recording], Diag
     assert "resonance" in found.says
 
 
-def test_the_stage_knows_the_recordings_of_a_compensator_that_held_one_out(
+def test_the_stage_recognises_the_recordings_of_a_compensator_that_held_one_out(
     of_a_mode: tuple[list[Recording], Diagnosis],
 ) -> None:
     recordings, found = of_a_mode
@@ -102,7 +102,7 @@ def test_the_residual_is_located_at_the_mode(of_a_mode: tuple[list[Recording], D
     assert loudest.range[0] < 400 and loudest.range[1] > 150
 
 
-def test_the_stage_that_is_left_predicts_what_no_fit_has_seen(
+def test_the_identified_stage_predicts_an_unseen_recording_to_the_noise(
     of_a_mode: tuple[list[Recording], Diagnosis], tmp_path: Path
 ) -> None:
     _, found = of_a_mode
@@ -114,7 +114,7 @@ def test_the_stage_that_is_left_predicts_what_no_fit_has_seen(
     assert np.sqrt(np.mean((other.y - y) ** 2)) < 1.15 * NOISE_UM
 
 
-def test_recordings_of_two_sample_rates_are_one_stage() -> None:
+def test_recordings_at_two_sample_rates_yield_one_stage() -> None:
     found = diagnose(
         [
             record(multisine(2500), after=ringing, name="slow"),
@@ -126,7 +126,7 @@ def test_recordings_of_two_sample_rates_are_one_stage() -> None:
     assert found.stage.sample_rate_hz == pytest.approx(5000.0)
 
 
-def test_an_input_that_was_left_out_is_found_in_its_column() -> None:
+def test_a_missing_input_is_found_in_its_auxiliary_column() -> None:
     other = 3 * lfilter([0.1], [1, -0.9], np.random.default_rng(5).standard_normal((2, 2500)))
     idle = np.random.default_rng(6).standard_normal((2, 2500))
     us = (multisine(2500), triangles(2500))
@@ -140,7 +140,7 @@ def test_an_input_that_was_left_out_is_found_in_its_column() -> None:
     assert found.stage.aux_names == ("aux_2",)
 
 
-def test_every_step_is_said() -> None:
+def test_every_step_is_logged() -> None:
     said: list[str] = []
     diagnose([record(multisine(1000))], log=said.append)
     assert [
@@ -148,20 +148,20 @@ def test_every_step_is_said() -> None:
     ] == []
 
 
-def test_a_diagnosis_has_no_state_of_its_own() -> None:
+def test_a_repeated_diagnosis_gives_the_same_answer() -> None:
     recordings = [record(multisine(1500))]
     first, second = diagnose(recordings), diagnose([replace(one, y=one.y.copy()) for one in recordings])
     assert first.says == second.says and json.dumps(first.notes) == json.dumps(second.notes)
 
 
-def test_what_is_static_is_tried_while_the_displacement_is_taken_as_stepped() -> None:
+def test_creep_is_tried_even_if_the_displacement_is_modelled_as_held() -> None:
     chain = Chain(prepared(pair(2000, after=lambda x, fs_hz: creep(x, fs_hz, 0.05))))
     search = Search(chain, lambda sentence: None)
     stepped = reduced(chain, fit(chain, Hypothesis(many_plays(search.seen), held=True)))
     assert "creep" in dict(search.effects(stepped))
 
 
-def test_a_reading_where_the_stage_has_just_been_is_late_and_one_beyond_is_wrong() -> None:
+def test_a_reading_within_the_recent_motion_is_late_and_one_outside_it_is_wrong() -> None:
     model = np.concatenate([np.zeros(50), np.full(50, 8.0)])
     late, wrong = model.copy(), model.copy()
     late[52], wrong[70], wrong[30] = 3.0, 3.0, -5.0
@@ -169,7 +169,7 @@ def test_a_reading_where_the_stage_has_just_been_is_late_and_one_beyond_is_wrong
     np.testing.assert_allclose(off_all_around(wrong, wrong - model, np.array([30, 70])), 5.0)
 
 
-def test_the_first_swing_of_a_ring_that_the_model_misses_is_no_wrong_reading() -> None:
+def test_the_first_swing_of_an_unmodelled_ring_is_not_a_wrong_reading() -> None:
     noise = 0.01 * np.random.default_rng(0).standard_normal(400)
     ringing = noise + np.where(np.arange(400) < 200, 0.0, np.cos(2.1 * (np.arange(400) - 200)))
     lone = noise.copy()
@@ -178,7 +178,7 @@ def test_the_first_swing_of_a_ring_that_the_model_misses_is_no_wrong_reading() -
     assert error_about(ringing, k) > 0.3 and error_about(lone, k) < 0.02
 
 
-def test_creep_of_two_poles_is_creep_and_no_drift() -> None:
+def test_two_pole_creep_is_named_creep_and_not_drift() -> None:
     def two_poles(x: np.ndarray, fs_hz: float) -> np.ndarray:
         for gain, tau_s in ((0.03, 0.3), (0.03, 5.0)):
             a = np.exp(-1 / (fs_hz * tau_s))
@@ -193,7 +193,7 @@ def test_creep_of_two_poles_is_creep_and_no_drift() -> None:
 
 
 @pytest.mark.parametrize("freedom", [3.0, 5.0, 1e6])
-def test_as_many_readings_are_expected_far_out_as_a_heavy_tail_has(freedom: float) -> None:
+def test_the_expected_number_of_outliers_matches_a_heavy_tailed_distribution(freedom: float) -> None:
     error = np.abs(np.random.default_rng(1).standard_t(freedom, 40_000))
     limit = np.quantile(error, [0.999])
     assert expected_beyond(limit, error) == pytest.approx(40, rel=0.5)
@@ -201,7 +201,7 @@ def test_as_many_readings_are_expected_far_out_as_a_heavy_tail_has(freedom: floa
     assert expected_beyond(np.array([1e3]), lost) < 0.01
 
 
-def test_dropouts_leave_the_held_out_error_and_stretch_as_they_are() -> None:
+def test_dropouts_change_neither_the_held_out_error_nor_the_held_out_samples() -> None:
     whole = pair(2000)
     wrong = [replace(one, y=one.y.copy()) for one in whole]
     for one in wrong:
@@ -213,15 +213,15 @@ def test_dropouts_leave_the_held_out_error_and_stretch_as_they_are() -> None:
         assert np.array_equal(trace.heldout, np.arange(2000) >= 1700)
 
 
-def test_wrong_readings_stand_beside_what_the_model_has_wrong_for_a_while() -> None:
-    """A bump of a second is no tail of the noise, however large: a single reading stands out of it."""
+def test_wrong_readings_are_found_beside_a_temporary_model_error() -> None:
+    """A bump of a second is no tail of the noise, however large: single readings stand out from it."""
     rig = [record(multisine(8000), name="a", after=lambda x, fs_hz: x + bump(len(x)))]
     rig[0].y[[300, 900, 2700, 4100]] += 20.0
     assert "dropouts" in [effect.name for effect in diagnose(rig, effects=[]).effects]
 
 
-def test_zeros_in_a_motion_as_fast_as_the_samples_are_wrong_readings() -> None:
-    """Each lies between its neighbours: it is told by that the same value comes again."""
+def test_zeros_in_a_motion_as_fast_as_the_sampling_are_wrong_readings() -> None:
+    """Each zero lies between its neighbours and is recognised only because the same value recurs."""
     rig = [record(np.random.default_rng(0).uniform(0, 9, 4000), name="a")]
     clean = diagnose(rig, effects=[])
     lost = np.arange(50, 4000, 60)
@@ -234,8 +234,8 @@ def test_zeros_in_a_motion_as_fast_as_the_samples_are_wrong_readings() -> None:
 
 
 @pytest.mark.parametrize("heavy", [False, True])
-def test_a_recording_that_is_louder_than_another_is_no_tail_of_the_noise(heavy: bool) -> None:
-    """One reading off by twenty times what fast motion leaves there; none, where a sensor has such tails."""
+def test_a_recording_with_a_larger_residual_is_not_taken_for_a_tail_of_the_noise(heavy: bool) -> None:
+    """One reading is off by twenty times the residual of fast motion; none if the sensor has heavy tails."""
     rng, n = np.random.default_rng(3), 20_000
     quiet, loud = 1e-3 * rng.normal(size=n), 0.1 * np.sin(1.7 * np.arange(n)) * rng.normal(1.0, 0.1, n)
     if heavy:
@@ -248,8 +248,8 @@ def test_a_recording_that_is_louder_than_another_is_no_tail_of_the_noise(heavy: 
     assert [each.tolist() for each in found] == [[], [] if heavy else [7000]]
 
 
-def test_one_reading_far_beyond_a_heavy_tail_is_wrong_and_the_tail_is_not() -> None:
-    """All of a tail that stand out together are noise: the one that is no part of it is not lost in them."""
+def test_a_reading_far_beyond_a_heavy_tail_is_wrong_and_the_tail_itself_is_not() -> None:
+    """Readings that stand out together are a tail; one that is not part of it must not be hidden by it."""
     rest = np.abs(np.random.default_rng(1).standard_t(3.0, 40_000))
     tail = np.sort(rest)[-30:]
     assert no_tail(tail, rest) == np.inf
@@ -262,7 +262,7 @@ def bump(samples: int) -> np.ndarray:
     return 4.0 * np.exp(-(((np.arange(samples) - 0.7 * samples) / (0.05 * samples)) ** 2))
 
 
-def test_the_step_of_a_converter_is_that_of_the_readings_not_of_their_means(
+def test_the_converter_step_is_that_of_the_readings_and_not_of_their_means(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(long_recordings, "AT_MOST", 9000)
@@ -274,7 +274,7 @@ def test_the_step_of_a_converter_is_that_of_the_readings_not_of_their_means(
 
 
 @pytest.mark.parametrize(("share", "names"), [(0.3, ["quantization"]), (0.12, [])])
-def test_a_converter_is_named_from_a_fifth_of_the_noise_on(share: float, names: list[str]) -> None:
+def test_quantisation_is_named_from_a_fifth_of_the_noise_on(share: float, names: list[str]) -> None:
     lsb_um = share * np.sqrt(12) * NOISE_UM
     read = [replace(one, y=lsb_um * np.round(one.y / lsb_um)) for one in pair(4000)]
     found = diagnose(read, effects=[])
@@ -282,8 +282,8 @@ def test_a_converter_is_named_from_a_fifth_of_the_noise_on(share: float, names: 
     assert any("grid" in note for note in found.notes)
 
 
-def test_a_tone_that_is_left_is_not_called_noise() -> None:
-    """Above the lines of the mains, where no effect of the list can take it."""
+def test_a_remaining_tone_is_not_called_noise() -> None:
+    """The tone lies above the mains harmonics, where no effect on the list can model it."""
 
     def tone(x: np.ndarray, fs_hz: float) -> np.ndarray:
         return x + 2 * NOISE_UM * np.sin(2 * np.pi * 762.0 * np.arange(len(x)) / fs_hz)

@@ -1,4 +1,4 @@
-"""Fits inside the chain: planted numbers come back, derivatives are true, a bound is said."""
+"""Fits within the chain: planted parameters are recovered, derivatives correct and bounds reported."""
 
 from dataclasses import replace
 
@@ -76,7 +76,7 @@ PLANTED: dict[str, tuple[str, Step, EffectTerm, dict[str, float]]] = {
 
 
 @pytest.mark.parametrize("kind", PLANTED)
-def test_a_fit_that_begins_with_the_sensitivities_of_another_ends_where_it_would(kind: str) -> None:
+def test_a_fit_started_with_the_sensitivities_of_another_fit_reaches_the_same_result(kind: str) -> None:
     where, step, start, _ = PLANTED[kind]
     chain = Chain(prepared(pair(**{where: step})))
     before = reduced(chain, fit(chain, Hypothesis(many_plays(seen(chain.records)))))
@@ -90,7 +90,7 @@ def test_a_fit_that_begins_with_the_sensitivities_of_another_ends_where_it_would
     np.testing.assert_allclose(found.theta, alone.theta, rtol=0.02, atol=0.02)
 
 
-def test_sensitivities_of_another_hysteresis_are_not_taken() -> None:
+def test_sensitivities_are_not_reused_for_another_hysteresis_alignment_or_history() -> None:
     chain = Chain(prepared(pair()))
     hypothesis = Hypothesis(many_plays(seen(chain.records)))
     near = Near(hypothesis, np.zeros(chain.numbers(hypothesis)))
@@ -100,7 +100,7 @@ def test_sensitivities_of_another_hysteresis_are_not_taken() -> None:
     assert not near.resembles(replace(hypothesis, remanent=True))
 
 
-def test_a_hypothesis_is_the_same_whatever_else_was_evaluated_in_between() -> None:
+def test_evaluating_another_hypothesis_in_between_does_not_change_the_first() -> None:
     chain = Chain(prepared(pair()))
     alone = Hypothesis(many_plays(seen(chain.records))).plus(
         EffectTerm(Delay, {"delay_s": 3.3e-4, "after_lag": 1.0})
@@ -112,17 +112,17 @@ def test_a_hypothesis_is_the_same_whatever_else_was_evaluated_in_between() -> No
 
 
 @pytest.mark.parametrize("case", PLANTED)
-def test_planted_parameters_come_back(case: str) -> None:
+def test_planted_parameters_are_recovered(case: str) -> None:
     where, rig, member, truth = PLANTED[case]
     found = fitted(pair(**{where: rig}), member)
     assert found.heldout_rms < 1.1 * NOISE_UM
     for name, value in truth.items():
-        # The rig's creep has other poles: the number of one parametrisation is not quite that of another.
+        # The rig's creep has other poles, so the parameter differs slightly between parametrisations.
         assert found.hypothesis.members[0].shared[name] == pytest.approx(value, rel=0.06), name
     assert found.bounded == ()
 
 
-def test_several_effects_come_back_from_one_fit() -> None:
+def test_several_effects_are_recovered_in_one_fit() -> None:
     found = fitted(
         pair(
             6000,
@@ -138,7 +138,7 @@ def test_several_effects_come_back_from_one_fit() -> None:
     assert values == pytest.approx([130.0, 0.02, 310.0], rel=0.06)
 
 
-def test_a_coupling_comes_back_with_its_sign_and_its_column() -> None:
+def test_a_coupling_to_an_auxiliary_column_is_recovered_with_its_sign() -> None:
     other = np.random.default_rng(5).standard_normal(4000)
     rig = record(multisine(4000), after=lambda x, fs_hz: x - 0.03 * other, aux={"aux_v": other})
     found = fitted([rig], EffectTerm(CrossCoupling, {"coupling_um_per_v": 0.01}, aux="aux_v"))
@@ -147,7 +147,7 @@ def test_a_coupling_comes_back_with_its_sign_and_its_column() -> None:
 
 @pytest.mark.parametrize("nominal", [many_plays, lambda s: preisach(s, 6), lambda s: bouc_wen(s, 0.1)])
 def test_derivatives_equal_finite_differences(nominal: object) -> None:
-    """Of the weights, and of every slot, those of each recording among them, away from kinks."""
+    """For the weights and for every slot, including those of single recordings, away from kinks."""
     chain = Chain(prepared(pair(800)))
     own = tuple({"cos_um": 0.01, "sin_um": 0.02} for _ in chain.records)
     members = (
@@ -160,8 +160,8 @@ def test_derivatives_equal_finite_differences(nominal: object) -> None:
     )
     one = fit(chain, Hypothesis(nominal(seen(chain.records)), members), None, 0)
     _, part = jacobian(chain, one.hypothesis, one.weights, one.slots, one.theta, 1)
-    y = chain.output(one.hypothesis, one.weights, 1)  # summed as what it is compared with
-    n, step = len(one.weights), 1e-4  # linear: any step does, a longer one rounds less
+    y = chain.output(one.hypothesis, one.weights, 1)  # summed like the outputs it is compared with
+    n, step = len(one.weights), 1e-4  # linear: any step works, and a longer one rounds less
     full = np.zeros((n + len(one.slots), part.rows.shape[1]))
     full[part.places] = part.rows
     for j in range(0, n, 7):
@@ -181,8 +181,8 @@ def test_derivatives_equal_finite_differences(nominal: object) -> None:
         assert slot.record != 0 or not full[n + j].any()
 
 
-def test_a_parameter_at_its_bound_is_said() -> None:
-    """Creep of one pole adds at most the displacement itself; the rig adds three times as much."""
+def test_a_parameter_at_its_bound_is_reported() -> None:
+    """Single-pole creep adds at most the displacement itself; the rig adds three times as much."""
     crawling = pair(after=lambda x, fs_hz: x + 3 * lag(x, fs_hz, 2.0))
     found = fitted(crawling, EffectTerm(Creep, {"gain": 0.5, "time_constant_s": 0.08}))
     assert found.bounded == ("gain",)
@@ -196,7 +196,7 @@ def test_a_fit_never_ends_worse_than_it_began() -> None:
         assert fit(chain, begun).train_rms <= fit(chain, begun, None, 0).train_rms
 
 
-def test_a_pole_that_the_sampling_hides_costs_no_crash() -> None:
+def test_a_mode_just_below_the_nyquist_frequency_does_not_crash_the_fit() -> None:
     found = fitted(
         [record(multisine(1000))],
         EffectTerm(Resonance, {"frequency_hz": 0.49 * FS_HZ, "damping_ratio": 0.01}),
@@ -204,7 +204,7 @@ def test_a_pole_that_the_sampling_hides_costs_no_crash() -> None:
     assert np.isfinite(found.heldout_rms)
 
 
-def test_a_little_beyond_the_recorded_range_a_large_hysteresis_still_moves_as_it_did() -> None:
+def test_a_larger_hysteresis_stays_bounded_slightly_beyond_the_recorded_range() -> None:
     u = 0.7 * multisine(6000)
     records = prepared([record(u), record(0.7 * triangles(6000), name="b")])
     chain = Chain(records)
@@ -215,8 +215,8 @@ def test_a_little_beyond_the_recorded_range_a_large_hysteresis_still_moves_as_it
     assert np.abs(beyond).max() < 1.6 * np.abs(records[0].y).max()
 
 
-def test_a_limit_that_clips_the_highest_tops_is_found_from_beside_it() -> None:
-    """Although the weights of the plays have bent to what is clipped."""
+def test_a_limit_that_clips_only_the_peaks_is_found_from_a_nearby_start() -> None:
+    """The weights of the plays have already adapted to the clipped signal."""
     limit_v = 9.7
     chain = Chain(prepared(pair(4000, before=lambda v, fs_hz: np.minimum(v, limit_v), noise_um=0.001)))
     bent = reduced(chain, fit(chain, Hypothesis(many_plays(seen(chain.records)))))
@@ -228,9 +228,8 @@ def test_a_limit_that_clips_the_highest_tops_is_found_from_beside_it() -> None:
         assert one.hypothesis.members[0].shared["high_v"] == pytest.approx(limit_v, abs=5e-3)
 
 
-def test_a_curvature_of_a_third_of_the_travel_is_found_from_one_per_cent() -> None:
-    """Each step changes it many times over, and the weights of the plays with it, which it makes
-    nonlinear."""
+def test_a_curvature_of_a_third_of_the_travel_is_found_from_a_start_of_one_per_cent() -> None:
+    """Each step changes it many times over, and with it the play weights, which it makes nonlinear."""
     chain = Chain(prepared(pair(4000, after=lambda x, fs_hz: x + 0.03 * x**2 + 0.001 * x**3)))
     bent = reduced(chain, fit(chain, Hypothesis(many_plays(seen(chain.records)))))
     start = SensorNonlinearity.starts(seen(chain.records))[-1]
@@ -239,7 +238,7 @@ def test_a_curvature_of_a_third_of_the_travel_is_found_from_one_per_cent() -> No
     assert [*found.hypothesis.members[0].shared.values()] == pytest.approx([0.03, 0.001], rel=0.1)
 
 
-def test_a_round_corner_fits_a_limit_of_another_form_where_a_hard_one_does_not() -> None:
+def test_a_rounded_limit_fits_a_limit_of_another_shape_better_than_a_hard_one() -> None:
     def limited(v: Signal, fs_hz: float) -> Signal:
         return np.where(v < 6.0, v, 6.0 + 3.0 * np.tanh((v - 6.0) / 3.0))
 
@@ -253,14 +252,12 @@ def test_a_round_corner_fits_a_limit_of_another_form_where_a_hard_one_does_not()
     assert soft.bounded == ()
 
 
-def test_lateness_is_that_of_every_lag_and_delay_and_of_the_tick() -> None:
+def test_lateness_is_the_sum_of_all_lags_delays_and_the_alignment() -> None:
     chain = Chain(prepared([record(multisine(3000))]))
     h = replace(Hypothesis(many_plays(seen(chain.records))), alignment=1)
     late = h.plus(EffectTerm(AmplifierLag, {"cutoff_hz": 50.0})).plus(EffectTerm(Delay, {"delay_s": 3e-3}))
     expected_s = 1 / (2 * np.pi * 50.0) + 3e-3 + 1 / FS_HZ
-    assert lateness_s(chain, late) == pytest.approx(
-        expected_s, abs=0.6 / FS_HZ
-    )  # what a hold makes of a ramp
+    assert lateness_s(chain, late) == pytest.approx(expected_s, abs=0.6 / FS_HZ)  # effect of a hold on a ramp
 
 
 @pytest.mark.parametrize(
@@ -273,7 +270,7 @@ def test_lateness_is_that_of_every_lag_and_delay_and_of_the_tick() -> None:
         (0, 1.0, 50.0, False),
     ],
 )
-def test_delays_alone_may_make_whole_samples(
+def test_lateness_is_whole_only_for_delays_of_whole_samples_without_a_lag(
     alignment: int, delay_samples: float, lag_hz: float, expected: bool
 ) -> None:
     chain = Chain(prepared([record(multisine(3000))]))
@@ -285,7 +282,7 @@ def test_delays_alone_may_make_whole_samples(
     assert is_whole(chain, fit(chain, h, iterations=0)) is expected
 
 
-def test_a_fit_behind_lost_motion_begins_with_weights_that_move() -> None:
+def test_a_fit_with_a_small_backlash_is_as_good_as_one_without() -> None:
     chain = Chain(prepared([record(multisine(4000)), record(triangles(4000), name="b")]))
     plays = Hypothesis(many_plays(seen(chain.records)))
     small = EffectTerm(Backlash, {"width_um": 1e-3})

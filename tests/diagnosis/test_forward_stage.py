@@ -1,4 +1,4 @@
-"""A forward stage of recordings: it predicts unseen motions, and takes on nothing that is not there."""
+"""A forward stage identified from recordings predicts unseen motions and gains no absent effect."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -25,7 +25,7 @@ def rig(*effects: dict) -> Stage:
 
 
 def recorded(stage: Stage, seed: int, seconds: float = 2.0, high_hz: float = 60.0) -> Recording:
-    """A random voltage of many reversals from 0 V, and what the sensor reads."""
+    """Record a random voltage from 0 V with many reversals, and the readings of the sensor."""
     t = np.arange(round(seconds * RATE_HZ)) / RATE_HZ
     random = np.random.default_rng(seed)
     lines = random.uniform(1.0, high_hz, 12)
@@ -55,14 +55,14 @@ def test_dynamics_are_found_and_a_fresh_motion_is_predicted_to_the_noise(dynamic
     assert dynamic.steps[0].names == () and dynamic.steps[0].unseen_rms_um > 10 * NOISE_UM
 
 
-def test_its_own_error_is_that_of_the_held_out_recording(dynamic: ForwardStage) -> None:
+def test_the_stated_error_is_that_of_the_held_out_recording(dynamic: ForwardStage) -> None:
     assert dynamic.stage.identified is not None
     error = free_run_error(dynamic.stage, recorded(rig(MODE, DELAY), 9))
     assert dynamic.stage.identified.heldout == "r9"
     assert dynamic.stage.identified.heldout_rms_um == pytest.approx(error.std(), rel=1e-9)
 
 
-def test_plays_alone_stay_plays() -> None:
+def test_no_effect_is_added_to_a_stage_of_plays_alone() -> None:
     assert identified(rig()).stage.names == ()
 
 
@@ -76,14 +76,14 @@ def test_each_recording_has_a_zero_of_its_own() -> None:
     assert stages[1].zero_um == pytest.approx(stages[0].zero_um + 1.5, abs=NOISE_UM)
 
 
-def test_what_is_held_out_changes_its_error_and_nothing_else(dynamic: ForwardStage) -> None:
+def test_the_held_out_recording_changes_the_stated_error_and_nothing_else(dynamic: ForwardStage) -> None:
     train, other = [recorded(rig(MODE, DELAY), seed) for seed in (0, 1)], recorded(rig(), 9)
     again = identify_stage(train, other).stage
     assert {**again.to_dict(), "identified": None} == {**dynamic.stage.to_dict(), "identified": None}
     assert again.identified != dynamic.stage.identified
 
 
-def test_it_carries_the_hash_of_what_it_was_made_from_in_any_order(dynamic: ForwardStage) -> None:
+def test_the_stage_carries_the_hash_of_its_recordings_in_any_order(dynamic: ForwardStage) -> None:
     train = [recorded(rig(MODE, DELAY), seed) for seed in (1, 0)]
     assert dynamic.stage.identified is not None
     assert dynamic.stage.identified.recordings_sha256 == recordings_sha256(train)
@@ -92,14 +92,14 @@ def test_it_carries_the_hash_of_what_it_was_made_from_in_any_order(dynamic: Forw
     assert dynamic.stage.plain().identified is None
 
 
-def test_a_voltage_that_never_moves_is_refused() -> None:
+def test_a_constant_voltage_is_refused() -> None:
     still = replace(recorded(rig(), 0), u=np.zeros(round(2 * RATE_HZ)))
     with pytest.raises(RecordingError, match="none in which the voltage moves, expected at least one"):
         identify_stage([still], recorded(rig(), 9))
 
 
-def test_the_mode_of_a_stage_that_creeps_is_found_beside_it() -> None:
-    """Two poles of creep would take what a mode and a lag leave, and the stage would miss by ten times."""
+def test_the_mode_of_a_creeping_stage_is_found_beside_the_creep() -> None:
+    """Two-pole creep could absorb what a mode and a lag leave; the error would then be tenfold."""
     logarithm = {"name": "creep", "values": {"per_decade": 0.015}}
     stage = rig(logarithm, MODE)
     found = identify_stage([recorded(stage, 1), recorded(stage, 2)], recorded(stage, 3))

@@ -27,11 +27,11 @@ def test_masked_readings_do_not_count(samples: int, seed: int, share: float) -> 
     haar, row = whole(samples, valid), rng.standard_normal(samples)
     other = np.where(valid, row, 1e6)
     assert np.array_equal(haar.full(row[None]), haar.full(other[None]))
-    assert haar.support()[haar.kept].min() > 0.5  # more readings under it count than do not
+    assert haar.support()[haar.kept].min() > 0.5  # more of the readings under it count than are masked
 
 
 @given(st.integers(100, 3000), st.integers(50, 500))
-def test_every_coefficient_has_its_cell_and_its_level(samples: int, at_most: int) -> None:
+def test_every_coefficient_has_one_cell_and_one_level(samples: int, at_most: int) -> None:
     haar = whole(samples, at_most=at_most)
     assert len(set(haar.kept.tolist())) == len(haar.kept)
     assert (np.diff(haar.cell) >= 0).all() and set(np.diff(haar.cell)) <= {0, 1} and haar.cell[0] == 0
@@ -46,7 +46,7 @@ def test_every_coefficient_has_its_cell_and_its_level(samples: int, at_most: int
     assert len(haar.full(np.zeros((1, samples)))[0]) // 2**haar.levels >= COARSEST
 
 
-def test_white_noise_has_one_variance_on_all_levels() -> None:
+def test_white_noise_has_the_same_variance_on_all_levels() -> None:
     haar = whole(1 << 15)
     full = haar.full(np.random.default_rng(0).standard_normal((40, 1 << 15)))
     for level in range(1, haar.levels + 2):

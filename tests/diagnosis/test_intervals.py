@@ -1,4 +1,4 @@
-"""Ninety per cent intervals cover ninety per cent, in white noise and in coloured."""
+"""Intervals of 90 % cover the truth in 90 % of runs, in white and in coloured noise."""
 
 from types import SimpleNamespace
 
@@ -26,7 +26,7 @@ from torchpi.stage.effects.sensor.thermal_drift import ThermalDrift
 TRUTH = (130.0, 310.0, 0.03)
 
 
-def test_the_scatter_is_that_of_fits_without_one_part_each() -> None:
+def test_the_scatter_equals_the_jackknife_over_the_parts() -> None:
     rng = np.random.default_rng(3)
     parts = [rng.standard_normal((4, 30)) for _ in range(7)]
     weights = np.array([1.0, -2.0, 0.5, 3.0])
@@ -47,18 +47,18 @@ def test_the_scatter_is_that_of_fits_without_one_part_each() -> None:
     assert scatter(whole, grams, 2) == pytest.approx(jackknife[2:, 2:], rel=1e-5)
 
 
-def test_a_part_that_alone_tells_a_parameter_says_nothing_of_its_scatter() -> None:
+def test_a_parameter_that_only_one_part_determines_has_no_scatter() -> None:
     alone = np.diag([1.0, 100.0]), np.array([0.1, 5.0])
     other = np.diag([1.0, 0.1]), np.array([-0.1, 0.01])
     found = scatter(alone[0] + other[0], [alone, other], 2)
     assert found[0, 0] > 0
-    assert found[1, 1] == 0  # what is left without the first part cannot be compared with it
+    assert found[1, 1] == 0  # without the first part there is nothing to compare it with
 
 
 def fitted(
     term: EffectTerm, *values: tuple[str, float, float], correlation: float = 0.0
 ) -> tuple[SimpleNamespace, np.ndarray]:
-    """A fit of one effect with these numbers, and how they scatter: name, value, half-width."""
+    """Return a fit of one effect with these parameters (name, value, half-width) and their covariance."""
     hypothesis = Hypothesis(HysteresisModel(np.zeros(1))).plus(term)
     slots = tuple(slot(0, name, None, value, term.effect.quantities[name], 1e-4) for name, value, _ in values)
     ends = [
@@ -70,7 +70,7 @@ def fitted(
     return SimpleNamespace(slots=slots, theta=theta, hypothesis=hypothesis), covariance
 
 
-def test_numbers_are_as_far_from_none_as_their_intervals_say() -> None:
+def test_the_distance_from_no_effect_is_the_rms_of_the_values_in_half_widths() -> None:
     term = EffectTerm(SensorNonlinearity, {"a2_per_um": -0.02, "a3_per_um2": 0.001})
     fit, spread = fitted(term, ("a2_per_um", -0.02, 0.01), ("a3_per_um2", 0.001, 0.0005))
     assert distance_from_none(fit, spread, term.effect.name) == pytest.approx(2.0, rel=1e-5)
@@ -79,14 +79,13 @@ def test_numbers_are_as_far_from_none_as_their_intervals_say() -> None:
     assert distance_from_none(fit, spread, "creep") == np.inf
 
 
-def test_numbers_that_are_uncertain_one_by_one_may_be_far_from_none_together() -> None:
-    """A square and a cube of a voltage that is never negative do much the same: only their difference is
-    uncertain."""
+def test_individually_uncertain_parameters_may_jointly_be_far_from_no_effect() -> None:
+    """The square and the cube of a non-negative signal act alike, so only their difference is uncertain."""
     term = EffectTerm(SensorNonlinearity, {"a2_per_um": 0.02, "a3_per_um2": 0.001})
     both = ("a2_per_um", 0.02, 0.02), ("a3_per_um2", 0.001, 0.001)
     name = term.effect.name
     assert distance_from_none(*fitted(term, *both), name) == pytest.approx(1.0, rel=1e-5)
-    # Of θ = (1, 1) half-widths, whose correlation is r: θᵀ R⁻¹ θ = 2 / (1 + r).
+    # For θ = (1, 1) half-widths with correlation r: θᵀ R⁻¹ θ = 2 / (1 + r).
     far = distance_from_none(*fitted(term, *both, correlation=-0.99), name)
     assert far == pytest.approx(10.0, rel=1e-3)
 
@@ -94,15 +93,17 @@ def test_numbers_that_are_uncertain_one_by_one_may_be_far_from_none_together() -
 @pytest.mark.parametrize(
     ("term", "value"),
     [
-        # No cutoff is that of no lag.
+        # No finite cutoff stands for no lag.
         (EffectTerm(AmplifierLag, {"cutoff_hz": 100.0}), ("cutoff_hz", 100.0, 50.0)),
-        # The exponent of what is hardly there may be anything.
+        # The time constant of a negligible drift may have any value.
         (EffectTerm(ThermalDrift, {"time_constant_s": 10.0}), ("time_constant_s", 10.0, 9.5)),
         (EffectTerm(ThermalDrift, {"knot_spacing_s": 1.0}), ("knot1_um", 0.1, 1.0)),
     ],
     ids=["no size", "no linear step", "a walk"],
 )
-def test_other_intervals_do_not_say_how_far(term: EffectTerm, value: tuple[str, float, float]) -> None:
+def test_the_distance_from_no_effect_is_infinite_for_other_parameters(
+    term: EffectTerm, value: tuple[str, float, float]
+) -> None:
     assert distance_from_none(*fitted(term, value), term.effect.name) == np.inf
 
 
@@ -110,7 +111,7 @@ RUNS = 36
 
 
 @pytest.mark.parametrize("pole", [0.0, 0.9])
-def test_intervals_cover(pole: float) -> None:
+def test_intervals_cover_the_truth(pole: float) -> None:
     us = [multisine(3000), triangles(3000)]
     clean = [resonance(hysteresis(lag(u, FS_HZ, TRUTH[0])), FS_HZ, *TRUTH[1:]) for u in us]
     members = (
@@ -141,7 +142,7 @@ def test_intervals_cover(pole: float) -> None:
     assert covered.mean() / RUNS < 0.98
 
 
-def test_twice_the_noise_makes_them_twice_as_wide() -> None:
+def test_twice_the_noise_makes_intervals_twice_as_wide() -> None:
     u, widths = multisine(3000), []
     for noise_um in (0.005, 0.01):
         e = noise_um * np.random.default_rng(7).standard_normal(len(u))
@@ -154,7 +155,7 @@ def test_twice_the_noise_makes_them_twice_as_wide() -> None:
     assert widths[1] / widths[0] == pytest.approx(2.0, rel=0.3)
 
 
-def test_hundreds_of_weights_that_only_their_smoothness_tells_apart_leave_an_interval_narrow() -> None:
+def test_an_interval_stays_narrow_beside_hundreds_of_weights_with_a_smoothness_prior() -> None:
     u = triangles(3000)
     y = hysteresis(lag(u, FS_HZ, 130.0)) + 0.02 * np.random.default_rng(0).standard_normal(len(u))
     chain = Chain(prepared([Recording("a", np.arange(len(u)) / FS_HZ, u, y, FS_HZ)]))

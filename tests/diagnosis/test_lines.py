@@ -1,4 +1,4 @@
-"""A line stands out of what is beside it; a mode that rings does not."""
+"""A spectral line stands out from its surroundings; a ringing mode does not."""
 
 import numpy as np
 import pytest
@@ -22,7 +22,7 @@ def test_a_line_of_half_the_noise_stands_out_and_noise_does_not(
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_a_mode_that_noise_drives_is_no_line(seed: int) -> None:
+def test_a_mode_driven_by_noise_is_not_a_line(seed: int) -> None:
     radius, cycles = 0.995, 500.0
     poles = [1, -2 * radius * np.cos(2 * np.pi * cycles / SAMPLES), radius**2]
     ringing = lfilter([1.0], poles, np.random.default_rng(seed).standard_normal(SAMPLES))
@@ -30,5 +30,5 @@ def test_a_mode_that_noise_drives_is_no_line(seed: int) -> None:
 
 
 @pytest.mark.parametrize("cycles", [0.0, 8.0, 2495.0, 1e6])
-def test_where_a_frequency_has_no_surroundings_nothing_stands_out(cycles: float) -> None:
+def test_nothing_stands_out_at_a_frequency_without_surroundings(cycles: float) -> None:
     assert above_surroundings(np.random.default_rng(1).standard_normal(SAMPLES), cycles) == 0.0

@@ -1,4 +1,4 @@
-"""Maps of the residual: what is planted is found, and noise alone is found nowhere."""
+"""Maps of the residual: planted errors are located, and noise alone stands out nowhere."""
 
 import numpy as np
 import pytest
@@ -22,7 +22,7 @@ def sine(n: int, hz: float, fs_hz: float = 10_000.0, swing: float = 1.0) -> np.n
 
 
 def traces(seed: int, n: int = 12_000) -> list[Trace]:
-    """White noise over a slow and a fast sine and one at another rate that grows."""
+    """White noise over a slow sine, a fast sine, and a growing one at another sample rate."""
     rng = np.random.default_rng(seed)
     growing = sine(n, 4.0, 5_000.0) * np.linspace(0.2, 1, n)
     inputs = (
@@ -38,7 +38,7 @@ def loudest(where: tuple[Where, ...], domain: str, label: str | None = None) -> 
     return max(cells, key=lambda cell: cell.significance)
 
 
-def test_white_noise_stands_out_nowhere_in_98_of_100_diagnoses() -> None:
+def test_white_noise_stands_out_in_at_most_four_per_cent_of_diagnoses() -> None:
     scores = [[cell.significance for cell in locate(traces(seed), NOISE_UM)] for seed in range(60)]
     alarms = [max(one) > SIGNIFICANT for one in scores]
     assert np.mean(alarms) <= 0.04
@@ -48,8 +48,8 @@ def test_white_noise_stands_out_nowhere_in_98_of_100_diagnoses() -> None:
     assert (everything > 3).mean() < 0.006
 
 
-def test_coloured_noise_is_not_taken_for_a_place() -> None:
-    """First-order noise with a correlation time of 20 samples; its frequency is no chance, the rest is."""
+def test_coloured_noise_is_not_mistaken_for_a_localised_error() -> None:
+    """First-order noise with a correlation time of 20 samples stands out in frequency but nowhere else."""
     passed = cells = 0
     for seed in range(20):
         white = np.random.default_rng(seed).standard_normal(60_000)
@@ -61,7 +61,7 @@ def test_coloured_noise_is_not_taken_for_a_place() -> None:
     assert passed <= 0.002 * cells
 
 
-def test_noise_twice_as_loud_in_one_recording() -> None:
+def test_noise_twice_as_large_in_one_recording_is_located_in_that_recording() -> None:
     found = traces(1)
     found[1] = record("fast", found[1].u, 2 * found[1].residual_retuned)
     where = locate(found, NOISE_UM)
@@ -70,7 +70,7 @@ def test_noise_twice_as_loud_in_one_recording() -> None:
     assert cell.significance > SIGNIFICANT and cell.share > 0.95
 
 
-def test_noise_twice_as_loud_on_the_way_up() -> None:
+def test_noise_twice_as_large_on_rising_voltage_is_located_there() -> None:
     trace = traces(2)[0]
     e = np.where(np.diff(trace.u, prepend=0) > 0, 2.0, 1.0) * trace.residual_retuned
     where = locate([record("a", trace.u, e)], NOISE_UM)
@@ -81,7 +81,7 @@ def test_noise_twice_as_loud_on_the_way_up() -> None:
     assert rising.label == "rising" and rising.range[0] >= 0
 
 
-def test_noise_in_a_band_of_frequencies() -> None:
+def test_noise_in_a_frequency_band_is_located_in_that_band() -> None:
     trace = traces(3)[0]
     band = butter(4, (700, 900), "bandpass", fs=10_000.0, output="sos")
     loud_um = 5 * NOISE_UM * sosfilt(band, np.random.default_rng(0).standard_normal(12_000))
@@ -92,7 +92,7 @@ def test_noise_in_a_band_of_frequencies() -> None:
     assert sum(one.share for one in loud) > 0.8
 
 
-def test_a_burst_in_time() -> None:
+def test_a_burst_is_located_in_time() -> None:
     found = traces(4)
     e = found[2].residual_retuned.copy()
     e[7_000:7_300] += 0.03 * np.sin(np.arange(300))
@@ -102,7 +102,7 @@ def test_a_burst_in_time() -> None:
     assert cell.significance > SIGNIFICANT
 
 
-def test_what_follows_a_reversal_and_what_needs_a_large_swing() -> None:
+def test_errors_after_reversals_at_large_swings_and_at_large_displacements_are_located() -> None:
     n = 40_000
     u = sine(n, 5.0) * np.repeat([0.3, 1.0], n // 2)
     noise = NOISE_UM * np.random.default_rng(5).standard_normal(n)
@@ -116,7 +116,7 @@ def test_what_follows_a_reversal_and_what_needs_a_large_swing() -> None:
 
 
 @given(st.integers(0, 2**31), st.integers(100, 3_000), st.integers(1, 3))
-def test_every_map_accounts_for_all_of_the_mismatch(seed: int, n: int, recordings: int) -> None:
+def test_every_map_accounts_for_the_whole_residual(seed: int, n: int, recordings: int) -> None:
     rng = np.random.default_rng(seed)
     drives = (np.cumsum(rng.standard_normal(n)), np.full(n, 3.0), np.floor(np.arange(n) / 50) % 4)
     found = [record(f"r{i}", drives[(seed + i) % 3], rng.standard_normal(n)) for i in range(recordings)]
@@ -130,13 +130,13 @@ def test_every_map_accounts_for_all_of_the_mismatch(seed: int, n: int, recording
     assert all(total == pytest.approx(1.0) for total in maps.values())
 
 
-def test_nothing_over_the_floor_has_no_share() -> None:
+def test_a_residual_below_the_noise_floor_has_no_share() -> None:
     assert all(cell.share == 0 for cell in locate(traces(6), 10 * NOISE_UM))
     silent = record("a", sine(1_000, 20.0), np.zeros(1_000))
     assert all(cell.share == 0 and cell.significance <= 0 for cell in locate([silent], NOISE_UM))
 
 
-def test_the_normal_score_of_an_f_ratio_against_its_distribution() -> None:
+def test_the_normal_score_of_an_f_ratio_matches_the_f_distribution() -> None:
     from scipy.stats import f, norm
 
     for above, below in ((4.0, 400.0), (30.0, 30.0), (500.0, 5_000.0)):
@@ -146,7 +146,7 @@ def test_the_normal_score_of_an_f_ratio_against_its_distribution() -> None:
                 assert normal_score(ratio, above, below) == pytest.approx(exact, abs=0.08)
 
 
-def test_turning_points_are_where_the_input_turns_round() -> None:
+def test_turning_points_are_where_the_input_reverses() -> None:
     u = np.concatenate(
         [np.linspace(0, 5, 51), np.full(20, 5.0), np.linspace(5, 1, 41), np.linspace(1, 3, 21)]
     )

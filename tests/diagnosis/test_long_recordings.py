@@ -1,4 +1,4 @@
-"""Long recordings are worked on as means of their samples, and the report says so."""
+"""Long recordings are analysed as means of their samples, and the report says so."""
 
 import numpy as np
 import pytest
@@ -15,13 +15,13 @@ def recording(samples: int) -> Recording:
     return Recording("long", t, u, 0.8 * u, 1e4, aux={"aux_v": u**2}, simulated=0.7 * u)
 
 
-def test_short_recordings_stay_as_they_are():
+def test_short_recordings_stay_unchanged():
     one, wrong = recording(5000), [np.array([3])]
     kept, left, notes = at_a_lower_rate([one], wrong)
     assert kept == [one] and left == wrong and notes == ()
 
 
-def test_long_ones_become_means_at_a_lower_rate_and_a_note_says_so(monkeypatch):
+def test_long_recordings_become_means_at_a_lower_rate_and_a_note_says_so(monkeypatch):
     monkeypatch.setattr(long_recordings, "AT_MOST", 10_000)
     one = recording(39_999)
     (kept,), (left,), (note,) = at_a_lower_rate([one], [np.zeros(0, int)])
@@ -34,7 +34,7 @@ def test_long_ones_become_means_at_a_lower_rate_and_a_note_says_so(monkeypatch):
     assert "39,999 samples" in note and "1.25e+03 Hz" in note
 
 
-def test_a_reading_that_does_not_count_takes_the_one_before(monkeypatch):
+def test_an_excluded_reading_is_replaced_by_the_one_before_it(monkeypatch):
     monkeypatch.setattr(long_recordings, "AT_MOST", 10_000)
     one = recording(40_000)
     one.y[8001] = 1e6
@@ -42,7 +42,7 @@ def test_a_reading_that_does_not_count_takes_the_one_before(monkeypatch):
     assert np.abs(kept.y - 0.8 * kept.u).max() < 1e-2 and len(left) == 0
 
 
-def test_a_step_has_no_overshoot(monkeypatch):
+def test_averaging_a_step_causes_no_overshoot(monkeypatch):
     monkeypatch.setattr(long_recordings, "AT_MOST", 10_000)
     one = recording(40_000)
     one.u[:] = np.where(np.arange(40_000) < 20_001, 1.0, 4.0)
@@ -50,8 +50,8 @@ def test_a_step_has_no_overshoot(monkeypatch):
     assert (np.diff(kept.u) >= 0).all() and kept.u.min() == 1.0 and kept.u.max() == 4.0
 
 
-def test_a_fast_voltage_is_cut_short_where_its_means_would_turn_elsewhere(monkeypatch):
-    """A play sees every turning point: of a chirp to a tenth of the sample rate means of two have others."""
+def test_a_fast_voltage_is_cut_short_if_averaging_would_move_its_turning_points(monkeypatch):
+    """Plays depend on turning points; means of two shift those of a chirp up to a tenth of the rate."""
     monkeypatch.setattr(long_recordings, "AT_MOST", 30_000)
     slow, chirp = recording(20_000), recording(20_000)
     chirp.u[:] = 5 * np.sin(2 * np.pi * 0.05 * np.arange(20_000) ** 2 / 20_000)
@@ -65,7 +65,7 @@ def test_a_fast_voltage_is_cut_short_where_its_means_would_turn_elsewhere(monkey
 
 
 def stairs(samples: int, rings: float, noise_um: float = 1e-3) -> Recording:
-    """Steps of 1 V up and down, in 1 s each, after which a mode of 3.1 kHz rings by this share of a step."""
+    """Steps of 1 V up and down each second, after which a 3.1 kHz mode rings by this share of a step."""
     one, step = recording(samples), np.arange(samples) // 10_000
     one.u[:] = np.where(step % 4 < 2, step % 4, 4 - step % 4)
     since = np.arange(samples) % 10_000
@@ -76,7 +76,7 @@ def stairs(samples: int, rings: float, noise_um: float = 1e-3) -> Recording:
 
 
 @pytest.mark.parametrize(("rings", "cut"), [(0.0, False), (0.001, False), (0.3, True)])
-def test_one_that_rings_faster_than_means_show_is_cut_short(monkeypatch, rings, cut):
+def test_a_recording_that_rings_too_fast_for_averaging_is_cut_short(monkeypatch, rings, cut):
     monkeypatch.setattr(long_recordings, "AT_MOST", 30_000)
     one = stairs(60_000, rings)
     (kept,), _, (note,) = at_a_lower_rate([one], [np.zeros(0, int)])
@@ -85,7 +85,7 @@ def test_one_that_rings_faster_than_means_show_is_cut_short(monkeypatch, rings, 
 
 
 @pytest.mark.parametrize("colour", ["1/f", "1/f²"])
-def test_slow_noise_does_not_ring(colour):
+def test_slow_noise_is_not_mistaken_for_ringing(colour):
     one = stairs(60_000, 0.0)
     white = np.random.default_rng(1).normal(0, 0.01, 60_000)
     spectrum = np.fft.rfft(white) / np.maximum(np.arange(30_001), 1) ** (1.0 if colour == "1/f²" else 0.5)
@@ -93,7 +93,7 @@ def test_slow_noise_does_not_ring(colour):
     assert not any(rings_above(one, factor) for factor in (2, 5, 15))
 
 
-def test_the_command_of_the_tick_before_is_that_of_the_controller_and_not_of_a_mean(monkeypatch):
+def test_the_command_of_the_previous_tick_is_one_controller_tick_back_and_not_one_mean(monkeypatch):
     monkeypatch.setattr(long_recordings, "AT_MOST", 10_000)
     one = recording(40_001)
     kept, left, _ = at_a_lower_rate([one], [np.zeros(0, int)])
@@ -104,8 +104,8 @@ def test_the_command_of_the_tick_before_is_that_of_the_controller_and_not_of_a_m
     np.testing.assert_allclose(record.simulated[-1][7], one.simulated[36:41].mean(), rtol=1e-12)
 
 
-def test_a_long_recording_that_reads_before_it_writes_has_no_lag(monkeypatch):
-    """Of means of five, the tick before lies a fifth of a sample back: no convention of whole samples."""
+def test_no_lag_is_named_in_a_long_recording_that_reads_before_it_writes(monkeypatch):
+    """In means of five, the previous tick is a fifth of a sample back, which no whole-sample shift covers."""
     monkeypatch.setattr(long_recordings, "AT_MOST", 6_000)
     rng = np.random.default_rng(3)
     t = np.arange(30_000) / 1e4

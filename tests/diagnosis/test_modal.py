@@ -1,4 +1,4 @@
-"""A stage that every input rings: the inputs that were left out, and the modes that all of them drive."""
+"""A stage whose modes are excited by every input: the missing inputs and the shared modes."""
 
 from pathlib import Path
 
@@ -21,11 +21,11 @@ RESIDUES = {
     "aux_3": (-0.4, 0.0, 0.9, 0.25),
     "aux_dead": (0.0, 0.0, 0.0, 0.0),
 }
-"""µm/V, statically."""
+"""Static gain of each mode, µm/V."""
 
 
 def noise_like(seed: int) -> Signal:
-    """Random phases up to 1500 Hz, half a volt rms, from 0 V."""
+    """Return a random-phase signal up to 1500 Hz, half a volt rms, from 0 V."""
     rng = np.random.default_rng(seed)
     spectrum = np.zeros(SAMPLES // 2 + 1, dtype=complex)
     lines = slice(1, int(1500 * SAMPLES / FS_HZ))
@@ -45,7 +45,7 @@ def plays(v: Signal) -> Signal:
 
 
 def rung(u: Signal, residues: tuple[float, ...]) -> Signal:
-    """Σ r ω²/(s² + 2ζω s + ω²), in finer steps, between which the input runs straight."""
+    """Σ r ω²/(s² + 2ζω s + ω²), in finer steps with a linearly interpolated input."""
     total, t = np.zeros(len(u)), np.arange(len(u) * FINER) / FINER
     fine = np.interp(t, np.arange(len(u)), u)
     for (f, damping), r in zip(MODES, residues, strict=True):
@@ -58,7 +58,7 @@ def rung(u: Signal, residues: tuple[float, ...]) -> Signal:
 
 
 def recorded(seed: int, names: tuple[str, ...]) -> Recording:
-    """One recording of all inputs at once."""
+    """Return one recording in which all inputs act at once."""
     u, noise = noise_like(10 * seed), np.random.default_rng(seed).standard_normal(SAMPLES)
     aux = {name: noise_like(10 * seed + k) for k, name in enumerate(names, 1)}
     y = rung(plays(u), RESIDUES["input_v"]) + NOISE_UM * noise
@@ -76,7 +76,7 @@ def frequencies_hz(effects: dict[str, NamedEffect]) -> list[float]:
 
 
 @pytest.mark.long
-def test_inputs_with_shared_modes_are_found_a_dead_one_is_not_and_another_recording_is_predicted() -> None:
+def test_active_inputs_and_shared_modes_are_found_and_an_unseen_recording_is_predicted() -> None:
     one = diagnose([recorded(seed, ("aux_2", "aux_3", "aux_dead")) for seed in (1, 2)])
     effects = {effect.name: effect for effect in one.effects}
     assert set(effects) == {"cross_coupling", "resonance", "second_mode"}
@@ -110,6 +110,6 @@ def test_the_two_missing_voltages_and_the_modes_of_a_real_steering_mirror_are_fo
     modes = np.array(frequencies_hz(effects))
     for f in (636.0, 806.0, 921.0, 990.0, 1682.0, 2123.0, 2276.0, 2309.0, 2540.0):
         assert np.abs(modes / f - 1).min() < 5e-3, f
-    # Nonlinear distortion, 3.5 % of 3.7 µm, is no mode.
+    # Nonlinear distortion, 3.5 % of 3.7 µm, is not modal.
     assert one.augmented.heldout_rms_um < 0.2 < 3.4 < one.retuned.heldout_rms_um
     assert one.unexplained_share < 0.01

@@ -1,4 +1,4 @@
-"""A monitored voltage: its own noise goes, the command that is behind it stays."""
+"""A monitored voltage: its noise is removed, and the underlying command stays."""
 
 from dataclasses import replace
 
@@ -31,20 +31,20 @@ def monitored(u: np.ndarray, seed: int = 1, sd: float = SD) -> np.ndarray:
 
 
 def random_between_holds() -> np.ndarray:
-    """A random voltage between two holds of 300 samples, 10 V rms."""
+    """Return a random voltage of 10 V rms between two holds of 300 samples."""
     u = np.random.default_rng(4).normal(0, 10.0, 6000)
     u[:300], u[-300:] = 0.0, 5.0
     return u
 
 
 @pytest.mark.parametrize("name", COMMANDS)
-def test_a_command_stays_as_it_is(name: str) -> None:
+def test_a_noise_free_command_stays_unchanged(name: str) -> None:
     u = COMMANDS[name]
     assert monitor_noise([u]) == [0.0] and without_noise(u, 0.0)[0] is u
 
 
 @pytest.mark.parametrize("name", ["sine", "triangles", "stairs"])
-def test_noise_goes_and_corners_stay(name: str) -> None:
+def test_noise_is_removed_and_corners_stay(name: str) -> None:
     u = COMMANDS[name]
     seen = monitored(u)
     (sd,) = monitor_noise([seen])
@@ -53,12 +53,12 @@ def test_noise_goes_and_corners_stay(name: str) -> None:
     assert left.std() < 0.4 * SD and np.abs(left).max() < 8 * SD
 
 
-def test_noise_is_seen_between_steps_that_come_often() -> None:
+def test_noise_is_measured_between_frequent_steps() -> None:
     u = np.repeat(np.random.default_rng(7).uniform(0, 100, 40), 60)
     assert monitor_noise([monitored(u)])[0] == pytest.approx(SD, rel=0.15)
 
 
-def test_noise_of_a_random_voltage_is_seen_in_its_holds() -> None:
+def test_noise_of_a_random_voltage_is_measured_and_removed_in_its_holds() -> None:
     u = random_between_holds()
     seen = monitored(u)
     (sd,) = monitor_noise([seen])
@@ -68,8 +68,8 @@ def test_noise_of_a_random_voltage_is_seen_in_its_holds() -> None:
     np.testing.assert_allclose(left[300:-300], seen[300:-300] - u[300:-300], atol=8 * SD)
 
 
-def test_one_monitor_has_read_all_recordings() -> None:
-    """One that never rests does not show the noise; one that is quieter has none."""
+def test_recordings_share_the_noise_of_one_monitor_unless_one_is_clearly_quieter() -> None:
+    """A recording that never rests takes the noise of the others; a clearly quieter one keeps its own."""
     never_rests = np.random.default_rng(4).normal(0, 10.0, 6000)
     slow = COMMANDS["sine"]
     both = monitor_noise([monitored(slow), monitored(never_rests)])
@@ -81,21 +81,21 @@ def test_one_monitor_has_read_all_recordings() -> None:
     assert alike == [alike[0]] * 3 == pytest.approx([SD] * 3, rel=0.05)
 
 
-def test_what_scatters_as_much_as_it_moves_is_a_command() -> None:
+def test_a_voltage_that_scatters_as_much_as_it_moves_is_taken_as_a_command() -> None:
     u = np.random.default_rng(2).normal(0, 1, 5000)
     assert monitor_noise([u]) == [0.0]
 
 
-def test_the_rounding_of_a_file_is_no_noise() -> None:
+def test_the_rounding_of_a_file_is_not_taken_for_noise() -> None:
     assert monitor_noise([np.round(COMMANDS["sine"], 6)]) == [0.0]
 
 
-def test_a_record_too_short_to_tell_stays_as_it_is() -> None:
+def test_no_noise_is_assumed_in_a_record_too_short_to_tell() -> None:
     assert monitor_noise([monitored(COMMANDS["sine"][:200], 3)]) == [0.0]
 
 
-def test_a_state_that_forgets_does_not_drift_in_a_hold_of_a_random_voltage() -> None:
-    """A Bouc–Wen state moves with every turn of the voltage, those of noise too."""
+def test_smoothing_keeps_a_bouc_wen_state_from_drifting_in_a_noisy_hold() -> None:
+    """A Bouc–Wen state moves with every reversal of the voltage, including those of noise."""
     u = random_between_holds()
     u[-3000:] = 5.0
     seen = monitored(u)
@@ -104,7 +104,7 @@ def test_a_state_that_forgets_does_not_drift_in_a_hold_of_a_random_voltage() -> 
     assert abs(found - true) < 0.1 * abs(raw - true)
 
 
-def test_what_is_left_of_its_noise_is_known_sample_by_sample() -> None:
+def test_the_remaining_noise_is_known_for_every_sample() -> None:
     u = random_between_holds()
     seen = monitored(u)
     smooth, left = without_noise(seen, SD)
@@ -114,8 +114,8 @@ def test_what_is_left_of_its_noise_is_known_sample_by_sample() -> None:
 
 
 @pytest.mark.parametrize("high_hz", [100.0, 200.0, 400.0])
-def test_of_a_fast_voltage_no_more_is_taken_out_than_noise(high_hz: float) -> None:
-    """A long window would follow it no better than the noise, and say that it does."""
+def test_the_error_of_a_smoothed_fast_voltage_is_as_stated_and_below_the_noise(high_hz: float) -> None:
+    """A long window would err by as much as the noise, yet claim a smaller error."""
     u = multisine(20_000, high_hz=high_hz)
     smooth, left = without_noise(monitored(u, sd=0.01), 0.01)
     assert (smooth - u).std() == pytest.approx(np.sqrt((left**2).mean()), rel=0.25)
@@ -129,7 +129,7 @@ def test_a_short_record_is_smoothed_too(samples: int) -> None:
     assert (smooth - u).std() < 0.5 * SD
 
 
-def test_what_it_makes_of_a_prediction_counts_as_noise() -> None:
+def test_the_effect_of_monitor_noise_on_the_prediction_counts_as_noise() -> None:
     random, slow = random_between_holds(), COMMANDS["sine"][:6000]
     records = prepared([record(monitored(random)), record(monitored(slow), name="b")])
     only_read = Noise(0.001, np.full(12, 1e-6), records[0].fs_hz, "holds of the voltage")
@@ -141,14 +141,14 @@ def test_what_it_makes_of_a_prediction_counts_as_noise() -> None:
     assert np.median(floors[len(fast) :]) < 0.2 * np.median(fast)
 
 
-def test_a_command_adds_nothing_to_the_noise() -> None:
+def test_a_noise_free_command_adds_nothing_to_the_noise() -> None:
     records = prepared([record(COMMANDS["sine"][:6000])])
     noise = Noise(0.001, np.full(12, 1e-6), records[0].fs_hz, "holds of the voltage")
     assert noise.with_monitor(records, 0.5) is noise
 
 
-def test_noise_of_a_monitored_voltage_is_no_lag() -> None:
-    """Any filter of that noise predicts better than the noise."""
+def test_noise_of_a_monitored_voltage_is_not_mistaken_for_a_lag() -> None:
+    """Any filter that suppresses this noise improves the prediction."""
     commanded = [
         record(multisine(6000, high_hz=20.0), seed=1),
         record(triangles(6000), name="b", seed=2),

@@ -1,4 +1,4 @@
-"""Detection lines: a planted part is found as itself, and what does not repeat is not called periodic."""
+"""Detection lines: planted parts are classified correctly, aperiodic ones are not called periodic."""
 
 import numpy as np
 import pytest
@@ -29,7 +29,7 @@ def significant(found: Parts) -> set[str]:
     return {part for part, score in found.significance.items() if score > SIGNIFICANT}
 
 
-def test_noise_has_no_parts() -> None:
+def test_noise_has_no_significant_parts() -> None:
     scores = np.array([list(parts(0 * X, seed).significance.values()) for seed in range(60)])
     assert scores.max() < SIGNIFICANT
     found = parts(0 * X)
@@ -37,21 +37,21 @@ def test_noise_has_no_parts() -> None:
     assert "nothing above the noise" in sentence(found)
 
 
-def test_a_lag_is_linear() -> None:
+def test_a_lag_is_classified_as_linear() -> None:
     lag = -1e-5 * np.diff(U, prepend=U[0]) * FS_HZ
     found = parts(lag)
     assert significant(found) == {"linear"}
     assert found.linear_um == pytest.approx(lag[-40_000:].std(), rel=0.05)
 
 
-def test_a_square_lies_on_even_lines_alone() -> None:
+def test_a_square_appears_on_even_lines_only() -> None:
     found = parts(0.02 * X**2)
     assert significant(found) == {"even"}
     assert found.even_um == pytest.approx(0.02 * (X[-40_000:] ** 2).std(), rel=0.1)
     assert "even" in sentence(found)
 
 
-def test_a_cube_lies_on_odd_lines_excited_and_not() -> None:
+def test_a_cube_appears_on_excited_and_unexcited_odd_lines() -> None:
     assert significant(parts(0.05 * X**3)) == {"linear", "odd"}
 
 
@@ -65,11 +65,11 @@ def test_a_cube_lies_on_odd_lines_excited_and_not() -> None:
     ],
     ids=["drift", "hum", "third harmonic of the mains, in step with the period", "decay"],
 )
-def test_drift_and_hum_do_not_repeat(e: np.ndarray) -> None:
+def test_drift_hum_and_decay_are_classified_as_non_periodic(e: np.ndarray) -> None:
     assert significant(parts(e)) == {"non_periodic"}
 
 
-def test_without_detection_lines_distortion_is_said_to_be_invisible() -> None:
+def test_without_detection_lines_distortion_is_reported_as_invisible() -> None:
     _, u = random_phase(4.0, FS_HZ, 0, 10, 1, 2_499.5, 4, mains_hz=(), seed=1)
     e = NOISE_UM * np.random.default_rng(0).standard_normal(len(u))
     (found,) = multisine(trace(e, u), e)

@@ -1,4 +1,4 @@
-"""The noise is measured in holds, repeats and second recordings, never in a residual that a fit has left."""
+"""The noise is measured in holds, repeats and second recordings, never in the residual of a fit."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -35,42 +35,42 @@ def flicker(samples: int, seed: int = 0) -> Signal:
 
 
 def read(u: Signal, e: Signal, name: str = "a") -> Recording:
-    """A straight line with this noise."""
+    """Record a linear stage with this noise."""
     return Recording(name, np.arange(len(u)) / FS_HZ, u, 0.8 * u + e, FS_HZ)
 
 
 @pytest.mark.parametrize("noise_um", [4e-4, 4e-3, 0.05])
-def test_the_noise_of_stairs_is_that_of_their_holds_though_the_stage_creeps(noise_um: float) -> None:
+def test_the_noise_of_stairs_is_measured_in_their_holds_even_if_the_stage_creeps(noise_um: float) -> None:
     found = measured(record(stairs(8000), after=lambda x, fs_hz: creep(x, fs_hz, 0.02), noise_um=noise_um))
     assert found.rms_um == pytest.approx(noise_um, rel=0.05) and found.source.startswith("holds")
 
 
-def test_a_reading_of_a_hold_that_lies_behind_the_next_step_is_no_noise() -> None:
+def test_a_hold_reading_affected_by_the_next_step_is_not_taken_for_noise() -> None:
     u = stairs(8000)
     late = read(u, 0.01 * white(8000))
     late.y[:-1] += 0.4 * np.diff(u)
     assert measured(late).rms_um == pytest.approx(0.01, rel=0.1)
 
 
-def test_a_monitored_voltage_that_is_noisy_holds_as_well() -> None:
+def test_holds_are_found_in_a_noisy_monitored_voltage() -> None:
     u = stairs(8000)
     noisy = u + 2e-3 * white(8000, 5)
     found = measured(read(noisy, 0.01 * white(8000) - 0.8 * (noisy - u)))
     assert found.rms_um == pytest.approx(0.01, rel=0.1) and found.source.startswith("holds")
 
 
-def test_a_slow_ramp_and_a_slow_sine_with_noise_are_no_holds() -> None:
+def test_moving_voltages_with_noise_are_not_holds() -> None:
     t = np.arange(8000) / 8000
     for u in (10 * t, 5 - 5 * np.cos(2 * np.pi * t), multisine(8000), triangles(8000)):
         assert holds(u + 1e-3 * white(8000)) == []
 
 
-def test_where_nothing_holds_or_repeats_the_noise_is_not_known() -> None:
+def test_the_noise_is_unknown_if_nothing_holds_or_repeats() -> None:
     assert measured_noise(prepared([record(multisine(4000))])) is None
     assert measured_noise(prepared([record(multisine(4000)), record(triangles(4000), name="b")])) is None
 
 
-def test_two_periods_do_not_measure_it_three_do() -> None:
+def test_three_periods_measure_the_noise_and_two_do_not() -> None:
     once = multisine(2000)
     assert measured_noise(prepared([record(np.tile(once, 2), noise_um=0.02)])) is None
     found = measured(record(np.tile(once, 3), noise_um=0.02))
@@ -89,31 +89,31 @@ def test_a_drift_from_period_to_period_is_not_taken_for_noise() -> None:
     assert measured(read(u, drift + 0.02 * white(8000))).rms_um == pytest.approx(0.02, rel=0.1)
 
 
-def test_an_input_that_was_measured_repeats_though_its_last_digits_do_not() -> None:
+def test_a_measured_input_counts_as_periodic_despite_its_noise() -> None:
     one = record(np.tile(multisine(2000), 4), noise_um=0.02)
     noisy = replace(one, u=one.u + 1e-4 * white(len(one.u), 5))
     assert measured(noisy).rms_um == pytest.approx(0.02, rel=0.1)
 
 
-def test_a_second_recording_of_the_same_voltage_measures_it() -> None:
+def test_a_second_recording_of_the_same_voltage_measures_the_noise() -> None:
     u = multisine(4000)
     found = measured(*(record(u, noise_um=0.02, seed=s, name=str(s)) for s in (1, 2)))
     assert found.rms_um == pytest.approx(0.02, rel=0.1) and found.source.startswith("recordings")
 
 
-def test_a_hold_in_one_recording_serves_all() -> None:
+def test_a_hold_in_one_recording_gives_the_noise_of_all() -> None:
     moving, resting = record(multisine(4000)), record(np.zeros(2000), noise_um=0.01, name="rest")
     assert measured(moving, resting).rms_um == pytest.approx(0.01, rel=0.1)
 
 
-def test_of_a_simulation_the_residual_has_the_noise_of_a_monitored_voltage_too() -> None:
+def test_the_noise_is_measured_in_the_residuals_of_a_simulation_if_given() -> None:
     records = prepared([record(stairs(8000), noise_um=0.02)])
     found = measured_noise(records, [0.005 * white(8000, 1)])
     assert found is not None and found.rms_um == pytest.approx(0.005, rel=0.05)
 
 
 @pytest.mark.parametrize(("noise", "slope"), [(white, 0.0), (flicker, 1.0)], ids=["white", "1/f"])
-def test_the_noise_of_each_scale_is_that_of_its_colour(
+def test_the_noise_of_each_scale_follows_the_colour_of_the_noise(
     noise: Callable[[int, int], Signal], slope: float
 ) -> None:
     u = np.tile(multisine(4096), 6)
@@ -125,29 +125,29 @@ def test_the_noise_of_each_scale_is_that_of_its_colour(
         assert levels == pytest.approx(np.full(7, 1e-4), rel=0.2)
 
 
-def test_scales_slower_than_what_was_measured_go_on_with_its_slope() -> None:
+def test_the_noise_of_slower_scales_is_extrapolated_if_it_rises() -> None:
     found = Noise(1.0, 2.0 ** np.arange(6), 1e3, "periods")
     assert found.level_um2(6) == 32.0
     assert found.level_um2(8) == pytest.approx(128.0)
     falling = Noise(1.0, 2.0 ** -np.arange(6), 1e3, "periods")
-    assert falling.level_um2(9) == falling.level_um2(6)  # a noise that falls for ever is none
+    assert falling.level_um2(9) == falling.level_um2(6)  # falling noise would extrapolate to zero
 
 
-def test_lines_of_the_mains_in_a_hold_are_no_noise() -> None:
+def test_mains_hum_in_a_hold_is_not_taken_for_noise() -> None:
     t = np.arange(8000) / FS_HZ
     e = 0.01 * white(8000) + 0.02 * np.sin(2 * np.pi * 50.02 * t)
     assert measured(read(stairs(8000, 2), e)).rms_um == pytest.approx(0.01, rel=0.1)
 
 
-def test_a_lattice_is_part_of_the_noise() -> None:
-    """A hold may stay on one line of it: the noise is then the uniform error of one step."""
+def test_quantisation_is_part_of_the_noise() -> None:
+    """A hold may stay on one level, so the noise is then the uniform error of one step."""
     found = Noise(0.0, np.zeros(3), FS_HZ, "holds of the voltage").with_converter(0.0123)
     assert found.rms_um == pytest.approx(0.0123 / np.sqrt(12))
     assert found.variance_um2 == pytest.approx(np.full(3, 0.0123**2 / 12))
 
 
-def test_wrong_readings_are_no_noise() -> None:
-    """A flipped bit in a hold is a thousand times the noise, and not a part of it."""
+def test_wrong_readings_are_not_taken_for_noise() -> None:
+    """A flipped bit in a hold is a thousand times larger than the noise and not part of it."""
     y = 0.01 * white(4000)
     flipped = y.copy()
     flipped[[1200, 2500]] += 9.0
@@ -156,7 +156,7 @@ def test_wrong_readings_are_no_noise() -> None:
     assert found is not None and found.rms_um == pytest.approx(0.01, rel=0.1)
 
 
-def test_readings_that_never_differ_measure_no_noise() -> None:
+def test_constant_readings_yield_no_noise_measurement() -> None:
     still = read(np.zeros(2000), np.zeros(2000))
     assert measured_noise(prepared([still])) is None
 
@@ -166,7 +166,7 @@ def read_by(lsb_um: float, one: Recording) -> Recording:
 
 
 @pytest.mark.parametrize("noise_um", [0.0, 2e-3, 0.03])
-def test_the_step_of_a_converter_is_read_off_the_readings(noise_um: float) -> None:
+def test_the_converter_step_is_found_from_the_readings(noise_um: float) -> None:
     recordings = [
         read_by(0.0123, record(multisine(3000, seed=s), noise_um=noise_um, name=str(s))) for s in (0, 1)
     ]
@@ -175,7 +175,7 @@ def test_the_step_of_a_converter_is_read_off_the_readings(noise_um: float) -> No
     assert notes == ("All readings lie on a grid with a step of 12.3 nm.",)
 
 
-def test_one_step_is_read_off_all_recordings_though_one_passes_few_of_its_values() -> None:
+def test_one_converter_step_is_found_even_if_one_recording_has_few_distinct_values() -> None:
     stair = record(np.repeat([1.0, 4.0, 7.0, 3.0], 750), noise_um=0.0, name="stair")
     recordings = [read_by(0.2, one) for one in (stair, record(multisine(3000)))]
     assert len(np.unique(recordings[0].y)) < 8
@@ -183,8 +183,8 @@ def test_one_step_is_read_off_all_recordings_though_one_passes_few_of_its_values
 
 
 @pytest.mark.parametrize("other", [multisine(3000, seed=1), np.repeat([1.0, 4.0, 7.0, 3.0], 750)])
-def test_uneven_codes_of_a_converter_are_read_off_as_well(other: np.ndarray) -> None:
-    """A stair passes a few of them alone."""
+def test_uneven_converter_codes_are_found_as_well(other: np.ndarray) -> None:
+    """A staircase reaches only a few of them."""
     places = 0.2 * np.random.default_rng(0).uniform(0.75, 1.25, 120).cumsum() - 4.0
     recordings = []
     for name, u in (("a", multisine(3000)), ("b", other)):
@@ -196,16 +196,16 @@ def test_uneven_codes_of_a_converter_are_read_off_as_well(other: np.ndarray) -> 
     assert "unevenly" in note
 
 
-def test_readings_without_steps_have_no_converter() -> None:
+def test_readings_without_a_grid_have_no_converter_step() -> None:
     assert converter([record(multisine(3000))]) == (0.0, ())
 
 
-def test_one_recording_off_the_lattice_is_enough_against_it() -> None:
+def test_one_recording_off_the_grid_rules_out_a_converter_step() -> None:
     recordings = [read_by(0.0123, record(multisine(3000))), record(multisine(3000, seed=1), name="b")]
     assert converter(recordings) == (0.0, ())
 
 
-def test_a_converter_errs_once_on_each_line_where_nothing_moves() -> None:
+def test_the_quantisation_error_factor_reaches_the_number_of_readings_held_on_one_level() -> None:
     samples, run = 16384, 64
     still, moving = np.repeat(np.arange(samples // run) % 7, run), np.arange(samples) % 5
     for y, most in ((still, run), (moving, 1)):
@@ -214,7 +214,7 @@ def test_a_converter_errs_once_on_each_line_where_nothing_moves() -> None:
         assert times.min() >= 1.0 and times.max() == pytest.approx(most, rel=0.01)
 
 
-def test_the_error_of_a_converter_is_known_on_every_scale() -> None:
+def test_the_predicted_quantisation_error_matches_the_actual_one_on_slow_scales() -> None:
     samples, lsb = 8192, 1.0
     rng = np.random.default_rng(4)
     true = np.repeat(rng.uniform(0, 50, 90), rng.integers(70, 120, 90))[:samples]
@@ -230,7 +230,7 @@ def test_the_error_of_a_converter_is_known_on_every_scale() -> None:
         assert 0.3 < measured_um2[level == k].mean() / (lsb**2 / 12 * mean_times) < 3.0
 
 
-def test_the_step_of_a_converter_is_read_off_the_readings_and_not_off_what_lies_between_them() -> None:
+def test_the_converter_step_is_found_from_raw_and_not_from_interpolated_readings() -> None:
     one = read_by(0.0123, record(multisine(3000), noise_um=0.002))
     share = np.random.default_rng(0).uniform(size=len(one.y) - 1)
     between = share * one.y[:-1] + (1 - share) * one.y[1:]
@@ -240,7 +240,7 @@ def test_the_step_of_a_converter_is_read_off_the_readings_and_not_off_what_lies_
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_a_random_walk_between_periods_is_no_noise_and_coloured_noise_is(seed: int) -> None:
+def test_coloured_noise_counts_as_noise_and_a_random_walk_between_periods_does_not(seed: int) -> None:
     rng, n, periods = np.random.default_rng(seed), 2048, 12
     u = np.tile(np.sin(2 * np.pi * np.arange(n) / n), periods)
     white = rng.normal(size=len(u))

@@ -1,4 +1,4 @@
-"""The fits of a diagnosis run here, in threads or in a cluster: the answer is the same to the last bit."""
+"""A diagnosis gives the same answer to the last bit whether its fits run here, in threads or in a cluster."""
 
 from concurrent.futures import Executor, ThreadPoolExecutor
 

@@ -1,4 +1,4 @@
-"""Probabilities: weights of hypotheses that are compared by cells."""
+"""Probabilities: weights of hypotheses that are compared cell by cell."""
 
 from collections.abc import Collection
 from dataclasses import replace
@@ -65,25 +65,25 @@ def test_weights_sum_to_one(models: int, cells: int, seed: int) -> None:
 
 
 @given(st.integers(2, 5), st.integers(0, 999))
-def test_equal_models_share(models: int, seed: int) -> None:
+def test_equal_models_share_the_weight_equally(models: int, seed: int) -> None:
     density = np.tile(densities(1, 60, seed), (models, 1))
     assert averaged(density, np.zeros(models)) == pytest.approx(np.full(models, 1 / models))
 
 
-def test_a_clearly_better_model_takes_all() -> None:
+def test_a_clearly_better_model_takes_nearly_all_the_weight() -> None:
     density = np.zeros((2, 60))
     density[1] = -np.random.default_rng(0).uniform(1, 3, 60)
     assert averaged(density, np.zeros(2))[0] > 0.999
 
 
-def test_a_difference_from_one_cell_is_less_sure_than_the_same_from_all() -> None:
+def test_a_difference_in_one_cell_is_less_certain_than_the_same_spread_over_all_cells() -> None:
     one, all_ = np.zeros((2, 60)), np.zeros((2, 60))
     one[1, 7] = -8.0
     all_[1] = -8.0 / 60
     assert averaged(one, np.zeros(2))[0] < averaged(all_, np.zeros(2))[0]
 
 
-def test_a_prior_counts_as_so_many_nats() -> None:
+def test_a_prior_counts_in_nats() -> None:
     chance = averaged(np.zeros((2, 30)), np.array([0.0, np.log(3.0)]))
     assert chance[1] / chance[0] == pytest.approx(3.0)
 
@@ -96,12 +96,12 @@ def test_the_same_densities_have_the_same_weights() -> None:
 def chance(
     one: Believed, found: list[Believed], terms: dict[str, EffectTerm], own: Collection[str] = ()
 ) -> float:
-    """Of a name that is certain otherwise."""
+    """Return the probability of an effect that would otherwise be certain."""
     return apart(one, found, terms, own).probability
 
 
 @given(st.floats(1e-6, 1.0))
-def test_what_an_effect_leaves_by_its_form_is_not_named_after_its_kin(share: float) -> None:
+def test_the_form_error_of_an_effect_is_not_named_as_a_similar_effect(share: float) -> None:
     terms = {
         "amplifier_lag": EffectTerm(AmplifierLag, {"cutoff_hz": 250.0}),
         "delay": EffectTerm(Delay, {"delay_s": 1e-4}),
@@ -116,13 +116,13 @@ def test_what_an_effect_leaves_by_its_form_is_not_named_after_its_kin(share: flo
     assert chance(lag, found, terms) > 0.98
     assert apart(late, found, terms).form_of == ("amplifier_lag" if share < FORM_ERROR else "")
     assert apart(lag, found, terms).form_of == apart(slow, found, terms).form_of == ""
-    # What the two signals cannot split in general is kin as well: a drift is what a creep's form leaves.
+    # Effects that the two signals cannot separate are kin too: a drift may be the form error of creep.
     drift = Believed("thermal_drift", 1.0, (), share**2, (), HALF)
     terms["thermal_drift"] = EffectTerm(ThermalDrift, {}, ({"rate_um_per_s": 0.01},))
     assert chance(drift, [*found, drift], terms) == pytest.approx(chance(late, found, terms))
     operator = Believed(OPERATOR_NAME, 1.0, (), share, (), HALF)
     assert chance(operator, [*found, operator], terms) == chance(late, found, terms)
-    # A play behind plays is plays: what a hysteresis of the wrong family leaves looks like lost motion.
+    # Backlash is a play like the others: the error of a wrong hysteresis family looks like backlash.
     terms["backlash"] = EffectTerm(Backlash, {"width_um": 0.01})
     lost, larger = (
         Believed("backlash", 1.0, (), share, (), HALF),
@@ -132,7 +132,7 @@ def test_what_an_effect_leaves_by_its_form_is_not_named_after_its_kin(share: flo
 
 
 @pytest.mark.parametrize("cause", [Resonance, SecondMode, AmplifierLag, SensorLag, Delay, SlewLimit])
-def test_what_a_dynamic_effect_leaves_by_its_form_is_no_rate_dependence(cause: type[Effect]) -> None:
+def test_the_form_error_of_a_dynamic_effect_is_not_named_rate_dependence(cause: type[Effect]) -> None:
     terms = {one.name: EffectTerm(one, {}) for one in (cause, RateDependentHysteresis)}
     strong, weak = (
         Believed(name, 1.0, (), size, (), HALF) for name, size in zip(terms, (1.0, 0.03), strict=True)
@@ -143,14 +143,14 @@ def test_what_a_dynamic_effect_leaves_by_its_form_is_no_rate_dependence(cause: t
 
 
 @given(st.floats(1e-6, 1.0))
-def test_a_small_share_of_a_larger_hysteresis_is_its_error_but_for_a_signal_of_its_own(share: float) -> None:
+def test_a_small_effect_beside_a_larger_hysteresis_is_doubted_without_its_own_signal(share: float) -> None:
     terms = {"hum": EffectTerm(Hum, {"frequency_hz": 50.0})}
     larger, hum = Believed(OPERATOR_NAME, 1.0, (), 1.0, (), HALF), Believed("hum", 1.0, (), share, (), HALF)
     assert chance(hum, [hum, larger], terms) == pytest.approx(1 / (1 + (HYSTERESIS_ERROR / share) ** 2))
     assert chance(hum, [hum, larger], terms, {"hum"}) == 1.0
 
 
-def test_what_explains_nearly_all_that_a_larger_hysteresis_leaves_is_not_its_error() -> None:
+def test_an_effect_that_explains_nearly_all_that_a_larger_hysteresis_leaves_is_not_its_error() -> None:
     terms = {"ageing": EffectTerm(Ageing, {"loss_per_mm": 1e-3}), "backlash": EffectTerm(Backlash, {})}
     larger = Believed(OPERATOR_NAME, 1.0, (), 1.0, (), 0.99)
 
@@ -159,12 +159,12 @@ def test_what_explains_nearly_all_that_a_larger_hysteresis_leaves_is_not_its_err
         return apart(one, [one, larger], terms).probability
 
     assert of("ageing", HALF) < 0.01 and of("ageing", 0.98) > 0.6 and of("ageing", 0.99) > 0.8
-    # What is a hysteresis itself may be what another family leaves, all of it.
+    # An effect that is itself hysteretic may be entirely the error of the wrong family.
     assert of("backlash", 0.99) == of("backlash", HALF) < 0.01
 
 
 @pytest.mark.parametrize("effect", [Resonance, SecondMode, ModalSecondMode])
-def test_what_a_larger_hysteresis_leaves_by_its_form_hardly_rings(effect: type[Effect]) -> None:
+def test_a_mode_is_hardly_mistaken_for_the_form_error_of_a_larger_hysteresis(effect: type[Effect]) -> None:
     mode = Believed(effect.name, 1.0, (), 1e-3, (), HALF)
     larger = Believed(OPERATOR_NAME, 1.0, (), 1.0, (), HALF)
     terms = {effect.name: EffectTerm(effect, {"frequency_hz": 50.0})}
@@ -183,7 +183,7 @@ def test_what_a_larger_hysteresis_leaves_by_its_form_hardly_rings(effect: type[E
         (EffectTerm(GainModulation, {"frequency_hz": 20.0}, ({"cos": 0.1},)), 0, False),
     ],
 )
-def test_a_line_that_the_command_has_is_no_signal_of_its_own(
+def test_a_line_that_the_command_contains_is_not_a_signal_of_its_own(
     term: EffectTerm, commanded_hz: int, own: bool
 ) -> None:
     t = np.arange(4000) / FS_HZ
@@ -197,7 +197,7 @@ def test_a_line_that_the_command_has_is_no_signal_of_its_own(
 @pytest.mark.parametrize(
     ("line_hz", "commanded_hz", "named"), [(50, 0, True), (49, 0, False), (50, 50, False)]
 )
-def test_a_line_counts_by_how_far_it_stands_out_whatever_else_is_left(
+def test_a_line_counts_if_it_stands_out_from_its_surroundings_whatever_else_remains(
     line_hz: float, commanded_hz: float, named: bool
 ) -> None:
     rig = pair(4000)
@@ -213,12 +213,12 @@ def test_a_line_counts_by_how_far_it_stands_out_whatever_else_is_left(
     assert stands_out(records, more, less, "creep") == 0.0
 
 
-def test_a_name_has_to_explain_as_much_as_stays_unexplained() -> None:
+def test_trust_in_an_effect_rises_with_the_share_it_explains() -> None:
     assert trust(0.5) < 0.25 < trust(HALF) < 0.5 < trust(0.85) < 1.0
 
 
 @pytest.mark.parametrize("independent", [True, False])
-def test_only_a_recorded_signal_that_the_voltage_does_not_tell_is_one_of_its_own(independent: bool) -> None:
+def test_only_a_recorded_signal_independent_of_the_voltage_is_a_signal_of_its_own(independent: bool) -> None:
     rig = pair(2000)
     noise = np.random.default_rng(3)
     rig = [
@@ -236,7 +236,7 @@ def test_only_a_recorded_signal_that_the_voltage_does_not_tell_is_one_of_its_own
 @pytest.mark.parametrize("taken", [0, 1])
 @pytest.mark.parametrize("share", [0.2, 0.8])
 @pytest.mark.parametrize("whole", [True, False])
-def test_a_delay_explains_only_what_no_timing_convention_does_but_where_that_leaves_most(
+def test_a_delay_explains_only_what_no_timing_convention_does_unless_that_leaves_most(
     share: float, taken: int, whole: bool
 ) -> None:
     final, alone, tick, lag, other = (
@@ -272,7 +272,7 @@ def test_a_delay_explains_only_what_no_timing_convention_does_but_where_that_lea
         ("thermal_drift", False, True, True),
     ],
 )
-def test_a_curve_stands_in_the_place_of_a_larger_hysteresis_that_bends_to_the_rest(
+def test_a_rival_cannot_be_told_from_a_larger_hysteresis_that_bends_to_everything(
     name: str, bends: bool, well: bool, alike: bool
 ) -> None:
     final, rival = SimpleNamespace(), SimpleNamespace()
@@ -286,8 +286,8 @@ def test_a_curve_stands_in_the_place_of_a_larger_hysteresis_that_bends_to_the_re
     assert stands_as_well(search, name, rival, final) is alike
 
 
-def test_a_slow_rival_that_leaves_little_more_may_have_another_law() -> None:
-    """A drift that settles explains 283 nm but for 25, a leakage but for 35: that of another law, perhaps."""
+def test_a_slow_rival_that_leaves_little_more_remains_an_alternative() -> None:
+    """A settling drift leaves 25 nm of 283 nm, a leakage 35 nm, perhaps because its law differs slightly."""
     search = SimpleNamespace(effects_tried=EFFECTS)
     assert slow_kin(search, "thermal_drift", "leakage") and slow_kin(search, "leakage", "thermal_drift")
     assert not slow_kin(search, "amplifier_lag", "sensor_lag") and not slow_kin(search, "creep", "ageing")
@@ -295,7 +295,7 @@ def test_a_slow_rival_that_leaves_little_more_may_have_another_law() -> None:
     assert nearly_all(leakage, less, final) and not nearly_all(creep, less, final)
 
 
-def test_of_effects_that_stand_in_for_each_other_the_strongest_is_as_likely_as_any() -> None:
+def test_the_strongest_of_interchangeable_effects_takes_their_joint_probability() -> None:
     lag, late = Believed("amplifier_lag", 0.1, (), 2.0, (), HALF), Believed("delay", 0.2, (), 1.0, (), HALF)
     slow = Believed("creep", 0.3, (), 5.0, (), HALF)
     together = [Believed("amplifier_lag + delay", 0.9, (), 7.0, (), HALF)]
@@ -304,19 +304,19 @@ def test_of_effects_that_stand_in_for_each_other_the_strongest_is_as_likely_as_a
     assert found == [replace(lag, probability=0.9, alternatives=("delay",), explained_um2=7.0), late, slow]
     sure = replace(lag, probability=0.95)
     assert as_one(sure, [sure, late, slow], together, left_um) == sure
-    # All of the lateness counts for a delay, a timing convention's part too: that makes it no stronger.
+    # A delay is credited with all lateness, even a timing convention's, which makes it no stronger.
     larger = replace(late, explained_um2=3.0)
     assert as_one(larger, [lag, larger, slow], together, left_um) == larger
 
 
-def test_what_cannot_be_split_is_said_of_both() -> None:
-    """Whoever asks whether one effect is like another need not ask the other way round."""
+def test_degeneracy_between_effects_is_declared_by_both() -> None:
+    """To know whether two effects can be mistaken for one another, it suffices to ask either of them."""
     effects = {effect.name: effect for effect in EFFECTS}
     for name, effect in effects.items():
         assert all(name in effects[other].degenerate_with for other in effect.degenerate_with), name
 
 
-def test_lost_motion_may_be_a_hysteresis_that_is_not_on_the_list_unless_a_larger_one_was_taken() -> None:
+def test_backlash_may_be_an_unlisted_hysteresis_unless_a_larger_hysteresis_was_accepted() -> None:
     plain = Hypothesis(HysteresisModel(np.linspace(0, 1, 9)))
     taken = plain.plus(EffectTerm(Backlash, {"width_um": 0.01})).plus(EffectTerm(Creep, {"per_decade": 0.01}))
     larger = taken.on(HysteresisModel(np.linspace(0, 1, 9), pieces=5))

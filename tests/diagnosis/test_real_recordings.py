@@ -1,6 +1,6 @@
-"""What is known of recordings that nobody here made is in the answer, and what cannot be known is not.
+"""Diagnoses of third-party recordings say what is known of these, and nothing that cannot be known.
 
-`../shared/data` has them beside a checkout, with their licences.
+The recordings lie beside a checkout in `../shared/data`, with their licences.
 """
 
 from pathlib import Path
@@ -26,7 +26,7 @@ def groups(found: Diagnosis) -> list[set[str]]:
 
 @needs_data
 def test_a_current_loop_is_late_and_has_no_hysteresis() -> None:
-    """From commanded to measured current, A as V and µm: some 0.48 ms late, 0.86 of the gain at 250 Hz."""
+    """Commanded to measured current, A as V and µm: about 0.48 ms late, 0.86 of the gain at 250 Hz."""
     bench = np.load(DATA / "motor_bench" / "type_a.npz")
     fs_hz, period = float(bench["fs_hz"]), int(bench["period"])
     u, y = (bench[name].ravel()[period : 4 * period].astype(float) for name in ("iq_ref_a", "iq_a"))
@@ -36,8 +36,8 @@ def test_a_current_loop_is_late_and_has_no_hysteresis() -> None:
 
 
 @needs_data
-def test_a_stack_under_one_frequency_is_slow_and_its_rate_is_left_open() -> None:
-    """The authors' piezo stack, a sine of 1 Hz: it creeps, or drifts, by half a micrometre, and is late. Its
+def test_a_stack_under_a_sine_shows_creep_and_lateness_but_no_rate_dependence() -> None:
+    """The authors' piezo stack under a 1 Hz sine creeps or drifts by half a micrometre and is late. The
     generator was switched on just before the first sample."""
     columns = RecordingOptions(None, 1, 5, fs_hz=200, zero="first")
     whole = read_recording(DATA / "piezo_stack" / "Model_Vi_Do.dat", columns)

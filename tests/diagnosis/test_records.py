@@ -1,4 +1,4 @@
-"""What a search may see of recordings: all but their sealed ends and their dropouts."""
+"""A search may see all of the recordings except their sealed ends and their dropouts."""
 
 from dataclasses import replace
 
@@ -13,7 +13,7 @@ from torchpi.diagnosis.records import AT_MOST, SEALED, not_counting, prepare, se
 
 
 @given(st.integers(100, 3000))
-def test_the_last_part_of_each_recording_is_sealed_and_no_coefficient_sees_it(samples: int) -> None:
+def test_the_end_of_each_recording_is_sealed_and_affects_no_coefficient(samples: int) -> None:
     (one,) = prepared([record(multisine(samples))])
     first = int((1 - SEALED) * samples)
     assert one.train[:first].all() and not one.train[first:].any()
@@ -37,7 +37,7 @@ def test_dropouts_count_neither_in_a_fit_nor_in_an_error() -> None:
     )
 
 
-def test_an_edge_is_kept_though_most_of_a_long_recording_is_passed_over() -> None:
+def test_an_edge_is_kept_although_most_of_a_long_recording_is_omitted() -> None:
     u = np.zeros(300_000)
     u[150_001:] = 5.0
     (one,) = prepared([record(u)])
@@ -47,15 +47,15 @@ def test_an_edge_is_kept_though_most_of_a_long_recording_is_passed_over() -> Non
     assert np.abs(one.coefficients(edge[None])[0]).max() > 0.5
 
 
-def test_what_recordings_span_is_that_of_all_of_them() -> None:
+def test_the_data_range_spans_all_recordings() -> None:
     slow, fast = record(multisine(1000)), record(0.5 * multisine(4000, 8e3), fs_hz=8e3, name="b")
     what = seen(prepared([slow, fast]))
     assert what.fs_hz == 8e3 and what.duration_s == pytest.approx((1 - SEALED) * 0.5)
-    # The voltage is what was commanded: of it nothing is sealed.
+    # The voltage is the command, so none of it is sealed.
     assert (what.low_v, what.high_v) == (slow.u.min(), slow.u.max())
 
 
-def test_how_quickly_a_voltage_moves_is_the_inverse_of_its_angular_frequency() -> None:
+def test_the_quickest_time_of_a_voltage_is_the_inverse_of_its_angular_frequency() -> None:
     t = np.arange(4000) / 1e4
     slow, quick = (record(5 - 5 * np.cos(2 * np.pi * f * t), fs_hz=1e4) for f in (5.0, 50.0))
     assert seen(prepared([slow])).quickest_s == pytest.approx(1 / (2 * np.pi * 5), rel=1e-3)

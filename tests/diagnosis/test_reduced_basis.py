@@ -1,4 +1,4 @@
-"""A larger hysteresis keeps what the plays know."""
+"""A larger hysteresis retains what the fitted plays describe."""
 
 from dataclasses import replace
 
@@ -37,7 +37,7 @@ def best_of_plays(chain: Chain) -> Fit:
 
 
 @pytest.mark.parametrize("few", [True, False])
-def test_plays_through_output_functions_begin_where_the_plays_alone_ended(few: bool) -> None:
+def test_plays_with_output_functions_start_from_the_fitted_plays(few: bool) -> None:
     chain = Chain(prepared(sharp(0.8)))
     now = best_of_plays(chain)
     now = reduced(chain, now) if few else now
@@ -52,7 +52,7 @@ def test_plays_through_output_functions_begin_where_the_plays_alone_ended(few: b
 
 
 def test_sharp_thresholds_stay_sharp_where_output_functions_bend() -> None:
-    """A smooth density alone has none, and predicts worse than plays that lack the bend."""
+    """A smooth density alone has no sharp thresholds and predicts worse than plays that lack the bend."""
     chain = Chain(prepared(sharp(0.8)))
     now = best_of_plays(chain)
     assert now.train_rms > 3 * NOISE_UM
@@ -62,8 +62,8 @@ def test_sharp_thresholds_stay_sharp_where_output_functions_bend() -> None:
     assert density(one).sum() > density(now).sum() + 100
 
 
-def test_a_curve_goes_on_beyond_the_recorded_range_as_it_ended() -> None:
-    """There nothing is recorded, and the prior decides."""
+def test_a_curve_continues_beyond_the_recorded_range_as_it_ended() -> None:
+    """No data are recorded there, so the prior decides."""
     t = np.arange(6000) / FS_HZ
     u = np.where(t < 2.56, 4.0, 5.0) * (1 - np.cos(6 * np.pi * t)) * (1 - 0.3 * np.cos(np.pi * t))
     y = u + 0.2 * np.logaddexp(0.0, 2 * (u - 4.0)) + np.random.default_rng(3).normal(0, NOISE_UM, len(u))
@@ -77,14 +77,14 @@ def test_a_curve_goes_on_beyond_the_recorded_range_as_it_ended() -> None:
     assert one.heldout_rms < 8 * NOISE_UM
 
 
-def test_where_nothing_bends_output_functions_predict_as_well_as_plays() -> None:
+def test_output_functions_predict_as_well_as_plays_if_nothing_bends() -> None:
     chain = Chain(prepared(sharp(0.0)))
     now = best_of_plays(chain)
     one = fit(chain, *grown(chain, Hypothesis(preisach(seen(chain.records))), now, MANY))
     assert one.left_out_um2.mean() < 1.1 * now.left_out_um2.mean()
 
 
-def test_other_plays_are_begun_from_nothing() -> None:
+def test_different_plays_start_without_weights() -> None:
     chain = Chain(prepared(sharp(0.0)))
     now = fit(chain, Hypothesis(plain(seen(chain.records))))
     _, weights = grown(chain, Hypothesis(preisach(seen(chain.records))), now, MANY)
@@ -93,7 +93,7 @@ def test_other_plays_are_begun_from_nothing() -> None:
 
 @pytest.mark.parametrize("samples_a_period", [5, 2000])
 def test_combinations_are_sums_of_plays_however_fast_the_voltage_moves(samples_a_period: int) -> None:
-    """The two ways of making them agree."""
+    """Both ways of computing the combinations agree."""
     rng = np.random.default_rng(2)
     v = 5.0 + 4.9 * np.sin(2 * np.pi * np.arange(4000) / samples_a_period) + rng.normal(0, 0.01, 4000)
     every = many_plays(seen(prepared(sharp(0.0))))

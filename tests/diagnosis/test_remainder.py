@@ -1,4 +1,4 @@
-"""The unknown path: what no effect on the list explains is modelled, and gets no name."""
+"""The unknown path: a residual that no effect on the list explains is modelled but not named."""
 
 import numpy as np
 from scipy.signal import lfilter
@@ -22,29 +22,29 @@ def relaxed(x: Signal, fs_hz: float, time_constant_s: float) -> Signal:
 
 
 def unlisted(x: Signal, fs_hz: float) -> Signal:
-    """A band of the motion is larger or smaller with the place: neither creep, nor a mode, nor static."""
+    """Scale a band of the motion with the displacement: neither creep, nor a mode, nor a static effect."""
     return x + 0.03 * (x - 4) * (relaxed(x, fs_hz, 0.005) - relaxed(x, fs_hz, 0.05))
 
 
-def test_what_is_on_no_list_gets_no_name_and_a_better_fit() -> None:
+def test_an_unlisted_effect_is_not_named_but_improves_the_fit() -> None:
     recordings = [*pair(2000, after=unlisted), record(stairs(2000), after=unlisted, name="stairs", seed=3)]
     found = diagnose(recordings)
     assert found.verdict in ("unexplained", "partly_explained") and found.unexplained_share > 0.05
-    # What depends on the place is partly of a static form: of those a name is no wrong one. A larger
-    # hysteresis, which bends to it, predicts worse than what is on no list.
+    # The effect depends on the displacement and is partly static, so a static name is not wrong. A larger
+    # hysteresis, which bends to it, predicts worse than the unknown path.
     assert {effect.name for effect in found.effects} <= STATIC
     assert found.augmented.heldout_rms_um < 0.3 * found.retuned.heldout_rms_um
     assert found.stage.names[-1] == "unknown"
     assert "none of the known effects" in found.says
 
 
-def test_over_nothing_missing_there_is_no_remainder() -> None:
+def test_there_is_no_remainder_if_nothing_is_missing() -> None:
     chain = Chain(prepared(pair(3000)))
     assert with_remainder(chain, fit(chain, Hypothesis(many_plays(seen(chain.records))))) is None
 
 
-def test_the_remainder_takes_nothing_that_retuning_could() -> None:
-    """It is fitted off the tangent of the weights: the nominal stage's share stays its own."""
+def test_the_remainder_absorbs_nothing_that_retuning_could_explain() -> None:
+    """It is fitted orthogonally to the tangents of the weights, so the nominal stage keeps its share."""
     chain = Chain(prepared(pair(3000, after=unlisted)))
     now = fit(chain, Hypothesis(many_plays(seen(chain.records))))
     found = with_remainder(chain, now)
@@ -58,5 +58,5 @@ def test_the_remainder_takes_nothing_that_retuning_could() -> None:
         assert np.isfinite(added[-1]).all()
     across = sum(t @ a for t, a in zip(tangents, added, strict=True))
     size = np.sqrt(sum((t**2).sum(1) for t in tangents) * sum((a**2).sum() for a in added))
-    # Not nothing: what the remainder makes of the moved weights is of second order.
+    # Not zero: the response of the remainder to the moved weights is of second order.
     assert np.abs(across / size).max() < 0.05

@@ -1,4 +1,4 @@
-"""Remanence: what a recording remembers from before its first sample, in columns that forget it."""
+"""Remanence: the history before the first sample of a recording, modelled by columns that fade."""
 
 import numpy as np
 import pytest
@@ -24,7 +24,7 @@ from torchpi.stage.effects.sensor.sensor_nonlinearity import SensorNonlinearity
 
 
 def remembered(v: np.ndarray, seed: int) -> np.ndarray:
-    """Plays that begin anywhere inside their bands: a history that is not de-energised."""
+    """Return plays that start anywhere within their bands, from a history that is not de-energised."""
     rng = np.random.default_rng(seed)
     thresholds = rng.uniform(0.1, 5.0, 40)
     state, y = v[0] + thresholds * rng.uniform(-1, 1, 40), np.empty(len(v))
@@ -40,8 +40,8 @@ def history(v: np.ndarray, seed: int) -> Recording:
 
 
 @pytest.mark.parametrize("seed", [1, 2])
-def test_plays_and_columns_fit_what_plays_alone_do_not(seed: int) -> None:
-    """A start at 5 V from a history that no de-energised plays have."""
+def test_plays_with_remanence_columns_fit_a_history_that_plays_alone_do_not(seed: int) -> None:
+    """The recording starts at 5 V from a history that de-energised plays cannot have."""
     v = np.roll(multisine(4000, high_hz=20.0), -1500)
     chain = Chain(prepared([history(v, seed)]))
     plays = Hypothesis(many_plays(seen(chain.records)))
@@ -52,8 +52,8 @@ def test_plays_and_columns_fit_what_plays_alone_do_not(seed: int) -> None:
 
 
 @pytest.mark.parametrize("remembers", [True, False])
-def test_a_history_is_decided_again_once_an_effect_is_known(remembers: bool) -> None:
-    """Beside what was missing before it may have been too small to see, or have taken some of that."""
+def test_the_need_for_a_history_is_decided_again_once_an_effect_is_known(remembers: bool) -> None:
+    """Before, the missing effect may have hidden the history, or the history absorbed part of the effect."""
     v = np.roll(multisine(4000, high_hz=20.0), -1500)
     v = v if remembers else v - v[0]
     y = lag(remembered(v, 1) if remembers else hysteresis(v), 2e3, cutoff_hz=20.0)
@@ -69,7 +69,7 @@ def test_a_history_is_decided_again_once_an_effect_is_known(remembers: bool) -> 
 
 @pytest.mark.parametrize("remembers", [True, False])
 def test_a_larger_hysteresis_has_a_history_only_where_there_is_one(remembers: bool) -> None:
-    """One that has none is predicted better from the de-energised state: its first loading is known."""
+    """Without a history, a de-energised start predicts better, because its initial loading is known."""
     thresholds, made = np.array([0.0, 0.7, 2.3, 4.1]), []
     for seed in (1, 2):
         rng, v = np.random.default_rng(seed), multisine(6000, high_hz=40.0, seed=seed)
@@ -104,10 +104,10 @@ def test_a_history_is_forgotten_once_the_largest_excursion_is_reached() -> None:
 
 
 @given(st.integers(0, 99), st.floats(0.1, 4.0), st.integers(1, 4))
-def test_the_start_of_a_state_without_wiping_out_fades_as_its_column_does(
+def test_the_initial_value_of_a_state_without_wiping_out_fades_as_its_column_does(
     seed: int, alpha: float, power: int
 ) -> None:
-    """Of dz = α|dv|(f(v) - z), whatever f and the way of v."""
+    """For dz = α|dv|(f(v) - z), whatever f and the path of v."""
     v = np.cumsum(np.random.default_rng(seed).standard_normal(200))
     states = np.array([0.3, -1.2])
     apart = [states[1] - states[0]]
@@ -119,7 +119,7 @@ def test_the_start_of_a_state_without_wiping_out_fades_as_its_column_does(
 
 
 def drifting_loops() -> list[Recording]:
-    """Minor loops of a Duhem state drift towards the middle as they are repeated; those of plays never do."""
+    """Repeated minor loops of a Duhem state drift towards the middle; those of plays never do."""
     t = np.arange(8000) / 2e3
     recordings = []
     for seed, offset in enumerate((2.0, 6.0)):
@@ -135,8 +135,8 @@ def drifting_loops() -> list[Recording]:
     return recordings
 
 
-def test_a_hysteresis_whose_loops_move_is_fitted_by_what_has_no_wiping_out() -> None:
-    """At once, not after plays through output functions: an effect could take what those leave."""
+def test_drifting_minor_loops_are_fitted_by_a_duhem_operator() -> None:
+    """It is tried at once and not after output functions, whose residual an effect could absorb."""
     log: list[str] = []
     found = diagnose(drifting_loops(), effects=[], log=log.append)
     assert [effect.name for effect in found.effects] == ["hysteresis_operator"]
@@ -145,7 +145,7 @@ def test_a_hysteresis_whose_loops_move_is_fitted_by_what_has_no_wiping_out() -> 
     assert not any("with hysteresis_operator: preisach" in line for line in log)
 
 
-def test_the_only_effect_goes_where_a_larger_hysteresis_makes_it_needless() -> None:
+def test_the_only_effect_is_removed_if_a_larger_hysteresis_makes_it_redundant() -> None:
     chain = Chain(prepared(drifting_loops()))
     search = Search(chain, lambda sentence: None, effects=[SensorNonlinearity])
     retuned = search.retuned()
@@ -158,12 +158,12 @@ def test_the_only_effect_goes_where_a_larger_hysteresis_makes_it_needless() -> N
     assert search.backward(larger).hypothesis.names == ()
 
 
-def test_a_hold_remembers_for_ever_and_divides_by_nothing() -> None:
+def test_a_hold_never_forgets_and_causes_no_division_by_zero() -> None:
     assert np.array_equal(excursions(np.full(50, 3.0)), np.ones((COLUMNS, 50)))
 
 
 def bouc_wen_states(u: np.ndarray, start: float, sigma_v: float, beta: float, exponent: float) -> np.ndarray:
-    """(time,), z behind a voltage, (time,), V, straight between samples, in twenty Euler steps each."""
+    """(time,), z driven by a voltage, (time,), V, linear between samples, in twenty Euler steps each."""
     v = np.interp(np.arange(len(u) * 20) / 20, np.arange(len(u)), u)
     z, states = start, np.empty(len(v))
     for k, dv in enumerate(np.diff(v, prepend=0.0)):
@@ -174,7 +174,7 @@ def bouc_wen_states(u: np.ndarray, start: float, sigma_v: float, beta: float, ex
 
 @pytest.mark.parametrize("sigma_v", [15.0, 60.0, 100.0])
 def test_a_bouc_wen_stage_with_a_history_is_explained_down_to_the_noise(sigma_v: float) -> None:
-    """At ±80 V, far from the unit of its state, which starts where the last recording left it."""
+    """At ±80 V, far from the unit of its state, which starts where an earlier recording left it."""
     time, noise_um = np.arange(6000) / 120.0, 0.0015
     u = np.where(time > 3, -80 * np.exp(-time / 40) * np.sin(1.6 * (time - 3)), 0.0)
     y = -0.33 * u + 4.2 * bouc_wen_states(u, -0.17, sigma_v, 1.5, 1.2)
@@ -185,9 +185,9 @@ def test_a_bouc_wen_stage_with_a_history_is_explained_down_to_the_noise(sigma_v:
     assert found.augmented.heldout_rms_um < 1.3 * noise_um
 
 
-def test_a_bouc_wen_stage_is_found_beneath_a_hundred_plays_that_all_but_follow_it() -> None:
-    """It turns round within more than the range: beside plays, under the weights of what they leave, a state
-    stays where it began."""
+def test_a_bouc_wen_stage_is_found_beneath_a_hundred_plays_that_nearly_fit_it() -> None:
+    """Its reversals take more than the voltage range. Beside plays, and weighted by their residual, a state
+    would stay at its starting point."""
     fs_hz, noise_um, rng = 2e3, 0.0008, np.random.default_rng(0)
     recordings = []
     for k, start in enumerate((-0.32, -0.37)):

@@ -1,4 +1,4 @@
-"""What repeats with the voltage, apart from what does not."""
+"""Separation of what repeats with a periodic voltage from what does not."""
 
 import numpy as np
 import pytest
@@ -22,11 +22,11 @@ FS_HZ = 5_000.0
 _, U = random_phase(8.0, FS_HZ, 0, 10, 1, 200, 2, odd_lines=True, detection_lines=True, seed=2)
 
 
-def test_the_period_is_found_behind_a_ramp() -> None:
+def test_the_period_is_found_after_a_ramp() -> None:
     assert periodic_stretches(U) == (Stretch(len(U) - 40_000, 20_000, 2),)
 
 
-def test_triangles_and_sines_repeat() -> None:
+def test_triangles_and_sines_are_periodic() -> None:
     t = np.arange(20_000) / FS_HZ
     assert periodic_stretches(np.sin(2 * np.pi * 5 * t))[0] == Stretch(0, 1_000, 20)
     (triangle,) = periodic_stretches(np.abs((t * 2 + 1) % 2 - 1))
@@ -34,7 +34,7 @@ def test_triangles_and_sines_repeat() -> None:
 
 
 @given(st.sampled_from(["walk", "sweep", "rest", "stairs", "decay", "noise", "steps"]), st.integers(0, 2**31))
-def test_what_does_not_repeat_is_not_called_periodic(kind: str, seed: int) -> None:
+def test_an_aperiodic_signal_is_not_called_periodic(kind: str, seed: int) -> None:
     rng = np.random.default_rng(seed)
     n = int(rng.integers(200, 20_000))
     t = np.arange(n) / FS_HZ
@@ -51,7 +51,7 @@ def test_what_does_not_repeat_is_not_called_periodic(kind: str, seed: int) -> No
 
 
 def periodic(before: int, period: int, periods: int, after: int, seed: int) -> np.ndarray:
-    """Noise of these lengths, a stretch of which repeats."""
+    """Return noise with parts of these lengths, one of which repeats."""
     rng = np.random.default_rng(seed)
     parts = (
         rng.standard_normal(before),
@@ -67,7 +67,7 @@ lengths = st.tuples(
 
 
 @given(lengths, st.floats(0.0, 0.2), st.floats(0.6, 1.0))
-def test_white_noise_stays_white_and_readings_that_do_not_count_are_not_seen(
+def test_white_noise_stays_white_and_excluded_readings_have_no_influence(
     shape: tuple[int, int, int, int, int], wrong: float, share: float
 ) -> None:
     u = periodic(*shape)
@@ -82,7 +82,7 @@ def test_white_noise_stays_white_and_readings_that_do_not_count_are_not_seen(
 
 
 @given(lengths, st.floats(0.0, 0.2))
-def test_what_repeats_leaves_nothing_in_what_does_not(
+def test_a_periodic_signal_vanishes_from_the_non_periodic_part(
     shape: tuple[int, int, int, int, int], wrong: float
 ) -> None:
     u = periodic(*shape)
@@ -94,17 +94,17 @@ def test_what_repeats_leaves_nothing_in_what_does_not(
     assert np.abs(sealed[np.isfinite(sealed)]).max(initial=0.0) < 1e-9
 
 
-def test_the_sealed_end_is_compared_with_the_earlier_periods_where_the_voltage_goes_on() -> None:
+def test_the_sealed_end_is_compared_with_earlier_periods_while_the_voltage_repeats() -> None:
     u = periodic(0, 200, 5, 40, 1)
     repeats = Repeats.of(u, 850, np.ones(len(u), bool))
     drift = np.where(np.arange(len(u)) < 850, 0.0, 1.0)
     sealed = repeats.beyond(drift)
     assert np.isfinite(sealed).tolist() == [True] * 150 + [False] * 40
-    # The mean of four periods, or of five where the phase came once more, has an error of its own.
+    # The mean of four periods (five where the phase occurs once more) has an error of its own.
     assert sealed[:150] == pytest.approx(np.sqrt(4 / 5))
 
 
-def test_what_does_not_repeat_has_coefficients_of_its_own_beside_those_of_all_readings() -> None:
+def test_the_non_periodic_part_has_its_own_coefficients_beside_those_of_all_readings() -> None:
     u = np.concatenate([np.linspace(0, U[-20_000], 500), U[-40_000:], U[-20_000:], np.linspace(0, 5, 12_000)])
     (one,) = prepared([record(u, fs_hz=FS_HZ)])
     of = one.coefficients
@@ -116,12 +116,12 @@ def test_what_does_not_repeat_has_coefficients_of_its_own_beside_those_of_all_re
     assert np.array_equal(of(one.y[None])[:, : len(readings.kept)], readings(one.y[None]))
 
 
-def test_without_repeats_there_are_the_readings_alone() -> None:
+def test_without_repeats_only_the_readings_have_coefficients() -> None:
     (one,) = prepared([record(np.cumsum(np.random.default_rng(0).standard_normal(3000)))])
     assert set(one.coefficients.kind_of_cell) == {PLAIN} and len(one.coefficients.pieces) == 1
 
 
-def test_a_transient_that_no_model_has_yet_weighs_no_more_than_what_it_leaves_in_each_period() -> None:
+def test_an_unmodelled_start_transient_weighs_about_as_much_as_what_recurs_in_each_period() -> None:
     (one,) = records = prepared([record(np.tile(U[-20_000::20], 6), fs_hz=250.0)])
     noise = measured_noise(records)
     ringing = 2.0 * np.sin(9 * one.u)
@@ -132,8 +132,8 @@ def test_a_transient_that_no_model_has_yet_weighs_no_more_than_what_it_leaves_in
 
 
 def ripples(drift_um: float, seed: int = 0) -> Recording:
-    """Twelve periods of a stage with a ripple that nothing in the library has, ten times the noise, and with
-    a room whose temperature wanders."""
+    """Record twelve periods of a stage with a ripple that no effect models, ten times the noise, in a room
+    whose temperature wanders."""
     u = np.tile(U[-20_000::20], 12)
     hours = np.random.default_rng(seed).standard_normal(7)
     drift = np.interp(np.arange(len(u)), np.linspace(0, len(u), 7), hours - hours[0])
@@ -142,13 +142,13 @@ def ripples(drift_um: float, seed: int = 0) -> Recording:
 
 
 @pytest.mark.parametrize("drift_um", [0.0, 0.02])
-def test_a_drift_is_seen_beneath_what_repeats_and_no_model_has(drift_um: float) -> None:
+def test_a_drift_is_found_beneath_an_unmodelled_periodic_residual_only_if_present(drift_um: float) -> None:
     found = diagnose([ripples(drift_um)])
     slow = {"thermal_drift", "gain_modulation", "ageing", "creep", "leakage"}
     assert slow & {effect.name for effect in found.effects} == ({"thermal_drift"} if drift_um else set())
 
 
-def test_a_walk_of_many_times_what_repeats_is_found_from_the_knots_that_explain_most() -> None:
+def test_a_random_walk_far_larger_than_the_periodic_residual_is_found() -> None:
     chain = Chain(prepared([ripples(2.0)]))
     noise = measured_noise(chain.records)
     search = Search(chain, lambda sentence: None, noise=noise, effects=[ThermalDrift])
@@ -157,7 +157,7 @@ def test_a_walk_of_many_times_what_repeats_is_found_from_the_knots_that_explain_
     assert found.name == "thermal_drift" and found.fit.train_rms < 0.35 * now.train_rms
 
 
-def test_a_walk_is_tried_once_nothing_else_explains_what_is_left() -> None:
+def test_a_random_walk_is_accepted_if_nothing_else_explains_the_residual() -> None:
     chain = Chain(prepared([ripples(0.8)]))
     search = Search(
         chain, lambda sentence: None, noise=measured_noise(chain.records), effects=[Creep, ThermalDrift]

@@ -1,4 +1,4 @@
-"""What stands around a final hypothesis: what was tried in place of each effect, and what may be."""
+"""The models around a final hypothesis: what was, or may be, tried in place of each effect."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -24,14 +24,14 @@ from torchpi.stage.effects.sensor.sensor_nonlinearity import SensorNonlinearity
 from torchpi.stage.effects.sensor.thermal_drift import ThermalDrift
 
 
-def test_the_names_in_an_explanation() -> None:
+def test_names_of_returns_the_effects_in_an_explanation() -> None:
     assert names_of("resonance + cross_coupling") == ["resonance", "cross_coupling"]
     assert names_of("hysteresis_operator: preisach") == ["hysteresis_operator"]
     assert names_of(None) == []
 
 
-def test_what_came_by_exchange_competes_with_what_it_replaced() -> None:
-    """A slew limit that is soft enough is a lag: it was exchanged for the one that had been taken."""
+def test_an_effect_that_came_by_exchange_competes_with_the_one_it_replaced() -> None:
+    """A sufficiently soft slew limit is a lag; here it replaced the lag accepted before."""
     lag, slew = EffectTerm(AmplifierLag, {"cutoff_hz": 250.0}), EffectTerm(SlewLimit, {"rate_v_per_s": 7e3})
     less = Hypothesis(HysteresisModel(np.zeros(1)))
     fitted = SimpleNamespace(hypothesis=less.plus(lag))
@@ -49,7 +49,7 @@ def test_what_came_by_exchange_competes_with_what_it_replaced() -> None:
     ("effect", "alignment", "rivals_at"),
     [(Delay, 0, [1]), (Delay, 1, [0]), (AmplifierLag, 0, []), (AmplifierLag, 1, [0]), (Creep, 1, [])],
 )
-def test_a_delay_competes_with_conventions_and_a_lag_with_the_one_that_it_was_found_beside(
+def test_a_delay_competes_with_every_other_alignment_and_a_lag_only_with_smaller_ones(
     effect: type[Effect], alignment: int, rivals_at: list[int]
 ) -> None:
     less = Hypothesis(HysteresisModel(np.zeros(1)), alignment=alignment)
@@ -62,7 +62,7 @@ def test_a_delay_competes_with_conventions_and_a_lag_with_the_one_that_it_was_fo
 def settled_among(
     models: list[Model], ahead: Gain, monkeypatch: pytest.MonkeyPatch, **asked: Any
 ) -> SimpleNamespace:
-    """What is chosen among the final fit, one that is bare, and a rival of as little left, so far ahead."""
+    """Return the choice among the final fit, a bare one, and an equally good rival that is so far ahead."""
     final, bare, rival = (model.fit for model in models)
     monkeypatch.setattr(rival_models, "around", lambda *given: models)
     monkeypatch.setattr(rival_models, "reduced", lambda chain, fit: fit)
@@ -75,7 +75,7 @@ def settled_among(
 
 
 @pytest.mark.parametrize("bends", [True, False])
-def test_a_larger_hysteresis_that_explains_a_little_of_everything_takes_no_effects_place(
+def test_a_larger_hysteresis_that_explains_a_little_of_everything_replaces_no_effect(
     bends: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     h = Hypothesis(HysteresisModel(np.zeros(0)))
@@ -88,7 +88,7 @@ def test_a_larger_hysteresis_that_explains_a_little_of_everything_takes_no_effec
 
 
 @pytest.mark.parametrize(("nats", "swapped"), [(-70.0, False), (-30.0, True), (-1.0, True)])
-def test_of_fewer_numbers_is_what_predicts_as_well_and_not_much_worse(
+def test_a_rival_with_fewer_parameters_is_chosen_unless_it_predicts_much_worse(
     nats: float, swapped: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     h = Hypothesis(HysteresisModel(np.zeros(0)))
@@ -99,8 +99,8 @@ def test_of_fewer_numbers_is_what_predicts_as_well_and_not_much_worse(
 
 
 @pytest.mark.parametrize("grown", [True, False])
-def test_effects_that_may_stand_in_each_other_s_place_are_one_group(grown: bool) -> None:
-    """A larger hysteresis takes the part of what has no dynamics, but not of what one recording has alone."""
+def test_effects_that_may_replace_each_other_form_one_group(grown: bool) -> None:
+    """A larger hysteresis may replace static effects, but not those that one recording has alone."""
     plain = Hypothesis(HysteresisModel(np.linspace(0, 1, 9)))
     h = replace(plain, nominal=replace(plain.nominal, pieces=5)) if grown else plain
     for effect in (
@@ -122,7 +122,7 @@ def test_effects_that_may_stand_in_each_other_s_place_are_one_group(grown: bool)
     }
 
 
-def test_an_effect_in_a_form_of_more_numbers_is_a_rival_of_a_larger_hysteresis_too() -> None:
+def test_an_effect_in_its_form_with_more_parameters_also_rivals_a_larger_hysteresis() -> None:
     one, two = ({"a3_per_um2": 1e-3}, {"a2_per_um": 1e-2, "a3_per_um2": 1e-3})
     less = Hypothesis(HysteresisModel(np.zeros(1)))
     few, more = (less.plus(EffectTerm(SensorNonlinearity, each)) for each in (one, two))
@@ -135,7 +135,7 @@ def test_an_effect_in_a_form_of_more_numbers_is_a_rival_of_a_larger_hysteresis_t
 
 
 @pytest.mark.parametrize(("effect", "given_way"), [(SensorNonlinearity, True), (Backlash, False)])
-def test_a_larger_hysteresis_gives_way_to_what_predicts_as_well_and_is_none_itself(
+def test_a_larger_hysteresis_gives_way_to_an_equally_good_effect_that_is_not_hysteretic(
     effect: type[Effect], given_way: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     h = Hypothesis(HysteresisModel(np.zeros(0)))

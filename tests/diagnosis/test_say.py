@@ -1,4 +1,4 @@
-"""The paragraph: the verdict in plain English, each effect as certain as its probability makes it."""
+"""The paragraph: the verdict in plain English, each effect stated as firmly as its probability allows."""
 
 import re
 from dataclasses import replace
@@ -53,23 +53,23 @@ def test_the_verb_follows_the_probability(probability: float, words: str) -> Non
     assert text.endswith("these recordings cannot distinguish it from a sensor lag or a delay.")
 
 
-def test_the_form_of_an_effect_is_said() -> None:
+def test_the_form_of_an_effect_is_stated() -> None:
     assert "amplifier lag (two poles; cutoff 412 Hz)" in sentence(replace(lag(0.9), form="two poles"))
 
 
-def test_a_number_that_recordings_do_not_agree_on_may_be_a_whole_one() -> None:
-    """What is without the effect, 1, stands for a recording that was not made yet."""
+def test_a_parameter_with_an_integer_value_is_stated() -> None:
+    """The neutral value 1 stands in for a recording that has not been made yet."""
     ageing = replace(lag(0.9), parameters=(Parameter("exponent", 1, "", (0.4, 1.3)),))
     assert "(exponent 1)" in sentence(ageing)
 
 
-def test_a_hysteresis_goes_by_the_names_of_its_authors() -> None:
+def test_a_hysteresis_operator_is_called_by_the_names_of_its_authors() -> None:
     family = (Parameter("family", "bouc_wen", "", None),)
     named = replace(lag(0.9), name="hysteresis_operator", block="actuator", parameters=family)
     assert "lacks another hysteresis operator in the actuator (Bouc–Wen): 71 %" in sentence(named)
 
 
-def test_what_the_recordings_know_of_one_another_is_said_in_the_place_of_what_no_effect_explains() -> None:
+def test_errors_across_recordings_are_stated_in_place_of_the_unexplained_share() -> None:
     each = (AcrossRecordings("slow", 0.004, 0.004), AcrossRecordings("fast", 0.04, 0.005))
     text = paragraph(decided("partly_explained", lag(0.9)), ERRORS, NOISE, NEXT, across=each)
     assert "predicts fast with an error of 40 nm, against 5 nm when fitted to all." in text
@@ -81,26 +81,26 @@ def test_what_the_recordings_know_of_one_another_is_said_in_the_place_of_what_no
     assert "the hysteresis predicts each recording with an error at most 1.8 times as large." in text
 
 
-def test_what_only_several_explain_together_is_said() -> None:
+def test_the_share_that_effects_explain_only_jointly_is_stated() -> None:
     text = paragraph(decided("explained", lag(0.9), joint=0.45), ERRORS, NOISE, NEXT)
     assert "45 % is explained by several of them together and cannot be attributed to any single one." in text
     assert "together" not in paragraph(decided("explained", lag(0.9)), ERRORS, NOISE, NEXT)
 
 
-def test_the_numbers_of_a_walk_are_not_recited() -> None:
+def test_the_knots_of_a_random_walk_are_not_listed() -> None:
     knots = tuple(Parameter(f"knot{k}", -0.1 * k, "", (-1.0, 0.0)) for k in (1, 2, 3))
     walk = replace(lag(0.9), name="gain_modulation", block="sensor", form="random walk", parameters=knots)
     assert "lacks gain modulation in the sensor (random walk): 71 %" in sentence(walk)
 
 
-def test_noise_that_was_not_measured_is_said_not_to_be() -> None:
+def test_noise_that_was_not_measured_is_stated_as_such() -> None:
     known = paragraph(decided("explained", lag(0.9)), ERRORS, NOISE, NEXT)
     unknown = paragraph(decided("explained", lag(0.9)), ERRORS, None, NEXT)
     assert "the noise, measured in holds of the voltage, is 4 nm" in known
     assert "the noise was not measured" in unknown and "4 nm" not in unknown
 
 
-def test_an_error_that_does_not_fall_is_not_said_to() -> None:
+def test_an_error_that_does_not_fall_is_not_reported_as_falling() -> None:
     better = paragraph(decided("explained", lag(0.9)), ERRORS, NOISE, NEXT)
     worse = paragraph(decided("explained", lag(0.9)), [ERRORS[0], ERRORS[1], ERRORS[0]], NOISE, NEXT)
     assert "With this included, the error falls to 4.2 nm." in better
@@ -110,7 +110,7 @@ def test_an_error_that_does_not_fall_is_not_said_to() -> None:
     )
 
 
-def test_what_is_left_is_said_with_its_size_and_its_places() -> None:
+def test_the_report_states_size_and_location_of_the_remaining_residual() -> None:
     text = paragraph(decided("partly_explained", lag(0.9)), ERRORS, NOISE, NEXT, ("620 Hz", "the first 2 s"))
     assert "20 % of the squared residual remains unexplained" in text
     assert "The remaining residual stands out in 620 Hz; the first 2 s." in text
@@ -118,14 +118,14 @@ def test_what_is_left_is_said_with_its_size_and_its_places() -> None:
     assert "Part of the squared residual remains unexplained" in unknown
 
 
-def test_an_unnamed_remainder_is_said_where_it_helps_and_only_there() -> None:
+def test_an_unnamed_remainder_is_mentioned_only_if_it_helps() -> None:
     helped = paragraph(decided("unexplained"), ERRORS, NOISE, NEXT)
     useless = paragraph(decided("unexplained"), [ERRORS[0], ERRORS[1], ERRORS[1]], NOISE, NEXT)
     assert "an unnamed remainder lowers the error to 4.2 nm" in helped
     assert "remainder" not in useless and "well enough to be named." in useless
 
 
-def test_a_closed_verdict_says_on_what_it_was_tested() -> None:
+def test_the_verdict_explained_states_the_limits_of_its_test() -> None:
     alike = ("voltages from 1 to 3 V", "loops between two levels", "strokes at one rate")
     closed = paragraph(decided("explained", lag(0.9)), ERRORS, NOISE, NEXT, (), alike)
     assert "tested only on voltages from 1 to 3 V, loops between two levels and strokes at one rate" in closed
@@ -133,7 +133,7 @@ def test_a_closed_verdict_says_on_what_it_was_tested() -> None:
         assert "tested" not in paragraph(decided(verdict, lag(0.9)), ERRORS, NOISE, NEXT, (), phrases)
 
 
-def test_what_is_too_uncertain_to_be_named_is_said() -> None:
+def test_an_effect_too_uncertain_to_be_named_is_mentioned() -> None:
     doubtful = Believed("sensor_lag", 0.31, (), 1e-4, (), HALF)
     text = paragraph(decided("unexplained", still_open=(doubtful,)), ERRORS, NOISE, NEXT)
     assert "There may also be a sensor lag: with a probability of 31 % it is too uncertain to be" in text
@@ -152,7 +152,7 @@ def test_the_paragraph_has_no_identifiers() -> None:
         ("per_decade", "per decade"), ("damping_ratio", "damping ratio"), ("loss_per_mm", "loss"),
     ],
 )  # fmt: skip
-def test_parameters_go_by_their_names_without_units(name: str, words: str) -> None:
+def test_parameters_are_named_without_units(name: str, words: str) -> None:
     assert spoken_parameter(name) == words
 
 

@@ -1,4 +1,4 @@
-"""The score: what predicts better gains, noise does not, and no band outvotes another."""
+"""The score: better predictions gain, noise does not, and no frequency band outvotes another."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -26,14 +26,14 @@ T = np.arange(SAMPLES) / FS_HZ
 
 
 def records_of(*residuals: np.ndarray) -> list[Record]:
-    """Recordings as long as the residuals."""
+    """Return prepared recordings as long as the residuals."""
     return prepared(
         [Recording(str(i), np.arange(len(e)) / FS_HZ, e, e, FS_HZ) for i, e in enumerate(residuals)]
     )
 
 
 def squares(records: Sequence[Record], residuals: Sequence[np.ndarray]) -> np.ndarray:
-    """(cells,): mean squares."""
+    """(cells,): mean squares of the residuals."""
     parts = []
     for record_, e in zip(records, residuals, strict=True):
         cell = record_.coefficients.cell
@@ -42,7 +42,7 @@ def squares(records: Sequence[Record], residuals: Sequence[np.ndarray]) -> np.nd
 
 
 def gained(before: np.ndarray, after: np.ndarray) -> float:
-    """Nats that a model gains that leaves `after` where another leaves `before`."""
+    """Return the nats that a model that leaves `after` gains over one that leaves `before`."""
     records = records_of(before)
     weighting = Weighting.of(records, [before], None)
     densities = [weighting.of_squares(squares(records, [e])) for e in (after, before)]
@@ -53,7 +53,7 @@ def white(seed: int) -> np.ndarray:
     return np.random.default_rng(seed).standard_normal(SAMPLES)
 
 
-def test_what_leaves_less_gains_and_the_other_way_round_loses() -> None:
+def test_a_smaller_residual_gains_as_much_as_the_larger_one_loses() -> None:
     noise = white(0)
     tone = np.sin(2 * np.pi * 20 * T)
     records = records_of(noise)
@@ -64,13 +64,13 @@ def test_what_leaves_less_gains_and_the_other_way_round_loses() -> None:
     assert lost.nats == -won.nats and lost.probability == pytest.approx(1 - won.probability)
 
 
-def test_one_noise_in_the_place_of_another_gains_nothing_on_average() -> None:
+def test_replacing_one_noise_by_another_gains_nothing_on_average() -> None:
     found = [gained(white(2 * seed), white(2 * seed + 1)) for seed in range(60)]
     assert abs(np.mean(found)) < 4 * np.std(found) / np.sqrt(len(found)) + 1
 
 
-def test_noise_predicts_no_better_where_it_is_fitted_by_columns_of_noise() -> None:
-    """Twenty columns that explain nothing: the residual shrinks, the prediction does not."""
+def test_fitting_noise_with_columns_of_noise_does_not_improve_the_prediction() -> None:
+    """Twenty columns that explain nothing reduce the residual but do not improve the prediction."""
     rng, found = np.random.default_rng(7), []
     for seed in range(30):
         e = white(seed)[: SAMPLES // 4]
@@ -89,20 +89,20 @@ def test_noise_predicts_no_better_where_it_is_fitted_by_columns_of_noise() -> No
 
 
 def test_a_wide_quiet_band_does_not_outvote_a_slow_improvement() -> None:
-    """A hundredth more in all fast scales, and creep that is gone: the creep counts for more."""
+    """Removed creep counts for more than an increase by a hundredth on all fast scales."""
     noise = white(3)
     slow = 3.0 * np.log(T + 0.05)
     assert gained(noise + slow - slow.mean(), 1.005 * noise) > 10
 
 
-def test_the_gain_of_one_short_ring_counts() -> None:
-    """It lasts 40 ms of 4 s: 1 % of the samples."""
+def test_removing_one_short_ring_counts_as_a_gain() -> None:
+    """The ring lasts 40 ms of 4 s, which is 1 % of the samples."""
     noise = white(4)
     ring = 12.0 * np.exp(-(T - 2) / 0.01) * np.sin(2 * np.pi * 400 * (T - 2)) * (T > 2)
     assert gained(noise + ring, noise) > 5
 
 
-def test_a_cell_counts_as_so_many_coefficients_at_most() -> None:
+def test_a_cell_counts_as_a_limited_number_of_coefficients() -> None:
     records = records_of(white(5))
     weighting = Weighting.of(records, [white(5)], None)
     more = replace(weighting, counts=np.where(weighting.counts > AT_MOST, 1e6, weighting.counts))
@@ -110,7 +110,7 @@ def test_a_cell_counts_as_so_many_coefficients_at_most() -> None:
     assert np.array_equal(weighting.of_squares(q), more.of_squares(q))
 
 
-def test_the_score_has_no_unit() -> None:
+def test_the_score_does_not_depend_on_the_unit() -> None:
     before, after = white(8) + np.sin(T), white(8)
     assert gained(1e-3 * before, 1e-3 * after) == pytest.approx(gained(before, after), rel=1e-9)
 
@@ -120,7 +120,7 @@ def linear() -> tuple[Chain, Fit]:
     return chain, fit(chain, Hypothesis(plain(seen(chain.records))))
 
 
-def test_a_stretch_is_predicted_as_by_a_refit_to_the_others() -> None:
+def test_the_left_out_prediction_of_a_stretch_equals_that_of_a_refit_to_the_others() -> None:
     chain, now = linear()
     nothing = np.zeros(len(now.weights))
     parts = [jacobian(chain, now.hypothesis, nothing, (), np.zeros(0), i)[1] for i in range(2)]
@@ -149,7 +149,7 @@ def test_a_stretch_is_predicted_as_by_a_refit_to_the_others() -> None:
 
 
 class Left:
-    """What a fit leaves, as far as its share of what is to be explained is concerned."""
+    """Stand-in for a fit, with only what the explained share depends on."""
 
     def __init__(self, left_out_um2: np.ndarray) -> None:
         self.left_out_um2 = left_out_um2
@@ -161,20 +161,20 @@ def weighting(cells: int, kinds: np.ndarray | None = None) -> Weighting:
     return Weighting((np.ones(20 * cells),), one, 20 * one, one, kinds, kinds)
 
 
-def test_an_effect_that_leaves_noise_explains_all_and_one_that_leaves_much_explains_its_share() -> None:
+def test_an_effect_that_leaves_only_noise_explains_all_and_one_that_leaves_more_a_part() -> None:
     less = Left(np.full(10, 10.0))
     for left, known in ((1.0, 1.0), (5.5, 0.5), (9.99, 0.0)):
         share = weighting(10).explained_where_it_acts(Left(np.full(10, left)), less)
         assert share == pytest.approx(known, abs=0.01)
 
 
-def test_what_is_missed_elsewhere_does_not_count_against_an_effect() -> None:
+def test_a_residual_where_an_effect_does_not_act_does_not_count_against_it() -> None:
     now, less = np.full(10, 1.0), np.full(10, 1.0)
     less[:5], now[5:], less[5:] = 50.0, 100.0, 100.0
     assert weighting(10).explained_where_it_acts(Left(now), Left(less)) > 0.99
 
 
-def test_what_repeats_does_not_count_against_what_does_not() -> None:
+def test_a_periodic_residual_does_not_count_against_a_non_periodic_effect() -> None:
     now, less = np.full(20, 1.0), np.full(20, 1.0)
     less[:10], now[10:], less[10:] = 50.0, 100.0, 100.0
     apart = np.repeat([APART, PLAIN], 10)
@@ -182,13 +182,13 @@ def test_what_repeats_does_not_count_against_what_does_not() -> None:
     assert weighting(20, apart).explained_of_all(Left(now), Left(less)) > 0.95
 
 
-def test_a_small_gain_almost_everywhere_does_not_outvote_where_an_effect_acts() -> None:
+def test_a_small_gain_almost_everywhere_does_not_outvote_the_cells_where_an_effect_acts() -> None:
     now, less = np.full(40, 3.0), np.full(40, 3.1)
     now[:4], less[:4] = 1.0, 200.0
     assert weighting(40).explained_where_it_acts(Left(now), Left(less)) > 0.9
 
 
-def test_a_gain_on_one_scale_is_as_sure_as_its_cells_agree() -> None:
+def test_a_gain_on_one_scale_is_as_certain_as_its_cells_agree() -> None:
     strata, worse = np.repeat([0, 1, 2], 8), np.zeros(24)
     steady, once = np.zeros(24), np.zeros(24)
     steady[:8], once[0] = 5.0, 40.0
@@ -197,7 +197,7 @@ def test_a_gain_on_one_scale_is_as_sure_as_its_cells_agree() -> None:
     assert gain(once, worse, strata=strata).probability < 0.75
 
 
-def test_every_stratum_is_of_one_recording_and_has_cells_enough() -> None:
+def test_every_stratum_belongs_to_one_recording_and_has_enough_cells() -> None:
     records = records_of(white(0), white(1))
     strata = Weighting.flat(records).strata
     assert strata is not None and len(strata) == sum(r.coefficients.cells for r in records)
@@ -207,7 +207,7 @@ def test_every_stratum_is_of_one_recording_and_has_cells_enough() -> None:
 
 
 @given(st.integers(0, 999))
-def test_of_all_that_is_left_what_lies_in_other_cells_counts_as_well(seed: int) -> None:
+def test_the_share_of_the_whole_residual_also_counts_cells_without_a_gain(seed: int) -> None:
     rng = np.random.default_rng(seed)
     now = rng.uniform(2.0, 9.0, 40)
     less = now + np.where(np.arange(40) < 3, rng.uniform(1.0, 50.0), 0.0)
@@ -216,7 +216,7 @@ def test_of_all_that_is_left_what_lies_in_other_cells_counts_as_well(seed: int) 
     assert share == pytest.approx(gained / (gained + left))
 
 
-def test_a_typical_residual_is_no_noise_of_what_stays_unexplained() -> None:
+def test_a_structured_residual_is_not_taken_for_the_noise_floor() -> None:
     rng = np.random.default_rng(0)
     white = rng.normal(0, 1e-3, SAMPLES)
     structured = Weighting.of(records_of(np.cumsum(white)), [np.cumsum(white)], None)

@@ -1,4 +1,4 @@
-"""The screen: what a start could explain to first order, and of what size it does."""
+"""The screen: how much a start could explain to first order, and at what size."""
 
 import numpy as np
 import pytest
@@ -21,7 +21,7 @@ from torchpi.stage.effects.sensor.thermal_drift import KNOT_NAMES, ThermalDrift
 
 @pytest.mark.parametrize("per_decade", [0.001, 0.01, 0.02])
 def test_a_start_gets_the_size_that_explains_most(per_decade: float) -> None:
-    """Twenty times too large, its fit would end far from there before it is worth another step."""
+    """A fit from a start twenty times too large would stop far from the solution."""
     rig = pair(4000, after=lambda x, fs_hz: creep(x, fs_hz, per_decade), noise_um=0.0005)
     chain = Chain(prepared(rig))
     now = fit(chain, Hypothesis(many_plays(seen(chain.records))))
@@ -31,8 +31,8 @@ def test_a_start_gets_the_size_that_explains_most(per_decade: float) -> None:
     assert found.member.shared["per_decade"] == pytest.approx(per_decade, rel=0.5)
 
 
-def test_a_start_gains_at_once_only_near_its_place() -> None:
-    """A thirtieth of a lag far below explains as much, to first order, and a fit from there ends far away."""
+def test_a_start_gains_at_once_only_near_the_solution() -> None:
+    """To first order, a thirtieth of a far slower lag explains as much, but its fit ends far away."""
     chain = Chain(prepared(pair(4000, before=lambda v, fs_hz: lag(v, fs_hz, 300.0))))
     now = fit(chain, Hypothesis(many_plays(seen(chain.records))))
     chain.weighting = Weighting.of(chain.records, now.residuals, None)
@@ -43,8 +43,8 @@ def test_a_start_gains_at_once_only_near_its_place() -> None:
     assert 0 < near.at_once <= near.gain
 
 
-def test_a_walk_begins_at_the_knots_that_it_has() -> None:
-    """From a hundredth of the range, a fit of a few steps does not reach them."""
+def test_a_random_walk_starts_near_its_true_knots() -> None:
+    """From a hundredth of the range, a fit of a few steps would not reach the knots."""
     walk = np.array([3.0, -2.0, 1.0, 4.0, -1.0, 2.0, 0.5, -3.0])
     u = np.tile(np.append(np.arange(50), np.arange(50)[::-1]) / 5.0, 90)
     t = np.arange(len(u)) / (0.85 * len(u))  # the sealed end begins at 1
@@ -62,7 +62,7 @@ def test_a_walk_begins_at_the_knots_that_it_has() -> None:
     assert np.allclose([found[name] for name in KNOT_NAMES], walk, atol=0.3)
 
 
-def test_what_is_no_size_stays_as_it_starts() -> None:
+def test_only_unsigned_parameters_that_vanish_smoothly_at_zero_count_as_sizes() -> None:
     assert sizes_of(EffectTerm(Creep, {"power_per_decade": 0.01, "exponent": 0.2})) == ["power_per_decade"]
     assert sizes_of(EffectTerm(AmplifierLag, {"cutoff_hz": 100.0})) == []
     assert sizes_of(EffectTerm(SlewLimit, {"rate_v_per_s": 100.0})) == []

@@ -1,4 +1,4 @@
-"""The sealed samples confirm an effect, or they do not."""
+"""The sealed samples confirm or refute an effect."""
 
 from types import SimpleNamespace
 
@@ -20,8 +20,8 @@ def record() -> SimpleNamespace:
 
 
 def fits(here: float, there: float, records: int = 1) -> tuple[SimpleNamespace, SimpleNamespace]:
-    """With an effect nothing but noise is left, but for what it adds that is not there; without it a sine of
-    these amplitudes, µm, in the samples of the fit and in the sealed ones. A negative one spoils."""
+    """Return fits with and without an effect. It removes a sine of these amplitudes, µm, in the fitted and
+    in the sealed samples and leaves noise; where the amplitude is negative, it adds the sine instead."""
     rng, sine = np.random.default_rng(0), np.sin(np.arange(TRAIN + SEALED) / 7)
     size = np.where(record().held_out, there, here)
     more = [rng.normal(0, NOISE_UM2**0.5, len(sine)) - np.minimum(size, 0) * sine for _ in range(records)]
@@ -29,22 +29,22 @@ def fits(here: float, there: float, records: int = 1) -> tuple[SimpleNamespace, 
     return SimpleNamespace(residuals=more), SimpleNamespace(residuals=less)
 
 
-def test_what_explains_the_sealed_samples_as_well_keeps_its_share() -> None:
+def test_an_effect_that_explains_the_sealed_samples_as_well_keeps_its_share() -> None:
     more, less = fits(0.1, 0.1)
     assert confirmed(0.9, [record()], more, less, NOISE_UM2, False) == pytest.approx(0.9, abs=0.02)
 
 
-def test_what_spoils_the_sealed_samples_has_none() -> None:
+def test_an_effect_that_spoils_the_sealed_samples_loses_its_share() -> None:
     more, less = fits(0.1, -0.1)
     assert confirmed(0.9, [record()], more, less, NOISE_UM2, False) < 0.05
 
 
-def test_samples_in_which_an_effect_does_not_act_say_nothing() -> None:
+def test_sealed_samples_in_which_an_effect_does_not_act_leave_its_share_unchanged() -> None:
     more, less = fits(0.1, 0.0)
     assert confirmed(0.9, [record()], more, less, NOISE_UM2, False) == pytest.approx(0.9)
 
 
-def test_what_else_is_left_counts_but_for_a_signal_of_its_own() -> None:
+def test_other_residuals_reduce_the_share_unless_the_effect_has_its_own_signal() -> None:
     more, less = fits(0.1, 0.1)
     for e, without in zip(more.residuals, less.residuals, strict=True):
         rest = 0.2 * np.cos(np.arange(len(e)) / 3)
@@ -54,8 +54,8 @@ def test_what_else_is_left_counts_but_for_a_signal_of_its_own() -> None:
     assert confirmed(0.9, [record()], more, less, NOISE_UM2, True) == pytest.approx(0.9)
 
 
-def test_what_a_hysteresis_has_wrong_of_sealed_samples_alone_does_not_count() -> None:
-    """With an effect as without: it is fitted to the others with hundreds of numbers."""
+def test_hysteresis_errors_in_the_sealed_samples_alone_do_not_count() -> None:
+    """They occur with and without the effect: the hysteresis is fitted with hundreds of parameters."""
     more, less = fits(0.1, 0.1)
     for residual in (*more.residuals, *less.residuals):
         residual[TRAIN:] += 0.2 * np.cos(np.arange(SEALED) / 3)
@@ -66,10 +66,10 @@ def test_what_a_hysteresis_has_wrong_of_sealed_samples_alone_does_not_count() ->
     ("gained", "spoilt", "low", "high"),
     [(0.1, -10.0, 0.0, 0.1), (1.0, -0.1, 0.5, 0.7), (1.0, -0.01, 0.85, 1.0)],
 )
-def test_what_one_recording_loses_counts_against_what_others_gain_as_a_ratio(
+def test_a_loss_in_one_recording_counts_as_a_ratio_against_the_gain_in_others(
     gained: float, spoilt: float, low: float, high: float
 ) -> None:
-    """A recording that is missed by far in both counts no more than another, and one in which the effect
+    """A recording with a large error in both fits counts no more than others, and one in which the effect
     hardly acts hardly counts."""
     more, less = fits(gained, gained, 3)
     one, other = fits(0.1, spoilt)
@@ -77,7 +77,7 @@ def test_what_one_recording_loses_counts_against_what_others_gain_as_a_ratio(
     assert low <= confirmed(0.9, [record()] * 3, more, less, NOISE_UM2, True) < high
 
 
-def test_a_recording_of_which_nothing_was_sealed_says_nothing() -> None:
+def test_a_recording_without_sealed_samples_leaves_the_share_unchanged() -> None:
     more, less = fits(0.1, 0.1)
     whole = record()
     whole.held_out, whole.train = np.zeros(TRAIN + SEALED, bool), np.ones(TRAIN + SEALED, bool)
@@ -85,7 +85,7 @@ def test_a_recording_of_which_nothing_was_sealed_says_nothing() -> None:
 
 
 @pytest.mark.parametrize(("beyond_v", "judged"), [(0.0, True), (2.0, False), (-12.0, False)])
-def test_voltages_that_no_fitted_sample_reached_do_not_judge(beyond_v: float, judged: bool) -> None:
+def test_sealed_samples_outside_the_fitted_voltage_range_do_not_count(beyond_v: float, judged: bool) -> None:
     more, less = fits(0.1, 0.1)
     far = record()
     for e in more.residuals:
@@ -96,6 +96,6 @@ def test_voltages_that_no_fitted_sample_reached_do_not_judge(beyond_v: float, ju
 
 
 @given(st.floats(0, 1), st.floats(-1, 1), st.floats(1e-3, 1), st.booleans())
-def test_no_share_becomes_larger(known: float, there: float, here: float, alone: bool) -> None:
+def test_sealed_samples_never_increase_a_share(known: float, there: float, here: float, alone: bool) -> None:
     more, less = fits(here, there)
     assert 0 <= confirmed(known, [record()], more, less, NOISE_UM2, alone) <= known

@@ -1,4 +1,4 @@
-"""The search: which of two fits it goes on with."""
+"""The search: which candidates it tries, and which of two fits it continues with."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -32,7 +32,7 @@ from torchpi.stage.effects.sensor.sensor_nonlinearity import SensorNonlinearity
 @pytest.mark.parametrize(
     ("bounded", "rms", "taken"), [((), 0.5, True), (("beta",), 0.5, False), ((), 1.5, False)]
 )
-def test_a_refit_is_taken_where_it_leaves_less_and_runs_into_no_bound(
+def test_a_refit_is_accepted_if_it_leaves_less_and_reaches_no_bound(
     bounded: tuple[str, ...], rms: float, taken: bool
 ) -> None:
     before, after = (
@@ -53,7 +53,7 @@ def test_a_refit_is_taken_where_it_leaves_less_and_runs_into_no_bound(
     assert search.chain.weighting is weighting
 
 
-def test_what_was_taken_before_bars_no_addition_but_a_limit_that_nothing_reaches_is_none() -> None:
+def test_an_addition_is_barred_by_its_own_bound_or_unreached_limit_and_not_by_earlier_ones() -> None:
     soft = EffectTerm(SlewLimit, {"rate_v_per_s": 900.0, "knee_v": 1.0})
     creep = EffectTerm(Creep, {"per_decade": 0.01})
     search = object.__new__(Search)
@@ -76,7 +76,7 @@ def test_what_was_taken_before_bars_no_addition_but_a_limit_that_nothing_reaches
 
 
 @pytest.mark.parametrize(("member", "dropped"), [(2, False), (-1, True)])
-def test_a_larger_hysteresis_goes_where_its_own_numbers_ran_into_a_bound_not_those_of_an_effect(
+def test_a_larger_hysteresis_is_dropped_only_if_its_own_parameters_reach_a_bound(
     member: int, dropped: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def fitted(family: str, train_rms: float) -> SimpleNamespace:
@@ -95,9 +95,9 @@ def test_a_larger_hysteresis_goes_where_its_own_numbers_ran_into_a_bound_not_tho
     assert search.no_larger(larger) is (plain if dropped else larger)
 
 
-def test_a_mode_behind_a_held_voltage_is_tried_as_that() -> None:
+def test_a_mode_behind_a_held_voltage_is_tried_with_a_hold() -> None:
     def mode(x: np.ndarray, fs_hz: float) -> np.ndarray:
-        """Of 840 Hz, under a voltage that is held and that comes a sample late, in finer steps."""
+        """Mode of 840 Hz under a voltage that is held and one sample late, in finer steps."""
         fine, moved, rate = np.repeat(np.append(0.0, x[:-1]), 64), np.empty(64 * len(x)), 0.0
         w, dt, at = 2 * np.pi * 840.0, 1 / fs_hz / 64, 0.0
         for k, pulled in enumerate(fine):
@@ -112,7 +112,7 @@ def test_a_mode_behind_a_held_voltage_is_tried_as_that() -> None:
     assert tried["resonance"].held
 
 
-def test_a_curvature_that_was_taken_for_a_history_is_tried_without_one() -> None:
+def test_a_curvature_mistaken_for_a_history_is_tried_without_the_history() -> None:
     def bent(x: Signal, fs_hz: float) -> Signal:
         return x / (1 - 0.03 * x)
 
@@ -124,8 +124,8 @@ def test_a_curvature_that_was_taken_for_a_history_is_tried_without_one() -> None
     assert found.train_rms < 2 * NOISE_UM < 0.1 * now.train_rms
 
 
-def test_two_lags_that_stand_for_a_lag_and_a_delay_are_exchanged_for_both() -> None:
-    """No exchange of one effect for another leads there."""
+def test_two_lags_in_place_of_a_lag_and_a_delay_are_exchanged_for_these() -> None:
+    """No exchange of a single effect for another leads to this result."""
 
     def late(v: Signal, fs_hz: float) -> Signal:
         k = np.arange(len(v))
@@ -150,8 +150,8 @@ def test_two_lags_that_stand_for_a_lag_and_a_delay_are_exchanged_for_both() -> N
         assert lateness_s(search.chain, one) == pytest.approx(lateness_s(search.chain, two.hypothesis))
 
 
-def test_a_curve_of_more_numbers_is_found_from_where_one_of_fewer_ends() -> None:
-    """A hundred plays bend with it: a fit of both numbers from anywhere is behind that of one at first."""
+def test_a_curve_with_more_parameters_is_found_from_the_fit_of_one_with_fewer() -> None:
+    """A hundred plays bend with it, so at first a fit of both parameters is worse than a fit of one."""
 
     def bent(v: Signal, fs_hz: float) -> Signal:
         return v + 0.01 * v**2 - 0.001 * v**3
@@ -164,7 +164,7 @@ def test_a_curve_of_more_numbers_is_found_from_where_one_of_fewer_ends() -> None
     assert found.train_rms < 0.3 * now.train_rms
 
 
-def test_a_form_of_more_numbers_begins_where_one_of_fewer_is() -> None:
+def test_a_form_with_more_parameters_starts_from_the_values_of_one_with_fewer() -> None:
     search = Search(Chain(prepared([record(multisine(3000))])), lambda sentence: None)
     h = search.retuned().hypothesis.plus(EffectTerm(InputNonlinearity, {"c3_per_v2": 1e-3}))
     more = search.richer(h, "input_nonlinearity")
@@ -174,7 +174,7 @@ def test_a_form_of_more_numbers_begins_where_one_of_fewer_is() -> None:
     assert search.richer(h, "creep") is None
 
 
-def test_a_lag_and_a_delay_are_tried_together_where_a_lag_of_two_poles_stands_for_both() -> None:
+def test_a_lag_and_a_delay_are_tried_together_if_a_two_pole_lag_imitates_both() -> None:
     def late(x: Signal, fs_hz: float) -> Signal:
         k = np.arange(len(x))
         return np.interp(k - 1.8, k, x)
@@ -192,10 +192,10 @@ def test_a_lag_and_a_delay_are_tried_together_where_a_lag_of_two_poles_stands_fo
 
 
 @pytest.mark.parametrize(("share", "refitted"), [(0.9, 1), (0.1, 0)])
-def test_a_larger_hysteresis_that_explains_a_little_of_everything_is_not_weighed_anew(
+def test_a_larger_hysteresis_that_explains_a_little_of_everything_is_not_reweighted(
     share: float, refitted: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """It is not taken, whatever its own weights say; nor are the plays that it would have to beat fitted."""
+    """It is rejected whatever its own weights say, and the plays it would have to beat are not fitted."""
     nominal = SimpleNamespace(family="plays", has_states=False)
     now, larger = (SimpleNamespace(hypothesis=SimpleNamespace(nominal=nominal), train_rms=1.0) for _ in "ab")
     weighed, search = list[object](), object.__new__(Search)
@@ -209,13 +209,13 @@ def test_a_larger_hysteresis_that_explains_a_little_of_everything_is_not_weighed
     search.at_its_own_weights = lambda fit: weighed.append(fit) or fit
     monkeypatch.setattr(growth, "grown", lambda chain, h, fit, kept: (h, None))
     monkeypatch.setattr(growth, "refitted", lambda chain, fit, steps: fit)
-    for _ in range(2):  # families come one after another: the plays are fitted once
+    for _ in range(2):  # the families follow one another, but the plays are fitted once
         search.growth(now, now, [SimpleNamespace(family="preisach", has_states=False)])
     assert sum(one is larger for one in weighed) == 2 * refitted
     assert sum(one is now for one in weighed) == refitted
 
 
-def test_a_gain_that_moves_by_a_fifth_is_found_from_where_the_screen_saw_it() -> None:
+def test_a_gain_modulation_of_a_fifth_is_found_from_the_start_that_the_screen_chose() -> None:
     t = np.arange(4000) / FS_HZ
     recordings = [record(multisine(4000), after=lambda x, fs_hz: x * (1 + 0.2 * np.cos(2 * np.pi * 3.3 * t)))]
     search = Search(Chain(prepared(recordings)), lambda sentence: None, effects=[GainModulation])
@@ -224,7 +224,7 @@ def test_a_gain_that_moves_by_a_fifth_is_found_from_where_the_screen_saw_it() ->
     assert found.train_rms < 5 * NOISE_UM < 0.1 * now.train_rms
 
 
-def test_what_another_axis_does_in_a_hold_is_no_noise_once_it_is_explained() -> None:
+def test_motion_of_another_axis_during_holds_no_longer_counts_as_noise_once_explained() -> None:
     u, other = stairs(4000), np.cumsum(np.random.default_rng(5).standard_normal(4000))
     recordings = [record(u, after=lambda x, fs_hz: x + 0.02 * other, aux={"aux_other_v": other})]
     chain = Chain(prepared(recordings))
@@ -240,8 +240,8 @@ def test_what_another_axis_does_in_a_hold_is_no_noise_once_it_is_explained() -> 
 @pytest.mark.parametrize(
     ("nats", "rms", "needless"), [(12.0, 0.5, False), (0.5, 0.5, True), (12.0, 0.999, True)]
 )
-def test_a_history_is_judged_by_where_a_recording_begins(nats: float, rms: float, needless: bool) -> None:
-    """It gains in the first cell of each scale: by their scatter that would be chance."""
+def test_a_history_is_judged_by_the_start_of_each_recording(nats: float, rms: float, needless: bool) -> None:
+    """It gains only in the first cell of each scale, which the scatter of the cells would call chance."""
     began, apart = (SimpleNamespace(train_rms=size) for size in (rms, 1.0))
     strata = np.repeat(np.arange(5), 24)
     gained = np.where(np.arange(120) % 24 == 0, nats, 0.0)

@@ -36,7 +36,7 @@ def diagnosis(tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
         cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
     end = time.monotonic() + 60
-    # A tracker of resources and at least one worker.
+    # The resource tracker and at least one worker.
     while len(descendants(process.pid)) < 2 and process.poll() is None and time.monotonic() < end:
         time.sleep(0.05)
     yield process
@@ -50,7 +50,7 @@ def diagnosis(tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
     [(signal.SIGTERM, 143, "terminated"), (signal.SIGINT, 130, "interrupted"), (signal.SIGKILL, -9, "")],
     ids=["TERM", "INT", "KILL"],
 )
-def test_an_ended_diagnosis_leaves_no_process(
+def test_a_terminated_diagnosis_leaves_no_process(
     number: signal.Signals, code: int, word: str, after_s: float, diagnosis: subprocess.Popen[str]
 ) -> None:
     time.sleep(after_s)
@@ -64,4 +64,4 @@ def test_an_ended_diagnosis_leaves_no_process(
     diagnosis.wait(5 * MOST_S)
     error = diagnosis.stderr.read() if diagnosis.stderr else ""
     assert diagnosis.returncode == code
-    assert error == (f"torchpi: {word}; files already written are whole\n" if word else "")
+    assert error == (f"torchpi: {word}; files already written are complete\n" if word else "")

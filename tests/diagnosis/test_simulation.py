@@ -1,4 +1,4 @@
-"""A simulation that is given: true, it lacks nothing; with a part left out, that part is what it lacks."""
+"""A given simulation: a correct one lacks nothing, and one with a part left out lacks that part."""
 
 from dataclasses import replace
 
@@ -19,7 +19,7 @@ PHYSICS = {
         "thresholds_v": [0, 0.3, 0.8, 1.7, 3, 5],
         "weights_um_per_v": [0.5, 0.05, 0.06, 0.07, 0.08, 0.04],
         "creep_per_decade": 0.02,
-        # The range of the effect that stands for it.
+        # The range of the corresponding effect.
         "creep_from_s": 1e-3 * 10**0.5,
         "creep_to_s": 100,
     },
@@ -28,7 +28,7 @@ PHYSICS = {
 
 
 def crime() -> list[Recording]:
-    """Simulated by the very stage: flattering, and the least that must work."""
+    """Record the same model that is diagnosed: a flattering test, and the least that must work."""
     stage = Stage.from_dict({**PHYSICS, "sensor": {"noise_um": NOISE_UM}})
     recordings = []
     for i, u in enumerate((multisine(2000), triangles(2000), multisine(2000, seed=5))):
@@ -37,14 +37,14 @@ def crime() -> list[Recording]:
     return recordings
 
 
-def test_a_true_simulation_lacks_nothing() -> None:
+def test_a_correct_simulation_lacks_nothing() -> None:
     found = diagnose(crime()[:2], Stage.from_dict(PHYSICS))
     assert found.verdict == "nothing_missing" and found.effects == ()
     assert found.nominal.heldout_rms_um < 1.1 * NOISE_UM
 
 
 @pytest.mark.parametrize(("part", "name"), [("mechanics", "resonance"), ("creep", "creep")])
-def test_what_was_taken_out_of_a_simulation_is_what_it_lacks(part: str, name: str) -> None:
+def test_a_part_removed_from_a_simulation_is_named_as_missing(part: str, name: str) -> None:
     actuator = {key: value for key, value in PHYSICS["actuator"].items() if not key.startswith("creep")}
     less = (
         {key: value for key, value in PHYSICS.items() if key != part}

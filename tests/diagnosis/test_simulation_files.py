@@ -1,4 +1,4 @@
-"""From the command line: a simulation in a file of one's own, or in a column, and the stage that is left."""
+"""From the command line: a simulation in the user's own file or in a column, and the identified stage."""
 
 import sys
 from dataclasses import replace
@@ -24,7 +24,7 @@ def torchpi(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
 
 
 def recording(samples: int = 1000) -> Recording:
-    """The simulation itself, with noise, and what it makes of the voltage."""
+    """Return the simulation plus noise as the output, with the simulation itself as a column."""
     u = multisine(samples)
     y = own_model.simulate(u, FS_HZ)
     noise = NOISE_UM * np.random.default_rng(1).standard_normal(samples)
@@ -32,7 +32,7 @@ def recording(samples: int = 1000) -> Recording:
 
 
 @pytest.mark.parametrize("simulation", [f"{own_model.__file__}:simulate", "column"])
-def test_a_true_simulation_is_diagnosed_and_predicts(
+def test_a_correct_simulation_is_diagnosed_and_predicts(
     simulation: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(sys, "path", [*sys.path])
@@ -49,14 +49,14 @@ def test_a_true_simulation_is_diagnosed_and_predicts(
     np.testing.assert_allclose(read_recording(predicted).y, one.simulated, atol=NOISE_UM)
 
 
-def test_a_stage_of_the_package_is_a_simulation_by_its_name() -> None:
+def test_a_stage_of_the_package_can_be_given_as_simulation_by_name() -> None:
     found = load_simulation("default")
     assert isinstance(found, Stage) and found.to_dict() == Stage.load("default").to_dict()
     with pytest.raises(SimulationError, match="found 'defualt', expected a stage"):
         load_simulation("defualt")
 
 
-def test_a_column_that_one_file_lacks_is_refused_in_one_line(
+def test_a_simulated_column_missing_from_one_file_is_refused_in_one_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     write_recording(tmp_path / "a.csv", recording(400))
@@ -69,7 +69,7 @@ def test_a_column_that_one_file_lacks_is_refused_in_one_line(
     assert "\n" not in error and not (tmp_path / "out").exists()
 
 
-def test_the_column_is_read_in_its_unit_and_is_not_taken_for_the_output(tmp_path: Path) -> None:
+def test_the_simulated_column_is_read_in_its_unit_and_not_taken_for_the_output(tmp_path: Path) -> None:
     one = recording(400)
     columns = {"time_s": one.t, "u [V]": one.u, "pos [nm]": 1e3 * one.y}
     columns["simulated [nm]"] = 1e3 * own_model.simulate(one.u, FS_HZ)

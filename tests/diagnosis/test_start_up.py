@@ -21,18 +21,18 @@ RING = np.exp(-np.arange(SAMPLES) / 4.0) * np.cos(np.arange(SAMPLES))
     [
         (NOISE, (0, 0)),
         (NOISE + 2.0 * RING, (20, 80)),  # switched on before the first sample
-        (NOISE + 2.0 * np.roll(RING, 5), (0, 0)),  # the answer to a voltage that was recorded
+        (NOISE + 2.0 * np.roll(RING, 5), (0, 0)),  # the response to a recorded voltage
         (NOISE + 2.0 * np.exp(-np.arange(SAMPLES) / 200.0), (0, 0)),  # as slow as creep
     ],
 )
-def test_only_a_short_start_that_is_off_from_the_first_reading_is_left_out(
+def test_only_a_short_transient_that_begins_at_the_first_reading_is_left_out(
     left: np.ndarray, count: tuple[int, int]
 ) -> None:
     (found,) = unsettled(prepared([record(multisine(SAMPLES))]), [left])
     assert count[0] <= found <= count[1]
 
 
-def test_readings_of_a_start_count_neither_in_a_fit_nor_in_an_error() -> None:
+def test_start_up_readings_count_neither_in_a_fit_nor_in_an_error() -> None:
     one, other = prepared([record(multisine(SAMPLES)), record(multisine(SAMPLES, 900.0))])
     cut, same = without_start([one, other], [30, 0])
     assert same is other
@@ -43,7 +43,7 @@ def test_readings_of_a_start_count_neither_in_a_fit_nor_in_an_error() -> None:
     assert np.array_equal(cut.coefficients(spoilt[None]), cut.coefficients(cut.y[None]))
 
 
-def test_a_step_before_the_recording_does_not_hide_a_lag_and_is_said() -> None:
+def test_a_step_before_the_recording_does_not_hide_a_lag_and_is_reported() -> None:
     def late(x: np.ndarray, fs_hz: float) -> np.ndarray:
         return np.asarray(lfilter([0.3], [1, -0.7], x)) + 3.0 * RING
 

@@ -1,4 +1,4 @@
-"""A mount that sticks is found in the readings, and nothing else is taken for one."""
+"""A sticking mount is found in the readings, and nothing else is mistaken for one."""
 
 import numpy as np
 import pytest
@@ -24,7 +24,7 @@ BREAKAWAY_UM, SLIDING_UM = 0.12, 0.02
 
 
 def sticking(x: Signal, fs_hz: float = 0.0) -> Signal:
-    """At rest in every sample: it stays while |x - y| < J, else it is at x - d."""
+    """Quasi-static stick-slip: the mount stays while |x - y| < J and otherwise moves to x - d."""
     y, at = np.zeros(len(x)), 0.0
     for k, one in enumerate(x):
         if abs(one - at) >= BREAKAWAY_UM:
@@ -34,7 +34,7 @@ def sticking(x: Signal, fs_hz: float = 0.0) -> Signal:
 
 
 def recorded(after: Step, before: Step = lambda v, fs_hz: v) -> list[Recording]:
-    """Slow and quick motion, and rests."""
+    """Record slow motion, fast motion and rests."""
     inputs = {
         "multisine": multisine(10_000, high_hz=20.0),
         "triangles": triangles(10_000, rate_hz=0.7),
@@ -59,7 +59,7 @@ def stuck() -> tuple[list[Recording], Diagnosis]:
     return recordings, diagnose(recordings)
 
 
-def test_a_mount_that_sticks_is_named_with_its_jump(stuck: tuple[list[Recording], Diagnosis]) -> None:
+def test_a_sticking_mount_is_named_with_its_jump(stuck: tuple[list[Recording], Diagnosis]) -> None:
     _, found = stuck
     assert [effect.name for effect in found.effects] == ["stiction"]
     numbers = {p.name: p for p in found.effects[0].parameters}
@@ -69,7 +69,7 @@ def test_a_mount_that_sticks_is_named_with_its_jump(stuck: tuple[list[Recording]
     assert any("stick-slip" in note for note in found.notes)
 
 
-def test_the_errors_of_such_a_diagnosis_are_those_of_the_stage_that_it_leaves(
+def test_the_reported_errors_are_those_of_the_identified_stage(
     stuck: tuple[list[Recording], Diagnosis],
 ) -> None:
     recordings, found = stuck
@@ -89,14 +89,14 @@ def test_the_errors_of_such_a_diagnosis_are_those_of_the_stage_that_it_leaves(
         ("converter", lambda v, fs_hz: v, lambda x, fs_hz: 0.02 * np.round(x / 0.02)),
     ],
 )
-def test_nothing_else_shows_slips(what: str, before: Step, after: Step) -> None:
+def test_no_other_effect_is_mistaken_for_slips(what: str, before: Step, after: Step) -> None:
     chain, now = retuned(recorded(after, before))
-    for share in (0.5, 1.0, 2.0):  # of the floor: whoever states it may be wrong by as much
+    for share in (0.5, 1.0, 2.0):  # of the noise floor, which may be stated wrongly by as much
         assert slips(chain, now, share * NOISE_UM) is None, what
 
 
-def test_what_is_late_by_a_few_samples_is_no_evidence_of_slips() -> None:
-    """The rival predicts it from how the chain moves, before any lag is in the chain."""
+def test_a_lag_of_a_few_samples_is_no_evidence_of_slips() -> None:
+    """The rival predicts it from the motion of the chain, even before the chain contains a lag."""
     x = np.cumsum(np.random.default_rng(2).standard_normal(4000))
     late = lfilter([0.2, 0.3, 0.4, 0.1], [1.0], x) - x
     (one,) = prepared([Recording("a", np.arange(4000) / 1e3, x, x + late, 1e3, {})])
@@ -104,8 +104,8 @@ def test_what_is_late_by_a_few_samples_is_no_evidence_of_slips() -> None:
     assert np.abs(left[MEMORY:]).max() < 1e-3 * np.abs(late).max()
 
 
-def test_the_lines_of_a_coarse_converter_are_no_slips() -> None:
-    """Noise dithers nothing there: a reading rests and jumps, while a lag keeps the chain off it."""
+def test_the_steps_of_a_coarse_converter_are_not_mistaken_for_slips() -> None:
+    """Noise does not dither the steps: a reading rests and jumps, while a lag keeps the chain off it."""
     lsb_um = 0.1
     recordings = [
         Recording(r.name, r.t, r.u, lsb_um * np.round(r.y / lsb_um), r.fs_hz)
@@ -115,7 +115,7 @@ def test_the_lines_of_a_coarse_converter_are_no_slips() -> None:
     assert slips(chain, now, lsb_um / np.sqrt(12), lsb_um) is None
 
 
-def test_the_jump_is_found_where_the_floor_is_not_well_known() -> None:
+def test_the_jump_is_found_even_if_the_noise_floor_is_wrong_by_a_factor_of_two() -> None:
     chain, now = retuned(recorded(sticking))
     for share in (0.5, 1.0, 2.0):
         found = slips(chain, now, share * NOISE_UM)
@@ -124,7 +124,7 @@ def test_the_jump_is_found_where_the_floor_is_not_well_known() -> None:
 
 
 @given(st.lists(st.floats(-1e3, 1e3), min_size=1, max_size=60), st.floats(1e-3, 1e3))
-def test_every_reading_lies_where_it_rests_or_jumps_from_there(readings: list[float], least: float) -> None:
+def test_a_reading_near_the_mean_since_the_last_jump_is_at_rest(readings: list[float], least: float) -> None:
     y = np.array(readings)
     at_rest, at_um = resting(y, least)
     assert np.array_equal(at_rest, np.abs(y - at_um) <= least)

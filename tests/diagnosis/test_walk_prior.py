@@ -27,7 +27,7 @@ def hypothesis_of(*members: EffectTerm) -> Hypothesis:
 
 
 @given(st.lists(SIZES, min_size=8, max_size=8), st.lists(SIZES, min_size=8, max_size=8))
-def test_a_walk_costs_the_sum_of_its_squared_increments_over_that_of_a_usual_one(a, b) -> None:
+def test_a_walk_costs_the_sum_of_its_squared_increments_relative_to_a_typical_one(a, b) -> None:
     mode = EffectTerm(Resonance, {"frequency_hz": 100.0, "damping_ratio": 0.1})
     hypothesis = hypothesis_of(mode, drift(a, b))
     slots = free_parameters_of(hypothesis)
@@ -40,13 +40,13 @@ def test_a_walk_costs_the_sum_of_its_squared_increments_over_that_of_a_usual_one
     assert not prior[:2].any() and not prior[:, :2].any()
 
 
-def test_what_is_on_no_walk_has_no_such_prior() -> None:
+def test_an_effect_without_a_random_walk_has_no_walk_prior() -> None:
     hypothesis = hypothesis_of(EffectTerm(ThermalDrift, {}, ({"rate_um_per_s": 1.0},)))
     assert not walk_prior(hypothesis, free_parameters_of(hypothesis), np.ones(1)).any()
 
 
-def test_where_nothing_tells_a_walk_stays_where_it_was() -> None:
-    """The second recording ends just behind the fourth knot: the others would stay where the fit began."""
+def test_a_random_walk_stays_constant_where_there_are_no_data() -> None:
+    """The second recording ends just after the fourth knot; without a prior, later knots would not move."""
     t = np.arange(8000) / 1000
     walk = [0.3, -0.2, 0.5, 0.9, 0.6, 1.1, 1.4, 1.2]
     wandering = np.interp(t, 0.85 * np.arange(9), [0.0, *walk])

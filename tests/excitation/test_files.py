@@ -1,4 +1,4 @@
-"""`torchpi excite` writes files that read back to the bit, or one line and nothing."""
+"""`torchpi excite` writes files that are read back bit for bit, or prints one line and writes nothing."""
 
 import sys
 from pathlib import Path
@@ -23,7 +23,7 @@ def excite(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:
     return int(ended.value.code or 0)
 
 
-def test_the_files_hold_the_set_in_the_order_of_playing(
+def test_the_files_hold_the_set_in_playing_order(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert excite(monkeypatch, "--for", "diagnosis", "--output", str(tmp_path / "e"), *LIMITS) == 0
@@ -42,7 +42,7 @@ def test_the_files_hold_the_set_in_the_order_of_playing(
         assert "ten minutes" in text and "time_s,input_v,output_um" in text and "torchpi diagnose" in text
 
 
-def test_diagnosis_is_the_purpose_that_needs_no_saying_and_the_same_call_gives_the_same_bytes(
+def test_the_default_purpose_is_diagnosis_and_files_are_reproducible(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     excite(monkeypatch, "--output", str(tmp_path / "a"), *LIMITS)
@@ -51,7 +51,7 @@ def test_diagnosis_is_the_purpose_that_needs_no_saying_and_the_same_call_gives_t
         assert path.read_bytes() == (tmp_path / "b" / path.name).read_bytes()
 
 
-def test_help_says_for_and_has_an_example(
+def test_help_lists_the_option_for_and_an_example(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert excite(monkeypatch, "--help") == 0
@@ -63,7 +63,7 @@ def test_help_says_for_and_has_an_example(
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (["--for", "training"], "--for is 'training', expected diagnosis"),
+        (["--for", "training"], "--for: found 'training', expected diagnosis"),
         (["--fro", "diagnosis"], "nearest is 'for'"),
         (["--for_", "diagnosis"], "nearest is 'for'"),
         (["--max_rate_v_s", "20"], "max_rate_v_s is 20 V/s, expected"),
@@ -72,7 +72,7 @@ def test_help_says_for_and_has_an_example(
         (["--output", "taken"], "taken is a file, expected a folder"),
     ],
 )
-def test_what_cannot_be_is_one_line_and_nothing_is_written(
+def test_invalid_arguments_give_one_line_and_nothing_is_written(
     arguments: list[str],
     says: str,
     tmp_path: Path,

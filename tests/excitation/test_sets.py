@@ -1,4 +1,4 @@
-"""The set for a diagnosis stays within the user's limits and is built as the analysis needs it."""
+"""The set for a diagnosis stays within the user's limits and has the structure that the analysis needs."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -25,7 +25,7 @@ from torchpi.stage import Stage
 
 @st.composite
 def stages(draw: st.DrawFn) -> DriveLimits:
-    """Stages of many sizes, of which each bears enough of a rate for its range and band."""
+    """Limits of stages of many sizes, each of which allows a rate high enough for its range and band."""
     high_hz = draw(st.floats(LEAST_HIGH_HZ, 400))
     low_v, high_v = draw(
         st.sampled_from([(0, 10), (-2, 12), (0, 150), (-5, 5), (-0.03, 0.12), (-10, 0), (0, 7.5)])
@@ -35,7 +35,7 @@ def stages(draw: st.DrawFn) -> DriveLimits:
 
 
 def one_period(u: np.ndarray, limits: DriveLimits, share: float) -> int:
-    """Where the first period begins: the approach is what comes before two equal periods."""
+    """Return where the first period begins, which is where the approach before two equal periods ends."""
     samples = round(PERIOD_S * limits.sample_rate_hz)
     repeats = np.flatnonzero(u[samples:] != u[:-samples])
     gaps = np.diff(repeats)
@@ -60,7 +60,7 @@ def test_every_excitation_keeps_to_the_limits_and_begins_and_ends_at_0_v(limits,
 
 @settings(max_examples=20, deadline=None)
 @given(stages())
-def test_it_takes_about_a_minute_and_ten_minutes_later_the_same_again(limits):
+def test_the_set_takes_about_a_minute_and_ends_with_a_repeated_multisine(limits):
     made = diagnostic_excitations(limits)
     names = list(made)
     assert (names[0], names[-1]) == ("hold", "multisine_again")
@@ -70,9 +70,7 @@ def test_it_takes_about_a_minute_and_ten_minutes_later_the_same_again(limits):
 
 @settings(max_examples=30, deadline=None)
 @given(stages(), st.integers(0, 1000))
-def test_the_multisine_repeats_to_the_bit_with_odd_lines_only_one_in_four_left_out_and_none_on_the_mains(
-    limits, seed
-):
+def test_the_multisine_is_periodic_with_odd_lines_of_which_a_quarter_and_the_mains_are_omitted(limits, seed):
     made = diagnostic_excitations(limits, seed)
     samples = round(PERIOD_S * limits.sample_rate_hz)
     present = {}
@@ -97,7 +95,7 @@ def test_the_multisine_repeats_to_the_bit_with_odd_lines_only_one_in_four_left_o
 
 @settings(max_examples=20, deadline=None)
 @given(stages())
-def test_stairs_rest_on_the_same_levels_on_the_way_up_and_down_for_1_to_20_s(limits):
+def test_stairs_hold_the_same_levels_up_and_down_for_1_to_20_s(limits):
     u = diagnostic_excitations(limits)["stairs"][1]
     edges = np.flatnonzero(np.diff(u)) + 1
     runs = np.split(u, edges)
@@ -117,7 +115,7 @@ def test_triangles_have_three_rates_and_reach_three_amplitudes_and_two_biases(li
     slopes = np.abs(np.diff(x)) * limits.sample_rate_hz
     straight = slopes[:-1][(np.abs(np.diff(slopes)) < 1e-6 * slopes[:-1]) & (slopes[:-1] > 0.1)]
     rates, samples = np.unique(np.round(straight, 4), return_counts=True)
-    rates = rates[samples > 100]  # not where a rounded corner chances to be straight
+    rates = rates[samples > 100]  # not where a rounded corner happens to be straight
     assert np.sum(rates[1:] > 1.5 * rates[:-1]) == 3 - 1
     turns = x[1:-1][np.diff(x[:-1]) * np.diff(x[1:]) <= 0]
     for level in (1.0, 0.6, 0.3, 0.2, 0.4, 0.8, 0.0):
@@ -126,7 +124,7 @@ def test_triangles_have_three_rates_and_reach_three_amplitudes_and_two_biases(li
 
 @settings(max_examples=20, deadline=None)
 @given(stages())
-def test_hardly_anything_lies_beyond_the_highest_frequency(limits):
+def test_almost_no_power_lies_above_twice_the_highest_frequency(limits):
     for _, u in diagnostic_excitations(replace(limits, sample_rate_hz=10 * limits.high_hz)).values():
         power = np.abs(np.fft.rfft(u - u.mean())) ** 2
         beyond = np.fft.rfftfreq(len(u), 0.1 / limits.high_hz) > 2 * limits.high_hz
@@ -142,14 +140,14 @@ def test_the_hold_rests_for_5_s_away_from_0_v(low_v, high_v, level_v):
     assert 5 <= held.sum() / limits.sample_rate_hz < 5.002
 
 
-def test_recorded_on_a_stage_each_is_fit_for_a_model_without_a_warning():
+def test_recordings_of_every_excitation_pass_the_check_without_a_warning():
     stage = Stage.from_yaml(Path(__file__).parents[2] / "configs" / "stage" / "default.yaml")
     for name, (t, u) in diagnostic_excitations(DriveLimits()).items():
         _, y = stage.simulate(torch.from_numpy(u)[None])
         check_recording(Recording(name, t, u, y[0].detach().numpy(), stage.sample_rate_hz))
 
 
-def test_a_seed_gives_the_same_bits_and_another_one_other_phases():
+def test_the_same_seed_gives_the_same_bits_and_another_seed_other_phases():
     limits = DriveLimits(sample_rate_hz=2_000.0)
     first, again, other = (diagnostic_excitations(limits, seed) for seed in (3, 3, 4))
     for name, (_, u) in first.items():
@@ -172,7 +170,7 @@ def test_a_seed_gives_the_same_bits_and_another_one_other_phases():
         ({"max_rate_v_s": 50.0}, "max_rate_v_s is 50 V/s, expected"),
     ],
 )
-def test_limits_that_exclude_each_other_are_one_line_with_the_value_wanted(limits, says):
+def test_contradictory_limits_are_refused_in_one_line_with_the_value_needed(limits, says):
     with pytest.raises(ConfigError) as caught:
         diagnostic_excitations(DriveLimits(**limits))
     assert says in str(caught.value) and "\n" not in str(caught.value)
@@ -180,7 +178,7 @@ def test_limits_that_exclude_each_other_are_one_line_with_the_value_wanted(limit
 
 @settings(max_examples=20, deadline=None)
 @given(stages(), st.integers(0, 100))
-def test_the_rate_that_the_error_wants_is_enough(limits, seed):
+def test_the_rate_that_the_error_asks_for_is_sufficient(limits, seed):
     slow = replace(limits, max_rate_v_s=0.1 * limits.span_v)
     with pytest.raises(ConfigError) as caught:
         diagnostic_excitations(slow, seed)

@@ -1,4 +1,4 @@
-"""The paper's signals have the ranges and rates that its equations give, and the rest keep their promises."""
+"""The paper's signals have the ranges and rates of its equations, and all others meet their definition."""
 
 import inspect
 
@@ -32,7 +32,7 @@ def largest_rate(t: np.ndarray, x: np.ndarray) -> float:
 
 
 class TestThePapersSignals:
-    """Ranges and rates as recomputed apart from this project."""
+    """Ranges and rates as recomputed independently of this project."""
 
     @pytest.mark.parametrize(
         ("signal", "low", "high", "rate"),
@@ -42,7 +42,7 @@ class TestThePapersSignals:
             (fast_trajectory, 1.0, 7.826, 831.5),
         ],
     )
-    def test_ranges_and_rates(self, signal, low, high, rate):
+    def test_ranges_and_rates_are_those_of_the_equations(self, signal, low, high, rate):
         t, x = signal(2.0, 100_000.0)
         assert x.min() == pytest.approx(low, abs=1e-9)
         assert x.max() == pytest.approx(high, abs=6e-4)
@@ -51,17 +51,17 @@ class TestThePapersSignals:
     @pytest.mark.parametrize(
         "signal", [paper_multisine, slow_trajectory, fast_trajectory, sine_5hz, sine_trajectory]
     )
-    def test_they_begin_at_their_lowest_point_at_rest(self, signal):
+    def test_signals_begin_at_rest_at_their_lowest_point(self, signal):
         _t, x = signal(1.0, 100_000.0)
         assert x[0] == pytest.approx(x.min(), abs=1e-12)
         assert abs(x[1] - x[0]) < 1e-5 * np.ptp(x)
 
-    def test_eq_13_repeats_after_a_tenth_of_a_second_and_fills_the_papers_5000_points(self):
+    def test_eq_13_repeats_after_a_tenth_of_a_second_and_has_the_papers_5000_points(self):
         _t, u = paper_multisine(0.5)
         assert len(u) == 5000
         np.testing.assert_allclose(u[:4000], u[1000:], atol=1e-12)
 
-    def test_eq_9_and_the_5_hz_sine(self):
+    def test_eq_9_and_the_5_hz_sine_match_their_formulas(self):
         t, y = sine_trajectory(1.0, FS_HZ, 50)
         np.testing.assert_allclose(y, 5.5 + 4.5 * np.sin(2 * np.pi * 50 * t - 0.5 * np.pi))
         t, u = sine_5hz()
@@ -78,7 +78,7 @@ class TestEverySignal:
         np.testing.assert_array_equal(x, make(duration_s=2.0, fs_hz=5_000.0)[1])
 
     @pytest.mark.parametrize("make", EXCITATIONS.values())
-    def test_a_stage_is_driven_from_0_v_within_0_to_10_v(self, make):
+    def test_excitations_start_at_0_v_and_stay_within_0_to_10_v(self, make):
         _, u = make()
         assert abs(u[0]) < 1e-9
         assert u.min() > -1e-9 and u.max() < 10 + 1e-9
@@ -91,7 +91,7 @@ class TestEverySignal:
 
     @pytest.mark.parametrize("make", [*EXCITATIONS.values(), *TRAJECTORIES.values()])
     @pytest.mark.parametrize("wrong", [{"duration_s": 0.0}, {"duration_s": np.nan}, {"fs_hz": -1.0}])
-    def test_no_samples_is_a_clear_error(self, make, wrong):
+    def test_arguments_that_give_no_samples_are_refused(self, make, wrong):
         with pytest.raises(ConfigError, match="expected"):
             make(**wrong)
 
@@ -117,7 +117,7 @@ class TestByName:
             ("multisine", {"high_hz": 9_000}, "band"),
         ],
     )
-    def test_what_does_not_fit_is_one_clear_line(self, name, options, says):
+    def test_unknown_names_and_invalid_options_are_refused_in_one_line(self, name, options, says):
         with pytest.raises(ConfigError) as caught:
             make_excitation(name, FS_HZ, 1.0, 0, options)
         assert says in str(caught.value) and "\n" not in str(caught.value)
@@ -134,7 +134,7 @@ class TestMultisine:
         holes=st.booleans(),
         seed=st.integers(0, 1000),
     )
-    def test_only_the_promised_lines_are_there(self, periods, odd, holes, seed):
+    def test_the_spectrum_has_only_the_promised_lines(self, periods, odd, holes, seed):
         _, u = multisine(
             2.0 * periods,
             2_000.0,
@@ -159,7 +159,7 @@ class TestMultisine:
         )
         assert len(present) == (possible - possible // 4 if holes else possible)
 
-    def test_a_range_is_filled_and_an_rms_is_met(self):
+    def test_a_multisine_fills_its_range_or_has_the_given_rms(self):
         _, u = multisine(low_v=1, high_v=8)
         assert (u[2000:].min(), u[2000:].max()) == (1, 8)
         _, u = multisine(rms_v=1.0, ramp_in_s=0)
@@ -167,14 +167,14 @@ class TestMultisine:
         with pytest.raises(ConfigError, match="rms_v"):
             multisine(rms_v=4)
 
-    def test_the_ramp_leaves_the_periods_whole_and_is_smooth(self):
+    def test_the_ramp_is_smooth_and_leaves_the_periods_unchanged(self):
         _t, u = multisine(2.0, ramp_in_s=0.2, periods=2)
         assert len(u) == 22_000
         np.testing.assert_array_equal(u[2_000:12_000], u[12_000:])
         np.testing.assert_array_equal(u[2_000:], multisine(2.0, ramp_in_s=0, periods=2)[1])
         assert np.abs(np.diff(u, 2)).max() < 1.1 * np.abs(np.diff(u[2_000:], 2)).max()
 
-    def test_above_its_corner_all_lines_move_the_stage_at_one_rate(self):
+    def test_above_the_corner_frequency_all_lines_have_the_same_rate(self):
         _, u = multisine(2.0, 2_000.0, periods=1, corner_hz=20, ramp_in_s=0)
         frequency, lines = self.spectrum(u, 2_000.0, 1)
         present = lines[1:] > 1e-9
@@ -182,7 +182,7 @@ class TestMultisine:
         np.testing.assert_allclose(lines[frequency <= 20], lines[0])
         np.testing.assert_allclose((lines * frequency)[frequency >= 20], 20 * lines[0])
 
-    def test_an_empty_band_is_a_clear_error(self):
+    def test_an_empty_band_is_refused(self):
         with pytest.raises(ConfigError, match="no line"):
             multisine(0.1, low_hz=3, high_hz=5)
         with pytest.raises(ConfigError, match="band"):
@@ -190,7 +190,7 @@ class TestMultisine:
 
 
 class TestTriangles:
-    def test_straight_lines_of_the_promised_rates(self):
+    def test_triangles_have_the_promised_rates(self):
         _t, u = triangles(30.0, rates=(1, 4))
         slopes = np.abs(np.diff(u)) * FS_HZ
         usual = np.sort(slopes)
@@ -205,7 +205,7 @@ class TestTriangles:
             assert np.abs(turns - level).min() < 2e-3
         assert u.max() == pytest.approx(10, abs=2e-3)
 
-    def test_levels_outside_the_range_are_a_clear_error(self):
+    def test_levels_outside_the_range_are_refused(self):
         with pytest.raises(ConfigError, match="minor_amplitude"):
             triangles(minor_biases=(0.95,), minor_amplitude=0.3)
 
@@ -247,5 +247,5 @@ class TestHoldAndRandom:
         frequency = np.fft.rfftfreq(len(later), 1 / 2_000.0)
         assert power[frequency > 45].sum() < 1e-4 * power.sum()
 
-    def test_two_seeds_differ(self):
+    def test_different_seeds_give_different_trajectories(self):
         assert not np.array_equal(random_trajectory(seed=0)[1], random_trajectory(seed=1)[1])

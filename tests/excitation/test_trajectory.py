@@ -1,4 +1,4 @@
-"""Trajectories: the paper's start from rest, a file's are taken as they are or refused in one line."""
+"""Trajectories: the paper's start from rest; those of files are used as they are or refused in one line."""
 
 from pathlib import Path
 
@@ -26,7 +26,7 @@ def test_the_papers_trajectories_start_from_rest(
     assert len(trajectory.yd) == duration_s * FS_HZ
     assert (trajectory.yr.min(), trajectory.yr.max()) == pytest.approx((low_um, high_um), abs=2e-3)
     assert trajectory.yd[0] == 0.0
-    # ζ = 1, ω = 200π: what is left of the start after 50 ms is (1 + ωt) e^(-ωt).
+    # With ζ = 1 and ω = 200π, the initial transient has decayed to (1 + ωt) e^(-ωt) after t = 50 ms.
     late = slice(int(0.05 * FS_HZ), None)
     np.testing.assert_allclose(trajectory.yd[late], trajectory.yr[late], atol=1e-11)
 
@@ -47,7 +47,7 @@ def test_a_trajectory_file_gives_its_samples(tmp_path: Path, header: str):
     assert (trajectory.name, trajectory.title, len(trajectory.sha256 or "")) == ("scan", "scan.csv", 64)
 
 
-def test_a_file_is_taken_as_the_reference_of_a_filter_inside(tmp_path: Path):
+def test_a_file_can_be_the_input_of_the_reference_filter(tmp_path: Path):
     y = 1.0 + sine()
     path = write_csv(tmp_path / "scan.csv", np.arange(len(y)) / FS_HZ, y)
     trajectory = load_trajectory(path, fs_hz=FS_HZ, through_reference_filter=True)
@@ -62,7 +62,7 @@ def test_resampling_interpolates_and_never_overshoots(tmp_path: Path):
     path = write_csv(tmp_path / "scan.csv", t, 3.0 - 3.0 * np.cos(2 * np.pi * 20.0 * t))
     trajectory = load_trajectory(path, fs_hz=FS_HZ, resample=True)
     assert len(trajectory.yd) == 2_001
-    # The bound of straight lines across the widest gap, 1.4 ms: amplitude · (ω · gap)² / 8.
+    # The error bound of linear interpolation across the widest gap, 1.4 ms: amplitude · (ω · gap)² / 8.
     straight_lines = 3.0 * (2 * np.pi * 20.0 * 1.4e-3) ** 2 / 8
     np.testing.assert_allclose(trajectory.yd, sine(20.0, 2_001), atol=straight_lines)
     assert trajectory.yd.max() <= 6.0

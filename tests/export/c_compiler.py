@@ -32,7 +32,7 @@ def run(program: Path, *arguments: str) -> Outcome:
 
 
 class Stepped:
-    """An exported NAME.c, loaded; each has a state of its own."""
+    """An exported NAME.c, compiled and loaded; each instance has its own state."""
 
     def __init__(self, source: Path, single: bool = False) -> None:
         suffix, flags = ("_float32", [f"-D{source.stem}_FLOAT32", *FLOAT]) if single else ("", [])
@@ -51,7 +51,7 @@ class Stepped:
         for start in (self._reset_at, self._reset_at_voltage):
             start.restype = ctypes.c_double
             start.argtypes = [ctypes.c_void_p, ctypes.c_double]
-        # More than any state takes; what lies behind it must stay as it is.
+        # Larger than any state; the memory behind the state must stay unchanged.
         self._state = (ctypes.c_double * 4096)(*[1e300] * 4096)
         self.reset()
 

@@ -1,4 +1,4 @@
-"""The C99 form: the bits of the stream, true float, its self-test, and what has no such form."""
+"""The C99 form: the bits of the stream, single precision, its self-test, and parts without a C form."""
 
 import math
 import re
@@ -49,7 +49,7 @@ def compensators(draw: st.DrawFn) -> DirectInverse:
 @needs_cc
 @settings(max_examples=8)
 @given(made=compensators(), filtered=st.booleans())
-def test_c_has_the_bits_of_the_stream_and_float_is_near(made: DirectInverse, filtered: bool) -> None:
+def test_c_has_the_bits_of_the_stream_and_float_is_close(made: DirectInverse, filtered: bool) -> None:
     filter_ = ReferenceFilter(1e-4) if filtered else None
     yd = trajectory(400) + (1.0 if filtered else 0.0)
     yd[[37, 38, 200]] = torch.tensor([math.nan, math.inf, -math.inf], dtype=torch.float64)
@@ -59,7 +59,7 @@ def test_c_has_the_bits_of_the_stream_and_float_is_near(made: DirectInverse, fil
         double, single = Stepped(source), Stepped(source, single=True)
         assert torch.equal(double.steps(yd), expected)
         double.reset()
-        # A block, then steps, then a block: the state is the same one.
+        # A block, then steps, then a block share one state.
         parts = double.block(yd[:150]), double.steps(yd[150:210]), double.block(yd[210:])
         assert torch.equal(torch.cat(parts), expected)
         assert float((single.steps(yd) - expected).abs().max()) <= 1e-5 * 10.0
@@ -77,7 +77,7 @@ def test_corrected_inverse_has_the_same_bits_in_c(filtered: bool, tmp_path: Path
 
 
 @needs_cc
-def test_several_states_run_side_by_side(tmp_path: Path) -> None:
+def test_several_states_are_independent(tmp_path: Path) -> None:
     source = written(tmp_path, compensator())
     forth, back = trajectory(300), trajectory(300).flip(0).contiguous()
     expected = compensator().stream().block(forth), compensator().stream().block(back)
@@ -90,7 +90,7 @@ def test_several_states_run_side_by_side(tmp_path: Path) -> None:
 @pytest.mark.parametrize("flags", [[], ["-Ddemo_FLOAT32", *FLOAT]])
 def test_selftest_passes(flags: list[str], tmp_path: Path) -> None:
     source = written(tmp_path, compensator(), ReferenceFilter(1e-4))
-    # The test itself converts on purpose: strict about promotion is only the code that runs.
+    # The self-test promotes numbers on purpose: only the deployed code is checked for promotion.
     code = tmp_path / "demo.o"
     assert cc(*flags, "-c", source, "-o", code).returncode == 0
     selftest = tmp_path / "demo_selftest.c"
@@ -110,7 +110,7 @@ def test_selftest_fails_when_a_constant_is_altered(name: str, tmp_path: Path) ->
 
 
 @needs_cc
-def test_code_needs_nothing_else_and_is_c_plus_plus_at_the_border(tmp_path: Path) -> None:
+def test_code_has_no_dependencies_and_its_header_is_valid_in_c_plus_plus(tmp_path: Path) -> None:
     source = written(tmp_path, compensator(), ReferenceFilter(1e-4))
     assert set(re.findall("#include (.*)", source.read_text())) == {'"demo.h"'}
     header = (tmp_path / "demo.h").read_text()
@@ -124,14 +124,14 @@ def test_code_needs_nothing_else_and_is_c_plus_plus_at_the_border(tmp_path: Path
 
 
 @needs_cc
-def test_files_with_and_without_float_do_not_link(tmp_path: Path) -> None:
+def test_files_of_single_and_double_precision_do_not_link(tmp_path: Path) -> None:
     source = written(tmp_path, compensator())
     code = tmp_path / "demo.o"
     assert cc("-Ddemo_FLOAT32", "-c", source, "-o", code).returncode == 0
     assert "undefined" in cc(tmp_path / "demo_selftest.c", code, "-o", tmp_path / "mixed").stderr
 
 
-def test_constants_stand_in_order_with_unit_and_equation() -> None:
+def test_constants_are_written_in_order_with_unit_and_equation() -> None:
     made = compensator()
     text = c_source(made, "demo")["demo.c"]
     found = re.search(r"R\[10\] = {([^}]*)}; /\* (.*?) \*/", text, re.DOTALL)
@@ -141,13 +141,15 @@ def test_constants_stand_in_order_with_unit_and_equation() -> None:
     assert all(len(line) <= 120 for line in text.splitlines())
 
 
-def test_a_loop_stands_for_plays_and_relaxations() -> None:
+def test_plays_and_relaxations_are_written_as_loops() -> None:
     text = c_source(compensator(), "demo")["demo.c"]
     assert "real h = play(s, R[i], self->h[i]); /* eq. 1 */" in text
     assert "self->xi[i] = KEPT[i] * self->xi[i] + TAKEN[i] * x;" in text
 
 
-def test_play_may_be_written_with_selections(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_a_play_may_be_written_with_conditional_expressions(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     monkeypatch.setattr(torchpi.control.direct_inverse, "play", play_by_selection)
     text = c_source(compensator(), "demo")["demo.c"]
     assert "return low > inner ? low : inner;" in text
@@ -163,7 +165,7 @@ def play_by_selection(x: float, r: float, h: float) -> float:
 @pytest.mark.parametrize(
     "name", ["int", "2nd", "with-dash", "_hidden", "stdio", "", "ümlaut", "motion", "reference", "squash "]
 )
-def test_a_name_that_is_none_in_c_or_taken_is_refused(name: str) -> None:
+def test_a_name_that_is_invalid_in_c_or_taken_is_refused(name: str) -> None:
     filter_ = ReferenceFilter(1e-4) if name == "reference" else None
     made = corrected(1) if name == "reference" else compensator()
     with pytest.raises(ArtifactError, match="name for C: found") as error:
@@ -172,7 +174,7 @@ def test_a_name_that_is_none_in_c_or_taken_is_refused(name: str) -> None:
 
 
 class Tanh(nn.Module):
-    """A part with a function that C's translator does not know."""
+    """A part with a function that the translator to C does not know."""
 
     @torch.jit.export
     def reset(self) -> None:
@@ -184,7 +186,7 @@ class Tanh(nn.Module):
 
 
 class Around(nn.Module):
-    """A step with some part in it."""
+    """A step that contains a given part."""
 
     def __init__(self, part: nn.Module, sample_period_s: float = 1e-4) -> None:
         super().__init__()
@@ -208,7 +210,7 @@ class Around(nn.Module):
 
 
 class Scaled(nn.Module):
-    """A part whose constant may be anything."""
+    """A part with an arbitrary constant."""
 
     def __init__(self, gain: object) -> None:
         super().__init__()
@@ -246,7 +248,7 @@ class StepBesideState(nn.Module):
 
 
 @pytest.mark.parametrize("format_", ["c", "pt2"])
-def test_a_part_without_the_form_is_named_and_nothing_is_written(format_: str, tmp_path: Path) -> None:
+def test_an_unsupported_part_is_named_and_nothing_is_written(format_: str, tmp_path: Path) -> None:
     with pytest.raises(ArtifactError, match=r"part 'part' \(Tanh\) has no (C|\.pt2) form: .*tanh") as error:
         export_files(Around(Tanh()), tmp_path / "out" / "demo", (format_,))
     assert "\n" not in str(error.value) and list(tmp_path.iterdir()) == []
@@ -265,7 +267,7 @@ def test_a_part_without_the_form_is_named_and_nothing_is_written(format_: str, t
         (StepBesideState(), "a step of a part beside another step or a state"),
     ],
 )
-def test_what_c_cannot_say_is_refused_by_the_part(part: nn.Module, says: str) -> None:
+def test_a_part_that_c_cannot_express_is_refused_by_name(part: nn.Module, says: str) -> None:
     with pytest.raises(ArtifactError, match=says) as error:
         c_source(Around(part), "demo")
     assert "\n" not in str(error.value)
@@ -277,7 +279,7 @@ def test_a_sample_period_that_is_not_positive_is_refused(period: float) -> None:
         c_source(Around(Scaled(2.0), period), "demo")
 
 
-def test_a_model_that_diverged_is_refused() -> None:
+def test_a_model_with_nan_parameters_is_refused() -> None:
     made = compensator()
     with torch.no_grad():
         made.weights.theta[1, 1] = math.nan
@@ -285,5 +287,5 @@ def test_a_model_that_diverged_is_refused() -> None:
         c_source(made, "demo")
 
 
-def test_strict_flags_are_those_of_the_promise() -> None:
+def test_the_tests_compile_with_the_promised_strict_flags() -> None:
     assert {"-std=c99", "-ffp-contract=off", "-Wall", "-Wextra", "-Wpedantic", "-Werror"} <= set(STRICT)

@@ -1,4 +1,4 @@
-"""Every C fragment of docs/controllers.md and the README compiles, and runs with stand-ins where it must."""
+"""Every C fragment of docs/controllers.md and the README compiles and runs, with stand-ins if needed."""
 
 import math
 import re
@@ -17,7 +17,7 @@ README = (ROOT / "README.md").read_text(encoding="utf-8")
 FRAGMENTS = re.findall(r"```c\n(.*?)```", PAGE, re.DOTALL)
 SAMPLES = 200
 
-# What Simulink's header gives an S-function, as far as ours uses it.
+# The part of Simulink's header that our S-function uses.
 SIMSTRUC = """\
 #include <stddef.h>
 typedef double real_T;
@@ -44,7 +44,7 @@ typedef struct { int_T width; real_T work[512]; real_T yd, u, period; } SimStruc
 #define ssGetOutputPortRealSignal(S, port) (&(S)->u)
 """
 
-# In the place of Simulink's end of the file: it runs the block.
+# In place of the file that Simulink includes at the end: it runs the block.
 CG_SFUN = f"""\
 #include <math.h>
 #include <stdio.h>
@@ -67,7 +67,7 @@ int main(void)
 }}
 """
 
-# dSPACE's: its timer is a loop, and its end the end of the program.
+# In place of dSPACE's header: the timer is a loop, and the program ends with it.
 BRTENV = f"""\
 #include <stdlib.h>
 #define init() ((void)0)
@@ -141,11 +141,11 @@ def test_fragment_gives_the_voltages_of_the_stream(which: str, files: dict[str, 
 
 @needs_cc
 @pytest.mark.parametrize("flags", [[], ["-Ddemo_FLOAT32"]])
-def test_microcontroller_fragment_writes_the_converter(flags: list[str], tmp_path: Path) -> None:
+def test_microcontroller_fragment_writes_the_converter_codes(flags: list[str], tmp_path: Path) -> None:
     export_files(compensator(), tmp_path / "demo", ("c",))
     (tmp_path / "fragment.c").write_text(fragment("timer_interrupt"))
     (tmp_path / "board.c").write_text(MICROCONTROLLER)
-    # A prototype is for others to see; an interrupt has none.
+    # An interrupt handler has no prototype, since no other file calls it.
     assert (
         cc(*flags, *FLOAT, f"-I{tmp_path}", "-c", tmp_path / "fragment.c", "-o", tmp_path / "f.o").returncode
         == 0

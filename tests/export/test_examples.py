@@ -69,7 +69,7 @@ def test_c_loop_builds_and_gives_the_same_voltages(tmp_path: Path) -> None:
     subprocess.run(["make", "-C", str(loop), strict, "selftest", "loop"], capture_output=True, check=True)
     assert voltages([str(loop / "loop")])[:50] == expected_lines(50)
 
-    # The same motion from a file: after its end it rests.
+    # The same motion from a file; it rests after the end of the file.
     rows = [f"{k * 1e-4:.17g},{desired_um(k):.17g}" for k in range(50 + compensator().preview)]
     (tmp_path / "t.csv").write_text("time_s,yd_um\n" + "\n".join(rows) + "\n")
     assert voltages([str(loop / "loop"), str(tmp_path / "t.csv")])[:50] == expected_lines(50)

@@ -27,7 +27,7 @@ TIME, YD, U, HELD_INPUTS, OUTSIDE_RANGE, LIMITED_OUTPUTS, PERIOD, MIN_VOLTAGE, M
     10
 )
 LONG = 10**6
-"""Samples of the trajectory that is compared bit by bit."""
+"""Number of samples that are compared bit by bit."""
 Log = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_int, ctypes.c_char_p, ctypes.c_char_p)
 
 
@@ -149,14 +149,14 @@ def test_samples_are_taken_when_they_are_due_at_any_communication_step(loaded: t
     stream = compensator().stream()
     period = stream.sample_period_s
     expected = [stream.step(1.0) for _ in range(40)]
-    # Four samples within a step; then a sample every four steps, the first of which takes it.
+    # Four samples within a step; then a sample every four steps, taken in the first of them.
     instance = started(loaded, start_s=3.0)
     assert instance.steps([1.0] * 5, 4 * period) == expected[3:20:4]
     assert instance.steps([1.0] * 80, period / 4) == [u for u in expected[20:] for _ in range(4)]
 
 
 @needs_cc
-def test_a_state_that_was_kept_is_gone_back_to(loaded: tuple[Loaded, str]) -> None:
+def test_a_saved_state_can_be_restored(loaded: tuple[Loaded, str]) -> None:
     instance, kept = started(loaded), ctypes.c_void_p()
     period, yd = instance.get(PERIOD), trajectory(200).tolist()
     instance.steps(yd, period)
@@ -169,7 +169,7 @@ def test_a_state_that_was_kept_is_gone_back_to(loaded: tuple[Loaded, str]) -> No
 
 
 @needs_cc
-def test_numbers_of_the_step_are_among_the_variables(loaded: tuple[Loaded, str]) -> None:
+def test_period_preview_and_limits_are_among_the_variables(loaded: tuple[Loaded, str]) -> None:
     stream, instance = compensator().stream(), started(loaded)
     assert instance.get(PERIOD) == stream.sample_period_s and instance.get(PREVIEW) == stream.preview
     limits = stream.min_voltage_v, stream.max_voltage_v
@@ -192,7 +192,7 @@ def test_numbers_of_the_step_are_among_the_variables(loaded: tuple[Loaded, str])
         (lambda one: one("Reset") or one.advance(1e-4, at_s=0.0), "expected in step mode"),
     ],
 )
-def test_a_wrong_call_is_refused_with_its_reason(
+def test_an_invalid_call_is_refused_with_the_reason(
     call: Callable[[Instance], int], found: str, loaded: tuple[Loaded, str]
 ) -> None:
     instance = started(loaded)
@@ -200,13 +200,13 @@ def test_a_wrong_call_is_refused_with_its_reason(
 
 
 @needs_cc
-def test_another_token_or_an_event_mode_gives_no_instance(loaded: tuple[Loaded, str]) -> None:
+def test_a_wrong_token_or_event_mode_gives_no_instance(loaded: tuple[Loaded, str]) -> None:
     assert loaded[0].instance("another") is None and "instantiationToken" in loaded[0].messages[-1]
     assert loaded[0].instance(loaded[1], event_mode=True) is None and "eventMode" in loaded[0].messages[-1]
 
 
 @needs_cc
-def test_it_builds_from_its_sources_alone_under_strict_flags(tmp_path: Path) -> None:
+def test_the_fmu_builds_from_its_sources_alone_under_strict_flags(tmp_path: Path) -> None:
     sources = unpacked(written(tmp_path)) / "sources"
     library = tmp_path / "own.so"
     command = ["cc", *STRICT, "-shared", "-fPIC", "demo.c", "demo_fmi3.c", "-o", str(library)]
@@ -214,7 +214,7 @@ def test_it_builds_from_its_sources_alone_under_strict_flags(tmp_path: Path) -> 
     assert done.returncode == 0, done.stderr
     u = started((Loaded(library), token(sources.parent))).steps(trajectory(50).tolist(), 1e-4)
     assert u == compensator().stream().block(trajectory(50)).tolist()
-    # All that the standard declares is there, for tools that look every function up.
+    # Every function that the standard declares is exported, for tools that look all of them up.
     exported = subprocess.run(["nm", "-D", "--defined-only", library], capture_output=True, text=True).stdout
     header = (sources / "fmi3Functions.h").read_text()
     assert header.count("FMI3_Export fmi3") == sum(" T fmi3" in line for line in exported.splitlines()) > 70
@@ -239,7 +239,7 @@ def test_a_million_steps_with_resets_in_fmpy_have_the_bits_of_the_c_step(tmp_pat
 
 
 def stepped(library: Any, pointer: ctypes.c_void_p, yd: np.ndarray, period_s: float) -> np.ndarray:
-    """All samples, through the bare functions: objects around each call would take minutes."""
+    """Step through all samples by bare function calls: objects around each call would take minutes."""
     references = [(ctypes.c_uint32 * 1)(YD), (ctypes.c_uint32 * 1)(U)]
     yd_now, u_now, one = ctypes.c_double(), ctypes.c_double(), ctypes.c_size_t(1)
     flags, last = [ctypes.byref(ctypes.c_bool()) for _ in range(3)], ctypes.byref(ctypes.c_double())
@@ -257,7 +257,7 @@ def stepped(library: Any, pointer: ctypes.c_void_p, yd: np.ndarray, period_s: fl
 
 
 @needs_cc
-def test_fmpy_finds_it_valid_and_simulates_it_as_torchpi_does(tmp_path: Path) -> None:
+def test_the_fmu_is_valid_for_fmpy_and_its_simulation_equals_the_stream(tmp_path: Path) -> None:
     pytest.importorskip("fmpy", reason="needs fmpy: pip install 'torchpi[fmi]'")
     from fmpy.validation import validate_fmu
 
@@ -272,7 +272,7 @@ def test_fmpy_finds_it_valid_and_simulates_it_as_torchpi_does(tmp_path: Path) ->
 
 
 @needs_cc
-def test_the_page_on_controllers_builds_and_simulates_it(
+def test_commands_on_the_controllers_page_build_and_simulate_the_fmu(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (shell,) = re.findall(r"```sh\n(unzip .*?)```", PAGE, re.DOTALL)
@@ -290,7 +290,7 @@ def test_the_page_on_controllers_builds_and_simulates_it(
     assert names["found"]["u"][1:].tolist() == compensator().stream().block(yd)[: len(yd)].tolist()
 
 
-def test_without_a_compiler_it_has_sources_and_says_so(
+def test_without_a_compiler_the_fmu_has_only_sources_and_a_warning_is_given(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("CC", "no-such-compiler")
@@ -306,7 +306,7 @@ def test_without_a_compiler_it_has_sources_and_says_so(
         }  # fmt: skip
 
 
-def test_a_compiler_that_fails_is_named_with_its_first_line(
+def test_the_warning_about_a_failing_compiler_quotes_its_message(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("CC", f"{sys.executable} -c \"raise SystemExit('out of order')\"")
@@ -315,7 +315,7 @@ def test_a_compiler_that_fails_is_named_with_its_first_line(
 
 
 @pytest.mark.filterwarnings("ignore::torchpi.errors.ExportWarning")
-def test_equal_models_give_equal_bytes_and_others_another_token(tmp_path: Path) -> None:
+def test_equal_models_give_identical_bytes_and_others_another_token(tmp_path: Path) -> None:
     for name in ("a", "b", "c"):
         (tmp_path / name).mkdir()
     first, again = written(tmp_path / "a"), written(tmp_path / "b")
@@ -324,6 +324,6 @@ def test_equal_models_give_equal_bytes_and_others_another_token(tmp_path: Path) 
     assert token(unpacked(first)) != token(unpacked(other))
 
 
-def test_a_name_that_is_a_header_of_fmi_is_refused(tmp_path: Path) -> None:
+def test_the_name_of_an_fmi_header_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ArtifactError, match="name for an FMU: found 'fmi3Functions'"):
         export_files(compensator(), tmp_path / "fmi3Functions", ("fmu",))

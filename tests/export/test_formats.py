@@ -1,4 +1,4 @@
-"""All files of an export, or none."""
+"""An export writes all of its files or none."""
 
 import itertools
 import json
@@ -21,7 +21,7 @@ def contents(folder: Path) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in folder.iterdir()}
 
 
-def test_every_format_leaves_its_files(tmp_path: Path) -> None:
+def test_every_format_writes_its_files(tmp_path: Path) -> None:
     files = export_files(compensator(), tmp_path / "demo", ("torchscript", "c", "json"))
     assert [file.name for file in files] == ["demo.pt", "demo.h", "demo.c", "demo_selftest.c", "demo.json"]
     assert set(contents(tmp_path)) == {file.name for file in files}
@@ -29,23 +29,23 @@ def test_every_format_leaves_its_files(tmp_path: Path) -> None:
     assert json.loads((tmp_path / "demo.json").read_text())["schema"] == "torchpi.control.direct_inverse/1"
 
 
-def test_a_name_with_a_dot_stays_whole(tmp_path: Path) -> None:
+def test_a_dot_in_a_name_is_not_taken_for_a_suffix(tmp_path: Path) -> None:
     (file,) = export_files(compensator(), tmp_path / "v1.2", ("json",))
     assert file.name == "v1.2.json" and file.is_file()
 
 
-def test_one_format_may_be_given_alone(tmp_path: Path) -> None:
+def test_a_single_format_may_be_given_as_a_string(tmp_path: Path) -> None:
     assert export_files(compensator(), tmp_path / "demo", "json") == [tmp_path / "demo.json"]
 
 
-def test_an_export_is_named_by_whichever_of_its_files() -> None:
+def test_an_export_can_be_named_by_any_of_its_files() -> None:
     for suffix in (".pt", ".c", ".h", ".json", ".html"):
         assert without_suffix(f"exports/v1.2{suffix}") == Path("exports/v1.2")
     assert without_suffix("exports/v1.2") == Path("exports/v1.2")
 
 
 @pytest.mark.parametrize("formats", ["jsn", ("onnx",), ("c", "jsn"), (), ("",)])
-def test_an_unknown_format_lists_those_that_there_are(formats: tuple[str, ...], tmp_path: Path) -> None:
+def test_an_unknown_format_is_refused_with_the_valid_ones(formats: tuple[str, ...], tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="expected one or more of torchscript,c,fmu,pt2,json") as error:
         export_files(compensator(), tmp_path / "out" / "demo", formats)
     assert "\n" not in str(error.value) and list(tmp_path.iterdir()) == []
@@ -55,7 +55,7 @@ def test_an_unknown_format_lists_those_that_there_are(formats: tuple[str, ...], 
     ("name", "formats", "says"),
     [("my-stage", ("torchscript", "c"), "my-stage"), ("demo", ("c", "json"), "CorrectedInverse")],
 )
-def test_one_refusal_leaves_all_files_as_they_were(
+def test_one_refused_format_leaves_all_files_unchanged(
     name: str, formats: tuple[str, ...], says: str, tmp_path: Path
 ) -> None:
     for suffix in (".pt", ".json", ".c"):
@@ -107,7 +107,7 @@ def export(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
 @pytest.mark.filterwarnings("ignore::FutureWarning")
-def test_command_exports_all_formats_and_says_what_it_left(
+def test_command_exports_all_formats_and_prints_the_paths_of_the_files(
     checkpoint: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     output = tmp_path / "exports" / "demo"

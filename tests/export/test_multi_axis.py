@@ -22,7 +22,7 @@ RATE_HZ, RMS_V, BAND_HZ = 1000.0, 0.3, 30.0
 
 
 def linear() -> MultiAxisStage:
-    """Two inputs and one output, modes alone."""
+    """Return a stage of two inputs and one output that has only modes."""
     old = two_axes()
     shapes = old.shapes._replace(outputs=1, elements=0, functions=1, input_plays=0)
     arrays = {name: np.zeros(shape) for name, shape in parameter_shapes(shapes).items()}
@@ -49,7 +49,7 @@ def exported(
 
 
 def inputs(exported: MultiAxisStage | MultiAxisInverse) -> np.ndarray:
-    """Noise, with samples that are held."""
+    """Return noise with samples that are held."""
     x = np.random.default_rng(0).uniform(-0.4, 0.4, (600, 2))
     x[[0, 300, 301], [1, 0, 1]] = np.nan, np.inf, -np.inf
     if isinstance(exported, MultiAxisInverse):
@@ -107,7 +107,7 @@ def test_c_has_the_bits_of_the_step(exported: MultiAxisStage | MultiAxisInverse,
 
 
 @needs_cc
-def test_the_self_test_passes_and_finds_a_changed_number(
+def test_the_self_test_passes_and_detects_a_changed_number(
     exported: MultiAxisStage | MultiAxisInverse, tmp_path: Path
 ) -> None:
     source = written(exported, tmp_path, "c").with_suffix(".c")
@@ -122,7 +122,7 @@ def test_the_self_test_passes_and_finds_a_changed_number(
     assert (failed.returncode, failed.stdout.count("FAIL")) == (1, 2)
 
 
-def test_a_motion_without_bounds_leaves_a_stage_at_rest(tmp_path: Path) -> None:
+def test_a_stage_is_finite_again_after_an_unbounded_motion(tmp_path: Path) -> None:
     loaded = torch.jit.load(f"{written(with_amplifiers(200.0), tmp_path, 'torchscript')}.pt")
     loaded.block(torch.full((200, 2), 1e9, dtype=torch.float64))
     assert loaded.stage.unbounded > 0
@@ -139,7 +139,7 @@ def test_json_has_the_numbers_and_their_units(
     assert content["input"]["unit"] == ("um" if inverse else "V")
 
 
-def test_names_and_formats_without_meaning_are_refused(tmp_path: Path) -> None:
+def test_invalid_names_and_formats_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="to: found 'page', expected one or more of torchscript,c,json"):
         multi_axis_files(two_axes(), tmp_path / "two", ["page", "c"])
     with pytest.raises(ArtifactError, match="name for C: found 'a-b'"):

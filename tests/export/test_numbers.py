@@ -1,4 +1,4 @@
-"""The JSON beside the file holds enough to write the step by hand."""
+"""The JSON file holds enough to implement the step by hand."""
 
 import json
 import math
@@ -12,7 +12,7 @@ from torchpi.export import export_files
 
 
 def by_hand(numbers: dict[str, Any], yd: list[float]) -> list[float]:
-    """The step as its reader would write it, from the JSON alone."""
+    """Compute the step as a reader of the JSON would implement it, from the JSON alone."""
     period = numbers["sample_period_s"]
     r, h = numbers["plays"]["r"], [0.0] * len(numbers["plays"]["r"])
     xi = [0.0] * len(numbers["creep"]["g"])

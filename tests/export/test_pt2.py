@@ -18,7 +18,7 @@ from torchpi.export.deployable import Deployable
 from torchpi.operators import ReferenceFilter
 
 pytestmark = [
-    # torch's own, on the way of torch.export.
+    # Raised within torch during torch.export.
     pytest.mark.filterwarnings("ignore::DeprecationWarning"),
     pytest.mark.filterwarnings("ignore::FutureWarning"),
 ]
@@ -56,7 +56,7 @@ def test_loaded_program_has_the_bits_of_the_stream(
 
 @pytest.mark.long
 @pytest.mark.skipif(shutil.which(os.environ.get("CXX", "g++")) is None, reason="needs a C++ compiler, g++")
-def test_aotinductor_compiles_it_as_the_page_does_to_the_same_bits(
+def test_aotinductor_code_compiled_as_on_the_page_gives_the_same_voltages(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)

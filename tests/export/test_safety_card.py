@@ -1,4 +1,4 @@
-"""The safety card: what the model and its training say, in JSON and on the page, and the flag it may need."""
+"""The safety card: facts from the model and its training, in JSON and on the page; when a flag is needed."""
 
 import json
 import re
@@ -28,7 +28,7 @@ def linear(**changes: object) -> DirectInverse:
     return made
 
 
-def test_reach_is_where_the_loop_meets_the_limits() -> None:
+def test_the_reach_ends_where_the_loop_meets_the_voltage_limits() -> None:
     card = safety_card(linear())
     # Up: 2 y - (y - 1) = 10. Down from there, h_1 first stands still at 8, then follows at y + 1.
     assert card.reachable_um == pytest.approx((0.0, 9.0), abs=0.02)
@@ -51,7 +51,7 @@ def test_an_impossible_load_is_refused(changes: dict[str, float]) -> None:
         Load(**changes)
 
 
-def test_trained_motions_are_those_of_the_samples_that_count() -> None:
+def test_trained_motions_are_ranges_over_the_counted_samples() -> None:
     y = torch.tensor([[100.0, 1.0, 2.0, 4.0, -100.0]], dtype=torch.float64)
     u = torch.tensor([[50.0, 0.5, 1.0, 3.0, -50.0]], dtype=torch.float64)
     pair = InversePair("a", Motion(y, 10 * y, y), u, slice(1, 4), 0.1)
@@ -74,7 +74,7 @@ def test_the_card_is_in_the_json_and_on_the_page(tmp_path: Path) -> None:
     assert card.monotone_summary in unescape(html) and f"{card.current_ma:.4g} mA" in html
 
 
-def test_what_is_not_known_is_called_so_and_how_to_give_it(tmp_path: Path) -> None:
+def test_unknown_values_are_marked_and_the_options_that_supply_them_named(tmp_path: Path) -> None:
     [page] = export_files(linear(), tmp_path / "demo", ("page",))
     rows = dict(re.findall(r'data-part="(\w+)">.*?<td>(.*?)</td>', page.read_text(), re.DOTALL))
     assert rows["trained_voltage_rates_v_s"] == rows["trained_range_um"] == rows["current_ma"] == "not known"
@@ -88,7 +88,7 @@ def export(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:
     return int(ended.value.code or 0)
 
 
-def test_export_of_what_runs_backwards_needs_a_flag(
+def test_export_of_an_inverse_that_runs_backwards_needs_a_flag(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     made = compensator()
@@ -104,7 +104,7 @@ def test_export_of_what_runs_backwards_needs_a_flag(
     assert json.loads((tmp_path / "out" / "demo.json").read_text())["safety"]["monotone"] is False
 
 
-def test_the_command_puts_a_slew_limit_inside(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_command_exports_a_slew_limit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     torch.save(to_checkpoint(compensator()), tmp_path / "best.ckpt")
     output = tmp_path / "demo"
     arguments = [str(tmp_path / "best.ckpt"), "--output", str(output), "--to", "torchscript"]

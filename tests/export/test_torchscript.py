@@ -1,4 +1,4 @@
-"""The TorchScript file: its contract, its numbers, its speed traps, and what is refused."""
+"""The TorchScript file: its contract, its numbers, and which files are refused."""
 
 import math
 import subprocess
@@ -29,7 +29,7 @@ def trajectory() -> torch.Tensor:
     return 3 - 3 * torch.cos(2 * math.pi * 30 * t) + torch.sin(2 * math.pi * 77 * t)
 
 
-def test_file_has_the_contract_and_the_bits_of_the_batch(tmp_path: Path) -> None:
+def test_file_has_the_contract_and_the_bits_of_the_batch_pass(tmp_path: Path) -> None:
     export_files(compensator(), tmp_path / "c", ["torchscript"])
     loaded = load_torchscript(tmp_path / "c.pt")
     assert (loaded.sample_period_s, loaded.preview, loaded.held_inputs) == (1e-4, 2, 0)
@@ -60,7 +60,7 @@ def test_loading_twice_gives_two_independent_states(tmp_path: Path) -> None:
     assert other.step(1.0) == compensator().stream().step(1.0)
 
 
-def test_exporting_leaves_the_source_alone_and_the_other_way_round(tmp_path: Path) -> None:
+def test_changing_the_source_does_not_change_the_exported_file(tmp_path: Path) -> None:
     made = compensator()
     export_files(made, tmp_path / "c", ["torchscript"])
     before = load_torchscript(tmp_path / "c.pt").step(1.0)
@@ -69,7 +69,7 @@ def test_exporting_leaves_the_source_alone_and_the_other_way_round(tmp_path: Pat
     assert load_torchscript(tmp_path / "c.pt").step(1.0) == before
 
 
-def test_reference_filter_goes_inside_on_request(tmp_path: Path) -> None:
+def test_a_reference_filter_is_exported_on_request(tmp_path: Path) -> None:
     filter_ = ReferenceFilter(1e-4)
     export_files(compensator(), tmp_path / "c", ["torchscript"], filter_)
     loaded = load_torchscript(tmp_path / "c.pt")
@@ -78,7 +78,7 @@ def test_reference_filter_goes_inside_on_request(tmp_path: Path) -> None:
     assert torch.equal(loaded.block(yr), compensator()(filter_(yr[None]))[0])
 
 
-def test_failed_save_leaves_the_previous_file_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_failed_save_leaves_the_previous_file_intact(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "c.pt"
     export_files(compensator(), path.with_suffix(""), ["torchscript"])
     before = path.read_bytes()
@@ -94,7 +94,7 @@ def test_failed_save_leaves_the_previous_file_whole(tmp_path: Path, monkeypatch:
     assert path.read_bytes() == before and list(tmp_path.iterdir()) == [path]
 
 
-def test_something_else_is_refused_in_one_line(tmp_path: Path) -> None:
+def test_a_file_that_is_not_a_compensator_is_refused_in_one_line(tmp_path: Path) -> None:
     (tmp_path / "text.pt").write_text("not a model")
     torch.save({"a": 1}, tmp_path / "weights.pt")
     torch.jit.script(torch.nn.Linear(1, 1)).save(str(tmp_path / "other.pt"))
@@ -102,7 +102,7 @@ def test_something_else_is_refused_in_one_line(tmp_path: Path) -> None:
         ("missing.pt", "no such file"),
         ("text.pt", "not a TorchScript file"),
         ("weights.pt", "not a TorchScript file"),
-        ("other.pt", "expected nothing but a compensator"),
+        ("other.pt", "expected only a compensator"),
     ):
         with pytest.raises(ArtifactError, match=found) as error:
             load_torchscript(tmp_path / name)

@@ -33,9 +33,9 @@ class Command:
 
     Attributes:
         arguments: For `python -m`.
-        output: Its folder; nothing of the next run may depend on what a killed one left there.
-        again: How it is run after a kill, where that is not the same line.
-        checkout: Where it runs.
+        output: Its folder; whatever a killed run leaves there, the next run must succeed.
+        again: Gives the command line after a kill, if it differs.
+        checkout: Folder in which it runs.
     """
 
     arguments: Sequence[str]
@@ -46,11 +46,11 @@ class Command:
 
 @dataclass
 class Outcome:
-    """What was seen of one command.
+    """Results of killing one command.
 
     Attributes:
-        kills: By name of the signal, those that came before the command had ended.
-        faults: A line for each thing that must not be.
+        kills: By name of the signal, how many came before the command had ended.
+        faults: A line for each violation.
     """
 
     kills: dict[str, int] = field(default_factory=lambda: {one.name: 0 for one in SIGNALS})
@@ -58,7 +58,7 @@ class Outcome:
 
 
 def commands(folder: Path) -> dict[str, Command]:
-    """Small ones of each kind, in a folder that is made ready for them."""
+    """Return a small command of each kind, with the files it needs in a prepared folder."""
     (folder / "recordings").mkdir(parents=True)
     paths = []
     for seed in range(2):
@@ -78,7 +78,7 @@ def commands(folder: Path) -> dict[str, Command]:
         return [*fit, "--ckpt_path", "last"] if last.is_file() else fit
 
     def reproduce_again() -> Sequence[str]:
-        if (paper / "paper.html").is_file():  # else it would only read what it has kept
+        if (paper / "paper.html").is_file():  # otherwise it would only read its stored results
             shutil.rmtree(paper)
         return reproduce
 
@@ -100,13 +100,13 @@ def commands(folder: Path) -> dict[str, Command]:
 
 
 def figures(folder: Path) -> Command:
-    """What `make figures` runs, for two of its measurements, in a checkout of its own: it writes into one."""
+    """Return the command of `make figures` for two measurements, in its own checkout: it writes into it."""
     checkout = folder / "checkout"
     listed = git(ROOT, "ls-files", "-co", "--exclude-standard").splitlines()
     for name in filter(lambda name: (ROOT / name).is_file(), listed):
         (checkout / name).parent.mkdir(parents=True, exist_ok=True)
         shutil.copy2(ROOT / name, checkout / name)
-    shutil.rmtree(checkout / "docs" / "_templates")  # parts of pages, which end anywhere
+    shutil.rmtree(checkout / "docs" / "_templates")  # page fragments, whose ends are arbitrary
     git(checkout, "init")
     git(checkout, "add", ".")
     git(checkout, "-c", "user.name=a test", "-c", "user.email=", "commit", "-m", "a copy")
@@ -117,13 +117,13 @@ def figures(folder: Path) -> Command:
     record = checkout / "docs" / "figures.json"
     before = json.loads(record.read_text(encoding="utf-8"))
     for entry in before["figures"].values():
-        entry["code_sha256"] = ""  # of no code: all are due
+        entry["code_sha256"] = ""  # matches no code, so all are due
     record.write_text(json.dumps(before) + "\n", encoding="utf-8")
     measure = ["benchmarks.figures", "--only", "stage,piezo_stack"]
 
     def again() -> Sequence[str]:
         if json.loads(record.read_text(encoding="utf-8"))["figures"][last]["code_sha256"]:
-            record.write_text(json.dumps(before) + "\n", encoding="utf-8")  # else nothing is due
+            record.write_text(json.dumps(before) + "\n", encoding="utf-8")  # otherwise nothing is due
         return measure
 
     return Command(measure, record.parent, again, checkout)
@@ -135,7 +135,7 @@ def git(folder: Path, *words: str) -> str:
 
 
 def recording(seed: int) -> Recording:
-    """Two plays and a bend over a smooth random voltage, 1 s at 500 Hz."""
+    """Return two plays and a quadratic term of a smooth random voltage, 1 s at 500 Hz."""
     random_ = np.random.default_rng(seed)
     t = np.arange(500) / 500.0
     wave = sum(np.sin(2 * np.pi * f * t + random_.uniform(0, 6)) for f in (2, 3, 5, 7))
@@ -154,17 +154,17 @@ def kill_often(
     finish_every: int = 1,
     watch: Callable[[Outcome], None] = lambda outcome: None,
 ) -> Outcome:
-    """Kill it until `rounds` signals of each kind have come in time, at moments spread over its run.
+    """Kill a command until `rounds` signals of each kind came in time, at moments spread over its run.
 
-    Every run begins with what the one killed before it left, and must not end by itself with an error. After
-    each `finish_every`-th kill, and after the last, it is run to its end.
+    Every run starts from what the previously killed run left, and must not fail by itself. After each
+    `finish_every`-th kill, and after the last, the command is run to its end.
 
     Args:
-        command: What is run.
+        command: Command to run.
         rounds: How many signals of each kind.
-        seed: Of the moments.
-        finish_every: Kills from one run that may end to the next.
-        watch: Is given the outcome so far after each of these.
+        seed: Seed of the moments.
+        finish_every: Number of kills between two runs to the end.
+        watch: Called with the outcome so far after each run to the end.
     """
     rng, outcome, lasts_s = random.Random(seed), Outcome(), math.inf
     for again in (False, True):  # the first run may compile
@@ -180,7 +180,7 @@ def kill_often(
             break
         share, one = missing[count % len(missing)]
         at_s = (0.05 + 0.95 * (share + rng.random()) / rounds) * lasts_s
-        # A machine that is shared may have become faster.
+        # A shared machine may have become faster.
         lasts_s = min(lasts_s, kill_once(command, one, at_s, outcome))
         last = sum(outcome.kills.values()) == len(tries)
         if last or (count + 1) % finish_every == 0:
@@ -194,10 +194,10 @@ def kill_often(
 
 
 def kill_once(command: Command, one: signal.Signals, at_s: float, outcome: Outcome) -> float:
-    """Start it, send it the signal so many seconds later, and see what is left.
+    """Start a command, send it the signal `at_s` seconds later, and check what it leaves.
 
     Returns:
-        How long it took, s; infinity where it was killed.
+        Duration of the run, s; infinity if it was killed.
     """
     arguments = line(command, again=True)  # may clear a finished run
     before = {path: path.read_bytes() for path in files(command.output)}
@@ -222,7 +222,7 @@ def kill_once(command: Command, one: signal.Signals, at_s: float, outcome: Outco
         time.sleep(0.02)
     if any(map(alive, children)):
         outcome.faults.append(f"{what}: processes go on")
-    if "Traceback" in error and at_s > 2.0:  # before, Python itself is starting
+    if "Traceback" in error and at_s > 2.0:  # until then, Python itself is starting
         outcome.faults.append(f"{what}: a traceback, {error.splitlines()[-1]}")
     for path in {*files(command.output), *before}:
         if not whole(path):
@@ -244,13 +244,13 @@ def temporaries(folder: Path) -> list[Path]:
 
 
 def files(folder: Path) -> list[Path]:
-    """What a run left, but for the events of TensorBoard, which are appended to."""
+    """Return the files that a run left, except TensorBoard events, which are appended to."""
     found = [path for path in folder.rglob("*") if path.is_file() and not path.name.startswith(".")]
     return [path for path in found if "tfevents" not in path.name]
 
 
 def whole(path: Path) -> bool:
-    """Whether a file is there and ends where its format ends."""
+    """Whether a file exists and is complete according to its format."""
     if not path.is_file():
         return False
     content = path.read_bytes()
@@ -275,7 +275,7 @@ def whole(path: Path) -> bool:
 
 
 def descendants(process: int) -> list[int]:
-    """Its children and theirs, from /proc."""
+    """Return the children of a process and their descendants, from /proc."""
     found = []
     for file in Path("/proc").glob(f"{process}/task/*/children"):
         try:

@@ -1,4 +1,4 @@
-"""Limits of time and memory: what would hang or fill the machine fails the test instead."""
+"""Limits of time and memory: a test that would hang or fill the machine fails instead."""
 
 import resource
 import signal
@@ -11,12 +11,12 @@ MOST_BYTES = 4 * 2**30  # beyond what the process holds when the block begins
 
 
 class TooLongError(BaseException):
-    """Not an Exception, nor an OSError as TimeoutError is: neither turns into a line on stderr."""
+    """Unlike TimeoutError, neither an Exception nor an OSError, which commands turn into a line on stderr."""
 
 
 @contextmanager
 def limited(seconds: int = MOST_S, most_bytes: int = MOST_BYTES) -> Iterator[None]:
-    """Raise TooLongError after so many seconds, and MemoryError for more memory than that."""
+    """Raise TooLongError after `seconds`, and MemoryError beyond `most_bytes` of additional memory."""
 
     def stop(_signal: int, _frame: FrameType | None) -> None:
         raise TooLongError(f"not done after {seconds} s")

@@ -1,4 +1,4 @@
-"""Inputs that no controller should send, and some time all of them do."""
+"""Inputs that no controller should send, but that every controller sends at some time."""
 
 import math
 import random
@@ -16,7 +16,7 @@ RANGE_UM = (0.0, 8.0)
 
 
 def compensator(**changes: object) -> DirectInverse:
-    """One that rises everywhere, of a stage of 8 µm, with everything that remembers."""
+    """Return a monotone compensator of a stage of 8 µm, with every kind of state."""
     arguments = {
         "sample_period_s": PERIOD_S, "thresholds": THRESHOLDS, "range_um": 8.0, "rate_scale_um_s": 200.0,
         "rate": "linear", "lead": 2, "creep_time_constants_s": [0.01, 0.3, 5.0], "offset": True,
@@ -39,8 +39,8 @@ def compensator(**changes: object) -> DirectInverse:
 
 
 def like_the_demo() -> DirectInverse:
-    """Wide plays that weigh something, and a second-order lead that multiplies jumps of the acceleration, at
-    the sample rate of `configs/demo.yaml`: what is left by a disturbance is remembered longest."""
+    """Return a compensator that remembers disturbances longest: its wide plays have considerable weights, its
+    second-order lead amplifies jumps of the acceleration, at the sample rate of `configs/demo.yaml`."""
     thresholds = [0.0, 0.03, 0.12, 0.26, 0.46, 0.72, 1.04, 1.41, 1.85, 2.34, 2.88, 3.49, 4.15, 4.87]
     made = DirectInverse(
         1e-4, thresholds, range_um=8.0, rate_scale_um_s=1900.0, rate="linear", preview=2, lead=2,
@@ -62,13 +62,13 @@ def like_the_demo() -> DirectInverse:
 
 
 def motion(samples: int, period_s: float = PERIOD_S) -> Tensor:
-    """5 Hz through the trained range."""
+    """Return a sine of 5 Hz through the trained range."""
     t = period_s * torch.arange(samples, dtype=torch.float64)
     return 4.0 - 3.8 * torch.cos(2 * math.pi * 5 * t)
 
 
 def hostile(seed: int) -> list[float]:
-    """One to forty samples: signed zeros, denormals, huge numbers, inf, NaN, jumps, random bits."""
+    """Return one to forty samples: signed zeros, denormals, huge numbers, inf, NaN, jumps, random bits."""
     rng = random.Random(seed)
     kinds = [
         lambda: rng.choice([0.0, -0.0]),
@@ -85,7 +85,7 @@ def hostile(seed: int) -> list[float]:
 
 
 def disturbed(seed: int, samples: int, period_s: float = PERIOD_S) -> tuple[Tensor, int]:
-    """The motion with hostile samples somewhere in its first period and a quarter, and where they end."""
+    """Return the motion with hostile samples that start in its first 1.25 periods, and where they end."""
     yd, inserted = motion(samples, period_s), hostile(seed)
     start = random.Random(seed).randint(0, round(0.25 / period_s))
     yd[start : start + len(inserted)] = torch.tensor(inserted, dtype=torch.float64)

@@ -1,6 +1,6 @@
-"""A command that is killed leaves previous files whole, nothing running, and the next run succeeds.
+"""A killed command leaves previous files intact and no process running, and the next run succeeds.
 
-`benchmarks/kills.py` does it for more commands, and at more moments.
+`benchmarks/kills.py` kills more commands at more moments.
 """
 
 import os
@@ -18,14 +18,14 @@ from tests.hostile.kills import ROOT, SIGNALS, alive, commands, descendants, kil
 @pytest.mark.long
 @pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="children are found in /proc")
 @pytest.mark.parametrize("name", ["fit", "export"])
-def test_a_killed_command_leaves_whole_files_and_the_next_run_succeeds(name: str, tmp_path: Path) -> None:
+def test_a_killed_command_leaves_complete_files_and_the_next_run_succeeds(name: str, tmp_path: Path) -> None:
     outcome = kill_often(commands(tmp_path)[name], rounds=1, finish_every=len(SIGNALS))
     assert outcome.faults == [] and sum(outcome.kills.values()) > 0
 
 
 @pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="children are found in /proc")
 @pytest.mark.parametrize("one", [signal.SIGTERM, signal.SIGKILL])  # a shell's background job ignores SIGINT
-def test_what_a_measurement_runs_ends_with_it(one: signal.Signals, tmp_path: Path) -> None:
+def test_processes_started_by_a_measurement_end_with_it(one: signal.Signals, tmp_path: Path) -> None:
     file = tmp_path / "endless.py"
     file.write_text("import time\nprint(__file__, flush=True)\ntime.sleep(600)\n", encoding="utf-8")
     words = (

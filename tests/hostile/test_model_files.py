@@ -1,4 +1,4 @@
-"""Model files that are damaged, of something else, or written to do harm: one line, and nothing runs."""
+"""Model files that are damaged, foreign or malicious are refused in one line; none of their code runs."""
 
 import linecache
 import random
@@ -57,7 +57,7 @@ serial = iter(range(10**6))
 def hostile_file(
     folder: Path, step: str = "pass", reset: str = "pass", block: str = "pass", **changes: Any
 ) -> Path:
-    """A TorchScript file with the contract of a compensator, and something else in it."""
+    """Write a TorchScript file with the contract of a compensator and other code in it."""
     text = TEMPLATE.format(step=step, reset=reset, block=block)
     filename = f"<hostile {next(serial)}>"
     linecache.cache[filename] = (len(text), None, text.splitlines(True), filename)
@@ -66,7 +66,7 @@ def hostile_file(
     exec(compile(text, filename, "exec"), namespace)
     path = folder / "hostile.pt"
     scripted = torch.jit.script(namespace["Hostile"]({**ATTRIBUTES, **changes}).eval())
-    # Frozen as the writer's, and with all that it holds.
+    # Frozen as by the exporter, with all attributes preserved.
     kept = [*METHODS, *ATTRIBUTES, "numbers"]
     path.write_bytes(torch.jit.freeze(scripted, preserved_attrs=kept).save_to_buffer())
     return path
@@ -116,7 +116,7 @@ def test_a_file_with_the_contract_alone_is_read(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("statement", [*OPERATORS, *LOOPS])
-def test_an_operator_or_loop_that_no_compensator_has_is_refused_unrun(statement: str, tmp_path: Path) -> None:
+def test_a_foreign_operator_or_loop_is_refused_without_running(statement: str, tmp_path: Path) -> None:
     target = tmp_path / "target"
     target.write_bytes(b"mine")
     refused(hostile_file(tmp_path, step=statement.replace("{file}", str(target))))
@@ -124,7 +124,7 @@ def test_an_operator_or_loop_that_no_compensator_has_is_refused_unrun(statement:
 
 
 @pytest.mark.parametrize("place", ["reset", "block"])
-def test_the_other_methods_are_looked_at_as_well(place: str, tmp_path: Path) -> None:
+def test_reset_and_block_are_checked_as_well(place: str, tmp_path: Path) -> None:
     refused(
         hostile_file(
             tmp_path, **{place: "self.held_inputs = len(torch.from_file('nowhere', True, self.held_inputs))"}
@@ -142,7 +142,7 @@ def test_the_other_methods_are_looked_at_as_well(place: str, tmp_path: Path) -> 
         ("min_voltage_v", torch.zeros(())), ("preview", "3"),
     ],
 )  # fmt: skip
-def test_attributes_are_checked(name: str, value: object, tmp_path: Path) -> None:
+def test_an_invalid_attribute_is_refused(name: str, value: object, tmp_path: Path) -> None:
     refused(hostile_file(tmp_path, **{name: value}))
 
 
@@ -183,7 +183,7 @@ def rewritten(path: Path, good: bytes, change: Callable[[str, bytes], tuple[str,
     return path
 
 
-def test_an_archive_with_another_part_or_number_is_refused(good: bytes, tmp_path: Path) -> None:
+def test_an_archive_with_an_unexpected_part_number_or_call_is_refused(good: bytes, tmp_path: Path) -> None:
     path = tmp_path / "c.pt"
 
     def with_tensor(name: str, content: bytes) -> tuple[str, bytes]:
@@ -203,14 +203,14 @@ def test_an_archive_with_another_part_or_number_is_refused(good: bytes, tmp_path
     refused(rewritten(path, good, with_call))
 
 
-def test_code_that_would_run_while_loading_is_refused_unrun(good: bytes, tmp_path: Path) -> None:
+def test_code_that_would_run_on_loading_is_refused_without_running(good: bytes, tmp_path: Path) -> None:
     def with_setstate(name: str, content: bytes) -> tuple[str, bytes]:
         return (name, content.replace(b"def reset(", b"def __setstate__("))
 
     assert "a method '__setstate__'" in refused(rewritten(tmp_path / "c.pt", good, with_setstate))
 
 
-def test_a_pickle_in_place_of_a_model_runs_nothing(tmp_path: Path) -> None:
+def test_a_pickle_in_place_of_a_model_is_refused_without_running(tmp_path: Path) -> None:
     target = tmp_path / "target"
 
     class Runs:
@@ -230,7 +230,7 @@ def checkpoint(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_a_checkpoint_keeps_what_it_was_trained_on(checkpoint: Path) -> None:
+def test_a_checkpoint_keeps_the_trained_ranges_and_step_limits(checkpoint: Path) -> None:
     loaded = load_compensator(checkpoint)
     assert loaded.trained == trained().trained is not None
     assert loaded.step_limits() == trained().step_limits()
@@ -266,7 +266,7 @@ def test_one_flipped_bit_in_a_checkpoint_is_refused_or_changes_nothing(
         lambda saved: saved.pop(STATE),
     ],
 )
-def test_a_checkpoint_that_was_changed_is_refused(
+def test_a_modified_checkpoint_is_refused(
     change: Callable[[dict[str, Any]], object], checkpoint: Path, tmp_path: Path
 ) -> None:
     saved = torch.load(checkpoint, weights_only=True)
@@ -283,7 +283,7 @@ def test_a_checkpoint_that_was_changed_is_refused(
         {"creep_time_constants_s": [[1.0]]}, {"preview": None},
     ],
 )  # fmt: skip
-def test_parameters_of_other_types_are_refused_in_one_line(
+def test_invalid_parameters_are_refused_in_one_line(
     parameters: dict[str, Any], checkpoint: Path, tmp_path: Path
 ) -> None:
     saved = torch.load(checkpoint, weights_only=True)
@@ -293,8 +293,8 @@ def test_parameters_of_other_types_are_refused_in_one_line(
     refused(tmp_path / "best.ckpt", load_compensator)
 
 
-def test_equal_runs_leave_equal_bytes(tmp_path: Path) -> None:
-    # In processes of their own, since torch numbers the classes that one process has compiled.
+def test_equal_exports_have_identical_bytes(tmp_path: Path) -> None:
+    # In separate processes, since torch numbers the classes that a process has compiled.
     program = (
         "import sys; from tests.hostile.sequences import compensator; "
         "from torchpi.export import export_files; export_files(compensator(), sys.argv[1], ['torchscript'])"
@@ -305,7 +305,7 @@ def test_equal_runs_leave_equal_bytes(tmp_path: Path) -> None:
     assert (tmp_path / "a.pt").read_bytes() == (tmp_path / "b.pt").read_bytes()
 
 
-def test_a_file_holds_no_name_of_a_temporary_one(good: bytes, tmp_path: Path) -> None:
+def test_a_file_contains_no_name_of_a_temporary_file(good: bytes, tmp_path: Path) -> None:
     (tmp_path / "c.pt").write_bytes(good)
     with zipfile.ZipFile(tmp_path / "c.pt") as archive:
         assert {name.partition("/")[0] for name in archive.namelist()} == {"archive"}

@@ -1,4 +1,4 @@
-"""Outputs that cannot be written, or must not be: one line, exit code 2, and what stood there stands."""
+"""Outputs that cannot or must not be written: one line, exit code 2, and existing files are kept."""
 
 import errno
 import os
@@ -39,7 +39,7 @@ def one_line(done: subprocess.CompletedProcess[str]) -> str:
 
 
 @pytest.mark.parametrize("target", ["/dev/null", "pipe", ".", "loop", "a/file/below"])
-def test_what_is_no_file_is_refused_and_stays(target: str, tmp_path: Path) -> None:
+def test_a_target_that_is_not_a_regular_file_is_refused_and_unchanged(target: str, tmp_path: Path) -> None:
     (tmp_path / "a").write_text("mine")
     (tmp_path / "loop").symlink_to("loop")
     os.mkfifo(tmp_path / "pipe")
@@ -51,7 +51,7 @@ def test_what_is_no_file_is_refused_and_stays(target: str, tmp_path: Path) -> No
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a", "loop", "pipe"]
 
 
-def test_a_link_is_followed(tmp_path: Path) -> None:
+def test_a_symbolic_link_is_followed(tmp_path: Path) -> None:
     (tmp_path / "folder").mkdir()
     (tmp_path / "link").symlink_to("folder/target.csv")
     for text in ("new", "newer"):
@@ -61,7 +61,7 @@ def test_a_link_is_followed(tmp_path: Path) -> None:
         assert (tmp_path / "folder" / "target.csv").read_text() == text
 
 
-def test_temporary_files_of_killed_processes_are_removed_and_those_in_use_stay(tmp_path: Path) -> None:
+def test_temporary_files_of_killed_processes_are_removed_unless_in_use(tmp_path: Path) -> None:
     stale, other = tmp_path / ".a-12345678.csv", tmp_path / ".ab-12345678.csv"
     stale.write_text("half")
     other.write_text("of another file")
@@ -74,13 +74,13 @@ def test_temporary_files_of_killed_processes_are_removed_and_those_in_use_stay(t
     assert sorted(path.name for path in tmp_path.iterdir()) == [".ab-12345678.csv", "a.csv"]
 
 
-def test_a_name_as_long_as_a_file_system_allows_is_written(tmp_path: Path) -> None:
+def test_a_file_name_of_the_maximum_length_is_written(tmp_path: Path) -> None:
     path = tmp_path / ("µ" * 125 + ".csv")
     write_excitation(path, T, U)
     assert path.is_file()
 
 
-def test_a_folder_that_cannot_hold_results_is_refused_before_they_are_computed(tmp_path: Path) -> None:
+def test_an_unusable_output_folder_is_refused_and_the_check_creates_none(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("mine")
     (tmp_path / "gone").symlink_to("nowhere")
     for path in (tmp_path / "file", tmp_path / "file" / "below", Path("/dev/null/below"), tmp_path / "gone"):
@@ -102,7 +102,7 @@ def test_a_folder_that_cannot_hold_results_is_refused_before_they_are_computed(t
     ],
     ids=lambda arguments: arguments[0],
 )
-def test_a_full_disk_is_one_line_and_leaves_the_previous_file(
+def test_a_full_disk_is_reported_in_one_line_and_keeps_the_previous_file(
     arguments: tuple[str, ...], tmp_path: Path
 ) -> None:
     recording, output, checkpoint = tmp_path / "voltage.csv", tmp_path / "out", tmp_path / "best.ckpt"
@@ -114,7 +114,7 @@ def test_a_full_disk_is_one_line_and_leaves_the_previous_file(
         output.write_text("previous")
 
     def limited() -> None:
-        # Every file ends at 4 kB, as on a disk that fills up.
+        # Limit every file to 4 kB, to imitate a disk that fills up.
         resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
 
     done = torchpi_command(
@@ -129,7 +129,7 @@ def test_a_full_disk_is_one_line_and_leaves_the_previous_file(
 
 
 @pytest.mark.parametrize("written", range(3))
-def test_a_disk_that_fills_up_between_the_files_of_an_export_leaves_the_previous_ones(
+def test_a_disk_that_fills_up_during_an_export_keeps_all_previous_files(
     written: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     formats = ("json", "torchscript", "page")
@@ -146,7 +146,7 @@ def test_a_disk_that_fills_up_between_the_files_of_an_export_leaves_the_previous
     assert {path: path.read_bytes() for path in sorted(tmp_path.iterdir())} == dict(sorted(before.items()))
 
 
-def test_a_library_s_thread_that_cannot_write_leaves_no_traceback(capfd: pytest.CaptureFixture[str]) -> None:
+def test_a_thread_that_cannot_write_prints_no_traceback(capfd: pytest.CaptureFixture[str]) -> None:
     def write() -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
@@ -161,7 +161,7 @@ def test_a_library_s_thread_that_cannot_write_leaves_no_traceback(capfd: pytest.
     assert error.startswith("torchpi: error: ") and error.count("\n") == 1
 
 
-def test_standard_output_that_is_full_or_closed_has_no_traceback(tmp_path: Path) -> None:
+def test_full_or_closed_standard_output_gives_no_traceback(tmp_path: Path) -> None:
     with open("/dev/full", "w") as full:
         assert "no space left" in one_line(
             torchpi_command("excite", "--output", str(tmp_path / "a"), stdout=full)
@@ -184,14 +184,16 @@ def nested() -> None:
 
 
 @pytest.mark.parametrize("command", [memory, torch_memory, nested])
-def test_too_little_memory_is_one_line(command: object, capsys: pytest.CaptureFixture[str]) -> None:
+def test_too_little_memory_is_reported_in_one_line(
+    command: object, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert run_command(command, "torchpi") == 2
     error = capsys.readouterr().err
     assert error.startswith("torchpi: error: ") and error.count("\n") == 1
 
 
 @pytest.mark.long
-def test_without_a_writable_home_or_package_everything_works(tmp_path: Path) -> None:
+def test_predict_works_without_a_writable_home_or_package(tmp_path: Path) -> None:
     shutil.copytree(ROOT / "torchpi", tmp_path / "torchpi", ignore=shutil.ignore_patterns("__pycache__"))
     for folder in [path for path in (tmp_path / "torchpi").rglob("*") if path.is_dir()] + [
         tmp_path / "torchpi"
@@ -220,11 +222,11 @@ def test_without_a_writable_home_or_package_everything_works(tmp_path: Path) -> 
     assert (tmp_path / "y.csv").is_file() and not list((tmp_path / "tmp").iterdir())
 
 
-def test_a_run_folder_belongs_to_one_run(tmp_path: Path) -> None:
+def test_a_run_folder_is_claimed_by_one_run_at_a_time(tmp_path: Path) -> None:
     folder = RunFolder(tmp_path / "run")
     with (
         claim(folder, goes_on=False),
-        pytest.raises(ArtifactError, match="another process trains into it"),
+        pytest.raises(ArtifactError, match="another process is training in it"),
         claim(folder, goes_on=True),
     ):
         raise AssertionError
@@ -232,7 +234,7 @@ def test_a_run_folder_belongs_to_one_run(tmp_path: Path) -> None:
         pass
 
 
-def test_a_run_that_was_killed_before_its_first_checkpoint_starts_again_in_its_folder(tmp_path: Path) -> None:
+def test_a_run_killed_before_its_first_checkpoint_restarts_in_its_folder(tmp_path: Path) -> None:
     folder = new_run(str(tmp_path / "run"), "run", None)
     with claim(folder, goes_on=False):
         folder.config.write_text("half of it")
@@ -249,7 +251,7 @@ def test_a_run_that_was_killed_before_its_first_checkpoint_starts_again_in_its_f
         raise AssertionError
 
 
-def test_a_folder_with_files_of_others_is_never_cleared(tmp_path: Path) -> None:
+def test_a_folder_with_foreign_files_is_never_cleared(tmp_path: Path) -> None:
     with claim(RunFolder(tmp_path), goes_on=False):
         pass
     (tmp_path / "checkpoints").mkdir()
@@ -258,7 +260,7 @@ def test_a_folder_with_files_of_others_is_never_cleared(tmp_path: Path) -> None:
         new_run(str(tmp_path), "run", None)
 
 
-def test_equal_content_leaves_equal_bytes_that_hold_no_temporary_name(tmp_path: Path) -> None:
+def test_equal_content_gives_identical_bytes_without_temporary_names(tmp_path: Path) -> None:
     for name in ("a.ckpt", "b.ckpt"):
         with write_atomically(tmp_path / name) as temporary:
             save_tensors({"x": torch.arange(3.0)}, temporary)

@@ -39,9 +39,9 @@ def at_most(seconds: int) -> Iterator[None]:
 
 
 def outcome(path: Path, **options: object) -> str:
-    """`read`, or the refusal: one line that names the file. Anything else that is raised fails the test."""
+    """Return `read`, or the refusal in one line that names the file; any other exception fails the test."""
     with at_most(MOST_S), warnings.catch_warnings():
-        warnings.simplefilter("ignore", RecordingWarning)  # of a library's own, each is an error
+        warnings.simplefilter("ignore", RecordingWarning)  # any other warning is an error
         try:
             from torchpi.recordings.options import RecordingOptions
 
@@ -87,7 +87,7 @@ BAD_CELLS = [
 
 @pytest.mark.parametrize("column", [0, 1, 2], ids=["time", "input", "output"])
 @pytest.mark.parametrize("cell", BAD_CELLS, ids=[repr(cell)[:12] for cell in BAD_CELLS])
-def test_any_cell_is_a_number_or_refused_by_its_row(tmp_path: Path, cell: str, column: int) -> None:
+def test_a_cell_is_read_as_a_number_or_refused_with_its_row(tmp_path: Path, cell: str, column: int) -> None:
     path = tmp_path / "a.csv"
     path.write_text(with_cell(60, column, cell), encoding="utf-8")
     found = outcome(path)
@@ -199,7 +199,7 @@ def test_a_damaged_text_is_read_or_refused(tmp_path: Path, seed: int) -> None:
 
 
 def damaged(data: bytes, random: np.random.Generator) -> bytes:
-    """Some bytes changed, some cut out, some doubled, or the end lost."""
+    """Return data with some bytes changed, removed or duplicated, or with the end cut off."""
     changed_data = bytearray(data)
     for _ in range(int(random.integers(1, 20))):
         at = int(random.integers(len(changed_data)))
@@ -220,7 +220,7 @@ def damaged(data: bytes, random: np.random.Generator) -> bytes:
 
 
 def stored(kind: str, path: Path) -> bytes:
-    """A good recording in a binary format."""
+    """Return a valid recording in a binary format."""
     buffer = io.BytesIO()
     if kind == ".npy":
         np.save(buffer, np.stack((T, U, Y), 1))
@@ -286,7 +286,7 @@ def test_a_damaged_array_file_is_read_or_refused(tmp_path: Path, kind: str, seed
         (".npz", np.zeros((2, 3, 4))),
     ],
 )
-def test_an_array_of_another_kind_is_refused(tmp_path: Path, kind: str, array: np.ndarray) -> None:
+def test_an_unsuitable_array_is_read_or_refused(tmp_path: Path, kind: str, array: np.ndarray) -> None:
     path = tmp_path / f"a{kind}"
     if kind == ".npy":
         np.save(path, array)
@@ -295,7 +295,7 @@ def test_an_array_of_another_kind_is_refused(tmp_path: Path, kind: str, array: n
     outcome(path, fs_hz=1000)
 
 
-def test_a_header_that_claims_more_memory_than_there_is_is_refused(tmp_path: Path) -> None:
+def test_a_header_that_claims_more_memory_than_is_available_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "a.npy"
     np.save(path, np.zeros((30, 3)))
     path.write_bytes(path.read_bytes().replace(b"(30, 3)", b"(9999999999999, 3)"[:18].ljust(7)))
@@ -324,9 +324,7 @@ def test_a_header_that_claims_more_memory_than_there_is_is_refused(tmp_path: Pat
         ({"skip_s": 1e9}, "no samples"),
     ],
 )
-def test_an_option_that_cannot_be_is_refused_by_name(
-    tmp_path: Path, options: dict[str, object], text: str
-) -> None:
+def test_an_invalid_option_is_refused_by_name(tmp_path: Path, options: dict[str, object], text: str) -> None:
     path = tmp_path / "a.csv"
     path.write_text(csv())
     assert text in outcome(path, **options)

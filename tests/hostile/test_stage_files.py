@@ -1,4 +1,4 @@
-"""Stage files that are damaged, changed, absurd, or of other types: one line, and nothing runs."""
+"""Stage files that are damaged, modified or absurd are refused in one line; none of their code runs."""
 
 import random
 import re
@@ -50,7 +50,7 @@ def refused(path: Path) -> str:
     return text
 
 
-def test_equal_stages_leave_equal_bytes_that_hold_no_temporary_name(good: bytes, tmp_path: Path) -> None:
+def test_equal_stages_give_identical_bytes_without_temporary_names(good: bytes, tmp_path: Path) -> None:
     stage().save(tmp_path / "other.pt")
     assert (tmp_path / "other.pt").read_bytes() == good
     assert b".stage-" not in good
@@ -80,7 +80,7 @@ def test_one_flipped_bit_is_refused_or_changes_nothing(seed: int, good: bytes, t
         lambda saved: saved.pop("noise_um"),
     ],
 )
-def test_a_file_that_was_changed_is_refused(
+def test_a_modified_file_is_refused(
     change: Callable[[dict[str, Any]], object], good: bytes, tmp_path: Path
 ) -> None:
     path = tmp_path / "stage.pt"
@@ -106,7 +106,7 @@ def test_a_file_that_was_changed_is_refused(
         {"identified": {"heldout": "a.csv"}}, {"no_such": 1}, {"command_converter": [1]},
     ],
 )  # fmt: skip
-def test_values_of_other_types_are_refused_in_one_line(
+def test_invalid_values_are_refused_in_one_line(
     settings: dict[str, Any], good: bytes, tmp_path: Path
 ) -> None:
     path = tmp_path / "stage.pt"
@@ -161,7 +161,7 @@ def test_any_yaml_simulates_or_is_refused_in_one_line(
 
 
 @pytest.mark.parametrize("path", ["/dev/zero", "."])
-def test_what_is_no_stage_file_is_refused(path: str) -> None:
+def test_a_path_that_is_not_a_stage_file_is_refused(path: str) -> None:
     with limited(), pytest.raises(ConfigError, match=re.escape(path)):
         Stage.from_yaml(path)
 
@@ -173,7 +173,7 @@ def test_what_is_no_stage_file_is_refused(path: str) -> None:
         {"sample_rate_hz": float("nan")}, {"min_voltage_v": -1e300},
     ],
 )  # fmt: skip
-def test_a_diagnostic_set_of_any_limits_is_made_or_refused(limits: dict[str, float]) -> None:
+def test_a_diagnostic_set_with_absurd_limits_is_refused(limits: dict[str, float]) -> None:
     with limited(), pytest.raises(ConfigError, match=next(iter(limits)) + "|max_rate_v_s"):
         diagnostic_excitations(DriveLimits(**limits))
 

@@ -1,4 +1,4 @@
-"""No input harms a step: finite, within its limits, soon itself again, the same bits in every form."""
+"""No input harms a step: outputs are finite, within limits, soon recovered, the same bits in every form."""
 
 import math
 import subprocess
@@ -30,8 +30,8 @@ from torchpi.export.deployable import Deployable
 from torchpi.operators import ReferenceFilter
 from torchpi.operators.motion import backward_motion
 
-# Stray samples just beyond the turning point of the motion, which wide plays remembered; short of it, with a
-# lead that went beyond; and in place of the first sample.
+# Seeds that once recovered late: stray samples just beyond the turning point of the motion, which wide plays
+# remembered; short of it, with a lead that overshot it; and in place of the first sample.
 LATE_ONCE = (
     1465,
     1946,
@@ -66,12 +66,12 @@ def c_forms(
 @needs_cc
 @pytest.mark.parametrize("filtered", [False, True])
 @pytest.mark.parametrize("made", [compensator(), like_the_demo()], ids=["plain", "like the demo"])
-def test_after_a_hostile_sequence_the_output_is_soon_the_undisturbed_one(
+def test_after_a_hostile_sequence_the_output_soon_equals_the_undisturbed_one(
     made: DirectInverse, filtered: bool, tmp_path: Path
 ) -> None:
     period_s = made.sample_period_s
     filter_ = ReferenceFilter(period_s) if filtered else None
-    recovery = round(1.0 / period_s)  # a second, less than ten times the longest relaxation
+    recovery = round(1.0 / period_s)  # one second, less than ten times the longest relaxation
     samples = round(1.5 / period_s)
     for step in c_forms(made, tmp_path, filter_):
         undisturbed = step.block(motion(samples, period_s))
@@ -84,7 +84,7 @@ def test_after_a_hostile_sequence_the_output_is_soon_the_undisturbed_one(
             assert float(left) <= TOLERANCE_V, (seed, float(left))
 
 
-def test_a_held_sample_does_not_carry_the_lead_past_the_turning_point_of_the_motion() -> None:
+def test_a_held_sample_does_not_drive_the_lead_beyond_the_turning_point_of_the_motion() -> None:
     made = like_the_demo()
     yd = motion(1500, made.sample_period_s)
     most = max(accepted_by(made, yd))
@@ -95,7 +95,7 @@ def test_a_held_sample_does_not_carry_the_lead_past_the_turning_point_of_the_mot
 
 
 @pytest.mark.parametrize("frequency_hz", [4.0, 15.0, 22.0])
-def test_a_motion_up_to_2_7_times_as_fast_as_trained_is_taken_as_it_is(frequency_hz: float) -> None:
+def test_a_motion_up_to_2_7_times_as_fast_as_trained_is_accepted_unchanged(frequency_hz: float) -> None:
     stream = compensator().stream()
     t = PERIOD_S * torch.arange(500, dtype=torch.float64)
     yd = 4.0 - 3.9 * torch.cos(2 * math.pi * frequency_hz * t)
@@ -110,7 +110,7 @@ def test_a_motion_up_to_2_7_times_as_fast_as_trained_is_taken_as_it_is(frequency
 
 
 def accepted_by(made: DirectInverse, yd: Tensor) -> list[float]:
-    """What the plays are driven with before creep, µm."""
+    """Return the input of the plays before creep, µm."""
     stream = made.stream()
     found = []
     for sample in yd.tolist():
@@ -119,7 +119,7 @@ def accepted_by(made: DirectInverse, yd: Tensor) -> list[float]:
     return found
 
 
-def test_within_the_trained_motions_the_lead_is_that_of_the_batch_pass() -> None:
+def test_for_trained_motions_the_stream_equals_the_batch_pass() -> None:
     made = like_the_demo()
     yd = motion(400, made.sample_period_s)
     with torch.no_grad():
@@ -129,7 +129,7 @@ def test_within_the_trained_motions_the_lead_is_that_of_the_batch_pass() -> None
 
 @needs_cc
 @pytest.mark.parametrize("slew", [None, 500.0])
-def test_hostile_sequences_have_the_same_bits_in_every_form(slew: float | None, tmp_path: Path) -> None:
+def test_hostile_sequences_give_the_same_bits_in_every_form(slew: float | None, tmp_path: Path) -> None:
     for made in (compensator(max_slew_v_s=slew), like_the_demo()):
         (tmp_path / str(made.sample_period_s)).mkdir()
         check_bits(made, tmp_path / str(made.sample_period_s))
@@ -191,7 +191,7 @@ def test_an_indirect_inverse_stays_finite_and_within_limits() -> None:
         assert same_bits(script.block(yd), u) and bool(((u >= 0.0) & (u <= 10.0)).all()), seed
 
 
-def test_one_glitch_leaves_nothing_behind() -> None:
+def test_a_single_glitch_does_not_affect_the_output() -> None:
     stream, other = compensator().stream(), compensator().stream()
     yd = motion(400)
     yd[300:] = yd[299]
@@ -212,7 +212,7 @@ def test_a_jump_is_held_until_four_samples_confirm_it_and_then_followed() -> Non
     settled(stream, 1.0)
     before = stream.step(1.0)
     assert [stream.step(7.0) for _ in range(4)] == [before] * 4 and stream.held_inputs == 4
-    # 4 times the largest trained rate, 200 µm/s.
+    # It is followed at 4 times the largest trained rate, 200 µm/s.
     accepted = []
     for _ in range(12):
         stream.step(7.0)
@@ -240,13 +240,13 @@ def test_an_abrupt_start_that_is_no_faster_than_trained_lags_by_a_sample() -> No
     assert taken == pytest.approx([1.0] * 4 + [1.08, 1.38, 1.57, 1.76]) and stream.held_inputs == 1
 
 
-def test_counters_tell_apart_what_happened() -> None:
+def test_counters_distinguish_held_inputs_range_violations_and_limited_outputs() -> None:
     stream = compensator(max_voltage_v=5.0).stream()
     settled(stream, 2.0)
     for sample in (math.nan, 20.0, -1e300):
         stream.step(sample)
     assert (stream.held_inputs, stream.outside_range, stream.limited_outputs) == (3, 0, 0)
-    for _ in range(4):  # which agree, and then may go further than before
+    for _ in range(4):  # four that agree, after which inputs may move further
         stream.step(2.0)
     for k in range(4):
         stream.step(2.0 + 0.07 * k)
@@ -258,7 +258,7 @@ def test_counters_tell_apart_what_happened() -> None:
     assert (stream.held_inputs, stream.outside_range, stream.limited_outputs) == (0, 0, 0)
 
 
-def test_nothing_is_accepted_beyond_the_training_that_the_voltage_does_not_reach() -> None:
+def test_accepted_inputs_are_limited_by_the_trained_and_reachable_ranges() -> None:
     limits = compensator().step_limits()
     reached = compensator().reach()
     assert limits.accepted_um[0] >= RANGE_UM[0] - 0.25 * 8.0
@@ -278,7 +278,7 @@ def test_the_voltage_changes_no_faster_than_its_slew_limit() -> None:
 @needs_cc
 @pytest.mark.parametrize("at_um", [0.0, 0.7, 5.0, 7.9])
 @pytest.mark.parametrize("filtered", [False, True])
-def test_a_start_at_a_measured_displacement_or_voltage_has_no_bump(
+def test_a_start_at_a_measured_displacement_or_voltage_is_bumpless(
     at_um: float, filtered: bool, tmp_path: Path
 ) -> None:
     made, filter_ = compensator(), ReferenceFilter(PERIOD_S) if filtered else None
@@ -296,7 +296,7 @@ def test_a_start_at_a_measured_displacement_or_voltage_has_no_bump(
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -1e300, 20.0])
-def test_a_start_at_nonsense_is_the_de_energised_state_and_counts(value: float) -> None:
+def test_a_start_at_an_invalid_value_is_counted_and_uses_the_de_energised_state(value: float) -> None:
     stream, fresh = compensator().stream(), compensator().stream()
     fresh.reset_at(0.0)
     expected = fresh.step(0.0)
@@ -307,7 +307,7 @@ def test_a_start_at_nonsense_is_the_de_energised_state_and_counts(value: float) 
 
 
 @needs_cc
-def test_c_is_clean_under_the_sanitizers(tmp_path: Path) -> None:
+def test_the_c_code_is_clean_under_the_sanitizers(tmp_path: Path) -> None:
     export_files(compensator(max_slew_v_s=500.0), tmp_path / "demo", ("c",), ReferenceFilter(PERIOD_S))
     source = tmp_path / "hammer.c"
     source.write_text((Path(__file__).parent / "hammer.c").read_text())
@@ -322,7 +322,7 @@ def test_c_is_clean_under_the_sanitizers(tmp_path: Path) -> None:
         assert done.returncode == 0, done.stdout + done.stderr
 
 
-def test_hand_written_compensators_hold_what_is_far_beyond_their_reach() -> None:
+def test_an_untrained_compensator_holds_inputs_far_beyond_its_reach() -> None:
     made = DirectInverse(PERIOD_S, [0.0, 0.5], degree=1)
     with torch.no_grad():
         made.weights.theta[:, 0] = torch.tensor([1.2, -0.1])

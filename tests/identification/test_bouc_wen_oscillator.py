@@ -18,26 +18,26 @@ from torchpi.stage.bouc_wen_oscillator import BoucWenOscillator
 
 BENCHMARK = Path(__file__).parents[3] / "shared" / "data" / "bouc_wen" / "train.h5"
 PUBLISHED = BoucWenParameters(2.0, 10.0, 5e4, 5e4, 1e3 * 0.8, 1e3 * -1.1, 1.0)
-"""Noël and Schoukens, 2016, table 1: what the fit has to find by itself."""
+"""Noël and Schoukens, 2016, table 1: parameters that the fit must recover."""
 NOISE_UM = 2.0
 
 
 def recorded(oscillator: BoucWenOscillator, u: np.ndarray, seed: int = 0) -> Recording:
-    """From rest, with noise and a sensor that does not read zero there."""
+    """Return a recording that starts at rest, with noise and a sensor offset."""
     y = oscillator.simulate(torch.from_numpy(u)[None])[0].numpy()
     y += NOISE_UM * np.random.default_rng(seed).standard_normal(len(u)) + 7.0
     return Recording(f"seed {seed}", np.arange(len(u)) / RATE_HZ, u, y, RATE_HZ)
 
 
 def error_of(found: BoucWenOscillator, true: BoucWenOscillator) -> float:
-    """Relative, on a motion that was not fitted."""
+    """Return the relative error on a motion that was not fitted."""
     u = torch.from_numpy(multisine(2048, 12.0, seed=99))[None]
     y, expected = found.simulate(u), true.simulate(u)
     return float((y - y.mean() - expected + expected.mean()).std() / expected.std())
 
 
-def test_physical_parameters_come_back_from_noisy_recordings() -> None:
-    # Integrated at another rate and with other steps than the fit does.
+def test_physical_parameters_are_recovered_from_noisy_recordings() -> None:
+    # The recordings are integrated at a higher rate and with other steps than the fit uses.
     true = an_oscillator()
     fine = [true.at_sample_rate(4 * RATE_HZ) for _ in range(2)]
     recordings = []
@@ -55,7 +55,7 @@ def test_physical_parameters_come_back_from_noisy_recordings() -> None:
         assert width < 0.15 * abs(value), name
 
 
-def test_another_exponent_and_a_held_force_are_found() -> None:
+def test_an_exponent_other_than_1_and_a_held_force_are_identified() -> None:
     unit = 10.0**0.8
     true = an_oscillator(between="held", exponent=1.8, dissipation=900.0 / unit, hardening=300.0 / unit)
     found = identify_oscillator([recorded(true, multisine(2048, 15.0))])
@@ -66,7 +66,7 @@ def test_another_exponent_and_a_held_force_are_found() -> None:
     assert error_of(found.oscillator, true) < 3e-3
 
 
-def test_samples_that_do_not_count_are_not_looked_at() -> None:
+def test_samples_that_do_not_count_do_not_affect_the_fit() -> None:
     one = recorded(an_oscillator(), multisine(1024, 12.0))
     counted = np.arange(len(one)) < 640
     spoilt = replace(one, y=np.where(counted, one.y, 1e4))
@@ -76,7 +76,7 @@ def test_samples_that_do_not_count_are_not_looked_at() -> None:
 
 
 @pytest.mark.skipif(not BENCHMARK.is_file(), reason="the recording of the Bouc–Wen benchmark is not here")
-def test_of_the_benchmark_the_published_parameters_are_found_and_the_noise_is_left() -> None:
+def test_on_the_benchmark_published_parameters_are_found_and_only_noise_remains() -> None:
     options = RecordingOptions(
         input_column="multisine/u", output_column="multisine/y", output_unit="m", fs_hz="multisine/fs"
     )
@@ -95,21 +95,21 @@ def test_of_the_benchmark_the_published_parameters_are_found_and_the_noise_is_le
     assert float((found.simulate(torch.from_numpy(one.u)[None], True) - reference).std()) < 0.8  # µm
 
 
-def test_recordings_without_a_mode_or_of_two_rates_are_refused() -> None:
+def test_unsuitable_recordings_are_refused_with_the_reason() -> None:
     random = np.random.default_rng(0)
     noise = Recording("noise", np.arange(2000) / RATE_HZ, *random.standard_normal((2, 2000)), RATE_HZ)
     one = recorded(an_oscillator(), multisine(1024))
     for recordings, message in (
-        ([noise], "noise: found (no mode in the frequency response|.* rms left of)"),
+        ([noise], "noise: found (no mode in the frequency response|a residual of .* rms of)"),
         ([one, replace(one, name="other", fs_hz=600.0)], "other: found 600 Hz, expected 500 Hz as in seed 0"),
-        ([replace(one, t=one.t[:300], u=one.u[:300], y=one.y[:300])], "found 300 samples in a row to fit"),
-        ([replace(one, u=np.ones(1024))], "found a force or displacement that never moves"),
+        ([replace(one, t=one.t[:300], u=one.u[:300], y=one.y[:300])], "found 300 consecutive samples to fit"),
+        ([replace(one, u=np.ones(1024))], "found a constant force or displacement"),
     ):
         with pytest.raises(RecordingError, match=message):
             identify_oscillator(recordings)
 
 
-def test_options_without_meaning_are_named() -> None:
+def test_an_invalid_option_is_refused_by_name() -> None:
     with pytest.raises(ConfigError, match="between: found 'cubic', expected one of"):
         OscillatorOptions(between="cubic")
     with pytest.raises(ConfigError, match=r"exponent: found 9, expected a number from 0\.5 to 6"):

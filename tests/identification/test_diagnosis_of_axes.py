@@ -1,4 +1,4 @@
-"""What a linear simulation of several axes has left out."""
+"""Diagnosis of the physics that a linear simulation of several axes lacks."""
 
 from dataclasses import replace
 
@@ -23,7 +23,7 @@ from torchpi.stage.multi_axis import MultiAxisStage
 OPTIONS = MultiAxisOptions(modes=2, extra_elements=0, times_s=(0.05,), seconds=3.0)
 
 
-def test_hysteresis_is_named_and_its_stage_predicts_what_was_held_out() -> None:
+def test_hysteresis_is_named_and_its_stage_predicts_the_held_out_recordings() -> None:
     logged: list[str] = []
     found = diagnose_axes(recordings(two_axes(), (0.3, 0.6), 4), None, OPTIONS, logged.append)
     assert found.named is not None and found.named.startswith(HYSTERESIS)
@@ -43,20 +43,20 @@ def linear(extra: float = 0.0) -> MultiAxisStage:
     return stage
 
 
-def test_of_a_linear_stage_other_numbers_are_enough() -> None:
+def test_a_linear_stage_with_wrong_parameters_lacks_no_physics() -> None:
     found = diagnose_axes(recordings(linear(), (0.3, 0.6), 3), linear(0.01), OPTIONS)
     assert found.named is None
-    assert found.summary.startswith("No physics that was tried is missing")
+    assert found.summary.startswith("None of the effects that were tried is missing")
     assert all(level.errors_um[STAGE] < 0.1 * level.errors_um[SIMULATION] for level in found.levels)
     assert found.stage.shapes.elements == 0
 
 
-def test_recordings_that_do_not_fit_are_named() -> None:
+def test_unsuitable_recordings_are_refused_with_the_reason() -> None:
     every = recordings(linear(), (0.3,), 3)
-    with pytest.raises(RecordingError, match="found 2 realisations at one amplitude, expected 3 at least"):
+    with pytest.raises(RecordingError, match="found 2 realisations at one amplitude, expected at least 3"):
         diagnose_axes(every[:2], None, OPTIONS)
     larger = replace(every[0], u=2 * every[0].u, name="large")
-    with pytest.raises(RecordingError, match=r"large: found one realisation at .* V rms, expected two"):
+    with pytest.raises(RecordingError, match=r"large: found one realisation at .*, expected at least two"):
         diagnose_axes([*every, larger], None, OPTIONS)
     three = [replace(one, y=np.concatenate([one.y, one.y[:, :1]], 1)) for one in every]
     with pytest.raises(RecordingError, match="found 2 inputs and 3 outputs, expected 2 and 2 as in the sim"):
@@ -66,7 +66,7 @@ def test_recordings_that_do_not_fit_are_named() -> None:
         diagnose_axes(slow, linear(), OPTIONS)
 
 
-def test_a_stage_says_its_loops_its_modes_and_its_coupling() -> None:
+def test_loops_modes_and_static_coupling_are_computed_from_a_stage() -> None:
     stage = two_axes()
     assert loop_of(stage, 1, 1.0).width > 0.015
     assert loop_of(linear(), 1, 1.0).width < 0.01
@@ -81,7 +81,7 @@ def test_a_stage_says_its_loops_its_modes_and_its_coupling() -> None:
     np.testing.assert_allclose(static_gain_of(linear(), 0.5)[:, 0], expected, rtol=1e-3)
 
 
-def test_a_loop_without_a_bounded_answer_is_none() -> None:
+def test_a_loop_is_none_if_the_response_is_unbounded() -> None:
     driven = two_axes()
     driven.arrays()["weights"][:, -1] = 10.0
     assert loops_of(driven, 1.0) == [None, None]

@@ -1,4 +1,4 @@
-"""Fits find what made a record, from wrong starts, and no worse than a general optimiser does."""
+"""Fits recover the model behind a record from wrong starts, no worse than a general optimiser."""
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ THRESHOLDS = [0.0, 0.2, 0.5, 0.9, 1.4]
 
 
 def wandering(seed: int, samples: int) -> Motion:
-    """0 to 4 µm, with reversals of all sizes, and its rate."""
+    """Return a motion from 0 to 4 µm with reversals of all sizes, and its derivatives."""
     t = PERIOD * np.arange(samples)
     random = np.random.default_rng(seed)
     y, rate = np.zeros(samples), np.zeros(samples)
@@ -31,7 +31,7 @@ def wandering(seed: int, samples: int) -> Motion:
 
 
 def pairs(made: DirectInverse, lengths: tuple[int, ...], noise_v: float = 0.0) -> list[InversePair]:
-    """Records of these lengths, and the voltages that `made` needs for them."""
+    """Return records of these lengths, with the voltages that `made` needs for them."""
     found = []
     for seed, samples in enumerate(lengths):
         motion = wandering(seed, samples)
@@ -50,7 +50,7 @@ def truth(**form: object) -> DirectInverse:
     return made
 
 
-def test_everything_planted_is_found_again() -> None:
+def test_the_fits_recover_all_parameters_of_the_true_inverse() -> None:
     made = truth(lead=2, creep_time_constants_s=[0.02, 0.3], offset=True)
     with torch.no_grad():
         made.scaled_lead.copy_(torch.tensor([1.5, 0.4]))
@@ -60,7 +60,7 @@ def test_everything_planted_is_found_again() -> None:
     records = pairs(made, (1500, 900, 2200))
     fitted = DirectInverse(**made.hyper_parameters)
     fit_two_stage(fitted, records)
-    assert fit_joint(fitted, records) < 2e-4  # V, of 5; what the ridge on the weights costs
+    assert fit_joint(fitted, records) < 2e-4  # V, of 5 V; due to the ridge on the weights
     assert fitted.scaled_lead.tolist() == pytest.approx([1.5, 0.4], rel=2e-2)
     assert fitted.creep_gains.tolist() == pytest.approx([-0.03, 0.05], rel=2e-2)
     assert fitted.offset.item() == pytest.approx(0.6, abs=1e-2)
@@ -68,7 +68,7 @@ def test_everything_planted_is_found_again() -> None:
     assert ratio[1] == pytest.approx(ratio[0], rel=5e-2)
 
 
-def test_a_planted_grid_of_thresholds_is_found_with_thresholds_free() -> None:
+def test_the_joint_fit_recovers_the_true_thresholds_if_they_are_free() -> None:
     made = truth()
     [record] = pairs(made, (3000,))
     start = [1.12 * r + 0.03 * (r > 0) for r in THRESHOLDS]
@@ -76,7 +76,7 @@ def test_a_planted_grid_of_thresholds_is_found_with_thresholds_free() -> None:
     fitted = DirectInverse(PERIOD, start, degree=2, rate="none", train_thresholds=True, **scales)
     fit_saturation(fitted, [record])
     assert fit_joint(fitted, [record]) < 2e-4
-    # The scale of S and that of the thresholds are one number: only their ratio is in the record.
+    # Only the ratio of the thresholds to the scale of S can be identified from the record.
     scale = (fitted.saturation.c[0] / made.saturation.c[0]).item()
     assert (fitted.plays.r / scale).tolist() == pytest.approx(THRESHOLDS, rel=1e-2)
     assert fitted.plays.r[0] == 0.0
@@ -91,7 +91,7 @@ def test_free_thresholds_stay_positive() -> None:
 
 @pytest.mark.parametrize("seed", range(4))
 def test_stage_1_is_no_worse_than_scipy_on_random_problems(seed: int) -> None:
-    """The reference solves for the weights too, with finite differences, from S = x and from the truth."""
+    """The reference also solves for the weights, by finite differences, from S = x and from the truth."""
     random = np.random.default_rng(seed)
     made = truth()
     with torch.no_grad():
@@ -113,7 +113,7 @@ def test_stage_1_is_no_worse_than_scipy_on_random_problems(seed: int) -> None:
     assert fit_saturation(fitted, [record]) <= 1.001 * np.sqrt(2 * best / len(u))
 
 
-def test_several_starts_leave_no_more_than_one() -> None:
+def test_several_starts_leave_no_larger_error_than_one_start() -> None:
     better = 0
     for seed in range(4):
         random = np.random.default_rng(seed)
@@ -129,7 +129,7 @@ def test_several_starts_leave_no_more_than_one() -> None:
     assert better >= 1
 
 
-def test_a_descent_goes_on_towards_what_another_reached_and_gives_up_what_it_cannot_reach() -> None:
+def test_a_descent_continues_if_it_can_beat_the_best_objective_and_otherwise_gives_up() -> None:
     [record] = pairs(truth(lead=1), (1200,), noise_v=0.02)
     start = DirectInverse(PERIOD, THRESHOLDS, degree=2, range_um=4.0, rate_scale_um_s=100.0, lead=1)
     problem = joint_problem(start, [record])
@@ -140,7 +140,7 @@ def test_a_descent_goes_on_towards_what_another_reached_and_gives_up_what_it_can
     assert (given_up == alpha).all()
 
 
-def test_the_joint_fit_never_leaves_more_than_it_found() -> None:
+def test_the_joint_fit_never_increases_the_error_and_reports_it_exactly() -> None:
     records = pairs(truth(lead=1), (1200, 700), noise_v=0.05)
     fitted = DirectInverse(
         PERIOD, THRESHOLDS, degree=3, range_um=4.0, rate_scale_um_s=100.0, lead=1, rate="neural", hidden=2
@@ -152,8 +152,8 @@ def test_the_joint_fit_never_leaves_more_than_it_found() -> None:
     assert torch.cat(errors).square().mean().sqrt().item() == pytest.approx(after, rel=1e-9)
 
 
-def test_no_scale_is_chosen_at_which_the_widest_play_hardly_moves() -> None:
-    """One loop, as of one sine, fits a little better there, and loops of other amplitudes much worse."""
+def test_the_fit_rejects_scales_of_s_at_which_the_widest_play_hardly_moves() -> None:
+    """Such a scale fits the loop of one sine slightly better, but loops of other amplitudes much worse."""
     made = truth()
     t = PERIOD * np.arange(3000)
     y = 2 - 2 * np.cos(2 * np.pi * t)

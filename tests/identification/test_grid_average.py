@@ -1,4 +1,4 @@
-"""The mean of fits on several grids is one bank of plays, no larger, that cannot run backwards."""
+"""The mean of fits on several grids is a single bank of plays, no larger, which cannot run backwards."""
 
 import numpy as np
 import pytest
@@ -36,7 +36,7 @@ def voltage(compensator: DirectInverse, record: InversePair) -> torch.Tensor:
     return u
 
 
-def test_it_has_the_mean_voltage_where_one_grid_holds_the_thresholds_of_the_other() -> None:
+def test_the_average_has_the_mean_voltage_if_one_grid_contains_the_other() -> None:
     [record] = pairs(truth(rate="none"), (1500,), noise_v=0.01)
     fine = spread_thresholds(9, 4.0, 0.6)
     alpha = problems_on([fine], record)[0].alpha
@@ -49,7 +49,7 @@ def test_it_has_the_mean_voltage_where_one_grid_holds_the_thresholds_of_the_othe
     torch.testing.assert_close(voltage(averaged, record), mean, rtol=0, atol=1e-12)
 
 
-def test_it_has_the_mean_polynomial_and_does_not_run_backwards() -> None:
+def test_the_average_has_the_mean_polynomial_and_does_not_run_backwards() -> None:
     [record] = pairs(truth(), (1500,), noise_v=0.05)
     problems = problems_on([spread_thresholds(9, 4.0, spread) for spread in GRIDS], record)
     averaged = average_over_grids(problems, [np.array([-0.02]), np.array([0.03])])
@@ -60,7 +60,7 @@ def test_it_has_the_mean_polynomial_and_does_not_run_backwards() -> None:
     assert monotone(averaged, (min(0.0, float(y.min())), float(y.max())), (-1.0, 1.0))
 
 
-def test_a_polynomial_of_lower_degree_has_no_other_coefficients_in_the_mean() -> None:
+def test_the_mean_takes_missing_coefficients_of_a_lower_degree_as_zero() -> None:
     [record] = pairs(truth(), (1500,), noise_v=0.05)
     problems = problems_on([spread_thresholds(9, 4.0, spread) for spread in GRIDS], record)
     straight, half = (
@@ -75,7 +75,7 @@ def test_a_polynomial_of_lower_degree_has_no_other_coefficients_in_the_mean() ->
 
 
 def from_rest(samples: int) -> InversePair:
-    """One sine from the de-energised state, five periods."""
+    """Return a record of five periods of a sine from the de-energised state."""
     t = np.arange(samples) * PERIOD
     w = 10 * np.pi / t[-1]
     parts = 2 - 2 * np.cos(w * t), 2 * w * np.sin(w * t), 2 * w**2 * np.cos(w * t)
@@ -85,7 +85,7 @@ def from_rest(samples: int) -> InversePair:
     return InversePair("sine", motion, u, slice(0, None), PERIOD)
 
 
-def test_a_record_that_begins_within_its_loops_does_not_show_its_first_loading() -> None:
+def test_only_a_record_from_rest_shows_the_first_loading() -> None:
     record = from_rest(1500)
     assert shows_first_loading(record, 0.45)
     assert not shows_first_loading(record._replace(counted=slice(200, None)), 0.45)
@@ -98,7 +98,7 @@ def test_a_record_that_begins_within_its_loops_does_not_show_its_first_loading()
     [(0, (0.45, 0.3), True), (200, (0.45, 0.3), False), (0, (0.45,), False)],
     ids=["from rest", "within its loops", "thresholds given"],
 )
-def test_a_single_record_is_averaged_where_it_shows_its_first_loading(
+def test_a_single_record_is_averaged_only_if_it_shows_the_first_loading(
     start: int, spreads: tuple[float, ...], averaged: bool
 ) -> None:
     record = from_rest(1500)._replace(counted=slice(start, None))
@@ -112,7 +112,7 @@ def test_a_single_record_is_averaged_where_it_shows_its_first_loading(
 BENT = Richest(range(1), degree=2, lead=0, creep_time_constants_s=(), rate=False)
 
 
-def test_where_the_blocks_contradict_all_folds_s_has_half_of_the_bend(
+def test_if_blocks_and_all_folds_disagree_on_the_degree_s_has_half_the_bend(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     search = _Search(build, lambda _: [from_rest(1500)], BENT)
@@ -133,13 +133,13 @@ def test_where_the_blocks_contradict_all_folds_s_has_half_of_the_bend(
     [([0.9, 0.91, 0.89, 0.9, 0.9], 2), ([0.99, 0.7, 0.95, 0.9, 1.0], 1), ([1.0] * 5, 1)],
     ids=["all lower", "within two standard errors", "equal"],
 )
-def test_blocks_alone_judge_a_bend_by_two_standard_errors(
+def test_blocks_accept_a_bend_only_if_better_by_two_standard_errors(
     ratios: list[float], degree: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     search = _Search(build, lambda _: [from_rest(1500)], BENT)
 
     def tried(form: Form, start: _Trial | None = None) -> _Trial:
-        slow_and_fast = [2.0, 2.0]  # would say the contrary
+        slow_and_fast = [2.0, 2.0]  # these folds must not count
         return _Trial(form, [], np.array([*ratios, *slow_and_fast]) ** 2 if form.degree == 2 else np.ones(7))
 
     monkeypatch.setattr(search, "tried", tried)

@@ -1,4 +1,4 @@
-"""The paper's two stages find what made a record; errors are what they say."""
+"""The paper's two stages recover the model behind a record, and reported errors are correct."""
 
 import math
 
@@ -36,7 +36,7 @@ def truth() -> DirectInverse:
 
 
 def pair(name: str, hz: list[float], made: DirectInverse, rate_weights: bool) -> InversePair:
-    """Displacements by formula, and the voltages that `made` needs for them."""
+    """Return sums of sines with exact derivatives, and the voltages that `made` needs for them."""
     t = PERIOD * torch.arange(6000, dtype=torch.float64)
     omegas = [2 * math.pi * f for f in hz]
     yd = 4 + sum((4 / len(hz)) * torch.sin(w * t - math.pi / 2) for w in omegas)
@@ -48,7 +48,7 @@ def pair(name: str, hz: list[float], made: DirectInverse, rate_weights: bool) ->
     return InversePair(name, motion, u, slice(0, 6000), PERIOD)
 
 
-def test_two_stages_find_the_polynomial_and_the_voltages() -> None:
+def test_two_stages_recover_the_polynomial_and_the_voltages() -> None:
     made = truth()
     slow, fast = pair("slow", [5], made, False), pair("fast", [20, 50, 80], made, True)
     fitted = DirectInverse(
@@ -77,7 +77,7 @@ def test_stage_two_is_the_linear_least_squares_of_eq_11() -> None:
     assert result.fast_rms_v == pytest.approx(best, rel=1e-4, abs=1e-9)
 
 
-def test_offset_is_fitted_where_it_is_wanted() -> None:
+def test_the_offset_is_fitted_only_if_requested() -> None:
     made = truth()
     slow = pair("slow", [5], made, False)
     shifted = slow._replace(u=slow.u + 0.7)
@@ -88,10 +88,10 @@ def test_offset_is_fitted_where_it_is_wanted() -> None:
     assert plain.offset.item() == 0.0
 
 
-def test_errors_of_a_known_miss_are_that_miss() -> None:
+def test_reported_errors_equal_a_known_error() -> None:
     made = truth()
     slow = pair("slow", [5], made, False)
-    # 0.1 V too much all along, through a slope of 0.8 µm/V.
+    # A constant error of 0.1 V on a stage with a slope of 0.8 µm/V.
     straight = DirectInverse(PERIOD, [0.0])
     with torch.no_grad():
         straight.weights.theta[0, 0] = 1.25
@@ -124,7 +124,7 @@ def test_pair_looks_ahead_by_the_preview() -> None:
     assert inverse_pair(recording, skip_s=0.5).counted == slice(500, 2000)
 
 
-def test_a_record_with_nothing_left_to_count_is_refused() -> None:
+def test_a_record_with_too_few_samples_after_the_skip_is_refused() -> None:
     t = np.arange(300) * 1e-3
     recording = Recording("r", t, t, np.sin(t), 1000.0, source="r.csv")
     with pytest.raises(RecordingError, match=r"r\.csv: found 300 samples, expected at least 100"):
@@ -145,7 +145,7 @@ def test_joint_fit_finds_creep_and_lag_that_two_stages_cannot() -> None:
     fitted = DirectInverse(**made.hyper_parameters)
     fit_two_stage(fitted, pairs)
     before = inverse_errors(fitted, pairs).rms_v
-    # What the scale of S leaves, as in the two stages above; the physics is what is asked for here.
+    # The scale of S causes the remaining error, as above; this test is about the physical parameters.
     assert fit_joint(fitted, pairs) < 4e-3 < 0.2 * before
     assert fitted.lead.item() == pytest.approx(1.5 * PERIOD, rel=0.05)
     assert fitted.creep_gains.item() == pytest.approx(-0.03, rel=0.1)

@@ -1,4 +1,4 @@
-"""Every method fitted to recordings: finds what made them, and says when it cannot."""
+"""Every fitted method recovers the plant behind its recordings, and reports when it cannot."""
 
 import numpy as np
 import pytest
@@ -38,7 +38,7 @@ def records(plant: Operator, thresholds: list[float] = R, **options) -> Records:
     return Records(pairs[0], [pairs[1]], thresholds, **options)
 
 
-def test_conventional_finds_weights_and_saturation() -> None:
+def test_the_conventional_fit_recovers_weights_and_saturation() -> None:
     zones = DeadZones([0.0, 2.0, 4.0], [1.0, 0.1, -0.15])
     plant = Chain(plays=PrandtlIshlinskii(R, W), saturation=zones)
     undone = zones.inverse()
@@ -50,7 +50,7 @@ def test_conventional_finds_weights_and_saturation() -> None:
     assert (inverse(y) - fitted.fast[0].u)[0, 200:-200].abs().max() < 0.03
 
 
-def test_rate_dependent_is_nearly_its_model_where_the_motion_is_mild() -> None:
+def test_the_rate_dependent_fit_is_much_better_than_the_conventional_one() -> None:
     k = [-2e-6, 3e-6, 1e-6, 1e-6]
     fitted = records(RateDependentPI(PERIOD_S, R, k, W))
     inverse = fit_rate_dependent(fitted)
@@ -59,7 +59,7 @@ def test_rate_dependent_is_nearly_its_model_where_the_motion_is_mild() -> None:
     assert error.square().mean() < 0.2 * without.square().mean()
 
 
-def test_time_varying_thresholds_finds_their_growth() -> None:
+def test_the_fit_of_time_varying_thresholds_recovers_their_growth() -> None:
     plant = TimeVaryingThresholdPI(PERIOD_S, R, W, [0.0, 4e-4, 4e-4, 4e-4])
     inverse = fit_time_varying_thresholds(records(plant))
     # The plant's growth is per V/s, the compensator's per µm/s.
@@ -68,12 +68,12 @@ def test_time_varying_thresholds_finds_their_growth() -> None:
     assert inverse.rho[1] == pytest.approx(4e-4 / rise, rel=0.25)
 
 
-def test_cascade_finds_the_lead_of_a_lag() -> None:
+def test_the_cascade_fit_finds_the_lead_that_compensates_a_lag() -> None:
     plant = Chain(hysteresis=PrandtlIshlinskii(R, W), dynamics=SensorLag(PERIOD_S, cutoff_hz=500.0))
     assert fit_cascade(records(plant), order=1).lead[0] == pytest.approx(1 / (2 * np.pi * 500), rel=0.1)
 
 
-def test_generalised_fits_the_slow_record_no_worse_than_one_envelope() -> None:
+def test_a_generalised_fit_of_degree_3_fits_the_slow_record_better_than_degree_1() -> None:
     zones = DeadZones([0.0, 2.0, 4.0], [1.0, 0.1, -0.15])
     fitted = records(Chain(plays=PrandtlIshlinskii(R, W), saturation=zones))
     fitted.fast = [fitted.slow]
@@ -85,14 +85,14 @@ def test_generalised_fits_the_slow_record_no_worse_than_one_envelope() -> None:
     assert errors[1] < 0.08
 
 
-def test_a_saturation_without_inverse_is_refused_with_the_record() -> None:
-    """A plant that comes down at the top gives a slope that is not positive there."""
+def test_a_saturation_without_an_inverse_is_refused_naming_the_record() -> None:
+    """A plant whose output decreases near the top yields a slope there that is not positive."""
 
     class Folding(Operator):
         def forward(self, x, state=None):
             y = torch.where(x < 8, x, 16 - x)
             return y, self.initial_state(len(x))
 
-    with pytest.raises(ConfigError, match=r"slow: .*take fewer dead zones") as refusal:
+    with pytest.raises(ConfigError, match=r"slow: .*use fewer dead zones") as refusal:
         records(Folding(), dead_zones=[0.0, *np.linspace(0.5, 7.9, 12)])
     assert "\n" not in str(refusal.value)

@@ -1,4 +1,4 @@
-"""Weights that cannot turn the inverse round: a guarantee, at no price where it is not needed."""
+"""Constrained weights guarantee a monotone inverse, at no cost if it is monotone anyway."""
 
 import numpy as np
 import pytest
@@ -28,7 +28,7 @@ def fitted(compensator: DirectInverse, records: list[InversePair]) -> float:
 
 
 def hostile(seed: int, sign: float = 1.0) -> InversePair:
-    """A voltage that runs backwards just after each reversal, and with the rate."""
+    """Return a record whose voltage runs backwards just after each reversal, and with the rate."""
     motion = wandering(seed, 1500)
     u = sign * (motion.yd - 0.02 * motion.yd_dot) + 0.4 * torch.sin(9 * motion.yd)
     return InversePair(str(seed), motion, u, slice(50, None), PERIOD)
@@ -48,17 +48,17 @@ def test_the_inverse_never_runs_backwards_over_the_recorded_range_and_rates(
     fitted(bound, [record])
     assert monotone(bound, *over)
     if rate == "linear":
-        assert not monotone(free, *over)  # the record runs backwards
+        assert not monotone(free, *over)  # as the record itself runs backwards
 
 
-def test_what_is_monotone_anyway_is_found_again() -> None:
+def test_the_constrained_fit_recovers_an_inverse_that_is_already_monotone() -> None:
     made = truth(rate="linear", lead=1, creep_time_constants_s=[0.3], offset=True)
     with torch.no_grad():
         made.scaled_lead.fill_(1.5)
         made.creep_gains.fill_(0.05)
         made.weights.theta[:, 1] = torch.tensor([0.02, 0.01, 0.0, -0.01, 0.005])
         made.offset.fill_(0.6)
-    # A scale of S that the problem takes for granted: S(4) = 4.
+    # The problem assumes this scale of S: S(4) = 4.
     made.saturation.set_coefficients(torch.tensor([1.12, -0.03], dtype=torch.float64))
     records = pairs(made, (1500, 2200))
     found = DirectInverse(**made.hyper_parameters)
@@ -78,14 +78,14 @@ def test_the_polynomial_rises_by_as_much_as_the_displacement() -> None:
     assert float(s.diff().detach()) == pytest.approx(float(ends.diff()), rel=1e-9)
 
 
-def test_a_polynomial_that_falls_is_no_candidate() -> None:
+def test_a_decreasing_polynomial_has_an_infinite_objective() -> None:
     problem = MonotoneProblem(form(), [hostile(1)])
     assert np.isfinite(problem.solve(np.array([0.1])).objective)
     assert np.isinf(problem.solve(np.array([0.5])).objective)
 
 
 @pytest.mark.parametrize("stiffness", [0.0, 1.0])
-def test_the_linearisation_is_the_slope_of_the_objective(stiffness: float) -> None:
+def test_the_linearisation_gives_the_gradient_of_the_objective(stiffness: float) -> None:
     [record] = pairs(truth(), (1500,), noise_v=0.05)
     made = form(lead=1, creep_time_constants_s=[0.1], offset=True)
     problem = MonotoneProblem(made, [record]).stiffened(stiffness)
@@ -98,7 +98,7 @@ def test_the_linearisation_is_the_slope_of_the_objective(stiffness: float) -> No
         assert slopes[k] == pytest.approx((ends[0] - ends[1]) / (2 * step), rel=2e-2, abs=1e-7)
 
 
-def test_the_stiffer_the_less_s_bends() -> None:
+def test_s_bends_less_at_higher_stiffness() -> None:
     [record] = pairs(truth(), (1500,), noise_v=0.05)
     bends = []
     for stiffness in (0.0, 1.0, 100.0):
@@ -108,7 +108,7 @@ def test_the_stiffer_the_less_s_bends() -> None:
     assert bends[0] > bends[1] > bends[2] > 0.0
 
 
-def test_only_the_rows_that_are_given_are_fitted() -> None:
+def test_only_the_given_rows_are_fitted() -> None:
     clean, spoilt = pairs(truth(), (1500, 1500))
     u = spoilt.u.clone()
     u[:, 700:] += 3.0

@@ -27,18 +27,18 @@ def rms(stage, every) -> float:
 
 
 @pytest.mark.parametrize("guard", [False, True])
-def test_the_gradient_is_that_of_finite_differences(guard: bool) -> None:
+def test_the_gradient_matches_finite_differences(guard: bool) -> None:
     random = np.random.default_rng(0)
     stage = two_axes()
     period = Period(multisine(random, 256, 0.5), random.standard_normal((256, 2)), 1.0)
     fit = PeriodicFit(stage, [], [period]) if guard else PeriodicFit(stage, [period])
-    if not guard:  # those of a guard begin where the period before does
+    if not guard:  # a guard's tangents start with the preceding period anyway
         fit.run_in = 1.0
     vector, errors = fit.vector(), fit.errors()
     assert errors is not None
     right = fit.gradient(errors)
     slopes = []
-    # Shorter than the way to the next kink, where a play begins to move.
+    # The step must not reach the next kink, where a play begins to move.
     for step in 1e-8 * np.eye(len(vector)):
         fit.put(vector + step)
         above = fit.cost(fit.errors())
@@ -47,10 +47,10 @@ def test_the_gradient_is_that_of_finite_differences(guard: bool) -> None:
     np.testing.assert_allclose(-np.array(slopes) / 2, right, rtol=1e-4, atol=1e-5 * np.abs(right).max())
 
 
-def test_the_normal_matrix_is_that_of_finite_differences(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_normal_matrix_matches_finite_differences(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("torchpi.identification.multi_axis.fit.STRIDE", 1)
     stage = two_axes()
-    stage.arrays()["through"][:] = 0.1  # else the first sample is at a kink
+    stage.arrays()["through"][:] = 0.1  # otherwise the first sample lies at a kink
     fit = PeriodicFit(stage, [Period(multisine(np.random.default_rng(0), 256, 0.5), np.zeros((256, 2)), 2.0)])
     fit.run_in = 1.0
     vector, rows = fit.vector(), []
@@ -69,7 +69,7 @@ def test_the_normal_matrix_is_that_of_finite_differences(monkeypatch: pytest.Mon
     assert np.abs((found - expected) / scale / scale[:, None]).max() < 1e-3
 
 
-def test_a_quasi_newton_step_knows_how_the_slope_changed_along_the_last_step() -> None:
+def test_a_quasi_newton_step_satisfies_the_secant_condition_of_the_last_step() -> None:
     random = np.random.default_rng(0)
     steps = random.standard_normal((2, 5))
     hessian = np.diag([1.0, 2.0, 3.0, 4.0, 5.0])
@@ -79,17 +79,17 @@ def test_a_quasi_newton_step_knows_how_the_slope_changed_along_the_last_step() -
     np.testing.assert_allclose(quasi_newton(steps[0], [], *begun), steps[0] / 4)
 
 
-def test_damping_is_in_proportion_to_the_slopes_of_recordings_alone() -> None:
+def test_damping_is_scaled_by_the_slopes_of_the_recordings_alone() -> None:
     gram, ringing = np.diag([4.0, 9.0, 16.0]), np.array([1e12, 0.0, 1e12])
     unit, scale = scaled(gram, np.outer(ringing, ringing))
     np.testing.assert_array_equal(scale, [2.0, 3.0, 4.0])
-    # What a guard does not see moves as if there were none, what it sees does not.
+    # A parameter that the guard does not see moves as without it; the direction that it sees hardly moves.
     step = np.linalg.solve(unit + 0.1 * np.eye(3), np.ones(3))
     assert step[1] == pytest.approx(1 / 1.1)
     assert abs(ringing / scale @ step) < 1e-4 * np.abs(ringing).max()
 
 
-def test_every_step_along_the_bent_valley_lowers_the_cost() -> None:
+def test_every_step_along_a_curved_valley_lowers_the_cost() -> None:
     every = recordings(two_axes(), (0.3, 0.6), 3)
     stage = two_axes(force=0.01)
     stage.arrays()["poles"][:] *= 0.995
@@ -104,7 +104,7 @@ def test_every_step_along_the_bent_valley_lowers_the_cost() -> None:
     assert (np.diff(costs) < 0).all()
 
 
-def test_band_limited_voltages_are_known_between_the_samples() -> None:
+def test_future_samples_improve_the_fit_to_band_limited_voltages() -> None:
     """A mode in continuous time, driven by a voltage with content up to 0.94 of the Nyquist frequency."""
     random, samples, found = np.random.default_rng(0), 1024, {}
     hertz = np.fft.rfftfreq(samples, 1 / RATE_HZ)
@@ -136,7 +136,7 @@ def test_an_identified_stage_predicts_realisations_that_it_was_not_fitted_to() -
     assert rms(stage, heldout) < 0.5 * rms(linear, heldout)
 
 
-def test_records_without_periods_take_the_time_domain_path() -> None:
+def test_non_periodic_recordings_are_identified_in_the_time_domain() -> None:
     stage, random, every = two_axes(), np.random.default_rng(7), []
     for run in range(4):
         u = multisine(random, 1500, 0.5)
@@ -147,7 +147,7 @@ def test_records_without_periods_take_the_time_domain_path() -> None:
     assert rms(fitted, every[3:]) < 0.05 * motion
 
 
-def test_a_pole_that_a_step_takes_out_of_the_unit_circle_comes_back_into_it() -> None:
+def test_a_pole_outside_the_unit_circle_is_brought_back_inside() -> None:
     stage = two_axes()
     fit = PeriodicFit(stage, [Period(np.zeros((8, 2)), np.zeros((8, 2)), 1.0)])
     vector = fit.vector()
@@ -157,24 +157,24 @@ def test_a_pole_that_a_step_takes_out_of_the_unit_circle_comes_back_into_it() ->
     np.testing.assert_array_equal(stage.arrays()["poles"][1], two_axes().arrays()["poles"][1])
 
 
-def test_a_period_without_a_bounded_answer_has_no_cost_below_any() -> None:
+def test_a_period_with_an_unbounded_response_has_infinite_cost() -> None:
     stage = two_axes()
     u = multisine(np.random.default_rng(1), 256, 0.2)
-    # Stiffness that falls with the amplitude: stable at this one, not at forty times it.
+    # The stiffness falls with the amplitude: stable at this amplitude, unstable at forty times it.
     stage.arrays()["weights"][:, 3] = 0.05
     small, large = (PeriodicFit(stage, [Period(share * u, np.zeros((256, 2)), 1.0)]) for share in (1, 40))
     assert np.isfinite(small.cost(small.errors()))
     assert large.cost(large.errors()) == np.inf
 
 
-def test_options_without_meaning_are_named() -> None:
-    with pytest.raises(ValueError, match="modes: found 0, expected a whole number from 1 on"):
+def test_an_invalid_option_is_refused_by_name() -> None:
+    with pytest.raises(ValueError, match="modes: found 0, expected a whole number, 1 or more"):
         MultiAxisOptions(modes=0)
     with pytest.raises(ValueError, match="amplifier_hz: found -1, expected a positive number"):
         MultiAxisOptions(amplifier_hz=-1)
 
 
-def test_a_stage_that_rings_by_itself_near_rest_costs() -> None:
+def test_a_stage_that_rings_by_itself_near_rest_has_a_high_cost() -> None:
     every = recordings(two_axes(), (0.3,), 2)
     calm, ringing = two_axes(), two_axes()
     ringing.arrays()["poles"][:] *= 1.02
@@ -185,7 +185,7 @@ def test_a_stage_that_rings_by_itself_near_rest_costs() -> None:
     assert costs[0] < 1e-3 * costs[1]
 
 
-def test_a_stage_that_a_slow_voltage_drives_without_bounds_is_no_step_of_a_fit() -> None:
+def test_a_stage_with_an_unbounded_response_to_a_slow_voltage_has_infinite_cost() -> None:
     every = recordings(two_axes(), (0.3,), 2)
     gain = static_gain_of(two_axes(), 0.1).T
     calm, driven = two_axes(), two_axes()
@@ -198,7 +198,7 @@ def test_a_stage_that_a_slow_voltage_drives_without_bounds_is_no_step_of_a_fit()
 
 
 @pytest.mark.parametrize(("stiffness", "bounded"), [(0.09, [True, True]), (0.14, [True, False])])
-def test_a_stage_that_rings_between_the_recorded_amplitudes_or_beyond_them_costs(
+def test_a_stage_that_rings_between_or_beyond_the_recorded_amplitudes_has_a_high_cost(
     stiffness: float, bounded: list[bool]
 ) -> None:
     levels = by_amplitude(recordings(two_axes(), (0.1, 0.2), 2))
@@ -207,7 +207,7 @@ def test_a_stage_that_rings_between_the_recorded_amplitudes_or_beyond_them_costs
     stage = two_axes()
     calm = PeriodicFit(stage, guards)
     assert calm.cost(calm.errors()) < 0.01
-    stage.arrays()["weights"][:, 3] = stiffness  # of the mean amplitude, and the more the larger that is
+    stage.arrays()["weights"][:, 3] = stiffness  # its effect grows with the mean amplitude
     assert [PeriodicFit(stage, periods(level)).errors() is not None for level in levels] == bounded
     driven = PeriodicFit(stage, guards)
     assert driven.cost(driven.errors()) > 10

@@ -21,7 +21,7 @@ PERIOD = 1e-3
 
 
 def compensator(seed: int, **form: Any) -> DirectInverse:
-    """Anything at all: every number random, about where such numbers are."""
+    """Return a compensator with random parameters of typical size."""
     made = DirectInverse(
         PERIOD, [0.0, 0.3, 0.7, 1.5], range_um=4.0, rate_scale_um_s=3.0, train_thresholds=True, **form
     )
@@ -58,7 +58,7 @@ def problem(made: DirectInverse, pairs: list[InversePair], ridge: float) -> Proj
 
 
 @given(seed=st.integers(0, 99), form=forms)
-def test_states_are_those_of_the_compensator_to_the_last_bit(seed: int, form: dict[str, Any]) -> None:
+def test_states_equal_those_of_the_compensator_bit_for_bit(seed: int, form: dict[str, Any]) -> None:
     made, record = compensator(seed, **form), pair(seed, 2 * SAMPLES + 300, slice(7, -20, 3))
     expected = made.play_states(record.motion)[0][0, record.counted].detach().numpy()
     for derivative in (False, True):
@@ -67,7 +67,7 @@ def test_states_are_those_of_the_compensator_to_the_last_bit(seed: int, form: di
 
 
 @given(seed=st.integers(0, 99), form=forms, ridge=st.sampled_from([0.0, 1e-3]))
-def test_the_derivative_is_the_slope_of_the_projected_error(
+def test_the_linearisation_gives_the_gradient_of_the_projected_objective(
     seed: int, form: dict[str, Any], ridge: float
 ) -> None:
     made = compensator(seed, **form)
@@ -80,7 +80,7 @@ def test_the_derivative_is_the_slope_of_the_projected_error(
         step = np.zeros_like(alpha)
         step[k] = 1e-6 * max(abs(alpha[k]), 1e-3)
         apart = of.solve(alpha + step).objective - of.solve(alpha - step).objective
-        # A kink within the step moves the difference by as much as the kink bends: rarely seen.
+        # A kink within the step would change the difference by its change of slope, which is rare.
         assert slope == pytest.approx(apart / (2 * step[k]), rel=1e-3, abs=1e-6 * np.abs(gradient).max())
 
 
@@ -106,7 +106,7 @@ def test_weights_are_the_least_squares_solution_on_all_records(seed: int, form: 
     assert torch.cat(errors).square().mean().item() == pytest.approx(solved.mean_square, rel=1e-9)
 
 
-def test_a_play_that_nothing_moves_gets_no_weight() -> None:
+def test_a_play_that_never_moves_gets_zero_weight() -> None:
     made = DirectInverse(PERIOD, [0.0, 0.5, 1e3], range_um=4.0)
     for ridge in (0.0, 1e-8):
         of = ProjectedProblem(made, [pair(3, 500, slice(0, None))], ["c"], 1, 0, ridge)
@@ -116,9 +116,9 @@ def test_a_play_that_nothing_moves_gets_no_weight() -> None:
 
 
 @given(seed=st.integers(0, 99), lead=st.integers(0, 2), creeps=st.booleans())
-def test_fewer_rows_are_rows_of_the_whole(seed: int, lead: int, creeps: bool) -> None:
+def test_thinned_rows_are_every_nth_row_of_the_whole(seed: int, lead: int, creeps: bool) -> None:
     made = compensator(seed, lead=lead, degree=1, creep_time_constants_s=[0.05] if creeps else [])
-    with torch.no_grad():  # turning points stay where they are under a saturation that rises
+    with torch.no_grad():  # an increasing saturation keeps the turning points in place
         made.saturation.scaled.fill_(1.1)
     of = problem(made, [pair(seed, 900, slice(40, None))], 0.0)
     thinned = of.thinned(100)
@@ -128,14 +128,14 @@ def test_fewer_rows_are_rows_of_the_whole(seed: int, lead: int, creeps: bool) ->
 
 
 def _rows(of: ProjectedProblem, made: DirectInverse) -> np.ndarray:
-    """States and voltage at every row of the first record."""
+    """Return states and voltage at every row of the first record."""
     [record] = of.stretches
     ran = blocks(record, nonlinear(made), made.creep_decay.numpy(), derivative=False)
     return np.concatenate([np.column_stack([b.h, part.u]) for b, part in zip(ran, record, strict=True)])
 
 
 @given(seed=st.integers(0, 99), cuts=st.lists(st.integers(1, 60), min_size=1, max_size=6))
-def test_the_triangle_is_that_of_all_rows(seed: int, cuts: list[int]) -> None:
+def test_the_blockwise_qr_gives_the_triangle_of_all_rows(seed: int, cuts: list[int]) -> None:
     matrix = np.random.default_rng(seed).standard_normal((sum(cuts), 5))
     factor = ThinQR(5, 60)
     first = 0
@@ -148,7 +148,7 @@ def test_the_triangle_is_that_of_all_rows(seed: int, cuts: list[int]) -> None:
     np.testing.assert_allclose(factor.triangle.T @ factor.triangle, matrix.T @ matrix, atol=1e-10)
 
 
-def test_a_record_of_weight_2_counts_as_if_it_stood_twice() -> None:
+def test_a_record_of_weight_2_counts_as_two_copies_of_it() -> None:
     made = compensator(3, rate="linear", offset=True)
     one, other = pair(3, 400, slice(5, None)), pair(4, 700, slice(31, None))
     weighted = problem(made, [one._replace(weight=2.0), other], 0.0)

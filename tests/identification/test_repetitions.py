@@ -1,4 +1,4 @@
-"""A record that repeats one motion has the weight of one repetition, where it is the slowest of several."""
+"""The slowest of several records has the weight of one repetition if it repeats one motion."""
 
 import numpy as np
 import pytest
@@ -24,7 +24,7 @@ def record(y: np.ndarray) -> InversePair:
 
 @pytest.mark.parametrize("hz", [0.5, 1.0, 1.37, 7.3])
 @pytest.mark.parametrize("noise", [0.0, 0.05])
-def test_a_periodic_record_repeats_itself_as_often_as_it_has_periods(hz: float, noise: float) -> None:
+def test_the_repetitions_of_a_periodic_record_are_its_number_of_periods(hz: float, noise: float) -> None:
     y = sine(hz) + noise * np.random.default_rng(0).standard_normal(len(T))
     assert repetitions(y) == pytest.approx(6.0 * hz, rel=0.02)
 
@@ -33,7 +33,7 @@ def test_a_periodic_record_repeats_itself_as_often_as_it_has_periods(hz: float, 
     "y",
     [
         wandering(0, 6000).yd[0].numpy(),
-        sine(1.0) * np.exp(-T / 5),  # one cycle is almost the next, the last is not the first
+        sine(1.0) * np.exp(-T / 5),  # neighbouring cycles are alike, the first and the last are not
         np.where(T < 3, sine(1.0), 0.5 * sine(2.0)),  # two motions, each repeated
         sine(0.25),  # a loop and a half
         T,
@@ -41,11 +41,11 @@ def test_a_periodic_record_repeats_itself_as_often_as_it_has_periods(hz: float, 
     ],
     ids=["wandering", "decaying", "two motions", "less than two loops", "a ramp", "at rest"],
 )
-def test_what_does_not_repeat_itself_to_its_end_counts_whole(y: np.ndarray) -> None:
+def test_a_record_that_does_not_repeat_one_motion_to_its_end_has_one_repetition(y: np.ndarray) -> None:
     assert repetitions(y) == 1.0
 
 
-def test_the_slowest_of_several_records_weighs_one_repetition() -> None:
+def test_the_slowest_of_several_records_has_the_weight_of_one_repetition() -> None:
     slow, fast, other = record(sine(1.0)), record(sine(5.0)), record(wandering(0, 6000).yd[0].numpy())
     assert [one.weight for one in weighted_by_repetitions([fast, slow, other])] == pytest.approx(
         [1.0, 1 / 6, 1.0], rel=0.01

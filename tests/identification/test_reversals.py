@@ -1,4 +1,4 @@
-"""The lag of a record is read where it turns round, whatever its hysteresis is."""
+"""The lag of a record is estimated at its reversals, whatever its hysteresis is."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ FS_HZ = 1000.0
 
 
 def record(u: np.ndarray, late: int, narrow: float, noise_um: float = 1e-3) -> InversePair:
-    """A loop of many plays; the smaller `narrow`, the more of it are narrow ones."""
+    """Return a loop of many plays; a smaller `narrow` gives narrow plays a larger share."""
     r = np.linspace(0.0, 4.0, 401)
     weights = np.exp(-r / narrow)
     y, h = np.zeros(len(u)), np.zeros(len(r))
@@ -32,7 +32,7 @@ def sine(hertz: float, seconds: float = 8.0) -> np.ndarray:
 @pytest.mark.parametrize("late", [0, 2, 7])
 @pytest.mark.parametrize("narrow", [1.0, 10.0])
 @pytest.mark.parametrize("u", [sine(0.7), 10 * np.abs(sine(0.7) / 5 - 1)], ids=["sine", "other"])
-def test_the_lag_is_found_under_a_single_loop(u: np.ndarray, late: int, narrow: float) -> None:
+def test_the_lag_is_found_from_repetitions_of_a_single_loop(u: np.ndarray, late: int, narrow: float) -> None:
     lag = lag_at_reversals(record(u, late, narrow), 64)
     assert lag is not None
     assert lag.mean == pytest.approx(late, abs=0.7) and lag.standard_error < 0.5
@@ -42,5 +42,5 @@ def test_the_lag_is_found_under_a_single_loop(u: np.ndarray, late: int, narrow: 
     "u", [np.linspace(0.0, 10.0, 4000), sine(0.2), np.random.default_rng(1).uniform(0, 10, 4000)],
     ids=["a ramp", "one period", "reversals at every sample"],
 )  # fmt: skip
-def test_too_few_reversals_to_read_show_none(u: np.ndarray) -> None:
+def test_no_lag_is_estimated_from_too_few_usable_reversals(u: np.ndarray) -> None:
     assert lag_at_reversals(record(u, 2, 1.0), 64) is None

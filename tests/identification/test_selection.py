@@ -1,4 +1,4 @@
-"""What is selected generalises, and is no richer than the records can show."""
+"""The selected form generalises, and is no richer than the records support."""
 
 from collections.abc import Sequence
 from dataclasses import astuple
@@ -38,7 +38,7 @@ def select(records: Sequence[InversePair], richest: Richest = RICHEST) -> Select
 
 
 def made(**more: Any) -> DirectInverse:
-    """Plays of the displacement, nothing else but what is added."""
+    """Return plays of the displacement with only the given additions."""
     inverse = truth(**more)
     inverse.saturation.set_coefficients(torch.tensor([1.0, 0.0], dtype=torch.float64))
     return inverse
@@ -50,14 +50,14 @@ def heldout_rms_v(selection: Selection, record: InversePair) -> float:
     return float(error.square().mean().sqrt())
 
 
-def test_the_start_stays_where_nothing_generalises_better() -> None:
+def test_the_initial_form_is_kept_if_no_other_generalises_better() -> None:
     records = pairs(made(rate="none"), (1500, 1200, 1800), noise_v=0.02)
     selection = select(records)
     assert selection.steps[-1].form == Form(offset=selection.steps[-1].form.offset)
     assert selection.steps[0].form == Form()
 
 
-def test_a_bent_polynomial_is_found_and_halves_what_is_left() -> None:
+def test_a_nonlinear_polynomial_is_selected_and_halves_the_error() -> None:
     inverse = truth(rate="none")
     inverse.saturation.set_coefficients(torch.tensor([1.2, -0.06], dtype=torch.float64))
     *records, judge = pairs(inverse, (1500, 1200, 1800, 1500), noise_v=0.01)
@@ -67,7 +67,7 @@ def test_a_bent_polynomial_is_found_and_halves_what_is_left() -> None:
     assert heldout_rms_v(selection, judge) < 0.03
 
 
-def test_creep_is_found_in_several_records_and_not_sought_in_one() -> None:
+def test_creep_is_selected_from_several_records_but_not_from_one() -> None:
     inverse = made(rate="none", creep_time_constants_s=[0.05])
     with torch.no_grad():
         inverse.creep_gains.fill_(0.15)
@@ -78,7 +78,7 @@ def test_creep_is_found_in_several_records_and_not_sought_in_one() -> None:
     assert (alone.creep_time_constants_s, alone.rate) == ((), "none") and alone.degree in (1, 4)
 
 
-def test_extensions_are_tried_together_where_several_records_judge_them() -> None:
+def test_extensions_are_tried_together_only_with_several_records() -> None:
     search = _Search(build, lambda _: pairs(made(rate="none"), (300, 300)), RICHEST)
     together = list(search.together(Form()))
     assert Form(degree=4, creep_time_constants_s=(0.05,), spread=0.3) in together
@@ -91,8 +91,8 @@ def test_extensions_are_tried_together_where_several_records_judge_them() -> Non
     assert not list(alone.together(Form()))
 
 
-def test_a_slow_loop_over_and_over_does_not_outweigh_motions_of_many_turning_points() -> None:
-    """Records of a law that the form cannot have: the loop alone is learned by heart where it weighs more."""
+def test_a_repeated_slow_loop_does_not_outweigh_motions_with_many_turning_points() -> None:
+    """The form cannot represent this law; a loop of full weight would be fitted at the others' expense."""
     bent = made(rate="none")
     bent.saturation.set_coefficients(torch.tensor([1.2, -0.05], dtype=torch.float64))
     t = PERIOD * np.arange(6000)
@@ -114,7 +114,7 @@ def test_a_slow_loop_over_and_over_does_not_outweigh_motions_of_many_turning_poi
     assert heldout_rms_v(once, judge) < 0.95 * heldout_rms_v(by_heart, judge)
 
 
-def test_one_record_shows_whether_s_bends_and_not_how() -> None:
+def test_one_record_selects_only_between_degree_1_and_the_highest_degree() -> None:
     bent = truth(rate="none")
     bent.saturation.set_coefficients(torch.tensor([1.2, -0.06], dtype=torch.float64))
     found = {
@@ -133,7 +133,7 @@ def test_the_first_loading_of_a_single_record_is_fitted_in_every_fold() -> None:
         assert np.isin(np.arange(first - 20, first), fold.fitted[0]).all()
 
 
-def test_the_look_ahead_of_a_late_stage_is_found() -> None:
+def test_the_preview_for_a_delayed_stage_is_found() -> None:
     records = [
         record._replace(
             motion=Motion(*(torch.nn.functional.pad(part, (2, 0))[:, :-2] for part in record.motion))
@@ -144,7 +144,7 @@ def test_the_look_ahead_of_a_late_stage_is_found() -> None:
 
 
 @pytest.mark.parametrize("count", [1, 2, 3])
-def test_no_fold_is_judged_on_what_it_was_fitted_to(count: int) -> None:
+def test_no_fold_is_judged_on_samples_that_it_was_fitted_to(count: int) -> None:
     records = pairs(made(), (1500, 1200, 1800)[:count])
     folds = make_folds(records)
     assert len(folds) == {1: 7, 2: 6, 3: 9}[count]
@@ -156,10 +156,10 @@ def test_no_fold_is_judged_on_what_it_was_fitted_to(count: int) -> None:
         assert sum(map(len, fold.judged)) > 0 < sum(map(len, fold.fitted))
 
 
-def test_a_slow_loop_judges_a_look_ahead_with_the_weight_of_one_repetition(
+def test_a_repeated_slow_loop_counts_once_in_the_choice_of_preview(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """It would be followed best without one, and the other record, by less, with two samples."""
+    """The loop is followed best without preview, the other record, by a smaller margin, with two samples."""
     records = pairs(made(rate="none"), (1500, 1500))
     looping = [records[0]._replace(weight=0.1), records[1]]
 

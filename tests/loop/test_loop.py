@@ -1,4 +1,4 @@
-"""The loop: what is fed when, what is measured against what, and what is refused."""
+"""The loop: the timing of its signals, the measures of error, and the refusal of invalid arguments."""
 
 import gc
 import itertools
@@ -71,7 +71,7 @@ class Inverse:
 
 
 class ScriptedInverse(nn.Module):
-    """The same as a scripted module, which is what an exported file is."""
+    """The same inverse as a module to be scripted, which is what an exported file contains."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -98,7 +98,7 @@ def run(compensator, stage=None, yd=None, **options) -> LoopResult:
     return run_loop(compensator, stage or GainStage(), yd, **{"fs_hz": FS_HZ, "name": "sine", **options})
 
 
-# --- what is fed when, and measured against what
+# --- timing of the signals, and measures of error
 
 
 def test_a_perfect_compensator_has_no_error():
@@ -110,7 +110,7 @@ def test_a_perfect_compensator_has_no_error():
     assert result.compensated.loop_width_um < 1e-14
 
 
-def test_a_scripted_module_is_stepped_the_same():
+def test_a_scripted_module_gives_the_same_voltages():
     scripted = torch.jit.script(ScriptedInverse())
     np.testing.assert_array_equal(run(scripted).compensated.u, run(Inverse()).compensated.u)
 
@@ -118,18 +118,18 @@ def test_a_scripted_module_is_stepped_the_same():
 @settings(max_examples=10)
 @given(st.integers(0, 3), st.integers(1, 3))
 def test_an_uncompensated_delay_gives_its_analytic_error(preview: int, delay: int):
-    """A sine delayed by d samples is off by A · 2 sin(π f d T) at most, and by that over √2 rms."""
+    """The error of a sine delayed by d samples is at most A · 2 sin(π f d T), and its rms that over √2."""
     late = delay - preview
     f_hz, amplitude = 20.0, 3.0
     result = run(Inverse(preview=preview), GainStage(delay=delay), sine(f_hz, 4_000))
     steady = result.compensated.on_true.steady
     most = 2 * amplitude * abs(math.sin(math.pi * f_hz * late / FS_HZ))
     assert steady.max_um == pytest.approx(most, rel=1e-3, abs=1e-9)
-    if late >= 0:  # a look-ahead that is too long meets the held end
+    if late >= 0:  # a look-ahead that is too long reaches the held end
         assert steady.rms_um == pytest.approx(most / math.sqrt(2), rel=0.02, abs=1e-9)
 
 
-def test_the_compensator_sees_the_future_and_then_the_last_value():
+def test_the_compensator_is_fed_future_samples_and_finally_the_last_value():
     compensator, yd = Inverse(preview=3), sine()
     run(compensator, yd=yd)
     assert compensator.fed == [*yd[3:], *[yd[-1]] * 3]
@@ -145,21 +145,21 @@ def test_a_compensator_with_the_filter_inside_is_fed_the_reference():
     np.testing.assert_array_equal(result.yd, yd)
 
 
-def test_without_compensation_is_the_straight_line_of_the_slow_loop():
+def test_the_uncompensated_drive_is_the_straight_line_through_the_slow_loop():
     result = run(Inverse())
     assert result.gain_um_per_v == pytest.approx(GAIN_UM_PER_V, rel=1e-4)
     np.testing.assert_allclose(result.without.u, sine() / GAIN_UM_PER_V, rtol=1e-4)
     assert (result.range_low_um, result.range_high_um) == (0.0, pytest.approx(8.0))
 
 
-def test_the_straight_line_gets_the_same_look_ahead_beside_it():
+def test_the_straight_line_is_also_run_with_the_look_ahead_of_the_compensator():
     result = run(Inverse(preview=1))
     assert list(result.drives) == [WITHOUT, WITHOUT_LOOK_AHEAD, COMPENSATED]
     assert result.drives[WITHOUT_LOOK_AHEAD].on_true.whole.max_um < 1e-3
     assert list(run(Inverse(preview=0)).drives) == [WITHOUT, COMPENSATED]
 
 
-def test_compared_compensators_run_beside_it():
+def test_compared_compensators_run_as_further_drives():
     result = run(Inverse(), compare={"least_squares": Inverse(factor=1.01)})
     drive = result.drives["least_squares"]
     assert drive.label == "least squares"
@@ -187,7 +187,7 @@ def test_loading_ends_where_the_trajectory_first_reaches_its_maximum():
     assert result.loading_samples < 250
 
 
-def test_an_error_in_the_loading_stays_out_of_the_steady_part():
+def test_an_error_during_loading_does_not_count_in_the_steady_part():
     class Stumbling(Inverse):
         def step(self, yd: float) -> float:
             u = super().step(yd)
@@ -199,7 +199,7 @@ def test_an_error_in_the_loading_stays_out_of_the_steady_part():
     assert tracking.steady.max_um < 1e-14
 
 
-def test_whole_is_loading_and_steady_together():
+def test_the_whole_combines_the_loading_and_the_steady_part():
     result = run(Inverse(preview=0))
     tracking, n, size = result.compensated.on_true, result.loading_samples, len(result.yd)
     squares = n * tracking.loading.rms_um**2 + (size - n) * tracking.steady.rms_um**2
@@ -227,14 +227,14 @@ def test_saturation_counts_the_samples_at_a_limit():
     assert run(compensator, yd=yd).compensated.saturated_share == pytest.approx(at_a_limit.mean())
 
 
-def test_every_drive_meets_the_same_noise():
+def test_every_drive_is_run_with_the_same_noise():
     stage = GainStage()
     assert run(Inverse(), stage, seed=3).seed == 3
     assert set(stage.seeds) == {3}
     assert run(Inverse(), stage).seed == stage.seed
 
 
-def test_a_jump_at_the_start_and_a_short_steady_part_are_said():
+def test_a_jump_at_the_start_and_a_short_steady_part_are_noted():
     assert run(Inverse()).notes == ()
     assert "starts at 1 µm" in run(Inverse(), yd=sine() + 1.0).notes[0]
     assert "steady part is short" in run(Inverse(), yd=np.linspace(0.0, 5.0, 500)).notes[0]
@@ -244,7 +244,7 @@ def test_a_jump_at_the_start_and_a_short_steady_part_are_said():
 
 
 def clock_of(step_ns: list[int]):
-    """A clock that shows these durations, one after another, between its two readings of each step."""
+    """Return a clock whose two readings around each step differ by these durations in turn."""
     durations = itertools.cycle(step_ns)
     now, inside = 0, False
 
@@ -266,7 +266,7 @@ def test_missed_deadlines_are_steps_longer_than_the_period():
 
 
 def test_latency_percentiles_are_those_of_the_steps():
-    # A thousand drives' steps in a row: the compensator's own come last and see the cycle from its start.
+    # Each drive has a thousand steps, so the compensator's, which come last, see the cycle from its start.
     yd = sine(20.0, 1_000)
     latency = run(
         Inverse(), yd=yd, clock=clock_of([*[6_000] * 985, *[40_000] * 14, 250_000])
@@ -278,7 +278,7 @@ def test_latency_percentiles_are_those_of_the_steps():
 
 @settings(max_examples=8)
 @given(st.lists(st.integers(0, 10**9), min_size=1, max_size=20))
-def test_the_histogram_holds_every_step(step_ns: list[int]):
+def test_the_histogram_counts_every_step(step_ns: list[int]):
     latency = run(Inverse(), yd=sine(20.0, 500), clock=clock_of(step_ns)).compensated.latency
     assert latency.histogram_counts.sum() == latency.steps == 500
     assert (np.diff(latency.histogram_edges_us) > 0).all()
@@ -294,10 +294,10 @@ def test_no_garbage_is_collected_inside_a_step():
     assert gc.isenabled()
 
 
-# --- what is refused
+# --- refused arguments
 
 
-def test_a_compensator_of_another_rate_is_refused():
+def test_a_compensator_with_another_sample_rate_is_refused():
     with pytest.raises(ArtifactError, match=r"torchpi: .*0\.0002 s, but the stage's is 0\.0001 s"):
         run(Inverse(sample_period_s=2e-4))
     with pytest.raises(ArtifactError, match=r"old: .*0\.0002 s"):
@@ -320,19 +320,19 @@ def test_a_voltage_that_is_not_finite_is_refused_with_its_sample():
     ("key", "value"),
     [("max_slew_v_s", -5.0), ("max_slew_v_s", "5"), ("max_slew_v_s", math.nan), ("fs_hz", 0)],
 )
-def test_a_rate_that_is_no_positive_number_is_refused_by_its_name(key: str, value: object):
+def test_a_rate_that_is_not_a_positive_number_is_named_in_the_error(key: str, value: object):
     with pytest.raises(ConfigError, match=rf"{key}: found .*, expected a positive number of"):
         run(Inverse(), **{key: value})
 
 
-def test_what_neither_steps_nor_is_a_stage_is_refused():
+def test_objects_that_are_not_a_compensator_or_a_stage_are_refused():
     with pytest.raises(ArtifactError, match="compensator: found DirectInverse without 'reset', expected one"):
         run(DirectInverse(1 / FS_HZ, [0.0]))
     with pytest.raises(ArtifactError, match="stage: found str without 'sample_period_s', expected a stage"):
         run(Inverse(), "default")
 
 
-def test_a_trajectory_outside_the_range_is_refused_with_the_range():
+def test_a_trajectory_outside_the_range_is_refused_and_the_range_stated():
     with pytest.raises(
         RecordingError, match=r"sample 250 is 9 µm, outside the range of this stage, 0 to 8 µm"
     ):
@@ -352,7 +352,7 @@ def test_a_trajectory_that_cannot_be_followed_is_refused(yd: np.ndarray, found: 
         run(Inverse(), yd=yd)
 
 
-def test_a_stage_without_limits_is_refused():
+def test_a_stage_without_finite_voltage_limits_is_refused():
     with pytest.raises(StageError, match=r"voltage limits of 0\.0 and inf V"):
         run(Inverse(), GainStage(max_voltage_v=math.inf))
 
@@ -362,13 +362,13 @@ def test_a_compared_compensator_cannot_take_the_name_of_another_drive():
         run(Inverse(), compare={WITHOUT: Inverse()})
 
 
-# --- the real parts
+# --- real compensators and the simulated stage
 
 
 def test_an_exported_compensator_runs_against_the_simulated_stage(tmp_path: Path):
     limits = {"min_voltage_v": 0.0, "max_voltage_v": 10.0}
     stage = Stage.from_dict({"sample_rate_hz": FS_HZ, "amplifier": limits, "seed": 1})
-    compensator = DirectInverse(1 / FS_HZ, [0.0, 0.5], preview=1)  # the stage is 1 µm/V, a sample late
+    compensator = DirectInverse(1 / FS_HZ, [0.0, 0.5], preview=1)  # the stage: 1 µm/V, late by a sample
     with torch.no_grad():
         compensator.weights.theta[0, 0] = 1.0
     export_files(compensator, tmp_path / "plain", ["torchscript"])
@@ -384,7 +384,7 @@ def test_an_exported_compensator_runs_against_the_simulated_stage(tmp_path: Path
         compare={"filter_inside": load_torchscript(tmp_path / "filter.pt")},
     )
     assert result.gain_um_per_v == pytest.approx(1.0, rel=1e-3)
-    # With a look-ahead the filter inside starts from y_r at that sample: its start differs, and dies out.
+    # With a look-ahead, the filter inside starts from y_r at that sample; the difference decays.
     assert result.compensated.on_true.whole.max_um < 1e-12
     assert result.drives["filter_inside"].on_true.steady.max_um < 1e-9
     y_true, y_sensor = stage.simulate(torch.from_numpy(result.compensated.u)[None])
@@ -392,7 +392,7 @@ def test_an_exported_compensator_runs_against_the_simulated_stage(tmp_path: Path
     np.testing.assert_array_equal(result.compensated.y_sensor, y_sensor[0].detach().numpy())
 
 
-def test_the_json_is_plain_and_names_its_units():
+def test_the_json_holds_plain_values_and_names_their_units():
     result = run(Inverse(), compare={"other": Inverse(factor=1.1)})
     content = json.loads(json.dumps(as_json(result), allow_nan=False))
     assert content["drives"]["other"]["true_displacement"]["steady"]["rms_um"] == pytest.approx(

@@ -1,4 +1,4 @@
-"""What a notebook gets wrong is one line, as with files, and before anything is fitted."""
+"""Mistakes in a notebook are refused in one line, as with files, before anything is fitted."""
 
 import pickle
 from typing import Any
@@ -61,7 +61,7 @@ def test_recordings_that_cannot_be_fitted_are_refused(recordings: Any, message: 
     ],
     ids=["negative", "half a sample", "a word", "skip"],
 )
-def test_settings_of_a_fit_that_are_none_are_refused(options: dict[str, Any], message: str) -> None:
+def test_invalid_settings_of_a_fit_are_refused(options: dict[str, Any], message: str) -> None:
     with pytest.raises(ConfigError) as refused:
         Compensator.fit([made(), made(1.1 * Y, "other")], **options)
     assert message in str(refused.value)
@@ -78,7 +78,7 @@ def test_settings_of_a_fit_that_are_none_are_refused(options: dict[str, Any], me
     ],
     ids=["two axes", "infinite", "words", "ragged", "empty"],
 )
-def test_a_reference_that_is_no_signal_is_refused(
+def test_a_reference_that_is_not_a_signal_is_refused(
     compensator: Compensator, reference: Any, message: str
 ) -> None:
     with pytest.raises(RecordingError) as refused:
@@ -90,7 +90,9 @@ def test_a_reference_that_is_no_signal_is_refused(
     ("arguments", "found"),
     [({}, "NoneType"), ({"preview": 2}, "preview"), ({"inverse": Y}, "ndarray of 2000")],
 )
-def test_a_compensator_of_nothing_names_what_makes_one(arguments: dict[str, Any], found: str) -> None:
+def test_an_empty_compensator_is_refused_with_the_calls_that_make_one(
+    arguments: dict[str, Any], found: str
+) -> None:
     with pytest.raises(ConfigError) as refused:
         Compensator(**arguments)
     message = str(refused.value)
@@ -98,16 +100,16 @@ def test_a_compensator_of_nothing_names_what_makes_one(arguments: dict[str, Any]
     assert "Compensator.fit(recordings" in message and "Compensator.load(path)" in message
 
 
-def test_a_compensator_that_is_fitted_is_not_fitted_again(compensator: Compensator) -> None:
+def test_fitting_a_fitted_compensator_again_is_refused(compensator: Compensator) -> None:
     with pytest.raises(
-        ConfigError, match=r"fit: found a compensator that is fitted already, .*Compensator\.fit"
+        ConfigError, match=r"fit: found a compensator that is already fitted .*Compensator\.fit"
     ):
         compensator.fit([made(), made(1.1 * Y, "other")])
     again = pickle.loads(pickle.dumps(compensator))
     assert again.sample_rate_hz == compensator.sample_rate_hz
 
 
-def test_a_stage_may_be_given_by_its_name_and_a_path_is_a_path(compensator: Compensator) -> None:
+def test_a_stage_may_be_given_by_name_and_wrong_types_are_refused(compensator: Compensator) -> None:
     with pytest.raises(ArtifactError, match="sample period"):  # found, but of another rate
         compensator.track(Y, "default")
     with pytest.raises(ConfigError, match="nonsense: no such file or name"):
@@ -129,7 +131,7 @@ def test_tracking_without_a_stage_or_at_another_rate_is_refused(compensator: Com
         compensator.errors_on(Recording.from_arrays(None, U, Y, fs_hz=500))
 
 
-def test_a_diagnosis_of_arrays_names_what_makes_a_recording_of_them() -> None:
+def test_a_diagnosis_of_arrays_is_refused_with_a_hint_to_from_arrays() -> None:
     with pytest.raises(
         RecordingError, match=r"found ndarray at index 0, expected a Recording: .*from_arrays"
     ):

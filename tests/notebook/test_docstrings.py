@@ -1,4 +1,4 @@
-"""The examples in the docstrings of what a notebook uses run, one after another."""
+"""The docstring examples of the notebook interface run, one after another."""
 
 import doctest
 from pathlib import Path

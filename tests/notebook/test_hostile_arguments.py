@@ -1,4 +1,4 @@
-"""Arguments of a wrong kind, as a notebook gives them: one line with argument, value and expectation."""
+"""Arguments of a wrong type are refused in one line with argument, value and expectation."""
 
 from collections.abc import Callable
 
@@ -54,7 +54,9 @@ def refused(call: Callable[[], object]) -> str:
         (lambda: ONE.plot().savefig(None), "path: found NoneType"),  # type: ignore[arg-type]
     ],
 )
-def test_a_recording_names_what_it_was_given(call: Callable[[], object], message: str) -> None:
+def test_a_recording_refuses_invalid_arguments_by_name_and_value(
+    call: Callable[[], object], message: str
+) -> None:
     assert message in refused(call)
 
 
@@ -68,7 +70,7 @@ def test_a_recording_names_what_it_was_given(call: Callable[[], object], message
         ({"skip_s": "1"}, "skip_s: found '1', expected a time in s"),
     ],
 )
-def test_a_fit_names_the_setting_that_is_none(options: dict[str, object], message: str) -> None:
+def test_a_fit_refuses_invalid_settings_by_name_and_value(options: dict[str, object], message: str) -> None:
     assert message in refused(lambda: Compensator.fit([ONE, OTHER], **options))  # type: ignore[arg-type]
 
 
@@ -87,7 +89,7 @@ def test_a_fit_names_the_setting_that_is_none(options: dict[str, object], messag
         (lambda c: c.load(None), "path: found NoneType"),
     ],
 )
-def test_a_compensator_names_what_it_was_given(
+def test_a_compensator_refuses_invalid_arguments_by_name_and_value(
     compensator: Compensator, call: Callable[[Compensator], object], message: str
 ) -> None:
     assert message in refused(lambda: call(compensator))
@@ -112,10 +114,10 @@ def test_a_compensator_names_what_it_was_given(
         (lambda: Polynomial("a"), "coefficients: found 'a'"),
     ],
 )
-def test_models_name_what_they_were_given(call: Callable[[], object], message: str) -> None:
+def test_models_refuse_invalid_arguments_by_name_and_value(call: Callable[[], object], message: str) -> None:
     assert message in refused(call)
 
 
-def test_whole_and_real_numbers_of_numpy_are_numbers() -> None:
+def test_numpy_integers_and_floats_are_accepted_as_numbers() -> None:
     assert Recording.from_arrays(T, U, Y, skip_s=np.float32(0.1)).duration_s == pytest.approx(1.9)
     assert Compensator.fit([ONE, OTHER], preview=np.int64(0)).preview == 0  # type: ignore[arg-type]

@@ -1,4 +1,4 @@
-"""The page for notebooks runs as it stands, and is as short as it promises."""
+"""The code of the notebook page runs as it stands and is as short as promised."""
 
 import re
 from pathlib import Path
@@ -11,7 +11,7 @@ PAGE = (Path(__file__).parents[2] / "docs" / "notebook.md").read_text(encoding="
 BLOCKS = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
 
 
-def test_from_arrays_to_a_tracked_trajectory_are_at_most_fifteen_lines() -> None:
+def test_from_arrays_to_a_tracked_trajectory_takes_at_most_fifteen_lines() -> None:
     lines = [line for line in BLOCKS[1].splitlines() if line.strip()]
     assert "from_arrays" in BLOCKS[1] and "track" in BLOCKS[1] and "plot" in BLOCKS[1]
     assert len(lines) <= 15

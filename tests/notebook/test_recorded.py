@@ -1,4 +1,4 @@
-"""A recording in a notebook draws and shows itself."""
+"""A recording can be plotted and is displayed by a notebook."""
 
 import subprocess
 import sys
@@ -42,6 +42,6 @@ def test_a_recording_shows_its_numbers_and_its_figure(recording: Recording) -> N
     assert empty._repr_html_() == "<b>none</b>: empty"
 
 
-def test_what_draws_is_loaded_when_it_is_asked_for() -> None:
+def test_importing_recordings_does_not_import_matplotlib() -> None:
     code = "import torchpi.recordings.recording, sys; assert 'matplotlib' not in sys.modules"
     subprocess.run([sys.executable, "-c", code], check=True)

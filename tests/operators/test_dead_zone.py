@@ -16,14 +16,14 @@ class TestDeadZones(OperatorLaws):
         return DeadZones([-1.0, -0.21, 0.0, 0.33, 0.9], [0.2, -0.3, 1.1, -0.2, 0.4])
 
 
-def test_each_zone_is_silent_up_to_its_threshold_and_then_follows() -> None:
+def test_each_zone_is_zero_up_to_its_threshold_and_then_follows_the_input() -> None:
     assert [dead_zone(x, 0.5) for x in (-2.0, 0.4, 1.5)] == [0.0, 0.0, 1.0]
     assert [dead_zone(x, -0.5) for x in (-1.5, -0.4, 2.0)] == [-1.0, 0.0, 0.0]
     assert dead_zone(-3.0, 0.0) == -3.0
 
 
 @given(st.lists(st.floats(0.2, 3.0), min_size=5, max_size=5))
-def test_it_is_the_straight_line_through_its_corners(slopes: list[float]) -> None:
+def test_it_is_piecewise_linear_through_its_corners(slopes: list[float]) -> None:
     d = [-2.0, -0.5, 0.0, 1.0, 1.5]
     # Slopes beyond -2, between -2 and -0.5, about 0, between 1 and 1.5, beyond 1.5.
     a, b, c, e, f = slopes
@@ -37,7 +37,7 @@ def test_it_is_the_straight_line_through_its_corners(slopes: list[float]) -> Non
 
 
 @given(st.lists(st.floats(0.2, 3.0), min_size=5, max_size=5))
-def test_the_inverse_undoes_it_and_is_of_the_same_kind(slopes: list[float]) -> None:
+def test_the_inverse_undoes_it_and_is_a_dead_zone_operator_too(slopes: list[float]) -> None:
     a, b, c, e, f = slopes
     operator = DeadZones([-2.0, -0.5, 0.0, 1.0, 1.5], [a - b, b - c, c, e - c, f - e])
     inverse, x = operator.inverse(), 3 * wandering(1, 300)
@@ -46,7 +46,7 @@ def test_the_inverse_undoes_it_and_is_of_the_same_kind(slopes: list[float]) -> N
     assert torch.allclose(inverse.inverse().d, operator.d, rtol=0, atol=1e-12)
 
 
-def test_fitted_weights_leave_nothing_where_the_curve_is_of_the_kind() -> None:
+def test_the_fit_recovers_the_weights_of_a_dead_zone_curve() -> None:
     operator = DeadZones([0.0, 1.0, 2.0], [1.0, -0.4, 0.7])
     x = torch.linspace(0, 3, 300, dtype=torch.float64)
     fitted = fit_dead_zones(x, operator(x[None])[0][0].detach(), [0.0, 1.0, 2.0])
@@ -64,11 +64,13 @@ def test_fitted_weights_leave_nothing_where_the_curve_is_of_the_kind() -> None:
         ([0.0, 1.0], [1.0, float("inf")], "weights"),
     ],
 )
-def test_what_is_no_dead_zone_operator_is_refused(thresholds: list, weights: list, named: str) -> None:
+def test_invalid_thresholds_or_weights_are_named_in_the_error(
+    thresholds: list, weights: list, named: str
+) -> None:
     with pytest.raises(ConfigError, match=named):
         DeadZones(thresholds, weights)
 
 
-def test_no_inverse_where_the_slope_is_not_positive() -> None:
+def test_an_operator_with_a_slope_that_is_not_positive_has_no_inverse() -> None:
     with pytest.raises(ConfigError, match="no inverse"):
         DeadZones([0.0, 1.0], [1.0, -1.0]).inverse()

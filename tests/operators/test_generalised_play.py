@@ -1,4 +1,4 @@
-"""Generalised plays: other envelopes and thresholds up than down."""
+"""Generalised plays: envelopes and thresholds that differ between rising and falling inputs."""
 
 from typing import Any
 
@@ -29,7 +29,7 @@ class TestBank(OperatorLaws):
 
 
 class Weighted(Operator):
-    """One signal of the bank, which the laws of hysteresis are about."""
+    """The weighted sum of the bank: one signal, as the laws of hysteresis require."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -72,7 +72,7 @@ class TestWeighted(HysteresisLaws):
         return Weighted()
 
 
-def test_equal_envelopes_and_thresholds_are_the_play_of_eq_1_behind_the_polynomial() -> None:
+def test_equal_envelopes_and_thresholds_give_the_play_of_eq_1_after_the_polynomial() -> None:
     c, r, x = [1.0, -0.1, 0.02], [0.0, 0.3, 1.0], wandering(2, 400)
     expected, _ = PlayBank(r)(Polynomial(c)(x)[0])
     assert torch.equal(GeneralisedPlayBank(r, r, c, c)(x)[0], expected)
@@ -90,14 +90,14 @@ def test_the_loop_follows_its_two_envelopes() -> None:
     )
 
 
-def test_gradients_reach_ends_that_move_on_their_own() -> None:
+def test_gradients_are_exact_for_independently_moving_ends() -> None:
     low = torch.randn(2, 20, 3, dtype=torch.float64, requires_grad=True)
     wide = torch.rand(2, 20, 3, dtype=torch.float64, requires_grad=True)
     h0 = torch.randn(2, 3, dtype=torch.float64, requires_grad=True)
     assert torch.autograd.gradcheck(lambda low, wide, h0: clamp_bank(low, low + wide, h0), (low, wide, h0))
 
 
-def test_it_says_where_its_envelopes_cross() -> None:
+def test_the_widths_tell_where_its_envelopes_cross() -> None:
     x = torch.tensor([0.0, 1.0, 3.0], dtype=torch.float64)
     widths = GeneralisedPlayBank([0.5], [0.5], [1.0, 0.5], [1.0]).widths(x)
     assert torch.allclose(widths, 1.0 - 0.5 * x**2)
@@ -112,6 +112,6 @@ def test_it_says_where_its_envelopes_cross() -> None:
         ([], [], "thresholds_up"),
     ],
 )
-def test_impossible_thresholds_are_refused_by_name(up: list, down: list, named: str) -> None:
+def test_invalid_thresholds_are_named_in_the_error(up: list, down: list, named: str) -> None:
     with pytest.raises(ConfigError, match=named):
         GeneralisedPlayBank(up, down, [1.0], [1.0])

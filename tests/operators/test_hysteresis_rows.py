@@ -1,4 +1,4 @@
-"""The states of elementary hysteresis as rows, and their sums."""
+"""Rows of the states of elementary hysteresis operators, and their sums."""
 
 import numpy as np
 from hypothesis import given, settings
@@ -27,7 +27,7 @@ VOLTS = st.floats(-10, 10, allow_subnormal=False)
     pieces=st.integers(1, 9),
     seed=st.integers(0, 99),
 )
-def test_sums_of_plays_are_those_of_one_play_after_another(
+def test_sums_of_plays_equal_those_computed_one_play_at_a_time(
     v: np.ndarray, thresholds: np.ndarray, pieces: int, seed: int
 ) -> None:
     r = np.unique(thresholds)
@@ -66,10 +66,10 @@ def test_an_output_function_is_the_integral_of_its_slopes_from_0(x: float, piece
     alpha=st.floats(0.01, 100.0),
     power=st.sampled_from(DUHEM_POWERS),
 )
-def test_a_duhem_state_takes_a_step_of_any_size_as_its_differential_equation_does(
+def test_a_duhem_state_follows_its_differential_equation_over_a_step_of_any_size(
     z: float, ends: tuple[float, float], alpha: float, power: int
 ) -> None:
-    """z e^{-A} + ∫ α e^{-α(s_1 - s)} f(v(s)) ds over the path s, which one value of f would miss."""
+    """Expect z e^{-A} + ∫ α e^{-α(s_1 - s)} f(v(s)) ds over the path s; one value of f is not enough."""
     before, v = ends
     path = abs(v - before)
 
@@ -81,8 +81,8 @@ def test_a_duhem_state_takes_a_step_of_any_size_as_its_differential_equation_doe
     assert abs(duhem(z, v, before, alpha, power) - expected) < 1e-4
 
 
-def test_a_duhem_state_stays_where_a_voltage_dies_away() -> None:
-    """A lag in front of it leaves voltages of 1e-320 V long after the command is 0."""
+def test_a_duhem_state_stays_constant_while_a_voltage_decays_to_zero() -> None:
+    """A lag before the hysteresis leaves voltages of 1e-320 V long after the command has become 0."""
     v: np.ndarray = np.append(np.geomspace(1.0, 1e-300, 700), [1e-320, 5e-324, 0.0])
     rows = np.stack([duhem_row(v, 0.3, power) for power in (1, 8)])
     assert np.isfinite(rows).all() and (rows[:, -3:] == rows[:, -4:-3]).all()

@@ -1,4 +1,4 @@
-"""Linear blocks: discretisation against scipy and control, the kernel against the recursion."""
+"""Linear blocks: discretisation compared with scipy and control, the kernel with the recursion."""
 
 import control
 import numpy as np
@@ -15,7 +15,7 @@ from torchpi.stage.effects.effect import StateSpaceEffect
 
 
 class Third(StateSpaceEffect):
-    """A lag and a mode in one, dense, with a way straight through."""
+    """A lag and a mode in one dense block with direct feedthrough."""
 
     order = 3
 
@@ -55,7 +55,7 @@ def zeros(*shape: int) -> Tensor:
 
 @pytest.mark.parametrize("hold", ["zero", "first"])
 @given(system=systems(), period_s=st.floats(1e-3, 2.0))
-def test_discretisation_is_that_of_scipy(hold, system, period_s):
+def test_discretisation_matches_scipy(hold, system, period_s):
     a, b, c, d = system
     found = discretise(*as_tensors(a, b, c, d), period_s, hold)
     method = {"zero": "zoh", "first": "foh"}[hold]
@@ -81,7 +81,7 @@ def test_several_blocks_are_discretised_at_once(hold):
 
 
 @given(system=systems(), seed=st.integers(0, 10**6))
-def test_response_is_that_of_scipy_and_control_for_an_input_that_starts_at_zero(system, seed):
+def test_response_matches_scipy_and_control_for_an_input_that_starts_at_zero(system, seed):
     a, b, c, d = system
     u = np.r_[0.0, np.random.default_rng(seed).normal(size=60)]
     t = 0.05 * np.arange(len(u))
@@ -95,7 +95,7 @@ def test_response_is_that_of_scipy_and_control_for_an_input_that_starts_at_zero(
 
 
 @given(system=systems(), factor=st.sampled_from([2, 3, 10]))
-def test_one_set_of_physical_parameters_serves_any_sample_rate(system, factor):
+def test_one_set_of_physical_parameters_is_valid_at_any_sample_rate(system, factor):
     coarse = wandering(1, 40)
     steps = torch.arange(39 * factor + 1)
     share = (steps % factor) / factor
@@ -110,7 +110,7 @@ def test_one_set_of_physical_parameters_serves_any_sample_rate(system, factor):
         torch.testing.assert_close(outputs[1][:, ::factor], outputs[0], rtol=1e-8, atol=1e-8)
 
 
-def test_kernel_is_the_textbook_recursion():
+def test_kernel_matches_the_textbook_recursion():
     a, b, c, d = discretise(*Third().continuous(), 0.2, "first")
     u, x = wandering(2, 50), torch.ones(2, 3, dtype=torch.float64)
     y, final = state_space(u, a, b, c, d, x)

@@ -1,4 +1,4 @@
-"""The diagonal kernel against the dense one, and its derivative."""
+"""The diagonal kernel, compared with the dense one, and its derivative."""
 
 import torch
 
@@ -12,7 +12,7 @@ def bank(learning: bool) -> list[torch.Tensor]:
     return [part.clone().requires_grad_(learning) for part in (*rows, torch.tensor(0.7, dtype=torch.float64))]
 
 
-def test_it_is_the_dense_block_with_a_diagonal_matrix():
+def test_it_equals_the_dense_block_with_a_diagonal_matrix():
     a, b, c, d = bank(False)
     u, x0 = wandering(3, 200), torch.rand(3, 3, dtype=torch.float64)
     found, wanted = relaxations(u, a, b, c, d, x0), state_space(u, torch.diag(a), b, c, d, x0)

@@ -1,4 +1,4 @@
-"""Rows that are computed beside each other have the bits of each row alone."""
+"""Rows that are computed together have the same bits as each row alone."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ from torchpi.operators.linear import state_space
 
 @given(rows=st.integers(1, 20), order=st.integers(1, 4), seed=st.integers(0, 10**6))
 @pytest.mark.parametrize("learns", [False, True])
-def test_every_row_of_a_batch_has_the_bits_it_has_alone(learns, rows, order, seed):
+def test_every_row_of_a_batch_has_the_same_bits_as_alone(learns, rows, order, seed):
     random = np.random.default_rng(seed)
     shapes = ((rows, 40), (order, order), (order,), (order,), (), (rows, order))
     u, a, b, c, d, x0 = (torch.tensor(random.normal(size=shape) / 2) for shape in shapes)

@@ -9,7 +9,7 @@ from torchpi.operators.motion import BackwardMotionStream, backward_motion
 
 
 @given(st.lists(st.floats(-50, 50), min_size=1, max_size=30))
-def test_stream_gives_the_bits_of_the_batch(samples: list[float]) -> None:
+def test_stream_gives_the_same_bits_as_the_batch(samples: list[float]) -> None:
     yd = torch.tensor([samples], dtype=torch.float64)
     stream = BackwardMotionStream(1e-4)
     streamed = torch.tensor([stream.step(sample) for sample in samples], dtype=torch.float64)
@@ -23,6 +23,6 @@ def test_parabola_has_its_exact_rate_and_acceleration() -> None:
     assert motion.yd_ddot[0, 5:] == pytest.approx(10.0, rel=1e-6)
 
 
-def test_a_trajectory_at_rest_has_no_rate_wherever_it_rests() -> None:
+def test_a_trajectory_at_rest_has_zero_rate_at_any_displacement() -> None:
     motion = backward_motion(torch.full((1, 10), 4.2, dtype=torch.float64), 1e-4)
     assert motion.yd_dot.abs().max() == 0 and motion.yd_ddot.abs().max() == 0

@@ -6,7 +6,7 @@ import torch
 from torchpi.operators.noise import NoiseStream, white_noise
 
 
-def test_stream_gives_row_0_of_the_batch_number_by_number():
+def test_stream_gives_row_0_of_the_batch_sample_by_sample():
     stream = NoiseStream(seed=7)
     wanted = white_noise(7, 2, 3000)[0].tolist()
     assert [stream.step() for _ in range(3000)] == wanted
@@ -14,7 +14,7 @@ def test_stream_gives_row_0_of_the_batch_number_by_number():
     assert [stream.step() for _ in range(5)] == wanted[:5]
 
 
-def test_a_row_does_not_depend_on_the_batch_nor_on_the_length():
+def test_a_row_depends_on_neither_the_batch_size_nor_the_length():
     assert torch.equal(white_noise(3, 4, 100)[:2, :60], white_noise(3, 2, 60))
 
 

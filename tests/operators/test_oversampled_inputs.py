@@ -1,4 +1,4 @@
-"""Plays and amplifiers between the samples."""
+"""Plays and amplifiers, computed between the samples."""
 
 import numpy as np
 
@@ -7,7 +7,7 @@ from torchpi.operators.relaxing_play import relaxing_play
 
 
 def excess(u: np.ndarray, rate_hz: float, *arguments: object) -> np.ndarray:
-    """Of a whole signal, (time, inputs, …)."""
+    """Return the contributions to a whole signal, (time, inputs, …)."""
     stream = OversampledInputs(u.shape[1], rate_hz, *arguments)
     return stream.advance(np.pad(u, ((0, LOOKAHEAD), (0, 0))))[LOOKAHEAD:]
 
@@ -20,7 +20,7 @@ def crossover(u: np.ndarray, widths: np.ndarray, corner_hz: float, rate_hz: floa
     return excess(u, rate_hz, (), (), widths, corner_hz)
 
 
-def test_windows_give_the_bits_of_the_whole() -> None:
+def test_windows_give_the_same_bits_as_one_pass() -> None:
     u = np.random.default_rng(0).standard_normal((500, 2))
     arguments = (2, 1000.0, [0.2, 0.7], [3.0, 20.0], [100.0], 200.0)
     whole, parts = OversampledInputs(*arguments).advance(u), OversampledInputs(*arguments)
@@ -29,7 +29,7 @@ def test_windows_give_the_bits_of_the_whole() -> None:
 
 
 def plays(u: np.ndarray, r: float, rate_hz: float, fs_hz: float) -> np.ndarray:
-    """Of the samples alone."""
+    """Return the play of the samples alone, without interpolation."""
     h, kept = [0.0], np.exp(-2 * np.pi * rate_hz / fs_hz)
     for x in u:
         h.append(relaxing_play(x, r, kept, h[-1]))
@@ -39,7 +39,7 @@ def plays(u: np.ndarray, r: float, rate_hz: float, fs_hz: float) -> np.ndarray:
 R, RATES_HZ = np.array([0.2, 0.7]), np.array([3.0, 20.0])
 
 
-def test_of_a_slow_signal_they_are_the_plays_of_its_samples() -> None:
+def test_for_a_slow_signal_they_equal_the_plays_of_its_samples() -> None:
     t = np.arange(2000) / 2000
     u = np.stack([np.sin(2 * np.pi * 2 * t), 0.5 * np.sin(2 * np.pi * 3 * t)], 1)
     h = np.array([[plays(x, r, hz, 2000.0) for r, hz in zip(R, RATES_HZ, strict=True)] for x in u.T])
@@ -48,8 +48,8 @@ def test_of_a_slow_signal_they_are_the_plays_of_its_samples() -> None:
     np.testing.assert_allclose(found[inner], (np.moveaxis(h, 2, 0) - u[..., None])[inner], atol=5e-3)
 
 
-def test_they_turn_where_the_signal_turns_between_samples() -> None:
-    # Five samples to two periods: the samples alone reach a different height in each.
+def test_plays_follow_reversals_between_samples() -> None:
+    # With five samples in two periods, the samples alone reach a different height in each period.
     r, rate_hz, found = np.array([0.3]), np.array([50.0]), []
     for finer in (1, 8):
         t = np.arange(1000 * finer) / finer
@@ -62,7 +62,7 @@ def test_they_turn_where_the_signal_turns_between_samples() -> None:
     assert abs(found[0] - found[1]) < 0.4 * abs(of_samples - found[1])
 
 
-def test_without_thresholds_there_is_nothing() -> None:
+def test_without_thresholds_the_output_is_empty() -> None:
     assert play_excess(np.ones((10, 2)), np.zeros(0), np.zeros(0), 1000.0).shape == (10, 2, 0)
 
 
@@ -70,26 +70,26 @@ RATE_HZ, CORNER_HZ, HZ = 1000.0, 200.0, 40.0
 
 
 def fundamental(width: float) -> complex:
-    """Of the odd part, for a sine of 1 V."""
+    """Return the fundamental of the odd part, for a sine of 1 V."""
     t = np.arange(2000) / RATE_HZ
     e = crossover(np.sin(2 * np.pi * HZ * t)[:, None], np.array([width]), CORNER_HZ, RATE_HZ)[1000:1800, 0, 0]
     return complex(2 * np.mean(e * np.exp(-2j * np.pi * HZ * t[1000:1800])))
 
 
-def test_below_its_width_a_crossover_is_linear() -> None:
+def test_far_below_its_width_crossover_distortion_is_linear() -> None:
     s, omega, width = 2j * np.pi * HZ, 2 * np.pi * CORNER_HZ, 1e6
     expected = -1j * omega * s / (s + omega) * s / (s + omega) / width
     assert abs(fundamental(width) - expected) < 0.02 * abs(expected)
 
 
-def test_far_above_its_width_it_is_the_sign_of_the_current() -> None:
+def test_far_above_its_width_crossover_distortion_is_the_sign_of_the_current() -> None:
     s, omega = 2j * np.pi * HZ, 2 * np.pi * CORNER_HZ
-    lagging = -1j * s / (s + omega)  # of the slope, which is what the sign follows
+    lagging = -1j * s / (s + omega)  # phasor of the slope, whose sign it follows
     expected = 4 / np.pi * lagging / abs(lagging) * s / (s + omega)
     assert abs(fundamental(1e-3) - expected) < 0.03 * abs(expected)
 
 
-def test_its_even_part_is_that_of_the_negative_voltage_too() -> None:
+def test_negating_the_voltage_negates_the_odd_part_and_keeps_the_even_part() -> None:
     u = np.random.default_rng(0).standard_normal((400, 1)).cumsum(0)
     e = crossover(u, np.array([100.0]), CORNER_HZ, RATE_HZ)
     turned = crossover(-u, np.array([100.0]), CORNER_HZ, RATE_HZ)

@@ -21,7 +21,7 @@ class TestPlayBank(HysteresisLaws):
         return PlayBank([0.0, 0.1, 0.45, 1.3], trainable=True)
 
     def test_gradients_are_those_of_finite_differences(self) -> None:
-        # The threshold that is exactly 0 stays 0, so finite differences there see a kink of `relu`.
+        # A threshold of exactly 0 stays 0, so finite differences there would see a kink of `relu`.
         operator = PlayBank([0.07, 0.1, 0.45, 1.3], trainable=True)
         self.operator = lambda: operator
         super().test_gradients_are_those_of_finite_differences()
@@ -32,7 +32,7 @@ class TestPlayBank(HysteresisLaws):
     r=st.floats(0, 3),
     h0=st.floats(-5, 5),
 )
-def test_play_is_the_backlash_of_python_control(x: list[float], r: float, h0: float) -> None:
+def test_play_matches_the_backlash_of_python_control(x: list[float], r: float, h0: float) -> None:
     oracle = control.friction_backlash_nonlinearity(2 * r)
     oracle.center = h0
     h = h0
@@ -41,7 +41,7 @@ def test_play_is_the_backlash_of_python_control(x: list[float], r: float, h0: fl
         assert h == pytest.approx(oracle(sample), abs=1e-12)
 
 
-def test_first_sample_uses_the_initial_state_as_eq_2_says() -> None:
+def test_the_first_sample_uses_the_initial_state_as_in_eq_2() -> None:
     x = torch.tensor([[0.3, 0.4]], dtype=torch.float64)
     h = play_bank(
         x, torch.tensor([0.1, 1.0], dtype=torch.float64), torch.tensor([[0.0, 0.5]], dtype=torch.float64)
@@ -50,7 +50,7 @@ def test_first_sample_uses_the_initial_state_as_eq_2_says() -> None:
 
 
 def test_zero_threshold_copies_the_input_and_passes_gradient_one_everywhere() -> None:
-    # Loading, a hold, unloading: a clamp with equal ends would pass nothing.
+    # Loading, a hold, unloading: a clamp with equal ends would pass no gradient.
     x = torch.tensor([[0.0, 1.0, 2.0, 2.0, 1.5, 1.5, 3.0]], dtype=torch.float64, requires_grad=True)
     h, _ = PlayBank([0.0])(x)
     assert torch.equal(h[..., 0], x)
@@ -59,13 +59,13 @@ def test_zero_threshold_copies_the_input_and_passes_gradient_one_everywhere() ->
 
 
 @given(seed=st.integers(0, 10**6), time=st.integers(1, 200), plays=st.integers(1, 6))
-def test_scan_gives_the_bits_and_the_gradients_of_the_kernel(seed: int, time: int, plays: int) -> None:
+def test_scan_gives_the_same_bits_and_gradients_as_the_kernel(seed: int, time: int, plays: int) -> None:
     generator = torch.Generator().manual_seed(seed)
 
     def random(*shape: int) -> Tensor:
         return torch.randn(*shape, dtype=torch.float64, generator=generator)
 
-    # Rounded inputs and thresholds meet the kinks exactly.
+    # Rounded inputs and thresholds hit the kinks exactly.
     x = (2 * random(2, time)).round(decimals=1).requires_grad_()
     r = random(plays).abs().round(decimals=1).requires_grad_()
     h0 = random(2, plays).round(decimals=1).requires_grad_()
@@ -82,7 +82,7 @@ def test_scan_gives_the_bits_and_the_gradients_of_the_kernel(seed: int, time: in
 
 @pytest.mark.parametrize("form", [play_bank, play_scan])
 def test_at_a_kink_the_gradient_is_one_of_the_one_sided_derivatives(form: object) -> None:
-    # The play rests exactly on its edge: the sample may push or not, and must do one of the two whole.
+    # The play is exactly at its edge: the sample may push it or not, but must do one of the two entirely.
     x = torch.tensor([[1.0, 1.0]], dtype=torch.float64, requires_grad=True)
     r = torch.tensor([0.4], dtype=torch.float64, requires_grad=True)
     h = form(x, r, torch.zeros(1, 1, dtype=torch.float64))
@@ -96,7 +96,7 @@ def test_float32_is_kept() -> None:
     assert h.dtype == state.dtype == torch.float32
 
 
-def test_trained_thresholds_move_but_the_one_that_is_zero_stays() -> None:
+def test_a_zero_threshold_has_no_gradient_in_training_and_others_have_one() -> None:
     bank = PlayBank([0.0, 0.5], trainable=True)
     h, _ = bank(wandering(1, 100))
     h.square().sum().backward()
@@ -105,7 +105,7 @@ def test_trained_thresholds_move_but_the_one_that_is_zero_stays() -> None:
 
 
 @pytest.mark.parametrize("thresholds", [[], [-0.1], [float("nan")], [float("inf")], "abc", None, ["a"]])
-def test_impossible_thresholds_are_refused_by_name(thresholds: Any) -> None:
+def test_invalid_thresholds_are_named_in_the_error(thresholds: Any) -> None:
     with pytest.raises(ConfigError, match="thresholds: found"):
         PlayBank(thresholds)
 
@@ -124,12 +124,12 @@ def test_impossible_thresholds_are_refused_by_name(thresholds: Any) -> None:
     ],
     ids=["integers", "array", "word", "one record", "three dimensions"],
 )
-def test_what_is_no_batch_of_records_is_refused(operator: Operator, x: Any, found: str) -> None:
+def test_an_input_that_is_not_a_batch_of_records_is_refused(operator: Operator, x: Any, found: str) -> None:
     with pytest.raises(ConfigError, match=f"x: found {found}"):
         operator(x)
 
 
-def test_states_are_those_of_a_plain_loop() -> None:
+def test_states_match_those_of_a_plain_loop() -> None:
     x, r = wandering(1, 500), np.array([0.0, 0.3, 0.9])
     h = np.zeros(3)
     expected = []

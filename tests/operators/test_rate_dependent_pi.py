@@ -30,12 +30,12 @@ def test_each_weight_follows_the_signed_rate_of_the_input() -> None:
     assert torch.allclose(operator(x)[0], (w * h).sum(-1), rtol=0, atol=1e-13)
 
 
-def test_a_known_rate_stands_in_for_the_difference() -> None:
+def test_a_known_rate_can_replace_the_backward_difference() -> None:
     operator, x = RateDependentPI(T, R, K, B), wandering(1, 300)
     assert torch.equal(operator.at_rate(x, backward_motion(x, T).yd_dot)[0], operator(x)[0])
 
 
-def test_a_record_may_begin_anywhere_without_a_jump_of_the_rate() -> None:
+def test_a_record_may_begin_at_any_value_without_a_jump_of_the_rate() -> None:
     operator = RateDependentPI(T, R, K, B)
     x = torch.full((1, 5), 3.0, dtype=torch.float64)
     assert torch.allclose(operator(x)[0], PrandtlIshlinskii(R, B)(x)[0], rtol=0, atol=0)
@@ -50,6 +50,6 @@ def test_a_record_may_begin_anywhere_without_a_jump_of_the_rate() -> None:
         ((T, R, K, [1.0, 2.0, float("nan")]), "offsets"),
     ],
 )
-def test_impossible_arguments_are_refused_by_name(arguments: tuple, named: str) -> None:
+def test_invalid_arguments_are_named_in_the_error(arguments: tuple, named: str) -> None:
     with pytest.raises(ConfigError, match=named):
         RateDependentPI(*arguments)

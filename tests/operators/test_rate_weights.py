@@ -23,7 +23,7 @@ def test_neural_head_starts_as_the_linear_one() -> None:
     assert torch.allclose(linear(rate), neural(rate), rtol=0, atol=1e-15)
 
 
-def test_gradients_reach_every_parameter_of_the_neural_head() -> None:
+def test_gradients_to_every_parameter_of_the_neural_head_are_exact() -> None:
     head = RateWeights([1.0, -0.5], "neural", 200.0, hidden=3)
     torch.nn.init.normal_(head.theta)
     h = torch.randn(1, 9, 2, dtype=torch.float64, requires_grad=True)
@@ -35,7 +35,7 @@ def test_gradients_reach_every_parameter_of_the_neural_head() -> None:
     assert torch.autograd.gradcheck(output, (h, rate, *head.parameters()))
 
 
-def test_own_output_functions_add_powers_of_the_state_and_pass_exact_gradients() -> None:
+def test_output_functions_add_powers_of_the_state_and_pass_exact_gradients() -> None:
     h = torch.randn(2, 7, 3, dtype=torch.float64, requires_grad=True)
     basis = torch.randn(2, 7, 2, dtype=torch.float64, requires_grad=True)
     theta = torch.randn(3, 2, dtype=torch.float64, requires_grad=True)
@@ -58,6 +58,6 @@ def test_weighted_sum_is_eq_8() -> None:
     ("arguments", "named"),
     [({"kind": "cubic"}, "rate"), ({"rate_scale_um_s": 0.0}, "rate_scale_um_s"), ({"hidden": 0}, "hidden")],
 )
-def test_impossible_arguments_are_refused_by_name(arguments: dict, named: str) -> None:
+def test_invalid_arguments_are_named_in_the_error(arguments: dict, named: str) -> None:
     with pytest.raises(ConfigError, match=named):
         RateWeights([1.0], **arguments)

@@ -13,7 +13,7 @@ OMEGA = 200 * math.pi
 
 
 def reference(t: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """A reference that neither starts at zero nor at rest."""
+    """Return a reference that starts neither at zero nor at rest, and its two derivatives."""
     return (
         4 + torch.sin(60 * t + 0.3),
         60 * torch.cos(60 * t + 0.3),
@@ -22,7 +22,7 @@ def reference(t: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor
 
 
 @pytest.mark.parametrize("period", [1e-3, 1e-4, 3.7e-5])
-def test_critically_damped_filter_is_the_closed_form_at_any_sample_rate(period: float) -> None:
+def test_the_critically_damped_filter_matches_the_closed_form_at_any_sample_rate(period: float) -> None:
     t = period * torch.arange(2000, dtype=torch.float64)
     yr, yr_dot, yr_ddot = (part[None] for part in reference(t))
     motion = ReferenceFilter(period)(yr, yr_dot, yr_ddot)
@@ -44,7 +44,7 @@ def test_a_reference_given_by_samples_agrees_with_the_exact_derivatives() -> Non
     assert (sampled.yd_dot - exact.yd_dot)[0, -500:].abs().max() < 1e-3
 
 
-def test_scripted_stream_gives_the_bits_of_the_batch() -> None:
+def test_scripted_stream_gives_the_same_bits_as_the_batch() -> None:
     t = 1e-4 * torch.arange(500, dtype=torch.float64)
     yr = reference(t)[0]
     batch = torch.stack(ReferenceFilter(1e-4)(yr[None]), -1)[0]
@@ -57,7 +57,7 @@ def test_scripted_stream_gives_the_bits_of_the_batch() -> None:
         assert torch.equal(streamed, batch)
 
 
-def test_trajectories_of_the_paper_start_from_rest() -> None:
+def test_the_fast_trajectory_of_the_paper_starts_from_rest() -> None:
     t = 1e-4 * torch.arange(1000, dtype=torch.float64)
     phase = -math.pi / 2
     fast = 4.5 + 1.5 * torch.sin(64 * math.pi * t + phase)
@@ -67,7 +67,7 @@ def test_trajectories_of_the_paper_start_from_rest() -> None:
     assert motion.yd_dot.abs().max().item() == pytest.approx(895.7, abs=2.0)  # checklist, eq. 16
 
 
-def test_impossible_filters_are_refused_by_name_and_unit() -> None:
+def test_invalid_filter_parameters_are_named_in_the_error() -> None:
     with pytest.raises(ConfigError, match=r"sample_period_s: found 0.0, expected a positive number of s"):
         ReferenceFilter(0.0)
     with pytest.raises(ConfigError, match=r"damping_ratio: found -1.0"):

@@ -1,4 +1,4 @@
-"""The play that relaxes."""
+"""The relaxing play."""
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ R, OMEGA = 0.3, 2 * np.pi * 5.0
 
 
 def test_between_samples_it_follows_its_differential_equation() -> None:
-    # dh/dt = ω (e + e³/r²) with x held: integrated by itself, and by the closed form in one step.
+    # dh/dt = ω (e + e³/r²) with x held: integrated numerically, and by the closed form in one step.
     def rate(t: float, h: np.ndarray) -> np.ndarray:
         e = 1.0 - h
         return OMEGA * (e + e**3 / R**2)
@@ -20,15 +20,15 @@ def test_between_samples_it_follows_its_differential_equation() -> None:
     assert relaxing_play(1.0, R, np.exp(-OMEGA * step), -0.4) == pytest.approx(exact, rel=1e-7)
 
 
-def test_its_slope_is_that_of_finite_differences() -> None:
+def test_its_slope_matches_finite_differences() -> None:
     a = np.exp(-0.1)
     above, below = relaxing_play(0.5, R, a, 0.1 + 1e-6), relaxing_play(0.5, R, a, 0.1 - 1e-6)
     assert relaxing_play_slope(0.5, R, a, 0.1) == pytest.approx((above - below) / 2e-6, rel=1e-6)
 
 
-def test_loops_widen_with_the_rate_and_small_motions_are_a_lag() -> None:
+def test_small_motions_lag_as_a_first_order_low_pass_and_large_ones_far_less() -> None:
     def lag(amplitude: float, hz: float) -> float:
-        """Of the fundamental behind the input, rad."""
+        """Return the lag of the fundamental behind the input, rad."""
         t = np.arange(4000) / 1000
         h, a = [0.0], np.exp(-OMEGA / 1000)
         for x in amplitude * np.sin(2 * np.pi * hz * t):

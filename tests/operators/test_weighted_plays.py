@@ -1,4 +1,4 @@
-"""Eq. 8 in one kernel: the bits and gradients of the operators one after the other; threads, compilation."""
+"""Eq. 8 in one kernel: bits and gradients equal those of the separate operators; threads, compilation."""
 
 import multiprocessing
 import subprocess
@@ -28,7 +28,7 @@ def inputs(seed: int, batch: int, time: int, plays: int, functions: int, own: in
     def random(*shape: int) -> Tensor:
         return torch.randn(*shape, dtype=torch.float64, generator=generator)
 
-    # Rounded inputs, thresholds and states meet the kinks exactly.
+    # Rounded inputs, thresholds and states hit the kinks exactly.
     x, r, h0 = random(batch, time).cumsum(1).round(decimals=1), random(plays).abs(), random(batch, plays)
     c = torch.tensor([1.0, 0.05, -0.002], dtype=torch.float64)
     knots = random(max(functions - 2, 0), 2)
@@ -67,7 +67,7 @@ class _Basis(torch.nn.Module):
     functions=st.integers(1, 4),
     own=st.integers(0, 2),
 )
-def test_bits_and_gradients_are_those_of_the_operators_one_after_the_other(
+def test_bits_and_gradients_match_those_of_the_separate_operators(
     seed: int, batch: int, time: int, plays: int, functions: int, own: int
 ) -> None:
     parts = [part.requires_grad_() for part in inputs(seed, batch, time, plays, functions, own)]
@@ -81,15 +81,15 @@ def test_bits_and_gradients_are_those_of_the_operators_one_after_the_other(
         strict=True,
     ):
         if name == "r":
-            # A threshold of 0 cannot be less: which edge pushes where both do is anyone's to say.
+            # A threshold cannot fall below 0; at 0 both edges push, and either gradient is valid.
             one, other = one[parts[4] > 0], other[parts[4] > 0]
         largest = float(other.abs().amax()) if other.numel() else 0.0
         assert torch.allclose(one, other, rtol=0, atol=1e-11 * (1 + largest)), name
 
 
 @pytest.mark.parametrize("amplitude", [0.3, 40.0])
-def test_a_record_cut_into_many_groups_gives_the_same(amplitude: float) -> None:
-    # Small: most plays never move in a whole stretch. Large: all do.
+def test_a_record_cut_into_many_groups_gives_the_same_result(amplitude: float) -> None:
+    # With the small amplitude, most plays stay still throughout a stretch; with the large one, all move.
     samples = 120_000
     assert fold_shape(samples)[0] > 1
     parts = inputs(1, 1, samples, 5, 2, 0)
@@ -105,14 +105,14 @@ def test_a_record_cut_into_many_groups_gives_the_same(amplitude: float) -> None:
             assert torch.allclose(one, other, rtol=1e-9, atol=1e-9 * float(other.abs().amax()))
 
 
-def test_gradients_are_those_of_finite_differences() -> None:
+def test_gradients_match_finite_differences() -> None:
     parts = [part.requires_grad_() for part in inputs(4, 2, 9, 3, 4, 2)]
     with torch.no_grad():
         parts[0] += 0.0137 * torch.randn_like(parts[0])  # away from the kinks
     assert torch.autograd.gradcheck(lambda *p: weighted_plays(*p, *SCALES), parts, eps=1e-7, atol=1e-4)
 
 
-def test_float32_is_kept_and_close() -> None:
+def test_float32_is_kept_and_close_to_float64() -> None:
     parts = inputs(0, 2, 500, 6, 4, 2)
     exact, _ = weighted_plays(*parts, *SCALES)
     u, h = weighted_plays(*(part.float() for part in parts), *SCALES)
@@ -136,8 +136,8 @@ def test_any_number_of_threads_gives_the_same_bits() -> None:
 
 
 @pytest.mark.filterwarnings("ignore:.*fork.*:DeprecationWarning")
-def test_a_forked_process_has_threads_of_its_own() -> None:
-    # As in a data loader: the child has none of the threads that its parent has begun.
+def test_a_forked_process_starts_threads_of_its_own() -> None:
+    # As in a data loader: the child has none of the threads that its parent has started.
     assert _counted_in_threads() == list(range(7))
     with multiprocessing.get_context("fork").Pool(1) as pool:
         assert pool.apply_async(_counted_in_threads).get(20) == list(range(7))
@@ -154,7 +154,7 @@ def _counted_in_threads() -> list[int]:
     return done.tolist()
 
 
-def test_both_operations_keep_the_rules_of_torch_library() -> None:
+def test_both_operations_pass_the_checks_of_torch_library() -> None:
     parts = [part.requires_grad_() for part in inputs(0, 2, 40, 3, 4, 1)]
     checks = "test_schema", "test_autograd_registration", "test_faketensor"
     torch.library.opcheck(torch.ops.torchpi.weighted_plays.default, (*parts, *SCALES), test_utils=checks)
@@ -177,7 +177,7 @@ def test_without_the_dispatcher_the_bits_are_the_same() -> None:
         assert torch.equal(one, other)
 
 
-def test_torch_compile_takes_them_whole_forward_and_backward() -> None:
+def test_torch_compile_captures_them_whole_forward_and_backward() -> None:
     parts = [part.requires_grad_() for part in inputs(0, 2, 60, 3, 4, 1)]
 
     def loss(*parts: Tensor) -> Tensor:
@@ -192,7 +192,7 @@ def test_torch_compile_takes_them_whole_forward_and_backward() -> None:
 
 
 def test_without_numba_plain_torch_gives_the_same_voltage() -> None:
-    # Numba is hidden from where it is asked for, in a fresh interpreter.
+    # A fresh interpreter hides numba from the module that imports it.
     program = """
         import builtins
         real = builtins.__import__
@@ -225,7 +225,7 @@ def test_without_numba_plain_torch_gives_the_same_voltage() -> None:
 
 @settings(max_examples=5)
 @given(seed=st.integers(0, 10**6))
-def test_gradients_need_not_be_asked_of_all(seed: int) -> None:
+def test_gradients_may_be_requested_for_a_single_input(seed: int) -> None:
     parts = inputs(seed, 1, 50, 3, 4, 1)
     everything = [part.clone().requires_grad_() for part in parts]
     full = torch.autograd.grad(weighted_plays(*everything, *SCALES)[0].sum(), everything)

@@ -1,4 +1,4 @@
-"""One short run of everything, for all tests that look at what comes out."""
+"""One short run of `reproduce`, shared by all tests that examine its output."""
 
 import tempfile
 from functools import cache
@@ -15,7 +15,7 @@ STAGE = Path(__file__).parents[2] / "configs" / "stage" / "qin2013.yaml"
 
 
 def of_fig7() -> DirectInverse:
-    """The paper's own method: quick, and good enough to see that the page is made."""
+    """Fit by the paper's own method: quick, and good enough to test that the page is made."""
     return identify(Fig7Plant()).compensator
 
 
@@ -28,7 +28,7 @@ QUICK = Recipe(of_fig7, of_stage)
 
 @cache
 def short_run() -> Path:
-    """The folder it left; run once in a session."""
+    """Return the output folder of the run, which happens once per session."""
     folder = tempfile.TemporaryDirectory(prefix="torchpi-paper-")
     _kept.append(folder)
     reproduce(Path(folder.name), None, STAGE, SHORT, QUICK)

@@ -17,14 +17,14 @@ def stage() -> Stage:
     return Stage.from_yaml(STAGE).requires_grad_(False)
 
 
-def test_variants_are_forms_of_the_compensator_and_end_with_the_whole() -> None:
+def test_variants_are_valid_forms_of_the_compensator_up_to_the_full_one() -> None:
     for settings in VARIANTS.values():
         DirectInverse(1e-4, [0.0, 1.0], **settings["form"])
     assert VARIANTS["+ own output functions: torchpi"] == {"form": FORM}
     assert 0 in PASSES
 
 
-def test_every_variant_has_its_spread_over_the_seeds(stage: Stage) -> None:
+def test_errors_of_every_variant_have_a_spread_over_the_seeds(stage: Stage) -> None:
     variants = {
         "paper": {"form": PAPER, "evaluations": 0},
         "creep": {
@@ -41,7 +41,7 @@ def test_every_variant_has_its_spread_over_the_seeds(stage: Stage) -> None:
     assert found.stage["creep"]["fast_rms"].mean < found.stage["paper"]["fast_rms"].mean
 
 
-def test_another_seed_has_other_phases_and_other_noise(stage: Stage) -> None:
+def test_another_seed_gives_different_recordings(stage: Stage) -> None:
     one, other = stage_recordings(stage, 0), stage_recordings(stage, 1)
     assert [recording.name for recording in one] == [recording.name for recording in other]
     for a, b in zip(one, other, strict=True):

@@ -1,4 +1,4 @@
-"""The calibrated stage is as hard for the paper's method as the paper's rig, for reasons that a rig has."""
+"""The calibrated stage is as hard for the paper's method as the paper's rig, and physically realistic."""
 
 import math
 from functools import cache
@@ -35,22 +35,22 @@ def calibration(seed: int) -> Calibration:
 
 @pytest.mark.parametrize("figure", PAPER_MAX_UM)
 @pytest.mark.parametrize("seed", SEEDS)
-def test_the_papers_method_leaves_the_papers_error_whatever_the_noise(seed: int, figure: str) -> None:
+def test_the_papers_method_has_the_published_error_for_every_noise_seed(seed: int, figure: str) -> None:
     assert calibration(seed).max_um[figure] == pytest.approx(PAPER_MAX_UM[figure], rel=0.2)
 
 
-def test_the_stages_own_seed_is_the_default_and_repeats() -> None:
+def test_the_default_seed_is_the_stages_own_and_results_repeat() -> None:
     assert calibrate_paper_method(stage()).max_um == calibration(stage().seed).max_um
 
 
-def test_the_initial_loading_is_the_worst_of_the_model_and_of_the_fast_trajectory() -> None:
+def test_model_and_fast_trajectory_errors_are_largest_in_the_initial_loading() -> None:
     found = calibration(1)
     assert found.model.whole.max_um > found.model.after_loading.max_um
     fast = found.panels["fast"].tracked["paper"].error
     assert fast.max_um > fast.max_um_after_loading
 
 
-def test_the_figures_are_those_of_the_curves_beside_them() -> None:
+def test_error_figures_are_those_of_the_returned_curves() -> None:
     for panel in calibration(1).panels.values():
         tracked = panel.tracked["paper"]
         assert tracked.error.max_um == pytest.approx(np.abs(tracked.y - panel.yd).max())
@@ -61,7 +61,7 @@ def test_the_figures_are_those_of_the_curves_beside_them() -> None:
         np.testing.assert_array_equal(again[0].numpy(), tracked.y)
 
 
-def test_every_value_is_one_that_such_a_rig_has() -> None:
+def test_parameters_of_the_stage_are_realistic() -> None:
     rig = stage()
     values = {name: value for one in rig.effects for name, value in one.values.items()}
     assert 400 <= values["frequency_hz"] <= 800
@@ -75,13 +75,13 @@ def test_every_value_is_one_that_such_a_rig_has() -> None:
     assert slope == pytest.approx([1.0, 0.9, 0.8])
 
 
-def test_its_range_and_its_loop_are_those_of_such_a_rig() -> None:
+def test_range_and_loop_of_the_stage_are_realistic() -> None:
     _, u = sine_5hz(0.6)
     y = stage()(torch.from_numpy(u)[None])[0][0].numpy()
-    # The last loop, the command being paired with the displacement that it causes two samples later.
+    # In the last loop, each command is paired with the displacement that it causes two samples later.
     u, y = u[3998:5998], y[4000:]
     assert y.max() == pytest.approx(8.1, abs=0.05)
-    # Eq. 15 and 16 come down to 1 µm, and the voltage stops at 0: a stage that stayed above could not follow.
+    # Eqs. 15 and 16 descend to 1 µm, which the stage must be able to reach with voltages of 0 V or more.
     assert y.min() == pytest.approx(0.9, abs=0.05)
     at = np.linspace(0.1, 9.9, 200)
     up, down = np.interp(at, u[:1000], y[:1000]), np.interp(at, u[1000:][::-1], y[1000:][::-1])
@@ -91,7 +91,7 @@ def test_its_range_and_its_loop_are_those_of_such_a_rig() -> None:
 
 
 @pytest.mark.parametrize("part", PARTS)
-def test_a_stage_without_a_part_lacks_that_part_alone_and_goes_as_far(part: str) -> None:
+def test_removing_a_part_changes_that_part_alone_and_keeps_the_range(part: str) -> None:
     before, after = stage(), without(stage(), part).requires_grad_(False)
     changed = {key for key, value in before.to_dict().items() if after.to_dict()[key] != value}
     assert changed == {
@@ -108,12 +108,12 @@ def test_a_stage_without_a_part_lacks_that_part_alone_and_goes_as_far(part: str)
     assert float(after(rise)[0].max()) == pytest.approx(float(before(rise)[0].max()), rel=0.01)
 
 
-def test_the_mode_makes_most_of_the_model_error_and_creep_a_third_of_the_slow_one() -> None:
+def test_most_of_the_model_error_is_due_to_the_mode_and_a_third_of_the_slow_error_to_creep() -> None:
     mode, creep = (calibrate_paper_method(without(stage(), part), 1) for part in ("mode", "creep"))
     assert mode.max_um["model"] < 0.5 * calibration(1).max_um["model"]
     assert creep.max_um["slow"] < 0.67 * calibration(1).max_um["slow"]
 
 
-def test_an_unknown_part_is_refused_with_the_known_ones() -> None:
+def test_an_unknown_part_is_refused_with_a_list_of_known_parts() -> None:
     with pytest.raises(ConfigError, match=r"'wear', expected one of noise, .* hysteresis"):
         without(stage(), "wear")

@@ -1,4 +1,4 @@
-"""The paper's claims: every experiment compares like with like, and says what came out."""
+"""The paper's claims: every experiment compares like with like and states its outcome."""
 
 from typing import Any
 
@@ -32,7 +32,7 @@ def tried() -> dict[str, claims.Claim]:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_variants_have_the_same_columns_and_a_sentence_each(tried, name: str) -> None:
+def test_variants_have_the_same_columns_and_claims_are_full_sentences(tried, name: str) -> None:
     claim = tried[name]
     columns = {tuple(variant) for variant in claim.variants.values()}
     assert len(columns) == 1 and len(claim.variants) >= 2
@@ -40,7 +40,7 @@ def test_variants_have_the_same_columns_and_a_sentence_each(tried, name: str) ->
     assert claim.statement.endswith(".") and claim.found.endswith(".")
 
 
-def test_what_is_the_paper_s_method_is_the_same_in_every_experiment(tried) -> None:
+def test_the_papers_method_has_the_same_error_in_every_experiment(tried) -> None:
     held_out = [
         next(iter(tried[name].variants.values()))[claims.HELD_OUT]
         for name in ("polynomial", "jointly", "two_sets", "multisine")
@@ -48,16 +48,16 @@ def test_what_is_the_paper_s_method_is_the_same_in_every_experiment(tried) -> No
     assert held_out == pytest.approx([held_out[0]] * 4, rel=1e-2)
 
 
-def test_a_multisine_and_two_recordings_are_better_as_the_paper_says(tried) -> None:
+def test_a_multisine_and_two_recordings_are_better_as_the_paper_claims(tried) -> None:
     assert tried["multisine"].holds and tried["two_sets"].holds
 
 
-def test_searching_everything_at_once_leaves_less_on_the_records_it_saw(tried) -> None:
+def test_a_joint_search_fits_its_records_no_worse_than_two_stages(tried) -> None:
     two, *jointly = (variant["both records, rms V"] for variant in tried["jointly"].variants.values())
     assert max(jointly) <= 1.02 * two
 
 
-def test_above_80_hz_has_a_row_a_frequency_and_both_methods(tried) -> None:
+def test_above_80_hz_each_frequency_has_a_row_with_both_methods(tried) -> None:
     variants = tried["above_80hz"].variants
     assert list(variants) == [f"{hz} Hz" for hz in SHORT.above_hz]
     assert {column.split(",")[0] for column in variants["80 Hz"]} == {"paper", "torchpi"}

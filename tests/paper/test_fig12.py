@@ -1,4 +1,4 @@
-"""Fig. 12: the two trajectories, and how their errors are counted."""
+"""Fig. 12: the two trajectories, and the definitions of their errors."""
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ from torchpi.recordings.recording import Recording
 
 
 class Late:
-    """A stage of 0.8 µm/V that answers `samples` late, without noise."""
+    """A noise-free stage of 0.8 µm/V with a delay of `samples`."""
 
     sample_rate_hz = 1e4
     sample_period_s = 1e-4
@@ -32,16 +32,16 @@ def straight(preview: int) -> StraightLine:
 
 
 @pytest.mark.parametrize("name", fig12.TRAJECTORIES)
-def test_a_look_ahead_undoes_a_delay(name: str) -> None:
+def test_a_preview_compensates_a_delay(name: str) -> None:
     panel = fig12.panel(Late(3), name, {"ahead": straight(3), "without": straight(0)})
     assert panel.tracked["ahead"].error.max_um_after_loading < 1e-12
     assert panel.tracked["ahead"].on_sensor.max_um_after_loading == pytest.approx(0.01)
-    top_rate = {"slow": 94.2, "fast": 895.7}[name]  # with the filter's start
+    top_rate = {"slow": 94.2, "fast": 895.7}[name]  # including the filter's initial transient
     assert panel.tracked["without"].error.max_um <= 3e-4 * top_rate * 4
     assert panel.tracked["without"].error.max_um_after_loading > 0.5 * 3e-4 * {"slow": 94, "fast": 831}[name]
 
 
-def test_per_cent_are_of_the_reference_and_not_of_the_rise_from_rest() -> None:
+def test_percentages_refer_to_the_reference_without_the_rise_from_rest() -> None:
     peaks = {name: fig12.panel(Late(1), name, {}).peak_to_peak_um for name in fig12.TRAJECTORIES}
     assert peaks["slow"] == pytest.approx(6.0, abs=1e-6)
     assert peaks["fast"] == pytest.approx(6.826, abs=1e-3)
@@ -52,11 +52,11 @@ def test_per_cent_are_of_the_reference_and_not_of_the_rise_from_rest() -> None:
     assert (error.extreme_um, error.max_um_after_loading) == (pytest.approx(-0.5), pytest.approx(0.3))
 
 
-def test_loading_ends_where_the_trajectory_first_is_at_its_top() -> None:
+def test_loading_ends_where_the_trajectory_first_reaches_its_maximum() -> None:
     assert loading_samples(np.array([0.0, 3.0, 5.0, 4.9999, 5.0])) == 2
 
 
-def test_a_motion_rests_beyond_its_end_unless_it_is_said_how_it_goes_on() -> None:
+def test_a_motion_rests_beyond_its_end_unless_a_continuation_is_given() -> None:
     yd = np.linspace(0.0, 4.0, 50)
     rests = follow(straight(5), Late(0), yd)
     np.testing.assert_allclose(rests.y[-6:], 4.0)
@@ -65,7 +65,7 @@ def test_a_motion_rests_beyond_its_end_unless_it_is_said_how_it_goes_on() -> Non
     np.testing.assert_allclose(goes_on.y[-5:], 2.0)
 
 
-def test_unseen_trajectories_differ_stay_in_range_and_are_judged_alike() -> None:
+def test_unseen_trajectories_differ_and_stay_within_range() -> None:
     trials = [unseen.trial(straight(2), Late(2), seed, 0.4) for seed in (1, 2, 3)]
     assert len({one.top_rate_um_s for one in trials}) == 3
     assert all(one.error.max_um_after_loading < 1e-12 for one in trials)

@@ -1,4 +1,4 @@
-"""Fig. 13 as numbers: width and nonlinearity of loops that are known."""
+"""Fig. 13 as numbers: width and nonlinearity of known loops."""
 
 import numpy as np
 import pytest
@@ -10,8 +10,8 @@ from torchpi.paper.fig13 import FREQUENCIES_HZ, HIGH_UM, LOW_UM, loop, width_and
 
 
 @given(st.floats(0.0, 1.0), st.floats(0.5, 1.5))
-def test_a_play_is_twice_its_threshold_wide_and_straight(r: float, gain: float) -> None:
-    """An ellipse, whose width is known: a lag of angle φ is 2 A sin φ wide."""
+def test_an_ellipse_has_its_known_width_and_no_nonlinearity(r: float, gain: float) -> None:
+    """A lag of angle φ at amplitude A gives an ellipse of width 2 A sin φ."""
     phase = np.linspace(0, 2 * np.pi, 4001)
     lag = 0.2 * r
     yd, y = 4 - 3 * np.cos(phase), gain * (4 - 3 * np.cos(phase - lag))
@@ -20,7 +20,7 @@ def test_a_play_is_twice_its_threshold_wide_and_straight(r: float, gain: float) 
     assert bend < 1e-3
 
 
-def test_a_bent_line_has_no_width() -> None:
+def test_a_curved_line_has_nonlinearity_but_no_width() -> None:
     yd = 4 - 3 * np.cos(np.linspace(0, 2 * np.pi, 4001))
     width, bend = width_and_bend(yd, yd + 0.1 * (yd - 4) ** 2)
     assert width < 1e-2
@@ -28,7 +28,7 @@ def test_a_bent_line_has_no_width() -> None:
 
 
 class Copy:
-    """A compensator and a plant that do nothing, and see everything."""
+    """A compensator that passes its input on, and a plant that delays it by the preview."""
 
     sample_rate_hz = 1e4
     sample_period_s = 1e-4
@@ -47,7 +47,7 @@ class Copy:
 
 
 @pytest.mark.parametrize("hz", FREQUENCIES_HZ[2:])
-def test_a_perfect_stage_has_neither_at_any_frequency(hz: int) -> None:
+def test_a_perfect_stage_has_no_width_or_nonlinearity_at_any_frequency(hz: int) -> None:
     judged = loop(Copy(), Copy(), hz)
     assert max(judged.width_percent, judged.nonlinearity_percent, judged.max_percent) < 0.05
     assert judged.yd.min() == pytest.approx(LOW_UM, abs=0.02)

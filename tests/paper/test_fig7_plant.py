@@ -1,4 +1,4 @@
-"""The plant of Fig. 7, and what it is as a stage."""
+"""The plant of Fig. 7, and its use as a stage."""
 
 import math
 
@@ -16,19 +16,19 @@ class TestOperator(OperatorLaws):
         return Fig7Plant(0.01).operator
 
 
-def test_fig_7_has_the_areas_of_the_checklist() -> None:
+def test_fig_7_loops_have_the_expected_areas() -> None:
     areas = [loop_area(frequency_hz) for frequency_hz in FREQUENCIES_HZ]
     assert areas == pytest.approx([10.3, 11.0, 11.9, 18.8, 27.4], rel=0.005)
     assert areas == sorted(areas)
 
 
-def test_the_loop_is_closed_and_an_amplitude_of_ten_is_0_to_10() -> None:
+def test_the_loop_is_closed_and_its_voltage_spans_0_to_10_v() -> None:
     u, y = loop(50)
     assert (u.min(), u.max()) == (0.0, 10.0)
     assert y[0] == pytest.approx(y[-1], abs=1e-9)
 
 
-def test_the_sampled_plant_makes_nearly_the_same_loop_at_the_rate_of_the_rig() -> None:
+def test_the_plant_sampled_at_10_khz_has_nearly_the_same_loop_area() -> None:
     plant = Fig7Plant()
     phase = 2 * torch.pi * torch.arange(201, dtype=torch.float64)[None] / 100
     u = 5 - 5 * torch.cos(phase)  # 100 Hz at 10 kHz
@@ -49,14 +49,14 @@ def test_stream_gives_the_same_bits_as_simulate() -> None:
         np.testing.assert_array_equal(steps[:, 1], expected[0].numpy())
 
 
-def test_it_answers_at_once() -> None:
+def test_the_plant_responds_without_delay() -> None:
     plant, u = Fig7Plant(), torch.zeros(1, 10, dtype=torch.float64)
     u[0, 4:] = 1.0
     y, _ = plant.simulate(u)
     assert not bool(y[0, :4].any()) and bool(y[0, 4].any())
 
 
-def test_bad_voltages_and_periods_are_refused_in_one_line() -> None:
+def test_invalid_voltages_and_periods_are_refused() -> None:
     with pytest.raises(StageError, match="nan V"):
         Fig7Plant().stream().step(math.nan)
     with pytest.raises(StageError, match="shape"):

@@ -1,4 +1,4 @@
-"""Arrays and frames become recordings by the rules of files, with the errors of files."""
+"""Recordings made from arrays and data frames follow the same rules, and raise the same errors, as files."""
 
 from typing import Any
 
@@ -16,7 +16,7 @@ Y = 0.8 * U
 
 
 class Frame:
-    """As much of a pandas frame as is used."""
+    """The part of a pandas frame's interface that is used."""
 
     def __init__(self, index: Any = None, **columns: Any) -> None:
         self.columns, self._columns = list(columns), columns
@@ -35,7 +35,7 @@ def test_arrays_tensors_and_lists_give_the_same_recording() -> None:
     assert recordings_sha256([one]) == recordings_sha256([Recording.from_arrays(None, U, Y, fs_hz=1000)])
 
 
-def test_units_zero_skip_and_other_signals_are_options_as_of_a_file() -> None:
+def test_arrays_take_the_same_unit_zero_skip_and_aux_options_as_files() -> None:
     made = Recording.from_arrays(
         1e3 * T, 1e3 * U, 1e3 * Y + 7, time_unit="ms", input_unit="mV", output_unit="nm", zero="first",
         skip_s=0.5, aux={"aux_temperature": T},
@@ -44,7 +44,7 @@ def test_units_zero_skip_and_other_signals_are_options_as_of_a_file() -> None:
     assert np.array_equal(made.aux["aux_temperature"], T[500:])
 
 
-def test_a_frame_is_read_by_its_names_and_units() -> None:
+def test_a_frame_is_read_by_its_column_names_and_units() -> None:
     columns = {"u [mV]": 1e3 * U, "y (nm)": 1e3 * Y}
     stamps = np.datetime64("2026-01-01") + (1e6 * T).round().astype("timedelta64[us]")
     for frame in (Frame(time_ms=1e3 * T, **columns), pandas_index(stamps, columns)):
@@ -68,16 +68,16 @@ def pandas_index(stamps: np.ndarray, columns: dict[str, np.ndarray]) -> Any:
     ],
     ids=["objects", "decimal commas", "ISO dates"],
 )
-def test_a_frame_may_hold_what_a_text_file_may(t: Any, u: Any) -> None:
+def test_a_frame_accepts_objects_decimal_commas_and_iso_dates_as_a_text_file_does(t: Any, u: Any) -> None:
     import pandas
 
-    for kind in (object, None):  # None: pandas' own type of text
+    for kind in (object, None):  # None: pandas' own string type
         frame = pandas.DataFrame({"time": pandas.Series(t, dtype=kind), "u": pandas.Series(u), "y": Y})
         made = Recording.from_frame(frame)
         assert np.allclose(made.u, U) and made.fs_hz == pytest.approx(1000)
 
 
-def test_a_recording_stays_as_it_was_when_its_arrays_change() -> None:
+def test_changing_the_source_arrays_does_not_change_the_recording() -> None:
     import pandas
 
     t, u, y, extra = T.copy(), U.copy(), torch.tensor(Y), T.copy()
@@ -94,7 +94,9 @@ def test_a_recording_stays_as_it_was_when_its_arrays_change() -> None:
 
 
 @pytest.mark.parametrize(("factor", "unit"), [(1e3, "ms or us"), (1e-6, "s")])
-def test_a_sample_rate_that_no_controller_has_names_the_unit_of_time(factor: float, unit: str) -> None:
+def test_an_implausible_sample_rate_causes_a_warning_with_the_likely_time_unit(
+    factor: float, unit: str
+) -> None:
     with pytest.warns(RecordingWarning, match=f"sampled at .* Hz .*; if the time stamps are in {unit}, give"):
         Recording.from_arrays(factor * T, U, Y)
 
@@ -122,7 +124,7 @@ HOLE = np.where(np.arange(len(Y)) == 17, np.nan, Y)
         (([], [], []), {}, "arrays: 0 samples, expected at least 10"),
         ((T, U > 5, Y), {}, "arrays: 'u' holds bool, expected numbers"),
         ((T, U, Y), {"aux": {"temp": T}}, "arrays: aux: found 'temp', expected a name that begins with aux_"),
-        ((T, U, Y), {"aux": [T]}, "arrays: aux: found list, expected signals by their names"),
+        ((T, U, Y), {"aux": [T]}, "arrays: aux: found list, expected signals by name"),
         ((T, U, Y), {"resample": "no"}, "resample: found 'no', expected true or false"),
         ((None, U, Y), {"fs": 1000}, "found the option 'fs', expected one of"),
     ],
@@ -132,7 +134,7 @@ HOLE = np.where(np.arange(len(Y)) == 17, np.nan, Y)
         "no time but an option",
     ],
 )  # fmt: skip
-def test_what_is_wrong_with_arrays_is_one_line_that_names_the_place(
+def test_invalid_arrays_are_refused_in_one_line_that_names_the_fault(
     arguments: tuple[Any, ...], options: dict[str, Any], message: str
 ) -> None:
     with pytest.raises(TorchpiError) as refused:
@@ -154,7 +156,7 @@ def test_what_is_wrong_with_arrays_is_one_line_that_names_the_place(
     ],
     ids=["a list", "no voltage", "unknown unit", "unsorted", "nan"],
 )
-def test_what_is_wrong_with_a_frame_is_one_line_that_names_the_row(frame: Any, message: str) -> None:
+def test_an_invalid_frame_is_refused_in_one_line_that_names_the_fault(frame: Any, message: str) -> None:
     with pytest.raises(RecordingError) as refused:
         Recording.from_frame(frame)
     assert message in str(refused.value) and "\n" not in str(refused.value)

@@ -1,4 +1,4 @@
-"""Every kind of file gives the same numbers, and every fault one line that says where and what to do."""
+"""Every file format gives the same numbers, and every fault one line that says where and what to do."""
 
 from pathlib import Path
 
@@ -19,7 +19,7 @@ Y = 0.8 * U + 0.01 * np.sin(7 * U)
 
 
 def refusal(path: Path, **options: object) -> str:
-    """The error's text, which is one line and begins with the file."""
+    """Return the error's text, after checking that it is one line and begins with the file."""
     with pytest.raises(RecordingError) as caught:
         read_recording(path, **options)
     text = str(caught.value)
@@ -56,11 +56,11 @@ class TestText:
         rows = [row.replace(".", ",") for row in csv_rows(delimiter)]
         assert_is_the_record(read_recording(write_rows(tmp_path / "a.csv", rows)))
 
-    def test_a_byte_order_mark_quotes_and_spaces_do_no_harm(self, tmp_path):
+    def test_a_byte_order_mark_quotes_and_spaces_are_accepted(self, tmp_path):
         rows = ['\ufeff"time_s", "input_v", "output_um"'] + [row.replace(",", ", ") for row in csv_rows()[1:]]
         assert_is_the_record(read_recording(write_rows(tmp_path / "a.csv", rows)))
 
-    def test_windows_line_ends_do_no_harm(self, tmp_path):
+    def test_windows_line_endings_are_accepted(self, tmp_path):
         (tmp_path / "a.csv").write_bytes("\r\n".join([*csv_rows(), ""]).encode())
         assert_is_the_record(read_recording(tmp_path / "a.csv"))
 
@@ -86,17 +86,17 @@ class TestText:
         )
         assert_is_the_record(read_recording(tmp_path / "a.csv"))
 
-    def test_text_without_a_header_asks_for_numbers(self, tmp_path):
+    def test_text_without_a_header_is_refused_with_a_request_for_column_numbers(self, tmp_path):
         path = write_rows(tmp_path / "a.dat", csv_rows(" ")[1:])
         text = refusal(path)
         assert "no header row" in text and "1 to 3" in text and "input_column" in text and "fs_hz" in text
 
-    def test_a_misspelled_column_names_the_nearest_and_all(self, tmp_path):
+    def test_an_unknown_column_is_refused_with_the_nearest_and_all_names(self, tmp_path):
         path = write_rows(tmp_path / "a.csv", csv_rows(header="time_s,input_V,ouput"))
         text = refusal(path, input_column="input_V")
         assert "'output_um'" in text and "nearest is 'ouput'" in text and "time_s, input_V, ouput" in text
 
-    def test_a_missing_time_column_says_that_a_rate_will_do(self, tmp_path):
+    def test_a_missing_time_column_is_refused_unless_a_sample_rate_is_given(self, tmp_path):
         path = write_rows(tmp_path / "a.csv", csv_rows(header="zeit,input_v,output_um"))
         assert "fs_hz" in refusal(path)
         np.testing.assert_allclose(read_recording(path, fs_hz=FS_HZ).u, U, atol=1e-7)
@@ -105,7 +105,7 @@ class TestText:
         ("cell", "says"),
         [("abc", "'abc'"), ("", "found nothing"), ("1_000", "'1_000'"), ("--", "'--'")],
     )
-    def test_text_in_a_cell_is_reported_with_the_row_of_the_file(self, tmp_path, cell, says):
+    def test_text_in_a_cell_is_reported_with_its_row_and_column(self, tmp_path, cell, says):
         rows = csv_rows()
         rows[16] = f"{T[15]},{cell},1.0"
         text = refusal(write_rows(tmp_path / "a.csv", rows))
@@ -123,7 +123,7 @@ class TestText:
         cell=st.sampled_from(["nan", "NaN", "inf", "-inf"]),
         comments=st.integers(0, 3),
     )
-    def test_a_number_that_is_none_is_reported_wherever_it_is(
+    def test_a_non_finite_number_is_reported_with_its_row_and_column(
         self, tmp_path_factory, row, column, cell, comments
     ):
         rows = csv_rows()
@@ -136,19 +136,19 @@ class TestText:
         assert f"'{column}'" in text
         assert f"found {float(cell)}" in text
 
-    def test_a_column_that_is_not_asked_for_may_hold_anything(self, tmp_path):
+    def test_an_unused_column_may_hold_anything(self, tmp_path):
         rows = [row + (",note" if k == 0 else ",n/a") for k, row in enumerate(csv_rows())]
         assert_is_the_record(read_recording(write_rows(tmp_path / "a.csv", rows)))
 
-    def test_input_and_output_must_be_two_columns(self, tmp_path):
+    def test_input_and_output_must_be_different_columns(self, tmp_path):
         path = write_rows(tmp_path / "a.csv", csv_rows())
         assert "same column 'input_v'" in refusal(path, output_column=2)
 
     def test_a_repeated_column_name_is_refused(self, tmp_path):
         path = write_rows(tmp_path / "a.csv", csv_rows(header="time_s,input_v,input_v"))
-        assert "stands twice" in refusal(path)
+        assert "occurs twice" in refusal(path)
 
-    def test_files_with_nothing_in_them_are_refused(self, tmp_path):
+    def test_files_without_data_are_refused(self, tmp_path):
         (tmp_path / "a.csv").write_text("")
         assert "empty" in refusal(tmp_path / "a.csv")
         (tmp_path / "b.csv").write_text("\n\n")
@@ -162,53 +162,53 @@ class TestText:
 
 
 class TestWhichFile:
-    def test_a_missing_file_names_its_neighbour(self, tmp_path):
+    def test_a_missing_file_is_refused_with_the_nearest_name(self, tmp_path):
         write_rows(tmp_path / "record.csv", csv_rows())
         assert "record.csv" in refusal(tmp_path / "recrod.csv")
         assert "no such file" in refusal(tmp_path / "recrod.csv")
         assert "no folder" in refusal(tmp_path / "nowhere" / "a.csv")
 
-    def test_a_folder_or_an_unknown_kind_is_refused(self, tmp_path):
+    def test_a_folder_or_an_unknown_file_type_is_refused(self, tmp_path):
         assert "folder" in refusal(tmp_path)
         (tmp_path / "a.docx").write_text("x")
         assert ".csv" in refusal(tmp_path / "a.docx")
 
     @pytest.mark.parametrize("suffix", [".npz", ".mat", ".h5", ".tdms", ".mf4"])
-    def test_a_file_that_is_not_what_its_suffix_says_is_refused(self, tmp_path, suffix):
+    def test_a_file_whose_content_contradicts_its_suffix_is_refused(self, tmp_path, suffix):
         (tmp_path / f"a{suffix}").write_text("this is no such file\n" * 100)
         assert " is not a" in refusal(tmp_path / f"a{suffix}")
 
 
 class TestNpz:
-    def test_arrays_by_name_with_the_rate_in_the_file(self, tmp_path):
+    def test_arrays_are_read_by_name_with_the_sample_rate_from_the_file(self, tmp_path):
         np.savez(tmp_path / "a.npz", volts=U, um=Y, fs=FS_HZ, aux_temp_c=T)
         recording = read_recording(tmp_path / "a.npz", input_column="volts", output_column="um", fs_hz="fs")
         assert_is_the_record(recording)
         np.testing.assert_array_equal(recording.aux["aux_temp_c"], T)
 
-    def test_an_index_takes_one_signal_of_many(self, tmp_path):
+    def test_an_index_selects_one_signal_of_an_array(self, tmp_path):
         np.savez(tmp_path / "a.npz", d=np.stack((U, Y), 1)[:, :, None])
         recording = read_recording(
             tmp_path / "a.npz", input_column="d[:,0,0]", output_column="d[:, 1, 0]", fs_hz=FS_HZ
         )
         assert_is_the_record(recording)
 
-    def test_an_array_of_several_axes_shows_the_index_to_use(self, tmp_path):
+    def test_an_array_of_several_axes_is_refused_with_the_index_to_use(self, tmp_path):
         np.savez(tmp_path / "a.npz", input_v=np.zeros((400, 3)), output_um=Y)
         assert "input_v[:,0]" in refusal(tmp_path / "a.npz", fs_hz=FS_HZ)
         assert "input_v[:,0]" in refusal(tmp_path / "a.npz", input_column="input_v[:,7]", fs_hz=FS_HZ)
 
-    def test_unequal_lengths_are_named(self, tmp_path):
+    def test_unequal_lengths_are_refused(self, tmp_path):
         np.savez(tmp_path / "a.npz", input_v=U, output_um=Y[:-1])
         text = refusal(tmp_path / "a.npz", fs_hz=FS_HZ)
         assert "unequal lengths" in text and "400" in text and "399" in text
 
-    def test_without_time_or_rate_both_are_offered(self, tmp_path):
+    def test_missing_time_and_sample_rate_are_refused_with_both_options(self, tmp_path):
         np.savez(tmp_path / "a.npz", input_v=U, output_um=Y)
         text = refusal(tmp_path / "a.npz")
         assert "fs_hz" in text and "time_column" in text
 
-    def test_a_bad_sample_is_counted_from_one(self, tmp_path):
+    def test_a_bad_sample_is_reported_by_its_number_counted_from_one(self, tmp_path):
         y = Y.copy()
         y[41] = np.nan
         np.savez(tmp_path / "a.npz", input_v=U, output_um=y)
@@ -222,7 +222,7 @@ class TestNpz:
 
 
 class TestMat:
-    def test_variables_by_name_and_fields_of_structs(self, tmp_path):
+    def test_variables_and_struct_fields_are_read_by_name(self, tmp_path):
         from scipy.io import savemat
 
         savemat(tmp_path / "a.mat", {"time_s": T, "input_v": U[:, None], "log": {"output_um": Y, "n": 3}})
@@ -233,7 +233,7 @@ class TestMat:
         h5py = pytest.importorskip("h5py")
         with h5py.File(tmp_path / "a.mat", "w", userblock_size=512) as file:
             file["time_s"], file["log/input_v"], file["log/output_um"] = T[None], U[None], Y[None]
-            file["log/many"] = np.stack((U, Y))  # MATLAB's 400×2, stored in reverse
+            file["log/many"] = np.stack((U, Y))  # 400×2 in MATLAB, whose axes HDF5 reverses
             file["#refs#/a"] = np.zeros(3)
         with open(tmp_path / "a.mat", "r+b") as raw:
             raw.write(b"MATLAB 7.3 MAT-file")
@@ -243,7 +243,7 @@ class TestMat:
 
 
 class TestExtraFormats:
-    def test_hdf5_datasets_by_path(self, tmp_path):
+    def test_hdf5_datasets_are_read_by_path(self, tmp_path):
         h5py = pytest.importorskip("h5py")
         with h5py.File(tmp_path / "a.h5", "w") as file:
             file["run/u"], file["run/y"], file["run/fs"] = U, Y, FS_HZ
@@ -254,7 +254,7 @@ class TestExtraFormats:
         assert "the nearest is 'run/" in refusal(tmp_path / "a.h5", input_column="run/v", fs_hz=FS_HZ)
 
     @pytest.mark.parametrize("increment", [1 / FS_HZ, None])
-    def test_tdms_channels_with_their_increment_or_a_rate(self, tmp_path, increment):
+    def test_tdms_channels_are_read_with_their_increment_or_a_given_rate(self, tmp_path, increment):
         nptdms = pytest.importorskip("nptdms")
         properties = {"wf_increment": increment} if increment else {}
         with nptdms.TdmsWriter(tmp_path / "a.tdms") as writer:
@@ -270,7 +270,7 @@ class TestExtraFormats:
         if rate:
             assert "fs_hz" in refusal(tmp_path / "a.tdms")
 
-    def test_mf4_channels_with_their_time_stamps(self, tmp_path):
+    def test_mf4_channels_are_read_with_their_time_stamps(self, tmp_path):
         asammdf = pytest.importorskip("asammdf")
         with asammdf.MDF() as file:
             file.append(
@@ -284,7 +284,7 @@ class TestExtraFormats:
         assert_is_the_record(read_recording(tmp_path / "a.mf4"))
         assert "'slow_um'" in refusal(tmp_path / "a.mf4", output_column="slow_um")
 
-    def test_units_that_a_format_keeps_beside_its_signals_count(self, tmp_path):
+    def test_units_stored_as_metadata_of_the_signals_are_read(self, tmp_path):
         h5py = pytest.importorskip("h5py")
         with h5py.File(tmp_path / "a.h5", "w") as file:
             file["u"], file["y"], file["fs"] = 1e3 * U, 1e3 * Y, FS_HZ
@@ -311,7 +311,7 @@ class TestExtraFormats:
             file.save(tmp_path / "a.mf4")
         assert_is_the_record(read_recording(tmp_path / "a.mf4"))
 
-    def test_a_recording_that_was_cut_short_is_said(self, tmp_path):
+    def test_a_truncated_recording_causes_a_warning(self, tmp_path):
         nptdms = pytest.importorskip("nptdms")
         with nptdms.TdmsWriter(tmp_path / "a.tdms") as writer:
             for _ in range(2):
@@ -326,7 +326,9 @@ class TestExtraFormats:
     @pytest.mark.parametrize(
         ("suffix", "module"), [(".h5", "h5py"), (".tdms", "nptdms"), (".mf4", "asammdf")]
     )
-    def test_a_missing_extra_says_how_to_install_it(self, tmp_path, monkeypatch, suffix, module):
+    def test_a_missing_optional_package_is_reported_with_its_install_command(
+        self, tmp_path, monkeypatch, suffix, module
+    ):
         monkeypatch.setitem(__import__("sys").modules, module, None)
         (tmp_path / f"a{suffix}").write_bytes(b"x")
         assert "pip install 'torchpi[io]'" in refusal(tmp_path / f"a{suffix}")
@@ -347,7 +349,7 @@ class TestTimeStamps:
         assert grid.odd_sample is None
         assert grid.fs_hz == fs_hz
 
-    def test_stamps_coarser_than_the_sample_period_are_understood(self):
+    def test_stamps_coarser_than_the_sample_period_give_the_exact_rate(self):
         t = 100 + np.arange(20_000) / FS_HZ  # %.6g prints ten equal stamps in a row
         grid = uniform_grid(np.array([float(f"{x:.6g}") for x in t]))
         assert grid.odd_sample is None
@@ -365,11 +367,11 @@ class TestTimeStamps:
         assert uniform_grid(t).odd_sample == row
 
     @given(st.integers(1, 10**7), st.floats(-1e-10, 1e-10))
-    def test_a_round_rate_is_found_again(self, fs_hz, error):
+    def test_a_round_rate_is_recovered_despite_rounding_errors(self, fs_hz, error):
         assert round_rate((1 + error) / fs_hz, 0.0) == pytest.approx(fs_hz, rel=2e-9)
         if fs_hz < 10**4:
             assert round_rate((1 + error) / fs_hz, 0.0) == fs_hz
 
-    def test_a_rate_that_wanders_is_not_uniform(self):
+    def test_a_changing_sample_rate_is_not_taken_as_uniform(self):
         step = np.where(np.arange(10_000) < 5_000, 1.000e-4, 1.005e-4)
         assert uniform_grid(np.cumsum(step)).odd_sample is not None

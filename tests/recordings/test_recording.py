@@ -1,4 +1,4 @@
-"""Recordings survive writing and reading, and what is wrong with one is said before anything is computed."""
+"""Recordings are read back as written, their time stamps are checked, and bad arguments are refused."""
 
 import hashlib
 import warnings
@@ -30,7 +30,7 @@ needs_data = pytest.mark.skipif(not DATA.is_dir(), reason="the real recordings a
 
 
 def stage(u: np.ndarray, noise_um: float = 0.002, seed: int = 0) -> np.ndarray:
-    """Something like a piezo stage: plays by their definition, in NumPy, and a little noise."""
+    """Simulate a simple piezo stage: plays by their definition, in NumPy, and a little noise."""
     y = 0.4 * u
     for r in (0.2, 0.6, 1.5):
         h = np.empty_like(u)
@@ -48,7 +48,7 @@ def record(u: np.ndarray, y: np.ndarray | None = None, fs_hz: float = FS_HZ, **a
 
 
 def said(recording: Recording) -> list[str]:
-    """The warnings of the check."""
+    """Return the warnings of the check."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         check_recording(recording)
@@ -65,7 +65,7 @@ finite = hnp.arrays(np.float64, 30, elements=st.floats(-1e9, 1e9, allow_subnorma
 
 class TestFile:
     @given(x=finite, aux=finite, fs_hz=st.sampled_from([10_000.0, 3_000.0, 9_700.0, 51_200.0, 200.0]))
-    def test_what_is_written_is_read_to_the_last_bit(self, tmp_path_factory, x, aux, fs_hz):
+    def test_a_recording_is_read_back_bit_for_bit_as_written(self, tmp_path_factory, x, aux, fs_hz):
         path = tmp_path_factory.mktemp("round") / "a.csv"
         written = record(x, -x, fs_hz, aux_temp_c=aux)
         write_recording(path, written)
@@ -85,7 +85,7 @@ class TestFile:
         assert read.sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
         assert path.read_text().startswith("time_s,input_v,output_um\n0.0,")
 
-    def test_a_failed_write_leaves_the_file_that_was_there(self, tmp_path, multisine_record, monkeypatch):
+    def test_a_failed_write_leaves_the_previous_file(self, tmp_path, multisine_record, monkeypatch):
         path = tmp_path / "a.csv"
         write_recording(path, multisine_record)
         before = path.read_bytes()
@@ -99,25 +99,25 @@ class TestFile:
         ("input_unit", "output_unit", "volts", "um"),
         [("V", "um", 1, 1), ("mV", "nm", 1e3, 1e3), ("kV", "mm", 1e-3, 1e-3), ("V", "m", 1, 1e-6)],
     )
-    def test_units_are_converted_at_the_border(self, tmp_path, input_unit, output_unit, volts, um):
+    def test_units_are_converted_on_reading(self, tmp_path, input_unit, output_unit, volts, um):
         u, y = paper_multisine(0.1)[1], stage(paper_multisine(0.1)[1])
         np.savez(tmp_path / "a.npz", input_v=u * volts, output_um=y * um)
         read = read_recording(tmp_path / "a.npz", fs_hz=FS_HZ, input_unit=input_unit, output_unit=output_unit)
         np.testing.assert_allclose(read.u, u, rtol=1e-14)
         np.testing.assert_allclose(read.y, y, rtol=1e-14)
 
-    def test_an_unknown_unit_names_the_known_ones(self, tmp_path):
+    def test_an_unknown_unit_is_refused_with_a_list_of_valid_units(self, tmp_path):
         (tmp_path / "a.csv").write_text("time_s,input_v,output_um\n0,1,2\n1,2,3\n")
         with pytest.raises(RecordingError, match="output_unit is 'inch', expected one of um, nm, mm, m"):
             read_recording(tmp_path / "a.csv", output_unit="inch")
 
-    def test_zero_first_counts_from_the_first_sample(self, tmp_path, multisine_record):
+    def test_zero_first_subtracts_the_first_sample(self, tmp_path, multisine_record):
         write_recording(tmp_path / "a.csv", multisine_record)
         read = read_recording(tmp_path / "a.csv", zero="first")
         assert read.y[0] == 0
         np.testing.assert_array_equal(read.y, multisine_record.y - multisine_record.y[0])
 
-    def test_one_signal_is_read_alone(self, tmp_path):
+    def test_a_single_signal_can_be_read_on_its_own(self, tmp_path):
         (tmp_path / "a.csv").write_text("time_s,yd_um\n" + "".join(f"{k / 1e4},{k}\n" for k in range(20)))
         signal = read_signal(tmp_path / "a.csv", "yd_um")
         np.testing.assert_array_equal(signal.x, np.arange(20))
@@ -125,7 +125,7 @@ class TestFile:
         with pytest.raises(RecordingError, match="--trajectory_column"):
             read_signal(tmp_path / "a.csv", "yd", option="--trajectory_column")
 
-    def test_a_fifth_of_a_million_rows_are_no_trouble(self, tmp_path):
+    def test_a_file_of_200_000_rows_is_read(self, tmp_path):
         u = sine_5hz(20.0)[1]
         write_recording(tmp_path / "a.csv", record(u, 0.8 * u))
         assert len(read_recording(tmp_path / "a.csv")) == 200_000
@@ -140,7 +140,7 @@ class TestTime:
         )
         return path
 
-    def test_a_gap_names_the_row_the_step_and_the_option(self, tmp_path):
+    def test_a_gap_is_refused_with_row_step_and_option(self, tmp_path):
         path = self.rows(tmp_path, np.delete(np.arange(2000) / FS_HZ, [700, 701]))
         with pytest.raises(RecordingError) as caught:
             read_recording(path)
@@ -149,22 +149,22 @@ class TestTime:
         assert "step 0.0003 s" in text and "median step 0.0001 s" in text
         assert "the option resample (true)" in text
 
-    def test_resampling_fills_the_gap(self, tmp_path):
+    def test_resampling_fills_a_gap_and_marks_its_samples_as_not_read(self, tmp_path):
         path = self.rows(tmp_path, np.delete(np.arange(2000) / FS_HZ, [700, 701]))
         read = read_recording(path, resample=True)
         assert (len(read), read.fs_hz) == (2000, FS_HZ)
         np.testing.assert_allclose(read.u, 5 - 5 * np.cos(2 * np.pi * 5 * read.t), atol=1e-4)
-        assert read.not_read.tolist() == [700, 701, 702]  # the last answers a voltage that was filled in
+        assert read.not_read.tolist() == [700, 701, 702]  # the last responds to a voltage that was filled in
         assert read.slice(0.0650, 0.08).not_read.tolist() == [50, 51, 52]
         assert set(read.resampled(FS_HZ / 2).not_read) >= {350, 351}
 
-    def test_a_long_gap_is_filled_but_said(self, tmp_path):
+    def test_a_long_gap_is_filled_with_a_warning(self, tmp_path):
         path = self.rows(tmp_path, np.delete(np.arange(2000) / FS_HZ, np.arange(700, 760)))
         with pytest.warns(RecordingWarning, match="row 702: a gap of 0.0061 s"):
             read_recording(path, resample=True)
 
     @pytest.mark.parametrize("missing", [[], [700]])
-    def test_jitter_is_refused_and_resampled_row_for_row(self, tmp_path, missing):
+    def test_jitter_needs_resampling_which_keeps_the_reading_of_every_row(self, tmp_path, missing):
         t = (np.arange(2000) + 0.2 * np.random.default_rng(0).random(2000)) / FS_HZ
         path = self.rows(tmp_path, np.delete(t, missing))
         with pytest.raises(RecordingError, match=r"row 3: .*resample"):
@@ -187,7 +187,7 @@ class TestTime:
         np.testing.assert_array_equal(read.resampled(FS_HZ / 2).readings, rows)
         assert read.not_read.tolist() == []
 
-    def test_what_is_fast_is_not_smoothed_by_a_clock_that_is_not_a_round_one(self, tmp_path):
+    def test_resampling_to_a_round_rate_does_not_attenuate_fast_signals(self, tmp_path):
         t = np.cumsum(1 + 0.02 * np.random.default_rng(0).standard_normal(4000)) / 1000.4
         u = 4 - 4 * np.cos(2 * np.pi * 240 * (t - t[0]))
         path = tmp_path / "a.csv"
@@ -205,7 +205,7 @@ class TestTime:
         with pytest.raises(RecordingError, match=r"row 702: time goes from 0\.0699 s"):
             read_recording(self.rows(tmp_path, t), resample=resample)
 
-    def test_a_rate_beside_stamps_must_agree(self, tmp_path):
+    def test_a_given_sample_rate_must_agree_with_the_time_stamps(self, tmp_path):
         path = self.rows(tmp_path, np.arange(2000) / FS_HZ)
         assert read_recording(path, fs_hz=10_000).fs_hz == FS_HZ
         with pytest.raises(RecordingError, match="10000 Hz, but fs_hz is 5000 Hz"):
@@ -216,7 +216,7 @@ class TestTime:
 
 
 class TestMethods:
-    def test_a_slice_keeps_the_stamps_and_meets_its_edges(self, multisine_record):
+    def test_a_slice_keeps_its_time_stamps_and_samples(self, multisine_record):
         part = multisine_record.slice(0.1, 0.3)
         assert len(part) == 2000
         assert part.t[0] == multisine_record.t[1000]
@@ -225,7 +225,7 @@ class TestMethods:
             multisine_record.slice(7, 9)
 
     @given(st.floats(0.01, 0.99))
-    def test_head_and_tail_are_the_whole(self, fraction):
+    def test_head_and_tail_together_are_the_whole_recording(self, fraction):
         whole = record(np.arange(100.0), np.arange(100.0), aux_v=np.arange(100.0))
         head, tail = whole.split_tail(fraction)
         assert len(tail) == round(100 * fraction)
@@ -235,7 +235,7 @@ class TestMethods:
         np.testing.assert_array_equal(np.concatenate((head.aux["aux_v"], tail.aux["aux_v"])), whole.u)
 
     @pytest.mark.parametrize("fraction", [0.0, 1.0, -0.5, 2.0])
-    def test_a_split_leaves_something_to_both(self, multisine_record, fraction):
+    def test_a_split_fraction_that_is_not_between_0_and_1_is_refused(self, multisine_record, fraction):
         with pytest.raises(RecordingError, match="fraction between 0 and 1"):
             multisine_record.split_tail(fraction)
 
@@ -251,13 +251,13 @@ class TestMethods:
             assert error.max() < 0.03  # at the ends, where the record's curvature is unknown
             assert error[200:-200].max() < 2e-3
 
-    def test_resampling_down_does_not_fold(self):
+    def test_downsampling_does_not_alias(self):
         t = np.arange(20_000) / FS_HZ
         noise = np.sin(2 * np.pi * 3_900 * t)
         down = record(10 * t, 8 * t + noise).resampled(4_000.0)
         assert np.abs(down.y - 8 * down.t)[100:-100].max() < 0.01
 
-    def test_the_text_of_a_recording_says_what_it_is(self, multisine_record):
+    def test_repr_shows_samples_rate_duration_and_range(self, multisine_record):
         assert repr(multisine_record).startswith(
             "Recording('rec', 5,000 samples at 10000 Hz, 0.5 s, u 0…9.63"
         )
@@ -265,7 +265,7 @@ class TestMethods:
 
 @needs_data
 class TestRealRecordings:
-    def test_piezo_stack(self):
+    def test_the_piezo_stack_recordings_are_read(self):
         train = read_recording(
             DATA / "piezo_stack" / "Model_Vi_Do.dat", input_column=1, output_column=5, fs_hz=200, zero="first"
         )
@@ -281,7 +281,7 @@ class TestRealRecordings:
         )
         assert len(held_out.slice(56, 70.5)) == 2900
 
-    def test_steering_mirror(self):
+    def test_the_steering_mirror_recording_is_read(self):
         recording = read_recording(
             DATA / "steering_mirror" / "train.npz",
             input_column="u_300mV_train[:,0,0,0]",
@@ -292,7 +292,7 @@ class TestRealRecordings:
         assert len(recording) == 8192
         assert 0.1 < np.ptp(recording.y) < 100
 
-    def test_bouc_wen(self):
+    def test_the_bouc_wen_recording_is_read(self):
         pytest.importorskip("h5py")
         with pytest.warns(RecordingWarning, match="output_unit"):
             recording = read_recording(
@@ -304,12 +304,12 @@ class TestRealRecordings:
         assert (len(recording), recording.fs_hz) == (40_960, 750)
 
 
-def test_what_is_neither_path_nor_option_nor_recording_is_refused_by_its_name(tmp_path):
+def test_arguments_of_the_wrong_type_are_refused_by_name(tmp_path):
     path = tmp_path / "a.csv"
     with pytest.raises(RecordingError, match="path: found int, expected the path of a file"):
         read_recording(5)
     with pytest.raises(
-        ConfigError, match="options: found dict, expected RecordingOptions; single options go"
+        ConfigError, match="options: found dict, expected RecordingOptions; pass single options"
     ):
         read_recording(path, {"fs_hz": 1000})
     with pytest.raises(RecordingError, match=r"recording: found ndarray of 3×2, expected a Recording"):

@@ -37,14 +37,14 @@ class TestAsRigsWriteIt:
         assert_is_the_record(read_recording(write_rows(path, [header, *rows])))
 
     @pytest.mark.parametrize("unit", ["furlong", "counts", "in", "%", "a.u.", "NM", "mA"])
-    def test_a_unit_that_is_not_known_is_refused_with_the_option(self, tmp_path, unit):
+    def test_an_unknown_unit_is_refused_with_the_option_that_sets_it(self, tmp_path, unit):
         for header in (f"time_s,u,y [{unit}]", f"time_s,u,y ({unit})", f"time_s,u,output_{unit}"):
             path = write_rows(tmp_path / "a.csv", [header, *csv_rows()[1:]])
             said = refusal(path)
             assert f"is in {unit}, expected um, nm, mm, m, pm, cm, angstrom" in said and "output_unit" in said
             assert_is_the_record(read_recording(path, output_unit=1))
 
-    def test_a_column_that_is_chosen_by_name_is_refused_for_its_unit_as_well(self, tmp_path):
+    def test_an_unknown_unit_is_refused_even_if_the_column_is_chosen_by_name(self, tmp_path):
         path = write_rows(tmp_path / "a.csv", ["time_s,input_v,output_furlong", *csv_rows()[1:]])
         expected = f"{path}: column 'output_furlong' is in furlong, expected um, nm, mm, m, pm, cm, angstrom;"
         assert refusal(path, output_column="output_furlong").startswith(expected)
@@ -56,17 +56,17 @@ class TestAsRigsWriteIt:
         assert_is_the_record(read_recording(path, **chosen))
 
     @pytest.mark.parametrize("text", ["1", "CH1", "CH A", "-", "raw", "Sensor", ""])
-    def test_what_is_no_unit_may_stand_in_brackets(self, tmp_path, text):
+    def test_text_in_brackets_need_not_be_a_unit(self, tmp_path, text):
         path = write_rows(tmp_path / "a.csv", [f"time (UTC),u,y [{text}]", *csv_rows()[1:]])
         assert_is_the_record(read_recording(path))
 
-    def test_a_column_of_the_same_name_in_another_unit_is_passed_over(self, tmp_path):
+    def test_a_temperature_column_named_t_is_not_mistaken_for_time(self, tmp_path):
         rows = [f"{row},7" for row in csv_rows()[1:]]
         path = write_rows(tmp_path / "a.csv", ["time [s],u,y,T [degC]", *rows])
         assert_is_the_record(read_recording(path))
 
     @pytest.mark.parametrize("units", ["ms,mV,nm", "[ms],[mV],[nm]", "(ms),(mV),(nm)"])
-    def test_a_row_of_units_below_the_header_counts(self, tmp_path, units):
+    def test_a_row_of_units_below_the_header_is_read(self, tmp_path, units):
         rows = [f"{1e3 * t:.9g},{1e3 * u:.9g},{1e3 * y:.9g}" for t, u, y in zip(T, U, Y, strict=True)]
         path = write_rows(tmp_path / "a.csv", ["time,input,output", units, *rows])
         assert_is_the_record(read_recording(path))
@@ -82,23 +82,23 @@ class TestAsRigsWriteIt:
         ],
     )
     @pytest.mark.parametrize("header", ["time_s,input_v,output_um", "# time_s,input_v,output_um"])
-    def test_lines_before_the_header_are_passed_over_and_counted(self, tmp_path, preamble, header):
+    def test_lines_before_the_header_are_skipped_but_counted_in_row_numbers(self, tmp_path, preamble, header):
         rows = [*preamble, header, *csv_rows()[1:]]
         path = write_rows(tmp_path / "a.csv", rows)
         assert_is_the_record(read_recording(path))
         rows[-1] = rows[-1].rpartition(",")[0] + ",nan"
         assert f"row {len(rows)}:" in refusal(write_rows(path, rows))
 
-    def test_the_separator_that_a_spreadsheet_states_is_used(self, tmp_path):
+    def test_the_separator_declared_by_a_spreadsheet_is_used(self, tmp_path):
         rows = ["sep=;", *(row.replace(".", ",") for row in csv_rows(";"))]
         assert_is_the_record(read_recording(write_rows(tmp_path / "a.csv", rows)))
 
-    def test_an_index_without_a_name_is_passed_over(self, tmp_path):
+    def test_an_unnamed_index_column_is_ignored(self, tmp_path):
         rows = csv_rows()
         rows = ["," + rows[0], *(f"{k},{row}" for k, row in enumerate(rows[1:]))]
         assert_is_the_record(read_recording(write_rows(tmp_path / "a.csv", rows)))
 
-    def test_a_delimiter_at_the_end_of_every_row_does_no_harm(self, tmp_path):
+    def test_a_delimiter_at_the_end_of_every_row_is_ignored(self, tmp_path):
         assert_is_the_record(
             read_recording(write_rows(tmp_path / "a.csv", [row + ";" for row in csv_rows(";")]))
         )
@@ -124,14 +124,14 @@ class TestAsRigsWriteIt:
             rows = [row.replace(".", ",") for row in rows]
         assert_is_the_record(read_recording(write_rows(tmp_path / "a.csv", rows)))
 
-    def test_a_stamp_of_no_calendar_is_refused_by_its_row(self, tmp_path):
+    def test_an_impossible_date_is_refused_with_its_row(self, tmp_path):
         rows = ["time,input_v,output_um"]
         rows += [f"2024-05-01T00:00:{k:02d},{u},{y}" for k, (u, y) in enumerate(zip(U[:50], Y, strict=False))]
         rows[20] = rows[20].replace("2024-05-01", "2024-05-41")
         text = refusal(write_rows(tmp_path / "a.csv", rows))
         assert "row 21:" in text and "2024-05-41" in text and "time stamp" in text
 
-    def test_a_row_with_a_cell_too_many_is_refused(self, tmp_path):
+    def test_a_row_with_too_many_cells_is_refused(self, tmp_path):
         rows = csv_rows()
         rows[16] = rows[16].replace(".", ",")
         text = refusal(write_rows(tmp_path / "a.csv", rows))
@@ -154,7 +154,7 @@ class TestAsRigsWriteIt:
         ]
         assert_is_the_record(read_recording(write_rows(tmp_path / "a.lvm", head + rows)))
 
-    def test_one_array_is_read_by_column_number_or_by_field(self, tmp_path):
+    def test_a_single_array_is_read_by_column_number_or_field_name(self, tmp_path):
         table = np.stack((T, U, Y))
         for stored in (table, table.T):
             np.save(tmp_path / "a.npy", stored)
@@ -165,7 +165,7 @@ class TestAsRigsWriteIt:
         np.save(tmp_path / "b.npy", np.array(list(zip(T, U, Y, strict=True)), dtype=fields))
         assert_is_the_record(read_recording(tmp_path / "b.npy"))
 
-    def test_columns_that_several_roles_fit_are_left_to_the_user(self, tmp_path):
+    def test_ambiguous_columns_are_left_to_the_user(self, tmp_path):
         path = write_rows(tmp_path / "a.csv", csv_rows(header="time_s,u [V],voltage [V]"))
         assert "'u [V]' and 'voltage [V]' may each be the input" in refusal(path)
         path = write_rows(tmp_path / "a.csv", csv_rows(header="time_s,u [V],sensor [V]"))
@@ -173,19 +173,19 @@ class TestAsRigsWriteIt:
         assert "is in V, expected um" in refusal(path, output_column="sensor")
         assert_is_the_record(read_recording(path, output_column="sensor", output_unit=1))
 
-    def test_a_scale_is_a_unit_and_may_turn_the_sign(self, tmp_path):
+    def test_a_number_given_as_unit_scales_the_signal_and_may_be_negative(self, tmp_path):
         path = write_rows(tmp_path / "a.csv", csv_rows(header="time_s,input_v,sensor"))
         with pytest.warns(RecordingWarning, match="falls"):
             read = read_recording(path, output_column="sensor", output_unit=-0.5)
         np.testing.assert_allclose(read.y, -0.5 * Y, atol=1e-7)
 
-    def test_an_option_overrules_the_header(self, tmp_path):
+    def test_unit_options_override_the_header(self, tmp_path):
         path = write_rows(tmp_path / "a.csv", csv_rows(header="time_ms,input_mV,output_nm"))
         assert_is_the_record(read_recording(path, time_unit="s", input_unit="V", output_unit="um"))
 
 
 def _factor(name: str) -> float:
-    """How many of our units one of this header's is."""
+    """Return the factor from the unit in this column name to ours."""
     powers = {"ns": 1e-9, "us": 1e-6, "ms": 1e-3, "mv": 1e-3, "kv": 1e3, "nm": 1e-3, "mm": 1e3, "m": 1e6}
     powers |= {"msec": 1e-3, "cm": 1e4, "å": 1e-4}
     return powers.get(

@@ -1,4 +1,4 @@
-"""Small results to draw: a play with a lag for a stage, and compensators that half undo it."""
+"""Small results to draw: a stage with a play and a delay, and compensators that undo part of it."""
 
 import math
 from dataclasses import dataclass
@@ -32,7 +32,7 @@ FS_HZ = 10_000.0
 
 
 class PlayStream:
-    """y follows 0.8 u through a play of 0.4 V, a sample late."""
+    """y follows 0.8 u through a play of 0.4 V, one sample late."""
 
     def reset(self, seed: int) -> None:
         self.h, self.y, self.noise = 0.0, 0.0, np.random.default_rng(seed)
@@ -56,7 +56,7 @@ class PlayStage:
 
 @dataclass
 class Turning:
-    """Adds `jump_v` when the trajectory rises, and takes it off when it falls."""
+    """Adds `jump_v` when the trajectory rises, and subtracts it when it falls."""
 
     jump_v: float
     preview: int = 1

@@ -1,4 +1,4 @@
-"""A diagnosis made by hand: a lag, a resonance, and noise that is known."""
+"""A hand-made diagnosis: a lag, a resonance, and a known noise."""
 
 from typing import cast
 
@@ -24,7 +24,7 @@ FS_HZ, NOISE_UM = 5_000.0, 0.004
 
 
 def trace(name: str, u: np.ndarray, lag_um_s: float, rng: np.random.Generator) -> Trace:
-    """The lag takes some of the rate off; at each fast turn a mode at 400 Hz rings."""
+    """Return a trace whose residual has a lag, proportional to the rate, and a 400 Hz mode that it rings."""
     n = len(u)
     lag = -lag_um_s * np.diff(u, prepend=u[0]) * FS_HZ
     ringing = lfilter(

@@ -1,4 +1,4 @@
-"""The page of a diagnosis: whole in one file, by the file contract, and looked at in a browser."""
+"""The page of a diagnosis: self-contained, in the agreed file format, and checked in a browser."""
 
 import dataclasses
 import json
@@ -38,7 +38,7 @@ def html(folder: Path) -> str:
     return (folder / "report.html").read_text(encoding="utf-8")
 
 
-def test_it_fetches_nothing_and_is_small(html: str) -> None:
+def test_the_page_loads_nothing_external_and_is_small(html: str) -> None:
     assert not re.search(
         r"https?://|src=|@import|<link|<script|<iframe|<object|<img|\bon\w+=", without_scripts(html)
     )
@@ -49,7 +49,7 @@ def test_it_fetches_nothing_and_is_small(html: str) -> None:
 
 
 def without_scripts(html: str) -> str:
-    """What is left fetches; a browser that forbids it looks after what scripts do."""
+    """Return the page without its scripts; loads by scripts are tested in a browser that forbids them."""
     return re.sub(r"<script[ >].*?</script>", "", html, flags=re.DOTALL)
 
 
@@ -60,7 +60,7 @@ def test_identifiers_are_unique_and_references_resolve(html: str) -> None:
     assert referenced <= set(ids)
 
 
-def test_the_paragraph_comes_first_and_everything_else_follows(html: str, found: Diagnosis) -> None:
+def test_the_summary_comes_first_and_the_sections_follow_in_order(html: str, found: Diagnosis) -> None:
     order = [
         'data-verdict="explained"', found.says, 'id="where"', 'id="what"', 'id="effect-amplifier_lag"',
         'id="effect-resonance"', 'id="before-after"', 'id="remains"', 'id="next"', 'id="notes"',
@@ -71,7 +71,7 @@ def test_the_paragraph_comes_first_and_everything_else_follows(html: str, found:
     assert "recording multisine_low" in html
 
 
-def test_text_from_outside_is_escaped(html: str) -> None:
+def test_external_text_is_escaped(html: str) -> None:
     assert "&lt;b&gt;.yaml" in html and "&lt;b&gt;load_change&lt;/b&gt;" in html
     assert "<b>.yaml" not in html and "<b>load_change" not in html
 
@@ -120,7 +120,7 @@ def test_the_json_keeps_its_contract(folder: Path, found: Diagnosis) -> None:
     assert content["unexplained_share"] == 0.01 and content["says"] == found.says
 
 
-def test_a_recording_that_the_others_do_not_predict_is_in_the_headline_and_the_table(
+def test_a_recording_not_predicted_by_the_others_is_in_the_headline_and_the_table(
     found: Diagnosis, html: str, provenance: Provenance
 ) -> None:
     assert 'data-signal="across"' in html
@@ -132,7 +132,7 @@ def test_a_recording_that_the_others_do_not_predict_is_in_the_headline_and_the_t
     assert 'data-signal="across"' not in diagnosis_page.diagnosis_page(alone, provenance)
 
 
-def test_what_only_several_explain_has_a_bar_of_its_own(found: Diagnosis) -> None:
+def test_the_share_explained_only_jointly_has_its_own_bar(found: Diagnosis) -> None:
     def bars(diagnosis: Diagnosis) -> list[str]:
         return [tick.get_text() for tick in remains_figure(diagnosis).axes[0].get_yticklabels()]
 
@@ -142,7 +142,7 @@ def test_what_only_several_explain_has_a_bar_of_its_own(found: Diagnosis) -> Non
     assert bars(found) == [*names, "unexplained"]
 
 
-def test_rivals_of_one_name_are_told_apart_by_their_form() -> None:
+def test_rivals_of_the_same_name_are_distinguished_by_their_form() -> None:
     drifts = [Rival("thermal_drift", 0.01, 3.0, 0.1, form) for form in ("linear", "exponential")]
     creep = Rival("creep", 0.01, 3.0, 0.1, "logarithm")
     assert spoken_rivals([*drifts, creep]) == [
@@ -150,7 +150,7 @@ def test_rivals_of_one_name_are_told_apart_by_their_form() -> None:
     ]  # fmt: skip
 
 
-def test_numbers_that_are_not_finite_are_null(found: Diagnosis, provenance: Provenance) -> None:
+def test_non_finite_numbers_are_null_in_the_json(found: Diagnosis, provenance: Provenance) -> None:
     broken = dataclasses.replace(
         found, noise_floor_um=math.nan, nominal=Errors(math.inf, np.float64(1.0), np.float32(2.0))
     )
@@ -159,7 +159,7 @@ def test_numbers_that_are_not_finite_are_null(found: Diagnosis, provenance: Prov
     assert fit["nominal"] == {"train_rms_um": None, "heldout_rms_um": 1.0, "heldout_max_um": 2.0}
 
 
-def test_figures_lie_beside_the_page_and_those_of_before_are_gone(
+def test_figures_are_written_beside_the_page_and_replace_the_old_ones(
     folder: Path, found: Diagnosis, figures: dict[str, Figure], provenance: Provenance, tmp_path: Path
 ) -> None:
     names = {path.name for path in (folder / "figures").iterdir()}
@@ -175,7 +175,7 @@ def test_figures_lie_beside_the_page_and_those_of_before_are_gone(
     assert {path.name for path in tmp_path.iterdir()} == kept
 
 
-def test_what_fails_leaves_the_folder_as_it_was(
+def test_a_failed_write_leaves_the_folder_unchanged(
     found: Diagnosis, figures: dict[str, Figure], provenance: Provenance, tmp_path: Path, monkeypatch: Any
 ) -> None:
     write_diagnosis(found, provenance, tmp_path, {"errors": figures["errors"]})
@@ -224,7 +224,7 @@ def _nothing(u: np.ndarray, e: np.ndarray) -> Diagnosis:
     )  # fmt: skip
 
 
-def test_a_hold_without_any_residual_still_makes_a_page(provenance: Provenance, tmp_path: Path) -> None:
+def test_a_hold_without_any_residual_still_gives_a_page(provenance: Provenance, tmp_path: Path) -> None:
     page, numbers = write_diagnosis(_nothing(np.full(300, 3.0), np.zeros(300)), provenance, tmp_path)
     assert "Nothing is missing" in page.read_text(encoding="utf-8")
     json.loads(numbers.read_text(encoding="utf-8"), parse_constant=pytest.fail)
@@ -235,7 +235,7 @@ def unmeasured(found: Diagnosis) -> Diagnosis:
     return dataclasses.replace(found, where=locate(found.traces, 0.0), noise_floor_um=None)
 
 
-def test_without_a_measured_noise_the_page_says_so_and_compares_with_none(
+def test_an_unmeasured_noise_is_stated_and_left_out_of_comparisons(
     unmeasured: Diagnosis, provenance: Provenance, tmp_path: Path
 ) -> None:
     drawn = diagnosis_figures(unmeasured)
@@ -255,7 +255,7 @@ def test_without_a_measured_noise_the_page_says_so_and_compares_with_none(
     assert "noise_floor_um" not in events.Tags()["scalars"]
 
 
-def test_the_first_lines_hold_the_verdict_and_its_number(html: str, found: Diagnosis) -> None:
+def test_the_page_begins_with_the_verdict_and_its_number(html: str, found: Diagnosis) -> None:
     error, times = 1e3 * found.augmented.heldout_rms_um, found.augmented.heldout_rms_um / NOISE_UM
     expected = f"Explained: held-out error {error:.3g} nm, {times:.2f} times the noise"
     assert html.index(expected) < html.index("<svg")
@@ -274,17 +274,17 @@ def test_the_wording_follows_the_probability(html: str) -> None:
     assert [likelihood(p) for p in (0.95, 0.7, 0.3)] == ["missing", "probably missing", "may be missing"]
 
 
-def test_prose_has_no_identifiers_and_no_unit_of_one(html: str, found: Diagnosis) -> None:
+def test_prose_has_no_identifiers_and_dimensionless_values_have_no_unit(html: str, found: Diagnosis) -> None:
     page = html[html.index("<h1>") : html.index("What was run")]
     text = re.sub(r'<(style|svg)\b.*?</\1>|<p class="equation">.*?</p>|<[^>]+>', " ", page, flags=re.DOTALL)
-    names = {trace.name for trace in found.traces} | {"next_excitation"}  # a file
-    quoted = {"load_change"}  # in a note from outside that is no prose of ours
+    names = {trace.name for trace in found.traces} | {"next_excitation"}  # the name of a file
+    quoted = {"load_change"}  # in an external note, which is not our prose
     assert set(re.findall(r"\b[a-z]\w*_\w+", text)) - names - quoted == set()
     assert in_prose("load_change: left out, as thermal_drift.") == "load change: left out, as thermal drift."
     assert "<td>1</td>" not in html and "damping ratio" in html
 
 
-def test_an_effect_without_rivals_still_makes_a_page(
+def test_an_effect_without_rivals_still_gives_a_page(
     found: Diagnosis, provenance: Provenance, tmp_path: Path
 ) -> None:
     lonely = tuple(dataclasses.replace(effect, rivals=()) for effect in found.effects)
@@ -296,9 +296,9 @@ def test_an_effect_without_rivals_still_makes_a_page(
 
 
 def look(html: str, folder: Path) -> tuple[str, str, Path]:
-    """The page's DOM, what the browser's console says, and a picture.
+    """Return the page's DOM, the browser's console messages, and a screenshot.
 
-    A policy that forbids every load is put into the page: the console reports each that is tried.
+    The page is given a policy that forbids every load, so that the console reports each attempt.
     """
     policy = "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'"
     page, shot = folder / "page.html", folder / "page.png"
@@ -316,18 +316,18 @@ def look(html: str, folder: Path) -> tuple[str, str, Path]:
 
 
 @pytest.mark.skipif(CHROMIUM is None, reason="needs chromium: apt install chromium")
-def test_a_browser_shows_it_without_a_complaint(html: str, folder: Path, tmp_path: Path) -> None:
+def test_a_browser_shows_the_page_without_errors(html: str, folder: Path, tmp_path: Path) -> None:
     dom, complaints, shot = look(html, tmp_path)
     assert complaints == ""
     assert dom.count('class="figure"') == len(list((folder / "figures").glob("*.svg")))
     picture = imread(shot)
     assert picture.shape[:2] == (3_000, 1_050)
-    # Ink down the whole of the shot, and no blank stretch as long as a hand.
+    # There is ink over the whole height of the screenshot, with no blank stretch of 300 pixels.
     inked = np.flatnonzero((picture[..., :3].mean(-1) < 0.9).any(1))
     assert inked[0] < 100 and np.diff(inked).max() < 300
 
 
 @pytest.mark.skipif(CHROMIUM is None, reason="needs chromium: apt install chromium")
-def test_a_browser_would_complain_of_anything_loaded(tmp_path: Path) -> None:
+def test_a_browser_reports_an_attempt_to_load_something(tmp_path: Path) -> None:
     html = '<!DOCTYPE html><html><head></head><body><img src="http://example.invalid/a.png"></body></html>'
     assert "example.invalid" in look(html, tmp_path)[1]

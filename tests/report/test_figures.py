@@ -1,4 +1,4 @@
-"""Figures: the size of a page, legible, and no peak lost on the way."""
+"""Figures are small, legible and drawn without losing peaks."""
 
 import numpy as np
 import pytest
@@ -30,7 +30,7 @@ def figures(results, training) -> list[Figure]:
     ]
 
 
-def test_axes_are_named_with_their_units(figures: list[Figure]):
+def test_axes_are_labelled_with_their_units(figures: list[Figure]):
     for figure in figures:
         labels = [axes.get_ylabel() for axes in figure.axes] + [figure.axes[-1].get_xlabel()]
         assert any("(" in label or "per" in label for label in labels)
@@ -44,7 +44,7 @@ def test_text_is_eight_points_or_more(figures: list[Figure]):
         assert min(sizes) >= 8
 
 
-def test_a_figure_as_svg_is_the_same_every_time(figures: list[Figure]):
+def test_the_svg_of_a_figure_is_reproducible(figures: list[Figure]):
     for figure in figures:
         first = inline_svg(figure, "a", 'says "hello" & <more>')
         assert first == inline_svg(figure, "a", 'says "hello" & <more>')
@@ -63,7 +63,7 @@ def test_an_envelope_keeps_every_peak_and_the_order(samples: int, columns: int, 
     assert (y[short_t.astype(int)] == short_y).all()
 
 
-def test_a_thinned_curve_stays_within_a_dot_of_the_whole():
+def test_a_thinned_curve_stays_within_a_dot_of_the_original():
     angle = np.linspace(0, 4 * np.pi, 20_000)
     x, y = np.cos(angle), np.sin(3 * angle)
     short_x, short_y = thinned(x, y, 1 / 500)
@@ -72,7 +72,7 @@ def test_a_thinned_curve_stays_within_a_dot_of_the_whole():
     assert distance.max() < 2 * np.sqrt(2) / 500
 
 
-def test_a_long_motion_is_first_shown_over_a_stretch_that_can_be_read_and_a_short_one_whole():
+def test_a_motion_of_many_periods_is_first_shown_in_part_and_one_of_few_in_full():
     t = np.arange(20_000) / 1e4
     noise = 0.01 * np.random.default_rng(0).standard_normal(len(t))
     many = readable(np.sin(2 * np.pi * 100 * t) + noise)
@@ -82,7 +82,7 @@ def test_a_long_motion_is_first_shown_over_a_stretch_that_can_be_read_and_a_shor
     assert readable(np.zeros(10)) == slice(0, 10)
 
 
-def test_loops_are_drawn_as_errors_so_that_their_opening_is_seen(results):
+def test_loops_are_drawn_as_errors_so_that_their_opening_is_visible(results):
     both, alone = loop_figures.linearity_figure(results[0]).axes
     drive = results[0].compensated
     steady = 1e3 * (drive.y_true - results[0].yd)[results[0].loading_samples :]
@@ -93,14 +93,14 @@ def test_loops_are_drawn_as_errors_so_that_their_opening_is_seen(results):
     assert len([line for line in both.lines if line.get_label() == "without compensation"]) == 1
 
 
-def test_the_loading_is_not_shaded_where_it_is_most_of_the_picture(results):
+def test_the_loading_is_not_shaded_if_it_fills_most_of_the_figure(results):
     import dataclasses
 
     late = dataclasses.replace(results[0], loading_samples=int(0.8 * len(results[0].t)))
     assert loop_figures.loading_s(late) is None and loop_figures.loading_s(results[0]) is not None
 
 
-def test_a_trajectory_that_starts_at_its_top_is_drawn_without_loading(results):
+def test_a_trajectory_without_a_loading_phase_has_no_loading_label(results):
     import dataclasses
 
     figure = loop_figures.trajectory_figure(dataclasses.replace(results[0], loading_samples=0))

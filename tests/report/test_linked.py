@@ -1,4 +1,4 @@
-"""Linked traces: no peak lost, values under the pointer, one zoom; and how the pages fit their screens."""
+"""Linked traces keep peaks, show values under the pointer and zoom together; the pages fit their screens."""
 
 import json
 import re
@@ -19,7 +19,7 @@ CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 LOOK = {"color": "#0072B2", "linewidth": 1.0}
 SCREENS = {"screen": (1200, 800), "narrow": (400, 800)}
 
-# Reads the page from inside: its width, where the first picture ends, and what the pointer shows.
+# Measures from inside the page: its width, the end of its first picture, the values under the pointer.
 PROBE = """
 <script>
 const wait = (ms) => new Promise((done) => setTimeout(done, ms));
@@ -54,7 +54,7 @@ addEventListener("load", async () => {
 
 
 def shown_by(html: str, folder: Path, *options: str) -> dict[str, dict[str, Any]]:
-    """What a browser makes of the page on each screen; it must have nothing to complain of."""
+    """Return what the page measures in a browser on each screen, whose console must stay silent."""
     (folder / "page.html").write_text(html.replace("</body>", PROBE + "</body>"), encoding="utf-8")
     frames = "".join(
         f'<iframe name="{name}" src="page.html" width="{w}" height="{h}" style="border:0"></iframe>'
@@ -79,7 +79,7 @@ def shown_by(html: str, folder: Path, *options: str) -> dict[str, dict[str, Any]
 
 
 TRACED = ("loop", "training", "diagnosis", "commission", "check", "paper")
-"""Pages with traces to zoom into."""
+"""Pages with zoomable traces."""
 
 
 @pytest.fixture(scope="module")
@@ -93,7 +93,7 @@ def data_in(markup: str) -> list[dict[str, Any]]:
     return [json.loads(text) for text in re.findall(r'class="linked-data">(.*?)</script>', markup, re.DOTALL)]
 
 
-def test_a_peak_of_one_sample_stays_with_its_time_and_the_values_beside_it() -> None:
+def test_thinning_keeps_a_peak_of_one_sample_with_its_time_and_neighbouring_curve() -> None:
     t = np.arange(200_000) / 1e4
     quiet, peaked = np.sin(t), 1e-3 * np.cos(40 * t)
     peaked[123_456] = 7.5
@@ -110,7 +110,7 @@ def test_a_peak_of_one_sample_stays_with_its_time_and_the_values_beside_it() -> 
     assert f"{len(data['t']):,} of 200,000 samples" in data["note"]
 
 
-def test_a_name_from_outside_cannot_end_the_script() -> None:
+def test_an_external_name_cannot_end_the_script() -> None:
     t = np.arange(10.0)
     curve = Curve("</script><b>", t, LOOK)
     markup = linked_markup([Linked(t, (Panel("y", "µm", (curve,)),))], Markup(""))
@@ -118,7 +118,7 @@ def test_a_name_from_outside_cannot_end_the_script() -> None:
     assert data_in(markup)[0]["panels"][0]["curves"][0]["label"] == "</script><b>"
 
 
-def test_what_is_shown_first_is_drawn_more_closely_than_the_whole() -> None:
+def test_the_initial_view_is_sampled_more_densely_than_the_whole() -> None:
     t = np.arange(200_000) / 1e4
     linked = Linked(t, (Panel("y", "µm", (Curve("a", np.sin(99 * t), LOOK),)),), view=(10.0, 10.2))
     (data,) = data_in(linked_markup([linked], Markup(""), 10_000))
@@ -126,7 +126,7 @@ def test_what_is_shown_first_is_drawn_more_closely_than_the_whole() -> None:
     assert sum(10.0 <= one <= 10.2 for one in data["t"]) > 500 > 0.2 * len(data["t"]) / 20
 
 
-def test_a_constant_and_a_short_record_have_traces() -> None:
+def test_a_short_constant_record_has_traces() -> None:
     t = np.arange(3.0)
     linked = Linked(t, (Panel("y", "µm", (Curve("a", np.zeros(3), LOOK),)),))
     assert data_in(linked_markup([linked], Markup("")))[0]["t"] == [0.0, 1.0, 2.0]
@@ -141,12 +141,12 @@ def test_a_page_is_below_two_megabytes_and_forbids_every_load(name: str, pages: 
         len(one["t"]) * (1 + sum(len(panel["curves"]) for panel in one["panels"])) for one in data_in(html)
     )
     assert 5_000 < numbers <= MOST_NUMBERS
-    assert "Permission is hereby granted" in html  # uPlot's licence goes where its code goes
+    assert "Permission is hereby granted" in html  # uPlot's licence must accompany its code
 
 
 @pytest.mark.skipif(CHROMIUM is None, reason="needs chromium: apt install chromium")
 @pytest.mark.parametrize("name", [*TRACED, "safety"])
-def test_the_first_screen_has_number_and_picture_and_values_follow_the_pointer(
+def test_the_first_screen_shows_number_and_picture_and_values_follow_the_pointer(
     name: str, pages: dict[str, str], tmp_path: Path
 ) -> None:
     shown = shown_by(pages[name], tmp_path)
@@ -181,10 +181,10 @@ def test_values_under_the_pointer_are_those_of_the_record(
     assert without == pytest.approx(result.drives["without"].y_true[k], abs=1e-3)
 
 
-def test_in_the_dark_a_line_has_one_colour_drawn_by_the_script_or_not(pages: dict[str, str]) -> None:
+def test_dark_mode_colours_are_the_same_in_scripts_and_figures(pages: dict[str, str]) -> None:
     style = pages["loop"].partition("<style>")[2].partition("</style>")[0]
     assert "svg.figure, .live canvas, .live .u-marker { filter:" in style
-    overridden = re.findall(r"--([0-9a-f]{6}):", style)  # the script reads these, the figures have rules
+    overridden = re.findall(r"--([0-9a-f]{6}):", style)  # read by the script; the figures have rules
     assert overridden == ["e69f00", "d55e00"]
     for color in overridden:
         for what in ("stroke", "fill"):
@@ -192,10 +192,10 @@ def test_in_the_dark_a_line_has_one_colour_drawn_by_the_script_or_not(pages: dic
             assert rule in style
 
 
-def test_without_a_script_the_figure_is_shown(pages: dict[str, str]) -> None:
+def test_without_scripts_the_static_figure_is_shown(pages: dict[str, str]) -> None:
     for name, html in pages.items():
         style = html.partition("<style>")[2].partition("</style>")[0]
-        assert ".live { display: none; }" in style  # and only a script makes it anything else
+        assert ".live { display: none; }" in style  # and only a script changes that
         stills, linked = (
             html.count('<div class="still"><svg class="figure"'),
             html.count('<div class="linked">'),
@@ -203,8 +203,8 @@ def test_without_a_script_the_figure_is_shown(pages: dict[str, str]) -> None:
         assert stills == linked and bool(linked) == (name in TRACED)
 
 
-def test_what_is_scrolled_on_a_screen_is_whole_on_paper() -> None:
-    """A printed scrollbar lies across the numbers."""
+def test_elements_that_scroll_on_a_screen_are_printed_in_full() -> None:
+    """A printed scrollbar would cover the numbers."""
     style = (Path(page.__file__).parent / "templates" / "base.html.j2").read_text(encoding="utf-8")
     paper = style[style.index("@media print") :]
     scrolled = set(re.findall(r"^([\w.]+) {[^}]*overflow-x: auto", style, re.MULTILINE))

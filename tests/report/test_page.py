@@ -1,4 +1,4 @@
-"""The pages: whole in one file, and saying what the numbers say."""
+"""The pages: self-contained, with exactly the numbers of the results."""
 
 import json
 import re
@@ -49,7 +49,7 @@ def html(request) -> str:
     return request.getfixturevalue(request.param)
 
 
-def test_a_page_fetches_nothing(html: str):
+def test_a_page_loads_nothing_external(html: str):
     assert not re.search(r"https?://|src=|@import|<link|<script|<iframe|<object|<img", without_scripts(html))
     for _, attributes in Collector(html).tags:
         assert (attributes.get("href") or "#").startswith("#")
@@ -68,7 +68,7 @@ def test_a_page_is_small(html: str):
     assert len(html.encode()) < 2_000_000
 
 
-def test_text_from_outside_is_escaped(html: str):
+def test_external_text_is_escaped(html: str):
     assert "&lt;b&gt;.yaml" in html
     assert "<b>" not in html
 
@@ -101,14 +101,14 @@ def test_numbers_on_the_loop_page_are_those_of_the_json(
             assert [value for value, _ in numbers[(section, "latency", key)]] == expected
 
 
-def test_numbers_on_the_training_page_are_the_metrics(training_html: str, training: TrainingReport):
+def test_numbers_on_the_training_page_are_those_of_the_metrics(training_html: str, training: TrainingReport):
     numbers = Collector(training_html).numbers
     for part, row in training.metrics.items():
         expected = [row[f"{size}_{unit}"] for unit in ("v", "um", "percent") for size in ("rms", "max")]
         assert [value for value, _ in numbers[(1, None, part)]] == expected
 
 
-def test_the_headline_says_how_well_it_tracks(results: list[LoopResult]):
+def test_the_headline_states_the_tracking_error(results: list[LoopResult]):
     result = results[1]
     whole = result.compensated.on_true.whole
     sentence = words.headline(result)
@@ -116,7 +116,7 @@ def test_the_headline_says_how_well_it_tracks(results: list[LoopResult]):
     assert f"of {result.compensated.latency.steps:,} deadlines missed" in sentence
 
 
-def test_what_is_written_is_the_page_to_the_last_byte(tmp_path, results, provenance, training, training_html):
+def test_reports_are_reproducible_to_the_last_byte(tmp_path, results, provenance, training, training_html):
     page, numbers = write_loop_report(results[:1], provenance, tmp_path / "new")
     again, _ = write_loop_report(results[:1], provenance, tmp_path / "again")
     assert page.read_bytes() == again.read_bytes()
@@ -137,7 +137,7 @@ def test_provenance_hashes_the_files(tmp_path):
     assert sha256 == "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"
 
 
-def test_a_limit_that_was_met_is_said_once_and_what_went_beyond_it_too(results: list[LoopResult]):
+def test_reaching_a_limit_is_reported_with_any_excess_over_it(results: list[LoopResult]):
     met = LimitMet("voltage", 10.0, 10.0, 0.01, 1, 0.5, 0.001, 8.0)
     sentences = [
         words.limits(with_limits(results[0], one))[0]
@@ -152,7 +152,7 @@ def with_limits(result: LoopResult, met: LimitMet) -> LoopResult:
     return replace(result, drives=drives)
 
 
-def test_a_check_says_first_whether_the_files_can_be_used(check_html: str):
+def test_the_check_page_begins_with_whether_the_files_are_usable(check_html: str):
     first = check_html[: check_html.index("<section")]
     assert "<strong>Usable</strong> both recordings, without a warning" in first
     assert "<b>slow</b>: 10,000 Hz, 0.8 s, noise about 2.0 nm" in first and "linked-data" in first

@@ -1,4 +1,4 @@
-"""The page of the paper: whole in one file, in the paper's order, and saying what results.json says."""
+"""The page of the paper: self-contained, in the paper's order, with the numbers of results.json."""
 
 import json
 import re
@@ -26,7 +26,7 @@ def results() -> dict[str, Any]:
     return json.loads((short_run() / "results.json").read_text(encoding="utf-8"))
 
 
-def test_it_fetches_nothing_and_is_small(html: str) -> None:
+def test_the_page_loads_nothing_external_and_is_small(html: str) -> None:
     assert not re.search(r"https?://|src=|@import|<link|<script|<iframe|<object|<img", without_scripts(html))
     assert len(html.encode()) < 3_000_000
 
@@ -38,14 +38,14 @@ def test_identifiers_are_unique_and_references_resolve(html: str) -> None:
     assert referenced <= set(ids)
 
 
-def test_sections_come_in_the_paper_s_order_each_with_title_and_figures(html: str) -> None:
+def test_sections_follow_the_order_of_the_paper_with_title_and_figures(html: str) -> None:
     assert re.findall(r'<section id="([^"]+)"', html) == list(ITEMS)
     for name in ITEMS:
         assert TEXTS[name]["title"].replace("'", "&#39;") in html
     assert html.count('<svg class="figure"') == 1 + sum(len(drawn) for drawn in FIGURES.values())
 
 
-def test_figures_of_the_paper_come_in_its_order() -> None:
+def test_figures_are_in_the_order_of_the_paper() -> None:
     numbers = [int(name[3:]) for name in ITEMS if name.startswith("fig")]
     assert numbers == [3, 4, 5, 7, 8, 10, 12, 13]
 
@@ -65,12 +65,12 @@ def test_numbers_on_the_page_are_those_of_the_results(html: str, results: dict[s
     assert set(promised) <= values
 
 
-def test_what_is_not_reached_is_said(html: str) -> None:
-    """The short run's compensator is the paper's, which does not reach what is asked of torchpi's."""
+def test_unmet_requirements_are_reported(html: str) -> None:
+    """The short run uses the paper's compensator, which misses the values required of torchpi's."""
     assert "not reached: " in html and "✗" in html and "✓" in html
 
 
-def test_figures_lie_beside_the_page_for_slides() -> None:
+def test_every_figure_is_also_written_as_a_separate_file() -> None:
     names = {path.stem for path in (short_run() / "figures").iterdir()}
     assert names == {draw.__name__ for drawn in FIGURES.values() for draw, _ in drawn}
 
@@ -88,7 +88,7 @@ def test_text_in_figures_is_eight_points_or_more_and_axes_have_units(monkeypatch
             assert not label or "(" in label or "%" in label
 
 
-def test_what_is_missing_is_named_and_text_is_escaped() -> None:
+def test_missing_results_are_named_and_text_is_escaped() -> None:
     html = paper_page.paper_page([], ["fig3", "<b>"], _PROVENANCE)
     assert "not been computed yet: fig3, &lt;b&gt;" in html
 
@@ -97,18 +97,18 @@ def test_what_is_missing_is_named_and_text_is_escaped() -> None:
     ("value", "text"),
     [(0.0999996, "0.100"), (4.88e-15, "4.88e−15"), (11.0, "11.0"), (24, "24"), (-0.22, "−0.220"), (0.0, "0")],
 )
-def test_numbers_have_three_digits_and_counts_none(value: float, text: str) -> None:
+def test_numbers_have_three_significant_digits_and_counts_stay_integers(value: float, text: str) -> None:
     assert paper_page._shown(value) == text
 
 
 @pytest.mark.parametrize(
     ("value", "text"), [(0.333, "+0.33 %"), (-0.0934, "−0.093 %"), (-71.4, "−71 %"), (123.4, "+123 %")]
 )
-def test_a_small_difference_is_not_rounded_to_nothing(value: float, text: str) -> None:
+def test_a_small_difference_is_not_rounded_to_zero(value: float, text: str) -> None:
     assert paper_page._signed_percent(value) == text
 
 
-def test_a_row_that_is_met_or_missed_says_so() -> None:
+def test_rows_are_marked_as_met_or_missed() -> None:
     rows = [Row("a", 0.4, at_most=0.5), Row("b", 0.6, at_most=0.5)]
     section = paper_page.Section("learning", None, rows, 1.0)
     html = paper_page.paper_page([section], [], _PROVENANCE)
@@ -117,7 +117,7 @@ def test_a_row_that_is_met_or_missed_says_so() -> None:
     assert "<strong>1 of 2</strong>" in html
 
 
-def test_the_first_number_is_what_the_paper_s_method_and_torchpi_leave_of_the_fast_trajectory(
+def test_the_first_number_compares_both_methods_on_the_fast_trajectory(
     html: str, results: dict[str, Any]
 ) -> None:
     first = html[: html.index("<section")]

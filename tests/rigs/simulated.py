@@ -1,4 +1,4 @@
-"""What stands in for hardware: the libraries of its vendors, as far as rigs use them, on a stage."""
+"""Stand-ins for hardware: the parts of the vendors' libraries that rigs use, on a simulated stage."""
 
 import socketserver
 import sys
@@ -18,7 +18,7 @@ sys.path.insert(0, str(Path(__file__).parents[2] / "examples" / "rigs"))
 
 
 class Axis:
-    """The built-in stage, which holds each voltage for so many of its own samples, 10,000 in a second."""
+    """The built-in stage, which holds each voltage for `held` of its own samples, 10,000 per second."""
 
     def __init__(self, held: int = 1) -> None:
         self.held = held
@@ -34,7 +34,7 @@ class Axis:
 
 
 class Clock:
-    """Time that passes as one sleeps, and `tick_s` each time that one looks."""
+    """A clock that advances during each sleep, and by `tick_s` each time it is read."""
 
     def __init__(self, tick_s: float = 0.0) -> None:
         self.now_s, self.tick_s = 0.0, tick_s
@@ -54,7 +54,7 @@ def install(monkeypatch: pytest.MonkeyPatch, name: str, **members: Any) -> None:
 
 
 class Nidaqmx:
-    """`nidaqmx.Task`, of which one drives and one reads; the clock of the reading one moves both."""
+    """`nidaqmx.Task`: one task drives and one reads, and the sample clock of the latter times both."""
 
     def __init__(self, axis: Axis) -> None:
         self.axis, self.tasks = axis, []
@@ -97,7 +97,7 @@ class NidaqmxTask:
         assert number_of_samples_per_channel == self.samples == drive.samples < 1e4 * timeout
         readings = []
         for voltage in drive.data.tolist():
-            readings.append(self.device.axis.reading)  # at the edge at which the next voltage is put out
+            readings.append(self.device.axis.reading)  # at the clock edge at which the next voltage is output
             self.device.axis.step(voltage)
         return readings
 
@@ -213,7 +213,7 @@ def answer(axis: Axis, line: bytes) -> bytes:
 
 @contextmanager
 def listening(axis: Axis) -> Iterator[int]:
-    """A device on a port of this machine."""
+    """A device that listens on a port of this machine."""
 
     class Line(socketserver.StreamRequestHandler):
         def handle(self) -> None:

@@ -1,4 +1,4 @@
-"""Rigs: each plays on a simulated backend what it is given, and a compensated scan takes ten lines."""
+"""Rigs: each plays a given voltage on a simulated backend, and a compensated scan takes ten lines."""
 
 import re
 import sys
@@ -38,7 +38,7 @@ def axis(request: pytest.FixtureRequest) -> Axis:
 
 @pytest.fixture
 def rig(request: pytest.FixtureRequest, axis: Axis, monkeypatch: pytest.MonkeyPatch) -> Iterator[Rig]:
-    """The one of this name, with what its library needs replaced."""
+    """The rig of this name, with its vendor's library replaced by a stand-in."""
     match request.param:
         case "ni_daqmx":
             install(monkeypatch, "nidaqmx", Task=simulated.Nidaqmx(axis).Task)
@@ -63,7 +63,7 @@ def rig(request: pytest.FixtureRequest, axis: Axis, monkeypatch: pytest.MonkeyPa
 
 
 @pytest.mark.parametrize("rig", RIGS, indirect=True)
-def test_a_rig_plays_what_it_is_given_and_returns_what_the_sensor_reads(rig: Rig, axis: Axis) -> None:
+def test_a_rig_plays_the_given_voltage_and_returns_the_sensor_readings(rig: Rig, axis: Axis) -> None:
     y, stream = rig.play(U), Axis(axis.held)
     expected = np.array([stream.step(voltage) for voltage in axis.played])
     assert np.allclose(axis.played, U, rtol=0, atol=1e-6)
@@ -109,7 +109,7 @@ def test_a_voltage_outside_its_limits_is_not_played(bad: float, found: str, rig:
         (PiezosystemJena("COM3", 100.0), "psj-lib"),
     ],
 )
-def test_a_missing_library_is_named_with_its_command(
+def test_a_missing_library_is_reported_with_its_install_command(
     rig: Rig, module: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for name in ("nidaqmx", "pipython", "psj_lib"):
@@ -118,7 +118,7 @@ def test_a_missing_library_is_named_with_its_command(
         rig.play(U)
 
 
-def test_a_rate_that_the_servo_does_not_have_is_refused(monkeypatch: pytest.MonkeyPatch, axis: Axis) -> None:
+def test_a_rate_that_the_servo_does_not_offer_is_refused(monkeypatch: pytest.MonkeyPatch, axis: Axis) -> None:
     install(monkeypatch, "pipython")
     install(monkeypatch, "pipython.pitools", **vars(simulated.Pitools))
     with pytest.raises(
@@ -128,7 +128,7 @@ def test_a_rate_that_the_servo_does_not_have_is_refused(monkeypatch: pytest.Monk
 
 
 class Answering:
-    """A stream whose device answers so."""
+    """A stream whose device answers with the given function."""
 
     def __init__(self, readline: Callable[[], bytes]) -> None:
         self.readline = readline
@@ -151,7 +151,7 @@ def silent() -> bytes:
         (silent, "found no answer within 1 s"),
     ],
 )
-def test_an_answer_that_is_no_number_ends_the_scan(readline: Callable[[], bytes], found: str) -> None:
+def test_an_answer_that_is_not_a_number_ends_the_scan(readline: Callable[[], bytes], found: str) -> None:
     with pytest.raises(RecordingError, match=found):
         LineDevice(Answering(readline), 1000.0).play(U)
 
@@ -173,13 +173,13 @@ def test_ten_lines_of_the_page_lead_from_connect_to_a_compensated_scan(
     exec(compile(block, "docs/rigs.md", "exec"), names)
     made, rig = names["made"], names["rig"]
     assert made.rms_um < 0.05 and f"{1e3 * made.rms_um:.0f} nm" in capsys.readouterr().out
-    # Without compensation: the voltage in proportion, as high.
+    # Without compensation: a voltage proportional to the reference, with the same maximum.
     plain = record(rig, made.reference_um * made.u_v.max() / made.reference_um.max()).y[-len(made.y_um) :]
     assert 5 * made.rms_um < np.std(plain - made.reference_um)
     with pytest.raises(ConfigError, match="compensator: found 10000 Hz, expected the rig's 5000 Hz"):
         scan(NiDaqmx("Dev1/ao0", "Dev1/ai0", 5000.0, 1.0), names["compensator"], made.reference_um)
 
 
-def test_the_page_has_every_rig() -> None:
+def test_the_page_links_every_rig() -> None:
     files = {path.name for path in (Path(__file__).parents[2] / "examples" / "rigs").glob("*.py")}
     assert files == set(re.findall(r"\(\.\./examples/rigs/(\w+\.py)\)", PAGE))

@@ -1,4 +1,4 @@
-"""A simulation as a user writes it: a module with a function."""
+"""A simulation as a user would write it: a module with a function."""
 
 import numpy as np
 

@@ -16,7 +16,7 @@ U_V = 5 * (1 - np.cos(np.arange(200) / 20))
 
 
 def one_line(reference: str) -> str:
-    """The error with which a reference is refused."""
+    """Return the one-line error with which a reference is refused."""
     with pytest.raises(SimulationError) as raised:
         load_simulator(reference)
     assert "\n" not in str(raised.value)
@@ -52,7 +52,7 @@ def test_a_function_is_found_in_a_file_and_in_the_current_folder(
         ("tests.simulators.own_model:number", "found no function 'number'"),
     ],
 )
-def test_a_reference_to_nothing_is_refused_in_one_line(reference: str, text: str) -> None:
+def test_an_invalid_reference_is_refused_in_one_line(reference: str, text: str) -> None:
     assert text in one_line(reference)
 
 
@@ -61,7 +61,7 @@ def test_the_same_voltage_is_simulated_once() -> None:
 
     def simulate(u_v: np.ndarray, fs_hz: float) -> np.ndarray:
         calls.append(fs_hz)
-        u_v += 1.0  # of a copy
+        u_v += 1.0  # changes only a copy
         return u_v
 
     simulator = Simulator.of(simulate)
@@ -71,7 +71,7 @@ def test_the_same_voltage_is_simulated_once() -> None:
 
 
 def fmpy(variables: list[tuple[str, str]], version: str = "2.0", co_simulation: bool = True) -> Any:
-    """What torchpi needs of the package: an FMU whose output is half its input at the end of each step."""
+    """Return a stand-in for the package: the output of its FMU is half the input at the end of each step."""
 
     def read_model_description(path: str) -> SimpleNamespace:
         return SimpleNamespace(
@@ -97,7 +97,7 @@ ONE_EACH = [("time", "independent"), ("voltage", "input"), ("gain", "parameter")
 
 
 @pytest.mark.parametrize("version", ["2.0", "3.0"])
-def test_an_fmu_answers_the_voltage_of_the_same_sample(
+def test_the_output_of_an_fmu_belongs_to_the_voltage_of_the_same_sample(
     version: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "fmpy", fmpy(ONE_EACH, version))
@@ -115,10 +115,10 @@ def test_an_fmu_answers_the_voltage_of_the_same_sample(
         (fmpy([*ONE_EACH, ("second", "input")]), "found voltage, second as input, expected one input"),
         (fmpy(ONE_EACH, "1.0"), "found FMI 1.0 for co-simulation, expected FMI 2 or 3"),
         (fmpy(ONE_EACH, co_simulation=False), "found FMI 2.0 for model exchange"),
-        (None, "found no package fmpy, expected it; pip install 'torchpi[fmi]'"),
+        (None, "found no package fmpy, expected it installed; pip install 'torchpi[fmi]'"),
     ],
 )
-def test_an_fmu_that_is_no_single_map_is_refused_in_one_line(
+def test_an_unsuitable_fmu_or_a_missing_fmpy_is_refused_in_one_line(
     module: Any, text: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "fmpy", module)
@@ -127,6 +127,6 @@ def test_an_fmu_that_is_no_single_map_is_refused_in_one_line(
     assert text in one_line(str(path))
 
 
-def test_an_fmu_that_is_not_there_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_fmu_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "fmpy", fmpy(ONE_EACH))
     assert "no such file" in one_line("nowhere.fmu")

@@ -1,4 +1,4 @@
-"""A small oscillator with hysteresis, its excitation, and an integration of it by other means."""
+"""A small oscillator with hysteresis, its excitation, and an independent integration of its equations."""
 
 import numpy as np
 from scipy.integrate import solve_ivp
@@ -17,7 +17,7 @@ def an_oscillator(
 
 
 def multisine(samples: int, rms: float = 10.0, seed: int = 0, factor: int = 1) -> np.ndarray:
-    """One period of lines from 4 Hz to 100 Hz, at `factor` times the rate."""
+    """Return one period of a multisine from 4 Hz to 100 Hz, at `factor` times the rate."""
     random, length_s = np.random.default_rng(seed), samples / RATE_HZ
     spectrum = np.zeros(samples * factor // 2 + 1, complex)
     lines = np.arange(round(4 * length_s), round(100 * length_s))
@@ -27,7 +27,7 @@ def multisine(samples: int, rms: float = 10.0, seed: int = 0, factor: int = 1) -
 
 
 def integrated(p: BoucWenParameters, force, t: np.ndarray) -> np.ndarray:
-    """Displacement, µm, at times t, of a force that is a function of time: adaptive, of order 8."""
+    """Return the displacement, µm, at times t under force(t), integrated adaptively with order 8."""
 
     def slopes(time: float, state: np.ndarray) -> list[float]:
         x, v, z = state
@@ -37,7 +37,7 @@ def integrated(p: BoucWenParameters, force, t: np.ndarray) -> np.ndarray:
         a = (force(time) - p.damping_n_s_m * v - p.stiffness_n_m * x - z) / p.mass_kg
         return [v, a, p.hysteretic_stiffness_n_m * v - hysteresis]
 
-    # No step longer than a small part of a sample: the slopes have kinks where the motion turns.
+    # Steps are kept to a small part of a sample, as the slopes have kinks where the motion reverses.
     longest = (t[1] - t[0]) / 4
     found = solve_ivp(slopes, t[[0, -1]], np.zeros(3), "DOP853", t, rtol=1e-9, atol=1e-12, max_step=longest)
     return 1e6 * found.y[0]

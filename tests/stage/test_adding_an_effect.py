@@ -1,4 +1,4 @@
-"""The page on adding an effect is true: its class and its row are enough for a diagnosis to name it."""
+"""The page on adding an effect is correct: its class and row suffice for a diagnosis to name the effect."""
 
 import importlib.util
 import re
@@ -23,7 +23,7 @@ LEAD_S = 1e-3
 
 @pytest.fixture
 def page(tmp_path: Path) -> ModuleType:
-    """Its Python as one module, which TorchScript can read the source of."""
+    """Return the Python code of the page as one module, whose source TorchScript can read."""
     path = tmp_path / "rate_pickup.py"
     blocks = re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
     path.write_text("\n\n".join(blocks), encoding="utf-8")
@@ -35,7 +35,7 @@ def page(tmp_path: Path) -> ModuleType:
     return module
 
 
-def test_the_page_s_effect_keeps_the_laws(page: ModuleType) -> None:
+def test_the_effect_of_the_page_obeys_the_laws(page: ModuleType) -> None:
     laws = page.TestRatePickup()
     checks = [getattr(laws, name) for name in dir(laws) if name.startswith("test_")]
     assert len(checks) >= 8
@@ -45,8 +45,10 @@ def test_the_page_s_effect_keeps_the_laws(page: ModuleType) -> None:
     assert torch.equal(page.RatePickup(1e-3)(x)[0], x)
 
 
-def test_a_class_and_a_row_are_enough_to_be_named(page: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The recordings are made by the difference of a spline in the middle of samples, not by the class."""
+def test_a_class_and_a_row_are_enough_for_an_effect_to_be_named(
+    page: ModuleType, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The recordings are made with a backward difference of the samples, not with the class under test."""
     place = search.EFFECTS.index(SensorLag)
     effects: tuple[type[Effect], ...] = (
         *search.EFFECTS[:place], page.RatePickup, *search.EFFECTS[place:],

@@ -26,7 +26,7 @@ def rms(error: np.ndarray) -> float:
 
 
 @pytest.mark.parametrize("exponent", [1.0, 1.7])
-def test_it_moves_as_an_adaptive_integration_of_the_equations(exponent: float) -> None:
+def test_the_displacement_matches_an_adaptive_integration_of_the_equations(exponent: float) -> None:
     unit = 10.0 ** (exponent - 1)
     oscillator = an_oscillator(exponent=exponent, dissipation=900.0 / unit, hardening=-600.0 / unit)
     t = np.arange(300) / RATE_HZ
@@ -39,24 +39,24 @@ def test_it_moves_as_an_adaptive_integration_of_the_equations(exponent: float) -
     assert rms(displacement(oscillator, force(t)) - expected) < 2e-5 * rms(expected)
 
 
-def test_a_held_force_is_held_and_a_linear_one_goes_straight() -> None:
+def test_the_force_is_held_or_interpolated_linearly_between_samples() -> None:
     u = multisine(100)
     t = np.arange(100) / RATE_HZ
     held = integrated(PARAMETERS, lambda time: u[min(int(time * RATE_HZ + 1e-9), 99)], t)
     linear = integrated(PARAMETERS, lambda time: np.interp(time, t, u), t)
-    # The steps of the other integration do not end where a held force jumps.
+    # The steps of the adaptive integration do not end where a held force jumps.
     assert rms(displacement(an_oscillator(between="held"), u) - held) < 2e-3 * rms(held)
     assert rms(displacement(an_oscillator(between="linear"), u) - linear) < 2e-5 * rms(linear)
 
 
-def test_at_another_rate_it_is_the_same_oscillator() -> None:
+def test_the_displacement_is_the_same_at_another_sample_rate() -> None:
     fine = displacement(an_oscillator().at_sample_rate(4 * RATE_HZ), multisine(500, factor=4))
     coarse = displacement(an_oscillator(), multisine(500))
     assert rms((coarse - fine[::4])[100:]) < 1e-4 * rms(fine)
 
 
 @pytest.mark.parametrize("between", BETWEEN_SAMPLES)
-def test_steps_give_the_bits_of_the_whole(between: str) -> None:
+def test_steps_give_the_same_bits_as_the_whole_record(between: str) -> None:
     oscillator, u = an_oscillator(between=between), multisine(300)
     stream, late = oscillator.stream(), oscillator.delay_samples
     for _ in range(2):
@@ -65,7 +65,7 @@ def test_steps_give_the_bits_of_the_whole(between: str) -> None:
         stream.reset()
 
 
-def test_a_step_that_is_refused_leaves_the_state() -> None:
+def test_a_refused_step_leaves_the_state_unchanged() -> None:
     oscillator, u = an_oscillator(between="linear"), multisine(50)
     stream = oscillator.stream()
     steps = [stream.step(float(one)) for one in u[:20]]
@@ -75,7 +75,7 @@ def test_a_step_that_is_refused_leaves_the_state() -> None:
     np.testing.assert_array_equal(steps, displacement(oscillator, u))
 
 
-def test_rows_of_a_batch_are_as_alone() -> None:
+def test_each_row_of_a_batch_is_simulated_as_if_alone() -> None:
     u = torch.from_numpy(np.stack([multisine(200, seed=seed) for seed in range(3)]))
     together = an_oscillator().simulate(u)
     for row, one in zip(together, u, strict=True):
@@ -83,9 +83,9 @@ def test_rows_of_a_batch_are_as_alone() -> None:
 
 
 @pytest.mark.parametrize("between", BETWEEN_SAMPLES)
-def test_a_period_in_steady_state_is_the_last_of_many_from_rest(between: str) -> None:
+def test_the_steady_state_period_equals_a_late_one_of_many_from_rest(between: str) -> None:
     oscillator, u = an_oscillator(between=between), multisine(500)
-    # The last period of a run from rest has the next one's samples before it ends.
+    # The last period lacks the samples of a following one, so the period before it is compared.
     many = displacement(oscillator, np.tile(u, 12)).reshape(12, -1)[-2]
     assert rms(displacement(oscillator, u, periodic=True) - many) < 1e-8 * rms(many)
 
@@ -106,7 +106,7 @@ def test_slow_loops_do_not_depend_on_the_rate() -> None:
     assert abs(slow[0]) > 0.05 * np.abs(slow).max()  # and open
 
 
-def test_a_saved_oscillator_comes_back_with_its_bits(tmp_path: Path) -> None:
+def test_a_saved_oscillator_is_loaded_bit_for_bit(tmp_path: Path) -> None:
     oscillator, path = an_oscillator(between="linear"), tmp_path / "stage.pt"
     oscillator.save(path)
     back, u = BoucWenOscillator.load(path), multisine(200)
@@ -114,14 +114,14 @@ def test_a_saved_oscillator_comes_back_with_its_bits(tmp_path: Path) -> None:
     np.testing.assert_array_equal(displacement(back, u), displacement(oscillator, u))
 
 
-def test_a_file_is_loaded_as_what_it_holds(tmp_path: Path) -> None:
+def test_a_file_is_loaded_as_the_kind_of_stage_it_holds(tmp_path: Path) -> None:
     an_oscillator().save(tmp_path / "one.pt")
     two_axes().save(tmp_path / "two.pt")
     (tmp_path / "other.pt").write_bytes(b"something")
     assert isinstance(load_own_kind(tmp_path / "one.pt"), BoucWenOscillator)
     assert isinstance(load_own_kind(tmp_path / "two.pt"), MultiAxisStage)
     assert load_own_kind(tmp_path / "other.pt") is None
-    with pytest.raises(ArtifactError, match="a file of something else, expected a Bouc–Wen oscillator"):
+    with pytest.raises(ArtifactError, match="a file of another kind, expected a Bouc–Wen oscillator"):
         BoucWenOscillator.load(tmp_path / "two.pt")
 
 
@@ -135,7 +135,7 @@ def test_a_changed_file_is_refused(tmp_path: Path) -> None:
         BoucWenOscillator.load(path)
 
 
-def test_a_file_with_fields_of_another_kind_is_refused(tmp_path: Path) -> None:
+def test_a_file_with_fields_of_the_wrong_type_is_refused(tmp_path: Path) -> None:
     for number, change in enumerate(
         ({"parameters": 5}, {"parameters": {**PARAMETERS._asdict(), "mass_kg": "x"}})
     ):
@@ -155,7 +155,7 @@ def test_a_file_with_fields_of_another_kind_is_refused(tmp_path: Path) -> None:
         ({"beta": 1.0}, "parameters: found beta, "),
     ],
 )
-def test_parameters_without_meaning_are_named(changes: dict[str, float], message: str) -> None:
+def test_invalid_parameters_are_named_in_the_error(changes: dict[str, float], message: str) -> None:
     with pytest.raises(StageError, match=message):
         an_oscillator(**changes)
 
@@ -163,17 +163,19 @@ def test_parameters_without_meaning_are_named(changes: dict[str, float], message
 @pytest.mark.parametrize(
     ("force", "message"),
     [
-        (torch.zeros(5), r"found an array of \(5,\), expected \(batch, time\)"),
+        (torch.zeros(5), r"found an array of shape \(5,\), expected \(batch, time\)"),
         (torch.full((1, 5), torch.nan), "force: found a value that is not finite"),
-        (torch.full((1, 5), 1e20), "found one without a bounded displacement"),
+        (torch.full((1, 5), 1e20), "found one with an unbounded displacement"),
     ],
 )
-def test_forces_without_an_answer_are_refused(force: torch.Tensor, message: str) -> None:
+def test_invalid_forces_and_those_with_unbounded_displacement_are_refused(
+    force: torch.Tensor, message: str
+) -> None:
     with pytest.raises(StageError, match=message):
         an_oscillator().simulate(force)
 
 
-def test_settings_without_meaning_are_named() -> None:
+def test_invalid_settings_are_named_in_the_error() -> None:
     with pytest.raises(
         StageError, match="between: found 'cubic', expected one of band_limited, linear, held"
     ):

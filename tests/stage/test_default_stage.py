@@ -1,4 +1,4 @@
-"""The stage that is shipped is a rig of the paper's kind, and its file says true things about it."""
+"""The default stage is a rig like that of the paper, and the statements in its file are correct."""
 
 from pathlib import Path
 
@@ -18,16 +18,16 @@ def stage() -> Stage:
 
 
 @pytest.mark.parametrize("path", sorted(FOLDER.glob("*.yaml")), ids=lambda path: path.name)
-def test_every_stage_file_is_a_stage(path):
+def test_every_stage_file_is_loaded_and_rebuilt_from_its_settings(path):
     stage = Stage.from_yaml(path)
     assert Stage.from_dict(stage.to_dict()).to_dict() == stage.to_dict()
 
 
-def test_its_range_and_its_loop_are_those_of_such_a_rig(stage):
+def test_its_range_and_its_loop_width_are_those_of_such_a_rig(stage):
     _, u = sine_5hz(0.6, stage.sample_rate_hz)
     y = stage(torch.tensor(u)[None])[0][0].numpy()
     period = 2000
-    # The last loop, the command being paired with the displacement that it causes 1.85 samples later.
+    # The last loop, each command paired with the displacement that it causes 1.85 samples later.
     u, y = u[2 * period - 2 : 3 * period - 2], y[2 * period :]
     assert y.max() == pytest.approx(8.1, abs=0.02)
     assert y.min() == pytest.approx(0.8, abs=0.02)
@@ -53,7 +53,7 @@ def test_its_apparent_delay_is_between_one_and_two_samples(stage):
         assert delay == pytest.approx(1.85, abs=0.02)
 
 
-def test_its_creep_is_one_and_a_half_percent_a_decade(stage):
+def test_its_creep_is_one_and_a_half_per_cent_per_decade(stage):
     u = torch.full((1, 100_001), 5.0, dtype=torch.float64)
     y = stage(u)[0][0]
     at = {seconds: y[round(seconds * 1e4)].item() for seconds in (0.1, 1.0, 10.0)}
@@ -61,6 +61,6 @@ def test_its_creep_is_one_and_a_half_percent_a_decade(stage):
     assert (at[10.0] - at[1.0]) / at[0.1] == pytest.approx(0.015, rel=0.05)
 
 
-def test_its_readings_scatter_by_nanometres(stage):
+def test_its_readings_have_a_noise_of_three_nanometres(stage):
     y, reading = stage.simulate(torch.zeros(1, 20_000, dtype=torch.float64))
     assert float((reading - y).std()) == pytest.approx(0.003, rel=0.05)

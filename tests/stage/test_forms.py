@@ -1,4 +1,4 @@
-"""A stage whose effects have their other forms: batch is stream, and its file gives it again."""
+"""A stage whose effects use their other forms: stream equals batch, and its file restores it."""
 
 from pathlib import Path
 
@@ -27,7 +27,7 @@ def stage() -> Stage:
 
 
 @pytest.mark.parametrize("compiled", [False, True])
-def test_stream_gives_the_bits_of_simulate(compiled: bool) -> None:
+def test_stream_gives_the_same_bits_as_simulate(compiled: bool) -> None:
     one, u = stage(), wandering(1, 400)
     y, reading = one.simulate(u)
     stream = one.stream(compiled)
@@ -35,7 +35,7 @@ def test_stream_gives_the_bits_of_simulate(compiled: bool) -> None:
     assert torch.equal(stepped[:, 0], y[0]) and torch.equal(stepped[:, 1], reading[0])
 
 
-def test_windows_with_carried_state_give_the_bits_of_one_pass() -> None:
+def test_windows_with_carried_state_give_the_same_bits_as_one_pass() -> None:
     one, u = stage(), wandering(2, 300)
     whole, final = one(u)
     first, state = one(u[:, :101])
@@ -43,7 +43,7 @@ def test_windows_with_carried_state_give_the_bits_of_one_pass() -> None:
     assert torch.equal(torch.cat([first, second], 1), whole) and torch.equal(state, final)
 
 
-def test_the_file_gives_the_same_stage(tmp_path: Path) -> None:
+def test_a_saved_stage_is_loaded_unchanged(tmp_path: Path) -> None:
     one, u = stage(), wandering(1, 300)
     one.save(tmp_path / "stage.pt")
     again = Stage.load(tmp_path / "stage.pt")
@@ -51,7 +51,7 @@ def test_the_file_gives_the_same_stage(tmp_path: Path) -> None:
     assert torch.equal(again.simulate(u)[1], one.simulate(u)[1])
 
 
-def test_every_form_makes_a_difference() -> None:
+def test_every_form_changes_the_output() -> None:
     u, y = wandering(1, 300), stage()(wandering(1, 300))[0]
     for name in FORMS:
         effects = [{"name": other, "values": values} for other, values in FORMS.items() if other != name]

@@ -1,4 +1,4 @@
-"""The hysteresis as an operator: what the search computed, the stream's bits, exact gradients."""
+"""The hysteresis as an operator: equality with the model of the search, bits of the stream, gradients."""
 
 import numpy as np
 import pytest
@@ -77,7 +77,7 @@ class TestDuhem(OperatorLaws):
     seed=st.integers(0, 99),
 )  # fmt: skip
 @settings(max_examples=20, deadline=None)
-def test_it_is_the_nominal_that_the_search_fitted(
+def test_it_equals_the_hysteresis_model_that_the_search_fitted(
     pieces: int, bouc_wen: bool, duhem: bool, inside: bool, seed: int
 ) -> None:
     operator = hysteresis(pieces, bouc_wen, duhem, **(INSIDE_IT if inside else {}))
@@ -92,11 +92,11 @@ def test_it_is_the_nominal_that_the_search_fitted(
         np.testing.assert_allclose(operator(v)[0][0].numpy(), wanted, rtol=0, atol=1e-12)
 
 
-def test_without_effects_inside_it_has_their_identities() -> None:
+def test_by_default_its_shape_has_every_effect_at_its_identity() -> None:
     assert HysteresisModel(np.zeros(1)).shape == IDENTITY == Hysteresis(PERIOD_S, [0.0], [1.0, 0.0]).shape()
 
 
-def test_gradients_hold_over_a_record_of_many_tiles() -> None:
+def test_gradients_are_exact_over_a_record_of_many_tiles() -> None:
     operator, v = hysteresis(pieces=2, **INSIDE_IT), wandering(2, 1000).requires_grad_()
     direction = wandering(2, 1000, seed=5)
     (gradient,) = torch.autograd.grad(operator(v)[0].square().sum(), v)
@@ -120,7 +120,7 @@ def test_one_thread_or_several_give_the_same_bits() -> None:
     assert torch.equal(found[0][0], found[1][0]) and torch.equal(found[0][1], found[1][1])
 
 
-def test_rate_dependence_is_one_physics_at_two_sample_rates() -> None:
+def test_rate_dependence_is_the_same_at_two_sample_rates() -> None:
     shape = {**INSIDE_IT, "rate_filter_s": 0.5}
     weights = torch.linspace(0.9, 0.1, 5, dtype=torch.float64)
     outputs = []
@@ -144,13 +144,13 @@ def test_a_bouc_wen_state_follows_its_differential_equation() -> None:
     assert bouc_wen(0.0, 1.0, sigma, beta, n) == pytest.approx(wanted, abs=1e-4)
 
 
-def test_settings_build_it_again() -> None:
+def test_it_can_be_rebuilt_from_its_settings() -> None:
     operator, v = hysteresis(2, True, True, **INSIDE_IT), wandering(1, 100)
     again = Hysteresis(PERIOD_S, **operator.settings())
     assert torch.equal(again(v)[0], operator(v)[0])
 
 
-def test_what_does_not_fit_is_refused() -> None:
+def test_inconsistent_arguments_are_refused() -> None:
     with pytest.raises(StageError, match="weights: found 2, expected 3"):
         Hysteresis(PERIOD_S, [0.0, 1.0], [1.0, 0.0])
     with pytest.raises(StageError, match="pieces: found 0 between -1 and 1 V"):
@@ -176,13 +176,13 @@ def test_a_relaxing_play_solves_its_differential_equation_for_a_held_voltage() -
     np.testing.assert_allclose(y, expected, rtol=0, atol=1e-9)
 
 
-def test_plays_that_relax_at_once_are_plays() -> None:
+def test_plays_that_relax_almost_instantly_equal_plain_plays() -> None:
     x = wandering(2, 300)
     plain, late = (hysteresis(pieces=3, **INSIDE_IT, **more)(x)[0] for more in ({}, {"relaxation_s": 1e-4}))
     torch.testing.assert_close(late, plain, rtol=0, atol=1e-13)
 
 
-def test_relaxing_plays_are_one_physics_at_two_sample_rates() -> None:
+def test_relaxing_plays_are_the_same_at_two_sample_rates() -> None:
     held = wandering(1, 200)
     slow = hysteresis(relaxation_s=0.25)
     fast = Hysteresis(PERIOD_S / 10, THRESHOLDS_V, slow.weights.detach(), 1, RANGE_V, 2.0, shape=slow.shape())

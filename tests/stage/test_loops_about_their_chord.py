@@ -1,4 +1,4 @@
-"""A loop that grows with the bias, or with the rate, grows about its chord: the straight part makes room."""
+"""A loop that grows with the bias or the rate grows about its chord: the straight part compensates."""
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ def displacement(v: np.ndarray, **shape: float) -> np.ndarray:
         return stage(torch.from_numpy(v)[None])[0][0].numpy()
 
 
-def test_with_the_share_of_the_straight_part_incongruence_multiplies_the_loop_about_its_chord() -> None:
+def test_with_a_straight_share_incongruence_scales_the_loop_about_its_chord() -> None:
     v = multisine(2000)
     y, kappa, chord = displacement(v), 0.03, 0.85
     # y + κ v (y - g v): the plays with memory sum to y - 0.7 v, so 0.7 b = g - 0.7.
@@ -26,7 +26,7 @@ def test_with_the_share_of_the_straight_part_incongruence_multiplies_the_loop_ab
     assert found == pytest.approx(y + kappa * v * (y - chord * v), abs=1e-12)
 
 
-def test_with_the_share_of_the_chord_a_rate_widens_the_loop_about_it() -> None:
+def test_with_a_chord_share_the_rate_widens_the_loop_about_its_chord() -> None:
     v = multisine(2000)
     y, gamma, reference, gain = displacement(v), 0.02, 30.0, sum(WEIGHTS)
     rate = np.abs(np.diff(v, prepend=0.0)) / PERIOD_S

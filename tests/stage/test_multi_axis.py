@@ -12,7 +12,7 @@ from torchpi.files import load_tensors, save_tensors
 from torchpi.stage.multi_axis import MultiAxisStage, MultiAxisStream
 
 
-def test_windows_with_the_state_carried_over_give_the_bits_of_the_whole() -> None:
+def test_windows_with_carried_state_give_the_same_bits_as_one_pass() -> None:
     stage, u = two_axes(), multisine(np.random.default_rng(0), 600, 0.5)
     whole = stage.simulate(torch.from_numpy(u)[None])[0].numpy()
     driven, state, parts = stage.driven(u), stage.initial_state(1), []
@@ -24,7 +24,7 @@ def test_windows_with_the_state_carried_over_give_the_bits_of_the_whole() -> Non
     np.testing.assert_array_equal(np.concatenate(parts) + to_come, whole)
 
 
-def test_samples_one_by_one_give_the_bits_of_the_whole_some_samples_late() -> None:
+def test_steps_give_the_same_bits_as_the_whole_record_some_samples_later() -> None:
     stage, u = with_amplifiers(200.0), multisine(np.random.default_rng(0), 300, 0.5)
     stream, whole = MultiAxisStream(stage), stage.simulate(torch.from_numpy(u)[None])[0].numpy()
     for _ in range(2):
@@ -33,15 +33,15 @@ def test_samples_one_by_one_give_the_bits_of_the_whole_some_samples_late() -> No
         np.testing.assert_array_equal(found[stream.delay_samples :], whole)
 
 
-def test_a_step_refuses_what_it_cannot_take() -> None:
+def test_a_step_refuses_invalid_voltages() -> None:
     stream = MultiAxisStream(two_axes())
-    with pytest.raises(StageError, match=r"found an array of \(1, 3\), expected finite numbers \(time, 2\)"):
+    with pytest.raises(StageError, match=r"found an array of shape \(1, 3\), expected finite numbers"):
         stream.step([1.0, 2.0, 3.0])
     with pytest.raises(StageError, match="expected finite numbers"):
         stream.step([1.0, np.nan])
 
 
-def test_rows_of_a_batch_are_as_alone() -> None:
+def test_each_row_of_a_batch_is_simulated_as_if_alone() -> None:
     stage, u = two_axes(), torch.from_numpy(np.random.default_rng(0).standard_normal((3, 200, 2)))
     together = stage.simulate(u)
     for row, alone in zip(together, u, strict=True):
@@ -56,7 +56,7 @@ def test_without_force_it_is_linear_in_the_voltages() -> None:
     torch.testing.assert_close(3 * stage.simulate(u), stage.simulate(3 * u))
 
 
-def test_a_displacement_begins_as_many_samples_before_a_voltage_as_it_foresees() -> None:
+def test_the_displacement_precedes_the_voltage_by_the_look_ahead_of_the_stage() -> None:
     stage, u = two_axes(force=0.0), np.zeros((100, 2))
     u[60, 1] = 1.0
     with torch.no_grad():
@@ -66,13 +66,13 @@ def test_a_displacement_begins_as_many_samples_before_a_voltage_as_it_foresees()
     np.testing.assert_array_equal(y[57:60][::-1].T, stage.arrays()["ahead"][:, 1])
 
 
-def test_more_samples_to_come_than_a_step_waits_for_are_refused() -> None:
+def test_a_look_ahead_longer_than_a_step_waits_for_is_refused() -> None:
     arrays = {**two_axes().arrays(), "ahead": np.zeros((2, 2, 81))}
-    with pytest.raises(StageError, match="ahead: found 81 samples, expected 80 at most"):
+    with pytest.raises(StageError, match="ahead: found 81 samples, expected at most 80"):
         MultiAxisStage(1000.0, arrays, [0.1, 0.3], [5.0, 20.0], [0.0], [0.1, 0.5], [5.0, 20.0], [0.05])
 
 
-def test_a_saved_stage_comes_back_with_its_bits(tmp_path: Path) -> None:
+def test_a_saved_stage_is_loaded_bit_for_bit(tmp_path: Path) -> None:
     stage, path = two_axes(), tmp_path / "stage.pt"
     stage.save(path)
     u = torch.from_numpy(multisine(np.random.default_rng(0), 300, 0.5))[None]
@@ -80,7 +80,7 @@ def test_a_saved_stage_comes_back_with_its_bits(tmp_path: Path) -> None:
 
 
 def with_amplifiers(corner_hz: float) -> MultiAxisStage:
-    """The stage of two axes, its amplifiers with crossover distortion of one width."""
+    """Return the stage of two axes with amplifiers that have crossover distortion of one width."""
     stage = two_axes()
     arrays = {**stage.arrays()}
     arrays["play_weights"] = np.concatenate([arrays["play_weights"], np.full((2, 2), 0.05)], 1)
@@ -89,7 +89,7 @@ def with_amplifiers(corner_hz: float) -> MultiAxisStage:
     )
 
 
-def test_a_saved_stage_comes_back_with_its_amplifiers(tmp_path: Path) -> None:
+def test_a_saved_stage_is_loaded_with_its_amplifiers(tmp_path: Path) -> None:
     stage, path = with_amplifiers(200.0), tmp_path / "stage.pt"
     stage.save(path)
     u = torch.from_numpy(multisine(np.random.default_rng(0), 300, 0.5))[None]
@@ -98,7 +98,7 @@ def test_a_saved_stage_comes_back_with_its_amplifiers(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("corner_hz", [0.0, np.inf])
-def test_amplifiers_without_a_bandwidth_are_refused(corner_hz: float) -> None:
+def test_amplifiers_without_a_valid_bandwidth_are_refused(corner_hz: float) -> None:
     with pytest.raises(StageError, match=f"amplifier_hz: found {corner_hz}, expected a positive number"):
         with_amplifiers(corner_hz)
 
@@ -116,12 +116,12 @@ def test_a_changed_file_is_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "value", "message"),
     [
-        ("seen", np.zeros((2, 3, 2)), r"seen: found an array of \(2, 3, 2\), expected \(2, 2, 2\)"),
+        ("seen", np.zeros((2, 3, 2)), r"seen: found an array of shape \(2, 3, 2\), expected \(2, 2, 2\)"),
         ("poles", np.array([[1.0, 0.1], [0.5, 0.5]]), "outside the unit circle"),
         ("through", np.full((2, 2), np.nan), "through: found a value that is not finite"),
     ],
 )
-def test_parameters_without_meaning_are_named(name: str, value: np.ndarray, message: str) -> None:
+def test_invalid_parameters_are_named_in_the_error(name: str, value: np.ndarray, message: str) -> None:
     stage = two_axes()
     with pytest.raises(StageError, match=message):
         MultiAxisStage(
@@ -142,6 +142,6 @@ def test_a_play_without_a_rate_is_refused() -> None:
         MultiAxisStage(1000.0, stage.arrays(), [0.1, 0.3], [5.0])
 
 
-def test_another_number_of_inputs_is_refused() -> None:
+def test_a_wrong_number_of_inputs_is_refused() -> None:
     with pytest.raises(StageError, match=r"expected \(batch, time, 2\)"):
         two_axes().simulate(torch.zeros(1, 10, 3))

@@ -1,4 +1,4 @@
-"""A stage's file: what is wrong in it is said with file, key, value, unit and remedy."""
+"""A stage file: errors in it are reported with file, key, value, unit and remedy."""
 
 import copy
 from pathlib import Path
@@ -20,7 +20,7 @@ def written(tmp_path: Path, settings: dict[str, Any]) -> Path:
 
 
 def changed(key: str, value: Any) -> dict[str, Any]:
-    """The default settings with one value, its key dotted, put in."""
+    """Return the default settings with the value of one dotted key replaced."""
     settings = copy.deepcopy(yaml.safe_load(DEFAULT.read_text()))
     *sections, last = key.split(".")
     place = settings
@@ -45,7 +45,7 @@ def changed(key: str, value: Any) -> dict[str, Any]:
         ("sample_rate_hz", None, "sample_rate_hz: found None, expected a number"),
     ],
 )
-def test_a_wrong_key_or_kind_of_value_is_a_config_error_on_one_line(tmp_path, key, value, message):
+def test_a_wrong_key_or_type_of_value_is_a_one_line_config_error(tmp_path, key, value, message):
     path = written(tmp_path, changed(key, value))
     with pytest.raises(ConfigError) as caught:
         Stage.from_yaml(path)
@@ -68,14 +68,14 @@ def test_a_wrong_key_or_kind_of_value_is_a_config_error_on_one_line(tmp_path, ke
         ("sensor.noise_um", -0.003, "found -0.003 µm, expected at least 0 µm"),
         ("sensor.noise_um", float("nan"), "found nan µm, expected at least 0 µm"),
         ("actuator.weights_um_per_v", [0.0] * 20, "their sum is 0 µm/V, expected a positive"),
-        ("actuator.weights_um_per_v", [1.0], "found 1 numbers, expected 20, one a threshold"),
+        ("actuator.weights_um_per_v", [1.0], "found 1 numbers, expected 20, one per threshold"),
         ("actuator.thresholds_v", [-1.0] * 20, "found [-1.0, "),
         ("actuator.input_polynomial_v", [], "found [], expected one to three numbers, the first positive"),
         ("actuator.creep_per_decade", 3, "found 3, expected -0.5 to 0.5"),
         ("actuator.creep_to_s", 0.001, "found 0.001 s, expected more than from_s = 0.01 s"),
     ],
 )
-def test_an_unphysical_value_is_a_stage_error_on_one_line(tmp_path, key, value, message):
+def test_an_unphysical_value_is_a_one_line_stage_error(tmp_path, key, value, message):
     path = written(tmp_path, changed(key, value))
     with pytest.raises(StageError) as caught:
         Stage.from_yaml(path)
@@ -83,7 +83,7 @@ def test_an_unphysical_value_is_a_stage_error_on_one_line(tmp_path, key, value, 
     assert "\n" not in str(caught.value)
 
 
-def test_a_missing_rate_is_named(tmp_path):
+def test_a_missing_sample_rate_is_reported(tmp_path):
     path = written(tmp_path, {"mechanics": {"frequency_hz": 620, "damping_ratio": 0.02}})
     with pytest.raises(ConfigError, match="sample_rate_hz is missing"):
         Stage.from_yaml(path)
@@ -97,19 +97,19 @@ def test_a_missing_rate_is_named(tmp_path):
         ("", "found NoneType"),
     ],
 )
-def test_a_file_of_something_else_is_refused(tmp_path, text, message):
+def test_a_file_that_is_not_a_yaml_mapping_is_refused(tmp_path, text, message):
     path = tmp_path / "rig.yaml"
     path.write_text(text)
     with pytest.raises(ConfigError, match=message):
         Stage.from_yaml(path)
 
 
-def test_a_file_that_is_not_there_is_named(tmp_path):
+def test_a_missing_file_is_named_in_the_error(tmp_path):
     with pytest.raises(ConfigError, match=r"none\.yaml: cannot be read: No such file"):
         Stage.from_yaml(tmp_path / "none.yaml")
 
 
-def test_numbers_that_yaml_takes_for_text_are_numbers(tmp_path):
+def test_numbers_that_yaml_reads_as_text_are_accepted(tmp_path):
     path = tmp_path / "rig.yaml"
     path.write_text("sample_rate_hz: 1e4\namplifier: {delay_s: 5e-5}\n")
     (delay,) = Stage.from_yaml(path).effects

@@ -1,4 +1,4 @@
-"""The stage: a chain of effects around a hysteresis, batch is stream, gradients."""
+"""The stage: a chain of effects around a hysteresis; equality of stream and batch; gradients."""
 
 import json
 import math
@@ -39,7 +39,7 @@ SENSOR_LAG = {"name": "sensor_lag", "values": {"cutoff_hz": 5000.0}}
 
 
 def small(**changes: object) -> Stage:
-    """A stage of every section of a file, of a few numbers, converters and noise included."""
+    """Return a small stage with every section of a file, converters and noise included."""
     sections = {
         "amplifier": {
             "min_voltage_v": 0.0, "max_voltage_v": 10.0, "cutoff_hz": 1500.0, "delay_s": 1.3e-4,
@@ -56,25 +56,25 @@ def small(**changes: object) -> Stage:
 
 
 def chain(**changes: object) -> Stage:
-    """A stage of effects, as a diagnosis makes it."""
+    """Return a stage of effects as a diagnosis builds it."""
     settings = {"effects": [HUM, RESONANCE, RATE, LAG], "alignment": 1, "noise_um": 0.003}
     settings |= {"min_voltage_v": 0.0, "max_voltage_v": 10.0, **changes}
     return Stage(RATE_HZ, HYSTERESIS, **settings)
 
 
 def operator(stage: Stage, kind: type[Effect]) -> Effect:
-    """Its effect of this kind."""
+    """Return the stage's only effect of this kind."""
     (found,) = (one for one in stage.modules() if isinstance(one, kind))
     return found
 
 
 def volts(batch: int = 1, time: int = 600) -> Tensor:
-    """Commands over the range and a little beyond it."""
+    """Return commands over the range and slightly beyond it."""
     return 5.0 + 2.7 * wandering(batch, time)
 
 
 class TestLaws(OperatorLaws):
-    """As an operator: windows, bits, causality, gradients (those to delays and hertz are tested below)."""
+    """The stage as an operator: windows, bits, causality, gradients (to delays and hertz: see below)."""
 
     def operator(self) -> Stage:
         effects = [LAG, DELAY, CURVATURE, CREEP, RESONANCE, RATE, HUM]
@@ -83,13 +83,13 @@ class TestLaws(OperatorLaws):
 
 
 class _Displacement(Stage):
-    """The stage without its ends, so that the laws can step it: volts to displacement."""
+    """The stage from volts to displacement, without sensor and noise, so that the laws can step it."""
 
     def stream(self):
         return super().stream(compiled=False).rig.to_displacement
 
 
-def test_effects_stand_in_the_order_of_the_chain() -> None:
+def test_effects_act_in_the_order_of_the_chain_whatever_order_they_are_given_in() -> None:
     u = wandering(2, 400)
     late = torch.cat([torch.zeros(2, 1), u[:, :-1]], 1)
     one = chain(effects=[HUM, RESONANCE, CURVATURE, RATE, LAG])
@@ -104,7 +104,7 @@ def test_effects_stand_in_the_order_of_the_chain() -> None:
     assert one.names == order == tuple(effect.kind.name for effect in one.effects)
 
 
-def test_with_every_effect_at_its_identity_it_is_the_hysteresis() -> None:
+def test_with_every_effect_at_its_identity_it_equals_the_hysteresis() -> None:
     every = [{"name": e.name, "values": {}, "aux": "aux_v" if e.takes_aux else ""} for e in EFFECTS]
     u = wandering(1, 300)
     with torch.no_grad():
@@ -112,7 +112,7 @@ def test_with_every_effect_at_its_identity_it_is_the_hysteresis() -> None:
         assert torch.equal(y, Hysteresis(1e-4, **HYSTERESIS)(u)[0])
 
 
-def test_an_ideal_stage_is_what_was_written_one_tick_ago() -> None:
+def test_an_ideal_stage_returns_the_command_of_the_previous_tick() -> None:
     stage, u = Stage.from_dict({"sample_rate_hz": RATE_HZ}), volts(2)
     y, reading = stage.simulate(u)
     assert torch.equal(y[:, 1:], u[:, :-1]) and bool((y[:, 0] == 0).all())
@@ -128,7 +128,7 @@ def test_an_empty_section_is_the_same_as_none(section: str) -> None:
     assert not torch.equal(none[1], small().simulate(u)[1])
 
 
-def test_sections_are_effects_by_name() -> None:
+def test_sections_of_a_file_become_named_effects() -> None:
     names = ("amplifier_lag", "delay", "input_nonlinearity", "creep", "resonance")
     assert small().names == names
     assert [one.kind.name for one in small().sensor_effects] == ["sensor_lag"]
@@ -136,7 +136,7 @@ def test_sections_are_effects_by_name() -> None:
     assert rigid.names == ("input_nonlinearity", "creep") and rigid.sensor_effects == ()
 
 
-def test_a_gain_of_the_input_polynomial_is_one_of_the_plays() -> None:
+def test_a_gain_in_the_input_polynomial_scales_the_input_of_the_plays() -> None:
     gain, u = 1.25, volts()
     actuator = {"thresholds_v": [0.0, 0.5], "weights_um_per_v": [0.5, 0.2]}
     with torch.no_grad():
@@ -161,7 +161,7 @@ EVERY_KIND = [LAG, DELAY, RATE, COUPLING, CREEP, RESONANCE, HUM]
 
 @pytest.mark.parametrize("compiled", [False, True])
 @pytest.mark.parametrize("make", [small, lambda: chain(effects=EVERY_KIND, sensor=[SENSOR_LAG])])
-def test_stream_gives_the_bits_of_simulate(make, compiled: bool) -> None:
+def test_stream_gives_the_same_bits_as_simulate(make, compiled: bool) -> None:
     stage, u = make(), volts()
     stream = stage.stream(compiled)
     for seed in (3, 11, 3):
@@ -173,7 +173,7 @@ def test_stream_gives_the_bits_of_simulate(make, compiled: bool) -> None:
 
 
 @pytest.mark.parametrize("alignment", [0, 1])
-def test_windows_with_carried_state_give_the_bits_of_one_pass(alignment: int) -> None:
+def test_windows_with_carried_state_give_the_same_bits_as_one_pass(alignment: int) -> None:
     one = chain(effects=[LAG, DELAY, COUPLING, HUM], alignment=alignment, zero_um=0.3)
     u, aux = wandering(2, 300), wandering(2, 300, 1)
     with torch.no_grad():
@@ -185,7 +185,7 @@ def test_windows_with_carried_state_give_the_bits_of_one_pass(alignment: int) ->
     assert torch.equal(torch.cat(parts, 1), whole) and torch.equal(state, final)
 
 
-def test_noise_is_that_of_the_seed_and_of_the_row() -> None:
+def test_noise_is_reproduced_by_the_seed_and_differs_between_rows() -> None:
     stage, u = small(sensor={"noise_um": 0.05}), volts().expand(2, -1)
     y, reading = stage.simulate(u)
     noise = (reading - y).detach()
@@ -206,13 +206,13 @@ def test_forward_has_neither_converters_nor_noise_and_simulate_has_both() -> Non
     assert (y - stage(u)[0]).abs().max().item() < 10 * command.step_size
 
 
-def test_commands_beyond_the_limits_do_no_more_than_the_limits_of_an_amplifier_that_saturates() -> None:
+def test_commands_beyond_the_limits_are_clipped_only_if_the_amplifier_saturates() -> None:
     u = volts()
     for stage in (small(), chain(), chain(saturates=True)):
         assert stage.min_voltage_v == 0.0 and stage.max_voltage_v == 10.0
         clipped = torch.equal(stage(20 * u - 100)[0], stage((20 * u - 100).clamp(0, 10))[0])
         assert clipped == stage.saturates
-    assert not chain().saturates  # the range of its recordings is no limit of its amplifier
+    assert not chain().saturates  # the range of its recordings is not a limit of its amplifier
 
 
 STAYING = (
@@ -225,7 +225,7 @@ STAYING = (
 """Parameters without a gradient: lags have one pole, plays do not relax, a mode replaces no other."""
 
 
-def test_gradients_to_every_physical_parameter_are_those_of_finite_differences() -> None:
+def test_gradients_to_every_physical_parameter_match_finite_differences() -> None:
     stage, u = small(), volts(2, 200)
     stage.hysteresis.asymmetry_per_v.requires_grad_(False)  # a kink at 0
     weights = wandering(2, 200, seed=5)
@@ -253,7 +253,7 @@ def test_gradients_to_every_physical_parameter_are_those_of_finite_differences()
     assert "from_s" in seen and "to_s" not in seen
 
 
-def test_gradients_pass_through_rate_dependence_and_another_axis() -> None:
+def test_gradients_through_rate_dependence_and_another_axis_are_exact() -> None:
     one, u, aux = chain(effects=[LAG, RATE, COUPLING, RESONANCE]), 1 + wandering(1, 30), wandering(1, 30, 1)
     one.hysteresis.asymmetry_per_v.requires_grad_(False)
     names, parameters = zip(*one.named_parameters(), strict=True)
@@ -266,7 +266,7 @@ def test_gradients_pass_through_rate_dependence_and_another_axis() -> None:
     assert torch.autograd.gradcheck(output, inputs, eps=1e-6, atol=1e-5)
 
 
-def test_a_stage_is_identified_again_by_descent_on_its_physical_parameters() -> None:
+def test_descent_on_its_physical_parameters_fits_a_stage_to_another() -> None:
     truth, model = small(), small(mechanics={"frequency_hz": 600.0, "damping_ratio": 0.03})
     u = volts(1, 2000)
     wanted = truth(u)[0].detach()
@@ -288,13 +288,13 @@ def test_a_stage_is_identified_again_by_descent_on_its_physical_parameters() -> 
     assert closure().item() < 1e-4 * first
 
 
-def test_one_set_of_physical_parameters_serves_any_sample_rate() -> None:
+def test_one_set_of_physical_parameters_is_valid_at_any_sample_rate() -> None:
     stage = Stage.from_yaml(DEFAULT)
     t = torch.arange(2000, dtype=torch.float64) / stage.sample_rate_hz
     u = 5 - 4 * torch.cos(2 * math.pi * 20 * t) - torch.cos(2 * math.pi * 80 * t)
     slow, _ = stage(u[None])
     fast, _ = stage.at_sample_rate(80_000.0)(u[None].repeat_interleave(8, 1))
-    # What is left is the straight line taken between samples where the amplifier's lag bends it.
+    # The rest is due to straight lines between samples where the amplifier's lag makes a curve.
     assert (fast[:, ::8] - slow).abs().max().item() < 0.0015 * slow.max().item()
     amplifier = {"cutoff_hz": 2e3, "delay_s": 5e-5}
     linear = [Stage.from_dict({"sample_rate_hz": rate, "amplifier": amplifier}) for rate in (1e4, 8e4)]
@@ -323,14 +323,14 @@ def test_a_command_that_is_not_finite_or_not_a_batch_is_refused() -> None:
         stream.step(math.inf)
 
 
-def test_a_delay_longer_than_the_record_is_refused_by_name_and_unit() -> None:
+def test_a_delay_longer_than_the_record_is_refused_with_name_and_unit() -> None:
     stage = Stage.from_dict({"sample_rate_hz": 1000.0, "amplifier": {"delay_s": 0.5}})
     with pytest.raises(StageError, match=r"delay_s: found 0\.5 s, expected less than the record, 0\.1 s"):
         stage.simulate(torch.zeros(1, 100))
     stage.simulate(torch.zeros(1, 600))
 
 
-def test_what_it_cannot_use_is_refused_by_name() -> None:
+def test_invalid_or_unknown_settings_are_named_in_the_error() -> None:
     with pytest.raises(StageError, match="cross_coupling: found no signal 'aux_v'"):
         chain(effects=[COUPLING])(wandering(1, 10))
     with pytest.raises(StageError, match="effects: found 'gremlins', expected one of voltage_saturation"):
@@ -366,7 +366,7 @@ class Straight:
         return yd / 0.9
 
 
-def test_a_control_loop_runs_against_it() -> None:
+def test_a_control_loop_runs_against_the_stage() -> None:
     t = np.arange(2000) / RATE_HZ
     wanted = 4 - 3 * np.cos(2 * np.pi * 10 * t)
     result = run_loop(Straight(), chain(), wanted, fs_hz=RATE_HZ, name="sine")
@@ -388,10 +388,10 @@ MODAL = [
         "modal": True,
     },
 ]
-"""Mode 2 is the one of 900 Hz, whatever other effects stand in the list."""
+"""Mode 2 is the one at 900 Hz, whatever other effects the list contains."""
 
 
-def test_modes_that_several_inputs_drive_are_simulated_stepped_saved_and_trained(tmp_path: Path) -> None:
+def test_modes_driven_by_several_inputs_are_simulated_stepped_saved_and_trained(tmp_path: Path) -> None:
     one, u, b = chain(effects=[HUM, *MODAL, LAG], alignment=1), wandering(1, 300), wandering(1, 300, 1)
     assert one.aux_names == ("aux_b",) and one.names.count("second_mode") == 2
     with torch.no_grad():
@@ -416,7 +416,7 @@ def test_modes_that_several_inputs_drive_are_simulated_stepped_saved_and_trained
         one(u)
 
 
-def test_numpy_gives_numpy_and_a_tensor_the_same_numbers_with_gradients() -> None:
+def test_an_array_gives_arrays_and_a_tensor_the_same_numbers_with_gradients() -> None:
     stage, u = Stage.from_yaml("default"), np.linspace(0.0, 5.0, 50)[None]
     y, reading = stage.simulate(u)
     assert isinstance(y, np.ndarray) and isinstance(reading, np.ndarray)
@@ -434,6 +434,6 @@ def test_numpy_gives_numpy_and_a_tensor_the_same_numbers_with_gradients() -> Non
         (np.array([["a", "b"]]), "an array of <U1, expected numbers"),
     ],
 )
-def test_what_is_no_voltage_is_refused(u: Any, found: str) -> None:
+def test_an_input_that_is_not_a_batch_of_voltages_is_refused(u: Any, found: str) -> None:
     with pytest.raises(StageError, match=f"u: found {found}"):
         Stage.from_yaml("default").simulate(u)

@@ -1,4 +1,4 @@
-"""A stage as settings and in files: it comes back as it was, and nothing else does."""
+"""A stage as settings and in files: it is restored unchanged, and any other file is refused."""
 
 import copy
 import json
@@ -18,7 +18,7 @@ from torchpi.stage.effects.mechanics.resonance import Resonance
 
 
 @pytest.mark.parametrize("make", [small, chain, lambda: Stage.from_dict({"sample_rate_hz": RATE_HZ})])
-def test_settings_of_a_changed_stage_give_that_stage_again(make, tmp_path: Path) -> None:
+def test_a_changed_stage_is_restored_from_settings_file_or_copy(make, tmp_path: Path) -> None:
     stage, u = make(), volts()
     with torch.no_grad():
         for one in stage.modules():
@@ -54,7 +54,7 @@ def _values(stage: Stage, name: str) -> dict[str, object]:
     return {"name": name, **found.values}
 
 
-def test_the_file_is_plain_and_of_this_version(tmp_path: Path) -> None:
+def test_the_file_holds_plain_values_and_the_current_version(tmp_path: Path) -> None:
     one = chain(effects=[HUM, RATE, COUPLING, LAG])
     one.save(tmp_path / "stage.pt")
     plain = torch.load(tmp_path / "stage.pt", weights_only=True)
@@ -64,7 +64,7 @@ def test_the_file_is_plain_and_of_this_version(tmp_path: Path) -> None:
     assert (again.min_voltage_v, again.max_voltage_v, again.noise_um) == (0.0, 10.0, 0.003)
 
 
-def test_a_yaml_file_is_loaded_as_well_in_sections_or_with_any_effects(tmp_path: Path) -> None:
+def test_a_yaml_file_may_have_sections_or_a_list_of_effects(tmp_path: Path) -> None:
     u = volts()
     assert torch.equal(Stage.load(DEFAULT).simulate(u)[1], Stage.from_yaml(DEFAULT).simulate(u)[1])
     path = tmp_path / "chain.yaml"
@@ -72,14 +72,14 @@ def test_a_yaml_file_is_loaded_as_well_in_sections_or_with_any_effects(tmp_path:
     assert torch.equal(Stage.from_yaml(path).simulate(u)[1], chain().simulate(u)[1])
 
 
-def test_another_file_is_refused_in_one_line(tmp_path: Path) -> None:
+def test_a_file_of_another_kind_or_version_is_refused_in_one_line(tmp_path: Path) -> None:
     with pytest.raises(ArtifactError, match="no such file"):
         Stage.load(tmp_path / "none.pt")
     (tmp_path / "text.pt").write_text("no stage")
     with pytest.raises(ArtifactError, match="not a stage file"):
         Stage.load(tmp_path / "text.pt")
     torch.save({"weights": torch.zeros(2)}, tmp_path / "other.pt")
-    with pytest.raises(ArtifactError, match="something else"):
+    with pytest.raises(ArtifactError, match="a file of another kind"):
         Stage.load(tmp_path / "other.pt")
     torch.save({"schema": "torchpi augmented stage", "version": 1, "alignment": 1}, tmp_path / "older.pt")
     with pytest.raises(ArtifactError, match="found version 1, expected 3: identify the stage again"):

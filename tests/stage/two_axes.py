@@ -11,7 +11,7 @@ RATE_HZ = 1000.0
 
 
 def two_axes(force: float = 0.02) -> MultiAxisStage:
-    """Two coupled modes at 60 and 110 Hz, a nonlinear element at each."""
+    """Return a stage of two coupled modes at 60 and 110 Hz with a nonlinear element at each."""
     shapes = Shapes(2, 2, 2, 2, 1 + 2 + 1 + 1, 2, ahead=3)
     arrays = {name: np.zeros(shape) for name, shape in parameter_shapes(shapes).items()}
     for m, (frequency, damping) in enumerate(((60.0, 0.03), (110.0, 0.02))):
@@ -27,7 +27,7 @@ def two_axes(force: float = 0.02) -> MultiAxisStage:
 
 
 def multisine(random: np.random.Generator, samples: int, rms: float) -> np.ndarray:
-    """(samples, 2): every line up to 0.7 of the Nyquist frequency, of random phase."""
+    """Return all lines up to 0.7 of the Nyquist frequency with random phases, (samples, 2)."""
     spectrum = np.zeros((samples // 2 + 1, 2), complex)
     last = int(0.7 * samples / 2)
     spectrum[1:last] = np.exp(2j * np.pi * random.random((last - 1, 2)))
@@ -36,14 +36,14 @@ def multisine(random: np.random.Generator, samples: int, rms: float) -> np.ndarr
 
 
 def recordings(stage: MultiAxisStage, levels: tuple[float, ...], runs: int) -> list[MultiAxisRecording]:
-    """Two periods in steady state at each level, with noise."""
+    """Return runs of two steady-state periods at each level, with noise."""
     random, found = np.random.default_rng(3), []
     for level in levels:
         for run in range(runs):
             u = np.tile(multisine(random, 512, level), (4, 1))
             y = stage.simulate(torch.from_numpy(u)[None])[0].numpy()
             y += 1e-3 * level * random.standard_normal(y.shape)
-            # Without the filters' run-in at the ends.
+            # The run-in of the filters at both ends is cut off.
             found.append(
                 MultiAxisRecording(f"{level:g} {run + 1}", u[1024 - 256 : -256], y[768:-256], RATE_HZ, 2)
             )

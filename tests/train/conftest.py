@@ -1,4 +1,4 @@
-"""A stage that nobody here modelled with the compensator's own equations, and recordings of it."""
+"""A stage that is not modelled by the compensator's own equations, and recordings of it."""
 
 from pathlib import Path
 
@@ -11,7 +11,7 @@ FS_HZ = 1000.0
 
 
 def stage(u: np.ndarray, noise_um: float = 1e-3, seed: int = 0) -> np.ndarray:
-    """Plays of the voltage, a bend, one sample of delay: (time,) V to (time,) µm."""
+    """Plays of the voltage, a quadratic term, one sample of delay: (time,) V to (time,) µm."""
     y = np.zeros_like(u)
     for r, w in ((0.0, 0.5), (0.3, 0.1), (0.8, 0.1), (1.6, 0.1)):
         h = 0.0
@@ -23,7 +23,7 @@ def stage(u: np.ndarray, noise_um: float = 1e-3, seed: int = 0) -> np.ndarray:
 
 
 def recording(name: str, seed: int, seconds: float = 1.0, fs_hz: float = FS_HZ) -> Recording:
-    """A smooth random voltage from 0 V up to 0…10 V."""
+    """Record a smooth random voltage of 0…10 V that starts from 0 V."""
     t = np.arange(round(seconds * fs_hz)) / fs_hz
     phases = np.random.default_rng(seed).uniform(0, 2 * np.pi, 4)
     wave = sum(np.sin(2 * np.pi * f * t + phase) for f, phase in zip((2, 3, 5, 7), phases, strict=True))
@@ -33,7 +33,7 @@ def recording(name: str, seed: int, seconds: float = 1.0, fs_hz: float = FS_HZ) 
 
 @pytest.fixture(scope="session")
 def recordings(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
-    """Three files of the stage, one sample rate."""
+    """Three files of the stage at one sample rate."""
     folder = tmp_path_factory.mktemp("recordings")
     return [write(folder, recording(f"r{seed}", seed)) for seed in range(3)]
 

@@ -1,4 +1,4 @@
-"""Every shipped recipe is one that the command accepts."""
+"""The command accepts every shipped recipe."""
 
 from pathlib import Path
 
@@ -17,7 +17,7 @@ SECTIONS = {kind.SECTION for kind in OWN_KIND}
 CONFIGS = [path for path in EVERY if not SECTIONS & set(yaml.safe_load(path.read_text()))]
 
 
-def test_there_are_recipes() -> None:
+def test_the_expected_recipes_exist() -> None:
     assert {path.stem for path in CONFIGS} >= {"demo", "recorded", "piezo_stack"}
 
 
@@ -35,7 +35,7 @@ def test_every_recipe_parses_and_keeps_its_values(path: Path, capsys: pytest.Cap
 
 
 @pytest.mark.parametrize("path", sorted({*EVERY} - {*CONFIGS}), ids=lambda path: path.stem)
-def test_every_recipe_of_a_stage_of_its_own_kind_has_keys_that_are_read(path: Path) -> None:
+def test_every_multi_axis_or_oscillator_recipe_has_only_known_keys(path: Path) -> None:
     (section,) = yaml.safe_load(path.read_text()).items()
     (kind,) = (one for one in OWN_KIND if one.SECTION == section[0])
     own = {name: value for name, value in section[1].items() if name not in kind.READING}

@@ -1,4 +1,4 @@
-"""What is held out, and what is counted."""
+"""Which recordings and samples are held out, and which are counted."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -24,18 +24,18 @@ def test_named_records_are_held_out_and_all_others_train(recordings: list[str]) 
     assert [pair.name for pair in split.heldout] == ["r2"]
 
 
-def test_of_a_single_recording_the_last_part_is_held_out_and_that_is_said(recordings: list[str]) -> None:
+def test_the_end_of_a_single_recording_is_held_out_with_a_warning(recordings: list[str]) -> None:
     data = RecordingsData(recordings=recordings[0], skip_s=0.1)
     with pytest.warns(RecordingWarning, match="last 30 %"):
         split = data.split(2)
     train, heldout = split.train[0], split.heldout[0]
     assert train.counted == slice(100, 729)
     assert heldout.counted == slice(729, 998)
-    assert train.u.shape == (1, 729)  # nothing of what is held out
-    assert heldout.u.shape == (1, 998)  # from the start, for the state
+    assert train.u.shape == (1, 729)  # without the held-out samples
+    assert heldout.u.shape == (1, 998)  # from the start, to carry the state
 
 
-def test_a_stretch_is_judged_and_another_gives_the_zero(recordings: list[str]) -> None:
+def test_one_interval_is_evaluated_and_another_gives_the_zero(recordings: list[str]) -> None:
     data = RecordingsData(recordings=recordings, evaluate_s=(0.5, 0.8), zero_s=(0.1, 0.3))
     split = data.split(0)
     assert split.heldout[0].counted == slice(500, 800)
@@ -51,7 +51,7 @@ def test_the_first_sample_can_be_the_zero(recordings: list[str]) -> None:
         np.testing.assert_array_equal(after.y, before.y - before.y[0])
 
 
-def test_a_record_that_starts_far_from_zero_is_said_with_what_to_do(
+def test_a_record_that_starts_far_from_zero_is_reported_with_the_remedy(
     recordings: list[str], tmp_path: Path
 ) -> None:
     made = recording("shifted", 1)

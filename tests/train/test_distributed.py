@@ -1,4 +1,4 @@
-"""Under DDP every process has a part of the batch, and all have the gradients of the whole."""
+"""Under DDP each process takes a part of the batch, and all obtain the gradients of the whole batch."""
 
 from pathlib import Path
 
@@ -16,7 +16,7 @@ PROCESSES = 2
 PERIOD_S = 1e-3
 
 
-def test_two_processes_have_the_gradients_of_the_whole_batch(tmp_path: Path) -> None:
+def test_two_processes_obtain_the_gradients_of_the_whole_batch(tmp_path: Path) -> None:
     torch.multiprocessing.spawn(one_process, (str(tmp_path),), PROCESSES)
     whole = gradients(compensator(), batch())
     for rank in range(PROCESSES):
@@ -35,7 +35,7 @@ def one_process(rank: int, folder: str) -> None:
 
 
 class Voltage(torch.nn.Module):
-    """Eq. 8 of a batch of trajectories, as DDP calls a module."""
+    """Eq. 8 for a batch of trajectories, as a module that DDP can call."""
 
     def __init__(self, inverse: DirectInverse) -> None:
         super().__init__()

@@ -1,4 +1,4 @@
-"""What cannot be used is refused in one line, with exit code 2, and leaves nothing behind."""
+"""Unusable arguments are refused in one line, with exit code 2, and leave nothing behind."""
 
 import json
 from pathlib import Path
@@ -10,7 +10,7 @@ from train.cli import main
 
 
 def refused(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> str:
-    """The one line."""
+    """Return the one-line error message."""
     assert main(["fit", *arguments]) == 2
     said = capsys.readouterr().err.strip()
     assert said.startswith("torchpi: error: ") and "\n" not in said
@@ -34,7 +34,7 @@ def refused(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> str:
         (["--data.recordings=a.csv", "--model.preview=soon"], "model.preview: found soon"),
     ],
 )
-def test_mistakes_on_the_command_line(
+def test_command_line_mistakes_are_refused(
     arguments: list[str], said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:  # fmt: skip
@@ -61,7 +61,7 @@ def test_mistakes_on_the_command_line(
         ("data: " + 5000 * "[", ""),
     ],
 )
-def test_mistakes_in_a_config(
+def test_config_mistakes_are_refused(
     text: str, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     config = tmp_path / "mine.yaml"
@@ -69,7 +69,7 @@ def test_mistakes_in_a_config(
     assert said in refused(["--config", str(config)], capsys)
 
 
-def test_settings_that_do_not_go_together(
+def test_incompatible_settings_are_refused(
     recordings: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     common = ["--data.recordings", json.dumps(recordings), "--output", str(tmp_path / "run")]
@@ -82,7 +82,7 @@ def test_settings_that_do_not_go_together(
     assert not (tmp_path / "run").exists()
 
 
-def test_different_sample_rates(
+def test_different_sample_rates_are_refused(
     recordings: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     slower = write(tmp_path, recording("slower", 5, fs_hz=500.0))
@@ -90,14 +90,16 @@ def test_different_sample_rates(
     assert "500 Hz" in said and "1000 Hz" in said and "slower.csv" in said
 
 
-def test_the_same_file_trained_on_and_held_out(
+def test_holding_out_a_training_file_is_refused(
     recordings: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
     said = refused(["--data.recordings", json.dumps(recordings), "--data.heldout", recordings[0]], capsys)
     assert recordings[0] in said
 
 
-def test_an_output_in_use(recordings: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_output_in_use_is_refused(
+    recordings: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     common = ["--data.recordings", json.dumps(recordings), "--output"]
     (tmp_path / "notes.txt").write_text("mine")
     assert "notes.txt" in refused([*common, str(tmp_path)], capsys)
@@ -106,7 +108,7 @@ def test_an_output_in_use(recordings: list[str], tmp_path: Path, capsys: pytest.
     assert (tmp_path / "notes.txt").read_text() == "mine"
 
 
-def test_a_checkpoint_of_something_else(
+def test_a_file_that_is_not_a_checkpoint_is_refused(
     recordings: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     other = tmp_path / "other.ckpt"

@@ -1,4 +1,4 @@
-"""One small training from files to a run folder, an interruption, and going on."""
+"""One small training from files to a run folder, an interruption, and its resumption."""
 
 import hashlib
 import json
@@ -52,7 +52,7 @@ def test_training_beats_the_two_stage_baseline(run: Path) -> None:
     assert metrics["heldout"]["rms_um"] < metrics["baseline_lstsq"]["rms_um"]
 
 
-def test_what_was_run_is_written_down(run: Path, recordings: list[str]) -> None:
+def test_seed_data_hashes_and_versions_are_recorded(run: Path, recordings: list[str]) -> None:
     facts = json.loads((run / "run.json").read_text())
     assert facts["seed"] == 0
     assert facts["data_sha256"] == {
@@ -95,17 +95,17 @@ def test_tensorboard_has_scalars_figures_and_the_result(run: Path) -> None:
     assert {f"^{name}$" for name in wanted if not name.startswith("largest_error_um")} == set(charted)
 
 
-def test_there_is_a_page(run: Path) -> None:
+def test_a_report_page_is_written(run: Path) -> None:
     assert "<svg" in (run / "report.html").read_text()
 
 
-def test_the_resolved_config_trains_the_same(run: Path, tmp_path: Path) -> None:
+def test_training_with_the_resolved_config_gives_the_same_metrics(run: Path, tmp_path: Path) -> None:
     again = tmp_path / "again"
     assert main(["fit", "--config", str(run / "config.yaml"), "--output", str(again)]) == 0
     assert (again / "metrics.json").read_text() == (run / "metrics.json").read_text()
 
 
-def test_an_interrupted_training_goes_on_to_the_same_result(
+def test_an_interrupted_training_resumes_to_the_same_result(
     run: Path, recordings: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:  # fmt: skip
@@ -130,7 +130,7 @@ def test_an_interrupted_training_goes_on_to_the_same_result(
     assert (folder / "metrics.json").read_text() == (run / "metrics.json").read_text()
 
 
-def test_a_run_does_not_go_on_with_other_settings(
+def test_resuming_a_run_with_other_settings_is_refused(
     run: Path, recordings: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
     written = (run / "run.json").read_text()
@@ -146,14 +146,14 @@ def test_adam_trains_on_windows(recordings: list[str], tmp_path: Path) -> None:
     assert (folder / "metrics.json").exists()
 
 
-def test_the_next_run_takes_the_next_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_second_run_gets_a_numbered_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     assert cli.new_run(None, "demo", None).path == Path("runs/demo")
     (tmp_path / "runs" / "demo").mkdir(parents=True)
     assert cli.new_run(None, "demo", None).path == Path("runs/demo-2")
 
 
-def test_a_run_on_recordings_leaves_the_stage_of_what_was_trained_on(
+def test_a_run_on_recordings_saves_a_stage_identified_from_the_training_set(
     run: Path, recordings: list[str]
 ) -> None:
     trained = recordings_sha256([read_recording(path) for path in recordings[:-1]])

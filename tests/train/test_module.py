@@ -1,4 +1,4 @@
-"""The parts of training against independent ways to the same numbers."""
+"""The parts of training against independent computations of the same numbers."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -29,7 +29,9 @@ def built(recordings: list[str], **settings: Any) -> InverseTraining:
 
 
 @pytest.mark.parametrize("samples", [1, 7, 333, 5000])
-def test_windows_with_carried_state_add_up_to_whole_records(recordings: list[str], samples: int) -> None:
+def test_losses_of_windows_with_carried_state_add_up_to_that_of_whole_records(
+    recordings: list[str], samples: int
+) -> None:
     module = built(recordings, optimizer="adam", creep_time_constants_s=[0.1], preview=1)
     losses = []
     with torch.no_grad():
@@ -38,7 +40,7 @@ def test_windows_with_carried_state_add_up_to_whole_records(recordings: list[str
             batches = [module.training_step([window], 0) for window in windows(module.split.train, cut)]
             losses.append(sum(float(loss) for loss in batches if loss is not None))
     assert losses[0] == pytest.approx(losses[1], rel=1e-12)
-    if samples == 7:  # the start is the start: its loss is 1 before creep is touched
+    if samples == 7:  # the loss is scaled to 1 at the start, where the creep gains are 0
         with torch.no_grad():
             module.compensator.creep_gains.zero_()
             whole = [module.training_step([window], 0) for window in windows(module.split.train, None)]
@@ -70,7 +72,7 @@ def test_projected_weights_are_the_least_squares_solution(recordings: list[str],
             columns.append(torch.cat([each, torch.ones_like(each[..., :1])], 2)[0, window.counted])
             wanted.append(window.u[0, window.counted])
         features, u = torch.cat(columns), torch.cat(wanted)
-        # The ridge as rows of their own: another way to the same minimum than the normal equations.
+        # With the ridge as additional rows, the same minimum is found without the normal equations.
         size = features.square().mean(0).sqrt()
         penalty = (RIDGE * len(features)) ** 0.5 * torch.eye(len(size), dtype=torch.float64)
         rows = torch.cat([features / size, penalty])
@@ -80,7 +82,7 @@ def test_projected_weights_are_the_least_squares_solution(recordings: list[str],
     assert loss == pytest.approx(least, rel=1e-6)
 
 
-def test_the_gradient_of_the_projected_loss_is_its_slope(recordings: list[str]) -> None:
+def test_the_gradient_of_the_projected_loss_matches_finite_differences(recordings: list[str]) -> None:
     module = built(recordings, lead=1, creep_time_constants_s=[0.05], rate="linear", offset=True)
     batch = list(windows(module.split.train, None))
     compensator = module.compensator
@@ -101,7 +103,7 @@ def test_the_gradient_of_the_projected_loss_is_its_slope(recordings: list[str]) 
             assert float(parameter.grad[index]) == pytest.approx(slope, rel=1e-2, abs=1e-6)
 
 
-def test_solved_weights_are_not_searched(recordings: list[str]) -> None:
+def test_weights_that_are_solved_for_are_not_optimised(recordings: list[str]) -> None:
     module = built(recordings, offset=True)
     searched = {
         id(parameter) for group in module.configure_optimizers().param_groups for parameter in group["params"]
@@ -111,7 +113,7 @@ def test_solved_weights_are_not_searched(recordings: list[str]) -> None:
     assert sum(len(group["params"]) for group in adam.param_groups) == 3
 
 
-def test_the_zero_of_a_sensor_is_found(recordings: list[str]) -> None:
+def test_the_zero_of_a_sensor_is_estimated(recordings: list[str]) -> None:
     data = RecordingsData(recordings=recordings)
     module = InverseTraining(plays=5, degree=2)
     module.build(data)
@@ -123,13 +125,13 @@ def test_the_zero_of_a_sensor_is_found(recordings: list[str]) -> None:
 
 
 @given(plays=st.integers(1, 60), span=st.floats(0.01, 1000))
-def test_thresholds_rise_from_zero_denser_near_it(plays: int, span: float) -> None:
+def test_thresholds_start_at_zero_and_are_denser_near_it(plays: int, span: float) -> None:
     r = torch.tensor(spread_thresholds(plays, span), dtype=torch.float64)
     assert r[0] == 0 and len(r) == plays and bool((r <= 0.5 * span).all())
     assert bool((r.diff() > 0).all()) and bool((r.diff().diff() > 0).all())
 
 
-def test_a_kill_while_a_checkpoint_is_written_leaves_the_previous_one(
+def test_a_kill_during_writing_leaves_the_previous_checkpoint(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / "last.ckpt"
@@ -147,11 +149,11 @@ def test_a_kill_while_a_checkpoint_is_written_leaves_the_previous_one(
 
 
 @pytest.mark.parametrize("more", [0, 3])
-def test_preview_auto_is_as_many_samples_as_the_displacement_is_late(more: int, tmp_path: Path) -> None:
+def test_preview_auto_equals_the_delay_of_the_displacement_in_samples(more: int, tmp_path: Path) -> None:
     files = []
     for seed in range(3):
         made = recording(f"r{seed}", seed)
         later = np.concatenate([np.zeros(more), made.y])[: len(made)]
         files.append(write(tmp_path, replace(made, y=later)))
-    # The stage of these tests is late by a sample of its own.
+    # The stage of these tests has a delay of one sample itself.
     assert built(files, preview="auto").compensator.preview == 1 + more

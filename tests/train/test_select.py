@@ -1,4 +1,4 @@
-"""A run that selects its form: never worse than its baselines, deployable, and honest about its bounds."""
+"""A run that selects its form is no worse than its baselines and reports parameters at their bounds."""
 
 import json
 from pathlib import Path
@@ -26,21 +26,21 @@ def run(recordings: list[str], tmp_path_factory: pytest.TempPathFactory) -> Path
     return folder
 
 
-def test_the_recipe_is_no_worse_than_both_baselines(run: Path) -> None:
+def test_the_recipe_is_no_worse_than_either_baseline(run: Path) -> None:
     metrics = json.loads((run / "metrics.json").read_text())
     baselines = [metrics[name]["rms_v"] for name in ("baseline_lstsq", "baseline_plays")]
     assert metrics["heldout"]["rms_v"] <= min(baselines)
     assert metrics["how"]["monotone"]
 
 
-def test_the_page_and_the_figures_name_what_was_selected(run: Path) -> None:
+def test_the_notes_name_the_selected_form_and_the_page_a_baseline(run: Path) -> None:
     how = json.loads((run / "metrics.json").read_text())["how"]
-    assert len(how["selected"]) >= 2  # the start, and what beat it
+    assert len(how["selected"]) >= 2  # the initial form and the one that beat it
     assert any(how["selected"][-1]["form"] in note for note in notes(how))
     assert "least squares on plays" in (run / "report.html").read_text()
 
 
-def test_the_limits_are_those_of_the_recordings(run: Path, recordings: list[str]) -> None:
+def test_the_voltage_limits_are_those_of_the_recordings(run: Path, recordings: list[str]) -> None:
     compensator = load_compensator(run)
     data = RecordingsData(recordings=recordings).load()
     voltages = torch.cat([torch.from_numpy(record.u) for record in (*data.train, *data.heldout)])
@@ -53,12 +53,12 @@ def test_the_limits_are_those_of_the_recordings(run: Path, recordings: list[str]
     [{"output_degree": 2}, {"train_thresholds": True}, {"rate": "neural"}, {"optimizer": "adam"}],
     ids=str,
 )
-def test_what_cannot_be_selected_is_refused(settings: dict[str, Any]) -> None:
+def test_settings_that_exclude_a_selection_are_refused(settings: dict[str, Any]) -> None:
     with pytest.raises(ConfigError, match=f"model.{next(iter(settings))}: found .*, expected"):
         InverseTraining(select=True, **settings)
 
 
-def test_a_zero_on_its_bound_is_reported(tmp_path: Path) -> None:
+def test_a_sensor_zero_at_its_bound_is_reported(tmp_path: Path) -> None:
     files = [write(tmp_path, recording(f"r{seed}", seed)) for seed in range(2)]
     data = RecordingsData(recordings=files, zero_s=(0.1, 0.4), evaluate_s=(0.5, 0.9))
     model = InverseTraining(plays=5, degree=2)

@@ -1,4 +1,4 @@
-"""A compensator trained through an augmented stage follows better, on a plant written apart from it."""
+"""A compensator trained through an augmented stage tracks better on an independently written plant."""
 
 import json
 import math
@@ -30,7 +30,7 @@ SMALL = [
 
 
 def plant(u: np.ndarray) -> np.ndarray:
-    """y at each tick, read before the command of that tick is held: lag, plays, mode, in small steps."""
+    """Return y at each tick, read before that tick's command is held: lag, plays and mode in small steps."""
     step_s = 1 / (FS_HZ * FINER)
     kept = math.exp(-2 * math.pi * LAG_HZ * step_s)
     omega = 2 * math.pi * MODE_HZ
@@ -48,7 +48,7 @@ def plant(u: np.ndarray) -> np.ndarray:
 
 
 def missed_um(run: Path) -> float:
-    """Rms tracking error of the deployed compensator on the plant, a motion that no training saw."""
+    """Return the rms tracking error of the deployed compensator on the plant for a motion not trained on."""
     compensator = load_torchscript(run / "compensator.pt")
     _, yd = random_trajectory(0.8, FS_HZ, 1.0, 6.0, high_hz=40.0, seed=99)
     ahead = np.concatenate([yd, np.full(compensator.preview, yd[-1])])[compensator.preview :]
@@ -57,7 +57,7 @@ def missed_um(run: Path) -> float:
 
 
 def without_pictures(patched: pytest.MonkeyPatch) -> None:
-    """They take most of a short run."""
+    """Skip the pictures, which take most of the time of a short run."""
     patched.setattr(results, "_write_report", lambda *_: None)
     patched.setattr(TensorBoardFigures, "draw", lambda *_: None)
 
@@ -95,17 +95,17 @@ def test_metrics_show_tracking_before_and_after(runs: dict[str, Path]) -> None:
     assert set(metrics) >= {"train", "heldout", "baseline_lstsq", "loading_excluded"}
     assert "held-out motions" in metrics["how"]["epoch_chosen_by"]
     (said,) = tracking_notes(metrics)
-    assert said.startswith("Held-out motions through the stage are missed by") and "trained through" in said
+    assert said.startswith("Tracking error of the held-out motions on") and "trained through" in said
 
 
-def test_what_it_predicts_is_what_the_plant_does(runs: dict[str, Path]) -> None:
+def test_the_stage_predicts_the_behaviour_of_the_plant(runs: dict[str, Path]) -> None:
     stage = Stage.load(runs["augmented"].parent / "augmented-stage.pt")
     stream, u = stage.stream(compiled=False), 5 - 5 * np.cos(2 * np.pi * 8 * np.arange(600) / FS_HZ)
     y = np.array([stream.step(sample)[0] for sample in u.tolist()])
     assert np.abs(y - plant(u)).max() < 0.02 * np.ptp(y)
 
 
-def test_own_recordings_may_be_the_start(
+def test_training_through_a_stage_may_start_from_own_recordings(
     runs: dict[str, Path], recordings: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     without_pictures(monkeypatch)
@@ -124,7 +124,7 @@ def test_own_recordings_may_be_the_start(
         (["--data.follow.train=[{trajectory: quick}]"], "quick"),
     ],
 )
-def test_mistakes_are_one_line(
+def test_invalid_arguments_give_a_one_line_error(
     arguments: list[str], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     run = tmp_path / "run"

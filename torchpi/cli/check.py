@@ -106,7 +106,7 @@ def facts_of(summary: Summary) -> list[tuple[str, str]]:
     u, y = recording.u, recording.y
     roles = ", ".join(f"{role} '{name}' ({OUR_UNITS[role]})" for role, name in summary.columns.items())
     if summary.guessed:
-        roles += ": identified by their content; verify that input and output are not exchanged"
+        roles += ": identified by their content; verify that input and output are not swapped"
     sampling = f"{recording.fs_hz:.9g} Hz, {len(recording):,} samples, {recording.duration_s:.6g} s"
     if summary.jitter is None:
         sampling += "; no time stamps"
@@ -114,9 +114,9 @@ def facts_of(summary: Summary) -> list[tuple[str, str]]:
         sampling += f"; steps off by up to {100 * summary.jitter:.2g} % of the period: interpolated"
     else:
         sampling += f"; stamps within {100 * summary.jitter:.2g} % of the period"
-    how = "without noise: the command itself"
+    how = "noise-free: the command itself"
     if summary.input_is_noisy:
-        how = f"noise about {summary.input_noise_v:.2g} V: a monitored voltage, or a fast one"
+        how = f"noise about {summary.input_noise_v:.2g} V: a monitored voltage, or a fast command"
     held = "no holds, so the noise can only be estimated from sample to sample"
     if holds.count:
         held = f"{holds.count} hold{'s' if holds.count > 1 else ''}, {100 * holds.share:.2g} % of the time"
@@ -155,13 +155,13 @@ def commands_for(summaries: Sequence[Summary]) -> list[str]:
 
 def _gain(summary: Summary) -> str:
     if np.ptp(summary.recording.u) == 0:
-        return "the input is constant: no gain to see"
+        return "the input is constant, so the gain cannot be determined"
     sign = (
         "positive" if summary.correlation > 0.5 else "negative" if summary.correlation < -0.5 else "not clear"
     )
     return (
         f"{summary.gain_um_per_v:.4g} µm/V on average, sign {sign} "
-        f"(correlation at the same instant {summary.correlation:.2f})"
+        f"(correlation at zero lag {summary.correlation:.2f})"
     )
 
 
@@ -170,17 +170,17 @@ def _start(summary: Summary) -> str:
     text = f"{u[0]:.4g} V, {y[0]:.4g} µm"
     stroke, back = float(np.ptp(y)), summary.comes_back_um
     if back is None:
-        return f"{text}; the input never comes back there, so remanence cannot be seen"
+        return f"{text}; the input never returns to this voltage, so the remanence cannot be seen"
     if abs(u[0]) > AWAY_FROM_ZERO * np.ptp(u):
-        return f"{text}; a voltage was applied already: the state at the start is not known"
+        return f"{text}; a voltage was already applied, so the initial state is unknown"
     falls = summary.correlation < 0.0  # the sensor is mounted the other way round
     if (-back if falls else back) > max(0.005 * stroke, 3 * summary.output_noise_um):
         where = f"{abs(back):.3g} µm {'lower' if falls else 'higher'}"
         return (
-            f"{text}; back at this voltage the output stands {where}: the remanence of a stage that started "
-            "de-energised"
+            f"{text}; when the input returns to this voltage, the output is {where}: the remanence of a "
+            "stage that started de-energised"
         )
     return (
-        f"{text}; back at this voltage the output returns to within {abs(back):.2g} µm: the first sample was "
-        "not de-energised, or there is no hysteresis"
+        f"{text}; when the input returns to this voltage, so does the output, to within {abs(back):.2g} µm: "
+        "the first sample was not de-energised, or there is no hysteresis"
     )

@@ -71,9 +71,9 @@ def facts_of(one: MultiAxisRecording) -> list[tuple[str, str]]:
         ("sampling", f"{one.fs_hz:.9g} Hz, {len(one.u):,} samples, {len(one.u) / one.fs_hz:.6g} s"),
         (
             "periods",
-            f"{one.periods} of {len(one.u) // one.periods:,} samples; to be taken in steady state"
+            f"{one.periods} of {len(one.u) // one.periods:,} samples; treated as the steady state"
             if one.periods > 1
-            else "the inputs do not repeat themselves: it takes the time-domain path",
+            else "the inputs are not periodic, so the recording is fitted in the time domain",
         ),
     ]
     for i, u in enumerate(one.u.T, 1):

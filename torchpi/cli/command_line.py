@@ -133,7 +133,7 @@ class Parser(jsonargparse.ArgumentParser):
                 text = re.sub(r"<class '(?:[\w]+\.)*(\w+)'>|\b(?:\w+\.)+(\w+)", r"\1\2", str(hint))
                 text = re.sub(r"Literal\[(.*?)\]", r"\1", text)
                 return re.sub(r"Optional\[(.*)\]", r"\1 or null", text).replace(" | None", " or null")
-        return "a value of the kind that --help names"
+        return "a value of the type that --help states"
 
 
 def run_command(command: Callable[[], Any], program: str) -> int:
@@ -159,7 +159,7 @@ def run_command(command: Callable[[], Any], program: str) -> int:
         where = error.filename if isinstance(error.filename, str) else "standard output or a temporary file"
         return _failed(program, f"{where}: {reason(error)}")
     except MemoryError as error:
-        return _failed(program, f"not enough memory ({str(error) or 'no amount known'})")
+        return _failed(program, f"not enough memory ({str(error) or 'amount unknown'})")
     except RecursionError:
         return _failed(program, "a value is nested too deeply")
     except RuntimeError as error:
@@ -215,7 +215,7 @@ def _exit_at_once(code: int) -> NoReturn:
 
 def _ended(program: str, number: int) -> int:
     word = ENDED[signal.Signals(number)]
-    print(f"{program}: {word}; files already written are whole", file=sys.stderr)
+    print(f"{program}: {word}; files already written are complete", file=sys.stderr)
     return 128 + number
 
 

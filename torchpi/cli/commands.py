@@ -21,19 +21,19 @@ from torchpi.recordings.options import RecordingOptions
 
 DESCRIPTION = """Makes piezo stages go where they are told.
 
-  1. torchpi simulate          records the simulated stage; or take recordings of your own
+  1. torchpi simulate          records a simulated stage; or use recordings of your own
   2. torchpi train fit         trains a compensator on recordings
-  3. torchpi export            makes a file of it for a controller
-  4. torchpi run               tries that file in a control loop against the simulated stage
+  3. torchpi export            exports it to a file for a controller
+  4. torchpi run               tests that file in a control loop with a simulated stage
 
-  torchpi commission           does all of that for recordings of yours, and predicts how well it will track
+  torchpi commission           does all of this with your own recordings, and predicts the tracking error
 
-  torchpi check                shows what recordings hold, and the options to read them by
+  torchpi check                shows what recordings contain, and the options for reading them
   torchpi diagnose             names the physics that the simulation lacks, and models it
-  torchpi predict              simulates what a diagnosis left behind
-  torchpi excite               writes the recordings' voltages that a diagnosis needs
+  torchpi predict              simulates the stage that a diagnosis identified
+  torchpi excite               writes the voltages to play and record for a diagnosis
 
-  torchpi reproduce            runs the whole paper (Qin et al. 2013), with torchpi's errors beside its
+  torchpi reproduce            reproduces the paper (Qin et al. 2013) and compares torchpi's errors with its
 """
 DEFAULT_STAGE = Path("default")
 IN_ONE_THREAD = ("commission", "diagnose")
@@ -66,11 +66,11 @@ def simulate(
     Args:
         excitation: sine_5hz (paper, stage 1), paper_multisine (eq. 13), multisine, triangles (with minor
             loops), stairs (up and down with holds), or hold.
-        stage: Stage file (YAML, physical parameters with units), or default or qin2013, torchpi's own; or the
-            stage.pt of several axes, whose inputs are each moved by a multisine of its own.
+        stage: Stage file (YAML, physical parameters with units); default or qin2013, which are built in; or a
+            multi-axis stage.pt, where each input is driven by its own multisine.
         output: CSV to write.
         duration_s: Length of the recording, s; each excitation has its own default.
-        seed: Of the sensor's noise, and of random phases.
+        seed: Seed of the sensor noise and of random phases.
         options: Further options of the excitation, such as {low_v: 1, high_v: 9}.
     """
     import torch
@@ -114,7 +114,7 @@ def excite(
     high_hz: float = 200.0,
     seed: int = 0,
 ) -> None:
-    """Write the voltages to record a stage with, about a minute in all, and what to do with them.
+    """Write the voltages to play for a diagnosis, about a minute in total, with instructions.
 
     CSVs with columns time_s,input_v: a hold, a multisine at two amplitudes, stairs, triangles with minor
     loops, and the multisine again for ten minutes later. They begin and end at 0 V.
@@ -123,23 +123,23 @@ def excite(
 
     Args:
         output: Folder for the files.
-        for_: What the recordings are for; diagnosis is the only purpose there is.
-        min_voltage_v: Lowest voltage that the stage bears, V of the controller; 0 or less.
-        max_voltage_v: Highest voltage, V.
+        for_: Purpose of the recordings; only diagnosis is supported.
+        min_voltage_v: Lowest permissible voltage, V at the controller; 0 or less.
+        max_voltage_v: Highest permissible voltage, V at the controller.
         max_rate_v_s: Largest rate of the voltage, V/s.
         sample_rate_hz: Rate at which the voltage is played and the displacement recorded.
-        high_hz: Highest frequency to drive. Above the first resonance it shows the mechanics, if the stage
-            bears it.
-        seed: Of random phases.
+        high_hz: Highest excited frequency. Above the first resonance, if the stage tolerates that, the
+            recordings also show the mechanics.
+        seed: Seed of the random phases.
     """
     from torchpi.excitation.files import INSTRUCTIONS, write_diagnostic_set
     from torchpi.excitation.limits import DriveLimits
 
     if for_ != "diagnosis":
-        raise ConfigError(f"--for is '{for_}', expected diagnosis, the only purpose there is so far")
+        raise ConfigError(f"--for: found '{for_}', expected diagnosis, the only supported purpose")
     limits = DriveLimits(min_voltage_v, max_voltage_v, max_rate_v_s, sample_rate_hz, high_hz)
     print(write_diagnostic_set(output, limits, seed))
-    print(f"\n{output / INSTRUCTIONS}: the same words")
+    print(f"\n{output / INSTRUCTIONS}: these instructions")
 
 
 def export(
@@ -153,28 +153,28 @@ def export(
     allow_backwards: bool = False,
     band_hz: float | None = None,
 ) -> None:
-    """Export the compensator of a training run, for a controller: all files, or none.
+    """Export the compensator of a training run for a controller; either all files are written or none.
 
-    The stage that the run identified goes with it, as NAME_stage.pt: `torchpi run` takes it. Of a stage of
-    several axes the inverse is NAME, and the stage itself as a step NAME_forward.
+    The stage that the run identified is written beside it as NAME_stage.pt, for `torchpi run`. For a
+    multi-axis stage, NAME is the inverse and NAME_forward the stage itself, as a step.
 
     Example: torchpi export runs/demo --to torchscript,c,json --output exports/demo
 
     Args:
         run: Run folder of `torchpi train fit`, or one of its checkpoints.
-        output: Path without suffix; the formats add theirs. By default exports/ and the name of the run.
-        to: Formats, comma between: torchscript (.pt), c (.h, .c and _selftest.c, C99), fmu (FMI 3.0,
+        output: Path without suffix; each format adds its own. By default exports/ and the name of the run.
+        to: Formats, separated by commas: torchscript (.pt), c (.h, .c and _selftest.c, C99), fmu (FMI 3.0,
             co-simulation), pt2 (torch.export), json (the bare numbers with units), page (.html, the safety
-            card, which json has as well). By default torchscript,json,page; of several axes
-            torchscript,c,json, which are all there are.
-        reference_filter: Put the paper's reference filter (eq. 14) inside: `step` then takes y_r.
+            card, which json has as well). By default torchscript,json,page; for several axes
+            torchscript,c,json, the only ones available.
+        reference_filter: Include the paper's reference filter (eq. 14): `step` then takes y_r.
         max_slew_v_s: Limit the rate of the output voltage inside the step, V/s.
-        capacitance_uf: Of the piezo, µF: the safety card then has the current.
-        amplifier_gain: Voltage at the piezo per volt of the controller, for the current.
-        allow_backwards: Export a compensator that lowers the voltage to raise the stage somewhere in its
-            trained range.
-        band_hz: Of several axes: highest frequency of the trajectories, Hz; by default a twentieth of the
-            sample rate.
+        capacitance_uf: Capacitance of the piezo, µF: the safety card then states the current.
+        amplifier_gain: Voltage at the piezo per volt from the controller, to calculate the current.
+        allow_backwards: Export even a compensator that somewhere in its trained range lowers the voltage to
+            raise the stage.
+        band_hz: For several axes only: highest frequency of the trajectories, Hz; by default a twentieth of
+            the sample rate.
     """
     from torchpi.cli.axes import refuse
     from torchpi.cli.export_axes import export_axes
@@ -236,26 +236,26 @@ def run(
 ) -> None:
     """Run an exported compensator in a control loop against a simulated stage, sample by sample.
 
-    Reports the tracking error with and without compensation, where the voltage or its rate meets a limit, and
-    the time of a step against the sample period; leaves loop.html (one page, to send to a colleague) and
-    loop.json.
+    Reports the tracking error with and without compensation, where the voltage or its rate reaches a limit,
+    and the computing time of a step relative to the sample period. Writes loop.html (a single page to send to
+    a colleague) and loop.json.
 
-    An inverse of several axes (NAME.pt or NAME.json, NAME_stage.pt beside it) runs by its numbers, and
-    leaves loop.json: errors, and how much each axis moves the others, beside the best linear inverse.
+    A multi-axis inverse (NAME.pt or NAME.json, with NAME_stage.pt beside it) is run from its JSON file. Only
+    loop.json is written: errors and coupling between the axes, compared with the best linear inverse.
 
     Example: torchpi run exports/demo.pt --trajectory '[slow, fast]'
 
     Args:
         compensator: Exported TorchScript file.
-        stage: Stage file (YAML), a stage.pt, or a name (default, qin2013). By default the one identified
-            from the recordings, beside the compensator (NAME_stage.pt or stage.pt), else the built-in one.
+        stage: Stage file (YAML), a stage.pt, or a name (default, qin2013). By default the stage identified
+            from the recordings (NAME_stage.pt or stage.pt beside the compensator), else the built-in one.
         trajectory: slow (eq. 15, the default), fast (eq. 16), a CSV with columns time_s,yd_um, or a list of
-            these. Of several axes: random (the default), or a CSV with columns time_s,yd_1_um,yd_2_um,….
+            these. For several axes: random (the default), or a CSV with columns time_s,yd_1_um,yd_2_um,….
         output: Folder for the page; by default beside the compensator.
         compare: Other exported compensators by name, such as {two-stage: runs/demo/baseline.pt}.
         resample: Interpolate a trajectory file to the compensator's sample rate.
-        max_slew_v_s: Rate of the voltage that your amplifier bears, V/s.
-        seed: Of the sensor's noise; the stage's own by default.
+        max_slew_v_s: Slew-rate limit of your amplifier, V/s.
+        seed: Seed of the sensor noise; by default that of the stage.
     """
     from torchpi.cli.axes import numbers_of_axes, refuse
 
@@ -281,19 +281,19 @@ def commission(
     max_slew_v_s: float | None = None,
     **reading: Any,
 ) -> None:
-    """Go from recordings to a compensator that has been tried: check, fit, stage, loop, export, one page.
+    """Make a tested compensator from recordings: check, fit, stage, loop, export, one page.
 
-    The last recording is held out. Leaves compensator.pt, .h, .c, .json and .html to deploy, stage.pt (your
+    The last recording is held out. Writes compensator.pt, .h, .c, .json and .html to deploy, stage.pt (your
     stage, identified from the same recordings), and commission.html: the tracking error without and with
     compensation, simulated on that stage, with the stage's own error beside it.
 
     Example: torchpi commission recordings/slow.csv recordings/fast.csv recordings/judge.csv --output mine
 
     Args:
-        recordings: Two or more of one stage, at the sample rate of the control loop, first sample
+        recordings: Two or more recordings of one stage at the sample rate of the control loop, each starting
             de-energised.
         output: Folder for the results.
-        max_slew_v_s: Rate of the voltage that your amplifier bears, V/s: the page shows where it is met.
+        max_slew_v_s: Slew-rate limit of your amplifier, V/s: the page shows where it is reached.
         reading: How the files are read.
     """
     options = RecordingOptions(**reading)
@@ -304,10 +304,10 @@ def commission(
 
 
 def check(files: list[Path], output: Path = Path("check"), **reading: Any) -> None:
-    """Show what recordings hold, what is wrong with them, and the commands to go on with.
+    """Show what recordings contain, what is wrong with them, and the commands to continue with.
 
     Columns with their units, range and first values; sample rate and jitter; holds, range, noise, sign of the
-    gain, remanence at the start, wrong readings, clipping. Leaves check.html, the same with a plot of each.
+    gain, remanence at the start, wrong readings, clipping. Writes check.html, which adds a plot of each.
 
     Example: torchpi check recordings/slow.csv recordings/fast.csv
 
@@ -340,19 +340,19 @@ def diagnose_(  # the parser looks names up in torchpi, and would load its `diag
     seconds: float | None = None,
     **reading: Any,
 ) -> None:
-    """Say where recordings and a simulation differ, what physics was left out, and show the fit improve.
+    """Find where recordings and a simulation differ, name the missing physics, and show how the fit improves.
 
-    Leaves report.html (one page, to send to a colleague), diagnosis.json, stage.pt (the fitted stage, for
-    `torchpi predict` and for training through it), next_excitation.csv (the recording that would decide what
-    is open) and the figures.
+    Writes report.html (a single page to send to a colleague), diagnosis.json, stage.pt (the fitted stage, for
+    `torchpi predict` and for training through it), next_excitation.csv (the voltage to record next, to decide
+    what remains open) and the figures.
 
-    The simulation may be anyone's: a stage (stage.yaml, stage.pt, or default by its name), an FMU with one
+    Any simulation can be diagnosed: a stage (stage.yaml, stage.pt, or default by its name), an FMU with one
     input and one output (model.fmu), a function simulate(u_v, fs_hz) -> y_um (package.module:simulate, or
-    file.py:simulate), or column: what a simulator made of each recording's voltage stands in it as
-    simulated_um.
+    file.py:simulate), or column: each recording then contains the simulator's response to its voltage, in a
+    column simulated_um.
 
-    Recordings of several axes (time_s,input_1_v,…,output_1_um,…) are compared with the stage.pt of such a
-    stage, or with a linear one made of them; the last realisation of each amplitude is held out.
+    Multi-axis recordings (time_s,input_1_v,…,output_1_um,…) are compared with a multi-axis stage.pt, or with
+    a linear stage identified from them; the last realisation of each amplitude is held out.
 
     Example: torchpi diagnose recordings/a.csv recordings/b.csv --output diagnosis
 
@@ -360,10 +360,10 @@ def diagnose_(  # the parser looks names up in torchpi, and would load its `diag
         recordings: Recordings of one stage: time_s,input_v,output_um[,aux_…].
         output: Folder for the results.
         simulation: What to compare with: stage.yaml, stage.pt, default, model.fmu, package.module:function,
-            file.py:function, or column. Without it a plain stage: symmetric, rate-independent
+            file.py:function, or column. By default a plain stage: symmetric, rate-independent
             Prandtl–Ishlinskii hysteresis, everything else ideal.
-        executor: Where independent fits run: processes, or here.
-        seconds: Of several axes: time for the fit at the end, s; 480 by default.
+        executor: Where independent fits run: processes (worker processes), or here (this process).
+        seconds: For several axes only: time for the final fit, s; 480 by default.
         reading: How the files are read.
     """
     options = RecordingOptions(**reading)
@@ -395,20 +395,21 @@ def predict(
     periodic: bool = False,
     **reading: Any,
 ) -> None:
-    """Predict what a stage does with a voltage: time_s,input_v[,aux_…] in, the same with output_um out.
+    """Predict the response of a stage to a voltage: read time_s,input_v[,aux_…], write output_um with it.
 
-    From the de-energised state, at the file's own rate, without noise. A stage of several axes takes
-    input_1_v, input_2_v, … at its own rate and gives output_1_um, output_2_um, …; an oscillator, force_n.
+    The prediction starts de-energised, at the file's own sample rate, without noise. A multi-axis stage takes
+    input_1_v, input_2_v, … at its rate and gives output_1_um, output_2_um, …; an oscillator takes force_n.
 
     Example: torchpi predict runs/diagnosis/stage.pt voltage.csv --output predicted.csv
 
     Args:
         stage: The stage.pt of `torchpi diagnose`, a stage file (YAML), or a name (default, qin2013).
-        recording: CSV, or any other kind that a recording may have; an output_um in it is left out.
+        recording: CSV, or any other format of recordings; a column output_um in it is ignored.
         output: CSV to write.
-        simulation: What the stage corrects, where it was diagnosed with a function or an FMU: stage.pt only
-            names it, and no code is loaded that is not named here.
-        periodic: The file is one period of many before: predict the steady state; of an oscillator.
+        simulation: The simulation that the stage corrects, if it was diagnosed with a function or an FMU:
+            stage.pt only contains its name, and no code is loaded unless it is named here.
+        periodic: Treat the file as one period of a periodic force and predict the steady state; for an
+            oscillator only.
         reading: How the file is read.
     """
     options = RecordingOptions(**reading)
@@ -426,17 +427,17 @@ def reproduce(
     only: str | None = None,
     stage: Path = Path("qin2013"),
 ) -> None:
-    """Run every figure and claim of Qin et al. (2013) against the calibrated stage, in minutes.
+    """Reproduce every figure and claim of Qin et al. (2013) with the calibrated stage, in minutes.
 
-    Leaves paper.html, in the paper's order, its figures beside ours, and results.json. Every result is
-    kept: an interrupted run goes on where it stopped.
+    Writes paper.html, in the paper's order with its figures beside ours, and results.json. Every result is
+    stored, so that an interrupted run continues where it stopped.
 
     Example: torchpi reproduce --only fig8,fig12
 
     Args:
         output: Folder for the page and the results.
-        only: Names of figures and experiments, comma between; an unknown one lists them all.
-        stage: Stage file (YAML) that stands for the paper's rig, or a name (default, qin2013).
+        only: Names of figures and experiments, separated by commas; the error for an unknown one lists all.
+        stage: Stage file (YAML) that represents the paper's rig, or a name (default, qin2013).
     """
     from torchpi.cli.reproduce import reproduce as run_paper
 

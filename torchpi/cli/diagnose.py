@@ -73,7 +73,7 @@ def diagnose_files(
     print(f"\n{found.says}\n")
     for what, path in (
         ("the page", page),
-        ("the same in numbers", numbers),
+        ("the same results as numbers", numbers),
         ("the augmented stage", output / "stage.pt"),
         ("what to record next", output / "next_excitation.csv"),
     ):

@@ -39,8 +39,8 @@ def diagnose_axes_files(
     given = None if simulation is None else load_axes(simulation)
     if simulation is not None and given is None:
         raise SimulationError(
-            f"{simulation}: found no stage of several axes, expected the stage.pt of a training or "
-            "of a diagnosis of several axes, or no simulation"
+            f"{simulation}: found no stage of several axes, expected the stage.pt of a multi-axis training "
+            "or diagnosis, or no simulation"
         )
     recordings = [read_multi_axis(path, options, None) for path in paths]
     started = time.monotonic()
@@ -64,7 +64,7 @@ def diagnose_axes_files(
     print(f"\n{found.summary}\n")
     for what, file in (
         ("the page", page),
-        ("the same in numbers", output / "diagnosis.json"),
+        ("the same results as numbers", output / "diagnosis.json"),
         ("the augmented stage", output / "stage.pt"),
     ):
         print(f"{file}: {what}")

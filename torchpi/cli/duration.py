@@ -78,7 +78,7 @@ def announce_diagnose(recordings: Iterable[str | Path]) -> None:
     work = [search_s(n, samples) for n in (1, FEWEST_ROUNDS, MOST_ROUNDS)]
     nothing, least, most = (machine.seconds(alone + SERIAL * s, (1 - SERIAL) * s) for s in work)
     range_said = " to ".join(dict.fromkeys((_spoken(least), _spoken(most))))
-    note = f" where nothing is missing, {range_said} where something is"
+    note = f" if nothing is missing, {range_said} if something is"
     _announce(nothing, note + _compiles(compile_s, alone + search_s(USUAL_ROUNDS, samples)))
 
 
@@ -182,7 +182,7 @@ def _announce_work(processor_s: float, compiles: str = "", compile_s: float = 0.
 
 
 def _compiles(first_s: float, all_s: float) -> str:
-    return ", most of it to compile, this once" if first_s > 0.5 * all_s else ""
+    return ", mostly for a one-time compilation" if first_s > 0.5 * all_s else ""
 
 
 def _spoken(seconds: float) -> str:

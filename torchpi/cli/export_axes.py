@@ -42,7 +42,7 @@ def export_axes(
     formats = FORMATS if formats is None else formats
     files = multi_axis_files(stage, output.with_name(f"{output.name}_forward"), formats)
     files[exported_stage(output)] = stage.save
-    backward = f"no inverse: found {stage.inputs} inputs and {stage.outputs} outputs, expected as many"
+    backward = f"no inverse: found {stage.inputs} inputs and {stage.outputs} outputs, expected equal numbers"
     if stage.inputs == stage.outputs:
         inverse = inverse_of(stage, run, band_hz)
         files |= multi_axis_files(inverse, output, formats)
@@ -84,4 +84,4 @@ def recorded(path: Path) -> list[dict[str, Any]]:
         raise ArtifactError(
             f"{path}: not readable, expected the metrics of the run beside its stage"
         ) from error
-    raise ArtifactError(f"{path}: found no ranges of what was recorded, expected a run of this version")
+    raise ArtifactError(f"{path}: found no recorded ranges, expected a run of this version")

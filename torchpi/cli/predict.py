@@ -60,7 +60,9 @@ def predict_file(
             raise calls_nothing(str(stage), simulation)
         return predict_oscillator(own, recording, output, options or RecordingOptions(), periodic)
     if periodic:
-        raise ConfigError(f"{stage}: found a stage that begins at rest, expected an oscillator with periodic")
+        raise ConfigError(
+            f"{stage}: found a stage that starts at rest, expected an oscillator with --periodic"
+        )
     if own is not None:
         return predict_multi_axis(own, str(stage), recording, output, options, simulation)
     loaded = with_simulation(Stage.load(stage), str(stage), simulation)
@@ -73,7 +75,7 @@ def predict_file(
     for name in loaded.aux_names:
         if name not in [*names, SIMULATED_COLUMN]:
             raise RecordingError(
-                f"{recording}: no column '{name}', which {stage} takes; expected it beside the input"
+                f"{recording}: no column '{name}', which {stage} needs; expected it beside the input"
             )
     aux = {name: read_signal(recording, name, options=options, unit="V").x for name in names}
     simulated = None
@@ -157,7 +159,7 @@ def with_simulation(stage: Stage, path: str, simulation: str | None) -> Stage:
     calls = stage.simulation if stage.simulation != COLUMN else ""
     if simulation in (None, COLUMN) and calls:
         raise SimulationError(
-            f"{path}: found a stage that corrects the simulation '{calls}', expected that too; "
+            f"{path}: found a stage that corrects the simulation '{calls}', expected it as well; "
             f"add --simulation {calls}"
         )
     if simulation in (None, stage.simulation) and not calls:
@@ -169,7 +171,9 @@ def with_simulation(stage: Stage, path: str, simulation: str | None) -> Stage:
 
 def calls_nothing(path: str, simulation: str | None) -> SimulationError:
     """Return the error for a simulation given to a stage that calls none."""
-    return SimulationError(f"{path}: found a stage that calls nothing, expected no simulation {simulation}")
+    return SimulationError(
+        f"{path}: found a stage that calls no simulation, expected no --simulation {simulation}"
+    )
 
 
 def predict(

@@ -107,7 +107,7 @@ def chosen(only: Iterable[str] | None) -> list[str]:
         if name not in ITEMS:
             near = get_close_matches(name, list(ITEMS), n=1)
             guess = f", perhaps '{near[0]}'" if near else ""
-            raise ConfigError(f"only: no figure '{name}'{guess}; there are: {', '.join(ITEMS)}")
+            raise ConfigError(f"only: no figure '{name}'{guess}; available: {', '.join(ITEMS)}")
     if not names:
         raise ConfigError(f"only: found no name, expected one or more of: {', '.join(ITEMS)}")
     return names

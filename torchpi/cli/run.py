@@ -42,7 +42,7 @@ def run_files(
     if stage is None:
         stage = stage_beside(compensator) or DEFAULT_STAGE
         own = (
-            "the built-in one, because none lies beside the compensator"
+            "the built-in one, because there is none beside the compensator"
             if stage == DEFAULT_STAGE
             else ("identified from your recordings")
         )

@@ -69,7 +69,7 @@ def axes_stage(path: Path) -> MultiAxisStage:
     found = load_axes(path)
     if found is None:
         raise ArtifactError(
-            f"{path}: found no stage of several axes, expected one, as 'torchpi export' leaves it"
+            f"{path}: found no stage of several axes, expected one written by 'torchpi export'"
         )
     return found
 

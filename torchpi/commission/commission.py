@@ -99,7 +99,7 @@ def commission(
         write_together(files)
     deployable = ", ".join(path.name for path in files if path.stem.startswith(NAME))
     log(f"export  {output}: {deployable}")
-    log(f"stage   {output / 'stage.pt'}: torchpi run {output / NAME}.pt takes it, for motions of your own")
+    log(f"stage   {output / 'stage.pt'}: torchpi run {output / NAME}.pt uses it, for your own motions")
     log(f"page    {output / 'commission.html'}; the same numbers in commission.json")
     return outcome
 
@@ -119,7 +119,7 @@ def check_together(recordings: Sequence[Recording]) -> None:
     """Raise `RecordingError` unless a compensator can be made from all but the last, and judged on that."""
     if len(recordings) < 2:
         raise RecordingError(
-            f"recordings: found {len(recordings)}, expected two or more: the last one is held out and judges"
+            f"recordings: found {len(recordings)}, expected two or more: the last is held out for validation"
         )
     first_of: dict[str, str] = {}
     for recording in recordings:

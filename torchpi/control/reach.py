@@ -73,7 +73,7 @@ def check_reached(
     if not low - tolerance <= yd[k] <= high + tolerance:
         raise RecordingError(
             f"{name}: sample {k} is {yd[k]:.4g} µm, outside the range of this {of}, "
-            f"{low:.3g} to {high:.3g} µm: scale the trajectory, or take another {of}"
+            f"{low:.3g} to {high:.3g} µm: scale the trajectory, or use another {of}"
         )
 
 

@@ -36,7 +36,7 @@ def load_compensator(path: str | Path) -> DirectInverse:
     wrong = "not a checkpoint, expected a run folder of 'torchpi train fit'"
     checkpoint = load_tensors(file, LARGEST_BYTES, wrong)
     if not isinstance(checkpoint, dict) or HYPER_PARAMETERS not in checkpoint:
-        raise ArtifactError(f"{file}: a checkpoint of something else, expected one of 'torchpi train fit'")
+        raise ArtifactError(f"{file}: a checkpoint of another kind, expected one of 'torchpi train fit'")
     kept: dict[str, Any] = {name: checkpoint.get(name) for name in (HYPER_PARAMETERS, STATE)}
     if not all(isinstance(part, Mapping) for part in kept.values()):
         raise ArtifactError(f"{file}: found no parameters of a compensator, expected a whole checkpoint")
@@ -50,7 +50,7 @@ def load_compensator(path: str | Path) -> DirectInverse:
         raise ArtifactError(f"{file}: {error}") from error
     except (TypeError, ValueError, RuntimeError, AttributeError, OverflowError, MemoryError) as error:
         first = str(error).partition("\n")[0]
-        raise ArtifactError(f"{file}: parameters of no compensator ({first})") from error
+        raise ArtifactError(f"{file}: the parameters are not those of a compensator ({first})") from error
     return compensator
 
 

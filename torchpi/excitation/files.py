@@ -45,7 +45,7 @@ def instructions(folder: Path, files: dict[str, Samples], limits: DriveLimits) -
     )
     first, *_, last_but_one, last = files
     return f"""\
-Six excitations for a diagnosis, {seconds:.0f} s in all, at {fs_hz:g} Hz, columns time_s,input_v.
+Six excitations for a diagnosis, {seconds:.0f} s in total, at {fs_hz:g} Hz, columns time_s,input_v.
 
 {rows}
 
@@ -54,7 +54,7 @@ Six excitations for a diagnosis, {seconds:.0f} s in all, at {fs_hz:g} Hz, column
    samples. Rest at 0 V for a few seconds between them. input_v is the voltage of the controller, before
    the amplifier.
 3. Wait ten minutes at 0 V, then play {last}.
-4. Record each into a CSV of its own with the columns time_s,input_v,output_um, from the first sample on: the
+4. Record each into its own CSV with the columns time_s,input_v,output_um, from the first sample on: the
    voltage in V, the displacement in µm, both on one clock. Any other signal that may matter, such as a
    temperature or another axis, goes into a further column whose name begins with aux_.
 5. torchpi diagnose RECORDED.csv … --output {folder / "diagnosis"}"""

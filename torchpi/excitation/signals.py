@@ -98,7 +98,7 @@ def multisine(
         if period.min() < low_v or period.max() > high_v:
             raise ConfigError(
                 f"multisine: rms_v {rms_v:g} V needs {period.min():.3g}…{period.max():.3g} V, "
-                f"expected {low_v:g}…{high_v:g} V; take a smaller rms_v or a wider range"
+                f"expected {low_v:g}…{high_v:g} V; use a smaller rms_v or a wider range"
             )
     return _ramped_in(np.tile(period, periods), period, fs_hz, ramp_in_s)
 
@@ -167,8 +167,8 @@ def triangle_corners(
     if seconds[-1] == 0 or min(levels) < 0 or max(levels) > 1:
         raise ConfigError(
             f"triangles: levels run from {min(levels):g} to {max(levels):g} of the range, "
-            "expected 0 to 1 and a "
-            f"movement; change amplitudes, minor_biases or minor_amplitude"
+            "expected levels within 0 to 1 that "
+            f"differ; change amplitudes, minor_biases or minor_amplitude"
         )
     return levels, seconds
 
@@ -196,7 +196,7 @@ def stairs(
     _check_range(low_v, high_v)
     t = _times(duration_s, fs_hz)
     if not 1 <= steps <= len(t):
-        raise ConfigError(f"stairs: found {steps} steps, expected 1 to {len(t)}, one a sample")
+        raise ConfigError(f"stairs: found {steps} steps, expected 1 to {len(t)}, at most one per sample")
     rest = duration_s / (2 * steps + 1)
     if not 0 <= rise_s <= rest:
         raise ConfigError(f"stairs: rise_s is {rise_s:g}, expected 0 to {rest:g} s, the time on each level")
@@ -307,7 +307,7 @@ def make_excitation(
     """
     if name not in EXCITATIONS:
         raise ConfigError(
-            f"no excitation '{name}'{_perhaps(name, EXCITATIONS)}; there are: {', '.join(EXCITATIONS)}"
+            f"no excitation '{name}'{_perhaps(name, EXCITATIONS)}; available: {', '.join(EXCITATIONS)}"
         )
     make, options = EXCITATIONS[name], dict(options or {})
     known = [key for key in signature(make).parameters if key not in ("duration_s", "fs_hz")]
@@ -382,7 +382,7 @@ def _lines(
         raise ConfigError(
             f"no line of the multisine falls into {low_hz:g}…{high_hz:g} Hz: the lines are "
             f"{spacing:.3g} Hz apart; "
-            f"take a longer duration, fewer periods or a wider band"
+            f"use a longer duration, fewer periods or a wider band"
         )
     return lines
 
@@ -418,12 +418,12 @@ def _ramped_in(x: np.ndarray, period: np.ndarray, fs_hz: float, ramp_in_s: float
 
 def _check_range(low: float, high: float) -> None:
     if not (np.isfinite(low) and np.isfinite(high) and low < high):
-        raise ConfigError(f"the range is {low:g}…{high:g}, expected the lower limit first and the two apart")
+        raise ConfigError(f"the range is {low:g}…{high:g}, expected two different limits, the lower first")
 
 
 def _check_band(low_hz: float, high_hz: float, fs_hz: float) -> None:
     if not 0 <= low_hz < high_hz < fs_hz / 2:
         raise ConfigError(
             f"the band is {low_hz:g}…{high_hz:g} Hz at {fs_hz:g} Hz, "
-            f"expected it rising and below {fs_hz / 2:g} Hz"
+            f"expected the lower frequency first, both below {fs_hz / 2:g} Hz"
         )

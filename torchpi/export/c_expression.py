@@ -94,13 +94,13 @@ class Expressions:
         self.returned = self._annotated(function.tree.returns)
         for name in {node.id for node in ast.walk(function.tree) if isinstance(node, ast.Name)}:
             if name in KEYWORDS and name not in ("float", "bool", "int"):
-                part.refuse(f"{name} is a word of C")
+                part.refuse(f"{name} is a reserved word of C")
 
     def _as(self, node: ast.expr, kind: str) -> str:
         """Return the expression converted to type `kind`, ready to be assigned or passed."""
         text, binding, found = self._expression(node, kind)
         if found != kind and {found, kind} & {INTEGER, BOOLEAN}:
-            self.part.refuse(f"'{ast.unparse(node)}' is {found} where {kind} belongs")
+            self.part.refuse(f"'{ast.unparse(node)}' is {found} where {kind} is required")
         return cast(text, binding, found, kind)
 
     def _type(self, node: ast.expr) -> str:

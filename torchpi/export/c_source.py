@@ -87,8 +87,8 @@ def check_name(name: str) -> None:
     """
     if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name, re.ASCII) or name in KEYWORDS | _STANDARD_HEADERS:
         raise ArtifactError(
-            f"name for C: found '{name}', expected letters, digits and _ that begin with a letter, and no "
-            "word or header of C; give --output another last part"
+            f"name for C: found '{name}', expected letters, digits and _, beginning with a letter, and no "
+            "reserved word or header of C; change the last part of --output"
         )
 
 

@@ -119,7 +119,7 @@ class StepInC:
     def state(self, part: Part, attribute: str) -> str:
         path = (*member_path(part.path), attribute)
         if attribute in KEYWORDS:
-            part.refuse(f"{attribute} is a word of C")
+            part.refuse(f"{attribute} is a reserved word of C")
         self.states.setdefault(path, (type_of(part, attribute), part.value(attribute)))
         return "self->" + ".".join(path)
 
@@ -139,11 +139,11 @@ class StepInC:
         if name in self._public and key not in [((), public) for public in PUBLIC_METHODS]:
             raise ArtifactError(
                 f"name for C: found '{self.name}', but {name} is a name within the code; "
-                "give --output another last part"
+                "change the last part of --output"
             )
         if self._keys.setdefault(name, key) != key or name in KEYWORDS:
             raise ArtifactError(
-                f"{name}: two things of this model would have this name in C; rename one part"
+                f"{name}: two objects of this model would have this name in C; rename one part"
             )
 
 

@@ -70,7 +70,7 @@ def fmu_sources(
     """
     if f"{name}.h" in HEADERS:
         raise ArtifactError(
-            f"name for an FMU: found '{name}', a header of FMI; give --output another last part"
+            f"name for an FMU: found '{name}', a header of FMI; change the last part of --output"
         )
     texts = c_source(compensator, name, reference_filter)
     del texts[f"{name}_selftest.c"]
@@ -101,7 +101,7 @@ def compiled(content: dict[str, bytes], name: str) -> dict[str, bytes]:
     Raises:
         ExportWarning: There is no compiler, or it fails to compile the sources.
     """
-    without = "the FMU holds no library, only sources"
+    without = "the FMU contains no library, only sources"
     compiler = shlex.split(os.environ.get("CC", "cc"))
     if not compiler or shutil.which(compiler[0]) is None:
         raise ExportWarning(

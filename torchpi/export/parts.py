@@ -148,7 +148,7 @@ class Part:
         """Return the plain function that `function` refers to by this name."""
         found = function.names.get(name)
         if not inspect.isfunction(found):
-            self.refuse(f"{name}(…) is no plain Python function")
+            self.refuse(f"{name}(…) is not a plain Python function")
         return read(found)
 
     @property

@@ -106,7 +106,7 @@ def check_file(path: Path) -> None:
     with zipfile.ZipFile(path) as archive:
         names = archive.namelist()
         if len(set(names)) != len(names):
-            _refuse(path, "two parts of one name")
+            _refuse(path, "two parts with the same name")
         if not any("/code/" in name for name in names):
             raise ArtifactError(
                 f"{path}: not a TorchScript file, expected a compensator written by 'torchpi export'"
@@ -118,7 +118,7 @@ def check_file(path: Path) -> None:
             if name.endswith(".py"):
                 _check_code(path, content)
             elif name.endswith("/" + RECORDINGS_PART) and not is_sha256(content.decode("ascii", "replace")):
-                _refuse(path, "recordings that are named by no hash")
+                _refuse(path, "an invalid hash of the recordings")
             elif not name.endswith(".debug_pkl") and name.endswith(".pkl"):
                 _check_pickle(path, content)
 
@@ -235,4 +235,4 @@ def _constant(value: Any) -> float | None:
 
 
 def _refuse(path: Path, found: str) -> None:
-    raise ArtifactError(f"{path}: found {found}, expected nothing but a compensator of 'torchpi export'")
+    raise ArtifactError(f"{path}: found {found}, expected only a compensator of 'torchpi export'")

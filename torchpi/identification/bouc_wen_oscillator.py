@@ -245,8 +245,8 @@ def best_start(search: OutputError, log: Callable[[str], None]) -> np.ndarray:
     log(f"start: {rms_um:.4g} µm rms of {motion_um:.4g} µm")
     if rms_um > MOST_LEFT * motion_um:
         raise RecordingError(
-            f"{search.recordings[0].name}: found {rms_um:.4g} µm rms left of {motion_um:.4g} µm, expected a "
-            "displacement that the force explains by one mode"
+            f"{search.recordings[0].name}: found a residual of {rms_um:.4g} µm rms of {motion_um:.4g} µm, "
+            "expected a displacement that the force explains by one mode"
         )
     return np.asarray(best.x)
 
@@ -294,7 +294,7 @@ def linear_oscillator(
     if not (m > 0 and k > 0):
         raise RecordingError(
             f"{recordings[0].name}: found no mode in the frequency response from force to displacement, "
-            "expected a mass, and a stiffness, within the frequencies of the force"
+            "expected one within the frequency range of the force"
         )
     return float(m), float(c if c > 0 else 0.02 * math.sqrt(k * m)), float(k)
 
@@ -329,12 +329,11 @@ def _check(recordings: Sequence[Recording], counted: Sequence[np.ndarray]) -> No
         longest = max((part.stop - part.start for part in _runs(counts)), default=0)
         if longest < 2 * LEAST_SAMPLES:
             raise RecordingError(
-                f"{one.name}: found {longest} samples in a row to fit, expected {2 * LEAST_SAMPLES} at least"
+                f"{one.name}: found {longest} consecutive samples to fit, expected "
+                f"at least {2 * LEAST_SAMPLES}"
             )
         if not (np.ptp(one.u) > 0 and np.ptp(one.y) > 0):
-            raise RecordingError(
-                f"{one.name}: found a force or displacement that never moves, expected both to"
-            )
+            raise RecordingError(f"{one.name}: found a constant force or displacement, expected both to vary")
 
 
 def _runs(counts: np.ndarray) -> list[slice]:

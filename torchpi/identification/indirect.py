@@ -84,7 +84,7 @@ class Records:
         try:
             self.saturation = self.unsaturated.inverse()
         except ConfigError as error:
-            raise ConfigError(f"{slow.name}: {error}; take fewer dead zones") from error
+            raise ConfigError(f"{slow.name}: {error}; use fewer dead zones") from error
 
     def plays(self, pair: InversePair) -> np.ndarray:  # (time, plays)
         """Return the play states H_r[u]."""

@@ -62,7 +62,7 @@ def track_axes(inverse: MultiAxisInverse, plant: MultiAxisStage, yd: np.ndarray)
     first, last = int(RUN_IN_S * plant.sample_rate_hz), plant.delay_samples
     if yd.shape[1:] != (model.outputs,) or len(yd) < 2 * first:
         raise StageError(
-            f"trajectory: found an array of {yd.shape}, expected {2 * first} samples at least of "
+            f"trajectory: found an array of shape {yd.shape}, expected at least {2 * first} samples of "
             f"{model.outputs} axes"
         )
     linear = MultiAxisInverse(

@@ -146,7 +146,7 @@ def run_loop(
     compare = dict(compare or {})
     reserved = {WITHOUT, WITHOUT_LOOK_AHEAD, COMPENSATED} & compare.keys()
     if reserved:
-        raise ArtifactError(f"compare: '{reserved.pop()}' is a name of the loop's own: choose another")
+        raise ArtifactError(f"compare: '{reserved.pop()}' is a name reserved by the loop: choose another")
     title = title or name
     _check_same_period(title, 1.0 / fs_hz, stage)
     for key, one in {COMPENSATED: compensator, **compare}.items():
@@ -346,11 +346,11 @@ def _notes(yd: Signal, loading_samples: int) -> Iterator[str]:
     if abs(yd[0]) > 0.01 * np.ptp(yd):
         yield (
             f"The trajectory starts at {yd[0]:.3g} µm and the de-energised stage at 0: "
-            "the loading error holds that jump."
+            "the loading error includes that jump."
         )
     if len(yd) - loading_samples < 0.1 * len(yd):
         yield (
-            "The trajectory comes to its maximum in its last tenth: the steady part is short; "
+            "The trajectory reaches its maximum in its last tenth, so the steady part is short; "
             "let it go up and down more than once."
         )
 
@@ -381,8 +381,8 @@ def _slow_full_range_loop(stage: Plant, plant: PlantStream, seed: int) -> _SlowL
     limits_v = (stage.min_voltage_v, stage.max_voltage_v)
     if not all(map(math.isfinite, limits_v)):
         raise StageError(
-            f"stage: voltage limits of {limits_v[0]} and {limits_v[1]} V; expected finite ones, for its full "
-            "range: set min_voltage_v and max_voltage_v of its amplifier"
+            f"stage: voltage limits of {limits_v[0]} and {limits_v[1]} V; expected finite ones, to run its "
+            "full range: set min_voltage_v and max_voltage_v of its amplifier"
         )
     period = round(0.2 / stage.sample_period_s)
     phase = 2.0 * np.pi * np.arange(2 * period) / period
@@ -430,7 +430,7 @@ def _check_same_period(name: str, period_s: float, stage: Plant) -> None:
     if not math.isclose(period_s, stage.sample_period_s, rel_tol=1e-9):
         raise ArtifactError(
             f"{name}: sample period {period_s:.9g} s, but the stage's is {stage.sample_period_s:.9g} s; "
-            "they must agree: take a stage file with this sample rate, or train at the stage's"
+            "they must agree: use a stage file with this sample rate, or train at the stage's"
         )
 
 
@@ -442,7 +442,9 @@ def _checked_trajectory(name: str, y: Signal) -> Signal:
         )
     bad = np.flatnonzero(~np.isfinite(y))
     if bad.size:
-        raise RecordingError(f"{name}: sample {bad[0]} is {y[bad[0]]}; expected finite µm: mend or cut it")
+        raise RecordingError(
+            f"{name}: sample {bad[0]} is {y[bad[0]]}; expected a finite number: correct it or cut it out"
+        )
     if np.ptp(y) == 0.0:
         raise RecordingError(f"{name}: the trajectory stays at {y[0]:.6g} µm; expected one that moves")
     return y

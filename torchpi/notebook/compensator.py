@@ -219,7 +219,7 @@ class Compensator:
         largest_um = float(np.abs(yd).max())
         if 0 < largest_um < LEAST_MOTION * (high_um - low_um):
             _warn(
-                f"goes no further than {largest_um:.3g} µm of {low_um:.3g} to {high_um:.3g} µm; "
+                f"reaches only {largest_um:.3g} µm of the range {low_um:.3g} to {high_um:.3g} µm; "
                 "if it is in mm, multiply by 1000"
             )
         ahead = yd[np.minimum(np.arange(len(yd)) + self.preview, len(yd) - 1)]
@@ -230,7 +230,7 @@ class Compensator:
         self._step.reset()
         if held or outside:
             _warn(
-                f"{held + outside} of {len(yd)} samples lie beyond the displacements or rates recorded, "
+                f"{held + outside} of {len(yd)} samples lie beyond the recorded displacements or rates, "
                 f"{held} of them were held back; scale or slow the trajectory, or record such motions"
             )
         return u
@@ -266,7 +266,7 @@ class Compensator:
         given = Stage.load(stage) if isinstance(stage, str | Path) else stage
         plant = self.stage if given is None else given
         if plant is None:
-            raise ArtifactError("stage: found none, expected one: this compensator was loaded without")
+            raise ArtifactError("stage: found none, expected one: this compensator was loaded without one")
         result = run_loop(
             self._step,
             plant,
@@ -356,7 +356,7 @@ def _warn(text: str) -> None:
 
 def _refuse_to_refit(*_: object, **__: object) -> None:
     raise ConfigError(
-        "fit: found a compensator that is fitted already, and stays as it is; expected the class: "
+        "fit: found a compensator that is already fitted and cannot be refitted; expected the class: "
         "compensator = Compensator.fit(recordings)"
     )
 

@@ -127,7 +127,7 @@ def check_values(name: str, columns: list[tuple[str, np.ndarray]], place: Callab
 
 def _check_sensor(name: str, recording: "Recording") -> None:
     u, y = recording.u, recording.y
-    remedy = "check the sensor's plug, its range and the column (output_column)"
+    remedy = "check the sensor's connection, its range and the column (output_column)"
     if np.ptp(y) == 0:
         raise RecordingError(
             f"{name}: the output is flat at {y[0]:g} µm while the input moves by {np.ptp(u):g} V; {remedy}"
@@ -183,7 +183,7 @@ def _clipped_input(recording: "Recording") -> str | None:
         return None
     first = int(start[clipped][0])
     return (
-        f"clipping: {_share(u, u[start[clipped]])} of the input samples stand at its limit, {u[first]:g} V "
+        f"clipping: {_share(u, u[start[clipped]])} of the input samples lie at the limit, {u[first]:g} V "
         f"(first at t = {recording.t[first]:g} s); use a smaller amplitude or leave that part out"
     )
 
@@ -230,8 +230,8 @@ def _clipped_output(recording: "Recording") -> str | None:
         return None
     first = int(start[clipped][0])
     return (
-        f"clipping: {_share(y, y[start[clipped]])} of the output samples stand at the sensor's limit, "
-        f"{y[first]:g} µm (first at t = {recording.t[first]:g} s), while the input goes on; "
+        f"clipping: {_share(y, y[start[clipped]])} of the output samples lie at the sensor's limit, "
+        f"{y[first]:g} µm (first at t = {recording.t[first]:g} s), while the input moves on; "
         f"use a smaller amplitude or another sensor range, or leave that part out"
     )
 
@@ -251,7 +251,7 @@ def _frozen_output(recording: "Recording") -> str | None:
         return None
     longest = int(np.flatnonzero(frozen)[np.argmax(length[frozen])])
     return (
-        f"dropouts: {100 * repeated / len(y):.2g} % of the output samples repeat the one before "
+        f"dropouts: {100 * repeated / len(y):.2g} % of the output samples repeat the previous one "
         f"while the input moves (the longest, {length[longest]} samples, "
         f"at t = {recording.t[start[longest]]:g} s); leave that part out, or record at the sensor's own rate"
     )
@@ -279,8 +279,8 @@ def _falling_output(recording: "Recording") -> str | None:
     if found > -CLEAR_GAIN:
         return None
     return (
-        f"the output falls where the input rises (correlation {found:.2f}); if the sensor counts downwards, "
-        "turn it with the option output_unit (-1 for µm, -0.001 for nm)"
+        f"the output falls when the input rises (correlation {found:.2f}); if the sensor counts downwards, "
+        "reverse its sign with the option output_unit (-1 for µm, -0.001 for nm)"
     )
 
 
@@ -291,8 +291,8 @@ def _early_output(recording: "Recording") -> str | None:
         return None
     degrees = np.degrees(np.arcsin(min(1.0, lead / 1.11)))
     return (
-        f"the output comes before the input (by about {degrees:.2g}° of a cycle), as no stage does; exchange "
-        "the columns (input_column, output_column) if they are swapped, or align their clocks"
+        f"the output leads the input (by about {degrees:.2g}° of a cycle), which no stage can do; exchange "
+        "the columns (input_column, output_column) if they are swapped, or synchronise their clocks"
     )
 
 
@@ -302,8 +302,8 @@ def _start_away(recording: "Recording") -> str | None:
         return None
     return (
         f"starts at {start:.4g} µm with a range of {stroke:.4g} µm, away from the de-energised state; "
-        "if that is the sensor's own zero, count from the first sample with the option zero (first); "
-        "model.offset: true learns it as well"
+        "if that is only the sensor's zero, count from the first sample with the option zero (first); "
+        "in training, model.offset: true learns it as well"
     )
 
 

@@ -43,5 +43,5 @@ def check_one_rate(recordings: Sequence[Recording]) -> None:
             raise RecordingError(
                 f"{other.source or other.name}: sampled at {other.fs_hz:g} Hz, "
                 f"but {first.source or first.name} at {first.fs_hz:g} Hz; "
-                "expected one rate: train on each rate apart, or resample"
+                "expected one rate: train on each rate separately, or resample"
             )

@@ -140,7 +140,7 @@ def read_realisations(path: str | Path, fs_hz: float, um_per_unit: float = 1.0) 
         u, y = np.asarray(source.array(f"u_{name}"), float), np.asarray(source.array(f"y_{name}"), float)
         if u.ndim != 4 or y.ndim != 4 or u.shape[::2] != y.shape[::2] or u.shape[3] != y.shape[3]:
             raise RecordingError(
-                f"{path}: {name}: found arrays of {u.shape} and {y.shape}, "
+                f"{path}: {name}: found arrays of shapes {u.shape} and {y.shape}, "
                 "expected (samples, channels, realisations, periods)"
             )
         for run in range(u.shape[2]):
@@ -177,10 +177,10 @@ def usable(recordings: Sequence[MultiAxisRecording]) -> list[MultiAxisRecording]
     moving = np.flatnonzero(np.ptp(u, axis=0) > 0)
     names = [f"input_{i + 1}_v" for i in moving]
     if not names:
-        raise RecordingError(f"{first.name}: found inputs that never move, expected one at least that does")
+        raise RecordingError(f"{first.name}: found inputs that never move, expected at least one that does")
     if still := [f"input_{i + 1}_v" for i in range(u.shape[1]) if i not in moving]:
         warnings.warn(
-            f"{', '.join(still)}: found the same value throughout, and left out: the inputs of the stage are "
+            f"{', '.join(still)}: found the same value throughout, so left out; the inputs of the stage are "
             f"{', '.join(names)}",
             RecordingWarning,
             stacklevel=2,
@@ -189,8 +189,8 @@ def usable(recordings: Sequence[MultiAxisRecording]) -> list[MultiAxisRecording]
     if values[0] < PARALLEL * values[-1]:
         alike = ", ".join(names[i] for i in np.flatnonzero(np.abs(axes[:, 0]) > 1e-3))
         raise RecordingError(
-            f"{alike}: found inputs that always move in proportion, which leaves open what each does; "
-            "expected each to move by itself"
+            f"{alike}: found inputs that always move in proportion, so that their effects cannot be "
+            "separated; expected each to move independently"
         )
     return list(recordings) if not still else [replace(one, u=one.u[:, moving]) for one in recordings]
 

@@ -18,22 +18,22 @@ class RecordingOptions:
     unit is read from the header.
 
     Args:
-        time_column: Column of the time stamps, name or number from 1; null: leave them out.
-        input_column: Column of the voltage, name or number from 1; in array files also name[:,0], in structs
-            struct.field.
+        time_column: Column of the time stamps, by name or by number from 1; null ignores time stamps.
+        input_column: Column of the voltage, by name or by number from 1; in array files also name[:,0], in
+            structs struct.field.
         output_column: Column of the displacement.
-        fs_hz: Sample rate, Hz, or the name of the number in the file that holds it; for files without time.
-        resample: Take recordings that are not sampled uniformly, or at another rate than fs_hz: jittered rows
-            as the ticks of a loop, others interpolated.
+        fs_hz: Sample rate, Hz, or the name of a number in the file that states it; for files without time.
+        resample: Accept recordings that are not sampled uniformly, or at a rate other than fs_hz: jittered
+            rows are assigned to the ticks of the loop, others are interpolated.
         time_unit: s, ms, us, ns or min; by default as the column states, else s.
-        input_unit: V, mV, kV or uV, or how many volts 1 in the file stands for; by default as the column
+        input_unit: V, mV, kV or uV, or the number of volts per unit in the file; by default as the column
             states, else V.
-        output_unit: um, nm, mm, m, pm, cm or angstrom, or how many µm 1 in the file stands for, negative
-            where the sensor counts downwards; by default as the column states, else um.
-        zero: Where the displacement counts from: the sensor's own zero (recorded), or each record's first
-            sample (first).
-        skip_s: Start-up transient, s, that is not counted: fit lets it set the state, the other commands
-            leave it out.
+        output_unit: um, nm, mm, m, pm, cm or angstrom, or the number of µm per unit in the file, negative
+            if the sensor counts downwards; by default as the column states, else um.
+        zero: Zero of the displacement: the sensor's own zero (recorded), or each record's first sample
+            (first).
+        skip_s: Start-up transient excluded from the errors, s: fit uses it to set the state, the other
+            commands leave it out.
 
     Example:
         >>> import numpy as np
@@ -73,8 +73,8 @@ class RecordingOptions:
         """
         if not isinstance(options, RecordingOptions | None):
             raise ConfigError(
-                f"options: found {kind_of(options)}, expected RecordingOptions; single options go by their "
-                "names, such as fs_hz=1000"
+                f"options: found {kind_of(options)}, expected RecordingOptions; pass single options by name, "
+                "such as fs_hz=1000"
             )
         return (options or cls()).with_changes(**changes)
 

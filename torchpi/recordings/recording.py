@@ -80,12 +80,12 @@ class Recording(Shown):
 
     def __post_init__(self) -> None:
         self._expect(is_positive(self.fs_hz), "fs_hz", self.fs_hz, "a rate over 0 Hz")
-        self._expect(isinstance(self.aux, Mapping), "aux", self.aux, "signals by their names")
+        self._expect(isinstance(self.aux, Mapping), "aux", self.aux, "signals by name")
         for name, signal in (("t", self.t), *self._signals().items()):
             if not (isinstance(signal, np.ndarray) and signal.ndim == 1):
                 raise RecordingError(
                     f"{self.source or self.name}: {name}: found {kind_of(signal)}, expected a NumPy array "
-                    "(time,): Recording.from_arrays makes a recording of anything that NumPy takes"
+                    "(time,): Recording.from_arrays makes a recording of anything that NumPy accepts"
                 )
         lengths = {"t": len(self.t), "u": len(self.u), "y": len(self.y)}
         lengths |= {name: len(signal) for name, signal in self.aux.items()}
@@ -96,7 +96,7 @@ class Recording(Shown):
         if len(set(lengths.values())) > 1:
             found = ", ".join(f"{name} {length}" for name, length in lengths.items())
             raise RecordingError(
-                f"{self.source or self.name}: unequal lengths: {found} samples; cut them to one"
+                f"{self.source or self.name}: unequal lengths: {found} samples; cut them to one length"
             )
 
     @classmethod
@@ -142,7 +142,7 @@ class Recording(Shown):
         if t is None and options.fs_hz is None:
             raise RecordingError(f"{name}: found neither t nor fs_hz, expected one of them")
         if aux is not None and not isinstance(aux, Mapping):
-            raise RecordingError(f"{name}: aux: found {kind_of(aux)}, expected signals by their names")
+            raise RecordingError(f"{name}: aux: found {kind_of(aux)}, expected signals by name")
         for key in aux or {}:
             if not str(key).startswith("aux_"):
                 raise RecordingError(
@@ -208,7 +208,7 @@ class Recording(Shown):
         if not 0 < tail < len(self):
             raise RecordingError(
                 f"{self.source or self.name}: a tail of {fraction:g} of {len(self)} samples leaves "
-                "nothing to one part, expected a fraction between 0 and 1; choose another"
+                "one part empty, expected a fraction between 0 and 1; choose another"
             )
         return self._cut(0, len(self) - tail), self._cut(len(self) - tail, len(self))
 
@@ -244,7 +244,7 @@ class Recording(Shown):
         if not 1 / MOST_RESAMPLED <= fs_hz / self.fs_hz <= MOST_RESAMPLED:
             raise RecordingError(
                 f"{self.source or self.name}: cannot resample from {self.fs_hz:g} Hz to {fs_hz:g} Hz, "
-                f"expected a rate within {MOST_RESAMPLED} times; correct fs_hz or time_unit"
+                f"expected a rate within a factor of {MOST_RESAMPLED}; correct fs_hz or time_unit"
             )
         if fs_hz == self.fs_hz:
             return self

@@ -70,7 +70,7 @@ def column_of(source: Source, column: Column, role: Role) -> str:
         if several := [name for name in source.names if NUMBERED.match(name)]:
             raise RecordingError(
                 f"{source.path}: found a recording of several axes ({', '.join(several[:4])}), expected one "
-                f"{role}; choose one with the option {role}_column, or take check, diagnose, predict, or a "
+                f"{role}; choose one with the option {role}_column, or use check, diagnose, predict, or a "
                 "config with multi_axis"
             )
     return source.find(column, f"{role}_column")
@@ -88,7 +88,7 @@ def simulated_column(source: Source) -> str:
     if len(found) != 1:
         raise RecordingError(
             f"{source.path}: found {len(found)} columns '{SIMULATED}…' among {shortened(source.names)}, "
-            f"expected one, {SIMULATED_COLUMN}, with what the simulator makes of the voltage"
+            f"expected one, {SIMULATED_COLUMN}, with the simulator's response to the voltage"
         )
     return found[0]
 
@@ -141,7 +141,7 @@ def rate_of(source: Source, fs_hz: float | str | None) -> float | None:
         stored = source.scalar(str(fs_hz))
         if stored is None:
             raise RecordingError(
-                f"{source.path}: fs_hz is '{fs_hz}', expected a number of Hz or the name of one in the file"
+                f"{source.path}: fs_hz is '{fs_hz}', expected a number in Hz or the name of one in the file"
             ) from None
         rate = stored
     if not 1 / LONGEST_S <= rate <= 1 / LEAST_STEP_S:
@@ -191,17 +191,17 @@ def read_uniform(source: Source, names: list[str], options: RecordingOptions, mi
         return _interpolated(source, grid, t, signals)
     if grid.rate_uncertainty > RATE_TOLERANCE and rate is None:
         raise RecordingError(
-            f"{source.path}: the time stamps leave the sample rate open by "
+            f"{source.path}: the time stamps determine the sample rate only to within "
             f"{100 * grid.rate_uncertainty:.2g} %, "
-            f"expected {100 * RATE_TOLERANCE:g} %; print more digits or give the rate (fs_hz)"
+            f"expected {100 * RATE_TOLERANCE:g} %; write more digits or give the rate (fs_hz)"
         )
     if rate is None or abs(grid.fs_hz / rate - 1) <= RATE_AGREEMENT + grid.rate_uncertainty:
         return Uniform(t, rate or grid.fs_hz, signals)
     if not options.resample:
         raise RecordingError(
-            f"{source.path}: the time stamps make {grid.fs_hz:.9g} Hz, but fs_hz is {rate:.9g} Hz; "
-            "leave out fs_hz, bring the recording to it with the option resample (true), "
-            f"or leave out the stamps with time_column null"
+            f"{source.path}: the time stamps give {grid.fs_hz:.9g} Hz, but fs_hz is {rate:.9g} Hz; "
+            "leave out fs_hz, convert the recording to it with the option resample (true), "
+            f"or ignore the time stamps with time_column null"
         )
     return Uniform(t, grid.fs_hz, signals)
 
@@ -281,8 +281,8 @@ def _interpolated(source: Source, grid: Grid, t: np.ndarray, signals: list[np.nd
     if samples > MOST_FILLED * len(t):
         raise RecordingError(
             f"{source.path}: {source.place(longest + 1)}: a gap of {steps[longest]:.3g} s at a median step "
-            f"of {grid.median_step_s:.3g} s, expected at most {MOST_FILLED} times the samples there "
-            "are; cut the recording there"
+            f"of {grid.median_step_s:.3g} s, expected at most {MOST_FILLED} times as many samples once gaps "
+            "are filled; cut the recording there"
         )
     if steps[longest] > 3 * grid.median_step_s:
         warnings.warn(

@@ -84,4 +84,6 @@ def _fmpy(path: str) -> Any:
     try:
         return importlib.import_module("fmpy")
     except ImportError:
-        raise SimulationError(f"simulation {path}: found no package fmpy, expected it; {INSTALL}") from None
+        raise SimulationError(
+            f"simulation {path}: found no package fmpy, expected it installed; {INSTALL}"
+        ) from None

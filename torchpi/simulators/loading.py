@@ -50,7 +50,9 @@ def load_simulator(reference: str) -> Simulator:
         found: object = importlib.import_module(path.stem if path.suffix == ".py" else module)
     except Exception as error:  # a user's module may raise anything
         text = f"{type(error).__name__}: {error}".splitlines()[0]
-        raise SimulationError(f"simulation {reference}: found {text}, expected to import it") from error
+        raise SimulationError(
+            f"simulation {reference}: found {text}, expected a module that can be imported"
+        ) from error
     for part in name.split("."):
         found = getattr(found, part, None)
     if not callable(found):

@@ -116,7 +116,7 @@ class Simulator:
             raise SimulationError(
                 f"simulation {self.reference}: found outputs for the same voltage that differ by "
                 f"{np.abs(second - first).max():.3g} µm, expected equal ones; start each call from rest, "
-                "and leave the noise out"
+                "without noise"
             )
 
     @property

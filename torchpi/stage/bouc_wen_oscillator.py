@@ -134,7 +134,7 @@ class BoucWenOscillator(SavedStage):
             StageError: A wrong shape, a value that is not finite, a solution that diverges or never settles.
         """
         if force.ndim != 2 or force.shape[1] == 0:
-            raise StageError(f"force: found an array of {tuple(force.shape)}, expected (batch, time)")
+            raise StageError(f"force: found an array of shape {tuple(force.shape)}, expected (batch, time)")
         u = force.detach().to(torch.float64).contiguous().numpy()
         if not np.isfinite(u).all():
             raise StageError("force: found a value that is not finite, expected numbers")
@@ -150,7 +150,7 @@ class BoucWenOscillator(SavedStage):
 
         in_threads(run, len(u))
         if not bounded.all():
-            raise StageError("force: found one without a bounded displacement, expected a smaller one")
+            raise StageError("force: found one with an unbounded displacement, expected a smaller one")
         if not steady.all():
             raise StageError(f"force: found no steady state within {MOST_PERIODS} periods, expected one")
         return torch.from_numpy(y)
@@ -240,7 +240,7 @@ class OscillatorStream:
             raise StageError(f"u: found {u} N at sample {self._state.past}, expected a finite number")
         y = np.zeros(1)
         if not self._oscillator.advance(np.array([u]), self._state, y):
-            raise StageError(f"u: found {u} N at sample {self._state.past - 1}, which has no bounded answer")
+            raise StageError(f"u: found {u} N at sample {self._state.past - 1}, whose response is unbounded")
         return float(y[0])
 
 

@@ -51,7 +51,7 @@ def in_order(entries: Sequence[Mapping[str, Any]]) -> list[EffectSettings]:
             raise StageError(f"effects: found '{name}', expected one of {', '.join(kinds)}")
         kind = MODAL[name] if entry.get("modal") else kinds[name]
         if kind.takes_aux != bool(aux):
-            expected = "the name of the signal that it takes" if kind.takes_aux else "none"
+            expected = "the name of the signal that it uses" if kind.takes_aux else "none"
             raise StageError(f"{name}: found the auxiliary signal '{aux}', expected {expected}")
         values = {parameter: float(value) for parameter, value in (entry.get("values") or {}).items()}
         found.append(EffectSettings(kind, values, aux))

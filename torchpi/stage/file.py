@@ -45,7 +45,7 @@ def read_settings(
         raise ArtifactError(f"{path}: no such file, {expected}")
     content = load_tensors(path, LARGEST_BYTES, f"not a stage file, {expected}")
     if schema_of(content) not in schemas:
-        raise ArtifactError(f"{path}: a file of something else, {expected}")
+        raise ArtifactError(f"{path}: a file of another kind, {expected}")
     if content.get("version") != version:
         raise ArtifactError(
             f"{path}: found version {content.get('version')}, expected {version}: identify the stage again"

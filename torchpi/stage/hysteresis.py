@@ -112,7 +112,7 @@ class Hysteresis(Operator):
         self.low_v, self.high_v = map(float, range_v)
         if self.pieces < 1 or (self.pieces > 1 and not self.low_v < self.high_v):
             between = f"{pieces} between {self.low_v:g} and {self.high_v:g} V"
-            raise StageError(f"pieces: found {between}, expected one, or more of a range")
+            raise StageError(f"pieces: found {between}, expected one, or several over a range")
         self.bouc_wen, self.duhem = bool(bouc_wen), bool(duhem)
         self.register_buffer("thresholds_v", torch.as_tensor(thresholds_v, dtype=torch.float64).clone())
         self.weights = nn.Parameter(torch.as_tensor(weights, dtype=torch.float64).clone())
@@ -121,7 +121,9 @@ class Hysteresis(Operator):
         expected = len(self.thresholds_v) * self.pieces + self.others + 1
         if self.weights.shape != (expected,):
             count = self.weights.numel()
-            raise StageError(f"weights: found {count}, expected {expected}: plays × pieces and more")
+            raise StageError(
+                f"weights: found {count}, expected {expected}: plays × pieces, other states and an offset"
+            )
         needed = (*IDENTITY, *(OF_BOUC_WEN if bouc_wen else ()), *(OF_DUHEM if duhem else ()))
         values = {**IDENTITY, **(shape or {})}
         for name in (*needed, *values):

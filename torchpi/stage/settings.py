@@ -159,7 +159,7 @@ def mechanics_of(*, frequency_hz: float | None = None, damping_ratio: float | No
         return {}
     if frequency_hz is None or damping_ratio is None:
         missing = "frequency_hz" if frequency_hz is None else "damping_ratio"
-        raise StageError(f"{missing}: found none, expected a number: a mode has both")
+        raise StageError(f"{missing}: found none, expected a number: a mode needs both")
     return {"effects": [_entry(Resonance, frequency_hz=frequency_hz, damping_ratio=damping_ratio)]}
 
 
@@ -196,7 +196,7 @@ def check_plays(thresholds_v: Sequence[float], weights_um_per_v: Sequence[float]
     if len(weights_um_per_v) != len(thresholds_v):
         raise StageError(
             f"weights_um_per_v: found {len(weights_um_per_v)} numbers, "
-            f"expected {len(thresholds_v)}, one a threshold"
+            f"expected {len(thresholds_v)}, one per threshold"
         )
     gain = sum(weights_um_per_v)
     if not 0 < gain < math.inf:
@@ -233,9 +233,7 @@ def read_yaml(path: str | Path) -> dict[str, Any]:
         line = f", line {min(mark.line, text.count(chr(10))) + 1}" if mark else ""  # the end is its last line
         raise ConfigError(f"{path}{line}: not valid YAML: {getattr(error, 'problem', error)}") from error
     if not isinstance(settings, dict):
-        raise ConfigError(
-            f"{path}: found {type(settings).__name__}, expected keys with values, one to a line"
-        )
+        raise ConfigError(f"{path}: found {type(settings).__name__}, expected keys with values, one per line")
     return settings
 
 

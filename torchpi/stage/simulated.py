@@ -63,12 +63,12 @@ class SimulatedHysteresis(Hysteresis):
         """
         what = f"simulation '{self.reference}'"
         if self.simulator is None:
-            raise StageError(f"{what}: found its name alone, expected it as --simulation {self.reference}")
+            raise StageError(f"{what}: found only its name, expected --simulation {self.reference}")
         if bool(begun.any()):
-            raise StageError(f"{what}: found a state to go on from, expected a whole record from rest")
+            raise StageError(f"{what}: found a state to continue from, expected a whole record from rest")
         if x.requires_grad and torch.is_grad_enabled():
             raise StageError(
-                f"{what}: found a gradient through it, expected a stage without a called simulation"
+                f"{what}: found a gradient through it, expected a stage that calls no simulation"
             )
         fs_hz = 1.0 / self.sample_period_s
         rows = [torch.tensor(self.simulator(row, fs_hz)) for row in x.detach().to(torch.float64).numpy()]
@@ -77,5 +77,5 @@ class SimulatedHysteresis(Hysteresis):
     def stream(self) -> nn.Module:  # type: ignore[override]
         kind = "a recorded output" if self.reference == COLUMN else "whole records"
         raise StageError(
-            f"simulation '{self.reference}': found {kind}, expected a stage that steps by samples"
+            f"simulation '{self.reference}': found {kind}, expected a stage that steps sample by sample"
         )

@@ -373,7 +373,7 @@ class Stage(Operator):
         if seed is not None and not (is_whole(seed) and seed >= 0):
             raise StageError(f"seed: found {seed!r}, expected a whole number that is not negative")
         if self.simulation == COLUMN:
-            raise StageError("simulation: found a voltage alone, expected the simulator's output beside it")
+            raise StageError("simulation: found only a voltage, expected the simulator's output as well")
         command = u.to(torch.float64)
         if self.command_converter is not None:
             command, _ = self.command_converter(command)

@@ -1,4 +1,4 @@
-"""Motions and small models that the tests of the inverses share."""
+"""The motion that the tests of the inverses share."""
 
 import pytest
 
@@ -10,6 +10,6 @@ PERIOD_S = 1e-4
 
 @pytest.fixture
 def motion() -> Motion:
-    """Two wandering trajectories, 0 … a few µm, rates as a control loop forms them."""
+    """Return two random trajectories of 0 to a few µm, with rates as computed in a control loop."""
     yd = 2.5 + wandering(2, 3000, seed=1)
     return backward_motion(yd, PERIOD_S)

@@ -1,4 +1,4 @@
-"""What every compensator of this package promises, as tests to inherit."""
+"""Laws that every compensator of this package obeys, as tests to inherit."""
 
 import copy
 import math
@@ -15,7 +15,7 @@ from torchpi.paper.fig7_plant import Fig7Plant
 
 
 class DeployedLaws:
-    """A test class says how to build its compensator, at 0.1 ms; the laws come with it."""
+    """Laws of a compensator; a test class that inherits them defines how to build it, at 0.1 ms."""
 
     def compensator(self):
         raise TypeError(f"{type(self).__name__} must define compensator()")
@@ -26,7 +26,9 @@ class DeployedLaws:
         stream = compensator.stream()
         assert [stream.step(yd) for yd in motion.yd[0].tolist()] == expected
 
-    def test_scripted_stream_gives_the_same_bits_steps_blocks_and_resets(self, motion: Motion) -> None:
+    def test_scripted_stream_gives_the_same_bits_in_steps_and_in_a_block_after_a_reset(
+        self, motion: Motion
+    ) -> None:
         compensator = self.compensator()
         expected = compensator(motion)[0].detach()
         scripted = script(compensator)
@@ -42,13 +44,13 @@ class DeployedLaws:
         assert torch.equal(torch.cat([first, second], 1), whole)
         assert torch.equal(state, final)
 
-    def test_an_input_that_is_not_finite_is_held_and_counted(self) -> None:
+    def test_an_input_that_is_not_finite_is_replaced_by_the_last_one_and_counted(self) -> None:
         stream, clean = self.compensator().stream(), self.compensator().stream()
         for yd, stands_in in ((1.0, 1.0), (1.1, 1.1), (math.nan, 1.1), (math.inf, 1.1), (1.2, 1.2)):
             assert stream.step(yd) == clean.step(stands_in)
         assert stream.held_inputs == 2
 
-    def test_the_reference_filter_may_go_inside(self) -> None:
+    def test_the_stream_may_include_the_reference_filter(self) -> None:
         compensator, reference = self.compensator(), ReferenceFilter(1e-4)
         yr = 2 + torch.sin(torch.linspace(0, 9, 500, dtype=torch.float64))[None]
         expected = compensator(reference(yr))[0].detach()
@@ -56,7 +58,7 @@ class DeployedLaws:
         assert stream.has_reference_filter
         assert torch.equal(stream.block(yr[0]), expected)
 
-    def test_it_runs_in_the_loop_on_the_paper_s_fast_trajectory(self) -> None:
+    def test_it_runs_in_the_loop_on_the_fast_trajectory_of_the_paper(self) -> None:
         compensator = self.compensator()
         fast = load_trajectory("fast", fs_hz=1e4)
         result = run_loop(compensator.stream(), Fig7Plant(), fast.yd[:1500], fs_hz=1e4, name=fast.name)

@@ -21,7 +21,7 @@ class TestDeployed(DeployedLaws):
 
 
 def sine(period_s: float) -> Motion:
-    """Two periods of eq. 9 at 20 Hz."""
+    """Return two periods of eq. 9 at 20 Hz."""
     omega = 2 * torch.pi * 20
     t = period_s * torch.arange(round(0.1 / period_s), dtype=torch.float64)[None]
     return Motion(
@@ -32,8 +32,8 @@ def sine(period_s: float) -> Motion:
 
 
 @pytest.mark.parametrize("kind", ["lag", "two poles", "mode"])
-def test_it_undoes_its_own_cascade_to_second_order_in_the_sample_period(kind: str) -> None:
-    """Dynamics are run with straight lines between samples: that leaves an error in T²."""
+def test_it_inverts_its_own_cascade_to_second_order_in_the_sample_period(kind: str) -> None:
+    """The dynamics interpolate linearly between samples, which leaves an error proportional to T²."""
     errors = []
     for period_s in (2e-4, 1e-4, 5e-5):
         dynamics: SensorLag | Resonance = {
@@ -53,7 +53,7 @@ def test_it_undoes_its_own_cascade_to_second_order_in_the_sample_period(kind: st
     assert errors[1] / errors[2] == pytest.approx(4, rel=0.15)
 
 
-def test_a_delay_is_undone_by_preview() -> None:
+def test_preview_compensates_a_delay() -> None:
     forward = Chain(hysteresis=PrandtlIshlinskii(R, W), delay=Delay(1e-4, delay_s=5e-4))
     motion = sine(1e-4)
     inverse = CascadedInverse(1e-4, R, W, preview=5)
@@ -67,6 +67,6 @@ def test_without_dynamics_it_is_the_conventional_inverse(motion: Motion) -> None
 
 
 @pytest.mark.parametrize(("lead", "named"), [([1.0, 1.0, 1.0], "at most two"), ([float("inf")], "lead")])
-def test_an_impossible_lead_is_refused(lead: list[float], named: str) -> None:
+def test_an_invalid_lead_is_refused(lead: list[float], named: str) -> None:
     with pytest.raises(ConfigError, match=named):
         CascadedInverse(1e-4, R, W, lead=lead)

@@ -1,4 +1,4 @@
-"""Krejčí–Kuhnen: the rate-independent operator, undone exactly."""
+"""Krejčí–Kuhnen: the exact inverse of the rate-independent operator."""
 
 import pytest
 import torch
@@ -26,7 +26,7 @@ class TestDeployed(DeployedLaws):
     st.lists(st.floats(0.05, 2.0), min_size=4, max_size=4),
     st.lists(st.floats(0.0, 1.5), min_size=3, max_size=3),
 )
-def test_it_undoes_any_operator_with_positive_weights_and_is_undone_by_it(
+def test_it_is_a_two_sided_inverse_of_any_operator_with_positive_weights(
     weights: list[float], distances: list[float]
 ) -> None:
     r = torch.tensor([0.0, *distances], dtype=torch.float64).cumsum(0).tolist()
@@ -38,19 +38,19 @@ def test_it_undoes_any_operator_with_positive_weights_and_is_undone_by_it(
     assert torch.allclose(again.w, operator.w, rtol=1e-9, atol=1e-9)
 
 
-def test_its_numbers_are_those_of_the_compensator() -> None:
+def test_the_inverse_operator_has_the_weights_of_the_compensator() -> None:
     inverse, compensator = conventional_inverse(PrandtlIshlinskii(R, W)), ConventionalInverse(1e-4, R, W)
     assert inverse.w.tolist() == compensator.inverse_weights
 
 
-def test_with_dead_zones_it_undoes_the_modified_operator(motion: Motion) -> None:
+def test_with_dead_zones_it_inverts_the_modified_operator(motion: Motion) -> None:
     zones = DeadZones([0.0, 1.5, 3.0], [1.0, -0.2, 0.1])
     forward = Chain(plays=PrandtlIshlinskii(R, W), saturation=zones)
     u = ConventionalInverse(1e-4, R, W, saturation=zones, min_voltage_v=-50, max_voltage_v=50)(motion)
     assert torch.allclose(forward(u)[0], motion.yd, rtol=0, atol=1e-12)
 
 
-def test_the_rate_is_nothing_to_it(motion: Motion) -> None:
+def test_the_output_does_not_depend_on_the_rate(motion: Motion) -> None:
     compensator = ConventionalInverse(1e-4, R, W)
     still = Motion(motion.yd, torch.zeros_like(motion.yd), torch.zeros_like(motion.yd))
     assert torch.equal(compensator(motion), compensator(still))
@@ -63,7 +63,7 @@ def test_the_rate_is_nothing_to_it(motion: Motion) -> None:
         ({"thresholds": [0.0, 2.0, 1.0, 3.0]}, "thresholds.*rise from 0"),
         ({"thresholds": []}, "thresholds"),
         ({"weights": [1.0, 1.0]}, "weights.*expected 4"),
-        ({"weights": [1.0, -0.5, -0.6, 2.0]}, "weights.*up to number 2.*-0.1"),
+        ({"weights": [1.0, -0.5, -0.6, 2.0]}, "weights.*numbers 0 to 2.*-0.1"),
         ({"weights": [1.0, float("nan"), 1.0, 1.0]}, "weights"),
         ({"sample_period_s": 0.0}, "sample_period_s"),
         ({"preview": -1}, "preview"),
@@ -71,7 +71,7 @@ def test_the_rate_is_nothing_to_it(motion: Motion) -> None:
         ({"saturation": DeadZones([0.0, 1.0], [1.0, -2.0])}, "no inverse"),
     ],
 )
-def test_what_has_no_inverse_is_refused_by_name(changed: dict, named: str) -> None:
+def test_invalid_or_non_invertible_parameters_are_named_in_the_error(changed: dict, named: str) -> None:
     with pytest.raises(ConfigError, match=named) as refusal:
         ConventionalInverse(**{"sample_period_s": 1e-4, "thresholds": R, "weights": W, **changed})
     assert "\n" not in str(refusal.value)

@@ -43,6 +43,6 @@ def test_gradients_reach_every_parameter(motion: Motion) -> None:
     ("k", "b", "named"),
     [(K[:2], B, "slopes: found 2, expected 3"), (K, B[:1], "offsets: found 1, expected 3")],
 )
-def test_other_numbers_of_weights_are_refused(k: list[float], b: list[float], named: str) -> None:
+def test_a_wrong_number_of_weights_is_refused(k: list[float], b: list[float], named: str) -> None:
     with pytest.raises(ConfigError, match=named):
         GeneralisedDirectInverse(1e-4, GeneralisedPlayBank(R, R, [1.0], [1.0]), k, b)

@@ -1,4 +1,4 @@
-"""Ang and Tan: the closed form with rate-dependent terms put in."""
+"""Ang and Tan: the closed-form inverse with rate-dependent terms inserted."""
 
 import numpy as np
 import pytest
@@ -26,8 +26,8 @@ def test_without_slopes_it_is_the_conventional_inverse(motion: Motion) -> None:
     assert torch.equal(rate_dependent(motion), ConventionalInverse(1e-4, THRESHOLDS, OFFSETS)(motion))
 
 
-def test_at_each_sample_it_is_the_closed_form_of_the_weights_at_that_rate() -> None:
-    """The law spelled out in numpy, thresholds and weights anew at every sample."""
+def test_at_each_sample_it_is_the_closed_form_for_the_weights_at_that_rate() -> None:
+    """The law is written out in numpy, with new thresholds and weights at every sample."""
     t = np.arange(600) * 1e-4
     yd = 5.5 - 4.5 * np.cos(2 * np.pi * 40 * t)
     rate = 4.5 * 2 * np.pi * 40 * np.sin(2 * np.pi * 40 * t)
@@ -49,13 +49,13 @@ def test_the_error_of_fig_8_is_steady_in_the_last_cycle() -> None:
     assert indirect(50, cycles=3).max_percent == pytest.approx(indirect(50, cycles=6).max_percent, rel=1e-9)
 
 
-def test_it_is_no_inverse_but_comes_close_where_the_motion_is_slow() -> None:
+def test_it_is_not_an_exact_inverse_but_approaches_it_for_slow_motion() -> None:
     """The error falls at least in proportion to the rate."""
     errors = [indirect(f, cycles=2, sample_period_s=1e-4 * 5 / f).max_percent for f in (0.05, 0.5, 5)]
     assert errors[0] < errors[1] / 9 < errors[2] / 80
 
 
-def test_a_rate_at_which_the_model_has_no_inverse_is_held_at_the_last_that_has() -> None:
+def test_a_rate_at_which_the_model_has_no_inverse_is_clipped_to_the_last_with_one() -> None:
     inverse = fig8_inverse()
     slowest, fastest = inverse.rates_um_s
     sums = np.cumsum(OFFSETS), np.cumsum(SLOPES)
@@ -67,8 +67,8 @@ def test_a_rate_at_which_the_model_has_no_inverse_is_held_at_the_last_that_has()
     assert torch.equal(inverse(beyond), inverse(at))
 
 
-def test_through_its_own_model_at_rest_it_is_exact() -> None:
-    """Slow enough, plant and inverse are a Prandtl–Ishlinskii operator and its exact inverse."""
+def test_at_zero_rate_it_inverts_its_own_model_exactly() -> None:
+    """At zero rate, plant and inverse are a Prandtl–Ishlinskii operator and its exact inverse."""
     plant = RateDependentPI(1.0, THRESHOLDS, SLOPES, OFFSETS)
     yd = 5.5 - 4.5 * torch.cos(torch.linspace(0, 20, 4000, dtype=torch.float64))[None]
     zero = torch.zeros_like(yd)
@@ -76,6 +76,6 @@ def test_through_its_own_model_at_rest_it_is_exact() -> None:
     assert torch.allclose(plant.at_rate(u, zero)[0], yd, rtol=0, atol=1e-12)
 
 
-def test_another_number_of_slopes_is_refused() -> None:
+def test_a_wrong_number_of_slopes_is_refused() -> None:
     with pytest.raises(ConfigError, match=r"weight_slopes.*expected 10"):
         RateDependentInverse(1e-4, THRESHOLDS, OFFSETS, weight_slopes=SLOPES[:3])

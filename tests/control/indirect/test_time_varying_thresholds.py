@@ -1,4 +1,4 @@
-"""Al Janaideh–Krejčí: thresholds that move in time, inverted exactly where they dilate."""
+"""Al Janaideh–Krejčí: time-varying thresholds, inverted exactly while they dilate."""
 
 import pytest
 import torch
@@ -18,7 +18,7 @@ GROWING = [0.0, 1e-4, 3e-4, 6e-4]
 
 class TestForward(OperatorLaws):
     def operator(self) -> TimeVaryingThresholdPI:
-        # ρ such that gradients by differences stay clear of the kinks at these rates.
+        # ρ is chosen so that finite differences stay clear of the kinks at these rates.
         return TimeVaryingThresholdPI(0.1, [0.0, 0.11, 0.4], [1.0, 0.3, -0.2], [0.0, 0.013, 0.021])
 
 
@@ -31,8 +31,8 @@ class TestDeployed(DeployedLaws):
     st.integers(0, 10_000),
     st.lists(st.floats(0.05, 2.0), min_size=4, max_size=4),
 )
-def test_the_inverse_is_exact_to_1e_9_where_the_condition_holds(seed: int, weights: list[float]) -> None:
-    """Thresholds after the first one keep or gain distance; the first itself wanders up and down."""
+def test_the_inverse_is_exact_to_1e_9_if_the_condition_holds(seed: int, weights: list[float]) -> None:
+    """Distances between the thresholds after the first stay or grow; the first itself rises and falls."""
     generator = torch.Generator().manual_seed(seed)
     x = 3 * wandering(1, 1500, seed)
     first = (1 + wandering(1, 1500, seed + 1)[0] / 2.5).clamp(min=0.0)
@@ -46,8 +46,8 @@ def test_the_inverse_is_exact_to_1e_9_where_the_condition_holds(seed: int, weigh
     assert (inverse.at_thresholds(y, r[None]) - x).abs().max() < 1e-9
 
 
-def test_thresholds_that_move_with_the_rate_together_satisfy_the_condition(motion: Motion) -> None:
-    """r_i + ρ|u̇| with one ρ: the distances stay, and the round trip is exact, rates rising and falling."""
+def test_thresholds_that_shift_together_with_the_rate_satisfy_the_condition(motion: Motion) -> None:
+    """r_i + ρ|u̇| with one ρ: distances are constant, and the round trip is exact as rates rise and fall."""
     forward, inverse = (
         kind(1e-4, R, W, threshold_slopes=RHO)
         for kind in (TimeVaryingThresholdPI, TimeVaryingThresholdInverse)
@@ -59,8 +59,8 @@ def test_thresholds_that_move_with_the_rate_together_satisfy_the_condition(motio
     assert (r.max(1).values - r.min(1).values)[:, 1:].min() > 0.05  # they do move
 
 
-def test_where_the_condition_fails_it_is_said_and_the_inverse_is_not_exact() -> None:
-    """The last threshold comes down on its neighbour and goes up again, whatever the input does."""
+def test_a_failed_condition_is_reported_and_the_inverse_is_not_exact() -> None:
+    """The last threshold approaches its neighbour and recedes again, independently of the input."""
     x = 3 * wandering(1, 1500, seed=5)
     still = torch.ones(1500, dtype=torch.float64)
     r = torch.stack([0 * still, 0.5 * still, 1.5 + wandering(1, 1500, seed=6)[0] / 2.5], 1)
@@ -76,8 +76,8 @@ def test_where_the_condition_fails_it_is_said_and_the_inverse_is_not_exact() -> 
 
 
 @pytest.mark.parametrize("tones", [[(4.0, 50.0)], [(2.0, 20.0), (1.2, 90.0)], [(3.0, 10.0), (1.0, 70.0)]])
-def test_thresholds_that_are_least_at_every_reversal_need_no_dilation(tones: list) -> None:
-    """r_i + ρ_i|u̇|, ρ_i growing: the condition fails whenever the rate falls, the inverse is exact."""
+def test_thresholds_that_are_smallest_at_every_reversal_need_no_dilation(tones: list) -> None:
+    """r_i + ρ_i|u̇| with increasing ρ_i: the condition fails as the rate falls, but the inverse is exact."""
     t = 1e-4 * torch.arange(3000, dtype=torch.float64)[None]
     x = 5 - sum(a * torch.cos(2 * torch.pi * f * t) for a, f in tones)
     rate = sum(2 * torch.pi * f * a * torch.sin(2 * torch.pi * f * t) for a, f in tones)
@@ -92,7 +92,7 @@ def test_thresholds_that_are_least_at_every_reversal_need_no_dilation(tones: lis
     assert (inverse.at_thresholds(y, r) - x).abs().max() < 1e-9
 
 
-def test_the_first_sample_that_breaks_the_condition_is_named() -> None:
+def test_the_first_sample_that_violates_the_condition_is_reported() -> None:
     r = torch.tensor([[0.0, 1.0, 2.0]] * 5, dtype=torch.float64)
     r[3:, 2] = 1.75
     report = dilation(r)
@@ -101,7 +101,7 @@ def test_the_first_sample_that_breaks_the_condition_is_named() -> None:
     assert dilation(r).holds
 
 
-def test_the_compensator_forms_the_thresholds_from_the_desired_rate(motion: Motion) -> None:
+def test_the_compensator_computes_the_thresholds_from_the_desired_rate(motion: Motion) -> None:
     inverse = TimeVaryingThresholdInverse(
         1e-4, R, W, threshold_slopes=RHO, min_voltage_v=-99, max_voltage_v=99
     )
@@ -129,7 +129,7 @@ def test_the_forward_loop_grows_with_the_rate() -> None:
     ("rho", "named"),
     [
         ([1e-4, 1e-4, 1e-4, 1e-4], "threshold_slopes.*0 first"),
-        ([0.0, 2e-4, 1e-4, 1e-4], "threshold_slopes.*none below"),
+        ([0.0, 2e-4, 1e-4, 1e-4], "threshold_slopes.*non-decreasing"),
         ([0.0, 1e-4], "threshold_slopes.*expected 4"),
     ],
 )
@@ -139,6 +139,6 @@ def test_thresholds_that_would_lose_their_order_are_refused(rho: list[float], na
             kind(1e-4, R, W, threshold_slopes=rho)
 
 
-def test_thresholds_out_of_order_have_no_condition_to_check() -> None:
-    with pytest.raises(ConfigError, match="rising order"):
+def test_the_check_of_the_condition_refuses_thresholds_out_of_order() -> None:
+    with pytest.raises(ConfigError, match="increasing order"):
         dilation(torch.tensor([[0.0, 2.0, 1.0]], dtype=torch.float64))

@@ -1,4 +1,4 @@
-"""What the classes of effects say of themselves, for a search that knows none of them by name."""
+"""What the effect classes declare about themselves, for a search that knows none of them by name."""
 
 from dataclasses import replace
 
@@ -14,14 +14,14 @@ each = pytest.mark.parametrize("effect", EFFECTS, ids=lambda effect: effect.name
 
 
 @each
-def test_every_start_has_a_form_where_an_effect_has_several(effect):
+def test_every_start_has_a_declared_form_if_the_effect_has_forms(effect):
     forms = [effect.form(start) for start in effect.starts(SEEN)]
     assert set(forms) <= {*effect.forms, *([] if effect.forms else [""])}
     assert effect.form({}) == ""
 
 
 @each
-def test_every_form_is_tried_but_a_random_walk(effect):
+def test_every_form_but_the_random_walk_is_tried(effect):
     if not effect.read_off:
         ringing, simulated = np.sin(2 * np.pi * 700 * np.arange(20_000) / 1e4), replace(SEEN, simulated=True)
         starts = [*effect.starts(SEEN), *effect.starts_from(simulated, ringing, ringing, 1e4)]
@@ -30,7 +30,7 @@ def test_every_form_is_tried_but_a_random_walk(effect):
 
 
 @each
-def test_what_cannot_be_split_is_an_effect_and_says_the_same(effect):
+def test_effects_that_are_degenerate_with_each_other_both_declare_it(effect):
     by_name = {other.name: other for other in EFFECTS}
     for name in effect.degenerate_with:
         assert name != effect.name
@@ -38,23 +38,23 @@ def test_what_cannot_be_split_is_an_effect_and_says_the_same(effect):
 
 
 @each
-def test_what_is_read_off_has_no_start_and_the_rest_has_one(effect):
+def test_only_effects_that_are_read_off_have_no_starts(effect):
     assert bool(effect.starts(SEEN)) != effect.read_off
 
 
 @each
 @pytest.mark.parametrize(("fs_hz", "duration_s"), [(200.0, 3600.0), (1e4, 1.0), (5e4, 0.05)])
-def test_what_is_slow_is_slow_beside_the_recordings_and_has_starts_in_all(effect, fs_hz, duration_s):
+def test_every_slow_effect_has_a_possible_start_in_recordings_of_any_length(effect, fs_hz, duration_s):
     seen = DataRange(fs_hz, duration_s, 0, 100, 1e4, 0, 20, {}, repeats=True)
     assert effect.time_scale != "slow" or any(possible(effect, one) for one in effect.starts(seen))
 
 
-def test_only_fast_effects_can_pass_for_a_convention_of_timing():
+def test_only_fast_effects_can_be_mistaken_for_a_timing_convention():
     assert {effect.time_scale for effect in EFFECTS if effect.delays} == {"fast"}
 
 
 @each
-def test_starts_from_a_residual_are_starts(effect):
+def test_starts_from_a_residual_are_within_bounds_and_at_its_lines(effect):
     t = np.arange(20_000) / 1e4
     output = 10 + 8 * np.sin(2 * np.pi * 5 * t)
     residual = 0.1 * output * np.cos(2 * np.pi * 2.3 * t) + 0.1 * np.sin(2 * np.pi * 700 * t)

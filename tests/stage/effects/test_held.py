@@ -22,7 +22,7 @@ from torchpi.stage.effects.sensor.sensor_lag import SensorLag
     ],
 )
 @pytest.mark.parametrize("left", ["first", "end"])
-def test_only_the_first_block_takes_a_held_command_whatever_another_chain_has_left_it_at(
+def test_only_the_first_block_takes_a_held_command_whatever_hold_was_set_before(
     before: list[type[Effect]], held: bool, resonance: str, sensor_lag: str, left: str
 ) -> None:
     mode, lag = Resonance(1e-4), SensorLag(1e-4)

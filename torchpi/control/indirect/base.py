@@ -69,7 +69,7 @@ class IndirectInverse(Inverse):
         self.rho = _numbers("threshold_slopes", threshold_slopes, len(self.r))
         if self.rho[0] != 0 or any(b < a for a, b in zip(self.rho, self.rho[1:], strict=False)):
             raise ConfigError(
-                f"threshold_slopes: found {self.rho}, expected 0 first and none below the one before: "
+                f"threshold_slopes: found {self.rho}, expected 0 first, then non-decreasing numbers: "
                 "thresholds must keep their order at every rate"
             )
         self.k = _numbers("weight_slopes", weight_slopes, len(self.r))

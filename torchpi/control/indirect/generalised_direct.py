@@ -51,7 +51,7 @@ class GeneralisedDirectInverse(Inverse):
         count = len(plays.raw_up)
         for name, values in (("slopes", slopes), ("offsets", offsets)):
             if len(values) != count:
-                raise ConfigError(f"{name}: found {len(values)}, expected {count}, one a play")
+                raise ConfigError(f"{name}: found {len(values)}, expected {count}, one per play")
         self.plays = plays
         self.b = nn.Parameter(torch.tensor(offsets, dtype=torch.float64))
         self.k = nn.Parameter(torch.tensor(slopes, dtype=torch.float64))

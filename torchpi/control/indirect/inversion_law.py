@@ -50,15 +50,15 @@ def check_invertible(r: Sequence[float], w: Sequence[float]) -> None:
     """
     if len(r) == 0 or not all(map(math.isfinite, r)) or r[0] != 0 or any(b < a for a, b in pairwise(r)):
         raise ConfigError(
-            f"thresholds: found {list(r)}, expected finite numbers that rise from 0: the inverse needs both"
+            f"thresholds: found {list(r)}, expected finite numbers that rise from 0, as the inverse requires"
         )
     if len(w) != len(r) or not all(map(math.isfinite, w)):
-        raise ConfigError(f"weights: found {list(w)}, expected {len(r)} finite numbers, one a threshold")
+        raise ConfigError(f"weights: found {list(w)}, expected {len(r)} finite numbers, one per threshold")
     slope = 0.0
     for i, value in enumerate(w):
         slope += value
         if slope <= 0:
             raise ConfigError(
-                f"weights: those up to number {i} add up to {slope:g}, expected a positive slope: "
+                f"weights: numbers 0 to {i} sum to {slope:g}, expected a positive slope: "
                 "the operator runs backwards and has no inverse"
             )

@@ -53,7 +53,7 @@ class Dilation:
         return (
             f"the dilation condition fails at {self.violations} of {self.samples} samples, first at "
             f"{self.first_sample}; plays {self.plays[0]} and {self.plays[1]} come closer by up to "
-            f"{self.largest_shrinkage:.3g} in a sample: the inverse need not be exact there"
+            f"{self.largest_shrinkage:.3g} in one sample: the inverse need not be exact there"
         )
 
 
@@ -74,7 +74,9 @@ def dilation(
         (False, (1, 2), 0.25)
     """
     if r.ndim != 2 or not bool(torch.isfinite(r).all()) or bool((r.diff(dim=1) < 0).any()):
-        raise ConfigError(f"r: found shape {tuple(r.shape)}, expected finite (time, plays) in rising order")
+        raise ConfigError(
+            f"r: found shape {tuple(r.shape)}, expected finite (time, plays) in increasing order"
+        )
     # The play with the first threshold does not act on another play's output: its threshold may shrink.
     shrinkage = -r[:, 1:].diff(dim=1).diff(dim=0) if r[0, 0] == 0 else -r.diff(dim=1).diff(dim=0)
     first_play = 1 if r[0, 0] == 0 else 0

@@ -56,7 +56,7 @@ def linear_inverses(
     """
     m, length, last = stage.inputs, 2 * LINES, int(2 * LINES * LAST)
     if stage.outputs != m:
-        raise StageError(f"inverse: found {m} inputs and {stage.outputs} outputs, expected as many of each")
+        raise StageError(f"inverse: found {m} inputs and {stage.outputs} outputs, expected equal numbers")
     highest = FLAT * stage.sample_rate_hz
     if not 0 < band_hz <= highest:
         raise StageError(
@@ -180,11 +180,13 @@ class MultiAxisInverse:
         accepted_um: np.ndarray | None = None,
     ) -> None:
         if passes < 0:
-            raise StageError(f"passes: found {passes}, expected a whole number from 0 on")
+            raise StageError(f"passes: found {passes}, expected a whole number, 0 or more")
         expected = (len(first), stage.inputs, stage.outputs)
         for name, taps in (("first", first), ("corrections", corrections)):
             if taps.shape != expected or len(taps) % 2 == 0:
-                raise StageError(f"{name}: found an array of {taps.shape}, expected (odd, {expected[1:]})")
+                raise StageError(
+                    f"{name}: found an array of shape {taps.shape}, expected (odd, {expected[1:]})"
+                )
         self.stage, self.first, self.corrections, self.passes = stage, first, corrections, passes
         any_v, any_um = np.tile([-LARGEST, LARGEST], (stage.inputs, 1)), np.full(stage.outputs, LARGEST)
         self.limits_v = any_v if limits_v is None else np.asarray(limits_v, dtype=np.float64)
@@ -222,7 +224,7 @@ class MultiAxisInverse:
         """
         if yd.ndim != 2 or yd.shape[1] != self.stage.outputs:
             raise StageError(
-                f"trajectories: found an array of {yd.shape}, expected (time, {self.stage.outputs})"
+                f"trajectories: found an array of shape {yd.shape}, expected (time, {self.stage.outputs})"
             )
         desired, offset = self._held(yd), self.stage.offset()
         u = self._first.advance(desired)

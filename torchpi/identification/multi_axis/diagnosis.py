@@ -145,7 +145,7 @@ def diagnose_axes(
         fit = PeriodicFit(simulation, periods(basis))
         fit.in_matrix = len(basis)
         fit.descend(list(simulation.arrays()), LINEAR_STEPS)
-        log(f"the simulation: a linear stage of {options.modes} modes, made of {len(basis)} recordings")
+        log(f"the simulation: a linear stage of {options.modes} modes, fitted to {len(basis)} recordings")
     check_of(simulation, first)
     errors = {SIMULATION: rms_of(simulation, heldout)}
     log(f"{SIMULATION}: held-out error {_listed(errors[SIMULATION])} µm")
@@ -204,14 +204,14 @@ def split(
     most = max(map(len, levels))
     if most <= inputs:
         raise RecordingError(
-            f"{recordings[0].name}: found {most} realisations at one amplitude, expected {inputs + 1} at "
-            "least: one for each input, and one that is held out"
+            f"{recordings[0].name}: found {most} realisations at one amplitude, expected at least "
+            f"{inputs + 1}: one for each input, and one that is held out"
         )
     for level in levels:
         if len(level) < 2:
             raise RecordingError(
-                f"{level[0].name}: found one realisation at {level[0].u.std():.3g} V rms, expected two at "
-                "least: one is held out"
+                f"{level[0].name}: found one realisation at {level[0].u.std():.3g} V rms, expected at least "
+                "two: one is held out"
             )
     order = [id(one) for one in recordings]
     heldout = [max(level, key=lambda one: order.index(id(one))) for level in levels]
@@ -295,18 +295,18 @@ def summary_of(levels: Sequence[Level], named: str | None) -> str:
     first, last = levels[0], levels[-1]
     if named is None:
         return (
-            "No physics that was tried is missing: the simulation's held-out error of "
-            f"{_listed([one.errors_um[SIMULATION] for one in levels])} µm is "
-            f"{_listed([one.errors_um[LINEAR] for one in levels])} µm with other numbers of a linear model."
+            "None of the effects that were tried is missing: the simulation's held-out error of "
+            f"{_listed([one.errors_um[SIMULATION] for one in levels])} µm becomes "
+            f"{_listed([one.errors_um[LINEAR] for one in levels])} µm with a refitted linear model."
         )
     sentences = [
-        f"The simulation leaves out {named}." if "hysteresis" in named else f"What was left out is {named}."
+        f"The simulation leaves out {named}." if "hysteresis" in named else f"The missing effect is {named}."
     ]
     for one in levels:
         sentences.append(
             f"At {one.input_rms_v:.3g} V rms the held-out error falls from {one.errors_um[SIMULATION]:.3g} "
-            f"to {one.errors_um[STAGE]:.3g} µm, where the linear model at its best leaves "
-            f"{one.errors_um[LINEAR]:.3g} µm and the noise is {one.noise_um:.2g} µm."
+            f"to {one.errors_um[STAGE]:.3g} µm; the best linear model leaves "
+            f"{one.errors_um[LINEAR]:.3g} µm, and the noise is {one.noise_um:.2g} µm."
         )
     moved = first.resonance_hz and last.resonance_hz and abs(last.resonance_hz / first.resonance_hz - 1)
     if moved and moved > MOVED:

@@ -102,7 +102,7 @@ class MultiAxisOptions:
         for name, least in (("modes", 1), ("extra_elements", 0), ("seed", 0)):
             value = getattr(self, name)
             if not is_whole(value) or value < least:
-                raise ConfigError(f"{name}: found {value!r}, expected a whole number from {least} on")
+                raise ConfigError(f"{name}: found {value!r}, expected a whole number, {least} or more")
         if not is_number(self.seconds) or not self.seconds >= 0:
             raise ConfigError(f"seconds: found {self.seconds!r}, expected a number that is not negative")
         hertz = self.amplifier_hz
@@ -139,7 +139,7 @@ def identify(
     if not full:
         raise RecordingError(
             f"{recordings[0].name}: found {max(map(len, levels))} realisations at one amplitude, expected "
-            f"{inputs} at least, one for each input"
+            f"at least {inputs}, one for each input"
         )
     middle = full[len(full) // 2]
     linear, z, response = linear_stage(middle, options.modes)

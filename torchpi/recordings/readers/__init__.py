@@ -25,16 +25,14 @@ def open_source(path: str | Path) -> Source:
     kind = KINDS.get(file.suffix.lower())
     if kind is None:
         known = " ".join(KINDS)
-        raise RecordingError(
-            f"{name}: unknown kind of file '{file.suffix}', expected one of {known}; rename it"
-        )
+        raise RecordingError(f"{name}: unknown file type '{file.suffix}', expected one of {known}; rename it")
     if file.stat().st_size == 0:
         raise RecordingError(f"{name}: the file is empty; record or export it again")
     try:
         source: Source = importlib.import_module(f"torchpi.recordings.readers.{kind}").open_file(name)
         return source
     except PermissionError as error:
-        raise RecordingError(f"{name}: may not be read ({error.strerror}); change its permissions") from None
+        raise RecordingError(f"{name}: cannot be read ({error.strerror}); change its permissions") from None
 
 
 KINDS = {

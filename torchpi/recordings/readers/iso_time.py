@@ -33,7 +33,7 @@ def seconds_of(cells: np.ndarray) -> np.ndarray:
 def _moment(cell: str) -> np.datetime64:
     match = _STAMP.fullmatch(cell.strip().strip('"'))
     if match is None:
-        raise ValueError(f"'{cell}' is no time stamp")
+        raise ValueError(f"'{cell}' is not a time stamp")
     moment = np.datetime64(f"{match['date'] or '1970-01-01'}T{match['time'].replace(',', '.')}", "ns")
     if match["zone"] in (None, "Z"):
         return moment

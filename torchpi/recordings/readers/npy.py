@@ -36,7 +36,7 @@ class NpySource(ArraySource):
         else:
             shape = "×".join(map(str, stored.shape))
             raise RecordingError(
-                f"{path}: an array of {shape}, expected rows and columns; save one of two axes"
+                f"{path}: an array of {shape}, expected rows and columns; save a two-dimensional array"
             )
         super().__init__(path, list(self.columns))
 

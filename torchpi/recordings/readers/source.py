@@ -112,7 +112,7 @@ class ArraySource(Source):
                 shape = "×".join(map(str, stored.shape))
                 raise RecordingError(
                     f"{self.path}: '{name}': the index does not fit the array of {shape}; "
-                    f"expected one of the kind {match['name']}[{_example(stored.shape)}]"
+                    f"expected an index such as {match['name']}[{_example(stored.shape)}]"
                 ) from None
         stored = np.squeeze(stored)
         if stored.ndim > 1:

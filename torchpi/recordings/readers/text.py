@@ -84,7 +84,7 @@ class TextSource(Source):
         repeated = next((name for name, count in Counter(names).items() if name and count > 1), None)
         if repeated is not None:
             raise RecordingError(
-                f"{path}: row {self.skipped_lines}: the column name '{repeated}' stands twice, "
+                f"{path}: row {self.skipped_lines}: the column name '{repeated}' occurs twice, "
                 f"expected each name once; rename one"
             )
 
@@ -261,7 +261,7 @@ def text_encoding(path: str) -> str:
         return "utf-16"
     if b"\0" in head:
         raise RecordingError(
-            f"{path}: holds binary data, expected text; give the file the suffix of its kind"
+            f"{path}: holds binary data, expected text; give the file the suffix of its format"
         )
     try:
         head[: head.rfind(b"\n") + 1].decode("utf-8-sig")

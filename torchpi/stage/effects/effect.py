@@ -115,7 +115,7 @@ class Described:
     time_scale: ClassVar[TimeScale] = "any"
     """When it acts: "fast" with the rate of the input, "slow" over seconds and more, "static" at any rate."""
     needs: ClassVar[Needs] = Needs()
-    unseen: ClassVar[str] = "these recordings show nothing within its bounds"
+    unseen: ClassVar[str] = "these recordings show no sign of it within its bounds"
     """Why the effect is left out if `starts` returns nothing."""
     degenerate_with: ClassVar[tuple[str, ...]] = ()
     """Effects that in general cannot be told apart from this one by voltage and displacement alone."""

@@ -116,7 +116,7 @@ class MultiAxisStage(SavedStage):
         for name, shape in parameter_shapes(self.shapes).items():
             value = arrays[name]
             if value.shape != shape:
-                raise StageError(f"{name}: found an array of {value.shape}, expected {shape}")
+                raise StageError(f"{name}: found an array of shape {value.shape}, expected {shape}")
             if not np.isfinite(value).all():
                 raise StageError(f"{name}: found a value that is not finite, expected numbers")
             setattr(self, name, nn.Parameter(torch.from_numpy(value.copy())))
@@ -136,7 +136,7 @@ class MultiAxisStage(SavedStage):
                 raise StageError(f"{name}: found {arrays[name].ndim} dimensions, expected {expected}")
         ahead = arrays["ahead"].shape[2]
         if ahead > LOOKAHEAD:
-            raise StageError(f"ahead: found {ahead} samples, expected {LOOKAHEAD} at most")
+            raise StageError(f"ahead: found {ahead} samples, expected at most {LOOKAHEAD}")
         outputs, inputs = arrays["direct"].shape
         excess = len(self.input_thresholds_v) + 2 * len(self.crossover_v_per_s)
         functions = len(self.dead_zones) + len(self.thresholds) + len(self.times_s) + 1
@@ -235,7 +235,7 @@ class MultiAxisStage(SavedStage):
         """
         if u.ndim != 3 or u.shape[2] != self.inputs:
             raise StageError(
-                f"voltages: found an array of {tuple(u.shape)}, expected (batch, time, {self.inputs})"
+                f"voltages: found an array of shape {tuple(u.shape)}, expected (batch, time, {self.inputs})"
             )
         volts = u.detach().to(torch.float64).contiguous().numpy()
         if not np.isfinite(volts).all():
@@ -281,7 +281,7 @@ class MultiAxisStage(SavedStage):
 
         in_threads(run, len(driven))
         if not bounded.all():
-            raise StageError("voltages: found some without a bounded answer, expected smaller ones")
+            raise StageError("voltages: found some with an unbounded response, expected smaller ones")
         state.past += driven.shape[1]
         y += self.offset()
 

@@ -44,7 +44,8 @@ class MultiAxisStream:
         """
         if u.ndim != 2 or u.shape[1] != self.stage.inputs or not np.isfinite(u).all():
             raise StageError(
-                f"voltages: found an array of {u.shape}, expected finite numbers (time, {self.stage.inputs})"
+                f"voltages: found an array of shape {u.shape}, "
+                f"expected finite numbers (time, {self.stage.inputs})"
             )
         known = np.concatenate([self._late, u])
         driven, self._late = known[: len(u)], known[len(u) :]

@@ -1,4 +1,4 @@
-"""Creep: y₀ [1 + γ log₁₀(t / 0.1 s)] between its two times, one pole beside it, or both."""
+"""Creep: y₀ [1 + γ log₁₀(t / 0.1 s)] between two times, poles in parallel, a power law, or sums of these."""
 
 import math
 
@@ -25,7 +25,7 @@ class TestLaws(EffectLaws):
             slow_time_constant_s=6.0,
             power_per_decade=0.02,
             exponent=0.3,
-            from_s=0.004,  # by default one more pole comes in at any smaller time
+            from_s=0.004,  # at the default value, any smaller one adds a pole
         )
 
 
@@ -35,12 +35,12 @@ class TestLawsOfAnotherRange(EffectLaws):
 
 
 def logarithm(per_decade: float, period_s: float, until_s: float, **times: float) -> torch.Tensor:
-    """y(t) after a unit step, y[k] at t = k T."""
+    """Return y(t) after a unit step, y[k] at t = k T."""
     return Creep(period_s, per_decade=per_decade, **times)(step(round(until_s / period_s) + 1))[0][0].detach()
 
 
 @given(per_decade=st.floats(-0.05, 0.05))
-def test_every_decade_adds_its_share(per_decade):
+def test_creep_grows_by_the_given_share_in_every_decade(per_decade):
     for times in ({}, {"from_s": 0.1, "to_s": 100.0}):
         y = logarithm(per_decade, 1e-2, 100.0, **times)
         after = {seconds: y[round(seconds / 1e-2)].item() for seconds in (0.1, 1.0, 10.0, 100.0)}
@@ -50,7 +50,7 @@ def test_every_decade_adds_its_share(per_decade):
             assert after[10 * start] - after[start] == pytest.approx(per_decade, rel=0.06, abs=1e-12)
 
 
-def test_the_logarithm_is_followed_between_decades_too():
+def test_the_response_follows_the_logarithm_between_decades_too():
     y = logarithm(0.02, 1e-3, 10.0, from_s=0.01, to_s=100.0)
     t = torch.logspace(-1.5, 1, 40, dtype=torch.float64)
     found = y[(t / 1e-3).round().long()]
@@ -67,7 +67,7 @@ def test_its_poles_run_from_a_millisecond_to_a_thousand_seconds_by_default():
     )
 
 
-def test_a_pole_that_comes_in_at_the_far_end_is_no_jump():
+def test_the_gradient_is_continuous_where_a_pole_is_added_at_the_far_end():
     def moved(from_s):
         return Creep(1e-3, per_decade=0.03, from_s=from_s)(wandering(1, 200))[0].square().sum().item()
 
@@ -96,7 +96,7 @@ def test_unphysical_creep_is_refused(values, message):
 
 
 @given(gain=st.floats(0.001, 0.2), time_constant_s=st.floats(1e-3, 1e3))
-def test_one_pole_settles_as_an_exponential(gain, time_constant_s):
+def test_one_pole_settles_exponentially(gain, time_constant_s):
     period_s = 1e-2
     y = Creep(period_s, gain=gain, time_constant_s=time_constant_s)(step(400))[0][0].detach()
     z = period_s / time_constant_s
@@ -106,17 +106,17 @@ def test_one_pole_settles_as_an_exponential(gain, time_constant_s):
 
 
 @pytest.mark.parametrize("exponent", [0.05, 0.15, 0.3])
-def test_a_hold_creeps_by_the_power_law_over_three_decades(exponent):
+def test_creep_during_a_hold_follows_the_power_law_over_three_decades(exponent):
     y = Creep(1e-2, power_per_decade=0.02, exponent=exponent)(step(10_001))[0][0].detach()
     t = 1e-2 * torch.arange(10_001, dtype=torch.float64)
     expected = 0.02 * ((t / 0.1) ** exponent - 1) / (exponent * math.log(10))
     grown = y - y[10]
-    # Poles end at 1000 s: what lies beyond them is missing at the end of a long hold.
+    # The slowest pole is at 1000 s, so slower relaxations are missing at the end of a long hold.
     for k in (3, 30, 100, 1000, 10_000):
         assert grown[k].item() == pytest.approx((expected[k] - expected[10]).item(), rel=0.1)
 
 
-def test_a_small_exponent_is_the_logarithm():
+def test_with_a_small_exponent_the_power_law_approaches_the_logarithm():
     x = wandering(1, 400)
     log, power = Creep(0.01, per_decade=0.03), Creep(0.01, power_per_decade=0.03, exponent=0.02)
     assert (log(x)[0] - power(x)[0]).abs().max() < 0.1 * (log(x)[0] - x).abs().max()
@@ -131,12 +131,12 @@ def test_the_forms_in_use_are_named():
 
 
 @pytest.mark.parametrize("values", [{"per_decade": 0.02}, {"gain": 0.05, "time_constant_s": 0.3}])
-def test_tangent_of_either_kind_alone_is_the_effect_itself(values):
+def test_the_tangent_of_either_form_alone_equals_the_effect(values):
     effect, dx = Creep(0.01, **values), wandering(3, 200)
     torch.testing.assert_close(effect.tangent(dx[:1], dx), effect(dx)[0].detach(), rtol=0, atol=1e-14)
 
 
-def test_forms_add_up():
+def test_the_contributions_of_the_forms_add_up():
     x = wandering(1, 300)
     log, pole = {"per_decade": 0.02}, {"gain": 0.05, "time_constant_s": 0.3}
     slow = {"slow_gain": 0.03, "slow_time_constant_s": 4.0}
@@ -144,7 +144,7 @@ def test_forms_add_up():
     torch.testing.assert_close(Creep(0.01, **log, **pole, **slow)(x)[0] - x, parts, rtol=0, atol=1e-14)
 
 
-def test_either_pole_is_the_same_pole():
+def test_both_poles_respond_alike_for_equal_values():
     x = wandering(1, 300)
     first = Creep(0.01, gain=0.05, time_constant_s=0.3)(x)[0]
     torch.testing.assert_close(
@@ -152,8 +152,8 @@ def test_either_pole_is_the_same_pole():
     )
 
 
-def test_a_pole_that_is_over_before_the_voltage_moves_is_a_lag():
-    """On a sine of 1 Hz a pole of 35 ms is late, whatever share of the travel it is; jumps show the share."""
+def test_a_pole_faster_than_the_voltage_does_not_count_as_creep():
+    """On a 1 Hz sine, a pole of 35 ms acts as a lag whatever its gain; jumps reveal the gain."""
     sine, jumps = (DataRange(1e4, 10.0, 0, 10, 1, 0, 10, {}, quickest_s=one) for one in (0.16, 1e-3))
     quick, slow = ({"gain": 0.4, "time_constant_s": tau} for tau in (0.035, 0.2))
     assert not Creep.reached(quick, sine) and Creep.reached(slow, sine) and Creep.reached(quick, jumps)

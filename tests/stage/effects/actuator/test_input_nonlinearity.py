@@ -15,7 +15,7 @@ class TestLaws(EffectLaws):
         return InputNonlinearity(PERIOD_S, c2_per_v=0.05, c3_per_v2=-0.02)
 
 
-def test_a_cosine_gains_the_harmonics_of_a_square_and_a_cube():
+def test_a_cosine_acquires_the_harmonics_of_its_square_and_cube():
     turn = 2 * math.pi * torch.arange(64, dtype=torch.float64) / 64
     y = InputNonlinearity(1e-4, c2_per_v=0.1, c3_per_v2=0.04)(2 * torch.cos(turn)[None])[0][0]
     lines = torch.fft.rfft(y).real / 32
@@ -29,5 +29,5 @@ def test_a_search_starts_at_one_per_cent_of_full_voltage():
         assert y.item() == pytest.approx(8 * (1 + 0.01 * len(start)), rel=1e-12)
 
 
-def test_it_bends_the_voltage_that_the_plays_see():
+def test_it_acts_on_the_voltage_before_the_hysteresis():
     assert InputNonlinearity.before_hysteresis

@@ -20,7 +20,7 @@ class TestLaws(EffectLaws):
 
 
 @given(corner_hz=st.floats(0.003, 5.0))
-def test_it_is_the_high_pass_that_scipy_simulates(corner_hz):
+def test_the_response_matches_the_high_pass_simulated_by_scipy(corner_hz):
     period_s, x = 0.05, wandering(1, 200)
     omega = 2 * math.pi * corner_hz
     _, wanted, _ = scipy.signal.lsim(([1.0, 0.0], [1.0, omega]), x[0].numpy(), period_s * np.arange(200))
@@ -28,13 +28,13 @@ def test_it_is_the_high_pass_that_scipy_simulates(corner_hz):
     np.testing.assert_allclose(y, wanted, rtol=0, atol=1e-12)
 
 
-def test_a_hold_decays_to_nothing_with_the_time_constant_of_the_corner():
+def test_a_held_displacement_decays_to_zero_with_the_time_constant_of_the_corner():
     y = Leakage(1e-2, corner_hz=0.1)(step(3001))[0][0]
     assert (y[1000] / y[0]).item() == pytest.approx(math.exp(-2 * math.pi * 0.1 * 10), rel=1e-9)
     assert abs(y[-1].item()) < 1e-8
 
 
-def test_a_corner_far_below_the_sample_rate_keeps_its_precision():
+def test_a_corner_far_below_the_sample_rate_loses_no_precision():
     y = Leakage(1e-6, corner_hz=0.003)(step(1001))[0][0]
     lost = 1 - torch.exp(-2 * math.pi * 0.003e-6 * (torch.arange(1001, dtype=torch.float64) + 0.5))
     torch.testing.assert_close(1 - y.detach(), lost, rtol=1e-4, atol=1e-15)

@@ -1,4 +1,4 @@
-"""Amplifier lag: a first-order lag of a held command."""
+"""Amplifier lag: one pole or two that act on a held command."""
 
 import math
 from itertools import pairwise
@@ -20,7 +20,7 @@ class TestOnePoleLaws(EffectLaws):
     def operator(self) -> AmplifierLag:
         return fixed(AmplifierLag(PERIOD_S, cutoff_hz=1.3), "damping_ratio")
 
-    def test_saved_parameters_serve_any_sample_rate(self):
+    def test_saved_parameters_are_valid_at_any_sample_rate(self):
         held = wandering(1, 200)
         fine = AmplifierLag(PERIOD_S / 10, cutoff_hz=1.3)(held.repeat_interleave(10, 1))[0][:, 9::10]
         torch.testing.assert_close(fine, self.operator()(held)[0], rtol=0, atol=1e-12)
@@ -30,7 +30,7 @@ class TestTwoPolesLaws(EffectLaws):
     def operator(self) -> AmplifierLag:
         return AmplifierLag(PERIOD_S, cutoff_hz=1.3, damping_ratio=0.6)
 
-    def test_saved_parameters_serve_any_sample_rate(self):
+    def test_saved_parameters_are_valid_at_any_sample_rate(self):
         held = wandering(1, 200)
         fine = AmplifierLag(PERIOD_S / 10, cutoff_hz=1.3, damping_ratio=0.6)(held.repeat_interleave(10, 1))[0]
         torch.testing.assert_close(fine[:, 9::10], self.operator()(held)[0], rtol=0, atol=1e-11)
@@ -43,7 +43,7 @@ def test_a_step_settles_as_one_exponential(cutoff_hz, fs_hz):
     torch.testing.assert_close(y.detach(), -torch.expm1(-2 * math.pi * cutoff_hz * t), rtol=0, atol=1e-12)
 
 
-def test_it_is_the_low_pass_that_scipy_simulates_for_a_held_command():
+def test_one_pole_matches_the_low_pass_simulated_by_scipy_for_a_held_command():
     x, omega = wandering(1, 200), 2 * math.pi * 20.0
     _, wanted, _ = scipy.signal.lsim(
         ([omega], [1.0, omega]), np.r_[x[0].numpy(), 0.0], 0.01 * np.arange(201), interp=False
@@ -53,7 +53,7 @@ def test_it_is_the_low_pass_that_scipy_simulates_for_a_held_command():
 
 
 @pytest.mark.parametrize("damping_ratio", [0.4, 0.7, 1.0, 3.0])
-def test_two_poles_are_the_low_pass_that_scipy_simulates_for_a_held_command(damping_ratio):
+def test_two_poles_match_the_low_pass_simulated_by_scipy_for_a_held_command(damping_ratio):
     x, omega = wandering(1, 200), 2 * math.pi * 20.0
     transfer = ([1.0], [1 / (2 * damping_ratio * omega) ** 2, 1 / omega, 1.0])
     _, expected, _ = scipy.signal.lsim(
@@ -77,20 +77,20 @@ def test_two_poles_settle_at_the_command_however_fast_they_are(cutoff_hz, dampin
         assert y[0, -1].item() == pytest.approx(1.0, abs=1e-6)
 
 
-def test_much_damping_is_one_pole():
+def test_with_much_damping_two_poles_act_like_one():
     x = wandering(1, 300)
     one, two = (AmplifierLag(0.01, cutoff_hz=2.0, **more)(x)[0] for more in ({}, {"damping_ratio": 10.0}))
     assert (two - one).abs().max().item() < 0.01 * one.abs().max().item()
 
 
-def test_the_form_is_the_number_of_poles():
+def test_the_form_states_the_number_of_poles():
     assert AmplifierLag.form({}) == ""
     assert AmplifierLag.form({"cutoff_hz": 20.0}) == "one pole"
     assert AmplifierLag.form({"cutoff_hz": 20.0, "damping_ratio": 1.0}) == "two poles"
 
 
 @pytest.mark.parametrize(("fs_hz", "duration_s"), [(200.0, 130.0), (2e3, 1.0), (5e4, 0.05)])
-def test_a_search_starts_from_a_third_of_the_sample_rate_to_what_a_recording_lasts(
+def test_search_starts_span_one_over_the_duration_to_a_third_of_the_sample_rate(
     fs_hz: float, duration_s: float
 ) -> None:
     starts = AmplifierLag.starts(DataRange(fs_hz, duration_s, 0, 1, 1, 0, 1, {}))

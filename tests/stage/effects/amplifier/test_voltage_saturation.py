@@ -1,4 +1,4 @@
-"""Voltage saturation: flat beyond the supply."""
+"""Voltage saturation: constant beyond the limits of the supply."""
 
 import math
 
@@ -18,7 +18,7 @@ class TestHardLaws(EffectLaws):
     def operator(self) -> VoltageSaturation:
         return fixed(VoltageSaturation(PERIOD_S, low_v=-0.8, high_v=1.1), "knee_v")
 
-    def test_saved_parameters_serve_any_sample_rate(self):
+    def test_saved_parameters_are_valid_at_any_sample_rate(self):
         x, fast = wandering(1, 50), VoltageSaturation(PERIOD_S / 10, low_v=-0.8, high_v=1.1)
         assert torch.equal(fast(x)[0], self.operator()(x)[0])
 
@@ -27,12 +27,12 @@ class TestSoftLaws(EffectLaws):
     def operator(self) -> VoltageSaturation:
         return VoltageSaturation(PERIOD_S, low_v=-0.8, high_v=1.1, knee_v=0.2)
 
-    def test_saved_parameters_serve_any_sample_rate(self):
+    def test_saved_parameters_are_valid_at_any_sample_rate(self):
         x, fast = wandering(1, 50), VoltageSaturation(PERIOD_S / 10, low_v=-0.8, high_v=1.1, knee_v=0.2)
         assert torch.equal(fast(x)[0], self.operator()(x)[0])
 
 
-def test_a_round_corner_has_half_the_slope_at_its_limit_and_is_hard_far_from_it():
+def test_a_soft_limit_has_half_the_slope_at_the_limit_and_is_hard_far_from_it():
     effect = VoltageSaturation(0.1, low_v=-5.0, high_v=3.0, knee_v=0.1)
     x = torch.tensor([[-50.0, -3.0, 0.0, 1.0, 3.0, 50.0]], dtype=torch.float64, requires_grad=True)
     v = effect(x)[0]
@@ -49,14 +49,14 @@ def test_a_soft_limit_rises_with_the_command_and_stays_between_its_limits(x, low
     assert a >= low
 
 
-def test_a_soft_limit_has_to_lie_within_what_was_commanded_and_to_leave_a_straight_part():
+def test_a_soft_limit_must_lie_within_the_commands_and_leave_a_linear_part():
     seen = DataRange(1e3, 1.0, -2.0, 8.0, 1, 0, 1, {})
     for high_v, knee_v, reached in ((7.0, 0.5, True), (9.0, 0.5, False), (7.0, 5.0, False)):
         assert VoltageSaturation.reached({"high_v": high_v, "knee_v": knee_v}, seen) is reached
     assert VoltageSaturation.reached({"high_v": 9.0}, seen)
 
 
-def test_a_limit_takes_the_gradient_of_what_it_holds():
+def test_clipped_samples_pass_their_gradient_to_the_limit():
     effect = VoltageSaturation(0.1, low_v=-2.0, high_v=12.0)
     x = torch.tensor([[-3.0, -2.5, 0.5, 11.0, 13.0]], dtype=torch.float64, requires_grad=True)
     v = effect(x)[0]
@@ -76,7 +76,7 @@ def test_limits_out_of_order_are_refused():
         VoltageSaturation(0.1, low_v=2.0, high_v=1.0)
 
 
-def test_a_search_tries_either_limit_and_both():
+def test_a_search_tries_either_limit_and_both_each_hard_and_soft():
     starts = VoltageSaturation.starts(DataRange(1e3, 1.0, -2.0, 8.0, 1, 0, 1, {}))
     limits = [{"high_v"}, {"low_v"}, {"low_v", "high_v"}]
     assert {frozenset(start) for start in starts} == {

@@ -14,7 +14,7 @@ class TestLaws(EffectLaws):
         return CrossCoupling(PERIOD_S, coupling_um_per_v=0.2)
 
 
-def test_the_other_signal_is_added_and_has_its_gradients():
+def test_the_other_signal_is_added_with_exact_gradients():
     effect = CrossCoupling(0.1, coupling_um_per_v=0.2)
     x, aux = wandering(2, 30), wandering(2, 30, seed=1)
     torch.testing.assert_close(effect(x, aux=aux)[0].detach(), x + 0.2 * aux, rtol=0, atol=1e-15)
@@ -26,7 +26,7 @@ def test_the_other_signal_is_added_and_has_its_gradients():
     assert torch.autograd.gradcheck(output, inputs)
 
 
-def test_without_values_nothing_is_added_and_the_gradient_is_the_other_signal():
+def test_at_zero_coupling_nothing_is_added_and_the_gradient_is_the_other_signal():
     effect, x, aux = CrossCoupling(0.1), wandering(1, 30), wandering(1, 30, seed=1)
     y = effect(x, aux=aux)[0]
     assert torch.equal(y, x)
@@ -34,6 +34,6 @@ def test_without_values_nothing_is_added_and_the_gradient_is_the_other_signal():
     assert effect.coupling_um_per_v.grad.item() == aux[0, 7].item()
 
 
-def test_a_search_starts_where_one_percent_of_the_travel_is_coupled():
+def test_a_search_starts_at_a_coupling_of_one_per_cent_of_the_travel():
     seen = DataRange(1e4, 1.0, 0, 1, 1, 0, 20.0, {"aux_v": 0.5})
     assert CrossCoupling.starts(seen) == [{"coupling_um_per_v": pytest.approx(0.4)}]

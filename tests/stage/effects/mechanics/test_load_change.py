@@ -1,4 +1,4 @@
-"""Load change: a spring takes its part of the displacement and raises the frequency."""
+"""Load change: a spring load reduces the displacement and raises the frequency."""
 
 import torch
 from hypothesis import given
@@ -21,5 +21,5 @@ def test_the_gain_is_that_of_two_springs(actuator, share):
     torch.testing.assert_close(effect(x)[0].detach(), actuator / (actuator + load) * x, rtol=1e-12, atol=0)
 
 
-def test_it_is_another_number_in_each_recording():
+def test_each_recording_has_a_stiffness_ratio_of_its_own():
     assert LoadChange.per_recording == ("stiffness_ratio",)

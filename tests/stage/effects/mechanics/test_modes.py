@@ -1,4 +1,4 @@
-"""Modes that several inputs drive: superposition, one kernel or many with the same bits, slopes."""
+"""Modes driven by several inputs: superposition, the same bits from every kernel, sensitivities."""
 
 from typing import Any
 
@@ -32,7 +32,7 @@ class TestLaws(OperatorLaws):
         return Modes(PERIOD_S, PARTS)
 
 
-def test_one_mode_beside_the_stiff_path_is_a_second_mode():
+def test_one_mode_parallel_to_the_stiff_path_equals_a_second_mode():
     x, values = wandering(2, 300), {"frequency_hz": 90.0, "damping_ratio": 0.02, "share": 0.3}
     wanted = SecondMode(PERIOD_S, **values)(x)[0]
     torch.testing.assert_close(
@@ -55,7 +55,7 @@ def test_inputs_and_modes_superpose():
     torch.testing.assert_close(y, wanted, rtol=0, atol=1e-11)
 
 
-def test_without_modes_a_coupling_is_a_cross_coupling():
+def test_without_modes_a_coupling_equals_a_cross_coupling():
     x, a = wandering(2, 30), wandering(2, 30, seed=1)
     modes = Modes(PERIOD_S, [Part(ModalCoupling, {"coupling_um_per_v": 0.3}, "aux_a")])
     y = modes(x, None, [a])[0]
@@ -67,7 +67,7 @@ def test_without_modes_a_coupling_is_a_cross_coupling():
 
 
 @pytest.mark.parametrize("hold", ["first", "end"])
-def test_with_and_without_gradients_it_gives_the_same_bits(hold):
+def test_the_output_has_the_same_bits_with_and_without_gradients(hold):
     modes, x, a = Modes(PERIOD_S, PARTS), wandering(11, 200), wandering(11, 200, seed=1)
     modes.hold = hold
     y, state = modes(x, None, [a])
@@ -77,7 +77,7 @@ def test_with_and_without_gradients_it_gives_the_same_bits(hold):
     assert torch.equal(torch.cat([first, second], 1), y) and torch.equal(after, state)
 
 
-def test_gradients_are_those_of_finite_differences():
+def test_gradients_match_finite_differences():
     modes, x, a = Modes(PERIOD_S, PARTS), wandering(1, 25), wandering(1, 25, seed=1)
     names = [name for name, _ in modes.named_parameters()]
 
@@ -88,7 +88,7 @@ def test_gradients_are_those_of_finite_differences():
     assert torch.autograd.gradcheck(output, inputs)
 
 
-def test_slopes_are_how_the_output_moves_with_each_number():
+def test_slopes_match_finite_differences_in_each_parameter():
     x, a = wandering(1, 200), wandering(1, 200, seed=1)
     slopes = Modes(PERIOD_S, PARTS).slopes(x, [a])
     assert {name for part, name in slopes if part == 0} == ModalCoupling.of_modes([1, 2])
@@ -104,14 +104,14 @@ def test_slopes_are_how_the_output_moves_with_each_number():
         torch.testing.assert_close(slope, wanted, rtol=0, atol=2e-4 * float(wanted.abs().max()))
 
 
-def test_its_parts_are_read_back_without_what_is_said_of_a_mode_that_is_not_there():
+def test_parts_are_read_back_without_parameters_of_absent_modes():
     modes = Modes(PERIOD_S, PARTS)
     assert modes.part_values(0) == {"mode1_rate_um_per_v": 0.0, **COUPLED}
     assert modes.part_values(2) == {"rate_share": 0.0, **SECOND.values}
     assert "mode1_um_per_v" not in Modes(PERIOD_S, [OTHER, SECOND]).part_values(0)
 
 
-def test_a_number_out_of_bounds_or_unknown_is_refused_by_name():
+def test_a_parameter_out_of_bounds_or_unknown_is_named_in_the_error():
     with pytest.raises(StageError, match=r"^damping_ratio: found 2, expected"):
         Modes(PERIOD_S, [Part(ModalResonance, {"damping_ratio": 2.0})])
     with pytest.raises(StageError, match="gain"):

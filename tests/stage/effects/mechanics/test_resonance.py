@@ -1,4 +1,4 @@
-"""Resonance: a mode in series, against its closed form; peaks of a residual."""
+"""Resonance: a mode in series, compared with its closed form; peaks of a residual."""
 
 import math
 
@@ -35,20 +35,20 @@ class TestLawsInThePlaceOfAnother(EffectLaws):
 
 
 @given(frequency_hz=st.floats(100.0, 800.0), replaced_hz=st.floats(100.0, 800.0))
-def test_behind_a_mode_it_stands_in_that_ones_place(frequency_hz, replaced_hz):
+def test_in_series_with_the_mode_that_it_replaces_only_the_new_mode_remains(frequency_hz, replaced_hz):
     x = wandering(1, 4000)
     own, replaced = (
         {"frequency_hz": frequency_hz, "damping_ratio": 0.02},
         {"frequency_hz": replaced_hz, "damping_ratio": 0.05},
     )
     other = {f"replaced_{name}": value for name, value in replaced.items()}
-    # A hundredth of the shortest period: what an input does between samples no longer matters.
+    # At a hundredth of the shortest period, the course of the input between samples does not matter.
     y = Resonance(1e-5, **own, **other)(Resonance(1e-5, **replaced)(x)[0])[0]
     torch.testing.assert_close(y, Resonance(1e-5, **own)(x)[0], rtol=0, atol=2e-3)
 
 
 @given(frequency_hz=st.floats(5.0, 2e3), damping_ratio=st.floats(0.001, 0.29))
-def test_a_ramp_rings_as_the_closed_form_says(frequency_hz, damping_ratio):
+def test_the_response_to_a_ramp_matches_the_closed_form(frequency_hz, damping_ratio):
     t = torch.arange(500, dtype=torch.float64) / 1e4
     y = Resonance(1e-4, frequency_hz=frequency_hz, damping_ratio=damping_ratio)(t[None])[0][0]
     omega = 2 * math.pi * frequency_hz
@@ -61,7 +61,7 @@ def test_a_ramp_rings_as_the_closed_form_says(frequency_hz, damping_ratio):
 
 
 @given(frequency_hz=st.floats(400, 800), damping_ratio=st.floats(0.005, 0.05))
-def test_a_step_rings_at_the_damped_frequency_and_decays_by_the_damping(frequency_hz, damping_ratio):
+def test_a_step_rings_at_the_damped_frequency_and_decays_with_the_damping(frequency_hz, damping_ratio):
     fs_hz = 100_000.0
     y = Resonance(1 / fs_hz, frequency_hz=frequency_hz, damping_ratio=damping_ratio)(step(20_000))[0][0]
     e = y.detach().numpy() - 1.0
@@ -76,7 +76,7 @@ def test_a_step_rings_at_the_damped_frequency_and_decays_by_the_damping(frequenc
     assert decrement / math.sqrt(4 * math.pi**2 + decrement**2) == pytest.approx(damping_ratio, rel=0.02)
 
 
-def test_response_is_that_of_control():
+def test_the_response_matches_python_control():
     frequency_hz, damping_ratio, period_s = 620.0, 0.02, 1e-4
     u = wandering(1, 500)
     omega = 2 * math.pi * frequency_hz
@@ -86,7 +86,7 @@ def test_response_is_that_of_control():
     np.testing.assert_allclose(y[0].detach().numpy(), wanted, rtol=0, atol=1e-9)
 
 
-def test_a_stage_may_have_a_mode_without_damping_or_one_that_hardly_rings():
+def test_a_mode_may_be_undamped_or_hardly_ring():
     undamped = Resonance(1e-4, frequency_hz=620.0, damping_ratio=0.0)(step(20_000))[0]
     assert undamped[0, -1000:].max().item() == pytest.approx(2.0, abs=0.02)
     stiff = Resonance(1e-4, frequency_hz=620.0, damping_ratio=0.7)(step(20_000))[0]
@@ -107,7 +107,7 @@ def test_an_unphysical_mode_is_refused(frequency_hz, damping_ratio, message):
 
 
 @pytest.mark.parametrize("frequency_hz", [480.0, 500.0, 1e3, 1e5])
-def test_a_mode_at_or_above_half_of_the_sample_rate_does_no_harm(frequency_hz):
+def test_a_mode_near_or_above_half_the_sample_rate_stays_bounded(frequency_hz):
     x = wandering(1, 2000)
     effect = Resonance(1e-3, frequency_hz=frequency_hz, damping_ratio=0.01)
     y = effect(x)[0]
@@ -117,7 +117,7 @@ def test_a_mode_at_or_above_half_of_the_sample_rate_does_no_harm(frequency_hz):
 
 
 @given(seed=st.integers(0, 10**6), frequency_hz=st.floats(120.0, 3e3))
-def test_the_mode_in_noise_is_the_first_peak_of_its_residual(seed, frequency_hz):
+def test_the_first_peak_of_a_noisy_residual_is_at_the_mode(seed, frequency_hz):
     generator = torch.Generator().manual_seed(seed)
     x = 0.01 * torch.randn(1, 40_000, dtype=torch.float64, generator=generator).cumsum(1)
     residual = Resonance(1e-4, frequency_hz=frequency_hz, damping_ratio=0.01)(x)[0][0] - x[0]
@@ -125,7 +125,7 @@ def test_the_mode_in_noise_is_the_first_peak_of_its_residual(seed, frequency_hz)
     assert peaks_hz(residual + noise, 1e4)[0] == pytest.approx(frequency_hz, rel=0.02)
 
 
-def test_a_search_starts_at_the_peaks_that_it_is_given_or_on_a_grid():
+def test_a_search_starts_at_given_peaks_or_on_a_grid():
     grid = [start["frequency_hz"] for start in Resonance.starts(SEEN)]
     assert grid[0] == pytest.approx(100.0) and grid[-1] == pytest.approx(5e3)
     assert [start["frequency_hz"] for start in Resonance.starts_at(SEEN, [321.0, 1e5])] == [321.0]

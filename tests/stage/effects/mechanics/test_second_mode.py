@@ -16,13 +16,13 @@ class TestLaws(EffectLaws):
         return SecondMode(PERIOD_S, share=0.3, **MODE)
 
 
-def test_it_is_the_weighted_mean_of_the_input_and_of_a_resonance():
+def test_the_output_is_the_weighted_mean_of_the_input_and_a_resonance():
     x = wandering(2, 300)
     y, through = SecondMode(0.1, share=0.3, **MODE)(x)[0], Resonance(0.1, **MODE)(x)[0]
     torch.testing.assert_close(y, 0.7 * x + 0.3 * through, rtol=0, atol=1e-12)
 
 
-def test_without_values_the_gradient_to_the_share_is_what_a_mode_would_change():
+def test_at_zero_share_the_gradient_is_the_change_that_a_mode_would_make():
     effect, x = SecondMode(1e-4), wandering(1, 60)
     effect(x)[0][0, 50].backward()
     change = Resonance(1e-4, **{name: effect.identity[name] for name in MODE})(x)[0] - x

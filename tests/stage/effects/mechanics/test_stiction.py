@@ -1,4 +1,4 @@
-"""Stiction: stuck after a reversal, back at the input after the breakaway."""
+"""Stiction: the output sticks after a reversal and returns to the input after the breakaway."""
 
 import pytest
 import torch
@@ -24,7 +24,7 @@ def test_it_sticks_at_a_reversal_jumps_back_and_follows():
 
 
 @given(breakaway_um=st.floats(0.0, 3.0), seed=st.integers(0, 10**6))
-def test_the_output_is_the_input_or_less_than_the_breakaway_from_it(breakaway_um, seed):
+def test_the_output_moves_only_to_the_input_and_stays_within_the_breakaway_of_it(breakaway_um, seed):
     x = wandering(1, 200, seed)
     y = Stiction(0.1, breakaway_um=breakaway_um)(x)[0]
     assert bool(((y == x) | ((y - x).abs() < breakaway_um)).all())
@@ -33,13 +33,13 @@ def test_the_output_is_the_input_or_less_than_the_breakaway_from_it(breakaway_um
 
 
 @given(seed=st.integers(0, 10**6))
-def test_with_friction_of_its_own_size_it_is_a_play(seed):
+def test_with_sliding_friction_equal_to_the_breakaway_it_is_a_play(seed):
     x = wandering(1, 200, seed)
     y = Stiction(0.1, breakaway_um=0.3, sliding_um=0.3)(x)[0]
     torch.testing.assert_close(y, PlayBank([0.3])(x)[0][..., 0], rtol=0, atol=1e-12)
 
 
-def test_resting_in_every_sample_it_moves_in_jumps():
+def test_if_it_rests_at_every_sample_it_moves_in_jumps():
     x = torch.arange(0.0, 3.0, 0.25, dtype=torch.float64)[None]
     y = Stiction(0.1, breakaway_um=1.0, rests=1.0)(x)[0]
     assert y[0].tolist() == [0.0] * 4 + [1.0] * 4 + [2.0] * 4
@@ -51,12 +51,12 @@ def test_the_form_is_breakaway_or_stick_slip():
     assert Stiction.form({"breakaway_um": 0.1, "rests": 1.0}) == "stick-slip"
 
 
-def test_a_rest_is_no_reversal():
+def test_a_rest_does_not_count_as_a_reversal():
     x = wandering(1, 200)
     effect = Stiction(0.1, breakaway_um=0.2)
     assert torch.equal(effect(x.repeat_interleave(3, 1))[0][:, 2::3], effect(x)[0])
 
 
-def test_a_search_starts_at_small_shares_of_the_travel():
+def test_a_search_starts_at_small_fractions_of_the_travel():
     sizes = [start["breakaway_um"] for start in Stiction.starts(DataRange(1e4, 1.0, 0, 1, 1, 0, 20.0, {}))]
     assert sizes[0] == pytest.approx(0.02) and sizes[-1] == pytest.approx(0.4)

@@ -1,4 +1,4 @@
-"""Gain modulation: a slow signal that the voltage does not drive, on the gain or beside it."""
+"""Gain modulation: a slow signal, not driven by the voltage, that scales or shifts the displacement."""
 
 import math
 
@@ -29,7 +29,7 @@ class TestLaws(EffectLaws):
         )
 
 
-def test_it_is_amplitude_modulation_by_one_line():
+def test_the_gain_is_modulated_at_one_frequency():
     x = wandering(1, 400)
     y = GainModulation(0.01, frequency_hz=3.0, cos=0.02, sin=-0.01)(x)[0]
     phase = 2 * math.pi * 3.0 * 0.01 * torch.arange(400, dtype=torch.float64)
@@ -37,24 +37,24 @@ def test_it_is_amplitude_modulation_by_one_line():
     torch.testing.assert_close(y, expected, rtol=0, atol=1e-12)
 
 
-def test_the_multiplicative_forms_leave_a_stage_at_zero_alone_and_the_additive_one_does_not():
+def test_only_the_additive_form_moves_a_stage_at_zero():
     x = torch.zeros(1, 100, dtype=torch.float64)
     knots = dict.fromkeys(KNOT_NAMES, 0.1)
     assert torch.equal(GainModulation(0.01, cos=0.1, **knots)(x)[0], x)
     assert GainModulation(0.01, cos_um=0.1)(x)[0][0, 0].item() == pytest.approx(0.1)
 
 
-def test_what_a_recording_has_for_itself_is_its_size_and_phase_not_its_frequency():
+def test_recordings_have_their_own_amplitude_and_phase_but_share_the_frequency():
     assert "frequency_hz" not in GainModulation.per_recording
     assert {"cos", "sin", "cos_um", "sin_um", *KNOT_NAMES} == {*GainModulation.per_recording}
 
 
-def test_every_start_has_one_form_and_none_is_a_walk_that_takes_the_place_of_all_that_is_slow():
+def test_every_start_has_one_form_and_every_form_but_the_random_walk_has_a_start():
     forms = [GainModulation.form(start) for start in GainModulation.starts(SEEN)]
     assert set(forms) == set(GainModulation.forms) - {"random walk"}
 
 
-def test_a_search_starts_at_lines_of_two_periods_and_more_below_half_of_the_sample_rate():
+def test_a_search_starts_at_lines_of_at_least_two_periods_below_half_the_sample_rate():
     lines = {s["frequency_hz"] for s in GainModulation.starts(SEEN) if "frequency_hz" in s}
     assert lines == {0.2, 0.6, 2.0, 6.0, 20.0}
     slow = DataRange(10.0, 20.0, 0, 1, 1, 0, 20, {})
@@ -62,13 +62,13 @@ def test_a_search_starts_at_lines_of_two_periods_and_more_below_half_of_the_samp
     assert GainModulation.starts(DataRange(1e3, 0.1, 0, 1, 1, 0, 20, {})) == []
 
 
-def test_starts_at_given_lines_leave_out_what_is_no_slow_line():
+def test_given_lines_that_are_too_slow_or_too_fast_are_left_out():
     found = {s["frequency_hz"] for s in GainModulation.starts_at(SEEN, [1e-3, 3.1, 50.0], [7.0])}
     assert found == {3.1, 7.0}
 
 
 @pytest.mark.parametrize("frequency_hz", [0.31, 3.07, 17.3])
-def test_the_line_of_a_modulation_is_read_off_the_residual(frequency_hz):
+def test_the_frequency_of_a_modulation_is_found_in_the_residual(frequency_hz):
     t = np.arange(10_000) / 1e3
     x = 10 + 8 * np.sin(2 * np.pi * 1.7 * t) * np.cos(2 * np.pi * 0.23 * t)
     e = 0.01 * x * np.cos(2 * np.pi * frequency_hz * t + 0.4) + 0.03 * x
@@ -78,7 +78,7 @@ def test_the_line_of_a_modulation_is_read_off_the_residual(frequency_hz):
     assert len(lines) <= 4 and len(modulation_hz(e, x, 1e3, count=2)) <= 2
 
 
-def test_a_line_is_read_off_the_residual_between_larger_ones_that_the_command_has():
+def test_a_line_is_found_in_the_residual_between_larger_lines_of_the_command():
     t = np.arange(12_000) / 1e3
     rng = np.random.default_rng(0)
     phase, lines = rng.uniform(0, 6, 20), np.arange(1, 21) * 11 / 12

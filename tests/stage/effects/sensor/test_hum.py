@@ -1,4 +1,4 @@
-"""Hum: one line of the mains, on the clock of the recording."""
+"""Hum: a line of the mains whose phase follows the clock of the recording."""
 
 import math
 
@@ -24,7 +24,7 @@ class TestLaws(EffectLaws):
         return Hum(PERIOD_S, frequency_hz=50.7, **sizes)
 
 
-def test_the_spectrum_shows_one_line_of_its_size_and_phase():
+def test_the_spectrum_shows_one_line_of_the_given_amplitude_and_phase():
     time, period_s = 1000, 1e-3
     y = Hum(period_s, frequency_hz=60.0, cos_um=0.02, sin_um=0.05)(torch.zeros(1, time, dtype=torch.float64))[
         0
@@ -44,7 +44,7 @@ def test_the_line_is_still_in_phase_after_an_hour():
     assert after.item() == 3600 * 10_000 + 200
 
 
-def test_recordings_that_began_at_other_times_are_told_apart():
+def test_each_row_has_the_phase_of_its_own_elapsed_time():
     x, elapsed = wandering(2, 50), torch.tensor([[0.0], [7.0]], dtype=torch.float64)
     effect = Hum(1e-3, frequency_hz=50.0, cos_um=0.1, sin_um=0.2)
     whole = effect(torch.zeros(1, 57, dtype=torch.float64))[0][0]
@@ -52,7 +52,7 @@ def test_recordings_that_began_at_other_times_are_told_apart():
     torch.testing.assert_close(line, torch.stack([whole[:50], whole[7:]]), rtol=0, atol=1e-15)
 
 
-def test_a_search_starts_at_lines_that_the_sample_rate_shows():
+def test_a_search_starts_at_lines_below_half_the_sample_rate():
     starts = Hum.starts(DataRange(350.0, 1.0, 0, 1, 1, 0, 10, {}))
     lines = [start["frequency_hz"] for start in starts if Hum.form(start) == "one line"]
     with_harmonics = [start["frequency_hz"] for start in starts if Hum.form(start) == "with harmonics"]

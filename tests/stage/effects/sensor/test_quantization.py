@@ -1,4 +1,4 @@
-"""Quantization: readings on a lattice, and the step of the lattice that recorded readings lie on."""
+"""Quantisation: readings on a lattice, and the lattice step estimated from recorded readings."""
 
 import numpy as np
 import pytest
@@ -18,7 +18,7 @@ class TestLaws(EffectLaws):
     def operator(self) -> Quantization:
         return Quantization(PERIOD_S, lsb_um=0.03, offset_um=0.011)
 
-    def test_tangent_is_what_finite_differences_of_the_output_say(self):
+    def test_the_tangent_matches_finite_differences_of_the_output(self):
         x, dx = wandering(1, 200), wandering(3, 200, seed=1)
         assert torch.equal(self.operator().tangent(x, dx), dx)  # straight-through
 
@@ -31,7 +31,7 @@ class TestLaws(EffectLaws):
 
 
 @given(lsb_um=st.floats(1e-4, 1.0), offset_um=st.floats(-1.0, 1.0))
-def test_every_reading_is_the_nearest_place_of_the_lattice(lsb_um, offset_um):
+def test_every_reading_is_the_nearest_lattice_point(lsb_um, offset_um):
     x = 3 * wandering(1, 500)
     y = Quantization(1e-4, lsb_um=lsb_um, offset_um=offset_um)(x)[0]
     codes = (y - offset_um) / lsb_um
@@ -39,12 +39,12 @@ def test_every_reading_is_the_nearest_place_of_the_lattice(lsb_um, offset_um):
     assert (y - x).abs().max().item() <= lsb_um / 2 * (1 + 1e-9)
 
 
-def test_a_search_has_no_start_for_the_lattice_is_read_off():
+def test_a_search_has_no_starts_because_the_lattice_is_read_off_the_readings():
     assert Quantization.starts(DataRange(1e4, 1.0, 0, 1, 1, 0, 1, {})) == []
 
 
 def readings(seed: int, noise_um: float, time: int = 4000) -> np.ndarray:
-    """A sine of 20 µm with noise, (time,)."""
+    """Return a sine of 20 µm with noise, (time,)."""
     sine = 20 * np.sin(np.linspace(0, 17, time))
     return 12 + sine + noise_um * np.random.default_rng(seed).standard_normal(time)
 
@@ -63,7 +63,7 @@ lattices = given(
 
 
 @lattices
-def test_the_step_of_recorded_readings_is_found_finer_or_coarser_than_the_noise(
+def test_a_step_finer_or_coarser_than_the_noise_is_found_in_recorded_readings(
     seed, lsb_um, offset_um, noise_um
 ):
     y = on_lattice(readings(seed, noise_um), lsb_um, offset_um)
@@ -71,13 +71,13 @@ def test_the_step_of_recorded_readings_is_found_finer_or_coarser_than_the_noise(
 
 
 @lattices
-def test_the_step_is_found_through_the_rounding_of_a_file(seed, lsb_um, offset_um, noise_um):
+def test_the_step_is_found_despite_the_rounding_of_a_file(seed, lsb_um, offset_um, noise_um):
     y = on_lattice(readings(seed, noise_um), lsb_um, offset_um)
     for rounded in (y.astype(np.float32), np.round(y, 5)):
         assert Quantization.lattice(rounded) == pytest.approx(lsb_um, rel=1e-5)
 
 
-def test_readings_of_16_bits_over_the_whole_range_are_found():
+def test_the_step_of_16_bits_over_the_whole_range_is_found():
     lsb_um = 40.5 / 2**16
     for time in (1000, 100_000):
         for y in (
@@ -96,18 +96,18 @@ def test_readings_without_steps_lie_on_no_lattice(seed, noise_um):
 
 
 @given(st.lists(st.floats(-1e6, 1e6), max_size=40))
-def test_any_readings_have_an_answer(values):
+def test_arbitrary_readings_give_a_positive_step_or_none(values):
     step = Quantization.lattice(np.array(values))
     assert step is None or step > 0
 
 
-def test_few_different_readings_say_nothing():
+def test_too_few_distinct_readings_give_no_step():
     assert Quantization.lattice(np.array([0.0, 0.1, 0.3, 0.1, 0.0])) is None
     assert Quantization.lattice(np.zeros(100)) is None
 
 
 @given(seed=st.integers(0, 1000), codes=st.integers(10, 60))
-def test_the_typical_step_of_a_converter_with_uneven_codes_is_read_off(seed, codes):
+def test_the_typical_step_of_a_converter_with_uneven_codes_is_found(seed, codes):
     rng = np.random.default_rng(seed)
     places = np.cumsum(rng.uniform(0.7, 1.3, codes))
     u = np.sin(np.linspace(0, 60, 6000)) + 1e-3 * rng.standard_normal(6000)
@@ -118,7 +118,7 @@ def test_the_typical_step_of_a_converter_with_uneven_codes_is_read_off(seed, cod
 
 
 @pytest.mark.parametrize(("skipped", "found"), [([20], True), (range(0, 60, 3), False)])
-def test_a_converter_may_have_a_code_or_two_that_no_reading_has(skipped, found):
+def test_the_typical_step_is_found_despite_one_missing_code_but_not_many(skipped, found):
     places = np.cumsum(np.random.default_rng(0).uniform(0.7, 1.3, 60))
     u = np.sin(np.linspace(0, 60, 6000)) + 1e-3 * np.random.default_rng(1).standard_normal(6000)
     x = (u + 1.1) / 2.2 * (places[-1] - places[0]) + places[0]
@@ -128,7 +128,7 @@ def test_a_converter_may_have_a_code_or_two_that_no_reading_has(skipped, found):
     assert step == pytest.approx(1.0, rel=0.25) if found else step is None
 
 
-def test_a_command_of_few_values_or_a_file_of_few_decimals_is_no_converter():
+def test_a_command_of_few_values_or_a_file_of_few_decimals_is_not_a_converter():
     levels = np.random.default_rng(0).uniform(0.8, 1.2, 20).cumsum()
     at = np.repeat(np.arange(20), 100)
     assert uneven_codes(levels[at], 7.0 * at) is None

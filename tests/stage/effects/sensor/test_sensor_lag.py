@@ -1,4 +1,4 @@
-"""Sensor lag: of one pole or two, of a signal that runs straight from sample to sample."""
+"""Sensor lag: one pole or two, for a signal that is linear between samples."""
 
 import math
 
@@ -26,7 +26,7 @@ class TestTwoPolesLaws(EffectLaws):
         return SensorLag(PERIOD_S, cutoff_hz=1.3, damping_ratio=0.6)
 
 
-def test_gain_at_the_cutoff_is_three_decibels_down_and_phase_an_eighth_of_a_turn():
+def test_at_the_cutoff_the_gain_is_down_by_3_db_and_the_phase_is_minus_45_degrees():
     fs_hz, cutoff_hz = 50_000.0, 200.0
     t = torch.arange(25_000, dtype=torch.float64) / fs_hz
     y, _ = SensorLag(1 / fs_hz, cutoff_hz=cutoff_hz)(torch.sin(2 * math.pi * cutoff_hz * t)[None])
@@ -38,7 +38,7 @@ def test_gain_at_the_cutoff_is_three_decibels_down_and_phase_an_eighth_of_a_turn
 
 
 @given(cutoff_hz=st.floats(1.0, 1e4), fs_hz=st.sampled_from([100.0, 1e4, 1e6]))
-def test_the_closed_form_is_the_matrix_exponential(cutoff_hz, fs_hz):
+def test_the_closed_form_matches_the_matrix_exponential(cutoff_hz, fs_hz):
     omega = torch.tensor([2 * math.pi * cutoff_hz], dtype=torch.float64)
     one, zero = torch.ones(1, dtype=torch.float64), torch.zeros((), dtype=torch.float64)
     for hold in ("first", "end"):
@@ -50,7 +50,7 @@ def test_the_closed_form_is_the_matrix_exponential(cutoff_hz, fs_hz):
 
 
 @given(cutoff_hz=st.floats(1.0, 100.0))
-def test_it_is_the_low_pass_that_scipy_simulates(cutoff_hz):
+def test_one_pole_matches_the_low_pass_simulated_by_scipy(cutoff_hz):
     period_s, x, omega = 0.01, wandering(1, 200), 2 * math.pi * cutoff_hz
     _, wanted, _ = scipy.signal.lsim(([omega], [1.0, omega]), x[0].numpy(), period_s * np.arange(200))
     y = SensorLag(period_s, cutoff_hz=cutoff_hz)(x)[0][0].detach().numpy()
@@ -58,7 +58,7 @@ def test_it_is_the_low_pass_that_scipy_simulates(cutoff_hz):
 
 
 @given(cutoff_hz=st.floats(1.0, 100.0), damping_ratio=st.floats(0.35, 3.0))
-def test_two_poles_are_the_low_pass_that_scipy_simulates(cutoff_hz, damping_ratio):
+def test_two_poles_match_the_low_pass_simulated_by_scipy(cutoff_hz, damping_ratio):
     period_s, x, omega = 0.01, wandering(1, 200), 2 * math.pi * cutoff_hz
     transfer = ([1.0], [1 / (2 * damping_ratio * omega) ** 2, 1 / omega, 1.0])
     _, expected, _ = scipy.signal.lsim(transfer, x[0].numpy(), period_s * np.arange(200))
@@ -67,7 +67,7 @@ def test_two_poles_are_the_low_pass_that_scipy_simulates(cutoff_hz, damping_rati
 
 
 @pytest.mark.parametrize("cutoff_hz", [60.0, 1e3, 1e6])
-def test_a_cutoff_above_half_of_the_sample_rate_does_no_harm(cutoff_hz):
+def test_a_cutoff_above_half_the_sample_rate_gives_a_small_lag_and_a_finite_gradient(cutoff_hz):
     x = wandering(1, 300)
     effect = SensorLag(0.01, cutoff_hz=cutoff_hz)
     y = effect(x)[0]
@@ -78,6 +78,6 @@ def test_a_cutoff_above_half_of_the_sample_rate_does_no_harm(cutoff_hz):
     assert bool(effect.cutoff_hz.grad.isfinite())
 
 
-def test_a_search_starts_between_what_a_recording_lasts_and_half_of_the_sample_rate():
+def test_search_starts_lie_between_one_over_the_duration_and_half_the_sample_rate():
     cutoffs = [start["cutoff_hz"] for start in SensorLag.starts(DataRange(10e3, 1.0, 0, 1, 1, 0, 1, {}))]
     assert max(cutoffs) == 4500.0 and 1.0 <= min(cutoffs) < 4.0

@@ -13,7 +13,7 @@ class TestLaws(EffectLaws):
         return SensorNonlinearity(PERIOD_S, a2_per_um=0.05, a3_per_um2=-0.02)
 
 
-def test_the_reading_is_the_displacement_with_its_square_and_cube():
+def test_the_reading_is_a_cubic_polynomial_of_the_displacement():
     x = torch.linspace(-3, 5, 50, dtype=torch.float64)[None]
     y = SensorNonlinearity(1e-4, a2_per_um=0.02, a3_per_um2=0.001)(x)[0]
     torch.testing.assert_close(y, x + 0.02 * x**2 + 0.001 * x**3, rtol=0, atol=1e-14)

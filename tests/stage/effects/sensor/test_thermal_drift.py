@@ -1,4 +1,4 @@
-"""Thermal drift: on the clock of the recording, whatever the stage does."""
+"""Thermal drift: a function of the time since the recording began, independent of the motion."""
 
 import math
 
@@ -25,7 +25,7 @@ class TestLaws(EffectLaws):
         )
 
 
-def test_it_rises_to_its_amplitude_and_goes_on_at_its_rate():
+def test_the_drift_settles_at_its_amplitude_or_continues_at_its_rate():
     x = wandering(1, 1001)
     moved = (ThermalDrift(0.1, amplitude_um=2.0, time_constant_s=5.0)(x)[0] - x)[0]
     assert moved[0].item() == 0
@@ -35,7 +35,7 @@ def test_it_rises_to_its_amplitude_and_goes_on_at_its_rate():
     torch.testing.assert_close(moved, 0.003 * torch.arange(1001, dtype=torch.float64), rtol=0, atol=1e-12)
 
 
-def test_a_walk_runs_straight_from_knot_to_knot_and_stays_behind_the_last():
+def test_a_random_walk_is_linear_between_knots_and_constant_after_the_last():
     knots = dict(zip(KNOT_NAMES, (1.0, -1.0, 0.5, 0.0, 0.0, 2.0, 2.0, 3.0), strict=True))
     x = wandering(1, 120)
     moved = (ThermalDrift(0.1, knot_spacing_s=1.0, **knots)(x)[0] - x)[0].detach().numpy()
@@ -43,7 +43,7 @@ def test_a_walk_runs_straight_from_knot_to_knot_and_stays_behind_the_last():
     np.testing.assert_allclose(moved, expected, rtol=0, atol=1e-12)
 
 
-def test_a_walk_of_another_recording_is_not_there():
+def test_a_recording_without_knots_of_its_own_has_no_random_walk():
     assert {*KNOT_NAMES} <= {*ThermalDrift.per_recording}
     x = wandering(1, 50)
     assert torch.equal(ThermalDrift(0.1, knot_spacing_s=0.3)(x)[0], x)
@@ -55,7 +55,7 @@ def test_the_forms_in_use_are_named():
     assert ThermalDrift.form({"amplitude_um": 1.0, "knot3_um": 0.2}) == "exponential + random walk"
 
 
-def test_a_search_tries_a_ramp_and_time_constants_of_the_recording_and_no_walk():
+def test_a_search_tries_a_ramp_and_time_constants_up_to_the_duration_but_no_walk():
     starts = ThermalDrift.starts(DataRange(1e3, 50.0, 0, 1, 1, 0, 20, {}))
     assert starts[0] == {"rate_um_per_s": pytest.approx(0.2 / 50)}
     assert [start["time_constant_s"] for start in starts[1:]] == [2.5, 10.0, 50.0]
@@ -63,7 +63,7 @@ def test_a_search_tries_a_ramp_and_time_constants_of_the_recording_and_no_walk()
 
 
 @pytest.mark.parametrize("duration_s", [0.05, 50.0])
-def test_what_settles_within_a_hundredth_of_a_recording_is_no_drift(duration_s: float):
+def test_settling_within_a_hundredth_of_a_recording_does_not_count_as_drift(duration_s: float):
     seen = DataRange(1e3, duration_s, 0, 1, 1, 0, 20, {})
     assert not ThermalDrift.reached({"time_constant_s": 0.009 * duration_s}, seen)
     assert ThermalDrift.reached({"rate_um_per_s": 1.0}, seen)
