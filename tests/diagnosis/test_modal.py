@@ -10,7 +10,10 @@ from tests.diagnosis.plants import Signal
 from torchpi.cli.predict import predict
 from torchpi.diagnosis import diagnose
 from torchpi.diagnosis.diagnosis import NamedEffect
+from torchpi.diagnosis.hypothesis import EffectTerm
 from torchpi.recordings.recording import Recording
+from torchpi.stage.effects.mechanics.modal import ModalResonance
+from torchpi.stage.effects.mechanics.second_mode import SecondMode
 
 FS_HZ, FINER, SAMPLES = 4000.0, 8, 6000
 NOISE_UM = 0.01
@@ -73,6 +76,14 @@ def frequencies_hz(effects: dict[str, NamedEffect]) -> list[float]:
         for parameter in effects[name].parameters
         if parameter.name.startswith("frequency_hz")
     )
+
+
+def test_a_single_mode_starts_within_its_bounds_from_a_shared_mode_beyond_them() -> None:
+    """The share of a mode that other axes excite too may be of any size."""
+    shared = EffectTerm(ModalResonance, {"frequency_hz": 300.0, "damping_ratio": 0.02, "share": -2.2})
+    single = EffectTerm(SecondMode, {"frequency_hz": 10.0, "damping_ratio": 0.1, "share": 0.05})
+    assert single.from_where(shared).shared == {"frequency_hz": 300.0, "damping_ratio": 0.02, "share": -0.9}
+    SecondMode(1e-3, **single.from_where(shared).shared)  # raises beyond the bounds
 
 
 @pytest.mark.long

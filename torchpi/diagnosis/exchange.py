@@ -74,7 +74,7 @@ class Exchange(Timing):
             if added not in given
             for simple in kinds.values()
             if simple.effect.block == added.effect.block and {*simple.shared} < {*added.shared}
-            for moved in [replace(simple, shared={name: added.shared[name] for name in simple.shared})]
+            for moved in [simple.from_where(added)]
             for less in [h.without(added.effect.name, added.aux).without(simple.effect.name)]
             for alignment in self.alignments
         ]

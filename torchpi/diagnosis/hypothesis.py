@@ -36,8 +36,10 @@ class EffectTerm:
         return {**self.shared, **(self.own[record] if self.own else {})}
 
     def from_where(self, other: "EffectTerm") -> "EffectTerm":
-        """Return this form of an effect with the values of the parameters that it shares with another."""
-        return replace(self, shared={name: other.shared.get(name, v) for name, v in self.shared.items()})
+        """Return this form of an effect, within its bounds, with the parameters it shares with another."""
+        bounds = self.effect.quantities
+        shared = {name: bounds[name].nearest(other.shared.get(name, v)) for name, v in self.shared.items()}
+        return replace(self, shared=shared)
 
 
 @dataclass(frozen=True)

@@ -42,10 +42,7 @@ def with_remainder(chain: Chain, now: Fit, ridge: float | None = None) -> tuple[
         "shortest_s": 2 / what.fs_hz,
         "longest_s": max(what.duration_s, 4 / what.fs_hz),
     }
-    frame = {
-        n: min(max(v, Unknown.quantities[n].at_least), Unknown.quantities[n].at_most)
-        for n, v in frame.items()
-    }
+    frame = {name: Unknown.quantities[name].nearest(value) for name, value in frame.items()}
     columns, tangents, errors = [], [], []
     for i, (record, residual) in enumerate(zip(records, now.residuals, strict=True)):
         y, (places, rows) = jacobian(chain, now.hypothesis, now.weights, (), np.zeros(0), i)

@@ -89,9 +89,7 @@ class Screen:
         return replace(
             member,
             shared={
-                name: min(max(value * factor, bounds[name].at_least), bounds[name].at_most)
-                if name in sizes
-                else value
+                name: bounds[name].nearest(value * factor) if name in sizes else value
                 for name, value in member.shared.items()
             },
         )
@@ -201,9 +199,8 @@ def scaled(member: EffectTerm, factors: Mapping[tuple[str, int | None], float]) 
         found = dict(values)
         for name in values:
             if (name, record) in factors:
-                factor, bounds = factors[name, record], quantities[name]
-                moved = min(max(factor * values[name], bounds.at_least), bounds.at_most)
-                found[name] = moved if factor else identity[name]
+                factor = factors[name, record]
+                found[name] = quantities[name].nearest(factor * values[name]) if factor else identity[name]
         return found
 
     own = tuple(of(values, record) for record, values in enumerate(member.own))

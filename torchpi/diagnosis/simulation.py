@@ -70,7 +70,7 @@ def _member(one: EffectSettings) -> EffectTerm:
     fitted as one that just does. Parameters at their identity are not fitted."""
     bounds = one.kind.quantities
     values = {
-        name: min(max(value, bounds[name].at_least), bounds[name].at_most)
+        name: bounds[name].nearest(value)
         for name, value in one.values.items()
         if value != one.kind.identity[name]
     }

@@ -36,6 +36,10 @@ class Quantity:
             raise StageError(f"{name}: found {value:g}{unit}, expected {self.expected()}{unit}")
         return float(value)
 
+    def nearest(self, value: float) -> float:
+        """Return the value, or the limit that it lies beyond."""
+        return min(max(value, self.at_least), self.at_most)
+
     def expected(self) -> str:
         """Return the limits in words."""
         if self.positive and math.isfinite(self.at_most):
