@@ -184,11 +184,19 @@ class TestUnexplained:
     def test_the_noise_is_stated_only_if_it_was_measured(self) -> None:
         assert decided().noise_um == 2.0 and decided(noise=None).noise_um is None
 
-    @pytest.mark.parametrize(("rms_um", "found"), [(4.0, "explained"), (4.1, "partly_explained")])
+    @pytest.mark.parametrize(("rms_um", "found"), [(3.0, "explained"), (3.1, "partly_explained")])
     def test_a_recording_the_others_do_not_predict_is_not_explained(self, rms_um: float, found: str) -> None:
         across = (AcrossRecordings("a", 2.0, 2.0), AcrossRecordings("b", rms_um, 2.0))
         assert if_it_carries_over(decided(believed("creep", 48.0)), across).verdict == found
         assert if_it_carries_over(decided(), across).verdict == "nothing_missing"
+
+    def test_an_untested_larger_hysteresis_is_explained_only_if_a_recording_predicts_another(self) -> None:
+        explained = decided(believed("creep", 48.0))
+        assert if_it_carries_over(explained, (), untested=True).verdict == "partly_explained"
+        assert not if_it_carries_over(explained, (), untested=True).carries_over
+        across = (AcrossRecordings("a", 2.0, 2.0),)
+        assert if_it_carries_over(explained, across, untested=True).verdict == "explained"
+        assert if_it_carries_over(explained, ()).verdict == "explained"
 
     def test_an_open_effect_or_a_conspicuous_residual_prevents_the_verdict_explained(self) -> None:
         assert decided(believed("creep", 48.0)).verdict == "explained"

@@ -125,9 +125,9 @@ def test_a_recording_not_predicted_by_the_others_is_in_the_headline_and_the_tabl
 ) -> None:
     assert 'data-signal="across"' in html
     missed = dataclasses.replace(found.across[0], rms_um=0.05)
-    partly = dataclasses.replace(found, verdict="partly_explained", across=(missed,))
+    partly = dataclasses.replace(found, verdict="partly_explained", across=(missed,), carries_over=False)
     assert headline(partly).startswith("Explained for these motions only: held-out error")
-    alone = dataclasses.replace(partly, across=())
+    alone = dataclasses.replace(partly, across=(), carries_over=True)
     assert headline(alone).startswith("Partly explained")
     assert 'data-signal="across"' not in diagnosis_page.diagnosis_page(alone, provenance)
 

@@ -7,7 +7,14 @@ from math import exp
 import numpy as np
 
 from torchpi.diagnosis.contest import FAINT, PRIOR
-from torchpi.diagnosis.diagnosis import AcrossRecordings, NamedEffect, OpenCause, Parameter, Verdict
+from torchpi.diagnosis.diagnosis import (
+    EXPLAINED,
+    AcrossRecordings,
+    NamedEffect,
+    OpenCause,
+    Parameter,
+    Verdict,
+)
 from torchpi.diagnosis.hypothesis import Fit
 from torchpi.diagnosis.intervals import covariance_90, distance_from_none, intervals_90
 from torchpi.diagnosis.noise import Noise
@@ -23,8 +30,8 @@ POSSIBLE = 1.0 / (1.0 + exp(-PRIOR))
 """Probability above which an effect that cannot be named is reported as open: the prior probability."""
 CLOSED: tuple[Verdict, ...] = ("nothing_missing", "explained")
 """Verdicts that leave nothing to look for."""
-DONE, EXPLAINED = 1.15, 1.5
-"""Multiples of the measured noise within which nothing, or little beside the names, is left to explain."""
+DONE = 1.15
+"""Multiple of the measured noise within which nothing is left to explain."""
 OPERATORS = {
     "prandtl_ishlinskii": "y = F + Σ w_i h_i: plays added to the simulation F",
     "preisach": "y = Σ g_i(h_i): a Preisach operator in play form",
@@ -46,6 +53,8 @@ class Decision:
     """Share of the squared residual that several names explain jointly, and none of them given the others."""
     noise_um: float | None
     """Noise of a reading, if it was measured."""
+    carries_over: bool = True
+    """Whether the recordings determine the hysteresis for other motions, as far as that was tested."""
 
     @property
     def causes_left_open(self) -> tuple[OpenCause, ...]:
@@ -149,12 +158,24 @@ def without_forms(
     ]
 
 
-def if_it_carries_over(decision: Decision, across: Sequence[AcrossRecordings]) -> Decision:
-    """Downgrade "explained" to "partly_explained" unless each recording is predicted by the others: a model
-    that fits these motions is otherwise not known to fit the next."""
-    if decision.verdict == "explained" and not all(one.predicted for one in across):
-        return replace(decision, verdict="partly_explained")
-    return decision
+def if_it_carries_over(
+    decision: Decision, across: Sequence[AcrossRecordings], untested: bool = False
+) -> Decision:
+    """Downgrade "explained" to "partly_explained" if a model that fits these motions may not fit the next.
+
+    Args:
+        decision: What was decided on the recorded motions.
+        across: Each recording, predicted from the others.
+        untested: Whether the model has a larger hysteresis, and the held-out samples are too uniform to test
+            its hundreds of weights. Then at least one recording has to be predicted from others.
+    """
+    carries_over = all(one.predicted for one in across) and not (untested and not across)
+    downgraded = decision.verdict == "explained" and not carries_over
+    return replace(
+        decision,
+        verdict="partly_explained" if downgraded else decision.verdict,
+        carries_over=carries_over,
+    )
 
 
 def clear_of_none(one: Believed, final: Fit, covariance: np.ndarray) -> Believed:

@@ -139,11 +139,13 @@ def diagnose(
     lost = wrong_readings(records, wrong, final)
     if any(len(each) for each in lost):
         decision = with_read_off(decision, of_dropouts(records, lost, final))
+    alike = untested(records, what)
     across: tuple[AcrossRecordings, ...] = ()
     if decision.verdict in CLOSED and not search.slips:
         log("across recordings: whether they predict one another")
         across = across_recordings(search.chain, final)
-        decision = if_it_carries_over(decision, across)
+        larger = final.hypothesis.nominal.family != retuned.hypothesis.nominal.family
+        decision = if_it_carries_over(decision, across, larger and bool(alike))
     log("model: everything refitted to all samples")
     complete = without_start(
         prepare(recordings, out, as_recorded=given_recordings, sealed=0.0), search.unsettled
@@ -164,7 +166,7 @@ def diagnose(
     next_one, excitation = next_recording(
         open_between(decision),
         what,
-        determined=all(one.predicted for one in across),
+        determined=decision.carries_over,
         unexplained=decision.verdict not in CLOSED,
     )
     notes = (
@@ -191,10 +193,11 @@ def diagnose(
     return Diagnosis(
         verdict=decision.verdict, effects=decision.effects, open=decision.causes_left_open, where=where,
         nominal=errors[0], retuned=errors[1], augmented=errors[2],
-        across=across, noise_floor_um=noise.rms_um if noise is not None else None,
+        across=across, carries_over=decision.carries_over,
+        noise_floor_um=noise.rms_um if noise is not None else None,
         heldout=HELD_OUT, unexplained_share=decision.unexplained_share, joint_share=decision.joint_share,
         next_recording=next_one, next_excitation=excitation, notes=notes, traces=traces, stage=stage,
-        says=paragraph(decision, errors, noise, next_one, loud, untested(records, what), across),
+        says=paragraph(decision, errors, noise, next_one, loud, alike, across),
     )  # fmt: skip
 
 

@@ -8,9 +8,9 @@ import numpy as np
 from torchpi.stage import Stage
 
 Verdict = Literal["nothing_missing", "explained", "partly_explained", "unexplained"]
-PREDICTED = 2.0
-"""Largest ratio of a recording's error when predicted from the others to its error in the fit to all. Of a
-larger squared error, three quarters are extrapolation."""
+EXPLAINED = 1.5
+"""Largest error that still counts as explained: as a multiple of the measured noise and, for a recording that
+is predicted from the others, of its error in the fit to all."""
 Domain = Literal[
     "time", "frequency", "displacement", "rate", "direction", "since_reversal", "amplitude", "recording"
 ]
@@ -111,7 +111,7 @@ class AcrossRecordings:
     @property
     def predicted(self) -> bool:
         """Whether the other recordings predict it."""
-        return self.times <= PREDICTED
+        return self.times <= EXPLAINED
 
 
 @dataclass(frozen=True)
@@ -163,6 +163,8 @@ class Diagnosis:
     across: tuple[AcrossRecordings, ...]
     """Each recording whose voltages the others cover, predicted from them; empty if the names leave more to
     explain, or if a mount sticks."""
+    carries_over: bool
+    """Whether the recordings determine the hysteresis for other motions, as far as that was tested."""
     noise_floor_um: float | None
     """Noise of a reading; None if nothing in the recordings measures it."""
     heldout: str

@@ -73,7 +73,7 @@ def paragraph(
             if falls
             else f"On the held-out samples this brings no improvement: the error is {left} with it."
         )
-    if untested and decision.verdict in CLOSED:
+    if untested and (decision.verdict in CLOSED or not decision.carries_over):
         parts.append(
             f"This was tested only on {listed(untested)}: predictions for other motions are extrapolations."
         )
@@ -81,7 +81,7 @@ def paragraph(
     for one in decision.causes_left_open:
         text = f"with a probability of {percent(one.probability)} it is too uncertain to be named"
         parts.append(f"There may also be {counted(one.name)}: {text}.")
-    if decision.verdict == "partly_explained" and all(one.predicted for one in across):
+    if decision.verdict == "partly_explained" and decision.carries_over:
         # Without a measured noise, it is unknown how much of the remaining residual is noise.
         much = "Part" if noise is None else percent(decision.unexplained_share)
         parts.append(

@@ -24,7 +24,7 @@ def headline(diagnosis: Diagnosis) -> str:
         against = f"{times} times the noise"
     else:
         against = "no noise"
-    if diagnosis.verdict == "partly_explained" and not all(one.predicted for one in diagnosis.across):
+    if diagnosis.verdict == "partly_explained" and not diagnosis.carries_over:
         return f"Explained for these motions only: held-out error {error}, {against}"
     return {
         "nothing_missing": f"Nothing is missing: held-out error {error}, {against}",
