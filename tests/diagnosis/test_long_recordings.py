@@ -58,7 +58,7 @@ def test_a_fast_voltage_is_cut_short_if_averaging_would_move_its_turning_points(
     (means, first), (_, left), (averaged, cut) = at_a_lower_rate(
         [slow, chirp], [np.zeros(0, int), np.array([7, 15_000])]
     )
-    assert means.fs_hz == 5e3 and "means of 2" in averaged
+    assert means.fs_hz == 5e3 and "averaged over 2 at a time" in averaged
     assert first.fs_hz == 1e4 and np.array_equal(first.u, chirp.u[:10_000]) and left.tolist() == [7]
     assert first.aux["aux_v"].shape == first.simulated.shape == first.u.shape
     assert "the first 1 s of 2 s" in cut and "too fast" in cut

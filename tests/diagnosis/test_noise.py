@@ -74,7 +74,7 @@ def test_three_periods_measure_the_noise_and_two_do_not() -> None:
     once = multisine(2000)
     assert measured_noise(prepared([record(np.tile(once, 2), noise_um=0.02)])) is None
     found = measured(record(np.tile(once, 3), noise_um=0.02))
-    assert found.rms_um == pytest.approx(0.02, rel=0.1) and found.source.startswith("periods")
+    assert found.rms_um == pytest.approx(0.02, rel=0.1) and found.source.startswith("repeated periods")
 
 
 def test_the_transient_of_the_first_period_is_not_taken_for_noise() -> None:
