@@ -116,11 +116,12 @@ class Search(Proposals):
                 # last. Their loops drift until they close, which looks like a slow effect.
                 last = self.growth(small, small, [duhem(self.seen)])
                 last += self.walks(small) if chosen is None else []
+                last = [one for one in last if self.inside(one.fit, small)]
                 if chosen and is_larger(chosen):
                     last = [one for one in last if not self.bends_to_all(one.fit, chosen.fit)]
-                tried += [one for one in last if self.inside(one.fit, small)]
-                if chosen and is_larger(chosen):
-                    tried.sort(key=lambda one: -one.gain.nats)
+                    tried = sorted([*tried, *last], key=lambda one: -one.gain.nats)
+                else:
+                    tried += last
                 chosen = self.simplest(tried, small)
             history.append(Round(now, tuple(tried), chosen.name if chosen else None))
             if chosen is None:
