@@ -144,8 +144,7 @@ def diagnose(
     if decision.verdict in CLOSED and not search.slips:
         log("across recordings: whether they predict one another")
         across = across_recordings(search.chain, final)
-        larger = final.hypothesis.nominal.family != retuned.hypothesis.nominal.family
-        decision = if_it_carries_over(decision, across, larger and bool(alike))
+        decision = if_it_carries_over(decision, across, search.has_larger(final) and bool(alike))
     log("model: everything refitted to all samples")
     complete = without_start(
         prepare(recordings, out, as_recorded=given_recordings, sealed=0.0), search.unsettled

@@ -58,6 +58,10 @@ class Growth(Exchange):
         """Return the names of the effects that the given simulation lacks."""
         return [name for name in dict.fromkeys(now.hypothesis.names) if name not in self.given]
 
+    def has_larger(self, now: Fit) -> bool:
+        """Whether a fit has a larger hysteresis than the retuned simulation."""
+        return now.hypothesis.nominal.family != self.nominal.family
+
     def larger(self) -> list[HysteresisModel]:
         """Return the larger hysteresis models that may replace the present one."""
         found = [preisach(self.seen), *self.states]
@@ -190,7 +194,7 @@ class Growth(Exchange):
         """Return to the hysteresis of the simulation where effects have made a larger one redundant, or have
         driven its parameters to their bounds."""
         h = now.hypothesis
-        if h.nominal.family == self.nominal.family or not self.added(now):
+        if not self.has_larger(now) or not self.added(now):
             return now
         plain = refitted(self.chain, self.fits([(h.on(self.nominal), None, STEPS, ROUGH)])[0])
         plain = self.at_its_own_weights(plain)

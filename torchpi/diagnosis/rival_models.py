@@ -12,7 +12,7 @@ from torchpi.diagnosis.growth import OPERATOR
 from torchpi.diagnosis.hypothesis import EffectTerm, Fit, Hypothesis
 from torchpi.diagnosis.parallel import Job
 from torchpi.diagnosis.reduced_basis import reduced
-from torchpi.diagnosis.search import Round, Search
+from torchpi.diagnosis.search import Round, Search, is_larger
 
 RIVALS = 4
 """Maximum number of rivals from the search history that are fitted in place of an effect."""
@@ -154,7 +154,7 @@ def rivals(
     considered = [round for round in history if any(name in names_of(one.name) for one in round.tried)]
     for round in reversed(taken or considered[-1:]):
         for one in round.tried:
-            label = OPERATOR_NAME if one.name.startswith(OPERATOR) else one.name
+            label = OPERATOR_NAME if is_larger(one) else one.name
             parts = names_of(one.name)
             if label in seen or label == name or name in parts or there & set(parts) or len(seen) >= RIVALS:
                 continue

@@ -263,8 +263,7 @@ class Search(Proposals):
 
     def backward(self, now: Fit) -> Fit:
         """Remove effects that have become redundant given the others, or given a larger hysteresis."""
-        grown = now.hypothesis.nominal.family != self.nominal.family
-        while len(parts := self.parts(now)) > (0 if grown else 1):
+        while len(parts := self.parts(now)) > (0 if self.has_larger(now) else 1):
             small = self.reweighted(now)
             fits = self.without_each(small, parts)
             gains = [self.over(small, less, self.prior(less, small)) for less in fits]
