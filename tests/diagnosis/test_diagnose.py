@@ -38,6 +38,7 @@ from torchpi.diagnosis.wrong_readings import (
     off_all_around,
     wrong_readings,
 )
+from torchpi.recordings.faults import dropouts
 from torchpi.recordings.identity import recordings_sha256
 from torchpi.recordings.recording import Recording
 from torchpi.stage import Stage
@@ -233,6 +234,47 @@ def test_zeros_in_a_motion_as_fast_as_the_sampling_are_wrong_readings() -> None:
     assert found.retuned.train_rms_um < 2 * clean.retuned.train_rms_um
 
 
+def test_wrong_readings_in_a_fast_motion_are_seen_in_the_residual_and_left_out_of_the_fit() -> None:
+    rig = [record(np.random.default_rng(0).uniform(0, 9, 4000), name="a")]
+    clean = diagnose(rig, effects=[])
+    lost = np.arange(100, 4000, 300)
+    rig[0].y[lost] += np.resize([8.0, -8.0], len(lost))
+    assert len(dropouts(rig[0].y, rig[0].u)) < len(lost) / 2
+    found = diagnose(rig, effects=[])
+    (effect,) = found.effects
+    assert effect.name == "dropouts" and effect.parameters[0].value == pytest.approx(len(lost) / 4000)
+    assert found.retuned.train_rms_um == pytest.approx(clean.retuned.train_rms_um, rel=0.02)
+
+
+@pytest.mark.parametrize(("outside", "within"), [(10, 3), (3, 10)])
+def test_readings_within_the_recent_motion_may_be_late_unless_most_others_lie_outside(
+    outside: int, within: int
+) -> None:
+    rng, n = np.random.default_rng(3), 20_000
+    motion, places = rng.uniform(-1, 1, n), np.arange(500, n, 1000)
+    residual = 1e-3 * rng.normal(size=n)
+    residual[places[:outside]] = 5.0
+    inside = places[outside : outside + within]
+    residual[inside] = motion[inside - 2] - motion[inside]
+    every = np.ones(n, dtype=bool)
+    rig = SimpleNamespace(u=motion, y=motion + residual, train=every, held_out=~every)
+    final = SimpleNamespace(residuals=[residual])
+    (found,) = wrong_readings([rig], [np.zeros(0, dtype=int)], final)
+    assert found.tolist() == places[: 13 if outside > within else outside].tolist()
+
+
+@pytest.mark.parametrize("missing", [False, True])
+def test_readings_that_were_filled_in_are_not_wrong(missing: bool) -> None:
+    rng, n = np.random.default_rng(3), 20_000
+    residual, off, counts = 1e-3 * rng.normal(size=n), np.arange(100, n, 900), np.ones(n, dtype=bool)
+    residual[off], counts[off] = 2.0, not missing
+    motion = 0.1 * np.sin(np.arange(n) / 500)
+    rig = SimpleNamespace(u=motion, y=motion + residual, train=counts, held_out=np.zeros(n, dtype=bool))
+    final = SimpleNamespace(residuals=[residual])
+    (found,) = wrong_readings([rig], [np.zeros(0, dtype=int)], final)
+    assert found.tolist() == ([] if missing else off.tolist())
+
+
 @pytest.mark.parametrize("heavy", [False, True])
 def test_a_recording_with_a_larger_residual_is_not_taken_for_a_tail_of_the_noise(heavy: bool) -> None:
     """One reading is off by twenty times the residual of fast motion; none if the sensor has heavy tails."""
@@ -242,8 +284,9 @@ def test_a_recording_with_a_larger_residual_is_not_taken_for_a_tail_of_the_noise
         quiet, loud = 1e-3 * rng.standard_t(1.0, n), 1e-3 * rng.standard_t(1.0, n)
     loud[7000] = 2.0
     motion = 0.1 * np.sin(np.arange(n) / 500)
-    records = [SimpleNamespace(u=motion, y=motion + each) for each in (quiet, loud)]
-    final = SimpleNamespace(residuals=[quiet, loud], train_rms=0.05)
+    counts = {"train": np.ones(n, dtype=bool), "held_out": np.zeros(n, dtype=bool)}
+    records = [SimpleNamespace(u=motion, y=motion + each, **counts) for each in (quiet, loud)]
+    final = SimpleNamespace(residuals=[quiet, loud])
     found = wrong_readings(records, [np.zeros(0, dtype=int), np.array([7000])], final)
     assert [each.tolist() for each in found] == [[], [] if heavy else [7000]]
 

@@ -15,7 +15,7 @@ from torchpi.diagnosis.hysteresis_model import duhem as duhem_states
 from torchpi.diagnosis.hysteresis_model import many_plays, preisach
 from torchpi.diagnosis.records import seen
 from torchpi.diagnosis.reduced_basis import MANY, basis, refitted
-from torchpi.diagnosis.remanence import COLUMNS, EITHER, excursions, fading
+from torchpi.diagnosis.remanence import COLUMNS, EITHER, ONE_WAY, excursions, fading
 from torchpi.diagnosis.search import Search
 from torchpi.operators.hysteresis_rows import duhem
 from torchpi.recordings.recording import Recording
@@ -93,8 +93,26 @@ def test_columns_start_at_one_and_only_fall(seed: int, samples: int) -> None:
     v = np.cumsum(np.random.default_rng(seed).standard_normal(samples))
     columns = excursions(v)
     assert columns.shape == (COLUMNS, samples)
-    assert (columns[:, 0] == 1).all() and (columns >= 0).all()
+    one_way = int(v.max() > v[0]) + int(v.min() < v[0])
+    assert columns[:, 0].sum() == len(EITHER) + one_way * len(ONE_WAY)
+    assert (columns >= 0).all()
     assert (np.diff(columns, axis=1) <= 1e-12).all()
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_history_that_only_an_excursion_to_the_other_side_resets_is_modelled(sign: int) -> None:
+    """Plays that start above the input stay there until it moves down, however often it has moved up."""
+    stops = sign * np.array([0, 1.2, -1.3, 1.6, -1.7, 5.0, 0.0])
+    v = np.interp(np.linspace(0, len(stops) - 1, 3000), np.arange(len(stops)), stops)
+    thresholds = np.linspace(0.1, 2.6, 26)
+    remanent, reset, apart = sign * 0.8 * thresholds, np.zeros(26), np.empty(len(v))
+    for k, one in enumerate(v):
+        remanent = np.maximum(one - thresholds, np.minimum(one + thresholds, remanent))
+        reset = np.maximum(one - thresholds, np.minimum(one + thresholds, reset))
+        apart[k] = (remanent - reset).mean()
+    columns = excursions(v).T
+    left = apart - columns @ np.linalg.lstsq(columns, apart, rcond=1e-9)[0]
+    assert left @ left < 1e-4 * (apart @ apart)
 
 
 def test_a_history_is_forgotten_once_the_largest_excursion_is_reached() -> None:
@@ -159,7 +177,7 @@ def test_the_only_effect_is_removed_if_a_larger_hysteresis_makes_it_redundant() 
 
 
 def test_a_hold_never_forgets_and_causes_no_division_by_zero() -> None:
-    assert np.array_equal(excursions(np.full(50, 3.0)), np.ones((COLUMNS, 50)))
+    assert np.array_equal(excursions(np.full(50, 3.0))[: len(EITHER)], np.ones((len(EITHER), 50)))
 
 
 def bouc_wen_states(u: np.ndarray, start: float, sigma_v: float, beta: float, exponent: float) -> np.ndarray:

@@ -103,18 +103,31 @@ def diagnose(
         check_units(records, compared)
     tried = [effect for effect in effects if called is None or called.can_try(effect)]
     untried = [effect for effect in effects if effect not in tried]
-    chain, what = Chain(records), seen(records)
+    what, start = seen(records), given_members(given)
     step_um, lattice_note = converter(given_recordings)
     # Averaging over ticks reduces the error of a converter, as it does any noise.
     lsb_um = step_um * float(np.sqrt(np.median([one.tick_s / one.period_s for one in records])))
-    noise = noise_of_prediction(records, lsb_um, chain.gain_um_per_v)
+
+    def search_without(readings: Sequence[np.ndarray]) -> Search:
+        chain = Chain(prepare(recordings, readings, as_recorded=given_recordings))
+        noise = noise_of_prediction(chain.records, lsb_um, chain.gain_um_per_v)
+        return Search(chain, log, start, noise, executor, lsb_um, tried, called)
+
     log("nominal: the simulation as it is, then refitted with as many plays as the data support")
-    start = given_members(given)
-    first = (
-        fit(chain, Hypothesis(plain(what))).residuals if compared is None else simulated(compared, records)
-    )
-    search = Search(chain, log, start, noise, executor, lsb_um, tried, called)
+    search = search_without(out)
     retuned, final, history = search.run()
+    lost = wrong_readings(records, apart(out, recordings), final)
+    if count := sum(map(len, map(np.setdiff1d, lost, out))):
+        log(f"wrong readings: the residual shows {count} more; the search starts again without them")
+        out = [np.union1d(one, more).astype(int) for one, more in zip(out, lost, strict=True)]
+        records = prepare(recordings, out, as_recorded=given_recordings)
+        search = search_without(out)
+        retuned, final, history = search.run()
+    first = (
+        fit(Chain(records), Hypothesis(plain(what))).residuals
+        if compared is None
+        else simulated(compared, records)
+    )
     search.noise = search.noise_left(final)
     log("decide: every effect against its rivals")
     final, believed = posterior(search, retuned, final, history)
@@ -135,8 +148,7 @@ def diagnose(
     loudest_um = final.train_rms if noise is None else min(noise.rms_um, final.train_rms)
     if lsb_um > 0 and lsb_um / np.sqrt(12) > FAINT * loudest_um:
         decision = with_read_off(decision, of_converter(step_um, lsb_um, retuned))
-    wrong = [np.setdiff1d(each, one.not_read) for each, one in zip(out, recordings, strict=True)]
-    lost = wrong_readings(records, wrong, final)
+    lost = wrong_readings(records, apart(out, recordings), final)
     if any(len(each) for each in lost):
         decision = with_read_off(decision, of_dropouts(records, lost, final))
     alike = untested(records, what)
@@ -257,6 +269,11 @@ def agreed(steps: Sequence[float | None], ratio: float) -> float:
     """Return the median step of all recordings; 0 if one has none, or if they differ by more than `ratio`."""
     found = [step for step in steps if step is not None]
     return float(np.median(found)) if len(found) == len(steps) and max(found) <= ratio * min(found) else 0.0
+
+
+def apart(out: Sequence[np.ndarray], recordings: Sequence[Recording]) -> list[np.ndarray]:
+    """Return the readings that do not count, (readings,) of each recording, without those never taken."""
+    return [np.setdiff1d(each, one.not_read) for each, one in zip(out, recordings, strict=True)]
 
 
 def with_read_off(decision: Decision, effect: NamedEffect) -> Decision:

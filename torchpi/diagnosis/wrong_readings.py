@@ -3,14 +3,14 @@
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.ndimage import median_filter
+from scipy.ndimage import maximum_filter, median_filter, minimum_filter
 from scipy.optimize import brentq
 from scipy.special import pdtrc, stdtr, stdtrit
 
 from torchpi.diagnosis.diagnosis import NamedEffect, Parameter
 from torchpi.diagnosis.hypothesis import Fit
 from torchpi.diagnosis.records import Record
-from torchpi.recordings.faults import least_step, repeated_value, robust_sd
+from torchpi.recordings.faults import beside_steps, least_step, repeated_value, robust_sd
 from torchpi.stage.effects.sensor.dropouts import Dropouts
 
 LOST = 10.0
@@ -21,6 +21,8 @@ OTHERS = np.array([1, 1, 1, 0, 1, 1, 1])
 """The samples around a reading, without itself, with whose median it is compared."""
 BESIDE = 32
 """Number of samples on either side of a reading from which the local model error is estimated."""
+MOST = 0.5
+"""Share of the readings that only the residual shows which must lie outside the recent motion."""
 FALSE_ALARM = 1e-3
 """Probability that the tail of the noise alone contains so many readings so far out."""
 BODY, TAIL = 0.5, 0.99
@@ -36,21 +38,39 @@ def wrong_readings(records: Sequence[Record], apart: Sequence[np.ndarray], final
 
     Args:
         records: The recordings.
-        apart: The readings that stand apart from their neighbours.
+        apart: The readings that stand apart from their neighbours; in a fast motion many do not, and only
+            the residual shows them.
         final: The fit whose residuals are examined.
     """
+    # A model error is slow compared with a single reading and is not part of the noise's tail.
+    alone = [np.abs(e - median_filter(e, footprint=OTHERS)) for e in final.residuals]
+    usual = [usual_about(one) for one in alone]
+    hidden = [
+        np.setdiff1d(only_in_residual(record, one, LOST * about), raw)
+        for record, one, about, raw in zip(records, alone, usual, apart, strict=True)
+    ]
+    suspects = [np.union1d(raw, more).astype(int) for raw, more in zip(apart, hidden, strict=True)]
+    quiet_um = rms_without(final.residuals, suspects)
     each, rest = list[tuple[np.ndarray, np.ndarray, np.ndarray]](), []
-    for record, e, k in zip(records, final.residuals, apart, strict=True):
+    for i, (record, e, k) in enumerate(zip(records, final.residuals, suspects, strict=True)):
         off = off_all_around(record.y, e, k)
+        there = off > LOST * np.maximum(error_about(e, k), quiet_um)
         same = np.isin(k, repeated_value(record.y, record.u, least_step(record.y)))
-        there = off > LOST * np.maximum(error_about(e, k), final.train_rms)
-        # A model error is slow compared with a single reading and is not part of the noise's tail.
-        alone = np.abs(e - median_filter(e, footprint=OTHERS))
-        usual = usual_about(alone)
-        each.append((k, same, np.where(there, off / usual[k], 0.0)))
-        rest.append(np.delete(alone / usual, k[there | same]))
+        only = np.isin(k, hidden[i])
+        # One that lies where the stage has just been may be late; not so if most of the others lie outside.
+        if only.any() and there[only].mean() > MOST:
+            there, off = there | only, np.where(only, alone[i][k], off)
+        each.append((k, same, np.where(there, off / usual[i][k], 0.0)))
+        # Readings that stand out only from the residual may well be the tail of the noise.
+        rest.append(np.delete(alone[i] / usual[i], k[(there | same) & ~only]))
     beyond = no_tail(np.concatenate([far for _, _, far in each]), np.concatenate(rest))
     return [k[same | (far >= beyond)] for k, same, far in each]
+
+
+def rms_without(residuals: Sequence[np.ndarray], readings: Sequence[np.ndarray]) -> float:
+    """µm: rms of these residuals, (time,) each, without these readings of each."""
+    left = [np.delete(e, k) for e, k in zip(residuals, readings, strict=True)]
+    return float(np.sqrt(np.mean(np.square(np.concatenate(left)))))
 
 
 def no_tail(far: np.ndarray, rest: np.ndarray) -> float:
@@ -66,6 +86,17 @@ def no_tail(far: np.ndarray, rest: np.ndarray) -> float:
     chances = pdtrc(np.arange(len(largest)), expected_beyond(largest, rest))
     unlikely = np.flatnonzero(chances < FALSE_ALARM / len(chances))
     return float(largest[unlikely[-1]]) if len(unlikely) else np.inf
+
+
+def only_in_residual(record: Record, alone_um: np.ndarray, limit_um: np.ndarray) -> np.ndarray:
+    """Return the (readings,) whose residual alone, of (samples,), µm, exceeds its limit and both neighbours'.
+
+    Not where readings around it do not count, or where the input steps: the model may be wrong there.
+    """
+    counts = minimum_filter(record.train | record.held_out, 2 * ABOUT + 1)
+    largest = maximum_filter(alone_um, 3) == alone_um
+    found = np.flatnonzero(counts & largest & (alone_um > limit_um))
+    return found[~beside_steps(found, record.u)] if len(found) else found
 
 
 def usual_about(alone_um: np.ndarray) -> np.ndarray:

@@ -97,7 +97,7 @@ def dropouts(y: np.ndarray, u: np.ndarray | None = None, sensor_step: float | No
     found = np.asarray(found[apart[found - 1] > MOTION_FACTOR * motion])
     if u is None:
         return found
-    return np.union1d(found[~_beside_steps(found, u)] if len(found) else found, repeated_value(y, u, step))
+    return np.union1d(found[~beside_steps(found, u)] if len(found) else found, repeated_value(y, u, step))
 
 
 def repeated_value(y: np.ndarray, u: np.ndarray, sensor_step: float) -> np.ndarray:
@@ -130,7 +130,7 @@ def repeated_value(y: np.ndarray, u: np.ndarray, sensor_step: float) -> np.ndarr
     return found if u[found].std() > SPREAD * u.std() else none
 
 
-def _beside_steps(readings: np.ndarray, u: np.ndarray) -> np.ndarray:
+def beside_steps(readings: np.ndarray, u: np.ndarray) -> np.ndarray:
     """Return (readings,), bool: which lie beside a step of u, if there are more than by chance."""
     from scipy.special import bdtrc
 
