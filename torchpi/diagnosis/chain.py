@@ -30,7 +30,7 @@ MADE = 2000
 """Maximum number of cached effects with given parameters; also of cached placements and matrices."""
 AT_ONCE = 128
 """Rows over time that are processed at once: all rows of a large hysteresis take some hundred megabytes."""
-REMEMBERED = 600_000_000
+REMEMBERED = 200_000_000
 """Maximum bytes of cached rows, kept because successive candidates act behind the same hysteresis."""
 
 

@@ -14,6 +14,7 @@ import torch
 from torchpi.diagnosis.chain import Chain
 from torchpi.diagnosis.fit import fit
 from torchpi.diagnosis.hypothesis import EffectTerm, Fit, Hypothesis
+from torchpi.diagnosis.memory import return_memory
 from torchpi.diagnosis.score import Weighting
 from torchpi.diagnosis.screen import Candidate, Screen
 from torchpi.diagnosis.sensitivity import Near
@@ -33,12 +34,12 @@ def fit_all(
 ) -> list[Fit]:
     """Return the fits of these jobs, in their order; the numbers do not depend on where they ran."""
     if executor is None:
-        return [fit(chain, *job, near) for job in jobs]
+        return [_fit(chain, job, near) for job in jobs]
     key, packed = chain.packed
     return shared_out(
         executor,
         [(_fit_elsewhere, key, packed, chain.weighting, job, near) for job in jobs],
-        [partial(fit, chain, *job, near) for job in jobs],
+        [partial(_fit, chain, job, near) for job in jobs],
     )
 
 
@@ -97,7 +98,13 @@ _kept = _Kept()
 
 
 def _fit_elsewhere(key: str, packed: bytes, weighting: Weighting, job: Job, near: Near | None) -> Fit:
-    return fit(_chain(key, packed, weighting), *job, near)
+    return _fit(_chain(key, packed, weighting), job, near)
+
+
+def _fit(chain: Chain, job: Job, near: Near | None) -> Fit:
+    found = fit(chain, *job, near)
+    return_memory()
+    return found
 
 
 def _screen_elsewhere(
@@ -108,7 +115,10 @@ def _screen_elsewhere(
 
 def _candidates(chain: Chain, now: Fit, groups: Sequence[Sequence[EffectTerm]]) -> list[list[Candidate]]:
     screen = Screen(chain, now) if groups else None
-    return [screen.candidates(members) for members in groups] if screen else []
+    found = [screen.candidates(members) for members in groups] if screen else []
+    del screen
+    return_memory()
+    return found
 
 
 def _chain(key: str, packed: bytes, weighting: Weighting) -> Chain:
