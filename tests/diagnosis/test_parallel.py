@@ -1,8 +1,6 @@
 """A diagnosis gives the same answer to the last bit whether its fits run here, in threads or in a cluster."""
 
-from collections.abc import Callable
-from concurrent.futures import Executor, Future, ThreadPoolExecutor
-from typing import Any
+from concurrent.futures import Executor, ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -33,26 +31,6 @@ def same(here: tuple[list[Recording], Diagnosis], executor: Executor) -> None:
 def test_threads_give_the_same_answer(here: tuple[list[Recording], Diagnosis]) -> None:
     with ThreadPoolExecutor(2) as executor:
         same(here, executor)
-
-
-class TakesNothingThatChanges(Executor):
-    """Runs calls at once, and refuses arguments that another thread could change before they are pickled."""
-
-    calls = 0
-
-    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        assert not kwargs and all(isinstance(one, str | bytes) or callable(one) for one in args)
-        self.calls += 1
-        done: Future[Any] = Future()
-        done.set_result(fn(*args))
-        return done
-
-
-def test_jobs_are_pickled_before_they_are_submitted(here: tuple[list[Recording], Diagnosis]) -> None:
-    """A pool pickles in a thread of its own; an object that this thread changes meanwhile made it fail."""
-    executor = TakesNothingThatChanges()
-    same(here, executor)
-    assert executor.calls > 10
 
 
 def test_a_dask_client_gives_the_same_answer(here: tuple[list[Recording], Diagnosis]) -> None:
