@@ -108,20 +108,20 @@ def diagnose(
     # Averaging over ticks reduces the error of a converter, as it does any noise.
     lsb_um = step_um * float(np.sqrt(np.median([one.tick_s / one.period_s for one in records])))
 
-    def search_without(readings: Sequence[np.ndarray]) -> Search:
-        chain = Chain(prepare(recordings, readings, as_recorded=given_recordings))
-        noise = noise_of_prediction(chain.records, lsb_um, chain.gain_um_per_v)
+    def search_of(records: Sequence[Record]) -> Search:
+        chain = Chain(records)
+        noise = noise_of_prediction(records, lsb_um, chain.gain_um_per_v)
         return Search(chain, log, start, noise, executor, lsb_um, tried, called)
 
     log("nominal: the simulation as it is, then refitted with as many plays as the data support")
-    search = search_without(out)
+    search = search_of(records)
     retuned, final, history = search.run()
     lost = wrong_readings(records, apart(out, recordings), final)
     if count := sum(map(len, map(np.setdiff1d, lost, out))):
         log(f"wrong readings: the residual shows {count} more; the search starts again without them")
         out = [np.union1d(one, more).astype(int) for one, more in zip(out, lost, strict=True)]
         records = prepare(recordings, out, as_recorded=given_recordings)
-        search = search_without(out)
+        search = search_of(records)
         retuned, final, history = search.run()
     first = (
         fit(Chain(records), Hypothesis(plain(what))).residuals
