@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from hashlib import sha256
 from typing import Any
 
 import numpy as np
@@ -102,10 +103,10 @@ class HysteresisModel:
 
     @cached_property
     def structure(self) -> tuple[object, ...]:
-        """A key that distinguishes two sets of rows, apart from the shape."""
-        mixed = None if self.reduction is None else self.reduction.tobytes()
+        """A key that distinguishes two sets of rows, apart from the shape, in any process."""
+        mixed = b"" if self.reduction is None else sha256(self.reduction.tobytes()).digest()
         outside = self.simulation.token if self.simulation else ""
-        return (self.thresholds_v.tobytes(), self.pieces, self.bouc_wen, self.duhem, hash(mixed), outside)
+        return (self.thresholds_v.tobytes(), self.pieces, self.bouc_wen, self.duhem, mixed, outside)
 
     @property
     def remembers(self) -> int:

@@ -4,7 +4,6 @@ import pickle
 import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
-from functools import partial
 from itertools import zip_longest
 from typing import Any, TypeVar
 
@@ -33,32 +32,34 @@ def fit_all(
     chain: Chain, jobs: Sequence[Job], executor: Executor | None, near: Near | None = None
 ) -> list[Fit]:
     """Return the fits of these jobs, in their order; the numbers do not depend on where they ran."""
-    if executor is None:
-        return [fit(chain, *job, near) for job in jobs]
-    key, packed = chain.packed
-    return shared_out(
-        executor,
-        [(_fit_elsewhere, key, packed, chain.weighting, job, near) for job in jobs],
-        [partial(fit, chain, *job, near) for job in jobs],
-    )
+    return shared_out(chain, executor, _fit, [(job, near) for job in jobs])
 
 
 def shared_out(
-    executor: Executor, elsewhere: Sequence[tuple[Any, ...]], here: Sequence[Callable[[], T]]
+    chain: Chain, executor: Executor | None, function: Callable[..., T], calls: Sequence[tuple[Any, ...]]
 ) -> list[T]:
     """Divide calls between an executor and this process, and return the results in the order of the calls.
 
     Args:
-        executor: Takes the calls from the first on.
-        elsewhere: The function and its arguments, for each call.
-        here: The same calls for this process, which takes the last one, then those that no worker has begun.
+        chain: The recordings, the first argument of each call.
+        executor: Takes the calls from the first on; this process takes the last one, then those that no
+            worker has begun. None leaves all to this process.
+        function: What is called, importable by its name.
+        calls: The other arguments of each call.
     """
-    futures = [executor.submit(*call) for call in elsewhere[:-1]]
-    found = {len(here) - 1: here[-1]()} if here else {}
+    if executor is None:
+        return [function(chain, *call) for call in calls]
+    key, packed = chain.packed
+    # Pickled in this thread: a pool pickles in its own, while this one adds cached properties to the objects.
+    futures = [
+        executor.submit(_elsewhere, function, key, packed, pickle.dumps((chain.weighting, *call)))
+        for call in calls[:-1]
+    ]
+    found = {len(calls) - 1: function(chain, *calls[-1])} if calls else {}
     for k in reversed(range(len(futures))):
         if futures[k].cancel():
-            found[k] = here[k]()
-    return [found[k] if k in found else futures[k].result() for k in range(len(here))]
+            found[k] = function(chain, *calls[k])
+    return [found[k] if k in found else futures[k].result() for k in range(len(calls))]
 
 
 def screen_all(
@@ -69,13 +70,9 @@ def screen_all(
     for now, members in screens:
         groups = [members[k : k + TOGETHER] for k in range(0, len(members), TOGETHER)]
         pieces += [(now, groups[k::PIECES]) for k in range(PIECES)] if executor else [(now, groups)]
-    here = [partial(_candidates, chain, *piece) for piece in pieces]
+    found = shared_out(chain, executor, _candidates, pieces)
     if executor is None:
-        return [[candidate for group in call() for candidate in group] for call in here]
-    key, packed = chain.packed
-    found = shared_out(
-        executor, [(_screen_elsewhere, key, packed, chain.weighting, piece) for piece in pieces], here
-    )
+        return [[candidate for group in one for candidate in group] for one in found]
     together = []
     for first in range(0, len(found), PIECES):
         dealt = zip_longest(*found[first : first + PIECES], fillvalue=[])
@@ -97,21 +94,23 @@ class _Kept(threading.local):
 _kept = _Kept()
 
 
-def _fit_elsewhere(key: str, packed: bytes, weighting: Weighting, job: Job, near: Near | None) -> Fit:
-    found = fit(_chain(key, packed, weighting), *job, near)
+def _elsewhere(function: Callable[..., T], key: str, packed: bytes, call: bytes) -> T:
+    weighting, *arguments = pickle.loads(call)
+    return function(_chain(key, packed, weighting), *arguments)
+
+
+def _fit(chain: Chain, job: Job, near: Near | None) -> Fit:
+    found = fit(chain, *job, near)
     return_memory()
     return found
 
 
-def _screen_elsewhere(
-    key: str, packed: bytes, weighting: Weighting, piece: tuple[Fit, Sequence[Sequence[EffectTerm]]]
-) -> list[list[Candidate]]:
-    return _candidates(_chain(key, packed, weighting), *piece)
-
-
 def _candidates(chain: Chain, now: Fit, groups: Sequence[Sequence[EffectTerm]]) -> list[list[Candidate]]:
     screen = Screen(chain, now) if groups else None
-    return [screen.candidates(members) for members in groups] if screen else []
+    found = [screen.candidates(members) for members in groups] if screen else []
+    del screen
+    return_memory()
+    return found
 
 
 def _chain(key: str, packed: bytes, weighting: Weighting) -> Chain:
