@@ -55,12 +55,14 @@ from torchpi.stage import Stage
 from torchpi.stage.effects import EFFECTS
 from torchpi.stage.effects.effect import Effect
 from torchpi.stage.effects.inside import InsideEffect
-from torchpi.stage.effects.sensor.quantization import EVEN, WIDEST, Quantization, uneven_codes
+from torchpi.stage.effects.sensor.quantization import Quantization, uneven_codes
 from torchpi.stage.identified import Identified
 
 UNCERTAIN = 0.9
 """An effect with a lower probability than this is worth another recording."""
 LEAST_SAMPLES = 100
+EVEN, UNEVEN = 1.01, 1.5
+"""Largest ratio between the steps of recordings that one converter read, with even and with uneven codes."""
 HELD_OUT = "the last 15 % of each recording, not used in any fit until the end; the state carries over"
 
 
@@ -257,9 +259,9 @@ def converter(recordings: Sequence[Recording]) -> tuple[float, tuple[str, ...]]:
     y, u = map(np.concatenate, zip(*each, strict=True))
     if step := agreed(even, EVEN) or Quantization.lattice(y):
         return step, (f"All readings lie on a grid with a step of {step * 1e3:.4g} nm.",)
-    if step := uneven_codes(y, u) or agreed([uneven_codes(*one) for one in each], WIDEST):
+    if step := uneven_codes(y, u) or agreed([uneven_codes(*one) for one in each], UNEVEN):
         return step, (
-            "The readings take only a few values, unevenly spaced, with a median spacing of "
+            "The readings recur on certain values, unevenly spaced, with a typical spacing of "
             f"{step * 1e3:.4g} nm.",
         )
     return 0.0, ()

@@ -14,10 +14,12 @@ from torchpi.stage.effects.effect import DataRange, Effect, Parameters, paramete
 FEWEST_READINGS = 8  # distinct readings; fewer lie on some lattice by chance
 FARTHEST = 0.2  # largest distance from a reading to its place, in steps; by chance, 2 in 5 lie within
 FLOAT32_STEP = 2.0**-23
-OFTEN = 20  # mean number of readings per code; noise or motion without quantisation hardly repeats a value
-EVEN = 1.01  # largest ratio of the widest to the narrowest step of evenly spaced values
-NARROWEST, WIDEST = 0.5, 1.5  # code widths over the median, for a converter without missing codes
-SKIPPED = 0.05  # largest share of gaps over a code that no reading has, near the ends of the travel
+EVEN = 0.01  # largest distance of a gap from a whole multiple of the smallest, for evenly spaced values
+NARROWEST = (
+    0.25  # width of a code over the typical one; where readings fall anywhere, the narrowest gap is tiny
+)
+RECURRING = 0.2  # share of the values that recur at another command; noise or motion hardly repeats any
+ANOTHER = 1e-6  # smallest difference between two commands, over their span, that is not one of rounding
 
 
 class Quantization(Static, Effect):
@@ -84,20 +86,32 @@ def uneven_codes(
     readings: np.ndarray,  # (time,), µm
     commands: np.ndarray,  # (time,), V
 ) -> float | None:
-    """Return the typical step, µm, of readings that lie on a few unevenly spaced values; otherwise None.
+    """Return the typical step, µm, of readings that lie on unevenly spaced values; None if they do not.
 
-    A converter's code widths differ (differential nonlinearity: IEEE Std 1241-2010, 9.2). Values that recur
-    in the readings but not in the command distinguish it from a stage that is sent to the same few places.
+    A converter's code widths differ (differential nonlinearity: IEEE Std 1241-2010, 9.2). Its values recur at
+    other commands, which distinguishes it from a stage without noise that is sent to the same places again.
+    How many codes no reading has is estimated from those with one and with two (Chao, *Scandinavian Journal
+    of Statistics* 11, 1984).
     """
-    y = np.unique(readings)
-    if len(y) < FEWEST_READINGS or len(readings) < OFTEN * len(y) or len(np.unique(commands)) < 4 * len(y):
+    y, counts = np.unique(readings, return_counts=True)
+    if len(y) < FEWEST_READINGS or _recurring(readings, commands) < RECURRING * len(y):
         return None
-    gaps = np.diff(y)
-    step = float(np.median(gaps))
+    once, twice = np.count_nonzero(counts == 1), np.count_nonzero(counts == 2)
+    unseen = once * (once - 1) / (2 * (twice + 1))
+    step = float((y[-1] - y[0]) / (len(y) - 1 + unseen))
+    narrowest = np.diff(y).min()
+    gaps = np.diff(y) / narrowest
     # Evenly spaced values come from a file with few decimals, or from a lattice.
-    uneven = gaps.max() > EVEN * gaps.min()
-    whole = gaps.min() >= NARROWEST * step and (gaps > WIDEST * step).mean() <= SKIPPED
-    return step if uneven and whole else None
+    uneven = (np.abs(gaps - np.round(gaps)) > EVEN).any()
+    return step if uneven and narrowest >= NARROWEST * step else None
+
+
+def _recurring(readings: np.ndarray, commands: np.ndarray) -> int:
+    """Count the values that readings have at two commands, apart from those that follow one another."""
+    order = np.argsort(readings, kind="stable")
+    y, u = readings[order], commands[order]
+    again = (np.diff(y) == 0) & (np.diff(order) > 1) & (np.abs(np.diff(u)) > ANOTHER * np.ptp(commands))
+    return len(np.unique(y[1:][again]))
 
 
 def _refined(gaps: np.ndarray, step: float) -> float:
