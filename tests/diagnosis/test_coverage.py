@@ -5,7 +5,7 @@ import pytest
 
 from tests.diagnosis.plants import FS_HZ, multisine, record, triangles
 from tests.diagnosis.prepared import prepared
-from torchpi.diagnosis.coverage import follows_command, levels, repeats, untested
+from torchpi.diagnosis.coverage import follows_command, levels, one_motion, repeats, untested
 from torchpi.diagnosis.diagnose import diagnose
 from torchpi.diagnosis.records import seen
 
@@ -58,6 +58,12 @@ def test_a_narrow_range_of_held_out_voltages_loops_or_rates_is_reported() -> Non
     assert sine == ("loops between two levels", "strokes at one rate")
     (voltages, *rest) = ramp
     assert voltages == "voltages from 8.5 to 10 V of the recorded 0 to 10 V" and not rest
+
+
+def test_only_going_to_and_fro_without_a_hold_is_one_motion() -> None:
+    stairs = np.repeat([0.0, 10.0, 0.0, 10.0], 2000)
+    found = [one_motion(prepared([record(u)])) for u in (SINE_V, triangles(8000), multisine(8000), stairs)]
+    assert found == [True, False, False, False]
 
 
 def test_a_curved_sensor_under_a_sine_is_not_named_gain_modulation() -> None:

@@ -146,3 +146,22 @@ def test_a_larger_hysteresis_gives_way_to_an_equally_good_effect_that_is_not_hys
     ]  # fmt: skip
     final = settled_among(models, Gain(-10.0, 20.0), monkeypatch)
     assert final is (bent if given_way else larger)
+
+
+@pytest.mark.parametrize("bends", [True, False])
+def test_a_larger_hysteresis_gives_way_if_it_explains_no_more_than_a_little_of_everything(
+    bends: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Among many samples a tenth of the noise is significant, but hundreds of weights predict worse."""
+    h = Hypothesis(HysteresisModel(np.zeros(0)))
+    larger, plain = (SimpleNamespace(slots=(), train_rms=1.0, hypothesis=h) for _ in range(2))
+    bent = SimpleNamespace(slots=(1,), train_rms=1.0, hypothesis=h.plus(EffectTerm(SensorNonlinearity, {})))
+    models = [
+        Model("", "", larger),
+        Model(OPERATOR_NAME, "", plain),
+        Model(OPERATOR_NAME, "sensor_nonlinearity", bent),
+    ]
+    final = settled_among(
+        models, Gain(-450.0, 80.0), monkeypatch, bends_to_all=lambda one, now: bends and now is bent
+    )
+    assert final is (bent if bends else larger)

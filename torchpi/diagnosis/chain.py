@@ -266,7 +266,7 @@ class Chain:
         before = tuple(placed.key for placed in self.before(hypothesis, index))
         shape = tuple(sorted(nominal.shape.items()))
         past = (hypothesis.remanent, nominal.start)
-        return (index, hypothesis.alignment, past, nominal.structure, shape, before)
+        return (index, hypothesis.alignment, past, hypothesis.nominal.structure, shape, before)
 
     def before(self, hypothesis: Hypothesis, index: int) -> list[Placed]:
         """The effects that precede the hysteresis."""

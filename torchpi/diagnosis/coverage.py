@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numba
 import numpy as np
 
+from torchpi.diagnosis.noise import holds
 from torchpi.diagnosis.records import Record
 from torchpi.stage.effects.effect import DataRange, Effect
 from torchpi.stage.effects.inside import InsideEffect
@@ -15,6 +16,8 @@ LEVELS = 2
 """Number of levels at which any voltage turns round that goes up and comes down."""
 TESTED = 0.8
 """Share of the recorded voltage range that samples must span to test a prediction over all of it."""
+HOLDING = 0.1
+"""Share of its samples that a recording must hold, at least, to show what a loop does not."""
 PACE = 1.5
 """Least ratio of the durations of slow and fast strokes for recordings to have several rates."""
 HARMONICS = 10
@@ -97,6 +100,13 @@ def untested(records: Sequence[Record], seen: DataRange) -> tuple[str, ...]:
         if pace(records) < PACE:
             found.append("strokes at one rate")
     return tuple(found)
+
+
+def one_motion(records: Sequence[Record]) -> bool:
+    """Whether the voltage only goes to and fro between two levels at one rate, and never holds."""
+    held = [sum(hold.stop - hold.start for hold in holds(record.u)) for record in records]
+    holding = any(n > HOLDING * len(record.u) for n, record in zip(held, records, strict=True))
+    return not holding and levels(records) <= LEVELS and pace(records) < PACE
 
 
 def turns(record: Record) -> bool:

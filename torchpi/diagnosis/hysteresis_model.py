@@ -127,7 +127,9 @@ class HysteresisModel:
         return bool(self.simulation or self.thresholds_v.any())
 
     def with_shape(self, values: dict[str, float]) -> "HysteresisModel":
-        return replace(self, shape={**self.shape, **values})
+        changed = replace(self, shape={**self.shape, **values})
+        vars(changed)["structure"] = self.structure  # which takes time where there are many rows
+        return changed
 
     @property
     def kept(self) -> int:

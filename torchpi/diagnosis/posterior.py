@@ -18,6 +18,7 @@ from math import sqrt
 import numpy as np
 
 from torchpi.diagnosis.contest import PRIOR
+from torchpi.diagnosis.coverage import one_motion
 from torchpi.diagnosis.diagnosis import Rival
 from torchpi.diagnosis.exchange import alike
 from torchpi.diagnosis.hypothesis import EffectTerm, Fit, Hypothesis
@@ -42,8 +43,9 @@ wrong names, 0.66 in a right one."""
 SLOW_FORM_ERROR = 0.02
 """Share, of what a slow effect explains, that another law of its cause may leave: a seventh of its size."""
 HYSTERESIS_ERROR, OF_MODES = 0.003, 0.0003
-"""FORM_ERROR of a larger hysteresis for any effect; much less for modes, as nothing rate-independent rings.
-Set on 24 further cases: below 0.0003 in four wrong names, 0.0024 in another, 0.0054 in a right one."""
+"""FORM_ERROR of a larger hysteresis for any effect; much less for modes, as nothing rate-independent rings,
+unless one motion at one rate is all there is: that does not tell a ring from the shape of a loop. Set on 24
+further cases: below 0.0003 in four wrong names, 0.0024 in another, 0.0054 in a right one."""
 MOST = 0.5
 """Share, of what a timing convention leaves where a delay acts, that a delay must explain to be a cause."""
 LAPSE = 0.02
@@ -123,7 +125,8 @@ def posterior(
     found = [as_one(one, found, together, left_um) for one in found]
     found.sort(key=lambda one: -one.explained_um2)
     terms = {member.effect.name: member for member in final.hypothesis.members}
-    found = [apart(one, found, terms, signals) for one in found]
+    of_modes = HYSTERESIS_ERROR if one_motion(search.chain.records) else OF_MODES
+    found = [apart(one, found, terms, signals, of_modes) for one in found]
     return final, [replace(one, probability=round(one.probability, 4)) for one in found]
 
 
@@ -220,15 +223,22 @@ def share_explained(search: Search, more: Fit, less: Fit, name: str, own_signal:
 
 
 def apart(
-    one: Believed, found: Sequence[Believed], terms: Mapping[str, EffectTerm], signals: Collection[str] = ()
+    one: Believed,
+    found: Sequence[Believed],
+    terms: Mapping[str, EffectTerm],
+    signals: Collection[str] = (),
+    of_modes: float = OF_MODES,
 ) -> Believed:
     """Return an effect, its probability multiplied by that of its being a separate cause, not an error in the
-    form of another effect; `signals` are the effects that add a signal of their own."""
+    form of another effect; `signals` are the effects that add a signal of their own, and `of_modes` is the
+    share of what a larger hysteresis explains that may look like a mode."""
     left_um2, by = max(
         (
             (
                 other.explained_um2
-                * form_error(terms.get(one.name), terms.get(other.name), one.name in signals, one.known),
+                * form_error(
+                    terms.get(one.name), terms.get(other.name), one.name in signals, one.known, of_modes
+                ),
                 other.name,
             )
             for other in found
@@ -243,7 +253,9 @@ def apart(
     return replace(one, probability=one.probability * another, form_of=form_of)
 
 
-def form_error(one: EffectTerm | None, other: EffectTerm | None, own_signal: bool, known: float) -> float:
+def form_error(
+    one: EffectTerm | None, other: EffectTerm | None, own_signal: bool, known: float, of_modes: float
+) -> float:
     """Return the share, of what another cause explains, that looks like an effect if the form of that cause
     is not quite the rig's.
 
@@ -258,7 +270,7 @@ def form_error(one: EffectTerm | None, other: EffectTerm | None, own_signal: boo
     if other is None and own_signal and not one.effect.rings:
         return 0.0
     if other is None:
-        return (OF_MODES if one.effect.rings else HYSTERESIS_ERROR) / against_half(known)
+        return (of_modes if one.effect.rings else HYSTERESIS_ERROR) / against_half(known)
     kin = one.effect is not other.effect and (alike(one, other) or other.effect.name in one.effect.left_by)
     return FORM_ERROR if kin else 0.0
 

@@ -48,13 +48,16 @@ def settled(search: Search, retuned: Fit, final: Fit, history: Sequence[Round]) 
                 and any(search.bends_to_all(one.fit, less) for less in (bare[one.without], now))
             )
         ]
-        # Within one standard error, fewer parameters win; a model two behind may be much worse.
+        # Within one standard error, fewer parameters win; a model two behind may be much worse. Hundreds of
+        # weights that only explain a little of everything win by nothing but their number.
         plainer = [
             (ahead, one)
             for ahead, one in better
             if one.instead not in ("", OPERATOR_NAME)
             and (gives_way(one) or (len(one.fit.slots), -ahead.nats) < (len(now.slots), 0.0))
-            and ahead.nats > -max(ahead.sd, -PRIOR)
+            and (
+                ahead.nats > -max(ahead.sd, -PRIOR) or (gives_way(one) and search.bends_to_all(now, one.fit))
+            )
         ]
         ahead, best = max(better, key=lambda pair: pair[0].nats, default=(None, models[0]))
         if ahead is None or last or search.slips:

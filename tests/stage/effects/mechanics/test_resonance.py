@@ -13,6 +13,7 @@ from tests.stage.effects.actuator.laws import PERIOD_S, EffectLaws, step
 from torchpi.errors import StageError
 from torchpi.operators.conformance import wandering
 from torchpi.stage.effects.effect import DataRange
+from torchpi.stage.effects.mechanics.modal import ModalResonance, ModalSecondMode
 from torchpi.stage.effects.mechanics.resonance import Resonance, peaks_hz
 
 SEEN = DataRange(2e4, 1.0, 0, 1, 1, 0, 1, {})
@@ -129,3 +130,10 @@ def test_a_search_starts_at_given_peaks_or_on_a_grid():
     grid = [start["frequency_hz"] for start in Resonance.starts(SEEN)]
     assert grid[0] == pytest.approx(100.0) and grid[-1] == pytest.approx(5e3)
     assert [start["frequency_hz"] for start in Resonance.starts_at(SEEN, [321.0, 1e5])] == [321.0]
+
+
+@pytest.mark.parametrize("effect", [Resonance, ModalResonance, ModalSecondMode])
+def test_a_mode_close_to_half_of_the_sample_rate_is_out_of_reach(effect):
+    assert effect.reached({"frequency_hz": 0.4 * SEEN.fs_hz}, SEEN)
+    assert not effect.reached({"frequency_hz": 0.47 * SEEN.fs_hz}, SEEN)
+    assert all(effect.reached(start, SEEN) for start in Resonance.starts(SEEN))

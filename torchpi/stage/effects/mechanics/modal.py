@@ -1,12 +1,12 @@
 """Named effects of a stage in which every input drives every mode: the parts of `Modes`."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import ClassVar
 
 from torchpi.operators.linear import Hold
 from torchpi.operators.quantity import Quantity
-from torchpi.stage.effects.effect import Block, Described
-from torchpi.stage.effects.mechanics.resonance import OF_A_MODE
+from torchpi.stage.effects.effect import Block, DataRange, Described
+from torchpi.stage.effects.mechanics.resonance import OF_A_MODE, is_sampled
 
 MOST_MODES = 16
 """Largest number of modes that a stage may have."""
@@ -30,6 +30,10 @@ class ModalResonance(ModalEffect):
     time_scale = "fast"
     rings = True
     quantities: ClassVar[dict[str, Quantity]] = {**OF_A_MODE, "share": _SHARE, "rate_share": _SHARE}
+
+    @classmethod
+    def reached(cls, values: Mapping[str, float], seen: DataRange) -> bool:
+        return is_sampled(values, seen)
 
 
 class ModalSecondMode(ModalResonance):

@@ -24,6 +24,9 @@ BINS_PER_OCTAVE = 120
 CLOSE, NEAR = 2.0, (0.93, 0.98, 1.02, 1.07)
 """The largest ratio of the frequencies of a mode and of the one that it replaces; the ratios that are tried
 where both form a single peak."""
+HIGHEST = 0.45
+"""Highest frequency of a mode, as a share of the sample rate: between there and half of it, readings hardly
+tell one frequency from another, nor from one above."""
 GRID = 14
 """Number of frequencies of a blind search, close enough for a fit to converge."""
 OF_A_MODE = {
@@ -90,8 +93,12 @@ class Resonance(StateSpaceEffect):
         return torch.stack([1 - ratio**2, damping]), ratio**2
 
     @classmethod
+    def reached(cls, values: Mapping[str, float], seen: DataRange) -> bool:
+        return is_sampled(values, seen)
+
+    @classmethod
     def starts(cls, seen: DataRange) -> list[Parameters]:
-        highest = min(5e3, 0.45 * seen.fs_hz)
+        highest = min(5e3, HIGHEST * seen.fs_hz)
         lowest = min(100.0, highest / 5)
         if lowest < cls.quantities["frequency_hz"].at_least:
             return []
@@ -107,7 +114,7 @@ class Resonance(StateSpaceEffect):
         return [
             {"frequency_hz": f, "damping_ratio": TYPICAL_DAMPING}
             for f in frequencies_hz
-            if f < 0.5 * seen.fs_hz
+            if f < HIGHEST * seen.fs_hz
         ]
 
     @classmethod
@@ -162,3 +169,8 @@ def peaks_hz(
     found, _ = scipy.signal.find_peaks(excess, distance=BINS_PER_OCTAVE // 3)
     peaks_hz: list[float] = centres[found[np.argsort(-excess[found])][:count]].tolist()
     return peaks_hz
+
+
+def is_sampled(values: Mapping[str, float], seen: DataRange) -> bool:
+    """Whether the readings are close enough in time to show a mode."""
+    return values["frequency_hz"] < HIGHEST * seen.fs_hz
