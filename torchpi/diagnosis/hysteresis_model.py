@@ -17,7 +17,7 @@ from torchpi.operators.hysteresis_rows import (
     DUHEM_POWERS,
     bend,
     bouc_wen_row,
-    duhem_row,
+    duhem_rows,
     gain_inside,
     offsets_of,
     play_states,
@@ -277,7 +277,10 @@ class HysteresisModel:
             rows.append(self.scale_v * (z + z * loop))
         if self.duhem:
             alpha = self.shape["alpha_per_v"]
-            rows += [duhem_row(v, alpha, k) / self.scale_v ** (k - 1) for k in DUHEM_POWERS]
+            rows += [
+                row / self.scale_v ** (k - 1)
+                for k, row in zip(DUHEM_POWERS, duhem_rows(v, alpha), strict=True)
+            ]
         return rows
 
     def of_simulation(self, v: np.ndarray) -> list[np.ndarray]:

@@ -93,6 +93,15 @@ def duhem(z: float, v: float, before: float, alpha: float, power: int) -> float:
     if whole < 1e-30:  # a decaying voltage: the pieces may be too short to be represented
         return z
     pieces, gap, kept, first, second = duhem_pieces(v, before, whole)
+    return duhem_through(z, v, before, power, pieces, gap, kept, first, second)
+
+
+@register_jitable
+def duhem_through(
+    z: float, v: float, before: float, power: int,
+    pieces: int, gap: float, kept: float, first: float, second: float,
+) -> float:  # fmt: skip
+    """Return z after the pieces of a move, as `duhem_pieces` returns them."""
     move = (v - before) / pieces
     for piece in range(pieces):
         early = before + move * (piece + 0.5 * (1.0 - gap))
@@ -121,7 +130,6 @@ def duhem_pieces(v: float, before: float, whole: float) -> tuple[int, float, flo
 
 _bouc_wen: Any = numba.njit(bouc_wen)
 _piece_of: Any = numba.njit(piece_of, error_model="numpy")
-_duhem: Any = numba.njit(duhem)
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -282,15 +290,19 @@ def bouc_wen_row(v: np.ndarray, sigma: float, beta: float, n: float, start: floa
 
 
 @numba.njit(cache=True)
-def duhem_row(v: np.ndarray, alpha: float, power: int) -> np.ndarray:
-    """Return z, (time,), of a Duhem state that is 0 at v = 0."""
-    row = np.empty(len(v))
-    z, before = 0.0, 0.0
+def duhem_rows(v: np.ndarray, alpha: float) -> np.ndarray:
+    """Return the Duhem states of all powers, (powers, time), which are 0 at v = 0."""
+    rows, z, before = np.empty((len(DUHEM_POWERS), len(v))), np.zeros(len(DUHEM_POWERS)), 0.0
     for t in range(len(v)):
-        z = _duhem(z, v[t], before, alpha, power)
-        row[t] = z
+        whole = alpha * abs(v[t] - before)
+        if whole >= 1e-30:
+            pieces, gap, kept, first, second = duhem_pieces(v[t], before, whole)
+            for k in range(len(DUHEM_POWERS)):
+                power = DUHEM_POWERS[k]
+                z[k] = duhem_through(z[k], v[t], before, power, pieces, gap, kept, first, second)
+        rows[:, t] = z
         before = v[t]
-    return row
+    return rows
 
 
 @numba.njit(cache=True)

@@ -114,7 +114,7 @@ class Resonance(StateSpaceEffect):
         return [
             {"frequency_hz": f, "damping_ratio": TYPICAL_DAMPING}
             for f in frequencies_hz
-            if f < HIGHEST * seen.fs_hz
+            if f < 0.5 * seen.fs_hz
         ]
 
     @classmethod
