@@ -24,6 +24,7 @@ from torchpi.stage.effects.amplifier.delay import Delay
 from torchpi.stage.effects.amplifier.slew_limit import SlewLimit
 from torchpi.stage.effects.effect import DataRange
 from torchpi.stage.effects.mechanics.cross_coupling import CrossCoupling
+from torchpi.stage.effects.mechanics.second_mode import SecondMode
 from torchpi.stage.effects.sensor.gain_modulation import GainModulation
 from torchpi.stage.effects.sensor.sensor_lag import SensorLag
 from torchpi.stage.effects.sensor.sensor_nonlinearity import SensorNonlinearity
@@ -53,12 +54,19 @@ def test_a_refit_is_accepted_if_it_leaves_less_and_reaches_no_bound(
     assert search.chain.weighting is weighting
 
 
+def test_of_several_modes_one_has_to_be_well_below_half_of_the_sample_rate() -> None:
+    search = object.__new__(Search)
+    search.seen, search.given = DataRange(1e3, 1.0, 0.0, 10.0, 100.0, 0, 1, {}), set()
+    low, high = (EffectTerm(SecondMode, {"frequency_hz": f, "damping_ratio": 0.02}) for f in (300.0, 480.0))
+    assert search.within_reach([low, high]) and not search.within_reach([high])
+
+
 def test_an_addition_is_barred_by_its_own_bound_or_unreached_limit_and_not_by_earlier_ones() -> None:
     soft = EffectTerm(SlewLimit, {"rate_v_per_s": 900.0, "knee_v": 1.0})
     creep = EffectTerm(Creep, {"per_decade": 0.01})
     search = object.__new__(Search)
     search.seen = DataRange(1e3, 1.0, 0.0, 10.0, 100.0, 0, 1, {}, peak_rate_v_s=500.0)
-    search.repeating = []
+    search.repeating, search.given = [], set()
 
     def fitted(*members: EffectTerm, bounded: int | None = None) -> SimpleNamespace:
         slots = [] if bounded is None else [SimpleNamespace(name="a number", member=bounded)]
@@ -69,6 +77,9 @@ def test_an_addition_is_barred_by_its_own_bound_or_unreached_limit_and_not_by_ea
     now, more = fitted(soft), fitted(soft, creep)
     assert search.inside(more, now) and not search.within_reach([soft, creep])
     assert not search.within_reach([soft]) and search.within_reach([creep])
+    search.given = {"slew_limit"}  # which the recordings need not reach if it is the simulation's own
+    assert search.within_reach([soft, creep])
+    search.given = set()
     assert not search.inside(fitted(soft), fitted())
     assert search.inside(fitted(soft, creep, bounded=0), now)
     assert not search.inside(fitted(soft, creep, bounded=1), now)

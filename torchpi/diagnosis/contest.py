@@ -55,10 +55,11 @@ class Contest:
         chain: The recordings, and the weight of each coefficient.
         noise: The measured noise, if any.
         executor: Runs independent fits; None runs them in this process.
+        given: The names of the effects that the simulation already has.
     """
 
-    def __init__(self, chain: Chain, noise: Noise | None, executor: Executor | None) -> None:
-        self.chain, self.noise, self.executor = chain, noise, executor
+    def __init__(self, chain: Chain, noise: Noise | None, executor: Executor | None, given: set[str]) -> None:
+        self.chain, self.noise, self.executor, self.given = chain, noise, executor, given
         self.repeating, self.seen = repeats(chain.records), seen(chain.records)
 
     def fits(self, jobs: Sequence[Job], around: Fit | None = None) -> list[Fit]:
@@ -162,12 +163,11 @@ class Contest:
         return follows_command(line_hz, power, self.repeating)
 
     def within_reach(self, members: Sequence[EffectTerm]) -> bool:
-        """Whether the recordings show each of these effects: the command exceeds its limit, and of several
-        modes one is well below half of the sample rate."""
-        reached = {
-            member.effect.name for member in members if member.effect.reached(member.shared, self.seen)
-        }
-        return reached == {member.effect.name for member in members}
+        """Whether the recordings show each added effect among these: the command exceeds its limit, and of
+        several modes one is well below half of the sample rate."""
+        added = [member for member in members if member.effect.name not in self.given]
+        reached = {m.effect.name for m in added if m.effect.reached(m.shared, self.seen)}
+        return reached == {m.effect.name for m in added}
 
     def needs_no_history(self, now: Fit, less: Fit) -> bool:
         """Whether the recordings are predicted as well, or almost as well, from a de-energised start.

@@ -43,8 +43,8 @@ class Timing(Contest):
         alignments: Sequence[int],
         given: set[str],
     ) -> None:
-        super().__init__(chain, noise, executor)
-        self.alignments, self.given = alignments, given
+        super().__init__(chain, noise, executor, given)
+        self.alignments = alignments
         self.starts: list[EffectTerm] = []
         """The starts from which effects are fitted."""
 
