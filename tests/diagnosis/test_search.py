@@ -11,6 +11,7 @@ from tests.diagnosis.prepared import prepared
 from torchpi.diagnosis import growth
 from torchpi.diagnosis.chain import Chain
 from torchpi.diagnosis.contest import ACCEPTED
+from torchpi.diagnosis.exchange import effects_of
 from torchpi.diagnosis.fit import FINE, ROUGH
 from torchpi.diagnosis.hypothesis import EffectTerm
 from torchpi.diagnosis.noise import measured_noise
@@ -52,6 +53,13 @@ def test_a_refit_is_accepted_if_it_leaves_less_and_reaches_no_bound(
     search.weigh, search.fits_here = lambda fit: None, lambda jobs: [after]
     assert search.at_its_own_weights(before) is (after if taken else before)
     assert search.chain.weighting is weighting
+
+
+def test_the_log_counts_effects_of_the_same_name() -> None:
+    names = ("cross_coupling", "cross_coupling", "resonance", *["second_mode"] * 10)
+    fit = SimpleNamespace(hypothesis=SimpleNamespace(names=names))
+    assert effects_of(fit) == "cross_coupling (2), resonance, second_mode (10)"
+    assert effects_of(SimpleNamespace(hypothesis=SimpleNamespace(names=()))) == ""
 
 
 def test_of_several_modes_one_has_to_be_well_below_half_of_the_sample_rate() -> None:

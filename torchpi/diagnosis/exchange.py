@@ -1,5 +1,6 @@
 """Exchange of accepted effects for other forms of them, or for other effects in their place."""
 
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -55,7 +56,7 @@ class Exchange(Timing):
             chosen = max(reached, key=self.worth, default=now)
         if chosen is now:
             return now
-        self.log(f"  as {', '.join(chosen.hypothesis.names)}: {rms_of(chosen)}")
+        self.log(f"  as {effects_of(chosen)}: {rms_of(chosen)}")
         return chosen
 
     def of_a_simpler_kind(self, now: Fit) -> list[Job]:
@@ -126,3 +127,9 @@ def shared_out_among(one: EffectTerm, other: EffectTerm) -> bool:
 
 def rms_of(one: Fit) -> str:
     return f"{one.train_rms * 1e3:.3f} nm"
+
+
+def effects_of(one: Fit) -> str:
+    """Return the names of a fit's effects, each with how many there are if it has several."""
+    counts = Counter(one.hypothesis.names)
+    return ", ".join(name if count == 1 else f"{name} ({count})" for name, count in counts.items())

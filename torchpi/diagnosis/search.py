@@ -14,7 +14,7 @@ import numpy as np
 from torchpi.diagnosis.chain import Chain
 from torchpi.diagnosis.contest import ACCEPTED, STEPS, Tried, explains_less
 from torchpi.diagnosis.coverage import reason_to_leave_out
-from torchpi.diagnosis.exchange import rms_of
+from torchpi.diagnosis.exchange import effects_of, rms_of
 from torchpi.diagnosis.fit import FINE, ROUGH
 from torchpi.diagnosis.growth import OPERATOR, REVERSALS
 from torchpi.diagnosis.hypothesis import EffectTerm, Fit, Hypothesis
@@ -107,9 +107,7 @@ class Search(Proposals):
             if late is not now:
                 history.append(Round(now, tuple(tried), None))
                 now = self.backward(self.swapped(late))
-                self.log(
-                    f"  with {', '.join(now.hypothesis.names)} in place of a timing convention: {rms_of(now)}"
-                )
+                self.log(f"  with {effects_of(now)} in place of a timing convention: {rms_of(now)}")
                 continue
             if chosen is None or is_slow(chosen) or (is_larger(chosen) and not self.is_noise(chosen.fit)):
                 # Duhem states lack the wiping-out property and can imitate other physics, so they are tried
@@ -131,7 +129,7 @@ class Search(Proposals):
             considerable = self.noise is None or not explains_less(grown, small, self.noise.rms_um)
             now = self.backward(self.swapped(self.realigned(grown)) if considerable else grown)
             self.needless |= set(chosen.fit.hypothesis.names) - set(now.hypothesis.names)
-            self.log(f"  with {', '.join(now.hypothesis.names) or chosen.name}: {rms_of(now)}")
+            self.log(f"  with {effects_of(now) or chosen.name}: {rms_of(now)}")
         self.weigh(now)
         if self.slips:
             self.jump = jump(self.slips, now)
