@@ -15,9 +15,7 @@ FEWEST_READINGS = 8  # distinct readings; fewer lie on some lattice by chance
 FARTHEST = 0.2  # largest distance from a reading to its place, in steps; by chance, 2 in 5 lie within
 FLOAT32_STEP = 2.0**-23
 EVEN = 0.01  # largest distance of a gap from a whole multiple of the smallest, for evenly spaced values
-NARROWEST = (
-    0.25  # width of a code over the typical one; where readings fall anywhere, the narrowest gap is tiny
-)
+NARROWEST = 0.25  # width of a code over the typical one; without codes the narrowest gap is tiny
 RECURRING = 0.2  # share of the values that recur at another command; noise or motion hardly repeats any
 ANOTHER = 1e-6  # smallest difference between two commands, over their span, that is not one of rounding
 
@@ -94,15 +92,18 @@ def uneven_codes(
     of Statistics* 11, 1984).
     """
     y, counts = np.unique(readings, return_counts=True)
-    if len(y) < FEWEST_READINGS or _recurring(readings, commands) < RECURRING * len(y):
+    least = RECURRING * len(y)
+    # Where hardly any reading is repeated, as without a converter, there is no need to look at the commands.
+    if len(y) < FEWEST_READINGS or len(readings) - len(y) < least or _recurring(readings, commands) < least:
         return None
     once, twice = np.count_nonzero(counts == 1), np.count_nonzero(counts == 2)
     unseen = once * (once - 1) / (2 * (twice + 1))
     step = float((y[-1] - y[0]) / (len(y) - 1 + unseen))
-    narrowest = np.diff(y).min()
-    gaps = np.diff(y) / narrowest
+    gaps = np.diff(y)
+    narrowest = gaps.min()
+    multiples = gaps / narrowest
     # Evenly spaced values come from a file with few decimals, or from a lattice.
-    uneven = (np.abs(gaps - np.round(gaps)) > EVEN).any()
+    uneven = (np.abs(multiples - np.round(multiples)) > EVEN).any()
     return step if uneven and narrowest >= NARROWEST * step else None
 
 
