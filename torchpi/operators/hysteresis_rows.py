@@ -22,7 +22,7 @@ _clamp_play: Any = numba.njit(clamp_play)
 TOGETHER = 128
 """Samples per block when many sums are written, so that a block stays in the cache."""
 DUHEM_POWERS = tuple(range(1, 9))
-"""Power of v that each state of a bank has as f: any smooth f is nearly a sum of these."""
+"""Power of v that each state of a bank has as f, counting from 1: any smooth f is nearly a sum of these."""
 
 
 def bend(v: float, asymmetry_per_v: float) -> float:
@@ -93,15 +93,6 @@ def duhem(z: float, v: float, before: float, alpha: float, power: int) -> float:
     if whole < 1e-30:  # a decaying voltage: the pieces may be too short to be represented
         return z
     pieces, gap, kept, first, second = duhem_pieces(v, before, whole)
-    return duhem_through(z, v, before, power, pieces, gap, kept, first, second)
-
-
-@register_jitable
-def duhem_through(
-    z: float, v: float, before: float, power: int,
-    pieces: int, gap: float, kept: float, first: float, second: float,
-) -> float:  # fmt: skip
-    """Return z after the pieces of a move, as `duhem_pieces` returns them."""
     move = (v - before) / pieces
     for piece in range(pieces):
         early = before + move * (piece + 0.5 * (1.0 - gap))
@@ -291,15 +282,23 @@ def bouc_wen_row(v: np.ndarray, sigma: float, beta: float, n: float, start: floa
 
 @numba.njit(cache=True)
 def duhem_rows(v: np.ndarray, alpha: float) -> np.ndarray:
-    """Return the Duhem states of all powers, (powers, time), which are 0 at v = 0."""
+    """Return the Duhem states of all powers, (powers, time), which are 0 at v = 0.
+
+    They move as `duhem` moves each, in a quarter of the time: they share the pieces and the powers.
+    """
     rows, z, before = np.empty((len(DUHEM_POWERS), len(v))), np.zeros(len(DUHEM_POWERS)), 0.0
     for t in range(len(v)):
         whole = alpha * abs(v[t] - before)
         if whole >= 1e-30:
             pieces, gap, kept, first, second = duhem_pieces(v[t], before, whole)
-            for k in range(len(DUHEM_POWERS)):
-                power = DUHEM_POWERS[k]
-                z[k] = duhem_through(z[k], v[t], before, power, pieces, gap, kept, first, second)
+            move = (v[t] - before) / pieces
+            for piece in range(pieces):
+                early = before + move * (piece + 0.5 * (1.0 - gap))
+                late = before + move * (piece + 0.5 * (1.0 + gap))
+                f_early, f_late = 1.0, 1.0
+                for k in range(len(DUHEM_POWERS)):
+                    f_early, f_late = f_early * early, f_late * late
+                    z[k] = kept * z[k] + first * f_early + second * f_late
         rows[:, t] = z
         before = v[t]
     return rows
