@@ -86,7 +86,7 @@ def test_errors_across_recordings_are_stated_in_place_of_the_unexplained_share()
 
 def test_the_share_that_effects_explain_only_jointly_is_stated() -> None:
     text = paragraph(decided("explained", lag(0.9), joint=0.45), ERRORS, NOISE, NEXT)
-    assert "45 % is explained by several of them together and cannot be attributed to any single one." in text
+    assert "45 % is explained by several effects together and cannot be attributed to any single one." in text
     assert "together" not in paragraph(decided("explained", lag(0.9)), ERRORS, NOISE, NEXT)
 
 

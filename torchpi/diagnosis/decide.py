@@ -50,7 +50,7 @@ class Decision:
     """Effects of the final hypothesis that are too uncertain to be named."""
     unexplained_share: float
     joint_share: float
-    """Share of the squared residual that several names explain jointly, and none of them given the others."""
+    """Share of the squared residual that several effects explain jointly, none of them given the others."""
     noise_um: float | None
     """Noise of a reading, if it was measured."""
     carries_over: bool = True
@@ -100,9 +100,10 @@ def decide(
     }
     believed = without_forms(believed, names, final, floor_um)
     above = max(final.train_rms**2 - floor_um**2, 0.0) if noise is not None else 0.0
+    removed = retuned.train_rms**2 - max(final.train_rms, floor_um) ** 2
+    believed, joint = with_all_attributed(believed, removed)
     # What each effect explains given the others, plus what is left, may exceed what was there before.
     explained = sum(max(one.explained_um2, 0.0) for one in believed)
-    joint = retuned.train_rms**2 - max(final.train_rms, floor_um) ** 2 - explained
     total = max(retuned.train_rms**2 - floor_um**2, above + explained, 1e-300)
     known = {effect.name: effect for effect in search.effects_tried}
     named = []
@@ -130,7 +131,7 @@ def decide(
     found = verdict(named, bool(left) or loud, final, noise, structured)
     share = 0.0 if found == "nothing_missing" else min(1.0, above / total)
     return Decision(
-        found, tuple(named), left, share, max(joint, 0.0) / total if len(named) > 1 else 0.0,
+        found, tuple(named), left, share, joint / total,
         noise.rms_um if noise is not None else None,
     )  # fmt: skip
 
@@ -156,6 +157,15 @@ def without_forms(
         for one in believed
         if one not in forms
     ]
+
+
+def with_all_attributed(believed: Sequence[Believed], removed_um2: float) -> tuple[Sequence[Believed], float]:
+    """Attribute all that the fit removed: what no effect explains given the others is explained by several
+    of them jointly, and is returned, µm²; a single effect explains all of it."""
+    rest = max(removed_um2 - sum(max(one.explained_um2, 0.0) for one in believed), 0.0)
+    if len(believed) == 1:
+        return [replace(one, explained_um2=max(one.explained_um2, 0.0) + rest) for one in believed], 0.0
+    return believed, rest if believed else 0.0
 
 
 def if_it_carries_over(

@@ -62,7 +62,7 @@ def paragraph(
     parts += [sentence(effect) for effect in decision.effects]
     if decision.joint_share >= WORTH_A_SENTENCE:
         parts.append(
-            f"{percent(decision.joint_share)} is explained by several of them together and cannot be "
+            f"{percent(decision.joint_share)} is explained by several effects together and cannot be "
             "attributed to any single one."
         )
     if decision.effects:
