@@ -17,7 +17,7 @@ from torchpi.diagnosis.diagnosis import (
 )
 from torchpi.diagnosis.noise import Noise
 from torchpi.diagnosis.posterior import HALF, Believed
-from torchpi.diagnosis.say import paragraph, percent, sentence, spoken_parameter
+from torchpi.diagnosis.say import paragraph, percent, readable, sentence, spoken_parameter
 
 ERRORS = [Errors(one, one, one) for one in (0.05, 0.04, 0.0042)]
 NOISE = Noise(0.004, np.full(5, 1.6e-5), 2e3, "holds of the voltage")
@@ -61,6 +61,32 @@ def test_a_parameter_with_an_integer_value_is_stated() -> None:
     """The neutral value 1 stands in for a recording that has not been made yet."""
     ageing = replace(lag(0.9), parameters=(Parameter("exponent", 1, "", (0.4, 1.3)),))
     assert "(exponent 1)" in sentence(ageing)
+
+
+@pytest.mark.parametrize(
+    ("value", "words"),
+    [
+        (0.25, "0.25 s"),
+        (0.1, "0.1 s"),
+        (0.0123, "12.3 ms"),
+        (-2e-3, "-2 ms"),
+        (1.443e-4, "144.3 µs"),
+        (0.0, "0 s"),
+    ],
+)
+def test_short_times_are_stated_in_ms_or_us(value: float, words: str) -> None:
+    found = readable(Parameter("delay_s", value, "s", (value / 2, value * 2)))
+    assert f"{found.value:.4g} {found.unit}" == words
+    times = {"s": 1.0, "ms": 1e3, "µs": 1e6}[found.unit]
+    assert found.interval_90 == pytest.approx((times * value / 2, times * value * 2))
+    assert readable(found) is found or found.unit == "s"
+
+
+def test_other_units_and_words_are_stated_as_they_are() -> None:
+    for one in (Parameter("cutoff_hz", 0.01, "Hz", None), Parameter("family", "duhem", "s", None)):
+        assert readable(one) is one
+    late = replace(lag(0.9), parameters=(Parameter("delay_s", 1.443e-4, "s", None),))
+    assert "(delay 144.3 µs)" in sentence(late)
 
 
 def test_a_hysteresis_operator_is_called_by_the_names_of_its_authors() -> None:

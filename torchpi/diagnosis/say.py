@@ -2,9 +2,10 @@
 
 import re
 from collections.abc import Sequence
+from dataclasses import replace
 
 from torchpi.diagnosis.decide import CLOSED, NAMED, Decision
-from torchpi.diagnosis.diagnosis import AcrossRecordings, Errors, NamedEffect, NextRecording
+from torchpi.diagnosis.diagnosis import AcrossRecordings, Errors, NamedEffect, NextRecording, Parameter
 from torchpi.diagnosis.noise import Noise
 
 CERTAIN = 0.9
@@ -133,7 +134,7 @@ def sentence(effect: NamedEffect) -> str:
         spoken(p.value)
         if isinstance(p.value, str)
         else f"{spoken_parameter(p.name)} {p.value:.4g} {p.unit}".strip()
-        for p in effect.parameters[:3]
+        for p in map(readable, effect.parameters[:3])
         # Parameters that differ between recordings have no common value; one knot of a walk means little.
         if p.value != 0.0 and not p.name.startswith(KNOT)
     )
@@ -175,6 +176,16 @@ def spoken_parameter(name: str) -> str:
     """Return a parameter's name in prose without its unit: `frequency_hz[axis 1]` is "frequency [axis 1]"."""
     bare, bracket, label = name.partition("[")
     return spoken(UNIT_SUFFIX.sub("", bare)) + (f" {bracket}{label}" if bracket else "")
+
+
+def readable(parameter: Parameter) -> Parameter:
+    """Return a parameter with a time below 0.1 s in ms or µs; any other as it is."""
+    value, interval = parameter.value, parameter.interval_90
+    if parameter.unit != "s" or isinstance(value, str) or not 0.0 < abs(value) < 0.1:
+        return parameter
+    factor, unit = (1e3, "ms") if abs(value) >= 1e-3 else (1e6, "µs")
+    low_high = interval and (factor * interval[0], factor * interval[1])
+    return replace(parameter, value=factor * value, unit=unit, interval_90=low_high)
 
 
 def nm(length_um: float) -> str:

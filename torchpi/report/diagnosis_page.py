@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from torchpi.diagnosis.diagnosis import Diagnosis, Where
 from torchpi.diagnosis.locate import SIGNIFICANT
 from torchpi.diagnosis.multisine import Part, Parts, all_parts
-from torchpi.diagnosis.say import counted, spoken, spoken_parameter
+from torchpi.diagnosis.say import counted, readable, spoken, spoken_parameter
 from torchpi.excitation.files import write_excitation
 from torchpi.files import write_text
 from torchpi.report import words
@@ -87,6 +87,7 @@ def _page(diagnosis: Diagnosis, provenance: Provenance, drawn: Mapping[str, Mapp
         spoken=spoken,
         counted=counted,
         spoken_parameter=spoken_parameter,
+        readable=readable,
         spoken_rivals=spoken_rivals,
         in_prose=in_prose,
         likelihood=likelihood,

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from torchpi.control.direct_inverse import DirectInverse
 from torchpi.diagnosis.diagnosis import Diagnosis, Parameter
-from torchpi.diagnosis.say import percent, spoken, spoken_parameter
+from torchpi.diagnosis.say import percent, readable, spoken, spoken_parameter
 from torchpi.errors import ConfigError
 from torchpi.files import as_path, write_atomically
 from torchpi.identification import InverseErrors
@@ -109,7 +109,7 @@ def diagnosed_html(diagnosis: Diagnosis) -> str:
         (
             spoken(effect.name),
             percent(effect.probability),
-            "; ".join(_value(parameter) for parameter in effect.parameters),
+            "; ".join(_value(readable(parameter)) for parameter in effect.parameters),
             ", ".join(spoken(name) for name in effect.alternatives) or "–",
         )
         for effect in diagnosis.effects
