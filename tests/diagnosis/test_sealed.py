@@ -31,17 +31,17 @@ def fits(here: float, there: float, records: int = 1) -> tuple[SimpleNamespace, 
 
 def test_an_effect_that_explains_the_sealed_samples_as_well_keeps_its_share() -> None:
     more, less = fits(0.1, 0.1)
-    assert confirmed(0.9, [record()], more, less, NOISE_UM2, False) == pytest.approx(0.9, abs=0.02)
+    assert confirmed(0.9, [record()], more, [less], NOISE_UM2, False) == pytest.approx(0.9, abs=0.02)
 
 
 def test_an_effect_that_spoils_the_sealed_samples_loses_its_share() -> None:
     more, less = fits(0.1, -0.1)
-    assert confirmed(0.9, [record()], more, less, NOISE_UM2, False) < 0.05
+    assert confirmed(0.9, [record()], more, [less], NOISE_UM2, False) < 0.05
 
 
 def test_sealed_samples_in_which_an_effect_does_not_act_leave_its_share_unchanged() -> None:
     more, less = fits(0.1, 0.0)
-    assert confirmed(0.9, [record()], more, less, NOISE_UM2, False) == pytest.approx(0.9)
+    assert confirmed(0.9, [record()], more, [less], NOISE_UM2, False) == pytest.approx(0.9)
 
 
 def test_other_residuals_reduce_the_share_unless_the_effect_has_its_own_signal() -> None:
@@ -50,8 +50,8 @@ def test_other_residuals_reduce_the_share_unless_the_effect_has_its_own_signal()
         rest = 0.2 * np.cos(np.arange(len(e)) / 3)
         e += rest
         without += rest
-    assert confirmed(0.9, [record()], more, less, NOISE_UM2, False) < 0.5
-    assert confirmed(0.9, [record()], more, less, NOISE_UM2, True) == pytest.approx(0.9)
+    assert confirmed(0.9, [record()], more, [less], NOISE_UM2, False) < 0.5
+    assert confirmed(0.9, [record()], more, [less], NOISE_UM2, True) == pytest.approx(0.9)
 
 
 def test_hysteresis_errors_in_the_sealed_samples_alone_do_not_count() -> None:
@@ -59,7 +59,7 @@ def test_hysteresis_errors_in_the_sealed_samples_alone_do_not_count() -> None:
     more, less = fits(0.1, 0.1)
     for residual in (*more.residuals, *less.residuals):
         residual[TRAIN:] += 0.2 * np.cos(np.arange(SEALED) / 3)
-    assert confirmed(0.9, [record()], more, less, NOISE_UM2, False) == pytest.approx(0.9, abs=0.02)
+    assert confirmed(0.9, [record()], more, [less], NOISE_UM2, False) == pytest.approx(0.9, abs=0.02)
 
 
 @pytest.mark.parametrize(
@@ -74,14 +74,26 @@ def test_a_loss_in_one_recording_counts_as_a_ratio_against_the_gain_in_others(
     more, less = fits(gained, gained, 3)
     one, other = fits(0.1, spoilt)
     more.residuals[0], less.residuals[0] = one.residuals[0], other.residuals[0]
-    assert low <= confirmed(0.9, [record()] * 3, more, less, NOISE_UM2, True) < high
+    assert low <= confirmed(0.9, [record()] * 3, more, [less], NOISE_UM2, True) < high
+
+
+def test_an_effect_that_spoils_what_the_retuned_simulation_predicts_loses_its_share() -> None:
+    """A Preisach operator missed a saturated stretch by 37 nm; everything else, refitted under its weights,
+    missed it by 85, but the retuned simulation only by 14."""
+    more, less = fits(0.1, 0.1)
+    retuned, _ = fits(0.1, 0.1)
+    for e, without in zip(more.residuals, less.residuals, strict=True):
+        e[TRAIN:] += 0.05 * np.cos(np.arange(SEALED) / 3)
+        without[TRAIN:] += 0.05 * np.cos(np.arange(SEALED) / 3)
+    assert confirmed(0.9, [record()], more, [less], NOISE_UM2, False) > 0.5
+    assert confirmed(0.9, [record()], more, [less, retuned], NOISE_UM2, False) < 0.1
 
 
 def test_a_recording_without_sealed_samples_leaves_the_share_unchanged() -> None:
     more, less = fits(0.1, 0.1)
     whole = record()
     whole.held_out, whole.train = np.zeros(TRAIN + SEALED, bool), np.ones(TRAIN + SEALED, bool)
-    assert confirmed(0.9, [whole], more, less, NOISE_UM2, False) == 0.9
+    assert confirmed(0.9, [whole], more, [less], NOISE_UM2, False) == 0.9
 
 
 @pytest.mark.parametrize(("beyond_v", "judged"), [(0.0, True), (2.0, False), (-12.0, False)])
@@ -91,11 +103,11 @@ def test_sealed_samples_outside_the_fitted_voltage_range_do_not_count(beyond_v: 
     for e in more.residuals:
         e[TRAIN + 50 :] += 0.5
     far.u[TRAIN + 50 :] = 5 + 5 * np.sign(beyond_v) + beyond_v if beyond_v else 5.0
-    share = confirmed(0.9, [far], more, less, NOISE_UM2, False)
+    share = confirmed(0.9, [far], more, [less], NOISE_UM2, False)
     assert share < 0.3 if judged else share == pytest.approx(0.9, abs=0.02)
 
 
 @given(st.floats(0, 1), st.floats(-1, 1), st.floats(1e-3, 1), st.booleans())
 def test_sealed_samples_never_increase_a_share(known: float, there: float, here: float, alone: bool) -> None:
     more, less = fits(here, there)
-    assert 0 <= confirmed(known, [record()], more, less, NOISE_UM2, alone) <= known
+    assert 0 <= confirmed(known, [record()], more, [less], NOISE_UM2, alone) <= known

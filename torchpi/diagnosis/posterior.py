@@ -104,7 +104,8 @@ def posterior(
         # An effect that a hysteresis, driven by the voltage alone, predicts as well may have no own signal.
         own = name in signals and OPERATOR_NAME not in alternatives
         reached = search.within_reach([m for m in h.members if m.effect.name == name])
-        known = share_explained(search, models[0].fit, less.fit, name, own) if reached else 0.0
+        both = (less.fit, retuned)
+        known = share_explained(search, models[0].fit, both, name, own) if reached else 0.0
         rise = less.fit.train_rms**2 - models[0].fit.train_rms ** 2
         if len(names) > 1:
             together.append(Believed(name, held * trust(known), (), rise, (), known))
@@ -202,11 +203,21 @@ def as_one(
     return one
 
 
-def share_explained(search: Search, more: Fit, less: Fit, name: str, own_signal: bool) -> float:
+def share_explained(
+    search: Search, more: Fit, without: tuple[Fit, Fit], name: str, own_signal: bool
+) -> float:
     """Return the share of the residual above the noise that an effect explains, 0–1, as far as the sealed
     samples confirm it. For a recorded signal, which nothing else resembles, the share is the probability that
-    it predicts better, whatever else is missing."""
-    weighting = search.chain.weighting
+    it predicts better, whatever else is missing.
+
+    Args:
+        search: The finished search.
+        more: The fit with the effect.
+        without: The fit of everything else, and the retuned simulation.
+        name: The effect.
+        own_signal: Whether it has a signal of its own.
+    """
+    weighting, less = search.chain.weighting, without[0]
     if own_signal and has_a_recorded_signal(search, more, name):
         known = search.over(more, less, PRIOR).probability
     elif stands := stands_out(search.chain.records, more, less, name):
@@ -219,7 +230,7 @@ def share_explained(search: Search, more: Fit, less: Fit, name: str, own_signal:
     apart = float(nats[[STARTING, APART]].sum() / max(float(nats.sum()), 1e-300))
     terms = [member for member in more.hypothesis.members if member.effect.name == name]
     alone = own_signal or not all(member.effect.extrapolates(member.shared) for member in terms)
-    return confirmed(known, search.chain.records, more, less, weighting.mean_floor_um2, alone, apart)
+    return confirmed(known, search.chain.records, more, without, weighting.mean_floor_um2, alone, apart)
 
 
 def apart(

@@ -18,7 +18,7 @@ def confirmed(
     known: float,
     records: Sequence[Record],
     more: Fit,
-    less: Fit,
+    less: Sequence[Fit],
     noise_um2: float,
     alone: bool,
     apart: float = 0.0,
@@ -31,7 +31,8 @@ def confirmed(
         known: The share on the fitted samples.
         records: The recordings.
         more: The fit with the effect.
-        less: The fit without it, everything else refitted.
+        less: Fits without it: everything else refitted, and nothing but the simulation. In each recording the
+            one that predicts the sealed samples best counts.
         noise_um2: Mean square that nothing explains.
         alone: Ignore the remaining residual and judge only whether the effect improves every recording,
             because it has a signal of its own or cannot be extrapolated.
@@ -43,12 +44,13 @@ def confirmed(
         if part == 0.0:
             continue
         gained = changed = left = here = there = 0.0
-        for record, e, without in zip(records, more.residuals, less.residuals, strict=True):
+        for i, (record, e) in enumerate(zip(records, more.residuals, strict=True)):
             judging = record.held_out & (record.u >= lowest_v) & (record.u <= highest_v)
             e_held, e_train = split(record, e, judging)
-            without_held, without_train = split(record, without, judging)
             if not len(e_held):
                 continue
+            each = [split(record, fit.residuals[i], judging) for fit in less]
+            without_held, without_train = min(each, key=lambda held_and_train: mean_square(held_and_train[0]))
             after, before = mean_square(e_held) + 1e-300, mean_square(without_held) + 1e-300
             # A recording with a large error must not count more than another, so gains are ratios, and a
             # hundredfold gain in one recording is not cancelled by a twofold loss in another.
