@@ -219,7 +219,7 @@ def test_a_larger_hysteresis_that_explains_a_little_of_everything_is_not_reweigh
     now, larger = (SimpleNamespace(hypothesis=SimpleNamespace(nominal=nominal), train_rms=1.0) for _ in "ab")
     weighed, search = list[object](), object.__new__(Search)
     weighting = SimpleNamespace(explained_of_all=lambda more, less: share, token="")
-    search.chain, search.simulation = SimpleNamespace(weighting=weighting), None
+    search.chain, search.simulation, search.noise = SimpleNamespace(weighting=weighting), None, None
     search.rejected_families = set()
     search.on, search.of_its_plays = lambda h, one: h, lambda one, fit: fit
     search.raced, search.near = lambda jobs, fit: [larger], lambda one, fit: True
@@ -232,6 +232,30 @@ def test_a_larger_hysteresis_that_explains_a_little_of_everything_is_not_reweigh
         search.growth(now, now, [SimpleNamespace(family="preisach", has_states=False)])
     assert sum(one is larger for one in weighed) == 2 * refitted
     assert sum(one is now for one in weighed) == refitted
+
+
+@pytest.mark.parametrize(("noise", "near", "tried"), [(True, True, 0), (False, False, 0), (False, True, 1)])
+def test_states_are_tried_if_more_than_noise_is_left_and_a_preisach_operator_may_win(
+    noise: bool, near: bool, tried: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    nominal = SimpleNamespace(family="plays", has_states=False)
+    now, larger = (SimpleNamespace(hypothesis=SimpleNamespace(nominal=nominal), train_rms=1.0) for _ in "ab")
+    search, begun = object.__new__(Search), list[object]()
+    search.chain, search.simulation, search.rejected_families = SimpleNamespace(), None, set()
+    search.is_noise, search.near = lambda fit: noise, lambda one, fit: near
+    search.on, search.of_its_plays = lambda h, one: h, lambda one, fit: fit
+    search.raced, search.earns = lambda jobs, fit: [larger], lambda one, fit: False
+    search.of_states = lambda fit, starts: begun.append(starts) or larger
+    search.over = lambda better, worse, prior=0.0: Gain(100.0, 1.0)
+    monkeypatch.setattr(growth, "grown", lambda chain, h, fit, kept: (h, None))
+    families = [
+        SimpleNamespace(family=name, has_states=name != "preisach") for name in ("preisach", "bouc_wen")
+    ]
+    found = search.growth(now, now, families)
+    assert len(begun) == tried and len(found) == (not noise) * (1 + tried)
+    # With no other family left, there is nothing to tell whether a state may win, so it is tried.
+    search.raced = lambda jobs, fit: []
+    assert len(search.growth(now, now, families[1:])) == (not noise)
 
 
 def test_a_gain_modulation_of_a_fifth_is_found_from_the_start_that_the_screen_chose() -> None:

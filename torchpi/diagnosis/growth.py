@@ -29,7 +29,7 @@ shortest alone missed loops that do not close within the range."""
 TO_THE_END = 20
 """Number of steps in which the parameters of a state are found from a distant start."""
 FOLLOWED, FOLLOWS = 8, 0.97
-"""Maximum number of refits of a state under its own weights, and the rms ratio above which they stop."""
+"""Maximum number of refits of a state under its own weights, and the rms ratio at which all refits stop."""
 REJECTED = 3.0
 """A hysteresis family whose rms is this many times that of the present fit is not tried again."""
 REWEIGHTED = 3
@@ -68,10 +68,15 @@ class Growth(Exchange):
         return [self.plays(), *found] if self.simulation else found
 
     def growth(self, now: Fit, leader: Fit, larger: Sequence[HysteresisModel]) -> list[Tried]:
-        """Fit each larger hysteresis in place of the present one, to convergence where it may beat `leader`.
+        """Fit each larger hysteresis in place of the present one, to convergence where it may beat `leader`;
+        none where only noise is left, which no hysteresis explains.
 
-        For a fair comparison, the present hysteresis is refitted in the same way.
+        States are tried only where plays through output functions, which imitate any hysteresis on given
+        motions, may beat `leader` too. For a fair comparison, the present hysteresis is refitted in the same
+        way.
         """
+        if self.is_noise(now):
+            return []
         h, found = now.hypothesis, list[tuple[str, Fit]]()
         larger = [one for one in larger if one.family not in {*self.rejected_families, h.nominal.family}]
         jobs: list[Job] = [
@@ -80,7 +85,8 @@ class Growth(Exchange):
             if not one.has_states
         ]
         fits = self.raced(jobs, leader)
-        if starts := [one for one in larger if one.has_states]:
+        promising = not fits or any(self.near(one, leader) for one in fits)
+        if promising and (starts := [one for one in larger if one.has_states]):
             fits.append(self.of_states(now, starts))
         for one in fits:
             family = one.hypothesis.nominal.family
@@ -164,8 +170,8 @@ class Growth(Exchange):
         return now
 
     def at_its_own_weights(self, now: Fit) -> Fit:
-        """Refit under the weights that follow from the fit's own residual, as long as it predicts better and
-        the residual does not grow. Weights from an earlier fit give little credit where this one improves."""
+        """Refit under the weights that follow from the fit's own residual, while that decreases and the fit
+        predicts better. Weights from an earlier fit give little credit where this one improves."""
         shared, best = self.chain.weighting, now
         for _ in range(REWEIGHTED):
             self.weigh(now)
@@ -178,7 +184,9 @@ class Growth(Exchange):
             ahead = shared.log_density(now).sum() > shared.log_density(best).sum()
             if not ahead or now.train_rms > best.train_rms or not self.inside(now, best):
                 break
-            best = now
+            hardly, best = now.train_rms > FOLLOWS * best.train_rms, now
+            if hardly and not now.hypothesis.shape:  # the parameters of states move along a valley
+                break
         self.chain.weighting = shared
         return best
 

@@ -84,7 +84,7 @@ class Proposals(Growth):
         jobs += joint
         for name, h in self.lags_with_a_delay(now, screened):
             names.append(name)
-            jobs.append((h, None, STEPS, ROUGH))
+            jobs.append((h, None, HEAT, ROUGH))
         by_name: dict[str, list[Fit]] = {}
         for name, one in zip(names, self.fits(jobs, now), strict=True):
             by_name.setdefault(name, []).append(one)

@@ -6,7 +6,7 @@ the extrapolation error of a hysteresis with many weights, whatever else is miss
 """
 
 from collections.abc import Sequence
-from math import log
+from math import log, sqrt
 
 import numpy as np
 
@@ -24,8 +24,8 @@ def confirmed(
     apart: float = 0.0,
 ) -> float:
     """Return the share, 0–1, that an effect explains of what is to be explained: `known` if the sealed
-    samples agree, else theirs. The sealed samples of each recording, and all together, are weighted by how
-    much the effect acts there relative to the fitted samples.
+    samples agree, else theirs. The sealed samples are weighted by how much the effect acts there relative to
+    the fitted samples: each recording by its power, all together by its rms.
 
     Args:
         known: The share on the fitted samples.
@@ -62,7 +62,8 @@ def confirmed(
             rest = max(min(after, mean_square(e_train)) - noise_um2, 0.0)
             left += 0.0 if alone else votes * rest / ((after + before) / 2)
             here, there = here + acts, there + acted
-        sealed, weight = max(gained, 0.0) / max(changed + left, 1e-300), min(here / max(there, 1e-300), 1.0)
+        sealed = max(gained, 0.0) / max(changed + left, 1e-300)
+        weight = min(sqrt(here / max(there, 1e-300)), 1.0)
         share += part * weight * (min(known, sealed) - known)
     return share
 
