@@ -95,13 +95,18 @@ def duhem(z: float, v: float, before: float, alpha: float, power: int) -> float:
     pieces, gap, kept, first, second = duhem_pieces(v, before, whole)
     move = (v - before) / pieces
     for piece in range(pieces):
-        early = before + move * (piece + 0.5 * (1.0 - gap))
-        late = before + move * (piece + 0.5 * (1.0 + gap))
+        early, late = duhem_points(before, move, piece, gap)
         f_early, f_late = 1.0, 1.0
         for _ in range(power):
             f_early, f_late = f_early * early, f_late * late
         z = kept * z + first * f_early + second * f_late
     return z
+
+
+@register_jitable
+def duhem_points(before: float, move: float, piece: int, gap: float) -> tuple[float, float]:
+    """Return the voltages at the two Gauss points of a piece, if each piece moves by `move`."""
+    return before + move * (piece + 0.5 * (1.0 - gap)), before + move * (piece + 0.5 * (1.0 + gap))
 
 
 @register_jitable
@@ -293,8 +298,7 @@ def duhem_rows(v: np.ndarray, alpha: float) -> np.ndarray:
             pieces, gap, kept, first, second = duhem_pieces(v[t], before, whole)
             move = (v[t] - before) / pieces
             for piece in range(pieces):
-                early = before + move * (piece + 0.5 * (1.0 - gap))
-                late = before + move * (piece + 0.5 * (1.0 + gap))
+                early, late = duhem_points(before, move, piece, gap)
                 f_early, f_late = 1.0, 1.0
                 for k in range(len(DUHEM_POWERS)):
                     f_early, f_late = f_early * early, f_late * late
