@@ -131,10 +131,8 @@ def noise_clause(noise: Noise | None) -> str:
 def sentence(effect: NamedEffect) -> str:
     """Describe one effect with its parameters, its share and its probability."""
     numbers = ", ".join(
-        spoken(p.value)
-        if isinstance(p.value, str)
-        else f"{spoken_parameter(p.name)} {p.value:.4g} {p.unit}".strip()
-        for p in map(readable, effect.parameters[:3])
+        spoken(p.value) if isinstance(p.value, str) else stated(p)
+        for p in effect.parameters[:3]
         # Parameters that differ between recordings have no common value; one knot of a walk means little.
         if p.value != 0.0 and not p.name.startswith(KNOT)
     )
@@ -176,6 +174,13 @@ def spoken_parameter(name: str) -> str:
     """Return a parameter's name in prose without its unit: `frequency_hz[axis 1]` is "frequency [axis 1]"."""
     bare, bracket, label = name.partition("[")
     return spoken(UNIT_SUFFIX.sub("", bare)) + (f" {bracket}{label}" if bracket else "")
+
+
+def stated(parameter: Parameter) -> str:
+    """Return a parameter's name in prose, its value and its unit."""
+    shown = readable(parameter)
+    value = shown.value if isinstance(shown.value, str) else f"{shown.value:.4g}"
+    return f"{spoken_parameter(shown.name)} {value} {shown.unit}".strip()
 
 
 def readable(parameter: Parameter) -> Parameter:

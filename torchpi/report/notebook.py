@@ -9,8 +9,8 @@ from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from torchpi.control.direct_inverse import DirectInverse
-from torchpi.diagnosis.diagnosis import Diagnosis, Parameter
-from torchpi.diagnosis.say import percent, readable, spoken, spoken_parameter
+from torchpi.diagnosis.diagnosis import Diagnosis
+from torchpi.diagnosis.say import percent, spoken, stated
 from torchpi.errors import ConfigError
 from torchpi.files import as_path, write_atomically
 from torchpi.identification import InverseErrors
@@ -109,7 +109,7 @@ def diagnosed_html(diagnosis: Diagnosis) -> str:
         (
             spoken(effect.name),
             percent(effect.probability),
-            "; ".join(_value(readable(parameter)) for parameter in effect.parameters),
+            "; ".join(map(stated, effect.parameters)),
             ", ".join(spoken(name) for name in effect.alternatives) or "–",
         )
         for effect in diagnosis.effects
@@ -118,11 +118,6 @@ def diagnosed_html(diagnosis: Diagnosis) -> str:
     answer = Markup("<b>{}</b>").format(headline(diagnosis)) + _paragraphs([in_prose(diagnosis.says)])
     drawn = Markup(Plot(errors_figure(diagnosis), "held-out errors of three stages")._repr_html_())
     return str(answer + (_table(head, rows) if rows else "") + drawn)
-
-
-def _value(parameter: Parameter) -> str:
-    value = parameter.value if isinstance(parameter.value, str) else f"{parameter.value:.4g}"
-    return f"{spoken_parameter(parameter.name)} {value} {parameter.unit}".strip()
 
 
 def _paragraphs(sentences: Iterable[str]) -> Markup:
