@@ -197,11 +197,20 @@ class TestUnexplained:
 
     def test_an_untested_larger_hysteresis_is_explained_only_if_a_recording_predicts_another(self) -> None:
         explained = decided(believed("creep", 48.0))
-        assert if_it_carries_over(explained, (), untested=True).verdict == "partly_explained"
-        assert not if_it_carries_over(explained, (), untested=True).carries_over
+        alone = if_it_carries_over(explained, (), 0.0, 2.0, untested=True)
+        assert alone.verdict == "partly_explained" and not alone.carries_over
         across = (AcrossRecordings("a", 2.0, 2.0),)
-        assert if_it_carries_over(explained, across, untested=True).verdict == "explained"
-        assert if_it_carries_over(explained, ()).verdict == "explained"
+        assert if_it_carries_over(explained, across, 0.0, 2.0, untested=True).verdict == "explained"
+        assert if_it_carries_over(explained, (), untested=True).verdict == "explained"
+
+    @pytest.mark.parametrize(("another_um", "carries_over"), [(0.0, True), (2.2, True), (2.3, False)])
+    def test_a_hysteresis_that_other_motions_find_uncertain_is_not_explained(
+        self, another_um: float, carries_over: bool
+    ) -> None:
+        """With 1.12 times the noise beside it, the residual grows to 1.5 times the noise."""
+        found = if_it_carries_over(decided(believed("creep", 48.0)), (), another_um, 2.0)
+        assert found.carries_over == carries_over
+        assert found.verdict == ("explained" if carries_over else "partly_explained")
 
     def test_an_open_effect_or_a_conspicuous_residual_prevents_the_verdict_explained(self) -> None:
         assert decided(believed("creep", 48.0)).verdict == "explained"

@@ -110,6 +110,12 @@ def test_errors_across_recordings_are_stated_in_place_of_the_unexplained_share()
     assert "the hysteresis predicts each recording with an error at most 1.4 times as large." in text
 
 
+def test_the_uncertainty_of_another_motion_is_stated_where_a_hysteresis_is_named() -> None:
+    text = paragraph(decided("explained", lag(0.9)), ERRORS, NOISE, NEXT, another_um=0.0712)
+    assert "leave the prediction of the hysteresis uncertain by 71.2 nm rms." in text
+    assert "uncertain" not in paragraph(decided("explained", lag(0.9)), ERRORS, NOISE, NEXT)
+
+
 def test_the_share_that_effects_explain_only_jointly_is_stated() -> None:
     text = paragraph(decided("explained", lag(0.9), joint=0.45), ERRORS, NOISE, NEXT)
     assert "45 % is explained by several effects together and cannot be attributed to any single one." in text

@@ -90,6 +90,7 @@ def diagnosis() -> Diagnosis:
         retuned=Errors(0.97 * rms["residual_retuned"], rms["residual_retuned"], most),
         augmented=Errors(rms["residual_augmented"], rms["residual_augmented"], 5 * rms["residual_augmented"]),
         across=(AcrossRecordings(traces[0].name, 0.0051, 0.0047),),
+        another_motion_um=0.0031,
         carries_over=True,
         noise_floor_um=NOISE_UM,
         heldout="the last 15 % of each recording",

@@ -116,6 +116,7 @@ def test_the_json_keeps_its_contract(folder: Path, found: Diagnosis) -> None:
     assert set(content["next_recording"]) == {"why", "excitation"}
     (across,) = content["across_recordings"]
     assert set(across) == {"recording", "rms_um", "fitted_rms_um"} and across["rms_um"] == 0.0051
+    assert content["another_motion_um"] == 0.0031
     assert content["joint_share"] == 0.0
     assert content["unexplained_share"] == 0.01 and content["says"] == found.says
 

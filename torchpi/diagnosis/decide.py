@@ -2,7 +2,7 @@
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
-from math import exp
+from math import exp, hypot
 
 import numpy as np
 
@@ -169,17 +169,27 @@ def with_all_attributed(believed: Sequence[Believed], removed_um2: float) -> tup
 
 
 def if_it_carries_over(
-    decision: Decision, across: Sequence[AcrossRecordings], untested: bool = False
+    decision: Decision,
+    across: Sequence[AcrossRecordings],
+    another_um: float | None = None,
+    left_um: float = 0.0,
+    untested: bool = False,
 ) -> Decision:
     """Downgrade "explained" to "partly_explained" if a model that fits these motions may not fit the next.
 
     Args:
         decision: What was decided on the recorded motions.
         across: Each recording, predicted from the others.
-        untested: Whether the model has a larger hysteresis, and the held-out samples are too uniform to test
-            its hundreds of weights. Then at least one recording has to be predicted from others.
+        another_um: The standard deviation of the prediction of another motion, where the model has a larger
+            hysteresis; else None.
+        left_um: The noise, or what the model leaves where the noise was not measured: the standard deviation
+            may increase it by no more than the factor up to which a residual counts as explained.
+        untested: Whether the held-out samples are too uniform to test the hundreds of weights of a larger
+            hysteresis. Then at least one recording has to be predicted from others.
     """
-    carries_over = all(one.predicted for one in across) and not (untested and not across)
+    carries_over = all(one.predicted for one in across)
+    if another_um is not None:
+        carries_over &= hypot(another_um, left_um) <= EXPLAINED * left_um and not (untested and not across)
     downgraded = decision.verdict == "explained" and not carries_over
     return replace(
         decision,

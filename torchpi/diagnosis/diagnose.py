@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from torchpi.diagnosis.across_recordings import across_recordings
+from torchpi.diagnosis.another_motion import another_motion_um
 from torchpi.diagnosis.chain import Chain
 from torchpi.diagnosis.conflict import conflict
 from torchpi.diagnosis.contest import FAINT
@@ -155,10 +156,14 @@ def diagnose(
         decision = with_read_off(decision, of_dropouts(records, lost, final))
     alike = untested(records, what)
     across: tuple[AcrossRecordings, ...] = ()
+    another_um: float | None = None
     if decision.verdict in CLOSED and not search.slips:
         log("across recordings: whether they predict one another")
         across = across_recordings(search.chain, final)
-        decision = if_it_carries_over(decision, across, search.has_larger(final) and bool(alike))
+        if search.has_larger(final):
+            another_um = another_motion_um(search.chain, final.hypothesis)
+        left_um = noise.rms_um if noise is not None else final.train_rms
+        decision = if_it_carries_over(decision, across, another_um, left_um, bool(alike))
     log("model: everything refitted to all samples")
     complete = without_start(
         prepare(recordings, out, as_recorded=given_recordings, sealed=0.0), search.unsettled
@@ -206,11 +211,11 @@ def diagnose(
     return Diagnosis(
         verdict=decision.verdict, effects=decision.effects, open=decision.causes_left_open, where=where,
         nominal=errors[0], retuned=errors[1], augmented=errors[2],
-        across=across, carries_over=decision.carries_over,
+        across=across, another_motion_um=another_um, carries_over=decision.carries_over,
         noise_floor_um=noise.rms_um if noise is not None else None,
         heldout=HELD_OUT, unexplained_share=decision.unexplained_share, joint_share=decision.joint_share,
         next_recording=next_one, next_excitation=excitation, notes=notes, traces=traces, stage=stage,
-        says=paragraph(decision, errors, noise, next_one, loud, alike, across),
+        says=paragraph(decision, errors, noise, next_one, loud, alike, across, another_um),
     )  # fmt: skip
 
 

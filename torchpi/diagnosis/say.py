@@ -41,6 +41,7 @@ def paragraph(
     leftovers: Sequence[str] = (),
     untested: Sequence[str] = (),
     across: Sequence[AcrossRecordings] = (),
+    another_um: float | None = None,
 ) -> str:
     """State what was found, how probable it is, how far it lowers the error, what remains and what to record.
 
@@ -52,6 +53,7 @@ def paragraph(
         leftovers: Where the residual of the augmented simulation stands out, one phrase each.
         untested: The respects in which the held-out samples are alike, one phrase each.
         across: The prediction of each recording from the others.
+        another_um: The standard deviation of the prediction of another motion by the named hysteresis.
     """
     nominal, retuned, augmented = errors
     parts = [
@@ -79,6 +81,11 @@ def paragraph(
             f"This was tested only on {listed(untested)}: predictions for other motions are extrapolations."
         )
     parts += carried_over(across)
+    if another_um is not None:
+        parts.append(
+            "For motions unlike these, with reversals anywhere in the recorded range, these recordings leave "
+            f"the prediction of the hysteresis uncertain by {nm(another_um)} rms."
+        )
     for one in decision.causes_left_open:
         text = f"with a probability of {percent(one.probability)} it is too uncertain to be named"
         parts.append(f"There may also be {counted(one.name)}: {text}.")

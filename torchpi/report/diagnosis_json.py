@@ -32,6 +32,7 @@ def diagnosis_json(diagnosis: Diagnosis, provenance: Provenance) -> str:
             {"recording": one.recording, "rms_um": one.rms_um, "fitted_rms_um": one.fitted_rms_um}
             for one in diagnosis.across
         ],
+        "another_motion_um": diagnosis.another_motion_um,
         "joint_share": diagnosis.joint_share,
         "unexplained_share": diagnosis.unexplained_share,
         "next_recording": {

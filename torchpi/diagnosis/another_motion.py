@@ -1,0 +1,88 @@
+"""How well the recordings determine a hysteresis for a motion that none of them contains.
+
+A model with hundreds of weights may fit every recording down to the noise and still be wrong about the next
+motion: the fit leaves out the combinations of weights that the recordings cannot distinguish, and another
+motion may need them. Their prior and the readings give the standard deviation of its prediction (the
+predictive variance of Bayesian linear regression: Bishop, *Pattern Recognition and Machine Learning*, 2006,
+3.3.2). Unlike a prediction of one recording from the others, this also sees what all of them leave open.
+"""
+
+from dataclasses import replace
+from math import sqrt
+
+import numpy as np
+
+from torchpi.diagnosis.chain import Chain
+from torchpi.diagnosis.fit import REMANENCE, RIDGE, weight_prior
+from torchpi.diagnosis.hypothesis import Hypothesis
+from torchpi.diagnosis.hysteresis_model import HysteresisModel
+from torchpi.diagnosis.reduced_basis import in_blocks
+
+REVERSALS, SAMPLES = 100, 100
+"""Number of reversals of the motion that is predicted, and number of samples between two of them."""
+
+
+def another_motion_um(chain: Chain, hypothesis: Hypothesis) -> float:
+    """Return the rms standard deviation, µm, of the prediction of another motion by a hysteresis.
+
+    The motion begins de-energised and reverses at random voltages in the range of the recordings: the
+    reversals of no particular use, and loops of all sizes. The parameters of the effects count as known, and
+    so does a simulation that the hysteresis corrects.
+
+    Args:
+        chain: The recordings, with the weighting of the final fit.
+        hypothesis: The hypothesis of that fit.
+    """
+    hysteresis = replace(hypothesis.nominal, simulation=None).unreduced
+    bare, kept = replace(hypothesis, nominal=hysteresis), hysteresis.kept
+    voltages = [chain.voltage(bare, i) for i in range(len(chain.records))]
+    prior = hysteresis.inverse_variances(weight_prior(chain), chain.gain_um_per_v)
+    known = np.diag(prior)
+    for i, (record, v) in enumerate(zip(chain.records, voltages, strict=True)):
+        rows = [
+            chain.whitened(i, rows_of(chain.nominal(replace(bare, nominal=some), i), v, record.period_s))
+            for some in in_blocks(hysteresis)
+        ]
+        own = np.ones((1, len(v)))
+        if bare.history:
+            own = np.concatenate([own, hysteresis.remembered(v)])
+        known += with_own_eliminated(np.concatenate(rows), chain.whitened(i, own), chain.span_um)
+    motion = random_reversals(min(0.0, *map(np.min, voltages)), max(0.0, *map(np.max, voltages)))
+    at_rest = replace(bare, remanent=False)
+    moved = np.concatenate(
+        [
+            rows_of(chain.nominal(replace(at_rest, nominal=some), 0), motion, chain.records[0].period_s)
+            for some in in_blocks(hysteresis)
+        ]
+    )
+    moved -= moved.mean(1, keepdims=True)  # a recording has its own zero
+    scale = 1 / np.sqrt(np.diag(known))
+    unit = known * scale * scale[:, None]
+    unit[np.arange(kept), np.arange(kept)] += RIDGE
+    variance = np.einsum("ij,ij->", np.linalg.inv(unit), (moved @ moved.T) * scale * scale[:, None])
+    return sqrt(max(float(variance) / moved.shape[1], 0.0))
+
+
+def rows_of(hysteresis: HysteresisModel, v: np.ndarray, period_s: float) -> np.ndarray:
+    """(rows, time): the rows of a hysteresis for a voltage, (time,)."""
+    rows = np.empty((hysteresis.kept, len(v)))
+    hysteresis.fill(v, period_s, rows)
+    return rows
+
+
+def with_own_eliminated(rows: np.ndarray, own: np.ndarray, span_um: float) -> np.ndarray:
+    """Return the inner products of whitened rows, (rows, kept), after the zero and the history of their
+    recording, the rows of `own`, have been eliminated: either may stand in for a hysteresis."""
+    gram = own @ own.T
+    history = np.arange(1, len(own))
+    gram[history, history] += 1.0 / (REMANENCE * span_um) ** 2
+    across = rows @ own.T
+    left: np.ndarray = rows @ rows.T - across @ np.linalg.solve(gram, across.T)
+    return left
+
+
+def random_reversals(low_v: float, high_v: float) -> np.ndarray:
+    """(time,), V: straight lines from 0 V between levels drawn evenly from a range."""
+    levels = np.concatenate([[0.0], np.random.default_rng(0).uniform(low_v, high_v, REVERSALS)])
+    v: np.ndarray = np.interp(np.arange(REVERSALS * SAMPLES) / SAMPLES, np.arange(len(levels)), levels)
+    return v
