@@ -8,10 +8,11 @@ import pytest
 
 from tests.diagnosis.plants import FS_HZ, creep, multisine, record, stairs, triangles
 from tests.diagnosis.prepared import prepared
-from torchpi.diagnosis.diagnose import converter
+from torchpi.diagnosis.converter import converter
 from torchpi.diagnosis.noise import Noise, held_error, holds, measured_noise
 from torchpi.diagnosis.records import prepare
 from torchpi.recordings.recording import Recording
+from torchpi.stage.effects.sensor.quantization import Codes
 
 Signal = np.ndarray
 
@@ -170,8 +171,8 @@ def test_the_converter_step_is_found_from_the_readings(noise_um: float) -> None:
     recordings = [
         read_by(0.0123, record(multisine(3000, seed=s), noise_um=noise_um, name=str(s))) for s in (0, 1)
     ]
-    step, notes = converter(recordings)
-    assert step == pytest.approx(0.0123, rel=1e-6)
+    codes, notes = converter(recordings)
+    assert codes.step_um == pytest.approx(0.0123, rel=1e-6)
     assert notes == ("All readings lie on a grid with a step of 12.3 nm.",)
 
 
@@ -179,7 +180,7 @@ def test_one_converter_step_is_found_even_if_one_recording_has_few_distinct_valu
     stair = record(np.repeat([1.0, 4.0, 7.0, 3.0], 750), noise_um=0.0, name="stair")
     recordings = [read_by(0.2, one) for one in (stair, record(multisine(3000)))]
     assert len(np.unique(recordings[0].y)) < 8
-    assert converter(recordings)[0] == pytest.approx(0.2, rel=1e-6)
+    assert converter(recordings)[0].step_um == pytest.approx(0.2, rel=1e-6)
 
 
 @pytest.mark.parametrize("other", [multisine(3000, seed=1), np.repeat([1.0, 4.0, 7.0, 3.0], 750)])
@@ -191,18 +192,19 @@ def test_uneven_converter_codes_are_found_as_well(other: np.ndarray) -> None:
         one = record(u, noise_um=0.03, name=name)
         y = places[np.abs(one.y[:, None] - places).argmin(1)]
         recordings.append(replace(one, y=y))
-    step, (note,) = converter(recordings)
-    assert step == pytest.approx(0.2, rel=0.25)
+    codes, (note,) = converter(recordings)
+    assert codes.step_um == pytest.approx(0.2, rel=0.25)
+    assert 0.01 * codes.step_um < codes.half_width_um < 0.1 * codes.step_um
     assert "unevenly" in note
 
 
 def test_readings_without_a_grid_have_no_converter_step() -> None:
-    assert converter([record(multisine(3000))]) == (0.0, ())
+    assert converter([record(multisine(3000))]) == (Codes(0.0, 0.0), ())
 
 
 def test_one_recording_off_the_grid_rules_out_a_converter_step() -> None:
     recordings = [read_by(0.0123, record(multisine(3000))), record(multisine(3000, seed=1), name="b")]
-    assert converter(recordings) == (0.0, ())
+    assert converter(recordings) == (Codes(0.0, 0.0), ())
 
 
 def test_the_quantisation_error_factor_reaches_the_number_of_readings_held_on_one_level() -> None:
@@ -235,8 +237,8 @@ def test_the_converter_step_is_found_from_raw_and_not_from_interpolated_readings
     share = np.random.default_rng(0).uniform(size=len(one.y) - 1)
     between = share * one.y[:-1] + (1 - share) * one.y[1:]
     interpolated = replace(one, t=one.t[1:], u=one.u[1:], y=between)
-    assert converter([interpolated]) == (0.0, ())
-    assert converter([replace(interpolated, as_read=one.y)])[0] == pytest.approx(0.0123, rel=1e-6)
+    assert converter([interpolated]) == (Codes(0.0, 0.0), ())
+    assert converter([replace(interpolated, as_read=one.y)])[0].step_um == pytest.approx(0.0123, rel=1e-6)
 
 
 @pytest.mark.parametrize("seed", range(5))

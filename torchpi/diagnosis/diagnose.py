@@ -11,6 +11,7 @@ from torchpi.diagnosis.another_motion import another_motion_um
 from torchpi.diagnosis.chain import Chain
 from torchpi.diagnosis.conflict import conflict
 from torchpi.diagnosis.contest import FAINT
+from torchpi.diagnosis.converter import converter, of_converter
 from torchpi.diagnosis.coverage import cannot_be_decided, untested
 from torchpi.diagnosis.decide import CLOSED, Decision, decide, if_it_carries_over, structure
 from torchpi.diagnosis.diagnosis import (
@@ -18,7 +19,6 @@ from torchpi.diagnosis.diagnosis import (
     Diagnosis,
     Errors,
     NamedEffect,
-    Parameter,
     Trace,
     Verdict,
 )
@@ -49,21 +49,18 @@ from torchpi.diagnosis.simulation import (
 )
 from torchpi.diagnosis.stick_slip import free_run, without_rests
 from torchpi.diagnosis.timing import lateness_s
-from torchpi.diagnosis.wrong_readings import READ_OFF, of_dropouts, wrong_readings
+from torchpi.diagnosis.wrong_readings import of_dropouts, wrong_readings
 from torchpi.errors import RecordingError
 from torchpi.recordings.recording import Recording
 from torchpi.stage import Stage
 from torchpi.stage.effects import EFFECTS
 from torchpi.stage.effects.effect import Effect
 from torchpi.stage.effects.inside import InsideEffect
-from torchpi.stage.effects.sensor.quantization import Quantization, uneven_codes
 from torchpi.stage.identified import Identified
 
 UNCERTAIN = 0.9
 """An effect with a lower probability than this is worth another recording."""
 LEAST_SAMPLES = 100
-EVEN, UNEVEN = 1.01, 1.5
-"""Largest ratio between the steps of recordings that one converter read, with even and with uneven codes."""
 HELD_OUT = "the last 15 % of each recording, not used in any fit until the end; the state carries over"
 
 
@@ -107,9 +104,9 @@ def diagnose(
     tried = [effect for effect in effects if called is None or called.can_try(effect)]
     untried = [effect for effect in effects if effect not in tried]
     what, start = seen(records), given_members(given)
-    step_um, lattice_note = converter(given_recordings)
+    codes, codes_note = converter(given_recordings)
     # Averaging over ticks reduces the error of a converter, as it does any noise.
-    lsb_um = step_um * float(np.sqrt(np.median([one.tick_s / one.period_s for one in records])))
+    lsb_um = codes.step_um * float(np.sqrt(np.median([one.tick_s / one.period_s for one in records])))
 
     def search_of(records: Sequence[Record]) -> Search:
         chain = Chain(records)
@@ -150,7 +147,7 @@ def diagnose(
     decision = decide(search, retuned, final, believed, noise, structured, bool(loud))
     loudest_um = final.train_rms if noise is None else min(noise.rms_um, final.train_rms)
     if lsb_um > 0 and lsb_um / np.sqrt(12) > FAINT * loudest_um:
-        decision = with_read_off(decision, of_converter(step_um, lsb_um, retuned))
+        decision = with_read_off(decision, of_converter(codes, lsb_um, retuned))
     lost = wrong_readings(records, apart(out, recordings), final)
     if any(len(each) for each in lost):
         decision = with_read_off(decision, of_dropouts(records, lost, final))
@@ -191,7 +188,7 @@ def diagnose(
         *long,
         *cannot_be_decided(records),
         *untried_note(called, untried),
-        *lattice_note,
+        *codes_note,
         *monitored_notes(records),
         *start_notes(records, search.unsettled),
         *conventions(search, final),
@@ -256,28 +253,6 @@ def check_units(records: Sequence[Record], simulation: Stage | Outside) -> None:
         )
 
 
-def converter(recordings: Sequence[Recording]) -> tuple[float, tuple[str, ...]]:
-    """Return the step of the values on which all readings lie, µm, and a note; 0 if there are none."""
-    even = [Quantization.lattice(recording.readings) for recording in recordings]
-    # One converter has the same values in all recordings; a single staircase passes only a few of them.
-    each = [(one.readings, one.u) for one in recordings]
-    y, u = map(np.concatenate, zip(*each, strict=True))
-    if step := agreed(even, EVEN) or Quantization.lattice(y):
-        return step, (f"All readings lie on a grid with a step of {step * 1e3:.4g} nm.",)
-    if step := uneven_codes(y, u) or agreed([uneven_codes(*one) for one in each], UNEVEN):
-        return step, (
-            "The readings recur on certain values, unevenly spaced, with a typical spacing of "
-            f"{step * 1e3:.4g} nm.",
-        )
-    return 0.0, ()
-
-
-def agreed(steps: Sequence[float | None], ratio: float) -> float:
-    """Return the median step of all recordings; 0 if one has none, or if they differ by more than `ratio`."""
-    found = [step for step in steps if step is not None]
-    return float(np.median(found)) if len(found) == len(steps) and max(found) <= ratio * min(found) else 0.0
-
-
 def apart(out: Sequence[np.ndarray], recordings: Sequence[Recording]) -> list[np.ndarray]:
     """Return the readings that do not count, (readings,) of each recording, without those never taken."""
     return [np.setdiff1d(each, one.not_read) for each, one in zip(out, recordings, strict=True)]
@@ -294,21 +269,6 @@ def with_read_off(decision: Decision, effect: NamedEffect) -> Decision:
         effects=(*others, effect),
         unexplained_share=rest * decision.unexplained_share,
         joint_share=rest * decision.joint_share,
-    )
-
-
-def of_converter(step_um: float, lsb_um: float, retuned: Fit) -> NamedEffect:
-    """The sensor's converter as a named effect, seen by its lattice; its error is that of a step `lsb_um`."""
-    return NamedEffect(
-        Quantization.name,
-        Quantization.block,
-        (),
-        READ_OFF,
-        (Parameter("lsb_um", step_um, "µm", (step_um * (1 - 1e-6), step_um * (1 + 1e-6))),),
-        min(1.0, lsb_um**2 / 12 / max(retuned.train_rms**2, 1e-300)),
-        Quantization.equation,
-        Quantization.signature,
-        (),
     )
 
 

@@ -113,7 +113,7 @@ def test_the_typical_step_of_a_converter_with_uneven_codes_is_found(seed, codes)
     u = np.sin(np.linspace(0, 60, 6000)) + 1e-3 * rng.standard_normal(6000)
     x = (u + 1.1) / 2.2 * (places[-1] - places[0]) + places[0]
     y = places[np.abs(x[:, None] - places).argmin(1)]
-    assert uneven_codes(y, u) == pytest.approx(1.0, rel=0.25)
+    assert uneven_codes(y, u).step_um == pytest.approx(1.0, rel=0.25)
     assert uneven_codes(x, u) is None
 
 
@@ -123,8 +123,22 @@ def test_the_typical_step_is_found_although_most_readings_are_on_different_codes
     u = np.sin(np.linspace(0, 60, samples)) + 1e-3 * np.random.default_rng(1).standard_normal(samples)
     x = (u + 1.1) / 2.2 * (places[-1] - places[0]) + places[0]
     y = places[np.abs(x[:, None] - places).argmin(1)]
-    assert uneven_codes(y, u) == pytest.approx(1.0, rel=0.25)
+    assert uneven_codes(y, u).step_um == pytest.approx(1.0, rel=0.25)
     assert uneven_codes(x, u) is None
+
+
+@pytest.mark.parametrize("samples", [800, 6000])
+def test_the_interval_of_an_uneven_step_covers_it_in_nine_of_ten_converters(samples):
+    """The design's step is the mean width of all codes; only some were passed, and few readings miss more."""
+    covered, seeds = 0, 100
+    for seed in range(seeds):
+        rng = np.random.default_rng(seed)
+        places = np.cumsum(rng.uniform(0.7, 1.3, 60))
+        u = np.sin(np.linspace(0, 60, samples)) + 1e-3 * rng.standard_normal(samples)
+        x = (u + 1.1) / 2.2 * (places[-1] - places[0]) + places[0]
+        found = uneven_codes(places[np.abs(x[:, None] - places).argmin(1)], u)
+        covered += abs(found.step_um - 1.0) < found.half_width_um
+    assert 0.8 * seeds < covered < 0.97 * seeds
 
 
 def test_a_command_of_few_values_or_a_file_of_few_decimals_is_not_a_converter():

@@ -1,7 +1,7 @@
 """Readings on a lattice: y = o + q round((x - o) / q) (Widrow and Kollár, *Quantization Noise*, 2008)."""
 
 import math
-from typing import cast
+from typing import NamedTuple, cast
 
 import numpy as np
 from torch import Tensor, nn
@@ -17,6 +17,7 @@ FLOAT32_STEP = 2.0**-23
 EVEN = 0.01  # largest distance of a gap from a whole multiple of the smallest, for evenly spaced values
 NARROWEST = 0.25  # width of a code over the typical one; without codes the narrowest gap is tiny
 RECURRING = 0.2  # share of the values that recur at another command; noise or motion hardly repeats any
+ONE_CODE = 1.75  # largest gap, in steps, between neighbouring codes; a wider one passes a code unseen
 ANOTHER = 1e-6  # smallest difference between two commands, over their span, that is not one of rounding
 
 
@@ -80,31 +81,51 @@ class Quantization(Static, Effect):
         return None
 
 
+class Codes(NamedTuple):
+    """The spacing of the values on which readings lie."""
+
+    step_um: float
+    """Mean width of a code."""
+    half_width_um: float
+    """Half the width of the 90 % interval of the step."""
+
+
 def uneven_codes(
     readings: np.ndarray,  # (time,), µm
     commands: np.ndarray,  # (time,), V
-) -> float | None:
-    """Return the typical step, µm, of readings that lie on unevenly spaced values; None if they do not.
+) -> Codes | None:
+    """Return the typical step of readings that lie on unevenly spaced values; None if they do not.
 
     A converter's code widths differ (differential nonlinearity: IEEE Std 1241-2010, 9.2). Its values recur at
     other commands, which distinguishes it from a stage without noise that is sent to the same places again.
-    How many codes no reading has is estimated from those with one and with two (Chao, *Scandinavian Journal
-    of Statistics* 11, 1984).
+    How many codes no reading has, with its variance, is estimated from those with one and with two (Chao,
+    *Scandinavian Journal of Statistics* 11, 1984; *Biometrics* 43, 1987). The scatter of the widths between
+    neighbouring codes adds to the uncertainty of the step: it is that of the codes which were not passed.
     """
     y, counts = np.unique(readings, return_counts=True)
     least = RECURRING * len(y)
     # Where hardly any reading is repeated, as without a converter, there is no need to look at the commands.
     if len(y) < FEWEST_READINGS or len(readings) - len(y) < least or _recurring(readings, commands) < least:
         return None
-    once, twice = np.count_nonzero(counts == 1), np.count_nonzero(counts == 2)
-    unseen = once * (once - 1) / (2 * (twice + 1))
-    step = float((y[-1] - y[0]) / (len(y) - 1 + unseen))
+    once, twice = np.count_nonzero(counts == 1), np.count_nonzero(counts == 2) + 1
+    unseen = once * (once - 1) / (2 * twice)
+    codes = len(y) - 1 + unseen
+    step = float((y[-1] - y[0]) / codes)
     gaps = np.diff(y)
     narrowest = gaps.min()
     multiples = gaps / narrowest
     # Evenly spaced values come from a file with few decimals, or from a lattice.
     uneven = (np.abs(multiples - np.round(multiples)) > EVEN).any()
-    return step if uneven and narrowest >= NARROWEST * step else None
+    if not uneven or narrowest < NARROWEST * step:
+        return None
+    # Imported here, because the import takes half a second and a stage does not need it.
+    from scipy.special import stdtrit
+
+    widths = gaps[gaps < ONE_CODE * step]
+    variance = unseen + once * (2 * once - 1) ** 2 / (4 * twice**2)
+    variance += once**2 * (twice - 1) * (once - 1) ** 2 / (4 * twice**4)
+    scatter = float(widths.var(ddof=1)) / codes + step**2 * variance / codes**2
+    return Codes(step, float(stdtrit(len(widths) - 1, 0.95)) * math.sqrt(scatter))
 
 
 def _recurring(readings: np.ndarray, commands: np.ndarray) -> int:
