@@ -103,7 +103,7 @@ def fit(
     if not slots:  # linear in the weights: one solution is enough
         iterations = 0 if fresh_weights else 1
     damping, current = 1e-3, with_theta(hypothesis, slots, theta)
-    n, prior, parts = len(weights), np.zeros((0, 0)), None
+    n, prior, last = len(weights), np.zeros((0, 0)), None
     walks = walk_prior(hypothesis, slots, theta)
     for _ in range(iterations):
         if tangent is None:
@@ -111,7 +111,8 @@ def fit(
         slopes = slopes_of(chain, current, weights, slots, theta, slopes if tolerance > FINE else None)
         prior = prior if len(prior) else block_diag(prior_of(chain, hypothesis, tangent.gram), walks)
         numbers = np.concatenate([weights, theta])
-        gram, right, ss, parts = normal_equations(chain, current, weights, tangent, slopes)
+        gram, right, ss = normal_equations(chain, current, weights, tangent, slopes)
+        last = tangent, slopes
         ss += float(numbers @ prior @ numbers)
         gram, right = with_prior(gram, right, prior, numbers)
         accepted = False
@@ -139,11 +140,11 @@ def fit(
         theta, weights, current, damping = trial_theta, trial_weights, trial, damping / 10
         if trial_ss > ss * (1 - tolerance):
             break
-    if parts is None:
+    if last is None:
         tangent = tangent or tangent_of(chain, current, weights)
-        slopes = slopes_of(chain, current, weights, slots, theta)
-        parts = normal_equations(chain, current, weights, tangent, slopes)[3]
+        last = tangent, slopes_of(chain, current, weights, slots, theta)
         prior = block_diag(prior_of(chain, hypothesis, tangent.gram), walks)
+    parts = [joined(first, second) for first, second in zip(last[0].parts, last[1].parts, strict=True)]
     residuals = residuals_of(chain, current, weights)
     records = chain.records
     return Fit(
@@ -225,7 +226,7 @@ def with_weights_solved(
     for _ in range(SOLVED):
         try:
             last = tangent_of(chain, hypothesis, weights)
-            gram, right, before, _ = normal_equations(chain, hypothesis, weights, last)
+            gram, right, before = normal_equations(chain, hypothesis, weights, last)
         except StageError:
             break
         before += float(weights @ prior @ weights)
@@ -279,11 +280,11 @@ def normal_equations(
     weights: np.ndarray,
     tangent: Tangent,
     slopes: Slopes | None = None,
-) -> tuple[np.ndarray, np.ndarray, float, list[Sensitivity]]:
-    """J Jᵀ, J e and eᵀ e over the whitened coefficients, and J of each recording."""
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """J Jᵀ, J e and eᵀ e over the whitened coefficients."""
     n = len(weights)
     size = n + (0 if slopes is None else len(slopes.theta))
-    gram, right, ss, parts = np.zeros((size, size)), np.zeros(size), 0.0, []
+    gram, right, ss = np.zeros((size, size)), np.zeros(size), 0.0
     gram[:n, :n] = tangent.gram
     for i, residual in enumerate(residuals_of(chain, hypothesis, weights)):
         first, error = tangent.parts[i], chain.whitened(i, residual[None])[0]
@@ -297,8 +298,7 @@ def normal_equations(
         gram[np.ix_(second.places, first.places)] += across.T
         gram[np.ix_(second.places, second.places)] += second.rows @ second.rows.T
         right[second.places] += second.rows @ error
-        parts.append(joined(first, second))
-    return gram, right, ss, parts
+    return gram, right, ss
 
 
 def residuals_of(chain: Chain, hypothesis: Hypothesis, weights: np.ndarray) -> tuple[np.ndarray, ...]:
@@ -336,7 +336,7 @@ def start_weights(chain: Chain, hypothesis: Hypothesis) -> tuple[np.ndarray, Tan
             moving = moving.without(member.effect.name, member.aux)
     nothing = np.zeros(chain.numbers(hypothesis))
     tangent = tangent_of(chain, moving, nothing)
-    gram, right, _, _ = normal_equations(chain, moving, nothing, tangent)
+    gram, right, _ = normal_equations(chain, moving, nothing, tangent)
     gram, right = with_prior(gram, right, prior_of(chain, hypothesis, gram), nothing)
     return solve(gram, right, len(right), 0.0), tangent if moving is hypothesis else None
 
