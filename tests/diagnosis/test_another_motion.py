@@ -13,6 +13,7 @@ from torchpi.diagnosis.chain import Chain
 from torchpi.diagnosis.fit import REMANENCE, weight_prior
 from torchpi.diagnosis.hypothesis import Hypothesis
 from torchpi.diagnosis.hysteresis_model import plain, preisach
+from torchpi.diagnosis.outside import Outside
 from torchpi.diagnosis.records import seen
 
 LOOPS = multisine(SAMPLES, high_hz=40.0)
@@ -49,6 +50,13 @@ def test_the_error_of_another_motion_is_of_the_stated_size(recording: np.ndarray
     error = float(np.std(truth - y))
     stated = float(np.hypot(another_motion_um(chain, final.hypothesis), NOISE_UM))
     assert 0.3 * stated < error < 3 * stated
+
+
+def test_a_simulation_that_the_hysteresis_corrects_counts_as_known() -> None:
+    chain = Chain(prepared(recorded(LOOPS)))
+    alone = Hypothesis(plain(seen(chain.records)))
+    beside = Hypothesis(replace(alone.nominal, simulation=Outside(None)))
+    assert another_motion_um(chain, beside) == another_motion_um(chain, alone) > 0
 
 
 def test_it_is_the_standard_deviation_of_a_direct_solution() -> None:
