@@ -104,8 +104,8 @@ def posterior(
         # An effect that a hysteresis, driven by the voltage alone, predicts as well may have no own signal.
         own = name in signals and OPERATOR_NAME not in alternatives
         reached = search.within_reach([m for m in h.members if m.effect.name == name])
-        both = (less.fit, retuned)
-        known = share_explained(search, models[0].fit, both, name, own) if reached else 0.0
+        without = (less.fit,) if already_late(retuned, models[0].fit, names) else (less.fit, retuned)
+        known = share_explained(search, models[0].fit, without, name, own) if reached else 0.0
         rise = less.fit.train_rms**2 - models[0].fit.train_rms ** 2
         if len(names) > 1:
             together.append(Believed(name, held * trust(known), (), rise, (), known))
@@ -177,6 +177,13 @@ def without_cause(
     return first if later and not whole and explained(models[0].fit, best.fit) > MOST else best
 
 
+def already_late(retuned: Fit, final: Fit, names: Collection[str]) -> bool:
+    """Whether the retuned simulation has, as its timing convention, part of the delay of these effects: then
+    it is no simulation without them."""
+    delay = any(member.effect.delays for member in final.hypothesis.members if member.effect.name in names)
+    return delay and retuned.hypothesis.alignment != final.hypothesis.alignment
+
+
 def unlisted_hysteresis(h: Hypothesis, before: Hypothesis, name: str) -> list[str]:
     """Return the hysteresis operator as alternative to an effect that is itself a hysteresis, if no larger
     one was accepted: a play behind plays is again plays, and an unlisted family may explain as much."""
@@ -203,9 +210,7 @@ def as_one(
     return one
 
 
-def share_explained(
-    search: Search, more: Fit, without: tuple[Fit, Fit], name: str, own_signal: bool
-) -> float:
+def share_explained(search: Search, more: Fit, without: Sequence[Fit], name: str, own_signal: bool) -> float:
     """Return the share of the residual above the noise that an effect explains, 0–1, as far as the sealed
     samples confirm it. For a recorded signal, which nothing else resembles, the share is the probability that
     it predicts better, whatever else is missing.
@@ -213,7 +218,7 @@ def share_explained(
     Args:
         search: The finished search.
         more: The fit with the effect.
-        without: The fit of everything else, and the retuned simulation.
+        without: The fit of everything else, and the retuned simulation where that lacks the effect.
         name: The effect.
         own_signal: Whether it has a signal of its own.
     """
