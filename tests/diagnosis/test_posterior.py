@@ -23,6 +23,7 @@ from torchpi.diagnosis.posterior import (
     HYSTERESIS_ERROR,
     OF_MODES,
     Believed,
+    already_late,
     apart,
     as_one,
     averaged,
@@ -263,6 +264,17 @@ def test_a_delay_explains_only_what_no_timing_convention_does_unless_that_leaves
     less = without_cause(models, "delay", score, explained, whole)
     assert less.fit == (alone if share > 0.5 and not whole else tick)
     assert without_cause(models[:2], "delay", score, explained, whole).fit == alone
+
+
+@pytest.mark.parametrize(("effect", "tick", "late"), [(Delay, 1, True), (Delay, 0, False), (Creep, 1, False)])
+def test_a_simulation_is_without_a_delay_only_if_its_timing_convention_is_the_same(
+    effect: type[Effect], tick: int, late: bool
+) -> None:
+    h = SimpleNamespace(alignment=0, members=(EffectTerm(effect, {}), EffectTerm(Hum, {})))
+    final = cast(Fit, SimpleNamespace(hypothesis=h))
+    retuned = cast(Fit, SimpleNamespace(hypothesis=SimpleNamespace(alignment=tick)))
+    assert already_late(retuned, final, {effect.name}) is late
+    assert not already_late(retuned, final, {Hum.name})
 
 
 @pytest.mark.parametrize(
