@@ -82,9 +82,10 @@ class Proposals(Growth):
         joint = self.axes_through_a_mode(now)
         names += [AXES] * len(joint)
         jobs += joint
+        # A lag trades with a delay along a valley of the cost, of which two steps see little.
         for name, h in self.lags_with_a_delay(now, screened):
             names.append(name)
-            jobs.append((h, None, HEAT, ROUGH))
+            jobs.append((h, None, STEPS, ROUGH))
         by_name: dict[str, list[Fit]] = {}
         for name, one in zip(names, self.fits(jobs, now), strict=True):
             by_name.setdefault(name, []).append(one)
