@@ -8,24 +8,24 @@ from torchpi.diagnosis.diagnosis import NamedEffect, Parameter
 from torchpi.diagnosis.hypothesis import Fit
 from torchpi.diagnosis.wrong_readings import READ_OFF
 from torchpi.recordings.recording import Recording
-from torchpi.stage.effects.sensor.quantization import Codes, Quantization, uneven_codes
+from torchpi.stage.effects.sensor.quantization import Codes, Quantization, half_width_um, uneven_codes
 
 EVEN, UNEVEN = 1.01, 1.5
 """Largest ratio between the steps of recordings that one converter read, with even and with uneven codes."""
 PRECISE = 1e-6
-"""Relative half-width of the interval of an even step: the whole span of the codes determines it."""
+"""Least relative half-width of the interval of an even step."""
 
 
 def converter(recordings: Sequence[Recording]) -> tuple[Codes, tuple[str, ...]]:
     """Return the values on which all readings lie, and a note; a step of 0 if there are none."""
-    even = [Quantization.lattice(recording.readings) for recording in recordings]
     # One converter has the same values in all recordings; a single staircase passes only a few of them.
     each = [(one.readings, one.u) for one in recordings]
     y, u = map(np.concatenate, zip(*each, strict=True))
-    if step := agreed(even, EVEN) or Quantization.lattice(y):
-        return Codes(step, PRECISE * step), (
-            f"All readings lie on a grid with a step of {step * 1e3:.4g} nm.",
-        )
+    for on_one_lattice in ([one for one, _ in each], [y]):
+        if step := agreed([Quantization.lattice(one) for one in on_one_lattice], EVEN):
+            half_um = max(half_width_um(one, step) for one in on_one_lattice)
+            note = f"All readings lie on a grid with a step of {step * 1e3:.4g} nm."
+            return Codes(step, max(half_um, PRECISE * step)), (note,)
     if (codes := uneven_codes(y, u)) is None:
         separate = [uneven_codes(*one) for one in each]
         if step := agreed([one and one.step_um for one in separate], UNEVEN):
