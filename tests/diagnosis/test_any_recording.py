@@ -68,7 +68,8 @@ def test_a_recording_is_diagnosed_with_finite_numbers_or_refused_in_one_line(giv
 
 def assert_finite(found: Diagnosis) -> None:
     told = json.loads(diagnosis_json(found, provenance("torchpi diagnose", {}, 0)))
-    may_be_null = {".fit.noise_floor_um"} if found.noise_floor_um is None else set()
+    stated = {".fit.noise_floor_um": found.noise_floor_um, ".another_motion_um": found.another_motion_um}
+    may_be_null = {place for place, value in stated.items() if value is None}
     holes = {path for path, value in leaves(told) if value is None and not path.endswith("interval_90")}
     assert holes <= may_be_null, holes
     assert math.isfinite(sum(dataclasses.astuple(found.augmented)))
