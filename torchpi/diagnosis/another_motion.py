@@ -15,8 +15,7 @@ import numpy as np
 from torchpi.diagnosis.chain import Chain
 from torchpi.diagnosis.fit import REMANENCE, RIDGE, weight_prior
 from torchpi.diagnosis.hypothesis import Hypothesis
-from torchpi.diagnosis.hysteresis_model import HysteresisModel
-from torchpi.diagnosis.reduced_basis import in_blocks
+from torchpi.diagnosis.reduced_basis import in_blocks, rows_of, whitened_rows
 
 REVERSALS, SAMPLES = 100, 100
 """Number of reversals of the motion that is predicted, and number of samples between two of them."""
@@ -25,9 +24,9 @@ REVERSALS, SAMPLES = 100, 100
 def another_motion_um(chain: Chain, hypothesis: Hypothesis) -> float:
     """Return the rms standard deviation, µm, of the prediction of another motion by a hysteresis.
 
-    The motion begins de-energised and reverses at random voltages in the range of the recordings: the
-    reversals of no particular use, and loops of all sizes. The parameters of the effects count as known, and
-    so does a simulation that the hysteresis corrects.
+    The motion begins de-energised and reverses at random voltages in the range of the recordings, so that it
+    has loops of all sizes. The parameters of the effects count as known, and so does a simulation that the
+    hysteresis corrects.
 
     Args:
         chain: The recordings, with the weighting of the final fit.
@@ -38,15 +37,11 @@ def another_motion_um(chain: Chain, hypothesis: Hypothesis) -> float:
     voltages = [chain.voltage(bare, i) for i in range(len(chain.records))]
     prior = hysteresis.inverse_variances(weight_prior(chain), chain.gain_um_per_v)
     known = np.diag(prior)
-    for i, (record, v) in enumerate(zip(chain.records, voltages, strict=True)):
-        rows = [
-            chain.whitened(i, rows_of(chain.nominal(replace(bare, nominal=some), i), v, record.period_s))
-            for some in in_blocks(hysteresis)
-        ]
+    for i, v in enumerate(voltages):
         own = np.ones((1, len(v)))
         if bare.history:
             own = np.concatenate([own, hysteresis.remembered(v)])
-        known += with_own_eliminated(np.concatenate(rows), chain.whitened(i, own), chain.span_um)
+        known += with_own_eliminated(whitened_rows(chain, bare, i), chain.whitened(i, own), chain.span_um)
     motion = random_reversals(min(0.0, *map(np.min, voltages)), max(0.0, *map(np.max, voltages)))
     at_rest = replace(bare, remanent=False)
     moved = np.concatenate(
@@ -61,13 +56,6 @@ def another_motion_um(chain: Chain, hypothesis: Hypothesis) -> float:
     unit[np.arange(kept), np.arange(kept)] += RIDGE
     variance = np.einsum("ij,ij->", np.linalg.inv(unit), (moved @ moved.T) * scale * scale[:, None])
     return sqrt(max(float(variance) / moved.shape[1], 0.0))
-
-
-def rows_of(hysteresis: HysteresisModel, v: np.ndarray, period_s: float) -> np.ndarray:
-    """(rows, time): the rows of a hysteresis for a voltage, (time,)."""
-    rows = np.empty((hysteresis.kept, len(v)))
-    hysteresis.fill(v, period_s, rows)
-    return rows
 
 
 def with_own_eliminated(rows: np.ndarray, own: np.ndarray, span_um: float) -> np.ndarray:

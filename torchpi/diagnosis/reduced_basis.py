@@ -41,13 +41,8 @@ def basis(
         first = first if nominal.reduction is None else nominal.reduction.T @ first
     if full.reduction is None and size <= kept + 1:
         return bare, None if first is None else np.concatenate([first, beside])
-    for i, record in enumerate(chain.records):
-        v, parts = chain.voltage(bare, i), []
-        for some in in_blocks(full):
-            rows = np.empty((some.kept, len(v)))
-            chain.nominal(replace(hypothesis, nominal=some), i).fill(v, record.period_s, rows)
-            parts.append(np.ascontiguousarray(chain.whitened(i, rows)[:, ::THINNED]))
-        part = np.concatenate(parts)[:size]
+    for i in range(len(chain.records)):
+        part = whitened_rows(chain, bare, i, THINNED)[:size]
         gram += part @ part.T
     # The prior constrains a straight line less than the terms that bend it.
     prior = full.inverse_variances(weight_prior(chain), chain.gain_um_per_v)[:size]
@@ -64,6 +59,23 @@ def basis(
     mixed = replace(full, reduction=np.concatenate([first[None], reduction]))
     started = np.concatenate([[1.0], np.zeros(len(reduction)), beside])
     return replace(hypothesis, nominal=mixed), started
+
+
+def whitened_rows(chain: Chain, hypothesis: Hypothesis, index: int, every: int = 1) -> np.ndarray:
+    """Return the whitened rows of a hysteresis for one recording, one in `every` coefficients, (rows, kept).
+    They are computed in blocks, so that the rows themselves are never all in memory."""
+    v, period_s, parts = chain.voltage(hypothesis, index), chain.records[index].period_s, []
+    for some in in_blocks(hypothesis.nominal):
+        rows = rows_of(chain.nominal(replace(hypothesis, nominal=some), index), v, period_s)
+        parts.append(np.ascontiguousarray(chain.whitened(index, rows)[:, ::every]))
+    return np.concatenate(parts)
+
+
+def rows_of(hysteresis: HysteresisModel, v: np.ndarray, period_s: float) -> np.ndarray:
+    """(rows, time): the rows of a hysteresis for a voltage, (time,)."""
+    rows = np.empty((hysteresis.kept, len(v)))
+    hysteresis.fill(v, period_s, rows)
+    return rows
 
 
 def in_blocks(full: HysteresisModel) -> list[HysteresisModel]:
