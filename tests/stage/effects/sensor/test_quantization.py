@@ -155,6 +155,15 @@ def test_the_interval_of_an_uneven_step_covers_it_in_nine_of_ten_converters(samp
     assert 0.8 * seeds < covered < 0.97 * seeds
 
 
+def test_a_step_has_an_interval_even_if_no_two_neighbouring_codes_were_read():
+    rng = np.random.default_rng(0)
+    places = np.cumsum(rng.uniform(0.7, 1.3, 40))
+    y = rng.permutation(np.concatenate([places, places[::2], places[::2]]))
+    found = uneven_codes(y, rng.standard_normal(len(y)))
+    assert found.step_um < 0.5 * np.diff(places).min()
+    assert 0 < found.half_width_um < np.inf
+
+
 def test_a_command_of_few_values_or_a_file_of_few_decimals_is_not_a_converter():
     levels = np.random.default_rng(0).uniform(0.8, 1.2, 20).cumsum()
     at = np.repeat(np.arange(20), 100)

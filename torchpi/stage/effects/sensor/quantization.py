@@ -87,15 +87,12 @@ def half_width_um(
 ) -> float:
     """Return half the width of the 90 % interval of the step of a lattice, µm, from the scatter of the
     readings about their places: a file with few decimals rounds them."""
-    # Imported here, because the import takes half a second and a stage does not need it.
-    from scipy.special import stdtrit
-
     y = np.unique(np.asarray(readings, dtype=np.float64))
     codes = np.round((y - _offset(y, step_um)) / step_um)
     codes -= codes.mean()
     left = y - y.mean() - step_um * codes
     freedom = len(y) - 2
-    return float(stdtrit(freedom, 0.95) * np.sqrt(left @ left / freedom / (codes @ codes)))
+    return _quantile(freedom) * math.sqrt(left @ left / freedom / (codes @ codes))
 
 
 class Codes(NamedTuple):
@@ -135,14 +132,20 @@ def uneven_codes(
     uneven = (np.abs(multiples - np.round(multiples)) > EVEN).any()
     if not uneven or narrowest < NARROWEST * step:
         return None
-    # Imported here, because the import takes half a second and a stage does not need it.
-    from scipy.special import stdtrit
-
     widths = gaps[gaps < ONE_CODE * step]
+    widths = widths if len(widths) > 1 else gaps  # no two codes in a row were read
     variance = unseen + once * (2 * once - 1) ** 2 / (4 * twice**2)
     variance += once**2 * (twice - 1) * (once - 1) ** 2 / (4 * twice**4)
     scatter = float(widths.var(ddof=1)) / codes + step**2 * variance / codes**2
-    return Codes(step, float(stdtrit(len(widths) - 1, 0.95)) * math.sqrt(scatter))
+    return Codes(step, _quantile(len(widths) - 1) * math.sqrt(scatter))
+
+
+def _quantile(freedom: int) -> float:
+    """Return the quantile of Student's t that bounds 90 %, two-sided."""
+    # Imported here, because the import takes half a second and a stage does not need it.
+    from scipy.special import stdtrit
+
+    return float(stdtrit(freedom, 0.95))
 
 
 def _recurring(readings: np.ndarray, commands: np.ndarray) -> int:
