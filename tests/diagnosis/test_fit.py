@@ -21,7 +21,7 @@ from tests.diagnosis.plants import (
 from tests.diagnosis.prepared import prepared
 from torchpi.diagnosis.chain import Chain
 from torchpi.diagnosis.fit import ROUGH, fit
-from torchpi.diagnosis.free_parameters import with_theta
+from torchpi.diagnosis.free_parameters import shape_slot, with_theta
 from torchpi.diagnosis.hypothesis import EffectTerm, Fit, Hypothesis
 from torchpi.diagnosis.hysteresis_model import bouc_wen, many_plays, preisach
 from torchpi.diagnosis.records import seen
@@ -287,3 +287,10 @@ def test_a_fit_with_a_small_backlash_is_as_good_as_one_without() -> None:
     plays = Hypothesis(many_plays(seen(chain.records)))
     small = EffectTerm(Backlash, {"width_um": 1e-3})
     assert fit(chain, plays.plus(small)).train_rms < 1.1 * fit(chain, plays).train_rms
+
+
+@pytest.mark.parametrize("times", [1e-6, 1e3])
+def test_bounds_of_shape_parameters_scale_with_the_voltage(times: float) -> None:
+    for name, power in (("sigma_v", 1), ("alpha_per_v", -1), ("beta", 0)):
+        one, other = shape_slot(name, 2.0), shape_slot(name, 2.0 * times)
+        assert (other.low, other.high) == pytest.approx((one.low * times**power, one.high * times**power))

@@ -144,6 +144,32 @@ def test_a_bouc_wen_state_follows_its_differential_equation() -> None:
     assert bouc_wen(0.0, 1.0, sigma, beta, n) == pytest.approx(wanted, abs=1e-4)
 
 
+@given(
+    st.floats(-1.2, 1.2),
+    st.floats(-300.0, 300.0),
+    st.floats(1e-2, 1e2),
+    st.floats(0.0, 3.0),
+    st.floats(0.5, 6.0),
+)
+def test_a_bouc_wen_state_that_ends_early_has_the_bits_of_all_its_steps(
+    z: float, dv: float, sigma: float, beta: float, n: float
+) -> None:
+    pieces = int(abs(dv) / sigma * 20) + 1
+    step, last = dv / pieces, z
+    for _ in range(min(pieces, 3000)):  # by then it is ±1, see below
+        at = last
+        for part in (0.5, 1.0):
+            outward = 1 - beta + beta * (1.0 if at * step >= 0 else -1.0)
+            at = last + part * step / sigma * (1 - abs(at) ** n * outward)
+        last = at
+    assert bouc_wen(z, dv, sigma, beta, n) == last
+
+
+def test_a_move_of_any_length_saturates_a_bouc_wen_state_in_a_limited_number_of_steps() -> None:
+    assert bouc_wen(0.3, 1e12, 1.0, 0.6, 1.2) == pytest.approx(1, abs=1e-14)  # 2e13 steps would take days
+    assert bouc_wen(0.3, -1e12, 1.0, 0.6, 1.2) == pytest.approx(-1, abs=1e-14)
+
+
 def test_it_can_be_rebuilt_from_its_settings() -> None:
     operator, v = hysteresis(2, True, True, **INSIDE_IT), wandering(1, 100)
     again = Hysteresis(PERIOD_S, **operator.settings())

@@ -6,6 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 from scipy.linalg import block_diag
+from scipy.linalg.lapack import dposv
 
 from torchpi.diagnosis.chain import Chain
 from torchpi.diagnosis.free_parameters import (
@@ -188,22 +189,34 @@ def left_out(
         of_stretches.append((stretches, rows, grams))
     scale = 1 / np.sqrt(np.maximum(np.diag(whole), 1e-300))
     unit, means = whole * scale * scale[:, None], []
+    unit[np.diag_indices_from(unit)] += RIDGE
     for i, (record, residual, part) in enumerate(zip(chain.records, residuals, parts, strict=True)):
-        e, there, size = chain.whitened(i, residual[None])[0], part.places, scale[part.places]
-        stretches, rows, grams = of_stretches[i]
-        # All stretches in one call: the matrices are small, and there are two dozen of them in every fit.
-        others = np.repeat(unit[None], len(stretches), 0)
-        others[:, there[:, None], there] -= WITHHELD * np.array(grams) * size * size[:, None]
-        others[:, np.arange(len(scale)), np.arange(len(scale))] += RIDGE
-        right = np.zeros((len(stretches), len(scale)))
-        right[:, there] = [of_it @ e[stretch] * size for stretch, of_it in zip(stretches, rows, strict=True)]
-        moved = np.linalg.solve(others, right[..., None])[:, there, 0] * size
-        for stretch, of_it, by in zip(stretches, rows, moved, strict=True):
-            e[stretch] += WITHHELD * by @ of_it
+        e, size = chain.whitened(i, residual[None])[0], scale[part.places]
+        information = without_others(unit, part.places)
+        for stretch, of_it, gram in zip(*of_stretches[i], strict=True):
+            others = information - WITHHELD * size * size[:, None] * gram
+            moved = solve_positive(others, of_it @ e[stretch] * size) * size
+            e[stretch] += WITHHELD * moved @ of_it
         e /= chain.weighting.inverse_sd[i]
         of = record.coefficients
         means.append(np.bincount(of.cell, e**2) / np.bincount(of.cell))
     return np.concatenate(means)
+
+
+def without_others(information: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """Return the information on some of the numbers, (places, places), when the others are eliminated."""
+    others = np.setdiff1d(np.arange(len(information)), places)
+    across = information[np.ix_(others, places)]
+    eliminated = across.T @ np.linalg.solve(information[np.ix_(others, others)], across)
+    left: np.ndarray = information[np.ix_(places, places)] - eliminated
+    return left
+
+
+def solve_positive(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Solve a positive definite system by Cholesky's method, or by elimination where it is only nearly so."""
+    _, found, failed = dposv(matrix.T, right)  # in the order of columns that LAPACK reads
+    solved: np.ndarray = np.linalg.solve(matrix, right) if failed else found
+    return solved
 
 
 def whitener(parts: Sequence[Sensitivity]) -> np.ndarray:

@@ -13,7 +13,7 @@ from torchpi.operators.quantity import Quantity
 def free_parameters_of(hypothesis: Hypothesis) -> tuple[FreeParameter, ...]:
     slots = []
     for name in hypothesis.shape:
-        slots.append(shape_slot(name))
+        slots.append(shape_slot(name, hypothesis.nominal.scale_v))
     if hypothesis.remanent:
         for record in range(len(hypothesis.starts)):
             slots.append(FreeParameter(-1, START, record, False, 0.2, -2.0, 2.0))
@@ -31,17 +31,19 @@ def free_parameters_of(hypothesis: Hypothesis) -> tuple[FreeParameter, ...]:
 
 START = "start"
 SHAPE_BOUNDS = {
-    "sigma_v": (1e-3, 1e3),
-    "beta": (0.0, 3.0),
-    "exponent": (0.5, 6.0),
-    "alpha_per_v": (1e-6, 1e3),
+    "sigma_v": (1e-3, 1e2, 1),
+    "beta": (0.0, 3.0, 0),
+    "exponent": (0.5, 6.0, 0),
+    "alpha_per_v": (1e-2, 1e4, -1),
 }
+"""Bounds of each shape parameter for a reach of 1 V, and the power of the reach that they grow with."""
 
 
-def shape_slot(name: str) -> FreeParameter:
-    low, high = SHAPE_BOUNDS[name]
+def shape_slot(name: str, reach_v: float) -> FreeParameter:
+    low, high, power = SHAPE_BOUNDS[name]
     log = low > 0
-    return FreeParameter(-1, name, None, log, 0.2 if not log else 1.0, low, high)
+    unit = reach_v**power
+    return FreeParameter(-1, name, None, log, 0.2 if not log else 1.0, low * unit, high * unit)
 
 
 def difference(member: EffectTerm, name: str) -> float:

@@ -33,9 +33,6 @@ from torchpi.stage.hysteresis import IDENTITY
 
 BLOCK = 256
 """Samples whose states are summed at a time, so that they fit into the cache for any number of plays."""
-CALM = 0.05
-"""Mean step of a voltage from sample to sample, over the reach, below which sums are computed event by event;
-for a faster voltage, the product of all states with all weights takes less time."""
 CHANGING = ("asymmetry_per_v", "incongruence_per_v", "weight_s_per_v", "threshold_s_per_v", "loop_per_e")
 """Shape parameters that change what a play does; the others only say how."""
 PIECES = 48
@@ -187,7 +184,7 @@ class HysteresisModel:
         """Write the rows of the plays alone, as `fill` does."""
         r, h, plays = self.thresholds_v, np.zeros(len(self.thresholds_v)), self.of_plays
         mixed = None if self.reduction is None else self.reduction[:, :plays]
-        if mixed is not None and self.plain and (self.pieces > 1 or self.is_calm(v)):
+        if mixed is not None and self.plain:
             self.plain_sums(v, mixed, rows)
             return
         functions = () if mixed is None or self.pieces == 1 else self.output_functions(mixed)
@@ -235,10 +232,6 @@ class HysteresisModel:
     def plain(self) -> bool:
         """Whether nothing inside the hysteresis changes its plays."""
         return not any(self.shape[name] for name in CHANGING)
-
-    def is_calm(self, v: np.ndarray) -> bool:
-        """Whether a voltage, (time,), moves only few plays from sample to sample."""
-        return bool(np.abs(np.diff(v)).sum() < CALM * len(v) * self.scale_v)
 
     def plain_sums(self, v: np.ndarray, weights: np.ndarray, y: np.ndarray) -> None:
         """Write the sums of the plays with weights (sums, pieces × plays) into `y`, (sums, time)."""

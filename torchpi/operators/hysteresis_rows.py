@@ -51,15 +51,19 @@ def loop_widening(rate: float, loop_per_e: float, reference_rate_v_s: float) -> 
 
 
 def bouc_wen(z: float, dv: float, sigma: float, beta: float, n: float) -> float:
-    """Return z after v moves linearly by dv, by the midpoint rule in steps of at most σ/20."""
+    """Return z after v moves linearly by dv, by the midpoint rule in steps of at most σ/20. A move of many σ
+    ends as soon as a step no longer changes z, which is then ±1 but for rounding."""
     pieces = int(abs(dv) / sigma * 20.0) + 1
     move = dv / pieces
-    for _ in range(pieces):
+    piece, changes = 0, True
+    while changes and piece < pieces:
         at = z
         for part in (0.5, 1.0):
             sign = 1.0 if at * move >= 0.0 else -1.0
             at = z + part * move / sigma * (1.0 - abs(at) ** n * (1.0 - beta + beta * sign))
+        changes = at != z
         z = at
+        piece += 1
     return z
 
 
@@ -208,7 +212,8 @@ def sums_of_plain_plays(
 
     The plays that move with v are those with the smallest thresholds, and they move in parallel: their sum is
     linear in v until one of them enters its next piece. The cost of a step depends on how many plays start
-    to move or change piece, not on how many there are.
+    to move or change piece, not on how many there are. Each inner loop takes views of one row, since loops
+    over indexed arrays are compiled without vector instructions and take five times as long.
 
     Args:
         v: (time,).
@@ -239,19 +244,21 @@ def sums_of_plain_plays(
                     slope[s] = 0.0
                 moving, sign = 0, -sign
             while moving < plays and sign * (now - h[moving]) > r[moving]:
-                left = h[moving] + sign * r[moving]
+                left, its_slope = h[moving] + sign * r[moving], slopes[at[moving], moving]
                 for s in range(sums):
-                    slope[s] += slopes[at[moving], moving, s]
-                    offset[s] -= slopes[at[moving], moving, s] * left
+                    slope[s] += its_slope[s]
+                    offset[s] -= its_slope[s] * left
                 moving += 1
             if pieces > 1:
                 for i in range(moving):
                     k, old = _piece_of(now - sign * r[i], low, piece, pieces), at[i]
                     if k != old:
+                        slope_in, offset_in = slopes[k, i], offsets[k, i]
+                        slope_out, offset_out = slopes[old, i], offsets[old, i]
                         for s in range(sums):
-                            more = slopes[k, i, s] - slopes[old, i, s]
+                            more = slope_in[s] - slope_out[s]
                             slope[s] += more
-                            offset[s] += offsets[k, i, s] - offsets[old, i, s] - more * sign * r[i]
+                            offset[s] += offset_in[s] - offset_out[s] - more * sign * r[i]
                         at[i] = k
             for s in range(sums):
                 block[t - first, s] = offset[s] + slope[s] * now

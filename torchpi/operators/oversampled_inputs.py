@@ -8,9 +8,9 @@ the result depends on `LOOKAHEAD` future samples.
 
 import math
 from collections.abc import Sequence
+from functools import cache
 
 import numpy as np
-from scipy.signal import bilinear, firwin
 
 from torchpi.operators.compiled import njit
 from torchpi.operators.filters import decimate, interpolate
@@ -20,8 +20,17 @@ FACTOR = 4
 HALF_LENGTH = 40
 """Half length of the filter, in samples of the input: it still passes 0.94 of the Nyquist frequency."""
 LOOKAHEAD = 2 * HALF_LENGTH
-TAPS = firwin(2 * FACTOR * HALF_LENGTH + 1, 1.0 / FACTOR, window=("kaiser", 6.0))
 _play = njit(relaxing_play)
+
+
+@cache
+def low_pass_taps() -> np.ndarray:
+    """Return the coefficients of the low-pass, (taps,)."""
+    # Imported here, because the import takes half a second and few stages have these inputs.
+    from scipy.signal import firwin
+
+    taps: np.ndarray = firwin(2 * FACTOR * HALF_LENGTH + 1, 1.0 / FACTOR, window=("kaiser", 6.0))
+    return taps
 
 
 class OversampledInputs:
@@ -60,6 +69,8 @@ class OversampledInputs:
         self.kept = np.exp(-2 * np.pi * np.asarray(rates_hz, float) / fine_hz)
         self.omega, self.high_pass = 0.0, np.zeros(3)
         if len(widths):
+            from scipy.signal import bilinear
+
             self.omega = 2 * math.pi * corner_hz
             (b0, b1), (_, a1) = bilinear([1.0, 0.0], [1.0, self.omega], fine_hz)
             self.high_pass = np.array([b0, b1, a1])
@@ -78,7 +89,7 @@ class OversampledInputs:
         """
         known, inputs = np.concatenate([self.u, u]), u.shape[1]
         x, low = np.empty((FACTOR * len(u), inputs)), np.empty((len(u), self.fine.shape[1]))
-        interpolate(known, FACTOR * TAPS, FACTOR, x)
+        interpolate(known, FACTOR * low_pass_taps(), FACTOR, x)
         added = np.empty((len(x), inputs, self.columns))
         at_higher_rate(
             x, self.thresholds, self.kept, self.widths, self.omega, self.high_pass, self.h, self.slope,
@@ -89,7 +100,7 @@ class OversampledInputs:
             weighted_sum(added, self.weights, total)
             added = total
         fine = np.concatenate([self.fine, added.reshape(len(x), -1)])
-        decimate(fine, TAPS, FACTOR, low)
+        decimate(fine, low_pass_taps(), FACTOR, low)
         self.u, self.fine = known[len(u) :], fine[len(x) :]
         return low.reshape(len(u), inputs, -1)
 

@@ -14,7 +14,7 @@ from torchpi.control.multi_axis import MultiAxisInverse
 from torchpi.export.c_source import check_name
 from torchpi.export.templates import rendered
 from torchpi.operators.modal_feedback import DIVERGED, SMALLEST_MEAN
-from torchpi.operators.oversampled_inputs import FACTOR, TAPS
+from torchpi.operators.oversampled_inputs import FACTOR, low_pass_taps
 from torchpi.stage.multi_axis import MultiAxisStage, MultiAxisStream
 
 FLAGS = "-std=c99 -ffp-contract=off -fno-math-errno -O2"
@@ -73,7 +73,8 @@ def _context(exported: MultiAxisStage | MultiAxisInverse, name: str) -> dict[str
         scale = np.full(m, max(stage.input_thresholds_v, default=1.0))
         contract = f"y has {p} displacements in um, {delay} samples behind the {m} voltages u in V."
         summary, accepts, doubles = "a piezo stage of several axes, as it was identified.", "", 0
-    of_one_stage = m * (len(TAPS) + FACTOR + len(TAPS) // FACTOR + delay) + 2 * stage.shapes.modes
+    taps = len(low_pass_taps())
+    of_one_stage = m * (taps + FACTOR + taps // FACTOR + delay) + 2 * stage.shapes.modes
     doubles += of_one_stage * (passes if inverse else 1)
     return context | {
         "contract": "\n * ".join(textwrap.wrap(contract, 100)),
@@ -89,11 +90,12 @@ def _context(exported: MultiAxisStage | MultiAxisInverse, name: str) -> dict[str
 def of_stage(stage: MultiAxisStage) -> dict[str, Any]:
     """Return the numbers of a stage by name: parameters, constants and inputs."""
     inputs, constants = stage.input_stream(), stage.thresholds_of_kernel()
-    blocks = len(TAPS) // FACTOR
+    taps = low_pass_taps()
+    blocks = len(taps) // FACTOR
     padded = np.zeros(FACTOR * (blocks + 1))
-    padded[: len(TAPS)] = FACTOR * TAPS
+    padded[: len(taps)] = FACTOR * taps
     # Contributions of a block of samples at the higher rate to each later output, its first sample first.
-    low = [[float(TAPS[FACTOR * (k + 1) - q]) for k in range(blocks)] for q in range(FACTOR)]
+    low = [[float(taps[FACTOR * (k + 1) - q]) for k in range(blocks)] for q in range(FACTOR)]
     arrays = stage.arrays()
     pairs = {"poles": 1, "drive": 1, "force": 1, "sensed": 2, "seen": 2}  # axis of (re, im)
     halves = {
@@ -114,7 +116,7 @@ def of_stage(stage: MultiAxisStage) -> dict[str, Any]:
         "factor": FACTOR,
         "blocks": blocks,
         "interpolation": padded,
-        "newest": TAPS[0],
+        "newest": taps[0],
         "decimation": low,
         "diverged": repr(DIVERGED),
         "smallest_mean": repr(SMALLEST_MEAN),

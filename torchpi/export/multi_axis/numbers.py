@@ -10,7 +10,7 @@ import torchpi
 from torchpi.control.multi_axis import MultiAxisInverse
 from torchpi.errors import ArtifactError
 from torchpi.operators.modal_feedback import SMALLEST_MEAN
-from torchpi.operators.oversampled_inputs import FACTOR, TAPS
+from torchpi.operators.oversampled_inputs import FACTOR, low_pass_taps
 from torchpi.stage.multi_axis import MultiAxisStage
 
 STAGE_SCHEMA, INVERSE_SCHEMA = "torchpi.stage.multi_axis/1", "torchpi.control.multi_axis/1"
@@ -42,7 +42,7 @@ def of_stage(stage: MultiAxisStage) -> dict[str, Any]:
             "equation": f"x = ({FACTOR} taps) * (u_i with {FACTOR - 1} zeros behind each sample), "
             f"at {FACTOR} times the rate",
             "factor": FACTOR,
-            "taps": TAPS.tolist(),
+            "taps": low_pass_taps().tolist(),
         },
         "actuator_plays": {
             "equation": "e = x - h; h <- x - a e / sqrt(1 + (1 - a^2) (e/r)^2); adds h - x; at the higher "

@@ -12,7 +12,7 @@ from torch import Tensor, nn
 
 from torchpi.control.multi_axis import MultiAxisInverse
 from torchpi.operators.modal_feedback import DIVERGED, SMALLEST_MEAN
-from torchpi.operators.oversampled_inputs import FACTOR, TAPS
+from torchpi.operators.oversampled_inputs import FACTOR, low_pass_taps
 from torchpi.stage.multi_axis import MultiAxisStage
 
 
@@ -54,10 +54,11 @@ class StageTensors(nn.Module):
         super().__init__()
         arrays, inputs = stage.arrays(), stage.input_stream()
         zones, thresholds, kept, shares = stage.thresholds_of_kernel()
-        blocks = len(TAPS) // FACTOR
+        taps = low_pass_taps()
+        blocks = len(taps) // FACTOR
         padded = np.zeros(FACTOR * (blocks + 1))
-        padded[: len(TAPS)] = FACTOR * TAPS
-        low_pass = np.stack([TAPS[FACTOR - q :: FACTOR][:blocks] for q in range(FACTOR)])
+        padded[: len(taps)] = FACTOR * taps
+        low_pass = np.stack([taps[FACTOR - q :: FACTOR][:blocks] for q in range(FACTOR)])
         own_input = np.arange(stage.shapes.elements) % stage.inputs
         self.poles, self.drive, self.force = (tensor(arrays[name]) for name in ("poles", "drive", "force"))
         self.sensed, self.through = tensor(arrays["sensed"]), tensor(arrays["through"])
@@ -71,7 +72,7 @@ class StageTensors(nn.Module):
         self.widths, self.high_pass = tensor(inputs.widths), tensor(inputs.high_pass)
         self.zones, self.above = tensor(zones), tensor(zones[None] >= 0)
         self.r, self.kept, self.shares = tensor(thresholds), tensor(kept), tensor(shares)
-        self.newest, self.omega = float(TAPS[0]), inputs.omega
+        self.newest, self.omega = float(taps[0]), inputs.omega
         self.inputs, self.outputs, self.delay = stage.inputs, stage.outputs, stage.delay_samples
         self.smallest_mean, self.diverged = SMALLEST_MEAN, DIVERGED
         self.unbounded = 0
