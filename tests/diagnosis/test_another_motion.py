@@ -10,6 +10,7 @@ from tests.diagnosis.prepared import prepared
 from tests.diagnosis.test_across_recordings import SAMPLES, STEPS, fitted, recorded
 from torchpi.diagnosis.another_motion import another_motion_um, random_reversals
 from torchpi.diagnosis.chain import Chain
+from torchpi.diagnosis.diagnose import diagnose
 from torchpi.diagnosis.fit import REMANENCE, weight_prior
 from torchpi.diagnosis.hypothesis import Hypothesis
 from torchpi.diagnosis.hysteresis_model import plain, preisach
@@ -50,6 +51,12 @@ def test_the_error_of_another_motion_is_of_the_stated_size(recording: np.ndarray
     error = float(np.std(truth - y))
     stated = float(np.hypot(another_motion_um(chain, final.hypothesis), NOISE_UM))
     assert 0.3 * stated < error < 3 * stated
+
+
+def test_plays_that_two_levels_leave_undetermined_do_not_carry_over() -> None:
+    found = diagnose(recorded(STEPS, bend=0.0))
+    assert found.verdict == "nothing_missing" and not found.carries_over
+    assert found.another_motion_um is not None and found.another_motion_um > 5 * NOISE_UM
 
 
 def test_a_simulation_that_the_hysteresis_corrects_counts_as_known() -> None:

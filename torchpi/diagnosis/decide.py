@@ -180,8 +180,7 @@ def if_it_carries_over(
     Args:
         decision: What was decided on the recorded motions.
         across: Each recording, predicted from the others.
-        another_um: The standard deviation of the prediction of another motion, where the model has a larger
-            hysteresis; else None.
+        another_um: The standard deviation of the prediction of another motion; None if it was not computed.
         left_um: The noise, or what the model leaves where the noise was not measured: the standard deviation
             may increase it by no more than the factor up to which a residual counts as explained.
         untested: Whether the held-out samples are too uniform to test the hundreds of weights of a larger

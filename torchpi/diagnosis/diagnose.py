@@ -154,13 +154,14 @@ def diagnose(
     alike = untested(records, what)
     across: tuple[AcrossRecordings, ...] = ()
     another_um: float | None = None
-    if decision.verdict in CLOSED and not search.slips:
-        log("across recordings: whether they predict one another")
-        across = across_recordings(search.chain, final)
-        if search.has_larger(final):
-            another_um = another_motion_um(search.chain, final.hypothesis)
+    if decision.verdict in CLOSED:
+        log("other motions: whether the recordings predict one another, and determine the hysteresis")
+        if not search.slips:
+            across = across_recordings(search.chain, final)
+        another_um = another_motion_um(chain, modelled.hypothesis)
         left_um = noise.rms_um if noise is not None else final.train_rms
-        decision = if_it_carries_over(decision, across, another_um, left_um, bool(alike))
+        too_alike = bool(alike) and search.has_larger(final)
+        decision = if_it_carries_over(decision, across, another_um, left_um, too_alike)
     log("model: everything refitted to all samples")
     complete = without_start(
         prepare(recordings, out, as_recorded=given_recordings, sealed=0.0), search.unsettled

@@ -164,7 +164,7 @@ class Diagnosis:
     """Each recording whose voltages the others cover, predicted from them; empty if the names leave more to
     explain, or if a mount sticks."""
     another_motion_um: float | None
-    """Rms standard deviation of the prediction of another motion by the named hysteresis, which the
+    """Rms standard deviation of the prediction of another motion by the hysteresis, which the
     recordings leave open; None unless nothing else is left to explain."""
     carries_over: bool
     """Whether the recordings determine the hysteresis for other motions, as far as that was tested."""

@@ -53,7 +53,7 @@ def paragraph(
         leftovers: Where the residual of the augmented simulation stands out, one phrase each.
         untested: The respects in which the held-out samples are alike, one phrase each.
         across: The prediction of each recording from the others.
-        another_um: The standard deviation of the prediction of another motion by the named hysteresis.
+        another_um: The standard deviation of the prediction of another motion by the hysteresis.
     """
     nominal, retuned, augmented = errors
     parts = [
