@@ -13,7 +13,7 @@ from math import sqrt
 import numpy as np
 
 from torchpi.diagnosis.chain import Chain
-from torchpi.diagnosis.fit import REMANENCE, RIDGE, weight_prior
+from torchpi.diagnosis.fit import REMANENCE, RIDGE, eliminated, weight_prior
 from torchpi.diagnosis.hypothesis import Hypothesis
 from torchpi.diagnosis.reduced_basis import in_blocks, rows_of, whitened_rows
 
@@ -64,9 +64,7 @@ def with_own_eliminated(rows: np.ndarray, own: np.ndarray, span_um: float) -> np
     gram = own @ own.T
     history = np.arange(1, len(own))
     gram[history, history] += 1.0 / (REMANENCE * span_um) ** 2
-    across = rows @ own.T
-    left: np.ndarray = rows @ rows.T - across @ np.linalg.solve(gram, across.T)
-    return left
+    return eliminated(rows @ rows.T, rows @ own.T, gram)
 
 
 def random_reversals(low_v: float, high_v: float) -> np.ndarray:

@@ -206,9 +206,14 @@ def left_out(
 def without_others(information: np.ndarray, places: np.ndarray) -> np.ndarray:
     """Return the information on some of the numbers, (places, places), when the others are eliminated."""
     others = np.setdiff1d(np.arange(len(information)), places)
-    across = information[np.ix_(others, places)]
-    eliminated = across.T @ np.linalg.solve(information[np.ix_(others, others)], across)
-    left: np.ndarray = information[np.ix_(places, places)] - eliminated
+    pairs = ((places, places), (places, others), (others, others))
+    return eliminated(*(information[np.ix_(*pair)] for pair in pairs))
+
+
+def eliminated(information: np.ndarray, across: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """Return the information on numbers, (numbers, numbers), after others are eliminated: the Schur
+    complement of theirs, (others, others), with `across`, (numbers, others)."""
+    left: np.ndarray = information - across @ np.linalg.solve(others, across.T)
     return left
 
 

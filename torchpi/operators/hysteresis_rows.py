@@ -213,7 +213,7 @@ def sums_of_plain_plays(
     The plays that move with v are those with the smallest thresholds, and they move in parallel: their sum is
     linear in v until one of them enters its next piece. The cost of a step depends on how many plays start
     to move or change piece, not on how many there are. Each inner loop takes views of one row, since loops
-    over indexed arrays are compiled without vector instructions and take five times as long.
+    over indexed arrays are compiled without vector instructions and take several times as long.
 
     Args:
         v: (time,).

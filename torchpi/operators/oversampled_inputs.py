@@ -33,6 +33,19 @@ def low_pass_taps() -> np.ndarray:
     return taps
 
 
+def taps_by_phase() -> tuple[np.ndarray, np.ndarray]:
+    """Return the coefficients as the exports use them, block of `FACTOR` samples by block.
+
+    The first are those of the interpolation, padded with zeros to whole blocks, (taps,). The others are those
+    with which each sample of a block contributes to the later outputs, (`FACTOR`, blocks).
+    """
+    taps = low_pass_taps()
+    blocks = len(taps) // FACTOR
+    interpolation = np.zeros(FACTOR * (blocks + 1))
+    interpolation[: len(taps)] = FACTOR * taps
+    return interpolation, np.stack([taps[FACTOR - q :: FACTOR][:blocks] for q in range(FACTOR)])
+
+
 class OversampledInputs:
     """Contributions of plays and amplifiers to voltages, window after window.
 
@@ -69,7 +82,7 @@ class OversampledInputs:
         self.kept = np.exp(-2 * np.pi * np.asarray(rates_hz, float) / fine_hz)
         self.omega, self.high_pass = 0.0, np.zeros(3)
         if len(widths):
-            from scipy.signal import bilinear
+            from scipy.signal import bilinear  # here for the reason above
 
             self.omega = 2 * math.pi * corner_hz
             (b0, b1), (_, a1) = bilinear([1.0, 0.0], [1.0, self.omega], fine_hz)

@@ -14,7 +14,7 @@ from torchpi.control.multi_axis import MultiAxisInverse
 from torchpi.export.c_source import check_name
 from torchpi.export.templates import rendered
 from torchpi.operators.modal_feedback import DIVERGED, SMALLEST_MEAN
-from torchpi.operators.oversampled_inputs import FACTOR, low_pass_taps
+from torchpi.operators.oversampled_inputs import FACTOR, low_pass_taps, taps_by_phase
 from torchpi.stage.multi_axis import MultiAxisStage, MultiAxisStream
 
 FLAGS = "-std=c99 -ffp-contract=off -fno-math-errno -O2"
@@ -90,12 +90,7 @@ def _context(exported: MultiAxisStage | MultiAxisInverse, name: str) -> dict[str
 def of_stage(stage: MultiAxisStage) -> dict[str, Any]:
     """Return the numbers of a stage by name: parameters, constants and inputs."""
     inputs, constants = stage.input_stream(), stage.thresholds_of_kernel()
-    taps = low_pass_taps()
-    blocks = len(taps) // FACTOR
-    padded = np.zeros(FACTOR * (blocks + 1))
-    padded[: len(taps)] = FACTOR * taps
-    # Contributions of a block of samples at the higher rate to each later output, its first sample first.
-    low = [[float(taps[FACTOR * (k + 1) - q]) for k in range(blocks)] for q in range(FACTOR)]
+    interpolation, decimation = taps_by_phase()
     arrays = stage.arrays()
     pairs = {"poles": 1, "drive": 1, "force": 1, "sensed": 2, "seen": 2}  # axis of (re, im)
     halves = {
@@ -114,10 +109,10 @@ def of_stage(stage: MultiAxisStage) -> dict[str, Any]:
         "delay": stage.delay_samples,
         "period_s": 1 / stage.sample_rate_hz,
         "factor": FACTOR,
-        "blocks": blocks,
-        "interpolation": padded,
-        "newest": taps[0],
-        "decimation": low,
+        "blocks": decimation.shape[1],
+        "interpolation": interpolation,
+        "newest": low_pass_taps()[0],
+        "decimation": decimation.tolist(),
         "diverged": repr(DIVERGED),
         "smallest_mean": repr(SMALLEST_MEAN),
         "of_inputs": inputs,

@@ -12,7 +12,7 @@ from torch import Tensor, nn
 
 from torchpi.control.multi_axis import MultiAxisInverse
 from torchpi.operators.modal_feedback import DIVERGED, SMALLEST_MEAN
-from torchpi.operators.oversampled_inputs import FACTOR, low_pass_taps
+from torchpi.operators.oversampled_inputs import FACTOR, low_pass_taps, taps_by_phase
 from torchpi.stage.multi_axis import MultiAxisStage
 
 
@@ -54,11 +54,7 @@ class StageTensors(nn.Module):
         super().__init__()
         arrays, inputs = stage.arrays(), stage.input_stream()
         zones, thresholds, kept, shares = stage.thresholds_of_kernel()
-        taps = low_pass_taps()
-        blocks = len(taps) // FACTOR
-        padded = np.zeros(FACTOR * (blocks + 1))
-        padded[: len(taps)] = FACTOR * taps
-        low_pass = np.stack([taps[FACTOR - q :: FACTOR][:blocks] for q in range(FACTOR)])
+        interpolation, decimation = taps_by_phase()
         own_input = np.arange(stage.shapes.elements) % stage.inputs
         self.poles, self.drive, self.force = (tensor(arrays[name]) for name in ("poles", "drive", "force"))
         self.sensed, self.through = tensor(arrays["sensed"]), tensor(arrays["through"])
@@ -66,13 +62,13 @@ class StageTensors(nn.Module):
         self.seen, self.direct = tensor(arrays["seen"]), tensor(arrays["direct"])
         self.ahead = tensor(arrays["ahead"].transpose(0, 2, 1))  # (outputs, ahead, inputs)
         self.offset, self.own_input = tensor(stage.offset()), tensor(own_input)
-        self.interpolation = tensor(padded.reshape(-1, FACTOR, 1))
-        self.low_pass = tensor(low_pass[..., None])
+        self.interpolation = tensor(interpolation.reshape(-1, FACTOR, 1))
+        self.low_pass = tensor(decimation[..., None])
         self.input_r, self.input_kept = tensor(inputs.thresholds), tensor(inputs.kept)
         self.widths, self.high_pass = tensor(inputs.widths), tensor(inputs.high_pass)
         self.zones, self.above = tensor(zones), tensor(zones[None] >= 0)
         self.r, self.kept, self.shares = tensor(thresholds), tensor(kept), tensor(shares)
-        self.newest, self.omega = float(taps[0]), inputs.omega
+        self.newest, self.omega = float(low_pass_taps()[0]), inputs.omega
         self.inputs, self.outputs, self.delay = stage.inputs, stage.outputs, stage.delay_samples
         self.smallest_mean, self.diverged = SMALLEST_MEAN, DIVERGED
         self.unbounded = 0
