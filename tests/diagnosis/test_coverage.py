@@ -3,9 +3,16 @@
 import numpy as np
 import pytest
 
-from tests.diagnosis.plants import FS_HZ, multisine, record, triangles
+from tests.diagnosis.plants import FS_HZ, NOISE_UM, multisine, record, triangles
 from tests.diagnosis.prepared import prepared
-from torchpi.diagnosis.coverage import follows_command, levels, one_motion, repeats, untested
+from torchpi.diagnosis.coverage import (
+    cannot_be_decided,
+    follows_command,
+    levels,
+    one_motion,
+    repeats,
+    untested,
+)
 from torchpi.diagnosis.diagnose import diagnose
 from torchpi.diagnosis.records import seen
 
@@ -64,6 +71,34 @@ def test_only_going_to_and_fro_without_a_hold_is_one_motion() -> None:
     stairs = np.repeat([0.0, 10.0, 0.0, 10.0], 2000)
     found = [one_motion(prepared([record(u)])) for u in (SINE_V, triangles(8000), multisine(8000), stairs)]
     assert found == [True, False, False, False]
+
+
+def squared_play(u: np.ndarray) -> np.ndarray:
+    """A play of 2 V through a parabola: a Preisach operator that no Prandtl–Ishlinskii operator equals."""
+    state = np.zeros(len(u))
+    for k in range(1, len(u)):
+        state[k] = max(u[k] - 2, min(u[k] + 2, state[k - 1]))
+    return 0.012 * state**2
+
+
+@pytest.mark.parametrize("voltage_v", [SINE_V, triangles(8000)], ids=["one size", "two sizes"])
+def test_a_kind_of_hysteresis_is_named_from_loops_of_several_sizes_only(voltage_v: np.ndarray) -> None:
+    one_size = levels(prepared([record(voltage_v)])) == 2
+    found = diagnose([record(voltage_v, after=lambda x, fs_hz: x + squared_play(voltage_v))])
+    open_causes = {one.name: one.probability for one in found.open}
+    assert ("hysteresis_operator" in {effect.name for effect in found.effects}) is not one_size
+    assert (0.4 < open_causes.get("hysteresis_operator", 0.0) < 0.5) is one_size
+    assert any("loops of one size" in note for note in found.notes) is one_size
+    assert found.augmented.heldout_rms_um < 1.1 * NOISE_UM
+
+
+def test_what_one_size_of_loop_cannot_show_is_only_said_of_a_voltage_that_reverses() -> None:
+    said = {
+        name: " ".join(cannot_be_decided(prepared([record(u)])))
+        for name, u in {"sine": SINE_V, "ramp": np.linspace(0.0, 10.0, 4000)}.items()
+    }
+    assert "loops of one size" in said["sine"] and "never reverses" not in said["sine"]
+    assert "loops of one size" not in said["ramp"] and "never reverses" in said["ramp"]
 
 
 def test_a_curved_sensor_under_a_sine_is_not_named_gain_modulation() -> None:

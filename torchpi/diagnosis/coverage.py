@@ -68,6 +68,11 @@ def cannot_be_decided(records: Sequence[Record]) -> tuple[str, ...]:
             "The voltage never reverses: hysteresis cannot be seen, because a curved characteristic fits "
             "as well."
         )
+    elif one_size(records):
+        notes.append(
+            "The voltage turns round at two levels only: loops of one size do not tell one kind of "
+            "hysteresis from another."
+        )
     still = [record.name for record in records if np.ptp(record.u) == 0]
     if still:
         notes.append(
@@ -95,7 +100,7 @@ def untested(records: Sequence[Record], seen: DataRange) -> tuple[str, ...]:
         inside, all_of_it = f"{held.min():.3g} to {held.max():.3g}", f"{seen.low_v:.3g} to {seen.high_v:.3g}"
         found.append(f"voltages from {inside} V of the recorded {all_of_it} V")
     if any(turns(record) for record in records):
-        if levels(records) <= LEVELS:
+        if one_size(records):
             found.append("loops between two levels")
         if pace(records) < PACE:
             found.append("strokes at one rate")
@@ -106,7 +111,12 @@ def one_motion(records: Sequence[Record]) -> bool:
     """Whether the voltage only goes to and fro between two levels at one rate, and never holds."""
     held = [sum(hold.stop - hold.start for hold in holds(record.u)) for record in records]
     holding = any(n > HOLDING * len(record.u) for n, record in zip(held, records, strict=True))
-    return not holding and levels(records) <= LEVELS and pace(records) < PACE
+    return not holding and one_size(records) and pace(records) < PACE
+
+
+def one_size(records: Sequence[Record]) -> bool:
+    """Whether all loops of the voltage lie between the same two levels."""
+    return levels(records) <= LEVELS
 
 
 def turns(record: Record) -> bool:

@@ -18,7 +18,7 @@ from math import sqrt
 import numpy as np
 
 from torchpi.diagnosis.contest import PRIOR
-from torchpi.diagnosis.coverage import one_motion
+from torchpi.diagnosis.coverage import one_motion, one_size
 from torchpi.diagnosis.diagnosis import Rival
 from torchpi.diagnosis.exchange import alike
 from torchpi.diagnosis.hypothesis import EffectTerm, Fit, Hypothesis
@@ -48,6 +48,9 @@ unless one motion at one rate is all there is: that does not tell a ring from th
 further cases: below 0.0003 in four wrong names, 0.0024 in another, 0.0054 in a right one."""
 MOST = 0.5
 """Share, of what a timing convention leaves where a delay acts, that a delay must explain to be a cause."""
+AS_LIKELY = 0.49
+"""Largest probability of a larger hysteresis where all loops are of one size. Its output functions then make
+any two branches and fit whatever repeats with the voltage, so a cause that is not listed is as likely."""
 LAPSE = 0.02
 """Share of names that are wrong although everything supports them: 0 of some eighty were, which allows up to
 0.037 at 95 %."""
@@ -124,6 +127,8 @@ def posterior(
         )
     left_um = {model.without: model.fit.train_rms for model in models if not model.instead}
     found = [as_one(one, found, together, left_um) for one in found]
+    if one_size(search.chain.records):
+        found = [at_most(AS_LIKELY, one) if one.name == OPERATOR_NAME else one for one in found]
     found.sort(key=lambda one: -one.explained_um2)
     terms = {member.effect.name: member for member in final.hypothesis.members}
     of_modes = HYSTERESIS_ERROR if one_motion(search.chain.records) else OF_MODES
@@ -189,6 +194,11 @@ def unlisted_hysteresis(h: Hypothesis, before: Hypothesis, name: str) -> list[st
     one was accepted: a play behind plays is again plays, and an unlisted family may explain as much."""
     itself = any(member.effect.sticks for member in h.members if member.effect.name == name)
     return [OPERATOR_NAME] if itself and h.nominal.family == before.nominal.family else []
+
+
+def at_most(probability: float, one: Believed) -> Believed:
+    """Return an effect whose probability is no larger than this."""
+    return replace(one, probability=min(one.probability, probability))
 
 
 def as_one(
