@@ -11,10 +11,11 @@ from hypothesis import strategies as st
 from tests.diagnosis.plants import multisine, record, triangles
 from tests.diagnosis.prepared import prepared
 from torchpi.diagnosis.chain import Chain
-from torchpi.diagnosis.fit import WITHHELD, fit, left_out, prior_of, solve, with_prior
+from torchpi.diagnosis.fit import WITHHELD, fit, left_out, prior_of, with_prior
 from torchpi.diagnosis.haar import CELLS
 from torchpi.diagnosis.hypothesis import Fit, Hypothesis
 from torchpi.diagnosis.hysteresis_model import plain
+from torchpi.diagnosis.normal_equations import solve
 from torchpi.diagnosis.records import Record, seen
 from torchpi.diagnosis.repeats import APART, PLAIN
 from torchpi.diagnosis.score import AT_MOST, LEAST_IN_STRATUM, Weighting, gain
@@ -132,7 +133,7 @@ def test_the_left_out_prediction_of_a_stretch_equals_that_of_a_refit_to_the_othe
         rows.append(full)
     j = np.concatenate(rows, axis=1)
     prior = prior_of(chain, now.hypothesis, j @ j.T)
-    weights = solve(*with_prior(j @ j.T, j @ y, prior, nothing), len(nothing), 0.0)
+    weights = solve(*with_prior(j @ j.T, j @ y, prior, nothing))
     residuals = [r.y - chain.output(now.hypothesis, weights, i) for i, r in enumerate(chain.records)]
     shortcut = left_out(chain, residuals, parts, prior)
     of = [record_.coefficients for record_ in chain.records]
@@ -140,7 +141,7 @@ def test_the_left_out_prediction_of_a_stretch_equals_that_of_a_refit_to_the_othe
     predicted = np.empty(len(y))
     for one in range(2 * CELLS):
         weight = np.where(stretch == one, 1.0 - WITHHELD, 1.0)
-        refit = solve(*with_prior(j * weight @ j.T, j @ (weight * y), prior, nothing), len(nothing), 0.0)
+        refit = solve(*with_prior(j * weight @ j.T, j @ (weight * y), prior, nothing))
         predicted[stretch == one] = (y - refit @ j)[stretch == one]
     inverse_sd = np.concatenate(chain.weighting.inverse_sd)
     cell = np.concatenate([of[0].cell, of[0].cells + of[1].cell])

@@ -166,13 +166,11 @@ def kill_often(
         finish_every: Number of kills between two runs to the end.
         watch: Called with the outcome so far after each run to the end.
     """
-    rng, outcome, lasts_s = random.Random(seed), Outcome(), math.inf
-    for again in (False, True):  # the first run may compile
-        started = time.monotonic()
-        done = finish(command, again)
-        lasts_s = min(lasts_s, time.monotonic() - started)
-        if done.returncode:
-            raise RuntimeError(f"{command.arguments}: {done.stderr}")
+    rng, outcome, started = random.Random(seed), Outcome(), time.monotonic()
+    done = finish(command, again=False)
+    if done.returncode:
+        raise RuntimeError(f"{command.arguments}: {done.stderr}")
+    lasts_s = time.monotonic() - started
     tries = [(share, one) for share in range(rounds) for one in SIGNALS]
     for count in range(2 * len(tries)):
         missing = [(share, one) for share, one in tries if outcome.kills[one.name] < rounds]
@@ -180,7 +178,7 @@ def kill_often(
             break
         share, one = missing[count % len(missing)]
         at_s = (0.05 + 0.95 * (share + rng.random()) / rounds) * lasts_s
-        # A shared machine may have become faster.
+        # The first run may have compiled, and a shared machine may have become faster.
         lasts_s = min(lasts_s, kill_once(command, one, at_s, outcome))
         last = sum(outcome.kills.values()) == len(tries)
         if last or (count + 1) % finish_every == 0:

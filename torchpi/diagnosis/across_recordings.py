@@ -12,8 +12,9 @@ import numpy as np
 
 from torchpi.diagnosis.chain import Chain
 from torchpi.diagnosis.diagnosis import AcrossRecordings
-from torchpi.diagnosis.fit import prior_of, solve, start_weights, with_weights_solved
+from torchpi.diagnosis.fit import prior_of, start_weights, with_weights_solved
 from torchpi.diagnosis.hypothesis import Fit, Hypothesis
+from torchpi.diagnosis.normal_equations import solve
 from torchpi.diagnosis.records import Record
 from torchpi.diagnosis.reduced_basis import MANY, basis
 from torchpi.diagnosis.sealed import mean_square
@@ -57,7 +58,7 @@ def across_recordings(chain: Chain, final: Fit) -> tuple[AcrossRecordings, ...]:
         less[part.places] -= own_right[i]
         shared = np.setdiff1d(np.arange(len(weights)), part.places[part.places >= hypothesis.nominal.kept])
         of_others = weights.copy()
-        of_others[shared] += solve(gram[np.ix_(shared, shared)], less[shared], len(shared), 0.0)
+        of_others[shared] += solve(gram[np.ix_(shared, shared)], less[shared])
         counts = record.train | record.held_out
         left = beside_its_own(chain, hypothesis, of_others, i)[counts]
         fitted = final.residuals[i][counts]

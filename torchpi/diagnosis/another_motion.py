@@ -13,8 +13,9 @@ from math import sqrt
 import numpy as np
 
 from torchpi.diagnosis.chain import Chain
-from torchpi.diagnosis.fit import REMANENCE, RIDGE, eliminated, weight_prior
+from torchpi.diagnosis.fit import REMANENCE, weight_prior
 from torchpi.diagnosis.hypothesis import Hypothesis
+from torchpi.diagnosis.normal_equations import eliminated, to_unit_diagonal
 from torchpi.diagnosis.reduced_basis import in_blocks, rows_of, whitened_rows
 
 REVERSALS, SAMPLES = 100, 100
@@ -33,7 +34,7 @@ def another_motion_um(chain: Chain, hypothesis: Hypothesis) -> float:
         hypothesis: The hypothesis of that fit.
     """
     hysteresis = replace(hypothesis.nominal, simulation=None).unreduced
-    bare, kept = replace(hypothesis, nominal=hysteresis), hysteresis.kept
+    bare = replace(hypothesis, nominal=hysteresis)
     voltages = [chain.voltage(bare, i) for i in range(len(chain.records))]
     prior = hysteresis.inverse_variances(weight_prior(chain), chain.gain_um_per_v)
     known = np.diag(prior)
@@ -51,9 +52,7 @@ def another_motion_um(chain: Chain, hypothesis: Hypothesis) -> float:
         ]
     )
     moved -= moved.mean(1, keepdims=True)  # a recording has its own zero
-    scale = 1 / np.sqrt(np.diag(known))
-    unit = known * scale * scale[:, None]
-    unit[np.arange(kept), np.arange(kept)] += RIDGE
+    unit, scale = to_unit_diagonal(known)
     variance = np.einsum("ij,ij->", np.linalg.inv(unit), (moved @ moved.T) * scale * scale[:, None])
     return sqrt(max(float(variance) / moved.shape[1], 0.0))
 

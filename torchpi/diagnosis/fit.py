@@ -6,7 +6,6 @@ from itertools import pairwise
 
 import numpy as np
 from scipy.linalg import block_diag
-from scipy.linalg.lapack import dposv
 
 from torchpi.diagnosis.chain import Chain
 from torchpi.diagnosis.free_parameters import (
@@ -18,6 +17,7 @@ from torchpi.diagnosis.free_parameters import (
 )
 from torchpi.diagnosis.haar import CELLS
 from torchpi.diagnosis.hypothesis import Fit, Hypothesis
+from torchpi.diagnosis.normal_equations import solve, solve_positive, to_unit_diagonal, without_others
 from torchpi.diagnosis.records import Record
 from torchpi.diagnosis.sensitivity import (
     Near,
@@ -33,7 +33,6 @@ from torchpi.diagnosis.sensitivity import (
 from torchpi.diagnosis.walk_prior import walk_prior
 from torchpi.errors import StageError
 
-RIDGE = 1e-9
 PRIOR, PRIOR_SHARE = 3e-7, 1e-2
 """Priors of the hysteresis weights about 0. The first is relative to what the samples know of each: without
 it, hundreds of nearly equal rows, half of whose samples lie in a few holds, deviate from data not fitted. The
@@ -187,9 +186,8 @@ def left_out(
         grams = [one @ one.T for one in rows]
         whole[np.ix_(part.places, part.places)] += sum(grams)
         of_stretches.append((stretches, rows, grams))
-    scale = 1 / np.sqrt(np.maximum(np.diag(whole), 1e-300))
-    unit, means = whole * scale * scale[:, None], []
-    unit[np.diag_indices_from(unit)] += RIDGE
+    unit, scale = to_unit_diagonal(whole)
+    means = []
     for i, (record, residual, part) in enumerate(zip(chain.records, residuals, parts, strict=True)):
         e, size = chain.whitened(i, residual[None])[0], scale[part.places]
         information = without_others(unit, part.places)
@@ -203,33 +201,10 @@ def left_out(
     return np.concatenate(means)
 
 
-def without_others(information: np.ndarray, places: np.ndarray) -> np.ndarray:
-    """Return the information on some of the numbers, (places, places), when the others are eliminated."""
-    others = np.setdiff1d(np.arange(len(information)), places)
-    pairs = ((places, places), (places, others), (others, others))
-    return eliminated(*(information[np.ix_(*pair)] for pair in pairs))
-
-
-def eliminated(information: np.ndarray, across: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """Return the information on numbers, (numbers, numbers), after others are eliminated: the Schur
-    complement of theirs, (others, others), with `across`, (numbers, others)."""
-    left: np.ndarray = information - across @ np.linalg.solve(others, across.T)
-    return left
-
-
-def solve_positive(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """Solve a positive definite system by Cholesky's method, or by elimination where it is only nearly so."""
-    _, found, failed = dposv(matrix.T, right)  # in the order of columns that LAPACK reads
-    solved: np.ndarray = np.linalg.solve(matrix, right) if failed else found
-    return solved
-
-
 def whitener(parts: Sequence[Sensitivity]) -> np.ndarray:
     """The inverse Cholesky factor of J Jᵀ: it makes the rows of J orthonormal."""
     gram = gram_of(parts, max(int(part.places.max()) for part in parts) + 1)
-    scale = 1 / np.sqrt(np.maximum(np.diag(gram), 1e-300))
-    unit = gram * scale * scale[:, None]
-    unit[np.diag_indices_from(unit)] += RIDGE
+    unit, scale = to_unit_diagonal(gram)
     whitening: np.ndarray = np.linalg.inv(np.linalg.cholesky(unit)) * scale
     return whitening
 
@@ -249,7 +224,7 @@ def with_weights_solved(
             break
         before += float(weights @ prior @ weights)
         gram, right = with_prior(gram, right, prior, weights)
-        step = solve(gram, right, len(weights), 0.0)
+        step = solve(gram, right)
         solved = weights + step
         ss = sum_of_squares(chain, hypothesis, solved) + float(solved @ prior @ solved)
         if not ss < left:
@@ -324,15 +299,6 @@ def residuals_of(chain: Chain, hypothesis: Hypothesis, weights: np.ndarray) -> t
     return tuple(record.y - chain.output(hypothesis, weights, i) for i, record in enumerate(chain.records))
 
 
-def solve(gram: np.ndarray, right: np.ndarray, n: int, damping: float) -> np.ndarray:
-    scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
-    scaled = gram / scale / scale[:, None]
-    scaled[np.diag_indices_from(scaled)] += RIDGE
-    k = np.arange(n, len(scaled))
-    scaled[k, k] += damping
-    return np.linalg.solve(scaled, right / scale) / scale
-
-
 def sum_of_squares(chain: Chain, hypothesis: Hypothesis, weights: np.ndarray) -> float:
     """Sum of squares over the whitened coefficients; infinite if the chain cannot exist."""
     ss = 0.0
@@ -356,7 +322,7 @@ def start_weights(chain: Chain, hypothesis: Hypothesis) -> tuple[np.ndarray, Tan
     tangent = tangent_of(chain, moving, nothing)
     gram, right, _ = normal_equations(chain, moving, nothing, tangent)
     gram, right = with_prior(gram, right, prior_of(chain, hypothesis, gram), nothing)
-    return solve(gram, right, len(right), 0.0), tangent if moving is hypothesis else None
+    return solve(gram, right), tangent if moving is hypothesis else None
 
 
 def rms(records: Sequence[Record], residuals: Sequence[np.ndarray], train: bool) -> float:

@@ -9,6 +9,7 @@ from torchpi.diagnosis.chain import Chain
 from torchpi.diagnosis.fit import PRIOR, prior_of
 from torchpi.diagnosis.free_parameters import to_outer
 from torchpi.diagnosis.hypothesis import Fit
+from torchpi.diagnosis.normal_equations import to_unit_diagonal
 from torchpi.diagnosis.sensitivity import jacobian
 
 BLOCKS = 30
@@ -114,10 +115,7 @@ def scatter(whole: np.ndarray, parts: list[tuple[np.ndarray, np.ndarray]], slots
 
 def solved(gram: np.ndarray, score: np.ndarray, slots: int) -> tuple[np.ndarray, np.ndarray]:
     """Return, for the last numbers, the step that solves for the score, and the inverse's diagonal or 0."""
-    size = np.diag(gram)
-    scale = np.where(size > 0, 1 / np.sqrt(np.maximum(size, 1e-300)), 0.0)
-    unit = gram * scale * scale[:, None]
-    unit[np.diag_indices_from(unit)] += PRIOR
+    unit, scale = to_unit_diagonal(gram, PRIOR)
     last = np.zeros((len(gram), slots))
     last[np.arange(len(gram) - slots, len(gram)), np.arange(slots)] = 1.0
     right = np.column_stack([scale * score, last])

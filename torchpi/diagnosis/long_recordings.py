@@ -1,4 +1,4 @@
-"""Reduce long recordings to a lower rate, or to their beginning, so that a search takes about a minute."""
+"""Reduce long recordings to a lower rate, or to their beginning, so that a search takes minutes."""
 
 import math
 from collections.abc import Sequence

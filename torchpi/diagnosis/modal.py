@@ -16,6 +16,7 @@ import torch
 from torchpi.diagnosis.chain import Chain
 from torchpi.diagnosis.fit import fit
 from torchpi.diagnosis.hypothesis import EffectTerm, Fit, Hypothesis
+from torchpi.diagnosis.normal_equations import to_unit_diagonal
 from torchpi.diagnosis.score import gain
 from torchpi.diagnosis.screen import possible
 from torchpi.stage.effects.mechanics.modal import (
@@ -275,8 +276,7 @@ class Superposition:
         unmoved = [self.fitted_static, self.driving[self.kept(aux)[1:]][:, self.fitted]]
         columns = np.concatenate([*unmoved, self.driven(poles, aux)])
         gram = columns @ columns.T
-        scale = 1 / np.sqrt(np.maximum(np.diag(gram), 1e-300))
-        unit = gram * scale * scale[:, None] + RIDGE * np.eye(len(gram))
+        unit, scale = to_unit_diagonal(gram, RIDGE)
         inverse = scale[:, None] * np.linalg.inv(unit) * scale
         y = self.y[self.fitted]
         coefficients = inverse @ (columns @ y)
@@ -307,13 +307,10 @@ class Superposition:
         for _ in range(steps if moving else 0):
             full = np.concatenate([self.slopes(now), now.columns])
             gram, right = full @ full.T, full @ now.residual
-            scale = 1 / np.sqrt(np.maximum(np.diag(gram), 1e-300))
-            unit, k = gram * scale * scale[:, None], np.arange(moving)
-            unit[np.diag_indices_from(unit)] += RIDGE
+            unit, scale = to_unit_diagonal(gram, RIDGE)
             before = now.squares
             for _ in range(4):
-                damped = unit.copy()
-                damped[k, k] += damping
+                damped = unit + damping * np.diag(np.arange(len(unit)) < moving)
                 step = (scale * np.linalg.solve(damped, scale * right))[:moving].reshape(-1, 2)
                 moved = now.poles * np.exp(np.clip(step, [-0.1, -1.0], [0.1, 1.0]))
                 trial = self.solved(np.minimum(moved, self.limits()), now.aux)

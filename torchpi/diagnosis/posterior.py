@@ -244,8 +244,9 @@ def share_explained(search: Search, more: Fit, without: Sequence[Fit], name: str
     nats = weighting.nats_of_kinds(more, less)
     apart = float(nats[[STARTING, APART]].sum() / max(float(nats.sum()), 1e-300))
     terms = [member for member in more.hypothesis.members if member.effect.name == name]
-    alone = own_signal or not all(member.effect.extrapolates(member.shared) for member in terms)
-    return confirmed(known, search.chain.records, more, without, weighting.mean_floor_um2, alone, apart)
+    walks = not all(member.effect.extrapolates(member.shared) for member in terms)
+    floor_um2, alone = weighting.mean_floor_um2, own_signal or walks
+    return confirmed(known, search.chain.records, more, without, floor_um2, alone, apart, walks)
 
 
 def apart(

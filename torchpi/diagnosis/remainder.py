@@ -10,6 +10,7 @@ from torchpi.diagnosis.contest import STEPS
 from torchpi.diagnosis.exchange import rms_of
 from torchpi.diagnosis.fit import ROUGH, left_out, rms
 from torchpi.diagnosis.hypothesis import EffectTerm, Fit
+from torchpi.diagnosis.normal_equations import to_unit_diagonal
 from torchpi.diagnosis.posterior import Believed
 from torchpi.diagnosis.records import seen
 from torchpi.diagnosis.reduced_basis import reduced
@@ -57,22 +58,19 @@ def with_remainder(chain: Chain, now: Fit, ridge: float | None = None) -> tuple[
     if not np.isfinite(squares).all():  # the readings do not move: nothing is left to explain
         return None
     inner = np.sum([t @ t.T for t in tangents], 0)
-    # A weight that affects no reading has no natural scale, and must absorb nothing.
-    unit = 1 / np.sqrt(np.maximum(np.diag(inner), 1e-150))
-    inner = inner * unit * unit[:, None] + 1e-9 * np.eye(len(inner))
+    unit, scale = to_unit_diagonal(inner)
     across = np.sum([t @ c.T for t, c in zip(tangents, columns, strict=True)], 0)
-    removed = unit[:, None] * np.linalg.solve(inner, unit[:, None] * across)
+    removed = scale[:, None] * np.linalg.solve(unit, scale[:, None] * across)
     gram = squares - across.T @ removed
     right = np.sum([c @ e for c, e in zip(columns, errors, strict=True)], 0)
     right -= removed.T @ np.sum([t @ e for t, e in zip(tangents, errors, strict=True)], 0)
-    size = np.sqrt(np.maximum(np.diag(gram), 1e-300))
     every = np.arange(len(inner) + len(right))
     parts = [Sensitivity(every, np.concatenate([t, c])) for t, c in zip(tangents, columns, strict=True)]
     best: tuple[Fit, float] | None = None
     density = chain.weighting.log_density
     for one_ridge in RIDGES if ridge is None else (ridge,):
-        unit = gram / size / size[:, None] + one_ridge * np.eye(len(size))
-        a = np.linalg.solve(unit, right / size) / size
+        unit, scale = to_unit_diagonal(gram, one_ridge)
+        a = np.linalg.solve(unit, right * scale) * scale
         if np.abs(a).max() > LARGEST:
             continue
         weights = now.weights - removed @ a
@@ -81,7 +79,7 @@ def with_remainder(chain: Chain, now: Fit, ridge: float | None = None) -> tuple[
         )
         hypothesis = replace(now.hypothesis, members=(*now.hypothesis.members, member))
         residuals = tuple(record.y - chain.output(hypothesis, weights, i) for i, record in enumerate(records))
-        prior = np.diag(np.concatenate([np.zeros(len(inner)), one_ridge * size**2]))
+        prior = np.diag(np.concatenate([np.zeros(len(inner)), one_ridge * np.diag(gram)]))
         one = replace(
             now,
             hypothesis=hypothesis,

@@ -13,6 +13,7 @@ import numpy as np
 from torchpi.diagnosis.chain import Chain
 from torchpi.diagnosis.fit import whitener
 from torchpi.diagnosis.hypothesis import EffectTerm, Fit
+from torchpi.diagnosis.normal_equations import solve
 from torchpi.diagnosis.records import Record
 from torchpi.diagnosis.sensitivity import jacobian
 from torchpi.stage.effects.effect import Effect, Parameters
@@ -125,10 +126,7 @@ class Screen:
     def coefficients(self, off_tangent: np.ndarray) -> np.ndarray:
         """(directions,): best factors of directions, (directions, coefficients), none of them all zeros."""
         gram, right = off_tangent @ off_tangent.T, off_tangent @ self.left
-        spread = np.sqrt(np.diag(gram))
-        unit = gram / spread / spread[:, None] + 1e-9 * np.eye(len(spread))
-        found: np.ndarray = np.linalg.solve(unit, right / spread) / spread
-        return found
+        return solve(gram, right)
 
     def gained(self, whitened: np.ndarray) -> float:
         """Return the nats by which a whitened residual, (coefficients,), is better than the present one."""

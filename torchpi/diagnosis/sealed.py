@@ -22,6 +22,7 @@ def confirmed(
     noise_um2: float,
     alone: bool,
     apart: float = 0.0,
+    walks: bool = False,
 ) -> float:
     """Return the share, 0–1, that an effect explains of what is to be explained: `known` if the sealed
     samples agree, else theirs. The sealed samples are weighted by how much the effect acts there relative to
@@ -37,13 +38,16 @@ def confirmed(
         alone: Ignore the remaining residual and judge only whether the effect improves every recording,
             because it has a signal of its own or cannot be extrapolated.
         apart: Fraction of its gain that lies in the part that does not repeat with the voltage, 0–1.
+        walks: The effect cannot be extrapolated, so its last value stands for it. Where that is near the
+            mean, it predicts no better and no worse, which says nothing: the sealed samples count by how much
+            they change, up to a factor e in the mean square.
     """
     share, reached = known, [record.u[record.train] for record in records]
     lowest_v, highest_v = min(u.min() for u in reached), max(u.max() for u in reached)
     for part, split in ((1.0 - apart, as_they_are), (apart, what_does_not_repeat)):
         if part == 0.0:
             continue
-        gained = changed = left = here = there = 0.0
+        gained = changed = left = here = there = voted = 0.0
         for i, (record, e) in enumerate(zip(records, more.residuals, strict=True)):
             judging = record.held_out & (record.u >= lowest_v) & (record.u <= highest_v)
             e_held, e_train = split(record, e, judging)
@@ -61,9 +65,11 @@ def confirmed(
             # A residual found only here is extrapolation error of the hysteresis, with or without the effect.
             rest = max(min(after, mean_square(e_train)) - noise_um2, 0.0)
             left += 0.0 if alone else votes * rest / ((after + before) / 2)
-            here, there = here + acts, there + acted
+            here, there, voted = here + acts, there + acted, voted + votes
         sealed = max(gained, 0.0) / max(changed + left, 1e-300)
         weight = min(sqrt(here / max(there, 1e-300)), 1.0)
+        if walks:
+            weight *= min(changed / max(voted, 1e-300), 1.0)
         share += part * weight * (min(known, sealed) - known)
     return share
 

@@ -86,3 +86,14 @@ def test_the_form_is_play_or_dahl():
     assert Backlash.form({}) == "" == Backlash.form({"presliding_um": 1.0})
     assert Backlash.form({"width_um": 1.0}) == "play"
     assert Backlash.form({"width_um": 1.0, "presliding_um": 1.0}) == "Dahl"
+
+
+@pytest.mark.parametrize(("presliding_um", "slope"), [(0.05, 1 / 7), (0.3, 0.5), (1.2, 0.8)])
+def test_friction_that_hardly_stops_the_motion_at_a_reversal_is_no_lost_motion(presliding_um, slope):
+    effect = Backlash(0.1, width_um=0.3, presliding_um=presliding_um)
+    x = torch.cat([torch.linspace(0, 20, 2000), torch.linspace(20, 19.999, 11)]).double()[None]
+    y = effect(x)[0][0]
+    assert (y[-11] - y[-1]).item() / 0.001 == pytest.approx(slope, rel=0.02)
+    seen = DataRange(1000.0, 2.0, 0.0, 20.0, 10.0, 0.0, 20.0, {})
+    values = {"width_um": 0.3, "presliding_um": presliding_um}
+    assert Backlash.reached(values, seen) is (slope <= 0.5)

@@ -80,6 +80,12 @@ class Backlash(Effect):
         return gather(dx, _source(x[0].detach().numpy(), self.width_um.item() / 2))
 
     @classmethod
+    def reached(cls, values: Mapping[str, float], seen: DataRange) -> bool:
+        """Whether the output nearly stops at a reversal. Its slope there is 1 / (1 + w/ρ): if that exceeds a
+        half, the contact is softer than half of the stage, and a smooth hysteresis looks the same."""
+        return values.get("presliding_um", 0.0) <= values["width_um"]
+
+    @classmethod
     def starts(cls, seen: DataRange) -> list[Parameters]:
         shares = (0.001, 0.002, 0.004, 0.008, 0.02)
         sharp = [{"width_um": share * seen.span_um} for share in shares if seen.span_um > 0]
