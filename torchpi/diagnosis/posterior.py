@@ -50,7 +50,8 @@ MOST = 0.5
 """Share, of what a timing convention leaves where a delay acts, that a delay must explain to be a cause."""
 AS_LIKELY = 0.49
 """Largest probability of a larger hysteresis where all loops are of one size. Its output functions then make
-any two branches and fit whatever repeats with the voltage, so a cause that is not listed is as likely."""
+any two branches and fit whatever repeats with the voltage: unless an effect does so too, a cause that is not
+listed is as likely."""
 LAPSE = 0.02
 """Share of names that are wrong although everything supports them: 0 of some eighty were, which allows up to
 0.037 at 95 %."""
@@ -128,7 +129,7 @@ def posterior(
     left_um = {model.without: model.fit.train_rms for model in models if not model.instead}
     found = [as_one(one, found, together, left_um) for one in found]
     if one_size(search.chain.records):
-        found = [at_most(AS_LIKELY, one) if one.name == OPERATOR_NAME else one for one in found]
+        found = [at_most(AS_LIKELY, one) if only_the_operator(one) else one for one in found]
     found.sort(key=lambda one: -one.explained_um2)
     terms = {member.effect.name: member for member in final.hypothesis.members}
     of_modes = HYSTERESIS_ERROR if one_motion(search.chain.records) else OF_MODES
@@ -194,6 +195,11 @@ def unlisted_hysteresis(h: Hypothesis, before: Hypothesis, name: str) -> list[st
     one was accepted: a play behind plays is again plays, and an unlisted family may explain as much."""
     itself = any(member.effect.sticks for member in h.members if member.effect.name == name)
     return [OPERATOR_NAME] if itself and h.nominal.family == before.nominal.family else []
+
+
+def only_the_operator(one: Believed) -> bool:
+    """Whether this is a larger hysteresis that no effect with a few parameters can stand in for."""
+    return one.name == OPERATOR_NAME and not one.alternatives
 
 
 def at_most(probability: float, one: Believed) -> Believed:
