@@ -119,6 +119,6 @@ def test_sealed_samples_never_increase_a_share(known: float, there: float, here:
 def test_a_random_walk_is_refuted_by_a_clear_loss_only(sealed_um: float, walk: float, other: float) -> None:
     """Its last value stands for what follows, which near the mean is by chance no better than none."""
     more, less = fits(0.004, sealed_um)
-    both = (0.9, [record()], more, [less], NOISE_UM2, True)
-    assert confirmed(*both, walks=True) == pytest.approx(walk, abs=0.02)
-    assert confirmed(*both) < other + 0.02
+    both = (0.9, [record()], more, [less], NOISE_UM2)
+    assert confirmed(*both, False, walks=True) == pytest.approx(walk, abs=0.02)
+    assert confirmed(*both, True) < other + 0.02

@@ -22,9 +22,15 @@ def to_unit_diagonal(gram: np.ndarray, ridge: float = RIDGE) -> tuple[np.ndarray
     return unit, scale
 
 
-def solve(gram: np.ndarray, right: np.ndarray, first: int | None = None, damping: float = 0.0) -> np.ndarray:
+def solve(
+    gram: np.ndarray,
+    right: np.ndarray,
+    first: int | None = None,
+    damping: float = 0.0,
+    ridge: float = RIDGE,
+) -> np.ndarray:
     """Return the step of the normal equations, (numbers,); that of the numbers from `first` on is damped."""
-    unit, scale = to_unit_diagonal(gram)
+    unit, scale = to_unit_diagonal(gram, ridge)
     damped = np.arange(len(unit) if first is None else first, len(unit))
     unit[damped, damped] += damping
     step: np.ndarray = np.linalg.solve(unit, right * scale) * scale

@@ -129,7 +129,7 @@ def posterior(
     left_um = {model.without: model.fit.train_rms for model in models if not model.instead}
     found = [as_one(one, found, together, left_um) for one in found]
     if one_size(search.chain.records):
-        found = [at_most(AS_LIKELY, one) if only_the_operator(one) else one for one in found]
+        found = [no_likelier_than_unlisted(one) for one in found]
     found.sort(key=lambda one: -one.explained_um2)
     terms = {member.effect.name: member for member in final.hypothesis.members}
     of_modes = HYSTERESIS_ERROR if one_motion(search.chain.records) else OF_MODES
@@ -197,14 +197,11 @@ def unlisted_hysteresis(h: Hypothesis, before: Hypothesis, name: str) -> list[st
     return [OPERATOR_NAME] if itself and h.nominal.family == before.nominal.family else []
 
 
-def only_the_operator(one: Believed) -> bool:
-    """Whether this is a larger hysteresis that no effect with a few parameters can stand in for."""
-    return one.name == OPERATOR_NAME and not one.alternatives
-
-
-def at_most(probability: float, one: Believed) -> Believed:
-    """Return an effect whose probability is no larger than this."""
-    return replace(one, probability=min(one.probability, probability))
+def no_likelier_than_unlisted(one: Believed) -> Believed:
+    """Limit the probability of a larger hysteresis that no effect with a few parameters can stand in for."""
+    if one.name != OPERATOR_NAME or one.alternatives:
+        return one
+    return replace(one, probability=min(one.probability, AS_LIKELY))
 
 
 def as_one(
@@ -251,8 +248,8 @@ def share_explained(search: Search, more: Fit, without: Sequence[Fit], name: str
     apart = float(nats[[STARTING, APART]].sum() / max(float(nats.sum()), 1e-300))
     terms = [member for member in more.hypothesis.members if member.effect.name == name]
     walks = not all(member.effect.extrapolates(member.shared) for member in terms)
-    floor_um2, alone = weighting.mean_floor_um2, own_signal or walks
-    return confirmed(known, search.chain.records, more, without, floor_um2, alone, apart, walks)
+    floor_um2 = weighting.mean_floor_um2
+    return confirmed(known, search.chain.records, more, without, floor_um2, own_signal, apart, walks)
 
 
 def apart(

@@ -10,7 +10,7 @@ from torchpi.diagnosis.contest import STEPS
 from torchpi.diagnosis.exchange import rms_of
 from torchpi.diagnosis.fit import ROUGH, left_out, rms
 from torchpi.diagnosis.hypothesis import EffectTerm, Fit
-from torchpi.diagnosis.normal_equations import to_unit_diagonal
+from torchpi.diagnosis.normal_equations import solve, to_unit_diagonal
 from torchpi.diagnosis.posterior import Believed
 from torchpi.diagnosis.records import seen
 from torchpi.diagnosis.reduced_basis import reduced
@@ -69,8 +69,7 @@ def with_remainder(chain: Chain, now: Fit, ridge: float | None = None) -> tuple[
     best: tuple[Fit, float] | None = None
     density = chain.weighting.log_density
     for one_ridge in RIDGES if ridge is None else (ridge,):
-        unit, scale = to_unit_diagonal(gram, one_ridge)
-        a = np.linalg.solve(unit, right * scale) * scale
+        a = solve(gram, right, ridge=one_ridge)
         if np.abs(a).max() > LARGEST:
             continue
         weights = now.weights - removed @ a

@@ -20,7 +20,7 @@ def confirmed(
     more: Fit,
     less: Sequence[Fit],
     noise_um2: float,
-    alone: bool,
+    own_signal: bool,
     apart: float = 0.0,
     walks: bool = False,
 ) -> float:
@@ -35,12 +35,12 @@ def confirmed(
         less: Fits without it: everything else refitted, and nothing but the simulation. In each recording the
             one that predicts the sealed samples best counts.
         noise_um2: Mean square that nothing explains.
-        alone: Ignore the remaining residual and judge only whether the effect improves every recording,
-            because it has a signal of its own or cannot be extrapolated.
+        own_signal: The effect has a signal of its own: the remaining residual is ignored, and only whether
+            the effect improves every recording counts.
         apart: Fraction of its gain that lies in the part that does not repeat with the voltage, 0–1.
-        walks: The effect cannot be extrapolated, so its last value stands for it. Where that is near the
-            mean, it predicts no better and no worse, which says nothing: the sealed samples count by how much
-            they change, up to a factor e in the mean square.
+        walks: The effect cannot be extrapolated, so its last value stands for it, and the remaining residual
+            is ignored too. Where that value is near the mean, it predicts no better and no worse, which says
+            nothing: the sealed samples count by how much they change, up to a factor e in the mean square.
     """
     share, reached = known, [record.u[record.train] for record in records]
     lowest_v, highest_v = min(u.min() for u in reached), max(u.max() for u in reached)
@@ -64,7 +64,7 @@ def confirmed(
             changed += votes * abs(log(before / after))
             # A residual found only here is extrapolation error of the hysteresis, with or without the effect.
             rest = max(min(after, mean_square(e_train)) - noise_um2, 0.0)
-            left += 0.0 if alone else votes * rest / ((after + before) / 2)
+            left += 0.0 if own_signal or walks else votes * rest / ((after + before) / 2)
             here, there, voted = here + acts, there + acted, voted + votes
         sealed = max(gained, 0.0) / max(changed + left, 1e-300)
         weight = min(sqrt(here / max(there, 1e-300)), 1.0)
