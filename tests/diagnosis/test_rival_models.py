@@ -20,6 +20,7 @@ from torchpi.stage.effects.amplifier.slew_limit import SlewLimit
 from torchpi.stage.effects.effect import Effect
 from torchpi.stage.effects.mechanics.backlash import Backlash
 from torchpi.stage.effects.mechanics.load_change import LoadChange
+from torchpi.stage.effects.mechanics.resonance import Resonance
 from torchpi.stage.effects.sensor.sensor_nonlinearity import SensorNonlinearity
 from torchpi.stage.effects.sensor.thermal_drift import ThermalDrift
 
@@ -47,9 +48,9 @@ def test_an_effect_that_came_by_exchange_competes_with_the_one_it_replaced() -> 
 
 @pytest.mark.parametrize(
     ("effect", "alignment", "rivals_at"),
-    [(Delay, 0, [1]), (Delay, 1, [0]), (AmplifierLag, 0, []), (AmplifierLag, 1, [0]), (Creep, 1, [])],
+    [(Delay, 0, [1]), (Delay, 1, [0]), (AmplifierLag, 0, [1]), (AmplifierLag, 1, [0]), (Creep, 1, [])],
 )
-def test_a_delay_competes_with_every_other_alignment_and_a_lag_only_with_smaller_ones(
+def test_an_effect_that_delays_competes_with_every_other_timing_convention(
     effect: type[Effect], alignment: int, rivals_at: list[int]
 ) -> None:
     less = Hypothesis(HysteresisModel(np.zeros(1)), alignment=alignment)
@@ -57,6 +58,28 @@ def test_a_delay_competes_with_every_other_alignment_and_a_lag_only_with_smaller
     small = SimpleNamespace(hypothesis=less.plus(EffectTerm(effect, {})), weights=np.zeros(1))
     found = rivals(search, [], effect.name, less, small)
     assert [h.alignment for label, h, _ in found if label == CONVENTION] == rivals_at
+
+
+@pytest.mark.parametrize("before_at", [0, 1])
+def test_a_lag_competes_with_what_was_there_before_it_at_another_timing_convention(
+    before_at: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Modes that were fitted beside a lag take long to follow another convention; those before it did not."""
+    monkeypatch.setattr(rival_models, "reduced", lambda chain, fit: fit)
+    lag = EffectTerm(AmplifierLag, {"cutoff_hz": 250.0})
+    resonance, creep = EffectTerm(Resonance, {"frequency_hz": 800.0}), EffectTerm(Creep, {"tau_s": 1.0})
+    first = Hypothesis(HysteresisModel(np.zeros(1)), (resonance,), alignment=before_at)
+    moved = replace(resonance, shared={"frequency_hz": 700.0})
+    less = Hypothesis(HysteresisModel(np.zeros(1)), (creep, moved))
+    rounds = [
+        SimpleNamespace(before=SimpleNamespace(hypothesis=h, weights=np.full(1, k)), accepted="", tried=())
+        for k, h in enumerate((replace(first, members=()), first, less.plus(lag)))
+    ]
+    search = SimpleNamespace(effects_tried=[AmplifierLag], alignments=(0, 1), by_form=list, chain=None)
+    small = SimpleNamespace(hypothesis=less.plus(lag), weights=np.zeros(1))
+    found = [(h, w) for label, h, w in rivals(search, rounds, "amplifier_lag", less, small)][1:]
+    assert [(h.alignment, h.members) for h, _ in found] == [(1, (creep, resonance))] * before_at
+    assert [w[0] for _, w in found] == [1] * before_at
 
 
 def settled_among(

@@ -10,6 +10,7 @@ from torchpi.identification.multi_axis import MultiAxisOptions, identify
 from torchpi.identification.multi_axis.fit import Period, PeriodicFit, quasi_newton, scaled
 from torchpi.identification.multi_axis.identify import (
     by_amplitude,
+    holds,
     linear_stage,
     other_amplitudes,
     periods,
@@ -195,6 +196,22 @@ def test_a_stage_with_an_unbounded_response_to_a_slow_voltage_has_infinite_cost(
         fit = PeriodicFit(stage, [slow_motion(every, gain)])
         costs.append(fit.cost(fit.errors()))
     assert costs[0] < 1.0 and costs[1] == np.inf
+
+
+def test_a_stage_that_rings_while_one_input_is_held_has_infinite_cost() -> None:
+    every = recordings(two_axes(), (0.3,), 2)
+    gain = static_gain_of(two_axes(), 0.1).T
+    held = holds(every, gain)
+    ends = [(one.u.min(), one.u.max()) for one in held]
+    recorded = np.stack([one.u for one in every])
+    np.testing.assert_allclose(ends, np.stack([recorded.min((0, 1)), recorded.max((0, 1))], axis=1))
+    stage = two_axes()
+    calm = PeriodicFit(stage, held)
+    assert calm.cost(calm.errors()) < 0.02
+    stage.arrays()["weights"][:, -1] = 0.5  # stiffness that follows the voltage
+    others = [slow_motion(every, gain), *other_amplitudes([every])]
+    assert PeriodicFit(stage, others).errors() is not None
+    assert PeriodicFit(stage, held).errors() is None
 
 
 @pytest.mark.parametrize(("stiffness", "bounded"), [(0.09, [True, True]), (0.14, [True, False])])

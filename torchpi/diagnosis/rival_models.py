@@ -13,6 +13,7 @@ from torchpi.diagnosis.hypothesis import EffectTerm, Fit, Hypothesis
 from torchpi.diagnosis.parallel import Job
 from torchpi.diagnosis.reduced_basis import reduced
 from torchpi.diagnosis.search import Round, Search, is_larger
+from torchpi.stage.effects.mechanics.modal import ModalEffect
 
 RIVALS = 4
 """Maximum number of rivals from the search history that are fitted in place of an effect."""
@@ -176,15 +177,39 @@ def rivals(
     mine = next((effect for effect in search.effects_tried if effect.name == name), None)
     if mine and mine.delays:
         # A lag is not a shift by whole samples, but may have been found with a convention that absorbs part.
-        others = (
-            a for a in search.alignments if a < less.alignment or (mine.commutes and a > less.alignment)
-        )
+        others = (a for a in search.alignments if a != less.alignment)
         found += [(CONVENTION, replace(less, alignment=a), small.weights) for a in others]
+        # Modes fitted beside a lag take long to follow another convention; those from before it are there.
+        found += [(CONVENTION, *one) for one in as_before(search, history, name, less)]
     for effect in search.effects_tried if mine else ():
         if mine and effect.name in mine.degenerate_with and effect.name not in seen | there:
             forms = [each for each in search.by_form() if each[0].effect is effect]
             found += [(effect.name, less.plus(each[len(each) // 2]), small.weights) for each in forms]
     return found
+
+
+def as_before(
+    search: Search, history: Sequence[Round], name: str, less: Hypothesis
+) -> list[tuple[Hypothesis, np.ndarray]]:
+    """Return what the search had before an effect came in, if that has another timing convention, and what
+    came in since."""
+    without = [one.before for one in history if name not in one.before.hypothesis.names]
+    if not without:
+        return []
+    before = without[-1].hypothesis
+    since = [member for member in less.members if member.effect.name not in before.names]
+    if (
+        before.alignment == less.alignment
+        or before.nominal.family != less.nominal.family
+        or not set(before.names) <= set(less.names)
+        or any(issubclass(member.effect, ModalEffect) for member in since)
+    ):
+        return []
+    small = reduced(search.chain, without[-1])
+    one = small.hypothesis
+    for member in since:
+        one = one.plus(member)
+    return [(one, small.weights)]
 
 
 def names_of(label: str | None) -> list[str]:

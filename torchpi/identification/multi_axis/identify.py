@@ -34,6 +34,8 @@ the largest rms; weight of the error in either."""
 BEYOND, LOOSE = 1.25, 1.0
 """The largest amplitude at which a stage must not ring, as a multiple of the largest recording's, and the
 weight, there and between amplitudes, of an error as large as the motion."""
+STEEP = 8.0
+"""Slope of the moves between two held voltages, as a multiple of that of a sine of the same period."""
 PIECE = 8192
 """Maximum number of samples in a piece of a record without periods."""
 ALIKE = 1.25
@@ -158,7 +160,8 @@ def identify(
         return passed < options.seconds
 
     every = periods([one for level in levels for one in level])
-    fit = PeriodicFit(stage, every, guards(recordings, gain), other_amplitudes(levels))
+    others = [*other_amplitudes(levels), *holds(recordings, gain)]
+    fit = PeriodicFit(stage, every, guards(recordings, gain), others)
     fit.descend(weights, WEIGHT_STEPS)
     fit.descend([*weights, "poles", "drive"], MODE_STEPS)
     fit.descend(names, STEPS, tolerance=0.0, goes_on=goes_on)
@@ -215,6 +218,25 @@ def slow_motion(recordings: Sequence[MultiAxisRecording], gain: np.ndarray) -> P
     u = SLOW * float(largest.u.std()) * np.sin(2 * np.pi * np.outer(np.arange(samples) / samples, cycles))
     y = u @ gain
     return Period(u, y - y.mean(0), SILENT / (RELATIVE_ERROR * float(y.std())))
+
+
+def holds(recordings: Sequence[MultiAxisRecording], gain: np.ndarray) -> list[Period]:
+    """Return each input in turn held at both ends of its recorded range, and moved between them.
+
+    Recordings of fast voltages only pass the ends, so a stiffness that follows the mean voltage is not known
+    for one that stays there, and such a voltage may drive a mode without bounds.
+    """
+    samples = min(min(len(one.period[0]) for one in recordings), PIECE)
+    wave = np.clip(STEEP * np.sin(2 * np.pi * np.arange(samples) / samples), -1, 1)
+    low = np.min([one.u.min(0) for one in recordings], axis=0)
+    high = np.max([one.u.max(0) for one in recordings], axis=0)
+    found = []
+    for i in range(len(gain)):
+        u = np.tile((low + high) / 2, (samples, 1))
+        u[:, i] += (high - low)[i] / 2 * wave
+        y = u @ gain
+        found.append(Period(u, y - y.mean(0), LOOSE / float(y.std())))
+    return found
 
 
 def other_amplitudes(levels: Sequence[Sequence[MultiAxisRecording]]) -> list[Period]:
