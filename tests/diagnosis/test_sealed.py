@@ -34,6 +34,14 @@ def test_an_effect_that_explains_the_sealed_samples_as_well_keeps_its_share() ->
     assert confirmed(0.9, [record()], more, [less], NOISE_UM2, False) == pytest.approx(0.9, abs=0.02)
 
 
+def test_a_larger_share_on_the_sealed_samples_counts_only_on_request_and_where_the_effect_acts() -> None:
+    more, less = fits(0.1, 0.1)
+    assert confirmed(0.5, [record()], more, [less], NOISE_UM2, False) == 0.5
+    assert confirmed(0.5, [record()], more, [less], NOISE_UM2, False, either_way=True) > 0.95
+    more, less = fits(0.1, 0.01)
+    assert 0.5 < confirmed(0.5, [record()], more, [less], NOISE_UM2, False, either_way=True) < 0.6
+
+
 def test_an_effect_that_spoils_the_sealed_samples_loses_its_share() -> None:
     more, less = fits(0.1, -0.1)
     assert confirmed(0.9, [record()], more, [less], NOISE_UM2, False) < 0.05

@@ -69,7 +69,7 @@ class Believed:
     """Increase of the mean square of the residual without it."""
     rivals: tuple[Rival, ...]
     known: float
-    """Share of the residual above the noise that it explains, as far as the sealed samples confirm it."""
+    """Share of the residual above the noise that it explains, on the fitted and on the sealed samples."""
     form_of: str = ""
     """The effect whose remainder this is more likely than not, because its form is not quite the rig's; empty
     if this is a separate cause."""
@@ -109,10 +109,13 @@ def posterior(
         own = name in signals and OPERATOR_NAME not in alternatives
         reached = search.within_reach([m for m in h.members if m.effect.name == name])
         without = (less.fit,) if already_late(retuned, models[0].fit, names) else (less.fit, retuned)
-        known = share_explained(search, models[0].fit, without, name, own) if reached else 0.0
+        known, shown = (
+            share_explained(search, models[0].fit, without, name, own, either_way) if reached else 0.0
+            for either_way in (False, not one_motion(search.chain.records))
+        )
         rise = less.fit.train_rms**2 - models[0].fit.train_rms ** 2
         if len(names) > 1:
-            together.append(Believed(name, held * trust(known), (), rise, (), known))
+            together.append(Believed(name, held * trust(known), (), rise, (), shown))
             continue
         rivals.sort(key=lambda rival: rival.loses_nats)
         alternatives += unlisted_hysteresis(h, retuned.hypothesis, name)
@@ -123,7 +126,7 @@ def posterior(
                 tuple(dict.fromkeys(alternatives)),
                 rise,
                 tuple(rivals),
-                known,
+                shown,
             )
         )
     left_um = {model.without: model.fit.train_rms for model in models if not model.instead}
@@ -223,7 +226,9 @@ def as_one(
     return one
 
 
-def share_explained(search: Search, more: Fit, without: Sequence[Fit], name: str, own_signal: bool) -> float:
+def share_explained(
+    search: Search, more: Fit, without: Sequence[Fit], name: str, own_signal: bool, either_way: bool = False
+) -> float:
     """Return the share of the residual above the noise that an effect explains, 0–1, as far as the sealed
     samples confirm it. For a recorded signal, which nothing else resembles, the share is the probability that
     it predicts better, whatever else is missing.
@@ -234,6 +239,7 @@ def share_explained(search: Search, more: Fit, without: Sequence[Fit], name: str
         without: The fit of everything else, and the retuned simulation where that lacks the effect.
         name: The effect.
         own_signal: Whether it has a signal of its own.
+        either_way: Whether the sealed samples may also show a larger share.
     """
     weighting, less = search.chain.weighting, without[0]
     if own_signal and has_a_recorded_signal(search, more, name):
@@ -249,7 +255,10 @@ def share_explained(search: Search, more: Fit, without: Sequence[Fit], name: str
     terms = [member for member in more.hypothesis.members if member.effect.name == name]
     walks = not all(member.effect.extrapolates(member.shared) for member in terms)
     floor_um2 = weighting.mean_floor_um2
-    return confirmed(known, search.chain.records, more, without, floor_um2, own_signal, apart, walks)
+    either_way = either_way and not (own_signal or walks)  # of these, the rest of the residual is ignored
+    return confirmed(
+        known, search.chain.records, more, without, floor_um2, own_signal, apart, walks, either_way
+    )
 
 
 def apart(

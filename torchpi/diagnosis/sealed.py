@@ -23,6 +23,7 @@ def confirmed(
     own_signal: bool,
     apart: float = 0.0,
     walks: bool = False,
+    either_way: bool = False,
 ) -> float:
     """Return the share, 0–1, that an effect explains of what is to be explained: `known` if the sealed
     samples agree, else theirs. The sealed samples are weighted by how much the effect acts there relative to
@@ -41,6 +42,7 @@ def confirmed(
         walks: The effect cannot be extrapolated, so its last value stands for it, and the remaining residual
             is ignored too. Where that value is near the mean, it predicts no better and no worse, which says
             nothing: the sealed samples count by how much they change, up to a factor e in the mean square.
+        either_way: Take the share of the sealed samples if it is larger, too.
     """
     share, reached = known, [record.u[record.train] for record in records]
     lowest_v, highest_v = min(u.min() for u in reached), max(u.max() for u in reached)
@@ -70,7 +72,7 @@ def confirmed(
         weight = min(sqrt(here / max(there, 1e-300)), 1.0)
         if walks:
             weight *= min(changed / max(voted, 1e-300), 1.0)
-        share += part * weight * (min(known, sealed) - known)
+        share += part * weight * ((sealed if either_way else min(known, sealed)) - known)
     return share
 
 
