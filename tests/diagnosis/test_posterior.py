@@ -270,11 +270,12 @@ def test_a_delay_explains_only_what_no_timing_convention_does_unless_that_leaves
 def test_a_simulation_is_without_a_delay_only_if_its_timing_convention_is_the_same(
     effect: type[Effect], tick: int, late: bool
 ) -> None:
-    h = SimpleNamespace(alignment=0, members=(EffectTerm(effect, {}), EffectTerm(Hum, {})))
+    h = SimpleNamespace(alignment=tick, members=(EffectTerm(effect, {}), EffectTerm(Hum, {})))
     final = cast(Fit, SimpleNamespace(hypothesis=h))
-    retuned = cast(Fit, SimpleNamespace(hypothesis=SimpleNamespace(alignment=tick)))
-    assert already_late(retuned, final, {effect.name}) is late
-    assert not already_late(retuned, final, {Hum.name})
+    less, retuned = (cast(Fit, SimpleNamespace(hypothesis=SimpleNamespace(alignment=a))) for a in (0, tick))
+    assert already_late(retuned, less, final, {effect.name}) is late
+    assert not already_late(retuned, less, final, {Hum.name})
+    assert not already_late(retuned, retuned, final, {effect.name})
 
 
 @pytest.mark.parametrize(

@@ -108,7 +108,8 @@ def posterior(
         # An effect that a hysteresis, driven by the voltage alone, predicts as well may have no own signal.
         own = name in signals and OPERATOR_NAME not in alternatives
         reached = search.within_reach([m for m in h.members if m.effect.name == name])
-        without = (less.fit,) if already_late(retuned, models[0].fit, names) else (less.fit, retuned)
+        late = already_late(retuned, less.fit, models[0].fit, names)
+        without = (less.fit,) if late else (less.fit, retuned)
         known, shown = (
             share_explained(search, models[0].fit, without, name, own, either_way) if reached else 0.0
             for either_way in (False, not one_motion(search.chain.records))
@@ -186,11 +187,11 @@ def without_cause(
     return first if later and not whole and explained(models[0].fit, best.fit) > MOST else best
 
 
-def already_late(retuned: Fit, final: Fit, names: Collection[str]) -> bool:
-    """Whether the retuned simulation has, as its timing convention, part of the delay of these effects: then
-    it is no simulation without them."""
+def already_late(retuned: Fit, less: Fit, final: Fit, names: Collection[str]) -> bool:
+    """Whether the retuned simulation has, as its timing convention, part of the delay of these effects, which
+    the fit without them has not: then it is no simulation without them."""
     delay = any(member.effect.delays for member in final.hypothesis.members if member.effect.name in names)
-    return delay and retuned.hypothesis.alignment != final.hypothesis.alignment
+    return delay and retuned.hypothesis.alignment != less.hypothesis.alignment
 
 
 def unlisted_hysteresis(h: Hypothesis, before: Hypothesis, name: str) -> list[str]:
