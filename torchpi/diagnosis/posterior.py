@@ -110,10 +110,7 @@ def posterior(
         reached = search.within_reach([m for m in h.members if m.effect.name == name])
         late = already_late(retuned, less.fit, models[0].fit, names)
         without = (less.fit,) if late else (less.fit, retuned)
-        known, shown = (
-            share_explained(search, models[0].fit, without, name, own, either_way) if reached else 0.0
-            for either_way in (False, not one_motion(search.chain.records))
-        )
+        known, shown = share_explained(search, models[0].fit, without, name, own) if reached else (0.0, 0.0)
         rise = less.fit.train_rms**2 - models[0].fit.train_rms ** 2
         if len(names) > 1:
             together.append(Believed(name, held * trust(known), (), rise, (), shown))
@@ -228,11 +225,11 @@ def as_one(
 
 
 def share_explained(
-    search: Search, more: Fit, without: Sequence[Fit], name: str, own_signal: bool, either_way: bool = False
-) -> float:
+    search: Search, more: Fit, without: Sequence[Fit], name: str, own_signal: bool
+) -> tuple[float, float]:
     """Return the share of the residual above the noise that an effect explains, 0–1, as far as the sealed
-    samples confirm it. For a recorded signal, which nothing else resembles, the share is the probability that
-    it predicts better, whatever else is missing.
+    samples confirm it, and the same where they may also show a larger share. For a recorded signal, which
+    nothing else resembles, the share is the probability that it predicts better, whatever else is missing.
 
     Args:
         search: The finished search.
@@ -240,13 +237,13 @@ def share_explained(
         without: The fit of everything else, and the retuned simulation where that lacks the effect.
         name: The effect.
         own_signal: Whether it has a signal of its own.
-        either_way: Whether the sealed samples may also show a larger share.
     """
     weighting, less = search.chain.weighting, without[0]
     if own_signal and has_a_recorded_signal(search, more, name):
         known = search.over(more, less, PRIOR).probability
     elif stands := stands_out(search.chain.records, more, less, name):
-        return max(1 - (1 - HALF) * STANDS_OUT / stands, 0.0)
+        share = max(1 - (1 - HALF) * STANDS_OUT / stands, 0.0)
+        return share, share
     else:
         known = weighting.explained_where_it_acts(more, less)
         if not own_signal:
@@ -255,11 +252,12 @@ def share_explained(
     apart = float(nats[[STARTING, APART]].sum() / max(float(nats.sum()), 1e-300))
     terms = [member for member in more.hypothesis.members if member.effect.name == name]
     walks = not all(member.effect.extrapolates(member.shared) for member in terms)
-    floor_um2 = weighting.mean_floor_um2
-    either_way = either_way and not (own_signal or walks)  # of these, the rest of the residual is ignored
-    return confirmed(
-        known, search.chain.records, more, without, floor_um2, own_signal, apart, walks, either_way
-    )
+    records, floor_um2 = search.chain.records, weighting.mean_floor_um2
+    share = confirmed(known, records, more, without, floor_um2, own_signal, apart, walks)
+    # The first two only either help there or not; sealed samples of the fitted motion are no new test.
+    if own_signal or walks or one_motion(records):
+        return share, share
+    return share, confirmed(known, records, more, without, floor_um2, False, apart, either_way=True)
 
 
 def apart(
