@@ -7,11 +7,24 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 LAYERS = (
-    "errors", "files", "operators", "recordings", "simulators", "excitation", "stage", "control", "diagnosis",
-    "identification", "loop", "paper", "report", "export", "commission",
+    "errors",
+    "files",
+    "operators",
+    "recordings",
+    "simulators",
+    "excitation",
+    "stage",
+    "control",
+    "diagnosis",
+    "identification",
+    "loop",
+    "paper",
+    "report",
+    "export",
+    "commission",
     "notebook",  # fits by the commission's recipe, and draws its results by report
     "cli",
-)  # fmt: skip
+)
 
 
 ASKED_FOR = {

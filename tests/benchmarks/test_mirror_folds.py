@@ -15,11 +15,14 @@ def level() -> list[MultiAxisRecording]:
     random = np.random.default_rng(0)
     return [
         MultiAxisRecording(
-            f"100mV_train {k}", np.tile(random.normal(size=(SAMPLES, INPUTS)), (2, 1)),
-            np.zeros((2 * SAMPLES, OUTPUTS)), 1e3, 2,
+            f"100mV_train {k}",
+            np.tile(random.normal(size=(SAMPLES, INPUTS)), (2, 1)),
+            np.zeros((2 * SAMPLES, OUTPUTS)),
+            1e3,
+            2,
         )
         for k in range(REALISATIONS)
-    ]  # fmt: skip
+    ]
 
 
 def errors(of: Callable[[np.ndarray], np.ndarray], noise: float) -> list[np.ndarray]:

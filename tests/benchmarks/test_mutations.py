@@ -35,8 +35,11 @@ def test_each_kind_of_mutation_is_made_but_none_in_types_or_messages() -> None:
 def test_a_condition_among_several_is_dropped_or_its_operator_swapped() -> None:
     found = [what for what, _ in mutants("kept = [x for x in every if x and y]\n")]
     assert [what.partition(": ")[2].partition(":")[0] for what in found] == [
-        "condition dropped", "and, or", "condition dropped", "condition dropped"
-    ]  # fmt: skip
+        "condition dropped",
+        "and, or",
+        "condition dropped",
+        "condition dropped",
+    ]
 
 
 def test_a_mutant_that_no_test_detects_survives(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -46,9 +49,7 @@ def test_a_mutant_that_no_test_detects_survives(tmp_path: Path, monkeypatch: pyt
     monkeypatch.syspath_prepend(str(tmp_path))
     monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")
     left = [what for what, survives in survivors("made_up", [str(guard)]) if survives]
-    assert left == [
-        "2: boundary: x > 0  ->  x >= 0", "2: constant: 0  ->  1", "2: constant: 0  ->  1"
-    ]  # fmt: skip
+    assert left == ["2: boundary: x > 0  ->  x >= 0", "2: constant: 0  ->  1", "2: constant: 0  ->  1"]
     guard.write_text("def test():\n    assert False\n")
     with pytest.raises(SystemExit, match="made_up: its tests fail as it stands"):
         next(survivors("made_up", [str(guard)]))

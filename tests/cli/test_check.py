@@ -43,9 +43,16 @@ def test_the_content_of_a_file_is_printed_and_drawn(
     assert check(monkeypatch, path, "--output", tmp_path / "out") == 0
     text = capsys.readouterr().out
     for found in (
-        "u [mV]", "mV", "1000 Hz, 2,000 samples, 2 s", "0 … 10 V", "sign positive", "noise-free",
-        "1 single wrong", "row 702: 0 µm", "time 'time_ms' (s)",
-    ):  # fmt: skip
+        "u [mV]",
+        "mV",
+        "1000 Hz, 2,000 samples, 2 s",
+        "0 … 10 V",
+        "sign positive",
+        "noise-free",
+        "1 single wrong",
+        "row 702: 0 µm",
+        "time 'time_ms' (s)",
+    ):
         assert found in text
     page = (tmp_path / "out" / "check.html").read_text(encoding="utf-8")
     assert "<svg" in page and "row 702" in page and "torchpi diagnose" in page
@@ -58,9 +65,12 @@ def test_the_content_of_a_file_is_printed_and_drawn(
     [("time_s,input_v,output_um", (1, 1, 1)), ("t;my input;my output", (1, 1, 1)), ("a,b,c", (1, 1, 1))],
 )
 def test_the_printed_commands_read_the_file(
-    tmp_path: Path, header: str, scale: tuple[float, ...], monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    header: str,
+    scale: tuple[float, ...],
+    monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
-) -> None:  # fmt: skip
+) -> None:
     delimiter = ";" if ";" in header else ","
     table = [x / factor for x, factor in zip((T, U, Y), scale, strict=True)]
     path = write(tmp_path / "with space.csv", header, *table, delimiter=delimiter)

@@ -73,10 +73,14 @@ def test_the_estimate_of_a_fit_grows_with_the_number_of_epochs(capsys: pytest.Ca
 @pytest.mark.parametrize(
     "arguments",
     [
-        [], ["fit", "--help"], ["fit", "--config", "demo", "--print_config"], ["fit", "--config", "none"],
-        ["fit", "--config", "demo", "--data.recordings", "{"], ["fit", "--data.recordings", "5"],
+        [],
+        ["fit", "--help"],
+        ["fit", "--config", "demo", "--print_config"],
+        ["fit", "--config", "none"],
+        ["fit", "--config", "demo", "--data.recordings", "{"],
+        ["fit", "--data.recordings", "5"],
     ],
-)  # fmt: skip
+)
 def test_nothing_is_announced_if_nothing_is_trained_or_arguments_are_invalid(
     arguments: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -84,9 +84,12 @@ def test_other_units_and_names_give_the_same_result(tmp_path: Path, monkeypatch:
     ],
 )
 def test_a_missing_column_is_named_in_one_line(
-    columns: tuple[str, ...], said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+    columns: tuple[str, ...],
+    said: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
-) -> None:  # fmt: skip
+) -> None:
     stage(tmp_path / "stage.pt", COUPLING)
     given = write(tmp_path / "in.csv", **{name: np.arange(20) / 100 for name in columns})
     out = tmp_path / "out.csv"
@@ -109,8 +112,10 @@ def test_zero_voltage_gives_the_offset_of_the_stage(tmp_path: Path) -> None:
 
 
 CORRECTING = {
-    "thresholds_v": [0.0], "weights": [0.0, 0.1], "simulation": {"reference": "mine:f", "gain": 2.0}
-}  # fmt: skip
+    "thresholds_v": [0.0],
+    "weights": [0.0, 0.1],
+    "simulation": {"reference": "mine:f", "gain": 2.0},
+}
 OWN = "tests.simulators.own_model:simulate"
 
 

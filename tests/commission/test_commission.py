@@ -67,9 +67,17 @@ def test_at_most_ten_lines_state_the_estimated_duration_and_the_error(printed: t
 def test_commissioning_writes_the_exports_the_stage_a_page_and_numbers(folder: Path) -> None:
     names = {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()}
     assert names == {
-        "compensator.pt", "compensator.h", "compensator.c", "compensator_selftest.c", "compensator.json",
-        "compensator.html", "stage.pt", "commission.html", "commission.json", "checkpoints/best.ckpt",
-    }  # fmt: skip
+        "compensator.pt",
+        "compensator.h",
+        "compensator.c",
+        "compensator_selftest.c",
+        "compensator.json",
+        "compensator.html",
+        "stage.pt",
+        "commission.html",
+        "commission.json",
+        "checkpoints/best.ckpt",
+    }
     assert set(FORMATS) == {"torchscript", "c", "json", "page"}
     assert load_compensator(folder).preview == load_torchscript(folder / "compensator.pt").preview
 
@@ -178,9 +186,13 @@ def test_run_states_for_which_motion_and_when_the_rate_reaches_a_limit(
     ],
 )
 def test_bad_input_gives_one_line_and_exit_code_2_and_leaves_existing_files(
-    change, expected: str, files: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+    change,
+    expected: str,
+    files: list[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
-) -> None:  # fmt: skip
+) -> None:
     output = tmp_path / "mine"
     output.mkdir()
     (output / "stage.pt").write_bytes(b"of before")

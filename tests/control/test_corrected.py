@@ -20,9 +20,14 @@ PERIOD = 1e-3
 
 def operator(weights: list[list[float]], preview: int = 0) -> DirectInverse:
     made = DirectInverse(
-        PERIOD, [0.0, 0.3, 0.8], degree=1, rate_scale_um_s=100.0, preview=preview,
-        min_voltage_v=-100.0, max_voltage_v=100.0,
-    )  # fmt: skip
+        PERIOD,
+        [0.0, 0.3, 0.8],
+        degree=1,
+        rate_scale_um_s=100.0,
+        preview=preview,
+        min_voltage_v=-100.0,
+        max_voltage_v=100.0,
+    )
     with torch.no_grad():
         made.weights.theta.copy_(torch.tensor(weights, dtype=torch.float64))
     return made

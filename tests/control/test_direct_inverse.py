@@ -20,10 +20,18 @@ THRESHOLDS = [0.0, 0.05, 0.1, 0.2, 0.3, 0.5, 1.0, 1.5, 2.0, 3.0]
 
 def compensator(seed: int = 0, **changes: object) -> DirectInverse:
     arguments = {
-        "sample_period_s": 1e-4, "thresholds": THRESHOLDS, "range_um": 8.0, "rate_scale_um_s": 800.0,
-        "rate": "neural", "lead": 2, "creep_time_constants_s": [0.01, 0.3, 5.0], "offset": True,
-        "output_degree": 3, "preview": 3, **changes,
-    }  # fmt: skip
+        "sample_period_s": 1e-4,
+        "thresholds": THRESHOLDS,
+        "range_um": 8.0,
+        "rate_scale_um_s": 800.0,
+        "rate": "neural",
+        "lead": 2,
+        "creep_time_constants_s": [0.01, 0.3, 5.0],
+        "offset": True,
+        "output_degree": 3,
+        "preview": 3,
+        **changes,
+    }
     made = DirectInverse(**arguments)
     generator = torch.Generator().manual_seed(seed)
     with torch.no_grad():

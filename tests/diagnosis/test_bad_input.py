@@ -47,8 +47,9 @@ def test_a_simulation_in_other_units_is_refused(
 ) -> None:
     files = written(tmp_path, *pair(400))
     in_nanometres = {
-        "sample_rate_hz": 2000, "actuator": {"thresholds_v": [0, 1, 2], "weights_um_per_v": [500, 200, 200]}
-    }  # fmt: skip
+        "sample_rate_hz": 2000,
+        "actuator": {"thresholds_v": [0, 1, 2], "weights_um_per_v": [500, 200, 200]},
+    }
     (tmp_path / "nm.yaml").write_text(yaml.safe_dump(in_nanometres), encoding="utf-8")
     line = refused(
         monkeypatch, capsys, *files, "--simulation", tmp_path / "nm.yaml", "--output", tmp_path / "o"
@@ -72,9 +73,13 @@ def test_a_recording_at_constant_voltage_alone_is_refused(
     ],
 )
 def test_invalid_options_are_refused(
-    option: str, value: str, word: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+    option: str,
+    value: str,
+    word: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
-) -> None:  # fmt: skip
+) -> None:
     files = written(tmp_path, *pair(400))
     assert word in refused(monkeypatch, capsys, *files, option, value, "--output", tmp_path / "out")
 

@@ -58,9 +58,10 @@ def left(train: float, heldout: float | None = None) -> SimpleNamespace:
 
 def decided(*each: Believed, retuned: float = 10.0, final: float = 2.0, **more: object) -> Decision:
     search = SimpleNamespace(
-        chain=SimpleNamespace(records=()), effects_tried=[Creep, Backlash, SensorLag],
+        chain=SimpleNamespace(records=()),
+        effects_tried=[Creep, Backlash, SensorLag],
         jump=more.pop("jump", None),
-    )  # fmt: skip
+    )
     given = {"noise": NOISE, "structured": False, "loud": False} | more
     return decide(search, left(retuned), left(final), each, *given.values())
 

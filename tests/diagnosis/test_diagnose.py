@@ -134,7 +134,7 @@ def test_a_missing_input_is_found_in_its_auxiliary_column() -> None:
     recordings = [
         record(u, after=lambda x, fs_hz, a=a: x + 0.05 * a, aux={"aux_2": a, "aux_3": b}, name=name, seed=i)
         for i, (u, a, b, name) in enumerate(zip(us, other, idle, "ab", strict=True))
-    ]  # fmt: skip
+    ]
     found = diagnose(recordings)
     assert names(found) == ["cross_coupling"]
     assert found.effects[0].parameters[0].value == pytest.approx(0.05, rel=0.01)

@@ -91,9 +91,15 @@ def settled_among(
     monkeypatch.setattr(rival_models, "reduced", lambda chain, fit: fit)
     monkeypatch.setattr(rival_models, "prior", lambda *given: 0.0)
     search = SimpleNamespace(
-        chain=None, slips=None, weigh=lambda fit: None, log=lambda text: None, on_its_rows=lambda fit: fit,
-        faint=lambda more, less: less is rival, over=lambda better, worse, prior: ahead, **asked,
-    )  # fmt: skip
+        chain=None,
+        slips=None,
+        weigh=lambda fit: None,
+        log=lambda text: None,
+        on_its_rows=lambda fit: fit,
+        faint=lambda more, less: less is rival,
+        over=lambda better, worse, prior: ahead,
+        **asked,
+    )
     return settled(search, bare, final, [])[0]
 
 
@@ -104,8 +110,10 @@ def test_a_larger_hysteresis_that_explains_a_little_of_everything_replaces_no_ef
     h = Hypothesis(HysteresisModel(np.zeros(0)))
     drift, plain, larger = (SimpleNamespace(slots=(), train_rms=1.0, hypothesis=h) for _ in range(3))
     models = [
-        Model("", "", drift), Model("thermal_drift", "", plain), Model("thermal_drift", OPERATOR_NAME, larger)
-    ]  # fmt: skip
+        Model("", "", drift),
+        Model("thermal_drift", "", plain),
+        Model("thermal_drift", OPERATOR_NAME, larger),
+    ]
     final = settled_among(models, Gain(20.0, 1.0), monkeypatch, bends_to_all=lambda one, now: bends)
     assert final is (drift if bends else larger)
 
@@ -164,9 +172,7 @@ def test_a_larger_hysteresis_gives_way_to_an_equally_good_effect_that_is_not_hys
     h = Hypothesis(HysteresisModel(np.zeros(0)))
     larger, plain = (SimpleNamespace(slots=(), train_rms=1.0, hypothesis=h) for _ in range(2))
     bent = SimpleNamespace(slots=(1, 2), train_rms=1.0, hypothesis=h.plus(EffectTerm(effect, {})))
-    models = [
-        Model("", "", larger), Model(OPERATOR_NAME, "", plain), Model(OPERATOR_NAME, effect.name, bent)
-    ]  # fmt: skip
+    models = [Model("", "", larger), Model(OPERATOR_NAME, "", plain), Model(OPERATOR_NAME, effect.name, bent)]
     final = settled_among(models, Gain(-10.0, 20.0), monkeypatch)
     assert final is (bent if given_way else larger)
 

@@ -32,9 +32,12 @@ def lag(probability: float, alternatives: tuple[str, ...] = ()) -> NamedEffect:
 
 
 def decided(
-    verdict: Verdict, *effects: NamedEffect, still_open: tuple[Believed, ...] = (), unexplained: float = 0.2,
+    verdict: Verdict,
+    *effects: NamedEffect,
+    still_open: tuple[Believed, ...] = (),
+    unexplained: float = 0.2,
     joint: float = 0.0,
-) -> Decision:  # fmt: skip
+) -> Decision:
     return Decision(verdict, effects, still_open, unexplained, joint, 0.004)
 
 
@@ -182,11 +185,18 @@ def test_the_paragraph_has_no_identifiers() -> None:
 @pytest.mark.parametrize(
     ("name", "words"),
     [
-        ("frequency_hz[axis 1]", "frequency [axis 1]"), ("coupling_um_per_v", "coupling"), ("c2_per_v", "c2"),
-        ("c3_per_v2", "c3"), ("rate_v_per_s", "rate"), ("weight_s_per_v", "weight"), ("lsb_um", "lsb"),
-        ("per_decade", "per decade"), ("damping_ratio", "damping ratio"), ("loss_per_mm", "loss"),
+        ("frequency_hz[axis 1]", "frequency [axis 1]"),
+        ("coupling_um_per_v", "coupling"),
+        ("c2_per_v", "c2"),
+        ("c3_per_v2", "c3"),
+        ("rate_v_per_s", "rate"),
+        ("weight_s_per_v", "weight"),
+        ("lsb_um", "lsb"),
+        ("per_decade", "per decade"),
+        ("damping_ratio", "damping ratio"),
+        ("loss_per_mm", "loss"),
     ],
-)  # fmt: skip
+)
 def test_parameters_are_named_without_units(name: str, words: str) -> None:
     assert spoken_parameter(name) == words
 

@@ -78,9 +78,7 @@ def test_an_addition_is_barred_by_its_own_bound_or_unreached_limit_and_not_by_ea
 
     def fitted(*members: EffectTerm, bounded: int | None = None) -> SimpleNamespace:
         slots = [] if bounded is None else [SimpleNamespace(name="a number", member=bounded)]
-        return SimpleNamespace(
-            hypothesis=SimpleNamespace(members=members), bounded=(), on_a_bound=slots
-        )  # fmt: skip
+        return SimpleNamespace(hypothesis=SimpleNamespace(members=members), bounded=(), on_a_bound=slots)
 
     now, more = fitted(soft), fitted(soft, creep)
     assert search.inside(more, now) and not search.within_reach([soft, creep])
@@ -102,8 +100,9 @@ def test_a_larger_hysteresis_is_dropped_only_if_its_own_parameters_reach_a_bound
         nominal = SimpleNamespace(family=family)
         return SimpleNamespace(
             hypothesis=SimpleNamespace(nominal=nominal, names=("creep",), on=lambda other: other),
-            train_rms=train_rms, on_a_bound=[SimpleNamespace(name="a number", member=member)],
-        )  # fmt: skip
+            train_rms=train_rms,
+            on_a_bound=[SimpleNamespace(name="a number", member=member)],
+        )
 
     larger, plain = fitted("bouc_wen", 0.03), fitted("prandtl_ishlinskii", 0.3)
     search = object.__new__(Search)

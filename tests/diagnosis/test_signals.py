@@ -33,8 +33,11 @@ def diagnosis(tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
     command = [sys.executable, "-m", "torchpi", "diagnose", str(tmp_path / "a.csv")]
     process = subprocess.Popen(
         [*command, "--output", str(tmp_path / "diagnosis")],
-        cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-    )  # fmt: skip
+        cwd=ROOT,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
     end = time.monotonic() + 60
     # The resource tracker and at least one worker.
     while len(descendants(process.pid)) < 2 and process.poll() is None and time.monotonic() < end:

@@ -92,9 +92,13 @@ class Instance:
         at = self.time_s if at_s is None else at_s
         flags, last = [ctypes.c_bool() for _ in range(3)], ctypes.c_double()
         outcome = self(
-            "DoStep", ctypes.c_double(at), ctypes.c_double(by_s), ctypes.c_bool(True),
-            *map(ctypes.byref, flags), ctypes.byref(last),
-        )  # fmt: skip
+            "DoStep",
+            ctypes.c_double(at),
+            ctypes.c_double(by_s),
+            ctypes.c_bool(True),
+            *map(ctypes.byref, flags),
+            ctypes.byref(last),
+        )
         self.time_s = last.value
         return outcome
 
@@ -300,10 +304,15 @@ def test_without_a_compiler_the_fmu_has_only_sources_and_a_warning_is_given(
         file = written(tmp_path)
     with zipfile.ZipFile(file) as archive:
         assert set(archive.namelist()) == {
-            "modelDescription.xml", "sources/buildDescription.xml", "sources/demo.c", "sources/demo.h",
-            "sources/demo_fmi3.c", "sources/fmi3Functions.h", "sources/fmi3FunctionTypes.h",
+            "modelDescription.xml",
+            "sources/buildDescription.xml",
+            "sources/demo.c",
+            "sources/demo.h",
+            "sources/demo_fmi3.c",
+            "sources/fmi3Functions.h",
+            "sources/fmi3FunctionTypes.h",
             "sources/fmi3PlatformTypes.h",
-        }  # fmt: skip
+        }
 
 
 def test_the_warning_about_a_failing_compiler_quotes_its_message(

@@ -67,8 +67,16 @@ def commands(folder: Path) -> dict[str, Command]:
     run = folder / "run" / "checkpoints"
     run.mkdir(parents=True)
     torch.save(to_checkpoint(compensator()), run / "best.ckpt")
-    fit = ["train", "fit", "--data.recordings", json.dumps(paths), "--model.plays=5",
-           "--trainer.max_epochs=6", "--output", str(folder / "fit")]  # fmt: skip
+    fit = [
+        "train",
+        "fit",
+        "--data.recordings",
+        json.dumps(paths),
+        "--model.plays=5",
+        "--trainer.max_epochs=6",
+        "--output",
+        str(folder / "fit"),
+    ]
     last = folder / "fit" / "checkpoints" / "last.ckpt"
 
     def fit_again() -> Sequence[str]:
@@ -89,14 +97,23 @@ def commands(folder: Path) -> dict[str, Command]:
     return {
         "fit": Command(fit, folder / "fit", fit_again),
         "export": Command(
-            ["torchpi", "export", str(run.parent), "--to", "torchscript,c,json,page",
-             "--allow_backwards", "true", "--output", str(exported / "c")],
+            [
+                "torchpi",
+                "export",
+                str(run.parent),
+                "--to",
+                "torchscript,c,json,page",
+                "--allow_backwards",
+                "true",
+                "--output",
+                str(exported / "c"),
+            ],
             exported,
         ),
         "diagnose": Command(["torchpi", "diagnose", paths[0], "--output", str(diagnosis)], diagnosis),
         "reproduce": Command(reproduce, paper, reproduce_again),
         "check": Command(["torchpi", "check", *paths, "--output", str(checked)], checked),
-    }  # fmt: skip
+    }
 
 
 def figures(folder: Path) -> Command:
@@ -201,8 +218,11 @@ def kill_once(command: Command, one: signal.Signals, at_s: float, outcome: Outco
     before = {path: path.read_bytes() for path in files(command.output)}
     process = subprocess.Popen(
         [sys.executable, "-m", *arguments],
-        cwd=command.checkout, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
-    )  # fmt: skip
+        cwd=command.checkout,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
     started = time.monotonic()
     with contextlib.suppress(subprocess.TimeoutExpired):
         process.wait(at_s)

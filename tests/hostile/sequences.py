@@ -18,15 +18,25 @@ RANGE_UM = (0.0, 8.0)
 def compensator(**changes: object) -> DirectInverse:
     """Return a monotone compensator of a stage of 8 µm, with every kind of state."""
     arguments = {
-        "sample_period_s": PERIOD_S, "thresholds": THRESHOLDS, "range_um": 8.0, "rate_scale_um_s": 200.0,
-        "rate": "linear", "lead": 2, "creep_time_constants_s": [0.01, 0.3, 5.0], "offset": True,
-        "min_voltage_v": VOLTAGES_V[0], "max_voltage_v": VOLTAGES_V[1],
+        "sample_period_s": PERIOD_S,
+        "thresholds": THRESHOLDS,
+        "range_um": 8.0,
+        "rate_scale_um_s": 200.0,
+        "rate": "linear",
+        "lead": 2,
+        "creep_time_constants_s": [0.01, 0.3, 5.0],
+        "offset": True,
+        "min_voltage_v": VOLTAGES_V[0],
+        "max_voltage_v": VOLTAGES_V[1],
         "trained": {
-            "range_um": RANGE_UM, "rates_um_s": (-200.0, 200.0), "voltages_v": (0.0, 8.5),
-            "voltage_rates_v_s": (-250.0, 250.0), "accelerations_um_s2": (-6e3, 6e3),
+            "range_um": RANGE_UM,
+            "rates_um_s": (-200.0, 200.0),
+            "voltages_v": (0.0, 8.5),
+            "voltage_rates_v_s": (-250.0, 250.0),
+            "accelerations_um_s2": (-6e3, 6e3),
         },
         **changes,
-    }  # fmt: skip
+    }
     made = DirectInverse(**arguments)
     with torch.no_grad():
         made.weights.theta.fill_(-0.005)
@@ -43,14 +53,24 @@ def like_the_demo() -> DirectInverse:
     second-order lead amplifies jumps of the acceleration, at the sample rate of `configs/demo.yaml`."""
     thresholds = [0.0, 0.03, 0.12, 0.26, 0.46, 0.72, 1.04, 1.41, 1.85, 2.34, 2.88, 3.49, 4.15, 4.87]
     made = DirectInverse(
-        1e-4, thresholds, range_um=8.0, rate_scale_um_s=1900.0, rate="linear", preview=2, lead=2,
-        creep_time_constants_s=[1e-3, 0.01, 0.1, 1.0], min_voltage_v=VOLTAGES_V[0],
+        1e-4,
+        thresholds,
+        range_um=8.0,
+        rate_scale_um_s=1900.0,
+        rate="linear",
+        preview=2,
+        lead=2,
+        creep_time_constants_s=[1e-3, 0.01, 0.1, 1.0],
+        min_voltage_v=VOLTAGES_V[0],
         max_voltage_v=VOLTAGES_V[1],
         trained={
-            "range_um": RANGE_UM, "rates_um_s": (-1900.0, 1700.0), "voltages_v": (0.0, 8.5),
-            "voltage_rates_v_s": (-2200.0, 2000.0), "accelerations_um_s2": (-2e6, 2e6),
+            "range_um": RANGE_UM,
+            "rates_um_s": (-1900.0, 1700.0),
+            "voltages_v": (0.0, 8.5),
+            "voltage_rates_v_s": (-2200.0, 2000.0),
+            "accelerations_um_s2": (-2e6, 2e6),
         },
-    )  # fmt: skip
+    )
     with torch.no_grad():
         made.weights.theta.fill_(-0.02)
         made.weights.theta[0] = torch.tensor([1.25, 0.02])

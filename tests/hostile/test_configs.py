@@ -123,9 +123,12 @@ def recordings(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
 
 @pytest.mark.parametrize("name", CONFIGS)
 def test_any_config_trains_or_is_refused_in_one_line(
-    name: str, recordings: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+    name: str,
+    recordings: list[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
-) -> None:  # fmt: skip
+) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "hostile.yaml").write_text(CONFIGS[name])
     arguments = ["fit", "--trainer.max_epochs=1", "--model.plays=3", "--config=hostile.yaml", "--output=run"]

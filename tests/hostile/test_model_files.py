@@ -23,9 +23,15 @@ from torchpi.export import export_files, load_torchscript
 from torchpi.export.torchscript_check import METHODS
 
 ATTRIBUTES = {
-    "sample_period_s": 1e-4, "preview": 0, "min_voltage_v": 0.0, "max_voltage_v": 10.0,
-    "has_reference_filter": False, "held_inputs": 0, "outside_range": 0, "limited_outputs": 0,
-}  # fmt: skip
+    "sample_period_s": 1e-4,
+    "preview": 0,
+    "min_voltage_v": 0.0,
+    "max_voltage_v": 10.0,
+    "has_reference_filter": False,
+    "held_inputs": 0,
+    "outside_range": 0,
+    "limited_outputs": 0,
+}
 TEMPLATE = """
 class Hostile(nn.Module):
     def __init__(self, attributes):
@@ -135,13 +141,21 @@ def test_reset_and_block_are_checked_as_well(place: str, tmp_path: Path) -> None
 @pytest.mark.parametrize(
     ("name", "value"),
     [
-        ("sample_period_s", 0.0), ("sample_period_s", -1.0), ("sample_period_s", float("inf")),
-        ("sample_period_s", 1), ("preview", -1), ("preview", 10**9), ("preview", 0.0),
+        ("sample_period_s", 0.0),
+        ("sample_period_s", -1.0),
+        ("sample_period_s", float("inf")),
+        ("sample_period_s", 1),
+        ("preview", -1),
+        ("preview", 10**9),
+        ("preview", 0.0),
         ("min_voltage_v", 10.0),
-        ("max_voltage_v", float("nan")), ("has_reference_filter", 1), ("held_inputs", 0.0),
-        ("min_voltage_v", torch.zeros(())), ("preview", "3"),
+        ("max_voltage_v", float("nan")),
+        ("has_reference_filter", 1),
+        ("held_inputs", 0.0),
+        ("min_voltage_v", torch.zeros(())),
+        ("preview", "3"),
     ],
-)  # fmt: skip
+)
 def test_an_invalid_attribute_is_refused(name: str, value: object, tmp_path: Path) -> None:
     refused(hostile_file(tmp_path, **{name: value}))
 
@@ -278,11 +292,19 @@ def test_a_modified_checkpoint_is_refused(
 @pytest.mark.parametrize(
     "parameters",
     [
-        {"thresholds": "many"}, {"sample_period_s": "fast"}, {"sample_period_s": [1.0]}, {"degree": 10**9},
-        {"rate": 3}, {"trained": {"range_um": [0, 1]}}, {"trained": 3}, {"no_such": 1}, {"max_slew_v_s": "x"},
-        {"creep_time_constants_s": [[1.0]]}, {"preview": None},
+        {"thresholds": "many"},
+        {"sample_period_s": "fast"},
+        {"sample_period_s": [1.0]},
+        {"degree": 10**9},
+        {"rate": 3},
+        {"trained": {"range_um": [0, 1]}},
+        {"trained": 3},
+        {"no_such": 1},
+        {"max_slew_v_s": "x"},
+        {"creep_time_constants_s": [[1.0]]},
+        {"preview": None},
     ],
-)  # fmt: skip
+)
 def test_invalid_parameters_are_refused_in_one_line(
     parameters: dict[str, Any], checkpoint: Path, tmp_path: Path
 ) -> None:

@@ -119,9 +119,11 @@ def test_a_full_disk_is_reported_in_one_line_and_keeps_the_previous_file(
 
     done = torchpi_command(
         *(argument.format(input=recording, checkpoint=checkpoint) for argument in arguments),
-        "--output", str(output),
-        stdout=subprocess.PIPE, preexec_fn=limited,
-    )  # fmt: skip
+        "--output",
+        str(output),
+        stdout=subprocess.PIPE,
+        preexec_fn=limited,
+    )
     assert "cannot be written (file too large)" in one_line(done)
     left = [output] if output.is_file() else list(output.iterdir()) if output.is_dir() else []
     assert left in ([], [output]) and (not left or output.read_text() == "previous")
@@ -202,9 +204,12 @@ def test_predict_works_without_a_writable_home_or_package(tmp_path: Path) -> Non
     (tmp_path / "home").write_text("a file")
     write_excitation(tmp_path / "u.csv", T, U)
     environment = {
-        **os.environ, "HOME": str(tmp_path / "home"), "PYTHONPATH": str(tmp_path),
-        "PYTHONDONTWRITEBYTECODE": "1", "TMPDIR": str(tmp_path / "tmp"),
-    }  # fmt: skip
+        **os.environ,
+        "HOME": str(tmp_path / "home"),
+        "PYTHONPATH": str(tmp_path),
+        "PYTHONDONTWRITEBYTECODE": "1",
+        "TMPDIR": str(tmp_path / "tmp"),
+    }
     for name in ("XDG_CACHE_HOME", "XDG_CONFIG_HOME", "NUMBA_CACHE_DIR", "MPLCONFIGDIR"):
         environment.pop(name, None)
     (tmp_path / "tmp").mkdir()
@@ -214,10 +219,21 @@ def test_predict_works_without_a_writable_home_or_package(tmp_path: Path) -> Non
         "import torchpi.report.png; main()"
     )
     done = subprocess.run(
-        [sys.executable, "-c", program, "predict", str(ROOT / "configs/stage/default.yaml"),
-         str(tmp_path / "u.csv"), "--output", str(tmp_path / "y.csv")],
-        cwd=tmp_path, env=environment, capture_output=True, text=True,
-    )  # fmt: skip
+        [
+            sys.executable,
+            "-c",
+            program,
+            "predict",
+            str(ROOT / "configs/stage/default.yaml"),
+            str(tmp_path / "u.csv"),
+            "--output",
+            str(tmp_path / "y.csv"),
+        ],
+        cwd=tmp_path,
+        env=environment,
+        capture_output=True,
+        text=True,
+    )
     assert (done.returncode, done.stderr) == (0, "")
     assert (tmp_path / "y.csv").is_file() and not list((tmp_path / "tmp").iterdir())
 

@@ -94,18 +94,28 @@ def test_a_modified_file_is_refused(
 @pytest.mark.parametrize(
     "settings",
     [
-        {"sample_rate_hz": "fast"}, {"sample_rate_hz": None}, {"hysteresis": 3},
-        {"hysteresis": {"weights": "x"}}, {"noise_um": "loud"},
-        {"effects": 3}, {"effects": [3]}, {"effects": [{"name": 3}]}, {"sensor": {"name": "lag"}},
-        {"effects": [{"name": "delay", "values": {"delay_s": "soon"}}]}, {"saturates": 1},
-        {"identified": 3}, {"identified": {**IDENTIFIED, "recordings_sha256": "short"}},
+        {"sample_rate_hz": "fast"},
+        {"sample_rate_hz": None},
+        {"hysteresis": 3},
+        {"hysteresis": {"weights": "x"}},
+        {"noise_um": "loud"},
+        {"effects": 3},
+        {"effects": [3]},
+        {"effects": [{"name": 3}]},
+        {"sensor": {"name": "lag"}},
+        {"effects": [{"name": "delay", "values": {"delay_s": "soon"}}]},
+        {"saturates": 1},
+        {"identified": 3},
+        {"identified": {**IDENTIFIED, "recordings_sha256": "short"}},
         {"identified": {**IDENTIFIED, "heldout": 3}},
         {"identified": {**IDENTIFIED, "each_sha256": 3}},
         {"identified": {**IDENTIFIED, "each_sha256": ["0" * 64] * 51}},
         {"identified": {**IDENTIFIED, "heldout_rms_um": "small"}},
-        {"identified": {"heldout": "a.csv"}}, {"no_such": 1}, {"command_converter": [1]},
+        {"identified": {"heldout": "a.csv"}},
+        {"no_such": 1},
+        {"command_converter": [1]},
     ],
-)  # fmt: skip
+)
 def test_invalid_values_are_refused_in_one_line(
     settings: dict[str, Any], good: bytes, tmp_path: Path
 ) -> None:
@@ -169,10 +179,14 @@ def test_a_path_that_is_not_a_stage_file_is_refused(path: str) -> None:
 @pytest.mark.parametrize(
     "limits",
     [
-        {"sample_rate_hz": 1e12}, {"max_rate_v_s": 1e-9}, {"high_hz": 1e-9}, {"max_voltage_v": 1e300},
-        {"sample_rate_hz": float("nan")}, {"min_voltage_v": -1e300},
+        {"sample_rate_hz": 1e12},
+        {"max_rate_v_s": 1e-9},
+        {"high_hz": 1e-9},
+        {"max_voltage_v": 1e300},
+        {"sample_rate_hz": float("nan")},
+        {"min_voltage_v": -1e300},
     ],
-)  # fmt: skip
+)
 def test_a_diagnostic_set_with_absurd_limits_is_refused(limits: dict[str, float]) -> None:
     with limited(), pytest.raises(ConfigError, match=next(iter(limits)) + "|max_rate_v_s"):
         diagnostic_excitations(DriveLimits(**limits))

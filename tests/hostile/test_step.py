@@ -314,10 +314,22 @@ def test_the_c_code_is_clean_under_the_sanitizers(tmp_path: Path) -> None:
     for flags in ([], ["-Ddemo_FLOAT32"]):
         program = tmp_path / "hammer"
         subprocess.run(
-            ["cc", "-std=c99", "-ffp-contract=off", "-O1", "-fsanitize=address,undefined",
-             "-fno-sanitize-recover=all", *flags, str(source), str(tmp_path / "demo.c"), "-o", str(program)],
-            check=True, capture_output=True,
-        )  # fmt: skip
+            [
+                "cc",
+                "-std=c99",
+                "-ffp-contract=off",
+                "-O1",
+                "-fsanitize=address,undefined",
+                "-fno-sanitize-recover=all",
+                *flags,
+                str(source),
+                str(tmp_path / "demo.c"),
+                "-o",
+                str(program),
+            ],
+            check=True,
+            capture_output=True,
+        )
         done = subprocess.run([str(program), "200000"], capture_output=True, text=True)
         assert done.returncode == 0, done.stdout + done.stderr
 

@@ -133,9 +133,15 @@ def test_a_record_with_too_few_samples_after_the_skip_is_refused() -> None:
 
 def test_joint_fit_finds_creep_and_lag_that_two_stages_cannot() -> None:
     made = DirectInverse(
-        PERIOD, THRESHOLDS, range_um=8.0, rate_scale_um_s=800.0, lead=1, creep_time_constants_s=[0.02],
-        min_voltage_v=-20.0, max_voltage_v=20.0,
-    )  # fmt: skip
+        PERIOD,
+        THRESHOLDS,
+        range_um=8.0,
+        rate_scale_um_s=800.0,
+        lead=1,
+        creep_time_constants_s=[0.02],
+        min_voltage_v=-20.0,
+        max_voltage_v=20.0,
+    )
     made.saturation.load_state_dict(truth().saturation.state_dict())
     made.weights.load_state_dict(truth().weights.state_dict())
     with torch.no_grad():

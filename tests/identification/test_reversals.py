@@ -39,8 +39,9 @@ def test_the_lag_is_found_from_repetitions_of_a_single_loop(u: np.ndarray, late:
 
 
 @pytest.mark.parametrize(
-    "u", [np.linspace(0.0, 10.0, 4000), sine(0.2), np.random.default_rng(1).uniform(0, 10, 4000)],
+    "u",
+    [np.linspace(0.0, 10.0, 4000), sine(0.2), np.random.default_rng(1).uniform(0, 10, 4000)],
     ids=["a ramp", "one period", "reversals at every sample"],
-)  # fmt: skip
+)
 def test_no_lag_is_estimated_from_too_few_usable_reversals(u: np.ndarray) -> None:
     assert lag_at_reversals(record(u, 2, 1.0), 64) is None

@@ -12,9 +12,16 @@ from torchpi.notebook.diagnosed import Diagnosed
 from torchpi.notebook.tracked import Tracked
 
 DOCUMENTED = (
-    Recording.from_arrays, Compensator, Compensator.predict, Compensator.save, Compensator.track,
-    Tracked, Compensator.export, torchpi.diagnose, Diagnosed,
-)  # fmt: skip
+    Recording.from_arrays,
+    Compensator,
+    Compensator.predict,
+    Compensator.save,
+    Compensator.track,
+    Tracked,
+    Compensator.export,
+    torchpi.diagnose,
+    Diagnosed,
+)
 
 
 @pytest.mark.long

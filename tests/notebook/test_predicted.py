@@ -14,9 +14,11 @@ REFERENCE = 3 - 3 * np.cos(2 * np.pi * SECONDS)  # µm
 def compensator() -> Compensator:
     """A compensator of 1 µm/V that reaches 10 µm, of which 8 µm were recorded."""
     trained = {
-        "range_um": (0.0, 8.0), "rates_um_s": (-30.0, 30.0), "voltages_v": (0.0, 10.0),
+        "range_um": (0.0, 8.0),
+        "rates_um_s": (-30.0, 30.0),
+        "voltages_v": (0.0, 10.0),
         "voltage_rates_v_s": (-30.0, 30.0),
-    }  # fmt: skip
+    }
     inverse = DirectInverse(1e-3, [0.0], degree=1, rate="none", trained=trained).requires_grad_(False)
     inverse.weights.theta[0, 0] = 1.0
     return Compensator(inverse)

@@ -33,15 +33,29 @@ def inputs(seed: int, batch: int, time: int, plays: int, functions: int, own: in
     c = torch.tensor([1.0, 0.05, -0.002], dtype=torch.float64)
     knots = random(max(functions - 2, 0), 2)
     return [
-        x, random(batch, time), h0.round(decimals=1), c, 3 * r.round(decimals=1), random(plays, functions),
-        knots, random(plays, own), random(()),
-    ]  # fmt: skip
+        x,
+        random(batch, time),
+        h0.round(decimals=1),
+        c,
+        3 * r.round(decimals=1),
+        random(plays, functions),
+        knots,
+        random(plays, own),
+        random(()),
+    ]
 
 
 def one_after_the_other(
-    x: Tensor, rate: Tensor, h0: Tensor, c: Tensor, r: Tensor, theta: Tensor, knots: Tensor, psi: Tensor,
+    x: Tensor,
+    rate: Tensor,
+    h0: Tensor,
+    c: Tensor,
+    r: Tensor,
+    theta: Tensor,
+    knots: Tensor,
+    psi: Tensor,
     offset: Tensor,
-) -> tuple[Tensor, Tensor]:  # fmt: skip
+) -> tuple[Tensor, Tensor]:
     kind = {1: "none", 2: "linear"}.get(theta.shape[1], "neural")
     head = RateWeights([0.0] * len(r), kind, SCALES[0], max(len(knots), 1))
     values = {"slope": knots[:, 0], "shift": knots[:, 1]}

@@ -37,9 +37,16 @@ def test_arrays_tensors_and_lists_give_the_same_recording() -> None:
 
 def test_arrays_take_the_same_unit_zero_skip_and_aux_options_as_files() -> None:
     made = Recording.from_arrays(
-        1e3 * T, 1e3 * U, 1e3 * Y + 7, time_unit="ms", input_unit="mV", output_unit="nm", zero="first",
-        skip_s=0.5, aux={"aux_temperature": T},
-    )  # fmt: skip
+        1e3 * T,
+        1e3 * U,
+        1e3 * Y + 7,
+        time_unit="ms",
+        input_unit="mV",
+        output_unit="nm",
+        zero="first",
+        skip_s=0.5,
+        aux={"aux_temperature": T},
+    )
     assert np.allclose(made.u, U[500:]) and np.allclose(made.y, Y[500:]) and made.fs_hz == 1000
     assert np.array_equal(made.aux["aux_temperature"], T[500:])
 
@@ -129,11 +136,27 @@ HOLE = np.where(np.arange(len(Y)) == 17, np.nan, Y)
         ((None, U, Y), {"fs": 1000}, "found the option 'fs', expected one of"),
     ],
     ids=[
-        "lengths", "two axes", "words", "complex", "ragged", "gradient", "nan", "masked", "unsorted",
-        "no time", "unit", "option", "dates", "empty", "booleans", "aux's name", "aux's kind", "word",
+        "lengths",
+        "two axes",
+        "words",
+        "complex",
+        "ragged",
+        "gradient",
+        "nan",
+        "masked",
+        "unsorted",
+        "no time",
+        "unit",
+        "option",
+        "dates",
+        "empty",
+        "booleans",
+        "aux's name",
+        "aux's kind",
+        "word",
         "no time but an option",
     ],
-)  # fmt: skip
+)
 def test_invalid_arrays_are_refused_in_one_line_that_names_the_fault(
     arguments: tuple[Any, ...], options: dict[str, Any], message: str
 ) -> None:

@@ -142,13 +142,22 @@ class TestAsRigsWriteIt:
     def test_labview_measurement_files_are_read(self, tmp_path, times, between):
         columns = "One" if times else "No"
         head = [
-            "LabVIEW Measurement\t", "Writer_Version\t2", "Separator\tTab", "Decimal_Separator\t.",
-            f"X_Columns\t{columns}", "Time_Pref\tAbsolute", "***End_of_Header***\t", between,
+            "LabVIEW Measurement\t",
+            "Writer_Version\t2",
+            "Separator\tTab",
+            "Decimal_Separator\t.",
+            f"X_Columns\t{columns}",
+            "Time_Pref\tAbsolute",
+            "***End_of_Header***\t",
+            between,
             "Channels\t2\t\t",
-            "Samples\t400\t400\t", "Y_Unit_Label\tVolts\tnm\t", "X0\t0.0E+0\t0.0E+0\t",
-            f"Delta_X\t{1 / FS_HZ:E}\t{1 / FS_HZ:E}\t", "***End_of_Header***\t\t\t",
+            "Samples\t400\t400\t",
+            "Y_Unit_Label\tVolts\tnm\t",
+            "X0\t0.0E+0\t0.0E+0\t",
+            f"Delta_X\t{1 / FS_HZ:E}\t{1 / FS_HZ:E}\t",
+            "***End_of_Header***\t\t\t",
             "X_Value\tVoltage\tSensor\tComment",
-        ]  # fmt: skip
+        ]
         rows = [
             f"{f'{t:.6f}' if times else ''}\t{u:.9g}\t{1e3 * y:.9g}" for t, u, y in zip(T, U, Y, strict=True)
         ]

@@ -60,27 +60,47 @@ def diagnosis() -> Diagnosis:
     }
     most = max(float(np.abs(one.residual_retuned).max()) for one in traces)
     lag = NamedEffect(
-        "amplifier_lag", "amplifier", ("sensor_lag",), 0.93,
-        (Parameter("cutoff_hz", 412.0, "Hz", (398.0, 427.0)),), 0.71,
-        "v̇ = 2πf_c (u − v)", "phase that grows with frequency, and a gain that rolls off",
+        "amplifier_lag",
+        "amplifier",
+        ("sensor_lag",),
+        0.93,
+        (Parameter("cutoff_hz", 412.0, "Hz", (398.0, 427.0)),),
+        0.71,
+        "v̇ = 2πf_c (u − v)",
+        "phase that grows with frequency, and a gain that rolls off",
         (
-            Rival("sensor_lag", 0.0097, 1.3, 0.21), Rival("delay", 0.0131, 39.0, 0.002),
-            Rival("rate_dependent_hysteresis", 0.0188, 163.0, 0.0), Rival("creep", 0.0229, 310.0, 0.0),
+            Rival("sensor_lag", 0.0097, 1.3, 0.21),
+            Rival("delay", 0.0131, 39.0, 0.002),
+            Rival("rate_dependent_hysteresis", 0.0188, 163.0, 0.0),
+            Rival("creep", 0.0229, 310.0, 0.0),
             Rival("hysteresis_operator", 0.0231, 320.0, 0.0),
         ),
-    )  # fmt: skip
+    )
     mode = NamedEffect(
-        "resonance", "mechanics", (), 0.99,
-        (Parameter("frequency_hz", 400.6, "Hz", (399.9, 401.4)),
-         Parameter("damping_ratio", 0.0121, "", (0.0109, 0.0134))),
-        0.27, "ẍ + 2ζω₀ẋ + ω₀²x = ω₀²x_in", "ringing at one frequency after every fast turn",
+        "resonance",
+        "mechanics",
+        (),
+        0.99,
+        (
+            Parameter("frequency_hz", 400.6, "Hz", (399.9, 401.4)),
+            Parameter("damping_ratio", 0.0121, "", (0.0109, 0.0134)),
+        ),
+        0.27,
+        "ẍ + 2ζω₀ẋ + ω₀²x = ω₀²x_in",
+        "ringing at one frequency after every fast turn",
         (Rival("second_mode", 0.0064, 80.0, 0.004), Rival("delay", 0.0095, 400.0, 0.0)),
-    )  # fmt: skip
+    )
     operator = NamedEffect(
-        "hysteresis_operator", "actuator", ("incongruent_loops",), 0.42,
-        (Parameter("family", "preisach", "", None),), 0.01, "y = Σ g_i(h_i)", "static at any rate",
+        "hysteresis_operator",
+        "actuator",
+        ("incongruent_loops",),
+        0.42,
+        (Parameter("family", "preisach", "", None),),
+        0.01,
+        "y = Σ g_i(h_i)",
+        "static at any rate",
         (Rival("incongruent_loops", 0.0042, 2.5, 0.11),),
-    )  # fmt: skip
+    )
     return Diagnosis(
         verdict="explained",
         effects=(lag, mode, operator),
@@ -104,8 +124,10 @@ def diagnosis() -> Diagnosis:
         says="The simulation lacks a low-pass of the amplifier at 412 Hz (398 to 427 Hz; a sensor lag would "
         "look the same in these recordings) and a resonance at 400.6 Hz with 1.2 % damping. With both, the "
         "held-out error falls to the noise floor of 4.0 nm. One percent of the mismatch stay unexplained.",
-        notes=("y(k) answers the command of tick k − 1 in all recordings: a convention, not a delay.",
-               "<b>load_change</b> was left out: it needs recordings under a second load."),
+        notes=(
+            "y(k) answers the command of tick k − 1 in all recordings: a convention, not a delay.",
+            "<b>load_change</b> was left out: it needs recordings under a second load.",
+        ),
         traces=traces,
         stage=cast(Stage, object()),
-    )  # fmt: skip
+    )

@@ -62,10 +62,18 @@ def test_identifiers_are_unique_and_references_resolve(html: str) -> None:
 
 def test_the_summary_comes_first_and_the_sections_follow_in_order(html: str, found: Diagnosis) -> None:
     order = [
-        'data-verdict="explained"', found.says, 'id="where"', 'id="what"', 'id="effect-amplifier_lag"',
-        'id="effect-resonance"', 'id="before-after"', 'id="remains"', 'id="next"', 'id="notes"',
+        'data-verdict="explained"',
+        found.says,
+        'id="where"',
+        'id="what"',
+        'id="effect-amplifier_lag"',
+        'id="effect-resonance"',
+        'id="before-after"',
+        'id="remains"',
+        'id="next"',
+        'id="notes"',
         "What was run",
-    ]  # fmt: skip
+    ]
     places = [html.index(text) for text in order]
     assert places == sorted(places)
     assert "recording multisine_low" in html
@@ -93,22 +101,33 @@ def test_the_json_keeps_its_contract(folder: Path, found: Diagnosis) -> None:
     content = json.loads((folder / "diagnosis.json").read_text(encoding="utf-8"), parse_constant=pytest.fail)
     assert content["verdict"] == "explained"
     assert [effect["name"] for effect in content["effects"]] == [
-        "amplifier_lag", "resonance", "hysteresis_operator"
-    ]  # fmt: skip
+        "amplifier_lag",
+        "resonance",
+        "hysteresis_operator",
+    ]
     for effect in content["effects"]:
         assert set(effect) == {"name", "block", "alternatives", "probability", "parameters", "share"}
         for parameter in effect["parameters"].values():
             assert set(parameter) == {"value", "unit", "interval_90"}
     assert content["effects"][0]["parameters"]["cutoff_hz"] == {
-        "value": 412.0, "unit": "Hz", "interval_90": [398.0, 427.0]
-    }  # fmt: skip
+        "value": 412.0,
+        "unit": "Hz",
+        "interval_90": [398.0, 427.0],
+    }
     family = content["effects"][2]["parameters"]["family"]
     assert family == {"value": "preisach", "unit": "", "interval_90": None}
     assert content["open"] == [{"name": "thermal_drift", "alternatives": ["creep"], "probability": 0.23}]
     assert len(content["where"]) == len(found.where)
     assert {cell["domain"] for cell in content["where"]} == {
-        "time", "frequency", "displacement", "rate", "direction", "since_reversal", "amplitude", "recording"
-    }  # fmt: skip
+        "time",
+        "frequency",
+        "displacement",
+        "rate",
+        "direction",
+        "since_reversal",
+        "amplitude",
+        "recording",
+    }
     assert all({"domain", "range", "unit", "share"} <= set(cell) for cell in content["where"])
     assert set(content["fit"]) == {"nominal", "retuned", "augmented", "noise_floor_um", "heldout"}
     for stage in ("nominal", "retuned", "augmented"):
@@ -147,8 +166,10 @@ def test_rivals_of_the_same_name_are_distinguished_by_their_form() -> None:
     drifts = [Rival("thermal_drift", 0.01, 3.0, 0.1, form) for form in ("linear", "exponential")]
     creep = Rival("creep", 0.01, 3.0, 0.1, "logarithm")
     assert spoken_rivals([*drifts, creep]) == [
-        "thermal drift (linear)", "thermal drift (exponential)", "creep"
-    ]  # fmt: skip
+        "thermal drift (linear)",
+        "thermal drift (exponential)",
+        "creep",
+    ]
 
 
 def test_non_finite_numbers_are_null_in_the_json(found: Diagnosis, provenance: Provenance) -> None:
@@ -218,11 +239,21 @@ def _nothing(u: np.ndarray, e: np.ndarray) -> Diagnosis:
     trace = Trace("rest", 1_000.0, np.arange(n) / 1_000, u, 0.8 * u + e, np.zeros(n, bool), e, e)
     same = Errors(float(e.std()), float(e.std()), float(np.abs(e).max()))
     return dataclasses.replace(
-        diagnosis(), verdict="nothing_missing", effects=(), where=locate((trace,), 0.0), nominal=same,
-        retuned=same, augmented=same, noise_floor_um=0.0, unexplained_share=0.0, notes=(), traces=(trace,),
-        next_recording=NextRecording("Nothing is open.", "none"), says="Nothing is missing.",
+        diagnosis(),
+        verdict="nothing_missing",
+        effects=(),
+        where=locate((trace,), 0.0),
+        nominal=same,
+        retuned=same,
+        augmented=same,
+        noise_floor_um=0.0,
+        unexplained_share=0.0,
+        notes=(),
+        traces=(trace,),
+        next_recording=NextRecording("Nothing is open.", "none"),
+        says="Nothing is missing.",
         next_excitation=(np.zeros(0), np.zeros(0)),
-    )  # fmt: skip
+    )
 
 
 def test_a_hold_without_any_residual_still_gives_a_page(provenance: Provenance, tmp_path: Path) -> None:
@@ -306,11 +337,21 @@ def look(html: str, folder: Path) -> tuple[str, str, Path]:
     head = f'<head><meta http-equiv="Content-Security-Policy" content="{policy}">'
     page.write_text(html.replace("<head>", head, 1), encoding="utf-8")
     command = [
-        str(CHROMIUM), "--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars",
-        "--enable-logging=stderr", "--window-size=1050,3000", "--disable-background-networking",
-        "--disable-component-update", "--no-first-run", f"--user-data-dir={folder / 'profile'}",
-        f"--screenshot={shot}", "--dump-dom", page.as_uri(),
-    ]  # fmt: skip
+        str(CHROMIUM),
+        "--headless",
+        "--no-sandbox",
+        "--disable-gpu",
+        "--hide-scrollbars",
+        "--enable-logging=stderr",
+        "--window-size=1050,3000",
+        "--disable-background-networking",
+        "--disable-component-update",
+        "--no-first-run",
+        f"--user-data-dir={folder / 'profile'}",
+        f"--screenshot={shot}",
+        "--dump-dom",
+        page.as_uri(),
+    ]
     done = subprocess.run(command, capture_output=True, timeout=120, check=True)
     console = [line for line in done.stderr.decode(errors="replace").splitlines() if "CONSOLE" in line]
     return done.stdout.decode(), "\n".join(console), shot

@@ -66,11 +66,22 @@ def shown_by(html: str, folder: Path, *options: str) -> dict[str, dict[str, Any]
     )
     (folder / "frames.html").write_text(f"<body><script>{heard}</script>{frames}</body>", encoding="utf-8")
     command = [
-        str(CHROMIUM), "--headless", "--no-sandbox", "--disable-gpu", "--enable-logging=stderr",
-        "--hide-scrollbars", "--window-size=1700,900", "--disable-background-networking", "--no-first-run",
-        "--disable-component-update", f"--user-data-dir={folder / 'profile'}", *options,
-        "--virtual-time-budget=5000", "--dump-dom", (folder / "frames.html").as_uri(),
-    ]  # fmt: skip
+        str(CHROMIUM),
+        "--headless",
+        "--no-sandbox",
+        "--disable-gpu",
+        "--enable-logging=stderr",
+        "--hide-scrollbars",
+        "--window-size=1700,900",
+        "--disable-background-networking",
+        "--no-first-run",
+        "--disable-component-update",
+        f"--user-data-dir={folder / 'profile'}",
+        *options,
+        "--virtual-time-budget=5000",
+        "--dump-dom",
+        (folder / "frames.html").as_uri(),
+    ]
     done = subprocess.run(command, capture_output=True, timeout=120, check=True)
     assert "CONSOLE" not in done.stderr.decode(errors="replace"), done.stderr.decode(errors="replace")
     said = [json.loads(text) for text in re.findall(r"<pre>({.*?})</pre>", done.stdout.decode())]

@@ -51,8 +51,10 @@ def test_a_class_and_a_row_are_enough_for_an_effect_to_be_named(
     """The recordings are made with a backward difference of the samples, not with the class under test."""
     place = search.EFFECTS.index(SensorLag)
     effects: tuple[type[Effect], ...] = (
-        *search.EFFECTS[:place], page.RatePickup, *search.EFFECTS[place:],
-    )  # fmt: skip
+        *search.EFFECTS[:place],
+        page.RatePickup,
+        *search.EFFECTS[place:],
+    )
     for module in (hypothesis, effect_settings):  # the order of the chain
         monkeypatch.setattr(module, "EFFECTS", effects)
 

@@ -73,9 +73,12 @@ class TestDuhem(OperatorLaws):
 
 
 @given(
-    pieces=st.integers(1, 4), bouc_wen=st.booleans(), duhem=st.booleans(), inside=st.booleans(),
+    pieces=st.integers(1, 4),
+    bouc_wen=st.booleans(),
+    duhem=st.booleans(),
+    inside=st.booleans(),
     seed=st.integers(0, 99),
-)  # fmt: skip
+)
 @settings(max_examples=20, deadline=None)
 def test_it_equals_the_hysteresis_model_that_the_search_fitted(
     pieces: int, bouc_wen: bool, duhem: bool, inside: bool, seed: int
@@ -194,8 +197,11 @@ def test_a_relaxing_play_solves_its_differential_equation_for_a_held_voltage() -
     for sample in v:
         solved = scipy.integrate.solve_ivp(
             lambda _, h, sample=sample: np.maximum(sample - h - r, np.minimum(sample - h + r, 0.0)) / tau,
-            (0.0, PERIOD_S), [h], rtol=1e-11, atol=1e-13,
-        )  # fmt: skip
+            (0.0, PERIOD_S),
+            [h],
+            rtol=1e-11,
+            atol=1e-13,
+        )
         h = solved.y[0, -1]
         expected.append(h)
     y = operator(torch.from_numpy(v)[None])[0][0].detach().numpy()

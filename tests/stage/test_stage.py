@@ -42,16 +42,21 @@ def small(**changes: object) -> Stage:
     """Return a small stage with every section of a file, converters and noise included."""
     sections = {
         "amplifier": {
-            "min_voltage_v": 0.0, "max_voltage_v": 10.0, "cutoff_hz": 1500.0, "delay_s": 1.3e-4,
+            "min_voltage_v": 0.0,
+            "max_voltage_v": 10.0,
+            "cutoff_hz": 1500.0,
+            "delay_s": 1.3e-4,
             "converter_bits": 12,
         },
         "actuator": {
-            "input_polynomial_v": [1.0, 0.02, -0.001], "thresholds_v": [0.0, 0.5, 1.5],
-            "weights_um_per_v": [0.5, 0.2, 0.1], "creep_per_decade": 0.02,
+            "input_polynomial_v": [1.0, 0.02, -0.001],
+            "thresholds_v": [0.0, 0.5, 1.5],
+            "weights_um_per_v": [0.5, 0.2, 0.1],
+            "creep_per_decade": 0.02,
         },
         "mechanics": {"frequency_hz": 620.0, "damping_ratio": 0.02},
         "sensor": {"cutoff_hz": 5000.0, "noise_um": 0.01, "converter_bits": 14},
-    }  # fmt: skip
+    }
     return Stage.from_dict({"sample_rate_hz": RATE_HZ, "seed": 3, **sections, **changes})
 
 

@@ -23,9 +23,13 @@ from train.cli import main
 
 NUMBERS = {"rms_v", "max_v", "rms_um", "max_um", "rms_percent", "max_percent"}
 SMALL = [
-    "--model.plays=6", "--model.degree=2", "--model.preview=1", "--model.iterations=2",
-    "--trainer.max_epochs=4", "--trainer.figures_every=0",
-]  # fmt: skip
+    "--model.plays=6",
+    "--model.degree=2",
+    "--model.preview=1",
+    "--model.iterations=2",
+    "--trainer.max_epochs=4",
+    "--trainer.figures_every=0",
+]
 
 
 def arguments(recordings: list[str], output: Path, *more: str) -> list[str]:
@@ -106,9 +110,12 @@ def test_training_with_the_resolved_config_gives_the_same_metrics(run: Path, tmp
 
 
 def test_an_interrupted_training_resumes_to_the_same_result(
-    run: Path, recordings: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+    run: Path,
+    recordings: list[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
-) -> None:  # fmt: skip
+) -> None:
     folder = tmp_path / "interrupted"
     ended = EpochProgress.on_train_epoch_end
 

@@ -20,9 +20,22 @@ from train.sensor_zero import fit_zero, on_bound
 @pytest.fixture(scope="module")
 def run(recordings: list[str], tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("runs") / "selected"
-    assert main(["fit", "--config", "configs/recorded.yaml", "--output", str(folder),
-                 "--data.recordings", json.dumps(recordings), "--model.plays=8",
-                 "--trainer.figures_every=0"]) == 0  # fmt: skip
+    assert (
+        main(
+            [
+                "fit",
+                "--config",
+                "configs/recorded.yaml",
+                "--output",
+                str(folder),
+                "--data.recordings",
+                json.dumps(recordings),
+                "--model.plays=8",
+                "--trainer.figures_every=0",
+            ]
+        )
+        == 0
+    )
     return folder
 
 

@@ -19,14 +19,19 @@ FS_HZ, FINER = 2000.0, 10
 R_V, W = [0.0, 0.2, 0.6, 1.3, 2.5], [0.45, 0.1, 0.1, 0.1, 0.1]
 LAG_HZ, MODE_HZ, DAMPING = 60.0, 170.0, 0.1
 SMALL = [
-    "--config=configs/through_stage.yaml", "--model.plays=8", "--model.degree=2",
-    "--model.creep_time_constants_s=[]", "--model.iterations=3", "--trainer.max_epochs=5",
-    "--trainer.figures_every=0", "--data.follow.duration_s=0.5",
+    "--config=configs/through_stage.yaml",
+    "--model.plays=8",
+    "--model.degree=2",
+    "--model.creep_time_constants_s=[]",
+    "--model.iterations=3",
+    "--trainer.max_epochs=5",
+    "--trainer.figures_every=0",
+    "--data.follow.duration_s=0.5",
     "--data.follow.train=[{trajectory: random, seed: 1}, {trajectory: fast}]",
     "--data.follow.heldout=[{trajectory: random, seed: 11}]",
     "--data.simulate.train=[{excitation: sine_5hz, duration_s: 0.6}, "
     "{excitation: multisine, duration_s: 1.0, seed: 2, options: {high_hz: 60}}]",
-]  # fmt: skip
+]
 
 
 def plant(u: np.ndarray) -> np.ndarray:

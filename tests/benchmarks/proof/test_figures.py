@@ -92,9 +92,17 @@ class TestFigures:
 
     def test_the_bound_that_is_quoted_is_the_one_on_the_worse_side(self):
         assert {key for key, _, _, more_is_better in FIGURES if not more_is_better} == {
-            "failed", "false_alarms", "foreign_wrong", "calibration_error", "parameter_error", "heldout",
-            "closed_far", "injected_wrong", "named_before", "seconds",
-        }  # fmt: skip
+            "failed",
+            "false_alarms",
+            "foreign_wrong",
+            "calibration_error",
+            "parameter_error",
+            "heldout",
+            "closed_far",
+            "injected_wrong",
+            "named_before",
+            "seconds",
+        }
 
     @pytest.mark.parametrize(
         ("gain", "counted"), [(0.02, True), (0.006, True), (0.004, False), (-0.2, False)]

@@ -134,10 +134,15 @@ class TestPage:
     def test_stories_are_the_first_of_their_kind_whatever_came_of_them(self):
         two = {"creep": 4.0, "hum": 3.0}
         grades = [
-            graded(1, track="open"), graded(2, truth="", named="hum"), graded(3, named="hum"), graded(4),
-            graded(5, severities=two), graded(6, severities=two), graded(7, truth="", named=""),
+            graded(1, track="open"),
+            graded(2, truth="", named="hum"),
+            graded(3, named="hum"),
+            graded(4),
+            graded(5, severities=two),
+            graded(6, severities=two),
+            graded(7, truth="", named=""),
             *(graded(k, track="noise", injected=True) for k in (1, 3, 5)),
-        ]  # fmt: skip
+        ]
         told = ["alien/case_0003", "alien/case_0005", "alien/case_0002", "noise/case_0001", "noise/case_0003"]
         assert summarise(grades)["stories"] == told
 

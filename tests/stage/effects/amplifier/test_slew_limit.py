@@ -89,8 +89,13 @@ def test_a_soft_limit_solves_its_differential_equation_for_a_held_command(knee_v
     v = SlewLimit(0.1, rate_v_per_s=rate, knee_v=knee_v)(torch.full((1, 40), u, dtype=torch.float64))[0][0]
     solved = scipy.integrate.solve_ivp(
         lambda _, v: rate * np.tanh((u - v) / knee_v),
-        (0, 4), [0.0], method="Radau", t_eval=0.1 * np.arange(1, 41), rtol=1e-11, atol=1e-12,
-    )  # fmt: skip
+        (0, 4),
+        [0.0],
+        method="Radau",
+        t_eval=0.1 * np.arange(1, 41),
+        rtol=1e-11,
+        atol=1e-12,
+    )
     np.testing.assert_allclose(v.detach().numpy(), solved.y[0], rtol=0, atol=1e-8)
 
 

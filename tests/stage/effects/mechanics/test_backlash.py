@@ -73,9 +73,11 @@ def test_with_a_short_presliding_length_it_approaches_the_plain_play():
 
 
 @given(
-    width_um=st.floats(1e-6, 1e4), presliding_um=st.floats(1e-12, 1e4), seed=st.integers(0, 10**6),
+    width_um=st.floats(1e-6, 1e4),
+    presliding_um=st.floats(1e-12, 1e4),
+    seed=st.integers(0, 10**6),
     size=st.floats(1e-6, 1e6),
-)  # fmt: skip
+)
 def test_with_presliding_the_lost_motion_is_at_most_half_the_width(width_um, presliding_um, seed, size):
     x = size * wandering(1, 60, seed)
     lost = x - Backlash(0.1, width_um=width_um, presliding_um=presliding_um)(x)[0]
