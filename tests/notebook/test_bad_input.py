@@ -117,9 +117,9 @@ def test_a_stage_may_be_given_by_name_and_wrong_types_are_refused(compensator: C
     with pytest.raises(
         ArtifactError, match="stage: found ndarray without 'sample_period_s', expected a stage"
     ):
-        compensator.track(Y, Y)  # type: ignore[arg-type]
+        compensator.track(Y, Y)
     with pytest.raises(ArtifactError, match="path: found int, expected the path of a file or a folder"):
-        Compensator.load(4)  # type: ignore[arg-type]
+        Compensator.load(4)
 
 
 def test_tracking_without_a_stage_or_at_another_rate_is_refused(compensator: Compensator) -> None:
@@ -135,6 +135,6 @@ def test_a_diagnosis_of_arrays_is_refused_with_a_hint_to_from_arrays() -> None:
     with pytest.raises(
         RecordingError, match=r"found ndarray at index 0, expected a Recording: .*from_arrays"
     ):
-        torchpi.diagnose([Y])  # type: ignore[list-item]
+        torchpi.diagnose([Y])
     with pytest.raises(RecordingError, match=r"found NoneType, expected a Recording: .*from_arrays"):
-        torchpi.diagnose(None)  # type: ignore[arg-type]
+        torchpi.diagnose(None)

@@ -43,15 +43,15 @@ def refused(call: Callable[[], object]) -> str:
     ("call", "message"),
     [
         (lambda: Recording("a", T, U, Y, 0.0), "a: fs_hz: found 0.0, expected a rate over 0 Hz"),
-        (lambda: Recording("a", T, U, Y, "1000"), "a: fs_hz: found '1000'"),  # type: ignore[arg-type]
-        (lambda: Recording("a", T, U, Y, 1e3, aux=[1]), "a: aux: found [1]"),  # type: ignore[arg-type]
-        (lambda: ONE.slice(None, 1), "one: start_s: found None, expected a time in s"),  # type: ignore[arg-type]
-        (lambda: ONE.split_tail("0.1"), "one: fraction: found '0.1'"),  # type: ignore[arg-type]
-        (lambda: ONE.resampled("3"), "one: fs_hz: found '3'"),  # type: ignore[arg-type]
-        (lambda: Recording.from_arrays(T, {"a": 1}, Y), "arrays: 'u': found dict, expected an array"),  # type: ignore[arg-type]
-        (lambda: Recording.from_arrays(T, torch.ones(2000, requires_grad=True), Y), "tensor.detach()"),  # type: ignore[arg-type]
-        (lambda: write_recording(5, ONE), "path: found int, expected the path of a file"),  # type: ignore[arg-type]
-        (lambda: ONE.plot().savefig(None), "path: found NoneType"),  # type: ignore[arg-type]
+        (lambda: Recording("a", T, U, Y, "1000"), "a: fs_hz: found '1000'"),
+        (lambda: Recording("a", T, U, Y, 1e3, aux=[1]), "a: aux: found [1]"),
+        (lambda: ONE.slice(None, 1), "one: start_s: found None, expected a time in s"),
+        (lambda: ONE.split_tail("0.1"), "one: fraction: found '0.1'"),
+        (lambda: ONE.resampled("3"), "one: fs_hz: found '3'"),
+        (lambda: Recording.from_arrays(T, {"a": 1}, Y), "arrays: 'u': found dict, expected an array"),
+        (lambda: Recording.from_arrays(T, torch.ones(2000, requires_grad=True), Y), "tensor.detach()"),
+        (lambda: write_recording(5, ONE), "path: found int, expected the path of a file"),
+        (lambda: ONE.plot().savefig(None), "path: found NoneType"),
     ],
 )
 def test_a_recording_refuses_invalid_arguments_by_name_and_value(
@@ -71,7 +71,7 @@ def test_a_recording_refuses_invalid_arguments_by_name_and_value(
     ],
 )
 def test_a_fit_refuses_invalid_settings_by_name_and_value(options: dict[str, object], message: str) -> None:
-    assert message in refused(lambda: Compensator.fit([ONE, OTHER], **options))  # type: ignore[arg-type]
+    assert message in refused(lambda: Compensator.fit([ONE, OTHER], **options))
 
 
 @pytest.mark.parametrize(
@@ -120,4 +120,4 @@ def test_models_refuse_invalid_arguments_by_name_and_value(call: Callable[[], ob
 
 def test_numpy_integers_and_floats_are_accepted_as_numbers() -> None:
     assert Recording.from_arrays(T, U, Y, skip_s=np.float32(0.1)).duration_s == pytest.approx(1.9)
-    assert Compensator.fit([ONE, OTHER], preview=np.int64(0)).preview == 0  # type: ignore[arg-type]
+    assert Compensator.fit([ONE, OTHER], preview=np.int64(0)).preview == 0

@@ -344,7 +344,7 @@ class Stage(Operator):
 
     def _apply(self, fn: Any, recurse: bool = True) -> Self:
         # A stage's kernels are compiled for the CPU, so its parameters stay there if a parent module moves.
-        super()._apply(lambda tensor: fn(tensor).cpu(), recurse)  # type: ignore[no-untyped-call]
+        super()._apply(lambda tensor: fn(tensor).cpu(), recurse)
         return self
 
     @overload
