@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from torchpi.diagnosis.decide import (
     NAMED,
     OPERATORS,
+    POSSIBLE,
     Decision,
     clear_of_none,
     decide,
@@ -178,6 +179,12 @@ class TestUnexplained:
         assert found.joint_share == 0.0
         assert found.effects[0].share == pytest.approx(91.0 / 96.0)
         assert found.effects[0].share + found.unexplained_share == pytest.approx(1.0)
+
+    def test_what_the_only_likely_effect_explains_with_unlikely_ones_is_attributed_to_it(self) -> None:
+        found = decided(believed("creep", 24.0), believed("sensor_lag", 12.0, POSSIBLE - 0.01))
+        assert found.joint_share == 0.0
+        assert found.effects[0].share == pytest.approx(84.0 / 96.0)
+        assert decided(believed("creep", 24.0), believed("sensor_lag", 12.0, POSSIBLE + 0.01)).joint_share > 0
 
     def test_a_residual_below_the_noise_does_not_reduce_the_share_of_open_effects(self) -> None:
         found = decided(believed("creep", 48.0), believed("sensor_lag", 24.0, 0.1), final=1.0)

@@ -161,11 +161,14 @@ def without_forms(
 
 def with_all_attributed(believed: Sequence[Believed], removed_um2: float) -> tuple[Sequence[Believed], float]:
     """Attribute all that the fit removed: what no effect explains given the others is explained by several
-    of them jointly, and is returned, µm²; a single effect explains all of it."""
+    of them jointly, and is returned, µm²; the only effect that is likely explains all of it."""
     rest = max(removed_um2 - sum(max(one.explained_um2, 0.0) for one in believed), 0.0)
-    if len(believed) == 1:
-        return [replace(one, explained_um2=max(one.explained_um2, 0.0) + rest) for one in believed], 0.0
-    return believed, rest if believed else 0.0
+    likely = [one for one in believed if one.probability > POSSIBLE] or believed
+    if len(likely) != 1:
+        return believed, rest if believed else 0.0
+    (only,) = likely
+    whole = replace(only, explained_um2=max(only.explained_um2, 0.0) + rest)
+    return [whole if one is only else one for one in believed], 0.0
 
 
 def if_it_carries_over(

@@ -65,7 +65,7 @@ def paragraph(
     parts += [sentence(effect) for effect in decision.effects]
     if decision.joint_share >= WORTH_A_SENTENCE:
         parts.append(
-            f"{percent(decision.joint_share)} is explained by several effects together and cannot be "
+            f"{percent(decision.joint_share)} is explained by {together(decision)} together and cannot be "
             "attributed to any single one."
         )
     if decision.effects:
@@ -104,6 +104,12 @@ def paragraph(
         parts.append(f"The remaining residual stands out in {'; '.join(leftovers)}.")
     parts.append(f"Next: {next_one.why}")
     return " ".join(parts)
+
+
+def together(decision: Decision) -> str:
+    """Name the effects that explain something jointly: the named ones, and those that are left open."""
+    names = [effect.name for effect in decision.effects] + [cause.name for cause in decision.causes_left_open]
+    return listed([spoken(name) for name in names]) if len(names) > 1 else "several effects"
 
 
 def carried_over(across: Sequence[AcrossRecordings]) -> list[str]:
