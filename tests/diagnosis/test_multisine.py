@@ -41,13 +41,13 @@ def test_a_lag_is_classified_as_linear() -> None:
     lag = -1e-5 * np.diff(U, prepend=U[0]) * FS_HZ
     found = parts(lag)
     assert significant(found) == {"linear"}
-    assert found.linear_um == pytest.approx(lag[-40_000:].std(), rel=0.05)
+    assert found.rms_um["linear"] == pytest.approx(lag[-40_000:].std(), rel=0.05)
 
 
 def test_a_square_appears_on_even_lines_only() -> None:
     found = parts(0.02 * X**2)
     assert significant(found) == {"even"}
-    assert found.even_um == pytest.approx(0.02 * (X[-40_000:] ** 2).std(), rel=0.1)
+    assert found.rms_um["even"] == pytest.approx(0.02 * (X[-40_000:] ** 2).std(), rel=0.1)
     assert "even" in sentence(found)
 
 
@@ -73,7 +73,7 @@ def test_without_detection_lines_distortion_is_reported_as_invisible() -> None:
     _, u = random_phase(4.0, FS_HZ, 0, 10, 1, 2_499.5, 4, mains_hz=(), seed=1)
     e = NOISE_UM * np.random.default_rng(0).standard_normal(len(u))
     (found,) = multisine(trace(e, u), e)
-    assert found.periods == 4 and found.odd_um is None and found.even_um is None
+    assert found.periods == 4 and found.rms_um["odd"] is None and found.rms_um["even"] is None
     assert "no even and no odd line was left unexcited" in sentence(found)
 
 

@@ -39,14 +39,9 @@ class Parts:
     start_s: float
     period_s: float
     periods: int
-    linear_um: float
-    """rms above the noise on the excited lines, which also contain odd and even distortion."""
-    even_um: float | None
-    """rms above the noise on the even lines that were not excited."""
-    odd_um: float | None
-    """rms above the noise on the odd lines that were not excited; excited lines hold such distortion too."""
-    non_periodic_um: float
-    """rms above the noise between the lines."""
+    rms_um: dict[Part, float | None]
+    """rms of each part above the noise: on the excited lines ("linear"), which also contain odd and even
+    distortion, on the even and the odd lines that were not excited, and between lines ("non_periodic")."""
     noise_um: float
     """rms of the noise."""
     significance: dict[Part, float]
@@ -69,18 +64,12 @@ def multisine(trace: Trace, residual: np.ndarray) -> tuple[Parts, ...]:
 
 def sentence(parts: Parts) -> str:
     """Return the findings on the lines as a sentence for the report."""
-    sizes: dict[Part, float | None] = {
-        "linear": parts.linear_um,
-        "even": parts.even_um,
-        "odd": parts.odd_um,
-        "non_periodic": parts.non_periodic_um,
-    }
     found = [
         f"{part.replace('_', '-')} {1e3 * size:.3g} nm"
-        for part, size in sizes.items()
+        for part, size in parts.rms_um.items()
         if size and parts.significance[part] > SIGNIFICANT
     ]
-    blind = [part for part in ("even", "odd") if sizes[part] is None]
+    blind = [part for part in ("even", "odd") if parts.rms_um[part] is None]
     text = f"{parts.recording}, {parts.periods} periods of {parts.period_s:.4g} s: "
     text += ", ".join(found) + " (rms) above the noise" if found else "nothing above the noise"
     if blind:
@@ -105,7 +94,7 @@ def _parts(trace: Trace, residual: np.ndarray, stretch: Stretch) -> Parts:
     kind = np.where(excited, "linear", np.where(line % 2 == 0, "even", "odd"))
     kind[~excited & _on_mains(hz, trace.fs_hz / n)] = "mains"
     band = line <= BAND * line[excited].max()
-    sizes: dict[str, float | None] = {}
+    sizes: dict[Part, float | None] = {}
     significance: dict[Part, float] = {}
     parts: tuple[Part, ...] = ("linear", "even", "odd")
     for part in parts:
@@ -120,15 +109,14 @@ def _parts(trace: Trace, residual: np.ndarray, stretch: Stretch) -> Parts:
     significance["non_periodic"] = max(significance["non_periodic"], float(drifts))
     # The non-periodic part also falls on the lines of the period, which are one line in m.
     size = size * np.sqrt(m / (m - 1))
+    sizes["linear"] = sizes["linear"] or 0.0
+    sizes["non_periodic"] = float(np.hypot(size, drift.std() if drifts > SIGNIFICANT else 0.0))
     return Parts(
         trace.name,
         float(trace.t[stretch.start]),
         n / trace.fs_hz,
         m,
-        sizes["linear"] or 0.0,
-        sizes["even"],
-        sizes["odd"],
-        float(np.hypot(size, drift.std() if drifts > SIGNIFICANT else 0.0)),
+        sizes,
         float(np.sqrt(noise.sum() * m)),
         significance,
         hz,

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from torchpi.diagnosis.diagnosis import Diagnosis, Where
 from torchpi.diagnosis.locate import SIGNIFICANT
-from torchpi.diagnosis.multisine import Part, Parts, all_parts
+from torchpi.diagnosis.multisine import Parts, all_parts
 from torchpi.diagnosis.say import counted, readable, spoken, spoken_parameter
 from torchpi.excitation.files import write_excitation
 from torchpi.files import write_text
@@ -173,12 +173,6 @@ def _cell(cell: Where) -> str:
 
 
 def _multisine_row(parts: Parts, unit: Unit) -> dict[str, Any]:
-    sizes: dict[Part, float | None] = {
-        "linear": parts.linear_um,
-        "even": parts.even_um,
-        "odd": parts.odd_um,
-        "non_periodic": parts.non_periodic_um,
-    }
     return {
         "name": parts.recording,
         "start_s": parts.start_s,
@@ -190,7 +184,7 @@ def _multisine_row(parts: Parts, unit: Unit) -> dict[str, Any]:
                 "value": None if size is None else unit.per_um * size,
                 "significant": parts.significance[part] > SIGNIFICANT,
             }
-            for part, size in sizes.items()
+            for part, size in parts.rms_um.items()
         ],
     }
 
