@@ -28,6 +28,7 @@ from torchpi.diagnosis.posterior import (
     as_one,
     averaged,
     nearly_all,
+    share_explained,
     slow_kin,
     stands_as_well,
     trust,
@@ -214,6 +215,36 @@ def test_a_line_counts_if_it_stands_out_from_its_surroundings_whatever_else_rema
     more, less = SimpleNamespace(hypothesis=hum), SimpleNamespace(residuals=left)
     assert (stands_out(records, more, less, "hum") > STANDS_OUT) is named
     assert stands_out(records, more, less, "creep") == 0.0
+
+
+@pytest.mark.parametrize(
+    "term", [EffectTerm(Creep, {"per_decade": 0.01}), EffectTerm(SensorLag, {"cutoff_hz": 9.0})]
+)
+@pytest.mark.parametrize("acts", [0.5, -0.5])
+def test_a_slow_effect_is_trusted_by_what_it_explains_after_the_fitted_samples(
+    term: EffectTerm, acts: float
+) -> None:
+    """Errors of the model hide most of it where it was fitted; all of it shows, or fails, later."""
+    records, rng = prepared(pair(4000)), np.random.default_rng(0)
+    noise = [rng.normal(0, 0.01, len(one.u)) for one in records]
+    ramp = [acts * np.where(one.held_out, 1.0, 0.3) for one in records]
+    with_it, without = ([e + r for e, r in zip(noise, ramp, strict=True)], noise)[:: 1 if acts < 0 else -1]
+    h = Hypothesis(plain(seen(records))).plus(term)
+    more, less = (SimpleNamespace(hypothesis=h, residuals=e) for e in (with_it, without))
+    weighting = SimpleNamespace(
+        explained_where_it_acts=lambda more, less: 0.8,
+        explained_of_all=lambda more, less: 0.2,
+        nats_of_kinds=lambda more, less: np.zeros(3),
+        mean_floor_um2=1e-4,
+    )
+    search = SimpleNamespace(chain=SimpleNamespace(records=records, weighting=weighting))
+    known, shown = share_explained(search, more, [less], term.effect.name, False)
+    if acts < 0:
+        assert known < 0.1 and shown < 0.1
+    elif term.effect is Creep:
+        assert known == shown > 0.9
+    else:
+        assert known == pytest.approx(0.4) and shown > 0.9
 
 
 def test_trust_in_an_effect_rises_with_the_share_it_explains() -> None:

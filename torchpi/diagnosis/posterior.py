@@ -228,8 +228,9 @@ def share_explained(
     search: Search, more: Fit, without: Sequence[Fit], name: str, own_signal: bool
 ) -> tuple[float, float]:
     """Return the share of the residual above the noise that an effect explains, 0–1, as far as the sealed
-    samples confirm it, and the same where they may also show a larger share. For a recorded signal, which
-    nothing else resembles, the share is the probability that it predicts better, whatever else is missing.
+    samples confirm it, and the same where they may also show a larger share. For a slow effect they always
+    may. For a recorded signal, which nothing else resembles, the share is the probability that it predicts
+    better, whatever else is missing.
 
     Args:
         search: The finished search.
@@ -254,10 +255,14 @@ def share_explained(
     walks = not all(member.effect.extrapolates(member.shared) for member in terms)
     records, floor_um2 = search.chain.records, weighting.mean_floor_um2
     share = confirmed(known, records, more, without, floor_um2, own_signal, apart, walks)
-    # The first two only either help there or not; sealed samples of the fitted motion are no new test.
-    if own_signal or walks or one_motion(records):
+    if own_signal or walks:  # these only either help there or not
         return share, share
-    return share, confirmed(known, records, more, without, floor_um2, False, apart, either_way=True)
+    shown = confirmed(known, records, more, without, floor_um2, False, apart, either_way=True)
+    # The sealed samples are later than all others: for a slow effect they are an extrapolation, while those
+    # of a motion that was fitted are no new test of a fast or static one.
+    if {member.effect.time_scale for member in terms} == {"slow"}:
+        return shown, shown
+    return share, share if one_motion(records) else shown
 
 
 def apart(
