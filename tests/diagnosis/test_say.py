@@ -124,7 +124,7 @@ def test_the_share_that_effects_explain_only_jointly_is_stated() -> None:
     text = paragraph(decided("explained", lag(0.9), creep, joint=0.45), ERRORS, NOISE, NEXT)
     assert "45 % is explained by amplifier lag and creep together and cannot be attributed to any" in text
     text = paragraph(decided("explained", lag(0.9), joint=0.45), ERRORS, NOISE, NEXT)
-    assert "45 % is explained by several effects together" in text
+    assert "45 % is explained by several effects together and cannot be attributed to any single one." in text
     assert "together" not in paragraph(decided("explained", lag(0.9)), ERRORS, NOISE, NEXT)
 
 
