@@ -198,6 +198,23 @@ class TestSingleDropouts:
         y[:-1] -= 0.06 * np.diff(u)  # the reading before each step goes the other way
         assert len(dropouts(y)) > 20 and len(dropouts(y, u)) == 0
 
+    @pytest.mark.parametrize("late", [0, 1, 5])
+    def test_what_a_fast_input_does_itself_is_no_dropout_of_the_output(self, late):
+        u = 50 + 10 * np.sin(np.arange(3000) / 80)
+        u[[400, 1100, 1900]] -= 5.0  # there and back within a sample
+        y = 0.3 * np.roll(u, late) + np.random.default_rng(5).normal(0, 1e-3, len(u))
+        assert len(dropouts(y)) == 3 and not len(dropouts(y, u))
+        y[[700, 2500]] = 0.0
+        assert dropouts(y, u).tolist() == [700, 2500]
+
+    def test_overshoots_a_few_samples_after_a_step_are_no_dropouts(self):
+        u = np.repeat(np.random.default_rng(3).uniform(0, 10, 60), 20)
+        rises = np.convolve(np.diff(u, prepend=u[0]), [0.1, 0.6, 0.34, -0.04])[
+            : len(u)
+        ]  # the third overshoots
+        y = u[0] + np.cumsum(rises) + 1e-3 * np.random.default_rng(4).standard_normal(len(u))
+        assert len(dropouts(y)) > 40 and not len(dropouts(y, u))
+
     def test_dropouts_are_found_when_the_input_steps_at_every_sample(self):
         u = np.random.default_rng(3).uniform(5, 10, 500)
         y = np.convolve(u, np.ones(9) / 9, "same")

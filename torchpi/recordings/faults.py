@@ -9,9 +9,9 @@ FALSE_ALARM = 1e-3
 DENSER, OFTENER, SPREAD = 3.0, 5.0, 0.5
 """Density at a value that a stage passes often, in mean densities of readings; how many times as often as
 others a suspect value recurs; least share of the input's scatter that the input has at its readings."""
-STEP, RINGING = 0.02, 2
+STEP, RINGING, LATEST = 0.02, 2, 5
 """Change of the input between samples that counts as a step, as a share of its range; number of samples
-before and after a step in which filters ring."""
+before a step in which filters ring; number of samples within which a stage follows its input."""
 LEAST_LEAD = 0.02  # about one degree of a sine
 ROUNDING = 1e-9
 """Differences below this share of a signal's largest value are rounding."""
@@ -55,7 +55,9 @@ def dropouts(y: np.ndarray, u: np.ndarray | None = None, sensor_step: float | No
     - √1.5·σ·Φ⁻¹(1 − α/2n), which white noise of σ (`noise_estimate`) exceeds anywhere in n samples with
       probability at most α = 0.001: the mean of the two differences has variance 1.5 σ²;
     - 4 times the median of the eight nearest other steps; a corner of a triangle reaches one such step;
-    - 3 steps of the sensor, because rounding causes isolated changes of one step.
+    - 3 steps of the sensor, because rounding causes isolated changes of one step;
+    - 4 times what the input, in this sample or one of the five before, lies beyond both its own neighbours,
+      times the ratio of both ranges: a fast excitation moves the stage there and back within a sample.
 
     In fast motion a wrong zero may lie between its neighbours, so readings of a value that recurs too often
     count as wrong too; see `repeated_value`.
@@ -85,8 +87,7 @@ def dropouts(y: np.ndarray, u: np.ndarray | None = None, sensor_step: float | No
 
     if len(y) < 9:
         return np.empty(0, dtype=int)
-    steps = np.diff(y)
-    apart = np.where(steps[:-1] * steps[1:] < 0, np.minimum(np.abs(steps[:-1]), np.abs(steps[1:])), 0.0)
+    steps, apart = np.diff(y), beyond_neighbours(y)
     of_noise = np.sqrt(1.5) * noise_estimate(y) * -ndtri(FALSE_ALARM / (2 * len(y)))
     step = least_step(y) if sensor_step is None else sensor_step
     found = np.flatnonzero(apart > max(of_noise, 3 * step)) + 1
@@ -97,7 +98,18 @@ def dropouts(y: np.ndarray, u: np.ndarray | None = None, sensor_step: float | No
     found = np.asarray(found[apart[found - 1] > MOTION_FACTOR * motion])
     if u is None:
         return found
+    if len(found) and np.ptp(u) > 0:
+        before = np.clip(found[:, None] - 1 - np.arange(LATEST + 1), 0, None)
+        moved = np.ptp(np.delete(y, found)) / np.ptp(u) * beyond_neighbours(u)[before].max(axis=1)
+        found = found[apart[found - 1] > MOTION_FACTOR * moved]
     return np.union1d(found[~beside_steps(found, u)] if len(found) else found, repeated_value(y, u, step))
+
+
+def beyond_neighbours(x: np.ndarray) -> np.ndarray:
+    """Return (time - 2,): how far each value, but the first and last, lies beyond both neighbours, else 0."""
+    steps = np.diff(x)
+    apart: np.ndarray = np.minimum(np.abs(steps[:-1]), np.abs(steps[1:]))
+    return np.where(steps[:-1] * steps[1:] < 0, apart, 0.0)
 
 
 def repeated_value(y: np.ndarray, u: np.ndarray, sensor_step: float) -> np.ndarray:
@@ -137,7 +149,7 @@ def beside_steps(readings: np.ndarray, u: np.ndarray) -> np.ndarray:
     moves = np.abs(np.diff(u))
     stepped = np.flatnonzero(moves > STEP * np.ptp(u))
     beside = np.zeros(len(u), dtype=bool)
-    for later in range(1 - RINGING, RINGING + 1):
+    for later in range(1 - RINGING, LATEST + 1):
         beside[np.clip(stepped + later, 0, len(u) - 1)] = True
     there, share = beside[readings], float(beside.mean())
     by_chance = float(bdtrc(there.sum() - 1, len(readings), share)) if there.any() else 1.0
