@@ -10,7 +10,7 @@ from tests.diagnosis.plants import FS_HZ, NOISE_UM, Signal, lag, multisine, reco
 from tests.diagnosis.prepared import prepared
 from torchpi.diagnosis import growth
 from torchpi.diagnosis.chain import Chain
-from torchpi.diagnosis.contest import ACCEPTED
+from torchpi.diagnosis.contest import ACCEPTED, Tried
 from torchpi.diagnosis.exchange import effects_of
 from torchpi.diagnosis.fit import FINE, ROUGH
 from torchpi.diagnosis.hypothesis import EffectTerm
@@ -231,6 +231,30 @@ def test_a_larger_hysteresis_that_explains_a_little_of_everything_is_not_reweigh
         search.growth(now, now, [SimpleNamespace(family="preisach", has_states=False)])
     assert sum(one is larger for one in weighed) == 2 * refitted
     assert sum(one is now for one in weighed) == refitted
+
+
+@pytest.mark.parametrize(
+    ("beyond_um", "ahead", "accepted"), [(0.48, 90.0, "effect"), (0.3, 90.0, "larger"), (0.3, 1.0, "effect")]
+)
+def test_an_effect_comes_before_a_larger_hysteresis_that_explains_little_beyond_it(
+    beyond_um: float, ahead: float, accepted: str
+) -> None:
+    """A Preisach operator also absorbs some of the lag that is still missing, so it is ahead of the cause."""
+    now, curved, larger = (
+        SimpleNamespace(train_rms=rms_um, hypothesis=SimpleNamespace(members=()))
+        for rms_um in (1.0, 0.5, beyond_um)
+    )
+    search = object.__new__(Search)
+    search.faint, search.adequate = lambda more, less: False, lambda more, less: True
+    search.on_many_rows = lambda fit: fit
+    search.bends_to_all = lambda one, fit: 1 - (one.train_rms / fit.train_rms) ** 2 < 0.25
+    search.as_well = lambda one, best: ahead < 2.0
+    tried = [
+        Tried("hysteresis_operator: preisach", larger, Gain(500.0, 10.0)),
+        Tried("sensor_nonlinearity", curved, Gain(500.0 - ahead, 10.0)),
+    ]
+    chosen = search.simplest(tried, now)
+    assert chosen is not None and chosen.fit is (curved if accepted == "effect" else larger)
 
 
 @pytest.mark.parametrize(("noise", "near", "tried"), [(True, True, 0), (False, False, 0), (False, True, 1)])

@@ -156,9 +156,12 @@ class Search(Proposals):
         return less
 
     def simplest(self, tried: Sequence[Tried], now: Fit) -> Tried | None:
-        """Return the best acceptable candidate, or a rival that predicts as well: an effect in place of a
-        larger hysteresis, or a larger hysteresis in place of an effect that is slow or itself a hysteresis,
-        because a play behind plays is again plays."""
+        """Return the best acceptable candidate, or a rival that stands as well.
+
+        An effect takes the place of a larger hysteresis that predicts no better, or explains only a little of
+        everything beyond the effect. A larger hysteresis that predicts as well takes the place of an effect
+        that is slow or itself a hysteresis, because a play behind plays is again plays.
+        """
         earned = [
             one
             for one in tried
@@ -182,7 +185,9 @@ class Search(Proposals):
         known = best.fit if best in larger else self.on_many_rows(best.fit)
         for one in rivals[:2]:
             full = self.on_many_rows(one.fit)
-            if self.as_well(full, known):
+            # It would absorb part of what is still missing, such as a lag, and bar the effect from then on.
+            bends = best in larger and self.bends_to_all(known, full)
+            if bends or self.as_well(full, known):
                 return replace(one, fit=full)
         return best
 
