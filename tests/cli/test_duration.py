@@ -10,6 +10,7 @@ import pytest
 
 from torchpi.cli import duration, machine
 from torchpi.cli.machine import Machine
+from torchpi.diagnosis import long_recordings
 
 
 @pytest.fixture(autouse=True)
@@ -43,6 +44,10 @@ def test_samples_of_a_text_file_are_estimated_from_its_first_lines(samples: int,
 def test_an_unreadable_file_counts_as_zero_samples(tmp_path: Path) -> None:
     (tmp_path / "empty.csv").touch()
     assert duration._samples_in([tmp_path / "none.csv", tmp_path / "empty.csv", tmp_path]) == [0, 0, 0]
+
+
+def test_the_estimate_knows_how_many_samples_a_diagnosis_works_on() -> None:
+    assert duration.MOST_SAMPLES == long_recordings.AT_MOST
 
 
 def test_longer_recordings_give_longer_estimates(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

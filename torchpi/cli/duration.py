@@ -34,7 +34,7 @@ AXES_S = 25.0
 GROUPS = ("data", "model", "trainer")
 USUAL_HZ = 10_000.0
 """Sample rate of the built-in stages; that of others is unknown before torch is imported."""
-MOST_SAMPLES = 200_000
+MOST_SAMPLES = 100_000
 """Most samples that a diagnosis works on; longer recordings are taken at a lower rate."""
 FEWEST_ROUNDS, USUAL_ROUNDS, MOST_ROUNDS = 2, 5, 7
 """Numbers of rounds of a search that finds effects; one that finds none has a single round."""

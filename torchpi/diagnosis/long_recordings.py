@@ -9,7 +9,7 @@ from scipy.signal import welch
 
 from torchpi.recordings.recording import Recording
 
-AT_MOST = 200_000
+AT_MOST = 100_000
 """Maximum number of samples of all recordings together."""
 LEAST = 2_000
 """Recordings that would be reduced to fewer samples stay as they are."""
