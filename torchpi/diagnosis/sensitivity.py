@@ -1,6 +1,7 @@
 """Sensitivity of the readings to each number of a fit: the weights, and the parameters of the effects."""
 
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from typing import NamedTuple
 
 import numpy as np
@@ -8,6 +9,7 @@ import numpy as np
 from torchpi.diagnosis.chain import AT_ONCE, Chain
 from torchpi.diagnosis.free_parameters import free_parameters_of, to_inner, to_outer, value_at, with_theta
 from torchpi.diagnosis.hypothesis import FreeParameter, Hypothesis
+from torchpi.errors import StageError
 from torchpi.stage.effects.mechanics.modal import ModalEffect
 from torchpi.stage.effects.mechanics.stiction import Stiction
 
@@ -123,9 +125,13 @@ def of_slots(
                 per_inner = to_outer(s, float(theta[j])) if s.log else s.scale
                 row[:] = of_modes[s.member, s.name] * per_inner
             continue
-        moved = np.array(theta)
-        moved[j] += s.step
-        row[:] = (chain.output(with_theta(hypothesis, slots, moved), weights, index) - here) / s.step
+        # Two numbers may have to be in order, such as the start and the end of a creep.
+        for step in (s.step, -s.step):
+            moved = np.array(theta)
+            moved[j] += step
+            with suppress(StageError):
+                row[:] = (chain.output(with_theta(hypothesis, slots, moved), weights, index) - here) / step
+                break
     return Sensitivity(len(weights) + np.array(own, dtype=int), chain.whitened(index, rows))
 
 
