@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from tests.diagnosis.plants import (
+    FINER,
     FS_HZ,
     NOISE_UM,
     Signal,
@@ -21,7 +22,13 @@ from tests.diagnosis.plants import (
 from tests.diagnosis.prepared import prepared
 from torchpi.diagnosis.chain import Chain
 from torchpi.diagnosis.fit import ROUGH, fit
-from torchpi.diagnosis.free_parameters import shape_slot, with_theta
+from torchpi.diagnosis.free_parameters import (
+    free_parameters_of,
+    shape_slot,
+    to_inner,
+    value_at,
+    with_theta,
+)
 from torchpi.diagnosis.hypothesis import EffectTerm, Fit, Hypothesis
 from torchpi.diagnosis.hysteresis_model import bouc_wen, many_plays, preisach
 from torchpi.diagnosis.records import seen
@@ -186,6 +193,38 @@ def test_a_parameter_at_its_bound_is_reported() -> None:
     crawling = pair(after=lambda x, fs_hz: x + 3 * lag(x, fs_hz, 2.0))
     found = fitted(crawling, EffectTerm(Creep, {"gain": 0.5, "time_constant_s": 0.08}))
     assert found.bounded == ("gain",)
+
+
+def test_a_slope_is_taken_on_the_side_on_which_a_stage_exists() -> None:
+    """A creep from just below 100 s to 100 s: a step up would put its start behind its end."""
+    chain = Chain(prepared([record(triangles(2000))]))
+    late = EffectTerm(Creep, {"per_decade": 0.02, "from_s": 99.999})
+    h = Hypothesis(many_plays(seen(chain.records)), (late,))
+    slots, weights = free_parameters_of(h), np.ones(chain.numbers(h))
+    theta = np.array([to_inner(slot, value_at(h, slot)) for slot in slots])
+    _, found = jacobian(chain, h, weights, slots, theta, 0)
+    assert np.isfinite(found.rows).all()
+    of_its_start = found.rows[found.places == len(weights) + [slot.name for slot in slots].index("from_s")]
+    assert of_its_start.any()
+
+
+def test_plays_that_relax_are_recovered() -> None:
+    """Each of the rig's plays moves towards the ordinary play's position, by Euler's method in fine steps."""
+    thresholds, weights, tau_s = np.linspace(0.0, 9.0, 31), np.append(0.6, np.full(30, 0.02)), 0.02
+    recordings = []
+    for k, rate_hz in enumerate((3.0, 12.0)):
+        u, state = triangles(3000, rate_hz), np.zeros(31)
+        y = np.zeros(len(u))
+        for t, v in enumerate(u):
+            for _ in range(FINER):
+                target = np.clip(state, v - thresholds, v + thresholds)
+                state += (target - state) * np.where(thresholds > 0, 1 / (FS_HZ * FINER * tau_s), 1.0)
+            y[t] = weights @ state
+        y += NOISE_UM * np.random.default_rng(k).standard_normal(len(u))
+        recordings.append(Recording(f"{rate_hz:g} Hz", np.arange(len(u)) / FS_HZ, u, y, FS_HZ))
+    found = fitted(recordings, EffectTerm(RateDependentHysteresis, {"relaxation_s": 0.003}))
+    assert found.heldout_rms < 1.1 * NOISE_UM < 0.1 * fitted(recordings).heldout_rms
+    assert found.hypothesis.members[0].shared["relaxation_s"] == pytest.approx(tau_s, rel=0.02)
 
 
 def test_a_fit_never_ends_worse_than_it_began() -> None:

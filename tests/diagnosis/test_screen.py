@@ -3,20 +3,41 @@
 import numpy as np
 import pytest
 
-from tests.diagnosis.plants import creep, lag, pair, record
+from tests.diagnosis.plants import NOISE_UM, creep, lag, multisine, pair, record, stairs, triangles
 from tests.diagnosis.prepared import prepared
 from torchpi.diagnosis.chain import Chain
-from torchpi.diagnosis.fit import fit
+from torchpi.diagnosis.fit import fit, start_weights
 from torchpi.diagnosis.hypothesis import EffectTerm, Hypothesis
-from torchpi.diagnosis.hysteresis_model import many_plays
+from torchpi.diagnosis.hysteresis_model import many_plays, plain
 from torchpi.diagnosis.records import seen
 from torchpi.diagnosis.score import Weighting
 from torchpi.diagnosis.screen import Screen, candidates_of, sizes_of
+from torchpi.stage.effects import EFFECTS
 from torchpi.stage.effects.actuator.creep import Creep
 from torchpi.stage.effects.amplifier.amplifier_lag import AmplifierLag
 from torchpi.stage.effects.amplifier.slew_limit import SlewLimit
+from torchpi.stage.effects.effect import Effect
+from torchpi.stage.effects.inside import InsideEffect
 from torchpi.stage.effects.sensor.sensor_nonlinearity import SensorNonlinearity
 from torchpi.stage.effects.sensor.thermal_drift import KNOT_NAMES, ThermalDrift
+
+
+@pytest.mark.parametrize("effect", [effect for effect in EFFECTS if not effect.read_off])
+def test_every_start_of_an_effect_changes_the_output(effect: type[Effect] | type[InsideEffect]) -> None:
+    """A form that a stage has, and the rows of the search have not, would be tried and never found."""
+    other = {"other_v": multisine(4000, seed=5)}
+    rig = [
+        record(np.concatenate([stairs(2000), triangles(2000)]), name="a", aux=other),
+        record(multisine(4000), name="b", seed=3, aux=other),
+    ]
+    chain = Chain(prepared(rig))
+    what, h = seen(chain.records), Hypothesis(plain(seen(chain.records)))
+    weights, _ = start_weights(chain, h)
+    starts = candidates_of(effect, chain.records, effect.starts(what), list(what.aux))
+    assert starts
+    for member in starts:
+        moved = [chain.output(h.plus(member), weights, i) - chain.output(h, weights, i) for i in range(2)]
+        assert max(np.abs(one).max() for one in moved) > NOISE_UM / 2, member
 
 
 @pytest.mark.parametrize("per_decade", [0.001, 0.01, 0.02])

@@ -36,7 +36,7 @@ def test_sums_of_plays_equal_those_computed_one_play_at_a_time(
     offsets = np.array(offsets_of(slopes, low, piece))
     one, none = np.ones(len(v)), np.zeros(len(v))
     plain, sums = np.empty((3, len(v))), np.empty((len(v), 3))
-    inside = v, v, v, one, one, one, none, r, low, piece
+    inside = v, v, v, one, one, one, none, r, 0.0, low, piece
     sums_of_plain_plays(v, r, low, piece, slopes, offsets, plain)
     sums_of_plays(*inside, slopes, offsets, np.zeros(len(r)), sums)
     for k in range(3):

@@ -77,13 +77,15 @@ class TestDuhem(OperatorLaws):
     bouc_wen=st.booleans(),
     duhem=st.booleans(),
     inside=st.booleans(),
+    relaxation_s=st.sampled_from([0.0, 0.07]),
     seed=st.integers(0, 99),
 )
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=40, deadline=None)
 def test_it_equals_the_hysteresis_model_that_the_search_fitted(
-    pieces: int, bouc_wen: bool, duhem: bool, inside: bool, seed: int
+    pieces: int, bouc_wen: bool, duhem: bool, inside: bool, relaxation_s: float, seed: int
 ) -> None:
-    operator = hysteresis(pieces, bouc_wen, duhem, **(INSIDE_IT if inside else {}))
+    shape = {**(INSIDE_IT if inside else {}), "relaxation_s": relaxation_s}
+    operator = hysteresis(pieces, bouc_wen, duhem, **shape)
     nominal = HysteresisModel(
         np.array(THRESHOLDS_V), pieces, RANGE_V, 2.0, bouc_wen, duhem, {**IDENTITY, **operator.shape()}
     )

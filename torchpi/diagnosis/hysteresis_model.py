@@ -1,5 +1,6 @@
 """The nominal hysteresis: rows of elementary states, in whose weights it is linear."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -33,7 +34,14 @@ from torchpi.stage.hysteresis import IDENTITY
 
 BLOCK = 256
 """Samples whose states are summed at a time, so that they fit into the cache for any number of plays."""
-CHANGING = ("asymmetry_per_v", "incongruence_per_v", "weight_s_per_v", "threshold_s_per_v", "loop_per_e")
+CHANGING = (
+    "asymmetry_per_v",
+    "incongruence_per_v",
+    "weight_s_per_v",
+    "threshold_s_per_v",
+    "loop_per_e",
+    "relaxation_s",
+)
 """Shape parameters that change what a play does; the others only say how."""
 PIECES = 48
 """Number of pieces of each output function of a Preisach operator."""
@@ -174,13 +182,20 @@ class HysteresisModel:
         outside, v = self.of_simulation(v), shifted(v, self.late)
         inside = self.inside(v, period_s)
         others = self.other_rows(v, inside[-3], inside[-1]) + outside
-        self.fill_plays(v, inside, rows)
+        self.fill_plays(v, inside, self.left_after(period_s), rows)
         if self.reduction is None:
             rows[self.of_plays :] = np.reshape(others, (-1, len(v)))
         elif others:
             rows += self.reduction[:, self.of_plays :] @ np.array(others)
 
-    def fill_plays(self, v: np.ndarray, inside: tuple[np.ndarray, ...], rows: np.ndarray) -> None:
+    def left_after(self, period_s: float) -> float:
+        """Return e^{-T/τ}, the share of its way that a relaxing play has left after a period."""
+        tau_s = self.shape["relaxation_s"]
+        return math.exp(-period_s / tau_s) if tau_s > 0.0 else 0.0
+
+    def fill_plays(
+        self, v: np.ndarray, inside: tuple[np.ndarray, ...], left: float, rows: np.ndarray
+    ) -> None:
         """Write the rows of the plays alone, as `fill` does."""
         r, h, plays = self.thresholds_v, np.zeros(len(self.thresholds_v)), self.of_plays
         mixed = None if self.reduction is None else self.reduction[:, :plays]
@@ -192,11 +207,11 @@ class HysteresisModel:
             part = slice(first, min(first + BLOCK, len(v)))
             now, samples = [one[part] for one in inside], len(v[part])
             if functions:
-                sums: tuple[Any, ...] = (*now, r, *functions, h, np.empty((samples, len(rows))))
+                sums: tuple[Any, ...] = (*now, r, left, *functions, h, np.empty((samples, len(rows))))
                 sums_of_plays(*sums)
                 rows[:, part] = sums[-1].T
                 continue
-            states: tuple[Any, ...] = (*now, r, h, np.empty((samples, plays)))
+            states: tuple[Any, ...] = (*now, r, left, h, np.empty((samples, plays)))
             play_states(*states)
             if mixed is None:
                 rows[:plays, part] = states[-1].T
@@ -214,7 +229,7 @@ class HysteresisModel:
         else:
             low_v, piece_v, slopes, offsets = self.output_functions(full[None, :plays])
             functions: tuple[Any, ...] = (low_v, piece_v, slopes[..., 0].copy(), offsets[..., 0].copy())
-            arguments: tuple[Any, ...] = (*inside, self.thresholds_v, *functions)
+            arguments: tuple[Any, ...] = (*inside, self.thresholds_v, self.left_after(period_s), *functions)
             y = play_sum(*arguments)
         others = self.other_rows(v, inside[-3], inside[-1]) + outside
         for weight, row in zip(full[plays:], others, strict=True):

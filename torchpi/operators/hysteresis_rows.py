@@ -45,6 +45,11 @@ def threshold_widening(rate: float, threshold_s_per_v: float) -> float:
     return 1.0 + threshold_s_per_v * abs(rate)
 
 
+def towards(bound: float, h: float, kept: float) -> float:
+    """Return p + e^{-T/τ} (h - p), where a play relaxes to; `kept` is the exponential."""
+    return bound + kept * (h - bound)
+
+
 def loop_widening(rate: float, loop_per_e: float, reference_rate_v_s: float) -> float:
     """Return γ ln(1 + |v̇| / v̇₀), the relative growth of a state's distance from c v, the loop's chord."""
     return loop_per_e * math.log1p(abs(rate) / reference_rate_v_s)
@@ -128,6 +133,7 @@ def duhem_pieces(v: float, before: float, whole: float) -> tuple[int, float, flo
     return pieces, gap, math.exp(-part), share - second, second
 
 
+_towards: Any = numba.njit(towards)
 _bouc_wen: Any = numba.njit(bouc_wen)
 _piece_of: Any = numba.njit(piece_of, error_model="numpy")
 
@@ -135,15 +141,16 @@ _piece_of: Any = numba.njit(piece_of, error_model="numpy")
 @numba.njit(cache=True, error_model="numpy")
 def play_states(
     chord: np.ndarray, up: np.ndarray, down: np.ndarray, widening: np.ndarray, gain: np.ndarray,
-    straight: np.ndarray, loop: np.ndarray, r: np.ndarray, h: np.ndarray, x: np.ndarray,
+    straight: np.ndarray, loop: np.ndarray, r: np.ndarray, kept: float, h: np.ndarray, x: np.ndarray,
 ) -> None:  # fmt: skip
     """Write the states h of max{up - r w, min{down + r w, h}} into `x`, (time, plays).
 
     `gain` multiplies the states with memory, `straight` v itself, and `loop` widens all about the chord; all
-    are (time,). `h`, (plays,), holds the initial states and receives the final ones.
+    are (time,). Of its distance to that position, a play with memory keeps the share `kept` in a sample.
+    `h`, (plays,), holds the initial states and receives the final ones.
     """
     for t in range(len(up)):
-        _move(up[t], down[t], widening[t], r, h)
+        _move(up[t], down[t], widening[t], r, kept, h)
         for i in range(len(r)):
             x[t, i] = _inner(h[i], gain[t] if r[i] > 0.0 else straight[t], chord[t], loop[t])
 
@@ -151,7 +158,7 @@ def play_states(
 @numba.njit(cache=True, error_model="numpy")
 def sums_of_plays(
     chord: np.ndarray, up: np.ndarray, down: np.ndarray, widening: np.ndarray, gain: np.ndarray,
-    straight: np.ndarray, loop: np.ndarray, r: np.ndarray, low: float, piece: float,
+    straight: np.ndarray, loop: np.ndarray, r: np.ndarray, kept: float, low: float, piece: float,
     slopes: np.ndarray, offsets: np.ndarray, h: np.ndarray, y: np.ndarray,
 ) -> None:  # fmt: skip
     """Write Σ_i F_is(x_i) into `y`, (time, sums); the slopes and offsets of F are (pieces, plays, sums).
@@ -160,7 +167,7 @@ def sums_of_plays(
     """
     pieces, _, sums = slopes.shape
     for t in range(len(up)):
-        _move(up[t], down[t], widening[t], r, h)
+        _move(up[t], down[t], widening[t], r, kept, h)
         total = y[t]
         total[:] = 0.0
         for i in range(len(r)):
@@ -174,7 +181,7 @@ def sums_of_plays(
 @numba.njit(cache=True, fastmath={"reassoc"}, error_model="numpy")
 def play_sum(
     chord: np.ndarray, up: np.ndarray, down: np.ndarray, widening: np.ndarray, gain: np.ndarray,
-    straight: np.ndarray, loop: np.ndarray, r: np.ndarray, low: float, piece: float,
+    straight: np.ndarray, loop: np.ndarray, r: np.ndarray, kept: float, low: float, piece: float,
     slopes: np.ndarray, offsets: np.ndarray,
 ) -> np.ndarray:  # fmt: skip
     """Return Σ_i F_i(x_i), (time,), without storing the rows; slopes and offsets are (pieces, plays).
@@ -184,14 +191,14 @@ def play_sum(
     """
     y, h, pieces = np.empty(len(up)), np.zeros(len(r)), len(slopes)
     for t in range(len(up)):
-        _move(up[t], down[t], widening[t], r, h)
-        grown, kept, total = gain[t], straight[t], 0.0
+        _move(up[t], down[t], widening[t], r, kept, h)
+        grown, line, total = gain[t], straight[t], 0.0
         if pieces == 1:
             for i in range(len(r)):
-                total += slopes[0, i] * _inner(h[i], grown if r[i] > 0.0 else kept, chord[t], loop[t])
+                total += slopes[0, i] * _inner(h[i], grown if r[i] > 0.0 else line, chord[t], loop[t])
         else:
             for i in range(len(r)):
-                x = _inner(h[i], grown if r[i] > 0.0 else kept, chord[t], loop[t])
+                x = _inner(h[i], grown if r[i] > 0.0 else line, chord[t], loop[t])
                 k = _piece_of(x, low, piece, pieces)
                 total += offsets[k, i] + slopes[k, i] * x
         y[t] = total
@@ -269,9 +276,14 @@ def sums_of_plain_plays(
 
 
 @numba.njit(cache=True, inline="always")
-def _move(rising: float, falling: float, width: float, r: np.ndarray, h: np.ndarray) -> None:
+def _move(rising: float, falling: float, width: float, r: np.ndarray, kept: float, h: np.ndarray) -> None:
+    if kept == 0.0:
+        for i in range(len(r)):
+            h[i] = _clamp_play(rising - r[i] * width, falling + r[i] * width, h[i])
+        return
     for i in range(len(r)):
-        h[i] = _clamp_play(rising - r[i] * width, falling + r[i] * width, h[i])
+        bound = _clamp_play(rising - r[i] * width, falling + r[i] * width, h[i])
+        h[i] = _towards(bound, h[i], kept if r[i] > 0.0 else 0.0)
 
 
 @numba.njit(cache=True, inline="always")

@@ -39,10 +39,11 @@ from torchpi.operators.hysteresis_rows import (
     piece_of,
     straight_gain,
     threshold_widening,
+    towards,
 )
 from torchpi.operators.relaxations import relaxations
 from torchpi.stage.carried_state import BOUC_WEN, DUHEM, CarriedState
-from torchpi.stage.effects.actuator.relaxing_plays import RelaxingPlays, towards
+from torchpi.stage.effects.actuator.relaxing_plays import RelaxingPlays
 from torchpi.stage.loop_widening import LoopWidening
 from torchpi.stage.play_sum import PlaySum
 

@@ -12,6 +12,9 @@ from typing import ClassVar
 from torchpi.stage.effects.effect import DataRange, Needs, Parameters, parameter
 from torchpi.stage.effects.inside import InsideEffect
 
+RELAXATIONS = (1e-4, 1e-3, 1e-2, 1e-1)
+"""Time constants, as shares of the longest recording, from which a fit starts."""
+
 
 class RateDependentHysteresis(InsideEffect):
     """Rate-dependent weights, thresholds, loop width or lag of every play that has memory, r_i > 0.
@@ -45,8 +48,7 @@ class RateDependentHysteresis(InsideEffect):
         return [
             {"weight_s_per_v": 0.01 / seen.max_rate_v_s},
             {"threshold_s_per_v": 0.02 / seen.max_rate_v_s},
-            # Lags of a hundredth and of a tenth of the span at the usual rates.
-            *({"relaxation_s": share * seen.span_v / seen.max_rate_v_s} for share in (0.01, 0.1)),
+            *({"relaxation_s": share * seen.duration_s} for share in RELAXATIONS),
             *(
                 {
                     "loop_per_e": 0.02,

@@ -19,11 +19,7 @@ from torch.autograd.function import once_differentiable
 
 from torchpi.operators.compiled import as_array, njit
 from torchpi.operators.generalised_play import clamp_play
-
-
-def towards(bound: float, h: float, kept: float) -> float:
-    """Return p + e^{-T/τ} (h - p), where `kept` is the exponential. Kernel and stream compile this."""
-    return bound + kept * (h - bound)
+from torchpi.operators.hysteresis_rows import towards
 
 
 class RelaxingPlays(torch.autograd.Function):
