@@ -48,7 +48,7 @@ def reason_to_leave_out(
         return "the voltage never reverses"
     if needs.reversals > LEVELS and (found := levels(records)) < needs.reversals:
         return f"the voltage reverses at {found} levels, expected {needs.reversals}"
-    if needs.pace > 1.0 and (times := pace(records)) < needs.pace:
+    if needs.pace > 1.0 and not holding(records) and (times := pace(records)) < needs.pace:
         return f"the slowest stroke takes {times:.2g} times as long as the fastest, expected {needs.pace:g}"
     if len(records) < needs.recordings:
         return f"it needs at least {needs.recordings} recordings"
@@ -109,9 +109,13 @@ def untested(records: Sequence[Record], seen: DataRange) -> tuple[str, ...]:
 
 def one_motion(records: Sequence[Record]) -> bool:
     """Whether the voltage only goes to and fro between two levels at one rate, and never holds."""
+    return not holding(records) and one_size(records) and pace(records) < PACE
+
+
+def holding(records: Sequence[Record]) -> bool:
+    """Whether any recording holds the voltage for a considerable part of its time."""
     held = [sum(hold.stop - hold.start for hold in holds(record.u)) for record in records]
-    holding = any(n > HOLDING * len(record.u) for n, record in zip(held, records, strict=True))
-    return not holding and one_size(records) and pace(records) < PACE
+    return any(n > HOLDING * len(record.u) for n, record in zip(held, records, strict=True))
 
 
 def one_size(records: Sequence[Record]) -> bool:

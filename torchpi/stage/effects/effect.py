@@ -63,8 +63,8 @@ class Needs:
     recordings: int = 1
     """Minimum number of recordings."""
     pace: float = 1.0
-    """Minimum ratio of the durations of the slowest and the fastest stroke: with a single frequency the rate
-    is a function of the voltage and of the amplitude."""
+    """Minimum ratio of the durations of the slowest and the fastest stroke, where the voltage never holds:
+    with a single frequency the rate is a function of the voltage and of the amplitude."""
 
 
 def parameter(unit: str, at_least: float, at_most: float, identity: float = 0.0) -> Any:
