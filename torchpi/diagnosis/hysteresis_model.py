@@ -1,6 +1,5 @@
 """The nominal hysteresis: rows of elementary states, in whose weights it is linear."""
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -20,6 +19,7 @@ from torchpi.operators.hysteresis_rows import (
     bouc_wen_row,
     duhem_rows,
     gain_inside,
+    left_after,
     offsets_of,
     play_states,
     play_sum,
@@ -182,16 +182,11 @@ class HysteresisModel:
         outside, v = self.of_simulation(v), shifted(v, self.late)
         inside = self.inside(v, period_s)
         others = self.other_rows(v, inside[-3], inside[-1]) + outside
-        self.fill_plays(v, inside, self.left_after(period_s), rows)
+        self.fill_plays(v, inside, left_after(period_s, self.shape["relaxation_s"]), rows)
         if self.reduction is None:
             rows[self.of_plays :] = np.reshape(others, (-1, len(v)))
         elif others:
             rows += self.reduction[:, self.of_plays :] @ np.array(others)
-
-    def left_after(self, period_s: float) -> float:
-        """Return e^{-T/τ}, the share of its way that a relaxing play has left after a period."""
-        tau_s = self.shape["relaxation_s"]
-        return math.exp(-period_s / tau_s) if tau_s > 0.0 else 0.0
 
     def fill_plays(
         self, v: np.ndarray, inside: tuple[np.ndarray, ...], left: float, rows: np.ndarray
@@ -229,7 +224,8 @@ class HysteresisModel:
         else:
             low_v, piece_v, slopes, offsets = self.output_functions(full[None, :plays])
             functions: tuple[Any, ...] = (low_v, piece_v, slopes[..., 0].copy(), offsets[..., 0].copy())
-            arguments: tuple[Any, ...] = (*inside, self.thresholds_v, self.left_after(period_s), *functions)
+            left = left_after(period_s, self.shape["relaxation_s"])
+            arguments: tuple[Any, ...] = (*inside, self.thresholds_v, left, *functions)
             y = play_sum(*arguments)
         others = self.other_rows(v, inside[-3], inside[-1]) + outside
         for weight, row in zip(full[plays:], others, strict=True):
@@ -267,7 +263,7 @@ class HysteresisModel:
         s = self.shape
         rate = np.diff(v, prepend=0.0) / period_s
         if s["rate_filter_s"] > 0.0:
-            rate = smooth(rate, np.exp(-period_s / s["rate_filter_s"]))
+            rate = smooth(rate, left_after(period_s, s["rate_filter_s"]))
         bent: Any = bend(v, s["asymmetry_per_v"])  # type: ignore[arg-type]
         widening: Any = threshold_widening(rate, s["threshold_s_per_v"])  # type: ignore[arg-type]
         gain: Any = gain_inside(v, rate, s["incongruence_per_v"], s["weight_s_per_v"])  # type: ignore[arg-type]

@@ -45,6 +45,11 @@ def threshold_widening(rate: float, threshold_s_per_v: float) -> float:
     return 1.0 + threshold_s_per_v * abs(rate)
 
 
+def left_after(period_s: float, time_constant_s: float) -> float:
+    """Return e^{-T/τ}, the share of a relaxation that is left after a period; 0 without a time constant."""
+    return math.exp(-period_s / time_constant_s) if time_constant_s > 0.0 else 0.0
+
+
 def towards(bound: float, h: float, kept: float) -> float:
     """Return p + e^{-T/τ} (h - p), where a play relaxes to; `kept` is the exponential."""
     return bound + kept * (h - bound)

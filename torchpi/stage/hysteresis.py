@@ -17,7 +17,6 @@ equations and the sources. v̇ is the backward difference over T, through a low-
 `rate_filter_s`; without relaxation the sample rate enters nowhere else.
 """
 
-import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -34,6 +33,7 @@ from torchpi.operators.hysteresis_rows import (
     bouc_wen,
     duhem,
     gain_inside,
+    left_after,
     loop_widening,
     offsets_of,
     piece_of,
@@ -246,8 +246,7 @@ class Hysteresis(Operator):
 
     def _kept(self) -> float:
         """Return the share of its value that the filter of the rate keeps over one period."""
-        tau_s = self.fixed["rate_filter_s"]
-        return math.exp(-self.sample_period_s / tau_s) if tau_s > 0.0 else 0.0
+        return left_after(self.sample_period_s, self.fixed["rate_filter_s"])
 
     def _families(self) -> list[tuple[Any, tuple[float, ...], float]]:
         """Return kernels, parameters and divisor of each state that is not a play."""
