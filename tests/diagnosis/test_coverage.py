@@ -10,11 +10,13 @@ from torchpi.diagnosis.coverage import (
     follows_command,
     levels,
     one_motion,
+    reason_to_leave_out,
     repeats,
     untested,
 )
 from torchpi.diagnosis.diagnose import diagnose
 from torchpi.diagnosis.records import seen
+from torchpi.stage.effects.actuator.rate_dependent_hysteresis import RateDependentHysteresis
 
 T_S = np.arange(8000) / FS_HZ
 SINE_V = 5 - 5 * np.cos(2 * np.pi * T_S)
@@ -71,6 +73,16 @@ def test_only_going_to_and_fro_without_a_hold_is_one_motion() -> None:
     stairs = np.repeat([0.0, 10.0, 0.0, 10.0], 2000)
     found = [one_motion(prepared([record(u)])) for u in (SINE_V, triangles(8000), multisine(8000), stairs)]
     assert found == [True, False, False, False]
+
+
+@pytest.mark.parametrize(
+    ("voltage_v", "shown"),
+    [(SINE_V, False), (np.repeat([0.0, 10.0, 0.0, 10.0], 2000), True), (multisine(8000), True)],
+    ids=["sine", "held levels", "multisine"],
+)
+def test_rate_dependence_shows_at_several_rates_or_in_holds(voltage_v: np.ndarray, shown: bool) -> None:
+    records = prepared([record(voltage_v)])
+    assert (reason_to_leave_out(RateDependentHysteresis, records, seen(records), 1) is None) is shown
 
 
 def squared_play(u: np.ndarray) -> np.ndarray:
