@@ -92,8 +92,7 @@ def test_a_lag_before_a_simulation_is_found_if_the_simulation_can_be_called() ->
 
 
 def test_a_lag_before_a_recorded_output_is_listed_as_an_alternative_to_one_behind_it() -> None:
-    late = (AmplifierLag, Delay, SensorLag)
-    found = compared("column", recorded(stage(cutoff_hz=100.0)), simulations.right, late)
+    found = compared("column", recorded(stage(cutoff_hz=100.0)), simulations.right)
     lags = [effect for effect in found.effects if effect.name in ("sensor_lag", "delay")]
     assert len(lags) == 1 and "amplifier_lag" in lags[0].alternatives
     assert found.verdict == "partly_explained"

@@ -209,9 +209,8 @@ class TestSingleDropouts:
 
     def test_overshoots_a_few_samples_after_a_step_are_no_dropouts(self):
         u = np.repeat(np.random.default_rng(3).uniform(0, 10, 60), 20)
-        rises = np.convolve(np.diff(u, prepend=u[0]), [0.1, 0.6, 0.34, -0.04])[
-            : len(u)
-        ]  # the third overshoots
+        shares = [0.1, 0.6, 0.34, -0.04]  # of each step; with the third the output overshoots
+        rises = np.convolve(np.diff(u, prepend=u[0]), shares)[: len(u)]
         y = u[0] + np.cumsum(rises) + 1e-3 * np.random.default_rng(4).standard_normal(len(u))
         assert len(dropouts(y)) > 40 and not len(dropouts(y, u))
 

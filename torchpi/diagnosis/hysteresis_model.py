@@ -19,7 +19,7 @@ from torchpi.operators.hysteresis_rows import (
     bouc_wen_row,
     duhem_rows,
     gain_inside,
-    left_after,
+    kept_after,
     offsets_of,
     play_states,
     play_sum,
@@ -182,14 +182,14 @@ class HysteresisModel:
         outside, v = self.of_simulation(v), shifted(v, self.late)
         inside = self.inside(v, period_s)
         others = self.other_rows(v, inside[-3], inside[-1]) + outside
-        self.fill_plays(v, inside, left_after(period_s, self.shape["relaxation_s"]), rows)
+        self.fill_plays(v, inside, kept_after(period_s, self.shape["relaxation_s"]), rows)
         if self.reduction is None:
             rows[self.of_plays :] = np.reshape(others, (-1, len(v)))
         elif others:
             rows += self.reduction[:, self.of_plays :] @ np.array(others)
 
     def fill_plays(
-        self, v: np.ndarray, inside: tuple[np.ndarray, ...], left: float, rows: np.ndarray
+        self, v: np.ndarray, inside: tuple[np.ndarray, ...], kept: float, rows: np.ndarray
     ) -> None:
         """Write the rows of the plays alone, as `fill` does."""
         r, h, plays = self.thresholds_v, np.zeros(len(self.thresholds_v)), self.of_plays
@@ -202,11 +202,11 @@ class HysteresisModel:
             part = slice(first, min(first + BLOCK, len(v)))
             now, samples = [one[part] for one in inside], len(v[part])
             if functions:
-                sums: tuple[Any, ...] = (*now, r, left, *functions, h, np.empty((samples, len(rows))))
+                sums: tuple[Any, ...] = (*now, r, kept, *functions, h, np.empty((samples, len(rows))))
                 sums_of_plays(*sums)
                 rows[:, part] = sums[-1].T
                 continue
-            states: tuple[Any, ...] = (*now, r, left, h, np.empty((samples, plays)))
+            states: tuple[Any, ...] = (*now, r, kept, h, np.empty((samples, plays)))
             play_states(*states)
             if mixed is None:
                 rows[:plays, part] = states[-1].T
@@ -224,8 +224,8 @@ class HysteresisModel:
         else:
             low_v, piece_v, slopes, offsets = self.output_functions(full[None, :plays])
             functions: tuple[Any, ...] = (low_v, piece_v, slopes[..., 0].copy(), offsets[..., 0].copy())
-            left = left_after(period_s, self.shape["relaxation_s"])
-            arguments: tuple[Any, ...] = (*inside, self.thresholds_v, left, *functions)
+            kept = kept_after(period_s, self.shape["relaxation_s"])
+            arguments: tuple[Any, ...] = (*inside, self.thresholds_v, kept, *functions)
             y = play_sum(*arguments)
         others = self.other_rows(v, inside[-3], inside[-1]) + outside
         for weight, row in zip(full[plays:], others, strict=True):
@@ -263,7 +263,7 @@ class HysteresisModel:
         s = self.shape
         rate = np.diff(v, prepend=0.0) / period_s
         if s["rate_filter_s"] > 0.0:
-            rate = smooth(rate, left_after(period_s, s["rate_filter_s"]))
+            rate = smooth(rate, kept_after(period_s, s["rate_filter_s"]))
         bent: Any = bend(v, s["asymmetry_per_v"])  # type: ignore[arg-type]
         widening: Any = threshold_widening(rate, s["threshold_s_per_v"])  # type: ignore[arg-type]
         gain: Any = gain_inside(v, rate, s["incongruence_per_v"], s["weight_s_per_v"])  # type: ignore[arg-type]

@@ -45,8 +45,8 @@ def threshold_widening(rate: float, threshold_s_per_v: float) -> float:
     return 1.0 + threshold_s_per_v * abs(rate)
 
 
-def left_after(period_s: float, time_constant_s: float) -> float:
-    """Return e^{-T/τ}, the share of a relaxation that is left after a period; 0 without a time constant."""
+def kept_after(period_s: float, time_constant_s: float) -> float:
+    """Return e^{-T/τ}, the share of a distance that is kept over a period; 0 without a time constant."""
     return math.exp(-period_s / time_constant_s) if time_constant_s > 0.0 else 0.0
 
 

@@ -33,7 +33,7 @@ from torchpi.operators.hysteresis_rows import (
     bouc_wen,
     duhem,
     gain_inside,
-    left_after,
+    kept_after,
     loop_widening,
     offsets_of,
     piece_of,
@@ -246,7 +246,7 @@ class Hysteresis(Operator):
 
     def _kept(self) -> float:
         """Return the share of its value that the filter of the rate keeps over one period."""
-        return left_after(self.sample_period_s, self.fixed["rate_filter_s"])
+        return kept_after(self.sample_period_s, self.fixed["rate_filter_s"])
 
     def _families(self) -> list[tuple[Any, tuple[float, ...], float]]:
         """Return kernels, parameters and divisor of each state that is not a play."""
