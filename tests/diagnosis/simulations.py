@@ -1,8 +1,13 @@
-"""Simulations that share no code with torchpi: static plays in NumPy, a mode from python-control."""
+"""Simulations that share no code with torchpi: static plays of their own, a mode from python-control.
+
+A diagnosis calls them some hundred times, so their loops over samples are compiled.
+"""
 
 import control
+import numba
 import numpy as np
 import torch
+from scipy.signal import lfilter
 
 from tests.diagnosis.plants import multisine, triangles
 from torchpi.recordings.recording import Recording
@@ -16,10 +21,15 @@ CREEP = {"creep_per_decade": 0.02, "creep_from_s": 1e-3 * 10**0.5, "creep_to_s":
 
 def plays(u_v: np.ndarray, fs_hz: float, weights: tuple[float, ...] = WEIGHTS) -> np.ndarray:
     """Simulate static hysteresis and nothing else."""
-    y, h, r = np.empty(len(u_v)), np.zeros(len(THRESHOLDS_V)), np.array(THRESHOLDS_V)
-    for k, v in enumerate(u_v):
-        h = np.maximum(v - r, np.minimum(v + r, h))
-        y[k] = h @ weights
+    return weighted(u_v, np.array(THRESHOLDS_V), np.array(weights))
+
+
+@numba.njit
+def weighted(u_v: np.ndarray, r: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    y, h = np.empty(len(u_v)), np.zeros(len(r))
+    for k in range(len(u_v)):
+        h = np.maximum(u_v[k] - r, np.minimum(u_v[k] + r, h))
+        y[k] = np.sum(h * weights)
     return y
 
 
@@ -27,8 +37,8 @@ def with_mode(x: np.ndarray, fs_hz: float, frequency_hz: float, damping_ratio: f
     """Pass a displacement through a mode of unit static gain."""
     w = 2 * np.pi * frequency_hz
     mode = control.tf([w * w], [1, 2 * damping_ratio * w, w * w])
-    y: np.ndarray = control.forced_response(mode, np.arange(len(x)) / fs_hz, x).outputs
-    return y
+    sampled = control.sample_system(mode, 1 / fs_hz, "foh")
+    return lfilter(sampled.num[0][0], sampled.den[0][0], x)
 
 
 def right(u_v: np.ndarray, fs_hz: float) -> np.ndarray:
@@ -59,7 +69,7 @@ def stage(creep: bool = False, cutoff_hz: float | None = None, mode: bool = True
     return Stage.from_dict(settings)
 
 
-def recorded(stage: Stage, samples: int = 4000) -> list[Recording]:
+def recorded(stage: Stage, samples: int = 2000) -> list[Recording]:
     """Record a multisine and triangles on a stage."""
     found = []
     for seed, u in enumerate((multisine(samples, FS_HZ), triangles(samples, fs_hz=FS_HZ))):

@@ -66,7 +66,7 @@ def test_creep_that_a_simulation_lacks_is_found(how: str) -> None:
 
 @each_way
 def test_a_mode_at_the_wrong_frequency_is_replaced_by_one_at_the_right_frequency(how: str) -> None:
-    found = compared(how, recorded(stage()), simulations.wrong_mode)
+    found = compared(how, recorded(stage(), 4000), simulations.wrong_mode)
     assert names(found) == ["resonance"] and found.verdict == "explained"
     values = {one.name: one.value for one in found.effects[0].parameters}
     assert found.effects[0].form == "in place of the simulation's"

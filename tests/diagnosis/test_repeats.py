@@ -134,11 +134,11 @@ def test_an_unmodelled_start_transient_weighs_about_as_much_as_what_recurs_in_ea
 def ripples(drift_um: float, seed: int = 0) -> Recording:
     """Record twelve periods of a stage with a ripple that no effect models, ten times the noise, in a room
     whose temperature wanders."""
-    u = np.tile(U[-20_000::20], 12)
+    u = np.tile(U[-20_000::40], 12)
     hours = np.random.default_rng(seed).standard_normal(7)
     drift = np.interp(np.arange(len(u)), np.linspace(0, len(u), 7), hours - hours[0])
     error = 0.04 * np.sin(9 * u) + drift_um * drift
-    return record(u, fs_hz=250.0, after=lambda x, fs_hz: x + error)
+    return record(u, fs_hz=125.0, after=lambda x, fs_hz: x + error)
 
 
 @pytest.mark.parametrize("drift_um", [0.0, 0.02])
