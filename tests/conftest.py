@@ -1,6 +1,7 @@
 """Long tests run first; each runs in float64 on one thread, and leaves torch's global state as it was."""
 
 import os
+import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -47,7 +48,20 @@ def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a folder to import from, in which nothing but the wheel is installed."""
     site = tmp_path_factory.mktemp("site")
     pip("install", "--no-deps", "--no-index", "--no-compile", "--target", str(site), str(wheel))
+    share_kernels(ROOT / "torchpi", site / "torchpi")
     return site
+
+
+def share_kernels(source: Path, target: Path) -> None:
+    """Give a copy of the package the kernels that are compiled for the original, which takes a minute again.
+    Numba loads them where a file has the size and the time of modification for which it compiled them."""
+    for kernel in source.rglob("__pycache__/*.nb[ci]"):
+        place = target / kernel.relative_to(source)
+        place.parent.mkdir(exist_ok=True)
+        shutil.copyfile(kernel, place)
+    for file in source.rglob("*.py"):
+        times = file.stat()
+        os.utime(target / file.relative_to(source), ns=(times.st_atime_ns, times.st_mtime_ns))
 
 
 def pip(*arguments: str) -> None:
