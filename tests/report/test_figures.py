@@ -8,6 +8,7 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 
 from torchpi.report import loop_figures, training_figures
+from torchpi.report.style import canvas
 from torchpi.report.svg import inline_svg
 from torchpi.report.traces import envelope, readable, thinned
 
@@ -42,6 +43,15 @@ def test_text_is_eight_points_or_more(figures: list[Figure]):
     for figure in figures:
         sizes = [text.get_fontsize() for text in figure.findobj(Text) if text.get_text()]
         assert min(sizes) >= 8
+
+
+def test_powers_of_ten_are_plain_text() -> None:
+    with canvas(2.0) as figure:
+        axes = figure.subplots()
+        axes.plot([1e-3, 1e2], [2e-5, 7e-5])
+        axes.set(xscale="log", yscale="log")
+    svg = inline_svg(figure, "a", "")
+    assert ">10⁻³</text>" in svg and ">10²</text>" in svg and ">3×10⁻⁵</text>" in svg
 
 
 def test_the_svg_of_a_figure_is_reproducible(figures: list[Figure]):
