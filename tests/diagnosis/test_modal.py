@@ -108,13 +108,10 @@ MIRROR = Path(__file__).parents[3] / "shared" / "data" / "steering_mirror" / "tr
 def test_the_two_missing_voltages_and_the_modes_of_a_real_steering_mirror_are_found() -> None:
     signals = np.load(MIRROR)
     volts, metres = (signals[f"{kind}_300mV_train"].astype(np.float64) for kind in ("u", "y"))
-    runs = []
-    for run in range(1):
-        u = volts[:, :, run].transpose(2, 0, 1).reshape(-1, 3)
-        y = 1e6 * metres[:, 0, run].T.ravel()
-        aux = {"aux_u2": u[:, 1], "aux_u3": u[:, 2]}
-        runs.append(Recording(f"run {run}", np.arange(len(y)) / 6400, u[:, 0], y, 6400.0, aux))
-    one = diagnose(runs)
+    u = volts[:, :, 0].transpose(2, 0, 1).reshape(-1, 3)
+    y = 1e6 * metres[:, 0, 0].T.ravel()
+    aux = {"aux_u2": u[:, 1], "aux_u3": u[:, 2]}
+    one = diagnose([Recording("run 0", np.arange(len(y)) / 6400, u[:, 0], y, 6400.0, aux)])
     effects = {effect.name: effect for effect in one.effects}
     assert set(effects) == {"cross_coupling", "resonance", "second_mode"}
     assert one.stage.aux_names == ("aux_u2", "aux_u3")

@@ -85,6 +85,7 @@ def canvas(height_in: float, width_in: float = WIDTH_IN) -> Iterator[Figure]:
             for axis in (axes.xaxis, axes.yaxis):
                 if isinstance(axis.get_major_formatter(), LogFormatterSciNotation):
                     axis.set_major_formatter(Powers())
+                if isinstance(axis.get_minor_formatter(), LogFormatterSciNotation):
                     axis.set_minor_formatter(Powers())
         engine = figure.get_layout_engine()
         assert engine is not None  # the style enables one
