@@ -99,7 +99,7 @@ def test_loops_are_drawn_as_errors_so_that_their_opening_is_visible(results):
     for axes in (both, alone):
         drawn = next(line.get_ydata() for line in axes.lines if line.get_label() == drive.label)
         assert drawn.min() == pytest.approx(steady.min(), abs=1) and len(drawn) > 100
-        assert axes.get_ylabel() == "error $y - y_d$ (nm)"
+        assert axes.get_ylabel() == "error, y − reference (nm)"
     assert len([line for line in both.lines if line.get_label() == "without compensation"]) == 1
 
 

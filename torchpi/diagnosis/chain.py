@@ -1,7 +1,7 @@
 """Evaluation of hypotheses on recordings: displacement, and its derivatives along rows and parameters."""
 
 import pickle
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import replace
 from functools import cached_property, partial
@@ -16,9 +16,9 @@ from torchpi.diagnosis.hypothesis import Hypothesis
 from torchpi.diagnosis.hysteresis_model import HysteresisModel
 from torchpi.diagnosis.records import Record, Rests
 from torchpi.diagnosis.score import Weighting
-from torchpi.operators.linear import Matrices
-from torchpi.stage.effects.effect import Effect, LinearEffect, StateSpaceEffect, run, without_idle_poles
-from torchpi.stage.effects.held import hold_first_block
+from torchpi.operators.discrete_block import DiscreteBlock
+from torchpi.stage.effects.effect import Effect, LinearEffect, StateSpaceEffect, without_idle_poles
+from torchpi.stage.effects.held import BetweenSamples, between_samples
 from torchpi.stage.effects.inside import InsideEffect
 from torchpi.stage.effects.mechanics.modal import ModalEffect
 from torchpi.stage.effects.mechanics.modes import Modes, Part
@@ -27,7 +27,7 @@ from torchpi.stage.effects.mechanics.stiction import Stiction
 SIGNALS = 60
 """Maximum number of cached signals inside the chain."""
 MADE = 2000
-"""Maximum number of cached effects with given parameters; also of cached placements and matrices."""
+"""Maximum number of cached effects with given parameters; also of cached blocks and arrangements."""
 AT_ONCE = 128
 """Rows over time that are processed at once: all rows of a large hysteresis take some hundred megabytes."""
 REMEMBERED = 200_000_000
@@ -44,8 +44,8 @@ class Placed(NamedTuple):
     aux: Tensor | tuple[Tensor, ...] | None
     key: tuple[object, ...]
     """Cache key that distinguishes it from other effects."""
-    matrices: Matrices | None
-    """State-space matrices, for an effect with few states."""
+    block: DiscreteBlock | None
+    """For an effect with few states, what runs it."""
 
     def __call__(self, x: Tensor) -> Tensor:
         if self.aux is None and isinstance(self.effect, LinearEffect):
@@ -62,10 +62,28 @@ class Placed(NamedTuple):
 
     def of_deviation(self, x: Tensor) -> Tensor:
         """Return the response of a linear effect to rows, (rows, time), at rest at their first sample."""
-        first = x[:, :1]
-        response = self.effect(x - first) if self.matrices is None else run(x - first, self.matrices)
-        moved: Tensor = response[0]
-        return moved.add_(first)
+        if self.block is None:
+            moved: Tensor = self.effect(x - x[:, :1])[0]
+            return moved.add_(x[:, :1])
+        u = x.numpy()
+        y = self.block(u - u[:, :1])
+        y += u[:, :1]
+        return torch.from_numpy(y)
+
+
+class Arrangement(NamedTuple):
+    """The chain of a hypothesis for one recording."""
+
+    nominal: HysteresisModel
+    """The hysteresis, including the effects that act inside it."""
+    effects: list[Placed]
+    """Every effect outside it, in the order of the chain."""
+    before: list[Placed]
+    """Those that precede the hysteresis."""
+    after: list[Placed]
+    """Those that follow it."""
+    key: tuple[object, ...]
+    """Cache key of the states: everything that they depend on."""
 
 
 class Chain:
@@ -78,10 +96,10 @@ class Chain:
         self.remembered: dict[tuple[object, ...], np.ndarray] = {}
         self.signals: dict[tuple[object, ...], Tensor] = {}
         self.made: dict[tuple[object, ...], Effect] = {}
-        self.matrices: dict[tuple[object, ...], Matrices] = {}
+        self.blocks: dict[tuple[object, ...], tuple[Effect, DiscreteBlock | None]] = {}
         self.linearised: Any = None
         """Sensitivities that many fits start from, with a key for the point at which they were taken."""
-        self.placements: dict[tuple[Hypothesis, int], list[Placed]] = {}
+        self.arrangements: dict[tuple[Hypothesis, int], Arrangement] = {}
 
     @cached_property
     def packed(self) -> tuple[str, bytes]:
@@ -116,42 +134,43 @@ class Chain:
 
     def output(self, hypothesis: Hypothesis, weights: np.ndarray, index: int) -> np.ndarray:
         """(time,), µm: the output for one recording. Its zero is added behind all effects."""
-        key = (self.key(hypothesis, index), weights.tobytes())
-        path: list[tuple[object, ...]] = [key]
-        y = self.signals.get(tuple(path))
-        if y is None:
-            y = self.signals[tuple(path)] = torch.from_numpy(self.displacement(hypothesis, weights, index))[
-                None
-            ]
-        with torch.no_grad():
-            for placed in self.after(hypothesis, index):
-                path.append(placed.key)
-                known = self.signals.get(tuple(path))
-                if known is None:
-                    known = placed(y)
-                    self.remember(tuple(path), known)
-                y = known
-        return self.where_stuck(hypothesis, index, y[0].numpy() + self.zero(weights, index))
+        return self.output_of(hypothesis, weights, index, self.signals_behind(hypothesis, weights, index))
+
+    def signals_behind(self, hypothesis: Hypothesis, weights: np.ndarray, index: int) -> list[Tensor]:
+        """(1, time) each, cached: the displacement of the hysteresis, then the output of each effect."""
+        arranged = self.arranged(hypothesis, index)
+        path: tuple[object, ...] = (arranged.key, weights.tobytes())
+        x = partial(self.displacement, hypothesis, weights, index)
+        found = [self.signal(path, lambda: torch.from_numpy(x())[None])]
+        for placed in arranged.after:
+            path = (*path, placed.key)
+            found.append(self.signal(path, partial(placed.__call__, found[-1])))
+        return found
+
+    def signal(self, path: tuple[object, ...], make: Callable[[], Tensor]) -> Tensor:
+        """One of the signals last used, which successive candidates share, or else a new one."""
+        known = self.signals.pop(path, None)
+        if known is None:
+            with torch.no_grad():
+                known = make()
+        if len(self.signals) >= SIGNALS:
+            self.signals.pop(next(iter(self.signals)))
+        self.signals[path] = known
+        return known
 
     def displacement(self, hypothesis: Hypothesis, weights: np.ndarray, index: int) -> np.ndarray:
         """(time,), µm: the weighted sum over the states of the hysteresis."""
         used = self.used(hypothesis, index)
         # The way of summing depends on the hypothesis alone, not on the cache, so results agree to the bit.
-        if not any(hypothesis.precedes(member.effect) for member in hypothesis.members):
+        if self.keeps_rows(hypothesis):
             x: np.ndarray = weights[used] @ self.rows(hypothesis, index)
             return x
-        nominal, v = self.nominal(hypothesis, index), self.voltage(hypothesis, index)
+        nominal, v = self.arranged(hypothesis, index).nominal, self.voltage(hypothesis, index)
         x = nominal.output(v, self.records[index].period_s, weights[: nominal.kept])
         if not hypothesis.history:
             return x
         remembered: np.ndarray = x + weights[used[nominal.kept :]] @ nominal.remembered(v)
         return remembered
-
-    def remember(self, path: tuple[object, ...], signal: Tensor) -> None:
-        """Cache a signal inside the chain: successive candidates act behind the same signals."""
-        if len(self.signals) >= SIGNALS:
-            self.signals.clear()
-        self.signals[path] = signal
 
     def zero(self, weights: np.ndarray, index: int) -> float:
         """The zero of one recording, µm."""
@@ -168,10 +187,12 @@ class Chain:
 
     def behind_each(self, hypothesis: Hypothesis, weights: np.ndarray, index: int) -> list[Tensor]:
         """(1, time) each: the sum over the hysteresis, then the output of each effect behind it."""
+        if self.keeps_rows(hypothesis):
+            return self.signals_behind(hypothesis, weights, index)
         used = self.used(hypothesis, index)
         found = [torch.from_numpy(weights[used] @ self.rows(hypothesis, index))[None]]
         with torch.no_grad():
-            for placed in self.after(hypothesis, index):
+            for placed in self.arranged(hypothesis, index).after:
                 found.append(placed(found[-1]))
         return found
 
@@ -187,7 +208,7 @@ class Chain:
         """(rows, time): derivative of the output along hysteresis rows, (rows, time), at these signals."""
         found = torch.from_numpy(rows)
         with torch.no_grad():
-            for placed, x in zip(self.after(hypothesis, index), signals[:-1], strict=True):
+            for placed, x in zip(self.arranged(hypothesis, index).after, signals[:-1], strict=True):
                 found = placed.tangent(x, found)
         rests = self.rests(hypothesis, index)
         return found.numpy() if rests is None else np.where(rests.stuck, 0.0, found)
@@ -209,7 +230,7 @@ class Chain:
         found: dict[tuple[int, str], Tensor] = {}
         x = torch.from_numpy(self.displacement(hypothesis, weights, index))[None]
         with torch.no_grad():
-            for placed in self.after(hypothesis, index):
+            for placed in self.arranged(hypothesis, index).after:
                 if found:
                     rows = placed.tangent(x, torch.cat(list(found.values())))
                     found = dict(zip(found, rows.split(1), strict=True))
@@ -222,15 +243,15 @@ class Chain:
         """Propagate rows, (rows, time), through the chain behind the hysteresis, linearised about rest."""
         directions, x = torch.from_numpy(rows), torch.zeros(1, rows.shape[1], dtype=torch.float64)
         with torch.no_grad():
-            for placed in self.after(hypothesis, index):
+            for placed in self.arranged(hypothesis, index).after:
                 directions = placed.tangent(x, directions)
         return directions.numpy()
 
     def rows(self, hypothesis: Hypothesis, index: int) -> np.ndarray:
         """(rows, time): the states of the hysteresis, then the columns of the recording's history."""
-        key = self.key(hypothesis, index)
+        key = self.arranged(hypothesis, index).key
         if key not in self.remembered:
-            nominal = self.nominal(hypothesis, index)
+            nominal = self.arranged(hypothesis, index).nominal
             v = self.voltage(hypothesis, index)
             rows = np.empty((nominal.kept + hypothesis.history, len(v)))
             nominal.fill(v, self.records[index].period_s, rows[: nominal.kept])
@@ -248,7 +269,7 @@ class Chain:
         before = hypothesis.alignment - self.late(hypothesis, index)
         v = torch.from_numpy(self.records[index].commanded(before))[None]
         with torch.no_grad():
-            for placed in self.before(hypothesis, index):
+            for placed in self.arranged(hypothesis, index).before:
                 v = placed(v)
         reached: np.ndarray = v[0].numpy()
         return reached
@@ -260,78 +281,83 @@ class Chain:
         at_ticks = record.tick_s == record.period_s
         return hypothesis.alignment if hypothesis.nominal.simulation and at_ticks else 0
 
-    def key(self, hypothesis: Hypothesis, index: int) -> tuple[object, ...]:
-        """Cache key of the states: everything that they depend on."""
-        nominal = self.nominal(hypothesis, index)
-        before = tuple(placed.key for placed in self.before(hypothesis, index))
-        shape = tuple(sorted(nominal.shape.items()))
-        past = (hypothesis.remanent, nominal.start)
-        return (index, hypothesis.alignment, past, hypothesis.nominal.structure, shape, before)
-
-    def before(self, hypothesis: Hypothesis, index: int) -> list[Placed]:
-        """The effects that precede the hysteresis."""
-        return [p for p in self.placed(hypothesis, index) if hypothesis.precedes(type(p.effect))]
-
-    def after(self, hypothesis: Hypothesis, index: int) -> list[Placed]:
-        """The effects that follow the hysteresis."""
-        return [p for p in self.placed(hypothesis, index) if not hypothesis.precedes(type(p.effect))]
+    def keeps_rows(self, hypothesis: Hypothesis) -> bool:
+        """Whether the rows of the hysteresis depend on no effect before it."""
+        return not any(hypothesis.precedes(member.effect) for member in hypothesis.members)
 
     def bends(self, hypothesis: Hypothesis) -> bool:
         """Whether a nonlinear effect behind the hysteresis makes the readings nonlinear in the weights."""
-        return any(not isinstance(one.effect, LinearEffect | Modes) for one in self.after(hypothesis, 0))
+        return any(
+            not isinstance(one.effect, LinearEffect | Modes) for one in self.arranged(hypothesis, 0).after
+        )
 
-    def placed(self, hypothesis: Hypothesis, index: int) -> list[Placed]:
-        """Every effect outside the hysteresis, in the order of the chain."""
-        if (hypothesis, index) not in self.placements:
-            if len(self.placements) >= MADE:
-                self.placements.clear()
-            self.placements[hypothesis, index] = self.place(hypothesis, index)
-        return self.placements[hypothesis, index]
+    def arranged(self, hypothesis: Hypothesis, index: int) -> Arrangement:
+        """The cached arrangement of a hypothesis for one recording."""
+        if (hypothesis, index) not in self.arrangements:
+            if len(self.arrangements) >= MADE:
+                self.arrangements.clear()
+            nominal, effects = self.nominal(hypothesis, index), self.place(hypothesis, index)
+            before = [p for p in effects if hypothesis.precedes(type(p.effect))]
+            after = [p for p in effects if not hypothesis.precedes(type(p.effect))]
+            shape, past = tuple(sorted(nominal.shape.items())), (hypothesis.remanent, nominal.start)
+            states = (index, hypothesis.alignment, past, hypothesis.nominal.structure, shape)
+            key = (*states, tuple(p.key for p in before))
+            self.arrangements[hypothesis, index] = Arrangement(nominal, effects, before, after, key)
+        return self.arrangements[hypothesis, index]
 
     def place(self, hypothesis: Hypothesis, index: int) -> list[Placed]:
-        """Make the effects that `placed` returns."""
+        """Make the effects of an arrangement."""
         record = self.records[index]
         parts: list[tuple[Effect, tuple[object, ...], str]] = []
         modal = [m for m in hypothesis.members if issubclass(m.effect, ModalEffect)]
         for member in hypothesis.members:
-            key: tuple[object, ...] = (
-                member.effect,
-                record.period_s,
-                member.aux,
-                *member.values(index).items(),
-            )
             if issubclass(member.effect, Effect):
-                if key not in self.made:
-                    if len(self.made) >= MADE:
-                        self.made.clear()
-                    self.made[key] = member.effect(record.period_s, **member.values(index))
-                # Copied, because the blocks before it determine what its input does between samples.
-                parts.append((copy(self.made[key]), key, member.aux))
+                values = member.values(index)
+                key: tuple[object, ...] = (member.effect, record.period_s, member.aux, *values.items())
+                parts.append(
+                    (self.effect(key, partial(member.effect, record.period_s, **values)), key, member.aux)
+                )
             elif modal and member is modal[-1]:
                 each = [Part(m.effect, m.values(index), m.aux) for m in modal]  # type: ignore[arg-type]
-                names = tuple((m.effect, m.aux, *m.values(index).items()) for m in modal)
-                parts.append((Modes(record.period_s, each), names, ""))
-        hold_first_block([effect for effect, _, _ in parts], hypothesis.held)
+                key = (record.period_s, *((p.effect, p.aux, *p.values.items()) for p in each))
+                parts.append((self.effect(key, partial(Modes, record.period_s, each)), key, ""))
+        keys: dict[Effect | None, tuple[object, ...]] = {effect: key for effect, key, _ in parts}
         found = []
-        for effect, key, name in parts:
+        inputs = between_samples([effect for effect, _, _ in parts], hypothesis.held)
+        for (effect, key, name), between in zip(parts, inputs, strict=True):
+            key = (*key, between.hold)
+            mine, block = self.block(effect, (*key, *keys.get(between.lag, ())), between)
             aux: Tensor | tuple[Tensor, ...] | None = (
                 torch.from_numpy(record.aux[name])[None] if name else None
             )
-            if isinstance(effect, Modes):
-                aux = tuple(torch.from_numpy(record.aux[one])[None] for one in effect.aux_names)
-            found.append(Placed(effect, aux, (*key, effect.hold), self.discrete(effect, (*key, effect.hold))))
+            if isinstance(mine, Modes):
+                aux = tuple(torch.from_numpy(record.aux[one])[None] for one in mine.aux_names)
+            found.append(Placed(mine, aux, key, block))
         return found
 
-    def discrete(self, effect: Effect, key: tuple[object, ...]) -> Matrices | None:
-        """Cached matrices of an effect with few states: computing them takes longer than using them."""
-        if not isinstance(effect, StateSpaceEffect):
-            return None
-        if key not in self.matrices:
-            if len(self.matrices) >= MADE:
-                self.matrices.clear()
-            with torch.no_grad():
-                self.matrices[key] = without_idle_poles(effect.matrices())
-        return self.matrices[key]
+    def effect(self, key: tuple[object, ...], make: Callable[[], Effect]) -> Effect:
+        """The cached effect with given parameters."""
+        if key not in self.made:
+            if len(self.made) >= MADE:
+                self.made.clear()
+            self.made[key] = make()
+        return self.made[key]
+
+    def block(
+        self, effect: Effect, key: tuple[object, ...], between: BetweenSamples
+    ) -> tuple[Effect, DiscreteBlock | None]:
+        """A cached copy of an effect with such an input, and what runs it if it has few states: to discretise
+        takes longer than to run."""
+        if key not in self.blocks:
+            if len(self.blocks) >= MADE:
+                self.blocks.clear()
+            mine, block = copy(effect), None
+            between.set_on(mine)
+            if isinstance(mine, StateSpaceEffect):
+                with torch.no_grad():
+                    block = DiscreteBlock(without_idle_poles(mine.matrices()))
+            self.blocks[key] = mine, block
+        return self.blocks[key]
 
     def nominal(self, hypothesis: Hypothesis, index: int) -> HysteresisModel:
         """The hysteresis, including the effects that act inside it."""

@@ -131,5 +131,5 @@ def lateness_s(chain: Chain, h: Hypothesis) -> float:
     slope = 1e-6 * chain.span_v  # per sample: below any rate limit
     ramp = slope * torch.arange(RAMP, dtype=torch.float64)[None]
     with torch.no_grad():
-        behind = [float((ramp - p(ramp))[0, -1]) for p in chain.placed(h, 0) if p.effect.delays]
+        behind = [float((ramp - p(ramp))[0, -1]) for p in chain.arranged(h, 0).effects if p.effect.delays]
     return sum(behind) / slope * record.period_s + h.alignment * record.tick_s

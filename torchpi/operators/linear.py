@@ -121,7 +121,7 @@ def state_space(
     Computed in float64 on the CPU whatever the inputs are; the output has the device and type of `u`,
     the state those of `x0`.
     """
-    return recursion(_forward, _backward, u, a, b, c, d, x0)
+    return recursion(response, _backward, u, a, b, c, d, x0)
 
 
 def recursion(
@@ -180,7 +180,7 @@ FEWEST_FOR_LANES = 3
 
 
 @numba.njit(cache=True)
-def _forward(
+def response(
     u: np.ndarray,
     a: np.ndarray,
     b: np.ndarray,

@@ -38,7 +38,7 @@ def relaxations(
     x0: Tensor,  # (batch, n)
 ) -> tuple[Tensor, Tensor]:  # (batch, time), (batch, n)
     """Like `state_space`, but with `a` the diagonal of A."""
-    return recursion(_forward, _backward, u, a, b, c, d, x0)
+    return recursion(response, _backward, u, a, b, c, d, x0)
 
 
 _relax: Any = numba.njit(relax)
@@ -50,7 +50,7 @@ TILE = 512
 
 
 @numba.njit(cache=True)
-def _forward(
+def response(
     u: np.ndarray,
     a: np.ndarray,
     b: np.ndarray,

@@ -65,7 +65,7 @@ def heldout_figure(diagnosis: Diagnosis) -> Figure:
         rows = figure.subplots(2 * len(traces), 1, height_ratios=(0.55, 1.0) * len(traces))
         for trace, motion, residual in zip(traces, rows[::2], rows[1::2], strict=True):
             motion.plot(*envelope(trace.t, trace.y), **{**RECORDED, "linewidth": 0.8})
-            motion.set(ylabel="$y$ (µm)", title=shortened(trace.name))
+            motion.set(ylabel="y (µm)", title=shortened(trace.name))
             motion.tick_params(labelbottom=False)
             residual.plot(
                 *envelope(trace.t, unit.per_um * trace.residual_retuned),
@@ -110,7 +110,7 @@ def loop_figure(diagnosis: Diagnosis) -> Figure:
         bent_unit = unit_of(float(np.abs(bent).max()))
         loop.plot(*thinned(trace.u, bent_unit.per_um * bent), **{**RECORDED, "linewidth": 0.5})
         loop.set(
-            ylabel=f"$y$ minus a straight line ({bent_unit.name})",
+            ylabel=f"y minus a straight line ({bent_unit.name})",
             title=f"{shortened(trace.name)}: loop, recorded",
         )
         for e, label, look in (
@@ -125,7 +125,7 @@ def loop_figure(diagnosis: Diagnosis) -> Figure:
         residual.set(ylabel=f"residual ({unit.name})", title="residual against voltage")
         residual.legend(loc="best", markerscale=5, handletextpad=0.2)
         for axes in (loop, residual):
-            axes.set_xlabel("voltage $u$ (V)")
+            axes.set_xlabel("voltage u (V)")
     return figure
 
 
@@ -196,7 +196,7 @@ def next_figure(diagnosis: Diagnosis) -> Figure:
     with canvas(1.8) as figure:
         axes = figure.subplots()
         axes.plot(*envelope(t, u), **{**style.TORCHPI, "linewidth": 0.8})
-        axes.set(xlim=(t[0], t[-1]), xlabel="time (s)", ylabel="voltage $u$ (V)", title="next recording")
+        axes.set(xlim=(t[0], t[-1]), xlabel="time (s)", ylabel="voltage u (V)", title="next recording")
     return figure
 
 

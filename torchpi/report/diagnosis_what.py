@@ -74,7 +74,7 @@ def signature_figure(effect: NamedEffect, diagnosis: Diagnosis) -> Figure:
         motion, residual = figure.subplots(2, 1, sharex=True, height_ratios=(0.65, 1.35))
         motion.plot(*envelope(t, trace.y[inside]), **RECORDED)
         motion.set(
-            ylabel="$y$ (µm)",
+            ylabel="y (µm)",
             title=f"{shortened(trace.name)}, where {spoken(effect.name)} is largest: recorded motion",
         )
         residual.plot(

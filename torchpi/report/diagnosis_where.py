@@ -33,7 +33,7 @@ def where_figure(where: Sequence[Where]) -> Figure:
         _bands(
             figure.add_subplot(grid[2, 0]),
             _map(where, "displacement"),
-            "displacement $y$ (µm)",
+            "displacement y (µm)",
             "displacement",
         )
         signed = [cell for cell in where if cell.domain == "rate" and cell.label != "either way"]

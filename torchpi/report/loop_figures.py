@@ -23,11 +23,11 @@ def trajectory_figure(result: LoopResult) -> Figure:
         for key in (WITHOUT, COMPENSATED):
             drive = result.drives[key]
             motion.plot(*envelope(t, drive.y_true[part]), label=drive.label, **line_of(result, key))
-        motion.plot(*envelope(t, yd), label="reference, $y_d$", **style.WANTED, zorder=4)
+        motion.plot(*envelope(t, yd), label="reference", **style.WANTED, zorder=4)
         motion.set(ylabel="displacement (µm)", title=f"{result.title}: motion")
         for key, drive in result.drives.items():
             error.plot(*envelope(t, drive.y_true[part] - yd), label=drive.label, **line_of(result, key))
-        error.set(ylabel="error $y - y_d$ (µm)", xlabel="time (s)", xlim=(t[0], t[-1]))
+        error.set(ylabel="error, y − reference (µm)", xlabel="time (s)", xlim=(t[0], t[-1]))
         for axes in (motion, error):
             _shade_loading(axes, result)
             legend_above(axes, 4, handlelength=2.2)
@@ -51,7 +51,7 @@ def linearity_figure(result: LoopResult) -> Figure:
                     )
                 line = {**line_of(result, key), "linewidth": 0.8}
                 axes.plot(*thinned(result.yd[n:], error_nm[n:]), label=drive.label, **line)
-            axes.set(xlabel="reference $y_d$ (µm)", ylabel="error $y - y_d$ (nm)")
+            axes.set(xlabel="reference (µm)", ylabel="error, y − reference (nm)")
             legend_above(axes, 3)
     return figure
 
@@ -93,9 +93,7 @@ def voltage_figure(result: LoopResult) -> Figure:
             axes.plot(*envelope(result.t, drive.u), label=drive.label, **line_of(result, key))
         for limit_v, label in ((result.min_voltage_v, "limits"), (result.max_voltage_v, None)):
             axes.axhline(limit_v, label=label, **style.LIMIT)
-        axes.set(
-            xlim=(0.0, result.t[-1]), xlabel="time (s)", ylabel="voltage $u$ (V)", title="voltage applied"
-        )
+        axes.set(xlim=(0.0, result.t[-1]), xlabel="time (s)", ylabel="voltage u (V)", title="voltage applied")
         _shade_loading(axes, result)
         legend_above(axes, 4, handlelength=2.2)
     return figure

@@ -9,7 +9,7 @@ from typing import Any
 import matplotlib
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import LogFormatterSciNotation
+from matplotlib.ticker import LogFormatterSciNotation, LogLocator
 
 # Okabe and Ito (2008). Lightness, dashes and width differ too, so that lines are distinct in grey print.
 WANTED: dict[str, Any] = {"color": "#000000", "linestyle": (0, (1, 1.2)), "linewidth": 1.6}
@@ -87,6 +87,9 @@ def canvas(height_in: float, width_in: float = WIDTH_IN) -> Iterator[Figure]:
                     axis.set_major_formatter(Powers())
                 if isinstance(axis.get_minor_formatter(), LogFormatterSciNotation):
                     axis.set_minor_formatter(Powers())
+                low, high = axis.get_view_interval()
+                if isinstance(axis.get_minor_locator(), LogLocator) and high > 10 * low:
+                    axis.set_minor_locator(LogLocator(subs=(2, 5)))  # the time to draw grows with every tick
         engine = figure.get_layout_engine()
         assert engine is not None  # the style enables one
         for _ in range(GROWS):

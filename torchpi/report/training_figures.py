@@ -21,9 +21,7 @@ def loop_figure(record: RecordFit) -> Figure:
         axes = figure.subplots()
         axes.plot(*thinned(record.y, record.u), label="recorded", **RECORDED)
         axes.plot(*thinned(record.y, record.u_hat), label="predicted", **PREDICTED)
-        axes.set(
-            xlabel="displacement $y$ (µm)", ylabel="voltage $u$ (V)", title=f"{record.name}, {record.role}"
-        )
+        axes.set(xlabel="displacement y (µm)", ylabel="voltage u (V)", title=f"{record.name}, {record.role}")
         axes.legend(loc="upper left")
     return figure
 
@@ -34,7 +32,7 @@ def traces_figure(record: RecordFit) -> Figure:
         voltage, residual = figure.subplots(2, 1, sharex=True)
         voltage.plot(*envelope(record.t, record.u), label="recorded", **RECORDED)
         voltage.plot(*envelope(record.t, record.u_hat), label="predicted", **PREDICTED)
-        voltage.set(ylabel="voltage $u$ (V)", title=f"{record.name}, {record.role}")
+        voltage.set(ylabel="voltage u (V)", title=f"{record.name}, {record.role}")
         legend_above(voltage, 2)
         residual.plot(*envelope(record.t, 1e3 * (record.u_hat - record.u)), color="#0072B2", linewidth=0.8)
         residual.axhline(0.0, color="#000000", linewidth=0.6)
@@ -86,12 +84,12 @@ def weights_figure(weights: WeightsAgainstRate) -> Figure:
                 lw=1.1,
             )
         single.set(
-            xlabel="rate $\\dot{y}$ (µm/s)",
-            ylabel="weight $w_i(\\dot{y})$ (V per unit of $S$)",
+            xlabel="rate ẏ (µm/s)",
+            ylabel="weight wᵢ(ẏ) (V per unit of S)",
             title="weights against rate",
         )
         single.legend(
-            title="threshold $r_i$",
+            title="threshold rᵢ",
             title_fontsize=8,
             loc="upper center",
             bbox_to_anchor=(0.5, -0.2),
@@ -111,8 +109,8 @@ def weights_figure(weights: WeightsAgainstRate) -> Figure:
             )
         running.axhline(0.0, **style.LIMIT)
         running.set(
-            xlabel="threshold $r_j$ (unit of $S$)",
-            ylabel="$\\sum_{i \\leq j} w_i$ (V per unit of $S$)",
+            xlabel="threshold rⱼ (unit of S)",
+            ylabel="Σ wᵢ, i ≤ j (V per unit of S)",
             title="their running sum: slope of the loop",
         )
         running.legend(loc="best")
@@ -123,15 +121,15 @@ def saturation_figure(saturation: Saturation) -> Figure:
     """Draw eq. 4: S against the line of its slope at zero, and the slope of S."""
     with canvas(2.7) as figure:
         value, slope = figure.subplots(1, 2)
-        value.plot(saturation.y, saturation.s, label="$S(y)$", **style.TORCHPI)
-        value.plot(saturation.y, saturation.c[0] * saturation.y, label="$c_1 y$", **style.LIMIT)
-        value.set(ylabel="$S$", title="saturation polynomial")
+        value.plot(saturation.y, saturation.s, label="S(y)", **style.TORCHPI)
+        value.plot(saturation.y, saturation.c[0] * saturation.y, label="c₁ y", **style.LIMIT)
+        value.set(ylabel="S", title="saturation polynomial")
         value.legend(loc="upper left")
         slope.plot(saturation.y, _slope(saturation), **style.TORCHPI)
         slope.set(ylabel="slope S′ (per µm)", title="its slope")
         slope.set_ylim(bottom=min(0.0, slope.get_ylim()[0]))
         for axes in (value, slope):
-            axes.set_xlabel("displacement $y$ (µm)")
+            axes.set_xlabel("displacement y (µm)")
     return figure
 
 

@@ -283,23 +283,14 @@ class StateSpaceEffect(LinearEffect):
         x: Tensor,  # (batch, time)
         state: Tensor | None = None,  # (batch, n)
     ) -> tuple[Tensor, Tensor]:
-        return run(x, self.matrices(), self.initial_state(len(x)) if state is None else state)
+        a, b, c, d = self.matrices()
+        state = self.initial_state(len(x)) if state is None else state
+        return (relaxations if a.ndim == 1 else state_space)(x, a, b, c, d, state)
 
     def stream(self) -> nn.Module:
         a, b, c, d = self.matrices()
         step = RelaxationsStream if a.ndim == 1 else LinearStream
         return step(a.flatten().tolist(), b.tolist(), c.tolist(), d.item())
-
-
-def run(
-    x: Tensor,  # (batch, time)
-    matrices: Matrices,
-    state: Tensor | None = None,  # (batch, n), zeros by default
-) -> tuple[Tensor, Tensor]:
-    """Return output and state of x⁺ = A x + B u, y = C x + D u, with A (n, n), or (n,) if it is diagonal."""
-    a, b, c, d = matrices
-    state = b.new_zeros(len(x), len(b)) if state is None else state
-    return (relaxations if a.ndim == 1 else state_space)(x, a, b, c, d, state)
 
 
 def without_idle_poles(matrices: Matrices) -> Matrices:
