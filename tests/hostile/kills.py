@@ -74,6 +74,7 @@ def commands(folder: Path) -> dict[str, Command]:
         json.dumps(paths),
         "--model.plays=5",
         "--trainer.max_epochs=6",
+        "--trainer.figures_every=0",
         "--output",
         str(folder / "fit"),
     ]

@@ -7,6 +7,8 @@ piezo ceramics do. In the fourth every play relaxes, with a time constant τ, to
 ordinary play (`torchpi.stage.effects.actuator.relaxing_plays`).
 """
 
+import math
+from collections.abc import Mapping
 from typing import ClassVar
 
 from torchpi.stage.effects.effect import DataRange, Needs, Parameters, parameter
@@ -44,11 +46,17 @@ class RateDependentHysteresis(InsideEffect):
     }
 
     @classmethod
+    def reached(cls, values: Mapping[str, float], seen: DataRange) -> bool:
+        return values.get("relaxation_s", math.inf) >= seen.quickest_s
+
+    @classmethod
     def starts(cls, seen: DataRange) -> list[Parameters]:
+        # A play that has relaxed before the voltage moves on looks like a lag.
+        taus = [tau for tau in (share * seen.duration_s for share in RELAXATIONS) if tau > seen.quickest_s]
         return [
             {"weight_s_per_v": 0.01 / seen.max_rate_v_s},
             {"threshold_s_per_v": 0.02 / seen.max_rate_v_s},
-            *({"relaxation_s": share * seen.duration_s} for share in RELAXATIONS),
+            *({"relaxation_s": tau} for tau in taus),
             *(
                 {
                     "loop_per_e": 0.02,
