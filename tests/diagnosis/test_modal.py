@@ -15,7 +15,7 @@ from torchpi.recordings.recording import Recording
 from torchpi.stage.effects.mechanics.modal import ModalResonance
 from torchpi.stage.effects.mechanics.second_mode import SecondMode
 
-FS_HZ, FINER, SAMPLES = 4000.0, 8, 6000
+FS_HZ, FINER, SAMPLES = 4000.0, 8, 4000
 NOISE_UM = 0.01
 MODES = ((310.0, 0.012), (520.0, 0.03), (560.0, 0.015), (1100.0, 0.01))
 RESIDUES = {
