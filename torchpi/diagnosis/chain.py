@@ -228,15 +228,14 @@ class Chain:
         if not places:
             return {}
         found: dict[tuple[int, str], Tensor] = {}
-        x = torch.from_numpy(self.displacement(hypothesis, weights, index))[None]
+        signals = self.signals_behind(hypothesis, weights, index)
         with torch.no_grad():
-            for placed in self.arranged(hypothesis, index).after:
+            for placed, x in zip(self.arranged(hypothesis, index).after, signals[:-1], strict=True):
                 if found:
                     rows = placed.tangent(x, torch.cat(list(found.values())))
                     found = dict(zip(found, rows.split(1), strict=True))
                 if isinstance(placed.effect, Modes):
                     found = placed.effect.slopes(x, placed.aux or ())  # type: ignore[arg-type]
-                x = placed(x)
         return {(places[part], name): row[0].numpy() for (part, name), row in found.items()}
 
     def moved(self, hypothesis: Hypothesis, rows: np.ndarray, index: int) -> np.ndarray:
@@ -249,9 +248,9 @@ class Chain:
 
     def rows(self, hypothesis: Hypothesis, index: int) -> np.ndarray:
         """(rows, time): the states of the hysteresis, then the columns of the recording's history."""
-        key = self.arranged(hypothesis, index).key
+        arranged = self.arranged(hypothesis, index)
+        key, nominal = arranged.key, arranged.nominal
         if key not in self.remembered:
-            nominal = self.arranged(hypothesis, index).nominal
             v = self.voltage(hypothesis, index)
             rows = np.empty((nominal.kept + hypothesis.history, len(v)))
             nominal.fill(v, self.records[index].period_s, rows[: nominal.kept])
