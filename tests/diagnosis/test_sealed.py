@@ -130,3 +130,19 @@ def test_a_random_walk_is_refuted_by_a_clear_loss_only(sealed_um: float, walk: f
     both = (0.9, [record()], more, [less], NOISE_UM2)
     assert confirmed(*both, False, walks=True) == pytest.approx(walk, abs=0.02)
     assert confirmed(*both, True) < other + 0.02
+
+
+@pytest.mark.parametrize(("creeps_um", "refuted"), [(0.0, False), (0.5, True)])
+def test_in_a_hold_outside_the_fitted_voltage_range_only_the_mean_does_not_count(
+    creeps_um: float, refuted: bool
+) -> None:
+    """A rate-independent hysteresis is constant there, so its extrapolation error is an offset."""
+    more, less = fits(0.1, 0.1)
+    far, hold = record(), 250
+    far.held_out, far.u[-hold:] = np.arange(TRAIN + SEALED) >= TRAIN + SEALED - hold - 100, 12.0
+    far.train = ~far.held_out
+    for e, without in zip(more.residuals, less.residuals, strict=True):
+        without[-hold:] = e[-hold:]
+        e[-hold:] += 3.0 + creeps_um * np.linspace(0, 1, hold)
+    found = confirmed(0.9, [far], more, [less], NOISE_UM2, False)
+    assert found < 0.5 if refuted else found == pytest.approx(0.9, abs=0.02)

@@ -2,7 +2,8 @@
 
 An effect that only resembles what is missing has adapted to the samples that it was fitted to. On others it
 explains less, or makes the prediction worse. Where the voltage lies outside the fitted range, the residual is
-the extrapolation error of a hysteresis with many weights, whatever else is missing: such samples are ignored.
+the extrapolation error of a hysteresis with many weights, whatever else is missing: such samples are ignored,
+but where that voltage holds, a rate-independent hysteresis is constant, and only the mean is ignored.
 """
 
 from collections.abc import Sequence
@@ -11,6 +12,7 @@ from math import log, sqrt
 import numpy as np
 
 from torchpi.diagnosis.hypothesis import Fit
+from torchpi.diagnosis.noise import holds
 from torchpi.diagnosis.records import Record
 
 
@@ -51,11 +53,15 @@ def confirmed(
             continue
         gained = changed = left = here = there = voted = 0.0
         for i, (record, e) in enumerate(zip(records, more.residuals, strict=True)):
-            judging = record.held_out & (record.u >= lowest_v) & (record.u <= highest_v)
-            e_held, e_train = split(record, e, judging)
+            within = record.held_out & (record.u >= lowest_v) & (record.u <= highest_v)
+            beyond = held_at(record.u, record.held_out & ~within)
+            judging = within.copy()
+            for places in beyond:
+                judging[places] = True
+            e_held, e_train = split(record, without_means(e, beyond), judging)
             if not len(e_held):
                 continue
-            each = [split(record, fit.residuals[i], judging) for fit in less]
+            each = [split(record, without_means(fit.residuals[i], beyond), judging) for fit in less]
             without_held, without_train = min(each, key=lambda held_and_train: mean_square(held_and_train[0]))
             after, before = mean_square(e_held) + 1e-300, mean_square(without_held) + 1e-300
             # A recording with a large error must not count more than another, so gains are ratios, and a
@@ -74,6 +80,20 @@ def confirmed(
             weight *= min(changed / max(voted, 1e-300), 1.0)
         share += part * weight * ((sealed if either_way else min(known, sealed)) - known)
     return share
+
+
+def held_at(u: np.ndarray, there: np.ndarray) -> list[np.ndarray]:
+    """Return the places of each hold of a voltage, (time,), as far as they are there, (time,) of bool."""
+    places = [np.arange(len(u))[hold][there[hold]] for hold in holds(u)]
+    return [at for at in places if len(at)]
+
+
+def without_means(e: np.ndarray, places: Sequence[np.ndarray]) -> np.ndarray:
+    """Return residuals, (time,), less their mean at each of these sets of places."""
+    e = e.copy()
+    for at in places:
+        e[at] -= e[at].mean()
+    return e
 
 
 def as_they_are(record: Record, e: np.ndarray, judging: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
