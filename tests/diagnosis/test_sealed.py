@@ -42,6 +42,17 @@ def test_a_larger_share_on_the_sealed_samples_counts_only_on_request_and_where_t
     assert 0.5 < confirmed(0.5, [record()], more, [less], NOISE_UM2, False, either_way=True) < 0.6
 
 
+def test_what_is_ignored_on_the_sealed_samples_does_not_increase_a_share() -> None:
+    """An extrapolation error is no evidence against an effect, and a part of it that it takes away none for
+    it."""
+    more, less = fits(0.1, 0.1)
+    for residual in (*more.residuals, *less.residuals):
+        residual[TRAIN:] += 0.5
+    both = (0.5, [record()], more, [less], NOISE_UM2, False)
+    assert confirmed(*both) == 0.5
+    assert confirmed(*both, either_way=True) == pytest.approx(0.5, abs=0.02)
+
+
 def test_an_effect_that_spoils_the_sealed_samples_loses_its_share() -> None:
     more, less = fits(0.1, -0.1)
     assert confirmed(0.9, [record()], more, [less], NOISE_UM2, False) < 0.05
