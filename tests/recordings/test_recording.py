@@ -176,6 +176,11 @@ class TestTime:
         np.testing.assert_array_equal(np.delete(read.y, missing), rows)
         np.testing.assert_array_equal(read.readings, rows)
         assert read.not_read.tolist() == ([700, 701] if missing else [])
+        late = np.delete(t - np.arange(2000) / FS_HZ, missing)
+        found = np.delete(read.late_s, missing)
+        np.testing.assert_allclose(found - found.mean(), late - late.mean(), atol=0.01 / FS_HZ)
+        np.testing.assert_array_equal(read.slice(0.05, 0.06).late_s, read.late_s[500:600])
+        assert read.resampled(FS_HZ / 2).late_s is None
 
     def test_rows_far_from_any_tick_are_interpolated(self, tmp_path):
         t = (np.arange(2000) + 0.6 * np.random.default_rng(0).random(2000)) / FS_HZ

@@ -9,6 +9,7 @@ import numpy as np
 from torchpi.diagnosis.across_recordings import across_recordings
 from torchpi.diagnosis.another_motion import another_motion_um
 from torchpi.diagnosis.chain import Chain
+from torchpi.diagnosis.clock import clock_notes
 from torchpi.diagnosis.conflict import conflict
 from torchpi.diagnosis.contest import FAINT
 from torchpi.diagnosis.converter import converter, of_converter
@@ -192,6 +193,7 @@ def diagnose(
         *codes_note,
         *monitored_notes(records),
         *start_notes(records, search.unsettled),
+        *clock_notes(search, final),
         *conventions(search, final),
         *history_notes(search, final),
         *slip_notes(search, final, augmented),

@@ -116,4 +116,5 @@ def _of_means(recording: Recording, factor: int) -> Recording:
         aux={name: means(x, factor) for name, x in recording.aux.items()},
         simulated=None if recording.simulated is None else means(recording.simulated, factor),
         filled=None,
+        late_s=None,
     )

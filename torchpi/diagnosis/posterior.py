@@ -17,6 +17,7 @@ from math import sqrt
 
 import numpy as np
 
+from torchpi.diagnosis.clock import within_the_clock
 from torchpi.diagnosis.contest import PRIOR
 from torchpi.diagnosis.coverage import one_motion, one_size
 from torchpi.diagnosis.diagnosis import Rival
@@ -87,6 +88,7 @@ def posterior(
     found, together, h = [], [], models[0].fit.hypothesis
     signals = {name for name in h.names if has_a_signal_of_its_own(search.chain.records, h, name)}
     whole = is_whole(search.chain, models[0].fit)
+    hidden_by_the_clock = within_the_clock(search, models[0].fit)
     for name in dict.fromkeys(model.without for model in models if model.without):
         less = without_cause(models, name, search.score, weighting.explained_where_it_acts, whole)
         rivals, alternatives = [], []
@@ -108,6 +110,7 @@ def posterior(
         # An effect that a hysteresis, driven by the voltage alone, predicts as well may have no own signal.
         own = name in signals and OPERATOR_NAME not in alternatives
         reached = search.within_reach([m for m in h.members if m.effect.name == name])
+        reached = reached and not names <= hidden_by_the_clock
         late = already_late(retuned, less.fit, models[0].fit, names)
         without = (less.fit,) if late else (less.fit, retuned)
         known, shown = share_explained(search, models[0].fit, without, name, own) if reached else (0.0, 0.0)

@@ -60,6 +60,8 @@ class Record:
     """Standard deviation of the noise that the monitor of the voltage adds, V; 0 for a command."""
     monitor_noise_left_v: np.ndarray
     """(time,): standard deviation of what is left of it in the voltage that drives."""
+    late_s: np.ndarray | None = None
+    """(time,): how late each reading was taken; None if the clock does not jitter."""
     rests: Rests | None = None
     """None where no sticking mount was seen."""
 
@@ -156,6 +158,7 @@ def _record(
         simulated=simulated,
         monitor_noise_v=monitor_noise_v,
         monitor_noise_left_v=driving[0][1],
+        late_s=recording.late_s,
     )
 
 

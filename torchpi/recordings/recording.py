@@ -77,6 +77,9 @@ class Recording(Shown):
     """(readings,), µm: the displacement as read, if `y` was interpolated from it."""
     filled: np.ndarray | None = None
     """(time,), bool: samples filled in because readings are missing; None if none are missing."""
+    late_s: np.ndarray | None = None
+    """(time,), s: how much later than on a regular clock each sample was taken, by its time stamp; None if
+    the stamps are regular, or lost with a change of the rate."""
 
     def __post_init__(self) -> None:
         self._expect(is_positive(self.fs_hz), "fs_hz", self.fs_hz, "a rate over 0 Hz")
@@ -93,6 +96,8 @@ class Recording(Shown):
             lengths["simulated"] = len(self.simulated)
         if self.filled is not None:
             lengths["filled"] = len(self.filled)
+        if self.late_s is not None:
+            lengths["late_s"] = len(self.late_s)
         if len(set(lengths.values())) > 1:
             found = ", ".join(f"{name} {length}" for name, length in lengths.items())
             raise RecordingError(
@@ -257,7 +262,7 @@ class Recording(Shown):
         changed = {"t": t, "u": u, "y": y, "fs_hz": float(fs_hz), "aux": convert, "simulated": simulated}
         if self.filled is not None:
             changed["filled"] = np.interp(t, self.t, self.filled) > 0
-        return replace(self, **changed, as_read=self.readings)
+        return replace(self, **changed, as_read=self.readings, late_s=None)
 
     def _expect(self, holds: bool, name: str, found: object, expected: str) -> None:
         if not holds:
@@ -272,8 +277,16 @@ class Recording(Shown):
         aux = {name: signal[cut] for name, signal in self.aux.items()}
         simulated = None if self.simulated is None else self.simulated[cut]
         filled = None if self.filled is None else self.filled[cut]
+        late_s = None if self.late_s is None else self.late_s[cut]
         return replace(
-            self, t=self.t[cut], u=self.u[cut], y=self.y[cut], aux=aux, simulated=simulated, filled=filled
+            self,
+            t=self.t[cut],
+            u=self.u[cut],
+            y=self.y[cut],
+            aux=aux,
+            simulated=simulated,
+            filled=filled,
+            late_s=late_s,
         )
 
 
@@ -362,6 +375,7 @@ def _recording_of(
         simulated=of_simulator,
         as_read=None if read.rows is None else converted(read.rows[1], scale_y),
         filled=read.filled,
+        late_s=read.late_s,
         source=source.path,
         sha256=sha256 or samples_sha256(u, y),
     ).with_zero(options.zero)

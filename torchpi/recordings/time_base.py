@@ -46,6 +46,8 @@ class Uniform(NamedTuple):
     """The signals as in the rows of the file, if samples were interpolated between rows or filled in."""
     filled: np.ndarray | None = None
     """(time,), whether no row lies within half a sample; None if every sample has one."""
+    late_s: np.ndarray | None = None
+    """(time,), s: how late each sample's row is on a regular clock; None if the clock does not jitter."""
 
 
 NUMBERED = re.compile(r"(input|output)_\d+(_|$)")
@@ -296,7 +298,7 @@ def _interpolated(source: Source, grid: Grid, t: np.ndarray, signals: list[np.nd
     whole = np.rint(steps / grid.median_step_s)
     near = np.abs(steps / grid.median_step_s - whole).max() < SAME_TICK
     if len(signals) > 1 and near and whole.min() > 0:
-        return _at_ticks(t[0], rate, np.concatenate([[0], np.cumsum(whole).astype(int)]), signals)
+        return _at_ticks(t, rate, np.concatenate([[0], np.cumsum(whole).astype(int)]), signals)
     uniform = t[0] + np.arange(samples) / rate
     after = np.clip(np.searchsorted(t, uniform), 1, len(t) - 1)
     filled = np.minimum(np.abs(t[after] - uniform), np.abs(t[after - 1] - uniform)) > 0.5 / rate
@@ -304,7 +306,7 @@ def _interpolated(source: Source, grid: Grid, t: np.ndarray, signals: list[np.nd
     return Uniform(uniform, rate, interpolated, signals, filled if filled.any() else None)
 
 
-def _at_ticks(start_s: float, rate: float, ticks: np.ndarray, signals: list[np.ndarray]) -> Uniform:
+def _at_ticks(t: np.ndarray, rate: float, ticks: np.ndarray, signals: list[np.ndarray]) -> Uniform:
     """Assign the rows unchanged to the ticks of a loop whose clock jitters; fill ticks without a row.
 
     Interpolating would smooth fast signals by a varying amount, depending on how far each instant lies from
@@ -314,4 +316,5 @@ def _at_ticks(start_s: float, rate: float, ticks: np.ndarray, signals: list[np.n
     missing = ~np.isin(every, ticks)
     placed = [np.interp(every, ticks, signal) for signal in signals]
     rows, filled = (signals, missing) if missing.any() else (None, None)
-    return Uniform(start_s + every / rate, rate, placed, rows, filled)
+    late_s = np.interp(every, ticks, t - np.polyval(np.polyfit(ticks, t, 1), ticks))
+    return Uniform(t[0] + every / rate, rate, placed, rows, filled, late_s)
