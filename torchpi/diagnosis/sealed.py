@@ -51,7 +51,7 @@ def confirmed(
     for part, split in ((1.0 - apart, as_they_are), (apart, what_does_not_repeat)):
         if part == 0.0:
             continue
-        gained = changed = left = found = here = there = voted = 0.0
+        gained = changed = left = ignored = here = there = voted = 0.0
         for i, (record, e) in enumerate(zip(records, more.residuals, strict=True)):
             within = record.held_out & (record.u >= lowest_v) & (record.u <= highest_v)
             beyond = held_at(record.u, record.held_out & ~within)
@@ -71,18 +71,18 @@ def confirmed(
             gained += votes * log(before / after)
             changed += votes * abs(log(before / after))
             # A residual found only here is extrapolation error of the hysteresis, with or without the effect.
-            rest = max(min(after, mean_square(e_train)) - noise_um2, 0.0)
+            usual = min(after, mean_square(e_train))
+            rest = max(usual - noise_um2, 0.0)
             left += 0.0 if own_signal or walks else votes * rest / ((after + before) / 2)
-            found += votes * max(after - noise_um2, 0.0) / ((after + before) / 2)
+            ignored += votes * (after - usual) / ((after + before) / 2)
             here, there, voted = here + acts, there + acted, voted + votes
         sealed = max(gained, 0.0) / max(changed + left, 1e-300)
         weight = min(sqrt(here / max(there, 1e-300)), 1.0)
         if walks:
             weight *= min(changed / max(voted, 1e-300), 1.0)
-        # What is ignored against an effect says nothing for it.
-        larger = max(gained, 0.0) / max(changed + found, 1e-300)
-        agreed = min(known, sealed)
-        share += part * weight * ((max(agreed, larger) if either_way else agreed) - known)
+        if sealed > known:  # by taking away a little of an extrapolation error, an effect shows nothing
+            weight *= gained / (gained + ignored) if either_way else 0.0
+        share += part * weight * (sealed - known)
     return share
 
 
