@@ -133,6 +133,24 @@ def test_the_form_error_of_an_effect_is_not_named_as_a_similar_effect(share: flo
     assert chance(lost, [lost, larger], terms) == chance(late, found, terms)
 
 
+def test_the_strongest_of_several_slow_effects_counts_with_what_the_others_take_over_from_it() -> None:
+    """Left out, it is replaced by the others, which are the error of its law."""
+    slow = {"creep": Creep, "thermal_drift": ThermalDrift, "gain_modulation": GainModulation}
+    terms = {name: EffectTerm(effect, {}) for name, effect in slow.items()}
+    found = [
+        Believed(name, 1.0, (), size, (), HALF) for name, size in zip(slow, (0.3, 0.09, 0.05), strict=True)
+    ]
+    group = Believed(" + ".join(slow), 1.0, (), 1.0, (), HALF)
+
+    def of(one: Believed, *together: Believed) -> float:
+        return apart(one, found, terms, together=together).probability
+
+    for one, alone in zip(found[1:], (0.09, 0.05), strict=True):
+        assert of(one) == pytest.approx(1 / (1 + (FORM_ERROR * 0.3 / alone) ** 2))
+        assert of(one, group) == pytest.approx(1 / (1 + (FORM_ERROR * (1.0 - alone) / alone) ** 2))
+    assert of(found[0], group) == of(found[0]) > 0.99
+
+
 @pytest.mark.parametrize("cause", [Resonance, SecondMode, AmplifierLag, SensorLag, Delay, SlewLimit])
 def test_the_form_error_of_a_dynamic_effect_is_not_named_rate_dependence(cause: type[Effect]) -> None:
     terms = {one.name: EffectTerm(one, {}) for one in (cause, RateDependentHysteresis)}

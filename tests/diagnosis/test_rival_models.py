@@ -21,6 +21,7 @@ from torchpi.stage.effects.effect import Effect
 from torchpi.stage.effects.mechanics.backlash import Backlash
 from torchpi.stage.effects.mechanics.load_change import LoadChange
 from torchpi.stage.effects.mechanics.resonance import Resonance
+from torchpi.stage.effects.sensor.gain_modulation import GainModulation
 from torchpi.stage.effects.sensor.sensor_nonlinearity import SensorNonlinearity
 from torchpi.stage.effects.sensor.thermal_drift import ThermalDrift
 
@@ -139,6 +140,7 @@ def test_effects_that_may_replace_each_other_form_one_group(grown: bool) -> None
         Creep,
         Delay,
         ThermalDrift,
+        GainModulation,
         SensorNonlinearity,
         LoadChange,
         HysteresisAsymmetry,
@@ -148,7 +150,7 @@ def test_effects_that_may_replace_each_other_form_one_group(grown: bool) -> None
     search = SimpleNamespace(added=lambda one: list(one.hypothesis.names))
     assert {frozenset(group) for group in groups(search, fit, before)} == {
         frozenset({"amplifier_lag", "delay"}),
-        frozenset({"creep", "thermal_drift"}),
+        frozenset({"creep", "thermal_drift", "gain_modulation"}),
         frozenset({"sensor_nonlinearity", "hysteresis_asymmetry", *([OPERATOR_NAME] if grown else [])}),
     }
 

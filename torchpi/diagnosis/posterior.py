@@ -26,7 +26,15 @@ from torchpi.diagnosis.hypothesis import EffectTerm, Fit, Hypothesis
 from torchpi.diagnosis.lines import STANDS_OUT
 from torchpi.diagnosis.own_signal import has_a_recorded_signal, has_a_signal_of_its_own, stands_out
 from torchpi.diagnosis.repeats import APART, STARTING
-from torchpi.diagnosis.rival_models import CONVENTION, OPERATOR_NAME, Model, names_of, prior, settled
+from torchpi.diagnosis.rival_models import (
+    CONVENTION,
+    OPERATOR_NAME,
+    Model,
+    both_slow,
+    names_of,
+    prior,
+    settled,
+)
 from torchpi.diagnosis.score import ALIKE
 from torchpi.diagnosis.sealed import confirmed
 from torchpi.diagnosis.search import Round, Search
@@ -137,7 +145,7 @@ def posterior(
     found.sort(key=lambda one: -one.explained_um2)
     terms = {member.effect.name: member for member in final.hypothesis.members}
     of_modes = HYSTERESIS_ERROR if one_motion(search.chain.records) else OF_MODES
-    found = [apart(one, found, terms, signals, of_modes) for one in found]
+    found = [apart(one, found, terms, signals, of_modes, together) for one in found]
     return final, [replace(one, probability=round(one.probability, 4)) for one in found]
 
 
@@ -273,14 +281,15 @@ def apart(
     terms: Mapping[str, EffectTerm],
     signals: Collection[str] = (),
     of_modes: float = OF_MODES,
+    together: Sequence[Believed] = (),
 ) -> Believed:
     """Return an effect, its probability multiplied by that of its being a separate cause, not an error in the
-    form of another effect; `signals` are the effects that add a signal of their own, and `of_modes` is the
-    share of what a larger hysteresis explains that may look like a mode."""
+    form of another effect; `signals` are the effects that add a signal of their own, `of_modes` is the share
+    of what a larger hysteresis explains that may look like a mode, and `together` are groups of effects."""
     left_um2, by = max(
         (
             (
-                other.explained_um2
+                beside(one, other, found, terms, together)
                 * form_error(
                     terms.get(one.name), terms.get(other.name), one.name in signals, one.known, of_modes
                 ),
@@ -296,6 +305,25 @@ def apart(
     another = float(1 / (1 + (left_um2 / one.explained_um2) ** FALL))
     form_of = by if left_um2 > one.explained_um2 else ""
     return replace(one, probability=one.probability * another, form_of=form_of)
+
+
+def beside(
+    one: Believed,
+    other: Believed,
+    found: Sequence[Believed],
+    terms: Mapping[str, EffectTerm],
+    together: Sequence[Believed],
+) -> float:
+    """Return what another effect explains, µm². The strongest of several slow effects is credited with all
+    that they explain together, but not what this one adds: where it is left out, they take its place."""
+    for group in together:
+        names = {*names_of(group.name)} & terms.keys()
+        strongest = max(
+            (each for each in found if each.name in names), key=lambda each: each.explained_um2, default=None
+        )
+        if other is strongest and one.name in names and both_slow(terms[one.name], terms[other.name]):
+            return max(other.explained_um2, group.explained_um2 - one.explained_um2)
+    return other.explained_um2
 
 
 def form_error(
@@ -316,7 +344,9 @@ def form_error(
         return 0.0
     if other is None:
         return (of_modes if one.effect.rings else HYSTERESIS_ERROR) / against_half(known)
-    kin = one.effect is not other.effect and (alike(one, other) or other.effect.name in one.effect.left_by)
+    kin = one.effect is not other.effect and (
+        alike(one, other) or both_slow(one, other) or other.effect.name in one.effect.left_by
+    )
     return FORM_ERROR if kin else 0.0
 
 

@@ -136,10 +136,16 @@ def groups(search: Search, small: Fit, retuned: Fit) -> list[tuple[str, ...]]:
     return found
 
 
+def both_slow(one: EffectTerm, other: EffectTerm) -> bool:
+    """Whether two effects are slow: the laws of such effects differ from rig to rig, and what one does not
+    describe looks like another."""
+    return one.effect.time_scale == other.effect.time_scale == "slow"
+
+
 def same_place(one: EffectTerm | None, other: EffectTerm | None) -> bool:
     """Whether two effects (None: a larger hysteresis) may each stand in for part of the other: either alone
     is then left out with little loss."""
-    if one is not None and other is not None and alike(one, other):
+    if one is not None and other is not None and (alike(one, other) or both_slow(one, other)):
         return True
     return all(t is None or (t.effect.time_scale == "static" and not t.effect.relative) for t in (one, other))
 
