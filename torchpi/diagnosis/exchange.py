@@ -122,7 +122,13 @@ def alike(one: EffectTerm, other: EffectTerm) -> bool:
 
 def shared_out_among(one: EffectTerm, other: EffectTerm) -> bool:
     """Whether two effects may share what one of them, in another form, explains alone."""
-    return alike(one, other) or one.effect.time_scale == other.effect.time_scale == "slow"
+    return alike(one, other) or both_slow(one, other)
+
+
+def both_slow(one: EffectTerm, other: EffectTerm) -> bool:
+    """Whether two effects are slow: the laws of such effects differ from rig to rig, and what one does not
+    describe looks like another."""
+    return one.effect.time_scale == other.effect.time_scale == "slow"
 
 
 def rms_of(one: Fit) -> str:

@@ -21,20 +21,12 @@ from torchpi.diagnosis.clock import within_the_clock
 from torchpi.diagnosis.contest import PRIOR
 from torchpi.diagnosis.coverage import one_motion, one_size
 from torchpi.diagnosis.diagnosis import Rival
-from torchpi.diagnosis.exchange import alike
+from torchpi.diagnosis.exchange import both_slow, shared_out_among
 from torchpi.diagnosis.hypothesis import EffectTerm, Fit, Hypothesis
 from torchpi.diagnosis.lines import STANDS_OUT
 from torchpi.diagnosis.own_signal import has_a_recorded_signal, has_a_signal_of_its_own, stands_out
 from torchpi.diagnosis.repeats import APART, STARTING
-from torchpi.diagnosis.rival_models import (
-    CONVENTION,
-    OPERATOR_NAME,
-    Model,
-    both_slow,
-    names_of,
-    prior,
-    settled,
-)
+from torchpi.diagnosis.rival_models import CONVENTION, OPERATOR_NAME, Model, names_of, prior, settled
 from torchpi.diagnosis.score import ALIKE
 from torchpi.diagnosis.sealed import confirmed
 from torchpi.diagnosis.search import Round, Search
@@ -96,7 +88,7 @@ def posterior(
     found, together, h = [], [], models[0].fit.hypothesis
     signals = {name for name in h.names if has_a_signal_of_its_own(search.chain.records, h, name)}
     whole = is_whole(search.chain, models[0].fit)
-    hidden_by_the_clock = within_the_clock(search, models[0].fit)
+    hidden_by_the_clock = within_the_clock(search, final)
     for name in dict.fromkeys(model.without for model in models if model.without):
         less = without_cause(models, name, search.score, weighting.explained_where_it_acts, whole)
         rivals, alternatives = [], []
@@ -345,7 +337,7 @@ def form_error(
     if other is None:
         return (of_modes if one.effect.rings else HYSTERESIS_ERROR) / against_half(known)
     kin = one.effect is not other.effect and (
-        alike(one, other) or both_slow(one, other) or other.effect.name in one.effect.left_by
+        shared_out_among(one, other) or other.effect.name in one.effect.left_by
     )
     return FORM_ERROR if kin else 0.0
 

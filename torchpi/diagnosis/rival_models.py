@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from torchpi.diagnosis.contest import ACCEPTED, PRIOR
-from torchpi.diagnosis.exchange import alike, rms_of
+from torchpi.diagnosis.exchange import rms_of, shared_out_among
 from torchpi.diagnosis.fit import ROUGH
 from torchpi.diagnosis.growth import OPERATOR
 from torchpi.diagnosis.hypothesis import EffectTerm, Fit, Hypothesis
@@ -136,16 +136,10 @@ def groups(search: Search, small: Fit, retuned: Fit) -> list[tuple[str, ...]]:
     return found
 
 
-def both_slow(one: EffectTerm, other: EffectTerm) -> bool:
-    """Whether two effects are slow: the laws of such effects differ from rig to rig, and what one does not
-    describe looks like another."""
-    return one.effect.time_scale == other.effect.time_scale == "slow"
-
-
 def same_place(one: EffectTerm | None, other: EffectTerm | None) -> bool:
     """Whether two effects (None: a larger hysteresis) may each stand in for part of the other: either alone
     is then left out with little loss."""
-    if one is not None and other is not None and (alike(one, other) or both_slow(one, other)):
+    if one is not None and other is not None and shared_out_among(one, other):
         return True
     return all(t is None or (t.effect.time_scale == "static" and not t.effect.relative) for t in (one, other))
 

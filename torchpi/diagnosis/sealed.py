@@ -88,7 +88,7 @@ def confirmed(
 
 def held_at(u: np.ndarray, there: np.ndarray) -> list[np.ndarray]:
     """Return the places of each hold of a voltage, (time,), as far as they are there, (time,) of bool."""
-    places = [np.arange(len(u))[hold][there[hold]] for hold in holds(u)]
+    places = [np.arange(len(u))[hold][there[hold]] for hold in holds(u)] if there.any() else []
     return [at for at in places if len(at)]
 
 

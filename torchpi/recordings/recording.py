@@ -92,12 +92,7 @@ class Recording(Shown):
                 )
         lengths = {"t": len(self.t), "u": len(self.u), "y": len(self.y)}
         lengths |= {name: len(signal) for name, signal in self.aux.items()}
-        if self.simulated is not None:
-            lengths["simulated"] = len(self.simulated)
-        if self.filled is not None:
-            lengths["filled"] = len(self.filled)
-        if self.late_s is not None:
-            lengths["late_s"] = len(self.late_s)
+        lengths |= {name: len(signal) for name, signal in self._optional().items()}
         if len(set(lengths.values())) > 1:
             found = ", ".join(f"{name} {length}" for name, length in lengths.items())
             raise RecordingError(
@@ -272,22 +267,15 @@ class Recording(Shown):
         simulated = {} if self.simulated is None else {"simulated": self.simulated}
         return {"u": self.u, "y": self.y, **simulated, **self.aux}
 
+    def _optional(self) -> dict[str, Any]:
+        optional = {"simulated": self.simulated, "filled": self.filled, "late_s": self.late_s}
+        return {name: signal for name, signal in optional.items() if signal is not None}
+
     def _cut(self, first: int, last: int) -> "Recording":
         cut = slice(first, last)
         aux = {name: signal[cut] for name, signal in self.aux.items()}
-        simulated = None if self.simulated is None else self.simulated[cut]
-        filled = None if self.filled is None else self.filled[cut]
-        late_s = None if self.late_s is None else self.late_s[cut]
-        return replace(
-            self,
-            t=self.t[cut],
-            u=self.u[cut],
-            y=self.y[cut],
-            aux=aux,
-            simulated=simulated,
-            filled=filled,
-            late_s=late_s,
-        )
+        optional = {name: signal[cut] for name, signal in self._optional().items()}
+        return replace(self, t=self.t[cut], u=self.u[cut], y=self.y[cut], aux=aux, **optional)
 
 
 def read_recording(
