@@ -4,6 +4,7 @@ import json
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -24,11 +25,12 @@ from tests.diagnosis.plants import (
 from tests.diagnosis.prepared import prepared
 from torchpi.diagnosis import long_recordings
 from torchpi.diagnosis.chain import Chain
-from torchpi.diagnosis.diagnose import diagnose
+from torchpi.diagnosis.diagnose import diagnose, history_notes
 from torchpi.diagnosis.diagnosis import Diagnosis
 from torchpi.diagnosis.fit import fit
-from torchpi.diagnosis.hypothesis import Hypothesis
+from torchpi.diagnosis.hypothesis import EffectTerm, Hypothesis
 from torchpi.diagnosis.hysteresis_model import many_plays
+from torchpi.diagnosis.records import seen
 from torchpi.diagnosis.reduced_basis import reduced
 from torchpi.diagnosis.search import Search
 from torchpi.diagnosis.wrong_readings import (
@@ -43,6 +45,7 @@ from torchpi.recordings.identity import recordings_sha256
 from torchpi.recordings.recording import Recording
 from torchpi.stage import Stage
 from torchpi.stage.beside import difference
+from torchpi.stage.effects.amplifier.delay import Delay
 
 MODE = (310.0, 0.03)
 
@@ -334,3 +337,11 @@ def test_a_remaining_tone_is_not_called_noise() -> None:
     found = diagnose([record(multisine(4000), after=tone)])
     assert found.verdict == "unexplained" and found.effects == ()
     assert "at 762 Hz" in found.says and "Nothing is missing" not in found.says
+
+
+def test_what_was_retuned_is_noted_for_the_numbers_that_the_fitted_form_still_has() -> None:
+    chain = Chain(prepared([record(multisine(500))]))
+    before = EffectTerm(Delay, {"delay_s": 5e-5, "after_lag": 1.0})
+    h = Hypothesis(many_plays(seen(chain.records)), (EffectTerm(Delay, {"delay_s": 1e-4}),))
+    search = cast(Search, SimpleNamespace(start=[before], left_out=[]))
+    assert history_notes(search, fit(chain, h, iterations=0)) == ("Retuned: delay delay_s 5e-05 → 0.0001.",)

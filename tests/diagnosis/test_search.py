@@ -6,14 +6,24 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from tests.diagnosis.plants import FS_HZ, NOISE_UM, Signal, lag, multisine, record, stairs, triangles
+from tests.diagnosis.plants import (
+    FS_HZ,
+    NOISE_UM,
+    Signal,
+    lag,
+    multisine,
+    record,
+    resonance,
+    stairs,
+    triangles,
+)
 from tests.diagnosis.prepared import prepared
 from torchpi.diagnosis import growth
 from torchpi.diagnosis.chain import Chain
 from torchpi.diagnosis.contest import ACCEPTED, Tried
 from torchpi.diagnosis.exchange import effects_of
-from torchpi.diagnosis.fit import FINE, ROUGH
-from torchpi.diagnosis.hypothesis import EffectTerm
+from torchpi.diagnosis.fit import FINE, ROUGH, fit
+from torchpi.diagnosis.hypothesis import EffectTerm, Hypothesis
 from torchpi.diagnosis.noise import measured_noise
 from torchpi.diagnosis.score import Gain
 from torchpi.diagnosis.search import Search
@@ -25,6 +35,7 @@ from torchpi.stage.effects.amplifier.delay import Delay
 from torchpi.stage.effects.amplifier.slew_limit import SlewLimit
 from torchpi.stage.effects.effect import DataRange
 from torchpi.stage.effects.mechanics.cross_coupling import CrossCoupling
+from torchpi.stage.effects.mechanics.resonance import Resonance
 from torchpi.stage.effects.mechanics.second_mode import SecondMode
 from torchpi.stage.effects.sensor.gain_modulation import GainModulation
 from torchpi.stage.effects.sensor.sensor_lag import SensorLag
@@ -318,3 +329,15 @@ def test_a_history_is_judged_by_the_start_of_each_recording(nats: float, rms: fl
     )
     assert search.over(began, apart).probability < ACCEPTED
     assert search.needs_no_history(began, apart) is needless
+
+
+def test_a_given_mode_moves_across_many_widths_to_where_the_recordings_show_it() -> None:
+    def rings(x: Signal, fs_hz: float) -> Signal:
+        return resonance(x, fs_hz, 300.0, 0.01)
+
+    chain = Chain(prepared([record(multisine(2000), after=rings)]))
+    given = EffectTerm(Resonance, {"frequency_hz": 150.0, "damping_ratio": 0.01})
+    search = Search(chain, lambda sentence: None, [given], effects=[Resonance])
+    begun = fit(chain, Hypothesis(search.plays(), search.start), iterations=0)
+    (mode,) = search.with_given_modes_moved(begun, begun.hypothesis).hypothesis.members
+    assert mode.shared["frequency_hz"] == pytest.approx(300.0, rel=0.01)

@@ -1,5 +1,6 @@
 """A given simulation: a correct one lacks nothing, and one with a part left out lacks that part."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -27,9 +28,9 @@ PHYSICS = {
 }
 
 
-def crime() -> list[Recording]:
+def crime(noise_um: float = NOISE_UM) -> list[Recording]:
     """Record the same model that is diagnosed: a flattering test, and the least that must work."""
-    stage = Stage.from_dict({**PHYSICS, "sensor": {"noise_um": NOISE_UM}})
+    stage = Stage.from_dict({**PHYSICS, "sensor": {"noise_um": noise_um}})
     recordings = []
     for i, u in enumerate((multisine(2000), triangles(2000), multisine(2000, seed=5))):
         y = stage.simulate(torch.from_numpy(u)[None], i)[1][0].detach().numpy()
@@ -41,6 +42,21 @@ def test_a_correct_simulation_lacks_nothing() -> None:
     found = diagnose(crime()[:2], Stage.from_dict(PHYSICS))
     assert found.verdict == "nothing_missing" and found.effects == ()
     assert found.nominal.heldout_rms_um < 1.1 * NOISE_UM
+
+
+def test_a_correct_simulation_with_sharp_thresholds_is_matched_down_to_little_noise() -> None:
+    noise_um = NOISE_UM / 16
+    found = diagnose(crime(noise_um)[:1], Stage.from_dict(PHYSICS))
+    assert found.verdict == "nothing_missing"
+    assert found.retuned.heldout_rms_um < 1.1 * noise_um
+
+
+def test_a_wrong_mode_of_a_simulation_is_retuned_and_said_and_not_called_missing_physics() -> None:
+    wrong = Stage.from_dict({**PHYSICS, "mechanics": {**PHYSICS["mechanics"], "frequency_hz": 200}})
+    found = diagnose(crime()[:2], wrong)
+    assert found.verdict == "nothing_missing"
+    assert re.search(r"changes the frequency of its resonance from 200 Hz to 300(\.\d)? Hz", found.says)
+    assert found.retuned.heldout_rms_um < 1.1 * NOISE_UM < 0.1 * found.nominal.heldout_rms_um
 
 
 @pytest.mark.parametrize(("part", "name"), [("mechanics", "resonance"), ("creep", "creep")])

@@ -12,7 +12,7 @@ import numpy as np
 
 from torchpi.diagnosis.chain import Chain
 from torchpi.diagnosis.diagnosis import AcrossRecordings
-from torchpi.diagnosis.fit import prior_of, start_weights, with_weights_solved
+from torchpi.diagnosis.fit import centre_of, prior_of, start_weights, with_weights_solved
 from torchpi.diagnosis.hypothesis import Fit, Hypothesis
 from torchpi.diagnosis.normal_equations import solve
 from torchpi.diagnosis.records import Record
@@ -44,7 +44,7 @@ def across_recordings(chain: Chain, final: Fit) -> tuple[AcrossRecordings, ...]:
     prior = prior_of(chain, hypothesis, tangent.gram)
     weights, _, found = with_weights_solved(chain, hypothesis, start, prior)
     tangent = found or tangent
-    right, own_right = -prior @ weights, []
+    right, own_right = -prior @ (weights - centre_of(hypothesis, len(weights))), []
     for i, part in enumerate(tangent.parts):
         error = chain.whitened(i, (chain.records[i].y - chain.output(hypothesis, weights, i))[None])[0]
         own_right.append(part.rows @ error)

@@ -37,7 +37,7 @@ from torchpi.diagnosis.posterior import posterior
 from torchpi.diagnosis.records import Record, not_counting, prepare, seen, without_start
 from torchpi.diagnosis.reduced_basis import reduced
 from torchpi.diagnosis.remainder import unless_unknown, with_remainder
-from torchpi.diagnosis.say import nm, paragraph
+from torchpi.diagnosis.say import Changed, nm, paragraph
 from torchpi.diagnosis.score import Weighting
 from torchpi.diagnosis.search import Search
 from torchpi.diagnosis.simulation import (
@@ -105,6 +105,7 @@ def diagnose(
     tried = [effect for effect in effects if called is None or called.can_try(effect)]
     untried = [effect for effect in effects if effect not in tried]
     what, start = seen(records), given_members(given)
+    hysteresis = given.hysteresis if given is not None else None
     codes, codes_note = converter(given_recordings)
     # Averaging over ticks reduces the error of a converter, as it does any noise.
     lsb_um = codes.step_um * float(np.sqrt(np.median([one.tick_s / one.period_s for one in records])))
@@ -112,7 +113,7 @@ def diagnose(
     def search_of(records: Sequence[Record]) -> Search:
         chain = Chain(records)
         noise = noise_of_prediction(records, lsb_um, chain.gain_um_per_v)
-        return Search(chain, log, start, noise, executor, lsb_um, tried, called)
+        return Search(chain, log, start, noise, executor, lsb_um, tried, called, hysteresis)
 
     log("nominal: the simulation as it is, then refitted with as many plays as the data support")
     search = search_of(records)
@@ -215,7 +216,9 @@ def diagnose(
         noise_floor_um=noise.rms_um if noise is not None else None,
         heldout=HELD_OUT, unexplained_share=decision.unexplained_share, joint_share=decision.joint_share,
         next_recording=next_one, next_excitation=excitation, notes=notes, traces=traces, stage=stage,
-        says=paragraph(decision, errors, noise, next_one, loud, alike, across, another_um),
+        says=paragraph(
+            decision, errors, noise, next_one, loud, alike, across, another_um, changed(search, final)
+        ),
     )  # fmt: skip
 
 
@@ -395,15 +398,28 @@ def slip_notes(search: Search, one_step: Fit, modelled: Fit) -> tuple[str, ...]:
     )
 
 
-def history_notes(search: Search, final: Fit) -> tuple[str, ...]:
-    """Sentences on what was retuned, and on candidates that these recordings cannot show."""
-    notes = [
-        f"Retuned: {member.effect.name} {name} {before:.4g} → {member.shared[name]:.4g}."
+def changed(search: Search, final: Fit) -> list[Changed]:
+    """Return the parameters of the given stage that retuning changed, the most changed first."""
+    found = [
+        Changed(member.effect.name, name, member.effect.quantities[name].unit, before, member.shared[name])
         for given in search.start
         for member in final.hypothesis.members
         if member.effect is given.effect
         for name, before in given.shared.items()
-        if abs(member.shared[name] - before) > 0.02 * abs(before)
+        if name in member.shared and abs(member.shared[name] - before) > 0.02 * abs(before)
+    ]
+
+    def relative(one: Changed) -> float:
+        return abs(one.after - one.before) / max(min(abs(one.after), abs(one.before)), 1e-300)
+
+    return sorted(found, key=relative, reverse=True)
+
+
+def history_notes(search: Search, final: Fit) -> tuple[str, ...]:
+    """Sentences on what was retuned, and on candidates that these recordings cannot show."""
+    notes = [
+        f"Retuned: {one.effect} {one.name} {one.before:.4g} → {one.after:.4g}."
+        for one in changed(search, final)
     ]
     notes += [f"{name}: left out, {why}." for name, why in search.left_out]
     return tuple(notes)

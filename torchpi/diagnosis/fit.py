@@ -104,13 +104,14 @@ def fit(
         iterations = 0 if fresh_weights else 1
     damping, current = 1e-3, with_theta(hypothesis, slots, theta)
     n, prior, last = len(weights), np.zeros((0, 0)), None
-    walks = walk_prior(hypothesis, slots, theta)
+    walks, centre = walk_prior(hypothesis, slots, theta), centre_of(hypothesis, n)
+    about = np.concatenate([centre, np.zeros_like(theta)])
     for _ in range(iterations):
         if tangent is None:
             tangent = tangent_of(chain, current, weights)
         slopes = slopes_of(chain, current, weights, slots, theta, slopes if tolerance > FINE else None)
         prior = prior if len(prior) else block_diag(prior_of(chain, hypothesis, tangent.gram), walks)
-        numbers = np.concatenate([weights, theta])
+        numbers = np.concatenate([weights, theta]) - about
         gram, right, ss = normal_equations(chain, current, weights, tangent, slopes)
         last = tangent, slopes
         ss += float(numbers @ prior @ numbers)
@@ -121,7 +122,7 @@ def fit(
             reach = np.where(shared, MANY_TIMES * np.maximum(np.abs(theta), 1.0), LONGEST_STEP)
             trial_theta = np.clip(theta + np.clip(step[n:], -reach, reach), low, high)
             trial, trial_weights = with_theta(hypothesis, slots, trial_theta), weights + step[:n]
-            numbers = np.concatenate([trial_weights, trial_theta])
+            numbers = np.concatenate([trial_weights, trial_theta]) - about
             trial_ss = sum_of_squares(chain, trial, trial_weights) + float(numbers @ prior @ numbers)
             promised = float(2 * step @ right - step @ gram @ step)
             at_trial: Tangent | None = tangent
@@ -215,18 +216,18 @@ def with_weights_solved(
     """Solve for the best weights of a hypothesis: return them, their misfit (infinite if the chain cannot
     exist) and the tangent. In a nonlinear chain they are solved for again while the misfit exceeds what a
     linear step would leave."""
-    left, tangent = math.inf, None
+    left, tangent, centre = math.inf, None, centre_of(hypothesis, len(weights))
     for _ in range(SOLVED):
         try:
             last = tangent_of(chain, hypothesis, weights)
             gram, right, before = normal_equations(chain, hypothesis, weights, last)
         except StageError:
             break
-        before += float(weights @ prior @ weights)
-        gram, right = with_prior(gram, right, prior, weights)
+        before += float((weights - centre) @ prior @ (weights - centre))
+        gram, right = with_prior(gram, right, prior, weights - centre)
         step = solve(gram, right)
         solved = weights + step
-        ss = sum_of_squares(chain, hypothesis, solved) + float(solved @ prior @ solved)
+        ss = sum_of_squares(chain, hypothesis, solved) + float((solved - centre) @ prior @ (solved - centre))
         if not ss < left:
             break
         weights, left, tangent = solved, ss, last
@@ -252,6 +253,14 @@ def prior_of(chain: Chain, hypothesis: Hypothesis, gram: np.ndarray) -> np.ndarr
     return prior
 
 
+def centre_of(hypothesis: Hypothesis, count: int) -> np.ndarray:
+    """(count,): the mean of the weights' prior. A reduction begins with a fitted sum, which has no prior."""
+    nominal, centre = hypothesis.nominal, np.zeros(count)
+    if nominal.centre is not None and nominal.reduction is None:
+        centre[: nominal.size] = nominal.centre
+    return centre
+
+
 def weight_prior(chain: Chain) -> float:
     """The prior inverse variance of one weight of the hysteresis."""
     return (PRIOR_SHARE * chain.span_v / chain.weighting.geometric_mean_rms_um) ** 2
@@ -260,7 +269,8 @@ def weight_prior(chain: Chain) -> float:
 def with_prior(
     gram: np.ndarray, right: np.ndarray, prior: np.ndarray, numbers: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Add the prior of the first numbers to the normal equations of the fit."""
+    """Add the prior of the first numbers to the normal equations of the fit, given their distance from its
+    mean."""
     gram, right, n = gram.copy(), right.copy(), len(prior)
     gram[:n, :n] += prior
     right[:n] -= prior @ numbers
@@ -321,7 +331,8 @@ def start_weights(chain: Chain, hypothesis: Hypothesis) -> tuple[np.ndarray, Tan
     nothing = np.zeros(chain.numbers(hypothesis))
     tangent = tangent_of(chain, moving, nothing)
     gram, right, _ = normal_equations(chain, moving, nothing, tangent)
-    gram, right = with_prior(gram, right, prior_of(chain, hypothesis, gram), nothing)
+    prior, centre = prior_of(chain, hypothesis, gram), centre_of(hypothesis, len(nothing))
+    gram, right = with_prior(gram, right, prior, nothing - centre)
     return solve(gram, right), tangent if moving is hypothesis else None
 
 

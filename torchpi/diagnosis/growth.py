@@ -17,7 +17,7 @@ from torchpi.diagnosis.hysteresis_model import HysteresisModel, many_plays, plai
 from torchpi.diagnosis.outside import Outside
 from torchpi.diagnosis.parallel import Job
 from torchpi.diagnosis.reduced_basis import MANY, basis, grown, refitted
-from torchpi.stage.hysteresis import OF_BOUC_WEN, OF_DUHEM
+from torchpi.stage.hysteresis import OF_BOUC_WEN, OF_DUHEM, Hysteresis
 
 OPERATOR = "hysteresis_operator: "
 """Prefix, before the family, of the name of a larger hysteresis among the explanations."""
@@ -41,6 +41,8 @@ class Growth(Exchange):
 
     simulation: Outside | None
     """The given simulation, called or recorded, in place of plays; None for plays."""
+    hysteresis: Hysteresis | None
+    """That of a given stage."""
     nominal: HysteresisModel
     rejected_families: set[str]
     states: list[HysteresisModel]
@@ -50,9 +52,13 @@ class Growth(Exchange):
 
     def plays(self) -> HysteresisModel:
         """Return as many plays as the number of samples supports."""
-        nominal = many_plays(self.seen)
+        nominal = many_plays(self.seen, self.hysteresis)
         samples = sum(record.train.sum() for record in self.chain.records)
-        return plain(self.seen) if samples < SAMPLES_A_PLAY * nominal.size else nominal
+        return plain(self.seen, self.hysteresis) if samples < SAMPLES_A_PLAY * nominal.size else nominal
+
+    def preisach(self) -> HysteresisModel:
+        """Return the same plays through output functions."""
+        return preisach(self.seen, given=self.hysteresis)
 
     def added(self, now: Fit) -> list[str]:
         """Return the names of the effects that the given simulation lacks."""
@@ -64,7 +70,7 @@ class Growth(Exchange):
 
     def larger(self) -> list[HysteresisModel]:
         """Return the larger hysteresis models that may replace the present one."""
-        found = [preisach(self.seen), *self.states]
+        found = [self.preisach(), *self.states]
         return [self.plays(), *found] if self.simulation else found
 
     def growth(self, now: Fit, leader: Fit, larger: Sequence[HysteresisModel]) -> list[Tried]:
@@ -115,7 +121,8 @@ class Growth(Exchange):
         """Return a fit with the plays of a larger hysteresis, each with a linear output function."""
         if larger.pieces == 1 or np.array_equal(larger.thresholds_v, now.hypothesis.nominal.thresholds_v):
             return now
-        (one,) = self.fits([(self.on(now.hypothesis, many_plays(self.seen)), None, 2, ROUGH)])
+        plays = many_plays(self.seen, self.hysteresis)
+        (one,) = self.fits([(self.on(now.hypothesis, plays), None, 2, ROUGH)])
         return one
 
     def of_states(self, now: Fit, starts: Sequence[HysteresisModel]) -> Fit:
@@ -136,7 +143,7 @@ class Growth(Exchange):
             self.states = [starts[0].with_shape(nominal.shape)]
         shared = self.chain.weighting
         self.weigh(best)
-        plays = preisach(self.seen) if nominal.duhem else self.plays()
+        plays = self.preisach() if nominal.duhem else self.plays()
         nominal = replace(nominal, thresholds_v=plays.thresholds_v, pieces=plays.pieces, reduction=None)
         of_its_plays = self.of_its_plays(nominal, now)
         more, _ = grown(self.chain, replace(best.hypothesis, nominal=nominal), of_its_plays, MANY)

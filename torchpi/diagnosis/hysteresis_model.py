@@ -30,7 +30,7 @@ from torchpi.operators.hysteresis_rows import (
     threshold_widening,
 )
 from torchpi.stage.effects.effect import DataRange
-from torchpi.stage.hysteresis import IDENTITY
+from torchpi.stage.hysteresis import IDENTITY, Hysteresis
 
 BLOCK = 256
 """Samples whose states are summed at a time, so that they fit into the cache for any number of plays."""
@@ -72,6 +72,8 @@ class HysteresisModel:
     reduction: np.ndarray | None = None
     """(kept rows, rows): combinations that the data can distinguish; None keeps all rows. Output functions
     with several pieces always have a reduction."""
+    centre: np.ndarray | None = None
+    """(size,): the weights at which the prior of all rows is centred, those of a given stage; None for 0."""
     simulation: Outside | None = None
     """A simulation from outside torchpi, the last of the rows, which the other rows correct."""
     called: Callable[[np.ndarray], np.ndarray] | None = None
@@ -309,19 +311,32 @@ def plays_of(seen: DataRange, r: np.ndarray, pieces: int = 1, **states: Any) -> 
     return HysteresisModel(r, pieces, (min(seen.low_v, 0.0), max(seen.high_v, 0.0)), reach_v(seen), **states)
 
 
-def plain(seen: DataRange) -> HysteresisModel:
-    """Ten plays: a plain stage of the paper's kind."""
-    return plays_of(seen, thresholds(seen, 0, 9))
+def plain(seen: DataRange, given: Hysteresis | None = None) -> HysteresisModel:
+    """Ten plays: a plain stage of the paper's kind; and the plays of a given one."""
+    return with_given_plays(seen, thresholds(seen, 0, 9), given)
 
 
-def many_plays(seen: DataRange) -> HysteresisModel:
-    """A hundred plays, which match any Prandtl–Ishlinskii operator down to the noise."""
-    return plays_of(seen, thresholds(seen, 20, 80))
+def many_plays(seen: DataRange, given: Hysteresis | None = None) -> HysteresisModel:
+    """A hundred plays, which match any Prandtl–Ishlinskii operator closely; and the plays of a given one."""
+    return with_given_plays(seen, thresholds(seen, 20, 80), given)
 
 
-def preisach(seen: DataRange, pieces: int = PIECES) -> HysteresisModel:
+def with_given_plays(seen: DataRange, r: np.ndarray, given: Hysteresis | None) -> HysteresisModel:
+    """Plays with these thresholds and those of a given hysteresis, which then remains as it is wherever the
+    recordings say nothing else. One that is no weighted sum of plays is left out."""
+    if given is None or given.pieces > 1 or given.others:
+        return plays_of(seen, r)
+    theirs = given.thresholds_v.numpy()
+    moving = theirs < reach_v(seen)
+    r = np.union1d(r, theirs[moving])
+    centre = np.zeros(len(r))
+    np.add.at(centre, np.searchsorted(r, theirs[moving]), given.weights.detach().numpy()[:-1][moving])
+    return replace(plays_of(seen, r), centre=centre)
+
+
+def preisach(seen: DataRange, pieces: int = PIECES, given: Hysteresis | None = None) -> HysteresisModel:
     """The same plays through output functions: a Preisach operator in play form."""
-    return replace(many_plays(seen), pieces=pieces).unreduced
+    return replace(many_plays(seen, given), pieces=pieces, centre=None).unreduced
 
 
 def bouc_wen(seen: DataRange, sigma: float) -> HysteresisModel:

@@ -47,7 +47,7 @@ class Proposals(Growth):
         there = {(member.effect.name, member.aux) for member in now.hypothesis.members}
         starts = [
             member
-            for member in [*self.starts, *self.from_residual(now)]
+            for member in [*self.starts, *self.from_residual(now, self.effects_tried)]
             if member.effect.name not in barred
             and (member.effect.name, member.aux) not in there
             and member.effect.extrapolates(member.shared)
@@ -204,12 +204,15 @@ class Proposals(Growth):
         ]
         return sorted(tried, key=lambda one: -one.gain.nats)
 
-    def from_residual(self, now: Fit) -> list[EffectTerm]:
-        """Return starts that no grid contains, from the residuals of the loudest and the first recording."""
+    def from_residual(
+        self, now: Fit, effects: Sequence[type[Effect] | type[InsideEffect]]
+    ) -> list[EffectTerm]:
+        """Return starts of these effects that no grid contains, from the residuals of the loudest and of the
+        first recording."""
         records, found = self.chain.records, []
         residuals = [e[r.train] for e, r in zip(now.residuals, records, strict=True)]
         loudest = max(range(len(records)), key=lambda i: float(np.mean(residuals[i] ** 2)))
-        for effect in self.effects_tried:
+        for effect in effects:
             starts: list[Parameters] = []
             for i in sorted({loudest, 0}):
                 y, fs_hz = records[i].y[records[i].train], records[i].fs_hz

@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from torchpi.diagnosis.decide import CLOSED, NAMED, Decision
 from torchpi.diagnosis.diagnosis import AcrossRecordings, Errors, NamedEffect, NextRecording, Parameter
@@ -30,7 +30,29 @@ ARTICLES = {
 """Articles of the effects whose names are countable: a resonance, but creep."""
 KNOT = "knot"
 """Prefix of the parameter names of a random walk."""
+WRONG, MENTIONED = 1.5, 3
+"""Ratio of the errors before and after retuning from which it is said what retuning changed, and how many
+numbers are mentioned."""
 UNIT_SUFFIX = re.compile(r"_(hz|v|um|s|v_s|(?:(?:v|um|s)_)?per_(?:v2|v|um2|um|s|mm))$")
+
+
+@dataclass(frozen=True)
+class Changed:
+    """A parameter of the given simulation that retuning changed."""
+
+    effect: str
+    name: str
+    unit: str
+    before: float
+    after: float
+
+    @property
+    def phrase(self) -> str:
+        """What changed, for use in a sentence."""
+        before, after = (
+            valued(Parameter(self.name, one, self.unit, None)) for one in (self.before, self.after)
+        )
+        return f"the {spoken_parameter(self.name)} of its {spoken(self.effect)} from {before} to {after}"
 
 
 def paragraph(
@@ -42,6 +64,7 @@ def paragraph(
     untested: Sequence[str] = (),
     across: Sequence[AcrossRecordings] = (),
     another_um: float | None = None,
+    changed: Sequence[Changed] = (),
 ) -> str:
     """State what was found, how probable it is, how far it lowers the error, what remains and what to record.
 
@@ -54,12 +77,15 @@ def paragraph(
         untested: The respects in which the held-out samples are alike, one phrase each.
         across: The prediction of each recording from the others.
         another_um: The standard deviation of the prediction of another motion by the hysteresis.
+        changed: The parameters of the simulation that retuning changed, the most changed first.
     """
     nominal, retuned, augmented = errors
     parts = [
         f"On the held-out samples the simulation has an error of {nm(nominal.heldout_rms_um)} rms, "
         f"{nm(retuned.heldout_rms_um)} once it is retuned; {noise_clause(noise)}."
     ]
+    if changed and nominal.heldout_rms_um > WRONG * retuned.heldout_rms_um:
+        parts.append(f"Retuning changes {listed([one.phrase for one in changed[:MENTIONED]])}.")
     if decision.verdict == "nothing_missing":
         parts.append("Nothing is missing: what is left is noise, as far as these recordings show.")
     parts += [sentence(effect) for effect in decision.effects]
@@ -191,9 +217,14 @@ def spoken_parameter(name: str) -> str:
 
 def stated(parameter: Parameter) -> str:
     """Return a parameter's name in prose, its value and its unit."""
+    return f"{spoken_parameter(parameter.name)} {valued(parameter)}"
+
+
+def valued(parameter: Parameter) -> str:
+    """Return a parameter's value and its unit."""
     shown = readable(parameter)
     value = shown.value if isinstance(shown.value, str) else f"{shown.value:.4g}"
-    return f"{spoken_parameter(shown.name)} {value} {shown.unit}".strip()
+    return f"{value} {shown.unit}".strip()
 
 
 def readable(parameter: Parameter) -> Parameter:

@@ -8,6 +8,7 @@ effect does, the data are no evidence for that effect, and vice versa. One score
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
+from operator import attrgetter
 
 import numpy as np
 
@@ -21,7 +22,8 @@ from torchpi.diagnosis.hypothesis import EffectTerm, Fit, Hypothesis
 from torchpi.diagnosis.hysteresis_model import HysteresisModel, bouc_wen, duhem
 from torchpi.diagnosis.noise import Noise, noise_of_prediction
 from torchpi.diagnosis.outside import Outside
-from torchpi.diagnosis.proposals import Proposals
+from torchpi.diagnosis.parallel import screen_all
+from torchpi.diagnosis.proposals import STARTS, Proposals
 from torchpi.diagnosis.records import without_start
 from torchpi.diagnosis.reduced_basis import MANY, basis, refitted
 from torchpi.diagnosis.screen import candidates_of
@@ -31,6 +33,7 @@ from torchpi.stage.effects import EFFECTS
 from torchpi.stage.effects.effect import Described, Effect
 from torchpi.stage.effects.inside import InsideEffect
 from torchpi.stage.effects.mechanics.stiction import Stiction
+from torchpi.stage.hysteresis import Hysteresis
 
 ROUNDS = 7
 
@@ -58,11 +61,12 @@ class Search(Proposals):
         lsb_um: float = 0.0,
         effects: Sequence[type[Effect] | type[InsideEffect]] = EFFECTS,
         simulation: Outside | None = None,
+        hysteresis: Hysteresis | None = None,
     ) -> None:
         alignments = simulation.alignments if simulation else (0, 1)
         super().__init__(chain, noise, executor, alignments, {member.effect.name for member in given})
         self.log, self.start, self.lsb_um = log, tuple(given), lsb_um
-        self.simulation = simulation
+        self.simulation, self.hysteresis = simulation, hysteresis
         self.seen = replace(self.seen, simulated=simulation is not None)
         self.nominal = HysteresisModel(np.zeros(0))
         self.rejected_families = set()
@@ -198,12 +202,10 @@ class Search(Proposals):
         # A given simulation is first taken as it is: only the weights are solved for.
         h, _ = basis(self.chain, Hypothesis(nominal, self.start, remanent=True), None, MANY)
         each = [replace(h, alignment=a) for a in self.alignments]
-        now = max(self.fits_here([(one, None, 0, FINE) for one in each]), key=self.score)
-        for tolerance in (ROUGH, ROUGH, FINE):  # each with the weighting that follows from the last fit
-            self.weigh(now)
-            h, _ = basis(self.chain, now.hypothesis, None, MANY)
-            others = [replace(h, alignment=a) for a in self.alignments if a != h.alignment]
-            now = max(self.fits_here([(one, None, 8, tolerance) for one in (h, *others)]), key=self.score)
+        given = max(self.fits_here([(one, None, 0, FINE) for one in each]), key=self.score)
+        now = self.converged(given)
+        moved = self.with_given_modes_moved(now, given.hypothesis)
+        now = now if moved is now else self.converged(moved)
         (less,) = self.fits_here([(replace(now.hypothesis, remanent=False), None, 8, FINE)])
         if self.needs_no_history(now, less):
             now = less
@@ -213,6 +215,40 @@ class Search(Proposals):
         self.weigh(now)
         size = "gain and offset" if self.simulation else f"{nominal.size} plays"
         self.log(f"retuned, {size}: {rms_of(now)}")
+        return now
+
+    def converged(self, now: Fit) -> Fit:
+        """Refit a few times on many rows, each with the weighting that follows from the last fit, and under
+        the timing convention that predicts better."""
+        for tolerance in (ROUGH, ROUGH, FINE):
+            self.weigh(now)
+            h, _ = basis(self.chain, now.hypothesis, None, MANY)
+            others = [replace(h, alignment=a) for a in self.alignments if a != h.alignment]
+            now = max(self.fits_here([(one, None, 8, tolerance) for one in (h, *others)]), key=self.score)
+        return now
+
+    def with_given_modes_moved(self, now: Fit, given: Hypothesis) -> Fit:
+        """Return the fit with each given mode where the recordings show one, if that predicts better.
+        No step leads across several widths of a mode, but other numbers may have moved in its place."""
+        self.weigh(now)
+        for member in now.hypothesis.members:
+            kinds = [effect for effect in self.effects_tried if effect is member.effect]
+            if not kinds or not member.effect.rings:
+                continue
+            less = now.hypothesis.without(member.effect.name)
+            (bare,) = self.fits_here([(less, None, 0, ROUGH)])
+            self.weigh(bare)  # the residual of a mode at the wrong frequency hides the right one
+            starts = [one for one in self.starts if one.effect is member.effect]
+            starts += self.from_residual(bare, kinds)
+            (screened,) = screen_all(self.chain, [(bare, starts)], self.executor)
+            rescaled, as_it_is = (sorted(screened, key=attrgetter(one)) for one in ("gain", "at_once"))
+            best = [*rescaled[-STARTS:], *as_it_is[-STARTS:]]
+            still = given.without(member.effect.name)
+            moved = self.fits([(still.plus(c.member), None, STEPS, ROUGH) for c in best])
+            ahead = max(moved, key=self.score, default=now)
+            if self.over(ahead, now).probability > ACCEPTED and not self.faint(ahead, now):
+                self.log(f"the simulation's {member.effect.name} moved: {rms_of(ahead)}")
+                now, given = ahead, ahead.hypothesis
         return now
 
     def noise_left(self, now: Fit) -> Noise | None:

@@ -21,7 +21,7 @@ class Diagnosed(Diagnosis):
     The fields are those of `Diagnosis`.
 
     Example:
-        >>> [effect.name for effect in found.effects] != []
+        >>> 3 * found.augmented.heldout_rms_um < found.retuned.heldout_rms_um
         True
         >>> figure = found.plot("spectrum")
     """
@@ -69,10 +69,16 @@ def diagnose(
         ConfigError: The executor accepts no work.
 
     Example:
-        >>> import torchpi
-        >>> found = torchpi.diagnose(recordings[0])
-        >>> found.verdict != "nothing_missing"
-        True
+        >>> from torchpi import Recording, Stage, diagnose
+        >>> from torchpi.excitation.signals import make_excitation
+        >>> rig = Stage.from_yaml("default").at_sample_rate(2000)  # in place of your own stage
+        >>> t, u = make_excitation("multisine", rig.sample_rate_hz, 0.5, seed=1)
+        >>> recording = Recording.from_arrays(t, u, rig.simulate(u[None])[1][0])
+        >>> known = rig.to_dict()
+        >>> known["effects"] = [one for one in known["effects"] if one["name"] != "creep"]
+        >>> found = diagnose(recording, simulation=Stage.from_dict(known))
+        >>> [effect.name for effect in found.effects]
+        ['creep']
         >>> figure = found.plot("errors")
     """
     if not (simulation is None or isinstance(simulation, str | Stage) or callable(simulation)):

@@ -161,4 +161,5 @@ def test_a_pole_faster_than_the_voltage_does_not_count_as_creep():
     assert Creep.reached({"per_decade": 0.01}, sine)
     begins = {"per_decade": 0.01, "from_s": 0.035}
     assert not Creep.reached(begins, sine) and Creep.reached(begins, jumps)
+    assert Creep.reached({**begins, "from_s": 0.06}, sine)
     assert all(Creep.reached(start, sine) for start in Creep.starts(sine))

@@ -40,6 +40,8 @@ STARTS_S = (0.003, 0.01, 0.03, 0.1, 0.3, 3.0, 30.0)
 POLES_PER_DECADE = 2  # two follow the logarithm to 0.3 %, one to 11 %
 # Poles from 1 ms to 1000 s, so that any record lies within them.
 FROM_S, TO_S = 1e-3 * math.sqrt(10), 100.0
+FIRST_DECADE = math.sqrt(10)
+"""Middle of the logarithm's first decade, relative to where it begins."""
 
 
 class Bank(NamedTuple):
@@ -120,8 +122,10 @@ class Creep(StateSpaceEffect):
 
     @classmethod
     def reached(cls, values: Mapping[str, float], seen: DataRange) -> bool:
-        times = ("time_constant_s", "slow_time_constant_s", "from_s")
-        return min((values[name] for name in times if name in values), default=math.inf) >= seen.quickest_s
+        times = [values[name] for name in ("time_constant_s", "slow_time_constant_s") if name in values]
+        if "from_s" in values:
+            times.append(FIRST_DECADE * values["from_s"])
+        return min(times, default=math.inf) >= seen.quickest_s
 
     def bank(self) -> Bank:
         """Return the poles of the logarithm and the power law."""
