@@ -294,6 +294,7 @@ class HysteresisStream(nn.Module):
         self.sigma, self.beta, self.exponent = (shape[name] for name in OF_BOUC_WEN)
         self.alpha, self.power = shape["alpha_per_v"], list(DUHEM_POWERS)
         self.scales = [self.scale ** (power - 1) for power in self.power]
+        self.plain = self.pieces == 1 and all(shape[name] == value for name, value in IDENTITY.items())
         self.h, self.d = [0.0] * len(self.r), [0.0] * len(DUHEM_POWERS)
         self.z = 0.0
         self.before = 0.0
@@ -312,21 +313,9 @@ class HysteresisStream(nn.Module):
     @torch.jit.export
     def step(self, x: float) -> float:
         self.rate = self.kept * self.rate + (1.0 - self.kept) * ((x - self.before) / self.period_s)
-        bent = bend(x, self.asymmetry)
-        rising, falling = x + bent, x - bent
-        width = threshold_widening(self.rate, self.threshold_by_rate)
         gain = gain_inside(x, self.rate, self.incongruence, self.by_rate)
-        straight = straight_gain(gain, self.straight)
-        chord, loop = self.chord * x, loop_widening(self.rate, self.loop, self.reference)
-        plays, y = len(self.r), 0.0
-        for i in range(plays):
-            r = self.r[i] * width
-            bound = clamp_play(rising - r, falling + r, self.h[i])
-            self.h[i] = towards(bound, self.h[i], self.late if self.r[i] > 0.0 else 0.0)
-            inner = self.h[i] * (gain if self.r[i] > 0.0 else straight)
-            inner = inner + (inner - chord) * loop
-            place = piece_of(inner, self.low, self.piece, self.pieces) * plays + i
-            y = y + (self.c[place] + self.w[place] * inner)
+        loop = loop_widening(self.rate, self.loop, self.reference)
+        y = self._sum_of_plain_plays(x) if self.plain else self._sum_of_plays(x, gain, loop)
         place = 0
         if self.has_bouc_wen:
             self.z = bouc_wen(self.z, x - self.before, self.sigma, self.beta, self.exponent)
@@ -340,3 +329,32 @@ class HysteresisStream(nn.Module):
                 place += 1
         self.before = x
         return y + self.others[place]
+
+    # TorchScript interprets each loop. What it need not look up or compute for a play is most of a step.
+
+    def _sum_of_plain_plays(self, x: float) -> float:
+        """Return what `_sum_of_plays` returns, to the last bit, if nothing acts inside."""
+        r, w, h, y = self.r, self.w, self.h, 0.0
+        for i in range(len(r)):
+            state = clamp_play(x - r[i], x + r[i], h[i])
+            h[i] = state
+            y = y + w[i] * state
+        return y
+
+    def _sum_of_plays(self, x: float, gain: float, loop: float) -> float:
+        bent = bend(x, self.asymmetry)
+        rising, falling = x + bent, x - bent
+        width = threshold_widening(self.rate, self.threshold_by_rate)
+        straight, chord = straight_gain(gain, self.straight), self.chord * x
+        r, w, c, h, late = self.r, self.w, self.c, self.h, self.late
+        low, piece, pieces = self.low, self.piece, self.pieces
+        plays, y = len(r), 0.0
+        for i in range(plays):
+            wide, has_memory = r[i] * width, r[i] > 0.0
+            bound = clamp_play(rising - wide, falling + wide, h[i])
+            h[i] = towards(bound, h[i], late if has_memory else 0.0)
+            inner = h[i] * (gain if has_memory else straight)
+            inner = inner + (inner - chord) * loop
+            place = piece_of(inner, low, piece, pieces) * plays + i
+            y = y + (c[place] + w[place] * inner)
+        return y
