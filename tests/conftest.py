@@ -16,10 +16,22 @@ import hypothesis  # noqa: E402
 import pytest  # noqa: E402
 import torch  # noqa: E402
 
+from tests import shared  # noqa: E402
+
 ROOT = Path(__file__).parents[1]
 
 hypothesis.settings.register_profile("torchpi", deadline=None, max_examples=25, derandomize=True)
 hypothesis.settings.load_profile("torchpi")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    if not hasattr(config, "workerinput"):  # workers inherit the folder
+        shared.begin()
+
+
+def pytest_unconfigure(config: pytest.Config) -> None:
+    if not hasattr(config, "workerinput"):
+        shared.end()
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -36,20 +48,23 @@ def untouched_torch() -> Iterator[None]:
 
 
 @pytest.fixture(scope="session")
-def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("wheel")
-    pip("wheel", "--no-deps", "--no-build-isolation", "--wheel-dir", str(folder), str(ROOT))
-    (built,) = folder.glob("*.whl")
+def wheel() -> Path:
+    def build(folder: Path) -> None:
+        pip("wheel", "--no-deps", "--no-build-isolation", "--wheel-dir", str(folder), str(ROOT))
+
+    (built,) = shared.made_once("wheel", build).glob("*.whl")
     return built
 
 
 @pytest.fixture(scope="session")
-def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def installed(wheel: Path) -> Path:
     """Return a folder to import from, in which nothing but the wheel is installed."""
-    site = tmp_path_factory.mktemp("site")
-    pip("install", "--no-deps", "--no-index", "--no-compile", "--target", str(site), str(wheel))
-    share_kernels(ROOT / "torchpi", site / "torchpi")
-    return site
+
+    def install(site: Path) -> None:
+        pip("install", "--no-deps", "--no-index", "--no-compile", "--target", str(site), str(wheel))
+        share_kernels(ROOT / "torchpi", site / "torchpi")
+
+    return shared.made_once("site", install)
 
 
 def share_kernels(source: Path, target: Path) -> None:

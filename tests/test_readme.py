@@ -14,6 +14,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.shared import made_once
+
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 TUTORIAL = (ROOT / "docs" / "mismatch.md").read_text(encoding="utf-8")  # its Python is run too
@@ -47,13 +49,15 @@ def part_of(text: str) -> str:
 
 
 @pytest.fixture(scope="session")
-def recordings(installed: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def recordings(installed: Path) -> Path:
     """Return a folder with the recordings that the README simulates."""
-    folder = tmp_path_factory.mktemp("readme")
-    for command in commands():
-        if command.startswith("torchpi simulate"):
-            run(shlex.split(command), folder, installed)
-    return folder / "recordings"
+
+    def simulate(folder: Path) -> None:
+        for command in commands():
+            if command.startswith("torchpi simulate"):
+                run(shlex.split(command), folder, installed)
+
+    return made_once("readme", simulate) / "recordings"
 
 
 def run(command: list[str], folder: Path, installed: Path) -> None:

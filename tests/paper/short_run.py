@@ -1,9 +1,8 @@
 """One short run of `reproduce`, shared by all tests that examine its output."""
 
-import tempfile
-from functools import cache
 from pathlib import Path
 
+from tests.shared import made_once
 from torchpi.cli.reproduce import reproduce
 from torchpi.control.direct_inverse import DirectInverse
 from torchpi.paper.context import SHORT, Recipe
@@ -26,13 +25,6 @@ def of_stage(stage: Stage) -> DirectInverse:
 QUICK = Recipe(of_fig7, of_stage)
 
 
-@cache
 def short_run() -> Path:
-    """Return the output folder of the run, which happens once per session."""
-    folder = tempfile.TemporaryDirectory(prefix="torchpi-paper-")
-    _kept.append(folder)
-    reproduce(Path(folder.name), None, STAGE, SHORT, QUICK)
-    return Path(folder.name)
-
-
-_kept: list[tempfile.TemporaryDirectory] = []  # removed when the session ends
+    """Return the output folder of the run."""
+    return made_once("paper", lambda folder: reproduce(folder, None, STAGE, SHORT, QUICK))

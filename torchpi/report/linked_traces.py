@@ -1,12 +1,11 @@
 """The linked traces of each page."""
 
 from collections.abc import Iterator
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
-from torchpi.diagnosis.diagnosis import Trace
 from torchpi.loop.result import COMPENSATED, WITHOUT, WITHOUT_LOOK_AHEAD, LoopResult
 from torchpi.recordings.recording import Recording
 from torchpi.report import style
@@ -17,6 +16,9 @@ from torchpi.report.traces import Signal, readable, stretches
 from torchpi.report.training import RecordFit
 from torchpi.report.training_figures import PREDICTED
 from torchpi.report.training_figures import RECORDED as RECORDED_VOLTAGE
+
+if TYPE_CHECKING:  # the pages of a loop and of a training need no diagnosis
+    from torchpi.diagnosis.diagnosis import Trace
 
 Signals = npt.NDArray[np.float64]  # shape: (time, axes)
 VOLTAGE = {**style.TORCHPI, "linewidth": 0.9}
@@ -118,7 +120,7 @@ def record_traces(record: RecordFit) -> Linked:
     )
 
 
-def diagnosis_traces(trace: Trace) -> Linked:
+def diagnosis_traces(trace: "Trace") -> Linked:
     """Return displacement and simulation, residuals before and after, and voltage; held-out parts shaded."""
     unit = unit_of(float(np.abs([trace.residual_retuned, trace.residual_augmented]).max()))
     recorded = Curve("recorded", trace.y, RECORDED)
