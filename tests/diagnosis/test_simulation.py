@@ -9,6 +9,7 @@ import torch
 
 from tests.diagnosis.plants import FS_HZ, NOISE_UM, multisine, triangles
 from torchpi.diagnosis.diagnose import diagnose
+from torchpi.operators.hysteresis_rows import DUHEM_POWERS
 from torchpi.recordings.recording import Recording
 from torchpi.stage import Stage
 from torchpi.stage.effects.mechanics.load_change import LoadChange
@@ -49,6 +50,39 @@ def test_a_correct_simulation_with_sharp_thresholds_is_matched_down_to_little_no
     found = diagnose(crime(noise_um)[:1], Stage.from_dict(PHYSICS))
     assert found.verdict == "nothing_missing"
     assert found.retuned.heldout_rms_um < 1.1 * noise_um
+
+
+@pytest.mark.parametrize("family", ["preisach", "bouc_wen", "duhem"])
+def test_a_correct_simulation_with_another_hysteresis_lacks_nothing(family: str) -> None:
+    r = np.array([0.0, 0.5, 1.0, 2.0, 3.5])
+    curved = 0.5 + 0.1 * np.linspace(-1, 1, 6)[:, None] * [1.0, 1.0, -1.0, 0.5, -0.5]
+    hysteresis = {
+        "preisach": {
+            "thresholds_v": r,
+            "weights": [*curved.ravel() / 5, 0.0],
+            "pieces": 6,
+            "range_v": (0, 10),
+        },
+        "bouc_wen": {
+            "thresholds_v": r,
+            "weights": [0.7, 0.05, 0.05, 0.05, 0.05, -0.4, 0.0],
+            "bouc_wen": True,
+            "shape": {"sigma_v": 1.5, "beta": 0.6, "exponent": 1.2},
+        },
+        "duhem": {
+            "thresholds_v": r[:1],
+            "weights": [0.7, *np.linspace(0.2, 0.02, len(DUHEM_POWERS)), 0.0],
+            "scale_v": 10.0,
+            "duhem": True,
+            "shape": {"alpha_per_v": 0.4},
+        },
+    }[family]
+    stage = Stage(FS_HZ, hysteresis, noise_um=NOISE_UM)
+    u = multisine(2000)
+    recording = Recording.from_arrays(np.arange(len(u)) / FS_HZ, u, stage.simulate(u[None])[1][0])
+    found = diagnose([recording], stage)
+    assert found.verdict == "nothing_missing" and found.effects == ()
+    assert found.retuned.heldout_rms_um < 1.1 * NOISE_UM
 
 
 def test_a_wrong_mode_of_a_simulation_is_retuned_and_said_and_not_called_missing_physics() -> None:

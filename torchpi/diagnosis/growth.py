@@ -13,7 +13,7 @@ from torchpi.diagnosis.contest import ACCEPTED, ADEQUATE, FAINT, HEAT, PRIOR, ST
 from torchpi.diagnosis.exchange import Exchange, rms_of
 from torchpi.diagnosis.fit import FINE, ROUGH
 from torchpi.diagnosis.hypothesis import Fit, Hypothesis
-from torchpi.diagnosis.hysteresis_model import HysteresisModel, many_plays, plain, preisach
+from torchpi.diagnosis.hysteresis_model import HysteresisModel, many_plays, of_stage, plain, preisach
 from torchpi.diagnosis.outside import Outside
 from torchpi.diagnosis.parallel import Job
 from torchpi.diagnosis.reduced_basis import MANY, basis, grown, refitted
@@ -51,7 +51,11 @@ class Growth(Exchange):
     """The last result of `on_many_rows`: a fit, the token of its cell weights, and that fit on many rows."""
 
     def plays(self) -> HysteresisModel:
-        """Return as many plays as the number of samples supports."""
+        """Return as many plays as the number of samples supports, or the states of the given hysteresis if it
+        is more than a weighted sum of plays."""
+        given = self.hysteresis
+        if given is not None and (given.pieces > 1 or given.others):
+            return of_stage(self.seen, given)
         nominal = many_plays(self.seen, self.hysteresis)
         samples = sum(record.train.sum() for record in self.chain.records)
         return plain(self.seen, self.hysteresis) if samples < SAMPLES_A_PLAY * nominal.size else nominal

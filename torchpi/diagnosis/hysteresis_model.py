@@ -322,8 +322,8 @@ def many_plays(seen: DataRange, given: Hysteresis | None = None) -> HysteresisMo
 
 
 def with_given_plays(seen: DataRange, r: np.ndarray, given: Hysteresis | None) -> HysteresisModel:
-    """Plays with these thresholds and those of a given hysteresis, which then remains as it is wherever the
-    recordings say nothing else. One that is no weighted sum of plays is left out."""
+    """Plays with these thresholds, and with those of a given hysteresis that is a weighted sum of plays. That
+    one then remains as it is wherever the recordings say nothing else."""
     if given is None or given.pieces > 1 or given.others:
         return plays_of(seen, r)
     theirs = given.thresholds_v.numpy()
@@ -337,6 +337,14 @@ def with_given_plays(seen: DataRange, r: np.ndarray, given: Hysteresis | None) -
 def preisach(seen: DataRange, pieces: int = PIECES, given: Hysteresis | None = None) -> HysteresisModel:
     """The same plays through output functions: a Preisach operator in play form."""
     return replace(many_plays(seen, given), pieces=pieces, centre=None).unreduced
+
+
+def of_stage(seen: DataRange, given: Hysteresis) -> HysteresisModel:
+    """The states of a given hysteresis, as far as its plays move."""
+    theirs = given.thresholds_v.numpy()
+    states = {"bouc_wen": given.bouc_wen, "duhem": given.duhem, "shape": IDENTITY | given.fixed}
+    nominal = plays_of(seen, theirs[theirs < reach_v(seen)], given.pieces, **states)
+    return replace(nominal, range_v=(given.low_v, given.high_v)).unreduced
 
 
 def bouc_wen(seen: DataRange, sigma: float) -> HysteresisModel:

@@ -200,20 +200,21 @@ class Search(Proposals):
         alone = HysteresisModel(np.zeros(0), simulation=self.simulation)
         nominal = alone if self.simulation else self.plays()
         # A given simulation is first taken as it is: only the weights are solved for.
-        h, _ = basis(self.chain, Hypothesis(nominal, self.start, remanent=True), None, MANY)
+        begun = self.on(Hypothesis(nominal, self.start, remanent=True), nominal)
+        h, _ = basis(self.chain, begun, None, MANY)
         each = [replace(h, alignment=a) for a in self.alignments]
         given = max(self.fits_here([(one, None, 0, FINE) for one in each]), key=self.score)
         now = self.converged(given)
         moved = self.with_given_modes_moved(now, given.hypothesis)
         now = now if moved is now else self.converged(moved)
-        (less,) = self.fits_here([(replace(now.hypothesis, remanent=False), None, 8, FINE)])
-        if self.needs_no_history(now, less):
-            now = less
+        if not nominal.has_states:
+            (less,) = self.fits_here([(replace(now.hypothesis, remanent=False), None, 8, FINE)])
+            now = less if self.needs_no_history(now, less) else now
         if self.noise is not None:
             # The noise of a monitored voltage appears in the simulated response to a hold.
             self.noise = self.noise_in(now) or self.noise
         self.weigh(now)
-        size = "gain and offset" if self.simulation else f"{nominal.size} plays"
+        size = "gain and offset" if self.simulation else f"{len(nominal.thresholds_v)} plays"
         self.log(f"retuned, {size}: {rms_of(now)}")
         return now
 
