@@ -177,6 +177,8 @@ def diagnose(
     floor_um = noise.rms_um if noise is not None else 0.0
     # The stage runs at the controller's sample rate, even where the records are means over ticks.
     at_ticks = replace(what, fs_hz=max(1 / record.tick_s for record in records))
+    if not (search.added(final) or search.has_larger(final) or search.slips):
+        retuned = final  # nothing was added, so the search has only retuned further
     stage = augmented_stage(last, len(recordings), at_ticks, floor_um or augmented.heldout_rms)
     traces = traces_of(recordings, records, retuned, augmented, final, search.chain, decision)
     log("locate: where the residual lives")

@@ -231,11 +231,11 @@ class Search(Proposals):
     def with_given_modes_moved(self, now: Fit, given: Hypothesis) -> Fit:
         """Return the fit with each given mode where the recordings show one, if that predicts better.
         No step leads across several widths of a mode, but other numbers may have moved in its place."""
-        self.weigh(now)
         for member in now.hypothesis.members:
             kinds = [effect for effect in self.effects_tried if effect is member.effect]
             if not kinds or not member.effect.rings:
                 continue
+            self.weigh(now)
             less = now.hypothesis.without(member.effect.name)
             (bare,) = self.fits_here([(less, None, 0, ROUGH)])
             self.weigh(bare)  # the residual of a mode at the wrong frequency hides the right one
@@ -250,6 +250,7 @@ class Search(Proposals):
             if self.over(ahead, now).probability > ACCEPTED and not self.faint(ahead, now):
                 self.log(f"the simulation's {member.effect.name} moved: {rms_of(ahead)}")
                 now, given = ahead, ahead.hypothesis
+            self.weigh(now)
         return now
 
     def noise_left(self, now: Fit) -> Noise | None:
