@@ -13,7 +13,7 @@ from torchpi.diagnosis.contest import ACCEPTED, ADEQUATE, FAINT, HEAT, PRIOR, ST
 from torchpi.diagnosis.exchange import Exchange, rms_of
 from torchpi.diagnosis.fit import FINE, ROUGH
 from torchpi.diagnosis.hypothesis import Fit, Hypothesis
-from torchpi.diagnosis.hysteresis_model import HysteresisModel, many_plays, of_stage, plain, preisach
+from torchpi.diagnosis.hysteresis_model import HysteresisModel, as_given, many_plays, plain, preisach
 from torchpi.diagnosis.outside import Outside
 from torchpi.diagnosis.parallel import Job
 from torchpi.diagnosis.reduced_basis import MANY, basis, grown, refitted
@@ -42,7 +42,7 @@ class Growth(Exchange):
     simulation: Outside | None
     """The given simulation, called or recorded, in place of plays; None for plays."""
     hysteresis: Hysteresis | None
-    """That of a given stage."""
+    """The hysteresis of a given stage; None for another simulation, or none."""
     nominal: HysteresisModel
     rejected_families: set[str]
     states: list[HysteresisModel]
@@ -55,10 +55,10 @@ class Growth(Exchange):
         is more than a weighted sum of plays."""
         given = self.hysteresis
         if given is not None and (given.pieces > 1 or given.others):
-            return of_stage(self.seen, given)
-        nominal = many_plays(self.seen, self.hysteresis)
+            return as_given(self.seen, given)
+        nominal = many_plays(self.seen, given)
         samples = sum(record.train.sum() for record in self.chain.records)
-        return plain(self.seen, self.hysteresis) if samples < SAMPLES_A_PLAY * nominal.size else nominal
+        return plain(self.seen, given) if samples < SAMPLES_A_PLAY * nominal.size else nominal
 
     def preisach(self) -> HysteresisModel:
         """Return the same plays through output functions."""

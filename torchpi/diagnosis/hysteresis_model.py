@@ -339,7 +339,7 @@ def preisach(seen: DataRange, pieces: int = PIECES, given: Hysteresis | None = N
     return replace(many_plays(seen, given), pieces=pieces, centre=None).unreduced
 
 
-def of_stage(seen: DataRange, given: Hysteresis) -> HysteresisModel:
+def as_given(seen: DataRange, given: Hysteresis) -> HysteresisModel:
     """The states of a given hysteresis, as far as its plays move."""
     theirs = given.thresholds_v.numpy()
     states = {"bouc_wen": given.bouc_wen, "duhem": given.duhem, "shape": IDENTITY | given.fixed}

@@ -203,9 +203,9 @@ class Search(Proposals):
         begun = self.on(Hypothesis(nominal, self.start, remanent=True), nominal)
         h, _ = basis(self.chain, begun, None, MANY)
         each = [replace(h, alignment=a) for a in self.alignments]
-        given = max(self.fits_here([(one, None, 0, FINE) for one in each]), key=self.score)
-        now = self.converged(given)
-        moved = self.with_given_modes_moved(now, given.hypothesis)
+        as_it_is = max(self.fits_here([(one, None, 0, FINE) for one in each]), key=self.score)
+        now = self.converged(as_it_is)
+        moved = self.with_given_modes_moved(now, as_it_is.hypothesis)
         now = now if moved is now else self.converged(moved)
         if not nominal.has_states:
             (less,) = self.fits_here([(replace(now.hypothesis, remanent=False), None, 8, FINE)])
@@ -242,8 +242,8 @@ class Search(Proposals):
             starts = [one for one in self.starts if one.effect is member.effect]
             starts += self.from_residual(bare, kinds)
             (screened,) = screen_all(self.chain, [(bare, starts)], self.executor)
-            rescaled, as_it_is = (sorted(screened, key=attrgetter(one)) for one in ("gain", "at_once"))
-            best = [*rescaled[-STARTS:], *as_it_is[-STARTS:]]
+            rescaled, at_once = (sorted(screened, key=attrgetter(one)) for one in ("gain", "at_once"))
+            best = [*rescaled[-STARTS:], *at_once[-STARTS:]]
             still = given.without(member.effect.name)
             moved = self.fits([(still.plus(c.member), None, STEPS, ROUGH) for c in best])
             ahead = max(moved, key=self.score, default=now)

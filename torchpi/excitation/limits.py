@@ -106,9 +106,9 @@ def staircase(limits: DriveLimits, fractions: Sequence[float], holds_s: Sequence
 
 def straight_lines(limits: DriveLimits, fractions: Sequence[float], seconds: Sequence[float]) -> np.ndarray:
     """Return straight lines between corners (fractions of the range at these times), with rounded corners."""
-    t = np.arange(math.ceil(seconds[-1] * limits.sample_rate_hz) + 1) / limits.sample_rate_hz
     from scipy.ndimage import uniform_filter1d  # here, as most uses of excitations do without
 
+    t = np.arange(math.ceil(seconds[-1] * limits.sample_rate_hz) + 1) / limits.sample_rate_hz
     u = limits.level_v(0.0) + limits.span_v * np.interp(t, seconds, fractions)
     window = math.ceil(limits.sample_rate_hz / limits.high_hz / 2)
     for _ in range(2):
