@@ -63,7 +63,7 @@ def announce_run(trajectories: str | Sequence[str], compared: int) -> None:
     names = [trajectories] if isinstance(trajectories, str) else trajectories
     own = _samples_in(name for name in names if name not in PAPER_S)
     samples = sum(own) + sum(USUAL_HZ * PAPER_S.get(name, 0.0) for name in names)
-    _announce_work(4.0 + 3.5 * len(names) + 2.0 * compared + 8e-5 * (3 + compared) * samples, "stage", 10.0)
+    _announce_work(4.0 + 3.5 * len(names) + 2.0 * compared + 4e-5 * (3 + compared) * samples, "stage", 10.0)
 
 
 def announce_diagnose(recordings: Iterable[str | Path]) -> None:
