@@ -54,7 +54,7 @@ class Growth(Exchange):
         """Return as many plays as the number of samples supports, or the states of the given hysteresis if it
         is more than a weighted sum of plays."""
         given = self.hysteresis
-        if given is not None and (given.pieces > 1 or given.others):
+        if given is not None and not given.is_weighted_sum:
             return as_given(self.seen, given)
         nominal = many_plays(self.seen, given)
         samples = sum(record.train.sum() for record in self.chain.records)

@@ -324,7 +324,7 @@ def many_plays(seen: DataRange, given: Hysteresis | None = None) -> HysteresisMo
 def with_given_plays(seen: DataRange, r: np.ndarray, given: Hysteresis | None) -> HysteresisModel:
     """Plays with these thresholds, and with those of a given hysteresis that is a weighted sum of plays. That
     one then remains as it is wherever the recordings say nothing else."""
-    if given is None or given.pieces > 1 or given.others:
+    if given is None or not given.is_weighted_sum:
         return plays_of(seen, r)
     theirs = given.thresholds_v.numpy()
     moving = theirs < reach_v(seen)

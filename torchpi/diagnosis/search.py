@@ -243,7 +243,8 @@ class Search(Proposals):
             starts += self.from_residual(bare, kinds)
             (screened,) = screen_all(self.chain, [(bare, starts)], self.executor)
             rescaled, at_once = (sorted(screened, key=attrgetter(one)) for one in ("gain", "at_once"))
-            best = [*rescaled[-STARTS:], *at_once[-STARTS:]]
+            best = rescaled[-STARTS:]
+            best += [one for one in at_once[-STARTS:] if one not in best]
             still = given.without(member.effect.name)
             moved = self.fits([(still.plus(c.member), None, STEPS, ROUGH) for c in best])
             ahead = max(moved, key=self.score, default=now)

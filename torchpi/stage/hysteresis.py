@@ -141,6 +141,11 @@ class Hysteresis(Operator):
         """Number of states other than plays, each of which has one weight."""
         return self.bouc_wen + len(DUHEM_POWERS) * self.duhem
 
+    @property
+    def is_weighted_sum(self) -> bool:
+        """Whether it is a weighted sum of plays: no output function bends, and there are no other states."""
+        return self.pieces == 1 and not self.others
+
     def shape(self) -> dict[str, float]:
         """Return the present shape parameters."""
         return {name: getattr(self, name).item() for name in self.trained} | self.fixed
