@@ -27,6 +27,7 @@ from torchpi.diagnosis.posterior import (
     apart,
     as_one,
     averaged,
+    kin_if_the_same_each_time,
     nearly_all,
     share_explained,
     slow_kin,
@@ -386,3 +387,18 @@ def test_backlash_may_be_an_unlisted_hysteresis_unless_a_larger_hysteresis_was_a
     larger = taken.on(HysteresisModel(np.linspace(0, 1, 9), pieces=5))
     assert unlisted_hysteresis(taken, plain, "backlash") == [OPERATOR_NAME]
     assert unlisted_hysteresis(taken, plain, "creep") == unlisted_hysteresis(larger, plain, "backlash") == []
+
+
+@pytest.mark.parametrize(
+    ("amplitudes_um", "alike"),
+    [((3.0, 3.1), True), ((3.0, 2.0), False), ((3.0, -3.0), False), ((3.0, 2.4, 2.5), True), ((3.0,), False)],
+)
+def test_a_drift_of_the_same_size_in_each_recording_may_follow_the_voltage(
+    amplitudes_um: tuple[float, ...], alike: bool
+) -> None:
+    own = tuple({"amplitude_um": one} for one in amplitudes_um)
+    drift = EffectTerm(ThermalDrift, {"time_constant_s": 8.0}, own)
+    h = Hypothesis(HysteresisModel(np.zeros(1)), (EffectTerm(Creep, {"per_decade": 0.01}), drift))
+    expected = ThermalDrift.degenerate_with if alike else ()
+    assert kin_if_the_same_each_time(h, "thermal_drift") == expected
+    assert kin_if_the_same_each_time(h, "creep") == ()

@@ -22,6 +22,7 @@ from torchpi.stage.effects.mechanics.backlash import Backlash
 from torchpi.stage.effects.mechanics.load_change import LoadChange
 from torchpi.stage.effects.mechanics.resonance import Resonance
 from torchpi.stage.effects.sensor.gain_modulation import GainModulation
+from torchpi.stage.effects.sensor.sensor_lag import SensorLag
 from torchpi.stage.effects.sensor.sensor_nonlinearity import SensorNonlinearity
 from torchpi.stage.effects.sensor.thermal_drift import ThermalDrift
 
@@ -59,6 +60,19 @@ def test_an_effect_that_delays_competes_with_every_other_timing_convention(
     small = SimpleNamespace(hypothesis=less.plus(EffectTerm(effect, {})), weights=np.zeros(1))
     found = rivals(search, [], effect.name, less, small)
     assert [h.alignment for label, h, _ in found if label == CONVENTION] == rivals_at
+
+
+def test_a_lag_competes_with_everything_else_that_delays() -> None:
+    less = Hypothesis(HysteresisModel(np.zeros(1)))
+    terms = [EffectTerm(effect, {}) for effect in (Delay, AmplifierLag, SlewLimit, Creep, SensorLag)]
+    search = SimpleNamespace(
+        effects_tried=[one.effect for one in terms],
+        alignments=(0,),
+        by_form=lambda: [[one] for one in terms],
+    )
+    small = SimpleNamespace(hypothesis=less.plus(terms[-1]), weights=np.zeros(1))
+    found = {label for label, _, _ in rivals(search, [], "sensor_lag", less, small)}
+    assert found == {"delay", "amplifier_lag", "slew_limit"}
 
 
 @pytest.mark.parametrize("before_at", [0, 1])

@@ -49,6 +49,8 @@ nearly linear in it."""
 SOLVED, MORE_THAN_LINEAR = 4, 1.1
 """Maximum number of solutions for the weights in a nonlinear chain, and the ratio of the misfit to its linear
 prediction below which no further one is needed."""
+FAR = 4.0
+"""Ratio of the misfit to that of the weighting's own residual from which other starting weights are tried."""
 WITHHELD = 0.9
 """Share of a stretch's weight that is withheld from the fit that predicts it: with all of it withheld, what
 this stretch alone determines would be predicted at random."""
@@ -94,10 +96,10 @@ def fit(
         tangent, slopes = sensitivities_near(chain, near, slots, hypothesis)
     elif weights is None:
         weights, tangent = start_weights(chain, hypothesis)
-    elif slots and any(member.effect.hold for member in hypothesis.members):
-        # Weights found without a mode, or a lag, may be far from those of a chain that has it.
+    elif slots and (far := sum_of_squares(chain, hypothesis, weights)) > FAR * chain.weighting.counts.sum():
+        # Weights found without a mode, a lag or a curvature may be far from those of a chain that has it.
         fresh, at_fresh = start_weights(chain, hypothesis)
-        if sum_of_squares(chain, hypothesis, fresh) < sum_of_squares(chain, hypothesis, weights):
+        if sum_of_squares(chain, hypothesis, fresh) < far:
             weights, tangent = fresh, at_fresh
     if not slots:  # linear in the weights: one solution is enough
         iterations = 0 if fresh_weights else 1

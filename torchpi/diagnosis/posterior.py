@@ -53,6 +53,9 @@ AS_LIKELY = 0.49
 """Largest probability of a larger hysteresis where all loops are of one size. Its output functions then make
 any two branches and fit whatever repeats with the voltage: unless an effect does so too, a cause that is not
 listed is as likely."""
+COINCIDENCE = 0.05
+"""Probability below which the sizes of an effect in several recordings are not equal by chance: each may be
+anything, of either sign, up to the largest."""
 LAPSE = 0.02
 """Share of names that are wrong although everything supports them: 0 of some eighty were, which allows up to
 0.037 at 95 %."""
@@ -120,6 +123,7 @@ def posterior(
             continue
         rivals.sort(key=lambda rival: rival.loses_nats)
         alternatives += unlisted_hysteresis(h, retuned.hypothesis, name)
+        alternatives += kin_if_the_same_each_time(h, name)
         found.append(
             Believed(
                 name,
@@ -199,6 +203,20 @@ def unlisted_hysteresis(h: Hypothesis, before: Hypothesis, name: str) -> list[st
     one was accepted: a play behind plays is again plays, and an unlisted family may explain as much."""
     itself = any(member.effect.sticks for member in h.members if member.effect.name == name)
     return [OPERATOR_NAME] if itself and h.nominal.family == before.nominal.family else []
+
+
+def kin_if_the_same_each_time(h: Hypothesis, name: str) -> tuple[str, ...]:
+    """Return what looks like a slow effect of its own in each recording if that is the same in all of them
+    by more than chance: then it may follow the voltage, by another law than the effects that were tried."""
+    for member in h.members:
+        effect, own = member.effect, member.own
+        if effect.name != name or effect.time_scale != "slow" or len(own) < 2 or not own[0]:
+            continue
+        each = np.array([[of_one[number] for number in own[0]] for of_one in own])
+        spread = np.ptp(each, axis=0) / np.maximum(np.abs(each).max(0), 1e-300)
+        if ((spread / 2) ** (len(own) - 1)).max() < COINCIDENCE:
+            return effect.degenerate_with
+    return ()
 
 
 def no_likelier_than_unlisted(one: Believed) -> Believed:

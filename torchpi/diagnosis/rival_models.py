@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from torchpi.diagnosis.contest import ACCEPTED, PRIOR
-from torchpi.diagnosis.exchange import rms_of, shared_out_among
+from torchpi.diagnosis.exchange import looks_like, rms_of, shared_out_among
 from torchpi.diagnosis.fit import ROUGH
 from torchpi.diagnosis.growth import OPERATOR
 from torchpi.diagnosis.hypothesis import EffectTerm, Fit, Hypothesis
@@ -182,7 +182,7 @@ def rivals(
         # Modes fitted beside a lag take long to follow another convention; those from before it are there.
         found += [(CONVENTION, *one) for one in as_before(search, history, name, less)]
     for effect in search.effects_tried if mine else ():
-        if mine and effect.name in mine.degenerate_with and effect.name not in seen | there:
+        if mine and looks_like(effect, mine) and effect.name not in seen | there:
             forms = [each for each in search.by_form() if each[0].effect is effect]
             found += [(effect.name, less.plus(each[len(each) // 2]), small.weights) for each in forms]
     return found
