@@ -18,6 +18,7 @@ from torchpi.diagnosis.hysteresis_model import HysteresisModel, plain
 from torchpi.diagnosis.lines import STANDS_OUT
 from torchpi.diagnosis.own_signal import has_a_recorded_signal, has_a_signal_of_its_own, stands_out
 from torchpi.diagnosis.posterior import (
+    AS_LIKELY,
     FORM_ERROR,
     HALF,
     HYSTERESIS_ERROR,
@@ -29,6 +30,7 @@ from torchpi.diagnosis.posterior import (
     averaged,
     kin_if_the_same_each_time,
     nearly_all,
+    no_likelier_than_unlisted,
     share_explained,
     slow_kin,
     stands_as_well,
@@ -402,3 +404,17 @@ def test_a_drift_of_the_same_size_in_each_recording_may_follow_the_voltage(
     expected = ThermalDrift.degenerate_with if alike else ()
     assert kin_if_the_same_each_time(h, "thermal_drift") == expected
     assert kin_if_the_same_each_time(h, "creep") == ()
+
+
+def test_what_a_larger_hysteresis_explains_as_well_is_no_likelier_than_it_from_loops_of_one_size() -> None:
+    alone = Believed("hysteresis_operator", 0.98, (), 1.0, (), 0.9)
+    found = [
+        no_likelier_than_unlisted(replace(alone, name=name, alternatives=alternatives)).probability
+        for name, alternatives in [
+            ("hysteresis_operator", ()),
+            ("hysteresis_operator", ("sensor_nonlinearity",)),
+            ("hysteresis_asymmetry", ("input_nonlinearity", "hysteresis_operator")),
+            ("creep", ("thermal_drift",)),
+        ]
+    ]
+    assert found == [AS_LIKELY, AS_LIKELY, AS_LIKELY, 0.98]

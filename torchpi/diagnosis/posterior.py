@@ -50,9 +50,9 @@ further cases: below 0.0003 in four wrong names, 0.0024 in another, 0.0054 in a 
 MOST = 0.5
 """Share, of what a timing convention leaves where a delay acts, that a delay must explain to be a cause."""
 AS_LIKELY = 0.49
-"""Largest probability of a larger hysteresis where all loops are of one size. Its output functions then make
-any two branches and fit whatever repeats with the voltage: unless an effect does so too, a cause that is not
-listed is as likely."""
+"""Largest probability of a larger hysteresis, or of what it explains as well, where all loops are of one
+size. Its output functions then make any two branches and fit whatever repeats with the voltage: a cause that
+is not listed is as likely."""
 COINCIDENCE = 0.05
 """Probability below which the sizes of an effect in several recordings are not equal by chance: each may be
 anything, of either sign, up to the largest."""
@@ -220,8 +220,8 @@ def kin_if_the_same_each_time(h: Hypothesis, name: str) -> tuple[str, ...]:
 
 
 def no_likelier_than_unlisted(one: Believed) -> Believed:
-    """Limit the probability of a larger hysteresis that no effect with a few parameters can stand in for."""
-    if one.name != OPERATOR_NAME or one.alternatives:
+    """Limit the probability of a larger hysteresis, and of an effect that it explains as well."""
+    if OPERATOR_NAME not in (one.name, *one.alternatives):
         return one
     return replace(one, probability=min(one.probability, AS_LIKELY))
 
