@@ -96,11 +96,13 @@ def fit(
         tangent, slopes = sensitivities_near(chain, near, slots, hypothesis)
     elif weights is None:
         weights, tangent = start_weights(chain, hypothesis)
-    elif slots and (far := sum_of_squares(chain, hypothesis, weights)) > FAR * chain.weighting.counts.sum():
+    elif slots:
         # Weights found without a mode, a lag or a curvature may be far from those of a chain that has it.
-        fresh, at_fresh = start_weights(chain, hypothesis)
-        if sum_of_squares(chain, hypothesis, fresh) < far:
-            weights, tangent = fresh, at_fresh
+        given = sum_of_squares(chain, hypothesis, weights)
+        if given > FAR * chain.weighting.counts.sum():
+            fresh, at_fresh = start_weights(chain, hypothesis)
+            if sum_of_squares(chain, hypothesis, fresh) < given:
+                weights, tangent = fresh, at_fresh
     if not slots:  # linear in the weights: one solution is enough
         iterations = 0 if fresh_weights else 1
     damping, current = 1e-3, with_theta(hypothesis, slots, theta)

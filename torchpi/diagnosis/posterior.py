@@ -123,7 +123,8 @@ def posterior(
             continue
         rivals.sort(key=lambda rival: rival.loses_nats)
         alternatives += unlisted_hysteresis(h, retuned.hypothesis, name)
-        alternatives += kin_if_the_same_each_time(h, name)
+        kin = kin_if_the_same_each_time(h, name)
+        alternatives += [one.name for one in search.effects_tried if one.name in kin]
         found.append(
             Believed(
                 name,
@@ -210,12 +211,12 @@ def kin_if_the_same_each_time(h: Hypothesis, name: str) -> tuple[str, ...]:
     by more than chance: then it may follow the voltage, by another law than the effects that were tried."""
     for member in h.members:
         effect, own = member.effect, member.own
-        if effect.name != name or effect.time_scale != "slow" or len(own) < 2 or not own[0]:
+        if effect.name != name or effect.time_scale != "slow" or effect.relative or len(own) < 2:
             continue
         each = np.array([[of_one[number] for number in own[0]] for of_one in own])
         spread = np.ptp(each, axis=0) / np.maximum(np.abs(each).max(0), 1e-300)
         if ((spread / 2) ** (len(own) - 1)).max() < COINCIDENCE:
-            return effect.degenerate_with
+            return tuple(kin for kin in effect.degenerate_with if kin not in h.names)
     return ()
 
 

@@ -208,15 +208,17 @@ def rivals(
 
 
 def nearest_in_delay(starts: Sequence[EffectTerm], term: EffectTerm, period_s: float) -> EffectTerm:
-    """Return the start of an effect whose output lags most nearly as far behind a ramp as that of another."""
+    """Return the start of an effect whose output lags most nearly as far behind a ramp as that of another, or
+    the middle one if either is nonlinear."""
+    if not all(issubclass(one.effect, LinearEffect) for one in (term, *starts)):
+        return starts[len(starts) // 2]
     mine = behind_a_ramp(term, period_s)
     return min(starts, key=lambda one: abs(behind_a_ramp(one, period_s) - mine))
 
 
 def behind_a_ramp(term: EffectTerm, period_s: float) -> float:
-    """Return how far the output of an effect lags behind a ramp of one unit a sample, in samples."""
-    if not issubclass(term.effect, LinearEffect):
-        return 0.0
+    """Return how far the output of a linear effect lags behind a ramp of one unit a sample, in samples."""
+    assert issubclass(term.effect, LinearEffect)
     ramp = torch.arange(RAMP, dtype=torch.float64)[None]
     with torch.no_grad():
         y, _ = term.effect(period_s, **term.values(0))(ramp)
