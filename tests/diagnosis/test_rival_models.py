@@ -22,7 +22,6 @@ from torchpi.stage.effects.mechanics.backlash import Backlash
 from torchpi.stage.effects.mechanics.load_change import LoadChange
 from torchpi.stage.effects.mechanics.resonance import Resonance
 from torchpi.stage.effects.sensor.gain_modulation import GainModulation
-from torchpi.stage.effects.sensor.sensor_lag import SensorLag
 from torchpi.stage.effects.sensor.sensor_nonlinearity import SensorNonlinearity
 from torchpi.stage.effects.sensor.thermal_drift import ThermalDrift
 
@@ -60,26 +59,6 @@ def test_an_effect_that_delays_competes_with_every_other_timing_convention(
     small = SimpleNamespace(hypothesis=less.plus(EffectTerm(effect, {})), weights=np.zeros(1))
     found = rivals(search, [], effect.name, less, small)
     assert [h.alignment for label, h, _ in found if label == CONVENTION] == rivals_at
-
-
-def test_a_lag_competes_with_everything_else_that_delays_from_where_it_delays_as_much() -> None:
-    less = Hypothesis(HysteresisModel(np.zeros(1)))
-    lag = EffectTerm(SensorLag, {"cutoff_hz": 1 / (2 * np.pi * 3e-3)})
-    delays = [EffectTerm(Delay, {"delay_s": one}) for one in (1e-4, 2.5e-3, 1e-1)]
-    others = [EffectTerm(effect, {}) for effect in (SlewLimit, Creep)]
-    search = SimpleNamespace(
-        effects_tried=[Delay, SlewLimit, Creep, SensorLag],
-        alignments=(0, 1),
-        by_form=lambda: [delays, *([one] for one in others), [lag]],
-        chain=SimpleNamespace(records=[SimpleNamespace(period_s=1e-3)]),
-    )
-    small = SimpleNamespace(hypothesis=less.plus(lag), weights=np.zeros(1))
-    found = [
-        (label, h) for label, h, _ in rivals(search, [], "sensor_lag", less, small) if label != CONVENTION
-    ]
-    assert [label for label, _ in found] == ["delay", "delay", "slew_limit", "slew_limit"]
-    assert [h.alignment for _, h in found] == [0, 1, 0, 1]
-    assert found[0][1].members[0].shared == {"delay_s": 2.5e-3}
 
 
 @pytest.mark.parametrize("before_at", [0, 1])

@@ -15,6 +15,7 @@ from torchpi.diagnosis.free_parameters import (
     value_at,
     with_theta,
 )
+from torchpi.diagnosis.haar import CELLS
 from torchpi.diagnosis.hypothesis import Fit, Hypothesis
 from torchpi.diagnosis.normal_equations import solve, solve_positive, to_unit_diagonal, without_others
 from torchpi.diagnosis.records import Record
@@ -49,8 +50,6 @@ nearly linear in it."""
 SOLVED, MORE_THAN_LINEAR = 4, 1.1
 """Maximum number of solutions for the weights in a nonlinear chain, and the ratio of the misfit to its linear
 prediction below which no further one is needed."""
-FAR = 4.0
-"""Ratio of the misfit to that of the weighting's own residual from which other starting weights are tried."""
 WITHHELD = 0.9
 """Share of a stretch's weight that is withheld from the fit that predicts it: with all of it withheld, what
 this stretch alone determines would be predicted at random."""
@@ -96,13 +95,11 @@ def fit(
         tangent, slopes = sensitivities_near(chain, near, slots, hypothesis)
     elif weights is None:
         weights, tangent = start_weights(chain, hypothesis)
-    elif slots:
-        # Weights found without a mode, a lag or a curvature may be far from those of a chain that has it.
-        given = sum_of_squares(chain, hypothesis, weights)
-        if given > FAR * chain.weighting.counts.sum():
-            fresh, at_fresh = start_weights(chain, hypothesis)
-            if sum_of_squares(chain, hypothesis, fresh) < given:
-                weights, tangent = fresh, at_fresh
+    elif slots and any(member.effect.hold for member in hypothesis.members):
+        # Weights found without a mode, or a lag, may be far from those of a chain that has it.
+        fresh, at_fresh = start_weights(chain, hypothesis)
+        if sum_of_squares(chain, hypothesis, fresh) < sum_of_squares(chain, hypothesis, weights):
+            weights, tangent = fresh, at_fresh
     if not slots:  # linear in the weights: one solution is enough
         iterations = 0 if fresh_weights else 1
     damping, current = 1e-3, with_theta(hypothesis, slots, theta)
@@ -183,7 +180,9 @@ def left_out(
     whole, of_stretches = np.zeros((count, count)), []
     whole[: len(prior), : len(prior)] = prior
     for record, part in zip(chain.records, parts, strict=True):
-        stretches = [slice(first, last) for first, last in pairwise(record.coefficients.ends.tolist())]
+        order = np.argsort(record.coefficients.stretch, kind="stable")
+        ends = np.searchsorted(record.coefficients.stretch[order], np.arange(CELLS + 1))
+        stretches = [order[first:last] for first, last in pairwise(ends)]
         rows = [part.rows[:, there] for there in stretches]
         grams = [one @ one.T for one in rows]
         whole[np.ix_(part.places, part.places)] += sum(grams)

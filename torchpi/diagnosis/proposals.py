@@ -70,9 +70,9 @@ class Proposals(Growth):
         # A history absorbs a curvature behind it, and from there the joint fit does not reach the optimum.
         if now.hypothesis.remanent:
             for name, c in chosen:
-                if self.chain.bends(replace(now.hypothesis, members=(c.member,))):
+                forgets = replace(now.hypothesis.plus(c.member), remanent=False)
+                if self.chain.bends(forgets):
                     names.append(name)
-                    forgets = replace(now.hypothesis.plus(c.member), remanent=False)
                     jobs.append((forgets, None, STEPS, ROUGH))
         # An effect that delays is mistaken for a timing convention until it is fitted; and a mode driven by a
         # held command is not found if the command is taken to move between samples.

@@ -4,23 +4,19 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import torch
 
 from torchpi.diagnosis.contest import ACCEPTED, PRIOR
-from torchpi.diagnosis.exchange import looks_like, rms_of, shared_out_among
+from torchpi.diagnosis.exchange import rms_of, shared_out_among
 from torchpi.diagnosis.fit import ROUGH
 from torchpi.diagnosis.growth import OPERATOR
 from torchpi.diagnosis.hypothesis import EffectTerm, Fit, Hypothesis
 from torchpi.diagnosis.parallel import Job
 from torchpi.diagnosis.reduced_basis import reduced
 from torchpi.diagnosis.search import Round, Search, is_larger
-from torchpi.stage.effects.effect import LinearEffect
 from torchpi.stage.effects.mechanics.modal import ModalEffect
 
 RIVALS = 4
 """Maximum number of rivals from the search history that are fitted in place of an effect."""
-RAMP = 4096
-"""Samples after which a lag that a recording shows follows a ramp at its full distance."""
 OPERATOR_NAME = "hysteresis_operator"
 CONVENTION = "timing_convention"
 """Rival of an effect that delays: a delay by whole samples, due to the convention of whoever recorded."""
@@ -112,14 +108,8 @@ def around(search: Search, retuned: Fit, small: Fit, history: Sequence[Round]) -
             less = less.without(name)
         hypotheses.append((" + ".join(group), "", less, None if larger else small.weights))
     jobs: list[Job] = [(one, w, 8, ROUGH) for _, _, one, w in hypotheses]
-    # With another hysteresis, or one lag for another, all parameters have far to go: a few steps say nothing
-    # about the outcome.
-    late = {effect.name for effect in search.effects_tried if effect.delays}
-    far = [
-        k
-        for k, (name, instead, one, _) in enumerate(hypotheses)
-        if k == 0 or one.nominal.family != h.nominal.family or {name, instead} <= late
-    ]
+    # With another hysteresis all parameters have far to go: a few steps say nothing about the outcome.
+    far = [k for k, job in enumerate(jobs) if k == 0 or job[0].nominal.family != h.nominal.family]
     found = dict(zip(far, search.fits([jobs[k] for k in far]), strict=True))
     near = [k for k in range(len(jobs)) if k not in found]
     found |= zip(near, search.raced([jobs[k] for k in near], found[0]), strict=True)
@@ -192,37 +182,10 @@ def rivals(
         # Modes fitted beside a lag take long to follow another convention; those from before it are there.
         found += [(CONVENTION, *one) for one in as_before(search, history, name, less)]
     for effect in search.effects_tried if mine else ():
-        if mine and looks_like(effect, mine) and effect.name not in seen | there:
+        if mine and effect.name in mine.degenerate_with and effect.name not in seen | there:
             forms = [each for each in search.by_form() if each[0].effect is effect]
-            if not (effect.delays and mine.delays):
-                found += [(effect.name, less.plus(each[len(each) // 2]), small.weights) for each in forms]
-                continue
-            term = next(member for member in small.hypothesis.members if member.effect is mine)
-            as_late = [nearest_in_delay(each, term, search.chain.records[0].period_s) for each in forms]
-            found += [
-                (effect.name, replace(less.plus(one), alignment=a), small.weights)
-                for one in as_late
-                for a in search.alignments
-            ]
+            found += [(effect.name, less.plus(each[len(each) // 2]), small.weights) for each in forms]
     return found
-
-
-def nearest_in_delay(starts: Sequence[EffectTerm], term: EffectTerm, period_s: float) -> EffectTerm:
-    """Return the start of an effect whose output lags most nearly as far behind a ramp as that of another, or
-    the middle one if either is nonlinear."""
-    if not all(issubclass(one.effect, LinearEffect) for one in (term, *starts)):
-        return starts[len(starts) // 2]
-    mine = behind_a_ramp(term, period_s)
-    return min(starts, key=lambda one: abs(behind_a_ramp(one, period_s) - mine))
-
-
-def behind_a_ramp(term: EffectTerm, period_s: float) -> float:
-    """Return how far the output of a linear effect lags behind a ramp of one unit a sample, in samples."""
-    assert issubclass(term.effect, LinearEffect)
-    ramp = torch.arange(RAMP, dtype=torch.float64)[None]
-    with torch.no_grad():
-        y, _ = term.effect(period_s, **term.values(0))(ramp)
-    return float(ramp[0, -1] - y[0, -1])
 
 
 def as_before(
