@@ -8,17 +8,22 @@ TORCH_VERSION := 2.13.0
 BIN := .venv/bin
 STAGE := configs/stage/default.yaml
 TEST_WORKERS ?= 2
+DOCS_BUILDER ?= html
 
 LOCK := constraints.txt
 
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
 
+# pip would compile on one core, half the time of a set-up. Packages hold files that are not meant to compile.
+INSTALL = $(PIP) install --no-compile --constraint $(LOCK) --editable '$(1)' \
+	&& { $(BIN)/python -m compileall -qq -j 0 .venv/lib || true; }
+
 # The CPU build: from where pip looks if it is there, else from where uv knows it to be, else the default build.
-INSTALL_TORCH_cpu = $(PIP) install torch==$(TORCH_VERSION)+cpu 2>/dev/null \
+INSTALL_TORCH_cpu = $(PIP) install --no-compile torch==$(TORCH_VERSION)+cpu 2>/dev/null \
 	|| { $(PIP) install uv && $(BIN)/uv pip install --quiet --python $(BIN)/python --torch-backend cpu \
 		torch==$(TORCH_VERSION); } 2>/dev/null \
-	|| $(PIP) install torch==$(TORCH_VERSION)
-INSTALL_TORCH_gpu = $(PIP) install torch==$(TORCH_VERSION)
+	|| $(PIP) install --no-compile torch==$(TORCH_VERSION)
+INSTALL_TORCH_gpu = $(PIP) install --no-compile torch==$(TORCH_VERSION)
 
 .PHONY: demo test figures lint docs links lock clean help
 
@@ -55,8 +60,8 @@ lint: .venv/ready-dev
 
 docs: .venv/ready-docs
 	@rm -rf docs/generated
-	$(BIN)/sphinx-build -W --keep-going -q -c docs . docs/_build/html
-	@echo "==> Open docs/_build/html/index.html"
+	$(BIN)/sphinx-build -W --keep-going -q -b $(DOCS_BUILDER) -c docs . docs/_build/$(DOCS_BUILDER)
+	@echo "==> Built docs/_build/$(DOCS_BUILDER)"
 
 links: .venv/ready-docs
 	$(BIN)/sphinx-build -b linkcheck -q -c docs . docs/_build/links
@@ -73,21 +78,24 @@ lock: .venv/ready
 clean:
 	rm -rf .venv docs/_build docs/generated runs/demo exports/demo exports/demo.pt exports/demo.json
 
-.venv/ready: pyproject.toml $(LOCK)
+.venv/torch:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
 		{ echo "make: $(PYTHON) is too old, want Python 3.11 or newer: make PYTHON=python3.12"; exit 1; }
 	@echo "==> Setting up .venv (once; torch alone is some 200 MB)"
 	@test -x $(BIN)/python || $(PYTHON) -m venv .venv
 	@$(INSTALL_TORCH_$(TORCH))
-	@$(PIP) install --constraint $(LOCK) --editable .
 	@touch $@
 
-.venv/ready-dev: .venv/ready
-	@echo "==> Adding what the tests need"
-	@$(PIP) install --constraint $(LOCK) --editable '.[dev]'
+.venv/ready: .venv/torch pyproject.toml $(LOCK)
+	@$(call INSTALL,.)
 	@touch $@
 
-.venv/ready-docs: .venv/ready
-	@echo "==> Adding what the documentation needs"
-	@$(PIP) install --constraint $(LOCK) --editable '.[docs]'
-	@touch $@
+.venv/ready-dev: .venv/torch pyproject.toml $(LOCK)
+	@echo "==> Installing it with what the tests need"
+	@$(call INSTALL,.[dev])
+	@touch $@ .venv/ready
+
+.venv/ready-docs: .venv/torch pyproject.toml $(LOCK)
+	@echo "==> Installing it with what the documentation needs"
+	@$(call INSTALL,.[docs])
+	@touch $@ .venv/ready
