@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchpi.operators.linear import LinearStream, observe, recursion
+from torchpi.operators.linear import Hold, LinearStream, observe, recursion
 
 
 def relax(a: list[float], b: list[float], x: list[float], u: float) -> None:
@@ -39,6 +39,21 @@ def relaxations(
 ) -> tuple[Tensor, Tensor]:  # (batch, time), (batch, n)
     """Like `state_space`, but with `a` the diagonal of A."""
     return recursion(response, _backward, u, a, b, c, d, x0)
+
+
+def relaxation(omega_t: Tensor, hold: Hold) -> tuple[Tensor, Tensor, Tensor]:
+    """Return a, b and d of first-order lags, x⁺ = a x + b u, y = x + d u, which agree with ẏ = ω (u - y).
+
+    This is `linear.discretise` in closed form.
+
+    Args:
+        omega_t: (n,), ω T > 0; infinity gives y = u.
+        hold: Of the input: "end" or "first".
+    """
+    a, gamma0 = torch.exp(-omega_t), -torch.expm1(-omega_t)
+    if hold == "end":
+        return a, a * gamma0, gamma0
+    return a, gamma0 * gamma0 / omega_t, 1 - gamma0 / omega_t
 
 
 _relax: Any = numba.njit(relax)

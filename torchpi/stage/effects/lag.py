@@ -16,6 +16,7 @@ from torch import Tensor, nn
 
 from torchpi.operators.linear import Hold, Matrices, discretise
 from torchpi.operators.quantity import Quantity
+from torchpi.operators.relaxations import relaxation
 from torchpi.stage.effects.effect import DataRange, Parameters, StateSpaceEffect, parameter
 
 APART = 3.6
@@ -68,11 +69,8 @@ class Lag(StateSpaceEffect):
         if self.poles() == 2:
             return discretise(*self.continuous(), self.sample_period_s, hold)
         omega_t = (2 * math.pi * self.sample_period_s * self.cutoff_hz).reshape(1)
-        a, gamma0 = torch.exp(-omega_t), -torch.expm1(-omega_t)
-        if hold == "end":
-            return a, a * gamma0, torch.ones_like(a), gamma0[0]
-        gamma1 = 1 - gamma0 / omega_t
-        return a, gamma0 - gamma1 + a * gamma1, torch.ones_like(a), gamma1[0]
+        a, b, d = relaxation(omega_t, hold)
+        return a, b, torch.ones_like(a), d[0]
 
     def continuous(self) -> Matrices:
         """Return A, B, C, D of the two poles; the states are y and w."""

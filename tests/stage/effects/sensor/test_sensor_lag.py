@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 
 from tests.stage.effects.actuator.laws import PERIOD_S, EffectLaws, fixed
 from torchpi.operators.conformance import wandering
-from torchpi.operators.linear import discretise
 from torchpi.stage.effects.effect import DataRange
 from torchpi.stage.effects.sensor.sensor_lag import SensorLag
 
@@ -35,18 +34,6 @@ def test_at_the_cutoff_the_gain_is_down_by_3_db_and_the_phase_is_minus_45_degree
     response = 2j * (y[0, steady].detach() * line).mean()
     assert abs(response) == pytest.approx(1 / math.sqrt(2), rel=1e-4)
     assert torch.angle(response).item() == pytest.approx(-math.pi / 4, abs=1e-4)
-
-
-@given(cutoff_hz=st.floats(1.0, 1e4), fs_hz=st.sampled_from([100.0, 1e4, 1e6]))
-def test_the_closed_form_matches_the_matrix_exponential(cutoff_hz, fs_hz):
-    omega = torch.tensor([2 * math.pi * cutoff_hz], dtype=torch.float64)
-    one, zero = torch.ones(1, dtype=torch.float64), torch.zeros((), dtype=torch.float64)
-    for hold in ("first", "end"):
-        effect = SensorLag(1 / fs_hz, cutoff_hz=cutoff_hz)
-        effect.hold = hold
-        wanted = discretise(-omega[:, None], omega, one, zero, 1 / fs_hz, hold)
-        for found, other in zip(effect.matrices(), wanted, strict=True):
-            torch.testing.assert_close(found.flatten(), other.flatten(), rtol=0, atol=1e-11)
 
 
 @given(cutoff_hz=st.floats(1.0, 100.0))

@@ -26,8 +26,9 @@ from typing import ClassVar, NamedTuple
 import torch
 from torch import Tensor, nn
 
-from torchpi.operators.linear import Matrices, discretise
+from torchpi.operators.linear import Matrices
 from torchpi.operators.quantity import Quantity, check_order
+from torchpi.operators.relaxations import relaxation
 from torchpi.stage.effects.effect import DataRange, Parameters, StateSpaceEffect, parameter
 
 REFERENCE_S = 0.1
@@ -60,9 +61,8 @@ class Bank(NamedTuple):
 def bank(sample_period_s: float, from_s: Tensor, to_s: float) -> Bank:
     """Return the poles of a logarithm, or a power law, that holds from one time to another."""
     tau, share = time_constants(from_s, to_s)
-    rate, one = (1 / tau)[:, None], torch.ones_like(tau)
-    a, b, _, d = discretise(-rate[..., None], rate, one[:, None], 0 * one, sample_period_s, "first")
-    return Bank(tau, a[:, 0, 0], b[:, 0], d + torch.expm1(-REFERENCE_S / tau), share)
+    a, b, d = relaxation(sample_period_s / tau, "first")
+    return Bank(tau, a, b, d + torch.expm1(-REFERENCE_S / tau), share)
 
 
 def time_constants(from_s: Tensor, to_s: float) -> tuple[Tensor, Tensor]:
@@ -141,21 +141,14 @@ class Creep(StateSpaceEffect):
         # The two single poles are the last.
         poles = self.bank()
         gains = self.spectrum(poles)
-        rate = 1 / torch.stack([self.time_constant_s, self.slow_time_constant_s])
         own = torch.stack([self.gain, self.slow_gain])
-        a, b, c, d = discretise(
-            -rate[:, None, None],
-            rate[:, None],
-            own[:, None],
-            torch.zeros_like(own),
-            self.sample_period_s,
-            "first",
-        )
+        tau = torch.stack([self.time_constant_s, self.slow_time_constant_s])
+        a, b, d = relaxation(self.sample_period_s / tau, "first")
         return (
-            torch.cat([poles.a, a[:, 0, 0]]),
-            torch.cat([poles.b, b[:, 0]]),
-            torch.cat([gains, c[:, 0]]),
-            1 + (gains * poles.at_once).sum() + d.sum(),
+            torch.cat([poles.a, a]),
+            torch.cat([poles.b, b]),
+            torch.cat([gains, own]),
+            1 + (gains * poles.at_once).sum() + (own * d).sum(),
         )
 
     def initial_state(self, batch: int) -> Tensor:
