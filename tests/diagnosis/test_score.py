@@ -137,7 +137,12 @@ def test_the_left_out_prediction_of_a_stretch_equals_that_of_a_refit_to_the_othe
     residuals = [r.y - chain.output(now.hypothesis, weights, i) for i, r in enumerate(chain.records)]
     shortcut = left_out(chain, residuals, parts, prior)
     of = [record_.coefficients for record_ in chain.records]
-    stretch = np.concatenate([of[0].stretch, CELLS + of[1].stretch])
+    stretch = np.repeat(np.arange(2 * CELLS), np.concatenate([np.diff(one.ends) for one in of]))
+    samples = np.repeat([one.samples for one in of], [one.kept for one in of])
+    at = np.concatenate([one.at for one in of])
+    assert np.array_equal(
+        stretch, at * CELLS // samples + CELLS * np.repeat([0, 1], [one.kept for one in of])
+    )
     predicted = np.empty(len(y))
     for one in range(2 * CELLS):
         weight = np.where(stretch == one, 1.0 - WITHHELD, 1.0)

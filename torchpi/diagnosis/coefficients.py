@@ -1,7 +1,6 @@
 """The Haar coefficients of one recording over which a fit sums, and the cell that each belongs to."""
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
@@ -16,14 +15,17 @@ CHUNK = 16
 class Coefficients:
     """Coefficients of a recording's readings and, where its input repeats, of their non-repeating part.
 
+    They are in the order of the stretches of time in which they lie; there are as many as cells on one scale.
     The part that follows the voltage counts once; the part that does not counts again, free of what masks it.
     """
 
     samples: int
     """Number of samples that are transformed: those before the sealed block."""
     repeats: Repeats
-    pieces: tuple[tuple[int, Haar], ...]
-    """First sample and transform of each piece; the first piece has the readings as they are."""
+    pieces: tuple[tuple[int, Haar, np.ndarray], ...]
+    """First sample and transform of each piece, and the places of its coefficients among all, (its own,); the
+    first piece has the readings as they are."""
+    ends: np.ndarray  # shape: (CELLS + 1,), where the coefficients of each stretch of time begin, and end
     scale: np.ndarray  # shape: (kept,), number of samples that each spans
     cell: np.ndarray  # shape: (kept,), numbered within the recording
     at: np.ndarray  # shape: (kept,), the sample in the middle of each
@@ -52,21 +54,21 @@ class Coefficients:
                 pieces.append((first, haar))
                 kinds.append(kind)
         first_cell = np.cumsum([0, *(haar.cells for _, haar in pieces)])
+        at = np.concatenate([haar.at + first for first, haar in pieces])
+        stretch = at * CELLS // samples
+        order = np.argsort(stretch, kind="stable")
+        places = np.split(np.argsort(order), np.cumsum([len(haar.kept) for _, haar in pieces])[:-1])
         return cls(
             samples,
             repeats,
-            tuple(pieces),
-            np.concatenate([2.0 ** np.minimum(haar.level, haar.levels) for _, haar in pieces]),
-            np.concatenate([haar.cell + k for (_, haar), k in zip(pieces, first_cell, strict=False)]),
-            np.concatenate([haar.at + first for first, haar in pieces]),
+            tuple((first, haar, place) for (first, haar), place in zip(pieces, places, strict=True)),
+            np.searchsorted(stretch[order], np.arange(CELLS + 1)),
+            np.concatenate([2.0 ** np.minimum(haar.level, haar.levels) for _, haar in pieces])[order],
+            np.concatenate([haar.cell + k for (_, haar), k in zip(pieces, first_cell, strict=False)])[order],
+            at[order],
             np.concatenate([haar.level_of_cell for _, haar in pieces]),
             np.repeat(kinds, [haar.cells for _, haar in pieces]),
         )
-
-    @cached_property
-    def stretch(self) -> np.ndarray:
-        """(kept,): the stretch of time in which each lies; there are as many as cells on one scale."""
-        return self.at * CELLS // self.samples
 
     @property
     def kept(self) -> int:
@@ -78,16 +80,13 @@ class Coefficients:
 
     def __call__(self, rows: np.ndarray) -> np.ndarray:
         """(rows, kept): the coefficients of rows, (rows, time)."""
-        (_, readings), *apart = self.pieces
-        if not apart:
-            return readings(rows)
+        (_, readings, places), *apart = self.pieces
         out = np.empty((len(rows), self.kept))
-        out[:, : len(readings.kept)] = readings(rows)
-        for begin in range(0, len(rows), CHUNK):
-            some, at = slice(begin, begin + CHUNK), len(readings.kept)
+        readings.write(rows, out, places)
+        for begin in range(0, len(rows) if apart else 0, CHUNK):
+            some = slice(begin, begin + CHUNK)
             left = self.repeats(rows[some])
-            for first, haar in apart:
+            for first, haar, places in apart:
                 part = np.ascontiguousarray(left[:, first : first + haar.samples])
-                out[some, at : at + len(haar.kept)] = haar(part)
-                at += len(haar.kept)
+                haar.write(part, out[some], places)
         return out

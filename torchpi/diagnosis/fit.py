@@ -15,7 +15,6 @@ from torchpi.diagnosis.free_parameters import (
     value_at,
     with_theta,
 )
-from torchpi.diagnosis.haar import CELLS
 from torchpi.diagnosis.hypothesis import Fit, Hypothesis
 from torchpi.diagnosis.normal_equations import solve, solve_positive, to_unit_diagonal, without_others
 from torchpi.diagnosis.records import Record
@@ -180,9 +179,7 @@ def left_out(
     whole, of_stretches = np.zeros((count, count)), []
     whole[: len(prior), : len(prior)] = prior
     for record, part in zip(chain.records, parts, strict=True):
-        order = np.argsort(record.coefficients.stretch, kind="stable")
-        ends = np.searchsorted(record.coefficients.stretch[order], np.arange(CELLS + 1))
-        stretches = [order[first:last] for first, last in pairwise(ends)]
+        stretches = [slice(first, last) for first, last in pairwise(record.coefficients.ends.tolist())]
         rows = [part.rows[:, there] for there in stretches]
         grams = [one @ one.T for one in rows]
         whole[np.ix_(part.places, part.places)] += sum(grams)

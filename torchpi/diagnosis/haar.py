@@ -93,14 +93,18 @@ class Haar:
     def __call__(self, rows: np.ndarray) -> np.ndarray:
         """Return the kept coefficients, (rows, kept), of rows, (rows, time)."""
         out = np.empty((len(rows), len(self.kept)))
-        _kept(rows, self.valid, self.levels, self.kept, out)
+        self.write(rows, out, np.arange(len(self.kept)))
         return out
+
+    def write(self, rows: np.ndarray, out: np.ndarray, columns: np.ndarray) -> None:
+        """Write the kept coefficients of rows, (rows, time), to columns, (kept,), of `out`, (rows, …)."""
+        _kept(rows, self.valid, self.levels, self.kept, columns, out)
 
     def full(self, rows: np.ndarray) -> np.ndarray:
         """Return all coefficients, (rows, coefficients), the slowest first, of rows, (rows, time)."""
         size = -(-self.samples // 2**self.levels) * 2**self.levels
         out = np.empty((len(rows), size))
-        _kept(rows, self.valid, self.levels, np.arange(size), out)
+        _kept(rows, self.valid, self.levels, np.arange(size), np.arange(size), out)
         return out
 
     def support(self) -> np.ndarray:
@@ -118,7 +122,9 @@ class Haar:
 
 
 @numba.njit(cache=True)
-def _kept(rows: np.ndarray, valid: np.ndarray, levels: int, kept: np.ndarray, out: np.ndarray) -> None:
+def _kept(
+    rows: np.ndarray, valid: np.ndarray, levels: int, kept: np.ndarray, columns: np.ndarray, out: np.ndarray
+) -> None:
     samples = len(valid)
     size = -(-samples // 2**levels) * 2**levels
     full, root = np.empty(size), 1.0 / sqrt(2.0)
@@ -137,4 +143,4 @@ def _kept(rows: np.ndarray, valid: np.ndarray, levels: int, kept: np.ndarray, ou
             finer, next_ = next_, finer
         full[:n] = finer[:n]
         for k in range(len(kept)):
-            out[i, k] = full[kept[k]]
+            out[i, columns[k]] = full[kept[k]]
