@@ -62,12 +62,14 @@ def basis(
 
 
 def whitened_rows(chain: Chain, hypothesis: Hypothesis, index: int, every: int = 1) -> np.ndarray:
-    """Return the whitened rows of a hysteresis for one recording, one in `every` coefficients, (rows, kept).
-    They are computed in blocks, so that the rows themselves are never all in memory."""
+    """Return the whitened rows of a hysteresis for one recording, one in `every` coefficients of each scale,
+    (rows, kept). They are computed in blocks, so that the rows themselves are never all in memory."""
     v, period_s, parts = chain.voltage(hypothesis, index), chain.records[index].period_s, []
+    of_each_scale = np.argsort(chain.records[index].coefficients.cell, kind="stable")
+    thinned = np.sort(of_each_scale[::every])
     for some in in_blocks(hypothesis.nominal):
         rows = rows_of(chain.nominal(replace(hypothesis, nominal=some), index), v, period_s)
-        parts.append(np.ascontiguousarray(chain.whitened(index, rows)[:, ::every]))
+        parts.append(chain.whitened(index, rows)[:, thinned])
     return np.concatenate(parts)
 
 
