@@ -17,12 +17,12 @@ from torchpi.stage.effects.mechanics.second_mode import SecondMode
 
 FS_HZ, FINER, SAMPLES = 4000.0, 8, 4000
 NOISE_UM = 0.01
-MODES = ((310.0, 0.012), (520.0, 0.03), (560.0, 0.015), (1100.0, 0.01))
+MODES = ((310.0, 0.012), (520.0, 0.03), (560.0, 0.015))
 RESIDUES = {
-    "input_v": (1.2, 0.9, -0.4, 0.3),
-    "aux_2": (0.7, -0.5, 0.6, -0.2),
-    "aux_3": (-0.4, 0.0, 0.9, 0.25),
-    "aux_dead": (0.0, 0.0, 0.0, 0.0),
+    "input_v": (1.2, 0.9, -0.4),
+    "aux_2": (0.7, -0.5, 0.6),
+    "aux_3": (-0.4, 0.0, 0.9),
+    "aux_dead": (0.0, 0.0, 0.0),
 }
 """Static gain of each mode, µm/V."""
 
