@@ -18,6 +18,7 @@ from torchpi.diagnosis.hysteresis_model import HysteresisModel, plain
 from torchpi.diagnosis.lines import STANDS_OUT
 from torchpi.diagnosis.own_signal import has_a_recorded_signal, has_a_signal_of_its_own, stands_out
 from torchpi.diagnosis.posterior import (
+    AS_LIKELY,
     FORM_ERROR,
     HALF,
     HYSTERESIS_ERROR,
@@ -27,7 +28,9 @@ from torchpi.diagnosis.posterior import (
     apart,
     as_one,
     averaged,
+    kin_if_the_same_each_time,
     nearly_all,
+    no_likelier_than_unlisted,
     share_explained,
     slow_kin,
     stands_as_well,
@@ -386,3 +389,33 @@ def test_backlash_may_be_an_unlisted_hysteresis_unless_a_larger_hysteresis_was_a
     larger = taken.on(HysteresisModel(np.linspace(0, 1, 9), pieces=5))
     assert unlisted_hysteresis(taken, plain, "backlash") == [OPERATOR_NAME]
     assert unlisted_hysteresis(taken, plain, "creep") == unlisted_hysteresis(larger, plain, "backlash") == []
+
+
+@pytest.mark.parametrize(
+    ("amplitudes_um", "alike"),
+    [((3.0, 3.1), True), ((3.0, 2.0), False), ((3.0, -3.0), False), ((3.0, 2.4, 2.5), True), ((3.0,), False)],
+)
+def test_a_drift_of_the_same_size_in_each_recording_may_follow_the_voltage(
+    amplitudes_um: tuple[float, ...], alike: bool
+) -> None:
+    own = tuple({"amplitude_um": one} for one in amplitudes_um)
+    drift = EffectTerm(ThermalDrift, {"time_constant_s": 8.0}, own)
+    h = Hypothesis(HysteresisModel(np.zeros(1)), (drift,))
+    assert kin_if_the_same_each_time(h, "thermal_drift") == (("leakage", "creep") if alike else ())
+    beside_creep = h.plus(EffectTerm(Creep, {"per_decade": 0.01}))
+    assert kin_if_the_same_each_time(beside_creep, "thermal_drift") == (("leakage",) if alike else ())
+    assert kin_if_the_same_each_time(beside_creep, "creep") == ()
+
+
+def test_what_a_larger_hysteresis_explains_as_well_is_no_likelier_than_it_from_loops_of_one_size() -> None:
+    alone = Believed("hysteresis_operator", 0.98, (), 1.0, (), 0.9)
+    found = [
+        no_likelier_than_unlisted(replace(alone, name=name, alternatives=alternatives)).probability
+        for name, alternatives in [
+            ("hysteresis_operator", ()),
+            ("hysteresis_operator", ("sensor_nonlinearity",)),
+            ("hysteresis_asymmetry", ("input_nonlinearity", "hysteresis_operator")),
+            ("creep", ("thermal_drift",)),
+        ]
+    ]
+    assert found == [AS_LIKELY, AS_LIKELY, AS_LIKELY, 0.98]

@@ -50,9 +50,12 @@ further cases: below 0.0003 in four wrong names, 0.0024 in another, 0.0054 in a 
 MOST = 0.5
 """Share, of what a timing convention leaves where a delay acts, that a delay must explain to be a cause."""
 AS_LIKELY = 0.49
-"""Largest probability of a larger hysteresis where all loops are of one size. Its output functions then make
-any two branches and fit whatever repeats with the voltage: unless an effect does so too, a cause that is not
-listed is as likely."""
+"""Largest probability of a larger hysteresis, or of what it explains as well, where all loops are of one
+size. Its output functions then make any two branches and fit whatever repeats with the voltage: a cause that
+is not listed is as likely."""
+COINCIDENCE = 0.05
+"""Probability below which the sizes of an effect in several recordings are not equal by chance: each may be
+anything, of either sign, up to the largest."""
 LAPSE = 0.02
 """Share of names that are wrong although everything supports them: 0 of some eighty were, which allows up to
 0.037 at 95 %."""
@@ -120,6 +123,8 @@ def posterior(
             continue
         rivals.sort(key=lambda rival: rival.loses_nats)
         alternatives += unlisted_hysteresis(h, retuned.hypothesis, name)
+        kin = kin_if_the_same_each_time(h, name)
+        alternatives += [one.name for one in search.effects_tried if one.name in kin]
         found.append(
             Believed(
                 name,
@@ -201,9 +206,23 @@ def unlisted_hysteresis(h: Hypothesis, before: Hypothesis, name: str) -> list[st
     return [OPERATOR_NAME] if itself and h.nominal.family == before.nominal.family else []
 
 
+def kin_if_the_same_each_time(h: Hypothesis, name: str) -> tuple[str, ...]:
+    """Return what looks like a slow effect of its own in each recording if that is the same in all of them
+    by more than chance: then it may follow the voltage, by another law than the effects that were tried."""
+    for member in h.members:
+        effect, own = member.effect, member.own
+        if effect.name != name or effect.time_scale != "slow" or effect.relative or len(own) < 2:
+            continue
+        each = np.array([[of_one[number] for number in own[0]] for of_one in own])
+        spread = np.ptp(each, axis=0) / np.maximum(np.abs(each).max(0), 1e-300)
+        if ((spread / 2) ** (len(own) - 1)).max() < COINCIDENCE:
+            return tuple(kin for kin in effect.degenerate_with if kin not in h.names)
+    return ()
+
+
 def no_likelier_than_unlisted(one: Believed) -> Believed:
-    """Limit the probability of a larger hysteresis that no effect with a few parameters can stand in for."""
-    if one.name != OPERATOR_NAME or one.alternatives:
+    """Limit the probability of a larger hysteresis, and of an effect that it explains as well."""
+    if OPERATOR_NAME not in (one.name, *one.alternatives):
         return one
     return replace(one, probability=min(one.probability, AS_LIKELY))
 
