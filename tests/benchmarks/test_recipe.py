@@ -3,17 +3,14 @@
 import sys
 from pathlib import Path
 
-import pytest
-
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 
 import recipe
 
 
-# The two that are furthest from the recipe's own equations; `benchmarks/recipe.py` runs every family.
-@pytest.mark.parametrize("family", ["preisach", "bouc_wen"])
-def test_the_recipe_is_no_worse_than_its_baselines_on_three_records(family: str) -> None:
-    row = recipe.run(family, recipe.simulated(family, recipe.three_records, seed=1))
+def test_the_recipe_is_no_worse_than_its_baselines_on_three_records_of_another_operator() -> None:
+    """`benchmarks/recipe.py` runs every family."""
+    row = recipe.run("bouc_wen", recipe.simulated("bouc_wen", recipe.three_records, seed=1))
     assert row.ratio <= 1.0, row
 
 

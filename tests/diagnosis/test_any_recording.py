@@ -55,7 +55,7 @@ def recordings(draw: st.DrawFn) -> list[Recording]:
 
 
 # A failing example is small enough as drawn; shrinking it would take minutes.
-@settings(max_examples=12, phases=(Phase.explicit, Phase.generate))
+@settings(max_examples=8, phases=(Phase.explicit, Phase.generate))
 @given(recordings())
 def test_a_recording_is_diagnosed_with_finite_numbers_or_refused_in_one_line(given: list[Recording]) -> None:
     try:
