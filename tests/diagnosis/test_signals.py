@@ -47,14 +47,17 @@ def diagnosis(tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
     process.communicate()
 
 
-@pytest.mark.parametrize("after_s", [0.0, 4.0])
 @pytest.mark.parametrize(
-    ("number", "code", "word"),
-    [(signal.SIGTERM, 143, "terminated"), (signal.SIGINT, 130, "interrupted"), (signal.SIGKILL, -9, "")],
-    ids=["TERM", "INT", "KILL"],
+    ("number", "after_s", "code", "word"),
+    [
+        (signal.SIGTERM, 4.0, 143, "terminated"),
+        (signal.SIGINT, 0.0, 130, "interrupted"),
+        (signal.SIGKILL, 0.0, -9, ""),
+        (signal.SIGKILL, 4.0, -9, ""),
+    ],
 )
 def test_a_terminated_diagnosis_leaves_no_process(
-    number: signal.Signals, code: int, word: str, after_s: float, diagnosis: subprocess.Popen[str]
+    number: signal.Signals, after_s: float, code: int, word: str, diagnosis: subprocess.Popen[str]
 ) -> None:
     time.sleep(after_s)
     children = descendants(diagnosis.pid)
