@@ -22,7 +22,6 @@ from torchpi.stage.effects.mechanics.backlash import Backlash
 from torchpi.stage.effects.mechanics.load_change import LoadChange
 from torchpi.stage.effects.mechanics.resonance import Resonance
 from torchpi.stage.effects.sensor.gain_modulation import GainModulation
-from torchpi.stage.effects.sensor.sensor_lag import SensorLag
 from torchpi.stage.effects.sensor.sensor_nonlinearity import SensorNonlinearity
 from torchpi.stage.effects.sensor.thermal_drift import ThermalDrift
 
@@ -60,32 +59,6 @@ def test_an_effect_that_delays_competes_with_every_other_timing_convention(
     small = SimpleNamespace(hypothesis=less.plus(EffectTerm(effect, {})), weights=np.zeros(1))
     found = rivals(search, [], effect.name, less, small)
     assert [h.alignment for label, h, _ in found if label == CONVENTION] == rivals_at
-
-
-def test_a_lag_competes_with_all_that_delays_from_the_start_and_convention_that_leave_least(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    less = Hypothesis(HysteresisModel(np.zeros(1)))
-    lag = EffectTerm(SensorLag, {"cutoff_hz": 50.0})
-    delays = [EffectTerm(Delay, {"delay_s": one}) for one in (1e-4, 2.5e-3, 1e-1)]
-    others = [[EffectTerm(effect, {})] for effect in (SlewLimit, Creep)]
-    search = SimpleNamespace(
-        effects_tried=[Delay, SlewLimit, Creep, SensorLag],
-        alignments=(0, 1),
-        by_form=lambda: [delays, *others, [lag]],
-        chain=None,
-    )
-
-    def misfit(chain: None, one: Hypothesis, weights: np.ndarray) -> float:
-        late_s = one.members[0].shared.get("delay_s", 0.0) + 1e-3 * one.alignment
-        return abs(late_s - 3.2e-3)
-
-    monkeypatch.setattr(rival_models, "sum_of_squares", misfit)
-    small = SimpleNamespace(hypothesis=less.plus(lag), weights=np.zeros(1))
-    found = [one for one in rivals(search, [], "sensor_lag", less, small) if one[0] != CONVENTION]
-    assert [label for label, _, _ in found] == ["delay", "slew_limit"]
-    assert [h.alignment for _, h, _ in found] == [1, 1]
-    assert found[0][1].members[0].shared == {"delay_s": 2.5e-3}
 
 
 @pytest.mark.parametrize("before_at", [0, 1])

@@ -9,7 +9,6 @@ from torchpi.diagnosis.fit import ROUGH
 from torchpi.diagnosis.hypothesis import EffectTerm, Fit, Hypothesis
 from torchpi.diagnosis.parallel import Job, screen_all
 from torchpi.diagnosis.timing import Timing
-from torchpi.stage.effects.effect import Described
 from torchpi.stage.effects.mechanics.modal import ModalEffect
 
 
@@ -34,11 +33,7 @@ class Exchange(Timing):
             if forms := self.other_forms(member):
                 for gone in (frozenset({k}), *(frozenset({k, j}) for j in beside)):
                     instead.setdefault(gone, []).extend(forms)
-            alikes = [
-                one
-                for one in self.starts
-                if looks_like(one.effect, member.effect) and one.effect.name not in h.names
-            ]
+            alikes = [one for one in self.starts if alike(one, member) and one.effect.name not in h.names]
             if alikes:
                 instead.setdefault(frozenset({k}), []).extend(alikes)
         without = []
@@ -120,14 +115,14 @@ class Exchange(Timing):
         return list(found.values())
 
 
-def looks_like(one: type[Described], other: type[Described]) -> bool:
+def alike(one: EffectTerm, other: EffectTerm) -> bool:
     """Whether one effect may be mistaken for another."""
-    return one.name in other.degenerate_with or (one.delays and other.delays)
+    return one.effect.name in other.effect.degenerate_with or (one.effect.delays and other.effect.delays)
 
 
 def shared_out_among(one: EffectTerm, other: EffectTerm) -> bool:
     """Whether two effects may share what one of them, in another form, explains alone."""
-    return looks_like(one.effect, other.effect) or both_slow(one, other)
+    return alike(one, other) or both_slow(one, other)
 
 
 def both_slow(one: EffectTerm, other: EffectTerm) -> bool:

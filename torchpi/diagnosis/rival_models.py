@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from torchpi.diagnosis.contest import ACCEPTED, PRIOR
-from torchpi.diagnosis.exchange import looks_like, rms_of, shared_out_among
-from torchpi.diagnosis.fit import ROUGH, sum_of_squares
+from torchpi.diagnosis.exchange import rms_of, shared_out_among
+from torchpi.diagnosis.fit import ROUGH
 from torchpi.diagnosis.growth import OPERATOR
 from torchpi.diagnosis.hypothesis import EffectTerm, Fit, Hypothesis
 from torchpi.diagnosis.parallel import Job
@@ -108,14 +108,8 @@ def around(search: Search, retuned: Fit, small: Fit, history: Sequence[Round]) -
             less = less.without(name)
         hypotheses.append((" + ".join(group), "", less, None if larger else small.weights))
     jobs: list[Job] = [(one, w, 8, ROUGH) for _, _, one, w in hypotheses]
-    # With another hysteresis, or one lag for another, all parameters have far to go: a few steps say nothing
-    # about the outcome.
-    late = {effect.name for effect in search.effects_tried if effect.delays}
-    far = [
-        k
-        for k, (name, instead, one, _) in enumerate(hypotheses)
-        if k == 0 or one.nominal.family != h.nominal.family or {name, instead} <= late
-    ]
+    # With another hysteresis all parameters have far to go: a few steps say nothing about the outcome.
+    far = [k for k, job in enumerate(jobs) if k == 0 or job[0].nominal.family != h.nominal.family]
     found = dict(zip(far, search.fits([jobs[k] for k in far]), strict=True))
     near = [k for k in range(len(jobs)) if k not in found]
     found |= zip(near, search.raced([jobs[k] for k in near], found[0]), strict=True)
@@ -187,13 +181,10 @@ def rivals(
         found += [(CONVENTION, replace(less, alignment=a), small.weights) for a in others]
         # Modes fitted beside a lag take long to follow another convention; those from before it are there.
         found += [(CONVENTION, *one) for one in as_before(search, history, name, less)]
-    for starts in search.by_form() if mine else ():
-        effect = starts[0].effect
-        if mine and looks_like(effect, mine) and effect.name not in seen | there:
-            at = search.alignments if effect.delays and mine.delays else (less.alignment,)
-            choices = [replace(less.plus(start), alignment=a) for start in starts for a in at]
-            nearest = min(choices, key=lambda one: sum_of_squares(search.chain, one, small.weights))
-            found.append((effect.name, nearest, small.weights))
+    for effect in search.effects_tried if mine else ():
+        if mine and effect.name in mine.degenerate_with and effect.name not in seen | there:
+            forms = [each for each in search.by_form() if each[0].effect is effect]
+            found += [(effect.name, less.plus(each[len(each) // 2]), small.weights) for each in forms]
     return found
 
 
