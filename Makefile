@@ -15,9 +15,10 @@ LOCK := constraints.txt
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
 
 # pip would compile on one core, and what only the packages' own tests need as well: half the time of a set-up.
-# Packages hold files that are not meant to compile.
-INSTALL = $(PIP) install --no-compile --constraint $(LOCK) --editable '$(1)' \
-	&& { $(BIN)/python -m compileall -qq -j 0 -x '/tests?/' .venv/lib || true; }
+# What is there is compiled while pip installs the rest. Packages hold files that are not meant to compile.
+COMPILE = $(BIN)/python -m compileall -qq -x '/tests?/' .venv/lib
+INSTALL = { $(COMPILE) & $(PIP) install --no-compile --constraint $(LOCK) --editable '$(1)' && wait; } \
+	&& { $(COMPILE) -j 0 || true; }
 
 # The CPU build: from where pip looks if it is there, else from where uv knows it to be, else the default build.
 INSTALL_TORCH_cpu = $(PIP) install --no-compile torch==$(TORCH_VERSION)+cpu 2>/dev/null \

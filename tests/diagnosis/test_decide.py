@@ -83,18 +83,20 @@ class TestNames:
         assert not decided(believed("creep", 0.6), final=4.0, noise=None).effects
 
     @pytest.mark.parametrize(("half", "probability"), [(0.03, 0.0), (0.01, 0.45), (0.0025, 0.9)])
-    def test_an_effect_whose_interval_includes_zero_loses_its_probability(
+    def test_an_effect_whose_interval_includes_zero_loses_its_probability_unless_it_follows_a_recorded_signal(
         self, half: float, probability: float
     ) -> None:
         """The probability is halved where the interval just reaches 0."""
         quantity = LoadChange.quantities["stiffness_ratio"]
-        one = slot(0, "stiffness_ratio", None, 0.01, quantity, 1e-4)
+        ratio = slot(0, "stiffness_ratio", None, 0.01, quantity, 1e-4)
         hypothesis = Hypothesis(HysteresisModel(np.zeros(1))).plus(
             EffectTerm(LoadChange, {"stiffness_ratio": 0.01})
         )
-        fit = SimpleNamespace(slots=(one,), theta=(1.0,), hypothesis=hypothesis)
-        found = clear_of_none(believed("load_change", 48.0, 0.9), fit, np.array([[(half / 0.01) ** 2]]))
-        assert found.probability == pytest.approx(probability, abs=2e-3)
+        fit = SimpleNamespace(slots=(ratio,), theta=(1.0,), hypothesis=hypothesis)
+        one, covariance = believed("load_change", 48.0, 0.9), np.array([[(half / 0.01) ** 2]])
+        assert clear_of_none(one, fit, covariance).probability == pytest.approx(probability, abs=2e-3)
+        recorded = replace(one, recorded=True)
+        assert clear_of_none(recorded, fit, covariance) == recorded
 
     def test_a_stick_slip_jump_takes_the_place_of_backlash(self) -> None:
         assert [one.form for one in decided(believed("backlash", 48.0)).effects] == ["play"]
@@ -258,9 +260,17 @@ class TestVerdict:
         assert verdict(named, False, left(9.0), None, structured) == expected
 
 
-def test_a_residual_has_structure_if_neighbouring_samples_correlate_about_their_mean() -> None:
+def test_a_residual_has_structure_if_samples_a_few_apart_correlate_about_their_mean() -> None:
     white = np.random.default_rng(0).standard_normal(4000)
     assert not structure([white]) and not structure([white + 5.0]) and not structure([])
-    smooth = white[1:] + 0.9 * white[:-1]
-    assert structure([smooth]) and structure([white, smooth])
-    assert structure([smooth], 0.45) and not structure([smooth], 0.55)  # 0.9 / (1 + 0.81)
+    assert not structure([np.zeros(100)])
+    smooth, alternating = white[1:] + 0.9 * white[:-1], white[1:] - 0.9 * white[:-1]
+    assert structure([smooth]) and structure([alternating]) and structure([white, smooth])
+    assert not structure([white[1:] + 0.3 * white[:-1]])  # 0.3 / (1 + 0.09)
+    ring = np.sin(np.pi / 2 * np.arange(4000))  # neighbouring samples do not correlate
+    assert structure([white + ring]) and not structure([white + 0.5 * ring])
+
+
+@given(st.integers(400, 3000), st.integers(0, 100))
+def test_white_noise_has_no_structure(samples: int, seed: int) -> None:
+    assert not structure([np.random.default_rng(seed).standard_normal(samples)])

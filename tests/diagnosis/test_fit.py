@@ -105,6 +105,9 @@ def test_sensitivities_are_not_reused_for_another_hysteresis_alignment_or_histor
     assert not near.resembles(hypothesis.on(preisach(seen(chain.records))))
     assert not near.resembles(replace(hypothesis, alignment=1))
     assert not near.resembles(replace(hypothesis, remanent=True))
+    curved = hypothesis.plus(EffectTerm(SensorNonlinearity, {"a2_per_um": 0.01}))
+    assert near.resembles(curved)
+    assert not Near(curved, np.zeros(chain.numbers(curved))).resembles(hypothesis)
 
 
 def test_evaluating_another_hypothesis_in_between_does_not_change_the_first() -> None:

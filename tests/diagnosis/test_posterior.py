@@ -32,7 +32,6 @@ from torchpi.diagnosis.posterior import (
     nearly_all,
     no_likelier_than_unlisted,
     share_explained,
-    slow_kin,
     stands_as_well,
     trust,
     unlisted_hysteresis,
@@ -355,9 +354,6 @@ def test_a_rival_cannot_be_told_from_a_larger_hysteresis_that_bends_to_everythin
 
 def test_a_slow_rival_that_leaves_little_more_remains_an_alternative() -> None:
     """A settling drift leaves 25 nm of 283 nm, a leakage 35 nm, perhaps because its law differs slightly."""
-    search = SimpleNamespace(effects_tried=EFFECTS)
-    assert slow_kin(search, "thermal_drift", "leakage") and slow_kin(search, "leakage", "thermal_drift")
-    assert not slow_kin(search, "amplifier_lag", "sensor_lag") and not slow_kin(search, "creep", "ageing")
     less, leakage, creep, final = (SimpleNamespace(train_rms=nm) for nm in (282.9, 34.8, 136.2, 24.5))
     assert nearly_all(leakage, less, final) and not nearly_all(creep, less, final)
 

@@ -12,6 +12,7 @@ from torchpi.diagnosis.hypothesis import EffectTerm, Hypothesis
 from torchpi.diagnosis.hysteresis_model import HysteresisModel
 from torchpi.diagnosis.rival_models import CONVENTION, OPERATOR_NAME, Model, groups, names_of, rivals, settled
 from torchpi.diagnosis.score import Gain
+from torchpi.stage.effects.actuator.ageing import Ageing
 from torchpi.stage.effects.actuator.creep import Creep
 from torchpi.stage.effects.actuator.hysteresis_asymmetry import HysteresisAsymmetry
 from torchpi.stage.effects.amplifier.amplifier_lag import AmplifierLag
@@ -22,6 +23,7 @@ from torchpi.stage.effects.mechanics.backlash import Backlash
 from torchpi.stage.effects.mechanics.load_change import LoadChange
 from torchpi.stage.effects.mechanics.resonance import Resonance
 from torchpi.stage.effects.sensor.gain_modulation import GainModulation
+from torchpi.stage.effects.sensor.sensor_lag import SensorLag
 from torchpi.stage.effects.sensor.sensor_nonlinearity import SensorNonlinearity
 from torchpi.stage.effects.sensor.thermal_drift import ThermalDrift
 
@@ -59,6 +61,53 @@ def test_an_effect_that_delays_competes_with_every_other_timing_convention(
     small = SimpleNamespace(hypothesis=less.plus(EffectTerm(effect, {})), weights=np.zeros(1))
     found = rivals(search, [], effect.name, less, small)
     assert [h.alignment for label, h, _ in found if label == CONVENTION] == rivals_at
+
+
+def test_a_lag_competes_with_all_that_delays_from_the_start_and_convention_that_leave_least(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    less = Hypothesis(HysteresisModel(np.zeros(1)))
+    lag = EffectTerm(SensorLag, {"cutoff_hz": 50.0})
+    delays = [EffectTerm(Delay, {"delay_s": one}) for one in (1e-4, 2.5e-3, 1e-1)]
+    others = [[EffectTerm(effect, {})] for effect in (SlewLimit, Creep)]
+    search = SimpleNamespace(
+        effects_tried=[Delay, SlewLimit, Creep, SensorLag],
+        alignments=(0, 1),
+        by_form=lambda: [delays, *others, [lag]],
+        chain=None,
+    )
+
+    def misfit(chain: None, one: Hypothesis, weights: np.ndarray) -> float:
+        late_s = one.members[0].shared.get("delay_s", 0.0) + 1e-3 * one.alignment
+        return abs(late_s - 3.2e-3)
+
+    monkeypatch.setattr(rival_models, "sum_of_squares", misfit)
+    small = SimpleNamespace(hypothesis=less.plus(lag), weights=np.zeros(1))
+    found = [one for one in rivals(search, [], "sensor_lag", less, small) if one[0] != CONVENTION]
+    assert [label for label, _, _ in found] == ["delay", "slew_limit"]
+    assert [h.alignment for _, h, _ in found] == [1, 1]
+    assert found[0][1].members[0].shared == {"delay_s": 2.5e-3}
+
+
+def test_a_slow_effect_competes_with_every_form_of_all_others_that_are_slow(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """On a sine about a bias a gain that falls with travel leaves 76 nm of 324, a linear drift 79 nm."""
+    less = Hypothesis(HysteresisModel(np.zeros(1)))
+    linear, settling = {"rate_um_per_s": 1.0}, {"amplitude_um": 1.0}
+    slow = [EffectTerm(ThermalDrift, one) for one in (linear, settling)]
+    slow.append(EffectTerm(GainModulation, {}))
+    search = SimpleNamespace(
+        effects_tried=[Ageing, ThermalDrift, GainModulation, Delay],
+        alignments=(0, 1),
+        by_form=lambda: [[one] for one in (*slow, EffectTerm(Ageing, {}), EffectTerm(Delay, {}))],
+        chain=None,
+    )
+    monkeypatch.setattr(rival_models, "sum_of_squares", lambda chain, one, weights: 0.0)
+    small = SimpleNamespace(hypothesis=less.plus(EffectTerm(Ageing, {})), weights=np.zeros(1))
+    found = rivals(search, [], "ageing", less, small)
+    assert [label for label, _, _ in found] == ["thermal_drift", "thermal_drift", "gain_modulation"]
+    assert [h.members[0].shared for _, h, _ in found[:2]] == [linear, settling]
 
 
 @pytest.mark.parametrize("before_at", [0, 1])

@@ -18,7 +18,7 @@ from tests.hostile.kills import ROOT, SIGNALS, alive, commands, descendants, kil
 @pytest.mark.long
 @pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="children are found in /proc")
 def test_a_killed_command_leaves_complete_files_and_the_next_run_succeeds(tmp_path: Path) -> None:
-    outcome = kill_often(commands(tmp_path)["fit"], rounds=1, finish_every=len(SIGNALS))
+    outcome = kill_often(commands(tmp_path)["export"], rounds=1, finish_every=len(SIGNALS))
     assert outcome.faults == [] and sum(outcome.kills.values()) > 0
 
 

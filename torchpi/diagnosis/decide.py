@@ -32,6 +32,11 @@ CLOSED: tuple[Verdict, ...] = ("nothing_missing", "explained")
 """Verdicts that leave nothing to look for."""
 DONE = 1.15
 """Multiple of the measured noise within which nothing is left to explain."""
+WHITE = 0.3
+"""Largest correlation of a white residual with itself: three standard errors for the fewest samples, where it
+exceeds this in one recording of a hundred; from 200 samples on it does not."""
+LAGS, LONGEST = 100, 10
+"""Largest lag of that correlation in samples, and the part of a recording, one tenth, that it is at most."""
 OPERATORS = {
     "prandtl_ishlinskii": "y = F + Σ w_i h_i: plays added to the simulation F",
     "preisach": "y = Σ g_i(h_i): a Preisach operator in play form",
@@ -202,7 +207,10 @@ def if_it_carries_over(
 
 def clear_of_none(one: Believed, final: Fit, covariance: np.ndarray) -> Believed:
     """Lower the probability of an effect to at most one half where the intervals of its numbers just reach
-    those of no effect: a name beside a number that may as well be 0 is no answer."""
+    those of no effect: a name beside a number that may as well be 0 is no answer. What follows a recorded
+    signal is there, however differently two recordings follow it."""
+    if one.recorded:
+        return one
     distance = distance_from_none(final, covariance, one.name)
     clear = 1.0 / (1.0 + distance**-STEEPNESS) if distance > 0 else 0.0
     return replace(one, probability=round(one.probability * clear, 4))
@@ -222,10 +230,12 @@ def verdict(
     return "explained" if explained and not more else "partly_explained"
 
 
-def structure(residuals: Sequence[np.ndarray], white: float = 0.3) -> bool:
-    """Whether a residual is not white: adjacent samples correlate in one of the recordings, (time,) each."""
+def structure(residuals: Sequence[np.ndarray]) -> bool:
+    """Whether a residual is not white: samples correlate with later ones in one of the recordings."""
     for e in residuals:
         centred = e - e.mean()
-        if centred[1:] @ centred[:-1] > white * (centred @ centred):
+        power = np.abs(np.fft.rfft(centred, 2 * len(centred))) ** 2
+        products = np.fft.irfft(power)[: max(len(centred) // LONGEST, 1) + 1][: LAGS + 1]
+        if np.abs(products[1:]).max() > WHITE * products[0]:
             return True
     return False

@@ -9,6 +9,7 @@ from torchpi.diagnosis.fit import ROUGH
 from torchpi.diagnosis.hypothesis import EffectTerm, Fit, Hypothesis
 from torchpi.diagnosis.parallel import Job, screen_all
 from torchpi.diagnosis.timing import Timing
+from torchpi.stage.effects.effect import Described
 from torchpi.stage.effects.mechanics.modal import ModalEffect
 
 
@@ -29,11 +30,15 @@ class Exchange(Timing):
             member = h.members[k]
             if issubclass(member.effect, ModalEffect):
                 continue
-            beside = [j for j in added if j != k and shared_out_among(h.members[j], member)]
+            beside = [j for j in added if j != k and shared_out_among(h.members[j].effect, member.effect)]
             if forms := self.other_forms(member):
                 for gone in (frozenset({k}), *(frozenset({k, j}) for j in beside)):
                     instead.setdefault(gone, []).extend(forms)
-            alikes = [one for one in self.starts if alike(one, member) and one.effect.name not in h.names]
+            alikes = [
+                one
+                for one in self.starts
+                if looks_like(one.effect, member.effect) and one.effect.name not in h.names
+            ]
             if alikes:
                 instead.setdefault(frozenset({k}), []).extend(alikes)
         without = []
@@ -115,20 +120,20 @@ class Exchange(Timing):
         return list(found.values())
 
 
-def alike(one: EffectTerm, other: EffectTerm) -> bool:
+def looks_like(one: type[Described], other: type[Described]) -> bool:
     """Whether one effect may be mistaken for another."""
-    return one.effect.name in other.effect.degenerate_with or (one.effect.delays and other.effect.delays)
+    return one.name in other.degenerate_with or (one.delays and other.delays)
 
 
-def shared_out_among(one: EffectTerm, other: EffectTerm) -> bool:
+def shared_out_among(one: type[Described], other: type[Described]) -> bool:
     """Whether two effects may share what one of them, in another form, explains alone."""
-    return alike(one, other) or both_slow(one, other)
+    return looks_like(one, other) or both_slow(one, other)
 
 
-def both_slow(one: EffectTerm, other: EffectTerm) -> bool:
+def both_slow(one: type[Described], other: type[Described]) -> bool:
     """Whether two effects are slow: the laws of such effects differ from rig to rig, and what one does not
     describe looks like another."""
-    return one.effect.time_scale == other.effect.time_scale == "slow"
+    return one.time_scale == other.time_scale == "slow"
 
 
 def rms_of(one: Fit) -> str:

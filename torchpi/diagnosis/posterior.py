@@ -77,6 +77,8 @@ class Believed:
     form_of: str = ""
     """The effect whose remainder this is more likely than not, because its form is not quite the rig's; empty
     if this is a separate cause."""
+    recorded: bool = False
+    """Whether it follows a recorded signal, which no error of the model resembles."""
 
 
 def posterior(
@@ -91,6 +93,7 @@ def posterior(
     found, together, h = [], [], models[0].fit.hypothesis
     signals = {name for name in h.names if has_a_signal_of_its_own(search.chain.records, h, name)}
     whole = is_whole(search.chain, models[0].fit)
+    slow = {effect.name for effect in search.effects_tried if effect.time_scale == "slow"}
     hidden_by_the_clock = within_the_clock(search, final)
     for name in dict.fromkeys(model.without for model in models if model.without):
         less = without_cause(models, name, search.score, weighting.explained_where_it_acts, whole)
@@ -105,7 +108,7 @@ def posterior(
             lost, form = float((density[0] - own).sum()), form_of(model.fit, model.instead)
             rivals.append(Rival(model.instead, model.fit.train_rms, lost, float(c), form))
             stands = stands_as_well(search, name, model.fit, models[0].fit) or (
-                slow_kin(search, name, model.instead) and nearly_all(model.fit, less.fit, models[0].fit)
+                {name, model.instead} <= slow and nearly_all(model.fit, less.fit, models[0].fit)
             )
             if model.instead != CONVENTION and stands:
                 alternatives.append(model.instead)
@@ -133,6 +136,7 @@ def posterior(
                 rise,
                 tuple(rivals),
                 shown,
+                recorded=own and has_a_recorded_signal(search, models[0].fit, name),
             )
         )
     left_um = {model.without: model.fit.train_rms for model in models if not model.instead}
@@ -151,13 +155,6 @@ def stands_as_well(search: Search, name: str, rival: Fit, final: Fit) -> bool:
     well, or the larger hysteresis only explains a little of everything beyond the rival."""
     bends = name == OPERATOR_NAME and search.bends_to_all(final, rival)
     return bends or search.as_well(rival, final)
-
-
-def slow_kin(search: Search, name: str, rival: str) -> bool:
-    """Whether two effects look alike and are slow, so that their laws differ from rig to rig."""
-    slow = {effect.name: effect for effect in search.effects_tried if effect.time_scale == "slow"}
-    one, other = slow.get(name), slow.get(rival)
-    return bool(one and other and (rival in one.degenerate_with or name in other.degenerate_with))
 
 
 def nearly_all(rival: Fit, less: Fit, final: Fit) -> bool:
@@ -332,7 +329,11 @@ def beside(
         strongest = max(
             (each for each in found if each.name in names), key=lambda each: each.explained_um2, default=None
         )
-        if other is strongest and one.name in names and both_slow(terms[one.name], terms[other.name]):
+        if (
+            other is strongest
+            and one.name in names
+            and both_slow(terms[one.name].effect, terms[other.name].effect)
+        ):
             return max(other.explained_um2, group.explained_um2 - one.explained_um2)
     return other.explained_um2
 
@@ -356,7 +357,7 @@ def form_error(
     if other is None:
         return (of_modes if one.effect.rings else HYSTERESIS_ERROR) / against_half(known)
     kin = one.effect is not other.effect and (
-        shared_out_among(one, other) or other.effect.name in one.effect.left_by
+        shared_out_among(one.effect, other.effect) or other.effect.name in one.effect.left_by
     )
     return FORM_ERROR if kin else 0.0
 

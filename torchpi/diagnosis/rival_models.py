@@ -1,18 +1,20 @@
 """The hypotheses around the final one: each lacks one of its effects, or has a rival in its place."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from torchpi.diagnosis.contest import ACCEPTED, PRIOR
 from torchpi.diagnosis.exchange import rms_of, shared_out_among
-from torchpi.diagnosis.fit import ROUGH
+from torchpi.diagnosis.fit import ROUGH, sum_of_squares
 from torchpi.diagnosis.growth import OPERATOR
 from torchpi.diagnosis.hypothesis import EffectTerm, Fit, Hypothesis
 from torchpi.diagnosis.parallel import Job
 from torchpi.diagnosis.reduced_basis import reduced
 from torchpi.diagnosis.search import Round, Search, is_larger
+from torchpi.stage.effects.effect import Effect
+from torchpi.stage.effects.inside import InsideEffect
 from torchpi.stage.effects.mechanics.modal import ModalEffect
 
 RIVALS = 4
@@ -108,8 +110,14 @@ def around(search: Search, retuned: Fit, small: Fit, history: Sequence[Round]) -
             less = less.without(name)
         hypotheses.append((" + ".join(group), "", less, None if larger else small.weights))
     jobs: list[Job] = [(one, w, 8, ROUGH) for _, _, one, w in hypotheses]
-    # With another hysteresis all parameters have far to go: a few steps say nothing about the outcome.
-    far = [k for k, job in enumerate(jobs) if k == 0 or job[0].nominal.family != h.nominal.family]
+    # With another hysteresis, or one lag for another, all parameters have far to go: a few steps say nothing
+    # about the outcome.
+    late = {effect.name for effect in search.effects_tried if effect.delays}
+    far = [
+        k
+        for k, (name, instead, one, _) in enumerate(hypotheses)
+        if k == 0 or one.nominal.family != h.nominal.family or {name, instead} <= late
+    ]
     found = dict(zip(far, search.fits([jobs[k] for k in far]), strict=True))
     near = [k for k in range(len(jobs)) if k not in found]
     found |= zip(near, search.raced([jobs[k] for k in near], found[0]), strict=True)
@@ -139,7 +147,7 @@ def groups(search: Search, small: Fit, retuned: Fit) -> list[tuple[str, ...]]:
 def same_place(one: EffectTerm | None, other: EffectTerm | None) -> bool:
     """Whether two effects (None: a larger hysteresis) may each stand in for part of the other: either alone
     is then left out with little loss."""
-    if one is not None and other is not None and shared_out_among(one, other):
+    if one is not None and other is not None and shared_out_among(one.effect, other.effect):
         return True
     return all(t is None or (t.effect.time_scale == "static" and not t.effect.relative) for t in (one, other))
 
@@ -175,16 +183,32 @@ def rivals(
             if name == OPERATOR_NAME and (richer := search.richer(more, label)):
                 found.append((label, richer, small.weights))
     mine = next((effect for effect in search.effects_tried if effect.name == name), None)
-    if mine and mine.delays:
+    return found if mine is None else found + of_its_kind(search, history, mine, less, small, seen | there)
+
+
+def of_its_kind(
+    search: Search,
+    history: Sequence[Round],
+    mine: type[Effect] | type[InsideEffect],
+    less: Hypothesis,
+    small: Fit,
+    there: Collection[str],
+) -> list[tuple[str, Hypothesis, np.ndarray | None]]:
+    """Return what looks like an effect, each form from where it leaves least, and timing conventions."""
+    found: list[tuple[str, Hypothesis, np.ndarray | None]] = []
+    if mine.delays:
         # A lag is not a shift by whole samples, but may have been found with a convention that absorbs part.
         others = (a for a in search.alignments if a != less.alignment)
         found += [(CONVENTION, replace(less, alignment=a), small.weights) for a in others]
         # Modes fitted beside a lag take long to follow another convention; those from before it are there.
-        found += [(CONVENTION, *one) for one in as_before(search, history, name, less)]
-    for effect in search.effects_tried if mine else ():
-        if mine and effect.name in mine.degenerate_with and effect.name not in seen | there:
-            forms = [each for each in search.by_form() if each[0].effect is effect]
-            found += [(effect.name, less.plus(each[len(each) // 2]), small.weights) for each in forms]
+        found += [(CONVENTION, *one) for one in as_before(search, history, mine.name, less)]
+    for starts in search.by_form():
+        effect = starts[0].effect
+        if effect.name not in there and shared_out_among(effect, mine):
+            at = search.alignments if effect.delays and mine.delays else (less.alignment,)
+            choices = [replace(less.plus(start), alignment=a) for start in starts for a in at]
+            nearest = min(choices, key=lambda one: sum_of_squares(search.chain, one, small.weights))
+            found.append((effect.name, nearest, small.weights))
     return found
 
 

@@ -53,10 +53,12 @@ class Near(NamedTuple):
     weights: np.ndarray
 
     def resembles(self, hypothesis: Hypothesis) -> bool:
-        """Whether a hypothesis has the same weights and nearly the same sensitivity to them."""
+        """Whether a hypothesis has the same weights and nearly the same sensitivity to them: an effect that
+        is absent, or in another form, may have determined it."""
         mine = self.hypothesis
         return (
-            hypothesis.nominal.structure == mine.nominal.structure
+            {member.kind for member in mine.members} <= {member.kind for member in hypothesis.members}
+            and hypothesis.nominal.structure == mine.nominal.structure
             and hypothesis.shape == mine.shape
             and (hypothesis.alignment, hypothesis.held, hypothesis.remanent, len(hypothesis.starts))
             == (mine.alignment, mine.held, mine.remanent, len(mine.starts))
