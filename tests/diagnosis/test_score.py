@@ -15,6 +15,7 @@ from torchpi.diagnosis.fit import WITHHELD, fit, left_out, prior_of, with_prior
 from torchpi.diagnosis.haar import CELLS
 from torchpi.diagnosis.hypothesis import Fit, Hypothesis
 from torchpi.diagnosis.hysteresis_model import plain
+from torchpi.diagnosis.noise import Noise
 from torchpi.diagnosis.normal_equations import solve
 from torchpi.diagnosis.records import Record, seen
 from torchpi.diagnosis.repeats import APART, PLAIN
@@ -222,9 +223,11 @@ def test_the_share_of_the_whole_residual_also_counts_cells_without_a_gain(seed: 
     assert share == pytest.approx(gained / (gained + left))
 
 
-def test_a_structured_residual_is_not_taken_for_the_noise_floor() -> None:
-    rng = np.random.default_rng(0)
-    white = rng.normal(0, 1e-3, SAMPLES)
-    structured = Weighting.of(records_of(np.cumsum(white)), [np.cumsum(white)], None)
+def test_a_residual_counts_as_noise_only_if_noise_was_measured_and_as_far_as_it_is_white() -> None:
+    white = np.random.default_rng(0).normal(0, 1e-3, SAMPLES)
+    walk, elsewhere = np.cumsum(white), Noise(1e-3, np.array([1e-6]), 2 * FS_HZ, "holds of the voltage")
+    structured = Weighting.of(records_of(walk), [walk], elsewhere)
     assert np.median(structured.level_um2) > 10 * structured.floor_um2.max() > 0
-    assert Weighting.of(records_of(white), [white], None).mean_floor_um2 == pytest.approx(1e-6, rel=0.1)
+    alike = Weighting.of(records_of(white), [white], elsewhere)
+    assert alike.mean_floor_um2 == pytest.approx(1e-6, rel=0.1)
+    assert Weighting.of(records_of(white), [white], None).mean_floor_um2 == 0.0

@@ -82,7 +82,7 @@ class Weighting:
                 noise_um2 += np.bincount(of.cell, left_um**2) / n
             noise_um2 = np.maximum(noise_um2, smallest)
             # A typical residual is no noise floor: model errors found everywhere would count as explained.
-            finest_um2 = noise_um2[own == own.min()].min()
+            finest_um2 = noise_um2[own == own.min()].min() if noise is not None else 0.0
             floors.append(noise_um2 if measured else np.minimum(noise_um2, finest_um2))
             # Dynamics that the model lacks may ring in the start transient as loudly as they recur later.
             for level in np.unique(own[kind == STARTING]):
