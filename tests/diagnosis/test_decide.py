@@ -16,7 +16,6 @@ from torchpi.diagnosis.decide import (
     clear_of_none,
     decide,
     if_it_carries_over,
-    structure,
     verdict,
 )
 from torchpi.diagnosis.diagnose import with_read_off
@@ -258,19 +257,3 @@ class TestVerdict:
     )
     def test_structure_decides_for_unknown_noise(self, named: list, structured: bool, expected: str) -> None:
         assert verdict(named, False, left(9.0), None, structured) == expected
-
-
-def test_a_residual_has_structure_if_samples_a_few_apart_correlate_about_their_mean() -> None:
-    white = np.random.default_rng(0).standard_normal(4000)
-    assert not structure([white]) and not structure([white + 5.0]) and not structure([])
-    assert not structure([np.zeros(100)])
-    smooth, alternating = white[1:] + 0.9 * white[:-1], white[1:] - 0.9 * white[:-1]
-    assert structure([smooth]) and structure([alternating]) and structure([white, smooth])
-    assert not structure([white[1:] + 0.3 * white[:-1]])  # 0.3 / (1 + 0.09)
-    ring = np.sin(np.pi / 2 * np.arange(4000))  # neighbouring samples do not correlate
-    assert structure([white + ring]) and not structure([white + 0.5 * ring])
-
-
-@given(st.integers(400, 3000), st.integers(0, 100))
-def test_white_noise_has_no_structure(samples: int, seed: int) -> None:
-    assert not structure([np.random.default_rng(seed).standard_normal(samples)])

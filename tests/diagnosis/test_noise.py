@@ -5,11 +5,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from tests.diagnosis.plants import FS_HZ, creep, multisine, record, stairs, triangles
 from tests.diagnosis.prepared import prepared
 from torchpi.diagnosis.converter import converter
-from torchpi.diagnosis.noise import Noise, held_error, holds, measured_noise
+from torchpi.diagnosis.noise import Noise, held_error, holds, is_white, measured_noise
 from torchpi.diagnosis.records import prepare
 from torchpi.recordings.recording import Recording
 from torchpi.stage.effects.sensor.quantization import Codes
@@ -253,3 +255,17 @@ def test_coloured_noise_counts_as_noise_and_a_random_walk_between_periods_does_n
     for noise, rms in ((pink, pink.std()), (low_passed, low_passed.std()), (white + walk, 1.0)):
         found = measured_noise(prepared([read(u, 0.01 * noise)]))
         assert found is not None and found.rms_um == pytest.approx(0.01 * rms, rel=0.5)
+
+
+def test_a_residual_is_white_unless_samples_a_few_apart_correlate_about_their_mean() -> None:
+    white = np.random.default_rng(0).standard_normal(4000)
+    assert is_white(white) and is_white(white + 5.0) and is_white(np.zeros(100))
+    assert not is_white(white[1:] + 0.9 * white[:-1]) and not is_white(white[1:] - 0.9 * white[:-1])
+    assert is_white(white[1:] + 0.3 * white[:-1])  # 0.3 / (1 + 0.09)
+    ring = np.sin(np.pi / 2 * np.arange(4000))  # neighbouring samples do not correlate
+    assert not is_white(white + ring) and is_white(white + 0.5 * ring)
+
+
+@given(st.integers(400, 3000), st.integers(0, 100))
+def test_white_noise_is_white(samples: int, seed: int) -> None:
+    assert is_white(np.random.default_rng(seed).standard_normal(samples))

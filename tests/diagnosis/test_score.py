@@ -223,11 +223,12 @@ def test_the_share_of_the_whole_residual_also_counts_cells_without_a_gain(seed: 
     assert share == pytest.approx(gained / (gained + left))
 
 
-def test_a_residual_counts_as_noise_only_if_noise_was_measured_and_as_far_as_it_is_white() -> None:
+def test_a_residual_counts_as_noise_as_far_as_it_is_white_and_not_at_all_where_none_was_measured() -> None:
     white = np.random.default_rng(0).normal(0, 1e-3, SAMPLES)
     walk, elsewhere = np.cumsum(white), Noise(1e-3, np.array([1e-6]), 2 * FS_HZ, "holds of the voltage")
     structured = Weighting.of(records_of(walk), [walk], elsewhere)
     assert np.median(structured.level_um2) > 10 * structured.floor_um2.max() > 0
     alike = Weighting.of(records_of(white), [white], elsewhere)
     assert alike.mean_floor_um2 == pytest.approx(1e-6, rel=0.1)
-    assert Weighting.of(records_of(white), [white], None).mean_floor_um2 == 0.0
+    assert Weighting.of(records_of(white), [white], None).mean_floor_um2 == alike.mean_floor_um2
+    assert Weighting.of(records_of(walk), [walk], None).mean_floor_um2 == 0.0

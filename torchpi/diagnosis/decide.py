@@ -32,11 +32,6 @@ CLOSED: tuple[Verdict, ...] = ("nothing_missing", "explained")
 """Verdicts that leave nothing to look for."""
 DONE = 1.15
 """Multiple of the measured noise within which nothing is left to explain."""
-WHITE = 0.3
-"""Largest correlation of a white residual with itself: three standard errors for the fewest samples, where it
-exceeds this in one recording of a hundred; from 200 samples on it does not."""
-LAGS, LONGEST = 100, 10
-"""Largest lag of that correlation in samples, and the part of a recording, one tenth, that it is at most."""
 OPERATORS = {
     "prandtl_ishlinskii": "y = F + Σ w_i h_i: plays added to the simulation F",
     "preisach": "y = Σ g_i(h_i): a Preisach operator in play form",
@@ -228,14 +223,3 @@ def verdict(
     if not named:
         return "nothing_missing" if done and not more else "unexplained"
     return "explained" if explained and not more else "partly_explained"
-
-
-def structure(residuals: Sequence[np.ndarray]) -> bool:
-    """Whether a residual is not white: samples correlate with later ones in one of the recordings."""
-    for e in residuals:
-        centred = e - e.mean()
-        power = np.abs(np.fft.rfft(centred, 2 * len(centred))) ** 2
-        products = np.fft.irfft(power)[: max(len(centred) // LONGEST, 1) + 1][: LAGS + 1]
-        if np.abs(products[1:]).max() > WHITE * products[0]:
-            return True
-    return False

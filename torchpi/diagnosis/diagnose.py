@@ -14,7 +14,7 @@ from torchpi.diagnosis.conflict import conflict
 from torchpi.diagnosis.contest import FAINT
 from torchpi.diagnosis.converter import converter, of_converter
 from torchpi.diagnosis.coverage import cannot_be_decided, untested
-from torchpi.diagnosis.decide import CLOSED, Decision, decide, if_it_carries_over, structure
+from torchpi.diagnosis.decide import CLOSED, Decision, decide, if_it_carries_over
 from torchpi.diagnosis.diagnosis import (
     AcrossRecordings,
     Diagnosis,
@@ -31,7 +31,7 @@ from torchpi.diagnosis.locate import locate
 from torchpi.diagnosis.long_recordings import at_a_lower_rate
 from torchpi.diagnosis.model import augmented_stage
 from torchpi.diagnosis.next_recording import next_recording
-from torchpi.diagnosis.noise import noise_of_prediction
+from torchpi.diagnosis.noise import is_white, noise_of_prediction
 from torchpi.diagnosis.outside import Outside, untried_note
 from torchpi.diagnosis.posterior import posterior
 from torchpi.diagnosis.records import Record, not_counting, prepare, seen, without_start
@@ -145,7 +145,7 @@ def diagnose(
         augmented = remainder[0]
     left = [e[r.train] for e, r in zip(augmented.residuals, records, strict=True)]
     loud = leftovers(records, augmented.residuals)
-    structured = remainder is not None or structure(left)
+    structured = remainder is not None or not all(map(is_white, left))
     decision = decide(search, retuned, final, believed, noise, structured, bool(loud))
     loudest_um = final.train_rms if noise is None else min(noise.rms_um, final.train_rms)
     if lsb_um > 0 and lsb_um / np.sqrt(12) > FAINT * loudest_um:

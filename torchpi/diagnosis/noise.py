@@ -31,6 +31,13 @@ STEEPER, WANDERS = 2.0, 3
 steeper steps, up to the slowest scale, from which the growth counts as drift instead of noise."""
 
 
+WHITE = 0.3
+"""Largest correlation of a white residual with itself: three standard errors for the fewest samples, where it
+exceeds this in one recording of a hundred; from 200 samples on it does not."""
+LAGS, LONGEST = 100, 10
+"""Largest lag of that correlation in samples, and the part of a recording, one tenth, that it is at most."""
+
+
 @dataclass(frozen=True, eq=False)
 class Noise:
     """The measured noise of the readings."""
@@ -73,6 +80,14 @@ class Noise:
         source = f"{self.source} and in the monitored voltage"
         rms_um = float(np.hypot(self.rms_um, own_um))
         return replace(self, rms_um=rms_um, source=source, monitor_um_per_v=um_per_v)
+
+
+def is_white(residual: np.ndarray) -> bool:
+    """Whether the samples of a residual, (time,), do not correlate with later ones."""
+    centred = residual - residual.mean()
+    power = np.abs(np.fft.rfft(centred, 2 * len(centred))) ** 2
+    products = np.fft.irfft(power)[: max(len(centred) // LONGEST, 1) + 1][: LAGS + 1]
+    return bool(np.abs(products[1:]).max() <= WHITE * products[0])
 
 
 def held_error(y: np.ndarray, of: Coefficients) -> np.ndarray:

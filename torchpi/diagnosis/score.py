@@ -24,7 +24,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from torchpi.diagnosis.hypothesis import Fit
-from torchpi.diagnosis.noise import Noise, held_error
+from torchpi.diagnosis.noise import Noise, held_error, is_white
 from torchpi.diagnosis.records import Record
 from torchpi.diagnosis.repeats import APART, KINDS, PLAIN, STARTING
 
@@ -82,7 +82,9 @@ class Weighting:
                 noise_um2 += np.bincount(of.cell, left_um**2) / n
             noise_um2 = np.maximum(noise_um2, smallest)
             # A typical residual is no noise floor: model errors found everywhere would count as explained.
-            finest_um2 = noise_um2[own == own.min()].min() if noise is not None else 0.0
+            finest_um2 = noise_um2[own == own.min()].min()
+            if noise is None and not is_white(residual[record.train]):
+                finest_um2 = 0.0
             floors.append(noise_um2 if measured else np.minimum(noise_um2, finest_um2))
             # Dynamics that the model lacks may ring in the start transient as loudly as they recur later.
             for level in np.unique(own[kind == STARTING]):
