@@ -176,7 +176,6 @@ MEASUREMENTS = (
             Figure("simulation_called_retuned_nm", "nm", 110, 125, ".0f"),
             Figure("simulation_called_augmented_nm", "nm", 3.5, 4.5, ".1f"),
             Figure("simulation_column_lag_hz", "Hz", 85, 115, ".0f"),
-            Figure("simulation_column_creep_percent", "%", 1.8, 2.2, ".2f"),
             Figure("simulation_column_given_nm", "nm", 170, 190, ".0f"),
             Figure("simulation_column_retuned_nm", "nm", 110, 125, ".0f"),
             Figure("simulation_column_augmented_nm", "nm", 3.5, 30, ".0f"),
