@@ -261,7 +261,8 @@ def test_a_residual_is_white_unless_samples_a_few_apart_correlate_about_their_me
     white = np.random.default_rng(0).standard_normal(4000)
     assert is_white(white) and is_white(white + 5.0) and is_white(np.zeros(100))
     assert not is_white(white[1:] + 0.9 * white[:-1]) and not is_white(white[1:] - 0.9 * white[:-1])
-    assert is_white(white[1:] + 0.3 * white[:-1])  # 0.3 / (1 + 0.09)
+    assert is_white(white[1:] + 0.3 * white[:-1])  # 0.3 / (1 + 0.09) = 0.28
+    assert not is_white(white[1:] + 0.4 * white[:-1])  # 0.34
     ring = np.sin(np.pi / 2 * np.arange(4000))  # neighbouring samples do not correlate
     assert not is_white(white + ring) and is_white(white + 0.5 * ring)
 

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from tests.diagnosis.plants import FS_HZ, pair
 from tests.diagnosis.prepared import prepared
 from torchpi.diagnosis.chain import Chain
+from torchpi.diagnosis.exchange import both_slow
 from torchpi.diagnosis.hypothesis import EffectTerm, Fit, Hypothesis
 from torchpi.diagnosis.hysteresis_model import HysteresisModel, plain
 from torchpi.diagnosis.lines import STANDS_OUT
@@ -354,6 +355,9 @@ def test_a_rival_cannot_be_told_from_a_larger_hysteresis_that_bends_to_everythin
 
 def test_a_slow_rival_that_leaves_little_more_remains_an_alternative() -> None:
     """A settling drift leaves 25 nm of 283 nm, a leakage 35 nm, perhaps because its law differs slightly."""
+    of = {effect.name: effect for effect in EFFECTS}
+    assert both_slow(of["thermal_drift"], of["leakage"]) and both_slow(of["leakage"], of["thermal_drift"])
+    assert not both_slow(of["amplifier_lag"], of["sensor_lag"]) and both_slow(of["creep"], of["ageing"])
     less, leakage, creep, final = (SimpleNamespace(train_rms=nm) for nm in (282.9, 34.8, 136.2, 24.5))
     assert nearly_all(leakage, less, final) and not nearly_all(creep, less, final)
 

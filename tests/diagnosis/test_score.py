@@ -223,7 +223,7 @@ def test_the_share_of_the_whole_residual_also_counts_cells_without_a_gain(seed: 
     assert share == pytest.approx(gained / (gained + left))
 
 
-def test_a_residual_counts_as_noise_as_far_as_it_is_white_and_not_at_all_where_none_was_measured() -> None:
+def test_a_residual_counts_as_noise_as_far_as_it_is_white_where_none_was_measured_at_its_rate() -> None:
     white = np.random.default_rng(0).normal(0, 1e-3, SAMPLES)
     walk, elsewhere = np.cumsum(white), Noise(1e-3, np.array([1e-6]), 2 * FS_HZ, "holds of the voltage")
     structured = Weighting.of(records_of(walk), [walk], elsewhere)

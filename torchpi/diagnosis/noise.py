@@ -29,8 +29,6 @@ STEEPEST = 1.5
 STEEPER, WANDERS = 2.0, 3
 """Factor by which the variance of 1/f noise grows from one scale to the next slower one; and the number of
 steeper steps, up to the slowest scale, from which the growth counts as drift instead of noise."""
-
-
 WHITE = 0.3
 """Largest correlation of a white residual with itself: three standard errors for the fewest samples, where it
 exceeds this in one recording of a hundred; from 200 samples on it does not."""
@@ -86,8 +84,9 @@ def is_white(residual: np.ndarray) -> bool:
     """Whether the samples of a residual, (time,), do not correlate with later ones."""
     centred = residual - residual.mean()
     power = np.abs(np.fft.rfft(centred, 2 * len(centred))) ** 2
-    products = np.fft.irfft(power)[: max(len(centred) // LONGEST, 1) + 1][: LAGS + 1]
-    return bool(np.abs(products[1:]).max() <= WHITE * products[0])
+    lags = min(max(len(centred) // LONGEST, 1), LAGS)
+    products = np.fft.irfft(power)
+    return bool(np.abs(products[1 : lags + 1]).max() <= WHITE * products[0])
 
 
 def held_error(y: np.ndarray, of: Coefficients) -> np.ndarray:

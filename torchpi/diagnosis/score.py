@@ -82,6 +82,7 @@ class Weighting:
                 noise_um2 += np.bincount(of.cell, left_um**2) / n
             noise_um2 = np.maximum(noise_um2, smallest)
             # A typical residual is no noise floor: model errors found everywhere would count as explained.
+            # Where nothing was measured and the residual is not white, its smallest part is none either.
             finest_um2 = noise_um2[own == own.min()].min()
             if noise is None and not is_white(residual[record.train]):
                 finest_um2 = 0.0
