@@ -119,7 +119,10 @@ def posterior(
         reached = reached and not names <= hidden_by_the_clock
         late = already_late(retuned, less.fit, models[0].fit, names)
         without = (less.fit,) if late else (less.fit, retuned)
-        known, shown = share_explained(search, models[0].fit, without, name, own) if reached else (0.0, 0.0)
+        recorded = own and has_a_recorded_signal(search, models[0].fit, name)
+        known, shown = 0.0, 0.0
+        if reached:
+            known, shown = share_explained(search, models[0].fit, without, name, own, recorded)
         rise = less.fit.train_rms**2 - models[0].fit.train_rms ** 2
         if len(names) > 1:
             together.append(Believed(name, held * trust(known), (), rise, (), shown))
@@ -136,7 +139,7 @@ def posterior(
                 rise,
                 tuple(rivals),
                 shown,
-                recorded=own and has_a_recorded_signal(search, models[0].fit, name),
+                recorded=recorded,
             )
         )
     left_um = {model.without: model.fit.train_rms for model in models if not model.instead}
@@ -244,7 +247,7 @@ def as_one(
 
 
 def share_explained(
-    search: Search, more: Fit, without: Sequence[Fit], name: str, own_signal: bool
+    search: Search, more: Fit, without: Sequence[Fit], name: str, own_signal: bool, recorded: bool = False
 ) -> tuple[float, float]:
     """Return the share of the residual above the noise that an effect explains, 0–1, as far as the sealed
     samples confirm it, and the same where they may also show a larger share. For a slow effect they always
@@ -257,9 +260,10 @@ def share_explained(
         without: The fit of everything else, and the retuned simulation where that lacks the effect.
         name: The effect.
         own_signal: Whether it has a signal of its own.
+        recorded: Whether that is a recorded signal which the voltage does not predict.
     """
     weighting, less = search.chain.weighting, without[0]
-    if own_signal and has_a_recorded_signal(search, more, name):
+    if recorded:
         known = search.over(more, less, PRIOR).probability
     elif stands := stands_out(search.chain.records, more, less, name):
         share = max(1 - (1 - HALF) * STANDS_OUT / stands, 0.0)
