@@ -1,4 +1,4 @@
-"""A block with fixed matrices gives the bits of the differentiable operators, about the first sample."""
+"""A block with fixed matrices gives the bits of the differentiable operators."""
 
 import pytest
 import torch
@@ -8,7 +8,7 @@ from torchpi.operators.linear import state_space
 from torchpi.operators.relaxations import relaxations
 
 
-@pytest.mark.parametrize("rows", [1, 2, 7, 9])
+@pytest.mark.parametrize("rows", [1, 2, 7])
 @pytest.mark.parametrize("order", [1, 2, 3, 5])
 @pytest.mark.parametrize("diagonal", [False, True])
 def test_the_response_has_the_bits_of_the_operator(rows: int, order: int, diagonal: bool) -> None:
@@ -16,7 +16,7 @@ def test_the_response_has_the_bits_of_the_operator(rows: int, order: int, diagon
     a = (whole / order).diagonal() if diagonal else (whole / order).T  # neither is contiguous
     u = torch.randn(rows, 1100, dtype=torch.float64)
     operator = relaxations if diagonal else state_space
-    expected = operator(u - u[:, :1], a, b, c, d, torch.zeros(rows, order, dtype=torch.float64))[0] + u[:, :1]
+    expected, _ = operator(u, a, b, c, d, torch.zeros(rows, order, dtype=torch.float64))
     block, before = DiscreteBlock((a, b, c, d)), u.clone()
     for _ in range(2):  # it keeps no state
         assert (torch.from_numpy(block(u.numpy())) == expected).all()

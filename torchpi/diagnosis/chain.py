@@ -65,7 +65,10 @@ class Placed(NamedTuple):
         if self.block is None:
             moved: Tensor = self.effect(x - x[:, :1])[0]
             return moved.add_(x[:, :1])
-        return torch.from_numpy(self.block(x.numpy()))
+        u = x.numpy()
+        y = self.block(u - u[:, :1])
+        y += u[:, :1]
+        return torch.from_numpy(y)
 
 
 class Arrangement(NamedTuple):

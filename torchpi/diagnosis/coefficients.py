@@ -22,9 +22,9 @@ class Coefficients:
     samples: int
     """Number of samples that are transformed: those before the sealed block."""
     repeats: Repeats
-    pieces: tuple[tuple[int, Haar, np.ndarray, np.ndarray], ...]
-    """First sample and transform of each piece, and the places of its coefficients in its transform and, in
-    ascending order, among all, (its own,) both; the first piece has the readings as they are."""
+    pieces: tuple[tuple[int, Haar, np.ndarray], ...]
+    """First sample and transform of each piece, and the places of its coefficients among all, (its own,); the
+    first piece has the readings as they are."""
     ends: np.ndarray  # shape: (CELLS + 1,), where the coefficients of each stretch of time begin, and end
     scale: np.ndarray  # shape: (kept,), number of samples that each spans
     cell: np.ndarray  # shape: (kept,), numbered within the recording
@@ -61,10 +61,7 @@ class Coefficients:
         return cls(
             samples,
             repeats,
-            tuple(
-                (first, haar, haar.kept[np.argsort(place)], np.sort(place))
-                for (first, haar), place in zip(pieces, places, strict=True)
-            ),
+            tuple((first, haar, place) for (first, haar), place in zip(pieces, places, strict=True)),
             np.searchsorted(stretch[order], np.arange(CELLS + 1)),
             np.concatenate([2.0 ** np.minimum(haar.level, haar.levels) for _, haar in pieces])[order],
             np.concatenate([haar.cell + k for (_, haar), k in zip(pieces, first_cell, strict=False)])[order],
@@ -83,13 +80,13 @@ class Coefficients:
 
     def __call__(self, rows: np.ndarray) -> np.ndarray:
         """(rows, kept): the coefficients of rows, (rows, time)."""
-        (_, readings, kept, columns), *apart = self.pieces
+        (_, readings, places), *apart = self.pieces
         out = np.empty((len(rows), self.kept))
-        readings.write(rows, kept, columns, out)
+        readings.write(rows, out, places)
         for begin in range(0, len(rows) if apart else 0, CHUNK):
             some = slice(begin, begin + CHUNK)
             left = self.repeats(rows[some])
-            for first, haar, kept, columns in apart:
+            for first, haar, places in apart:
                 part = np.ascontiguousarray(left[:, first : first + haar.samples])
-                haar.write(part, kept, columns, out[some])
+                haar.write(part, out[some], places)
         return out

@@ -90,10 +90,15 @@ class Haar:
             else (coarsest * 2 ** (self.levels - level), coarsest * 2 ** (self.levels - level + 1))
         )
 
-    def write(self, rows: np.ndarray, places: np.ndarray, columns: np.ndarray, out: np.ndarray) -> None:
-        """Write the coefficients at `places`, (some,), of rows, (rows, time), to `columns`, (some,), of
-        `out`, (rows, …)."""
-        _kept(rows, self.valid, self.levels, places, columns, out)
+    def __call__(self, rows: np.ndarray) -> np.ndarray:
+        """Return the kept coefficients, (rows, kept), of rows, (rows, time)."""
+        out = np.empty((len(rows), len(self.kept)))
+        self.write(rows, out, np.arange(len(self.kept)))
+        return out
+
+    def write(self, rows: np.ndarray, out: np.ndarray, columns: np.ndarray) -> None:
+        """Write the kept coefficients of rows, (rows, time), to columns, (kept,), of `out`, (rows, …)."""
+        _kept(rows, self.valid, self.levels, self.kept, columns, out)
 
     def full(self, rows: np.ndarray) -> np.ndarray:
         """Return all coefficients, (rows, coefficients), the slowest first, of rows, (rows, time)."""
@@ -122,19 +127,20 @@ def _kept(
 ) -> None:
     samples = len(valid)
     size = -(-samples // 2**levels) * 2**levels
-    full, sums, root = np.empty(size), np.empty(size), 1.0 / sqrt(2.0)
+    full, root = np.empty(size), 1.0 / sqrt(2.0)
+    sums, coarser = np.zeros(size), np.empty(size // 2 + 1)
     for i in range(len(rows)):
-        row, into, n = rows[i, :samples], out[i], size
         for t in range(samples):
-            sums[t] = row[t] * valid[t]
+            sums[t] = rows[i, t] * valid[t]
         sums[samples:] = 0.0
+        n, finer, next_ = size, sums, coarser
         for _ in range(levels):
             n //= 2
-            differences = full[n : 2 * n]
             for k in range(n):
-                first, second = sums[2 * k], sums[2 * k + 1]
-                differences[k] = (second - first) * root
-                sums[k] = (first + second) * root
-        full[:n] = sums[:n]
+                first, second = finer[2 * k], finer[2 * k + 1]
+                next_[k] = (first + second) * root
+                full[n + k] = (second - first) * root
+            finer, next_ = next_, finer
+        full[:n] = finer[:n]
         for k in range(len(kept)):
-            into[columns[k]] = full[kept[k]]
+            out[i, columns[k]] = full[kept[k]]

@@ -7,7 +7,6 @@ hum, wrong readings and the influence of other signals remain in it, beside noth
 """
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numba
 import numpy as np
@@ -106,7 +105,7 @@ class Repeats:
     stretches: np.ndarray  # shape: (stretches, 3), int: first sample, one past the last, and the period
     go_on: np.ndarray  # shape: (stretches,), int: the end of each, which may lie beyond the samples used
     valid: np.ndarray  # shape: (samples,), bool: readings that count
-    later: np.ndarray  # shape: (samples,), how often each comes again; -1 for those that do not count
+    apart: np.ndarray  # shape: (samples,), bool: readings that count and come again
 
     @classmethod
     def of(cls, u: np.ndarray, samples: int, valid: np.ndarray) -> "Repeats":
@@ -120,19 +119,9 @@ class Repeats:
         ]
         table = np.array(found, dtype=int).reshape(-1, 4)
         stretches, mask = np.ascontiguousarray(table[:, :3]), np.ascontiguousarray(valid[:samples])
-        return cls(periodic, samples, stretches, table[:, 3], mask, _later(mask, stretches))
-
-    @cached_property
-    def factors(self) -> tuple[np.ndarray, np.ndarray]:
-        """For each reading, (samples,), 1/n of the n that come again, and √(n / (n + 1))."""
-        share = 1.0 / np.maximum(self.later, 1)
-        return share, np.sqrt(1.0 - 1.0 / (np.maximum(self.later, 0) + 1))
-
-    @property
-    def apart(self) -> np.ndarray:
-        """Which readings count and come again, (samples,)."""
-        found: np.ndarray = self.later > 0
-        return found
+        apart = np.zeros(samples, dtype=bool)
+        _less_later(np.zeros((1, samples)), mask, stretches, apart, np.empty((1, samples)))
+        return cls(periodic, samples, stretches, table[:, 3], mask, apart)
 
     @property
     def pieces(self) -> list[tuple[int, int, int]]:
@@ -162,39 +151,29 @@ class Repeats:
     def __call__(self, rows: np.ndarray) -> np.ndarray:
         """Return the non-repeating part, (rows, samples), of rows, (rows, time): 0 where nothing recurs."""
         out = np.zeros((len(rows), self.samples))
-        _less_later(rows, self.later, *self.factors, self.stretches, out)
+        _less_later(rows, self.valid, self.stretches, np.empty(self.samples, dtype=np.bool_), out)
         return out
 
 
 @numba.njit(cache=True)
-def _later(valid: np.ndarray, stretches: np.ndarray) -> np.ndarray:
-    """Return how many later readings of the stretch count at each one's phase, (samples,): -1 for a reading
-    that does not count, or is in no stretch."""
-    found = np.full(len(valid), -1)
+def _less_later(
+    rows: np.ndarray, valid: np.ndarray, stretches: np.ndarray, apart: np.ndarray, out: np.ndarray
+) -> None:
     for k in range(len(stretches)):
         start, stop, period = stretches[k]
-        number = np.zeros(period, np.int64)
-        for t in range(stop - 1, start - 1, -1):
-            if valid[t]:
-                found[t] = number[(t - start) % period]
-                number[(t - start) % period] += 1
-    return found
-
-
-@numba.njit(cache=True)
-def _less_later(
-    rows: np.ndarray, later: np.ndarray, share: np.ndarray, root: np.ndarray, stretches: np.ndarray,
-    out: np.ndarray,
-) -> None:  # fmt: skip
-    for start, stop, period in stretches:
-        total = np.empty(period)
+        share = 1.0 / np.arange(1, (stop - start) // period + 3)
+        root = np.sqrt(1.0 - share)
+        total, number = np.empty(period), np.empty(period, np.int64)
         for i in range(len(rows)):
-            total[:] = 0.0
+            total[:], number[:] = 0.0, 0
             for last in range(stop, start, -period):
-                first = max(last - period, start)
-                # Views of one period each: loops over these are compiled to vector instructions.
-                x, to, sums = rows[i, first:last], out[i, first:last], total[period - (last - first) :]
-                n, part, scale = later[first:last], share[first:last], root[first:last]
-                for t in range(last - first):
-                    to[t] = scale[t] * (x[t] - sums[t] * part[t]) if n[t] > 0 else 0.0
-                    sums[t] += x[t] if n[t] >= 0 else 0.0
+                for phase in range(min(period, last - start)):
+                    t = last - 1 - phase
+                    if not valid[t]:
+                        continue
+                    x, n = rows[i, t], number[phase]
+                    if n > 0:
+                        apart[t] = True
+                        out[i, t] = root[n] * (x - total[phase] * share[n - 1])
+                    total[phase] += x
+                    number[phase] = n + 1

@@ -60,8 +60,7 @@ _relax: Any = numba.njit(relax)
 _observe: Any = numba.njit(observe)
 
 
-# A tile of the output stays in the cache while the poles are added to it. A single recursion waits for its
-# previous sum; four in parallel, of four poles or in four rows, keep the processor busy.
+# A tile of the output stays in the cache while the poles are added to it, four at a time.
 TILE = 512
 
 
@@ -76,26 +75,12 @@ def response(
     y: np.ndarray,
     states: np.ndarray,
 ) -> None:
-    if states.shape[1] > 0:
-        for row in range(u.shape[0]):
-            _keeping_states(u[row], a, b, c, d, x[row], y[row], states[row])
-        return
-    for first in range(0, u.shape[0], 4):
-        last = min(first + 4, u.shape[0])
-        for begin in range(0, u.shape[1], TILE):
-            end = min(begin + TILE, u.shape[1])
-            for row in range(first, last):
-                _by_four_poles(begin, end, u[row], a, b, c, x[row], y[row])
-            for i in range(len(a) // 4 * 4, len(a)):
-                if last - first == 4:
-                    _in_four_rows(first, begin, end, i, u, a[i], b[i], c[i], x, y)
-                else:
-                    for row in range(first, last):
-                        _by_itself(begin, end, i, u[row], a[i], b[i], c[i], x[row], y[row])
-            for row in range(first, last):
-                sample, out = u[row], y[row]
-                for t in range(begin, end):
-                    out[t] = out[t] + d * sample[t]
+    for batch in range(u.shape[0]):
+        if states.shape[1] > 0:
+            _keeping_states(u[batch], a, b, c, d, x[batch], y[batch], states[batch])
+        else:
+            for first in range(0, u.shape[1], TILE):
+                _tile(first, min(first + TILE, u.shape[1]), u[batch], a, b, c, d, x[batch], y[batch])
 
 
 @numba.njit(cache=True)
@@ -116,51 +101,42 @@ def _keeping_states(
         _relax(a, b, x, u[t])
 
 
-# Same as `observe` and `relax`, with sums in the same order, hence the same bits.
 @numba.njit(cache=True)
-def _by_four_poles(
-    begin: int, end: int, u: np.ndarray, a: np.ndarray, b: np.ndarray, c: np.ndarray, x: np.ndarray,
+def _tile(
+    first: int,
+    stop: int,
+    u: np.ndarray,
+    a: np.ndarray,
+    b: np.ndarray,
+    c: np.ndarray,
+    d: float,
+    x: np.ndarray,
     y: np.ndarray,
-) -> None:  # fmt: skip
-    for i in range(0, len(a) // 4 * 4, 4):
+) -> None:
+    # Same as `observe` and `relax`, with sums in the same order, hence the same bits. A single recursion
+    # waits for its previous sum; four in parallel keep the processor busy.
+    n, i = len(a), 0
+    while i + 4 <= n:
         a0, a1, a2, a3 = a[i], a[i + 1], a[i + 2], a[i + 3]
         b0, b1, b2, b3 = b[i], b[i + 1], b[i + 2], b[i + 3]
         c0, c1, c2, c3 = c[i], c[i + 1], c[i + 2], c[i + 3]
         x0, x1, x2, x3 = x[i], x[i + 1], x[i + 2], x[i + 3]
-        for t in range(begin, end):
+        for t in range(first, stop):
             now = u[t]
             total = c0 * x0 if i == 0 else y[t] + c0 * x0
             y[t] = ((total + c1 * x1) + c2 * x2) + c3 * x3
             x0, x1, x2, x3 = a0 * x0 + b0 * now, a1 * x1 + b1 * now, a2 * x2 + b2 * now, a3 * x3 + b3 * now
         x[i], x[i + 1], x[i + 2], x[i + 3] = x0, x1, x2, x3
-
-
-@numba.njit(cache=True)
-def _in_four_rows(
-    first: int, begin: int, end: int, i: int, u: np.ndarray, a: float, b: float, c: float, x: np.ndarray,
-    y: np.ndarray,
-) -> None:  # fmt: skip
-    u0, u1, u2, u3 = u[first], u[first + 1], u[first + 2], u[first + 3]
-    y0, y1, y2, y3 = y[first], y[first + 1], y[first + 2], y[first + 3]
-    x0, x1, x2, x3 = x[first, i], x[first + 1, i], x[first + 2, i], x[first + 3, i]
-    for t in range(begin, end):
-        if i == 0:
-            y0[t], y1[t], y2[t], y3[t] = c * x0, c * x1, c * x2, c * x3
-        else:
-            y0[t], y1[t], y2[t], y3[t] = y0[t] + c * x0, y1[t] + c * x1, y2[t] + c * x2, y3[t] + c * x3
-        x0, x1, x2, x3 = a * x0 + b * u0[t], a * x1 + b * u1[t], a * x2 + b * u2[t], a * x3 + b * u3[t]
-    x[first, i], x[first + 1, i], x[first + 2, i], x[first + 3, i] = x0, x1, x2, x3
-
-
-@numba.njit(cache=True)
-def _by_itself(
-    begin: int, end: int, i: int, u: np.ndarray, a: float, b: float, c: float, x: np.ndarray, y: np.ndarray
-) -> None:
-    state = x[i]
-    for t in range(begin, end):
-        y[t] = c * state if i == 0 else y[t] + c * state
-        state = a * state + b * u[t]
-    x[i] = state
+        i += 4
+    while i < n:
+        x0 = x[i]
+        for t in range(first, stop):
+            y[t] = c[i] * x0 if i == 0 else y[t] + c[i] * x0
+            x0 = a[i] * x0 + b[i] * u[t]
+        x[i] = x0
+        i += 1
+    for t in range(first, stop):
+        y[t] = y[t] + d * u[t]
 
 
 @numba.njit(cache=True)
