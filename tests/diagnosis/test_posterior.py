@@ -30,6 +30,7 @@ from torchpi.diagnosis.posterior import (
     as_one,
     averaged,
     kin_if_the_same_each_time,
+    less_than_is_left,
     nearly_all,
     no_likelier_than_unlisted,
     share_explained,
@@ -360,6 +361,17 @@ def test_a_slow_rival_that_leaves_little_more_remains_an_alternative() -> None:
     assert not both_slow(of["amplifier_lag"], of["sensor_lag"]) and both_slow(of["creep"], of["ageing"])
     less, leakage, creep, final = (SimpleNamespace(train_rms=nm) for nm in (282.9, 34.8, 136.2, 24.5))
     assert nearly_all(leakage, less, final) and not nearly_all(creep, less, final)
+
+
+@given(st.floats(1e-3, 1e3), st.floats(1.0, 9.0), st.floats(0.0, 3.0))
+def test_two_lags_are_told_apart_by_more_than_what_the_better_one_leaves_above_the_noise(
+    noise_um: float, left: float, further: float
+) -> None:
+    final = cast(Fit, SimpleNamespace(train_rms=left * noise_um))
+    rival = cast(Fit, SimpleNamespace(train_rms=float(np.hypot(left, further)) * noise_um))
+    margin = left**2 - 1 - further**2
+    if abs(margin) > 1e-6:
+        assert less_than_is_left(rival, final, noise_um**2) == (margin > 0)
 
 
 def test_the_strongest_of_interchangeable_effects_takes_their_joint_probability() -> None:

@@ -13,6 +13,7 @@ the equation of one effect is not quite that of the rig, its remainder looks lik
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 from math import sqrt
 
 import numpy as np
@@ -21,7 +22,7 @@ from torchpi.diagnosis.clock import within_the_clock
 from torchpi.diagnosis.contest import PRIOR
 from torchpi.diagnosis.coverage import one_motion, one_size
 from torchpi.diagnosis.diagnosis import Rival
-from torchpi.diagnosis.exchange import both_slow, shared_out_among
+from torchpi.diagnosis.exchange import both_slow, looks_like, shared_out_among
 from torchpi.diagnosis.hypothesis import EffectTerm, Fit, Hypothesis
 from torchpi.diagnosis.lines import STANDS_OUT
 from torchpi.diagnosis.own_signal import has_a_recorded_signal, has_a_signal_of_its_own, stands_out
@@ -94,6 +95,11 @@ def posterior(
     signals = {name for name in h.names if has_a_signal_of_its_own(search.chain.records, h, name)}
     whole = is_whole(search.chain, models[0].fit)
     slow = {effect.name for effect in search.effects_tried if effect.time_scale == "slow"}
+    kin = {
+        frozenset({one.name, other.name})
+        for one, other in combinations(search.effects_tried, 2)
+        if looks_like(one, other)
+    }
     hidden_by_the_clock = within_the_clock(search, final)
     for name in dict.fromkeys(model.without for model in models if model.without):
         less = without_cause(models, name, search.score, weighting.explained_where_it_acts, whole)
@@ -107,8 +113,13 @@ def posterior(
                 continue
             lost, form = float((density[0] - own).sum()), form_of(model.fit, model.instead)
             rivals.append(Rival(model.instead, model.fit.train_rms, lost, float(c), form))
-            stands = stands_as_well(search, name, model.fit, models[0].fit) or (
-                {name, model.instead} <= slow and nearly_all(model.fit, less.fit, models[0].fit)
+            stands = (
+                stands_as_well(search, name, model.fit, models[0].fit)
+                or ({name, model.instead} <= slow and nearly_all(model.fit, less.fit, models[0].fit))
+                or (
+                    frozenset({name, model.instead}) in kin
+                    and less_than_is_left(model.fit, models[0].fit, weighting.mean_floor_um2)
+                )
             )
             if model.instead != CONVENTION and stands:
                 alternatives.append(model.instead)
@@ -129,8 +140,8 @@ def posterior(
             continue
         rivals.sort(key=lambda rival: rival.loses_nats)
         alternatives += unlisted_hysteresis(h, retuned.hypothesis, name)
-        kin = kin_if_the_same_each_time(h, name)
-        alternatives += [one.name for one in search.effects_tried if one.name in kin]
+        same_each_time = kin_if_the_same_each_time(h, name)
+        alternatives += [one.name for one in search.effects_tried if one.name in same_each_time]
         found.append(
             Believed(
                 name,
@@ -158,6 +169,13 @@ def stands_as_well(search: Search, name: str, rival: Fit, final: Fit) -> bool:
     well, or the larger hysteresis only explains a little of everything beyond the rival."""
     bends = name == OPERATOR_NAME and search.bends_to_all(final, rival)
     return bends or search.as_well(rival, final)
+
+
+def less_than_is_left(rival: Fit, final: Fit, noise_um2: float) -> bool:
+    """Whether a rival leaves so little more than the best fit that this is less than the best fit leaves
+    above the noise. Then neither equation is quite that of the rig, and a small difference between the two
+    does not say which is closer."""
+    return rival.train_rms**2 - final.train_rms**2 < final.train_rms**2 - noise_um2
 
 
 def nearly_all(rival: Fit, less: Fit, final: Fit) -> bool:
