@@ -29,8 +29,8 @@ from torchpi.diagnosis.posterior import (
     apart,
     as_one,
     averaged,
+    cannot_be_ruled_out,
     kin_if_the_same_each_time,
-    less_than_is_left,
     nearly_all,
     no_likelier_than_unlisted,
     share_explained,
@@ -363,15 +363,27 @@ def test_a_slow_rival_that_leaves_little_more_remains_an_alternative() -> None:
     assert nearly_all(leakage, less, final) and not nearly_all(creep, less, final)
 
 
-@given(st.floats(1e-3, 1e3), st.floats(1.0, 9.0), st.floats(0.0, 3.0))
-def test_two_lags_are_told_apart_by_more_than_what_the_better_one_leaves_above_the_noise(
-    noise_um: float, left: float, further: float
+@pytest.mark.parametrize(
+    ("name", "instead", "beyond", "stands"),
+    [
+        ("sensor_lag", "delay", 0.3, True),  # 0.12 µm² more than the 0.3 µm² that two lags leave
+        ("sensor_lag", "delay", 0.6, False),
+        ("sensor_lag", "backlash", 0.3, False),
+        (OPERATOR_NAME, "delay", 0.3, False),
+    ],
+)
+def test_a_rival_of_one_kind_is_ruled_out_by_more_than_what_the_best_fit_leaves(
+    name: str, instead: str, beyond: float, stands: bool
 ) -> None:
-    final = cast(Fit, SimpleNamespace(train_rms=left * noise_um))
-    rival = cast(Fit, SimpleNamespace(train_rms=float(np.hypot(left, further)) * noise_um))
-    margin = left**2 - 1 - further**2
-    if abs(margin) > 1e-6:
-        assert less_than_is_left(rival, final, noise_um**2) == (margin > 0)
+    weighting = SimpleNamespace(explained_of_all=lambda more, less: beyond)
+    search: Any = SimpleNamespace(
+        effects_tried=EFFECTS,
+        chain=SimpleNamespace(weighting=weighting),
+        as_well=lambda one, best: False,
+        bends_to_all=lambda larger, less: False,
+    )
+    final, rival, less = (cast(Fit, SimpleNamespace(train_rms=um)) for um in (0.55, 0.65, 3.1))
+    assert cannot_be_ruled_out(search, name, Model(name, instead, rival), less, final) is stands
 
 
 def test_the_strongest_of_interchangeable_effects_takes_their_joint_probability() -> None:

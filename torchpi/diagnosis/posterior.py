@@ -13,7 +13,6 @@ the equation of one effect is not quite that of the rig, its remainder looks lik
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
 from math import sqrt
 
 import numpy as np
@@ -44,6 +43,9 @@ in the form of that effect, and steepness of this transition. Set on the same ca
 wrong names, 0.66 in a right one."""
 SLOW_FORM_ERROR = 0.02
 """Share, of what a slow effect explains, that another law of its cause may leave: a seventh of its size."""
+TOLD_APART = 0.5
+"""Share, of what the best fit leaves and what one of its kin would leave in addition, that the latter must be
+to be ruled out: if more is left, neither equation is quite that of the rig, and nothing says which is closer."""
 HYSTERESIS_ERROR, OF_MODES = 0.003, 0.0003
 """FORM_ERROR of a larger hysteresis for any effect; much less for modes, as nothing rate-independent rings,
 unless one motion at one rate is all there is: that does not tell a ring from the shape of a loop. Set on 24
@@ -94,12 +96,6 @@ def posterior(
     found, together, h = [], [], models[0].fit.hypothesis
     signals = {name for name in h.names if has_a_signal_of_its_own(search.chain.records, h, name)}
     whole = is_whole(search.chain, models[0].fit)
-    slow = {effect.name for effect in search.effects_tried if effect.time_scale == "slow"}
-    kin = {
-        frozenset({one.name, other.name})
-        for one, other in combinations(search.effects_tried, 2)
-        if looks_like(one, other)
-    }
     hidden_by_the_clock = within_the_clock(search, final)
     for name in dict.fromkeys(model.without for model in models if model.without):
         less = without_cause(models, name, search.score, weighting.explained_where_it_acts, whole)
@@ -113,14 +109,7 @@ def posterior(
                 continue
             lost, form = float((density[0] - own).sum()), form_of(model.fit, model.instead)
             rivals.append(Rival(model.instead, model.fit.train_rms, lost, float(c), form))
-            stands = (
-                stands_as_well(search, name, model.fit, models[0].fit)
-                or ({name, model.instead} <= slow and nearly_all(model.fit, less.fit, models[0].fit))
-                or (
-                    frozenset({name, model.instead}) in kin
-                    and less_than_is_left(model.fit, models[0].fit, weighting.mean_floor_um2)
-                )
-            )
+            stands = cannot_be_ruled_out(search, name, model, less.fit, models[0].fit)
             if model.instead != CONVENTION and stands:
                 alternatives.append(model.instead)
                 held += float(c)
@@ -164,18 +153,26 @@ def posterior(
     return final, [replace(one, probability=round(one.probability, 4)) for one in found]
 
 
+def cannot_be_ruled_out(search: Search, name: str, rival: Model, less: Fit, final: Fit) -> bool:
+    """Whether a rival remains an alternative to an effect: it stands as well, or is of its kind and leaves
+    little more."""
+    of = {effect.name: effect for effect in search.effects_tried}
+    if stands_as_well(search, name, rival.fit, final):
+        return True
+    if not {name, rival.instead} <= of.keys():
+        return False
+    mine, its = of[name], of[rival.instead]
+    if both_slow(mine, its) and nearly_all(rival.fit, less, final):
+        return True
+    beyond = search.chain.weighting.explained_of_all(final, rival.fit)
+    return looks_like(mine, its) and beyond < TOLD_APART
+
+
 def stands_as_well(search: Search, name: str, rival: Fit, final: Fit) -> bool:
     """Whether the data cannot tell an effect, or a larger hysteresis, from its rival: the rival predicts as
     well, or the larger hysteresis only explains a little of everything beyond the rival."""
     bends = name == OPERATOR_NAME and search.bends_to_all(final, rival)
     return bends or search.as_well(rival, final)
-
-
-def less_than_is_left(rival: Fit, final: Fit, noise_um2: float) -> bool:
-    """Whether a rival leaves so little more than the best fit that this is less than the best fit leaves
-    above the noise. Then neither equation is quite that of the rig, and a small difference between the two
-    does not say which is closer."""
-    return rival.train_rms**2 - final.train_rms**2 < final.train_rms**2 - noise_um2
 
 
 def nearly_all(rival: Fit, less: Fit, final: Fit) -> bool:
