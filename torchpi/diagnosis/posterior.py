@@ -45,7 +45,7 @@ SLOW_FORM_ERROR = 0.02
 """Share, of what a slow effect explains, that another law of its cause may leave: a seventh of its size."""
 TOLD_APART = 0.5
 """Share, of what the best fit leaves and what one of its kin would leave in addition, that the latter must be
-to be ruled out: if more is left, neither equation is quite that of the rig, and nothing says which is closer."""
+for the kin to be ruled out: where more is left, neither equation is quite that of the rig."""
 HYSTERESIS_ERROR, OF_MODES = 0.003, 0.0003
 """FORM_ERROR of a larger hysteresis for any effect; much less for modes, as nothing rate-independent rings,
 unless one motion at one rate is all there is: that does not tell a ring from the shape of a loop. Set on 24
