@@ -28,6 +28,9 @@ solver's error explains as much."""
 ADEQUATE = 0.25
 """Share that an effect must explain of what is to be explained where it acts, for the search to accept it: as
 much as each of four effects that act in the same place."""
+TOLD_APART = 0.5
+"""Share, of what a fit leaves and what its rival would leave in addition, that the latter must be to rule out
+a rival of its kind: where more is left, neither equation is quite that of the rig."""
 TOGETHER = 2.0
 """Standard errors within which two hypotheses count as predicting equally well."""
 CLEAR = 6.0

@@ -18,7 +18,7 @@ from math import sqrt
 import numpy as np
 
 from torchpi.diagnosis.clock import within_the_clock
-from torchpi.diagnosis.contest import PRIOR
+from torchpi.diagnosis.contest import PRIOR, TOLD_APART
 from torchpi.diagnosis.coverage import one_motion, one_size
 from torchpi.diagnosis.diagnosis import Rival
 from torchpi.diagnosis.exchange import both_slow, looks_like, shared_out_among
@@ -43,9 +43,6 @@ in the form of that effect, and steepness of this transition. Set on the same ca
 wrong names, 0.66 in a right one."""
 SLOW_FORM_ERROR = 0.02
 """Share, of what a slow effect explains, that another law of its cause may leave: a seventh of its size."""
-TOLD_APART = 0.5
-"""Share, of what the best fit leaves and what one of its kin would leave in addition, that the latter must be
-for the kin to be ruled out: where more is left, neither equation is quite that of the rig."""
 HYSTERESIS_ERROR, OF_MODES = 0.003, 0.0003
 """FORM_ERROR of a larger hysteresis for any effect; much less for modes, as nothing rate-independent rings,
 unless one motion at one rate is all there is: that does not tell a ring from the shape of a loop. Set on 24
@@ -246,16 +243,18 @@ def as_one(
     one: Believed, found: Sequence[Believed], together: Sequence[Believed], left_um: Mapping[str, float]
 ) -> Believed:
     """Give the strongest of mutually replaceable effects, the one without which most is left, the probability
-    that any of them is missing: if only one is left out, the others replace it, and little is lost."""
+    that any of them is missing: if only one is left out, the others replace it, and little is lost. What may
+    stand for one of the others may then stand for the strongest."""
     for group in together:
-        names = names_of(group.name)
-        strongest = max((each for each in found if each.name in names), key=lambda each: left_um[each.name])
+        kin = [each for each in found if each.name in names_of(group.name)]
+        strongest = max(kin, key=lambda each: left_um[each.name])
         if one is strongest and one.probability < group.probability:
-            others = (*one.alternatives, *(name for name in names if name != one.name))
+            others = [*one.alternatives, *(each.name for each in kin)]
+            others += [name for each in kin for name in each.alternatives]
             return replace(
                 one,
                 probability=round(group.probability, 4),
-                alternatives=tuple(dict.fromkeys(others)),
+                alternatives=tuple(name for name in dict.fromkeys(others) if name != one.name),
                 explained_um2=max(one.explained_um2, group.explained_um2),
             )
     return one

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from torchpi.diagnosis.contest import ACCEPTED, PRIOR
+from torchpi.diagnosis.contest import ACCEPTED, PRIOR, TOLD_APART
 from torchpi.diagnosis.exchange import rms_of, shared_out_among
 from torchpi.diagnosis.fit import ROUGH, sum_of_squares
 from torchpi.diagnosis.growth import OPERATOR
@@ -45,22 +45,19 @@ def settled(search: Search, retuned: Fit, final: Fit, history: Sequence[Round]) 
         better = [
             (search.over(one.fit, now, prior(search, retuned, one.fit) - prior(search, retuned, now)), one)
             for one in models[1:]
-            if search.faint(now, one.fit)
+            if (search.faint(now, one.fit) or yields(search, now, one))
             and not (
                 one.instead == OPERATOR_NAME
                 and any(search.bends_to_all(one.fit, less) for less in (bare[one.without], now))
             )
         ]
-        # Within one standard error, fewer parameters win; a model two behind may be much worse. Hundreds of
-        # weights that only explain a little of everything win by nothing but their number.
+        # Within one standard error, fewer parameters win; a model two behind may be much worse.
         plainer = [
             (ahead, one)
             for ahead, one in better
             if one.instead not in ("", OPERATOR_NAME)
             and (gives_way(one) or (len(one.fit.slots), -ahead.nats) < (len(now.slots), 0.0))
-            and (
-                ahead.nats > -max(ahead.sd, -PRIOR) or (gives_way(one) and search.bends_to_all(now, one.fit))
-            )
+            and (ahead.nats > -max(ahead.sd, -PRIOR) or yields(search, now, one))
         ]
         ahead, best = max(better, key=lambda pair: pair[0].nats, default=(None, models[0]))
         if ahead is None or last or search.slips:
@@ -74,8 +71,15 @@ def settled(search: Search, retuned: Fit, final: Fit, history: Sequence[Round]) 
     return final, models
 
 
+def yields(search: Search, now: Fit, one: Model) -> bool:
+    """Whether a larger hysteresis gives way to an effect that leaves less in addition than it leaves itself:
+    hundreds of weights that adapt to everything win that by nothing but their number."""
+    return gives_way(one) and search.chain.weighting.explained_of_all(now, one.fit) < TOLD_APART
+
+
 def gives_way(one: Model) -> bool:
-    """Whether a larger hysteresis, with hundreds of parameters, yields to an effect that is no hysteresis."""
+    """Whether an effect that is no hysteresis stands in place of a larger hysteresis, with its hundreds of
+    parameters."""
     names = names_of(one.instead)
     return one.without == OPERATOR_NAME and not any(
         member.effect.sticks for member in one.fit.hypothesis.members if member.effect.name in names
