@@ -388,18 +388,19 @@ def test_a_rival_of_one_kind_is_ruled_out_by_more_than_what_the_best_fit_leaves(
 
 def test_the_strongest_of_interchangeable_effects_takes_their_joint_probability() -> None:
     lag = Believed("amplifier_lag", 0.1, (), 2.0, (), HALF)
-    late = Believed("delay", 0.2, ("sensor_lag", "amplifier_lag"), 1.0, (), HALF)
+    late = Believed("delay", 0.2, ("sensor_lag", OPERATOR_NAME), 1.0, (), HALF)
     slow = Believed("creep", 0.3, (), 5.0, (), HALF)
     together = [Believed("amplifier_lag + delay", 0.9, (), 7.0, (), HALF)]
     left_um = {"amplifier_lag": 1.5, "delay": 1.2, "creep": 2.0}
-    found = [as_one(one, [lag, late, slow], together, left_um) for one in (lag, late, slow)]
+    kin_of = {"amplifier_lag": ("delay", "sensor_lag")}
+    found = [as_one(one, [lag, late, slow], together, left_um, kin_of) for one in (lag, late, slow)]
     either = replace(lag, probability=0.9, alternatives=("delay", "sensor_lag"), explained_um2=7.0)
     assert found == [either, late, slow]
     sure = replace(lag, probability=0.95)
-    assert as_one(sure, [sure, late, slow], together, left_um) == sure
+    assert as_one(sure, [sure, late, slow], together, left_um, kin_of) == sure
     # A delay is credited with all lateness, even a timing convention's, which makes it no stronger.
     larger = replace(late, explained_um2=3.0)
-    assert as_one(larger, [lag, larger, slow], together, left_um) == larger
+    assert as_one(larger, [lag, larger, slow], together, left_um, kin_of) == larger
 
 
 def test_degeneracy_between_effects_is_declared_by_both() -> None:

@@ -140,7 +140,11 @@ def posterior(
             )
         )
     left_um = {model.without: model.fit.train_rms for model in models if not model.instead}
-    found = [as_one(one, found, together, left_um) for one in found]
+    kin_of = {
+        mine.name: [its.name for its in search.effects_tried if looks_like(mine, its)]
+        for mine in (member.effect for member in h.members)
+    }
+    found = [as_one(one, found, together, left_um, {**kin_of, OPERATOR_NAME: []}) for one in found]
     if one_size(search.chain.records):
         found = [no_likelier_than_unlisted(one) for one in found]
     found.sort(key=lambda one: -one.explained_um2)
@@ -240,17 +244,21 @@ def no_likelier_than_unlisted(one: Believed) -> Believed:
 
 
 def as_one(
-    one: Believed, found: Sequence[Believed], together: Sequence[Believed], left_um: Mapping[str, float]
+    one: Believed,
+    found: Sequence[Believed],
+    together: Sequence[Believed],
+    left_um: Mapping[str, float],
+    kin_of: Mapping[str, Collection[str]],
 ) -> Believed:
     """Give the strongest of mutually replaceable effects, the one without which most is left, the probability
     that any of them is missing: if only one is left out, the others replace it, and little is lost. What may
-    stand for one of the others may then stand for the strongest."""
+    stand for one of the others may then stand for the strongest, if it is of its kin."""
     for group in together:
         kin = [each for each in found if each.name in names_of(group.name)]
         strongest = max(kin, key=lambda each: left_um[each.name])
         if one is strongest and one.probability < group.probability:
             others = [*one.alternatives, *(each.name for each in kin)]
-            others += [name for each in kin for name in each.alternatives]
+            others += [name for each in kin for name in each.alternatives if name in kin_of[one.name]]
             return replace(
                 one,
                 probability=round(group.probability, 4),
