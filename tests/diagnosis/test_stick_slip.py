@@ -16,8 +16,8 @@ from torchpi.diagnosis.diagnosis import Diagnosis
 from torchpi.diagnosis.fit import fit
 from torchpi.diagnosis.hypothesis import Fit, Hypothesis
 from torchpi.diagnosis.hysteresis_model import many_plays
-from torchpi.diagnosis.records import seen
-from torchpi.diagnosis.stick_slip import MEMORY, jump, one_step_rival, resting, slips
+from torchpi.diagnosis.records import prepare, seen
+from torchpi.diagnosis.stick_slip import MEMORY, jump, one_step_rival, resting, slips, with_rests
 from torchpi.recordings.recording import Recording
 
 BREAKAWAY_UM, SLIDING_UM = 0.12, 0.02
@@ -102,6 +102,25 @@ def test_a_lag_of_a_few_samples_is_no_evidence_of_slips() -> None:
     (one,) = prepared([Recording("a", np.arange(4000) / 1e3, x, x + late, 1e3, {})])
     (left,) = one_step_rival([one], [late])
     assert np.abs(left[MEMORY:]).max() < 1e-3 * np.abs(late).max()
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_a_wrong_reading_is_no_evidence_of_slips(known: bool) -> None:
+    """The rival predicts the readings after it nearly as well as without it, not five times worse."""
+    rng = np.random.default_rng(3)
+    u, noise = np.sin(np.arange(8000) / 300), lfilter([0.1], [1.0, -0.99], rng.standard_normal(8000))
+    wrong = rng.choice(8000, 40, replace=False)
+    spiked = noise.copy()
+    spiked[wrong] += 40 * noise.std()
+    right = np.ones(8000, bool)
+    right[wrong] = False
+    left = []
+    for e in (noise, spiked):
+        (one,) = prepare([Recording("a", np.arange(8000) / 1e3, u, u + e, 1e3)], [wrong[: 40 * known]])
+        left.append(one_step_rival([one], [e])[0][one.train & right])
+    assert left[1].std() < 1.15 * left[0].std() < 0.2 * noise.std()
+    (rests,) = (one.rests for one in with_rests([one], noise.std()) if one.rests)
+    assert rests.stuck[wrong[wrong > 0]].all() == known
 
 
 def test_the_steps_of_a_coarse_converter_are_not_mistaken_for_slips() -> None:

@@ -67,6 +67,13 @@ def wrong_readings(records: Sequence[Record], apart: Sequence[np.ndarray], final
     return [k[same | (far >= beyond)] for k, same, far in each]
 
 
+def without_outliers(residual: np.ndarray) -> np.ndarray:
+    """(time,): a residual in which single outliers are replaced by the median of the samples around them."""
+    about = median_filter(residual, footprint=OTHERS)
+    alone = np.abs(residual - about)
+    return np.where(alone > LOST * usual_about(alone), about, residual)
+
+
 def rms_without(residuals: Sequence[np.ndarray], readings: Sequence[np.ndarray]) -> float:
     """µm: rms of these residuals, (time,) each, without these readings of each."""
     left = [np.delete(e, k) for e, k in zip(residuals, readings, strict=True)]
