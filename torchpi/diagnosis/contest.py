@@ -28,6 +28,9 @@ solver's error explains as much."""
 ADEQUATE = 0.25
 """Share that an effect must explain of what is to be explained where it acts, for the search to accept it: as
 much as each of four effects that act in the same place."""
+FORM_ERROR = 0.1
+"""Share, of what an effect explains, that its kin has to explain to be as likely a separate cause as an error
+in the form of that effect."""
 TOLD_APART = 0.5
 """Share, of what a fit leaves and what its rival would leave in addition, that the latter must be to rule out
 a rival of its kind: where more is left, neither equation is quite that of the rig."""

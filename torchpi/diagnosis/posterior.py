@@ -18,7 +18,7 @@ from math import sqrt
 import numpy as np
 
 from torchpi.diagnosis.clock import within_the_clock
-from torchpi.diagnosis.contest import PRIOR, TOLD_APART
+from torchpi.diagnosis.contest import FORM_ERROR, PRIOR, TOLD_APART
 from torchpi.diagnosis.coverage import one_motion, one_size
 from torchpi.diagnosis.diagnosis import Rival
 from torchpi.diagnosis.exchange import both_slow, looks_like, shared_out_among
@@ -37,10 +37,9 @@ HALF, STEEPNESS = 0.72, 6.0
 """Share of the residual above the noise from which a name is more likely right than wrong, and steepness of
 this transition. Set on the names of 88 development cases, 45 of them beyond a share of 0.4;
 `concealed/judging/calibration.py` measures the resulting calibration."""
-FORM_ERROR, FALL = 0.1, 2.0
-"""Share, of what an effect explains, that its kin has to explain to be as likely a separate cause as an error
-in the form of that effect, and steepness of this transition. Set on the same cases: 0.009 to 0.07 in four
-wrong names, 0.66 in a right one."""
+FALL = 2.0
+"""Steepness of the transition at `FORM_ERROR`. Set on the same cases: 0.009 to 0.07 in four wrong names, 0.66
+in a right one."""
 SLOW_FORM_ERROR = 0.02
 """Share, of what a slow effect explains, that another law of its cause may leave: a seventh of its size."""
 HYSTERESIS_ERROR, OF_MODES = 0.003, 0.0003

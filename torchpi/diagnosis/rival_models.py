@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from torchpi.diagnosis.contest import ACCEPTED, PRIOR, TOLD_APART
+from torchpi.diagnosis.contest import ACCEPTED, FORM_ERROR, PRIOR, TOLD_APART
 from torchpi.diagnosis.exchange import rms_of, shared_out_among
 from torchpi.diagnosis.fit import ROUGH, sum_of_squares
 from torchpi.diagnosis.growth import OPERATOR
@@ -45,19 +45,24 @@ def settled(search: Search, retuned: Fit, final: Fit, history: Sequence[Round]) 
         better = [
             (search.over(one.fit, now, prior(search, retuned, one.fit) - prior(search, retuned, now)), one)
             for one in models[1:]
-            if (search.faint(now, one.fit) or yields(search, now, one))
+            if (search.faint(now, one.fit) or yields(search, now, one, bare[one.without]))
             and not (
                 one.instead == OPERATOR_NAME
                 and any(search.bends_to_all(one.fit, less) for less in (bare[one.without], now))
             )
         ]
-        # Within one standard error, fewer parameters win; a model two behind may be much worse.
+        # Within one standard error, fewer parameters win; a model two behind may be much worse. Hundreds of
+        # weights that only explain a little of everything win by nothing but their number.
         plainer = [
             (ahead, one)
             for ahead, one in better
             if one.instead not in ("", OPERATOR_NAME)
             and (gives_way(one) or (len(one.fit.slots), -ahead.nats) < (len(now.slots), 0.0))
-            and (ahead.nats > -max(ahead.sd, -PRIOR) or yields(search, now, one))
+            and (
+                ahead.nats > -max(ahead.sd, -PRIOR)
+                or yields(search, now, one, bare[one.without])
+                or (gives_way(one) and search.bends_to_all(now, one.fit))
+            )
         ]
         ahead, best = max(better, key=lambda pair: pair[0].nats, default=(None, models[0]))
         if ahead is None or last or search.slips:
@@ -71,10 +76,15 @@ def settled(search: Search, retuned: Fit, final: Fit, history: Sequence[Round]) 
     return final, models
 
 
-def yields(search: Search, now: Fit, one: Model) -> bool:
-    """Whether a larger hysteresis gives way to an effect that leaves less in addition than it leaves itself:
-    hundreds of weights that adapt to everything win that by nothing but their number."""
-    return gives_way(one) and search.chain.weighting.explained_of_all(now, one.fit) < TOLD_APART
+def yields(search: Search, now: Fit, one: Model, bare: Fit) -> bool:
+    """Whether a larger hysteresis gives way to a static effect, which it contains: what it explains beyond is
+    less than it leaves, and as little as an error in the form of that effect."""
+    terms = [member for member in one.fit.hypothesis.members if member.effect.name in names_of(one.instead)]
+    if not gives_way(one) or not all(same_place(None, term) for term in terms):
+        return False
+    beyond, by_it = (worse.train_rms**2 - now.train_rms**2 for worse in (one.fit, bare))
+    small = beyond < FORM_ERROR * by_it
+    return small and search.chain.weighting.explained_of_all(now, one.fit) < TOLD_APART
 
 
 def gives_way(one: Model) -> bool:
