@@ -254,6 +254,7 @@ def test_a_larger_hysteresis_gives_way_if_it_explains_no_more_than_a_little_of_e
     assert final is (bent if bends else larger)
 
 
+@pytest.mark.parametrize("replaced", [OPERATOR_NAME, f"{OPERATOR_NAME} + incongruent_loops"])
 @pytest.mark.parametrize(
     ("effect", "without", "beyond", "given_way"),
     [
@@ -265,7 +266,12 @@ def test_a_larger_hysteresis_gives_way_if_it_explains_no_more_than_a_little_of_e
     ],
 )
 def test_a_larger_hysteresis_gives_way_to_a_static_effect_beyond_which_it_explains_little(
-    effect: type[Effect], without: float, beyond: float, given_way: bool, monkeypatch: pytest.MonkeyPatch
+    effect: type[Effect],
+    without: float,
+    beyond: float,
+    given_way: bool,
+    replaced: str,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """On a motor with a cubic sensor an operator left 0.11 µm² of 1.45, the sensor's two numbers 0.14 µm²."""
     h = Hypothesis(HysteresisModel(np.zeros(0)))
@@ -273,8 +279,8 @@ def test_a_larger_hysteresis_gives_way_to_a_static_effect_beyond_which_it_explai
     bent = SimpleNamespace(slots=(1,), train_rms=0.379, hypothesis=h.plus(EffectTerm(effect, {})))
     models = [
         Model("", "", larger),
-        Model(OPERATOR_NAME, "", plain),
-        Model(OPERATOR_NAME, effect.name, bent),
+        Model(replaced, "", plain),
+        Model(replaced, effect.name, bent),
     ]
     final = settled_among(models, Gain(-450.0, 80.0), monkeypatch, beyond, faint=False)
     assert final is (bent if given_way else larger)

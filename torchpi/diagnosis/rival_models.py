@@ -91,7 +91,7 @@ def gives_way(one: Model) -> bool:
     """Whether an effect that is no hysteresis stands in place of a larger hysteresis, with its hundreds of
     parameters."""
     names = names_of(one.instead)
-    return one.without == OPERATOR_NAME and not any(
+    return OPERATOR_NAME in names_of(one.without) and not any(
         member.effect.sticks for member in one.fit.hypothesis.members if member.effect.name in names
     )
 
@@ -122,7 +122,13 @@ def around(search: Search, retuned: Fit, small: Fit, history: Sequence[Round]) -
         less = h.on(retuned.hypothesis.nominal) if larger else h
         for name in group:
             less = less.without(name)
-        hypotheses.append((" + ".join(group), "", less, None if larger else small.weights))
+        together = " + ".join(group)
+        hypotheses.append((together, "", less, None if larger else small.weights))
+        if larger:  # a kind of hysteresis beside it may bend as well what one static effect bends alone
+            hypotheses += [
+                (together, label, one, None)
+                for label, one, _ in rivals(search, history, OPERATOR_NAME, less, small)
+            ]
     jobs: list[Job] = [(one, w, 8, ROUGH) for _, _, one, w in hypotheses]
     # With another hysteresis, or one lag for another, all parameters have far to go: a few steps say nothing
     # about the outcome.
