@@ -45,7 +45,7 @@ def settled(search: Search, retuned: Fit, final: Fit, history: Sequence[Round]) 
         better = [
             (search.over(one.fit, now, prior(search, retuned, one.fit) - prior(search, retuned, now)), one)
             for one in models[1:]
-            if (search.faint(now, one.fit) or yields(search, now, one, bare[one.without]))
+            if (search.faint(now, one.fit) or gives_way(search, now, one, bare[one.without]))
             and not (
                 one.instead == OPERATOR_NAME
                 and any(search.bends_to_all(one.fit, less) for less in (bare[one.without], now))
@@ -57,11 +57,11 @@ def settled(search: Search, retuned: Fit, final: Fit, history: Sequence[Round]) 
             (ahead, one)
             for ahead, one in better
             if one.instead not in ("", OPERATOR_NAME)
-            and (gives_way(one) or (len(one.fit.slots), -ahead.nats) < (len(now.slots), 0.0))
+            and (in_its_place(one) or (len(one.fit.slots), -ahead.nats) < (len(now.slots), 0.0))
             and (
                 ahead.nats > -max(ahead.sd, -PRIOR)
-                or yields(search, now, one, bare[one.without])
-                or (gives_way(one) and search.bends_to_all(now, one.fit))
+                or gives_way(search, now, one, bare[one.without])
+                or (in_its_place(one) and search.bends_to_all(now, one.fit))
             )
         ]
         ahead, best = max(better, key=lambda pair: pair[0].nats, default=(None, models[0]))
@@ -76,18 +76,18 @@ def settled(search: Search, retuned: Fit, final: Fit, history: Sequence[Round]) 
     return final, models
 
 
-def yields(search: Search, now: Fit, one: Model, bare: Fit) -> bool:
+def gives_way(search: Search, now: Fit, one: Model, bare: Fit) -> bool:
     """Whether a larger hysteresis gives way to a static effect, which it contains: what it explains beyond is
     less than it leaves, and as little as an error in the form of that effect."""
     terms = [member for member in one.fit.hypothesis.members if member.effect.name in names_of(one.instead)]
-    if not gives_way(one) or not all(same_place(None, term) for term in terms):
+    if not in_its_place(one) or not all(same_place(None, term) for term in terms):
         return False
     beyond, by_it = (worse.train_rms**2 - now.train_rms**2 for worse in (one.fit, bare))
     small = beyond < FORM_ERROR * by_it
     return small and search.chain.weighting.explained_of_all(now, one.fit) < TOLD_APART
 
 
-def gives_way(one: Model) -> bool:
+def in_its_place(one: Model) -> bool:
     """Whether an effect that is no hysteresis stands in place of a larger hysteresis, with its hundreds of
     parameters."""
     names = names_of(one.instead)
