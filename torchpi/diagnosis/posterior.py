@@ -154,18 +154,19 @@ def posterior(
 
 
 def cannot_be_ruled_out(search: Search, name: str, rival: Model, less: Fit, final: Fit) -> bool:
-    """Whether a rival remains an alternative to an effect: it stands as well, or is of its kind and leaves
-    little more."""
+    """Whether a rival remains an alternative to an effect: it stands as well, or leaves less in addition than
+    the best fit leaves and is of the effect's kind, or explains nine tenths of what it does."""
     of = {effect.name: effect for effect in search.effects_tried}
     if stands_as_well(search, name, rival.fit, final):
         return True
     if not {name, rival.instead} <= of.keys():
         return False
     mine, its = of[name], of[rival.instead]
-    if both_slow(mine, its) and nearly_all(rival.fit, less, final):
+    if both_slow(mine, its) and nearly_all(rival.fit, less, final, SLOW_FORM_ERROR):
         return True
-    beyond = search.chain.weighting.explained_of_all(final, rival.fit)
-    return looks_like(mine, its) and beyond < TOLD_APART
+    if search.chain.weighting.explained_of_all(final, rival.fit) >= TOLD_APART:
+        return False
+    return looks_like(mine, its) or nearly_all(rival.fit, less, final, FORM_ERROR)
 
 
 def stands_as_well(search: Search, name: str, rival: Fit, final: Fit) -> bool:
@@ -175,10 +176,11 @@ def stands_as_well(search: Search, name: str, rival: Fit, final: Fit) -> bool:
     return bends or search.as_well(rival, final)
 
 
-def nearly_all(rival: Fit, less: Fit, final: Fit) -> bool:
-    """Whether a rival explains all that an effect explains, except what another law of the rival might."""
+def nearly_all(rival: Fit, less: Fit, final: Fit, but: float) -> bool:
+    """Whether a rival explains all that an effect explains, except a share that another law of the rival
+    might."""
     left = rival.train_rms**2 - final.train_rms**2
-    return left < SLOW_FORM_ERROR * (less.train_rms**2 - final.train_rms**2)
+    return left < but * (less.train_rms**2 - final.train_rms**2)
 
 
 def form_of(one: Fit, name: str) -> str:
