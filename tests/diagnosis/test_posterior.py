@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from tests.diagnosis.plants import FS_HZ, pair
 from tests.diagnosis.prepared import prepared
 from torchpi.diagnosis.chain import Chain
+from torchpi.diagnosis.contest import FORM_ERROR, nearly_all
 from torchpi.diagnosis.exchange import both_slow
 from torchpi.diagnosis.hypothesis import EffectTerm, Fit, Hypothesis
 from torchpi.diagnosis.hysteresis_model import HysteresisModel, plain
@@ -20,7 +21,6 @@ from torchpi.diagnosis.lines import STANDS_OUT
 from torchpi.diagnosis.own_signal import has_a_recorded_signal, has_a_signal_of_its_own, stands_out
 from torchpi.diagnosis.posterior import (
     AS_LIKELY,
-    FORM_ERROR,
     HALF,
     HYSTERESIS_ERROR,
     OF_MODES,
@@ -32,7 +32,6 @@ from torchpi.diagnosis.posterior import (
     averaged,
     cannot_be_ruled_out,
     kin_if_the_same_each_time,
-    nearly_all,
     no_likelier_than_unlisted,
     share_explained,
     stands_as_well,
@@ -379,10 +378,9 @@ def test_a_slow_rival_that_leaves_little_more_remains_an_alternative() -> None:
 def test_a_rival_is_ruled_out_by_more_than_what_the_best_fit_leaves_or_if_it_explains_less_and_is_no_kin(
     name: str, instead: str, leaves_um: float, beyond: float, stands: bool
 ) -> None:
-    weighting = SimpleNamespace(explained_of_all=lambda more, less: beyond)
     search: Any = SimpleNamespace(
         effects_tried=EFFECTS,
-        chain=SimpleNamespace(weighting=weighting),
+        chain=SimpleNamespace(weighting=SimpleNamespace(explained_of_all=lambda more, less: beyond)),
         as_well=lambda one, best: False,
         bends_to_all=lambda larger, less: False,
     )

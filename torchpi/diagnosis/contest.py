@@ -30,7 +30,8 @@ ADEQUATE = 0.25
 much as each of four effects that act in the same place."""
 FORM_ERROR = 0.1
 """Share, of what an effect explains, that its kin has to explain to be as likely a separate cause as an error
-in the form of that effect."""
+in the form of that effect. Set on 88 development cases: 0.009 to 0.07 in four wrong names, 0.66 in a right
+one."""
 TOLD_APART = 0.5
 """Share, of what a fit leaves and what its rival would leave in addition, that the latter must be to rule out
 a rival of its kind: where more is left, neither equation is quite that of the rig."""
@@ -188,3 +189,10 @@ class Contest:
 def explains_less(more: Fit, less: Fit, rms_um: float) -> bool:
     """Whether what a fit explains beyond another has an rms below `rms_um`."""
     return less.train_rms**2 - more.train_rms**2 < rms_um**2
+
+
+def nearly_all(rival: Fit, less: Fit, final: Fit, but: float) -> bool:
+    """Whether a rival explains all that an effect explains, except a share that another law of the rival
+    might."""
+    left = rival.train_rms**2 - final.train_rms**2
+    return left < but * (less.train_rms**2 - final.train_rms**2)

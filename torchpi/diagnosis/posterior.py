@@ -18,7 +18,7 @@ from math import sqrt
 import numpy as np
 
 from torchpi.diagnosis.clock import within_the_clock
-from torchpi.diagnosis.contest import FORM_ERROR, PRIOR, TOLD_APART
+from torchpi.diagnosis.contest import FORM_ERROR, PRIOR, TOLD_APART, nearly_all
 from torchpi.diagnosis.coverage import one_motion, one_size
 from torchpi.diagnosis.diagnosis import Rival
 from torchpi.diagnosis.exchange import both_slow, looks_like, shared_out_among
@@ -38,8 +38,7 @@ HALF, STEEPNESS = 0.72, 6.0
 this transition. Set on the names of 88 development cases, 45 of them beyond a share of 0.4;
 `concealed/judging/calibration.py` measures the resulting calibration."""
 FALL = 2.0
-"""Steepness of the transition at `FORM_ERROR`. Set on the same cases: 0.009 to 0.07 in four wrong names, 0.66
-in a right one."""
+"""Steepness of the transition at `FORM_ERROR`, set on the same cases."""
 SLOW_FORM_ERROR = 0.02
 """Share, of what a slow effect explains, that another law of its cause may leave: a seventh of its size."""
 HYSTERESIS_ERROR, OF_MODES = 0.003, 0.0003
@@ -143,7 +142,7 @@ def posterior(
         mine.name: [its.name for its in search.effects_tried if looks_like(mine, its)]
         for mine in (member.effect for member in h.members)
     }
-    found = [as_one(one, found, together, left_um, {**kin_of, OPERATOR_NAME: []}) for one in found]
+    found = [as_one(one, found, together, left_um, kin_of) for one in found]
     if one_size(search.chain.records):
         found = [no_likelier_than_unlisted(one) for one in found]
     found.sort(key=lambda one: -one.explained_um2)
@@ -174,13 +173,6 @@ def stands_as_well(search: Search, name: str, rival: Fit, final: Fit) -> bool:
     well, or the larger hysteresis only explains a little of everything beyond the rival."""
     bends = name == OPERATOR_NAME and search.bends_to_all(final, rival)
     return bends or search.as_well(rival, final)
-
-
-def nearly_all(rival: Fit, less: Fit, final: Fit, but: float) -> bool:
-    """Whether a rival explains all that an effect explains, except a share that another law of the rival
-    might."""
-    left = rival.train_rms**2 - final.train_rms**2
-    return left < but * (less.train_rms**2 - final.train_rms**2)
 
 
 def form_of(one: Fit, name: str) -> str:
@@ -259,7 +251,7 @@ def as_one(
         strongest = max(kin, key=lambda each: left_um[each.name])
         if one is strongest and one.probability < group.probability:
             others = [*one.alternatives, *(each.name for each in kin)]
-            others += [name for each in kin for name in each.alternatives if name in kin_of[one.name]]
+            others += [name for each in kin for name in each.alternatives if name in kin_of.get(one.name, ())]
             return replace(
                 one,
                 probability=round(group.probability, 4),

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from torchpi.diagnosis.contest import ACCEPTED, FORM_ERROR, PRIOR, TOLD_APART
+from torchpi.diagnosis.contest import ACCEPTED, FORM_ERROR, PRIOR, TOLD_APART, nearly_all
 from torchpi.diagnosis.exchange import rms_of, shared_out_among
 from torchpi.diagnosis.fit import ROUGH, sum_of_squares
 from torchpi.diagnosis.growth import OPERATOR
@@ -42,10 +42,11 @@ def settled(search: Search, retuned: Fit, final: Fit, history: Sequence[Round]) 
         models = around(search, retuned, reduced(search.chain, final), history)
         now = models[0].fit
         bare = {model.without: model.fit for model in models if not model.instead}
+        given_way = {one for one in models[1:] if gives_way(search, now, one, bare[one.without])}
         better = [
             (search.over(one.fit, now, prior(search, retuned, one.fit) - prior(search, retuned, now)), one)
             for one in models[1:]
-            if (search.faint(now, one.fit) or gives_way(search, now, one, bare[one.without]))
+            if (one in given_way or search.faint(now, one.fit))
             and not (
                 one.instead == OPERATOR_NAME
                 and any(search.bends_to_all(one.fit, less) for less in (bare[one.without], now))
@@ -59,8 +60,8 @@ def settled(search: Search, retuned: Fit, final: Fit, history: Sequence[Round]) 
             if one.instead not in ("", OPERATOR_NAME)
             and (in_its_place(one) or (len(one.fit.slots), -ahead.nats) < (len(now.slots), 0.0))
             and (
-                ahead.nats > -max(ahead.sd, -PRIOR)
-                or gives_way(search, now, one, bare[one.without])
+                one in given_way
+                or ahead.nats > -max(ahead.sd, -PRIOR)
                 or (in_its_place(one) and search.bends_to_all(now, one.fit))
             )
         ]
@@ -79,21 +80,25 @@ def settled(search: Search, retuned: Fit, final: Fit, history: Sequence[Round]) 
 def gives_way(search: Search, now: Fit, one: Model, bare: Fit) -> bool:
     """Whether a larger hysteresis gives way to a static effect, which it contains: what it explains beyond is
     less than it leaves, and as little as an error in the form of that effect."""
-    terms = [member for member in one.fit.hypothesis.members if member.effect.name in names_of(one.instead)]
-    if not in_its_place(one) or not all(same_place(None, term) for term in terms):
-        return False
-    beyond, by_it = (worse.train_rms**2 - now.train_rms**2 for worse in (one.fit, bare))
-    small = beyond < FORM_ERROR * by_it
-    return small and search.chain.weighting.explained_of_all(now, one.fit) < TOLD_APART
+    return (
+        in_its_place(one)
+        and all(same_place(None, term) for term in terms_instead(one))
+        and nearly_all(one.fit, bare, now, FORM_ERROR)
+        and search.chain.weighting.explained_of_all(now, one.fit) < TOLD_APART
+    )
 
 
 def in_its_place(one: Model) -> bool:
     """Whether an effect that is no hysteresis stands in place of a larger hysteresis, with its hundreds of
     parameters."""
+    larger = OPERATOR_NAME in names_of(one.without)
+    return larger and not any(term.effect.sticks for term in terms_instead(one))
+
+
+def terms_instead(one: Model) -> list[EffectTerm]:
+    """Return the effects that stand in the place of what a model lacks."""
     names = names_of(one.instead)
-    return OPERATOR_NAME in names_of(one.without) and not any(
-        member.effect.sticks for member in one.fit.hypothesis.members if member.effect.name in names
-    )
+    return [member for member in one.fit.hypothesis.members if member.effect.name in names]
 
 
 def prior(search: Search, retuned: Fit, one: Fit) -> float:
