@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.signal import welch
 
+from torchpi.recordings.faults import as_last_read
 from torchpi.recordings.recording import Recording
 
 AT_MOST = 100_000
@@ -54,8 +55,7 @@ def at_a_lower_rate(
             continue
         good = np.ones(len(recording), dtype=bool)
         good[wrong] = False
-        last = np.maximum.accumulate(np.where(good, np.arange(len(recording)), 0))
-        bridged = replace(recording, y=recording.y[last])
+        bridged = replace(recording, y=as_last_read(recording.y, good))
         moves = fast(recording.u, factor)
         if moves or rings_above(bridged, factor):
             kept.append(recording.slice(recording.t[0], recording.t[count]))

@@ -30,6 +30,7 @@ from torchpi.diagnosis.intervals import BLOCKS, quantile
 from torchpi.diagnosis.records import Record, Rests
 from torchpi.diagnosis.reduced_basis import reduced
 from torchpi.diagnosis.wrong_readings import without_outliers
+from torchpi.recordings.faults import as_last_read
 from torchpi.stage.effects.mechanics.stiction import Stiction
 
 JUMPS = (4.0, 8.0)
@@ -131,13 +132,9 @@ def without_rests(chain: Chain) -> Chain:
 
 def with_rests(records: Sequence[Record], least_um: float) -> list[Record]:
     """Return the records with the samples at which they are stuck: there a chain moves nothing."""
-    return [replace(r, rests=Rests(*resting(as_last_read(r, r.y), least_um))) for r in records]
-
-
-def as_last_read(record: Record, x: np.ndarray) -> np.ndarray:
-    """(time,): a signal of a record in which a reading that does not count repeats the one before it."""
-    counts = record.train | record.held_out
-    return x[np.maximum.accumulate(np.where(counts, np.arange(len(x)), 0))]
+    return [
+        replace(r, rests=Rests(*resting(as_last_read(r.y, r.train | r.held_out), least_um))) for r in records
+    ]
 
 
 def free_run(chain: Chain, last: Fit, jump_um: float) -> Fit:
@@ -223,7 +220,7 @@ def one_step_rival(records: Sequence[Record], residuals: Sequence[np.ndarray]) -
     for record, e in zip(records, residuals, strict=True):
         moves = np.diff(record.y - e, prepend=record.y[0] - e[0])
         # A wrong reading says nothing about the next ones, whether it is known to be wrong or not yet.
-        read = without_outliers(as_last_read(record, e))
+        read = without_outliers(as_last_read(e, record.train | record.held_out))
         past = [np.r_[np.zeros(j), read[:-j]] for j in range(1, MEMORY + 1)]
         past += [np.r_[np.zeros(j), moves[: len(moves) - j]] for j in range(MEMORY)]
         lagged.append(np.stack(past))

@@ -156,6 +156,12 @@ def beside_steps(readings: np.ndarray, u: np.ndarray) -> np.ndarray:
     return np.asarray(there & (by_chance < FALSE_ALARM))
 
 
+def as_last_read(x: np.ndarray, counts: np.ndarray) -> np.ndarray:
+    """(time,): a signal in which each sample that does not count repeats the last one that does; the first
+    sample stands for itself."""
+    return x[np.maximum.accumulate(np.where(counts, np.arange(len(x)), 0))]
+
+
 def least_step(x: np.ndarray) -> float:
     """Return the smallest difference between values of x that exceeds rounding: the sensor's step."""
     gaps = np.diff(np.unique(x))
