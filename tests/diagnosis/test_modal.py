@@ -1,5 +1,6 @@
 """A stage whose modes are excited by every input: the missing inputs and the shared modes."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -7,10 +8,17 @@ import pytest
 from scipy.signal import cont2discrete, lfilter, ss2tf
 
 from tests.diagnosis.plants import Signal
+from tests.diagnosis.prepared import prepared
 from torchpi.cli.predict import predict
 from torchpi.diagnosis import diagnose
+from torchpi.diagnosis.chain import Chain
 from torchpi.diagnosis.diagnosis import NamedEffect
-from torchpi.diagnosis.hypothesis import EffectTerm
+from torchpi.diagnosis.fit import ROUGH, fit
+from torchpi.diagnosis.hypothesis import EffectTerm, Hypothesis
+from torchpi.diagnosis.hysteresis_model import plain
+from torchpi.diagnosis.modal import driven_modes
+from torchpi.diagnosis.records import seen
+from torchpi.diagnosis.score import Weighting
 from torchpi.recordings.recording import Recording
 from torchpi.stage.effects.mechanics.modal import ModalResonance
 from torchpi.stage.effects.mechanics.second_mode import SecondMode
@@ -84,6 +92,18 @@ def test_a_single_mode_starts_within_its_bounds_from_a_shared_mode_beyond_them()
     single = EffectTerm(SecondMode, {"frequency_hz": 10.0, "damping_ratio": 0.1, "share": 0.05})
     assert single.from_where(shared).shared == {"frequency_hz": 300.0, "damping_ratio": 0.02, "share": -0.9}
     SecondMode(1e-3, **single.from_where(shared).shared)  # raises beyond the bounds
+
+
+def test_a_line_that_nothing_drives_costs_no_mode() -> None:
+    """A pole without damping imitates the line, and no stage has such a mode."""
+    one = recorded(1, ("aux_2", "aux_3"))
+    records = prepared([replace(one, y=one.y + 0.2 * np.sin(2 * np.pi * 731.3 * one.t))])
+    chain = Chain(records)
+    now = fit(chain, Hypothesis(plain(seen(records))))
+    chain.weighting = Weighting.of(records, now.residuals, None)
+    ((_, with_modes),) = driven_modes(chain, now, [now], ROUGH)
+    found = [m.shared["frequency_hz"] for m in with_modes.hypothesis.members if m.effect.rings]
+    assert sorted(found) == pytest.approx([f for f, _ in MODES], rel=2e-3)
 
 
 @pytest.mark.long

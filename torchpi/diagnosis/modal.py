@@ -233,12 +233,16 @@ class Superposition:
 
     def seen(self, now: Solved) -> np.ndarray:
         """Whether each mode is one that these samples can show, (modes,), bool."""
-        inside: np.ndarray = np.all(now.poles < 0.999 * self.limits(), axis=1)
+        lowest, highest = self.limits()
+        inside: np.ndarray = np.all((now.poles > 1.001 * lowest) & (now.poles < 0.999 * highest), axis=1)
         return inside
 
-    def limits(self) -> np.ndarray:
-        """Return the highest frequency, Hz, and the highest damping ratio."""
-        return np.array([FASTEST * max(record.fs_hz for record in self.records), MOST_DAMPED])
+    def limits(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the lowest and the highest frequency, Hz, and damping ratio; a pole that hardly decays is a
+        line that nothing drives."""
+        bounds = [ModalSecondMode.quantities[name] for name in ("frequency_hz", "damping_ratio")]
+        highest = [FASTEST * max(record.fs_hz for record in self.records), MOST_DAMPED]
+        return np.array([one.at_least for one in bounds]), np.array(highest)
 
     def peaks_hz(self, now: Solved) -> list[float]:
         """Return the frequencies at which the largest residual of a recording stands out."""
@@ -313,7 +317,7 @@ class Superposition:
                 damped = unit + damping * np.diag(np.arange(len(unit)) < moving)
                 step = (scale * np.linalg.solve(damped, scale * right))[:moving].reshape(-1, 2)
                 moved = now.poles * np.exp(np.clip(step, [-0.1, -1.0], [0.1, 1.0]))
-                trial = self.solved(np.minimum(moved, self.limits()), now.aux)
+                trial = self.solved(np.clip(moved, *self.limits()), now.aux)
                 if trial.squares < before:
                     now, damping = trial, damping / 10
                     break
