@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numba
 import numpy as np
 
+from torchpi.diagnosis.lines import RESOLVED
 from torchpi.diagnosis.noise import holds
 from torchpi.diagnosis.records import Record
 from torchpi.stage.effects.effect import DataRange, Effect
@@ -22,8 +23,6 @@ PACE = 1.5
 """Least ratio of the durations of slow and fast strokes for recordings to have several rates."""
 HARMONICS = 10
 """Number of harmonics of a repeating command that a static curve or a loop is taken to produce."""
-RESOLVED = 0.25
-"""Frequency resolution, in units of 1 / (length of the record): lines closer than this are one line."""
 LEAST_PERIODS, IRREGULAR = 3, 0.01
 """Least number of periods, and their largest relative spread, for regular times of reversal."""
 ELSEWHERE = 0.1

@@ -11,6 +11,10 @@ BESIDE = (3, 9)
 """Distances in frequency bins from a line to where it ends, and to where its nearest surroundings end."""
 AT_MOST = 10
 """Maximum number of lines."""
+RESOLVED = 0.25
+"""Frequency resolution, in units of 1 / (length of the record): lines closer than this are one line."""
+OVERTONES = 20
+"""Number of harmonics of a line that are looked for, up to the kilohertz of a rectified mains voltage."""
 
 
 def without_lines(e: np.ndarray) -> np.ndarray:
@@ -48,3 +52,10 @@ def periodogram(x: np.ndarray, padded: int | None = None) -> np.ndarray:
     """Return |X(f)|² with a Hann window, of the signal as it is or padded with zeros to `padded` samples."""
     power: np.ndarray = np.abs(np.fft.rfft(x * np.hanning(len(x)), padded)) ** 2
     return power
+
+
+def is_overtone(line_hz: float, of_hz: float, fs_hz: float, length_s: float) -> bool:
+    """Whether a line is a harmonic of another, or what sampling makes of one above half the sample rate."""
+    harmonics = of_hz * np.arange(2, OVERTONES + 1)
+    sampled_hz = np.abs(harmonics - fs_hz * np.round(harmonics / fs_hz))
+    return bool((np.abs(sampled_hz - line_hz) * length_s < RESOLVED).any())

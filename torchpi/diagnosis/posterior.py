@@ -23,8 +23,9 @@ from torchpi.diagnosis.coverage import one_motion, one_size
 from torchpi.diagnosis.diagnosis import Rival
 from torchpi.diagnosis.exchange import both_slow, looks_like, shared_out_among
 from torchpi.diagnosis.hypothesis import EffectTerm, Fit, Hypothesis
-from torchpi.diagnosis.lines import STANDS_OUT
+from torchpi.diagnosis.lines import STANDS_OUT, is_overtone
 from torchpi.diagnosis.own_signal import has_a_recorded_signal, has_a_signal_of_its_own, stands_out
+from torchpi.diagnosis.records import Record
 from torchpi.diagnosis.repeats import APART, STARTING
 from torchpi.diagnosis.rival_models import CONVENTION, OPERATOR_NAME, Model, names_of, prior, settled
 from torchpi.diagnosis.score import ALIKE
@@ -147,6 +148,7 @@ def posterior(
         found = [no_likelier_than_unlisted(one) for one in found]
     found.sort(key=lambda one: -one.explained_um2)
     terms = {member.effect.name: member for member in final.hypothesis.members}
+    found = with_overtones(found, terms, search.chain.records)
     of_modes = HYSTERESIS_ERROR if one_motion(search.chain.records) else OF_MODES
     found = [apart(one, found, terms, signals, of_modes, together) for one in found]
     return final, [replace(one, probability=round(one.probability, 4)) for one in found]
@@ -300,6 +302,28 @@ def share_explained(
     if helps or slow or one_motion(records):
         return share, share
     return share, confirmed(known, records, more, without, floor_um2, False, apart, either_way=True)
+
+
+def with_overtones(
+    found: Sequence[Believed], terms: Mapping[str, EffectTerm], records: Sequence[Record]
+) -> list[Believed]:
+    """Merge each added line into a stronger one of which it is a harmonic in every recording: a distorted
+    mains voltage has many, and those above half the sample rate appear anywhere."""
+    hz = {name: term.effect.added_line_hz(term.values(0)) or 0.0 for name, term in terms.items()}
+
+    def of(one: Believed, other: Believed) -> bool:
+        lines = hz.get(one.name, 0.0), hz.get(other.name, 0.0)
+        return min(lines) > 0 and all(is_overtone(*lines, r.fs_hz, len(r.u) / r.fs_hz) for r in records)
+
+    merged: list[Believed] = []
+    for one in found:  # the strongest first
+        base = next((k for k, other in enumerate(merged) if of(one, other)), None)
+        if base is None:
+            merged.append(one)
+        else:
+            more = merged[base].explained_um2 + one.explained_um2
+            merged[base] = replace(merged[base], explained_um2=more)
+    return merged
 
 
 def apart(
