@@ -179,6 +179,7 @@ class Superposition:
                 break
             now = more
         now = self.without_the_unseen(self.without_the_needless(self.refined(now, CLOSING)))
+        now = self.without_the_cancelling(now)
         for name in now.aux:
             less = self.solved(now.poles, tuple(one for one in now.aux if one != name))
             if not self.earns(now, less):
@@ -214,6 +215,13 @@ class Superposition:
         """Remove poles that moved to where these samples cannot show a mode, and refine the others."""
         while not (seen := self.seen(now)).all():
             now = self.refined(self.solved(now.poles[seen], now.aux), CLOSING)
+        return now
+
+    def without_the_cancelling(self, now: Solved) -> Solved:
+        """Remove modes of impossible size: two close together cancel, and one of them is as good."""
+        while len(now.poles) and (size := np.abs(self.shares(now)).max(1)).max() >= LARGEST:
+            less = self.solved(np.delete(now.poles, int(np.argmax(size)), 0), now.aux)
+            now = self.without_the_unseen(self.refined(less, CLOSING))
         return now
 
     def without_the_needless(self, now: Solved) -> Solved:
@@ -342,18 +350,22 @@ class Superposition:
         first = len(self.static) + len(now.aux)
         return now.coefficients[first:].reshape(len(now.poles), 1 + len(now.aux), 2)
 
+    def shares(self, now: Solved) -> np.ndarray:
+        """Return the shares of each mode in the static gain, in phase and of the rate, (modes, 2)."""
+        residues, own = self.residues(now)[:, 0], now.coefficients[: len(self.static)]
+        centred = self.driving[0] - self.driving[0].mean()
+        static = own @ self.static @ centred / max(centred @ centred, 1e-300) + residues[:, 0].sum()
+        with np.errstate(divide="ignore", invalid="ignore"):
+            shares: np.ndarray = residues / static
+        return shares
+
     def members(self, now: Solved) -> list[EffectTerm]:
         """Return the result as named effects; the mode that it can least do without is the resonance.
 
         The list is empty if the numbers are impossible for a stage, as recordings in extreme units may give.
         """
-        residues = self.residues(now)
-        own, direct, _ = np.split(now.coefficients, [len(self.static), len(self.static) + len(now.aux)])
-        centred = self.driving[0] - self.driving[0].mean()
-        static = own @ self.static @ centred / max(centred @ centred, 1e-300) + residues[:, 0, 0].sum()
-        if not np.abs(residues[:, 0]).max() < LARGEST * abs(static):
-            return []
-        shares = residues[:, 0] / static
+        residues, shares = self.residues(now), self.shares(now)
+        direct = now.coefficients[len(self.static) :][: len(now.aux)]
         strongest = int(np.argmax(self.losses(now)))
         order = [strongest, *(int(m) for m in np.argsort(now.poles[:, 0]) if m != strongest)]
         found: list[EffectTerm] = []
