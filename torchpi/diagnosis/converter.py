@@ -21,9 +21,9 @@ def converter(recordings: Sequence[Recording]) -> tuple[Codes, tuple[str, ...]]:
     # One converter has the same values in all recordings; a single staircase passes only a few of them.
     each = [(one.readings, one.u) for one in recordings]
     y, u = map(np.concatenate, zip(*each, strict=True))
-    for on_one_lattice in ([one for one, _ in each], [y]):
-        if step := agreed([Quantization.lattice(one) for one in on_one_lattice], EVEN):
-            half_um = max(half_width_um(one, step) for one in on_one_lattice)
+    for on_one_lattice in (each, [(y, u)]):
+        if step := agreed([Quantization.lattice(*one) for one in on_one_lattice], EVEN):
+            half_um = max(half_width_um(one, step) for one, _ in on_one_lattice)
             note = f"All readings lie on a grid with a step of {step * 1e3:.4g} nm."
             return Codes(step, max(half_um, PRECISE * step)), (note,)
     if (codes := uneven_codes(y, u)) is None:

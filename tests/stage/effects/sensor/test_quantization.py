@@ -106,6 +106,21 @@ def test_too_few_distinct_readings_give_no_step():
     assert Quantization.lattice(np.zeros(100)) is None
 
 
+@given(seed=st.integers(0, 1000), codes=st.integers(4, 7))
+def test_a_step_so_coarse_that_few_readings_differ_is_found_where_they_recur_at_other_commands(seed, codes):
+    u = np.sin(np.linspace(0, 60, 6000)) + 1e-2 * np.random.default_rng(seed).standard_normal(6000)
+    x = np.clip(u, -1, 1) * (codes - 1) / 2
+    y = on_lattice(x, 1.0, 0.5 * (codes - 1) % 1.0)
+    assert len(np.unique(y)) == codes
+    assert Quantization.lattice(y) is None
+    assert Quantization.lattice(y, u) == pytest.approx(1.0)
+
+
+def test_a_stage_without_noise_that_is_sent_to_few_places_again_shows_no_step():
+    u = np.repeat(np.tile([0.0, 1.0, 2.0, 3.0, 4.0, 3.0, 2.0, 1.0], 5), 50)
+    assert Quantization.lattice(2.0 * u, u) is None
+
+
 @given(seed=st.integers(0, 1000), codes=st.integers(10, 60))
 def test_the_typical_step_of_a_converter_with_uneven_codes_is_found(seed, codes):
     rng = np.random.default_rng(seed)

@@ -12,6 +12,7 @@ from torchpi.operators.quantization import Quantize, quantize_step
 from torchpi.stage.effects.effect import DataRange, Effect, Parameters, parameter
 
 FEWEST_READINGS = 8  # distinct readings; fewer lie on some lattice by chance
+FEWEST_RECURRING = 4  # distinct readings, if evenly spaced and each read at several commands
 FARTHEST = 0.2  # largest distance from a reading to its place, in steps; by chance, 2 in 5 lie within
 FLOAT32_STEP = 2.0**-23
 EVEN = 0.01  # largest distance of a gap from a whole multiple of the smallest, for evenly spaced values
@@ -58,25 +59,30 @@ class Quantization(Static, Effect):
     def lattice(
         cls,
         readings: np.ndarray,  # (time,), µm
+        commands: np.ndarray | None = None,  # (time,), V
     ) -> float | None:
         """Return the step, µm, of the lattice that all recorded readings lie on; None if there is none.
 
         The step may be smaller than the noise, and the readings may have been rounded to float32 or to
-        decimals of a tenth of a step. None also if fewer than 8 readings differ, or if the lattice is only
-        that of the file: steps of 10^-k with k ≥ 5, or so fine that float32 hardly resolves them.
+        decimals of a tenth of a step. None also if fewer than 8 readings differ, unless each of 4 or more
+        recurs at another command, or if the lattice is only that of the file: steps of 10^-k with k ≥ 5, or
+        so fine that float32 hardly resolves them.
         """
         y = np.unique(np.asarray(readings, dtype=np.float64))
         finest = 4 * FLOAT32_STEP * np.abs(y).max(initial=0.0)
         gaps = np.diff(y)
         gaps = gaps[gaps > 1e-9 * (y[-1] - y[0])] if len(y) else gaps
+        farthest = FARTHEST
         if len(gaps) + 1 < FEWEST_READINGS:
-            return None
+            if commands is None or len(y) < FEWEST_RECURRING or _recurring(readings, commands) < len(y):
+                return None
+            farthest = EVEN
         # Two readings one step apart are likely, but not certain: the smallest gap may be several steps.
         for steps_in_smallest in range(1, 9):
             step = _refined(gaps, gaps.min() / steps_in_smallest)
             if step < finest:
                 return None
-            if _misfit(y, step) < FARTHEST:
+            if _misfit(y, step) < farthest:
                 return None if _is_decimal(step) else step
         return None
 
