@@ -25,11 +25,12 @@ from tests.diagnosis.plants import (
 from tests.diagnosis.prepared import prepared
 from torchpi.diagnosis import long_recordings
 from torchpi.diagnosis.chain import Chain
-from torchpi.diagnosis.diagnose import diagnose, history_notes
+from torchpi.diagnosis.diagnose import diagnose
 from torchpi.diagnosis.diagnosis import Diagnosis
 from torchpi.diagnosis.fit import fit
 from torchpi.diagnosis.hypothesis import EffectTerm, Hypothesis
 from torchpi.diagnosis.hysteresis_model import many_plays
+from torchpi.diagnosis.notes import history_notes
 from torchpi.diagnosis.records import seen
 from torchpi.diagnosis.reduced_basis import reduced
 from torchpi.diagnosis.search import Search

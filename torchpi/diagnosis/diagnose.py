@@ -9,8 +9,6 @@ import numpy as np
 from torchpi.diagnosis.across_recordings import across_recordings
 from torchpi.diagnosis.another_motion import another_motion_um
 from torchpi.diagnosis.chain import Chain
-from torchpi.diagnosis.clock import clock_notes
-from torchpi.diagnosis.conflict import conflict
 from torchpi.diagnosis.contest import FAINT
 from torchpi.diagnosis.converter import converter, of_converter
 from torchpi.diagnosis.coverage import cannot_be_decided, untested
@@ -28,18 +26,19 @@ from torchpi.diagnosis.hypothesis import Fit, Hypothesis
 from torchpi.diagnosis.hysteresis_model import plain
 from torchpi.diagnosis.leftovers import leftovers
 from torchpi.diagnosis.locate import locate
-from torchpi.diagnosis.long_recordings import at_a_lower_rate
 from torchpi.diagnosis.model import augmented_stage
 from torchpi.diagnosis.next_recording import next_recording
-from torchpi.diagnosis.noise import is_white, noise_of_prediction
+from torchpi.diagnosis.noise import Noise, is_white, noise_of_prediction
+from torchpi.diagnosis.notes import changed, notes
 from torchpi.diagnosis.outside import Outside, untried_note
 from torchpi.diagnosis.posterior import posterior
-from torchpi.diagnosis.records import Record, not_counting, prepare, seen, without_start
+from torchpi.diagnosis.readings import Readings
+from torchpi.diagnosis.records import Record, seen, without_start
 from torchpi.diagnosis.reduced_basis import reduced
 from torchpi.diagnosis.remainder import unless_unknown, with_remainder
-from torchpi.diagnosis.say import Changed, nm, paragraph
+from torchpi.diagnosis.say import paragraph
 from torchpi.diagnosis.score import Weighting
-from torchpi.diagnosis.search import Search
+from torchpi.diagnosis.search import Round, Search
 from torchpi.diagnosis.simulation import (
     Simulation,
     given_members,
@@ -49,8 +48,7 @@ from torchpi.diagnosis.simulation import (
     with_untried,
 )
 from torchpi.diagnosis.stick_slip import free_run, without_rests
-from torchpi.diagnosis.timing import lateness_s
-from torchpi.diagnosis.wrong_readings import of_dropouts, wrong_readings
+from torchpi.diagnosis.wrong_readings import of_dropouts
 from torchpi.errors import RecordingError
 from torchpi.recordings.recording import Recording
 from torchpi.stage import Stage
@@ -91,10 +89,9 @@ def diagnose(
         SimulationError: A simulation that fails, or that does not return a displacement.
     """
     check(recordings)
-    given_recordings = recordings
-    out = [not_counting(each) for each in recordings]
-    recordings, out, long = at_a_lower_rate(recordings, out)
-    records = prepare(recordings, out, as_recorded=given_recordings)
+    readings = Readings.of(recordings)
+    records = readings.records()
+    what = seen(records)
     called = outside(simulation)
     given = simulation if isinstance(simulation, Stage) else None
     if called is not None:
@@ -104,56 +101,39 @@ def diagnose(
         check_units(records, compared)
     tried = [effect for effect in effects if called is None or called.can_try(effect)]
     untried = [effect for effect in effects if effect not in tried]
-    what, start = seen(records), given_members(given)
-    hysteresis = given.hysteresis if given is not None else None
-    codes, codes_note = converter(given_recordings)
+    codes, codes_note = converter(recordings)
     # Averaging over ticks reduces the error of a converter, as it does any noise.
     lsb_um = codes.step_um * float(np.sqrt(np.median([one.tick_s / one.period_s for one in records])))
 
     def search_of(records: Sequence[Record]) -> Search:
         chain = Chain(records)
         noise = noise_of_prediction(records, lsb_um, chain.gain_um_per_v)
+        start, hysteresis = given_members(given), given.hysteresis if given is not None else None
         return Search(chain, log, start, noise, executor, lsb_um, tried, called, hysteresis)
 
     log("nominal: the simulation as it is, then refitted with as many plays as the data support")
-    search = search_of(records)
-    retuned, final, history = search.run()
-    lost = wrong_readings(records, apart(out, recordings), final)
-    if count := sum(map(len, map(np.setdiff1d, lost, out))):
-        log(f"wrong readings: the residual shows {count} more; the search starts again without them")
-        out = [np.union1d(one, more).astype(int) for one, more in zip(out, lost, strict=True)]
-        records = prepare(recordings, out, as_recorded=given_recordings)
-        search = search_of(records)
-        retuned, final, history = search.run()
-    first = (
-        fit(Chain(records), Hypothesis(plain(what))).residuals
-        if compared is None
-        else simulated(compared, records)
-    )
-    search.noise = search.noise_left(final)
+    readings, search, retuned, final, history = searched(readings, records, search_of, log)
     log("decide: every effect against its rivals")
     final, believed = posterior(search, retuned, final, history)
     final, believed = unless_unknown(search, retuned, final, believed)
     noise = search.noise_left(final)
     believed = believed if called is None else with_untried(believed, tried, untried)
     chain = without_rests(search.chain) if search.slips else search.chain
-    records = list(chain.records)
-    modelled = augmented = free_run(chain, final, search.jump.value_um) if search.jump else final
+    modelled = free_run(chain, final, search.jump.value_um) if search.jump else final
     log("remainder: what no effect explains")
     remainder = with_remainder(chain, reduced(chain, modelled))
-    if remainder is not None:
-        augmented = remainder[0]
-    left = [e[r.train] for e, r in zip(augmented.residuals, records, strict=True)]
-    loud = leftovers(records, augmented.residuals)
+    augmented = remainder[0] if remainder else modelled
+    loud = leftovers(chain.records, augmented.residuals)
+    left = [e[r.train] for e, r in zip(augmented.residuals, chain.records, strict=True)]
     structured = remainder is not None or not all(map(is_white, left))
     decision = decide(search, retuned, final, believed, noise, structured, bool(loud))
     loudest_um = final.train_rms if noise is None else min(noise.rms_um, final.train_rms)
     if lsb_um > 0 and lsb_um / np.sqrt(12) > FAINT * loudest_um:
         decision = with_read_off(decision, of_converter(codes, lsb_um, retuned))
-    lost = wrong_readings(records, apart(out, recordings), final)
-    if any(len(each) for each in lost):
-        decision = with_read_off(decision, of_dropouts(records, lost, final))
-    alike = untested(records, what)
+    wrong = readings.wrong(chain.records, final)
+    if any(map(len, wrong)):
+        decision = with_read_off(decision, of_dropouts(chain.records, wrong, final))
+    alike = untested(chain.records, what)
     across: tuple[AcrossRecordings, ...] = ()
     another_um: float | None = None
     if decision.verdict in CLOSED:
@@ -165,22 +145,24 @@ def diagnose(
         too_alike = bool(alike) and search.has_larger(final)
         decision = if_it_carries_over(decision, across, another_um, left_um, too_alike)
     log("model: everything refitted to all samples")
-    complete = without_start(
-        prepare(recordings, out, as_recorded=given_recordings, sealed=0.0), search.unsettled
-    )
-    everything = Chain(complete, Weighting.of(complete, modelled.residuals, noise))
-    # Each slip of a sticking mount decides where the next one begins: there is no gradient to follow.
-    last = modelled if search.jump else fit(everything, modelled.hypothesis, modelled.weights, 4)
-    if remainder is not None:
-        again = with_remainder(everything, reduced(everything, last), remainder[1])
-        last = again[0] if again else last
+    whole = on_all_samples(readings, search, modelled, noise, remainder[1] if remainder else None)
     floor_um = noise.rms_um if noise is not None else 0.0
     # The stage runs at the controller's sample rate, even where the records are means over ticks.
-    at_ticks = replace(what, fs_hz=max(1 / record.tick_s for record in records))
+    at_ticks = replace(what, fs_hz=max(1 / record.tick_s for record in chain.records))
+    stage = augmented_stage(whole, len(recordings), at_ticks, floor_um or augmented.heldout_rms)
+    if compared is None:
+        first = fit(Chain(chain.records), Hypothesis(plain(what))).residuals
+    else:
+        first = simulated(compared, chain.records)
     if not (search.added(final) or search.has_larger(final) or search.slips):
         retuned = final  # nothing was added, so the search has only retuned further
-    stage = augmented_stage(last, len(recordings), at_ticks, floor_um or augmented.heldout_rms)
-    traces = traces_of(recordings, records, retuned, augmented, final, search.chain, decision)
+    errors = (
+        errors_of(chain.records, first),
+        errors_of(chain.records, retuned.residuals),
+        errors_of(chain.records, augmented.residuals),
+    )
+    stage.identified = Identified.of(recordings, HELD_OUT, errors[2].heldout_rms_um, errors[2].heldout_max_um)
+    traces = traces_of(readings.recordings, chain.records, retuned, augmented, final, search.chain, decision)
     log("locate: where the residual lives")
     where = locate(from_settled(traces, search.unsettled), floor_um)
     next_one, excitation = next_recording(
@@ -189,39 +171,54 @@ def diagnose(
         determined=decision.carries_over,
         unexplained=decision.verdict not in CLOSED,
     )
-    notes = (
-        *long,
-        *cannot_be_decided(records),
-        *untried_note(called, untried),
-        *codes_note,
-        *monitored_notes(records),
-        *start_notes(records, search.unsettled),
-        *clock_notes(search, final),
-        *conventions(search, final),
-        *history_notes(search, final),
-        *slip_notes(search, final, augmented),
-        *conflict(traces, floor_um),
-    )
-    errors = (
-        errors_of(records, first),
-        errors_of(records, retuned.residuals),
-        errors_of(records, augmented.residuals),
-    )
-    last_errors = errors[-1]
-    stage.identified = Identified.of(
-        given_recordings, HELD_OUT, last_errors.heldout_rms_um, last_errors.heldout_max_um
-    )
     return Diagnosis(
         verdict=decision.verdict, effects=decision.effects, open=decision.causes_left_open, where=where,
         nominal=errors[0], retuned=errors[1], augmented=errors[2],
         across=across, another_motion_um=another_um, carries_over=decision.carries_over,
         noise_floor_um=noise.rms_um if noise is not None else None,
         heldout=HELD_OUT, unexplained_share=decision.unexplained_share, joint_share=decision.joint_share,
-        next_recording=next_one, next_excitation=excitation, notes=notes, traces=traces, stage=stage,
+        next_recording=next_one, next_excitation=excitation,
+        notes=(
+            *readings.notes, *cannot_be_decided(chain.records), *untried_note(called, untried), *codes_note,
+            *notes(search, chain.records, final, augmented, traces, floor_um),
+        ),
+        traces=traces, stage=stage,
         says=paragraph(
             decision, errors, noise, next_one, loud, alike, across, another_um, changed(search, final)
         ),
     )  # fmt: skip
+
+
+def searched(
+    readings: Readings,
+    records: Sequence[Record],
+    search_of: Callable[[Sequence[Record]], Search],
+    log: Callable[[str], None],
+) -> tuple[Readings, Search, Fit, Fit, list[Round]]:
+    """Search, and once more if the residual shows wrong readings; return the readings that count, the search
+    and what it found."""
+    search = search_of(records)
+    found = search.run()
+    wrong = readings.wrong(records, found[1])
+    if count := sum(map(len, map(np.setdiff1d, wrong, readings.out))):
+        log(f"wrong readings: the residual shows {count} more; the search starts again without them")
+        readings = readings.without(wrong)
+        search = search_of(readings.records())
+        found = search.run()
+    search.noise = search.noise_left(found[1])
+    return readings, search, *found
+
+
+def on_all_samples(
+    readings: Readings, search: Search, modelled: Fit, noise: Noise | None, ridge: float | None
+) -> Fit:
+    """Refit to all samples, the sealed ones as well, with an unknown remainder if there is a `ridge`."""
+    complete = without_start(readings.records(sealed=0.0), search.unsettled)
+    chain = Chain(complete, Weighting.of(complete, modelled.residuals, noise))
+    # Each slip of a sticking mount decides where the next one begins: there is no gradient to follow.
+    last = modelled if search.jump else fit(chain, modelled.hypothesis, modelled.weights, 4)
+    again = None if ridge is None else with_remainder(chain, reduced(chain, last), ridge)
+    return again[0] if again else last
 
 
 def check(recordings: Sequence[Recording]) -> None:
@@ -259,11 +256,6 @@ def check_units(records: Sequence[Record], simulation: Stage | Outside) -> None:
             f"simulation: it moves {np.ptp(y):.4g} µm where {largest.name} moves {np.ptp(largest.y):.4g} "
             "µm; expected both in V and µm"
         )
-
-
-def apart(out: Sequence[np.ndarray], recordings: Sequence[Recording]) -> list[np.ndarray]:
-    """Return the readings that do not count, (readings,) of each recording, without those never taken."""
-    return [np.setdiff1d(each, one.not_read) for each, one in zip(out, recordings, strict=True)]
 
 
 def with_read_off(decision: Decision, effect: NamedEffect) -> Decision:
@@ -335,93 +327,3 @@ def open_between(decision: Decision) -> list[str]:
             return [effect.name, *effect.alternatives]
     uncertain = [effect.name for effect in decision.effects if effect.probability < UNCERTAIN]
     return uncertain or [one.name for one in decision.causes_left_open[:1]]
-
-
-def monitored_notes(records: Sequence[Record]) -> tuple[str, ...]:
-    """A sentence on the noise of each voltage that was monitored rather than commanded."""
-    noisy = [f"{r.monitor_noise_v:.2g} V in {r.name}" for r in records if r.monitor_noise_v]
-    return (
-        (
-            "The measured voltage contains noise, which is removed before the voltage drives the model: "
-            f"{', '.join(noisy)}.",
-        )
-        if noisy
-        else ()
-    )
-
-
-def start_notes(records: Sequence[Record], unsettled: Sequence[int]) -> tuple[str, ...]:
-    """A sentence for each recording whose start does not count."""
-    return tuple(
-        f"{record.name}: the first {first} readings, {1e3 * first / record.fs_hz:.3g} ms, do not count: "
-        "the stage was still settling after a motion before the recording."
-        for record, first in zip(records, unsettled, strict=True)
-        if first
-    )
-
-
-def conventions(search: Search, final: Fit) -> tuple[str, ...]:
-    """Sentences on timing: the convention of the rig, which is not physics, and the total lateness."""
-    if any(m.effect.delays and m.effect.name not in search.given for m in final.hypothesis.members):
-        ms = 1e3 * lateness_s(search.chain, final.hypothesis)
-        text = (
-            f"In total, the readings lag a slow command by {ms:.3g} ms: the sum of all lags and delays of "
-            "the model."
-        )
-        return (*convention(final), text)
-    return convention(final)
-
-
-def convention(final: Fit) -> tuple[str, ...]:
-    """A sentence that says which tick's command y(k) answers."""
-    if final.hypothesis.alignment < 0:
-        return (
-            "The simulation responds one sample later than y(k), which is taken as its timing convention: "
-            "its output for u(k+1) is compared with y(k).",
-        )
-    if final.hypothesis.alignment == 0:
-        return ("y(k) responds to the command of the same tick.",)
-    return (
-        "y(k) responds to the command of the previous tick, which is taken as the rig's timing "
-        "convention; a delay of exactly one sample cannot be told from it.",
-    )
-
-
-def slip_notes(search: Search, one_step: Fit, modelled: Fit) -> tuple[str, ...]:
-    """A sentence on what can be predicted of a mount that sticks, and what cannot."""
-    if search.jump is None:
-        return ()
-    left = "" if "stiction" in modelled.hypothesis.names else ", no better than without stick-slip"
-    return (
-        "The mount shows stick-slip. Its one-step-ahead prediction has an error of "
-        f"{nm(one_step.heldout_rms)} rms, its free-run simulation one of {nm(modelled.heldout_rms)} "
-        f"rms{left}, because each slip decides where the next one begins. The report shows the free-run "
-        "error.",
-    )
-
-
-def changed(search: Search, final: Fit) -> list[Changed]:
-    """Return the parameters of the given stage that retuning changed, the most changed first."""
-    found = [
-        Changed(member.effect.name, name, member.effect.quantities[name].unit, before, member.shared[name])
-        for given in search.start
-        for member in final.hypothesis.members
-        if member.effect is given.effect
-        for name, before in given.shared.items()
-        if name in member.shared and abs(member.shared[name] - before) > 0.02 * abs(before)
-    ]
-
-    def relative(one: Changed) -> float:
-        return abs(one.after - one.before) / max(min(abs(one.after), abs(one.before)), 1e-300)
-
-    return sorted(found, key=relative, reverse=True)
-
-
-def history_notes(search: Search, final: Fit) -> tuple[str, ...]:
-    """Sentences on what was retuned, and on candidates that these recordings cannot show."""
-    notes = [
-        f"Retuned: {one.effect} {one.name} {one.before:.4g} → {one.after:.4g}."
-        for one in changed(search, final)
-    ]
-    notes += [f"{name}: left out, {why}." for name, why in search.left_out]
-    return tuple(notes)

@@ -1,0 +1,45 @@
+"""The readings of all recordings at the rate of the search, and which of them say nothing about the stage."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from torchpi.diagnosis.hypothesis import Fit
+from torchpi.diagnosis.long_recordings import at_a_lower_rate
+from torchpi.diagnosis.records import SEALED, Record, not_counting, prepare
+from torchpi.diagnosis.wrong_readings import wrong_readings
+from torchpi.recordings.recording import Recording
+
+
+@dataclass(frozen=True, eq=False)
+class Readings:
+    """Recordings as they were given, and as they are searched."""
+
+    given: Sequence[Recording]
+    recordings: Sequence[Recording]
+    """The same, long ones at a lower rate."""
+    out: Sequence[np.ndarray]
+    """(readings,) for each recording: the indices of those that do not count."""
+    notes: tuple[str, ...]
+    """Sentences on what was reduced."""
+
+    @classmethod
+    def of(cls, given: Sequence[Recording]) -> "Readings":
+        return cls(given, *at_a_lower_rate(given, [not_counting(each) for each in given]))
+
+    def records(self, sealed: float = SEALED) -> list[Record]:
+        """Prepare the recordings, with this share of each sealed."""
+        return prepare(self.recordings, self.out, as_recorded=self.given, sealed=sealed)
+
+    def wrong(self, records: Sequence[Record], final: Fit) -> list[np.ndarray]:
+        """Return the wrong readings of each recording, (readings,), judged by the residual of a fit."""
+        apart = [
+            np.setdiff1d(each, one.not_read) for each, one in zip(self.out, self.recordings, strict=True)
+        ]
+        return wrong_readings(records, apart, final)
+
+    def without(self, wrong: Sequence[np.ndarray]) -> "Readings":
+        """Return the readings less these of each recording, (readings,)."""
+        out = [np.union1d(one, more).astype(int) for one, more in zip(self.out, wrong, strict=True)]
+        return replace(self, out=out)
