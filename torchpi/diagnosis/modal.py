@@ -220,7 +220,7 @@ class Superposition:
     def without_the_cancelling(self, now: Solved) -> Solved:
         """Remove modes of impossible size: two close together cancel, and one of them is as good."""
         while len(now.poles) and (size := np.abs(self.shares(now)).max(1)).max() >= LARGEST:
-            less = self.solved(np.delete(now.poles, int(np.argmax(size)), 0), now.aux)
+            less = self.without_mode(now, int(np.argmax(size)))
             now = self.without_the_unseen(self.refined(less, CLOSING))
         return now
 
@@ -228,7 +228,7 @@ class Superposition:
         """Remove modes that are redundant given the others."""
         while len(now.poles):
             least = int(np.argmin(self.losses(now)))
-            less = self.refined(self.solved(np.delete(now.poles, least, 0), now.aux), STEPS)
+            less = self.refined(self.without_mode(now, least), STEPS)
             if self.earns(now, less):
                 break
             now = less
@@ -236,8 +236,11 @@ class Superposition:
 
     def losses(self, now: Solved) -> list[float]:
         """Return the squared error without each of the modes, the other poles fixed."""
-        every = range(len(now.poles))
-        return [self.solved(np.delete(now.poles, m, 0), now.aux).squares for m in every]
+        return [self.without_mode(now, m).squares for m in range(len(now.poles))]
+
+    def without_mode(self, now: Solved, mode: int) -> Solved:
+        """Solve without one of the modes, the other poles as they are."""
+        return self.solved(np.delete(now.poles, mode, 0), now.aux)
 
     def seen(self, now: Solved) -> np.ndarray:
         """Whether each mode is one that these samples can show, (modes,), bool."""
