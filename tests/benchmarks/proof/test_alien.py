@@ -150,3 +150,12 @@ class TestCases:
     def test_severity_is_the_one_that_was_reached(self):
         case = draw_case("alien", 7000, 5)
         assert 0.3 < case.labels["effects"][0]["severity"] < 100
+
+    def test_only_what_neither_timing_convention_explains_is_beyond_plays(self):
+        """One delay within the hold of the tick before, and one of twelve ticks read before the write."""
+        within, longer = draw_case("noise", 8004, 11), draw_case("alien", 8004, 5)
+        assert (within.labels["timing"], longer.labels["timing"]) == ("end_of_hold", "before_write")
+        (one,), (other,) = within.labels["effects"], longer.labels["effects"]
+        assert one["name"] == other["name"] == "delay" and one["severity"] > 40
+        assert one["severity_beyond_plays"] < 0.01
+        assert other["severity_beyond_plays"] > 0.9 * other["severity"] > 20

@@ -131,6 +131,31 @@ def test_a_reading_before_the_write_answers_the_command_of_the_tick_before():
     np.testing.assert_array_equal(late[1:], simulate(_rig(), Physics(), run)[:-1])
 
 
+class TestSeverityBeyondPlays:
+    """A delay of some ticks, on the same rig read at the end of the hold or before the write."""
+
+    def effect(self, ticks: int, timing: str) -> dict:
+        wanted = {1: 114.0, 2: 209.0, 3: 290.0}[ticks]  # that of a delay of so many ticks
+        case = _case(only=("delay",), severity=wanted, timing=timing)
+        (effect,) = case.labels["effects"]
+        assert effect["parameters"]["delay_s"]["value"] * case.labels["fs_hz"] == pytest.approx(ticks)
+        return effect
+
+    def test_readings_that_are_late_by_the_other_timing_convention_are_no_effect(self):
+        effect = self.effect(1, "end_of_hold")
+        assert effect["severity"] > 100 and effect["severity_beyond_plays"] < 0.01
+
+    def test_what_neither_convention_explains_is_kept(self):
+        effect = self.effect(1, "before_write")
+        assert effect["severity_beyond_plays"] > 0.9 * effect["severity"]
+
+    def test_of_three_ticks_two_are_left_beside_the_other_convention(self):
+        effect = self.effect(3, "end_of_hold")
+        assert effect["severity_beyond_plays"] > 0.6 * effect["severity"] > 150
+        two = self.effect(2, "before_write")["severity_beyond_plays"]
+        assert effect["severity_beyond_plays"] == pytest.approx(two, rel=1e-3)
+
+
 class TestConditions:
     def test_plain_conditions_leave_a_case_as_it_is(self):
         plain, same = _case(), _case(conditions=Conditions())

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from concealed.alien import electrical, mechanical, sensing
@@ -79,7 +79,7 @@ def draw_case(track: str, seed: int, index: int, noise: Noise | None = None) -> 
         acts.append(act)
         labels.append(_label(form, drawn, strength, reached, rig))
         labels[-1]["severity_beyond_plays"] = (
-            beyond_plays_um(readings([act]) - without, runs, rig.span_v) / rig.noise_um
+            _beyond_plays(readings([act]), without, rig, runs, times)
             if without.size == sum(run.u.size - run.history for run in runs) <= FASTEST_BY_PLAYS
             else None
         )
@@ -112,7 +112,7 @@ def draw_case(track: str, seed: int, index: int, noise: Noise | None = None) -> 
             "seed": seed,
             "index": index,
             "fs_hz": rig.fs_hz,
-            "timing": "before_write" if rig.late else "end_of_hold",
+            "timing": rig.timing,
             "family": rig.truth.family,
             "adequate": adequate,
             "recorded": vars(recorded) | {"noise": colour},
@@ -230,6 +230,19 @@ def _times(rig: Rig, recorded: Recorded, run: Run, rng: np.random.Generator) -> 
 
 def _placed(form: Form, drawn: Drawn, strength: float) -> tuple[str, Act]:
     return form.place, lambda x, at: drawn.act(x, at, strength)
+
+
+def _beyond_plays(
+    with_effect: Array, without: Array, rig: Rig, runs: Sequence[Run], times: Sequence[Array]
+) -> float:
+    """What plays leave of an effect under the better timing convention, in units of the noise.
+
+    The readings, with the effect and without, are those of all runs end to end, shape (readings,), µm.
+    """
+    other = replace(rig, late=not rig.late)
+    of_other = np.concatenate([simulate(other, (), run, t) for run, t in zip(runs, times, strict=True)])
+    plain = {rig.timing: without, other.timing: of_other}
+    return beyond_plays_um(with_effect, plain, rig.timing, runs, rig.span_v) / rig.noise_um
 
 
 def _noise(rng: np.random.Generator, colour: str, n: int, rms: float) -> Array:

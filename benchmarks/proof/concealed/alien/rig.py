@@ -48,6 +48,11 @@ class Rig:
         return max(self.upper_v, -self.lower_v)
 
     @property
+    def timing(self) -> str:
+        """The convention by which readings are taken, as the labels name it."""
+        return "before_write" if self.late else "end_of_hold"
+
+    @property
     def dt(self) -> float:
         """Step of the simulation, s."""
         return 1 / (self.fs_hz * self.fine)

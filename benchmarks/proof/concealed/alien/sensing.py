@@ -25,7 +25,8 @@ def _fraction(rng, rig, runs):
         place = np.arange(x.size) - s * rig.fine
         return np.interp(place, np.arange(x.size), x)
 
-    # Less than a tick is the hold's; from 1.7 on it is a delay whatever the timing.
+    # Less than a tick is the hold's. Less than two may be no more than the other timing convention, which the
+    # severity beyond plays allows for.
     return Drawn(act, 1.7, 12.0, 2.5, lambda s: {"delay_s": (s / rig.fs_hz, "s")})
 
 

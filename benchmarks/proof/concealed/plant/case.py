@@ -18,7 +18,7 @@ from concealed.plant.conditions import (
     without_holds,
 )
 from concealed.plant.effects import EFFECTS, Proposal
-from concealed.plant.growth import beyond_plays_um
+from concealed.plant.growth import TICKS_LATE, beyond_plays_um
 from concealed.plant.hysteresis import Plays, draw_hysteresis
 from concealed.plant.noise import draw_noise
 from concealed.plant.physics import Array, Physics
@@ -228,7 +228,9 @@ def _one_effect(
 
     strength, reached = strength_for(wanted, measure, proposal.low, proposal.high, proposal.start)
     change = proposal.change(strength)
-    difference = readings(rig, _with(Physics(), change), runs) - plain
+    without = {timing: readings(replace(rig, timing=timing), Physics(), runs) for timing in TICKS_LATE}
+    with_effect = readings(rig, _with(Physics(), change), runs)
+    beyond_um = beyond_plays_um(with_effect, without, rig.timing, runs, rig.span_v)
     what = EFFECTS[name] if known else UNKNOWNS[name]
     parameters = {
         key: {"value": float(value), "unit": unit}
@@ -246,7 +248,7 @@ def _one_effect(
         "equation": what.equation,
         "severity_wanted": wanted,
         "severity": reached,
-        "severity_beyond_plays": beyond_plays_um(difference, runs, rig.span_v) / rig.noise_um,
+        "severity_beyond_plays": beyond_um / rig.noise_um,
         "parameters": parameters,
     }
     if name == "hysteresis_operator":
