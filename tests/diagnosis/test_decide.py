@@ -61,6 +61,7 @@ def decided(*each: Believed, retuned: float = 10.0, final: float = 2.0, **more: 
         chain=SimpleNamespace(records=()),
         effects_tried=[Creep, Backlash, SensorLag],
         jump=more.pop("jump", None),
+        slips=more.pop("slips", None),
     )
     given = {"noise": NOISE, "structured": False, "loud": False} | more
     return decide(search, left(retuned), left(final), each, *given.values())
@@ -102,6 +103,26 @@ class TestNames:
         jump = (0.1, (0.05, 0.15))
         assert not decided(believed("backlash", 48.0), jump=jump).effects
         assert [one.name for one in decided(believed("creep", 48.0), jump=jump).effects] == ["creep"]
+
+    @pytest.mark.parametrize(
+        ("final", "noise", "structured", "named"),
+        [
+            (2.0, NOISE, True, True),
+            (4.0, NOISE, False, False),
+            (4.0, None, False, True),
+            (4.0, None, True, False),
+        ],
+    )
+    def test_a_play_is_named_only_beside_a_residual_that_an_unlisted_hysteresis_does_not_leave(
+        self, final: float, noise: object, structured: bool, named: bool
+    ) -> None:
+        each = believed("backlash", 48.0), believed("creep", 24.0)
+        found = decided(*each, final=final, noise=noise, structured=structured)
+        assert ("backlash" in {one.name for one in found.effects}) == named
+        assert "creep" in {one.name for one in found.effects}
+        assert ("backlash" in {one.name for one in found.causes_left_open}) != named
+        seen_to_stick = decided(*each, final=final, noise=noise, structured=structured, slips="slips")
+        assert "backlash" in {one.name for one in seen_to_stick.effects}
 
     def test_effects_are_ordered_by_their_share_of_the_residual_above_the_noise(self) -> None:
         found = decided(believed("creep", 24.0, 0.9, "leakage"), believed("sensor_lag", 48.0))

@@ -15,13 +15,16 @@ from torchpi.diagnosis.diagnosis import (
     Parameter,
     Verdict,
 )
+from torchpi.diagnosis.exchange import looks_like
 from torchpi.diagnosis.hypothesis import Fit
 from torchpi.diagnosis.intervals import covariance_90, distance_from_none, intervals_90
 from torchpi.diagnosis.noise import Noise
 from torchpi.diagnosis.parameters import parameters_of, shape_parameters
-from torchpi.diagnosis.posterior import STEEPNESS, Believed, form_of
+from torchpi.diagnosis.posterior import AS_LIKELY, STEEPNESS, Believed, form_of
 from torchpi.diagnosis.rival_models import OPERATOR_NAME
 from torchpi.diagnosis.search import Search
+from torchpi.stage.effects.effect import Described
+from torchpi.stage.effects.inside import InsideEffect
 from torchpi.stage.effects.mechanics.backlash import Backlash
 
 NAMED = 0.5
@@ -91,6 +94,12 @@ def decide(
     covariance = covariance_90(search.chain, final)
     spans = intervals_90(final, covariance)
     believed = [clear_of_none(one, final, covariance) for one in believed]
+    if not search.slips and not leaves_little(final, noise, structured):
+        kin = of_a_hysteresis(search.effects_tried)
+        believed = [
+            replace(one, probability=min(one.probability, AS_LIKELY)) if one.name in kin else one
+            for one in believed
+        ]
     names = {
         one.name
         for one in believed
@@ -211,15 +220,31 @@ def clear_of_none(one: Believed, final: Fit, covariance: np.ndarray) -> Believed
     return replace(one, probability=round(one.probability * clear, 4))
 
 
+def of_a_hysteresis(effects: Collection[type[Described]]) -> set[str]:
+    """Return the names of effects that change a hysteresis, are one, or look like one: beside a residual that
+    nothing explains, a hysteresis of an unlisted family is as likely."""
+    sticking = [effect for effect in effects if effect.sticks]
+    return {
+        one.name
+        for one in effects
+        if issubclass(one, InsideEffect) or one.sticks or any(looks_like(other, one) for other in sticking)
+    }
+
+
+def leaves_little(final: Fit, noise: Noise | None, structured: bool, factor: float = EXPLAINED) -> bool:
+    """Whether a fit leaves no more than this multiple of the noise, or nothing structured if that was not
+    measured."""
+    if noise is None:
+        return not structured
+    return max(final.heldout_rms, final.train_rms) < factor * noise.rms_um
+
+
 def verdict(
     named: Sequence[NamedEffect], more: bool, final: Fit, noise: Noise | None, structured: bool
 ) -> Verdict:
     """Say in one word how much the named effects explain."""
-    if noise is None:
-        done = explained = not structured
-    else:
-        ratio = max(final.heldout_rms, final.train_rms) / noise.rms_um
-        done, explained = ratio < DONE, ratio < EXPLAINED
+    done = leaves_little(final, noise, structured, DONE)
+    explained = leaves_little(final, noise, structured)
     if not named:
         return "nothing_missing" if done and not more else "unexplained"
     return "explained" if explained and not more else "partly_explained"

@@ -9,6 +9,7 @@ import numpy as np
 from torchpi.diagnosis.across_recordings import across_recordings
 from torchpi.diagnosis.another_motion import another_motion_um
 from torchpi.diagnosis.chain import Chain
+from torchpi.diagnosis.clock import seen_early
 from torchpi.diagnosis.contest import FAINT
 from torchpi.diagnosis.converter import converter, of_converter
 from torchpi.diagnosis.coverage import cannot_be_decided, untested
@@ -196,14 +197,23 @@ def searched(
     log: Callable[[str], None],
 ) -> tuple[Readings, Search, Fit, Fit, list[Round]]:
     """Search, and once more if the residual shows wrong readings; return the readings that count, the search
-    and what it found."""
+    and what it found. Readings of a jittering clock are first brought back to their ticks."""
+    early_by = 0.0
+    if any(record.late_s is not None for record in records):
+        share = seen_early(records, search_of(records).retuned().residuals)
+        if share is not None:
+            readings, early_by = readings.at_their_ticks(share), max(float(one.max()) for one in share)
+            log(f"clock: late readings have seen up to {100 * early_by:.2g} % of the next step")
+            records = readings.records()
     search = search_of(records)
+    search.brought_back = early_by
     found = search.run()
     wrong = readings.wrong(records, found[1])
     if count := sum(map(len, map(np.setdiff1d, wrong, readings.out))):
         log(f"wrong readings: the residual shows {count} more; the search starts again without them")
         readings = readings.without(wrong)
         search = search_of(readings.records())
+        search.brought_back = early_by
         found = search.run()
     search.noise = search.noise_left(found[1])
     return readings, search, *found

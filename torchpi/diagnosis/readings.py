@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from torchpi.diagnosis.clock import MOST_SEEN, at_their_ticks
 from torchpi.diagnosis.hypothesis import Fit
 from torchpi.diagnosis.long_recordings import at_a_lower_rate
 from torchpi.diagnosis.records import SEALED, Record, not_counting, prepare
@@ -43,3 +44,12 @@ class Readings:
         """Return the readings less these of each recording, (readings,)."""
         out = [np.union1d(one, more).astype(int) for one, more in zip(self.out, wrong, strict=True)]
         return replace(self, out=out)
+
+    def at_their_ticks(self, seen: Sequence[np.ndarray]) -> "Readings":
+        """Return the readings without the share, (time,) for each recording, of the next step that each has
+        seen, less those that have seen most of it."""
+        recordings = [
+            replace(one, y=at_their_ticks(one.y, share), as_read=one.readings)
+            for one, share in zip(self.recordings, seen, strict=True)
+        ]
+        return replace(self, recordings=recordings).without([np.flatnonzero(s > MOST_SEEN) for s in seen])

@@ -75,6 +75,8 @@ class Search(Proposals):
         self.needless = set()
         self.unsettled = (0,) * len(chain.records)
         """For each recording, how many of its first readings were found not to count."""
+        self.brought_back = 0.0
+        """Largest share of the next step that was taken out of a reading, because its time stamp is late."""
         self.slips: Slips | None = None
         self.jump: Jump | None = None
         """Jump of the final fit, where a mount sticks."""

@@ -58,6 +58,7 @@ class Stiction(Effect):
     sliding_um: nn.Parameter = parameter("µm", at_least=0.0, at_most=1e4)
     rests: nn.Parameter = parameter("", at_least=0.0, at_most=1.0)
     forms = ("breakaway", "stick-slip")
+    sticks = True
     jumps = ("breakaway_um",)
     kinds = ("rests",)
     state_size = 3
