@@ -10,7 +10,16 @@ import pytest
 from torchpi.diagnosis import rival_models
 from torchpi.diagnosis.hypothesis import EffectTerm, Hypothesis
 from torchpi.diagnosis.hysteresis_model import HysteresisModel
-from torchpi.diagnosis.rival_models import CONVENTION, OPERATOR_NAME, Model, groups, names_of, rivals, settled
+from torchpi.diagnosis.rival_models import (
+    CONVENTION,
+    OPERATOR_NAME,
+    Model,
+    each_of,
+    groups,
+    names_of,
+    rivals,
+    settled,
+)
 from torchpi.diagnosis.score import Gain
 from torchpi.stage.effects.actuator.ageing import Ageing
 from torchpi.stage.effects.actuator.creep import Creep
@@ -32,6 +41,11 @@ def test_names_of_returns_the_effects_in_an_explanation() -> None:
     assert names_of("resonance + cross_coupling") == ["resonance", "cross_coupling"]
     assert names_of("hysteresis_operator: preisach") == ["hysteresis_operator"]
     assert names_of(None) == []
+
+
+def test_the_alternatives_of_an_effect_are_effects_though_a_pair_stands_in_its_place() -> None:
+    labels = ["slew_limit", "sensor_lag + delay", "hysteresis_operator: preisach"]
+    assert each_of(labels, "delay") == ("slew_limit", "sensor_lag", OPERATOR_NAME)
 
 
 def test_an_effect_that_came_by_exchange_competes_with_the_one_it_replaced() -> None:

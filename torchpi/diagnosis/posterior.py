@@ -27,7 +27,7 @@ from torchpi.diagnosis.lines import STANDS_OUT, is_overtone
 from torchpi.diagnosis.own_signal import has_a_recorded_signal, has_a_signal_of_its_own, stands_out
 from torchpi.diagnosis.records import Record
 from torchpi.diagnosis.repeats import APART, STARTING
-from torchpi.diagnosis.rival_models import CONVENTION, OPERATOR_NAME, Model, names_of, prior, settled
+from torchpi.diagnosis.rival_models import CONVENTION, OPERATOR_NAME, Model, each_of, names_of, prior, settled
 from torchpi.diagnosis.score import ALIKE
 from torchpi.diagnosis.sealed import confirmed
 from torchpi.diagnosis.search import Round, Search
@@ -151,7 +151,10 @@ def posterior(
     found = with_overtones(found, terms, search.chain.records)
     of_modes = HYSTERESIS_ERROR if one_motion(search.chain.records) else OF_MODES
     found = [apart(one, found, terms, signals, of_modes, together) for one in found]
-    return final, [replace(one, probability=round(one.probability, 4)) for one in found]
+    return final, [
+        replace(one, probability=round(one.probability, 4), alternatives=each_of(one.alternatives, one.name))
+        for one in found
+    ]
 
 
 def cannot_be_ruled_out(search: Search, name: str, rival: Model, less: Fit, final: Fit) -> bool:

@@ -261,6 +261,11 @@ def as_before(
     return [(one, small.weights)]
 
 
+def each_of(labels: Sequence[str], but: str) -> tuple[str, ...]:
+    """Return every effect in the names of explanations once, but this one."""
+    return tuple(dict.fromkeys(name for label in labels for name in names_of(label) if name != but))
+
+
 def names_of(label: str | None) -> list[str]:
     """Return the effects in the name of an explanation."""
     if not label:
