@@ -53,6 +53,18 @@ def test_what_is_ignored_on_the_sealed_samples_does_not_increase_a_share() -> No
     assert confirmed(*both, either_way=True) == pytest.approx(0.5, abs=0.02)
 
 
+def test_a_slow_effect_is_tested_beside_a_fast_residual_but_not_beside_a_slow_one() -> None:
+    """A drift of 0.1 µm beside a hum of three times that, and beside another drift."""
+    time = np.arange(TRAIN + SEALED)
+    drift, hum, wander = 0.2 * time / len(time), 0.3 * np.sin(2.3 * time), 0.3 * np.sin(time / 60)
+    for rest, confirms in ((hum, True), (wander, False)):
+        e = np.random.default_rng(0).normal(0, NOISE_UM2**0.5, len(time)) + rest
+        more, less = SimpleNamespace(residuals=[e]), SimpleNamespace(residuals=[e + drift])
+        both = (0.9, [record()], more, [less], NOISE_UM2, False)
+        assert confirmed(*both) < 0.7
+        assert (confirmed(*both, slow=True) > 0.85) == confirms
+
+
 def test_an_effect_that_spoils_the_sealed_samples_loses_its_share() -> None:
     more, less = fits(0.1, -0.1)
     assert confirmed(0.9, [record()], more, [less], NOISE_UM2, False) < 0.05

@@ -12,8 +12,12 @@ from math import log, sqrt
 import numpy as np
 
 from torchpi.diagnosis.hypothesis import Fit
+from torchpi.diagnosis.long_recordings import means
 from torchpi.diagnosis.noise import holds
 from torchpi.diagnosis.records import Record
+
+MEANS = 16
+"""Number of means of the sealed samples that a slow effect is tested on."""
 
 
 def confirmed(
@@ -26,6 +30,7 @@ def confirmed(
     apart: float = 0.0,
     walks: bool = False,
     either_way: bool = False,
+    slow: bool = False,
 ) -> float:
     """Return the share, 0–1, that an effect explains of what is to be explained: `known` if the sealed
     samples agree, else theirs. The sealed samples are weighted by how much the effect acts there relative to
@@ -45,6 +50,8 @@ def confirmed(
             is ignored too. Where that value is near the mean, it predicts no better and no worse, which says
             nothing: the sealed samples count by how much they change, up to a factor e in the mean square.
         either_way: Take the share of the sealed samples if it is larger, too.
+        slow: Compare means over a sixteenth of the sealed samples: what is faster says nothing about a slow
+            effect, whatever causes it.
     """
     share, reached = known, [record.u[record.train] for record in records]
     lowest_v, highest_v = min(u.min() for u in reached), max(u.max() for u in reached)
@@ -62,6 +69,9 @@ def confirmed(
             if not len(e_held):
                 continue
             each = [split(record, without_means(fit.residuals[i], beyond), judging) for fit in less]
+            samples = max(len(e_held) // MEANS, 1) if slow else 1
+            e_held, e_train = means(e_held, samples), means(e_train, samples)
+            each = [(means(held, samples), means(train, samples)) for held, train in each]
             without_held, without_train = min(each, key=lambda held_and_train: mean_square(held_and_train[0]))
             after, before = mean_square(e_held) + 1e-300, mean_square(without_held) + 1e-300
             # A recording with a large error must not count more than another, so gains are ratios, and a
@@ -72,7 +82,7 @@ def confirmed(
             changed += votes * abs(log(before / after))
             # A residual found only here is extrapolation error of the hysteresis, with or without the effect.
             usual = min(after, mean_square(e_train))
-            rest = max(usual - noise_um2, 0.0)
+            rest = max(usual - noise_um2 / samples, 0.0)
             left += 0.0 if own_signal or walks else votes * rest / ((after + before) / 2)
             ignored += votes * (after - usual) / ((after + before) / 2)
             here, there, voted = here + acts, there + acted, voted + votes
