@@ -19,6 +19,8 @@ from torchpi.diagnosis.timing import lateness_s
 SURE = 5.0
 """Standard errors from which a dependence on the lateness counts. How late a reading is has nothing to do
 with the motion, so that its product with any model error has mean zero: it reaches so many once in 10⁶."""
+ON_TIME = 0.001
+"""Share of the readings that count as taken at their ticks: a single stray time stamp must move no others."""
 MOST_SEEN = 0.5
 """Share of the next step from which a reading does not count: it says more of the next tick than of its."""
 
@@ -28,7 +30,7 @@ def seen_early(records: Sequence[Record], residuals: Sequence[np.ndarray]) -> li
     if the residuals, (time,) each, µm, of a fit do not depend on how late the readings are."""
     if not depends_on_lateness(records, residuals):
         return None
-    late = [np.zeros(0) if r.late_s is None else r.late_s - r.late_s.min() for r in records]
+    late = [np.zeros(0) if r.late_s is None else later_than_usual(r.late_s) for r in records]
     products, steps, errors = [], [], []
     for record, late_s, e in zip(records, late, residuals, strict=True):
         if len(late_s):
@@ -45,6 +47,12 @@ def seen_early(records: Sequence[Record], residuals: Sequence[np.ndarray]) -> li
     return [
         per_s * late_s if len(late_s) else np.zeros(len(r.u)) for late_s, r in zip(late, records, strict=True)
     ]
+
+
+def later_than_usual(late_s: np.ndarray) -> np.ndarray:
+    """(time,), s: how much later each reading was taken than the earliest, but for stray time stamps."""
+    later: np.ndarray = np.maximum(late_s - np.quantile(late_s, ON_TIME), 0.0)
+    return later
 
 
 def at_their_ticks(
@@ -94,17 +102,18 @@ def depends_on_lateness(records: Sequence[Record], residuals: Sequence[np.ndarra
 def clock_notes(search: Search, final: Fit) -> tuple[str, ...]:
     """Sentences on late readings, on what the clock hides, and how to record it."""
     found = []
+    why = "The readings depend on how late their time stamps are: "
     if search.brought_back:
         found.append(
-            "The readings depend on how late their time stamps are: the latest have seen "
-            f"{100 * search.brought_back:.2g} % of the response to the next voltage. They were brought back "
-            "to their ticks; the errors stated here are those of the corrected readings."
+            f"{why}the latest have seen {100 * search.brought_back:.2g} % of the response to the next "
+            "voltage. They were brought back to their ticks; the errors stated here are those of the "
+            "corrected readings."
         )
     if within_the_clock(search, final):
         tick_ms = 1e3 * search.chain.records[0].tick_s
         found.append(
-            "The readings depend on how late their time stamps are: some were taken after the next voltage "
-            f"was written. A lag or a delay of less than a sample ({tick_ms:.3g} ms) cannot be told from "
-            "that; a recording whose readings are triggered at a fixed time after each voltage would show it."
+            ("" if found else f"{why}some were taken after the next voltage was written. ")
+            + f"A lag or a delay of less than a sample ({tick_ms:.3g} ms) cannot be told from late readings; "
+            "a recording whose readings are triggered at a fixed time after each voltage would show it."
         )
     return tuple(found)

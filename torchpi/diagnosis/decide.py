@@ -15,7 +15,6 @@ from torchpi.diagnosis.diagnosis import (
     Parameter,
     Verdict,
 )
-from torchpi.diagnosis.exchange import looks_like
 from torchpi.diagnosis.hypothesis import Fit
 from torchpi.diagnosis.intervals import covariance_90, distance_from_none, intervals_90
 from torchpi.diagnosis.noise import Noise
@@ -221,14 +220,9 @@ def clear_of_none(one: Believed, final: Fit, covariance: np.ndarray) -> Believed
 
 
 def of_a_hysteresis(effects: Collection[type[Described]]) -> set[str]:
-    """Return the names of effects that change a hysteresis, are one, or look like one: beside a residual that
-    nothing explains, a hysteresis of an unlisted family is as likely."""
-    sticking = [effect for effect in effects if effect.sticks]
-    return {
-        one.name
-        for one in effects
-        if issubclass(one, InsideEffect) or one.sticks or any(looks_like(other, one) for other in sticking)
-    }
+    """Return the names of effects that are a hysteresis or change one: beside a residual that nothing
+    explains, a hysteresis of an unlisted family is as likely."""
+    return {one.name for one in effects if issubclass(one, InsideEffect) or one.sticks}
 
 
 def leaves_little(final: Fit, noise: Noise | None, structured: bool, factor: float = EXPLAINED) -> bool:
