@@ -30,10 +30,10 @@ def seen_early(records: Sequence[Record], residuals: Sequence[np.ndarray]) -> li
     if the residuals, (time,) each, µm, of a fit do not depend on how late the readings are."""
     if not depends_on_lateness(records, residuals):
         return None
-    late = [np.zeros(0) if r.late_s is None else later_than_usual(r.late_s) for r in records]
+    late = [np.zeros(len(r.u)) if r.late_s is None else later_than_usual(r.late_s) for r in records]
     products, steps, errors = [], [], []
     for record, late_s, e in zip(records, late, residuals, strict=True):
-        if len(late_s):
+        if record.late_s is not None:
             x = record.y - e
             step = np.diff(x, append=x[-1:])[record.train]
             products.append(late_s[record.train] * step)
@@ -44,9 +44,7 @@ def seen_early(records: Sequence[Record], residuals: Sequence[np.ndarray]) -> li
     (per_s, _), *_ = np.linalg.lstsq(columns, np.concatenate(errors), rcond=None)
     if per_s <= 0:
         return None
-    return [
-        per_s * late_s if len(late_s) else np.zeros(len(r.u)) for late_s, r in zip(late, records, strict=True)
-    ]
+    return [per_s * late_s for late_s in late]
 
 
 def later_than_usual(late_s: np.ndarray) -> np.ndarray:

@@ -301,7 +301,9 @@ def share_explained(
     # The sealed samples are later than all others: for a slow effect they are an extrapolation, while those
     # of a motion that was fitted are no new test of a fast or static one.
     slow = not helps and {member.effect.time_scale for member in terms} == {"slow"}
-    share = confirmed(known, records, more, without, floor_um2, own_signal, apart, walks, slow, slow)
+    share = confirmed(
+        known, records, more, without, floor_um2, own_signal, apart, walks, either_way=slow, slow=slow
+    )
     if helps or slow or one_motion(records):
         return share, share
     return share, confirmed(known, records, more, without, floor_um2, False, apart, either_way=True)

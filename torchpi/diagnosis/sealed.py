@@ -65,13 +65,14 @@ def confirmed(
             judging = within.copy()
             for places in beyond:
                 judging[places] = True
-            e_held, e_train = split(record, without_means(e, beyond), judging)
+            parts = [split(record, without_means(e, beyond), judging)]
+            parts += [split(record, without_means(fit.residuals[i], beyond), judging) for fit in less]
+            samples = max(len(parts[0][0]) // MEANS, 1) if slow else 1
+            (e_held, e_train), *each = [
+                (means(held, samples), means(train, samples)) for held, train in parts
+            ]
             if not len(e_held):
                 continue
-            each = [split(record, without_means(fit.residuals[i], beyond), judging) for fit in less]
-            samples = max(len(e_held) // MEANS, 1) if slow else 1
-            e_held, e_train = means(e_held, samples), means(e_train, samples)
-            each = [(means(held, samples), means(train, samples)) for held, train in each]
             without_held, without_train = min(each, key=lambda held_and_train: mean_square(held_and_train[0]))
             after, before = mean_square(e_held) + 1e-300, mean_square(without_held) + 1e-300
             # A recording with a large error must not count more than another, so gains are ratios, and a

@@ -228,7 +228,8 @@ def _one_effect(
 
     strength, reached = strength_for(wanted, measure, proposal.low, proposal.high, proposal.start)
     change = proposal.change(strength)
-    without = {timing: readings(replace(rig, timing=timing), Physics(), runs) for timing in TICKS_LATE}
+    others = [replace(rig, timing=timing) for timing in TICKS_LATE if timing != rig.timing]
+    without = {rig.timing: plain} | {one.timing: readings(one, Physics(), runs) for one in others}
     with_effect = readings(rig, _with(Physics(), change), runs)
     beyond_um = beyond_plays_um(with_effect, without, rig.timing, runs, rig.span_v)
     what = EFFECTS[name] if known else UNKNOWNS[name]
